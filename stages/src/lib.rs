@@ -1,1 +1,29 @@
-//! stages
+//! The stages of rockface: photogrammetric rockfall simulation and the statistics of its noise.
+//!
+//! `artefact/` holds the nouns, `kernel/` the verbs, and each stage is one file of its own: `verb_object.rs` for
+//! `verb-object` in a pipeline. Nothing here touches disk, clock, thread count, YAML or hash function; what a stage
+//! needs of them it is lent through [`Context`].
+
+pub mod artefact;
+pub mod kernel;
+pub mod params;
+mod stage;
+
+// A new stage is its file, its `mod` and its row.
+
+pub use stage::{
+    AnyStage, Arity, Checked, Context, Element, Entry, Host, Inputs, Outputs, Page, Point, Port, Row, SourceFile,
+    Stage, StageError,
+};
+
+static STAGES: &[&dyn AnyStage] = &[];
+
+/// Every stage there is, in the order of the catalogue.
+pub fn all() -> &'static [&'static dyn AnyStage] {
+    STAGES
+}
+
+/// The stage of a name.
+pub fn find(name: &str) -> Option<&'static dyn AnyStage> {
+    STAGES.iter().copied().find(|stage| stage.name() == name)
+}

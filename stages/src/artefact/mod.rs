@@ -1,0 +1,209 @@
+//! The nouns: typed immutable values that steps hand to each other, each kept as a file other programs open.
+//!
+//! `decode(encode(x)) = x` exactly, and equal values have equal bytes: the digest of an artefact is the digest of its file.
+
+mod acceptance;
+mod cameras;
+mod covariance;
+mod depth;
+mod mesh;
+mod pairs;
+mod picture;
+mod raster;
+mod surface;
+mod table;
+mod transform;
+
+pub use acceptance::{Acceptance, GroupModel};
+pub use cameras::{Cameras, Image, Sensor};
+pub use covariance::Covariance;
+pub use depth::Depth;
+pub use mesh::Mesh;
+pub use pairs::{Pair, Pairs};
+pub use picture::Picture;
+pub use raster::{Band, Grid, Raster, Sample};
+pub use surface::Surface;
+pub use table::{Cell, Table};
+pub use transform::Transform;
+
+/// The frame coordinates are in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Frame {
+    /// The input's coordinate reference system.
+    World,
+    /// X along the face, Y up the face, Z out of the rock towards the viewer; metres.
+    Wall,
+}
+
+impl std::fmt::Display for Frame {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::World => "world",
+            Self::Wall => "wall",
+        })
+    }
+}
+
+/// A file that could not be read as an artefact, or an artefact that could not be written.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct CodecError(pub String);
+
+impl CodecError {
+    /// An error with this message.
+    pub fn new(message: impl Into<String>) -> Self {
+        Self(message.into())
+    }
+}
+
+/// A second file made from an artefact, for programs that do not open the first.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Export {
+    /// File extension without the dot.
+    pub extension: &'static str,
+    /// The whole file.
+    pub bytes: Vec<u8>,
+}
+
+/// What every artefact type can do.
+pub trait Noun: Sized {
+    /// Its kind.
+    const KIND: Kind;
+    /// The value inside an artefact of this kind.
+    fn of(artefact: &Artefact) -> Option<&Self>;
+    /// The file that is kept and hashed.
+    fn encode(&self) -> Result<Vec<u8>, CodecError>;
+    /// Reads the file that [`Noun::encode`] wrote.
+    fn decode(bytes: &[u8]) -> Result<Self, CodecError>;
+    /// Bytes it takes in memory, roughly.
+    fn memory_bytes(&self) -> usize;
+    /// The names of its elements where it is a list an axis could take its items from.
+    fn items(&self) -> Option<Vec<String>> {
+        None
+    }
+    /// Further files for people to read.
+    fn exports(&self) -> Vec<Export> {
+        Vec::new()
+    }
+}
+
+macro_rules! artefacts {
+    ($( $Name:ident = $word:literal . $extension:literal : $doc:literal ),* $(,)?) => {
+        /// The kinds of artefact.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        pub enum Kind { $( #[doc = $doc] $Name ),* }
+
+        impl Kind {
+            /// All kinds.
+            pub const ALL: &'static [Kind] = &[$(Kind::$Name),*];
+
+            /// Its name in records and messages.
+            pub const fn word(self) -> &'static str {
+                match self { $( Self::$Name => $word ),* }
+            }
+
+            /// The extension of its file, without the dot.
+            pub const fn extension(self) -> &'static str {
+                match self { $( Self::$Name => $extension ),* }
+            }
+        }
+
+        /// A typed immutable value.
+        #[derive(Debug, Clone, PartialEq)]
+        #[allow(missing_docs)]
+        pub enum Artefact { $( $Name($Name) ),* }
+
+        impl Artefact {
+            /// Its kind.
+            pub fn kind(&self) -> Kind {
+                match self { $( Self::$Name(_) => Kind::$Name ),* }
+            }
+            /// The file that is kept and hashed.
+            pub fn encode(&self) -> Result<Vec<u8>, CodecError> {
+                match self { $( Self::$Name(value) => value.encode() ),* }
+            }
+            /// Reads a file of this kind.
+            pub fn decode(kind: Kind, bytes: &[u8]) -> Result<Self, CodecError> {
+                match kind { $( Kind::$Name => $Name::decode(bytes).map(Self::$Name) ),* }
+            }
+            /// Bytes it takes in memory, roughly.
+            pub fn memory_bytes(&self) -> usize {
+                match self { $( Self::$Name(value) => value.memory_bytes() ),* }
+            }
+            /// The names of its elements where it is a list.
+            pub fn items(&self) -> Option<Vec<String>> {
+                match self { $( Self::$Name(value) => value.items() ),* }
+            }
+            /// Further files for people to read.
+            pub fn exports(&self) -> Vec<Export> {
+                match self { $( Self::$Name(value) => value.exports() ),* }
+            }
+        }
+
+        $( impl From<$Name> for Artefact {
+            fn from(value: $Name) -> Self { Self::$Name(value) }
+        } )*
+    };
+}
+
+artefacts! {
+    Mesh = "mesh" . "ply": "Triangle mesh, f64 vertices.",
+    Surface = "surface" . "surface": "Organised grid of points with implicit triangles.",
+    Raster = "raster" . "tif": "One or more bands on a square grid: elevation, difference, mask.",
+    Depth = "depth" . "exr": "Depth map of one image, with its camera.",
+    Cameras = "cameras" . "json": "Sensors and oriented images.",
+    Covariance = "covariance" . "json": "Joint covariance of orientation parameters.",
+    Pairs = "pairs" . "json": "Stereo pairs.",
+    Transform = "transform" . "json": "Rigid transform between two frames.",
+    Table = "table" . "json": "Rows and columns.",
+    Acceptance = "acceptance" . "json": "Reference model of noise descriptors.",
+    Picture = "picture" . "png": "A picture for people.",
+}
+
+impl std::fmt::Display for Kind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.word())
+    }
+}
+
+impl std::str::FromStr for Kind {
+    type Err = CodecError;
+    fn from_str(word: &str) -> Result<Self, CodecError> {
+        let found = Self::ALL.iter().find(|kind| kind.word() == word);
+        found.copied().ok_or_else(|| CodecError(format!("unknown kind of artefact `{word}`")))
+    }
+}
+
+/// Implements [`Noun`] for a type that is kept as JSON.
+macro_rules! json_noun {
+    ($Name:ident $(, $extra:item)*) => {
+        impl super::Noun for $Name {
+            const KIND: super::Kind = super::Kind::$Name;
+            fn of(artefact: &super::Artefact) -> Option<&Self> {
+                if let super::Artefact::$Name(value) = artefact { Some(value) } else { None }
+            }
+            fn encode(&self) -> Result<Vec<u8>, super::CodecError> {
+                super::to_json(self)
+            }
+            fn decode(bytes: &[u8]) -> Result<Self, super::CodecError> {
+                super::from_json(bytes)
+            }
+            fn memory_bytes(&self) -> usize {
+                std::mem::size_of::<Self>()
+            }
+            $($extra)*
+        }
+    };
+}
+use json_noun;
+
+fn to_json<T: serde::Serialize>(value: &T) -> Result<Vec<u8>, CodecError> {
+    let mut bytes = serde_json::to_vec_pretty(value).map_err(|e| CodecError(e.to_string()))?;
+    bytes.push(b'\n');
+    Ok(bytes)
+}
+
+fn from_json<T: serde::de::DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError> {
+    serde_json::from_slice(bytes).map_err(|e| CodecError(format!("not the JSON expected here: {e}")))
+}

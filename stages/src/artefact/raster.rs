@@ -1,0 +1,105 @@
+//! Bands on a square grid, kept as GeoTIFF: elevations, differences, masks, stacks of them.
+
+use super::{Artefact, CodecError, Frame, Kind, Noun};
+
+/// A square grid. Row 0 is at the top; cell (row, column) covers
+/// `left + column cell .. left + (column + 1) cell` by `top - (row + 1) cell .. top - row cell`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Grid {
+    /// Columns.
+    pub columns: usize,
+    /// Rows.
+    pub rows: usize,
+    /// Side of a cell, metres.
+    pub cell_m: f64,
+    /// X of the left edge, metres.
+    pub left_m: f64,
+    /// Y of the top edge, metres.
+    pub top_m: f64,
+}
+
+impl Grid {
+    /// Number of cells.
+    pub fn cells(&self) -> usize {
+        self.columns * self.rows
+    }
+
+    /// Centre of a cell, metres.
+    pub fn centre(&self, row: usize, column: usize) -> (f64, f64) {
+        (self.left_m + (column as f64 + 0.5) * self.cell_m, self.top_m - (row as f64 + 0.5) * self.cell_m)
+    }
+}
+
+/// How cells are stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sample {
+    /// 32-bit float, NaN where there is no value.
+    Float,
+    /// One byte: masks and labels; every value is a whole number from 0 to 255.
+    Byte,
+}
+
+/// One band.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Band {
+    /// Its name.
+    pub name: String,
+    /// Values by row from the top, `rows x columns`.
+    pub values: Vec<f32>,
+}
+
+/// One or more bands on one grid.
+#[derive(Debug, Clone)]
+pub struct Raster {
+    /// The grid, shared by all bands.
+    pub grid: Grid,
+    /// The frame X and Y of the grid are in.
+    pub frame: Frame,
+    /// What the values are: `elevation`, `difference`, `mask`, ... with `_m` units implied for the first two.
+    pub quantity: String,
+    /// How cells are stored.
+    pub sample: Sample,
+    /// The bands, at least one.
+    pub bands: Vec<Band>,
+}
+
+impl Raster {
+    /// A raster of one float band.
+    pub fn single(grid: Grid, frame: Frame, quantity: &str, name: &str, values: Vec<f32>) -> Self {
+        let bands = vec![Band { name: name.to_owned(), values }];
+        Self { grid, frame, quantity: quantity.to_owned(), sample: Sample::Float, bands }
+    }
+}
+
+/// Equal grids, names and bits: NaN equals NaN.
+impl PartialEq for Raster {
+    fn eq(&self, other: &Self) -> bool {
+        let bits = |raster: &Self| -> Vec<(String, Vec<u32>)> {
+            raster.bands.iter().map(|b| (b.name.clone(), b.values.iter().map(|v| v.to_bits()).collect())).collect()
+        };
+        self.grid == other.grid
+            && self.frame == other.frame
+            && self.quantity == other.quantity
+            && self.sample == other.sample
+            && bits(self) == bits(other)
+    }
+}
+
+impl Noun for Raster {
+    const KIND: Kind = Kind::Raster;
+    fn of(artefact: &Artefact) -> Option<&Self> {
+        if let Artefact::Raster(value) = artefact { Some(value) } else { None }
+    }
+    fn encode(&self) -> Result<Vec<u8>, CodecError> {
+        crate::kernel::geotiff::write(self)
+    }
+    fn decode(bytes: &[u8]) -> Result<Self, CodecError> {
+        crate::kernel::geotiff::read(bytes)
+    }
+    fn memory_bytes(&self) -> usize {
+        self.bands.len() * self.grid.cells() * 4
+    }
+    fn items(&self) -> Option<Vec<String>> {
+        Some(self.bands.iter().map(|band| band.name.clone()).collect())
+    }
+}

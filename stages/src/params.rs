@@ -1,0 +1,492 @@
+//! Typed parameters: one declaration gives the struct, its defaults, its checks and its documentation.
+
+use serde_json::{Map, Value};
+
+/// The shape of a parameter, as the catalogue prints it.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Kind {
+    /// A finite number.
+    Number,
+    /// A whole number.
+    Integer,
+    /// `true` or `false`.
+    Boolean,
+    /// Text.
+    Text,
+    /// One of a few words, each with what it means.
+    Choice(&'static [(&'static str, &'static str)]),
+    /// The path of one file, which the engine opens and hashes.
+    File,
+    /// A folder, a file or a pattern such as `dir/*.tif`: any number of files.
+    Files,
+    /// A list of one kind; `Some(n)` fixes its length.
+    List(Box<Kind>, Option<usize>),
+    /// `null`, or the kind inside.
+    Optional(Box<Kind>),
+    /// Named parameters.
+    Map(Vec<Field>),
+}
+
+impl std::fmt::Display for Kind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Number => write!(f, "number"),
+            Self::Integer => write!(f, "whole number"),
+            Self::Boolean => write!(f, "true or false"),
+            Self::Text => write!(f, "text"),
+            Self::Choice(words) => {
+                let words: Vec<_> = words.iter().map(|(word, _)| *word).collect();
+                write!(f, "{}", words.join(" | "))
+            }
+            Self::File => write!(f, "file"),
+            Self::Files => write!(f, "files"),
+            Self::List(kind, Some(length)) => write!(f, "list of {length} ({kind})"),
+            Self::List(kind, None) => write!(f, "list ({kind})"),
+            Self::Optional(kind) => write!(f, "{kind}, or null"),
+            Self::Map(_) => write!(f, "map"),
+        }
+    }
+}
+
+/// One named parameter of a stage.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Field {
+    /// Its key in `with`; the unit is part of the name.
+    pub name: &'static str,
+    /// What it is.
+    pub doc: String,
+    /// Its shape.
+    pub kind: Kind,
+    /// The value it has when left out; `None`: it must be given.
+    pub default: Option<Value>,
+    /// The values it may take.
+    pub range: Range,
+}
+
+/// The values a number (or every number of a list) may take.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Range {
+    /// Any finite value.
+    Any,
+    /// Greater than zero.
+    Positive,
+    /// Zero or greater.
+    NonNegative,
+    /// At least this.
+    AtLeast(f64),
+    /// Between the two, both included.
+    Between(f64, f64),
+}
+
+impl Range {
+    fn holds(self, value: f64) -> bool {
+        match self {
+            Self::Any => true,
+            Self::Positive => value > 0.0,
+            Self::NonNegative => value >= 0.0,
+            Self::AtLeast(low) => value >= low,
+            Self::Between(low, high) => (low..=high).contains(&value),
+        }
+    }
+}
+
+impl std::fmt::Display for Range {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Any => Ok(()),
+            Self::Positive => write!(f, "> 0"),
+            Self::NonNegative => write!(f, ">= 0"),
+            Self::AtLeast(low) => write!(f, ">= {low}"),
+            Self::Between(low, high) => write!(f, "{low} to {high}"),
+        }
+    }
+}
+
+/// What is wrong with one value of `with`, and where.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Fault {
+    /// Keys and list positions that lead to the value.
+    pub path: Vec<String>,
+    /// What is wrong.
+    pub message: String,
+    /// The keys or words that would have been right, for a suggestion.
+    pub known: Vec<String>,
+    /// The fault lies in the key, not in its value.
+    pub at_key: bool,
+}
+
+impl Fault {
+    /// A fault of the value itself.
+    pub fn new(message: impl Into<String>) -> Self {
+        Self { path: Vec::new(), message: message.into(), known: Vec::new(), at_key: false }
+    }
+
+    fn below(mut self, segment: &str) -> Self {
+        self.path.insert(0, segment.to_owned());
+        self
+    }
+}
+
+/// A type that a parameter can have.
+pub trait ParamType: Sized {
+    /// Its shape.
+    fn kind() -> Kind;
+    /// Reads it, or says all that is wrong.
+    fn decode(value: &Value) -> Result<Self, Vec<Fault>>;
+    /// Its one canonical form: `decode(encode(x)) = x`, and equal values have equal text.
+    fn encode(&self) -> Value;
+}
+
+/// The whole of a stage's parameters.
+pub trait Params: ParamType {
+    /// The fields, in the order of declaration.
+    fn fields() -> Vec<Field>;
+}
+
+/// A file named by a parameter; the engine opens and hashes it, [`crate::Context::file`] hands over a reader.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FileRef(pub String);
+
+/// A folder, file or pattern named by a parameter; [`crate::Context::files`] hands over its readers, sorted by name.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FilesRef(pub String);
+
+fn wrong(expected: &str, value: &Value) -> Vec<Fault> {
+    vec![Fault::new(format!("expected {expected}, found {}", describe(value)))]
+}
+
+fn describe(value: &Value) -> String {
+    match value {
+        Value::Null => "nothing (null)".into(),
+        Value::Bool(b) => format!("`{b}`"),
+        Value::Number(n) => format!("the number {n}"),
+        Value::String(s) => format!("the text \"{s}\""),
+        Value::Array(list) => format!("a list of {}", list.len()),
+        Value::Object(_) => "a map".into(),
+    }
+}
+
+impl ParamType for f64 {
+    fn kind() -> Kind {
+        Kind::Number
+    }
+    fn decode(value: &Value) -> Result<Self, Vec<Fault>> {
+        value.as_f64().filter(|x| x.is_finite()).ok_or_else(|| wrong("a number", value))
+    }
+    fn encode(&self) -> Value {
+        // -0.0 and 0.0 are one value and must have one text.
+        Value::from(*self + 0.0)
+    }
+}
+
+macro_rules! whole {
+    ($($ty:ty),*) => {$(
+        impl ParamType for $ty {
+            fn kind() -> Kind {
+                Kind::Integer
+            }
+            fn decode(value: &Value) -> Result<Self, Vec<Fault>> {
+                let whole = value.as_f64().filter(|x| x.fract() == 0.0 && x.abs() <= 9e15).map(|x| x as i64);
+                whole
+                    .and_then(|x| Self::try_from(x).ok())
+                    .ok_or_else(|| wrong(concat!("a whole number (", stringify!($ty), ")"), value))
+            }
+            fn encode(&self) -> Value {
+                Value::from(*self)
+            }
+        }
+    )*};
+}
+whole!(u32, u64, i64, usize);
+
+impl ParamType for bool {
+    fn kind() -> Kind {
+        Kind::Boolean
+    }
+    fn decode(value: &Value) -> Result<Self, Vec<Fault>> {
+        value.as_bool().ok_or_else(|| wrong("true or false", value))
+    }
+    fn encode(&self) -> Value {
+        Value::from(*self)
+    }
+}
+
+macro_rules! textual {
+    ($ty:ty, $kind:expr, $expected:literal, $make:expr, $text:expr) => {
+        impl ParamType for $ty {
+            fn kind() -> Kind {
+                $kind
+            }
+            fn decode(value: &Value) -> Result<Self, Vec<Fault>> {
+                value.as_str().map($make).ok_or_else(|| wrong($expected, value))
+            }
+            fn encode(&self) -> Value {
+                let text: fn(&Self) -> &String = $text;
+                Value::from(text(self).clone())
+            }
+        }
+    };
+}
+textual!(String, Kind::Text, "text", str::to_owned, |x| x);
+textual!(FileRef, Kind::File, "the path of a file", |x| FileRef(x.to_owned()), |x| &x.0);
+textual!(FilesRef, Kind::Files, "the path of a folder or a pattern", |x| FilesRef(x.to_owned()), |x| &x.0);
+
+impl<T: ParamType> ParamType for Option<T> {
+    fn kind() -> Kind {
+        Kind::Optional(Box::new(T::kind()))
+    }
+    fn decode(value: &Value) -> Result<Self, Vec<Fault>> {
+        if value.is_null() { Ok(None) } else { T::decode(value).map(Some) }
+    }
+    fn encode(&self) -> Value {
+        self.as_ref().map_or(Value::Null, ParamType::encode)
+    }
+}
+
+impl<T: ParamType> ParamType for Vec<T> {
+    fn kind() -> Kind {
+        Kind::List(Box::new(T::kind()), None)
+    }
+    fn decode(value: &Value) -> Result<Self, Vec<Fault>> {
+        let list = value.as_array().ok_or_else(|| wrong("a list", value))?;
+        let mut faults = Vec::new();
+        let mut items = Vec::with_capacity(list.len());
+        for (index, item) in list.iter().enumerate() {
+            match T::decode(item) {
+                Ok(item) => items.push(item),
+                Err(found) => faults.extend(found.into_iter().map(|f| f.below(&index.to_string()))),
+            }
+        }
+        if faults.is_empty() { Ok(items) } else { Err(faults) }
+    }
+    fn encode(&self) -> Value {
+        self.iter().map(ParamType::encode).collect()
+    }
+}
+
+impl<T: ParamType, const N: usize> ParamType for [T; N] {
+    fn kind() -> Kind {
+        Kind::List(Box::new(T::kind()), Some(N))
+    }
+    fn decode(value: &Value) -> Result<Self, Vec<Fault>> {
+        let items = Vec::<T>::decode(value)?;
+        let found = items.len();
+        items.try_into().map_err(|_| vec![Fault::new(format!("expected a list of {N}, found one of {found}"))])
+    }
+    fn encode(&self) -> Value {
+        self.iter().map(ParamType::encode).collect()
+    }
+}
+
+/// Reads the keys of one map; used by [`crate::params!`].
+pub struct MapReader<'a> {
+    map: Option<&'a Map<String, Value>>,
+    faults: Vec<Fault>,
+}
+
+impl<'a> MapReader<'a> {
+    /// Starts on a value that should be a map; nothing (null) counts as an empty one.
+    pub fn new(value: &'a Value) -> Self {
+        let faults = match value {
+            Value::Object(_) | Value::Null => Vec::new(),
+            other => wrong("a map of parameters", other),
+        };
+        Self { map: value.as_object(), faults }
+    }
+
+    /// Reads one key, or its default.
+    pub fn field<T: ParamType>(&mut self, name: &str, default: Option<T>, range: Range) -> Option<T> {
+        let Some(value) = self.map.and_then(|map| map.get(name)) else {
+            if default.is_none() && self.faults.is_empty() | self.map.is_some() {
+                self.faults.push(Fault::new(format!("parameter `{name}` ({}) is missing", T::kind())));
+            }
+            return default;
+        };
+        match T::decode(value) {
+            Ok(decoded) => {
+                self.check_range(name, value, range);
+                Some(decoded)
+            }
+            Err(faults) => {
+                self.faults.extend(faults.into_iter().map(|fault| fault.below(name)));
+                None
+            }
+        }
+    }
+
+    fn check_range(&mut self, name: &str, value: &Value, range: Range) {
+        match value {
+            Value::Number(number) if !number.as_f64().is_some_and(|x| range.holds(x)) => {
+                self.faults.push(Fault::new(format!("{number} is out of range: must be {range}")).below(name));
+            }
+            Value::Array(list) => list.iter().for_each(|item| self.check_range(name, item, range)),
+            _ => {}
+        }
+    }
+
+    /// All faults found, unknown keys among them.
+    pub fn finish(mut self, known: &[&str]) -> Vec<Fault> {
+        for key in self.map.into_iter().flat_map(Map::keys).filter(|key| !known.contains(&key.as_str())) {
+            self.faults.push(Fault {
+                path: vec![key.clone()],
+                message: format!("unknown parameter `{key}`"),
+                known: known.iter().map(ToString::to_string).collect(),
+                at_key: true,
+            });
+        }
+        self.faults
+    }
+}
+
+/// Declares the parameters of a stage: `name: type = default; range` with a doc comment each.
+///
+/// Without `= default` the parameter must be given; without `; range` any value of the type is right.
+#[macro_export]
+macro_rules! params {
+    (
+        $(#[doc = $about:literal])*
+        pub struct $Name:ident {
+            $( $(#[doc = $doc:literal])+ $field:ident : $ty:ty $(= $default:expr)? $(; $range:expr)? ),* $(,)?
+        }
+    ) => {
+        $(#[doc = $about])*
+        #[derive(Debug, Clone, PartialEq)]
+        pub struct $Name { $( $(#[doc = $doc])+ pub $field: $ty, )* }
+
+        impl $crate::params::ParamType for $Name {
+            fn kind() -> $crate::params::Kind {
+                $crate::params::Kind::Map(<Self as $crate::params::Params>::fields())
+            }
+            #[allow(unused_mut, unused_variables)]
+            fn decode(value: &serde_json::Value) -> Result<Self, Vec<$crate::params::Fault>> {
+                let mut reader = $crate::params::MapReader::new(value);
+                $( let $field: Option<$ty> =
+                    reader.field(stringify!($field), $crate::params!(@default $ty $(, $default)?), $crate::params!(@range $($range)?)); )*
+                let faults = reader.finish(&[$(stringify!($field)),*]);
+                if !faults.is_empty() {
+                    return Err(faults);
+                }
+                match ($($field,)*) {
+                    ($(Some($field),)*) => Ok(Self { $($field),* }),
+                    #[allow(unreachable_patterns)]
+                    _ => Err(vec![$crate::params::Fault::new("a parameter is missing")]),
+                }
+            }
+            fn encode(&self) -> serde_json::Value {
+                #[allow(unused_mut)]
+                let mut map = serde_json::Map::new();
+                $( map.insert(stringify!($field).to_owned(), $crate::params::ParamType::encode(&self.$field)); )*
+                serde_json::Value::Object(map)
+            }
+        }
+
+        impl $crate::params::Params for $Name {
+            fn fields() -> Vec<$crate::params::Field> {
+                vec![$( $crate::params::Field {
+                    name: stringify!($field),
+                    doc: [$($doc),+].map(str::trim).join(" "),
+                    kind: <$ty as $crate::params::ParamType>::kind(),
+                    default: $crate::params!(@default $ty $(, $default)?)
+                        .map(|value: $ty| $crate::params::ParamType::encode(&value)),
+                    range: $crate::params!(@range $($range)?),
+                } ),*]
+            }
+        }
+    };
+    (@default $ty:ty) => { None::<$ty> };
+    (@default $ty:ty, $default:expr) => { Some::<$ty>($default) };
+    (@range) => { $crate::params::Range::Any };
+    (@range $range:expr) => { $range };
+}
+
+/// Declares a parameter that is one of a few words: `Variant = "word"` with a doc comment each.
+#[macro_export]
+macro_rules! choice {
+    (
+        $(#[doc = $about:literal])+
+        pub enum $Name:ident { $( #[doc = $doc:literal] $Variant:ident = $word:literal ),* $(,)? }
+    ) => {
+        $(#[doc = $about])+
+        #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+        pub enum $Name { $( #[doc = $doc] $Variant ),* }
+
+        impl $crate::params::ParamType for $Name {
+            fn kind() -> $crate::params::Kind {
+                $crate::params::Kind::Choice(&[$(($word, $doc)),*])
+            }
+            fn decode(value: &serde_json::Value) -> Result<Self, Vec<$crate::params::Fault>> {
+                match value.as_str() {
+                    $( Some($word) => Ok(Self::$Variant), )*
+                    _ => {
+                        let known: Vec<String> = [$($word),*].iter().map(ToString::to_string).collect();
+                        let mut fault = $crate::params::Fault::new(format!("expected one of {}, found {value}", known.join(", ")));
+                        fault.known = known;
+                        Err(vec![fault])
+                    }
+                }
+            }
+            fn encode(&self) -> serde_json::Value {
+                match self { $( Self::$Variant => $word.into() ),* }
+            }
+        }
+    };
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    choice! {
+        /// A shape.
+        pub enum Shape {
+            /// Round.
+            Round = "round",
+            /// Not round.
+            Square = "square",
+        }
+    }
+
+    params! {
+        /// A sample.
+        pub struct Sample {
+            /// Cell size.
+            cell_m: f64 = 0.5; Range::Positive,
+            /// How many.
+            count: u32 = 3,
+            /// Its shape.
+            shape: Shape = Shape::Round,
+            /// A corner.
+            corner_m: Option<[f64; 2]> = None,
+            /// A file.
+            path: FileRef,
+        }
+    }
+
+    #[test]
+    fn defaults_are_filled_in_and_canonical() {
+        let sample = Sample::decode(&json!({"path": "a.ply", "cell_m": 1})).unwrap();
+        assert_eq!(
+            sample.encode().to_string(),
+            r#"{"cell_m":1.0,"corner_m":null,"count":3,"path":"a.ply","shape":"round"}"#
+        );
+        assert_eq!(Sample::decode(&sample.encode()).unwrap(), sample);
+    }
+
+    #[test]
+    fn every_fault_is_reported_with_its_place() {
+        let faults =
+            Sample::decode(&json!({"cell_m": -1, "shape": "roun", "corner_m": [1, "x"], "cel_m": 1})).unwrap_err();
+        let places: Vec<_> = faults.iter().map(|f| f.path.join(".")).collect();
+        assert_eq!(places, ["cell_m", "shape", "corner_m.1", "", "cel_m"]);
+        assert!(faults[3].message.contains("`path` (file) is missing"));
+    }
+
+    #[test]
+    fn the_catalogue_knows_names_docs_and_defaults() {
+        let fields = Sample::fields();
+        assert_eq!(fields[0].doc, "Cell size.");
+        assert_eq!(fields[1].default, Some(json!(3)));
+        assert_eq!(fields[4].default, None);
+    }
+}

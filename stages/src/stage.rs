@@ -1,0 +1,398 @@
+//! What a stage is: a pure function of parameters, input artefacts and random streams, with a page of its own.
+
+use std::collections::BTreeMap;
+use std::io::Read;
+use std::marker::PhantomData;
+use std::sync::Arc;
+
+use serde_json::Value;
+
+use crate::artefact::{Artefact, Kind, Noun};
+use crate::params::{Fault, Field, FileRef, FilesRef, ParamType, Params};
+
+/// The item of each axis a step instance or a gathered element stands for.
+pub type Point = BTreeMap<String, String>;
+
+/// The fixed headings of a stage's page.
+#[derive(Debug, Clone, Copy)]
+pub struct Page {
+    /// What it does, in a sentence or two.
+    pub what: &'static str,
+    /// The method and where it comes from (paper section or equation, reference).
+    pub method: &'static str,
+    /// Units and frames of what goes in and out.
+    pub frames: &'static str,
+    /// When it refuses, and what to do then.
+    pub fails: &'static str,
+    /// A complete pipeline that uses it; it must plan, and it runs in the tests where it needs no file.
+    pub example: &'static str,
+}
+
+/// How many artefacts a port takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Arity {
+    /// Exactly one.
+    One,
+    /// One or none.
+    Optional,
+    /// A gathered list of at least one; a single reference counts as a list of one.
+    Many,
+}
+
+/// A typed input or output of a stage.
+#[derive(Debug, Clone, Copy)]
+pub struct Port {
+    /// Its name in `in:` or after the dot of a reference.
+    pub name: &'static str,
+    /// The kinds of artefact it takes; an output has exactly one.
+    pub kinds: &'static [Kind],
+    /// How many.
+    pub arity: Arity,
+    /// What it is.
+    pub doc: &'static str,
+}
+
+impl Port {
+    /// A port for exactly one artefact of these kinds.
+    pub const fn one(name: &'static str, kinds: &'static [Kind], doc: &'static str) -> Self {
+        Self { name, kinds, arity: Arity::One, doc }
+    }
+
+    /// An input that may be left out.
+    pub const fn optional(name: &'static str, kinds: &'static [Kind], doc: &'static str) -> Self {
+        Self { name, kinds, arity: Arity::Optional, doc }
+    }
+
+    /// An input that takes a gathered list.
+    pub const fn many(name: &'static str, kinds: &'static [Kind], doc: &'static str) -> Self {
+        Self { name, kinds, arity: Arity::Many, doc }
+    }
+}
+
+/// Why a stage gave up: the cause, and the way out where there is one.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{message}")]
+pub struct StageError {
+    /// What is wrong, with place and value.
+    pub message: String,
+    /// What to do about it.
+    pub hint: Option<String>,
+}
+
+impl StageError {
+    /// An error without a hint.
+    pub fn new(message: impl Into<String>) -> Self {
+        Self { message: message.into(), hint: None }
+    }
+
+    /// Adds the way out.
+    #[must_use]
+    pub fn hint(mut self, hint: impl Into<String>) -> Self {
+        self.hint = Some(hint.into());
+        self
+    }
+}
+
+/// Returns a [`StageError`] with a formatted message.
+#[macro_export]
+macro_rules! fail {
+    ($($message:tt)*) => { return Err($crate::StageError::new(format!($($message)*))) };
+}
+
+/// One element of an input: the artefact, and the point it was gathered from (empty for a plain reference).
+#[derive(Debug, Clone)]
+pub struct Element {
+    /// Item of each gathered axis.
+    pub point: Point,
+    /// The value.
+    pub artefact: Arc<Artefact>,
+}
+
+/// The artefacts handed to a stage, by port.
+#[derive(Debug, Clone, Default)]
+pub struct Inputs(BTreeMap<String, Vec<Element>>);
+
+impl Inputs {
+    /// Adds one element to a port.
+    pub fn push(&mut self, port: &str, point: Point, artefact: Arc<Artefact>) {
+        self.0.entry(port.to_owned()).or_default().push(Element { point, artefact });
+    }
+
+    /// All elements of a port.
+    pub fn elements(&self, port: &str) -> &[Element] {
+        self.0.get(port).map_or(&[], Vec::as_slice)
+    }
+
+    /// The only artefact of a port, of whatever kind the port takes.
+    pub fn artefact(&self, port: &str) -> Result<&Artefact, StageError> {
+        match self.elements(port) {
+            [element] => Ok(&element.artefact),
+            found => Err(StageError::new(format!("port `{port}` needs one artefact, found {}", found.len()))),
+        }
+    }
+
+    /// The only artefact of a port, as the type the stage works on.
+    pub fn one<T: Noun>(&self, port: &str) -> Result<&T, StageError> {
+        typed(port, self.artefact(port)?)
+    }
+
+    /// The artefact of an optional port.
+    pub fn optional<T: Noun>(&self, port: &str) -> Result<Option<&T>, StageError> {
+        if self.elements(port).is_empty() { Ok(None) } else { self.one(port).map(Some) }
+    }
+
+    /// Every artefact of a port, with the point it was gathered from.
+    pub fn many<T: Noun>(&self, port: &str) -> Result<Vec<(&Point, &T)>, StageError> {
+        self.elements(port).iter().map(|e| Ok((&e.point, typed(port, &e.artefact)?))).collect()
+    }
+}
+
+fn typed<'a, T: Noun>(port: &str, artefact: &'a Artefact) -> Result<&'a T, StageError> {
+    T::of(artefact)
+        .ok_or_else(|| StageError::new(format!("port `{port}` needs a {}, found a {}", T::KIND, artefact.kind())))
+}
+
+/// The artefacts a stage made, by port.
+#[derive(Debug, Clone, Default)]
+pub struct Outputs(BTreeMap<&'static str, Artefact>);
+
+impl Outputs {
+    /// A single output.
+    pub fn of(port: &'static str, artefact: impl Into<Artefact>) -> Self {
+        Self::default().and(port, artefact)
+    }
+
+    /// Adds another output.
+    #[must_use]
+    pub fn and(mut self, port: &'static str, artefact: impl Into<Artefact>) -> Self {
+        self.0.insert(port, artefact.into());
+        self
+    }
+
+    /// Hands over what was made.
+    pub fn into_inner(self) -> BTreeMap<&'static str, Artefact> {
+        self.0
+    }
+}
+
+/// What a stage has to say while it works; kept with its outputs, so a cached step still tells it.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case", tag = "type")]
+pub enum Entry {
+    /// Something worth reading.
+    Note {
+        /// The sentence.
+        text: String,
+    },
+    /// Something that may be wrong.
+    Warning {
+        /// The sentence.
+        text: String,
+    },
+    /// The result in one line, shown at the end of a run.
+    Headline {
+        /// The sentence.
+        text: String,
+    },
+    /// A number with its unit.
+    Metric {
+        /// Name, in `snake_case`.
+        name: String,
+        /// Value.
+        value: f64,
+        /// Unit (`m`, `px`, `1`, ...).
+        unit: String,
+    },
+}
+
+/// A file named by a parameter, opened.
+pub struct SourceFile {
+    /// File name without its folder.
+    pub name: String,
+    /// Its content.
+    pub reader: Box<dyn Read + Send>,
+}
+
+/// What the engine lends a running stage. A stage touches neither disk nor clock nor hash function itself.
+pub trait Host: Sync {
+    /// 32 key bytes for one item of one purpose, derived from the step's seed material.
+    fn stream_key(&self, purpose: &str, item: &str) -> [u8; 32];
+    /// Opens what a file parameter names, as it was written in the pipeline, sorted by name.
+    fn open(&self, as_written: &str) -> std::io::Result<Vec<SourceFile>>;
+    /// Keeps an entry of the step's log.
+    fn record(&self, entry: Entry);
+    /// Whether the run was asked to stop.
+    fn cancelled(&self) -> bool;
+}
+
+/// The stage's side of [`Host`].
+#[derive(Clone, Copy)]
+pub struct Context<'a>(&'a dyn Host);
+
+impl<'a> Context<'a> {
+    /// Wraps what the engine lends.
+    pub fn new(host: &'a dyn Host) -> Self {
+        Self(host)
+    }
+
+    /// The key of the random stream of one item (a pair, an image, a candidate number) for one purpose.
+    pub fn stream(&self, purpose: &str, item: &str) -> crate::kernel::random::Key {
+        crate::kernel::random::Key(self.0.stream_key(purpose, item))
+    }
+
+    /// Opens the one file a parameter names.
+    pub fn file(&self, file: &FileRef) -> Result<SourceFile, StageError> {
+        let mut files = self.files(&FilesRef(file.0.clone()))?;
+        match files.len() {
+            1 => Ok(files.remove(0)),
+            n => Err(StageError::new(format!("`{}` names {n} files, one is needed", file.0))),
+        }
+    }
+
+    /// Opens every file a parameter names, sorted by name.
+    pub fn files(&self, files: &FilesRef) -> Result<Vec<SourceFile>, StageError> {
+        self.0.open(&files.0).map_err(|e| StageError::new(format!("cannot read `{}`: {e}", files.0)))
+    }
+
+    /// Reads the whole of the one file a parameter names.
+    pub fn read(&self, file: &FileRef) -> Result<Vec<u8>, StageError> {
+        let mut bytes = Vec::new();
+        let read = self.file(file)?.reader.read_to_end(&mut bytes);
+        read.map_err(|e| StageError::new(format!("cannot read `{}`: {e}", file.0)))?;
+        Ok(bytes)
+    }
+
+    /// Logs something worth reading.
+    pub fn note(&self, text: impl Into<String>) {
+        self.0.record(Entry::Note { text: text.into() });
+    }
+
+    /// Logs something that may be wrong.
+    pub fn warn(&self, text: impl Into<String>) {
+        self.0.record(Entry::Warning { text: text.into() });
+    }
+
+    /// Logs the result in one line; it is shown at the end of a run.
+    pub fn headline(&self, text: impl Into<String>) {
+        self.0.record(Entry::Headline { text: text.into() });
+    }
+
+    /// Logs a number.
+    pub fn metric(&self, name: &str, value: f64, unit: &str) {
+        self.0.record(Entry::Metric { name: name.to_owned(), value, unit: unit.to_owned() });
+    }
+
+    /// Gives up early when the run was asked to stop; call it now and then in long loops.
+    pub fn check_cancelled(&self) -> Result<(), StageError> {
+        if self.0.cancelled() { Err(StageError::new("interrupted")) } else { Ok(()) }
+    }
+}
+
+/// A kind of computation.
+pub trait Stage: Send + Sync + 'static {
+    /// Its parameters.
+    type Params: Params;
+    /// `verb-object`.
+    const NAME: &'static str;
+    /// Raised whenever the bytes it makes change for equal inputs.
+    const VERSION: u32;
+    /// Its documentation.
+    const PAGE: Page;
+    /// What it takes.
+    const INPUTS: &'static [Port];
+    /// What it makes; every output is made at every run.
+    const OUTPUTS: &'static [Port];
+
+    /// Whether it draws random numbers with these parameters; only then is its seed part of the recipe.
+    fn draws(_params: &Self::Params) -> bool {
+        false
+    }
+
+    /// Checks that hold between parameters; each fault names the parameter at its path.
+    fn check(_params: &Self::Params) -> Vec<Fault> {
+        Vec::new()
+    }
+
+    /// Does the work.
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError>;
+}
+
+/// Parameters that were read and checked.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Checked {
+    /// Canonical form with every default filled in; file parameters still as written.
+    pub canonical: Value,
+    /// Whether the stage draws random numbers with them.
+    pub draws: bool,
+}
+
+/// A stage whose type is forgotten, as the registry lists it.
+pub trait AnyStage: Sync {
+    /// `verb-object`.
+    fn name(&self) -> &'static str;
+    /// Its version.
+    fn version(&self) -> u32;
+    /// Its page.
+    fn page(&self) -> &'static Page;
+    /// What it takes.
+    fn inputs(&self) -> &'static [Port];
+    /// What it makes.
+    fn outputs(&self) -> &'static [Port];
+    /// Its parameters.
+    fn fields(&self) -> Vec<Field>;
+    /// Reads and checks a step's `with`.
+    fn check(&self, with: &Value) -> Result<Checked, Vec<Fault>>;
+    /// Does the work; `with` must have passed [`AnyStage::check`].
+    fn run(&self, with: &Value, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError>;
+}
+
+/// Puts a [`Stage`] into the registry.
+pub struct Row<S>(PhantomData<fn() -> S>);
+
+impl<S> Row<S> {
+    /// The row of a stage.
+    pub const fn new() -> Self {
+        Self(PhantomData)
+    }
+}
+
+impl<S> Default for Row<S> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<S: Stage> AnyStage for Row<S> {
+    fn name(&self) -> &'static str {
+        S::NAME
+    }
+    fn version(&self) -> u32 {
+        S::VERSION
+    }
+    fn page(&self) -> &'static Page {
+        &S::PAGE
+    }
+    fn inputs(&self) -> &'static [Port] {
+        S::INPUTS
+    }
+    fn outputs(&self) -> &'static [Port] {
+        S::OUTPUTS
+    }
+    fn fields(&self) -> Vec<Field> {
+        S::Params::fields()
+    }
+    fn check(&self, with: &Value) -> Result<Checked, Vec<Fault>> {
+        let params = S::Params::decode(with)?;
+        let faults = S::check(&params);
+        if faults.is_empty() {
+            Ok(Checked { canonical: params.encode(), draws: S::draws(&params) })
+        } else {
+            Err(faults)
+        }
+    }
+    fn run(&self, with: &Value, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let params = S::Params::decode(with)
+            .map_err(|faults| StageError::new(faults.first().map_or_else(String::new, |f| f.message.clone())))?;
+        S::run(&params, inputs, context)
+    }
+}
