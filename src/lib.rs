@@ -1,1 +1,5 @@
-//! engine
+//! The engine of rockface: it reads pipelines, plans them, runs them and remembers. It knows no rock.
+
+pub mod diagnostic;
+pub mod pipeline;
+pub mod plan;

@@ -1,0 +1,237 @@
+//! The YAML tree of a pipeline, every value and key with its place in the text.
+
+use std::fmt;
+
+use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
+use serde_json::{Number, Value};
+use serde_saphyr::Spanned;
+
+use crate::diagnostic::{Diagnostic, Span};
+
+/// A value with its place.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Node {
+    /// Where it stands.
+    pub span: Span,
+    /// What it is.
+    pub data: Data,
+}
+
+/// The content of a [`Node`].
+#[derive(Debug, Clone, PartialEq)]
+pub enum Data {
+    /// `null`, a boolean, a number or text.
+    Scalar(Value),
+    /// A list.
+    List(Vec<Node>),
+    /// A map, in the order of the text; keys are unique.
+    Map(Vec<(Key, Node)>),
+}
+
+/// A key with its place.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Key {
+    /// Where it stands.
+    pub span: Span,
+    /// Its text.
+    pub name: String,
+}
+
+impl Node {
+    /// Parses a text; `source` is its index in the list of sources.
+    pub fn parse(text: &str, source: usize) -> Result<Self, Diagnostic> {
+        let options = serde_saphyr::options! { strict_booleans: true };
+        match serde_saphyr::from_str_with_options::<Spanned<Raw>>(text, options) {
+            Ok(raw) => Ok(raw_node(raw, source)),
+            Err(error) => Err(syntax_error(text, source, &error)),
+        }
+    }
+
+    /// The plain value, without places.
+    pub fn to_value(&self) -> Value {
+        match &self.data {
+            Data::Scalar(value) => value.clone(),
+            Data::List(items) => items.iter().map(Self::to_value).collect(),
+            Data::Map(entries) => entries.iter().map(|(key, node)| (key.name.clone(), node.to_value())).collect(),
+        }
+    }
+
+    /// The text, if it is text.
+    pub fn text(&self) -> Option<&str> {
+        if let Data::Scalar(Value::String(text)) = &self.data { Some(text) } else { None }
+    }
+
+    /// The entries, if it is a map.
+    pub fn entries(&self) -> Option<&[(Key, Node)]> {
+        if let Data::Map(entries) = &self.data { Some(entries) } else { None }
+    }
+
+    /// The value of a key, if it is a map and has it.
+    pub fn get(&self, name: &str) -> Option<&Node> {
+        self.entries()?.iter().find(|(key, _)| key.name == name).map(|(_, node)| node)
+    }
+
+    /// The place of what a path of keys and list positions leads to, or of the last part that exists; with
+    /// `at_key`, the place of the last key.
+    pub fn locate(&self, path: &[String], at_key: bool) -> Span {
+        let Some((first, rest)) = path.split_first() else { return self.span };
+        match &self.data {
+            Data::List(items) => {
+                first.parse::<usize>().ok().and_then(|i| items.get(i)).map_or(self.span, |n| n.locate(rest, at_key))
+            }
+            Data::Map(entries) => match entries.iter().find(|(key, _)| key.name == *first) {
+                Some((key, _)) if rest.is_empty() && at_key => key.span,
+                Some((_, node)) => node.locate(rest, at_key),
+                None => self.span,
+            },
+            Data::Scalar(_) => self.span,
+        }
+    }
+
+    /// What it is, for messages.
+    pub fn describe(&self) -> String {
+        match &self.data {
+            Data::Scalar(Value::Null) => "nothing".into(),
+            Data::Scalar(Value::String(text)) => format!("the text \"{text}\""),
+            Data::Scalar(value) => format!("`{value}`"),
+            Data::List(_) => "a list".into(),
+            Data::Map(_) => "a map".into(),
+        }
+    }
+}
+
+/// What serde sees of a node.
+enum Raw {
+    Scalar(Value),
+    List(Vec<Spanned<Raw>>),
+    Map(Vec<(Spanned<String>, Spanned<Raw>)>),
+}
+
+impl<'de> Deserialize<'de> for Raw {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(RawVisitor)
+    }
+}
+
+struct RawVisitor;
+
+impl<'de> Visitor<'de> for RawVisitor {
+    type Value = Raw;
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str("a YAML value")
+    }
+    fn visit_bool<E>(self, value: bool) -> Result<Raw, E> {
+        Ok(Raw::Scalar(value.into()))
+    }
+    fn visit_i64<E>(self, value: i64) -> Result<Raw, E> {
+        Ok(Raw::Scalar(value.into()))
+    }
+    fn visit_u64<E>(self, value: u64) -> Result<Raw, E> {
+        Ok(Raw::Scalar(value.into()))
+    }
+    fn visit_f64<E: serde::de::Error>(self, value: f64) -> Result<Raw, E> {
+        let number = Number::from_f64(value).ok_or_else(|| E::custom("a number must be finite"))?;
+        Ok(Raw::Scalar(Value::Number(number)))
+    }
+    fn visit_str<E>(self, value: &str) -> Result<Raw, E> {
+        Ok(Raw::Scalar(value.into()))
+    }
+    fn visit_unit<E>(self) -> Result<Raw, E> {
+        Ok(Raw::Scalar(Value::Null))
+    }
+    fn visit_none<E>(self) -> Result<Raw, E> {
+        Ok(Raw::Scalar(Value::Null))
+    }
+    fn visit_some<D: Deserializer<'de>>(self, deserializer: D) -> Result<Raw, D::Error> {
+        Raw::deserialize(deserializer)
+    }
+    fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<Raw, A::Error> {
+        let mut items = Vec::new();
+        while let Some(item) = seq.next_element()? {
+            items.push(item);
+        }
+        Ok(Raw::List(items))
+    }
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Raw, A::Error> {
+        let mut entries = Vec::new();
+        while let Some(entry) = map.next_entry()? {
+            entries.push(entry);
+        }
+        Ok(Raw::Map(entries))
+    }
+}
+
+fn raw_node(raw: Spanned<Raw>, source: usize) -> Node {
+    let span = span_of(&raw, source);
+    let data = match raw.value {
+        Raw::Scalar(value) => Data::Scalar(value),
+        Raw::List(items) => Data::List(items.into_iter().map(|item| raw_node(item, source)).collect()),
+        Raw::Map(entries) => Data::Map(
+            entries
+                .into_iter()
+                .map(|(key, value)| {
+                    let span = span_of(&key, source);
+                    (Key { span, name: key.value }, raw_node(value, source))
+                })
+                .collect(),
+        ),
+    };
+    Node { span, data }
+}
+
+fn span_of<T>(spanned: &Spanned<T>, source: usize) -> Span {
+    let span = spanned.referenced.span();
+    let start = span.byte_offset().unwrap_or(span.offset()) as usize;
+    let length = span.byte_len().unwrap_or(span.len()) as usize;
+    Span { source, start, end: start + length.max(1) }
+}
+
+fn syntax_error(text: &str, source: usize, error: &serde_saphyr::Error) -> Diagnostic {
+    let message = format!("this is not YAML that can be read: {}", error.without_snippet());
+    match error.location() {
+        Some(location) => {
+            let start = byte_position(text, location.line() as usize, location.column() as usize);
+            Diagnostic::at(Span { source, start, end: start + 1 }, message)
+        }
+        None => Diagnostic::general(message),
+    }
+}
+
+/// The byte of a line and column, both counted from one, the column in characters.
+fn byte_position(text: &str, line: usize, column: usize) -> usize {
+    let line_start: usize = text.split_inclusive('\n').take(line.saturating_sub(1)).map(str::len).sum();
+    let rest = &text[line_start.min(text.len())..];
+    line_start + rest.char_indices().nth(column.saturating_sub(1)).map_or(rest.len(), |(offset, _)| offset)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_value_and_key_knows_its_place() {
+        let text = "name: two\nsteps:\n  a: {stage: b, with: {x: [1, 2.5]}}\n";
+        let node = Node::parse(text, 0).unwrap();
+        let at = |span: Span| &text[span.start..span.end];
+        assert_eq!(at(node.get("name").unwrap().span), "two");
+        let path: Vec<String> = ["steps", "a", "with", "x", "1"].map(String::from).to_vec();
+        assert_eq!(at(node.locate(&path, false)), "2.5");
+        assert_eq!(at(node.locate(&path[..4], true)), "x");
+        assert_eq!(node.get("steps").unwrap().to_value().to_string(), r#"{"a":{"stage":"b","with":{"x":[1,2.5]}}}"#);
+    }
+
+    #[test]
+    fn words_that_look_like_booleans_stay_words() {
+        let node = Node::parse("y: no\nn: on\nt: true\n", 0).unwrap();
+        assert_eq!(node.to_value().to_string(), r#"{"n":"on","t":true,"y":"no"}"#);
+    }
+
+    #[test]
+    fn broken_yaml_and_double_keys_name_the_line() {
+        let error = Node::parse("a: 1\nb: [1, 2\nc: 3\n", 0).unwrap_err();
+        assert!(error.span.is_some(), "{error:?}");
+        let error = Node::parse("a: 1\na: 2\n", 0).unwrap_err();
+        assert_eq!(error.span.map(|s| s.start), Some(5), "{error:?}");
+    }
+}

@@ -1,0 +1,90 @@
+//! `--set PATH=VALUE`: values given from outside, merged into the tree before anything is read from it.
+
+use super::node::{Data, Key, Node};
+use crate::diagnostic::{Diagnostic, Source};
+
+/// Merges one override into the tree; `source` is the index its text gets in `sources`.
+pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<(), Diagnostic> {
+    let source = sources.len();
+    sources.push(Source { name: "--set".into(), text: text.to_owned() });
+    let here = |from: usize, to: usize| crate::diagnostic::Span { source, start: from, end: to };
+    let Some((path, value)) = text.split_once('=') else {
+        return Err(Diagnostic::at(here(0, text.len()), "expected PATH=VALUE").hint("for example --set seed=7"));
+    };
+    let mut node = Node::parse(value, source)?;
+    shift(&mut node, path.len() + 1);
+    let keys: Vec<&str> = path.split('.').map(str::trim).collect();
+    if keys.iter().any(|key| key.is_empty()) {
+        return Err(Diagnostic::at(here(0, path.len()), format!("`{path}` is not a path of keys")));
+    }
+    set(root, &keys, node, here(0, path.len()))
+}
+
+fn set(node: &mut Node, keys: &[&str], value: Node, span: crate::diagnostic::Span) -> Result<(), Diagnostic> {
+    let Some((first, rest)) = keys.split_first() else {
+        *node = value;
+        return Ok(());
+    };
+    if let Data::List(items) = &mut node.data {
+        let found = first.parse::<usize>().ok().and_then(|index| items.get_mut(index));
+        let found = found.ok_or_else(|| Diagnostic::at(span, format!("there is no list element `{first}`")))?;
+        return set(found, rest, value, span);
+    }
+    if matches!(&node.data, Data::Scalar(value) if value.is_null()) {
+        node.data = Data::Map(Vec::new());
+    }
+    let Data::Map(entries) = &mut node.data else {
+        return Err(Diagnostic::at(span, format!("`{first}` lies below {}, which has no keys", node.describe())));
+    };
+    let position = entries.iter().position(|(key, _)| key.name == *first).unwrap_or_else(|| {
+        let empty = Node { span, data: Data::Map(Vec::new()) };
+        entries.push((Key { span, name: (*first).to_owned() }, empty));
+        entries.len() - 1
+    });
+    set(&mut entries[position].1, rest, value, span)
+}
+
+/// Moves the places of a value parsed from the part after `=` to where it stands in the whole text.
+fn shift(node: &mut Node, by: usize) {
+    node.span.start += by;
+    node.span.end += by;
+    match &mut node.data {
+        Data::Scalar(_) => {}
+        Data::List(items) => items.iter_mut().for_each(|item| shift(item, by)),
+        Data::Map(entries) => entries.iter_mut().for_each(|(key, item)| {
+            key.span.start += by;
+            key.span.end += by;
+            shift(item, by);
+        }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn check(yaml: &str, set: &str, expected: &str) {
+        let mut sources = vec![Source { name: "p".into(), text: yaml.into() }];
+        let mut root = Node::parse(yaml, 0).unwrap();
+        apply(&mut root, set, &mut sources).unwrap();
+        assert_eq!(root.to_value().to_string(), expected);
+    }
+
+    #[test]
+    fn replaces_and_adds() {
+        check("seed: 1", "seed=7", r#"{"seed":7}"#);
+        check("steps: {a: {stage: b}}", "steps.a.with.x=[1, 2]", r#"{"steps":{"a":{"stage":"b","with":{"x":[1,2]}}}}"#);
+        check("targets: [a, b]", "targets.1=c", r#"{"targets":["a","c"]}"#);
+    }
+
+    #[test]
+    fn points_into_its_own_text() {
+        let mut sources = Vec::new();
+        let mut root = Node::parse("seed: 1", 0).unwrap();
+        apply(&mut root, "seed=many", &mut sources).unwrap();
+        let span = root.get("seed").unwrap().span;
+        assert_eq!((span.source, &sources[0].text[span.start..span.end]), (0, "many"));
+        assert!(apply(&mut root, "seed", &mut sources).is_err());
+        assert!(apply(&mut root, "seed.x=1", &mut sources).is_err());
+    }
+}

@@ -1,0 +1,84 @@
+//! `${name}`: parameters and axis items put into the values of a step.
+
+use serde_json::Value;
+
+use super::node::{Data, Node};
+use crate::diagnostic::{Diagnostic, Span};
+
+/// The names mentioned anywhere in a value, with their places.
+pub fn mentioned(node: &Node, found: &mut Vec<(String, Span)>) {
+    match &node.data {
+        Data::Scalar(Value::String(text)) => found.extend(names(text).map(|name| (name.to_owned(), node.span))),
+        Data::Scalar(_) => {}
+        Data::List(items) => items.iter().for_each(|item| mentioned(item, found)),
+        Data::Map(entries) => entries.iter().for_each(|(_, item)| mentioned(item, found)),
+    }
+}
+
+/// The value with every `${name}` replaced. A value that is nothing but `${name}` takes the type of what it names;
+/// inside a longer text the value is written out.
+pub fn filled(node: &Node, lookup: &dyn Fn(&str) -> Option<Value>) -> Result<Value, Diagnostic> {
+    match &node.data {
+        Data::Scalar(Value::String(text)) => fill_text(text, lookup).map_err(|e| Diagnostic::at(node.span, e)),
+        Data::Scalar(value) => Ok(value.clone()),
+        Data::List(items) => items.iter().map(|item| filled(item, lookup)).collect(),
+        Data::Map(entries) => entries.iter().map(|(key, item)| Ok((key.name.clone(), filled(item, lookup)?))).collect(),
+    }
+}
+
+fn fill_text(text: &str, lookup: &dyn Fn(&str) -> Option<Value>) -> Result<Value, String> {
+    let value = |name: &str| lookup(name).ok_or_else(|| format!("`${{{name}}}` names neither a parameter nor an axis"));
+    if let Some(name) = text.strip_prefix("${").and_then(|rest| rest.strip_suffix('}')).filter(|n| !n.contains('}')) {
+        return value(name.trim());
+    }
+    let (mut filled, mut rest) = (String::new(), text);
+    while let Some((before, after)) = rest.split_once("${") {
+        let (name, tail) = after.split_once('}').ok_or_else(|| format!("`{text}`: `${{` without `}}`"))?;
+        filled.push_str(before);
+        match value(name.trim())? {
+            Value::String(text) => filled.push_str(&text),
+            Value::Array(_) | Value::Object(_) => {
+                return Err(format!("`${{{name}}}` is a list or map and cannot stand inside a text"));
+            }
+            other => filled.push_str(&other.to_string()),
+        }
+        rest = tail;
+    }
+    filled.push_str(rest);
+    Ok(Value::String(filled))
+}
+
+fn names(text: &str) -> impl Iterator<Item = &str> {
+    text.split("${").skip(1).filter_map(|part| part.split_once('}')).map(|(name, _)| name.trim())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn fill(yaml: &str) -> Result<Value, Diagnostic> {
+        let node = Node::parse(yaml, 0).unwrap();
+        filled(&node, &|name| match name {
+            "cell" => Some(json!(0.01)),
+            "dir" => Some(json!("data")),
+            "list" => Some(json!([1, 2])),
+            _ => None,
+        })
+    }
+
+    #[test]
+    fn whole_values_keep_their_type_and_texts_are_joined() {
+        assert_eq!(
+            fill("{a: '${cell}', b: '${dir}/x_${cell}.ply', c: ['${list}']}").unwrap(),
+            json!({"a": 0.01, "b": "data/x_0.01.ply", "c": [[1, 2]]})
+        );
+    }
+
+    #[test]
+    fn unknown_names_and_open_braces_are_faults() {
+        for bad in ["'${nobody}'", "'a ${cell'", "'x${list}'"] {
+            assert!(fill(bad).is_err(), "{bad}");
+        }
+    }
+}

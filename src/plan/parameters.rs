@@ -1,0 +1,201 @@
+//! The parameters of a step at one point: filled in, checked, and with its files found and hashed.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use rockface_cache::Digest;
+use rockface_stages::params::{Field, Kind};
+use serde_json::{Value, json};
+
+use super::graph::{Graph, GraphStep};
+use crate::diagnostic::{Diagnostic, Span};
+use crate::pipeline::filled;
+
+/// Parameters that are ready for the recipe and for the stage.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StepParams {
+    /// Canonical, every default filled in, files as written: what the stage gets.
+    pub canonical: Value,
+    /// The same with every file replaced by its name-free or named digests: what the recipe holds.
+    pub recipe: Value,
+    /// Whether the stage draws random numbers with them.
+    pub draws: bool,
+    /// The files behind each file parameter, as it was written.
+    pub files: BTreeMap<String, Vec<InputFile>>,
+}
+
+/// A file named by a parameter.
+#[derive(Debug, Clone, PartialEq)]
+pub struct InputFile {
+    /// Its name without the folder.
+    pub name: String,
+    /// Where it is.
+    pub path: PathBuf,
+    /// Its digest when the plan was made.
+    pub digest: Digest,
+}
+
+/// Hashes a file, or says why it cannot.
+pub type HashFile<'a> = dyn Fn(&Path) -> Result<Digest, String> + 'a;
+
+/// Fills in and checks the parameters of a step at the items of the axes its `with` mentions.
+pub fn check(graph: &Graph, step: &GraphStep, items: &BTreeMap<usize, usize>) -> Result<StepParams, Vec<Diagnostic>> {
+    let lookup = |name: &str| match graph.axes.iter().position(|axis| axis.name.text == name) {
+        Some(axis) => items.get(&axis).map(|item| graph.axes[axis].values[*item].clone()),
+        None => graph.params.get(name).cloned(),
+    };
+    let with = step.with.as_ref().map_or(Ok(Value::Null), |with| filled(with, &lookup)).map_err(|fault| vec![fault])?;
+    let checked = step.stage.check(&with).map_err(|faults| {
+        let diagnostics = faults.into_iter().map(|fault| {
+            let at = step.with.as_ref().map_or(step.span, |with| with.locate(&fault.path, fault.at_key));
+            let about = if fault.path.is_empty() || fault.at_key { String::new() } else { format!("`{}`: ", fault.path.join(".")) };
+            let message = format!("step `{}` ({}): {about}{}", step.name, step.stage.name(), fault.message);
+            let written = fault.path.last().map_or_else(String::new, Clone::clone);
+            let given = if fault.at_key { written } else { value_at(&with, &fault.path) };
+            Diagnostic::at(at, message).suggest(&given, fault.known.iter().map(String::as_str))
+        });
+        diagnostics.collect::<Vec<_>>()
+    })?;
+    Ok(StepParams { recipe: checked.canonical.clone(), canonical: checked.canonical, draws: checked.draws, files: BTreeMap::new() })
+}
+
+/// Finds and hashes every file the parameters name, and puts the digests into the recipe's parameters.
+pub fn find_files(graph: &Graph, step: &GraphStep, params: &mut StepParams, hash: &HashFile) -> Vec<Diagnostic> {
+    let mut finder = Finder { graph, step, hash, files: BTreeMap::new(), faults: Vec::new(), path: Vec::new() };
+    let fields = step.stage.fields();
+    params.recipe = finder.fields(&fields, &params.canonical);
+    params.files = finder.files;
+    finder.faults
+}
+
+struct Finder<'a> {
+    graph: &'a Graph,
+    step: &'a GraphStep,
+    hash: &'a HashFile<'a>,
+    files: BTreeMap<String, Vec<InputFile>>,
+    faults: Vec<Diagnostic>,
+    path: Vec<String>,
+}
+
+impl Finder<'_> {
+    fn fields(&mut self, fields: &[Field], value: &Value) -> Value {
+        let Value::Object(map) = value else { return value.clone() };
+        let entries = map.iter().map(|(key, value)| {
+            let kind = fields.iter().find(|field| field.name == key).map(|field| &field.kind);
+            self.path.push(key.clone());
+            let found = kind.map_or_else(|| value.clone(), |kind| self.value(kind, value));
+            self.path.pop();
+            (key.clone(), found)
+        });
+        Value::Object(entries.collect())
+    }
+
+    fn value(&mut self, kind: &Kind, value: &Value) -> Value {
+        match (kind, value) {
+            (Kind::Optional(inner), value) if !value.is_null() => self.value(inner, value),
+            (Kind::List(inner, _), Value::Array(items)) => items.iter().map(|item| self.value(inner, item)).collect(),
+            (Kind::Map(fields), value) => self.fields(fields, value),
+            (Kind::File, Value::String(written)) => {
+                let files = self.find(written, false);
+                files.first().map_or(Value::Null, |file| json!({ "blake3": file.digest }))
+            }
+            (Kind::Files, Value::String(written)) => {
+                self.find(written, true).iter().map(|file| json!({ "name": file.name, "blake3": file.digest })).collect()
+            }
+            _ => value.clone(),
+        }
+    }
+
+    fn find(&mut self, written: &str, many: bool) -> Vec<InputFile> {
+        let path = self.graph.folder.join(written);
+        let listed = if many { list_files(&path) } else { one_file(&path) };
+        let hashed = listed.and_then(|paths| paths.into_iter().map(|path| self.hashed(path)).collect::<Result<Vec<_>, _>>());
+        match hashed {
+            Ok(files) => {
+                self.files.insert(written.to_owned(), files.clone());
+                files
+            }
+            Err(message) => {
+                let span = self.step.with.as_ref().map_or(self.step.span, |with| with.locate(&self.path, false));
+                self.faults.push(missing(span, &format!("step `{}`: {message}", self.step.name), written, &path));
+                Vec::new()
+            }
+        }
+    }
+
+    fn hashed(&self, path: PathBuf) -> Result<InputFile, String> {
+        let digest = (self.hash)(&path)?;
+        let name = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+        Ok(InputFile { name, path, digest })
+    }
+}
+
+fn missing(span: Span, message: &str, written: &str, path: &Path) -> Diagnostic {
+    let name = path.file_name().map_or_else(|| written.to_owned(), |name| name.to_string_lossy().into_owned());
+    let beside = path.parent().map(std::fs::read_dir);
+    let names: Vec<String> = match beside {
+        Some(Ok(entries)) => entries.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned()).collect(),
+        _ => return Diagnostic::at(span, message).hint("paths are relative to the folder of the pipeline file; the folder of this one does not exist"),
+    };
+    match crate::diagnostic::nearest(&name, &names.iter().map(String::as_str).collect::<Vec<_>>()) {
+        Some(near) => Diagnostic::at(span, message).hint(format!("there is a `{near}` in that folder; did you mean it?")),
+        None => Diagnostic::at(span, message).hint("paths are relative to the folder of the pipeline file"),
+    }
+}
+
+fn one_file(path: &Path) -> Result<Vec<PathBuf>, String> {
+    let shown = path.display();
+    match std::fs::metadata(path) {
+        Ok(metadata) if metadata.is_file() => Ok(vec![path.to_owned()]),
+        Ok(_) => Err(format!("`{shown}` is a folder, a file is needed")),
+        Err(error) => Err(format!("cannot read `{shown}`: {error}")),
+    }
+}
+
+/// The files of a folder, the files matching `*` in the last part of a path, or one file; sorted by name.
+fn list_files(path: &Path) -> Result<Vec<PathBuf>, String> {
+    let pattern = path.file_name().map(|name| name.to_string_lossy().into_owned()).filter(|name| name.contains('*'));
+    let folder = match &pattern {
+        Some(_) => path.parent().unwrap_or(Path::new(".")),
+        None if path.is_dir() => path,
+        None => return one_file(path),
+    };
+    let entries = std::fs::read_dir(folder).map_err(|error| format!("cannot read `{}`: {error}", folder.display()))?;
+    let matches = |file: &Path| {
+        let name = file.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        let wanted = pattern.as_ref().map_or(!name.starts_with('.'), |pattern| fits(pattern, &name));
+        wanted && file.is_file()
+    };
+    let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).filter(|file| matches(file)).collect();
+    files.sort();
+    if files.is_empty() { Err(format!("`{}` names no file", path.display())) } else { Ok(files) }
+}
+
+/// Whether a name fits a pattern in which `*` stands for any text.
+fn fits(pattern: &str, name: &str) -> bool {
+    match pattern.split_once('*') {
+        None => pattern == name,
+        Some((head, rest)) => name.strip_prefix(head).is_some_and(|tail| {
+            tail.char_indices().map(|(i, _)| i).chain([tail.len()]).any(|i| fits(rest, &tail[i..]))
+        }),
+    }
+}
+
+fn value_at(value: &Value, path: &[String]) -> String {
+    let found = path.iter().try_fold(value, |value, key| match value {
+        Value::Array(items) => items.get(key.parse::<usize>().ok()?),
+        other => other.get(key),
+    });
+    found.and_then(Value::as_str).unwrap_or_default().to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn patterns() {
+        assert!(fits("*.tif", "a.tif") && fits("cmp_*_*.tif", "cmp_00_01.tif") && fits("*", ""));
+        assert!(!fits("*.tif", "a.tiff") && !fits("cmp_*.tif", "x_cmp_1.tif"));
+    }
+}
