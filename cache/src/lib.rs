@@ -25,15 +25,28 @@
 //! tmp/            blobs being written
 //! ```
 
+mod blobs;
 mod canonical;
 mod digest;
 mod error;
+mod files;
+mod frame;
+mod index;
+mod journal;
+mod locks;
+mod materialise;
+mod open;
 mod recipe;
 mod record;
+mod segment;
 mod store;
+mod syncer;
 
 pub use digest::{Digest, DigestError};
 pub use error::StoreError;
+pub use files::FileDigest;
+pub use locks::KeyLock;
+pub use materialise::Materialised;
 pub use recipe::{Gathered, Recipe, RecipeInput, SeedMaterial};
 pub use record::{Cost, OutputRecord, Record};
-pub use store::{FileDigest, KeyLock, Materialised, Store, StoreStat};
+pub use store::{Store, StoreStat};
