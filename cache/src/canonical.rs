@@ -31,7 +31,7 @@ pub(crate) fn write_str(out: &mut String, text: &str) {
             '\r' => out.push_str("\\r"),
             '\t' => out.push_str("\\t"),
             control if (control as u32) < 0x20 => {
-                push_display(out, format_args!("\\u{:04x}", control as u32))
+                push_display(out, format_args!("\\u{:04x}", control as u32));
             }
             other => out.push(other),
         }
@@ -86,7 +86,7 @@ pub(crate) fn push_display(out: &mut String, value: impl std::fmt::Display) {
     write!(out, "{value}").expect("writing to a String cannot fail");
 }
 
-/// Keys are sorted here because `Map` keeps insertion order when any crate of the build asks serde_json for it.
+/// Keys are sorted here because `Map` keeps insertion order when any crate of the build asks `serde_json` for it.
 fn write_object(out: &mut String, map: &Map<String, Value>) {
     let mut entries: Vec<_> = map.iter().collect();
     entries.sort_unstable_by_key(|(key, _)| *key);

@@ -1,11 +1,34 @@
 //! The index: what the segments hold, in memory, rebuilt from them whenever a store is opened.
 
 use std::collections::HashMap;
+use std::hash::{BuildHasherDefault, Hasher};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::Digest;
 use crate::frame::{Header, Kind, payload_check};
 use crate::segment::Frame;
+
+/// A map by digest; digests are as good as random, so that some of their bytes do for a hash.
+type ByDigest<T> = HashMap<Digest, T, BuildHasherDefault<DigestHasher>>;
+
+/// Takes the first eight bytes of the one digest it is given.
+#[derive(Debug, Default)]
+struct DigestHasher(u64);
+
+impl Hasher for DigestHasher {
+    fn write(&mut self, bytes: &[u8]) {
+        if let Some(start) = bytes.first_chunk() {
+            self.0 = u64::from_le_bytes(*start);
+        }
+    }
+
+    /// The length of the array, the same for every digest.
+    fn write_usize(&mut self, _: usize) {}
+
+    fn finish(&self) -> u64 {
+        self.0
+    }
+}
 
 /// Where a small blob lies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -41,10 +64,10 @@ struct Entry {
 #[derive(Debug, Default)]
 pub(crate) struct Index {
     segments: Vec<Seen>,
-    blobs: HashMap<Digest, Place>,
-    records: HashMap<Digest, Entry>,
-    notes: HashMap<Digest, Entry>,
-    files: HashMap<Digest, Entry>,
+    blobs: ByDigest<Place>,
+    records: ByDigest<Entry>,
+    notes: ByDigest<Entry>,
+    files: ByDigest<Entry>,
     clock: u64,
 }
 

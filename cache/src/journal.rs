@@ -12,6 +12,9 @@ use crate::frame::{Header, Kind, PAYLOAD_LIMIT};
 use crate::index::{Index, Place};
 use crate::segment::{FULL_BYTES, Frame, Writer, claim, scan};
 
+/// Ends the name of every segment.
+const SUFFIX: &str = ".seg";
+
 /// Every segment of a store, and the one this process appends to once it has something to say.
 #[derive(Debug)]
 pub(crate) struct Journal {
@@ -74,7 +77,7 @@ impl Journal {
             names.extend(
                 name.into_string()
                     .ok()
-                    .filter(|name| name.ends_with(".seg")),
+                    .filter(|name| name.ends_with(SUFFIX)),
             );
         }
         names.sort_unstable();
@@ -128,17 +131,12 @@ impl Journal {
         } else {
             payload.into()
         };
-        self.edit_index(|index| {
-            index.enter(
-                segment,
-                vec![Frame {
-                    header,
-                    at,
-                    payload,
-                }],
-                end,
-            )
-        });
+        let frames = vec![Frame {
+            header,
+            at,
+            payload,
+        }];
+        self.edit_index(|index| index.enter(segment, frames, end));
         Ok(())
     }
 
@@ -155,7 +153,7 @@ impl Journal {
         }
         loop {
             let stamp = self.edit_index(Index::tick);
-            let name = format!("{stamp:016x}-{:x}.seg", std::process::id());
+            let name = format!("{stamp:016x}-{:x}{SUFFIX}", std::process::id());
             if let Some(writer) = self.claim_named(&name)? {
                 self.owe(&self.dir);
                 return Ok(writer);

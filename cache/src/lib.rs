@@ -48,5 +48,5 @@ pub use files::FileDigest;
 pub use locks::KeyLock;
 pub use materialise::Materialised;
 pub use recipe::{Gathered, Recipe, RecipeInput, SeedMaterial};
-pub use record::{Cost, OutputRecord, Record};
+pub use record::{Cost, Outcome, OutputRecord, Record};
 pub use store::{Store, StoreStat};

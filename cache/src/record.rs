@@ -48,12 +48,27 @@ pub struct Cost {
     pub finished_unix_s: u64,
 }
 
-/// The part of a record that is not its recipe, as it is read.
-#[derive(Deserialize)]
-struct Outcome {
-    outputs: BTreeMap<String, OutputRecord>,
-    log: Option<Digest>,
-    cost: Cost,
+/// What a record says apart from its recipe; quicker to read than the whole.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct Outcome {
+    /// What came out of each output port.
+    pub outputs: BTreeMap<String, OutputRecord>,
+    /// The log of the step, a blob.
+    pub log: Option<Digest>,
+    /// What it took.
+    pub cost: Cost,
+}
+
+impl Outcome {
+    /// The blobs promised: every kept output with its size, and the log, whose size is not recorded.
+    pub fn blobs(&self) -> impl Iterator<Item = (Digest, Option<u64>)> {
+        promised(&self.outputs, self.log)
+    }
+
+    /// The outcome in the bytes of a record; `None` when another program wrote them.
+    pub(crate) fn decode(bytes: &[u8]) -> Option<Self> {
+        serde_json::from_slice(split(bytes)?.1).ok()
+    }
 }
 
 /// The part of a record that is not its recipe, as it is written.
@@ -67,9 +82,7 @@ struct OutcomeRef<'a> {
 impl Record {
     /// The blobs this record promises: every kept output with its size, and the log, whose size is not recorded.
     pub fn blobs(&self) -> impl Iterator<Item = (Digest, Option<u64>)> {
-        let kept = self.outputs.values().filter(|output| output.kept);
-        kept.map(|output| (output.digest, Some(output.bytes)))
-            .chain(self.log.map(|log| (log, None)))
+        promised(&self.outputs, self.log)
     }
 
     /// Whether two records of one recipe say the same of everything but the cost.
@@ -93,8 +106,7 @@ impl Record {
 
     /// The record these bytes hold; `None` when another program wrote them.
     pub(crate) fn decode(bytes: &[u8]) -> Option<Record> {
-        let (length, rest) = bytes.split_first_chunk::<4>()?;
-        let (recipe, outcome) = rest.split_at_checked(u32::from_le_bytes(*length) as usize)?;
+        let (recipe, outcome) = split(bytes)?;
         let Outcome { outputs, log, cost } = serde_json::from_slice(outcome).ok()?;
         let recipe = serde_json::from_slice(recipe).ok()?;
         Some(Record {
@@ -104,6 +116,21 @@ impl Record {
             cost,
         })
     }
+}
+
+/// The text of the recipe and the rest of a record.
+fn split(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
+    let (length, rest) = bytes.split_first_chunk::<4>()?;
+    rest.split_at_checked(u32::from_le_bytes(*length) as usize)
+}
+
+fn promised(
+    outputs: &BTreeMap<String, OutputRecord>,
+    log: Option<Digest>,
+) -> impl Iterator<Item = (Digest, Option<u64>)> {
+    let kept = outputs.values().filter(|output| output.kept);
+    kept.map(|output| (output.digest, Some(output.bytes)))
+        .chain(log.map(|log| (log, None)))
 }
 
 impl Cost {

@@ -14,7 +14,7 @@ use crate::journal::Journal;
 use crate::locks::{self, KeyLock};
 use crate::open::{self, LOCKS, QUARANTINE, SEGMENTS};
 use crate::syncer::Syncer;
-use crate::{Digest, Record};
+use crate::{Digest, Outcome, Record};
 
 /// Blobs of this size and more have a file of their own.
 const LARGE_BYTES: usize = 64 * 1024;
@@ -148,11 +148,20 @@ impl Store {
 
     /// The latest record under this key, if every blob it names is there.
     pub fn is_hit(&self, key: &Digest) -> Option<Record> {
-        self.record(key).filter(|record| {
-            record
-                .blobs()
-                .all(|(digest, bytes)| self.has(&digest, bytes))
-        })
+        self.record(key)
+            .filter(|record| self.has_all(record.blobs()))
+    }
+
+    /// [`Store::is_hit`] without reading the recipe, which the caller has just hashed: what planning needs.
+    pub fn hit_outcome(&self, key: &Digest) -> Option<Outcome> {
+        let outcome = self
+            .journal
+            .with_index(|index| Outcome::decode(index.payload(Kind::Record, key)?));
+        outcome.filter(|outcome| self.has_all(outcome.blobs()))
+    }
+
+    fn has_all(&self, mut blobs: impl Iterator<Item = (Digest, Option<u64>)>) -> bool {
+        blobs.all(|(digest, bytes)| self.has(&digest, bytes))
     }
 
     /// Remembers a finished step and returns its key. All blobs it names must have been put before.

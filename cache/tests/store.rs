@@ -19,16 +19,36 @@ fn new_store() -> (tempfile::TempDir, Store) {
 
 fn recipe(number: u64) -> Recipe {
     let params = json!({ "number": number });
-    Recipe { stage: "remove-blocks".into(), version: 1, params, inputs: BTreeMap::new(), seed: None }
+    Recipe {
+        stage: "remove-blocks".into(),
+        version: 1,
+        params,
+        inputs: BTreeMap::new(),
+        seed: None,
+    }
 }
 
 fn output(bytes: &[u8], kept: bool) -> OutputRecord {
-    OutputRecord { kind: "mesh".into(), digest: Digest::of(bytes), bytes: bytes.len() as u64, kept, items: None }
+    OutputRecord {
+        kind: "mesh".into(),
+        digest: Digest::of(bytes),
+        bytes: bytes.len() as u64,
+        kept,
+        items: None,
+    }
 }
 
 fn record(number: u64, bytes: &[u8], kept: bool) -> Record {
     let outputs = [("mesh".to_owned(), output(bytes, kept))].into();
-    Record { recipe: recipe(number), outputs, log: None, cost: Cost { wall_s: 0.5, ..Cost::default() } }
+    Record {
+        recipe: recipe(number),
+        outputs,
+        log: None,
+        cost: Cost {
+            wall_s: 0.5,
+            ..Cost::default()
+        },
+    }
 }
 
 /// Puts a blob and commits the record of a step that made it.
@@ -38,7 +58,10 @@ fn finish(store: &Store, number: u64, bytes: &[u8]) -> Digest {
 }
 
 fn segments(dir: &Path) -> Vec<PathBuf> {
-    fs::read_dir(dir.join("segments")).unwrap().map(|entry| entry.unwrap().path()).collect()
+    fs::read_dir(dir.join("segments"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .collect()
 }
 
 fn blob_path(dir: &Path, digest: &Digest) -> PathBuf {
@@ -65,8 +88,14 @@ fn blobs_of_every_size_come_back_now_and_after_reopening() {
         assert!(store.get(&Digest::of(&bytes)).unwrap() == bytes);
     }
     let stat = store.stat().unwrap();
-    assert_eq!((stat.small_blobs, stat.large_blobs, stat.segments), (3, 2, 1));
-    assert_eq!((stat.small_blob_bytes, stat.large_blob_bytes), (65_536, 65_536 + (1 << 20)));
+    assert_eq!(
+        (stat.small_blobs, stat.large_blobs, stat.segments),
+        (3, 2, 1)
+    );
+    assert_eq!(
+        (stat.small_blob_bytes, stat.large_blob_bytes),
+        (65_536, 65_536 + (1 << 20))
+    );
 }
 
 #[test]
@@ -91,8 +120,13 @@ fn a_blob_that_is_not_there_is_missing() {
     let (folder, store) = new_store();
     let digest = Digest::of(b"nothing");
     assert!(!store.contains(&digest));
-    assert!(matches!(store.get(&digest), Err(StoreError::Missing { digest: named }) if named == digest));
-    assert!(matches!(store.materialise(&digest, &folder.path().join("out")), Err(StoreError::Missing { .. })));
+    assert!(
+        matches!(store.get(&digest), Err(StoreError::Missing { digest: named }) if named == digest)
+    );
+    assert!(matches!(
+        store.materialise(&digest, &folder.path().join("out")),
+        Err(StoreError::Missing { .. })
+    ));
 }
 
 #[test]
@@ -104,23 +138,39 @@ fn a_record_is_a_hit_as_long_as_its_kept_blobs_are_there() {
     drop(store);
     let store = Store::open(folder.path()).unwrap();
     assert_eq!(store.is_hit(&key), Some(record(1, &large, true)));
-    assert!(store.is_hit(&dropped).is_some(), "what is not kept is not missed");
+    assert!(
+        store.is_hit(&dropped).is_some(),
+        "what is not kept is not missed"
+    );
     fs::remove_file(blob_path(folder.path(), &Digest::of(&large))).unwrap();
     assert!(store.is_hit(&key).is_none() && store.record(&key).is_some());
+    assert!(store.hit_outcome(&key).is_none());
     assert!(store.record(&recipe(3).key()).is_none());
 }
 
 #[test]
 fn a_record_without_its_blobs_or_with_no_sane_cost_is_refused() {
     let (_folder, store) = new_store();
-    let missing = store.commit(&record(1, b"not put", true)).unwrap_err().to_string();
-    assert!(missing.contains("remove-blocks") && missing.contains(&Digest::of(b"not put").short()), "{missing}");
+    let missing = store
+        .commit(&record(1, b"not put", true))
+        .unwrap_err()
+        .to_string();
+    assert!(
+        missing.contains("remove-blocks") && missing.contains(&Digest::of(b"not put").short()),
+        "{missing}"
+    );
     let mut logless = record(1, b"", false);
     logless.log = Some(Digest::of(b"no such log"));
-    assert!(matches!(store.commit(&logless), Err(StoreError::BadRecord { .. })));
+    assert!(matches!(
+        store.commit(&logless),
+        Err(StoreError::BadRecord { .. })
+    ));
     let mut endless = record(1, b"", false);
     endless.cost.wall_s = f64::NAN;
-    assert!(matches!(store.commit(&endless), Err(StoreError::BadRecord { .. })));
+    assert!(matches!(
+        store.commit(&endless),
+        Err(StoreError::BadRecord { .. })
+    ));
 }
 
 #[test]
@@ -130,7 +180,12 @@ fn a_record_that_says_otherwise_supersedes_the_first() {
     let mut slower = record(1, b"first", true);
     slower.cost.wall_s = 9.0;
     store.commit(&slower).unwrap();
-    assert_eq!(store.record(&key).unwrap().cost.wall_s, 0.5, "the same outcome: the first record stays");
+    let kept = store.record(&key).unwrap();
+    assert_eq!(
+        kept,
+        record(1, b"first", true),
+        "the same outcome: the first record stays"
+    );
     finish(&store, 1, b"second");
     drop(store);
     let record = Store::open(folder.path()).unwrap().is_hit(&key).unwrap();
@@ -152,7 +207,11 @@ fn two_writers_see_each_other_after_a_refresh() {
     for number in 3..6 {
         finish(&Store::open(folder.path()).unwrap(), number, b"later");
     }
-    assert_eq!(segments(folder.path()).len(), 2, "later writers continue what the former left");
+    assert_eq!(
+        segments(folder.path()).len(),
+        2,
+        "later writers continue what the former left"
+    );
     assert_eq!(Store::open(folder.path()).unwrap().keys().len(), 5);
 }
 
@@ -206,16 +265,26 @@ fn a_damaged_blob_is_set_aside_and_can_be_made_again() {
 /// Changes the first byte of a blob where it lies on disk, and nothing else, not even the file's time.
 fn damage(dir: &Path, blob: &[u8]) {
     let own = blob_path(dir, &Digest::of(blob));
-    let path = if own.exists() { own } else { segments(dir).remove(0) };
+    let path = if own.exists() {
+        own
+    } else {
+        segments(dir).remove(0)
+    };
     let mut bytes = fs::read(&path).unwrap();
-    let at = bytes.windows(blob.len()).position(|some| some == blob).unwrap();
+    let at = bytes
+        .windows(blob.len())
+        .position(|some| some == blob)
+        .unwrap();
     bytes[at] ^= 1;
     let modified = fs::metadata(&path).unwrap().modified().unwrap();
     let mut permissions = fs::metadata(&path).unwrap().permissions();
     std::os::unix::fs::PermissionsExt::set_mode(&mut permissions, 0o644);
     fs::set_permissions(&path, permissions).unwrap();
     fs::write(&path, bytes).unwrap();
-    fs::File::open(&path).unwrap().set_modified(modified).unwrap();
+    fs::File::open(&path)
+        .unwrap()
+        .set_modified(modified)
+        .unwrap();
 }
 
 #[test]
@@ -233,8 +302,14 @@ fn a_segment_torn_anywhere_keeps_what_was_whole_and_goes_on() {
     for size in (0..=ends[2]).rev().step_by(7) {
         fs::write(path(), &whole[..size as usize]).unwrap();
         let store = Store::open(folder.path()).unwrap();
-        let hits = (0..3).filter(|number| store.is_hit(&recipe(*number).key()).is_some()).count();
-        assert_eq!(hits, ends.iter().filter(|end| **end <= size).count(), "torn at {size}");
+        let hits = (0..3)
+            .filter(|number| store.is_hit(&recipe(*number).key()).is_some())
+            .count();
+        assert_eq!(
+            hits,
+            ends.iter().filter(|end| **end <= size).count(),
+            "torn at {size}"
+        );
         finish(&store, 9, b"after the tear");
         drop(store);
         let store = Store::open(folder.path()).unwrap();
@@ -254,7 +329,10 @@ fn notes_on_runs_are_recalled_latest_first() {
         assert_eq!(store.recalled_run(&plan), Some(json!({ "run": run })));
     }
     drop(store);
-    assert_eq!(Store::open(folder.path()).unwrap().recalled_run(&plan), Some(json!({ "run": "second" })));
+    assert_eq!(
+        Store::open(folder.path()).unwrap().recalled_run(&plan),
+        Some(json!({ "run": "second" }))
+    );
 }
 
 #[test]
@@ -262,18 +340,27 @@ fn threads_share_one_store() {
     let (_folder, store) = new_store();
     std::thread::scope(|scope| {
         for _ in 0..4 {
-            scope.spawn(|| (0..100).for_each(|number| drop(finish(&store, number, &number.to_le_bytes()))));
+            scope.spawn(|| {
+                for number in 0..100 {
+                    finish(&store, number, &number.to_le_bytes());
+                }
+            });
         }
     });
     let stat = store.stat().unwrap();
-    assert_eq!((stat.records, stat.small_blobs, stat.segments), (100, 100, 1));
+    assert_eq!(
+        (stat.records, stat.small_blobs, stat.segments),
+        (100, 100, 1)
+    );
     assert!((0..100).all(|number| store.is_hit(&recipe(number).key()).is_some()));
 }
 
 /// Not a test of its own: the process that the next test kills.
 #[test]
 fn victim() {
-    let Some(dir) = std::env::var_os(VICTIM) else { return };
+    let Some(dir) = std::env::var_os(VICTIM) else {
+        return;
+    };
     let store = Store::open(Path::new(&dir)).unwrap();
     for number in 0.. {
         let size = if number % 5 == 0 { 70_000 } else { 300 };
@@ -301,13 +388,24 @@ fn a_killed_writer_loses_nothing_finished_and_leaves_nothing_to_unlock() {
         child.kill().unwrap();
         child.wait().unwrap();
         // The killed process may have emptied this file and not yet filled it again: then it says nothing.
-        let finished = fs::read_to_string(folder.path().join("finished")).unwrap().parse().unwrap_or(0);
+        let finished = fs::read_to_string(folder.path().join("finished"))
+            .unwrap()
+            .parse()
+            .unwrap_or(0);
         let store = Store::open(&dir).unwrap();
         for number in 0..=finished {
-            let record = store.is_hit(&recipe(number).key()).unwrap_or_else(|| panic!("step {number} is lost"));
+            let record = store
+                .is_hit(&recipe(number).key())
+                .unwrap_or_else(|| panic!("step {number} is lost"));
             store.get(&record.outputs["mesh"].digest).unwrap();
         }
-        drop(store.lock(&recipe(finished + 1).key(), || panic!("a dead process holds a lock")).unwrap());
+        drop(
+            store
+                .lock(&recipe(finished + 1).key(), || {
+                    panic!("a dead process holds a lock")
+                })
+                .unwrap(),
+        );
         assert_eq!(fs::read_dir(dir.join("tmp")).unwrap().count(), 0);
         assert_eq!(segments(&dir).len(), 1);
     }
@@ -316,7 +414,10 @@ fn a_killed_writer_loses_nothing_finished_and_leaves_nothing_to_unlock() {
 fn await_file(path: &Path) {
     let started = Instant::now();
     while !path.exists() {
-        assert!(started.elapsed() < Duration::from_secs(30), "the process to be killed never began");
+        assert!(
+            started.elapsed() < Duration::from_secs(30),
+            "the process to be killed never began"
+        );
         std::thread::sleep(Duration::from_millis(2));
     }
 }
