@@ -73,7 +73,9 @@ pub enum StoreError {
         reason: String,
     },
     /// A value does not fit into a segment.
-    #[error("{what} of {bytes} bytes is too large for a segment (at most {limit} bytes)")]
+    #[error(
+        "{what} of {bytes} bytes is too large for a segment (at most {limit} bytes): divide the step into smaller ones"
+    )]
     TooLarge {
         /// What was to be written.
         what: &'static str,

@@ -54,8 +54,14 @@ impl Journal {
             let path = self.dir.join(&name);
             let number = self.edit_index(|index| index.segment(&name));
             let seen = self.with_index(|index| index.seen(number)).end;
-            if std::fs::metadata(&path).at("look at", &path)?.len() > seen {
-                self.read_on(&File::open(&path).at("open", &path)?, &path, number)?;
+            match File::open(&path) {
+                Ok(file) if file.metadata().at("look at", &path)?.len() > seen => {
+                    self.read_on(&file, &path, number)?;
+                }
+                Ok(_) => {}
+                // Listed a moment ago and removed since: what it held is gone with it.
+                Err(fault) if fault.kind() == std::io::ErrorKind::NotFound => {}
+                Err(fault) => return Err(StoreError::io("open", &path, fault)),
             }
         }
         Ok(())

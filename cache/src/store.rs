@@ -214,7 +214,8 @@ impl Store {
     }
 
     /// Takes the right to compute `key`, calling `on_wait` once before waiting if another holds it, here or in another
-    /// process. After a wait, [`Store::refresh`] and look again: the other has probably done the work.
+    /// process; so a thread must not ask again for a key it holds. After a wait, [`Store::refresh`] and look again: the
+    /// other has probably done the work.
     pub fn lock(&self, key: &Digest, on_wait: impl FnOnce()) -> Result<KeyLock, StoreError> {
         locks::lock(&self.root.join(LOCKS), key, on_wait)
     }
