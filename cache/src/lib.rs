@@ -1,1 +1,52 @@
-//! cache
+//! The memory of rockface: a content-addressed store of blobs by digest and of records by recipe.
+//!
+//! The crate knows bytes, digests and recipes. It knows no stage, no pipeline and no engine.
+//!
+//! # Invariants
+//!
+//! - **Nothing is ever edited.** A blob is named by the BLAKE3 of its bytes; segments only grow (and lose a torn tail
+//!   when a new writer continues them); a later record of the same key supersedes the earlier one, which stays.
+//! - **Blobs before records.** A record is appended after the blobs it names, and made durable no earlier than they are. Should
+//!   a power cut break that order on disk, the record names a blob that is not there and simply is not a hit.
+//! - **Every read is verified.** What a frame or a blob says is checked against its checksum or digest when it is used;
+//!   a damaged blob is set aside in `quarantine/` and reported.
+//! - **Nothing to unlock.** All locks are kernel advisory locks, gone with the process that held them.
+//! - **No state outside the folder** of the store, and none in it that only the process which wrote it could use.
+//!
+//! # Layout
+//!
+//! ```text
+//! format          the format version, one line
+//! CACHEDIR.TAG    tells backup programs to pass by
+//! blobs/ab/abcd…  blobs of 64 KiB and more, one file each, read-only
+//! segments/*.seg  append-only frames: small blobs, records, notes, file digests; one live writer each
+//! locks/          one file for each key being computed now
+//! quarantine/     damaged blobs
+//! tmp/            blobs being written
+//! ```
+
+mod blobs;
+mod canonical;
+mod digest;
+mod error;
+mod files;
+mod frame;
+mod index;
+mod journal;
+mod locks;
+mod materialise;
+mod open;
+mod recipe;
+mod record;
+mod segment;
+mod store;
+mod syncer;
+
+pub use digest::{Digest, DigestError};
+pub use error::StoreError;
+pub use files::FileDigest;
+pub use locks::KeyLock;
+pub use materialise::Materialised;
+pub use recipe::{Gathered, Recipe, RecipeInput, SeedMaterial};
+pub use record::{Cost, Outcome, OutputRecord, Record};
+pub use store::{Store, StoreStat};

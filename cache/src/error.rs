@@ -1,0 +1,162 @@
+//! What can go wrong with the store, and the way out of it.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use crate::Digest;
+
+/// A fault of the store or of the disk under it.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// The file system or the quota is exhausted.
+    #[error(
+        "no space left to write {}: free some space or give a store on another disk; what is finished is kept and the next run continues",
+        path.display()
+    )]
+    DiskFull {
+        /// What was being written.
+        path: PathBuf,
+    },
+    /// The store was made by another version of this program.
+    #[error(
+        "the store {} has format `{found}` and this version reads `{expected}`: use the version that made it, or give another folder for the store",
+        dir.display()
+    )]
+    Format {
+        /// The folder of the store.
+        dir: PathBuf,
+        /// What its format file says.
+        found: String,
+        /// What this version writes.
+        expected: String,
+    },
+    /// The folder holds other things.
+    #[error(
+        "{} is not a store and not empty (it holds `{entry}`): give an empty or a new folder for the store",
+        dir.display()
+    )]
+    NotAStore {
+        /// The folder.
+        dir: PathBuf,
+        /// One of the things in it.
+        entry: String,
+    },
+    /// No blob has this digest.
+    #[error("blob {digest} is not in the store: run the step that makes it again")]
+    Missing {
+        /// The digest asked for.
+        digest: Digest,
+    },
+    /// The bytes of a blob no longer have its digest.
+    #[error(
+        "blob {} was damaged on disk and has been set aside as {}: run again to remake it, and check the disk",
+        digest.short(), moved_to.display()
+    )]
+    Damaged {
+        /// The digest asked for.
+        digest: Digest,
+        /// Where the damaged bytes are now.
+        moved_to: PathBuf,
+    },
+    /// A file kept changing while it was read.
+    #[error("{} changed while it was being read: let whatever writes it finish, then run again", path.display())]
+    Changing {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A record cannot be written as it is.
+    #[error("the record of stage `{stage}` cannot be stored: {reason}")]
+    BadRecord {
+        /// The stage of its recipe.
+        stage: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A value does not fit into a segment.
+    #[error(
+        "{what} of {bytes} bytes is too large for a segment (at most {limit} bytes): divide the step into smaller ones"
+    )]
+    TooLarge {
+        /// What was to be written.
+        what: &'static str,
+        /// Its size.
+        bytes: u64,
+        /// The greatest size.
+        limit: u64,
+    },
+    /// Anything else the operating system refused.
+    #[error("cannot {action} {}: {source}; check that the path exists and that you may use it", path.display())]
+    Io {
+        /// What was tried, a verb phrase.
+        action: &'static str,
+        /// On what.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+}
+
+impl StoreError {
+    /// Wraps what the operating system said, telling a full disk from everything else.
+    pub(crate) fn io(action: &'static str, path: &Path, source: io::Error) -> Self {
+        use io::ErrorKind::{QuotaExceeded, StorageFull};
+        let path = path.to_owned();
+        match source.kind() {
+            StorageFull | QuotaExceeded => Self::DiskFull { path },
+            _ => Self::Io {
+                action,
+                path,
+                source,
+            },
+        }
+    }
+}
+
+/// Names the action and the path of a failed system call.
+pub(crate) trait At<T> {
+    /// Turns the error into one that says what was tried on which path.
+    fn at(self, action: &'static str, path: &Path) -> Result<T, StoreError>;
+}
+
+impl<T> At<T> for io::Result<T> {
+    fn at(self, action: &'static str, path: &Path) -> Result<T, StoreError> {
+        self.map_err(|source| StoreError::io(action, path, source))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write;
+
+    #[test]
+    fn a_full_disk_is_told_from_other_faults_and_says_what_to_do() {
+        let path = Path::new("/dev/full");
+        let Ok(mut full) = std::fs::OpenOptions::new().write(true).open(path) else {
+            println!("skipped: this system has no /dev/full");
+            return;
+        };
+        let error = full.write_all(b"x").at("write", path).unwrap_err();
+        assert!(
+            matches!(&error, StoreError::DiskFull { path: named } if named == path),
+            "{error:?}"
+        );
+        assert!(
+            error.to_string().contains("/dev/full")
+                && error.to_string().contains("free some space")
+        );
+    }
+
+    #[test]
+    fn another_fault_names_the_action_and_the_path() {
+        let path = Path::new("/nowhere/at/all");
+        let error = std::fs::read(path)
+            .at("read", path)
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.starts_with("cannot read /nowhere/at/all: "),
+            "{error}"
+        );
+    }
+}

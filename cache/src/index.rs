@@ -1,0 +1,249 @@
+//! The index: what the segments hold, in memory, rebuilt from them whenever a store is opened.
+
+use std::collections::HashMap;
+use std::hash::{BuildHasherDefault, Hasher};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use crate::Digest;
+use crate::frame::{Header, Kind, payload_check};
+use crate::segment::Frame;
+
+/// A map by digest; digests are as good as random, so that some of their bytes do for a hash.
+type ByDigest<T> = HashMap<Digest, T, BuildHasherDefault<DigestHasher>>;
+
+/// Takes the first eight bytes of the one digest it is given.
+#[derive(Debug, Default)]
+struct DigestHasher(u64);
+
+impl Hasher for DigestHasher {
+    fn write(&mut self, bytes: &[u8]) {
+        if let Some(start) = bytes.first_chunk() {
+            self.0 = u64::from_le_bytes(*start);
+        }
+    }
+
+    /// The length of the array, the same for every digest.
+    fn write_usize(&mut self, _: usize) {}
+
+    fn finish(&self) -> u64 {
+        self.0
+    }
+}
+
+/// Where a small blob lies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Place {
+    /// The number of the segment.
+    pub segment: u32,
+    /// Where its bytes start there.
+    pub at: u64,
+    /// How many they are.
+    pub length: u32,
+    /// When they were written.
+    pub stamp: u64,
+}
+
+/// How far a segment has been read.
+#[derive(Debug, Clone)]
+pub(crate) struct Seen {
+    /// The name of the file.
+    pub name: String,
+    /// Everything before is in the index.
+    pub end: u64,
+}
+
+/// The latest payload filed under a key, as it was read.
+#[derive(Debug)]
+struct Entry {
+    stamp: u64,
+    check: [u8; 16],
+    payload: Box<[u8]>,
+}
+
+/// Everything the segments hold.
+#[derive(Debug, Default)]
+pub(crate) struct Index {
+    segments: Vec<Seen>,
+    blobs: ByDigest<Place>,
+    records: ByDigest<Entry>,
+    notes: ByDigest<Entry>,
+    files: ByDigest<Entry>,
+    clock: u64,
+}
+
+impl Index {
+    /// The number of the segment of this name, new ones being entered as unread.
+    pub(crate) fn segment(&mut self, name: &str) -> u32 {
+        let known = self.segments.iter().position(|seen| seen.name == name);
+        known.unwrap_or_else(|| {
+            self.segments.push(Seen {
+                name: name.to_owned(),
+                end: 0,
+            });
+            self.segments.len() - 1
+        }) as u32
+    }
+
+    /// How far segment `number` has been read.
+    pub(crate) fn seen(&self, number: u32) -> Seen {
+        self.segments[number as usize].clone()
+    }
+
+    /// Enters the frames of a segment, which has now been read up to `end`.
+    pub(crate) fn enter(&mut self, segment: u32, frames: Vec<Frame>, end: u64) {
+        for Frame {
+            header,
+            at,
+            payload,
+        } in frames
+        {
+            self.enter_one(segment, &header, at, payload);
+        }
+        let seen = &mut self.segments[segment as usize].end;
+        *seen = end.max(*seen);
+    }
+
+    fn enter_one(&mut self, segment: u32, header: &Header, at: u64, payload: Box<[u8]>) {
+        let map = match header.kind {
+            Kind::Record => &mut self.records,
+            Kind::Note => &mut self.notes,
+            Kind::File => &mut self.files,
+            Kind::Blob => return self.enter_blob(segment, header, at),
+            Kind::Mark | Kind::Unknown => return,
+        };
+        self.clock = self.clock.max(header.stamp);
+        let entry = Entry {
+            stamp: header.stamp,
+            check: header.check,
+            payload,
+        };
+        match map.get_mut(&header.name) {
+            Some(older) if older.stamp > entry.stamp => {}
+            Some(older) => *older = entry,
+            None => drop(map.insert(header.name, entry)),
+        }
+    }
+
+    fn enter_blob(&mut self, segment: u32, header: &Header, at: u64) {
+        self.clock = self.clock.max(header.stamp);
+        let place = Place {
+            segment,
+            at,
+            length: header.length,
+            stamp: header.stamp,
+        };
+        let latest = self.blobs.entry(header.name).or_insert(place);
+        if latest.stamp < place.stamp {
+            *latest = place;
+        }
+    }
+
+    /// A stamp later than every one in the store as far as it has been read.
+    pub(crate) fn tick(&mut self) -> u64 {
+        let now = SystemTime::now()
+            .duration_since(UNIX_EPOCH)
+            .map_or(0, |since| since.as_nanos() as u64);
+        self.clock = now.max(self.clock.saturating_add(1));
+        self.clock
+    }
+
+    /// Where a small blob lies.
+    pub(crate) fn blob(&self, digest: &Digest) -> Option<Place> {
+        self.blobs.get(digest).copied()
+    }
+
+    /// Forgets a place whose bytes turned out to be damaged.
+    pub(crate) fn forget_blob(&mut self, digest: &Digest, place: Place) {
+        if self.blobs.get(digest) == Some(&place) {
+            self.blobs.remove(digest);
+        }
+    }
+
+    /// The latest payload of this kind under `key`, if it is whole.
+    pub(crate) fn payload(&self, kind: Kind, key: &Digest) -> Option<&[u8]> {
+        let entry = match kind {
+            Kind::Record => self.records.get(key),
+            Kind::Note => self.notes.get(key),
+            Kind::File => self.files.get(key),
+            Kind::Blob | Kind::Mark | Kind::Unknown => None,
+        }?;
+        (payload_check(&entry.payload) == entry.check).then_some(&*entry.payload)
+    }
+
+    /// Number of small blobs, their bytes, number of records, number of notes.
+    pub(crate) fn counts(&self) -> (u64, u64, u64, u64) {
+        let bytes = self
+            .blobs
+            .values()
+            .map(|place| u64::from(place.length))
+            .sum();
+        (
+            self.blobs.len() as u64,
+            bytes,
+            self.records.len() as u64,
+            self.notes.len() as u64,
+        )
+    }
+
+    /// The keys of all records, sorted.
+    pub(crate) fn keys(&self) -> Vec<Digest> {
+        let mut keys: Vec<_> = self.records.keys().copied().collect();
+        keys.sort_unstable();
+        keys
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frame(kind: Kind, name: &[u8], stamp: u64, payload: &[u8]) -> Frame {
+        Frame {
+            header: Header::of(kind, Digest::of(name), stamp, payload),
+            at: stamp,
+            payload: payload.into(),
+        }
+    }
+
+    #[test]
+    fn the_latest_stamp_counts_in_whatever_order_segments_are_read() {
+        let frames = || {
+            vec![
+                frame(Kind::Record, b"k", 2, b"new"),
+                frame(Kind::Blob, b"b", 9, b""),
+            ]
+        };
+        let older = || {
+            vec![
+                frame(Kind::Record, b"k", 1, b"old"),
+                frame(Kind::Blob, b"b", 8, b""),
+            ]
+        };
+        for newest_first in [true, false] {
+            let mut index = Index::default();
+            let (a, b) = (index.segment("a"), index.segment("b"));
+            let (first, second) = if newest_first {
+                (frames(), older())
+            } else {
+                (older(), frames())
+            };
+            index.enter(a, first, 10);
+            index.enter(b, second, 10);
+            assert_eq!(
+                index.payload(Kind::Record, &Digest::of(b"k")),
+                Some(b"new".as_slice())
+            );
+            assert_eq!(index.blob(&Digest::of(b"b")).unwrap().stamp, 9);
+        }
+    }
+
+    #[test]
+    fn stamps_grow_even_past_a_clock_that_is_ahead() {
+        let mut index = Index::default();
+        let ahead = u64::MAX - 10;
+        let segment = index.segment("a");
+        index.enter(segment, vec![frame(Kind::Note, b"n", ahead, b"")], 1);
+        assert_eq!(index.tick(), ahead + 1);
+        assert_eq!(index.tick(), ahead + 2);
+    }
+}

@@ -1,0 +1,279 @@
+//! The journal: all segments of a store as one growing set of small blobs, records and notes.
+
+use std::collections::BTreeSet;
+use std::fs::File;
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
+
+use crate::Digest;
+use crate::error::{At, StoreError};
+use crate::frame::{Header, Kind, PAYLOAD_LIMIT};
+use crate::index::{Index, Place};
+use crate::segment::{FULL_BYTES, Frame, Writer, claim, scan};
+
+/// Ends the name of every segment.
+const SUFFIX: &str = ".seg";
+
+/// Every segment of a store, and the one this process appends to once it has something to say.
+#[derive(Debug)]
+pub(crate) struct Journal {
+    dir: PathBuf,
+    index: RwLock<Index>,
+    writer: Mutex<Option<Writer>>,
+    /// Folders whose new entries must be on disk before the records that count on them.
+    owed: Mutex<BTreeSet<PathBuf>>,
+}
+
+impl Journal {
+    /// Reads every segment in `dir`.
+    pub(crate) fn open(dir: &Path) -> Result<Self, StoreError> {
+        let journal = Self {
+            dir: dir.to_owned(),
+            index: RwLock::default(),
+            writer: Mutex::default(),
+            owed: Mutex::default(),
+        };
+        journal.refresh()?;
+        Ok(journal)
+    }
+
+    /// Calls `look` with the index, which others may read meanwhile.
+    pub(crate) fn with_index<T>(&self, look: impl FnOnce(&Index) -> T) -> T {
+        look(&self.index.read().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Every entry into the index is complete in itself, so a panic elsewhere leaves it sound.
+    fn edit_index<T>(&self, edit: impl FnOnce(&mut Index) -> T) -> T {
+        edit(&mut self.index.write().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Reads what the segments have gained since they were last read.
+    pub(crate) fn refresh(&self) -> Result<(), StoreError> {
+        for name in self.names()? {
+            let path = self.dir.join(&name);
+            let number = self.edit_index(|index| index.segment(&name));
+            let seen = self.with_index(|index| index.seen(number)).end;
+            match File::open(&path) {
+                Ok(file) if file.metadata().at("look at", &path)?.len() > seen => {
+                    self.read_on(&file, &path, number)?;
+                }
+                Ok(_) => {}
+                // Listed a moment ago and removed since: what it held is gone with it.
+                Err(fault) if fault.kind() == std::io::ErrorKind::NotFound => {}
+                Err(fault) => return Err(StoreError::io("open", &path, fault)),
+            }
+        }
+        Ok(())
+    }
+
+    /// Enters what `file` has gained since it was last read; returns the end of its last whole frame.
+    fn read_on(&self, file: &File, path: &Path, number: u32) -> Result<u64, StoreError> {
+        let seen = self.with_index(|index| index.seen(number)).end;
+        let found = scan(file, seen).at("read", path)?;
+        self.edit_index(|index| index.enter(number, found.frames, found.end));
+        Ok(found.end)
+    }
+
+    /// The names of the segments, sorted.
+    pub(crate) fn names(&self) -> Result<Vec<String>, StoreError> {
+        let mut names = Vec::new();
+        for entry in std::fs::read_dir(&self.dir).at("list", &self.dir)? {
+            let name = entry.at("list", &self.dir)?.file_name();
+            names.extend(
+                name.into_string()
+                    .ok()
+                    .filter(|name| name.ends_with(SUFFIX)),
+            );
+        }
+        names.sort_unstable();
+        Ok(names)
+    }
+
+    /// Appends a payload under `name` to this process's segment.
+    pub(crate) fn append(
+        &self,
+        kind: Kind,
+        name: Digest,
+        payload: &[u8],
+    ) -> Result<(), StoreError> {
+        let mut slot = self.writer();
+        // Another thread may have stored the same blob while this one waited.
+        if kind == Kind::Blob && self.with_index(|index| index.blob(&name)).is_some() {
+            return Ok(());
+        }
+        self.append_to(&mut slot, kind, name, payload)
+    }
+
+    fn append_to(
+        &self,
+        slot: &mut Option<Writer>,
+        kind: Kind,
+        name: Digest,
+        payload: &[u8],
+    ) -> Result<(), StoreError> {
+        if payload.len() as u64 > PAYLOAD_LIMIT {
+            let bytes = payload.len() as u64;
+            return Err(StoreError::TooLarge {
+                what: "an entry",
+                bytes,
+                limit: PAYLOAD_LIMIT,
+            });
+        }
+        if slot.as_ref().is_some_and(|writer| writer.end > FULL_BYTES) {
+            let full = slot.take();
+            full.map_or(Ok(()), |full| full.file.sync_data().at("sync", &full.path))?;
+        }
+        let writer = match slot {
+            Some(writer) => writer,
+            None => slot.insert(self.claim_segment()?),
+        };
+        let header = Header::of(kind, name, self.edit_index(Index::tick), payload);
+        let at = writer.append(&header, payload);
+        let (segment, end) = (writer.segment, writer.end);
+        let at = at.inspect_err(|_| drop(slot.take()))?;
+        let payload = if kind == Kind::Blob {
+            Box::default()
+        } else {
+            payload.into()
+        };
+        let frames = vec![Frame {
+            header,
+            at,
+            payload,
+        }];
+        self.edit_index(|index| index.enter(segment, frames, end));
+        Ok(())
+    }
+
+    fn writer(&self) -> MutexGuard<'_, Option<Writer>> {
+        self.writer.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Continues the first segment that has room and no live writer, or starts a new one.
+    fn claim_segment(&self) -> Result<Writer, StoreError> {
+        for name in self.names()? {
+            if let Some(writer) = self.claim_named(&name)? {
+                return Ok(writer);
+            }
+        }
+        loop {
+            let stamp = self.edit_index(Index::tick);
+            let name = format!("{stamp:016x}-{:x}{SUFFIX}", std::process::id());
+            if let Some(writer) = self.claim_named(&name)? {
+                self.owe(&self.dir);
+                return Ok(writer);
+            }
+        }
+    }
+
+    /// Claims one segment, reads it to its end and cuts off what a dead writer left torn there.
+    fn claim_named(&self, name: &str) -> Result<Option<Writer>, StoreError> {
+        let path = self.dir.join(name);
+        let Some(file) = claim(&path)? else {
+            return Ok(None);
+        };
+        let size = file.metadata().at("look at", &path)?.len();
+        if size > FULL_BYTES {
+            return Ok(None);
+        }
+        let segment = self.edit_index(|index| index.segment(name));
+        let end = self.read_on(&file, &path, segment)?;
+        if size > end {
+            file.set_len(end).at("cut the torn tail of", &path)?;
+        }
+        Ok(Some(Writer {
+            file: Arc::new(file),
+            path,
+            segment,
+            end,
+            appended: end,
+            durable: 0,
+        }))
+    }
+
+    /// Makes the new entries of `folder` part of the next sync.
+    pub(crate) fn owe(&self, folder: &Path) {
+        self.owed().insert(folder.to_owned());
+    }
+
+    fn owed(&self) -> MutexGuard<'_, BTreeSet<PathBuf>> {
+        self.owed.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Makes everything appended so far durable: first the folders owed, then the segment. Appending goes on meanwhile.
+    pub(crate) fn sync(&self) -> Result<(), StoreError> {
+        // The end is taken before the folders: what a record before it counts on is already owed.
+        let pending = self
+            .writer()
+            .as_ref()
+            .filter(|writer| writer.appended > writer.durable)
+            .map(pending_of);
+        self.sync_folders()?;
+        let Some((file, path, segment, end)) = pending else {
+            return Ok(());
+        };
+        file.sync_data().at("sync", &path)?;
+        let mut slot = self.writer();
+        match slot.as_mut() {
+            Some(writer) if writer.segment == segment => {
+                self.mark(writer, end).inspect_err(|_| drop(slot.take()))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn sync_folders(&self) -> Result<(), StoreError> {
+        let folders = std::mem::take(&mut *self.owed());
+        for folder in &folders {
+            let synced = File::open(folder).and_then(|folder| folder.sync_all());
+            synced
+                .at("sync", folder)
+                .inspect_err(|_| self.owed().extend(folders.iter().cloned()))?;
+        }
+        Ok(())
+    }
+
+    /// Notes in the segment that everything before `end` is on disk.
+    fn mark(&self, writer: &mut Writer, end: u64) -> Result<(), StoreError> {
+        writer.append(&Header::of(Kind::Mark, Digest::of(b""), end, b""), b"")?;
+        writer.durable = end;
+        self.edit_index(|index| index.enter(writer.segment, Vec::new(), writer.end));
+        Ok(())
+    }
+
+    /// The bytes at `place`, unverified, and the segment they are in; fewer bytes where the segment has been cut.
+    pub(crate) fn read(&self, place: Place) -> Result<Vec<u8>, StoreError> {
+        let path = self
+            .dir
+            .join(self.with_index(|index| index.seen(place.segment)).name);
+        let file = File::open(&path).at("open", &path)?;
+        let mut bytes = vec![0; place.length as usize];
+        let mut filled = 0;
+        while filled < bytes.len() {
+            match file.read_at(&mut bytes[filled..], place.at + filled as u64) {
+                Ok(0) => break,
+                Ok(count) => filled += count,
+                Err(fault) if fault.kind() == std::io::ErrorKind::Interrupted => {}
+                Err(fault) => return Err(StoreError::io("read", &path, fault)),
+            }
+        }
+        bytes.truncate(filled);
+        Ok(bytes)
+    }
+
+    /// Forgets a small blob whose bytes turned out to be damaged, so that it is stored anew.
+    pub(crate) fn forget(&self, digest: &Digest, place: Place) {
+        self.edit_index(|index| index.forget_blob(digest, place));
+    }
+}
+
+/// What a sync needs to know of the writer once its lock is released.
+fn pending_of(writer: &Writer) -> (Arc<File>, PathBuf, u32, u64) {
+    (
+        Arc::clone(&writer.file),
+        writer.path.clone(),
+        writer.segment,
+        writer.end,
+    )
+}

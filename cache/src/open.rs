@@ -1,0 +1,165 @@
+//! Opening: the folders of a store, its format version, and the litter of processes that died.
+
+use std::fs;
+use std::io::{self, Write};
+use std::path::Path;
+
+use crate::error::{At, StoreError};
+use crate::locks::sweep;
+
+/// What the format file says.
+const FORMAT: &str = "rockface store 1";
+/// See <https://bford.info/cachedir/>; the first line is prescribed.
+const CACHE_TAG: &str = "Signature: 8a477f597d28d172789f06886806bc55\n\
+    # Everything in this folder can be computed again; backup programs may pass it by.\n";
+/// Starts the names of half-written files in the root of a store.
+const HALF_WRITTEN: &str = ".new-";
+/// Starts the names of half-written blobs.
+pub(crate) const TEMPORARY_BLOB: &str = "blob-";
+
+/// The folder of large blobs.
+pub(crate) const BLOBS: &str = "blobs";
+/// The folder of segments.
+pub(crate) const SEGMENTS: &str = "segments";
+/// The folder of lock files.
+pub(crate) const LOCKS: &str = "locks";
+/// The folder of damaged blobs.
+pub(crate) const QUARANTINE: &str = "quarantine";
+/// The folder of half-written blobs.
+pub(crate) const TMP: &str = "tmp";
+
+/// Makes `dir` a store, or makes sure that it is one of this format.
+pub(crate) fn prepare(dir: &Path) -> Result<(), StoreError> {
+    fs::create_dir_all(dir).at("make the folder", dir)?;
+    // Listed before the format is read: another process may be making the store now, and writes its format first.
+    let foreign = foreign_entry(dir)?;
+    let format = dir.join("format");
+    match fs::read_to_string(&format) {
+        Ok(found) if found.trim_end() == FORMAT => {}
+        Ok(found) => return Err(wrong_format(dir, &found)),
+        Err(fault) if fault.kind() == io::ErrorKind::NotFound => match foreign {
+            Some(entry) => {
+                return Err(StoreError::NotAStore {
+                    dir: dir.to_owned(),
+                    entry,
+                });
+            }
+            None => write_whole(dir, "format", &format!("{FORMAT}\n"))?,
+        },
+        Err(fault) => return Err(StoreError::io("read", &format, fault)),
+    }
+    for folder in [BLOBS, SEGMENTS, LOCKS, QUARANTINE, TMP] {
+        let path = dir.join(folder);
+        fs::create_dir_all(&path).at("make the folder", &path)?;
+    }
+    if !dir.join("CACHEDIR.TAG").exists() {
+        write_whole(dir, "CACHEDIR.TAG", CACHE_TAG)?;
+    }
+    sweep(&dir.join(TMP), TEMPORARY_BLOB)?;
+    sweep(&dir.join(LOCKS), "")
+}
+
+fn wrong_format(dir: &Path, found: &str) -> StoreError {
+    let found = found.trim_end().chars().take(80).collect();
+    StoreError::Format {
+        dir: dir.to_owned(),
+        found,
+        expected: FORMAT.to_owned(),
+    }
+}
+
+/// Something in `dir` that no opening of a store would have put there.
+fn foreign_entry(dir: &Path) -> Result<Option<String>, StoreError> {
+    for entry in fs::read_dir(dir).at("list", dir)? {
+        let name = entry
+            .at("list", dir)?
+            .file_name()
+            .to_string_lossy()
+            .into_owned();
+        if name != "format" && !name.starts_with(HALF_WRITTEN) {
+            return Ok(Some(name));
+        }
+    }
+    Ok(None)
+}
+
+/// Writes a file that is there in full or not at all.
+fn write_whole(dir: &Path, name: &str, text: &str) -> Result<(), StoreError> {
+    let path = dir.join(name);
+    let mut file = tempfile::Builder::new()
+        .prefix(HALF_WRITTEN)
+        .tempfile_in(dir)
+        .at("write into", dir)?;
+    file.write_all(text.as_bytes()).at("write", &path)?;
+    set_mode(file.as_file(), 0o644).at("set the mode of", &path)?;
+    file.as_file().sync_all().at("sync", &path)?;
+    file.persist(&path)
+        .map_err(|fault| fault.error)
+        .at("write", &path)?;
+    Ok(())
+}
+
+/// Sets the permission bits of an open file.
+pub(crate) fn set_mode(file: &fs::File, mode: u32) -> io::Result<()> {
+    file.set_permissions(std::os::unix::fs::PermissionsExt::from_mode(mode))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_store_is_made_once_and_found_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let dir = folder.path().join("a/new/store");
+        prepare(&dir).unwrap();
+        prepare(&dir).unwrap();
+        assert_eq!(
+            fs::read_to_string(dir.join("format")).unwrap(),
+            "rockface store 1\n"
+        );
+        assert!(
+            fs::read_to_string(dir.join("CACHEDIR.TAG"))
+                .unwrap()
+                .starts_with("Signature: 8a477f597d28d172789f0")
+        );
+    }
+
+    #[test]
+    fn another_format_is_refused_with_both_versions() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("format"), "rockface store 99\n").unwrap();
+        let message = prepare(folder.path()).unwrap_err().to_string();
+        assert!(
+            message.contains("`rockface store 99`") && message.contains("`rockface store 1`"),
+            "{message}"
+        );
+        assert!(
+            !folder.path().join(SEGMENTS).exists(),
+            "a refused folder is left alone"
+        );
+    }
+
+    #[test]
+    fn a_folder_of_other_things_is_refused_and_left_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::create_dir(folder.path().join("tmp")).unwrap();
+        fs::write(folder.path().join("tmp/blob-mine"), "mine").unwrap();
+        let message = prepare(folder.path()).unwrap_err().to_string();
+        assert!(message.contains("`tmp`"), "{message}");
+        assert!(folder.path().join("tmp/blob-mine").exists());
+    }
+
+    #[test]
+    fn half_written_blobs_of_the_dead_are_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        prepare(folder.path()).unwrap();
+        let left = folder.path().join("tmp/blob-left");
+        let held = fs::File::create(folder.path().join("tmp/blob-held")).unwrap();
+        held.lock().unwrap();
+        fs::write(&left, "half").unwrap();
+        prepare(folder.path()).unwrap();
+        assert!(!left.exists());
+        assert!(folder.path().join("tmp/blob-held").exists());
+    }
+}

@@ -1,0 +1,189 @@
+//! The record of a finished step: its recipe, what came out, and what it cost.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Digest, Recipe};
+
+/// What is remembered of a finished step under the key of its recipe.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Record {
+    /// What decided the outputs.
+    pub recipe: Recipe,
+    /// What came out of each output port.
+    pub outputs: BTreeMap<String, OutputRecord>,
+    /// The log of the step, a blob.
+    pub log: Option<Digest>,
+    /// What it took.
+    pub cost: Cost,
+}
+
+/// What came out of one output port.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct OutputRecord {
+    /// The kind of artefact, such as `mesh`.
+    pub kind: String,
+    /// The digest of its encoded bytes.
+    pub digest: Digest,
+    /// The number of its encoded bytes.
+    pub bytes: u64,
+    /// Whether the bytes were stored; if not, only their digest is known.
+    pub kept: bool,
+    /// The items of a list artefact, over which a dynamic axis may fan out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub items: Option<Vec<String>>,
+}
+
+/// What a step took.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Cost {
+    /// Elapsed time, seconds.
+    pub wall_s: f64,
+    /// Processor time over all threads, seconds.
+    pub cpu_s: f64,
+    /// Greatest memory in use, bytes.
+    pub peak_bytes: u64,
+    /// When it was finished, seconds since 1970-01-01 UTC.
+    pub finished_unix_s: u64,
+}
+
+/// What a record says apart from its recipe; quicker to read than the whole.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct Outcome {
+    /// What came out of each output port.
+    pub outputs: BTreeMap<String, OutputRecord>,
+    /// The log of the step, a blob.
+    pub log: Option<Digest>,
+    /// What it took.
+    pub cost: Cost,
+}
+
+impl Outcome {
+    /// The blobs promised: every kept output with its size, and the log, whose size is not recorded.
+    pub fn blobs(&self) -> impl Iterator<Item = (Digest, Option<u64>)> {
+        promised(&self.outputs, self.log)
+    }
+
+    /// The outcome in the bytes of a record; `None` when another program wrote them.
+    pub(crate) fn decode(bytes: &[u8]) -> Option<Self> {
+        serde_json::from_slice(split(bytes)?.1).ok()
+    }
+}
+
+/// The part of a record that is not its recipe, as it is written.
+#[derive(Serialize)]
+struct OutcomeRef<'a> {
+    outputs: &'a BTreeMap<String, OutputRecord>,
+    log: &'a Option<Digest>,
+    cost: &'a Cost,
+}
+
+impl Record {
+    /// The blobs this record promises: every kept output with its size, and the log, whose size is not recorded.
+    pub fn blobs(&self) -> impl Iterator<Item = (Digest, Option<u64>)> {
+        promised(&self.outputs, self.log)
+    }
+
+    /// Whether two records of one recipe say the same of everything but the cost.
+    pub fn same_outcome(&self, other: &Record) -> bool {
+        self.outputs == other.outputs && self.log == other.log
+    }
+
+    /// The bytes of a record frame: the length of the recipe's text (u32, little-endian), that text, and the rest as JSON.
+    pub(crate) fn encode(&self, recipe_text: &str) -> serde_json::Result<Vec<u8>> {
+        let mut out = Vec::with_capacity(recipe_text.len() + 512);
+        out.extend((recipe_text.len() as u32).to_le_bytes());
+        out.extend(recipe_text.as_bytes());
+        let outcome = OutcomeRef {
+            outputs: &self.outputs,
+            log: &self.log,
+            cost: &self.cost,
+        };
+        serde_json::to_writer(&mut out, &outcome)?;
+        Ok(out)
+    }
+
+    /// The record these bytes hold; `None` when another program wrote them.
+    pub(crate) fn decode(bytes: &[u8]) -> Option<Record> {
+        let (recipe, outcome) = split(bytes)?;
+        let Outcome { outputs, log, cost } = serde_json::from_slice(outcome).ok()?;
+        let recipe = serde_json::from_slice(recipe).ok()?;
+        Some(Record {
+            recipe,
+            outputs,
+            log,
+            cost,
+        })
+    }
+}
+
+/// The text of the recipe and the rest of a record.
+fn split(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
+    let (length, rest) = bytes.split_first_chunk::<4>()?;
+    rest.split_at_checked(u32::from_le_bytes(*length) as usize)
+}
+
+fn promised(
+    outputs: &BTreeMap<String, OutputRecord>,
+    log: Option<Digest>,
+) -> impl Iterator<Item = (Digest, Option<u64>)> {
+    let kept = outputs.values().filter(|output| output.kept);
+    kept.map(|output| (output.digest, Some(output.bytes)))
+        .chain(log.map(|log| (log, None)))
+}
+
+impl Cost {
+    /// Whether both times are finite numbers; JSON cannot hold others.
+    pub(crate) fn is_finite(&self) -> bool {
+        self.wall_s.is_finite() && self.cpu_s.is_finite()
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::recipe::tests::any_recipe;
+    use proptest::prelude::*;
+
+    fn any_output() -> impl Strategy<Value = OutputRecord> {
+        let items = proptest::option::of(proptest::collection::vec(any::<String>(), 0..3));
+        (
+            any::<String>(),
+            any::<[u8; 32]>(),
+            any::<u64>(),
+            any::<bool>(),
+            items,
+        )
+            .prop_map(|(kind, digest, bytes, kept, items)| OutputRecord {
+                kind,
+                digest: Digest::from_bytes(digest),
+                bytes,
+                kept,
+                items,
+            })
+    }
+
+    prop_compose! {
+        fn any_record()(
+            recipe in any_recipe(), outputs in proptest::collection::btree_map(any::<String>(), any_output(), 0..3),
+            log in proptest::option::of(any::<[u8; 32]>()), wall_s in 0.0..1e6, cpu_s in 0.0..1e6, peak_bytes: u64,
+        ) -> Record {
+            let cost = Cost { wall_s, cpu_s, peak_bytes, finished_unix_s: 1_700_000_000 };
+            Record { recipe, outputs, log: log.map(Digest::from_bytes), cost }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn decoding_gives_back_what_was_encoded(record in any_record()) {
+            let bytes = record.encode(&record.recipe.text()).unwrap();
+            prop_assert_eq!(Record::decode(&bytes).unwrap(), record);
+        }
+
+        #[test]
+        fn no_bytes_make_the_decoder_panic(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
+            let _ = Record::decode(&bytes);
+        }
+    }
+}

@@ -1,0 +1,327 @@
+//! Segments: append-only files of frames, read by everyone and grown by the one process that holds their lock.
+
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{self, Write};
+use std::os::unix::fs::{FileExt, MetadataExt};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use crate::error::{At, StoreError};
+use crate::frame::{HEADER_BYTES, Header, Kind, MAGIC};
+
+/// A segment that has grown beyond this is not continued.
+pub(crate) const FULL_BYTES: u64 = 256 << 20;
+/// Bytes read at a time; small, so that the payloads of blobs are mostly skipped.
+const WINDOW_BYTES: usize = 32 * 1024;
+
+/// A frame found in a segment.
+#[derive(Debug)]
+pub(crate) struct Frame {
+    /// Its header.
+    pub header: Header,
+    /// Where its payload starts in the segment.
+    pub at: u64,
+    /// The payload, except that of a blob, which stays on disk.
+    pub payload: Box<[u8]>,
+}
+
+/// What a segment holds from some offset on.
+#[derive(Debug)]
+pub(crate) struct Scan {
+    /// The whole frames, in order.
+    pub frames: Vec<Frame>,
+    /// Where the last whole frame ends.
+    pub end: u64,
+}
+
+/// The growing end of the one segment this process writes.
+#[derive(Debug)]
+pub(crate) struct Writer {
+    /// The file; its lock lives as long as it.
+    pub file: Arc<File>,
+    /// Its path.
+    pub path: PathBuf,
+    /// Its number in the index.
+    pub segment: u32,
+    /// Where the next frame goes.
+    pub end: u64,
+    /// The end of the last frame that is not a mark.
+    pub appended: u64,
+    /// Everything before is known to be on disk.
+    pub durable: u64,
+}
+
+impl Writer {
+    /// Appends one frame and returns where its payload starts.
+    ///
+    /// After an error the end of the file is not known: drop the writer, and whoever claims the segment next cuts the torn tail.
+    pub(crate) fn append(&mut self, header: &Header, payload: &[u8]) -> Result<u64, StoreError> {
+        (&*self.file)
+            .write_all(&header.encode(payload))
+            .at("append to", &self.path)?;
+        let at = self.end + HEADER_BYTES as u64;
+        self.end += header.frame_bytes();
+        if header.kind != Kind::Mark {
+            self.appended = self.end;
+        }
+        Ok(at)
+    }
+}
+
+/// Opens a segment for appending if no live process writes it.
+pub(crate) fn claim(path: &Path) -> Result<Option<File>, StoreError> {
+    let file = OpenOptions::new()
+        .read(true)
+        .append(true)
+        .create(true)
+        .open(path)
+        .at("open", path)?;
+    match file.try_lock() {
+        Ok(()) => Ok(is_at(&file, path).then_some(file)),
+        Err(TryLockError::WouldBlock) => Ok(None),
+        Err(TryLockError::Error(fault)) => Err(StoreError::io("lock", path, fault)),
+    }
+}
+
+/// Whether `path` still leads to this very file.
+pub(crate) fn is_at(file: &File, path: &Path) -> bool {
+    let identity = |meta: std::fs::Metadata| (meta.dev(), meta.ino());
+    match (file.metadata(), std::fs::metadata(path)) {
+        (Ok(held), Ok(named)) => identity(held) == identity(named),
+        _ => false,
+    }
+}
+
+/// Reads the frames from `from` to the end the file has now.
+///
+/// Frames before the last mark were synced, so their payloads are not verified here but when they are used; later ones
+/// are verified now, since a power cut may have torn them. What is damaged is stepped over, at worst to the next header.
+pub(crate) fn scan(file: &File, from: u64) -> io::Result<Scan> {
+    let mut window = Window {
+        file,
+        size: file.metadata()?.len(),
+        start: 0,
+        bytes: Vec::new(),
+    };
+    let mut frames = Vec::new();
+    let mut durable = from;
+    let mut next = window.find_header(from)?;
+    while let Some((start, header)) = next {
+        let at = start + HEADER_BYTES as u64;
+        let length = if header.kind == Kind::Blob {
+            0
+        } else {
+            header.length as usize
+        };
+        let payload = window.read(at, length)?.into();
+        if header.kind == Kind::Mark {
+            durable = durable.max(header.stamp);
+        }
+        frames.push(Frame {
+            header,
+            at,
+            payload,
+        });
+        next = window.find_header(start + header.frame_bytes())?;
+    }
+    let mut whole = Vec::with_capacity(frames.len());
+    for frame in frames {
+        if frame.at < durable || window.is_whole(&frame)? {
+            whole.push(frame);
+        }
+    }
+    let end = whole
+        .last()
+        .map_or(from, |frame| frame.at + u64::from(frame.header.length));
+    Ok(Scan { frames: whole, end })
+}
+
+/// A reader of a file by offset that remembers the stretch it read last.
+struct Window<'a> {
+    file: &'a File,
+    size: u64,
+    start: u64,
+    bytes: Vec<u8>,
+}
+
+impl Window<'_> {
+    /// `length` bytes at `at`, fewer where the file ends.
+    fn read(&mut self, at: u64, length: usize) -> io::Result<&[u8]> {
+        let length = length.min(self.size.saturating_sub(at) as usize);
+        let inside = at >= self.start && at + length as u64 <= self.start + self.bytes.len() as u64;
+        if !inside {
+            self.fill(at, length.max(WINDOW_BYTES))?;
+        }
+        let offset = (at - self.start) as usize;
+        Ok(&self.bytes[offset..(offset + length).min(self.bytes.len())])
+    }
+
+    fn fill(&mut self, at: u64, length: usize) -> io::Result<()> {
+        self.bytes
+            .resize(length.min(self.size.saturating_sub(at) as usize), 0);
+        self.start = at;
+        let mut filled = 0;
+        while filled < self.bytes.len() {
+            match self
+                .file
+                .read_at(&mut self.bytes[filled..], at + filled as u64)
+            {
+                Ok(0) => break,
+                Ok(count) => filled += count,
+                Err(fault) if fault.kind() == io::ErrorKind::Interrupted => {}
+                Err(fault) => return Err(fault),
+            }
+        }
+        self.bytes.truncate(filled);
+        Ok(())
+    }
+
+    /// The first header at or after `at` whose frame is inside the file; past damage, that may be far.
+    fn find_header(&mut self, mut at: u64) -> io::Result<Option<(u64, Header)>> {
+        while at + HEADER_BYTES as u64 <= self.size {
+            let size = self.size;
+            let bytes = self.read(at, HEADER_BYTES)?;
+            if let Some(header) =
+                Header::decode(bytes).filter(|header| at + header.frame_bytes() <= size)
+            {
+                return Ok(Some((at, header)));
+            }
+            at = self.find_magic(at + 1)?;
+        }
+        Ok(None)
+    }
+
+    /// The offset of the next magic at or after `at`, or the end of the file.
+    fn find_magic(&mut self, mut at: u64) -> io::Result<u64> {
+        while at + MAGIC.len() as u64 <= self.size {
+            let bytes = self.read(at, WINDOW_BYTES)?;
+            if let Some(offset) = bytes.windows(MAGIC.len()).position(|four| four == MAGIC) {
+                return Ok(at + offset as u64);
+            }
+            at += bytes.len().saturating_sub(MAGIC.len() - 1).max(1) as u64;
+        }
+        Ok(self.size)
+    }
+
+    fn is_whole(&mut self, frame: &Frame) -> io::Result<bool> {
+        if frame.header.kind != Kind::Blob {
+            return Ok(frame.header.fits(&frame.payload));
+        }
+        let payload = self.read(frame.at, frame.header.length as usize)?;
+        Ok(frame.header.fits(payload))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Digest;
+
+    /// A file with three records and a blob, and the offset at which each frame ends.
+    fn sample(marked: bool) -> (tempfile::NamedTempFile, Vec<u64>) {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let mut bytes = Vec::new();
+        let mut ends = Vec::new();
+        for (number, kind) in [Kind::Record, Kind::Blob, Kind::Note, Kind::File]
+            .into_iter()
+            .enumerate()
+        {
+            let payload = vec![number as u8; 10 + 60 * number];
+            bytes.extend(
+                Header::of(kind, Digest::of(&payload), number as u64, &payload).encode(&payload),
+            );
+            ends.push(bytes.len() as u64);
+        }
+        if marked {
+            let header = Header::of(Kind::Mark, Digest::of(b""), bytes.len() as u64, b"");
+            bytes.extend(header.encode(b""));
+        }
+        file.as_file().write_all_at(&bytes, 0).unwrap();
+        (file, ends)
+    }
+
+    #[test]
+    fn a_tail_torn_at_any_byte_keeps_every_earlier_frame() {
+        let (file, ends) = sample(false);
+        for size in (0..=*ends.last().unwrap()).rev() {
+            file.as_file().set_len(size).unwrap();
+            let found = scan(file.as_file(), 0).unwrap();
+            let expected: Vec<u64> = ends.iter().copied().filter(|end| *end <= size).collect();
+            assert_eq!(found.frames.len(), expected.len(), "torn at {size}");
+            assert_eq!(
+                found.end,
+                expected.last().copied().unwrap_or(0),
+                "torn at {size}"
+            );
+        }
+    }
+
+    #[test]
+    fn damage_anywhere_costs_no_more_than_its_own_frame() {
+        let (file, ends) = sample(false);
+        let size = *ends.last().unwrap();
+        for at in 0..size {
+            let mut byte = [0];
+            file.as_file().read_exact_at(&mut byte, at).unwrap();
+            file.as_file().write_all_at(&[byte[0] ^ 0x55], at).unwrap();
+            assert_eq!(
+                scan(file.as_file(), 0).unwrap().frames.len(),
+                ends.len() - 1,
+                "damaged at {at}"
+            );
+            file.as_file().write_all_at(&byte, at).unwrap();
+        }
+    }
+
+    #[test]
+    fn before_a_mark_payloads_are_left_for_later() {
+        let (file, ends) = sample(true);
+        file.as_file().write_all_at(b"!", ends[1] - 1).unwrap();
+        assert_eq!(
+            scan(file.as_file(), 0).unwrap().frames.len(),
+            ends.len() + 1
+        );
+    }
+
+    #[test]
+    fn a_scan_may_start_where_the_last_one_ended() {
+        let (file, ends) = sample(false);
+        let rest = scan(file.as_file(), ends[1]).unwrap();
+        assert_eq!(rest.frames.len(), 2);
+        assert_eq!(scan(file.as_file(), rest.end).unwrap().frames.len(), 0);
+    }
+
+    #[test]
+    fn a_segment_is_written_by_one_at_a_time() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.seg");
+        let first = claim(&path).unwrap();
+        assert!(first.is_some());
+        assert!(claim(&path).unwrap().is_none());
+        drop(first);
+        assert!(claim(&path).unwrap().is_some());
+    }
+
+    #[test]
+    fn a_full_disk_is_reported_by_the_writer() {
+        let path = Path::new("/dev/full");
+        let Ok(file) = OpenOptions::new().append(true).open(path) else {
+            println!("skipped: this system has no /dev/full");
+            return;
+        };
+        let file = Arc::new(file);
+        let mut writer = Writer {
+            file,
+            path: path.into(),
+            segment: 0,
+            end: 0,
+            appended: 0,
+            durable: 0,
+        };
+        let fault = writer
+            .append(&Header::of(Kind::Note, Digest::of(b""), 1, b"x"), b"x")
+            .unwrap_err();
+        assert!(matches!(fault, StoreError::DiskFull { .. }), "{fault}");
+        assert_eq!((writer.end, writer.appended), (0, 0));
+    }
+}

@@ -1,0 +1,326 @@
+//! The store: blobs by digest, records by the key of their recipe.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use serde_json::Value;
+
+use crate::blobs::Blobs;
+use crate::error::{At, StoreError};
+use crate::frame::Kind;
+use crate::index::Place;
+use crate::journal::Journal;
+use crate::locks::{self, KeyLock};
+use crate::open::{self, LOCKS, QUARANTINE, SEGMENTS};
+use crate::syncer::Syncer;
+use crate::{Digest, Outcome, Record};
+
+/// Blobs of this size and more have a file of their own.
+const LARGE_BYTES: usize = 64 * 1024;
+
+/// A store, opened once a process and shared by reference.
+///
+/// What is put or committed survives the end of the process in any way at once, and a power cut after a second at most.
+///
+/// ```
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use rockface_cache::Store;
+///
+/// let folder = tempfile::tempdir()?;
+/// let store = Store::open(&folder.path().join("store"))?;
+/// let digest = store.put(b"ten cubic metres")?;
+/// assert_eq!(store.get(&digest)?, b"ten cubic metres");
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Debug)]
+pub struct Store {
+    root: PathBuf,
+    blobs: Blobs,
+    journal: Arc<Journal>,
+    syncer: Syncer,
+    files_hashed: AtomicU64,
+}
+
+/// What is in a store.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
+pub struct StoreStat {
+    /// Blobs inside segments.
+    pub small_blobs: u64,
+    /// Their bytes.
+    pub small_blob_bytes: u64,
+    /// Blobs with a file of their own.
+    pub large_blobs: u64,
+    /// Their bytes.
+    pub large_blob_bytes: u64,
+    /// Keys that have a record.
+    pub records: u64,
+    /// Notes on former runs.
+    pub notes: u64,
+    /// Segment files.
+    pub segments: u64,
+    /// Their bytes.
+    pub segment_bytes: u64,
+    /// Damaged blobs set aside.
+    pub quarantined: u64,
+    /// How often this handle had to read a file outside the store to know its digest.
+    pub files_hashed: u64,
+}
+
+impl Store {
+    /// Opens the store at `dir`, making it if there is none. Refuses another format and a folder of other things.
+    pub fn open(dir: &Path) -> Result<Self, StoreError> {
+        open::prepare(dir)?;
+        // Made absolute, so that the store stays where it is when the process changes its folder.
+        let root = std::path::absolute(dir).at("find", dir)?;
+        let journal = Arc::new(Journal::open(&root.join(SEGMENTS))?);
+        Ok(Self {
+            blobs: Blobs::new(&root),
+            syncer: Syncer::new(Arc::clone(&journal)),
+            journal,
+            root,
+            files_hashed: AtomicU64::new(0),
+        })
+    }
+
+    /// The folder of the store, absolute.
+    pub fn dir(&self) -> &Path {
+        &self.root
+    }
+
+    /// Stores these bytes, unless they are there already, and returns their digest.
+    pub fn put(&self, bytes: &[u8]) -> Result<Digest, StoreError> {
+        let digest = Digest::of(bytes);
+        if self.contains(&digest) {
+            return Ok(digest);
+        }
+        if bytes.len() < LARGE_BYTES {
+            self.append(Kind::Blob, digest, bytes)?;
+            return Ok(digest);
+        }
+        self.blobs.put(&digest, bytes)?;
+        let path = self.blobs.path(&digest);
+        path.ancestors()
+            .skip(1)
+            .take(2)
+            .for_each(|folder| self.journal.owe(folder));
+        self.syncer.wake()?;
+        Ok(digest)
+    }
+
+    /// Whether a blob is there.
+    pub fn contains(&self, digest: &Digest) -> bool {
+        self.size(digest).is_some()
+    }
+
+    /// The size of a blob, if it is there. A large one that was written to by others is verified first.
+    pub fn size(&self, digest: &Digest) -> Option<u64> {
+        match self.place(digest) {
+            Some(place) => Some(u64::from(place.length)),
+            None => self.blobs.check(digest).ok(),
+        }
+    }
+
+    /// The bytes of a blob, verified. A damaged one is set aside, is not there any more, and can be put anew.
+    pub fn get(&self, digest: &Digest) -> Result<Vec<u8>, StoreError> {
+        let Some(place) = self.place(digest) else {
+            return self.blobs.get(digest);
+        };
+        let bytes = self.journal.read(place)?;
+        if Digest::of(&bytes) == *digest {
+            return Ok(bytes);
+        }
+        let moved_to = self.blobs.quarantine_path(digest);
+        std::fs::write(&moved_to, &bytes).at("set aside a damaged blob as", &moved_to)?;
+        self.journal.forget(digest, place);
+        Err(StoreError::Damaged {
+            digest: *digest,
+            moved_to,
+        })
+    }
+
+    /// The latest record under this key. Those of other live processes are seen after [`Store::refresh`].
+    pub fn record(&self, key: &Digest) -> Option<Record> {
+        self.journal
+            .with_index(|index| Record::decode(index.payload(Kind::Record, key)?))
+    }
+
+    /// The latest record under this key, if every blob it names is there.
+    pub fn is_hit(&self, key: &Digest) -> Option<Record> {
+        self.record(key)
+            .filter(|record| self.has_all(record.blobs()))
+    }
+
+    /// [`Store::is_hit`] without reading the recipe, which the caller has just hashed: what planning needs.
+    pub fn hit_outcome(&self, key: &Digest) -> Option<Outcome> {
+        let outcome = self
+            .journal
+            .with_index(|index| Outcome::decode(index.payload(Kind::Record, key)?));
+        outcome.filter(|outcome| self.has_all(outcome.blobs()))
+    }
+
+    fn has_all(&self, mut blobs: impl Iterator<Item = (Digest, Option<u64>)>) -> bool {
+        blobs.all(|(digest, bytes)| self.has(&digest, bytes))
+    }
+
+    /// Remembers a finished step and returns its key. All blobs it names must have been put before.
+    ///
+    /// A record that says the same of all but the cost as the one that is there is not written again; one that says
+    /// otherwise supersedes it.
+    pub fn commit(&self, record: &Record) -> Result<Digest, StoreError> {
+        let text = record.recipe.text();
+        let key = Digest::of(text.as_bytes());
+        self.check(record)?;
+        if self
+            .record(&key)
+            .is_some_and(|first| first.same_outcome(record))
+        {
+            return Ok(key);
+        }
+        let payload = record
+            .encode(&text)
+            .map_err(|fault| bad_record(record, fault.to_string()))?;
+        self.append(Kind::Record, key, &payload)?;
+        Ok(key)
+    }
+
+    /// Refuses a record that could never be a hit or could not be read back.
+    fn check(&self, record: &Record) -> Result<(), StoreError> {
+        if !record.cost.is_finite() {
+            return Err(bad_record(
+                record,
+                "its cost is not a finite number of seconds".to_owned(),
+            ));
+        }
+        match record
+            .blobs()
+            .find(|(digest, bytes)| !self.has(digest, *bytes))
+        {
+            Some((digest, _)) => {
+                let reason = format!(
+                    "blob {} of it is not in the store with that size: put it first",
+                    digest.short()
+                );
+                Err(bad_record(record, reason))
+            }
+            None => Ok(()),
+        }
+    }
+
+    fn has(&self, digest: &Digest, bytes: Option<u64>) -> bool {
+        self.size(digest)
+            .is_some_and(|size| bytes.is_none_or(|bytes| bytes == size))
+    }
+
+    /// Takes the right to compute `key`, calling `on_wait` once before waiting if another holds it, here or in another
+    /// process; so a thread must not ask again for a key it holds. After a wait, [`Store::refresh`] and look again: the
+    /// other has probably done the work.
+    pub fn lock(&self, key: &Digest, on_wait: impl FnOnce()) -> Result<KeyLock, StoreError> {
+        locks::lock(&self.root.join(LOCKS), key, on_wait)
+    }
+
+    /// Takes the right to compute `key` unless another holds it.
+    pub fn try_lock(&self, key: &Digest) -> Result<Option<KeyLock>, StoreError> {
+        locks::try_lock(&self.root.join(LOCKS), key)
+    }
+
+    /// Picks up what other processes have stored meanwhile.
+    pub fn refresh(&self) -> Result<(), StoreError> {
+        self.journal.refresh()
+    }
+
+    /// Makes everything stored so far durable now. Happens by itself within a second, and when the store is dropped.
+    pub fn sync(&self) -> Result<(), StoreError> {
+        self.journal.sync()
+    }
+
+    /// Keeps a note on a run under the key of its plan; a later note replaces it.
+    pub fn remember_run(&self, plan_key: &Digest, json: &Value) -> Result<(), StoreError> {
+        self.append(Kind::Note, *plan_key, json.to_string().as_bytes())
+    }
+
+    /// The latest note under the key of this plan.
+    pub fn recalled_run(&self, plan_key: &Digest) -> Option<Value> {
+        self.journal
+            .with_index(|index| serde_json::from_slice(index.payload(Kind::Note, plan_key)?).ok())
+    }
+
+    /// The keys of all records, sorted.
+    pub fn keys(&self) -> Vec<Digest> {
+        self.journal.with_index(crate::index::Index::keys)
+    }
+
+    /// Counts what is in the store.
+    pub fn stat(&self) -> Result<StoreStat, StoreError> {
+        let (small_blobs, small_blob_bytes, records, notes) =
+            self.journal.with_index(crate::index::Index::counts);
+        let (large_blobs, large_blob_bytes) = self.blobs.count()?;
+        let (segments, segment_bytes) = count_files(&self.root.join(SEGMENTS))?;
+        let (quarantined, _) = count_files(&self.root.join(QUARANTINE))?;
+        let files_hashed = self.files_hashed.load(Ordering::Relaxed);
+        Ok(StoreStat {
+            small_blobs,
+            small_blob_bytes,
+            large_blobs,
+            large_blob_bytes,
+            records,
+            notes,
+            segments,
+            segment_bytes,
+            quarantined,
+            files_hashed,
+        })
+    }
+
+    /// Appends to the journal and sees to its being synced.
+    pub(crate) fn append(
+        &self,
+        kind: Kind,
+        name: Digest,
+        payload: &[u8],
+    ) -> Result<(), StoreError> {
+        self.journal.append(kind, name, payload)?;
+        self.syncer.wake()
+    }
+
+    pub(crate) fn journal(&self) -> &Journal {
+        &self.journal
+    }
+
+    pub(crate) fn blobs(&self) -> &Blobs {
+        &self.blobs
+    }
+
+    pub(crate) fn is_small(&self, digest: &Digest) -> bool {
+        self.place(digest).is_some()
+    }
+
+    pub(crate) fn count_hashed(&self) {
+        self.files_hashed.fetch_add(1, Ordering::Relaxed);
+    }
+
+    fn place(&self, digest: &Digest) -> Option<Place> {
+        self.journal.with_index(|index| index.blob(digest))
+    }
+}
+
+fn bad_record(record: &Record, reason: String) -> StoreError {
+    StoreError::BadRecord {
+        stage: record.recipe.stage.clone(),
+        reason,
+    }
+}
+
+/// The number of files in a folder, and their bytes.
+fn count_files(folder: &Path) -> Result<(u64, u64), StoreError> {
+    let (mut count, mut bytes) = (0, 0);
+    for entry in std::fs::read_dir(folder).at("list", folder)? {
+        bytes += entry
+            .and_then(|entry| entry.metadata())
+            .at("list", folder)?
+            .len();
+        count += 1;
+    }
+    Ok((count, bytes))
+}
