@@ -1,5 +1,8 @@
 //! The engine of rockface: it reads pipelines, plans them, runs them and remembers. It knows no rock.
 
+pub mod build;
 pub mod diagnostic;
 pub mod pipeline;
 pub mod plan;
+pub mod run;
+pub mod watch;

@@ -94,7 +94,9 @@ impl Plan {
             let input = match given.as_slice() {
                 [one] if !many => RecipeInput::One(digest(one.instance, one.port)),
                 list => RecipeInput::Many(
-                    list.iter().map(|g| Gathered { point: g.point.clone(), digest: digest(g.instance, g.port) }).collect(),
+                    list.iter()
+                        .map(|g| Gathered { point: g.point.clone(), digest: digest(g.instance, g.port) })
+                        .collect(),
                 ),
             };
             ((*port).to_owned(), input)
@@ -153,7 +155,8 @@ fn elements(graph: &Graph, step: &GraphStep, items: &[usize], feed: &Feed) -> Ve
         Feed::Plain(source) => vec![element(source, &[])],
         Feed::By { axis, cases } => vec![element(&cases[own[axis]], &[])],
         Feed::Each { source, over } => {
-            let extra = points(graph, over).into_iter().map(|items| over.iter().copied().zip(items).collect::<Vec<_>>());
+            let extra =
+                points(graph, over).into_iter().map(|items| over.iter().copied().zip(items).collect::<Vec<_>>());
             extra.map(|extra| element(source, &extra)).collect()
         }
     }
@@ -201,9 +204,10 @@ impl<'a> Expansion<'a> {
             for items in &needed[index] {
                 let Some(params) = self.params(index, step, items) else { continue };
                 let feeds = step.inputs.iter().map(|(port, feed)| {
-                    let given = elements(graph, step, items, feed).into_iter().filter_map(|(producer, items, port, point)| {
-                        numbers[producer].get(&items).map(|instance| Given { instance: *instance, port, point })
-                    });
+                    let given =
+                        elements(graph, step, items, feed).into_iter().filter_map(|(producer, items, port, point)| {
+                            numbers[producer].get(&items).map(|instance| Given { instance: *instance, port, point })
+                        });
                     (port.name, given.collect::<Vec<_>>())
                 });
                 let inputs: Vec<_> = feeds.collect();

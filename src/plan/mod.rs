@@ -18,6 +18,7 @@ use crate::pipeline::Pipeline;
 /// Resolves and expands a pipeline; input files are hashed through the store, which remembers what did not change.
 pub fn plan(pipeline: &Pipeline, targets: &[String], store: &Store) -> Result<Plan, Diagnostics> {
     let graph = resolve(pipeline, targets)?;
-    let hash = |path: &std::path::Path| store.hash_file(path).map(|file| file.digest).map_err(|error| error.to_string());
+    let hash =
+        |path: &std::path::Path| store.hash_file(path).map(|file| file.digest).map_err(|error| error.to_string());
     Plan::new(graph, &hash).map_err(|(_, list)| Diagnostics { sources: pipeline.sources.clone(), list })
 }

@@ -48,7 +48,11 @@ pub fn check(graph: &Graph, step: &GraphStep, items: &BTreeMap<usize, usize>) ->
     let checked = step.stage.check(&with).map_err(|faults| {
         let diagnostics = faults.into_iter().map(|fault| {
             let at = step.with.as_ref().map_or(step.span, |with| with.locate(&fault.path, fault.at_key));
-            let about = if fault.path.is_empty() || fault.at_key { String::new() } else { format!("`{}`: ", fault.path.join(".")) };
+            let about = if fault.path.is_empty() || fault.at_key {
+                String::new()
+            } else {
+                format!("`{}`: ", fault.path.join("."))
+            };
             let message = format!("step `{}` ({}): {about}{}", step.name, step.stage.name(), fault.message);
             let written = fault.path.last().map_or_else(String::new, Clone::clone);
             let given = if fault.at_key { written } else { value_at(&with, &fault.path) };
@@ -56,7 +60,12 @@ pub fn check(graph: &Graph, step: &GraphStep, items: &BTreeMap<usize, usize>) ->
         });
         diagnostics.collect::<Vec<_>>()
     })?;
-    Ok(StepParams { recipe: checked.canonical.clone(), canonical: checked.canonical, draws: checked.draws, files: BTreeMap::new() })
+    Ok(StepParams {
+        recipe: checked.canonical.clone(),
+        canonical: checked.canonical,
+        draws: checked.draws,
+        files: BTreeMap::new(),
+    })
 }
 
 /// Finds and hashes every file the parameters name, and puts the digests into the recipe's parameters.
@@ -99,9 +108,11 @@ impl Finder<'_> {
                 let files = self.find(written, false);
                 files.first().map_or(Value::Null, |file| json!({ "blake3": file.digest }))
             }
-            (Kind::Files, Value::String(written)) => {
-                self.find(written, true).iter().map(|file| json!({ "name": file.name, "blake3": file.digest })).collect()
-            }
+            (Kind::Files, Value::String(written)) => self
+                .find(written, true)
+                .iter()
+                .map(|file| json!({ "name": file.name, "blake3": file.digest }))
+                .collect(),
             _ => value.clone(),
         }
     }
@@ -109,7 +120,8 @@ impl Finder<'_> {
     fn find(&mut self, written: &str, many: bool) -> Vec<InputFile> {
         let path = self.graph.folder.join(written);
         let listed = if many { list_files(&path) } else { one_file(&path) };
-        let hashed = listed.and_then(|paths| paths.into_iter().map(|path| self.hashed(path)).collect::<Result<Vec<_>, _>>());
+        let hashed =
+            listed.and_then(|paths| paths.into_iter().map(|path| self.hashed(path)).collect::<Result<Vec<_>, _>>());
         match hashed {
             Ok(files) => {
                 self.files.insert(written.to_owned(), files.clone());
@@ -135,10 +147,15 @@ fn missing(span: Span, message: &str, written: &str, path: &Path) -> Diagnostic 
     let beside = path.parent().map(std::fs::read_dir);
     let names: Vec<String> = match beside {
         Some(Ok(entries)) => entries.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned()).collect(),
-        _ => return Diagnostic::at(span, message).hint("paths are relative to the folder of the pipeline file; the folder of this one does not exist"),
+        _ => {
+            return Diagnostic::at(span, message)
+                .hint("paths are relative to the folder of the pipeline file; the folder of this one does not exist");
+        }
     };
     match crate::diagnostic::nearest(&name, &names.iter().map(String::as_str).collect::<Vec<_>>()) {
-        Some(near) => Diagnostic::at(span, message).hint(format!("there is a `{near}` in that folder; did you mean it?")),
+        Some(near) => {
+            Diagnostic::at(span, message).hint(format!("there is a `{near}` in that folder; did you mean it?"))
+        }
         None => Diagnostic::at(span, message).hint("paths are relative to the folder of the pipeline file"),
     }
 }

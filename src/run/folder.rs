@@ -1,0 +1,246 @@
+//! The folder of a run: manifest, log, and outputs under names people can read.
+
+use std::collections::BTreeMap;
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+use rockface_cache::{Digest, Outcome, Store};
+use rockface_stages::Entry;
+use rockface_stages::artefact::{Artefact, Kind};
+use serde_json::{Value, json};
+
+use super::{RunError, Summary};
+use crate::pipeline::Overrides;
+use crate::plan::Plan;
+use crate::watch::{LoggedStep, write_log};
+
+/// Where a run is told of.
+#[derive(Debug, Clone)]
+pub struct RunFolder<'a> {
+    /// The folder that holds all runs.
+    pub runs: &'a Path,
+    /// The pipeline file as it was given.
+    pub pipeline_path: &'a Path,
+    /// Its text.
+    pub pipeline_text: &'a str,
+    /// What was changed from outside.
+    pub overrides: &'a Overrides,
+    /// Steps at once.
+    pub jobs: usize,
+}
+
+/// A run that was told of.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Finished {
+    /// The run folder.
+    pub folder: PathBuf,
+    /// The results in a line each.
+    pub headlines: Vec<String>,
+    /// The files of the target steps, relative to the run folder.
+    pub files: Vec<PathBuf>,
+}
+
+/// Tells of a run. One in which nothing was executed is told by its former folder, if that is still there.
+pub fn finish(plan: &Plan, summary: &Summary, store: &Store, about: &RunFolder) -> Result<Finished, RunError> {
+    let key = plan_key(plan, summary, about.runs);
+    if summary.executed() == 0 && !summary.failed {
+        let former = store.recalled_run(&key).and_then(|note| serde_json::from_value::<Finished>(note).ok());
+        if let Some(former) = former.filter(|former| former.folder.join("run.json").is_file()) {
+            point_latest(about.runs, &former.folder)?;
+            return Ok(former);
+        }
+    }
+    let finished = Writer { plan, summary, store, about }.write(&key)?;
+    if !summary.failed {
+        store.remember_run(&key, &json!(finished))?;
+        store.sync()?;
+    }
+    Ok(finished)
+}
+
+/// The same for two runs of the same targets with the same recipes, told of in the same place.
+fn plan_key(plan: &Plan, summary: &Summary, runs: &Path) -> Digest {
+    let mut text = format!("{}\n{}\n", plan.graph.name, runs.display());
+    for (instance, result) in summary.instances.iter().enumerate() {
+        let key = result.key.map_or_else(|| "unknown".to_owned(), |key| key.to_string());
+        text.push_str(&format!("{} {key}\n", plan.label(instance)));
+    }
+    Digest::of(text.as_bytes())
+}
+
+struct Writer<'a> {
+    plan: &'a Plan,
+    summary: &'a Summary,
+    store: &'a Store,
+    about: &'a RunFolder<'a>,
+}
+
+impl Writer<'_> {
+    fn write(&self, key: &Digest) -> Result<Finished, RunError> {
+        let folder = self.make_folder(key)?;
+        let mut files = Vec::new();
+        for (instance, result) in self.summary.instances.iter().enumerate() {
+            if let Some(outcome) = &result.outcome {
+                let made = self.outputs(&folder, instance, outcome)?;
+                if self.plan.targets.contains(&instance) {
+                    files.extend(made);
+                }
+            }
+        }
+        let logs: Vec<Vec<Entry>> =
+            self.summary.instances.iter().map(|result| self.entries(result.outcome.as_ref())).collect();
+        let headlines = self.headlines(&logs);
+        self.write_file(&folder.join("run.mcap"), &self.log(&logs)?)?;
+        let manifest = self.manifest(&headlines);
+        let text = serde_json::to_string_pretty(&manifest).unwrap_or_default();
+        self.write_file(&folder.join("run.json"), format!("{text}\n").as_bytes())?;
+        point_latest(self.about.runs, &folder)?;
+        Ok(Finished { folder, headlines, files })
+    }
+
+    fn make_folder(&self, key: &Digest) -> Result<PathBuf, RunError> {
+        let time = humantime::format_rfc3339_seconds(SystemTime::now()).to_string().replace(':', "");
+        let name = format!("{time}-{}-{}", self.plan.graph.name, &key.short()[..8]);
+        for attempt in 0..1000 {
+            let suffix = if attempt == 0 { String::new() } else { format!("-{attempt}") };
+            let folder = self.about.runs.join(format!("{name}{suffix}"));
+            std::fs::create_dir_all(self.about.runs).map_err(failed(self.about.runs))?;
+            match std::fs::create_dir(&folder) {
+                Ok(()) => return std::path::absolute(&folder).map_err(failed(&folder)),
+                Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {}
+                Err(error) => return Err(failed(&folder)(error)),
+            }
+        }
+        Err(failed(&self.about.runs.join(name))(std::io::ErrorKind::AlreadyExists.into()))
+    }
+
+    /// Links the kept outputs of an instance and writes their further files; returns the paths relative to the folder.
+    fn outputs(&self, folder: &Path, instance: usize, outcome: &Outcome) -> Result<Vec<PathBuf>, RunError> {
+        let step = self.plan.step(instance);
+        let mut place = Path::new("outputs").join(&step.name);
+        if !step.axes.is_empty() {
+            place.push(self.plan.point_text(instance));
+        }
+        let mut made = Vec::new();
+        for (port, output) in &outcome.outputs {
+            let Ok(kind) = output.kind.parse::<Kind>() else { continue };
+            if !output.kept || !self.store.contains(&output.digest) {
+                continue;
+            }
+            std::fs::create_dir_all(folder.join(&place)).map_err(failed(&folder.join(&place)))?;
+            let path = place.join(format!("{port}.{}", kind.extension()));
+            self.store.materialise(&output.digest, &folder.join(&path))?;
+            made.push(path);
+            if kind == Kind::Table {
+                let bytes = self.store.get(&output.digest)?;
+                for export in Artefact::decode(kind, &bytes).map(|value| value.exports()).unwrap_or_default() {
+                    let path = place.join(format!("{port}.{}", export.extension));
+                    self.write_file(&folder.join(&path), &export.bytes)?;
+                    made.push(path);
+                }
+            }
+        }
+        Ok(made)
+    }
+
+    fn entries(&self, outcome: Option<&Outcome>) -> Vec<Entry> {
+        let log = outcome.and_then(|outcome| outcome.log).and_then(|digest| self.store.get(&digest).ok());
+        log.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default()
+    }
+
+    fn headlines(&self, logs: &[Vec<Entry>]) -> Vec<String> {
+        let entries =
+            logs.iter().enumerate().flat_map(|(instance, entries)| entries.iter().map(move |entry| (instance, entry)));
+        let headline = |(instance, entry): (usize, &Entry)| match entry {
+            Entry::Headline { text } => Some(format!("{}: {text}", self.plan.label(instance))),
+            _ => None,
+        };
+        entries.filter_map(headline).collect()
+    }
+
+    fn log(&self, logs: &[Vec<Entry>]) -> Result<Vec<u8>, RunError> {
+        let steps: Vec<LoggedStep> = self
+            .summary
+            .instances
+            .iter()
+            .zip(logs)
+            .enumerate()
+            .filter_map(|(instance, (result, entries))| {
+                let outcome = result.outcome.as_ref()?;
+                let step = self.plan.step(instance);
+                let message = json!({
+                    "step": step.name, "point": self.plan.point(instance), "stage": step.stage.name(),
+                    "version": step.stage.version(), "key": result.key, "outputs": outcome.outputs, "entries": entries,
+                });
+                let recipe = result.recipe.as_ref().map(rockface_cache::Recipe::text).unwrap_or_default();
+                Some(LoggedStep { step: step.name.clone(), message, recipe })
+            })
+            .collect();
+        let about = BTreeMap::from([
+            ("rockface".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
+            ("pipeline".to_owned(), self.about.pipeline_text.to_owned()),
+            ("overrides".to_owned(), json!(self.about.overrides.set).to_string()),
+            ("seed".to_owned(), self.plan.graph.seed.to_string()),
+        ]);
+        let log = write_log(Cursor::new(Vec::new()), &about, &steps);
+        log.map(Cursor::into_inner).map_err(|error| failed(Path::new("run.mcap"))(std::io::Error::other(error)))
+    }
+
+    fn manifest(&self, headlines: &[String]) -> Value {
+        let steps = self.summary.instances.iter().enumerate().map(|(instance, result)| {
+            let step = self.plan.step(instance);
+            json!({
+                "step": step.name, "point": self.plan.point(instance), "stage": step.stage.name(), "version": step.stage.version(),
+                "status": if result.executed { "executed" } else if result.outcome.is_some() { "cached" } else { "failed or not reached" },
+                "key": result.key, "outputs": result.outcome.as_ref().map(|o| &o.outputs), "cost": result.outcome.as_ref().map(|o| o.cost),
+                "parameters": self.plan.instances[instance].params.recipe,
+            })
+        });
+        json!({
+            "format": 1,
+            "pipeline": {"name": self.plan.graph.name, "path": self.about.pipeline_path, "text": self.about.pipeline_text},
+            "overrides": {"set": self.about.overrides.set, "seed": self.about.overrides.seed},
+            "seed": self.plan.graph.seed,
+            "finished": humantime::format_rfc3339_seconds(SystemTime::now()).to_string(),
+            "wall_s": self.summary.wall_s,
+            "jobs": self.about.jobs,
+            "status": if self.summary.failed { "failed" } else { "done" },
+            "program": crate::build::program(),
+            "headlines": headlines,
+            "steps": steps.collect::<Vec<_>>(),
+        })
+    }
+
+    /// Writes a whole file or none.
+    fn write_file(&self, path: &Path, bytes: &[u8]) -> Result<(), RunError> {
+        let folder = path.parent().unwrap_or(Path::new("."));
+        let write = || {
+            let mut file = tempfile::NamedTempFile::new_in(folder)?;
+            std::io::Write::write_all(&mut file, bytes)?;
+            // Temporary files are private; results are for whoever may read the folder.
+            let mode = std::os::unix::fs::PermissionsExt::from_mode(0o644);
+            file.as_file().set_permissions(mode)?;
+            file.persist(path).map_err(|error| error.error)
+        };
+        write().map(drop).map_err(failed(path))
+    }
+}
+
+fn failed(path: &Path) -> impl FnOnce(std::io::Error) -> RunError + use<> {
+    let path = path.to_owned();
+    move |source| RunError::Folder { path, source }
+}
+
+/// Lets `latest` point at a run folder.
+fn point_latest(runs: &Path, folder: &Path) -> Result<(), RunError> {
+    let latest = runs.join("latest");
+    let target = folder.file_name().map(PathBuf::from).unwrap_or_default();
+    if std::fs::read_link(&latest).is_ok_and(|now| now == target) {
+        return Ok(());
+    }
+    let staged = runs.join(format!(".latest-{}", std::process::id()));
+    let _ = std::fs::remove_file(&staged);
+    std::os::unix::fs::symlink(&target, &staged).map_err(failed(&staged))?;
+    std::fs::rename(&staged, &latest).map_err(failed(&latest))
+}

@@ -1,0 +1,62 @@
+//! What the engine lends a running stage: streams, opened files, a log, the wish to stop.
+
+use std::collections::BTreeMap;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use rockface_stages::{Entry, Host, SourceFile};
+
+use crate::plan::InputFile;
+
+/// The host of one step instance.
+pub struct StepHost<'a> {
+    seed: Option<[u8; 32]>,
+    files: &'a BTreeMap<String, Vec<InputFile>>,
+    entries: Mutex<Vec<Entry>>,
+    stop: &'a AtomicBool,
+}
+
+impl<'a> StepHost<'a> {
+    /// A host; `seed` is the key of the step's seed material, if the stage draws.
+    pub fn new(seed: Option<[u8; 32]>, files: &'a BTreeMap<String, Vec<InputFile>>, stop: &'a AtomicBool) -> Self {
+        Self { seed, files, entries: Mutex::new(Vec::new()), stop }
+    }
+
+    /// What the stage said.
+    pub fn into_entries(self) -> Vec<Entry> {
+        self.entries.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner)
+    }
+}
+
+impl Host for StepHost<'_> {
+    /// # Panics
+    ///
+    /// If a stage draws although it said it would not: its seed is then not part of the recipe, and the result would be
+    /// served to runs with other seeds.
+    fn stream_key(&self, purpose: &str, item: &str) -> [u8; 32] {
+        let seed = self.seed.expect("the stage draws random numbers although its `draws` says it does not");
+        let mut hasher = blake3::Hasher::new_keyed(&seed);
+        hasher.update(&(purpose.len() as u64).to_le_bytes());
+        hasher.update(purpose.as_bytes());
+        hasher.update(item.as_bytes());
+        *hasher.finalize().as_bytes()
+    }
+
+    fn open(&self, as_written: &str) -> std::io::Result<Vec<SourceFile>> {
+        let files = self.files.get(as_written);
+        let files = files.ok_or_else(|| std::io::Error::other("this file is not named by a file parameter"))?;
+        let open = |file: &InputFile| {
+            let reader = Box::new(std::io::BufReader::new(std::fs::File::open(&file.path)?));
+            Ok(SourceFile { name: file.name.clone(), reader })
+        };
+        files.iter().map(open).collect()
+    }
+
+    fn record(&self, entry: Entry) {
+        self.entries.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push(entry);
+    }
+
+    fn cancelled(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+}

@@ -1,0 +1,123 @@
+//! Running a plan: the scheduler, its workers, and the folder that tells of the run.
+
+mod folder;
+mod host;
+mod schedule;
+mod work;
+
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use rockface_cache::{Digest, Outcome, Recipe, Store, StoreError};
+
+pub use folder::{Finished, RunFolder, finish};
+
+use crate::plan::Plan;
+use crate::watch::Observer;
+
+/// How to run.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// Steps at once, and threads inside them.
+    pub jobs: usize,
+    /// Go on with what does not depend on a failed step.
+    pub keep_going: bool,
+    /// Memory for values handed from step to step, bytes; beyond it they are written to the store.
+    pub memory_bytes: usize,
+    /// End the process if a stage does not notice a stop in time; for programs, not for tests.
+    pub exit_when_stuck: bool,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        let jobs = std::thread::available_parallelism().map_or(1, usize::from);
+        Self { jobs, keep_going: false, memory_bytes: half_of_memory(), exit_when_stuck: false }
+    }
+}
+
+/// Half of the machine's memory; 4 GiB where it cannot be told.
+fn half_of_memory() -> usize {
+    let told = std::fs::read_to_string("/proc/meminfo").ok();
+    let line = told.as_deref().and_then(|text| text.lines().find_map(|line| line.strip_prefix("MemTotal:")));
+    let kib = line.and_then(|line| line.trim().split(' ').next()?.parse::<usize>().ok());
+    kib.map_or(4 << 30, |kib| kib * 512)
+}
+
+/// Why a run could not go on.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// The store or the disk failed.
+    #[error(transparent)]
+    Store(StoreError),
+    /// The user asked to stop.
+    #[error("interrupted; everything that was finished is kept, and the next run goes on from there")]
+    Interrupted,
+    /// No threads could be had.
+    #[error("cannot start worker threads: {0}")]
+    Threads(String),
+    /// The run folder could not be written.
+    #[error("cannot write the run folder `{path}`: {source}")]
+    Folder {
+        /// What was to be written.
+        path: std::path::PathBuf,
+        /// Why not.
+        source: std::io::Error,
+    },
+}
+
+impl RunError {
+    /// The exit code of the program.
+    pub fn exit_code(&self) -> i32 {
+        match self {
+            Self::Interrupted => 130,
+            Self::Store(_) | Self::Threads(_) | Self::Folder { .. } => 3,
+        }
+    }
+}
+
+/// What became of a run.
+#[derive(Debug)]
+pub struct Summary {
+    /// By instance, in the order of the plan.
+    pub instances: Vec<InstanceResult>,
+    /// Elapsed seconds.
+    pub wall_s: f64,
+    /// Whether a step failed.
+    pub failed: bool,
+}
+
+/// What became of one instance.
+#[derive(Debug)]
+pub struct InstanceResult {
+    /// The key of its recipe, once it was known.
+    pub key: Option<Digest>,
+    /// Its recipe, once it was known.
+    pub recipe: Option<Recipe>,
+    /// Whether its stage ran in this run.
+    pub executed: bool,
+    /// What came out; `None` if it failed or was not reached.
+    pub outcome: Option<Outcome>,
+}
+
+impl Summary {
+    /// How many instances ran in this run.
+    pub fn executed(&self) -> usize {
+        self.instances.iter().filter(|instance| instance.executed).count()
+    }
+
+    /// How many instances have an outcome without having run.
+    pub fn cached(&self) -> usize {
+        self.instances.iter().filter(|instance| !instance.executed && instance.outcome.is_some()).count()
+    }
+}
+
+/// Runs a plan to its end, or to its stop.
+pub fn execute(
+    plan: &Plan,
+    store: &Store,
+    options: &Options,
+    stop: &Arc<AtomicBool>,
+    observer: &mut dyn Observer,
+) -> Result<Summary, RunError> {
+    schedule::run(plan, store, options, stop, observer)
+}

@@ -1,0 +1,227 @@
+//! One step instance: take its key, load its inputs, run the stage, store what came out, then the record.
+
+use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
+
+use rockface_cache::{Cost, Digest, Outcome, OutputRecord, Recipe, Record, Store, StoreError};
+use rockface_stages::artefact::{Artefact, Kind};
+use rockface_stages::{AnyStage, Context, Entry, Inputs, Point, StageError};
+
+use super::host::StepHost;
+use crate::plan::StepParams;
+
+/// An artefact that is in memory, or the blob to read it from.
+pub enum Value {
+    /// In memory.
+    Ready(Arc<Artefact>),
+    /// In the store.
+    Stored(Kind, Digest),
+}
+
+/// One element of an input.
+pub struct Feed {
+    /// Input port.
+    pub port: &'static str,
+    /// Items of the gathered axes.
+    pub point: Point,
+    /// Producer and its port.
+    pub from: (usize, &'static str),
+    /// The value.
+    pub value: Value,
+}
+
+/// Everything a worker needs to run one instance.
+pub struct Task {
+    /// The instance.
+    pub instance: usize,
+    /// Its stage.
+    pub stage: &'static dyn AnyStage,
+    /// Its recipe.
+    pub recipe: Recipe,
+    /// The key of the recipe.
+    pub key: Digest,
+    /// Its parameters.
+    pub params: Arc<StepParams>,
+    /// Its inputs.
+    pub feeds: Vec<Feed>,
+    /// Output ports it must make.
+    pub outputs: Vec<(&'static str, Kind)>,
+    /// Whether its outputs are kept.
+    pub keep: bool,
+    /// It is recorded, but its values are needed.
+    pub remake: bool,
+}
+
+/// What a worker brings back.
+pub struct Done {
+    /// What the record says.
+    pub outcome: Outcome,
+    /// The outputs in memory; empty when another process had done the work.
+    pub values: BTreeMap<&'static str, Arc<Artefact>>,
+    /// Inputs it had to decode, for other consumers.
+    pub loaded: Vec<((usize, &'static str), Arc<Artefact>)>,
+    /// Warnings it gave.
+    pub warnings: Vec<String>,
+    /// Another process did the work meanwhile.
+    pub elsewhere: bool,
+}
+
+/// Why an instance did not finish.
+pub enum Failure {
+    /// The stage gave up.
+    Stage(StageError),
+    /// An input blob is damaged or gone; its producer has to run again.
+    Lost(usize, String),
+    /// The store cannot go on.
+    Store(StoreError),
+}
+
+impl From<StoreError> for Failure {
+    fn from(error: StoreError) -> Self {
+        Self::Store(error)
+    }
+}
+
+/// Runs one instance; `waiting` is called when another process holds its key.
+pub fn work(task: &Task, store: &Store, stop: &AtomicBool, waiting: impl FnOnce()) -> Result<Done, Failure> {
+    let mut waited = false;
+    let lock = store.lock(&task.key, || {
+        waited = true;
+        waiting();
+    })?;
+    if waited && !task.remake {
+        store.refresh()?;
+        if let Some(outcome) = store.hit_outcome(&task.key) {
+            return Ok(Done {
+                outcome,
+                values: BTreeMap::new(),
+                loaded: Vec::new(),
+                warnings: Vec::new(),
+                elsewhere: true,
+            });
+        }
+    }
+    let start = Instant::now();
+    let cpu = process_cpu_s();
+    let (inputs, loaded) = load(task, store)?;
+    let host =
+        StepHost::new(task.recipe.seed.as_ref().map(rockface_cache::SeedMaterial::key), &task.params.files, stop);
+    let outputs = run_stage(task, &inputs, &host).map_err(Failure::Stage)?;
+    unchanged_files(task, store)?;
+    let values: BTreeMap<_, _> = outputs.into_iter().map(|(port, value)| (port, Arc::new(value))).collect();
+    let entries = host.into_entries();
+    let mut outcome = keep(task, store, &values, &entries)?;
+    let memory =
+        values.values().chain(loaded.iter().map(|(_, value)| value)).map(|value| value.memory_bytes() as u64).sum();
+    let finished = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
+    outcome.cost = Cost {
+        wall_s: start.elapsed().as_secs_f64(),
+        cpu_s: process_cpu_s() - cpu,
+        peak_bytes: memory,
+        finished_unix_s: finished,
+    };
+    let record =
+        Record { recipe: task.recipe.clone(), outputs: outcome.outputs.clone(), log: outcome.log, cost: outcome.cost };
+    store.commit(&record)?;
+    drop(lock);
+    let warnings =
+        entries.into_iter().filter_map(|entry| if let Entry::Warning { text } = entry { Some(text) } else { None });
+    Ok(Done { outcome, values, loaded, warnings: warnings.collect(), elsewhere: false })
+}
+
+type Loaded = Vec<((usize, &'static str), Arc<Artefact>)>;
+
+fn load(task: &Task, store: &Store) -> Result<(Inputs, Loaded), Failure> {
+    let mut inputs = Inputs::default();
+    let mut loaded: Loaded = Vec::new();
+    for feed in &task.feeds {
+        let known = loaded.iter().find(|(from, _)| *from == feed.from).map(|(_, value)| value.clone());
+        let value = match (&feed.value, known) {
+            (Value::Ready(value), _) | (_, Some(ref value)) => value.clone(),
+            (Value::Stored(kind, digest), None) => {
+                let lost = |why: String| Failure::Lost(feed.from.0, why);
+                let bytes = match store.get(digest) {
+                    Ok(bytes) => bytes,
+                    Err(error @ StoreError::Damaged { .. }) => return Err(lost(error.to_string())),
+                    Err(error) if !store.contains(digest) => return Err(lost(error.to_string())),
+                    Err(error) => return Err(error.into()),
+                };
+                let value = Artefact::decode(*kind, &bytes).map_err(|error| lost(error.to_string()))?;
+                let value = Arc::new(value);
+                loaded.push((feed.from, value.clone()));
+                value
+            }
+        };
+        inputs.push(feed.port, feed.point.clone(), value);
+    }
+    Ok((inputs, loaded))
+}
+
+fn run_stage(task: &Task, inputs: &Inputs, host: &StepHost) -> Result<BTreeMap<&'static str, Artefact>, StageError> {
+    let context = Context::new(host);
+    let run = || task.stage.run(&task.params.canonical, inputs, &context);
+    let outputs = catch_unwind(AssertUnwindSafe(run)).unwrap_or_else(|panic| {
+        let said = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
+        let said = said.unwrap_or("no message");
+        Err(StageError::new(format!("the stage broke down: {said}"))
+            .hint("this is a fault of rockface; please report it with the pipeline and the run folder"))
+    })?;
+    let outputs = outputs.into_inner();
+    for (port, kind) in &task.outputs {
+        match outputs.get(port) {
+            Some(value) if value.kind() == *kind => {}
+            found => {
+                let found = found.map_or_else(|| "nothing".to_owned(), |value| format!("a {}", value.kind()));
+                return Err(StageError::new(format!("the stage owes a {kind} at `{port}` and made {found}")));
+            }
+        }
+    }
+    Ok(outputs)
+}
+
+/// An input file that changed while the stage read it must not be recorded under its former digest.
+fn unchanged_files(task: &Task, store: &Store) -> Result<(), Failure> {
+    for file in task.params.files.values().flatten() {
+        let now = store.hash_file(&file.path)?.digest;
+        if now != file.digest {
+            let message = format!("`{}` changed while it was read", file.path.display());
+            return Err(Failure::Stage(StageError::new(message).hint("run again once nobody writes to it")));
+        }
+    }
+    Ok(())
+}
+
+fn keep(
+    task: &Task,
+    store: &Store,
+    values: &BTreeMap<&'static str, Arc<Artefact>>,
+    entries: &[Entry],
+) -> Result<Outcome, Failure> {
+    let mut outputs = BTreeMap::new();
+    for (port, value) in values {
+        let encoded = value
+            .encode()
+            .map_err(|error| Failure::Stage(StageError::new(format!("output `{port}` cannot be written: {error}"))))?;
+        let digest = if task.keep { store.put(&encoded)? } else { Digest::of(&encoded) };
+        let record = OutputRecord {
+            kind: value.kind().word().to_owned(),
+            digest,
+            bytes: encoded.len() as u64,
+            kept: task.keep,
+            items: value.items(),
+        };
+        outputs.insert((*port).to_owned(), record);
+    }
+    let log =
+        if entries.is_empty() { None } else { Some(store.put(serde_json::json!(entries).to_string().as_bytes())?) };
+    Ok(Outcome { outputs, log, cost: Cost::default() })
+}
+
+/// Processor seconds of this process so far, all threads.
+fn process_cpu_s() -> f64 {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+}

@@ -1,0 +1,133 @@
+//! What a run tells those who watch it: one list of events, several ways to show them.
+
+mod json;
+mod mcap_log;
+mod plain;
+mod terminal;
+
+pub use json::JsonLines;
+pub use mcap_log::write_log;
+pub use plain::Plain;
+pub use terminal::Terminal;
+
+use serde::Serialize;
+
+/// Something that happened in a run. The order of [`Event::Started`] and [`Event::Finished`] depends on the machine;
+/// what is executed and what is cached does not.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case", tag = "event")]
+pub enum Event {
+    /// The run begins.
+    Planned {
+        /// Number of step instances.
+        steps: usize,
+    },
+    /// An instance is known already.
+    Cached {
+        /// The instance.
+        step: String,
+    },
+    /// An instance starts.
+    Started {
+        /// The instance.
+        step: String,
+        /// Why it runs.
+        reason: Reason,
+    },
+    /// An instance is done.
+    Finished {
+        /// The instance.
+        step: String,
+        /// Elapsed seconds.
+        wall_s: f64,
+    },
+    /// Another process computes the same; this one waits for it.
+    Waiting {
+        /// The instance.
+        step: String,
+    },
+    /// Something may be wrong.
+    Warning {
+        /// The instance.
+        step: String,
+        /// The sentence.
+        text: String,
+    },
+    /// An instance failed.
+    Failed {
+        /// The instance.
+        step: String,
+        /// Its stage.
+        stage: String,
+        /// The cause.
+        message: String,
+        /// The way out.
+        hint: Option<String>,
+    },
+}
+
+/// Why an instance runs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Reason {
+    /// Its recipe has no record.
+    New,
+    /// It is recorded, but its outputs were not kept and are needed.
+    Needed,
+}
+
+/// How far a run is.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Progress {
+    /// Instances that are done, cached ones included.
+    pub done: usize,
+    /// All instances.
+    pub total: usize,
+    /// Estimated seconds to the end, once something has been timed.
+    pub remaining_s: Option<f64>,
+}
+
+/// Someone who watches a run.
+pub trait Observer {
+    /// Something happened.
+    fn event(&mut self, event: &Event, progress: Progress);
+    /// The run is over; leave the screen in order.
+    fn end(&mut self) {}
+}
+
+/// Watches in silence.
+pub struct Silent;
+
+impl Observer for Silent {
+    fn event(&mut self, _: &Event, _: Progress) {}
+}
+
+/// Keeps every event: the oracle of tests.
+#[derive(Debug, Default)]
+pub struct Events(pub Vec<Event>);
+
+impl Observer for Events {
+    fn event(&mut self, event: &Event, _: Progress) {
+        self.0.push(event.clone());
+    }
+}
+
+/// Seconds as people say them: `0.4 s`, `12 s`, `3 min 20 s`, `2 h 05 min`.
+pub fn duration(seconds: f64) -> String {
+    let whole = seconds.round() as u64;
+    match whole {
+        0..10 => format!("{seconds:.1} s"),
+        10..120 => format!("{whole} s"),
+        120..7200 => format!("{} min {:02} s", whole / 60, whole % 60),
+        _ => format!("{} h {:02} min", whole / 3600, whole % 3600 / 60),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn durations_read_well() {
+        let said = [0.04, 9.96, 119.0, 200.4, 7500.0].map(super::duration);
+        assert_eq!(said, ["0.0 s", "10 s", "119 s", "3 min 20 s", "2 h 05 min"]);
+    }
+}
