@@ -1,6 +1,7 @@
 //! The engine of rockface: it reads pipelines, plans them, runs them and remembers. It knows no rock.
 
 pub mod build;
+pub mod cli;
 pub mod diagnostic;
 pub mod pipeline;
 pub mod plan;

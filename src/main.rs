@@ -1,2 +1,21 @@
-//! bin
-fn main() {}
+//! The program `rockface`.
+
+use std::io::IsTerminal;
+
+use clap::Parser;
+use tracing_subscriber::EnvFilter;
+
+fn main() {
+    let filter = EnvFilter::try_from_env("ROCKFACE_LOG").unwrap_or_else(|_| EnvFilter::new("warn"));
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    // A stage that breaks down is reported as the failure of its step, with what it said; not twice.
+    std::panic::set_hook(Box::new(|panic| tracing::debug!("{panic}")));
+    let result = rockface::cli::Cli::parse().run();
+    if let Err(error) = result {
+        let message = error.render(std::io::stderr().is_terminal());
+        if !message.is_empty() {
+            eprintln!("{message}");
+        }
+        std::process::exit(error.exit_code());
+    }
+}

@@ -3,9 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use rockface_cache::{
-    Cost, Digest, OutputRecord, Recipe, RecipeInput, Record, SeedMaterial, Store,
-};
+use rockface_cache::{Cost, Digest, OutputRecord, Recipe, RecipeInput, Record, SeedMaterial, Store};
 use serde_json::json;
 
 /// Steps in the store.
@@ -24,45 +22,21 @@ fn main() {
     report("sync", (started.elapsed(), 1));
     drop(store);
 
-    report(
-        "open",
-        fastest(&[()], |()| Store::open(folder.path()).expect("the store")),
-    );
+    report("open", fastest(&[()], |()| Store::open(folder.path()).expect("the store")));
     let store = Store::open(folder.path()).expect("the store");
-    report(
-        "recipe key",
-        fastest(&records, |record| record.recipe.key()),
-    );
+    report("recipe key", fastest(&records, |record| record.recipe.key()));
     let keys: Vec<Digest> = records.iter().map(|record| record.recipe.key()).collect();
-    report(
-        "is_hit",
-        fastest(&keys, |key| store.is_hit(key).expect("a hit")),
-    );
-    report(
-        "hit_outcome",
-        fastest(&keys, |key| store.hit_outcome(key).expect("a hit")),
-    );
-    report(
-        "refresh with nothing new",
-        fastest(&[()], |()| store.refresh().expect("a refreshed store")),
-    );
-    report(
-        "lock and release",
-        fastest(&keys, |key| store.lock(key, || ()).expect("a lock")),
-    );
+    report("is_hit", fastest(&keys, |key| store.is_hit(key).expect("a hit")));
+    report("hit_outcome", fastest(&keys, |key| store.hit_outcome(key).expect("a hit")));
+    report("refresh with nothing new", fastest(&[()], |()| store.refresh().expect("a refreshed store")));
+    report("lock and release", fastest(&keys, |key| store.lock(key, || ()).expect("a lock")));
 
     let file = folder.path().join("input.bin");
     std::fs::write(&file, vec![1; 64 << 20]).expect("a file");
-    report(
-        "hash 64 MiB",
-        fastest(&[()], |()| store.hash_file(&file).expect("a digest")),
-    );
+    report("hash 64 MiB", fastest(&[()], |()| store.hash_file(&file).expect("a digest")));
     std::thread::sleep(Duration::from_secs(2));
     store.hash_file(&file).expect("a digest");
-    report(
-        "hash it untouched",
-        fastest(&keys, |_| store.hash_file(&file).expect("a digest")),
-    );
+    report("hash it untouched", fastest(&keys, |_| store.hash_file(&file).expect("a digest")));
     println!("{:#?}", store.stat().expect("counts"));
 }
 
@@ -75,31 +49,14 @@ fn step(store: &Store, number: u64) -> Record {
         stage: "remove-blocks".to_owned(),
         version: 1,
         params: json!({"count": 100, "max_failed_attempts": 1000, "radius_m": 0.25, "number": number}),
-        inputs: ["mesh", "blocks", "mask"]
-            .map(|port| (port.to_owned(), RecipeInput::One(Digest::of(&output))))
-            .into(),
-        seed: Some(SeedMaterial {
-            seed: 2747,
-            stream: "removed".to_owned(),
-            items,
-        }),
+        inputs: ["mesh", "blocks", "mask"].map(|port| (port.to_owned(), RecipeInput::One(Digest::of(&output)))).into(),
+        seed: Some(SeedMaterial { seed: 2747, stream: "removed".to_owned(), items }),
     };
     let digest = store.put(&output).expect("a stored blob");
-    let kept = OutputRecord {
-        kind: "mesh".to_owned(),
-        digest,
-        bytes: 8,
-        kept: true,
-        items: None,
-    };
+    let kept = OutputRecord { kind: "mesh".to_owned(), digest, bytes: 8, kept: true, items: None };
     let outputs = BTreeMap::from([("mesh".to_owned(), kept)]);
     let log = Some(store.put(log.as_bytes()).expect("a stored log"));
-    let record = Record {
-        recipe,
-        outputs,
-        log,
-        cost: Cost::default(),
-    };
+    let record = Record { recipe, outputs, log, cost: Cost::default() };
     store.commit(&record).expect("a committed record");
     record
 }
@@ -113,16 +70,10 @@ fn fastest<I, T>(items: &[I], work: impl Fn(&I) -> T) -> (Duration, usize) {
         }
         started.elapsed()
     };
-    (
-        (0..REPEATS).map(|_| round()).min().unwrap_or_default(),
-        items.len(),
-    )
+    ((0..REPEATS).map(|_| round()).min().unwrap_or_default(), items.len())
 }
 
 fn report(what: &str, (taken, count): (Duration, usize)) {
     let taken_ms = taken.as_secs_f64() * 1e3;
-    println!(
-        "{what:28} {taken_ms:10.3} ms {:10.2} us each",
-        taken_ms * 1e3 / count as f64
-    );
+    println!("{what:28} {taken_ms:10.3} ms {:10.2} us each", taken_ms * 1e3 / count as f64);
 }

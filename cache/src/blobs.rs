@@ -23,9 +23,7 @@ pub(crate) struct Blobs {
 impl Blobs {
     /// The large blobs of the store at `root`.
     pub(crate) fn new(root: &Path) -> Self {
-        Self {
-            root: root.to_owned(),
-        }
+        Self { root: root.to_owned() }
     }
 
     /// The folder under which all large blobs are.
@@ -64,22 +62,15 @@ impl Blobs {
     pub(crate) fn quarantine(&self, digest: &Digest) -> StoreError {
         let (path, moved_to) = (self.path(digest), self.quarantine_path(digest));
         match fs::rename(&path, &moved_to) {
-            Ok(()) => StoreError::Damaged {
-                digest: *digest,
-                moved_to,
-            },
+            Ok(()) => StoreError::Damaged { digest: *digest, moved_to },
             Err(fault) => StoreError::io("set aside the damaged blob", &path, fault),
         }
     }
 
     /// A name in the quarantine that nothing has yet.
     pub(crate) fn quarantine_path(&self, digest: &Digest) -> PathBuf {
-        let now = SystemTime::now()
-            .duration_since(UNIX_EPOCH)
-            .unwrap_or_default();
-        self.root
-            .join(QUARANTINE)
-            .join(format!("{digest}-{}", now.as_nanos()))
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        self.root.join(QUARANTINE).join(format!("{digest}-{}", now.as_nanos()))
     }
 
     /// Stores a blob that is not there yet.
@@ -93,9 +84,7 @@ impl Blobs {
         if let Some(folder) = path.parent() {
             fs::create_dir_all(folder).at("make the folder", folder)?;
         }
-        file.persist(&path)
-            .map_err(|fault| fault.error)
-            .at("write", &path)?;
+        file.persist(&path).map_err(|fault| fault.error).at("write", &path)?;
         Ok(())
     }
 
@@ -103,19 +92,10 @@ impl Blobs {
     fn temporary(&self) -> Result<tempfile::NamedTempFile, StoreError> {
         let tmp = self.root.join(TMP);
         loop {
-            let file = tempfile::Builder::new()
-                .prefix(TEMPORARY_BLOB)
-                .tempfile_in(&tmp)
-                .at("write into", &tmp)?;
+            let file = tempfile::Builder::new().prefix(TEMPORARY_BLOB).tempfile_in(&tmp).at("write into", &tmp)?;
             file.as_file().lock().at("lock a file in", &tmp)?;
             // Swept up between its making and its locking? Then make another.
-            if file
-                .as_file()
-                .metadata()
-                .at("look at a file in", &tmp)?
-                .nlink()
-                > 0
-            {
+            if file.as_file().metadata().at("look at a file in", &tmp)?.nlink() > 0 {
                 return Ok(file);
             }
         }
@@ -125,11 +105,7 @@ impl Blobs {
     pub(crate) fn get(&self, digest: &Digest) -> Result<Vec<u8>, StoreError> {
         let path = self.path(digest);
         let bytes = fs::read(&path).map_err(|fault| unreadable(digest, &path, fault))?;
-        if Digest::of(&bytes) == *digest {
-            Ok(bytes)
-        } else {
-            Err(self.quarantine(digest))
-        }
+        if Digest::of(&bytes) == *digest { Ok(bytes) } else { Err(self.quarantine(digest)) }
     }
 
     /// The number of large blobs and their bytes.
@@ -164,8 +140,6 @@ fn seal_ns(digest: &Digest) -> u32 {
 }
 
 fn seal(file: &File, digest: &Digest) -> std::io::Result<()> {
-    let now = SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .unwrap_or_default();
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     file.set_modified(UNIX_EPOCH + Duration::new(now.as_secs(), seal_ns(digest)))
 }

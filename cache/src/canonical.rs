@@ -110,9 +110,7 @@ pub(crate) mod tests {
         let number = prop_oneof![
             any::<i64>().prop_map(Value::from),
             any::<u64>().prop_map(Value::from),
-            any::<f64>()
-                .prop_filter("JSON has no NaN", |x| x.is_finite())
-                .prop_map(Value::from),
+            any::<f64>().prop_filter("JSON has no NaN", |x| x.is_finite()).prop_map(Value::from),
         ];
         let leaf = prop_oneof![
             Just(Value::Null),
@@ -131,12 +129,8 @@ pub(crate) mod tests {
 
     #[test]
     fn key_order_is_irrelevant_and_number_kind_is_not() {
-        let given: Value =
-            serde_json::from_str(r#"{"b": [1, 1.0, true], "a": {"z": null, "y": "é\n"}}"#).unwrap();
-        assert_eq!(
-            text(&given),
-            r#"{"a":{"y":"é\n","z":null},"b":[1,1.0,true]}"#
-        );
+        let given: Value = serde_json::from_str(r#"{"b": [1, 1.0, true], "a": {"z": null, "y": "é\n"}}"#).unwrap();
+        assert_eq!(text(&given), r#"{"a":{"y":"é\n","z":null},"b":[1,1.0,true]}"#);
         assert_ne!(text(&json!(1)), text(&json!(1.0)));
     }
 

@@ -81,9 +81,7 @@ impl FromStr for Digest {
     fn from_str(text: &str) -> Result<Self, DigestError> {
         blake3::Hash::from_hex(text)
             .map(|hash| Self(*hash.as_bytes()))
-            .map_err(|_| DigestError {
-                text: text.to_owned(),
-            })
+            .map_err(|_| DigestError { text: text.to_owned() })
     }
 }
 

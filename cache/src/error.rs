@@ -103,11 +103,7 @@ impl StoreError {
         let path = path.to_owned();
         match source.kind() {
             StorageFull | QuotaExceeded => Self::DiskFull { path },
-            _ => Self::Io {
-                action,
-                path,
-                source,
-            },
+            _ => Self::Io { action, path, source },
         }
     }
 }
@@ -137,26 +133,14 @@ mod tests {
             return;
         };
         let error = full.write_all(b"x").at("write", path).unwrap_err();
-        assert!(
-            matches!(&error, StoreError::DiskFull { path: named } if named == path),
-            "{error:?}"
-        );
-        assert!(
-            error.to_string().contains("/dev/full")
-                && error.to_string().contains("free some space")
-        );
+        assert!(matches!(&error, StoreError::DiskFull { path: named } if named == path), "{error:?}");
+        assert!(error.to_string().contains("/dev/full") && error.to_string().contains("free some space"));
     }
 
     #[test]
     fn another_fault_names_the_action_and_the_path() {
         let path = Path::new("/nowhere/at/all");
-        let error = std::fs::read(path)
-            .at("read", path)
-            .unwrap_err()
-            .to_string();
-        assert!(
-            error.starts_with("cannot read /nowhere/at/all: "),
-            "{error}"
-        );
+        let error = std::fs::read(path).at("read", path).unwrap_err().to_string();
+        assert!(error.starts_with("cannot read /nowhere/at/all: "), "{error}");
     }
 }

@@ -38,8 +38,7 @@ struct Fingerprint {
 
 impl Fingerprint {
     fn of(meta: &Metadata) -> Self {
-        let nanoseconds =
-            |seconds: i64, rest: i64| i128::from(seconds) * 1_000_000_000 + i128::from(rest);
+        let nanoseconds = |seconds: i64, rest: i64| i128::from(seconds) * 1_000_000_000 + i128::from(rest);
         Self {
             bytes: meta.len(),
             mtime_ns: nanoseconds(meta.mtime(), meta.mtime_nsec()),
@@ -58,17 +57,13 @@ impl Store {
         let key = Digest::of(canonical.as_os_str().as_bytes());
         let now = Fingerprint::of(&fs::metadata(&canonical).at("look at", path)?);
         match self.remembered(&key) {
-            Some((then, digest)) if then == now => Ok(FileDigest {
-                digest,
-                bytes: now.bytes,
-            }),
+            Some((then, digest)) if then == now => Ok(FileDigest { digest, bytes: now.bytes }),
             _ => self.hash_anew(&canonical, &key),
         }
     }
 
     fn remembered(&self, key: &Digest) -> Option<(Fingerprint, Digest)> {
-        self.journal()
-            .with_index(|index| serde_json::from_slice(index.payload(Kind::File, key)?).ok())
+        self.journal().with_index(|index| serde_json::from_slice(index.payload(Kind::File, key)?).ok())
     }
 
     fn hash_anew(&self, path: &Path, key: &Digest) -> Result<FileDigest, StoreError> {
@@ -79,9 +74,7 @@ impl Store {
             let (digest, bytes) = Digest::of_reader(&file).at("read", path)?;
             self.count_hashed();
             let fingerprint = Fingerprint::of(&before);
-            if fingerprint != Fingerprint::of(&file.metadata().at("look at", path)?)
-                || bytes != before.len()
-            {
+            if fingerprint != Fingerprint::of(&file.metadata().at("look at", path)?) || bytes != before.len() {
                 continue;
             }
             if is_settled(&before, started) {
@@ -91,18 +84,13 @@ impl Store {
             }
             return Ok(FileDigest { digest, bytes });
         }
-        Err(StoreError::Changing {
-            path: path.to_owned(),
-        })
+        Err(StoreError::Changing { path: path.to_owned() })
     }
 }
 
 /// Whether the file had been left alone for long enough that another change would show in its time.
 fn is_settled(meta: &Metadata, now: SystemTime) -> bool {
-    let age = meta
-        .modified()
-        .ok()
-        .and_then(|modified| now.duration_since(modified).ok());
+    let age = meta.modified().ok().and_then(|modified| now.duration_since(modified).ok());
     age.is_some_and(|age| age >= RACY)
 }
 
@@ -112,8 +100,7 @@ mod tests {
 
     fn set_age(path: &Path, age_s: u64) {
         let file = fs::OpenOptions::new().write(true).open(path).unwrap();
-        file.set_modified(SystemTime::now() - Duration::from_secs(age_s))
-            .unwrap();
+        file.set_modified(SystemTime::now() - Duration::from_secs(age_s)).unwrap();
     }
 
     #[test]
@@ -126,10 +113,7 @@ mod tests {
         let store = Store::open(&dir).unwrap();
         let hashed = || store.stat().unwrap().files_hashed;
         for _ in 0..3 {
-            let expected = FileDigest {
-                digest: Digest::of(b"ply"),
-                bytes: 3,
-            };
+            let expected = FileDigest { digest: Digest::of(b"ply"), bytes: 3 };
             assert_eq!(store.hash_file(&path).unwrap(), expected);
             assert_eq!(hashed(), 1);
         }
@@ -140,11 +124,7 @@ mod tests {
         }
         let other = Store::open(&dir).unwrap();
         other.hash_file(&path).unwrap();
-        assert_eq!(
-            other.stat().unwrap().files_hashed,
-            0,
-            "what one process read the next remembers"
-        );
+        assert_eq!(other.stat().unwrap().files_hashed, 0, "what one process read the next remembers");
     }
 
     #[test]
@@ -157,12 +137,7 @@ mod tests {
         let modified = fs::metadata(&path).unwrap().modified().unwrap();
         // The same size and the same time: only the guard can tell.
         fs::write(&path, b"new").unwrap();
-        fs::OpenOptions::new()
-            .write(true)
-            .open(&path)
-            .unwrap()
-            .set_modified(modified)
-            .unwrap();
+        fs::OpenOptions::new().write(true).open(&path).unwrap().set_modified(modified).unwrap();
         assert_eq!(store.hash_file(&path).unwrap().digest, Digest::of(b"new"));
     }
 
@@ -170,10 +145,7 @@ mod tests {
     fn a_file_that_is_not_there_is_named() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(&folder.path().join("store")).unwrap();
-        let message = store
-            .hash_file(&folder.path().join("nowhere.ply"))
-            .unwrap_err()
-            .to_string();
+        let message = store.hash_file(&folder.path().join("nowhere.ply")).unwrap_err().to_string();
         assert!(message.contains("nowhere.ply"), "{message}");
     }
 }

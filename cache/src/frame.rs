@@ -59,30 +59,19 @@ impl Kind {
     const NUMBERED: [Kind; 5] = [Kind::Blob, Kind::Record, Kind::Note, Kind::File, Kind::Mark];
 
     fn number(self) -> u8 {
-        Self::NUMBERED
-            .iter()
-            .position(|kind| *kind == self)
-            .map_or(0, |place| place as u8 + 1)
+        Self::NUMBERED.iter().position(|kind| *kind == self).map_or(0, |place| place as u8 + 1)
     }
 
     fn from_number(number: u8) -> Kind {
         let place = usize::from(number).checked_sub(1);
-        place
-            .and_then(|place| Self::NUMBERED.get(place).copied())
-            .unwrap_or(Kind::Unknown)
+        place.and_then(|place| Self::NUMBERED.get(place).copied()).unwrap_or(Kind::Unknown)
     }
 }
 
 impl Header {
     /// The header of this payload, which must be no longer than [`PAYLOAD_LIMIT`].
     pub(crate) fn of(kind: Kind, name: Digest, stamp: u64, payload: &[u8]) -> Self {
-        Self {
-            kind,
-            length: payload.len() as u32,
-            stamp,
-            name,
-            check: payload_check(payload),
-        }
+        Self { kind, length: payload.len() as u32, stamp, name, check: payload_check(payload) }
     }
 
     /// Whether these are the bytes the header was made for.

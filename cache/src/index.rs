@@ -76,10 +76,7 @@ impl Index {
     pub(crate) fn segment(&mut self, name: &str) -> u32 {
         let known = self.segments.iter().position(|seen| seen.name == name);
         known.unwrap_or_else(|| {
-            self.segments.push(Seen {
-                name: name.to_owned(),
-                end: 0,
-            });
+            self.segments.push(Seen { name: name.to_owned(), end: 0 });
             self.segments.len() - 1
         }) as u32
     }
@@ -91,12 +88,7 @@ impl Index {
 
     /// Enters the frames of a segment, which has now been read up to `end`.
     pub(crate) fn enter(&mut self, segment: u32, frames: Vec<Frame>, end: u64) {
-        for Frame {
-            header,
-            at,
-            payload,
-        } in frames
-        {
+        for Frame { header, at, payload } in frames {
             self.enter_one(segment, &header, at, payload);
         }
         let seen = &mut self.segments[segment as usize].end;
@@ -112,11 +104,7 @@ impl Index {
             Kind::Mark | Kind::Unknown => return,
         };
         self.clock = self.clock.max(header.stamp);
-        let entry = Entry {
-            stamp: header.stamp,
-            check: header.check,
-            payload,
-        };
+        let entry = Entry { stamp: header.stamp, check: header.check, payload };
         match map.get_mut(&header.name) {
             Some(older) if older.stamp > entry.stamp => {}
             Some(older) => *older = entry,
@@ -126,12 +114,7 @@ impl Index {
 
     fn enter_blob(&mut self, segment: u32, header: &Header, at: u64) {
         self.clock = self.clock.max(header.stamp);
-        let place = Place {
-            segment,
-            at,
-            length: header.length,
-            stamp: header.stamp,
-        };
+        let place = Place { segment, at, length: header.length, stamp: header.stamp };
         let latest = self.blobs.entry(header.name).or_insert(place);
         if latest.stamp < place.stamp {
             *latest = place;
@@ -140,9 +123,7 @@ impl Index {
 
     /// A stamp later than every one in the store as far as it has been read.
     pub(crate) fn tick(&mut self) -> u64 {
-        let now = SystemTime::now()
-            .duration_since(UNIX_EPOCH)
-            .map_or(0, |since| since.as_nanos() as u64);
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64);
         self.clock = now.max(self.clock.saturating_add(1));
         self.clock
     }
@@ -172,17 +153,8 @@ impl Index {
 
     /// Number of small blobs, their bytes, number of records, number of notes.
     pub(crate) fn counts(&self) -> (u64, u64, u64, u64) {
-        let bytes = self
-            .blobs
-            .values()
-            .map(|place| u64::from(place.length))
-            .sum();
-        (
-            self.blobs.len() as u64,
-            bytes,
-            self.records.len() as u64,
-            self.notes.len() as u64,
-        )
+        let bytes = self.blobs.values().map(|place| u64::from(place.length)).sum();
+        (self.blobs.len() as u64, bytes, self.records.len() as u64, self.notes.len() as u64)
     }
 
     /// The keys of all records, sorted.
@@ -198,41 +170,20 @@ mod tests {
     use super::*;
 
     fn frame(kind: Kind, name: &[u8], stamp: u64, payload: &[u8]) -> Frame {
-        Frame {
-            header: Header::of(kind, Digest::of(name), stamp, payload),
-            at: stamp,
-            payload: payload.into(),
-        }
+        Frame { header: Header::of(kind, Digest::of(name), stamp, payload), at: stamp, payload: payload.into() }
     }
 
     #[test]
     fn the_latest_stamp_counts_in_whatever_order_segments_are_read() {
-        let frames = || {
-            vec![
-                frame(Kind::Record, b"k", 2, b"new"),
-                frame(Kind::Blob, b"b", 9, b""),
-            ]
-        };
-        let older = || {
-            vec![
-                frame(Kind::Record, b"k", 1, b"old"),
-                frame(Kind::Blob, b"b", 8, b""),
-            ]
-        };
+        let frames = || vec![frame(Kind::Record, b"k", 2, b"new"), frame(Kind::Blob, b"b", 9, b"")];
+        let older = || vec![frame(Kind::Record, b"k", 1, b"old"), frame(Kind::Blob, b"b", 8, b"")];
         for newest_first in [true, false] {
             let mut index = Index::default();
             let (a, b) = (index.segment("a"), index.segment("b"));
-            let (first, second) = if newest_first {
-                (frames(), older())
-            } else {
-                (older(), frames())
-            };
+            let (first, second) = if newest_first { (frames(), older()) } else { (older(), frames()) };
             index.enter(a, first, 10);
             index.enter(b, second, 10);
-            assert_eq!(
-                index.payload(Kind::Record, &Digest::of(b"k")),
-                Some(b"new".as_slice())
-            );
+            assert_eq!(index.payload(Kind::Record, &Digest::of(b"k")), Some(b"new".as_slice()));
             assert_eq!(index.blob(&Digest::of(b"b")).unwrap().stamp, 9);
         }
     }

@@ -28,12 +28,8 @@ pub(crate) struct Journal {
 impl Journal {
     /// Reads every segment in `dir`.
     pub(crate) fn open(dir: &Path) -> Result<Self, StoreError> {
-        let journal = Self {
-            dir: dir.to_owned(),
-            index: RwLock::default(),
-            writer: Mutex::default(),
-            owed: Mutex::default(),
-        };
+        let journal =
+            Self { dir: dir.to_owned(), index: RwLock::default(), writer: Mutex::default(), owed: Mutex::default() };
         journal.refresh()?;
         Ok(journal)
     }
@@ -80,23 +76,14 @@ impl Journal {
         let mut names = Vec::new();
         for entry in std::fs::read_dir(&self.dir).at("list", &self.dir)? {
             let name = entry.at("list", &self.dir)?.file_name();
-            names.extend(
-                name.into_string()
-                    .ok()
-                    .filter(|name| name.ends_with(SUFFIX)),
-            );
+            names.extend(name.into_string().ok().filter(|name| name.ends_with(SUFFIX)));
         }
         names.sort_unstable();
         Ok(names)
     }
 
     /// Appends a payload under `name` to this process's segment.
-    pub(crate) fn append(
-        &self,
-        kind: Kind,
-        name: Digest,
-        payload: &[u8],
-    ) -> Result<(), StoreError> {
+    pub(crate) fn append(&self, kind: Kind, name: Digest, payload: &[u8]) -> Result<(), StoreError> {
         let mut slot = self.writer();
         // Another thread may have stored the same blob while this one waited.
         if kind == Kind::Blob && self.with_index(|index| index.blob(&name)).is_some() {
@@ -105,20 +92,10 @@ impl Journal {
         self.append_to(&mut slot, kind, name, payload)
     }
 
-    fn append_to(
-        &self,
-        slot: &mut Option<Writer>,
-        kind: Kind,
-        name: Digest,
-        payload: &[u8],
-    ) -> Result<(), StoreError> {
+    fn append_to(&self, slot: &mut Option<Writer>, kind: Kind, name: Digest, payload: &[u8]) -> Result<(), StoreError> {
         if payload.len() as u64 > PAYLOAD_LIMIT {
             let bytes = payload.len() as u64;
-            return Err(StoreError::TooLarge {
-                what: "an entry",
-                bytes,
-                limit: PAYLOAD_LIMIT,
-            });
+            return Err(StoreError::TooLarge { what: "an entry", bytes, limit: PAYLOAD_LIMIT });
         }
         if slot.as_ref().is_some_and(|writer| writer.end > FULL_BYTES) {
             let full = slot.take();
@@ -132,16 +109,8 @@ impl Journal {
         let at = writer.append(&header, payload);
         let (segment, end) = (writer.segment, writer.end);
         let at = at.inspect_err(|_| drop(slot.take()))?;
-        let payload = if kind == Kind::Blob {
-            Box::default()
-        } else {
-            payload.into()
-        };
-        let frames = vec![Frame {
-            header,
-            at,
-            payload,
-        }];
+        let payload = if kind == Kind::Blob { Box::default() } else { payload.into() };
+        let frames = vec![Frame { header, at, payload }];
         self.edit_index(|index| index.enter(segment, frames, end));
         Ok(())
     }
@@ -182,14 +151,7 @@ impl Journal {
         if size > end {
             file.set_len(end).at("cut the torn tail of", &path)?;
         }
-        Ok(Some(Writer {
-            file: Arc::new(file),
-            path,
-            segment,
-            end,
-            appended: end,
-            durable: 0,
-        }))
+        Ok(Some(Writer { file: Arc::new(file), path, segment, end, appended: end, durable: 0 }))
     }
 
     /// Makes the new entries of `folder` part of the next sync.
@@ -204,11 +166,7 @@ impl Journal {
     /// Makes everything appended so far durable: first the folders owed, then the segment. Appending goes on meanwhile.
     pub(crate) fn sync(&self) -> Result<(), StoreError> {
         // The end is taken before the folders: what a record before it counts on is already owed.
-        let pending = self
-            .writer()
-            .as_ref()
-            .filter(|writer| writer.appended > writer.durable)
-            .map(pending_of);
+        let pending = self.writer().as_ref().filter(|writer| writer.appended > writer.durable).map(pending_of);
         self.sync_folders()?;
         let Some((file, path, segment, end)) = pending else {
             return Ok(());
@@ -216,9 +174,7 @@ impl Journal {
         file.sync_data().at("sync", &path)?;
         let mut slot = self.writer();
         match slot.as_mut() {
-            Some(writer) if writer.segment == segment => {
-                self.mark(writer, end).inspect_err(|_| drop(slot.take()))
-            }
+            Some(writer) if writer.segment == segment => self.mark(writer, end).inspect_err(|_| drop(slot.take())),
             _ => Ok(()),
         }
     }
@@ -227,9 +183,7 @@ impl Journal {
         let folders = std::mem::take(&mut *self.owed());
         for folder in &folders {
             let synced = File::open(folder).and_then(|folder| folder.sync_all());
-            synced
-                .at("sync", folder)
-                .inspect_err(|_| self.owed().extend(folders.iter().cloned()))?;
+            synced.at("sync", folder).inspect_err(|_| self.owed().extend(folders.iter().cloned()))?;
         }
         Ok(())
     }
@@ -244,9 +198,7 @@ impl Journal {
 
     /// The bytes at `place`, unverified, and the segment they are in; fewer bytes where the segment has been cut.
     pub(crate) fn read(&self, place: Place) -> Result<Vec<u8>, StoreError> {
-        let path = self
-            .dir
-            .join(self.with_index(|index| index.seen(place.segment)).name);
+        let path = self.dir.join(self.with_index(|index| index.seen(place.segment)).name);
         let file = File::open(&path).at("open", &path)?;
         let mut bytes = vec![0; place.length as usize];
         let mut filled = 0;
@@ -270,10 +222,5 @@ impl Journal {
 
 /// What a sync needs to know of the writer once its lock is released.
 fn pending_of(writer: &Writer) -> (Arc<File>, PathBuf, u32, u64) {
-    (
-        Arc::clone(&writer.file),
-        writer.path.clone(),
-        writer.segment,
-        writer.end,
-    )
+    (Arc::clone(&writer.file), writer.path.clone(), writer.segment, writer.end)
 }

@@ -26,11 +26,7 @@ impl Drop for KeyLock {
 }
 
 /// Takes the lock of `key`, calling `on_wait` once before waiting if it is held elsewhere.
-pub(crate) fn lock(
-    dir: &Path,
-    key: &Digest,
-    on_wait: impl FnOnce(),
-) -> Result<KeyLock, StoreError> {
+pub(crate) fn lock(dir: &Path, key: &Digest, on_wait: impl FnOnce()) -> Result<KeyLock, StoreError> {
     if let Some(lock) = try_lock(dir, key)? {
         return Ok(lock);
     }
@@ -61,12 +57,7 @@ pub(crate) fn try_lock(dir: &Path, key: &Digest) -> Result<Option<KeyLock>, Stor
 
 fn open(dir: &Path, key: &Digest) -> Result<(File, PathBuf), StoreError> {
     let path = dir.join(key.to_string());
-    let file = OpenOptions::new()
-        .read(true)
-        .write(true)
-        .create(true)
-        .truncate(false)
-        .open(&path);
+    let file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
     Ok((file.at("open", &path)?, path))
 }
 
@@ -77,10 +68,7 @@ fn open(dir: &Path, key: &Digest) -> Result<(File, PathBuf), StoreError> {
 pub(crate) fn sweep(dir: &Path, prefix: &str) -> Result<(), StoreError> {
     for entry in std::fs::read_dir(dir).at("list", dir)? {
         let entry = entry.at("list", dir)?;
-        let ours = entry
-            .file_name()
-            .to_str()
-            .is_some_and(|name| name.starts_with(prefix));
+        let ours = entry.file_name().to_str().is_some_and(|name| name.starts_with(prefix));
         if ours
             && let Ok(file) = File::open(entry.path())
             && file.try_lock().is_ok()
@@ -106,17 +94,12 @@ mod tests {
         assert!(try_lock(dir, &Digest::of(b"other")).unwrap().is_some());
         let (waiting, waits) = std::sync::mpsc::channel();
         std::thread::scope(|scope| {
-            let waiter =
-                scope.spawn(|| drop(lock(dir, &key, || waiting.send(()).unwrap()).unwrap()));
+            let waiter = scope.spawn(|| drop(lock(dir, &key, || waiting.send(()).unwrap()).unwrap()));
             waits.recv().unwrap();
             assert!(!waiter.is_finished());
             drop(held);
         });
-        assert_eq!(
-            std::fs::read_dir(dir).unwrap().count(),
-            0,
-            "released locks leave no file"
-        );
+        assert_eq!(std::fs::read_dir(dir).unwrap().count(), 0, "released locks leave no file");
     }
 
     #[test]
@@ -141,15 +124,10 @@ mod tests {
     #[test]
     fn sweeping_spares_what_is_held() {
         let folder = tempfile::tempdir().unwrap();
-        let held = try_lock(folder.path(), &Digest::of(b"held"))
-            .unwrap()
-            .unwrap();
+        let held = try_lock(folder.path(), &Digest::of(b"held")).unwrap().unwrap();
         std::fs::write(folder.path().join(Digest::of(b"left").to_string()), b"").unwrap();
         sweep(folder.path(), "").unwrap();
-        let left: Vec<_> = std::fs::read_dir(folder.path())
-            .unwrap()
-            .map(|entry| entry.unwrap().path())
-            .collect();
+        let left: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path()).collect();
         assert!(left.len() == 1 && left[0] == held.path, "{left:?}");
     }
 }

@@ -60,16 +60,12 @@ impl Store {
 /// A new file beside `to` with the permissions any new file would have.
 fn beside(folder: &Path) -> Result<NamedTempFile, StoreError> {
     let mut builder = tempfile::Builder::new();
-    builder
-        .prefix(HALF_WRITTEN)
-        .permissions(Permissions::from_mode(0o666));
+    builder.prefix(HALF_WRITTEN).permissions(Permissions::from_mode(0o666));
     builder.tempfile_in(folder).at("write into", folder)
 }
 
 fn persist(file: NamedTempFile, to: &Path) -> Result<(), StoreError> {
-    file.persist(to)
-        .map_err(|fault| fault.error)
-        .at("write", to)?;
+    file.persist(to).map_err(|fault| fault.error).at("write", to)?;
     Ok(())
 }
 
@@ -98,9 +94,7 @@ fn hard_link(blob: &Path, folder: &Path, to: &Path) -> bool {
         return true;
     }
     let mut builder = tempfile::Builder::new();
-    let linked = builder
-        .prefix(HALF_WRITTEN)
-        .make_in(folder, |path| fs::hard_link(blob, path));
+    let linked = builder.prefix(HALF_WRITTEN).make_in(folder, |path| fs::hard_link(blob, path));
     linked.is_ok_and(|linked| linked.persist(to).is_ok())
 }
 
@@ -111,18 +105,10 @@ fn is_same_file(a: &Path, b: &Path) -> bool {
     }
 }
 
-fn copy_file(
-    blobs: &Blobs,
-    digest: &Digest,
-    folder: &Path,
-    to: &Path,
-) -> Result<Materialised, StoreError> {
+fn copy_file(blobs: &Blobs, digest: &Digest, folder: &Path, to: &Path) -> Result<Materialised, StoreError> {
     let blob = blobs.path(digest);
     let mut file = beside(folder)?;
-    let mut tee = Tee {
-        from: File::open(&blob).at("open", &blob)?,
-        to: &mut file,
-    };
+    let mut tee = Tee { from: File::open(&blob).at("open", &blob)?, to: &mut file };
     let (found, _) = Digest::of_reader(&mut tee).at("copy the blob to", to)?;
     if found != *digest {
         return Err(blobs.quarantine(digest));
@@ -158,27 +144,17 @@ mod tests {
     #[test]
     fn each_size_has_its_way_and_every_way_the_same_bytes() {
         let (folder, store) = store();
-        for (bytes, way) in [
-            (10, Materialised::Copy),
-            (100_000, Materialised::Copy),
-            (2 << 20, Materialised::HardLink),
-        ] {
+        for (bytes, way) in [(10, Materialised::Copy), (100_000, Materialised::Copy), (2 << 20, Materialised::HardLink)]
+        {
             let blob: Vec<u8> = (0..bytes).map(|at: usize| (at % 251) as u8).collect();
             let digest = store.put(&blob).unwrap();
             let to = folder.path().join("outputs/deep/a.bin");
             for _ in 0..2 {
                 let took = store.materialise(&digest, &to).unwrap();
-                assert!(
-                    took == way || took == Materialised::Reflink && bytes > 10,
-                    "{bytes} bytes: {took:?}"
-                );
+                assert!(took == way || took == Materialised::Reflink && bytes > 10, "{bytes} bytes: {took:?}");
                 assert!(fs::read(&to).unwrap() == blob);
             }
-            assert_eq!(
-                fs::read_dir(to.parent().unwrap()).unwrap().count(),
-                1,
-                "nothing is left beside it"
-            );
+            assert_eq!(fs::read_dir(to.parent().unwrap()).unwrap().count(), 1, "nothing is left beside it");
         }
     }
 
@@ -187,10 +163,7 @@ mod tests {
         let (folder, store) = store();
         let digest = store.put(&vec![3; 3 << 20]).unwrap();
         let to = folder.path().join("copy.bin");
-        assert_eq!(
-            copy_file(store.blobs(), &digest, folder.path(), &to).unwrap(),
-            Materialised::Copy
-        );
+        assert_eq!(copy_file(store.blobs(), &digest, folder.path(), &to).unwrap(), Materialised::Copy);
         assert!(fs::read(&to).unwrap() == vec![3; 3 << 20]);
         assert!(!is_same_file(&store.blobs().path(&digest), &to));
     }
@@ -219,10 +192,7 @@ mod tests {
         let digest = store.put(&vec![6; 100_000]).unwrap();
         let path = store.blobs().path(&digest);
         let sealed = fs::metadata(&path).unwrap().mtime_nsec();
-        File::open(&path)
-            .unwrap()
-            .set_modified(std::time::SystemTime::UNIX_EPOCH)
-            .unwrap();
+        File::open(&path).unwrap().set_modified(std::time::SystemTime::UNIX_EPOCH).unwrap();
         assert_eq!(store.size(&digest), Some(100_000));
         assert_eq!(fs::metadata(&path).unwrap().mtime_nsec(), sealed);
     }

@@ -39,10 +39,7 @@ pub(crate) fn prepare(dir: &Path) -> Result<(), StoreError> {
         Ok(found) => return Err(wrong_format(dir, &found)),
         Err(fault) if fault.kind() == io::ErrorKind::NotFound => match foreign {
             Some(entry) => {
-                return Err(StoreError::NotAStore {
-                    dir: dir.to_owned(),
-                    entry,
-                });
+                return Err(StoreError::NotAStore { dir: dir.to_owned(), entry });
             }
             None => write_whole(dir, "format", &format!("{FORMAT}\n"))?,
         },
@@ -61,21 +58,13 @@ pub(crate) fn prepare(dir: &Path) -> Result<(), StoreError> {
 
 fn wrong_format(dir: &Path, found: &str) -> StoreError {
     let found = found.trim_end().chars().take(80).collect();
-    StoreError::Format {
-        dir: dir.to_owned(),
-        found,
-        expected: FORMAT.to_owned(),
-    }
+    StoreError::Format { dir: dir.to_owned(), found, expected: FORMAT.to_owned() }
 }
 
 /// Something in `dir` that no opening of a store would have put there.
 fn foreign_entry(dir: &Path) -> Result<Option<String>, StoreError> {
     for entry in fs::read_dir(dir).at("list", dir)? {
-        let name = entry
-            .at("list", dir)?
-            .file_name()
-            .to_string_lossy()
-            .into_owned();
+        let name = entry.at("list", dir)?.file_name().to_string_lossy().into_owned();
         if name != "format" && !name.starts_with(HALF_WRITTEN) {
             return Ok(Some(name));
         }
@@ -86,16 +75,11 @@ fn foreign_entry(dir: &Path) -> Result<Option<String>, StoreError> {
 /// Writes a file that is there in full or not at all.
 fn write_whole(dir: &Path, name: &str, text: &str) -> Result<(), StoreError> {
     let path = dir.join(name);
-    let mut file = tempfile::Builder::new()
-        .prefix(HALF_WRITTEN)
-        .tempfile_in(dir)
-        .at("write into", dir)?;
+    let mut file = tempfile::Builder::new().prefix(HALF_WRITTEN).tempfile_in(dir).at("write into", dir)?;
     file.write_all(text.as_bytes()).at("write", &path)?;
     set_mode(file.as_file(), 0o644).at("set the mode of", &path)?;
     file.as_file().sync_all().at("sync", &path)?;
-    file.persist(&path)
-        .map_err(|fault| fault.error)
-        .at("write", &path)?;
+    file.persist(&path).map_err(|fault| fault.error).at("write", &path)?;
     Ok(())
 }
 
@@ -114,15 +98,8 @@ mod tests {
         let dir = folder.path().join("a/new/store");
         prepare(&dir).unwrap();
         prepare(&dir).unwrap();
-        assert_eq!(
-            fs::read_to_string(dir.join("format")).unwrap(),
-            "rockface store 1\n"
-        );
-        assert!(
-            fs::read_to_string(dir.join("CACHEDIR.TAG"))
-                .unwrap()
-                .starts_with("Signature: 8a477f597d28d172789f0")
-        );
+        assert_eq!(fs::read_to_string(dir.join("format")).unwrap(), "rockface store 1\n");
+        assert!(fs::read_to_string(dir.join("CACHEDIR.TAG")).unwrap().starts_with("Signature: 8a477f597d28d172789f0"));
     }
 
     #[test]
@@ -130,14 +107,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         fs::write(folder.path().join("format"), "rockface store 99\n").unwrap();
         let message = prepare(folder.path()).unwrap_err().to_string();
-        assert!(
-            message.contains("`rockface store 99`") && message.contains("`rockface store 1`"),
-            "{message}"
-        );
-        assert!(
-            !folder.path().join(SEGMENTS).exists(),
-            "a refused folder is left alone"
-        );
+        assert!(message.contains("`rockface store 99`") && message.contains("`rockface store 1`"), "{message}");
+        assert!(!folder.path().join(SEGMENTS).exists(), "a refused folder is left alone");
     }
 
     #[test]

@@ -6,9 +6,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::Digest;
-use crate::canonical::{
-    push_display, write_digest, write_entries, write_list, write_str, write_strings, write_value,
-};
+use crate::canonical::{push_display, write_digest, write_entries, write_list, write_str, write_strings, write_value};
 
 /// Separates keys of random streams from every other use of BLAKE3. Changing it reshuffles every simulation.
 const STREAM_CONTEXT: &str = "rockface 1 random stream key";
@@ -133,21 +131,15 @@ pub(crate) mod tests {
     }
 
     fn any_input() -> impl Strategy<Value = RecipeInput> {
-        let element =
-            (any_strings(), any_digest()).prop_map(|(point, digest)| Gathered { point, digest });
-        prop_oneof![
-            any_digest().prop_map(RecipeInput::One),
-            vec(element, 0..4).prop_map(RecipeInput::Many)
-        ]
+        let element = (any_strings(), any_digest()).prop_map(|(point, digest)| Gathered { point, digest });
+        prop_oneof![any_digest().prop_map(RecipeInput::One), vec(element, 0..4).prop_map(RecipeInput::Many)]
     }
 
     fn any_seed() -> impl Strategy<Value = SeedMaterial> {
-        (any::<u64>(), any::<String>(), any_strings()).prop_map(|(seed, stream, items)| {
-            SeedMaterial {
-                seed,
-                stream,
-                items,
-            }
+        (any::<u64>(), any::<String>(), any_strings()).prop_map(|(seed, stream, items)| SeedMaterial {
+            seed,
+            stream,
+            items,
         })
     }
 
@@ -161,28 +153,19 @@ pub(crate) mod tests {
     }
 
     fn strings(pairs: &[(&str, &str)]) -> BTreeMap<String, String> {
-        pairs
-            .iter()
-            .map(|(key, item)| ((*key).to_owned(), (*item).to_owned()))
-            .collect()
+        pairs.iter().map(|(key, item)| ((*key).to_owned(), (*item).to_owned())).collect()
     }
 
     fn fixed() -> Recipe {
         let mesh = RecipeInput::One(Digest::of(b"mesh"));
-        let rows = RecipeInput::Many(vec![Gathered {
-            point: strings(&[("epoch", "pre")]),
-            digest: Digest::of(b"row"),
-        }]);
+        let rows =
+            RecipeInput::Many(vec![Gathered { point: strings(&[("epoch", "pre")]), digest: Digest::of(b"row") }]);
         Recipe {
             stage: "remove-blocks".into(),
             version: 3,
             params: json!({"radius_m": 1.0, "count": 100, "file": Digest::of(b"").to_string()}),
             inputs: [("rows".to_owned(), rows), ("mesh".to_owned(), mesh)].into(),
-            seed: Some(SeedMaterial {
-                seed: 2747,
-                stream: "removed".into(),
-                items: strings(&[("replicate", "7")]),
-            }),
+            seed: Some(SeedMaterial { seed: 2747, stream: "removed".into(), items: strings(&[("replicate", "7")]) }),
         }
     }
 
@@ -205,15 +188,9 @@ pub(crate) mod tests {
     #[test]
     fn the_key_and_the_stream_of_a_fixed_recipe_never_change() {
         // A change here orphans every store and reshuffles every simulation: it needs a new format version.
-        assert_eq!(
-            fixed().key().to_string(),
-            "9301eebf15de6e86a6fbc71f410d288675c90490266bd732aebe43eec32368c6"
-        );
+        assert_eq!(fixed().key().to_string(), "9301eebf15de6e86a6fbc71f410d288675c90490266bd732aebe43eec32368c6");
         let stream = Digest::from_bytes(fixed().seed.unwrap().key());
-        assert_eq!(
-            stream.to_string(),
-            "2090106c0da7d3fab642f2b7881d8363742b75c05eaad805e5800b223ca65925"
-        );
+        assert_eq!(stream.to_string(), "2090106c0da7d3fab642f2b7881d8363742b75c05eaad805e5800b223ca65925");
     }
 
     #[test]
@@ -225,11 +202,7 @@ pub(crate) mod tests {
         others[3].inputs.remove("rows");
         others[4].seed = None;
         others[5].seed.as_mut().unwrap().seed = 2748;
-        let mut keys: Vec<_> = others
-            .iter()
-            .map(Recipe::key)
-            .chain([fixed().key()])
-            .collect();
+        let mut keys: Vec<_> = others.iter().map(Recipe::key).chain([fixed().key()]).collect();
         keys.sort_unstable();
         keys.dedup();
         assert_eq!(keys.len(), 7);
@@ -238,25 +211,10 @@ pub(crate) mod tests {
     #[test]
     fn streams_differ_by_seed_name_and_item() {
         let base = fixed().seed.unwrap();
-        let other_seed = SeedMaterial {
-            seed: 1,
-            ..base.clone()
-        };
-        let other_name = SeedMaterial {
-            stream: "blocks".into(),
-            ..base.clone()
-        };
-        let other_item = SeedMaterial {
-            items: strings(&[("replicate", "8")]),
-            ..base.clone()
-        };
-        let mut keys = [
-            base.key(),
-            other_seed.key(),
-            other_name.key(),
-            other_item.key(),
-        ]
-        .to_vec();
+        let other_seed = SeedMaterial { seed: 1, ..base.clone() };
+        let other_name = SeedMaterial { stream: "blocks".into(), ..base.clone() };
+        let other_item = SeedMaterial { items: strings(&[("replicate", "8")]), ..base.clone() };
+        let mut keys = [base.key(), other_seed.key(), other_name.key(), other_item.key()].to_vec();
         keys.sort_unstable();
         keys.dedup();
         assert_eq!(keys.len(), 4);

@@ -95,11 +95,7 @@ impl Record {
         let mut out = Vec::with_capacity(recipe_text.len() + 512);
         out.extend((recipe_text.len() as u32).to_le_bytes());
         out.extend(recipe_text.as_bytes());
-        let outcome = OutcomeRef {
-            outputs: &self.outputs,
-            log: &self.log,
-            cost: &self.cost,
-        };
+        let outcome = OutcomeRef { outputs: &self.outputs, log: &self.log, cost: &self.cost };
         serde_json::to_writer(&mut out, &outcome)?;
         Ok(out)
     }
@@ -109,12 +105,7 @@ impl Record {
         let (recipe, outcome) = split(bytes)?;
         let Outcome { outputs, log, cost } = serde_json::from_slice(outcome).ok()?;
         let recipe = serde_json::from_slice(recipe).ok()?;
-        Some(Record {
-            recipe,
-            outputs,
-            log,
-            cost,
-        })
+        Some(Record { recipe, outputs, log, cost })
     }
 }
 
@@ -129,8 +120,7 @@ fn promised(
     log: Option<Digest>,
 ) -> impl Iterator<Item = (Digest, Option<u64>)> {
     let kept = outputs.values().filter(|output| output.kept);
-    kept.map(|output| (output.digest, Some(output.bytes)))
-        .chain(log.map(|log| (log, None)))
+    kept.map(|output| (output.digest, Some(output.bytes))).chain(log.map(|log| (log, None)))
 }
 
 impl Cost {
@@ -148,20 +138,15 @@ pub(crate) mod tests {
 
     fn any_output() -> impl Strategy<Value = OutputRecord> {
         let items = proptest::option::of(proptest::collection::vec(any::<String>(), 0..3));
-        (
-            any::<String>(),
-            any::<[u8; 32]>(),
-            any::<u64>(),
-            any::<bool>(),
-            items,
-        )
-            .prop_map(|(kind, digest, bytes, kept, items)| OutputRecord {
+        (any::<String>(), any::<[u8; 32]>(), any::<u64>(), any::<bool>(), items).prop_map(
+            |(kind, digest, bytes, kept, items)| OutputRecord {
                 kind,
                 digest: Digest::from_bytes(digest),
                 bytes,
                 kept,
                 items,
-            })
+            },
+        )
     }
 
     prop_compose! {

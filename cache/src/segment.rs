@@ -56,9 +56,7 @@ impl Writer {
     ///
     /// After an error the end of the file is not known: drop the writer, and whoever claims the segment next cuts the torn tail.
     pub(crate) fn append(&mut self, header: &Header, payload: &[u8]) -> Result<u64, StoreError> {
-        (&*self.file)
-            .write_all(&header.encode(payload))
-            .at("append to", &self.path)?;
+        (&*self.file).write_all(&header.encode(payload)).at("append to", &self.path)?;
         let at = self.end + HEADER_BYTES as u64;
         self.end += header.frame_bytes();
         if header.kind != Kind::Mark {
@@ -70,12 +68,7 @@ impl Writer {
 
 /// Opens a segment for appending if no live process writes it.
 pub(crate) fn claim(path: &Path) -> Result<Option<File>, StoreError> {
-    let file = OpenOptions::new()
-        .read(true)
-        .append(true)
-        .create(true)
-        .open(path)
-        .at("open", path)?;
+    let file = OpenOptions::new().read(true).append(true).create(true).open(path).at("open", path)?;
     match file.try_lock() {
         Ok(()) => Ok(is_at(&file, path).then_some(file)),
         Err(TryLockError::WouldBlock) => Ok(None),
@@ -97,31 +90,18 @@ pub(crate) fn is_at(file: &File, path: &Path) -> bool {
 /// Frames before the last mark were synced, so their payloads are not verified here but when they are used; later ones
 /// are verified now, since a power cut may have torn them. What is damaged is stepped over, at worst to the next header.
 pub(crate) fn scan(file: &File, from: u64) -> io::Result<Scan> {
-    let mut window = Window {
-        file,
-        size: file.metadata()?.len(),
-        start: 0,
-        bytes: Vec::new(),
-    };
+    let mut window = Window { file, size: file.metadata()?.len(), start: 0, bytes: Vec::new() };
     let mut frames = Vec::new();
     let mut durable = from;
     let mut next = window.find_header(from)?;
     while let Some((start, header)) = next {
         let at = start + HEADER_BYTES as u64;
-        let length = if header.kind == Kind::Blob {
-            0
-        } else {
-            header.length as usize
-        };
+        let length = if header.kind == Kind::Blob { 0 } else { header.length as usize };
         let payload = window.read(at, length)?.into();
         if header.kind == Kind::Mark {
             durable = durable.max(header.stamp);
         }
-        frames.push(Frame {
-            header,
-            at,
-            payload,
-        });
+        frames.push(Frame { header, at, payload });
         next = window.find_header(start + header.frame_bytes())?;
     }
     let mut whole = Vec::with_capacity(frames.len());
@@ -130,9 +110,7 @@ pub(crate) fn scan(file: &File, from: u64) -> io::Result<Scan> {
             whole.push(frame);
         }
     }
-    let end = whole
-        .last()
-        .map_or(from, |frame| frame.at + u64::from(frame.header.length));
+    let end = whole.last().map_or(from, |frame| frame.at + u64::from(frame.header.length));
     Ok(Scan { frames: whole, end })
 }
 
@@ -157,15 +135,11 @@ impl Window<'_> {
     }
 
     fn fill(&mut self, at: u64, length: usize) -> io::Result<()> {
-        self.bytes
-            .resize(length.min(self.size.saturating_sub(at) as usize), 0);
+        self.bytes.resize(length.min(self.size.saturating_sub(at) as usize), 0);
         self.start = at;
         let mut filled = 0;
         while filled < self.bytes.len() {
-            match self
-                .file
-                .read_at(&mut self.bytes[filled..], at + filled as u64)
-            {
+            match self.file.read_at(&mut self.bytes[filled..], at + filled as u64) {
                 Ok(0) => break,
                 Ok(count) => filled += count,
                 Err(fault) if fault.kind() == io::ErrorKind::Interrupted => {}
@@ -181,9 +155,7 @@ impl Window<'_> {
         while at + HEADER_BYTES as u64 <= self.size {
             let size = self.size;
             let bytes = self.read(at, HEADER_BYTES)?;
-            if let Some(header) =
-                Header::decode(bytes).filter(|header| at + header.frame_bytes() <= size)
-            {
+            if let Some(header) = Header::decode(bytes).filter(|header| at + header.frame_bytes() <= size) {
                 return Ok(Some((at, header)));
             }
             at = self.find_magic(at + 1)?;
@@ -222,14 +194,9 @@ mod tests {
         let file = tempfile::NamedTempFile::new().unwrap();
         let mut bytes = Vec::new();
         let mut ends = Vec::new();
-        for (number, kind) in [Kind::Record, Kind::Blob, Kind::Note, Kind::File]
-            .into_iter()
-            .enumerate()
-        {
+        for (number, kind) in [Kind::Record, Kind::Blob, Kind::Note, Kind::File].into_iter().enumerate() {
             let payload = vec![number as u8; 10 + 60 * number];
-            bytes.extend(
-                Header::of(kind, Digest::of(&payload), number as u64, &payload).encode(&payload),
-            );
+            bytes.extend(Header::of(kind, Digest::of(&payload), number as u64, &payload).encode(&payload));
             ends.push(bytes.len() as u64);
         }
         if marked {
@@ -248,11 +215,7 @@ mod tests {
             let found = scan(file.as_file(), 0).unwrap();
             let expected: Vec<u64> = ends.iter().copied().filter(|end| *end <= size).collect();
             assert_eq!(found.frames.len(), expected.len(), "torn at {size}");
-            assert_eq!(
-                found.end,
-                expected.last().copied().unwrap_or(0),
-                "torn at {size}"
-            );
+            assert_eq!(found.end, expected.last().copied().unwrap_or(0), "torn at {size}");
         }
     }
 
@@ -264,11 +227,7 @@ mod tests {
             let mut byte = [0];
             file.as_file().read_exact_at(&mut byte, at).unwrap();
             file.as_file().write_all_at(&[byte[0] ^ 0x55], at).unwrap();
-            assert_eq!(
-                scan(file.as_file(), 0).unwrap().frames.len(),
-                ends.len() - 1,
-                "damaged at {at}"
-            );
+            assert_eq!(scan(file.as_file(), 0).unwrap().frames.len(), ends.len() - 1, "damaged at {at}");
             file.as_file().write_all_at(&byte, at).unwrap();
         }
     }
@@ -277,10 +236,7 @@ mod tests {
     fn before_a_mark_payloads_are_left_for_later() {
         let (file, ends) = sample(true);
         file.as_file().write_all_at(b"!", ends[1] - 1).unwrap();
-        assert_eq!(
-            scan(file.as_file(), 0).unwrap().frames.len(),
-            ends.len() + 1
-        );
+        assert_eq!(scan(file.as_file(), 0).unwrap().frames.len(), ends.len() + 1);
     }
 
     #[test]
@@ -310,17 +266,8 @@ mod tests {
             return;
         };
         let file = Arc::new(file);
-        let mut writer = Writer {
-            file,
-            path: path.into(),
-            segment: 0,
-            end: 0,
-            appended: 0,
-            durable: 0,
-        };
-        let fault = writer
-            .append(&Header::of(Kind::Note, Digest::of(b""), 1, b"x"), b"x")
-            .unwrap_err();
+        let mut writer = Writer { file, path: path.into(), segment: 0, end: 0, appended: 0, durable: 0 };
+        let fault = writer.append(&Header::of(Kind::Note, Digest::of(b""), 1, b"x"), b"x").unwrap_err();
         assert!(matches!(fault, StoreError::DiskFull { .. }), "{fault}");
         assert_eq!((writer.end, writer.appended), (0, 0));
     }

@@ -101,10 +101,7 @@ impl Store {
         }
         self.blobs.put(&digest, bytes)?;
         let path = self.blobs.path(&digest);
-        path.ancestors()
-            .skip(1)
-            .take(2)
-            .for_each(|folder| self.journal.owe(folder));
+        path.ancestors().skip(1).take(2).for_each(|folder| self.journal.owe(folder));
         self.syncer.wake()?;
         Ok(digest)
     }
@@ -134,29 +131,22 @@ impl Store {
         let moved_to = self.blobs.quarantine_path(digest);
         std::fs::write(&moved_to, &bytes).at("set aside a damaged blob as", &moved_to)?;
         self.journal.forget(digest, place);
-        Err(StoreError::Damaged {
-            digest: *digest,
-            moved_to,
-        })
+        Err(StoreError::Damaged { digest: *digest, moved_to })
     }
 
     /// The latest record under this key. Those of other live processes are seen after [`Store::refresh`].
     pub fn record(&self, key: &Digest) -> Option<Record> {
-        self.journal
-            .with_index(|index| Record::decode(index.payload(Kind::Record, key)?))
+        self.journal.with_index(|index| Record::decode(index.payload(Kind::Record, key)?))
     }
 
     /// The latest record under this key, if every blob it names is there.
     pub fn is_hit(&self, key: &Digest) -> Option<Record> {
-        self.record(key)
-            .filter(|record| self.has_all(record.blobs()))
+        self.record(key).filter(|record| self.has_all(record.blobs()))
     }
 
     /// [`Store::is_hit`] without reading the recipe, which the caller has just hashed: what planning needs.
     pub fn hit_outcome(&self, key: &Digest) -> Option<Outcome> {
-        let outcome = self
-            .journal
-            .with_index(|index| Outcome::decode(index.payload(Kind::Record, key)?));
+        let outcome = self.journal.with_index(|index| Outcome::decode(index.payload(Kind::Record, key)?));
         outcome.filter(|outcome| self.has_all(outcome.blobs()))
     }
 
@@ -172,15 +162,10 @@ impl Store {
         let text = record.recipe.text();
         let key = Digest::of(text.as_bytes());
         self.check(record)?;
-        if self
-            .record(&key)
-            .is_some_and(|first| first.same_outcome(record))
-        {
+        if self.record(&key).is_some_and(|first| first.same_outcome(record)) {
             return Ok(key);
         }
-        let payload = record
-            .encode(&text)
-            .map_err(|fault| bad_record(record, fault.to_string()))?;
+        let payload = record.encode(&text).map_err(|fault| bad_record(record, fault.to_string()))?;
         self.append(Kind::Record, key, &payload)?;
         Ok(key)
     }
@@ -188,20 +173,11 @@ impl Store {
     /// Refuses a record that could never be a hit or could not be read back.
     fn check(&self, record: &Record) -> Result<(), StoreError> {
         if !record.cost.is_finite() {
-            return Err(bad_record(
-                record,
-                "its cost is not a finite number of seconds".to_owned(),
-            ));
+            return Err(bad_record(record, "its cost is not a finite number of seconds".to_owned()));
         }
-        match record
-            .blobs()
-            .find(|(digest, bytes)| !self.has(digest, *bytes))
-        {
+        match record.blobs().find(|(digest, bytes)| !self.has(digest, *bytes)) {
             Some((digest, _)) => {
-                let reason = format!(
-                    "blob {} of it is not in the store with that size: put it first",
-                    digest.short()
-                );
+                let reason = format!("blob {} of it is not in the store with that size: put it first", digest.short());
                 Err(bad_record(record, reason))
             }
             None => Ok(()),
@@ -209,8 +185,7 @@ impl Store {
     }
 
     fn has(&self, digest: &Digest, bytes: Option<u64>) -> bool {
-        self.size(digest)
-            .is_some_and(|size| bytes.is_none_or(|bytes| bytes == size))
+        self.size(digest).is_some_and(|size| bytes.is_none_or(|bytes| bytes == size))
     }
 
     /// Takes the right to compute `key`, calling `on_wait` once before waiting if another holds it, here or in another
@@ -242,8 +217,7 @@ impl Store {
 
     /// The latest note under the key of this plan.
     pub fn recalled_run(&self, plan_key: &Digest) -> Option<Value> {
-        self.journal
-            .with_index(|index| serde_json::from_slice(index.payload(Kind::Note, plan_key)?).ok())
+        self.journal.with_index(|index| serde_json::from_slice(index.payload(Kind::Note, plan_key)?).ok())
     }
 
     /// The keys of all records, sorted.
@@ -253,8 +227,7 @@ impl Store {
 
     /// Counts what is in the store.
     pub fn stat(&self) -> Result<StoreStat, StoreError> {
-        let (small_blobs, small_blob_bytes, records, notes) =
-            self.journal.with_index(crate::index::Index::counts);
+        let (small_blobs, small_blob_bytes, records, notes) = self.journal.with_index(crate::index::Index::counts);
         let (large_blobs, large_blob_bytes) = self.blobs.count()?;
         let (segments, segment_bytes) = count_files(&self.root.join(SEGMENTS))?;
         let (quarantined, _) = count_files(&self.root.join(QUARANTINE))?;
@@ -274,12 +247,7 @@ impl Store {
     }
 
     /// Appends to the journal and sees to its being synced.
-    pub(crate) fn append(
-        &self,
-        kind: Kind,
-        name: Digest,
-        payload: &[u8],
-    ) -> Result<(), StoreError> {
+    pub(crate) fn append(&self, kind: Kind, name: Digest, payload: &[u8]) -> Result<(), StoreError> {
         self.journal.append(kind, name, payload)?;
         self.syncer.wake()
     }
@@ -306,20 +274,14 @@ impl Store {
 }
 
 fn bad_record(record: &Record, reason: String) -> StoreError {
-    StoreError::BadRecord {
-        stage: record.recipe.stage.clone(),
-        reason,
-    }
+    StoreError::BadRecord { stage: record.recipe.stage.clone(), reason }
 }
 
 /// The number of files in a folder, and their bytes.
 fn count_files(folder: &Path) -> Result<(u64, u64), StoreError> {
     let (mut count, mut bytes) = (0, 0);
     for entry in std::fs::read_dir(folder).at("list", folder)? {
-        bytes += entry
-            .and_then(|entry| entry.metadata())
-            .at("list", folder)?
-            .len();
+        bytes += entry.and_then(|entry| entry.metadata()).at("list", folder)?.len();
         count += 1;
     }
     Ok((count, bytes))

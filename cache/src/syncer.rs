@@ -34,11 +34,7 @@ struct State {
 impl Syncer {
     /// A syncer at rest; its thread starts with the first write.
     pub(crate) fn new(journal: Arc<Journal>) -> Self {
-        Self {
-            journal,
-            pulse: Arc::default(),
-            thread: Mutex::default(),
-        }
+        Self { journal, pulse: Arc::default(), thread: Mutex::default() }
     }
 
     /// Says that something was written; reports what went wrong with the last sync in the background.
@@ -69,10 +65,7 @@ impl Drop for Syncer {
     fn drop(&mut self) {
         self.pulse.state().stopping = true;
         self.pulse.bell.notify_one();
-        let thread = self
-            .thread
-            .get_mut()
-            .unwrap_or_else(PoisonError::into_inner);
+        let thread = self.thread.get_mut().unwrap_or_else(PoisonError::into_inner);
         if let Some(thread) = thread.take() {
             // A panic of the thread has been printed; the sync below does its work.
             let _ = thread.join();
@@ -98,13 +91,8 @@ impl Pulse {
     /// Waits for something to be written and then for the delay; false when the store is being dropped.
     fn wait(&self) -> bool {
         let idle = |state: &mut State| !state.dirty && !state.stopping;
-        let state = self
-            .bell
-            .wait_while(self.state(), idle)
-            .unwrap_or_else(PoisonError::into_inner);
-        let waited = self
-            .bell
-            .wait_timeout_while(state, DELAY, |state| !state.stopping);
+        let state = self.bell.wait_while(self.state(), idle).unwrap_or_else(PoisonError::into_inner);
+        let waited = self.bell.wait_timeout_while(state, DELAY, |state| !state.stopping);
         let (mut state, _) = waited.unwrap_or_else(PoisonError::into_inner);
         state.dirty = false;
         !state.stopping

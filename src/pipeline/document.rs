@@ -265,15 +265,11 @@ impl Reader<'_> {
 
     fn count(&mut self, node: &Node) -> Option<(Vec<String>, Vec<Value>)> {
         let count = if let Data::Scalar(value) = &node.data { value.as_u64() } else { None };
-        match count {
-            Some(count @ 1..=1_000_000) => {
-                Some(((0..count).map(|i| i.to_string()).collect(), (0..count).map(Value::from).collect()))
-            }
-            _ => {
-                self.expected(node, "a count from 1 to 1000000");
-                None
-            }
-        }
+        let Some(count @ 1..=1_000_000) = count else {
+            self.expected(node, "a count from 1 to 1000000");
+            return None;
+        };
+        Some(((0..count).map(|i| i.to_string()).collect(), (0..count).map(Value::from).collect()))
     }
 
     fn items(&mut self, node: &Node, axis: &Word) -> Option<(Vec<String>, Vec<Value>)> {

@@ -46,14 +46,14 @@ pub struct Given {
 
 impl Plan {
     /// Expands a graph; faults of parameters and files are reported together.
-    pub fn new(graph: Graph, hash: &HashFile) -> Result<Self, (Graph, Vec<Diagnostic>)> {
+    pub fn new(graph: Graph, hash: &HashFile) -> Result<Self, Vec<Diagnostic>> {
         let needed = needed_points(&graph);
         match Expansion::new(&graph, hash).run(&needed) {
             Ok(instances) => {
                 let targets = (0..instances.len()).filter(|i| graph.targets.contains(&instances[*i].step)).collect();
                 Ok(Self { graph, instances, targets })
             }
-            Err(faults) => Err((graph, faults)),
+            Err(faults) => Err(faults),
         }
     }
 

@@ -6,14 +6,15 @@ use petgraph::algo::{kosaraju_scc, toposort};
 use petgraph::graph::DiGraph;
 use rockface_stages::{AnyStage, Arity, Port};
 
+use super::Registry;
 use super::graph::{Feed, Graph, GraphStep, Source};
 use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::pipeline::{Document, Input, Node, Pipeline, Reference, Step, Word, mentioned};
 
 /// Resolves a pipeline; `targets` on the command line take the place of the document's.
-pub fn resolve(pipeline: &Pipeline, targets: &[String]) -> Result<Graph, Diagnostics> {
+pub fn resolve(pipeline: &Pipeline, targets: &[String], stages: &Registry) -> Result<Graph, Diagnostics> {
     let document = &pipeline.document;
-    let mut resolver = Resolver::new(document);
+    let mut resolver = Resolver::new(document, stages);
     resolver.check_names();
     let order = resolver.order();
     let graph = order.map(|order| resolver.build(&order, pipeline, targets));
@@ -27,16 +28,18 @@ struct Resolver<'d> {
     document: &'d Document,
     steps: HashMap<&'d str, usize>,
     axes: HashMap<&'d str, usize>,
+    registry: &'d Registry,
     stages: Vec<Option<&'static dyn AnyStage>>,
     faults: Vec<Diagnostic>,
 }
 
 impl<'d> Resolver<'d> {
-    fn new(document: &'d Document) -> Self {
+    fn new(document: &'d Document, registry: &'d Registry) -> Self {
         let steps = document.steps.iter().enumerate().map(|(i, step)| (step.name.text.as_str(), i)).collect();
         let axes = document.axes.iter().enumerate().map(|(i, axis)| (axis.name.text.as_str(), i)).collect();
-        let stages = document.steps.iter().map(|step| rockface_stages::find(&step.stage.text)).collect();
-        Self { document, steps, axes, stages, faults: Vec::new() }
+        let stages =
+            document.steps.iter().map(|step| registry.iter().copied().find(|s| s.name() == step.stage.text)).collect();
+        Self { document, steps, axes, registry, stages, faults: Vec::new() }
     }
 
     fn step_names(&self) -> Vec<&'d str> {
@@ -50,7 +53,7 @@ impl<'d> Resolver<'d> {
     fn check_names(&mut self) {
         for (step, stage) in self.document.steps.iter().zip(&self.stages) {
             if stage.is_none() {
-                let known = rockface_stages::all().iter().map(|stage| stage.name());
+                let known = self.registry.iter().map(|stage| stage.name());
                 let fault = Diagnostic::at(step.stage.span, format!("unknown stage `{}`", step.stage.text));
                 self.faults.push(fault.suggest(&step.stage.text, known));
             }

@@ -91,10 +91,10 @@ impl Writer<'_> {
         let logs: Vec<Vec<Entry>> =
             self.summary.instances.iter().map(|result| self.entries(result.outcome.as_ref())).collect();
         let headlines = self.headlines(&logs);
-        self.write_file(&folder.join("run.mcap"), &self.log(&logs)?)?;
+        write_file(&folder.join("run.mcap"), &self.log(&logs)?)?;
         let manifest = self.manifest(&headlines);
         let text = serde_json::to_string_pretty(&manifest).unwrap_or_default();
-        self.write_file(&folder.join("run.json"), format!("{text}\n").as_bytes())?;
+        write_file(&folder.join("run.json"), format!("{text}\n").as_bytes())?;
         point_latest(self.about.runs, &folder)?;
         Ok(Finished { folder, headlines, files })
     }
@@ -136,7 +136,7 @@ impl Writer<'_> {
                 let bytes = self.store.get(&output.digest)?;
                 for export in Artefact::decode(kind, &bytes).map(|value| value.exports()).unwrap_or_default() {
                     let path = place.join(format!("{port}.{}", export.extension));
-                    self.write_file(&folder.join(&path), &export.bytes)?;
+                    write_file(&folder.join(&path), &export.bytes)?;
                     made.push(path);
                 }
             }
@@ -211,20 +211,20 @@ impl Writer<'_> {
             "steps": steps.collect::<Vec<_>>(),
         })
     }
+}
 
-    /// Writes a whole file or none.
-    fn write_file(&self, path: &Path, bytes: &[u8]) -> Result<(), RunError> {
-        let folder = path.parent().unwrap_or(Path::new("."));
-        let write = || {
-            let mut file = tempfile::NamedTempFile::new_in(folder)?;
-            std::io::Write::write_all(&mut file, bytes)?;
-            // Temporary files are private; results are for whoever may read the folder.
-            let mode = std::os::unix::fs::PermissionsExt::from_mode(0o644);
-            file.as_file().set_permissions(mode)?;
-            file.persist(path).map_err(|error| error.error)
-        };
-        write().map(drop).map_err(failed(path))
-    }
+/// Writes a whole file or none.
+fn write_file(path: &Path, bytes: &[u8]) -> Result<(), RunError> {
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let write = || {
+        let mut file = tempfile::NamedTempFile::new_in(folder)?;
+        std::io::Write::write_all(&mut file, bytes)?;
+        // Temporary files are private; results are for whoever may read the folder.
+        let mode = std::os::unix::fs::PermissionsExt::from_mode(0o644);
+        file.as_file().set_permissions(mode)?;
+        file.persist(path).map_err(|error| error.error)
+    };
+    write().map(drop).map_err(failed(path))
 }
 
 fn failed(path: &Path) -> impl FnOnce(std::io::Error) -> RunError + use<> {

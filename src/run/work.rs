@@ -140,7 +140,8 @@ fn load(task: &Task, store: &Store) -> Result<(Inputs, Loaded), Failure> {
     for feed in &task.feeds {
         let known = loaded.iter().find(|(from, _)| *from == feed.from).map(|(_, value)| value.clone());
         let value = match (&feed.value, known) {
-            (Value::Ready(value), _) | (_, Some(ref value)) => value.clone(),
+            (Value::Ready(value), _) => value.clone(),
+            (_, Some(value)) => value,
             (Value::Stored(kind, digest), None) => {
                 let lost = |why: String| Failure::Lost(feed.from.0, why);
                 let bytes = match store.get(digest) {

@@ -37,14 +37,13 @@ pub fn write_log<W: Write + Seek>(
     let schema = writer.add_schema("rockface.Step", "jsonschema", SCHEMA.as_bytes())?;
     let mut channels: BTreeMap<&str, u16> = BTreeMap::new();
     for (sequence, logged) in steps.iter().enumerate() {
-        let channel = match channels.get(logged.step.as_str()) {
-            Some(channel) => *channel,
-            None => {
-                let topic = format!("/{}/step", logged.step);
-                let channel = writer.add_channel(schema, &topic, "json", &BTreeMap::new())?;
-                channels.insert(&logged.step, channel);
-                channel
-            }
+        let channel = if let Some(channel) = channels.get(logged.step.as_str()) {
+            *channel
+        } else {
+            let topic = format!("/{}/step", logged.step);
+            let channel = writer.add_channel(schema, &topic, "json", &BTreeMap::new())?;
+            channels.insert(&logged.step, channel);
+            channel
         };
         let time = (sequence as u64 + 1) * 1_000_000;
         let header =

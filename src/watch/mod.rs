@@ -6,7 +6,7 @@ mod plain;
 mod terminal;
 
 pub use json::JsonLines;
-pub use mcap_log::write_log;
+pub use mcap_log::{LoggedStep, write_log};
 pub use plain::Plain;
 pub use terminal::Terminal;
 

@@ -33,26 +33,16 @@ fn a_damaged_blob_is_set_aside_and_can_be_made_again() {
 /// Changes the first byte of a blob where it lies on disk, and nothing else, not even the file's time.
 fn damage(dir: &Path, blob: &[u8]) {
     let own = blob_path(dir, &Digest::of(blob));
-    let path = if own.exists() {
-        own
-    } else {
-        segments(dir).remove(0)
-    };
+    let path = if own.exists() { own } else { segments(dir).remove(0) };
     let mut bytes = fs::read(&path).unwrap();
-    let at = bytes
-        .windows(blob.len())
-        .position(|some| some == blob)
-        .unwrap();
+    let at = bytes.windows(blob.len()).position(|some| some == blob).unwrap();
     bytes[at] ^= 1;
     let modified = fs::metadata(&path).unwrap().modified().unwrap();
     let mut permissions = fs::metadata(&path).unwrap().permissions();
     std::os::unix::fs::PermissionsExt::set_mode(&mut permissions, 0o644);
     fs::set_permissions(&path, permissions).unwrap();
     fs::write(&path, bytes).unwrap();
-    fs::File::open(&path)
-        .unwrap()
-        .set_modified(modified)
-        .unwrap();
+    fs::File::open(&path).unwrap().set_modified(modified).unwrap();
 }
 
 #[test]
@@ -70,14 +60,8 @@ fn a_segment_torn_anywhere_keeps_what_was_whole_and_goes_on() {
     for size in (0..=ends[2]).rev().step_by(7) {
         fs::write(path(), &whole[..size as usize]).unwrap();
         let store = Store::open(folder.path()).unwrap();
-        let hits = (0..3)
-            .filter(|number| store.is_hit(&recipe(*number).key()).is_some())
-            .count();
-        assert_eq!(
-            hits,
-            ends.iter().filter(|end| **end <= size).count(),
-            "torn at {size}"
-        );
+        let hits = (0..3).filter(|number| store.is_hit(&recipe(*number).key()).is_some()).count();
+        assert_eq!(hits, ends.iter().filter(|end| **end <= size).count(), "torn at {size}");
         finish(&store, 9, b"after the tear");
         drop(store);
         let store = Store::open(folder.path()).unwrap();
@@ -120,24 +104,13 @@ fn a_killed_writer_loses_nothing_finished_and_leaves_nothing_to_unlock() {
         child.kill().unwrap();
         child.wait().unwrap();
         // The killed process may have emptied this file and not yet filled it again: then it says nothing.
-        let finished = fs::read_to_string(folder.path().join("finished"))
-            .unwrap()
-            .parse()
-            .unwrap_or(0);
+        let finished = fs::read_to_string(folder.path().join("finished")).unwrap().parse().unwrap_or(0);
         let store = Store::open(&dir).unwrap();
         for number in 0..=finished {
-            let record = store
-                .is_hit(&recipe(number).key())
-                .unwrap_or_else(|| panic!("step {number} is lost"));
+            let record = store.is_hit(&recipe(number).key()).unwrap_or_else(|| panic!("step {number} is lost"));
             store.get(&record.outputs["mesh"].digest).unwrap();
         }
-        drop(
-            store
-                .lock(&recipe(finished + 1).key(), || {
-                    panic!("a dead process holds a lock")
-                })
-                .unwrap(),
-        );
+        drop(store.lock(&recipe(finished + 1).key(), || panic!("a dead process holds a lock")).unwrap());
         assert_eq!(fs::read_dir(dir.join("tmp")).unwrap().count(), 0);
         assert_eq!(segments(&dir).len(), 1);
     }
@@ -146,10 +119,7 @@ fn a_killed_writer_loses_nothing_finished_and_leaves_nothing_to_unlock() {
 fn await_file(path: &Path) {
     let started = Instant::now();
     while !path.exists() {
-        assert!(
-            started.elapsed() < Duration::from_secs(30),
-            "the process to be killed never began"
-        );
+        assert!(started.elapsed() < Duration::from_secs(30), "the process to be killed never began");
         std::thread::sleep(Duration::from_millis(2));
     }
 }

@@ -17,36 +17,16 @@ fn new_store() -> (tempfile::TempDir, Store) {
 
 fn recipe(number: u64) -> Recipe {
     let params = json!({ "number": number });
-    Recipe {
-        stage: "remove-blocks".into(),
-        version: 1,
-        params,
-        inputs: BTreeMap::new(),
-        seed: None,
-    }
+    Recipe { stage: "remove-blocks".into(), version: 1, params, inputs: BTreeMap::new(), seed: None }
 }
 
 fn output(bytes: &[u8], kept: bool) -> OutputRecord {
-    OutputRecord {
-        kind: "mesh".into(),
-        digest: Digest::of(bytes),
-        bytes: bytes.len() as u64,
-        kept,
-        items: None,
-    }
+    OutputRecord { kind: "mesh".into(), digest: Digest::of(bytes), bytes: bytes.len() as u64, kept, items: None }
 }
 
 fn record(number: u64, bytes: &[u8], kept: bool) -> Record {
     let outputs = [("mesh".to_owned(), output(bytes, kept))].into();
-    Record {
-        recipe: recipe(number),
-        outputs,
-        log: None,
-        cost: Cost {
-            wall_s: 0.5,
-            ..Cost::default()
-        },
-    }
+    Record { recipe: recipe(number), outputs, log: None, cost: Cost { wall_s: 0.5, ..Cost::default() } }
 }
 
 /// Puts a blob and commits the record of a step that made it.
@@ -56,10 +36,7 @@ fn finish(store: &Store, number: u64, bytes: &[u8]) -> Digest {
 }
 
 fn segments(dir: &Path) -> Vec<PathBuf> {
-    fs::read_dir(dir.join("segments"))
-        .unwrap()
-        .map(|entry| entry.unwrap().path())
-        .collect()
+    fs::read_dir(dir.join("segments")).unwrap().map(|entry| entry.unwrap().path()).collect()
 }
 
 fn blob_path(dir: &Path, digest: &Digest) -> PathBuf {
@@ -86,14 +63,8 @@ fn blobs_of_every_size_come_back_now_and_after_reopening() {
         assert!(store.get(&Digest::of(&bytes)).unwrap() == bytes);
     }
     let stat = store.stat().unwrap();
-    assert_eq!(
-        (stat.small_blobs, stat.large_blobs, stat.segments),
-        (3, 2, 1)
-    );
-    assert_eq!(
-        (stat.small_blob_bytes, stat.large_blob_bytes),
-        (65_536, 65_536 + (1 << 20))
-    );
+    assert_eq!((stat.small_blobs, stat.large_blobs, stat.segments), (3, 2, 1));
+    assert_eq!((stat.small_blob_bytes, stat.large_blob_bytes), (65_536, 65_536 + (1 << 20)));
 }
 
 #[test]
@@ -118,13 +89,8 @@ fn a_blob_that_is_not_there_is_missing() {
     let (folder, store) = new_store();
     let digest = Digest::of(b"nothing");
     assert!(!store.contains(&digest));
-    assert!(
-        matches!(store.get(&digest), Err(StoreError::Missing { digest: named }) if named == digest)
-    );
-    assert!(matches!(
-        store.materialise(&digest, &folder.path().join("out")),
-        Err(StoreError::Missing { .. })
-    ));
+    assert!(matches!(store.get(&digest), Err(StoreError::Missing { digest: named }) if named == digest));
+    assert!(matches!(store.materialise(&digest, &folder.path().join("out")), Err(StoreError::Missing { .. })));
 }
 
 #[test]
@@ -136,10 +102,7 @@ fn a_record_is_a_hit_as_long_as_its_kept_blobs_are_there() {
     drop(store);
     let store = Store::open(folder.path()).unwrap();
     assert_eq!(store.is_hit(&key), Some(record(1, &large, true)));
-    assert!(
-        store.is_hit(&dropped).is_some(),
-        "what is not kept is not missed"
-    );
+    assert!(store.is_hit(&dropped).is_some(), "what is not kept is not missed");
     fs::remove_file(blob_path(folder.path(), &Digest::of(&large))).unwrap();
     assert!(store.is_hit(&key).is_none() && store.record(&key).is_some());
     assert!(store.hit_outcome(&key).is_none());
@@ -149,26 +112,14 @@ fn a_record_is_a_hit_as_long_as_its_kept_blobs_are_there() {
 #[test]
 fn a_record_without_its_blobs_or_with_no_sane_cost_is_refused() {
     let (_folder, store) = new_store();
-    let missing = store
-        .commit(&record(1, b"not put", true))
-        .unwrap_err()
-        .to_string();
-    assert!(
-        missing.contains("remove-blocks") && missing.contains(&Digest::of(b"not put").short()),
-        "{missing}"
-    );
+    let missing = store.commit(&record(1, b"not put", true)).unwrap_err().to_string();
+    assert!(missing.contains("remove-blocks") && missing.contains(&Digest::of(b"not put").short()), "{missing}");
     let mut logless = record(1, b"", false);
     logless.log = Some(Digest::of(b"no such log"));
-    assert!(matches!(
-        store.commit(&logless),
-        Err(StoreError::BadRecord { .. })
-    ));
+    assert!(matches!(store.commit(&logless), Err(StoreError::BadRecord { .. })));
     let mut endless = record(1, b"", false);
     endless.cost.wall_s = f64::NAN;
-    assert!(matches!(
-        store.commit(&endless),
-        Err(StoreError::BadRecord { .. })
-    ));
+    assert!(matches!(store.commit(&endless), Err(StoreError::BadRecord { .. })));
 }
 
 #[test]
@@ -179,11 +130,7 @@ fn a_record_that_says_otherwise_supersedes_the_first() {
     slower.cost.wall_s = 9.0;
     store.commit(&slower).unwrap();
     let kept = store.record(&key).unwrap();
-    assert_eq!(
-        kept,
-        record(1, b"first", true),
-        "the same outcome: the first record stays"
-    );
+    assert_eq!(kept, record(1, b"first", true), "the same outcome: the first record stays");
     finish(&store, 1, b"second");
     drop(store);
     let record = Store::open(folder.path()).unwrap().is_hit(&key).unwrap();
@@ -205,11 +152,7 @@ fn two_writers_see_each_other_after_a_refresh() {
     for number in 3..6 {
         finish(&Store::open(folder.path()).unwrap(), number, b"later");
     }
-    assert_eq!(
-        segments(folder.path()).len(),
-        2,
-        "later writers continue what the former left"
-    );
+    assert_eq!(segments(folder.path()).len(), 2, "later writers continue what the former left");
     assert_eq!(Store::open(folder.path()).unwrap().keys().len(), 5);
 }
 
@@ -251,10 +194,7 @@ fn notes_on_runs_are_recalled_latest_first() {
         assert_eq!(store.recalled_run(&plan), Some(json!({ "run": run })));
     }
     drop(store);
-    assert_eq!(
-        Store::open(folder.path()).unwrap().recalled_run(&plan),
-        Some(json!({ "run": "second" }))
-    );
+    assert_eq!(Store::open(folder.path()).unwrap().recalled_run(&plan), Some(json!({ "run": "second" })));
 }
 
 #[test]
@@ -270,9 +210,6 @@ fn threads_share_one_store() {
         }
     });
     let stat = store.stat().unwrap();
-    assert_eq!(
-        (stat.records, stat.small_blobs, stat.segments),
-        (100, 100, 1)
-    );
+    assert_eq!((stat.records, stat.small_blobs, stat.segments), (100, 100, 1));
     assert!((0..100).all(|number| store.is_hit(&recipe(number).key()).is_some()));
 }

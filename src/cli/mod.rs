@@ -1,0 +1,136 @@
+//! The command line: one file a command, and the exit codes they share.
+
+mod plan;
+mod run;
+mod stages;
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, Parser, Subcommand};
+use rockface_cache::{Store, StoreError};
+
+use crate::diagnostic::Diagnostics;
+use crate::pipeline::{Overrides, Pipeline};
+use crate::run::RunError;
+
+/// Simulates photogrammetric rockfall monitoring: pipelines of stages, every output cached by what decided it.
+#[derive(Debug, Parser)]
+#[command(
+    version,
+    about,
+    after_help = "Exit codes: 0 done, 1 a step failed, 2 the command or pipeline is wrong, 3 the store or disk failed, 130 interrupted."
+)]
+pub struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Run a pipeline; what is known already is not computed again.
+    Run(run::RunArgs),
+    /// Show what a run would do and why, without doing it.
+    Plan(plan::PlanArgs),
+    /// List the stages, or show the page of one.
+    Stages(stages::StagesArgs),
+}
+
+/// What every command that reads a pipeline takes.
+#[derive(Debug, Args)]
+struct PipelineArgs {
+    /// The pipeline file (YAML).
+    pipeline: PathBuf,
+    /// Make only this step and what it needs; may be given several times.
+    #[arg(long, value_name = "STEP")]
+    target: Vec<String>,
+    /// Override a value of the pipeline, such as `params.cell_m=0.02` or `steps.dem.with.method=tin`.
+    #[arg(long, value_name = "PATH=VALUE")]
+    set: Vec<String>,
+    /// Override the pipeline's seed.
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// The store of results; by default `.rockface/store` beside the pipeline.
+    #[arg(long, value_name = "DIR", env = "ROCKFACE_STORE")]
+    store: Option<PathBuf>,
+}
+
+impl PipelineArgs {
+    fn overrides(&self) -> Overrides {
+        Overrides { set: self.set.clone(), seed: self.seed }
+    }
+
+    fn load(&self) -> Result<Pipeline, CliError> {
+        Pipeline::load(&self.pipeline, &self.overrides()).map_err(CliError::Pipeline)
+    }
+
+    fn store_folder(&self) -> PathBuf {
+        self.store.clone().unwrap_or_else(|| beside(&self.pipeline).join("store"))
+    }
+
+    fn open_store(&self) -> Result<Store, CliError> {
+        Ok(Store::open(&self.store_folder())?)
+    }
+}
+
+/// The `.rockface` folder of a pipeline.
+fn beside(pipeline: &Path) -> PathBuf {
+    pipeline.parent().unwrap_or(Path::new("")).join(".rockface")
+}
+
+/// Why a command did not do what it was asked.
+#[derive(Debug, thiserror::Error)]
+pub enum CliError {
+    /// The pipeline is wrong.
+    #[error("{0}")]
+    Pipeline(Diagnostics),
+    /// The command is wrong.
+    #[error("{0}")]
+    Usage(String),
+    /// Steps failed; what there is to say has been said.
+    #[error("")]
+    Failed,
+    /// The store failed.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The run could not go on.
+    #[error(transparent)]
+    Run(#[from] RunError),
+}
+
+impl CliError {
+    /// The exit code that tells which.
+    pub fn exit_code(&self) -> i32 {
+        match self {
+            Self::Failed => 1,
+            Self::Pipeline(_) | Self::Usage(_) => 2,
+            Self::Store(_) => 3,
+            Self::Run(error) => error.exit_code(),
+        }
+    }
+
+    /// What to print on standard error.
+    pub fn render(&self, colour: bool) -> String {
+        match self {
+            Self::Pipeline(diagnostics) => diagnostics.render(colour),
+            Self::Failed => String::new(),
+            other => format!("error: {other}"),
+        }
+    }
+}
+
+impl Cli {
+    /// Does what the command says.
+    pub fn run(self) -> Result<(), CliError> {
+        match self.command {
+            Command::Run(args) => args.run(),
+            Command::Plan(args) => args.run(),
+            Command::Stages(args) => args.run(),
+        }
+    }
+}
+
+/// Writes to standard output; a reader that has gone away ends the writing quietly.
+fn say(text: &str) {
+    use std::io::Write;
+    let _ = writeln!(std::io::stdout(), "{text}");
+}

@@ -1,0 +1,148 @@
+//! `rockface run`.
+
+use std::io::IsTerminal;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use clap::Args;
+
+use super::{CliError, PipelineArgs, beside, say};
+use crate::run::{self, Finished, Options, RunFolder, Summary};
+use crate::watch::{JsonLines, Observer, Plain, Silent, Terminal, duration};
+
+/// How many files the end of a run names.
+const NAMED_FILES: usize = 12;
+
+/// Arguments of `rockface run`.
+#[derive(Debug, Args)]
+pub struct RunArgs {
+    #[command(flatten)]
+    pipeline: PipelineArgs,
+    /// Steps at once, and threads inside them; by default one a core.
+    #[arg(long, short, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    jobs: Option<u16>,
+    /// Go on with what does not depend on a failed step.
+    #[arg(long)]
+    keep_going: bool,
+    /// Where run folders go; by default `.rockface/runs` beside the pipeline.
+    #[arg(long, value_name = "DIR")]
+    runs: Option<PathBuf>,
+    /// Print events as lines of JSON.
+    #[arg(long)]
+    json: bool,
+    /// Print only the result, warnings and failures.
+    #[arg(long, short)]
+    quiet: bool,
+    /// Tell of every step instance.
+    #[arg(long, short, conflicts_with = "quiet")]
+    verbose: bool,
+}
+
+impl RunArgs {
+    /// Runs the pipeline.
+    pub fn run(self) -> Result<(), CliError> {
+        let pipeline = self.pipeline.load()?;
+        // Faults of the pipeline come before anything is made on disk.
+        crate::plan::resolve(&pipeline, &self.pipeline.target, rockface_stages::all()).map_err(CliError::Pipeline)?;
+        let store = self.pipeline.open_store()?;
+        let plan = crate::plan::plan(&pipeline, &self.pipeline.target, rockface_stages::all(), &store)
+            .map_err(CliError::Pipeline)?;
+        let mut options = Options { keep_going: self.keep_going, exit_when_stuck: true, ..Options::default() };
+        options.jobs = self.jobs.map_or(options.jobs, usize::from);
+        let stop = Arc::new(AtomicBool::new(false));
+        stop_on_signal(&stop);
+        let begun = std::time::Instant::now();
+        let mut observer = self.observer();
+        let summary = run::execute(&plan, &store, &options, &stop, observer.as_mut())?;
+        let runs = self.runs.clone().unwrap_or_else(|| beside(&self.pipeline.pipeline).join("runs"));
+        let about = RunFolder {
+            runs: &runs,
+            pipeline_path: &self.pipeline.pipeline,
+            pipeline_text: &pipeline.sources[0].text,
+            overrides: &self.pipeline.overrides(),
+            jobs: options.jobs,
+        };
+        let finished = run::finish(&plan, &summary, &store, &about)?;
+        self.report(&summary, &finished, begun.elapsed().as_secs_f64());
+        if summary.failed { Err(CliError::Failed) } else { Ok(()) }
+    }
+
+    fn observer(&self) -> Box<dyn Observer> {
+        if self.json {
+            Box::new(JsonLines(std::io::stdout()))
+        } else if std::io::stderr().is_terminal() && !self.quiet {
+            Box::new(Terminal::new(self.verbose))
+        } else if self.quiet {
+            Box::new(Quiet(Plain::new(std::io::stderr(), false)))
+        } else {
+            Box::new(Plain::new(std::io::stderr(), self.verbose))
+        }
+    }
+
+    fn report(&self, summary: &Summary, finished: &Finished, wall_s: f64) {
+        if self.json {
+            let event = serde_json::json!({
+                "event": "ended", "failed": summary.failed, "executed": summary.executed(), "cached": summary.cached(),
+                "wall_s": wall_s, "folder": finished.folder, "headlines": finished.headlines, "files": finished.files,
+            });
+            return say(&event.to_string());
+        }
+        for headline in &finished.headlines {
+            say(headline);
+        }
+        let (folder, files) = (readable(&finished.folder), &finished.files);
+        if !files.is_empty() && !self.quiet {
+            say("");
+            files.iter().take(NAMED_FILES).for_each(|file| say(&format!("  {}", folder.join(file).display())));
+            if files.len() > NAMED_FILES {
+                say(&format!("  … and {} more", files.len() - NAMED_FILES));
+            }
+            say("");
+        }
+        let verdict = if summary.failed { "failed" } else { "done" };
+        let (ran, cached) = (summary.executed(), summary.cached());
+        say(&format!(
+            "{verdict}: ran {ran}, cached {cached}, {}; results in {}",
+            duration_or_ms(wall_s),
+            folder.display()
+        ));
+    }
+}
+
+/// Only what a quiet run should say.
+struct Quiet<W: std::io::Write>(Plain<W>);
+
+impl<W: std::io::Write> Observer for Quiet<W> {
+    fn event(&mut self, event: &crate::watch::Event, progress: crate::watch::Progress) {
+        use crate::watch::Event;
+        match event {
+            Event::Warning { .. } | Event::Failed { .. } => self.0.event(event, progress),
+            _ => Silent.event(event, progress),
+        }
+    }
+}
+
+fn duration_or_ms(seconds: f64) -> String {
+    if seconds < 1.0 { format!("{:.0} ms", seconds * 1e3) } else { duration(seconds) }
+}
+
+/// A path relative to the working folder where that is shorter.
+fn readable(path: &std::path::Path) -> PathBuf {
+    let here = std::env::current_dir().ok();
+    let relative = here.and_then(|here| path.strip_prefix(here).ok().map(std::path::Path::to_path_buf));
+    relative.unwrap_or_else(|| path.to_path_buf())
+}
+
+/// The first Ctrl-C (or SIGTERM) asks the run to stop, the second ends the process.
+fn stop_on_signal(stop: &Arc<AtomicBool>) {
+    let stop = stop.clone();
+    let handler = move || {
+        if stop.swap(true, Ordering::Relaxed) {
+            std::process::exit(130);
+        }
+    };
+    if let Err(error) = ctrlc::set_handler(handler) {
+        tracing::warn!("Ctrl-C will end the program at once: {error}");
+    }
+}

@@ -1,0 +1,108 @@
+//! `rockface stages`: the catalogue, and the page of one stage.
+
+use clap::Args;
+use rockface_stages::params::{Field, Kind};
+use rockface_stages::{AnyStage, Arity, Port};
+
+use super::{CliError, say};
+use crate::diagnostic::nearest;
+
+/// Arguments of `rockface stages`.
+#[derive(Debug, Args)]
+pub struct StagesArgs {
+    /// Show the page of this stage.
+    name: Option<String>,
+}
+
+impl StagesArgs {
+    /// Prints the catalogue or a page.
+    pub fn run(self) -> Result<(), CliError> {
+        match self.name {
+            None => say(&catalogue()),
+            Some(name) => {
+                let stage = rockface_stages::find(&name).ok_or_else(|| unknown(&name))?;
+                say(&page(stage));
+            }
+        }
+        Ok(())
+    }
+}
+
+fn unknown(name: &str) -> CliError {
+    let known: Vec<&str> = rockface_stages::all().iter().map(|stage| stage.name()).collect();
+    let hint = nearest(name, &known)
+        .map_or_else(|| "`rockface stages` lists them".to_owned(), |near| format!("did you mean `{near}`?"));
+    CliError::Usage(format!("there is no stage `{name}`; {hint}"))
+}
+
+/// One line a stage.
+fn catalogue() -> String {
+    let width = rockface_stages::all().iter().map(|stage| stage.name().len()).max().unwrap_or(0);
+    let line = |stage: &&dyn AnyStage| {
+        let what = stage.page().what;
+        let first = what.split_inclusive(". ").next().unwrap_or(what).trim();
+        format!("{:width$}  {first}", stage.name())
+    };
+    let mut lines: Vec<String> = rockface_stages::all().iter().map(line).collect();
+    lines.push(String::new());
+    lines.push("`rockface stages NAME` shows ports, parameters, units, method and an example.".into());
+    lines.join("\n")
+}
+
+/// The whole page of a stage, as Markdown.
+pub fn page(stage: &dyn AnyStage) -> String {
+    let page = stage.page();
+    let mut text = format!("# {} (version {})\n\n{}\n", stage.name(), stage.version(), page.what);
+    text += &ports("Inputs", stage.inputs());
+    text += &ports("Outputs", stage.outputs());
+    text += "\n## Parameters\n\n";
+    text += &fields(&stage.fields(), "");
+    text += &format!("\n## Method and references\n\n{}\n", page.method);
+    text += &format!("\n## Units and frames\n\n{}\n", page.frames);
+    text += &format!("\n## Fails when\n\n{}\n", page.fails);
+    text += &format!("\n## Example\n\n```yaml\n{}\n```", page.example.trim());
+    text
+}
+
+fn ports(title: &str, ports: &[Port]) -> String {
+    if ports.is_empty() {
+        return String::new();
+    }
+    let line = |port: &Port| {
+        let kinds: Vec<_> = port.kinds.iter().map(ToString::to_string).collect();
+        let many = match port.arity {
+            Arity::One => "",
+            Arity::Optional => ", optional",
+            Arity::Many => ", one or a gathered list",
+        };
+        format!("- `{}` ({}{many}): {}\n", port.name, kinds.join(" or "), port.doc)
+    };
+    format!("\n## {title}\n\n{}", ports.iter().map(line).collect::<String>())
+}
+
+fn fields(fields: &[Field], indent: &str) -> String {
+    if fields.is_empty() {
+        return "None.\n".into();
+    }
+    let line = |field: &Field| {
+        let range = field.range.to_string();
+        let range = if range.is_empty() { range } else { format!(", {range}") };
+        let default =
+            field.default.as_ref().map_or_else(|| ", must be given".to_owned(), |value| format!(", default {value}"));
+        let mut text = format!("{indent}- `{}` ({}{range}{default}): {}\n", field.name, field.kind, field.doc);
+        text += &inner(&field.kind, indent);
+        text
+    };
+    fields.iter().map(line).collect()
+}
+
+fn inner(kind: &Kind, indent: &str) -> String {
+    match kind {
+        Kind::Map(inside) => fields(inside, &format!("{indent}  ")),
+        Kind::Optional(kind) | Kind::List(kind, _) => inner(kind, indent),
+        Kind::Choice(words) => {
+            words.iter().map(|(word, doc)| format!("{indent}  - `{word}`: {}\n", doc.trim())).collect()
+        }
+        _ => String::new(),
+    }
+}

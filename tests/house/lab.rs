@@ -1,0 +1,230 @@
+//! A small laboratory: stages that know no rock, and a bench to run pipelines on.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use rockface::diagnostic::Diagnostics;
+use rockface::pipeline::{Overrides, Pipeline};
+use rockface::plan::{Plan, plan};
+use rockface::run::{Options, Summary, execute};
+use rockface::watch::{Event, Events, Reason};
+use rockface_cache::Store;
+use rockface_stages::artefact::{Kind, Table};
+use rockface_stages::params::FileRef;
+use rockface_stages::{AnyStage, Context, Inputs, Outputs, Page, Port, Row, Stage, StageError, params};
+
+const PAGE: Page = Page { what: "A test.", method: "None.", frames: "None.", fails: "Never.", example: "" };
+const TABLE: &[Kind] = &[Kind::Table];
+
+fn cell(value: f64) -> Table {
+    let mut table = Table::new(["value"]);
+    table.push(vec![value.into()]);
+    table
+}
+
+fn total(inputs: &Inputs, port: &str) -> Result<f64, StageError> {
+    let tables = inputs.many::<Table>(port)?;
+    Ok(tables.iter().flat_map(|(_, table)| table.rows.iter()).filter_map(|row| row[0].number()).sum())
+}
+
+params! {
+    /// Parameters of `emit`.
+    pub struct EmitParams {
+        /// A number.
+        value: f64 = 1.0,
+        /// Rounds the number down to whole ones.
+        whole: bool = false,
+    }
+}
+
+/// Makes a number.
+pub struct Emit;
+impl Stage for Emit {
+    type Params = EmitParams;
+    const NAME: &'static str = "emit";
+    const VERSION: u32 = 1;
+    const PAGE: Page = PAGE;
+    const INPUTS: &'static [Port] = &[];
+    const OUTPUTS: &'static [Port] = &[Port::one("out", TABLE, "The number.")];
+    fn run(params: &EmitParams, _: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let value = if params.whole { params.value.floor() } else { params.value };
+        context.headline(format!("value {value}"));
+        Ok(Outputs::of("out", cell(value)))
+    }
+}
+
+params! {
+    /// Parameters of `add`.
+    pub struct AddParams {
+        /// Added to the sum.
+        plus: f64 = 0.0,
+        /// Gives up instead.
+        fail: bool = false,
+        /// Breaks down instead.
+        panic: bool = false,
+    }
+}
+
+/// Sums its inputs.
+pub struct Add;
+impl Stage for Add {
+    type Params = AddParams;
+    const NAME: &'static str = "add";
+    const VERSION: u32 = 1;
+    const PAGE: Page = PAGE;
+    const INPUTS: &'static [Port] = &[Port::many("terms", TABLE, "What is summed.")];
+    const OUTPUTS: &'static [Port] = &[Port::one("out", TABLE, "The sum.")];
+    fn run(params: &AddParams, inputs: &Inputs, _: &Context) -> Result<Outputs, StageError> {
+        assert!(!params.panic, "told to");
+        if params.fail {
+            return Err(StageError::new("told to give up").hint("do not tell it to"));
+        }
+        Ok(Outputs::of("out", cell(total(inputs, "terms")? + params.plus)))
+    }
+}
+
+params! {
+    /// Parameters of `draw`.
+    pub struct DrawParams {
+        /// Scale of the draw; 0 draws nothing.
+        sigma: f64 = 1.0,
+    }
+}
+
+/// Adds a random number.
+pub struct Draw;
+impl Stage for Draw {
+    type Params = DrawParams;
+    const NAME: &'static str = "draw";
+    const VERSION: u32 = 1;
+    const PAGE: Page = PAGE;
+    const INPUTS: &'static [Port] = &[Port::one("in", TABLE, "What it is added to.")];
+    const OUTPUTS: &'static [Port] = &[Port::one("out", TABLE, "The sum.")];
+    fn draws(params: &DrawParams) -> bool {
+        params.sigma > 0.0
+    }
+    fn run(params: &DrawParams, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let noise = if params.sigma > 0.0 { context.stream("noise", "only").field().normal(0, 0) } else { 0.0 };
+        Ok(Outputs::of("out", cell(total(inputs, "in")? + params.sigma * noise)))
+    }
+}
+
+params! {
+    /// Parameters of `read`.
+    pub struct ReadParams {
+        /// A file with a number in it.
+        path: FileRef,
+    }
+}
+
+/// Reads a number.
+pub struct Read;
+impl Stage for Read {
+    type Params = ReadParams;
+    const NAME: &'static str = "read";
+    const VERSION: u32 = 1;
+    const PAGE: Page = PAGE;
+    const INPUTS: &'static [Port] = &[];
+    const OUTPUTS: &'static [Port] = &[Port::one("out", TABLE, "The number.")];
+    fn run(params: &ReadParams, _: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let text = String::from_utf8_lossy(&context.read(&params.path)?).into_owned();
+        let value = text.trim().parse().map_err(|_| StageError::new(format!("`{text}` is no number")))?;
+        Ok(Outputs::of("out", cell(value)))
+    }
+}
+
+/// The stages of the laboratory.
+pub const STAGES: &[&dyn AnyStage] =
+    &[&Row::<Emit>::new(), &Row::<Add>::new(), &Row::<Draw>::new(), &Row::<Read>::new()];
+
+/// What a run did.
+pub struct Ran {
+    pub plan: Plan,
+    pub summary: Summary,
+    pub events: Vec<Event>,
+}
+
+impl Ran {
+    /// Labels of the instances that ran because their recipe was new, sorted.
+    pub fn executed(&self) -> Vec<String> {
+        let new = |event: &Event| match event {
+            Event::Started { step, reason: Reason::New } => Some(step.clone()),
+            _ => None,
+        };
+        self.sorted(new)
+    }
+
+    /// Labels of the instances that ran only because their values were needed, sorted.
+    pub fn remade(&self) -> Vec<String> {
+        let needed = |event: &Event| match event {
+            Event::Started { step, reason: Reason::Needed } => Some(step.clone()),
+            _ => None,
+        };
+        self.sorted(needed)
+    }
+
+    fn sorted(&self, pick: impl Fn(&Event) -> Option<String>) -> Vec<String> {
+        let mut labels: Vec<String> = self.events.iter().filter_map(pick).collect();
+        labels.sort();
+        labels
+    }
+
+    /// The number an instance made.
+    pub fn number(&self, store: &Store, label: &str) -> f64 {
+        let instance = (0..self.plan.instances.len()).find(|i| self.plan.label(*i) == label).expect(label);
+        let outcome = self.summary.instances[instance].outcome.as_ref().expect(label);
+        let bytes = store.get(&outcome.outputs["out"].digest).unwrap();
+        let table: Table = rockface_stages::artefact::Noun::decode(&bytes).unwrap();
+        table.rows[0][0].number().unwrap()
+    }
+
+    /// The digest of every output of every instance, by label and port.
+    pub fn digests(&self) -> Vec<String> {
+        let outputs = self.summary.instances.iter().enumerate().flat_map(|(i, result)| {
+            let outputs = result.outcome.iter().flat_map(|outcome| &outcome.outputs);
+            outputs
+                .map(move |(port, output)| format!("{}.{port} {}", self.plan.label(i), output.digest))
+                .collect::<Vec<_>>()
+        });
+        outputs.collect()
+    }
+}
+
+/// A folder with a store in it.
+pub struct Bench {
+    pub folder: tempfile::TempDir,
+    pub store: Store,
+}
+
+impl Bench {
+    pub fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(&folder.path().join("store")).unwrap();
+        Self { folder, store }
+    }
+
+    /// Runs a pipeline text of laboratory stages with some overrides.
+    pub fn run(&self, yaml: &str, set: &[&str]) -> Ran {
+        self.run_with(yaml, set, &Options { jobs: 2, ..Options::default() })
+    }
+
+    pub fn run_with(&self, yaml: &str, set: &[&str], options: &Options) -> Ran {
+        let plan = self.plan(yaml, set).unwrap_or_else(|faults| panic!("{faults}"));
+        let mut events = Events::default();
+        let stop = Arc::new(AtomicBool::new(false));
+        let summary = execute(&plan, &self.store, options, &stop, &mut events).unwrap();
+        Ran { plan, summary, events: events.0 }
+    }
+
+    /// Plans a pipeline text, or says what is wrong with it.
+    pub fn plan(&self, yaml: &str, set: &[&str]) -> Result<Plan, Diagnostics> {
+        plan_in(self.folder.path(), yaml, set, &self.store)
+    }
+}
+
+fn plan_in(folder: &Path, yaml: &str, set: &[&str], store: &Store) -> Result<Plan, Diagnostics> {
+    let overrides = Overrides { set: set.iter().map(ToString::to_string).collect(), seed: None };
+    let pipeline = Pipeline::parse(yaml, "test.yaml", "test", folder.to_owned(), &overrides)?;
+    plan(&pipeline, &[], STAGES, store)
+}

@@ -1,0 +1,5 @@
+//! Proofs of the whole house, in one binary.
+
+mod broken;
+mod engine;
+mod lab;
