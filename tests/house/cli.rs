@@ -1,0 +1,176 @@
+//! The program as a user meets it: what it prints, its exit codes, and what a killed run leaves behind.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+const SMALL: &str = "# A small face.
+rockface: 1
+name: small
+seed: 1
+steps:
+  face: {stage: synthesise-face, with: {width_m: 2, height_m: 1.5, spacing_m: 0.05}}
+  dem: {stage: rasterise-dem, in: {surface: face.mesh}, with: {cell_m: 0.05, method: tin}}
+";
+
+struct House(tempfile::TempDir);
+
+impl House {
+    fn new(yaml: &str) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("p.yaml"), yaml).unwrap();
+        Self(folder)
+    }
+
+    fn path(&self, name: &str) -> std::path::PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn rockface(&self, arguments: &[&str]) -> (Option<i32>, String, String) {
+        let Output { status, stdout, stderr } = self.command(arguments).output().unwrap();
+        (status.code(), String::from_utf8(stdout).unwrap(), String::from_utf8(stderr).unwrap())
+    }
+
+    fn command(&self, arguments: &[&str]) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_rockface"));
+        command.current_dir(self.0.path()).args(arguments).env_remove("ROCKFACE_STORE").env("RUST_BACKTRACE", "0");
+        command
+    }
+}
+
+fn last_line(text: &str) -> &str {
+    text.lines().last().unwrap_or_default()
+}
+
+#[test]
+fn a_run_leaves_files_people_can_find_and_the_next_runs_nothing() {
+    let house = House::new(SMALL);
+    let (code, out, err) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert!(last_line(&out).starts_with("done: ran 2, cached 0,"), "{out}");
+    let latest = house.path(".rockface/runs/latest");
+    for file in ["run.json", "run.mcap", "outputs/dem/raster.tif", "outputs/face/mesh.ply"] {
+        assert!(latest.join(file).is_file(), "{file} is missing");
+    }
+    let manifest: serde_json::Value = serde_json::from_slice(&std::fs::read(latest.join("run.json")).unwrap()).unwrap();
+    assert_eq!(manifest["steps"].as_array().unwrap().len(), 2);
+    assert_eq!(manifest["pipeline"]["text"], SMALL);
+    assert!(house.path(".rockface/store/CACHEDIR.TAG").is_file());
+
+    let folder = std::fs::read_link(&latest).unwrap();
+    let (code, out, _) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0));
+    assert!(last_line(&out).starts_with("done: ran 0, cached 2,"), "{out}");
+    assert_eq!(std::fs::read_link(&latest).unwrap(), folder, "a run of hits is told by its former folder");
+
+    let (_, out, _) = house.rockface(&["run", "p.yaml", "--set", "steps.dem.with.cell_m=0.1"]);
+    assert!(last_line(&out).starts_with("done: ran 1, cached 1,"), "{out}");
+}
+
+#[test]
+fn plan_says_what_would_run_and_makes_nothing() {
+    let house = House::new(SMALL);
+    let (code, out, _) = house.rockface(&["plan", "p.yaml"]);
+    assert_eq!((code, last_line(&out)), (Some(0), "0 hit, 1 run, 1 depend on what runs"));
+    house.rockface(&["run", "p.yaml"]);
+    let (_, out, _) = house.rockface(&["plan", "p.yaml", "--set", "steps.dem.with.cell_m=0.1"]);
+    assert_eq!(last_line(&out), "1 hit, 1 run, 0 depend on what runs");
+    let (_, out, _) = house.rockface(&["plan", "p.yaml", "--json"]);
+    let answers: serde_json::Value = serde_json::from_str(&out).unwrap();
+    assert!(answers.as_array().unwrap().iter().all(|answer| answer["answer"] == "hit"));
+}
+
+#[test]
+fn exit_codes_tell_what_is_wrong() {
+    let house = House::new(SMALL);
+    let (code, _, err) = house.rockface(&["run", "q.yaml"]);
+    assert_eq!(code, Some(2));
+    assert!(err.contains("cannot read the pipeline `q.yaml`") && err.contains("p.yaml"), "{err}");
+    let (code, _, err) = house.rockface(&["run", "p.yaml", "--set", "steps.dem.with.cell=1"]);
+    assert_eq!(code, Some(2));
+    assert!(err.contains("unknown parameter `cell`") && err.contains("did you mean `cell_m`?"), "{err}");
+    let (code, _, err) = house.rockface(&["run", "p.yaml", "--set", "steps.dem.with.window_m=[0, 1, 0, 1e9]"]);
+    assert_eq!(code, Some(1), "{err}");
+    assert!(err.contains("failed   dem (rasterise-dem)"), "{err}");
+    std::fs::write(house.path("file"), "in the way").unwrap();
+    let (code, _, err) = house.rockface(&["run", "p.yaml", "--store", "file/store"]);
+    assert_eq!(code, Some(3), "{err}");
+    let (code, _, _) = house.rockface(&["run"]);
+    assert_eq!(code, Some(2));
+}
+
+#[test]
+fn the_catalogue_and_its_pages() {
+    let house = House::new(SMALL);
+    let (code, out, _) = house.rockface(&["stages"]);
+    assert_eq!(code, Some(0));
+    assert!(rockface_stages::all().iter().all(|stage| out.contains(stage.name())));
+    for stage in rockface_stages::all() {
+        let (code, out, _) = house.rockface(&["stages", stage.name()]);
+        assert_eq!(code, Some(0));
+        for heading in
+            ["## Parameters", "## Method and references", "## Units and frames", "## Fails when", "## Example"]
+        {
+            assert!(out.contains(heading), "{}: {heading}", stage.name());
+        }
+    }
+    let (code, _, err) = house.rockface(&["stages", "rasterize-dem"]);
+    assert_eq!(code, Some(2));
+    assert!(err.contains("did you mean `rasterise-dem`?"), "{err}");
+}
+
+#[test]
+fn a_killed_run_loses_nothing_finished_and_leaves_nothing_torn() {
+    let house = House::new(
+        &SMALL.replace("seed: 1\n", "seed: 1\naxes: {k: {count: 40}}\n").replace("face: {", "face: {over: [k], "),
+    );
+    let bytes = |house: &House| {
+        let mut files = Vec::new();
+        let outputs = house.path(".rockface/runs/latest/outputs/dem");
+        for entry in std::fs::read_dir(outputs).unwrap().flatten() {
+            files.push((entry.file_name(), std::fs::read(entry.path().join("raster.tif")).unwrap()));
+        }
+        files.sort();
+        files
+    };
+    for delay_ms in [5, 20, 40, 80, 120] {
+        let mut child =
+            house.command(&["run", "p.yaml", "--quiet"]).stdout(std::process::Stdio::null()).spawn().unwrap();
+        std::thread::sleep(std::time::Duration::from_millis(delay_ms));
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
+    let (code, out, err) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0), "{out}{err}");
+    let whole = House::new(&std::fs::read_to_string(house.path("p.yaml")).unwrap());
+    whole.rockface(&["run", "p.yaml", "--jobs", "1"]);
+    assert_eq!(bytes(&house), bytes(&whole));
+    assert_eq!(bytes(&house).len(), 40);
+}
+
+#[test]
+fn an_interrupt_stops_with_its_own_code_and_the_next_run_goes_on() {
+    let house = House::new(
+        &SMALL.replace("seed: 1\n", "seed: 1\naxes: {k: {count: 400}}\n").replace("face: {", "face: {over: [k], "),
+    );
+    let child = house.command(&["run", "p.yaml", "--quiet"]).stdout(std::process::Stdio::null()).spawn().unwrap();
+    std::thread::sleep(std::time::Duration::from_millis(150));
+    let kill = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(kill.success());
+    let status = child.wait_with_output().unwrap().status;
+    assert_eq!(status.code(), Some(130));
+    let (code, _, err) = house.rockface(&["run", "p.yaml", "--quiet"]);
+    assert_eq!(code, Some(0), "{err}");
+}
+
+#[test]
+fn the_store_can_be_elsewhere_and_shared() {
+    let house = House::new(SMALL);
+    let store = house.path("elsewhere");
+    let arguments = ["run", "p.yaml", "--store", store.to_str().unwrap(), "--runs", "told"];
+    house.rockface(&arguments);
+    assert!(house.path("told/latest/run.json").is_file() && !house.path(".rockface").exists());
+    std::fs::copy(house.path("p.yaml"), house.path("copy.yaml")).unwrap();
+    let (_, out, _) = house.rockface(&["run", "copy.yaml", "--store", store.to_str().unwrap(), "--runs", "told"]);
+    assert!(out.contains("ran 0, cached 2"), "{out}");
+    assert!(Path::new(&house.path("told/latest/outputs/dem/raster.tif")).is_file());
+}

@@ -1,0 +1,88 @@
+//! Every pipeline there is to read plans: the programs, the examples of the stages' pages, the YAML of the documentation.
+
+use std::path::{Path, PathBuf};
+
+use rockface::pipeline::{Overrides, Pipeline};
+use rockface::plan::{Plan, plan, resolve};
+use rockface_cache::Store;
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// Plans a text as if it were a file of `folder`; with `files`, the files it names must be there.
+fn check(text: &str, name: &str, folder: PathBuf, files: bool) -> Option<Plan> {
+    let pipeline =
+        Pipeline::parse(text, name, "example", folder, &Overrides::default()).unwrap_or_else(|f| panic!("{f}"));
+    if !files {
+        resolve(&pipeline, &[], rockface_stages::all()).unwrap_or_else(|faults| panic!("{faults}"));
+        return None;
+    }
+    let place = tempfile::tempdir().unwrap();
+    let store = Store::open(&place.path().join("store")).unwrap();
+    Some(plan(&pipeline, &[], rockface_stages::all(), &store).unwrap_or_else(|faults| panic!("{faults}")))
+}
+
+fn names_files(text: &str) -> bool {
+    text.contains("path:") || text.contains("covariance: ${") || text.contains("covariance: \"")
+}
+
+#[test]
+fn the_pipelines_plan() {
+    let shared = root().join("../shared/data/outcrop-survey");
+    let mut seen = 0;
+    for entry in std::fs::read_dir(root().join("pipelines")).unwrap().flatten() {
+        let path = entry.path();
+        if path.extension().is_none_or(|extension| extension != "yaml") {
+            continue;
+        }
+        seen += 1;
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(text.starts_with("# "), "{}: say first what it shows, what it costs, what it makes", path.display());
+        let there = shared.is_dir() || !text.contains("shared/data");
+        if !there {
+            println!("{}: names checked, files not: the shared data is not here", path.display());
+        }
+        check(&text, &path.display().to_string(), root().join("pipelines"), there);
+    }
+    assert!(seen >= 2);
+}
+
+#[test]
+fn the_examples_of_the_pages_plan() {
+    for stage in rockface_stages::all() {
+        let example = stage.page().example;
+        assert!(example.contains(stage.name()), "the example of `{}` does not use it", stage.name());
+        check(example, stage.name(), root().to_owned(), !names_files(example));
+    }
+}
+
+#[test]
+fn the_yaml_of_the_documentation_plans() {
+    let mut seen = 0;
+    for document in ["README.md", "ARCHITECTURE.md", "CHANGELOG.md"] {
+        let text = std::fs::read_to_string(root().join(document)).unwrap();
+        for block in text.split("```yaml\n").skip(1).filter_map(|rest| rest.split("```").next()) {
+            seen += 1;
+            assert!(block.contains("rockface: 1"), "{document}: a YAML block is not a whole pipeline:\n{block}");
+            check(block, document, root().to_owned(), !names_files(block));
+        }
+    }
+    assert!(seen > 0);
+}
+
+#[test]
+fn every_page_is_complete() {
+    for stage in rockface_stages::all() {
+        let (name, page) = (stage.name(), stage.page());
+        for (heading, text) in
+            [("what", page.what), ("method", page.method), ("frames", page.frames), ("fails", page.fails)]
+        {
+            assert!(text.len() > 20, "`{name}` says too little under `{heading}`");
+        }
+        assert!(stage.outputs().iter().all(|port| port.kinds.len() == 1), "`{name}`: an output has one kind");
+        for field in stage.fields() {
+            assert!(field.doc.len() > 3, "`{name}`: parameter `{}` has no doc", field.name);
+        }
+    }
+}
