@@ -17,6 +17,9 @@ use crate::watch::{Event, Observer, Progress, Reason};
 /// How long a stop may take before running stages are abandoned.
 const GRACE: Duration = Duration::from_millis(700);
 
+/// How often the time left is estimated anew.
+const ESTIMATE_EVERY: Duration = Duration::from_millis(100);
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Status {
     /// Some producer is not done.
@@ -96,7 +99,10 @@ struct Scheduler<'a> {
     finished: usize,
     /// Count and seconds of executed instances by step.
     timed: Vec<(usize, f64)>,
-    settled: Vec<usize>,
+    /// Instances that are not done, by step.
+    open: Vec<usize>,
+    /// The last estimate of the time left, and when it was made.
+    estimate: (Option<f64>, Option<Instant>),
     failure: bool,
     memory_bytes: usize,
 }
@@ -122,6 +128,8 @@ impl<'a> Scheduler<'a> {
             states[*dependent].unmet += 1;
         }
         let steps = plan.graph.steps.len();
+        let mut open = vec![0; steps];
+        plan.instances.iter().for_each(|instance| open[instance.step] += 1);
         Self {
             plan,
             store,
@@ -133,7 +141,8 @@ impl<'a> Scheduler<'a> {
             running: 0,
             finished: 0,
             timed: vec![(0, 0.0); steps],
-            settled: vec![0; steps],
+            open,
+            estimate: (None, None),
             failure: false,
             memory_bytes: 0,
         }
@@ -413,7 +422,7 @@ impl<'a> Scheduler<'a> {
     fn finish(&mut self, instance: usize, outcome: Outcome) {
         let state = &mut self.states[instance];
         (state.status, state.outcome) = (Status::Done, Some(outcome));
-        self.settled[self.plan.instances[instance].step] += 1;
+        self.open[self.plan.instances[instance].step] -= 1;
         let twins = state.key.and_then(|key| self.computing.remove(&key)).unwrap_or_default();
         for twin in twins {
             if let Some(outcome) = self.states[instance].outcome.clone() {
@@ -510,30 +519,20 @@ impl<'a> Scheduler<'a> {
     }
 
     fn tell(&mut self, event: &Event) {
-        let progress = Progress { done: self.finished, total: self.states.len(), remaining_s: self.remaining_s() };
+        if self.estimate.1.is_none_or(|made| made.elapsed() > ESTIMATE_EVERY) {
+            self.estimate = (self.remaining_s(), Some(Instant::now()));
+        }
+        let progress = Progress { done: self.finished, total: self.states.len(), remaining_s: self.estimate.0 };
         self.observer.event(event, progress);
     }
 
     /// Time left if every instance that is not done runs as long as its step's executed ones did on average.
     fn remaining_s(&self) -> Option<f64> {
         let (count, seconds) = self.timed.iter().fold((0, 0.0), |sum, step| (sum.0 + step.0, sum.1 + step.1));
-        if count == 0 {
-            return None;
-        }
-        let overall = seconds / count as f64;
-        let mut left = 0.0;
-        for (index, instances) in self.per_step().iter().enumerate() {
-            let (count, seconds) = self.timed[index];
-            let each = if count > 0 { seconds / count as f64 } else { overall };
-            left += each * instances.saturating_sub(self.settled[index]) as f64;
-        }
+        let overall = (count > 0).then(|| seconds / count as f64)?;
+        let each = |(count, seconds): (usize, f64)| if count > 0 { seconds / count as f64 } else { overall };
+        let left: f64 = self.timed.iter().zip(&self.open).map(|(timed, open)| each(*timed) * *open as f64).sum();
         Some(left / self.options.jobs as f64)
-    }
-
-    fn per_step(&self) -> Vec<usize> {
-        let mut counts = vec![0; self.plan.graph.steps.len()];
-        self.plan.instances.iter().for_each(|instance| counts[instance.step] += 1);
-        counts
     }
 
     fn summary(self, elapsed: Duration) -> Summary {
