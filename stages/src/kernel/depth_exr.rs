@@ -43,7 +43,11 @@ pub fn write(depth: &Depth) -> Result<Vec<u8>, CodecError> {
     let layer = Layer::new((depth.width, depth.height), attributes, Encoding::UNCOMPRESSED, channels);
     let image = ExrImage::new(ImageAttributes::with_size((depth.width, depth.height)), layer);
     let mut bytes = Cursor::new(Vec::new());
-    image.write().non_parallel().to_buffered(&mut bytes).map_err(|e| CodecError(format!("cannot write OpenEXR: {e}")))?;
+    image
+        .write()
+        .non_parallel()
+        .to_buffered(&mut bytes)
+        .map_err(|e| CodecError(format!("cannot write OpenEXR: {e}")))?;
     Ok(bytes.into_inner())
 }
 
@@ -197,7 +201,8 @@ mod tests {
         let image =
             Image { name: "left".into(), sensor: 0, camera_from_object: [1.0, 0.0, 0.0, 0.0], centre_m: [0.1; 3] };
         let odd = vec![f32::NAN, f32::from_bits(0x7fc0_1234), -0.0, f32::INFINITY, 1e-45, 7.25];
-        let channels = BTreeMap::from([("noise.local".to_owned(), odd.clone()), ("disparity".to_owned(), vec![3.5; 6])]);
+        let channels =
+            BTreeMap::from([("noise.local".to_owned(), odd.clone()), ("disparity".to_owned(), vec![3.5; 6])]);
         Depth { frame: Frame::Wall, sensor, image, downscale: 2, width: 3, height: 2, z: odd, channels }
     }
 
