@@ -12,6 +12,7 @@ mod stage;
 pub(crate) mod testing;
 
 // A new stage is its file, its `mod` and its row.
+mod match_pair;
 mod project_depth;
 
 pub use stage::{

@@ -5,6 +5,7 @@ pub mod depth_buffer;
 pub mod depth_exr;
 pub mod geotiff;
 pub mod matching_noise;
+pub mod pair_matching;
 pub mod ply;
 pub mod precise;
 pub mod random;
