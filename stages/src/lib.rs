@@ -8,15 +8,19 @@ pub mod artefact;
 pub mod kernel;
 pub mod params;
 mod stage;
+#[cfg(test)]
+pub(crate) mod testing;
 
 // A new stage is its file, its `mod` and its row.
+mod match_pair;
+mod project_depth;
 
 pub use stage::{
     AnyStage, Arity, Checked, Context, Element, Entry, Host, Inputs, Outputs, Page, Point, Port, Row, SourceFile,
     Stage, StageError,
 };
 
-static STAGES: &[&dyn AnyStage] = &[];
+static STAGES: &[&dyn AnyStage] = &[&Row::<project_depth::ProjectDepth>::new()];
 
 /// Every stage there is, in the order of the catalogue.
 pub fn all() -> &'static [&'static dyn AnyStage] {

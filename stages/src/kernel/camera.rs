@@ -70,16 +70,26 @@ impl Camera {
     }
 
     /// Undistorted normalised coordinates of a pixel; `None` where no point inside the fold maps to it.
-    pub fn normalised(&self, [u, v]: [f64; 2]) -> Option<[f64; 2]> {
-        let s = &self.sensor;
-        let yd = (v - s.cy) / s.f;
-        let xd = (u - s.cx - s.b2 * yd) / (s.f + s.b1);
-        self.undistort(xd, yd)
+    pub fn normalised(&self, pixel: [f64; 2]) -> Option<[f64; 2]> {
+        let [xd, yd] = self.distorted(pixel);
+        self.undistort(xd, yd, [xd, yd])
     }
 
-    /// Newton's method on the distortion with its analytic Jacobian, to 1e-14 in normalised coordinates.
-    fn undistort(&self, xd: f64, yd: f64) -> Option<[f64; 2]> {
-        let (mut x, mut y) = (xd, yd);
+    /// As [`Camera::normalised`], searched from a near guess, which saves half the work.
+    pub fn normalised_near(&self, pixel: [f64; 2], guess: [f64; 2]) -> Option<[f64; 2]> {
+        let [xd, yd] = self.distorted(pixel);
+        self.undistort(xd, yd, guess)
+    }
+
+    /// Distorted normalised coordinates of a pixel.
+    fn distorted(&self, [u, v]: [f64; 2]) -> [f64; 2] {
+        let s = &self.sensor;
+        let yd = (v - s.cy) / s.f;
+        [(u - s.cx - s.b2 * yd) / (s.f + s.b1), yd]
+    }
+
+    /// Newton's method on the distortion with its analytic Jacobian; a step below 1e-9 leaves an error below 1e-15.
+    fn undistort(&self, xd: f64, yd: f64, [mut x, mut y]: [f64; 2]) -> Option<[f64; 2]> {
         for _ in 0..20 {
             let [fx, fy] = distort(&self.sensor, x, y);
             let (rx, ry) = (fx - xd, fy - yd);
@@ -87,13 +97,11 @@ impl Camera {
             let det = a * d - b * c;
             let (dx, dy) = ((d * rx - b * ry) / det, (a * ry - c * rx) / det);
             (x, y) = (x - dx, y - dy);
-            if dx.abs().max(dy.abs()) < 1e-14 {
-                break;
+            if dx.abs().max(dy.abs()) < 1e-9 {
+                return (x * x + y * y < self.fold2).then_some([x, y]);
             }
         }
-        let [fx, fy] = distort(&self.sensor, x, y);
-        let converged = (fx - xd).abs().max((fy - yd).abs()) < 1e-11;
-        (converged && x * x + y * y < self.fold2).then_some([x, y])
+        None
     }
 
     /// The object point at depth `z_m` (along the optical axis) on the ray of undistorted normalised coordinates.

@@ -1,9 +1,14 @@
 //! The verbs: pure functions on meshes, cameras, depth maps, rasters and numbers. A kernel knows no stage.
 
 pub mod camera;
+pub mod depth_buffer;
 pub mod depth_exr;
 pub mod geotiff;
+pub mod matching_noise;
+pub mod pair_matching;
 pub mod ply;
 pub mod precise;
 pub mod random;
+pub mod rectification;
 pub mod surface_file;
+pub mod triangle_reach;

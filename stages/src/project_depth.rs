@@ -1,0 +1,212 @@
+//! `project-depth`: the ideal depth map of one image, exact at every pixel centre.
+
+use crate::artefact::{Cameras, Depth, Image, Kind, Mesh};
+use crate::kernel::camera::Camera;
+use crate::kernel::depth_buffer::{DepthBuffer, Drawing, draw};
+use crate::params::Range;
+use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+
+params! {
+    /// Parameters of `project-depth`.
+    pub struct ProjectDepthParams {
+        /// Name of the image.
+        image: String,
+        /// Image pixels a depth-map pixel, along each side.
+        downscale: u32 = 1; Range::AtLeast(1.0),
+        /// Pixels of the full image left empty along its edges.
+        safe_border_px: f64 = 0.0; Range::NonNegative,
+        /// Whether what faces away from the camera is no surface; if not, the nearest surface counts whichever way it faces.
+        visibility: bool = true,
+    }
+}
+
+/// The stage.
+pub struct ProjectDepth;
+
+impl Stage for ProjectDepth {
+    type Params = ProjectDepthParams;
+    const NAME: &'static str = "project-depth";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Projects a mesh into one image and keeps, at every pixel centre, the depth of the nearest triangle.",
+        method: "Collinearity with Brown-Conrady distortion (paper 2.1.2, Algorithm 2 lines 9, 11 and 12). The exact \
+                 undistorted ray of each pixel centre is intersected in f64 with the plane of the triangle it meets \
+                 first; nothing is interpolated, and depths are rounded once, to float32.",
+        frames: "The mesh and the cameras share one frame (wall or world), metres; the depth map carries its camera. \
+                 Depth is z along the optical axis, metres; NaN where the ray meets nothing. A depth-map pixel stands \
+                 for downscale x downscale image pixels and its centre is theirs; surplus columns and rows are cut.",
+        fails: "The image is unknown; the frames differ; the mesh has no triangles; nothing of the mesh is visible \
+                (it lies behind the camera, beside the image, or shows its back: turn it or set visibility to false).",
+        example: "\
+rockface: 1
+name: ideal-depth
+seed: 1
+steps:
+  face:   {stage: synthesise-face}
+  survey: {stage: plan-survey, in: {mesh: face.mesh}}
+  depth:
+    stage: project-depth
+    in: {mesh: face.mesh, cameras: survey.cameras}
+    with: {image: left, downscale: 4}
+",
+    };
+    const INPUTS: &'static [Port] = &[
+        Port::one("mesh", &[Kind::Mesh], "The surface, counter-clockwise seen from outside the rock."),
+        Port::one("cameras", &[Kind::Cameras], "The true cameras."),
+    ];
+    const OUTPUTS: &'static [Port] = &[Port::one("depth", &[Kind::Depth], "The depth map, with its true camera.")];
+
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let (mesh, cameras) = (inputs.one::<Mesh>("mesh")?, inputs.one::<Cameras>("cameras")?);
+        let image = checked_image(params, mesh, cameras)?;
+        let camera = Camera::new(cameras.sensor(image), image);
+        let drawing = Drawing {
+            downscale: params.downscale,
+            safe_border_px: params.safe_border_px,
+            front_only: params.visibility,
+        };
+        let buffer = draw(mesh, &camera, &drawing);
+        let mut seen: Vec<f64> = buffer.z_m.iter().copied().filter(|z| z.is_finite()).collect();
+        if seen.is_empty() {
+            return Err(nothing_visible(mesh, &camera, &drawing, image));
+        }
+        let middle = seen.len() / 2;
+        let median_m = *seen.select_nth_unstable_by(middle, f64::total_cmp).1;
+        context.metric("valid_share", seen.len() as f64 / buffer.z_m.len() as f64, "1");
+        context.metric("median_depth", median_m, "m");
+        context.metric("pixel_footprint", median_m / camera.sensor().f * f64::from(params.downscale), "m");
+        Ok(Outputs::of("depth", depth_map(&buffer, params, cameras, image)))
+    }
+}
+
+fn checked_image<'a>(params: &ProjectDepthParams, mesh: &Mesh, cameras: &'a Cameras) -> Result<&'a Image, StageError> {
+    if mesh.frame != cameras.frame {
+        return Err(StageError::new(format!(
+            "the mesh is in the {} frame, the cameras are in the {} frame",
+            mesh.frame, cameras.frame
+        ))
+        .hint("bring both into one frame with `transform-crs`"));
+    }
+    if mesh.triangles.is_empty() {
+        fail!("the mesh has {} vertices and no triangles: there is no surface to project", mesh.vertices.len());
+    }
+    let image = cameras.image(&params.image).ok_or_else(|| {
+        let names: Vec<_> = cameras.images.iter().map(|image| image.name.as_str()).collect();
+        StageError::new(format!("`cameras` has no image `{}`", params.image))
+            .hint(format!("its images are: {}", names.join(", ")))
+    })?;
+    let sensor = cameras.sensor(image);
+    if sensor.width_px.min(sensor.height_px) < params.downscale {
+        let (w, h, scale) = (sensor.width_px, sensor.height_px, params.downscale);
+        fail!("downscale {scale} leaves no pixel of an image of {w} x {h} pixels");
+    }
+    Ok(image)
+}
+
+fn nothing_visible(mesh: &Mesh, camera: &Camera, drawing: &Drawing, image: &Image) -> StageError {
+    let error = StageError::new(format!("image `{}` sees nothing of the mesh", image.name));
+    let in_front = mesh.vertices.iter().filter(|v| camera.to_camera(&(**v).into()).z > 0.0).count();
+    if in_front == 0 {
+        return error.hint("every vertex lies behind the camera: check its rotation and the frames");
+    }
+    let either_way = draw(mesh, camera, &Drawing { front_only: false, ..*drawing });
+    if either_way.z_m.iter().any(|z| z.is_finite()) {
+        return error.hint("the mesh shows the camera only its back: turn its triangles, or set `visibility: false`");
+    }
+    error.hint(format!(
+        "the mesh lies beside the image ({in_front} vertices in front of the camera), or in its safe border"
+    ))
+}
+
+fn depth_map(buffer: &DepthBuffer, params: &ProjectDepthParams, cameras: &Cameras, image: &Image) -> Depth {
+    let rounded = |z: &f64| if z.is_finite() { *z as f32 } else { f32::NAN };
+    Depth {
+        frame: cameras.frame,
+        sensor: cameras.sensor(image).clone(),
+        image: Image { sensor: 0, ..image.clone() },
+        downscale: params.downscale,
+        width: buffer.width,
+        height: buffer.height,
+        z: buffer.z_m.iter().map(rounded).collect(),
+        channels: std::collections::BTreeMap::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::artefact::{Artefact, Frame, Noun};
+    use crate::testing::{TestHost, height_mesh, image_at, run_stage, small_sensor};
+    use serde_json::json;
+
+    const CENTRE: [f64; 3] = [1.0, 2.0, 30.0];
+
+    fn cameras() -> Cameras {
+        let images = vec![image_at("left", CENTRE, [0.02, -0.05, 0.3]), image_at("away", CENTRE, [3.1, 0.0, 0.0])];
+        Cameras { frame: Frame::Wall, sensors: vec![small_sensor()], images }
+    }
+
+    fn project(mesh: &Mesh, with: &serde_json::Value) -> Result<Depth, StageError> {
+        let inputs = [("mesh", Artefact::Mesh(mesh.clone())), ("cameras", Artefact::Cameras(cameras()))];
+        let outputs = run_stage::<ProjectDepth>(&TestHost::default(), with, &inputs)?.into_inner();
+        Ok(Depth::of(&outputs["depth"]).unwrap().clone())
+    }
+
+    fn plane() -> Mesh {
+        height_mesh(3, [-50.0, 50.0, -50.0, 50.0], |_, _| 0.0)
+    }
+
+    /// An icosahedron-like fine sphere would be a mesh again; a height field of a cap keeps the oracle simple.
+    #[test]
+    fn a_sphere_is_met_within_the_sagitta_of_its_facets() {
+        let (radius, n, side) = (20.0f64, 400, 16.0);
+        let mesh = height_mesh(n, [-side, side, -side, side], |x, y| (radius * radius - 0.5 * (x * x + y * y)).sqrt());
+        // The ellipsoid z^2 + (x^2 + y^2) / 2 = r^2 is met by the ray o + t d where a t^2 + 2 b t + c = 0.
+        let depth = project(&mesh, &json!({"image": "left"})).unwrap();
+        let camera = Camera::of_depth(&depth);
+        let spacing = 2.0 * side / f64::from(n);
+        for (i, z) in depth.z.iter().enumerate() {
+            let d = camera.direction(camera.normalised([(i % 60) as f64, (i / 60) as f64]).unwrap());
+            let o = camera.centre();
+            let a = d.z * d.z + 0.5 * (d.x * d.x + d.y * d.y);
+            let b = o.z * d.z + 0.5 * (o.x * d.x + o.y * d.y);
+            let c = o.z * o.z + 0.5 * (o.x * o.x + o.y * o.y) - radius * radius;
+            let exact = (-b - (b * b - a * c).sqrt()) / a;
+            let behind = f64::from(*z) - exact;
+            assert!((-1e-6..spacing * spacing / 8.0).contains(&behind), "pixel {i}: {behind}");
+        }
+    }
+
+    #[test]
+    fn depths_are_the_nearest_floats_and_carry_the_camera() {
+        let depth = project(&plane(), &json!({"image": "left", "downscale": 2})).unwrap();
+        assert_eq!((depth.width, depth.height, depth.downscale), (30, 20, 2));
+        let camera = Camera::of_depth(&depth);
+        for (i, z) in depth.z.iter().enumerate() {
+            let pixel = crate::kernel::camera::full_pixel(i % 30, i / 30, 2);
+            let exact = 30.0 / -camera.direction(camera.normalised(pixel).unwrap()).z;
+            assert!((f64::from(*z) - exact).abs() <= f64::from(f32::EPSILON) * 16.0, "pixel {i}");
+        }
+        assert_eq!(Depth::decode(&depth.encode().unwrap()).unwrap(), depth);
+    }
+
+    #[test]
+    fn it_says_why_it_sees_nothing() {
+        let error = |mesh: &Mesh, with| project(mesh, &with).unwrap_err();
+        let unknown = error(&plane(), json!({"image": "middle"}));
+        assert!(unknown.message.contains("`middle`") && unknown.hint.unwrap().contains("left, away"));
+        assert!(error(&plane(), json!({"image": "away"})).hint.unwrap().contains("behind the camera"));
+        let mut back = plane();
+        back.triangles.iter_mut().for_each(|t| t.swap(0, 1));
+        assert!(error(&back, json!({"image": "left"})).hint.unwrap().contains("its back"));
+        assert!(project(&back, &json!({"image": "left", "visibility": false})).is_ok());
+        let aside = height_mesh(1, [100.0, 150.0, 0.0, 9.0], |_, _| 0.0);
+        assert!(error(&aside, json!({"image": "left"})).hint.unwrap().contains("beside"));
+        let mut other = plane();
+        other.frame = Frame::World;
+        assert!(error(&other, json!({"image": "left"})).message.contains("world frame"));
+        other = plane();
+        other.triangles.clear();
+        assert!(error(&other, json!({"image": "left"})).message.contains("no triangles"));
+    }
+}
