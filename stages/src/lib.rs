@@ -8,15 +8,26 @@ pub mod artefact;
 pub mod kernel;
 pub mod params;
 mod stage;
+#[cfg(test)]
+pub(crate) mod testing;
 
 // A new stage is its file, its `mod` and its row.
+mod apply_mask;
+mod difference_dem;
+mod filter_outliers;
+mod import_rasters;
 
 pub use stage::{
     AnyStage, Arity, Checked, Context, Element, Entry, Host, Inputs, Outputs, Page, Point, Port, Row, SourceFile,
     Stage, StageError,
 };
 
-static STAGES: &[&dyn AnyStage] = &[];
+static STAGES: &[&dyn AnyStage] = &[
+    &Row::<apply_mask::ApplyMask>::new(),
+    &Row::<difference_dem::DifferenceDem>::new(),
+    &Row::<filter_outliers::FilterOutliers>::new(),
+    &Row::<import_rasters::ImportRasters>::new(),
+];
 
 /// Every stage there is, in the order of the catalogue.
 pub fn all() -> &'static [&'static dyn AnyStage] {

@@ -3,7 +3,10 @@
 pub mod camera;
 pub mod depth_exr;
 pub mod geotiff;
+pub mod grid;
+pub mod marginal;
 pub mod ply;
 pub mod precise;
+pub mod quantile;
 pub mod random;
 pub mod surface_file;
