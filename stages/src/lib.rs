@@ -11,7 +11,11 @@ mod stage;
 #[cfg(test)]
 pub(crate) mod testing;
 
-// A new stage is its file, its `mod` and its row.
+// A new stage is its file, its `mod` here and its row below.
+mod apply_mask;
+mod difference_dem;
+mod filter_outliers;
+mod import_rasters;
 mod match_pair;
 mod project_depth;
 
@@ -20,7 +24,14 @@ pub use stage::{
     Stage, StageError,
 };
 
-static STAGES: &[&dyn AnyStage] = &[&Row::<project_depth::ProjectDepth>::new()];
+static STAGES: &[&dyn AnyStage] = &[
+    &Row::<project_depth::ProjectDepth>::new(),
+    &Row::<match_pair::MatchPair>::new(),
+    &Row::<difference_dem::DifferenceDem>::new(),
+    &Row::<import_rasters::ImportRasters>::new(),
+    &Row::<filter_outliers::FilterOutliers>::new(),
+    &Row::<apply_mask::ApplyMask>::new(),
+];
 
 /// Every stage there is, in the order of the catalogue.
 pub fn all() -> &'static [&'static dyn AnyStage] {

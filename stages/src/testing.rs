@@ -17,9 +17,23 @@ pub struct TestHost {
     pub entries: Mutex<Vec<Entry>>,
     /// Files by the text that names them in a pipeline.
     pub files: BTreeMap<String, Vec<(String, Vec<u8>)>>,
+    /// Mixed into every random key, so that tests draw several times.
+    pub seed: u64,
 }
 
 impl TestHost {
+    /// A host that draws from another seed.
+    pub fn seeded(seed: u64) -> Self {
+        Self { seed, ..Self::default() }
+    }
+
+    /// Adds files under the text that names them.
+    pub fn with(mut self, as_written: &str, files: &[(&str, &[u8])]) -> Self {
+        let owned = files.iter().map(|(name, bytes)| ((*name).to_owned(), bytes.to_vec())).collect();
+        self.files.insert(as_written.to_owned(), owned);
+        self
+    }
+
     /// The last number logged under a name.
     pub fn metric(&self, wanted: &str) -> Option<f64> {
         let entries = self.entries.lock().expect("no test panics while it logs");
@@ -39,7 +53,7 @@ impl TestHost {
 
 impl Host for TestHost {
     fn stream_key(&self, purpose: &str, item: &str) -> [u8; 32] {
-        *blake3::hash(format!("{purpose}\0{item}").as_bytes()).as_bytes()
+        *blake3::hash(format!("{} {purpose}\0{item}", self.seed).as_bytes()).as_bytes()
     }
     fn open(&self, as_written: &str) -> std::io::Result<Vec<SourceFile>> {
         let files = self.files.get(as_written).ok_or(std::io::ErrorKind::NotFound)?;
@@ -55,6 +69,16 @@ impl Host for TestHost {
     fn cancelled(&self) -> bool {
         false
     }
+}
+
+/// A file of the shared data; `None`, and a line saying so, where the data is not there.
+pub fn shared(path: &str) -> Option<Vec<u8>> {
+    let file = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data")).join(path);
+    let bytes = std::fs::read(&file).ok();
+    if bytes.is_none() {
+        println!("skipped: {} is not there", file.display());
+    }
+    bytes
 }
 
 /// Runs a stage on parameters as a pipeline writes them, and artefacts by port.

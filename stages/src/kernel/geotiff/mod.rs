@@ -1,0 +1,123 @@
+//! GeoTIFF: bands on a square grid as a file that QGIS, GDAL and rasterio open.
+//!
+//! Files written here are classic little-endian TIFF 6.0 with 256 x 256 tiles, one plane a band, DEFLATE with the
+//! floating-point (or horizontal) predictor, `ModelPixelScale` and `ModelTiepoint` for the grid, and a local
+//! engineering system named after the frame. Foreign files may also be striped, interleaved, LZW-compressed, of any
+//! integer or float type, and carry a no-data value.
+
+mod read;
+mod tags;
+mod write;
+
+pub use read::read;
+pub use write::write;
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::{read, write};
+    use crate::artefact::{Band, Frame, Grid, Raster, Sample};
+
+    fn grid(columns: usize, rows: usize) -> Grid {
+        Grid { columns, rows, cell_m: 0.01, left_m: -2.4, top_m: 3.5 }
+    }
+
+    fn raster(columns: usize, rows: usize, bands: usize) -> Raster {
+        let value = |i: usize| if i.is_multiple_of(7) { f32::NAN } else { (i as f32 * 0.37).sqrt() - 3.0 };
+        let band = |b: usize| Band {
+            name: format!("b{b} <&\"'> \u{e9}\n"),
+            values: (0..columns * rows).map(|i| value(i + b)).collect(),
+        };
+        Raster {
+            grid: grid(columns, rows),
+            frame: Frame::World,
+            quantity: "difference".into(),
+            sample: Sample::Float,
+            bands: (0..bands).map(band).collect(),
+        }
+    }
+
+    #[test]
+    fn floats_come_back_bit_for_bit_whatever_the_tiling() {
+        for (columns, rows, bands) in [(1, 1, 1), (256, 256, 1), (257, 300, 3), (3, 600, 5), (520, 2, 2)] {
+            let raster = raster(columns, rows, bands);
+            assert_eq!(read(&write(&raster).unwrap()).unwrap(), raster, "{columns} x {rows} x {bands}");
+        }
+    }
+
+    #[test]
+    fn bytes_come_back_and_other_values_are_refused() {
+        let values = (0..300 * 20).map(|i| (i % 256) as f32).collect();
+        let mut mask = Raster::single(grid(300, 20), Frame::Wall, "mask", "m", values);
+        mask.sample = Sample::Byte;
+        assert_eq!(read(&write(&mask).unwrap()).unwrap(), mask);
+        for bad in [0.5, -1.0, 256.0, f32::NAN, -0.0] {
+            mask.bands[0].values[7] = bad;
+            assert!(write(&mask).unwrap_err().0.contains("band `m`"), "{bad}");
+        }
+    }
+
+    #[test]
+    fn a_raster_without_cells_or_with_a_wrong_band_is_refused() {
+        let mut empty = raster(2, 2, 1);
+        empty.bands.clear();
+        assert!(write(&empty).is_err());
+        let mut short = raster(2, 2, 1);
+        short.bands[0].values.pop();
+        assert!(write(&short).unwrap_err().0.contains("3 values"));
+    }
+
+    #[test]
+    fn a_cut_or_damaged_file_is_refused_or_read_but_never_panics() {
+        let bytes = write(&raster(8, 6, 2)).unwrap();
+        for length in 0..bytes.len() {
+            assert!(read(&bytes[..length]).is_err(), "length {length}");
+        }
+        // Offsets, sizes and types lie behind the tiles, which are the first half.
+        for at in (0..8).chain((bytes.len() / 3..bytes.len()).step_by(3)) {
+            for value in [0, 1, 0xff] {
+                let mut damaged = bytes.clone();
+                damaged[at] = value;
+                let _ = read(&damaged);
+            }
+        }
+    }
+
+    #[test]
+    fn foreign_rasters_are_read() {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data/outcrop-survey/real");
+        let Ok(bytes) = std::fs::read(format!("{folder}/cmp_00_01.tif")) else {
+            eprintln!("skipped: {folder} is not there");
+            return;
+        };
+        let raster = read(&bytes).unwrap();
+        assert_eq!((raster.grid.columns, raster.grid.rows), (630, 560));
+        assert!((raster.grid.left_m + 2.4).abs() < 1e-9 && (raster.grid.top_m - 3.5).abs() < 1e-9);
+        assert_eq!(raster.bands[0].values.iter().filter(|v| !v.is_nan()).count(), 345_689);
+    }
+
+    proptest! {
+        #[test]
+        fn any_float_bits_come_back(values in prop::collection::vec(any::<u32>(), 1..600), columns in 1usize..20) {
+            let canonical = |bits: u32| {
+                let value = f32::from_bits(bits);
+                if value.is_nan() { f32::NAN } else { value }
+            };
+            let rows = values.len() / columns;
+            prop_assume!(rows > 0);
+            let values = values[..rows * columns].iter().copied().map(canonical).collect();
+            let raster = Raster::single(grid(columns, rows), Frame::Wall, "elevation", "z", values);
+            prop_assert_eq!(read(&write(&raster).unwrap()).unwrap(), raster);
+        }
+
+        #[test]
+        fn garbage_is_refused(mut bytes in prop::collection::vec(any::<u8>(), 0..400)) {
+            prop_assert!(read(&bytes).is_err());
+            let head = *b"II*\0\x08\0\0\0";
+            let length = bytes.len().min(8);
+            bytes[..length].copy_from_slice(&head[..length]);
+            prop_assert!(read(&bytes).is_err());
+        }
+    }
+}

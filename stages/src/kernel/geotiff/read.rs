@@ -1,0 +1,191 @@
+//! Reads GeoTIFF files, our own and foreign ones; damaged files are refused with a reason.
+
+use std::io::Cursor;
+
+use tiff::decoder::{ChunkType, Decoder, DecodingResult, Limits};
+use tiff::tags::{PlanarConfiguration, Tag};
+
+use super::tags::{GDAL_METADATA, Georeference, Metadata};
+use crate::artefact::{Band, CodecError, Frame, Grid, Raster, Sample};
+
+type File<'a> = Decoder<Cursor<&'a [u8]>>;
+
+/// DEFLATE and LZW cannot expand further than this; a file that claims more is damaged.
+const LARGEST_EXPANSION: usize = 1100;
+
+/// Quantity of a file that does not say what its values are.
+const UNNAMED: &str = "value";
+
+/// Reads a raster. Bands without a name are called `band 1`, `band 2`, ...; cells with the no-data value become NaN.
+///
+/// # Errors
+/// A file that is no TIFF, is cut short or damaged, has no georeference, or cells that are not square.
+pub fn read(bytes: &[u8]) -> Result<Raster, CodecError> {
+    let file = Decoder::new(Cursor::new(bytes)).map_err(|e| refused(&e))?;
+    let mut limits = Limits::default();
+    limits.decoding_buffer_size = 1 << 30;
+    limits.ifd_value_size = 1 << 26;
+    let mut file = file.with_limits(limits);
+    let layout = Layout::of(&mut file, bytes.len())?;
+    let grid = georeference(&mut file).grid(layout.columns, layout.rows)?;
+    let metadata =
+        ascii(&mut file, Tag::Unknown(GDAL_METADATA)).map_or_else(Metadata::default, |xml| Metadata::parse(&xml));
+    let nodata = ascii(&mut file, Tag::GdalNodata).and_then(|text| text.trim().parse::<f64>().ok());
+    let (planes, sample) = values(&mut file, &layout, nodata)?;
+    Ok(named(grid, &metadata, sample, planes))
+}
+
+fn refused(error: &tiff::TiffError) -> CodecError {
+    CodecError(format!("not a GeoTIFF that can be read: {error}"))
+}
+
+fn damaged(what: &str) -> CodecError {
+    CodecError(format!("damaged GeoTIFF: {what}"))
+}
+
+fn named(grid: Grid, metadata: &Metadata, sample: Sample, planes: Vec<Vec<f32>>) -> Raster {
+    let name = |index: usize| metadata.names.get(&index).cloned().unwrap_or_else(|| format!("band {}", index + 1));
+    let bands = planes.into_iter().enumerate().map(|(index, values)| Band { name: name(index), values }).collect();
+    let quantity = metadata.quantity.clone().unwrap_or_else(|| UNNAMED.to_owned());
+    Raster { grid, frame: metadata.frame.unwrap_or(Frame::Wall), quantity, sample, bands }
+}
+
+/// How the values lie in the file.
+struct Layout {
+    columns: usize,
+    rows: usize,
+    bands: usize,
+    planar: bool,
+    chunk_columns: usize,
+    chunk_rows: usize,
+}
+
+impl Layout {
+    fn of(file: &mut File, file_length: usize) -> Result<Self, CodecError> {
+        let (columns, rows) = file.dimensions().map_err(|e| refused(&e))?;
+        let (columns, rows) = (columns as usize, rows as usize);
+        let bands = usize::from(number(file, Tag::SamplesPerPixel)?.unwrap_or(1));
+        let photometric = number(file, Tag::PhotometricInterpretation)?.unwrap_or(1);
+        if photometric > 2 || (photometric == 2 && bands > 4) {
+            return Err(CodecError(format!(
+                "a picture (photometric interpretation {photometric}) is not a raster of values"
+            )));
+        }
+        let planar = number(file, Tag::PlanarConfiguration)? == Some(PlanarConfiguration::Planar.to_u16());
+        let (chunk_columns, chunk_rows) = chunk_size(file, columns, rows)?;
+        let cells = columns.checked_mul(rows).and_then(|n| n.checked_mul(bands));
+        let possible = file_length.saturating_mul(LARGEST_EXPANSION);
+        match cells {
+            Some(cells) if cells > 0 && cells <= possible && chunk_columns.saturating_mul(chunk_rows) <= possible => {}
+            _ => return Err(damaged(&format!("{columns} x {rows} x {bands} values in {file_length} bytes"))),
+        }
+        Ok(Self { columns, rows, bands, planar, chunk_columns, chunk_rows })
+    }
+
+    fn across(&self) -> usize {
+        self.columns.div_ceil(self.chunk_columns)
+    }
+
+    fn chunks(&self) -> usize {
+        let plane = self.across() * self.rows.div_ceil(self.chunk_rows);
+        if self.planar { plane * self.bands } else { plane }
+    }
+
+    /// First band, left column, top row, columns and rows of a chunk without its padding.
+    fn place(&self, chunk: usize) -> [usize; 5] {
+        let plane = self.across() * self.rows.div_ceil(self.chunk_rows);
+        let (band, within) = (chunk / plane, chunk % plane);
+        let (left, top) = (within % self.across() * self.chunk_columns, within / self.across() * self.chunk_rows);
+        [band, left, top, self.chunk_columns.min(self.columns - left), self.chunk_rows.min(self.rows - top)]
+    }
+}
+
+fn number(file: &mut File, tag: Tag) -> Result<Option<u16>, CodecError> {
+    file.find_tag_unsigned(tag).map_err(|e| refused(&e))
+}
+
+fn chunk_size(file: &mut File, columns: usize, rows: usize) -> Result<(usize, usize), CodecError> {
+    let mut side = |tag| file.find_tag_unsigned::<u32>(tag).map_err(|e| refused(&e));
+    let (width, height) = (side(Tag::TileWidth)?, side(Tag::TileLength)?);
+    let strip = side(Tag::RowsPerStrip)?;
+    let (width, height) = match file.get_chunk_type() {
+        ChunkType::Tile => (width.unwrap_or(0) as usize, height.unwrap_or(0) as usize),
+        ChunkType::Strip => (columns, strip.map_or(rows, |r| (r as usize).min(rows))),
+    };
+    if width == 0 || height == 0 { Err(damaged("tiles or strips without size")) } else { Ok((width, height)) }
+}
+
+fn values(file: &mut File, layout: &Layout, nodata: Option<f64>) -> Result<(Vec<Vec<f32>>, Sample), CodecError> {
+    let mut planes = vec![vec![f32::NAN; layout.columns * layout.rows]; layout.bands];
+    let mut sample = Sample::Float;
+    for chunk in 0..layout.chunks() {
+        let decoded = file.read_chunk(chunk as u32).map_err(|e| refused(&e))?;
+        if matches!(decoded, DecodingResult::U8(_)) && nodata.is_none() {
+            sample = Sample::Byte;
+        }
+        let [band, left, top, width, height] = layout.place(chunk);
+        let numbers = floats(decoded, nodata)?;
+        let interleaved = if layout.planar { 1 } else { layout.bands };
+        if numbers.len() < width * height * interleaved {
+            return Err(damaged(&format!("chunk {chunk} holds {} values, {} expected", numbers.len(), width * height)));
+        }
+        for row in 0..height {
+            for (offset, plane) in planes[band..band + interleaved].iter_mut().enumerate() {
+                let start = (top + row) * layout.columns + left;
+                let source = numbers[row * width * interleaved + offset..].iter().step_by(interleaved);
+                plane[start..start + width].iter_mut().zip(source).for_each(|(to, from)| *to = *from);
+            }
+        }
+    }
+    Ok((planes, sample))
+}
+
+/// Values as 32-bit floats, NaN where the file says there are none.
+fn floats(decoded: DecodingResult, nodata: Option<f64>) -> Result<Vec<f32>, CodecError> {
+    macro_rules! convert {
+        ($values:expr, $ty:ty) => {
+            $values
+                .iter()
+                .map(
+                    |v| {
+                        if nodata.is_some_and(|n| *v == n as $ty && n as $ty as f64 == n) {
+                            f32::NAN
+                        } else {
+                            *v as f32
+                        }
+                    },
+                )
+                .collect()
+        };
+    }
+    Ok(match decoded {
+        DecodingResult::F32(values) => {
+            let nodata = nodata.map(|n| n as f32);
+            values.iter().map(|v| if nodata == Some(*v) || v.is_nan() { f32::NAN } else { *v }).collect()
+        }
+        DecodingResult::F64(values) => {
+            values.iter().map(|v| if nodata == Some(*v) { f32::NAN } else { *v as f32 }).collect()
+        }
+        DecodingResult::U8(values) => convert!(values, u8),
+        DecodingResult::U16(values) => convert!(values, u16),
+        DecodingResult::U32(values) => convert!(values, u32),
+        DecodingResult::I8(values) => convert!(values, i8),
+        DecodingResult::I16(values) => convert!(values, i16),
+        DecodingResult::I32(values) => convert!(values, i32),
+        DecodingResult::U64(_) | DecodingResult::I64(_) | DecodingResult::F16(_) => {
+            return Err(CodecError::new("64-bit integers and 16-bit floats cannot be read; convert to 32-bit floats"));
+        }
+    })
+}
+
+fn ascii(file: &mut File, tag: Tag) -> Option<String> {
+    file.get_tag_ascii_string(tag).ok().map(|text| text.trim_end_matches('\0').to_owned())
+}
+
+fn georeference(file: &mut File) -> Georeference {
+    let mut doubles = |tag| file.get_tag_f64_vec(tag).ok();
+    let scale = doubles(Tag::ModelPixelScaleTag);
+    let tiepoint = doubles(Tag::ModelTiepointTag);
+    let matrix = doubles(Tag::ModelTransformationTag);
+    Georeference { scale, tiepoint, matrix, keys: file.get_tag_u16_vec(Tag::GeoKeyDirectoryTag).unwrap_or_default() }
+}

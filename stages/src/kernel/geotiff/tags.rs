@@ -1,0 +1,238 @@
+//! What a GeoTIFF says besides its values: grid, coordinate system, names of bands, value for "no data".
+
+use std::fmt::Write as _;
+
+use crate::artefact::{CodecError, Frame, Grid, Raster};
+
+/// Tag that holds GDAL's metadata as XML.
+pub const GDAL_METADATA: u16 = 42112;
+
+/// Keys of the `GeoKeyDirectory` that are read or written.
+const MODEL_TYPE: u16 = 1024;
+const RASTER_TYPE: u16 = 1025;
+const CITATION: u16 = 1026;
+const LINEAR_UNITS: u16 = 3076;
+const PIXEL_IS_AREA: u16 = 1;
+const PIXEL_IS_POINT: u16 = 2;
+const USER_DEFINED: u16 = 32767;
+const METRE: u16 = 9001;
+const ASCII_PARAMS: u16 = 34737;
+
+/// `ModelPixelScale` of a grid, metres.
+pub fn pixel_scale(grid: &Grid) -> [f64; 3] {
+    [grid.cell_m, grid.cell_m, 0.0]
+}
+
+/// `ModelTiepoint` of a grid: the outer corner of the first cell, metres.
+pub fn tiepoint(grid: &Grid) -> [f64; 6] {
+    [0.0, 0.0, 0.0, grid.left_m, grid.top_m, 0.0]
+}
+
+/// `GeoKeyDirectory` and `GeoAsciiParams` of a frame: a local engineering system in metres.
+pub fn geo_keys(frame: Frame) -> (Vec<u16>, String) {
+    let citation = format!("rockface {frame} frame|");
+    let keys = [
+        [MODEL_TYPE, 0, 1, USER_DEFINED],
+        [RASTER_TYPE, 0, 1, PIXEL_IS_AREA],
+        [CITATION, ASCII_PARAMS, citation.len() as u16, 0],
+        [LINEAR_UNITS, 0, 1, METRE],
+    ];
+    let mut directory = vec![1, 1, 0, keys.len() as u16];
+    directory.extend(keys.as_flattened());
+    (directory, citation)
+}
+
+/// Georeference tags as found in a file.
+#[derive(Debug, Default)]
+pub struct Georeference {
+    /// `ModelPixelScale`.
+    pub scale: Option<Vec<f64>>,
+    /// `ModelTiepoint`.
+    pub tiepoint: Option<Vec<f64>>,
+    /// `ModelTransformation`, 4 x 4 by row.
+    pub matrix: Option<Vec<f64>>,
+    /// `GeoKeyDirectory`.
+    pub keys: Vec<u16>,
+}
+
+impl Georeference {
+    /// The grid of a file of this many columns and rows.
+    pub fn grid(&self, columns: usize, rows: usize) -> Result<Grid, CodecError> {
+        let [cell_x, cell_y, left, top] = self.corner()?;
+        let square = (cell_x - cell_y).abs() <= 1e-9 * cell_x.abs();
+        if !(cell_x > 0.0 && square && [cell_x, left, top].iter().all(|x| x.is_finite())) {
+            return Err(CodecError(format!(
+                "GeoTIFF cells must be square and north up; this file has {cell_x} by {cell_y}; resample it first"
+            )));
+        }
+        // Files that give the centre of the first cell instead of its corner are moved by half a cell.
+        let half = if self.pixel_is_point() { 0.5 * cell_x } else { 0.0 };
+        Ok(Grid { columns, rows, cell_m: cell_x, left_m: left - half, top_m: top + half })
+    }
+
+    /// Cell size along x and y, left and top.
+    fn corner(&self) -> Result<[f64; 4], CodecError> {
+        match (self.scale.as_deref(), self.tiepoint.as_deref(), self.matrix.as_deref()) {
+            (Some([sx, sy, ..]), Some([column, row, _, x, y, ..]), _) => Ok([*sx, *sy, x - column * sx, y + row * sy]),
+            (_, _, Some([a, b, _, x, d, e, _, y, ..])) if *b == 0.0 && *d == 0.0 => Ok([*a, -e, *x, *y]),
+            (_, _, Some(_)) => Err(CodecError::new("a rotated GeoTIFF cannot be used; resample it to north up first")),
+            _ => Err(CodecError::new(
+                "the TIFF has no georeference (ModelPixelScale and ModelTiepoint); write it as a GeoTIFF, \
+                 for instance with `gdal_translate -a_ullr`",
+            )),
+        }
+    }
+
+    fn pixel_is_point(&self) -> bool {
+        let mut entries = self.keys.chunks_exact(4).skip(1);
+        entries.any(|entry| entry[0] == RASTER_TYPE && entry[1] == 0 && entry[3] == PIXEL_IS_POINT)
+    }
+}
+
+/// GDAL's metadata of a raster: frame, quantity and the name of each band.
+pub fn metadata(raster: &Raster) -> String {
+    let mut xml = format!(
+        "<GDALMetadata>\n  <Item name=\"FRAME\">{}</Item>\n  <Item name=\"QUANTITY\">{}</Item>\n",
+        raster.frame,
+        escape(&raster.quantity)
+    );
+    for (index, band) in raster.bands.iter().enumerate() {
+        let name = escape(&band.name);
+        let _ = writeln!(xml, "  <Item name=\"DESCRIPTION\" sample=\"{index}\" role=\"description\">{name}</Item>");
+    }
+    xml + "</GDALMetadata>\n"
+}
+
+/// The items of GDAL's metadata that are understood here.
+#[derive(Debug, Default, PartialEq)]
+pub struct Metadata {
+    /// Frame of the grid.
+    pub frame: Option<Frame>,
+    /// What the values are.
+    pub quantity: Option<String>,
+    /// Names of bands by number.
+    pub names: std::collections::BTreeMap<usize, String>,
+}
+
+impl Metadata {
+    /// Reads the XML; items that are not understood are passed over, as GDAL does.
+    pub fn parse(xml: &str) -> Self {
+        let mut found = Self::default();
+        for item in xml.split("<Item").skip(1) {
+            let Some((attributes, rest)) = item.split_once('>') else { continue };
+            let Some((text, _)) = rest.split_once("</Item>") else { continue };
+            found.take(attributes, unescape(text));
+        }
+        found
+    }
+
+    fn take(&mut self, attributes: &str, text: String) {
+        let sample = attribute(attributes, "sample").and_then(|index| index.parse().ok());
+        match (attribute(attributes, "name"), attribute(attributes, "role"), sample) {
+            (_, Some("description"), Some(index)) => {
+                self.names.insert(index, text);
+            }
+            (Some("FRAME"), ..) if text == "world" => self.frame = Some(Frame::World),
+            (Some("FRAME"), ..) if text == "wall" => self.frame = Some(Frame::Wall),
+            (Some("QUANTITY"), ..) => self.quantity = Some(text),
+            _ => {}
+        }
+    }
+}
+
+fn attribute<'a>(attributes: &'a str, name: &str) -> Option<&'a str> {
+    let start = attributes.find(&format!(" {name}=\""))? + name.len() + 3;
+    attributes[start..].split('"').next()
+}
+
+/// Escapes what XML reserves, and everything outside printable ASCII, which is all a TIFF text may hold.
+fn escape(text: &str) -> String {
+    let mut escaped = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            ' '..='~' if !"&<>\"'".contains(c) => escaped.push(c),
+            _ => {
+                let _ = write!(escaped, "&#{};", u32::from(c));
+            }
+        }
+    }
+    escaped
+}
+
+fn unescape(text: &str) -> String {
+    let mut parts = text.split('&');
+    let mut plain = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        match part.split_once(';').and_then(|(entity, rest)| Some((character(entity)?, rest))) {
+            Some((c, rest)) => {
+                plain.push(c);
+                plain.push_str(rest);
+            }
+            None => {
+                plain.push('&');
+                plain.push_str(part);
+            }
+        }
+    }
+    plain
+}
+
+fn character(entity: &str) -> Option<char> {
+    match entity {
+        "amp" => Some('&'),
+        "lt" => Some('<'),
+        "gt" => Some('>'),
+        "quot" => Some('"'),
+        "apos" => Some('\''),
+        _ => {
+            let number = entity.strip_prefix('#')?;
+            let code = match number.strip_prefix('x') {
+                Some(hexadecimal) => u32::from_str_radix(hexadecimal, 16).ok()?,
+                None => number.parse().ok()?,
+            };
+            char::from_u32(code)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_comes_back_through_xml() {
+        for text in ["", "a & b <c>", "\u{e9}\n\u{1f5ff}", "&amp;", "x;y&#9;"] {
+            assert_eq!(unescape(&escape(text)), text);
+        }
+        assert_eq!(unescape("a &lt;&#x41;&unknown; & b"), "a <A&unknown; & b");
+    }
+
+    #[test]
+    fn the_corner_follows_the_tags() {
+        let mut tags = Georeference {
+            scale: Some(vec![0.5, 0.5, 0.0]),
+            tiepoint: Some(vec![2.0, 4.0, 0.0, 100.0, 200.0, 0.0]),
+            ..Georeference::default()
+        };
+        let grid = tags.grid(10, 20).unwrap();
+        assert_eq!((grid.left_m, grid.top_m, grid.cell_m), (99.0, 202.0, 0.5));
+        tags.keys = vec![1, 1, 0, 1, RASTER_TYPE, 0, 1, PIXEL_IS_POINT];
+        let point = tags.grid(10, 20).unwrap();
+        assert_eq!((point.left_m, point.top_m), (98.75, 202.25));
+        tags.scale = Some(vec![0.5, 0.4, 0.0]);
+        assert!(tags.grid(10, 20).unwrap_err().0.contains("square"));
+        assert!(Georeference::default().grid(1, 1).unwrap_err().0.contains("georeference"));
+    }
+
+    #[test]
+    fn a_matrix_without_rotation_will_do() {
+        let matrix = |b: f64| {
+            let mut m = vec![2.0, b, 0.0, 10.0, 0.0, -2.0, 0.0, 30.0];
+            m.extend([0.0; 8]);
+            Georeference { matrix: Some(m), ..Georeference::default() }
+        };
+        let grid = matrix(0.0).grid(1, 1).unwrap();
+        assert_eq!((grid.left_m, grid.top_m, grid.cell_m), (10.0, 30.0, 2.0));
+        assert!(matrix(0.1).grid(1, 1).unwrap_err().0.contains("rotated"));
+    }
+}

@@ -1,0 +1,65 @@
+//! Empirical quantiles, type 7 of Hyndman and Fan (1996): linear between the order statistics.
+
+/// The quantile of level `q` (0 to 1) of finite values; `None` where there are none.
+pub fn quantile(values: &[f64], q: f64) -> Option<f64> {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    of_sorted(&sorted, q)
+}
+
+/// The quantile of values already in ascending order.
+pub fn of_sorted(sorted: &[f64], q: f64) -> Option<f64> {
+    let last = sorted.len().checked_sub(1)?;
+    let position = q.clamp(0.0, 1.0) * last as f64;
+    let below = position.floor() as usize;
+    let share = position - below as f64;
+    let upper = sorted[(below + 1).min(last)];
+    Some(sorted[below] + share * (upper - sorted[below]))
+}
+
+/// The median, found in linear time; the order of `values` changes.
+pub fn median(values: &mut [f64]) -> Option<f64> {
+    let count = values.len();
+    if count == 0 {
+        return None;
+    }
+    let (below, upper, _) = values.select_nth_unstable_by(count / 2, f64::total_cmp);
+    let upper = *upper;
+    if count % 2 == 1 {
+        return Some(upper);
+    }
+    let lower = below.iter().copied().max_by(f64::total_cmp)?;
+    Some(0.5 * (lower + upper))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn agrees_with_numpy_on_a_small_sample() {
+        let values = [3.0, 1.0, 4.0, 1.0, 5.0, 9.0];
+        assert_eq!(quantile(&values, 0.0), Some(1.0));
+        assert_eq!(quantile(&values, 0.5), Some(3.5));
+        assert_eq!(quantile(&values, 0.95), Some(8.0));
+        assert_eq!(quantile(&values, 1.0), Some(9.0));
+        assert_eq!(quantile(&[], 0.5), None);
+    }
+
+    #[test]
+    fn keeps_35_37_and_38_of_39_as_table_a1_does() {
+        let values: Vec<f64> = (0..39).map(f64::from).collect();
+        let kept = |q: f64| values.iter().filter(|v| **v <= quantile(&values, q).unwrap()).count();
+        assert_eq!([kept(0.90), kept(0.95), kept(0.99)], [35, 37, 38]);
+    }
+
+    proptest! {
+        #[test]
+        fn the_median_is_the_half_quantile(values in prop::collection::vec(-1e3f64..1e3, 1..50)) {
+            let half = quantile(&values, 0.5).unwrap();
+            let found = median(&mut values.clone()).unwrap();
+            prop_assert!((half - found).abs() <= 1e-12 * half.abs().max(1.0));
+        }
+    }
+}
