@@ -12,6 +12,8 @@ mod stage;
 pub(crate) mod testing;
 
 // A new stage is its file, its `mod` and its row.
+mod clean_mesh;
+mod fuse_depth;
 mod match_pair;
 mod project_depth;
 

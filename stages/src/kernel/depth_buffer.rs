@@ -10,6 +10,7 @@ use rayon::prelude::*;
 
 use crate::artefact::Mesh;
 use crate::kernel::camera::{Camera, full_pixel};
+use crate::kernel::ray_row::RayRow;
 use crate::kernel::triangle_reach::{Bend, NEAR_M, Reach, reach};
 
 /// Rows a task works on.
@@ -137,15 +138,11 @@ impl<'a> Scene<'a> {
     }
 
     fn row_of_rays(&self, row: usize) -> impl Iterator<Item = [f64; 2]> {
-        let mut near = None;
+        let Drawing { downscale, safe_border_px, .. } = *self.drawing;
+        let mut rays = RayRow::new(self.camera, row, downscale);
         (0..self.width).map(move |column| {
-            let pixel = full_pixel(column, row, self.drawing.downscale);
-            if !self.camera.inside(pixel, self.drawing.safe_border_px) {
-                return [f64::NAN; 2];
-            }
-            near = near.and_then(|guess| self.camera.normalised_near(pixel, guess));
-            near = near.or_else(|| self.camera.normalised(pixel));
-            near.unwrap_or([f64::NAN; 2])
+            let wanted = self.camera.inside(full_pixel(column, row, downscale), safe_border_px);
+            wanted.then(|| rays.ray(column)).flatten().unwrap_or([f64::NAN; 2])
         })
     }
 }

@@ -3,12 +3,15 @@
 pub mod camera;
 pub mod depth_buffer;
 pub mod depth_exr;
+pub mod depth_surface;
 pub mod geotiff;
 pub mod matching_noise;
 pub mod pair_matching;
 pub mod ply;
 pub mod precise;
 pub mod random;
+pub mod ray_row;
 pub mod rectification;
+pub mod surface_cleaning;
 pub mod surface_file;
 pub mod triangle_reach;

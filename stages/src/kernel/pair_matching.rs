@@ -14,6 +14,7 @@ use crate::fail;
 use crate::kernel::camera::{Camera, full_pixel};
 use crate::kernel::matching_noise::{FieldRecipe, LocalNoise, SmoothNoise};
 use crate::kernel::random::Key;
+use crate::kernel::ray_row::RayRow;
 use crate::kernel::rectification::{Placed, Rectification};
 
 /// The white part of the noise: its deviation in pixels, and its draws.
@@ -140,16 +141,15 @@ impl Matcher<'_> {
     fn match_row(&self, own: usize, row: usize, mut found: impl FnMut(usize, &Match)) {
         let depth = self.ideal[own];
         let draws = self.row_of_draws(own, row, depth.width);
-        let mut near = None;
+        let mut rays = RayRow::new(&self.cameras[own], row, depth.downscale);
         for (column, z) in depth.z[row * depth.width..(row + 1) * depth.width].iter().enumerate() {
             if z.is_nan() {
                 continue;
             }
+            let Some(ray) = rays.ray(column) else { continue };
             let pixel = full_pixel(column, row, depth.downscale);
-            near = near.and_then(|guess| self.cameras[own].normalised_near(pixel, guess));
-            near = near.or_else(|| self.cameras[own].normalised(pixel));
             let draw = draws.get(column).copied();
-            if let Some(m) = near.and_then(|ray| self.match_pixel(own, pixel, ray, f64::from(*z), draw)) {
+            if let Some(m) = self.match_pixel(own, pixel, ray, f64::from(*z), draw) {
                 found(column, &m);
             }
         }
