@@ -13,8 +13,10 @@ pub(crate) mod testing;
 
 // A new stage is its file, its `mod` here and its row below.
 mod apply_mask;
+mod clean_mesh;
 mod difference_dem;
 mod filter_outliers;
+mod fuse_depth;
 mod import_rasters;
 mod match_pair;
 mod project_depth;
@@ -27,6 +29,8 @@ pub use stage::{
 static STAGES: &[&dyn AnyStage] = &[
     &Row::<project_depth::ProjectDepth>::new(),
     &Row::<match_pair::MatchPair>::new(),
+    &Row::<fuse_depth::FuseDepth>::new(),
+    &Row::<clean_mesh::CleanMesh>::new(),
     &Row::<difference_dem::DifferenceDem>::new(),
     &Row::<import_rasters::ImportRasters>::new(),
     &Row::<filter_outliers::FilterOutliers>::new(),

@@ -17,6 +17,8 @@ params! {
         safe_border_px: f64 = 0.0; Range::NonNegative,
         /// Whether what faces away from the camera is no surface; if not, the nearest surface counts whichever way it faces.
         visibility: bool = true,
+        /// Keeps only what lies in this part of the frame: x from, x to, y from, y to, metres; null: everything.
+        window_m: Option<[f64; 4]> = None,
     }
 }
 
@@ -36,7 +38,8 @@ impl Stage for ProjectDepth {
                  Depth is z along the optical axis, metres; NaN where the ray meets nothing. A depth-map pixel stands \
                  for downscale x downscale image pixels and its centre is theirs; surplus columns and rows are cut.",
         fails: "The image is unknown; the frames differ; the mesh has no triangles; nothing of the mesh is visible \
-                (it lies behind the camera, beside the image, or shows its back: turn it or set visibility to false).",
+                (it lies behind the camera, beside the image or outside window_m, or shows its back: \
+                turn it or set visibility to false).",
         example: "\
 rockface: 1
 name: ideal-depth
@@ -65,7 +68,10 @@ steps:
             safe_border_px: params.safe_border_px,
             front_only: params.visibility,
         };
-        let buffer = draw(mesh, &camera, &drawing);
+        let mut buffer = draw(mesh, &camera, &drawing);
+        if let Some(window) = params.window_m {
+            buffer.keep_window(&camera, params.downscale, window);
+        }
         let mut seen: Vec<f64> = buffer.z_m.iter().copied().filter(|z| z.is_finite()).collect();
         if seen.is_empty() {
             return Err(nothing_visible(mesh, &camera, &drawing, image));

@@ -40,13 +40,17 @@ impl Surface {
         (!p[0].is_nan()).then(|| [o[0] + f64::from(p[0]), o[1] + f64::from(p[1]), o[2] + f64::from(p[2])])
     }
 
+    /// Both triangles of a square as point indices, cut as its byte says, whether they exist or not.
+    pub fn corners(width: usize, row: usize, column: usize, byte: u8) -> [[usize; 3]; 2] {
+        let a = row * width + column;
+        let (b, c, d) = (a + 1, a + width + 1, a + width);
+        if byte & Self::OTHER_DIAGONAL == 0 { [[a, d, c], [a, c, b]] } else { [[a, d, b], [b, d, c]] }
+    }
+
     /// The triangles of one square as point indices, at most two.
     pub fn triangles(&self, row: usize, column: usize) -> impl Iterator<Item = [usize; 3]> + use<> {
         let byte = self.squares[row * (self.width - 1) + column];
-        let a = row * self.width + column;
-        let (b, c, d) = (a + 1, a + self.width + 1, a + self.width);
-        let (first, second) =
-            if byte & Self::OTHER_DIAGONAL == 0 { ([a, d, c], [a, c, b]) } else { ([a, d, b], [b, d, c]) };
+        let [first, second] = Self::corners(self.width, row, column, byte);
         let first = (byte & Self::FIRST != 0).then_some(first);
         let second = (byte & Self::SECOND != 0).then_some(second);
         first.into_iter().chain(second)

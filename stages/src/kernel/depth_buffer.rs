@@ -10,6 +10,7 @@ use rayon::prelude::*;
 
 use crate::artefact::Mesh;
 use crate::kernel::camera::{Camera, full_pixel};
+use crate::kernel::ray_row::RayRow;
 use crate::kernel::triangle_reach::{Bend, NEAR_M, Reach, reach};
 
 /// Rows a task works on.
@@ -75,6 +76,21 @@ pub fn draw(mesh: &Mesh, camera: &Camera, drawing: &Drawing) -> DepthBuffer {
     DepthBuffer { width, height, z_m }
 }
 
+impl DepthBuffer {
+    /// Empties the pixels whose points lie outside x from, x to, y from, y to, metres in the frame of the camera.
+    pub fn keep_window(&mut self, camera: &Camera, downscale: u32, [x0, x1, y0, y1]: [f64; 4]) {
+        let inside = |p: Vector3<f64>| (x0..=x1).contains(&p.x) && (y0..=y1).contains(&p.y);
+        self.z_m.par_chunks_mut(self.width).enumerate().for_each(|(row, values)| {
+            let mut rays = RayRow::new(camera, row, downscale);
+            for (column, z) in values.iter_mut().enumerate().filter(|(_, z)| z.is_finite()) {
+                if !rays.ray(column).is_some_and(|ray| inside(camera.unproject(ray, *z))) {
+                    *z = f64::INFINITY;
+                }
+            }
+        });
+    }
+}
+
 /// A mesh in the camera frame, its triangles sorted into bands of rows.
 struct Scene<'a> {
     camera: &'a Camera,
@@ -137,15 +153,11 @@ impl<'a> Scene<'a> {
     }
 
     fn row_of_rays(&self, row: usize) -> impl Iterator<Item = [f64; 2]> {
-        let mut near = None;
+        let Drawing { downscale, safe_border_px, .. } = *self.drawing;
+        let mut rays = RayRow::new(self.camera, row, downscale);
         (0..self.width).map(move |column| {
-            let pixel = full_pixel(column, row, self.drawing.downscale);
-            if !self.camera.inside(pixel, self.drawing.safe_border_px) {
-                return [f64::NAN; 2];
-            }
-            near = near.and_then(|guess| self.camera.normalised_near(pixel, guess));
-            near = near.or_else(|| self.camera.normalised(pixel));
-            near.unwrap_or([f64::NAN; 2])
+            let wanted = self.camera.inside(full_pixel(column, row, downscale), safe_border_px);
+            wanted.then(|| rays.ray(column)).flatten().unwrap_or([f64::NAN; 2])
         })
     }
 }

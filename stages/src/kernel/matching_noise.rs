@@ -117,13 +117,13 @@ impl LocalNoise {
         self.distribution.draw(&self.field, column, row) as f32
     }
 
-    /// The draws of a whole row from column 0; equal to calling [`LocalNoise::at`].
-    pub fn fill_row(&self, row: i32, values: &mut [f32]) {
+    /// The draws of a row from column `first` on; equal to calling [`LocalNoise::at`].
+    pub fn fill_row(&self, first: i32, row: i32, values: &mut [f32]) {
         if self.distribution == Distribution::Gaussian {
-            return self.field.fill_row(row, values);
+            return self.field.fill_row(first, row, values);
         }
         for (column, value) in values.iter_mut().enumerate() {
-            *value = self.at(column as i32, row);
+            *value = self.at(first + column as i32, row);
         }
     }
 }
@@ -287,7 +287,7 @@ mod tests {
         for distribution in [Distribution::Gaussian, Distribution::Laplace] {
             let noise = LocalNoise::new(&Key([1; 32]), distribution);
             let mut rows = vec![[0.0f32; 300]; 300];
-            rows.iter_mut().enumerate().for_each(|(y, row)| noise.fill_row(y as i32, row));
+            rows.iter_mut().enumerate().for_each(|(y, row)| noise.fill_row(0, y as i32, row));
             assert_eq!(rows[7][123].to_bits(), noise.at(123, 7).to_bits());
             let pairs = |f: &dyn Fn(usize, usize) -> f32| {
                 let products = (0..299 * 299).map(|i| f64::from(f(i / 299, i % 299)));

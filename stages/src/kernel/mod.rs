@@ -3,6 +3,7 @@
 pub mod camera;
 pub mod depth_buffer;
 pub mod depth_exr;
+pub mod depth_surface;
 pub mod geotiff;
 pub mod grid;
 pub mod marginal;
@@ -12,6 +13,8 @@ pub mod ply;
 pub mod precise;
 pub mod quantile;
 pub mod random;
+pub mod ray_row;
 pub mod rectification;
+pub mod surface_cleaning;
 pub mod surface_file;
 pub mod triangle_reach;

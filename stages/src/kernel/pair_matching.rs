@@ -6,6 +6,8 @@
 //! Rows of the two positions differ by the y-parallax that wrong orientations cause; it is reported, never averaged in.
 //! Pixels are those of the depth-map level throughout.
 
+use std::ops::RangeInclusive;
+
 use rayon::prelude::*;
 
 use crate::StageError;
@@ -14,6 +16,7 @@ use crate::fail;
 use crate::kernel::camera::{Camera, full_pixel};
 use crate::kernel::matching_noise::{FieldRecipe, LocalNoise, SmoothNoise};
 use crate::kernel::random::Key;
+use crate::kernel::ray_row::RayRow;
 use crate::kernel::rectification::{Placed, Rectification};
 
 /// The white part of the noise: its deviation in pixels, and its draws.
@@ -139,28 +142,27 @@ impl Matcher<'_> {
 
     fn match_row(&self, own: usize, row: usize, mut found: impl FnMut(usize, &Match)) {
         let depth = self.ideal[own];
-        let draws = self.row_of_draws(own, row, depth.width);
-        let mut near = None;
-        for (column, z) in depth.z[row * depth.width..(row + 1) * depth.width].iter().enumerate() {
-            if z.is_nan() {
-                continue;
-            }
+        let values = &depth.z[row * depth.width..(row + 1) * depth.width];
+        let valid = |z: &f32| !z.is_nan();
+        let (Some(from), Some(to)) = (values.iter().position(valid), values.iter().rposition(valid)) else { return };
+        let draws = self.row_of_draws(own, row, from..=to);
+        let mut rays = RayRow::new(&self.cameras[own], row, depth.downscale);
+        for (column, z) in (from..=to).zip(&values[from..=to]).filter(|(_, z)| valid(z)) {
+            let Some(ray) = rays.ray(column) else { continue };
             let pixel = full_pixel(column, row, depth.downscale);
-            near = near.and_then(|guess| self.cameras[own].normalised_near(pixel, guess));
-            near = near.or_else(|| self.cameras[own].normalised(pixel));
-            let draw = draws.get(column).copied();
-            if let Some(m) = near.and_then(|ray| self.match_pixel(own, pixel, ray, f64::from(*z), draw)) {
+            let draw = draws.get(column - from).copied();
+            if let Some(m) = self.match_pixel(own, pixel, ray, f64::from(*z), draw) {
                 found(column, &m);
             }
         }
     }
 
-    /// The white draws of a row of the first image; the second looks its own up one by one.
-    fn row_of_draws(&self, own: usize, row: usize, width: usize) -> Vec<f32> {
+    /// The white draws of a stretch of a row of the first image; the second looks its own up one by one.
+    fn row_of_draws(&self, own: usize, row: usize, columns: RangeInclusive<usize>) -> Vec<f32> {
         let mut draws = Vec::new();
         if let (0, Some((_, noise))) = (own, &self.local) {
-            draws.resize(width, 0.0);
-            noise.fill_row(row as i32, &mut draws);
+            draws.resize(columns.end() - columns.start() + 1, 0.0);
+            noise.fill_row(*columns.start() as i32, row as i32, &mut draws);
         }
         draws
     }

@@ -47,10 +47,13 @@ impl Field {
         self.normals(x >> 1, y)[(x & 1) as usize]
     }
 
-    /// Fills a row with standard normal draws of cells (0, y), (1, y), ...; equal to calling [`Field::normal`].
-    pub fn fill_row(&self, y: i32, row: &mut [f32]) {
-        for (pair, cells) in row.chunks_mut(2).enumerate() {
-            let draws = self.normals(pair as i32, y);
+    /// Fills a row with standard normal draws of cells (first, y), (first + 1, y), ...; equal to calling [`Field::normal`].
+    pub fn fill_row(&self, first: i32, y: i32, row: &mut [f32]) {
+        let (lead, rest) = row.split_at_mut(((first & 1) as usize).min(row.len()));
+        lead.iter_mut().for_each(|cell| *cell = self.normal(first, y) as f32);
+        let start = (first + 1) >> 1;
+        for (pair, cells) in rest.chunks_mut(2).enumerate() {
+            let draws = self.normals(start + pair as i32, y);
             for (cell, draw) in cells.iter_mut().zip(draws) {
                 *cell = draw as f32;
             }
@@ -89,10 +92,12 @@ mod tests {
     #[test]
     fn rows_equal_single_cells() {
         let field = Key([7; 32]).field();
-        let mut row = [0.0f32; 9];
-        field.fill_row(-3, &mut row);
-        for (x, value) in row.iter().enumerate() {
-            assert_eq!(value.to_bits(), (field.normal(x as i32, -3) as f32).to_bits());
+        for first in [0, 4, 5, -3] {
+            let mut row = [0.0f32; 9];
+            field.fill_row(first, -3, &mut row);
+            for (x, value) in row.iter().enumerate() {
+                assert_eq!(value.to_bits(), (field.normal(first + x as i32, -3) as f32).to_bits());
+            }
         }
     }
 

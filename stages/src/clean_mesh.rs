@@ -1,0 +1,183 @@
+//! `clean-mesh`: a surface without invalid, degenerate, stray and unwanted triangles.
+
+use crate::artefact::{Kind, Surface};
+use crate::kernel::surface_cleaning::{Removed, Rules, clean};
+use crate::params::{Fault, Range};
+use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+
+params! {
+    /// Parameters of `clean-mesh`.
+    pub struct CleanMeshParams {
+        /// Smallest area of a triangle, square metres.
+        min_area_m2: f64 = 1e-12; Range::NonNegative,
+        /// Fewest triangles of a connected piece.
+        min_component_triangles: u32 = 100,
+        /// Rectangle `[x0, x1, y0, y1]` triangles must lie in, metres; null: everywhere.
+        window_m: Option<[f64; 4]> = None,
+    }
+}
+
+/// The stage.
+pub struct CleanMesh;
+
+impl Stage for CleanMesh {
+    type Params = CleanMeshParams;
+    const NAME: &'static str = "clean-mesh";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Removes from a surface the triangles with points that are not finite, those of no area, those outside a \
+               window, and pieces of few triangles; points no triangle uses go with them.",
+        method: "Paper 2.1.2, Algorithm 2 line 32. Causes are taken in that order, so a triangle counts under the \
+                 first; pieces connect through common points.",
+        frames: "The surface keeps its frame and its grid; the window is in X and Y of that frame, metres.",
+        fails: "The window is empty, or nothing is left of the surface.",
+        example: "\
+rockface: 1
+name: clean-surface
+seed: 1
+steps:
+  face:    {stage: synthesise-face}
+  survey:  {stage: plan-survey, in: {mesh: face.mesh}}
+  depth:   {stage: project-depth, in: {mesh: face.mesh, cameras: survey.cameras}, with: {image: left, downscale: 4}}
+  surface: {stage: fuse-depth, in: {depth: depth.depth}}
+  cleaned: {stage: clean-mesh, in: {surface: surface.surface}, with: {min_component_triangles: 50}}
+",
+    };
+    const INPUTS: &'static [Port] = &[Port::one("surface", &[Kind::Surface], "The surface to clean.")];
+    const OUTPUTS: &'static [Port] =
+        &[Port::one("surface", &[Kind::Surface], "The cleaned surface, on the same grid.")];
+
+    fn check(params: &Self::Params) -> Vec<Fault> {
+        let empty = |[x0, x1, y0, y1]: [f64; 4]| x0 >= x1 || y0 >= y1;
+        if !params.window_m.is_some_and(empty) {
+            return Vec::new();
+        }
+        let mut fault = Fault::new("the window is empty: it is [x0, x1, y0, y1] with x0 < x1 and y0 < y1");
+        fault.path = vec!["window_m".to_owned()];
+        vec![fault]
+    }
+
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let mut surface = inputs.one::<Surface>("surface")?.clone();
+        if surface.width < 2 || surface.height < 2 {
+            fail!("the surface has {} x {} points, at least 2 x 2 are needed", surface.width, surface.height);
+        }
+        let rules = Rules {
+            min_area_m2: params.min_area_m2,
+            window_m: params.window_m,
+            min_component_triangles: params.min_component_triangles as usize,
+        };
+        let removed = clean(&mut surface, &rules);
+        report(context, &removed);
+        if removed.kept == 0 {
+            return Err(StageError::new(format!("nothing is left of the surface: {}", causes(&removed)))
+                .hint("move `window_m`, or lower `min_component_triangles` or `min_area_m2`"));
+        }
+        Ok(Outputs::of("surface", surface))
+    }
+}
+
+fn causes(removed: &Removed) -> String {
+    let Removed { not_finite, degenerate, outside, small_pieces, .. } = removed;
+    format!(
+        "{not_finite} triangles not finite, {degenerate} degenerate, {outside} outside, {small_pieces} in small pieces"
+    )
+}
+
+fn report(context: &Context, removed: &Removed) {
+    let counts = [
+        ("triangles", removed.kept),
+        ("removed_not_finite", removed.not_finite),
+        ("removed_degenerate", removed.degenerate),
+        ("removed_outside", removed.outside),
+        ("removed_small_pieces", removed.small_pieces),
+        ("removed_points", removed.points),
+    ];
+    for (name, count) in counts {
+        context.metric(name, count as f64, "1");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::artefact::{Artefact, Frame, Noun};
+    use crate::testing::{TestHost, run_stage};
+    use serde_json::{Value, json};
+
+    /// 12 x 10 points 1 m apart, every square with both triangles.
+    fn sheet() -> Surface {
+        let points = (0..120).map(|i| [(i % 12) as f32, -((i / 12) as f32), 0.0]).collect();
+        let squares = vec![Surface::FIRST | Surface::SECOND; 11 * 9];
+        Surface { frame: Frame::Wall, width: 12, height: 10, origin_m: [100.0, 50.0, 0.0], points, squares }
+    }
+
+    fn run(surface: &Surface, with: &Value, host: &TestHost) -> Result<Surface, StageError> {
+        let inputs = [("surface", Artefact::Surface(surface.clone()))];
+        let outputs = run_stage::<CleanMesh>(host, with, &inputs)?.into_inner();
+        Ok(Surface::of(&outputs["surface"]).unwrap().clone())
+    }
+
+    #[test]
+    fn a_good_surface_stays_to_the_bit() {
+        assert_eq!(run(&sheet(), &json!({}), &TestHost::default()).unwrap(), sheet());
+    }
+
+    #[test]
+    fn each_cause_takes_its_triangles() {
+        let mut surface = sheet();
+        surface.points[0] = [f32::NAN; 3];
+        surface.points[5][1] = f32::INFINITY;
+        surface.points[80] = surface.points[81];
+        let host = TestHost::default();
+        let cleaned =
+            run(&surface, &json!({"window_m": [100, 110.5, 0, 50], "min_component_triangles": 2}), &host).unwrap();
+        // The corner has two triangles, a point on the edge three, the last column of squares 18; a point moved onto
+        // its right neighbour leaves the two triangles that have both without area.
+        assert_eq!(host.metric("removed_not_finite"), Some(5.0));
+        assert_eq!(host.metric("removed_degenerate"), Some(2.0));
+        assert_eq!(host.metric("removed_outside"), Some(18.0));
+        assert_eq!(host.metric("triangles"), Some(198.0 - 25.0));
+        assert!(cleaned.point(0, 0).is_none() && cleaned.point(0, 5).is_none() && cleaned.point(3, 11).is_none());
+        assert_eq!(host.metric("removed_points"), Some(11.0));
+    }
+
+    #[test]
+    fn small_pieces_go_and_large_ones_stay() {
+        let mut surface = sheet();
+        // Columns of squares 3 and 8 are gone: pieces of 3, 4 and 2 columns of 9 squares.
+        for (i, square) in surface.squares.iter_mut().enumerate() {
+            if [3, 8].contains(&(i % 11)) {
+                *square = 0;
+            }
+        }
+        let host = TestHost::default();
+        let cleaned = run(&surface, &json!({"min_component_triangles": 54}), &host).unwrap();
+        assert_eq!(host.metric("removed_small_pieces"), Some(36.0));
+        assert_eq!(cleaned.squares[10], 0);
+        assert_eq!(cleaned.squares[..3], [3; 3]);
+        assert!(cleaned.point(4, 9).is_none() && cleaned.point(4, 8).is_some());
+        let error = run(&surface, &json!({"min_component_triangles": 73}), &host).unwrap_err();
+        assert!(error.message.contains("162 in small pieces"), "{}", error.message);
+    }
+
+    #[test]
+    fn a_spiral_is_one_piece() {
+        let mut surface = sheet();
+        surface.squares.fill(0);
+        let path =
+            [(0, 0), (0, 1), (0, 2), (1, 2), (2, 2), (2, 1), (2, 0), (3, 0), (4, 0), (4, 1), (4, 2), (4, 3), (0, 3)];
+        for (row, column) in path {
+            surface.squares[row * 11 + column] = Surface::FIRST | Surface::SECOND;
+        }
+        let cleaned = run(&surface, &json!({"min_component_triangles": 26}), &TestHost::default()).unwrap();
+        assert_eq!(cleaned.squares, surface.squares);
+    }
+
+    #[test]
+    fn an_empty_window_is_a_fault_of_the_pipeline() {
+        let stage = crate::Row::<CleanMesh>::new();
+        let faults = crate::AnyStage::check(&stage, &json!({"window_m": [1, 0, 0, 1]})).unwrap_err();
+        assert_eq!(faults[0].path, ["window_m"]);
+    }
+}
