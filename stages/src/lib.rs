@@ -22,7 +22,12 @@ pub use stage::{
     Stage, StageError,
 };
 
-static STAGES: &[&dyn AnyStage] = &[&Row::<project_depth::ProjectDepth>::new()];
+static STAGES: &[&dyn AnyStage] = &[
+    &Row::<clean_mesh::CleanMesh>::new(),
+    &Row::<fuse_depth::FuseDepth>::new(),
+    &Row::<match_pair::MatchPair>::new(),
+    &Row::<project_depth::ProjectDepth>::new(),
+];
 
 /// Every stage there is, in the order of the catalogue.
 pub fn all() -> &'static [&'static dyn AnyStage] {

@@ -143,7 +143,7 @@ impl Matcher<'_> {
         let draws = self.row_of_draws(own, row, depth.width);
         let mut rays = RayRow::new(&self.cameras[own], row, depth.downscale);
         for (column, z) in depth.z[row * depth.width..(row + 1) * depth.width].iter().enumerate() {
-            if z.is_nan() {
+            if !z.is_finite() {
                 continue;
             }
             let Some(ray) = rays.ray(column) else { continue };
