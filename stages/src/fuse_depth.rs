@@ -1,7 +1,7 @@
 //! `fuse-depth`: the surface of a single depth map, its grid of pixels joined to triangles.
 
 use crate::artefact::{Depth, Kind};
-use crate::kernel::depth_surface::{Joining, Step, join};
+use crate::kernel::depth_surface::{Joined, Joining, Step, join};
 use crate::kernel::precise;
 use crate::params::Range;
 use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
@@ -69,7 +69,22 @@ steps:
                     "raise `step_factor`, `max_step_m` or `max_incidence_deg`; or check that the depth map has values",
                 ));
         }
+        warn_of_holes(context, &joined);
         Ok(Outputs::of("surface", surface))
+    }
+}
+
+/// Share of triangles cut at steps above which noise rather than relief is the likely cause.
+const DOUBTFUL_SHARE: f64 = 0.01;
+
+fn warn_of_holes(context: &Context, joined: &Joined) {
+    let share = joined.steps as f64 / (joined.triangles + joined.steps) as f64;
+    if share > DOUBTFUL_SHARE {
+        context.warn(format!(
+            "{:.1} % of the triangles are cut at steps in depth; if that is noise rather than relief (a short baseline \
+             makes it large), raise `step_factor`",
+            100.0 * share
+        ));
     }
 }
 

@@ -89,11 +89,12 @@ fn ascii_json(depth: &Depth) -> Result<String, CodecError> {
     if serde_json::from_str::<Camera>(&json).map_err(failed)? != camera {
         return Err(CodecError::new("the camera of a depth map holds numbers that are not finite"));
     }
-    let escape = |c: char| match c {
-        '\0'..='\x7f' => c.to_string(),
-        _ => c.encode_utf16(&mut [0; 2]).iter().map(|unit| format!("\\u{unit:04x}")).collect(),
-    };
-    Ok(json.chars().map(escape).collect())
+    Ok(json.chars().map(|c| if c.is_ascii() { c.to_string() } else { escaped(c) }).collect())
+}
+
+fn escaped(c: char) -> String {
+    let units: Vec<_> = c.encode_utf16(&mut [0; 2]).iter().map(|unit| format!("\\u{unit:04x}")).collect();
+    units.concat()
 }
 
 /// Reads a depth map, whatever lossless compression another program may have given it.

@@ -90,7 +90,7 @@ impl Patch {
         let (width, height) = (depth.width, depth.height);
         let (mut columns, mut rows) = ([width, 0], [height, 0]);
         for (row, values) in depth.z.chunks(width).enumerate() {
-            let valid = |z: &f32| !z.is_nan();
+            let valid = |z: &f32| is_depth(*z);
             if let (Some(first), Some(last)) = (values.iter().position(valid), values.iter().rposition(valid)) {
                 columns = [columns[0].min(first), columns[1].max(last)];
                 rows = [rows[0].min(row), rows[1].max(row)];
@@ -112,8 +112,11 @@ fn span([first, last]: [usize; 2], size: usize) -> (usize, usize) {
 
 /// A point in the middle of the view, in whole metres, so that 32-bit differences from it stay exact to micrometres.
 fn rounded_origin(depth: &Patch, camera: &Camera) -> Vector3<f64> {
-    let valid = || depth.z.iter().filter(|z| !z.is_nan());
-    let (low, high) = valid().fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), z| (l.min(*z), h.max(*z)));
+    let (low, high) = depth
+        .z
+        .iter()
+        .filter(|z| is_depth(**z))
+        .fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), z| (l.min(*z), h.max(*z)));
     if low > high {
         return camera.centre().map(f64::round);
     }
@@ -122,15 +125,20 @@ fn rounded_origin(depth: &Patch, camera: &Camera) -> Vector3<f64> {
     camera.unproject(ray, 0.5 * (f64::from(low) + f64::from(high))).map(f64::round)
 }
 
+/// Whether a pixel has a depth: what is not finite, or behind the camera, is none.
+fn is_depth(z: f32) -> bool {
+    z.is_finite() && z > 0.0
+}
+
 fn place_row(depth: &Patch, camera: &Camera, origin: &Vector3<f64>, row: usize, points: &mut [[f32; 3]]) {
     let mut rays = RayRow::new(camera, depth.row + row, depth.downscale);
     for (column, point) in points.iter_mut().enumerate() {
-        let z = f64::from(depth.z[row * depth.width + column]);
-        if z.is_nan() {
+        let z = depth.z[row * depth.width + column];
+        if !is_depth(z) {
             continue;
         }
         if let Some(ray) = rays.ray(depth.column + column) {
-            let local = camera.unproject(ray, z) - origin;
+            let local = camera.unproject(ray, f64::from(z)) - origin;
             *point = [local.x as f32, local.y as f32, local.z as f32];
         }
     }
@@ -170,8 +178,8 @@ impl Joiner<'_> {
         let a = row * self.depth.width + column;
         let (b, c, d) = (a + 1, a + self.depth.width + 1, a + self.depth.width);
         let step = |i: usize, j: usize| {
-            let step = (self.depth.z[i] - self.depth.z[j]).abs();
-            if step.is_nan() { f32::INFINITY } else { step }
+            let (a, b) = (self.depth.z[i], self.depth.z[j]);
+            if is_depth(a) && is_depth(b) { (a - b).abs() } else { f32::INFINITY }
         };
         if step(b, d) < step(a, c) { Surface::OTHER_DIAGONAL } else { 0 }
     }

@@ -143,7 +143,7 @@ impl Matcher<'_> {
     fn match_row(&self, own: usize, row: usize, mut found: impl FnMut(usize, &Match)) {
         let depth = self.ideal[own];
         let values = &depth.z[row * depth.width..(row + 1) * depth.width];
-        let valid = |z: &f32| !z.is_nan();
+        let valid = |z: &f32| z.is_finite();
         let (Some(from), Some(to)) = (values.iter().position(valid), values.iter().rposition(valid)) else { return };
         let draws = self.row_of_draws(own, row, from..=to);
         let mut rays = RayRow::new(&self.cameras[own], row, depth.downscale);

@@ -119,3 +119,50 @@ fn clip_near(corners: &[Vector3<f64>; 3]) -> Vec<[f64; 2]> {
     }
     polygon
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kernel::camera::full_pixel;
+    use crate::testing::{image_at, small_sensor};
+    use proptest::prelude::*;
+
+    fn is_hit([a, b, c]: &[Vector3<f64>; 3], ray: &Vector3<f64>) -> bool {
+        let signs = [a.cross(b).dot(ray), b.cross(c).dot(ray), c.cross(a).dot(ray)];
+        let normal = (b - a).cross(&(c - a));
+        let z = normal.dot(a) / normal.dot(ray);
+        (signs.iter().all(|s| *s > 0.0) || signs.iter().all(|s| *s < 0.0)) && z > NEAR_M
+    }
+
+    fn covers(reach: &Reach, column: usize, row: usize, [x, y]: [f64; 2]) -> bool {
+        match reach {
+            Reach::Nothing => false,
+            Reach::Pixels { columns, rows } => {
+                (columns[0]..=columns[1]).contains(&(column as u32)) && (rows[0]..=rows[1]).contains(&(row as u32))
+            }
+            Reach::Wide { x: [x0, x1], y: [y0, y1] } => (*x0..=*x1).contains(&x) && (*y0..=*y1).contains(&y),
+        }
+    }
+
+    fn corner() -> impl Strategy<Value = Vector3<f64>> {
+        (-8.0..8.0f64, -8.0..8.0f64, -4.0..12.0f64).prop_map(|(x, y, z)| Vector3::new(x, y, z))
+    }
+
+    proptest! {
+        #[test]
+        fn no_pixel_a_triangle_covers_is_out_of_reach(
+            corners in [corner(), corner(), corner()], k1 in -0.5..0.3f64, p1 in -0.01..0.01f64, downscale in 1u32..4,
+        ) {
+            let sensor = Sensor { f: 40.0, k: [k1, 0.1, 0.0, 0.0], p: [p1, -0.005], b2: 0.5, ..small_sensor() };
+            let camera = Camera::new(&sensor, &image_at("a", [0.0; 3], [0.0; 3]));
+            let (width, height) = ((60 / downscale) as usize, (40 / downscale) as usize);
+            let reach = reach(&camera, &Bend::new(&sensor), &corners, f64::from(downscale), (width, height));
+            for (column, row) in (0..height).flat_map(|row| (0..width).map(move |column| (column, row))) {
+                let Some([x, y]) = camera.normalised(full_pixel(column, row, downscale)) else { continue };
+                if is_hit(&corners, &Vector3::new(x, y, 1.0)) {
+                    prop_assert!(covers(&reach, column, row, [x, y]), "({column}, {row}) is not in {reach:?}");
+                }
+            }
+        }
+    }
+}
