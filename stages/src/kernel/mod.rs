@@ -3,6 +3,7 @@
 pub mod camera;
 pub mod depth_exr;
 pub mod geotiff;
+pub mod orientation;
 pub mod ply;
 pub mod precise;
 pub mod random;
