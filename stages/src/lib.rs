@@ -11,6 +11,9 @@ mod stage;
 
 // A new stage is its file, its `mod` and its row.
 
+#[cfg(test)]
+pub(crate) mod testing;
+
 pub use stage::{
     AnyStage, Arity, Checked, Context, Element, Entry, Host, Inputs, Outputs, Page, Point, Port, Row, SourceFile,
     Stage, StageError,
