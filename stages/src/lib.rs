@@ -10,6 +10,10 @@ pub mod params;
 mod stage;
 
 // A new stage is its file, its `mod` and its row.
+mod import_cameras;
+mod perturb_cameras;
+mod plan_survey;
+mod select_pairs;
 
 #[cfg(test)]
 pub(crate) mod testing;
@@ -19,7 +23,12 @@ pub use stage::{
     Stage, StageError,
 };
 
-static STAGES: &[&dyn AnyStage] = &[];
+static STAGES: &[&dyn AnyStage] = &[
+    &Row::<import_cameras::ImportCameras>::new(),
+    &Row::<perturb_cameras::PerturbCameras>::new(),
+    &Row::<plan_survey::PlanSurvey>::new(),
+    &Row::<select_pairs::SelectPairs>::new(),
+];
 
 /// Every stage there is, in the order of the catalogue.
 pub fn all() -> &'static [&'static dyn AnyStage] {

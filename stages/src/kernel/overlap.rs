@@ -92,6 +92,11 @@ impl<'a> Views<'a> {
         })
     }
 
+    /// How many of the sampled vertices lie in both images.
+    pub fn shared_count(&self, i: usize, j: usize) -> usize {
+        self.depths[i].iter().zip(&self.depths[j]).filter(|(a, b)| a.is_some() && b.is_some()).count()
+    }
+
     /// Share of the first image's vertices in the second, and the mean depth (m) of the shared ones in both.
     fn shared(&self, first: usize, second: usize) -> Option<(f64, f64)> {
         let seen = self.depths[first].iter().flatten().count();
