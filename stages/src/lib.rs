@@ -17,9 +17,13 @@ mod clean_mesh;
 mod difference_dem;
 mod filter_outliers;
 mod fuse_depth;
+mod import_cameras;
 mod import_rasters;
 mod match_pair;
+mod perturb_cameras;
+mod plan_survey;
 mod project_depth;
+mod select_pairs;
 
 pub use stage::{
     AnyStage, Arity, Checked, Context, Element, Entry, Host, Inputs, Outputs, Page, Point, Port, Row, SourceFile,
@@ -27,6 +31,10 @@ pub use stage::{
 };
 
 static STAGES: &[&dyn AnyStage] = &[
+    &Row::<plan_survey::PlanSurvey>::new(),
+    &Row::<import_cameras::ImportCameras>::new(),
+    &Row::<perturb_cameras::PerturbCameras>::new(),
+    &Row::<select_pairs::SelectPairs>::new(),
     &Row::<project_depth::ProjectDepth>::new(),
     &Row::<match_pair::MatchPair>::new(),
     &Row::<fuse_depth::FuseDepth>::new(),
