@@ -10,13 +10,23 @@ pub mod params;
 mod stage;
 
 // A new stage is its file, its `mod` and its row.
+mod import_mesh;
+mod rasterise_dem;
+mod synthesise_face;
+
+#[cfg(test)]
+pub(crate) mod testing;
 
 pub use stage::{
     AnyStage, Arity, Checked, Context, Element, Entry, Host, Inputs, Outputs, Page, Point, Port, Row, SourceFile,
     Stage, StageError,
 };
 
-static STAGES: &[&dyn AnyStage] = &[];
+static STAGES: &[&dyn AnyStage] = &[
+    &Row::<import_mesh::ImportMesh>::new(),
+    &Row::<rasterise_dem::RasteriseDem>::new(),
+    &Row::<synthesise_face::SynthesiseFace>::new(),
+];
 
 /// Every stage there is, in the order of the catalogue.
 pub fn all() -> &'static [&'static dyn AnyStage] {

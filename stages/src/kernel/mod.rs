@@ -3,7 +3,12 @@
 pub mod camera;
 pub mod depth_exr;
 pub mod geotiff;
+pub mod mesh_check;
 pub mod ply;
+mod ply_header;
 pub mod precise;
 pub mod random;
+pub mod rasterise;
+pub mod relief;
+pub mod shape;
 pub mod surface_file;
