@@ -18,12 +18,15 @@ mod difference_dem;
 mod filter_outliers;
 mod fuse_depth;
 mod import_cameras;
+mod import_mesh;
 mod import_rasters;
 mod match_pair;
 mod perturb_cameras;
 mod plan_survey;
 mod project_depth;
+mod rasterise_dem;
 mod select_pairs;
+mod synthesise_face;
 
 pub use stage::{
     AnyStage, Arity, Checked, Context, Element, Entry, Host, Inputs, Outputs, Page, Point, Port, Row, SourceFile,
@@ -31,6 +34,8 @@ pub use stage::{
 };
 
 static STAGES: &[&dyn AnyStage] = &[
+    &Row::<import_mesh::ImportMesh>::new(),
+    &Row::<synthesise_face::SynthesiseFace>::new(),
     &Row::<plan_survey::PlanSurvey>::new(),
     &Row::<import_cameras::ImportCameras>::new(),
     &Row::<perturb_cameras::PerturbCameras>::new(),
@@ -39,6 +44,7 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<match_pair::MatchPair>::new(),
     &Row::<fuse_depth::FuseDepth>::new(),
     &Row::<clean_mesh::CleanMesh>::new(),
+    &Row::<rasterise_dem::RasteriseDem>::new(),
     &Row::<difference_dem::DifferenceDem>::new(),
     &Row::<import_rasters::ImportRasters>::new(),
     &Row::<filter_outliers::FilterOutliers>::new(),

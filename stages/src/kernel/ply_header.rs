@@ -1,0 +1,192 @@
+//! The header of a PLY file: encoding, elements and their properties, and the frame our own files state.
+
+use crate::artefact::{CodecError, Frame};
+
+/// Start of the comment that states the frame of our own files; the frame and [`UNITS_COMMENT`] follow.
+pub const FRAME_COMMENT: &str = "rockface mesh, frame ";
+/// End of that comment.
+pub const UNITS_COMMENT: &str = ", units metres";
+
+/// How numbers are written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Encoding {
+    /// Text.
+    Ascii,
+    /// Binary, least significant byte first.
+    LittleEndian,
+    /// Binary, most significant byte first.
+    BigEndian,
+}
+
+/// Type of a number.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[allow(missing_docs)]
+pub enum Type {
+    I8,
+    U8,
+    I16,
+    U16,
+    I32,
+    U32,
+    F32,
+    F64,
+}
+
+impl Type {
+    fn parse(word: &str) -> Result<Self, CodecError> {
+        Ok(match word {
+            "char" | "int8" => Self::I8,
+            "uchar" | "uint8" => Self::U8,
+            "short" | "int16" => Self::I16,
+            "ushort" | "uint16" => Self::U16,
+            "int" | "int32" => Self::I32,
+            "uint" | "uint32" => Self::U32,
+            "float" | "float32" => Self::F32,
+            "double" | "float64" => Self::F64,
+            _ => return Err(bad(&format!("unknown number type `{}`", shorten(word)))),
+        })
+    }
+
+    fn bytes(self) -> usize {
+        match self {
+            Self::I8 | Self::U8 => 1,
+            Self::I16 | Self::U16 => 2,
+            Self::I32 | Self::U32 | Self::F32 => 4,
+            Self::F64 => 8,
+        }
+    }
+}
+
+/// A property of an element: a number, or a list where `count` is given.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Property {
+    /// Its name.
+    pub name: String,
+    /// Type of the list's length.
+    pub count: Option<Type>,
+    /// Type of the number, or of the list's items.
+    pub kind: Type,
+}
+
+impl Property {
+    /// The fewest bytes it takes in a binary file.
+    pub fn least_bytes(&self) -> usize {
+        self.count.unwrap_or(self.kind).bytes()
+    }
+}
+
+/// An element: so many rows of the same properties.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Element {
+    /// Its name.
+    pub name: String,
+    /// Number of rows.
+    pub count: usize,
+    /// Properties in the order of the file.
+    pub properties: Vec<Property>,
+}
+
+impl Element {
+    /// Type of the property of this name that is a single number.
+    pub fn scalar(&self, name: &str) -> Option<Type> {
+        self.properties.iter().find(|p| p.name == name && p.count.is_none()).map(|p| p.kind)
+    }
+}
+
+/// A whole header.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Header {
+    /// How numbers are written.
+    pub encoding: Encoding,
+    /// Elements in the order of the file.
+    pub elements: Vec<Element>,
+    /// The frame our own comment states, otherwise world.
+    pub frame: Frame,
+}
+
+impl Header {
+    /// Reads the header; returns it and the bytes after it.
+    pub fn parse(bytes: &[u8]) -> Result<(Self, &[u8]), CodecError> {
+        let (magic, mut rest) = line(bytes);
+        if magic != Some("ply") {
+            return Err(bad("the first line is not `ply`"));
+        }
+        let (mut encoding, mut elements, mut frame) = (None, Vec::new(), Frame::World);
+        loop {
+            if rest.is_empty() {
+                return Err(bad("the header has no `end_header`; the file is cut short"));
+            }
+            let (text, after) = line(rest);
+            rest = after;
+            let text = text.ok_or_else(|| bad("a header line is not text"))?;
+            let words: Vec<&str> = text.split_whitespace().collect();
+            match words.as_slice() {
+                ["end_header"] => break,
+                ["format", word, _version] => encoding = Some(parse_encoding(word)?),
+                ["comment", ..] => frame = stated_frame(text).unwrap_or(frame),
+                ["obj_info", ..] | [] => {}
+                ["element", name, count] => add_element(&mut elements, name, count)?,
+                ["property", property @ ..] => add_property(&mut elements, property)?,
+                _ => return Err(bad(&format!("cannot read the header line `{}`", shorten(text)))),
+            }
+        }
+        let encoding = encoding.ok_or_else(|| bad("the header states no `format`"))?;
+        Ok((Self { encoding, elements, frame }, rest))
+    }
+
+    /// An element by name.
+    pub fn element(&self, name: &str) -> Option<&Element> {
+        self.elements.iter().find(|element| element.name == name)
+    }
+}
+
+/// The first line (`None` where it is not text) and what follows it.
+fn line(bytes: &[u8]) -> (Option<&str>, &[u8]) {
+    let end = bytes.iter().position(|b| *b == b'\n');
+    let (text, rest) = end.map_or((bytes, &bytes[bytes.len()..]), |end| (&bytes[..end], &bytes[end + 1..]));
+    (std::str::from_utf8(text).ok().map(str::trim_end), rest)
+}
+
+fn parse_encoding(word: &str) -> Result<Encoding, CodecError> {
+    match word {
+        "ascii" => Ok(Encoding::Ascii),
+        "binary_little_endian" => Ok(Encoding::LittleEndian),
+        "binary_big_endian" => Ok(Encoding::BigEndian),
+        _ => Err(bad(&format!("unknown format `{}`", shorten(word)))),
+    }
+}
+
+fn stated_frame(comment: &str) -> Option<Frame> {
+    let stated = comment.strip_prefix("comment ")?.strip_prefix(FRAME_COMMENT)?.strip_suffix(UNITS_COMMENT)?;
+    [Frame::World, Frame::Wall].into_iter().find(|frame| frame.to_string() == stated)
+}
+
+fn add_element(elements: &mut Vec<Element>, name: &str, count: &str) -> Result<(), CodecError> {
+    let count = count.parse().map_err(|_| bad(&format!("`{}` is not a number of `{name}`", shorten(count))))?;
+    if elements.iter().any(|element| element.name == name) {
+        return Err(bad(&format!("element `{}` is declared twice", shorten(name))));
+    }
+    elements.push(Element { name: name.to_owned(), count, properties: Vec::new() });
+    Ok(())
+}
+
+fn add_property(elements: &mut [Element], words: &[&str]) -> Result<(), CodecError> {
+    let element = elements.last_mut().ok_or_else(|| bad("a property comes before any element"))?;
+    let property = match words {
+        ["list", count, kind, name] => {
+            Property { name: (*name).to_owned(), count: Some(Type::parse(count)?), kind: Type::parse(kind)? }
+        }
+        [kind, name] => Property { name: (*name).to_owned(), count: None, kind: Type::parse(kind)? },
+        _ => return Err(bad(&format!("cannot read the property `{}`", shorten(&words.join(" "))))),
+    };
+    element.properties.push(property);
+    Ok(())
+}
+
+fn shorten(text: &str) -> String {
+    text.chars().take(60).collect()
+}
+
+fn bad(message: &str) -> CodecError {
+    CodecError(format!("PLY file: {message}"))
+}
