@@ -12,7 +12,7 @@ params! {
         /// Largest step in depth between neighbouring pixels, metres; null: by `step_factor`.
         max_step_m: Option<f64> = None; Range::Positive,
         /// Largest step in depth between neighbours, as a multiple of their distance across the view.
-        step_factor: f64 = 10.0; Range::Positive,
+        step_factor: f64 = 30.0; Range::Positive,
         /// Largest angle between the normal of a triangle and the view.
         max_incidence_deg: f64 = 88.0; Range::Between(0.0, 90.0),
     }
@@ -140,9 +140,9 @@ mod tests {
         // Neighbours are 20 m / 100 px x 2 = 0.4 m apart across the view.
         let step = |metres: f32| depth(move |_, column| 20.0 + if column < 15 { 0.0 } else { metres });
         let host = TestHost::default();
-        let whole = fuse(&step(3.9), &json!({}), &host).unwrap();
+        let whole = fuse(&step(3.9), &json!({"step_factor": 10}), &host).unwrap();
         assert_eq!(triangles(&whole).len(), 2 * 29 * 19);
-        let cut = fuse(&step(4.1), &json!({}), &host).unwrap();
+        let cut = fuse(&step(4.1), &json!({"step_factor": 10}), &host).unwrap();
         assert_eq!(triangles(&cut).len(), 2 * 28 * 19);
         assert_eq!(host.metric("cut_at_steps"), Some(38.0));
         let cut = fuse(&step(0.5), &json!({"max_step_m": 0.4}), &host).unwrap();
