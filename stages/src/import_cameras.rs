@@ -64,7 +64,9 @@ impl Stage for ImportCameras {
 
     fn run(params: &Self::Params, _inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let file = read_cameras(params, context)?;
-        file.notes.iter().for_each(|note| context.note(note.as_str()));
+        for note in &file.notes {
+            context.note(note.as_str());
+        }
         let covariance = match &params.covariance {
             Some(path) => read_covariance(path, &file.cameras, context)?,
             None => nothing(file.cameras.frame),
@@ -147,7 +149,9 @@ fn text(reader: Reader) -> Result<String, StageError> {
 fn read_covariance(path: &FileRef, cameras: &Cameras, context: &Context) -> Result<Covariance, StageError> {
     let (covariance, notes) = covariance_files::read(&context.read(path)?, cameras)
         .map_err(|e| StageError { message: format!("`{}`: {}", path.0, e.message), hint: e.hint })?;
-    notes.into_iter().for_each(|note| context.note(note));
+    for note in notes {
+        context.note(note);
+    }
     if covariance.parameters.is_empty() {
         fail!("`{}`: a covariance without parameters", path.0);
     }
@@ -222,20 +226,23 @@ mod tests {
         let lines = |text: String| text.lines().filter(|l| !l.starts_with('#')).map(str::to_owned).collect::<Vec<_>>();
         let points: Vec<Vec<f64>> = lines(read(2)).iter().map(|line| numbers(line)).collect();
         let observed: Vec<Vec<f64>> = lines(read(1)).iter().skip(1).step_by(2).map(|line| numbers(line)).collect();
-        let (mut residuals, mut count) = (0.0, 0);
         for (image, line) in block.images.iter().zip(&observed) {
             let camera = Camera::new(block.sensor(image), image);
-            for seen in line.chunks(3) {
-                let point = points.iter().find(|point| point[0] == seen[2]).unwrap();
+            let residual = |seen: &[f64]| {
+                let point = &points[seen[2] as usize - 1];
                 let [u, v] = camera.project(&Vector3::new(point[1], point[2], point[3])).unwrap();
-                let miss = (u + 0.5 - seen[0]).abs().max((v + 0.5 - seen[1]).abs());
-                assert!(miss < 0.001, "point {}: {miss} px", seen[2]);
-                residuals += miss;
-                count += 1;
+                [seen[0] - 0.5 - u, seen[1] - 0.5 - v]
+            };
+            let residuals: Vec<[f64; 2]> = line.chunks(3).map(residual).collect();
+            let n = residuals.len() as f64;
+            // The observations carry the 0.4 px of the tie points: standard error 0.02 px of their mean.
+            for axis in 0..2 {
+                let mean = residuals.iter().map(|r| r[axis]).sum::<f64>() / n;
+                let rms = (residuals.iter().map(|r| r[axis] * r[axis]).sum::<f64>() / n).sqrt();
+                println!("{} axis {axis}: mean {mean:.4}, rms {rms:.4} px of {n} observations", image.name);
+                assert!(mean.abs() < 0.08 && (0.34..0.46).contains(&rms), "mean {mean}, rms {rms} px");
             }
         }
-        println!("mean largest residual {} px of {count} observations", residuals / f64::from(count));
-        assert!(count > 700);
     }
 
     #[test]

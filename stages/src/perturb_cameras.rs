@@ -226,5 +226,6 @@ fn report(errors: &[(Parameter, f64)], context: &Context) {
 }
 
 #[cfg(test)]
+#[expect(clippy::float_cmp, reason = "what is exact must be exact")]
 #[path = "perturb_cameras_tests.rs"]
 mod tests;

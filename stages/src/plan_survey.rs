@@ -231,7 +231,7 @@ mod tests {
         assert!((host.metric("gsd").unwrap() - 0.00445).abs() < 1e-5);
         assert!((host.metric("depth_per_pixel").unwrap() - 0.01188).abs() < 1e-5);
         // Both axes meet at the centre: 2 atan(16.3 / 87).
-        let expected = 2.0 * (16.3f64 / 87.0).atan().to_degrees();
+        let expected = 2.0 * crate::kernel::precise::atan(16.3 / 87.0).to_degrees();
         assert!((host.metric("convergence").unwrap() - expected).abs() < 1e-9);
         assert_eq!(host.metric("share_of_face_in_both"), Some(1.0));
         let mean_z = 0.5 * 220.0 / 441.0;

@@ -76,7 +76,9 @@ impl Stage for SelectPairs {
             Some(list) => by_hand(list, cameras, &views)?,
             None => within_limits(params, cameras, &views, context)?,
         };
-        pairs.iter().for_each(|pair| context.note(figures(pair)));
+        for pair in &pairs {
+            context.note(figures(pair));
+        }
         context.metric("pairs", pairs.len() as f64, "1");
         Ok(Outputs::of("pairs", Pairs { pairs }))
     }

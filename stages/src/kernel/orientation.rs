@@ -90,11 +90,12 @@ fn incomplete(image: &str) -> StageError {
 }
 
 fn rotate_rows(matrix: &mut [Vec<f64>], rotation: &Matrix3<f64>, block: [usize; 3]) {
-    for column in 0..matrix.len() {
-        let turned = rotation * Vector3::from(block.map(|i| matrix[i][column]));
-        for (k, i) in block.into_iter().enumerate() {
-            matrix[i][column] = turned[k];
-        }
+    let rows = block.map(|i| matrix[i].clone());
+    for (k, i) in block.into_iter().enumerate() {
+        let from = |column: usize| {
+            rotation.row(k).transpose().dot(&Vector3::new(rows[0][column], rows[1][column], rows[2][column]))
+        };
+        matrix[i] = (0..rows[k].len()).map(from).collect();
     }
 }
 

@@ -104,6 +104,7 @@ fn element(sensor: &mut Sensor, place: usize) -> &mut f64 {
 }
 
 #[cfg(test)]
+#[expect(clippy::float_cmp, reason = "what is exact must be exact")]
 mod tests {
     use super::*;
     use crate::artefact::{Frame, Image};
