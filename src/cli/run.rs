@@ -11,8 +11,8 @@ use super::{CliError, PipelineArgs, beside, say};
 use crate::run::{self, Finished, Options, RunFolder, Summary};
 use crate::watch::{JsonLines, Observer, Plain, Silent, Terminal, duration};
 
-/// How many files the end of a run names.
-const NAMED_FILES: usize = 12;
+/// How many headlines and files the end of a run names.
+const NAMED: usize = 20;
 
 /// Arguments of `rockface run`.
 #[derive(Debug, Args)]
@@ -88,16 +88,11 @@ impl RunArgs {
             });
             return say(&event.to_string());
         }
-        for headline in &finished.headlines {
-            say(headline);
-        }
+        say_some(&finished.headlines, |headline| headline.clone());
         let (folder, files) = (readable(&finished.folder), &finished.files);
         if !files.is_empty() && !self.quiet {
             say("");
-            files.iter().take(NAMED_FILES).for_each(|file| say(&format!("  {}", folder.join(file).display())));
-            if files.len() > NAMED_FILES {
-                say(&format!("  … and {} more", files.len() - NAMED_FILES));
-            }
+            say_some(files, |file| format!("  {}", folder.join(file).display()));
             say("");
         }
         let verdict = if summary.failed { "failed" } else { "done" };
@@ -107,6 +102,14 @@ impl RunArgs {
             duration_or_ms(wall_s),
             folder.display()
         ));
+    }
+}
+
+/// Says the first of many lines, and how many there are beyond.
+fn say_some<T>(items: &[T], line: impl Fn(&T) -> String) {
+    items.iter().take(NAMED).for_each(|item| say(&line(item)));
+    if items.len() > NAMED {
+        say(&format!("  … and {} more", items.len() - NAMED));
     }
 }
 

@@ -149,6 +149,7 @@ impl Writer<'_> {
         log.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default()
     }
 
+    /// The results in a line each: what the target steps have to say.
     fn headlines(&self, logs: &[Vec<Entry>]) -> Vec<String> {
         let entries =
             logs.iter().enumerate().flat_map(|(instance, entries)| entries.iter().map(move |entry| (instance, entry)));
@@ -156,7 +157,7 @@ impl Writer<'_> {
             Entry::Headline { text } => Some(format!("{}: {text}", self.plan.label(instance))),
             _ => None,
         };
-        entries.filter_map(headline).collect()
+        entries.filter(|(instance, _)| self.plan.targets.contains(instance)).filter_map(headline).collect()
     }
 
     fn log(&self, logs: &[Vec<Entry>]) -> Result<Vec<u8>, RunError> {

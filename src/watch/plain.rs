@@ -1,19 +1,32 @@
 //! Plain lines, for logs and pipes.
 
 use std::io::Write;
+use std::time::{Duration, Instant};
 
 use super::{Event, Observer, Progress, duration};
 
-/// Writes a line for each thing worth one; with `verbose`, cached instances too.
+/// How often a line of progress is due.
+const PROGRESS_EVERY: Duration = Duration::from_secs(2);
+
+/// An instance that took as long as this gets a line of its own, seconds.
+const LONG_S: f64 = 1.0;
+
+/// Writes a line for each thing worth one, and now and then how far it is; with `verbose`, a line for every instance.
 pub struct Plain<W> {
     out: W,
     verbose: bool,
+    last: Instant,
 }
 
 impl<W: Write> Plain<W> {
     /// Writes to `out`.
     pub fn new(out: W, verbose: bool) -> Self {
-        Self { out, verbose }
+        Self { out, verbose, last: Instant::now() }
+    }
+
+    /// A closed pipe ends the watching, not the run.
+    fn say(&mut self, text: &str) {
+        let _ = writeln!(self.out, "{text}");
     }
 }
 
@@ -23,7 +36,10 @@ pub fn line(event: &Event, verbose: bool) -> Option<String> {
         Event::Planned { steps } => verbose.then(|| format!("{steps} step instances")),
         Event::Cached { step } => verbose.then(|| format!("cached   {step}")),
         Event::Started { step, .. } => verbose.then(|| format!("started  {step}")),
-        Event::Finished { step, wall_s } => Some(format!("done     {step} ({})", duration(*wall_s))),
+        Event::Finished { step, wall_s } if verbose || *wall_s >= LONG_S => {
+            Some(format!("done     {step} ({})", duration(*wall_s)))
+        }
+        Event::Finished { .. } => None,
         Event::Waiting { step } => Some(format!("waiting  {step}: another run is computing it")),
         Event::Warning { step, text } => Some(format!("warning  {step}: {text}")),
         Event::Failed { step, stage, message, hint } => {
@@ -35,10 +51,13 @@ pub fn line(event: &Event, verbose: bool) -> Option<String> {
 
 impl<W: Write> Observer for Plain<W> {
     fn event(&mut self, event: &Event, progress: Progress) {
-        let Some(line) = line(event, self.verbose) else { return };
-        let counted = matches!(event, Event::Finished { .. });
-        let count = if counted { format!("[{}/{}] ", progress.done, progress.total) } else { String::new() };
-        // A closed pipe ends the watching, not the run.
-        let _ = writeln!(self.out, "{count}{line}");
+        if let Some(line) = line(event, self.verbose) {
+            self.say(&line);
+        }
+        if matches!(event, Event::Finished { .. }) && self.last.elapsed() >= PROGRESS_EVERY {
+            self.last = Instant::now();
+            let left = progress.remaining_s.map(|s| format!(", about {} left", duration(s))).unwrap_or_default();
+            self.say(&format!("[{}/{}]{left}", progress.done, progress.total));
+        }
     }
 }
