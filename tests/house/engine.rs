@@ -225,7 +225,8 @@ fn a_damaged_blob_is_set_aside_and_remade() {
     let bench = Bench::new();
     let first = bench.run(CHAIN, &[]);
     let folder = bench.folder.path().join("store/segments");
-    drop(bench.store);
+    let Bench { folder: home, store, stages } = bench;
+    drop(store);
     // Flip one byte of the value inside every small blob that holds the sum.
     for entry in std::fs::read_dir(&folder).unwrap().flatten() {
         let mut bytes = std::fs::read(entry.path()).unwrap();
@@ -233,8 +234,8 @@ fn a_damaged_blob_is_set_aside_and_remade() {
         places.into_iter().for_each(|i| bytes[i] = b'C');
         std::fs::write(entry.path(), bytes).unwrap();
     }
-    let store = rockface_cache::Store::open(&bench.folder.path().join("store")).unwrap();
-    let bench = Bench { folder: bench.folder, store };
+    let store = rockface_cache::Store::open(&home.path().join("store")).unwrap();
+    let bench = Bench { folder: home, store, stages };
     let again = bench.run(CHAIN, &["steps.d.with.plus=1"]);
     assert!(!again.summary.failed);
     assert_eq!(again.number(&bench.store, "d"), first.number(&bench.store, "c") + 1.0);

@@ -1,6 +1,5 @@
 //! A small laboratory: stages that know no rock, and a bench to run pipelines on.
 
-use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -10,9 +9,9 @@ use rockface::plan::{Plan, plan};
 use rockface::run::{Options, Summary, execute};
 use rockface::watch::{Event, Events, Reason};
 use rockface_cache::Store;
-use rockface_stages::artefact::{Kind, Table};
+use rockface_stages::artefact::{Kind, Noun, Table};
 use rockface_stages::params::FileRef;
-use rockface_stages::{AnyStage, Context, Inputs, Outputs, Page, Port, Row, Stage, StageError, params};
+use rockface_stages::{AnyStage, Context, Entry, Inputs, Outputs, Page, Port, Row, Stage, StageError, params};
 
 const PAGE: Page = Page { what: "A test.", method: "None.", frames: "None.", fails: "Never.", example: "" };
 const TABLE: &[Kind] = &[Kind::Table];
@@ -172,11 +171,26 @@ impl Ran {
 
     /// The number an instance made.
     pub fn number(&self, store: &Store, label: &str) -> f64 {
+        self.value::<Table>(store, label, "out").rows[0][0].number().unwrap()
+    }
+
+    /// What an instance made at a port.
+    pub fn value<T: Noun>(&self, store: &Store, label: &str, port: &str) -> T {
         let instance = (0..self.plan.instances.len()).find(|i| self.plan.label(*i) == label).expect(label);
         let outcome = self.summary.instances[instance].outcome.as_ref().expect(label);
-        let bytes = store.get(&outcome.outputs["out"].digest).unwrap();
-        let table: Table = rockface_stages::artefact::Noun::decode(&bytes).unwrap();
-        table.rows[0][0].number().unwrap()
+        T::decode(&store.get(&outcome.outputs[port].digest).unwrap()).unwrap()
+    }
+
+    /// A number an instance logged.
+    pub fn metric(&self, store: &Store, label: &str, wanted: &str) -> f64 {
+        let instance = (0..self.plan.instances.len()).find(|i| self.plan.label(*i) == label).expect(label);
+        let log = self.summary.instances[instance].outcome.as_ref().and_then(|outcome| outcome.log).expect(label);
+        let entries: Vec<Entry> = serde_json::from_slice(&store.get(&log).unwrap()).unwrap();
+        let metric = |entry: &Entry| match entry {
+            Entry::Metric { name, value, .. } if name == wanted => Some(*value),
+            _ => None,
+        };
+        entries.iter().find_map(metric).expect(wanted)
     }
 
     /// The digest of every output of every instance, by label and port.
@@ -195,13 +209,20 @@ impl Ran {
 pub struct Bench {
     pub folder: tempfile::TempDir,
     pub store: Store,
+    pub stages: &'static [&'static dyn AnyStage],
 }
 
 impl Bench {
+    /// A bench for the stages of the laboratory.
     pub fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(&folder.path().join("store")).unwrap();
-        Self { folder, store }
+        Self { folder, store, stages: STAGES }
+    }
+
+    /// A bench for the real stages.
+    pub fn rocks() -> Self {
+        Self { stages: rockface_stages::all(), ..Self::new() }
     }
 
     /// Runs a pipeline text of laboratory stages with some overrides.
@@ -219,12 +240,8 @@ impl Bench {
 
     /// Plans a pipeline text, or says what is wrong with it.
     pub fn plan(&self, yaml: &str, set: &[&str]) -> Result<Plan, Diagnostics> {
-        plan_in(self.folder.path(), yaml, set, &self.store)
+        let overrides = Overrides { set: set.iter().map(ToString::to_string).collect(), seed: None };
+        let pipeline = Pipeline::parse(yaml, "test.yaml", "test", self.folder.path().to_owned(), &overrides)?;
+        plan(&pipeline, &[], self.stages, &self.store)
     }
-}
-
-fn plan_in(folder: &Path, yaml: &str, set: &[&str], store: &Store) -> Result<Plan, Diagnostics> {
-    let overrides = Overrides { set: set.iter().map(ToString::to_string).collect(), seed: None };
-    let pipeline = Pipeline::parse(yaml, "test.yaml", "test", folder.to_owned(), &overrides)?;
-    plan(&pipeline, &[], STAGES, store)
 }
