@@ -13,6 +13,7 @@ pub(crate) mod testing;
 
 // A new stage is its file, its `mod` and its row.
 mod apply_mask;
+mod describe_noise;
 mod difference_dem;
 mod filter_outliers;
 mod import_rasters;
@@ -24,6 +25,7 @@ pub use stage::{
 
 static STAGES: &[&dyn AnyStage] = &[
     &Row::<apply_mask::ApplyMask>::new(),
+    &Row::<describe_noise::DescribeNoise>::new(),
     &Row::<difference_dem::DifferenceDem>::new(),
     &Row::<filter_outliers::FilterOutliers>::new(),
     &Row::<import_rasters::ImportRasters>::new(),

@@ -2,11 +2,18 @@
 
 pub mod camera;
 pub mod depth_exr;
+pub mod descriptors;
+pub mod fft;
 pub mod geotiff;
 pub mod grid;
+pub mod line;
 pub mod marginal;
 pub mod ply;
 pub mod precise;
 pub mod quantile;
 pub mod random;
+pub mod roughness;
+pub mod spectrum;
 pub mod surface_file;
+pub mod variogram;
+pub mod variogram_model;
