@@ -16,7 +16,10 @@ mod apply_mask;
 mod describe_noise;
 mod difference_dem;
 mod filter_outliers;
+mod fit_acceptance;
 mod import_rasters;
+mod tabulate;
+mod test_acceptance;
 
 pub use stage::{
     AnyStage, Arity, Checked, Context, Element, Entry, Host, Inputs, Outputs, Page, Point, Port, Row, SourceFile,
@@ -28,7 +31,10 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<describe_noise::DescribeNoise>::new(),
     &Row::<difference_dem::DifferenceDem>::new(),
     &Row::<filter_outliers::FilterOutliers>::new(),
+    &Row::<fit_acceptance::FitAcceptance>::new(),
     &Row::<import_rasters::ImportRasters>::new(),
+    &Row::<tabulate::Tabulate>::new(),
+    &Row::<test_acceptance::TestAcceptance>::new(),
 ];
 
 /// Every stage there is, in the order of the catalogue.
