@@ -54,7 +54,7 @@ fn united_columns(tables: &[(&Point, &Table)], axes: &[String]) -> Result<Vec<St
     let mut united: Vec<String> = Vec::new();
     for (items, table) in tables {
         for (index, column) in table.columns.iter().enumerate() {
-            let place = items.iter().map(|(axis, item)| format!(" at {axis}={item}")).collect::<String>();
+            let place = items.iter().fold(String::new(), |place, (axis, item)| format!("{place} at {axis}={item}"));
             if axes.contains(column) {
                 return Err(StageError::new(format!("axis `{column}` is called like a column of the table{place}"))
                     .hint("rename the axis"));

@@ -228,6 +228,7 @@ fn log(all: &GroupTest, distances: &[Distance], level: f64, context: &Context) {
 }
 
 #[cfg(test)]
+#[expect(clippy::float_cmp, reason = "what is exact must be exact")]
 mod tests {
     use std::collections::BTreeMap;
     use std::sync::Arc;

@@ -35,7 +35,11 @@ pub fn fast_size(at_least: usize) -> usize {
         }
         n == 1
     };
-    (at_least.max(1)..).find(|n| smooth(*n)).unwrap_or(at_least)
+    let mut size = at_least.max(1);
+    while !smooth(size) {
+        size += 1;
+    }
+    size
 }
 
 impl Fft2 {
@@ -139,16 +143,18 @@ mod tests {
                 line.iter_mut().enumerate().for_each(|(column, cell)| *cell = C64::new(sample(row, column), 0.0));
             };
             let mut power = fft.forward(rows, fft.half(), fill);
-            power.iter_mut().for_each(|c| *c = C64::new(c.norm_sqr(), -2.0 * c.norm_sqr()));
+            for c in &mut power {
+                *c = C64::new(c.norm_sqr(), -2.0 * c.norm_sqr());
+            }
             let lags = fft.inverse_even(power, rows, |_, line| line.to_vec());
-            for dy in 0..rows {
-                for dx in 0..columns {
+            for (dy, line) in lags.iter().enumerate() {
+                for (dx, lag) in line.iter().enumerate() {
                     let pair = |row: usize, column: usize| {
                         sample(row, column) * sample((row + dy) % rows, (column + dx) % columns)
                     };
                     let sum: f64 =
                         (0..rows).flat_map(|r| (0..columns).map(move |c| (r, c))).map(|(r, c)| pair(r, c)).sum();
-                    let found = lags[dy][dx] / (columns * rows) as f64;
+                    let found = lag / (columns * rows) as f64;
                     assert!((found - C64::new(sum, -2.0 * sum)).norm() < 1e-11);
                 }
             }

@@ -2,7 +2,7 @@
 //!
 //! Features are standardised by mean and standard deviation (N - 1) of the reference; the covariance S of the
 //! standardised features has a unit diagonal, so the ridge lambda v I of the paper has v = 1. With z the standardised
-//! features of a raster and P = (S + lambda I)^-1, D2 = z' P z, and z_j (P z)_j is the contribution of feature j.
+//! features of a raster and P = (S + lambda I)^-1, D2 = z' P z, and `z_j (P z)_j` is the contribution of feature j.
 
 use nalgebra::{Cholesky, DMatrix, DVector, SymmetricEigen};
 
@@ -112,9 +112,12 @@ fn inverse(covariance: &DMatrix<f64>, ridge: f64) -> Option<DMatrix<f64>> {
 }
 
 #[cfg(test)]
+#[expect(clippy::float_cmp, reason = "what is exact must be exact")]
 mod tests {
     use super::*;
     use crate::kernel::random::Key;
+
+    const SCALES: [f64; 5] = [1.0, 10.0, 100.0, 1e3, 1e4];
 
     fn names(p: usize) -> Vec<String> {
         (0..p).map(|j| format!("f{j}")).collect()
@@ -123,7 +126,7 @@ mod tests {
     fn sample(n: usize, p: usize, seed: u8) -> Vec<Vec<f64>> {
         let field = Key([seed; 32]).field();
         let value = |i: usize, j: usize| field.normal(i as i32, j as i32) + 0.5 * field.normal(i as i32, -1);
-        (0..n).map(|i| (0..p).map(|j| 10f64.powi(j as i32) * value(i, j)).collect()).collect()
+        (0..n).map(|i| (0..p).map(|j| SCALES[j] * value(i, j)).collect()).collect()
     }
 
     #[test]
@@ -161,14 +164,20 @@ mod tests {
     #[test]
     fn constant_features_are_set_aside_and_collinear_ones_refused() {
         let mut rows = sample(12, 3, 4);
-        rows.iter_mut().for_each(|row| row[1] = 0.1);
+        for row in &mut rows {
+            row[1] = 0.1;
+        }
         let model = fit(&names(3), &rows, 0.0).unwrap();
         assert_eq!((model.features, model.constant), (vec!["f0".into(), "f2".into()], vec!["f1".to_owned()]));
-        rows.iter_mut().for_each(|row| row[1] = 2.0 * row[0]);
+        for row in &mut rows {
+            row[1] = 2.0 * row[0];
+        }
         assert!(fit(&names(3), &rows, 0.0).unwrap_err().contains("collinear"));
         assert!(fit(&names(3), &rows, 1e-3).is_ok());
         assert!(fit(&names(3), &rows[..4], 1e-3).unwrap_err().contains("at least 5"));
-        rows.iter_mut().for_each(|row| row.fill(1.0));
+        for row in &mut rows {
+            row.fill(1.0);
+        }
         assert!(fit(&names(3), &rows, 0.0).unwrap_err().contains("none of f0, f1, f2"));
     }
 

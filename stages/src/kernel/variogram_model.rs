@@ -161,6 +161,7 @@ fn golden_section(cost: impl Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64
 }
 
 #[cfg(test)]
+#[expect(clippy::float_cmp, reason = "what is exact must be exact")]
 mod tests {
     use super::*;
 
