@@ -1,4 +1,4 @@
-//! `import-rasters`: reads a folder of GeoTIFFs on one grid into one raster with a band a file.
+//! `import-rasters`: reads a folder of GeoTIFF files on one grid into one raster with a band a file.
 
 use std::io::Read;
 

@@ -14,8 +14,10 @@ pub(crate) mod testing;
 // A new stage is its file, its `mod` here and its row below.
 mod apply_mask;
 mod clean_mesh;
+mod describe_noise;
 mod difference_dem;
 mod filter_outliers;
+mod fit_acceptance;
 mod fuse_depth;
 mod import_cameras;
 mod import_mesh;
@@ -27,6 +29,8 @@ mod project_depth;
 mod rasterise_dem;
 mod select_pairs;
 mod synthesise_face;
+mod tabulate;
+mod test_acceptance;
 
 pub use stage::{
     AnyStage, Arity, Checked, Context, Element, Entry, Host, Inputs, Outputs, Page, Point, Port, Row, SourceFile,
@@ -49,6 +53,10 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<import_rasters::ImportRasters>::new(),
     &Row::<filter_outliers::FilterOutliers>::new(),
     &Row::<apply_mask::ApplyMask>::new(),
+    &Row::<describe_noise::DescribeNoise>::new(),
+    &Row::<fit_acceptance::FitAcceptance>::new(),
+    &Row::<test_acceptance::TestAcceptance>::new(),
+    &Row::<tabulate::Tabulate>::new(),
 ];
 
 /// Every stage there is, in the order of the catalogue.

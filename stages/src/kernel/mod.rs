@@ -1,5 +1,6 @@
 //! The verbs: pure functions on meshes, cameras, depth maps, rasters and numbers. A kernel knows no stage.
 
+pub mod acceptance_rate;
 pub mod camera;
 pub mod camera_files;
 pub mod camera_files_colmap;
@@ -9,8 +10,13 @@ pub mod covariance_sampling;
 pub mod depth_buffer;
 pub mod depth_exr;
 pub mod depth_surface;
+pub mod descriptors;
+pub mod fft;
+pub mod gathered;
 pub mod geotiff;
 pub mod grid;
+pub mod line;
+pub mod mahalanobis;
 pub mod marginal;
 pub mod matching_noise;
 pub mod mesh_check;
@@ -27,7 +33,11 @@ pub mod rasterise;
 pub mod ray_row;
 pub mod rectification;
 pub mod relief;
+pub mod roughness;
 pub mod shape;
+pub mod spectrum;
 pub mod surface_cleaning;
 pub mod surface_file;
 pub mod triangle_reach;
+pub mod variogram;
+pub mod variogram_model;

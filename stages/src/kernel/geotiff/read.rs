@@ -124,7 +124,7 @@ fn values(file: &mut File, layout: &Layout, nodata: Option<f64>) -> Result<(Vec<
             sample = Sample::Byte;
         }
         let [band, left, top, width, height] = layout.place(chunk);
-        let numbers = floats(decoded, nodata)?;
+        let numbers = floats(&decoded, nodata)?;
         let interleaved = if layout.planar { 1 } else { layout.bands };
         if numbers.len() < width * height * interleaved {
             return Err(damaged(&format!("chunk {chunk} holds {} values, {} expected", numbers.len(), width * height)));
@@ -141,41 +141,29 @@ fn values(file: &mut File, layout: &Layout, nodata: Option<f64>) -> Result<(Vec<
 }
 
 /// Values as 32-bit floats, NaN where the file says there are none.
-fn floats(decoded: DecodingResult, nodata: Option<f64>) -> Result<Vec<f32>, CodecError> {
-    macro_rules! convert {
-        ($values:expr, $ty:ty) => {
-            $values
-                .iter()
-                .map(
-                    |v| {
-                        if nodata.is_some_and(|n| *v == n as $ty && n as $ty as f64 == n) {
-                            f32::NAN
-                        } else {
-                            *v as f32
-                        }
-                    },
-                )
-                .collect()
-        };
-    }
+fn floats(decoded: &DecodingResult, nodata: Option<f64>) -> Result<Vec<f32>, CodecError> {
     Ok(match decoded {
-        DecodingResult::F32(values) => {
-            let nodata = nodata.map(|n| n as f32);
-            values.iter().map(|v| if nodata == Some(*v) || v.is_nan() { f32::NAN } else { *v }).collect()
-        }
-        DecodingResult::F64(values) => {
-            values.iter().map(|v| if nodata == Some(*v) { f32::NAN } else { *v as f32 }).collect()
-        }
-        DecodingResult::U8(values) => convert!(values, u8),
-        DecodingResult::U16(values) => convert!(values, u16),
-        DecodingResult::U32(values) => convert!(values, u32),
-        DecodingResult::I8(values) => convert!(values, i8),
-        DecodingResult::I16(values) => convert!(values, i16),
-        DecodingResult::I32(values) => convert!(values, i32),
+        // The text of the no-data value is often shorter than its bits.
+        DecodingResult::F32(values) => cells(values, nodata.map(|n| f64::from(n as f32))),
+        DecodingResult::F64(values) => cells(values, nodata),
+        DecodingResult::U8(values) => cells(values, nodata),
+        DecodingResult::U16(values) => cells(values, nodata),
+        DecodingResult::U32(values) => cells(values, nodata),
+        DecodingResult::I8(values) => cells(values, nodata),
+        DecodingResult::I16(values) => cells(values, nodata),
+        DecodingResult::I32(values) => cells(values, nodata),
         DecodingResult::U64(_) | DecodingResult::I64(_) | DecodingResult::F16(_) => {
             return Err(CodecError::new("64-bit integers and 16-bit floats cannot be read; convert to 32-bit floats"));
         }
     })
+}
+
+fn cells<T: Copy + Into<f64>>(values: &[T], nodata: Option<f64>) -> Vec<f32> {
+    let cell = |value: &T| {
+        let value: f64 = (*value).into();
+        if value.is_nan() || nodata == Some(value) { f32::NAN } else { value as f32 }
+    };
+    values.iter().map(cell).collect()
 }
 
 fn ascii(file: &mut File, tag: Tag) -> Option<String> {

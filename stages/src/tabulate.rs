@@ -1,0 +1,118 @@
+//! `tabulate`: puts the rows of many gathered tables under each other, with the items they belong to.
+
+use crate::artefact::{Cell, Kind, Table};
+use crate::kernel::gathered::{axes, item_cell};
+use crate::{Context, Inputs, Outputs, Page, Point, Port, Stage, StageError, params};
+
+params! {
+    /// Parameters of `tabulate`: there are none.
+    pub struct TabulateParams {}
+}
+
+/// The stage.
+pub struct Tabulate;
+
+impl Stage for Tabulate {
+    type Params = TabulateParams;
+    const NAME: &'static str = "tabulate";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Concatenates tables. The item of each gathered axis becomes a leading column called like the axis; items \
+               written as numbers become numbers. Columns of all tables follow in the order they are first met; a row \
+               without a value for a column has an empty cell there.",
+        method: "Rows keep the order of the gathered list and of their tables.",
+        frames: "Units are those of the columns.",
+        fails: "An axis called like a column, or a table with two columns of one name: rename one of them.",
+        example: "rockface: 1\nname: thresholds\naxes:\n  max_abs_m: {values: [0.05, 0.1]}\nsteps:\n  \
+                  real: {stage: import-rasters, with: {path: real}}\n  \
+                  clean: {stage: filter-outliers, in: {raster: real.raster}, with: {max_abs_m: \"${max_abs_m}\"}}\n  \
+                  noise: {stage: describe-noise, in: {raster: clean.raster}}\n  \
+                  table: {stage: tabulate, in: {rows: {each: noise.features, over: [max_abs_m]}}}\n",
+    };
+    const INPUTS: &'static [Port] = &[Port::many("rows", &[Kind::Table], "Tables, gathered over any axes.")];
+    const OUTPUTS: &'static [Port] = &[Port::one("table", &[Kind::Table], "All rows.")];
+
+    fn run(_params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let tables = inputs.many::<Table>("rows")?;
+        let axes = axes(tables.iter().map(|(items, _)| *items));
+        let columns = united_columns(&tables, &axes)?;
+        let mut all = Table::new(axes.iter().chain(&columns).cloned());
+        for (items, table) in &tables {
+            let from: Vec<Option<usize>> = columns.iter().map(|column| table.column(column)).collect();
+            for row in &table.rows {
+                let cells = from.iter().map(|at| at.map_or(Cell::Empty(()), |at| row[at].clone()));
+                all.push(axes.iter().map(|axis| item_cell(items, axis)).chain(cells).collect());
+            }
+        }
+        context.note(format!("{} rows of {} tables", all.rows.len(), tables.len()));
+        Ok(Outputs::of("table", all))
+    }
+}
+
+/// Columns of all tables in the order they are first met.
+fn united_columns(tables: &[(&Point, &Table)], axes: &[String]) -> Result<Vec<String>, StageError> {
+    let mut united: Vec<String> = Vec::new();
+    for (items, table) in tables {
+        for (index, column) in table.columns.iter().enumerate() {
+            let place = items.iter().fold(String::new(), |place, (axis, item)| format!("{place} at {axis}={item}"));
+            if axes.contains(column) {
+                return Err(StageError::new(format!("axis `{column}` is called like a column of the table{place}"))
+                    .hint("rename the axis"));
+            }
+            if table.columns[..index].contains(column) {
+                return Err(StageError::new(format!("the table{place} has two columns called `{column}`"))
+                    .hint("rename one where the table is made"));
+            }
+            if !united.contains(column) {
+                united.push(column.clone());
+            }
+        }
+    }
+    Ok(united)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::artefact::Artefact;
+    use crate::testing::TestHost;
+
+    fn table(columns: &[&str], row: Vec<Cell>) -> Table {
+        let mut table = Table::new(columns.iter().copied());
+        table.push(row);
+        table
+    }
+
+    fn tabulate(tables: Vec<(&[(&str, &str)], Table)>) -> Result<Table, StageError> {
+        let mut inputs = Inputs::default();
+        for (items, table) in tables {
+            let point = items.iter().map(|(axis, item)| ((*axis).to_owned(), (*item).to_owned())).collect();
+            inputs.push("rows", point, Arc::new(table.into()));
+        }
+        let outputs = Tabulate::run(&TabulateParams {}, &inputs, &Context::new(&TestHost::default()))?.into_inner();
+        let Artefact::Table(table) = &outputs["table"] else { panic!("a table comes out") };
+        Ok(table.clone())
+    }
+
+    #[test]
+    fn items_lead_and_columns_unite() {
+        let found = tabulate(vec![
+            (&[("sigma_px", "0.6"), ("epoch", "pre")], table(&["a", "b"], vec![1.0.into(), "x".into()])),
+            (&[("sigma_px", "0.7"), ("epoch", "post")], table(&["c", "a"], vec![true.into(), 2.0.into()])),
+        ])
+        .unwrap();
+        assert_eq!(found.columns, ["epoch", "sigma_px", "a", "b", "c"]);
+        assert_eq!(found.rows[0], ["pre".into(), 0.6.into(), 1.0.into(), "x".into(), Cell::Empty(())]);
+        assert_eq!(found.rows[1], ["post".into(), 0.7.into(), 2.0.into(), Cell::Empty(()), true.into()]);
+    }
+
+    #[test]
+    fn names_that_clash_are_refused() {
+        let clash = tabulate(vec![(&[("a", "1")], table(&["a"], vec![1.0.into()]))]).unwrap_err();
+        assert!(clash.message.contains("axis `a`") && clash.message.contains("a=1"), "{clash}");
+        let twins = tabulate(vec![(&[], table(&["a", "a"], vec![1.0.into(), 2.0.into()]))]).unwrap_err();
+        assert!(twins.message.contains("two columns"));
+    }
+}
