@@ -13,6 +13,7 @@ mod stage;
 mod import_mesh;
 mod rasterise_dem;
 mod synthesise_face;
+mod transform_crs;
 
 #[cfg(test)]
 pub(crate) mod testing;
@@ -26,6 +27,7 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<import_mesh::ImportMesh>::new(),
     &Row::<rasterise_dem::RasteriseDem>::new(),
     &Row::<synthesise_face::SynthesiseFace>::new(),
+    &Row::<transform_crs::TransformCrs>::new(),
 ];
 
 /// Every stage there is, in the order of the catalogue.

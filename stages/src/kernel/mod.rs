@@ -4,6 +4,8 @@ pub mod camera;
 pub mod depth_exr;
 pub mod geotiff;
 pub mod mesh_check;
+pub mod orientation;
+pub mod plane_fit;
 pub mod ply;
 mod ply_header;
 pub mod precise;
