@@ -12,6 +12,7 @@ mod stage;
 // A new stage is its file, its `mod` and its row.
 mod import_mesh;
 mod rasterise_dem;
+mod register_icp;
 mod synthesise_face;
 mod transform_crs;
 
@@ -26,6 +27,7 @@ pub use stage::{
 static STAGES: &[&dyn AnyStage] = &[
     &Row::<import_mesh::ImportMesh>::new(),
     &Row::<rasterise_dem::RasteriseDem>::new(),
+    &Row::<register_icp::RegisterIcp>::new(),
     &Row::<synthesise_face::SynthesiseFace>::new(),
     &Row::<transform_crs::TransformCrs>::new(),
 ];

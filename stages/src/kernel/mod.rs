@@ -3,7 +3,9 @@
 pub mod camera;
 pub mod depth_exr;
 pub mod geotiff;
+pub mod icp;
 pub mod mesh_check;
+mod nearest;
 pub mod orientation;
 pub mod plane_fit;
 pub mod ply;
