@@ -10,6 +10,7 @@ pub mod params;
 mod stage;
 
 // A new stage is its file, its `mod` and its row.
+mod draw_picture;
 mod import_mesh;
 mod rasterise_dem;
 mod register_icp;
@@ -25,6 +26,7 @@ pub use stage::{
 };
 
 static STAGES: &[&dyn AnyStage] = &[
+    &Row::<draw_picture::DrawPicture>::new(),
     &Row::<import_mesh::ImportMesh>::new(),
     &Row::<rasterise_dem::RasteriseDem>::new(),
     &Row::<register_icp::RegisterIcp>::new(),
