@@ -16,6 +16,7 @@ mod apply_mask;
 mod clean_mesh;
 mod describe_noise;
 mod difference_dem;
+mod draw_picture;
 mod filter_outliers;
 mod fit_acceptance;
 mod fuse_depth;
@@ -27,10 +28,12 @@ mod perturb_cameras;
 mod plan_survey;
 mod project_depth;
 mod rasterise_dem;
+mod register_icp;
 mod select_pairs;
 mod synthesise_face;
 mod tabulate;
 mod test_acceptance;
+mod transform_crs;
 
 pub use stage::{
     AnyStage, Arity, Checked, Context, Element, Entry, Host, Inputs, Outputs, Page, Point, Port, Row, SourceFile,
@@ -40,6 +43,7 @@ pub use stage::{
 static STAGES: &[&dyn AnyStage] = &[
     &Row::<import_mesh::ImportMesh>::new(),
     &Row::<synthesise_face::SynthesiseFace>::new(),
+    &Row::<transform_crs::TransformCrs>::new(),
     &Row::<plan_survey::PlanSurvey>::new(),
     &Row::<import_cameras::ImportCameras>::new(),
     &Row::<perturb_cameras::PerturbCameras>::new(),
@@ -48,6 +52,7 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<match_pair::MatchPair>::new(),
     &Row::<fuse_depth::FuseDepth>::new(),
     &Row::<clean_mesh::CleanMesh>::new(),
+    &Row::<register_icp::RegisterIcp>::new(),
     &Row::<rasterise_dem::RasteriseDem>::new(),
     &Row::<difference_dem::DifferenceDem>::new(),
     &Row::<import_rasters::ImportRasters>::new(),
@@ -57,6 +62,7 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<fit_acceptance::FitAcceptance>::new(),
     &Row::<test_acceptance::TestAcceptance>::new(),
     &Row::<tabulate::Tabulate>::new(),
+    &Row::<draw_picture::DrawPicture>::new(),
 ];
 
 /// Every stage there is, in the order of the catalogue.

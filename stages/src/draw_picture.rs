@@ -1,0 +1,290 @@
+//! `draw-picture`: draws a raster, depth map, mesh or surface for people to look at.
+
+use crate::artefact::{Artefact, Depth, Kind, Picture, Raster};
+use crate::kernel::colour_scale::{ColourScale, Palette, quantile};
+use crate::kernel::picture::{self, Subject};
+use crate::kernel::rasterise;
+use crate::kernel::shape::Shape;
+use crate::params::Range;
+use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
+
+/// Shares of the values below and above the colours of elevations and depths.
+const TAILS: f64 = 0.005;
+/// Share of the absolute differences within the colours.
+const DIFFERENCES: f64 = 0.98;
+
+choice! {
+    /// The colours.
+    pub enum PictureColours {
+        /// Red to blue for differences, viridis for everything else.
+        Automatic = "automatic",
+        /// Perceptually uniform, dark blue to yellow.
+        Viridis = "viridis",
+        /// The same for readers with a colour-vision deficiency.
+        Cividis = "cividis",
+        /// Red for negative, white for zero, blue for positive values.
+        RedBlue = "red_blue",
+        /// Black to white.
+        Grey = "grey",
+    }
+}
+
+params! {
+    /// Parameters of `draw-picture`.
+    pub struct DrawPictureParams {
+        /// Title; left out, what is drawn.
+        title: Option<String> = None,
+        /// The colours reach from minus to plus this for differences, this far to either side of the median otherwise,
+        /// in metres (or the values' own unit); left out, they hold 98 % of the differences, 99 % of other values.
+        range_m: Option<f64> = None; Range::Positive,
+        /// The colours.
+        palette: PictureColours = PictureColours::Automatic,
+        /// Name of the band of a raster or of the channel of a depth map; left out, the first band, the depth.
+        band: Option<String> = None,
+        /// Whether elevations, meshes and surfaces are shaded by a light from the upper left.
+        hillshade: bool = true,
+        /// Width of the picture at most, pixels.
+        max_width_px: u32 = 1400; Range::Between(520.0, 16_384.0),
+    }
+}
+
+/// The stage.
+pub struct DrawPicture;
+
+impl Stage for DrawPicture {
+    type Params = DrawPictureParams;
+    const NAME: &'static str = "draw-picture";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Draws a raster, depth map, mesh or surface in false colours with a colour bar, a scale bar and a title. Cells \
+               without value are grey. Differences get colours that diverge from zero: material lost is red.",
+        method: "Grids wider than the picture are averaged, smaller ones enlarged by whole factors. Meshes and surfaces are \
+                 drawn as elevations interpolated in their triangles at a fitting cell size. Shading is Lambert's law for a \
+                 light from the upper left, 45 degrees high.",
+        frames: "Elevations, differences and depths in metres; bars in millimetres where the range is below half a metre. X \
+                 to the right, Y up; depth maps as the image.",
+        fails: "There is no such band, or nothing has a value.",
+        example: "rockface: 1\nname: look-at-a-face\nseed: 1\nsteps:\n  face: {stage: synthesise-face, with: {width_m: 4, height_m: 3}}\n  \
+                  picture: {stage: draw-picture, in: {subject: face.mesh}, with: {title: A synthetic face}}\n",
+    };
+    const INPUTS: &'static [Port] = &[Port::one(
+        "subject",
+        &[Kind::Raster, Kind::Depth, Kind::Mesh, Kind::Surface],
+        "What is drawn; meshes and surfaces are seen along Z.",
+    )];
+    const OUTPUTS: &'static [Port] = &[Port::one("picture", &[Kind::Picture], "PNG.")];
+
+    fn run(params: &Self::Params, inputs: &Inputs, _context: &Context) -> Result<Outputs, StageError> {
+        let view = match inputs.artefact("subject")? {
+            Artefact::Raster(raster) => of_raster(raster, params)?,
+            Artefact::Depth(depth) => of_depth(depth, params)?,
+            other => of_shape(other, params)?,
+        };
+        let png = picture::draw(&view.subject(params)?, params.max_width_px as usize);
+        let png = png.map_err(|e| StageError::new(e.to_string()))?;
+        Ok(Outputs::of("picture", Picture { png }))
+    }
+}
+
+/// A grid of values and what they are.
+struct View<'a> {
+    columns: usize,
+    values: std::borrow::Cow<'a, [f32]>,
+    cell_m: Option<f64>,
+    /// `elevation`, `difference`, `depth`, ...
+    quantity: String,
+    title: String,
+    grid: String,
+}
+
+impl View<'_> {
+    fn subject(&self, params: &DrawPictureParams) -> Result<Subject<'_>, StageError> {
+        let scale = self.scale(params)?;
+        let missing = self.values.iter().filter(|v| v.is_nan()).count() as f64 / self.values.len() as f64;
+        let missing = if missing > 0.0 { format!(", {:.1} % without value", 100.0 * missing) } else { String::new() };
+        Ok(Subject {
+            columns: self.columns,
+            values: &self.values,
+            cell_m: self.cell_m,
+            shaded: params.hillshade && self.quantity == "elevation",
+            scale,
+            title: params.title.clone().unwrap_or_else(|| self.title.clone()),
+            subtitle: format!("{}{missing}", self.grid),
+            unit: self.unit(&scale),
+        })
+    }
+
+    fn is_length(&self) -> bool {
+        matches!(self.quantity.as_str(), "elevation" | "difference" | "depth")
+    }
+
+    fn unit(&self, scale: &ColourScale) -> (&'static str, f64) {
+        match (self.is_length(), scale.high - scale.low < 0.5) {
+            (true, true) => ("mm", 1e3),
+            (true, false) => ("m", 1.0),
+            (false, _) => ("", 1.0),
+        }
+    }
+
+    fn scale(&self, params: &DrawPictureParams) -> Result<ColourScale, StageError> {
+        let diverging = self.quantity == "difference";
+        let palette = match params.palette {
+            PictureColours::Automatic if diverging => Palette::RedBlue,
+            PictureColours::Automatic | PictureColours::Viridis => Palette::Viridis,
+            PictureColours::Cividis => Palette::Cividis,
+            PictureColours::RedBlue => Palette::RedBlue,
+            PictureColours::Grey => Palette::Grey,
+        };
+        let (low, high) = if diverging { self.symmetric(params) } else { self.around_the_median(params) }
+            .ok_or_else(|| StageError::new(format!("nothing to draw: no cell of the {} has a value", self.quantity)))?;
+        // A constant grid still gets a scale.
+        let (low, high) = if high > low { (low, high) } else { (low - 0.5, low + 0.5) };
+        Ok(ColourScale { palette, low, high })
+    }
+
+    fn symmetric(&self, params: &DrawPictureParams) -> Option<(f64, f64)> {
+        let most = quantile(self.values.iter().map(|v| v.abs()), DIFFERENCES)?;
+        let reach = params.range_m.unwrap_or(most);
+        Some((-reach, reach))
+    }
+
+    fn around_the_median(&self, params: &DrawPictureParams) -> Option<(f64, f64)> {
+        let at = |share| quantile(self.values.iter().copied(), share);
+        match params.range_m {
+            Some(reach) => at(0.5).map(|median| (median - reach, median + reach)),
+            None if self.is_length() => Some((at(TAILS)?, at(1.0 - TAILS)?)),
+            None => Some((at(0.0)?, at(1.0)?)),
+        }
+    }
+}
+
+fn of_raster<'a>(raster: &'a Raster, params: &DrawPictureParams) -> Result<View<'a>, StageError> {
+    let band = match &params.band {
+        None => raster.bands.first(),
+        Some(name) => raster.bands.iter().find(|band| band.name == *name),
+    };
+    let names = || raster.bands.iter().map(|b| b.name.as_str()).collect::<Vec<_>>().join(", ");
+    let band = band.ok_or_else(|| no_band(params, &names()))?;
+    let grid = raster.grid;
+    let suffix = if raster.bands.len() > 1 { format!(": {}", band.name) } else { String::new() };
+    Ok(View {
+        columns: grid.columns,
+        values: (&band.values).into(),
+        cell_m: Some(grid.cell_m),
+        quantity: raster.quantity.clone(),
+        title: format!("{}{suffix}", capitalised(&raster.quantity)),
+        grid: grid_text(grid.columns, grid.rows, grid.cell_m),
+    })
+}
+
+fn of_depth<'a>(depth: &'a Depth, params: &DrawPictureParams) -> Result<View<'a>, StageError> {
+    let channel = params.band.as_deref().unwrap_or("depth");
+    let values = if channel == "depth" { Some(&depth.z) } else { depth.channels.get(channel) };
+    let names = || std::iter::once("depth").chain(depth.channels.keys().map(String::as_str)).collect::<Vec<_>>();
+    let values = values.ok_or_else(|| no_band(params, &names().join(", ")))?;
+    let scale = if depth.downscale > 1 { format!(", 1 pixel for {0} x {0}", depth.downscale) } else { String::new() };
+    Ok(View {
+        columns: depth.width,
+        values: values.into(),
+        cell_m: None,
+        quantity: channel.to_owned(),
+        title: format!("{} of image {}", capitalised(channel), depth.image.name),
+        grid: format!("{} x {} pixels{scale}", depth.width, depth.height),
+    })
+}
+
+fn of_shape(artefact: &Artefact, params: &DrawPictureParams) -> Result<View<'static>, StageError> {
+    let shape = Shape::of(artefact).ok_or_else(|| StageError::new(format!("cannot draw a {}", artefact.kind())))?;
+    let empty = || StageError::new(format!("nothing to draw: the {} has no points", artefact.kind()));
+    let extent = rasterise::extent(shape, None).ok_or_else(empty)?;
+    let longest = (extent[1] - extent[0]).max(extent[3] - extent[2]);
+    let fitting = longest / f64::from(params.max_width_px);
+    let cell_m = if fitting > 0.0 { fitting } else { 1.0 };
+    let grid = rasterise::grid_around(extent, cell_m).map_err(StageError::new)?;
+    let places = match shape {
+        Shape::Mesh(mesh) => format!("{} triangles", mesh.triangles.len()),
+        Shape::Surface(surface) => format!("{} x {} points", surface.width, surface.height),
+    };
+    let size = format!("{:.2} x {:.2} m", extent[1] - extent[0], extent[3] - extent[2]);
+    Ok(View {
+        columns: grid.columns,
+        values: rasterise::tin(shape, None, &grid).into(),
+        cell_m: Some(cell_m),
+        quantity: "elevation".to_owned(),
+        title: format!("{} in the {} frame", capitalised(artefact.kind().word()), shape.frame()),
+        grid: format!("{places}, {size}"),
+    })
+}
+
+fn no_band(params: &DrawPictureParams, names: &str) -> StageError {
+    let wanted = params.band.as_deref().unwrap_or("(first)");
+    StageError::new(format!("there is no band `{wanted}`")).hint(format!("the bands are: {names}"))
+}
+
+fn grid_text(columns: usize, rows: usize, cell_m: f64) -> String {
+    format!("{columns} x {rows} cells of {}", crate::kernel::colour_scale::length(cell_m))
+}
+
+fn capitalised(word: &str) -> String {
+    let mut letters = word.chars();
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::artefact::{Frame, Grid};
+    use crate::params::ParamType;
+    use crate::testing::TestHost;
+    use serde_json::json;
+    use std::sync::Arc;
+
+    fn run(with: &serde_json::Value, subject: impl Into<Artefact>) -> Result<Picture, StageError> {
+        let mut inputs = Inputs::default();
+        inputs.push("subject", crate::Point::new(), Arc::new(subject.into()));
+        let params = DrawPictureParams::decode(with).unwrap();
+        let host = TestHost::default();
+        let outputs = DrawPicture::run(&params, &inputs, &Context::new(&host))?;
+        match outputs.into_inner().remove("picture") {
+            Some(Artefact::Picture(picture)) => Ok(picture),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn raster(quantity: &str, values: Vec<f32>) -> Raster {
+        let grid = Grid { columns: 30, rows: values.len() / 30, cell_m: 0.1, left_m: 0.0, top_m: 3.0 };
+        Raster::single(grid, Frame::Wall, quantity, quantity, values)
+    }
+
+    fn ramp() -> Vec<f32> {
+        (0..900u16).map(|i| if i % 97 == 0 { f32::NAN } else { (f32::from(i) - 450.0) * 1e-4 }).collect()
+    }
+
+    #[test]
+    fn equal_subjects_give_equal_files() {
+        let draw = || run(&json!({}), raster("difference", ramp())).unwrap();
+        assert_eq!(draw(), draw());
+        assert!(draw().png.starts_with(b"\x89PNG"));
+        assert_ne!(draw(), run(&json!({"range_m": 0.1}), raster("difference", ramp())).unwrap());
+    }
+
+    #[test]
+    fn differences_are_centred_on_zero_and_elevations_are_not() {
+        let params = DrawPictureParams::decode(&json!({})).unwrap();
+        let scale = |raster: Raster| of_raster(&raster, &params).unwrap().scale(&params).unwrap();
+        let shifted: Vec<f32> = ramp().iter().map(|v| v + 0.01).collect();
+        let difference = scale(raster("difference", shifted.clone()));
+        assert!((difference.low + difference.high).abs() < 1e-12 && difference.palette == Palette::RedBlue);
+        let elevation = scale(raster("elevation", shifted));
+        assert!((elevation.low + elevation.high - 0.02).abs() < 1e-3 && elevation.palette == Palette::Viridis);
+    }
+
+    #[test]
+    fn what_cannot_be_drawn_says_why() {
+        let error = run(&json!({"band": "b"}), raster("mask", vec![0.0; 900])).unwrap_err();
+        assert_eq!(error.hint.unwrap(), "the bands are: mask");
+        let error = run(&json!({}), raster("elevation", vec![f32::NAN; 900])).unwrap_err();
+        assert!(error.message.contains("no cell of the elevation has a value"));
+        assert!(run(&json!({}), raster("mask", vec![1.0; 900])).is_ok());
+    }
+}

@@ -1,0 +1,243 @@
+//! A picture of a grid of values: false colours with optional shading, title, colour bar and scale bar.
+
+use rayon::prelude::*;
+
+use crate::artefact::CodecError;
+
+use super::canvas::{Align, Canvas, Colour, Pen};
+use super::colour_scale::{ColourScale, NO_DATA, labels, length, round_step};
+
+const MARGIN: usize = 28;
+const TITLE: usize = 64;
+const FOOT: usize = 52;
+const BAR_GAP: usize = 26;
+const BAR_WIDTH: usize = 22;
+const LABELS: usize = 92;
+const INK: Colour = [32, 32, 36];
+const FAINT: Colour = [96, 98, 104];
+/// Smallest width of the values in the picture, so that title and scale fit.
+const LEAST_WIDTH: usize = 320;
+/// Pixels a cell becomes at most when a small grid is enlarged.
+const MAXIMUM_ENLARGEMENT: usize = 40;
+
+/// What is drawn.
+pub struct Subject<'a> {
+    /// Columns of values.
+    pub columns: usize,
+    /// Values by row from the top, NaN where there is none.
+    pub values: &'a [f32],
+    /// Side of a cell, metres; without it there is neither scale bar nor shading.
+    pub cell_m: Option<f64>,
+    /// Whether values are heights in metres to be shaded by a light from the upper left.
+    pub shaded: bool,
+    /// Colours.
+    pub scale: ColourScale,
+    /// Over the picture.
+    pub title: String,
+    /// Under the title.
+    pub subtitle: String,
+    /// Unit of the colour bar and how many of it make one of the values' own units.
+    pub unit: (&'static str, f64),
+}
+
+/// Draws a grid; the whole picture is at most `max_width_px` wide (at least about 500) and its values as high.
+pub fn draw(subject: &Subject, max_width_px: usize) -> Result<Vec<u8>, CodecError> {
+    let room = max_width_px.saturating_sub(2 * MARGIN + BAR_GAP + BAR_WIDTH + LABELS).max(LEAST_WIDTH);
+    let view = View::of(subject, room);
+    let box_width = view.width.max(LEAST_WIDTH);
+    let width = 2 * MARGIN + box_width + BAR_GAP + BAR_WIDTH + LABELS;
+    let bar_height = view.height.max(160);
+    let mut canvas = Canvas::new(width, MARGIN + TITLE + bar_height + FOOT + MARGIN / 2);
+    let top = MARGIN + TITLE;
+    write_titles(&mut canvas, subject, box_width + BAR_GAP + BAR_WIDTH + LABELS)?;
+    view.paint(&mut canvas, MARGIN, top, subject);
+    canvas.frame(MARGIN, top, view.width, view.height, FAINT);
+    draw_bar(&mut canvas, subject, MARGIN + box_width + BAR_GAP, top, bar_height)?;
+    let foot = top + bar_height + 26;
+    if let Some(cell_m) = subject.cell_m {
+        draw_scale(&mut canvas, view.width as f64, cell_m * view.cells_per_pixel, foot)?;
+    }
+    if subject.values.iter().any(|v| v.is_nan()) {
+        let x = MARGIN + box_width + BAR_GAP;
+        canvas.fill(x, foot - 8, BAR_WIDTH, 16, NO_DATA);
+        canvas.frame(x, foot - 8, BAR_WIDTH, 16, FAINT);
+        canvas.text(&Pen::plain(15.0, INK)?, (x + BAR_WIDTH + 10) as f32, foot as f32, Align::Left, "no value");
+    }
+    canvas.to_png()
+}
+
+fn write_titles(canvas: &mut Canvas, subject: &Subject, room: usize) -> Result<(), CodecError> {
+    let x = MARGIN as f32;
+    for (pen, y, text) in [
+        (Pen::bold(24.0, INK)?, MARGIN as f32 + 10.0, &subject.title),
+        (Pen::plain(16.0, FAINT)?, MARGIN as f32 + 40.0, &subject.subtitle),
+    ] {
+        let mut text = text.clone();
+        while pen.width(&text) > room as f32 {
+            text = text.trim_end_matches('\u{2026}').to_owned();
+            text.pop();
+            text.push('\u{2026}');
+        }
+        canvas.text(&pen, x, y, Align::Left, &text);
+    }
+    Ok(())
+}
+
+fn draw_bar(canvas: &mut Canvas, subject: &Subject, x: usize, top: usize, height: usize) -> Result<(), CodecError> {
+    let (scale, (unit, per_one)) = (&subject.scale, subject.unit);
+    let span = scale.high - scale.low;
+    for row in 0..height {
+        let value = scale.high - span * (row as f64 + 0.5) / height as f64;
+        canvas.fill(x, top + row, BAR_WIDTH, 1, scale.colour(value));
+    }
+    canvas.frame(x, top, BAR_WIDTH, height, FAINT);
+    let pen = Pen::plain(15.0, INK)?;
+    // Ticks round in the unit that is shown.
+    let shown = ColourScale { low: scale.low * per_one, high: scale.high * per_one, ..*scale };
+    let ticks = shown.ticks((height as f64 / 70.0).clamp(3.0, 9.0));
+    for (tick, label) in ticks.iter().zip(labels(&ticks, 1.0)) {
+        let y = top as f64 + (shown.high - tick) / (shown.high - shown.low) * height as f64;
+        canvas.fill(x + BAR_WIDTH + 1, y.round() as usize, 6, 1, FAINT);
+        canvas.text(&pen, (x + BAR_WIDTH + 12) as f32, y as f32, Align::Left, &label);
+    }
+    let middle = (x + BAR_WIDTH / 2) as f32;
+    canvas.text(&pen, middle, top as f32 - 16.0, Align::Middle, unit);
+    Ok(())
+}
+
+fn draw_scale(canvas: &mut Canvas, width_px: f64, pixel_m: f64, y: usize) -> Result<(), CodecError> {
+    let length_m = round_step(width_px * pixel_m / 8.0);
+    let long = (length_m / pixel_m).round() as usize;
+    canvas.fill(MARGIN, y - 3, long, 6, INK);
+    canvas.fill(MARGIN + long / 2, y - 2, long / 2, 4, [255; 3]);
+    canvas.fill(MARGIN + long.saturating_sub(1), y - 3, 1, 6, INK);
+    let x = (MARGIN + long + 10) as f32;
+    canvas.text(&Pen::plain(15.0, INK)?, x, y as f32, Align::Left, &length(length_m));
+    Ok(())
+}
+
+/// The values at the size of the picture.
+struct View {
+    width: usize,
+    height: usize,
+    cells_per_pixel: f64,
+    values: Vec<f32>,
+}
+
+impl View {
+    fn of(subject: &Subject, room: usize) -> Self {
+        let columns = subject.columns.max(1);
+        let rows = (subject.values.len() / columns).max(1);
+        let longest = columns.max(rows);
+        let cells_per_pixel = if longest > room {
+            longest as f64 / room as f64
+        } else {
+            1.0 / (room / longest).min(MAXIMUM_ENLARGEMENT) as f64
+        };
+        let pixels = |cells: usize| ((cells as f64 / cells_per_pixel).round() as usize).max(1);
+        let (width, height) = (pixels(columns), pixels(rows));
+        let mut values = vec![f32::NAN; width * height];
+        values.par_chunks_mut(width).enumerate().for_each(|(y, line)| {
+            for (x, value) in line.iter_mut().enumerate() {
+                let across = cells(x, cells_per_pixel, columns);
+                *value = mean(subject.values, columns, cells(y, cells_per_pixel, rows), &across);
+            }
+        });
+        Self { width, height, cells_per_pixel, values }
+    }
+
+    fn paint(&self, canvas: &mut Canvas, left: usize, top: usize, subject: &Subject) {
+        let pixel_m = subject.cell_m.map(|cell_m| cell_m * self.cells_per_pixel).filter(|_| subject.shaded);
+        for y in 0..self.height {
+            for x in 0..self.width {
+                let colour = subject.scale.colour(f64::from(self.values[y * self.width + x]));
+                let light = pixel_m.map_or(1.0, |pixel_m| self.light(x, y, pixel_m));
+                if let Some(pixel) = canvas.pixel(left + x, top + y) {
+                    *pixel = colour.map(|c| (f64::from(c) * light).round().clamp(0.0, 255.0) as u8);
+                }
+            }
+        }
+    }
+
+    /// Brightness under a light from the upper left, 45 degrees high; 1 on level ground.
+    fn light(&self, x: usize, y: usize, pixel_m: f64) -> f64 {
+        let at = |x: usize, y: usize| f64::from(self.values[y * self.width + x]);
+        // An enlarged cell is level inside: slopes are taken from one cell to the next.
+        let reach = (1.0 / self.cells_per_pixel).round().max(1.0) as usize;
+        let (left, right) = (x.saturating_sub(reach), (x + reach).min(self.width - 1));
+        let (above, below) = (y.saturating_sub(reach), (y + reach).min(self.height - 1));
+        let slope_x = (at(right, y) - at(left, y)) / ((right - left).max(1) as f64 * pixel_m);
+        let slope_y = (at(x, above) - at(x, below)) / ((below - above).max(1) as f64 * pixel_m);
+        if slope_x.is_nan() || slope_y.is_nan() {
+            return 1.0;
+        }
+        let lambert = (1.0 + (slope_x - slope_y) * std::f64::consts::FRAC_1_SQRT_2)
+            / (1.0 + slope_x * slope_x + slope_y * slope_y).sqrt();
+        (0.35 + 0.65 * lambert.max(0.0)).min(1.35)
+    }
+}
+
+/// The cells under a pixel.
+fn cells(pixel: usize, cells_per_pixel: f64, count: usize) -> std::ops::Range<usize> {
+    let first = ((pixel as f64 * cells_per_pixel + 1e-9) as usize).min(count - 1);
+    let last = (((pixel + 1) as f64 * cells_per_pixel - 1e-9).ceil() as usize).clamp(first + 1, count);
+    first..last
+}
+
+fn mean(values: &[f32], columns: usize, rows: std::ops::Range<usize>, across: &std::ops::Range<usize>) -> f32 {
+    let under = rows.filter_map(|row| values.get(row * columns + across.start..row * columns + across.end)).flatten();
+    let (sum, count) =
+        under.filter(|v| v.is_finite()).fold((0.0, 0u32), |(sum, count), v| (sum + f64::from(*v), count + 1));
+    if count == 0 { f32::NAN } else { (sum / f64::from(count)) as f32 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kernel::colour_scale::Palette;
+
+    fn decoded(file: Vec<u8>) -> (usize, usize, Vec<u8>) {
+        let mut reader = png::Decoder::new(std::io::Cursor::new(file)).read_info().unwrap();
+        let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+        let info = reader.next_frame(&mut pixels).unwrap();
+        (info.width as usize, info.height as usize, pixels)
+    }
+
+    fn subject(values: &[f32], columns: usize) -> Subject<'_> {
+        let scale = ColourScale { palette: Palette::RedBlue, low: -1.0, high: 1.0 };
+        let (title, subtitle) = ("T".to_owned(), String::new());
+        Subject { columns, values, cell_m: Some(0.1), shaded: false, scale, title, subtitle, unit: ("m", 1.0) }
+    }
+
+    #[test]
+    fn cells_have_their_colours_at_their_places() {
+        let values = [-0.9, 0.0, 0.9, f32::NAN];
+        let subject = subject(&values, 2);
+        let (width, _, pixels) = decoded(draw(&subject, 600).unwrap());
+        let side = MAXIMUM_ENLARGEMENT;
+        for (cell, value) in values.iter().enumerate() {
+            let (x, y) = (MARGIN + side / 2 + cell % 2 * side, MARGIN + TITLE + side / 2 + cell / 2 * side);
+            let at = 3 * (y * width + x);
+            assert_eq!(pixels[at..at + 3], subject.scale.colour(f64::from(*value)), "cell {cell}");
+        }
+    }
+
+    #[test]
+    fn large_grids_are_averaged_into_the_width() {
+        let values: Vec<f32> = (0..3000 * 500).map(|i| (i % 3000) as f32 / 3000.0).collect();
+        let view = View::of(&subject(&values, 3000), 1000);
+        assert_eq!((view.width, view.height), (1000, 167));
+        assert!((view.values[500] - 1501.0 / 3000.0).abs() < 1e-6);
+        let (width, _, _) = decoded(draw(&subject(&values, 3000), 1000).unwrap());
+        assert!(width <= 1000);
+    }
+
+    #[test]
+    fn the_light_comes_from_the_upper_left() {
+        let ramp: Vec<f32> = (0..400).map(|i| (i % 20) as f32 * 0.05).collect();
+        let view = View::of(&subject(&ramp, 20), 20);
+        assert!(view.light(10, 10, 0.1) > 1.0);
+        let falling: Vec<f32> = ramp.iter().map(|z| -z).collect();
+        assert!(View::of(&subject(&falling, 20), 20).light(10, 10, 0.1) < 0.9);
+    }
+}
