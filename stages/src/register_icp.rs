@@ -162,7 +162,7 @@ mod tests {
         let (transform, host) = run(&json!({}));
         assert!((transform.translation[2] - (transform.origin[2] - 0.25)).abs() < 1e-9);
         assert!((host.metric("shift_z").unwrap() + 0.25).abs() < 1e-9);
-        assert_eq!(host.warnings().matches("does not determine").count(), 3);
+        assert_eq!(host.warnings().iter().filter(|text| text.contains("does not determine")).count(), 3);
     }
 
     #[test]
