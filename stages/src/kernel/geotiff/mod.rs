@@ -2,8 +2,8 @@
 //!
 //! Files written here are classic little-endian TIFF 6.0 with 256 x 256 tiles, one plane a band, DEFLATE with the
 //! floating-point (or horizontal) predictor, `ModelPixelScale` and `ModelTiepoint` for the grid, and a local
-//! engineering system named after the frame. Foreign files may also be striped, interleaved, LZW-compressed, of any
-//! integer or float type, and carry a no-data value.
+//! engineering system named after the frame. Foreign files may also be striped, interleaved, big-endian, BigTIFF,
+//! uncompressed, of 8- to 32-bit integers or 32- or 64-bit floats, and carry a no-data value.
 
 mod read;
 mod tags;
