@@ -84,6 +84,35 @@ mod tests {
         }
     }
 
+    /// A striped 16-bit file as another program writes it: no metadata, a no-data value, rows of two strips.
+    fn striped(nodata: Option<&str>, scale: [f64; 3]) -> Vec<u8> {
+        use tiff::encoder::{TiffEncoder, colortype::GrayI16};
+        use tiff::tags::Tag;
+        let mut file = std::io::Cursor::new(Vec::new());
+        let mut encoder = TiffEncoder::new(&mut file).unwrap();
+        let mut image = encoder.new_image::<GrayI16>(3, 5).unwrap();
+        image.rows_per_strip(4).unwrap();
+        let directory = image.encoder();
+        directory.write_tag(Tag::ModelPixelScaleTag, scale.as_slice()).unwrap();
+        directory.write_tag(Tag::ModelTiepointTag, [0.0, 0.0, 0.0, 7.0, 9.0, 0.0].as_slice()).unwrap();
+        if let Some(nodata) = nodata {
+            directory.write_tag(Tag::GdalNodata, nodata).unwrap();
+        }
+        let values: Vec<i16> = (0..15).map(|i| i - 4).collect();
+        image.write_data(&values).unwrap();
+        file.into_inner()
+    }
+
+    #[test]
+    fn strips_of_integers_become_floats_without_the_no_data_value() {
+        let found = read(&striped(Some("-3"), [2.0, 2.0, 0.0])).unwrap();
+        let expected = (0..15u8).map(|i| if i == 1 { f32::NAN } else { f32::from(i) - 4.0 }).collect();
+        let grid = Grid { columns: 3, rows: 5, cell_m: 2.0, left_m: 7.0, top_m: 9.0 };
+        assert_eq!(found, Raster::single(grid, Frame::Wall, "value", "band 1", expected));
+        assert!(!read(&striped(None, [2.0, 2.0, 0.0])).unwrap().bands[0].values[1].is_nan());
+        assert!(read(&striped(None, [2.0, 1.0, 0.0])).unwrap_err().0.contains("square"));
+    }
+
     #[test]
     fn foreign_rasters_are_read() {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data/outcrop-survey/real");
