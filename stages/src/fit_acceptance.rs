@@ -6,7 +6,7 @@ use crate::artefact::{Acceptance, Cell, GroupModel, Kind, Table};
 use crate::kernel::acceptance_rate::{perfect_acceptance, share_below};
 use crate::kernel::descriptors::{GROUPS, feature_names};
 use crate::kernel::gathered::{FeatureRow, feature_rows};
-use crate::kernel::mahalanobis::{bound, fit};
+use crate::kernel::mahalanobis::{bound, fit, leave_one_out_quantile};
 use crate::kernel::quantile::quantile;
 use crate::params::{Fault, Range};
 use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, params};
@@ -151,13 +151,12 @@ fn summary(model: &Acceptance, level: f64) -> Table {
 
 fn summary_row(name: &str, group: &GroupModel, n: usize, level: f64) -> Vec<Cell> {
     let p = group.features.len();
-    let of = |values: &[f64], q: f64| quantile(values, q).unwrap_or(f64::NAN);
-    let inside = |q: f64| of(&group.reference_d2, q);
+    let inside = |q: f64| quantile(&group.reference_d2, q).unwrap_or(f64::NAN);
     let number = |x: f64| Cell::from(x);
     let mut row = vec![name.into(), number(n as f64), number(p as f64), number(level), number(inside(level))];
     row.extend([0.50, 0.90, 0.95, 0.99].map(|q| number(inside(q))));
     row.push(number(bound(n)));
-    row.extend([level, 0.95].map(|q| number(of(&group.leave_one_out_d2, q))));
+    row.extend([level, 0.95].map(|q| number(leave_one_out_quantile(group, q).unwrap_or(f64::NAN))));
     row.push(number(share_below(&group.leave_one_out_d2, inside(0.95))));
     row.push(number(perfect_acceptance(n, p, level).unwrap_or(f64::NAN)));
     row.push(number(share_below(&group.leave_one_out_d2, inside(level))));

@@ -4,7 +4,7 @@ use crate::artefact::{Acceptance, Cell, GroupModel, Kind, Table};
 use crate::kernel::acceptance_rate::{perfect_acceptance, score, share_below, wilson_interval};
 use crate::kernel::descriptors::GROUPS;
 use crate::kernel::gathered::{FeatureRow, axes, feature_rows, item_cell};
-use crate::kernel::mahalanobis::{Distance, distance};
+use crate::kernel::mahalanobis::{Distance, distance, leave_one_out_quantile};
 use crate::kernel::quantile::quantile;
 use crate::params::Range;
 use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
@@ -199,7 +199,7 @@ fn summary_row(tests: &[GroupTest], distances: &[Vec<Distance>], level: f64) -> 
     row.push((real.iter().filter(|d2| **d2 <= threshold).count() as f64).into());
     row.extend([real.len() as f64, share_below(real, threshold)].map(Cell::from));
     row.extend([accepted as f64, n as f64, accepted as f64 / n as f64, low, high].map(Cell::from));
-    row.push(quantile(&model.leave_one_out_d2, level).unwrap_or(f64::NAN).into());
+    row.push(leave_one_out_quantile(model, level).unwrap_or(f64::NAN).into());
     row.push(perfect_acceptance(real.len(), model.features.len(), level).unwrap_or(f64::NAN).into());
     row.push(share_below(&model.leave_one_out_d2, threshold).into());
     let share = |(test, found): (&GroupTest, &Vec<Distance>)| test.accepted(found, level) as f64 / n as f64;

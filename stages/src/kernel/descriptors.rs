@@ -78,6 +78,10 @@ pub fn describe(values: &[f32], grid: &Grid, settings: &Settings) -> Result<Desc
     let marginal = checked_marginal(values)?;
     let (columns, cell_m) = (grid.columns, grid.cell_m);
     let max_lag = settings.max_lag_cells.unwrap_or_else(|| (columns.min(grid.rows) / 2).min(LARGEST_LAG_CELLS));
+    let longer = columns.max(grid.rows);
+    if max_lag >= longer {
+        return Err(format!("a longest lag of {max_lag} cells does not fit into its {longer} cells (`max_lag_cells`)"));
+    }
     let variogram = variogram(values, columns, max_lag, marginal.mean, marginal.deviation);
     let lags_m: Vec<f64> = variogram.lag_cells.iter().map(|h| h * cell_m).collect();
     let model = fit(&lags_m, &variogram, settings.shape)
@@ -163,6 +167,8 @@ mod tests {
         assert!(fails(&[f32::NAN; 100], 10).contains("fewer than two"));
         assert!(fails(&[0.1; 400], 20).contains("all its values are 0.1"));
         assert!(fails(&[1.0, f32::INFINITY], 2).contains("inf"));
+        let far = Settings { max_lag_cells: Some(1_000_000_000), ..settings() };
+        assert!(describe(&[1.0, 2.0, 3.0, 5.0], &grid(2, 2), &far).unwrap_err().contains("longest lag"));
         let tiny: Vec<f32> = (0..16).map(|i| i as f32).collect();
         assert!(fails(&tiny, 4).contains("lags"));
         let small: Vec<f32> = (0..64).map(|i| (i * i % 7) as f32).collect();

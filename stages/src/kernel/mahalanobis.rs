@@ -6,6 +6,7 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector, SymmetricEigen};
 
+use super::quantile::quantile;
 use crate::artefact::GroupModel;
 
 /// Distance of a raster whose leave-one-out reference does not vary in a direction it differs in; JSON has no infinity.
@@ -74,6 +75,11 @@ pub fn distance(model: &GroupModel, values: &[f64]) -> Distance {
     let along = |row: &[f64]| row.iter().zip(&z).map(|(p, z)| p * z).sum::<f64>();
     let contributions: Vec<f64> = model.inverse.iter().zip(&z).map(|(row, z)| z * along(row)).collect();
     Distance { d2: contributions.iter().sum::<f64>().max(0.0), contributions }
+}
+
+/// The quantile of the leave-one-out distances; `None` where it lies among distances without bound.
+pub fn leave_one_out_quantile(model: &GroupModel, level: f64) -> Option<f64> {
+    quantile(&model.leave_one_out_d2, level).filter(|d2| *d2 < 1e-9 * UNBOUNDED_D2)
 }
 
 /// The distance of one reference raster to a model made of all others.
@@ -188,5 +194,7 @@ mod tests {
         let model = fit(&names(2), &rows, 1e-3).unwrap();
         assert_eq!(model.leave_one_out_d2[7], UNBOUNDED_D2);
         assert!(model.leave_one_out_d2[0] < 100.0);
+        assert_eq!(leave_one_out_quantile(&model, 0.99), None);
+        assert!(leave_one_out_quantile(&model, 0.5).unwrap() < 100.0);
     }
 }

@@ -2,8 +2,8 @@
 //!
 //! Files written here are classic little-endian TIFF 6.0 with 256 x 256 tiles, one plane a band, DEFLATE with the
 //! floating-point (or horizontal) predictor, `ModelPixelScale` and `ModelTiepoint` for the grid, and a local
-//! engineering system named after the frame. Foreign files may also be striped, interleaved, LZW-compressed, of any
-//! integer or float type, and carry a no-data value.
+//! engineering system named after the frame. Foreign files may also be striped, interleaved, big-endian, BigTIFF,
+//! uncompressed, of 8- to 32-bit integers or 32- or 64-bit floats, and carry a no-data value.
 
 mod read;
 mod tags;
@@ -82,6 +82,35 @@ mod tests {
                 let _ = read(&damaged);
             }
         }
+    }
+
+    /// A striped 16-bit file as another program writes it: no metadata, a no-data value, rows of two strips.
+    fn striped(nodata: Option<&str>, scale: [f64; 3]) -> Vec<u8> {
+        use tiff::encoder::{TiffEncoder, colortype::GrayI16};
+        use tiff::tags::Tag;
+        let mut file = std::io::Cursor::new(Vec::new());
+        let mut encoder = TiffEncoder::new(&mut file).unwrap();
+        let mut image = encoder.new_image::<GrayI16>(3, 5).unwrap();
+        image.rows_per_strip(4).unwrap();
+        let directory = image.encoder();
+        directory.write_tag(Tag::ModelPixelScaleTag, scale.as_slice()).unwrap();
+        directory.write_tag(Tag::ModelTiepointTag, [0.0, 0.0, 0.0, 7.0, 9.0, 0.0].as_slice()).unwrap();
+        if let Some(nodata) = nodata {
+            directory.write_tag(Tag::GdalNodata, nodata).unwrap();
+        }
+        let values: Vec<i16> = (0..15).map(|i| i - 4).collect();
+        image.write_data(&values).unwrap();
+        file.into_inner()
+    }
+
+    #[test]
+    fn strips_of_integers_become_floats_without_the_no_data_value() {
+        let found = read(&striped(Some("-3"), [2.0, 2.0, 0.0])).unwrap();
+        let expected = (0..15u8).map(|i| if i == 1 { f32::NAN } else { f32::from(i) - 4.0 }).collect();
+        let grid = Grid { columns: 3, rows: 5, cell_m: 2.0, left_m: 7.0, top_m: 9.0 };
+        assert_eq!(found, Raster::single(grid, Frame::Wall, "value", "band 1", expected));
+        assert!(!read(&striped(None, [2.0, 2.0, 0.0])).unwrap().bands[0].values[1].is_nan());
+        assert!(read(&striped(None, [2.0, 1.0, 0.0])).unwrap_err().0.contains("square"));
     }
 
     #[test]

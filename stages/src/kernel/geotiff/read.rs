@@ -10,7 +10,7 @@ use crate::artefact::{Band, CodecError, Frame, Grid, Raster, Sample};
 
 type File<'a> = Decoder<Cursor<&'a [u8]>>;
 
-/// DEFLATE and LZW cannot expand further than this; a file that claims more is damaged.
+/// DEFLATE cannot expand further than this; a file that claims more is damaged.
 const LARGEST_EXPANSION: usize = 1100;
 
 /// Quantity of a file that does not say what its values are.
@@ -36,7 +36,12 @@ pub fn read(bytes: &[u8]) -> Result<Raster, CodecError> {
 }
 
 fn refused(error: &tiff::TiffError) -> CodecError {
-    CodecError(format!("not a GeoTIFF that can be read: {error}"))
+    match error {
+        tiff::TiffError::UnsupportedError(what) => CodecError(format!(
+            "a GeoTIFF of a kind that cannot be read ({what}); rewrite it with `gdal_translate -co COMPRESS=DEFLATE`"
+        )),
+        _ => CodecError(format!("not a GeoTIFF that can be read: {error}")),
+    }
 }
 
 fn damaged(what: &str) -> CodecError {
