@@ -198,7 +198,8 @@ fn of_shape(artefact: &Artefact, params: &DrawPictureParams) -> Result<View<'sta
     let empty = || StageError::new(format!("nothing to draw: the {} has no points", artefact.kind()));
     let extent = rasterise::extent(shape, None).ok_or_else(empty)?;
     let longest = (extent[1] - extent[0]).max(extent[3] - extent[2]);
-    let fitting = longest / f64::from(params.max_width_px);
+    // One cell a pixel; the grid may get one cell more than the extent has.
+    let fitting = longest / (picture::room(params.max_width_px as usize) - 1) as f64;
     let cell_m = if fitting > 0.0 { fitting } else { 1.0 };
     let grid = rasterise::grid_around(extent, cell_m).map_err(StageError::new)?;
     let places = match shape {

@@ -4,7 +4,7 @@ use crate::artefact::{Frame, Grid, Kind, Raster, Transform};
 use crate::kernel::rasterise;
 use crate::kernel::shape::{Moved, Shape};
 use crate::params::{Fault, Range};
-use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
+use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
 
 choice! {
     /// How a cell gets its value.
@@ -73,7 +73,7 @@ impl Stage for RasteriseDem {
         let transform = inputs.optional::<Transform>("transform")?;
         let moved = transform.and_then(Moved::by);
         let grid = match inputs.optional::<Raster>("grid")? {
-            Some(raster) => raster.grid,
+            Some(raster) => usable(raster.grid)?,
             None => make_grid(params, shape, moved.as_ref())?,
         };
         let values = match params.method {
@@ -98,6 +98,14 @@ fn make_grid(params: &RasteriseDemParams, shape: Shape, moved: Option<&Moved>) -
         rasterise::grid_around(extent, params.cell_m)
     };
     grid.map_err(|message| StageError::new(message).hint("choose another `cell_m` or `window_m`"))
+}
+
+fn usable(grid: Grid) -> Result<Grid, StageError> {
+    let cells = grid.columns as f64 * grid.rows as f64;
+    if (1.0..=rasterise::MAXIMUM_CELLS).contains(&cells) && grid.cell_m > 0.0 {
+        return Ok(grid);
+    }
+    fail!("the given grid has {} x {} cells of {} m and cannot be filled", grid.columns, grid.rows, grid.cell_m)
 }
 
 fn frame_after(frame: Frame, transform: Option<&Transform>) -> Frame {

@@ -127,7 +127,7 @@ impl Stage for TransformCrs {
             FrameSource::Given => given(params),
         };
         faces_outward(&wall_from_world, &plane)?;
-        report(&wall_from_world, &plane, context);
+        report(params, &wall_from_world, &plane, context);
         let mut outputs = Outputs::of("mesh", move_mesh(mesh, &wall_from_world));
         if let Some(cameras) = cameras {
             outputs = outputs.and("cameras", cameras_to_frame(cameras, &wall_from_world, Frame::Wall));
@@ -219,10 +219,12 @@ fn faces_outward(wall_from_world: &Transform, plane: &Plane) -> Result<(), Stage
     Err(StageError::new(message).hint("flip the triangles, or correct the given transform: Z points out of the rock"))
 }
 
-fn report(wall_from_world: &Transform, plane: &Plane, context: &Context) {
-    let z = wall_from_world.matrix().row(2).transpose();
-    let dip_deg = precise::acos(z.z.abs().min(1.0)).to_degrees();
-    context.metric("dip", dip_deg, "deg");
+fn report(params: &TransformCrsParams, wall_from_world: &Transform, plane: &Plane, context: &Context) {
+    let (outward, up) = (wall_from_world.matrix().row(2).transpose(), Vector3::from(params.up).normalize());
+    let dip_deg = precise::acos(outward.dot(&up).abs().min(1.0)).to_degrees();
+    if !wall_from_world.is_identity() {
+        context.metric("dip", dip_deg, "deg");
+    }
     context.metric("plane_rms", plane.rms_m, "m");
     context.metric("fitted_area_share", plane.fitted, "1");
     context.headline(if wall_from_world.is_identity() {

@@ -81,25 +81,37 @@ impl<'a> Columns<'a> {
         let x = ((point.x - self.left) / self.side).floor();
         let y = ((point.y - self.bottom) / self.side).floor();
         let rings = (radius_m / self.side).ceil();
-        let outside = |c: f64, size: usize| c < -rings || c >= size as f64 + rings;
-        if !(x.is_finite() && y.is_finite()) || outside(x, self.wide) || outside(y, self.high) {
+        // Rings before the first and after the last that meet the columns hold nothing.
+        let (right, top) = (self.wide as f64 - 1.0, self.high as f64 - 1.0);
+        let first = (-x).max(x - right).max(-y).max(y - top).max(0.0);
+        let last = x.abs().max((x - right).abs()).max(y.abs()).max((y - top).abs()).min(rings);
+        if !(x.is_finite() && y.is_finite() && first <= last) {
             return None;
         }
-        let (x, y) = (x as i64, y as i64);
         let mut best = (radius_m * radius_m, None);
-        for ring in 0..=rings as i64 {
-            for row in (y - ring).max(0)..=(y + ring).min(self.high as i64 - 1) {
-                let whole = row == y - ring || row == y + ring;
-                let step = if whole || ring == 0 { 1 } else { 2 * ring };
-                let inside = (x - ring..=x + ring).step_by(step as usize).filter(|c| (0..self.wide as i64).contains(c));
-                inside.for_each(|column| self.search(row as usize * self.wide + column as usize, point, &mut best));
-            }
+        for ring in first as i64..=last as i64 {
+            self.search_ring([x as i64, y as i64], ring, point, &mut best);
             let reached = ring as f64 * self.side;
             if best.0 <= reached * reached {
                 break;
             }
         }
         best.1
+    }
+
+    fn search_ring(&self, [x, y]: [i64; 2], ring: i64, point: &Vector3<f64>, best: &mut (f64, Option<usize>)) {
+        let (wide, high) = (self.wide as i64, self.high as i64);
+        for row in (y - ring).max(0)..=(y + ring).min(high - 1) {
+            if row == y - ring || row == y + ring {
+                for column in (x - ring).max(0)..=(x + ring).min(wide - 1) {
+                    self.search((row * wide + column) as usize, point, best);
+                }
+            } else {
+                for column in [x - ring, x + ring].into_iter().filter(|column| (0..wide).contains(column)) {
+                    self.search((row * wide + column) as usize, point, best);
+                }
+            }
+        }
     }
 
     #[inline]
@@ -154,6 +166,7 @@ mod tests {
             let everywhere = (0..900).filter(|p| *p != 17).min_by(|a, b| distance(*a).total_cmp(&distance(*b)));
             let within = everywhere.filter(|place| distance(*place) < 1.5);
             assert_eq!(columns.nearest(&query, 1.5), within, "query {i}");
+            assert_eq!(columns.nearest(&query, 1e6), everywhere, "query {i}, far");
         }
     }
 }

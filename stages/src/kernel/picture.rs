@@ -42,8 +42,7 @@ pub struct Subject<'a> {
 
 /// Draws a grid; the whole picture is at most `max_width_px` wide (at least about 500) and its values as high.
 pub fn draw(subject: &Subject, max_width_px: usize) -> Result<Vec<u8>, CodecError> {
-    let room = max_width_px.saturating_sub(2 * MARGIN + BAR_GAP + BAR_WIDTH + LABELS).max(LEAST_WIDTH);
-    let view = View::of(subject, room);
+    let view = View::of(subject, room(max_width_px));
     let box_width = view.width.max(LEAST_WIDTH);
     let width = 2 * MARGIN + box_width + BAR_GAP + BAR_WIDTH + LABELS;
     let bar_height = view.height.max(160);
@@ -64,6 +63,11 @@ pub fn draw(subject: &Subject, max_width_px: usize) -> Result<Vec<u8>, CodecErro
         canvas.text(&Pen::plain(15.0, INK)?, (x + BAR_WIDTH + 10) as f32, foot as f32, Align::Left, "no value");
     }
     canvas.to_png()
+}
+
+/// Pixels there are for the values along their longer side.
+pub fn room(max_width_px: usize) -> usize {
+    max_width_px.saturating_sub(2 * MARGIN + BAR_GAP + BAR_WIDTH + LABELS).max(LEAST_WIDTH)
 }
 
 fn write_titles(canvas: &mut Canvas, subject: &Subject, room: usize) -> Result<(), CodecError> {
@@ -137,10 +141,11 @@ impl View {
         let pixels = |cells: usize| ((cells as f64 / cells_per_pixel).round() as usize).max(1);
         let (width, height) = (pixels(columns), pixels(rows));
         let mut values = vec![f32::NAN; width * height];
+        let across: Vec<_> = (0..width).map(|x| cells(x, cells_per_pixel, columns)).collect();
         values.par_chunks_mut(width).enumerate().for_each(|(y, line)| {
-            for (x, value) in line.iter_mut().enumerate() {
-                let across = cells(x, cells_per_pixel, columns);
-                *value = mean(subject.values, columns, cells(y, cells_per_pixel, rows), &across);
+            let rows = cells(y, cells_per_pixel, rows);
+            for (value, across) in line.iter_mut().zip(&across) {
+                *value = mean(subject.values, columns, &rows, across);
             }
         });
         Self { width, height, cells_per_pixel, values }
@@ -177,18 +182,28 @@ impl View {
     }
 }
 
-/// The cells under a pixel.
-fn cells(pixel: usize, cells_per_pixel: f64, count: usize) -> std::ops::Range<usize> {
-    let first = ((pixel as f64 * cells_per_pixel + 1e-9) as usize).min(count - 1);
-    let last = (((pixel + 1) as f64 * cells_per_pixel - 1e-9).ceil() as usize).clamp(first + 1, count);
-    first..last
+/// The cells under a pixel, each with the share of the pixel's side it fills.
+fn cells(pixel: usize, cells_per_pixel: f64, count: usize) -> Vec<(usize, f64)> {
+    let (start, end) = (pixel as f64 * cells_per_pixel, (pixel + 1) as f64 * cells_per_pixel);
+    let first = (start as usize).min(count - 1);
+    let last = (end.ceil() as usize).clamp(first + 1, count);
+    let share = |cell: usize| end.min((cell + 1) as f64) - start.max(cell as f64);
+    (first..last).map(|cell| (cell, share(cell))).filter(|(cell, share)| *share > 1e-6 || *cell == first).collect()
 }
 
-fn mean(values: &[f32], columns: usize, rows: std::ops::Range<usize>, across: &std::ops::Range<usize>) -> f32 {
-    let under = rows.filter_map(|row| values.get(row * columns + across.start..row * columns + across.end)).flatten();
-    let (sum, count) =
-        under.filter(|v| v.is_finite()).fold((0.0, 0u32), |(sum, count), v| (sum + f64::from(*v), count + 1));
-    if count == 0 { f32::NAN } else { (sum / f64::from(count)) as f32 }
+/// Mean of the finite cells, weighted by the area each has in the pixel.
+fn mean(values: &[f32], columns: usize, rows: &[(usize, f64)], across: &[(usize, f64)]) -> f32 {
+    let (mut sum, mut area) = (0.0, 0.0);
+    for (row, high) in rows {
+        for (column, wide) in across {
+            let value = values.get(row * columns + column).copied().unwrap_or(f32::NAN);
+            if value.is_finite() {
+                sum += high * wide * f64::from(value);
+                area += high * wide;
+            }
+        }
+    }
+    if area > 0.0 { (sum / area) as f32 } else { f32::NAN }
 }
 
 #[cfg(test)]
@@ -224,11 +239,12 @@ mod tests {
 
     #[test]
     fn large_grids_are_averaged_into_the_width() {
-        let values: Vec<f32> = (0..3000 * 500).map(|i| (i % 3000) as f32 / 3000.0).collect();
-        let view = View::of(&subject(&values, 3000), 1000);
-        assert_eq!((view.width, view.height), (1000, 167));
-        assert!((view.values[500] - 1501.0 / 3000.0).abs() < 1e-6);
-        let (width, _, _) = decoded(draw(&subject(&values, 3000), 1000).unwrap());
+        let values: Vec<f32> = (0..2500 * 500).map(|i| (i % 2500) as f32).collect();
+        let view = View::of(&subject(&values, 2500), 1000);
+        assert_eq!((view.width, view.height), (1000, 200));
+        // Pixel 501 lies over half of cell 1252 and all of cells 1253 and 1254.
+        assert!((view.values[501] - (0.5 * 1252.0 + 1253.0 + 1254.0) / 2.5).abs() < 1e-3);
+        let (width, _, _) = decoded(draw(&subject(&values, 2500), 1000).unwrap());
         assert!(width <= 1000);
     }
 

@@ -14,7 +14,7 @@ const BAND_ROWS: usize = 64;
 /// between two triangles against rounding.
 const SEAM: f64 = -1e-9;
 /// Cells a grid may have.
-const MAXIMUM_CELLS: f64 = 5e8;
+pub const MAXIMUM_CELLS: f64 = 5e8;
 
 /// Smallest box around the points in X and Y as (left, right, bottom, top), metres; `None` without points.
 pub fn extent(shape: Shape, moved: Option<&Moved>) -> Option<[f64; 4]> {
