@@ -227,9 +227,25 @@ macro_rules! textual {
         }
     };
 }
-textual!(String, Kind::Text, "text", str::to_owned, |x| x);
 textual!(FileRef, Kind::File, "the path of a file", |x| FileRef(x.to_owned()), |x| &x.0);
 textual!(FilesRef, Kind::Files, "the path of a folder or a pattern", |x| FilesRef(x.to_owned()), |x| &x.0);
+
+/// A number is text too where text is asked for: names such as `7` need no quotes.
+impl ParamType for String {
+    fn kind() -> Kind {
+        Kind::Text
+    }
+    fn decode(value: &Value) -> Result<Self, Vec<Fault>> {
+        match value {
+            Value::String(text) => Ok(text.clone()),
+            Value::Number(number) => Ok(number.to_string()),
+            other => Err(wrong("text", other)),
+        }
+    }
+    fn encode(&self) -> Value {
+        Value::from(self.clone())
+    }
+}
 
 impl<T: ParamType> ParamType for Option<T> {
     fn kind() -> Kind {

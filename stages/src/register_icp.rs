@@ -50,7 +50,7 @@ impl Stage for RegisterIcp {
         method: "Iterative closest points (Besl and McKay 1992; to planes: Chen and Medioni 1992), trimmed (Chetverikov et \
                  al. 2005), on exact nearest points; normals from 5 x 5 neighbours, partners at rims and breaks left out. \
                  Directions the surface does not determine, as on a plane, are not moved along and reported. Stops below \
-                 1e-8 rad and 1e-6 m.",
+                 1e-8 rad and 1e-6 m, or than a twentieth of their standard deviations.",
         frames: "Both surfaces in one frame, metres; `target_from_source` with its origin at the centroid of the points \
                  used. The standard deviations take residuals as independent, so they are optimistic for correlated noise.",
         fails: "The surfaces do not overlap within `max_distance_m`; too few points; the solution runs away.",

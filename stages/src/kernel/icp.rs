@@ -18,8 +18,10 @@ const LEAST_PAIRS: usize = 50;
 const LEAST_OVERLAP: f64 = 0.1;
 /// The iteration stops when the rotation is smaller than this, radians ...
 const STOP_ROTATION_RAD: f64 = 1e-8;
-/// ... and the shift smaller than this, metres.
+/// ... and the shift smaller than this, metres ...
 const STOP_SHIFT_M: f64 = 1e-6;
+/// ... or both smaller than this share of their own standard deviations: what is left is noise of the pairing.
+const STOP_SHARE: f64 = 0.05;
 
 /// What is minimised.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -157,7 +159,9 @@ impl Fit<'_> {
             let (step, outcome) = system.solve(self.settings.weak_eigenvalue, self.radius_m);
             let (turn, shift) = (step.fixed_rows::<3>(0) / self.radius_m, step.fixed_rows::<3>(3).into_owned());
             iterations += 1;
-            let converged = turn.norm() < STOP_ROTATION_RAD && shift.norm() < STOP_SHIFT_M;
+            let sd = Vector6::from(outcome.sd) * STOP_SHARE;
+            let converged = turn.norm() < sd.fixed_rows::<3>(0).norm().max(STOP_ROTATION_RAD)
+                && shift.norm() < sd.fixed_rows::<3>(3).norm().max(STOP_SHIFT_M);
             pose.rotation = Rotation3::new(turn).into_inner() * pose.rotation;
             pose.translation += shift;
             let moved = (pose.translation - start).norm();
