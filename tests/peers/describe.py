@@ -4,10 +4,11 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.optimize import least_squares
 from scipy.signal.windows import hann
+from scipy.stats import kurtosis, median_abs_deviation
 
 
 def marginal(values):
-    """Mean, standard deviation, skewness, NMAD, share of gaps."""
+    """Mean, standard deviation, skewness, excess kurtosis, NMAD, share of gaps."""
     found = values[~np.isnan(values)]
     centred = found - found.mean()
     deviation = found.std(ddof=1)
@@ -15,7 +16,8 @@ def marginal(values):
         "mean_m": found.mean(),
         "std_m": deviation,
         "skewness": (centred**3).sum() / (found.size * deviation**3),
-        "nmad_m": 1.4826 * np.median(np.abs(found - np.median(found))),
+        "excess_kurtosis": (kurtosis(found) + 3) * (1 - 1 / found.size) ** 2 - 3,
+        "nmad_m": median_abs_deviation(found, scale="normal"),
         "valid_cells": found.size,
         "nan_share": 1 - found.size / values.size,
     }
@@ -41,7 +43,7 @@ def variogram(values, longest):
 
 
 def exponential_model(lags, gamma, pairs):
-    """Nugget, sill and range at 95 % of the weighted least-squares fit."""
+    """Nugget, sill and range at 95 % of the weighted least-squares fit; the length parameter stays near the lags."""
     weight = np.sqrt(pairs) / lags
     scale = gamma.max()
 
@@ -51,8 +53,8 @@ def exponential_model(lags, gamma, pairs):
     def residual(p):
         return weight * (model(p) - gamma / scale)
 
-    starts = [[0.3, 0.7, np.log(lags.max() / part)] for part in (2, 5, 10, 30)]
-    bounds = ([0, 0, -np.inf], [np.inf, np.inf, np.inf])
+    starts = [[0.3, 0.7, np.log(lags[-1] / part)] for part in (0.2, 2, 5, 10, 30)]
+    bounds = ([0, 0, np.log(lags[0] / 20)], [np.inf, np.inf, np.log(lags[-1] * 10)])
     tight = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15, "max_nfev": 5000}
     fits = [least_squares(residual, start, bounds=bounds, **tight) for start in starts]
     nugget, partial, log_range = min(fits, key=lambda fit: fit.cost).x
@@ -65,10 +67,13 @@ def roughness(values, scales):
     mask = ~np.isnan(values)
     filled = np.where(mask, values - np.nanmean(values), 0)
 
-    def smooth(field, scale):
-        return gaussian_filter(field, scale, mode="constant", truncate=4)
+    def rest(scale):
+        smooth, weight = (
+            gaussian_filter(field, scale, mode="constant", truncate=4)[mask] for field in (filled, mask.astype(float))
+        )
+        return np.sqrt(((filled[mask] - smooth / weight) ** 2).mean())
 
-    return [np.sqrt(((filled - smooth(filled, s) / smooth(mask.astype(float), s))[mask] ** 2).mean()) for s in scales]
+    return [rest(scale) for scale in scales]
 
 
 def spectrum(values, cell):

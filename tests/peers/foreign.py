@@ -5,8 +5,8 @@ import rasterio
 from rasterio.transform import from_origin
 from scipy.ndimage import gaussian_filter
 
-SHAPE, CELL_M = (100, 150), 0.02
-GRID = from_origin(-1.5, 1.0, CELL_M, CELL_M)
+SHAPE, CELL_M = (104, 150), 0.02
+GRID = from_origin(-1.5, 1.04, CELL_M, CELL_M)
 
 # Names sort in this order; the last two hold other numbers than 32-bit floats.
 ENCODINGS = {

@@ -7,7 +7,7 @@ import trimesh
 from conftest import HERE
 from readers import distort, pose, read_depth, unproject
 
-pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
+pycolmap = pytest.importorskip("pycolmap", reason="pycolmap cannot be imported", exc_type=ImportError)
 
 
 @pytest.fixture(scope="module")

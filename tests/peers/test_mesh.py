@@ -59,7 +59,7 @@ def test_it_is_one_consistently_oriented_sheet(mesh):
 
 
 def test_open3d_finds_the_same(path, mesh):
-    open3d = pytest.importorskip("open3d", reason="open3d is not installed")
+    open3d = pytest.importorskip("open3d", reason="open3d cannot be imported", exc_type=ImportError)
     read = open3d.io.read_triangle_mesh(str(path))
     np.testing.assert_array_equal(np.asarray(read.triangles), mesh.faces)
     np.testing.assert_array_equal(np.asarray(read.vertices), mesh.vertices)
