@@ -42,3 +42,19 @@ def write_rasters(folder):
         with rasterio.open(path, "w", driver="GTiff", height=SHAPE[0], width=SHAPE[1], **options) as file:
             file.write(stored, 1)
     return written
+
+
+def write_noise(folder, count, factor):
+    """Writes `count` plain rasters of noise, each somewhat stronger or weaker, `factor` times as strong in all."""
+    folder.mkdir()
+    random = np.random.default_rng([count, int(factor * 1000)])
+    for number in range(count):
+        smooth = gaussian_filter(random.normal(size=SHAPE), random.uniform(3, 6))
+        strength = factor * random.uniform(0.8, 1.2)
+        values = (
+            strength * (0.004 * smooth / smooth.std() + 0.002 * random.normal(size=SHAPE)) + 0.001 * random.normal()
+        )
+        options = {"dtype": "float32", "nodata": np.nan, "count": 1, "transform": GRID}
+        path = folder / f"{number:02}.tif"
+        with rasterio.open(path, "w", driver="GTiff", height=SHAPE[0], width=SHAPE[1], **options) as file:
+            file.write(values.astype(np.float32), 1)
