@@ -1,4 +1,4 @@
-"""Descriptors of noise by numpy and scipy, from their definitions and without our tricks."""
+"""Descriptors of noise by numpy and scipy, from their definitions, by plain loops and library filters."""
 
 import numpy as np
 from scipy.ndimage import gaussian_filter

@@ -1,4 +1,4 @@
-"""Readers of our formats for numpy, written from their documentation alone: depth maps, surfaces, camera models."""
+"""Readers of our formats for numpy, by their documented conventions: depth maps, surfaces, camera models."""
 
 import json
 

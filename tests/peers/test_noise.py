@@ -1,4 +1,4 @@
-"""Noise descriptors: numpy and scipy, from the definitions alone, find the numbers of our tables."""
+"""Noise descriptors: numpy and scipy find the numbers of our tables from the rasters."""
 
 import csv
 import json
