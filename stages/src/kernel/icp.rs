@@ -7,9 +7,8 @@ use crate::artefact::{Surface, Transform};
 use crate::{StageError, fail};
 
 use super::nearest::{Columns, local};
+use super::normals::Normals;
 
-/// Half width, in points, of the neighbourhood a normal is taken from.
-const NORMAL_REACH: usize = 2;
 /// Automatic search distance, in point spacings of the target.
 const AUTOMATIC_SPACINGS: f64 = 20.0;
 /// Pairs needed to solve for six unknowns with any confidence.
@@ -83,7 +82,7 @@ pub fn register(source: &Surface, target: &Surface, settings: &Settings) -> Resu
     let radius_m = (arms.iter().fold(0.0, |sum, a| sum + a.norm_squared()) / arms.len() as f64).sqrt();
     let origin = Vector3::from(source.origin_m) + centroid;
     let search_m = settings.max_distance_m.unwrap_or(AUTOMATIC_SPACINGS * columns.spacing_m());
-    let fit = Fit { target, columns, arms, radius_m, search_m, settings: *settings };
+    let fit = Fit { target, normals: Normals::new(target), columns, arms, radius_m, search_m, settings: *settings };
     // Relative to the target's origin, so that UTM coordinates lose nothing.
     let start = origin - Vector3::from(target.origin_m);
     fit.solve(start).map(|(pose, outcome)| {
@@ -101,33 +100,6 @@ fn sample(surface: &Surface, wanted: usize) -> Vec<Vector3<f64>> {
     places.filter(|place| !surface.points[*place][0].is_nan()).map(|place| local(surface, place)).collect()
 }
 
-/// Unit normal at a point of an organised surface, from the regression of its neighbours on their rows and columns;
-/// `None` at rims, holes and breaks.
-fn normal_at(surface: &Surface, place: usize) -> Option<Vector3<f64>> {
-    let (row, column, reach) = (place / surface.width, place % surface.width, NORMAL_REACH);
-    if row < reach || column < reach || row + reach >= surface.height || column + reach >= surface.width {
-        return None;
-    }
-    let whole = Surface::FIRST | Surface::SECOND;
-    let mut squares = (row - reach..row + reach).flat_map(|r| {
-        let start = r * (surface.width - 1) + column - reach;
-        surface.squares[start..start + 2 * reach].iter()
-    });
-    if squares.any(|byte| byte & whole != whole) {
-        return None;
-    }
-    let (mut along, mut down) = (Vector3::zeros(), Vector3::zeros());
-    for r in 0..=2 * reach {
-        for c in 0..=2 * reach {
-            let p = local(surface, (row + r - reach) * surface.width + column + c - reach);
-            along += p * (c as f64 - reach as f64);
-            down += p * (r as f64 - reach as f64);
-        }
-    }
-    let normal: Vector3<f64> = down.cross(&along);
-    normal.try_normalize(0.0).filter(|n| n.iter().all(|x| x.is_finite()))
-}
-
 #[derive(Debug, Clone, Copy)]
 struct Pose {
     rotation: Matrix3<f64>,
@@ -143,6 +115,7 @@ struct Pair {
 
 struct Fit<'a> {
     target: &'a Surface,
+    normals: Normals,
     columns: Columns<'a>,
     arms: Vec<Vector3<f64>>,
     radius_m: f64,
@@ -198,7 +171,7 @@ impl Fit<'_> {
         let arm = pose.rotation * arm;
         let point = arm + pose.translation;
         let place = self.columns.nearest(&point, self.search_m)?;
-        let normal = normal_at(self.target, place)?;
+        let normal = self.normals.at(place)?;
         Some(Pair { arm, offset: point - local(self.target, place), normal })
     }
 }
