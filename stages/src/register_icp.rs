@@ -48,7 +48,7 @@ impl Stage for RegisterIcp {
         what: "Finds the rigid motion that lays the source on the target. The motion is applied by whoever samples the \
                source (`rasterise-dem`); no moved copy is made.",
         method: "Iterative closest points (Besl and McKay 1992; to planes: Chen and Medioni 1992), trimmed (Chetverikov et \
-                 al. 2005), on exact nearest points; normals from the best-fit plane of 17 x 17 neighbours, one for 4 x 4 points. \
+                 al. 2005), on exact nearest points; normals by regression over 17 x 17 neighbours, one for 4 x 4 points. \
                  Directions the surface does not determine, as on a plane, are not moved along and reported. Stops below \
                  1e-8 rad and 1e-6 m, or than a twentieth of their standard deviations.",
         frames: "Both surfaces in one frame, metres; `target_from_source` with its origin at the centroid of the points \

@@ -1,6 +1,6 @@
 //! Normals of an organised surface from neighbourhoods wide enough that noise does not turn them.
 
-use nalgebra::{Matrix3, SymmetricEigen, Vector3};
+use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::nearest::local;
@@ -14,7 +14,7 @@ const REACH: usize = 8;
 /// Share of the neighbourhood that must have points.
 const LEAST_FILLED: f64 = 0.5;
 
-/// One normal for every block of 4 x 4 points, from the best-fit plane of 17 x 17 points about it.
+/// One normal for every block of 4 x 4 points, by regression over 17 x 17 points about it.
 pub struct Normals {
     width: usize,
     blocks_wide: usize,
@@ -39,22 +39,52 @@ impl Normals {
 
 fn normal_about(surface: &Surface, (row, column): (usize, usize)) -> Option<Vector3<f64>> {
     let span = |at: usize, size: usize| at.saturating_sub(REACH)..(at + REACH + 1).min(size);
-    let places =
-        span(row, surface.height).flat_map(|r| span(column, surface.width).map(move |c| r * surface.width + c));
-    let points = || places.clone().filter(|p| !surface.points[*p][0].is_nan()).map(|p| local(surface, p));
-    let (count, sum) = points().fold((0usize, Vector3::zeros()), |(n, sum), p| (n + 1, sum + p));
-    let least = (((2 * REACH + 1) * (2 * REACH + 1)) as f64 * LEAST_FILLED).ceil() as usize;
-    if count < least {
-        return None;
+    let mut lines = Regression::default();
+    for r in span(row, surface.height) {
+        for c in span(column, surface.width) {
+            let place = r * surface.width + c;
+            if !surface.points[place][0].is_nan() {
+                lines.add(c as f64 - column as f64, r as f64 - row as f64, local(surface, place));
+            }
+        }
     }
-    let mean = sum / count as f64;
-    let mut scatter = Matrix3::zeros();
-    for d in points().map(|p| p - mean) {
-        let [x, y, z] = [d.x, d.y, d.z];
-        scatter += Matrix3::new(x * x, x * y, x * z, x * y, y * y, y * z, x * z, y * z, z * z);
+    let least = ((2 * REACH + 1) * (2 * REACH + 1)) as f64 * LEAST_FILLED;
+    if lines.count >= least { lines.normal() } else { None }
+}
+
+/// Regression of points on their columns u and rows v. Noise along the view does not bias it, as it would a best-fit
+/// plane by least distances.
+#[derive(Default)]
+struct Regression {
+    count: f64,
+    u: f64,
+    v: f64,
+    uu: f64,
+    uv: f64,
+    vv: f64,
+    p: Vector3<f64>,
+    up: Vector3<f64>,
+    vp: Vector3<f64>,
+}
+
+impl Regression {
+    fn add(&mut self, u: f64, v: f64, p: Vector3<f64>) {
+        self.count += 1.0;
+        (self.u, self.v) = (self.u + u, self.v + v);
+        (self.uu, self.uv, self.vv) = (self.uu + u * u, self.uv + u * v, self.vv + v * v);
+        (self.p, self.up, self.vp) = (self.p + p, self.up + p * u, self.vp + p * v);
     }
-    let eigen = SymmetricEigen::new(scatter);
-    eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned().try_normalize(0.0)
+
+    /// Across both directions of the regression plane.
+    fn normal(&self) -> Option<Vector3<f64>> {
+        let n = self.count;
+        let (uu, uv, vv) =
+            (self.uu - self.u * self.u / n, self.uv - self.u * self.v / n, self.vv - self.v * self.v / n);
+        let (up, vp) = (self.up - self.p * (self.u / n), self.vp - self.p * (self.v / n));
+        // The common factor 1 / (uu vv - uv^2) does not turn the normal.
+        let (along, down) = (up * vv - vp * uv, vp * uu - up * uv);
+        down.cross(&along).try_normalize(0.0).filter(|normal| normal.iter().all(|x| x.is_finite()))
+    }
 }
 
 #[cfg(test)]

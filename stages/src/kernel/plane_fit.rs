@@ -3,11 +3,10 @@
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
 use crate::artefact::Mesh;
+use crate::kernel::marginal::NORMAL_MAD;
 
 /// Triangles further off the plane than this many robust standard deviations do not shape it.
 const TRIM_SIGMAS: f64 = 2.5;
-/// Standard deviation of a normal distribution over its median absolute deviation.
-const SIGMA_PER_MAD: f64 = 1.4826;
 /// Fits after which the trimming has long settled.
 const MAXIMUM_FITS: usize = 30;
 /// Smallest angle between the plane's normal and `up` at which `up` still says where up is on the face, as a sine (20 degrees).
@@ -48,7 +47,7 @@ pub fn fit_plane(mesh: &Mesh) -> Option<Plane> {
     let normal_area = facets.iter().fold(Vector3::zeros(), |sum, f| sum + f.normal_area);
     let mut plane = fit(&facets, |_| true)?;
     for _ in 0..MAXIMUM_FITS {
-        let limit = TRIM_SIGMAS * SIGMA_PER_MAD * median_distance(&facets, &plane);
+        let limit = TRIM_SIGMAS * NORMAL_MAD * median_distance(&facets, &plane);
         let next = fit(&facets, |f| distance(f, &plane) <= limit)?;
         let turned = next.normal.cross(&plane.normal).norm();
         plane = next;

@@ -52,7 +52,10 @@ impl Spectrum {
         let edge = |bin: usize| if bin == SLOPE_BINS { to } else { SLOPE_FROM * precise::exp(width * bin as f64) };
         let mut points = Vec::new();
         for bin in 0..SLOPE_BINS {
-            let inside = |k: f64| k >= edge(bin) && (k < edge(bin + 1) || (bin + 1 == SLOPE_BINS && k <= to));
+            // A whole k that meets an edge belongs above it, however the edge was rounded.
+            let reaches = |k: f64, edge: f64| k >= edge * (1.0 - 1e-12);
+            let last = bin + 1 == SLOPE_BINS;
+            let inside = |k: f64| reaches(k, edge(bin)) && if last { k <= to } else { !reaches(k, edge(bin + 1)) };
             let members: Vec<usize> = (0..self.power.len()).filter(|i| inside((i + 1) as f64)).collect();
             let n = members.len() as f64;
             let power: f64 = members.iter().map(|i| self.power[*i]).sum::<f64>() / n;
