@@ -19,11 +19,23 @@ choice! {
     }
 }
 
+choice! {
+    /// Which point of the target is the partner of a point of the source.
+    pub enum IcpPairing {
+        /// The nearest in X and Y: noise along Z does not choose it. For surfaces in the wall frame.
+        Plan = "plan",
+        /// The nearest in space: for surfaces with overhangs; slow to converge where noise exceeds the point spacing.
+        Space = "space",
+    }
+}
+
 params! {
     /// Parameters of `register-icp`.
     pub struct RegisterIcpParams {
         /// What is minimised.
         method: IcpMethod = IcpMethod::PointToPlane,
+        /// Which points are pairs; left out, by plan for `point_to_plane`, in space for `point_to_point`.
+        pairing: Option<IcpPairing> = None,
         /// Share of the pairs kept, the closest first.
         trim: f64 = 0.9; Range::Between(0.05, 1.0),
         /// Points further apart are no pair, metres; left out, 20 point spacings of the target.
@@ -48,9 +60,9 @@ impl Stage for RegisterIcp {
         what: "Finds the rigid motion that lays the source on the target. The motion is applied by whoever samples the \
                source (`rasterise-dem`); no moved copy is made.",
         method: "Iterative closest points (Besl and McKay 1992; to planes: Chen and Medioni 1992), trimmed (Chetverikov et \
-                 al. 2005), on exact nearest points; normals by regression over 17 x 17 neighbours, one for 4 x 4 points. \
+                 al. 2005), on the nearest points, in plan or in space; normals by regression over 17 x 17 neighbours, one for 4 x 4 points. \
                  Directions the surface does not determine, as on a plane, are not moved along and reported. Stops below \
-                 1e-8 rad and 1e-6 m, or than a twentieth of their standard deviations.",
+                 1e-8 rad and 1e-6 m, or than a quarter of their standard deviations.",
         frames: "Both surfaces in one frame, metres; `target_from_source` with its origin at the centroid of the points \
                  used. The standard deviations take residuals as independent, so they are optimistic for correlated noise.",
         fails: "The surfaces do not overlap within `max_distance_m`; too few points; the solution runs away.",
@@ -88,8 +100,14 @@ fn settings(params: &RegisterIcpParams) -> Option<Settings> {
         IcpMethod::PointToPoint => icp::Method::PointToPoint,
         IcpMethod::None => return None,
     };
+    let by_plan = params.pairing.unwrap_or(match method {
+        icp::Method::PointToPlane => IcpPairing::Plan,
+        icp::Method::PointToPoint => IcpPairing::Space,
+    });
+    let pairing = if by_plan == IcpPairing::Plan { icp::Pairing::InPlan } else { icp::Pairing::InSpace };
     Some(Settings {
         method,
+        pairing,
         trim: params.trim,
         max_distance_m: params.max_distance_m,
         points: params.points as usize,

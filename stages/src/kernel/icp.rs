@@ -20,7 +20,7 @@ const STOP_ROTATION_RAD: f64 = 1e-8;
 /// ... and the shift smaller than this, metres ...
 const STOP_SHIFT_M: f64 = 1e-6;
 /// ... or both smaller than this share of their own standard deviations: what is left is noise of the pairing.
-const STOP_SHARE: f64 = 0.05;
+const STOP_SHARE: f64 = 0.25;
 
 /// What is minimised.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -31,11 +31,23 @@ pub enum Method {
     PointToPoint,
 }
 
+/// Which point of the target is the partner of a point.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Pairing {
+    /// The nearest in X and Y, as a comparison of rasters has it. Noise along Z does not choose the partner.
+    InPlan,
+    /// The nearest in space. Of many noisy points the one that fits is chosen, so residuals look small and every step
+    /// falls short.
+    InSpace,
+}
+
 /// How to register.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
     /// What is minimised.
     pub method: Method,
+    /// Which points are pairs.
+    pub pairing: Pairing,
     /// Share of the pairs kept, the closest first (Chetverikov et al. 2005).
     pub trim: f64,
     /// Pairs further apart are no pairs, metres; automatic where left out.
@@ -72,7 +84,8 @@ pub struct Registration {
 /// # Errors
 /// Too few points or pairs, no overlap within the search distance, or a solution that runs away.
 pub fn register(source: &Surface, target: &Surface, settings: &Settings) -> Result<Registration, StageError> {
-    let columns = Columns::new(target).ok_or_else(|| StageError::new("the target has no points"))?;
+    let columns = Columns::new(target, settings.pairing == Pairing::InPlan)
+        .ok_or_else(|| StageError::new("the target has no points"))?;
     let points = sample(source, settings.points);
     if points.len() < LEAST_PAIRS {
         fail!("the source has {} points to use, {LEAST_PAIRS} are needed", points.len());
@@ -172,7 +185,8 @@ impl Fit<'_> {
         let point = arm + pose.translation;
         let place = self.columns.nearest(&point, self.search_m)?;
         let normal = self.normals.at(place)?;
-        Some(Pair { arm, offset: point - local(self.target, place), normal })
+        let offset = point - local(self.target, place);
+        (offset.norm_squared() <= self.search_m * self.search_m).then_some(Pair { arm, offset, normal })
     }
 }
 

@@ -11,6 +11,8 @@ const POINTS_PER_COLUMN: f64 = 2.0;
 /// The points of a surface, sorted into columns.
 pub struct Columns<'a> {
     surface: &'a Surface,
+    /// Weight of differences in Z: 1 in space, 0 in plan.
+    z_weight: f64,
     left: f64,
     bottom: f64,
     side: f64,
@@ -23,8 +25,8 @@ pub struct Columns<'a> {
 }
 
 impl<'a> Columns<'a> {
-    /// Sorts the points; `None` where the surface has none.
-    pub fn new(surface: &'a Surface) -> Option<Self> {
+    /// Sorts the points; `None` where the surface has none. With `in_plan`, distances are those of X and Y alone.
+    pub fn new(surface: &'a Surface, in_plan: bool) -> Option<Self> {
         let empty = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2], 0u32);
         let grow = |(low, high, n): ([f32; 2], [f32; 2], u32), p: &[f32; 3]| {
             let low = [low[0].min(p[0]), low[1].min(p[1])];
@@ -38,8 +40,17 @@ impl<'a> Columns<'a> {
         let side = column_side(size, f64::from(count));
         let [wide, high] = size.map(|s| (s / side) as usize + 1);
         let (left, bottom) = (f64::from(low[0]), f64::from(low[1]));
-        let mut columns =
-            Self { surface, left, bottom, side, wide, high, starts: vec![0; wide * high + 1], places: Vec::new() };
+        let mut columns = Self {
+            surface,
+            z_weight: if in_plan { 0.0 } else { 1.0 },
+            left,
+            bottom,
+            side,
+            wide,
+            high,
+            starts: vec![0; wide * high + 1],
+            places: Vec::new(),
+        };
         columns.sort(count as usize);
         Some(columns)
     }
@@ -117,7 +128,8 @@ impl<'a> Columns<'a> {
     #[inline]
     fn search(&self, column: usize, point: &Vector3<f64>, best: &mut (f64, Option<usize>)) {
         for place in &self.places[self.starts[column] as usize..self.starts[column + 1] as usize] {
-            let square = (local(self.surface, *place as usize) - point).norm_squared();
+            let d = local(self.surface, *place as usize) - point;
+            let square = d.x * d.x + d.y * d.y + self.z_weight * d.z * d.z;
             if square < best.0 {
                 *best = (square, Some(*place as usize));
             }
@@ -159,7 +171,7 @@ mod tests {
             points,
             squares: vec![0; 29 * 29],
         };
-        let columns = Columns::new(&surface).unwrap();
+        let columns = Columns::new(&surface, false).unwrap();
         for i in 0..300 {
             let query = Vector3::new(noise.normal(i, 7), noise.normal(i, 8), noise.normal(i, 9)) * 2.0;
             let distance = |place: usize| (local(&surface, place) - query).norm();
