@@ -15,6 +15,8 @@ const AUTOMATIC_SPACINGS: f64 = 20.0;
 const LEAST_PAIRS: usize = 50;
 /// Share of the points that must find a partner.
 const LEAST_OVERLAP: f64 = 0.1;
+/// Iterations after which steps are halved.
+const FULL_STEPS: usize = 12;
 /// The iteration stops when the rotation is smaller than this, radians ...
 const STOP_ROTATION_RAD: f64 = 1e-8;
 /// ... and the shift smaller than this, metres ...
@@ -145,6 +147,9 @@ impl Fit<'_> {
             let (step, outcome) = system.solve(self.settings.weak_eigenvalue, self.radius_m);
             let (turn, shift) = (step.fixed_rows::<3>(0) / self.radius_m, step.fixed_rows::<3>(3).into_owned());
             iterations += 1;
+            // Pairs that change to and fro would otherwise swing for ever.
+            let share = if iterations > FULL_STEPS { 0.5 } else { 1.0 };
+            let (turn, shift): (Vector3<f64>, Vector3<f64>) = (turn * share, shift * share);
             let sd = Vector6::from(outcome.sd) * STOP_SHARE;
             let converged = turn.norm() < sd.fixed_rows::<3>(0).norm().max(STOP_ROTATION_RAD)
                 && shift.norm() < sd.fixed_rows::<3>(3).norm().max(STOP_SHIFT_M);
