@@ -94,7 +94,7 @@ seed: 1
 steps:
   face:   {stage: synthesise-face}
   survey: {stage: plan-survey, in: {mesh: face.mesh}}
-  noisy:  {stage: perturb-cameras, in: {cameras: survey.cameras}}
+  noisy:  {stage: perturb-cameras, in: {cameras: survey.cameras}, with: {model: independent, independent: {position_m: [0.001, 0.001, 0.001]}}}
   pairs:  {stage: select-pairs, in: {cameras: survey.cameras, mesh: face.mesh}}
   left:   {stage: project-depth, in: {mesh: face.mesh, cameras: survey.cameras}, with: {image: left, downscale: 4}}
   right:  {stage: project-depth, in: {mesh: face.mesh, cameras: survey.cameras}, with: {image: right, downscale: 4}}

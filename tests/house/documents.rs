@@ -6,6 +6,8 @@ use rockface::pipeline::{Overrides, Pipeline};
 use rockface::plan::{Plan, plan, resolve};
 use rockface_cache::Store;
 
+use crate::lab::Bench;
+
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
@@ -55,6 +57,18 @@ fn the_examples_of_the_pages_plan() {
         assert!(example.contains(stage.name()), "the example of `{}` does not use it", stage.name());
         check(example, stage.name(), root().to_owned(), !names_files(example));
     }
+}
+
+#[test]
+fn the_examples_that_need_no_file_run() {
+    let bench = Bench::rocks();
+    let mut ran = 0;
+    for stage in rockface_stages::all().iter().filter(|stage| !names_files(stage.page().example)) {
+        let result = bench.run(stage.page().example, &[]);
+        assert!(!result.summary.failed, "the example of `{}` fails: {:?}", stage.name(), result.events);
+        ran += 1;
+    }
+    assert!(ran >= 10, "only {ran} examples need no file");
 }
 
 #[test]

@@ -5,5 +5,6 @@ mod chain;
 mod cli;
 mod documents;
 mod engine;
+mod golden;
 mod lab;
 mod tidy;
