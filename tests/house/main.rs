@@ -6,4 +6,5 @@ mod cli;
 mod documents;
 mod engine;
 mod lab;
+mod rework;
 mod tidy;
