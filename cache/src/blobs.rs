@@ -4,6 +4,7 @@ use std::fs::{self, File};
 use std::io::Write;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use crate::Digest;
@@ -18,12 +19,23 @@ use crate::open::{BLOBS, QUARANTINE, TEMPORARY_BLOB, TMP, set_mode};
 #[derive(Debug)]
 pub(crate) struct Blobs {
     root: PathBuf,
+    /// Damage found by [`Blobs::check`] that nobody has asked for yet.
+    found: Mutex<Vec<Damage>>,
+}
+
+/// A damaged blob and where its bytes are now.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Damage {
+    /// The digest it was stored under.
+    pub digest: Digest,
+    /// Where it was set aside.
+    pub moved_to: PathBuf,
 }
 
 impl Blobs {
     /// The large blobs of the store at `root`.
     pub(crate) fn new(root: &Path) -> Self {
-        Self { root: root.to_owned() }
+        Self { root: root.to_owned(), found: Mutex::default() }
     }
 
     /// The folder under which all large blobs are.
@@ -41,9 +53,21 @@ impl Blobs {
         let path = self.path(digest);
         let meta = fs::metadata(&path).map_err(|fault| unreadable(digest, &path, fault))?;
         if meta.mtime_nsec() != i64::from(seal_ns(digest)) {
-            self.verify(digest, &path)?;
+            self.verify(digest, &path).inspect_err(|fault| self.note(fault))?;
         }
         Ok(meta.len())
+    }
+
+    fn note(&self, fault: &StoreError) {
+        if let StoreError::Damaged { digest, moved_to } = fault {
+            let damage = Damage { digest: *digest, moved_to: moved_to.clone() };
+            self.found.lock().unwrap_or_else(PoisonError::into_inner).push(damage);
+        }
+    }
+
+    /// The damage found by looking, each told of once.
+    pub(crate) fn take_damaged(&self) -> Vec<Damage> {
+        std::mem::take(&mut self.found.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
     /// Reads a blob whose seal is broken; seals it again or sets it aside.

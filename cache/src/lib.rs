@@ -42,6 +42,7 @@ mod segment;
 mod store;
 mod syncer;
 
+pub use blobs::Damage;
 pub use digest::{Digest, DigestError};
 pub use error::StoreError;
 pub use files::FileDigest;

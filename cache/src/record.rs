@@ -40,7 +40,8 @@ pub struct OutputRecord {
 pub struct Cost {
     /// Elapsed time, seconds.
     pub wall_s: f64,
-    /// Processor time over all threads, seconds.
+    /// Processor time of the whole process over the life of the step, seconds: all threads, and with them whatever else
+    /// ran at the same time. It is the step's own only where steps run one by one.
     pub cpu_s: f64,
     /// Greatest memory in use, bytes.
     pub peak_bytes: u64,
@@ -60,6 +61,11 @@ pub struct Outcome {
 }
 
 impl Outcome {
+    /// Whether the bytes of every output were stored.
+    pub fn is_kept(&self) -> bool {
+        self.outputs.values().all(|output| output.kept)
+    }
+
     /// The blobs promised: every kept output with its size, and the log, whose size is not recorded.
     pub fn blobs(&self) -> impl Iterator<Item = (Digest, Option<u64>)> {
         promised(&self.outputs, self.log)

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use serde_json::Value;
 
-use crate::blobs::Blobs;
+use crate::blobs::{Blobs, Damage};
 use crate::error::{At, StoreError};
 use crate::frame::Kind;
 use crate::index::Place;
@@ -148,6 +148,16 @@ impl Store {
     pub fn hit_outcome(&self, key: &Digest) -> Option<Outcome> {
         let outcome = self.journal.with_index(|index| Outcome::decode(index.payload(Kind::Record, key)?));
         outcome.filter(|outcome| self.has_all(outcome.blobs()))
+    }
+
+    /// Whether there is a record under this key, be its blobs there or not.
+    pub fn has_record(&self, key: &Digest) -> bool {
+        self.journal.with_index(|index| index.payload(Kind::Record, key).is_some())
+    }
+
+    /// The blobs that were found damaged and set aside while merely looking whether they are there, each told of once.
+    pub fn take_damaged(&self) -> Vec<Damage> {
+        self.blobs.take_damaged()
     }
 
     fn has_all(&self, mut blobs: impl Iterator<Item = (Digest, Option<u64>)>) -> bool {

@@ -2,7 +2,11 @@
 
 mod folder;
 mod host;
+mod memory;
+mod progress;
 mod schedule;
+mod settle;
+mod state;
 mod work;
 
 use std::sync::Arc;
@@ -55,6 +59,9 @@ pub enum RunError {
     /// No threads could be had.
     #[error("cannot start worker threads: {0}")]
     Threads(String),
+    /// An output that turned out to be needed on disk could not be encoded.
+    #[error("an output cannot be written: {0}")]
+    Encode(String),
     /// The run folder could not be written.
     #[error("cannot write the run folder `{path}`: {source}")]
     Folder {
@@ -70,7 +77,7 @@ impl RunError {
     pub fn exit_code(&self) -> i32 {
         match self {
             Self::Interrupted => 130,
-            Self::Store(_) | Self::Threads(_) | Self::Folder { .. } => 3,
+            Self::Store(_) | Self::Threads(_) | Self::Encode(_) | Self::Folder { .. } => 3,
         }
     }
 }
@@ -109,6 +116,11 @@ impl Summary {
     pub fn cached(&self) -> usize {
         self.instances.iter().filter(|instance| !instance.executed && instance.outcome.is_some()).count()
     }
+}
+
+/// What is recorded under a key, if every blob it promises is there, and all outputs are where they are to be kept.
+pub fn hit(store: &Store, key: &Digest, keep: bool) -> Option<Outcome> {
+    store.hit_outcome(key).filter(|outcome| !keep || outcome.is_kept())
 }
 
 /// Runs a plan to its end, or to its stop.

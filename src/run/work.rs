@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
+use rayon::ThreadPool;
 use rockface_cache::{Cost, Digest, Outcome, OutputRecord, Recipe, Record, Store, StoreError};
 use rockface_stages::artefact::{Artefact, Kind};
 use rockface_stages::{AnyStage, Context, Entry, Inputs, Point, StageError};
@@ -85,35 +86,44 @@ impl From<StoreError> for Failure {
     }
 }
 
+/// Turns a panic into the failure of the step, with what it said.
+pub fn guarded<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failure> {
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
+        let said = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
+        let error = StageError::new(format!("the stage broke down: {}", said.unwrap_or("no message")));
+        let hint = "this is a fault of rockface; please report it with the pipeline and the run folder";
+        Err(Failure::Stage(error.hint(hint)))
+    })
+}
+
 /// Runs one instance; `waiting` is called when another process holds its key.
-pub fn work(task: &Task, store: &Store, stop: &AtomicBool, waiting: impl FnOnce()) -> Result<Done, Failure> {
-    let mut waited = false;
-    let lock = store.lock(&task.key, || {
-        waited = true;
-        waiting();
-    })?;
-    if waited && !task.remake {
-        store.refresh()?;
-        if let Some(outcome) = store.hit_outcome(&task.key) {
-            return Ok(Done {
-                outcome,
-                values: BTreeMap::new(),
-                loaded: Vec::new(),
-                warnings: Vec::new(),
-                elsewhere: true,
-            });
-        }
+///
+/// Locks are taken and the store is used on the calling thread. Only computing goes into the pool: a thread of the pool
+/// that waits for its fellows takes up other work meanwhile, and must not come upon a lock held further down its stack.
+pub fn work(
+    task: &Task,
+    store: &Store,
+    pool: &ThreadPool,
+    stop: &AtomicBool,
+    waiting: impl FnOnce(),
+) -> Result<Done, Failure> {
+    let _lock = store.lock(&task.key, waiting)?;
+    // Whoever held the key before may have done the work since it was last looked for.
+    store.refresh()?;
+    if let Some(outcome) = done_elsewhere(task, store) {
+        let (values, loaded, warnings) = (BTreeMap::new(), Vec::new(), Vec::new());
+        return Ok(Done { outcome, values, loaded, warnings, elsewhere: true });
     }
     let start = Instant::now();
     let cpu = process_cpu_s();
-    let (inputs, loaded) = load(task, store)?;
+    let (inputs, loaded) = load(task, store, pool)?;
     let host =
         StepHost::new(task.recipe.seed.as_ref().map(rockface_cache::SeedMaterial::key), &task.params.files, stop);
-    let outputs = run_stage(task, &inputs, &host).map_err(Failure::Stage)?;
+    let outputs = pool.install(|| run_stage(task, &inputs, &host))?;
     unchanged_files(task, store)?;
     let values: BTreeMap<_, _> = outputs.into_iter().map(|(port, value)| (port, Arc::new(value))).collect();
     let entries = host.into_entries();
-    let mut outcome = keep(task, store, &values, &entries)?;
+    let mut outcome = keep(task, store, pool, &values, &entries)?;
     let memory =
         values.values().chain(loaded.iter().map(|(_, value)| value)).map(|value| value.memory_bytes() as u64).sum();
     let finished = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
@@ -126,15 +136,21 @@ pub fn work(task: &Task, store: &Store, stop: &AtomicBool, waiting: impl FnOnce(
     let record =
         Record { recipe: task.recipe.clone(), outputs: outcome.outputs.clone(), log: outcome.log, cost: outcome.cost };
     store.commit(&record)?;
-    drop(lock);
     let warnings =
         entries.into_iter().filter_map(|entry| if let Entry::Warning { text } = entry { Some(text) } else { None });
     Ok(Done { outcome, values, loaded, warnings: warnings.collect(), elsewhere: false })
 }
 
+/// The outcome another process has recorded meanwhile, if it has the values this task is for.
+fn done_elsewhere(task: &Task, store: &Store) -> Option<Outcome> {
+    let outcome = super::hit(store, &task.key, task.keep)?;
+    let values_there = outcome.outputs.values().all(|output| store.contains(&output.digest));
+    (!task.remake || values_there).then_some(outcome)
+}
+
 type Loaded = Vec<((usize, &'static str), Arc<Artefact>)>;
 
-fn load(task: &Task, store: &Store) -> Result<(Inputs, Loaded), Failure> {
+fn load(task: &Task, store: &Store, pool: &ThreadPool) -> Result<(Inputs, Loaded), Failure> {
     let mut inputs = Inputs::default();
     let mut loaded: Loaded = Vec::new();
     for feed in &task.feeds {
@@ -150,8 +166,8 @@ fn load(task: &Task, store: &Store) -> Result<(Inputs, Loaded), Failure> {
                     Err(error) if !store.contains(digest) => return Err(lost(error.to_string())),
                     Err(error) => return Err(error.into()),
                 };
-                let value = Artefact::decode(*kind, &bytes).map_err(|error| lost(error.to_string()))?;
-                let value = Arc::new(value);
+                let decoded = pool.install(|| Artefact::decode(*kind, &bytes));
+                let value = Arc::new(decoded.map_err(|error| unreadable(feed, digest, &error.to_string()))?);
                 loaded.push((feed.from, value.clone()));
                 value
             }
@@ -161,22 +177,25 @@ fn load(task: &Task, store: &Store) -> Result<(Inputs, Loaded), Failure> {
     Ok((inputs, loaded))
 }
 
-fn run_stage(task: &Task, inputs: &Inputs, host: &StepHost) -> Result<BTreeMap<&'static str, Artefact>, StageError> {
+/// A blob that is what was stored and yet cannot be read: making it again would not help.
+fn unreadable(feed: &Feed, digest: &Digest, why: &str) -> Failure {
+    let message = format!("input `{}` (blob {}) cannot be read back: {why}", feed.port, digest.short());
+    let hint = "the stage that made it wrote what no reader takes; please report it with the pipeline";
+    Failure::Stage(StageError::new(message).hint(hint))
+}
+
+fn run_stage(task: &Task, inputs: &Inputs, host: &StepHost) -> Result<BTreeMap<&'static str, Artefact>, Failure> {
     let context = Context::new(host);
-    let run = || task.stage.run(&task.params.canonical, inputs, &context);
-    let outputs = catch_unwind(AssertUnwindSafe(run)).unwrap_or_else(|panic| {
-        let said = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
-        let said = said.unwrap_or("no message");
-        Err(StageError::new(format!("the stage broke down: {said}"))
-            .hint("this is a fault of rockface; please report it with the pipeline and the run folder"))
-    })?;
+    let run = || task.stage.run(&task.params.canonical, inputs, &context).map_err(Failure::Stage);
+    let outputs = guarded(run)?;
     let outputs = outputs.into_inner();
     for (port, kind) in &task.outputs {
         match outputs.get(port) {
             Some(value) if value.kind() == *kind => {}
             found => {
                 let found = found.map_or_else(|| "nothing".to_owned(), |value| format!("a {}", value.kind()));
-                return Err(StageError::new(format!("the stage owes a {kind} at `{port}` and made {found}")));
+                let message = format!("the stage owes a {kind} at `{port}` and made {found}");
+                return Err(Failure::Stage(StageError::new(message)));
             }
         }
     }
@@ -198,13 +217,14 @@ fn unchanged_files(task: &Task, store: &Store) -> Result<(), Failure> {
 fn keep(
     task: &Task,
     store: &Store,
+    pool: &ThreadPool,
     values: &BTreeMap<&'static str, Arc<Artefact>>,
     entries: &[Entry],
 ) -> Result<Outcome, Failure> {
     let mut outputs = BTreeMap::new();
     for (port, value) in values {
-        let encoded = value
-            .encode()
+        let encoded = pool
+            .install(|| value.encode())
             .map_err(|error| Failure::Stage(StageError::new(format!("output `{port}` cannot be written: {error}"))))?;
         let digest = if task.keep { store.put(&encoded)? } else { Digest::of(&encoded) };
         let record = OutputRecord {

@@ -1,8 +1,9 @@
 //! A small laboratory: stages that know no rock, and a bench to run pipelines on.
 
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
+use rayon::prelude::*;
 use rockface::diagnostic::Diagnostics;
 use rockface::pipeline::{Overrides, Pipeline};
 use rockface::plan::{Plan, plan};
@@ -133,9 +134,69 @@ impl Stage for Read {
     }
 }
 
+params! {
+    /// Parameters of `toil`.
+    pub struct ToilParams {
+        /// Tells one piece of toil from another.
+        value: f64 = 0.0,
+    }
+}
+
+/// Takes its time on all threads.
+pub struct Toil;
+impl Stage for Toil {
+    type Params = ToilParams;
+    const NAME: &'static str = "toil";
+    const VERSION: u32 = 1;
+    const PAGE: Page = PAGE;
+    const INPUTS: &'static [Port] = &[];
+    const OUTPUTS: &'static [Port] = &[Port::one("out", TABLE, "The number.")];
+    fn run(params: &ToilParams, _: &Inputs, _: &Context) -> Result<Outputs, StageError> {
+        (0..8).into_par_iter().for_each(|_| std::thread::sleep(std::time::Duration::from_millis(10)));
+        Ok(Outputs::of("out", cell(params.value)))
+    }
+}
+
+/// How often `moody` has run in this process.
+static MOODS: AtomicU64 = AtomicU64::new(0);
+
+params! {
+    /// Parameters of `moody`.
+    pub struct MoodyParams {
+        /// Tells one from another.
+        value: f64 = 0.0,
+        /// Gives up while this file is there; looked at behind the engine's back, as no true stage may.
+        unless: String = "".to_owned(),
+    }
+}
+
+/// Breaks every promise of a stage: makes another number each time, and gives up when it likes.
+pub struct Moody;
+impl Stage for Moody {
+    type Params = MoodyParams;
+    const NAME: &'static str = "moody";
+    const VERSION: u32 = 1;
+    const PAGE: Page = PAGE;
+    const INPUTS: &'static [Port] = &[];
+    const OUTPUTS: &'static [Port] = &[Port::one("out", TABLE, "The number.")];
+    fn run(params: &MoodyParams, _: &Inputs, _: &Context) -> Result<Outputs, StageError> {
+        if std::path::Path::new(&params.unless).is_file() {
+            return Err(StageError::new("not in the mood"));
+        }
+        let mood = MOODS.fetch_add(1, Ordering::Relaxed);
+        Ok(Outputs::of("out", cell(params.value + mood as f64)))
+    }
+}
+
 /// The stages of the laboratory.
-pub const STAGES: &[&dyn AnyStage] =
-    &[&Row::<Emit>::new(), &Row::<Add>::new(), &Row::<Draw>::new(), &Row::<Read>::new()];
+pub const STAGES: &[&dyn AnyStage] = &[
+    &Row::<Emit>::new(),
+    &Row::<Add>::new(),
+    &Row::<Draw>::new(),
+    &Row::<Read>::new(),
+    &Row::<Toil>::new(),
+    &Row::<Moody>::new(),
+];
 
 /// What a run did.
 pub struct Ran {
@@ -161,6 +222,21 @@ impl Ran {
             _ => None,
         };
         self.sorted(needed)
+    }
+
+    /// Every warning, with the instance it is about, sorted.
+    pub fn warnings(&self) -> Vec<String> {
+        let warned = |event: &Event| match event {
+            Event::Warning { step, text } => Some(format!("{step}: {text}")),
+            _ => None,
+        };
+        self.sorted(warned)
+    }
+
+    /// Whether the outcome of an instance is known.
+    pub fn is_known(&self, label: &str) -> bool {
+        let instance = (0..self.plan.instances.len()).find(|i| self.plan.label(*i) == label).expect(label);
+        self.summary.instances[instance].outcome.is_some()
     }
 
     fn sorted(&self, pick: impl Fn(&Event) -> Option<String>) -> Vec<String> {

@@ -7,4 +7,5 @@ mod documents;
 mod engine;
 mod golden;
 mod lab;
+mod rework;
 mod tidy;

@@ -1,0 +1,309 @@
+//! The turns of the scheduler: what is known already, what has to run, and what follows from a result.
+
+use std::sync::Arc;
+
+use rockface_cache::{Digest, Outcome, Recipe, Record};
+use rockface_stages::artefact::Artefact;
+
+use super::schedule::{Line, Scheduler, Turn};
+use super::state::{Status, same_outputs};
+use super::{RunError, hit};
+
+impl Scheduler<'_> {
+    /// Does all that is to be done without a worker.
+    pub fn take_turns(&mut self) -> Result<(), RunError> {
+        while let Some(turn) = self.turns.pop_front() {
+            match turn {
+                Turn::Settle(instance) => self.settle(instance),
+                Turn::Prepare(instance) => self.prepare(instance),
+                Turn::Finish(instance, outcome) => self.finish(instance, outcome)?,
+            }
+        }
+        Ok(())
+    }
+
+    fn is_due(&self, instance: usize) -> bool {
+        self.states[instance].status() == Status::Due
+    }
+
+    /// The recipe of an instance whose producers are done.
+    fn recipe(&self, instance: usize) -> Recipe {
+        let states = &self.states;
+        self.plan.recipe(instance, |producer, port| {
+            states[producer].outcome.as_ref().map_or_else(|| Digest::of(b""), |outcome| outcome.outputs[port].digest)
+        })
+    }
+
+    fn set_recipe(&mut self, instance: usize) -> Digest {
+        let recipe = self.recipe(instance);
+        let key = recipe.key();
+        let state = &mut self.states[instance];
+        (state.key, state.recipe, state.again) = (Some(key), Some(recipe), false);
+        key
+    }
+
+    fn settle(&mut self, instance: usize) {
+        if !matches!(self.states[instance].status(), Status::Waiting | Status::Due) {
+            return;
+        }
+        let key = self.set_recipe(instance);
+        self.states.set(instance, Status::Due);
+        let known = hit(self.store, &key, self.plan.step(instance).keep);
+        self.tell_damaged(instance);
+        match known {
+            Some(outcome) => {
+                self.states.set(instance, Status::Done);
+                self.tell_cached(instance);
+                self.turns.push_back(Turn::Finish(instance, outcome));
+            }
+            None => {
+                self.states[instance].recorded = self.store.has_record(&key);
+                self.enter(instance, key);
+            }
+        }
+    }
+
+    /// Computes a recipe, or waits for the one that does.
+    fn enter(&mut self, instance: usize, key: Digest) {
+        if let Some(line) = self.computing.get_mut(&key) {
+            line.twins.push(instance);
+        } else {
+            self.computing.insert(key, Line { leader: instance, twins: Vec::new() });
+            self.turns.push_back(Turn::Prepare(instance));
+        }
+    }
+
+    /// Ends the line of an instance, if it leads one, and gives back who waited in it.
+    fn end_line(&mut self, instance: usize) -> Vec<usize> {
+        let Some(key) = self.states[instance].key else { return Vec::new() };
+        if self.computing.get(&key).is_none_or(|line| line.leader != instance) {
+            return Vec::new();
+        }
+        self.computing.remove(&key).map(|line| line.twins).unwrap_or_default()
+    }
+
+    /// Whether an instance or one that waits for it keeps its outputs.
+    pub fn must_keep(&self, instance: usize) -> bool {
+        let line = self.states[instance].key.and_then(|key| self.computing.get(&key));
+        let twins = line.into_iter().flat_map(|line| &line.twins).copied();
+        twins.chain([instance]).any(|twin| self.plan.step(twin).keep)
+    }
+
+    /// Puts an instance in line for a worker, after the producers whose values are neither in memory nor in the store.
+    fn prepare(&mut self, instance: usize) {
+        if !self.is_due(instance) {
+            return;
+        }
+        if self.states[instance].again {
+            return self.look_again(instance);
+        }
+        let absent = self.absent(instance);
+        if absent.iter().any(|producer| self.states[*producer].status() == Status::Failed) {
+            return self.fail(instance);
+        }
+        self.states[instance].missing = absent.len();
+        if absent.is_empty() {
+            let depth = self.plan.instances[instance].step;
+            self.ready.push((depth, std::cmp::Reverse(instance)));
+        }
+        for producer in absent {
+            self.states[producer].wanted_by.push(instance);
+            self.remake(producer);
+        }
+    }
+
+    /// Producers whose values are neither in memory nor in the store.
+    fn absent(&mut self, instance: usize) -> Vec<usize> {
+        let plan = self.plan;
+        let mut absent: Vec<usize> = Vec::new();
+        for given in plan.instances[instance].inputs.iter().flat_map(|(_, given)| given) {
+            let producer = &self.states[given.instance];
+            let digest = producer.outcome.as_ref().map(|outcome| outcome.outputs[given.port].digest);
+            let there = producer.values.contains_key(given.port) || digest.is_some_and(|d| self.store.contains(&d));
+            if !there {
+                self.tell_damaged(given.instance);
+                if !absent.contains(&given.instance) {
+                    absent.push(given.instance);
+                }
+            }
+        }
+        absent
+    }
+
+    /// Runs a recorded instance again for its values.
+    fn remake(&mut self, instance: usize) {
+        if self.states[instance].remaking {
+            return;
+        }
+        self.states[instance].remaking = true;
+        self.states.set(instance, Status::Due);
+        for producer in self.producers(instance) {
+            self.states[producer].users += 1;
+        }
+        self.enter_again(instance);
+    }
+
+    fn enter_again(&mut self, instance: usize) {
+        let key = self.states[instance].key.unwrap_or_else(|| self.recipe(instance).key());
+        self.enter(instance, key);
+    }
+
+    /// A producer came out otherwise: the recipe of this instance, and of who waits for it, is not what it was.
+    fn look_again(&mut self, instance: usize) {
+        let twins = self.end_line(instance);
+        for due in std::iter::once(instance).chain(twins) {
+            if !self.is_due(due) {
+                continue;
+            }
+            if self.states[due].remaking {
+                let key = self.set_recipe(due);
+                self.enter(due, key);
+            } else {
+                self.turns.push_back(Turn::Settle(due));
+            }
+        }
+    }
+
+    fn producers(&self, instance: usize) -> Vec<usize> {
+        let given = self.plan.instances[instance].inputs.iter().flat_map(|(_, given)| given);
+        let mut producers: Vec<usize> = given.map(|given| given.instance).collect();
+        producers.sort_unstable();
+        producers.dedup();
+        producers
+    }
+
+    /// The values of an instance are there again: those who waited for them go on.
+    pub fn remade(&mut self, instance: usize, outcome: Outcome, changed: bool) -> Result<(), RunError> {
+        self.states.set(instance, Status::Done);
+        let state = &mut self.states[instance];
+        (state.remaking, state.outcome) = (false, Some(outcome));
+        if changed {
+            // What is done keeps the former output; what is still to run has it in its recipe and looks again.
+            for dependent in &self.plan.instances[instance].dependents {
+                self.states[*dependent].again |= self.is_due(*dependent);
+            }
+        }
+        self.deliver_to_twins(instance)?;
+        for consumer in std::mem::take(&mut self.states[instance].wanted_by) {
+            let state = &mut self.states[consumer];
+            state.missing = state.missing.saturating_sub(1);
+            if state.missing == 0 {
+                self.turns.push_back(Turn::Prepare(consumer));
+            }
+        }
+        self.let_go(instance);
+        Ok(())
+    }
+
+    /// The record of an instance is known: tell its consumers, and free what only it needed.
+    fn finish(&mut self, instance: usize, outcome: Outcome) -> Result<(), RunError> {
+        self.states[instance].outcome = Some(outcome);
+        self.deliver_to_twins(instance)?;
+        self.let_go(instance);
+        for dependent in self.plan.instances[instance].dependents.clone() {
+            let state = &mut self.states[dependent];
+            state.unmet -= 1;
+            if state.unmet == 0 && state.status() == Status::Waiting {
+                self.turns.push_back(Turn::Settle(dependent));
+            }
+        }
+        Ok(())
+    }
+
+    /// Frees the values an instance needed, and its own if nobody needs them.
+    fn let_go(&mut self, instance: usize) {
+        for producer in self.producers(instance) {
+            self.release(producer);
+        }
+        if self.states[instance].users == 0 {
+            self.forget(instance);
+        }
+    }
+
+    fn deliver_to_twins(&mut self, instance: usize) -> Result<(), RunError> {
+        for twin in self.end_line(instance) {
+            self.deliver(instance, twin)?;
+        }
+        Ok(())
+    }
+
+    /// Equal recipes have equal outputs: a twin takes them, from memory where they are.
+    fn deliver(&mut self, leader: usize, twin: usize) -> Result<(), RunError> {
+        if !self.is_due(twin) {
+            return Ok(());
+        }
+        if self.states[twin].again {
+            self.look_again(twin);
+            return Ok(());
+        }
+        let Some(outcome) = self.kept_as(twin, leader)? else {
+            if self.states[twin].remaking {
+                self.enter_again(twin);
+            } else {
+                self.turns.push_back(Turn::Settle(twin));
+            }
+            return Ok(());
+        };
+        if self.states[twin].users > 0 {
+            let values = self.states[leader].values.clone();
+            values.into_iter().for_each(|(port, value)| self.hold(twin, port, value));
+        }
+        self.states.set(twin, Status::Done);
+        self.tell_cached(twin);
+        if self.states[twin].remaking {
+            let changed = self.states[twin].outcome.as_ref().is_some_and(|former| !same_outputs(former, &outcome));
+            return self.remade(twin, outcome, changed);
+        }
+        self.turns.push_back(Turn::Finish(twin, outcome));
+        Ok(())
+    }
+
+    /// What came out of `leader`, with its values where its twin needs them; `None` when they are nowhere.
+    fn kept_as(&mut self, twin: usize, leader: usize) -> Result<Option<Outcome>, RunError> {
+        let leading = &self.states[leader];
+        let Some(outcome) = leading.outcome.clone() else { return Ok(None) };
+        let values = leading.values.clone();
+        let in_memory = outcome.outputs.keys().all(|port| values.contains_key(port.as_str()));
+        if self.plan.step(twin).keep && !outcome.is_kept() {
+            return if in_memory { self.store_values(leader, outcome, &values).map(Some) } else { Ok(None) };
+        }
+        let there = !self.states[twin].remaking || in_memory || self.is_stored(&self.states[leader]);
+        Ok(there.then_some(outcome))
+    }
+
+    /// Writes values that were not kept, and a record that says so.
+    fn store_values(&self, leader: usize, mut outcome: Outcome, values: &Values) -> Result<Outcome, RunError> {
+        for (port, output) in &mut outcome.outputs {
+            let encoded = values[port.as_str()].encode();
+            let encoded =
+                encoded.map_err(|error| RunError::Encode(format!("{}.{port}: {error}", self.plan.label(leader))))?;
+            output.digest = self.store.put(&encoded)?;
+            output.kept = true;
+        }
+        let recipe = self.states[leader].recipe.clone().unwrap_or_else(|| self.recipe(leader));
+        let (outputs, log, cost) = (outcome.outputs.clone(), outcome.log, outcome.cost);
+        self.store.commit(&Record { recipe, outputs, log, cost })?;
+        Ok(outcome)
+    }
+
+    /// An instance failed: so does what waits for it, and nothing that is done or running.
+    pub fn fail(&mut self, instance: usize) {
+        self.failure = true;
+        let mut failed = vec![instance];
+        while let Some(instance) = failed.pop() {
+            let status = self.states[instance].status();
+            if matches!(status, Status::Failed | Status::Done) {
+                continue;
+            }
+            failed.extend(self.end_line(instance));
+            self.states.set(instance, Status::Failed);
+            self.producers(instance).into_iter().for_each(|producer| self.release(producer));
+            let waiting = self.plan.instances[instance].dependents.iter().copied();
+            let waiting = waiting.chain(std::mem::take(&mut self.states[instance].wanted_by));
+            let open = |i: &usize| matches!(self.states[*i].status(), Status::Waiting | Status::Due);
+            failed.extend(waiting.filter(open).collect::<Vec<_>>());
+        }
+    }
+}
+
+type Values = std::collections::BTreeMap<&'static str, Arc<Artefact>>;
