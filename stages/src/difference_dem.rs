@@ -26,7 +26,7 @@ impl Stage for DifferenceDem {
         fails: "Different grids, frames or numbers of bands (hand the first raster to the port `grid` of the second \
                 `rasterise-dem`); no cell in common.",
         example: "rockface: 1\nname: difference\nsteps:\n  face: {stage: synthesise-face}\n  \
-                  dem: {stage: rasterise-dem, in: {surface: face.mesh}}\n  \
+                  dem: {stage: rasterise-dem, in: {surface: face.mesh}, with: {method: tin}}\n  \
                   same: {stage: difference-dem, in: {reference: dem.raster, comparison: dem.raster}}\n",
     };
     const INPUTS: &'static [Port] = &[
