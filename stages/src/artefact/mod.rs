@@ -198,10 +198,12 @@ macro_rules! json_noun {
 }
 use json_noun;
 
-fn to_json<T: serde::Serialize>(value: &T) -> Result<Vec<u8>, CodecError> {
+/// Writes JSON that is sure to be read back: a number that is not finite would become `null`.
+fn to_json<T: serde::Serialize + serde::de::DeserializeOwned>(value: &T) -> Result<Vec<u8>, CodecError> {
     let mut bytes = serde_json::to_vec_pretty(value).map_err(|e| CodecError(e.to_string()))?;
     bytes.push(b'\n');
-    Ok(bytes)
+    let read_back = from_json::<T>(&bytes).map_err(|e| CodecError(format!("a value in it is not finite: {}", e.0)));
+    read_back.map(|_| bytes)
 }
 
 fn from_json<T: serde::de::DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError> {

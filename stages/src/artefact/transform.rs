@@ -86,6 +86,13 @@ mod tests {
     }
 
     #[test]
+    fn what_is_not_finite_is_not_written() {
+        let mut transform = Transform::identity("world", "wall");
+        transform.translation[1] = f64::NAN;
+        assert!(transform.encode().unwrap_err().0.contains("not finite"));
+    }
+
+    #[test]
     fn the_identity_keeps_every_bit() {
         let p = Point3::new(0.1 + 0.2, -0.0, 5_512_345.123_456_789);
         let q = Transform::identity("world", "wall").apply(&p);
