@@ -36,6 +36,8 @@ pub(crate) enum Kind {
     File,
     /// Everything before the offset in `stamp` is known to be on disk.
     Mark,
+    /// The blob of this name was found damaged: frames that hold it and were written before do not count.
+    Gone,
     /// Something a later version of this format knows.
     Unknown,
 }
@@ -56,7 +58,7 @@ pub(crate) struct Header {
 }
 
 impl Kind {
-    const NUMBERED: [Kind; 5] = [Kind::Blob, Kind::Record, Kind::Note, Kind::File, Kind::Mark];
+    const NUMBERED: [Kind; 6] = [Kind::Blob, Kind::Record, Kind::Note, Kind::File, Kind::Mark, Kind::Gone];
 
     fn number(self) -> u8 {
         Self::NUMBERED.iter().position(|kind| *kind == self).map_or(0, |place| place as u8 + 1)
@@ -134,7 +136,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn decoding_gives_the_header_back(number in 1u8..=5, name: [u8; 32], stamp: u64, payload: Vec<u8>) {
+        fn decoding_gives_the_header_back(number in 1u8..=6, name: [u8; 32], stamp: u64, payload: Vec<u8>) {
             let header = Header::of(Kind::from_number(number), Digest::from_bytes(name), stamp, &payload);
             let frame = header.encode(&payload);
             prop_assert_eq!(Header::decode(&frame), Some(header));

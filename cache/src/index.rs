@@ -65,6 +65,8 @@ struct Entry {
 pub(crate) struct Index {
     segments: Vec<Seen>,
     blobs: ByDigest<Place>,
+    /// Blobs that were found damaged, and when.
+    gone: ByDigest<u64>,
     records: ByDigest<Entry>,
     notes: ByDigest<Entry>,
     files: ByDigest<Entry>,
@@ -101,6 +103,7 @@ impl Index {
             Kind::Note => &mut self.notes,
             Kind::File => &mut self.files,
             Kind::Blob => return self.enter_blob(segment, header, at),
+            Kind::Gone => return self.enter_gone(header),
             Kind::Mark | Kind::Unknown => return,
         };
         self.clock = self.clock.max(header.stamp);
@@ -114,10 +117,22 @@ impl Index {
 
     fn enter_blob(&mut self, segment: u32, header: &Header, at: u64) {
         self.clock = self.clock.max(header.stamp);
+        if self.gone.get(&header.name).is_some_and(|gone| *gone >= header.stamp) {
+            return;
+        }
         let place = Place { segment, at, length: header.length, stamp: header.stamp };
         let latest = self.blobs.entry(header.name).or_insert(place);
         if latest.stamp < place.stamp {
             *latest = place;
+        }
+    }
+
+    fn enter_gone(&mut self, header: &Header) {
+        self.clock = self.clock.max(header.stamp);
+        let gone = self.gone.entry(header.name).or_default();
+        *gone = header.stamp.max(*gone);
+        if self.blobs.get(&header.name).is_some_and(|place| place.stamp <= *gone) {
+            self.blobs.remove(&header.name);
         }
     }
 
@@ -133,20 +148,13 @@ impl Index {
         self.blobs.get(digest).copied()
     }
 
-    /// Forgets a place whose bytes turned out to be damaged.
-    pub(crate) fn forget_blob(&mut self, digest: &Digest, place: Place) {
-        if self.blobs.get(digest) == Some(&place) {
-            self.blobs.remove(digest);
-        }
-    }
-
     /// The latest payload of this kind under `key`, if it is whole.
     pub(crate) fn payload(&self, kind: Kind, key: &Digest) -> Option<&[u8]> {
         let entry = match kind {
             Kind::Record => self.records.get(key),
             Kind::Note => self.notes.get(key),
             Kind::File => self.files.get(key),
-            Kind::Blob | Kind::Mark | Kind::Unknown => None,
+            Kind::Blob | Kind::Mark | Kind::Gone | Kind::Unknown => None,
         }?;
         (payload_check(&entry.payload) == entry.check).then_some(&*entry.payload)
     }
@@ -185,6 +193,23 @@ mod tests {
             index.enter(b, second, 10);
             assert_eq!(index.payload(Kind::Record, &Digest::of(b"k")), Some(b"new".as_slice()));
             assert_eq!(index.blob(&Digest::of(b"b")).unwrap().stamp, 9);
+        }
+    }
+
+    #[test]
+    fn a_blob_that_is_gone_counts_again_once_it_is_stored_anew() {
+        let frames =
+            [frame(Kind::Blob, b"b", 3, b""), frame(Kind::Gone, b"b", 5, b""), frame(Kind::Blob, b"b", 7, b"")];
+        for order in [[0, 1, 2], [1, 0, 2], [2, 1, 0], [0, 2, 1]] {
+            let mut index = Index::default();
+            let segment = index.segment("a");
+            let header = |i: usize| frames[i].header;
+            for (read, i) in order.into_iter().enumerate() {
+                index.enter_one(segment, &header(i), 0, Box::default());
+                let newest = order[..=read].contains(&2);
+                let only_old = order[..=read] == [0];
+                assert_eq!(index.blob(&Digest::of(b"b")).is_some(), newest || only_old, "{order:?}");
+            }
         }
     }
 

@@ -213,11 +213,6 @@ impl Journal {
         bytes.truncate(filled);
         Ok(bytes)
     }
-
-    /// Forgets a small blob whose bytes turned out to be damaged, so that it is stored anew.
-    pub(crate) fn forget(&self, digest: &Digest, place: Place) {
-        self.edit_index(|index| index.forget_blob(digest, place));
-    }
 }
 
 /// What a sync needs to know of the writer once its lock is released.

@@ -119,7 +119,8 @@ impl Store {
         }
     }
 
-    /// The bytes of a blob, verified. A damaged one is set aside, is not there any more, and can be put anew.
+    /// The bytes of a blob, verified. A damaged one is set aside, is not there any more for any process from now on, and
+    /// can be put anew.
     pub fn get(&self, digest: &Digest) -> Result<Vec<u8>, StoreError> {
         let Some(place) = self.place(digest) else {
             return self.blobs.get(digest);
@@ -130,7 +131,8 @@ impl Store {
         }
         let moved_to = self.blobs.quarantine_path(digest);
         std::fs::write(&moved_to, &bytes).at("set aside a damaged blob as", &moved_to)?;
-        self.journal.forget(digest, place);
+        // Written down, so that the next process does not count on the blob again.
+        self.append(Kind::Gone, *digest, b"")?;
         Err(StoreError::Damaged { digest: *digest, moved_to })
     }
 

@@ -63,18 +63,30 @@ impl PipelineArgs {
         Pipeline::load(&self.pipeline, &self.overrides()).map_err(CliError::Pipeline)
     }
 
-    fn store_folder(&self) -> PathBuf {
-        self.store.clone().unwrap_or_else(|| beside(&self.pipeline).join("store"))
-    }
-
     fn open_store(&self) -> Result<Store, CliError> {
-        Ok(Store::open(&self.store_folder())?)
+        match &self.store {
+            Some(store) => Ok(Store::open(store)?),
+            None => Ok(Store::open(&own_folder(&self.pipeline)?.join("store"))?),
+        }
     }
 }
 
-/// The `.rockface` folder of a pipeline.
-fn beside(pipeline: &Path) -> PathBuf {
-    pipeline.parent().unwrap_or(Path::new("")).join(".rockface")
+/// Marks a folder that backup programs may pass by; see <https://bford.info/cachedir/>, the first line is prescribed.
+const CACHE_TAG: &str = "Signature: 8a477f597d28d172789f06886806bc55\n\
+    # Everything in this folder can be computed again from the pipeline beside it.\n";
+
+/// The `.rockface` folder of a pipeline, made if there is none: out of version control and out of backups.
+fn own_folder(pipeline: &Path) -> Result<PathBuf, CliError> {
+    let folder = pipeline.parent().unwrap_or(Path::new("")).join(".rockface");
+    let failed = |source| CliError::Run(RunError::Folder { path: folder.clone(), source });
+    std::fs::create_dir_all(&folder).map_err(failed)?;
+    for (name, text) in [(".gitignore", "*\n"), ("CACHEDIR.TAG", CACHE_TAG)] {
+        let path = folder.join(name);
+        if !path.exists() {
+            std::fs::write(&path, text).map_err(failed)?;
+        }
+    }
+    Ok(folder)
 }
 
 /// Why a command did not do what it was asked.

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::Args;
 
-use super::{CliError, PipelineArgs, beside, say};
+use super::{CliError, PipelineArgs, own_folder, say};
 use crate::run::{self, Finished, Options, RunFolder, Summary};
 use crate::watch::{JsonLines, Observer, Plain, Silent, Terminal, duration};
 
@@ -20,7 +20,7 @@ pub struct RunArgs {
     #[command(flatten)]
     pipeline: PipelineArgs,
     /// Steps at once, and threads inside them; by default one a core.
-    #[arg(long, short, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, short, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: Option<u16>,
     /// Go on with what does not depend on a failed step.
     #[arg(long)]
@@ -54,8 +54,7 @@ impl RunArgs {
         stop_on_signal(&stop);
         let begun = std::time::Instant::now();
         let mut observer = self.observer();
-        let summary = run::execute(&plan, &store, &options, &stop, observer.as_mut())?;
-        let runs = self.runs.clone().unwrap_or_else(|| beside(&self.pipeline.pipeline).join("runs"));
+        let runs = self.runs_folder()?;
         let about = RunFolder {
             runs: &runs,
             pipeline_path: &self.pipeline.pipeline,
@@ -63,9 +62,16 @@ impl RunArgs {
             overrides: &self.pipeline.overrides(),
             jobs: options.jobs,
         };
-        let finished = run::finish(&plan, &summary, &store, &about)?;
+        let (summary, finished) = run::execute_and_tell(&plan, &store, &options, &stop, observer.as_mut(), &about)?;
         self.report(&summary, &finished, begun.elapsed().as_secs_f64());
         if summary.failed { Err(CliError::Failed) } else { Ok(()) }
+    }
+
+    fn runs_folder(&self) -> Result<PathBuf, CliError> {
+        match &self.runs {
+            Some(runs) => Ok(runs.clone()),
+            None => Ok(own_folder(&self.pipeline.pipeline)?.join("runs")),
+        }
     }
 
     fn observer(&self) -> Box<dyn Observer> {
@@ -88,17 +94,17 @@ impl RunArgs {
             });
             return say(&event.to_string());
         }
-        say_some(&finished.headlines, |headline| headline.clone());
         let (folder, files) = (readable(&finished.folder), &finished.files);
         if !files.is_empty() && !self.quiet {
-            say("");
             say_some(files, |file| format!("  {}", folder.join(file).display()));
             say("");
         }
+        say_some(&finished.headlines, |headline| headline.clone());
         let verdict = if summary.failed { "failed" } else { "done" };
+        let kept = if summary.failed { "what was finished is kept and not run again; " } else { "" };
         let (ran, cached) = (summary.executed(), summary.cached());
         say(&format!(
-            "{verdict}: ran {ran}, cached {cached}, {}; results in {}",
+            "{verdict}: ran {ran}, cached {cached}, {}; {kept}results in {}",
             duration_or_ms(wall_s),
             folder.display()
         ));

@@ -30,6 +30,14 @@ pub struct RunFolder<'a> {
     pub jobs: usize,
 }
 
+impl RunFolder<'_> {
+    /// Makes the folder of runs and makes sure that it can be written to, before any work is done.
+    pub fn prepare(&self) -> Result<(), RunError> {
+        std::fs::create_dir_all(self.runs).map_err(failed(self.runs))?;
+        tempfile::tempfile_in(self.runs).map(drop).map_err(failed(self.runs))
+    }
+}
+
 /// A run that was told of.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Finished {
@@ -43,10 +51,11 @@ pub struct Finished {
 
 /// Tells of a run. One in which nothing was executed is told by its former folder, if that is still there.
 pub fn finish(plan: &Plan, summary: &Summary, store: &Store, about: &RunFolder) -> Result<Finished, RunError> {
-    let key = plan_key(plan, summary, about.runs);
+    let runs = std::path::absolute(about.runs).map_err(failed(about.runs))?;
+    let key = plan_key(plan, summary, &runs, about);
     if summary.executed() == 0 && !summary.failed {
         let former = store.recalled_run(&key).and_then(|note| serde_json::from_value::<Finished>(note).ok());
-        if let Some(former) = former.filter(|former| former.folder.join("run.json").is_file()) {
+        if let Some(former) = former.filter(|former| is_told_in(former, &runs)) {
             point_latest(about.runs, &former.folder)?;
             return Ok(former);
         }
@@ -59,9 +68,16 @@ pub fn finish(plan: &Plan, summary: &Summary, store: &Store, about: &RunFolder) 
     Ok(finished)
 }
 
-/// The same for two runs of the same targets with the same recipes, told of in the same place.
-fn plan_key(plan: &Plan, summary: &Summary, runs: &Path) -> Digest {
-    let mut text = format!("{}\n{}\n", plan.graph.name, runs.display());
+fn is_told_in(former: &Finished, runs: &Path) -> bool {
+    former.folder.parent() == Some(runs) && former.folder.join("run.json").is_file()
+}
+
+/// The same for two runs of the same text, overrides and targets with the same recipes, told of in the same place.
+fn plan_key(plan: &Plan, summary: &Summary, runs: &Path, about: &RunFolder) -> Digest {
+    let targets: Vec<&str> = plan.graph.targets.iter().map(|step| plan.graph.steps[*step].name.as_str()).collect();
+    let set = (&about.overrides.set, about.overrides.seed, plan.graph.seed);
+    let mut text = json!([plan.graph.name, runs, targets, set, about.pipeline_text]).to_string();
+    text.push('\n');
     for (instance, result) in summary.instances.iter().enumerate() {
         let key = result.key.map_or_else(|| "unknown".to_owned(), |key| key.to_string());
         text.push_str(&format!("{} {key}\n", plan.label(instance)));
@@ -79,29 +95,34 @@ struct Writer<'a> {
 impl Writer<'_> {
     fn write(&self, key: &Digest) -> Result<Finished, RunError> {
         let folder = self.make_folder(key)?;
+        // A folder that tells half of a run would only mislead.
+        self.fill(&folder).inspect_err(|_| drop(std::fs::remove_dir_all(&folder)))
+    }
+
+    fn fill(&self, folder: &Path) -> Result<Finished, RunError> {
         let mut files = Vec::new();
         for (instance, result) in self.summary.instances.iter().enumerate() {
             if let Some(outcome) = &result.outcome {
-                let made = self.outputs(&folder, instance, outcome)?;
+                let made = self.outputs(folder, instance, outcome)?;
                 if self.plan.targets.contains(&instance) {
                     files.extend(made);
                 }
             }
         }
-        let logs: Vec<Vec<Entry>> =
-            self.summary.instances.iter().map(|result| self.entries(result.outcome.as_ref())).collect();
+        let results = self.summary.instances.iter();
+        let logs = results.map(|result| self.entries(result.outcome.as_ref())).collect::<Result<Vec<_>, _>>()?;
         let headlines = self.headlines(&logs);
         write_file(&folder.join("run.mcap"), &self.log(&logs)?)?;
         let manifest = self.manifest(&headlines);
         let text = serde_json::to_string_pretty(&manifest).unwrap_or_default();
         write_file(&folder.join("run.json"), format!("{text}\n").as_bytes())?;
-        point_latest(self.about.runs, &folder)?;
-        Ok(Finished { folder, headlines, files })
+        point_latest(self.about.runs, folder)?;
+        Ok(Finished { folder: folder.to_owned(), headlines, files })
     }
 
     fn make_folder(&self, key: &Digest) -> Result<PathBuf, RunError> {
         let time = humantime::format_rfc3339_seconds(SystemTime::now()).to_string().replace(':', "");
-        let name = format!("{time}-{}-{}", self.plan.graph.name, &key.short()[..8]);
+        let name = format!("{time}-{}-{}", readable_name(&self.plan.graph.name), &key.short()[..8]);
         for attempt in 0..1000 {
             let suffix = if attempt == 0 { String::new() } else { format!("-{attempt}") };
             let folder = self.about.runs.join(format!("{name}{suffix}"));
@@ -118,14 +139,14 @@ impl Writer<'_> {
     /// Links the kept outputs of an instance and writes their further files; returns the paths relative to the folder.
     fn outputs(&self, folder: &Path, instance: usize, outcome: &Outcome) -> Result<Vec<PathBuf>, RunError> {
         let step = self.plan.step(instance);
-        let mut place = Path::new("outputs").join(&step.name);
+        let mut place = Path::new("outputs").join(readable_name(&step.name));
         if !step.axes.is_empty() {
-            place.push(self.plan.point_text(instance));
+            place.push(readable_name(&self.plan.point_text(instance)));
         }
         let mut made = Vec::new();
         for (port, output) in &outcome.outputs {
             let Ok(kind) = output.kind.parse::<Kind>() else { continue };
-            if !output.kept || !self.store.contains(&output.digest) {
+            if !step.keep || !output.kept {
                 continue;
             }
             std::fs::create_dir_all(folder.join(&place)).map_err(failed(&folder.join(&place)))?;
@@ -144,9 +165,10 @@ impl Writer<'_> {
         Ok(made)
     }
 
-    fn entries(&self, outcome: Option<&Outcome>) -> Vec<Entry> {
-        let log = outcome.and_then(|outcome| outcome.log).and_then(|digest| self.store.get(&digest).ok());
-        log.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default()
+    fn entries(&self, outcome: Option<&Outcome>) -> Result<Vec<Entry>, RunError> {
+        let Some(digest) = outcome.and_then(|outcome| outcome.log) else { return Ok(Vec::new()) };
+        let bytes = self.store.get(&digest)?;
+        serde_json::from_slice(&bytes).map_err(|error| failed(Path::new("run.mcap"))(error.into()))
     }
 
     /// The results in a line each: what the target steps have to say.
@@ -214,6 +236,19 @@ impl Writer<'_> {
     }
 }
 
+/// The longest name of a folder; file systems take 255 bytes, and some of the tools that read them fewer.
+const NAME_BYTES: usize = 200;
+
+/// A name that every file system takes: a long one is cut, and told from others by a digest of the whole.
+fn readable_name(name: &str) -> String {
+    if name.len() <= NAME_BYTES {
+        return name.to_owned();
+    }
+    let digest = Digest::of(name.as_bytes()).to_string();
+    let cut = (0..=NAME_BYTES - 17).rev().find(|end| name.is_char_boundary(*end)).unwrap_or(0);
+    format!("{}-{}", &name[..cut], &digest[..16])
+}
+
 /// Writes a whole file or none.
 fn write_file(path: &Path, bytes: &[u8]) -> Result<(), RunError> {
     let folder = path.parent().unwrap_or(Path::new("."));
@@ -235,6 +270,7 @@ fn failed(path: &Path) -> impl FnOnce(std::io::Error) -> RunError + use<> {
 
 /// Lets `latest` point at a run folder.
 fn point_latest(runs: &Path, folder: &Path) -> Result<(), RunError> {
+    std::fs::create_dir_all(runs).map_err(failed(runs))?;
     let latest = runs.join("latest");
     let target = folder.file_name().map(PathBuf::from).unwrap_or_default();
     if std::fs::read_link(&latest).is_ok_and(|now| now == target) {
@@ -244,4 +280,17 @@ fn point_latest(runs: &Path, folder: &Path) -> Result<(), RunError> {
     let _ = std::fs::remove_file(&staged);
     std::os::unix::fs::symlink(&target, &staged).map_err(failed(&staged))?;
     std::fs::rename(&staged, &latest).map_err(failed(&latest))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn long_names_are_cut_and_stay_apart() {
+        let long = |last: char| format!("{}{last}", "ö".repeat(300));
+        assert_eq!(readable_name("epoch=pre"), "epoch=pre");
+        let (one, other) = (readable_name(&long('a')), readable_name(&long('b')));
+        assert!(one.len() <= NAME_BYTES && one.starts_with("öö") && one != other, "{one}");
+    }
 }

@@ -7,6 +7,7 @@ mod progress;
 mod schedule;
 mod settle;
 mod state;
+mod tell;
 mod work;
 
 use std::sync::Arc;
@@ -15,6 +16,7 @@ use std::sync::atomic::AtomicBool;
 use rockface_cache::{Digest, Outcome, Recipe, Store, StoreError};
 
 pub use folder::{Finished, RunFolder, finish};
+pub use tell::execute_and_tell;
 
 use crate::plan::Plan;
 use crate::watch::Observer;

@@ -174,3 +174,105 @@ fn the_store_can_be_elsewhere_and_shared() {
     assert!(out.contains("ran 0, cached 2"), "{out}");
     assert!(Path::new(&house.path("told/latest/outputs/dem/raster.tif")).is_file());
 }
+
+#[test]
+fn a_former_folder_answers_only_for_the_same_question() {
+    let house = House::new(SMALL);
+    let (_, out, _) = house.rockface(&["run", "p.yaml"]);
+    assert!(!out.contains("outputs/face"), "{out}");
+    let folder = || std::fs::read_link(house.path(".rockface/runs/latest")).unwrap();
+    let first = folder();
+    let (_, out, _) = house.rockface(&["run", "p.yaml", "--target", "dem", "--target", "face"]);
+    assert!(out.contains("ran 0") && out.contains("outputs/face/mesh.ply"), "{out}");
+    let both = folder();
+    assert_ne!(both, first);
+    std::fs::write(house.path("p.yaml"), SMALL.replace("A small", "A little")).unwrap();
+    house.rockface(&["run", "p.yaml"]);
+    assert!(folder() != first && folder() != both);
+    let text = std::fs::read_to_string(house.path(".rockface/runs/latest/run.json")).unwrap();
+    assert!(text.contains("A little face"));
+    // The same word for another folder is another folder.
+    std::fs::create_dir(house.path("sub")).unwrap();
+    std::fs::write(house.path("sub/p.yaml"), SMALL).unwrap();
+    let store = house.path("store");
+    for place in [house.path(""), house.path("sub")] {
+        let mut command = house.command(&["run", "p.yaml", "--runs", "told", "--store", store.to_str().unwrap()]);
+        assert!(command.current_dir(&place).status().unwrap().success());
+        assert!(place.join("told/latest/run.json").is_file());
+    }
+}
+
+/// Flips bytes of every file below a folder that holds `needle`, and says how many it found.
+fn damage(folder: &Path, needle: &[u8]) -> usize {
+    let mut found = 0;
+    for entry in std::fs::read_dir(folder).unwrap().flatten() {
+        let path = entry.path();
+        if path.is_dir() {
+            found += damage(&path, needle);
+            continue;
+        }
+        let mut bytes = std::fs::read(&path).unwrap();
+        let places: Vec<usize> =
+            (0..bytes.len().saturating_sub(needle.len())).filter(|i| bytes[*i..].starts_with(needle)).collect();
+        places.iter().for_each(|i| bytes[*i] ^= 1);
+        if !places.is_empty() {
+            let mut mode = std::fs::metadata(&path).unwrap().permissions();
+            std::os::unix::fs::PermissionsExt::set_mode(&mut mode, 0o644);
+            std::fs::set_permissions(&path, mode).unwrap();
+            std::fs::write(&path, bytes).unwrap();
+            found += places.len();
+        }
+    }
+    found
+}
+
+#[test]
+fn damaged_results_are_remade_with_a_warning_that_names_them() {
+    // A small blob inside a segment, then a large one with a file of its own.
+    for (step, needle, width) in [("face", b"element vertex".as_slice(), "2"), ("face", b"element vertex", "40")] {
+        let house = House::new(&SMALL.replace("width_m: 2,", &format!("width_m: {width},")));
+        let run = ["run", "p.yaml", "--target", "face"];
+        house.rockface(&run);
+        std::fs::remove_dir_all(house.path(".rockface/runs")).unwrap();
+        assert_eq!(damage(&house.path(".rockface/store"), needle), 1);
+        let (code, out, err) = house.rockface(&run);
+        assert_eq!(code, Some(0), "{err}");
+        assert!(err.contains(&format!("warning  {step}: ")) && err.contains("quarantine"), "{err}");
+        assert!(last_line(&out).contains("ran 1, cached 0"), "{out}");
+        std::fs::remove_dir_all(house.path(".rockface/runs")).unwrap();
+        let (code, out, err) = house.rockface(&run);
+        assert_eq!((code, err.as_str()), (Some(0), ""));
+        assert!(last_line(&out).contains("ran 0, cached 1"), "{out}");
+    }
+}
+
+#[test]
+fn the_verdict_stands_at_the_end_and_folders_are_marked() {
+    let house = House::new(SMALL);
+    let (code, out, err) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    let lines: Vec<&str> = out.lines().collect();
+    assert!(lines.len() > 2 && lines[lines.len() - 2].starts_with("dem: "), "{out}");
+    assert_eq!(std::fs::read_to_string(house.path(".rockface/.gitignore")).unwrap(), "*\n");
+    let tag = std::fs::read_to_string(house.path(".rockface/CACHEDIR.TAG")).unwrap();
+    assert!(tag.starts_with("Signature: 8a477f597d28d172789f06886806bc55"));
+    let (code, _, err) = house.rockface(&["run", "p.yaml", "--jobs", "65535"]);
+    assert_eq!(code, Some(2));
+    assert!(err.contains("1024"), "{err}");
+}
+
+#[test]
+fn long_names_and_unwritable_folders_cost_no_work() {
+    let axis = "a".repeat(150);
+    let item = "i".repeat(150);
+    let yaml = SMALL
+        .replace("seed: 1\n", &format!("seed: 1\naxes: {{{axis}: {{items: [{item}]}}}}\n"))
+        .replace("face: {", &format!("face: {{over: [{axis}], "));
+    let house = House::new(&yaml);
+    let (code, _, err) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    std::fs::write(house.path("file"), "in the way").unwrap();
+    let (code, _, err) = house.rockface(&["run", "p.yaml", "--seed", "5", "--runs", "file/runs", "-v"]);
+    assert_eq!(code, Some(3), "{err}");
+    assert!(!err.contains("started"), "{err}");
+}

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use rockface::run::Options;
+use rockface_cache::Record;
 
 use crate::lab::Bench;
 
@@ -142,4 +143,41 @@ fn a_failed_remake_leaves_alone_what_is_done() {
     assert!(second.summary.failed);
     let known = ["u", "w", "v", "y"].map(|label| second.is_known(label));
     assert_eq!(known, [true, true, false, false]);
+}
+
+#[test]
+fn what_another_process_finished_meanwhile_is_not_done_again() {
+    let yaml = "rockface: 1\nsteps: {a: {stage: emit}, b: {stage: add, in: {terms: a.out}}}\n";
+    let bench = Bench::new();
+    let other = Bench {
+        store: rockface_cache::Store::open(&bench.folder.path().join("store")).unwrap(),
+        folder: tempfile::tempdir().unwrap(),
+        stages: bench.stages,
+    };
+    assert_eq!(bench.run(yaml, &[]).summary.executed(), 2);
+    // This handle was opened before and has not looked since.
+    let late = other.run(yaml, &[]);
+    assert_eq!((late.summary.executed(), late.summary.cached()), (0, 2));
+}
+
+#[test]
+fn a_blob_that_no_reader_takes_fails_the_step_that_needs_it() {
+    let yaml = "rockface: 1\nsteps: {a: {stage: emit}, b: {stage: add, in: {terms: a.out}}}\n".to_owned();
+    let ran = ends(move || {
+        let bench = Bench::new();
+        let first = bench.run(&yaml, &[]);
+        let result = &first.summary.instances[0];
+        let mut outcome = result.outcome.clone().unwrap();
+        let output = outcome.outputs.get_mut("out").unwrap();
+        (output.digest, output.bytes) = (bench.store.put(b"no table").unwrap(), 8);
+        let (recipe, outputs) = (result.recipe.clone().unwrap(), outcome.outputs);
+        bench.store.commit(&Record { recipe, outputs, log: outcome.log, cost: outcome.cost }).unwrap();
+        bench.run(&yaml, &[])
+    });
+    assert!(ran.summary.failed);
+    let said: Vec<String> = ran.events.iter().map(|event| format!("{event:?}")).collect();
+    assert!(
+        said.iter().any(|event| event.contains("input `terms`") && event.contains("cannot be read back")),
+        "{said:?}"
+    );
 }
