@@ -150,8 +150,8 @@ mod tests {
     use crate::artefact::Artefact;
     use crate::testing::TestHost;
 
-    fn run(bytes: Vec<u8>, offset_m: [f64; 3], defects: Defects) -> (Result<Mesh, StageError>, TestHost) {
-        let host = TestHost::default().with("face.ply", &[("face.ply", &bytes)]);
+    fn run(bytes: &[u8], offset_m: [f64; 3], defects: Defects) -> (Result<Mesh, StageError>, TestHost) {
+        let host = TestHost::default().with("face.ply", &[("face.ply", bytes)]);
         let params = ImportMeshParams { path: FileRef("face.ply".into()), frame: FileFrame::World, offset_m, defects };
         let outputs = ImportMesh::run(&params, &Inputs::default(), &Context::new(&host));
         let mesh = outputs.map(|outputs| match outputs.into_inner().remove("mesh") {
@@ -170,7 +170,7 @@ mod tests {
     #[test]
     #[allow(clippy::float_cmp)] // to the bit
     fn a_mesh_is_tidied_shifted_and_counted() {
-        let (mesh, host) = run(square(&[[0, 1, 2], [0, 2, 3], [1, 1, 2]]), [451_000.125, 0.0, 0.0], Defects::Refuse);
+        let (mesh, host) = run(&square(&[[0, 1, 2], [0, 2, 3], [1, 1, 2]]), [451_000.125, 0.0, 0.0], Defects::Refuse);
         let mesh = mesh.unwrap();
         assert_eq!((mesh.frame, mesh.vertices.len(), mesh.triangles.len()), (Frame::World, 4, 2));
         assert_eq!(mesh.vertices[1], [451_001.125, 0.0, 0.0]);
@@ -181,7 +181,7 @@ mod tests {
 
     #[test]
     fn what_cannot_be_repaired_safely_is_refused() {
-        let refused = |bytes: Vec<u8>| run(bytes, [0.0; 3], Defects::Refuse).0.unwrap_err();
+        let refused = |bytes: Vec<u8>| run(&bytes, [0.0; 3], Defects::Refuse).0.unwrap_err();
         assert!(refused(square(&[[0, 1, 2], [0, 3, 2]])).message.contains("1 edges whose triangles are oriented"));
         assert!(refused(square(&[[0, 1, 2], [0, 2, 3], [2, 0, 4]])).message.contains("1 edges of three or more"));
         assert!(refused(square(&[])).hint.unwrap().contains("meshed first"));
@@ -203,10 +203,10 @@ mod tests {
         for path in paths {
             let bytes = std::fs::read(&path).unwrap();
             let name = path.file_name().unwrap().to_string_lossy().into_owned();
-            if run(bytes.clone(), [0.0; 3], Defects::Refuse).0.is_err() {
+            if run(&bytes, [0.0; 3], Defects::Refuse).0.is_err() {
                 refused.push(name.clone());
             }
-            let (mesh, host) = run(bytes, [0.0; 3], Defects::Keep);
+            let (mesh, host) = run(&bytes, [0.0; 3], Defects::Keep);
             assert!(mesh.unwrap().triangles.len() > 1000, "{name}");
             assert_eq!(host.warnings().join("\n").contains("three or more"), refused.contains(&name), "{name}");
         }
