@@ -1,5 +1,7 @@
 //! Broken pipelines: each fault is told with place, value and way out, all in one go, and nothing panics.
 
+use rockface::pipeline::{Overrides, Pipeline};
+
 use crate::lab::Bench;
 
 /// Plans a broken pipeline; every expected piece must be in what is said.
@@ -212,8 +214,7 @@ fn more_points_than_anyone_can_wait_for() {
 #[test]
 fn unknown_targets_are_told_of_even_when_others_are_asked_for() {
     let yaml = "rockface: 1\nsteps: {a: {stage: emit}}\ntargets: [b]\n";
-    let pipeline =
-        rockface::pipeline::Pipeline::parse(yaml, "test.yaml", "test", ".".into(), &Default::default()).unwrap();
+    let pipeline = Pipeline::parse(yaml, "test.yaml", "test", ".".into(), &Overrides::default()).unwrap();
     let said = rockface::plan::resolve(&pipeline, &["a".to_owned()], crate::lab::STAGES).err().unwrap().to_string();
     assert!(said.contains("test.yaml:3:11") && said.contains("unknown target step `b`"), "{said}");
 }
