@@ -24,17 +24,29 @@ pub struct PlanArgs {
 enum Answer {
     /// Its record is there.
     Hit(Outcome),
-    /// It would run: no record has this recipe.
-    Runs,
+    /// It would run.
+    Runs(Why),
     /// It depends on an instance that would run.
     Depends(usize),
+}
+
+/// Why an instance would run.
+enum Why {
+    /// No record has its recipe.
+    New,
+    /// A record has it, but an output it names is gone.
+    Gone,
+    /// A record has it, but the outputs were not kept then, and are to be kept now.
+    Unkept,
+    /// It is recorded and keeps no outputs, and something that runs needs them.
+    Needed,
 }
 
 impl Answer {
     fn word(&self) -> &'static str {
         match self {
             Self::Hit(_) => "hit",
-            Self::Runs => "runs",
+            Self::Runs(_) => "runs",
             Self::Depends(_) => "depends",
         }
     }
@@ -81,7 +93,10 @@ impl PlanArgs {
 fn why(plan: &Plan, answer: &Answer) -> Option<String> {
     match answer {
         Answer::Hit(_) => None,
-        Answer::Runs => Some("no record has this recipe".into()),
+        Answer::Runs(Why::New) => Some("no record has this recipe".into()),
+        Answer::Runs(Why::Gone) => Some("an output is gone from the store".into()),
+        Answer::Runs(Why::Unkept) => Some("its outputs were not kept and now are to be".into()),
+        Answer::Runs(Why::Needed) => Some("its values are needed".into()),
         Answer::Depends(producer) => Some(format!("waits for {}", plan.label(*producer))),
     }
 }
@@ -93,23 +108,56 @@ fn print_json(plan: &Plan, answers: &[Answer]) {
     say(&serde_json::to_string_pretty(&instances.collect::<Vec<_>>()).unwrap_or_default());
 }
 
-/// Touches no blob: keys come from records, producers before consumers.
+/// Reads no blob: keys come from records, producers before consumers; then what runs calls for what was not kept.
 fn answers(plan: &Plan, store: &Store) -> Vec<Answer> {
     let mut answers: Vec<Answer> = Vec::with_capacity(plan.instances.len());
-    for (index, instance) in plan.instances.iter().enumerate() {
-        let producers = instance.inputs.iter().flat_map(|(_, given)| given.iter().map(|given| given.instance));
-        let open = producers.into_iter().find(|producer| !matches!(answers[*producer], Answer::Hit(_)));
-        let answer = open.map_or_else(
-            || {
-                let recipe = plan.recipe(index, |producer, port| match &answers[producer] {
-                    Answer::Hit(outcome) => outcome.outputs[port].digest,
-                    _ => Digest::of(b""),
-                });
-                store.hit_outcome(&recipe.key()).map_or(Answer::Runs, Answer::Hit)
-            },
-            Answer::Depends,
-        );
+    for index in 0..plan.instances.len() {
+        let answer = answer(plan, store, &answers, index);
         answers.push(answer);
     }
+    call_for_values(plan, store, &mut answers);
     answers
+}
+
+fn answer(plan: &Plan, store: &Store, answers: &[Answer], index: usize) -> Answer {
+    let open = producers(plan, index).into_iter().find(|producer| !matches!(answers[*producer], Answer::Hit(_)));
+    if let Some(producer) = open {
+        return Answer::Depends(producer);
+    }
+    let recipe = plan.recipe(index, |producer, port| match &answers[producer] {
+        Answer::Hit(outcome) => outcome.outputs[port].digest,
+        _ => Digest::of(b""),
+    });
+    let key = recipe.key();
+    match crate::run::hit(store, &key, plan.step(index).keep) {
+        Some(outcome) => Answer::Hit(outcome),
+        None if store.hit_outcome(&key).is_some() => Answer::Runs(Why::Unkept),
+        None if store.has_record(&key) => Answer::Runs(Why::Gone),
+        None => Answer::Runs(Why::New),
+    }
+}
+
+fn producers(plan: &Plan, index: usize) -> Vec<usize> {
+    plan.instances[index].inputs.iter().flat_map(|(_, given)| given.iter().map(|given| given.instance)).collect()
+}
+
+/// Producers that are recorded, but whose values are nowhere, run again for what is sure to run; consumers come last,
+/// so one pass from the end finds them all.
+fn call_for_values(plan: &Plan, store: &Store, answers: &mut [Answer]) {
+    for index in (0..answers.len()).rev() {
+        if !matches!(answers[index], Answer::Runs(_)) {
+            continue;
+        }
+        for (_, given) in &plan.instances[index].inputs {
+            for given in given {
+                let absent = match &answers[given.instance] {
+                    Answer::Hit(outcome) => !store.contains(&outcome.outputs[given.port].digest),
+                    _ => false,
+                };
+                if absent {
+                    answers[given.instance] = Answer::Runs(Why::Needed);
+                }
+            }
+        }
+    }
 }

@@ -99,7 +99,7 @@ impl RunArgs {
             say_some(files, |file| format!("  {}", folder.join(file).display()));
             say("");
         }
-        say_some(&finished.headlines, |headline| headline.clone());
+        say_some(&finished.headlines, String::clone);
         let verdict = if summary.failed { "failed" } else { "done" };
         let kept = if summary.failed { "what was finished is kept and not run again; " } else { "" };
         let (ran, cached) = (summary.executed(), summary.cached());

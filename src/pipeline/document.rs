@@ -107,6 +107,7 @@ pub struct Stream {
 /// Reads a document and collects everything that is wrong with its shape.
 pub fn read(root: &Node, file_stem: &str, faults: &mut Vec<Diagnostic>) -> Option<Document> {
     let mut reader = Reader { faults };
+    reader.check_numbers(root);
     let top = reader.map(root, "the pipeline", &["rockface", "name", "seed", "params", "axes", "steps", "targets"])?;
     reader.format_version(root, top);
     let document = Document {
@@ -118,11 +119,13 @@ pub fn read(root: &Node, file_stem: &str, faults: &mut Vec<Diagnostic>) -> Optio
         params: root.get("params").and_then(|n| reader.any_map(n, "`params`")).map(<[_]>::to_vec).unwrap_or_default(),
         axes: reader.named(root, "axes", Reader::axis),
         steps: reader.named(root, "steps", Reader::step),
-        targets: root.get("targets").map(|n| reader.words(n, "a step name")),
+        targets: root.get("targets").map(|n| reader.some_words(n, "a step name")),
     };
-    if document.steps.is_empty() && root.get("steps").is_none() {
+    let no_steps =
+        root.get("steps").map_or(Some(root.span), |n| n.entries().is_some_and(<[_]>::is_empty).then_some(n.span));
+    if let Some(span) = no_steps {
         reader.fault(
-            Diagnostic::at(root.span, "the pipeline has no `steps`")
+            Diagnostic::at(span, "the pipeline has no `steps`")
                 .hint("a small complete one is pipelines/quickstart.yaml"),
         );
     }
@@ -138,7 +141,24 @@ impl Reader<'_> {
         self.faults.push(diagnostic);
     }
 
+    /// Numbers such as `017`, of which nobody can say whether the zero counts.
+    fn check_numbers(&mut self, node: &Node) {
+        match &node.data {
+            Data::List(items) => items.iter().for_each(|item| self.check_numbers(item)),
+            Data::Map(entries) => entries.iter().for_each(|(_, item)| self.check_numbers(item)),
+            Data::Scalar(_) if node.has_leading_zero() => {
+                let message = format!("`{}` has a zero before its first digit", node.written);
+                let hint = "write the number without it, or put the whole in quotes if it is text";
+                self.fault(Diagnostic::at(node.span, message).hint(hint));
+            }
+            Data::Scalar(_) => {}
+        }
+    }
+
     fn expected(&mut self, node: &Node, what: &str) {
+        if node.has_leading_zero() {
+            return; // Told of already.
+        }
         self.fault(Diagnostic::at(node.span, format!("expected {what}, found {}", node.describe())));
     }
 
@@ -206,6 +226,7 @@ impl Reader<'_> {
     fn word(&mut self, node: &Node, what: &str) -> Option<Word> {
         let word = match &node.data {
             Data::Scalar(Value::String(text)) => Some(text.clone()),
+            Data::Scalar(Value::Number(_)) if !node.written.is_empty() => Some(node.written.clone()),
             Data::Scalar(value @ (Value::Number(_) | Value::Bool(_))) => Some(value.to_string()),
             _ => None,
         };
@@ -216,10 +237,26 @@ impl Reader<'_> {
     }
 
     fn words(&mut self, node: &Node, what: &str) -> Vec<Word> {
-        match &node.data {
+        let words: Vec<Word> = match &node.data {
             Data::List(items) => items.iter().filter_map(|item| self.word(item, what)).collect(),
             _ => self.word(node, &format!("{what} or a list of them")).into_iter().collect(),
+        };
+        for (index, word) in words.iter().enumerate() {
+            if words[..index].iter().any(|earlier| earlier.text == word.text) {
+                self.fault(Diagnostic::at(word.span, format!("`{}` is named twice", word.text)).hint("name it once"));
+            }
         }
+        words
+    }
+
+    fn some_words(&mut self, node: &Node, what: &str) -> Vec<Word> {
+        if matches!(&node.data, Data::List(items) if items.is_empty()) {
+            self.fault(
+                Diagnostic::at(node.span, format!("this list is empty; {what} is needed"))
+                    .hint("name at least one, or remove the line"),
+            );
+        }
+        self.words(node, what)
     }
 
     fn seed(&mut self, node: &Node) -> u64 {
@@ -297,7 +334,22 @@ impl Reader<'_> {
             }
             items.push(item);
         }
-        Some((items, list.iter().map(Node::to_value).collect()))
+        let values: Vec<Value> = list.iter().map(Node::to_value).collect();
+        self.check_equal_numbers(list, &values, axis);
+        Some((items, values))
+    }
+
+    /// One number written in two ways would be one point with two names.
+    fn check_equal_numbers(&mut self, list: &[Node], values: &[Value], axis: &Word) {
+        for (index, value) in values.iter().enumerate() {
+            let number = value.as_f64();
+            let twin = values[..index].iter().position(|earlier| number.is_some() && earlier.as_f64() == number);
+            if let Some(twin) = twin {
+                let (here, there) = (&list[index].written, &list[twin].written);
+                let message = format!("`{here}` is the same number as `{there}` on axis `{}`", axis.text);
+                self.fault(Diagnostic::at(list[index].span, message).hint("leave one out, or put both in quotes"));
+            }
+        }
     }
 
     fn step(&mut self, name: Word, node: &Node) -> Option<Step> {
@@ -357,7 +409,7 @@ impl Reader<'_> {
             );
             return None;
         };
-        Some(Input::Each { reference, over: self.words(over, "an axis") })
+        Some(Input::Each { reference, over: self.some_words(over, "an axis") })
     }
 
     fn by(&mut self, node: &Node, entries: &[(Key, Node)]) -> Option<Input> {

@@ -38,8 +38,7 @@ pub struct Overrides {
 impl Pipeline {
     /// Reads a pipeline file and applies the overrides.
     pub fn load(path: &Path, overrides: &Overrides) -> Result<Self, Diagnostics> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|error| Diagnostics { sources: Vec::new(), list: vec![unreadable(path, &error)] })?;
+        let text = read_text(path).map_err(|fault| Diagnostics { sources: Vec::new(), list: vec![fault] })?;
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_owned();
         let stem = path.file_stem().map_or_else(|| "pipeline".into(), |stem| stem.to_string_lossy().into_owned());
         Self::parse(&text, &path.display().to_string(), &stem, folder, overrides)
@@ -73,15 +72,44 @@ impl Pipeline {
     }
 }
 
+fn read_text(path: &Path) -> Result<String, Diagnostic> {
+    let shown = path.display();
+    if path.is_dir() {
+        let fault = Diagnostic::general(format!("`{shown}` is a folder; a pipeline is a file"));
+        return Err(name_one_of(fault, &pipelines_in(path)));
+    }
+    let bytes = std::fs::read(path).map_err(|error| unreadable(path, &error))?;
+    String::from_utf8(bytes).map_err(|error| {
+        let at = error.utf8_error().valid_up_to();
+        Diagnostic::general(format!("`{shown}` is not a text in UTF-8: its byte {at} fits nowhere"))
+            .hint("a pipeline is a YAML text; save it as UTF-8")
+    })
+}
+
 fn unreadable(path: &Path, error: &std::io::Error) -> Diagnostic {
-    let beside = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let files: Vec<String> = std::fs::read_dir(beside)
-        .into_iter()
-        .flatten()
-        .flatten()
-        .map(|entry| entry.path().display().to_string())
-        .filter(|name| Path::new(name).extension().is_some_and(|e| e == "yaml" || e == "yml"))
-        .collect();
-    Diagnostic::general(format!("cannot read the pipeline `{}`: {error}", path.display()))
-        .suggest(&path.display().to_string(), files.iter().map(String::as_str))
+    let fault = Diagnostic::general(format!("cannot read the pipeline `{}`: {error}", path.display()));
+    if error.kind() != std::io::ErrorKind::NotFound {
+        return fault;
+    }
+    let files = pipelines_in(path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")));
+    let given = path.display().to_string();
+    let near = crate::diagnostic::nearest(&given, &files.iter().map(String::as_str).collect::<Vec<_>>());
+    match near {
+        Some(near) if near != given => fault.hint(format!("did you mean `{near}`?")),
+        _ => name_one_of(fault, &files),
+    }
+}
+
+fn name_one_of(fault: Diagnostic, files: &[String]) -> Diagnostic {
+    if files.is_empty() { fault } else { fault.hint(format!("YAML files there: {}", files.join(", "))) }
+}
+
+/// The YAML files of a folder, sorted, as one would name them.
+fn pipelines_in(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let yaml = entries.filter(|path| path.is_file() && path.extension().is_some_and(|e| e == "yaml" || e == "yml"));
+    let mut files: Vec<String> =
+        yaml.map(|path| path.strip_prefix(".").unwrap_or(&path).display().to_string()).collect();
+    files.sort();
+    files
 }

@@ -15,6 +15,8 @@ pub struct Node {
     pub span: Span,
     /// What it is.
     pub data: Data,
+    /// A number as it is written; empty for anything else.
+    pub written: String,
 }
 
 /// The content of a [`Node`].
@@ -42,9 +44,20 @@ impl Node {
     pub fn parse(text: &str, source: usize) -> Result<Self, Diagnostic> {
         let options = serde_saphyr::options! { strict_booleans: true };
         match serde_saphyr::from_str_with_options::<Spanned<Raw>>(text, options) {
-            Ok(raw) => Ok(raw_node(raw, source)),
+            Ok(raw) => Ok(raw_node(raw, text, source)),
             Err(error) => Err(syntax_error(text, source, &error)),
         }
+    }
+
+    /// A node that no text holds.
+    pub fn made(span: Span, data: Data) -> Self {
+        Self { span, data, written: String::new() }
+    }
+
+    /// Whether it is a number with a zero before its first digit, which one reader drops and another keeps.
+    pub fn has_leading_zero(&self) -> bool {
+        let digits = self.written.trim_start_matches(['+', '-']);
+        digits.len() > 1 && digits.starts_with('0') && digits[1..].starts_with(|c: char| c.is_ascii_digit())
     }
 
     /// The plain value, without places.
@@ -93,6 +106,7 @@ impl Node {
         match &self.data {
             Data::Scalar(Value::Null) => "nothing".into(),
             Data::Scalar(Value::String(text)) => format!("the text \"{text}\""),
+            Data::Scalar(_) if !self.written.is_empty() => format!("`{}`", self.written),
             Data::Scalar(value) => format!("`{value}`"),
             Data::List(_) => "a list".into(),
             Data::Map(_) => "a map".into(),
@@ -162,22 +176,31 @@ impl<'de> Visitor<'de> for RawVisitor {
     }
 }
 
-fn raw_node(raw: Spanned<Raw>, source: usize) -> Node {
+fn raw_node(raw: Spanned<Raw>, text: &str, source: usize) -> Node {
     let span = span_of(&raw, source);
+    let written = written(&raw.value, text, span);
     let data = match raw.value {
         Raw::Scalar(value) => Data::Scalar(value),
-        Raw::List(items) => Data::List(items.into_iter().map(|item| raw_node(item, source)).collect()),
+        Raw::List(items) => Data::List(items.into_iter().map(|item| raw_node(item, text, source)).collect()),
         Raw::Map(entries) => Data::Map(
             entries
                 .into_iter()
                 .map(|(key, value)| {
                     let span = span_of(&key, source);
-                    (Key { span, name: key.value }, raw_node(value, source))
+                    (Key { span, name: key.value }, raw_node(value, text, source))
                 })
                 .collect(),
         ),
     };
-    Node { span, data }
+    Node { span, data, written }
+}
+
+/// The text of a number; an alias stands for a number without being one.
+fn written(raw: &Raw, text: &str, span: Span) -> String {
+    let Raw::Scalar(Value::Number(_)) = raw else { return String::new() };
+    let found = text.get(span.start..span.end).unwrap_or_default().trim();
+    let number = found.starts_with(|c: char| c.is_ascii_digit() || matches!(c, '+' | '-' | '.'));
+    if number { found.to_owned() } else { String::new() }
 }
 
 fn span_of<T>(spanned: &Spanned<T>, source: usize) -> Span {
@@ -188,13 +211,44 @@ fn span_of<T>(spanned: &Spanned<T>, source: usize) -> Span {
 }
 
 fn syntax_error(text: &str, source: usize, error: &serde_saphyr::Error) -> Diagnostic {
-    let message = format!("this is not YAML that can be read: {}", error.without_snippet());
-    match error.location() {
+    let (message, hint) = fault_of_text(error.without_snippet());
+    let diagnostic = match error.location() {
         Some(location) => {
             let start = byte_position(text, location.line() as usize, location.column() as usize);
             Diagnostic::at(Span { source, start, end: start + 1 }, message)
         }
         None => Diagnostic::general(message),
+    };
+    if hint.is_empty() { diagnostic } else { diagnostic.hint(hint) }
+}
+
+/// What is wrong with a text, and the way out, in words that need no knowledge of the reader behind it.
+fn fault_of_text(error: &serde_saphyr::Error) -> (String, &'static str) {
+    use serde_saphyr::Error;
+    match error {
+        Error::MultipleDocuments { .. } => {
+            ("a second document begins here".to_owned(), "a pipeline is one document: remove the line `---` before it")
+        }
+        Error::NonFiniteFloat { value, .. } => {
+            (format!("`{value}` is not a finite number"), "write a finite number, or put it in quotes if it is text")
+        }
+        Error::DuplicateMappingKey { key, .. } => {
+            let key = key.as_deref().map(|key| format!(" `{key}`")).unwrap_or_default();
+            (format!("the key{key} occurs twice"), "rename or remove one of the two")
+        }
+        Error::UnknownAnchor { .. } => {
+            ("this alias names no anchor".to_owned(), "write `&name` before the value that `*name` repeats")
+        }
+        Error::Eof { .. } => ("there is nothing in it".to_owned(), "begin with `rockface: 1`"),
+        Error::Budget { .. }
+        | Error::AliasReplayLimitExceeded { .. }
+        | Error::AliasExpansionLimitExceeded { .. }
+        | Error::AliasReplayStackDepthExceeded { .. } => (
+            "the text is larger or nested deeper than a pipeline may be".to_owned(),
+            "divide it, or repeat less by `*`",
+        ),
+        Error::Message { msg, .. } => (format!("this is not YAML that can be read: {msg}"), ""),
+        _ => ("this is not YAML that can be read".to_owned(), "look for a missing quote, bracket or space after `:`"),
     }
 }
 

@@ -1,26 +1,59 @@
 //! `--set PATH=VALUE`: values given from outside, merged into the tree before anything is read from it.
 
 use super::node::{Data, Key, Node};
-use crate::diagnostic::{Diagnostic, Source};
+use crate::diagnostic::{Diagnostic, Source, Span};
 
 /// Merges one override into the tree; `source` is the index its text gets in `sources`.
 pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<(), Diagnostic> {
     let source = sources.len();
     sources.push(Source { name: "--set".into(), text: text.to_owned() });
-    let here = |from: usize, to: usize| crate::diagnostic::Span { source, start: from, end: to };
+    let here = |from: usize, to: usize| Span { source, start: from, end: to };
     let Some((path, value)) = text.split_once('=') else {
         return Err(Diagnostic::at(here(0, text.len()), "expected PATH=VALUE").hint("for example --set seed=7"));
     };
-    let mut node = Node::parse(value, source)?;
-    shift(&mut node, path.len() + 1);
+    let begins = path.len() + 1;
+    let mut node = Node::parse(value, source).map_err(|mut fault| {
+        fault.span =
+            Some(fault.span.map_or(here(begins, text.len()), |span| here(span.start + begins, span.end + begins)));
+        fault
+    })?;
+    shift(&mut node, begins);
     let keys: Vec<&str> = path.split('.').map(str::trim).collect();
     if keys.iter().any(|key| key.is_empty()) {
         return Err(Diagnostic::at(here(0, path.len()), format!("`{path}` is not a path of keys")));
     }
+    check_exists(root, &keys, here(0, path.len()))?;
     set(root, &keys, node, here(0, path.len()))
 }
 
-fn set(node: &mut Node, keys: &[&str], value: Node, span: crate::diagnostic::Span) -> Result<(), Diagnostic> {
+/// A path into a parameter, step or axis that is not there is a slip of the pen: nothing would ever read it.
+fn check_exists(root: &Node, keys: &[&str], span: Span) -> Result<(), Diagnostic> {
+    let [section, name, rest @ ..] = keys else { return Ok(()) };
+    let what = match (*section, rest.is_empty()) {
+        ("params", _) => "parameter",
+        ("steps", false) => "step",
+        ("axes", false) => "axis",
+        _ => return Ok(()),
+    };
+    let known: Vec<&str> = root
+        .get(section)
+        .and_then(Node::entries)
+        .unwrap_or_default()
+        .iter()
+        .map(|(key, _)| key.name.as_str())
+        .collect();
+    if known.contains(name) || root.get(section).is_some_and(|node| node.entries().is_none()) {
+        return Ok(());
+    }
+    let fault = Diagnostic::at(span, format!("the pipeline has no {what} `{name}`"));
+    Err(if known.is_empty() {
+        fault.hint(format!("it declares nothing under `{section}`"))
+    } else {
+        fault.suggest(name, known)
+    })
+}
+
+fn set(node: &mut Node, keys: &[&str], value: Node, span: Span) -> Result<(), Diagnostic> {
     let Some((first, rest)) = keys.split_first() else {
         *node = value;
         return Ok(());
@@ -37,7 +70,7 @@ fn set(node: &mut Node, keys: &[&str], value: Node, span: crate::diagnostic::Spa
         return Err(Diagnostic::at(span, format!("`{first}` lies below {}, which has no keys", node.describe())));
     };
     let position = entries.iter().position(|(key, _)| key.name == *first).unwrap_or_else(|| {
-        let empty = Node { span, data: Data::Map(Vec::new()) };
+        let empty = Node::made(span, Data::Map(Vec::new()));
         entries.push((Key { span, name: (*first).to_owned() }, empty));
         entries.len() - 1
     });

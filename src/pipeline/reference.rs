@@ -33,6 +33,12 @@ pub fn parse_reference(text: &str, span: Span) -> Result<Reference, String> {
     };
     let picks =
         picks.map_or_else(|| Ok(Vec::new()), |picks| picks.split(',').map(pick).collect::<Result<_, String>>())?;
+    let picks: Vec<(Word, String)> = picks;
+    for (index, (axis, _)) in picks.iter().enumerate() {
+        if picks[..index].iter().any(|(earlier, _)| earlier.text == axis.text) {
+            return Err(format!("`{text}` picks an item of axis `{}` twice", axis.text));
+        }
+    }
     Ok(Reference { span, step: step.to_owned(), port: port.to_owned(), picks })
 }
 
@@ -51,7 +57,7 @@ mod tests {
 
     #[test]
     fn anything_else_is_refused() {
-        for text in ["dem", "dem.", ".x", "a.b.c", "a.b[c]", "a.b[c=1", ""] {
+        for text in ["dem", "dem.", ".x", "a.b.c", "a.b[c]", "a.b[c=1", "a.b[c=1,c=2]", ""] {
             assert!(parse_reference(text, Span::default()).is_err(), "{text}");
         }
     }

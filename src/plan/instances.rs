@@ -47,6 +47,10 @@ pub struct Given {
 impl Plan {
     /// Expands a graph; faults of parameters and files are reported together.
     pub fn new(graph: Graph, hash: &HashFile) -> Result<Self, Vec<Diagnostic>> {
+        let faults = too_many(&graph);
+        if !faults.is_empty() {
+            return Err(faults);
+        }
         let needed = needed_points(&graph);
         match Expansion::new(&graph, hash).run(&needed) {
             Ok(instances) => {
@@ -117,6 +121,33 @@ impl Plan {
         let items = step.stream_axes.iter().map(counted).map(|axis| (axis.clone(), items[&axis].clone())).collect();
         SeedMaterial { seed: self.graph.seed, stream: step.stream.clone(), items }
     }
+}
+
+/// The most instances a plan may have: above, memory and patience end before the work does.
+const INSTANCES_LIMIT: u64 = 10_000_000;
+
+/// Counts before anything is expanded.
+fn too_many(graph: &Graph) -> Vec<Diagnostic> {
+    let mut total = 0_u64;
+    let mut faults = Vec::new();
+    for step in &graph.steps {
+        let counts = step.axes.iter().map(|axis| graph.axes[*axis].items.len() as u64);
+        let count = counts.fold(1_u64, u64::saturating_mul);
+        total = total.saturating_add(count);
+        if count > INSTANCES_LIMIT || total > INSTANCES_LIMIT {
+            let axes: Vec<String> = step
+                .axes
+                .iter()
+                .map(|axis| &graph.axes[*axis])
+                .map(|a| format!("{} {}", a.items.len(), a.name.text))
+                .collect();
+            let message = format!("step `{}` brings the plan to {total} instances ({})", step.name, axes.join(" x "));
+            let hint = format!("a plan has at most {INSTANCES_LIMIT}: shorten an axis, or divide the pipeline");
+            faults.push(Diagnostic::at(step.span, message).hint(hint));
+            return faults;
+        }
+    }
+    faults
 }
 
 fn named(graph: &Graph, axes: &[usize], items: &[usize]) -> Point {

@@ -4,6 +4,7 @@ mod graph;
 mod instances;
 mod parameters;
 mod resolve;
+mod values;
 
 pub use graph::{Feed, Graph, GraphStep, Source};
 pub use instances::{Given, Instance, Plan, makes};

@@ -119,7 +119,11 @@ impl Finder<'_> {
 
     fn find(&mut self, written: &str, many: bool) -> Vec<InputFile> {
         let path = self.graph.folder.join(written);
-        let listed = if many { list_files(&path) } else { one_file(&path) };
+        let listed = match written.trim() {
+            "" => Err("a path is needed, and this one is empty".to_owned()),
+            _ if many => list_files(&path),
+            _ => one_file(&path),
+        };
         let hashed =
             listed.and_then(|paths| paths.into_iter().map(|path| self.hashed(path)).collect::<Result<Vec<_>, _>>());
         match hashed {
@@ -144,6 +148,10 @@ impl Finder<'_> {
 
 fn missing(span: Span, message: &str, written: &str, path: &Path) -> Diagnostic {
     let name = path.file_name().map_or_else(|| written.to_owned(), |name| name.to_string_lossy().into_owned());
+    if written.trim().is_empty() || path.symlink_metadata().is_ok() {
+        // What was named is there: nothing beside it was meant instead.
+        return Diagnostic::at(span, message);
+    }
     let beside = path.parent().map(std::fs::read_dir);
     let names: Vec<String> = match beside {
         Some(Ok(entries)) => entries.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned()).collect(),

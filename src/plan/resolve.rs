@@ -6,8 +6,8 @@ use petgraph::algo::{kosaraju_scc, toposort};
 use petgraph::graph::DiGraph;
 use rockface_stages::{AnyStage, Arity, Port};
 
-use super::Registry;
 use super::graph::{Feed, Graph, GraphStep, Source};
+use super::{Registry, values};
 use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::pipeline::{Document, Input, Node, Pipeline, Reference, Step, Word, mentioned};
 
@@ -144,12 +144,15 @@ impl<'d> Resolver<'d> {
             }
         }
         let targets = self.targets(&steps, targets);
+        let (params, faults) = values::resolve(&document.params, &self.axis_names());
+        self.faults.extend(faults);
         self.unused_axes(&steps);
+        self.unused_params(&steps);
         Graph {
             name: document.name.clone(),
             seed: document.seed,
             folder: pipeline.folder.clone(),
-            params: document.params.iter().map(|(key, node)| (key.name.clone(), node.to_value())).collect(),
+            params,
             axes: document.axes.clone(),
             steps,
             targets,
@@ -168,6 +171,20 @@ impl<'d> Resolver<'d> {
                     "say `over: [{name}]` on the step where it begins, mention ${{{name}}} in a `with`, or remove it"
                 ),
             ));
+        }
+    }
+
+    fn unused_params(&mut self, steps: &[GraphStep]) {
+        if !self.faults.is_empty() {
+            return;
+        }
+        let mut used = Vec::new();
+        steps.iter().filter_map(|step| step.with.as_ref()).for_each(|with| mentioned(with, &mut used));
+        self.document.params.iter().for_each(|(_, node)| mentioned(node, &mut used));
+        let used: BTreeSet<&str> = used.iter().map(|(name, _)| name.as_str()).collect();
+        for (key, _) in self.document.params.iter().filter(|(key, _)| !used.contains(key.name.as_str())) {
+            let fault = Diagnostic::at(key.span, format!("nothing mentions parameter `{}`", key.name));
+            self.faults.push(fault.hint(format!("write ${{{}}} in a `with`, or remove it", key.name)));
         }
     }
 
@@ -327,7 +344,7 @@ impl<'d> Resolver<'d> {
     }
 
     fn check_kinds(&mut self, port: &Port, input: &Input, feed: &Feed, done: &[GraphStep]) {
-        for (source, reference) in feed.sources().iter().zip(input.references()) {
+        for (source, reference) in feed.sources().iter().zip(self.references(input)) {
             if let Some(kind) = source.port.kinds.first().filter(|kind| !port.kinds.contains(kind)) {
                 let step = &done[source.step];
                 let message = format!(
@@ -356,6 +373,14 @@ impl<'d> Resolver<'d> {
             let message = format!("input `{}` takes one {}, not a gathered list", port.name, kinds(port));
             self.faults.push(Diagnostic::at(reference.span, message));
         }
+    }
+
+    /// The references of an input in the order of its sources: those of a choice follow the items of its axis.
+    fn references<'i>(&self, input: &'i Input) -> Vec<&'i Reference> {
+        let Input::By { axis, cases } = input else { return input.references() };
+        let items = self.axes.get(axis.text.as_str()).map(|axis| self.document.axes[*axis].items.as_slice());
+        let of_item = |item: &String| cases.iter().find(|(word, _)| word.text == *item).map(|(_, reference)| reference);
+        items.unwrap_or_default().iter().filter_map(of_item).collect()
     }
 
     fn propagate(&mut self, input: &Input, feed: &Feed, done: &[GraphStep], axes: &mut BTreeSet<usize>) {
@@ -403,30 +428,36 @@ impl<'d> Resolver<'d> {
     }
 
     fn targets(&mut self, steps: &[GraphStep], given: &[String]) -> Vec<usize> {
-        let by_name = |name: &str| steps.iter().position(|step| step.name == name);
-        let span = crate::diagnostic::Span::default();
-        let given: Vec<Word> = given.iter().map(|text| Word { span, text: text.clone() }).collect();
-        let words = if given.is_empty() { self.document.targets.clone() } else { Some(given.clone()) };
-        let Some(words) = words else {
-            let read: BTreeSet<usize> = steps
-                .iter()
-                .flat_map(|s| s.inputs.iter().flat_map(|(_, feed)| feed.sources()).map(|s| s.step))
-                .collect();
-            return (0..steps.len()).filter(|index| !read.contains(index)).collect();
-        };
-        let mut found = Vec::new();
-        for word in &words {
-            if let Some(index) = by_name(&word.text) {
-                found.push(index);
-            } else if !self.steps.contains_key(word.text.as_str()) {
-                let message = format!("unknown target step `{}`", word.text);
-                let fault =
-                    if given.is_empty() { Diagnostic::at(word.span, message) } else { Diagnostic::general(message) };
-                self.faults.push(fault.suggest(&word.text, self.step_names()));
-            }
+        let declared = self.document.targets.as_deref();
+        for word in declared.unwrap_or_default() {
+            self.check_target(&word.text, Some(word));
         }
-        found
+        given.iter().for_each(|name| self.check_target(name, None));
+        let names: Vec<&str> = match declared {
+            _ if !given.is_empty() => given.iter().map(String::as_str).collect(),
+            Some(words) => words.iter().map(|word| word.text.as_str()).collect(),
+            None => return unread(steps),
+        };
+        names.iter().filter_map(|name| steps.iter().position(|step| step.name == *name)).collect()
     }
+
+    fn check_target(&mut self, name: &str, place: Option<&Word>) {
+        if !self.steps.contains_key(name) {
+            let message = format!("unknown target step `{name}`");
+            let fault = place.map_or_else(
+                || Diagnostic::general(message.clone()),
+                |word| Diagnostic::at(word.span, message.clone()),
+            );
+            self.faults.push(fault.suggest(name, self.step_names()));
+        }
+    }
+}
+
+/// Steps that no other reads.
+fn unread(steps: &[GraphStep]) -> Vec<usize> {
+    let feeds = steps.iter().flat_map(|step| step.inputs.iter().flat_map(|(_, feed)| feed.sources()));
+    let read: BTreeSet<usize> = feeds.map(|source| source.step).collect();
+    (0..steps.len()).filter(|index| !read.contains(index)).collect()
 }
 
 fn kinds(port: &Port) -> String {

@@ -50,16 +50,13 @@ impl Scheduler<'_> {
         self.states.set(instance, Status::Due);
         let known = hit(self.store, &key, self.plan.step(instance).keep);
         self.tell_damaged(instance);
-        match known {
-            Some(outcome) => {
-                self.states.set(instance, Status::Done);
-                self.tell_cached(instance);
-                self.turns.push_back(Turn::Finish(instance, outcome));
-            }
-            None => {
-                self.states[instance].recorded = self.store.has_record(&key);
-                self.enter(instance, key);
-            }
+        if let Some(outcome) = known {
+            self.states.set(instance, Status::Done);
+            self.tell_cached(instance);
+            self.turns.push_back(Turn::Finish(instance, outcome));
+        } else {
+            self.states[instance].recorded = self.store.has_record(&key);
+            self.enter(instance, key);
         }
     }
 

@@ -1,10 +1,17 @@
 //! Broken pipelines: each fault is told with place, value and way out, all in one go, and nothing panics.
 
+use rockface::pipeline::{Overrides, Pipeline};
+
 use crate::lab::Bench;
 
 /// Plans a broken pipeline; every expected piece must be in what is said.
 fn check(yaml: &str, expected: &[&str]) {
-    let said = match Bench::new().plan(yaml, &[]) {
+    check_set(yaml, &[], expected);
+}
+
+/// The same with values given from outside.
+fn check_set(yaml: &str, set: &[&str], expected: &[&str]) {
+    let said = match Bench::new().plan(yaml, set) {
         Ok(_) => panic!("this should not plan:\n{yaml}"),
         Err(faults) => faults.to_string(),
     };
@@ -128,5 +135,122 @@ fn mutated_pipelines_never_panic() {
                 assert!(!faults.to_string().is_empty());
             }
         }
+    }
+}
+
+#[test]
+fn a_name_said_twice_and_a_list_that_is_empty() {
+    let head = "rockface: 1\naxes: {r: {count: 2}}\nsteps:\n  a: {stage: emit, with: {value: '${r}'}}\n";
+    check(
+        &format!("{head}  b: {{stage: add, in: {{terms: {{each: a.out, over: [r, r]}}}}}}\n"),
+        &["test.yaml:5:55", "named twice"],
+    );
+    check(
+        &format!("{head}  b: {{stage: add, in: {{terms: {{each: a.out, over: []}}}}}}\n"),
+        &["test.yaml:5:51", "list is empty"],
+    );
+    check(
+        &format!("{head}  b: {{stage: add, in: {{terms: 'a.out[r=0,r=1]'}}}}\n"),
+        &["picks an item of axis `r` twice"],
+    );
+    check("rockface: 1\nsteps: {a: {stage: emit}}\ntargets: []\n", &["test.yaml:3:10", "list is empty"]);
+    check("rockface: 1\nsteps: {}\n", &["test.yaml:2:8", "has no `steps`"]);
+}
+
+#[test]
+fn parameters_that_nothing_reads() {
+    let yaml = "rockface: 1\nparams: {cell: 2}\nsteps: {a: {stage: emit, with: {value: '${cell}'}}}\n";
+    assert!(Bench::new().plan(yaml, &["params.cell=3"]).is_ok());
+    check_set(yaml, &["params.cel=3"], &["--set:1:1", "has no parameter `cel`", "did you mean `cell`?"]);
+    check_set(yaml, &["steps.aa.with.value=3"], &["--set:1:1", "has no step `aa`", "did you mean `a`?"]);
+    check_set(
+        "rockface: 1\nsteps: {a: {stage: emit}}\n",
+        &["params.x=3"],
+        &["has no parameter `x`", "declares nothing"],
+    );
+    check(
+        "rockface: 1\nparams: {x: 2}\nsteps: {a: {stage: emit}}\n",
+        &["test.yaml:2:10", "nothing mentions parameter `x`"],
+    );
+}
+
+#[test]
+fn parameters_that_refer_to_each_other() {
+    let yaml = "rockface: 1\nparams: {a: '${b}', b: 2.5, c: ['${a}']}\nsteps: {s: {stage: emit, with: {value: '${a}'}}, t: {stage: emit, with: {value: '${c}'}}}\n";
+    check(yaml, &["expected a number, found a list"]);
+    let bench = Bench::new();
+    let plan = bench.plan(&yaml.replace("['${a}']", "'${a}'"), &[]).unwrap_or_else(|faults| panic!("{faults}"));
+    assert!(plan.instances.iter().all(|instance| instance.params.canonical["value"] == 2.5));
+    let of = |params: &str| {
+        format!(
+            "rockface: 1\naxes: {{k: {{count: 2}}}}\nparams: {params}\nsteps: {{s: {{stage: emit, over: [k], with: {{value: '${{a}}'}}}}}}\n"
+        )
+    };
+    check(&of("{a: '${b}', b: '${c}', c: '${b}'}"), &["wait for each other in a circle: a, b, c"]);
+    check(&of("{a: '${bb}', b: 1}"), &["test.yaml:3:13", "`${bb}` names no parameter", "did you mean `b`?"]);
+    check(&of("{a: '${k}'}"), &["cannot depend on axis `k`"]);
+}
+
+#[test]
+fn items_are_named_as_they_are_written() {
+    let yaml = "rockface: 1\naxes: {s: {values: [0.60, 1e-3, 2]}}\nsteps:\n  a: {stage: emit, with: {value: '${s}'}}\n  b: {stage: add, in: {terms: 'a.out[s=0.60]'}}\n  c: {stage: add, in: {terms: 'a.out[s=1e-3]'}, with: {plus: 1}}\n";
+    let bench = Bench::new();
+    let ran = bench.run(yaml, &[]);
+    assert_eq!((ran.number(&bench.store, "b"), ran.number(&bench.store, "c")), (0.6, 1.001));
+    for (bad, place) in [("items: [01, 02]", "3:21"), ("count: 05", "3:20")] {
+        let yaml = format!("rockface: 1\nseed: 7\naxes: {{k: {{ {bad}}}}}\nsteps: {{a: {{stage: emit, over: [k]}}}}\n");
+        check(&yaml, &[place, "has a zero before its first digit", "in quotes"]);
+    }
+    check("rockface: 1\nseed: 007\nsteps: {a: {stage: emit}}\n", &["test.yaml:2:7", "`007` has a zero", "1 error;"]);
+    check(&yaml.replace("2]", "0.6]"), &["`0.6` is the same number as `0.60`"]);
+}
+
+#[test]
+fn more_points_than_anyone_can_wait_for() {
+    let yaml = "rockface: 1\naxes: {a: {count: 9999}, b: {count: 9999}, c: {count: 9999}}\nsteps:\n  s: {stage: emit, over: [a, b, c]}\n";
+    check(yaml, &["test.yaml:4:3", "999700029999 instances", "9999 a x 9999 b x 9999 c", "at most 10000000"]);
+}
+
+#[test]
+fn unknown_targets_are_told_of_even_when_others_are_asked_for() {
+    let yaml = "rockface: 1\nsteps: {a: {stage: emit}}\ntargets: [b]\n";
+    let pipeline = Pipeline::parse(yaml, "test.yaml", "test", ".".into(), &Overrides::default()).unwrap();
+    let said = rockface::plan::resolve(&pipeline, &["a".to_owned()], crate::lab::STAGES).err().unwrap().to_string();
+    assert!(said.contains("test.yaml:3:11") && said.contains("unknown target step `b`"), "{said}");
+}
+
+#[test]
+fn paths_that_are_empty_or_name_a_folder() {
+    check("rockface: 1\nsteps: {a: {stage: read, with: {path: ''}}}\n", &["a path is needed, and this one is empty"]);
+    let bench = Bench::new();
+    std::fs::create_dir(bench.folder.path().join("data")).unwrap();
+    let faults =
+        bench.plan("rockface: 1\nsteps: {a: {stage: read, with: {path: data}}}\n", &[]).err().unwrap().to_string();
+    assert!(faults.contains("is a folder, a file is needed") && !faults.contains("did you mean"), "{faults}");
+}
+
+#[test]
+fn a_wrong_choice_is_pointed_at_whatever_the_order() {
+    let yaml = "rockface: 1
+axes: {e: {items: [pre, post]}}
+steps:
+  face: {stage: synthesise-face}
+  dem: {stage: rasterise-dem, in: {surface: face.mesh}, with: {cell_m: 0.1}}
+  t: {stage: describe-noise, in: {raster: {by: e, post: face.mesh, pre: dem.raster}}}
+";
+    let said = Bench::rocks().plan(yaml, &[]).err().unwrap().to_string();
+    assert!(said.contains("test.yaml:6:57"), "{said}");
+}
+
+#[test]
+fn broken_yaml_in_an_override_is_pointed_at() {
+    let yaml = "rockface: 1\nsteps: {a: {stage: emit}}\n";
+    check_set(yaml, &["steps.a.with={value: [1}"], &["--set:1:2", "not YAML that can be read"]);
+    check_set(yaml, &["steps.a.with.value=.nan"], &["--set:1:20", "`.nan` is not a finite number"]);
+    for (text, expected) in
+        [("rockface: 1\n---\nsteps: {}\n", "one document"), ("rockface: 1\nseed: .inf\n", "`.inf` is not a finite")]
+    {
+        let said = Bench::new().plan(text, &[]).err().unwrap().to_string();
+        assert!(said.contains(expected) && !said.contains("from_str") && !said.contains("policy"), "{said}");
     }
 }

@@ -276,3 +276,28 @@ fn long_names_and_unwritable_folders_cost_no_work() {
     assert_eq!(code, Some(3), "{err}");
     assert!(!err.contains("started"), "{err}");
 }
+
+#[test]
+fn plan_foresees_what_is_remade() {
+    let house = House::new(&SMALL.replace("face: {", "face: {keep: false, "));
+    house.rockface(&["run", "p.yaml"]);
+    let (_, out, _) = house.rockface(&["plan", "p.yaml"]);
+    assert_eq!(last_line(&out), "2 hit, 0 run, 0 depend on what runs");
+    let (_, out, _) = house.rockface(&["plan", "p.yaml", "--set", "steps.dem.with.cell_m=0.1"]);
+    assert!(out.contains("its values are needed") && out.contains("no record has this recipe"), "{out}");
+    assert_eq!(last_line(&out), "0 hit, 2 run, 0 depend on what runs");
+    let (_, out, _) = house.rockface(&["plan", "p.yaml", "--set", "steps.face.keep=true", "--target", "face"]);
+    assert!(out.contains("its outputs were not kept and now are to be"), "{out}");
+}
+
+#[test]
+fn what_is_no_pipeline_file_is_told_as_it_is() {
+    let house = House::new(SMALL);
+    std::fs::create_dir(house.path("folder")).unwrap();
+    std::fs::write(house.path("latin.yaml"), b"# caf\xe9\n").unwrap();
+    for (path, expected) in [("folder", "is a folder"), ("latin.yaml", "is not a text in UTF-8: its byte 5")] {
+        let (code, _, err) = house.rockface(&["plan", path]);
+        assert_eq!(code, Some(2));
+        assert!(err.contains(expected) && !err.contains("did you mean"), "{err}");
+    }
+}

@@ -1,5 +1,7 @@
 //! What is executed and what is not: the engine's event log is the oracle.
 
+#![expect(clippy::float_cmp, reason = "these numbers are small sums, exact or the same bits")]
+
 use rockface::run::Options;
 use rockface::watch::Event;
 

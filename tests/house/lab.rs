@@ -12,7 +12,7 @@ use rockface::watch::{Event, Events, Reason};
 use rockface_cache::Store;
 use rockface_stages::artefact::{Kind, Noun, Table};
 use rockface_stages::params::FileRef;
-use rockface_stages::{AnyStage, Context, Entry, Inputs, Outputs, Page, Port, Row, Stage, StageError, params};
+use rockface_stages::{AnyStage, Context, Inputs, Outputs, Page, Port, Row, Stage, StageError, params};
 
 const PAGE: Page = Page { what: "A test.", method: "None.", frames: "None.", fails: "Never.", example: "" };
 const TABLE: &[Kind] = &[Kind::Table];
@@ -166,7 +166,7 @@ params! {
         /// Tells one from another.
         value: f64 = 0.0,
         /// Gives up while this file is there; looked at behind the engine's back, as no true stage may.
-        unless: String = "".to_owned(),
+        unless: String = String::new(),
     }
 }
 
@@ -255,18 +255,6 @@ impl Ran {
         let instance = (0..self.plan.instances.len()).find(|i| self.plan.label(*i) == label).expect(label);
         let outcome = self.summary.instances[instance].outcome.as_ref().expect(label);
         T::decode(&store.get(&outcome.outputs[port].digest).unwrap()).unwrap()
-    }
-
-    /// A number an instance logged.
-    pub fn metric(&self, store: &Store, label: &str, wanted: &str) -> f64 {
-        let instance = (0..self.plan.instances.len()).find(|i| self.plan.label(*i) == label).expect(label);
-        let log = self.summary.instances[instance].outcome.as_ref().and_then(|outcome| outcome.log).expect(label);
-        let entries: Vec<Entry> = serde_json::from_slice(&store.get(&log).unwrap()).unwrap();
-        let metric = |entry: &Entry| match entry {
-            Entry::Metric { name, value, .. } if name == wanted => Some(*value),
-            _ => None,
-        };
-        entries.iter().find_map(metric).expect(wanted)
     }
 
     /// The digest of every output of every instance, by label and port.

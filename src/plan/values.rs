@@ -1,0 +1,60 @@
+//! The values of a pipeline's parameters, of which one may refer to another.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde_json::Value;
+
+use crate::diagnostic::{Diagnostic, Span};
+use crate::pipeline::{Key, Node, filled, mentioned};
+
+/// Puts the values of parameters into each other until no `${name}` is left; says what stands in the way.
+pub fn resolve(params: &[(Key, Node)], axes: &[&str]) -> (BTreeMap<String, Value>, Vec<Diagnostic>) {
+    let mut known: BTreeMap<String, Value> = BTreeMap::new();
+    let mut faults = Vec::new();
+    let names: Vec<&str> = params.iter().map(|(key, _)| key.name.as_str()).collect();
+    let mut open: Vec<(&Key, &Node, BTreeSet<String>)> = Vec::new();
+    for (key, node) in params {
+        let mut needs = Vec::new();
+        mentioned(node, &mut needs);
+        faults.extend(needs.iter().filter_map(|(name, span)| stranger(name, *span, &names, axes)));
+        open.push((key, node, needs.into_iter().map(|(name, _)| name).collect()));
+    }
+    if !faults.is_empty() {
+        return (known, faults);
+    }
+    while !open.is_empty() {
+        let (now, later): (Vec<_>, Vec<_>) =
+            open.into_iter().partition(|(_, _, needs)| needs.iter().all(|name| known.contains_key(name)));
+        if now.is_empty() {
+            return (known, circle(&later));
+        }
+        for (key, node, _) in now {
+            match filled(node, &|name| known.get(name).cloned()) {
+                Ok(value) => drop(known.insert(key.name.clone(), value)),
+                Err(fault) => return (known, vec![fault]),
+            }
+        }
+        open = later;
+    }
+    (known, faults)
+}
+
+/// The fault of a name that is no parameter.
+fn stranger(name: &str, span: Span, params: &[&str], axes: &[&str]) -> Option<Diagnostic> {
+    if params.contains(&name) {
+        None
+    } else if axes.contains(&name) {
+        let message = format!("a parameter cannot depend on axis `{name}`");
+        Some(Diagnostic::at(span, message).hint(format!("mention ${{{name}}} in the `with` of a step")))
+    } else {
+        let message = format!("`${{{name}}}` names no parameter");
+        Some(Diagnostic::at(span, message).suggest(name, params.iter().copied()))
+    }
+}
+
+fn circle(open: &[(&Key, &Node, BTreeSet<String>)]) -> Vec<Diagnostic> {
+    let names: Vec<&str> = open.iter().map(|(key, _, _)| key.name.as_str()).collect();
+    let message = format!("these parameters wait for each other in a circle: {}", names.join(", "));
+    let first = open.first().map(|(_, node, _)| Diagnostic::at(node.span, message));
+    first.map(|fault| fault.hint("give one of them a value of its own")).into_iter().collect()
+}
