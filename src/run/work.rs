@@ -246,3 +246,19 @@ fn process_cpu_s() -> f64 {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_panic_anywhere_is_a_failure_that_says_what_was_said() {
+        for panic in [|| panic!("at {}", 7), || panic!("at 7")] {
+            match guarded::<()>(panic) {
+                Err(Failure::Stage(error)) => assert_eq!(error.message, "the stage broke down: at 7"),
+                _ => panic!("it should have failed"),
+            }
+        }
+        assert!(guarded(|| Ok(1)).is_ok_and(|one| one == 1));
+    }
+}
