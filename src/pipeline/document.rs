@@ -2,9 +2,9 @@
 
 use serde_json::Value;
 
-use super::node::{Data, Key, Node};
+use super::node::{Data, Key, Node, Word};
 use super::reference::{Reference, parse_reference};
-use crate::diagnostic::{Diagnostic, Span};
+use crate::diagnostic::Diagnostic;
 
 /// A pipeline as written, after overrides; names are not yet resolved.
 #[derive(Debug, Clone)]
@@ -21,15 +21,6 @@ pub struct Document {
     pub steps: Vec<Step>,
     /// Steps to make; `None`: every step nobody reads.
     pub targets: Option<Vec<Word>>,
-}
-
-/// A word with its place.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Word {
-    /// Where it stands.
-    pub span: Span,
-    /// The word.
-    pub text: String,
 }
 
 /// A named list over which steps fan out.

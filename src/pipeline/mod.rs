@@ -8,8 +8,8 @@ mod substitute;
 
 use std::path::{Path, PathBuf};
 
-pub use document::{Axis, Document, Input, Step, Stream, Word};
-pub use node::{Data, Key, Node};
+pub use document::{Axis, Document, Input, Step, Stream};
+pub use node::{Data, Key, Node, Word};
 pub use reference::Reference;
 pub use substitute::{filled, mentioned};
 

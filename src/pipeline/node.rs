@@ -30,6 +30,15 @@ pub enum Data {
     Map(Vec<(Key, Node)>),
 }
 
+/// A word with its place.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Word {
+    /// Where it stands.
+    pub span: Span,
+    /// The word.
+    pub text: String,
+}
+
 /// A key with its place.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Key {

@@ -1,6 +1,6 @@
 //! References: `step.port`, or `step.port[axis=item, …]` for one point.
 
-use super::document::Word;
+use super::node::Word;
 use crate::diagnostic::Span;
 
 /// Names one output of a step, perhaps at one item of some axes.
