@@ -114,11 +114,20 @@ fn check_grids(raster: &Raster, mask: &Raster) -> Result<(), StageError> {
     Err(StageError::new(text).hint("rasterise both on one grid: port `grid` of `rasterise-dem`"))
 }
 
-/// The band a name or number stands for; a name goes before a number.
+/// The band a name or number stands for; a number that is also the name of another band is refused.
 fn chosen<'a>(mask: &'a Raster, choice: &BandChoice) -> Result<&'a Band, StageError> {
     let named = mask.bands.iter().find(|band| band.name == choice.0);
-    let numbered = || choice.0.parse::<usize>().ok().and_then(|k| mask.bands.get(k % mask.bands.len().max(1)));
-    named.or_else(numbered).ok_or_else(|| {
+    let numbered = choice.0.parse::<usize>().ok().and_then(|k| mask.bands.get(k % mask.bands.len().max(1)));
+    if let (Some(named), Some(numbered)) = (named, numbered)
+        && named.name != numbered.name
+    {
+        return Err(StageError::new(format!(
+            "band `{}` of the mask may mean the band of that name or the one of that number, `{}`",
+            named.name, numbered.name
+        ))
+        .hint("rename the files the mask was read from, so that their names are no numbers"));
+    }
+    named.or(numbered).ok_or_else(|| {
         let names: Vec<&str> = mask.bands.iter().take(8).map(|band| band.name.as_str()).collect();
         let more = if mask.bands.len() > names.len() { ", ..." } else { "" };
         StageError::new(format!("the mask has no band `{}`", choice.0))

@@ -120,8 +120,22 @@ fn check(mesh: &mut Mesh, params: &ImportMeshParams, context: &Context) -> Resul
     Ok(())
 }
 
+/// Single precision at UTM magnitudes holds half a metre.
+fn warn_of_single_precision(mesh: &Mesh, context: &Context) {
+    let largest = mesh.vertices.iter().flatten().fold(0.0f64, |largest, x| largest.max(x.abs()));
+    let step_m = largest * f64::from(f32::EPSILON);
+    let is_single = |x: &f64| f64::from(*x as f32).to_bits() == x.to_bits();
+    if step_m > 1e-3 && mesh.vertices.iter().flatten().all(is_single) {
+        context.warn(format!(
+            "coordinates of {largest:.0} m were written in single precision, which holds only {step_m:.2} m there: export in double \
+             precision, or shifted, and add the shift with `offset_m`"
+        ));
+    }
+}
+
 fn report(mesh: &Mesh, tidied: mesh_check::Tidied, edges: mesh_check::EdgeReport, context: &Context) {
     let duplicates = mesh_check::duplicate_vertices(mesh);
+    warn_of_single_precision(mesh, context);
     let counts = [
         ("vertices", mesh.vertices.len()),
         ("triangles", mesh.triangles.len()),

@@ -79,7 +79,8 @@ impl Stage for MatchPair {
                  the noisy cameras onto the plane along the baseline both images face best; disparity plus a white \
                  part addressed by pixel of the first image and a smooth part interpolated from a grid of nodes over \
                  the first rectified image; back to depth on the noisy rays of the image. Sampled at image pixels, so \
-                 nothing is resampled. The two maps of a pair carry the same error at corresponding points. \
+                 nothing is resampled. The two maps of a pair carry the same error at corresponding points where both steps draw \
+                 from one stream: give both `stream: {label: match, axes: [...]}` with the axes they share. \
                  The y-parallax is no part of the disparity: it is measured and discarded.",
         frames: "Disparities, sigmas and the spacing are in pixels of the depth map (image pixels times downscale). \
                  Depth is z along the optical axis of the noisy camera, metres; the map carries that camera. \

@@ -168,7 +168,10 @@ impl Face {
 }
 
 fn report(params: &PlanSurveyParams, face: &Face, mesh: &Mesh, cameras: &Cameras, context: &Context) {
-    let (z, b, f) = (params.distance_m, params.baseline_m, cameras.sensors[0].f);
+    let (b, f) = (params.baseline_m, cameras.sensors[0].f);
+    // Stations above or below the face that look at it are further away than its plane.
+    let rise = if params.aim == Aim::Centroid { params.height_offset_m } else { 0.0 };
+    let z = (params.distance_m * params.distance_m + rise * rise).sqrt();
     let (width, height) = (f64::from(params.width_px) * z / f, f64::from(params.height_px) * z / f);
     context.metric("gsd", z / f, "m");
     context.metric("base_to_distance", b / z, "1");

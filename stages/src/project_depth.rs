@@ -3,7 +3,7 @@
 use crate::artefact::{Cameras, Depth, Image, Kind, Mesh};
 use crate::kernel::camera::Camera;
 use crate::kernel::depth_buffer::{DepthBuffer, Drawing, draw};
-use crate::params::Range;
+use crate::params::{Fault, Range};
 use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
 params! {
@@ -21,6 +21,9 @@ params! {
         window_m: Option<[f64; 4]> = None,
     }
 }
+
+/// Pixels a depth map may have; 45 megapixels are 4.5e7.
+const MAXIMUM_PIXELS: f64 = 3e8;
 
 /// The stage.
 pub struct ProjectDepth;
@@ -59,6 +62,13 @@ steps:
     ];
     const OUTPUTS: &'static [Port] = &[Port::one("depth", &[Kind::Depth], "The depth map, with its true camera.")];
 
+    fn check(params: &Self::Params) -> Vec<Fault> {
+        let reversed = params.window_m.is_some_and(|[x0, x1, y0, y1]| x0 >= x1 || y0 >= y1);
+        let fault =
+            Fault { path: vec!["window_m".into()], ..Fault::new("is x from, x to, y from, y to: this one is empty") };
+        if reversed { vec![fault] } else { Vec::new() }
+    }
+
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let (mesh, cameras) = (inputs.one::<Mesh>("mesh")?, inputs.one::<Cameras>("cameras")?);
         let image = checked_image(params, mesh, cameras)?;
@@ -70,7 +80,14 @@ steps:
         };
         let mut buffer = draw(mesh, &camera, &drawing);
         if let Some(window) = params.window_m {
+            let before = buffer.z_m.iter().any(|z| z.is_finite());
             buffer.keep_window(&camera, params.downscale, window);
+            if before && !buffer.z_m.iter().any(|z| z.is_finite()) {
+                let error = StageError::new(format!("image `{}` sees nothing inside `window_m`", image.name));
+                return Err(
+                    error.hint("it sees other parts of the mesh: the window is x from, x to, y from, y to, metres")
+                );
+            }
         }
         let mut seen: Vec<f64> = buffer.z_m.iter().copied().filter(|z| z.is_finite()).collect();
         if seen.is_empty() {
@@ -105,6 +122,14 @@ fn checked_image<'a>(params: &ProjectDepthParams, mesh: &Mesh, cameras: &'a Came
     if sensor.width_px.min(sensor.height_px) < params.downscale {
         let (w, h, scale) = (sensor.width_px, sensor.height_px, params.downscale);
         fail!("downscale {scale} leaves no pixel of an image of {w} x {h} pixels");
+    }
+    let pixels = f64::from(sensor.width_px / params.downscale) * f64::from(sensor.height_px / params.downscale);
+    if pixels > MAXIMUM_PIXELS {
+        let (w, h) = (sensor.width_px, sensor.height_px);
+        let error = StageError::new(format!("an image of {w} x {h} pixels gives a depth map of {pixels:.1e} pixels"));
+        return Err(error.hint(format!(
+            "raise `downscale` (at most {MAXIMUM_PIXELS:.0e} pixels); is the sensor's size in pixels?"
+        )));
     }
     Ok(image)
 }

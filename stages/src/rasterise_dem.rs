@@ -45,7 +45,7 @@ impl Stage for RasteriseDem {
                  of the raster at `grid`, else `window_m`, else the extent snapped outward to multiples of the cell.",
         frames: "Surface in the wall frame (Z out of the rock), metres; elevation in metres. Epochs that are to be compared \
                  need one grid: give all the same `window_m`, or the first raster as `grid`.",
-        fails: "The surface has no points; the window is empty; the grid would have more than 5e8 cells.",
+        fails: "The surface has no points; the window is empty; the grid would have more than 1.5e8 cells; a transform from another frame than the surface's.",
         example: "rockface: 1\nname: dem-of-a-face\nseed: 1\nsteps:\n  face: {stage: synthesise-face, with: {width_m: 3, height_m: 2}}\n  \
                   dem:\n    stage: rasterise-dem\n    in: {surface: face.mesh}\n    with: {cell_m: 0.05, method: tin}\n",
     };
@@ -72,6 +72,7 @@ impl Stage for RasteriseDem {
             .ok_or_else(|| StageError::new("port `surface` needs a surface or a mesh"))?;
         let transform = inputs.optional::<Transform>("transform")?;
         let moved = transform.and_then(Moved::by);
+        check_frames(shape.frame(), transform)?;
         let grid = match inputs.optional::<Raster>("grid")? {
             Some(raster) => usable(raster.grid)?,
             None => make_grid(params, shape, moved.as_ref())?,
@@ -106,6 +107,19 @@ fn usable(grid: Grid) -> Result<Grid, StageError> {
         return Ok(grid);
     }
     fail!("the given grid has {} x {} cells of {} m and cannot be filled", grid.columns, grid.rows, grid.cell_m)
+}
+
+/// A transform that says it comes from the world or the wall frame fits only a surface in that frame.
+fn check_frames(frame: Frame, transform: Option<&Transform>) -> Result<(), StageError> {
+    let named = |t: &&Transform| ["world", "wall"].contains(&t.from.as_str()) && t.from != frame.to_string();
+    match transform.filter(named) {
+        None => Ok(()),
+        Some(t) => Err(StageError::new(format!(
+            "the transform takes {} to {}, but the surface is in the {frame} frame",
+            t.from, t.to
+        ))
+        .hint("leave the transform out, or give the surface as it was before")),
+    }
 }
 
 fn frame_after(frame: Frame, transform: Option<&Transform>) -> Frame {

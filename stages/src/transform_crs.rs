@@ -57,6 +57,19 @@ params! {
 /// The stage.
 pub struct TransformCrs;
 
+/// The transform of another epoch, where it fits the mesh.
+fn taken(params: &TransformCrsParams, frame: Frame, earlier: Option<&Transform>) -> Result<Transform, StageError> {
+    let Some(earlier) = earlier else { fail!("no transform is given") };
+    if params.given.is_some() {
+        fail!("both an input `transform` and a parameter `given` are there: which one is meant?");
+    }
+    if earlier.from != frame.to_string() || earlier.to != Frame::Wall.to_string() {
+        let (from, to) = (&earlier.from, &earlier.to);
+        fail!("the transform takes {from} to {to}, but the mesh is in the {frame} frame and goes to the wall");
+    }
+    Ok(earlier.clone())
+}
+
 impl Stage for TransformCrs {
     type Params = TransformCrsParams;
     const NAME: &'static str = "transform-crs";
@@ -68,7 +81,8 @@ impl Stage for TransformCrs {
                  (paper, section 3.2). Z is its normal out of the rock, Y the projection of `up`, X = Y x Z, the origin the \
                  centroid.",
         frames: "World to wall, metres; right-handed, X along the face, Y up the face, Z out of the rock. Covariances of \
-                 projection centres rotate along; rotation corrections live in the camera frame and stay.",
+                 projection centres rotate along; rotation corrections live in the camera frame and stay. Epochs that are to be \
+                 compared need one wall frame: fit the first, and hand its `transform` to the others.",
         fails: "Triangles, cameras and `outward` disagree about which side is outside; the mesh is closed, so it has no \
                 outer side; cameras or covariance are in another frame than the mesh; a given rotation is no rotation.",
         example: "rockface: 1\nname: to-the-wall\nsteps:\n  face: {stage: import-mesh, with: {path: face.ply}}\n  \
@@ -78,6 +92,7 @@ impl Stage for TransformCrs {
         Port::one("mesh", &[Kind::Mesh], "The face, triangles counter-clockwise seen from outside the rock."),
         Port::optional("cameras", &[Kind::Cameras], "Cameras in the frame of the mesh."),
         Port::optional("covariance", &[Kind::Covariance], "Their covariance, in the same frame."),
+        Port::optional("transform", &[Kind::Transform], "wall_from_world of another epoch: taken instead of a fit."),
     ];
     const OUTPUTS: &'static [Port] = &[
         Port::one("mesh", &[Kind::Mesh], "The face in the wall frame."),
@@ -118,11 +133,22 @@ impl Stage for TransformCrs {
         same_frame("covariance", mesh.frame, covariance.map(|c| c.frame))?;
         let plane =
             plane_fit::fit_plane(mesh).ok_or_else(|| StageError::new("the mesh has no triangle with an area"))?;
+        let earlier = inputs.optional::<Transform>("transform")?;
         let wall_from_world = match params.frame {
+            _ if earlier.is_some() => taken(params, mesh.frame, earlier)?,
             FrameSource::Fit if mesh.frame == Frame::World => fitted(params, &plane, cameras, context)?,
             FrameSource::Fit => {
                 context.warn("the mesh is in the wall frame already: nothing was fitted, every bit is kept");
                 Transform::identity("world", "wall")
+            }
+            FrameSource::Given if mesh.frame == Frame::World && params.given.is_none() => {
+                return Err(StageError::new("the mesh says it is in the world frame, and no transform is given").hint(
+                    "set `frame: wall` at `import-mesh` if the data is in a wall frame; else `frame: fit`, or `given`",
+                ));
+            }
+            FrameSource::Given if mesh.frame == Frame::Wall && params.given.is_some() => {
+                return Err(StageError::new("the mesh is in the wall frame already, so there is nothing to transform")
+                    .hint("leave `given` out"));
             }
             FrameSource::Given => given(params),
         };

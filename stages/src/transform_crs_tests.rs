@@ -8,7 +8,7 @@ use super::*;
 use crate::artefact::{Artefact, Image};
 use crate::kernel::ply::read_mesh;
 use crate::params::ParamType;
-use crate::testing::TestHost;
+use crate::testing::{TestHost, run_stage};
 
 fn run(
     with: &serde_json::Value,
@@ -70,6 +70,9 @@ fn a_given_frame_keeps_every_bit() {
     let mut mesh = wall();
     mesh.vertices = vec![[0.1 + 0.2, -0.0, 5e-324], [1.0 / 3.0, 0.0, 0.0], [1.0, 1.0, 0.1]];
     mesh.triangles = vec![[0, 1, 2]];
+    let error = run(&json!({"frame": "given"}), mesh.clone(), None).unwrap_err();
+    assert!(error.message.contains("says it is in the world frame"), "{error}");
+    mesh.frame = Frame::Wall;
     let (moved, transform, _) = run(&json!({"frame": "given"}), mesh.clone(), None).unwrap();
     let bits = |mesh: &Mesh| mesh.vertices.iter().map(|v| v.map(f64::to_bits)).collect::<Vec<_>>();
     assert_eq!(bits(&moved), bits(&mesh));
@@ -110,4 +113,23 @@ fn real_faces_of_every_dip_become_walls() {
         let y_up = if dip > 20.0 { axes[(1, 2)] } else { axes[(1, 1)] };
         assert!(y_up > 0.8, "{name}: Y does not point up the face");
     }
+}
+
+#[test]
+fn another_epoch_takes_the_transform_of_the_first() {
+    let (first, transform, _) = run(&json!({}), wall(), None).unwrap();
+    let mut lowered = wall();
+    lowered.vertices.iter_mut().for_each(|v| v[0] -= 0.25);
+    let inputs = |transform: &Transform| {
+        [("mesh", Artefact::Mesh(lowered.clone())), ("transform", Artefact::Transform(transform.clone()))]
+    };
+    let host = TestHost::default();
+    let outputs = run_stage::<TransformCrs>(&host, &json!({}), &inputs(&transform)).unwrap().into_inner();
+    let Some(Artefact::Mesh(second)) = outputs.get("mesh") else { panic!("no mesh") };
+    for (a, b) in first.vertices.iter().zip(&second.vertices) {
+        let moved = Vector3::from(*b) - Vector3::from(*a);
+        assert!((moved.norm() - 0.25).abs() < 1e-12);
+    }
+    let error = run_stage::<TransformCrs>(&host, &json!({}), &inputs(&transform.inverse())).unwrap_err();
+    assert!(error.message.contains("takes wall to world"), "{error}");
 }

@@ -150,9 +150,9 @@ impl Fit<'_> {
             // Pairs that change to and fro would otherwise swing for ever.
             let share = if iterations > FULL_STEPS { 0.5 } else { 1.0 };
             let (turn, shift): (Vector3<f64>, Vector3<f64>) = (turn * share, shift * share);
-            let sd = Vector6::from(outcome.sd) * STOP_SHARE;
-            let converged = turn.norm() < sd.fixed_rows::<3>(0).norm().max(STOP_ROTATION_RAD)
-                && shift.norm() < sd.fixed_rows::<3>(3).norm().max(STOP_SHIFT_M);
+            let small = |k: usize, step: f64, floor: f64| step.abs() < (outcome.sd[k] * STOP_SHARE).max(floor);
+            let converged =
+                (0..3).all(|k| small(k, turn[k], STOP_ROTATION_RAD) && small(3 + k, shift[k], STOP_SHIFT_M));
             pose.rotation = Rotation3::new(turn).into_inner() * pose.rotation;
             pose.translation += shift;
             let moved = (pose.translation - start).norm();

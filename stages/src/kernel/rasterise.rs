@@ -14,7 +14,7 @@ const BAND_ROWS: usize = 64;
 /// between two triangles against rounding.
 const SEAM: f64 = -1e-9;
 /// Cells a grid may have.
-pub const MAXIMUM_CELLS: f64 = 5e8;
+pub const MAXIMUM_CELLS: f64 = 1.5e8;
 
 /// Smallest box around the points in X and Y as (left, right, bottom, top), metres; `None` without points.
 pub fn extent(shape: Shape, moved: Option<&Moved>) -> Option<[f64; 4]> {
@@ -41,7 +41,10 @@ pub fn grid_of_window([left, right, bottom, top]: [f64; 4], cell_m: f64) -> Resu
 
 fn sized(columns: f64, rows: f64, cell_m: f64, left_m: f64, top_m: f64) -> Result<Grid, String> {
     if !(columns >= 1.0 && rows >= 1.0 && columns * rows <= MAXIMUM_CELLS) {
-        return Err(format!("a grid of {columns} columns and {rows} rows of {cell_m} m cannot be made"));
+        return Err(format!(
+            "a grid of {columns:.3e} columns and {rows:.3e} rows of {cell_m:.3e} m has none or more than {MAXIMUM_CELLS:.1e} cells; is \
+             the surface in metres?"
+        ));
     }
     Ok(Grid { columns: columns as usize, rows: rows as usize, cell_m, left_m, top_m })
 }
