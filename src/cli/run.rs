@@ -43,11 +43,7 @@ impl RunArgs {
     /// Runs the pipeline.
     pub fn run(self) -> Result<(), CliError> {
         let pipeline = self.pipeline.load()?;
-        // Faults of the pipeline come before anything is made on disk.
-        crate::plan::resolve(&pipeline, &self.pipeline.target, rockface_stages::all()).map_err(CliError::Pipeline)?;
-        let store = self.pipeline.open_store()?;
-        let plan = crate::plan::plan(&pipeline, &self.pipeline.target, rockface_stages::all(), &store)
-            .map_err(CliError::Pipeline)?;
+        let (plan, store) = self.pipeline.plan(&pipeline, &self.pipeline.target)?;
         let mut options = Options { keep_going: self.keep_going, exit_when_stuck: true, ..Options::default() };
         options.jobs = self.jobs.map_or(options.jobs, usize::from);
         let stop = Arc::new(AtomicBool::new(false));
