@@ -1,6 +1,8 @@
 //! The command line: one file a command, and the exit codes they share.
 
+mod completions;
 mod explain;
+mod graph;
 mod plan;
 mod run;
 mod stages;
@@ -35,8 +37,12 @@ enum Command {
     Plan(plan::PlanArgs),
     /// Show the recipe of one step instance, whether it is cached, and if not, what changed.
     Explain(explain::ExplainArgs),
+    /// Draw the steps and what flows between them: targets with a double frame, what is not kept dashed.
+    Graph(graph::GraphArgs),
     /// List the stages, or show the page of one.
     Stages(stages::StagesArgs),
+    /// Write a script that lets a shell complete commands and options.
+    Completions(completions::CompletionsArgs),
 }
 
 /// What every command that reads a pipeline takes.
@@ -150,7 +156,9 @@ impl Cli {
             Command::Run(args) => args.run(),
             Command::Plan(args) => args.run(),
             Command::Explain(args) => args.run(),
+            Command::Graph(args) => args.run(),
             Command::Stages(args) => args.run(),
+            Command::Completions(args) => args.run(),
         }
     }
 }

@@ -117,3 +117,72 @@ fn explain_asks_for_a_point_and_says_which_there_are() {
         assert!(err.contains(expected), "{err}");
     }
 }
+
+#[test]
+fn graph_folds_sweeps_and_marks_targets_and_what_is_not_kept() {
+    let house = House::new(SWEPT);
+    let (code, out, err) = house.rockface(&["graph", "p.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    let line = |needle: &str| out.lines().find(|line| line.contains(needle)).unwrap_or_else(|| panic!("{out}"));
+    assert!(out.starts_with("digraph {") && out.ends_with("}\n"), "{out}");
+    assert!(line("rasterise-dem").contains(r"dem\lrasterise-dem\l2 instances over cell\l"), "{out}");
+    assert!(line("rasterise-dem").contains("peripheries=2") && !line("rasterise-dem").contains("dashed"), "{out}");
+    assert!(line("synthesise-face").contains("style=dashed") && !line("synthesise-face").contains("instances"));
+    assert!(line("describe-noise").contains("gray") && line("describe-noise").contains("0 instances"), "{out}");
+    assert!(line("0 -> 1").contains(r#"label = "mesh → surface""#), "{out}");
+    assert!(line("1 -> 2").contains(r#"label = "raster""#), "{out}");
+    let (_, out, _) = house.rockface(&["graph", "p.yaml", "--format", "mermaid", "--target", "table"]);
+    let expected = "flowchart LR
+  s0[\"face<br/>synthesise-face\"]
+  style s0 stroke-dasharray: 5 5
+  s1[\"dem<br/>rasterise-dem<br/>2 instances over cell\"]
+  s2[[\"table<br/>describe-noise<br/>2 instances over cell\"]]
+  s0 -->|\"mesh → surface\"| s1
+  s1 -->|\"raster\"| s2
+";
+    assert_eq!(out, expected);
+    assert!(!house.path(".rockface").exists(), "drawing makes nothing on disk");
+}
+
+#[test]
+fn graph_tells_choices_picks_and_gathering() {
+    let yaml = SWEPT
+        .replace("raster: dem.raster}", "raster: \"dem.raster[cell=0.1]\"}")
+        .replace("targets: [dem]", "  all: {stage: tabulate, in: {rows: {each: own.features, over: [cell]}}}")
+        .replace(
+            "  table:",
+            "  own: {stage: describe-noise, in: {raster: {by: cell, 0.05: dem.raster, 0.1: dem.raster}}}\n  table:",
+        );
+    let (code, out, err) = House::new(&yaml).rockface(&["graph", "p.yaml", "--format", "mermaid"]);
+    assert_eq!(code, Some(0), "{err}");
+    for arrow in ["raster[cell=0.1] → raster", "raster (cell=0.05|0.1)", "features → rows (each cell)"] {
+        assert!(out.contains(&format!("|\"{arrow}\"|")), "{arrow}: {out}");
+    }
+}
+
+#[test]
+fn completions_know_the_commands() {
+    let house = House::new(SMALL);
+    for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
+        let (code, out, _) = house.rockface(&["completions", shell]);
+        assert_eq!(code, Some(0));
+        assert!(["explain", "graph", "keep-going"].iter().all(|word| out.contains(word)), "{shell}");
+    }
+    assert_eq!(house.rockface(&["completions", "tcsh"]).0, Some(2));
+}
+
+#[test]
+fn a_run_with_little_memory_makes_the_same() {
+    let raster = |arguments: &[&str]| {
+        let house = House::new(&SMALL.replace("face: {", "face: {keep: false, "));
+        let (code, _, err) = house.rockface(arguments);
+        assert_eq!(code, Some(0), "{err}");
+        std::fs::read(house.path(".rockface/runs/latest/outputs/dem/raster.tif")).unwrap()
+    };
+    assert_eq!(raster(&["run", "p.yaml", "--memory", "0.000001"]), raster(&["run", "p.yaml"]));
+    for wrong in ["0", "-1", "nan", "4GB", "1e300"] {
+        let (code, _, err) = House::new(SMALL).rockface(&["run", "p.yaml", &format!("--memory={wrong}")]);
+        assert_eq!(code, Some(2));
+        assert!(err.contains("GiB"), "{err}");
+    }
+}
