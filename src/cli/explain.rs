@@ -43,9 +43,9 @@ impl ExplainArgs {
             return Err(CliError::Usage(format!("the inputs of `{}` are not on record", plan.label(instance))));
         };
         if self.json {
-            print_json(&plan, &answers, &told)
+            print_json(&plan, &answers, &told);
         } else {
-            print(&plan, &answers, &told)
+            print(&plan, &answers, &told);
         }
         Ok(())
     }

@@ -158,7 +158,10 @@ impl Cli {
             Command::Explain(args) => args.run(),
             Command::Graph(args) => args.run(),
             Command::Stages(args) => args.run(),
-            Command::Completions(args) => args.run(),
+            Command::Completions(args) => {
+                args.run();
+                Ok(())
+            }
         }
     }
 }

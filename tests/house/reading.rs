@@ -95,6 +95,8 @@ fn explain_compares_with_the_most_like_record_and_agrees_with_plan() {
     // The face is recorded and not kept: it runs for its values.
     let (_, out, _) = house.rockface(&[&["explain", "p.yaml", "face"][..], &set].concat());
     assert!(out.starts_with("face (synthesise-face): runs, its values are needed\n"), "{out}");
+    let (_, out, _) = house.rockface(&["explain", "p.yaml", "face", "--set", "steps.face.keep=true"]);
+    assert!(out.starts_with("face (synthesise-face): runs, its outputs were not kept and now are to be\n"), "{out}");
     // No target needs the table; it can be explained all the same.
     let (code, out, err) = house.rockface(&["explain", "p.yaml", "table[cell=0.1]"]);
     assert_eq!(code, Some(0), "{err}");
