@@ -81,6 +81,30 @@ fn explain_follows_a_changed_input_to_the_root_cause() {
 }
 
 #[test]
+fn explain_follows_a_gathered_input_through_several_steps() {
+    let sweep = "axes: {relief: {values: [0.1, 0.2]}}";
+    let yaml = SMALL
+        .replace("seed: 1\n", &format!("seed: 1\n{sweep}\n"))
+        .replace("width_m: 2", "relief_m: \"${relief}\", width_m: 2")
+        + "  stat: {stage: describe-noise, in: {raster: dem.raster}}\n"
+        + "  all: {stage: tabulate, in: {rows: {each: stat.features, over: [relief]}}}\n";
+    let house = House::new(&yaml);
+    let (code, _, err) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    let set = ["--set", "steps.dem.with.method=mean"];
+    house.rockface(&[&["run", "p.yaml", "--target", "stat"][..], &set].concat());
+    let told = json(&house, &[&["explain", "p.yaml", "all", "--json"][..], &set].concat());
+    let causes = told["causes"].as_array().unwrap();
+    let steps: Vec<&str> = causes.iter().map(|cause| cause["step"].as_str().unwrap()).collect();
+    assert_eq!(steps, ["all", "stat", "dem"]);
+    let paths: Vec<&str> =
+        causes[0]["changes"].as_array().unwrap().iter().map(|change| change["path"].as_str().unwrap()).collect();
+    assert_eq!(paths, ["inputs.rows[relief=0.1]", "inputs.rows[relief=0.2]"]);
+    assert_eq!(causes[2]["point"]["relief"], "0.1");
+    assert_eq!(changes(&causes[2]), ["params.method: \"tin\" -> \"mean\""]);
+}
+
+#[test]
 fn explain_compares_with_the_most_like_record_and_agrees_with_plan() {
     let house = House::new(SWEPT);
     let (_, out, _) = house.rockface(&["explain", "p.yaml", "face"]);
