@@ -3,6 +3,7 @@
 pub mod build;
 pub mod cli;
 pub mod diagnostic;
+pub mod explain;
 pub mod pipeline;
 pub mod plan;
 pub mod run;

@@ -1,5 +1,8 @@
 //! The command line: one file a command, and the exit codes they share.
 
+mod completions;
+mod explain;
+mod graph;
 mod plan;
 mod run;
 mod stages;
@@ -11,6 +14,7 @@ use rockface_cache::{Store, StoreError};
 
 use crate::diagnostic::Diagnostics;
 use crate::pipeline::{Overrides, Pipeline};
+use crate::plan::Plan;
 use crate::run::RunError;
 
 /// Simulates photogrammetric rockfall monitoring: pipelines of stages, every output cached by what decided it.
@@ -31,8 +35,14 @@ enum Command {
     Run(run::RunArgs),
     /// Show what a run would do and why, without doing it.
     Plan(plan::PlanArgs),
+    /// Show the recipe of one step instance, whether it is cached, and if not, what changed.
+    Explain(explain::ExplainArgs),
+    /// Draw the steps and what flows between them: targets with a double frame, what is not kept dashed.
+    Graph(graph::GraphArgs),
     /// List the stages, or show the page of one.
     Stages(stages::StagesArgs),
+    /// Write a script that lets a shell complete commands and options.
+    Completions(completions::CompletionsArgs),
 }
 
 /// What every command that reads a pipeline takes.
@@ -61,6 +71,15 @@ impl PipelineArgs {
 
     fn load(&self) -> Result<Pipeline, CliError> {
         Pipeline::load(&self.pipeline, &self.overrides()).map_err(CliError::Pipeline)
+    }
+
+    /// Plans for these targets; faults of the pipeline come before anything is made on disk.
+    fn plan(&self, pipeline: &Pipeline, targets: &[String]) -> Result<(Plan, Store), CliError> {
+        let stages = rockface_stages::all();
+        crate::plan::resolve(pipeline, targets, stages).map_err(CliError::Pipeline)?;
+        let store = self.open_store()?;
+        let plan = crate::plan::plan(pipeline, targets, stages, &store).map_err(CliError::Pipeline)?;
+        Ok((plan, store))
     }
 
     fn open_store(&self) -> Result<Store, CliError> {
@@ -136,7 +155,13 @@ impl Cli {
         match self.command {
             Command::Run(args) => args.run(),
             Command::Plan(args) => args.run(),
+            Command::Explain(args) => args.run(),
+            Command::Graph(args) => args.run(),
             Command::Stages(args) => args.run(),
+            Command::Completions(args) => {
+                args.run();
+                Ok(())
+            }
         }
     }
 }

@@ -14,6 +14,9 @@ use crate::watch::{JsonLines, Observer, Plain, Silent, Terminal, duration};
 /// How many headlines and files the end of a run names.
 const NAMED: usize = 20;
 
+/// The most memory that can be asked for, GiB; more is a slip of the pen.
+const MEMORY_LIMIT_GIB: f64 = 1_048_576.0;
+
 /// Arguments of `rockface run`.
 #[derive(Debug, Args)]
 pub struct RunArgs {
@@ -22,6 +25,10 @@ pub struct RunArgs {
     /// Steps at once, and threads inside them; by default one a core.
     #[arg(long, short, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: Option<u16>,
+    /// Memory for values handed from step to step; beyond it they are written to the store. By default half of the
+    /// machine's.
+    #[arg(long, value_name = "GiB", value_parser = memory_bytes)]
+    memory: Option<usize>,
     /// Go on with what does not depend on a failed step.
     #[arg(long)]
     keep_going: bool,
@@ -43,13 +50,10 @@ impl RunArgs {
     /// Runs the pipeline.
     pub fn run(self) -> Result<(), CliError> {
         let pipeline = self.pipeline.load()?;
-        // Faults of the pipeline come before anything is made on disk.
-        crate::plan::resolve(&pipeline, &self.pipeline.target, rockface_stages::all()).map_err(CliError::Pipeline)?;
-        let store = self.pipeline.open_store()?;
-        let plan = crate::plan::plan(&pipeline, &self.pipeline.target, rockface_stages::all(), &store)
-            .map_err(CliError::Pipeline)?;
+        let (plan, store) = self.pipeline.plan(&pipeline, &self.pipeline.target)?;
         let mut options = Options { keep_going: self.keep_going, exit_when_stuck: true, ..Options::default() };
         options.jobs = self.jobs.map_or(options.jobs, usize::from);
+        options.memory_bytes = self.memory.unwrap_or(options.memory_bytes);
         let stop = Arc::new(AtomicBool::new(false));
         stop_on_signal(&stop);
         let begun = std::time::Instant::now();
@@ -108,6 +112,16 @@ impl RunArgs {
             duration_or_ms(wall_s),
             folder.display()
         ));
+    }
+}
+
+/// The bytes in a number of GiB; a program with none for its values would write all of them.
+fn memory_bytes(text: &str) -> Result<usize, String> {
+    let gib: f64 = text.parse().map_err(|_| "give a number of GiB, such as 4 or 0.5".to_owned())?;
+    if gib > 0.0 && gib <= MEMORY_LIMIT_GIB {
+        Ok((gib * f64::from(1 << 30)) as usize)
+    } else {
+        Err(format!("give a number of GiB above 0 and up to {MEMORY_LIMIT_GIB}"))
     }
 }
 

@@ -193,6 +193,12 @@ fn elements(graph: &Graph, step: &GraphStep, items: &[usize], feed: &Feed) -> Ve
     }
 }
 
+/// How many instances of every step the targets need.
+pub fn counts(graph: &Graph) -> Result<Vec<usize>, Vec<Diagnostic>> {
+    let faults = too_many(graph);
+    if faults.is_empty() { Ok(needed_points(graph).iter().map(BTreeSet::len).collect()) } else { Err(faults) }
+}
+
 /// The points of every step that the targets need.
 fn needed_points(graph: &Graph) -> Vec<BTreeSet<Vec<usize>>> {
     let mut needed: Vec<BTreeSet<Vec<usize>>> = vec![BTreeSet::new(); graph.steps.len()];

@@ -7,7 +7,7 @@ mod resolve;
 mod values;
 
 pub use graph::{Feed, Graph, GraphStep, Source};
-pub use instances::{Given, Instance, Plan, makes};
+pub use instances::{Given, Instance, Plan, counts, makes};
 pub use parameters::{InputFile, StepParams};
 pub use resolve::resolve;
 

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
-const SMALL: &str = "# A small face.
+pub const SMALL: &str = "# A small face.
 rockface: 1
 name: small
 seed: 1
@@ -12,20 +12,20 @@ steps:
   dem: {stage: rasterise-dem, in: {surface: face.mesh}, with: {cell_m: 0.05, method: tin}}
 ";
 
-struct House(tempfile::TempDir);
+pub struct House(tempfile::TempDir);
 
 impl House {
-    fn new(yaml: &str) -> Self {
+    pub fn new(yaml: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("p.yaml"), yaml).unwrap();
         Self(folder)
     }
 
-    fn path(&self, name: &str) -> std::path::PathBuf {
+    pub fn path(&self, name: &str) -> std::path::PathBuf {
         self.0.path().join(name)
     }
 
-    fn rockface(&self, arguments: &[&str]) -> (Option<i32>, String, String) {
+    pub fn rockface(&self, arguments: &[&str]) -> (Option<i32>, String, String) {
         let Output { status, stdout, stderr } = self.command(arguments).output().unwrap();
         (status.code(), String::from_utf8(stdout).unwrap(), String::from_utf8(stderr).unwrap())
     }

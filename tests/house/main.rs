@@ -7,5 +7,6 @@ mod documents;
 mod engine;
 mod golden;
 mod lab;
+mod reading;
 mod rework;
 mod tidy;

@@ -1,0 +1,178 @@
+//! `rockface explain`.
+
+use clap::Args;
+use serde_json::{Value, json};
+
+use super::{CliError, PipelineArgs, say};
+use crate::diagnostic::nearest;
+use crate::explain::{Answers, Cause, Change, Explanation, explain};
+use crate::pipeline::Pipeline;
+use crate::plan::Plan;
+
+/// How many changes of one instance, or points of a step, are named.
+const NAMED: usize = 20;
+
+/// Arguments of `rockface explain`.
+#[derive(Debug, Args)]
+pub struct ExplainArgs {
+    #[command(flatten)]
+    pipeline: PipelineArgs,
+    /// The step; with more than one instance its point too: `dem[epoch=pre,replicate=3]`, in quotes for most shells.
+    #[arg(value_name = "STEP[AXIS=ITEM,...]")]
+    step: String,
+    /// Print the explanation as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+impl ExplainArgs {
+    /// Prints the explanation.
+    pub fn run(self) -> Result<(), CliError> {
+        let pipeline = self.pipeline.load()?;
+        let (name, items) = wanted(&self.step)?;
+        check_step(&pipeline, name)?;
+        let (mut plan, store) = self.pipeline.plan(&pipeline, &self.pipeline.target)?;
+        if !(0..plan.instances.len()).any(|instance| plan.step(instance).name == name) {
+            // No target needs it: explained as if it were one.
+            plan = crate::plan::plan(&pipeline, &[name.to_owned()], rockface_stages::all(), &store)
+                .map_err(CliError::Pipeline)?;
+        }
+        let instance = one_instance(&plan, name, &items)?;
+        let answers = Answers::new(&plan, &store);
+        let Some(told) = explain(&plan, &store, &answers, instance) else {
+            return Err(CliError::Usage(format!("the inputs of `{}` are not on record", plan.label(instance))));
+        };
+        if self.json {
+            print_json(&plan, &answers, &told);
+        } else {
+            print(&plan, &answers, &told);
+        }
+        Ok(())
+    }
+}
+
+/// The step and the `axis=item` texts of an argument.
+fn wanted(text: &str) -> Result<(&str, Vec<&str>), CliError> {
+    let Some((name, rest)) = text.split_once('[') else { return Ok((text.trim(), Vec::new())) };
+    let inside = rest.trim_end().strip_suffix(']').ok_or_else(|| {
+        CliError::Usage(format!("`{text}` names no step instance; write STEP or 'STEP[axis=item,...]'"))
+    })?;
+    Ok((name.trim(), inside.split(',').map(str::trim).filter(|item| !item.is_empty()).collect()))
+}
+
+fn check_step(pipeline: &Pipeline, name: &str) -> Result<(), CliError> {
+    let known: Vec<&str> = pipeline.document.steps.iter().map(|step| step.name.text.as_str()).collect();
+    if known.contains(&name) {
+        return Ok(());
+    }
+    let hint = nearest(name, &known)
+        .map_or_else(|| format!("there are {}", known.join(", ")), |near| format!("did you mean `{near}`?"));
+    Err(CliError::Usage(format!("the pipeline has no step `{name}`; {hint}")))
+}
+
+/// The one instance of a step that has all these items.
+fn one_instance(plan: &Plan, name: &str, items: &[&str]) -> Result<usize, CliError> {
+    let own: Vec<usize> = (0..plan.instances.len()).filter(|i| plan.step(*i).name == name).collect();
+    let fits = |instance: &usize| {
+        let point: Vec<String> =
+            plan.point(*instance).into_iter().map(|(axis, item)| format!("{axis}={item}")).collect();
+        items.iter().all(|item| point.iter().any(|own| own == item))
+    };
+    let fitting: Vec<usize> = own.iter().copied().filter(fits).collect();
+    match fitting.as_slice() {
+        [one] => Ok(*one),
+        [] => {
+            let message = format!("step `{name}` has no instance at [{}]; it has", items.join(","));
+            Err(CliError::Usage(listed(plan, &message, &own)))
+        }
+        many => {
+            let message = format!("step `{name}` has {} instances that fit; name one of", many.len());
+            Err(CliError::Usage(listed(plan, &message, many)))
+        }
+    }
+}
+
+fn listed(plan: &Plan, message: &str, instances: &[usize]) -> String {
+    let mut text = format!("{message}:");
+    instances.iter().take(NAMED).for_each(|instance| text += &format!("\n  '{}'", plan.label(*instance)));
+    if instances.len() > NAMED {
+        text += &format!("\n  … and {} more", instances.len() - NAMED);
+    }
+    text
+}
+
+fn print(plan: &Plan, answers: &Answers, told: &Explanation) {
+    say(&standing(plan, answers, told.asked));
+    if told.explained != told.asked {
+        say("its recipe is not known before that has run; the first upstream that would run:\n");
+        say(&standing(plan, answers, told.explained));
+    }
+    let pretty = serde_json::to_string_pretty(&as_value(told)).unwrap_or_default();
+    say(&format!("key {}\nrecipe {pretty}", told.recipe.key()));
+    for (index, cause) in told.causes.iter().enumerate() {
+        say(&format!("\n{}", headline(plan, cause, index == 0)));
+        let changes = cause.former.as_ref().map_or(&[][..], |(_, changes)| changes);
+        changes.iter().take(NAMED).for_each(|change| say(&format!("  {change}{}", origin(plan, cause, change))));
+        if changes.len() > NAMED {
+            say(&format!("  … and {} more", changes.len() - NAMED));
+        }
+    }
+}
+
+/// `step[point] (stage): answer, why`.
+fn standing(plan: &Plan, answers: &Answers, instance: usize) -> String {
+    let answer = answers.list()[instance];
+    let why = answer.why(plan).map(|why| format!(", {why}")).unwrap_or_default();
+    format!("{} ({}): {}{why}", plan.label(instance), plan.step(instance).stage.name(), answer.word())
+}
+
+fn headline(plan: &Plan, cause: &Cause, first: bool) -> String {
+    let (label, stage) = (plan.label(cause.instance), plan.step(cause.instance).stage.name());
+    match (&cause.former, first) {
+        (None, true) => format!("{label}: nothing is on record of stage `{stage}`"),
+        (None, false) => format!("{label} made that input; no record tells what made the former one"),
+        (Some((key, _)), true) => {
+            format!("{label}: against {}…, the most like of {} on record of `{stage}`", key.short(), cause.records)
+        }
+        (Some((key, _)), false) => format!("{label} made that input; against {}…, which made the former", key.short()),
+    }
+}
+
+/// Where a changed component comes from: the output of a step, or a file.
+fn origin(plan: &Plan, cause: &Cause, change: &Change) -> String {
+    let instance = &plan.instances[cause.instance];
+    if let Some(place) = &change.input {
+        let given = instance.inputs.iter().filter(|(port, _)| *port == place.port).flat_map(|(_, given)| given);
+        let given = given.into_iter().find(|given| given.point == place.point);
+        return given.map(|g| format!(" (from {}, port {})", plan.label(g.instance), g.port)).unwrap_or_default();
+    }
+    let digest = change.new.as_ref().and_then(Value::as_str).unwrap_or_default();
+    let file = instance.params.files.values().flatten().find(|file| file.digest.to_string() == digest);
+    file.map(|file| format!(" (the file {})", file.path.display())).unwrap_or_default()
+}
+
+/// The very text that is hashed, as a JSON value.
+fn as_value(told: &Explanation) -> Value {
+    serde_json::from_str(&told.recipe.text()).unwrap_or_default()
+}
+
+fn print_json(plan: &Plan, answers: &Answers, told: &Explanation) {
+    let about = |instance: usize| {
+        let answer = answers.list()[instance];
+        json!({ "step": plan.step(instance).name, "point": plan.point(instance), "answer": answer.word(), "why": answer.why(plan) })
+    };
+    let change = |change: &Change| json!({ "path": change.path, "old": change.old, "new": change.new });
+    let cause = |cause: &Cause| {
+        let (former, changes) = cause.former.as_ref().map(|(key, changes)| (key, changes.as_slice())).unzip();
+        json!({
+            "step": plan.step(cause.instance).name, "point": plan.point(cause.instance), "records": cause.records,
+            "former_key": former, "changes": changes.unwrap_or_default().iter().map(change).collect::<Vec<_>>(),
+        })
+    };
+    let whole = json!({
+        "asked": about(told.asked), "explained": about(told.explained), "key": told.recipe.key(),
+        "recipe": as_value(told), "recipe_text": told.recipe.text(),
+        "causes": told.causes.iter().map(cause).collect::<Vec<_>>(),
+    });
+    say(&serde_json::to_string_pretty(&whole).unwrap_or_default());
+}

@@ -1,0 +1,127 @@
+//! What a run would do with every step instance, and why; told from records, without reading a blob.
+
+use rockface_cache::{Digest, Outcome, Recipe, Store};
+
+use crate::plan::Plan;
+
+/// What a run would do with one instance.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Answer {
+    /// Its record is there.
+    Hit,
+    /// It would run.
+    Runs(Why),
+    /// It depends on this instance, which would run or depends on another.
+    Depends(usize),
+}
+
+/// Why an instance would run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Why {
+    /// No record has its recipe.
+    New,
+    /// A record has it, but an output it names is gone.
+    Gone,
+    /// A record has it, but the outputs were not kept then, and are to be kept now.
+    Unkept,
+    /// It is recorded and keeps no outputs, and something that runs needs them.
+    Needed,
+}
+
+impl Answer {
+    /// One word for it.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Hit => "hit",
+            Self::Runs(_) => "runs",
+            Self::Depends(_) => "depends",
+        }
+    }
+
+    /// Why it is not a hit.
+    pub fn why(self, plan: &Plan) -> Option<String> {
+        match self {
+            Self::Hit => None,
+            Self::Runs(Why::New) => Some("no record has this recipe".into()),
+            Self::Runs(Why::Gone) => Some("an output is gone from the store".into()),
+            Self::Runs(Why::Unkept) => Some("its outputs were not kept and now are to be".into()),
+            Self::Runs(Why::Needed) => Some("its values are needed".into()),
+            Self::Depends(producer) => Some(format!("waits for {}", plan.label(producer))),
+        }
+    }
+}
+
+/// The answers for all instances of a plan.
+pub struct Answers<'a> {
+    plan: &'a Plan,
+    list: Vec<Answer>,
+    /// What is recorded, for hits and for what runs only because its values are needed.
+    outcomes: Vec<Option<Outcome>>,
+}
+
+impl<'a> Answers<'a> {
+    /// Keys come from records, producers before consumers; then what runs calls for what was not kept.
+    pub fn new(plan: &'a Plan, store: &Store) -> Self {
+        let count = plan.instances.len();
+        let mut answers = Self { plan, list: Vec::with_capacity(count), outcomes: Vec::with_capacity(count) };
+        for instance in 0..count {
+            let (answer, outcome) = answers.look_up(store, instance);
+            answers.list.push(answer);
+            answers.outcomes.push(outcome);
+        }
+        answers.call_for_values(store);
+        answers
+    }
+
+    /// The answers, by instance.
+    pub fn list(&self) -> &[Answer] {
+        &self.list
+    }
+
+    /// The recipe of an instance, if all its inputs are known.
+    pub fn recipe(&self, instance: usize) -> Option<Recipe> {
+        let given = self.plan.instances[instance].inputs.iter().flat_map(|(_, given)| given);
+        let known = given.into_iter().all(|given| self.output(given.instance, given.port).is_some());
+        known.then(|| self.plan.recipe(instance, |i, port| self.output(i, port).unwrap_or_else(|| Digest::of(b""))))
+    }
+
+    fn output(&self, instance: usize, port: &str) -> Option<Digest> {
+        Some(self.outcomes[instance].as_ref()?.outputs.get(port)?.digest)
+    }
+
+    fn look_up(&self, store: &Store, instance: usize) -> (Answer, Option<Outcome>) {
+        if let Some(producer) = self.producers(instance).find(|producer| self.list[*producer] != Answer::Hit) {
+            return (Answer::Depends(producer), None);
+        }
+        let Some(key) = self.recipe(instance).map(|recipe| recipe.key()) else {
+            return (Answer::Runs(Why::New), None);
+        };
+        match crate::run::hit(store, &key, self.plan.step(instance).keep) {
+            Some(outcome) => (Answer::Hit, Some(outcome)),
+            None if store.hit_outcome(&key).is_some() => (Answer::Runs(Why::Unkept), None),
+            None if store.has_record(&key) => (Answer::Runs(Why::Gone), None),
+            None => (Answer::Runs(Why::New), None),
+        }
+    }
+
+    fn producers(&self, instance: usize) -> impl Iterator<Item = usize> {
+        self.plan.instances[instance].inputs.iter().flat_map(|(_, given)| given.iter().map(|given| given.instance))
+    }
+
+    /// Producers that are recorded, but whose values are nowhere, run again for what is sure to run; consumers come
+    /// last, so one pass from the end finds them all.
+    fn call_for_values(&mut self, store: &Store) {
+        for index in (0..self.list.len()).rev() {
+            if !matches!(self.list[index], Answer::Runs(_)) {
+                continue;
+            }
+            for given in self.plan.instances[index].inputs.iter().flat_map(|(_, given)| given) {
+                let hit = self.list[given.instance] == Answer::Hit;
+                let digest = self.output(given.instance, given.port);
+                if hit && digest.is_some_and(|digest| !store.contains(&digest)) {
+                    self.list[given.instance] = Answer::Runs(Why::Needed);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,88 @@
+//! Why a step instance would run: its recipe now against the recipes on record, up to the root cause.
+
+mod answers;
+mod difference;
+
+pub use answers::{Answer, Answers, Why};
+pub use difference::{Change, InputPlace};
+
+use difference::Parts;
+use rockface_cache::{Digest, Recipe, Record, Store};
+
+use crate::plan::Plan;
+
+/// What there is to say of one instance.
+pub struct Explanation {
+    /// The instance asked for.
+    pub asked: usize,
+    /// The instance explained: the one asked for, or the first upstream that would run before it.
+    pub explained: usize,
+    /// Its recipe now.
+    pub recipe: Recipe,
+    /// From the explained instance up to the root cause; empty where the recipe is on record.
+    pub causes: Vec<Cause>,
+}
+
+/// What changed at one instance.
+pub struct Cause {
+    /// The instance.
+    pub instance: usize,
+    /// The records of its stage that were looked at: all, or for a producer those that made the former input.
+    pub records: usize,
+    /// The most like of these: its key, and what changed since. `None` when there is none.
+    pub former: Option<(Digest, Vec<Change>)>,
+}
+
+/// Explains an instance; `None` when the plan is not what the answers are for.
+pub fn explain(plan: &Plan, store: &Store, answers: &Answers, asked: usize) -> Option<Explanation> {
+    let mut explained = asked;
+    while let Answer::Depends(producer) = answers.list()[explained] {
+        explained = producer;
+    }
+    let recipe = answers.recipe(explained)?;
+    let is_new = answers.list()[explained] == Answer::Runs(Why::New);
+    let causes = if is_new { causes(plan, store, answers, explained, &recipe) } else { Vec::new() };
+    Some(Explanation { asked, explained, recipe, causes })
+}
+
+/// Follows the first changed input to its producer, and on, until nothing upstream changed.
+fn causes(plan: &Plan, store: &Store, answers: &Answers, instance: usize, recipe: &Recipe) -> Vec<Cause> {
+    let mut causes = vec![most_like(store, instance, recipe, |_| true)];
+    while let Some((producer, port, old)) = causes.last().and_then(|cause| changed_input(plan, cause)) {
+        let Some(recipe) = answers.recipe(producer) else { break };
+        let made_it = |record: &Record| record.outputs.get(port).is_some_and(|output| output.digest == old);
+        causes.push(most_like(store, producer, &recipe, made_it));
+    }
+    causes
+}
+
+/// The producer and the port of the first input that changed, and what it was before.
+fn changed_input(plan: &Plan, cause: &Cause) -> Option<(usize, &'static str, Digest)> {
+    let (_, changes) = cause.former.as_ref()?;
+    changes.iter().find_map(|change| {
+        let (place, old) = (change.input.as_ref()?, change.old_digest()?);
+        let (_, given) = plan.instances[cause.instance].inputs.iter().find(|(port, _)| *port == place.port)?;
+        let given = given.iter().find(|given| given.point == place.point)?;
+        Some((given.instance, given.port, old))
+    })
+}
+
+/// The record of the same stage with the fewest differing components; of equals the latest, then the least key.
+fn most_like(store: &Store, instance: usize, recipe: &Recipe, counts: impl Fn(&Record) -> bool) -> Cause {
+    let now = Parts::of(recipe);
+    let mut cause = Cause { instance, records: 0, former: None };
+    let mut best = (usize::MAX, 0);
+    for key in store.keys() {
+        let Some(record) = store.record(&key).filter(|record| record.recipe.stage == recipe.stage && counts(record))
+        else {
+            continue;
+        };
+        cause.records += 1;
+        let changes = now.changes_from(&Parts::of(&record.recipe));
+        let rank = (changes.len(), u64::MAX - record.cost.finished_unix_s);
+        if cause.former.is_none() || rank < best {
+            (best, cause.former) = (rank, Some((key, changes)));
+        }
+    }
+    cause
+}

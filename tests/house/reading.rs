@@ -1,0 +1,214 @@
+//! The commands that read the state of things: `explain`, `graph`, `completions`.
+
+use serde_json::Value;
+
+use crate::cli::{House, SMALL};
+
+/// A face, two sweeps of its raster, and their difference.
+const SWEPT: &str = "# Rasters of a face.
+rockface: 1
+name: swept
+seed: 1
+axes: {cell: {values: [0.05, 0.1]}}
+steps:
+  face: {stage: synthesise-face, keep: false, with: {width_m: 2, height_m: 1.5, spacing_m: 0.05}}
+  dem: {stage: rasterise-dem, in: {surface: face.mesh}, with: {cell_m: \"${cell}\", method: tin}}
+  table: {stage: describe-noise, in: {raster: dem.raster}}
+targets: [dem]
+";
+
+fn json(house: &House, arguments: &[&str]) -> Value {
+    let (code, out, err) = house.rockface(arguments);
+    assert_eq!(code, Some(0), "{err}");
+    serde_json::from_str(&out).unwrap()
+}
+
+/// `path: old -> new` of every change of one cause.
+fn changes(cause: &Value) -> Vec<String> {
+    let change =
+        |change: &Value| format!("{}: {} -> {}", change["path"].as_str().unwrap(), change["old"], change["new"]);
+    cause["changes"].as_array().unwrap().iter().map(change).collect()
+}
+
+#[test]
+fn explain_prints_the_very_recipe_that_is_the_key() {
+    let house = House::new(SMALL);
+    house.rockface(&["run", "p.yaml"]);
+    let told = json(&house, &["explain", "p.yaml", "dem", "--json"]);
+    assert_eq!((told["asked"]["answer"].as_str(), told["causes"].as_array().unwrap().len()), (Some("hit"), 0));
+    let text = told["recipe_text"].as_str().unwrap();
+    assert_eq!(told["key"], rockface_cache::Digest::of(text.as_bytes()).to_string());
+    assert_eq!(serde_json::from_str::<Value>(text).unwrap(), told["recipe"]);
+    let manifest = std::fs::read_to_string(house.path(".rockface/runs/latest/run.json")).unwrap();
+    assert!(manifest.contains(told["key"].as_str().unwrap()));
+    let (_, out, _) = house.rockface(&["explain", "p.yaml", "dem"]);
+    assert!(out.starts_with("dem (rasterise-dem): hit\nkey ") && out.contains("\"cell_m\": 0.05"), "{out}");
+}
+
+#[test]
+fn explain_names_what_changed() {
+    let house = House::new(SMALL);
+    house.rockface(&["run", "p.yaml"]);
+    let set = ["explain", "p.yaml", "dem", "--set", "steps.dem.with.cell_m=0.1"];
+    let (code, out, err) = house.rockface(&set);
+    assert_eq!(code, Some(0), "{err}");
+    assert!(out.starts_with("dem (rasterise-dem): runs, no record has this recipe\n"), "{out}");
+    assert!(out.ends_with("\n  params.cell_m: 0.05 -> 0.1\n"), "{out}");
+    let (_, plan, _) = house.rockface(&["plan", "p.yaml", "--set", "steps.dem.with.cell_m=0.1"]);
+    assert!(plan.contains("no record has this recipe"), "{plan}");
+}
+
+#[test]
+fn explain_follows_a_changed_input_to_the_root_cause() {
+    let house = House::new(SMALL);
+    house.rockface(&["run", "p.yaml"]);
+    let other = ["--set", "steps.face.with.width_m=3"];
+    // The changed face has not run: it is what is explained.
+    let told = json(&house, &[&["explain", "p.yaml", "dem", "--json"][..], &other].concat());
+    assert_eq!((&told["asked"]["answer"], &told["asked"]["why"]), (&"depends".into(), &"waits for face".into()));
+    assert_eq!((&told["explained"]["step"], &told["explained"]["answer"]), (&"face".into(), &"runs".into()));
+    assert_eq!(changes(&told["causes"][0]), ["params.width_m: 2.0 -> 3.0"]);
+    // It has run, its consumer has not: two links lead to the cause.
+    house.rockface(&[&["run", "p.yaml", "--target", "face"][..], &other].concat());
+    let told = json(&house, &[&["explain", "p.yaml", "dem", "--json"][..], &other].concat());
+    assert_eq!(told["asked"]["answer"], "runs");
+    let first = changes(&told["causes"][0]);
+    assert!(first.len() == 1 && first[0].starts_with("inputs.surface: "), "{first:?}");
+    assert_eq!(told["causes"][1]["step"], "face");
+    assert_eq!(changes(&told["causes"][1]), ["params.width_m: 2.0 -> 3.0"]);
+    let (_, out, _) = house.rockface(&[&["explain", "p.yaml", "dem"][..], &other].concat());
+    assert!(out.contains("… (from face, port mesh)\n") && out.ends_with("  params.width_m: 2.0 -> 3.0\n"), "{out}");
+}
+
+#[test]
+fn explain_follows_a_gathered_input_through_several_steps() {
+    let sweep = "axes: {relief: {values: [0.1, 0.2]}}";
+    let yaml = SMALL
+        .replace("seed: 1\n", &format!("seed: 1\n{sweep}\n"))
+        .replace("width_m: 2", "relief_m: \"${relief}\", width_m: 2")
+        + "  stat: {stage: describe-noise, in: {raster: dem.raster}}\n"
+        + "  all: {stage: tabulate, in: {rows: {each: stat.features, over: [relief]}}}\n";
+    let house = House::new(&yaml);
+    let (code, _, err) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    let set = ["--set", "steps.dem.with.method=mean"];
+    house.rockface(&[&["run", "p.yaml", "--target", "stat"][..], &set].concat());
+    let told = json(&house, &[&["explain", "p.yaml", "all", "--json"][..], &set].concat());
+    let causes = told["causes"].as_array().unwrap();
+    let steps: Vec<&str> = causes.iter().map(|cause| cause["step"].as_str().unwrap()).collect();
+    assert_eq!(steps, ["all", "stat", "dem"]);
+    let paths: Vec<&str> =
+        causes[0]["changes"].as_array().unwrap().iter().map(|change| change["path"].as_str().unwrap()).collect();
+    assert_eq!(paths, ["inputs.rows[relief=0.1]", "inputs.rows[relief=0.2]"]);
+    assert_eq!(causes[2]["point"]["relief"], "0.1");
+    assert_eq!(changes(&causes[2]), ["params.method: \"tin\" -> \"mean\""]);
+}
+
+#[test]
+fn explain_compares_with_the_most_like_record_and_agrees_with_plan() {
+    let house = House::new(SWEPT);
+    let (_, out, _) = house.rockface(&["explain", "p.yaml", "face"]);
+    assert!(out.contains("nothing is on record of stage `synthesise-face`"), "{out}");
+    house.rockface(&["run", "p.yaml"]);
+    // Two components away from one point, one from the other.
+    let set = ["--set", "axes.cell.values=[0.05, 0.2]", "--set", "steps.dem.with.method=mean"];
+    let point = "dem[cell=0.05]";
+    let told = json(&house, &[&["explain", "p.yaml", point, "--json"][..], &set].concat());
+    assert_eq!(told["causes"][0]["records"], 2);
+    assert_eq!(changes(&told["causes"][0]), ["params.method: \"tin\" -> \"mean\""]);
+    // The face is recorded and not kept: it runs for its values.
+    let (_, out, _) = house.rockface(&[&["explain", "p.yaml", "face"][..], &set].concat());
+    assert!(out.starts_with("face (synthesise-face): runs, its values are needed\n"), "{out}");
+    let (_, out, _) = house.rockface(&["explain", "p.yaml", "face", "--set", "steps.face.keep=true"]);
+    assert!(out.starts_with("face (synthesise-face): runs, its outputs were not kept and now are to be\n"), "{out}");
+    // No target needs the table; it can be explained all the same.
+    let (code, out, err) = house.rockface(&["explain", "p.yaml", "table[cell=0.1]"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert!(out.contains("nothing is on record of stage `describe-noise`"), "{out}");
+}
+
+#[test]
+fn explain_asks_for_a_point_and_says_which_there_are() {
+    let house = House::new(SWEPT);
+    let (code, _, err) = house.rockface(&["explain", "p.yaml", "dem"]);
+    assert_eq!(code, Some(2));
+    assert!(err.contains("2 instances that fit") && err.contains("'dem[cell=0.05]'\n  'dem[cell=0.1]'"), "{err}");
+    for (step, expected) in [
+        ("dem[cell=7]", "no instance at [cell=7]; it has:"),
+        ("dem[cell", "STEP[axis=item,...]"),
+        ("deem", "did you mean `dem`?"),
+    ] {
+        let (code, _, err) = house.rockface(&["explain", "p.yaml", step]);
+        assert_eq!(code, Some(2));
+        assert!(err.contains(expected), "{err}");
+    }
+}
+
+#[test]
+fn graph_folds_sweeps_and_marks_targets_and_what_is_not_kept() {
+    let house = House::new(SWEPT);
+    let (code, out, err) = house.rockface(&["graph", "p.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    let line = |needle: &str| out.lines().find(|line| line.contains(needle)).unwrap_or_else(|| panic!("{out}"));
+    assert!(out.starts_with("digraph {") && out.ends_with("}\n"), "{out}");
+    assert!(line("rasterise-dem").contains(r"dem\lrasterise-dem\l2 instances over cell\l"), "{out}");
+    assert!(line("rasterise-dem").contains("peripheries=2") && !line("rasterise-dem").contains("dashed"), "{out}");
+    assert!(line("synthesise-face").contains("style=dashed") && !line("synthesise-face").contains("instances"));
+    assert!(line("describe-noise").contains("gray") && line("describe-noise").contains("0 instances"), "{out}");
+    assert!(line("0 -> 1").contains(r#"label = "mesh → surface""#), "{out}");
+    assert!(line("1 -> 2").contains(r#"label = "raster""#), "{out}");
+    let (_, out, _) = house.rockface(&["graph", "p.yaml", "--format", "mermaid", "--target", "table"]);
+    let expected = "flowchart LR
+  s0[\"face<br/>synthesise-face\"]
+  style s0 stroke-dasharray: 5 5
+  s1[\"dem<br/>rasterise-dem<br/>2 instances over cell\"]
+  s2[[\"table<br/>describe-noise<br/>2 instances over cell\"]]
+  s0 -->|\"mesh → surface\"| s1
+  s1 -->|\"raster\"| s2
+";
+    assert_eq!(out, expected);
+    assert!(!house.path(".rockface").exists(), "drawing makes nothing on disk");
+}
+
+#[test]
+fn graph_tells_choices_picks_and_gathering() {
+    let yaml = SWEPT
+        .replace("raster: dem.raster}", "raster: \"dem.raster[cell=0.1]\"}")
+        .replace("targets: [dem]", "  all: {stage: tabulate, in: {rows: {each: own.features, over: [cell]}}}")
+        .replace(
+            "  table:",
+            "  own: {stage: describe-noise, in: {raster: {by: cell, 0.05: dem.raster, 0.1: dem.raster}}}\n  table:",
+        );
+    let (code, out, err) = House::new(&yaml).rockface(&["graph", "p.yaml", "--format", "mermaid"]);
+    assert_eq!(code, Some(0), "{err}");
+    for arrow in ["raster[cell=0.1] → raster", "raster (cell=0.05|0.1)", "features → rows (each cell)"] {
+        assert!(out.contains(&format!("|\"{arrow}\"|")), "{arrow}: {out}");
+    }
+}
+
+#[test]
+fn completions_know_the_commands() {
+    let house = House::new(SMALL);
+    for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
+        let (code, out, _) = house.rockface(&["completions", shell]);
+        assert_eq!(code, Some(0));
+        assert!(["explain", "graph", "keep-going"].iter().all(|word| out.contains(word)), "{shell}");
+    }
+    assert_eq!(house.rockface(&["completions", "tcsh"]).0, Some(2));
+}
+
+#[test]
+fn a_run_with_little_memory_makes_the_same() {
+    let raster = |arguments: &[&str]| {
+        let house = House::new(&SMALL.replace("face: {", "face: {keep: false, "));
+        let (code, _, err) = house.rockface(arguments);
+        assert_eq!(code, Some(0), "{err}");
+        std::fs::read(house.path(".rockface/runs/latest/outputs/dem/raster.tif")).unwrap()
+    };
+    assert_eq!(raster(&["run", "p.yaml", "--memory", "0.000001"]), raster(&["run", "p.yaml"]));
+    for wrong in ["0", "-1", "nan", "4GB", "1e300"] {
+        let (code, _, err) = House::new(SMALL).rockface(&["run", "p.yaml", &format!("--memory={wrong}")]);
+        assert_eq!(code, Some(2));
+        assert!(err.contains("GiB"), "{err}");
+    }
+}
