@@ -52,7 +52,8 @@ impl Stage for DescribeNoise {
         frames: "Values in metres; `_m2` in square metres; frequencies in 1/m. Curves: `variogram`, `variogram_model` (x \
                  lag m, y gamma m^2, n pairs), `spectrum` (x frequency 1/m, y power m^2, n samples), `roughness` (x \
                  sigma m, y R m, n cells).",
-        fails: "A band without cells or of one constant value; a raster below about 20 x 20 cells (too few frequencies \
+        fails: "A scale of the roughness above half the shorter side of the raster; a band without cells or of one \
+                constant value; a raster below about 20 x 20 cells (too few frequencies \
                 and lags); infinite values. Each error names the band.",
         example: "rockface: 1\nname: describe\nsteps:\n  real: {stage: import-rasters, with: {path: real}}\n  \
                   clean: {stage: filter-outliers, in: {raster: real.raster}}\n  \
@@ -75,6 +76,7 @@ impl Stage for DescribeNoise {
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let raster = inputs.one::<Raster>("raster")?;
+        check_scales(&params.scales_cells, raster)?;
         let settings = Settings {
             max_lag_cells: params.max_lag_cells,
             shape: params.model,
@@ -90,6 +92,17 @@ impl Stage for DescribeNoise {
         log(&named, context);
         Ok(Outputs::of("features", features_table(&named)).and("curves", curves_table(&named)))
     }
+}
+
+/// A filter wider than the raster leaves no roughness of its own scale.
+fn check_scales(scales_cells: &[f64], raster: &Raster) -> Result<(), StageError> {
+    let largest_cells = raster.grid.columns.min(raster.grid.rows) as f64 / 2.0;
+    let Some(scale_cells) = scales_cells.iter().find(|scale| **scale > largest_cells) else { return Ok(()) };
+    let (columns, rows) = (raster.grid.columns, raster.grid.rows);
+    Err(StageError::new(format!(
+        "a roughness scale of {scale_cells} cells is above half the shorter side of the raster of {columns} x {rows} cells"
+    ))
+    .hint(format!("list only `scales_cells` up to {largest_cells}, the same for all rasters that are compared")))
 }
 
 fn refused(band: &str, why: &str) -> StageError {
@@ -214,6 +227,14 @@ mod tests {
         raster.bands[1].values.fill(0.25);
         let error = tables(raster).unwrap_err();
         assert!(error.message.contains("`n1`") && error.message.contains("0.25"), "{error}");
+    }
+
+    #[test]
+    fn a_scale_beyond_half_the_raster_is_refused() {
+        let inputs = [("raster", noise(1).into())];
+        let with = json!({"scales_cells": [1, 25, 25.5]});
+        let error = run_stage::<DescribeNoise>(&TestHost::default(), &with, &inputs).err().unwrap();
+        assert!(error.message.contains("25.5 cells") && error.message.contains("60 x 50"), "{error}");
     }
 
     #[test]

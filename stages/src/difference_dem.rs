@@ -39,6 +39,14 @@ impl Stage for DifferenceDem {
     fn run(_params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let (reference, comparison) = (inputs.one::<Raster>("reference")?, inputs.one::<Raster>("comparison")?);
         check(reference, comparison)?;
+        for (port, raster) in [("reference", reference), ("comparison", comparison)] {
+            if raster.quantity != "elevation" {
+                context.warn(format!(
+                    "`{port}` holds the quantity `{}`, not `elevation`: the result is no change of the surface",
+                    raster.quantity
+                ));
+            }
+        }
         let bands: Vec<Band> =
             reference.bands.iter().zip(&comparison.bands).map(|(r, c)| subtract(r, c, reference.bands.len())).collect();
         let all: Vec<f32> = bands.iter().flat_map(|band| band.values.iter().copied()).collect();
@@ -103,6 +111,18 @@ mod tests {
         assert_eq!(outputs["raster"], Artefact::from(expected));
         assert_eq!((host.metric("mean_m"), host.metric("valid_share")), (Some(0.5), Some(0.5)));
         assert!((host.metric("std_m").unwrap() - 4.5f64.sqrt()).abs() < 1e-14);
+    }
+
+    #[test]
+    fn a_difference_of_differences_is_warned_of() {
+        let mut difference = elevation([1.0, 2.0, 3.0, 4.0]);
+        difference.quantity = "difference".into();
+        let host = TestHost::default();
+        let inputs: [(&str, Artefact); 2] =
+            [("reference", elevation([1.0; 4]).into()), ("comparison", difference.into())];
+        run_stage::<DifferenceDem>(&host, &json!({}), &inputs).unwrap();
+        let warnings = host.warnings();
+        assert!(warnings.len() == 1 && warnings[0].contains("`comparison`") && warnings[0].contains("`difference`"));
     }
 
     #[test]

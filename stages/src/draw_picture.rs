@@ -54,10 +54,10 @@ pub struct DrawPicture;
 impl Stage for DrawPicture {
     type Params = DrawPictureParams;
     const NAME: &'static str = "draw-picture";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page {
         what: "Draws a raster, depth map, mesh or surface in false colours with a colour bar, a scale bar and a title. Cells \
-               without value are grey. Differences get colours that diverge from zero: material lost is red.",
+               without value are grey; the subtitle says how many values lie beyond the colours. Differences get colours that diverge from zero: material lost is red.",
         method: "Grids wider than the picture are averaged, smaller ones enlarged by whole factors. Meshes and surfaces are \
                  drawn as elevations interpolated in their triangles at a fitting cell size. Shading is Lambert's law for a \
                  light from the upper left, 45 degrees high.",

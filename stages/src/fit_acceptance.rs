@@ -37,8 +37,8 @@ impl Stage for FitAcceptance {
                  empirical quantiles (type 7) of the distances of the reference itself. These are in-sample: no D2 can \
                  exceed (n - 1)^2 / n, and new rasters from the very same process lie farther out. The summary therefore \
                  says beside each threshold what a perfect simulator would reach: `perfect_acceptance_normal` for normal \
-                 features (in-sample Beta, out-of-sample F distribution; exact at ridge 0), and \
-                 `perfect_acceptance_leave_one_out`, the share of reference rasters accepted by a model fitted to all \
+                 features at ridge 0 (in-sample Beta, out-of-sample F distribution; it holds for large n and is 0.02 to \
+                 0.06 too high below n = 40), and `perfect_acceptance_leave_one_out`, the share of reference rasters accepted by a model fitted to all \
                  others at the in-sample threshold. Groups have mean, covariance and threshold of their own. Features \
                  that do not vary over the reference are set aside.",
         frames: "Features in the units of their columns; distances have none.",
@@ -100,13 +100,7 @@ fn log(model: &Acceptance, level: f64, context: &Context) {
     if !all.constant.is_empty() {
         context.warn(format!("set aside, because they do not vary over the reference: {}", all.constant.join(", ")));
     }
-    let limit = bound(model.references);
-    for (label, d2) in model.labels.iter().zip(&all.reference_d2).filter(|(_, d2)| **d2 > 0.9 * limit) {
-        context.warn(format!(
-            "`{label}` has D2 = {d2:.1}, close to the largest possible {limit:.1}: it stands alone and stretches the \
-             acceptance region by itself; look at it, and fit once without it"
-        ));
-    }
+    warn_of_lone_references(model, all, context);
     let threshold = quantile(&all.reference_d2, level).unwrap_or(f64::NAN);
     let share = share_below(&all.leave_one_out_d2, threshold);
     context.metric("threshold", threshold, "1");
@@ -119,6 +113,29 @@ fn log(model: &Acceptance, level: f64, context: &Context) {
         100.0 * level,
         100.0 * share
     ));
+}
+
+/// Names the references close to the bound; when they are many, none stands alone and there are too few of them.
+fn warn_of_lone_references(model: &Acceptance, all: &GroupModel, context: &Context) {
+    let limit = bound(model.references);
+    let references = model.labels.iter().zip(&all.reference_d2);
+    let lone: Vec<_> = references.filter(|(_, d2)| **d2 > 0.9 * limit).collect();
+    if 4 * lone.len() > model.references {
+        context.warn(format!(
+            "{} references are too few for {} features: {} of them have a D2 close to the largest possible {limit:.1}; \
+             shorten `features` or add rasters",
+            model.references,
+            all.features.len(),
+            lone.len()
+        ));
+        return;
+    }
+    for (label, d2) in lone {
+        context.warn(format!(
+            "`{label}` has D2 = {d2:.1}, close to the largest possible {limit:.1}: it stands alone and stretches the \
+             acceptance region by itself; look at it, and fit once without it"
+        ));
+    }
 }
 
 fn summary(model: &Acceptance, level: f64) -> Table {
@@ -226,6 +243,17 @@ mod tests {
         table.rows[4][2] = 1e4.into();
         let (_, _, host) = fitted(table, &json!({})).unwrap();
         assert!(host.warnings().iter().any(|warning| warning.contains("`r4`")), "{:?}", host.warnings());
+    }
+
+    #[test]
+    fn too_few_references_are_warned_of_once() {
+        let mut table = features();
+        table.rows.truncate(12);
+        let (model, _, host) = fitted(table, &json!({})).unwrap();
+        assert!(model.groups["all"].reference_d2.iter().filter(|d2| **d2 > 0.9 * bound(12)).count() > 3);
+        let warnings = host.warnings();
+        assert_eq!(warnings.len(), 1, "{warnings:?}");
+        assert!(warnings[0].contains("12 references are too few for 10 features"), "{warnings:?}");
     }
 
     #[test]

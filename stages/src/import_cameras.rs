@@ -31,6 +31,9 @@ params! {
     }
 }
 
+/// A principal distance below this share of the width (a field of view above 118 degrees) is rarely meant.
+const LEAST_USUAL_F_PER_WIDTH: f64 = 0.3;
+
 /// The stage.
 pub struct ImportCameras;
 
@@ -67,6 +70,7 @@ impl Stage for ImportCameras {
         for note in &file.notes {
             context.note(note.as_str());
         }
+        warn_of_short_focal_lengths(&file.cameras, context);
         let covariance = match &params.covariance {
             Some(path) => read_covariance(path, &file.cameras, context)?,
             None => nothing(file.cameras.frame),
@@ -75,6 +79,17 @@ impl Stage for ImportCameras {
         let (frame, known) = (file.cameras.frame, covariance.parameters.len());
         context.note(format!("{images} images, {sensors} sensors ({frame} frame), covariance of {known} parameters"));
         Ok(Outputs::of("cameras", file.cameras).and("covariance", covariance))
+    }
+}
+
+fn warn_of_short_focal_lengths(cameras: &Cameras, context: &Context) {
+    for sensor in &cameras.sensors {
+        if sensor.f < LEAST_USUAL_F_PER_WIDTH * f64::from(sensor.width_px) {
+            context.warn(format!(
+                "sensor `{}`: f = {} px for a width of {} px: are these millimetres instead of pixels?",
+                sensor.name, sensor.f, sensor.width_px
+            ));
+        }
     }
 }
 
@@ -100,18 +115,24 @@ fn read_cameras(params: &ImportCamerasParams, context: &Context) -> Result<Camer
 }
 
 fn read_any(files: Vec<SourceFile>, path: &str, frame: Frame) -> Result<CameraFile, StageError> {
-    let (mut json, mut cameras, mut images) = (Vec::new(), None, None);
+    let (mut json, mut cameras, mut images, mut others) = (Vec::new(), None, None, Vec::new());
+    let only_one = files.len() == 1;
     for file in files {
         match (file.name.as_str(), peek(file.reader)?) {
-            (name, (true, reader)) => json.push((name.to_owned(), reader)),
-            ("cameras.txt", (false, reader)) => cameras = Some(reader),
-            ("images.txt", (false, reader)) => images = Some(reader),
-            _ => {}
+            (name, (head, reader)) if is_json(&head) => json.push((name.to_owned(), reader)),
+            ("cameras.txt", (_, reader)) => cameras = Some(reader),
+            ("images.txt", (_, reader)) => images = Some(reader),
+            (name, (head, _)) => others.push((name.to_owned(), head)),
         }
     }
     match (json.len(), cameras, images) {
         (0, Some(cameras), Some(images)) => camera_files_colmap::read(&text(cameras)?, &text(images)?, frame),
         (1, None, None) => camera_files_json::read(&whole(json.remove(0).1)?, frame),
+        _ if others.iter().any(|(name, _)| name == "cameras.bin") => Err(StageError::new(
+            "a binary COLMAP model, which is not read",
+        )
+        .hint("write it as text: `colmap model_converter --input_path DIR --output_path DIR --output_type TXT`")),
+        (0, None, None) if only_one && !others.is_empty() => Err(unknown(&others[0].1)),
         (_, cameras, images) => {
             let names: Vec<&str> = json.iter().map(|(name, _)| name.as_str()).collect();
             let is = |found: bool| if found { "a" } else { "no" };
@@ -128,12 +149,28 @@ fn read_any(files: Vec<SourceFile>, path: &str, frame: Frame) -> Result<CameraFi
 
 type Reader = Box<dyn Read + Send>;
 
-/// Whether a file is a JSON map, by its first character that is not blank; and the file from its start.
-fn peek(mut reader: Reader) -> Result<(bool, Reader), StageError> {
+/// The first bytes of a file, and the file from its start.
+fn peek(mut reader: Reader) -> Result<(Vec<u8>, Reader), StageError> {
     let mut head = Vec::new();
     reader.by_ref().take(256).read_to_end(&mut head).map_err(|e| StageError::new(format!("cannot read: {e}")))?;
-    let is_json = head.iter().find(|byte| !byte.is_ascii_whitespace()) == Some(&b'{');
-    Ok((is_json, Box::new(std::io::Cursor::new(head).chain(reader))))
+    Ok((head.clone(), Box::new(std::io::Cursor::new(head).chain(reader))))
+}
+
+/// Whether a file is a JSON map, by its first character that is not blank.
+fn is_json(head: &[u8]) -> bool {
+    head.iter().find(|byte| !byte.is_ascii_whitespace()) == Some(&b'{')
+}
+
+/// The refusal of a single file, by its first bytes.
+fn unknown(head: &[u8]) -> StageError {
+    let start = head.trim_ascii_start();
+    let found = if start.is_empty() {
+        "it is empty".to_owned()
+    } else {
+        format!("it starts with `{}`", start[..start.len().min(24)].escape_ascii())
+    };
+    StageError::new(format!("neither a JSON map nor a COLMAP text model: {found}"))
+        .hint("give JSON with `sensors` and `images`, or the folder that holds cameras.txt and images.txt")
 }
 
 fn whole(mut reader: Reader) -> Result<Vec<u8>, StageError> {
@@ -262,9 +299,25 @@ mod tests {
     }
 
     #[test]
+    fn a_focal_length_in_millimetres_is_warned_of() {
+        let image = b"1 1 0 0 0 0 0 0 1 a.png\n\n";
+        let warnings = |camera: &[u8]| {
+            let host = TestHost::default().with("model", &[("cameras.txt", camera), ("images.txt", image)]);
+            import(&host, &json!({"path": "model"})).unwrap();
+            host.warnings()
+        };
+        assert!(warnings(b"1 PINHOLE 6000 4000 5000 5000 3000 2000").is_empty());
+        let found = warnings(b"1 PINHOLE 6000 4000 35 35 3000 2000");
+        assert!(found.len() == 1 && found[0].contains("f = 35 px for a width of 6000 px"), "{found:?}");
+    }
+
+    #[test]
     fn what_cannot_be_read_says_why() {
         let host = TestHost::default()
             .with("two", &[("a.json", b" {}"), ("b.json", b"{}")])
+            .with("empty.json", &[("empty.json", b" \n")])
+            .with("block.xml", &[("block.xml", b"<?xml version=\"1.0\"?><document/>")])
+            .with("binary", &[("cameras.bin", b"\x01\0"), ("images.bin", b"\x01\0")])
             .with("half", &[("cameras.txt", b"1 PINHOLE 9 7 9 9 1 1")])
             .with("bad.json", &[("bad.json", b"{\"sensors\": []}")]);
         let says = |path: &str, text: &str| {
@@ -274,6 +327,9 @@ mod tests {
         says("two", "JSON: [a.json, b.json]");
         says("half", "found a cameras.txt, no images.txt");
         says("bad.json", "`bad.json`: not a camera file: missing field `images`");
+        says("empty.json", "`empty.json`: neither a JSON map nor a COLMAP text model: it is empty");
+        says("block.xml", "it starts with `<?xml");
+        says("binary", "a binary COLMAP model");
         says("absent", "cannot read `absent`");
     }
 }

@@ -3,7 +3,8 @@
 use std::io::Read;
 
 use crate::artefact::{Band, Frame, Kind, Noun, Raster, Sample};
-use crate::kernel::grid;
+use crate::kernel::geotiff::DAMAGED;
+use crate::kernel::{grid, marginal};
 use crate::params::FilesRef;
 use crate::{Context, Inputs, Outputs, Page, Port, SourceFile, Stage, StageError, choice, fail, params};
 
@@ -29,6 +30,11 @@ params! {
     }
 }
 
+/// A difference as large as this is no change of a rock face, metres.
+const LEAST_IMPOSSIBLE_M: f32 = 100.0;
+/// Differences of one survey rarely scatter by more than this, metres.
+const LARGEST_USUAL_DEVIATION_M: f64 = 1.0;
+
 /// The stage.
 pub struct ImportRasters;
 
@@ -43,7 +49,8 @@ impl Stage for ImportRasters {
         method: "Strips or tiles; DEFLATE or none; 8- to 32-bit integers, 32- and 64-bit floats; the no-data value \
                  of the file becomes NaN. Files are taken in the order of their names.",
         frames: "Values in metres where `quantity` is `difference` or `elevation`; the grid in metres of `frame`.",
-        fails: "No file; a file that is no GeoTIFF (name the pattern so that it leaves other files out); files on \
+        fails: "It warns of differences of 100 m and more, which look like an undeclared no-data value, and of a standard \
+                deviation above 1 m, which looks like millimetres. No file; a file that is no GeoTIFF (name the pattern so that it leaves other files out); files on \
                 different grids (resample them to one first, to a millionth of a cell); a band without any value.",
         example: "rockface: 1\nname: real-noise\nsteps:\n  real: {stage: import-rasters, with: {path: \"real/*.tif\"}}\n  \
                   noise: {stage: describe-noise, in: {raster: real.raster}}\n",
@@ -68,6 +75,9 @@ impl Stage for ImportRasters {
         };
         refuse_twins(&raster)?;
         raster.quantity.clone_from(&params.quantity);
+        if params.quantity == "difference" {
+            warn_of_strange_differences(&raster, context);
+        }
         raster.frame = if params.frame == GridFrame::Wall { Frame::Wall } else { Frame::World };
         context.note(format!("{} bands on {}", raster.bands.len(), grid::describe(&raster.grid)));
         Ok(Outputs::of("raster", raster))
@@ -80,7 +90,9 @@ fn read(file: &mut SourceFile) -> Result<Raster, StageError> {
     let mut bytes = Vec::new();
     file.reader.read_to_end(&mut bytes).map_err(|e| StageError::new(format!("cannot read `{name}`: {e}")))?;
     let mut raster = Raster::decode(&bytes).map_err(|e| {
-        StageError::new(format!("`{name}`: {e}")).hint("a pattern such as `folder/*.tif` leaves other files out")
+        let error = StageError::new(format!("`{name}`: {e}"));
+        let is_damaged = e.0.starts_with(DAMAGED);
+        if is_damaged { error } else { error.hint("a pattern such as `folder/*.tif` leaves other files out") }
     })?;
     let stem = name.rsplit_once('.').map_or(name.as_str(), |(stem, _)| stem);
     let single = raster.bands.len() == 1;
@@ -91,6 +103,33 @@ fn read(file: &mut SourceFile) -> Result<Raster, StageError> {
         band.name = if single { stem.to_owned() } else { format!("{stem}.{}", band.name) };
     }
     Ok(raster)
+}
+
+/// Warns of what differences of a rock face in metres cannot be, or rarely are.
+fn warn_of_strange_differences(raster: &Raster, context: &Context) {
+    let mut scattered = Vec::new();
+    for band in &raster.bands {
+        let impossible = || band.values.iter().filter(|v| v.abs() >= LEAST_IMPOSSIBLE_M);
+        if let Some(largest) = impossible().copied().reduce(|a, b| if b.abs() > a.abs() { b } else { a }) {
+            context.warn(format!(
+                "band `{}`: {} cells hold 100 m or more, up to {largest}: this looks like a no-data value the file does \
+                 not declare; declare it with `gdal_edit.py -a_nodata {largest} FILE`",
+                band.name,
+                impossible().count()
+            ));
+        } else if let Some(found) = marginal::marginal(&band.values)
+            && found.deviation > LARGEST_USUAL_DEVIATION_M
+        {
+            scattered.push(format!("`{}` by {:.3} m", band.name, found.deviation));
+        }
+    }
+    if let [first, others @ ..] = scattered.as_slice() {
+        let others = if others.is_empty() { String::new() } else { format!(" and {} more bands", others.len()) };
+        context.warn(format!(
+            "differences scatter by more than 1 m: {first} (standard deviation){others}; are they millimetres? Lengths \
+             are in metres"
+        ));
+    }
 }
 
 fn append(first: &str, together: &mut Raster, name: &str, raster: Raster) -> Result<(), StageError> {
@@ -131,9 +170,12 @@ mod tests {
     }
 
     fn import(files: Vec<(String, Vec<u8>)>) -> Result<Raster, StageError> {
-        let mut host = TestHost::default();
+        import_on(&mut TestHost::default(), files)
+    }
+
+    fn import_on(host: &mut TestHost, files: Vec<(String, Vec<u8>)>) -> Result<Raster, StageError> {
         host.files.insert("real".into(), files);
-        let outputs = run_stage::<ImportRasters>(&host, &json!({"path": "real"}), &[])?;
+        let outputs = run_stage::<ImportRasters>(host, &json!({"path": "real"}), &[])?;
         match &outputs.into_inner()["raster"] {
             Artefact::Raster(raster) => Ok(raster.clone()),
             other => panic!("{}", other.kind()),
@@ -146,6 +188,30 @@ mod tests {
         assert_eq!(raster.items().unwrap(), ["a", "b.x"]);
         assert_eq!((raster.frame, raster.quantity.as_str()), (Frame::Wall, "difference"));
         assert_eq!(raster.bands[1].values, [2.0; 4]);
+    }
+
+    #[test]
+    fn undeclared_no_data_and_millimetres_are_warned_of() {
+        let mut host = TestHost::default();
+        let files = vec![
+            file("good.tif", 0.0, vec![0.1, -0.2, 0.0, f32::NAN]),
+            file("holes.tif", 0.0, vec![0.1, -9999.0, -9999.0, 0.0]),
+            file("mm.tif", 0.0, vec![12.0, -7.0, 3.0, -1.0]),
+        ];
+        import_on(&mut host, files).unwrap();
+        let warnings = host.warnings();
+        assert_eq!(warnings.len(), 2, "{warnings:?}");
+        assert!(warnings[0].contains("`holes`: 2 cells") && warnings[0].contains("-a_nodata -9999 FILE"));
+        assert!(warnings[1].contains("`mm` by") && warnings[1].contains("millimetres"));
+    }
+
+    #[test]
+    fn a_damaged_file_is_to_be_copied_again() {
+        let (name, mut bytes) = file("a.tif", 0.0, vec![1.0; 4]);
+        bytes.truncate(bytes.len() - 3);
+        let error = import(vec![(name, bytes)]).unwrap_err();
+        assert!(error.message.contains("copy it again") && error.hint.is_none(), "{error}");
+        assert!(import(vec![("x.txt".into(), b"hello".to_vec())]).unwrap_err().hint.is_some());
     }
 
     #[test]

@@ -46,10 +46,19 @@ impl ColourScale {
         gradient.eval_continuous(t).as_array()
     }
 
-    /// Round values within the range, about this many.
+    /// Round values within the range, about this many and at least three.
     pub fn ticks(&self, count: f64) -> Vec<f64> {
-        let step = round_step((self.high - self.low) / count);
-        let (first, last) = ((self.low / step - 1e-9).ceil(), (self.high / step + 1e-9).floor());
+        let ends = |step: f64| ((self.low / step - 1e-9).ceil(), (self.high / step + 1e-9).floor());
+        let mut step = round_step((self.high - self.low) / count);
+        // A step of a third of the range always leaves three ticks; it is reached long before the last turn.
+        for _ in 0..6 {
+            let (first, last) = ends(step);
+            if last - first >= 2.0 {
+                break;
+            }
+            step = round_step(0.39 * step);
+        }
+        let (first, last) = ends(step);
         let number = (last - first) as usize;
         (0..=number.min(100)).map(|i| (first + i as f64) * step).collect()
     }
@@ -76,14 +85,17 @@ fn decimals(step: f64) -> usize {
 /// Labels of ticks in a unit that is `per_metre` to the metre, with a true minus sign.
 pub fn labels(ticks: &[f64], per_metre: f64) -> Vec<String> {
     let step = ticks.windows(2).map(|w| (w[1] - w[0]) * per_metre).next().unwrap_or(1.0);
-    let decimals = decimals(step);
-    let label = |tick: &f64| {
-        let text = format!("{:.decimals$}", tick * per_metre + 0.0);
-        text.strip_prefix('-').map_or(text.clone(), |digits| {
-            if digits.chars().all(|c| matches!(c, '0' | '.')) { digits.to_owned() } else { format!("\u{2212}{digits}") }
-        })
-    };
-    ticks.iter().map(label).collect()
+    ticks.iter().map(|tick| rounded(tick * per_metre, step)).collect()
+}
+
+/// A value with the decimals of a step, with a true minus sign and no negative zero.
+pub fn rounded(value: f64, step: f64) -> String {
+    let text = format!("{value:.0$}", decimals(step));
+    match text.strip_prefix('-') {
+        Some(digits) if digits.chars().all(|c| matches!(c, '0' | '.')) => digits.to_owned(),
+        Some(digits) => format!("\u{2212}{digits}"),
+        None => text,
+    }
 }
 
 /// A length with the unit people would write: `50 cm`, `2 m`.
@@ -116,6 +128,19 @@ mod tests {
         assert_eq!(labels(&ticks, 1e3), ["\u{2212}20", "0", "20"]);
         let fine = ColourScale { palette: Palette::Viridis, low: 1.02, high: 1.31 };
         assert_eq!(labels(&fine.ticks(6.0), 1.0), ["1.05", "1.10", "1.15", "1.20", "1.25", "1.30"]);
+    }
+
+    #[test]
+    fn a_bar_shows_at_least_three_ticks() {
+        let scale = ColourScale { palette: Palette::RedBlue, low: -48.0, high: 48.0 };
+        assert_eq!(labels(&scale.ticks(3.0), 1.0), ["\u{2212}40", "\u{2212}20", "0", "20", "40"]);
+        for i in 1..400 {
+            let low = -0.013 * f64::from(i);
+            let scale = ColourScale { palette: Palette::Viridis, low, high: low + 0.37 * f64::from(i) };
+            let ticks = scale.ticks(3.0);
+            assert!((3..10).contains(&ticks.len()), "{scale:?}: {ticks:?}");
+            assert!(ticks.iter().all(|t| *t >= low - 1e-6 && *t <= scale.high + 1e-6));
+        }
     }
 
     #[test]

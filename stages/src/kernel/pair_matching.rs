@@ -96,9 +96,13 @@ pub fn smooth_noise(
 ) -> Result<SmoothNoise, StageError> {
     let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
     for (column, row) in outline(first.width, first.height) {
-        let ray = noisy.normalised(full_pixel(column, row, first.downscale));
-        let Some(Placed { position_px: p, .. }) = ray.and_then(|xy| rectification.place(0, xy)) else {
-            fail!("pixel ({column}, {row}) of image `{}` has no place in the rectified image", first.image.name);
+        let Some(ray) = noisy.normalised(full_pixel(column, row, first.downscale)) else {
+            return Err(no_place(column, row, first)
+                .hint("its lens distortion cannot be inverted there: check signs and units of the coefficients"));
+        };
+        let Some(Placed { position_px: p, .. }) = rectification.place(0, ray) else {
+            return Err(no_place(column, row, first)
+                .hint("the axes of the two images diverge too much: pair images that look the same way"));
         };
         (low, high) = ([low[0].min(p[0]), low[1].min(p[1])], [high[0].max(p[0]), high[1].max(p[1])]);
     }
@@ -107,6 +111,13 @@ pub fn smooth_noise(
         fail!("the rectified image would have {nodes:.0} nodes: the pair converges too strongly to be matched");
     }
     Ok(SmoothNoise::new(key, recipe, low, high))
+}
+
+fn no_place(column: usize, row: usize, depth: &Depth) -> StageError {
+    StageError::new(format!(
+        "pixel ({column}, {row}) of image `{}` has no place in the rectified image",
+        depth.image.name
+    ))
 }
 
 fn outline(width: usize, height: usize) -> impl Iterator<Item = (usize, usize)> {

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use crate::artefact::CodecError;
 
 use super::canvas::{Align, Canvas, Colour, Pen};
-use super::colour_scale::{ColourScale, NO_DATA, labels, length, round_step};
+use super::colour_scale::{ColourScale, NO_DATA, labels, length, round_step, rounded};
 
 const MARGIN: usize = 28;
 const TITLE: usize = 64;
@@ -34,7 +34,7 @@ pub struct Subject<'a> {
     pub scale: ColourScale,
     /// Over the picture.
     pub title: String,
-    /// Under the title.
+    /// Under the title; the share of the values beyond the colours is added.
     pub subtitle: String,
     /// Unit of the colour bar and how many of it make one of the values' own units.
     pub unit: (&'static str, f64),
@@ -72,11 +72,14 @@ pub fn room(max_width_px: usize) -> usize {
 
 fn write_titles(canvas: &mut Canvas, subject: &Subject, room: usize) -> Result<(), CodecError> {
     let x = MARGIN as f32;
-    for (pen, y, text) in [
-        (Pen::bold(24.0, INK)?, MARGIN as f32 + 10.0, &subject.title),
-        (Pen::plain(16.0, FAINT)?, MARGIN as f32 + 40.0, &subject.subtitle),
+    let below: Vec<String> = [Some(subject.subtitle.clone()).filter(|text| !text.is_empty()), beyond(subject)]
+        .into_iter()
+        .flatten()
+        .collect();
+    for (pen, y, mut text) in [
+        (Pen::bold(24.0, INK)?, MARGIN as f32 + 10.0, subject.title.clone()),
+        (Pen::plain(16.0, FAINT)?, MARGIN as f32 + 40.0, below.join(", ")),
     ] {
-        let mut text = text.clone();
         while pen.width(&text) > room as f32 {
             text = text.trim_end_matches('\u{2026}').to_owned();
             text.pop();
@@ -85,6 +88,26 @@ fn write_titles(canvas: &mut Canvas, subject: &Subject, room: usize) -> Result<(
         canvas.text(&pen, x, y, Align::Left, &text);
     }
     Ok(())
+}
+
+/// How many of the values lie beyond the colours, and the farthest of them; `None` when all lie within.
+fn beyond(subject: &Subject) -> Option<String> {
+    let (scale, (unit, per_one)) = (&subject.scale, subject.unit);
+    let excess = |value: f64| (scale.low - value).max(value - scale.high);
+    // Cells keep 32 bits, and so may the ends of the colours: a rounding is no excess.
+    let least = 1e-6 * scale.low.abs().max(scale.high.abs());
+    let (mut with_value, mut outside, mut farthest) = (0usize, 0usize, None::<f64>);
+    for value in subject.values.iter().filter(|v| v.is_finite()).map(|v| f64::from(*v)) {
+        with_value += 1;
+        if excess(value) > least {
+            outside += 1;
+            farthest = farthest.filter(|known| excess(*known) >= excess(value)).or(Some(value));
+        }
+    }
+    let value = rounded(farthest? * per_one, round_step((scale.high - scale.low) * per_one / 100.0));
+    let percent = 100.0 * outside as f64 / with_value as f64;
+    let share = if percent < 0.05 { "below 0.1".to_owned() } else { format!("{percent:.1}") };
+    Some(format!("{share} % beyond the colours, to {value} {unit}").trim_end().to_owned())
 }
 
 fn draw_bar(canvas: &mut Canvas, subject: &Subject, x: usize, top: usize, height: usize) -> Result<(), CodecError> {
@@ -235,6 +258,16 @@ mod tests {
             let at = 3 * (y * width + x);
             assert_eq!(pixels[at..at + 3], subject.scale.colour(f64::from(*value)), "cell {cell}");
         }
+    }
+
+    #[test]
+    fn values_beyond_the_colours_are_told() {
+        let mut values = vec![0.02; 99];
+        values.extend([-0.2, f32::NAN]);
+        let mut subject = subject(&values, 101);
+        assert_eq!(beyond(&subject), None);
+        (subject.scale.low, subject.scale.high, subject.unit) = (-0.048, 0.048, ("mm", 1e3));
+        assert_eq!(beyond(&subject).unwrap(), "1.0 % beyond the colours, to \u{2212}200 mm");
     }
 
     #[test]

@@ -9,7 +9,7 @@ mod read;
 mod tags;
 mod write;
 
-pub use read::read;
+pub use read::{DAMAGED, read};
 pub use write::write;
 
 #[cfg(test)]

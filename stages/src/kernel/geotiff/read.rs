@@ -13,6 +13,9 @@ type File<'a> = Decoder<Cursor<&'a [u8]>>;
 /// DEFLATE cannot expand further than this; a file that claims more is damaged.
 const LARGEST_EXPANSION: usize = 1100;
 
+/// What the refusal of a GeoTIFF begins with whose bytes are not those that were once written.
+pub const DAMAGED: &str = "damaged GeoTIFF";
+
 /// Quantity of a file that does not say what its values are.
 const UNNAMED: &str = "value";
 
@@ -21,6 +24,9 @@ const UNNAMED: &str = "value";
 /// # Errors
 /// A file that is no TIFF, is cut short or damaged, has no georeference, or cells that are not square.
 pub fn read(bytes: &[u8]) -> Result<Raster, CodecError> {
+    if ![b"II", b"MM"].iter().any(|order| bytes.starts_with(*order)) {
+        return Err(CodecError::new("not a GeoTIFF that can be read: it does not begin like a TIFF"));
+    }
     let file = Decoder::new(Cursor::new(bytes)).map_err(|e| refused(&e))?;
     let mut limits = Limits::default();
     limits.decoding_buffer_size = 1 << 30;
@@ -40,12 +46,14 @@ fn refused(error: &tiff::TiffError) -> CodecError {
         tiff::TiffError::UnsupportedError(what) => CodecError(format!(
             "a GeoTIFF of a kind that cannot be read ({what}); rewrite it with `gdal_translate -co COMPRESS=DEFLATE`"
         )),
+        // Bytes are in memory: what fails in the stream is its end or its compression.
+        tiff::TiffError::IoError(what) => damaged(&what.to_string()),
         _ => CodecError(format!("not a GeoTIFF that can be read: {error}")),
     }
 }
 
 fn damaged(what: &str) -> CodecError {
-    CodecError(format!("damaged GeoTIFF: {what}"))
+    CodecError(format!("{DAMAGED}: {what}; copy it again"))
 }
 
 fn named(grid: Grid, metadata: &Metadata, sample: Sample, planes: Vec<Vec<f32>>) -> Raster {
