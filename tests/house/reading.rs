@@ -13,7 +13,7 @@ axes: {cell: {values: [0.05, 0.1]}}
 steps:
   face: {stage: synthesise-face, keep: false, with: {width_m: 2, height_m: 1.5, spacing_m: 0.05}}
   dem: {stage: rasterise-dem, in: {surface: face.mesh}, with: {cell_m: \"${cell}\", method: tin}}
-  table: {stage: describe-noise, in: {raster: dem.raster}}
+  table: {stage: describe-noise, with: {scales_cells: [1, 2, 4]}, in: {raster: dem.raster}}
 targets: [dem]
 ";
 
@@ -86,7 +86,7 @@ fn explain_follows_a_gathered_input_through_several_steps() {
     let yaml = SMALL
         .replace("seed: 1\n", &format!("seed: 1\n{sweep}\n"))
         .replace("width_m: 2", "relief_m: \"${relief}\", width_m: 2")
-        + "  stat: {stage: describe-noise, in: {raster: dem.raster}}\n"
+        + "  stat: {stage: describe-noise, with: {scales_cells: [1, 2, 4]}, in: {raster: dem.raster}}\n"
         + "  all: {stage: tabulate, in: {rows: {each: stat.features, over: [relief]}}}\n";
     let house = House::new(&yaml);
     let (code, _, err) = house.rockface(&["run", "p.yaml"]);
@@ -177,7 +177,7 @@ fn graph_tells_choices_picks_and_gathering() {
         .replace("targets: [dem]", "  all: {stage: tabulate, in: {rows: {each: own.features, over: [cell]}}}")
         .replace(
             "  table:",
-            "  own: {stage: describe-noise, in: {raster: {by: cell, 0.05: dem.raster, 0.1: dem.raster}}}\n  table:",
+            "  own: {stage: describe-noise, with: {scales_cells: [1, 2, 4]}, in: {raster: {by: cell, 0.05: dem.raster, 0.1: dem.raster}}}\n  table:",
         );
     let (code, out, err) = House::new(&yaml).rockface(&["graph", "p.yaml", "--format", "mermaid"]);
     assert_eq!(code, Some(0), "{err}");
