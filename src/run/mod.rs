@@ -10,16 +10,11 @@ mod state;
 mod tell;
 mod work;
 
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
-
 use rockface_cache::{Digest, Outcome, Recipe, Store, StoreError};
 
 pub use folder::{Finished, RunFolder, finish};
+pub use schedule::run as execute;
 pub use tell::execute_and_tell;
-
-use crate::plan::Plan;
-use crate::watch::Observer;
 
 /// How to run.
 #[derive(Debug, Clone)]
@@ -123,15 +118,4 @@ impl Summary {
 /// What is recorded under a key, if every blob it promises is there, and all outputs are where they are to be kept.
 pub fn hit(store: &Store, key: &Digest, keep: bool) -> Option<Outcome> {
     store.hit_outcome(key).filter(|outcome| !keep || outcome.is_kept())
-}
-
-/// Runs a plan to its end, or to its stop.
-pub fn execute(
-    plan: &Plan,
-    store: &Store,
-    options: &Options,
-    stop: &Arc<AtomicBool>,
-    observer: &mut dyn Observer,
-) -> Result<Summary, RunError> {
-    schedule::run(plan, store, options, stop, observer)
 }

@@ -24,7 +24,7 @@ enum Message {
     Done(usize, Result<Done, Failure>),
 }
 
-/// Runs a plan to its end.
+/// Runs a plan to its end, or to its stop.
 pub fn run(
     plan: &Plan,
     store: &Store,

@@ -58,8 +58,7 @@ params! {
 pub struct TransformCrs;
 
 /// The transform of another epoch, where it fits the mesh.
-fn taken(params: &TransformCrsParams, frame: Frame, earlier: Option<&Transform>) -> Result<Transform, StageError> {
-    let Some(earlier) = earlier else { fail!("no transform is given") };
+fn taken(params: &TransformCrsParams, frame: Frame, earlier: &Transform) -> Result<Transform, StageError> {
     if params.given.is_some() {
         fail!("both an input `transform` and a parameter `given` are there: which one is meant?");
     }
@@ -134,23 +133,23 @@ impl Stage for TransformCrs {
         let plane =
             plane_fit::fit_plane(mesh).ok_or_else(|| StageError::new("the mesh has no triangle with an area"))?;
         let earlier = inputs.optional::<Transform>("transform")?;
-        let wall_from_world = match params.frame {
-            _ if earlier.is_some() => taken(params, mesh.frame, earlier)?,
-            FrameSource::Fit if mesh.frame == Frame::World => fitted(params, &plane, cameras, context)?,
-            FrameSource::Fit => {
+        let wall_from_world = match (earlier, params.frame) {
+            (Some(earlier), _) => taken(params, mesh.frame, earlier)?,
+            (None, FrameSource::Fit) if mesh.frame == Frame::World => fitted(params, &plane, cameras, context)?,
+            (None, FrameSource::Fit) => {
                 context.warn("the mesh is in the wall frame already: nothing was fitted, every bit is kept");
                 Transform::identity("world", "wall")
             }
-            FrameSource::Given if mesh.frame == Frame::World && params.given.is_none() => {
+            (None, FrameSource::Given) if mesh.frame == Frame::World && params.given.is_none() => {
                 return Err(StageError::new("the mesh says it is in the world frame, and no transform is given").hint(
                     "set `frame: wall` at `import-mesh` if the data is in a wall frame; else `frame: fit`, or `given`",
                 ));
             }
-            FrameSource::Given if mesh.frame == Frame::Wall && params.given.is_some() => {
+            (None, FrameSource::Given) if mesh.frame == Frame::Wall && params.given.is_some() => {
                 return Err(StageError::new("the mesh is in the wall frame already, so there is nothing to transform")
                     .hint("leave `given` out"));
             }
-            FrameSource::Given => given(params),
+            (None, FrameSource::Given) => given(params),
         };
         faces_outward(&wall_from_world, &plane)?;
         report(params, &wall_from_world, &plane, context);
