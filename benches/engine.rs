@@ -73,12 +73,12 @@ fn layered(steps: usize) -> String {
 
 fn run(folder: &Path, yaml: &str, set: &[String]) -> (f64, usize) {
     let begun = Instant::now();
-    let overrides = Overrides { set: set.to_vec(), seed: None };
+    let overrides = Overrides { set: set.to_vec(), ..Overrides::default() };
     let pipeline = Pipeline::parse(yaml, "bench", "bench", folder.to_owned(), &overrides).expect("a right pipeline");
     let store = Store::open(&folder.join("store")).expect("a store");
-    let plan = plan(&pipeline, &[], STAGES, &store).expect("a plan");
+    let mut plan = plan(&pipeline, &[], STAGES, &store).expect("a plan");
     let stop = Arc::new(AtomicBool::new(false));
-    let summary = execute(&plan, &store, &Options::default(), &stop, &mut Silent).expect("a run");
+    let summary = execute(&mut plan, &store, &Options::default(), &stop, &mut Silent).expect("a run");
     drop(store);
     (begun.elapsed().as_secs_f64() * 1e3, summary.executed())
 }

@@ -64,8 +64,9 @@ impl GraphArgs {
 /// One node a step, in topological order, and one arrow for each output that an input reads.
 fn drawing(graph: &Graph, counts: &[usize]) -> DiGraph<Drawn, String> {
     let mut drawing = DiGraph::new();
+    let (deferred, wanted) = (graph.deferred(), graph.wanted());
     let nodes: Vec<_> =
-        (0..graph.steps.len()).map(|index| drawing.add_node(drawn(graph, index, counts[index]))).collect();
+        (0..graph.steps.len()).map(|index| drawing.add_node(drawn(graph, index, counts[index], deferred[index], wanted[index]))).collect();
     for (consumer, step) in graph.steps.iter().enumerate() {
         for (port, feed) in &step.inputs {
             for (source, when) in distinct(graph, feed) {
@@ -78,13 +79,14 @@ fn drawing(graph: &Graph, counts: &[usize]) -> DiGraph<Drawn, String> {
     drawing
 }
 
-fn drawn(graph: &Graph, index: usize, count: usize) -> Drawn {
+fn drawn(graph: &Graph, index: usize, count: usize, unknown: Option<usize>, wanted: bool) -> Drawn {
     let step = &graph.steps[index];
     let mut lines = vec![step.name.clone(), step.stage.name().to_owned()];
     if !step.axes.is_empty() {
+        let count = if unknown.is_some() { "unknown".to_owned() } else { count.to_string() };
         lines.push(format!("{count} instances over {}", axes(graph, step)));
     }
-    Drawn { lines, target: graph.targets.contains(&index), keep: step.keep, needed: count > 0 }
+    Drawn { lines, target: graph.targets.contains(&index), keep: step.keep, needed: count > 0 || (wanted && unknown.is_some()) }
 }
 
 fn axes(graph: &Graph, step: &GraphStep) -> String {
@@ -95,6 +97,11 @@ fn axes(graph: &Graph, step: &GraphStep) -> String {
 fn distinct<'g>(graph: &Graph, feed: &'g Feed) -> Vec<(&'g Source, String)> {
     match feed {
         Feed::Plain(source) => vec![(source, String::new())],
+        Feed::Chain { source, axis, first } => {
+            let axis = &graph.axes[*axis].name.text;
+            let start = first.iter().map(|first| (first, format!(" (first {axis})")));
+            std::iter::once((source, format!(" ({axis} before)"))).chain(start).collect()
+        }
         Feed::Each { source, over } => {
             let names: Vec<&str> = over.iter().map(|axis| graph.axes[*axis].name.text.as_str()).collect();
             vec![(source, format!(" (each {})", names.join(", ")))]

@@ -5,6 +5,7 @@ mod explain;
 mod graph;
 mod plan;
 mod run;
+mod schema;
 mod stages;
 
 use std::path::{Path, PathBuf};
@@ -56,6 +57,9 @@ struct PipelineArgs {
     /// Override a value of the pipeline, such as `params.cell_m=0.02` or `steps.dem.with.method=tin`.
     #[arg(long, value_name = "PATH=VALUE")]
     set: Vec<String>,
+    /// Sweep an axis, a parameter or a value of a step: `sigma_px=0.6,0.7`, `params.cell_m=0.01..0.05:5`.
+    #[arg(long, value_name = "AXIS=VALUES")]
+    sweep: Vec<String>,
     /// Override the pipeline's seed.
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
@@ -66,7 +70,7 @@ struct PipelineArgs {
 
 impl PipelineArgs {
     fn overrides(&self) -> Overrides {
-        Overrides { set: self.set.clone(), seed: self.seed }
+        Overrides { set: self.set.clone(), sweep: self.sweep.clone(), seed: self.seed }
     }
 
     fn load(&self) -> Result<Pipeline, CliError> {

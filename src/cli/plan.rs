@@ -50,14 +50,30 @@ impl PlanArgs {
                 own.iter().for_each(|i| say(&format!("    {:8} {}", answers[*i].word(), plan.label(*i))));
             }
         }
+        for (step, axis) in unknown(plan) {
+            let why = format!("the items of axis `{axis}` are made by a step that has not run");
+            say(&format!("{step:width$}  {:>9} {:>6} {:>6} {:>8}  {why}", "?", "", "", ""));
+        }
         let total = |word: &str| answers.iter().filter(|answer| answer.word() == word).count();
         say(&format!("{} hit, {} run, {} depend on what runs", total("hit"), total("runs"), total("depends")));
     }
+}
+
+/// The steps whose instances cannot be told yet, each with the axis it waits for.
+fn unknown(plan: &Plan) -> Vec<(&str, &str)> {
+    let graph = &plan.graph;
+    let wanted = graph.wanted();
+    let deferred = graph.deferred().into_iter().enumerate().filter(|(step, _)| wanted[*step]);
+    let told = deferred.filter_map(|(step, axis)| {
+        Some((graph.steps[step].name.as_str(), graph.axes[axis?].name.text.as_str()))
+    });
+    told.collect()
 }
 
 fn print_json(plan: &Plan, answers: &[Answer]) {
     let instances = answers.iter().enumerate().map(|(instance, answer)| {
         json!({ "step": plan.step(instance).name, "point": plan.point(instance), "answer": answer.word(), "why": answer.why(plan) })
     });
-    say(&serde_json::to_string_pretty(&instances.collect::<Vec<_>>()).unwrap_or_default());
+    let unknown = unknown(plan).into_iter().map(|(step, axis)| json!({ "step": step, "answer": "unknown", "axis": axis }));
+    say(&serde_json::to_string_pretty(&instances.chain(unknown).collect::<Vec<_>>()).unwrap_or_default());
 }

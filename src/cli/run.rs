@@ -50,7 +50,7 @@ impl RunArgs {
     /// Runs the pipeline.
     pub fn run(self) -> Result<(), CliError> {
         let pipeline = self.pipeline.load()?;
-        let (plan, store) = self.pipeline.plan(&pipeline, &self.pipeline.target)?;
+        let (mut plan, store) = self.pipeline.plan(&pipeline, &self.pipeline.target)?;
         let mut options = Options { keep_going: self.keep_going, exit_when_stuck: true, ..Options::default() };
         options.jobs = self.jobs.map_or(options.jobs, usize::from);
         options.memory_bytes = self.memory.unwrap_or(options.memory_bytes);
@@ -66,7 +66,7 @@ impl RunArgs {
             overrides: &self.pipeline.overrides(),
             jobs: options.jobs,
         };
-        let (summary, finished) = run::execute_and_tell(&plan, &store, &options, &stop, observer.as_mut(), &about)?;
+        let (summary, finished) = run::execute_and_tell(&mut plan, &store, &options, &stop, observer.as_mut(), &about)?;
         self.report(&summary, &finished, begun.elapsed().as_secs_f64());
         if summary.failed { Err(CliError::Failed) } else { Ok(()) }
     }

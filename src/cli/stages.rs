@@ -12,12 +12,19 @@ use crate::diagnostic::nearest;
 pub struct StagesArgs {
     /// Show the page of this stage.
     name: Option<String>,
+    /// Print the JSON Schema of pipelines, for editors: `rockface stages --schema > rockface.schema.json`.
+    #[arg(long, conflicts_with = "name")]
+    schema: bool,
 }
 
 impl StagesArgs {
     /// Prints the catalogue or a page.
     pub fn run(self) -> Result<(), CliError> {
         match self.name {
+            None if self.schema => {
+                let schema = super::schema::schema(rockface_stages::all());
+                say(&serde_json::to_string_pretty(&schema).unwrap_or_default());
+            }
             None => say(&catalogue()),
             Some(name) => {
                 let stage = rockface_stages::find(&name).ok_or_else(|| unknown(&name))?;

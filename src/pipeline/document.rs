@@ -1,9 +1,12 @@
 //! The typed document: parameters, axes, steps and targets, each with its place in the text.
 
+use std::time::Duration;
+
 use serde_json::Value;
 
+use super::axis::Axis;
+use super::input::Input;
 use super::node::{Data, Key, Node, Word};
-use super::reference::{Reference, parse_reference};
 use crate::diagnostic::Diagnostic;
 
 /// A pipeline as written, after overrides; names are not yet resolved.
@@ -17,23 +20,12 @@ pub struct Document {
     pub params: Vec<(Key, Node)>,
     /// Axes in the order of declaration.
     pub axes: Vec<Axis>,
+    /// Groups of axes that are walked together instead of crossed.
+    pub zips: Vec<Vec<Word>>,
     /// Steps in the order of declaration.
     pub steps: Vec<Step>,
     /// Steps to make; `None`: every step nobody reads.
     pub targets: Option<Vec<Word>>,
-}
-
-/// A named list over which steps fan out.
-#[derive(Debug, Clone)]
-pub struct Axis {
-    /// Its name.
-    pub name: Word,
-    /// Item names, unique, in order.
-    pub items: Vec<String>,
-    /// What `${axis}` stands for at each item.
-    pub values: Vec<Value>,
-    /// Whether its items enter the seed of a random stream.
-    pub reseeds: bool,
 }
 
 /// A named use of a stage.
@@ -53,37 +45,10 @@ pub struct Step {
     pub keep: bool,
     /// Narrows or shares its random stream.
     pub stream: Option<Stream>,
-}
-
-/// What a port is fed with.
-#[derive(Debug, Clone)]
-pub enum Input {
-    /// One output.
-    Plain(Reference),
-    /// One output, chosen by the item of an axis.
-    By {
-        /// The axis.
-        axis: Word,
-        /// The output for each item.
-        cases: Vec<(Word, Reference)>,
-    },
-    /// The outputs at all items of some axes.
-    Each {
-        /// The output.
-        reference: Reference,
-        /// The axes gathered over, outermost first.
-        over: Vec<Word>,
-    },
-}
-
-impl Input {
-    /// Every reference in it.
-    pub fn references(&self) -> Vec<&Reference> {
-        match self {
-            Self::Plain(reference) | Self::Each { reference, .. } => vec![reference],
-            Self::By { cases, .. } => cases.iter().map(|(_, reference)| reference).collect(),
-        }
-    }
+    /// How long one go may take.
+    pub timeout: Option<Duration>,
+    /// How often it is tried again after a failure.
+    pub retries: u32,
 }
 
 /// The random stream of a step.
@@ -95,20 +60,26 @@ pub struct Stream {
     pub axes: Option<Vec<Word>>,
 }
 
+/// The keys of a pipeline.
+pub const TOP: &[&str] =
+    &["rockface", "name", "seed", "include", "params", "axes", "zip", "steps", "targets"];
+
 /// Reads a document and collects everything that is wrong with its shape.
 pub fn read(root: &Node, file_stem: &str, faults: &mut Vec<Diagnostic>) -> Option<Document> {
-    let mut reader = Reader { faults };
+    let mut reader = Reader { faults, seed: 0 };
     reader.check_numbers(root);
-    let top = reader.map(root, "the pipeline", &["rockface", "name", "seed", "params", "axes", "steps", "targets"])?;
+    let top = reader.map(root, "the pipeline", TOP)?;
     reader.format_version(root, top);
+    reader.seed = root.get("seed").map_or(0, |n| reader.seed(n));
     let document = Document {
         name: root
             .get("name")
             .and_then(|n| reader.identifier(n, "the name"))
             .map_or_else(|| file_stem.to_owned(), |w| w.text),
-        seed: root.get("seed").map_or(0, |n| reader.seed(n)),
+        seed: reader.seed,
         params: root.get("params").and_then(|n| reader.any_map(n, "`params`")).map(<[_]>::to_vec).unwrap_or_default(),
         axes: reader.named(root, "axes", Reader::axis),
+        zips: root.get("zip").map(|n| reader.zips(n)).unwrap_or_default(),
         steps: reader.named(root, "steps", Reader::step),
         targets: root.get("targets").map(|n| reader.some_words(n, "a step name")),
     };
@@ -123,12 +94,16 @@ pub fn read(root: &Node, file_stem: &str, faults: &mut Vec<Diagnostic>) -> Optio
     Some(document)
 }
 
-struct Reader<'f> {
+/// Reads one part of a document after the other.
+pub struct Reader<'f> {
     faults: &'f mut Vec<Diagnostic>,
+    /// The pipeline seed.
+    pub seed: u64,
 }
 
 impl Reader<'_> {
-    fn fault(&mut self, diagnostic: Diagnostic) {
+    /// Adds a fault.
+    pub fn fault(&mut self, diagnostic: Diagnostic) {
         self.faults.push(diagnostic);
     }
 
@@ -146,14 +121,16 @@ impl Reader<'_> {
         }
     }
 
-    fn expected(&mut self, node: &Node, what: &str) {
+    /// Adds the fault of a value that is of another kind than it should be.
+    pub fn expected(&mut self, node: &Node, what: &str) {
         if node.has_leading_zero() {
             return; // Told of already.
         }
         self.fault(Diagnostic::at(node.span, format!("expected {what}, found {}", node.describe())));
     }
 
-    fn any_map<'n>(&mut self, node: &'n Node, what: &str) -> Option<&'n [(Key, Node)]> {
+    /// The entries of a map, or a fault.
+    pub fn any_map<'n>(&mut self, node: &'n Node, what: &str) -> Option<&'n [(Key, Node)]> {
         let entries = node.entries();
         if entries.is_none() {
             self.expected(node, &format!("{what} to be a map"));
@@ -162,7 +139,7 @@ impl Reader<'_> {
     }
 
     /// A map with known keys.
-    fn map<'n>(&mut self, node: &'n Node, what: &str, known: &[&str]) -> Option<&'n [(Key, Node)]> {
+    pub fn map<'n>(&mut self, node: &'n Node, what: &str, known: &[&str]) -> Option<&'n [(Key, Node)]> {
         let entries = self.any_map(node, what)?;
         for (key, _) in entries.iter().filter(|(key, _)| !known.contains(&key.name.as_str())) {
             self.fault(
@@ -214,7 +191,8 @@ impl Reader<'_> {
         }
     }
 
-    fn word(&mut self, node: &Node, what: &str) -> Option<Word> {
+    /// A word, or a fault; a number is one as it is written.
+    pub fn word(&mut self, node: &Node, what: &str) -> Option<Word> {
         let word = match &node.data {
             Data::Scalar(Value::String(text)) => Some(text.clone()),
             Data::Scalar(Value::Number(_)) if !node.written.is_empty() => Some(node.written.clone()),
@@ -227,7 +205,8 @@ impl Reader<'_> {
         word.map(|text| Word { span: node.span, text })
     }
 
-    fn words(&mut self, node: &Node, what: &str) -> Vec<Word> {
+    /// One word or a list of different ones.
+    pub fn words(&mut self, node: &Node, what: &str) -> Vec<Word> {
         let words: Vec<Word> = match &node.data {
             Data::List(items) => items.iter().filter_map(|item| self.word(item, what)).collect(),
             _ => self.word(node, &format!("{what} or a list of them")).into_iter().collect(),
@@ -240,7 +219,8 @@ impl Reader<'_> {
         words
     }
 
-    fn some_words(&mut self, node: &Node, what: &str) -> Vec<Word> {
+    /// One word or a list of at least one.
+    pub fn some_words(&mut self, node: &Node, what: &str) -> Vec<Word> {
         if matches!(&node.data, Data::List(items) if items.is_empty()) {
             self.fault(
                 Diagnostic::at(node.span, format!("this list is empty; {what} is needed"))
@@ -258,7 +238,8 @@ impl Reader<'_> {
         seed.unwrap_or(0)
     }
 
-    fn flag(&mut self, node: Option<&Node>, default: bool) -> bool {
+    /// `true` or `false`.
+    pub fn flag(&mut self, node: Option<&Node>, default: bool) -> bool {
         match node.map(|n| (&n.data, n)) {
             None => default,
             Some((Data::Scalar(Value::Bool(flag)), _)) => *flag,
@@ -269,83 +250,9 @@ impl Reader<'_> {
         }
     }
 
-    fn axis(&mut self, name: Word, node: &Node) -> Option<Axis> {
-        self.map(node, &format!("axis `{}`", name.text), &["items", "count", "values", "reseeds"])?;
-        let forms = ["items", "count", "values"].map(|form| node.get(form).map(|n| (form, n)));
-        let given: Vec<_> = forms.into_iter().flatten().collect();
-        let [(form, list)] = given[..] else {
-            self.fault(
-                Diagnostic::at(
-                    name.span,
-                    format!("axis `{}` needs exactly one of `items`, `count` and `values`", name.text),
-                )
-                .hint("for example `items: [pre, post]`, `count: 50` or `values: [0.6, 0.8]`"),
-            );
-            return None;
-        };
-        let (items, values) = match form {
-            "count" => self.count(list)?,
-            _ => self.items(list, &name)?,
-        };
-        let reseeds = self.flag(node.get("reseeds"), form != "values");
-        Some(Axis { name, items, values, reseeds })
-    }
-
-    fn count(&mut self, node: &Node) -> Option<(Vec<String>, Vec<Value>)> {
-        let count = if let Data::Scalar(value) = &node.data { value.as_u64() } else { None };
-        let Some(count @ 1..=1_000_000) = count else {
-            self.expected(node, "a count from 1 to 1000000");
-            return None;
-        };
-        Some(((0..count).map(|i| i.to_string()).collect(), (0..count).map(Value::from).collect()))
-    }
-
-    fn items(&mut self, node: &Node, axis: &Word) -> Option<(Vec<String>, Vec<Value>)> {
-        let Data::List(list) = &node.data else {
-            self.expected(node, "a list");
-            return None;
-        };
-        if list.is_empty() {
-            self.fault(Diagnostic::at(node.span, format!("axis `{}` has no items", axis.text)));
-            return None;
-        }
-        let mut items: Vec<String> = Vec::with_capacity(list.len());
-        for node in list {
-            let item = self.word(node, "a name, a number or true/false")?.text;
-            if item.is_empty() || item.contains(['/', '\\', ',', '=', '[', ']', '\0']) {
-                self.fault(Diagnostic::at(
-                    node.span,
-                    format!("`{item}` cannot be an item: an item is not empty and has none of / \\ , = [ ]"),
-                ));
-                return None;
-            }
-            if items.contains(&item) {
-                self.fault(Diagnostic::at(node.span, format!("`{item}` occurs twice on axis `{}`", axis.text)));
-                return None;
-            }
-            items.push(item);
-        }
-        let values: Vec<Value> = list.iter().map(Node::to_value).collect();
-        self.check_equal_numbers(list, &values, axis);
-        Some((items, values))
-    }
-
-    /// One number written in two ways would be one point with two names.
-    fn check_equal_numbers(&mut self, list: &[Node], values: &[Value], axis: &Word) {
-        for (index, value) in values.iter().enumerate() {
-            let number = value.as_f64();
-            let twin = values[..index].iter().position(|earlier| number.is_some() && earlier.as_f64() == number);
-            if let Some(twin) = twin {
-                let (here, there) = (&list[index].written, &list[twin].written);
-                let message = format!("`{here}` is the same number as `{there}` on axis `{}`", axis.text);
-                self.fault(Diagnostic::at(list[index].span, message).hint("leave one out, or put both in quotes"));
-            }
-        }
-    }
-
     fn step(&mut self, name: Word, node: &Node) -> Option<Step> {
         let what = format!("step `{}`", name.text);
-        self.map(node, &what, &["stage", "with", "in", "over", "keep", "stream"])?;
+        self.map(node, &what, &["stage", "with", "in", "over", "keep", "stream", "timeout", "retries"])?;
         let Some(stage) = node.get("stage") else {
             self.fault(
                 Diagnostic::at(name.span, format!("{what} names no `stage`")).hint("`rockface stages` lists them"),
@@ -362,7 +269,26 @@ impl Reader<'_> {
         let over = node.get("over").map(|n| self.words(n, "an axis")).unwrap_or_default();
         let keep = self.flag(node.get("keep"), true);
         let stream = node.get("stream").and_then(|n| self.stream(n));
-        Some(Step { name, stage, with, inputs, over, keep, stream })
+        let timeout = node.get("timeout").and_then(|n| self.duration(n));
+        let retries = node.get("retries").map_or(0, |n| self.retries(n));
+        Some(Step { name, stage, with, inputs, over, keep, stream, timeout, retries })
+    }
+
+    fn duration(&mut self, node: &Node) -> Option<Duration> {
+        let text = node.text().map(humantime::parse_duration);
+        match text {
+            Some(Ok(duration)) if !duration.is_zero() => return Some(duration),
+            _ => self.expected(node, "a time with its unit, such as 90s, 15min or 2h"),
+        }
+        None
+    }
+
+    fn retries(&mut self, node: &Node) -> u32 {
+        let count = node.to_value().as_u64().filter(|count| *count <= 100);
+        if count.is_none() {
+            self.expected(node, "a count of retries from 0 to 100");
+        }
+        count.unwrap_or(0) as u32
     }
 
     fn stream(&mut self, node: &Node) -> Option<Stream> {
@@ -370,60 +296,6 @@ impl Reader<'_> {
         let label = node.get("label").and_then(|n| self.word(n, "a label"));
         let axes = node.get("axes").map(|n| self.words(n, "an axis"));
         Some(Stream { label, axes })
-    }
-
-    fn input(&mut self, node: &Node) -> Option<Input> {
-        match &node.data {
-            Data::Scalar(Value::String(_)) => self.reference(node).map(Input::Plain),
-            Data::Map(_) if node.get("each").is_some() => self.each(node),
-            Data::Map(entries) if node.get("by").is_some() => self.by(node, entries),
-            _ => {
-                self.fault(
-                    Diagnostic::at(
-                        node.span,
-                        format!("expected where the input comes from, found {}", node.describe()),
-                    )
-                    .hint("one of: step.port · {by: axis, item: step.port, …} · {each: step.port, over: [axis]}"),
-                );
-                None
-            }
-        }
-    }
-
-    fn each(&mut self, node: &Node) -> Option<Input> {
-        self.map(node, "a gathered input", &["each", "over"])?;
-        let reference = self.reference(node.get("each")?)?;
-        let Some(over) = node.get("over") else {
-            self.fault(
-                Diagnostic::at(node.span, "a gathered input needs `over`")
-                    .hint("for example {each: noise.features, over: [replicate]}"),
-            );
-            return None;
-        };
-        Some(Input::Each { reference, over: self.some_words(over, "an axis") })
-    }
-
-    fn by(&mut self, node: &Node, entries: &[(Key, Node)]) -> Option<Input> {
-        let axis = self.word(node.get("by")?, "an axis")?;
-        let cases = entries.iter().filter(|(key, _)| key.name != "by");
-        let cases = cases
-            .map(|(key, node)| Some((Word { span: key.span, text: key.name.clone() }, self.reference(node)?)))
-            .collect::<Option<Vec<_>>>()?;
-        Some(Input::By { axis, cases })
-    }
-
-    fn reference(&mut self, node: &Node) -> Option<Reference> {
-        let parsed = node.text().ok_or_else(|| format!("expected step.port, found {}", node.describe()));
-        match parsed.and_then(|text| parse_reference(text, node.span)) {
-            Ok(reference) => Some(reference),
-            Err(message) => {
-                self.fault(
-                    Diagnostic::at(node.span, message)
-                        .hint("write step.port, or \"step.port[axis=item]\" in quotes for one point"),
-                );
-                None
-            }
-        }
     }
 }
 

@@ -1,27 +1,38 @@
 //! Pipelines as people write them: the YAML text, its faults, and the typed document.
 
+mod axis;
+mod design;
 mod document;
+mod include;
+mod input;
 mod node;
 mod overrides;
 mod reference;
+mod sobol;
 mod substitute;
+mod sweep;
 
 use std::path::{Path, PathBuf};
 
-pub use document::{Axis, Document, Input, Step, Stream};
+pub use axis::{Axis, bad_item};
+pub use document::{Document, Step, Stream};
+pub use input::Input;
 pub use node::{Data, Key, Node, Word};
 pub use reference::Reference;
 pub use substitute::{filled, mentioned};
 
 use crate::diagnostic::{Diagnostic, Diagnostics, Source};
+use include::Texts;
 
 /// A pipeline that was read, with the texts its places point into.
 #[derive(Debug, Clone)]
 pub struct Pipeline {
-    /// The pipeline file first, then each override.
+    /// The pipeline file first, then what it includes, then each override.
     pub sources: Vec<Source>,
-    /// Paths in parameters are relative to this folder.
+    /// The folder of the pipeline file.
     pub folder: PathBuf,
+    /// The folder of each file among the sources: paths in a step are relative to that of the file that declares it.
+    pub folders: Vec<PathBuf>,
     /// The typed document.
     pub document: Document,
 }
@@ -31,6 +42,8 @@ pub struct Pipeline {
 pub struct Overrides {
     /// `PATH=VALUE` texts, applied in order.
     pub set: Vec<String>,
+    /// `AXIS=VALUES` texts: axes of swept values that are added, or take the place of those of the pipeline.
+    pub sweep: Vec<String>,
     /// Takes the place of the pipeline's seed.
     pub seed: Option<u64>,
 }
@@ -52,22 +65,32 @@ impl Pipeline {
         folder: PathBuf,
         overrides: &Overrides,
     ) -> Result<Self, Diagnostics> {
-        let mut sources = vec![Source { name: name.to_owned(), text: text.to_owned() }];
+        let mut texts = Texts {
+            sources: vec![Source { name: name.to_owned(), text: text.to_owned() }],
+            folders: vec![folder.clone()],
+        };
         let mut faults = Vec::new();
         let mut document = None;
         match Node::parse(text, 0) {
             Ok(mut root) => {
+                let own = folder.join(Path::new(name).file_name().unwrap_or_default());
+                include::expand(&mut root, &mut vec![own.canonicalize().unwrap_or(own)], &mut texts, &mut faults);
                 let seed = overrides.seed.map(|seed| format!("seed={seed}"));
                 for set in overrides.set.iter().chain(&seed) {
-                    faults.extend(overrides::apply(&mut root, set, &mut sources).err());
+                    faults.extend(overrides::apply(&mut root, set, &mut texts.sources).err());
+                }
+                for sweep in &overrides.sweep {
+                    faults.extend(sweep::apply(&mut root, sweep, &mut texts.sources).err());
                 }
                 document = document::read(&root, stem, &mut faults);
             }
             Err(fault) => faults.push(fault),
         }
         match document {
-            Some(document) if faults.is_empty() => Ok(Self { sources, folder, document }),
-            _ => Err(Diagnostics { sources, list: faults }),
+            Some(document) if faults.is_empty() => {
+                Ok(Self { sources: texts.sources, folder, folders: texts.folders, document })
+            }
+            _ => Err(Diagnostics { sources: texts.sources, list: faults }),
         }
     }
 }

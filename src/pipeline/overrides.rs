@@ -23,11 +23,11 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<(
         return Err(Diagnostic::at(here(0, path.len()), format!("`{path}` is not a path of keys")));
     }
     check_exists(root, &keys, here(0, path.len()))?;
-    set(root, &keys, node, here(0, path.len()))
+    put(root, &keys, node, here(0, path.len()))
 }
 
 /// A path into a parameter, step or axis that is not there is a slip of the pen: nothing would ever read it.
-fn check_exists(root: &Node, keys: &[&str], span: Span) -> Result<(), Diagnostic> {
+pub fn check_exists(root: &Node, keys: &[&str], span: Span) -> Result<(), Diagnostic> {
     let [section, name, rest @ ..] = keys else { return Ok(()) };
     let what = match (*section, rest.is_empty()) {
         ("params", _) => "parameter",
@@ -53,7 +53,8 @@ fn check_exists(root: &Node, keys: &[&str], span: Span) -> Result<(), Diagnostic
     })
 }
 
-fn set(node: &mut Node, keys: &[&str], value: Node, span: Span) -> Result<(), Diagnostic> {
+/// Puts a value where a path of keys leads, and makes the maps on the way.
+pub fn put(node: &mut Node, keys: &[&str], value: Node, span: Span) -> Result<(), Diagnostic> {
     let Some((first, rest)) = keys.split_first() else {
         *node = value;
         return Ok(());
@@ -61,7 +62,7 @@ fn set(node: &mut Node, keys: &[&str], value: Node, span: Span) -> Result<(), Di
     if let Data::List(items) = &mut node.data {
         let found = first.parse::<usize>().ok().and_then(|index| items.get_mut(index));
         let found = found.ok_or_else(|| Diagnostic::at(span, format!("there is no list element `{first}`")))?;
-        return set(found, rest, value, span);
+        return put(found, rest, value, span);
     }
     if matches!(&node.data, Data::Scalar(value) if value.is_null()) {
         node.data = Data::Map(Vec::new());
@@ -74,7 +75,7 @@ fn set(node: &mut Node, keys: &[&str], value: Node, span: Span) -> Result<(), Di
         entries.push((Key { span, name: (*first).to_owned() }, empty));
         entries.len() - 1
     });
-    set(&mut entries[position].1, rest, value, span)
+    put(&mut entries[position].1, rest, value, span)
 }
 
 /// Moves the places of a value parsed from the part after `=` to where it stands in the whole text.

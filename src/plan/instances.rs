@@ -6,8 +6,9 @@ use std::sync::Arc;
 use rockface_cache::{Digest, Gathered, Recipe, RecipeInput, SeedMaterial};
 use rockface_stages::{Arity, Point};
 
-use super::graph::{Feed, Graph, GraphStep, Source};
+use super::graph::{Feed, Graph, GraphStep};
 use super::parameters::{self, HashFile, StepParams};
+use super::points::{elements, named, needed_points, points, too_many};
 use crate::diagnostic::Diagnostic;
 
 /// All step instances the targets need, producers before consumers.
@@ -45,20 +46,95 @@ pub struct Given {
 }
 
 impl Plan {
-    /// Expands a graph; faults of parameters and files are reported together.
+    /// Expands a graph as far as the items of its axes are known; faults of parameters and files are reported together.
     pub fn new(graph: Graph, hash: &HashFile) -> Result<Self, Vec<Diagnostic>> {
-        let faults = too_many(&graph);
+        let mut plan = Self { graph, instances: Vec::new(), targets: Vec::new() };
+        plan.grow(hash)?;
+        plan.order()?;
+        Ok(plan)
+    }
+
+    /// Adds the instances that could not be told before. Those there are keep their numbers, and producers come before
+    /// consumers; returns the number of the first new one.
+    pub fn grow(&mut self, hash: &HashFile) -> Result<usize, Vec<Diagnostic>> {
+        let faults = too_many(&self.graph);
         if !faults.is_empty() {
             return Err(faults);
         }
-        let needed = needed_points(&graph);
-        match Expansion::new(&graph, hash).run(&needed) {
-            Ok(instances) => {
-                let targets = (0..instances.len()).filter(|i| graph.targets.contains(&instances[*i].step)).collect();
-                Ok(Self { graph, instances, targets })
-            }
-            Err(faults) => Err(faults),
+        let needed = needed_points(&self.graph);
+        let known = self.instances.len();
+        let new = Expansion::new(&self.graph, hash).run(&needed, &self.instances)?;
+        self.instances.extend(new);
+        link(&mut self.instances, known);
+        let is_target = |instance: &usize| self.graph.targets.contains(&self.instances[*instance].step);
+        self.targets = (0..self.instances.len()).filter(is_target).collect();
+        Ok(known)
+    }
+
+    /// Gives every instance the number that it would have had if all items had been known: by step and point, producers
+    /// before consumers. Returns the former number of each.
+    pub fn order(&mut self) -> Result<Vec<usize>, Vec<Diagnostic>> {
+        let chained = self.graph.steps.iter().any(|s| s.inputs.iter().any(|(_, f)| matches!(f, Feed::Chain { .. })));
+        let mut order: Vec<usize> = (0..self.instances.len()).collect();
+        let place = |i: &usize| (self.instances[*i].step, &self.instances[*i].items);
+        order.sort_by(|one, other| place(one).cmp(&place(other)));
+        if chained {
+            order = self.sorted(&order)?;
         }
+        if order.iter().enumerate().all(|(new, old)| new == *old) {
+            return Ok(order);
+        }
+        let mut new = vec![0; order.len()];
+        order.iter().enumerate().for_each(|(number, old)| new[*old] = number);
+        let mut former: Vec<Option<Instance>> = std::mem::take(&mut self.instances).into_iter().map(Some).collect();
+        self.instances = order.iter().filter_map(|old| former[*old].take()).collect();
+        for instance in &mut self.instances {
+            instance.dependents.iter_mut().for_each(|dependent| *dependent = new[*dependent]);
+            instance.dependents.sort_unstable();
+            let given = instance.inputs.iter_mut().flat_map(|(_, given)| given);
+            given.for_each(|given| given.instance = new[given.instance]);
+        }
+        self.targets = self.targets.iter().map(|target| new[*target]).collect();
+        self.targets.sort_unstable();
+        Ok(order)
+    }
+
+    /// The same order with producers first, as near to the given one as that allows.
+    fn sorted(&self, order: &[usize]) -> Result<Vec<usize>, Vec<Diagnostic>> {
+        let mut rank = vec![0; order.len()];
+        order.iter().enumerate().for_each(|(rank_of, instance)| rank[*instance] = rank_of);
+        let mut unmet = vec![0_usize; order.len()];
+        let dependents = self.instances.iter().flat_map(|instance| &instance.dependents);
+        dependents.for_each(|dependent| unmet[*dependent] += 1);
+        let mut ready: BTreeSet<usize> = (0..order.len()).filter(|at| unmet[order[*at]] == 0).collect();
+        let mut sorted = Vec::with_capacity(order.len());
+        while let Some(at) = ready.pop_first() {
+            let instance = order[at];
+            sorted.push(instance);
+            for dependent in &self.instances[instance].dependents {
+                unmet[*dependent] -= 1;
+                if unmet[*dependent] == 0 {
+                    ready.insert(rank[*dependent]);
+                }
+            }
+        }
+        match order.iter().find(|instance| unmet[**instance] > 0) {
+            None => Ok(sorted),
+            Some(stuck) => {
+                let message = format!("`{}` waits for itself, by way of an item before", self.label(*stuck));
+                let fault = Diagnostic::at(self.step(*stuck).span, message);
+                Err(vec![fault.hint("an item may read from items before it, not from one that reads from it")])
+            }
+        }
+    }
+
+    /// The instances an instance reads from, ascending.
+    pub fn producers(&self, instance: usize) -> Vec<usize> {
+        let given = self.instances[instance].inputs.iter().flat_map(|(_, given)| given);
+        let mut producers: Vec<usize> = given.map(|given| given.instance).collect();
+        producers.sort_unstable();
+        producers.dedup();
+        producers
     }
 
     /// The step of an instance.
@@ -123,101 +199,6 @@ impl Plan {
     }
 }
 
-/// The most instances a plan may have: above, memory and patience end before the work does.
-const INSTANCES_LIMIT: u64 = 10_000_000;
-
-/// Counts before anything is expanded.
-fn too_many(graph: &Graph) -> Vec<Diagnostic> {
-    let mut total = 0_u64;
-    let mut faults = Vec::new();
-    for step in &graph.steps {
-        let counts = step.axes.iter().map(|axis| graph.axes[*axis].items.len() as u64);
-        let count = counts.fold(1_u64, u64::saturating_mul);
-        total = total.saturating_add(count);
-        if count > INSTANCES_LIMIT || total > INSTANCES_LIMIT {
-            let axes: Vec<String> = step
-                .axes
-                .iter()
-                .map(|axis| &graph.axes[*axis])
-                .map(|a| format!("{} {}", a.items.len(), a.name.text))
-                .collect();
-            let message = format!("step `{}` brings the plan to {total} instances ({})", step.name, axes.join(" x "));
-            let hint = format!("a plan has at most {INSTANCES_LIMIT}: shorten an axis, or divide the pipeline");
-            faults.push(Diagnostic::at(step.span, message).hint(hint));
-            return faults;
-        }
-    }
-    faults
-}
-
-fn named(graph: &Graph, axes: &[usize], items: &[usize]) -> Point {
-    let name = |(axis, item): (&usize, &usize)| {
-        let axis = &graph.axes[*axis];
-        (axis.name.text.clone(), axis.items[*item].clone())
-    };
-    axes.iter().zip(items).map(name).collect()
-}
-
-/// Every combination of items of some axes, the last axis fastest.
-fn points(graph: &Graph, axes: &[usize]) -> Vec<Vec<usize>> {
-    axes.iter().fold(vec![Vec::new()], |points, axis| {
-        let extend = |point: Vec<usize>| {
-            (0..graph.axes[*axis].items.len()).map(move |item| point.iter().copied().chain([item]).collect::<Vec<_>>())
-        };
-        points.into_iter().flat_map(extend).collect()
-    })
-}
-
-/// One element of an input before instances have numbers: producer step, its items, its port, the gathered point.
-type Element = (usize, Vec<usize>, &'static str, Point);
-
-fn elements(graph: &Graph, step: &GraphStep, items: &[usize], feed: &Feed) -> Vec<Element> {
-    let own: BTreeMap<usize, usize> = step.axes.iter().copied().zip(items.iter().copied()).collect();
-    let element = |source: &Source, extra: &[(usize, usize)]| {
-        let item = |axis: &usize| {
-            let picked = source.picks.iter().chain(extra).find(|(a, _)| a == axis).map(|(_, item)| *item);
-            picked.or_else(|| own.get(axis).copied()).unwrap_or_default()
-        };
-        let producer = &graph.steps[source.step];
-        let (axes, chosen): (Vec<usize>, Vec<usize>) = extra.iter().copied().unzip();
-        (source.step, producer.axes.iter().map(item).collect(), source.port.name, named(graph, &axes, &chosen))
-    };
-    match feed {
-        Feed::Plain(source) => vec![element(source, &[])],
-        Feed::By { axis, cases } => vec![element(&cases[own[axis]], &[])],
-        Feed::Each { source, over } => {
-            let extra =
-                points(graph, over).into_iter().map(|items| over.iter().copied().zip(items).collect::<Vec<_>>());
-            extra.map(|extra| element(source, &extra)).collect()
-        }
-    }
-}
-
-/// How many instances of every step the targets need.
-pub fn counts(graph: &Graph) -> Result<Vec<usize>, Vec<Diagnostic>> {
-    let faults = too_many(graph);
-    if faults.is_empty() { Ok(needed_points(graph).iter().map(BTreeSet::len).collect()) } else { Err(faults) }
-}
-
-/// The points of every step that the targets need.
-fn needed_points(graph: &Graph) -> Vec<BTreeSet<Vec<usize>>> {
-    let mut needed: Vec<BTreeSet<Vec<usize>>> = vec![BTreeSet::new(); graph.steps.len()];
-    for target in &graph.targets {
-        needed[*target].extend(points(graph, &graph.steps[*target].axes));
-    }
-    for index in (0..graph.steps.len()).rev() {
-        let step = &graph.steps[index];
-        for items in needed[index].clone() {
-            for (_, feed) in &step.inputs {
-                for (producer, items, _, _) in elements(graph, step, &items, feed) {
-                    needed[producer].insert(items);
-                }
-            }
-        }
-    }
-    needed
-}
-
 struct Expansion<'a> {
     graph: &'a Graph,
     hash: &'a HashFile<'a>,
@@ -230,33 +211,46 @@ impl<'a> Expansion<'a> {
         Self { graph, hash, params: HashMap::new(), faults: Vec::new() }
     }
 
-    fn run(mut self, needed: &[BTreeSet<Vec<usize>>]) -> Result<Vec<Instance>, Vec<Diagnostic>> {
+    /// The instances at all needed points that are not there yet; new ones are numbered on from those.
+    fn run(
+        mut self,
+        needed: &[BTreeSet<Vec<usize>>],
+        there: &[Instance],
+    ) -> Result<Vec<Instance>, Vec<Diagnostic>> {
         let graph = self.graph;
+        let deferred = graph.deferred();
         let mut numbers: Vec<HashMap<&Vec<usize>, usize>> = vec![HashMap::new(); graph.steps.len()];
-        let mut instances: Vec<Instance> = Vec::with_capacity(needed.iter().map(BTreeSet::len).sum());
-        for (index, step) in graph.steps.iter().enumerate() {
-            if needed[index].is_empty() {
-                self.check_unneeded(index, step);
+        for (number, instance) in there.iter().enumerate() {
+            numbers[instance.step].insert(&instance.items, number);
+        }
+        let mut new: Vec<(usize, &Vec<usize>)> = Vec::new();
+        for (index, points) in needed.iter().enumerate() {
+            for items in points {
+                if !numbers[index].contains_key(items) {
+                    numbers[index].insert(items, there.len() + new.len());
+                    new.push((index, items));
+                }
             }
-            for items in &needed[index] {
-                let Some(params) = self.params(index, step, items) else { continue };
-                let feeds = step.inputs.iter().map(|(port, feed)| {
-                    let given =
-                        elements(graph, step, items, feed).into_iter().filter_map(|(producer, items, port, point)| {
-                            numbers[producer].get(&items).map(|instance| Given { instance: *instance, port, point })
-                        });
-                    (port.name, given.collect::<Vec<_>>())
+        }
+        let mut instances: Vec<Instance> = Vec::with_capacity(new.len());
+        for (index, items) in new {
+            let step = &graph.steps[index];
+            let Some(params) = self.params(index, step, items) else { continue };
+            let feeds = step.inputs.iter().map(|(port, feed)| {
+                let given = elements(graph, step, items, feed).into_iter().filter_map(|element| {
+                    let instance = *numbers[element.step].get(&element.items)?;
+                    Some(Given { instance, port: element.port, point: element.point })
                 });
-                let inputs: Vec<_> = feeds.collect();
-                numbers[index].insert(items, instances.len());
-                instances.push(Instance { step: index, items: items.clone(), params, inputs, dependents: Vec::new() });
-            }
+                (port.name, given.collect::<Vec<_>>())
+            });
+            let inputs: Vec<_> = feeds.filter(|(_, given)| !given.is_empty()).collect();
+            instances.push(Instance { step: index, items: items.clone(), params, inputs, dependents: Vec::new() });
         }
-        if !self.faults.is_empty() {
-            return Err(self.faults);
+        if there.is_empty() {
+            let idle = (0..needed.len()).filter(|step| needed[*step].is_empty() && deferred[*step].is_none());
+            idle.for_each(|step| self.check_unneeded(step, &graph.steps[step]));
         }
-        link(&mut instances);
-        Ok(instances)
+        if self.faults.is_empty() { Ok(instances) } else { Err(self.faults) }
     }
 
     /// Steps that no target needs are checked all the same; their files are not looked for.
@@ -277,7 +271,7 @@ impl<'a> Expansion<'a> {
             return known.clone();
         }
         let checked = parameters::check(self.graph, step, &mentioned).and_then(|mut params| {
-            let faults = parameters::find_files(self.graph, step, &mut params, self.hash);
+            let faults = parameters::find_files(step, &mut params, self.hash);
             if faults.is_empty() { Ok(params) } else { Err(faults) }
         });
         let params = match checked {
@@ -300,8 +294,9 @@ impl<'a> Expansion<'a> {
     }
 }
 
-fn link(instances: &mut [Instance]) {
-    for consumer in 0..instances.len() {
+/// Tells producers of their consumers from a number on.
+fn link(instances: &mut [Instance], from: usize) {
+    for consumer in from..instances.len() {
         let producers: BTreeSet<usize> =
             instances[consumer].inputs.iter().flat_map(|(_, given)| given.iter().map(|g| g.instance)).collect();
         for producer in producers {

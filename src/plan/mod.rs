@@ -1,17 +1,23 @@
 //! From pipeline to plan: resolve names, expand axes, key every step instance.
 
+mod dynamic;
+mod feeds;
 mod graph;
 mod instances;
 mod parameters;
+mod points;
+mod reach;
 mod resolve;
 mod values;
 
-pub use graph::{Feed, Graph, GraphStep, Source};
-pub use instances::{Given, Instance, Plan, counts, makes};
+pub use dynamic::{Items, items_of};
+pub use graph::{Dynamic, Feed, Graph, GraphStep, Source};
+pub use instances::{Given, Instance, Plan, makes};
+pub use points::counts;
 pub use parameters::{InputFile, StepParams};
 pub use resolve::resolve;
 
-use rockface_cache::Store;
+use rockface_cache::{Digest, Store};
 use rockface_stages::AnyStage;
 
 use crate::diagnostic::Diagnostics;
@@ -20,10 +26,18 @@ use crate::pipeline::Pipeline;
 /// The stages a pipeline may use.
 pub type Registry = [&'static dyn AnyStage];
 
-/// Resolves and expands a pipeline; input files are hashed through the store, which remembers what did not change.
+/// Resolves and expands a pipeline, as far as the items of its axes are on record; input files are hashed through the
+/// store, which remembers what did not change.
 pub fn plan(pipeline: &Pipeline, targets: &[String], stages: &Registry, store: &Store) -> Result<Plan, Diagnostics> {
     let graph = resolve(pipeline, targets, stages)?;
-    let hash =
-        |path: &std::path::Path| store.hash_file(path).map(|file| file.digest).map_err(|error| error.to_string());
-    Plan::new(graph, &hash).map_err(|list| Diagnostics { sources: pipeline.sources.clone(), list })
+    let hash = file_hash(store);
+    let told = |list| Diagnostics { sources: pipeline.sources.clone(), list };
+    let mut plan = Plan::new(graph, &hash).map_err(told)?;
+    plan.take_recorded(store, &hash).map_err(told)?;
+    Ok(plan)
+}
+
+/// How a file is hashed through a store.
+pub fn file_hash(store: &Store) -> impl Fn(&std::path::Path) -> Result<Digest, String> {
+    |path| store.hash_file(path).map(|file| file.digest).map_err(|error| error.to_string())
 }

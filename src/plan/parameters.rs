@@ -4,12 +4,13 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use rockface_cache::Digest;
-use rockface_stages::params::{Field, Kind};
+use rockface_stages::AnyStage;
+use rockface_stages::params::{Fault, Field, Kind};
 use serde_json::{Value, json};
 
 use super::graph::{Graph, GraphStep};
 use crate::diagnostic::{Diagnostic, Span};
-use crate::pipeline::filled;
+use crate::pipeline::{Node, filled};
 
 /// Parameters that are ready for the recipe and for the stage.
 #[derive(Debug, Clone, PartialEq)]
@@ -40,26 +41,21 @@ pub type HashFile<'a> = dyn Fn(&Path) -> Result<Digest, String> + 'a;
 
 /// Fills in and checks the parameters of a step at the items of the axes its `with` mentions.
 pub fn check(graph: &Graph, step: &GraphStep, items: &BTreeMap<usize, usize>) -> Result<StepParams, Vec<Diagnostic>> {
-    let lookup = |name: &str| match graph.axes.iter().position(|axis| axis.name.text == name) {
-        Some(axis) => items.get(&axis).map(|item| graph.axes[axis].values[*item].clone()),
-        None => graph.params.get(name).cloned(),
+    let lookup = |name: &str| {
+        let known = graph.params.get(name).cloned();
+        known.or_else(|| {
+            let (base, field) = name.split_once('.').map_or((name, None), |(base, field)| (base, Some(field)));
+            let axis = graph.axes.iter().position(|axis| axis.name.text == base)?;
+            let value = &graph.axes[axis].values[*items.get(&axis)?];
+            field.map_or_else(|| Some(value.clone()), |field| value.get(field).cloned())
+        })
     };
     let with = step.with.as_ref().map_or(Ok(Value::Null), |with| filled(with, &lookup)).map_err(|fault| vec![fault])?;
-    let checked = step.stage.check(&with).map_err(|faults| {
-        let diagnostics = faults.into_iter().map(|fault| {
-            let at = step.with.as_ref().map_or(step.span, |with| with.locate(&fault.path, fault.at_key));
-            let about = if fault.path.is_empty() || fault.at_key {
-                String::new()
-            } else {
-                format!("`{}`: ", fault.path.join("."))
-            };
-            let message = format!("step `{}` ({}): {about}{}", step.name, step.stage.name(), fault.message);
-            let written = fault.path.last().map_or_else(String::new, Clone::clone);
-            let given = if fault.at_key { written } else { value_at(&with, &fault.path) };
-            Diagnostic::at(at, message).suggest(&given, fault.known.iter().map(String::as_str))
-        });
-        diagnostics.collect::<Vec<_>>()
-    })?;
+    let place = Place { step: &step.name, stage: step.stage, with: step.with.as_ref(), span: step.span };
+    let checked = step
+        .stage
+        .check(&with)
+        .map_err(|faults| faults.into_iter().map(|fault| told(&place, &with, fault)).collect::<Vec<_>>())?;
     Ok(StepParams {
         recipe: checked.canonical.clone(),
         canonical: checked.canonical,
@@ -68,9 +64,32 @@ pub fn check(graph: &Graph, step: &GraphStep, items: &BTreeMap<usize, usize>) ->
     })
 }
 
+/// Where the parameters of a step stand.
+pub struct Place<'a> {
+    /// The step.
+    pub step: &'a str,
+    /// Its stage.
+    pub stage: &'a dyn AnyStage,
+    /// Its parameters as written.
+    pub with: Option<&'a Node>,
+    /// Where its name stands.
+    pub span: Span,
+}
+
+/// What a stage finds wrong with parameters, with its place in the text.
+pub fn told(place: &Place, with: &Value, fault: Fault) -> Diagnostic {
+    let at = place.with.map_or(place.span, |node| node.locate(&fault.path, fault.at_key));
+    let silent = fault.path.is_empty() || fault.at_key;
+    let about = if silent { String::new() } else { format!("`{}`: ", fault.path.join(".")) };
+    let message = format!("step `{}` ({}): {about}{}", place.step, place.stage.name(), fault.message);
+    let written = fault.path.last().map_or_else(String::new, Clone::clone);
+    let given = if fault.at_key { written } else { value_at(with, &fault.path) };
+    Diagnostic::at(at, message).suggest(&given, fault.known.iter().map(String::as_str))
+}
+
 /// Finds and hashes every file the parameters name, and puts the digests into the recipe's parameters.
-pub fn find_files(graph: &Graph, step: &GraphStep, params: &mut StepParams, hash: &HashFile) -> Vec<Diagnostic> {
-    let mut finder = Finder { graph, step, hash, files: BTreeMap::new(), faults: Vec::new(), path: Vec::new() };
+pub fn find_files(step: &GraphStep, params: &mut StepParams, hash: &HashFile) -> Vec<Diagnostic> {
+    let mut finder = Finder { step, hash, files: BTreeMap::new(), faults: Vec::new(), path: Vec::new() };
     let fields = step.stage.fields();
     params.recipe = finder.fields(&fields, &params.canonical);
     params.files = finder.files;
@@ -78,7 +97,6 @@ pub fn find_files(graph: &Graph, step: &GraphStep, params: &mut StepParams, hash
 }
 
 struct Finder<'a> {
-    graph: &'a Graph,
     step: &'a GraphStep,
     hash: &'a HashFile<'a>,
     files: BTreeMap<String, Vec<InputFile>>,
@@ -104,6 +122,15 @@ impl Finder<'_> {
             (Kind::Optional(inner), value) if !value.is_null() => self.value(inner, value),
             (Kind::List(inner, _), Value::Array(items)) => items.iter().map(|item| self.value(inner, item)).collect(),
             (Kind::Map(fields), value) => self.fields(fields, value),
+            (Kind::Entries(inner), Value::Object(map)) => {
+                let entries = map.iter().map(|(key, value)| {
+                    self.path.push(key.clone());
+                    let found = self.value(inner, value);
+                    self.path.pop();
+                    (key.clone(), found)
+                });
+                Value::Object(entries.collect())
+            }
             (Kind::File, Value::String(written)) => {
                 let files = self.find(written, false);
                 files.first().map_or(Value::Null, |file| json!({ "blake3": file.digest }))
@@ -118,7 +145,7 @@ impl Finder<'_> {
     }
 
     fn find(&mut self, written: &str, many: bool) -> Vec<InputFile> {
-        let path = self.graph.folder.join(written);
+        let path = self.step.folder.join(written);
         let listed = match written.trim() {
             "" => Err("a path is needed, and this one is empty".to_owned()),
             _ if many => list_files(&path),

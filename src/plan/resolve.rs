@@ -1,21 +1,24 @@
 //! From document to graph: names, ports, cycles and axes, with all faults reported together.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::BTreeSet;
 
 use petgraph::algo::{kosaraju_scc, toposort};
 use petgraph::graph::DiGraph;
-use rockface_stages::{AnyStage, Arity, Port};
+use rockface_stages::artefact::Kind;
+use rockface_stages::{AnyStage, Ports};
+use serde_json::Value;
 
-use super::graph::{Feed, Graph, GraphStep, Source};
-use super::{Registry, values};
+use super::graph::{Dynamic, Graph, GraphStep};
+use super::reach::Names;
+use super::{Registry, parameters, values};
 use crate::diagnostic::{Diagnostic, Diagnostics};
-use crate::pipeline::{Document, Input, Node, Pipeline, Reference, Step, Word, mentioned};
+use crate::pipeline::{Document, Node, Pipeline, Reference, Step, Word, mentioned};
 
 /// Resolves a pipeline; `targets` on the command line take the place of the document's.
 pub fn resolve(pipeline: &Pipeline, targets: &[String], stages: &Registry) -> Result<Graph, Diagnostics> {
-    let document = &pipeline.document;
-    let mut resolver = Resolver::new(document, stages);
+    let mut resolver = Resolver::new(&pipeline.document, stages);
     resolver.check_names();
+    resolver.check_zips();
     let order = resolver.order();
     let graph = order.map(|order| resolver.build(&order, pipeline, targets));
     match graph {
@@ -24,53 +27,121 @@ pub fn resolve(pipeline: &Pipeline, targets: &[String], stages: &Registry) -> Re
     }
 }
 
-struct Resolver<'d> {
-    document: &'d Document,
-    steps: HashMap<&'d str, usize>,
-    axes: HashMap<&'d str, usize>,
+/// A graph in the making. Steps are numbered as in the document; `place` tells their number in the graph.
+pub struct Resolver<'d> {
+    /// What the pipeline calls what.
+    pub names: Names<'d>,
+    /// By step: its stage.
+    pub stages: Vec<Option<&'static dyn AnyStage>>,
+    /// By step: its ports.
+    pub ports: Vec<Option<Ports>>,
+    /// By step: its number in the graph.
+    pub place: Vec<usize>,
+    /// What is wrong.
+    pub faults: Vec<Diagnostic>,
     registry: &'d Registry,
-    stages: Vec<Option<&'static dyn AnyStage>>,
-    faults: Vec<Diagnostic>,
+    /// By number in the graph: the axes of the step.
+    reach: Vec<BTreeSet<usize>>,
 }
 
 impl<'d> Resolver<'d> {
     fn new(document: &'d Document, registry: &'d Registry) -> Self {
-        let steps = document.steps.iter().enumerate().map(|(i, step)| (step.name.text.as_str(), i)).collect();
-        let axes = document.axes.iter().enumerate().map(|(i, axis)| (axis.name.text.as_str(), i)).collect();
-        let stages =
+        let stages: Vec<_> =
             document.steps.iter().map(|step| registry.iter().copied().find(|s| s.name() == step.stage.text)).collect();
-        Self { document, steps, axes, registry, stages, faults: Vec::new() }
+        let mut resolver = Self {
+            names: Names::new(document),
+            ports: Vec::with_capacity(stages.len()),
+            stages,
+            place: vec![0; document.steps.len()],
+            faults: Vec::new(),
+            registry,
+            reach: Vec::new(),
+        };
+        for (own, step) in document.steps.iter().enumerate() {
+            let ports = resolver.stages[own].and_then(|stage| resolver.ports_of(step, stage));
+            resolver.ports.push(ports);
+        }
+        resolver
+    }
+
+    fn ports_of(&mut self, step: &Step, stage: &dyn AnyStage) -> Option<Ports> {
+        let with = step.with.as_ref().map_or(Value::Null, Node::to_value);
+        let place = parameters::Place { step: &step.name.text, stage, with: step.with.as_ref(), span: step.name.span };
+        match stage.ports(&with) {
+            Ok(ports) => Some(ports),
+            Err(faults) => {
+                self.faults.extend(faults.into_iter().map(|fault| parameters::told(&place, &with, fault)));
+                None
+            }
+        }
+    }
+
+    fn document(&self) -> &'d Document {
+        self.names.document
     }
 
     fn step_names(&self) -> Vec<&'d str> {
-        self.document.steps.iter().map(|step| step.name.text.as_str()).collect()
+        self.document().steps.iter().map(|step| step.name.text.as_str()).collect()
     }
 
     fn axis_names(&self) -> Vec<&'d str> {
-        self.document.axes.iter().map(|axis| axis.name.text.as_str()).collect()
+        self.document().axes.iter().map(|axis| axis.name.text.as_str()).collect()
+    }
+
+    /// The axes of a step, by its number in the graph.
+    pub fn position_axes(&self, position: usize) -> &BTreeSet<usize> {
+        &self.reach[position]
     }
 
     fn check_names(&mut self) {
-        for (step, stage) in self.document.steps.iter().zip(&self.stages) {
+        for (step, stage) in self.document().steps.iter().zip(&self.stages) {
             if stage.is_none() {
                 let known = self.registry.iter().map(|stage| stage.name());
                 let fault = Diagnostic::at(step.stage.span, format!("unknown stage `{}`", step.stage.text));
                 self.faults.push(fault.suggest(&step.stage.text, known));
             }
         }
-        for (key, _) in &self.document.params {
-            if self.axes.contains_key(key.name.as_str()) {
+        for (key, _) in &self.document().params {
+            if self.names.axes.contains_key(key.name.as_str()) {
                 let message = format!("`{}` is both a parameter and an axis", key.name);
                 self.faults.push(Diagnostic::at(key.span, message).hint("rename one: ${name} would be ambiguous"));
             }
         }
     }
 
-    fn axis(&mut self, word: &Word) -> Option<usize> {
-        let found = self.axes.get(word.text.as_str()).copied();
+    fn check_zips(&mut self) {
+        let mut seen: Vec<usize> = Vec::new();
+        for group in &self.document().zips {
+            let members: Vec<(usize, &Word)> =
+                group.iter().filter_map(|word| Some((self.axis(word)?, word))).collect();
+            for (axis, word) in &members {
+                let own = &self.document().axes[*axis];
+                let (first, _) = members[0];
+                let (count, wanted) = (own.items.len(), self.document().axes[first].items.len());
+                let first = &self.document().axes[first].name.text;
+                let fault = if seen.contains(axis) {
+                    Some((format!("axis `{}` is zipped twice", word.text), "name all axes in one list"))
+                } else if own.from.is_some() {
+                    let message = format!("the items of axis `{}` are not known when the pipeline is read", word.text);
+                    Some((message, "take the values of both from one table, as its columns"))
+                } else if count != wanted {
+                    let message = format!("axis `{}` has {count} items, `{first}` has {wanted}", word.text);
+                    Some((message, "axes that are walked together have as many items as each other"))
+                } else {
+                    None
+                };
+                self.faults.extend(fault.map(|(message, hint)| Diagnostic::at(word.span, message).hint(hint)));
+                seen.push(*axis);
+            }
+        }
+    }
+
+    /// The axis of a name.
+    pub fn axis(&mut self, word: &Word) -> Option<usize> {
+        let found = self.names.axes.get(word.text.as_str()).copied();
         if found.is_none() {
             let fault = Diagnostic::at(word.span, format!("unknown axis `{}`", word.text));
-            let fault = if self.axes.is_empty() {
+            let fault = if self.names.axes.is_empty() {
                 fault.hint("declare it under `axes:`")
             } else {
                 fault.suggest(&word.text, self.axis_names())
@@ -80,8 +151,9 @@ impl<'d> Resolver<'d> {
         found
     }
 
-    fn item(&mut self, axis: usize, word: &Word, item: &str) -> Option<usize> {
-        let declared = &self.document.axes[axis];
+    /// The number of an item on an axis.
+    pub fn item(&mut self, axis: usize, word: &Word, item: &str) -> Option<usize> {
+        let declared = &self.document().axes[axis];
         let found = declared.items.iter().position(|known| known == item);
         if found.is_none() {
             let message = format!("`{item}` is no item of axis `{}`", declared.name.text);
@@ -94,10 +166,14 @@ impl<'d> Resolver<'d> {
     /// Document indices of the steps, producers first; `None` on a cycle.
     fn order(&mut self) -> Option<Vec<usize>> {
         let mut arrows = DiGraph::<usize, ()>::new();
-        let nodes: Vec<_> = (0..self.document.steps.len()).map(|i| arrows.add_node(i)).collect();
-        for (consumer, step) in self.document.steps.iter().enumerate() {
-            for reference in step.inputs.iter().flat_map(|(_, input)| input.references()) {
-                if let Some(producer) = self.steps.get(reference.step.as_str()) {
+        let document = self.document();
+        let nodes: Vec<_> = (0..document.steps.len()).map(|i| arrows.add_node(i)).collect();
+        for (consumer, step) in document.steps.iter().enumerate() {
+            let references = step.inputs.iter().flat_map(|(_, input)| input.forward_references());
+            let axes = self.names.met_axes(step);
+            let lists = axes.iter().filter_map(|axis| document.axes[*axis].from.as_ref());
+            for reference in references.chain(lists) {
+                if let Some(producer) = self.names.steps.get(reference.step.as_str()) {
                     arrows.update_edge(nodes[*producer], nodes[consumer], ());
                 }
             }
@@ -116,9 +192,10 @@ impl<'d> Resolver<'d> {
     }
 
     fn report_cycle(&mut self, members: &BTreeSet<usize>) {
-        let name = |i: &usize| self.document.steps[*i].name.text.as_str();
+        let document = self.document();
+        let name = |i: &usize| document.steps[*i].name.text.as_str();
         let names: Vec<&str> = members.iter().map(name).collect();
-        let Some(first) = members.first().map(|i| &self.document.steps[*i]) else { return };
+        let Some(first) = members.first().map(|i| &document.steps[*i]) else { return };
         let back = first.inputs.iter().flat_map(|(_, input)| input.references());
         let back = back.into_iter().find(|r| names.contains(&r.step.as_str())).map_or(first.name.span, |r| r.span);
         let message = format!("these steps wait for each other in a circle: {}", names.join(", "));
@@ -130,19 +207,15 @@ impl<'d> Resolver<'d> {
     }
 
     fn build(&mut self, order: &[usize], pipeline: &Pipeline, targets: &[String]) -> Graph {
-        let document = self.document;
-        let mut position = vec![0; order.len()];
+        let document = self.document();
         for (new, old) in order.iter().enumerate() {
-            position[*old] = new;
+            self.place[*old] = new;
         }
-        let mut steps: Vec<GraphStep> = Vec::with_capacity(order.len());
-        let mut slots: Vec<Option<usize>> = vec![None; order.len()];
-        for old in order {
-            if let Some(step) = self.step(&document.steps[*old], *old, &steps, &slots) {
-                slots[*old] = Some(steps.len());
-                steps.push(step);
-            }
-        }
+        let reach = self.names.reach(order);
+        self.reach = order.iter().map(|old| reach[*old].clone()).collect();
+        let dynamic = self.dynamic();
+        let steps: Vec<GraphStep> =
+            order.iter().filter_map(|old| self.step(&document.steps[*old], *old, pipeline)).collect();
         let targets = self.targets(&steps, targets);
         let (params, faults) = values::resolve(&document.params, &self.axis_names());
         self.faults.extend(faults);
@@ -154,8 +227,45 @@ impl<'d> Resolver<'d> {
             folder: pipeline.folder.clone(),
             params,
             axes: document.axes.clone(),
+            zips: self.names.zips.clone(),
+            dynamic,
             steps,
             targets,
+        }
+    }
+
+    /// By axis: the output its items are taken from.
+    fn dynamic(&mut self) -> Vec<Option<Dynamic>> {
+        let document = self.document();
+        document.axes.iter().map(|axis| self.teller(&axis.name, axis.from.as_ref()?)).collect()
+    }
+
+    fn teller(&mut self, axis: &Word, from: &Reference) -> Option<Dynamic> {
+        let source = self.source(from)?;
+        let kind = source.port.kinds[0];
+        let picked = |axis: &&usize| !source.picks.iter().any(|(picked, _)| picked == *axis);
+        let free = self.position_axes(source.step).iter().find(picked);
+        let step = &self.document().steps[self.names.steps[from.step.as_str()]];
+        let fault = if !kind.has_items() {
+            let message = format!("axis `{}` cannot take items from a {kind}", axis.text);
+            let lists: Vec<&str> = Kind::ALL.iter().filter(|kind| kind.has_items()).map(|kind| kind.word()).collect();
+            Some((message, format!("lists are: {}", lists.join(", "))))
+        } else if let Some(free) = free {
+            let free = &self.document().axes[*free].name.text;
+            let message = format!("axis `{}` takes its items from one list, `{}` has one for each {free}", axis.text, from.step);
+            Some((message, format!("pick one: `{}.{}[{free}=…]`", from.step, from.port)))
+        } else if kind == Kind::Table && !step.keep {
+            let message = format!("the rows of axis `{}` are read from the store, and `{}` is not kept", axis.text, from.step);
+            Some((message, format!("remove `keep: false` from step `{}`", from.step)))
+        } else {
+            None
+        };
+        match fault {
+            Some((message, hint)) => {
+                self.faults.push(Diagnostic::at(from.span, message).hint(hint));
+                None
+            }
+            None => Some(Dynamic { source, known: false }),
         }
     }
 
@@ -164,8 +274,8 @@ impl<'d> Resolver<'d> {
             return;
         }
         let used: BTreeSet<usize> = steps.iter().flat_map(|step| step.axes.iter().copied()).collect();
-        for (index, axis) in self.document.axes.iter().enumerate().filter(|(index, _)| !used.contains(index)) {
-            let name = &self.document.axes[index].name.text;
+        for (index, axis) in self.document().axes.iter().enumerate().filter(|(index, _)| !used.contains(index)) {
+            let name = &self.document().axes[index].name.text;
             self.faults.push(Diagnostic::at(axis.name.span, format!("no step depends on axis `{name}`")).hint(
                 format!(
                     "say `over: [{name}]` on the step where it begins, mention ${{{name}}} in a `with`, or remove it"
@@ -180,37 +290,29 @@ impl<'d> Resolver<'d> {
         }
         let mut used = Vec::new();
         steps.iter().filter_map(|step| step.with.as_ref()).for_each(|with| mentioned(with, &mut used));
-        self.document.params.iter().for_each(|(_, node)| mentioned(node, &mut used));
+        self.document().params.iter().for_each(|(_, node)| mentioned(node, &mut used));
         let used: BTreeSet<&str> = used.iter().map(|(name, _)| name.as_str()).collect();
-        for (key, _) in self.document.params.iter().filter(|(key, _)| !used.contains(key.name.as_str())) {
+        for (key, _) in self.document().params.iter().filter(|(key, _)| !used.contains(key.name.as_str())) {
             let fault = Diagnostic::at(key.span, format!("nothing mentions parameter `{}`", key.name));
             self.faults.push(fault.hint(format!("write ${{{}}} in a `with`, or remove it", key.name)));
         }
     }
 
-    fn step(&mut self, step: &Step, old: usize, done: &[GraphStep], slots: &[Option<usize>]) -> Option<GraphStep> {
-        let stage = self.stages[old]?;
-        let mut axes = BTreeSet::new();
+    fn step(&mut self, step: &Step, old: usize, pipeline: &Pipeline) -> Option<GraphStep> {
+        let (stage, ports) = (self.stages[old]?, self.ports[old]?);
         let with_axes = step.with.as_ref().map(|with| self.mentioned_axes(with)).unwrap_or_default();
-        axes.extend(with_axes.iter().copied());
-        axes.extend(step.over.iter().filter_map(|word| self.axis(word)).collect::<Vec<_>>());
-        let mut inputs = Vec::new();
-        for (port, input) in &step.inputs {
-            let feed = self.feed(input, done, slots);
-            let Some(declared) = self.port(stage, step, port) else { continue };
-            let Some(feed) = feed else { continue };
-            self.check_kinds(declared, input, &feed, done);
-            self.propagate(input, &feed, done, &mut axes);
-            inputs.push((declared, feed));
+        for word in &step.over {
+            self.axis(word);
         }
-        self.check_missing_ports(stage, step);
-        inputs.sort_by_key(|(port, _)| stage.inputs().iter().position(|p| p.name == port.name));
-        let axes: Vec<usize> = axes.into_iter().collect();
+        let inputs = self.inputs(step, old);
+        let axes: Vec<usize> = self.position_axes(self.place[old]).iter().copied().collect();
         let (stream, stream_axes) = self.stream(step, &axes);
         Some(GraphStep {
             name: step.name.text.clone(),
             span: step.name.span,
             stage,
+            ports,
+            folder: pipeline.folders.get(step.name.span.source).unwrap_or(&pipeline.folder).clone(),
             with: step.with.clone(),
             inputs,
             axes,
@@ -218,6 +320,8 @@ impl<'d> Resolver<'d> {
             keep: step.keep,
             stream,
             stream_axes,
+            timeout: step.timeout,
+            retries: step.retries,
         })
     }
 
@@ -226,11 +330,14 @@ impl<'d> Resolver<'d> {
         mentioned(with, &mut names);
         let mut axes = BTreeSet::new();
         for (name, span) in names {
-            if let Some(axis) = self.axes.get(name.as_str()) {
-                axes.insert(*axis);
-            } else if !self.document.params.iter().any(|(key, _)| key.name == name) {
+            if let Some(axis) = self.names.mentioned_axis(&name) {
+                axes.insert(axis);
+                let fault = self.field_fault(axis, &name);
+                self.faults.extend(fault.map(|(message, hint)| Diagnostic::at(span, message).hint(hint)));
+            } else if !self.names.is_param(&name) {
+                let document = self.document();
                 let known: Vec<&str> =
-                    self.document.params.iter().map(|(key, _)| key.name.as_str()).chain(self.axis_names()).collect();
+                    document.params.iter().map(|(key, _)| key.name.as_str()).chain(self.axis_names()).collect();
                 let message = format!("`${{{name}}}` names neither a parameter nor an axis");
                 self.faults.push(Diagnostic::at(span, message).suggest(&name, known));
             }
@@ -238,175 +345,30 @@ impl<'d> Resolver<'d> {
         axes.into_iter().collect()
     }
 
-    fn feed(&mut self, input: &Input, done: &[GraphStep], slots: &[Option<usize>]) -> Option<Feed> {
-        match input {
-            Input::Plain(reference) => self.source(reference, done, slots).map(Feed::Plain),
-            Input::Each { reference, over } => {
-                let source = self.source(reference, done, slots);
-                let over: Vec<Option<usize>> = over.iter().map(|word| self.axis(word)).collect();
-                Some(Feed::Each { source: source?, over: over.into_iter().collect::<Option<_>>()? })
+    /// What is wrong with the part of a mentioned name behind its dot.
+    fn field_fault(&self, axis: usize, name: &str) -> Option<(String, String)> {
+        let axis = &self.document().axes[axis];
+        let field = name.split_once('.').map(|(_, field)| field);
+        let own = &axis.name.text;
+        let choices = || axis.fields.iter().map(|field| format!("${{{own}.{field}}}")).collect::<Vec<_>>().join(", ");
+        match field {
+            _ if axis.from.is_some() => None, // Told when the items are known.
+            Some(_) if axis.fields.is_empty() => {
+                Some((format!("an item of axis `{own}` is a single value"), format!("write ${{{own}}}")))
             }
-            Input::By { axis, cases } => {
-                let sources: BTreeMap<usize, Option<Source>> = self.cases(axis, cases, done, slots)?;
-                let cases = sources.into_values().collect::<Option<Vec<_>>>()?;
-                Some(Feed::By { axis: *self.axes.get(axis.text.as_str())?, cases })
+            Some(field) if !axis.fields.iter().any(|known| known == field) => {
+                Some((format!("axis `{own}` has no value `{field}`"), format!("there are {}", choices())))
             }
-        }
-    }
-
-    fn cases(
-        &mut self,
-        axis: &Word,
-        cases: &[(Word, Reference)],
-        done: &[GraphStep],
-        slots: &[Option<usize>],
-    ) -> Option<BTreeMap<usize, Option<Source>>> {
-        let index = self.axis(axis)?;
-        let mut sources = BTreeMap::new();
-        for (word, reference) in cases {
-            let source = self.source(reference, done, slots);
-            if let Some(item) = self.item(index, word, &word.text) {
-                sources.insert(item, source);
+            None if !axis.fields.is_empty() => {
+                Some((format!("an item of axis `{own}` has several values"), format!("name one: {}", choices())))
             }
-        }
-        let items = &self.document.axes[index].items;
-        let missing: Vec<&str> =
-            (0..items.len()).filter(|i| !sources.contains_key(i)).map(|i| items[i].as_str()).collect();
-        if !missing.is_empty() {
-            let message = format!("choosing by `{}` leaves out {}", axis.text, missing.join(", "));
-            self.faults.push(Diagnostic::at(axis.span, message).hint("say where the input comes from at every item"));
-            return None;
-        }
-        Some(sources)
-    }
-
-    fn source(&mut self, reference: &Reference, done: &[GraphStep], slots: &[Option<usize>]) -> Option<Source> {
-        let Some(old) = self.steps.get(reference.step.as_str()).copied() else {
-            let fault = Diagnostic::at(reference.span, format!("unknown step `{}`", reference.step));
-            self.faults.push(fault.suggest(&reference.step, self.step_names()));
-            return None;
-        };
-        let picks: Vec<_> = reference
-            .picks
-            .iter()
-            .map(|(axis, item)| {
-                let index = self.axis(axis)?;
-                Some((index, self.item(index, axis, item)?))
-            })
-            .collect();
-        let stage = self.stages[old]?;
-        let Some(port) = stage.outputs().iter().find(|port| port.name == reference.port) else {
-            let message = format!("step `{}` ({}) has no output `{}`", reference.step, stage.name(), reference.port);
-            let known = stage.outputs().iter().map(|port| port.name);
-            self.faults.push(Diagnostic::at(reference.span, message).suggest(&reference.port, known));
-            return None;
-        };
-        let step = slots[old]?;
-        self.check_optional_output(reference, port, &done[step]);
-        let source = Source { step, port, picks: picks.into_iter().collect::<Option<_>>()? };
-        self.check_picks(reference, &source, &done[step]).then_some(source)
-    }
-
-    fn check_optional_output(&mut self, reference: &Reference, port: &Port, step: &GraphStep) {
-        if port.arity == Arity::Optional && !step.inputs.iter().any(|(given, _)| given.name == port.name) {
-            let message = format!("step `{}` makes no `{}`", step.name, port.name);
-            let hint = format!("it is made when the step is given an input `{}`", port.name);
-            self.faults.push(Diagnostic::at(reference.span, message).hint(hint));
-        }
-    }
-
-    fn check_picks(&mut self, reference: &Reference, source: &Source, step: &GraphStep) -> bool {
-        let stray = source.picks.iter().find(|(axis, _)| !step.axes.contains(axis));
-        if let Some((axis, _)) = stray {
-            let axis = &self.document.axes[*axis].name.text;
-            let message = format!("step `{}` does not depend on axis `{axis}`", step.name);
-            self.faults.push(Diagnostic::at(reference.span, message).hint(format!("leave [{axis}=…] out")));
-        }
-        stray.is_none()
-    }
-
-    fn port(&mut self, stage: &'static dyn AnyStage, step: &Step, port: &Word) -> Option<&'static Port> {
-        let found = stage.inputs().iter().find(|declared| declared.name == port.text);
-        if found.is_none() {
-            let message = format!("stage `{}` (step `{}`) has no input `{}`", stage.name(), step.name.text, port.text);
-            let known = stage.inputs().iter().map(|port| port.name);
-            self.faults.push(Diagnostic::at(port.span, message).suggest(&port.text, known));
-        }
-        found
-    }
-
-    fn check_missing_ports(&mut self, stage: &'static dyn AnyStage, step: &Step) {
-        let given = |port: &Port| step.inputs.iter().any(|(word, _)| word.text == port.name);
-        for port in stage.inputs().iter().filter(|port| port.arity != Arity::Optional && !given(port)) {
-            let message = format!("step `{}` is not given its input `{}` ({})", step.name.text, port.name, kinds(port));
-            self.faults.push(Diagnostic::at(step.stage.span, message).hint(port.doc));
-        }
-    }
-
-    fn check_kinds(&mut self, port: &Port, input: &Input, feed: &Feed, done: &[GraphStep]) {
-        for (source, reference) in feed.sources().iter().zip(self.references(input)) {
-            if let Some(kind) = source.port.kinds.first().filter(|kind| !port.kinds.contains(kind)) {
-                let step = &done[source.step];
-                let message = format!(
-                    "input `{}` takes a {}, but `{}.{}` is a {kind}",
-                    port.name,
-                    kinds(port),
-                    step.name,
-                    source.port.name
-                );
-                let fits: Vec<String> = step
-                    .stage
-                    .outputs()
-                    .iter()
-                    .filter(|p| port.kinds.contains(&p.kinds[0]))
-                    .map(|p| format!("{}.{}", step.name, p.name))
-                    .collect();
-                let fault = Diagnostic::at(reference.span, message);
-                self.faults.push(if fits.is_empty() {
-                    fault
-                } else {
-                    fault.hint(format!("did you mean `{}`?", fits.join("` or `")))
-                });
-            }
-        }
-        if let (Input::Each { reference, .. }, true) = (input, port.arity != Arity::Many) {
-            let message = format!("input `{}` takes one {}, not a gathered list", port.name, kinds(port));
-            self.faults.push(Diagnostic::at(reference.span, message));
-        }
-    }
-
-    /// The references of an input in the order of its sources: those of a choice follow the items of its axis.
-    fn references<'i>(&self, input: &'i Input) -> Vec<&'i Reference> {
-        let Input::By { axis, cases } = input else { return input.references() };
-        let items = self.axes.get(axis.text.as_str()).map(|axis| self.document.axes[*axis].items.as_slice());
-        let of_item = |item: &String| cases.iter().find(|(word, _)| word.text == *item).map(|(_, reference)| reference);
-        items.unwrap_or_default().iter().filter_map(of_item).collect()
-    }
-
-    fn propagate(&mut self, input: &Input, feed: &Feed, done: &[GraphStep], axes: &mut BTreeSet<usize>) {
-        if let Feed::By { axis, .. } = feed {
-            axes.insert(*axis);
-        }
-        let gathered: &[usize] = if let Feed::Each { over, .. } = feed { over } else { &[] };
-        for source in feed.sources() {
-            let step = &done[source.step];
-            let free = |axis: &usize| !source.picks.iter().any(|(picked, _)| picked == axis);
-            axes.extend(step.axes.iter().copied().filter(|axis| free(axis) && !gathered.contains(axis)));
-            let lacking = gathered.iter().find(|axis| !step.axes.contains(axis) || !free(axis));
-            if let (Some(axis), Input::Each { reference, .. }) = (lacking, input) {
-                let axis = &self.document.axes[*axis].name.text;
-                let message = format!(
-                    "`{}.{}` cannot be gathered over `{axis}`: it does not depend on it",
-                    step.name, source.port.name
-                );
-                self.faults.push(Diagnostic::at(reference.span, message));
-            }
+            _ => None,
         }
     }
 
     fn stream(&mut self, step: &Step, axes: &[usize]) -> (String, Vec<usize>) {
         let label = step.stream.as_ref().and_then(|stream| stream.label.as_ref()).unwrap_or(&step.name);
-        let reseeding = |axis: &usize| self.document.axes[*axis].reseeds;
+        let reseeding = |axis: &usize| self.document().axes[*axis].reseeds;
         let own: Vec<usize> = axes.iter().copied().filter(reseeding).collect();
         let Some(words) = step.stream.as_ref().and_then(|stream| stream.axes.as_ref()) else {
             return (label.text.clone(), own);
@@ -428,7 +390,7 @@ impl<'d> Resolver<'d> {
     }
 
     fn targets(&mut self, steps: &[GraphStep], given: &[String]) -> Vec<usize> {
-        let declared = self.document.targets.as_deref();
+        let declared = self.document().targets.as_deref();
         for word in declared.unwrap_or_default() {
             self.check_target(&word.text, Some(word));
         }
@@ -442,7 +404,7 @@ impl<'d> Resolver<'d> {
     }
 
     fn check_target(&mut self, name: &str, place: Option<&Word>) {
-        if !self.steps.contains_key(name) {
+        if !self.names.steps.contains_key(name) {
             let message = format!("unknown target step `{name}`");
             let fault = place.map_or_else(
                 || Diagnostic::general(message.clone()),
@@ -458,8 +420,4 @@ fn unread(steps: &[GraphStep]) -> Vec<usize> {
     let feeds = steps.iter().flat_map(|step| step.inputs.iter().flat_map(|(_, feed)| feed.sources()));
     let read: BTreeSet<usize> = feeds.map(|source| source.step).collect();
     (0..steps.len()).filter(|index| !read.contains(index)).collect()
-}
-
-fn kinds(port: &Port) -> String {
-    port.kinds.iter().map(ToString::to_string).collect::<Vec<_>>().join(" or ")
 }

@@ -75,7 +75,7 @@ fn is_told_in(former: &Finished, runs: &Path) -> bool {
 /// The same for two runs of the same text, overrides and targets with the same recipes, told of in the same place.
 fn plan_key(plan: &Plan, summary: &Summary, runs: &Path, about: &RunFolder) -> Digest {
     let targets: Vec<&str> = plan.graph.targets.iter().map(|step| plan.graph.steps[*step].name.as_str()).collect();
-    let set = (&about.overrides.set, about.overrides.seed, plan.graph.seed);
+    let set = (&about.overrides.set, &about.overrides.sweep, about.overrides.seed, plan.graph.seed);
     let mut text = json!([plan.graph.name, runs, targets, set, about.pipeline_text]).to_string();
     text.push('\n');
     for (instance, result) in summary.instances.iter().enumerate() {
@@ -150,7 +150,7 @@ impl Writer<'_> {
                 continue;
             }
             std::fs::create_dir_all(folder.join(&place)).map_err(failed(&folder.join(&place)))?;
-            let path = place.join(format!("{port}.{}", kind.extension()));
+            let path = place.join(format!("{port}.{}", step.extension(port, kind)));
             self.store.materialise(&output.digest, &folder.join(&path))?;
             made.push(path.clone());
             if kind.has_exports() {
@@ -221,7 +221,7 @@ impl Writer<'_> {
         json!({
             "format": 1,
             "pipeline": {"name": self.plan.graph.name, "path": self.about.pipeline_path, "text": self.about.pipeline_text},
-            "overrides": {"set": self.about.overrides.set, "seed": self.about.overrides.seed},
+            "overrides": {"set": self.about.overrides.set, "sweep": self.about.overrides.sweep, "seed": self.about.overrides.seed},
             "seed": self.plan.graph.seed,
             "finished": humantime::format_rfc3339_seconds(SystemTime::now()).to_string(),
             "wall_s": self.summary.wall_s,

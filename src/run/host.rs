@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
 
-use rockface_stages::{Entry, Host, SourceFile};
+use rockface_stages::{Entry, Host, Program, ProgramResult, SourceFile, StageError};
 
 use crate::plan::InputFile;
 
@@ -14,12 +15,23 @@ pub struct StepHost<'a> {
     files: &'a BTreeMap<String, Vec<InputFile>>,
     entries: Mutex<Vec<Entry>>,
     stop: &'a AtomicBool,
+    deadline: Option<Instant>,
 }
 
 impl<'a> StepHost<'a> {
-    /// A host; `seed` is the key of the step's seed material, if the stage draws.
-    pub fn new(seed: Option<[u8; 32]>, files: &'a BTreeMap<String, Vec<InputFile>>, stop: &'a AtomicBool) -> Self {
-        Self { seed, files, entries: Mutex::new(Vec::new()), stop }
+    /// A host; `seed` is the key of the step's seed material, if the stage draws, and `deadline` when it is to give up.
+    pub fn new(
+        seed: Option<[u8; 32]>,
+        files: &'a BTreeMap<String, Vec<InputFile>>,
+        stop: &'a AtomicBool,
+        deadline: Option<Instant>,
+    ) -> Self {
+        Self { seed, files, entries: Mutex::new(Vec::new()), stop, deadline }
+    }
+
+    /// Whether the time it was given is over.
+    pub fn is_late(&self) -> bool {
+        self.deadline.is_some_and(|deadline| Instant::now() >= deadline)
     }
 
     /// What the stage said.
@@ -56,7 +68,11 @@ impl Host for StepHost<'_> {
         self.entries.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push(entry);
     }
 
+    fn execute(&self, program: &Program) -> Result<ProgramResult, StageError> {
+        super::program::execute(program, self.files, &|| self.cancelled())
+    }
+
     fn cancelled(&self) -> bool {
-        self.stop.load(Ordering::Relaxed)
+        self.stop.load(Ordering::Relaxed) || self.is_late()
     }
 }

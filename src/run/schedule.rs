@@ -24,9 +24,10 @@ enum Message {
     Done(usize, Result<Done, Failure>),
 }
 
-/// Runs a plan to its end, or to its stop.
+/// Runs a plan to its end, or to its stop. The plan grows as items of axes become known; in the end its instances are
+/// in the order they would have had from the start.
 pub fn run(
-    plan: &Plan,
+    plan: &mut Plan,
     store: &Store,
     options: &Options,
     stop: &Arc<AtomicBool>,
@@ -76,14 +77,17 @@ pub struct Line {
 
 /// A run in progress.
 pub struct Scheduler<'a> {
-    pub(super) plan: &'a Plan,
+    pub(super) plan: &'a mut Plan,
     pub(super) store: &'a Store,
     pub(super) options: &'a Options,
     pub(super) observer: &'a mut dyn Observer,
     pub(super) states: States,
     pub(super) turns: VecDeque<Turn>,
-    /// Deeper steps first, so that transient values are used up before more are made.
-    pub(super) ready: BinaryHeap<(usize, std::cmp::Reverse<usize>)>,
+    /// First what uses up values that are in memory only, then deeper steps, so that those values are used up before
+    /// more are made.
+    pub(super) ready: BinaryHeap<(bool, usize, std::cmp::Reverse<usize>)>,
+    /// Instances were added to the plan.
+    pub(super) grown: bool,
     pub(super) computing: HashMap<Digest, Line>,
     pub(super) timing: Timing,
     pub(super) memory_bytes: usize,
@@ -92,17 +96,18 @@ pub struct Scheduler<'a> {
 }
 
 impl<'a> Scheduler<'a> {
-    fn new(plan: &'a Plan, store: &'a Store, options: &'a Options, observer: &'a mut dyn Observer) -> Self {
+    fn new(plan: &'a mut Plan, store: &'a Store, options: &'a Options, observer: &'a mut dyn Observer) -> Self {
         Self {
+            states: States::new(plan),
+            timing: Timing::new(plan.graph.steps.len()),
             plan,
             store,
             options,
             observer,
-            states: States::new(plan),
             turns: VecDeque::new(),
             ready: BinaryHeap::new(),
+            grown: false,
             computing: HashMap::new(),
-            timing: Timing::new(plan.graph.steps.len()),
             memory_bytes: 0,
             failure: false,
             running: 0,
@@ -124,6 +129,9 @@ impl<'a> Scheduler<'a> {
             return self.abandon(stop, receiver, RunError::Interrupted);
         }
         self.store.sync()?;
+        if self.grown && let Ok(former) = self.plan.order() {
+            self.states.reorder(&former);
+        }
         Ok(self.summary(begun.elapsed()))
     }
 
@@ -154,7 +162,7 @@ impl<'a> Scheduler<'a> {
 
     /// The next instance a worker can have.
     fn next(&mut self) -> Result<Option<usize>, RunError> {
-        while let Some((_, std::cmp::Reverse(instance))) = self.ready.pop() {
+        while let Some((_, _, std::cmp::Reverse(instance))) = self.ready.pop() {
             let state = &self.states[instance];
             if state.status() != Status::Due || state.missing > 0 {
                 continue;
@@ -212,7 +220,7 @@ impl<'a> Scheduler<'a> {
             })
         });
         let outputs =
-            step.stage.outputs().iter().filter(|port| makes(own, port)).map(|port| (port.name, port.kinds[0]));
+            step.ports.outputs.iter().filter(|port| makes(own, port)).map(|port| (port.name, port.kinds[0]));
         let (key, recipe) = (state.key, state.recipe.clone());
         let recipe = recipe.unwrap_or_else(|| self.plan.recipe(instance, |_, _| Digest::of(b"")));
         Task {
@@ -225,6 +233,8 @@ impl<'a> Scheduler<'a> {
             outputs: outputs.collect(),
             keep: self.must_keep(instance),
             remake: state.remaking,
+            timeout: step.timeout,
+            retries: step.retries,
         }
     }
 

@@ -101,7 +101,7 @@ impl Scheduler<'_> {
         self.states[instance].missing = absent.len();
         if absent.is_empty() {
             let depth = self.plan.instances[instance].step;
-            self.ready.push((depth, std::cmp::Reverse(instance)));
+            self.ready.push((self.drains(instance), depth, std::cmp::Reverse(instance)));
         }
         for producer in absent {
             self.states[producer].wanted_by.push(instance);
@@ -109,21 +109,27 @@ impl Scheduler<'_> {
         }
     }
 
+    /// Whether it uses values that are held in memory only, so that they can be let go.
+    fn drains(&self, instance: usize) -> bool {
+        let transient = |producer: &usize| !self.plan.step(*producer).keep && !self.states[*producer].values.is_empty();
+        self.plan.producers(instance).iter().any(transient)
+    }
+
     /// Producers whose values are neither in memory nor in the store.
     fn absent(&mut self, instance: usize) -> Vec<usize> {
-        let plan = self.plan;
+        let given = self.plan.instances[instance].inputs.iter().flat_map(|(_, given)| given);
+        let is_absent = |(producer, port): &(usize, &str)| {
+            let state = &self.states[*producer];
+            let digest = state.outcome.as_ref().map(|outcome| outcome.outputs[*port].digest);
+            !state.values.contains_key(*port) && !digest.is_some_and(|digest| self.store.contains(&digest))
+        };
         let mut absent: Vec<usize> = Vec::new();
-        for given in plan.instances[instance].inputs.iter().flat_map(|(_, given)| given) {
-            let producer = &self.states[given.instance];
-            let digest = producer.outcome.as_ref().map(|outcome| outcome.outputs[given.port].digest);
-            let there = producer.values.contains_key(given.port) || digest.is_some_and(|d| self.store.contains(&d));
-            if !there {
-                self.tell_damaged(given.instance);
-                if !absent.contains(&given.instance) {
-                    absent.push(given.instance);
-                }
+        for (producer, _) in given.map(|given| (given.instance, given.port)).filter(is_absent) {
+            if !absent.contains(&producer) {
+                absent.push(producer);
             }
         }
+        absent.iter().for_each(|producer| self.tell_damaged(*producer));
         absent
     }
 
@@ -134,7 +140,7 @@ impl Scheduler<'_> {
         }
         self.states[instance].remaking = true;
         self.states.set(instance, Status::Due);
-        for producer in self.producers(instance) {
+        for producer in self.plan.producers(instance) {
             self.states[producer].users += 1;
         }
         self.enter_again(instance);
@@ -159,14 +165,6 @@ impl Scheduler<'_> {
                 self.turns.push_back(Turn::Settle(due));
             }
         }
-    }
-
-    fn producers(&self, instance: usize) -> Vec<usize> {
-        let given = self.plan.instances[instance].inputs.iter().flat_map(|(_, given)| given);
-        let mut producers: Vec<usize> = given.map(|given| given.instance).collect();
-        producers.sort_unstable();
-        producers.dedup();
-        producers
     }
 
     /// The values of an instance are there again: those who waited for them go on.
@@ -204,12 +202,13 @@ impl Scheduler<'_> {
                 self.turns.push_back(Turn::Settle(dependent));
             }
         }
+        self.expand(instance);
         Ok(())
     }
 
     /// Frees the values an instance needed, and its own if nobody needs them.
     fn let_go(&mut self, instance: usize) {
-        for producer in self.producers(instance) {
+        for producer in self.plan.producers(instance) {
             self.release(producer);
         }
         if self.states[instance].users == 0 {
@@ -294,7 +293,7 @@ impl Scheduler<'_> {
             }
             failed.extend(self.end_line(instance));
             self.states.set(instance, Status::Failed);
-            self.producers(instance).into_iter().for_each(|producer| self.release(producer));
+            self.plan.producers(instance).into_iter().for_each(|producer| self.release(producer));
             let waiting = self.plan.instances[instance].dependents.iter().copied();
             let waiting = waiting.chain(std::mem::take(&mut self.states[instance].wanted_by));
             let open = |i: &usize| matches!(self.states[*i].status(), Status::Waiting | Status::Due);

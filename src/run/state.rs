@@ -83,6 +83,30 @@ impl States {
         Self { list, steps, closed: 0, open }
     }
 
+    /// Takes in the instances that were added to the plan from a number on.
+    pub fn grow(&mut self, plan: &Plan, from: usize) {
+        for instance in &plan.instances[from..] {
+            self.list.push(State::new(instance.dependents.len()));
+            self.steps.push(instance.step);
+            self.open[instance.step] += 1;
+        }
+        for instance in from..plan.instances.len() {
+            for producer in plan.producers(instance) {
+                // Instances that were there before know of none of these.
+                self.list[producer].users += usize::from(producer < from);
+                // A producer whose outcome is known will not tell of it again.
+                self.list[instance].unmet += usize::from(self.list[producer].outcome.is_none());
+            }
+        }
+    }
+
+    /// Puts the states in another order; `former` has the former number of each.
+    pub fn reorder(&mut self, former: &[usize]) {
+        let mut list: Vec<Option<State>> = std::mem::take(&mut self.list).into_iter().map(Some).collect();
+        self.list = former.iter().filter_map(|old| list[*old].take()).collect();
+        self.steps = former.iter().map(|old| self.steps[*old]).collect();
+    }
+
     /// The only place where a status changes.
     pub fn set(&mut self, instance: usize, status: Status) {
         let state = &mut self.list[instance];

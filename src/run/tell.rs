@@ -16,7 +16,7 @@ use crate::watch::{Event, Observer, Progress};
 ///
 /// Those of [`execute`] and [`finish`]; a lost blob is one of them only when it was lost twice.
 pub fn execute_and_tell(
-    plan: &Plan,
+    plan: &mut Plan,
     store: &Store,
     options: &Options,
     stop: &Arc<AtomicBool>,

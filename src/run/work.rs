@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
+use std::os::unix::fs::MetadataExt;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use rayon::ThreadPool;
 use rockface_cache::{Cost, Digest, Outcome, OutputRecord, Recipe, Record, Store, StoreError};
@@ -12,7 +13,7 @@ use rockface_stages::artefact::{Artefact, Kind};
 use rockface_stages::{AnyStage, Context, Entry, Inputs, Point, StageError};
 
 use super::host::StepHost;
-use crate::plan::StepParams;
+use crate::plan::{InputFile, StepParams};
 
 /// An artefact that is in memory, or the blob to read it from.
 pub enum Value {
@@ -54,6 +55,10 @@ pub struct Task {
     pub keep: bool,
     /// It is recorded, but its values are needed.
     pub remake: bool,
+    /// How long one go may take.
+    pub timeout: Option<Duration>,
+    /// How often it is tried again after a failure.
+    pub retries: u32,
 }
 
 /// What a worker brings back.
@@ -117,12 +122,10 @@ pub fn work(
     let start = Instant::now();
     let cpu = process_cpu_s();
     let (inputs, loaded) = load(task, store, pool)?;
-    let host =
-        StepHost::new(task.recipe.seed.as_ref().map(rockface_cache::SeedMaterial::key), &task.params.files, stop);
-    let outputs = pool.install(|| run_stage(task, &inputs, &host))?;
-    unchanged_files(task, store)?;
+    let before = fingerprints(task)?;
+    let (outputs, entries, retried) = attempts(task, &inputs, pool, stop)?;
+    unchanged_files(task, store, &before)?;
     let values: BTreeMap<_, _> = outputs.into_iter().map(|(port, value)| (port, Arc::new(value))).collect();
-    let entries = host.into_entries();
     let mut outcome = keep(task, store, pool, &values, &entries)?;
     let memory =
         values.values().chain(loaded.iter().map(|(_, value)| value)).map(|value| value.memory_bytes() as u64).sum();
@@ -138,7 +141,8 @@ pub fn work(
     store.commit(&record)?;
     let warnings =
         entries.into_iter().filter_map(|entry| if let Entry::Warning { text } = entry { Some(text) } else { None });
-    Ok(Done { outcome, values, loaded, warnings: warnings.collect(), elsewhere: false })
+    let warnings = retried.into_iter().chain(warnings).collect();
+    Ok(Done { outcome, values, loaded, warnings, elsewhere: false })
 }
 
 /// The outcome another process has recorded meanwhile, if it has the values this task is for.
@@ -202,11 +206,62 @@ fn run_stage(task: &Task, inputs: &Inputs, host: &StepHost) -> Result<BTreeMap<&
     Ok(outputs)
 }
 
+type Attempt = (BTreeMap<&'static str, Artefact>, Vec<Entry>);
+
+/// Runs the stage, and again as often as it may fail; also tells of the failures that were made good.
+fn attempts(
+    task: &Task,
+    inputs: &Inputs,
+    pool: &ThreadPool,
+    stop: &AtomicBool,
+) -> Result<(BTreeMap<&'static str, Artefact>, Vec<Entry>, Vec<String>), Failure> {
+    let mut told = Vec::new();
+    loop {
+        match attempt(task, inputs, pool, stop) {
+            Ok((outputs, entries)) => return Ok((outputs, entries, told)),
+            Err(Failure::Stage(error)) if told.len() < task.retries as usize && !stop.load(Ordering::Relaxed) => {
+                told.push(format!("attempt {} of {} failed: {error}", told.len() + 1, task.retries + 1));
+            }
+            Err(failure) => return Err(failure),
+        }
+    }
+}
+
+fn attempt(task: &Task, inputs: &Inputs, pool: &ThreadPool, stop: &AtomicBool) -> Result<Attempt, Failure> {
+    let seed = task.recipe.seed.as_ref().map(rockface_cache::SeedMaterial::key);
+    let deadline = task.timeout.map(|timeout| Instant::now() + timeout);
+    let host = StepHost::new(seed, &task.params.files, stop, deadline);
+    let result = pool.install(|| run_stage(task, inputs, &host));
+    match (result, task.timeout) {
+        (Err(Failure::Stage(error)), Some(timeout)) if host.is_late() && !stop.load(Ordering::Relaxed) => {
+            let message = format!("it took longer than its timeout of {}: {error}", humantime::format_duration(timeout));
+            let hint = "give it more with `timeout:` on the step, or less to do";
+            Err(Failure::Stage(StageError::new(message).hint(hint)))
+        }
+        (result, _) => Ok((result?, host.into_entries())),
+    }
+}
+
+/// Size, times and inode of every input file.
+fn fingerprints(task: &Task) -> Result<Vec<(u64, i64, i64, i64, i64, u64)>, Failure> {
+    let look = |file: &InputFile| {
+        let meta = std::fs::metadata(&file.path)
+            .map_err(|error| Failure::Stage(StageError::new(format!("cannot read `{}`: {error}", file.path.display()))))?;
+        Ok((meta.len(), meta.mtime(), meta.mtime_nsec(), meta.ctime(), meta.ctime_nsec(), meta.ino()))
+    };
+    task.params.files.values().flatten().map(look).collect()
+}
+
 /// An input file that changed while the stage read it must not be recorded under its former digest.
-fn unchanged_files(task: &Task, store: &Store) -> Result<(), Failure> {
+fn unchanged_files(
+    task: &Task,
+    store: &Store,
+    before: &[(u64, i64, i64, i64, i64, u64)],
+) -> Result<(), Failure> {
+    let touched = fingerprints(task)? != before;
     for file in task.params.files.values().flatten() {
         let now = store.hash_file(&file.path)?.digest;
-        if now != file.digest {
+        if touched || now != file.digest {
             let message = format!("`{}` changed while it was read", file.path.display());
             return Err(Failure::Stage(StageError::new(message).hint("run again once nobody writes to it")));
         }

@@ -7,6 +7,7 @@
 pub mod artefact;
 pub mod kernel;
 pub mod params;
+mod program;
 mod stage;
 #[cfg(test)]
 pub(crate) mod testing;
@@ -14,6 +15,7 @@ pub(crate) mod testing;
 // A new stage is its file, its `mod` here and its row below.
 mod apply_mask;
 mod clean_mesh;
+mod command;
 mod describe_noise;
 mod difference_dem;
 mod draw_picture;
@@ -35,8 +37,9 @@ mod tabulate;
 mod test_acceptance;
 mod transform_crs;
 
+pub use program::{Piece, Program, ProgramResult};
 pub use stage::{
-    AnyStage, Arity, Checked, Context, Element, Entry, Host, Inputs, Outputs, Page, Point, Port, Row, SourceFile,
+    AnyStage, Arity, Checked, Context, Element, Entry, Host, Inputs, Outputs, Page, Point, Port, Ports, Row, SourceFile,
     Stage, StageError,
 };
 
@@ -63,6 +66,7 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<test_acceptance::TestAcceptance>::new(),
     &Row::<tabulate::Tabulate>::new(),
     &Row::<draw_picture::DrawPicture>::new(),
+    &Row::<command::Command>::new(),
 ];
 
 /// Every stage there is, in the order of the catalogue.

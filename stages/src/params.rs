@@ -1,5 +1,7 @@
 //! Typed parameters: one declaration gives the struct, its defaults, its checks and its documentation.
 
+use std::collections::BTreeMap;
+
 use serde_json::{Map, Value};
 
 /// The shape of a parameter, as the catalogue prints it.
@@ -25,6 +27,10 @@ pub enum Kind {
     Optional(Box<Kind>),
     /// Named parameters.
     Map(Vec<Field>),
+    /// A map of any keys to one kind.
+    Entries(Box<Kind>),
+    /// Any value.
+    Any,
 }
 
 impl std::fmt::Display for Kind {
@@ -44,6 +50,8 @@ impl std::fmt::Display for Kind {
             Self::List(kind, None) => write!(f, "list ({kind})"),
             Self::Optional(kind) => write!(f, "{kind}, or null"),
             Self::Map(_) => write!(f, "map"),
+            Self::Entries(kind) => write!(f, "map of names to {kind}"),
+            Self::Any => write!(f, "any value"),
         }
     }
 }
@@ -119,6 +127,12 @@ impl Fault {
     /// A fault of the value itself.
     pub fn new(message: impl Into<String>) -> Self {
         Self { path: Vec::new(), message: message.into(), known: Vec::new(), at_key: false }
+    }
+
+    /// The same fault, seen from the map or list that holds the value under this key.
+    #[must_use]
+    pub fn within(self, segment: &str) -> Self {
+        self.below(segment)
     }
 
     fn below(mut self, segment: &str) -> Self {
@@ -277,6 +291,40 @@ impl<T: ParamType> ParamType for Vec<T> {
     }
     fn encode(&self) -> Value {
         self.iter().map(ParamType::encode).collect()
+    }
+}
+
+impl<T: ParamType> ParamType for BTreeMap<String, T> {
+    fn kind() -> Kind {
+        Kind::Entries(Box::new(T::kind()))
+    }
+    fn decode(value: &Value) -> Result<Self, Vec<Fault>> {
+        let map = value.as_object().ok_or_else(|| wrong("a map", value))?;
+        let mut faults = Vec::new();
+        let mut entries = Self::new();
+        for (key, item) in map {
+            match T::decode(item) {
+                Ok(item) => drop(entries.insert(key.clone(), item)),
+                Err(found) => faults.extend(found.into_iter().map(|fault| fault.below(key))),
+            }
+        }
+        if faults.is_empty() { Ok(entries) } else { Err(faults) }
+    }
+    fn encode(&self) -> Value {
+        Value::Object(self.iter().map(|(key, item)| (key.clone(), item.encode())).collect())
+    }
+}
+
+/// Any value, kept as it is written.
+impl ParamType for Value {
+    fn kind() -> Kind {
+        Kind::Any
+    }
+    fn decode(value: &Value) -> Result<Self, Vec<Fault>> {
+        Ok(value.clone())
+    }
+    fn encode(&self) -> Value {
+        self.clone()
     }
 }
 

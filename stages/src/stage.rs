@@ -8,6 +8,7 @@ use std::sync::Arc;
 use serde_json::Value;
 
 use crate::artefact::{Artefact, Kind, Noun};
+use crate::program::{Program, ProgramResult};
 use crate::params::{Fault, Field, FileRef, FilesRef, ParamType, Params};
 
 /// The item of each axis a step instance or a gathered element stands for.
@@ -50,22 +51,33 @@ pub struct Port {
     pub arity: Arity,
     /// What it is.
     pub doc: &'static str,
+    /// The extension of its file where that is not the one of its kind, without the dot.
+    pub extension: Option<&'static str>,
+}
+
+/// The ports of a step.
+#[derive(Debug, Clone, Copy)]
+pub struct Ports {
+    /// What it takes.
+    pub inputs: &'static [Port],
+    /// What it makes.
+    pub outputs: &'static [Port],
 }
 
 impl Port {
     /// A port for exactly one artefact of these kinds.
     pub const fn one(name: &'static str, kinds: &'static [Kind], doc: &'static str) -> Self {
-        Self { name, kinds, arity: Arity::One, doc }
+        Self { name, kinds, arity: Arity::One, doc, extension: None }
     }
 
     /// An input that may be left out.
     pub const fn optional(name: &'static str, kinds: &'static [Kind], doc: &'static str) -> Self {
-        Self { name, kinds, arity: Arity::Optional, doc }
+        Self { name, kinds, arity: Arity::Optional, doc, extension: None }
     }
 
     /// An input that takes a gathered list.
     pub const fn many(name: &'static str, kinds: &'static [Kind], doc: &'static str) -> Self {
-        Self { name, kinds, arity: Arity::Many, doc }
+        Self { name, kinds, arity: Arity::Many, doc, extension: None }
     }
 }
 
@@ -219,6 +231,11 @@ pub trait Host: Sync {
     fn stream_key(&self, purpose: &str, item: &str) -> [u8; 32];
     /// Opens what a file parameter names, as it was written in the pipeline, sorted by name.
     fn open(&self, as_written: &str) -> std::io::Result<Vec<SourceFile>>;
+    /// Runs a program; its failure to start is an error, what it says and its exit code are not.
+    fn execute(&self, program: &Program) -> Result<ProgramResult, StageError> {
+        let _ = program;
+        Err(StageError::new("no program can be run here"))
+    }
     /// Keeps an entry of the step's log.
     fn record(&self, entry: Entry);
     /// Whether the run was asked to stop.
@@ -238,6 +255,17 @@ impl<'a> Context<'a> {
     /// The key of the random stream of one item (a pair, an image, a candidate number) for one purpose.
     pub fn stream(&self, purpose: &str, item: &str) -> crate::kernel::random::Key {
         crate::kernel::random::Key(self.0.stream_key(purpose, item))
+    }
+
+    /// A whole number below 2^31 for one purpose, for programs that draw by themselves.
+    pub fn seed(&self, purpose: &str) -> u32 {
+        let key = self.0.stream_key(purpose, "seed");
+        u32::from_le_bytes([key[0], key[1], key[2], key[3]]) >> 1
+    }
+
+    /// Runs a program.
+    pub fn execute(&self, program: &Program) -> Result<ProgramResult, StageError> {
+        self.0.execute(program)
     }
 
     /// Opens the one file a parameter names.
@@ -308,6 +336,11 @@ pub trait Stage: Send + Sync + 'static {
         false
     }
 
+    /// The ports of a step with these parameters; they may not depend on an axis.
+    fn ports(_with: &Value) -> Result<Ports, Vec<Fault>> {
+        Ok(Ports { inputs: Self::INPUTS, outputs: Self::OUTPUTS })
+    }
+
     /// Checks that hold between parameters; each fault names the parameter at its path.
     fn check(_params: &Self::Params) -> Vec<Fault> {
         Vec::new()
@@ -338,6 +371,8 @@ pub trait AnyStage: Sync {
     fn inputs(&self) -> &'static [Port];
     /// What it makes.
     fn outputs(&self) -> &'static [Port];
+    /// The ports of a step whose `with` is written like this.
+    fn ports(&self, with: &Value) -> Result<Ports, Vec<Fault>>;
     /// Its parameters.
     fn fields(&self) -> Vec<Field>;
     /// Reads and checks a step's `with`.
@@ -377,6 +412,9 @@ impl<S: Stage> AnyStage for Row<S> {
     }
     fn outputs(&self) -> &'static [Port] {
         S::OUTPUTS
+    }
+    fn ports(&self, with: &Value) -> Result<Ports, Vec<Fault>> {
+        S::ports(with)
     }
     fn fields(&self) -> Vec<Field> {
         S::Params::fields()

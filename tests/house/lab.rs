@@ -188,6 +188,31 @@ impl Stage for Moody {
     }
 }
 
+params! {
+    /// Parameters of `list`.
+    pub struct ListParams {
+        /// How many rows.
+        rows: usize = 3,
+    }
+}
+
+/// Makes rows of values that count on from the sum of what it is given.
+pub struct List;
+impl Stage for List {
+    type Params = ListParams;
+    const NAME: &'static str = "list";
+    const VERSION: u32 = 1;
+    const PAGE: Page = PAGE;
+    const INPUTS: &'static [Port] = &[Port::many("terms", TABLE, "What the first value is the sum of.")];
+    const OUTPUTS: &'static [Port] = &[Port::one("out", TABLE, "The rows.")];
+    fn run(params: &ListParams, inputs: &Inputs, _: &Context) -> Result<Outputs, StageError> {
+        let first = total(inputs, "terms")?;
+        let mut table = Table::new(["value"]);
+        (0..params.rows).for_each(|row| table.push(vec![(first + row as f64).into()]));
+        Ok(Outputs::of("out", table))
+    }
+}
+
 /// The stages of the laboratory.
 pub const STAGES: &[&dyn AnyStage] = &[
     &Row::<Emit>::new(),
@@ -196,6 +221,7 @@ pub const STAGES: &[&dyn AnyStage] = &[
     &Row::<Read>::new(),
     &Row::<Toil>::new(),
     &Row::<Moody>::new(),
+    &Row::<List>::new(),
 ];
 
 /// What a run did.
@@ -295,16 +321,16 @@ impl Bench {
     }
 
     pub fn run_with(&self, yaml: &str, set: &[&str], options: &Options) -> Ran {
-        let plan = self.plan(yaml, set).unwrap_or_else(|faults| panic!("{faults}"));
+        let mut plan = self.plan(yaml, set).unwrap_or_else(|faults| panic!("{faults}"));
         let mut events = Events::default();
         let stop = Arc::new(AtomicBool::new(false));
-        let summary = execute(&plan, &self.store, options, &stop, &mut events).unwrap();
+        let summary = execute(&mut plan, &self.store, options, &stop, &mut events).unwrap();
         Ran { plan, summary, events: events.0 }
     }
 
     /// Plans a pipeline text, or says what is wrong with it.
     pub fn plan(&self, yaml: &str, set: &[&str]) -> Result<Plan, Diagnostics> {
-        let overrides = Overrides { set: set.iter().map(ToString::to_string).collect(), seed: None };
+        let overrides = Overrides { set: set.iter().map(ToString::to_string).collect(), ..Overrides::default() };
         let pipeline = Pipeline::parse(yaml, "test.yaml", "test", self.folder.path().to_owned(), &overrides)?;
         plan(&pipeline, &[], self.stages, &self.store)
     }

@@ -6,6 +6,7 @@ mod acceptance;
 mod cameras;
 mod covariance;
 mod depth;
+mod file;
 mod inventory;
 mod mesh;
 mod meshes;
@@ -20,6 +21,7 @@ pub use acceptance::{Acceptance, GroupModel};
 pub use cameras::{Cameras, Image, Sensor};
 pub use covariance::Covariance;
 pub use depth::Depth;
+pub use file::File;
 pub use inventory::{Feature, Inventory, Polygon};
 pub use mesh::Mesh;
 pub use meshes::{Meshes, Part};
@@ -177,7 +179,15 @@ artefacts! {
     Acceptance = "acceptance" . "json": "Reference model of noise descriptors.",
     Picture = "picture" . "png": "A picture for people.",
     Meshes = "meshes" . "ply": "Named meshes in one file: blocks, removed pieces, niches.",
+    File = "file" . "bin": "A file that only the programs of a pipeline look into.",
     Inventory = "inventory" . "geojson": "Rockfalls: outline and properties of each.",
+}
+
+impl Kind {
+    /// Whether its values are lists that an axis could take its items from.
+    pub const fn has_items(self) -> bool {
+        matches!(self, Self::Cameras | Self::Pairs | Self::Raster | Self::Meshes | Self::Table)
+    }
 }
 
 impl std::fmt::Display for Kind {

@@ -1,0 +1,182 @@
+//! The JSON Schema of pipelines, made from the stages' own declarations, so that editors complete and check what is written.
+
+use rockface_stages::params::{Field, Kind, Range};
+use rockface_stages::{AnyStage, Arity, Port};
+use serde_json::{Map, Value, json};
+
+/// The schema of a pipeline file over these stages.
+pub fn schema(stages: &[&'static dyn AnyStage]) -> Value {
+    let steps: Vec<Value> = stages.iter().map(|stage| step(*stage)).collect();
+    let names: Vec<&str> = stages.iter().map(|stage| stage.name()).collect();
+    json!({
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "rockface pipeline",
+        "type": "object",
+        "required": ["rockface"],
+        "additionalProperties": false,
+        "properties": {
+            "rockface": {"const": 1, "description": "The format version."},
+            "name": {"type": ["string", "number"], "description": "Used for run folders; by default the file's name."},
+            "seed": {"type": "integer", "minimum": 0, "description": "From it every random number is drawn."},
+            "include": one_or_many(&json!({"type": "string"}), "Pipelines whose parameters, axes and steps are added."),
+            "params": {"type": "object", "description": "Values that `${name}` refers to."},
+            "axes": {"type": "object", "additionalProperties": {"$ref": "#/$defs/axis"}, "description": "What steps fan out over."},
+            "zip": {"type": "array", "items": {"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]},
+                    "description": "Axes that are walked together instead of crossed: [a, b], or a list of such lists."},
+            "steps": {"type": "object", "minProperties": 1, "additionalProperties": {"$ref": "#/$defs/step"}},
+            "targets": one_or_many(&json!({"type": "string"}), "Steps to make; by default every step nobody reads."),
+        },
+        "anyOf": [{"required": ["steps"]}, {"required": ["include"]}],
+        "$defs": {
+            "axis": axis(),
+            "reference": {"type": "string", "pattern": "^[^.\\[]+\\.[^.\\[]+(\\[.+\\])?$", "description": "step.port, or step.port[axis=item]."},
+            "input": input(),
+            "step": {
+                "type": "object",
+                "required": ["stage"],
+                "properties": {"stage": {"enum": names}},
+                "allOf": steps,
+            },
+        },
+    })
+}
+
+fn one_or_many(item: &Value, description: &str) -> Value {
+    json!({"anyOf": [item, {"type": "array", "items": item}], "description": description})
+}
+
+fn axis() -> Value {
+    let scalar = json!({"type": ["string", "number", "boolean"]});
+    let range = json!({"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2});
+    let spread = json!({"anyOf": [range, {"type": "object", "minProperties": 1, "maxProperties": 1,
+        "additionalProperties": false, "properties": {"log": range, "whole": range}}]});
+    let form = |name: &str, shape: &Value, what: &str| {
+        json!({"type": "object", "required": [name], "additionalProperties": false,
+               "properties": {name: shape, "reseeds": {"type": "boolean"}}, "description": what})
+    };
+    json!({"oneOf": [
+        form("items", &json!({"type": "array", "items": scalar, "minItems": 1}), "Named items."),
+        form("count", &json!({"type": "integer", "minimum": 1}), "Items 0, 1, 2, …"),
+        form("values", &json!({"type": "array", "items": scalar, "minItems": 1}), "A swept value; does not reseed."),
+        form("from", &json!({"$ref": "#/$defs/reference"}), "The items of a list another step makes."),
+        {"type": "object", "required": ["sample", "count", "over"], "additionalProperties": false, "properties": {
+            "sample": {"enum": ["grid", "random", "latin-hypercube", "sobol"]},
+            "count": {"anyOf": [{"type": "integer", "minimum": 1}, {"type": "array", "items": {"type": "integer", "minimum": 1}}]},
+            "over": {"type": "object", "additionalProperties": spread, "minProperties": 1},
+            "reseeds": {"type": "boolean"},
+        }, "description": "Points of a drawn design, each value ${axis.name}."},
+    ]})
+}
+
+fn input() -> Value {
+    let reference = json!({"$ref": "#/$defs/reference"});
+    let axes = one_or_many(&json!({"type": "string"}), "Axes gathered over.");
+    json!({"anyOf": [
+        reference,
+        {"type": "object", "required": ["each", "over"], "additionalProperties": false,
+         "properties": {"each": reference, "over": axes}},
+        {"type": "object", "required": ["from", "first"], "additionalProperties": false,
+         "properties": {"from": reference, "first": {"anyOf": [reference, {"type": "null"}]}}},
+        {"type": "object", "required": ["by"], "properties": {"by": {"type": "string"}},
+         "additionalProperties": reference},
+    ]})
+}
+
+/// What follows for a step from the name of its stage.
+fn step(stage: &dyn AnyStage) -> Value {
+    let fields = stage.fields();
+    let needed = fields.iter().any(|field| field.default.is_none());
+    let free = stage.inputs().is_empty() && stage.outputs().is_empty();
+    let needs_input = !free && stage.inputs().iter().any(|port| port.arity != Arity::Optional);
+    let mut required = vec!["stage"];
+    required.extend(needed.then_some("with"));
+    required.extend(needs_input.then_some("in"));
+    json!({
+        "if": {"properties": {"stage": {"const": stage.name()}}},
+        "then": {
+            "required": required,
+            "additionalProperties": false,
+            "properties": {
+                "stage": {"description": stage.page().what},
+                "with": map_of(&fields),
+                "in": if free { json!({"type": "object", "additionalProperties": {"$ref": "#/$defs/input"}}) } else { ports(stage.inputs()) },
+                "over": one_or_many(&json!({"type": "string"}), "Axes it is expanded over besides those that follow."),
+                "keep": {"type": "boolean", "description": "Whether its outputs stay on disk; true by default."},
+                "stream": {"type": "object", "additionalProperties": false, "properties": {
+                    "label": {"type": ["string", "number"]},
+                    "axes": one_or_many(&json!({"type": "string"}), "Reseeding axes whose items count."),
+                }},
+                "timeout": {"type": "string", "description": "How long one go may take, such as 90s or 2h."},
+                "retries": {"type": "integer", "minimum": 0, "maximum": 100},
+            },
+        },
+    })
+}
+
+fn ports(ports: &[Port]) -> Value {
+    let entries = ports.iter().map(|port| {
+        let kinds: Vec<&str> = port.kinds.iter().map(|kind| kind.word()).collect();
+        let doc = format!("{} ({})", port.doc, kinds.join(" or "));
+        (port.name.to_owned(), json!({"$ref": "#/$defs/input", "description": doc}))
+    });
+    let required: Vec<&str> = ports.iter().filter(|port| port.arity != Arity::Optional).map(|port| port.name).collect();
+    json!({"type": "object", "additionalProperties": false, "properties": entries.collect::<Map<_, _>>(), "required": required})
+}
+
+fn map_of(fields: &[Field]) -> Value {
+    let property = |field: &Field| {
+        let mut shape = shape(&field.kind, field.range);
+        if let Value::Object(map) = &mut shape {
+            map.insert("description".to_owned(), field.doc.trim().into());
+            field.default.iter().for_each(|default| drop(map.insert("default".to_owned(), default.clone())));
+        }
+        (field.name.to_owned(), shape)
+    };
+    let required: Vec<&str> = fields.iter().filter(|field| field.default.is_none()).map(|field| field.name).collect();
+    let properties: Map<String, Value> = fields.iter().map(property).collect();
+    json!({"type": "object", "additionalProperties": false, "properties": properties, "required": required})
+}
+
+/// A value, or a text with `${…}` in it.
+fn shape(kind: &Kind, range: Range) -> Value {
+    let filled = json!({"type": "string", "pattern": "\\$\\{"});
+    match kind {
+        Kind::Text => json!({"type": ["string", "number"]}),
+        Kind::File | Kind::Files => json!({"type": "string"}),
+        Kind::Any => json!({}),
+        other => json!({"anyOf": [plain(other, range), filled]}),
+    }
+}
+
+fn plain(kind: &Kind, range: Range) -> Value {
+    match kind {
+        Kind::Number => number("number", range),
+        Kind::Integer => number("integer", range),
+        Kind::Boolean => json!({"type": "boolean"}),
+        Kind::Text => json!({"type": ["string", "number"]}),
+        Kind::File | Kind::Files => json!({"type": "string"}),
+        Kind::Choice(words) => json!({"enum": words.iter().map(|(word, _)| *word).collect::<Vec<_>>()}),
+        Kind::List(inner, length) => {
+            let mut list = json!({"type": "array", "items": shape(inner, range)});
+            if let Some(length) = length {
+                list["minItems"] = (*length).into();
+                list["maxItems"] = (*length).into();
+            }
+            list
+        }
+        Kind::Optional(inner) => json!({"anyOf": [{"type": "null"}, plain(inner, range)]}),
+        Kind::Map(fields) => map_of(fields),
+        Kind::Entries(inner) => json!({"type": "object", "additionalProperties": shape(inner, range)}),
+        Kind::Any => json!({}),
+    }
+}
+
+fn number(word: &str, range: Range) -> Value {
+    match range {
+        Range::Any => json!({"type": word}),
+        Range::Positive => json!({"type": word, "exclusiveMinimum": 0}),
+        Range::NonNegative => json!({"type": word, "minimum": 0}),
+        Range::AtLeast(low) => json!({"type": word, "minimum": low}),
+        Range::Between(low, high) => json!({"type": word, "minimum": low, "maximum": high}),
+    }
+}

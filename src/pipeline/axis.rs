@@ -1,0 +1,211 @@
+//! Axes as they are declared: listed items, a count, swept values, a drawn sample, or the items of an artefact.
+
+use serde_json::{Map, Value};
+
+use super::design::{Design, Scale, Spread, points};
+use super::document::Reader;
+use super::node::{Data, Key, Node, Word};
+use super::reference::Reference;
+use crate::diagnostic::Diagnostic;
+
+/// A named list over which steps fan out.
+#[derive(Debug, Clone)]
+pub struct Axis {
+    /// Its name.
+    pub name: Word,
+    /// Item names, unique, in order; empty as long as they are not known.
+    pub items: Vec<String>,
+    /// What `${axis}` stands for at each item; a map where an item has several values, each `${axis.name}`.
+    pub values: Vec<Value>,
+    /// The names of the values of an item, where it has several and they are declared.
+    pub fields: Vec<String>,
+    /// Whether its items enter the seed of a random stream.
+    pub reseeds: bool,
+    /// The output its items are taken from.
+    pub from: Option<Reference>,
+}
+
+/// The item that no axis can have: `[axis=prev]` is the item before.
+pub const PREV: &str = "prev";
+
+/// The most items of a counted or drawn axis.
+const ITEMS_LIMIT: u64 = 1_000_000;
+
+/// Why a text cannot be an item.
+pub fn bad_item(item: &str) -> Option<String> {
+    if item.is_empty() || item.contains(['/', '\\', ',', '=', '[', ']', '\0']) {
+        Some(format!("`{item}` cannot be an item: an item is not empty and has none of / \\ , = [ ]"))
+    } else if item == PREV {
+        Some("`prev` cannot be an item: `[axis=prev]` means the item before".to_owned())
+    } else {
+        None
+    }
+}
+
+impl Reader<'_> {
+    /// One axis.
+    pub fn axis(&mut self, name: Word, node: &Node) -> Option<Axis> {
+        const FORMS: [&str; 5] = ["items", "count", "values", "sample", "from"];
+        let what = format!("axis `{}`", name.text);
+        let sampled = node.get("sample").is_some();
+        let known: &[&str] = if sampled {
+            &["sample", "count", "over", "reseeds"]
+        } else {
+            &["items", "count", "values", "sample", "from", "reseeds"]
+        };
+        self.map(node, &what, known)?;
+        let given: Vec<_> = FORMS.iter().filter_map(|form| node.get(form).map(|n| (*form, n))).collect();
+        let [(form, list)] = given.iter().filter(|(form, _)| !sampled || *form == "sample").collect::<Vec<_>>()[..]
+        else {
+            let message = format!("{what} needs exactly one of `items`, `count`, `values`, `sample` and `from`");
+            self.fault(
+                Diagnostic::at(name.span, message)
+                    .hint("for example `items: [pre, post]`, `count: 50`, `values: [0.6, 0.8]` or `from: survey.cameras`"),
+            );
+            return None;
+        };
+        let reseeds = self.flag(node.get("reseeds"), !matches!(*form, "values" | "sample"));
+        let empty =
+            Axis { name, items: Vec::new(), values: Vec::new(), fields: Vec::new(), reseeds, from: None };
+        match *form {
+            "count" => self.count(list).map(|(items, values)| Axis { items, values, ..empty }),
+            "sample" => self.sample(node, list, empty),
+            "from" => Some(Axis { from: Some(self.reference(list)?), ..empty }),
+            _ => self.items(list, &empty.name).map(|(items, values)| Axis { items, values, ..empty }),
+        }
+    }
+
+    /// Groups of axes: `[a, b]`, or a list of such lists.
+    pub fn zips(&mut self, node: &Node) -> Vec<Vec<Word>> {
+        let groups: Vec<Vec<Word>> = match &node.data {
+            Data::List(lists) if lists.iter().all(|list| matches!(list.data, Data::List(_))) => {
+                lists.iter().map(|list| self.some_words(list, "an axis")).collect()
+            }
+            _ => vec![self.some_words(node, "an axis")],
+        };
+        if groups.iter().any(|group| group.len() == 1) {
+            let fault = Diagnostic::at(node.span, "one axis alone cannot be zipped");
+            self.fault(fault.hint("name the axes that are walked together: `zip: [a, b]`"));
+        }
+        groups
+    }
+
+    fn count(&mut self, node: &Node) -> Option<(Vec<String>, Vec<Value>)> {
+        let count = self.whole(node)?;
+        Some(((0..count).map(|i| i.to_string()).collect(), (0..count).map(Value::from).collect()))
+    }
+
+    fn whole(&mut self, node: &Node) -> Option<u64> {
+        let count = if let Data::Scalar(value) = &node.data { value.as_u64() } else { None };
+        let count = count.filter(|count| (1..=ITEMS_LIMIT).contains(count));
+        if count.is_none() {
+            self.expected(node, &format!("a count from 1 to {ITEMS_LIMIT}"));
+        }
+        count
+    }
+
+    fn items(&mut self, node: &Node, axis: &Word) -> Option<(Vec<String>, Vec<Value>)> {
+        let Data::List(list) = &node.data else {
+            self.expected(node, "a list");
+            return None;
+        };
+        if list.is_empty() {
+            self.fault(Diagnostic::at(node.span, format!("axis `{}` has no items", axis.text)));
+            return None;
+        }
+        let mut items: Vec<String> = Vec::with_capacity(list.len());
+        let mut seen = std::collections::BTreeSet::new();
+        for node in list {
+            let item = self.word(node, "a name, a number or true/false")?.text;
+            let twice = || format!("`{item}` occurs twice on axis `{}`", axis.text);
+            if let Some(bad) = bad_item(&item).or_else(|| seen.contains(&item).then(twice)) {
+                self.fault(Diagnostic::at(node.span, bad));
+                return None;
+            }
+            seen.insert(item.clone());
+            items.push(item);
+        }
+        let values: Vec<Value> = list.iter().map(Node::to_value).collect();
+        self.check_equal_numbers(list, &values, axis);
+        Some((items, values))
+    }
+
+    /// One number written in two ways would be one point with two names.
+    fn check_equal_numbers(&mut self, list: &[Node], values: &[Value], axis: &Word) {
+        for (index, value) in values.iter().enumerate() {
+            let number = value.as_f64();
+            let twin = values[..index].iter().position(|earlier| number.is_some() && earlier.as_f64() == number);
+            if let Some(twin) = twin {
+                let (here, there) = (&list[index].written, &list[twin].written);
+                let message = format!("`{here}` is the same number as `{there}` on axis `{}`", axis.text);
+                self.fault(Diagnostic::at(list[index].span, message).hint("leave one out, or put both in quotes"));
+            }
+        }
+    }
+
+    fn sample(&mut self, node: &Node, form: &Node, empty: Axis) -> Option<Axis> {
+        let word = self.word(form, "grid, random, latin-hypercube or sobol")?;
+        let Some(design) = Design::named(&word.text) else {
+            let fault = Diagnostic::at(word.span, format!("unknown design `{}`", word.text));
+            self.fault(fault.suggest(&word.text, Design::NAMES));
+            return None;
+        };
+        let missing = ["count", "over"].into_iter().find(|key| node.get(key).is_none());
+        if let Some(missing) = missing {
+            let fault = Diagnostic::at(empty.name.span, format!("axis `{}` has no `{missing}`", empty.name.text));
+            self.fault(fault.hint("for example {sample: sobol, count: 64, over: {a_m: [0.1, 2.0]}}"));
+            return None;
+        }
+        let over = self.any_map(node.get("over")?, "`over`")?;
+        let spreads = over.iter().map(|(key, node)| self.spread(key, node)).collect::<Option<Vec<_>>>()?;
+        let counts = self.counts(node.get("count")?)?;
+        match points(design, &counts, &spreads, self.seed, &empty.name.text) {
+            Ok(drawn) => {
+                let fields: Vec<String> = spreads.iter().map(|spread| spread.name.clone()).collect();
+                let value = |point: &Vec<Value>| {
+                    Value::Object(fields.iter().cloned().zip(point.iter().cloned()).collect::<Map<_, _>>())
+                };
+                let values = drawn.iter().map(|(_, point)| value(point)).collect();
+                Some(Axis { items: drawn.into_iter().map(|(item, _)| item).collect(), values, fields, ..empty })
+            }
+            Err(message) => {
+                self.fault(Diagnostic::at(node.get("count")?.span, message));
+                None
+            }
+        }
+    }
+
+    fn counts(&mut self, node: &Node) -> Option<Vec<u64>> {
+        match &node.data {
+            Data::List(list) => list.iter().map(|node| self.whole(node)).collect(),
+            _ => self.whole(node).map(|count| vec![count]),
+        }
+    }
+
+    /// `[lo, hi]`, `{log: [lo, hi]}` or `{whole: [lo, hi]}`.
+    fn spread(&mut self, key: &Key, node: &Node) -> Option<Spread> {
+        let (scale, range) = match node.entries() {
+            None => (Scale::Linear, node),
+            Some([(key, range)]) if key.name == "log" => (Scale::Log, range),
+            Some([(key, range)]) if key.name == "whole" => (Scale::Whole, range),
+            Some(_) => {
+                self.expected(node, "[lowest, highest], {log: [lowest, highest]} or {whole: [lowest, highest]}");
+                return None;
+            }
+        };
+        let numbers: Vec<f64> = match &range.data {
+            Data::List(ends) => ends.iter().filter_map(|end| end.to_value().as_f64()).collect(),
+            Data::Scalar(_) | Data::Map(_) => Vec::new(),
+        };
+        let [lo, hi] = numbers[..] else {
+            self.expected(range, "[lowest, highest]");
+            return None;
+        };
+        let spread = Spread { name: key.name.clone(), scale, lo, hi };
+        if let Some(bad) = spread.fault() {
+            self.fault(Diagnostic::at(range.span, format!("`{}`: {bad}", key.name)));
+            return None;
+        }
+        Some(spread)
+    }
+}

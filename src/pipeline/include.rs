@@ -1,0 +1,147 @@
+//! `include: other.yaml`: pipelines put together from several files, every value with its place in its own file.
+
+use std::path::{Path, PathBuf};
+
+use super::document::TOP;
+use super::node::{Data, Key, Node};
+use crate::diagnostic::{Diagnostic, Source, Span};
+
+/// The texts of a pipeline and the folders of its files.
+#[derive(Debug, Clone, Default)]
+pub struct Texts {
+    /// The pipeline file first, then what it includes, then each override.
+    pub sources: Vec<Source>,
+    /// The folder of each file among the sources.
+    pub folders: Vec<PathBuf>,
+}
+
+/// Puts what a tree includes into it; `trail` are the files that led here, this one last.
+///
+/// Axes, parameters and steps are put together, a name in two files is a fault. Name, seed and targets of an included
+/// file count where the including file has none of its own. A file that is included by two ways is taken once.
+pub fn expand(root: &mut Node, trail: &mut Vec<PathBuf>, texts: &mut Texts, faults: &mut Vec<Diagnostic>) {
+    let mut seen = trail.clone();
+    expand_seen(root, trail, &mut seen, texts, faults);
+}
+
+fn expand_seen(
+    root: &mut Node,
+    trail: &mut Vec<PathBuf>,
+    seen: &mut Vec<PathBuf>,
+    texts: &mut Texts,
+    faults: &mut Vec<Diagnostic>,
+) {
+    let Some(named) = root.get("include").cloned() else { return };
+    let own: Vec<String> = root.entries().unwrap_or_default().iter().map(|(key, _)| key.name.clone()).collect();
+    let files = match &named.data {
+        Data::List(files) => files.as_slice(),
+        Data::Scalar(_) | Data::Map(_) => std::slice::from_ref(&named),
+    };
+    for file in files {
+        let folder = texts.folders.get(root.span.source).cloned().unwrap_or_default();
+        match included(file, &folder, trail, seen, texts) {
+            Ok(Some((mut tree, path))) => {
+                trail.push(path);
+                expand_seen(&mut tree, trail, seen, texts, faults);
+                trail.pop();
+                merge(root, tree, &own, texts, faults);
+            }
+            Ok(None) => {}
+            Err(fault) => faults.push(fault),
+        }
+    }
+}
+
+/// The tree of an included file and its one true path; `None` for one that is in already.
+fn included(
+    node: &Node,
+    folder: &Path,
+    trail: &[PathBuf],
+    seen: &mut Vec<PathBuf>,
+    texts: &mut Texts,
+) -> Result<Option<(Node, PathBuf)>, Diagnostic> {
+    let Some(written) = node.text() else {
+        return Err(Diagnostic::at(node.span, format!("expected the path of a pipeline, found {}", node.describe())));
+    };
+    let path = folder.join(written);
+    let text = super::read_text(&path).map_err(|fault| Diagnostic { span: Some(node.span), ..fault })?;
+    let canonical = path.canonicalize().unwrap_or_else(|_| path.clone());
+    if trail.contains(&canonical) {
+        let message = format!("`{written}` includes this file in turn");
+        return Err(Diagnostic::at(node.span, message).hint("put what both need into a third file"));
+    }
+    if seen.contains(&canonical) {
+        return Ok(None);
+    }
+    seen.push(canonical.clone());
+    let source = texts.sources.len();
+    texts.sources.push(Source { name: path.display().to_string(), text: text.clone() });
+    texts.folders.push(path.parent().unwrap_or(Path::new("")).to_owned());
+    let tree = Node::parse(&text, source)?;
+    check_format(&tree)?;
+    Ok(Some((tree, canonical)))
+}
+
+fn check_format(tree: &Node) -> Result<(), Diagnostic> {
+    let top = |end: usize| Span { source: tree.span.source, start: tree.span.start, end };
+    match tree.get("rockface").map(|node| (node.to_value().as_u64(), node.span)) {
+        Some((Some(1), _)) => Ok(()),
+        Some((_, span)) => Err(Diagnostic::at(span, "the included file is of another pipeline format")
+            .hint("this version reads `rockface: 1`")),
+        None => Err(Diagnostic::at(top(tree.span.start), "the included file does not say its format version")
+            .hint("begin the file with `rockface: 1`")),
+    }
+}
+
+fn merge(root: &mut Node, tree: Node, own: &[String], texts: &Texts, faults: &mut Vec<Diagnostic>) {
+    let (Data::Map(entries), Data::Map(others)) = (&mut root.data, tree.data) else { return };
+    for (key, value) in others {
+        let known = entries.iter_mut().find(|(known, _)| known.name == key.name);
+        match (key.name.as_str(), known) {
+            ("rockface" | "include", _) => {}
+            (_, None) => entries.push((key, value)),
+            ("params" | "axes" | "steps", Some((known, section))) => {
+                merge_section(&known.name, section, value, texts, faults);
+            }
+            ("zip", Some((_, groups))) => append_groups(groups, value),
+            (name, Some(_)) if own.iter().any(|own| own == name) && TOP.contains(&name) => {}
+            (name, Some((_, former))) if former.to_value() != value.to_value() => {
+                let message = format!("two included files give `{name}` differently");
+                let hint = "give it in the including file too, which decides";
+                faults.push(Diagnostic::at(key.span, message).hint(hint));
+            }
+            _ => {}
+        }
+    }
+}
+
+fn merge_section(name: &str, section: &mut Node, other: Node, texts: &Texts, faults: &mut Vec<Diagnostic>) {
+    let what = name.trim_end_matches('s').replace("axe", "axis").replace("param", "parameter");
+    let span = other.span;
+    let (Data::Map(entries), Data::Map(others)) = (&mut section.data, other.data) else {
+        faults.push(Diagnostic::at(span, format!("`{name}` has to be a map in every file")));
+        return;
+    };
+    for (key, value) in others {
+        if let Some((known, _)) = entries.iter().find(|(known, _)| known.name == key.name) {
+            faults.push(twice(&what, &key, known, texts));
+        } else {
+            entries.push((key, value));
+        }
+    }
+}
+
+fn twice(what: &str, key: &Key, known: &Key, texts: &Texts) -> Diagnostic {
+    let file = texts.sources.get(known.span.source).map_or("another file", |source| source.name.as_str());
+    Diagnostic::at(key.span, format!("{what} `{}` is declared in `{file}` too", key.name)).hint("rename one of the two")
+}
+
+/// Groups of both files, as a list of lists.
+fn append_groups(groups: &mut Node, other: Node) {
+    let lists = |node: &Node| match &node.data {
+        Data::List(items) if items.iter().all(|item| matches!(item.data, Data::List(_))) => items.clone(),
+        _ => vec![node.clone()],
+    };
+    let all = lists(groups).into_iter().chain(lists(&other)).collect();
+    groups.data = Data::List(all);
+}

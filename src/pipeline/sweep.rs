@@ -1,0 +1,125 @@
+//! `--sweep AXIS=VALUES`: an axis of swept values from outside, for an axis, a parameter or one value of a step.
+
+use serde_json::Value;
+
+use super::node::{Data, Key, Node};
+use super::overrides::{check_exists, put};
+use crate::diagnostic::{Diagnostic, Source, Span};
+
+/// The most values of a range.
+const VALUES_LIMIT: usize = 1_000_000;
+
+/// Adds or replaces one axis. `sigma=0.6,0.7` is an axis; `params.cell_m=0.01,0.02` makes an axis of the parameter's name
+/// out of it; `steps.dem.with.cell_m=…` lets that one value follow an axis called like its last key. Values are listed
+/// with commas, or `lowest..highest:count`.
+pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<(), Diagnostic> {
+    let source = sources.len();
+    sources.push(Source { name: "--sweep".into(), text: text.to_owned() });
+    let here = |from: usize, to: usize| Span { source, start: from, end: to };
+    let hint = "for example --sweep sigma_px=0.6,0.7,0.8 or --sweep params.cell_m=0.01..0.05:5";
+    let Some((path, values)) = text.split_once('=') else {
+        return Err(Diagnostic::at(here(0, text.len()), "expected AXIS=VALUES").hint(hint));
+    };
+    let path_span = here(0, path.len());
+    let values_span = here(path.len() + 1, text.len());
+    let values = listed(values, values_span).map_err(|message| Diagnostic::at(values_span, message).hint(hint))?;
+    let keys: Vec<&str> = path.split('.').map(str::trim).collect();
+    check_exists(root, &keys, path_span)?;
+    let name = match keys[..] {
+        [name] | ["axes", name] => name,
+        ["params", name] => {
+            remove(root, "params", name);
+            name
+        }
+        ["steps", _, "with", .., name] => {
+            let reference = Node::made(path_span, Data::Scalar(Value::from(format!("${{{name}}}"))));
+            put(root, &keys, reference, path_span)?;
+            name
+        }
+        _ => {
+            let message = format!("`{path}` is neither an axis nor a parameter nor a value of a step's `with`");
+            return Err(Diagnostic::at(path_span, message).hint(hint));
+        }
+    };
+    let key = |name: &str| Key { span: path_span, name: name.to_owned() };
+    let list = Node::made(values_span, Data::List(values));
+    let axis = Node::made(path_span, Data::Map(vec![(key("values"), list)]));
+    put(root, &["axes", name], axis, path_span)
+}
+
+fn remove(root: &mut Node, section: &str, name: &str) {
+    let Data::Map(sections) = &mut root.data else { return };
+    let section = sections.iter_mut().find(|(key, _)| key.name == section);
+    if let Some((_, Node { data: Data::Map(entries), .. })) = section {
+        entries.retain(|(key, _)| key.name != name);
+    }
+}
+
+fn listed(values: &str, span: Span) -> Result<Vec<Node>, String> {
+    if let Some((lo, rest)) = values.split_once("..") {
+        return range(lo, rest, span);
+    }
+    let mut at = span.start;
+    let mut nodes = Vec::new();
+    for value in values.split(',') {
+        let place = Span { start: at, end: at + value.len(), ..span };
+        at = place.end + 1;
+        let node = Node::parse(value.trim(), span.source).map_err(|_| format!("`{value}` is no value"))?;
+        match node.data {
+            Data::Scalar(Value::Null) => return Err("a value between two commas is missing".to_owned()),
+            Data::Scalar(_) => nodes.push(Node { span: place, ..node }),
+            Data::List(_) | Data::Map(_) => return Err(format!("`{value}` is not a single value")),
+        }
+    }
+    Ok(nodes)
+}
+
+/// `lo..hi:n`, both ends included.
+fn range(lo: &str, rest: &str, span: Span) -> Result<Vec<Node>, String> {
+    let wrong = || format!("`{lo}..{rest}` is no range lowest..highest:count");
+    let (hi, count) = rest.split_once(':').ok_or_else(wrong)?;
+    let number = |text: &str| text.trim().parse::<f64>().ok().filter(|x| x.is_finite()).ok_or_else(wrong);
+    let (lo, hi) = (number(lo)?, number(hi)?);
+    let count: usize = count.trim().parse().map_err(|_| wrong())?;
+    if !(2..=VALUES_LIMIT).contains(&count) {
+        return Err(format!("a range has from 2 to {VALUES_LIMIT} values, not {count}"));
+    }
+    let whole = lo.fract() == 0.0 && hi.fract() == 0.0 && (hi - lo) % (count - 1) as f64 == 0.0;
+    let node = |index: usize| {
+        let value = if index + 1 == count { hi } else { lo + (hi - lo) * (index as f64 / (count - 1) as f64) };
+        let value = if whole && value.abs() < 9e15 { Value::from(value.round() as i64) } else { Value::from(value) };
+        Node { span, written: value.to_string(), data: Data::Scalar(value) }
+    };
+    Ok((0..count).map(node).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn swept(yaml: &str, sweep: &str) -> String {
+        let mut root = Node::parse(yaml, 0).unwrap();
+        match apply(&mut root, sweep, &mut vec![Source { name: "p".into(), text: yaml.into() }]) {
+            Ok(()) => root.to_value().to_string(),
+            Err(fault) => fault.message,
+        }
+    }
+
+    #[test]
+    fn an_axis_a_parameter_and_a_value_of_a_step() {
+        assert_eq!(swept("seed: 1", "k=0.5,a"), r#"{"axes":{"k":{"values":[0.5,"a"]}},"seed":1}"#);
+        assert_eq!(swept("{params: {x: 1, y: 2}}", "params.x=1..3:3"), r#"{"axes":{"x":{"values":[1,2,3]}},"params":{"y":2}}"#);
+        assert_eq!(
+            swept("steps: {a: {stage: b}}", "steps.a.with.c=0..1:3"),
+            r#"{"axes":{"c":{"values":[0.0,0.5,1.0]}},"steps":{"a":{"stage":"b","with":{"c":"${c}"}}}}"#
+        );
+    }
+
+    #[test]
+    fn what_cannot_be_swept_is_said() {
+        assert!(swept("seed: 1", "k").contains("AXIS=VALUES"));
+        assert!(swept("seed: 1", "params.x=1,2").contains("no parameter `x`"));
+        assert!(swept("seed: 1", "k=1..3").contains("no range"));
+        assert!(swept("seed: 1", "k=1,,2").contains("missing"));
+    }
+}

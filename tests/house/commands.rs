@@ -1,0 +1,124 @@
+//! Programs as steps: what they are given, what they leave, and how they are ended.
+
+use std::time::{Duration, Instant};
+
+use rockface::run::Options;
+use rockface::watch::Event;
+use rockface_stages::artefact::{File, Table};
+
+use crate::lab::{Bench, Ran};
+
+fn command(with: &str) -> String {
+    format!(
+        "rockface: 1\nsteps:\n  c:\n    stage: command\n    with:\n      program: sh\n      version: POSIX sh\n      \
+         outputs: {{t: {{kind: table, extension: csv}}, f: {{kind: file, extension: txt}}}}\n{with}"
+    )
+}
+
+fn failure(ran: &Ran) -> String {
+    let failed = ran.events.iter().find_map(|event| match event {
+        Event::Failed { message, hint, .. } => Some(format!("{message} | {}", hint.as_deref().unwrap_or_default())),
+        _ => None,
+    });
+    failed.expect("it should have failed")
+}
+
+#[test]
+fn a_program_makes_artefacts_and_runs_again_when_its_script_changes() {
+    let bench = Bench::rocks();
+    let script = bench.folder.path().join("make.sh");
+    std::fs::write(&script, "echo a,b > $1; echo 1,x >> $1; echo $NAME $2 > $3; echo said >&2").unwrap();
+    let yaml = command(
+        "      files: {s: make.sh}\n      environment: {NAME: me}\n      params: {k: 0.5}\n      \
+         args: ['{file.s}', '{out.t}', '{param.k}', '{out.f}']\n",
+    );
+    let ran = bench.run(&yaml, &[]);
+    let table: Table = ran.value(&bench.store, "c", "t");
+    let file: File = ran.value(&bench.store, "c", "f");
+    assert_eq!((table.columns.as_slice(), table.rows[0][0].number()), (&["a".to_owned(), "b".to_owned()][..], Some(1.0)));
+    assert_eq!(file.bytes, b"me 0.5\n");
+    assert!(bench.run(&yaml, &[]).executed().is_empty());
+    assert_eq!(bench.run(&yaml, &["steps.c.with.params.k=1"]).executed(), ["c"]);
+    assert_eq!(bench.run(&yaml, &["steps.c.with.version=another"]).executed(), ["c"]);
+    std::fs::write(&script, "echo a > $1; echo 2 >> $1; echo > $3").unwrap();
+    assert_eq!(bench.run(&yaml, &[]).executed(), ["c"]);
+}
+
+#[test]
+fn gathered_inputs_come_with_their_points() {
+    let yaml = "
+rockface: 1
+axes: {k: {values: [5, 7]}}
+steps:
+  made:
+    stage: command
+    with: {program: sh, version: sh, outputs: {f: {kind: file, extension: txt}}, params: {k: '${k}'}, args: ['-c', 'echo {param.k} > {out.f}']}
+  joined:
+    stage: command
+    in: {all: {each: made.f, over: [k]}}
+    with:
+      program: sh
+      version: sh
+      inputs: {all: {kind: file, extension: txt, many: true}}
+      outputs: {f: file}
+      args: ['-c', 'cat {in.all}/*.txt {in.all}/index.json > {out.f}']
+";
+    let bench = Bench::rocks();
+    let ran = bench.run(yaml, &[]);
+    let file: File = ran.value(&bench.store, "joined", "f");
+    let text = String::from_utf8(file.bytes).unwrap();
+    assert!(text.starts_with("5\n7\n[") && text.contains(r#"{"k":"7"}"#), "{text}");
+}
+
+#[test]
+fn a_program_that_fails_says_why() {
+    let bench = Bench::rocks();
+    let fails = |script: &str| failure(&bench.run(&command(&format!("      args: ['-c', '{script}']\n")), &[]));
+    let code = fails("echo bad luck >&2; exit 3");
+    assert!(code.contains("code 3") && code.contains("bad luck"), "{code}");
+    let missing = fails("echo a > {out.t}");
+    assert!(missing.contains("no output `f`") && missing.contains("out/f.txt"), "{missing}");
+    let broken = fails("echo > {out.f}; printf \"a,b\\n1\\n\" > {out.t}");
+    assert!(broken.contains("output `t`") && broken.contains("is no table"), "{broken}");
+    let absent = failure(&bench.run(&command("").replace("program: sh", "program: no-such-program"), &[]));
+    assert!(absent.contains("cannot run `no-such-program`"), "{absent}");
+}
+
+#[test]
+fn a_timeout_ends_a_program_and_its_children_and_retries_try_again() {
+    let bench = Bench::rocks();
+    let begun = Instant::now();
+    let slow = command("      args: ['-c', 'sleep 60 & sleep 60']\n    timeout: 300ms\n    retries: 1\n");
+    let said = failure(&bench.run(&slow, &[]));
+    assert!(said.contains("timeout of 300ms"), "{said}");
+    assert!(begun.elapsed() < Duration::from_secs(20));
+    let flag = bench.folder.path().join("tried");
+    let script = format!("if test -e {0}; then echo a > {{out.t}}; echo > {{out.f}}; else touch {0}; exit 1; fi", flag.display());
+    let flaky = bench.run(&command(&format!("      args: ['-c', '{script}']\n    retries: 2\n")), &[]);
+    assert!(!flaky.summary.failed && flaky.warnings()[0].contains("attempt 1 of 3"), "{:?}", flaky.warnings());
+}
+
+#[test]
+fn a_program_that_draws_gets_another_number_at_each_replicate() {
+    let yaml = "
+rockface: 1
+seed: 1
+axes: {k: {count: 3}}
+steps:
+  c:
+    stage: command
+    over: [k]
+    with: {program: sh, version: sh, outputs: {f: file}, args: ['-c', 'echo {seed} > {out.f}']}
+";
+    let bench = Bench::rocks();
+    let numbers = |set: &[&str]| {
+        let ran = bench.run_with(yaml, set, &Options { jobs: 2, ..Options::default() });
+        let number = |k: usize| {
+            let file: File = ran.value(&bench.store, &format!("c[k={k}]"), "f");
+            String::from_utf8(file.bytes).unwrap().trim().parse::<u32>().unwrap()
+        };
+        [number(0), number(1), number(2)]
+    };
+    let (one, other) = (numbers(&[]), numbers(&["seed=2"]));
+    assert!(one[0] != one[1] && one[1] != one[2] && one != other && one == numbers(&[]), "{one:?} {other:?}");
+}

@@ -1,0 +1,115 @@
+//! Axes whose items another step makes: expanded while a run goes on, or from records when it is planned.
+
+#![expect(clippy::float_cmp, reason = "these numbers are small sums, exact")]
+
+use rockface::run::Options;
+use rockface::watch::Event;
+
+use crate::lab::{Bench, Ran};
+
+/// A coarse search, the rows around its result, a fine search over these rows.
+const SEARCH: &str = "
+rockface: 1
+seed: 5
+axes:
+  coarse: {values: [1, 2, 4]}
+  fine: {from: refined.out, reseeds: false}
+steps:
+  tried: {stage: emit, with: {value: '${coarse}'}}
+  refined: {stage: list, in: {terms: {each: tried.out, over: [coarse]}}, with: {rows: 3}}
+  again: {stage: draw, in: {in: tried.out}}
+  close: {stage: emit, with: {value: '${fine.value}'}}
+  best: {stage: add, in: {terms: {each: close.out, over: [fine]}}}
+targets: [best]
+";
+
+fn unknown(ran: &Ran) -> usize {
+    ran.plan.graph.deferred().iter().flatten().count()
+}
+
+#[test]
+fn a_search_in_two_stages_grows_its_plan() {
+    let bench = Bench::new();
+    let plan = bench.plan(SEARCH, &[]).unwrap_or_else(|faults| panic!("{faults}"));
+    assert_eq!((plan.instances.len(), plan.graph.deferred().iter().flatten().count()), (4, 2));
+    let ran = bench.run(SEARCH, &[]);
+    assert_eq!((unknown(&ran), ran.summary.failed), (0, false));
+    // 1 + 2 + 4 = 7, and then 7 + 8 + 9.
+    assert_eq!(ran.number(&bench.store, "best"), 24.0);
+    assert_eq!(ran.executed().len(), 8);
+    let again = bench.run(SEARCH, &[]);
+    assert!(again.executed().is_empty());
+    // Numbered as if all had been known from the start.
+    assert_eq!(again.digests(), ran.digests());
+    assert_eq!(bench.plan(SEARCH, &[]).unwrap_or_else(|faults| panic!("{faults}")).instances.len(), 8);
+}
+
+#[test]
+fn more_rows_run_alone() {
+    let bench = Bench::new();
+    bench.run(SEARCH, &[]);
+    let more = bench.run(SEARCH, &["steps.refined.with.rows=4"]);
+    assert_eq!(more.executed(), ["best", "close[fine=3]", "refined"]);
+    assert_eq!(more.number(&bench.store, "best"), 34.0);
+}
+
+#[test]
+fn a_search_that_was_stopped_goes_on_to_the_same_table() {
+    let whole = Bench::new();
+    let wanted = whole.run(SEARCH, &[]).digests();
+    let bench = Bench::new();
+    // The first stage alone, as after a kill; then a failure in the second; then all.
+    bench.run(&SEARCH.replace("targets: [best]", "targets: [refined]"), &[]);
+    let broken = bench.run(SEARCH, &["steps.best.with.fail=true"]);
+    assert!(broken.summary.failed);
+    let resumed = bench.run(SEARCH, &[]);
+    assert_eq!(resumed.executed(), ["best"]);
+    assert_eq!(resumed.digests(), wanted);
+}
+
+#[test]
+fn one_list_may_follow_from_another() {
+    let yaml = "
+rockface: 1
+axes: {a: {from: l.out}, b: {from: m.out}}
+steps:
+  e: {stage: emit}
+  l: {stage: list, in: {terms: e.out}, with: {rows: 2}}
+  x: {stage: draw, in: {in: e.out}, with: {sigma: '${a.value}'}}
+  g: {stage: add, in: {terms: {each: x.out, over: [a]}}}
+  m: {stage: list, in: {terms: e.out}, with: {rows: 3}}
+  y: {stage: add, in: {terms: x.out}, with: {plus: '${b.value}'}}
+  z: {stage: add, in: {terms: {each: y.out, over: [a, b]}}}
+  w: {stage: add, keep: false, in: {terms: {from: 'w.out[b=prev]', first: e.out}}, with: {plus: '${b.value}'}}
+";
+    for jobs in [1, 3] {
+        let bench = Bench::new();
+        let options = Options { jobs, ..Options::default() };
+        let ran = bench.run_with(yaml, &[], &options);
+        let labels: Vec<String> = (0..ran.plan.instances.len()).map(|i| ran.plan.label(i)).collect();
+        assert_eq!(ran.summary.instances.len(), 1 + 1 + 2 + 1 + 1 + 6 + 1 + 3, "{labels:?}");
+        assert!(!ran.summary.failed && bench.run(yaml, &[]).executed().is_empty());
+        assert_eq!(bench.run(yaml, &[]).digests(), ran.digests());
+    }
+}
+
+#[test]
+fn lists_that_cannot_be_an_axis_are_told() {
+    let bench = Bench::new();
+    let empty = bench.run(SEARCH, &["steps.refined.with.rows=0"]);
+    let message = empty.events.iter().find_map(|event| match event {
+        Event::Failed { step, message, .. } => Some(format!("{step}: {message}")),
+        _ => None,
+    });
+    let message = message.expect("an empty list is a failure");
+    assert!(empty.summary.failed && message.contains("refined") && message.contains("list is empty"), "{message}");
+    let column = bench.run(&SEARCH.replace("${fine.value}", "${fine.worth}"), &[]);
+    assert!(column.summary.failed);
+    let said = |yaml: &str| bench.plan(yaml, &[]).err().unwrap().to_string();
+    let many = said(&SEARCH.replace("from: refined.out", "from: tried.out"));
+    assert!(many.contains("takes its items from one list"), "{many}");
+    let circle = said(&SEARCH.replace("rows: 3", "rows: '${fine.value}'"));
+    assert!(circle.contains("in a circle"), "{circle}");
+    let transient = said(&SEARCH.replace("refined: {stage: list,", "refined: {stage: list, keep: false,"));
+    assert!(transient.contains("not kept"), "{transient}");
+}

@@ -1,0 +1,142 @@
+//! What pipelines can say: axes walked together, items before, included files, drawn designs, sweeps from outside.
+
+#![expect(clippy::float_cmp, reason = "these numbers are small sums, exact")]
+
+use rockface::pipeline::{Overrides, Pipeline};
+
+use crate::lab::{Bench, Ran};
+
+fn labels(ran: &Ran, step: &str) -> Vec<String> {
+    let own = (0..ran.plan.instances.len()).filter(|i| ran.plan.step(*i).name == step);
+    own.map(|i| ran.plan.point_text(i)).collect()
+}
+
+/// What is said about a pipeline that does not plan.
+fn said(yaml: &str) -> String {
+    match Bench::new().plan(yaml, &[]) {
+        Ok(_) => panic!("this should not plan:\n{yaml}"),
+        Err(faults) => faults.to_string(),
+    }
+}
+
+const ZIPPED: &str = "
+rockface: 1
+axes: {a: {values: [1, 2, 3]}, b: {values: [10, 20, 30]}, c: {count: 2}}
+zip: [a, b]
+steps:
+  x: {stage: emit, with: {value: '${a}'}}
+  y: {stage: add, over: [c], in: {terms: x.out}, with: {plus: '${b}'}}
+  one: {stage: add, in: {terms: 'y.out[a=2,c=0]'}}
+  all: {stage: add, in: {terms: {each: y.out, over: [a, c]}}}
+";
+
+#[test]
+fn zipped_axes_are_walked_together() {
+    let bench = Bench::new();
+    let ran = bench.run(ZIPPED, &[]);
+    assert_eq!(labels(&ran, "x"), ["a=1", "a=2", "a=3"]);
+    assert_eq!(labels(&ran, "y").len(), 6);
+    assert_eq!(ran.number(&bench.store, "y[a=2,b=20,c=1]"), 22.0);
+    assert_eq!(ran.number(&bench.store, "one"), 22.0);
+    assert_eq!(ran.number(&bench.store, "all"), 132.0);
+    let uneven = said(&ZIPPED.replace("[10, 20, 30]", "[10, 20]"));
+    assert!(uneven.contains("axis `b` has 2 items, `a` has 3") && uneven.contains("test.yaml:4"), "{uneven}");
+}
+
+const CHAINED: &str = "
+rockface: 1
+seed: 3
+axes: {epoch: {items: [e0, e1, e2, e3]}}
+steps:
+  start: {stage: emit, with: {value: 100}}
+  worn: {stage: draw, in: {in: {from: 'rested.out[epoch=prev]', first: start.out}}}
+  rested: {stage: add, in: {terms: worn.out}, with: {plus: 1}}
+";
+
+#[test]
+fn an_item_reads_from_the_one_before() {
+    let bench = Bench::new();
+    let ran = bench.run(CHAINED, &[]);
+    let (first, last) = (ran.number(&bench.store, "rested[epoch=e0]"), ran.number(&bench.store, "rested[epoch=e3]"));
+    assert!(first != 101.0 && (first - 101.0).abs() < 6.0 && (last - 104.0).abs() < 12.0, "{first} {last}");
+    assert!(bench.run(CHAINED, &[]).executed().is_empty());
+    // One more epoch runs its own steps only.
+    let more = bench.run(CHAINED, &["axes.epoch.items=[e0, e1, e2, e3, e4]"]);
+    assert_eq!(more.executed(), ["rested[epoch=e4]", "worn[epoch=e4]"]);
+}
+
+#[test]
+fn what_goes_back_says_where_it_begins() {
+    let plain = said(&CHAINED.replace("{from: 'rested.out[epoch=prev]', first: start.out}", "'rested.out[epoch=prev]'"));
+    assert!(plain.contains("no item before the first"), "{plain}");
+    let no_first = said(&CHAINED.replace(", first: start.out", ""));
+    assert!(no_first.contains("it is not said what the first item gets"), "{no_first}");
+    let nothing = said(&CHAINED.replace("first: start.out", "first: null"));
+    assert!(nothing.contains("cannot be left out at the first item"), "{nothing}");
+    let circle = said(&CHAINED.replace("{terms: worn.out}", "{terms: 'worn.out[epoch=e3]'}"));
+    assert!(circle.contains("waits for itself"), "{circle}");
+}
+
+const SAMPLED: &str = "
+rockface: 1
+seed: 9
+axes: {p: {sample: latin-hypercube, count: 8, over: {a: [0, 1], b: {log: [0.1, 10]}}}}
+steps:
+  x: {stage: emit, with: {value: '${p.a}'}}
+  y: {stage: draw, in: {in: x.out}, with: {sigma: '${p.b}'}}
+  all: {stage: add, in: {terms: {each: y.out, over: [p]}}}
+";
+
+#[test]
+fn a_drawn_design_is_extended_without_running_what_was_drawn() {
+    let bench = Bench::new();
+    let ran = bench.run(SAMPLED, &[]);
+    assert_eq!(labels(&ran, "y"), (0..8).map(|i| format!("p={i}")).collect::<Vec<_>>());
+    let more = bench.run(SAMPLED, &["axes.p.count=16"]);
+    assert_eq!(more.executed().len(), 17, "{:?}", more.executed());
+    let sobol = &["axes.p.sample=sobol"];
+    bench.run(SAMPLED, sobol);
+    let more = bench.run(SAMPLED, &["axes.p.sample=sobol", "axes.p.count=9"]);
+    assert_eq!(more.executed(), ["all", "x[p=8]", "y[p=8]"]);
+    let stranger = said(&SAMPLED.replace("${p.a}", "${p.c}"));
+    assert!(stranger.contains("axis `p` has no value `c`") && stranger.contains("${p.a}"), "{stranger}");
+    let whole = said(&SAMPLED.replace("${p.a}", "${p}"));
+    assert!(whole.contains("several values"), "{whole}");
+}
+
+#[test]
+fn a_sweep_from_outside_makes_an_axis_of_a_parameter() {
+    let yaml = "rockface: 1\nparams: {v: 1}\nsteps: {a: {stage: emit, with: {value: '${v}'}}}\n";
+    let count = |sweep: &str| {
+        let overrides = Overrides { sweep: vec![sweep.to_owned()], ..Overrides::default() };
+        let pipeline = Pipeline::parse(yaml, "test.yaml", "test", ".".into(), &overrides).unwrap();
+        (pipeline.document.axes[0].items.clone(), pipeline.document.axes[0].reseeds)
+    };
+    assert_eq!(count("params.v=0..2:3"), (vec!["0".to_owned(), "1".to_owned(), "2".to_owned()], false));
+    assert_eq!(count("steps.a.with.value=0.5,7").0, ["0.5", "7"]);
+}
+
+#[test]
+fn pipelines_are_put_together_from_files() {
+    let bench = Bench::new();
+    let write = |name: &str, text: &str| {
+        let path = bench.folder.path().join(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, text).unwrap();
+    };
+    write("parts/number.txt", "4");
+    write("parts/base.yaml", "rockface: 1\nseed: 5\ninclude: deeper.yaml\nsteps:\n  r: {stage: read, with: {path: number.txt}}\n");
+    write("parts/deeper.yaml", "rockface: 1\nparams: {plus: 2}\naxes: {k: {count: 2}}\nsteps:\n  d: {stage: draw, over: [k], in: {in: r.out}}\n");
+    let yaml = "rockface: 1\ninclude: [parts/base.yaml]\nsteps:\n  s: {stage: add, in: {terms: r.out}, with: {plus: '${plus}'}}\n  t: {stage: add, in: {terms: {each: d.out, over: [k]}}}\n";
+    let ran = bench.run(yaml, &[]);
+    assert_eq!((ran.number(&bench.store, "s"), ran.plan.graph.seed), (6.0, 5));
+    assert_eq!(bench.run(yaml, &["params.plus=3"]).executed(), ["s"]);
+
+    let clash = bench.plan(&yaml.replace("  t:", "  d:"), &[]).err().unwrap().to_string();
+    assert!(clash.contains("deeper.yaml:5:3") && clash.contains("step `d` is declared in"), "{clash}");
+    write("parts/deeper.yaml", "rockface: 1\nsteps:\n  d: {stage: drow, in: {in: r.out}}\n");
+    let fault = bench.plan("rockface: 1\ninclude: parts/base.yaml\n", &[]).err().unwrap().to_string();
+    assert!(fault.contains("deeper.yaml:3:14") && fault.contains("did you mean `draw`?"), "{fault}");
+    let absent = bench.plan("rockface: 1\ninclude: parts/bose.yaml\n", &[]).err().unwrap().to_string();
+    assert!(absent.contains("test.yaml:2:10") && absent.contains("base.yaml"), "{absent}");
+}
