@@ -62,6 +62,12 @@ impl Store {
         }
     }
 
+    /// The digest of a file, read anew whatever is remembered of it.
+    pub fn rehash_file(&self, path: &Path) -> Result<FileDigest, StoreError> {
+        let canonical = fs::canonicalize(path).at("find", path)?;
+        self.hash_anew(&canonical, &Digest::of(canonical.as_os_str().as_bytes()))
+    }
+
     fn remembered(&self, key: &Digest) -> Option<(Fingerprint, Digest)> {
         self.journal().with_index(|index| serde_json::from_slice(index.payload(Kind::File, key)?).ok())
     }

@@ -65,8 +65,9 @@ impl GraphArgs {
 fn drawing(graph: &Graph, counts: &[usize]) -> DiGraph<Drawn, String> {
     let mut drawing = DiGraph::new();
     let (deferred, wanted) = (graph.deferred(), graph.wanted());
-    let nodes: Vec<_> =
-        (0..graph.steps.len()).map(|index| drawing.add_node(drawn(graph, index, counts[index], deferred[index], wanted[index]))).collect();
+    let nodes: Vec<_> = (0..graph.steps.len())
+        .map(|index| drawing.add_node(drawn(graph, index, counts[index], deferred[index], wanted[index])))
+        .collect();
     for (consumer, step) in graph.steps.iter().enumerate() {
         for (port, feed) in &step.inputs {
             for (source, when) in distinct(graph, feed) {
@@ -86,7 +87,12 @@ fn drawn(graph: &Graph, index: usize, count: usize, unknown: Option<usize>, want
         let count = if unknown.is_some() { "unknown".to_owned() } else { count.to_string() };
         lines.push(format!("{count} instances over {}", axes(graph, step)));
     }
-    Drawn { lines, target: graph.targets.contains(&index), keep: step.keep, needed: count > 0 || (wanted && unknown.is_some()) }
+    Drawn {
+        lines,
+        target: graph.targets.contains(&index),
+        keep: step.keep,
+        needed: count > 0 || (wanted && unknown.is_some()),
+    }
 }
 
 fn axes(graph: &Graph, step: &GraphStep) -> String {

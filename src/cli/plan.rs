@@ -64,9 +64,8 @@ fn unknown(plan: &Plan) -> Vec<(&str, &str)> {
     let graph = &plan.graph;
     let wanted = graph.wanted();
     let deferred = graph.deferred().into_iter().enumerate().filter(|(step, _)| wanted[*step]);
-    let told = deferred.filter_map(|(step, axis)| {
-        Some((graph.steps[step].name.as_str(), graph.axes[axis?].name.text.as_str()))
-    });
+    let told = deferred
+        .filter_map(|(step, axis)| Some((graph.steps[step].name.as_str(), graph.axes[axis?].name.text.as_str())));
     told.collect()
 }
 
@@ -74,6 +73,7 @@ fn print_json(plan: &Plan, answers: &[Answer]) {
     let instances = answers.iter().enumerate().map(|(instance, answer)| {
         json!({ "step": plan.step(instance).name, "point": plan.point(instance), "answer": answer.word(), "why": answer.why(plan) })
     });
-    let unknown = unknown(plan).into_iter().map(|(step, axis)| json!({ "step": step, "answer": "unknown", "axis": axis }));
+    let unknown =
+        unknown(plan).into_iter().map(|(step, axis)| json!({ "step": step, "answer": "unknown", "axis": axis }));
     say(&serde_json::to_string_pretty(&instances.chain(unknown).collect::<Vec<_>>()).unwrap_or_default());
 }

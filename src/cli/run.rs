@@ -32,6 +32,9 @@ pub struct RunArgs {
     /// Go on with what does not depend on a failed step.
     #[arg(long)]
     keep_going: bool,
+    /// Read every input file anew, though its size and times say that it did not change.
+    #[arg(long)]
+    rehash: bool,
     /// Where run folders go; by default `.rockface/runs` beside the pipeline.
     #[arg(long, value_name = "DIR")]
     runs: Option<PathBuf>,
@@ -51,6 +54,12 @@ impl RunArgs {
     pub fn run(self) -> Result<(), CliError> {
         let pipeline = self.pipeline.load()?;
         let (mut plan, store) = self.pipeline.plan(&pipeline, &self.pipeline.target)?;
+        if self.rehash {
+            for file in plan.instances.iter().flat_map(|instance| instance.params.files.values().flatten()) {
+                store.rehash_file(&file.path)?;
+            }
+            plan = self.pipeline.plan(&pipeline, &self.pipeline.target)?.0;
+        }
         let mut options = Options { keep_going: self.keep_going, exit_when_stuck: true, ..Options::default() };
         options.jobs = self.jobs.map_or(options.jobs, usize::from);
         options.memory_bytes = self.memory.unwrap_or(options.memory_bytes);

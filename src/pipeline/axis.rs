@@ -59,14 +59,14 @@ impl Reader<'_> {
         else {
             let message = format!("{what} needs exactly one of `items`, `count`, `values`, `sample` and `from`");
             self.fault(
-                Diagnostic::at(name.span, message)
-                    .hint("for example `items: [pre, post]`, `count: 50`, `values: [0.6, 0.8]` or `from: survey.cameras`"),
+                Diagnostic::at(name.span, message).hint(
+                    "for example `items: [pre, post]`, `count: 50`, `values: [0.6, 0.8]` or `from: survey.cameras`",
+                ),
             );
             return None;
         };
         let reseeds = self.flag(node.get("reseeds"), !matches!(*form, "values" | "sample"));
-        let empty =
-            Axis { name, items: Vec::new(), values: Vec::new(), fields: Vec::new(), reseeds, from: None };
+        let empty = Axis { name, items: Vec::new(), values: Vec::new(), fields: Vec::new(), reseeds, from: None };
         match *form {
             "count" => self.count(list).map(|(items, values)| Axis { items, values, ..empty }),
             "sample" => self.sample(node, list, empty),

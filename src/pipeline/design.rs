@@ -109,7 +109,9 @@ pub fn points(design: Design, counts: &[u64], spreads: &[Spread], seed: u64, axi
         let fractions = match design {
             Design::LatinHypercube => latin(&draw, &spread.name, count),
             Design::Sobol => sobol::column(index, count, draw.bits(&spread.name, "shift", 0) as u32)?,
-            Design::Random | Design::Grid => (0..count).map(|i| draw.fraction(&spread.name, "point", i as u64)).collect(),
+            Design::Random | Design::Grid => {
+                (0..count).map(|i| draw.fraction(&spread.name, "point", i as u64)).collect()
+            }
         };
         Ok(fractions.into_iter().map(|fraction| spread.at(fraction)).collect::<Vec<_>>())
     });
@@ -134,7 +136,9 @@ fn levels(counts: &[u64], spreads: &[Spread]) -> Result<Vec<u64>, String> {
             ))
         }
         each if each.len() == spreads.len() => Ok(each.to_vec()),
-        each => Err(format!("{} counts for {dimensions} values; a grid takes one for each, or one for all", each.len())),
+        each => {
+            Err(format!("{} counts for {dimensions} values; a grid takes one for each, or one for all", each.len()))
+        }
     }
 }
 
@@ -146,7 +150,10 @@ fn grid(levels: &[u64], spreads: &[Spread]) -> Result<Vec<Drawn>, String> {
     }
     let narrow = spreads.iter().zip(levels).find(|(s, n)| s.scale == Scale::Whole && **n as f64 > s.hi - s.lo + 1.0);
     if let Some((spread, count)) = narrow {
-        return Err(format!("`{}` has fewer than {count} whole numbers from {} to {}", spread.name, spread.lo, spread.hi));
+        return Err(format!(
+            "`{}` has fewer than {count} whole numbers from {} to {}",
+            spread.name, spread.lo, spread.hi
+        ));
     }
     let mut points: Vec<Drawn> = vec![(String::new(), Vec::new())];
     for (spread, count) in spreads.iter().zip(levels) {

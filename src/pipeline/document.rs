@@ -61,8 +61,7 @@ pub struct Stream {
 }
 
 /// The keys of a pipeline.
-pub const TOP: &[&str] =
-    &["rockface", "name", "seed", "include", "params", "axes", "zip", "steps", "targets"];
+pub const TOP: &[&str] = &["rockface", "name", "seed", "include", "params", "axes", "zip", "steps", "targets"];
 
 /// Reads a document and collects everything that is wrong with its shape.
 pub fn read(root: &Node, file_stem: &str, faults: &mut Vec<Diagnostic>) -> Option<Document> {

@@ -107,9 +107,8 @@ mod tests {
     #[test]
     fn a_later_point_of_all_dimensions_is_that_of_scipy() {
         // scipy.stats.qmc.Sobol(21, scramble=False).random(778)[777], in units of 1/1024.
-        let expected = [
-            709, 959, 167, 281, 651, 365, 195, 781, 357, 331, 763, 713, 393, 485, 583, 527, 413, 885, 379, 771, 243,
-        ];
+        let expected =
+            [709, 959, 167, 281, 651, 365, 195, 781, 357, 331, 763, 713, 393, 485, 583, 527, 413, 885, 379, 771, 243];
         for (dimension, wanted) in expected.iter().enumerate() {
             let found = column(dimension, 778, 0).unwrap()[777] * 1024.0;
             assert!((found - f64::from(*wanted)).abs() < 1e-5, "dimension {dimension}: {found} for {wanted}");

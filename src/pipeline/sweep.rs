@@ -108,7 +108,10 @@ mod tests {
     #[test]
     fn an_axis_a_parameter_and_a_value_of_a_step() {
         assert_eq!(swept("seed: 1", "k=0.5,a"), r#"{"axes":{"k":{"values":[0.5,"a"]}},"seed":1}"#);
-        assert_eq!(swept("{params: {x: 1, y: 2}}", "params.x=1..3:3"), r#"{"axes":{"x":{"values":[1,2,3]}},"params":{"y":2}}"#);
+        assert_eq!(
+            swept("{params: {x: 1, y: 2}}", "params.x=1..3:3"),
+            r#"{"axes":{"x":{"values":[1,2,3]}},"params":{"y":2}}"#
+        );
         assert_eq!(
             swept("steps: {a: {stage: b}}", "steps.a.with.c=0..1:3"),
             r#"{"axes":{"c":{"values":[0.0,0.5,1.0]}},"steps":{"a":{"stage":"b","with":{"c":"${c}"}}}}"#

@@ -51,10 +51,7 @@ fn rows(table: &Table) -> Items {
         let cells = table.columns.iter().zip(row).map(|(column, cell)| (column.clone(), cell_value(cell)));
         Value::Object(cells.collect::<Map<_, _>>())
     };
-    Items {
-        names: table.rows.iter().enumerate().map(name).collect(),
-        values: table.rows.iter().map(value).collect(),
-    }
+    Items { names: table.rows.iter().enumerate().map(name).collect(), values: table.rows.iter().map(value).collect() }
 }
 
 /// Whole numbers are written as such, so that they can stand in a text or be a count.

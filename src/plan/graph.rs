@@ -124,6 +124,14 @@ pub struct Source {
 }
 
 impl Feed {
+    /// Every source but one at the item before.
+    pub fn forward_sources(&self) -> Vec<&Source> {
+        match self {
+            Self::Chain { first, .. } => first.iter().collect(),
+            _ => self.sources(),
+        }
+    }
+
     /// Every source in it.
     pub fn sources(&self) -> Vec<&Source> {
         match self {

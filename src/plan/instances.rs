@@ -212,11 +212,7 @@ impl<'a> Expansion<'a> {
     }
 
     /// The instances at all needed points that are not there yet; new ones are numbered on from those.
-    fn run(
-        mut self,
-        needed: &[BTreeSet<Vec<usize>>],
-        there: &[Instance],
-    ) -> Result<Vec<Instance>, Vec<Diagnostic>> {
+    fn run(mut self, needed: &[BTreeSet<Vec<usize>>], there: &[Instance]) -> Result<Vec<Instance>, Vec<Diagnostic>> {
         let graph = self.graph;
         let deferred = graph.deferred();
         let mut numbers: Vec<HashMap<&Vec<usize>, usize>> = vec![HashMap::new(); graph.steps.len()];

@@ -13,8 +13,8 @@ mod values;
 pub use dynamic::{Items, items_of};
 pub use graph::{Dynamic, Feed, Graph, GraphStep, Source};
 pub use instances::{Given, Instance, Plan, makes};
-pub use points::counts;
 pub use parameters::{InputFile, StepParams};
+pub use points::counts;
 pub use resolve::resolve;
 
 use rockface_cache::{Digest, Store};

@@ -90,10 +90,7 @@ pub fn elements(graph: &Graph, step: &GraphStep, items: &[usize], feed: &Feed) -
             });
             gathered.collect()
         }
-        Feed::Chain { source, axis, first } if own[axis] == 0 => {
-            let _ = source;
-            first.iter().map(|first| element(first, &[])).collect()
-        }
+        Feed::Chain { axis, first, .. } if own[axis] == 0 => first.iter().map(|first| element(first, &[])).collect(),
         Feed::Chain { source, axis, .. } => {
             let before: Vec<_> = graph.mates(*axis).map(|mate| (mate, own[axis] - 1)).collect();
             vec![element(source, &before)]

@@ -73,8 +73,7 @@ impl<'d> Names<'d> {
 
     /// The axes every step depends on; `order` has producers first, but for arrows that go back along an axis.
     pub fn reach(&self, order: &[usize]) -> Vec<BTreeSet<usize>> {
-        let mut reached: Vec<BTreeSet<usize>> =
-            self.document.steps.iter().map(|step| self.named_axes(step)).collect();
+        let mut reached: Vec<BTreeSet<usize>> = self.document.steps.iter().map(|step| self.named_axes(step)).collect();
         loop {
             let mut grown = false;
             for step in order {

@@ -112,8 +112,7 @@ impl<'d> Resolver<'d> {
     fn check_zips(&mut self) {
         let mut seen: Vec<usize> = Vec::new();
         for group in &self.document().zips {
-            let members: Vec<(usize, &Word)> =
-                group.iter().filter_map(|word| Some((self.axis(word)?, word))).collect();
+            let members: Vec<(usize, &Word)> = group.iter().filter_map(|word| Some((self.axis(word)?, word))).collect();
             for (axis, word) in &members {
                 let own = &self.document().axes[*axis];
                 let (first, _) = members[0];
@@ -252,10 +251,12 @@ impl<'d> Resolver<'d> {
             Some((message, format!("lists are: {}", lists.join(", "))))
         } else if let Some(free) = free {
             let free = &self.document().axes[*free].name.text;
-            let message = format!("axis `{}` takes its items from one list, `{}` has one for each {free}", axis.text, from.step);
+            let message =
+                format!("axis `{}` takes its items from one list, `{}` has one for each {free}", axis.text, from.step);
             Some((message, format!("pick one: `{}.{}[{free}=…]`", from.step, from.port)))
         } else if kind == Kind::Table && !step.keep {
-            let message = format!("the rows of axis `{}` are read from the store, and `{}` is not kept", axis.text, from.step);
+            let message =
+                format!("the rows of axis `{}` are read from the store, and `{}` is not kept", axis.text, from.step);
             Some((message, format!("remove `keep: false` from step `{}`", from.step)))
         } else {
             None
@@ -415,9 +416,9 @@ impl<'d> Resolver<'d> {
     }
 }
 
-/// Steps that no other reads.
+/// Steps that no other reads, but for those that go back along an axis.
 fn unread(steps: &[GraphStep]) -> Vec<usize> {
-    let feeds = steps.iter().flat_map(|step| step.inputs.iter().flat_map(|(_, feed)| feed.sources()));
+    let feeds = steps.iter().flat_map(|step| step.inputs.iter().flat_map(|(_, feed)| feed.forward_sources()));
     let read: BTreeSet<usize> = feeds.map(|source| source.step).collect();
     (0..steps.len()).filter(|index| !read.contains(index)).collect()
 }

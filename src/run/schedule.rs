@@ -129,7 +129,9 @@ impl<'a> Scheduler<'a> {
             return self.abandon(stop, receiver, RunError::Interrupted);
         }
         self.store.sync()?;
-        if self.grown && let Ok(former) = self.plan.order() {
+        if self.grown
+            && let Ok(former) = self.plan.order()
+        {
             self.states.reorder(&former);
         }
         Ok(self.summary(begun.elapsed()))
@@ -219,8 +221,7 @@ impl<'a> Scheduler<'a> {
                 value: self.value(given.instance, given.port),
             })
         });
-        let outputs =
-            step.ports.outputs.iter().filter(|port| makes(own, port)).map(|port| (port.name, port.kinds[0]));
+        let outputs = step.ports.outputs.iter().filter(|port| makes(own, port)).map(|port| (port.name, port.kinds[0]));
         let (key, recipe) = (state.key, state.recipe.clone());
         let recipe = recipe.unwrap_or_else(|| self.plan.recipe(instance, |_, _| Digest::of(b"")));
         Task {

@@ -1,9 +1,9 @@
 //! One step instance: take its key, load its inputs, run the stage, store what came out, then the record.
 
 use std::collections::BTreeMap;
+use std::os::unix::fs::MetadataExt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::os::unix::fs::MetadataExt;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -234,7 +234,8 @@ fn attempt(task: &Task, inputs: &Inputs, pool: &ThreadPool, stop: &AtomicBool) -
     let result = pool.install(|| run_stage(task, inputs, &host));
     match (result, task.timeout) {
         (Err(Failure::Stage(error)), Some(timeout)) if host.is_late() && !stop.load(Ordering::Relaxed) => {
-            let message = format!("it took longer than its timeout of {}: {error}", humantime::format_duration(timeout));
+            let message =
+                format!("it took longer than its timeout of {}: {error}", humantime::format_duration(timeout));
             let hint = "give it more with `timeout:` on the step, or less to do";
             Err(Failure::Stage(StageError::new(message).hint(hint)))
         }
@@ -245,19 +246,16 @@ fn attempt(task: &Task, inputs: &Inputs, pool: &ThreadPool, stop: &AtomicBool) -
 /// Size, times and inode of every input file.
 fn fingerprints(task: &Task) -> Result<Vec<(u64, i64, i64, i64, i64, u64)>, Failure> {
     let look = |file: &InputFile| {
-        let meta = std::fs::metadata(&file.path)
-            .map_err(|error| Failure::Stage(StageError::new(format!("cannot read `{}`: {error}", file.path.display()))))?;
+        let meta = std::fs::metadata(&file.path).map_err(|error| {
+            Failure::Stage(StageError::new(format!("cannot read `{}`: {error}", file.path.display())))
+        })?;
         Ok((meta.len(), meta.mtime(), meta.mtime_nsec(), meta.ctime(), meta.ctime_nsec(), meta.ino()))
     };
     task.params.files.values().flatten().map(look).collect()
 }
 
 /// An input file that changed while the stage read it must not be recorded under its former digest.
-fn unchanged_files(
-    task: &Task,
-    store: &Store,
-    before: &[(u64, i64, i64, i64, i64, u64)],
-) -> Result<(), Failure> {
+fn unchanged_files(task: &Task, store: &Store, before: &[(u64, i64, i64, i64, i64, u64)]) -> Result<(), Failure> {
     let touched = fingerprints(task)? != before;
     for file in task.params.files.values().flatten() {
         let now = store.hash_file(&file.path)?.digest;

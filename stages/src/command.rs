@@ -77,8 +77,10 @@ impl Stage for Command {
 
     fn check(params: &CommandParams) -> Vec<Fault> {
         let names = Names::of(params);
-        let texts = params.args.iter().enumerate().map(|(index, text)| (vec!["args".to_owned(), index.to_string()], text));
-        let variables = params.environment.iter().map(|(key, text)| (vec!["environment".to_owned(), key.clone()], text));
+        let texts =
+            params.args.iter().enumerate().map(|(index, text)| (vec!["args".to_owned(), index.to_string()], text));
+        let variables =
+            params.environment.iter().map(|(key, text)| (vec!["environment".to_owned(), key.clone()], text));
         let program = std::iter::once((vec!["program".to_owned()], &params.program));
         let mut faults: Vec<Fault> = program
             .chain(texts)

@@ -8,8 +8,8 @@ use std::sync::Arc;
 use serde_json::Value;
 
 use crate::artefact::{Artefact, Kind, Noun};
-use crate::program::{Program, ProgramResult};
 use crate::params::{Fault, Field, FileRef, FilesRef, ParamType, Params};
+use crate::program::{Program, ProgramResult};
 
 /// The item of each axis a step instance or a gathered element stands for.
 pub type Point = BTreeMap<String, String>;

@@ -35,7 +35,10 @@ fn a_program_makes_artefacts_and_runs_again_when_its_script_changes() {
     let ran = bench.run(&yaml, &[]);
     let table: Table = ran.value(&bench.store, "c", "t");
     let file: File = ran.value(&bench.store, "c", "f");
-    assert_eq!((table.columns.as_slice(), table.rows[0][0].number()), (&["a".to_owned(), "b".to_owned()][..], Some(1.0)));
+    assert_eq!(
+        (table.columns.as_slice(), table.rows[0][0].number()),
+        (&["a".to_owned(), "b".to_owned()][..], Some(1.0))
+    );
     assert_eq!(file.bytes, b"me 0.5\n");
     assert!(bench.run(&yaml, &[]).executed().is_empty());
     assert_eq!(bench.run(&yaml, &["steps.c.with.params.k=1"]).executed(), ["c"]);
@@ -93,7 +96,10 @@ fn a_timeout_ends_a_program_and_its_children_and_retries_try_again() {
     assert!(said.contains("timeout of 300ms"), "{said}");
     assert!(begun.elapsed() < Duration::from_secs(20));
     let flag = bench.folder.path().join("tried");
-    let script = format!("if test -e {0}; then echo a > {{out.t}}; echo > {{out.f}}; else touch {0}; exit 1; fi", flag.display());
+    let script = format!(
+        "if test -e {0}; then echo a > {{out.t}}; echo > {{out.f}}; else touch {0}; exit 1; fi",
+        flag.display()
+    );
     let flaky = bench.run(&command(&format!("      args: ['-c', '{script}']\n    retries: 2\n")), &[]);
     assert!(!flaky.summary.failed && flaky.warnings()[0].contains("attempt 1 of 3"), "{:?}", flaky.warnings());
 }

@@ -67,13 +67,14 @@ fn an_item_reads_from_the_one_before() {
 
 #[test]
 fn what_goes_back_says_where_it_begins() {
-    let plain = said(&CHAINED.replace("{from: 'rested.out[epoch=prev]', first: start.out}", "'rested.out[epoch=prev]'"));
+    let plain =
+        said(&CHAINED.replace("{from: 'rested.out[epoch=prev]', first: start.out}", "'rested.out[epoch=prev]'"));
     assert!(plain.contains("no item before the first"), "{plain}");
     let no_first = said(&CHAINED.replace(", first: start.out", ""));
     assert!(no_first.contains("it is not said what the first item gets"), "{no_first}");
     let nothing = said(&CHAINED.replace("first: start.out", "first: null"));
     assert!(nothing.contains("cannot be left out at the first item"), "{nothing}");
-    let circle = said(&CHAINED.replace("{terms: worn.out}", "{terms: 'worn.out[epoch=e3]'}"));
+    let circle = said(&CHAINED.replace("in: {terms: worn.out}", "over: [epoch], in: {terms: 'worn.out[epoch=e3]'}"));
     assert!(circle.contains("waits for itself"), "{circle}");
 }
 
@@ -125,8 +126,14 @@ fn pipelines_are_put_together_from_files() {
         std::fs::write(path, text).unwrap();
     };
     write("parts/number.txt", "4");
-    write("parts/base.yaml", "rockface: 1\nseed: 5\ninclude: deeper.yaml\nsteps:\n  r: {stage: read, with: {path: number.txt}}\n");
-    write("parts/deeper.yaml", "rockface: 1\nparams: {plus: 2}\naxes: {k: {count: 2}}\nsteps:\n  d: {stage: draw, over: [k], in: {in: r.out}}\n");
+    write(
+        "parts/base.yaml",
+        "rockface: 1\nseed: 5\ninclude: deeper.yaml\nsteps:\n  r: {stage: read, with: {path: number.txt}}\n",
+    );
+    write(
+        "parts/deeper.yaml",
+        "rockface: 1\nparams: {plus: 2}\naxes: {k: {count: 2}}\nsteps:\n  d: {stage: draw, over: [k], in: {in: r.out}}\n",
+    );
     let yaml = "rockface: 1\ninclude: [parts/base.yaml]\nsteps:\n  s: {stage: add, in: {terms: r.out}, with: {plus: '${plus}'}}\n  t: {stage: add, in: {terms: {each: d.out, over: [k]}}}\n";
     let ran = bench.run(yaml, &[]);
     assert_eq!((ran.number(&bench.store, "s"), ran.plan.graph.seed), (6.0, 5));

@@ -62,10 +62,13 @@ impl Declared {
         };
         let extension = map.get("extension").map(String::decode).transpose()?;
         if let Some(extension) = &extension {
-            let fits = kind == Kind::File || extension == kind.extension() || (kind, extension.as_str()) == (Kind::Table, "csv");
+            let fits = kind == Kind::File
+                || extension == kind.extension()
+                || (kind, extension.as_str()) == (Kind::Table, "csv");
             let plain = !extension.is_empty() && extension.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
             if !fits || !plain {
-                let message = format!("a {kind} has no extension `{extension}`; letters and digits for a file, csv for a table");
+                let message =
+                    format!("a {kind} has no extension `{extension}`; letters and digits for a file, csv for a table");
                 return Err(vec![Fault { path: vec!["extension".to_owned()], ..Fault::new(message) }]);
             }
         }
@@ -113,7 +116,9 @@ pub fn ports(with: &Value) -> Result<Ports, Vec<Fault>> {
     };
     let (inputs, outputs) = (side("inputs")?, side("outputs")?);
     if outputs.is_empty() {
-        return Err(vec![Fault::new("no output is declared: for example outputs: {table: {kind: table, extension: csv}}")]);
+        return Err(vec![Fault::new(
+            "no output is declared: for example outputs: {table: {kind: table, extension: csv}}",
+        )]);
     }
     if let Some(port) = outputs.iter().find(|(_, declared)| declared.arity != Arity::One).map(|(port, _)| port) {
         let fault = Fault::new("every output is one file that is always made; no `many` or `optional`");

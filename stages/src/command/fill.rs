@@ -3,9 +3,9 @@
 use serde_json::Value;
 
 use super::CommandParams;
+use crate::StageError;
 use crate::params::Fault;
 use crate::program::Piece;
-use crate::StageError;
 
 /// How a placeholder for a file begins.
 pub const TEMPLATE: &str = "{file.";
@@ -42,9 +42,9 @@ impl Names {
 
 /// Whether the inside of braces is meant as a placeholder; anything else stays as it is.
 fn is_placeholder(inside: &str) -> bool {
-    inside.split_once('.').is_some_and(|(side, name)| {
-        SIDES.contains(&side) && !name.is_empty() && !name.contains(char::is_whitespace)
-    })
+    inside
+        .split_once('.')
+        .is_some_and(|(side, name)| SIDES.contains(&side) && !name.is_empty() && !name.contains(char::is_whitespace))
 }
 
 /// Text before each pair of braces with what is inside, and the rest.
