@@ -1,7 +1,7 @@
 //! Designs of experiments: points of a sample axis, drawn from the pipeline's seed and the name of the axis alone.
 //!
 //! Every draw is addressed by axis, value and point, so that a random or Sobol design keeps its points when `count` is
-//! raised and its other columns when a value is added. References: McKay, Beckman, Conover (1979) for the Latin
+//! raised and its other columns when a value is added. References: `McKay`, Beckman, Conover (1979) for the Latin
 //! hypercube; Qian (2009) for nesting one in the next; Joe and Kuo (2008) for the direction numbers of Sobol's sequence.
 
 use rockface_cache::SeedMaterial;

@@ -103,7 +103,7 @@ fn merge(root: &mut Node, tree: Node, own: &[String], texts: &Texts, faults: &mu
             ("params" | "axes" | "steps", Some((known, section))) => {
                 merge_section(&known.name, section, value, texts, faults);
             }
-            ("zip", Some((_, groups))) => append_groups(groups, value),
+            ("zip", Some((_, groups))) => append_groups(groups, &value),
             (name, Some(_)) if own.iter().any(|own| own == name) && TOP.contains(&name) => {}
             (name, Some((_, former))) if former.to_value() != value.to_value() => {
                 let message = format!("two included files give `{name}` differently");
@@ -137,11 +137,11 @@ fn twice(what: &str, key: &Key, known: &Key, texts: &Texts) -> Diagnostic {
 }
 
 /// Groups of both files, as a list of lists.
-fn append_groups(groups: &mut Node, other: Node) {
+fn append_groups(groups: &mut Node, other: &Node) {
     let lists = |node: &Node| match &node.data {
         Data::List(items) if items.iter().all(|item| matches!(item.data, Data::List(_))) => items.clone(),
         _ => vec![node.clone()],
     };
-    let all = lists(groups).into_iter().chain(lists(&other)).collect();
+    let all = lists(groups).into_iter().chain(lists(other)).collect();
     groups.data = Data::List(all);
 }

@@ -55,7 +55,7 @@ pub fn check(graph: &Graph, step: &GraphStep, items: &BTreeMap<usize, usize>) ->
     let checked = step
         .stage
         .check(&with)
-        .map_err(|faults| faults.into_iter().map(|fault| told(&place, &with, fault)).collect::<Vec<_>>())?;
+        .map_err(|faults| faults.into_iter().map(|fault| told(&place, &with, &fault)).collect::<Vec<_>>())?;
     Ok(StepParams {
         recipe: checked.canonical.clone(),
         canonical: checked.canonical,
@@ -77,7 +77,7 @@ pub struct Place<'a> {
 }
 
 /// What a stage finds wrong with parameters, with its place in the text.
-pub fn told(place: &Place, with: &Value, fault: Fault) -> Diagnostic {
+pub fn told(place: &Place, with: &Value, fault: &Fault) -> Diagnostic {
     let at = place.with.map_or(place.span, |node| node.locate(&fault.path, fault.at_key));
     let silent = fault.path.is_empty() || fault.at_key;
     let about = if silent { String::new() } else { format!("`{}`: ", fault.path.join(".")) };

@@ -70,7 +70,7 @@ impl<'d> Resolver<'d> {
         match stage.ports(&with) {
             Ok(ports) => Some(ports),
             Err(faults) => {
-                self.faults.extend(faults.into_iter().map(|fault| parameters::told(&place, &with, fault)));
+                self.faults.extend(faults.into_iter().map(|fault| parameters::told(&place, &with, &fault)));
                 None
             }
         }

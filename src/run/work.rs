@@ -206,7 +206,10 @@ fn run_stage(task: &Task, inputs: &Inputs, host: &StepHost) -> Result<BTreeMap<&
     Ok(outputs)
 }
 
-type Attempt = (BTreeMap<&'static str, Artefact>, Vec<Entry>);
+type Made = BTreeMap<&'static str, Artefact>;
+type Attempt = (Made, Vec<Entry>);
+/// Size, times of modification and change, inode.
+type Fingerprint = (u64, i64, i64, i64, i64, u64);
 
 /// Runs the stage, and again as often as it may fail; also tells of the failures that were made good.
 fn attempts(
@@ -214,7 +217,7 @@ fn attempts(
     inputs: &Inputs,
     pool: &ThreadPool,
     stop: &AtomicBool,
-) -> Result<(BTreeMap<&'static str, Artefact>, Vec<Entry>, Vec<String>), Failure> {
+) -> Result<(Made, Vec<Entry>, Vec<String>), Failure> {
     let mut told = Vec::new();
     loop {
         match attempt(task, inputs, pool, stop) {
@@ -243,8 +246,8 @@ fn attempt(task: &Task, inputs: &Inputs, pool: &ThreadPool, stop: &AtomicBool) -
     }
 }
 
-/// Size, times and inode of every input file.
-fn fingerprints(task: &Task) -> Result<Vec<(u64, i64, i64, i64, i64, u64)>, Failure> {
+/// What tells an untouched input file, for each of them.
+fn fingerprints(task: &Task) -> Result<Vec<Fingerprint>, Failure> {
     let look = |file: &InputFile| {
         let meta = std::fs::metadata(&file.path).map_err(|error| {
             Failure::Stage(StageError::new(format!("cannot read `{}`: {error}", file.path.display())))
@@ -255,7 +258,7 @@ fn fingerprints(task: &Task) -> Result<Vec<(u64, i64, i64, i64, i64, u64)>, Fail
 }
 
 /// An input file that changed while the stage read it must not be recorded under its former digest.
-fn unchanged_files(task: &Task, store: &Store, before: &[(u64, i64, i64, i64, i64, u64)]) -> Result<(), Failure> {
+fn unchanged_files(task: &Task, store: &Store, before: &[Fingerprint]) -> Result<(), Failure> {
     let touched = fingerprints(task)? != before;
     for file in task.params.files.values().flatten() {
         let now = store.hash_file(&file.path)?.digest;
