@@ -40,6 +40,7 @@ pub mod rasterise;
 pub mod ray_row;
 pub mod rectification;
 pub mod relief;
+pub mod removal;
 pub mod roughness;
 pub mod shape;
 pub mod spectrum;
