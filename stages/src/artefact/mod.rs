@@ -4,6 +4,7 @@
 
 mod acceptance;
 mod cameras;
+pub mod candidates;
 mod covariance;
 mod depth;
 mod mesh;
@@ -16,6 +17,7 @@ mod transform;
 
 pub use acceptance::{Acceptance, GroupModel};
 pub use cameras::{Cameras, Image, Sensor};
+pub use candidates::Candidates;
 pub use covariance::Covariance;
 pub use depth::Depth;
 pub use mesh::Mesh;
@@ -159,6 +161,7 @@ artefacts! {
     Table = "table" . "json": "Rows and columns.",
     Acceptance = "acceptance" . "json": "Reference model of noise descriptors.",
     Picture = "picture" . "png": "A picture for people.",
+    Candidates = "candidates" . "json": "An unbounded sequence of candidate blocks.",
 }
 
 impl std::fmt::Display for Kind {

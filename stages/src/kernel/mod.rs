@@ -1,6 +1,7 @@
 //! The verbs: pure functions on meshes, cameras, depth maps, rasters and numbers. A kernel knows no stage.
 
 pub mod acceptance_rate;
+pub mod block;
 pub mod camera;
 pub mod camera_files;
 pub mod camera_files_colmap;
@@ -13,6 +14,7 @@ pub mod depth_buffer;
 pub mod depth_exr;
 pub mod depth_surface;
 pub mod descriptors;
+pub mod distribution;
 pub mod fft;
 pub mod gathered;
 pub mod geotiff;
