@@ -16,6 +16,7 @@ pub use shape::{
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
+use super::Part;
 use crate::kernel::random::Key;
 use crate::params::{ParamType, Range};
 use crate::{choice, params};
@@ -69,20 +70,6 @@ impl Class {
     }
 }
 
-/// A scanned block that candidates can be made of: closed, outward; metres.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct LibraryBlock {
-    /// Its name.
-    pub name: String,
-    /// Its class.
-    pub class: String,
-    /// Vertices, metres.
-    pub vertices: Vec<[f64; 3]>,
-    /// Triangles, counter-clockwise seen from outside.
-    pub triangles: Vec<[u32; 3]>,
-}
-
 /// An unbounded seeded sequence of candidate blocks addressed by number; every file its distributions named is in it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -93,7 +80,7 @@ pub struct Candidates {
     /// Rows X, Y, Z of the wall frame in east, north, up; where joint sets are among the classes.
     pub wall_from_enu: Option<[[f64; 3]; 3]>,
     /// Scanned blocks for classes of the shape `library`.
-    pub library: Vec<LibraryBlock>,
+    pub library: Vec<Part>,
     /// Key of the random stream, 64 hexadecimal digits.
     pub key: HexKey,
 }

@@ -3,7 +3,8 @@
 use serde_json::{Value, json};
 
 use super::*;
-use crate::artefact::candidates::{HexKey, LibraryBlock};
+use crate::artefact::Part;
+use crate::artefact::candidates::HexKey;
 use crate::kernel::random::Key;
 use crate::params::ParamType;
 
@@ -155,7 +156,7 @@ fn scanned_blocks_serve_as_a_class() {
     let prism = one(&json!({"shape": "prism", "size": {"axes": {"length_m": 2}}}), 0);
     let mut all =
         candidates(&json!([{"shape": {"library": {"class": "scan"}}, "size": {"volume": {"volume_m3": 0.5}}}]));
-    let part = |class: &str| LibraryBlock {
+    let part = |class: &str| Part {
         name: "a".into(),
         class: class.into(),
         vertices: prism.vertices.iter().map(|v| v.map(|x| x + 7.0)).collect(),
