@@ -13,6 +13,7 @@ pub mod depth_buffer;
 pub mod depth_exr;
 pub mod depth_surface;
 pub mod descriptors;
+pub mod face;
 pub mod fft;
 pub mod gathered;
 pub mod geotiff;
