@@ -15,6 +15,7 @@ pub mod depth_exr;
 pub mod depth_surface;
 pub mod descriptors;
 pub mod distribution;
+pub mod face;
 pub mod fft;
 pub mod gathered;
 pub mod geotiff;
