@@ -21,6 +21,7 @@ mod filter_outliers;
 mod fit_acceptance;
 mod fuse_depth;
 mod import_cameras;
+mod import_cloud;
 mod import_mesh;
 mod import_rasters;
 mod match_pair;
@@ -42,6 +43,7 @@ pub use stage::{
 
 static STAGES: &[&dyn AnyStage] = &[
     &Row::<import_mesh::ImportMesh>::new(),
+    &Row::<import_cloud::ImportCloud>::new(),
     &Row::<synthesise_face::SynthesiseFace>::new(),
     &Row::<transform_crs::TransformCrs>::new(),
     &Row::<plan_survey::PlanSurvey>::new(),

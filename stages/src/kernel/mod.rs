@@ -1,6 +1,7 @@
 //! The verbs: pure functions on meshes, cameras, depth maps, rasters and numbers. A kernel knows no stage.
 
 pub mod acceptance_rate;
+pub mod block;
 pub mod camera;
 pub mod camera_files;
 pub mod camera_files_colmap;
@@ -13,11 +14,14 @@ pub mod depth_buffer;
 pub mod depth_exr;
 pub mod depth_surface;
 pub mod descriptors;
+pub mod distribution;
+pub mod face;
 pub mod fft;
 pub mod gathered;
 pub mod geotiff;
 pub mod grid;
 pub mod icp;
+pub mod inventory_file;
 pub mod line;
 pub mod mahalanobis;
 pub mod marginal;
@@ -33,6 +37,7 @@ pub mod picture;
 pub mod plane_fit;
 pub mod ply;
 mod ply_header;
+pub mod ply_parts;
 pub mod precise;
 pub mod quantile;
 pub mod random;

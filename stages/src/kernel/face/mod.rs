@@ -1,0 +1,12 @@
+//! Faces from elsewhere and safe places on them: file formats, repair of meshes, meshes of clouds, synthetic blocks.
+
+pub mod cloud;
+pub mod cloud_las;
+pub mod cloud_text;
+pub mod half_edges;
+pub mod inspection;
+pub mod obj;
+pub mod orient;
+pub mod repair;
+pub mod sheet;
+pub mod stl;
