@@ -49,12 +49,13 @@ fn cut(solid: &mut Solid, pick: impl Fn(&Solid, u32, u32) -> bool) -> bool {
     true
 }
 
-fn runs([a, b, c]: [u32; 3]) -> [(u32, u32); 3] {
+/// The three edges of a triangle, in its direction.
+pub fn runs([a, b, c]: [u32; 3]) -> [(u32, u32); 3] {
     [(a, b), (b, c), (c, a)]
 }
 
 /// The one to four pieces of a triangle whose edges have these middles.
-fn pieces(t: [u32; 3], vertices: &[[f64; 3]], middle: &impl Fn(u32, u32) -> Option<u32>) -> Vec<[u32; 3]> {
+pub fn pieces(t: [u32; 3], vertices: &[[f64; 3]], middle: &impl Fn(u32, u32) -> Option<u32>) -> Vec<[u32; 3]> {
     let middles = runs(t).map(|(a, b)| middle(a, b));
     let turned = |by: usize| [0, 1, 2].map(|i| t[(i + by) % 3]);
     match middles {

@@ -220,8 +220,7 @@ mod tests {
         let face = face();
         for (x, y, size) in [(0.3, 0.4, 0.01), (-1.0, -1.0, 0.5), (1.9, 0.2, 0.7), (0.5, 0.5, 0.0), (0.0, 0.0, 2.0)] {
             let rect = Rect { low: [x, y], high: [x + size, y + size] };
-            let all: Vec<u32> =
-                (0..face.triangles.len() as u32).filter(|t| face.rect(*t).overlaps(&rect)).collect();
+            let all: Vec<u32> = (0..face.triangles.len() as u32).filter(|t| face.rect(*t).overlaps(&rect)).collect();
             assert_eq!(face.query(&rect), all, "{rect:?}");
         }
     }

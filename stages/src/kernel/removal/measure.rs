@@ -103,7 +103,7 @@ impl<'a> Lids<'a> {
 }
 
 /// Height of a triangle at a point inside its outline (edges included); none beside it or where it stands upright.
-fn height_in([a, b, c]: [[f64; 3]; 3], x: f64, y: f64) -> Option<f64> {
+pub fn height_in([a, b, c]: [[f64; 3]; 3], x: f64, y: f64) -> Option<f64> {
     let cross = |p: [f64; 3], q: [f64; 3]| (q[0] - p[0]) * (y - p[1]) - (q[1] - p[1]) * (x - p[0]);
     let (wc, wa, wb) = (cross(a, b), cross(b, c), cross(c, a));
     let inside = (wa >= 0.0 && wb >= 0.0 && wc >= 0.0) || (wa <= 0.0 && wb <= 0.0 && wc <= 0.0);
