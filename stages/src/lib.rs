@@ -30,6 +30,7 @@ mod plan_survey;
 mod project_depth;
 mod rasterise_dem;
 mod register_icp;
+mod remove_blocks;
 mod select_pairs;
 mod synthesise_face;
 mod tabulate;
@@ -46,6 +47,7 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<import_cloud::ImportCloud>::new(),
     &Row::<synthesise_face::SynthesiseFace>::new(),
     &Row::<transform_crs::TransformCrs>::new(),
+    &Row::<remove_blocks::RemoveBlocks>::new(),
     &Row::<plan_survey::PlanSurvey>::new(),
     &Row::<import_cameras::ImportCameras>::new(),
     &Row::<perturb_cameras::PerturbCameras>::new(),

@@ -10,7 +10,7 @@ use super::evaluate::{Evaluation, NEW, Proposal, Reason, Rejection, Rules, Trial
 use super::face::{Face, Rect};
 
 /// Candidates tried at a time.
-const BATCH: usize = 8;
+pub const BATCH: usize = 8;
 
 /// When to stop, and how far apart to stay.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -98,34 +98,30 @@ impl Outcome {
     }
 }
 
-/// Runs the loop. `next` hands out candidates in order until there are no more; an error of it ends the loop at once.
+/// Runs the loop. `next` hands out the next candidates, some at a time, in order and none any more; an error of it ends the
+/// loop at once.
 pub fn run<E>(
     face: Face,
     colours: Vec<[u8; 3]>,
     rules: &Rules,
     plan: &Plan,
-    mut next: impl FnMut() -> Result<Option<Candidate>, E>,
+    mut next: impl FnMut() -> Result<Vec<Candidate>, E>,
     cancelled: impl Fn() -> bool,
 ) -> Result<Outcome, E> {
     let mut outcome = Outcome { face, colours, events: Vec::new(), attempts: Vec::new(), end: End::Exhausted };
     let mut failures = 0;
-    while plan.count > 0 {
+    loop {
         if cancelled() {
             return Ok(Outcome { end: End::Cancelled, ..outcome });
         }
-        let mut batch = Vec::with_capacity(BATCH);
-        while batch.len() < BATCH {
-            let Some(candidate) = next()? else { break };
-            batch.push(candidate);
-        }
+        let batch = next()?;
         if batch.is_empty() {
-            return Ok(Outcome { end: End::Exhausted, ..outcome });
+            return Ok(outcome);
         }
         if let Some(end) = outcome.decide_all(batch, rules, plan, &mut failures) {
             return Ok(Outcome { end, ..outcome });
         }
     }
-    Ok(Outcome { end: End::Enough, ..outcome })
 }
 
 impl Outcome {

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::evaluate::Stand;
+use super::zone::zone_band;
 use crate::artefact::{Band, Cell, Grid, Mesh, Raster, Table};
 use crate::kernel::distribution::Draws;
 
@@ -43,13 +44,12 @@ impl Sites {
         }
     }
 
-    /// Uniform over the cells of a zone with the value 1.
-    #[allow(clippy::float_cmp)] // whole numbers
+    /// Uniform over the cells of a zone that are not 0.
     pub fn in_zone(zone: &Raster) -> Result<Self, String> {
-        let band = zone.bands.first().ok_or("the zone has no band")?;
-        let sums = running(band.values.iter().map(|value| if *value == 1.0 { 1.0 } else { 0.0 }));
+        let band = zone_band(zone)?;
+        let sums = running(band.values.iter().map(|value| if *value > 0.0 { 1.0 } else { 0.0 }));
         if sums.last().is_none_or(|sum| *sum <= 0.0) {
-            return Err("no cell of the zone is 1: there is no place for a block".into());
+            return Err("every cell of the zone is 0: there is no place for a block".into());
         }
         Ok(Self::Cells(zone.grid, BTreeMap::from([(None, sums)])))
     }

@@ -3,9 +3,18 @@
 use super::cut::Part;
 use super::face::Rect;
 use super::measure::height_in;
-use crate::artefact::{Grid, Raster};
+use crate::artefact::{Band, Grid, Raster};
 
-/// Cells of a raster with the value 1.
+/// The band of a zone: the one called `zone`, or the only one.
+pub fn zone_band(raster: &Raster) -> Result<&Band, String> {
+    let named = raster.bands.iter().find(|band| band.name == "zone");
+    match (named, raster.bands.as_slice()) {
+        (Some(band), _) | (None, [band]) => Ok(band),
+        (None, bands) => Err(format!("the zone has {} bands, and none is called `zone`", bands.len())),
+    }
+}
+
+/// Cells of a raster that are not 0.
 #[derive(Debug, Clone, Copy)]
 pub struct Zone<'a> {
     grid: Grid,
@@ -13,9 +22,9 @@ pub struct Zone<'a> {
 }
 
 impl<'a> Zone<'a> {
-    /// The zone of the first band of a raster.
-    pub fn new(raster: &'a Raster) -> Option<Self> {
-        Some(Self { grid: raster.grid, values: &raster.bands.first()?.values })
+    /// The zone of a raster.
+    pub fn new(raster: &'a Raster) -> Result<Self, String> {
+        Ok(Self { grid: raster.grid, values: &zone_band(raster)?.values })
     }
 
     /// Whether a point lies in a cell of the zone.
@@ -23,12 +32,11 @@ impl<'a> Zone<'a> {
         let column = ((x - self.grid.left_m) / self.grid.cell_m).floor();
         let row = ((self.grid.top_m - y) / self.grid.cell_m).floor();
         let inside = column >= 0.0 && row >= 0.0 && column < self.grid.columns as f64 && row < self.grid.rows as f64;
-        inside && self.is_one(row as usize, column as usize)
+        inside && self.is_safe(row as usize, column as usize)
     }
 
-    #[allow(clippy::float_cmp)] // whole numbers
-    fn is_one(&self, row: usize, column: usize) -> bool {
-        self.values[row * self.grid.columns + column] == 1.0
+    fn is_safe(&self, row: usize, column: usize) -> bool {
+        self.values[row * self.grid.columns + column] > 0.0
     }
 
     /// Whether a surface lies in the zone: its vertices, and every cell whose centre it covers.
@@ -45,7 +53,7 @@ impl<'a> Zone<'a> {
         (row(rect.high[1])..=row(rect.low[1])).all(|r| {
             (column(rect.low[0])..=column(rect.high[0])).all(|c| {
                 let (x, y) = self.grid.centre(r, c);
-                self.is_one(r, c) || height_in(corners, x, y).is_none()
+                self.is_safe(r, c) || height_in(corners, x, y).is_none()
             })
         })
     }
