@@ -3,6 +3,7 @@
 use serde_json::{Value, json};
 
 use super::*;
+use crate::kernel::ply;
 use crate::artefact::{Artefact, Noun};
 use crate::testing::{TestHost, height_mesh, run_stage};
 

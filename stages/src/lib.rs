@@ -20,12 +20,16 @@ mod draw_picture;
 mod filter_outliers;
 mod fit_acceptance;
 mod fuse_depth;
+mod generate_blocks;
+mod import_blocks;
 mod import_cameras;
 mod import_cloud;
 mod import_mesh;
 mod import_rasters;
+mod import_table;
 mod match_pair;
 mod perturb_cameras;
+mod place_blocks;
 mod plan_survey;
 mod project_depth;
 mod rasterise_dem;
@@ -47,6 +51,10 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<import_cloud::ImportCloud>::new(),
     &Row::<synthesise_face::SynthesiseFace>::new(),
     &Row::<transform_crs::TransformCrs>::new(),
+    &Row::<generate_blocks::GenerateBlocks>::new(),
+    &Row::<import_blocks::ImportBlocks>::new(),
+    &Row::<place_blocks::PlaceBlocks>::new(),
+    &Row::<import_table::ImportTable>::new(),
     &Row::<remove_blocks::RemoveBlocks>::new(),
     &Row::<plan_survey::PlanSurvey>::new(),
     &Row::<import_cameras::ImportCameras>::new(),

@@ -51,6 +51,7 @@ pub mod shape;
 pub mod spectrum;
 pub mod surface_cleaning;
 pub mod surface_file;
+pub mod table_file;
 pub mod triangle_reach;
 pub mod variogram;
 pub mod variogram_model;

@@ -1,7 +1,9 @@
 //! The modifiers that turn a base shape into a block, applied in the order they are listed.
 
+use serde_json::Value;
+
 use super::Quantity;
-use crate::params::Range;
+use crate::params::{ParamType, Range};
 use crate::{params, union};
 
 params! {
@@ -105,5 +107,15 @@ union! {
         Subdivide(Subdivide) = "subdivide",
         /// Makes it convex.
         ConvexHull(ConvexHull) = "convex_hull",
+    }
+}
+
+impl Modifier {
+    /// Whether what it does differs from block to block.
+    pub fn draws(&self) -> bool {
+        let random = matches!(self, Self::Tumble(_) | Self::Roughness(_) | Self::Noise(_));
+        // Of all that a modifier is made of, only distributions are maps.
+        let maps = |inner: &Value| inner.as_object().is_some_and(|fields| fields.values().any(Value::is_object));
+        random || self.encode().as_object().is_some_and(|map| map.values().any(maps))
     }
 }

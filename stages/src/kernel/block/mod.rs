@@ -5,6 +5,7 @@ mod draw;
 pub mod hull;
 pub mod joints;
 mod modifiers;
+pub mod placement;
 mod shapes;
 mod sizing;
 pub mod solid;
@@ -16,6 +17,7 @@ pub use solid::{Flaw, Solid};
 use crate::artefact::Candidates;
 use crate::artefact::candidates::{Align, Class, Modifier, Shape};
 use crate::kernel::distribution::{Draws, chosen};
+use crate::kernel::random::Key;
 use draw::Drawing;
 use vector::sub;
 
@@ -121,6 +123,16 @@ fn finished(class: &Class, candidates: &Candidates, drawing: &mut Drawing) -> Re
         solid.check_closed()?;
     }
     Ok(solid)
+}
+
+/// A block with modifiers applied about the origin, under a key of its own; and the numbers drawn for it. Whether it is a
+/// solid afterwards is not looked at.
+pub fn modified(mut solid: Solid, modifiers: &[Modifier], key: Key) -> Result<(Solid, Vec<(String, f64)>), BlockError> {
+    let mut drawing = Drawing::new(Draws::new(key, 0), 0);
+    for (i, modifier) in modifiers.iter().enumerate() {
+        modifiers::apply(&mut solid, modifier, &format!("modifiers.{i}"), &mut drawing)?;
+    }
+    Ok((solid, drawing.into_noted()))
 }
 
 /// Convex shapes stay solid under affine maps; moved vertices and scanned blocks have to be looked at.

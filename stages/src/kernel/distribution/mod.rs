@@ -2,10 +2,12 @@
 
 mod beta;
 mod draws;
+mod files;
 mod normal;
 mod tabulated;
 
 pub use draws::Draws;
+pub use files::with_files_read;
 pub use normal::{normal_cdf, normal_quantile};
 pub use tabulated::chosen;
 

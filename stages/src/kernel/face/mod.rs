@@ -5,6 +5,7 @@ pub mod cloud_las;
 pub mod cloud_text;
 pub mod half_edges;
 pub mod inspection;
+pub mod mesh_file;
 pub mod obj;
 pub mod orient;
 pub mod repair;
