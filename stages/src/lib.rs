@@ -24,6 +24,7 @@ mod import_cameras;
 mod import_cloud;
 mod import_mesh;
 mod import_rasters;
+mod mask_safe_zone;
 mod match_pair;
 mod perturb_cameras;
 mod plan_survey;
@@ -46,6 +47,7 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<import_cloud::ImportCloud>::new(),
     &Row::<synthesise_face::SynthesiseFace>::new(),
     &Row::<transform_crs::TransformCrs>::new(),
+    &Row::<mask_safe_zone::MaskSafeZone>::new(),
     &Row::<plan_survey::PlanSurvey>::new(),
     &Row::<import_cameras::ImportCameras>::new(),
     &Row::<perturb_cameras::PerturbCameras>::new(),
