@@ -13,6 +13,9 @@ use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, par
 /// A mean normal whose cosine with the way out is smaller does not tell inside from outside.
 const LEAST_COSINE: f64 = 0.02;
 
+/// Beyond this cosine a mean normal that points down is strange for a face (30 degrees below the horizontal).
+const DOWNWARDS: f64 = 0.5;
+
 choice! {
     /// The frame of the file's coordinates.
     pub enum FileFrame {
@@ -214,7 +217,7 @@ fn face_outward(
     let wall = (mesh.frame == Frame::Wall).then(Vector3::z);
     let outward = params.outward.map(|outward| Vector3::from(outward).normalize()).or(wall);
     let cosine = found.open_area().and_then(|(area, normal)| outward.map(|outward| normal.dot(&outward) / area));
-    if outward.is_none() && found.open_area().is_some_and(|(area, normal)| normal.z < -LEAST_COSINE * area) {
+    if outward.is_none() && found.open_area().is_some_and(|(area, normal)| normal.z < -DOWNWARDS * area) {
         context.warn("on the whole the triangles face downwards: if the mesh is inside out, give `outward`");
     }
     if cosine.is_some_and(|cosine| cosine.abs() < LEAST_COSINE) {
