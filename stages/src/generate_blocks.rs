@@ -81,7 +81,11 @@ impl Stage for GenerateBlocks {
     };
     const INPUTS: &'static [Port] = &[
         Port::optional("library", &[Kind::Meshes], "Blocks for classes of the shape `library`."),
-        Port::optional("transform", &[Kind::Transform], "wall_from_world, which joint sets are related to the wall by."),
+        Port::optional(
+            "transform",
+            &[Kind::Transform],
+            "wall_from_world, which joint sets are related to the wall by.",
+        ),
     ];
     const OUTPUTS: &'static [Port] = &[Port::one("blocks", &[Kind::Candidates], "The sequence.")];
 
@@ -160,8 +164,10 @@ fn orientation(
         }
         (Some(face), None) => Ok(Some(joints::wall_from_enu(face.dip_deg, face.dip_direction_deg))),
         (None, Some(transform)) => Ok(Some(transform.rotation)),
-        (None, None) if needed => Err(StageError::new("joint sets are given in the world, but how the face lies in it is not")
-            .hint("connect `transform` of `transform-crs`, or give `face: {dip_deg: 80, dip_direction_deg: 180}`")),
+        (None, None) if needed => {
+            Err(StageError::new("joint sets are given in the world, but how the face lies in it is not")
+                .hint("connect `transform` of `transform-crs`, or give `face: {dip_deg: 80, dip_direction_deg: 180}`"))
+        }
         (None, None) => Ok(None),
     }
 }

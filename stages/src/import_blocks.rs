@@ -70,7 +70,8 @@ impl Stage for ImportBlocks {
     };
     const INPUTS: &'static [Port] =
         &[Port::optional("transform", &[Kind::Transform], "wall_from_world, for blocks in the world frame.")];
-    const OUTPUTS: &'static [Port] = &[Port::one("blocks", &[Kind::Meshes], "The blocks, in the order of their files.")];
+    const OUTPUTS: &'static [Port] =
+        &[Port::one("blocks", &[Kind::Meshes], "The blocks, in the order of their files.")];
 
     fn draws(params: &Self::Params) -> bool {
         params.modifiers.iter().any(Modifier::draws)
@@ -111,7 +112,9 @@ fn frame(of_files: BlockFrame, transform: Option<&Transform>) -> Result<Frame, S
         (BlockFrame::World, Some(by)) if by.from == Frame::World.to_string() && by.to == Frame::Wall.to_string() => {
             Ok(Frame::Wall)
         }
-        (BlockFrame::World, Some(by)) => fail!("the transform takes {} to {}, but blocks go from world to wall", by.from, by.to),
+        (BlockFrame::World, Some(by)) => {
+            fail!("the transform takes {} to {}, but blocks go from world to wall", by.from, by.to)
+        }
         (BlockFrame::Wall, Some(_)) => {
             Err(StageError::new("a `transform` is connected, but the blocks are said to be in the wall frame")
                 .hint("say `frame: world` if the files are in world coordinates, or disconnect the transform"))

@@ -155,8 +155,16 @@ impl Stage for RemoveBlocks {
     };
     const INPUTS: &'static [Port] = &[
         Port::one("mesh", &[Kind::Mesh], "The face before, wall frame."),
-        Port::one("blocks", &[Kind::Candidates, Kind::Meshes], "A sequence of candidates, or blocks one after the other."),
-        Port::optional("zone", &[Kind::Raster], "Where rock face may go: cells of the band `zone` (or the only one) that are not 0."),
+        Port::one(
+            "blocks",
+            &[Kind::Candidates, Kind::Meshes],
+            "A sequence of candidates, or blocks one after the other.",
+        ),
+        Port::optional(
+            "zone",
+            &[Kind::Raster],
+            "Where rock face may go: cells of the band `zone` (or the only one) that are not 0.",
+        ),
         Port::optional(
             "placement",
             &[Kind::Raster, Kind::Table],
@@ -206,7 +214,8 @@ fn check_frame(port: &str, frame: Frame) -> Result<(), StageError> {
     if frame == Frame::Wall {
         return Ok(());
     }
-    let error = StageError::new(format!("port `{port}` is in the {frame} frame, but blocks are removed in the wall frame"));
+    let error =
+        StageError::new(format!("port `{port}` is in the {frame} frame, but blocks are removed in the wall frame"));
     Err(error.hint("take it to the wall frame first, with `transform-crs` or the `transform` port of its importer"))
 }
 
@@ -323,7 +332,12 @@ fn judge(
     Ok(())
 }
 
-fn finish(params: &RemoveBlocksParams, before: &Mesh, inputs: &Inputs, outcome: Outcome) -> Result<Outputs, StageError> {
+fn finish(
+    params: &RemoveBlocksParams,
+    before: &Mesh,
+    inputs: &Inputs,
+    outcome: Outcome,
+) -> Result<Outputs, StageError> {
     let table = table(&outcome.attempts);
     let seed = match inputs.artefact("blocks")? {
         Artefact::Candidates(candidates) => candidates.key.0.0.iter().map(|byte| format!("{byte:02x}")).collect(),
@@ -370,7 +384,8 @@ fn table(attempts: &[Attempt]) -> Table {
     let mut table = Table::new(columns);
     for attempt in attempts {
         let place = |k: usize| attempt.position.map_or(Cell::Empty(()), |p| p[k].into());
-        let mut row = vec![(attempt.candidate as f64).into(), attempt.class.as_str().into(), place(0), place(1), place(2)];
+        let mut row =
+            vec![(attempt.candidate as f64).into(), attempt.class.as_str().into(), place(0), place(1), place(2)];
         row.extend(match &attempt.outcome {
             Ok((event, shift_m)) => {
                 [true.into(), Cell::Empty(()), Cell::Empty(()), f64::from(*event).into(), (*shift_m).into()]

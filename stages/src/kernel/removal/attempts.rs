@@ -5,9 +5,9 @@
 
 use rayon::prelude::*;
 
-use super::cut::Part;
 use super::evaluate::{Evaluation, NEW, Proposal, Reason, Rejection, Rules, Trial, evaluate};
 use super::face::{Face, Rect};
+use crate::kernel::truth::Facets;
 
 /// Candidates tried at a time.
 pub const BATCH: usize = 8;
@@ -210,7 +210,7 @@ fn square_distance(a: [f64; 3], b: [f64; 3]) -> f64 {
 }
 
 /// Whether two surfaces have vertices nearer to each other than a distance.
-fn within(a: &Part, b: &Part, distance_m: f64) -> bool {
+fn within(a: &Facets, b: &Facets, distance_m: f64) -> bool {
     let rect = Rect::around(&b.vertices).grown(distance_m);
     let near = |p: &&[f64; 3]| Rect::around(std::iter::once(*p)).overlaps(&rect);
     let close = |p: &[f64; 3]| b.vertices.iter().any(|q| square_distance(*p, *q) < distance_m * distance_m);

@@ -8,28 +8,20 @@ use super::boolean::{BooleanError, Origin, Shell, Solid};
 use super::groups::Groups;
 use super::measure;
 use super::patch::{Patch, less, more};
+use crate::kernel::truth::Facets;
 
 /// The removed volume and that between the surfaces before and after may differ by this share.
 pub const VOLUME_TOLERANCE: f64 = 1e-9;
-
-/// A mesh by itself.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Part {
-    /// Vertices, metres.
-    pub vertices: Vec<[f64; 3]>,
-    /// Triangles by vertex.
-    pub triangles: Vec<[u32; 3]>,
-}
 
 /// One connected piece of removed rock, in the frame of the face.
 #[derive(Debug, Clone)]
 pub struct Piece {
     /// The rock removed: closed, outward.
-    pub removed: Part,
+    pub removed: Facets,
     /// The rock face that goes with it (Hi of Algorithm 1), facing out of the rock.
-    pub outer: Part,
+    pub outer: Facets,
     /// The surface that closes the niche (Ci), facing out of the rock: triangles of the mesh after.
-    pub niche: Part,
+    pub niche: Facets,
     /// Volume removed, cubic metres.
     pub volume_m3: f64,
     /// Area of `outer`, square metres.
@@ -106,8 +98,8 @@ pub struct Manner {
 }
 
 /// Takes a block (in the frame of the face) out of a patch; `frame` has the direction of placement as its third column.
-pub fn cut(patch: &Patch, block: &Part, frame: &Matrix3<f64>, manner: &Manner) -> Result<Cut, Failure> {
-    let local = Part {
+pub fn cut(patch: &Patch, block: &Facets, frame: &Matrix3<f64>, manner: &Manner) -> Result<Cut, Failure> {
+    let local = Facets {
         vertices: block.vertices.iter().map(|v| less(*v, patch.origin)).collect(),
         triangles: block.triangles.clone(),
     };
@@ -130,7 +122,7 @@ pub fn cut(patch: &Patch, block: &Part, frame: &Matrix3<f64>, manner: &Manner) -
 }
 
 /// The rock inside the block and the rock without it.
-fn combine(patch: &Patch, block: &Part, manner: &Manner) -> Result<(Shell, Shell, bool), Failure> {
+fn combine(patch: &Patch, block: &Facets, manner: &Manner) -> Result<(Shell, Shell, bool), Failure> {
     let volume = measure::volume_m3(&block.vertices, &block.triangles, [0.0; 3]);
     if volume.is_nan() || volume <= 0.0 {
         return Err(Failure::Block(format!("its volume is {volume} m3: it is open or inside out")));
@@ -150,7 +142,7 @@ fn combine(patch: &Patch, block: &Part, manner: &Manner) -> Result<(Shell, Shell
 }
 
 /// Below everything, by as much as everything is high.
-fn bottom(patch: &Patch, block: &Part) -> f64 {
+fn bottom(patch: &Patch, block: &Facets) -> f64 {
     let heights = patch.places.iter().chain(&block.vertices).map(|p| p[2]);
     let (low, high) = heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), z| (l.min(z), h.max(z)));
     low - (high - low) - 1.0
@@ -162,13 +154,23 @@ struct Welded {
     origins: Vec<Origin>,
 }
 
-/// Gives the vertices of shells numbers: that of the patch where one lies at the same place to the bit, else a new one.
+/// Side of the cells vertices are welded in, metres: far above the rounding of an intersection, far below any feature.
+const WELD_M: f64 = 1e-10;
+
+/// Gives the vertices of shells numbers: that of the patch where one lies at the same place to the bit, else that of a
+/// vertex no farther than a cell, else a new one. The two Booleans may round one intersection differently.
 struct Weld<'a> {
     patch: &'a Patch,
     places: Vec<[f64; 3]>,
     numbers: BTreeMap<[u64; 3], u32>,
+    /// The first vertex in each cell.
+    cells: BTreeMap<[i64; 3], u32>,
     /// Places where the patch has several vertices.
     twice: Vec<[u64; 3]>,
+}
+
+fn cell(place: [f64; 3]) -> [i64; 3] {
+    place.map(|x| (x / WELD_M).floor() as i64)
 }
 
 fn bits(place: [f64; 3]) -> [u64; 3] {
@@ -178,13 +180,15 @@ fn bits(place: [f64; 3]) -> [u64; 3] {
 impl<'a> Weld<'a> {
     fn new(patch: &'a Patch) -> Self {
         let mut numbers = BTreeMap::new();
+        let mut cells = BTreeMap::new();
         let mut twice = Vec::new();
         for (number, place) in patch.places.iter().enumerate() {
+            cells.entry(cell(*place)).or_insert(number as u32);
             if numbers.insert(bits(*place), number as u32).is_some() {
                 twice.push(bits(*place));
             }
         }
-        Self { patch, places: patch.places.clone(), numbers, twice }
+        Self { patch, places: patch.places.clone(), numbers, cells, twice }
     }
 
     fn shell(&mut self, shell: &Shell) -> Result<Welded, Failure> {
@@ -207,13 +211,22 @@ impl<'a> Weld<'a> {
         if self.twice.contains(&key) {
             return self.own_corner(key, origin).ok_or(Failure::Defect(more(place, self.patch.origin)));
         }
-        let next = self.places.len() as u32;
-        let number = *self.numbers.entry(key).or_insert(next);
-        if number == next {
-            // Rounded as the face will hold it.
-            self.places.push(less(more(place, self.patch.origin), self.patch.origin));
+        if let Some(number) = self.numbers.get(&key).copied().or_else(|| self.near(place)) {
+            return Ok(number);
         }
+        let number = self.places.len() as u32;
+        self.numbers.insert(key, number);
+        self.cells.insert(cell(place), number);
+        // Rounded as the face will hold it.
+        self.places.push(less(more(place, self.patch.origin), self.patch.origin));
         Ok(number)
+    }
+
+    /// A vertex in the cell of a place or one beside it.
+    fn near(&self, place: [f64; 3]) -> Option<u32> {
+        let [x, y, z] = cell(place);
+        let beside = (0..27i64).map(|n| [x + n % 3 - 1, y + n / 3 % 3 - 1, z + n / 9 - 1]);
+        beside.filter_map(|cell| self.cells.get(&cell)).copied().next()
     }
 
     /// Where vertices coincide, the one that the source triangle itself has there.
@@ -358,12 +371,12 @@ fn finish(raw: &Raw, places: &[[f64; 3]], origin: [f64; 3], frame: &Matrix3<f64>
 }
 
 /// The vertices some triangles use, in ascending order, and the triangles by them; in the frame of the face.
-fn part(triangles: &[[u32; 3]], places: &[[f64; 3]], origin: [f64; 3]) -> Part {
+fn part(triangles: &[[u32; 3]], places: &[[f64; 3]], origin: [f64; 3]) -> Facets {
     let mut used: Vec<u32> = triangles.iter().flatten().copied().collect();
     used.sort_unstable();
     used.dedup();
     let number = |v: u32| used.partition_point(|known| *known < v) as u32;
-    Part {
+    Facets {
         vertices: used.iter().map(|v| more(places[*v as usize], origin)).collect(),
         triangles: triangles.iter().map(|t| t.map(number)).collect(),
     }
@@ -402,22 +415,22 @@ mod tests {
         look_for_crossings: true,
     };
 
-    fn part(mesh: Mesh) -> Part {
-        Part { vertices: mesh.vertices, triangles: mesh.triangles }
+    fn part(mesh: Mesh) -> Facets {
+        Facets { vertices: mesh.vertices, triangles: mesh.triangles }
     }
 
-    fn take(face: &Face, block: &Part, manner: &Manner) -> Result<(Patch, Cut), Failure> {
+    fn take(face: &Face, block: &Facets, manner: &Manner) -> Result<(Patch, Cut), Failure> {
         let patch = Patch::around(face, &Rect::around(&block.vertices), block.vertices[0]);
         let cut = cut(&patch, block, &Matrix3::identity(), manner)?;
         Ok((patch, cut))
     }
 
     /// A box between two corners.
-    fn cuboid(low: [f64; 3], high: [f64; 3]) -> Part {
+    fn cuboid(low: [f64; 3], high: [f64; 3]) -> Facets {
         let corner = |i: u32| [0, 1, 2].map(|k| if i >> k & 1 == 1 { high[k] } else { low[k] });
         let squares = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
         let triangles = squares.iter().flat_map(|[a, b, c, d]| [[*a, *b, *c], [*a, *c, *d]]).collect();
-        Part { vertices: (0..8).map(corner).collect(), triangles }
+        Facets { vertices: (0..8).map(corner).collect(), triangles }
     }
 
     #[test]
@@ -493,7 +506,8 @@ mod tests {
         assert_eq!(failure([1.0, 1.0, 2.0], [2.0, 2.0, 3.0]), Failure::Empty);
         assert_eq!(failure([1.0, 1.0, -3.0], [2.0, 2.0, -2.0]), Failure::Buried);
         assert!(matches!(failure([2.0, 2.0, 1.0], [1.0, 1.0, -1.0]), Failure::Block(_)));
-        let open = Part { triangles: cuboid([1.0; 3], [2.0; 3]).triangles[2..].to_vec(), ..cuboid([1.0; 3], [2.0; 3]) };
+        let open =
+            Facets { triangles: cuboid([1.0; 3], [2.0; 3]).triangles[2..].to_vec(), ..cuboid([1.0; 3], [2.0; 3]) };
         assert!(matches!(take(&face, &open, &MANNER), Err(Failure::Block(_))));
         let (_, over) = take(&face, &cuboid([3.5, 1.0, -1.0], [5.0, 2.0, 1.0]), &MANNER).unwrap();
         assert!(over.over_border);

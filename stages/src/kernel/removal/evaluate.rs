@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::cut::{Cut, Failure, Least, Manner, Part, Piece, Threshold, cut};
+use super::cut::{Cut, Failure, Least, Manner, Piece, Threshold, cut};
 use super::face::{Face, Rect};
 use super::frame::{local_normal, turn_to};
 use super::measure::{self, Lids};
@@ -12,6 +12,7 @@ use super::search::{Columns, Limits, Offset};
 use super::topology::Change;
 use super::zone::Zone;
 use crate::kernel::precise;
+use crate::kernel::truth::Facets;
 
 /// Marks a vertex that the proposal adds, by its number among those.
 pub const NEW: u32 = 1 << 31;
@@ -144,7 +145,7 @@ pub enum Stand {
 #[derive(Debug, Clone)]
 pub struct Trial {
     /// The block: about its centroid, or where it is if it stands on its own place.
-    pub block: Part,
+    pub block: Facets,
     /// Whether its Z is to be turned to the local normal.
     pub align_to_normal: bool,
     /// Where it stands.
@@ -193,7 +194,7 @@ pub struct Proposal {
     /// Pieces too small or shallow, whose rock stays.
     pub spared: usize,
     /// The block as placed.
-    pub block: Part,
+    pub block: Facets,
     /// Where its centroid is, metres.
     pub position: [f64; 3],
     /// The direction it was placed along, out of the rock.
@@ -224,7 +225,7 @@ pub fn evaluate(face: &Face, trial: &Trial, rules: &Rules) -> Evaluation {
 }
 
 struct Placed {
-    block: Part,
+    block: Facets,
     position: [f64; 3],
     frame: Matrix3<f64>,
     shift_m: f64,
@@ -268,9 +269,9 @@ fn place(face: &Face, trial: &Trial, rules: &Rules, read: &mut Rect) -> Result<P
     Ok(placed(moved(&block, |v| v + position), position.into(), offset.shift_m))
 }
 
-fn moved(part: &Part, to: impl Fn(Vector3<f64>) -> Vector3<f64>) -> Part {
+fn moved(part: &Facets, to: impl Fn(Vector3<f64>) -> Vector3<f64>) -> Facets {
     let vertices = part.vertices.iter().map(|v| to(Vector3::from(*v)).into()).collect();
-    Part { vertices, triangles: part.triangles.clone() }
+    Facets { vertices, triangles: part.triangles.clone() }
 }
 
 /// A turn about Z.
@@ -289,7 +290,7 @@ pub fn surface_z(face: &Face, [x, y]: [f64; 2]) -> Option<f64> {
 /// The best offset of a block (turned, about its centroid) over the place `foot`.
 fn offset(
     face: &Face,
-    block: &Part,
+    block: &Facets,
     foot: [f64; 3],
     frame: &Matrix3<f64>,
     rules: &Rules,

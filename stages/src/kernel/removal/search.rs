@@ -1,7 +1,7 @@
 //! Finds how deep a block should sit: the offset along its direction that gives the largest niche of the most rock.
 
-use super::cut::Part;
 use super::measure::Lids;
+use crate::kernel::truth::Facets;
 
 /// Columns along the longer side of a block.
 const COLUMNS: f64 = 48.0;
@@ -57,7 +57,7 @@ pub struct Limits {
 impl Columns {
     /// Columns of a block and a rock face, both in a frame whose third axis is the direction and whose origin is the place
     /// where the block stands. Where several sheets of rock cross a column, the one nearest to the origin counts.
-    pub fn new(block: &Part, rock: &Lids) -> Self {
+    pub fn new(block: &Facets, rock: &Lids) -> Self {
         let (low, high) = block.vertices.iter().fold(([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]), |(l, h), v| {
             ([l[0].min(v[0]), l[1].min(v[1])], [h[0].max(v[0]), h[1].max(v[1])])
         });
@@ -206,7 +206,7 @@ mod tests {
     fn columns(points: &[[f64; 3]]) -> Columns {
         let mesh = height_mesh(4, [-5.0, 5.0, -5.0, 5.0], |_, _| 0.0);
         let solid = hull(points).unwrap();
-        let block = Part { vertices: solid.vertices, triangles: solid.triangles };
+        let block = Facets { vertices: solid.vertices, triangles: solid.triangles };
         Columns::new(&block, &Lids::new(&mesh.vertices, &mesh.triangles))
     }
 

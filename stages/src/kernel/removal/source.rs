@@ -3,7 +3,6 @@
 use rayon::prelude::*;
 
 use super::attempts::{BATCH, Candidate};
-use super::cut::Part;
 use super::evaluate::{Reason, Rejection, Stand, Trial};
 use super::measure;
 use super::sites::{Row, Sites};
@@ -12,6 +11,7 @@ use crate::artefact::{self, Candidates, Mesh};
 use crate::kernel::block::{Block, BlockError, candidate};
 use crate::kernel::distribution::Draws;
 use crate::kernel::random::Key;
+use crate::kernel::truth::Facets;
 
 /// Candidates looked through for one of the class a row asks for.
 const MOST_SKIPPED: u64 = 10_000;
@@ -75,7 +75,10 @@ impl<'a> Source<'a> {
             Some(sites) => sites.draw(self.mesh, &Draws::new(self.key, number), &block.class),
         };
         let Some(stand) = stand else {
-            return Err(format!("the placement has no band for the blocks of class `{}`, and none for all", block.class));
+            return Err(format!(
+                "the placement has no band for the blocks of class `{}`, and none for all",
+                block.class
+            ));
         };
         Ok(ready(number, block, stand))
     }
@@ -94,7 +97,9 @@ impl<'a> Source<'a> {
             }
         }
         let wanted = row.class.as_deref().unwrap_or("any");
-        Err(format!("none of {MOST_SKIPPED} candidates in a row is a block of class `{wanted}`, which a position asks for"))
+        Err(format!(
+            "none of {MOST_SKIPPED} candidates in a row is a block of class `{wanted}`, which a position asks for"
+        ))
     }
 
     fn block(&self, number: u64) -> Result<Block, BlockError> {
@@ -102,11 +107,8 @@ impl<'a> Source<'a> {
             Blocks::Drawn(candidates) => candidate(candidates, number),
             Blocks::Given(parts) => {
                 let part = &parts[(number % parts.len() as u64) as usize];
-                let centre = if self.sites.is_some() {
-                    measure::centroid(&part.vertices, &part.triangles)
-                } else {
-                    [0.0; 3]
-                };
+                let centre =
+                    if self.sites.is_some() { measure::centroid(&part.vertices, &part.triangles) } else { [0.0; 3] };
                 Ok(Block {
                     class: part.class.clone(),
                     vertices: part.vertices.iter().map(|v| super::patch::less(*v, centre)).collect(),
@@ -121,7 +123,7 @@ impl<'a> Source<'a> {
 
 fn ready(number: u64, block: Block, stand: Stand) -> Candidate {
     let align_to_normal = block.align == Align::Normal;
-    let part = Part { vertices: block.vertices, triangles: block.triangles };
+    let part = Facets { vertices: block.vertices, triangles: block.triangles };
     let trial = Ok(Trial { block: part, align_to_normal, stand });
     Candidate { number, class: block.class, parameters: block.parameters, trial }
 }

@@ -1,9 +1,9 @@
 //! The safe zone: the cells of a raster where rock face may come away.
 
-use super::cut::Part;
 use super::face::Rect;
 use super::measure::height_in;
 use crate::artefact::{Band, Grid, Raster};
+use crate::kernel::truth::Facets;
 
 /// The band of a zone: the one called `zone`, or the only one.
 pub fn zone_band(raster: &Raster) -> Result<&Band, String> {
@@ -40,7 +40,7 @@ impl<'a> Zone<'a> {
     }
 
     /// Whether a surface lies in the zone: its vertices, and every cell whose centre it covers.
-    pub fn holds(&self, surface: &Part) -> bool {
+    pub fn holds(&self, surface: &Facets) -> bool {
         surface.vertices.iter().all(|v| self.has(v[0], v[1]))
             && surface.triangles.iter().all(|t| self.holds_triangle(t.map(|v| surface.vertices[v as usize])))
     }
@@ -74,7 +74,7 @@ mod tests {
         let zone = Zone::new(&raster).unwrap();
         let surface = |rect: [f64; 4]| {
             let mesh = height_mesh(1, rect, |_, _| 0.0);
-            Part { vertices: mesh.vertices, triangles: mesh.triangles }
+            Facets { vertices: mesh.vertices, triangles: mesh.triangles }
         };
         assert!(zone.holds(&surface([0.5, 4.5, 0.5, 9.5])));
         assert!(!zone.holds(&surface([0.5, 9.5, 0.5, 9.5])), "the hole in the middle");
