@@ -13,17 +13,21 @@ pub(crate) mod testing;
 
 // A new stage is its file, its `mod` here and its row below.
 mod apply_mask;
+mod classify_shapes;
 mod clean_mesh;
 mod describe_noise;
 mod difference_dem;
 mod draw_picture;
+mod draw_rockfall;
 mod filter_outliers;
 mod fit_acceptance;
+mod fit_magnitude_frequency;
 mod fuse_depth;
 mod generate_blocks;
 mod import_blocks;
 mod import_cameras;
 mod import_cloud;
+mod import_inventory;
 mod import_mesh;
 mod import_rasters;
 mod import_table;
@@ -41,6 +45,7 @@ mod synthesise_face;
 mod tabulate;
 mod test_acceptance;
 mod transform_crs;
+mod triangulate_surface;
 
 pub use stage::{
     AnyStage, Arity, Checked, Context, Element, Entry, Host, Inputs, Outputs, Page, Point, Port, Row, SourceFile,
@@ -75,8 +80,13 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<describe_noise::DescribeNoise>::new(),
     &Row::<fit_acceptance::FitAcceptance>::new(),
     &Row::<test_acceptance::TestAcceptance>::new(),
+    &Row::<import_inventory::ImportInventory>::new(),
+    &Row::<fit_magnitude_frequency::FitMagnitudeFrequency>::new(),
+    &Row::<classify_shapes::ClassifyShapes>::new(),
     &Row::<tabulate::Tabulate>::new(),
+    &Row::<triangulate_surface::TriangulateSurface>::new(),
     &Row::<draw_picture::DrawPicture>::new(),
+    &Row::<draw_rockfall::DrawRockfall>::new(),
 ];
 
 /// Every stage there is, in the order of the catalogue.
