@@ -41,9 +41,7 @@ fn the_default_mixes_the_four_shapes_of_the_paper() {
 #[test]
 fn sizes_come_from_a_column_of_a_file() {
     let host = TestHost::default().with("sizes.csv", &[("sizes.csv", b"id;length_m\na;0.5\nb;2\n")]);
-    let class = |column: &str| {
-        json!({"classes": [{"shape": "prism", "size": {"axes": {"length_m": {"file": {"path": "sizes.csv", "column": column}}}}}]})
-    };
+    let class = |column: &str| json!({"classes": [{"shape": "prism", "size": {"axes": {"length_m": {"file": {"path": "sizes.csv", "column": column}}}}}]});
     let candidates = run_on(&host, &class("length_m"), &[]).unwrap();
     for number in 0..20 {
         let block = block::candidate(&candidates, number).unwrap();
@@ -110,7 +108,8 @@ fn every_fault_has_its_place() {
     assert_eq!(form(json!({"class": "C", "long_m": 1})), Vec::<String>::new());
     assert_eq!(form(json!({"class": "C", "s_over_l": 0.5, "long_m": 1})), ["classes.0.size.sneed_folk"]);
     assert_eq!(form(json!({"class": "C", "long_m": 1, "volume_m3": 1})), ["classes.0.size.sneed_folk"]);
-    let unbounded = json!({"classes": [{"shape": "prism", "modifiers": [{"scale": {"x": {"normal": {"mean": 1, "sd": 0.1}}}}]}]});
+    let unbounded =
+        json!({"classes": [{"shape": "prism", "modifiers": [{"scale": {"x": {"normal": {"mean": 1, "sd": 0.1}}}}]}]});
     assert_eq!(places(&unbounded), ["classes.0.modifiers.0.scale.x"]);
     assert_eq!(places(&json!({"classes": [{"shape": "prisma"}]})), ["classes.0.shape"]);
 }

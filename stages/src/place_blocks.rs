@@ -54,8 +54,16 @@ impl Stage for PlaceBlocks {
                   with:\n      units:\n        - {label: 1, weight: 1}\n        - {label: 2, weight: 5, class: slab}\n",
     };
     const INPUTS: &'static [Port] = &[
-        Port::one("zone", &[Kind::Raster], "Where a block may stand: cells of the band `zone` (or the only one) that are not 0."),
-        Port::optional("weights", &[Kind::Raster], "Relative densities or labels: a band a class, or one band for all."),
+        Port::one(
+            "zone",
+            &[Kind::Raster],
+            "Where a block may stand: cells of the band `zone` (or the only one) that are not 0.",
+        ),
+        Port::optional(
+            "weights",
+            &[Kind::Raster],
+            "Relative densities or labels: a band a class, or one band for all.",
+        ),
         Port::optional("blocks", &[Kind::Candidates], "The blocks, so that each class is sure to have a density."),
     ];
     const OUTPUTS: &'static [Port] =
@@ -76,7 +84,9 @@ impl Stage for PlaceBlocks {
         let classes = inputs.optional::<Candidates>("blocks")?.map(Candidates::class_names);
         let weights = inputs.optional::<Raster>("weights")?;
         let weights = match weights {
-            None if !params.units.is_empty() => fail!("`units` give weights to labels, but no `weights` raster is connected"),
+            None if !params.units.is_empty() => {
+                fail!("`units` give weights to labels, but no `weights` raster is connected")
+            }
             None => vec![Weights { class: ALL.to_owned(), values: vec![1.0; mask.len()] }],
             Some(raster) => on_zone(params, zone, raster, classes.as_deref(), context)?,
         };
@@ -85,7 +95,8 @@ impl Stage for PlaceBlocks {
         }
         let mut bands = Vec::with_capacity(weights.len());
         for weights in weights {
-            let values = placement::density(&weights, mask, zone.grid.cell_m).map_err(|fault| empty(&fault, &weights.class))?;
+            let values =
+                placement::density(&weights, mask, zone.grid.cell_m).map_err(|fault| empty(fault, &weights.class))?;
             bands.push(Band { name: weights.class, values });
         }
         report(mask, &zone.grid, &bands, context);
@@ -142,7 +153,9 @@ fn by_unit(units: &[Unit], labels: &[f32], classes: Option<&[String]>) -> Vec<We
     let mut seen = std::collections::BTreeSet::new();
     names.retain(|name| seen.insert(name.clone()));
     let weight = |class: &str, label: f32| {
-        let holds = |unit: &&Unit, of: Option<&str>| f64::from(label) == f64::from(unit.label) && unit.class.as_deref() == of;
+        let holds = |unit: &&Unit, of: Option<&str>| {
+            (f64::from(label) - f64::from(unit.label)).abs() < 0.5 && unit.class.as_deref() == of
+        };
         let own = units.iter().find(|unit| holds(unit, Some(class)));
         own.or_else(|| units.iter().find(|unit| holds(unit, None))).map_or(0.0, |unit| unit.weight as f32)
     };
@@ -157,21 +170,28 @@ fn check_classes(weights: &[Weights], classes: &[String]) -> Result<(), StageErr
     let has = |class: &String| weights.iter().any(|weights| weights.class == *class);
     if let Some(missing) = classes.iter().find(|class| !has(class)) {
         let names: Vec<&str> = weights.iter().map(|weights| weights.class.as_str()).collect();
-        return Err(StageError::new(format!("class `{missing}` has no weights; there are some for {}", names.join(", ")))
-            .hint("name the bands like the classes, or give one band for all"));
+        return Err(StageError::new(format!(
+            "class `{missing}` has no weights; there are some for {}",
+            names.join(", ")
+        ))
+        .hint("name the bands like the classes, or give one band for all"));
     }
     let known = |weights: &&Weights| !classes.contains(&weights.class);
     match weights.iter().find(known) {
-        Some(stray) => fail!("there are weights for `{}`, but `blocks` has the classes {}", stray.class, classes.join(", ")),
+        Some(stray) => {
+            fail!("there are weights for `{}`, but `blocks` has the classes {}", stray.class, classes.join(", "))
+        }
         None => Ok(()),
     }
 }
 
-fn empty(fault: &placement::Fault, class: &str) -> StageError {
+fn empty(fault: placement::Fault, class: &str) -> StageError {
     let error = StageError::new(format!("class `{class}`: {fault}"));
     match fault {
-        placement::Fault::Nowhere => error.hint("check the labels of `units`, or the class's band against the safe zone"),
-        _ => error,
+        placement::Fault::Nowhere => {
+            error.hint("check the labels of `units`, or the class's band against the safe zone")
+        }
+        placement::Fault::Unusable(_) => error,
     }
 }
 
@@ -238,7 +258,8 @@ mod tests {
 
     #[test]
     fn weights_by_class_integrate_to_one_each() {
-        let weights = raster(GRID, &[("a", &[1.0, 3.0, 9.0, f32::NAN, 0.0, 9.0]), ("b", &[0.0, 0.0, 1.0, 0.5, 0.5, 0.0])]);
+        let weights =
+            raster(GRID, &[("a", &[1.0, 3.0, 9.0, f32::NAN, 0.0, 9.0]), ("b", &[0.0, 0.0, 1.0, 0.5, 0.5, 0.0])]);
         let density = place(&json!({}), &[("weights", weights), ("blocks", blocks(&["a", "b"]))]).unwrap();
         assert_eq!(density.bands[0].values, [1.0, 3.0, 0.0, 0.0, 0.0, 0.0]);
         assert_eq!(density.bands[1].values, [0.0, 0.0, 0.0, 2.0, 2.0, 0.0]);
@@ -266,7 +287,9 @@ mod tests {
         assert!(message(&nothing, &[weights(&[0.0, 0.0, 1.0, 0.0, 0.0, 1.0])]).contains("class `a`"));
         assert!(message(&nothing, &[weights(&[1.0, 0.0, 1.0, -2.0, 0.0, 1.0])]).contains("-2"));
         let good = weights(&[1.0; 6]);
-        assert!(message(&nothing, &[good.clone(), ("blocks", blocks(&["a", "c"]))]).contains("class `c` has no weights"));
+        assert!(
+            message(&nothing, &[good.clone(), ("blocks", blocks(&["a", "c"]))]).contains("class `c` has no weights")
+        );
         assert!(message(&nothing, &[good.clone(), ("blocks", blocks(&["a"]))]).contains("weights for `b`"));
         assert!(message(&json!({"units": [{"label": 1, "weight": 1}]}), &[]).contains("no `weights` raster"));
         assert!(message(&json!({"units": [{"label": 1, "weight": 1}]}), &[good]).contains("has 2"));

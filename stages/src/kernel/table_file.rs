@@ -16,7 +16,8 @@ pub fn read(bytes: &[u8]) -> Result<Table, CodecError> {
     let text = std::str::from_utf8(bytes).map_err(|e| CodecError::new(format!("it is no UTF-8 text: {e}")))?;
     let text = text.trim_start_matches('\u{feff}').trim_start_matches("//").trim_start_matches('#');
     let header = text.lines().next().unwrap_or_default();
-    let separator = SEPARATORS.iter().rev().max_by_key(|mark| header.matches(**mark).count()).map_or(b',', |c| *c as u8);
+    let separator =
+        SEPARATORS.iter().rev().max_by_key(|mark| header.matches(**mark).count()).map_or(b',', |c| *c as u8);
     let mut reader = csv::ReaderBuilder::new().delimiter(separator).trim(csv::Trim::All).from_reader(text.as_bytes());
     let failed = |e: csv::Error| CodecError::new(format!("it is no CSV table: {e}"));
     let columns: Vec<String> = reader.headers().map_err(failed)?.iter().map(ToOwned::to_owned).collect();

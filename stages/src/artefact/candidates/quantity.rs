@@ -243,8 +243,8 @@ fn density_faults(density: &Density) -> Vec<Fault> {
     if p.len() != x.len() {
         return fault("p", format!("{} values of x need as many of p, found {}", x.len(), p.len()));
     }
-    if let Some(pair) = x.windows(2).find(|pair| pair[0] >= pair[1]) {
-        return fault("x", format!("must increase: {} comes after {}", pair[1], pair[0]));
+    if let Some([before, after]) = x.array_windows().find(|[before, after]| before >= after) {
+        return fault("x", format!("must increase: {after} comes after {before}"));
     }
     if p.iter().all(|p| *p == 0.0) {
         return fault("p", "the density is zero everywhere".into());

@@ -33,10 +33,15 @@ pub fn density(weights: &Weights, mask: &[f32], cell_m: f64) -> Result<Vec<f32>,
     if let Some(weight) = weights.values.iter().find(wrong) {
         return Err(Fault::Unusable(*weight));
     }
-    let inside = |(weight, mask): (&f32, &f32)| if allows(*mask) && !weight.is_nan() { f64::from(*weight) } else { 0.0 };
+    let inside =
+        |(weight, mask): (&f32, &f32)| if allows(*mask) && !weight.is_nan() { f64::from(*weight) } else { 0.0 };
     let kept: Vec<f64> = weights.values.iter().zip(mask).map(inside).collect();
     let integral = kept.iter().sum::<f64>() * cell_m * cell_m;
-    if integral > 0.0 { Ok(kept.into_iter().map(|weight| (weight / integral) as f32).collect()) } else { Err(Fault::Nowhere) }
+    if integral > 0.0 {
+        Ok(kept.into_iter().map(|weight| (weight / integral) as f32).collect())
+    } else {
+        Err(Fault::Nowhere)
+    }
 }
 
 /// The bands of a raster at the centres of the cells of a grid, NaN beside it; and how many cells are.

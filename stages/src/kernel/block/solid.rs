@@ -2,8 +2,8 @@
 
 use super::crossing;
 use crate::artefact::{Frame, Mesh};
-use crate::kernel::face::inspection::Inspection;
 use crate::kernel::block::vector::{V, add, cross, dot, scaled, sub};
+use crate::kernel::face::inspection::Inspection;
 
 /// A closed triangle mesh; metres, triangles counter-clockwise seen from outside.
 #[derive(Debug, Clone, PartialEq, Default)]
