@@ -12,7 +12,8 @@ const SCENE: &str = include_str!("golden.yaml");
 const LIST: &str = "tests/house/golden.txt";
 
 /// Stages that need files; what they read is pinned by tests of their own.
-const NEED_FILES: [&str; 4] = ["import-mesh", "import-cloud", "import-cameras", "import-rasters"];
+const NEED_FILES: [&str; 6] =
+    ["import-mesh", "import-cloud", "import-blocks", "import-table", "import-cameras", "import-rasters"];
 
 #[test]
 fn changed_bytes_need_a_new_version() {
