@@ -201,23 +201,24 @@ fn try_out(candidates: &Candidates, context: &Context) -> Result<(), StageError>
         }
     }
     context.metric("tried_candidates_rejected", rejected.len() as f64, "1");
-    let Some(first) = rejected.first() else { return summarise(&mut volumes, triangles, context) };
-    if volumes.is_empty() {
+    if let (Some(first), true) = (rejected.first(), volumes.is_empty()) {
         return Err(StageError::new(format!("none of the first {TRIALS} candidates is a block; the first: {first}"))
             .hint("lower roughness or skew against the edges of the blocks, or end the modifiers with `convex_hull`"));
     }
-    context.warn(format!("{} of the first {TRIALS} candidates are rejected; the first: {first}", rejected.len()));
-    summarise(&mut volumes, triangles, context)
+    if let Some(first) = rejected.first() {
+        context.warn(format!("{} of the first {TRIALS} candidates are rejected; the first: {first}", rejected.len()));
+    }
+    summarise(&mut volumes, triangles, context);
+    Ok(())
 }
 
-fn summarise(volumes: &mut [f64], triangles: usize, context: &Context) -> Result<(), StageError> {
+fn summarise(volumes: &mut [f64], triangles: usize, context: &Context) {
     volumes.sort_by(f64::total_cmp);
     let middle = volumes[volumes.len() / 2];
     context.metric("median_volume", middle, "m3");
     context.metric("mean_triangles", triangles as f64 / volumes.len() as f64, "1");
     let (low, high) = (volumes[0], volumes[volumes.len() - 1]);
     context.headline(format!("blocks of {low:.2e} to {high:.2e} m3, median {middle:.2e} m3, among the first {TRIALS}"));
-    Ok(())
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use std::io::Read;
 
 use crate::artefact::candidates::Modifier;
 use crate::artefact::{Frame, Kind, Mesh, Meshes, Part, Transform};
-use crate::kernel::block::{self, Solid};
+use crate::kernel::block::{self, Flaw, Solid, smoothing};
 use crate::kernel::distribution;
 use crate::kernel::face::half_edges::HalfEdges;
 use crate::kernel::face::{mesh_file, orient, repair};
@@ -19,6 +19,16 @@ choice! {
         World = "world",
         /// X along the face, Y up the face, Z out of the rock.
         Wall = "wall",
+    }
+}
+
+choice! {
+    /// What to do where the surface of a block passes through itself.
+    pub enum SelfIntersections {
+        /// Refuse the block.
+        Refuse = "refuse",
+        /// Draw the vertices there towards their neighbours until it does not, and tell how far.
+        Smooth = "smooth",
     }
 }
 
@@ -37,6 +47,8 @@ params! {
         split: bool = false,
         /// Pieces of fewer triangles are dropped.
         min_piece_triangles: u32 = 1; Range::AtLeast(1.0),
+        /// What to do where the surface of a finished block passes through itself, as scans of boulders often do.
+        self_intersections: SelfIntersections = SelfIntersections::Refuse,
         /// Moves each block to the origin by its volume centroid: for a library of scanned blocks, whose places mean nothing.
         recentre: bool = false,
         /// Applied to each block about the centre of its box, in this order: a list that ends with `convex_hull` enforces convexity.
@@ -62,7 +74,7 @@ impl Stage for ImportBlocks {
         frames: "Metres. From `frame`; with `transform` from world to wall, by the same arithmetic as the face, so that vertices shared \
                  with it stay shared.",
         fails: "No file, or one that is no PLY, OBJ or STL; a block with holes, edges of three triangles, several pieces or \
-                a surface through itself (end `modifiers` with `convex_hull`, use `split`, or repair it in MeshLab); a `transform` for \
+                a surface through itself (`self_intersections: smooth`, `modifiers` that end with `convex_hull`, `split`, or a repair in MeshLab help); a `transform` for \
                 blocks that are in the wall frame already.",
         example: "rockface: 1\nname: own-blocks\nsteps:\n  blocks:\n    stage: import-blocks\n    with:\n      \
                   path: \"blocks/*.ply\"\n      modifiers:\n        - convex_hull\n        - subdivide: {edge_m: 0.1}\n        - \
@@ -94,7 +106,7 @@ impl Stage for ImportBlocks {
             for (number, piece) in pieces.into_iter().enumerate() {
                 let name = if several { format!("{stem}-{}", number + 1) } else { stem.clone() };
                 let class = params.class.clone().unwrap_or_else(|| stem.clone());
-                let solid = finished(piece, &name, params.recentre, &modifiers, context)?;
+                let solid = finished(piece, &name, params, &modifiers, context)?;
                 parts.push(Part { name, class, vertices: solid.vertices, triangles: solid.triangles });
             }
         }
@@ -156,7 +168,7 @@ fn tidied(
         context.note(format!("`{file}`: turned {turned} triangles to agree with their neighbours"));
     }
     let by = params.offset_m;
-    if by != [0.0; 3] {
+    if by.iter().any(|shift| *shift != 0.0) {
         mesh.vertices.iter_mut().for_each(|v| *v = [v[0] + by[0], v[1] + by[1], v[2] + by[2]]);
     }
     if let Some(moved) = moved {
@@ -181,7 +193,7 @@ fn split(mesh: &Mesh) -> Vec<Mesh> {
 fn finished(
     mesh: Mesh,
     name: &str,
-    recentre: bool,
+    params: &ImportBlocksParams,
     modifiers: &[Modifier],
     context: &Context,
 ) -> Result<Solid, StageError> {
@@ -193,17 +205,40 @@ fn finished(
     if !modifiers.is_empty() {
         solid = modified(solid, name, modifiers, context)?;
     }
-    solid.check().map_err(|flaw| {
-        StageError::new(format!("block `{name}`: {flaw}")).hint(
-            "end `modifiers` with `convex_hull` if a convex block will do, take pieces apart with `split: true`, or close the mesh in \
-             MeshLab (Filters > Remeshing > Close Holes)",
-        )
-    })?;
-    if recentre {
+    if params.self_intersections == SelfIntersections::Smooth {
+        untangle(&mut solid, name, context)?;
+    }
+    solid.check().map_err(|flaw| refusal(name, &flaw))?;
+    if params.recentre {
         let (_, at) = solid.volume_and_centroid();
         solid.map(|v| [v[0] - at[0], v[1] - at[1], v[2] - at[2]]);
     }
     Ok(solid)
+}
+
+fn refusal(name: &str, flaw: &Flaw) -> StageError {
+    let way_out = match flaw {
+        Flaw::Crossing(..) => "take `self_intersections: smooth`",
+        Flaw::Pieces(_) => "take its pieces apart with `split: true`, drop crumbs with `min_piece_triangles`",
+        _ => "close it in MeshLab (Filters > Remeshing > Close Holes)",
+    };
+    let hint = format!("{way_out}, or end `modifiers` with `convex_hull` if a convex block will do");
+    StageError::new(format!("block `{name}`: {flaw}")).hint(hint)
+}
+
+fn untangle(solid: &mut Solid, name: &str, context: &Context) -> Result<(), StageError> {
+    solid.check_closed().map_err(|flaw| refusal(name, &flaw))?;
+    let done = smoothing::untangle(solid);
+    if done.left > 0 {
+        fail!("block `{name}`: {} pairs of triangles pass through each other even after smoothing", done.left);
+    }
+    if done.vertices > 0 {
+        let (count, farthest_m) = (done.vertices, done.farthest_m);
+        context.warn(format!(
+            "block `{name}`: {count} vertices moved by up to {farthest_m:.2e} m where it passed through itself"
+        ));
+    }
+    Ok(())
 }
 
 fn modified(mut solid: Solid, name: &str, modifiers: &[Modifier], context: &Context) -> Result<Solid, StageError> {

@@ -508,6 +508,8 @@ macro_rules! union {
         pub enum $Name:ident { $( $(#[doc = $doc:literal])+ $Variant:ident($ty:ty) = $word:literal ),* $(,)? }
     ) => {
         $(#[doc = $about])+
+        // A few parameters of a step, not millions: size does not matter.
+        #[allow(clippy::large_enum_variant)]
         #[derive(Debug, Clone, PartialEq)]
         pub enum $Name { $( $(#[doc = $doc])+ $Variant($ty) ),* }
 

@@ -96,7 +96,7 @@ impl Stage for PlaceBlocks {
         let mut bands = Vec::with_capacity(weights.len());
         for weights in weights {
             let values =
-                placement::density(&weights, mask, zone.grid.cell_m).map_err(|fault| empty(&fault, &weights.class))?;
+                placement::density(&weights, mask, zone.grid.cell_m).map_err(|fault| empty(fault, &weights.class))?;
             bands.push(Band { name: weights.class, values });
         }
         report(mask, &zone.grid, &bands, context);
@@ -153,8 +153,9 @@ fn by_unit(units: &[Unit], labels: &[f32], classes: Option<&[String]>) -> Vec<We
     let mut seen = std::collections::BTreeSet::new();
     names.retain(|name| seen.insert(name.clone()));
     let weight = |class: &str, label: f32| {
-        let holds =
-            |unit: &&Unit, of: Option<&str>| f64::from(label) == f64::from(unit.label) && unit.class.as_deref() == of;
+        let holds = |unit: &&Unit, of: Option<&str>| {
+            (f64::from(label) - f64::from(unit.label)).abs() < 0.5 && unit.class.as_deref() == of
+        };
         let own = units.iter().find(|unit| holds(unit, Some(class)));
         own.or_else(|| units.iter().find(|unit| holds(unit, None))).map_or(0.0, |unit| unit.weight as f32)
     };
@@ -184,13 +185,13 @@ fn check_classes(weights: &[Weights], classes: &[String]) -> Result<(), StageErr
     }
 }
 
-fn empty(fault: &placement::Fault, class: &str) -> StageError {
+fn empty(fault: placement::Fault, class: &str) -> StageError {
     let error = StageError::new(format!("class `{class}`: {fault}"));
     match fault {
         placement::Fault::Nowhere => {
             error.hint("check the labels of `units`, or the class's band against the safe zone")
         }
-        _ => error,
+        placement::Fault::Unusable(_) => error,
     }
 }
 

@@ -4,7 +4,7 @@ mod modifier;
 mod quantity;
 mod shape;
 
-pub use modifier::{Modifier, Noise, Rotate, Roughness, Scale, Skew, Subdivide};
+pub use modifier::{Modifier, Noise, Remesh, Rotate, Roughness, Scale, Skew, Subdivide};
 pub use quantity::{
     Beta, Constant, Density, Discrete, Distribution, Exponential, LogNormal, Normal, PowerLaw, Quantity, SampleFile,
     Samples, TruncatedNormal, Uniform,

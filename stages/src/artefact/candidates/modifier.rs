@@ -84,6 +84,14 @@ params! {
 }
 
 params! {
+    /// Makes edges about equally long, where the surface bends little.
+    pub struct Remesh {
+        /// Length of the edges, metres; they come out between half and four thirds of it, but for those that hold a sharp form.
+        edge_m: f64; Range::Positive,
+    }
+}
+
+params! {
     /// Replaces a block by its convex hull.
     pub struct ConvexHull {}
 }
@@ -105,6 +113,8 @@ union! {
         Skew(Skew) = "skew",
         /// Refines the mesh.
         Subdivide(Subdivide) = "subdivide",
+        /// Makes edges about equally long.
+        Remesh(Remesh) = "remesh",
         /// Makes it convex.
         ConvexHull(ConvexHull) = "convex_hull",
     }

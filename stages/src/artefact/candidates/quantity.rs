@@ -243,8 +243,9 @@ fn density_faults(density: &Density) -> Vec<Fault> {
     if p.len() != x.len() {
         return fault("p", format!("{} values of x need as many of p, found {}", x.len(), p.len()));
     }
-    if let Some(pair) = x.windows(2).find(|pair| pair[0] >= pair[1]) {
-        return fault("x", format!("must increase: {} comes after {}", pair[1], pair[0]));
+    let falls = |pair: &[f64]| if let [a, b] = pair { (a >= b).then_some((*a, *b)) } else { None };
+    if let Some((before, after)) = x.windows(2).find_map(falls) {
+        return fault("x", format!("must increase: {after} comes after {before}"));
     }
     if p.iter().all(|p| *p == 0.0) {
         return fault("p", "the density is zero everywhere".into());

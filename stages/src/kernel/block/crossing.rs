@@ -23,24 +23,37 @@ fn side(axis: usize, a: V, b: V, c: V) -> f64 {
     orient2d(at(a), at(b), at(c))
 }
 
-/// The first two triangles that meet anywhere but at corners and edges they share.
-///
-/// Boxes are swept along the longest axis of the mesh; triangles must have areas ([`degenerate`]).
+/// The first two triangles found that meet anywhere but at corners and edges they share; triangles must have areas
+/// ([`degenerate`]).
 pub fn first(solid: &Solid) -> Option<(usize, usize)> {
+    sweep(solid, 1).pop()
+}
+
+/// All pairs of triangles that meet anywhere but at corners and edges they share.
+pub fn all(solid: &Solid) -> Vec<(usize, usize)> {
+    sweep(solid, usize::MAX)
+}
+
+/// Boxes are swept along the longest axis of the mesh, until so many pairs are found.
+fn sweep(solid: &Solid, most: usize) -> Vec<(usize, usize)> {
     let extent = solid.extent();
     let axis = (1..3).fold(0, |best, axis| if extent[axis] > extent[best] { axis } else { best });
     let boxes: Vec<[V; 2]> = (0..solid.triangles.len()).map(|t| bounds(solid.corners(t))).collect();
     let mut order: Vec<usize> = (0..boxes.len()).collect();
     order.sort_by(|a, b| boxes[*a][0][axis].total_cmp(&boxes[*b][0][axis]).then(a.cmp(b)));
+    let mut found = Vec::new();
     for (rank, &one) in order.iter().enumerate() {
         let reach = boxes[one][1][axis];
         for &other in order[rank + 1..].iter().take_while(|other| boxes[**other][0][axis] <= reach) {
             if overlap(&boxes[one], &boxes[other]) && cross(solid, one, other) {
-                return Some((one.min(other), one.max(other)));
+                found.push((one.min(other), one.max(other)));
+                if found.len() >= most {
+                    return found;
+                }
             }
         }
     }
-    None
+    found
 }
 
 fn bounds(corners: [V; 3]) -> [V; 2] {

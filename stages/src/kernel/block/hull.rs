@@ -40,6 +40,7 @@ struct Quickhull<'a> {
 
 /// A tetrahedron of four points far apart, as facets.
 fn simplex(points: &[V]) -> Option<Vec<Facet>> {
+    // The first of the points that measure most.
     let farthest = |measure: &dyn Fn(V) -> f64| {
         let larger = |best: (usize, f64), (index, point): (usize, &V)| {
             let value = measure(*point);
@@ -49,15 +50,16 @@ fn simplex(points: &[V]) -> Option<Vec<Facet>> {
         (value > 0.0).then_some(index)
     };
     let a = *points.first()?;
-    let b = points[farthest(&|p| distance_squared(p, a))?];
-    let c = points[farthest(&|p| {
+    let second = farthest(&|p| distance_squared(p, a))?;
+    let b = points[second];
+    let third = farthest(&|p| {
         let across = cross(sub(b, a), sub(p, a));
         dot(across, across)
-    })?];
-    let d = farthest(&|p| above([a, b, c], p).abs())?;
-    let index = |wanted: V| points.iter().position(|p| *p == wanted).map(|i| i as u32);
-    let (mut corners, top) = ([index(a)?, index(b)?, index(c)?], d as u32);
-    if above([a, b, c], points[d]) > 0.0 {
+    })?;
+    let c = points[third];
+    let fourth = farthest(&|p| above([a, b, c], p).abs())?;
+    let (mut corners, top) = ([0, second as u32, third as u32], fourth as u32);
+    if above([a, b, c], points[fourth]) > 0.0 {
         corners.swap(1, 2);
     }
     let [a, b, c] = corners;

@@ -6,8 +6,10 @@ pub mod hull;
 pub mod joints;
 mod modifiers;
 pub mod placement;
+pub mod remesh;
 mod shapes;
 mod sizing;
+pub mod smoothing;
 pub mod solid;
 pub mod subdivide;
 mod vector;
@@ -137,7 +139,8 @@ pub fn modified(mut solid: Solid, modifiers: &[Modifier], key: Key) -> Result<(S
 
 /// Convex shapes stay solid under affine maps; moved vertices and scanned blocks have to be looked at.
 fn may_cross(class: &Class) -> bool {
-    let moves = |modifier: &Modifier| matches!(modifier, Modifier::Roughness(_) | Modifier::Noise(_));
+    let moves =
+        |modifier: &Modifier| matches!(modifier, Modifier::Roughness(_) | Modifier::Noise(_) | Modifier::Remesh(_));
     let after_hull = class.modifiers.iter().rev().take_while(|m| !matches!(m, Modifier::ConvexHull(_)));
     let has_hull = class.modifiers.iter().any(|m| matches!(m, Modifier::ConvexHull(_)));
     let scanned = matches!(class.shape, Shape::Library(_)) && !has_hull;

@@ -3,7 +3,7 @@
 use super::draw::Drawing;
 use super::hull::hull;
 use super::vector::{V, add, cross, distance_squared, dot, product, scaled};
-use super::{BlockError, Solid, subdivide};
+use super::{BlockError, Solid, remesh, subdivide};
 use crate::artefact::candidates::{Modifier, Noise, Rotate, Roughness, Scale, Skew};
 use crate::kernel::precise;
 
@@ -21,6 +21,13 @@ pub fn apply(solid: &mut Solid, modifier: &Modifier, name: &str, drawing: &mut D
         Modifier::Noise(noise) => shake(solid, noise, name, drawing),
         Modifier::Skew(skew) => shear(solid, skew, name, drawing),
         Modifier::Subdivide(subdivide) => refine(solid, subdivide.edge_m),
+        Modifier::Remesh(remesh) => {
+            if remesh::to_edge(solid, remesh.edge_m) {
+                Ok(())
+            } else {
+                Err(BlockError::TooFine { edge_m: remesh.edge_m })
+            }
+        }
         Modifier::ConvexHull(_) => {
             *solid = hull(&solid.vertices).ok_or(BlockError::Flat)?;
             Ok(())

@@ -13,11 +13,11 @@ pub fn base(shape: &Shape, candidates: &Candidates, drawing: &mut Drawing) -> Re
     match shape {
         Shape::Prism(prism) => {
             let ring = polygon(prism.sides);
-            boxed(ring.iter().flat_map(|[x, y]| [[*x, *y, -0.5], [*x, *y, 0.5]]).collect())
+            boxed(&ring.iter().flat_map(|[x, y]| [[*x, *y, -0.5], [*x, *y, 0.5]]).collect::<Vec<_>>())
         }
         Shape::Pyramid(pyramid) => {
             let ring = polygon(pyramid.sides);
-            boxed(ring.iter().map(|[x, y]| [*x, *y, 0.5]).chain([[0.0, 0.0, -0.5]]).collect())
+            boxed(&ring.iter().map(|[x, y]| [*x, *y, 0.5]).chain([[0.0, 0.0, -0.5]]).collect::<Vec<_>>())
         }
         Shape::Ellipsoid(ellipsoid) => sphere(ellipsoid),
         Shape::Trapezoid(trapezoid) => frustum(trapezoid, drawing),
@@ -30,8 +30,8 @@ pub fn base(shape: &Shape, candidates: &Candidates, drawing: &mut Drawing) -> Re
 }
 
 /// The hull of points, in a box of 1 m about the origin.
-fn boxed(points: Vec<V>) -> Result<Solid, BlockError> {
-    let mut solid = hull(&points).ok_or(BlockError::Flat)?;
+fn boxed(points: &[V]) -> Result<Solid, BlockError> {
+    let mut solid = hull(points).ok_or(BlockError::Flat)?;
     let [low, high] = solid.bounds();
     solid.map(|v| std::array::from_fn(|i| (v[i] - low[i]) / (high[i] - low[i]) - 0.5));
     Ok(solid)
@@ -65,12 +65,12 @@ fn frustum(trapezoid: &Trapezoid, drawing: &mut Drawing) -> Result<Solid, BlockE
     let x = 0.5 * drawing.value("shape.taper_x", &trapezoid.taper_x)?;
     let y = 0.5 * drawing.value("shape.taper_y", &trapezoid.taper_y)?;
     let corner = |(s, t): (f64, f64)| [[0.5 * s, 0.5 * t, 0.5], [x * s, y * t, -0.5]];
-    boxed([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].into_iter().flat_map(corner).collect())
+    boxed(&[(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].into_iter().flat_map(corner).collect::<Vec<_>>())
 }
 
 fn ramp(wedge: &Wedge, drawing: &mut Drawing) -> Result<Solid, BlockError> {
     let edge = drawing.value("shape.edge", &wedge.edge)?;
-    boxed([-0.5, 0.5].iter().flat_map(|x| [[*x, -0.5, 0.5], [*x, 0.5, 0.5], [*x, edge, -0.5]]).collect())
+    boxed(&[-0.5, 0.5].iter().flat_map(|x| [[*x, -0.5, 0.5], [*x, 0.5, 0.5], [*x, edge, -0.5]]).collect::<Vec<_>>())
 }
 
 /// Points in uniformly distributed directions.
@@ -83,7 +83,7 @@ fn irregular(polyhedron: &Polyhedron, drawing: &mut Drawing) -> Result<Solid, Bl
         let across = (1.0 - z * z).sqrt();
         points.push(scaled([across * cos, across * sin, z], radius));
     }
-    boxed(points)
+    boxed(&points)
 }
 
 fn scanned(class: Option<&str>, candidates: &Candidates, drawing: &mut Drawing) -> Result<Solid, BlockError> {

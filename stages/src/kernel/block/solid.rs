@@ -200,8 +200,9 @@ mod tests {
         assert!(crossing::first(&overlapping).is_some());
         // Two cubes that share one corner vertex.
         let mut touching = joined(&cube(0.0), &cube(1.0));
-        let shared = touching.vertices.iter().position(|v| *v == [1.0; 3]).unwrap() as u32;
-        let twin = touching.vertices.iter().rposition(|v| *v == [1.0; 3]).unwrap() as u32;
+        let corner = |v: &V| v.iter().all(|x| (x - 1.0).abs() < 1e-12);
+        let shared = touching.vertices.iter().position(corner).unwrap() as u32;
+        let twin = touching.vertices.iter().rposition(corner).unwrap() as u32;
         touching.triangles.iter_mut().flatten().filter(|v| **v == twin).for_each(|v| *v = shared);
         assert_eq!(touching.check(), Err(Flaw::NonManifoldVertices(1)));
     }
