@@ -14,6 +14,7 @@ pub(crate) mod testing;
 // A new stage is its file, its `mod` here and its row below.
 mod apply_mask;
 mod clean_mesh;
+mod compare_samples;
 mod describe_noise;
 mod difference_dem;
 mod draw_picture;
@@ -27,9 +28,12 @@ mod match_pair;
 mod perturb_cameras;
 mod plan_survey;
 mod project_depth;
+mod propose_parameters;
 mod rasterise_dem;
+mod refine_search;
 mod register_icp;
 mod select_pairs;
+mod summarise_acceptance;
 mod synthesise_face;
 mod tabulate;
 mod test_acceptance;
@@ -61,6 +65,10 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<describe_noise::DescribeNoise>::new(),
     &Row::<fit_acceptance::FitAcceptance>::new(),
     &Row::<test_acceptance::TestAcceptance>::new(),
+    &Row::<summarise_acceptance::SummariseAcceptance>::new(),
+    &Row::<compare_samples::CompareSamples>::new(),
+    &Row::<refine_search::RefineSearch>::new(),
+    &Row::<propose_parameters::ProposeParameters>::new(),
     &Row::<tabulate::Tabulate>::new(),
     &Row::<draw_picture::DrawPicture>::new(),
 ];

@@ -330,7 +330,7 @@ fn noise_is_stronger_at_a_ledge_and_holes_leave_gaps() {
         map.z.iter().zip(&scene.depths[0].z).filter_map(far).fold(0.0, f64::max)
     };
     let quiet = json!({"sigma_local_px": 0.01, "sigma_regular_px": 0});
-    let relief = json!({"sigma_local_px": 0.01, "sigma_regular_px": 0, "matcher": {"relief": {"gain": 1}}});
+    let relief = json!({"sigma_local_px": 0.01, "sigma_regular_px": 0, "matcher": {"relief": {"gain": 1, "power": 1}}});
     assert!(rms_at_ledge(&relief) > 3.0 * rms_at_ledge(&quiet));
     let holes = matched(&scene, &json!({"matcher": {"holes": {"share": 0.5, "length_px": 2}}}));
     let plain = matched(&scene, &json!({}));

@@ -54,11 +54,15 @@ params! {
 params! {
     /// Noise that grows where the disparity varies within the matcher's window: on slopes and at ledges.
     pub struct ReliefNoise {
-        /// Standard deviation of the noise, as a multiple of that of the disparity within the window; it adds to
-        /// `sigma_local_px` in squares.
-        gain: f64 = 0.3; Range::NonNegative,
+        /// Standard deviation of the noise where the disparity within the window has a deviation of one pixel, pixels of the
+        /// depth map; it adds to `sigma_local_px` in squares.
+        gain: f64 = 0.25; Range::NonNegative,
+        /// How it grows with that deviation: as its square by default.
+        power: f64 = 2.0; Range::Between(0.25, 4.0),
         /// Half width of the window, pixels of the depth map.
-        window_px: u32 = 2; Range::Between(1.0, 50.0),
+        window_px: u32 = 4; Range::Between(1.0, 50.0),
+        /// Largest deviation within the window that counts, pixels of the depth map.
+        limit_px: f64 = 5.0; Range::Positive,
     }
 }
 
@@ -193,10 +197,7 @@ impl MatcherTerms {
                 .conditions
                 .as_ref()
                 .map(|c| Modulation { log_sd: c.log_sd, field: field("match-conditions", c.length_px) }),
-            relief: self
-                .relief
-                .as_ref()
-                .map(|r| Relief { gain: r.gain, inverse_depth: relief(depth, r.window_px as usize) }),
+            relief: self.relief.as_ref().map(|term| term.over(depth)),
             blunders: self.blunders.as_ref().map(|b| Blunders {
                 patches: patches("match-blunders", b.share, b.length_px),
                 sigma_px: b.sigma_px,
@@ -270,6 +271,13 @@ impl MatcherTerms {
             };
             Ok(Part { weight: 1.0, address, field: UnitField::Smooth(field) })
         })
+    }
+}
+
+impl ReliefNoise {
+    fn over(&self, depth: &Depth) -> Relief {
+        let inverse_depth = relief(depth, self.window_px as usize);
+        Relief { gain: self.gain, power: self.power, limit_px: self.limit_px, inverse_depth }
     }
 }
 

@@ -1,7 +1,7 @@
 //! The error of a matched disparity with all the terms a real matcher shows, each of which may be absent.
 //!
 //! With u and v the unit local and smooth fields, M the product of all modulations and r the relief of the disparity within the
-//! matcher's window, the error of a pixel is `M (u sqrt(sigma_local^2 + (gain r)^2) + v sigma_regular)`, plus the blunders, and
+//! matcher's window, the error of a pixel is `M (u sqrt(sigma_local^2 + (gain r^power)^2) + v sigma_regular)`, plus the blunders, and
 //! at last what the matcher's sub-pixel step does: locking towards whole disparities, and rounding to its step.
 
 use crate::kernel::matching_noise::{LocalNoise, SmoothNoise};
@@ -64,8 +64,20 @@ pub struct Site {
 pub struct Relief {
     /// Standard deviation of the noise for a relief of one pixel of disparity, pixels.
     pub gain: f64,
+    /// Power of the relief it grows with.
+    pub power: f64,
+    /// Largest relief that counts, pixels.
+    pub limit_px: f64,
     /// Relief of every pixel of the depth map that is made, as a deviation of inverse depth, 1/m.
     pub inverse_depth: Vec<f32>,
+}
+
+impl Relief {
+    /// Deviation of the noise at a pixel, pixels.
+    fn sigma_px(&self, site: &Site) -> f64 {
+        let relief_px = f64::from(self.inverse_depth[site.pixel]) * site.disparity_px_m;
+        self.gain * precise::pow(relief_px.min(self.limit_px), self.power)
+    }
 }
 
 /// Everything that makes the error of a disparity.
@@ -99,10 +111,7 @@ impl Terms {
         if self.holes.as_ref().is_some_and(|holes| holes.covers(site.first_px)) {
             return None;
         }
-        let relief_px = self
-            .relief
-            .as_ref()
-            .map_or(0.0, |relief| relief.gain * f64::from(relief.inverse_depth[site.pixel]) * site.disparity_px_m);
+        let relief_px = self.relief.as_ref().map_or(0.0, |relief| relief.sigma_px(site));
         let sigma_px = (self.local.0 * self.local.0 + relief_px * relief_px).sqrt();
         let strength = self.strength(site);
         let blunder_px = self.blunders.as_ref().map_or(0.0, |blunders| blunders.at(site.first_px));
@@ -177,9 +186,9 @@ pub(crate) mod tests {
     #[test]
     fn relief_adds_in_squares_and_the_acquisition_multiplies() {
         let [bare, _] = plain().error_px(&SITE).unwrap();
-        let relief = Some(Relief { gain: 2.0, inverse_depth: vec![6e-4] });
+        let relief = Some(Relief { gain: 2.0, power: 2.0, limit_px: 3.0, inverse_depth: vec![6e-4] });
         let [more, _] = Terms { relief, acquisition: 1.5, ..plain() }.error_px(&SITE).unwrap();
-        let expected = 1.5 * (0.25f64 + 1.44).sqrt() / 0.5;
+        let expected = 1.5 * (0.25f64 + 0.72 * 0.72).sqrt() / 0.5;
         assert!((more / bare - expected).abs() < 1e-6, "{more} {bare}");
     }
 
