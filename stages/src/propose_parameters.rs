@@ -230,7 +230,8 @@ mod tests {
     /// What a made-up simulator yields: each parameter has its own feature, with a little noise.
     fn world(sigma: f64, length: f64, i: i32, seed: u8) -> [f64; 3] {
         let noise = |j: i32| 0.05 * Key([seed; 32]).field().normal(i, j);
-        [sigma.ln() + noise(0), 2.0 * sigma.ln() + 0.1 * length.ln() + noise(1), length.ln() + noise(2)]
+        let (sigma, length) = (precise::log(sigma), precise::log(length));
+        [sigma + noise(0), 2.0 * sigma + 0.1 * length + noise(1), length + noise(2)]
     }
 
     fn table(rows: &[[f64; 3]]) -> Table {

@@ -214,6 +214,7 @@ mod tests {
 
     use super::*;
     use crate::artefact::Artefact;
+    use crate::kernel::precise;
     use crate::params::ParamType;
     use crate::testing::TestHost;
 
@@ -223,7 +224,10 @@ mod tests {
         for a in [1.0f64, 2.0, 4.0] {
             for b in [10.0f64, 30.0, 90.0] {
                 let mut table = Table::new(["raster", "d2"]);
-                let d2 = (a / 2.0).ln().powi(2) + (b / 30.0).ln().powi(2);
+                let d2 = {
+                    let (u, v) = (precise::log(a / 2.0), precise::log(b / 30.0));
+                    u * u + v * v
+                };
                 table.push(vec!["x".into(), (d2 + 0.1).into()]);
                 table.push(vec!["y".into(), (d2 + 0.3).into()]);
                 let point = [("a".to_owned(), a.to_string()), ("b".to_owned(), b.to_string())].into();

@@ -10,7 +10,7 @@ use crate::kernel::precise;
 pub struct Auc {
     /// Probability that a positive scores higher than a negative; ties count half.
     pub auc: f64,
-    /// Standard error of DeLong, DeLong and Clarke-Pearson (1988).
+    /// Standard error by the method of the three authors of Biometrics 44, 837 (1988).
     pub error: f64,
 }
 

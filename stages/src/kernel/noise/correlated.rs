@@ -155,9 +155,9 @@ mod tests {
     #[test]
     fn half_smoothness_is_the_exponential_and_three_halves_the_known_matern() {
         let lags = [0usize, 1, 2, 4, 8, 16];
-        let exponential = |r: f64| (-r / 4.0).exp();
+        let exponential = |r: f64| precise::exp(-r / 4.0);
         // With nu = 3/2 and c = E exp(-r^2 / (2 s^2)): (1 + r / L) exp(-r / L).
-        let matern = |r: f64| (1.0 + r / 4.0) * (-r / 4.0).exp();
+        let matern = |r: f64| (1.0 + r / 4.0) * precise::exp(-r / 4.0);
         let cases: [(f64, &dyn Fn(f64) -> f64); 2] = [(0.5, &exponential), (1.5, &matern)];
         for (smoothness, expected) in cases {
             let found = correlations(4.0, smoothness, &lags);

@@ -1,5 +1,5 @@
 //! Which parameters would give the features wanted, from simulations at other parameters (simulated method of moments,
-//! McFadden 1989).
+//! Econometrica 57, 995, 1989).
 //!
 //! Around the simulations features are taken as linear in the parameters (on their scale): z = A + B (x - m), by weighted least
 //! squares with a small ridge. The point sought makes the squared Mahalanobis distance of z to the reference smallest

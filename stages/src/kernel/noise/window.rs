@@ -99,7 +99,7 @@ mod tests {
         depth.z[3] = f32::NAN;
         let effects = WindowEffects { smoothing_px: 0, fattening_px: 2, step_m: 1.0 };
         let seen = seen_depth(&depth, &effects);
-        assert_eq!([7, 8, 9, 10].map(|column| seen[100 + column].round()), [10.0, 5.0, 5.0, 5.0]);
+        assert_eq!([7, 8, 9, 10].map(|column| seen[100 + column].round() as u32), [10, 5, 5, 5]);
         assert!(seen[3].is_nan() && (seen[2] - 10.0).abs() < 1e-5);
         let smooth = seen_depth(&depth, &WindowEffects { smoothing_px: 1, fattening_px: 0, ..effects });
         assert!((1.0 / smooth[109] - 0.4 / 3.0).abs() < 1e-6, "{}", 1.0 / smooth[109]);
