@@ -15,6 +15,7 @@ pub(crate) mod testing;
 mod apply_mask;
 mod classify_shapes;
 mod clean_mesh;
+mod compare_samples;
 mod describe_noise;
 mod difference_dem;
 mod draw_picture;
@@ -37,10 +38,13 @@ mod perturb_cameras;
 mod place_blocks;
 mod plan_survey;
 mod project_depth;
+mod propose_parameters;
 mod rasterise_dem;
+mod refine_search;
 mod register_icp;
 mod remove_blocks;
 mod select_pairs;
+mod summarise_acceptance;
 mod synthesise_face;
 mod tabulate;
 mod test_acceptance;
@@ -83,6 +87,10 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<import_inventory::ImportInventory>::new(),
     &Row::<fit_magnitude_frequency::FitMagnitudeFrequency>::new(),
     &Row::<classify_shapes::ClassifyShapes>::new(),
+    &Row::<summarise_acceptance::SummariseAcceptance>::new(),
+    &Row::<compare_samples::CompareSamples>::new(),
+    &Row::<refine_search::RefineSearch>::new(),
+    &Row::<propose_parameters::ProposeParameters>::new(),
     &Row::<tabulate::Tabulate>::new(),
     &Row::<triangulate_surface::TriangulateSurface>::new(),
     &Row::<draw_picture::DrawPicture>::new(),

@@ -29,6 +29,7 @@ pub mod marginal;
 pub mod matching_noise;
 pub mod mesh_check;
 mod nearest;
+pub mod noise;
 pub mod normals;
 pub mod orientation;
 pub mod orientation_parameters;
