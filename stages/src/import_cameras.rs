@@ -3,9 +3,9 @@
 use std::io::Read;
 
 use crate::artefact::{Cameras, Covariance, Frame, Kind};
-use crate::kernel::camera_files::CameraFile;
+use crate::kernel::camera_files::{CameraFile, colmap_text, json};
 use crate::kernel::covariance_sampling::block_only;
-use crate::kernel::{camera_files_colmap, camera_files_json, covariance_files};
+use crate::kernel::covariance_files;
 use crate::params::{FileRef, FilesRef};
 use crate::{Context, Inputs, Outputs, Page, Port, SourceFile, Stage, StageError, choice, fail, params};
 
@@ -126,8 +126,8 @@ fn read_any(files: Vec<SourceFile>, path: &str, frame: Frame) -> Result<CameraFi
         }
     }
     match (json.len(), cameras, images) {
-        (0, Some(cameras), Some(images)) => camera_files_colmap::read(&text(cameras)?, &text(images)?, frame),
-        (1, None, None) => camera_files_json::read(&whole(json.remove(0).1)?, frame),
+        (0, Some(cameras), Some(images)) => colmap_text::read(&text(cameras)?, &text(images)?, frame),
+        (1, None, None) => json::read(&whole(json.remove(0).1)?, frame),
         _ if others.iter().any(|(name, _)| name == "cameras.bin") => Err(StageError::new(
             "a binary COLMAP model, which is not read",
         )

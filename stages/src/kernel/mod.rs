@@ -3,8 +3,6 @@
 pub mod acceptance_rate;
 pub mod camera;
 pub mod camera_files;
-pub mod camera_files_colmap;
-pub mod camera_files_json;
 pub mod canvas;
 pub mod colour_scale;
 pub mod covariance_files;
