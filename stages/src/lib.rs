@@ -17,8 +17,11 @@ mod clean_mesh;
 mod describe_noise;
 mod difference_dem;
 mod draw_picture;
+mod estimate_covariance;
+mod export_cameras;
 mod filter_outliers;
 mod fit_acceptance;
+mod forecast_precision;
 mod fuse_depth;
 mod import_cameras;
 mod import_mesh;
@@ -46,8 +49,11 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<transform_crs::TransformCrs>::new(),
     &Row::<plan_survey::PlanSurvey>::new(),
     &Row::<import_cameras::ImportCameras>::new(),
+    &Row::<export_cameras::ExportCameras>::new(),
+    &Row::<estimate_covariance::EstimateCovariance>::new(),
     &Row::<perturb_cameras::PerturbCameras>::new(),
     &Row::<select_pairs::SelectPairs>::new(),
+    &Row::<forecast_precision::ForecastPrecision>::new(),
     &Row::<project_depth::ProjectDepth>::new(),
     &Row::<match_pair::MatchPair>::new(),
     &Row::<fuse_depth::FuseDepth>::new(),

@@ -6,6 +6,7 @@ mod acceptance;
 mod cameras;
 mod covariance;
 mod depth;
+mod files;
 mod inventory;
 mod mesh;
 mod meshes;
@@ -20,6 +21,7 @@ pub use acceptance::{Acceptance, GroupModel};
 pub use cameras::{Cameras, Image, Sensor};
 pub use covariance::Covariance;
 pub use depth::Depth;
+pub use files::Files;
 pub use inventory::{Feature, Inventory, Polygon};
 pub use mesh::Mesh;
 pub use meshes::{Meshes, Part};
@@ -177,6 +179,7 @@ artefacts! {
     Acceptance = "acceptance" . "json": "Reference model of noise descriptors.",
     Picture = "picture" . "png": "A picture for people.",
     Meshes = "meshes" . "ply": "Named meshes in one file: blocks, removed pieces, niches.",
+    Files = "files" . "tar": "Files in another program's own format.",
     Inventory = "inventory" . "geojson": "Rockfalls: outline and properties of each.",
 }
 

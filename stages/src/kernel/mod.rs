@@ -1,6 +1,7 @@
 //! The verbs: pure functions on meshes, cameras, depth maps, rasters and numbers. A kernel knows no stage.
 
 pub mod acceptance_rate;
+pub mod block_adjustment;
 pub mod camera;
 pub mod camera_files;
 pub mod canvas;
@@ -45,6 +46,8 @@ pub mod shape;
 pub mod spectrum;
 pub mod surface_cleaning;
 pub mod surface_file;
+pub mod survey;
+pub mod tar_file;
 pub mod triangle_reach;
 pub mod variogram;
 pub mod variogram_model;

@@ -63,7 +63,8 @@ fn whole<'a>(words: &mut impl Iterator<Item = &'a str>, what: &str) -> Result<us
 /// The first word of each line that has one.
 fn names(list: Option<&str>, count: usize) -> Result<Vec<String>, StageError> {
     let Some(list) = list else { return Ok((0..count).map(|i| format!("image{i}")).collect()) };
-    let names: Vec<String> = list.lines().filter_map(|line| line.split_whitespace().next()).map(str::to_owned).collect();
+    let names: Vec<String> =
+        list.lines().filter_map(|line| line.split_whitespace().next()).map(str::to_owned).collect();
     if names.len() != count {
         fail!("list.txt names {} images, the Bundler file has {count} cameras", names.len());
     }

@@ -32,7 +32,9 @@ const MODELS: [(&str, usize); 12] = [
 /// Name and count of parameters of a model by its number.
 pub fn model(number: i32) -> Result<(&'static str, usize), StageError> {
     let found = usize::try_from(number).ok().and_then(|at| MODELS.get(at));
-    found.copied().ok_or_else(|| StageError::new(format!("camera model number {number} is not known here")).hint(way_out()))
+    found
+        .copied()
+        .ok_or_else(|| StageError::new(format!("camera model number {number} is not known here")).hint(way_out()))
 }
 
 /// The number of a model by its name.
@@ -95,12 +97,14 @@ fn opencv(model: &str, params: &[f64]) -> Result<[f64; 9], StageError> {
 /// Skew b2 and radial k4, which no model of COLMAP has.
 pub fn parameters(sensor: &Sensor) -> Result<(&'static str, Vec<f64>), StageError> {
     let ([k1, k2, k3, k4], [p1, p2]) = (sensor.k, sensor.p);
-    for (name, value, why) in [
-        ("b2", sensor.b2, "COLMAP has no skew"),
-        ("k4", k4, "COLMAP has no term in r^8; its own k4 is a denominator"),
-    ] {
+    for (name, value, why) in
+        [("b2", sensor.b2, "COLMAP has no skew"), ("k4", k4, "COLMAP has no term in r^8; its own k4 is a denominator")]
+    {
         if value != 0.0 {
-            let error = StageError::new(format!("sensor `{}`: {name} = {value} does not fit a COLMAP model: {why}", sensor.name));
+            let error = StageError::new(format!(
+                "sensor `{}`: {name} = {value} does not fit a COLMAP model: {why}",
+                sensor.name
+            ));
             return Err(error.hint("export it as metashape or json, or estimate the sensor without it"));
         }
     }

@@ -25,10 +25,12 @@ fn records<T>(bytes: &[u8], read: fn(&mut Bytes) -> Result<T, StageError>) -> Re
     let mut records = Vec::new();
     for number in 1..=count {
         let record = read(&mut bytes);
-        records.push(record.map_err(|e| StageError {
-            message: format!("record {number} of {count}: {}", e.message),
-            hint: e.hint,
-        })?);
+        records.push(
+            record.map_err(|e| StageError {
+                message: format!("record {number} of {count}: {}", e.message),
+                hint: e.hint,
+            })?,
+        );
     }
     match bytes.all.len() - bytes.at {
         0 => Ok(records),
@@ -67,7 +69,8 @@ impl Bytes<'_> {
 
     fn skip(&mut self, records: u64, bytes_each: u64) -> Result<(), StageError> {
         let skipped = records.checked_mul(bytes_each).and_then(|bytes| usize::try_from(bytes).ok());
-        let Some(end) = skipped.and_then(|bytes| self.at.checked_add(bytes)).filter(|end| *end <= self.all.len()) else {
+        let Some(end) = skipped.and_then(|bytes| self.at.checked_add(bytes)).filter(|end| *end <= self.all.len())
+        else {
             return Err(self.ended());
         };
         self.at = end;

@@ -30,7 +30,8 @@ pub fn write(cameras: &Cameras) -> Result<Vec<(String, Vec<u8>)>, StageError> {
         let (width, height, words) = (sensor.width_px, sensor.height_px, words(&parameters));
         sensors += &format!("{} {model} {width} {height} {words}\n", position + 1);
     }
-    let mut images = String::from("# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then POINTS2D[] as (X, Y, POINT3D_ID)\n");
+    let mut images =
+        String::from("# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then POINTS2D[] as (X, Y, POINT3D_ID)\n");
     for (position, image) in cameras.images.iter().enumerate() {
         if image.name.split_whitespace().collect::<Vec<_>>().join(" ") != image.name {
             fail!("image `{}`: such blanks in a name are lost in a COLMAP text model", image.name.escape_debug());

@@ -37,7 +37,8 @@ pub(super) fn our_name(element: &str) -> &str {
 pub fn read(text: &str, frame: Frame) -> Result<CameraFile, StageError> {
     let chunk = metashape_xml::read(text)?;
     let mut notes = Vec::new();
-    let (used, idle): (Vec<&CameraEntry>, Vec<_>) = chunk.cameras.iter().partition(|c| c.enabled && c.transform.is_some());
+    let (used, idle): (Vec<&CameraEntry>, Vec<_>) =
+        chunk.cameras.iter().partition(|c| c.enabled && c.transform.is_some());
     if !idle.is_empty() {
         let names: Vec<&str> = idle.iter().map(|camera| camera.label.as_str()).collect();
         notes.push(format!("images that are not aligned or not enabled, left out: {}", names.join(", ")));
@@ -85,8 +86,11 @@ fn of_reference(chunk: &Chunk, used: &[&CameraEntry]) -> Vec<String> {
 fn sensor(entry: &SensorEntry, used: &[&CameraEntry]) -> Result<Sensor, StageError> {
     let id = &entry.id;
     if entry.kind != "frame" {
-        return Err(StageError::new(format!("sensor {id} is of type `{}`: only frame cameras can be held", entry.kind))
-            .hint("undistort its images in Metashape (Export > Undistort Photos) and export the cameras again"));
+        return Err(StageError::new(format!(
+            "sensor {id} is of type `{}`: only frame cameras can be held",
+            entry.kind
+        ))
+        .hint("undistort its images in Metashape (Export > Undistort Photos) and export the cameras again"));
     }
     let Some(calibration) = &entry.calibration else {
         let users: Vec<&str> = used.iter().filter(|c| c.sensor == *id).map(|c| c.label.as_str()).collect();
@@ -94,7 +98,8 @@ fn sensor(entry: &SensorEntry, used: &[&CameraEntry]) -> Result<Sensor, StageErr
     };
     let mut sensor = empty();
     for (name, value) in calibration {
-        set(&mut sensor, name, *value).map_err(|why| StageError::new(format!("sensor {id}: {name} = {value}: {why}")))?;
+        set(&mut sensor, name, *value)
+            .map_err(|why| StageError::new(format!("sensor {id}: {name} = {value}: {why}")))?;
     }
     sensor.cx += 0.5 * f64::from(sensor.width_px) - 0.5;
     sensor.cy += 0.5 * f64::from(sensor.height_px) - 0.5;
@@ -124,7 +129,11 @@ fn set(sensor: &mut Sensor, name: &str, value: f64) -> Result<(), &'static str> 
         "p2" => sensor.p[1] = value,
         "fx" | "fy" | "skew" => return Err("a calibration of an old PhotoScan; open and export it with Metashape"),
         _ if value == 0.0 => {}
-        _ => return Err("a term that Brown-Conrady with k1 to k4, p1, p2, b1, b2 lacks; fix it at zero and adjust again"),
+        _ => {
+            return Err(
+                "a term that Brown-Conrady with k1 to k4, p1, p2, b1, b2 lacks; fix it at zero and adjust again",
+            );
+        }
     }
     Ok(())
 }

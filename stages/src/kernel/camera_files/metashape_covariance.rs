@@ -93,7 +93,8 @@ pub fn sensor_block(covariance: &Covariance, sensor: &str) -> Option<(Vec<&'stat
     let at = |ours: &str| covariance.parameters.iter().position(|name| *name == format!("{sensor}.{ours}"));
     // Metashape's own order is that of its names: its p1 is our p2.
     let order = ["f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2"];
-    let known: Vec<(&'static str, usize)> = order.into_iter().filter_map(|name| Some((name, at(our_name(name))?))).collect();
+    let known: Vec<(&'static str, usize)> =
+        order.into_iter().filter_map(|name| Some((name, at(our_name(name))?))).collect();
     let element = |(i, j): (usize, usize)| covariance.matrix[i][j];
     let elements = known.iter().flat_map(|(_, i)| known.iter().map(move |(_, j)| element((*i, *j)))).collect();
     (!known.is_empty()).then(|| (known.iter().map(|(name, _)| *name).collect(), elements))

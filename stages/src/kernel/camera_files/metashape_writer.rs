@@ -6,7 +6,8 @@ use super::metashape_covariance::{image_blocks, sensor_block};
 use crate::artefact::{Cameras, Covariance, Image, Sensor};
 use crate::{StageError, fail};
 
-const LOCAL: &str = "LOCAL_CS[\"Local Coordinates (m)\",LOCAL_DATUM[\"Local Datum\",0],UNIT[\"metre\",1,AUTHORITY[\"EPSG\",\"9001\"]]]";
+const LOCAL: &str =
+    "LOCAL_CS[\"Local Coordinates (m)\",LOCAL_DATUM[\"Local Datum\",0],UNIT[\"metre\",1,AUTHORITY[\"EPSG\",\"9001\"]]]";
 
 /// Writes a camera XML. Of a covariance only the blocks of single images and sensors fit; the rest is not in the file.
 ///
@@ -21,7 +22,8 @@ pub fn write(cameras: &Cameras, covariance: Option<&Covariance>) -> Result<Vec<u
     for (id, sensor) in cameras.sensors.iter().enumerate() {
         xml += &sensor_element(id, sensor, covariance)?;
     }
-    xml += "  </sensors>\n  <components next_id=\"1\" active_id=\"0\">\n   <component id=\"0\" label=\"Component 1\">\n";
+    xml +=
+        "  </sensors>\n  <components next_id=\"1\" active_id=\"0\">\n   <component id=\"0\" label=\"Component 1\">\n";
     xml += "    <transform><rotation>1 0 0 0 1 0 0 0 1</rotation><translation>0 0 0</translation><scale>1</scale></transform>\n";
     xml += &format!("   </component>\n  </components>\n  <cameras next_id=\"{}\">\n", cameras.images.len());
     for (id, image) in cameras.images.iter().enumerate() {
@@ -37,7 +39,8 @@ fn sensor_element(id: usize, sensor: &Sensor, covariance: Option<&Covariance>) -
     let cy = sensor.cy + 0.5 - 0.5 * f64::from(height);
     let ([k1, k2, k3, k4], [p1, p2]) = (sensor.k, sensor.p);
     let resolution = format!("<resolution width=\"{width}\" height=\"{height}\"/>");
-    let mut xml = format!("   <sensor id=\"{id}\" label=\"{}\" type=\"frame\">\n    {resolution}\n", escaped(&sensor.name)?);
+    let mut xml =
+        format!("   <sensor id=\"{id}\" label=\"{}\" type=\"frame\">\n    {resolution}\n", escaped(&sensor.name)?);
     xml += &format!("    <calibration type=\"frame\" class=\"adjusted\">\n     {resolution}\n     ");
     // Its p1 is our p2 and the other way round.
     for (name, value) in [
@@ -66,7 +69,8 @@ fn sensor_element(id: usize, sensor: &Sensor, covariance: Option<&Covariance>) -
 fn camera_element(id: usize, image: &Image, covariance: Option<&Covariance>) -> Result<String, StageError> {
     let (label, sensor) = (escaped(&image.name)?, image.sensor);
     let (r, c) = (image.matrix().transpose(), image.centre_m);
-    let rows: Vec<f64> = (0..3).flat_map(|i| [r[(i, 0)], r[(i, 1)], r[(i, 2)], c[i]]).chain([0.0, 0.0, 0.0, 1.0]).collect();
+    let rows: Vec<f64> =
+        (0..3).flat_map(|i| [r[(i, 0)], r[(i, 1)], r[(i, 2)], c[i]]).chain([0.0, 0.0, 0.0, 1.0]).collect();
     let mut xml = format!("   <camera id=\"{id}\" sensor_id=\"{sensor}\" component_id=\"0\" label=\"{label}\">\n");
     xml += &format!("    <transform>{}</transform>\n", words(&rows));
     let blocks = covariance.map_or([None, None], |covariance| image_blocks(covariance, &image.name));

@@ -16,6 +16,7 @@ pub mod metashape;
 mod metashape_covariance;
 mod metashape_writer;
 mod metashape_xml;
+pub mod recognise;
 #[cfg(test)]
 mod round_trip_tests;
 
