@@ -100,6 +100,10 @@ fn adjustments_scatter_as_the_covariance_says() {
     }
 }
 
+/// Errors are drawn this much smaller than this weak block has them: with principal distance and distance known to a few
+/// percent only, second-order terms are as large as what is left of the first after both cancel.
+const SMALL: f64 = 0.05;
+
 /// The point nearest to the two rays of fixed pixels, by least squares of the pixels as the propagation has it.
 fn intersect(cameras: &Cameras, pixels: [[f64; 2]; 2], start: &Vector3<f64>) -> (Vector3<f64>, [[f64; 2]; 2]) {
     let mut point = *start;
@@ -144,7 +148,7 @@ fn orientation_errors_move_points_as_propagation_says() {
     let (mut squares, mut parallax) = (vec![Vector3::zeros(); places.len()], 0.0);
     for trial in 0..trials {
         let z: Vec<f64> = (0..parameters.len()).map(|i| field.normal(i as i32, trial)).collect();
-        let errors: Vec<_> = parameters.iter().copied().zip(root.correlate(&z)).collect();
+        let errors: Vec<_> = parameters.iter().copied().zip(root.correlate(&z).into_iter().map(|error| SMALL * error)).collect();
         let estimated = correct(&cameras, &errors).unwrap();
         for (place, square) in places.iter().zip(&mut squares) {
             let (point, residuals) = intersect(&estimated, pixels(place), place);
@@ -157,15 +161,14 @@ fn orientation_errors_move_points_as_propagation_says() {
         let error = intersection(&cameras, &unknowns, [0, 1], place).unwrap();
         for axis in 0..3 {
             let row: Vec<(usize, f64)> = error.moved.iter().map(|(at, d)| (*at, d[axis])).collect();
-            let expected = variance(&row, &sigma);
+            let expected = SMALL * SMALL * variance(&row, &sigma);
             // Standard error of a sampled variance is sqrt(2 / n) of it.
             let off = (square[axis] / n - expected) / (expected * (2.0 / n).sqrt());
-            println!("{place:?} {axis} {} {expected}", square[axis] / n);
-            assert!(off.abs() < 4500.0, "axis {axis} of {place:?}: {off} standard errors");
+            assert!(off.abs() < 4.5, "axis {axis} of {place:?}: {off} standard errors");
         }
     }
     let effect = pair_effect(&cameras, &unknowns, &sigma, [0, 1], &places).unwrap();
-    let sampled = (parallax / (n * places.len() as f64)).sqrt();
+    let sampled = (parallax / (n * places.len() as f64)).sqrt() / SMALL;
     assert!((sampled / effect.y_parallax_px - 1.0).abs() < 0.06, "{sampled} for {}", effect.y_parallax_px);
     assert!(effect.depth_off_plane_m < effect.depth_m);
 }

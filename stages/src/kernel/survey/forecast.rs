@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, Matrix3, Vector3};
 use crate::StageError;
 use crate::artefact::{Cameras, Covariance};
 use crate::kernel::block_adjustment::partials::Partials;
-use crate::kernel::block_adjustment::propagation::movement;
+use crate::kernel::block_adjustment::propagation::{movement, rms_off_plane};
 use crate::kernel::block_adjustment::unknowns::{FreeInterior, Unknowns};
 use crate::kernel::camera::Camera;
 use crate::kernel::orientation_parameters::{INTERIOR, Parameter};
@@ -99,14 +99,14 @@ impl Joint {
         seen: &[(Vector3<f64>, Vec<usize>)],
         direction: &Vector3<f64>,
     ) -> Option<f64> {
-        let row = |(point, images): &(Vector3<f64>, Vec<usize>)| {
-            let moved = movement(cameras, &self.unknowns, images, point)?;
-            Some((point, moved.iter().map(|(at, d)| (*at, d.dot(direction))).collect::<Vec<_>>()))
-        };
-        let rows: Vec<_> = seen.iter().filter_map(row).collect();
-        let points: Vec<&Vector3<f64>> = rows.iter().map(|(point, _)| *point).collect();
-        let rows: Vec<Vec<(usize, f64)>> = rows.into_iter().map(|(_, row)| row).collect();
-        crate::kernel::block_adjustment::propagation::rms_off_plane(&points, &rows, direction, &self.matrix)
+        let (mut points, mut rows) = (Vec::new(), Vec::new());
+        for (point, images) in seen {
+            if let Some(moved) = movement(cameras, &self.unknowns, images, point) {
+                points.push(point);
+                rows.push(moved.iter().map(|(at, d)| (*at, d.dot(direction))).collect::<Vec<_>>());
+            }
+        }
+        rms_off_plane(&points, &rows, direction, &self.matrix)
     }
 }
 
