@@ -20,9 +20,12 @@ mod describe_noise;
 mod difference_dem;
 mod draw_picture;
 mod draw_rockfall;
+mod estimate_covariance;
+mod export_cameras;
 mod filter_outliers;
 mod fit_acceptance;
 mod fit_magnitude_frequency;
+mod forecast_precision;
 mod fuse_depth;
 mod generate_blocks;
 mod import_blocks;
@@ -69,8 +72,11 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<remove_blocks::RemoveBlocks>::new(),
     &Row::<plan_survey::PlanSurvey>::new(),
     &Row::<import_cameras::ImportCameras>::new(),
+    &Row::<export_cameras::ExportCameras>::new(),
+    &Row::<estimate_covariance::EstimateCovariance>::new(),
     &Row::<perturb_cameras::PerturbCameras>::new(),
     &Row::<select_pairs::SelectPairs>::new(),
+    &Row::<forecast_precision::ForecastPrecision>::new(),
     &Row::<project_depth::ProjectDepth>::new(),
     &Row::<match_pair::MatchPair>::new(),
     &Row::<fuse_depth::FuseDepth>::new(),

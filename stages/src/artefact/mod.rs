@@ -7,6 +7,7 @@ mod cameras;
 pub mod candidates;
 mod covariance;
 mod depth;
+mod files;
 mod inventory;
 mod mesh;
 mod meshes;
@@ -22,6 +23,7 @@ pub use cameras::{Cameras, Image, Sensor};
 pub use candidates::Candidates;
 pub use covariance::Covariance;
 pub use depth::Depth;
+pub use files::Files;
 pub use inventory::{Feature, Inventory, Polygon};
 pub use mesh::Mesh;
 pub use meshes::{Meshes, Part};
@@ -179,6 +181,7 @@ artefacts! {
     Acceptance = "acceptance" . "json": "Reference model of noise descriptors.",
     Picture = "picture" . "png": "A picture for people.",
     Meshes = "meshes" . "ply": "Named meshes in one file: blocks, removed pieces, niches.",
+    Files = "files" . "tar": "Files in another program's own format.",
     Inventory = "inventory" . "geojson": "Rockfalls: outline and properties of each.",
     Candidates = "candidates" . "json": "An unbounded sequence of candidate blocks.",
 }

@@ -2,10 +2,9 @@
 
 pub mod acceptance_rate;
 pub mod block;
+pub mod block_adjustment;
 pub mod camera;
 pub mod camera_files;
-pub mod camera_files_colmap;
-pub mod camera_files_json;
 pub mod canvas;
 pub mod colour_scale;
 pub mod covariance_files;
@@ -56,7 +55,9 @@ pub mod shape;
 pub mod spectrum;
 pub mod surface_cleaning;
 pub mod surface_file;
+pub mod survey;
 pub mod table_file;
+pub mod tar_file;
 pub mod triangle_reach;
 pub mod truth;
 pub mod variogram;
