@@ -69,6 +69,11 @@ impl PipelineArgs {
         Overrides { set: self.set.clone(), seed: self.seed }
     }
 
+    /// How many texts a pipeline has that is all in one file.
+    fn source_count(&self) -> usize {
+        1 + self.set.len() + usize::from(self.seed.is_some())
+    }
+
     fn load(&self) -> Result<Pipeline, CliError> {
         Pipeline::load(&self.pipeline, &self.overrides()).map_err(CliError::Pipeline)
     }
@@ -83,10 +88,15 @@ impl PipelineArgs {
     }
 
     fn open_store(&self) -> Result<Store, CliError> {
-        match &self.store {
-            Some(store) => Ok(Store::open(store)?),
-            None => Ok(Store::open(&own_folder(&self.pipeline)?.join("store"))?),
+        if self.store.is_none() {
+            own_folder(&self.pipeline)?;
         }
+        Ok(Store::open(&self.store_dir())?)
+    }
+
+    /// Where the store is or will be.
+    fn store_dir(&self) -> PathBuf {
+        self.store.clone().unwrap_or_else(|| beside(&self.pipeline).join("store"))
     }
 }
 
@@ -94,9 +104,14 @@ impl PipelineArgs {
 const CACHE_TAG: &str = "Signature: 8a477f597d28d172789f06886806bc55\n\
     # Everything in this folder can be computed again from the pipeline beside it.\n";
 
+/// Where the `.rockface` folder of a pipeline is or will be.
+fn beside(pipeline: &Path) -> PathBuf {
+    pipeline.parent().unwrap_or(Path::new("")).join(".rockface")
+}
+
 /// The `.rockface` folder of a pipeline, made if there is none: out of version control and out of backups.
 fn own_folder(pipeline: &Path) -> Result<PathBuf, CliError> {
-    let folder = pipeline.parent().unwrap_or(Path::new("")).join(".rockface");
+    let folder = beside(pipeline);
     let failed = |source| CliError::Run(RunError::Folder { path: folder.clone(), source });
     std::fs::create_dir_all(&folder).map_err(failed)?;
     for (name, text) in [(".gitignore", "*\n"), ("CACHEDIR.TAG", CACHE_TAG)] {

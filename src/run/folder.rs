@@ -55,7 +55,7 @@ pub fn finish(plan: &Plan, summary: &Summary, store: &Store, about: &RunFolder) 
     let key = plan_key(plan, summary, &runs, about);
     if summary.executed() == 0 && !summary.failed {
         let former = store.recalled_run(&key).and_then(|note| serde_json::from_value::<Finished>(note).ok());
-        if let Some(former) = former.filter(|former| is_told_in(former, &runs)) {
+        if let Some(former) = former.filter(|former| is_told_in(&former.folder, &runs)) {
             point_latest(about.runs, &former.folder)?;
             return Ok(former);
         }
@@ -68,8 +68,9 @@ pub fn finish(plan: &Plan, summary: &Summary, store: &Store, about: &RunFolder) 
     Ok(finished)
 }
 
-fn is_told_in(former: &Finished, runs: &Path) -> bool {
-    former.folder.parent() == Some(runs) && former.folder.join("run.json").is_file()
+/// Whether a run folder is one of those in `runs` and still there.
+pub(super) fn is_told_in(folder: &Path, runs: &Path) -> bool {
+    folder.parent() == Some(runs) && folder.join("run.json").is_file()
 }
 
 /// The same for two runs of the same text, overrides and targets with the same recipes, told of in the same place.
@@ -269,7 +270,7 @@ fn failed(path: &Path) -> impl FnOnce(std::io::Error) -> RunError + use<> {
 }
 
 /// Lets `latest` point at a run folder.
-fn point_latest(runs: &Path, folder: &Path) -> Result<(), RunError> {
+pub(super) fn point_latest(runs: &Path, folder: &Path) -> Result<(), RunError> {
     std::fs::create_dir_all(runs).map_err(failed(runs))?;
     let latest = runs.join("latest");
     let target = folder.file_name().map(PathBuf::from).unwrap_or_default();

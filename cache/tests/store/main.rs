@@ -1,5 +1,6 @@
 //! The promises of the store, kept through its public face: round trips, records, sharing between handles and threads.
 
+mod care;
 mod crash;
 
 use std::collections::BTreeMap;
