@@ -9,7 +9,7 @@ use clap::Args;
 
 use rockface_cache::Digest;
 
-use super::{CliError, PipelineArgs, beside, own_folder, say};
+use super::{CliError, PipelineArgs, beside, own_folder, repeat, say};
 use crate::run::shortcut::{self, NAMED, Told};
 use crate::run::{self, Finished, Options, RunFolder, Summary};
 use crate::watch::{JsonLines, Observer, Plain, Silent, Terminal, duration};
@@ -48,8 +48,12 @@ pub struct RunArgs {
 
 impl RunArgs {
     /// Runs the pipeline.
-    pub fn run(self) -> Result<(), CliError> {
+    pub fn run(mut self) -> Result<(), CliError> {
         let begun = std::time::Instant::now();
+        let former = repeat::manifest(&self.pipeline.pipeline)?;
+        if let Some(former) = &former {
+            repeat::take_over(&mut self.pipeline, former);
+        }
         let question = self.question();
         if let Some(told) = self.recall(question.as_ref())? {
             self.say_end(&told, (0, told.instances), false, begun.elapsed().as_secs_f64());
@@ -69,12 +73,16 @@ impl RunArgs {
             pipeline_path: &self.pipeline.pipeline,
             pipeline_text: &pipeline.sources[0].text,
             overrides: &self.pipeline.overrides(),
+            targets: &self.pipeline.target,
             jobs: options.jobs,
         };
         let (summary, finished) = run::execute_and_tell(&plan, &store, &options, &stop, observer.as_mut(), &about)?;
         let told = Told::of(&finished, &summary);
         if let Some(question) = question.filter(|_| pipeline.sources.len() == self.pipeline.source_count()) {
             shortcut::remember(&store, &question, &plan, &summary, &told)?;
+        }
+        if let Some(former) = former.filter(|_| !self.json) {
+            repeat::verdict(&former, &plan, &summary).iter().for_each(|line| say(line));
         }
         self.report(&summary, &finished, &told, begun.elapsed().as_secs_f64());
         if summary.failed { Err(CliError::Failed) } else { Ok(()) }
@@ -101,7 +109,7 @@ impl RunArgs {
 
     /// The digest of all that this command is asked and asked with; `None` where every step instance is to be told of.
     fn question(&self) -> Option<Digest> {
-        if self.json || self.verbose {
+        if self.json || self.verbose || self.pipeline.text.is_some() {
             return None;
         }
         let text = std::fs::read(&self.pipeline.pipeline).ok()?;
