@@ -2,6 +2,7 @@
 
 mod care;
 mod crash;
+mod faults;
 
 use std::collections::BTreeMap;
 use std::fs;
