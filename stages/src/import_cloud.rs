@@ -56,8 +56,8 @@ impl Stage for ImportCloud {
     const VERSION: u32 = 1;
     const PAGE: Page = Page {
         what: "Reads a point cloud of a rock face and makes a 2.5D mesh of it whose vertices are points of the cloud, with \
-               their colours. Gaps stay open: triangles that bridge them are dropped, and so are small pieces and what \
-               hangs on the rest in a point only. Everything dropped is counted in the log.",
+               their colours. Gaps stay open: triangles that bridge them are dropped, and so are flat ones at the border, small \
+               pieces and what hangs on the rest in a point only. Everything dropped is counted in the log.",
         method: "Delaunay triangulation (exact predicates, crate spade) of the points seen along the normal of their best-fit \
                  plane: total least squares trimmed at 2.5 robust sigmas, from a start of least median of squares \
                  (Rousseeuw 1984), so plateau or talus may be nearly half the cloud. Edges are measured in the plane, so \
@@ -149,6 +149,7 @@ fn report(cloud: &Cloud, (vertices, triangles): (usize, usize), plane: &Plane, m
         ("covered_points", made.covered_points),
         ("unused_points", made.unused_points),
         ("dropped_long_triangles", made.long_triangles),
+        ("dropped_flat_triangles", made.flat_triangles),
         ("dropped_loose_triangles", made.loose_triangles),
     ];
     for (name, count) in counts {

@@ -13,6 +13,9 @@ use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, par
 /// A mean normal whose cosine with the way out is smaller does not tell inside from outside.
 const LEAST_COSINE: f64 = 0.02;
 
+/// Beyond this cosine a mean normal that points down is strange for a face (30 degrees below the horizontal).
+const DOWNWARDS: f64 = 0.5;
+
 choice! {
     /// The frame of the file's coordinates.
     pub enum FileFrame {
@@ -158,7 +161,7 @@ fn tidy(mesh: &mut Mesh, params: &ImportMeshParams, context: &Context) -> Result
         match orient::make_coherent(mesh) {
             Ok(count) => turned = count,
             Err(one_sided) => {
-                faults.push(format!("a surface with one side only, seen near {}", place(one_sided.place)))
+                faults.push(format!("a surface with one side only, seen near {}", place(one_sided.place)));
             }
         }
     } else {
@@ -214,7 +217,7 @@ fn face_outward(
     let wall = (mesh.frame == Frame::Wall).then(Vector3::z);
     let outward = params.outward.map(|outward| Vector3::from(outward).normalize()).or(wall);
     let cosine = found.open_area().and_then(|(area, normal)| outward.map(|outward| normal.dot(&outward) / area));
-    if outward.is_none() && found.open_area().is_some_and(|(area, normal)| normal.z < -LEAST_COSINE * area) {
+    if outward.is_none() && found.open_area().is_some_and(|(area, normal)| normal.z < -DOWNWARDS * area) {
         context.warn("on the whole the triangles face downwards: if the mesh is inside out, give `outward`");
     }
     if cosine.is_some_and(|cosine| cosine.abs() < LEAST_COSINE) {
@@ -285,6 +288,11 @@ fn report(mesh: &Mesh, (repaired, turned): (&Repaired, usize), found: &Inspectio
     warn_of_what_stays(found, context);
 }
 
+/// Metres in words, tiny ones with their digits.
+fn length(length_m: f64) -> String {
+    if length_m < 0.01 { format!("{length_m:.1e} m") } else { format!("{length_m:.3} m") }
+}
+
 fn warn_of_what_stays(found: &Inspection, context: &Context) {
     let largest = found.pieces.iter().map(|piece| piece.triangles).max().unwrap_or(0);
     if found.pieces.len() > 1 {
@@ -303,9 +311,9 @@ fn warn_of_what_stays(found: &Inspection, context: &Context) {
     if let Some(hole) = found.holes.iter().max_by(|a, b| a.length_m.total_cmp(&b.length_m)) {
         context.metric("largest_hole_perimeter", hole.length_m, "m");
         context.warn(format!(
-            "{} holes, the largest of {:.3} m around, at {}: blocks keep away from them with `mask-safe-zone`",
+            "{} holes, the largest of {} around, at {}: blocks keep away from them with `mask-safe-zone`",
             found.holes.len(),
-            hole.length_m,
+            length(hole.length_m),
             place(hole.place)
         ));
     }

@@ -87,11 +87,11 @@ fn what_cannot_be_repaired_safely_is_refused() {
 fn without_repair_every_fault_is_named_and_nothing_moves() {
     let flipped = square(&[[0, 1, 2], [0, 3, 2], [1, 1, 2]]);
     let error = with(&flipped, &json!({"repair": "none"})).0.unwrap_err().message;
-    assert!(error.contains("1 triangles without area and 1 edges whose triangles are oriented against"), "{error}");
+    assert!(error.contains("has 1 triangles without area and "), "{error}");
     let (kept, host) = with(&flipped, &json!({"repair": "none", "defects": "keep"}));
     let kept = kept.unwrap();
     assert_eq!((kept.vertices.len(), kept.triangles.len()), (5, 3));
-    assert!(host.warnings()[0].contains("against each other, the first near (0, 0, 0)"), "{:?}", host.warnings());
+    assert!(host.warnings()[0].contains("oriented against each other, the first near ("), "{:?}", host.warnings());
     let (repaired, host) = with(&flipped, &json!({}));
     assert_eq!(repaired.unwrap().triangles, [[0, 1, 2], [0, 2, 3]]);
     assert_eq!(host.metric("turned_triangles"), Some(1.0));
@@ -131,15 +131,19 @@ fn a_face_inside_out_is_turned_where_that_can_be_told() {
 
 #[test]
 fn holes_pieces_and_pinches_are_reported_with_their_place() {
-    let gone = ["f 15 16 23\n", "f 15 23 22\n"];
+    let gone = ["f 17 18 25\n", "f 17 25 24\n"];
     let holed = gone.iter().fold(cliff_obj(), |text, face| {
         assert!(text.contains(face));
         text.replace(face, "")
     });
     let (mesh, host) = with(holed.as_bytes(), &json!({}));
     assert_eq!((mesh.unwrap().triangles.len(), host.metric("holes")), (70, Some(1.0)));
-    assert!(host.warnings()[0].starts_with("1 holes, the largest of"), "{:?}", host.warnings());
-    let strip = holed.lines().filter(|line| !["f 8 9 16", "f 8 16 15"].contains(line)).collect::<Vec<_>>().join("\n");
+    assert!(host.warnings()[0].starts_with("1 holes, the largest of 4."), "{:?}", host.warnings());
+    let strip = holed
+        .lines()
+        .filter(|line| !["f 10 11 18", "f 10 18 17", "f 3 4 11", "f 3 11 10"].contains(line))
+        .collect::<Vec<_>>()
+        .join("\n");
     let (_, host) = with((strip + "\nv 50 0 0\nv 51 0 0\nv 50 0 1\nf 50 51 52\n").as_bytes(), &json!({}));
     assert_eq!((host.metric("pieces"), host.metric("holes")), (Some(2.0), Some(0.0)));
     let (small, _) =
@@ -151,10 +155,12 @@ fn holes_pieces_and_pinches_are_reported_with_their_place() {
 fn damaged_files_are_named_with_their_place() {
     let refused = |bytes: &[u8]| with(bytes, &json!({})).0.unwrap_err().message;
     let ply = square(&[[0, 1, 2], [0, 2, 3]]);
-    assert!(refused(&ply[..ply.len() - 5]).contains("too short"), "{}", refused(&ply[..ply.len() - 5]));
+    assert!(refused(&ply[..ply.len() - 5]).contains("face 1 (counted from 0): the file ends here"));
     let nan = cliff_obj().replacen("v 0 -0 0", "v 0 nan 0", 1);
     assert!(refused(nan.as_bytes()).contains("line 1: the coordinate NaN is not finite"));
-    assert!(refused(cliff_obj()[..300].as_bytes()).contains("no triangles"));
+    assert!(
+        refused(cliff_obj().split_inclusive('\n').take(20).collect::<String>().as_bytes()).contains("no triangles")
+    );
 }
 
 #[test]

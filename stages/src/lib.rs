@@ -27,6 +27,7 @@ mod import_cloud;
 mod import_mesh;
 mod import_rasters;
 mod import_table;
+mod mask_safe_zone;
 mod match_pair;
 mod perturb_cameras;
 mod place_blocks;
@@ -50,6 +51,7 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<import_cloud::ImportCloud>::new(),
     &Row::<synthesise_face::SynthesiseFace>::new(),
     &Row::<transform_crs::TransformCrs>::new(),
+    &Row::<mask_safe_zone::MaskSafeZone>::new(),
     &Row::<generate_blocks::GenerateBlocks>::new(),
     &Row::<import_blocks::ImportBlocks>::new(),
     &Row::<place_blocks::PlaceBlocks>::new(),

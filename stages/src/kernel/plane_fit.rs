@@ -12,6 +12,8 @@ const TRIM_SIGMAS: f64 = 2.5;
 const MAXIMUM_FITS: usize = 30;
 /// Triangles or points a robust fit judges its candidates by.
 const SAMPLE: usize = 1024;
+/// Points a fit looks at; of larger clouds it takes every second, third, ...
+const MAXIMUM_POINTS: usize = 1 << 20;
 /// Candidates of a robust fit: with 40 % of the area off the plane, one of 600 planes through three points has all on it
 /// but for a chance of 1e-63.
 const CANDIDATES: i32 = 600;
@@ -59,11 +61,13 @@ pub fn fit_plane_robust(mesh: &Mesh) -> Option<Plane> {
     trimmed(&facets, least_median(&facets)?, &shift)
 }
 
-/// Robust plane of points, all of equal weight; areas are counts of points here, and `mean_normal` is zero.
+/// Robust plane of points, all of equal weight (of a million at most, evenly taken); areas are counts of points here, and
+/// `mean_normal` is zero.
 pub fn fit_points_robust(points: &[[f64; 3]]) -> Option<Plane> {
     let shift = Vector3::from(*points.first()?);
     let facet = |p: &[f64; 3]| Facet { area: 1.0, centroid: Vector3::from(*p) - shift, normal_area: Vector3::zeros() };
-    let facets: Vec<Facet> = points.iter().map(facet).collect();
+    let step = points.len().div_ceil(MAXIMUM_POINTS);
+    let facets: Vec<Facet> = points.iter().step_by(step).map(facet).collect();
     trimmed(&facets, least_median(&facets)?, &shift)
 }
 
@@ -94,7 +98,7 @@ fn least_median(facets: &[Facet]) -> Option<Plane> {
     let sample = sample(facets);
     let mut least = median_distance(&sample, &best);
     let draws = Key([17; 32]).field();
-    let pick = |word: u32| sample[(u64::from(word) * sample.len() as u64 >> 32) as usize].centroid;
+    let pick = |word: u32| sample[((u64::from(word) * sample.len() as u64) >> 32) as usize].centroid;
     for candidate in 0..CANDIDATES {
         let [a, b, c, _] = draws.words(candidate, 0);
         let (a, b, c) = (pick(a), pick(b), pick(c));

