@@ -64,7 +64,7 @@ impl Stage for GenerateBlocks {
                  Fisher (1953), sliding on planes and wedges the test of Markland (1972), forms Sneed and Folk (1958), \
                  uniform over the class's field of their diagram with S / L of at least 0.05. Distributions are sampled by inversion. A \
                  target volume is met exactly. A block that is no closed, outward solid free of self-intersections is rejected, \
-                 and counted by reason where it is used; roughness of less than a third of the edges rarely does that.",
+                 and counted by reason where it is used: keep roughness small against the edges.",
         frames: "Metres, cubic metres, degrees. Blocks are in the axes of the wall frame (X along the face, Y up, Z out of the \
                  rock), centred at their volume centroid. Joint sets are given in the world by dip and dip direction clockwise \
                  from north, with X east, Y north, Z up; `transform` or `face` relates them to the wall.",
