@@ -2,11 +2,11 @@
 
 use nalgebra::Vector3;
 
-use crate::artefact::{CodecError, Frame, Kind, Mesh};
+use crate::artefact::{Frame, Kind, Mesh};
 use crate::kernel::face::inspection::{Found, Inspection};
 use crate::kernel::face::repair::{self, Repaired};
-use crate::kernel::face::{obj, orient, stl};
-use crate::kernel::{mesh_check, ply};
+use crate::kernel::face::{mesh_file, orient};
+use crate::kernel::mesh_check;
 use crate::params::{Fault, FileRef, Range};
 use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
 
@@ -108,7 +108,7 @@ impl Stage for ImportMesh {
     fn run(params: &Self::Params, _inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let path = &params.path.0;
         let bytes = context.read(&params.path)?;
-        let mut mesh = read(&bytes).map_err(|e| StageError::new(format!("cannot read `{path}`: {e}")))?;
+        let mut mesh = mesh_file::read(&bytes).map_err(|e| StageError::new(format!("cannot read `{path}`: {e}")))?;
         if mesh.triangles.is_empty() {
             return Err(StageError::new(format!("`{path}` has {} vertices but no triangles", mesh.vertices.len()))
                 .hint("a point cloud is meshed by `import-cloud`"));
@@ -122,22 +122,6 @@ impl Stage for ImportMesh {
         context.check_cancelled()?;
         tidy(&mut mesh, params, context)?;
         Ok(Outputs::of("mesh", mesh))
-    }
-}
-
-fn read(bytes: &[u8]) -> Result<Mesh, CodecError> {
-    if bytes.starts_with(b"ply") {
-        ply::read_mesh(bytes)
-    } else if bytes.starts_with(b"LASF") {
-        Err(CodecError::new("it is a LAS or LAZ point cloud; `import-cloud` makes a mesh of it"))
-    } else if obj::is_obj(bytes) {
-        obj::read(bytes)
-    } else if stl::is_stl(bytes) {
-        stl::read(bytes)
-    } else {
-        Err(CodecError::new(
-            "its content is not PLY, OBJ or STL; convert it, or use `import-cloud` for columns of points",
-        ))
     }
 }
 

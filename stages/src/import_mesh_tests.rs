@@ -4,6 +4,7 @@ use serde_json::{Value, json};
 
 use super::*;
 use crate::artefact::{Artefact, Noun};
+use crate::kernel::ply;
 use crate::testing::{TestHost, height_mesh, run_stage};
 
 fn run(bytes: &[u8], offset_m: [f64; 3], defects: Defects) -> (Result<Mesh, StageError>, TestHost) {
