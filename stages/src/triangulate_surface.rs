@@ -134,15 +134,15 @@ mod tests {
         }
     }
 
-    fn made(with: serde_json::Value, inputs: &[(&str, Artefact)]) -> Result<Mesh, StageError> {
-        let made = run_stage::<TriangulateSurface>(&TestHost::default(), &with, inputs)?;
+    fn made(with: &serde_json::Value, inputs: &[(&str, Artefact)]) -> Result<Mesh, StageError> {
+        let made = run_stage::<TriangulateSurface>(&TestHost::default(), with, inputs)?;
         let Some(Artefact::Mesh(mesh)) = made.into_inner().remove("mesh") else { panic!("no mesh") };
         Ok(mesh)
     }
 
     #[test]
     fn points_and_triangles_are_those_of_the_surface() {
-        let mesh = made(json!({}), &[("surface", surface().into())]).unwrap();
+        let mesh = made(&json!({}), &[("surface", surface().into())]).unwrap();
         assert_eq!((mesh.vertices.len(), mesh.triangles.len(), mesh.frame), (8, 7, Frame::Wall));
         assert!((mesh.vertices[7][0] - 1001.0).abs() < 1e-12 && (mesh.vertices[7][1] - 1998.0).abs() < 1e-12);
         let facets =
@@ -157,13 +157,13 @@ mod tests {
         let mut out = Transform::identity("wall", "world");
         out.translation = [0.0, 0.0, 10.0];
         let inputs = [("surface", whole.into()), ("transform", out.into())];
-        let mesh = made(json!({"step": 2}), &inputs).unwrap();
+        let mesh = made(&json!({"step": 2}), &inputs).unwrap();
         assert_eq!((mesh.vertices.len(), mesh.triangles.len(), mesh.frame), (4, 2, Frame::World));
         assert!((mesh.vertices[0][2] - 13.25).abs() < 1e-12);
         let wrong = [("surface", surface().into()), ("transform", Transform::identity("world", "wall").into())];
-        assert!(made(json!({}), &wrong).unwrap_err().message.contains("surface is in the wall frame"));
+        assert!(made(&json!({}), &wrong).unwrap_err().message.contains("surface is in the wall frame"));
         assert!(
-            made(json!({"step": 2}), &[("surface", surface().into())]).unwrap_err().message.contains("no triangle")
+            made(&json!({"step": 2}), &[("surface", surface().into())]).unwrap_err().message.contains("no triangle")
         );
     }
 }

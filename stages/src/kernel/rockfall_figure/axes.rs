@@ -63,23 +63,18 @@ impl Decades {
         for power in self.x[0]..=self.x[1] {
             let x = self.place(power_of_ten(power), 1.0)[0];
             strokes::line(canvas, [x, top], [x, bottom], 1.0, HAIR);
-            if self.labelled(power, self.x) {
+            if labelled(power, self.x) {
                 canvas.text(&pen, x as f32, bottom as f32 + 16.0, Align::Middle, &label(power));
             }
         }
         for power in self.y[0]..=self.y[1] {
             let y = self.place(1.0, power_of_ten(power))[1];
             strokes::line(canvas, [left, y], [right, y], 1.0, HAIR);
-            if self.labelled(power, self.y) {
+            if labelled(power, self.y) {
                 canvas.text(&pen, left as f32 - 9.0, y as f32, Align::Right, &label(power));
             }
         }
         Ok(())
-    }
-
-    /// Every decade has a label up to seven of them, then every second or third.
-    fn labelled(&self, power: i32, [first, last]: [i32; 2]) -> bool {
-        (power - first) % ((last - first) / 7 + 1) == 0
     }
 
     /// Where positive values lie, pixels.
@@ -95,6 +90,11 @@ impl Decades {
         let x = (self.frame.left + self.frame.width - 12) as f32;
         canvas.text(pen, x, (self.frame.top + 20 + 24 * line) as f32, Align::Right, text);
     }
+}
+
+/// Every decade has a label up to seven of them, then every second or third.
+fn labelled(power: i32, [first, last]: [i32; 2]) -> bool {
+    (power - first) % ((last - first) / 7 + 1) == 0
 }
 
 fn power_of_ten(power: i32) -> f64 {

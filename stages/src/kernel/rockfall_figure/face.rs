@@ -48,9 +48,24 @@ pub fn draw(
     [left, top]: [usize; 2],
     inside: usize,
 ) -> Result<(), CodecError> {
-    let shades = shades(figure, view);
-    for (place, shade) in shades.iter().enumerate() {
-        if let Some(pixel) = canvas.pixel(left + place % view.width, top + place / view.width) {
+    // On a sheet of its own: outlines that reach beyond the face end at its frame.
+    let mut sheet = Canvas::new(view.width, view.height);
+    paint(&mut sheet, figure, view, scale);
+    for place in 0..view.width * view.height {
+        let (x, y) = (place % view.width, place / view.width);
+        if let Some((to, from)) = canvas.pixel(left + x, top + y).zip(sheet.pixel(x, y)) {
+            *to = *from;
+        }
+    }
+    canvas.frame(left, top, view.width, view.height, FAINT);
+    draw_bar(canvas, scale, [left + inside - BAR + 30, top], view.height.min(420), figure)?;
+    draw_scale(canvas, view, left, top + view.height + 24)
+}
+
+/// The relief with the niches over it, small ones over large ones.
+fn paint(sheet: &mut Canvas, figure: &Figure, view: &View, scale: &ColourScale) {
+    for (place, shade) in shades(figure, view).iter().enumerate() {
+        if let Some(pixel) = sheet.pixel(place % view.width, place / view.width) {
             *pixel = *shade;
         }
     }
@@ -59,22 +74,19 @@ pub fn draw(
     for fall in order {
         let colour = scale.colour(precise::log10(fall.removed_m3));
         for polygon in fall.outline {
-            let polygon = in_pixels(polygon, &figure.grid, view, [left as f64, top as f64]);
-            strokes::fill(canvas, &polygon, colour, 0.62);
-            strokes::outline(canvas, &polygon, 1.6, darker(colour));
+            let polygon = in_pixels(polygon, &figure.grid, view);
+            strokes::fill(sheet, &polygon, colour, 0.62);
+            strokes::outline(sheet, &polygon, 1.6, darker(colour));
         }
     }
-    canvas.frame(left, top, view.width, view.height, FAINT);
-    draw_bar(canvas, scale, [left + inside - BAR + 30, top], view.height.min(420), figure)?;
-    draw_scale(canvas, view, left, top + view.height + 24)
 }
 
 fn darker(colour: Colour) -> Colour {
     colour.map(|value| value / 2)
 }
 
-fn in_pixels(polygon: &Polygon, grid: &Grid, view: &View, [left, top]: [f64; 2]) -> Polygon {
-    let place = |[x, y]: &[f64; 2]| [left + (x - grid.left_m) / view.pixel_m, top + (grid.top_m - y) / view.pixel_m];
+fn in_pixels(polygon: &Polygon, grid: &Grid, view: &View) -> Polygon {
+    let place = |[x, y]: &[f64; 2]| [(x - grid.left_m) / view.pixel_m, (grid.top_m - y) / view.pixel_m];
     let ring = |ring: &Vec<[f64; 2]>| ring.iter().map(place).collect();
     Polygon { exterior: ring(&polygon.exterior), holes: polygon.holes.iter().map(ring).collect() }
 }

@@ -6,11 +6,14 @@ use crate::kernel::canvas::{Canvas, Colour};
 /// A place in the picture, pixels from the left and top edges.
 pub type Place = [f64; 2];
 
+/// Beyond this no picture has pixels.
+const FARTHEST: f64 = 20_000.0;
+
 /// Fills every pixel within `reach` of the box around two places by how much `cover` says it is covered.
 fn blend(canvas: &mut Canvas, corners: [Place; 2], reach: f64, colour: Colour, cover: impl Fn(Place) -> f64) {
     let range = |axis: usize| {
         let (low, high) = (corners[0][axis].min(corners[1][axis]), corners[0][axis].max(corners[1][axis]));
-        ((low - reach).floor().max(0.0) as usize)..=((high + reach).ceil().max(0.0) as usize)
+        ((low - reach).floor().clamp(0.0, FARTHEST) as usize)..=((high + reach).ceil().clamp(0.0, FARTHEST) as usize)
     };
     for y in range(1) {
         for x in range(0) {

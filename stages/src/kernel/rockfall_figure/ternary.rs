@@ -4,7 +4,7 @@ use crate::artefact::CodecError;
 use crate::kernel::canvas::{Align, Canvas, Pen};
 use crate::kernel::colour_scale::ColourScale;
 use crate::kernel::precise;
-use crate::kernel::truth::sneed_folk::{self, ELONGATION_LIMITS, FLATNESS_LIMITS};
+use crate::kernel::truth::sneed_folk::{self, CLASSES, ELONGATION_LIMITS, FLATNESS_LIMITS};
 
 use super::strokes::{self, Place};
 use super::{FAINT, Figure, Frame, HAIR, INK, heading};
@@ -72,6 +72,14 @@ fn names(canvas: &mut Canvas, triangle: &Triangle) -> Result<(), CodecError> {
     let [x, y] = triangle.place(0.0, 1.0);
     write([x + 12.0, y + 22.0], Align::Right, "elongate");
     let faint = Pen::plain(13.0, FAINT)?;
+    for (row, flatness) in [0.85, 0.6, 0.4, 0.15].into_iter().enumerate() {
+        let columns: &[f64] = if row == 0 { &[0.5] } else { &[0.165, 0.5, 0.835] };
+        for (column, elongation) in columns.iter().enumerate() {
+            let [x, y] = triangle.place(flatness, *elongation);
+            let class = if row == 0 { CLASSES[0] } else { CLASSES[3 * row - 2 + column] };
+            canvas.text(&faint, x as f32, y as f32, Align::Middle, class);
+        }
+    }
     for flatness in FLATNESS_LIMITS {
         let [x, y] = triangle.place(flatness, 0.0);
         canvas.text(&faint, x as f32 - 8.0, y as f32, Align::Right, &flatness.to_string());

@@ -40,7 +40,7 @@ const TURNS_RAD: [f64; 2] = [0.1, 1e-6];
 pub fn oriented_box(body: &Facets, axes: [Vector3<f64>; 3]) -> Option<OrientedBox> {
     let origin = Vector3::from(*body.vertices.first()?);
     let points: Vec<Vector3<f64>> = body.vertices.iter().map(|v| Vector3::from(*v) - origin).collect();
-    let (points, normals) = hull(&points).unwrap_or_else(|| (points, Vec::new()));
+    let [points, normals] = hull(&points).unwrap_or_else(|| [points, Vec::new()]);
     let smaller = |best: OrientedBox, next: OrientedBox| if next.volume_m3() < best.volume_m3() { next } else { best };
     let flush = normals.into_iter().map(|normal| flush_with(&points, normal)).fold(along(&points, axes), smaller);
     let mut best = flush;
@@ -66,7 +66,7 @@ fn turned(axes: &[Vector3<f64>; 3], turn: usize, angle_rad: f64) -> [Vector3<f64
 }
 
 /// Vertices of the convex hull and the unit normals of its largest faces, where there is one.
-fn hull(points: &[Vector3<f64>]) -> Option<(Vec<Vector3<f64>>, Vec<Vector3<f64>>)> {
+fn hull(points: &[Vector3<f64>]) -> Option<[Vec<Vector3<f64>>; 2]> {
     let vectors: Vec<Vector> = points.iter().map(|p| Vector::new(p.x, p.y, p.z)).collect();
     let (vertices, faces) = try_convex_hull(&vectors).ok()?;
     let vertices: Vec<Vector3<f64>> = vertices.iter().map(|v| Vector3::new(v.x, v.y, v.z)).collect();
@@ -83,7 +83,7 @@ fn hull(points: &[Vector3<f64>]) -> Option<(Vec<Vector3<f64>>, Vec<Vector3<f64>>
             normals.push(normal);
         }
     }
-    Some((vertices, normals))
+    Some([vertices, normals])
 }
 
 /// The box along three axes.
