@@ -161,7 +161,7 @@ fn tidy(mesh: &mut Mesh, params: &ImportMeshParams, context: &Context) -> Result
         match orient::make_coherent(mesh) {
             Ok(count) => turned = count,
             Err(one_sided) => {
-                faults.push(format!("a surface with one side only, seen near {}", place(one_sided.place)))
+                faults.push(format!("a surface with one side only, seen near {}", place(one_sided.place)));
             }
         }
     } else {
@@ -288,6 +288,11 @@ fn report(mesh: &Mesh, (repaired, turned): (&Repaired, usize), found: &Inspectio
     warn_of_what_stays(found, context);
 }
 
+/// Metres in words, tiny ones with their digits.
+fn length(length_m: f64) -> String {
+    if length_m < 0.01 { format!("{length_m:.1e} m") } else { format!("{length_m:.3} m") }
+}
+
 fn warn_of_what_stays(found: &Inspection, context: &Context) {
     let largest = found.pieces.iter().map(|piece| piece.triangles).max().unwrap_or(0);
     if found.pieces.len() > 1 {
@@ -306,9 +311,9 @@ fn warn_of_what_stays(found: &Inspection, context: &Context) {
     if let Some(hole) = found.holes.iter().max_by(|a, b| a.length_m.total_cmp(&b.length_m)) {
         context.metric("largest_hole_perimeter", hole.length_m, "m");
         context.warn(format!(
-            "{} holes, the largest of {:.3} m around, at {}: blocks keep away from them with `mask-safe-zone`",
+            "{} holes, the largest of {} around, at {}: blocks keep away from them with `mask-safe-zone`",
             found.holes.len(),
-            hole.length_m,
+            length(hole.length_m),
             place(hole.place)
         ));
     }

@@ -114,7 +114,8 @@ mod tests {
             let (row, column) = ((raster.grid.top_m - y) / 0.1, (x - raster.grid.left_m) / 0.1);
             raster.bands[0].values[row as usize * raster.grid.columns + column as usize]
         };
-        assert_eq!([at(0.05, 0.05), at(1.65, 0.05), at(1.75, 0.05), at(2.05, 0.05)], [1.0, 1.0, 0.0, 0.0]);
+        let values = [at(0.05, 0.05), at(1.65, 0.05), at(1.75, 0.05), at(2.05, 0.05)];
+        assert!(values.map(|value| value > 0.5) == [true, true, false, false], "{values:?}");
         assert!((host.metric("zone_area").unwrap() - 3.4 * 1.4).abs() < 1e-9);
         assert_eq!(raster.encode().and_then(|bytes| Raster::decode(&bytes)).unwrap(), raster);
     }

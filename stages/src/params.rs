@@ -388,6 +388,7 @@ macro_rules! params {
     ) => {
         $(#[doc = $about])*
         #[derive(Debug, Clone, PartialEq)]
+        #[allow(clippy::struct_field_names)] // units are part of the names
         pub struct $Name { $( $(#[doc = $doc])+ pub $field: $ty, )* }
 
         impl $crate::params::ParamType for $Name {

@@ -98,7 +98,7 @@ fn least_median(facets: &[Facet]) -> Option<Plane> {
     let sample = sample(facets);
     let mut least = median_distance(&sample, &best);
     let draws = Key([17; 32]).field();
-    let pick = |word: u32| sample[(u64::from(word) * sample.len() as u64 >> 32) as usize].centroid;
+    let pick = |word: u32| sample[((u64::from(word) * sample.len() as u64) >> 32) as usize].centroid;
     for candidate in 0..CANDIDATES {
         let [a, b, c, _] = draws.words(candidate, 0);
         let (a, b, c) = (pick(a), pick(b), pick(c));

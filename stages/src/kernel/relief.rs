@@ -115,7 +115,7 @@ pub fn wear(lattice: &Lattice, sigma_m: f64, heights: &mut Vec<f64>) {
     let (w, n) = (lattice.columns, heights.len());
     for _ in 0..passes {
         for step in [1, w] {
-            let is_rim = |i: usize| if step == 1 { i % w == 0 || i % w == w - 1 } else { i < w || i + w >= n };
+            let is_rim = |i: usize| if step == 1 { i.is_multiple_of(w) || i % w == w - 1 } else { i < w || i + w >= n };
             let bell = |i: usize| 0.5 * heights[i] + 0.25 * (heights[i - step] + heights[i + step]);
             *heights = (0..n).into_par_iter().map(|i| if is_rim(i) { heights[i] } else { bell(i) }).collect();
         }

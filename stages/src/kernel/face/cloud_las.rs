@@ -101,7 +101,7 @@ mod tests {
                 assert_eq!(*y, 0.001 * (-250.0 * i) + 5_512_000.0);
                 assert_eq!(*z, 0.001 * (13.0 * (i % 7.0)));
             }
-            assert_eq!(cloud.colours[1999], [(1999u16 * 30 >> 8) as u8, 1, 1]);
+            assert_eq!(cloud.colours[1999], [((1999u16 * 30) >> 8) as u8, 1, 1]);
         }
     }
 

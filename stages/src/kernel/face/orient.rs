@@ -148,13 +148,13 @@ mod tests {
     #[test]
     fn a_moebius_strip_has_one_side() {
         let place = |k: u32| {
-            let (k, side) = (f64::from(k / 2), if k % 2 == 0 { -1.0 } else { 1.0 });
+            let (k, side) = (f64::from(k / 2), if k.is_multiple_of(2) { -1.0 } else { 1.0 });
             let (sin, cos) = libm::sincos(k * std::f64::consts::TAU / 9.0);
             let (half_sin, half_cos) = libm::sincos(k * std::f64::consts::PI / 9.0);
             [(3.0 + side * half_cos) * cos, (3.0 + side * half_cos) * sin, side * half_sin]
         };
         let mut triangles: Vec<[u32; 3]> =
-            (0..16).map(|k| if k % 2 == 0 { [k, k + 1, k + 2] } else { [k + 1, k, k + 2] }).collect();
+            (0..16).map(|k| if k.is_multiple_of(2) { [k, k + 1, k + 2] } else { [k + 1, k, k + 2] }).collect();
         // The last square meets the first upside down.
         triangles.extend([[16, 17, 1], [17, 0, 1]]);
         let mut mesh =
