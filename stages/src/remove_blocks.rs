@@ -196,7 +196,7 @@ impl Stage for RemoveBlocks {
             check_frame("zone", zone.frame)?;
         }
         let mut source = source(mesh, zone, inputs, context)?;
-        let plan = plan(params, source.len());
+        let plan = plan(params, source.available());
         let rules = rules(params, zone)?;
         let face = Face::new(mesh.vertices.clone(), mesh.triangles.clone());
         let cancelled = || context.check_cancelled().is_err();
@@ -205,7 +205,7 @@ impl Stage for RemoveBlocks {
         if outcome.end == End::Cancelled {
             context.check_cancelled()?;
         }
-        judge(params, &plan, source.len(), &outcome, context)?;
+        judge(params, &plan, source.available(), &outcome, context)?;
         finish(params, mesh, inputs, outcome)
     }
 }

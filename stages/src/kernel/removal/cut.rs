@@ -128,9 +128,9 @@ fn combine(patch: &Patch, block: &Facets, manner: &Manner) -> Result<(Shell, She
         return Err(Failure::Block(format!("its volume is {volume} m3: it is open or inside out")));
     }
     let tool = Solid::block(&block.vertices, &block.triangles).map_err(|e| Failure::Block(e.to_string()))?;
-    let (places, closing) = patch.close(bottom(patch, block)).map_err(|fault| Failure::Defect(fault.near))?;
+    let closed = patch.close(bottom(patch, block)).map_err(|fault| Failure::Defect(fault.near))?;
     let centre = more(block.vertices[0], patch.origin);
-    let rock = Solid::rock(&places, &patch.triangles, &closing).map_err(|e| match e {
+    let rock = Solid::rock(&closed.places, &patch.triangles, &closed.triangles).map_err(|e| match e {
         BooleanError::NotSolid(_) => Failure::Defect(centre),
         BooleanError::GaveUp(_) => Failure::Boolean(e.to_string()),
     })?;
@@ -318,7 +318,7 @@ impl Split {
             Some(threshold) if pieces.is_empty() || least.whole_block => return Err(Failure::Refused(threshold)),
             _ => {}
         }
-        let (touched, remains) = compare(patch, left, spared)?;
+        let (touched, remains) = compare(patch, left, spared);
         let mut triangles: Vec<([u32; 3], Option<u32>)> = remains.into_iter().map(|t| (t, None)).collect();
         for (number, (_, niche)) in pieces.iter().enumerate() {
             triangles.extend(niche.iter().map(|t| (*t, Some(number as u32))));
@@ -339,7 +339,7 @@ fn falls_short(piece: &Piece, least: Least) -> Option<Threshold> {
 }
 
 /// Triangles of the patch that are no more, and parts of rock face that come in their stead.
-fn compare(patch: &Patch, left: &Welded, spared: Vec<[u32; 3]>) -> Result<(Vec<u32>, Vec<[u32; 3]>), Failure> {
+fn compare(patch: &Patch, left: &Welded, spared: Vec<[u32; 3]>) -> (Vec<u32>, Vec<[u32; 3]>) {
     let mut numbers: BTreeMap<[u32; 3], u32> =
         patch.triangles.iter().enumerate().map(|(number, t)| (turned(*t), number as u32)).collect();
     let is_rock = |(_, origin): &(&[u32; 3], &Origin)| matches!(origin, Origin::Rock(_));
@@ -348,7 +348,7 @@ fn compare(patch: &Patch, left: &Welded, spared: Vec<[u32; 3]>) -> Result<(Vec<u
     remains.retain(|t| numbers.remove(&turned(*t)).is_none());
     let mut touched: Vec<u32> = numbers.into_values().collect();
     touched.sort_unstable();
-    Ok((touched, remains))
+    (touched, remains)
 }
 
 /// A triangle that begins with its least vertex.

@@ -328,9 +328,28 @@ fn take(face: &Face, placed: Placed, rules: &Rules, read: &mut Rect) -> Result<P
         return Err(Rejection { reason: Reason::MeshDefect, detail });
     }
     let manner = Manner { least: rules.least, look_for_crossings: rules.self_intersection };
-    let cut = cut(&patch, &placed.block, &placed.frame, &manner)?;
+    let cut = cut(&patch, &placed.block, &placed.frame, &manner).map_err(|failure| {
+        let over_niche = rules.overlap_rings.is_some() && reaches_niche(face, &patch, &placed.block);
+        match failure {
+            // Floors and walls of an earlier niche are where faces of blocks lie in one plane.
+            Failure::Boolean(_) if over_niche => Reason::Overlap.into(),
+            other => Rejection::from(other),
+        }
+    })?;
     check(face, &patch, &cut, rules, read)?;
     Ok(propose(&patch, cut, placed))
+}
+
+/// Whether a triangle of an earlier niche reaches into the box around a block.
+fn reaches_niche(face: &Face, patch: &Patch, block: &Facets) -> bool {
+    let heights = |places: &mut dyn Iterator<Item = f64>| {
+        places.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), z| (low.min(z), high.max(z)))
+    };
+    let (low, high) = heights(&mut block.vertices.iter().map(|v| v[2]));
+    patch.sources.iter().flatten().filter(|t| face.niche(**t) != 0).any(|t| {
+        let (bottom, top) = heights(&mut face.triangle(*t).iter().map(|v| face.vertex(*v)[2]));
+        bottom <= high && low <= top
+    })
 }
 
 fn check(face: &Face, patch: &Patch, cut: &Cut, rules: &Rules, read: &mut Rect) -> Result<(), Rejection> {

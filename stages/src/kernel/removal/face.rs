@@ -24,7 +24,7 @@ impl Rect {
 
     /// The smallest rectangle around points.
     pub fn around<'a>(points: impl IntoIterator<Item = &'a [f64; 3]>) -> Self {
-        points.into_iter().fold(Self::EMPTY, |rect, p| rect.with(p))
+        points.into_iter().fold(Self::EMPTY, Self::with)
     }
 
     /// Grown to hold a point.

@@ -29,6 +29,14 @@ pub struct Patch {
     pub consumed: Vec<u32>,
 }
 
+/// What closes a patch to a solid.
+pub struct Closed {
+    /// The places of the patch, then those added.
+    pub places: Vec<[f64; 3]>,
+    /// The triangles added.
+    pub triangles: Vec<[u32; 3]>,
+}
+
 impl Patch {
     /// Copies the triangles around `rect` (that of the block), about the whole metre nearest to `centre`.
     pub fn around(face: &Face, rect: &Rect, centre: [f64; 3]) -> Self {
@@ -54,14 +62,14 @@ impl Patch {
     }
 
     /// The triangles that close the patch to a solid: walls straight down from its border to `bottom` (Z less origin), and
-    /// a cone below them to one point a loop. Vertices they need are appended to the copy of `places` returned.
-    pub fn close(&self, bottom: f64) -> Result<(Vec<[f64; 3]>, Vec<[u32; 3]>), Faulty> {
+    /// a cone below them to one point a loop.
+    pub fn close(&self, bottom: f64) -> Result<Closed, Faulty> {
         let mut places = self.places.clone();
         let mut closing = Vec::new();
         for ring in loops(&self.triangles, &self.border()?) {
             close_loop(&ring, bottom, &mut places, &mut closing);
         }
-        Ok((places, closing))
+        Ok(Closed { places, triangles: closing })
     }
 }
 
@@ -207,20 +215,21 @@ mod tests {
         let corners: Keep = |x, y| (x < 2.0) == (y < 2.0);
         for (keep, area) in [(whole, 16.0), (ring, 15.0), (corners, 8.0)] {
             let patch = patch(keep);
-            let (places, closing) = patch.close(-10.0).unwrap();
-            let all = [&patch.triangles[..], &closing].concat();
+            let Closed { places, triangles } = patch.close(-10.0).unwrap();
+            let all = [&patch.triangles[..], &triangles].concat();
             assert_eq!(open_edges(&all), Ok(vec![]));
             let deeper = patch.close(-11.0).unwrap();
-            let deeper = volume(&deeper.0, &[&patch.triangles[..], &deeper.1].concat());
+            let deeper = volume(&deeper.places, &[&patch.triangles[..], &deeper.triangles].concat());
             assert!((deeper - volume(&places, &all) - area).abs() < 1e-9, "{deeper} {area}");
         }
     }
 
     #[test]
+    #[allow(clippy::float_cmp)] // to the bit
     fn an_edge_of_three_triangles_is_a_fault() {
         let mut patch = patch(|_, _| true);
         patch.triangles.push([0, 1, 20]);
-        let fault = patch.close(-10.0).unwrap_err();
+        let fault = patch.close(-10.0).err().unwrap();
         assert_eq!(fault.near, [0.0, 0.0, 0.0]);
         assert_eq!(patch.origin, [2.0, 2.0, 0.0]);
     }

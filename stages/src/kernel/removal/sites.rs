@@ -168,7 +168,7 @@ mod tests {
             assert!(places.iter().all(|p| p[0] >= low && p[0] <= high && (0.0..=2.0).contains(&p[1])));
             for k in [0, 1] {
                 let mean = places.iter().map(|p| p[k]).sum::<f64>() / 4000.0;
-                let wanted = [(low + high) / 2.0, 1.0][k];
+                let wanted = [0.5 * low + 0.5 * high, 1.0][k];
                 assert!((mean - wanted).abs() < 0.06, "{k} {mean} {wanted}");
             }
         }

@@ -43,7 +43,7 @@ impl<'a> Source<'a> {
     }
 
     /// How many there are, where there is an end.
-    pub fn len(&self) -> Option<u64> {
+    pub fn available(&self) -> Option<u64> {
         match (&self.sites, self.blocks) {
             (Some(Sites::Rows(rows)), _) => Some(rows.len() as u64),
             (None, Blocks::Given(parts)) => Some(parts.len() as u64),
@@ -58,7 +58,7 @@ impl<'a> Source<'a> {
             self.row += rows.len();
             return rows.iter().map(|row| self.for_row(row)).collect();
         }
-        let end = self.len().unwrap_or(u64::MAX).min(self.next + BATCH as u64);
+        let end = self.available().unwrap_or(u64::MAX).min(self.next + BATCH as u64);
         let numbers: Vec<u64> = (self.next..end).collect();
         self.next = end;
         let shared = &*self;
