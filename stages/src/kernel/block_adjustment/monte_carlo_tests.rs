@@ -62,7 +62,7 @@ fn adjust(cameras: &Cameras, unknowns: &Unknowns, points: &[ObjectPoint], field:
             }
             if let Some(sigma) = point.control_sigma_m {
                 (0..3).for_each(|axis| {
-                    observe(&[(n + 3 * at + axis, 1.0)], control[at][axis] - point.position_m[axis], sigma)
+                    observe(&[(n + 3 * at + axis, 1.0)], control[at][axis] - point.position_m[axis], sigma);
                 });
             }
         }
@@ -148,7 +148,8 @@ fn orientation_errors_move_points_as_propagation_says() {
     let (mut squares, mut parallax) = (vec![Vector3::zeros(); places.len()], 0.0);
     for trial in 0..trials {
         let z: Vec<f64> = (0..parameters.len()).map(|i| field.normal(i as i32, trial)).collect();
-        let errors: Vec<_> = parameters.iter().copied().zip(root.correlate(&z).into_iter().map(|error| SMALL * error)).collect();
+        let errors: Vec<_> =
+            parameters.iter().copied().zip(root.correlate(&z).into_iter().map(|error| SMALL * error)).collect();
         let estimated = correct(&cameras, &errors).unwrap();
         for (place, square) in places.iter().zip(&mut squares) {
             let (point, residuals) = intersect(&estimated, pixels(place), place);
