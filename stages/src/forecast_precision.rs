@@ -190,8 +190,8 @@ impl<'a> Survey<'a> {
         Self { cameras, ready, direction, matching, joint }
     }
 
-    fn cameras_of(&self, images: &[usize]) -> Vec<Camera> {
-        images.iter().map(|image| self.ready[*image].clone()).collect()
+    fn cameras_of(&self, images: &[usize]) -> Vec<&Camera> {
+        images.iter().map(|image| &self.ready[*image]).collect()
     }
 
     /// Root mean squares over points with the images that see each; `None` where no point has two.
@@ -291,7 +291,7 @@ fn report(all: &Forecast, simulated: Option<[f64; 2]>, context: &Context) {
     let compared = simulated.map_or_else(String::new, |[std, _]| {
         let ratio = std / (std::f64::consts::SQRT_2 * sigma);
         context.metric("simulated_to_forecast", ratio, "1");
-        format!("; the simulated difference has {:.2} of the forecast's deviation", ratio)
+        format!("; the simulated difference has {ratio:.2} of the forecast's deviation")
     });
     context.headline(format!(
         "forecast: GSD {:.2} mm, depth to {:.2} mm, LoD95 {:.1} mm{compared}",

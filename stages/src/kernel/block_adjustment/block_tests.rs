@@ -34,7 +34,7 @@ pub(super) fn small_block() -> (Cameras, Vec<ObjectPoint>) {
             position_m: Vector3::new(1.1 * i, 0.8 * j, 0.7 * ((at * 7) % 5) as f64 - 1.4),
             images: if at % 4 == 3 { vec![0, 1] } else { vec![0, 1, 2] },
             sigma_px: 0.5,
-            control_sigma_m: (at % 6 == 0).then_some(0.01),
+            control_sigma_m: at.is_multiple_of(6).then_some(0.01),
         }
     };
     (Cameras { frame: Frame::Wall, sensors: vec![sensor], images }, (0..25).map(point).collect())

@@ -62,7 +62,7 @@ fn adjust(cameras: &Cameras, unknowns: &Unknowns, points: &[ObjectPoint], field:
             }
             if let Some(sigma) = point.control_sigma_m {
                 (0..3).for_each(|axis| {
-                    observe(&[(n + 3 * at + axis, 1.0)], control[at][axis] - point.position_m[axis], sigma)
+                    observe(&[(n + 3 * at + axis, 1.0)], control[at][axis] - point.position_m[axis], sigma);
                 });
             }
         }

@@ -163,10 +163,12 @@ pub fn variance(row: &[(usize, f64)], covariance: &DMatrix<f64>) -> f64 {
 
 /// `J Sigma J^T` of sparse rows.
 fn sandwich(rows: &[Vec<(usize, f64)>], covariance: &DMatrix<f64>) -> DMatrix<f64> {
-    let product = |row: &[(usize, f64)], column: &[(usize, f64)]| -> f64 {
-        row.iter().map(|(i, a)| a * column.iter().map(|(j, b)| covariance[(*i, *j)] * b).sum::<f64>()).sum()
+    let spread = |row: &Vec<(usize, f64)>| {
+        let at = |i: usize| row.iter().map(|(j, b)| covariance[(*j, i)] * b).sum::<f64>();
+        (0..covariance.nrows()).map(at).collect::<Vec<f64>>()
     };
-    DMatrix::from_fn(rows.len(), rows.len(), |r, c| product(&rows[r], &rows[c]))
+    let spread: Vec<Vec<f64>> = rows.iter().map(spread).collect();
+    DMatrix::from_fn(rows.len(), rows.len(), |r, c| rows[r].iter().map(|(i, a)| a * spread[c][*i]).sum())
 }
 
 /// The projector that takes a plane over the axis off values at points.

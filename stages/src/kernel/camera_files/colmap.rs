@@ -90,7 +90,7 @@ fn opencv(model: &str, params: &[f64]) -> Result<[f64; 9], StageError> {
     })
 }
 
-/// The simplest of PINHOLE, OPENCV and FULL_OPENCV that holds a sensor, with its parameters.
+/// The simplest of `PINHOLE`, `OPENCV` and `FULL_OPENCV` that holds a sensor, with its parameters.
 ///
 /// # Errors
 ///

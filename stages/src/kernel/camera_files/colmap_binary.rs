@@ -141,7 +141,6 @@ pub fn write(cameras: &Cameras) -> Result<Vec<(String, Vec<u8>)>, StageError> {
 }
 
 #[cfg(test)]
-#[expect(clippy::float_cmp, reason = "what is exact must be exact")]
 mod tests {
     use super::*;
 

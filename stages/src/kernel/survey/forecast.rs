@@ -43,7 +43,7 @@ pub struct Expected {
 /// Disparity noise s is image noise s / sqrt(2) in each image; all rays are intersected by least squares. For two normal
 /// images this is Z^2 / (B f) s.
 pub fn at_point(
-    cameras: &[Camera],
+    cameras: &[&Camera],
     point: &Vector3<f64>,
     direction: &Vector3<f64>,
     matching: &Matching,
@@ -122,24 +122,27 @@ mod tests {
         (0..count).map(camera).collect()
     }
 
+    fn at(cameras: &[Camera], point: [f64; 3], matching: &Matching) -> Option<Expected> {
+        at_point(&cameras.iter().collect::<Vec<_>>(), &point.into(), &Vector3::z(), matching)
+    }
+
     #[test]
     fn a_normal_pair_has_the_textbook_precision() {
         let matching = Matching { local_px: 0.3, regular_px: 0.4, cell_m: 0.02 };
-        let found = at_point(&cameras(2, 4.0), &Vector3::new(2.0, 0.0, 0.0), &Vector3::z(), &matching).unwrap();
+        let found = at(&cameras(2, 4.0), [2.0, 0.0, 0.0], &matching).unwrap();
         assert!((found.gsd_m - 0.02).abs() < 1e-12);
         // Z^2 / (B f) of 0.5 px: one pixel a cell. The lines of sight are symmetric, so Z does not mix with X.
         assert!((found.matching_m - 0.5 * 400.0 / 4000.0).abs() < 1e-4, "{}", found.matching_m);
         let coarse = Matching { cell_m: 0.06, ..matching };
         assert!((coarse.disparity_px(0.02) - (0.01f64 + 0.16).sqrt()).abs() < 1e-12);
-        assert!(at_point(&cameras(1, 4.0), &Vector3::zeros(), &Vector3::z(), &matching).is_none());
+        assert!(at(&cameras(1, 4.0), [0.0; 3], &matching).is_none());
     }
 
     #[test]
     fn more_rays_measure_better() {
         let matching = Matching { local_px: 0.3, regular_px: 0.4, cell_m: 0.02 };
-        let at =
-            |count| at_point(&cameras(count, 1.0), &Vector3::zeros(), &Vector3::z(), &matching).unwrap().matching_m;
-        assert!(at(3) < at(2) && at(5) < at(3));
+        let sigma = |count| at(&cameras(count, 1.0), [0.0; 3], &matching).unwrap().matching_m;
+        assert!(sigma(3) < sigma(2) && sigma(5) < sigma(3));
     }
 
     #[test]
