@@ -166,9 +166,21 @@ fn plain(kind: &Kind, range: Range) -> Value {
         }
         Kind::Optional(inner) => json!({"anyOf": [{"type": "null"}, plain(inner, range)]}),
         Kind::Map(fields) => map_of(fields),
+        Kind::Union(fields) => union_of(fields),
+        Kind::NumberOr(inner) => json!({"anyOf": [number("number", range), plain(inner, range)]}),
         Kind::Entries(inner) => json!({"type": "object", "additionalProperties": shape(inner, range)}),
         Kind::Any => json!({}),
     }
+}
+
+/// One of the keys, or the bare word of one.
+fn union_of(fields: &[Field]) -> Value {
+    let words: Vec<&str> = fields.iter().map(|field| field.name).collect();
+    let mut map = map_of(fields);
+    map["minProperties"] = 1.into();
+    map["maxProperties"] = 1.into();
+    map["required"] = json!([]);
+    json!({"anyOf": [{"enum": words}, map]})
 }
 
 fn number(word: &str, range: Range) -> Value {

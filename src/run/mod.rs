@@ -8,6 +8,7 @@ mod program;
 mod progress;
 mod schedule;
 mod settle;
+pub mod shortcut;
 mod state;
 mod tell;
 mod work;

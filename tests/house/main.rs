@@ -1,6 +1,8 @@
 //! Proofs of the whole house, in one binary.
 
 mod broken;
+mod campaign;
+mod care;
 mod chain;
 mod cli;
 mod commands;
@@ -8,6 +10,7 @@ mod documents;
 mod dynamic;
 mod engine;
 mod golden;
+mod history;
 mod lab;
 mod language;
 mod reading;

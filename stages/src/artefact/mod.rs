@@ -4,9 +4,11 @@
 
 mod acceptance;
 mod cameras;
+pub mod candidates;
 mod covariance;
 mod depth;
 mod file;
+mod files;
 mod inventory;
 mod mesh;
 mod meshes;
@@ -19,9 +21,11 @@ mod transform;
 
 pub use acceptance::{Acceptance, GroupModel};
 pub use cameras::{Cameras, Image, Sensor};
+pub use candidates::Candidates;
 pub use covariance::Covariance;
 pub use depth::Depth;
 pub use file::File;
+pub use files::Files;
 pub use inventory::{Feature, Inventory, Polygon};
 pub use mesh::Mesh;
 pub use meshes::{Meshes, Part};
@@ -180,7 +184,9 @@ artefacts! {
     Picture = "picture" . "png": "A picture for people.",
     Meshes = "meshes" . "ply": "Named meshes in one file: blocks, removed pieces, niches.",
     File = "file" . "bin": "A file that only the programs of a pipeline look into.",
+    Files = "files" . "tar": "Files in another program's own format.",
     Inventory = "inventory" . "geojson": "Rockfalls: outline and properties of each.",
+    Candidates = "candidates" . "json": "An unbounded sequence of candidate blocks.",
 }
 
 impl Kind {

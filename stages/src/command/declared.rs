@@ -112,7 +112,7 @@ pub fn ports(with: &Value) -> Result<Ports, Vec<Fault>> {
             Some(name) => Err(vec![Fault::new(format!("`{name}` cannot name a port: letters, digits, `-` and `_`"))]),
             None => Ok(ports),
         });
-        declared.map_err(|faults| faults.into_iter().map(|fault| fault.within(key)).collect::<Vec<_>>())
+        declared.map_err(|faults| faults.into_iter().map(|fault| fault.below(key)).collect::<Vec<_>>())
     };
     let (inputs, outputs) = (side("inputs")?, side("outputs")?);
     if outputs.is_empty() {
@@ -122,7 +122,7 @@ pub fn ports(with: &Value) -> Result<Ports, Vec<Fault>> {
     }
     if let Some(port) = outputs.iter().find(|(_, declared)| declared.arity != Arity::One).map(|(port, _)| port) {
         let fault = Fault::new("every output is one file that is always made; no `many` or `optional`");
-        return Err(vec![fault.within(port).within("outputs")]);
+        return Err(vec![fault.below(port).below("outputs")]);
     }
     Ok(ports_of(&inputs, &outputs))
 }

@@ -30,8 +30,8 @@ pub fn write(inventory: &Inventory) -> Result<Vec<u8>, CodecError> {
 fn check(inventory: &Inventory) -> Result<(), CodecError> {
     let mut names: Vec<&String> = inventory.columns.iter().collect();
     names.sort_unstable();
-    if let Some(twins) = names.windows(2).find(|pair| pair[0] == pair[1]) {
-        return Err(fault(&format!("two columns are called `{}`", twins[0])));
+    if let Some([twin, ..]) = names.windows(2).find(|pair| pair[0] == pair[1]) {
+        return Err(fault(&format!("two columns are called `{twin}`")));
     }
     for (number, feature) in inventory.features.iter().enumerate() {
         check_feature(inventory, feature).map_err(|e| fault(&format!("feature {number} (counted from 0): {e}")))?;

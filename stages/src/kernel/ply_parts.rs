@@ -82,7 +82,7 @@ fn write_faces(bytes: &mut Vec<u8>, number: usize, first: u32, triangles: &[[u32
 
 fn header(frame: Frame, labels: &[Label]) -> String {
     let (vertices, triangles) = totals(labels);
-    let mut text = format!("ply\nformat binary_little_endian 1.0\n{}{frame}{UNITS}\n", FRAME_LINE);
+    let mut text = format!("ply\nformat binary_little_endian 1.0\n{FRAME_LINE}{frame}{UNITS}\n");
     for (number, label) in labels.iter().enumerate() {
         let Label { vertices, triangles, name, class } = label;
         let words = ascii(&serde_json::json!([name, class]).to_string());
@@ -203,6 +203,7 @@ fn fault(message: &str) -> CodecError {
 }
 
 #[cfg(test)]
+#[allow(clippy::float_cmp)] // to the bit
 mod tests {
     use proptest::prelude::*;
 
