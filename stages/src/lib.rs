@@ -22,6 +22,7 @@ mod filter_outliers;
 mod fit_acceptance;
 mod fuse_depth;
 mod import_cameras;
+mod import_mask;
 mod import_mesh;
 mod import_rasters;
 mod match_pair;
@@ -60,6 +61,7 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<rasterise_dem::RasteriseDem>::new(),
     &Row::<difference_dem::DifferenceDem>::new(),
     &Row::<import_rasters::ImportRasters>::new(),
+    &Row::<import_mask::ImportMask>::new(),
     &Row::<filter_outliers::FilterOutliers>::new(),
     &Row::<apply_mask::ApplyMask>::new(),
     &Row::<describe_noise::DescribeNoise>::new(),
