@@ -7,7 +7,7 @@ use std::time::SystemTime;
 
 use rockface_cache::{Digest, Outcome, Store};
 use rockface_stages::Entry;
-use rockface_stages::artefact::{Artefact, Kind};
+use rockface_stages::artefact::{Artefact, Export, Kind};
 use serde_json::{Value, json};
 
 use super::{RunError, Summary};
@@ -169,14 +169,12 @@ impl Writer<'_> {
             std::fs::create_dir_all(folder.join(&place)).map_err(failed(&folder.join(&place)))?;
             let path = place.join(format!("{port}.{}", kind.extension()));
             self.store.materialise(&output.digest, &folder.join(&path))?;
-            named.insert(port.clone(), path);
-            if kind == Kind::Table {
-                let bytes = self.store.get(&output.digest)?;
-                for export in Artefact::decode(kind, &bytes).map(|value| value.exports()).unwrap_or_default() {
-                    let path = place.join(format!("{port}.{}", export.extension));
-                    write_file(&folder.join(&path), &export.bytes)?;
-                    exports.push(path);
-                }
+            named.insert(port.clone(), path.clone());
+            if kind.has_exports() {
+                let made = Artefact::decode(kind, &self.store.get(&output.digest)?)
+                    .and_then(|value| value.exports(port))
+                    .map_err(|error| failed(&folder.join(&path))(std::io::Error::other(error)))?;
+                exports.extend(write_exports(folder, &place, &made)?);
             }
         }
         Ok((named, exports))
@@ -284,6 +282,19 @@ fn readable_name(name: &str) -> String {
     let digest = Digest::of(name.as_bytes()).to_string();
     let cut = (0..=NAME_BYTES - 17).rev().find(|end| name.is_char_boundary(*end)).unwrap_or(0);
     format!("{}-{}", &name[..cut], &digest[..16])
+}
+
+/// Writes further files to a place in the folder; returns their paths relative to the folder.
+fn write_exports(folder: &Path, place: &Path, exports: &[Export]) -> Result<Vec<PathBuf>, RunError> {
+    let write = |export: &Export| {
+        let path = place.join(&export.path);
+        let file = folder.join(&path);
+        let parent = file.parent().unwrap_or(folder);
+        std::fs::create_dir_all(parent).map_err(failed(parent))?;
+        write_file(&file, &export.bytes)?;
+        Ok(path)
+    };
+    exports.iter().map(write).collect()
 }
 
 /// Writes a whole file or none.

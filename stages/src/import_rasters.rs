@@ -2,7 +2,7 @@
 
 use std::io::Read;
 
-use crate::artefact::{Band, Frame, Kind, Noun, Raster, Sample};
+use crate::artefact::{Band, Frame, Kind, Noun, Raster};
 use crate::kernel::geotiff::DAMAGED;
 use crate::kernel::{grid, marginal};
 use crate::params::FilesRef;
@@ -138,9 +138,7 @@ fn append(first: &str, together: &mut Raster, name: &str, raster: Raster) -> Res
         return Err(StageError::new(format!("`{first}` has {a}, but `{name}` has {b}"))
             .hint("resample the files to one grid, or import them in separate steps"));
     }
-    if raster.sample == Sample::Float {
-        together.sample = Sample::Float;
-    }
+    together.sample = together.sample.common(raster.sample);
     together.bands.extend(raster.bands);
     Ok(())
 }

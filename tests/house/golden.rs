@@ -12,7 +12,16 @@ const SCENE: &str = include_str!("golden.yaml");
 const LIST: &str = "tests/house/golden.txt";
 
 /// Stages that need files; what they read is pinned by tests of their own.
-const NEED_FILES: [&str; 3] = ["import-mesh", "import-cameras", "import-rasters"];
+const NEED_FILES: [&str; 8] = [
+    "import-mesh",
+    "import-cloud",
+    "import-cameras",
+    "import-rasters",
+    "import-inventory",
+    "import-blocks",
+    "import-table",
+    "draw-rockfall",
+];
 
 #[test]
 fn changed_bytes_need_a_new_version() {

@@ -48,3 +48,11 @@ def stages(binary) -> set[str]:
 def survey(binary, tmp_path_factory) -> Run:
     """The run of peers.yaml."""
     return execute(binary, HERE / "peers.yaml", tmp_path_factory.mktemp("survey"))
+
+
+@pytest.fixture(scope="session")
+def rockfall(binary, stages, tmp_path_factory) -> Run:
+    """The run of rockfall.yaml."""
+    if "remove-blocks" not in stages:
+        pytest.skip("the program removes no blocks")
+    return execute(binary, HERE / "rockfall.yaml", tmp_path_factory.mktemp("rockfall"))

@@ -4,9 +4,13 @@
 
 mod acceptance;
 mod cameras;
+pub mod candidates;
 mod covariance;
 mod depth;
+mod files;
+mod inventory;
 mod mesh;
+mod meshes;
 mod pairs;
 mod picture;
 mod raster;
@@ -16,9 +20,13 @@ mod transform;
 
 pub use acceptance::{Acceptance, GroupModel};
 pub use cameras::{Cameras, Image, Sensor};
+pub use candidates::Candidates;
 pub use covariance::Covariance;
 pub use depth::Depth;
+pub use files::Files;
+pub use inventory::{Feature, Inventory, Polygon};
 pub use mesh::Mesh;
+pub use meshes::{Meshes, Part};
 pub use pairs::{Pair, Pairs};
 pub use picture::Picture;
 pub use raster::{Band, Grid, Raster, Sample};
@@ -60,8 +68,8 @@ impl CodecError {
 /// A second file made from an artefact, for programs that do not open the first.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Export {
-    /// File extension without the dot.
-    pub extension: &'static str,
+    /// Where it goes, relative to the file of the artefact, with `/` between folders.
+    pub path: String,
     /// The whole file.
     pub bytes: Vec<u8>,
 }
@@ -82,9 +90,17 @@ pub trait Noun: Sized {
     fn items(&self) -> Option<Vec<String>> {
         None
     }
-    /// Further files for people to read.
-    fn exports(&self) -> Vec<Export> {
-        Vec::new()
+    /// Whether values of this kind have further files, so that those of other kinds need not be read to find none.
+    fn has_exports() -> bool {
+        false
+    }
+    /// Further files for people to read, beside a file called `stem` or in a folder of that name.
+    ///
+    /// # Errors
+    /// What keeps a file from being written.
+    fn exports(&self, stem: &str) -> Result<Vec<Export>, CodecError> {
+        let _ = stem;
+        Ok(Vec::new())
     }
 }
 
@@ -106,6 +122,11 @@ macro_rules! artefacts {
             /// The extension of its file, without the dot.
             pub const fn extension(self) -> &'static str {
                 match self { $( Self::$Name => $extension ),* }
+            }
+
+            /// Whether its values have further files for people to read.
+            pub fn has_exports(self) -> bool {
+                match self { $( Self::$Name => $Name::has_exports() ),* }
             }
         }
 
@@ -135,9 +156,9 @@ macro_rules! artefacts {
             pub fn items(&self) -> Option<Vec<String>> {
                 match self { $( Self::$Name(value) => value.items() ),* }
             }
-            /// Further files for people to read.
-            pub fn exports(&self) -> Vec<Export> {
-                match self { $( Self::$Name(value) => value.exports() ),* }
+            /// Further files for people to read, beside a file called `stem`; see [`Noun::exports`].
+            pub fn exports(&self, stem: &str) -> Result<Vec<Export>, CodecError> {
+                match self { $( Self::$Name(value) => value.exports(stem) ),* }
             }
         }
 
@@ -159,6 +180,10 @@ artefacts! {
     Table = "table" . "json": "Rows and columns.",
     Acceptance = "acceptance" . "json": "Reference model of noise descriptors.",
     Picture = "picture" . "png": "A picture for people.",
+    Meshes = "meshes" . "ply": "Named meshes in one file: blocks, removed pieces, niches.",
+    Files = "files" . "tar": "Files in another program's own format.",
+    Inventory = "inventory" . "geojson": "Rockfalls: outline and properties of each.",
+    Candidates = "candidates" . "json": "An unbounded sequence of candidate blocks.",
 }
 
 impl std::fmt::Display for Kind {

@@ -35,8 +35,31 @@ impl Grid {
 pub enum Sample {
     /// 32-bit float, NaN where there is no value.
     Float,
-    /// One byte: masks and labels; every value is a whole number from 0 to 255.
+    /// One byte: masks; every value is a whole number from 0 to 255.
     Byte,
+    /// Two bytes: labels; every value is a whole number from 0 to 65535.
+    Word,
+}
+
+impl Sample {
+    /// The largest whole number it holds; `None` for [`Sample::Float`].
+    pub fn largest(self) -> Option<u16> {
+        match self {
+            Self::Float => None,
+            Self::Byte => Some(u16::from(u8::MAX)),
+            Self::Word => Some(u16::MAX),
+        }
+    }
+
+    /// The narrower of the two that holds the values of both.
+    #[must_use]
+    pub fn common(self, other: Self) -> Self {
+        match (self, other) {
+            (Self::Float, _) | (_, Self::Float) => Self::Float,
+            (Self::Word, _) | (_, Self::Word) => Self::Word,
+            (Self::Byte, Self::Byte) => Self::Byte,
+        }
+    }
 }
 
 /// One band.

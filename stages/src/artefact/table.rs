@@ -104,8 +104,11 @@ impl Table {
 
 super::json_noun!(
     Table,
-    fn exports(&self) -> Vec<Export> {
-        self.to_csv().map_or_else(|_| Vec::new(), |bytes| vec![Export { extension: "csv", bytes }])
+    fn has_exports() -> bool {
+        true
+    },
+    fn exports(&self, stem: &str) -> Result<Vec<Export>, CodecError> {
+        Ok(vec![Export { path: format!("{stem}.csv"), bytes: self.to_csv()? }])
     }
 );
 

@@ -108,7 +108,8 @@ impl Canvas {
         }
     }
 
-    fn blend(&mut self, x: f32, y: f32, colour: Colour, cover: f32) {
+    /// Mixes a colour into the pixel at a place by the share of the pixel it covers, from 0 to 1.
+    pub fn blend(&mut self, x: f32, y: f32, colour: Colour, cover: f32) {
         if x < 0.0 || y < 0.0 {
             return;
         }

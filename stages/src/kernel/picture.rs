@@ -199,10 +199,16 @@ impl View {
         if slope_x.is_nan() || slope_y.is_nan() {
             return 1.0;
         }
-        let lambert = (1.0 + (slope_x - slope_y) * std::f64::consts::FRAC_1_SQRT_2)
-            / (1.0 + slope_x * slope_x + slope_y * slope_y).sqrt();
-        (0.35 + 0.65 * lambert.max(0.0)).min(1.35)
+        brightness(slope_x, slope_y)
     }
+}
+
+/// Brightness of a slope, metres a metre to the right and up, under a light from the upper left, 45 degrees high; 1 on
+/// level ground.
+pub fn brightness(slope_x: f64, slope_y: f64) -> f64 {
+    let lambert = (1.0 + (slope_x - slope_y) * std::f64::consts::FRAC_1_SQRT_2)
+        / (1.0 + slope_x * slope_x + slope_y * slope_y).sqrt();
+    (0.35 + 0.65 * lambert.max(0.0)).min(1.35)
 }
 
 /// The cells under a pixel, each with the share of the pixel's side it fills.

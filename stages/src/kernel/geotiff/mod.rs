@@ -59,6 +59,18 @@ mod tests {
     }
 
     #[test]
+    fn words_come_back_whatever_the_tiling_and_other_values_are_refused() {
+        let values = (0..300 * 260).map(|i| f32::from((i * 7919 % 65536) as u16)).collect();
+        let mut labels = Raster::single(grid(300, 260), Frame::Wall, "label", "id", values);
+        labels.sample = Sample::Word;
+        assert_eq!(read(&write(&labels).unwrap()).unwrap(), labels);
+        for bad in [0.5, -1.0, 65536.0, f32::NAN, -0.0] {
+            labels.bands[0].values[7] = bad;
+            assert!(write(&labels).unwrap_err().0.contains("0 to 65535"), "{bad}");
+        }
+    }
+
+    #[test]
     fn a_raster_without_cells_or_with_a_wrong_band_is_refused() {
         let mut empty = raster(2, 2, 1);
         empty.bands.clear();

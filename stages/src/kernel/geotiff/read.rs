@@ -133,9 +133,11 @@ fn values(file: &mut File, layout: &Layout, nodata: Option<f64>) -> Result<(Vec<
     let mut sample = Sample::Float;
     for chunk in 0..layout.chunks() {
         let decoded = file.read_chunk(chunk as u32).map_err(|e| refused(&e))?;
-        if matches!(decoded, DecodingResult::U8(_)) && nodata.is_none() {
-            sample = Sample::Byte;
-        }
+        sample = match decoded {
+            DecodingResult::U8(_) if nodata.is_none() => Sample::Byte,
+            DecodingResult::U16(_) if nodata.is_none() => Sample::Word,
+            _ => Sample::Float,
+        };
         let [band, left, top, width, height] = layout.place(chunk);
         let numbers = floats(&decoded, nodata)?;
         let interleaved = if layout.planar { 1 } else { layout.bands };

@@ -26,8 +26,8 @@ const UNSPECIFIED: u16 = 0;
 /// Writes a raster.
 ///
 /// # Errors
-/// A raster without cells or bands, a band of the wrong length, a byte raster with values that are not whole numbers
-/// from 0 to 255, a cell size that is not positive, or more than 4 GB of values.
+/// A raster without cells or bands, a band of the wrong length, a raster of whole numbers with values that are none or
+/// are too large for its sample, a cell size that is not positive, or more than 4 GB of values.
 pub fn write(raster: &Raster) -> Result<Vec<u8>, CodecError> {
     check(raster)?;
     let (across, down) = (raster.grid.columns.div_ceil(TILE), raster.grid.rows.div_ceil(TILE));
@@ -62,12 +62,12 @@ fn check(raster: &Raster) -> Result<(), CodecError> {
         if found != columns * rows {
             return Err(CodecError(format!("band `{}` has {found} values for {columns} x {rows} cells", band.name)));
         }
-        let byte = |v: &f32| f32::from(*v as u8).to_bits() == v.to_bits();
-        if raster.sample == Sample::Byte
-            && let Some(bad) = band.values.iter().find(|v| !byte(v))
+        let whole = |v: &f32, largest: u16| f32::from((*v as u16).min(largest)).to_bits() == v.to_bits();
+        if let Some(largest) = raster.sample.largest()
+            && let Some(bad) = band.values.iter().find(|v| !whole(v, largest))
         {
             return Err(CodecError(format!(
-                "band `{}` of a byte raster holds {bad}, not a whole number from 0 to 255",
+                "band `{}` of a raster of whole numbers holds {bad}, not a whole number from 0 to {largest}",
                 band.name
             )));
         }
@@ -81,13 +81,14 @@ fn tile_bytes(raster: &Raster, band: usize, down: usize, across: usize) -> Vec<u
     let values = &raster.bands[band].values;
     let (left, top) = (across * TILE, down * TILE);
     let width = TILE.min(grid.columns - left);
-    let bytes_each = if raster.sample == Sample::Float { 4 } else { 1 };
+    let bytes_each = usize::from(bits(raster.sample) / 8);
     let mut bytes = vec![0u8; TILE * TILE * bytes_each];
     for (row, out) in bytes.chunks_exact_mut(TILE * bytes_each).enumerate().take(grid.rows - top) {
         let start = (top + row) * grid.columns + left;
         match raster.sample {
             Sample::Float => float_row(&values[start..start + width], out),
             Sample::Byte => byte_row(&values[start..start + width], out),
+            Sample::Word => word_row(&values[start..start + width], out),
         }
     }
     bytes
@@ -112,6 +113,16 @@ fn byte_row(values: &[f32], out: &mut [u8]) {
     differences(out);
 }
 
+/// Predictor 2 on words: differences of neighbours, little-endian.
+fn word_row(values: &[f32], out: &mut [u8]) {
+    let mut last = 0u16;
+    let words = values.iter().map(|value| *value as u16).chain(std::iter::repeat(0));
+    for (bytes, word) in out.chunks_exact_mut(2).zip(words) {
+        bytes.copy_from_slice(&word.wrapping_sub(last).to_le_bytes());
+        last = word;
+    }
+}
+
 fn differences(bytes: &mut [u8]) {
     for i in (1..bytes.len()).rev() {
         bytes[i] = bytes[i].wrapping_sub(bytes[i - 1]);
@@ -124,6 +135,15 @@ fn compress(bytes: &[u8]) -> Result<Vec<u8>, CodecError> {
         .write_to(&mut compressed, bytes)
         .map_err(|e| CodecError(format!("cannot compress: {e}")))?;
     Ok(compressed)
+}
+
+/// Bits of a value.
+fn bits(sample: Sample) -> u16 {
+    match sample {
+        Sample::Float => 32,
+        Sample::Byte => 8,
+        Sample::Word => 16,
+    }
 }
 
 type Directory<'a, 'b> = DirectoryEncoder<'a, &'b mut Cursor<Vec<u8>>, TiffKindStandard>;
@@ -147,13 +167,12 @@ fn assemble(raster: &Raster, tiles: &[Vec<u8>]) -> tiff::TiffResult<Vec<u8>> {
 
 fn write_layout(raster: &Raster, directory: &mut Directory) -> tiff::TiffResult<()> {
     let bands = raster.bands.len();
-    let (bits, format, predictor) =
-        if raster.sample == Sample::Float { (32u16, 3u16, FLOATING_POINT) } else { (8, 1, HORIZONTAL) };
+    let (format, predictor) = if raster.sample == Sample::Float { (3u16, FLOATING_POINT) } else { (1, HORIZONTAL) };
     directory.write_tag(Tag::ImageWidth, raster.grid.columns as u32)?;
     directory.write_tag(Tag::ImageLength, raster.grid.rows as u32)?;
     directory.write_tag(Tag::TileWidth, TILE as u32)?;
     directory.write_tag(Tag::TileLength, TILE as u32)?;
-    directory.write_tag(Tag::BitsPerSample, vec![bits; bands].as_slice())?;
+    directory.write_tag(Tag::BitsPerSample, vec![bits(raster.sample); bands].as_slice())?;
     directory.write_tag(Tag::SampleFormat, vec![format; bands].as_slice())?;
     directory.write_tag(Tag::SamplesPerPixel, bands as u16)?;
     directory.write_tag(Tag::PlanarConfiguration, PLANAR)?;

@@ -1,0 +1,169 @@
+//! `triangulate-surface`: turns an organised surface into a triangle mesh that other programs open.
+
+use crate::artefact::{Frame, Kind, Mesh, Surface, Transform};
+use crate::kernel::shape::Moved;
+use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+
+params! {
+    /// Parameters of `triangulate-surface`.
+    pub struct TriangulateSurfaceParams {
+        /// Every so many rows and columns of points are taken; 1 takes them all.
+        step: u32 = 1; crate::params::Range::AtLeast(1.0),
+    }
+}
+
+/// The stage.
+pub struct TriangulateSurface;
+
+impl Stage for TriangulateSurface {
+    type Params = TriangulateSurfaceParams;
+    const NAME: &'static str = "triangulate-surface";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Writes the points and triangles of an organised surface out as a mesh (PLY), for other programs and for stages that \
+               take meshes; moved by a transform first where one is given.",
+        method: "Each point that a triangle uses becomes a vertex, in order of rows; triangles keep the cut of their square. With \
+                 `step` above 1 only every so many rows and columns are taken: a square is cut in two where its four points \
+                 exist, from its first corner to the opposite one, whatever lay between.",
+        frames: "Metres, in the frame of the surface, or the one the transform leads to.",
+        fails: "The surface has no triangle, or the transform comes from another frame than the surface's.",
+        example: "\
+rockface: 1
+name: surface-as-ply
+seed: 1
+steps:
+  face:    {stage: synthesise-face}
+  survey:  {stage: plan-survey, in: {mesh: face.mesh}}
+  depth:   {stage: project-depth, in: {mesh: face.mesh, cameras: survey.cameras}, with: {image: left, downscale: 4}}
+  surface: {stage: fuse-depth, in: {depth: depth.depth}}
+  mesh:    {stage: triangulate-surface, in: {surface: surface.surface}, with: {step: 2}}
+",
+    };
+    const INPUTS: &'static [Port] = &[
+        Port::one("surface", &[Kind::Surface], "From `fuse-depth` or `clean-mesh`."),
+        Port::optional("transform", &[Kind::Transform], "Applied to every point, such as the way back to the world."),
+    ];
+    const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The same points and triangles.")];
+
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let surface = inputs.one::<Surface>("surface")?;
+        let transform = inputs.optional::<Transform>("transform")?;
+        let frame = frame_after(surface.frame, transform)?;
+        let mut mesh = triangulate(surface, params.step as usize);
+        if mesh.triangles.is_empty() {
+            fail!("the surface of {} x {} points has no triangle at this step", surface.width, surface.height);
+        }
+        if let Some(moved) = transform.and_then(Moved::by) {
+            mesh.vertices.iter_mut().for_each(|vertex| *vertex = moved.apply(*vertex));
+        }
+        mesh.frame = frame;
+        let (vertices, triangles) = (mesh.vertices.len(), mesh.triangles.len());
+        context.headline(format!("{vertices} vertices, {triangles} triangles"));
+        Ok(Outputs::of("mesh", mesh))
+    }
+}
+
+/// The frame a transform from the surface's frame leads to.
+fn frame_after(frame: Frame, transform: Option<&Transform>) -> Result<Frame, StageError> {
+    let Some(transform) = transform else { return Ok(frame) };
+    let named = |name: &str| [Frame::World, Frame::Wall].into_iter().find(|frame| frame.to_string() == name);
+    match (named(&transform.from), named(&transform.to)) {
+        (Some(from), _) if from != frame => Err(StageError::new(format!(
+            "the transform takes {} to {}, but the surface is in the {frame} frame",
+            transform.from, transform.to
+        ))),
+        (_, Some(to)) => Ok(to),
+        (_, None) => Ok(frame),
+    }
+}
+
+fn triangulate(surface: &Surface, step: usize) -> Mesh {
+    let corners = if step == 1 { all(surface) } else { thinned(surface, step) };
+    let mut numbers = vec![u32::MAX; surface.points.len()];
+    corners.iter().flatten().for_each(|place| numbers[*place] = 0);
+    let mut vertices = Vec::new();
+    for (place, number) in numbers.iter_mut().enumerate().filter(|(_, number)| **number == 0) {
+        *number = vertices.len() as u32;
+        let (p, o) = (surface.points[place], surface.origin_m);
+        vertices.push(std::array::from_fn(|i| o[i] + f64::from(p[i])));
+    }
+    let triangles = corners.iter().map(|triangle| triangle.map(|place| numbers[place])).collect();
+    Mesh { frame: surface.frame, vertices, triangles, colours: Vec::new() }
+}
+
+fn all(surface: &Surface) -> Vec<[usize; 3]> {
+    let squares = (0..surface.height.saturating_sub(1))
+        .flat_map(|row| (0..surface.width.saturating_sub(1)).map(move |column| (row, column)));
+    squares.flat_map(|(row, column)| surface.triangles(row, column)).collect()
+}
+
+fn thinned(surface: &Surface, step: usize) -> Vec<[usize; 3]> {
+    let mut triangles = Vec::new();
+    for row in (step..surface.height).step_by(step) {
+        for column in (step..surface.width).step_by(step) {
+            let at = |row: usize, column: usize| row * surface.width + column;
+            let (a, b) = (at(row - step, column - step), at(row - step, column));
+            let (c, d) = (at(row, column), at(row, column - step));
+            if [a, b, c, d].iter().all(|place| !surface.points[*place][0].is_nan()) {
+                triangles.extend([[a, d, c], [a, c, b]]);
+            }
+        }
+    }
+    triangles
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use crate::artefact::Artefact;
+    use crate::testing::{TestHost, run_stage};
+
+    /// 3 x 3 points, rows down, with a hole in the last corner.
+    fn surface() -> Surface {
+        let point = |i: u16| if i == 8 { [f32::NAN; 3] } else { [f32::from(i % 3), -f32::from(i / 3), 0.25] };
+        let both = Surface::FIRST | Surface::SECOND;
+        Surface {
+            frame: Frame::Wall,
+            width: 3,
+            height: 3,
+            origin_m: [1000.0, 2000.0, 3.0],
+            points: (0..9).map(point).collect(),
+            squares: vec![both, both | Surface::OTHER_DIAGONAL, both, Surface::FIRST | Surface::OTHER_DIAGONAL],
+        }
+    }
+
+    fn made(with: &serde_json::Value, inputs: &[(&str, Artefact)]) -> Result<Mesh, StageError> {
+        let made = run_stage::<TriangulateSurface>(&TestHost::default(), with, inputs)?;
+        let Some(Artefact::Mesh(mesh)) = made.into_inner().remove("mesh") else { panic!("no mesh") };
+        Ok(mesh)
+    }
+
+    #[test]
+    fn points_and_triangles_are_those_of_the_surface() {
+        let mesh = made(&json!({}), &[("surface", surface().into())]).unwrap();
+        assert_eq!((mesh.vertices.len(), mesh.triangles.len(), mesh.frame), (8, 7, Frame::Wall));
+        assert!((mesh.vertices[7][0] - 1001.0).abs() < 1e-12 && (mesh.vertices[7][1] - 1998.0).abs() < 1e-12);
+        let facets =
+            crate::kernel::truth::Facets { vertices: mesh.vertices.clone(), triangles: mesh.triangles.clone() };
+        assert!((facets.vector_area_m2().z - 3.5).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_step_thins_and_a_transform_moves() {
+        let mut whole = surface();
+        whole.points[8] = [2.0, -2.0, 0.25];
+        let mut out = Transform::identity("wall", "world");
+        out.translation = [0.0, 0.0, 10.0];
+        let inputs = [("surface", whole.into()), ("transform", out.into())];
+        let mesh = made(&json!({"step": 2}), &inputs).unwrap();
+        assert_eq!((mesh.vertices.len(), mesh.triangles.len(), mesh.frame), (4, 2, Frame::World));
+        assert!((mesh.vertices[0][2] - 13.25).abs() < 1e-12);
+        let wrong = [("surface", surface().into()), ("transform", Transform::identity("world", "wall").into())];
+        assert!(made(&json!({}), &wrong).unwrap_err().message.contains("surface is in the wall frame"));
+        assert!(
+            made(&json!({"step": 2}), &[("surface", surface().into())]).unwrap_err().message.contains("no triangle")
+        );
+    }
+}
