@@ -124,8 +124,12 @@ fn yaml(arrows: &Arrows) -> String {
         yaml += &match from.as_slice() {
             [] => format!("  s{step}: {{stage: root}}\n"),
             [one] => format!("  s{step}: {{stage: cheap, with: {{value: {step}}}, in: {{terms: s{one}.out}}}}\n"),
-            [one, two] => format!("  s{step}: {{stage: cheap, with: {{value: {step}}}, in: {{terms: s{one}.out, also: s{two}.out}}}}\n"),
-            [one, two, three, ..] => format!("  s{step}: {{stage: cheap, with: {{value: {step}}}, in: {{terms: s{one}.out, also: s{two}.out, too: s{three}.out}}}}\n"),
+            [one, two] => format!(
+                "  s{step}: {{stage: cheap, with: {{value: {step}}}, in: {{terms: s{one}.out, also: s{two}.out}}}}\n"
+            ),
+            [one, two, three, ..] => format!(
+                "  s{step}: {{stage: cheap, with: {{value: {step}}}, in: {{terms: s{one}.out, also: s{two}.out, too: s{three}.out}}}}\n"
+            ),
         };
     }
     yaml

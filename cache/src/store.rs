@@ -128,7 +128,11 @@ impl Store {
         let Some(bytes) = self.journal.read_if_there(place)? else {
             // Its segment was written anew since it was looked up.
             self.refresh()?;
-            return if self.place(digest) == Some(place) { Err(StoreError::Missing { digest: *digest }) } else { self.get(digest) };
+            return if self.place(digest) == Some(place) {
+                Err(StoreError::Missing { digest: *digest })
+            } else {
+                self.get(digest)
+            };
         };
         if Digest::of(&bytes) == *digest {
             return Ok(bytes);

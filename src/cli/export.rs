@@ -28,7 +28,9 @@ impl ExportArgs {
         let run = history::find(&self.places.runs, &self.run)?;
         let (done, port) = chosen(&run.manifest, &self.output)?;
         let output = &done.outputs.as_ref().map(|outputs| &outputs[port]);
-        let Some(output) = output else { return Err(CliError::Usage(format!("`{}` was not made in this run", done.label()))) };
+        let Some(output) = output else {
+            return Err(CliError::Usage(format!("`{}` was not made in this run", done.label())));
+        };
         let kind: Option<rockface_stages::artefact::Kind> = output.kind.parse().ok();
         let to = if self.path.is_dir() {
             let extension = kind.map_or("bin", rockface_stages::artefact::Kind::extension);
@@ -52,7 +54,8 @@ fn unkept(error: rockface_cache::StoreError, folder: &Path) -> CliError {
     match error {
         rockface_cache::StoreError::Missing { digest } => {
             let again = folder.join("run.json");
-            let way = format!("repeat the run with `rockface run {}`, and with `keep: true` on the step", again.display());
+            let way =
+                format!("repeat the run with `rockface run {}`, and with `keep: true` on the step", again.display());
             CliError::Usage(format!("blob {} is not in the store (not kept, or collected): {way}", digest.short()))
         }
         other => other.into(),
@@ -65,7 +68,8 @@ fn chosen<'a>(manifest: &'a Manifest, output: &'a str) -> Result<(&'a StepDone, 
     let known = |done: &'a StepDone| {
         let ports = done.outputs.iter().flatten().map(|(port, _)| port.as_str());
         let point = done.label()[done.step.len()..].to_owned();
-        ports.map(move |port| (done, port, [format!("{}.{port}", done.label()), format!("{}.{port}{point}", done.step)]))
+        ports
+            .map(move |port| (done, port, [format!("{}.{port}", done.label()), format!("{}.{port}{point}", done.step)]))
     };
     let all: Vec<_> = manifest.steps.iter().flat_map(known).collect();
     if let Some((done, port, _)) = all.iter().find(|(_, _, names)| names.iter().any(|name| name == output)) {

@@ -61,15 +61,23 @@ impl InspectArgs {
             [(digest, kind)] => of_blob(&store, digest, kind, &records),
             [] => Err(self.unknown()),
             several => {
-                let names: Vec<String> = several.iter().take(8).map(|(digest, kind)| format!("{digest} ({kind})")).collect();
-                Err(CliError::Usage(format!("`{}` fits {} digests: {}; give more digits", self.what, several.len(), names.join(", "))))
+                let names: Vec<String> =
+                    several.iter().take(8).map(|(digest, kind)| format!("{digest} ({kind})")).collect();
+                Err(CliError::Usage(format!(
+                    "`{}` fits {} digests: {}; give more digits",
+                    self.what,
+                    several.len(),
+                    names.join(", ")
+                )))
             }
         }
     }
 
     fn unknown(&self) -> CliError {
         let what = &self.what;
-        CliError::Usage(format!("`{what}` is neither a file nor the start of a digest on record: `rockface runs show RUN --json` names digests"))
+        CliError::Usage(format!(
+            "`{what}` is neither a file nor the start of a digest on record: `rockface runs show RUN --json` names digests"
+        ))
     }
 }
 
@@ -113,7 +121,8 @@ fn of_blob(store: &Store, digest: &Digest, kind: &str, records: &[(Digest, Recor
 }
 
 fn of_file(path: &Path) -> Result<Facts, CliError> {
-    let bytes = std::fs::read(path).map_err(|error| CliError::Usage(format!("cannot read `{}`: {error}", path.display())))?;
+    let bytes =
+        std::fs::read(path).map_err(|error| CliError::Usage(format!("cannot read `{}`: {error}", path.display())))?;
     let mut facts: Facts = vec![
         ("file".into(), path.display().to_string().into()),
         ("bytes".into(), bytes.len().into()),
@@ -135,7 +144,8 @@ fn of_file(path: &Path) -> Result<Facts, CliError> {
             Err(error) => faults.push(format!("as {kind}: {error}")),
         }
     }
-    let why = if faults.is_empty() { format!("no artefact has the extension `{extension}`") } else { faults.join("; ") };
+    let why =
+        if faults.is_empty() { format!("no artefact has the extension `{extension}`") } else { faults.join("; ") };
     facts.push(("kind".into(), "not an artefact".into()));
     facts.push(("why".into(), why.into()));
     Ok(facts)

@@ -79,7 +79,8 @@ fn estimate(plan: &Plan, answers: &[Answer], times: &Times) -> Option<String> {
     if count == 0 {
         return None;
     }
-    let untimed = if count < open.len() { format!("; {} of stages never timed", open.len() - count) } else { String::new() };
+    let untimed =
+        if count < open.len() { format!("; {} of stages never timed", open.len() - count) } else { String::new() };
     Some(format!("up to about {} of work, going by {count} steps of stages on record{untimed}", duration(seconds)))
 }
 

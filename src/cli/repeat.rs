@@ -60,7 +60,9 @@ pub fn verdict(manifest: &Manifest, plan: &Plan, summary: &Summary) -> Vec<Strin
     }
     let program = crate::build::program();
     if manifest.program != program {
-        lines.push("the program is not the one that made the run; run.json tells both its version and its lock file".into());
+        lines.push(
+            "the program is not the one that made the run; run.json tells both its version and its lock file".into(),
+        );
     }
     lines.push(format!("repeated: {same} outputs are the same, {} are not", lines.len()));
     lines

@@ -73,7 +73,7 @@ struct GcArgs {
 
 fn non_negative(text: &str) -> Result<f64, String> {
     let number: f64 = text.parse().map_err(|_| "give a number, such as 30 or 0.5".to_owned())?;
-    if number >= 0.0 && number <= 1e9 { Ok(number) } else { Err("give a number from 0 to 1e9".to_owned()) }
+    if (0.0..=1e9).contains(&number) { Ok(number) } else { Err("give a number from 0 to 1e9".to_owned()) }
 }
 
 impl StoreArgs {
@@ -106,8 +106,14 @@ fn stat(store: &Store, as_json: bool) -> Result<(), CliError> {
     table::print(Format::Table, &["stage", "records", "outputs", "size", "time to make"], &rows, &json!(null))?;
     let blobs = whole.small_blobs + whole.large_blobs;
     let size = bytes(whole.segment_bytes + whole.large_blob_bytes);
-    let aside = if whole.quarantined > 0 { format!(", {} damaged set aside", whole.quarantined) } else { String::new() };
-    say(&format!("{} records, {blobs} blobs, {} segments, {size}{aside} in {}", whole.records, whole.segments, store.dir().display()));
+    let aside =
+        if whole.quarantined > 0 { format!(", {} damaged set aside", whole.quarantined) } else { String::new() };
+    say(&format!(
+        "{} records, {blobs} blobs, {} segments, {size}{aside} in {}",
+        whole.records,
+        whole.segments,
+        store.dir().display()
+    ));
     Ok(())
 }
 
@@ -117,7 +123,8 @@ fn verify(store: &Store, repair: bool, as_json: bool) -> Result<(), CliError> {
         say(&json!(found).to_string());
     } else {
         for fault in &found.faults {
-            let what = if fault.outputs.is_empty() { "no record names it".to_owned() } else { fault.outputs.join(", ") };
+            let what =
+                if fault.outputs.is_empty() { "no record names it".to_owned() } else { fault.outputs.join(", ") };
             let done = if fault.set_aside { "; set aside" } else { "" };
             let kind = format!("{:?}", fault.kind).to_lowercase();
             say(&format!("{kind:8} {}  {what}{done}", fault.digest.short()));
@@ -166,11 +173,19 @@ impl GcArgs {
             vec![item.digest.short(), bytes(item.bytes), item.what.clone(), day(item.used_unix_s), item.why.clone()]
         };
         let rows: Vec<Vec<String>> = plan.blobs.iter().map(row).collect();
-        table::print(Format::Table, &["blob", "size", "what it is", "last used", "why it would go"], &rows, &json!(null))?;
+        table::print(
+            Format::Table,
+            &["blob", "size", "what it is", "last used", "why it would go"],
+            &rows,
+            &json!(null),
+        )?;
         let size = bytes(plan.blobs.iter().map(|item| item.bytes).sum());
         let (records, kept) = (plan.records.len(), plan.kept_records);
         let kept_size = bytes(plan.kept_bytes);
-        say(&format!("{records} records and {} blobs ({size}) would go; {kept} records ({kept_size}) stay", plan.blobs.len()));
+        say(&format!(
+            "{records} records and {} blobs ({size}) would go; {kept} records ({kept_size}) stay",
+            plan.blobs.len()
+        ));
         Ok(())
     }
 

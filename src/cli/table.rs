@@ -34,7 +34,8 @@ fn columns(head: &[&str], rows: &[Vec<String>]) -> String {
     };
     let widths: Vec<usize> = (0..head.len()).map(width).collect();
     let is_number = |cell: &String| cell.is_empty() || cell.parse::<f64>().is_ok();
-    let numeric: Vec<bool> = (0..head.len()).map(|column| rows.iter().all(|row| row.get(column).is_none_or(is_number))).collect();
+    let numeric: Vec<bool> =
+        (0..head.len()).map(|column| rows.iter().all(|row| row.get(column).is_none_or(is_number))).collect();
     let line = |cells: Vec<&str>| {
         let cells = cells.iter().zip(&widths).zip(&numeric).map(|((cell, width), numeric)| {
             if *numeric { format!("{cell:>width$}") } else { format!("{cell:width$}") }

@@ -100,7 +100,9 @@ impl Packing<'_> {
         let mut missing = 0;
         for key in keys {
             match store.record(&key) {
-                Some(record) => self.add(&PathBuf::from(format!("records/{key}.recipe.json")), record.recipe.text().as_bytes())?,
+                Some(record) => {
+                    self.add(&PathBuf::from(format!("records/{key}.recipe.json")), record.recipe.text().as_bytes())?;
+                }
                 None => missing += 1,
             }
         }

@@ -78,7 +78,10 @@ fn side_by_side(runs: impl Iterator<Item = Named>) -> Vec<Row> {
 fn parameters(manifest: &Manifest) -> Named {
     let mut found: BTreeMap<String, Vec<Value>> = BTreeMap::new();
     for done in &manifest.steps {
-        found.entry(format!("{} (stage)", done.step)).or_default().push(format!("{} {}", done.stage, done.version).into());
+        found
+            .entry(format!("{} (stage)", done.step))
+            .or_default()
+            .push(format!("{} {}", done.stage, done.version).into());
         leaves(&done.parameters, &done.step, &mut |name, value| found.entry(name).or_default().push(value));
     }
     found.insert("seed".to_owned(), vec![manifest.seed.into()]);
@@ -102,7 +105,8 @@ fn leaves(value: &Value, path: &str, tell: &mut impl FnMut(String, Value)) {
 
 fn metrics(manifest: &Manifest) -> Named {
     let told = manifest.steps.iter().flat_map(|done| done.metrics.iter().map(move |metric| (done.label(), metric)));
-    told.map(|(label, metric)| (format!("{label}.{}", metric.name), metric.value.map_or(Value::Null, Value::from))).collect()
+    told.map(|(label, metric)| (format!("{label}.{}", metric.name), metric.value.map_or(Value::Null, Value::from)))
+        .collect()
 }
 
 fn units(manifest: &Manifest) -> Vec<(String, String)> {

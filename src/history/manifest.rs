@@ -137,8 +137,12 @@ impl Manifest {
     fn parse(text: &[u8]) -> Result<Self, String> {
         let value: Value = serde_json::from_slice(text).map_err(|error| error.to_string())?;
         match value.get("format").and_then(Value::as_u64) {
-            Some(format) if format == u64::from(FORMAT) => serde_json::from_value(value).map_err(|error| error.to_string()),
-            Some(format) => Err(format!("it has format {format}, this version reads {FORMAT}; use the version that wrote it")),
+            Some(format) if format == u64::from(FORMAT) => {
+                serde_json::from_value(value).map_err(|error| error.to_string())
+            }
+            Some(format) => {
+                Err(format!("it has format {format}, this version reads {FORMAT}; use the version that wrote it"))
+            }
             None => Err("it says no format".to_owned()),
         }
     }

@@ -168,7 +168,9 @@ pub fn find(runs: &Path, name: &str) -> Result<PastRun, HistoryError> {
     match fitting.as_slice() {
         [only] => PastRun::open(&runs.join(only)),
         [] => Err(unknown(runs, name, &names)),
-        several => Err(HistoryError::Ambiguous { name: name.into(), fitting: several.iter().map(|n| (*n).clone()).collect() }),
+        several => {
+            Err(HistoryError::Ambiguous { name: name.into(), fitting: several.iter().map(|n| (*n).clone()).collect() })
+        }
     }
 }
 

@@ -154,12 +154,7 @@ impl Writer<'_> {
     }
 
     /// Links the kept outputs of an instance and writes their further files; returns both, relative to the folder.
-    fn outputs(
-        &self,
-        folder: &Path,
-        instance: usize,
-        outcome: &Outcome,
-    ) -> Result<(Paths, Vec<PathBuf>), RunError> {
+    fn outputs(&self, folder: &Path, instance: usize, outcome: &Outcome) -> Result<(Paths, Vec<PathBuf>), RunError> {
         let step = self.plan.step(instance);
         let mut place = Path::new("outputs").join(readable_name(&step.name));
         if !step.axes.is_empty() {
@@ -242,7 +237,7 @@ impl Writer<'_> {
             "overrides": {"set": self.about.overrides.set, "seed": self.about.overrides.seed},
             "seed": self.plan.graph.seed,
             "targets": self.about.targets,
-            "finished": humantime::format_rfc3339_seconds(SystemTime::now()).to_string(),
+            "finished": humantime::format_rfc3339_millis(SystemTime::now()).to_string(),
             "wall_s": self.summary.wall_s,
             "jobs": self.about.jobs,
             "status": if self.summary.failed { "failed" } else { "done" },
@@ -271,7 +266,7 @@ impl Writer<'_> {
             "status": status, "key": result.key, "outputs": outcome.map(|o| &o.outputs), "log": outcome.map(|o| o.log),
             "cost": outcome.map(|o| o.cost), "parameters": params.recipe,
             "metrics": metrics.collect::<Vec<_>>(), "files": files.collect::<Vec<_>>(),
-            "inputs": result.recipe.as_ref().map(|recipe| &recipe.inputs).unwrap_or(&BTreeMap::new()), "paths": paths,
+            "inputs": result.recipe.as_ref().map_or(&BTreeMap::new(), |recipe| &recipe.inputs), "paths": paths,
         })
     }
 }

@@ -66,13 +66,7 @@ pub fn recall(store: &Path, question: &Digest, runs: &Path) -> Result<Option<Tol
 /// # Errors
 ///
 /// Those of the store.
-pub fn remember(
-    store: &Store,
-    question: &Digest,
-    plan: &Plan,
-    summary: &Summary,
-    told: &Told,
-) -> Result<(), RunError> {
+pub fn remember(store: &Store, question: &Digest, plan: &Plan, summary: &Summary, told: &Told) -> Result<(), RunError> {
     if summary.failed || summary.instances.iter().any(|instance| instance.outcome.is_none()) {
         return Ok(());
     }

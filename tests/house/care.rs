@@ -30,7 +30,9 @@ fn a_run_of_hits_is_answered_without_the_store_and_never_wrongly() {
     assert_eq!(answers(&house), 1);
     assert_eq!(run("ran 0, cached 2"), first, "the same files and headlines are named");
     // A store nobody can read would be noticed by whoever opens it: the answer does not.
-    let mode = |mode| fs::set_permissions(house.path(".rockface/store/tmp"), std::os::unix::fs::PermissionsExt::from_mode(mode));
+    let mode = |mode| {
+        fs::set_permissions(house.path(".rockface/store/tmp"), std::os::unix::fs::PermissionsExt::from_mode(mode))
+    };
     mode(0o000).unwrap();
     assert_eq!(run("ran 0, cached 2"), first);
     mode(0o755).unwrap();
@@ -51,7 +53,9 @@ fn an_input_that_changed_is_never_answered_for() {
     let house = House::new("rockface: 1\nsteps: {face: {stage: import-mesh, with: {path: face.ply}}}\n");
     let ply = |z: u32| {
         let head = "ply\nformat ascii 1.0\nelement vertex 3\nproperty double x\nproperty double y\nproperty double z\n";
-        format!("{head}element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 {z}\n3 0 1 2\n")
+        format!(
+            "{head}element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 {z}\n3 0 1 2\n"
+        )
     };
     let write = |z: u32, age_s: u64| {
         fs::write(house.path("face.ply"), ply(z)).unwrap();

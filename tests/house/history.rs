@@ -40,7 +40,8 @@ fn runs_are_listed_shown_and_compared_by_what_varies() {
     let (code, out, err) = house.rockface(&["runs", "compare", &names[0], &names[1], "--format", "json"]);
     assert_eq!(code, Some(0), "{err}");
     let found: Value = serde_json::from_str(&out).unwrap();
-    let parameters: Vec<&str> = found["parameters"].as_array().unwrap().iter().map(|p| p["name"].as_str().unwrap()).collect();
+    let parameters: Vec<&str> =
+        found["parameters"].as_array().unwrap().iter().map(|p| p["name"].as_str().unwrap()).collect();
     assert_eq!(parameters, ["dem.cell_m"]);
     assert_eq!(found["parameters"][0]["values"], serde_json::json!([0.05, 0.1]));
     assert!(found["equal_parameters"].as_u64().unwrap() > 5);
@@ -65,7 +66,10 @@ fn a_manifest_repeats_its_run_and_says_whether_it_came_out_the_same() {
     let changed = ["run", manifest.to_str().unwrap(), "--set", "steps.dem.with.cell_m=0.15"];
     let (code, out, _) = house.rockface(&changed);
     assert_eq!(code, Some(0));
-    assert!(out.contains("differs  dem.raster: ") && out.contains("repeated: 1 outputs are the same, 1 are not"), "{out}");
+    assert!(
+        out.contains("differs  dem.raster: ") && out.contains("repeated: 1 outputs are the same, 1 are not"),
+        "{out}"
+    );
     std::fs::write(house.path("other.json"), "{\"format\": 7}").unwrap();
     let (code, _, err) = house.rockface(&["run", "other.json"]);
     assert!(code == Some(2) && err.contains("format 7"), "{err}");
@@ -130,7 +134,9 @@ fn an_archive_holds_what_is_needed_to_check_a_run() {
             assert_eq!(key, blake3::hash(&files[path]).to_string(), "a recipe's digest is its key");
         }
         assert_eq!(files.contains_key("outputs/dem/raster.tif"), name == "b.tar");
-        assert!(["run.json", "run.mcap", "pipeline.yaml", "ro-crate-metadata.json"].iter().all(|f| files.contains_key(*f)));
+        assert!(
+            ["run.json", "run.mcap", "pipeline.yaml", "ro-crate-metadata.json"].iter().all(|f| files.contains_key(*f))
+        );
     }
 }
 

@@ -119,7 +119,8 @@ impl Store {
 
     /// Blobs that no record names and that were written before `since_s`.
     fn orphans(&self, candidates: &[Candidate], since_s: u64) -> Result<Vec<GcItem>, StoreError> {
-        let named: BTreeSet<Digest> = candidates.iter().flat_map(|one| one.blobs.iter().map(|(blob, _)| *blob)).collect();
+        let named: BTreeSet<Digest> =
+            candidates.iter().flat_map(|one| one.blobs.iter().map(|(blob, _)| *blob)).collect();
         let small = self.small_blobs().into_iter().filter_map(|digest| {
             let place = self.place(&digest)?;
             Some((digest, u64::from(place.length), place.stamp / 1_000_000_000))
@@ -133,7 +134,11 @@ impl Store {
             used_unix_s: 0,
             why: "no record names it".to_owned(),
         };
-        Ok(all.into_iter().filter(|(digest, _, made_s)| !named.contains(digest) && *made_s < since_s).map(orphan).collect())
+        Ok(all
+            .into_iter()
+            .filter(|(digest, _, made_s)| !named.contains(digest) && *made_s < since_s)
+            .map(orphan)
+            .collect())
     }
 }
 

@@ -73,7 +73,9 @@ fn a_budget_lets_the_longest_unused_go_first_and_counts_shared_blobs_once() {
     let other = finish(&store, 9, &large(9));
     let used = [(keys[0], 50), (keys[1], 40), (keys[2], 30), (keys[3], 20), (other, 60)].into();
     let plan = |max_bytes| {
-        store.plan_gc(&GcPolicy { max_bytes: Some(max_bytes), used: Clone::clone(&used), ..GcPolicy::default() }).unwrap()
+        store
+            .plan_gc(&GcPolicy { max_bytes: Some(max_bytes), used: Clone::clone(&used), ..GcPolicy::default() })
+            .unwrap()
     };
     assert_eq!(plan(300_000).records, []);
     // Only once all four records of the shared blob go is there any room.
