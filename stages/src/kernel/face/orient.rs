@@ -154,7 +154,7 @@ mod tests {
             [(3.0 + side * half_cos) * cos, (3.0 + side * half_cos) * sin, side * half_sin]
         };
         let mut triangles: Vec<[u32; 3]> =
-            (0..16).map(|k| if k.is_multiple_of(2) { [k, k + 1, k + 2] } else { [k + 1, k, k + 2] }).collect();
+            (0..16u32).map(|k| if k.is_multiple_of(2) { [k, k + 1, k + 2] } else { [k + 1, k, k + 2] }).collect();
         // The last square meets the first upside down.
         triangles.extend([[16, 17, 1], [17, 0, 1]]);
         let mut mesh =
