@@ -230,3 +230,11 @@ fn say(text: &str) {
     use std::io::Write;
     let _ = writeln!(std::io::stdout(), "{text}");
 }
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn every_command_is_sound() {
+        <super::Cli as clap::CommandFactory>::command().debug_assert();
+    }
+}

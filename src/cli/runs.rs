@@ -39,8 +39,8 @@ enum RunsCommand {
     /// Put runs side by side: the parameters that vary between them, and the numbers they told.
     Compare {
         /// Two runs or more.
-        #[arg(required = true, num_args = 2..)]
-        runs: Vec<String>,
+        #[arg(required = true, num_args = 2.., value_name = "RUN")]
+        compared: Vec<String>,
         #[command(flatten)]
         places: Places,
         /// How to print them.
@@ -69,8 +69,9 @@ impl RunsArgs {
         match self.command {
             RunsCommand::List { places, format } => list(&places, format),
             RunsCommand::Show { run, places, json } => show(&history::find(&places.runs, &run)?, json),
-            RunsCommand::Compare { runs, places, format } => {
-                let found = runs.iter().map(|run| history::find(&places.runs, run)).collect::<Result<Vec<_>, _>>()?;
+            RunsCommand::Compare { compared, places, format } => {
+                let found =
+                    compared.iter().map(|run| history::find(&places.runs, run)).collect::<Result<Vec<_>, _>>()?;
                 compare(&found, format)
             }
             RunsCommand::Pin { run, places } => pin(&places, &run, true),

@@ -73,7 +73,7 @@ struct GcArgs {
 
 fn non_negative(text: &str) -> Result<f64, String> {
     let number: f64 = text.parse().map_err(|_| "give a number, such as 30 or 0.5".to_owned())?;
-    if number >= 0.0 && number <= 1e9 { Ok(number) } else { Err("give a number from 0 to 1e9".to_owned()) }
+    if (0.0..=1e9).contains(&number) { Ok(number) } else { Err("give a number from 0 to 1e9".to_owned()) }
 }
 
 impl StoreArgs {

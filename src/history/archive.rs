@@ -101,7 +101,7 @@ impl Packing<'_> {
         for key in keys {
             match store.record(&key) {
                 Some(record) => {
-                    self.add(&PathBuf::from(format!("records/{key}.recipe.json")), record.recipe.text().as_bytes())?
+                    self.add(&PathBuf::from(format!("records/{key}.recipe.json")), record.recipe.text().as_bytes())?;
                 }
                 None => missing += 1,
             }

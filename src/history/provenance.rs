@@ -4,7 +4,7 @@
 //! It follows the Provenance Run Crate profile 0.5: <https://w3id.org/ro/wfrun/provenance/0.5>.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use rockface_cache::RecipeInput;
@@ -52,8 +52,10 @@ fn to(id: &str) -> Value {
     json!({ "@id": id })
 }
 
+/// References to entities; a single one stands without a list, as the specification wants it.
 fn all(ids: impl IntoIterator<Item = String>) -> Value {
-    ids.into_iter().map(|id| to(&id)).collect()
+    let mut references: Vec<Value> = ids.into_iter().map(|id| to(&id)).collect();
+    if references.len() == 1 { references.remove(0) } else { references.into() }
 }
 
 /// A path as the part of an address: what is not plain is written in hexadecimal.
@@ -161,7 +163,7 @@ impl Crate<'_> {
         ids
     }
 
-    fn output_file(&mut self, done: &StepDone, port: &str, path: &PathBuf, kind: &str) -> String {
+    fn output_file(&mut self, done: &StepDone, port: &str, path: &Path, kind: &str) -> String {
         let id = address(path);
         let name = format!("{}.{port}", done.label());
         let format = match path.extension().and_then(|extension| extension.to_str()) {

@@ -237,7 +237,7 @@ impl Writer<'_> {
             "overrides": {"set": self.about.overrides.set, "sweep": self.about.overrides.sweep, "seed": self.about.overrides.seed},
             "seed": self.plan.graph.seed,
             "targets": self.about.targets,
-            "finished": humantime::format_rfc3339_seconds(SystemTime::now()).to_string(),
+            "finished": humantime::format_rfc3339_millis(SystemTime::now()).to_string(),
             "wall_s": self.summary.wall_s,
             "jobs": self.about.jobs,
             "status": if self.summary.failed { "failed" } else { "done" },
@@ -266,7 +266,7 @@ impl Writer<'_> {
             "status": status, "key": result.key, "outputs": outcome.map(|o| &o.outputs), "log": outcome.map(|o| o.log),
             "cost": outcome.map(|o| o.cost), "parameters": params.recipe,
             "metrics": metrics.collect::<Vec<_>>(), "files": files.collect::<Vec<_>>(),
-            "inputs": result.recipe.as_ref().map(|recipe| &recipe.inputs).unwrap_or(&BTreeMap::new()), "paths": paths,
+            "inputs": result.recipe.as_ref().map_or(&BTreeMap::new(), |recipe| &recipe.inputs), "paths": paths,
         })
     }
 }

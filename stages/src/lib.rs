@@ -34,6 +34,7 @@ mod import_blocks;
 mod import_cameras;
 mod import_cloud;
 mod import_inventory;
+mod import_mask;
 mod import_mesh;
 mod import_rasters;
 mod import_table;
@@ -88,6 +89,7 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<rasterise_dem::RasteriseDem>::new(),
     &Row::<difference_dem::DifferenceDem>::new(),
     &Row::<import_rasters::ImportRasters>::new(),
+    &Row::<import_mask::ImportMask>::new(),
     &Row::<filter_outliers::FilterOutliers>::new(),
     &Row::<apply_mask::ApplyMask>::new(),
     &Row::<describe_noise::DescribeNoise>::new(),

@@ -172,8 +172,10 @@ impl Stage for PlanSurvey {
             Block::Strips => strips(params, &plan, &face)?,
         };
         for image in &mut images {
-            let field = context.stream("viewpoint", &image.name).field();
-            scatter(image, params.position_sigma_m, params.pointing_sigma_deg, &field);
+            if Self::draws(params) {
+                let field = context.stream("viewpoint", &image.name).field();
+                scatter(image, params.position_sigma_m, params.pointing_sigma_deg, &field);
+            }
             face.check_before(&image.centre(), plan.footprint_m.map(|side| 0.25 * side), plan.distance_m)?;
         }
         let cameras = Cameras { frame: Frame::Wall, sensors: vec![sensor], images };

@@ -121,7 +121,7 @@ fn a_full_disk_ends_a_run_with_its_own_code_and_the_next_goes_on() {
     let house = House::new(&GRAPH.replace("width_m: 3, height_m: 2", "width_m: 12, height_m: 8"));
     let disk = house.path("disk");
     std::fs::create_dir(&disk).unwrap();
-    let Some(_mounted) = Mounted::new(&disk, "2m") else {
+    let Some(_mounted) = Mounted::new(&disk, "20m") else {
         println!("skipped: this user may not mount a small file system");
         return;
     };
@@ -130,7 +130,7 @@ fn a_full_disk_ends_a_run_with_its_own_code_and_the_next_goes_on() {
     assert_eq!(code, Some(3), "{err}");
     assert!(err.contains("no space left to write") && err.contains("free some space"), "{err}");
     assert!(
-        std::process::Command::new("mount").args(["-o", "remount,size=64m"]).arg(&disk).status().unwrap().success()
+        std::process::Command::new("mount").args(["-o", "remount,size=800m"]).arg(&disk).status().unwrap().success()
     );
     let (code, out, err) = house.rockface(&arguments);
     assert_eq!(code, Some(0), "{err}");
@@ -164,10 +164,10 @@ rockface: 1
 axes: {{x: {{values: [{}]}}}}
 steps:
   base: {{stage: emit, with: {{value: 3}}}}
-  shared: {{stage: add, in: {{terms: base.out}}, with: {{plus: 1}}}}
+  shared: {{stage: add, in: {{terms: base.out}}, with: {{plus: 0.125}}}}
   own: {{stage: add, in: {{terms: shared.out}}, with: {{plus: '${{x}}'}}}}
-  next: {{stage: add, in: {{terms: own.out}}, with: {{plus: 2}}}}
-  last: {{stage: add, in: {{terms: next.out}}, with: {{plus: 4}}}}
+  next: {{stage: add, in: {{terms: own.out}}, with: {{plus: 0.25}}}}
+  last: {{stage: add, in: {{terms: next.out}}, with: {{plus: 0.5}}}}
 ",
             values.join(", ")
         )

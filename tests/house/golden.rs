@@ -12,12 +12,13 @@ const SCENE: &str = include_str!("golden.yaml");
 const LIST: &str = "tests/house/golden.txt";
 
 /// Stages that need files; what they read is pinned by tests of their own.
-const NEED_FILES: [&str; 8] = [
+const NEED_FILES: [&str; 9] = [
     "import-mesh",
     "import-cloud",
     "import-cameras",
     "import-rasters",
     "import-inventory",
+    "import-mask",
     "import-blocks",
     "import-table",
     "draw-rockfall",

@@ -22,7 +22,7 @@ impl Draws {
 }
 
 fn output(number: u64) -> Vec<u8> {
-    let size = if number % 4 == 0 { 70_000 } else { 200 + 37 * number };
+    let size = if number.is_multiple_of(4) { 70_000 } else { 200 + 37 * number };
     (0..size).map(|at| (at * (number + 3)) as u8).collect()
 }
 
@@ -75,7 +75,7 @@ fn check(dir: &Path, context: &str) {
 fn whatever_sectors_a_power_cut_loses_nothing_wrong_is_served() {
     let scene = scene();
     let mut draws = Draws(7);
-    for round in 0..150 {
+    for round in 0..60 {
         let mut bytes = scene.bytes.clone();
         let chance = 1 + draws.below(6);
         for start in (scene.synced..bytes.len()).step_by(SECTOR_BYTES) {
@@ -83,7 +83,7 @@ fn whatever_sectors_a_power_cut_loses_nothing_wrong_is_served() {
             match draws.below(chance + 1) {
                 0 => bytes[start..end].fill(0),
                 // Half of a sector from before, where it was never written.
-                1 if draws.below(4) == 0 => bytes[start..(start + end) / 2].fill(0xff),
+                1 if draws.below(4) == 0 => bytes[start..usize::midpoint(start, end)].fill(0xff),
                 _ => {}
             }
         }
@@ -98,7 +98,7 @@ fn whatever_sectors_a_power_cut_loses_nothing_wrong_is_served() {
 #[test]
 fn cut_off_after_any_byte_of_any_write_nothing_wrong_is_served() {
     let scene = scene();
-    for size in (scene.synced..=scene.bytes.len()).step_by(61) {
+    for size in (scene.synced..=scene.bytes.len()).step_by(127) {
         fs::write(&scene.segment, &scene.bytes[..size]).unwrap();
         check(scene.folder.path(), &format!("cut at {size}"));
     }

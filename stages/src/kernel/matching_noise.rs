@@ -4,6 +4,7 @@
 //! Interpolation lowers the variance between nodes, from 1 at a node to 0.41 in the centre of a Catmull-Rom cell.
 
 use crate::choice;
+use crate::kernel::noise::student::student;
 use crate::kernel::precise;
 use crate::kernel::random::{Field, Key};
 
@@ -70,28 +71,6 @@ fn uniform(field: &Field, x: i32, y: i32) -> f64 {
 
 fn laplace(u: f64) -> f64 {
     -u.signum() * precise::log(1.0 - 2.0 * u.abs()) / 2f64.sqrt()
-}
-
-/// Degrees of freedom of the Student distribution.
-const STUDENT_DEGREES: f64 = 5.0;
-
-/// The quantile of Student's t at `u + 1/2`, divided by its deviation `sqrt(5/3)`.
-///
-/// The distribution function with five degrees of freedom has a closed form in the angle `atan(t / sqrt 5)`; it is inverted by
-/// bisection in that angle.
-fn student(u: f64) -> f64 {
-    use std::f64::consts::{FRAC_PI_2, PI};
-    let below = |angle: f64| {
-        let (sin, cos) = precise::sincos(angle);
-        (angle + sin * cos * (1.0 + 2.0 / 3.0 * cos * cos)) / PI
-    };
-    let (mut low, mut high) = (0.0, FRAC_PI_2);
-    for _ in 0..54 {
-        let middle = 0.5 * (low + high);
-        if below(middle) < u.abs() { low = middle } else { high = middle }
-    }
-    let t = STUDENT_DEGREES.sqrt() * precise::tan(0.5 * (low + high));
-    t.copysign(u) * ((STUDENT_DEGREES - 2.0) / STUDENT_DEGREES).sqrt()
 }
 
 impl Interpolation {
@@ -327,14 +306,6 @@ mod tests {
         assert!((squares(&kernel.weights(0.5)) - 0.460_069).abs() < 1e-6);
         assert!((kernel.mean_variance() - 0.479_365).abs() < 1e-6);
         assert!(kernel.weights(0.0).iter().zip([1.0, 4.0, 1.0, 0.0]).all(|(w, e)| (6.0 * w - e).abs() < 1e-15));
-    }
-
-    #[test]
-    fn student_quantiles_are_the_tabulated_ones() {
-        for (p, t) in [(0.975, 2.570_581_8), (0.75, 0.726_686_8), (0.999, 5.893_43)] {
-            assert!((student(p - 0.5) * (5.0f64 / 3.0).sqrt() - t).abs() < 1e-5, "{p}");
-            assert!((student(p - 0.5) + student(0.5 - p)).abs() < 1e-12);
-        }
     }
 
     #[test]

@@ -33,8 +33,10 @@ pub fn write(cameras: &Cameras) -> Result<Vec<(String, Vec<u8>)>, StageError> {
     let mut images =
         String::from("# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then POINTS2D[] as (X, Y, POINT3D_ID)\n");
     for (position, image) in cameras.images.iter().enumerate() {
-        if image.name.split_whitespace().collect::<Vec<_>>().join(" ") != image.name {
-            fail!("image `{}`: such blanks in a name are lost in a COLMAP text model", image.name.escape_debug());
+        if image.name.contains(char::is_whitespace) {
+            let name = image.name.escape_debug();
+            let error = StageError::new(format!("image `{name}`: COLMAP ends a name of its text model at a blank"));
+            return Err(error.hint("export it as colmap-binary, or rename the image"));
         }
         let pose = colmap::pose(image, position);
         let (q, t) = (words(&pose.quaternion), words(&pose.translation));

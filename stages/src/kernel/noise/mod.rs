@@ -10,6 +10,8 @@ pub mod modulation;
 pub mod moments;
 pub mod nested_variogram;
 pub mod points;
+pub mod polygons;
 pub mod robust_variogram;
+pub mod student;
 pub mod terms;
 pub mod window;

@@ -5,8 +5,9 @@
 
 use rayon::prelude::*;
 
-use super::evaluate::{Evaluation, NEW, Proposal, Reason, Rejection, Rules, Trial, evaluate};
+use super::evaluate::{Evaluation, NEW, Proposal, Rules, Trial, evaluate};
 use super::face::{Face, Rect};
+use super::reason::{Reason, Rejection};
 use crate::kernel::truth::Facets;
 
 /// Candidates tried at a time.

@@ -1,115 +1,17 @@
 //! Tries one candidate on a face without changing it: placement, cut, and every validity check of Algorithm 1.
 
-use nalgebra::{Matrix3, Vector3};
-
-use super::cut::{Cut, Failure, Least, Manner, Piece, Threshold, cut};
+use super::cut::{Cut, Failure, Least, Manner, Piece, cut};
 use super::face::{Face, Rect};
-use super::frame::{local_normal, turn_to};
-use super::measure::{self, Lids};
 use super::patch::{Patch, more};
+use super::place::{Placed, place};
+use super::reason::{Reason, Rejection};
 use super::refine::refine;
-use super::search::{Columns, Limits, Offset};
 use super::topology::Change;
 use super::zone::Zone;
-use crate::kernel::precise;
 use crate::kernel::truth::Facets;
 
 /// Marks a vertex that the proposal adds, by its number among those.
 pub const NEW: u32 = 1 << 31;
-
-/// Why a candidate is rejected.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Reason {
-    /// No rock face where it should stand.
-    OffFace,
-    /// It reaches over the border of the mesh.
-    Border,
-    /// The rock face it takes reaches out of the safe zone.
-    Zone,
-    /// It meets an earlier niche or comes too near to it.
-    Overlap,
-    /// It stands too near to an earlier one.
-    Spacing,
-    /// There is no rock inside it.
-    Empty,
-    /// It is all inside the rock.
-    Buried,
-    /// Not deep enough.
-    Depth,
-    /// Too little rock.
-    Size,
-    /// The mesh would get a non-manifold edge or vertex.
-    NonManifold,
-    /// The mesh would get a hole or another border.
-    Holes,
-    /// The surface would pass through itself.
-    SelfIntersection,
-    /// A part of the surface would hang on nothing.
-    Isolated,
-    /// The mesh is no oriented manifold there.
-    MeshDefect,
-    /// The block is no closed mesh.
-    BlockDefect,
-    /// The Boolean failed or contradicted itself.
-    Boolean,
-    /// The candidate gives no block.
-    NoBlock,
-}
-
-impl Reason {
-    /// One word for it.
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::OffFace => "off_face",
-            Self::Border => "border",
-            Self::Zone => "zone",
-            Self::Overlap => "overlap",
-            Self::Spacing => "spacing",
-            Self::Empty => "empty",
-            Self::Buried => "buried",
-            Self::Depth => "depth",
-            Self::Size => "size",
-            Self::NonManifold => "non_manifold",
-            Self::Holes => "holes",
-            Self::SelfIntersection => "self_intersection",
-            Self::Isolated => "isolated",
-            Self::MeshDefect => "mesh_defect",
-            Self::BlockDefect => "block_defect",
-            Self::Boolean => "boolean",
-            Self::NoBlock => "no_block",
-        }
-    }
-}
-
-/// A rejection with what there is to say about it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Rejection {
-    /// Why.
-    pub reason: Reason,
-    /// Particulars; may be empty.
-    pub detail: String,
-}
-
-impl From<Reason> for Rejection {
-    fn from(reason: Reason) -> Self {
-        Self { reason, detail: String::new() }
-    }
-}
-
-impl From<Failure> for Rejection {
-    fn from(failure: Failure) -> Self {
-        let (reason, detail) = match failure {
-            Failure::Defect([x, y, z]) => (Reason::MeshDefect, format!("near ({x}, {y}, {z})")),
-            Failure::Block(text) => (Reason::BlockDefect, text),
-            Failure::Boolean(text) => (Reason::Boolean, text),
-            Failure::Empty => (Reason::Empty, String::new()),
-            Failure::Buried => (Reason::Buried, String::new()),
-            Failure::Refused(Threshold::Depth) => (Reason::Depth, String::new()),
-            Failure::Refused(Threshold::Size) => (Reason::Size, String::new()),
-        };
-        Self { reason, detail }
-    }
-}
 
 /// Which direction a block is moved along to its place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -222,96 +124,6 @@ pub fn evaluate(face: &Face, trial: &Trial, rules: &Rules) -> Evaluation {
         take(face, placed, rules, &mut evaluation.read)
     });
     evaluation
-}
-
-struct Placed {
-    block: Facets,
-    position: [f64; 3],
-    frame: Matrix3<f64>,
-    shift_m: f64,
-}
-
-fn place(face: &Face, trial: &Trial, rules: &Rules, read: &mut Rect) -> Result<Placed, Rejection> {
-    let radius = |about: [f64; 3]| {
-        let distance = |v: &[f64; 3]| (Vector3::from(*v) - Vector3::from(about)).norm();
-        trial.block.vertices.iter().map(distance).fold(0.0, f64::max)
-    };
-    let (foot, spin_rad, reach) = match trial.stand {
-        Stand::Own => {
-            let centre = measure::centroid(&trial.block.vertices, &trial.block.triangles);
-            (centre, 0.0, radius(centre))
-        }
-        Stand::At { place, spin_rad } => (place, spin_rad, radius([0.0; 3])),
-        Stand::On { xy, spin_rad } => {
-            *read = read.with(&[xy[0], xy[1], 0.0]);
-            let top = surface_z(face, xy).ok_or(Reason::OffFace)?;
-            ([xy[0], xy[1], top], spin_rad, radius([0.0; 3]))
-        }
-    };
-    *read = read.union(&Rect::around(&[foot]).grown(reach));
-    let needs_normal = trial.align_to_normal || rules.direction == Direction::LocalNormal;
-    let normal = if needs_normal { local_normal(face, foot, reach) } else { Vector3::z() };
-    let along = if rules.direction == Direction::Z { Vector3::z() } else { normal };
-    let frame = turn_to(&along);
-    let placed = |block, position, shift_m| Placed { block, position, frame, shift_m };
-    if trial.stand == Stand::Own {
-        return Ok(placed(trial.block.clone(), foot, 0.0));
-    }
-    let axes = if trial.align_to_normal { turn_to(&normal) } else { Matrix3::identity() };
-    let turn = frame * spin(spin_rad) * frame.transpose() * axes;
-    let block = moved(&trial.block, |v| turn * v);
-    if matches!(trial.stand, Stand::At { .. }) {
-        let block = moved(&block, |v| v + Vector3::from(foot));
-        return Ok(placed(block, foot, 0.0));
-    }
-    let offset = offset(face, &block, foot, &frame, rules, read).ok_or(Reason::Empty)?;
-    let position: Vector3<f64> = Vector3::from(foot) + along * offset.offset_m;
-    Ok(placed(moved(&block, |v| v + position), position.into(), offset.shift_m))
-}
-
-fn moved(part: &Facets, to: impl Fn(Vector3<f64>) -> Vector3<f64>) -> Facets {
-    let vertices = part.vertices.iter().map(|v| to(Vector3::from(*v)).into()).collect();
-    Facets { vertices, triangles: part.triangles.clone() }
-}
-
-/// A turn about Z.
-fn spin(angle_rad: f64) -> Matrix3<f64> {
-    let (sin, cos) = precise::sincos(angle_rad);
-    Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0)
-}
-
-/// The outermost place of the face over a point.
-pub fn surface_z(face: &Face, [x, y]: [f64; 2]) -> Option<f64> {
-    let places = face.query(&Rect { low: [x, y], high: [x, y] }).into_iter();
-    let heights = places.filter_map(|t| measure::height_in(face.triangle(t).map(|v| face.vertex(v)), x, y));
-    heights.reduce(f64::max)
-}
-
-/// The best offset of a block (turned, about its centroid) over the place `foot`.
-fn offset(
-    face: &Face,
-    block: &Facets,
-    foot: [f64; 3],
-    frame: &Matrix3<f64>,
-    rules: &Rules,
-    read: &mut Rect,
-) -> Option<Offset> {
-    let into = frame.transpose();
-    let local = moved(block, |v| into * v);
-    let reach = block.vertices.iter().map(|v| Vector3::from(*v).norm()).fold(0.0, f64::max);
-    let slant = (frame[(0, 2)] * frame[(0, 2)] + frame[(1, 2)] * frame[(1, 2)]).sqrt();
-    let rect = Rect::around(&[foot]).grown(reach * (1.0 + 2.0 * slant));
-    *read = read.union(&rect);
-    let found = face.query(&rect);
-    let corner = |v: u32| (into * (Vector3::from(face.vertex(v)) - Vector3::from(foot))).into();
-    let places: Vec<[f64; 3]> = found.iter().flat_map(|t| face.triangle(*t).map(corner)).collect();
-    let outline = Rect::around(&local.vertices);
-    let over = |t: &[u32; 3]| Rect::around(t.iter().map(|v| &places[*v as usize])).overlaps(&outline);
-    let triangles: Vec<[u32; 3]> =
-        (0..found.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).filter(over).collect();
-    let limits =
-        Limits { most_volume: rules.most_volume, depth_m: rules.least.depth_m, most_shift_m: rules.most_shift_m };
-    Columns::new(&local, &Lids::new(&places, &triangles)).best(&limits)
 }
 
 fn take(face: &Face, placed: Placed, rules: &Rules, read: &mut Rect) -> Result<Proposal, Rejection> {

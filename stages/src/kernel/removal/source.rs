@@ -3,8 +3,9 @@
 use rayon::prelude::*;
 
 use super::attempts::{BATCH, Candidate};
-use super::evaluate::{Reason, Rejection, Stand, Trial};
+use super::evaluate::{Stand, Trial};
 use super::measure;
+use super::reason::{Reason, Rejection};
 use super::sites::{Row, Sites};
 use crate::artefact::candidates::Align;
 use crate::artefact::{self, Candidates, Mesh};
