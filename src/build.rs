@@ -1,5 +1,7 @@
 //! What was built, by which compiler, from which dependencies: for the manifests of runs.
 
+use std::os::unix::fs::MetadataExt;
+
 use rockface_cache::Digest;
 use serde_json::{Value, json};
 
@@ -16,6 +18,14 @@ pub fn program() -> Value {
         "cpu_features": cpu_features(),
         "os": std::env::consts::OS,
     })
+}
+
+/// What tells this very program file from any other build, without reading it; `None` where that cannot be found out.
+pub fn state_of_program() -> Option<Value> {
+    let path = std::env::current_exe().ok()?;
+    let meta = std::fs::metadata(&path).ok()?;
+    let times = [meta.mtime(), meta.mtime_nsec(), meta.ctime(), meta.ctime_nsec()];
+    Some(json!([path, meta.len(), meta.dev(), meta.ino(), times]))
 }
 
 #[cfg(target_arch = "x86_64")]

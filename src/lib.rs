@@ -4,6 +4,7 @@ pub mod build;
 pub mod cli;
 pub mod diagnostic;
 pub mod explain;
+pub mod history;
 pub mod pipeline;
 pub mod plan;
 pub mod run;

@@ -134,17 +134,38 @@ impl Blobs {
 
     /// The number of large blobs and their bytes.
     pub(crate) fn count(&self) -> Result<(u64, u64), StoreError> {
-        let (mut count, mut bytes) = (0, 0);
+        let sizes: Vec<u64> = self.list()?.iter().filter_map(|blob| Some(self.written(blob)?.1)).collect();
+        Ok((sizes.len() as u64, sizes.iter().sum()))
+    }
+
+    /// All large blobs, sorted.
+    pub(crate) fn list(&self) -> Result<Vec<Digest>, StoreError> {
+        let mut found = Vec::new();
         let all = self.folder();
         for folder in fs::read_dir(&all).at("list", &all)? {
             let folder = folder.at("list", &all)?.path();
             for blob in fs::read_dir(&folder).at("list", &folder)? {
-                let meta = blob.and_then(|blob| blob.metadata()).at("list", &folder)?;
-                count += 1;
-                bytes += meta.len();
+                let name = blob.at("list", &folder)?.file_name();
+                found.extend(name.to_str().and_then(|name| name.parse::<Digest>().ok()));
             }
         }
-        Ok((count, bytes))
+        found.sort_unstable();
+        Ok(found)
+    }
+
+    /// A blob with its size and when it was written or last verified, seconds since 1970; `None` if it is not there.
+    pub(crate) fn written(&self, digest: &Digest) -> Option<(Digest, u64, u64)> {
+        let meta = fs::metadata(self.path(digest)).ok()?;
+        Some((*digest, meta.len(), meta.mtime().max(0) as u64))
+    }
+
+    /// Removes a blob, if it is there.
+    pub(crate) fn remove(&self, digest: &Digest) -> Result<(), StoreError> {
+        let path = self.path(digest);
+        match fs::remove_file(&path) {
+            Err(fault) if fault.kind() != std::io::ErrorKind::NotFound => Err(StoreError::io("remove", &path, fault)),
+            _ => Ok(()),
+        }
     }
 }
 
@@ -157,7 +178,7 @@ fn unreadable(digest: &Digest, path: &Path, fault: std::io::Error) -> StoreError
 
 /// The fraction of a second, in nanoseconds, that the modification time of this blob must have: whole microseconds,
 /// since some file systems keep no more, and never zero, which many tools write.
-fn seal_ns(digest: &Digest) -> u32 {
+pub(crate) fn seal_ns(digest: &Digest) -> u32 {
     let bytes = digest.as_bytes();
     let drawn = u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
     (1 + drawn % 999_999) * 1000

@@ -28,8 +28,9 @@ pub struct FileDigest {
 
 /// What tells an untouched file without reading it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-struct Fingerprint {
-    bytes: u64,
+pub(crate) struct Fingerprint {
+    /// The size.
+    pub bytes: u64,
     mtime_ns: i128,
     ctime_ns: i128,
     inode: u64,
@@ -37,7 +38,8 @@ struct Fingerprint {
 }
 
 impl Fingerprint {
-    fn of(meta: &Metadata) -> Self {
+    /// The state a file or folder is in.
+    pub(crate) fn of(meta: &Metadata) -> Self {
         let nanoseconds = |seconds: i64, rest: i64| i128::from(seconds) * 1_000_000_000 + i128::from(rest);
         Self {
             bytes: meta.len(),
@@ -60,6 +62,12 @@ impl Store {
             Some((then, digest)) if then == now => Ok(FileDigest { digest, bytes: now.bytes }),
             _ => self.hash_anew(&canonical, &key),
         }
+    }
+
+    /// The state and the digest that a file had when it was last read, if that is remembered.
+    pub(crate) fn remembered_file(&self, path: &Path) -> Option<(Fingerprint, Digest)> {
+        let canonical = fs::canonicalize(path).ok()?;
+        self.remembered(&Digest::of(canonical.as_os_str().as_bytes()))
     }
 
     fn remembered(&self, key: &Digest) -> Option<(Fingerprint, Digest)> {
@@ -89,7 +97,7 @@ impl Store {
 }
 
 /// Whether the file had been left alone for long enough that another change would show in its time.
-fn is_settled(meta: &Metadata, now: SystemTime) -> bool {
+pub(crate) fn is_settled(meta: &Metadata, now: SystemTime) -> bool {
     let age = meta.modified().ok().and_then(|modified| now.duration_since(modified).ok());
     age.is_some_and(|age| age >= RACY)
 }

@@ -88,6 +88,28 @@ impl Index {
         self.segments[number as usize].clone()
     }
 
+    /// Whether these are all the segments there are, each read to its end.
+    pub(crate) fn is_read<'a>(&self, segments: impl Iterator<Item = (&'a str, u64)>) -> bool {
+        let mut count = 0;
+        let mut is_read = |(name, end): (&str, u64)| {
+            count += 1;
+            self.segments.iter().any(|seen| seen.name == name && seen.end == end)
+        };
+        segments.into_iter().all(&mut is_read) && count == self.segments.iter().filter(|seen| seen.end > 0).count()
+    }
+
+    /// Whether a segment that was read is not among these any more.
+    pub(crate) fn lacks_any(&self, names: &[String]) -> bool {
+        self.segments.iter().any(|seen| seen.end > 0 && !names.contains(&seen.name))
+    }
+
+    /// Forgets everything but the numbers and names of segments, as if none had been read.
+    pub(crate) fn clear(&mut self) {
+        self.segments.iter_mut().for_each(|seen| seen.end = 0);
+        let segments = std::mem::take(&mut self.segments);
+        *self = Self { segments, clock: self.clock, ..Self::default() };
+    }
+
     /// Enters the frames of a segment, which has now been read up to `end`.
     pub(crate) fn enter(&mut self, segment: u32, frames: Vec<Frame>, end: u64) {
         for Frame { header, at, payload } in frames {
@@ -150,26 +172,41 @@ impl Index {
 
     /// The latest payload of this kind under `key`, if it is whole.
     pub(crate) fn payload(&self, kind: Kind, key: &Digest) -> Option<&[u8]> {
-        let entry = match kind {
+        let entry = self.entry(kind, key)?;
+        (payload_check(&entry.payload) == entry.check).then_some(&*entry.payload)
+    }
+
+    /// When the latest payload of this kind under `key` was written.
+    pub(crate) fn stamp(&self, kind: Kind, key: &Digest) -> Option<u64> {
+        self.entry(kind, key).map(|entry| entry.stamp)
+    }
+
+    fn entry(&self, kind: Kind, key: &Digest) -> Option<&Entry> {
+        match kind {
             Kind::Record => self.records.get(key),
             Kind::Note => self.notes.get(key),
             Kind::File => self.files.get(key),
             Kind::Blob | Kind::Mark | Kind::Gone | Kind::Unknown => None,
-        }?;
-        (payload_check(&entry.payload) == entry.check).then_some(&*entry.payload)
+        }
+    }
+
+    /// The names of all that is held of this kind, sorted.
+    pub(crate) fn names(&self, kind: Kind) -> Vec<Digest> {
+        let mut names: Vec<Digest> = match kind {
+            Kind::Blob => self.blobs.keys().copied().collect(),
+            Kind::Record => self.records.keys().copied().collect(),
+            Kind::Note => self.notes.keys().copied().collect(),
+            Kind::File => self.files.keys().copied().collect(),
+            Kind::Mark | Kind::Gone | Kind::Unknown => Vec::new(),
+        };
+        names.sort_unstable();
+        names
     }
 
     /// Number of small blobs, their bytes, number of records, number of notes.
     pub(crate) fn counts(&self) -> (u64, u64, u64, u64) {
         let bytes = self.blobs.values().map(|place| u64::from(place.length)).sum();
         (self.blobs.len() as u64, bytes, self.records.len() as u64, self.notes.len() as u64)
-    }
-
-    /// The keys of all records, sorted.
-    pub(crate) fn keys(&self) -> Vec<Digest> {
-        let mut keys: Vec<_> = self.records.keys().copied().collect();
-        keys.sort_unstable();
-        keys
     }
 }
 

@@ -40,13 +40,25 @@ impl Journal {
     }
 
     /// Every entry into the index is complete in itself, so a panic elsewhere leaves it sound.
-    fn edit_index<T>(&self, edit: impl FnOnce(&mut Index) -> T) -> T {
+    pub(crate) fn edit_index<T>(&self, edit: impl FnOnce(&mut Index) -> T) -> T {
         edit(&mut self.index.write().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// Reads what the segments have gained since they were last read.
+    /// Reads what the segments have gained since they were last read; all of them anew where one has been removed, since
+    /// what it held may be elsewhere now.
     pub(crate) fn refresh(&self) -> Result<(), StoreError> {
-        for name in self.names()? {
+        let names = self.names()?;
+        if self.with_index(|index| index.lacks_any(&names)) {
+            // Nothing may be appended between the clearing and the reading: it would be entered twice or lost.
+            let _writer = self.writer();
+            self.edit_index(Index::clear);
+            return self.read_all(names);
+        }
+        self.read_all(names)
+    }
+
+    fn read_all(&self, names: Vec<String>) -> Result<(), StoreError> {
+        for name in names {
             let path = self.dir.join(&name);
             let number = self.edit_index(|index| index.segment(&name));
             let seen = self.with_index(|index| index.seen(number)).end;
@@ -69,6 +81,11 @@ impl Journal {
         let found = scan(file, seen).at("read", path)?;
         self.edit_index(|index| index.enter(number, found.frames, found.end));
         Ok(found.end)
+    }
+
+    /// Whether these are all the segments this handle knows of, each read to its very end.
+    pub(crate) fn has_read<'a>(&self, segments: impl Iterator<Item = (&'a str, u64)>) -> bool {
+        self.with_index(|index| index.is_read(segments))
     }
 
     /// The names of the segments, sorted.
@@ -126,6 +143,11 @@ impl Journal {
                 return Ok(writer);
             }
         }
+        self.begin_segment()
+    }
+
+    /// Starts a segment.
+    fn begin_segment(&self) -> Result<Writer, StoreError> {
         loop {
             let stamp = self.edit_index(Index::tick);
             let name = format!("{stamp:016x}-{:x}{SUFFIX}", std::process::id());
@@ -134,6 +156,33 @@ impl Journal {
                 return Ok(writer);
             }
         }
+    }
+
+    /// The path of a segment.
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
+        self.dir.join(name)
+    }
+
+    /// Makes the segment of this process durable and lets go of it; what is appended next goes to whichever has room.
+    pub(crate) fn rest(&self) -> Result<(), StoreError> {
+        self.sync()?;
+        drop(self.writer().take());
+        Ok(())
+    }
+
+    /// Appends a frame that is in another segment, with the stamp it had. It goes to a segment that was begun for this.
+    pub(crate) fn append_again(&self, header: &Header, payload: &[u8]) -> Result<(), StoreError> {
+        let mut slot = self.writer();
+        if slot.as_ref().is_some_and(|writer| writer.end > FULL_BYTES) {
+            let full = slot.take();
+            full.map_or(Ok(()), |full| full.file.sync_data().at("sync", &full.path))?;
+        }
+        let writer = match &mut *slot {
+            Some(writer) => writer,
+            None => slot.insert(self.begin_segment()?),
+        };
+        writer.append(header, payload).inspect_err(|_| drop(slot.take()))?;
+        Ok(())
     }
 
     /// Claims one segment, reads it to its end and cuts off what a dead writer left torn there.
@@ -196,10 +245,19 @@ impl Journal {
         Ok(())
     }
 
-    /// The bytes at `place`, unverified, and the segment they are in; fewer bytes where the segment has been cut.
+    /// The bytes at `place`, unverified; none where the segment has been removed.
     pub(crate) fn read(&self, place: Place) -> Result<Vec<u8>, StoreError> {
+        self.read_if_there(place).map(Option::unwrap_or_default)
+    }
+
+    /// The bytes at `place`, unverified: fewer where the segment has been cut, `None` where it has been removed.
+    pub(crate) fn read_if_there(&self, place: Place) -> Result<Option<Vec<u8>>, StoreError> {
         let path = self.dir.join(self.with_index(|index| index.seen(place.segment)).name);
-        let file = File::open(&path).at("open", &path)?;
+        let file = match File::open(&path) {
+            Ok(file) => file,
+            Err(fault) if fault.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            Err(fault) => return Err(StoreError::io("open", &path, fault)),
+        };
         let mut bytes = vec![0; place.length as usize];
         let mut filled = 0;
         while filled < bytes.len() {
@@ -211,7 +269,7 @@ impl Journal {
             }
         }
         bytes.truncate(filled);
-        Ok(bytes)
+        Ok(Some(bytes))
     }
 }
 

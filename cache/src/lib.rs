@@ -5,7 +5,7 @@
 //! # Invariants
 //!
 //! - **Nothing is ever edited.** A blob is named by the BLAKE3 of its bytes; segments only grow (and lose a torn tail
-//!   when a new writer continues them); a later record of the same key supersedes the earlier one, which stays.
+//!   when a new writer continues them; a collection writes new ones and then removes the old); a later record of the same key supersedes the earlier one, which stays.
 //! - **Blobs before records.** A record is appended after the blobs it names, and made durable no earlier than they are. Should
 //!   a power cut break that order on disk, the record names a blob that is not there and simply is not a hit.
 //! - **Every read is verified.** What a frame or a blob says is checked against its checksum or digest when it is used;
@@ -23,10 +23,13 @@
 //! locks/          one file for each key being computed now
 //! quarantine/     damaged blobs
 //! tmp/            blobs being written
+//! answers/        at most 256: what a question came to, and the state of all it rests on
 //! ```
 
+mod answers;
 mod blobs;
 mod canonical;
+mod care;
 mod digest;
 mod error;
 mod files;
@@ -38,11 +41,14 @@ mod materialise;
 mod open;
 mod recipe;
 mod record;
+mod rewrite;
 mod segment;
 mod store;
 mod syncer;
 
+pub use answers::{Grounds, recall};
 pub use blobs::Damage;
+pub use care::{Collected, Fault, FaultKind, GcItem, GcPlan, GcPolicy, StageStat, Verified};
 pub use digest::{Digest, DigestError};
 pub use error::StoreError;
 pub use files::FileDigest;

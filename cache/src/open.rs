@@ -28,6 +28,14 @@ pub(crate) const QUARANTINE: &str = "quarantine";
 /// The folder of half-written blobs.
 pub(crate) const TMP: &str = "tmp";
 
+/// The folder of answers to former questions.
+pub(crate) const ANSWERS: &str = "answers";
+
+/// Whether `dir` is a store of this format.
+pub(crate) fn is_current(dir: &Path) -> bool {
+    fs::read_to_string(dir.join("format")).is_ok_and(|found| found.trim_end() == FORMAT)
+}
+
 /// Makes `dir` a store, or makes sure that it is one of this format.
 pub(crate) fn prepare(dir: &Path) -> Result<(), StoreError> {
     fs::create_dir_all(dir).at("make the folder", dir)?;

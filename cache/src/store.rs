@@ -125,7 +125,15 @@ impl Store {
         let Some(place) = self.place(digest) else {
             return self.blobs.get(digest);
         };
-        let bytes = self.journal.read(place)?;
+        let Some(bytes) = self.journal.read_if_there(place)? else {
+            // Its segment was written anew since it was looked up.
+            self.refresh()?;
+            return if self.place(digest) == Some(place) {
+                Err(StoreError::Missing { digest: *digest })
+            } else {
+                self.get(digest)
+            };
+        };
         if Digest::of(&bytes) == *digest {
             return Ok(bytes);
         }
@@ -232,9 +240,15 @@ impl Store {
         self.journal.with_index(|index| serde_json::from_slice(index.payload(Kind::Note, plan_key)?).ok())
     }
 
+    /// The latest notes on runs, in the order of the keys of their plans.
+    pub fn recalled_runs(&self) -> Vec<Value> {
+        let keys = self.journal.with_index(|index| index.names(Kind::Note));
+        keys.iter().filter_map(|key| self.recalled_run(key)).collect()
+    }
+
     /// The keys of all records, sorted.
     pub fn keys(&self) -> Vec<Digest> {
-        self.journal.with_index(crate::index::Index::keys)
+        self.journal.with_index(|index| index.names(Kind::Record))
     }
 
     /// Counts what is in the store.
@@ -280,7 +294,7 @@ impl Store {
         self.files_hashed.fetch_add(1, Ordering::Relaxed);
     }
 
-    fn place(&self, digest: &Digest) -> Option<Place> {
+    pub(crate) fn place(&self, digest: &Digest) -> Option<Place> {
         self.journal.with_index(|index| index.blob(digest))
     }
 }

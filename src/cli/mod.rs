@@ -2,10 +2,18 @@
 
 mod completions;
 mod explain;
+mod export;
 mod graph;
+mod init;
+mod inspect;
+mod places;
 mod plan;
+mod repeat;
 mod run;
+mod runs;
 mod stages;
+mod store;
+mod table;
 
 use std::path::{Path, PathBuf};
 
@@ -13,6 +21,7 @@ use clap::{Args, Parser, Subcommand};
 use rockface_cache::{Store, StoreError};
 
 use crate::diagnostic::Diagnostics;
+use crate::history::HistoryError;
 use crate::pipeline::{Overrides, Pipeline};
 use crate::plan::Plan;
 use crate::run::RunError;
@@ -41,6 +50,18 @@ enum Command {
     Graph(graph::GraphArgs),
     /// List the stages, or show the page of one.
     Stages(stages::StagesArgs),
+    /// List, show, compare, pin past runs.
+    Runs(runs::RunsArgs),
+    /// Tell what the store holds, verify it, remove what nobody needs.
+    Store(store::StoreArgs),
+    /// Say what a blob, a record or a file holds: kind, sizes, ranges, missing values.
+    Inspect(inspect::InspectArgs),
+    /// Write an output of a past run to a file.
+    Export(export::ExportArgs),
+    /// Put all that is needed to check a past run into one file.
+    Archive(export::ArchiveArgs),
+    /// Make a folder with a commented pipeline to begin with.
+    Init(init::InitArgs),
     /// Write a script that lets a shell complete commands and options.
     Completions(completions::CompletionsArgs),
 }
@@ -48,8 +69,11 @@ enum Command {
 /// What every command that reads a pipeline takes.
 #[derive(Debug, Args)]
 struct PipelineArgs {
-    /// The pipeline file (YAML).
+    /// The pipeline file (YAML), or the `run.json` of a past run to repeat it.
     pipeline: PathBuf,
+    /// The text of the pipeline where it is not to be read from the file.
+    #[arg(skip)]
+    text: Option<String>,
     /// Make only this step and what it needs; may be given several times.
     #[arg(long, value_name = "STEP")]
     target: Vec<String>,
@@ -69,8 +93,17 @@ impl PipelineArgs {
         Overrides { set: self.set.clone(), seed: self.seed }
     }
 
+    /// How many texts a pipeline has that is all in one file.
+    fn source_count(&self) -> usize {
+        1 + self.set.len() + usize::from(self.seed.is_some())
+    }
+
     fn load(&self) -> Result<Pipeline, CliError> {
-        Pipeline::load(&self.pipeline, &self.overrides()).map_err(CliError::Pipeline)
+        let loaded = match &self.text {
+            Some(text) => Pipeline::of_text(text, &self.pipeline, &self.overrides()),
+            None => Pipeline::load(&self.pipeline, &self.overrides()),
+        };
+        loaded.map_err(CliError::Pipeline)
     }
 
     /// Plans for these targets; faults of the pipeline come before anything is made on disk.
@@ -83,10 +116,15 @@ impl PipelineArgs {
     }
 
     fn open_store(&self) -> Result<Store, CliError> {
-        match &self.store {
-            Some(store) => Ok(Store::open(store)?),
-            None => Ok(Store::open(&own_folder(&self.pipeline)?.join("store"))?),
+        if self.store.is_none() {
+            own_folder(&self.pipeline)?;
         }
+        Ok(Store::open(&self.store_dir())?)
+    }
+
+    /// Where the store is or will be.
+    fn store_dir(&self) -> PathBuf {
+        self.store.clone().unwrap_or_else(|| beside(&self.pipeline).join("store"))
     }
 }
 
@@ -94,9 +132,14 @@ impl PipelineArgs {
 const CACHE_TAG: &str = "Signature: 8a477f597d28d172789f06886806bc55\n\
     # Everything in this folder can be computed again from the pipeline beside it.\n";
 
+/// Where the `.rockface` folder of a pipeline is or will be.
+fn beside(pipeline: &Path) -> PathBuf {
+    pipeline.parent().unwrap_or(Path::new("")).join(".rockface")
+}
+
 /// The `.rockface` folder of a pipeline, made if there is none: out of version control and out of backups.
 fn own_folder(pipeline: &Path) -> Result<PathBuf, CliError> {
-    let folder = pipeline.parent().unwrap_or(Path::new("")).join(".rockface");
+    let folder = beside(pipeline);
     let failed = |source| CliError::Run(RunError::Folder { path: folder.clone(), source });
     std::fs::create_dir_all(&folder).map_err(failed)?;
     for (name, text) in [(".gitignore", "*\n"), ("CACHEDIR.TAG", CACHE_TAG)] {
@@ -120,6 +163,12 @@ pub enum CliError {
     /// Steps failed; what there is to say has been said.
     #[error("")]
     Failed,
+    /// Something in the store is not whole; what there is to say has been said.
+    #[error("")]
+    Damaged,
+    /// A past run cannot be had.
+    #[error(transparent)]
+    History(#[from] HistoryError),
     /// The store failed.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -133,8 +182,8 @@ impl CliError {
     pub fn exit_code(&self) -> i32 {
         match self {
             Self::Failed => 1,
-            Self::Pipeline(_) | Self::Usage(_) => 2,
-            Self::Store(_) => 3,
+            Self::History(HistoryError::Io { .. }) | Self::Store(_) | Self::Damaged => 3,
+            Self::Pipeline(_) | Self::Usage(_) | Self::History(_) => 2,
             Self::Run(error) => error.exit_code(),
         }
     }
@@ -143,7 +192,7 @@ impl CliError {
     pub fn render(&self, colour: bool) -> String {
         match self {
             Self::Pipeline(diagnostics) => diagnostics.render(colour),
-            Self::Failed => String::new(),
+            Self::Failed | Self::Damaged => String::new(),
             other => format!("error: {other}"),
         }
     }
@@ -158,6 +207,12 @@ impl Cli {
             Command::Explain(args) => args.run(),
             Command::Graph(args) => args.run(),
             Command::Stages(args) => args.run(),
+            Command::Runs(args) => args.run(),
+            Command::Store(args) => args.run(),
+            Command::Inspect(args) => args.run(),
+            Command::Export(args) => args.run(),
+            Command::Archive(args) => args.run(),
+            Command::Init(args) => args.run(),
             Command::Completions(args) => {
                 args.run();
                 Ok(())
@@ -170,4 +225,12 @@ impl Cli {
 fn say(text: &str) {
     use std::io::Write;
     let _ = writeln!(std::io::stdout(), "{text}");
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn every_command_is_sound() {
+        <super::Cli as clap::CommandFactory>::command().debug_assert();
+    }
 }

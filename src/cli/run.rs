@@ -7,12 +7,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::Args;
 
-use super::{CliError, PipelineArgs, own_folder, say};
+use rockface_cache::Digest;
+
+use super::{CliError, PipelineArgs, beside, own_folder, repeat, say};
+use crate::run::shortcut::{self, NAMED, Told};
 use crate::run::{self, Finished, Options, RunFolder, Summary};
 use crate::watch::{JsonLines, Observer, Plain, Silent, Terminal, duration};
-
-/// How many headlines and files the end of a run names.
-const NAMED: usize = 20;
 
 /// The most memory that can be asked for, GiB; more is a slip of the pen.
 const MEMORY_LIMIT_GIB: f64 = 1_048_576.0;
@@ -48,7 +48,17 @@ pub struct RunArgs {
 
 impl RunArgs {
     /// Runs the pipeline.
-    pub fn run(self) -> Result<(), CliError> {
+    pub fn run(mut self) -> Result<(), CliError> {
+        let begun = std::time::Instant::now();
+        let former = repeat::manifest(&self.pipeline.pipeline)?;
+        if let Some(former) = &former {
+            repeat::take_over(&mut self.pipeline, former);
+        }
+        let question = self.question();
+        if let Some(told) = self.recall(question.as_ref())? {
+            self.say_end(&told, (0, told.instances), false, begun.elapsed().as_secs_f64());
+            return Ok(());
+        }
         let pipeline = self.pipeline.load()?;
         let (plan, store) = self.pipeline.plan(&pipeline, &self.pipeline.target)?;
         let mut options = Options { keep_going: self.keep_going, exit_when_stuck: true, ..Options::default() };
@@ -56,7 +66,6 @@ impl RunArgs {
         options.memory_bytes = self.memory.unwrap_or(options.memory_bytes);
         let stop = Arc::new(AtomicBool::new(false));
         stop_on_signal(&stop);
-        let begun = std::time::Instant::now();
         let mut observer = self.observer();
         let runs = self.runs_folder()?;
         let about = RunFolder {
@@ -64,10 +73,18 @@ impl RunArgs {
             pipeline_path: &self.pipeline.pipeline,
             pipeline_text: &pipeline.sources[0].text,
             overrides: &self.pipeline.overrides(),
+            targets: &self.pipeline.target,
             jobs: options.jobs,
         };
         let (summary, finished) = run::execute_and_tell(&plan, &store, &options, &stop, observer.as_mut(), &about)?;
-        self.report(&summary, &finished, begun.elapsed().as_secs_f64());
+        let told = Told::of(&finished, &summary);
+        if let Some(question) = question.filter(|_| pipeline.sources.len() == self.pipeline.source_count()) {
+            shortcut::remember(&store, &question, &plan, &summary, &told)?;
+        }
+        if let Some(former) = former.filter(|_| !self.json) {
+            repeat::verdict(&former, &plan, &summary).iter().for_each(|line| say(line));
+        }
+        self.report(&summary, &finished, &told, begun.elapsed().as_secs_f64());
         if summary.failed { Err(CliError::Failed) } else { Ok(()) }
     }
 
@@ -90,23 +107,46 @@ impl RunArgs {
         }
     }
 
-    fn report(&self, summary: &Summary, finished: &Finished, wall_s: f64) {
+    /// The digest of all that this command is asked and asked with; `None` where every step instance is to be told of.
+    fn question(&self) -> Option<Digest> {
+        if self.json || self.verbose || self.pipeline.text.is_some() {
+            return None;
+        }
+        let text = std::fs::read(&self.pipeline.pipeline).ok()?;
+        let arguments: Vec<_> = std::env::args_os().skip(1).collect();
+        let program = crate::build::state_of_program()?;
+        let place = (std::env::current_dir().ok()?, self.pipeline.store_dir(), &self.runs);
+        let question = serde_json::json!([program, place, Digest::of(&text)]).to_string();
+        Some(Digest::of(format!("{question} {arguments:?}").as_bytes()))
+    }
+
+    fn recall(&self, question: Option<&Digest>) -> Result<Option<Told>, CliError> {
+        let Some(question) = question else { return Ok(None) };
+        let runs = self.runs.clone().unwrap_or_else(|| beside(&self.pipeline.pipeline).join("runs"));
+        Ok(shortcut::recall(&self.pipeline.store_dir(), question, &runs)?)
+    }
+
+    fn report(&self, summary: &Summary, finished: &Finished, told: &Told, wall_s: f64) {
+        let (ran, cached) = (summary.executed(), summary.cached());
         if self.json {
             let event = serde_json::json!({
-                "event": "ended", "failed": summary.failed, "executed": summary.executed(), "cached": summary.cached(),
+                "event": "ended", "failed": summary.failed, "executed": ran, "cached": cached,
                 "wall_s": wall_s, "folder": finished.folder, "headlines": finished.headlines, "files": finished.files,
             });
             return say(&event.to_string());
         }
-        let (folder, files) = (readable(&finished.folder), &finished.files);
-        if !files.is_empty() && !self.quiet {
-            say_some(files, |file| format!("  {}", folder.join(file).display()));
+        self.say_end(told, (ran, cached), summary.failed, wall_s);
+    }
+
+    fn say_end(&self, told: &Told, (ran, cached): (usize, usize), failed: bool, wall_s: f64) {
+        let folder = readable(&told.folder);
+        if !told.files.is_empty() && !self.quiet {
+            say_some(&told.files, told.file_count, |file| format!("  {}", folder.join(file).display()));
             say("");
         }
-        say_some(&finished.headlines, String::clone);
-        let verdict = if summary.failed { "failed" } else { "done" };
-        let kept = if summary.failed { "what was finished is kept and not run again; " } else { "" };
-        let (ran, cached) = (summary.executed(), summary.cached());
+        say_some(&told.headlines, told.headline_count, String::clone);
+        let verdict = if failed { "failed" } else { "done" };
+        let kept = if failed { "what was finished is kept and not run again; " } else { "" };
         say(&format!(
             "{verdict}: ran {ran}, cached {cached}, {}; {kept}results in {}",
             duration_or_ms(wall_s),
@@ -126,10 +166,10 @@ fn memory_bytes(text: &str) -> Result<usize, String> {
 }
 
 /// Says the first of many lines, and how many there are beyond.
-fn say_some<T>(items: &[T], line: impl Fn(&T) -> String) {
+fn say_some<T>(items: &[T], count: usize, line: impl Fn(&T) -> String) {
     items.iter().take(NAMED).for_each(|item| say(&line(item)));
-    if items.len() > NAMED {
-        say(&format!("  … and {} more", items.len() - NAMED));
+    if count > NAMED {
+        say(&format!("  … and {} more", count - NAMED));
     }
 }
 

@@ -56,7 +56,12 @@ pub fn page(stage: &dyn AnyStage) -> String {
     text += &ports("Inputs", stage.inputs());
     text += &ports("Outputs", stage.outputs());
     text += "\n## Parameters\n\n";
-    text += &fields(&stage.fields(), "");
+    let parameters = stage.fields();
+    text += &fields(&parameters, "");
+    if let Some(distribution) = distribution(&parameters) {
+        text += "\n## Distributions\n\nA number may be drawn anew each time: in its place stands a map with one of these keys.\n\n";
+        text += &inner(&distribution, "");
+    }
     text += &format!("\n## Method and references\n\n{}\n", page.method);
     text += &format!("\n## Units and frames\n\n{}\n", page.frames);
     text += &format!("\n## Fails when\n\n{}\n", page.fails);
@@ -96,9 +101,30 @@ fn fields(fields: &[Field], indent: &str) -> String {
     fields.iter().map(line).collect()
 }
 
+/// The kind of the first number that may be drawn from a distribution; all are of one kind.
+fn distribution(fields: &[Field]) -> Option<Kind> {
+    fields.iter().find_map(|field| inside(&field.kind))
+}
+
+fn inside(kind: &Kind) -> Option<Kind> {
+    match kind {
+        Kind::NumberOr(kind) => Some((**kind).clone()),
+        Kind::Optional(kind) | Kind::List(kind, _) => inside(kind),
+        Kind::Map(fields) | Kind::Union(fields) => distribution(fields),
+        _ => None,
+    }
+}
+
+fn variants(fields: &[Field], indent: &str) -> String {
+    let line = |field: &Field| format!("{indent}- `{}`: {}\n{}", field.name, field.doc, inner(&field.kind, indent));
+    fields.iter().map(line).collect()
+}
+
 fn inner(kind: &Kind, indent: &str) -> String {
     match kind {
+        Kind::Map(inside) if inside.is_empty() => String::new(),
         Kind::Map(inside) => fields(inside, &format!("{indent}  ")),
+        Kind::Union(inside) => variants(inside, &format!("{indent}  ")),
         Kind::Optional(kind) | Kind::List(kind, _) => inner(kind, indent),
         Kind::Choice(words) => {
             words.iter().map(|(word, doc)| format!("{indent}  - `{word}`: {}\n", doc.trim())).collect()

@@ -39,9 +39,14 @@ impl Pipeline {
     /// Reads a pipeline file and applies the overrides.
     pub fn load(path: &Path, overrides: &Overrides) -> Result<Self, Diagnostics> {
         let text = read_text(path).map_err(|fault| Diagnostics { sources: Vec::new(), list: vec![fault] })?;
+        Self::of_text(&text, path, overrides)
+    }
+
+    /// Reads a text as if it were the pipeline file at `path`, and applies the overrides.
+    pub fn of_text(text: &str, path: &Path, overrides: &Overrides) -> Result<Self, Diagnostics> {
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_owned();
         let stem = path.file_stem().map_or_else(|| "pipeline".into(), |stem| stem.to_string_lossy().into_owned());
-        Self::parse(&text, &path.display().to_string(), &stem, folder, overrides)
+        Self::parse(text, &path.display().to_string(), &stem, folder, overrides)
     }
 
     /// Reads a pipeline text; `name` is what messages call it, `stem` its name if the text gives none.

@@ -103,7 +103,8 @@ impl Finder<'_> {
         match (kind, value) {
             (Kind::Optional(inner), value) if !value.is_null() => self.value(inner, value),
             (Kind::List(inner, _), Value::Array(items)) => items.iter().map(|item| self.value(inner, item)).collect(),
-            (Kind::Map(fields), value) => self.fields(fields, value),
+            (Kind::Map(fields) | Kind::Union(fields), value) => self.fields(fields, value),
+            (Kind::NumberOr(inner), value) => self.value(inner, value),
             (Kind::File, Value::String(written)) => {
                 let files = self.find(written, false);
                 files.first().map_or(Value::Null, |file| json!({ "blake3": file.digest }))

@@ -11,6 +11,7 @@ use rockface_stages::artefact::{Artefact, Export, Kind};
 use serde_json::{Value, json};
 
 use super::{RunError, Summary};
+use crate::history::{FORMAT, crate_metadata};
 use crate::pipeline::Overrides;
 use crate::plan::Plan;
 use crate::watch::{LoggedStep, write_log};
@@ -26,6 +27,8 @@ pub struct RunFolder<'a> {
     pub pipeline_text: &'a str,
     /// What was changed from outside.
     pub overrides: &'a Overrides,
+    /// The target steps asked for; empty for those the pipeline names itself.
+    pub targets: &'a [String],
     /// Steps at once.
     pub jobs: usize,
 }
@@ -55,7 +58,7 @@ pub fn finish(plan: &Plan, summary: &Summary, store: &Store, about: &RunFolder) 
     let key = plan_key(plan, summary, &runs, about);
     if summary.executed() == 0 && !summary.failed {
         let former = store.recalled_run(&key).and_then(|note| serde_json::from_value::<Finished>(note).ok());
-        if let Some(former) = former.filter(|former| is_told_in(former, &runs)) {
+        if let Some(former) = former.filter(|former| is_told_in(&former.folder, &runs)) {
             point_latest(about.runs, &former.folder)?;
             return Ok(former);
         }
@@ -68,8 +71,9 @@ pub fn finish(plan: &Plan, summary: &Summary, store: &Store, about: &RunFolder) 
     Ok(finished)
 }
 
-fn is_told_in(former: &Finished, runs: &Path) -> bool {
-    former.folder.parent() == Some(runs) && former.folder.join("run.json").is_file()
+/// Whether a run folder is one of those in `runs` and still there.
+pub(super) fn is_told_in(folder: &Path, runs: &Path) -> bool {
+    folder.parent() == Some(runs) && folder.join("run.json").is_file()
 }
 
 /// The same for two runs of the same text, overrides and targets with the same recipes, told of in the same place.
@@ -84,6 +88,9 @@ fn plan_key(plan: &Plan, summary: &Summary, runs: &Path, about: &RunFolder) -> D
     }
     Digest::of(text.as_bytes())
 }
+
+/// The files of the outputs of an instance by port, relative to the run folder.
+type Paths = BTreeMap<String, PathBuf>;
 
 struct Writer<'a> {
     plan: &'a Plan,
@@ -100,24 +107,34 @@ impl Writer<'_> {
     }
 
     fn fill(&self, folder: &Path) -> Result<Finished, RunError> {
-        let mut files = Vec::new();
+        let (mut files, mut paths) = (Vec::new(), Vec::new());
         for (instance, result) in self.summary.instances.iter().enumerate() {
-            if let Some(outcome) = &result.outcome {
-                let made = self.outputs(folder, instance, outcome)?;
-                if self.plan.targets.contains(&instance) {
-                    files.extend(made);
-                }
+            let made = result.outcome.as_ref().map(|outcome| self.outputs(folder, instance, outcome)).transpose()?;
+            let (named, exports) = made.unwrap_or_default();
+            if self.plan.targets.contains(&instance) {
+                files.extend(named.values().chain(&exports).cloned());
             }
+            paths.push(named);
         }
         let results = self.summary.instances.iter();
         let logs = results.map(|result| self.entries(result.outcome.as_ref())).collect::<Result<Vec<_>, _>>()?;
         let headlines = self.headlines(&logs);
         write_file(&folder.join("run.mcap"), &self.log(&logs)?)?;
-        let manifest = self.manifest(&headlines);
+        let manifest = self.manifest(&headlines, &logs, &paths)?;
         let text = serde_json::to_string_pretty(&manifest).unwrap_or_default();
         write_file(&folder.join("run.json"), format!("{text}\n").as_bytes())?;
+        self.describe(folder, &manifest)?;
         point_latest(self.about.runs, folder)?;
         Ok(Finished { folder: folder.to_owned(), headlines, files })
+    }
+
+    /// Describes the folder as a research object, for programs that know nothing of rockface.
+    fn describe(&self, folder: &Path, manifest: &Value) -> Result<(), RunError> {
+        let path = folder.join("ro-crate-metadata.json");
+        let manifest = serde_json::from_value(manifest.clone()).map_err(|error| failed(&path)(error.into()))?;
+        write_file(&folder.join("pipeline.yaml"), self.about.pipeline_text.as_bytes())?;
+        let text = serde_json::to_string_pretty(&crate_metadata(folder, &manifest)).unwrap_or_default();
+        write_file(&path, format!("{text}\n").as_bytes())
     }
 
     fn make_folder(&self, key: &Digest) -> Result<PathBuf, RunError> {
@@ -136,14 +153,14 @@ impl Writer<'_> {
         Err(failed(&self.about.runs.join(name))(std::io::ErrorKind::AlreadyExists.into()))
     }
 
-    /// Links the kept outputs of an instance and writes their further files; returns the paths relative to the folder.
-    fn outputs(&self, folder: &Path, instance: usize, outcome: &Outcome) -> Result<Vec<PathBuf>, RunError> {
+    /// Links the kept outputs of an instance and writes their further files; returns both, relative to the folder.
+    fn outputs(&self, folder: &Path, instance: usize, outcome: &Outcome) -> Result<(Paths, Vec<PathBuf>), RunError> {
         let step = self.plan.step(instance);
         let mut place = Path::new("outputs").join(readable_name(&step.name));
         if !step.axes.is_empty() {
             place.push(readable_name(&self.plan.point_text(instance)));
         }
-        let mut made = Vec::new();
+        let (mut named, mut exports) = (Paths::new(), Vec::new());
         for (port, output) in &outcome.outputs {
             let Ok(kind) = output.kind.parse::<Kind>() else { continue };
             if !step.keep || !output.kept {
@@ -152,15 +169,15 @@ impl Writer<'_> {
             std::fs::create_dir_all(folder.join(&place)).map_err(failed(&folder.join(&place)))?;
             let path = place.join(format!("{port}.{}", kind.extension()));
             self.store.materialise(&output.digest, &folder.join(&path))?;
-            made.push(path.clone());
+            named.insert(port.clone(), path.clone());
             if kind.has_exports() {
-                let exports = Artefact::decode(kind, &self.store.get(&output.digest)?)
+                let made = Artefact::decode(kind, &self.store.get(&output.digest)?)
                     .and_then(|value| value.exports(port))
                     .map_err(|error| failed(&folder.join(&path))(std::io::Error::other(error)))?;
-                made.extend(write_exports(folder, &place, &exports)?);
+                exports.extend(write_exports(folder, &place, &made)?);
             }
         }
-        Ok(made)
+        Ok((named, exports))
     }
 
     fn entries(&self, outcome: Option<&Outcome>) -> Result<Vec<Entry>, RunError> {
@@ -208,28 +225,48 @@ impl Writer<'_> {
         log.map(Cursor::into_inner).map_err(|error| failed(Path::new("run.mcap"))(std::io::Error::other(error)))
     }
 
-    fn manifest(&self, headlines: &[String]) -> Value {
-        let steps = self.summary.instances.iter().enumerate().map(|(instance, result)| {
-            let step = self.plan.step(instance);
-            json!({
-                "step": step.name, "point": self.plan.point(instance), "stage": step.stage.name(), "version": step.stage.version(),
-                "status": if result.executed { "executed" } else if result.outcome.is_some() { "cached" } else { "failed or not reached" },
-                "key": result.key, "outputs": result.outcome.as_ref().map(|o| &o.outputs), "cost": result.outcome.as_ref().map(|o| o.cost),
-                "parameters": self.plan.instances[instance].params.recipe,
-            })
-        });
-        json!({
-            "format": 1,
-            "pipeline": {"name": self.plan.graph.name, "path": self.about.pipeline_path, "text": self.about.pipeline_text},
+    fn manifest(&self, headlines: &[String], logs: &[Vec<Entry>], paths: &[Paths]) -> Result<Value, RunError> {
+        let path = self.about.pipeline_path;
+        let folder = std::path::absolute(&self.plan.graph.folder).map_err(failed(path))?;
+        let text = self.about.pipeline_text;
+        let told = logs.iter().zip(paths).enumerate();
+        let steps = told.map(|(instance, (entries, paths))| self.step(instance, entries, paths));
+        Ok(json!({
+            "format": FORMAT,
+            "pipeline": {"name": self.plan.graph.name, "path": path, "folder": folder, "text": text},
             "overrides": {"set": self.about.overrides.set, "seed": self.about.overrides.seed},
             "seed": self.plan.graph.seed,
-            "finished": humantime::format_rfc3339_seconds(SystemTime::now()).to_string(),
+            "targets": self.about.targets,
+            "finished": humantime::format_rfc3339_millis(SystemTime::now()).to_string(),
             "wall_s": self.summary.wall_s,
             "jobs": self.about.jobs,
             "status": if self.summary.failed { "failed" } else { "done" },
             "program": crate::build::program(),
             "headlines": headlines,
             "steps": steps.collect::<Vec<_>>(),
+        }))
+    }
+
+    /// What the manifest tells of one instance.
+    fn step(&self, instance: usize, entries: &[Entry], paths: &Paths) -> Value {
+        let (step, result) = (self.plan.step(instance), &self.summary.instances[instance]);
+        let (params, outcome) = (&self.plan.instances[instance].params, result.outcome.as_ref());
+        let metrics = entries.iter().filter_map(|entry| match entry {
+            Entry::Metric { name, value, unit } => Some(json!({"name": name, "value": value, "unit": unit})),
+            _ => None,
+        });
+        let files = params.files.values().flatten().map(|file| json!({"path": file.path, "blake3": file.digest}));
+        let status = match outcome {
+            _ if result.executed => "executed",
+            Some(_) => "cached",
+            None => "failed or not reached",
+        };
+        json!({
+            "step": step.name, "point": self.plan.point(instance), "stage": step.stage.name(), "version": step.stage.version(),
+            "status": status, "key": result.key, "outputs": outcome.map(|o| &o.outputs), "log": outcome.map(|o| o.log),
+            "cost": outcome.map(|o| o.cost), "parameters": params.recipe,
+            "metrics": metrics.collect::<Vec<_>>(), "files": files.collect::<Vec<_>>(),
+            "inputs": result.recipe.as_ref().map_or(&BTreeMap::new(), |recipe| &recipe.inputs), "paths": paths,
         })
     }
 }
@@ -280,7 +317,7 @@ fn failed(path: &Path) -> impl FnOnce(std::io::Error) -> RunError + use<> {
 }
 
 /// Lets `latest` point at a run folder.
-fn point_latest(runs: &Path, folder: &Path) -> Result<(), RunError> {
+pub(super) fn point_latest(runs: &Path, folder: &Path) -> Result<(), RunError> {
     std::fs::create_dir_all(runs).map_err(failed(runs))?;
     let latest = runs.join("latest");
     let target = folder.file_name().map(PathBuf::from).unwrap_or_default();

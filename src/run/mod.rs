@@ -6,6 +6,7 @@ mod memory;
 mod progress;
 mod schedule;
 mod settle;
+pub mod shortcut;
 mod state;
 mod tell;
 mod work;

@@ -4,7 +4,7 @@ use serde_json::Value;
 
 use crate::artefact::{Band, Kind, Raster, Sample};
 use crate::kernel::grid;
-use crate::params::{Fault, ParamType};
+use crate::params::{Fault, ParamType, Range};
 use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
 
 choice! {
@@ -47,6 +47,10 @@ params! {
         /// The band of the mask: its name, or a number k that stands for band k mod n (from 0), so replicates rotate
         /// through n masks. Left out: a cell is kept where every band of the mask keeps it.
         band: Option<BandChoice> = None,
+        /// The labels that count as not 0 in a label raster, such as the events of an inventory; left out: every one.
+        labels: Option<Vec<u32>> = None,
+        /// By how many cells, in every direction, what is masked out grows.
+        grow_cells: u32 = 0; Range::Between(0.0, 10000.0),
     }
 }
 
@@ -63,7 +67,9 @@ impl Stage for ApplyMask {
         method: "Spectrum and variogram depend on where values are missing (30 % of missing cells move a spectral slope \
                  by 0.3), so simulated rasters are given the missing cells of real ones before they are described. A \
                  numbered band wraps around: `band: ${replicate}` takes the masks of n real rasters in turn. Without \
-                 `band`, the cells all bands have in common are kept: the common mask of a stack.",
+                 `band`, the cells all bands have in common are kept: the common mask of a stack. A label raster of an inventory \
+                 (0 where nothing happened, as `import-mask` makes it) leaves out its events with `keep: zero`, as the \
+                 paper does with known rockfalls, and `grow_cells` a margin round them.",
         frames: "The two grids must lie on each other; values stay in their unit.",
         fails: "Different grids or frames (rasterise both on one grid, port `grid` of `rasterise-dem`); a band that is \
                 not there; a mask that leaves no value.",
@@ -84,7 +90,8 @@ impl Stage for ApplyMask {
             Some(choice) => vec![chosen(mask, choice)?],
             None => mask.bands.iter().collect(),
         };
-        let kept = kept(&bands, params.keep, raster.grid.cells());
+        let mut kept = kept(&bands, params, raster.grid.cells());
+        grow(&mut kept, raster.grid.columns, params.grow_cells as usize);
         for band in &mut raster.bands {
             band.values.iter_mut().zip(&kept).filter(|(_, kept)| !**kept).for_each(|(value, _)| *value = f32::NAN);
             if band.values.iter().all(|v| v.is_nan()) {
@@ -135,13 +142,35 @@ fn chosen<'a>(mask: &'a Raster, choice: &BandChoice) -> Result<&'a Band, StageEr
     })
 }
 
-fn kept(bands: &[&Band], keep: Keep, cells: usize) -> Vec<bool> {
-    let keeps = |value: f32| match keep {
+fn kept(bands: &[&Band], params: &ApplyMaskParams, cells: usize) -> Vec<bool> {
+    let counts = |value: f32| {
+        let listed = |labels: &Vec<u32>| labels.iter().any(|label| f64::from(*label) == f64::from(value));
+        value.is_finite() && value != 0.0 && params.labels.as_ref().is_none_or(listed)
+    };
+    let keeps = |value: f32| match params.keep {
         Keep::Finite => value.is_finite(),
-        Keep::Nonzero => value.is_finite() && value != 0.0,
-        Keep::Zero => value == 0.0,
+        Keep::Nonzero => counts(value),
+        Keep::Zero => value.is_finite() && !counts(value),
     };
     (0..cells).map(|cell| bands.iter().all(|band| keeps(band.values[cell]))).collect()
+}
+
+/// Grows what is not kept by squares of `2 reach + 1` cells: along the rows, then along the columns.
+fn grow(kept: &mut [bool], columns: usize, reach: usize) {
+    if reach == 0 {
+        return;
+    }
+    let rows = kept.len() / columns;
+    let mut spread = |lines: usize, length: usize, at: &dyn Fn(usize, usize) -> usize| {
+        for line in 0..lines {
+            let masked: Vec<usize> = (0..length).filter(|i| !kept[at(line, *i)]).collect();
+            for i in masked {
+                (i.saturating_sub(reach)..(i + reach + 1).min(length)).for_each(|j| kept[at(line, j)] = false);
+            }
+        }
+    };
+    spread(rows, columns, &|row, column| row * columns + column);
+    spread(columns, rows, &|column, row| row * columns + column);
 }
 
 #[cfg(test)]
@@ -174,6 +203,19 @@ mod tests {
         for (word, expected) in [("finite", vec![1, 2]), ("nonzero", vec![2]), ("zero", vec![1])] {
             assert_eq!(kept_cells(&json!({"keep": word}), &mask).unwrap(), expected, "{word}");
         }
+    }
+
+    #[test]
+    fn labels_are_chosen_and_grow() {
+        let mask = stack(&[("m", [3.0, 0.0, 0.0, 5.0])]);
+        assert_eq!(kept_cells(&json!({"keep": "zero", "labels": [3]}), &mask).unwrap(), [1, 2, 3]);
+        assert_eq!(kept_cells(&json!({"keep": "zero", "labels": [3], "grow_cells": 1}), &mask).unwrap(), [2, 3]);
+        assert_eq!(kept_cells(&json!({"keep": "nonzero", "labels": [5]}), &mask).unwrap(), [3]);
+        let mut square = vec![true; 25];
+        square[12] = false;
+        grow(&mut square, 5, 1);
+        let gone: Vec<usize> = (0..25).filter(|i| !square[*i]).collect();
+        assert_eq!(gone, [6, 7, 8, 11, 12, 13, 16, 17, 18]);
     }
 
     #[test]

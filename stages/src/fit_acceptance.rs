@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 
 use crate::artefact::{Acceptance, Cell, GroupModel, Kind, Table};
 use crate::kernel::acceptance_rate::{perfect_acceptance, share_below};
-use crate::kernel::descriptors::{GROUPS, feature_names};
+use crate::kernel::descriptors::{GROUPS, feature_names, in_group};
 use crate::kernel::gathered::{FeatureRow, feature_rows};
 use crate::kernel::mahalanobis::{bound, fit, leave_one_out_quantile};
+use crate::kernel::noise::chain;
 use crate::kernel::quantile::quantile;
 use crate::params::{Fault, Range};
 use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, params};
@@ -69,9 +70,8 @@ impl Stage for FitAcceptance {
         let tables = inputs.many::<Table>("features")?;
         let rows = feature_rows(&tables, &params.features).map_err(StageError::new)?;
         let mut groups = BTreeMap::from([("all".to_owned(), fit_columns(&params.features, params, &rows)?)]);
-        for (group, members) in GROUPS {
-            let chosen: Vec<String> =
-                params.features.iter().filter(|name| members.contains(&name.as_str())).cloned().collect();
+        for (group, _) in GROUPS {
+            let chosen: Vec<String> = params.features.iter().filter(|name| in_group(group, name)).cloned().collect();
             let varies = chosen.iter().any(|name| groups["all"].features.contains(name));
             if varies {
                 groups.insert(group.to_owned(), fit_columns(&chosen, params, &rows)?);
@@ -101,6 +101,9 @@ fn log(model: &Acceptance, level: f64, context: &Context) {
         context.warn(format!("set aside, because they do not vary over the reference: {}", all.constant.join(", ")));
     }
     warn_of_lone_references(model, all, context);
+    if let Some(text) = chain::warning(&model.labels) {
+        context.note(text);
+    }
     let threshold = quantile(&all.reference_d2, level).unwrap_or(f64::NAN);
     let share = share_below(&all.leave_one_out_d2, threshold);
     context.metric("threshold", threshold, "1");

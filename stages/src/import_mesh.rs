@@ -1,9 +1,20 @@
-//! `import-mesh`: reads a triangle mesh of a rock face from a file and checks it.
+//! `import-mesh`: reads a triangle mesh of a rock face from a file, repairs what is safe and names the rest.
 
-use crate::artefact::{CodecError, Frame, Kind, Mesh};
-use crate::kernel::{mesh_check, ply};
-use crate::params::FileRef;
-use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
+use nalgebra::Vector3;
+
+use crate::artefact::{Frame, Kind, Mesh};
+use crate::kernel::face::inspection::{Found, Inspection};
+use crate::kernel::face::repair::{self, Repaired};
+use crate::kernel::face::{mesh_file, orient};
+use crate::kernel::mesh_check;
+use crate::params::{Fault, FileRef, Range};
+use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
+
+/// A mean normal whose cosine with the way out is smaller does not tell inside from outside.
+const LEAST_COSINE: f64 = 0.02;
+
+/// Beyond this cosine a mean normal that points down is strange for a face (30 degrees below the horizontal).
+const DOWNWARDS: f64 = 0.5;
 
 choice! {
     /// The frame of the file's coordinates.
@@ -16,7 +27,17 @@ choice! {
 }
 
 choice! {
-    /// What to do with a mesh that is not an oriented manifold.
+    /// What to repair.
+    pub enum Repair {
+        /// What changes no surface: merges vertices at exactly one place, drops what covers nothing, turns triangles over.
+        Safe = "safe",
+        /// Nothing: every vertex and triangle stays as it is.
+        Nothing = "none",
+    }
+}
+
+choice! {
+    /// What to do with a mesh that is not an oriented manifold after repair.
     pub enum Defects {
         /// Refuse it.
         Refuse = "refuse",
@@ -28,13 +49,20 @@ choice! {
 params! {
     /// Parameters of `import-mesh`.
     pub struct ImportMeshParams {
-        /// The file; its format is told by its content (PLY, ascii or binary).
+        /// The file; its format is told by its content: PLY, OBJ or STL, text or binary.
         path: FileRef,
         /// The frame of the file's coordinates.
         frame: FileFrame = FileFrame::World,
         /// Added to every vertex in double precision, metres: brings a file with shifted coordinates back.
         offset_m: [f64; 3] = [0.0; 3],
-        /// What to do with edges of three or more triangles or of triangles oriented against each other.
+        /// What to repair.
+        repair: Repair = Repair::Safe,
+        /// Pieces of fewer triangles are dropped.
+        min_piece_triangles: u32 = 1; Range::AtLeast(1.0),
+        /// A direction out of the rock in the frame of the file: a mesh that faces the other way is inside out. Not needed
+        /// in the wall frame (Z) and for closed meshes.
+        outward: Option<[f64; 3]> = None,
+        /// What to do with edges of three or more triangles, triangles oriented against each other, and a face inside out.
         defects: Defects = Defects::Refuse,
     }
 }
@@ -45,44 +73,55 @@ pub struct ImportMesh;
 impl Stage for ImportMesh {
     type Params = ImportMeshParams;
     const NAME: &'static str = "import-mesh";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page {
-        what: "Reads a triangle mesh of a rock face. Triangles without area and vertices without triangle are dropped; \
-               everything dropped is counted in the log, and so are vertices at the same place and boundary edges.",
-        method: "PLY 1.0 (Turk 1994), ascii or binary of either byte order, float or double; polygons are cut into fans.",
+        what: "Reads a triangle mesh of a rock face, repairs what is safe, and counts in the log what it repaired and \
+               what it found: pieces, borders, holes, and vertices where surfaces meet in a point only. Holes are kept, \
+               with a warning.",
+        method: "PLY 1.0 (Turk 1994), Wavefront OBJ (shared vertices stay shared across groups) and STL (corners joined \
+                 at exactly equal places); polygons are cut into fans. Repair: vertices at one place to the bit become \
+                 one; triangles without area, repeated triangles and vertices without triangle go; in each piece the \
+                 triangles of the smaller area are turned to agree with the larger; a mesh inside out is turned where \
+                 that can be told.",
         frames: "Metres. Coordinates are taken to be in `frame`; single-precision files cannot hold centimetres at UTM \
-                 magnitudes, so keep them shifted and give the shift as `offset_m`.",
-        fails: "The file is no PLY or is damaged; it has no triangles; an edge belongs to three or more triangles; \
-                neighbouring triangles are oriented against each other (repair the mesh in MeshLab, or accept it with \
-                `defects: keep`).",
+                 magnitudes, so keep them shifted and give the shift as `offset_m`. Text files keep all digits.",
+        fails: "The file is of another format (point clouds: `import-cloud`), is damaged or ends too early; a coordinate is not finite; \
+                it has no triangles; an edge belongs to three or more triangles, neighbours face opposite ways or the mesh is inside \
+                out and `repair` cannot or may not help (repair it in MeshLab, or accept it with `defects: keep`).",
         example: "rockface: 1\nname: import-a-face\nsteps:\n  face: {stage: import-mesh, with: {path: face.ply}}\n",
     };
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The mesh, in the frame of the file.")];
 
+    fn check(params: &Self::Params) -> Vec<Fault> {
+        let mut faults = Vec::new();
+        if params.outward.is_some_and(|outward| Vector3::from(outward).norm() == 0.0) {
+            faults.push(Fault { path: vec!["outward".into()], ..Fault::new("a direction cannot be zero") });
+        }
+        if params.repair == Repair::Nothing && params.min_piece_triangles > 1 {
+            let text = "dropping pieces is a repair, and `repair` is `none`";
+            faults.push(Fault { path: vec!["min_piece_triangles".into()], ..Fault::new(text) });
+        }
+        faults
+    }
+
     fn run(params: &Self::Params, _inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let path = &params.path.0;
         let bytes = context.read(&params.path)?;
-        let mut mesh = read(&bytes).map_err(|e| StageError::new(format!("cannot read `{path}`: {e}")))?;
+        let mut mesh = mesh_file::read(&bytes).map_err(|e| StageError::new(format!("cannot read `{path}`: {e}")))?;
         if mesh.triangles.is_empty() {
             return Err(StageError::new(format!("`{path}` has {} vertices but no triangles", mesh.vertices.len()))
-                .hint("a point cloud must be meshed first, for example with Delaunay 2.5D in CloudCompare"));
+                .hint("a point cloud is meshed by `import-cloud`"));
         }
         mesh.frame = match params.frame {
             FileFrame::World => Frame::World,
             FileFrame::Wall => Frame::Wall,
         };
+        warn_of_single_precision(&mesh, context);
         shift(&mut mesh, params.offset_m);
-        check(&mut mesh, params, context)?;
+        context.check_cancelled()?;
+        tidy(&mut mesh, params, context)?;
         Ok(Outputs::of("mesh", mesh))
-    }
-}
-
-fn read(bytes: &[u8]) -> Result<Mesh, CodecError> {
-    if bytes.starts_with(b"ply") {
-        ply::read_mesh(bytes)
-    } else {
-        Err(CodecError::new("its content is not PLY, the only format read here; convert it to PLY first"))
     }
 }
 
@@ -91,33 +130,6 @@ fn shift(mesh: &mut Mesh, offset_m: [f64; 3]) {
         let moved = |v: &[f64; 3]| [v[0] + offset_m[0], v[1] + offset_m[1], v[2] + offset_m[2]];
         mesh.vertices.iter_mut().for_each(|v| *v = moved(v));
     }
-}
-
-fn check(mesh: &mut Mesh, params: &ImportMeshParams, context: &Context) -> Result<(), StageError> {
-    let path = &params.path.0;
-    let tidied = mesh_check::tidy(mesh);
-    if mesh.triangles.is_empty() {
-        fail!("none of the {} triangles of `{path}` has an area", tidied.degenerate_triangles);
-    }
-    let edges = mesh_check::check_edges(mesh);
-    if let Some([a, b]) = edges.first_fault {
-        let place = mesh.vertices[a as usize];
-        let message = format!(
-            "`{path}` has {} edges of three or more triangles and {} edges whose triangles are oriented against each \
-             other; the first runs between vertices {a} and {b} near ({}, {}, {})",
-            edges.non_manifold, edges.inconsistent, place[0], place[1], place[2]
-        );
-        if params.defects == Defects::Keep {
-            context.warn(message);
-        } else {
-            return Err(StageError::new(message).hint(
-            "repair the mesh first: in MeshLab `Repair Non Manifold Edges`, then `Re-Orient All Faces Coherently`; or keep \
-             it as it is with `defects: keep`, which is enough where no blocks are removed",
-        ));
-        }
-    }
-    report(mesh, tidied, edges, context);
-    Ok(())
 }
 
 /// Single precision at UTM magnitudes holds half a metre.
@@ -133,98 +145,180 @@ fn warn_of_single_precision(mesh: &Mesh, context: &Context) {
     }
 }
 
-fn report(mesh: &Mesh, tidied: mesh_check::Tidied, edges: mesh_check::EdgeReport, context: &Context) {
-    let duplicates = mesh_check::duplicate_vertices(mesh);
-    warn_of_single_precision(mesh, context);
+/// Repairs, inspects, reports, and refuses what is still wrong.
+fn tidy(mesh: &mut Mesh, params: &ImportMeshParams, context: &Context) -> Result<(), StageError> {
+    let path = &params.path.0;
+    let before = mesh.triangles.len();
+    let mut faults = Vec::new();
+    let mut repaired = Repaired::default();
+    let mut turned = 0;
+    if params.repair == Repair::Safe {
+        repaired = repair::repair(mesh, params.min_piece_triangles as usize);
+        if mesh.triangles.is_empty() {
+            let text = format!("none of the {before} triangles of `{path}` is left: {}", describe(&repaired));
+            return Err(StageError::new(text).hint("a mesh needs triangles with an area; lower `min_piece_triangles`"));
+        }
+        match orient::make_coherent(mesh) {
+            Ok(count) => turned = count,
+            Err(one_sided) => {
+                faults.push(format!("a surface with one side only, seen near {}", place(one_sided.place)));
+            }
+        }
+    } else {
+        count_in(&mut faults, mesh_check::degenerate_triangles(mesh), "triangles without area");
+        count_in(&mut faults, repair::duplicate_triangles(mesh).len(), "repeated triangles");
+    }
+    let found = Inspection::of(mesh);
+    find_in(&mut faults, &found.crowded_edges, "edges of three or more triangles");
+    find_in(&mut faults, &found.opposed_edges, "edges whose triangles are oriented against each other");
+    turned += face_outward(mesh, params, &found, context, &mut faults);
+    report(mesh, (&repaired, turned), &found, context);
+    if faults.is_empty() {
+        return Ok(());
+    }
+    let message = format!("`{path}` has {}", faults.join(" and "));
+    if params.defects == Defects::Keep {
+        context.warn(message);
+        return Ok(());
+    }
+    Err(StageError::new(message).hint(
+        "repair the mesh first: in MeshLab `Repair Non Manifold Edges`, then `Re-Orient All Faces Coherently`; or keep \
+         it as it is with `defects: keep`, which is enough where no blocks are removed",
+    ))
+}
+
+fn count_in(faults: &mut Vec<String>, count: usize, what: &str) {
+    if count > 0 {
+        faults.push(format!("{count} {what}"));
+    }
+}
+
+fn find_in(faults: &mut Vec<String>, found: &Found, what: &str) {
+    if let Some(first) = found.place {
+        faults.push(format!("{} {what}, the first near {}", found.count, place(first)));
+    }
+}
+
+fn place([x, y, z]: [f64; 3]) -> String {
+    format!("({x}, {y}, {z})")
+}
+
+/// Turns what is inside out where that can be told and may be repaired; returns how many triangles were turned.
+fn face_outward(
+    mesh: &mut Mesh,
+    params: &ImportMeshParams,
+    found: &Inspection,
+    context: &Context,
+    faults: &mut Vec<String>,
+) -> usize {
+    if !faults.is_empty() {
+        return 0;
+    }
+    let wall = (mesh.frame == Frame::Wall).then(Vector3::z);
+    let outward = params.outward.map(|outward| Vector3::from(outward).normalize()).or(wall);
+    let cosine = found.open_area().and_then(|(area, normal)| outward.map(|outward| normal.dot(&outward) / area));
+    if outward.is_none() && found.open_area().is_some_and(|(area, normal)| normal.z < -DOWNWARDS * area) {
+        context.warn("on the whole the triangles face downwards: if the mesh is inside out, give `outward`");
+    }
+    if cosine.is_some_and(|cosine| cosine.abs() < LEAST_COSINE) {
+        context
+            .warn("the triangles face outward and inward in equal parts: nothing tells whether the mesh is inside out");
+    }
+    let mut turned = 0;
+    let open = (false, cosine.is_some_and(|cosine| cosine <= -LEAST_COSINE), "its triangles face into the rock");
+    let negative = found.closed_volume_m3().is_some_and(|volume_m3| volume_m3 < 0.0);
+    let closed = (true, negative, "its closed pieces enclose a negative volume");
+    for (is_closed, inside_out, why) in [open, closed] {
+        if inside_out && params.repair == Repair::Safe {
+            orient::turn_over(mesh, is_closed);
+            let pieces = found.pieces.iter().filter(|piece| (piece.open_edges == 0) == is_closed);
+            turned += pieces.map(|piece| piece.triangles).sum::<usize>();
+            context.warn(format!("the mesh was inside out and has been turned: {why}"));
+        } else if inside_out {
+            faults.push(format!("an outside that is inside: {why} (`repair: safe` turns it)"));
+        }
+    }
+    turned
+}
+
+fn describe(repaired: &Repaired) -> String {
+    let Repaired {
+        merged_vertices,
+        degenerate_triangles,
+        duplicate_triangles,
+        small_piece_triangles,
+        unreferenced_vertices,
+    } = repaired;
+    format!(
+        "merged {merged_vertices} vertices with others at the same place, dropped {degenerate_triangles} triangles without \
+         area, {duplicate_triangles} repeated ones, {small_piece_triangles} of small pieces and {unreferenced_vertices} \
+         vertices without triangle"
+    )
+}
+
+fn report(mesh: &Mesh, (repaired, turned): (&Repaired, usize), found: &Inspection, context: &Context) {
+    let closed = found.pieces.iter().filter(|piece| piece.open_edges == 0).count();
     let counts = [
         ("vertices", mesh.vertices.len()),
         ("triangles", mesh.triangles.len()),
-        ("boundary_edges", edges.boundary),
-        ("dropped_degenerate_triangles", tidied.degenerate_triangles),
-        ("dropped_unreferenced_vertices", tidied.unreferenced_vertices),
-        ("duplicate_vertices", duplicates),
+        ("boundary_edges", found.border_edges),
+        ("merged_vertices", repaired.merged_vertices),
+        ("dropped_degenerate_triangles", repaired.degenerate_triangles),
+        ("dropped_duplicate_triangles", repaired.duplicate_triangles),
+        ("dropped_small_piece_triangles", repaired.small_piece_triangles),
+        ("dropped_unreferenced_vertices", repaired.unreferenced_vertices),
+        ("turned_triangles", turned),
+        ("duplicate_vertices", mesh_check::duplicate_vertices(mesh)),
+        ("non_manifold_edges", found.crowded_edges.count),
+        ("inconsistent_edges", found.opposed_edges.count),
+        ("non_manifold_vertices", found.pinched_vertices.count),
+        ("pieces", found.pieces.len()),
+        ("closed_pieces", closed),
+        ("holes", found.holes.len()),
     ];
     for (name, count) in counts {
         context.metric(name, count as f64, "1");
     }
-    if tidied != mesh_check::Tidied::default() {
+    if *repaired != Repaired::default() {
+        context.note(describe(repaired));
+    }
+    if turned > 0 {
+        context.note(format!("turned {turned} triangles over"));
+    }
+    warn_of_what_stays(found, context);
+}
+
+/// Metres in words, tiny ones with their digits.
+fn length(length_m: f64) -> String {
+    if length_m < 0.01 { format!("{length_m:.1e} m") } else { format!("{length_m:.3} m") }
+}
+
+fn warn_of_what_stays(found: &Inspection, context: &Context) {
+    let largest = found.pieces.iter().map(|piece| piece.triangles).max().unwrap_or(0);
+    if found.pieces.len() > 1 {
         context.note(format!(
-            "dropped {} triangles without area and {} vertices without triangle",
-            tidied.degenerate_triangles, tidied.unreferenced_vertices
+            "{} pieces, the largest of {largest} triangles; `min_piece_triangles` drops small ones",
+            found.pieces.len()
         ));
     }
-    if duplicates > 0 {
-        context.warn(format!("{duplicates} vertices lie exactly on an earlier one: the mesh may be torn there"));
+    if let Some(first) = found.pinched_vertices.place {
+        context.warn(format!(
+            "at {} vertices surfaces meet in a point only, the first at {}: no block can be removed there",
+            found.pinched_vertices.count,
+            place(first)
+        ));
+    }
+    if let Some(hole) = found.holes.iter().max_by(|a, b| a.length_m.total_cmp(&b.length_m)) {
+        context.metric("largest_hole_perimeter", hole.length_m, "m");
+        context.warn(format!(
+            "{} holes, the largest of {} around, at {}: blocks keep away from them with `mask-safe-zone`",
+            found.holes.len(),
+            length(hole.length_m),
+            place(hole.place)
+        ));
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::artefact::Artefact;
-    use crate::testing::TestHost;
-
-    fn run(bytes: &[u8], offset_m: [f64; 3], defects: Defects) -> (Result<Mesh, StageError>, TestHost) {
-        let host = TestHost::default().with("face.ply", &[("face.ply", bytes)]);
-        let params = ImportMeshParams { path: FileRef("face.ply".into()), frame: FileFrame::World, offset_m, defects };
-        let outputs = ImportMesh::run(&params, &Inputs::default(), &Context::new(&host));
-        let mesh = outputs.map(|outputs| match outputs.into_inner().remove("mesh") {
-            Some(Artefact::Mesh(mesh)) => mesh,
-            other => panic!("no mesh but {other:?}"),
-        });
-        (mesh, host)
-    }
-
-    fn square(triangles: &[[u32; 3]]) -> Vec<u8> {
-        let vertices = vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0], [7.0, 7.0, 7.0]];
-        let colours = Vec::new();
-        ply::write_mesh(&Mesh { frame: Frame::Wall, vertices, triangles: triangles.to_vec(), colours })
-    }
-
-    #[test]
-    #[allow(clippy::float_cmp)] // to the bit
-    fn a_mesh_is_tidied_shifted_and_counted() {
-        let (mesh, host) = run(&square(&[[0, 1, 2], [0, 2, 3], [1, 1, 2]]), [451_000.125, 0.0, 0.0], Defects::Refuse);
-        let mesh = mesh.unwrap();
-        assert_eq!((mesh.frame, mesh.vertices.len(), mesh.triangles.len()), (Frame::World, 4, 2));
-        assert_eq!(mesh.vertices[1], [451_001.125, 0.0, 0.0]);
-        assert_eq!(host.metric("dropped_degenerate_triangles"), Some(1.0));
-        assert_eq!(host.metric("dropped_unreferenced_vertices"), Some(1.0));
-        assert_eq!(host.metric("boundary_edges"), Some(4.0));
-    }
-
-    #[test]
-    fn what_cannot_be_repaired_safely_is_refused() {
-        let refused = |bytes: Vec<u8>| run(&bytes, [0.0; 3], Defects::Refuse).0.unwrap_err();
-        assert!(refused(square(&[[0, 1, 2], [0, 3, 2]])).message.contains("1 edges whose triangles are oriented"));
-        assert!(refused(square(&[[0, 1, 2], [0, 2, 3], [2, 0, 4]])).message.contains("1 edges of three or more"));
-        assert!(refused(square(&[])).hint.unwrap().contains("meshed first"));
-        assert!(refused(b"v 1 2 3\n".to_vec()).message.contains("not PLY"));
-    }
-
-    #[test]
-    fn real_faces_of_other_programs_are_read() {
-        let shared = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data"));
-        let Ok(folder) = std::fs::read_dir(shared.join("faces")) else {
-            println!("skipped: the folder of real faces is absent");
-            return;
-        };
-        let mut paths: Vec<_> = folder.filter_map(|entry| entry.ok().map(|e| e.path())).collect();
-        paths.retain(|path| path.extension().is_some_and(|e| e == "ply"));
-        paths.push(shared.join("outcrop-survey/face.ply"));
-        paths.sort();
-        let mut refused = Vec::new();
-        for path in paths {
-            let bytes = std::fs::read(&path).unwrap();
-            let name = path.file_name().unwrap().to_string_lossy().into_owned();
-            if run(&bytes, [0.0; 3], Defects::Refuse).0.is_err() {
-                refused.push(name.clone());
-            }
-            let (mesh, host) = run(&bytes, [0.0; 3], Defects::Keep);
-            assert!(mesh.unwrap().triangles.len() > 1000, "{name}");
-            assert_eq!(host.warnings().join("\n").contains("three or more"), refused.contains(&name), "{name}");
-        }
-        // The two whole scenes have two edges of three triangles each.
-        assert_eq!(refused, ["cliff_trier_post.ply", "cliff_trier_pre.ply"]);
-    }
-}
+#[path = "import_mesh_tests.rs"]
+mod tests;

@@ -15,25 +15,40 @@ pub(crate) mod testing;
 mod apply_mask;
 mod classify_shapes;
 mod clean_mesh;
+mod compare_samples;
 mod describe_noise;
 mod difference_dem;
 mod draw_picture;
 mod draw_rockfall;
+mod estimate_covariance;
+mod export_cameras;
 mod filter_outliers;
 mod fit_acceptance;
 mod fit_magnitude_frequency;
+mod forecast_precision;
 mod fuse_depth;
+mod generate_blocks;
+mod import_blocks;
 mod import_cameras;
+mod import_cloud;
 mod import_inventory;
+mod import_mask;
 mod import_mesh;
 mod import_rasters;
+mod import_table;
+mod mask_safe_zone;
 mod match_pair;
 mod perturb_cameras;
+mod place_blocks;
 mod plan_survey;
 mod project_depth;
+mod propose_parameters;
 mod rasterise_dem;
+mod refine_search;
 mod register_icp;
+mod remove_blocks;
 mod select_pairs;
+mod summarise_acceptance;
 mod synthesise_face;
 mod tabulate;
 mod test_acceptance;
@@ -47,12 +62,22 @@ pub use stage::{
 
 static STAGES: &[&dyn AnyStage] = &[
     &Row::<import_mesh::ImportMesh>::new(),
+    &Row::<import_cloud::ImportCloud>::new(),
     &Row::<synthesise_face::SynthesiseFace>::new(),
     &Row::<transform_crs::TransformCrs>::new(),
+    &Row::<mask_safe_zone::MaskSafeZone>::new(),
+    &Row::<generate_blocks::GenerateBlocks>::new(),
+    &Row::<import_blocks::ImportBlocks>::new(),
+    &Row::<place_blocks::PlaceBlocks>::new(),
+    &Row::<import_table::ImportTable>::new(),
+    &Row::<remove_blocks::RemoveBlocks>::new(),
     &Row::<plan_survey::PlanSurvey>::new(),
     &Row::<import_cameras::ImportCameras>::new(),
+    &Row::<export_cameras::ExportCameras>::new(),
+    &Row::<estimate_covariance::EstimateCovariance>::new(),
     &Row::<perturb_cameras::PerturbCameras>::new(),
     &Row::<select_pairs::SelectPairs>::new(),
+    &Row::<forecast_precision::ForecastPrecision>::new(),
     &Row::<project_depth::ProjectDepth>::new(),
     &Row::<match_pair::MatchPair>::new(),
     &Row::<fuse_depth::FuseDepth>::new(),
@@ -61,6 +86,7 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<rasterise_dem::RasteriseDem>::new(),
     &Row::<difference_dem::DifferenceDem>::new(),
     &Row::<import_rasters::ImportRasters>::new(),
+    &Row::<import_mask::ImportMask>::new(),
     &Row::<filter_outliers::FilterOutliers>::new(),
     &Row::<apply_mask::ApplyMask>::new(),
     &Row::<describe_noise::DescribeNoise>::new(),
@@ -69,6 +95,10 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<import_inventory::ImportInventory>::new(),
     &Row::<fit_magnitude_frequency::FitMagnitudeFrequency>::new(),
     &Row::<classify_shapes::ClassifyShapes>::new(),
+    &Row::<summarise_acceptance::SummariseAcceptance>::new(),
+    &Row::<compare_samples::CompareSamples>::new(),
+    &Row::<refine_search::RefineSearch>::new(),
+    &Row::<propose_parameters::ProposeParameters>::new(),
     &Row::<tabulate::Tabulate>::new(),
     &Row::<triangulate_surface::TriangulateSurface>::new(),
     &Row::<draw_picture::DrawPicture>::new(),

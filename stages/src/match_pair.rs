@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use crate::artefact::{Cameras, Depth, Image, Kind, Pair, Pairs};
 use crate::kernel::camera::Camera;
 use crate::kernel::matching_noise::{Distribution, FieldRecipe, Interpolation, LocalNoise, Variance};
-use crate::kernel::pair_matching::{Match, Matcher, Tally, smooth_noise};
+use crate::kernel::noise::matcher::{MatcherTerms, PairScene, PaperNoise};
+use crate::kernel::pair_matching::{Local, Match, Matcher, Smooth, Tally, smooth_noise};
 use crate::kernel::rectification::Rectification;
 use crate::params::Range;
 use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
@@ -49,6 +50,8 @@ params! {
         local_distribution: Distribution = Distribution::Gaussian,
         /// Distribution of the nodes of the smooth noise.
         regular_distribution: Distribution = Distribution::Gaussian,
+        /// What a real matcher's noise has beyond these two; left out: nothing, the paper's noise.
+        matcher: Option<MatcherTerms> = None,
         /// Whether a pixel counts only where the other image sees the same point.
         occlusion: bool = true,
         /// Share of the depth by which a point may lie behind what the other image sees and still be seen.
@@ -81,13 +84,13 @@ impl Stage for MatchPair {
                  the first rectified image; back to depth on the noisy rays of the image. Sampled at image pixels, so \
                  nothing is resampled. The two maps of a pair carry the same error at corresponding points where both steps draw \
                  from one stream: give both `stream: {label: match, axes: [...]}` with the axes they share. \
-                 The y-parallax is no part of the disparity: it is measured and discarded.",
+                 The y-parallax is no part of the disparity: it is measured and discarded. `matcher` adds what real matchers                  show: a Matern correlation of the local noise over a few pixels, noise that varies with the texture of the                  face, with the conditions and the quality of an acquisition and with the relief inside the matcher's window                  (heavy tails come from that variation), the window's own smoothing and foreground fattening (these two and                  the relief see the ideal depth map of the image that is made), blunders, holes, pixel locking, and errors                  shared by the pairs of an image.",
         frames: "Disparities, sigmas and the spacing are in pixels of the depth map (image pixels times downscale). \
                  Depth is z along the optical axis of the noisy camera, metres; the map carries that camera. \
                  Channels: `disparity`, `noise.local`, `noise.regular`, `y_parallax`.",
         fails: "The pair is unknown or not named; a depth map is not of its image; sizes, frames or downscales differ; \
                 the pair has no baseline or moves along its view; the images share nothing; the y-parallax is above \
-                max_y_parallax_px (a covariance without correlations does that: give the full one).",
+                max_y_parallax_px (a covariance without correlations does that: give the full one); a texture outside the                 wall frame.",
         example: "\
 rockface: 1
 name: noisy-depth
@@ -115,7 +118,8 @@ steps:
         &[Port::one("depth", &[Kind::Depth], "The noisy depth map, with its noisy camera.")];
 
     fn draws(params: &Self::Params) -> bool {
-        params.sigma_local_px > 0.0 || params.sigma_regular_px > 0.0
+        let terms = params.matcher.as_ref().is_some_and(MatcherTerms::draws);
+        params.sigma_local_px > 0.0 || params.sigma_regular_px > 0.0 || terms
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
@@ -124,8 +128,13 @@ steps:
         let pair = choose_pair(params, inputs.one("pairs")?)?;
         check_depths(pair, ideal)?;
         let images = [noisy_image(noisy, ideal[0])?, noisy_image(noisy, ideal[1])?];
-        let matcher = prepare(params, context, &pair.name, ideal, noisy, images)?;
         let own = usize::from(params.of == Side::Second);
+        let seen = params.matcher.as_ref().and_then(|terms| terms.seen(ideal[own]));
+        let mut matched = ideal;
+        if let Some(seen) = &seen {
+            matched[own] = seen;
+        }
+        let matcher = prepare(params, context, &pair.name, matched, noisy, images)?;
         let (map, tally) = matched_map(params, &matcher, own, noisy, images[own]);
         report(params, context, pair, &map, &tally)?;
         Ok(Outputs::of("depth", map))
@@ -199,24 +208,52 @@ fn prepare<'a>(
         interpolation: params.kernel,
         variance: params.variance,
     };
-    let smooth = if params.sigma_regular_px > 0.0 {
-        let key = context.stream("match-regular", pair);
-        Some((params.sigma_regular_px, smooth_noise(&key, recipe, ideal[0], &noisy[0], &rectification)?))
-    } else {
-        None
+    let noise = PaperNoise {
+        sigma_local_px: params.sigma_local_px,
+        local_distribution: params.local_distribution,
+        sigma_regular_px: params.sigma_regular_px,
+        recipe,
     };
-    let local = (params.sigma_local_px > 0.0).then(|| {
-        (params.sigma_local_px, LocalNoise::new(&context.stream("match-local", pair), params.local_distribution))
-    });
+    let cameras = ideal.map(Camera::of_depth);
+    let own = usize::from(params.of == Side::Second);
+    let scene = PairScene {
+        name: pair,
+        depths: ideal,
+        own,
+        camera: &cameras[own],
+        noisy: &noisy[0],
+        rectification: &rectification,
+    };
+    let keys = |purpose: &str, item: &str| context.stream(purpose, item);
+    let (local, smooth, terms) = match &params.matcher {
+        None => (paper_local(&noise, &scene, context), paper_smooth(&noise, &scene, context)?, None),
+        Some(matcher) => (None, None, Some(matcher.fields(&noise, &scene, &keys)?)),
+    };
     Ok(Matcher {
         ideal,
-        cameras: ideal.map(Camera::of_depth),
+        cameras,
         noisy,
         rectification,
         local,
         smooth,
+        terms,
         occlusion_tolerance: params.occlusion.then_some(params.occlusion_tolerance),
     })
+}
+
+fn paper_local(noise: &PaperNoise, scene: &PairScene, context: &Context) -> Option<Local> {
+    let sigma_px = noise.sigma_local_px;
+    let key = || context.stream("match-local", scene.name);
+    (sigma_px > 0.0).then(|| (sigma_px, LocalNoise::new(&key(), noise.local_distribution)))
+}
+
+fn paper_smooth(noise: &PaperNoise, scene: &PairScene, context: &Context) -> Result<Option<Smooth>, StageError> {
+    if noise.sigma_regular_px <= 0.0 {
+        return Ok(None);
+    }
+    let key = context.stream("match-regular", scene.name);
+    let field = smooth_noise(&key, noise.recipe, scene.depths[0], scene.noisy, scene.rectification)?;
+    Ok(Some((noise.sigma_regular_px, field)))
 }
 
 const CHANNELS: [&str; 4] = ["disparity", "noise.local", "noise.regular", "y_parallax"];

@@ -25,6 +25,11 @@ pub enum Kind {
     Optional(Box<Kind>),
     /// Named parameters.
     Map(Vec<Field>),
+    /// A map with exactly one of these keys, which says what its value is: `{prism: {...}}`. Where everything below the
+    /// key has a default, the bare word will do.
+    Union(Vec<Field>),
+    /// A number, or the kind inside: a distribution to draw it from.
+    NumberOr(Box<Kind>),
 }
 
 impl std::fmt::Display for Kind {
@@ -44,6 +49,11 @@ impl std::fmt::Display for Kind {
             Self::List(kind, None) => write!(f, "list ({kind})"),
             Self::Optional(kind) => write!(f, "{kind}, or null"),
             Self::Map(_) => write!(f, "map"),
+            Self::Union(fields) => {
+                let words: Vec<_> = fields.iter().map(|field| field.name).collect();
+                write!(f, "map with one of the keys {}", words.join(" | "))
+            }
+            Self::NumberOr(_) => write!(f, "number or distribution"),
         }
     }
 }
@@ -79,7 +89,8 @@ pub enum Range {
 }
 
 impl Range {
-    fn holds(self, value: f64) -> bool {
+    /// Whether a value is in it.
+    pub fn holds(self, value: f64) -> bool {
         match self {
             Self::Any => true,
             Self::Positive => value > 0.0,
@@ -121,7 +132,9 @@ impl Fault {
         Self { path: Vec::new(), message: message.into(), known: Vec::new(), at_key: false }
     }
 
-    fn below(mut self, segment: &str) -> Self {
+    /// The same fault, one key or list position further down.
+    #[must_use]
+    pub fn below(mut self, segment: &str) -> Self {
         self.path.insert(0, segment.to_owned());
         self
     }
@@ -135,6 +148,10 @@ pub trait ParamType: Sized {
     fn decode(value: &Value) -> Result<Self, Vec<Fault>>;
     /// Its one canonical form: `decode(encode(x)) = x`, and equal values have equal text.
     fn encode(&self) -> Value;
+    /// What of it may leave a range although it is no plain number: a distribution that can draw such values.
+    fn outside(&self, _range: Range) -> Vec<Fault> {
+        Vec::new()
+    }
 }
 
 /// The whole of a stage's parameters.
@@ -257,6 +274,9 @@ impl<T: ParamType> ParamType for Option<T> {
     fn encode(&self) -> Value {
         self.as_ref().map_or(Value::Null, ParamType::encode)
     }
+    fn outside(&self, range: Range) -> Vec<Fault> {
+        self.as_ref().map_or_else(Vec::new, |value| value.outside(range))
+    }
 }
 
 impl<T: ParamType> ParamType for Vec<T> {
@@ -321,6 +341,7 @@ impl<'a> MapReader<'a> {
         match T::decode(value) {
             Ok(decoded) => {
                 self.check_range(name, value, range);
+                self.faults.extend(decoded.outside(range).into_iter().map(|fault| fault.below(name)));
                 Some(decoded)
             }
             Err(faults) => {
@@ -367,6 +388,7 @@ macro_rules! params {
     ) => {
         $(#[doc = $about])*
         #[derive(Debug, Clone, PartialEq)]
+        #[allow(clippy::struct_field_names)] // units are part of the names
         pub struct $Name { $( $(#[doc = $doc])+ pub $field: $ty, )* }
 
         impl $crate::params::ParamType for $Name {
@@ -448,6 +470,81 @@ macro_rules! choice {
     };
 }
 
+/// Reads the one key of an externally tagged value, or a bare word: the key, and what is below it; used by
+/// [`crate::union!`].
+pub fn one_key<'a>(value: &'a Value, known: &[&str]) -> Result<(&'a str, &'a Value), Vec<Fault>> {
+    let listed = known.join(", ");
+    let fault = |message: String| {
+        let known = known.iter().map(ToString::to_string).collect();
+        vec![Fault { known, ..Fault::new(message) }]
+    };
+    let (key, inner) = match value {
+        Value::String(word) => (word.as_str(), &Value::Null),
+        Value::Object(map) if map.len() == 1 => match map.iter().next() {
+            Some((key, inner)) => (key.as_str(), inner),
+            None => return Err(fault(format!("expected one of the keys {listed}"))),
+        },
+        Value::Object(map) => {
+            return Err(fault(format!("expected exactly one of the keys {listed}, found {}", map.len())));
+        }
+        other => return Err(fault(format!("expected a map with one of the keys {listed}, found {}", describe(other)))),
+    };
+    if known.contains(&key) {
+        return Ok((key, inner));
+    }
+    let mut faults = fault(format!("unknown key `{key}`, expected one of {listed}"));
+    if value.is_object() {
+        faults[0].path.push(key.to_owned());
+        faults[0].at_key = true;
+    }
+    Err(faults)
+}
+
+/// Declares a parameter that is one of several maps told apart by their key: `Variant(Type) = "key"` with a doc comment
+/// each; the types are declared with [`crate::params!`].
+#[macro_export]
+macro_rules! union {
+    (
+        $(#[doc = $about:literal])+
+        pub enum $Name:ident { $( $(#[doc = $doc:literal])+ $Variant:ident($ty:ty) = $word:literal ),* $(,)? }
+    ) => {
+        $(#[doc = $about])+
+        // A few parameters of a step, not millions: size does not matter.
+        #[allow(clippy::large_enum_variant)]
+        #[derive(Debug, Clone, PartialEq)]
+        pub enum $Name { $( $(#[doc = $doc])+ $Variant($ty) ),* }
+
+        impl $crate::params::ParamType for $Name {
+            fn kind() -> $crate::params::Kind {
+                $crate::params::Kind::Union(vec![$( $crate::params::Field {
+                    name: $word,
+                    doc: [$($doc),+].map(str::trim).join(" "),
+                    kind: <$ty as $crate::params::ParamType>::kind(),
+                    default: None,
+                    range: $crate::params::Range::Any,
+                } ),*])
+            }
+            fn decode(value: &serde_json::Value) -> Result<Self, Vec<$crate::params::Fault>> {
+                let (key, inner) = $crate::params::one_key(value, &[$($word),*])?;
+                let below = |faults: Vec<$crate::params::Fault>| {
+                    let depth = |fault: $crate::params::Fault| if value.is_object() { fault.below(key) } else { fault };
+                    faults.into_iter().map(depth).collect::<Vec<_>>()
+                };
+                match key {
+                    $( $word => <$ty as $crate::params::ParamType>::decode(inner).map(Self::$Variant).map_err(below), )*
+                    _ => Err(vec![$crate::params::Fault::new(format!("unknown key `{key}`"))]),
+                }
+            }
+            fn encode(&self) -> serde_json::Value {
+                let (key, inner) = match self {
+                    $( Self::$Variant(inner) => ($word, $crate::params::ParamType::encode(inner)), )*
+                };
+                serde_json::Value::Object([(key.to_owned(), inner)].into_iter().collect())
+            }
+        }
+    };
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -496,6 +593,54 @@ mod tests {
         let places: Vec<_> = faults.iter().map(|f| f.path.join(".")).collect();
         assert_eq!(places, ["cell_m", "shape", "corner_m.1", "", "cel_m"]);
         assert!(faults[3].message.contains("`path` (file) is missing"));
+    }
+
+    params! {
+        /// A disc.
+        pub struct Disc {
+            /// Its radius.
+            radius_m: f64 = 1.0; Range::Positive,
+        }
+    }
+
+    params! {
+        /// A file.
+        pub struct Given {
+            /// Its path.
+            path: FileRef,
+        }
+    }
+
+    union! {
+        /// What to draw.
+        pub enum Figure {
+            /// A disc.
+            Disc(Disc) = "disc",
+            /// What a file holds.
+            Given(Given) = "given",
+        }
+    }
+
+    #[test]
+    fn a_union_is_told_by_its_key_and_a_bare_word_takes_the_defaults() {
+        let disc = Figure::decode(&json!({"disc": {"radius_m": 2}})).unwrap();
+        assert_eq!(disc, Figure::Disc(Disc { radius_m: 2.0 }));
+        assert_eq!(disc.encode(), json!({"disc": {"radius_m": 2.0}}));
+        for short in [json!("disc"), json!({"disc": null}), json!({"disc": {}})] {
+            assert_eq!(Figure::decode(&short).unwrap(), Figure::Disc(Disc { radius_m: 1.0 }));
+        }
+    }
+
+    #[test]
+    fn faults_of_a_union_name_their_place() {
+        let fault = |value: Value| Figure::decode(&value).unwrap_err().remove(0);
+        assert_eq!(fault(json!({"disc": {"radius_m": -2}})).path, ["disc", "radius_m"]);
+        assert!(fault(json!("given")).message.contains("`path` (file) is missing"));
+        let unknown = fault(json!({"disk": {}}));
+        assert_eq!((unknown.path.as_slice(), unknown.at_key), (&["disk".to_owned()][..], true));
+        assert_eq!(unknown.known, ["disc", "given"]);
+        assert!(fault(json!({"disc": {}, "given": {}})).message.contains("exactly one"));
+        assert!(fault(json!(3)).message.contains("found the number 3"));
     }
 
     #[test]

@@ -3,7 +3,8 @@
 use super::*;
 use crate::artefact::{Artefact, Frame};
 use crate::kernel::camera::Camera;
-use crate::kernel::{camera_files_json, covariance_files};
+use crate::kernel::camera_files::json as json_file;
+use crate::kernel::covariance_files;
 use crate::params::ParamType;
 use crate::testing::{TestHost, shared};
 use nalgebra::{Matrix3, Vector3};
@@ -16,7 +17,7 @@ fn pair() -> Cameras {
     let image =
         |name: &str, id: u64, x: f64| json!({"name": name, "sensor": id, "q_wxyz": [0, 1, 0, 0], "C": [x, 0, 20]});
     let file = json!({"sensors": [sensor(0), sensor(1)], "images": [image("a", 0, -3.0), image("b", 1, 3.0)]});
-    camera_files_json::read(file.to_string().as_bytes(), Frame::Wall).unwrap().cameras
+    json_file::read(file.to_string().as_bytes(), Frame::Wall).unwrap().cameras
 }
 
 fn covariance(names: &[&str]) -> Covariance {
@@ -85,7 +86,7 @@ fn joint_draws_keep_rays_together_and_diagonal_ones_do_not() {
     else {
         return;
     };
-    let truth = camera_files_json::read(&cameras, Frame::Wall).unwrap().cameras;
+    let truth = json_file::read(&cameras, Frame::Wall).unwrap().cameras;
     let (joint, _) = covariance_files::read(&bba, &truth).unwrap();
     let points: Vec<Vector3<f64>> = String::from_utf8(points)
         .unwrap()

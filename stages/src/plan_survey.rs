@@ -1,18 +1,34 @@
-//! `plan-survey`: places a stereo pair before a face and says how well it will see it.
+//! `plan-survey`: places the images of a survey before a face and says how well they will see it.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 
 use crate::artefact::{Cameras, Frame, Image, Kind, Mesh, Sensor};
-use crate::kernel::orientation::quaternion;
-use crate::kernel::overlap::{Views, sample_vertices};
+use crate::kernel::camera::Camera;
+use crate::kernel::overlap::{Views, depths_seen};
+use crate::kernel::survey::face::Face;
+use crate::kernel::survey::stations::{Strips, count_to_cover, looking, scatter};
 use crate::params::{Fault, Range};
-use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
+use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
 
-/// Vertices looked at for what the pair sees.
+/// Vertices looked at for what the images see.
 const SAMPLES: usize = 20_000;
+/// Images a block may have.
+const MAXIMUM_IMAGES: usize = 10_000;
+/// Share of an image that neighbours have in common where nothing is said.
+const USUAL_OVERLAP: f64 = 0.8;
 
 choice! {
-    /// Where the two cameras look.
+    /// How images are arranged.
+    pub enum Block {
+        /// Two images side by side: `left` and `right`.
+        Pair = "pair",
+        /// Strips of images, flown once for every direction: `r01c01`, ...
+        Strips = "strips",
+    }
+}
+
+choice! {
+    /// Where the two cameras of a pair look.
     pub enum Aim {
         /// Both at the centre of the face: convergent axes.
         Centroid = "centroid",
@@ -21,9 +37,21 @@ choice! {
     }
 }
 
+choice! {
+    /// What the stations of strips keep their distance from.
+    pub enum Follow {
+        /// The mean plane of the face.
+        Plane = "plane",
+        /// The rock nearby.
+        Terrain = "terrain",
+    }
+}
+
 params! {
     /// Parameters of `plan-survey`.
     pub struct PlanSurveyParams {
+        /// How images are arranged.
+        block: Block = Block::Pair,
         /// Columns of the sensor.
         width_px: u32 = 8256; Range::AtLeast(1.0),
         /// Rows of the sensor.
@@ -34,14 +62,32 @@ params! {
         focal_mm: Option<f64> = None; Range::Positive,
         /// Size of a pixel in micrometres; null: from `focal_px`, or 4.35 where that is null too.
         pixel_um: Option<f64> = None; Range::Positive,
-        /// Distance of the cameras from the mean plane of the face, metres.
-        distance_m: f64 = 87.0; Range::Positive,
-        /// Distance of the two projection centres, metres.
-        baseline_m: f64 = 32.6; Range::Positive,
-        /// How much higher than the centre of the face both cameras stand, metres.
+        /// Distance of the stations from the face, metres; null: from `gsd_m`, or 87 where that is null too.
+        distance_m: Option<f64> = None; Range::Positive,
+        /// Size of a pixel on the face, metres; null: from `distance_m`.
+        gsd_m: Option<f64> = None; Range::Positive,
+        /// Distance of the two projection centres of a pair, metres; null: from `overlap`, or 32.6 where that is null too.
+        baseline_m: Option<f64> = None; Range::Positive,
+        /// How much higher than the centre of the face both cameras of a pair stand, metres.
         height_offset_m: f64 = 0.0,
-        /// Where they look.
-        aim: Aim = Aim::Centroid,
+        /// Where the cameras of a pair look; null: at the centroid.
+        aim: Option<Aim> = None,
+        /// Share of an image that the next one along the strip has too; null: 0.8 for strips.
+        overlap: Option<f64> = None; Range::Between(0.0, 0.99),
+        /// Share of an image that the next strip has too; null: 0.8 for strips.
+        sidelap: Option<f64> = None; Range::Between(0.0, 0.99),
+        /// Images of a strip; null: as many as cover the width of the face.
+        columns: Option<usize> = None; Range::AtLeast(1.0),
+        /// Strips; null: as many as cover the height of the face.
+        rows: Option<usize> = None; Range::AtLeast(1.0),
+        /// Yaw (to the right) and pitch (up) of the axes from straight at the face, degrees: strips are flown for each.
+        directions_deg: Vec<[f64; 2]> = vec![[0.0, 0.0]]; Range::Between(-60.0, 60.0),
+        /// What the stations of strips keep their distance from.
+        follow: Follow = Follow::Plane,
+        /// How well a station is met again: standard deviations of X, Y, Z, metres.
+        position_sigma_m: [f64; 3] = [0.0; 3]; Range::NonNegative,
+        /// How well its pointing is met again: standard deviations about the camera's own x, y, z, degrees.
+        pointing_sigma_deg: [f64; 3] = [0.0; 3]; Range::NonNegative,
     }
 }
 
@@ -53,47 +99,111 @@ impl Stage for PlanSurvey {
     const NAME: &'static str = "plan-survey";
     const VERSION: u32 = 1;
     const PAGE: Page = Page {
-        what: "Places the two cameras of a fixed stereo station before a face: images `left` and `right`, one shared sensor \
-               `camera` without distortion. Logs ground sampling distance, base-to-distance ratio, expected depth \
-               precision, convergence and the share of the face both images hold.",
-        method: "Normal or convergent case of stereo photogrammetry: GSD = Z / f, one pixel of disparity is Z^2 / (B f) in \
-                 depth. The defaults are the station of the paper's Hunter Valley site (two 45.4 MP cameras, 85 mm; paper \
-                 2.3). Occlusion is not looked at.",
-        frames: "The mesh and the cameras are in the wall frame, metres; camera x is horizontal, y down, z forward.",
-        fails: "When the mesh is not in the wall frame (transform-crs takes it there), or a camera would stand behind or \
-                inside the face: increase distance_m.",
-        example: "rockface: 1\nname: plan-survey\nseed: 1\nsteps:\n  face: {stage: synthesise-face}\n  survey:\n    \
-                  stage: plan-survey\n    in: {mesh: face.mesh}\n    \
-                  with: {width_px: 1900, height_px: 1600, focal_px: 4545, distance_m: 20, baseline_m: 7.3}\n",
+        what: "Places the images of a survey before a face: the stereo pair of a fixed station (`left`, `right`), or strips as a \
+               UAV flies them, straight or oblique. One shared sensor `camera` without distortion. Logs ground sampling \
+               distance, base-to-distance ratio, depth of a pixel of disparity, and how many images see the face. With \
+               `position_sigma_m` or `pointing_sigma_deg` the viewpoints are drawn about the planned ones: put `over: \
+               [epoch]` on the step to have each epoch flown anew; a fixed station leaves both at zero.",
+        method: "GSD = Z / f, one pixel of disparity is Z^2 / (B f) in depth. Steps of strips are (1 - overlap) of the footprint \
+                 at right angles; targets lie in a grid around the centre of the face, and a station stands `distance_m` before \
+                 its target across the plane however oblique it looks. With `follow: terrain` the distance counts from the mean \
+                 of the rock within a quarter footprint of the target. The defaults are the station of the paper's Hunter Valley \
+                 site (two 45.4 MP cameras, 85 mm; paper 2.4.1 and Table 1); the example is its Nobbys Head block. Occlusion is \
+                 not looked at.",
+        frames: "The mesh and the cameras are in the wall frame, metres; camera x is horizontal, y down, z forward. Left \
+                 perturbation R' = Exp(d) R of the pointing, in the camera frame.",
+        fails: "When the mesh is not in the wall frame (transform-crs takes it there), a camera would stand behind or inside the \
+                face (increase distance_m), or a block would have more than 10 000 images.",
+        example: "rockface: 1\nname: plan-survey\nseed: 1\naxes:\n  epoch: {items: [pre, post]}\nsteps:\n  face: {stage: \
+                  synthesise-face, with: {width_m: 40, height_m: 22, spacing_m: 0.2}}\n  survey:\n    stage: plan-survey\n    \
+                  over: [epoch]\n    in: {mesh: face.mesh}\n    with:\n      block: strips\n      width_px: 5472\n      \
+                  height_px: 3648\n      focal_mm: 8.8\n      pixel_um: 2.41\n      gsd_m: 0.005\n      overlap: 0.8\n      \
+                  sidelap: 0.8\n      columns: 10\n      rows: 8\n      directions_deg: [[0, -15]]\n      follow: terrain\n      \
+                  position_sigma_m: [0.3, 0.3, 0.3]\n      pointing_sigma_deg: [1, 1, 1]\n",
     };
     const INPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The face, in the wall frame.")];
-    const OUTPUTS: &'static [Port] = &[Port::one("cameras", &[Kind::Cameras], "The images `left` and `right`.")];
+    const OUTPUTS: &'static [Port] = &[Port::one("cameras", &[Kind::Cameras], "The sensor and the images.")];
+
+    fn draws(params: &Self::Params) -> bool {
+        params.position_sigma_m.iter().chain(&params.pointing_sigma_deg).any(|sigma| *sigma > 0.0)
+    }
 
     fn check(params: &Self::Params) -> Vec<Fault> {
+        let mut faults = Vec::new();
+        let mut fault = |name: &str, text: &str| faults.push(Fault { path: vec![name.to_owned()], ..Fault::new(text) });
         if params.focal_px.is_some() && (params.focal_mm.is_some() || params.pixel_um.is_some()) {
-            let mut fault = Fault::new("give `focal_px`, or `focal_mm` and `pixel_um`, not both");
-            fault.path = vec!["focal_px".to_owned()];
-            return vec![fault];
+            fault("focal_px", "give `focal_px`, or `focal_mm` and `pixel_um`, not both");
         }
-        Vec::new()
+        if params.distance_m.is_some() && params.gsd_m.is_some() {
+            fault("gsd_m", "give `distance_m` or `gsd_m`, not both");
+        }
+        if params.baseline_m.is_some() && params.overlap.is_some() {
+            fault("overlap", "give `baseline_m` or `overlap`, not both");
+        }
+        let of_pair = [
+            ("baseline_m", params.baseline_m.is_some()),
+            ("height_offset_m", params.height_offset_m != 0.0),
+            ("aim", params.aim.is_some()),
+        ];
+        let of_strips = [
+            ("sidelap", params.sidelap.is_some()),
+            ("columns", params.columns.is_some()),
+            ("rows", params.rows.is_some()),
+            ("directions_deg", params.directions_deg != [[0.0, 0.0]]),
+            ("follow", params.follow == Follow::Terrain),
+        ];
+        let (foreign, of) = match params.block {
+            Block::Pair => (&of_strips[..], "only block `strips` has it"),
+            Block::Strips => (&of_pair[..], "only block `pair` has it"),
+        };
+        foreign.iter().filter(|(_, given)| *given).for_each(|(name, _)| fault(name, of));
+        if params.directions_deg.is_empty() {
+            fault("directions_deg", "one direction at least is needed: [[0, 0]] looks straight at the face");
+        }
+        faults
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
-        let mesh: &Mesh = inputs.one("mesh")?;
-        let face = Face::of(mesh)?;
+        let face = Face::of(inputs.one::<Mesh>("mesh")?, SAMPLES)?;
         let sensor = sensor(params);
-        let half = Vector3::new(0.5 * params.baseline_m, 0.0, 0.0);
-        let middle = face.centre + Vector3::new(0.0, params.height_offset_m, params.distance_m);
-        face.check_before(middle.z, params.distance_m)?;
-        let target = |centre: &Vector3<f64>| match params.aim {
-            Aim::Centroid => face.centre,
-            Aim::Parallel => centre - Vector3::z(),
+        let plan = Plan::new(params, &sensor);
+        let mut images = match params.block {
+            Block::Pair => pair(params, &plan, &face)?,
+            Block::Strips => strips(params, &plan, &face)?,
         };
-        let image = |name: &str, centre: Vector3<f64>| looking(name, centre, target(&centre));
-        let images = vec![image("left", middle - half), image("right", middle + half)];
+        for image in &mut images {
+            let field = context.stream("viewpoint", &image.name).field();
+            scatter(image, params.position_sigma_m, params.pointing_sigma_deg, &field);
+            face.check_before(&image.centre(), plan.footprint_m.map(|side| 0.25 * side), plan.distance_m)?;
+        }
         let cameras = Cameras { frame: Frame::Wall, sensors: vec![sensor], images };
-        report(params, &face, mesh, &cameras, context);
+        report(params, &plan, &face, &cameras, context);
         Ok(Outputs::of("cameras", cameras))
+    }
+}
+
+/// What follows from sensor and distance.
+struct Plan {
+    distance_m: f64,
+    focal_px: f64,
+    /// What one image covers at right angles.
+    footprint_m: [f64; 2],
+    /// Distance of neighbours along a strip and of strips, or the baseline of a pair.
+    step_m: [f64; 2],
+}
+
+impl Plan {
+    fn new(params: &PlanSurveyParams, sensor: &Sensor) -> Self {
+        let distance_m = params.distance_m.or(params.gsd_m.map(|gsd| gsd * sensor.f)).unwrap_or(87.0);
+        let footprint_m = [sensor.width_px, sensor.height_px].map(|side| f64::from(side) * distance_m / sensor.f);
+        let step = |overlap: Option<f64>, side: f64| (1.0 - overlap.unwrap_or(USUAL_OVERLAP)) * side;
+        let along = match (params.block, params.baseline_m, params.overlap) {
+            (Block::Pair, None, None) => 32.6,
+            (Block::Pair, Some(baseline), _) => baseline,
+            _ => step(params.overlap, footprint_m[0]),
+        };
+        let step_m = [along, step(params.sidelap, footprint_m[1])];
+        Self { distance_m, focal_px: sensor.f, footprint_m, step_m }
     }
 }
 
@@ -114,65 +224,45 @@ fn sensor(params: &PlanSurveyParams) -> Sensor {
     }
 }
 
-/// An image with horizontal x axis that looks from a centre to a target.
-fn looking(name: &str, centre: Vector3<f64>, target: Vector3<f64>) -> Image {
-    let z = (target - centre).normalize();
-    let x = z.cross(&Vector3::y()).normalize();
-    let rotation = Matrix3::from_rows(&[x.transpose(), z.cross(&x).transpose(), z.transpose()]);
-    let mut image =
-        Image { name: name.to_owned(), sensor: 0, camera_from_object: [1.0, 0.0, 0.0, 0.0], centre_m: centre.into() };
-    image.set_rotation(&quaternion(&rotation));
-    image
+fn pair(params: &PlanSurveyParams, plan: &Plan, face: &Face) -> Result<Vec<Image>, StageError> {
+    let half = Vector3::new(0.5 * plan.step_m[0], 0.0, 0.0);
+    let middle = face.centre + Vector3::new(0.0, params.height_offset_m, plan.distance_m);
+    // A pair stands before all of the face, wherever rock stands out.
+    face.check_before(&middle, [f64::INFINITY; 2], plan.distance_m)?;
+    let target = |centre: &Vector3<f64>| match params.aim.unwrap_or(Aim::Centroid) {
+        Aim::Centroid => face.centre,
+        Aim::Parallel => centre - Vector3::z(),
+    };
+    let image = |name: &str, centre: Vector3<f64>| looking(name, centre, target(&centre));
+    Ok(vec![image("left", middle - half), image("right", middle + half)])
 }
 
-/// The extent of a face in the wall frame, metres.
-struct Face {
-    /// Centre of the bounding box in X and Y, mean of the vertices in Z.
-    centre: Vector3<f64>,
-    width_m: f64,
-    height_m: f64,
-    nearest_z: f64,
-}
-
-impl Face {
-    fn of(mesh: &Mesh) -> Result<Self, StageError> {
-        if mesh.frame != Frame::Wall {
-            let error = StageError::new(format!(
-                "the mesh is in the {} frame, a survey is planned in the wall frame",
-                mesh.frame
-            ));
-            return Err(error.hint("send the mesh through transform-crs first"));
-        }
-        if mesh.vertices.is_empty() {
-            fail!("the mesh has no vertices");
-        }
-        let start = Vector3::repeat(f64::INFINITY);
-        let vertices = || mesh.vertices.iter().map(|vertex| Vector3::from(*vertex));
-        let low = vertices().fold(start, |low, vertex| low.inf(&vertex));
-        let high = vertices().fold(-start, |high, vertex| high.sup(&vertex));
-        let mean_z = mesh.vertices.iter().map(|vertex| vertex[2]).sum::<f64>() / mesh.vertices.len() as f64;
-        let centre = Vector3::new(0.5 * (low.x + high.x), 0.5 * (low.y + high.y), mean_z);
-        Ok(Self { centre, width_m: high.x - low.x, height_m: high.y - low.y, nearest_z: high.z })
+fn strips(params: &PlanSurveyParams, plan: &Plan, face: &Face) -> Result<Vec<Image>, StageError> {
+    let columns = params.columns.unwrap_or_else(|| count_to_cover(face.width_m, plan.step_m[0]));
+    let rows = params.rows.unwrap_or_else(|| count_to_cover(face.height_m, plan.step_m[1]));
+    let images = columns.saturating_mul(rows).saturating_mul(params.directions_deg.len());
+    if images > MAXIMUM_IMAGES {
+        let message = format!("{columns} x {rows} images in {} directions: {images}", params.directions_deg.len());
+        return Err(StageError::new(format!("{message}, more than {MAXIMUM_IMAGES}"))
+            .hint("less overlap, more distance_m, or columns and rows by hand; or is the face not in metres?"));
     }
-
-    fn check_before(&self, z: f64, distance_m: f64) -> Result<(), StageError> {
-        if z > self.nearest_z {
-            return Ok(());
-        }
-        let relief = self.nearest_z - self.centre.z;
-        Err(StageError::new(format!(
-            "the cameras would stand inside or behind the face: {distance_m} m from its mean plane, while rock stands out {relief:.3} m"
-        ))
-        .hint(format!("distance_m must be well above {relief:.3}; or the face looks away: its Z must point to the viewer")))
-    }
+    let strips = Strips {
+        distance_m: plan.distance_m,
+        step_m: plan.step_m,
+        counts: [columns, rows],
+        directions_deg: params.directions_deg.clone(),
+        follow: params.follow == Follow::Terrain,
+    };
+    Ok(strips.images(face, plan.footprint_m))
 }
 
-fn report(params: &PlanSurveyParams, face: &Face, mesh: &Mesh, cameras: &Cameras, context: &Context) {
-    let (b, f) = (params.baseline_m, cameras.sensors[0].f);
+fn report(params: &PlanSurveyParams, plan: &Plan, face: &Face, cameras: &Cameras, context: &Context) {
+    let (b, f) = (plan.step_m[0], plan.focal_px);
     // Stations above or below the face that look at it are further away than its plane.
-    let rise = if params.aim == Aim::Centroid { params.height_offset_m } else { 0.0 };
-    let z = (params.distance_m * params.distance_m + rise * rise).sqrt();
-    let (width, height) = (f64::from(params.width_px) * z / f, f64::from(params.height_px) * z / f);
+    let looks_at_centre = params.block == Block::Pair && params.aim != Some(Aim::Parallel);
+    let rise = if looks_at_centre { params.height_offset_m } else { 0.0 };
+    let z = (plan.distance_m * plan.distance_m + rise * rise).sqrt();
+    let [width, height] = plan.footprint_m.map(|side| side * z / plan.distance_m);
     context.metric("gsd", z / f, "m");
     context.metric("base_to_distance", b / z, "1");
     context.metric("depth_per_pixel", z * z / (b * f), "m");
@@ -180,9 +270,21 @@ fn report(params: &PlanSurveyParams, face: &Face, mesh: &Mesh, cameras: &Cameras
         "one image covers {width:.2} x {height:.2} m at the mean distance; the face measures {:.2} x {:.2} m",
         face.width_m, face.height_m
     ));
-    let points = sample_vertices(mesh, SAMPLES);
-    let views = Views::new(cameras, &points);
-    let share = views.shared_count(0, 1) as f64 / points.len() as f64;
+    let geometry = format!(
+        "GSD {:.2} mm, B/Z {:.3}, {:.2} mm of depth per pixel",
+        1000.0 * z / f,
+        b / z,
+        1000.0 * z * z / (b * f)
+    );
+    match params.block {
+        Block::Pair => report_pair(face, cameras, &geometry, context),
+        Block::Strips => report_strips(face, cameras, &geometry, context),
+    }
+}
+
+fn report_pair(face: &Face, cameras: &Cameras, geometry: &str, context: &Context) {
+    let views = Views::new(cameras, &face.samples);
+    let share = views.shared_count(0, 1) as f64 / face.samples.len() as f64;
     context.metric("share_of_face_in_both", share, "1");
     match views.pair(0, 1) {
         Ok(pair) => context.metric("convergence", pair.convergence_rad.to_degrees(), "deg"),
@@ -191,80 +293,31 @@ fn report(params: &PlanSurveyParams, face: &Face, mesh: &Mesh, cameras: &Cameras
     if share < 0.5 {
         context.warn(format!("only {:.1} % of the face lies in both images", 100.0 * share));
     }
+    context.headline(format!("stereo pair: {geometry}, {:.1} % of the face in both images", 100.0 * share));
+}
+
+fn report_strips(face: &Face, cameras: &Cameras, geometry: &str, context: &Context) {
+    let mut counts = vec![0u32; face.samples.len()];
+    for image in &cameras.images {
+        let depths = depths_seen(&Camera::new(cameras.sensor(image), image), &face.samples);
+        counts.iter_mut().zip(&depths).for_each(|(count, depth)| *count += u32::from(depth.is_some()));
+    }
+    let samples = face.samples.len() as f64;
+    let stereo = counts.iter().filter(|count| **count >= 2).count() as f64 / samples;
+    let mean = f64::from(counts.iter().sum::<u32>()) / samples;
+    context.metric("images", cameras.images.len() as f64, "1");
+    context.metric("images_of_a_point", mean, "1");
+    context.metric("share_of_face_in_two", stereo, "1");
+    if stereo < 0.95 {
+        context.warn(format!("{:.1} % of the face lies in fewer than two images", 100.0 * (1.0 - stereo)));
+    }
     context.headline(format!(
-        "stereo pair: GSD {:.2} mm, B/Z {:.3}, {:.2} mm of depth per pixel, {:.1} % of the face in both images",
-        1000.0 * z / f,
-        b / z,
-        1000.0 * z * z / (b * f),
-        100.0 * share
+        "{} images: {geometry}, a point of the face lies in {mean:.1} images, {:.1} % of it in two or more",
+        cameras.images.len(),
+        100.0 * stereo
     ));
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::artefact::Artefact;
-    use crate::kernel::camera::Camera;
-    use crate::params::ParamType;
-    use crate::testing::TestHost;
-    use serde_json::{Value, json};
-    use std::sync::Arc;
-
-    fn face(frame: Frame) -> Mesh {
-        let vertices =
-            (0..21).flat_map(|i| (0..21).map(move |j| [f64::from(i), f64::from(j), 0.5 * f64::from((i + j) % 2)]));
-        let vertices: Vec<_> = vertices.collect();
-        Mesh { frame, vertices, triangles: vec![[0, 1, 22]], colours: Vec::new() }
-    }
-
-    fn plan(host: &TestHost, mesh: Mesh, with: &Value) -> Result<Cameras, StageError> {
-        let mut inputs = Inputs::default();
-        inputs.push("mesh", crate::Point::new(), Arc::new(mesh.into()));
-        let made = PlanSurvey::run(&PlanSurveyParams::decode(with).unwrap(), &inputs, &Context::new(host))?;
-        match made.into_inner().remove("cameras") {
-            Some(Artefact::Cameras(cameras)) => Ok(cameras),
-            other => panic!("{other:?}"),
-        }
-    }
-
-    #[test]
-    fn the_default_station_has_the_figures_of_the_paper() {
-        let host = TestHost::default();
-        let cameras = plan(&host, face(Frame::Wall), &json!({})).unwrap();
-        assert!((host.metric("gsd").unwrap() - 0.00445).abs() < 1e-5);
-        assert!((host.metric("depth_per_pixel").unwrap() - 0.01188).abs() < 1e-5);
-        // Both axes meet at the centre: 2 atan(16.3 / 87).
-        let expected = 2.0 * crate::kernel::precise::atan(16.3 / 87.0).to_degrees();
-        assert!((host.metric("convergence").unwrap() - expected).abs() < 1e-9);
-        assert_eq!(host.metric("share_of_face_in_both"), Some(1.0));
-        let mean_z = 0.5 * 220.0 / 441.0;
-        for image in &cameras.images {
-            let [u, v] = Camera::new(&cameras.sensors[0], image).project(&Vector3::new(10.0, 10.0, mean_z)).unwrap();
-            assert!((u - 4127.5).abs() < 1e-6 && (v - 2751.5).abs() < 1e-6, "{u} {v}");
-            assert!(image.matrix()[(0, 1)].abs() < 1e-12, "x is horizontal");
-        }
-        assert_eq!(cameras.images[0].name, "left");
-        assert!(
-            (cameras.images[1].centre() - cameras.images[0].centre() - Vector3::new(32.6, 0.0, 0.0)).norm() < 1e-12
-        );
-    }
-
-    #[test]
-    fn parallel_axes_look_straight_with_x_right_and_y_down() {
-        let with = json!({"aim": "parallel", "height_offset_m": 2.0, "distance_m": 40, "baseline_m": 4});
-        let cameras = plan(&TestHost::default(), face(Frame::Wall), &with).unwrap();
-        let expected = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0));
-        assert!(cameras.images.iter().all(|image| (image.matrix() - expected).norm() < 1e-15));
-        assert!((cameras.images[0].centre_m[1] - 12.0).abs() < 1e-12);
-    }
-
-    #[test]
-    fn impossible_stations_are_refused() {
-        let near = plan(&TestHost::default(), face(Frame::Wall), &json!({"distance_m": 0.1})).unwrap_err();
-        assert!(near.message.contains("inside or behind"), "{near}");
-        let world = plan(&TestHost::default(), face(Frame::World), &json!({})).unwrap_err();
-        assert!(world.message.contains("world frame") && world.hint.unwrap().contains("transform-crs"));
-        let both = PlanSurveyParams::decode(&json!({"focal_px": 4545, "pixel_um": 4})).unwrap();
-        assert_eq!(PlanSurvey::check(&both)[0].path, ["focal_px"]);
-    }
-}
+#[path = "plan_survey_tests.rs"]
+mod tests;

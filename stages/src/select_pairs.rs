@@ -188,7 +188,7 @@ fn none(params: &SelectPairsParams, images: usize, left_out: &[Pair]) -> StageEr
 mod tests {
     use super::*;
     use crate::artefact::{Artefact, Frame};
-    use crate::kernel::camera_files_json;
+    use crate::kernel::camera_files::json as json_file;
     use crate::params::ParamType;
     use crate::testing::TestHost;
     use serde_json::{Value, json};
@@ -202,7 +202,7 @@ mod tests {
             json!({"name": name, "sensor": 0, "q_wxyz": q, "C": [x, 0, 20]})
         };
         let file = json!({"sensors": [sensor], "images": images.iter().map(image).collect::<Vec<_>>()});
-        camera_files_json::read(file.to_string().as_bytes(), Frame::Wall).unwrap().cameras
+        json_file::read(file.to_string().as_bytes(), Frame::Wall).unwrap().cameras
     }
 
     fn face(frame: Frame) -> Mesh {

@@ -26,6 +26,16 @@ choice! {
     }
 }
 
+choice! {
+    /// How the best-fit plane is found.
+    pub enum PlaneFit {
+        /// From the least-squares plane of everything, leaving out what lies far off.
+        Trimmed = "trimmed",
+        /// From the plane with the least median distance: up to nearly half the area may be talus, plateau or vegetation.
+        Robust = "robust",
+    }
+}
+
 params! {
     /// A transform stated by the user: `p_wall = rotation (p_world - origin_m) + translation_m`.
     pub struct GivenTransform {
@@ -43,6 +53,8 @@ params! {
     pub struct TransformCrsParams {
         /// Where the wall frame comes from.
         frame: FrameSource = FrameSource::Fit,
+        /// How the best-fit plane is found.
+        plane: PlaneFit = PlaneFit::Trimmed,
         /// The transform for `frame: given`; left out, the data stays as it is, to the bit.
         given: Option<GivenTransform> = None,
         /// A direction out of the rock, for a mesh whose triangles or cameras do not tell.
@@ -77,7 +89,7 @@ impl Stage for TransformCrs {
         what: "Takes a face to the wall frame, with its cameras and their covariance, and gives the transform for the way \
                back.",
         method: "Total least squares plane of the triangles, weighted by area, trimmed at 2.5 robust sigmas and iterated \
-                 (paper, section 3.2). Z is its normal out of the rock, Y the projection of `up`, X = Y x Z, the origin the \
+                 (paper, section 3.2), with `plane: robust` from a start of least median of squares (Rousseeuw 1984). Z is its normal out of the rock, Y the projection of `up`, X = Y x Z, the origin the \
                  centroid.",
         frames: "World to wall, metres; right-handed, X along the face, Y up the face, Z out of the rock. Covariances of \
                  projection centres rotate along; rotation corrections live in the camera frame and stay. Epochs that are to be \
@@ -130,8 +142,11 @@ impl Stage for TransformCrs {
         let covariance = inputs.optional::<Covariance>("covariance")?;
         same_frame("cameras", mesh.frame, cameras.map(|c| c.frame))?;
         same_frame("covariance", mesh.frame, covariance.map(|c| c.frame))?;
-        let plane =
-            plane_fit::fit_plane(mesh).ok_or_else(|| StageError::new("the mesh has no triangle with an area"))?;
+        let plane = match params.plane {
+            PlaneFit::Trimmed => plane_fit::fit_plane(mesh),
+            PlaneFit::Robust => plane_fit::fit_plane_robust(mesh),
+        };
+        let plane = plane.ok_or_else(|| StageError::new("the mesh has no triangle with an area"))?;
         let earlier = inputs.optional::<Transform>("transform")?;
         let wall_from_world = match (earlier, params.frame) {
             (Some(earlier), _) => taken(params, mesh.frame, earlier)?,

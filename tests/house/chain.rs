@@ -29,7 +29,7 @@ params: {method: mean, minimum: 2}
 axes:
   epoch: {items: [pre, post]}
 steps:
-  face: {stage: synthesise-face, with: {width_m: 4, height_m: 4, spacing_m: 0.5, relief_m: 0, joint_step_m: 0}}
+  face: {stage: synthesise-face, with: {width_m: 4, height_m: 4, spacing_m: 0.5, relief_m: 0, joints: []}}
   survey: {stage: plan-survey, in: {mesh: face.mesh}, with: {width_px: 880, height_px: 880, focal_px: 19540, distance_m: 87, baseline_m: 32.6}}
   pairs: {stage: select-pairs, in: {cameras: survey.cameras, mesh: face.mesh}}
   left: {stage: project-depth, with: {image: left}, in: {mesh: face.mesh, cameras: survey.cameras}}

@@ -30,14 +30,14 @@ impl House {
         (status.code(), String::from_utf8(stdout).unwrap(), String::from_utf8(stderr).unwrap())
     }
 
-    fn command(&self, arguments: &[&str]) -> Command {
+    pub fn command(&self, arguments: &[&str]) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_rockface"));
         command.current_dir(self.0.path()).args(arguments).env_remove("ROCKFACE_STORE").env("RUST_BACKTRACE", "0");
         command
     }
 }
 
-fn last_line(text: &str) -> &str {
+pub fn last_line(text: &str) -> &str {
     text.lines().last().unwrap_or_default()
 }
 
@@ -203,7 +203,7 @@ fn a_former_folder_answers_only_for_the_same_question() {
 }
 
 /// Flips bytes of every file below a folder that holds `needle`, and says how many it found.
-fn damage(folder: &Path, needle: &[u8]) -> usize {
+pub fn damage(folder: &Path, needle: &[u8]) -> usize {
     let mut found = 0;
     for entry in std::fs::read_dir(folder).unwrap().flatten() {
         let path = entry.path();

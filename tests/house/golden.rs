@@ -12,7 +12,17 @@ const SCENE: &str = include_str!("golden.yaml");
 const LIST: &str = "tests/house/golden.txt";
 
 /// Stages that need files; what they read is pinned by tests of their own.
-const NEED_FILES: [&str; 5] = ["import-mesh", "import-cameras", "import-rasters", "import-inventory", "draw-rockfall"];
+const NEED_FILES: [&str; 9] = [
+    "import-mesh",
+    "import-cloud",
+    "import-cameras",
+    "import-rasters",
+    "import-inventory",
+    "import-mask",
+    "import-blocks",
+    "import-table",
+    "draw-rockfall",
+];
 
 #[test]
 fn changed_bytes_need_a_new_version() {

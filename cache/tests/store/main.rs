@@ -1,6 +1,8 @@
 //! The promises of the store, kept through its public face: round trips, records, sharing between handles and threads.
 
+mod care;
 mod crash;
+mod faults;
 
 use std::collections::BTreeMap;
 use std::fs;

@@ -3,7 +3,8 @@
 use super::{Artefact, CodecError, Export, Frame, Kind, Mesh, Noun};
 
 /// One named mesh. Where it is closed its triangles are counter-clockwise seen from outside.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Part {
     /// Its name, such as the number of a piece.
     pub name: String,

@@ -4,8 +4,10 @@
 
 mod acceptance;
 mod cameras;
+pub mod candidates;
 mod covariance;
 mod depth;
+mod files;
 mod inventory;
 mod mesh;
 mod meshes;
@@ -18,8 +20,10 @@ mod transform;
 
 pub use acceptance::{Acceptance, GroupModel};
 pub use cameras::{Cameras, Image, Sensor};
+pub use candidates::Candidates;
 pub use covariance::Covariance;
 pub use depth::Depth;
+pub use files::Files;
 pub use inventory::{Feature, Inventory, Polygon};
 pub use mesh::Mesh;
 pub use meshes::{Meshes, Part};
@@ -177,7 +181,9 @@ artefacts! {
     Acceptance = "acceptance" . "json": "Reference model of noise descriptors.",
     Picture = "picture" . "png": "A picture for people.",
     Meshes = "meshes" . "ply": "Named meshes in one file: blocks, removed pieces, niches.",
+    Files = "files" . "tar": "Files in another program's own format.",
     Inventory = "inventory" . "geojson": "Rockfalls: outline and properties of each.",
+    Candidates = "candidates" . "json": "An unbounded sequence of candidate blocks.",
 }
 
 impl std::fmt::Display for Kind {

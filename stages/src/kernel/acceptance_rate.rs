@@ -26,6 +26,33 @@ pub fn wilson_interval(accepted: usize, n: usize) -> (f64, f64) {
     ((centre - half).max(0.0), (centre + half).min(1.0))
 }
 
+/// The exact 95 % interval of Clopper and Pearson (1934) for the same; never too narrow.
+pub fn exact_interval(accepted: usize, n: usize) -> (f64, f64) {
+    let (k, n) = (accepted as f64, n as f64);
+    let low = if accepted == 0 { 0.0 } else { beta_quantile(k, n - k + 1.0, 0.025) };
+    let high = if k >= n { 1.0 } else { beta_quantile(k + 1.0, n - k, 0.975) };
+    (rounded(low), rounded(high))
+}
+
+/// The band of counts that holds at least 95 % of the outcomes of `n` trials with probability `share`, no more than 2.5 % on
+/// either side.
+pub fn binomial_band(share: f64, n: usize) -> (usize, usize) {
+    let at_most = |k: usize| if k >= n { 1.0 } else { 1.0 - beta_reg_safe(k as f64 + 1.0, (n - k) as f64, share) };
+    let low = (0..=n).find(|k| at_most(*k) > 0.025).unwrap_or(n);
+    let high = (0..=n).find(|k| at_most(*k) >= 0.975).unwrap_or(n);
+    (low, high)
+}
+
+fn beta_reg_safe(a: f64, b: f64, x: f64) -> f64 {
+    if x <= 0.0 {
+        0.0
+    } else if x >= 1.0 {
+        1.0
+    } else {
+        beta_reg(a, b, x)
+    }
+}
+
 /// The share of a perfect simulator's rasters that a test is expected to accept, for normal features without ridge.
 ///
 /// The threshold is the `quantile` of the in-sample distances of `n` reference rasters with `p` features, which follow
@@ -94,6 +121,16 @@ mod tests {
         assert!((low - 0.811_7).abs() < 1e-3 && (high - 0.968_4).abs() < 1e-3, "{low} {high}");
         assert_eq!(wilson_interval(0, 10).0, 0.0);
         assert_eq!(wilson_interval(10, 10).1, 1.0);
+    }
+
+    #[test]
+    fn exact_intervals_and_bands_by_the_book() {
+        let (low, high) = exact_interval(46, 50);
+        assert!((low - 0.807_66).abs() < 1e-4 && (high - 0.977_77).abs() < 1e-4, "{low} {high}");
+        assert_eq!(exact_interval(0, 10), (0.0, 0.308_497_108));
+        // Binomial(50, 0.8): P(X <= 33) = 0.0144, P(X <= 34) = 0.0308; P(X <= 45) = 0.9815, P(X <= 44) = 0.9520.
+        assert_eq!(binomial_band(0.8, 50), (34, 45));
+        assert_eq!((binomial_band(0.0, 9), binomial_band(1.0, 9)), ((0, 0), (9, 9)));
     }
 
     #[test]

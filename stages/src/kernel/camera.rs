@@ -132,14 +132,15 @@ fn radial(k: &[f64; 4], r2: f64) -> f64 {
     1.0 + r2 * (k[0] + r2 * (k[1] + r2 * (k[2] + r2 * k[3])))
 }
 
-fn distort(s: &Sensor, x: f64, y: f64) -> [f64; 2] {
+/// Distorted normalised coordinates of undistorted ones, without look at the fold.
+pub fn distort(s: &Sensor, x: f64, y: f64) -> [f64; 2] {
     let (r2, [p1, p2]) = (x * x + y * y, s.p);
     let radial = radial(&s.k, r2);
     [x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x), y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y]
 }
 
-/// Rows of d(x', y') / d(x, y).
-fn distortion_jacobian(s: &Sensor, x: f64, y: f64) -> [[f64; 2]; 2] {
+/// Derivatives of the distorted normalised coordinates by the undistorted ones: rows x', y'.
+pub fn distortion_jacobian(s: &Sensor, x: f64, y: f64) -> [[f64; 2]; 2] {
     let (r2, [p1, p2], k) = (x * x + y * y, s.p, &s.k);
     let radial = radial(k, r2);
     let slope = k[0] + r2 * (2.0 * k[1] + r2 * (3.0 * k[2] + r2 * 4.0 * k[3]));

@@ -1,10 +1,12 @@
 //! All noise descriptors of one raster: marginal statistics, variogram, spectrum, roughness (paper 2.2.1 to 2.2.4).
 
 use super::marginal::{Marginal, marginal};
+use super::noise::detrend::Detrend;
+use super::noise::robust_variogram::Estimator;
 use super::precise;
 use super::roughness::{Roughness, roughness};
 use super::spectrum::{Spectrum, spectrum};
-use super::variogram::{Variogram, variogram};
+use super::variogram::{Variogram, directional, variogram};
 use super::variogram_model::{Model, Shape, fit};
 use crate::artefact::Grid;
 
@@ -14,6 +16,22 @@ pub const GROUPS: [(&str, &[&str]); 4] = [
     ("variogram", &["nugget_m2", "sill_m2", "range95_m"]),
     ("spectrum", &["spectral_slope", "spectral_entropy"]),
     ("roughness", &["roughness_a", "roughness_b"]),
+];
+
+/// Whether a feature, of the vector or one that may stand in for one of it, belongs to a group.
+pub fn in_group(group: &str, feature: &str) -> bool {
+    let listed = GROUPS.iter().any(|(name, members)| *name == group && members.contains(&feature));
+    listed || STAND_INS.contains(&(group, feature))
+}
+
+/// Further columns that may take part in a feature vector, by group.
+const STAND_INS: [(&str, &str); 6] = [
+    ("marginal", "excess_kurtosis"),
+    ("marginal", "nmad_m"),
+    ("variogram", "gamma1_m2"),
+    ("variogram", "range_structural_m"),
+    ("spectrum", "entropy_normalised"),
+    ("roughness", "roughness_a_ref"),
 ];
 
 /// The feature vector: all groups in order.
@@ -44,6 +62,12 @@ pub struct Settings {
     pub max_lag_cells: Option<usize>,
     /// Shape of the variogram model.
     pub shape: Shape,
+    /// How gamma is estimated from the differences of pairs.
+    pub estimator: Estimator,
+    /// What is taken off before all but the marginal statistics.
+    pub detrend: Detrend,
+    /// Directions of further variograms, degrees counter-clockwise from X.
+    pub directions_deg: Vec<f64>,
     /// Standard deviations of the roughness filters, cells.
     pub scales_cells: Vec<f64>,
 }
@@ -59,6 +83,8 @@ pub struct Description {
     pub lags_m: Vec<f64>,
     /// Fitted model, m and m^2.
     pub model: Model,
+    /// A variogram for each of the directions asked for; lags in cells, gamma in m^2.
+    pub directional: Vec<(f64, Variogram)>,
     /// Radial spectrum, 1/m and m^2.
     pub spectrum: Spectrum,
     /// Roughness, m.
@@ -82,7 +108,16 @@ pub fn describe(values: &[f32], grid: &Grid, settings: &Settings) -> Result<Desc
     if max_lag >= longer {
         return Err(format!("a longest lag of {max_lag} cells does not fit into its {longer} cells (`max_lag_cells`)"));
     }
-    let variogram = variogram(values, columns, max_lag, marginal.mean, marginal.deviation);
+    let detrended = settings.detrend.applied(values, columns);
+    let values = detrended.as_deref().unwrap_or(values);
+    let taken = if detrended.is_some() { checked_marginal(values)? } else { marginal };
+    let mut variogram = variogram(values, columns, max_lag, taken.mean, taken.deviation);
+    settings.estimator.refine(&mut variogram, values, columns);
+    let directional = settings
+        .directions_deg
+        .iter()
+        .map(|deg| (*deg, directional(values, columns, max_lag, [taken.mean, taken.deviation], *deg)))
+        .collect();
     let lags_m: Vec<f64> = variogram.lag_cells.iter().map(|h| h * cell_m).collect();
     let model = fit(&lags_m, &variogram, settings.shape)
         .ok_or_else(|| format!("its variogram has only {} lags with pairs, 3 are needed", lags_m.len()))?;
@@ -93,7 +128,7 @@ pub fn describe(values: &[f32], grid: &Grid, settings: &Settings) -> Result<Desc
             spectrum.power.len()
         )
     })?;
-    let roughness = roughness(values, columns, cell_m, &settings.scales_cells, marginal.mean);
+    let roughness = roughness(values, columns, cell_m, &settings.scales_cells, taken.mean);
     let line = roughness.power_law().ok_or("its roughness has no power law (two different scales are needed)")?;
     let mut features = vec![marginal.mean, marginal.deviation, marginal.skewness];
     features.extend([model.nugget, model.sill(), model.range95()]);
@@ -112,7 +147,17 @@ pub fn describe(values: &[f32], grid: &Grid, settings: &Settings) -> Result<Desc
     ];
     match feature_names().iter().zip(&features).find(|(_, value)| !value.is_finite()) {
         Some((name, value)) => Err(format!("its {name} is {value}")),
-        None => Ok(Description { marginal, variogram, lags_m, model, spectrum, roughness, features, diagnostics }),
+        None => Ok(Description {
+            marginal,
+            variogram,
+            lags_m,
+            model,
+            directional,
+            spectrum,
+            roughness,
+            features,
+            diagnostics,
+        }),
     }
 }
 
@@ -138,7 +183,14 @@ mod tests {
     use crate::kernel::random::Key;
 
     fn settings() -> Settings {
-        Settings { max_lag_cells: None, shape: Shape::Exponential, scales_cells: vec![1.0, 2.0, 4.0] }
+        Settings {
+            max_lag_cells: None,
+            shape: Shape::Exponential,
+            estimator: Estimator::Matheron,
+            detrend: Detrend::Mean,
+            directions_deg: Vec::new(),
+            scales_cells: vec![1.0, 2.0, 4.0],
+        }
     }
 
     fn grid(columns: usize, rows: usize) -> Grid {

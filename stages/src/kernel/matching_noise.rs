@@ -4,6 +4,7 @@
 //! Interpolation lowers the variance between nodes, from 1 at a node to 0.41 in the centre of a Catmull-Rom cell.
 
 use crate::choice;
+use crate::kernel::noise::student::student;
 use crate::kernel::precise;
 use crate::kernel::random::{Field, Key};
 
@@ -16,6 +17,8 @@ choice! {
         Laplace = "laplace",
         /// Even between bounds: no tails.
         Uniform = "uniform",
+        /// Student's t with five degrees of freedom: excess kurtosis 6.
+        Student = "student",
     }
 }
 
@@ -30,6 +33,8 @@ choice! {
         Cubic100 = "cubic_100",
         /// Linear in both directions.
         Bilinear = "bilinear",
+        /// Cubic B-spline: it smooths and does not pass through the nodes, whose variance it lowers to 0.2 to 0.23.
+        BSpline = "b_spline",
     }
 }
 
@@ -52,6 +57,7 @@ impl Distribution {
             Self::Gaussian => field.normal(x, y),
             Self::Laplace => laplace(uniform(field, x, y)),
             Self::Uniform => uniform(field, x, y) * 12f64.sqrt(),
+            Self::Student => student(uniform(field, x, y)),
         }
     }
 }
@@ -75,6 +81,7 @@ impl Interpolation {
             Self::Cubic075 => keys(-0.75, t),
             Self::Cubic100 => keys(-1.0, t),
             Self::Bilinear => [0.0, 1.0 - t, t, 0.0],
+            Self::BSpline => b_spline(t),
         }
     }
 
@@ -93,6 +100,12 @@ fn keys(a: f64, t: f64) -> [f64; 4] {
     let near = |t: f64| ((a + 2.0) * t - (a + 3.0)) * t * t + 1.0;
     let far = |t: f64| ((a * t - 5.0 * a) * t + 8.0 * a) * t - 4.0 * a;
     [far(1.0 + t), near(t), near(1.0 - t), far(2.0 - t)]
+}
+
+fn b_spline(t: f64) -> [f64; 4] {
+    let end = |t: f64| t * t * t / 6.0;
+    let middle = |t: f64| (3.0 * t - 6.0) * t * t / 6.0 + 2.0 / 3.0;
+    [end(1.0 - t), middle(t), middle(1.0 - t), end(t)]
 }
 
 fn squares(weights: &[f64; 4]) -> f64 {
@@ -206,8 +219,13 @@ mod tests {
         interpolation: Interpolation::CatmullRom,
         variance: Variance::Nodes,
     };
-    const KERNELS: [Interpolation; 4] =
-        [Interpolation::CatmullRom, Interpolation::Cubic075, Interpolation::Cubic100, Interpolation::Bilinear];
+    const KERNELS: [Interpolation; 5] = [
+        Interpolation::CatmullRom,
+        Interpolation::Cubic075,
+        Interpolation::Cubic100,
+        Interpolation::Bilinear,
+        Interpolation::BSpline,
+    ];
 
     /// Mean square of a field over 120 x 120 cells, at one place of the cell or over it.
     fn variance(recipe: FieldRecipe, places: &[[f64; 2]]) -> f64 {
@@ -237,7 +255,7 @@ mod tests {
     #[test]
     fn the_field_varies_as_its_kernel_says() {
         // One deviation of the mean square of n draws of unit variance is sqrt(2 / n): 1.2 % at 14,400 nodes.
-        for (kernel, centre) in KERNELS.into_iter().zip([0.4104, 0.522_232, 0.660_156, 0.25]) {
+        for (kernel, centre) in KERNELS.into_iter().zip([0.4104, 0.522_232, 0.660_156, 0.25, 0.211_664]) {
             let found = variance(FieldRecipe { interpolation: kernel, ..RECIPE }, &[[0.5, 0.5]]);
             assert!((found / centre - 1.0).abs() < 0.06, "{kernel:?}: {found} instead of {centre}");
         }
@@ -280,6 +298,14 @@ mod tests {
             assert!(moment(1).abs() < 0.01 && (moment(2) - 1.0).abs() < 0.02, "{distribution:?}");
             assert!((moment(4) / kurtosis - 1.0).abs() < 0.08, "{distribution:?}: {}", moment(4));
         }
+    }
+
+    #[test]
+    fn the_b_spline_smooths_as_published() {
+        let kernel = Interpolation::BSpline;
+        assert!((squares(&kernel.weights(0.5)) - 0.460_069).abs() < 1e-6);
+        assert!((kernel.mean_variance() - 0.479_365).abs() < 1e-6);
+        assert!(kernel.weights(0.0).iter().zip([1.0, 4.0, 1.0, 0.0]).all(|(w, e)| (6.0 * w - e).abs() < 1e-15));
     }
 
     #[test]

@@ -28,11 +28,20 @@ pub struct EdgeReport {
 
 /// Drops triangles without area, then vertices without triangle; the order of the rest is kept.
 pub fn tidy(mesh: &mut Mesh) -> Tidied {
+    Tidied { degenerate_triangles: drop_degenerate(mesh), unreferenced_vertices: drop_unreferenced(mesh) }
+}
+
+/// Drops triangles without area; returns how many.
+pub fn drop_degenerate(mesh: &mut Mesh) -> usize {
     let before = mesh.triangles.len();
     let vertices = &mesh.vertices;
     mesh.triangles.retain(|triangle| has_area(vertices, triangle));
-    let degenerate_triangles = before - mesh.triangles.len();
-    Tidied { degenerate_triangles, unreferenced_vertices: drop_unreferenced(mesh) }
+    before - mesh.triangles.len()
+}
+
+/// Triangles without area.
+pub fn degenerate_triangles(mesh: &Mesh) -> usize {
+    mesh.triangles.par_iter().filter(|triangle| !has_area(&mesh.vertices, triangle)).count()
 }
 
 fn has_area(vertices: &[[f64; 3]], [a, b, c]: &[u32; 3]) -> bool {
@@ -40,7 +49,8 @@ fn has_area(vertices: &[[f64; 3]], [a, b, c]: &[u32; 3]) -> bool {
     (at(b) - at(a)).cross(&(at(c) - at(a))).norm_squared() > 0.0
 }
 
-fn drop_unreferenced(mesh: &mut Mesh) -> usize {
+/// Drops vertices no triangle uses, and renumbers the rest in order; returns how many.
+pub fn drop_unreferenced(mesh: &mut Mesh) -> usize {
     let mut used = vec![false; mesh.vertices.len()];
     mesh.triangles.iter().flatten().for_each(|index| used[*index as usize] = true);
     let unreferenced = used.iter().filter(|used| !**used).count();

@@ -15,6 +15,7 @@ use crate::artefact::Depth;
 use crate::fail;
 use crate::kernel::camera::{Camera, full_pixel};
 use crate::kernel::matching_noise::{FieldRecipe, LocalNoise, SmoothNoise};
+use crate::kernel::noise::terms::{Site, Terms};
 use crate::kernel::random::Key;
 use crate::kernel::ray_row::RayRow;
 use crate::kernel::rectification::{Placed, Rectification};
@@ -38,6 +39,8 @@ pub struct Matcher<'a> {
     pub local: Option<Local>,
     /// Smooth noise; `None` without any.
     pub smooth: Option<Smooth>,
+    /// A noise with further terms, which takes the place of `local` and `smooth`; `None`: the paper's noise.
+    pub terms: Option<Terms>,
     /// Relative depth by which a point may lie behind what the other image sees there; `None` lets it see through.
     pub occlusion_tolerance: Option<f64>,
 }
@@ -49,7 +52,7 @@ pub struct Match {
     pub depth_m: f64,
     /// Noisy disparity, pixels.
     pub disparity_px: f64,
-    /// White noise in it, pixels.
+    /// Local noise in it, pixels.
     pub local_px: f64,
     /// Smooth noise in it, pixels.
     pub regular_px: f64,
@@ -181,7 +184,8 @@ impl Matcher<'_> {
     /// `ray`: undistorted normalised coordinates of full-image position `pixel` in the true camera.
     fn match_pixel(&self, own: usize, pixel: [f64; 2], ray: [f64; 2], z_m: f64, draw: Option<f32>) -> Option<Match> {
         let other = 1 - own;
-        let seen = self.cameras[other].to_camera(&self.cameras[own].unproject(ray, z_m));
+        let point = self.cameras[own].unproject(ray, z_m);
+        let seen = self.cameras[other].to_camera(&point);
         let seen_pixel = self.cameras[other].project_from_camera(&seen)?;
         let seen_level = to_level(seen_pixel, self.ideal[other].downscale);
         if !self.is_seen(other, seen_level, seen.z) {
@@ -192,12 +196,22 @@ impl Matcher<'_> {
         let own_place = place(own, self.noisy_ray(own, pixel, ray)?)?;
         let other_place = place(other, self.noisy_ray(other, seen_pixel, seen_ray)?)?;
         let (first, second) = if own == 0 { (&own_place, &other_place) } else { (&other_place, &own_place) };
-        let local_px = self.local.as_ref().map_or(0.0, |(sigma, noise)| {
-            let at = |level: [f64; 2]| noise.at(level[0].round() as i32, level[1].round() as i32);
-            sigma * f64::from(draw.unwrap_or_else(|| at(seen_level)))
-        });
-        let regular_px = self.smooth.as_ref().map_or(0.0, |(sigma, noise)| sigma * noise.at(first.position_px));
-        let disparity_px = first.position_px[0] - second.position_px[0] + (local_px + regular_px);
+        let fb_px_m = self.rectification.focal_px * self.rectification.baseline_m;
+        let true_px = first.position_px[0] - second.position_px[0];
+        let level = to_level(pixel, self.ideal[own].downscale);
+        let (first_px, second_px) = if own == 0 { (level, seen_level) } else { (seen_level, level) };
+        let (local_px, regular_px, disparity_px) = if let Some(terms) = &self.terms {
+            let pixel = level[1].round() as usize * self.ideal[own].width + level[0].round() as usize;
+            let point_m = [point.x, point.y];
+            let disparity_px_m = fb_px_m / own_place.slant;
+            let rectified_px = first.position_px;
+            let site = Site { first_px, second_px, rectified_px, point_m, pixel, disparity_px_m };
+            let [local_px, regular_px] = terms.error_px(&site)?;
+            (local_px, regular_px, terms.sub_pixel(true_px + (local_px + regular_px)))
+        } else {
+            let (local_px, regular_px) = self.paper_noise(first_px, first.position_px, draw);
+            (local_px, regular_px, true_px + (local_px + regular_px))
+        };
         let distance_m = self.rectification.distance_m(disparity_px)?;
         Some(Match {
             depth_m: distance_m / own_place.slant,
@@ -205,9 +219,18 @@ impl Matcher<'_> {
             local_px,
             regular_px,
             y_parallax_px: first.position_px[1] - second.position_px[1],
-            depth_per_px_m: distance_m * distance_m
-                / (self.rectification.focal_px * self.rectification.baseline_m * own_place.slant),
+            depth_per_px_m: distance_m * distance_m / (fb_px_m * own_place.slant),
         })
+    }
+
+    /// White and smooth noise of a pixel, pixels; the white draw of the pixel may be at hand already.
+    fn paper_noise(&self, first_px: [f64; 2], rectified_px: [f64; 2], draw: Option<f32>) -> (f64, f64) {
+        let local_px = self.local.as_ref().map_or(0.0, |(sigma, noise)| {
+            let [column, row] = first_px.map(|p| p.round() as i32);
+            sigma * f64::from(draw.unwrap_or_else(|| noise.at(column, row)))
+        });
+        let regular_px = self.smooth.as_ref().map_or(0.0, |(sigma, noise)| sigma * noise.at(rectified_px));
+        (local_px, regular_px)
     }
 
     /// Undistorts a position with the noisy interior orientation, near where the true one puts it.

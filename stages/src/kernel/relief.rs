@@ -1,17 +1,13 @@
-//! Synthetic rock relief on a regular grid: a self-affine field and a joint set that breaks the face into stepped blocks.
+//! Synthetic rock relief on a regular grid: self-affine fields, wear of edges, and the mesh of it.
 
-use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::precise;
 use super::random::Field;
+use crate::artefact::{Frame, Mesh};
 
 /// Ratio of the wavelengths of neighbouring octaves; irrational, so that their lattices never line up.
 const OCTAVE_RATIO: f64 = 1.932_851;
-/// Share of the joint spacing by which a joint may lie off its regular place, to either side.
-const JITTER: f64 = 0.35;
-/// Length of a block along the strike, in joint spacings.
-const BLOCK_LENGTH: f64 = 1.7;
 
 /// A regular grid of vertices around the origin; row 0 has the largest Y.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,8 +38,13 @@ impl Lattice {
 /// two vertex spacings to the larger side of the face: height differences at distance d grow as `d^hurst`
 /// (Mandelbrot and Van Ness 1968; octave sums after Musgrave 1993).
 pub fn fractal(lattice: &Lattice, rms_m: f64, hurst: f64, noise: &Field) -> Vec<f64> {
+    fractal_up_to(lattice, f64::INFINITY, rms_m, hurst, noise)
+}
+
+/// Like [`fractal`], without wavelengths longer than `longest_m`: texture rather than shape.
+pub fn fractal_up_to(lattice: &Lattice, longest_m: f64, rms_m: f64, hurst: f64, noise: &Field) -> Vec<f64> {
     let mut heights = vec![0.0; lattice.columns * lattice.rows];
-    let mut wavelength_m = lattice.columns.max(lattice.rows) as f64 * lattice.spacing_m;
+    let mut wavelength_m = (lattice.columns.max(lattice.rows) as f64 * lattice.spacing_m).min(longest_m);
     let mut octave = 0;
     while wavelength_m >= 2.0 * lattice.spacing_m {
         let amplitude = precise::pow(wavelength_m, hurst);
@@ -105,89 +106,40 @@ fn detrend(lattice: &Lattice, heights: &mut [f64]) {
     }
 }
 
-/// A set of parallel joints in the wall frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct JointSet {
-    /// Dip below the horizontal, radians.
-    pub dip_rad: f64,
-    /// Horizontal direction of dip, radians from straight out of the face (Z) towards X.
-    pub direction_rad: f64,
-    /// Mean distance of neighbouring joints, metres.
-    pub spacing_m: f64,
-    /// Blocks stand out by 0 to this much, metres.
-    pub step_m: f64,
+/// Wears edges off: weighs each height with its neighbours along rows and columns, as often as makes the weights a bell
+/// with this standard deviation; the rim stays.
+pub fn wear(lattice: &Lattice, sigma_m: f64, heights: &mut Vec<f64>) {
+    // Weights of a quarter, a half and a quarter have a variance of half a spacing squared.
+    let ratio = sigma_m / lattice.spacing_m;
+    let passes = (2.0 * ratio * ratio).round() as usize;
+    let (w, n) = (lattice.columns, heights.len());
+    for _ in 0..passes {
+        for step in [1, w] {
+            let is_rim = |i: usize| if step == 1 { i.is_multiple_of(w) || i % w == w - 1 } else { i < w || i + w >= n };
+            let bell = |i: usize| 0.5 * heights[i] + 0.25 * (heights[i - step] + heights[i + step]);
+            *heights = (0..n).into_par_iter().map(|i| if is_rim(i) { heights[i] } else { bell(i) }).collect();
+        }
+    }
 }
 
-/// Breaks a face along a joint set: each block between two joints stands out of the relief by its own amount.
+/// Triangles over the grid, each square cut along the diagonal with the smaller height difference; wall frame.
 ///
-/// The rock is the union of the slabs between joints, each cut off along strike into blocks and raised to its own height;
-/// what is returned is its upper envelope seen along Z, so faces of steps lie on the joint planes themselves.
-pub fn break_along_joints(lattice: &Lattice, joints: &JointSet, noise: &Field, heights: &mut [f64]) {
-    let slabs = Slabs::new(joints, noise);
-    heights.par_chunks_mut(lattice.columns).enumerate().for_each(|(row, line)| {
-        for (column, z) in line.iter_mut().enumerate() {
-            *z = slabs.top(lattice.x(column), lattice.y(row), *z);
-        }
-    });
-}
-
-struct Slabs<'a> {
-    /// Normal of the joints with Z not negative, divided by the spacing.
-    normal: Vector3<f64>,
-    /// Strike, divided by the length of a block.
-    strike: Vector3<f64>,
-    step_m: f64,
-    noise: &'a Field,
-}
-
-impl<'a> Slabs<'a> {
-    fn new(joints: &JointSet, noise: &'a Field) -> Self {
-        let (sin_dip, cos_dip) = precise::sincos(joints.dip_rad);
-        let (sin, cos) = precise::sincos(joints.direction_rad);
-        let normal = Vector3::new(sin_dip * sin, cos_dip, sin_dip * cos) / joints.spacing_m;
-        let strike = Vector3::new(cos, 0.0, -sin) / (BLOCK_LENGTH * joints.spacing_m);
-        Self { normal: if normal.z < 0.0 { -normal } else { normal }, strike, step_m: joints.step_m, noise }
-    }
-
-    /// A draw from 0 to 1 for a slab and a block of it.
-    fn unit(&self, slab: i32, block: i32) -> f64 {
-        f64::from(self.noise.words(slab, block)[0]) / f64::from(u32::MAX)
-    }
-
-    /// Place of the joint below a slab, in spacings.
-    fn joint(&self, slab: i32) -> f64 {
-        f64::from(slab) + JITTER * (2.0 * self.unit(slab, i32::MAX) - 1.0)
-    }
-
-    /// The slab a place in spacings lies in.
-    fn slab_at(&self, place: f64) -> i32 {
-        let slab = place.floor() as i32;
-        (slab - 1..=slab + 1).rev().find(|slab| self.joint(*slab) <= place).unwrap_or(slab)
-    }
-
-    /// Height of a block of a slab over the relief, metres.
-    fn step(&self, slab: i32, along: f64) -> f64 {
-        self.step_m * self.unit(slab, (along + self.unit(slab, i32::MIN)).floor() as i32)
-    }
-
-    fn top(&self, x: f64, y: f64, relief: f64) -> f64 {
-        let flat = self.normal.x * x + self.normal.y * y;
-        let along = self.strike.dot(&Vector3::new(x, y, relief));
-        let mut slab = self.slab_at(flat + self.normal.z * (relief + self.step_m));
-        // From the highest slab the envelope can reach down to the one whose upper joint lies under the relief.
-        loop {
-            let raised = relief + self.step(slab, along);
-            if self.normal.z < 1e-9 {
-                return raised;
-            }
-            let z_of = |slab: i32| (self.joint(slab) - flat) / self.normal.z;
-            let top = raised.min(z_of(slab + 1));
-            if top >= z_of(slab) || top <= relief {
-                return top.max(relief);
-            }
-            slab -= 1;
+/// The heights lie along a direction that goes down by `overhang` (a tangent) a metre out of the wall. A sheet over a plane
+/// along any one direction cannot meet itself, whatever the heights.
+pub fn to_mesh(lattice: &Lattice, heights: &[f64], overhang: f64) -> Mesh {
+    let w = lattice.columns;
+    let place = |i: usize| [lattice.x(i % w), lattice.y(i / w) - overhang * heights[i], heights[i]];
+    let mut triangles = Vec::with_capacity(2 * (w - 1) * (lattice.rows - 1));
+    for row in 0..lattice.rows - 1 {
+        for a in row * w..row * w + w - 1 {
+            let (b, c, d) = (a + 1, a + w + 1, a + w);
+            let along_ac = (heights[a] - heights[c]).abs() <= (heights[b] - heights[d]).abs();
+            let pair = if along_ac { [[a, d, c], [a, c, b]] } else { [[a, d, b], [b, d, c]] };
+            triangles.extend(pair.map(|t| t.map(|i| i as u32)));
         }
     }
+    let vertices = (0..heights.len()).into_par_iter().map(place).collect();
+    Mesh { frame: Frame::Wall, vertices, triangles, colours: Vec::new() }
 }
 
 #[cfg(test)]
@@ -225,29 +177,30 @@ mod tests {
     }
 
     #[test]
-    fn blocks_stand_out_by_at_most_the_step_and_differ() {
-        let joints = JointSet { dip_rad: 0.9, direction_rad: 0.4, spacing_m: 0.8, step_m: 0.1 };
-        let mut heights = vec![0.0; LATTICE.columns * LATTICE.rows];
-        break_along_joints(&LATTICE, &joints, &Key([1; 32]).field(), &mut heights);
-        assert!(heights.iter().all(|z| (0.0..=0.1).contains(z)));
-        let mut levels: Vec<i64> = heights.iter().map(|z| (z * 1e6) as i64).collect();
-        levels.sort_unstable();
-        levels.dedup();
-        assert!(levels.len() > 50, "{} different heights", levels.len());
+    fn texture_has_no_long_waves() {
+        let heights = fractal_up_to(&LATTICE, 0.4, 0.2, 0.6, &Key([5; 32]).field());
+        assert!((rms(&heights) - 0.2).abs() < 1e-12);
+        // Means over 1 m squares, longer than the longest wave, lose most of it; those of a whole relief keep it.
+        let mean = |heights: &[f64], row: usize, column: usize| {
+            let line = |r: usize| heights[r * 240 + column..r * 240 + column + 20].iter().sum::<f64>();
+            (row..row + 20).map(line).sum::<f64>() / 400.0
+        };
+        let squares = || (0..10).flat_map(|row| (0..12).map(move |column| (20 * row, 20 * column)));
+        let means = |heights: &[f64]| rms(&squares().map(|(r, c)| mean(heights, r, c)).collect::<Vec<_>>());
+        let whole = fractal(&LATTICE, 0.2, 0.6, &Key([5; 32]).field());
+        assert!(means(&heights) < 0.11 && means(&whole) > 0.16, "{} and {}", means(&heights), means(&whole));
     }
 
-    /// With joints at 45 degrees facing the viewer a step can rise no steeper than its joint plane, 1 in 1.
     #[test]
-    fn the_faces_of_steps_lie_on_the_joints() {
-        let dip_rad = std::f64::consts::FRAC_PI_4;
-        let joints = JointSet { dip_rad, direction_rad: 0.0, spacing_m: 1.0, step_m: 0.4 };
-        let column = Lattice { columns: 1, rows: 900, spacing_m: 0.01 };
-        let mut heights = vec![0.0; 900];
-        break_along_joints(&column, &joints, &Key([8; 32]).field(), &mut heights);
-        let rises: Vec<f64> = heights.windows(2).map(|w| (w[1] - w[0]) / 0.01).collect();
-        // Down the face the surface may drop off a block at any steepness but rises along the joint below it.
-        let on_joint = rises.iter().filter(|r| (**r - 1.0).abs() < 1e-6).count();
-        assert!(on_joint > 20, "{on_joint} vertices on joint planes");
-        assert!(rises.iter().all(|r| *r <= 1.0 + 1e-6));
+    fn wear_is_a_bell_of_the_asked_width() {
+        let mut heights = vec![0.0; 240 * 200];
+        heights[100 * 240 + 120] = 1.0;
+        wear(&LATTICE, 0.15, &mut heights);
+        let moment = |power: i32| {
+            let term = |i: usize| heights[i] * ((i % 240) as f64 - 120.0).abs() * ((i % 240) as f64 - 120.0).abs();
+            (0..heights.len()).map(|i| if power == 0 { heights[i] } else { term(i) }).sum::<f64>()
+        };
+        assert!((moment(0) - 1.0).abs() < 1e-12);
+        assert!((moment(2).sqrt() * 0.05 - 0.15).abs() < 1e-6);
     }
 }

@@ -115,14 +115,16 @@ fn remove_unused_points(surface: &mut Surface) -> usize {
 }
 
 /// Disjoint sets of points; the root of a set is its first point.
-struct Pieces(Vec<u32>);
+pub(super) struct Pieces(Vec<u32>);
 
 impl Pieces {
-    fn new(points: usize) -> Self {
+    /// Every point on its own.
+    pub(super) fn new(points: usize) -> Self {
         Self((0..points as u32).collect())
     }
 
-    fn root(&mut self, point: usize) -> usize {
+    /// The first point of the set of a point.
+    pub(super) fn root(&mut self, point: usize) -> usize {
         let mut at = point;
         while self.0[at] as usize != at {
             self.0[at] = self.0[self.0[at] as usize];
@@ -131,14 +133,16 @@ impl Pieces {
         at
     }
 
-    fn join(&mut self, a: usize, b: usize) -> usize {
+    /// Joins the sets of two points; returns the root of the union.
+    pub(super) fn join(&mut self, a: usize, b: usize) -> usize {
         let (a, b) = (self.root(a), self.root(b));
         let (first, last) = (a.min(b), a.max(b));
         self.0[last] = first as u32;
         first
     }
 
-    fn into_roots(mut self) -> Vec<u32> {
+    /// The root of every point.
+    pub(super) fn into_roots(mut self) -> Vec<u32> {
         // A root comes before its members, so one pass forward reaches it.
         for point in 0..self.0.len() {
             self.0[point] = self.0[self.0[point] as usize];

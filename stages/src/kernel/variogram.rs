@@ -5,6 +5,7 @@
 //! 22), so Matheron's estimator is S / 2N. Lag vectors of length h fall into the bin of the nearest whole number of cells.
 
 use super::fft::{C64, Fft2, fast_size};
+use super::precise;
 
 /// The empirical variogram, one entry a lag bin that has pairs.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,6 +23,29 @@ pub struct Variogram {
 /// `mean` and `deviation` are those of the values; they only keep the sums well scaled. Bin k (1 to `max_lag`) takes the
 /// lags with `k - 0.5 <= |h| < k + 0.5`.
 pub fn variogram(values: &[f32], columns: usize, max_lag: usize, mean: f64, deviation: f64) -> Variogram {
+    binned(values, columns, max_lag, [mean, deviation], &|_, _| true)
+}
+
+/// Half the angle of the sector of lags a directional variogram takes, degrees.
+pub const SECTOR_DEG: f64 = 22.5;
+
+/// The variogram of the lags within [`SECTOR_DEG`] of a direction, degrees counter-clockwise from the rows' direction.
+pub fn directional(values: &[f32], columns: usize, max_lag: usize, moments: [f64; 2], direction_deg: f64) -> Variogram {
+    let (sin, cos) = precise::sincos(direction_deg.to_radians());
+    let least = precise::cos(SECTOR_DEG.to_radians());
+    // Rows go down, angles up. A lag and its opposite are one.
+    let inside = |dx: f64, dy: f64| (dx * cos - dy * sin).abs() >= least * (dx * dx + dy * dy).sqrt();
+    binned(values, columns, max_lag, moments, &inside)
+}
+
+/// The variogram of the lag vectors (columns, rows down) that `takes` says count.
+fn binned(
+    values: &[f32],
+    columns: usize,
+    max_lag: usize,
+    [mean, deviation]: [f64; 2],
+    takes: &(dyn Fn(f64, f64) -> bool + Sync),
+) -> Variogram {
     let rows = values.len() / columns;
     let fft = Fft2::new(fast_size(columns + max_lag), fast_size(rows + max_lag));
     let scaled = |v: f32| if v.is_nan() { None } else { Some((f64::from(v) - mean) / deviation) };
@@ -39,8 +63,9 @@ pub fn variogram(values: &[f32], columns: usize, max_lag: usize, mean: f64, devi
     combine(&fft, &mask_and_value, &mut squares);
     drop(mask_and_value);
     let norm = 1.0 / (fft.columns as f64 * fft.rows as f64);
-    let sums =
-        fft.inverse_even(squares, max_lag.min(rows - 1) + 1, |dy, lags| row_bins(lags, dy, max_lag, columns, norm));
+    let sums = fft.inverse_even(squares, max_lag.min(rows - 1) + 1, |dy, lags| {
+        row_bins(lags, dy, [max_lag, columns], norm, takes)
+    });
     let mut bins = vec![[0.0; 3]; max_lag + 1];
     for row in sums {
         bins.iter_mut().zip(row).for_each(|(bin, add)| bin.iter_mut().zip(add).for_each(|(b, a)| *b += a));
@@ -66,15 +91,21 @@ fn combine(fft: &Fft2, packed: &[C64], squares: &mut [C64]) {
 
 /// Pairs, pairs times lag and squared differences by bin, of all lags with this dy. A pair is counted once: dy > 0, or
 /// dy = 0 and dx > 0.
-fn row_bins(lags: &[C64], dy: usize, max_lag: usize, columns: usize, norm: f64) -> Vec<[f64; 3]> {
+fn row_bins(
+    lags: &[C64],
+    dy: usize,
+    [max_lag, columns]: [usize; 2],
+    norm: f64,
+    takes: &(dyn Fn(f64, f64) -> bool + Sync),
+) -> Vec<[f64; 3]> {
     let mut bins = vec![[0.0; 3]; max_lag + 1];
     let reach = max_lag.min(columns - 1);
-    let mut add = |dx: usize, cell: C64| {
+    let mut add = |dx: usize, sign: f64, cell: C64| {
         let length = ((dx * dx + dy * dy) as f64).sqrt();
         let bin = (length + 0.5).floor() as usize;
         // Counts are whole numbers; rounding takes away what the transform added.
         let pairs = (cell.re * norm).round();
-        if bin <= max_lag && pairs > 0.0 {
+        if bin <= max_lag && pairs > 0.0 && takes(sign * dx as f64, dy as f64) {
             let [n, nh, s] = &mut bins[bin];
             *n += pairs;
             *nh += pairs * length;
@@ -83,12 +114,12 @@ fn row_bins(lags: &[C64], dy: usize, max_lag: usize, columns: usize, norm: f64) 
     };
     for dx in 0..=reach {
         if dx > 0 {
-            add(dx, lags[dx]);
+            add(dx, 1.0, lags[dx]);
         }
         if dx > 0 && dy > 0 {
-            add(dx, lags[lags.len() - dx]);
+            add(dx, -1.0, lags[lags.len() - dx]);
         } else if dy > 0 {
-            add(0, lags[0]);
+            add(0, 1.0, lags[0]);
         }
     }
     bins
@@ -146,6 +177,19 @@ mod tests {
             let values: Vec<f32> = (0..columns * rows).map(value).collect();
             compare(&values, columns, max_lag);
         }
+    }
+
+    #[test]
+    fn a_ramp_has_its_variogram_along_itself_and_sectors_share_the_pairs() {
+        // Rises by 1 a column and by 1 a row upwards: steepest at 45 degrees.
+        let ramp: Vec<f32> = (0..900).map(|i| (i % 30) as f32 - (i / 30) as f32).collect();
+        let along = directional(&ramp, 30, 8, [0.0, 1.0], 45.0);
+        let across = directional(&ramp, 30, 8, [0.0, 1.0], 135.0);
+        assert!(along.gamma[7] > 8.0 * across.gamma[7], "{} {}", along.gamma[7], across.gamma[7]);
+        let all = variogram(&ramp, 30, 8, 0.0, 1.0);
+        let sectors = [0.0, 45.0, 90.0, 135.0].map(|deg| directional(&ramp, 30, 8, [0.0, 1.0], deg));
+        let pairs = |v: &Variogram| v.pairs.iter().sum::<f64>();
+        assert!((sectors.iter().map(pairs).sum::<f64>() - pairs(&all)).abs() < 0.5);
     }
 
     #[test]

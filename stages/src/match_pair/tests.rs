@@ -265,3 +265,77 @@ fn it_says_what_does_not_fit() {
     bad.depths[1].z.fill(f32::NAN);
     assert!(error(&bad, json!({})).contains("no point in common"));
 }
+
+/// Errors of a map over a plane 20 m away, in pixels of disparity, by row.
+fn plane_errors(with: &Value, width: u32) -> (Vec<Option<f64>>, usize) {
+    let sensor = Sensor { width_px: width, height_px: width, cx: f64::from(width) / 2.0, cy: 60.0, ..small_sensor() };
+    let images = vec![image_at("left", [-0.2, 0.0, 20.0], [0.0; 3]), image_at("right", [0.2, 0.0, 20.0], [0.0; 3])];
+    let cameras = Cameras { frame: Frame::Wall, sensors: vec![Sensor { f: 2000.0, ..sensor }], images };
+    let scene = scene(cameras, &height_mesh(2, [-30.0, 30.0, -30.0, 30.0], |_, _| 0.0), 1);
+    let host = TestHost::seeded(with.to_string().len() as u64);
+    let map = run(&scene, &host, with).unwrap();
+    let per_px = host.metric("depth_per_disparity").unwrap();
+    let error = |z: &f32| z.is_finite().then(|| (20.0 - f64::from(*z)) / per_px);
+    (map.z.iter().map(error).collect(), map.width)
+}
+
+fn correlation(errors: &[Option<f64>], lag: usize) -> f64 {
+    let mean = |f: &dyn Fn(usize) -> Option<f64>| {
+        let found: Vec<f64> = (0..errors.len() - lag).filter_map(f).collect();
+        found.iter().sum::<f64>() / found.len() as f64
+    };
+    mean(&|i| Some(errors[i]? * errors[i + lag]?)) / mean(&|i| Some(errors[i]? * errors[i]?))
+}
+
+#[test]
+fn terms_that_do_nothing_change_no_bit() {
+    let scene = scene(convergent(sensor()), &wavy(), 1);
+    for of in ["first", "second"] {
+        let plain = matched(&scene, &json!({"of": of}));
+        assert_eq!(matched(&scene, &json!({"of": of, "matcher": {}})), plain);
+    }
+}
+
+#[test]
+fn the_local_noise_has_the_correlation_asked_for() {
+    let with = json!({"sigma_local_px": 0.5, "sigma_regular_px": 0, "matcher": {"local_length_px": 4}});
+    let (errors, _) = plane_errors(&with, 400);
+    for lag in [1, 2, 4, 8] {
+        let expected = crate::kernel::precise::exp(-(lag as f64) / 4.0);
+        let found = correlation(&errors, lag);
+        assert!((found - expected).abs() < 0.06, "lag {lag}: {found} instead of {expected}");
+    }
+}
+
+#[test]
+fn a_texture_stays_and_makes_the_tails_heavy() {
+    let with = |seed: u32| json!({"sigma_local_px": 0.5, "sigma_regular_px": 0, "matcher": {"texture": {"log_sd": 0.5, "seed": seed}}});
+    let (errors, _) = plane_errors(&with(1), 300);
+    let moment = |power: usize| {
+        errors.iter().flatten().map(|e| [*e; 4][..power].iter().product::<f64>()).sum::<f64>() / errors.len() as f64
+    };
+    // A log-normal deviation of logarithmic spread s has kurtosis 3 exp(4 s^2).
+    let kurtosis = moment(4) / (moment(2) * moment(2));
+    assert!(kurtosis > 5.0, "{kurtosis}");
+    assert_eq!(plane_errors(&with(1), 60).0, plane_errors(&with(1), 60).0);
+    assert_ne!(plane_errors(&with(1), 60).0, plane_errors(&with(2), 60).0);
+}
+
+#[test]
+fn noise_is_stronger_at_a_ledge_and_holes_leave_gaps() {
+    let mesh = height_mesh(240, [-3.0, 3.0, -3.0, 3.0], |x, _| if x < 0.0 { 0.0 } else { 0.3 });
+    let mut scene = scene(convergent(small_sensor()), &mesh, 1);
+    scene.noisy = scene.cameras.clone();
+    let rms_at_ledge = |with: &Value| {
+        let map = matched(&scene, with);
+        let far = |(z, ideal): (&f32, &f32)| (z - ideal).is_finite().then(|| f64::from(z - ideal).abs());
+        map.z.iter().zip(&scene.depths[0].z).filter_map(far).fold(0.0, f64::max)
+    };
+    let quiet = json!({"sigma_local_px": 0.01, "sigma_regular_px": 0});
+    let relief = json!({"sigma_local_px": 0.01, "sigma_regular_px": 0, "matcher": {"relief": {"gain": 1, "power": 1}}});
+    assert!(rms_at_ledge(&relief) > 3.0 * rms_at_ledge(&quiet));
+    let holes = matched(&scene, &json!({"matcher": {"holes": {"share": 0.5, "length_px": 2}}}));
+    let plain = matched(&scene, &json!({}));
+    let count = |map: &Depth| map.z.iter().filter(|z| z.is_finite()).count();
+    assert!(count(&holes) * 10 < count(&plain) * 8 && count(&holes) * 10 > count(&plain) * 2);
+}

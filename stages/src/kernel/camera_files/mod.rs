@@ -1,6 +1,26 @@
-//! What every camera file comes to: named sensors, valid numbers, and names found with or without file extension.
+//! Image blocks from and to files of other programs, one format a file; here what they share: names and checks.
+//!
+//! | file | format | pixels of the file |
+//! |---|---|---|
+//! | `json.rs` | JSON, ours and a simple one | first centre at (0, 0) |
+//! | `colmap.rs`, `colmap_text.rs`, `colmap_binary.rs` | COLMAP models | first centre at (0.5, 0.5) |
+//! | `metashape.rs`, `metashape_xml.rs`, `metashape_covariance.rs`, `metashape_writer.rs` | Metashape's camera XML | from the middle |
+//! | `bundler.rs` | Bundler's `.out` | from the middle, y up |
 
-use crate::artefact::{Cameras, Frame, Image, Sensor};
+pub mod bundler;
+mod colmap;
+pub mod colmap_binary;
+pub mod colmap_text;
+pub mod json;
+pub mod metashape;
+mod metashape_covariance;
+mod metashape_writer;
+mod metashape_xml;
+pub mod recognise;
+#[cfg(test)]
+mod round_trip_tests;
+
+use crate::artefact::{Cameras, Covariance, Frame, Image, Sensor};
 use crate::{StageError, fail};
 
 /// How far from 1 the length of an imported quaternion may be; closer ones are normalised.
@@ -15,6 +35,17 @@ pub struct CameraFile {
     pub states_frame: bool,
     /// What was read over, in sentences.
     pub notes: Vec<String>,
+    /// What may be wrong, in sentences.
+    pub warnings: Vec<String>,
+    /// The covariance the file itself holds; its names are those of the block.
+    pub covariance: Option<Covariance>,
+}
+
+impl CameraFile {
+    /// A block of which the file says nothing more.
+    pub fn of(cameras: Cameras) -> Self {
+        Self { cameras, states_frame: false, notes: Vec::new(), warnings: Vec::new(), covariance: None }
+    }
 }
 
 /// Names the sensors of a foreign file and checks the block.
@@ -36,7 +67,7 @@ pub fn assemble(
         sensors.push(sensor);
     }
     let cameras = validated(Cameras { frame, sensors, images })?;
-    Ok(CameraFile { cameras, states_frame: false, notes })
+    Ok(CameraFile { notes, ..CameraFile::of(cameras) })
 }
 
 /// Checks names, sizes and numbers of a block, and normalises its quaternions.

@@ -1,17 +1,11 @@
-//! Cameras from the text model of COLMAP (`cameras.txt`, `images.txt`), whose first pixel has its centre at (0.5, 0.5).
+//! Cameras from and to the text model of COLMAP: `cameras.txt`, `images.txt` and an empty `points3D.txt`.
 
 use std::str::FromStr;
 
-use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-
-use super::camera_files::{CameraFile, assemble};
-use crate::artefact::{Frame, Image, Sensor};
+use super::colmap::{self, Pose};
+use super::{CameraFile, assemble};
+use crate::artefact::{Cameras, Frame, Sensor};
 use crate::{StageError, fail};
-
-/// COLMAP counts pixels from the corner of the first one, we from its centre.
-const HALF_PIXEL: f64 = 0.5;
-
-const MODELS: &str = "SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV with k4 = k5 = k6 = 0";
 
 /// Reads a text model. Images come in the order of their ids.
 pub fn read(cameras: &str, images: &str, frame: Frame) -> Result<CameraFile, StageError> {
@@ -20,8 +14,42 @@ pub fn read(cameras: &str, images: &str, frame: Frame) -> Result<CameraFile, Sta
         .collect::<Result<Vec<_>, _>>()?;
     let mut poses = read_poses(images)?;
     poses.sort_by_key(|pose| pose.id);
-    let images = poses.iter().map(|pose| image(pose, &sensors)).collect::<Result<Vec<_>, _>>()?;
+    let images = poses.iter().map(|pose| colmap::image(pose, &sensors)).collect::<Result<Vec<_>, _>>()?;
     assemble(frame, sensors, images, Vec::new())
+}
+
+/// Writes a text model: file names and contents. Every number is written with all its digits.
+///
+/// # Errors
+///
+/// A sensor that no model of COLMAP holds, or a name that lines of words cannot hold.
+pub fn write(cameras: &Cameras) -> Result<Vec<(String, Vec<u8>)>, StageError> {
+    let mut sensors = String::from("# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]\n");
+    for (position, sensor) in cameras.sensors.iter().enumerate() {
+        let (model, parameters) = colmap::parameters(sensor)?;
+        let (width, height, words) = (sensor.width_px, sensor.height_px, words(&parameters));
+        sensors += &format!("{} {model} {width} {height} {words}\n", position + 1);
+    }
+    let mut images =
+        String::from("# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then POINTS2D[] as (X, Y, POINT3D_ID)\n");
+    for (position, image) in cameras.images.iter().enumerate() {
+        if image.name.contains(char::is_whitespace) {
+            let name = image.name.escape_debug();
+            let error = StageError::new(format!("image `{name}`: COLMAP ends a name of its text model at a blank"));
+            return Err(error.hint("export it as colmap-binary, or rename the image"));
+        }
+        let pose = colmap::pose(image, position);
+        let (q, t) = (words(&pose.quaternion), words(&pose.translation));
+        images += &format!("{} {q} {t} {} {}\n\n", pose.id, pose.camera, pose.name);
+    }
+    let points = "# POINT3D_ID X Y Z R G B ERROR TRACK[] as (IMAGE_ID, POINT2D_IDX)\n".to_owned();
+    let files = [("cameras.txt", sensors), ("images.txt", images), ("points3D.txt", points)];
+    Ok(files.map(|(name, text)| (name.to_owned(), text.into_bytes())).into())
+}
+
+/// Numbers with all their digits, blanks between them.
+fn words(numbers: &[f64]) -> String {
+    numbers.iter().map(f64::to_string).collect::<Vec<_>>().join(" ")
 }
 
 fn at(file: &str, number: usize, error: &StageError) -> StageError {
@@ -46,54 +74,7 @@ fn sensor(line: &str) -> Result<(u64, Sensor), StageError> {
     let model = words.next().unwrap_or("");
     let (width_px, height_px) = (number(words.next(), "WIDTH")?, number(words.next(), "HEIGHT")?);
     let params = words.map(|word| number(Some(word), "parameter")).collect::<Result<Vec<f64>, _>>()?;
-    let [fx, fy, cx, cy, k1, k2, p1, p2, k3] = opencv(model, &params)?;
-    let sensor = Sensor {
-        name: String::new(),
-        width_px,
-        height_px,
-        f: fy,
-        cx: cx - HALF_PIXEL,
-        cy: cy - HALF_PIXEL,
-        b1: fx - fy,
-        b2: 0.0,
-        k: [k1, k2, k3, 0.0],
-        p: [p1, p2],
-    };
-    Ok((id, sensor))
-}
-
-/// fx, fy, cx, cy, k1, k2, p1, p2, k3 of a camera model.
-fn opencv(model: &str, params: &[f64]) -> Result<[f64; 9], StageError> {
-    Ok(match (model, params) {
-        ("SIMPLE_PINHOLE", &[f, cx, cy]) => [f, f, cx, cy, 0.0, 0.0, 0.0, 0.0, 0.0],
-        ("PINHOLE", &[fx, fy, cx, cy]) => [fx, fy, cx, cy, 0.0, 0.0, 0.0, 0.0, 0.0],
-        ("SIMPLE_RADIAL", &[f, cx, cy, k]) => [f, f, cx, cy, k, 0.0, 0.0, 0.0, 0.0],
-        ("RADIAL", &[f, cx, cy, k1, k2]) => [f, f, cx, cy, k1, k2, 0.0, 0.0, 0.0],
-        ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => [fx, fy, cx, cy, k1, k2, p1, p2, 0.0],
-        ("FULL_OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6]) => {
-            if [k4, k5, k6].iter().any(|k| *k != 0.0) {
-                fail!(
-                    "model FULL_OPENCV with a denominator (k4 = {k4}, k5 = {k5}, k6 = {k6}): only polynomials can be held"
-                );
-            }
-            [fx, fy, cx, cy, k1, k2, p1, p2, k3]
-        }
-        ("SIMPLE_PINHOLE" | "PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV" | "FULL_OPENCV", _) => {
-            fail!("model {model} does not have {} parameters", params.len())
-        }
-        _ => {
-            return Err(StageError::new(format!("camera model `{model}` is not known here"))
-                .hint(format!("models: {MODELS}; let COLMAP refine or convert the block with one of them")));
-        }
-    })
-}
-
-struct Pose {
-    id: u64,
-    quaternion: [f64; 4],
-    translation: Vector3<f64>,
-    camera: u64,
-    name: String,
+    Ok((id, colmap::sensor(model, width_px, height_px, &params)?))
 }
 
 /// Each image has two lines, the second (its points) possibly empty.
@@ -124,18 +105,7 @@ fn pose(line: &str) -> Result<Pose, StageError> {
     let camera = number(words.next(), "CAMERA_ID")?;
     let name = words.collect::<Vec<_>>().join(" ");
     let [w, x, y, z, tx, ty, tz] = values;
-    Ok(Pose { id, quaternion: [w, x, y, z], translation: Vector3::new(tx, ty, tz), camera, name })
-}
-
-/// `C = -R^T t`.
-fn image(pose: &Pose, sensors: &[(u64, Sensor)]) -> Result<Image, StageError> {
-    let Some(sensor) = sensors.iter().position(|(id, _)| *id == pose.camera) else {
-        fail!("images.txt: image `{}` names camera {}, which cameras.txt does not have", pose.name, pose.camera)
-    };
-    let [w, x, y, z] = pose.quaternion;
-    let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
-    let centre_m = (-rotation.inverse_transform_vector(&pose.translation)).into();
-    Ok(Image { name: pose.name.clone(), sensor, camera_from_object: pose.quaternion, centre_m })
+    Ok(Pose { id, quaternion: [w, x, y, z], translation: [tx, ty, tz], camera, name })
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use serde_json::{Map, Value};
 
-use super::camera_files::{CameraFile, assemble, validated};
+use super::{CameraFile, assemble, validated};
 use crate::artefact::{Cameras, Frame, Image, Noun, Sensor};
 use crate::{StageError, fail};
 
@@ -62,7 +62,7 @@ pub fn read(bytes: &[u8], frame: Frame) -> Result<CameraFile, StageError> {
     let json: Value = serde_json::from_slice(bytes).map_err(|e| StageError::new(format!("not valid JSON: {e}")))?;
     if json.get("frame").is_some() {
         let cameras = Cameras::decode(bytes).map_err(|e| StageError::new(e.to_string()))?;
-        return Ok(CameraFile { cameras: validated(cameras)?, states_frame: true, notes: Vec::new() });
+        return Ok(CameraFile { states_frame: true, ..CameraFile::of(validated(cameras)?) });
     }
     let file: BlockFile = serde_json::from_slice(bytes).map_err(|e| {
         StageError::new(format!("not a camera file: {e}"))

@@ -1,0 +1,255 @@
+//! Answers: what a question came to last time, believed only while everything it relied on is untouched.
+//!
+//! A run in which nothing is to be done need not open the store to find that out. What it came to is filed under the
+//! digest of the whole question, with the state of every file, folder, segment and large blob it rests on. One look at
+//! each (`stat`, no reading) shows whether it still holds; any doubt, and there is no answer, only a full look.
+//!
+//! There are at most 256 answers: a file each in `answers/`, replaced in one step; a lost one costs a full look.
+
+use std::fs;
+use std::io::Write;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use crate::blobs::seal_ns;
+use crate::error::{At, StoreError};
+use crate::files::{Fingerprint, is_settled};
+use crate::open::{self, ANSWERS, BLOBS, SEGMENTS, TEMPORARY_BLOB, TMP};
+use crate::{Digest, Store};
+
+/// Opens every answer; what was written by another version is no answer.
+const FORMAT: &str = "rockface answer 1";
+
+/// What an answer rests on outside and inside the store.
+#[derive(Debug, Clone, Default)]
+pub struct Grounds {
+    /// Input files, with the digests they had.
+    pub files: Vec<(PathBuf, Digest)>,
+    /// Folders whose list of files was looked at.
+    pub folders: Vec<PathBuf>,
+    /// Blobs that have to be there, with their sizes where they are known.
+    pub blobs: Vec<(Digest, Option<u64>)>,
+}
+
+/// An answer as it is kept.
+#[derive(Debug, Serialize, Deserialize)]
+struct Kept {
+    question: Digest,
+    paths: Vec<(PathBuf, Fingerprint)>,
+    segments: Vec<(String, Fingerprint)>,
+    /// Large blobs and their sizes; small ones are in the segments.
+    blobs: Vec<(Digest, u64)>,
+    answer: Value,
+}
+
+/// What `question` came to last time, if nothing has happened since to anything the answer rests on.
+///
+/// `dir` is the folder of a store, which is not opened. Reads one small file and looks once at each thing relied on.
+pub fn recall(dir: &Path, question: &Digest) -> Option<Value> {
+    open::is_current(dir).then_some(())?;
+    let text = fs::read(slot(dir, question)).ok()?;
+    let kept = decode(&text).filter(|kept| kept.question == *question)?;
+    let untouched = |(path, then): &(PathBuf, Fingerprint)| fingerprint(path).is_some_and(|now| now == *then);
+    let holds = kept.paths.iter().all(untouched)
+        && segments(dir).is_some_and(|now| now == kept.segments)
+        && kept.blobs.iter().all(|(digest, bytes)| is_sealed(dir, digest, *bytes));
+    holds.then_some(kept.answer)
+}
+
+impl Store {
+    /// Files what `question` came to, if all it rests on can be told to be untouched later; says whether it was filed.
+    ///
+    /// It is not where an input was modified too recently for its time to be trusted, or where another process has
+    /// written to the store since this one looked.
+    pub fn remember_answer(&self, question: &Digest, answer: &Value, grounds: &Grounds) -> Result<bool, StoreError> {
+        let Some(kept) = self.kept_answer(question, answer, grounds) else { return Ok(false) };
+        let body = serde_json::to_vec(&kept).map_err(std::io::Error::from).at("remember the run in", self.dir())?;
+        let path = slot(self.dir(), question);
+        let folder = self.dir().join(ANSWERS);
+        fs::create_dir_all(&folder).at("make the folder", &folder)?;
+        let tmp = self.dir().join(TMP);
+        let mut file = tempfile::Builder::new().prefix(TEMPORARY_BLOB).tempfile_in(&tmp).at("write into", &tmp)?;
+        let head = format!("{FORMAT} {}\n", Digest::of(&body));
+        file.write_all(head.as_bytes()).and_then(|()| file.write_all(&body)).at("write", &path)?;
+        file.persist(&path).map_err(|fault| fault.error).at("write", &path)?;
+        Ok(true)
+    }
+
+    fn kept_answer(&self, question: &Digest, answer: &Value, grounds: &Grounds) -> Option<Kept> {
+        // Taken before anything is compared: what changes from now on will show.
+        let segments = segments(self.dir())?;
+        let files = grounds.files.iter().map(|(path, digest)| self.trusted(path, digest));
+        let folders = grounds.folders.iter().map(|path| settled_folder(path));
+        let mut paths = files.chain(folders).collect::<Option<Vec<_>>>()?;
+        paths.sort_by(|one, other| one.0.cmp(&other.0));
+        paths.dedup_by(|one, other| one.0 == other.0);
+        self.journal().has_read(segments.iter().map(|(name, state)| (name.as_str(), state.bytes))).then_some(())?;
+        let large = grounds.blobs.iter().filter(|(digest, _)| !self.is_small(digest));
+        let sized = large.map(|(digest, bytes)| Some((*digest, bytes.or_else(|| self.size(digest))?)));
+        let mut blobs = sized.collect::<Option<Vec<_>>>()?;
+        blobs.sort_unstable();
+        blobs.dedup();
+        Some(Kept { question: *question, paths, segments, blobs, answer: answer.clone() })
+    }
+
+    /// The state of a file that is remembered to have had this digest in this very state.
+    fn trusted(&self, path: &Path, digest: &Digest) -> Option<(PathBuf, Fingerprint)> {
+        let now = fingerprint(path)?;
+        let (then, remembered) = self.remembered_file(path)?;
+        (then == now && remembered == *digest).then(|| (path.to_owned(), now))
+    }
+}
+
+/// The file in which the answer to this question would be.
+fn slot(dir: &Path, question: &Digest) -> PathBuf {
+    question.hex(|text| dir.join(ANSWERS).join(&text[..2]))
+}
+
+fn decode(text: &[u8]) -> Option<Kept> {
+    let end = text.iter().position(|byte| *byte == b'\n')?;
+    let (head, body) = (std::str::from_utf8(&text[..end]).ok()?, &text[end + 1..]);
+    let digest: Digest = head.strip_prefix(FORMAT)?.trim().parse().ok()?;
+    if Digest::of(body) == digest { serde_json::from_slice(body).ok() } else { None }
+}
+
+fn fingerprint(path: &Path) -> Option<Fingerprint> {
+    fs::metadata(path).ok().map(|meta| Fingerprint::of(&meta))
+}
+
+/// The state of a folder that was left alone long enough for a new entry to show in its time.
+fn settled_folder(path: &Path) -> Option<(PathBuf, Fingerprint)> {
+    let meta = fs::metadata(path).ok()?;
+    is_settled(&meta, SystemTime::now()).then(|| (path.to_owned(), Fingerprint::of(&meta)))
+}
+
+/// The names and states of all segments, sorted.
+fn segments(dir: &Path) -> Option<Vec<(String, Fingerprint)>> {
+    let mut found = Vec::new();
+    for entry in fs::read_dir(dir.join(SEGMENTS)).ok()? {
+        let entry = entry.ok()?;
+        found.push((entry.file_name().into_string().ok()?, Fingerprint::of(&entry.metadata().ok()?)));
+    }
+    found.sort_by(|one, other| one.0.cmp(&other.0));
+    Some(found)
+}
+
+fn is_sealed(dir: &Path, digest: &Digest, bytes: u64) -> bool {
+    let path = digest.hex(|text| dir.join(BLOBS).join(&text[..2]).join(text));
+    let meta = fs::metadata(path);
+    meta.is_ok_and(|meta| meta.len() == bytes && meta.mtime_nsec() == i64::from(seal_ns(digest)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+    use std::time::Duration;
+
+    struct Desk {
+        folder: tempfile::TempDir,
+        question: Digest,
+        large: Digest,
+    }
+
+    impl Desk {
+        fn path(&self, name: &str) -> PathBuf {
+            self.folder.path().join(name)
+        }
+
+        fn recall(&self) -> Option<Value> {
+            recall(&self.path("store"), &self.question)
+        }
+
+        fn grounds(&self) -> Grounds {
+            let file = (self.path("face.ply"), Digest::of(b"ply"));
+            let blobs = vec![(self.large, None), (Digest::of(b"small"), Some(5))];
+            Grounds { files: vec![file], folders: vec![self.path("list")], blobs }
+        }
+
+        fn ask(&self) -> bool {
+            let store = Store::open(&self.path("store")).unwrap();
+            store.hash_file(&self.path("face.ply")).unwrap();
+            store.put(&vec![1; 100_000]).unwrap();
+            store.put(b"small").unwrap();
+            store.sync().unwrap();
+            store.remember_answer(&self.question, &json!("done"), &self.grounds()).unwrap()
+        }
+    }
+
+    fn age(path: &Path, age_s: u64) {
+        fs::File::open(path).unwrap().set_modified(SystemTime::now() - Duration::from_secs(age_s)).unwrap();
+    }
+
+    fn desk() -> Desk {
+        let folder = tempfile::tempdir().unwrap();
+        let desk = Desk { folder, question: Digest::of(b"question"), large: Digest::of(&vec![1; 100_000]) };
+        fs::create_dir(desk.path("list")).unwrap();
+        fs::write(desk.path("face.ply"), b"ply").unwrap();
+        age(&desk.path("face.ply"), 60);
+        age(&desk.path("list"), 60);
+        assert!(desk.ask());
+        assert_eq!(desk.recall(), Some(json!("done")));
+        desk
+    }
+
+    /// An answer must not outlive `change`, and must be there again after another full look.
+    fn check(change: impl FnOnce(&Desk)) {
+        let desk = desk();
+        change(&desk);
+        assert_eq!(desk.recall(), None);
+        age(&desk.path("list"), 50);
+        assert!(desk.ask());
+        assert_eq!(desk.recall(), Some(json!("done")));
+    }
+
+    #[test]
+    fn an_answer_ends_with_anything_it_rests_on() {
+        check(|desk| age(&desk.path("face.ply"), 30));
+        check(|desk| {
+            fs::rename(desk.path("face.ply"), desk.path("old.ply")).unwrap();
+            fs::write(desk.path("face.ply"), b"ply").unwrap();
+            age(&desk.path("face.ply"), 60);
+        });
+        check(|desk| fs::write(desk.path("list/new.tif"), b"").unwrap());
+        check(|desk| {
+            let hex = desk.large.to_string();
+            fs::remove_file(desk.path("store/blobs").join(&hex[..2]).join(hex)).unwrap();
+        });
+        check(|desk| {
+            let hex = desk.large.to_string();
+            age(&desk.path("store/blobs").join(&hex[..2]).join(hex), 7);
+        });
+        check(|desk| _ = Store::open(&desk.path("store")).unwrap().put(b"another").unwrap());
+        check(|desk| fs::write(slot(&desk.path("store"), &desk.question), "rockface answer 1 x\n{}").unwrap());
+    }
+
+    #[test]
+    fn another_question_or_format_has_no_answer() {
+        let desk = desk();
+        assert_eq!(recall(&desk.path("store"), &Digest::of(b"another")), None);
+        assert_eq!(recall(&desk.path("nowhere"), &desk.question), None);
+        fs::write(desk.path("store/format"), "rockface store 99\n").unwrap();
+        assert_eq!(desk.recall(), None);
+    }
+
+    #[test]
+    fn what_cannot_be_vouched_for_is_not_filed() {
+        let desk = desk();
+        fs::write(desk.path("face.ply"), b"ply").unwrap();
+        assert!(!desk.ask(), "a file just modified may be modified again unseen");
+        age(&desk.path("face.ply"), 60);
+        let store = Store::open(&desk.path("store")).unwrap();
+        store.hash_file(&desk.path("face.ply")).unwrap();
+        store.sync().unwrap();
+        let other = Store::open(&desk.path("store")).unwrap();
+        other.put(b"written by another process").unwrap();
+        other.sync().unwrap();
+        assert!(!store.remember_answer(&desk.question, &json!(1), &desk.grounds()).unwrap());
+        store.refresh().unwrap();
+        assert!(store.remember_answer(&desk.question, &json!(1), &desk.grounds()).unwrap());
+    }
+}

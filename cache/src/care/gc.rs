@@ -1,0 +1,173 @@
+//! What can be removed from a store: which records and blobs, what each is, and why.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use crate::error::StoreError;
+use crate::{Digest, Store};
+
+/// What is to be kept.
+#[derive(Debug, Clone, Default)]
+pub struct GcPolicy {
+    /// Keys that are kept whatever their age: those of pinned runs.
+    pub pinned: BTreeSet<Digest>,
+    /// When each key was last used by a run that is still told of, seconds since 1970.
+    pub used: BTreeMap<Digest, u64>,
+    /// Remove the records that no run names.
+    pub unnamed: bool,
+    /// Remove what was not used for longer, seconds.
+    pub max_age_s: Option<u64>,
+    /// Remove the longest unused until the blobs of records take no more bytes.
+    pub max_bytes: Option<u64>,
+    /// What was made or used less long ago is kept, seconds: a run may be about to name it.
+    pub grace_s: u64,
+}
+
+/// A blob that would be removed.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
+pub struct GcItem {
+    /// The blob.
+    pub digest: Digest,
+    /// Its bytes.
+    pub bytes: u64,
+    /// What it is, such as `mesh of import-mesh`.
+    pub what: String,
+    /// When it was last used, seconds since 1970; 0 where no record tells.
+    pub used_unix_s: u64,
+    /// Why it goes.
+    pub why: String,
+}
+
+/// What would be removed.
+#[derive(Debug, Clone, PartialEq, Eq, Default, serde::Serialize)]
+pub struct GcPlan {
+    /// Blobs, the longest unused first.
+    pub blobs: Vec<GcItem>,
+    /// The keys of records.
+    pub records: Vec<Digest>,
+    /// Records that stay.
+    pub kept_records: u64,
+    /// Bytes of the blobs of records that stay.
+    pub kept_bytes: u64,
+}
+
+/// One record, as far as it matters here.
+struct Candidate {
+    key: Digest,
+    used_s: u64,
+    blobs: Vec<(Digest, u64)>,
+    /// Why it goes; `None` while it stays.
+    why: Option<String>,
+    fixed: bool,
+}
+
+impl Store {
+    /// What this policy removes. Nothing is touched.
+    pub fn plan_gc(&self, policy: &GcPolicy) -> Result<GcPlan, StoreError> {
+        let now_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
+        let mut candidates = self.candidates(policy, now_s);
+        within_budget(&mut candidates, policy.max_bytes);
+        let stays = candidates.iter().filter(|candidate| candidate.why.is_none());
+        let kept: BTreeMap<Digest, u64> = stays.clone().flat_map(|candidate| candidate.blobs.iter().copied()).collect();
+        let mut plan = GcPlan {
+            kept_records: stays.count() as u64,
+            kept_bytes: kept.values().sum(),
+            records: candidates.iter().filter(|one| one.why.is_some()).map(|one| one.key).collect(),
+            blobs: self.leaving(&candidates, &kept),
+        };
+        plan.blobs.extend(self.orphans(&candidates, now_s.saturating_sub(policy.grace_s))?);
+        Ok(plan)
+    }
+
+    /// Every record, the longest unused first.
+    fn candidates(&self, policy: &GcPolicy, now_s: u64) -> Vec<Candidate> {
+        let mut candidates: Vec<Candidate> = self
+            .keys()
+            .into_iter()
+            .filter_map(|key| {
+                let record = self.record(&key)?;
+                let used = policy.used.get(&key).copied();
+                let used_s = record.cost.finished_unix_s.max(used.unwrap_or(0));
+                let age_s = now_s.saturating_sub(used_s);
+                let blobs = record.blobs().map(|(digest, bytes)| (digest, bytes.or(self.size(&digest)).unwrap_or(0)));
+                let fixed = policy.pinned.contains(&key) || age_s < policy.grace_s;
+                let why = if fixed { None } else { why(policy, used.is_some(), age_s) };
+                Some(Candidate { key, used_s, blobs: blobs.collect(), why, fixed })
+            })
+            .collect();
+        candidates.sort_by_key(|candidate| (candidate.used_s, candidate.key));
+        candidates
+    }
+
+    /// The blobs that only leaving records name.
+    fn leaving(&self, candidates: &[Candidate], kept: &BTreeMap<Digest, u64>) -> Vec<GcItem> {
+        let named = self.named_blobs();
+        let mut seen = BTreeSet::new();
+        let mut items = Vec::new();
+        for candidate in candidates {
+            let Some(why) = &candidate.why else { continue };
+            for (digest, bytes) in &candidate.blobs {
+                if !kept.contains_key(digest) && seen.insert(*digest) && self.contains(digest) {
+                    let what = named.get(digest).map_or_else(String::new, |outputs| outputs.join(", "));
+                    let (digest, bytes, used_unix_s) = (*digest, *bytes, candidate.used_s);
+                    items.push(GcItem { digest, bytes, what, used_unix_s, why: why.clone() });
+                }
+            }
+        }
+        items
+    }
+
+    /// Blobs that no record names and that were written before `since_s`.
+    fn orphans(&self, candidates: &[Candidate], since_s: u64) -> Result<Vec<GcItem>, StoreError> {
+        let named: BTreeSet<Digest> =
+            candidates.iter().flat_map(|one| one.blobs.iter().map(|(blob, _)| *blob)).collect();
+        let small = self.small_blobs().into_iter().filter_map(|digest| {
+            let place = self.place(&digest)?;
+            Some((digest, u64::from(place.length), place.stamp / 1_000_000_000))
+        });
+        let mut all: Vec<(Digest, u64, u64)> = small.collect();
+        all.extend(self.blobs().list()?.into_iter().filter_map(|digest| self.blobs().written(&digest)));
+        let orphan = |(digest, bytes, _)| GcItem {
+            digest,
+            bytes,
+            what: "an output that was superseded or never recorded".to_owned(),
+            used_unix_s: 0,
+            why: "no record names it".to_owned(),
+        };
+        Ok(all
+            .into_iter()
+            .filter(|(digest, _, made_s)| !named.contains(digest) && *made_s < since_s)
+            .map(orphan)
+            .collect())
+    }
+}
+
+fn why(policy: &GcPolicy, named: bool, age_s: u64) -> Option<String> {
+    if policy.max_age_s.is_some_and(|max_age_s| age_s > max_age_s) {
+        return Some(format!("not used for {} days", age_s / 86_400));
+    }
+    (policy.unnamed && !named).then(|| "no run names it".to_owned())
+}
+
+/// Lets the longest unused go until the blobs of the others fit.
+fn within_budget(candidates: &mut [Candidate], max_bytes: Option<u64>) {
+    let Some(max_bytes) = max_bytes else { return };
+    let mut users: BTreeMap<Digest, u32> = BTreeMap::new();
+    let mut bytes = 0;
+    for (digest, size) in candidates.iter().filter(|one| one.why.is_none()).flat_map(|one| &one.blobs) {
+        let count = users.entry(*digest).or_default();
+        bytes += if *count == 0 { *size } else { 0 };
+        *count += 1;
+    }
+    for candidate in candidates.iter_mut().filter(|one| one.why.is_none() && !one.fixed) {
+        if bytes <= max_bytes {
+            return;
+        }
+        candidate.why = Some("the store is larger than its budget, and this was not used for longest".to_owned());
+        for (digest, size) in &candidate.blobs {
+            let count = users.entry(*digest).or_default();
+            *count = count.saturating_sub(1);
+            bytes -= if *count == 0 { *size } else { 0 };
+        }
+    }
+}

@@ -1,0 +1,11 @@
+//! Care of a store: what is in it by stage, whether it is whole, and the removal of what nobody needs.
+
+mod collect;
+mod gc;
+mod stages;
+mod verify;
+
+pub use collect::Collected;
+pub use gc::{GcItem, GcPlan, GcPolicy};
+pub use stages::StageStat;
+pub use verify::{Fault, FaultKind, Verified};

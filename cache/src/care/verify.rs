@@ -1,0 +1,128 @@
+//! Verification: every blob is read and compared with its digest, every record with the blobs it promises.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+
+use crate::error::{At, StoreError};
+use crate::frame::Kind;
+use crate::{Digest, Store};
+
+/// What is wrong with a blob.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum FaultKind {
+    /// Its bytes do not have its digest.
+    Damaged,
+    /// A record promises it and it is not there.
+    Missing,
+}
+
+/// A blob that is not as it should be.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
+pub struct Fault {
+    /// What is wrong.
+    pub kind: FaultKind,
+    /// The blob.
+    pub digest: Digest,
+    /// The outputs that it is, as `kind of stage`; empty where no record names it.
+    pub outputs: Vec<String>,
+    /// Whether it was set aside, so that the next run that needs it makes it again.
+    pub set_aside: bool,
+}
+
+/// What a verification found.
+#[derive(Debug, Clone, PartialEq, Eq, Default, serde::Serialize)]
+pub struct Verified {
+    /// Blobs read.
+    pub blobs: u64,
+    /// Their bytes.
+    pub bytes: u64,
+    /// Records looked at.
+    pub records: u64,
+    /// What is not as it should be, by digest.
+    pub faults: Vec<Fault>,
+}
+
+impl Store {
+    /// Reads everything and compares it with its digest. With `repair`, damaged blobs are set aside; without, nothing
+    /// is changed.
+    pub fn verify(&self, repair: bool) -> Result<Verified, StoreError> {
+        let named = self.named_blobs();
+        let mut found = Verified { records: self.keys().len() as u64, ..Verified::default() };
+        for digest in self.small_blobs() {
+            self.verify_one(&digest, self.read_small(&digest)?, &named, repair, &mut found)?;
+        }
+        for digest in self.blobs().list()? {
+            let path = self.blobs().path(&digest);
+            let read = Digest::of_reader(File::open(&path).at("open", &path)?).at("read", &path)?;
+            self.verify_one(&digest, read, &named, repair, &mut found)?;
+        }
+        let missing = named.iter().filter(|(digest, _)| !self.is_small(digest) && !self.blobs().path(digest).exists());
+        let fault = |(digest, outputs): (&Digest, &Vec<String>)| Fault {
+            kind: FaultKind::Missing,
+            digest: *digest,
+            outputs: outputs.clone(),
+            set_aside: false,
+        };
+        let damaged: Vec<Digest> = found.faults.iter().map(|fault| fault.digest).collect();
+        found.faults.extend(missing.filter(|(digest, _)| !damaged.contains(digest)).map(fault));
+        found.faults.sort_by_key(|fault| fault.digest);
+        Ok(found)
+    }
+
+    fn read_small(&self, digest: &Digest) -> Result<(Digest, u64), StoreError> {
+        let bytes = self.place(digest).map_or(Ok(Vec::new()), |place| self.journal().read(place))?;
+        Ok((Digest::of(&bytes), bytes.len() as u64))
+    }
+
+    fn verify_one(
+        &self,
+        digest: &Digest,
+        (read, bytes): (Digest, u64),
+        named: &BTreeMap<Digest, Vec<String>>,
+        repair: bool,
+        found: &mut Verified,
+    ) -> Result<(), StoreError> {
+        found.blobs += 1;
+        found.bytes += bytes;
+        if read == *digest {
+            return Ok(());
+        }
+        if repair {
+            self.set_aside(digest)?;
+        }
+        let outputs = named.get(digest).cloned().unwrap_or_default();
+        found.faults.push(Fault { kind: FaultKind::Damaged, digest: *digest, outputs, set_aside: repair });
+        Ok(())
+    }
+
+    fn set_aside(&self, digest: &Digest) -> Result<(), StoreError> {
+        match self.get(digest) {
+            // Whole after all, gone meanwhile, or set aside by the reading.
+            Ok(_) | Err(StoreError::Damaged { .. } | StoreError::Missing { .. }) => Ok(()),
+            Err(fault) => Err(fault),
+        }
+    }
+
+    /// The blobs that records promise, each with the outputs that it is.
+    pub(super) fn named_blobs(&self) -> BTreeMap<Digest, Vec<String>> {
+        let mut named: BTreeMap<Digest, Vec<String>> = BTreeMap::new();
+        for record in self.keys().iter().filter_map(|key| self.record(key)) {
+            let stage = &record.recipe.stage;
+            let kept = record.outputs.values().filter(|output| output.kept);
+            let outputs = kept.map(|output| (output.digest, format!("{} of {stage}", output.kind)));
+            for (digest, what) in outputs.chain(record.log.map(|log| (log, format!("log of {stage}")))) {
+                let outputs = named.entry(digest).or_default();
+                if !outputs.contains(&what) {
+                    outputs.push(what);
+                }
+            }
+        }
+        named
+    }
+
+    /// All blobs inside segments, sorted.
+    pub(super) fn small_blobs(&self) -> Vec<Digest> {
+        self.journal().with_index(|index| index.names(Kind::Blob))
+    }
+}

@@ -1,0 +1,31 @@
+//! Where the commands that take no pipeline find the store and the runs.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use rockface_cache::Store;
+
+use super::CliError;
+
+/// The store and the folder of runs; by default those of a pipeline in the working folder.
+#[derive(Debug, Args)]
+pub struct Places {
+    /// The store of results.
+    #[arg(long, value_name = "DIR", env = "ROCKFACE_STORE", default_value = ".rockface/store")]
+    store: PathBuf,
+    /// The folder of runs.
+    #[arg(long, value_name = "DIR", default_value = ".rockface/runs")]
+    pub runs: PathBuf,
+}
+
+impl Places {
+    /// Opens the store, which must be there: what only looks makes nothing.
+    pub fn open_store(&self) -> Result<Store, CliError> {
+        if self.store.join("format").is_file() {
+            return Ok(Store::open(&self.store)?);
+        }
+        let shown = self.store.display();
+        let hint = "give its folder with --store, or go to the folder of the pipeline";
+        Err(CliError::Usage(format!("there is no store in {shown}: {hint}")))
+    }
+}

@@ -1,0 +1,80 @@
+//! Repeating a past run from its manifest, and saying whether it came out the same.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use rockface_cache::Digest;
+
+use super::{CliError, PipelineArgs};
+use crate::history::Manifest;
+use crate::plan::Plan;
+use crate::run::Summary;
+
+/// The manifest at `path`, if it is that of a run and not a pipeline.
+pub fn manifest(path: &Path) -> Result<Option<Manifest>, CliError> {
+    let is_json = path.extension().is_some_and(|extension| extension == "json");
+    if is_json && path.is_file() { Ok(Some(Manifest::read(path)?)) } else { Ok(None) }
+}
+
+/// Turns arguments that name a manifest into those of its run; what is given besides comes on top.
+pub fn take_over(arguments: &mut PipelineArgs, manifest: &Manifest) {
+    let file = manifest.pipeline.path.file_name().unwrap_or_default();
+    arguments.pipeline = manifest.pipeline.folder.join(file);
+    arguments.text = Some(manifest.pipeline.text.clone());
+    let given = std::mem::take(&mut arguments.set);
+    arguments.set = manifest.overrides.set.iter().cloned().chain(given).collect();
+    arguments.seed = arguments.seed.or(manifest.overrides.seed);
+    if arguments.target.is_empty() {
+        arguments.target.clone_from(&manifest.targets);
+    }
+}
+
+/// What is to be said of a repetition: whether every output has the digest it had, and what may be why not.
+pub fn verdict(manifest: &Manifest, plan: &Plan, summary: &Summary) -> Vec<String> {
+    let former: BTreeMap<String, BTreeMap<&str, Digest>> = manifest
+        .steps
+        .iter()
+        .map(|done| {
+            let outputs = done.outputs.iter().flatten().map(|(port, output)| (port.as_str(), output.digest));
+            (done.label(), outputs.collect())
+        })
+        .collect();
+    let (mut same, mut lines) = (0, Vec::new());
+    for (instance, result) in summary.instances.iter().enumerate() {
+        let Some(outcome) = &result.outcome else { continue };
+        let label = sorted_label(plan, instance);
+        for (port, output) in &outcome.outputs {
+            match former.get(&label).and_then(|outputs| outputs.get(port.as_str())) {
+                Some(digest) if *digest == output.digest => same += 1,
+                Some(digest) => lines.push(format!(
+                    "differs  {label}.{port}: {} then, {} now",
+                    digest.short(),
+                    output.digest.short()
+                )),
+                None => lines.push(format!("new      {label}.{port}: it was not made then")),
+            }
+        }
+    }
+    if lines.is_empty() {
+        return vec![format!("repeated: all {same} outputs are the same")];
+    }
+    let program = crate::build::program();
+    if manifest.program != program {
+        lines.push(
+            "the program is not the one that made the run; run.json tells both its version and its lock file".into(),
+        );
+    }
+    lines.push(format!("repeated: {same} outputs are the same, {} are not", lines.len()));
+    lines
+}
+
+/// The label with its axes by name, as manifests have them.
+fn sorted_label(plan: &Plan, instance: usize) -> String {
+    let point = plan.point(instance);
+    let name = &plan.step(instance).name;
+    if point.is_empty() {
+        return name.clone();
+    }
+    let items: Vec<String> = point.iter().map(|(axis, item)| format!("{axis}={item}")).collect();
+    format!("{name}[{}]", items.join(","))
+}

@@ -1,0 +1,178 @@
+//! `rockface runs`: past runs, listed, shown, compared and pinned.
+
+use clap::{Args, Subcommand};
+use serde_json::{Value, json};
+
+use super::places::Places;
+use super::table::{self, Format};
+use super::{CliError, say};
+use crate::history::{self, PastRun, Row};
+use crate::watch::duration;
+
+/// Arguments of `rockface runs`.
+#[derive(Debug, Args)]
+pub struct RunsArgs {
+    #[command(subcommand)]
+    command: RunsCommand,
+}
+
+#[derive(Debug, Subcommand)]
+enum RunsCommand {
+    /// List the runs, oldest first.
+    List {
+        #[command(flatten)]
+        places: Places,
+        /// How to print them.
+        #[arg(long, value_enum, default_value = "table")]
+        format: Format,
+    },
+    /// Show one run: what was asked, what ran, the numbers it told.
+    Show {
+        /// A run folder, its name, a part of it, or `latest`.
+        run: String,
+        #[command(flatten)]
+        places: Places,
+        /// Print the manifest as JSON.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Put runs side by side: the parameters that vary between them, and the numbers they told.
+    Compare {
+        /// Two runs or more.
+        #[arg(required = true, num_args = 2.., value_name = "RUN")]
+        compared: Vec<String>,
+        #[command(flatten)]
+        places: Places,
+        /// How to print them.
+        #[arg(long, value_enum, default_value = "table")]
+        format: Format,
+    },
+    /// Keep what a run made, whatever its age: no collection removes it.
+    Pin {
+        /// A run folder, its name, a part of it, or `latest`.
+        run: String,
+        #[command(flatten)]
+        places: Places,
+    },
+    /// Let go of a pinned run.
+    Unpin {
+        /// A run folder, its name, a part of it, or `latest`.
+        run: String,
+        #[command(flatten)]
+        places: Places,
+    },
+}
+
+impl RunsArgs {
+    /// Does what the subcommand says.
+    pub fn run(self) -> Result<(), CliError> {
+        match self.command {
+            RunsCommand::List { places, format } => list(&places, format),
+            RunsCommand::Show { run, places, json } => show(&history::find(&places.runs, &run)?, json),
+            RunsCommand::Compare { compared, places, format } => {
+                let found =
+                    compared.iter().map(|run| history::find(&places.runs, run)).collect::<Result<Vec<_>, _>>()?;
+                compare(&found, format)
+            }
+            RunsCommand::Pin { run, places } => pin(&places, &run, true),
+            RunsCommand::Unpin { run, places } => pin(&places, &run, false),
+        }
+    }
+}
+
+fn counts(run: &PastRun) -> (usize, usize) {
+    let count = |status: &str| run.manifest.steps.iter().filter(|done| done.status == status).count();
+    (count("executed"), count("cached"))
+}
+
+fn list(places: &Places, format: Format) -> Result<(), CliError> {
+    let (runs, faults) = history::list(&places.runs)?;
+    for fault in faults {
+        eprintln!("warning: {fault}");
+    }
+    let row = |run: &PastRun| {
+        let (executed, cached) = counts(run);
+        let pinned = if run.pinned { "pinned" } else { "" };
+        let first = run.manifest.headlines.first().cloned().unwrap_or_default();
+        let (status, wall) = (run.manifest.status.clone(), duration(run.manifest.wall_s));
+        vec![run.name.clone(), status, executed.to_string(), cached.to_string(), wall, pinned.to_owned(), first]
+    };
+    let rows: Vec<Vec<String>> = runs.iter().map(row).collect();
+    let json: Value = runs
+        .iter()
+        .map(|run| {
+            let ((executed, cached), manifest) = (counts(run), &run.manifest);
+            json!({
+                "name": run.name, "folder": run.folder, "pipeline": manifest.pipeline.name, "status": manifest.status,
+                "finished": manifest.finished, "wall_s": manifest.wall_s, "executed": executed, "cached": cached,
+                "seed": manifest.seed, "pinned": run.pinned, "headlines": manifest.headlines,
+            })
+        })
+        .collect();
+    table::print(format, &["run", "status", "ran", "cached", "time", "", "result"], &rows, &json)
+}
+
+fn show(run: &PastRun, as_json: bool) -> Result<(), CliError> {
+    let manifest = &run.manifest;
+    if as_json {
+        say(&serde_json::to_string_pretty(manifest).unwrap_or_default());
+        return Ok(());
+    }
+    let (executed, cached) = counts(run);
+    say(&format!("{} ({}){}", run.name, manifest.status, if run.pinned { ", pinned" } else { "" }));
+    say(&format!("pipeline  {} ({})", manifest.pipeline.name, manifest.pipeline.path.display()));
+    say(&format!("seed      {}", manifest.seed));
+    manifest.overrides.set.iter().for_each(|set| say(&format!("set       {set}")));
+    say(&format!("finished  {}, ran {executed}, cached {cached}, {}", manifest.finished, duration(manifest.wall_s)));
+    say(&format!("folder    {}", run.folder.display()));
+    manifest.headlines.iter().for_each(|line| say(line));
+    let told = manifest.steps.iter().flat_map(|done| done.metrics.iter().map(move |metric| (done.label(), metric)));
+    let rows: Vec<Vec<String>> = told
+        .map(|(label, metric)| vec![label, metric.name.clone(), number(metric.value), metric.unit.clone()])
+        .collect();
+    if rows.is_empty() {
+        return Ok(());
+    }
+    table::print(Format::Table, &["step", "metric", "value", "unit"], &rows, &Value::Null)
+}
+
+fn number(value: Option<f64>) -> String {
+    value.map_or_else(|| "NaN".to_owned(), |value| value.to_string())
+}
+
+fn compare(runs: &[PastRun], format: Format) -> Result<(), CliError> {
+    let found = history::compare(runs);
+    let mut head = vec!["", "name"];
+    head.extend(found.runs.iter().map(String::as_str));
+    head.extend(["last - first", "unit"]);
+    let row = |what: &str, row: &Row| {
+        let mut cells = vec![what.to_owned(), row.name.clone()];
+        cells.extend(row.values.iter().map(|value| shown(value.as_ref())));
+        let difference = row.difference().map_or_else(String::new, |difference| difference.to_string());
+        cells.extend([difference, row.unit.clone().unwrap_or_default()]);
+        cells
+    };
+    let parameters = found.parameters.iter().map(|one| row("parameter", one));
+    let rows: Vec<Vec<String>> = parameters.chain(found.metrics.iter().map(|one| row("metric", one))).collect();
+    table::print(format, &head, &rows, &json!(found))?;
+    if format == Format::Table {
+        say(&format!("{} parameters are the same in all", found.equal_parameters));
+    }
+    Ok(())
+}
+
+fn shown(value: Option<&Value>) -> String {
+    match value {
+        None => "-".to_owned(),
+        Some(Value::String(text)) => text.clone(),
+        Some(other) => other.to_string(),
+    }
+}
+
+fn pin(places: &Places, name: &str, pinned: bool) -> Result<(), CliError> {
+    let run = history::find(&places.runs, name)?;
+    run.pin(pinned)?;
+    let done = if pinned { "is pinned: what it made is not collected" } else { "is no longer pinned" };
+    say(&format!("{} {done}", run.name));
+    Ok(())
+}

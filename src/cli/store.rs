@@ -1,0 +1,244 @@
+//! `rockface store`: what is in it, whether it is whole, and the removal of what nobody needs.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use clap::{Args, Subcommand};
+use rockface_cache::{Digest, GcPlan, GcPolicy, Store};
+use serde_json::json;
+
+use super::places::Places;
+use super::table::{self, Format, bytes};
+use super::{CliError, say};
+use crate::history::{self, PastRun};
+
+/// What was made or used less long ago is kept by a collection, seconds: a run may be about to name it.
+const GRACE_S: u64 = 3600;
+/// Seconds of a day.
+const DAY_S: f64 = 86_400.0;
+
+/// Arguments of `rockface store`.
+#[derive(Debug, Args)]
+pub struct StoreArgs {
+    #[command(subcommand)]
+    command: StoreCommand,
+}
+
+#[derive(Debug, Subcommand)]
+enum StoreCommand {
+    /// Tell what the store holds, by stage.
+    Stat {
+        #[command(flatten)]
+        places: Places,
+        /// Print JSON.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Read everything and compare it with its digest; exit code 3 if anything is damaged or missing.
+    Verify {
+        #[command(flatten)]
+        places: Places,
+        /// Set damaged outputs aside, so that the next run that needs them makes them again.
+        #[arg(long)]
+        repair: bool,
+        /// Print JSON.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Remove what nobody needs. Superseded and damaged entries go always; records only by the options below, and those
+    /// of pinned runs never. Safe beside a running pipeline.
+    Gc(GcArgs),
+}
+
+#[derive(Debug, Args)]
+struct GcArgs {
+    #[command(flatten)]
+    places: Places,
+    /// Also remove what no run that still has its folder names.
+    #[arg(long)]
+    unnamed: bool,
+    /// Also remove what was not used for so many days.
+    #[arg(long, value_name = "DAYS", value_parser = non_negative)]
+    max_age: Option<f64>,
+    /// Also remove the longest unused until the outputs on record fit into so many GiB.
+    #[arg(long, value_name = "GiB", value_parser = non_negative)]
+    max_size: Option<f64>,
+    /// Say what each blob is that would go, and remove nothing.
+    #[arg(long)]
+    dry_run: bool,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+fn non_negative(text: &str) -> Result<f64, String> {
+    let number: f64 = text.parse().map_err(|_| "give a number, such as 30 or 0.5".to_owned())?;
+    if (0.0..=1e9).contains(&number) { Ok(number) } else { Err("give a number from 0 to 1e9".to_owned()) }
+}
+
+impl StoreArgs {
+    /// Does what the subcommand says.
+    pub fn run(self) -> Result<(), CliError> {
+        match self.command {
+            StoreCommand::Stat { places, json } => stat(&places.open_store()?, json),
+            StoreCommand::Verify { places, repair, json } => verify(&places.open_store()?, repair, json),
+            StoreCommand::Gc(args) => args.run(),
+        }
+    }
+}
+
+fn stat(store: &Store, as_json: bool) -> Result<(), CliError> {
+    let (whole, stages) = (store.stat()?, store.stat_by_stage());
+    if as_json {
+        say(&json!({"folder": store.dir(), "store": whole, "stages": stages}).to_string());
+        return Ok(());
+    }
+    let row = |stage: &rockface_cache::StageStat| {
+        vec![
+            stage.stage.clone(),
+            stage.records.to_string(),
+            stage.blobs.to_string(),
+            bytes(stage.bytes),
+            crate::watch::duration(stage.wall_s),
+        ]
+    };
+    let rows: Vec<Vec<String>> = stages.iter().map(row).collect();
+    table::print(Format::Table, &["stage", "records", "outputs", "size", "time to make"], &rows, &json!(null))?;
+    let blobs = whole.small_blobs + whole.large_blobs;
+    let size = bytes(whole.segment_bytes + whole.large_blob_bytes);
+    let aside =
+        if whole.quarantined > 0 { format!(", {} damaged set aside", whole.quarantined) } else { String::new() };
+    say(&format!(
+        "{} records, {blobs} blobs, {} segments, {size}{aside} in {}",
+        whole.records,
+        whole.segments,
+        store.dir().display()
+    ));
+    Ok(())
+}
+
+fn verify(store: &Store, repair: bool, as_json: bool) -> Result<(), CliError> {
+    let found = store.verify(repair)?;
+    if as_json {
+        say(&json!(found).to_string());
+    } else {
+        for fault in &found.faults {
+            let what =
+                if fault.outputs.is_empty() { "no record names it".to_owned() } else { fault.outputs.join(", ") };
+            let done = if fault.set_aside { "; set aside" } else { "" };
+            let kind = format!("{:?}", fault.kind).to_lowercase();
+            say(&format!("{kind:8} {}  {what}{done}", fault.digest.short()));
+        }
+        let (blobs, size, records) = (found.blobs, bytes(found.bytes), found.records);
+        say(&format!("read {blobs} blobs ({size}) of {records} records: {}", verdict(found.faults.len(), repair)));
+    }
+    let is_well = found.faults.is_empty() || repair;
+    if is_well { Ok(()) } else { Err(CliError::Damaged) }
+}
+
+fn verdict(faults: usize, repair: bool) -> String {
+    match (faults, repair) {
+        (0, _) => "all whole".to_owned(),
+        (_, true) => format!("{faults} not whole; the next run that needs them makes them again"),
+        (_, false) => format!("{faults} not whole; `rockface store verify --repair` sets what is damaged aside"),
+    }
+}
+
+impl GcArgs {
+    fn run(self) -> Result<(), CliError> {
+        let store = self.places.open_store()?;
+        let plan = store.plan_gc(&self.policy(&store)?)?;
+        if self.dry_run {
+            return self.tell(&plan);
+        }
+        let done = store.collect(&plan)?;
+        if self.json {
+            say(&json!(done).to_string());
+            return Ok(());
+        }
+        let busy = match done.busy_segments {
+            0 => String::new(),
+            busy => format!("; {busy} segments are being written to and were left as they are"),
+        };
+        say(&format!("removed {} records and {} blobs, {} freed{busy}", done.records, done.blobs, bytes(done.bytes)));
+        Ok(())
+    }
+
+    fn tell(&self, plan: &GcPlan) -> Result<(), CliError> {
+        if self.json {
+            say(&json!(plan).to_string());
+            return Ok(());
+        }
+        let row = |item: &rockface_cache::GcItem| {
+            vec![item.digest.short(), bytes(item.bytes), item.what.clone(), day(item.used_unix_s), item.why.clone()]
+        };
+        let rows: Vec<Vec<String>> = plan.blobs.iter().map(row).collect();
+        table::print(
+            Format::Table,
+            &["blob", "size", "what it is", "last used", "why it would go"],
+            &rows,
+            &json!(null),
+        )?;
+        let size = bytes(plan.blobs.iter().map(|item| item.bytes).sum());
+        let (records, kept) = (plan.records.len(), plan.kept_records);
+        let kept_size = bytes(plan.kept_bytes);
+        say(&format!(
+            "{records} records and {} blobs ({size}) would go; {kept} records ({kept_size}) stay",
+            plan.blobs.len()
+        ));
+        Ok(())
+    }
+
+    fn policy(&self, store: &Store) -> Result<GcPolicy, CliError> {
+        let mut policy = GcPolicy {
+            unnamed: self.unnamed,
+            max_age_s: self.max_age.map(|days| (days * DAY_S) as u64),
+            max_bytes: self.max_size.map(|gib| (gib * f64::from(1 << 30)) as u64),
+            grace_s: GRACE_S,
+            ..GcPolicy::default()
+        };
+        for folder in run_folders(store, &self.places.runs)? {
+            // A run whose manifest cannot be read may be one that counts.
+            let run = PastRun::open(&folder)?;
+            count(&mut policy, &run);
+        }
+        Ok(policy)
+    }
+}
+
+/// All run folders that are there: those in `runs`, and those elsewhere that the store was told of.
+fn run_folders(store: &Store, runs: &Path) -> Result<BTreeSet<PathBuf>, CliError> {
+    let (found, faults) = history::list(runs)?;
+    if let Some(fault) = faults.into_iter().next() {
+        return Err(fault.into());
+    }
+    let mut folders: BTreeSet<PathBuf> = found.into_iter().map(|run| run.folder).collect();
+    for note in store.recalled_runs() {
+        let folder = note.get("folder").and_then(serde_json::Value::as_str).map(PathBuf::from);
+        folders.extend(folder.filter(|folder| folder.join("run.json").is_file()));
+    }
+    Ok(folders)
+}
+
+fn count(policy: &mut GcPolicy, run: &PastRun) {
+    let finished = humantime::parse_rfc3339(&run.manifest.finished).ok();
+    let since = finished.and_then(|at| at.duration_since(std::time::UNIX_EPOCH).ok());
+    let used_s = since.map_or(0, |since| since.as_secs());
+    let keys: Vec<Digest> = run.manifest.steps.iter().filter_map(|done| done.key).collect();
+    let latest: &mut BTreeMap<Digest, u64> = &mut policy.used;
+    for key in &keys {
+        let known = latest.entry(*key).or_default();
+        *known = used_s.max(*known);
+    }
+    if run.pinned {
+        policy.pinned.extend(keys);
+    }
+}
+
+fn day(unix_s: u64) -> String {
+    if unix_s == 0 {
+        return "never".to_owned();
+    }
+    let at = std::time::UNIX_EPOCH + std::time::Duration::from_secs(unix_s);
+    humantime::format_rfc3339_seconds(at).to_string()[..10].to_owned()
+}

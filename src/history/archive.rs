@@ -1,0 +1,129 @@
+//! The archive of a run: one file with all that is needed to check it, whoever has it and wherever the store went.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use rockface_cache::{Digest, Store};
+
+use super::{HistoryError, PastRun};
+
+/// Explains the archive to whoever opens it.
+const README: &str = "This archive holds one run of rockface.
+
+run.json                 the manifest: pipeline, overrides, seed, program, and every step with its key and digests
+pipeline.yaml            the pipeline as it was run
+run.mcap                 the log
+ro-crate-metadata.json   the same for programs that know nothing of rockface (Workflow Run RO-Crate)
+records/KEY.recipe.json  the recipe of every step: the BLAKE3 of these very bytes is KEY
+logs/DIGEST.json         what steps said; the BLAKE3 of these very bytes is DIGEST
+outputs/                 what came out, where the archive was made with --outputs
+B3SUMS                   the BLAKE3 of every file: `b3sum --check B3SUMS` checks them all
+
+To repeat the run, put the input files that run.json names (with their BLAKE3) where it names them, and
+`rockface run run.json`: it says whether every output is the same.
+";
+
+/// What went into an archive.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+pub struct Archived {
+    /// Files.
+    pub files: usize,
+    /// Records and logs the run names and the store does not have any more.
+    pub missing: usize,
+}
+
+/// Writes the archive (tar) of a run; with `outputs`, what came out of it too. Equal runs give equal bytes.
+///
+/// # Errors
+///
+/// When a file cannot be read or written.
+pub fn archive(run: &PastRun, store: &Store, outputs: bool, to: &Path) -> Result<Archived, HistoryError> {
+    let folder = to.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let file = tempfile::NamedTempFile::new_in(folder).map_err(HistoryError::io("write into", folder))?;
+    let mut packing = Packing { tar: tar::Builder::new(BufWriter::new(file)), sums: BTreeMap::new(), to };
+    packing.add(Path::new("README"), README.as_bytes())?;
+    for path in files_of(run, outputs)? {
+        let bytes = std::fs::read(run.folder.join(&path)).map_err(HistoryError::io("read", &run.folder.join(&path)))?;
+        packing.add(&path, &bytes)?;
+    }
+    let missing = packing.records(run, store)?;
+    let files = packing.sums.len() + 1;
+    let file = packing.finish()?;
+    let mode = std::os::unix::fs::PermissionsExt::from_mode(0o644);
+    file.as_file().set_permissions(mode).map_err(HistoryError::io("write", to))?;
+    file.persist(to).map_err(|fault| HistoryError::io("write", to)(fault.error))?;
+    Ok(Archived { files, missing })
+}
+
+/// The files of a run folder, relative to it, sorted.
+fn files_of(run: &PastRun, outputs: bool) -> Result<Vec<PathBuf>, HistoryError> {
+    let (mut found, mut folders) = (Vec::new(), vec![PathBuf::new()]);
+    while let Some(folder) = folders.pop() {
+        let path = run.folder.join(&folder);
+        for entry in std::fs::read_dir(&path).map_err(HistoryError::io("list", &path))?.flatten() {
+            let relative = folder.join(entry.file_name());
+            let kind = entry.file_type().map_err(HistoryError::io("look at", &entry.path()))?;
+            if kind.is_dir() && (outputs || relative != Path::new("outputs")) {
+                folders.push(relative);
+            } else if kind.is_file() && relative != Path::new(super::PIN) {
+                found.push(relative);
+            }
+        }
+    }
+    found.sort();
+    Ok(found)
+}
+
+struct Packing<'a> {
+    tar: tar::Builder<BufWriter<tempfile::NamedTempFile>>,
+    sums: BTreeMap<PathBuf, Digest>,
+    to: &'a Path,
+}
+
+impl Packing<'_> {
+    fn add(&mut self, path: &Path, bytes: &[u8]) -> Result<(), HistoryError> {
+        let mut header = tar::Header::new_gnu();
+        header.set_size(bytes.len() as u64);
+        header.set_mode(0o644);
+        header.set_mtime(0);
+        let added = self.tar.append_data(&mut header, path, bytes);
+        added.map_err(HistoryError::io("write", self.to))?;
+        self.sums.insert(path.to_owned(), Digest::of(bytes));
+        Ok(())
+    }
+
+    fn records(&mut self, run: &PastRun, store: &Store) -> Result<usize, HistoryError> {
+        let keys: BTreeSet<Digest> = run.manifest.steps.iter().filter_map(|done| done.key).collect();
+        let logs: BTreeSet<Digest> = run.manifest.steps.iter().filter_map(|done| done.log).collect();
+        let mut missing = 0;
+        for key in keys {
+            match store.record(&key) {
+                Some(record) => {
+                    self.add(&PathBuf::from(format!("records/{key}.recipe.json")), record.recipe.text().as_bytes())?;
+                }
+                None => missing += 1,
+            }
+        }
+        for log in logs {
+            match store.get(&log) {
+                Ok(bytes) => self.add(&PathBuf::from(format!("logs/{log}.json")), &bytes)?,
+                Err(_) => missing += 1,
+            }
+        }
+        Ok(missing)
+    }
+
+    fn finish(mut self) -> Result<tempfile::NamedTempFile, HistoryError> {
+        let sums = std::mem::take(&mut self.sums);
+        let text: String = sums.iter().map(|(path, digest)| format!("{digest}  {}\n", path.display())).collect();
+        self.add(Path::new("B3SUMS"), text.as_bytes())?;
+        let to = self.to;
+        let mut out = self.tar.into_inner().map_err(HistoryError::io("write", to))?;
+        out.flush().map_err(HistoryError::io("write", to))?;
+        let file = out.into_inner().map_err(|error| HistoryError::io("write", to)(error.into_error()))?;
+        File::sync_all(file.as_file()).map_err(HistoryError::io("sync", to))?;
+        Ok(file)
+    }
+}

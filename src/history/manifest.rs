@@ -1,0 +1,178 @@
+//! The manifest of a run, `run.json`, as it is read back.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use rockface_cache::{Cost, Digest, OutputRecord, RecipeInput};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use super::HistoryError;
+
+/// The version of manifests this program writes and reads.
+pub const FORMAT: u32 = 1;
+
+/// Everything a run folder tells of its run, and everything needed to repeat it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Manifest {
+    /// The version of this format.
+    pub format: u32,
+    /// The pipeline.
+    pub pipeline: PipelineText,
+    /// What was changed from outside.
+    pub overrides: Overridden,
+    /// The seed in force.
+    pub seed: u64,
+    /// The target steps asked for; empty for those the pipeline names itself.
+    #[serde(default)]
+    pub targets: Vec<String>,
+    /// When it ended, RFC 3339.
+    pub finished: String,
+    /// Elapsed seconds.
+    pub wall_s: f64,
+    /// Steps at once.
+    pub jobs: usize,
+    /// `done` or `failed`.
+    pub status: String,
+    /// Version, compiler, target, lock file and processor of the program.
+    pub program: Value,
+    /// The results, a line each.
+    pub headlines: Vec<String>,
+    /// What became of each step instance.
+    pub steps: Vec<StepDone>,
+}
+
+/// The pipeline of a run.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PipelineText {
+    /// Its name.
+    pub name: String,
+    /// The file as it was given.
+    pub path: PathBuf,
+    /// The folder its paths are relative to, absolute.
+    #[serde(default)]
+    pub folder: PathBuf,
+    /// Its text.
+    pub text: String,
+}
+
+/// Values given on the command line.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Overridden {
+    /// `PATH=VALUE` texts.
+    pub set: Vec<String>,
+    /// In place of the pipeline's seed.
+    pub seed: Option<u64>,
+}
+
+/// A step instance of a past run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct StepDone {
+    /// The step.
+    pub step: String,
+    /// Its point.
+    pub point: BTreeMap<String, String>,
+    /// Its stage.
+    pub stage: String,
+    /// The version of the stage.
+    pub version: u32,
+    /// `executed`, `cached`, or `failed or not reached`.
+    pub status: String,
+    /// The key of its recipe.
+    pub key: Option<Digest>,
+    /// What came out, by port.
+    pub outputs: Option<BTreeMap<String, OutputRecord>>,
+    /// Its log, a blob.
+    #[serde(default)]
+    pub log: Option<Digest>,
+    /// What it took when it was computed.
+    pub cost: Option<Cost>,
+    /// Its parameters, files replaced by their digests.
+    pub parameters: Value,
+    /// The numbers it told.
+    #[serde(default)]
+    pub metrics: Vec<Metric>,
+    /// The files its parameters name.
+    #[serde(default)]
+    pub files: Vec<FileUsed>,
+    /// What each input port read.
+    #[serde(default)]
+    pub inputs: BTreeMap<String, RecipeInput>,
+    /// The files of its outputs by port, relative to the run folder.
+    #[serde(default)]
+    pub paths: BTreeMap<String, PathBuf>,
+}
+
+/// A number a step told.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Metric {
+    /// Its name.
+    pub name: String,
+    /// Its value; `None` where it was no finite number.
+    pub value: Option<f64>,
+    /// Its unit.
+    pub unit: String,
+}
+
+/// An input file of a step.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FileUsed {
+    /// Where it was.
+    pub path: PathBuf,
+    /// The BLAKE3 of its content.
+    pub blake3: Digest,
+}
+
+impl Manifest {
+    /// Reads a manifest.
+    ///
+    /// # Errors
+    ///
+    /// When the file cannot be read, is no manifest, or is one of another version.
+    pub fn read(path: &Path) -> Result<Self, HistoryError> {
+        let text = std::fs::read(path).map_err(HistoryError::io("read", path))?;
+        Self::parse(&text).map_err(|why| HistoryError::Manifest { path: path.to_owned(), why })
+    }
+
+    fn parse(text: &[u8]) -> Result<Self, String> {
+        let value: Value = serde_json::from_slice(text).map_err(|error| error.to_string())?;
+        match value.get("format").and_then(Value::as_u64) {
+            Some(format) if format == u64::from(FORMAT) => {
+                serde_json::from_value(value).map_err(|error| error.to_string())
+            }
+            Some(format) => {
+                Err(format!("it has format {format}, this version reads {FORMAT}; use the version that wrote it"))
+            }
+            None => Err("it says no format".to_owned()),
+        }
+    }
+}
+
+impl StepDone {
+    /// `step[axis=item,...]`.
+    pub fn label(&self) -> String {
+        if self.point.is_empty() {
+            return self.step.clone();
+        }
+        let items: Vec<String> = self.point.iter().map(|(axis, item)| format!("{axis}={item}")).collect();
+        format!("{}[{}]", self.step, items.join(","))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn other_versions_and_other_files_are_refused_with_a_reason() {
+        for (text, expected) in [
+            ("{\"format\": 99}", "it has format 99, this version reads 1"),
+            ("{}", "it says no format"),
+            ("[", "EOF"),
+            ("{\"format\": 1}", "missing field"),
+        ] {
+            let why = Manifest::parse(text.as_bytes()).unwrap_err();
+            assert!(why.contains(expected), "{why}");
+        }
+    }
+}

@@ -1,0 +1,185 @@
+//! Past runs: what their folders tell, which there are, and how two of them differ.
+
+mod archive;
+mod compare;
+mod manifest;
+mod provenance;
+
+use std::path::{Path, PathBuf};
+
+pub use archive::{Archived, archive};
+pub use compare::{Comparison, Row, compare};
+pub use manifest::{FORMAT, FileUsed, Manifest, Metric, StepDone};
+pub use provenance::crate_metadata;
+
+use crate::diagnostic::nearest;
+
+/// Marks a run whose results are kept whatever their age.
+const PIN: &str = "pinned";
+
+/// A run that has a folder.
+#[derive(Debug, Clone)]
+pub struct PastRun {
+    /// The name of the folder.
+    pub name: String,
+    /// The folder.
+    pub folder: PathBuf,
+    /// What it tells.
+    pub manifest: Manifest,
+    /// Whether it is pinned.
+    pub pinned: bool,
+}
+
+/// Why a past run cannot be had.
+#[derive(Debug, thiserror::Error)]
+pub enum HistoryError {
+    /// Nothing of this name.
+    #[error("there is no run `{name}` in {}{hint}", runs.display())]
+    Unknown {
+        /// As asked for.
+        name: String,
+        /// Where it was looked for.
+        runs: PathBuf,
+        /// The way out.
+        hint: String,
+    },
+    /// More than one fits.
+    #[error("`{name}` fits several runs: {}; give more of the name", fitting.join(", "))]
+    Ambiguous {
+        /// As asked for.
+        name: String,
+        /// Those that fit.
+        fitting: Vec<String>,
+    },
+    /// The manifest is not one.
+    #[error("{} is not a manifest this version reads: {why}", path.display())]
+    Manifest {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        why: String,
+    },
+    /// The disk.
+    #[error("cannot {action} {}: {source}", path.display())]
+    Io {
+        /// What was tried.
+        action: &'static str,
+        /// On what.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+}
+
+impl HistoryError {
+    fn io(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> Self + use<> {
+        let path = path.to_owned();
+        move |source| Self::Io { action, path, source }
+    }
+}
+
+impl PastRun {
+    /// Reads the run in this folder.
+    ///
+    /// # Errors
+    ///
+    /// When its manifest is missing or not readable.
+    pub fn open(folder: &Path) -> Result<Self, HistoryError> {
+        let manifest = Manifest::read(&folder.join("run.json"))?;
+        let folder = std::path::absolute(folder).map_err(HistoryError::io("find", folder))?;
+        let name = folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        let pinned = folder.join(PIN).exists();
+        Ok(Self { name, folder, manifest, pinned })
+    }
+
+    /// Pins the run, or lets go of it: what it made stays in the store while it is pinned.
+    ///
+    /// # Errors
+    ///
+    /// When the folder cannot be written to.
+    pub fn pin(&self, pinned: bool) -> Result<(), HistoryError> {
+        let path = self.folder.join(PIN);
+        if pinned {
+            let text = "What this run made is not collected. `rockface runs unpin` lets go of it.\n";
+            return std::fs::write(&path, text).map_err(HistoryError::io("write", &path));
+        }
+        match std::fs::remove_file(&path) {
+            Err(fault) if fault.kind() != std::io::ErrorKind::NotFound => Err(HistoryError::io("remove", &path)(fault)),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// All runs in a folder of runs, oldest first, and what is wrong with the folders that cannot be read.
+///
+/// # Errors
+///
+/// When the folder of runs cannot be listed.
+pub fn list(runs: &Path) -> Result<(Vec<PastRun>, Vec<HistoryError>), HistoryError> {
+    let (mut found, mut faults) = (Vec::new(), Vec::new());
+    for name in names(runs)? {
+        match PastRun::open(&runs.join(&name)) {
+            Ok(run) => found.push(run),
+            Err(fault) => faults.push(fault),
+        }
+    }
+    found.sort_by(|one, other| (&one.manifest.finished, &one.name).cmp(&(&other.manifest.finished, &other.name)));
+    Ok((found, faults))
+}
+
+/// The names of the run folders, sorted; none where there is no folder of runs.
+fn names(runs: &Path) -> Result<Vec<String>, HistoryError> {
+    let entries = match std::fs::read_dir(runs) {
+        Ok(entries) => entries,
+        Err(fault) if fault.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(fault) => return Err(HistoryError::io("list", runs)(fault)),
+    };
+    let mut names = Vec::new();
+    for entry in entries.flatten() {
+        // `latest` is another name of one of them.
+        let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
+        if is_folder && entry.path().join("run.json").is_file() {
+            names.extend(entry.file_name().into_string().ok());
+        }
+    }
+    names.sort_unstable();
+    Ok(names)
+}
+
+/// The run called `name`: a path, `latest`, the name of a folder, or a part of one that fits no other.
+///
+/// # Errors
+///
+/// When none or several fit, or its manifest cannot be read.
+pub fn find(runs: &Path, name: &str) -> Result<PastRun, HistoryError> {
+    let given = Path::new(name);
+    let given = if given.file_name().is_some_and(|file| file == "run.json") {
+        given.parent().map_or_else(|| PathBuf::from("."), Path::to_owned)
+    } else {
+        given.to_owned()
+    };
+    for folder in [runs.join(name), given] {
+        if folder.join("run.json").is_file() {
+            return PastRun::open(&folder.canonicalize().map_err(HistoryError::io("find", &folder))?);
+        }
+    }
+    let names = names(runs)?;
+    let fitting: Vec<&String> = names.iter().filter(|known| known.contains(name)).collect();
+    match fitting.as_slice() {
+        [only] => PastRun::open(&runs.join(only)),
+        [] => Err(unknown(runs, name, &names)),
+        several => {
+            Err(HistoryError::Ambiguous { name: name.into(), fitting: several.iter().map(|n| (*n).clone()).collect() })
+        }
+    }
+}
+
+fn unknown(runs: &Path, name: &str, names: &[String]) -> HistoryError {
+    let known: Vec<&str> = names.iter().map(String::as_str).collect();
+    let hint = match nearest(name, &known) {
+        Some(near) => format!("; did you mean `{near}`?"),
+        None if known.is_empty() => "; it holds no runs: give the folder of runs with --runs".to_owned(),
+        None => "; `rockface runs list` names those there are".to_owned(),
+    };
+    HistoryError::Unknown { name: name.into(), runs: runs.into(), hint }
+}

@@ -1,0 +1,102 @@
+//! The way around a run in which nothing is to be done: what the same command came to last time, if nothing it rests on
+//! has changed since.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use rockface_cache::{Digest, Grounds, Store};
+use serde::{Deserialize, Serialize};
+
+use super::folder::{is_told_in, point_latest};
+use super::{Finished, RunError, Summary};
+use crate::plan::Plan;
+
+/// How many headlines and files the end of a run names.
+pub const NAMED: usize = 20;
+
+/// What the end of a run says: the first of its headlines and files, and how many there are.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Told {
+    /// The run folder.
+    pub folder: PathBuf,
+    /// The first results, a line each.
+    pub headlines: Vec<String>,
+    /// How many results there are.
+    pub headline_count: usize,
+    /// The first files of the target steps, relative to the run folder.
+    pub files: Vec<PathBuf>,
+    /// How many files there are.
+    pub file_count: usize,
+    /// How many instances there are.
+    pub instances: usize,
+}
+
+impl Told {
+    /// What is to be said of a run.
+    pub fn of(finished: &Finished, summary: &Summary) -> Self {
+        Self {
+            folder: finished.folder.clone(),
+            headlines: finished.headlines.iter().take(NAMED).cloned().collect(),
+            headline_count: finished.headlines.len(),
+            files: finished.files.iter().take(NAMED).cloned().collect(),
+            file_count: finished.files.len(),
+            instances: summary.instances.len(),
+        }
+    }
+}
+
+/// What the run asked for by `question` would say if nothing is to be done and its folder is still in `runs`.
+///
+/// # Errors
+///
+/// That `latest` cannot be made to point at it.
+pub fn recall(store: &Path, question: &Digest, runs: &Path) -> Result<Option<Told>, RunError> {
+    let answer = rockface_cache::recall(store, question);
+    let told = answer.and_then(|answer| serde_json::from_value::<Told>(answer).ok());
+    let absolute = std::path::absolute(runs).ok();
+    let Some(told) = told.filter(|told| absolute.is_some_and(|runs| is_told_in(&told.folder, &runs))) else {
+        return Ok(None);
+    };
+    point_latest(runs, &told.folder)?;
+    Ok(Some(told))
+}
+
+/// Keeps what `question` came to, for [`recall`]; a run that failed is not kept.
+///
+/// # Errors
+///
+/// Those of the store.
+pub fn remember(store: &Store, question: &Digest, plan: &Plan, summary: &Summary, told: &Told) -> Result<(), RunError> {
+    if summary.failed || summary.instances.iter().any(|instance| instance.outcome.is_none()) {
+        return Ok(());
+    }
+    store.sync()?;
+    store.remember_answer(question, &serde_json::json!(told), &grounds(plan, summary))?;
+    Ok(())
+}
+
+/// Everything a plan and its outcomes rest on.
+fn grounds(plan: &Plan, summary: &Summary) -> Grounds {
+    let mut grounds = Grounds::default();
+    let mut last = None;
+    for instance in &plan.instances {
+        let params = Arc::as_ptr(&instance.params);
+        if instance.params.files.is_empty() || last.replace(params) == Some(params) {
+            continue;
+        }
+        for (written, files) in &instance.params.files {
+            let named = plan.graph.folder.join(written);
+            let single = matches!(files.as_slice(), [only] if only.path == named);
+            // A folder or a pattern: another file may come to fit it.
+            grounds.folders.extend((!single).then(|| listed_folder(&named)));
+            grounds.files.extend(files.iter().map(|file| (file.path.clone(), file.digest)));
+        }
+    }
+    let outcomes = summary.instances.iter().filter_map(|instance| instance.outcome.as_ref());
+    grounds.blobs = outcomes.flat_map(rockface_cache::Outcome::blobs).collect();
+    grounds
+}
+
+fn listed_folder(named: &Path) -> PathBuf {
+    if named.is_dir() { named.to_owned() } else { named.parent().unwrap_or(Path::new(".")).to_owned() }
+}

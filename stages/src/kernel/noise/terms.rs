@@ -1,0 +1,214 @@
+//! The error of a matched disparity with all the terms a real matcher shows, each of which may be absent.
+//!
+//! With u and v the unit local and smooth fields, M the product of all modulations and r the relief of the disparity within the
+//! matcher's window, the error of a pixel is `M (u sqrt(sigma_local^2 + (gain r^power)^2) + v sigma_regular)`, plus the blunders, and
+//! at last what the matcher's sub-pixel step does: locking towards whole disparities, and rounding to its step.
+
+use crate::kernel::matching_noise::{LocalNoise, SmoothNoise};
+use crate::kernel::noise::correlated::CorrelatedNoise;
+use crate::kernel::noise::modulation::{Blunders, Modulation, Patches};
+use crate::kernel::precise;
+
+/// A unit field.
+#[derive(Debug, Clone)]
+pub enum UnitField {
+    /// Independent from pixel to pixel.
+    White(LocalNoise),
+    /// With a short-range correlation.
+    Correlated(CorrelatedNoise),
+    /// Interpolated between nodes.
+    Smooth(SmoothNoise),
+}
+
+/// Where a field is looked up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Address {
+    /// At the pixel of the first image.
+    First,
+    /// At the pixel of the second image.
+    Second,
+    /// At the position in the rectified first image.
+    Rectified,
+}
+
+/// One of the fields that make up a noise, with its weight; squared weights add up to 1.
+#[derive(Debug, Clone)]
+pub struct Part {
+    /// Factor on the field.
+    pub weight: f64,
+    /// Where it is looked up.
+    pub address: Address,
+    /// The field.
+    pub field: UnitField,
+}
+
+/// Positions and size of what is matched at one pixel.
+#[derive(Debug, Clone, Copy)]
+pub struct Site {
+    /// Positions in the first image, the second image and the rectified first image, pixels of the depth map.
+    pub first_px: [f64; 2],
+    /// See `first_px`.
+    pub second_px: [f64; 2],
+    /// See `first_px`.
+    pub rectified_px: [f64; 2],
+    /// X and Y of the point in the frame of the cameras, metres.
+    pub point_m: [f64; 2],
+    /// Index of the pixel in the depth map that is made.
+    pub pixel: usize,
+    /// Disparity that an inverse depth of 1/m is worth, pixel metres.
+    pub disparity_px_m: f64,
+}
+
+/// Noise that grows with the relief of the disparity within the matcher's window.
+#[derive(Debug, Clone)]
+pub struct Relief {
+    /// Standard deviation of the noise for a relief of one pixel of disparity, pixels.
+    pub gain: f64,
+    /// Power of the relief it grows with.
+    pub power: f64,
+    /// Largest relief that counts, pixels.
+    pub limit_px: f64,
+    /// Relief of every pixel of the depth map that is made, as a deviation of inverse depth, 1/m.
+    pub inverse_depth: Vec<f32>,
+}
+
+impl Relief {
+    /// Deviation of the noise at a pixel, pixels.
+    fn sigma_px(&self, site: &Site) -> f64 {
+        let relief_px = f64::from(self.inverse_depth[site.pixel]) * site.disparity_px_m;
+        self.gain * precise::pow(relief_px.min(self.limit_px), self.power)
+    }
+}
+
+/// Everything that makes the error of a disparity.
+#[derive(Debug, Clone)]
+pub struct Terms {
+    /// Local noise: its deviation in pixels, and its fields.
+    pub local: (f64, Vec<Part>),
+    /// Smooth noise: its deviation in pixels, and its fields.
+    pub regular: (f64, Vec<Part>),
+    /// Factor on all noise of this acquisition.
+    pub acquisition: f64,
+    /// Strength by place on the face (metres), the same in every acquisition.
+    pub texture: Option<Modulation>,
+    /// Strength by place in the first image (pixels), new in every acquisition.
+    pub conditions: Option<Modulation>,
+    /// Growth with the relief within the window.
+    pub relief: Option<Relief>,
+    /// Neighbourhoods matched to the wrong place.
+    pub blunders: Option<Blunders>,
+    /// Neighbourhoods not matched at all.
+    pub holes: Option<Patches>,
+    /// Largest pull towards the nearest whole disparity, pixels.
+    pub locking_px: f64,
+    /// Step disparities are rounded to, pixels; 0: none.
+    pub step_px: f64,
+}
+
+impl Terms {
+    /// Local and smooth error of a disparity before the sub-pixel step, pixels; `None` in a hole. Blunders count as local.
+    pub fn error_px(&self, site: &Site) -> Option<[f64; 2]> {
+        if self.holes.as_ref().is_some_and(|holes| holes.covers(site.first_px)) {
+            return None;
+        }
+        let relief_px = self.relief.as_ref().map_or(0.0, |relief| relief.sigma_px(site));
+        let sigma_px = (self.local.0 * self.local.0 + relief_px * relief_px).sqrt();
+        let strength = self.strength(site);
+        let blunder_px = self.blunders.as_ref().map_or(0.0, |blunders| blunders.at(site.first_px));
+        let local_px = strength * sigma_px * unit(&self.local.1, site) + blunder_px;
+        Some([local_px, strength * self.regular.0 * unit(&self.regular.1, site)])
+    }
+
+    fn strength(&self, site: &Site) -> f64 {
+        let at = |modulation: &Option<Modulation>, place| modulation.as_ref().map_or(1.0, |m| m.at(place));
+        self.acquisition * at(&self.texture, site.point_m) * at(&self.conditions, site.first_px)
+    }
+
+    /// What the matcher's sub-pixel estimate makes of a disparity, pixels.
+    pub fn sub_pixel(&self, disparity_px: f64) -> f64 {
+        let turn = std::f64::consts::TAU * (disparity_px - disparity_px.floor());
+        let pull = if self.locking_px > 0.0 { self.locking_px * precise::sin(turn) } else { 0.0 };
+        let locked = disparity_px - pull;
+        if self.step_px > 0.0 { (locked / self.step_px).round() * self.step_px } else { locked }
+    }
+}
+
+fn unit(parts: &[Part], site: &Site) -> f64 {
+    let value = |part: &Part| {
+        let position = match part.address {
+            Address::First => site.first_px,
+            Address::Second => site.second_px,
+            Address::Rectified => site.rectified_px,
+        };
+        part.weight
+            * match &part.field {
+                UnitField::White(noise) => f64::from(noise.at(position[0].round() as i32, position[1].round() as i32)),
+                UnitField::Correlated(noise) => noise.at(position),
+                UnitField::Smooth(noise) => noise.at(position),
+            }
+    };
+    parts.iter().map(value).sum()
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::kernel::matching_noise::Distribution;
+    use crate::kernel::noise::modulation::smooth_field;
+    use crate::kernel::random::Key;
+
+    const SITE: Site = Site {
+        first_px: [3.0, 4.0],
+        second_px: [1.0, 4.0],
+        rectified_px: [3.0, 4.0],
+        point_m: [0.0, 0.0],
+        pixel: 0,
+        disparity_px_m: 1000.0,
+    };
+
+    /// White local noise of 0.5 px and nothing else.
+    fn plain() -> Terms {
+        let white = UnitField::White(LocalNoise::new(&Key([1; 32]), Distribution::Gaussian));
+        Terms {
+            local: (0.5, vec![Part { weight: 1.0, address: Address::First, field: white }]),
+            regular: (0.0, Vec::new()),
+            acquisition: 1.0,
+            texture: None,
+            conditions: None,
+            relief: None,
+            blunders: None,
+            holes: None,
+            locking_px: 0.0,
+            step_px: 0.0,
+        }
+    }
+
+    #[test]
+    fn relief_adds_in_squares_and_the_acquisition_multiplies() {
+        let [bare, _] = plain().error_px(&SITE).unwrap();
+        let relief = Some(Relief { gain: 2.0, power: 2.0, limit_px: 3.0, inverse_depth: vec![6e-4] });
+        let [more, _] = Terms { relief, acquisition: 1.5, ..plain() }.error_px(&SITE).unwrap();
+        let expected = 1.5 * (0.25f64 + 0.72 * 0.72).sqrt() / 0.5;
+        assert!((more / bare - expected).abs() < 1e-6, "{more} {bare}");
+    }
+
+    #[test]
+    fn a_hole_has_no_disparity_and_a_blunder_moves_it() {
+        let field = || smooth_field(&Key([2; 32]), 5.0, [0.0; 2], [9.0; 2]);
+        let holes = Some(Patches::new(1.0, field()));
+        assert_eq!(Terms { holes, ..plain() }.error_px(&SITE), None);
+        let blunders = Some(Blunders { patches: Patches::new(1.0, field()), sigma_px: 4.0, error: field() });
+        let [with, _] = Terms { blunders, ..plain() }.error_px(&SITE).unwrap();
+        let [without, _] = plain().error_px(&SITE).unwrap();
+        assert!((with - without - 4.0 * field().at(SITE.first_px)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn locking_pulls_to_whole_disparities_and_steps_round() {
+        let terms = Terms { locking_px: 0.05, ..plain() };
+        assert!((terms.sub_pixel(7.25) - 7.2).abs() < 1e-12 && (terms.sub_pixel(7.75) - 7.8).abs() < 1e-12);
+        assert!((terms.sub_pixel(-3.0) + 3.0).abs() < 1e-12);
+        let steps = Terms { step_px: 0.0625, ..plain() };
+        assert!((steps.sub_pixel(1.09) - 1.0625).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,128 @@
+//! Care of the store from the command line, and the way around runs in which nothing is to be done.
+
+use std::fs;
+
+use serde_json::Value;
+
+use crate::cli::{House, SMALL, damage, last_line};
+
+/// A pipeline of numbers from a file, so that inputs can change.
+fn aged(house: &House) {
+    let file = fs::File::open(house.path("p.yaml")).unwrap();
+    file.set_modified(std::time::SystemTime::now() - std::time::Duration::from_secs(60)).unwrap();
+}
+
+fn answers(house: &House) -> usize {
+    fs::read_dir(house.path(".rockface/store/answers")).map_or(0, Iterator::count)
+}
+
+#[test]
+fn a_run_of_hits_is_answered_without_the_store_and_never_wrongly() {
+    let house = House::new(SMALL);
+    aged(&house);
+    let run = |expected: &str| {
+        let (code, out, err) = house.rockface(&["run", "p.yaml"]);
+        assert_eq!(code, Some(0), "{err}");
+        assert!(last_line(&out).contains(expected), "{out}");
+        out.lines().filter(|line| !line.starts_with("done")).map(str::to_owned).collect::<Vec<_>>()
+    };
+    let first = run("ran 2, cached 0");
+    assert_eq!(answers(&house), 1);
+    assert_eq!(run("ran 0, cached 2"), first, "the same files and headlines are named");
+    // A store nobody can read would be noticed by whoever opens it: the answer does not.
+    let mode = |mode| {
+        fs::set_permissions(house.path(".rockface/store/tmp"), std::os::unix::fs::PermissionsExt::from_mode(mode))
+    };
+    mode(0o000).unwrap();
+    assert_eq!(run("ran 0, cached 2"), first);
+    mode(0o755).unwrap();
+    // Whatever is gone or different is found out.
+    fs::write(house.path("p.yaml"), SMALL.replace("cell_m: 0.05", "cell_m: 0.1")).unwrap();
+    run("ran 1, cached 1");
+    fs::write(house.path("p.yaml"), SMALL).unwrap();
+    run("ran 0, cached 2");
+    fs::remove_dir_all(house.path(".rockface/runs")).unwrap();
+    run("ran 0, cached 2");
+    assert!(house.path(".rockface/runs/latest/run.json").is_file());
+    fs::remove_dir_all(house.path(".rockface/store/segments")).unwrap();
+    run("ran 2, cached 0");
+}
+
+#[test]
+fn an_input_that_changed_is_never_answered_for() {
+    let house = House::new("rockface: 1\nsteps: {face: {stage: import-mesh, with: {path: face.ply}}}\n");
+    let ply = |z: u32| {
+        let head = "ply\nformat ascii 1.0\nelement vertex 3\nproperty double x\nproperty double y\nproperty double z\n";
+        format!(
+            "{head}element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 {z}\n3 0 1 2\n"
+        )
+    };
+    let write = |z: u32, age_s: u64| {
+        fs::write(house.path("face.ply"), ply(z)).unwrap();
+        let modified = std::time::SystemTime::now() - std::time::Duration::from_secs(age_s);
+        fs::File::options().write(true).open(house.path("face.ply")).unwrap().set_modified(modified).unwrap();
+    };
+    let run = |expected: &str| {
+        let (code, out, err) = house.rockface(&["run", "p.yaml"]);
+        assert_eq!(code, Some(0), "{err}");
+        assert!(last_line(&out).contains(expected), "{out}");
+    };
+    write(1, 60);
+    run("ran 1");
+    run("ran 0");
+    // The same size and the same time: its change time tells.
+    write(2, 60);
+    run("ran 1");
+    run("ran 0");
+    write(1, 90);
+    run("ran 0");
+    write(3, 0);
+    run("ran 1");
+    write(4, 0);
+    run("ran 1");
+}
+
+#[test]
+fn damage_is_listed_set_aside_and_made_again() {
+    let house = House::new(&SMALL.replace("width_m: 2,", "width_m: 40,"));
+    house.rockface(&["run", "p.yaml"]);
+    let (code, out, _) = house.rockface(&["store", "verify"]);
+    assert!(code == Some(0) && out.contains("all whole"), "{out}");
+    fs::remove_dir_all(house.path(".rockface/runs")).unwrap();
+    assert_eq!(damage(&house.path(".rockface/store/blobs"), b"element vertex"), 1);
+    let (code, out, _) = house.rockface(&["store", "verify"]);
+    assert!(code == Some(3) && out.contains("damaged") && out.contains("mesh of synthesise-face"), "{out}");
+    let (code, out, _) = house.rockface(&["store", "verify", "--repair", "--json"]);
+    let found: Value = serde_json::from_str(&out).unwrap();
+    assert!(code == Some(0) && found["faults"][0]["set_aside"] == true, "{out}");
+    let (code, out, err) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert!(last_line(&out).contains("ran 1, cached 1"), "{out}");
+    let (code, _, _) = house.rockface(&["store", "verify"]);
+    assert_eq!(code, Some(0));
+}
+
+#[test]
+fn a_collection_spares_pinned_runs_and_explains_itself() {
+    let house = House::new(SMALL);
+    for cell in ["0.05", "0.1", "0.2"] {
+        house.rockface(&["run", "p.yaml", "--set", &format!("steps.dem.with.cell_m={cell}")]);
+        if cell == "0.1" {
+            let (code, out, _) = house.rockface(&["runs", "pin", "latest"]);
+            assert!(code == Some(0) && out.contains("pinned"), "{out}");
+        }
+    }
+    let gc = ["store", "gc", "--max-age", "0", "--dry-run"];
+    let (code, out, _) = house.rockface(&gc);
+    assert_eq!(code, Some(0));
+    assert!(last_line(&out).contains("0 records and 0 blobs"), "what is younger than an hour stays: {out}");
+    let (code, out, _) = house.rockface(&["store", "stat"]);
+    assert!(code == Some(0) && out.contains("rasterise-dem") && out.contains("4 records"), "{out}");
+    let (code, out, _) = house.rockface(&["store", "gc", "--json"]);
+    let done: Value = serde_json::from_str(&out).unwrap();
+    assert_eq!((code, &done["records"]), (Some(0), &Value::from(0)));
+    let (_, out, _) = house.rockface(&["run", "p.yaml"]);
+    assert!(last_line(&out).contains("ran 0, cached 2"), "{out}");
+    let (code, _, err) = house.rockface(&["store", "stat", "--store", "nowhere"]);
+    assert!(code == Some(2) && err.contains("--store") && !house.path("nowhere").exists(), "{err}");
+}

@@ -1,0 +1,195 @@
+//! Past runs as a user meets them: listed, compared, repeated, exported, archived, described.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use crate::cli::{House, SMALL, last_line};
+
+/// Two runs that differ in one parameter.
+fn two_runs() -> House {
+    let house = House::new(SMALL);
+    for set in ["steps.dem.with.cell_m=0.05", "steps.dem.with.cell_m=0.1"] {
+        let (code, _, err) = house.rockface(&["run", "p.yaml", "--set", set]);
+        assert_eq!(code, Some(0), "{err}");
+    }
+    house
+}
+
+/// The names of the run folders, oldest first.
+fn names(house: &House) -> Vec<String> {
+    let (_, out, _) = house.rockface(&["runs", "list", "--format", "json"]);
+    let runs: Value = serde_json::from_str(&out).unwrap();
+    runs.as_array().unwrap().iter().map(|run| run["name"].as_str().unwrap().to_owned()).collect()
+}
+
+fn read_json(path: &Path) -> Value {
+    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
+}
+
+#[test]
+fn runs_are_listed_shown_and_compared_by_what_varies() {
+    let house = two_runs();
+    let names = names(&house);
+    assert_eq!(names.len(), 2);
+    let (code, out, _) = house.rockface(&["runs", "list"]);
+    assert_eq!(code, Some(0));
+    assert!(out.lines().count() == 3 && names.iter().all(|name| out.contains(name)), "{out}");
+    let (_, out, _) = house.rockface(&["runs", "show", "latest"]);
+    assert!(out.contains("set       steps.dem.with.cell_m=0.1") && out.contains("seed      1"), "{out}");
+    let (code, out, err) = house.rockface(&["runs", "compare", &names[0], &names[1], "--format", "json"]);
+    assert_eq!(code, Some(0), "{err}");
+    let found: Value = serde_json::from_str(&out).unwrap();
+    let parameters: Vec<&str> =
+        found["parameters"].as_array().unwrap().iter().map(|p| p["name"].as_str().unwrap()).collect();
+    assert_eq!(parameters, ["dem.cell_m"]);
+    assert_eq!(found["parameters"][0]["values"], serde_json::json!([0.05, 0.1]));
+    assert!(found["equal_parameters"].as_u64().unwrap() > 5);
+    let (_, out, _) = house.rockface(&["runs", "compare", &names[0], "latest", "--format", "csv"]);
+    assert!(out.contains("parameter,dem.cell_m,0.05,0.1,0.05,"), "{out}");
+    let (code, _, err) = house.rockface(&["runs", "show", "latst"]);
+    assert!(code == Some(2) && err.contains("runs list"), "{err}");
+    let (code, _, err) = house.rockface(&["runs", "show", "small"]);
+    assert!(code == Some(2) && err.contains("fits several runs"), "{err}");
+}
+
+#[test]
+fn a_manifest_repeats_its_run_and_says_whether_it_came_out_the_same() {
+    let house = two_runs();
+    let first = house.path(".rockface/runs").join(&names(&house)[0]);
+    // Neither the pipeline file nor what was cached matters.
+    std::fs::write(house.path("p.yaml"), "rockface: 1\nsteps: {}\n").unwrap();
+    let manifest = first.join("run.json");
+    let (code, out, err) = house.rockface(&["run", manifest.to_str().unwrap(), "--store", "another"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert!(out.contains("repeated: all 2 outputs are the same") && last_line(&out).contains("ran 2"), "{out}");
+    let changed = ["run", manifest.to_str().unwrap(), "--set", "steps.dem.with.cell_m=0.15"];
+    let (code, out, _) = house.rockface(&changed);
+    assert_eq!(code, Some(0));
+    assert!(
+        out.contains("differs  dem.raster: ") && out.contains("repeated: 1 outputs are the same, 1 are not"),
+        "{out}"
+    );
+    std::fs::write(house.path("other.json"), "{\"format\": 7}").unwrap();
+    let (code, _, err) = house.rockface(&["run", "other.json"]);
+    assert!(code == Some(2) && err.contains("format 7"), "{err}");
+}
+
+#[test]
+fn outputs_are_exported_by_either_name_and_inspected() {
+    let house = two_runs();
+    let (code, out, err) = house.rockface(&["export", "latest", "dem.raster", "out/dem.tif"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert!(out.contains("raster"), "{out}");
+    let linked = house.path(".rockface/runs/latest/outputs/dem/raster.tif");
+    assert_eq!(std::fs::read(house.path("out/dem.tif")).unwrap(), std::fs::read(&linked).unwrap());
+    let (code, _, err) = house.rockface(&["export", "latest", "dem.rastr", "x.tif"]);
+    assert!(code == Some(2) && err.contains("did you mean `dem.raster`?"), "{err}");
+
+    let (_, out, _) = house.rockface(&["inspect", "out/dem.tif", "--json"]);
+    let facts: Value = serde_json::from_str(&out).unwrap();
+    assert_eq!((&facts["kind"], &facts["cell (m)"]), (&"raster".into(), &0.1.into()));
+    let manifest = read_json(&house.path(".rockface/runs/latest/run.json"));
+    let dem = manifest["steps"].as_array().unwrap().iter().find(|done| done["step"] == "dem").unwrap();
+    let digest = dem["outputs"]["raster"]["digest"].as_str().unwrap();
+    assert_eq!(facts["blake3"], digest);
+    let (_, out, _) = house.rockface(&["inspect", &digest[..16]]);
+    assert!(out.contains("raster of rasterise-dem") && out.contains("cell (m)"), "{out}");
+    let (_, out, _) = house.rockface(&["inspect", &dem["key"].as_str().unwrap()[..16], "--json"]);
+    let facts: Value = serde_json::from_str(&out).unwrap();
+    assert_eq!(facts["recipe"]["params"]["cell_m"], 0.1);
+    let (_, out, _) = house.rockface(&["inspect", ".rockface/runs/latest/run.mcap"]);
+    assert!(out.contains("MCAP log") && out.contains("/dem/step"), "{out}");
+    let (code, _, err) = house.rockface(&["inspect", "zzzz"]);
+    assert!(code == Some(2) && err.contains("neither a file nor"), "{err}");
+}
+
+#[test]
+fn an_archive_holds_what_is_needed_to_check_a_run() {
+    let house = two_runs();
+    for (name, extra) in [("a.tar", vec![]), ("b.tar", vec!["--outputs"])] {
+        let mut arguments = vec!["archive", "latest", "-o", name];
+        arguments.extend(extra);
+        let (code, out, err) = house.rockface(&arguments);
+        assert_eq!(code, Some(0), "{out}{err}");
+        let mut archive = tar::Archive::new(std::fs::File::open(house.path(name)).unwrap());
+        let mut files = std::collections::BTreeMap::new();
+        for entry in archive.entries().unwrap() {
+            let mut entry = entry.unwrap();
+            let path = entry.path().unwrap().display().to_string();
+            let mut bytes = Vec::new();
+            std::io::Read::read_to_end(&mut entry, &mut bytes).unwrap();
+            files.insert(path, bytes);
+        }
+        let sums = String::from_utf8(files["B3SUMS"].clone()).unwrap();
+        assert_eq!(sums.lines().count(), files.len() - 1);
+        for line in sums.lines() {
+            let (digest, path) = line.split_once("  ").unwrap();
+            assert_eq!(digest, blake3::hash(&files[path]).to_string(), "{path}");
+        }
+        let recipes: Vec<&String> = files.keys().filter(|path| path.starts_with("records/")).collect();
+        assert_eq!(recipes.len(), 2);
+        for path in recipes {
+            let key = path.trim_start_matches("records/").trim_end_matches(".recipe.json");
+            assert_eq!(key, blake3::hash(&files[path]).to_string(), "a recipe's digest is its key");
+        }
+        assert_eq!(files.contains_key("outputs/dem/raster.tif"), name == "b.tar");
+        assert!(
+            ["run.json", "run.mcap", "pipeline.yaml", "ro-crate-metadata.json"].iter().all(|f| files.contains_key(*f))
+        );
+    }
+}
+
+#[test]
+fn the_crate_of_a_run_refers_to_nothing_that_is_not_in_it() {
+    let house = two_runs();
+    let folder = house.path(".rockface/runs/latest");
+    let described = read_json(&folder.join("ro-crate-metadata.json"));
+    let graph = described["@graph"].as_array().unwrap();
+    let ids: std::collections::BTreeSet<&str> = graph.iter().map(|entity| entity["@id"].as_str().unwrap()).collect();
+    let mut referred = Vec::new();
+    graph.iter().for_each(|entity| references(entity, &mut referred));
+    let outside = |id: &&str| !ids.contains(*id) && !id.starts_with("https://w3id.org/ro/crate/1.1");
+    assert_eq!(referred.iter().copied().filter(outside).collect::<Vec<_>>(), Vec::<&str>::new());
+    let root = graph.iter().find(|entity| entity["@id"] == "./").unwrap();
+    for part in root["hasPart"].as_array().unwrap() {
+        let path = part["@id"].as_str().unwrap();
+        assert!(folder.join(path).is_file(), "{path}");
+    }
+    let actions = graph.iter().filter(|entity| entity["@type"] == "CreateAction").count();
+    assert_eq!(actions, 3, "the run and its two steps");
+}
+
+/// Every `@id` an entity refers to.
+fn references<'a>(value: &'a Value, found: &mut Vec<&'a str>) {
+    match value {
+        Value::Object(map) => {
+            if let (Some(Value::String(id)), 1) = (map.get("@id"), map.len()) {
+                found.push(id);
+            }
+            map.iter().filter(|(key, _)| *key != "@id").for_each(|(_, inner)| references(inner, found));
+        }
+        Value::Array(list) => list.iter().for_each(|inner| references(inner, found)),
+        _ => {}
+    }
+}
+
+#[test]
+fn the_starter_runs_and_is_not_overwritten() {
+    let house = House::new(SMALL);
+    let (code, out, _) = house.rockface(&["init", "new/place"]);
+    assert!(code == Some(0) && out.contains("rockface run new/place/pipeline.yaml"), "{out}");
+    let (code, _, err) = house.rockface(&["run", "new/place/pipeline.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    let (code, _, err) = house.rockface(&["init", "new/place"]);
+    assert!(code == Some(2) && err.contains("is there already"), "{err}");
+}
+
+#[test]
+fn a_plan_tells_the_time_from_records() {
+    let house = two_runs();
+    let (_, out, _) = house.rockface(&["plan", "p.yaml", "--set", "steps.dem.with.cell_m=0.2"]);
+    assert!(out.contains("of work, going by 1 steps of stages on record"), "{out}");
+    let (_, out, _) = house.rockface(&["plan", "p.yaml"]);
+    assert!(!out.contains("of work"), "{out}");
+}
