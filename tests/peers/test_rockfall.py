@@ -58,8 +58,9 @@ def test_one_file_tells_its_parts_apart(rockfall, inventory):
         np.testing.assert_allclose(alone.volume, row.removed_m3, rtol=1e-9)
 
 
-def test_the_inventory_has_no_geographic_system_and_valid_outlines(rockfall, inventory):
-    assert inventory.crs is None
+def test_the_inventory_has_a_local_system_in_metres_and_valid_outlines(rockfall, inventory):
+    assert inventory.crs.is_engineering and inventory.crs.name == "rockface wall frame"
+    assert [axis.unit_name for axis in inventory.crs.axis_info] == ["metre", "metre"]
     assert json.loads(rockfall.output("removed", "truth.geojson").read_text())["rockface"]["frame"] == "wall"
     assert pandas.api.types.is_integer_dtype(inventory["id"])
     with rasterio.open(rockfall.output("removed", "labels.tif")) as file:

@@ -1,9 +1,9 @@
 //! Rockfall inventories as GeoJSON (RFC 7946), a feature a line, written and read to the bit.
 //!
 //! Geometries are `MultiPolygon`, or `null` without an outline. RFC 7946 has longitudes and latitudes in WGS 84; these are
-//! metres in the frame that the foreign member `rockface` names, and `"crs": null` (a member of the 2008 specification that
-//! GDAL, QGIS and geopandas understand) says that no geographic system is meant. `rockface` also holds the order of the
-//! columns.
+//! metres in the frame that the foreign member `rockface` names. So that GDAL, QGIS and geopandas do not take them for
+//! degrees, the member `crs` of the 2008 specification, which those still read, names a local engineering system in
+//! metres. `rockface` also holds the order of the columns.
 
 use serde_json::{Value, json};
 
@@ -22,7 +22,8 @@ pub fn write(inventory: &Inventory) -> Result<Vec<u8>, CodecError> {
     let about = json!({"frame": inventory.frame, "units": "metres", "columns": inventory.columns});
     let features: Vec<String> = inventory.features.iter().map(|feature| line(inventory, feature)).collect();
     let features = if features.is_empty() { String::new() } else { format!("\n{}\n", features.join(",\n")) };
-    let crs = Value::Null;
+    let system = format!("LOCAL_CS[\"rockface {} frame\",UNIT[\"metre\",1]]", inventory.frame);
+    let crs = json!({"type": "name", "properties": {"name": system}});
     Ok(format!("{{\"type\":\"FeatureCollection\",\"crs\":{crs},\"rockface\":{about},\"features\":[{features}]}}\n")
         .into_bytes())
 }
@@ -189,6 +190,8 @@ mod tests {
     fn it_is_geojson_with_closed_rings_and_whole_numbers() {
         let file: Value = serde_json::from_slice(&write(&inventory()).unwrap()).unwrap();
         assert_eq!((&file["type"], &file["rockface"]["frame"]), (&json!("FeatureCollection"), &json!("wall")));
+        let system = file["crs"]["properties"]["name"].as_str().unwrap();
+        assert_eq!(system, "LOCAL_CS[\"rockface wall frame\",UNIT[\"metre\",1]]");
         let feature = &file["features"][0];
         assert_eq!(feature["properties"]["id"].to_string(), "7");
         let ring = feature["geometry"]["coordinates"][0][1].as_array().unwrap();

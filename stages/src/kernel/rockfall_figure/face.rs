@@ -46,7 +46,6 @@ pub fn draw(
     view: &View,
     scale: &ColourScale,
     [left, top]: [usize; 2],
-    inside: usize,
 ) -> Result<(), CodecError> {
     // On a sheet of its own: outlines that reach beyond the face end at its frame.
     let mut sheet = Canvas::new(view.width, view.height);
@@ -58,7 +57,7 @@ pub fn draw(
         }
     }
     canvas.frame(left, top, view.width, view.height, FAINT);
-    draw_bar(canvas, scale, [left + inside - BAR + 30, top], view.height.min(420), figure)?;
+    draw_bar(canvas, scale, [left + view.width + 30, top], view.height.min(420), figure)?;
     draw_scale(canvas, view, left, top + view.height + 24)
 }
 

@@ -77,7 +77,7 @@ pub fn draw(figure: &Figure, width_px: usize) -> Result<Vec<u8>, CodecError> {
     let panels_top = MARGIN + TITLE + view.height + face::FOOT + GAP;
     let mut canvas = Canvas::new(width, panels_top + PANEL_HEIGHT + MARGIN);
     titles(&mut canvas, figure)?;
-    face::draw(&mut canvas, figure, &view, &scale, [MARGIN, MARGIN + TITLE], inside)?;
+    face::draw(&mut canvas, figure, &view, &scale, [MARGIN, MARGIN + TITLE])?;
     let panel = (inside - 2 * GAP) / 3;
     let frame = |number: usize| Frame {
         left: MARGIN + number * (panel + GAP),
