@@ -22,6 +22,7 @@ pub mod grid;
 pub mod icp;
 pub mod inventory_file;
 pub mod inventory_foreign;
+pub mod inventory_labels;
 pub mod line;
 pub mod mahalanobis;
 pub mod marginal;
