@@ -35,6 +35,8 @@ pub mod orientation;
 pub mod orientation_parameters;
 pub mod overlap;
 pub mod pair_matching;
+#[cfg(feature = "parquet")]
+pub mod parquet_file;
 pub mod picture;
 pub mod plane_fit;
 pub mod ply;
