@@ -2,13 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use crate::artefact::{Artefact, Candidates, Cell, Frame, Kind, Mesh, Meshes, Raster, Table, Transform};
-use crate::kernel::removal::attempts::{self, Attempt, End, Event, Outcome, Plan};
+use crate::artefact::{Artefact, Candidates, Frame, Kind, Mesh, Meshes, Raster, Table, Transform};
+use crate::kernel::removal::attempts::{self, End, Event, Outcome, Plan};
 use crate::kernel::removal::cut::Least;
 use crate::kernel::removal::evaluate::{Direction, Rules};
 use crate::kernel::removal::face::Face;
 use crate::kernel::removal::sites::Sites;
 use crate::kernel::removal::source::{Blocks, Source};
+use crate::kernel::removal::tables;
 use crate::kernel::removal::zone::Zone;
 use crate::kernel::truth::{self, RemovedPiece};
 use crate::params::Range;
@@ -125,7 +126,7 @@ pub struct RemoveBlocks;
 impl Stage for RemoveBlocks {
     type Params = RemoveBlocksParams;
     const NAME: &'static str = "remove-blocks";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page {
         what: "Takes blocks out of a rock face, one candidate after the other, until `count` pieces are out or \
                `max_failed_attempts` candidates failed in a row. Where the rock inside a block falls apart, each part is a piece \
@@ -182,6 +183,12 @@ impl Stage for RemoveBlocks {
         Port::one("pieces", &[Kind::Meshes], "The rock removed, closed, one mesh a piece."),
         Port::one("niches", &[Kind::Meshes], "The surfaces left behind, open, one mesh a piece."),
         Port::one("attempts", &[Kind::Table], "Every candidate tried, and what became of it."),
+        Port::one(
+            "volumes",
+            &[Kind::Table],
+            "Requested against realised volumes: by the volume of the blocks, candidates tried and taken, volume removed over volume of \
+             the block, how many were pushed in.",
+        ),
     ];
 
     fn draws(_params: &Self::Params) -> bool {
@@ -338,7 +345,7 @@ fn finish(
     inputs: &Inputs,
     outcome: Outcome,
 ) -> Result<Outputs, StageError> {
-    let table = table(&outcome.attempts);
+    let (table, volumes) = (tables::candidates(&outcome.attempts), tables::by_volume(&outcome.attempts));
     let seed = match inputs.artefact("blocks")? {
         Artefact::Candidates(candidates) => candidates.key.0.0.iter().map(|byte| format!("{byte:02x}")).collect(),
         _ => String::new(),
@@ -355,7 +362,8 @@ fn finish(
         .and("blocks", truth.blocks)
         .and("pieces", truth.pieces)
         .and("niches", truth.niches)
-        .and("attempts", table))
+        .and("attempts", table)
+        .and("volumes", volumes))
 }
 
 fn records(event: Event, seed: &str) -> Vec<RemovedPiece> {
@@ -376,31 +384,6 @@ fn records(event: Event, seed: &str) -> Vec<RemovedPiece> {
         normal: proposal.normal,
     };
     proposal.pieces.into_iter().enumerate().map(record).collect()
-}
-
-fn table(attempts: &[Attempt]) -> Table {
-    let columns =
-        ["candidate", "class", "x_m", "y_m", "z_m", "accepted", "reason", "detail", "event", "placement_shift_m"];
-    let mut table = Table::new(columns);
-    for attempt in attempts {
-        let place = |k: usize| attempt.position.map_or(Cell::Empty(()), |p| p[k].into());
-        let mut row =
-            vec![(attempt.candidate as f64).into(), attempt.class.as_str().into(), place(0), place(1), place(2)];
-        row.extend(match &attempt.outcome {
-            Ok((event, shift_m)) => {
-                [true.into(), Cell::Empty(()), Cell::Empty(()), f64::from(*event).into(), (*shift_m).into()]
-            }
-            Err(rejection) => [
-                false.into(),
-                rejection.reason.word().into(),
-                rejection.detail.as_str().into(),
-                Cell::Empty(()),
-                Cell::Empty(()),
-            ],
-        });
-        table.push(row);
-    }
-    table
 }
 
 #[cfg(test)]

@@ -92,7 +92,26 @@ pub fn run_stage<S: Stage>(
     for (port, artefact) in inputs {
         given.push(port, Point::new(), Arc::new(artefact.clone()));
     }
-    S::run(&params, &given, &Context::new(host))
+    let undrawn = Undrawn(host);
+    S::run(&params, &given, &Context::new(if S::draws(&params) { host } else { &undrawn }))
+}
+
+/// The same host for a stage that says it draws nothing: as the engine's, it has no random numbers then.
+struct Undrawn<'a>(&'a TestHost);
+
+impl Host for Undrawn<'_> {
+    fn stream_key(&self, purpose: &str, _: &str) -> [u8; 32] {
+        panic!("the stage draws for `{purpose}` although its `draws` says it does not")
+    }
+    fn open(&self, as_written: &str) -> std::io::Result<Vec<SourceFile>> {
+        self.0.open(as_written)
+    }
+    fn record(&self, entry: Entry) {
+        self.0.record(entry);
+    }
+    fn cancelled(&self) -> bool {
+        self.0.cancelled()
+    }
 }
 
 /// A camera of 60 x 40 pixels, f 100 px, at a point, looking along -Z of the wall frame (x right, y down).
