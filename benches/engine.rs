@@ -83,6 +83,9 @@ const NOTHING_TO_DO: &str = "ROCKFACE_BENCH_FOLDER";
 /// The steps that each step of a graph depends on; the first of the graph has none.
 pub type Arrows = Vec<Vec<usize>>;
 
+/// Makes a graph of so many steps.
+type Shape = fn(usize) -> Arrows;
+
 /// Each step depends on the one before.
 fn chain(steps: usize) -> Arrows {
     (0..steps).map(|step| step.checked_sub(1).into_iter().collect()).collect()
@@ -190,7 +193,7 @@ fn main() {
     println!("milliseconds; `full` is a run of hits that opens the store, `no-op` what a user waits for");
     print!("{:>8} {:>6} {:>9} {:>8} {:>7}", "shape", "steps", "cold", "us/step", "full");
     println!(" {:>7} {:>5} {:>7} {:>9}  peers", "no-op", "MiB", "leaf", "root cut");
-    let shapes: [(&str, fn(usize) -> Arrows); 3] = [("chain", chain), ("layered", layered), ("sweep", sweep)];
+    let shapes: [(&str, Shape); 3] = [("chain", chain), ("layered", layered), ("sweep", sweep)];
     for (shape, arrows) in shapes.iter().filter(|(shape, _)| wanted.as_ref().is_none_or(|wanted| wanted == shape)) {
         for steps in [10, 100, 1_000, 10_000] {
             measure(shape, steps, &arrows(steps));

@@ -68,7 +68,7 @@ impl Stage for ApplyMask {
                  by 0.3), so simulated rasters are given the missing cells of real ones before they are described. A \
                  numbered band wraps around: `band: ${replicate}` takes the masks of n real rasters in turn. Without \
                  `band`, the cells all bands have in common are kept: the common mask of a stack. A label raster of an inventory \
-                 (0 where nothing happened, as `import-mask` makes it) leaves out its events with `keep: zero`, as the \
+                 (0 where nothing happened, as `rasterise-inventory` makes it) leaves out its events with `keep: zero`, as the \
                  paper does with known rockfalls, and `grow_cells` a margin round them.",
         frames: "The two grids must lie on each other; values stay in their unit.",
         fails: "Different grids or frames (rasterise both on one grid, port `grid` of `rasterise-dem`); a band that is \
@@ -144,7 +144,8 @@ fn chosen<'a>(mask: &'a Raster, choice: &BandChoice) -> Result<&'a Band, StageEr
 
 fn kept(bands: &[&Band], params: &ApplyMaskParams, cells: usize) -> Vec<bool> {
     let counts = |value: f32| {
-        let listed = |labels: &Vec<u32>| labels.iter().any(|label| f64::from(*label) == f64::from(value));
+        let listed =
+            |labels: &Vec<u32>| labels.iter().any(|label| f64::from(*label).to_bits() == f64::from(value).to_bits());
         value.is_finite() && value != 0.0 && params.labels.as_ref().is_none_or(listed)
     };
     let keeps = |value: f32| match params.keep {

@@ -34,7 +34,7 @@ mod import_blocks;
 mod import_cameras;
 mod import_cloud;
 mod import_inventory;
-mod import_mask;
+
 mod import_mesh;
 mod import_rasters;
 mod import_table;
@@ -46,6 +46,7 @@ mod plan_survey;
 mod project_depth;
 mod propose_parameters;
 mod rasterise_dem;
+mod rasterise_inventory;
 mod refine_search;
 mod register_icp;
 mod remove_blocks;
@@ -89,7 +90,7 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<rasterise_dem::RasteriseDem>::new(),
     &Row::<difference_dem::DifferenceDem>::new(),
     &Row::<import_rasters::ImportRasters>::new(),
-    &Row::<import_mask::ImportMask>::new(),
+    &Row::<rasterise_inventory::RasteriseInventory>::new(),
     &Row::<filter_outliers::FilterOutliers>::new(),
     &Row::<apply_mask::ApplyMask>::new(),
     &Row::<describe_noise::DescribeNoise>::new(),

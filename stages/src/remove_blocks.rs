@@ -6,7 +6,7 @@ use crate::artefact::{Artefact, Candidates, Frame, Kind, Mesh, Meshes, Raster, T
 use crate::kernel::removal::attempts::{self, End, Event, Outcome, Plan};
 use crate::kernel::removal::cut::Least;
 use crate::kernel::removal::evaluate::{Direction, Rules};
-use crate::kernel::removal::face::Face;
+use crate::kernel::removal::face::{Face, Rect};
 use crate::kernel::removal::sites::Sites;
 use crate::kernel::removal::source::{Blocks, Source};
 use crate::kernel::removal::tables;
@@ -182,7 +182,13 @@ impl Stage for RemoveBlocks {
         Port::one("blocks", &[Kind::Meshes], "The blocks as placed, one an event."),
         Port::one("pieces", &[Kind::Meshes], "The rock removed, closed, one mesh a piece."),
         Port::one("niches", &[Kind::Meshes], "The surfaces left behind, open, one mesh a piece."),
-        Port::one("attempts", &[Kind::Table], "Every candidate tried, and what became of it."),
+        Port::one(
+            "attempts",
+            &[Kind::Table],
+            "Every candidate tried, and what became of it. A reason is the name of a check, or `off_face` (no rock face there), `empty` \
+             (no rock inside), `buried` (all inside the rock), `spacing`, `mesh_defect`, `block_defect`, `boolean`, or `no_block` (the \
+             candidate is no solid).",
+        ),
         Port::one(
             "volumes",
             &[Kind::Table],
@@ -201,6 +207,7 @@ impl Stage for RemoveBlocks {
         let zone = inputs.optional::<Raster>("zone")?;
         if let Some(zone) = zone {
             check_frame("zone", zone.frame)?;
+            tell_if_foreign(mesh, zone, context);
         }
         let mut source = source(mesh, zone, inputs, context)?;
         let plan = plan(params, source.available());
@@ -214,6 +221,18 @@ impl Stage for RemoveBlocks {
         }
         judge(params, &plan, source.available(), &outcome, context)?;
         finish(params, mesh, inputs, outcome)
+    }
+}
+
+/// Warns where a zone cannot be that of the whole face: it reaches farther beyond it than the cells around a face.
+fn tell_if_foreign(mesh: &Mesh, zone: &Raster, context: &Context) {
+    let (face, grid) = (Rect::around(&mesh.vertices), &zone.grid);
+    let [wide, high] = [grid.columns, grid.rows].map(|count| count as f64 * grid.cell_m);
+    let zone = Rect { low: [grid.left_m, grid.top_m - high], high: [grid.left_m + wide, grid.top_m] };
+    let beyond = |k: usize| (face.low[k] - zone.low[k]).max(zone.high[k] - face.high[k]);
+    let farthest_m = beyond(0).max(beyond(1));
+    if farthest_m > 3.0 * grid.cell_m {
+        context.warn(format!("the zone reaches {farthest_m:.2} m beyond the face: was it made for another one?"));
     }
 }
 
@@ -331,8 +350,8 @@ fn judge(
     };
     let text = format!("{pieces} of {wanted} pieces are out: {why}; {tried} were tried, rejected for: {told}");
     if events == 0 || params.fewer == Fewer::Fail {
-        let hint = "the table `attempts` of a run with `fewer: warn` tells each candidate's reason; a reason is the name of a check or \
-                    of its parameters";
+        let hint =
+            "`rockface stages remove-blocks` says what the reasons mean; blocks and face must be in the same place";
         return Err(StageError::new(text).hint(hint));
     }
     context.warn(text);

@@ -167,6 +167,19 @@ fn each_check_rejects_what_it_is_for() {
 }
 
 #[test]
+fn a_zone_that_cannot_be_that_of_the_face_is_warned_of() {
+    let face = height_mesh(40, [0.0, 4.0, 0.0, 4.0], |_, _| 0.0);
+    let block = Artefact::Meshes(Meshes { frame: Frame::Wall, parts: vec![cube(0.5, [1.03, 1.04, 0.0])] });
+    let warned = |columns: usize| {
+        let grid = crate::artefact::Grid { columns, rows: 42, cell_m: 0.1, left_m: -0.1, top_m: 4.1 };
+        let zone = Raster::single(grid, Frame::Wall, "mask", "zone", vec![1.0; columns * 42]);
+        remove(&face, &block, &[("zone", Artefact::Raster(zone))], &json!({})).unwrap().warnings
+    };
+    assert_eq!(warned(42), Vec::<String>::new());
+    assert!(warned(50)[0].contains("0.90 m beyond the face"), "{:?}", warned(50));
+}
+
+#[test]
 fn positions_of_a_table_are_taken_in_order() {
     let face = height_mesh(40, [0.0, 4.0, 0.0, 4.0], |x, _| 0.5 * x);
     let blocks = Artefact::Meshes(Meshes { frame: Frame::Wall, parts: vec![cube(0.4, [7.0; 3])] });

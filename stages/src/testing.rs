@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::io::Cursor;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
 use nalgebra::UnitQuaternion;
@@ -17,6 +18,8 @@ pub struct TestHost {
     pub entries: Mutex<Vec<Entry>>,
     /// Files by the text that names them in a pipeline.
     pub files: BTreeMap<String, Vec<(String, Vec<u8>)>>,
+    /// Whether a stream was asked for.
+    pub drew: AtomicBool,
     /// Mixed into every random key, so that tests draw several times.
     pub seed: u64,
 }
@@ -53,6 +56,7 @@ impl TestHost {
 
 impl Host for TestHost {
     fn stream_key(&self, purpose: &str, item: &str) -> [u8; 32] {
+        self.drew.store(true, Ordering::Relaxed);
         *blake3::hash(format!("{} {purpose}\0{item}", self.seed).as_bytes()).as_bytes()
     }
     fn open(&self, as_written: &str) -> std::io::Result<Vec<SourceFile>> {
@@ -92,26 +96,11 @@ pub fn run_stage<S: Stage>(
     for (port, artefact) in inputs {
         given.push(port, Point::new(), Arc::new(artefact.clone()));
     }
-    let undrawn = Undrawn(host);
-    S::run(&params, &given, &Context::new(if S::draws(&params) { host } else { &undrawn }))
-}
-
-/// The same host for a stage that says it draws nothing: as the engine's, it has no random numbers then.
-struct Undrawn<'a>(&'a TestHost);
-
-impl Host for Undrawn<'_> {
-    fn stream_key(&self, purpose: &str, _: &str) -> [u8; 32] {
-        panic!("the stage draws for `{purpose}` although its `draws` says it does not")
-    }
-    fn open(&self, as_written: &str) -> std::io::Result<Vec<SourceFile>> {
-        self.0.open(as_written)
-    }
-    fn record(&self, entry: Entry) {
-        self.0.record(entry);
-    }
-    fn cancelled(&self) -> bool {
-        self.0.cancelled()
-    }
+    host.drew.store(false, Ordering::Relaxed);
+    let outputs = S::run(&params, &given, &Context::new(host));
+    let drew = host.drew.load(Ordering::Relaxed);
+    assert!(!drew || S::draws(&params), "{} draws random numbers although its `draws` says it does not", S::NAME);
+    outputs
 }
 
 /// A camera of 60 x 40 pixels, f 100 px, at a point, looking along -Z of the wall frame (x right, y down).

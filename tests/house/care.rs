@@ -9,7 +9,7 @@ use crate::cli::{House, SMALL, damage, last_line};
 /// A pipeline of numbers from a file, so that inputs can change.
 fn aged(house: &House) {
     let file = fs::File::open(house.path("p.yaml")).unwrap();
-    file.set_modified(std::time::SystemTime::now() - std::time::Duration::from_secs(60)).unwrap();
+    file.set_modified(std::time::SystemTime::now() - std::time::Duration::from_mins(1)).unwrap();
 }
 
 fn answers(house: &House) -> usize {

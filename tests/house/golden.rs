@@ -11,17 +11,16 @@ use crate::lab::Bench;
 const SCENE: &str = include_str!("golden.yaml");
 const LIST: &str = "tests/house/golden.txt";
 
-/// Stages that need files; what they read is pinned by tests of their own.
-const NEED_FILES: [&str; 9] = [
+/// Stages that need files or programs; what they read is pinned by tests of their own.
+const NEED_FILES: [&str; 8] = [
     "import-mesh",
     "import-cloud",
     "import-cameras",
     "import-rasters",
     "import-inventory",
-    "import-mask",
+    "command",
     "import-blocks",
     "import-table",
-    "draw-rockfall",
 ];
 
 #[test]

@@ -72,6 +72,12 @@ impl Noun for Inventory {
         true
     }
     fn exports(&self, stem: &str) -> Result<Vec<Export>, CodecError> {
-        Ok(vec![Export { path: format!("{stem}.csv"), bytes: self.table().to_csv()? }])
+        let table = self.table();
+        let csv = Export { path: format!("{stem}.csv"), bytes: table.to_csv()? };
+        #[cfg(feature = "parquet")]
+        let parquet = [Export { path: format!("{stem}.parquet"), bytes: crate::kernel::parquet_file::write(&table)? }];
+        #[cfg(not(feature = "parquet"))]
+        let parquet = [];
+        Ok([csv].into_iter().chain(parquet).collect())
     }
 }

@@ -22,6 +22,7 @@ pub mod grid;
 pub mod icp;
 pub mod inventory_file;
 pub mod inventory_foreign;
+pub mod inventory_labels;
 pub mod line;
 pub mod mahalanobis;
 pub mod marginal;
@@ -34,6 +35,8 @@ pub mod orientation;
 pub mod orientation_parameters;
 pub mod overlap;
 pub mod pair_matching;
+#[cfg(feature = "parquet")]
+pub mod parquet_file;
 pub mod picture;
 pub mod plane_fit;
 pub mod ply;

@@ -10,7 +10,6 @@ pub mod modulation;
 pub mod moments;
 pub mod nested_variogram;
 pub mod points;
-pub mod polygons;
 pub mod robust_variogram;
 pub mod student;
 pub mod terms;
