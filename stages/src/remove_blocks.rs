@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::artefact::{Artefact, Candidates, Frame, Kind, Mesh, Meshes, Raster, Table, Transform};
+use crate::artefact::{Artefact, Candidates, Frame, Kind, Mesh, Meshes, Raster, Transform};
 use crate::kernel::removal::attempts::{self, End, Event, Outcome, Plan};
 use crate::kernel::removal::cut::Least;
 use crate::kernel::removal::evaluate::{Direction, Rules};
