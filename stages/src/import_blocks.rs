@@ -8,6 +8,7 @@ use crate::kernel::block::{self, Flaw, Solid, smoothing};
 use crate::kernel::distribution;
 use crate::kernel::face::half_edges::HalfEdges;
 use crate::kernel::face::{mesh_file, orient, repair};
+use crate::kernel::random::Key;
 use crate::kernel::shape::Moved;
 use crate::params::{FileRef, FilesRef, Range};
 use crate::{Context, Inputs, Outputs, Page, Port, SourceFile, Stage, StageError, choice, fail, params};
@@ -245,10 +246,12 @@ fn modified(mut solid: Solid, name: &str, modifiers: &[Modifier], context: &Cont
     let [low, high] = solid.bounds();
     let centre: [f64; 3] = std::array::from_fn(|i| 0.5 * (low[i] + high[i]));
     solid.map(|v| std::array::from_fn(|i| v[i] - centre[i]));
-    let (mut solid, drawn) = block::modified(solid, modifiers, context.stream("modifiers", name))
-        .map_err(|e| StageError::new(format!("block `{name}`: {e}")))?;
+    let draws = modifiers.iter().any(Modifier::draws);
+    let key = if draws { context.stream("modifiers", name) } else { Key([0; 32]) };
+    let (mut solid, drawn) =
+        block::modified(solid, modifiers, key).map_err(|e| StageError::new(format!("block `{name}`: {e}")))?;
     solid.map(|v| std::array::from_fn(|i| v[i] + centre[i]));
-    if modifiers.iter().any(Modifier::draws) {
+    if draws {
         let listed: Vec<String> = drawn.iter().map(|(name, value)| format!("{name} = {value:.6}")).collect();
         context.note(format!("block `{name}`: {}", listed.join(", ")));
     }

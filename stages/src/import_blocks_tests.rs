@@ -105,6 +105,8 @@ fn modifiers_work_about_the_blocks_own_place() {
     let (volume, centre) = solid(&meshes.parts[0]).volume_and_centroid();
     assert!((volume - 8.0).abs() < 0.2 && centre.iter().all(|x| (x - 10.5).abs() < 0.02), "{volume} {centre:?}");
     assert!(meshes.parts[0].vertices.len() > 100);
+    let doubled = import(&bytes, &json!({"modifiers": [{"scale": {"factor": 2}}, "convex_hull"]})).unwrap();
+    assert!((solid(&doubled.parts[0]).volume() - 8.0).abs() < 1e-9);
     let params = |with: &Value| <ImportBlocksParams as crate::params::ParamType>::decode(with).unwrap();
     assert!(ImportBlocks::draws(&params(&json!({"path": "b", "modifiers": [{"roughness": {"sigma_m": 0.01}}]}))));
     assert!(!ImportBlocks::draws(&params(&json!({"path": "b", "modifiers": [{"scale": {"x": 2}}, "convex_hull"]}))));

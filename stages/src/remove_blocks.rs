@@ -2,13 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use crate::artefact::{Artefact, Candidates, Cell, Frame, Kind, Mesh, Meshes, Raster, Table, Transform};
-use crate::kernel::removal::attempts::{self, Attempt, End, Event, Outcome, Plan};
+use crate::artefact::{Artefact, Candidates, Frame, Kind, Mesh, Meshes, Raster, Table, Transform};
+use crate::kernel::removal::attempts::{self, End, Event, Outcome, Plan};
 use crate::kernel::removal::cut::Least;
 use crate::kernel::removal::evaluate::{Direction, Rules};
-use crate::kernel::removal::face::Face;
+use crate::kernel::removal::face::{Face, Rect};
 use crate::kernel::removal::sites::Sites;
 use crate::kernel::removal::source::{Blocks, Source};
+use crate::kernel::removal::tables;
 use crate::kernel::removal::zone::Zone;
 use crate::kernel::truth::{self, RemovedPiece};
 use crate::params::Range;
@@ -125,7 +126,7 @@ pub struct RemoveBlocks;
 impl Stage for RemoveBlocks {
     type Params = RemoveBlocksParams;
     const NAME: &'static str = "remove-blocks";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page {
         what: "Takes blocks out of a rock face, one candidate after the other, until `count` pieces are out or \
                `max_failed_attempts` candidates failed in a row. Where the rock inside a block falls apart, each part is a piece \
@@ -181,7 +182,19 @@ impl Stage for RemoveBlocks {
         Port::one("blocks", &[Kind::Meshes], "The blocks as placed, one an event."),
         Port::one("pieces", &[Kind::Meshes], "The rock removed, closed, one mesh a piece."),
         Port::one("niches", &[Kind::Meshes], "The surfaces left behind, open, one mesh a piece."),
-        Port::one("attempts", &[Kind::Table], "Every candidate tried, and what became of it."),
+        Port::one(
+            "attempts",
+            &[Kind::Table],
+            "Every candidate tried, and what became of it. A reason is the name of a check, or `off_face` (no rock face there), `empty` \
+             (no rock inside), `buried` (all inside the rock), `spacing`, `mesh_defect`, `block_defect`, `boolean`, or `no_block` (the \
+             candidate is no solid).",
+        ),
+        Port::one(
+            "volumes",
+            &[Kind::Table],
+            "Requested against realised volumes: by the volume of the blocks, candidates tried and taken, volume removed over volume of \
+             the block, how many were pushed in.",
+        ),
     ];
 
     fn draws(_params: &Self::Params) -> bool {
@@ -194,6 +207,7 @@ impl Stage for RemoveBlocks {
         let zone = inputs.optional::<Raster>("zone")?;
         if let Some(zone) = zone {
             check_frame("zone", zone.frame)?;
+            tell_if_foreign(mesh, zone, context);
         }
         let mut source = source(mesh, zone, inputs, context)?;
         let plan = plan(params, source.available());
@@ -207,6 +221,18 @@ impl Stage for RemoveBlocks {
         }
         judge(params, &plan, source.available(), &outcome, context)?;
         finish(params, mesh, inputs, outcome)
+    }
+}
+
+/// Warns where a zone cannot be that of the whole face: it reaches farther beyond it than the cells around a face.
+fn tell_if_foreign(mesh: &Mesh, zone: &Raster, context: &Context) {
+    let (face, grid) = (Rect::around(&mesh.vertices), &zone.grid);
+    let [wide, high] = [grid.columns, grid.rows].map(|count| count as f64 * grid.cell_m);
+    let zone = Rect { low: [grid.left_m, grid.top_m - high], high: [grid.left_m + wide, grid.top_m] };
+    let beyond = |k: usize| (face.low[k] - zone.low[k]).max(zone.high[k] - face.high[k]);
+    let farthest_m = beyond(0).max(beyond(1));
+    if farthest_m > 3.0 * grid.cell_m {
+        context.warn(format!("the zone reaches {farthest_m:.2} m beyond the face: was it made for another one?"));
     }
 }
 
@@ -324,8 +350,8 @@ fn judge(
     };
     let text = format!("{pieces} of {wanted} pieces are out: {why}; {tried} were tried, rejected for: {told}");
     if events == 0 || params.fewer == Fewer::Fail {
-        let hint = "the table `attempts` of a run with `fewer: warn` tells each candidate's reason; a reason is the name of a check or \
-                    of its parameters";
+        let hint =
+            "`rockface stages remove-blocks` says what the reasons mean; blocks and face must be in the same place";
         return Err(StageError::new(text).hint(hint));
     }
     context.warn(text);
@@ -338,7 +364,7 @@ fn finish(
     inputs: &Inputs,
     outcome: Outcome,
 ) -> Result<Outputs, StageError> {
-    let table = table(&outcome.attempts);
+    let (table, volumes) = (tables::candidates(&outcome.attempts), tables::by_volume(&outcome.attempts));
     let seed = match inputs.artefact("blocks")? {
         Artefact::Candidates(candidates) => candidates.key.0.0.iter().map(|byte| format!("{byte:02x}")).collect(),
         _ => String::new(),
@@ -355,7 +381,8 @@ fn finish(
         .and("blocks", truth.blocks)
         .and("pieces", truth.pieces)
         .and("niches", truth.niches)
-        .and("attempts", table))
+        .and("attempts", table)
+        .and("volumes", volumes))
 }
 
 fn records(event: Event, seed: &str) -> Vec<RemovedPiece> {
@@ -376,31 +403,6 @@ fn records(event: Event, seed: &str) -> Vec<RemovedPiece> {
         normal: proposal.normal,
     };
     proposal.pieces.into_iter().enumerate().map(record).collect()
-}
-
-fn table(attempts: &[Attempt]) -> Table {
-    let columns =
-        ["candidate", "class", "x_m", "y_m", "z_m", "accepted", "reason", "detail", "event", "placement_shift_m"];
-    let mut table = Table::new(columns);
-    for attempt in attempts {
-        let place = |k: usize| attempt.position.map_or(Cell::Empty(()), |p| p[k].into());
-        let mut row =
-            vec![(attempt.candidate as f64).into(), attempt.class.as_str().into(), place(0), place(1), place(2)];
-        row.extend(match &attempt.outcome {
-            Ok((event, shift_m)) => {
-                [true.into(), Cell::Empty(()), Cell::Empty(()), f64::from(*event).into(), (*shift_m).into()]
-            }
-            Err(rejection) => [
-                false.into(),
-                rejection.reason.word().into(),
-                rejection.detail.as_str().into(),
-                Cell::Empty(()),
-                Cell::Empty(()),
-            ],
-        });
-        table.push(row);
-    }
-    table
 }
 
 #[cfg(test)]

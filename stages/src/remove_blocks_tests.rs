@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use super::*;
 use crate::Entry;
-use crate::artefact::{Inventory, Part};
+use crate::artefact::{Cell, Inventory, Part};
 use crate::generate_blocks::GenerateBlocks;
 use crate::kernel::block::hull::hull;
 use crate::kernel::mesh_check::check_edges;
@@ -92,7 +92,7 @@ fn candidates_leave_a_sound_face_and_exact_volumes() {
     check_sound(&face, &removed);
     assert!(removed.truth.features.len() >= 8);
     assert_eq!(removed.metric("pieces"), Some(removed.truth.features.len() as f64));
-    let rejected = removed.attempts.rows.iter().filter(|row| row[5] == Cell::Flag(false)).count();
+    let rejected = removed.attempts.rows.iter().filter(|row| row[6] == Cell::Flag(false)).count();
     let counted: f64 =
         ["border", "overlap", "depth", "size", "spacing", "empty", "non_manifold", "isolated", "boolean"]
             .iter()
@@ -142,7 +142,7 @@ fn each_check_rejects_what_it_is_for() {
     };
     let reasons = |blocks: &Artefact, more: &[(&str, Artefact)], with: &Value| -> Vec<String> {
         let table = remove(&face, blocks, more, with).unwrap().attempts;
-        table.rows.iter().map(|row| row[6].to_string()).collect()
+        table.rows.iter().map(|row| row[7].to_string()).collect()
     };
     let good = [1.03, 1.04, 0.0];
     let blocks = own(&[good, [3.9, 2.0, 0.0], [1.5, 1.2, 0.0], [2.0, 3.0, 0.24], [3.0, 3.0, 2.0], [3.0, 3.0, -2.0]]);
@@ -167,6 +167,19 @@ fn each_check_rejects_what_it_is_for() {
 }
 
 #[test]
+fn a_zone_that_cannot_be_that_of_the_face_is_warned_of() {
+    let face = height_mesh(40, [0.0, 4.0, 0.0, 4.0], |_, _| 0.0);
+    let block = Artefact::Meshes(Meshes { frame: Frame::Wall, parts: vec![cube(0.5, [1.03, 1.04, 0.0])] });
+    let warned = |columns: usize| {
+        let grid = crate::artefact::Grid { columns, rows: 42, cell_m: 0.1, left_m: -0.1, top_m: 4.1 };
+        let zone = Raster::single(grid, Frame::Wall, "mask", "zone", vec![1.0; columns * 42]);
+        remove(&face, &block, &[("zone", Artefact::Raster(zone))], &json!({})).unwrap().warnings
+    };
+    assert_eq!(warned(42), Vec::<String>::new());
+    assert!(warned(50)[0].contains("0.90 m beyond the face"), "{:?}", warned(50));
+}
+
+#[test]
 fn positions_of_a_table_are_taken_in_order() {
     let face = height_mesh(40, [0.0, 4.0, 0.0, 4.0], |x, _| 0.5 * x);
     let blocks = Artefact::Meshes(Meshes { frame: Frame::Wall, parts: vec![cube(0.4, [7.0; 3])] });
@@ -181,6 +194,7 @@ fn positions_of_a_table_are_taken_in_order() {
     let offset = (row(0)[2] - 1.0) / normal[0];
     assert!((row(0)[4] - 0.5 - offset * normal[2]).abs() < 1e-9 && (row(0)[3] - 1.0).abs() < 1e-12);
     assert!((row(1)[2] - 3.0).abs() < 1e-12 && (row(1)[4] - 1.5).abs() < 1e-12);
+    assert!((row(0)[5] - 0.064).abs() < 1e-12 && row(0)[10] > 0.0 && row(0)[10] < 0.064);
     check_sound(&face, &removed);
 }
 
@@ -211,7 +225,7 @@ fn random_placements_never_panic_nor_leave_an_unsound_face() {
     let removed = remove(&face, &blocks, &placement, &with).unwrap();
     assert_eq!(removed.attempts.rows.len(), wanted as usize);
     check_sound(&face, &removed);
-    let accepted = removed.attempts.rows.iter().filter(|row| row[5] == Cell::Flag(true)).count();
+    let accepted = removed.attempts.rows.iter().filter(|row| row[6] == Cell::Flag(true)).count();
     println!("{accepted} of {wanted} accepted; {:?}", removed.metrics);
     assert!(accepted * 10 > wanted as usize, "{accepted} of {wanted} accepted");
 }

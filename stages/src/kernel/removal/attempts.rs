@@ -7,6 +7,7 @@ use rayon::prelude::*;
 
 use super::evaluate::{Evaluation, NEW, Proposal, Rules, Trial, evaluate};
 use super::face::{Face, Rect};
+use super::measure;
 use super::reason::{Reason, Rejection};
 use crate::kernel::truth::Facets;
 
@@ -61,8 +62,21 @@ pub struct Attempt {
     pub class: String,
     /// Where it was tried, metres.
     pub position: Option<[f64; 3]>,
-    /// Number of the event it became and how far it was pushed in, or why it was rejected.
-    pub outcome: Result<(u32, f64), Rejection>,
+    /// Volume of its block, cubic metres; `None` where there is no block.
+    pub block_m3: Option<f64>,
+    /// What it became, or why it was rejected.
+    pub outcome: Result<Taken, Rejection>,
+}
+
+/// What a candidate became.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Taken {
+    /// Number of the event.
+    pub event: u32,
+    /// Volume of rock removed, all pieces, cubic metres.
+    pub removed_m3: f64,
+    /// How far it was pushed in beyond its best place, metres.
+    pub shift_m: f64,
 }
 
 /// Why the loop ended.
@@ -125,6 +139,17 @@ pub fn run<E>(
     }
 }
 
+fn taken(event: u32, proposal: &Proposal) -> Taken {
+    let removed_m3 = proposal.pieces.iter().fold(0.0, |sum, piece| sum + piece.volume_m3);
+    Taken { event, removed_m3, shift_m: proposal.shift_m }
+}
+
+/// The volume inside a block, cubic metres.
+fn volume_of(block: &Facets) -> f64 {
+    let about = measure::centroid(&block.vertices, &block.triangles);
+    measure::volume_m3(&block.vertices, &block.triangles, about)
+}
+
 impl Outcome {
     /// Tries a batch and decides it in order; the end of the loop, if it is reached.
     fn decide_all(&mut self, batch: Vec<Candidate>, rules: &Rules, plan: &Plan, failures: &mut u64) -> Option<End> {
@@ -166,9 +191,10 @@ impl Outcome {
             None => Ok(proposal),
         });
         let number = self.events.len() as u32 + 1;
-        let outcome = result.as_ref().map(|proposal| (number, proposal.shift_m)).map_err(Clone::clone);
+        let outcome = result.as_ref().map(|proposal| taken(number, proposal)).map_err(Clone::clone);
         let class = candidate.class.clone();
-        self.attempts.push(Attempt { candidate: candidate.number, class, position, outcome });
+        let block_m3 = candidate.trial.as_ref().ok().map(|trial| volume_of(&trial.block));
+        self.attempts.push(Attempt { candidate: candidate.number, class, position, block_m3, outcome });
         let proposal = result.ok()?;
         let first_piece = self.pieces() as u32 + 1;
         let rect = self.apply(&proposal, first_piece);
