@@ -4,6 +4,7 @@ use serde_json::{Value, json};
 
 use super::*;
 use crate::Entry;
+use crate::artefact::Table;
 use crate::artefact::{Cell, Inventory, Part};
 use crate::generate_blocks::GenerateBlocks;
 use crate::kernel::block::hull::hull;
