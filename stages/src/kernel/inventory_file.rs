@@ -86,7 +86,7 @@ fn value(cell: &Cell) -> Value {
     }
 }
 
-/// Reads the file that [`write`] wrote.
+/// Reads the file that [`write()`] wrote.
 ///
 /// # Errors
 /// Text that is no JSON or no inventory, a feature without one of the columns, an outline that is no polygon.

@@ -135,10 +135,10 @@ impl Label {
     }
 }
 
-/// Reads the file that [`write`] wrote; other PLY files are read by [`super::ply::read_mesh`].
+/// Reads the file that [`write()`] wrote; other PLY files are read by [`super::ply::read_mesh`].
 ///
 /// # Errors
-/// A header or a length [`write`] would not have written, corners of another part, coordinates that are not finite.
+/// A header or a length [`write()`] would not have written, corners of another part, coordinates that are not finite.
 pub fn read(bytes: &[u8]) -> Result<Meshes, CodecError> {
     let (frame, labels, mut body) = read_header(bytes)?;
     let (vertices, triangles) = totals(&labels);

@@ -57,7 +57,7 @@ fn checksum(header: &[u8; BLOCK]) -> u32 {
     header.iter().enumerate().map(count).sum()
 }
 
-/// Reads what [`write`] wrote.
+/// Reads what [`write()`] wrote.
 pub fn read(archive: &[u8]) -> Result<Vec<(String, Vec<u8>)>, CodecError> {
     let damaged = |what: &str| CodecError::new(format!("not an archive as written here: {what}"));
     let (mut files, mut rest) = (Vec::new(), archive);
