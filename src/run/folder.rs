@@ -58,7 +58,7 @@ pub fn finish(plan: &Plan, summary: &Summary, store: &Store, about: &RunFolder) 
     let key = plan_key(plan, summary, &runs, about);
     if summary.executed() == 0 && !summary.failed {
         let former = store.recalled_run(&key).and_then(|note| serde_json::from_value::<Finished>(note).ok());
-        if let Some(former) = former.filter(|former| is_told_in(&former.folder, &runs)) {
+        if let Some(former) = former.filter(|former| is_told_in(&former.folder, &runs, &former.files)) {
             point_latest(about.runs, &former.folder)?;
             return Ok(former);
         }
@@ -71,9 +71,10 @@ pub fn finish(plan: &Plan, summary: &Summary, store: &Store, about: &RunFolder) 
     Ok(finished)
 }
 
-/// Whether a run folder is one of those in `runs` and still there.
-pub(super) fn is_told_in(folder: &Path, runs: &Path) -> bool {
-    folder.parent() == Some(runs) && folder.join("run.json").is_file()
+/// Whether a run folder is one of those in `runs` and still there, with these files.
+pub(super) fn is_told_in(folder: &Path, runs: &Path, files: &[PathBuf]) -> bool {
+    let is_there = |file: &Path| folder.join(file).is_file();
+    folder.parent() == Some(runs) && is_there(Path::new("run.json")) && files.iter().all(|file| is_there(file))
 }
 
 /// The same for two runs of the same text, overrides and targets with the same recipes, told of in the same place.

@@ -99,15 +99,18 @@ fn joined(pieces: &[Piece], files: &BTreeMap<String, Vec<InputFile>>) -> Result<
 /// Waits for the end of a program, or brings it about.
 fn wait(mut child: Child, give_up: &dyn Fn() -> bool) -> Result<ExitStatus, StageError> {
     let group = i32::try_from(child.id()).ok().and_then(Pid::from_raw);
+    let kill_all = || {
+        // There may be none left.
+        group.map(|group| kill_process_group(group, Signal::KILL).ok())
+    };
     loop {
         if let Some(status) = child.try_wait().map_err(failed("wait for it"))? {
+            // What it left running would write into a folder that is gone.
+            kill_all();
             return Ok(status);
         }
         if give_up() {
-            if let Some(group) = group {
-                // It may have ended by itself just now.
-                let _ = kill_process_group(group, Signal::KILL);
-            }
+            kill_all();
             child.wait().map_err(failed("wait for it"))?;
             return Err(StageError::new("the program was ended before it was done"));
         }

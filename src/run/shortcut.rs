@@ -54,7 +54,8 @@ pub fn recall(store: &Path, question: &Digest, runs: &Path) -> Result<Option<Tol
     let answer = rockface_cache::recall(store, question);
     let told = answer.and_then(|answer| serde_json::from_value::<Told>(answer).ok());
     let absolute = std::path::absolute(runs).ok();
-    let Some(told) = told.filter(|told| absolute.is_some_and(|runs| is_told_in(&told.folder, &runs))) else {
+    let Some(told) = told.filter(|told| absolute.is_some_and(|runs| is_told_in(&told.folder, &runs, &told.files)))
+    else {
         return Ok(None);
     };
     point_latest(runs, &told.folder)?;
@@ -70,8 +71,12 @@ pub fn remember(store: &Store, question: &Digest, plan: &Plan, summary: &Summary
     if summary.failed || summary.instances.iter().any(|instance| instance.outcome.is_none()) {
         return Ok(());
     }
+    let grounds = grounds(plan, summary);
+    if grounds.folders.iter().any(|folder| may_change_unseen(folder)) {
+        return Ok(());
+    }
     store.sync()?;
-    store.remember_answer(question, &serde_json::json!(told), &grounds(plan, summary))?;
+    store.remember_answer(question, &serde_json::json!(told), &grounds)?;
     Ok(())
 }
 
@@ -95,6 +100,13 @@ fn grounds(plan: &Plan, summary: &Summary) -> Grounds {
     let outcomes = summary.instances.iter().filter_map(|instance| instance.outcome.as_ref());
     grounds.blobs = outcomes.flat_map(rockface_cache::Outcome::blobs).collect();
     grounds
+}
+
+/// A link that leads to no file may begin to lead to one, and its folder would not show it.
+fn may_change_unseen(folder: &Path) -> bool {
+    let leads_nowhere =
+        |entry: std::fs::DirEntry| entry.file_type().is_ok_and(|kind| kind.is_symlink()) && !entry.path().is_file();
+    std::fs::read_dir(folder).map_or(true, |entries| entries.flatten().any(leads_nowhere))
 }
 
 fn listed_folder(named: &Path) -> PathBuf {

@@ -44,6 +44,9 @@ fn a_run_of_hits_is_answered_without_the_store_and_never_wrongly() {
     fs::remove_dir_all(house.path(".rockface/runs")).unwrap();
     run("ran 0, cached 2");
     assert!(house.path(".rockface/runs/latest/run.json").is_file());
+    fs::remove_dir_all(house.path(".rockface/runs/latest/outputs")).unwrap();
+    run("ran 0, cached 2");
+    assert!(house.path(".rockface/runs/latest/outputs").is_dir(), "deleted outputs are put back");
     fs::remove_dir_all(house.path(".rockface/store/segments")).unwrap();
     run("ran 2, cached 0");
 }
@@ -79,6 +82,30 @@ fn an_input_that_changed_is_never_answered_for() {
     write(3, 0);
     run("ran 1");
     write(4, 0);
+    run("ran 1");
+}
+
+#[test]
+fn a_link_that_begins_to_lead_somewhere_is_noticed() {
+    let house = House::new("rockface: 1\nsteps: {blocks: {stage: import-blocks, with: {path: \"d/*.ply\"}}}\n");
+    let tetrahedron = "ply\nformat ascii 1.0\nelement vertex 4\nproperty double x\nproperty double y\nproperty double z\n\
+        element face 4\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1\n3 0 1 3\n\
+        3 1 2 3\n3 0 3 2\n";
+    fs::create_dir(house.path("d")).unwrap();
+    fs::write(house.path("d/a.ply"), tetrahedron).unwrap();
+    std::os::unix::fs::symlink("../later.ply", house.path("d/b.ply")).unwrap();
+    let long_ago = std::time::SystemTime::now() - std::time::Duration::from_mins(1);
+    for name in ["d", "d/a.ply", "p.yaml"] {
+        fs::File::open(house.path(name)).unwrap().set_modified(long_ago).unwrap();
+    }
+    let run = |expected: &str| {
+        let (code, out, err) = house.rockface(&["run", "p.yaml"]);
+        assert!(code == Some(0) && last_line(&out).contains(expected), "{out}{err}");
+    };
+    run("ran 1");
+    run("ran 0");
+    // Elsewhere on the face: no two blocks may be the same.
+    fs::write(house.path("later.ply"), tetrahedron.replace("\n0 0 1\n", "\n0 0 2\n")).unwrap();
     run("ran 1");
 }
 

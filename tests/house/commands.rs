@@ -105,6 +105,22 @@ fn a_timeout_ends_a_program_and_its_children_and_retries_try_again() {
 }
 
 #[test]
+fn nothing_a_program_leaves_running_outlives_its_step() {
+    let bench = Bench::rocks();
+    let pid = bench.folder.path().join("pid");
+    let script = format!("sleep 60 & echo $! > {}; echo a > {{out.t}}; echo > {{out.f}}", pid.display());
+    let ran = bench.run(&command(&format!("      args: ['-c', '{script}']\n")), &[]);
+    assert!(!ran.summary.failed);
+    let place = format!("/proc/{}/cmdline", std::fs::read_to_string(pid).unwrap().trim());
+    let runs = || std::fs::read(&place).is_ok_and(|line| line.starts_with(b"sleep"));
+    let begun = Instant::now();
+    while runs() && begun.elapsed() < Duration::from_secs(20) {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    assert!(!runs(), "{place} goes on");
+}
+
+#[test]
 fn a_program_that_draws_gets_another_number_at_each_replicate() {
     let yaml = "
 rockface: 1
