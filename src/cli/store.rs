@@ -46,7 +46,7 @@ enum StoreCommand {
         json: bool,
     },
     /// Remove what nobody needs. Superseded and damaged entries go always; records only by the options below, and those
-    /// of pinned runs never. Safe beside a running pipeline.
+    /// of pinned runs and what is younger than an hour never. Safe beside a running pipeline.
     Gc(GcArgs),
 }
 

@@ -83,6 +83,8 @@ fn a_program_that_fails_says_why() {
     assert!(missing.contains("no output `f`") && missing.contains("out/f.txt"), "{missing}");
     let broken = fails("echo > {out.f}; printf \"a,b\\n1\\n\" > {out.t}");
     assert!(broken.contains("output `t`") && broken.contains("is no table"), "{broken}");
+    let empty = fails("echo > {out.f}; : > {out.t}");
+    assert!(empty.contains("output `t`") && empty.contains("header line"), "{empty}");
     let absent = failure(&bench.run(&command("").replace("program: sh", "program: no-such-program"), &[]));
     assert!(absent.contains("cannot run `no-such-program`"), "{absent}");
 }

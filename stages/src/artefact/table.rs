@@ -98,6 +98,9 @@ impl Table {
         let mut reader = csv::Reader::from_reader(bytes);
         let failed = |e: csv::Error| CodecError(format!("cannot read CSV: {e}"));
         let mut table = Self::new(reader.headers().map_err(failed)?);
+        if table.columns.is_empty() {
+            return Err(CodecError::new("it is empty; a table has at least its header line"));
+        }
         for record in reader.records() {
             table.push(record.map_err(failed)?.iter().map(csv_cell).collect());
         }
