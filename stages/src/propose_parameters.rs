@@ -4,7 +4,7 @@ use crate::artefact::{Acceptance, Cell, GroupModel, Kind, Table};
 use crate::kernel::gathered::feature_rows;
 use crate::kernel::mahalanobis::distance;
 use crate::kernel::noise::moments::Surrogate;
-use crate::kernel::noise::points::{ITEM, Scale, coordinates, rounded};
+use crate::kernel::noise::points::{ITEM, Scale, coordinates, positions, rounded};
 use crate::kernel::precise;
 use crate::kernel::quantile::quantile;
 use crate::params::{Fault, Range};
@@ -121,7 +121,7 @@ impl Sample {
             let rows = feature_rows(&[(items, table)], &group.features).map_err(StageError::new)?;
             for (row, cells) in rows.iter().zip(&table.rows) {
                 let values = coordinates(&params.parameters, items, table, cells, points).map_err(StageError::new)?;
-                sample.positions.push(positions(params, &values)?);
+                sample.positions.push(positions(params.scale, &params.parameters, &values)?);
                 let z = |j: usize| (row.values[j] - group.mean[j]) / group.deviation[j];
                 sample.standardised.push((0..row.values.len()).map(z).collect());
                 sample.d2.push(distance(group, &row.values).d2);
@@ -153,16 +153,6 @@ impl Sample {
         };
         (0..self.positions[0].len()).map(range).unzip()
     }
-}
-
-fn positions(params: &ProposeParametersParams, values: &[f64]) -> Result<Vec<f64>, StageError> {
-    let position = |(name, value): (&String, &f64)| {
-        params.scale.from_value(*value).ok_or_else(|| {
-            StageError::new(format!("parameter `{name}` is {value}, which has no logarithm"))
-                .hint("use `scale: linear`")
-        })
-    };
-    params.parameters.iter().zip(values).map(position).collect()
 }
 
 fn report(

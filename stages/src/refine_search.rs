@@ -1,7 +1,7 @@
 //! `refine-search`: from the scores of a coarse search, the points of a finer one around its best.
 
 use crate::artefact::{Cell, Kind, Table};
-use crate::kernel::noise::points::{ITEM, MOST_DIMENSIONS, Scale, coordinates, halton, rounded, spacing};
+use crate::kernel::noise::points::{ITEM, MOST_DIMENSIONS, Scale, coordinates, halton, positions, rounded, spacing};
 use crate::kernel::quantile::quantile;
 use crate::params::{Fault, Range};
 use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
@@ -136,7 +136,7 @@ fn gathered_points(params: &RefineSearchParams, inputs: &Inputs) -> Result<Vec<S
             if let Some(known) = found.iter_mut().find(|point| same(&point.values, &values)) {
                 known.scores.push(score);
             } else {
-                let positions = positions(params, &values)?;
+                let positions = positions(params.scale, &params.parameters, &values)?;
                 found.push(Scored { values, positions, scores: vec![score], score: f64::NAN });
             }
         }
@@ -157,16 +157,6 @@ fn place(params: &RefineSearchParams, values: &[f64]) -> String {
     let named: Vec<String> =
         params.parameters.iter().zip(values).map(|(name, value)| format!("{name}={value}")).collect();
     named.join(" ")
-}
-
-fn positions(params: &RefineSearchParams, values: &[f64]) -> Result<Vec<f64>, StageError> {
-    let position = |(name, value): (&String, &f64)| {
-        params.scale.from_value(*value).ok_or_else(|| {
-            StageError::new(format!("parameter `{name}` is {value}, which has no logarithm"))
-                .hint("use `scale: linear`")
-        })
-    };
-    params.parameters.iter().zip(values).map(position).collect()
 }
 
 fn new_points(params: &RefineSearchParams, ranked: &[Scored]) -> Table {

@@ -54,7 +54,7 @@ pub fn draw(subject: &Subject, max_width_px: usize) -> Result<Vec<u8>, CodecErro
     draw_bar(&mut canvas, subject, MARGIN + box_width + BAR_GAP, top, bar_height)?;
     let foot = top + bar_height + 26;
     if let Some(cell_m) = subject.cell_m {
-        draw_scale(&mut canvas, view.width as f64, cell_m * view.cells_per_pixel, foot)?;
+        draw_scale(&mut canvas, view.width as f64, cell_m * view.cells_per_pixel, [MARGIN, foot])?;
     }
     if subject.values.iter().any(|v| v.is_nan()) {
         let x = MARGIN + box_width + BAR_GAP;
@@ -132,14 +132,15 @@ fn draw_bar(canvas: &mut Canvas, subject: &Subject, x: usize, top: usize, height
     Ok(())
 }
 
-fn draw_scale(canvas: &mut Canvas, width_px: f64, pixel_m: f64, y: usize) -> Result<(), CodecError> {
+/// Draws a bar of a round length, about an eighth of a width in pixels, from a point [x, y] to the right; `pixel_m` is the side of a
+/// pixel, metres.
+pub fn draw_scale(canvas: &mut Canvas, width_px: f64, pixel_m: f64, [x, y]: [usize; 2]) -> Result<(), CodecError> {
     let length_m = round_step(width_px * pixel_m / 8.0);
     let long = (length_m / pixel_m).round() as usize;
-    canvas.fill(MARGIN, y - 3, long, 6, INK);
-    canvas.fill(MARGIN + long / 2, y - 2, long / 2, 4, [255; 3]);
-    canvas.fill(MARGIN + long.saturating_sub(1), y - 3, 1, 6, INK);
-    let x = (MARGIN + long + 10) as f32;
-    canvas.text(&Pen::plain(15.0, INK)?, x, y as f32, Align::Left, &length(length_m));
+    canvas.fill(x, y - 3, long, 6, INK);
+    canvas.fill(x + long / 2, y - 2, long / 2, 4, [255; 3]);
+    canvas.fill(x + long.saturating_sub(1), y - 3, 1, 6, INK);
+    canvas.text(&Pen::plain(15.0, INK)?, (x + long + 10) as f32, y as f32, Align::Left, &length(length_m));
     Ok(())
 }
 

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use crate::artefact::{Cell, Table};
-use crate::choice;
 use crate::kernel::precise;
+use crate::{StageError, choice};
 
 choice! {
     /// How parameters are measured when points are compared, spread or moved.
@@ -32,6 +32,20 @@ impl Scale {
             Self::Log => precise::exp(position),
         }
     }
+}
+
+/// The values of named parameters on a scale.
+///
+/// # Errors
+/// A value that has no logarithm.
+pub fn positions(scale: Scale, names: &[String], values: &[f64]) -> Result<Vec<f64>, StageError> {
+    let position = |(name, value): (&String, &f64)| {
+        scale.from_value(*value).ok_or_else(|| {
+            StageError::new(format!("parameter `{name}` is {value}, which has no logarithm"))
+                .hint("use `scale: linear`")
+        })
+    };
+    names.iter().zip(values).map(position).collect()
 }
 
 /// The column that names the points of a table; without it they are numbered from 0.

@@ -203,8 +203,7 @@ mod tests {
     }
 
     fn volume(places: &[[f64; 3]], triangles: &[[u32; 3]]) -> f64 {
-        let at = |v: u32| nalgebra::Vector3::from(places[v as usize]);
-        triangles.iter().fold(0.0, |sum, t| sum + at(t[0]).dot(&at(t[1]).cross(&at(t[2]))) / 6.0)
+        crate::kernel::removal::measure::volume_m3(places, triangles, [0.0; 3])
     }
 
     #[test]

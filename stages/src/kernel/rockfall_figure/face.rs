@@ -4,8 +4,8 @@ use rayon::prelude::*;
 
 use crate::artefact::{CodecError, Grid, Polygon};
 use crate::kernel::canvas::{Align, Canvas, Colour, Pen};
-use crate::kernel::colour_scale::{ColourScale, NO_DATA, length, round_step};
-use crate::kernel::picture::brightness;
+use crate::kernel::colour_scale::{ColourScale, NO_DATA};
+use crate::kernel::picture::{brightness, draw_scale};
 use crate::kernel::precise;
 
 use super::{FAINT, Figure, INK, strokes, volume};
@@ -58,7 +58,7 @@ pub fn draw(
     }
     canvas.frame(left, top, view.width, view.height, FAINT);
     draw_bar(canvas, scale, [left + view.width + 30, top], view.height.min(420), figure)?;
-    draw_scale(canvas, view, left, top + view.height + 24)
+    draw_scale(canvas, view.width as f64, view.pixel_m, [left, top + view.height + 24])
 }
 
 /// The relief with the niches over it, small ones over large ones.
@@ -159,16 +159,5 @@ fn draw_bar(
         let y = top as f64 + share * height as f64;
         canvas.text(&pen, (x + BAR_WIDTH + 8) as f32, y as f32, Align::Left, &volume(value));
     }
-    Ok(())
-}
-
-fn draw_scale(canvas: &mut Canvas, view: &View, left: usize, y: usize) -> Result<(), CodecError> {
-    let length_m = round_step(view.width as f64 * view.pixel_m / 8.0);
-    let long = (length_m / view.pixel_m).round() as usize;
-    canvas.fill(left, y - 3, long, 6, INK);
-    canvas.fill(left + long / 2, y - 2, long / 2, 4, [255; 3]);
-    canvas.fill(left + long.saturating_sub(1), y - 3, 1, 6, INK);
-    let x = (left + long + 10) as f32;
-    canvas.text(&Pen::plain(15.0, INK)?, x, y as f32, Align::Left, &length(length_m));
     Ok(())
 }
