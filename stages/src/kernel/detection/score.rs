@@ -189,7 +189,7 @@ mod tests {
         let counts = permissive(&half, &truth, &detections);
         assert_eq!(counts, Counts { true_positives: 1, false_positives: 4, found: 1, missed: 4 });
         let codes = confusion(&truth, &detections, 100);
-        let count = |code: u8| codes.iter().filter(|c| **c == code).count();
+        let count = |code: u8| codes.iter().map(|c| usize::from(*c == code)).sum::<usize>();
         assert_eq!([count(1), count(2), count(3)], [10 + 8 + 14, 2 + 2, 6 + 5]);
     }
 
