@@ -4,9 +4,8 @@ use serde::Serialize;
 
 /// Significant digits that are shown.
 const DIGITS: usize = 5;
-const SUPERSCRIPT: [char; 10] = [
-    '\u{2070}', '\u{b9}', '\u{b2}', '\u{b3}', '\u{2074}', '\u{2075}', '\u{2076}', '\u{2077}', '\u{2078}', '\u{2079}',
-];
+const SUPERSCRIPT: [char; 10] =
+    ['\u{2070}', '\u{b9}', '\u{b2}', '\u{b3}', '\u{2074}', '\u{2075}', '\u{2076}', '\u{2077}', '\u{2078}', '\u{2079}'];
 
 /// A text of a table or list; where it is a number, its exact digits stand behind the short ones.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -80,7 +79,16 @@ mod tests {
     #[test]
     fn numbers_are_short_and_exact_behind() {
         let shown = [0.0, 3.0, -0.977_356_12, 12_345.678, 1.5e-7, 6.022e23, 1e-4, 2747.0].map(short);
-        let expected = ["0", "3", "\u{2212}0.97736", "12346", "1.5\u{b7}10\u{207b}\u{2077}", "6.022\u{b7}10\u{b2}\u{b3}", "0.0001", "2747"];
+        let expected = [
+            "0",
+            "3",
+            "\u{2212}0.97736",
+            "12346",
+            "1.5\u{b7}10\u{207b}\u{2077}",
+            "6.022\u{b7}10\u{b2}\u{b3}",
+            "0.0001",
+            "2747",
+        ];
         assert_eq!(shown, expected);
         let cell = Shown::of("0.123456789012");
         assert_eq!((cell.text.as_str(), cell.exact.as_deref()), ("0.12346", Some("0.123456789012")));

@@ -101,7 +101,9 @@ pub(super) fn draw(area: &Area, axes: &Axes, insets: &mut Vec<Inset>) -> Result<
     }
     let scales = axes.scales([width as i32 - 60 * UNIT, height as i32 - top - BELOW * UNIT]);
     let labels = scales[1].labels().map(|label| Face::Tick.width(label)).max().unwrap_or(0) + 12 * UNIT;
-    let key_width = axes.colours.as_ref().map_or(8 * UNIT, ColourKey::width);
+    let bars = axes.layers.iter().any(|layer| matches!(layer.mark, Mark::Bars(_)));
+    let margin = if bars { Face::Tick.width("\u{2212}0.000") } else { 8 * UNIT };
+    let key_width = axes.colours.as_ref().map_or(margin, ColourKey::width);
     let bottom = if axes.x.label.is_empty() { BELOW - 16 } else { BELOW };
     let mut chart = ChartBuilder::on(area)
         .margin_top(top + 4 * UNIT)
@@ -204,6 +206,10 @@ impl Painter<'_, '_, '_> {
     fn point(&self, [x, y]: [f64; 2], ink: Ink) -> Result<(), CodecError> {
         if !self.shows([x, y]) {
             return Ok(());
+        }
+        if self.key.is_some() && !matches!(ink, Ink::Fixed(_)) {
+            let halo = Circle::new((x, y), 5 * UNIT, Ink::Fixed([255; 3]).area(0.9));
+            self.chart.plotting_area().draw(&halo).map_err(failed)?;
         }
         self.chart.plotting_area().draw(&Circle::new((x, y), 3 * UNIT, ink.area(0.85))).map_err(failed)
     }

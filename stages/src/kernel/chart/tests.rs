@@ -24,7 +24,7 @@ fn landscape() -> Axes {
     Axes::new(Axis::linear("local noise, px"), Axis::log("correlation length, px"))
         .colours(key)
         .with(Layer::new("", cells))
-        .with(Layer::points("best", vec![[0.72, 0.6]]).ink(Ink::Fixed([255, 255, 255])))
+        .with(Layer::points("best", vec![[0.72, 0.6]]).ink(Ink::Series(1)))
 }
 
 fn samples() -> Vec<f64> {

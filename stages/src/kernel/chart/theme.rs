@@ -211,7 +211,8 @@ pub(super) fn finish(text: &str, size: (u32, u32), title: &str, insets: &[Inset]
 /// Gives elements of a known colour its class; one without classes still has its colour.
 fn with_classes(body: &str) -> String {
     let mut text = body.replace(" opacity=\"1\"", "").replace(" font-family=\"sans-serif\"", "");
-    for (class, _, colour) in VARIABLES {
+    // Paper is behind everything and has its class; what is white elsewhere stays white.
+    for (class, _, colour) in VARIABLES.into_iter().filter(|(class, _, _)| *class != "p") {
         for (attribute, kind) in [("fill", "rf"), ("stroke", "rl")] {
             let plain = format!(" {attribute}=\"{}\"", hex(colour));
             text = text.replace(&plain, &format!("{plain} class=\"{kind}-{class}\""));
