@@ -73,28 +73,9 @@ impl Budget {
 }
 
 /// The pictures and figures that one instance made.
-pub fn finished_of(source: &Source, done: &StepDone, linker: &Linker, budget: &mut Budget) -> Vec<Medium> {
+pub fn of(source: &Source, done: &StepDone, linker: &Linker, budget: &mut Budget) -> Vec<Medium> {
     let outputs = done.outputs.iter().flatten();
     outputs.filter_map(|(port, output)| finished(source, done, port, output, linker, budget)).collect()
-}
-
-/// The pictures of one instance: those it made, then what was made of its other outputs for its log.
-pub fn of(source: &Source, done: &StepDone, linker: &Linker, budget: &mut Budget) -> Vec<Medium> {
-    let mut found = finished_of(source, done, linker, budget);
-    for preview in source.previews(done) {
-        let seen = found.iter().any(|medium| medium.from.ends_with(&format!(".{}", preview.port)));
-        if !seen && budget.take(preview.png.len()) {
-            found.push(Medium {
-                caption: preview.caption,
-                from: format!("{}.{}", done.label(), preview.port),
-                svg: None,
-                image: Some(data("image/png", &preview.png)),
-                link: linker.output(done, &preview.port),
-                wide: false,
-            });
-        }
-    }
-    found
 }
 
 /// A picture or figure that a step made.

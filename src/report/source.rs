@@ -17,16 +17,6 @@ pub struct Source<'a> {
     pub store: Option<&'a Store>,
 }
 
-/// An image made from an output when the step ran.
-pub struct Preview {
-    /// The output.
-    pub port: String,
-    /// What is seen.
-    pub caption: String,
-    /// The PNG file.
-    pub png: Vec<u8>,
-}
-
 impl Source<'_> {
     /// The bytes of an output: from the run folder, else from the store; `None` where neither has it.
     pub(super) fn output(&self, done: &StepDone, port: &str, output: &OutputRecord) -> Option<Vec<u8>> {
@@ -42,12 +32,6 @@ impl Source<'_> {
     pub(super) fn entries(&self, done: &StepDone) -> Vec<Entry> {
         let log = done.log.and_then(|digest| self.blob(&digest));
         log.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default()
-    }
-
-    /// The pictures that were made of its outputs when it ran.
-    pub(super) fn previews(&self, done: &StepDone) -> Vec<Preview> {
-        let _ = done;
-        Vec::new()
     }
 
     /// The path of a file of the run folder that is there.

@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use super::Links;
 use super::media::{self, Budget, Medium};
-use super::number::{Shown, bytes, short};
+use super::number::{Shown, bytes};
 use super::source::Source;
 use super::tables::{self, TableView};
 use crate::history::StepDone;
@@ -290,9 +290,4 @@ fn sources(instances: &[&StepDone]) -> Vec<(String, String)> {
     let named: BTreeMap<String, String> =
         files.map(|file| (file.path.display().to_string(), file.blake3.to_string())).collect();
     named.into_iter().collect()
-}
-
-/// Seconds with three digits, for places that want a number.
-pub fn seconds(value: f64) -> String {
-    format!("{} s", short((value * 1000.0).round() / 1000.0))
 }
