@@ -125,8 +125,8 @@ impl Writer<'_> {
         let manifest = self.manifest(&headlines, &logs, &paths)?;
         let text = serde_json::to_string_pretty(&manifest).unwrap_or_default();
         write_file(&folder.join("run.json"), format!("{text}\n").as_bytes())?;
+        self.report(folder, manifest.clone())?;
         self.describe(folder, &manifest)?;
-        self.report(folder, manifest)?;
         point_latest(self.about.runs, folder)?;
         Ok(Finished { folder: folder.to_owned(), headlines, files })
     }
