@@ -24,6 +24,9 @@ mod detect_m3c2;
 mod detect_raster;
 mod detect_voxels;
 mod difference_dem;
+mod draw_detection_frequency;
+mod draw_detection_rates;
+mod draw_detection_volumes;
 mod draw_detections;
 mod draw_picture;
 mod draw_rockfall;
@@ -128,6 +131,9 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<triangulate_surface::TriangulateSurface>::new(),
     &Row::<draw_picture::DrawPicture>::new(),
     &Row::<draw_detections::DrawDetections>::new(),
+    &Row::<draw_detection_volumes::DrawDetectionVolumes>::new(),
+    &Row::<draw_detection_frequency::DrawDetectionFrequency>::new(),
+    &Row::<draw_detection_rates::DrawDetectionRates>::new(),
     &Row::<command::Command>::new(),
     &Row::<draw_rockfall::DrawRockfall>::new(),
 ];

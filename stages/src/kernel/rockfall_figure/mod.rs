@@ -7,7 +7,7 @@ mod axes;
 mod face;
 mod frequency;
 pub mod outcomes;
-mod strokes;
+pub(in crate::kernel) mod strokes;
 mod ternary;
 mod volumes;
 
