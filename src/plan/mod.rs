@@ -4,6 +4,7 @@ mod dynamic;
 mod feeds;
 mod graph;
 mod instances;
+mod log_levels;
 mod parameters;
 mod points;
 mod reach;

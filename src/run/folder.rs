@@ -1,7 +1,6 @@
 //! The folder of a run: manifest, log, and outputs under names people can read.
 
 use std::collections::BTreeMap;
-use std::io::Cursor;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
@@ -10,11 +9,12 @@ use rockface_stages::Entry;
 use rockface_stages::artefact::{Artefact, Export, Kind};
 use serde_json::{Value, json};
 
+use super::log::{LOG_FILE, Telling};
 use super::{RunError, Summary};
 use crate::history::{FORMAT, crate_metadata};
 use crate::pipeline::Overrides;
 use crate::plan::Plan;
-use crate::watch::{LoggedStep, write_log};
+use crate::watch::step_log::{self, StepLogError};
 
 /// Where a run is told of.
 #[derive(Debug, Clone)]
@@ -120,7 +120,7 @@ impl Writer<'_> {
         let results = self.summary.instances.iter();
         let logs = results.map(|result| self.entries(result.outcome.as_ref())).collect::<Result<Vec<_>, _>>()?;
         let headlines = self.headlines(&logs);
-        write_file(&folder.join("run.mcap"), &self.log(&logs)?)?;
+        self.log(folder, &logs, &paths)?;
         let manifest = self.manifest(&headlines, &logs, &paths)?;
         let text = serde_json::to_string_pretty(&manifest).unwrap_or_default();
         write_file(&folder.join("run.json"), format!("{text}\n").as_bytes())?;
@@ -182,9 +182,11 @@ impl Writer<'_> {
     }
 
     fn entries(&self, outcome: Option<&Outcome>) -> Result<Vec<Entry>, RunError> {
-        let Some(digest) = outcome.and_then(|outcome| outcome.log) else { return Ok(Vec::new()) };
-        let bytes = self.store.get(&digest)?;
-        serde_json::from_slice(&bytes).map_err(|error| failed(Path::new("run.mcap"))(error.into()))
+        let read = outcome.map_or_else(|| Ok(Vec::new()), |outcome| step_log::entries(outcome, self.store));
+        read.map_err(|error| match error {
+            StepLogError::Store(error) => RunError::Store(error),
+            error @ StepLogError::Unreadable(_) => failed(Path::new(LOG_FILE))(std::io::Error::other(error)),
+        })
     }
 
     /// The results in a line each: what the target steps have to say.
@@ -198,32 +200,15 @@ impl Writer<'_> {
         entries.filter(|(instance, _)| self.plan.targets.contains(instance)).filter_map(headline).collect()
     }
 
-    fn log(&self, logs: &[Vec<Entry>]) -> Result<Vec<u8>, RunError> {
-        let steps: Vec<LoggedStep> = self
-            .summary
-            .instances
-            .iter()
-            .zip(logs)
-            .enumerate()
-            .filter_map(|(instance, (result, entries))| {
-                let outcome = result.outcome.as_ref()?;
-                let step = self.plan.step(instance);
-                let message = json!({
-                    "step": step.name, "point": self.plan.point(instance), "stage": step.stage.name(),
-                    "version": step.stage.version(), "key": result.key, "outputs": outcome.outputs, "entries": entries,
-                });
-                let recipe = result.recipe.as_ref().map(rockface_cache::Recipe::text).unwrap_or_default();
-                Some(LoggedStep { step: step.name.clone(), message, recipe })
-            })
-            .collect();
+    fn log(&self, folder: &Path, logs: &[Vec<Entry>], paths: &[Paths]) -> Result<(), RunError> {
         let about = BTreeMap::from([
             ("rockface".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
             ("pipeline".to_owned(), self.about.pipeline_text.to_owned()),
             ("overrides".to_owned(), json!(self.about.overrides.set).to_string()),
             ("seed".to_owned(), self.plan.graph.seed.to_string()),
         ]);
-        let log = write_log(Cursor::new(Vec::new()), &about, &steps);
-        log.map(Cursor::into_inner).map_err(|error| failed(Path::new("run.mcap"))(std::io::Error::other(error)))
+        let Self { plan, summary, store, about: RunFolder { pipeline_text, .. } } = self;
+        Telling { plan, summary, store, entries: logs, paths, about, pipeline_text }.write(folder)
     }
 
     fn manifest(&self, headlines: &[String], logs: &[Vec<Entry>], paths: &[Paths]) -> Result<Value, RunError> {
@@ -264,7 +249,7 @@ impl Writer<'_> {
         };
         json!({
             "step": step.name, "point": self.plan.point(instance), "stage": step.stage.name(), "version": step.stage.version(),
-            "status": status, "key": result.key, "outputs": outcome.map(|o| &o.outputs), "log": outcome.map(|o| o.log),
+            "status": status, "key": result.key, "outputs": outcome.map(|o| &o.outputs), "log": outcome.map(|o| o.log), "sketches": outcome.map(|o| o.sketches),
             "cost": outcome.map(|o| o.cost), "parameters": params.recipe,
             "metrics": metrics.collect::<Vec<_>>(), "files": files.collect::<Vec<_>>(),
             "inputs": result.recipe.as_ref().map_or(&BTreeMap::new(), |recipe| &recipe.inputs), "paths": paths,
@@ -299,20 +284,24 @@ fn write_exports(folder: &Path, place: &Path, exports: &[Export]) -> Result<Vec<
 }
 
 /// Writes a whole file or none.
-fn write_file(path: &Path, bytes: &[u8]) -> Result<(), RunError> {
+pub(super) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), RunError> {
     let folder = path.parent().unwrap_or(Path::new("."));
     let write = || {
         let mut file = tempfile::NamedTempFile::new_in(folder)?;
-        std::io::Write::write_all(&mut file, bytes)?;
-        // Temporary files are private; results are for whoever may read the folder.
-        let mode = std::os::unix::fs::PermissionsExt::from_mode(0o644);
-        file.as_file().set_permissions(mode)?;
-        file.persist(path).map_err(|error| error.error)
+        std::io::Write::write_all(&mut file, bytes).map(|()| file)
     };
-    write().map(drop).map_err(failed(path))
+    put(write().map_err(failed(path))?, path)
 }
 
-fn failed(path: &Path) -> impl FnOnce(std::io::Error) -> RunError + use<> {
+/// Gives a finished file its name.
+pub(super) fn put(file: tempfile::NamedTempFile, path: &Path) -> Result<(), RunError> {
+    // Temporary files are private; results are for whoever may read the folder.
+    let mode = std::os::unix::fs::PermissionsExt::from_mode(0o644);
+    let open = file.as_file().set_permissions(mode);
+    open.and_then(|()| file.persist(path).map(drop).map_err(|error| error.error)).map_err(failed(path))
+}
+
+pub(super) fn failed(path: &Path) -> impl FnOnce(std::io::Error) -> RunError + use<> {
     let path = path.to_owned();
     move |source| RunError::Folder { path, source }
 }

@@ -1,8 +1,10 @@
 //! Running a plan: the scheduler, its workers, and the folder that tells of the run.
 
+pub mod again;
 mod expand;
 mod folder;
 mod host;
+mod log;
 mod memory;
 mod program;
 mod progress;

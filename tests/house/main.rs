@@ -16,3 +16,4 @@ mod language;
 mod reading;
 mod rework;
 mod tidy;
+mod watching;

@@ -15,6 +15,7 @@ mod meshes;
 mod pairs;
 mod picture;
 mod raster;
+pub mod sketch;
 mod surface;
 mod table;
 mod transform;
@@ -23,7 +24,7 @@ pub use acceptance::{Acceptance, GroupModel};
 pub use cameras::{Cameras, Image, Sensor};
 pub use candidates::Candidates;
 pub use covariance::Covariance;
-pub use depth::Depth;
+pub use depth::{Depth, DepthPixel};
 pub use file::File;
 pub use files::Files;
 pub use inventory::{Feature, Inventory, Polygon};
@@ -32,6 +33,7 @@ pub use meshes::{Meshes, Part};
 pub use pairs::{Pair, Pairs};
 pub use picture::Picture;
 pub use raster::{Band, Grid, Raster, Sample};
+pub use sketch::{Shown, Sketch};
 pub use surface::Surface;
 pub use table::{Cell, Table};
 pub use transform::Transform;
@@ -104,6 +106,10 @@ pub trait Noun: Sized {
         let _ = stem;
         Ok(Vec::new())
     }
+    /// Small likenesses of it for logs and reports; none of what has no look.
+    fn sketches(&self) -> Vec<Sketch> {
+        Vec::new()
+    }
 }
 
 macro_rules! artefacts {
@@ -161,6 +167,10 @@ macro_rules! artefacts {
             /// Further files for people to read, beside a file called `stem`; see [`Noun::exports`].
             pub fn exports(&self, stem: &str) -> Result<Vec<Export>, CodecError> {
                 match self { $( Self::$Name(value) => value.exports(stem) ),* }
+            }
+            /// Small likenesses of it for logs and reports.
+            pub fn sketches(&self) -> Vec<Sketch> {
+                match self { $( Self::$Name(value) => value.sketches() ),* }
             }
         }
 
