@@ -32,7 +32,8 @@ pub fn with_channels(
         return Err(error.hint("run the pipeline again with this program"));
     }
     let mut with = recipe.params.clone();
-    let has_switch = stage.fields().iter().any(|field| field.name == SWITCH);
+    let has_switch =
+        stage.fields().iter().any(|field| field.name == SWITCH && field.default == Some(Value::Bool(false)));
     if let (true, Some(map)) = (has_switch, with.as_object_mut()) {
         map.insert(SWITCH.to_owned(), Value::Bool(true));
     }

@@ -7,13 +7,12 @@ use std::path::Path;
 use rockface_cache::{Outcome, Recipe, Record, Store};
 use rockface_stages::Entry;
 use rockface_stages::artefact::{Artefact, Kind};
-use serde_json::json;
 
 use super::{InstanceResult, RunError, Summary};
 use crate::pipeline::LogLevel;
 use crate::plan::Plan;
 use crate::watch::step_log::{self, Shown, StepLogError};
-use crate::watch::{Made, RunLog, StepNote, layout};
+use crate::watch::{Facts, Made, RunLog, StepNote, layout};
 
 /// Its file in the run folder.
 pub const LOG_FILE: &str = "run.mcap";
@@ -75,21 +74,27 @@ impl Telling<'_> {
         }
     }
 
-    fn note(&self, instance: usize, result: &InstanceResult, outcome: &Outcome, unshown: String) -> StepNote {
+    fn note<'a>(
+        &'a self,
+        instance: usize,
+        result: &'a InstanceResult,
+        outcome: &'a Outcome,
+        unshown: String,
+    ) -> StepNote<'a> {
         let step = self.plan.step(instance);
         let made = outcome.outputs.iter().map(|(port, output)| {
             let path = self.paths[instance].get(port).map(|path| path.display().to_string());
             (port.clone(), Made { digest: output.digest.to_string(), path })
         });
+        let (stage, version) = (step.stage.name(), step.stage.version());
         StepNote {
-            step: step.name.clone(),
+            step: &step.name,
             point: self.plan.point(instance),
             label: self.plan.label(instance),
-            facts: json!({"stage": step.stage.name(), "version": step.stage.version(), "key": result.key,
-                          "outputs": outcome.outputs}),
+            facts: Facts { stage, version, key: result.key, outputs: &outcome.outputs },
             made: made.collect(),
             unshown,
-            recipe: result.recipe.as_ref().map(Recipe::text).unwrap_or_default(),
+            recipe: result.recipe.as_ref().map_or_else(|| "null".to_owned(), Recipe::text),
         }
     }
 

@@ -8,28 +8,42 @@ use std::io::{Seek, Write};
 
 use mcap::records::MessageHeader;
 use mcap::{Compression, McapError, WriteOptions};
+use rockface_cache::{Digest, OutputRecord};
 use rockface_stages::Point;
-use serde_json::{Value, json};
 
 use super::foxglove::{self, Message, Place};
+use super::step_log::sketch::{ColourKey, Shape};
 use super::step_log::{Entry, Shown};
 
 /// What one step instance is, for the log.
-pub struct StepNote {
+pub struct StepNote<'a> {
     /// Name of the step.
-    pub step: String,
+    pub step: &'a str,
     /// The item of each of its axes.
     pub point: Point,
     /// Name and point as people write them.
     pub label: String,
-    /// Stage, version, key and outputs, as JSON.
-    pub facts: Value,
+    /// Stage, version, key and outputs.
+    pub facts: Facts<'a>,
     /// What it made, by port.
     pub made: BTreeMap<String, Made>,
     /// Why there is no sketch of it though one is wanted; empty otherwise.
     pub unshown: String,
     /// The canonical text of its recipe.
     pub recipe: String,
+}
+
+/// What a record says of an instance.
+#[derive(Clone, serde::Serialize)]
+pub struct Facts<'a> {
+    /// Name of the stage.
+    pub stage: &'a str,
+    /// Its version.
+    pub version: u32,
+    /// The key of its recipe.
+    pub key: Option<Digest>,
+    /// What came out, by port.
+    pub outputs: &'a BTreeMap<String, OutputRecord>,
 }
 
 /// An output that a sketch stands for.
@@ -56,7 +70,8 @@ pub struct RunLog<W: Write + Seek> {
     schemas: BTreeMap<&'static str, u16>,
     channels: BTreeMap<Topic, u16>,
     topics: Vec<Topic>,
-    recipes: Vec<Value>,
+    /// The list of recipes, JSON, without its end.
+    recipes: String,
     second: u32,
 }
 
@@ -68,22 +83,23 @@ impl<W: Write + Seek> RunLog<W> {
         let metadata = mcap::records::Metadata { name: "rockface".into(), metadata: about.clone() };
         writer.write_metadata(&metadata)?;
         let (schemas, channels) = (BTreeMap::new(), BTreeMap::new());
-        Ok(Self { writer, schemas, channels, topics: Vec::new(), recipes: Vec::new(), second: 0 })
+        Ok(Self { writer, schemas, channels, topics: Vec::new(), recipes: String::new(), second: 0 })
     }
 
     /// Adds an instance: a note on it, then what it said and measured, then what it shows.
     pub fn add(&mut self, note: &StepNote, entries: &[Entry], shown: &[Shown]) -> Result<(), McapError> {
         self.second += 1;
-        let place = Place { step: &note.step, second: self.second };
+        let place = Place { step: note.step, second: self.second };
         let sketches: Vec<(&Shown, Vec<Message>)> =
             shown.iter().map(|shown| (shown, foxglove::messages(&place, shown, note.made.get(&shown.port)))).collect();
-        self.send(&foxglove::step(&place, &step_message(note, entries, &sketches)))?;
+        self.send(&foxglove::step(&place, step_message(note, entries, &sketches)))?;
         self.send_all(&foxglove::log(&place, &note.label, entries))?;
         self.send_all(&foxglove::metrics(&place, &note.point, entries))?;
         for (_, messages) in &sketches {
             self.send_all(messages)?;
         }
-        self.recipes.push(serde_json::from_str(&note.recipe).unwrap_or_else(|_| json!(note.recipe)));
+        self.recipes.push(if self.recipes.is_empty() { '[' } else { ',' });
+        self.recipes.push_str(&note.recipe);
         Ok(())
     }
 
@@ -121,7 +137,7 @@ impl<W: Write + Seek> RunLog<W> {
     /// Ends the log with attachments (name, media type, content) and the recipe of each instance; gives back the
     /// topics, in the order of their first messages.
     pub fn finish(mut self, attachments: &[(&str, &str, &[u8])]) -> Result<(W, Vec<Topic>), McapError> {
-        let recipes = Value::from(std::mem::take(&mut self.recipes)).to_string();
+        let recipes = format!("{}]", if self.recipes.is_empty() { "[" } else { &self.recipes });
         let recipes = ("recipes.json", "application/json", recipes.as_bytes());
         for (name, media_type, data) in attachments.iter().chain([&recipes]) {
             self.writer.attach(&mcap::Attachment {
@@ -138,40 +154,56 @@ impl<W: Write + Seek> RunLog<W> {
 }
 
 /// The note on an instance: what it is, what it said, and on which topics it is shown.
-fn step_message(note: &StepNote, entries: &[Entry], sketches: &[(&Shown, Vec<Message>)]) -> Value {
-    let mut value = note.facts.clone();
-    let shown = sketches.iter().map(|(shown, messages)| {
-        let topics: Vec<&str> = messages.iter().map(|message| message.topic.as_str()).collect();
-        let colours = match &shown.sketch.shape {
-            super::step_log::sketch::Shape::Picture(picture) => json!(picture.colours),
-            _ => Value::Null,
-        };
-        json!({"port": shown.port, "part": shown.sketch.part, "topics": topics, "reduced": shown.sketch.reduced,
-               "colours": colours, "of": note.made.get(&shown.port)})
+#[derive(serde::Serialize)]
+struct StepMessage<'a> {
+    step: &'a str,
+    point: &'a Point,
+    #[serde(flatten)]
+    facts: &'a Facts<'a>,
+    entries: &'a [Entry],
+    shown: Vec<ShownOn<'a>>,
+    unshown: &'a str,
+}
+
+/// Where and how an output is shown.
+#[derive(serde::Serialize)]
+struct ShownOn<'a> {
+    port: &'a str,
+    part: &'a str,
+    topics: Vec<&'a str>,
+    reduced: &'a str,
+    colours: Option<&'a ColourKey>,
+    of: Option<&'a Made>,
+}
+
+fn step_message(note: &StepNote, entries: &[Entry], sketches: &[(&Shown, Vec<Message>)]) -> Vec<u8> {
+    let shown = sketches.iter().map(|(shown, messages)| ShownOn {
+        port: &shown.port,
+        part: &shown.sketch.part,
+        topics: messages.iter().map(|message| message.topic.as_str()).collect(),
+        reduced: &shown.sketch.reduced,
+        colours: if let Shape::Picture(picture) = &shown.sketch.shape { picture.colours.as_ref() } else { None },
+        of: note.made.get(&shown.port),
     });
-    if let Some(map) = value.as_object_mut() {
-        map.insert("step".to_owned(), json!(note.step));
-        map.insert("point".to_owned(), json!(note.point));
-        map.insert("entries".to_owned(), json!(entries));
-        map.insert("shown".to_owned(), shown.collect());
-        map.insert("unshown".to_owned(), json!(note.unshown));
-    }
-    value
+    let StepNote { step, point, facts, unshown, .. } = note;
+    serde_json::to_vec(&StepMessage { step, point, facts, entries, shown: shown.collect(), unshown })
+        .unwrap_or_default()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::watch::step_log::Sketch;
-    use crate::watch::step_log::sketch::{CloudSketch, Shape};
+    use crate::watch::step_log::sketch::CloudSketch;
+    use serde_json::Value;
 
-    fn note(step: &str, n: u32) -> StepNote {
+    fn note<'a>(step: &'a str, outputs: &'a BTreeMap<String, OutputRecord>) -> StepNote<'a> {
         let made = Made { digest: "ab".into(), path: Some("outputs/a/b.ply".into()) };
         StepNote {
-            step: step.into(),
+            step,
             point: Point::new(),
             label: step.into(),
-            facts: json!({"n": n}),
+            facts: Facts { stage: "make-points", version: 1, key: None, outputs },
             made: BTreeMap::from([("points".to_owned(), made)]),
             unshown: String::new(),
             recipe: "{}".into(),
@@ -184,8 +216,9 @@ mod tests {
         let shown = Shown { port: "points".into(), sketch: Sketch::whole("", Shape::Cloud(cloud)) };
         let metric = Entry::Metric { name: "rms".into(), value: 0.1 + 0.2, unit: "m".into() };
         let warning = Entry::Warning { text: "thin".into() };
-        log.add(&note("a", 1), &[metric, warning], &[shown]).unwrap();
-        log.add(&note("b", 2), &[], &[]).unwrap();
+        let none = BTreeMap::new();
+        log.add(&note("a", &none), &[metric, warning], &[shown]).unwrap();
+        log.add(&note("b", &none), &[], &[]).unwrap();
         log.finish(&[("pipeline.yaml", "application/yaml", b"rockface: 1\n")]).unwrap().0.into_inner()
     }
 

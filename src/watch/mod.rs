@@ -9,7 +9,7 @@ mod terminal;
 
 pub use foxglove::layout;
 pub use json::JsonLines;
-pub use mcap_log::{Made, RunLog, StepNote, Topic};
+pub use mcap_log::{Facts, Made, RunLog, StepNote, Topic};
 pub use plain::Plain;
 pub use terminal::Terminal;
 

@@ -85,7 +85,9 @@ fn the_log_is_the_same_at_any_jobs_and_when_all_was_cached() {
     assert_eq!(first, log_of(&one));
     let log = Log::read(&first);
     // What was not kept is shown, the first four points of six by two.
-    for topic in ["/matched/depth", "/matched/depth/cloud", "/matched/depth/camera", "/surface/surface", "/dem/raster/image"] {
+    for topic in
+        ["/matched/depth", "/matched/depth/cloud", "/matched/depth/camera", "/surface/surface", "/dem/raster/image"]
+    {
         assert_eq!(log.count(topic), 4, "{topic}");
     }
     assert_eq!((log.count("/matched/step"), log.count("/face/mesh"), log.count("/table/table")), (12, 1, 1));

@@ -9,7 +9,6 @@ use std::borrow::Cow;
 
 use ::foxglove::Encode;
 use ::foxglove::messages::{self as proto, Timestamp};
-use serde_json::{Value, json};
 
 use super::mcap_log::Made;
 use super::step_log::Shown;
@@ -103,17 +102,4 @@ fn float_fields<'a>(names: impl Iterator<Item = &'a str>) -> Vec<proto::PackedEl
         r#type: kind,
     };
     names.enumerate().map(field).collect()
-}
-
-fn json_message(schema: Schema, topic: String, value: &Value) -> Message {
-    Message { topic, schema, data: value.to_string().into_bytes() }
-}
-
-/// A schema of our own, of an object with these properties (name, JSON type, meaning).
-fn object_schema(name: &'static str, properties: &[(&str, &str, &str)]) -> Schema {
-    let property =
-        |(name, kind, what): &(&str, &str, &str)| ((*name).to_owned(), json!({"type": kind, "description": what}));
-    let properties: serde_json::Map<_, _> = properties.iter().map(property).collect();
-    let text = json!({"type": "object", "title": name, "properties": properties}).to_string();
-    Schema { name, encoding: "jsonschema", text: text.into_bytes().into() }
 }

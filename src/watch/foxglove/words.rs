@@ -6,29 +6,39 @@ use rockface_stages::artefact::Table;
 use serde_json::{Map, Value, json};
 
 use super::super::step_log::Entry;
-use super::{Message, Place, json_message, message, object_schema};
+use super::{Message, Place, Schema, message};
 
-/// The note on an instance.
-pub fn step(place: &Place, value: &Value) -> Message {
-    let schema = object_schema(
-        "rockface.Step",
-        &[
-            ("step", "string", "name of the step"),
-            ("point", "object", "item of each axis"),
-            ("stage", "string", "name of the stage"),
-            ("version", "integer", "its version"),
-            ("key", "string", "BLAKE3 of the recipe"),
-            ("outputs", "object", "by port: kind, BLAKE3 digest, bytes, whether kept"),
-            ("entries", "array", "notes, warnings, headlines and metrics in the order they were made"),
-            (
-                "shown",
-                "array",
-                "sketches: port, part, topics, what was left out, what colours mean, digest and file of the whole",
-            ),
-            ("unshown", "string", "why there are no sketches though they are wanted"),
-        ],
-    );
-    json_message(schema, place.topic("step", ""), value)
+const STEP: &str = r#"{"type": "object", "title": "rockface.Step", "properties": {
+"step": {"type": "string", "description": "name of the step"},
+"point": {"type": "object", "description": "item of each axis"},
+"stage": {"type": "string", "description": "name of the stage"},
+"version": {"type": "integer", "description": "its version"},
+"key": {"type": "string", "description": "BLAKE3 of the recipe"},
+"outputs": {"type": "object", "description": "by port: kind, BLAKE3 digest, bytes, whether kept"},
+"entries": {"type": "array", "description": "notes, warnings, headlines and metrics in the order they were made"},
+"shown": {"type": "array", "description":
+ "sketches: port, part, topics, what was left out, what colours mean, digest and file of the whole"},
+"unshown": {"type": "string", "description": "why there are no sketches though they are wanted"}}}"#;
+
+const METRICS: &str = r#"{"type": "object", "title": "rockface.Metrics", "properties": {
+"point": {"type": "object", "description": "item of each axis"},
+"values": {"type": "object", "description": "numbers by name"},
+"units": {"type": "object", "description": "their units by name"}}}"#;
+
+const TABLE: &str = r#"{"type": "object", "title": "rockface.Table", "properties": {
+"columns": {"type": "array", "description": "names of the columns"},
+"rows": {"type": "array", "description": "an object a row: values by column"}}}"#;
+
+const VALUES: &str = r#"{"type": "object", "title": "rockface.Values", "properties": {
+"value": {"description": "the artefact as it is kept"}}}"#;
+
+fn of_json(name: &'static str, text: &'static str, topic: String, data: Vec<u8>) -> Message {
+    Message { topic, schema: Schema { name, encoding: "jsonschema", text: text.as_bytes().into() }, data }
+}
+
+/// The note on an instance, JSON.
+pub fn step(place: &Place, data: Vec<u8>) -> Message {
+    of_json("rockface.Step", STEP, place.topic("step", ""), data)
 }
 
 /// A line a note, warning and headline.
@@ -64,32 +74,20 @@ pub fn metrics(place: &Place, point: &Point, entries: &[Entry]) -> Vec<Message> 
     if values.is_empty() {
         return Vec::new();
     }
-    let schema = object_schema(
-        "rockface.Metrics",
-        &[
-            ("point", "object", "item of each axis"),
-            ("values", "object", "numbers by name"),
-            ("units", "object", "their units by name"),
-        ],
-    );
     let value = json!({"point": point, "values": values, "units": units});
-    vec![json_message(schema, place.topic("metrics", ""), &value)]
+    vec![of_json("rockface.Metrics", METRICS, place.topic("metrics", ""), value.to_string().into_bytes())]
 }
 
 /// A table, a row an object.
 pub fn table(topic: String, table: &Table) -> Message {
-    let schema = object_schema(
-        "rockface.Table",
-        &[("columns", "array", "names of the columns"), ("rows", "array", "a row each: values by column")],
-    );
     let row =
         |row: &Vec<_>| -> Value { table.columns.iter().cloned().zip(row.iter().map(|cell| json!(cell))).collect() };
     let rows: Vec<Value> = table.rows.iter().map(row).collect();
-    json_message(schema, topic, &json!({"columns": table.columns, "rows": rows}))
+    let value = json!({"columns": table.columns, "rows": rows});
+    of_json("rockface.Table", TABLE, topic, value.to_string().into_bytes())
 }
 
 /// Anything else.
 pub fn values(topic: String, value: &Value) -> Message {
-    let schema = object_schema("rockface.Values", &[("value", "object", "the artefact as it is kept")]);
-    json_message(schema, topic, &json!({"value": value}))
+    of_json("rockface.Values", VALUES, topic, json!({"value": value}).to_string().into_bytes())
 }
