@@ -7,6 +7,7 @@ mod cameras;
 pub mod candidates;
 mod covariance;
 mod depth;
+mod figure;
 mod file;
 mod files;
 mod inventory;
@@ -14,6 +15,7 @@ mod mesh;
 mod meshes;
 mod pairs;
 mod picture;
+mod preview;
 mod raster;
 pub mod sketch;
 mod surface;
@@ -25,6 +27,7 @@ pub use cameras::{Cameras, Image, Sensor};
 pub use candidates::Candidates;
 pub use covariance::Covariance;
 pub use depth::{Depth, DepthPixel};
+pub use figure::Figure;
 pub use file::File;
 pub use files::Files;
 pub use inventory::{Feature, Inventory, Polygon};
@@ -32,6 +35,7 @@ pub use mesh::Mesh;
 pub use meshes::{Meshes, Part};
 pub use pairs::{Pair, Pairs};
 pub use picture::Picture;
+pub use preview::Preview;
 pub use raster::{Band, Grid, Raster, Sample};
 pub use sketch::{Shown, Sketch};
 pub use surface::Surface;
@@ -170,7 +174,9 @@ macro_rules! artefacts {
             }
             /// Small likenesses of it for logs and reports.
             pub fn sketches(&self) -> Vec<Sketch> {
-                match self { $( Self::$Name(value) => value.sketches() ),* }
+                let mut sketches = match self { $( Self::$Name(value) => value.sketches() ),* };
+                sketches.extend(crate::kernel::sketch::of_look(self));
+                sketches
             }
         }
 
@@ -192,11 +198,20 @@ artefacts! {
     Table = "table" . "json": "Rows and columns.",
     Acceptance = "acceptance" . "json": "Reference model of noise descriptors.",
     Picture = "picture" . "png": "A picture for people.",
+    Figure = "figure" . "svg": "A chart for people.",
     Meshes = "meshes" . "ply": "Named meshes in one file: blocks, removed pieces, niches.",
     File = "file" . "bin": "A file that only the programs of a pipeline look into.",
     Files = "files" . "tar": "Files in another program's own format.",
     Inventory = "inventory" . "geojson": "Rockfalls: outline and properties of each.",
     Candidates = "candidates" . "json": "An unbounded sequence of candidate blocks.",
+}
+
+impl Artefact {
+    /// A small picture of it, at most 512 pixels wide, where it is something to be seen; `beside` is what it may be seen
+    /// over, such as the face of an inventory. Equal artefacts have equal pictures.
+    pub fn preview(&self, beside: &[&Artefact]) -> Option<Preview> {
+        crate::kernel::preview::of(self, beside)
+    }
 }
 
 impl Kind {

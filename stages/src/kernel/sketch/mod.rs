@@ -10,13 +10,22 @@ pub use bodies::{of_mesh, of_meshes};
 pub use cloud::{of_depth_points, of_surface};
 pub use picture::{of_depth_channels, of_picture, of_raster, of_raster_pictures, pixels};
 
-use crate::artefact::Table;
-use crate::artefact::sketch::{Shape, Sketch};
+use crate::artefact::sketch::{PictureSketch, Shape, Sketch};
+use crate::artefact::{Artefact, Kind, Table};
 
 /// Rows of a table that are shown.
 const ROWS: usize = 1000;
 /// Bytes of JSON that are shown.
 const VALUES_BYTES: usize = 64 * 1024;
+
+/// The look of what has no pixels of its own: shapes, cameras, rockfalls.
+pub fn of_look(artefact: &Artefact) -> Option<Sketch> {
+    let kinds = [Kind::Mesh, Kind::Meshes, Kind::Surface, Kind::Cameras, Kind::Inventory];
+    let preview = kinds.contains(&artefact.kind()).then(|| crate::kernel::preview::of(artefact, &[])).flatten()?;
+    let (width, height) = (preview.width as u32, preview.height as u32);
+    let png = preview.to_png().ok()?;
+    Some(Sketch::whole("look", Shape::Picture(PictureSketch { width, height, colours: None, image: None, png })))
+}
 
 /// The first rows of a table.
 pub fn of_table(table: &Table) -> Sketch {
