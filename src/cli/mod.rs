@@ -4,6 +4,7 @@ mod completions;
 mod explain;
 mod export;
 mod graph;
+mod hand;
 mod init;
 mod inspect;
 mod places;
@@ -75,6 +76,9 @@ struct PipelineArgs {
     /// The text of the pipeline where it is not to be read from the file.
     #[arg(skip)]
     text: Option<String>,
+    /// The texts of files it includes, where they are not to be read from the files.
+    #[arg(skip)]
+    included: std::collections::BTreeMap<PathBuf, String>,
     /// Make only this step and what it needs; may be given several times.
     #[arg(long, value_name = "STEP")]
     target: Vec<String>,
@@ -104,7 +108,7 @@ impl PipelineArgs {
 
     fn load(&self) -> Result<Pipeline, CliError> {
         let loaded = match &self.text {
-            Some(text) => Pipeline::of_text(text, &self.pipeline, &self.overrides()),
+            Some(text) => Pipeline::of_texts(text, self.included.clone(), &self.pipeline, &self.overrides()),
             None => Pipeline::load(&self.pipeline, &self.overrides()),
         };
         loaded.map_err(CliError::Pipeline)

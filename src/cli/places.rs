@@ -19,6 +19,11 @@ pub struct Places {
 }
 
 impl Places {
+    /// Opens the store, making it if there is none.
+    pub fn make_store(&self) -> Result<Store, CliError> {
+        Ok(Store::open(&self.store)?)
+    }
+
     /// Opens the store, which must be there: what only looks makes nothing.
     pub fn open_store(&self) -> Result<Store, CliError> {
         if self.store.join("format").is_file() {

@@ -155,6 +155,8 @@ impl Crate<'_> {
             let digest = output.digest.to_string();
             let id = match done.paths.get(port) {
                 Some(path) => self.output_file(done, port, path, &output.kind),
+                // Without actions nothing refers to what has no file.
+                None if self.manifest.steps.len() > ACTIONS_LIMIT => continue,
                 None => self.digest(&digest, &format!("{}.{port}", done.label())),
             };
             made.insert(digest, id.clone());

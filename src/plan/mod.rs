@@ -4,6 +4,7 @@ mod dynamic;
 mod feeds;
 mod graph;
 mod instances;
+mod later;
 mod parameters;
 mod points;
 mod reach;
@@ -11,7 +12,7 @@ mod resolve;
 mod values;
 
 pub use dynamic::{Items, items_of};
-pub use graph::{Dynamic, Feed, Graph, GraphStep, Source};
+pub use graph::{Dynamic, Feed, Graph, GraphStep, Later, Source};
 pub use instances::{Given, Instance, Plan, makes};
 pub use parameters::{InputFile, StepParams};
 pub use points::counts;
