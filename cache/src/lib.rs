@@ -23,6 +23,7 @@
 //! live/           one file for each process that runs something: what it counts on
 //! locks/          one file for each key being computed now
 //! quarantine/     damaged blobs
+//! trees/          at most 16: long texts taken apart, for whoever reads them again
 //! scratch/        folders in which programs work now
 //! tmp/            blobs being written
 //! answers/        at most 256: what a question came to, and the state of all it rests on
@@ -59,6 +60,7 @@ pub use files::FileDigest;
 pub use lease::Live;
 pub use locks::KeyLock;
 pub use materialise::Materialised;
+pub use open::TREES;
 pub use recipe::{Gathered, Recipe, RecipeInput, SeedMaterial};
 pub use record::{Cost, Outcome, OutputRecord, Record};
 pub use scratch::Scratch;

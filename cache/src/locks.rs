@@ -78,8 +78,10 @@ pub(crate) fn sweep(dir: &Path, prefix: &str) -> Result<(), StoreError> {
 
 fn remove_abandoned(path: &Path) {
     // The lock is held until the file is gone.
-    let file = File::open(path).ok().filter(|file| is_abandoned(file, path));
-    file.map(|_held| std::fs::remove_file(path));
+    let held = File::open(path).ok().filter(|file| is_abandoned(file, path));
+    if held.is_some() {
+        let _ = std::fs::remove_file(path);
+    }
 }
 
 /// Whether nobody holds the lock of this file, which is still at `path`. The lock is held from now on.

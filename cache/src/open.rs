@@ -34,6 +34,9 @@ pub(crate) const SCRATCH: &str = "scratch";
 /// The folder of what live processes count on.
 pub(crate) const LIVE: &str = "live";
 
+/// The folder of texts taken apart, for whoever reads them again.
+pub const TREES: &str = "trees";
+
 /// The folder of answers to former questions.
 pub(crate) const ANSWERS: &str = "answers";
 
@@ -59,7 +62,7 @@ pub(crate) fn prepare(dir: &Path) -> Result<(), StoreError> {
         },
         Err(fault) => return Err(StoreError::io("read", &format, fault)),
     }
-    for folder in [BLOBS, SEGMENTS, LOCKS, QUARANTINE, TMP, SCRATCH, LIVE] {
+    for folder in [BLOBS, SEGMENTS, LOCKS, QUARANTINE, TMP, SCRATCH, LIVE, TREES] {
         let path = dir.join(folder);
         fs::create_dir_all(&path).at("make the folder", &path)?;
     }

@@ -9,14 +9,14 @@ use crate::locks::is_abandoned;
 use crate::open::SCRATCH;
 
 /// Ends the name of the file that is locked as long as the folder beside it is used.
-const LOCK: &str = "lock";
+const LOCK: &str = ".lock";
 
 /// A folder of its own for one program, removed with all that is in it when this is dropped.
 #[derive(Debug)]
 pub struct Scratch {
     folder: PathBuf,
     /// Removed after the folder.
-    _lock: tempfile::NamedTempFile,
+    lock: Option<tempfile::NamedTempFile>,
 }
 
 impl Scratch {
@@ -30,6 +30,7 @@ impl Drop for Scratch {
     fn drop(&mut self) {
         // What cannot be removed now is swept up when the store is next opened.
         let _ = fs::remove_dir_all(&self.folder);
+        drop(self.lock.take());
     }
 }
 
@@ -39,13 +40,13 @@ impl Store {
         let root = self.dir().join(SCRATCH);
         loop {
             let mut builder = tempfile::Builder::new();
-            let lock = builder.suffix(&format!(".{LOCK}")).tempfile_in(&root).at("write into", &root)?;
+            let lock = builder.prefix("run-").suffix(LOCK).tempfile_in(&root).at("write into", &root)?;
             lock.as_file().lock().at("lock a file in", &root)?;
             // Swept up between its making and its locking? Then make another.
             if crate::segment::is_at(lock.as_file(), lock.path()) {
                 let folder = lock.path().with_extension("");
                 fs::create_dir(&folder).at("make the folder", &folder)?;
-                return Ok(Scratch { folder, _lock: lock });
+                return Ok(Scratch { folder, lock: Some(lock) });
             }
         }
     }
@@ -55,7 +56,7 @@ impl Store {
 pub(crate) fn sweep(root: &Path) -> Result<(), StoreError> {
     for entry in fs::read_dir(root).at("list", root)? {
         let path = entry.at("list", root)?.path();
-        let is_lock = path.extension().is_some_and(|extension| extension == LOCK);
+        let is_lock = path.to_str().is_some_and(|path| path.ends_with(LOCK));
         let Some(held) = File::open(&path).ok().filter(|_| is_lock) else { continue };
         if is_abandoned(&held, &path) {
             let _ = fs::remove_dir_all(path.with_extension(""));
@@ -79,8 +80,8 @@ mod tests {
         let dead = store.scratch().unwrap();
         let left = dead.path().to_owned();
         // As after a kill: nothing is removed, the lock ends.
-        dead._lock.as_file().unlock().unwrap();
-        let (folder, lock) = (left.clone(), left.with_extension(LOCK));
+        dead.lock.as_ref().unwrap().as_file().unlock().unwrap();
+        let (folder, lock) = (left.clone(), left.with_extension(&LOCK[1..]));
         std::mem::forget(dead);
         drop(Store::open(&dir).unwrap());
         assert!(!folder.exists() && !lock.exists(), "what the dead left is swept up");

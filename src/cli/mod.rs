@@ -108,18 +108,19 @@ impl PipelineArgs {
 
     fn load(&self) -> Result<Pipeline, CliError> {
         let loaded = match &self.text {
-            Some(text) => Pipeline::of_texts(text, self.included.clone(), &self.pipeline, &self.overrides()),
-            None => Pipeline::load(&self.pipeline, &self.overrides()),
+            Some(text) => Pipeline::of_text(text, self.included.clone(), &self.pipeline, &self.overrides()),
+            None => {
+                Pipeline::load(&self.pipeline, &self.overrides(), Some(&self.store_dir().join(rockface_cache::TREES)))
+            }
         };
         loaded.map_err(CliError::Pipeline)
     }
 
     /// Plans for these targets; faults of the pipeline come before anything is made on disk.
     fn plan(&self, pipeline: &Pipeline, targets: &[String]) -> Result<(Plan, Store), CliError> {
-        let stages = rockface_stages::all();
-        crate::plan::resolve(pipeline, targets, stages).map_err(CliError::Pipeline)?;
+        let graph = crate::plan::resolve(pipeline, targets, rockface_stages::all()).map_err(CliError::Pipeline)?;
         let store = self.open_store()?;
-        let plan = crate::plan::plan(pipeline, targets, stages, &store).map_err(CliError::Pipeline)?;
+        let plan = crate::plan::expand(graph, pipeline, &store).map_err(CliError::Pipeline)?;
         Ok((plan, store))
     }
 

@@ -47,7 +47,7 @@ fn sort_by_neighbours(layers: &mut Layers, row: usize, down: bool) {
 
 /// Exchanges two that stand side by side wherever that leaves fewer crossings.
 fn swap_neighbours(layers: &mut Layers, row: usize) {
-    let places = places(layers);
+    let places = &places(layers);
     let tangle = |left: usize, right: usize| {
         let pairs = |links: &[Vec<usize>]| {
             let one = &links[left];

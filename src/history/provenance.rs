@@ -118,7 +118,8 @@ impl Crate<'_> {
             ("run.json", "application/json", "manifest: everything needed to repeat the run"),
             ("run.mcap", "application/octet-stream", "log of the run, MCAP"),
         ] {
-            if folder.join(name).is_file() {
+            // The manifest is written last.
+            if name == "run.json" || folder.join(name).is_file() {
                 self.add(name, json!({"@type": "File", "name": name, "description": what, "encodingFormat": format}));
                 self.parts.insert(name.to_owned());
             }

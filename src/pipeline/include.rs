@@ -16,6 +16,8 @@ pub struct Texts {
     pub folders: Vec<PathBuf>,
     /// Texts that stand for files, by absolute path: those of a past run that is repeated.
     pub given: BTreeMap<PathBuf, String>,
+    /// Where the trees of long texts are kept.
+    pub trees: Option<PathBuf>,
 }
 
 impl Texts {
@@ -87,7 +89,7 @@ fn included(
     let source = texts.sources.len();
     texts.sources.push(Source { name: path.display().to_string(), text: text.clone() });
     texts.folders.push(path.parent().unwrap_or(Path::new("")).to_owned());
-    let tree = Node::parse(&text, source)?;
+    let tree = super::tree_file::parse(&text, source, texts.trees.as_deref())?;
     check_format(&tree)?;
     Ok(Some((tree, canonical)))
 }

@@ -11,6 +11,7 @@ mod reference;
 mod sobol;
 mod substitute;
 mod sweep;
+mod tree_file;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -50,28 +51,30 @@ pub struct Overrides {
 }
 
 impl Pipeline {
-    /// Reads a pipeline file and applies the overrides.
-    pub fn load(path: &Path, overrides: &Overrides) -> Result<Self, Diagnostics> {
+    /// Reads a pipeline file and applies the overrides. The tree of a long text is kept in the folder of trees, if there is
+    /// one, and taken from there as long as the text is the same.
+    pub fn load(path: &Path, overrides: &Overrides, trees: Option<&Path>) -> Result<Self, Diagnostics> {
         let text = read_text(path).map_err(|fault| Diagnostics { sources: Vec::new(), list: vec![fault] })?;
-        Self::of_text(&text, path, overrides)
+        let texts = Texts { trees: trees.map(Path::to_owned), ..Texts::default() };
+        Self::of_texts(&text, texts, path, overrides)
     }
 
-    /// Reads a text as if it were the pipeline file at `path`, and applies the overrides.
-    pub fn of_text(text: &str, path: &Path, overrides: &Overrides) -> Result<Self, Diagnostics> {
-        Self::of_texts(text, BTreeMap::new(), path, overrides)
-    }
-
-    /// The same with texts that stand for files it includes, by their absolute paths.
-    pub fn of_texts(
+    /// Reads a text as if it were the pipeline file at `path`, and applies the overrides; `included` are texts that stand
+    /// for files it includes, by their absolute paths.
+    pub fn of_text(
         text: &str,
         included: BTreeMap<PathBuf, String>,
         path: &Path,
         overrides: &Overrides,
     ) -> Result<Self, Diagnostics> {
+        Self::of_texts(text, Texts { given: included, ..Texts::default() }, path, overrides)
+    }
+
+    fn of_texts(text: &str, texts: Texts, path: &Path, overrides: &Overrides) -> Result<Self, Diagnostics> {
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_owned();
         let stem = path.file_stem().map_or_else(|| "pipeline".into(), |stem| stem.to_string_lossy().into_owned());
         let source = Source { name: path.display().to_string(), text: text.to_owned() };
-        Self::read(Texts { sources: vec![source], folders: vec![folder], given: included }, &stem, overrides)
+        Self::read(Texts { sources: vec![source], folders: vec![folder], ..texts }, &stem, overrides)
     }
 
     /// The text of the pipeline file.
@@ -100,7 +103,7 @@ impl Pipeline {
         let folder = texts.folders[0].clone();
         let mut faults = Vec::new();
         let mut document = None;
-        match Node::parse(&texts.sources[0].text, 0) {
+        match tree_file::parse(&texts.sources[0].text, 0, texts.trees.as_deref()) {
             Ok(mut root) => {
                 let own = folder.join(Path::new(&texts.sources[0].name).file_name().unwrap_or_default());
                 include::expand(&mut root, &mut vec![own.canonicalize().unwrap_or(own)], &mut texts, &mut faults);

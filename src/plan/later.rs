@@ -52,11 +52,9 @@ fn settle_feed(feed: &mut Feed, axis: usize, own: &Axis, faults: &mut Vec<Diagno
 /// The source of every item.
 fn chosen(named: &[(Word, Source)], other: Option<&Source>, axis: &Axis, faults: &mut Vec<Diagnostic>) -> Vec<Source> {
     named.iter().for_each(|(word, _)| faults.extend(number(word, axis).err()));
-    let of_item = |item: &String| {
-        let case = named.iter().find(|(word, _)| word.text == *item).map(|(_, source)| source);
-        case.or(other).cloned().ok_or(item)
-    };
-    let found: Result<Vec<Source>, &String> = axis.items.iter().map(of_item).collect();
+    let case = |item: &str| named.iter().find(|(word, _)| word.text == item).map(|(_, source)| source);
+    let found: Result<Vec<Source>, &String> =
+        axis.items.iter().map(|item| case(item).or(other).cloned().ok_or(item)).collect();
     found.unwrap_or_else(|item| {
         let message = format!("choosing by `{}` leaves out {item}", axis.name.text);
         faults.push(Diagnostic::at(axis.name.span, message).hint("add `else: step.port` for all items not named"));

@@ -159,7 +159,7 @@ impl Writer<'_> {
             Entry::Headline { text } => Some(format!("{}: {text}", self.plan.label(instance))),
             _ => None,
         };
-        entries.filter(|(instance, _)| self.plan.targets.contains(instance)).filter_map(headline).collect()
+        entries.filter(|(instance, _)| self.plan.targets.binary_search(instance).is_ok()).filter_map(headline).collect()
     }
 
     fn log(&self, logs: &[Vec<Entry>]) -> Result<Vec<u8>, RunError> {

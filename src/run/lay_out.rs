@@ -54,7 +54,7 @@ impl LayOut {
             let is_wanted = wanted == Self::All || (wanted == Self::Targets && is_target);
             let outcome = result.outcome.as_ref().filter(|_| is_wanted);
             let (named, exports) =
-                outcome.map_or(Ok(Default::default()), |outcome| layer.outputs(instance, outcome))?;
+                outcome.map_or(Ok((Paths::new(), Vec::new())), |outcome| layer.outputs(instance, outcome))?;
             if is_target {
                 laid.of_targets.extend(named.values().cloned().chain(exports));
             }

@@ -198,7 +198,7 @@ steps:
     in: {rows: coarse_rows.table}
     with:
       program: sh
-      args: [\"-c\", \"test -s {in.rows} && printf 'cell_m\\n0.05\\n0.1\\n0.15\\n0.2\\n0.25\\n0.3\\n' > {out.table}\"]
+      args: [\"-c\", \"test -s {in.rows} && printf 'cell_m\\n0.04\\n0.05\\n0.06\\n0.07\\n0.08\\n0.09\\n' > {out.table}\"]
       version: POSIX sh
       inputs: {rows: {kind: table, extension: csv}}
       outputs: {table: {kind: table, extension: csv}}

@@ -140,9 +140,8 @@ fn items_of_a_list_are_picked_and_chosen_by_name() {
             ran.plan.instances.len()
         );
     }
-    let bench = Bench::new();
     let failure = |yaml: &str| {
-        let ran = bench.run(yaml, &[]);
+        let ran = Bench::new().run(yaml, &[]);
         let told = ran.events.iter().find_map(|event| match event {
             Event::Failed { message, .. } => Some(message.clone()),
             _ => None,

@@ -263,7 +263,7 @@ rockface: 1
 axes: {k: {count: 6}}
 steps:
   base: {stage: emit}
-  work: {stage: toil, over: [k], in: {after: base.out}}
+  work: {stage: toil, with: {value: '${k}'}, in: {after: base.out}}
 ";
     let run = |memory_bytes: usize| {
         let options = Options { jobs: 3, memory_bytes, ..Options::default() };

@@ -72,7 +72,7 @@ mod tests {
             stage: stage.into(),
             version: 1,
             params: serde_json::json!({}),
-            inputs: Default::default(),
+            inputs: std::collections::BTreeMap::new(),
             seed: None,
         };
         let outputs = [("out".to_owned(), output)].into();
