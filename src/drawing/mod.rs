@@ -103,6 +103,14 @@ impl Drawing {
         self
     }
 
+    /// Says how many instances a step over axes turned out to have.
+    #[must_use]
+    pub fn count(mut self, step: &str, instances: usize) -> Self {
+        let own = self.graph.node_weights_mut().filter(|drawn| drawn.name == step);
+        own.filter_map(|drawn| drawn.over.as_mut()).for_each(|over| over.0 = Some(instances));
+        self
+    }
+
     /// In the language of Graphviz.
     pub fn dot(&self) -> String {
         languages::dot(&self.graph)

@@ -25,6 +25,8 @@ const SIDE_PX: f64 = 14.0;
 const LETTER: f64 = 0.62;
 /// How far the second sheet of a sweep shows, px.
 const SHEET_PX: f64 = 4.0;
+/// Length and width of the tip of an arrow, px.
+const TIP_PX: f64 = 8.0;
 /// Room between two arrows at one box, px.
 const ARROWS_PX: f64 = 16.0;
 
@@ -65,9 +67,7 @@ pub fn svg(drawing: &DiGraph<Drawn, Arrow>, notes: &BTreeMap<String, Note>) -> S
     let mut out = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"rockface-graph\" role=\"img\" width=\"{width:.0}\" \
          height=\"{height:.0}\" viewBox=\"0 0 {width:.0} {height:.0}\">\n<title>steps of the pipeline</title>\n\
-         <style>{STYLE}</style>\n<defs><marker id=\"rockface-tip\" viewBox=\"0 0 8 8\" refX=\"7\" refY=\"4\" \
-         markerWidth=\"8\" markerHeight=\"8\" markerUnits=\"userSpaceOnUse\" orient=\"auto\">\
-         <path class=\"tip\" d=\"M0 0.5L8 4L0 7.5z\"/></marker></defs>\n\
+         <style>{STYLE}</style>\n\
          <rect class=\"paper\" width=\"{width:.0}\" height=\"{height:.0}\"/>\n"
     );
     picture.links.iter().enumerate().for_each(|(number, link)| out += &picture.arrow(number, link));
@@ -161,7 +161,7 @@ impl<'a> Picture<'a> {
     }
 
     fn arrow(&self, number: usize, link: &Link) -> String {
-        let path = match self.trails[number] {
+        let (path, tip) = match self.trails[number] {
             Some(trail) => self.path(trail, link.from > link.to),
             None => self.loop_path(link.from),
         };
@@ -169,11 +169,11 @@ impl<'a> Picture<'a> {
         class += if link.gathers { " gathers" } else { "" };
         class += if link.back { " back" } else { "" };
         let told = escaped(&link.labels.join("\n"));
-        format!("<path class=\"{class}\" marker-end=\"url(#rockface-tip)\" d=\"{path}\"><title>{told}</title></path>\n")
+        format!("<g><title>{told}</title><path class=\"{class}\" d=\"{path}\"/><path class=\"tip\" d=\"{tip}\"/></g>\n")
     }
 
-    /// From box to box by way of the stand-ins; `up` for what leads to a box above.
-    fn path(&self, trail: usize, up: bool) -> String {
+    /// From box to box by way of the stand-ins, and its tip; `up` for what leads to a box above.
+    fn path(&self, trail: usize, up: bool) -> (String, String) {
         let nodes = &self.layers.trails[trail];
         let last = nodes.len() - 1;
         let mut points = vec![(self.door_px(trail, true), self.edges_px(nodes[0]).1)];
@@ -191,15 +191,22 @@ impl<'a> Picture<'a> {
             let middle = f64::midpoint(y, next_y);
             path += &format!("C{x:.1} {middle:.1} {next_x:.1} {middle:.1} {next_x:.1} {next_y:.1}");
         }
-        path
+        let (x, y) = points[points.len() - 1];
+        let (left, right, base) = (x - TIP_PX / 2.0, x + TIP_PX / 2.0, if up { y + TIP_PX } else { y - TIP_PX });
+        (path, format!("M{left:.1} {base:.1}L{x:.1} {y:.1}L{right:.1} {base:.1}z"))
     }
 
-    /// Out of the right side of a box and back into it.
-    fn loop_path(&self, node: usize) -> String {
+    /// Out of the right side of a box and back into it, and its tip.
+    fn loop_path(&self, node: usize) -> (String, String) {
         let (top, bottom) = self.edges_px(node);
         let x = self.x_px[node] + self.boxes_px[node].0 / 2.0;
         let (out, back) = (top + 0.7 * (bottom - top), top + 0.3 * (bottom - top));
-        format!("M{x:.1} {out:.1}C{0:.1} {out:.1} {0:.1} {back:.1} {1:.1} {back:.1}", x + 24.0, x + SHEET_PX)
+        let (far, near) = (x + 24.0, x + SHEET_PX);
+        let (top, base, bottom) = (back - TIP_PX / 2.0, near + TIP_PX, back + TIP_PX / 2.0);
+        (
+            format!("M{x:.1} {out:.1}C{far:.1} {out:.1} {far:.1} {back:.1} {near:.1} {back:.1}"),
+            format!("M{base:.1} {top:.1}L{near:.1} {back:.1}L{base:.1} {bottom:.1}z"),
+        )
     }
 
     fn step(&self, node: usize, drawn: &Drawn) -> String {

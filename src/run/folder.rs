@@ -12,9 +12,10 @@ use serde_json::json;
 
 use super::lay_out::{Laid, LayOut, readable_name};
 use super::{RunError, Summary, account};
-use crate::history::crate_metadata;
+use crate::history::{Manifest, crate_metadata};
 use crate::pipeline::{Overrides, Pipeline};
 use crate::plan::Plan;
+use crate::report;
 use crate::watch::{LoggedStep, write_log};
 
 /// Where a run is told of.
@@ -125,8 +126,22 @@ impl Writer<'_> {
         write_file(&folder.join("pipeline.yaml"), self.about.pipeline.text().as_bytes())?;
         let described = serde_json::to_string_pretty(&crate_metadata(folder, &manifest)).unwrap_or_default();
         write_file(&folder.join("ro-crate-metadata.json"), format!("{described}\n").as_bytes())?;
+        self.report(folder, &manifest)?;
         // Last: a folder without a manifest is no run.
         write_file(&folder.join("run.json"), manifest.into_text().as_bytes())
+    }
+
+    /// Writes the page of the run.
+    fn report(&self, folder: &Path, manifest: &Manifest) -> Result<(), RunError> {
+        let path = folder.join(report::FILE);
+        let source = report::Source { folder, manifest, store: Some(self.store) };
+        match report::write(&source, &path) {
+            // What was computed is worth more than its page.
+            Err(report::ReportError::Template(error)) => tracing::warn!("the run has no report: {error:#}"),
+            Err(report::ReportError::Io { source, .. }) => return Err(failed(&path)(source)),
+            Ok(()) => {}
+        }
+        Ok(())
     }
 
     fn make_folder(&self, key: &Digest) -> Result<PathBuf, RunError> {

@@ -224,5 +224,6 @@ fn graph_draws_a_picture_with_sweeps_folded() {
         assert!(out.contains(part), "{part}: {out}");
     }
     assert_eq!(out.matches("<g class=").count(), 3, "one box a step: {out}");
+    assert!(!out.contains("url(") && !out.contains(" id="), "it may stand in any page: {out}");
     assert!(!house.path(".rockface").exists(), "drawing makes nothing on disk");
 }
