@@ -117,6 +117,7 @@ impl Crate<'_> {
         for (name, format, what) in [
             ("run.json", "application/json", "manifest: everything needed to repeat the run"),
             ("run.mcap", "application/octet-stream", "log of the run, MCAP"),
+            ("report.html", "text/html", "the run on one page, for people"),
         ] {
             // The manifest is written last.
             if name == "run.json" || folder.join(name).is_file() {
