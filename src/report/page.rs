@@ -17,6 +17,9 @@ use crate::watch::duration;
 /// Headlines and warnings that are shown.
 const LINES: usize = 40;
 
+/// Bytes of the pipeline's text that are shown.
+const TEXT_BYTES: usize = 200_000;
+
 /// What the template is given.
 #[derive(Debug, Serialize)]
 pub struct Page {
@@ -40,6 +43,7 @@ pub struct Page {
     refused: usize,
     graph: Option<String>,
     steps: Vec<StepView>,
+    more_steps: usize,
     folder: String,
     manifest: Option<String>,
     log: Option<String>,
@@ -103,13 +107,14 @@ pub fn of(source: &Source, links: Links) -> Page {
         results,
         refused: budget.refused,
         graph: graph::svg(manifest),
+        more_steps: gathered.more_steps,
         steps: gathered.steps,
         folder: source.folder.display().to_string(),
         manifest: linker.to("run.json".as_ref()),
         log: linker.to("run.mcap".as_ref()),
         program: program(&manifest.program),
         pipeline_path: manifest.pipeline.path.display().to_string(),
-        pipeline_text: manifest.pipeline.text.clone(),
+        pipeline_text: beginning(&manifest.pipeline.text),
         changed: changed.chain(swept).chain(reseeded).collect(),
     }
 }
@@ -164,6 +169,15 @@ fn folded(warnings: Vec<Said>) -> Vec<Warning> {
         }
     }
     found
+}
+
+/// A text, or its beginning where it is very long.
+fn beginning(text: &str) -> String {
+    if text.len() <= TEXT_BYTES {
+        return text.to_owned();
+    }
+    let end = (0..=TEXT_BYTES).rev().find(|end| text.is_char_boundary(*end)).unwrap_or(0);
+    format!("{}\n\u{2026} {} more bytes: pipeline.yaml in the run folder has them", &text[..end], text.len() - end)
 }
 
 fn said(line: &str) -> Said {

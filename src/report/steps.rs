@@ -1,6 +1,6 @@
 //! The steps of a run, each with its instances folded into one.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use rockface_stages::Entry;
@@ -19,6 +19,10 @@ use crate::watch::duration;
 const SHOWN: usize = 4;
 /// Instances of a step whose notes and numbers are read.
 const READ: usize = 2000;
+/// Steps that are shown: targets, and the first of the others.
+const STEPS: usize = 300;
+/// Values of a parameter that are shown.
+const VALUES: usize = 6;
 /// Notes of a step that are shown.
 const NOTES: usize = 12;
 /// Files of a step that are listed.
@@ -66,7 +70,7 @@ pub struct StepView {
     /// Notes that are not shown.
     pub more_notes: usize,
     /// Its parameters.
-    pub parameters: Vec<(String, Vec<Shown>)>,
+    pub parameters: Vec<ParameterView>,
     /// Its files.
     pub files: Vec<FileView>,
     /// Files that are not listed.
@@ -97,6 +101,17 @@ pub struct MetricView {
     pub value: Shown,
     /// Smallest and largest of several.
     pub range: Option<[Shown; 2]>,
+}
+
+/// A parameter with its value, or the first of its values where they differ between instances.
+#[derive(Debug, Clone, Serialize)]
+pub struct ParameterView {
+    /// Its name.
+    pub name: String,
+    /// Its first values.
+    pub values: Vec<Shown>,
+    /// How many different ones there are.
+    pub count: usize,
 }
 
 /// A file of the run folder.
@@ -152,6 +167,8 @@ pub struct Gathered {
     pub steps: Vec<StepView>,
     /// All warnings.
     pub warnings: Vec<Said>,
+    /// Steps that are not shown.
+    pub more_steps: usize,
 }
 
 /// Gathers the steps of a run. Pictures of target steps come first into the budget.
@@ -165,9 +182,19 @@ pub fn gather(linker: &Linker, targets: &[String], budget: &mut Budget) -> Gathe
         });
         order[place].1.push(done);
     }
-    let mut gathered = Gathered::default();
+    let is_target = |name: &str| targets.iter().any(|target| target == name);
+    let mut gathered = Gathered { more_steps: order.len().saturating_sub(STEPS), ..Gathered::default() };
+    if gathered.more_steps > 0 {
+        let mut others = STEPS.saturating_sub(targets.len());
+        order.retain(|(name, _)| {
+            let kept = is_target(name) || others > 0;
+            others -= usize::from(kept && !is_target(name));
+            kept
+        });
+        order.truncate(STEPS);
+    }
     for (name, instances) in &order {
-        let view = step(linker, name, instances, targets.iter().any(|target| target == name), &mut gathered.warnings);
+        let view = step(linker, name, instances, is_target(name), &mut gathered.warnings);
         gathered.steps.push(view);
     }
     let longest = gathered.steps.iter().map(|step| step.wall_s).fold(0.0, f64::max);
@@ -262,17 +289,23 @@ fn metrics(instances: &[&StepDone]) -> Vec<MetricView> {
     told.into_iter().map(view).collect()
 }
 
-/// Every parameter with its value, or its values where they differ between instances.
-fn parameters(instances: &[&StepDone]) -> Vec<(String, Vec<Shown>)> {
-    let mut found: Vec<(String, Vec<Value>)> = Vec::new();
+/// Every parameter with its values.
+fn parameters(instances: &[&StepDone]) -> Vec<ParameterView> {
+    let mut found: Vec<(String, Vec<Shown>, BTreeSet<String>)> = Vec::new();
     for done in instances.iter().take(READ) {
-        leaves(&done.parameters, "", &mut |name, value| match found.iter_mut().find(|(known, _)| known == name) {
-            Some((_, values)) if values.contains(value) => {}
-            Some((_, values)) => values.push(value.clone()),
-            None => found.push((name.to_owned(), vec![value.clone()])),
+        leaves(&done.parameters, "", &mut |name, value| {
+            let known = found.iter().position(|(known, _, _)| known == name);
+            let place = known.unwrap_or_else(|| {
+                found.push((name.to_owned(), Vec::new(), BTreeSet::new()));
+                found.len() - 1
+            });
+            let (_, values, texts) = &mut found[place];
+            if texts.insert(value.to_string()) && values.len() < VALUES {
+                values.push(Shown::of_json(value));
+            }
         });
     }
-    found.into_iter().map(|(name, values)| (name, values.iter().map(Shown::of_json).collect())).collect()
+    found.into_iter().map(|(name, values, texts)| ParameterView { name, values, count: texts.len() }).collect()
 }
 
 fn leaves(value: &Value, path: &str, tell: &mut impl FnMut(&str, &Value)) {

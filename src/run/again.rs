@@ -39,7 +39,7 @@ pub fn with_channels(
     }
     let inputs = inputs(recipe, store, kind_of)?;
     let (files, stop) = (BTreeMap::new(), AtomicBool::new(false));
-    let host = StepHost::new(recipe.seed.as_ref().map(SeedMaterial::key), &files, &stop, None);
+    let host = StepHost::new(recipe.seed.as_ref().map(SeedMaterial::key), &files, store, &stop, None);
     Ok(stage.run(&with, &inputs, &Context::new(&host))?.into_inner())
 }
 

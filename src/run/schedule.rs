@@ -95,6 +95,10 @@ pub struct Scheduler<'a> {
     pub(super) failure: bool,
     /// How much the log shows of each instance; found when it is first asked for.
     pub(super) log_levels: Option<Vec<LogLevel>>,
+    /// What running instances are expected to need, bytes, by instance.
+    pub(super) needs: HashMap<usize, u64>,
+    /// Keys that were looked up and are not told of yet.
+    pub(super) counted_on: Vec<Digest>,
     running: usize,
 }
 
@@ -114,6 +118,8 @@ impl<'a> Scheduler<'a> {
             memory_bytes: 0,
             failure: false,
             log_levels: None,
+            needs: HashMap::new(),
+            counted_on: Vec::new(),
             running: 0,
         }
     }
@@ -146,6 +152,9 @@ impl<'a> Scheduler<'a> {
             self.take_turns()?;
             while self.running < self.options.jobs && !self.stopping(stop) {
                 let Some(instance) = self.next()? else { break };
+                if !self.has_room(instance, self.running) {
+                    break;
+                }
                 self.begin(instance, start)?;
             }
             if self.running == 0 || stop.load(Ordering::Relaxed) {
@@ -155,6 +164,7 @@ impl<'a> Scheduler<'a> {
                 Ok(Message::Waiting(instance)) => self.tell(&Event::Waiting { step: self.plan.label(instance) }),
                 Ok(Message::Done(instance, result)) => {
                     self.running -= 1;
+                    self.needs.remove(&instance);
                     self.take(instance, *result)?;
                 }
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}

@@ -1,5 +1,6 @@
 'use strict';
-// The page is whole without this: it sorts tables, opens the step a link leads to, and unfolds all for printing.
+// The page is whole without this: it sorts tables, opens the step a link leads to, and prints the pipeline.
+// Steps are printed as they are: folded ones as a line.
 for (const table of document.querySelectorAll('table.sortable')) {
   const body = table.tBodies[0];
   [...table.tHead.rows[0].cells].forEach((head, column) => {
@@ -31,7 +32,7 @@ addEventListener('hashchange', unfold);
 unfold();
 let folded = [];
 addEventListener('beforeprint', () => {
-  folded = [...document.querySelectorAll('details.step:not([open])')];
+  folded = [...document.querySelectorAll('details.text:not([open])')];
   for (const details of folded) details.open = true;
 });
 addEventListener('afterprint', () => { for (const details of folded) details.open = false; });
