@@ -18,3 +18,4 @@ mod reading;
 mod report;
 mod rework;
 mod tidy;
+mod watching;
