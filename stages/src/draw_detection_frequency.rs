@@ -64,8 +64,10 @@ steps:
         for (number, (name, volumes)) in series.iter().enumerate() {
             let points: Vec<[f64; 2]> = power_law::curve(volumes).iter().map(|(v, n)| [*v, *n as f64]).collect();
             let law = power_law::fit(volumes, None, params.least_count as usize);
-            let told = law.map_or(String::new(), |law| format!(", b = {:.2} \u{b1} {:.2}", law.exponent, law.standard_error));
-            axes = axes.with(Layer::points(format!("{name} ({}){told}", volumes.len()), points).ink(Ink::Series(number)));
+            let told =
+                law.map_or(String::new(), |law| format!(", b = {:.2} \u{b1} {:.2}", law.exponent, law.standard_error));
+            axes =
+                axes.with(Layer::points(format!("{name} ({}){told}", volumes.len()), points).ink(Ink::Series(number)));
             if let Some((law, last)) = law.zip(volumes.last()) {
                 let line = vec![[law.minimum, law.count as f64], [*last, law.number_from(*last).max(0.5)]];
                 axes = axes.with(Layer::line("", line).ink(Ink::Series(number)));
@@ -122,7 +124,7 @@ mod tests {
     fn inventory(column: &str, words: [&str; 2]) -> Inventory {
         let columns = [column, "outcome", "long_m", "intermediate_m", "short_m"].map(str::to_owned).to_vec();
         let feature = |i: u32| {
-            let word = words[usize::from(i % 3 == 0)];
+            let word = words[usize::from(i.is_multiple_of(3))];
             let volume = 1.0 / f64::from(i + 1);
             let values = vec![volume.into(), word.into(), 1.0.into(), 0.6.into(), (0.1 + 0.01 * f64::from(i)).into()];
             Feature { outline: Vec::new(), values }

@@ -65,7 +65,8 @@ steps:
         let kind = if params.rates == Rates::Pooled { "pooled" } else { "macro" };
         let column = |name: &str| place(&format!("{kind}_{name}"));
         let (precision, recall, f1) = (column("precision")?, column("recall")?, column("f1")?);
-        let ends = ["precision", "f1"].map(|name| Ok([column(&format!("{name}_low"))?, column(&format!("{name}_high"))?]));
+        let ends =
+            ["precision", "f1"].map(|name| Ok([column(&format!("{name}_low"))?, column(&format!("{name}_high"))?]));
         let [precision_ends, f1_ends] = ends;
         let (precision_ends, f1_ends): ([usize; 2], [usize; 2]) = (precision_ends?, f1_ends?);
         let (along, error) = (place(&params.along)?, place("volume_error_median")?);
@@ -79,7 +80,9 @@ steps:
                 rows.iter().filter_map(|row| Some([row[x].number()?, factor * row[y].number()?])).collect()
             };
             let spans = |x: usize, [low, high]: [usize; 2]| -> Vec<[f64; 3]> {
-                rows.iter().filter_map(|row| Some([row[x].number()?, row[low].number()?, row[high].number()?])).collect()
+                rows.iter()
+                    .filter_map(|row| Some([row[x].number()?, row[low].number()?, row[high].number()?]))
+                    .collect()
             };
             let dots = |axes: Axes, points: Vec<[f64; 2]>, name: &str| {
                 axes.with(Layer::line(name, points.clone()).ink(ink)).with(Layer::points("", points).ink(ink))
@@ -123,8 +126,18 @@ mod tests {
 
     #[test]
     fn a_curve_a_detector() {
-        let columns = ["detector", "threshold_m", "pooled_precision", "pooled_precision_low", "pooled_precision_high", "pooled_recall",
-            "pooled_f1", "pooled_f1_low", "pooled_f1_high", "volume_error_median"];
+        let columns = [
+            "detector",
+            "threshold_m",
+            "pooled_precision",
+            "pooled_precision_low",
+            "pooled_precision_high",
+            "pooled_recall",
+            "pooled_f1",
+            "pooled_f1_low",
+            "pooled_f1_high",
+            "volume_error_median",
+        ];
         let mut table = Table::new(columns);
         for (name, offset) in [("raster", 0.0), ("voxels", 0.1)] {
             for step in 1..6 {
@@ -134,7 +147,8 @@ mod tests {
                 table.push(std::iter::once(Cell::from(name)).chain(numbers.map(Cell::from)).collect());
             }
         }
-        let run = |with| run_stage::<DrawDetectionRates>(&TestHost::default(), &with, &[("rates", table.clone().into())]);
+        let run =
+            |with| run_stage::<DrawDetectionRates>(&TestHost::default(), &with, &[("rates", table.clone().into())]);
         let made = run(json!({})).unwrap().into_inner();
         let Artefact::Figure(figure) = &made["figure"] else { panic!("no figure") };
         assert!(figure.svg.contains("voxels") && figure.svg.contains("recall"));

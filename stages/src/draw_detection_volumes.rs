@@ -60,11 +60,9 @@ steps:
         let errors = Axes::new(Axis::log("true volume, m\u{b3}"), Axis::linear("volume error, %"))
             .with(Layer::new("", Mark::AtY(0.0)).ink(Ink::Rule))
             .with(Layer::points("", points(|change| change.detected_m3.map(|d| 100.0 * (d / change.volume_m3 - 1.0)))));
-        let overlaps = Axes::new(
-            Axis::log("true volume, m\u{b3}"),
-            Axis::linear("intersection over union").between(0.0, 1.0),
-        )
-        .with(Layer::points("", points(|change| change.iou)));
+        let overlaps =
+            Axes::new(Axis::log("true volume, m\u{b3}"), Axis::linear("intersection over union").between(0.0, 1.0))
+                .with(Layer::points("", points(|change| change.iou)));
         let panels = [
             Panel::new("Volumes", volumes),
             Panel::new("Volume error", errors),
@@ -141,7 +139,8 @@ mod tests {
             Feature { outline: Vec::new(), values: vec![volume.into(), outcome.into(), detected, iou] }
         };
         let truth = Inventory { frame: Frame::Wall, columns, features: (0..30).map(feature).collect() };
-        let made = run_stage::<DrawDetectionVolumes>(&TestHost::default(), &json!({}), &[("truth", truth.clone().into())]);
+        let made =
+            run_stage::<DrawDetectionVolumes>(&TestHost::default(), &json!({}), &[("truth", truth.clone().into())]);
         let Some(Artefact::Figure(figure)) = made.unwrap().into_inner().remove("figure") else { panic!("no figure") };
         assert!(figure.svg.contains("21 of 30 changes found") && figure.is_plain());
         let bare = Inventory { columns: vec!["removed_m3".into()], features: Vec::new(), ..truth };

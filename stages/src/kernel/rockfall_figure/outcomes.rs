@@ -73,7 +73,8 @@ pub fn draw(map: &Map, width_px: usize) -> Result<Vec<u8>, CodecError> {
         }
     }
     canvas.frame(MARGIN, top, view.width, view.height, FAINT);
-    draw_scale(&mut canvas, view.width as f64, view.pixel_m, [MARGIN, top + view.height + 24])?;
+    let pen = Pen::plain(16.0, INK)?;
+    draw_scale(&mut canvas, view.width as f64, view.pixel_m, [MARGIN, top + view.height + 24], &pen)?;
     canvas.to_png()
 }
 
