@@ -29,7 +29,7 @@ impl ReportArgs {
         if store.is_none() {
             eprintln!("warning: there is no store here; what is not in the run folder is missing from the report");
         }
-        let source = Source { folder: &run.folder, manifest: &run.manifest, store: store.as_ref() };
+        let source = Source { folder: &run.folder, manifest: &run.manifest, store: store.as_ref(), logs: None };
         let to = self.output.unwrap_or_else(|| run.folder.join(report::FILE));
         report::write(&source, &to)?;
         say(&to.display().to_string());

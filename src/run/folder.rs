@@ -125,7 +125,7 @@ impl Writer<'_> {
         let manifest = self.manifest(&headlines, &logs, &paths)?;
         let text = serde_json::to_string_pretty(&manifest).unwrap_or_default();
         write_file(&folder.join("run.json"), format!("{text}\n").as_bytes())?;
-        self.report(folder, manifest.clone())?;
+        self.report(folder, manifest.clone(), &logs)?;
         self.describe(folder, &manifest)?;
         point_latest(self.about.runs, folder)?;
         Ok(Finished { folder: folder.to_owned(), headlines, files })
@@ -141,10 +141,10 @@ impl Writer<'_> {
     }
 
     /// Writes the page of the run.
-    fn report(&self, folder: &Path, manifest: Value) -> Result<(), RunError> {
+    fn report(&self, folder: &Path, manifest: Value, logs: &[Vec<Entry>]) -> Result<(), RunError> {
         let path = folder.join(report::FILE);
         let manifest = serde_json::from_value(manifest).map_err(|error| failed(&path)(error.into()))?;
-        let source = report::Source { folder, manifest: &manifest, store: Some(self.store) };
+        let source = report::Source { folder, manifest: &manifest, store: Some(self.store), logs: Some(logs) };
         match report::write(&source, &path) {
             // What was computed is worth more than its page.
             Err(report::ReportError::Template(error)) => tracing::warn!("the run has no report: {error:#}"),
