@@ -91,6 +91,17 @@ impl Record {
         promised(&self.outputs, self.log)
     }
 
+    /// Whether it keeps outputs of which another record of the same recipe and outputs only tells.
+    pub fn keeps_more_than(&self, other: &Self) -> bool {
+        let same = self
+            .outputs
+            .iter()
+            .map(|(port, output)| (port, output.digest))
+            .eq(other.outputs.iter().map(|(port, output)| (port, output.digest)));
+        let kept = |record: &Self| record.outputs.values().filter(|output| output.kept).count();
+        same && kept(self) > kept(other)
+    }
+
     /// Whether two records of one recipe say the same of everything but the cost.
     pub fn same_outcome(&self, other: &Record) -> bool {
         self.outputs == other.outputs && self.log == other.log

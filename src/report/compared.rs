@@ -68,7 +68,7 @@ pub fn comparison(runs: &[PastRun], store: Option<&Store>) -> Result<String, Rep
 }
 
 fn run(run: &PastRun) -> RunView {
-    let source = Source { folder: &run.folder, manifest: &run.manifest, store: None, logs: None };
+    let source = Source { folder: &run.folder, manifest: &run.manifest, store: None, graph: None, logs: None };
     let linker = Linker { source: &source, links: Links::Absolute };
     RunView {
         name: run.name.clone(),
@@ -95,7 +95,7 @@ fn pictures(runs: &[PastRun], store: Option<&Store>) -> Vec<PictureRow> {
     let mut budget = Budget::new();
     let mut found: BTreeMap<String, Vec<Option<Medium>>> = BTreeMap::new();
     for (place, run) in runs.iter().enumerate() {
-        let source = Source { folder: &run.folder, manifest: &run.manifest, store, logs: None };
+        let source = Source { folder: &run.folder, manifest: &run.manifest, store, graph: None, logs: None };
         let linker = Linker { source: &source, links: Links::Absolute };
         for done in &run.manifest.steps {
             for medium in media::of(&source, done, &linker, &mut budget) {

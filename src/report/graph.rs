@@ -1,8 +1,50 @@
 //! The graph of a run, each step with what became of it.
 
+use crate::drawing::{Drawing, Note, Tint};
 use crate::history::Manifest;
+use crate::pipeline::{Overrides, Pipeline};
+use crate::plan::{Graph, resolve};
 
-/// The picture, where it can be drawn.
-pub fn svg(_manifest: &Manifest) -> Option<String> {
-    None
+use super::steps::StepView;
+
+/// A graph of more steps is not drawn: nobody could read it.
+const STEPS: usize = 150;
+
+/// The graph of a past run, from the texts its manifest holds; `None` where this version does not read them.
+pub fn of(manifest: &Manifest) -> Option<Graph> {
+    let (told, changed) = (&manifest.pipeline, &manifest.overrides);
+    let path = told.folder.join(told.path.file_name()?);
+    let overrides = Overrides { set: changed.set.clone(), sweep: changed.sweep.clone(), seed: changed.seed };
+    let included = told.included.iter().map(|file| (file.path.clone(), file.text.clone())).collect();
+    let pipeline = Pipeline::of_text(&told.text, included, &path, &overrides).ok()?;
+    resolve(&pipeline, &manifest.targets, rockface_stages::all()).ok()
+}
+
+/// The names of the target steps.
+pub fn targets(graph: &Graph) -> Vec<String> {
+    graph.targets.iter().map(|step| graph.steps[*step].name.clone()).collect()
+}
+
+/// The picture, each step with its time and whether it ran, was cached or did not finish.
+pub fn svg(graph: &Graph, steps: &[StepView]) -> Option<String> {
+    if graph.steps.len() > STEPS {
+        return None;
+    }
+    let drawing = Drawing::of(graph).ok()?;
+    Some(steps.iter().fold(drawing, |drawing, step| drawing.note(&step.name, note(step))).svg())
+}
+
+fn note(step: &StepView) -> Note {
+    let tint = match step {
+        step if step.missing > 0 => Tint::Failed,
+        step if step.executed > 0 => Tint::Ran,
+        _ => Tint::Cached,
+    };
+    let what = match step {
+        step if step.missing > 0 => format!("{} not finished", step.missing),
+        step if step.executed == 0 => "cached".to_owned(),
+        step if step.cached > 0 => format!("ran {}, cached {}", step.executed, step.cached),
+        _ => "ran".to_owned(),
+    };
+    Note { text: format!("{what}, {}", step.wall), tint }
 }

@@ -6,6 +6,7 @@ use rockface_cache::{Digest, OutputRecord, Store};
 use rockface_stages::Entry;
 
 use crate::history::{Manifest, StepDone};
+use crate::plan::Graph;
 
 /// A run and where its files are.
 pub struct Source<'a> {
@@ -15,6 +16,8 @@ pub struct Source<'a> {
     pub manifest: &'a Manifest,
     /// The store, for what is not in the folder; without it such things are left out, and the page says so.
     pub store: Option<&'a Store>,
+    /// Its steps and how they hang together, where that is known.
+    pub graph: Option<&'a Graph>,
     /// What each step instance said, in the order of the manifest, where that was read already; otherwise the store is asked.
     pub logs: Option<&'a [Vec<Entry>]>,
 }

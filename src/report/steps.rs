@@ -151,12 +151,19 @@ impl Linker<'_> {
     /// The address of a file of the folder that is there.
     pub fn to(&self, path: &Path) -> Option<String> {
         let full = self.source.file(path)?;
-        let written = if self.links == Links::Relative { path.to_owned() } else { full };
+        Some(self.address(if self.links == Links::Relative { path } else { &full }))
+    }
+
+    /// The address of a file that every run folder has, though this one may get it after its report.
+    pub fn certain(&self, name: &str) -> String {
+        self.address(&if self.links == Links::Relative { name.into() } else { self.source.folder.join(name) })
+    }
+
+    fn address(&self, path: &Path) -> String {
         let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"/._-~,=".contains(&byte);
-        let text = written.to_string_lossy();
         let letter = |byte: u8| if plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") };
-        let address: String = text.bytes().map(letter).collect();
-        Some(if self.links == Links::Relative { address } else { format!("file://{address}") })
+        let address: String = path.to_string_lossy().bytes().map(letter).collect();
+        if self.links == Links::Relative { address } else { format!("file://{address}") }
     }
 }
 

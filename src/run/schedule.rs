@@ -92,6 +92,10 @@ pub struct Scheduler<'a> {
     pub(super) timing: Timing,
     pub(super) memory_bytes: usize,
     pub(super) failure: bool,
+    /// What running instances are expected to need, bytes, by instance.
+    pub(super) needs: HashMap<usize, u64>,
+    /// Keys that were looked up and are not told of yet.
+    pub(super) counted_on: Vec<Digest>,
     running: usize,
 }
 
@@ -110,6 +114,8 @@ impl<'a> Scheduler<'a> {
             computing: HashMap::new(),
             memory_bytes: 0,
             failure: false,
+            needs: HashMap::new(),
+            counted_on: Vec::new(),
             running: 0,
         }
     }
@@ -142,6 +148,9 @@ impl<'a> Scheduler<'a> {
             self.take_turns()?;
             while self.running < self.options.jobs && !self.stopping(stop) {
                 let Some(instance) = self.next()? else { break };
+                if !self.has_room(instance, self.running) {
+                    break;
+                }
                 self.begin(instance, start)?;
             }
             if self.running == 0 || stop.load(Ordering::Relaxed) {
@@ -151,6 +160,7 @@ impl<'a> Scheduler<'a> {
                 Ok(Message::Waiting(instance)) => self.tell(&Event::Waiting { step: self.plan.label(instance) }),
                 Ok(Message::Done(instance, result)) => {
                     self.running -= 1;
+                    self.needs.remove(&instance);
                     self.take(instance, result)?;
                 }
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}

@@ -123,7 +123,7 @@ pub fn work(
     let cpu = process_cpu_s();
     let (inputs, loaded) = load(task, store, pool)?;
     let before = fingerprints(task)?;
-    let (outputs, entries, retried) = attempts(task, &inputs, pool, stop)?;
+    let (outputs, entries, retried) = attempts(task, &inputs, (store, pool), stop)?;
     unchanged_files(task, store, &before)?;
     let values: BTreeMap<_, _> = outputs.into_iter().map(|(port, value)| (port, Arc::new(value))).collect();
     let mut outcome = keep(task, store, pool, &values, &entries)?;
@@ -215,12 +215,12 @@ type Fingerprint = (u64, i64, i64, i64, i64, u64);
 fn attempts(
     task: &Task,
     inputs: &Inputs,
-    pool: &ThreadPool,
+    means: (&Store, &ThreadPool),
     stop: &AtomicBool,
 ) -> Result<(Made, Vec<Entry>, Vec<String>), Failure> {
     let mut told = Vec::new();
     loop {
-        match attempt(task, inputs, pool, stop) {
+        match attempt(task, inputs, means, stop) {
             Ok((outputs, entries)) => return Ok((outputs, entries, told)),
             Err(Failure::Stage(error)) if told.len() < task.retries as usize && !stop.load(Ordering::Relaxed) => {
                 told.push(format!("attempt {} of {} failed: {error}", told.len() + 1, task.retries + 1));
@@ -230,10 +230,15 @@ fn attempts(
     }
 }
 
-fn attempt(task: &Task, inputs: &Inputs, pool: &ThreadPool, stop: &AtomicBool) -> Result<Attempt, Failure> {
+fn attempt(
+    task: &Task,
+    inputs: &Inputs,
+    (store, pool): (&Store, &ThreadPool),
+    stop: &AtomicBool,
+) -> Result<Attempt, Failure> {
     let seed = task.recipe.seed.as_ref().map(rockface_cache::SeedMaterial::key);
     let deadline = task.timeout.map(|timeout| Instant::now() + timeout);
-    let host = StepHost::new(seed, &task.params.files, stop, deadline);
+    let host = StepHost::new(seed, &task.params.files, store, stop, deadline);
     let result = pool.install(|| run_stage(task, inputs, &host));
     match (result, task.timeout) {
         (Err(Failure::Stage(error)), Some(timeout)) if host.is_late() && !stop.load(Ordering::Relaxed) => {

@@ -5,15 +5,14 @@ use std::io::{Seek, Write};
 
 use mcap::records::MessageHeader;
 use mcap::{Compression, McapError, WriteOptions};
-use serde_json::{Value, json};
 
 /// One step instance for the log.
 pub struct LoggedStep {
     /// Name of the step.
     pub step: String,
     /// What happened, as JSON: point, stage, key, outputs, entries.
-    pub message: Value,
-    /// The canonical text of its recipe.
+    pub message: String,
+    /// The canonical text of its recipe, JSON.
     pub recipe: String,
 }
 
@@ -48,16 +47,16 @@ pub fn write_log<W: Write + Seek>(
         let time = (sequence as u64 + 1) * 1_000_000;
         let header =
             MessageHeader { channel_id: channel, sequence: sequence as u32, log_time: time, publish_time: time };
-        writer.write_to_known_channel(&header, logged.message.to_string().as_bytes())?;
+        writer.write_to_known_channel(&header, logged.message.as_bytes())?;
     }
-    let recipes: Value =
-        steps.iter().map(|s| serde_json::from_str::<Value>(&s.recipe).unwrap_or(json!(s.recipe))).collect();
+    let recipes: Vec<&str> = steps.iter().map(|step| step.recipe.as_str()).collect();
+    let recipes = format!("[{}]", recipes.join(","));
     writer.attach(&mcap::Attachment {
         log_time: 0,
         create_time: 0,
         name: "recipes.json".into(),
         media_type: "application/json".into(),
-        data: recipes.to_string().into_bytes().into(),
+        data: recipes.into_bytes().into(),
     })?;
     writer.finish()?;
     Ok(writer.into_inner())
@@ -69,8 +68,11 @@ mod tests {
 
     #[test]
     fn another_reader_finds_every_message() {
-        let logged =
-            |step: &str, n: u32| LoggedStep { step: step.into(), message: json!({"n": n}), recipe: "{}".into() };
+        let logged = |step: &str, n: u32| LoggedStep {
+            step: step.into(),
+            message: format!("{{\"n\":{n}}}"),
+            recipe: "{}".into(),
+        };
         let steps = [logged("a", 1), logged("b", 2), logged("a", 3)];
         let bytes = write_log(std::io::Cursor::new(Vec::new()), &BTreeMap::new(), &steps).unwrap().into_inner();
         let read: Vec<_> = mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap).collect();

@@ -41,6 +41,13 @@ pub enum Event {
         /// Elapsed seconds.
         wall_s: f64,
     },
+    /// An instance could start and waits until there is memory for it.
+    Held {
+        /// The instance.
+        step: String,
+        /// What it is expected to need, bytes.
+        need_bytes: u64,
+    },
     /// Another process computes the same; this one waits for it.
     Waiting {
         /// The instance.
@@ -91,6 +98,10 @@ pub struct Progress {
 pub trait Observer {
     /// Something happened.
     fn event(&mut self, event: &Event, progress: Progress);
+    /// Whether it has no use for [`Event::Cached`], of which there may be very many.
+    fn ignores_cached(&self) -> bool {
+        false
+    }
     /// The run is over; leave the screen in order.
     fn end(&mut self) {}
 }
@@ -100,6 +111,9 @@ pub struct Silent;
 
 impl Observer for Silent {
     fn event(&mut self, _: &Event, _: Progress) {}
+    fn ignores_cached(&self) -> bool {
+        true
+    }
 }
 
 /// Keeps every event: the oracle of tests.
