@@ -98,7 +98,7 @@ fn pictures(runs: &[PastRun], store: Option<&Store>) -> Vec<PictureRow> {
         let source = Source { folder: &run.folder, manifest: &run.manifest, store, graph: None, logs: None };
         let linker = Linker { source: &source, links: Links::Absolute };
         for done in &run.manifest.steps {
-            for medium in media::of(&source, done, &linker, &mut budget) {
+            for medium in media::finished_of(&source, done, &linker, &mut budget) {
                 let images = found.entry(medium.from.clone()).or_insert_with(|| runs.iter().map(|_| None).collect());
                 images[place] = Some(medium);
             }

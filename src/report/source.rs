@@ -4,6 +4,8 @@ use std::path::{Path, PathBuf};
 
 use rockface_cache::{Digest, OutputRecord, Store};
 use rockface_stages::Entry;
+use rockface_stages::artefact::Shown;
+use rockface_stages::artefact::sketch::{ColourKey, Shape};
 
 use crate::history::{Manifest, StepDone};
 use crate::plan::Graph;
@@ -20,6 +22,18 @@ pub struct Source<'a> {
     pub graph: Option<&'a Graph>,
     /// What each step instance said, in the order of the manifest, where that was read already; otherwise the store is asked.
     pub logs: Option<&'a [Vec<Entry>]>,
+}
+
+/// A picture of an output that was made when the step ran.
+pub struct Preview {
+    /// The output.
+    pub port: String,
+    /// The part of it that is shown, and what was left out.
+    pub caption: String,
+    /// What its colours stand for, where it does not say so itself.
+    pub colours: Option<ColourKey>,
+    /// The PNG file.
+    pub png: Vec<u8>,
 }
 
 impl Source<'_> {
@@ -42,9 +56,24 @@ impl Source<'_> {
         log.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default()
     }
 
+    /// The pictures of the outputs of a step instance that its log keeps.
+    pub(super) fn previews(&self, done: &StepDone) -> Vec<Preview> {
+        let kept = done.sketches.and_then(|digest| self.blob(&digest));
+        let shown = kept.and_then(|bytes| Shown::read_all(&bytes).ok()).unwrap_or_default();
+        shown.into_iter().filter_map(preview).collect()
+    }
+
     /// The path of a file of the run folder that is there.
     pub(super) fn file(&self, path: &Path) -> Option<PathBuf> {
         let full = self.folder.join(path);
         full.is_file().then_some(full)
     }
+}
+
+fn preview(shown: Shown) -> Option<Preview> {
+    let Shape::Picture(picture) = shown.sketch.shape else { return None };
+    let quantity = picture.colours.as_ref().map_or("", |colours| &colours.quantity);
+    let named = [quantity, &shown.sketch.reduced].into_iter().filter(|text| !text.is_empty());
+    let caption = named.collect::<Vec<_>>().join(", ");
+    Some(Preview { port: shown.port, caption, colours: picture.colours, png: picture.png })
 }
