@@ -38,6 +38,7 @@ mod import_inventory;
 mod import_mesh;
 mod import_rasters;
 mod import_table;
+mod map_noise;
 mod mask_safe_zone;
 mod match_pair;
 mod perturb_cameras;
@@ -93,6 +94,7 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<rasterise_inventory::RasteriseInventory>::new(),
     &Row::<filter_outliers::FilterOutliers>::new(),
     &Row::<apply_mask::ApplyMask>::new(),
+    &Row::<map_noise::MapNoise>::new(),
     &Row::<describe_noise::DescribeNoise>::new(),
     &Row::<fit_acceptance::FitAcceptance>::new(),
     &Row::<test_acceptance::TestAcceptance>::new(),
