@@ -5,6 +5,7 @@ pub mod chain;
 pub mod classifier;
 pub mod correlated;
 pub mod detrend;
+pub mod envelope;
 pub mod matcher;
 pub mod modulation;
 pub mod moments;
