@@ -7,5 +7,6 @@ pub mod explain;
 pub mod history;
 pub mod pipeline;
 pub mod plan;
+pub mod report;
 pub mod run;
 pub mod watch;

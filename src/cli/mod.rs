@@ -9,6 +9,7 @@ mod inspect;
 mod places;
 mod plan;
 mod repeat;
+mod report;
 mod run;
 mod runs;
 mod schema;
@@ -53,6 +54,8 @@ enum Command {
     Stages(stages::StagesArgs),
     /// List, show, compare, pin past runs.
     Runs(runs::RunsArgs),
+    /// Write the page of a past run again: what ran, pictures, tables, numbers, in one file.
+    Report(report::ReportArgs),
     /// Tell what the store holds, verify it, remove what nobody needs.
     Store(store::StoreArgs),
     /// Say what a blob, a record or a file holds: kind, sizes, ranges, missing values.
@@ -179,6 +182,9 @@ pub enum CliError {
     /// The run could not go on.
     #[error(transparent)]
     Run(#[from] RunError),
+    /// A page could not be made.
+    #[error(transparent)]
+    Report(#[from] crate::report::ReportError),
 }
 
 impl CliError {
@@ -186,7 +192,7 @@ impl CliError {
     pub fn exit_code(&self) -> i32 {
         match self {
             Self::Failed => 1,
-            Self::History(HistoryError::Io { .. }) | Self::Store(_) | Self::Damaged => 3,
+            Self::History(HistoryError::Io { .. }) | Self::Store(_) | Self::Damaged | Self::Report(_) => 3,
             Self::Pipeline(_) | Self::Usage(_) | Self::History(_) => 2,
             Self::Run(error) => error.exit_code(),
         }
@@ -212,6 +218,7 @@ impl Cli {
             Command::Graph(args) => args.run(),
             Command::Stages(args) => args.run(),
             Command::Runs(args) => args.run(),
+            Command::Report(args) => args.run(),
             Command::Store(args) => args.run(),
             Command::Inspect(args) => args.run(),
             Command::Export(args) => args.run(),

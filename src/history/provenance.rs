@@ -117,6 +117,7 @@ impl Crate<'_> {
         for (name, format, what) in [
             ("run.json", "application/json", "manifest: everything needed to repeat the run"),
             ("run.mcap", "application/octet-stream", "log of the run, MCAP"),
+            ("report.html", "text/html", "the run on one page, for people"),
         ] {
             if folder.join(name).is_file() {
                 self.add(name, json!({"@type": "File", "name": name, "description": what, "encodingFormat": format}));

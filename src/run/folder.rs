@@ -14,6 +14,7 @@ use super::{RunError, Summary};
 use crate::history::{FORMAT, crate_metadata};
 use crate::pipeline::Overrides;
 use crate::plan::Plan;
+use crate::report;
 use crate::watch::{LoggedStep, write_log};
 
 /// Where a run is told of.
@@ -124,6 +125,7 @@ impl Writer<'_> {
         let manifest = self.manifest(&headlines, &logs, &paths)?;
         let text = serde_json::to_string_pretty(&manifest).unwrap_or_default();
         write_file(&folder.join("run.json"), format!("{text}\n").as_bytes())?;
+        self.report(folder, manifest.clone())?;
         self.describe(folder, &manifest)?;
         point_latest(self.about.runs, folder)?;
         Ok(Finished { folder: folder.to_owned(), headlines, files })
@@ -136,6 +138,20 @@ impl Writer<'_> {
         write_file(&folder.join("pipeline.yaml"), self.about.pipeline_text.as_bytes())?;
         let text = serde_json::to_string_pretty(&crate_metadata(folder, &manifest)).unwrap_or_default();
         write_file(&path, format!("{text}\n").as_bytes())
+    }
+
+    /// Writes the page of the run.
+    fn report(&self, folder: &Path, manifest: Value) -> Result<(), RunError> {
+        let path = folder.join(report::FILE);
+        let manifest = serde_json::from_value(manifest).map_err(|error| failed(&path)(error.into()))?;
+        let source = report::Source { folder, manifest: &manifest, store: Some(self.store) };
+        match report::write(&source, &path) {
+            // What was computed is worth more than its page.
+            Err(report::ReportError::Template(error)) => tracing::warn!("the run has no report: {error:#}"),
+            Err(report::ReportError::Io { source, .. }) => return Err(failed(&path)(source)),
+            Ok(()) => {}
+        }
+        Ok(())
     }
 
     fn make_folder(&self, key: &Digest) -> Result<PathBuf, RunError> {

@@ -20,8 +20,12 @@ mod command;
 mod compare_samples;
 mod describe_noise;
 mod difference_dem;
+mod draw_descriptors;
 mod draw_picture;
+mod draw_rasters;
 mod draw_rockfall;
+mod draw_scores;
+mod draw_search;
 mod estimate_covariance;
 mod export_cameras;
 mod filter_outliers;
@@ -110,6 +114,10 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<draw_picture::DrawPicture>::new(),
     &Row::<command::Command>::new(),
     &Row::<draw_rockfall::DrawRockfall>::new(),
+    &Row::<draw_descriptors::DrawDescriptors>::new(),
+    &Row::<draw_scores::DrawScores>::new(),
+    &Row::<draw_search::DrawSearch>::new(),
+    &Row::<draw_rasters::DrawRasters>::new(),
 ];
 
 /// Every stage there is, in the order of the catalogue.

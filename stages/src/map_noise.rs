@@ -41,8 +41,11 @@ impl Stage for MapNoise {
         example: "rockface: 1\nname: noise-map\nsteps:\n  real: {stage: import-rasters, with: {path: real}}\n  \
                   map: {stage: map-noise, in: {raster: real.raster}, with: {held_out: 0.3333}}\n",
     };
-    const INPUTS: &'static [Port] =
-        &[Port::many("raster", &[Kind::Raster], "Differences without rockfall, metres: a stack of bands, or gathered.")];
+    const INPUTS: &'static [Port] = &[Port::many(
+        "raster",
+        &[Kind::Raster],
+        "Differences without rockfall, metres: a stack of bands, or gathered.",
+    )];
     const OUTPUTS: &'static [Port] = &[Port::one("strength", &[Kind::Raster], "Factor on the noise, one band.")];
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

@@ -14,5 +14,6 @@ mod history;
 mod lab;
 mod language;
 mod reading;
+mod report;
 mod rework;
 mod tidy;

@@ -7,6 +7,7 @@ mod cameras;
 pub mod candidates;
 mod covariance;
 mod depth;
+mod figure;
 mod file;
 mod files;
 mod inventory;
@@ -14,6 +15,7 @@ mod mesh;
 mod meshes;
 mod pairs;
 mod picture;
+mod preview;
 mod raster;
 mod surface;
 mod table;
@@ -24,6 +26,7 @@ pub use cameras::{Cameras, Image, Sensor};
 pub use candidates::Candidates;
 pub use covariance::Covariance;
 pub use depth::Depth;
+pub use figure::Figure;
 pub use file::File;
 pub use files::Files;
 pub use inventory::{Feature, Inventory, Polygon};
@@ -31,6 +34,7 @@ pub use mesh::Mesh;
 pub use meshes::{Meshes, Part};
 pub use pairs::{Pair, Pairs};
 pub use picture::Picture;
+pub use preview::Preview;
 pub use raster::{Band, Grid, Raster, Sample};
 pub use surface::Surface;
 pub use table::{Cell, Table};
@@ -182,11 +186,20 @@ artefacts! {
     Table = "table" . "json": "Rows and columns.",
     Acceptance = "acceptance" . "json": "Reference model of noise descriptors.",
     Picture = "picture" . "png": "A picture for people.",
+    Figure = "figure" . "svg": "A chart for people.",
     Meshes = "meshes" . "ply": "Named meshes in one file: blocks, removed pieces, niches.",
     File = "file" . "bin": "A file that only the programs of a pipeline look into.",
     Files = "files" . "tar": "Files in another program's own format.",
     Inventory = "inventory" . "geojson": "Rockfalls: outline and properties of each.",
     Candidates = "candidates" . "json": "An unbounded sequence of candidate blocks.",
+}
+
+impl Artefact {
+    /// A small picture of it, at most 512 pixels wide, where it is something to be seen; `beside` is what it may be seen
+    /// over, such as the face of an inventory. Equal artefacts have equal pictures.
+    pub fn preview(&self, beside: &[&Artefact]) -> Option<Preview> {
+        crate::kernel::preview::of(self, beside)
+    }
 }
 
 impl Kind {
