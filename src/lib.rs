@@ -3,6 +3,7 @@
 pub mod build;
 pub mod cli;
 pub mod diagnostic;
+pub mod drawing;
 pub mod explain;
 pub mod history;
 pub mod pipeline;

@@ -4,6 +4,7 @@ mod completions;
 mod explain;
 mod export;
 mod graph;
+mod hand;
 mod init;
 mod inspect;
 mod places;
@@ -78,6 +79,9 @@ struct PipelineArgs {
     /// The text of the pipeline where it is not to be read from the file.
     #[arg(skip)]
     text: Option<String>,
+    /// The texts of files it includes, where they are not to be read from the files.
+    #[arg(skip)]
+    included: std::collections::BTreeMap<PathBuf, String>,
     /// Make only this step and what it needs; may be given several times.
     #[arg(long, value_name = "STEP")]
     target: Vec<String>,
@@ -107,18 +111,19 @@ impl PipelineArgs {
 
     fn load(&self) -> Result<Pipeline, CliError> {
         let loaded = match &self.text {
-            Some(text) => Pipeline::of_text(text, &self.pipeline, &self.overrides()),
-            None => Pipeline::load(&self.pipeline, &self.overrides()),
+            Some(text) => Pipeline::of_text(text, self.included.clone(), &self.pipeline, &self.overrides()),
+            None => {
+                Pipeline::load(&self.pipeline, &self.overrides(), Some(&self.store_dir().join(rockface_cache::TREES)))
+            }
         };
         loaded.map_err(CliError::Pipeline)
     }
 
     /// Plans for these targets; faults of the pipeline come before anything is made on disk.
     fn plan(&self, pipeline: &Pipeline, targets: &[String]) -> Result<(Plan, Store), CliError> {
-        let stages = rockface_stages::all();
-        crate::plan::resolve(pipeline, targets, stages).map_err(CliError::Pipeline)?;
+        let graph = crate::plan::resolve(pipeline, targets, rockface_stages::all()).map_err(CliError::Pipeline)?;
         let store = self.open_store()?;
-        let plan = crate::plan::plan(pipeline, targets, stages, &store).map_err(CliError::Pipeline)?;
+        let plan = crate::plan::expand(graph, pipeline, &store).map_err(CliError::Pipeline)?;
         Ok((plan, store))
     }
 

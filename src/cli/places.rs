@@ -19,6 +19,11 @@ pub struct Places {
 }
 
 impl Places {
+    /// Opens the store, making it if there is none.
+    pub fn make_store(&self) -> Result<Store, CliError> {
+        Ok(Store::open(&self.store)?)
+    }
+
     /// Opens the store given, or the one beside a run folder; `None` where there is neither.
     pub fn store_beside(&self, run: &Path) -> Result<Option<Store>, CliError> {
         let beside = run.parent().and_then(Path::parent).map(|folder| folder.join("store"));

@@ -94,6 +94,28 @@ pub struct Ledges {
     pub common: f64,
 }
 
+/// The error of a disparity, term by term.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DisparityError {
+    /// Local noise, pixels.
+    pub white_px: f64,
+    /// What a match in the wrong place adds, pixels.
+    pub blunder_px: f64,
+    /// Smooth noise, pixels.
+    pub regular_px: f64,
+    /// Deviation that ledges (relief within the window, map of strength) give the local noise (part of `white_px`), pixels.
+    pub relief_px: f64,
+    /// Factor of acquisition, texture and conditions on local and smooth noise (part of both).
+    pub strength: f64,
+}
+
+impl DisparityError {
+    /// Local noise and blunder, pixels.
+    pub fn local_px(&self) -> f64 {
+        self.white_px + self.blunder_px
+    }
+}
+
 /// Everything that makes the error of a disparity.
 #[derive(Debug, Clone)]
 pub struct Terms {
@@ -126,19 +148,21 @@ pub struct Terms {
 }
 
 impl Terms {
-    /// Local and smooth error of a disparity before the sub-pixel step, pixels; `None` in a hole. Blunders count as local.
-    pub fn error_px(&self, site: &Site) -> Option<[f64; 2]> {
+    /// The error of a disparity before the sub-pixel step; `None` in a hole.
+    pub fn error(&self, site: &Site) -> Option<DisparityError> {
         if self.holes.as_ref().is_some_and(|holes| holes.covers(site.first_px)) {
             return None;
         }
         let strength = self.strength(site);
         let blunder_px = self.blunders.as_ref().map_or(0.0, |blunders| blunders.at(site.first_px));
-        let local_px = strength * self.local_px(site) + blunder_px;
-        Some([local_px, strength * self.regular.0 * unit(&self.regular.1, site, 1.0)])
+        let [local_px, relief_px] = self.local_px(site);
+        let white_px = strength * local_px;
+        let regular_px = strength * self.regular.0 * unit(&self.regular.1, site, 1.0);
+        Some(DisparityError { white_px, blunder_px, regular_px, relief_px, strength })
     }
 
-    /// Noise of texture and of ledges.
-    fn local_px(&self, site: &Site) -> f64 {
+    /// Noise of texture and of ledges, and the deviation of that of ledges.
+    fn local_px(&self, site: &Site) -> [f64; 2] {
         let [texture, ledge] = self.map.as_ref().map_or([1.0, 0.0], |map| map.parts(site.point_m));
         let relief_px = self.relief.as_ref().map_or(0.0, |relief| relief.sigma_px(site));
         let (sigma_px, excess_px) = (self.local.0 * texture, self.local.0 * ledge);
@@ -153,7 +177,7 @@ impl Terms {
             (*share, along + ledges.common)
         });
         let common_px = (sigma_px * sigma_px + (1.0 - share) * ledge2).sqrt();
-        common_px * unit(&self.local.1, site, self.stretch) + ledge2.sqrt() * own
+        [common_px * unit(&self.local.1, site, self.stretch) + ledge2.sqrt() * own, ledge2.sqrt()]
     }
 
     fn strength(&self, site: &Site) -> f64 {
@@ -228,9 +252,9 @@ pub(crate) mod tests {
 
     #[test]
     fn relief_adds_in_squares_and_the_acquisition_multiplies() {
-        let [bare, _] = plain().error_px(&SITE).unwrap();
+        let bare = plain().error(&SITE).unwrap().local_px();
         let relief = Some(Relief { gain: 2.0, power: 2.0, limit_px: 3.0, inverse_depth: vec![6e-4] });
-        let [more, _] = Terms { relief, acquisition: 1.5, ..plain() }.error_px(&SITE).unwrap();
+        let more = Terms { relief, acquisition: 1.5, ..plain() }.error(&SITE).unwrap().local_px();
         let expected = 1.5 * (0.25f64 + 0.72 * 0.72).sqrt() / 0.5;
         assert!((more / bare - expected).abs() < 1e-6, "{more} {bare}");
     }
@@ -243,26 +267,26 @@ pub(crate) mod tests {
         let ledges = |common: f64| Some(Ledges { along: (0.0, along()), along_rows: 1.0, common });
         let with = |common: f64| {
             let terms = Terms { map: Some(map.clone()), ledges: ledges(common), ..plain() };
-            terms.error_px(&SITE).unwrap()[0]
+            terms.error_px(&SITE).unwrap().local_px()
         };
-        let [bare, _] = plain().error_px(&SITE).unwrap();
+        let bare = plain().error_px(&SITE).unwrap().local_px();
         assert!((with(0.0) / bare - 5.0).abs() < 1e-9);
         // Four of the five are the ledge's: sqrt(25 - 9) times 0.5 px.
         assert!((with(0.25) - with(0.0) - 0.25 * 4.0 * 0.5).abs() < 1e-9);
         let all_along = Ledges { along: (1.0, along()), along_rows: 1.0, common: 0.0 };
         let terms = Terms { map: Some(map.clone()), ledges: Some(all_along), ..plain() };
         let expected = 3.0 * bare + 2.0 * along().at(SITE.first_px);
-        assert!((terms.error_px(&SITE).unwrap()[0] - expected).abs() < 1e-9);
+        assert!((terms.error_px(&SITE).unwrap().local_px() - expected).abs() < 1e-9);
     }
 
     #[test]
     fn a_hole_has_no_disparity_and_a_blunder_moves_it() {
         let field = || smooth_field(&Key([2; 32]), 5.0, [0.0; 2], [9.0; 2]);
         let holes = Some(Patches::new(1.0, field()));
-        assert_eq!(Terms { holes, ..plain() }.error_px(&SITE), None);
+        assert_eq!(Terms { holes, ..plain() }.error(&SITE), None);
         let blunders = Some(Blunders { patches: Patches::new(1.0, field()), sigma_px: 4.0, error: field() });
-        let [with, _] = Terms { blunders, ..plain() }.error_px(&SITE).unwrap();
-        let [without, _] = plain().error_px(&SITE).unwrap();
+        let with = Terms { blunders, ..plain() }.error(&SITE).unwrap().local_px();
+        let without = plain().error(&SITE).unwrap().local_px();
         assert!((with - without - 4.0 * field().at(SITE.first_px)).abs() < 1e-12);
     }
 
