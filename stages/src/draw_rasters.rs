@@ -85,6 +85,7 @@ fn draw(params: &DrawRastersParams, like: &Raster, rows: &[Vec<Band>; 2]) -> Res
         title: params.title.clone().unwrap_or_else(|| format!("{} rasters", rows.iter().map(Vec::len).sum::<usize>())),
         subtitle: format!("each {} x {} cells of {}", like.grid.columns, like.grid.rows, length(like.grid.cell_m)),
         unit: if reach < 0.25 { ("mm", 1e3) } else { ("m", 1.0) },
+        up: None,
     };
     picture::draw(&subject, params.max_width_px as usize).map_err(|e| StageError::new(e.to_string()))
 }

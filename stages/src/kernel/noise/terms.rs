@@ -267,16 +267,16 @@ pub(crate) mod tests {
         let ledges = |common: f64| Some(Ledges { along: (0.0, along()), along_rows: 1.0, common });
         let with = |common: f64| {
             let terms = Terms { map: Some(map.clone()), ledges: ledges(common), ..plain() };
-            terms.error_px(&SITE).unwrap().local_px()
+            terms.error(&SITE).unwrap().local_px()
         };
-        let bare = plain().error_px(&SITE).unwrap().local_px();
+        let bare = plain().error(&SITE).unwrap().local_px();
         assert!((with(0.0) / bare - 5.0).abs() < 1e-9);
         // Four of the five are the ledge's: sqrt(25 - 9) times 0.5 px.
         assert!((with(0.25) - with(0.0) - 0.25 * 4.0 * 0.5).abs() < 1e-9);
         let all_along = Ledges { along: (1.0, along()), along_rows: 1.0, common: 0.0 };
         let terms = Terms { map: Some(map.clone()), ledges: Some(all_along), ..plain() };
         let expected = 3.0 * bare + 2.0 * along().at(SITE.first_px);
-        assert!((terms.error_px(&SITE).unwrap().local_px() - expected).abs() < 1e-9);
+        assert!((terms.error(&SITE).unwrap().local_px() - expected).abs() < 1e-9);
     }
 
     #[test]
