@@ -153,6 +153,10 @@ impl RunArgs {
 
     fn say_end(&self, told: &Told, (ran, cached): (usize, usize), failed: bool, wall_s: f64) {
         let folder = readable(&told.folder);
+        if told.unnamed > 0 && self.outputs == LayOut::Auto && !self.quiet {
+            let ways = "`rockface export RUN STEP.PORT FILE` writes one, `--outputs all` names them all";
+            say(&format!("  {} outputs are in the store only: {ways}", told.unnamed));
+        }
         if !told.files.is_empty() && !self.quiet {
             say_some(&told.files, told.file_count, |file| format!("  {}", folder.join(file).display()));
             say("");

@@ -54,6 +54,9 @@ pub struct Finished {
     pub headlines: Vec<String>,
     /// The files of the target steps, relative to the run folder.
     pub files: Vec<PathBuf>,
+    /// How many kept outputs have no file there.
+    #[serde(default)]
+    pub unnamed: usize,
 }
 
 /// Tells of a run. One in which nothing was executed is told by its former folder, if that is still there.
@@ -117,7 +120,7 @@ impl Writer<'_> {
         write_file(&folder.join("run.mcap"), &self.log(&logs)?)?;
         self.account(folder, &headlines, &logs, &laid)?;
         point_latest(self.about.runs, folder)?;
-        Ok(Finished { folder: folder.to_owned(), headlines, files: laid.of_targets })
+        Ok(Finished { folder: folder.to_owned(), headlines, files: laid.of_targets, unnamed: laid.unnamed })
     }
 
     /// Writes the manifest, and describes the folder as a research object for programs that know nothing of rockface.

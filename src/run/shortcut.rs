@@ -27,6 +27,9 @@ pub struct Told {
     pub files: Vec<PathBuf>,
     /// How many files there are.
     pub file_count: usize,
+    /// How many kept outputs have no file there.
+    #[serde(default)]
+    pub unnamed: usize,
     /// How many instances there are.
     pub instances: usize,
 }
@@ -40,6 +43,7 @@ impl Told {
             headline_count: finished.headlines.len(),
             files: finished.files.iter().take(NAMED).cloned().collect(),
             file_count: finished.files.len(),
+            unnamed: finished.unnamed,
             instances: summary.instances.len(),
         }
     }
