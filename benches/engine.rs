@@ -152,7 +152,7 @@ fn run(folder: &Path, set: &[String]) -> (f64, usize) {
         Told::of(&Finished { folder: told_in(folder), headlines: Vec::new(), files: Vec::new(), unnamed: 0 }, &summary);
     let question = Digest::of(text.as_bytes());
     if set.is_empty() {
-        shortcut::remember(&store, &question, &plan, &summary, &told).expect("an answer");
+        shortcut::remember(&store, &question, &plan, (&summary, &told), &[]).expect("an answer");
     }
     drop(store);
     (begun.elapsed().as_secs_f64() * 1e3, summary.executed())
