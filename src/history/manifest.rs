@@ -103,6 +103,9 @@ pub struct StepDone {
     /// Its log, a blob.
     #[serde(default)]
     pub log: Option<Digest>,
+    /// Sketches of its outputs, a blob.
+    #[serde(default)]
+    pub sketches: Option<Digest>,
     /// What it took when it was computed.
     pub cost: Option<Cost>,
     /// Its parameters, files replaced by their digests.

@@ -9,7 +9,7 @@ use rockface_stages::{AnyStage, Port, Ports};
 use serde_json::Value;
 
 use crate::diagnostic::Span;
-use crate::pipeline::{Axis, Node, Word};
+use crate::pipeline::{Axis, LogLevel, Node, Word};
 
 /// A pipeline whose every name is resolved; steps are in topological order.
 pub struct Graph {
@@ -72,6 +72,8 @@ pub struct GraphStep {
     pub timeout: Option<Duration>,
     /// How often it is tried again after a failure.
     pub retries: u32,
+    /// How much the log of a run shows of it; `None`: it depends on the number of its instances.
+    pub log: Option<LogLevel>,
 }
 
 impl GraphStep {

@@ -5,6 +5,7 @@ mod feeds;
 mod graph;
 mod instances;
 mod later;
+mod log_levels;
 mod parameters;
 mod points;
 mod reach;

@@ -320,6 +320,7 @@ impl<'d> Resolver<'d> {
             stream_axes,
             timeout: step.timeout,
             retries: step.retries,
+            log: step.log.or(self.document().log),
         })
     }
 

@@ -81,6 +81,7 @@ fn step(plan: &Plan, summary: &Summary, instance: usize, entries: &[Entry], path
         key: result.key,
         outputs: outcome.map(|outcome| outcome.outputs.clone()),
         log: outcome.and_then(|outcome| outcome.log),
+        sketches: outcome.and_then(|outcome| outcome.sketches),
         cost: outcome.map(|outcome| outcome.cost),
         parameters: params.recipe.clone(),
         metrics: metrics.collect(),

@@ -42,6 +42,7 @@ impl Scheduler<'_> {
     /// Takes up the instances of the plan from a number on.
     fn take_in(&mut self, first: usize) {
         self.grown = true;
+        self.log_levels = None;
         self.states.grow(self.plan, first);
         for instance in first..self.plan.instances.len() {
             let failed = |producer: &usize| self.states[*producer].status() == Status::Failed;

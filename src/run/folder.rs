@@ -1,22 +1,21 @@
 //! The folder of a run: manifest, log, and outputs under names people can read.
 
 use std::collections::BTreeMap;
-use std::io::Cursor;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use rockface_cache::{Digest, Outcome, Store};
-use rockface_stages::{Entry, Point};
-use serde::Serialize;
+use rockface_stages::Entry;
 use serde_json::json;
 
 use super::lay_out::{Laid, LayOut, readable_name};
+use super::log::{LOG_FILE, Telling};
 use super::{RunError, Summary, account};
 use crate::history::{Manifest, crate_metadata};
 use crate::pipeline::{Overrides, Pipeline};
 use crate::plan::Plan;
 use crate::report;
-use crate::watch::{LoggedStep, write_log};
+use crate::watch::step_log::{self, StepLogError};
 
 /// Where a run is told of.
 #[derive(Debug, Clone)]
@@ -117,7 +116,7 @@ impl Writer<'_> {
         let results = self.summary.instances.iter();
         let logs = results.map(|result| self.entries(result.outcome.as_ref())).collect::<Result<Vec<_>, _>>()?;
         let headlines = self.headlines(&logs);
-        write_file(&folder.join("run.mcap"), &self.log(&logs)?)?;
+        self.log(folder, &logs, &laid)?;
         self.account(folder, &headlines, &logs, &laid)?;
         point_latest(self.about.runs, folder)?;
         Ok(Finished { folder: folder.to_owned(), headlines, files: laid.of_targets, unnamed: laid.unnamed })
@@ -164,9 +163,11 @@ impl Writer<'_> {
     }
 
     fn entries(&self, outcome: Option<&Outcome>) -> Result<Vec<Entry>, RunError> {
-        let Some(digest) = outcome.and_then(|outcome| outcome.log) else { return Ok(Vec::new()) };
-        let bytes = self.store.get(&digest)?;
-        serde_json::from_slice(&bytes).map_err(|error| failed(Path::new("run.mcap"))(error.into()))
+        let read = outcome.map_or_else(|| Ok(Vec::new()), |outcome| step_log::entries(outcome, self.store));
+        read.map_err(|error| match error {
+            StepLogError::Store(error) => RunError::Store(error),
+            error @ StepLogError::Unreadable(_) => failed(Path::new(LOG_FILE))(std::io::Error::other(error)),
+        })
     }
 
     /// The results in a line each: what the target steps have to say.
@@ -180,41 +181,17 @@ impl Writer<'_> {
         entries.filter(|(instance, _)| self.plan.targets.binary_search(instance).is_ok()).filter_map(headline).collect()
     }
 
-    fn log(&self, logs: &[Vec<Entry>]) -> Result<Vec<u8>, RunError> {
-        let told = self.summary.instances.iter().zip(logs).enumerate();
-        let steps: Vec<LoggedStep> = told
-            .filter_map(|(instance, (result, entries))| {
-                let outcome = result.outcome.as_ref()?;
-                let step = self.plan.step(instance);
-                let (stage, version) = (step.stage.name(), step.stage.version());
-                let (point, outputs) = (self.plan.point(instance), &outcome.outputs);
-                let message = Message { entries, key: result.key, outputs, point, stage, step: &step.name, version };
-                let message = serde_json::to_string(&message).unwrap_or_default();
-                let recipe = result.recipe.as_ref().map_or_else(|| "null".to_owned(), rockface_cache::Recipe::text);
-                Some(LoggedStep { step: step.name.clone(), message, recipe })
-            })
-            .collect();
+    fn log(&self, folder: &Path, logs: &[Vec<Entry>], laid: &Laid) -> Result<(), RunError> {
         let about = BTreeMap::from([
             ("rockface".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
             ("pipeline".to_owned(), self.about.pipeline.text().to_owned()),
             ("overrides".to_owned(), json!(self.about.overrides.set).to_string()),
             ("seed".to_owned(), self.plan.graph.seed.to_string()),
         ]);
-        let log = write_log(Cursor::new(Vec::new()), &about, &steps);
-        log.map(Cursor::into_inner).map_err(|error| failed(Path::new("run.mcap"))(std::io::Error::other(error)))
+        let Self { plan, summary, store, .. } = self;
+        let pipeline_text = self.about.pipeline.text();
+        Telling { plan, summary, store, entries: logs, paths: &laid.paths, about, pipeline_text }.write(folder)
     }
-}
-
-/// What the log tells of a step instance; fields by name.
-#[derive(Serialize)]
-struct Message<'a> {
-    entries: &'a [Entry],
-    key: Option<Digest>,
-    outputs: &'a BTreeMap<String, rockface_cache::OutputRecord>,
-    point: Point,
-    stage: &'a str,
-    step: &'a str,
-    version: u32,
 }
 
 /// Writes a whole file or none.
@@ -222,13 +199,17 @@ pub(super) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), RunError> {
     let folder = path.parent().unwrap_or(Path::new("."));
     let write = || {
         let mut file = tempfile::NamedTempFile::new_in(folder)?;
-        std::io::Write::write_all(&mut file, bytes)?;
-        // Temporary files are private; results are for whoever may read the folder.
-        let mode = std::os::unix::fs::PermissionsExt::from_mode(0o644);
-        file.as_file().set_permissions(mode)?;
-        file.persist(path).map_err(|error| error.error)
+        std::io::Write::write_all(&mut file, bytes).map(|()| file)
     };
-    write().map(drop).map_err(failed(path))
+    put(write().map_err(failed(path))?, path)
+}
+
+/// Gives a finished file its name.
+pub(super) fn put(file: tempfile::NamedTempFile, path: &Path) -> Result<(), RunError> {
+    // Temporary files are private; results are for whoever may read the folder.
+    let mode = std::os::unix::fs::PermissionsExt::from_mode(0o644);
+    let open = file.as_file().set_permissions(mode);
+    open.and_then(|()| file.persist(path).map(drop).map_err(|error| error.error)).map_err(failed(path))
 }
 
 pub(super) fn failed(path: &Path) -> impl FnOnce(std::io::Error) -> RunError + use<> {

@@ -1,10 +1,12 @@
 //! Running a plan: the scheduler, its workers, and the folder that tells of the run.
 
 mod account;
+pub mod again;
 mod expand;
 mod folder;
 mod host;
 mod lay_out;
+mod log;
 mod memory;
 mod program;
 mod progress;

@@ -286,8 +286,8 @@ impl Scheduler<'_> {
             output.kept = true;
         }
         let recipe = self.states[leader].recipe.clone().unwrap_or_else(|| self.recipe(leader));
-        let (outputs, log, cost) = (outcome.outputs.clone(), outcome.log, outcome.cost);
-        self.store.commit(&Record { recipe, outputs, log, cost })?;
+        let Outcome { outputs, log, sketches, cost } = outcome.clone();
+        self.store.commit(&Record { recipe, outputs, log, sketches, cost })?;
         Ok(outcome)
     }
 

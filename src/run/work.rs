@@ -59,6 +59,8 @@ pub struct Task {
     pub timeout: Option<Duration>,
     /// How often it is tried again after a failure.
     pub retries: u32,
+    /// Whether the log shows its outputs.
+    pub sketch: bool,
 }
 
 /// What a worker brings back.
@@ -127,6 +129,8 @@ pub fn work(
     unchanged_files(task, store, &before)?;
     let values: BTreeMap<_, _> = outputs.into_iter().map(|(port, value)| (port, Arc::new(value))).collect();
     let mut outcome = keep(task, store, pool, &values, &entries)?;
+    let (sketches, unsketched) = sketch(task, store, pool, &values, &outcome)?;
+    outcome.sketches = sketches;
     let memory =
         values.values().chain(loaded.iter().map(|(_, value)| value)).map(|value| value.memory_bytes() as u64).sum();
     let finished = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
@@ -136,12 +140,11 @@ pub fn work(
         peak_bytes: memory,
         finished_unix_s: finished,
     };
-    let record =
-        Record { recipe: task.recipe.clone(), outputs: outcome.outputs.clone(), log: outcome.log, cost: outcome.cost };
-    store.commit(&record)?;
+    let Outcome { outputs, log, sketches, cost } = outcome.clone();
+    store.commit(&Record { recipe: task.recipe.clone(), outputs, log, sketches, cost })?;
     let warnings =
         entries.into_iter().filter_map(|entry| if let Entry::Warning { text } = entry { Some(text) } else { None });
-    let warnings = retried.into_iter().chain(warnings).collect();
+    let warnings = retried.into_iter().chain(unsketched).chain(warnings).collect();
     Ok(Done { outcome, values, loaded, warnings, elsewhere: false })
 }
 
@@ -299,7 +302,31 @@ fn keep(
     }
     let log =
         if entries.is_empty() { None } else { Some(store.put(serde_json::json!(entries).to_string().as_bytes())?) };
-    Ok(Outcome { outputs, log, cost: Cost::default() })
+    Ok(Outcome { outputs, log, sketches: None, cost: Cost::default() })
+}
+
+/// Stores sketches of the outputs if the log is to show them, or else keeps those of an earlier go with equal outputs.
+/// That they cannot be made is told, and is no reason to lose what the stage has made.
+fn sketch(
+    task: &Task,
+    store: &Store,
+    pool: &ThreadPool,
+    values: &BTreeMap<&'static str, Arc<Artefact>>,
+    outcome: &Outcome,
+) -> Result<(Option<Digest>, Option<String>), Failure> {
+    if !task.sketch {
+        let former = store.record(&task.key).filter(|former| former.outputs == outcome.outputs);
+        return Ok((former.and_then(|former| former.sketches).filter(|blob| store.contains(blob)), None));
+    }
+    let made = guarded(|| {
+        let bytes = pool.install(|| crate::watch::step_log::sketched(values));
+        bytes.map_err(|error| Failure::Stage(StageError::new(error.to_string())))
+    });
+    match made {
+        Ok(bytes) => Ok((Some(store.put(&bytes)?), None)),
+        Err(Failure::Stage(error)) => Ok((None, Some(format!("the log cannot show its outputs: {error}")))),
+        Err(failure) => Err(failure),
+    }
 }
 
 /// Processor seconds of this process so far, all threads.

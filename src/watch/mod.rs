@@ -1,12 +1,15 @@
 //! What a run tells those who watch it: one list of events, several ways to show them.
 
+mod foxglove;
 mod json;
 mod mcap_log;
 mod plain;
+pub mod step_log;
 mod terminal;
 
+pub use foxglove::layout;
 pub use json::JsonLines;
-pub use mcap_log::{LoggedStep, write_log};
+pub use mcap_log::{Facts, Made, RunLog, StepNote, Topic};
 pub use plain::Plain;
 pub use terminal::Terminal;
 

@@ -17,3 +17,4 @@ mod reading;
 mod report;
 mod rework;
 mod tidy;
+mod watching;

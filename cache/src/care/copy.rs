@@ -76,7 +76,7 @@ mod tests {
             seed: None,
         };
         let outputs = [("out".to_owned(), output)].into();
-        store.commit(&Record { recipe, outputs, log: None, cost: Cost::default() }).unwrap()
+        store.commit(&Record { recipe, outputs, log: None, sketches: None, cost: Cost::default() }).unwrap()
     }
 
     #[test]

@@ -17,6 +17,7 @@ mod pairs;
 mod picture;
 mod preview;
 mod raster;
+pub mod sketch;
 mod surface;
 mod table;
 mod transform;
@@ -25,7 +26,7 @@ pub use acceptance::{Acceptance, GroupModel};
 pub use cameras::{Cameras, Image, Sensor};
 pub use candidates::Candidates;
 pub use covariance::Covariance;
-pub use depth::Depth;
+pub use depth::{Depth, DepthPixel};
 pub use figure::Figure;
 pub use file::File;
 pub use files::Files;
@@ -36,6 +37,7 @@ pub use pairs::{Pair, Pairs};
 pub use picture::Picture;
 pub use preview::Preview;
 pub use raster::{Band, Grid, Raster, Sample};
+pub use sketch::{Shown, Sketch};
 pub use surface::Surface;
 pub use table::{Cell, Table};
 pub use transform::Transform;
@@ -108,6 +110,10 @@ pub trait Noun: Sized {
         let _ = stem;
         Ok(Vec::new())
     }
+    /// Small likenesses of it for logs and reports; none of what has no look.
+    fn sketches(&self) -> Vec<Sketch> {
+        Vec::new()
+    }
 }
 
 macro_rules! artefacts {
@@ -165,6 +171,12 @@ macro_rules! artefacts {
             /// Further files for people to read, beside a file called `stem`; see [`Noun::exports`].
             pub fn exports(&self, stem: &str) -> Result<Vec<Export>, CodecError> {
                 match self { $( Self::$Name(value) => value.exports(stem) ),* }
+            }
+            /// Small likenesses of it for logs and reports.
+            pub fn sketches(&self) -> Vec<Sketch> {
+                let mut sketches = match self { $( Self::$Name(value) => value.sketches() ),* };
+                sketches.extend(crate::kernel::sketch::of_look(self));
+                sketches
             }
         }
 

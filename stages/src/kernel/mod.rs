@@ -57,6 +57,8 @@ pub mod removal;
 pub mod rockfall_figure;
 pub mod roughness;
 pub mod shape;
+pub mod sketch;
+pub mod sketch_file;
 pub mod spectrum;
 pub mod surface_cleaning;
 pub mod surface_file;

@@ -15,7 +15,7 @@ use crate::artefact::Depth;
 use crate::fail;
 use crate::kernel::camera::{Camera, full_pixel};
 use crate::kernel::matching_noise::{FieldRecipe, LocalNoise, SmoothNoise};
-use crate::kernel::noise::terms::{Site, Terms};
+use crate::kernel::noise::terms::{DisparityError, Site, Terms};
 use crate::kernel::random::Key;
 use crate::kernel::ray_row::RayRow;
 use crate::kernel::rectification::{Placed, Rectification};
@@ -50,12 +50,16 @@ pub struct Matcher<'a> {
 pub struct Match {
     /// Depth on the noisy ray, metres.
     pub depth_m: f64,
-    /// Noisy disparity, pixels.
+    /// Distance along the noisy ray, metres.
+    pub range_m: f64,
+    /// Disparity without noise of the matching, pixels: that of the true projections, rectified by the noisy cameras.
+    pub ideal_px: f64,
+    /// Noise of the matching, term by term.
+    pub error: DisparityError,
+    /// What the sub-pixel step adds, pixels.
+    pub sub_pixel_px: f64,
+    /// Noisy disparity, pixels: the sum of the ideal one and all terms.
     pub disparity_px: f64,
-    /// Local noise in it, pixels.
-    pub local_px: f64,
-    /// Smooth noise in it, pixels.
-    pub regular_px: f64,
     /// Row of the first rectified position less that of the second, pixels.
     pub y_parallax_px: f64,
     /// Depth a pixel of disparity is worth, metres.
@@ -193,44 +197,46 @@ impl Matcher<'_> {
         }
         let seen_ray = [seen.x / seen.z, seen.y / seen.z];
         let place = |side, ray| self.rectification.place(side, ray);
-        let own_place = place(own, self.noisy_ray(own, pixel, ray)?)?;
+        let own_ray = self.noisy_ray(own, pixel, ray)?;
+        let own_place = place(own, own_ray)?;
         let other_place = place(other, self.noisy_ray(other, seen_pixel, seen_ray)?)?;
         let (first, second) = if own == 0 { (&own_place, &other_place) } else { (&other_place, &own_place) };
         let fb_px_m = self.rectification.focal_px * self.rectification.baseline_m;
-        let true_px = first.position_px[0] - second.position_px[0];
+        let ideal_px = first.position_px[0] - second.position_px[0];
         let level = to_level(pixel, self.ideal[own].downscale);
         let (first_px, second_px) = if own == 0 { (level, seen_level) } else { (seen_level, level) };
-        let (local_px, regular_px, disparity_px) = if let Some(terms) = &self.terms {
+        let error = if let Some(terms) = &self.terms {
             let pixel = level[1].round() as usize * self.ideal[own].width + level[0].round() as usize;
             let point_m = [point.x, point.y];
             let disparity_px_m = fb_px_m / own_place.slant;
             let rectified_px = first.position_px;
-            let site = Site { first_px, second_px, rectified_px, point_m, pixel, disparity_px_m };
-            let [local_px, regular_px] = terms.error_px(&site)?;
-            (local_px, regular_px, terms.sub_pixel(true_px + (local_px + regular_px)))
+            terms.error(&Site { first_px, second_px, rectified_px, point_m, pixel, disparity_px_m })?
         } else {
-            let (local_px, regular_px) = self.paper_noise(first_px, first.position_px, draw);
-            (local_px, regular_px, true_px + (local_px + regular_px))
+            self.paper_noise(first_px, first.position_px, draw)
         };
+        let matched_px = ideal_px + (error.local_px() + error.regular_px);
+        let disparity_px = self.terms.as_ref().map_or(matched_px, |terms| terms.sub_pixel(matched_px));
         let distance_m = self.rectification.distance_m(disparity_px)?;
         Some(Match {
             depth_m: distance_m / own_place.slant,
+            range_m: distance_m / own_place.slant * (own_ray[0] * own_ray[0] + own_ray[1] * own_ray[1] + 1.0).sqrt(),
+            ideal_px,
+            error,
+            sub_pixel_px: disparity_px - matched_px,
             disparity_px,
-            local_px,
-            regular_px,
             y_parallax_px: first.position_px[1] - second.position_px[1],
             depth_per_px_m: distance_m * distance_m / (fb_px_m * own_place.slant),
         })
     }
 
-    /// White and smooth noise of a pixel, pixels; the white draw of the pixel may be at hand already.
-    fn paper_noise(&self, first_px: [f64; 2], rectified_px: [f64; 2], draw: Option<f32>) -> (f64, f64) {
-        let local_px = self.local.as_ref().map_or(0.0, |(sigma, noise)| {
+    /// White and smooth noise of a pixel; the white draw of the pixel may be at hand already.
+    fn paper_noise(&self, first_px: [f64; 2], rectified_px: [f64; 2], draw: Option<f32>) -> DisparityError {
+        let white_px = self.local.as_ref().map_or(0.0, |(sigma, noise)| {
             let [column, row] = first_px.map(|p| p.round() as i32);
             sigma * f64::from(draw.unwrap_or_else(|| noise.at(column, row)))
         });
         let regular_px = self.smooth.as_ref().map_or(0.0, |(sigma, noise)| sigma * noise.at(rectified_px));
-        (local_px, regular_px)
+        DisparityError { white_px, blunder_px: 0.0, regular_px, relief_px: 0.0, strength: 1.0 }
     }
 
     /// Undistorts a position with the noisy interior orientation, near where the true one puts it.

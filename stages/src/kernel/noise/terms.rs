@@ -80,6 +80,28 @@ impl Relief {
     }
 }
 
+/// The error of a disparity, term by term.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DisparityError {
+    /// Local noise, pixels.
+    pub white_px: f64,
+    /// What a match in the wrong place adds, pixels.
+    pub blunder_px: f64,
+    /// Smooth noise, pixels.
+    pub regular_px: f64,
+    /// Deviation the relief within the window gives the local noise (part of `white_px`), pixels.
+    pub relief_px: f64,
+    /// Factor of acquisition, texture and conditions on local and smooth noise (part of both).
+    pub strength: f64,
+}
+
+impl DisparityError {
+    /// Local noise and blunder, pixels.
+    pub fn local_px(&self) -> f64 {
+        self.white_px + self.blunder_px
+    }
+}
+
 /// Everything that makes the error of a disparity.
 #[derive(Debug, Clone)]
 pub struct Terms {
@@ -106,8 +128,8 @@ pub struct Terms {
 }
 
 impl Terms {
-    /// Local and smooth error of a disparity before the sub-pixel step, pixels; `None` in a hole. Blunders count as local.
-    pub fn error_px(&self, site: &Site) -> Option<[f64; 2]> {
+    /// The error of a disparity before the sub-pixel step; `None` in a hole.
+    pub fn error(&self, site: &Site) -> Option<DisparityError> {
         if self.holes.as_ref().is_some_and(|holes| holes.covers(site.first_px)) {
             return None;
         }
@@ -115,8 +137,9 @@ impl Terms {
         let sigma_px = (self.local.0 * self.local.0 + relief_px * relief_px).sqrt();
         let strength = self.strength(site);
         let blunder_px = self.blunders.as_ref().map_or(0.0, |blunders| blunders.at(site.first_px));
-        let local_px = strength * sigma_px * unit(&self.local.1, site) + blunder_px;
-        Some([local_px, strength * self.regular.0 * unit(&self.regular.1, site)])
+        let white_px = strength * sigma_px * unit(&self.local.1, site);
+        let regular_px = strength * self.regular.0 * unit(&self.regular.1, site);
+        Some(DisparityError { white_px, blunder_px, regular_px, relief_px, strength })
     }
 
     fn strength(&self, site: &Site) -> f64 {
@@ -185,9 +208,9 @@ pub(crate) mod tests {
 
     #[test]
     fn relief_adds_in_squares_and_the_acquisition_multiplies() {
-        let [bare, _] = plain().error_px(&SITE).unwrap();
+        let bare = plain().error(&SITE).unwrap().local_px();
         let relief = Some(Relief { gain: 2.0, power: 2.0, limit_px: 3.0, inverse_depth: vec![6e-4] });
-        let [more, _] = Terms { relief, acquisition: 1.5, ..plain() }.error_px(&SITE).unwrap();
+        let more = Terms { relief, acquisition: 1.5, ..plain() }.error(&SITE).unwrap().local_px();
         let expected = 1.5 * (0.25f64 + 0.72 * 0.72).sqrt() / 0.5;
         assert!((more / bare - expected).abs() < 1e-6, "{more} {bare}");
     }
@@ -196,10 +219,10 @@ pub(crate) mod tests {
     fn a_hole_has_no_disparity_and_a_blunder_moves_it() {
         let field = || smooth_field(&Key([2; 32]), 5.0, [0.0; 2], [9.0; 2]);
         let holes = Some(Patches::new(1.0, field()));
-        assert_eq!(Terms { holes, ..plain() }.error_px(&SITE), None);
+        assert_eq!(Terms { holes, ..plain() }.error(&SITE), None);
         let blunders = Some(Blunders { patches: Patches::new(1.0, field()), sigma_px: 4.0, error: field() });
-        let [with, _] = Terms { blunders, ..plain() }.error_px(&SITE).unwrap();
-        let [without, _] = plain().error_px(&SITE).unwrap();
+        let with = Terms { blunders, ..plain() }.error(&SITE).unwrap().local_px();
+        let without = plain().error(&SITE).unwrap().local_px();
         assert!((with - without - 4.0 * field().at(SITE.first_px)).abs() < 1e-12);
     }
 
