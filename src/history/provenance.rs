@@ -122,8 +122,7 @@ impl Crate<'_> {
             ("run.mcap", "application/octet-stream", "log of the run, MCAP"),
             ("report.html", "text/html", "the run on one page, for people"),
         ] {
-            // The manifest is written last.
-            if name == "run.json" || folder.join(name).is_file() {
+            if folder.join(name).is_file() {
                 self.add(name, json!({"@type": "File", "name": name, "description": what, "encodingFormat": format}));
                 self.parts.insert(name.to_owned());
             }

@@ -124,13 +124,12 @@ impl Writer<'_> {
 
     /// Writes the manifest, and describes the folder as a research object for programs that know nothing of rockface.
     fn account(&self, folder: &Path, headlines: &[String], logs: &[Vec<Entry>], laid: &Laid) -> Result<(), RunError> {
-        let manifest = account::manifest(self.plan, self.summary, self.about, headlines, logs, laid)?;
+        let mut manifest = account::manifest(self.plan, self.summary, self.about, headlines, logs, laid)?;
         write_file(&folder.join("pipeline.yaml"), self.about.pipeline.text().as_bytes())?;
+        write_file(&folder.join("run.json"), manifest.text().as_bytes())?;
         self.report(folder, &manifest)?;
         let described = serde_json::to_string_pretty(&crate_metadata(folder, &manifest)).unwrap_or_default();
-        write_file(&folder.join("ro-crate-metadata.json"), format!("{described}\n").as_bytes())?;
-        // Last: a folder without a manifest is no run.
-        write_file(&folder.join("run.json"), manifest.into_text().as_bytes())
+        write_file(&folder.join("ro-crate-metadata.json"), format!("{described}\n").as_bytes())
     }
 
     /// Writes the page of the run.
