@@ -95,6 +95,8 @@ struct Picture<'a> {
     trails: Vec<Option<usize>>,
     /// By node, the middle of its box.
     x_px: Vec<f64>,
+    /// By trail, where it leaves the box it begins at, and where it comes to the one it ends at.
+    doors_px: Vec<(f64, f64)>,
     /// By row, its upper and its lower edge.
     rows_px: Vec<(f64, f64)>,
     /// By node, width and height of its box; those of stand-ins are 0.
@@ -134,7 +136,8 @@ impl<'a> Picture<'a> {
         let legend = legend(drawing, right);
         let below = MARGIN_PX + legend.len() as f64 * LINE_PX + PADDING_PX;
         let size_px = (right + 2.0 * MARGIN_PX, top - ROW_GAP_PX + below);
-        Self { notes, links, layers, trails, x_px, rows_px, boxes_px, legend, size_px }
+        let doors_px = doors_px(&layers, &x_px, &boxes_px);
+        Self { notes, links, layers, trails, x_px, doors_px, rows_px, boxes_px, legend, size_px }
     }
 
     /// Upper and lower edge of a box; it stands in the middle of its row.
@@ -143,27 +146,6 @@ impl<'a> Picture<'a> {
         let height = self.boxes_px[node].1;
         let middle = f64::midpoint(top, bottom);
         if height == 0.0 { (top, bottom) } else { (middle - height / 2.0, middle + height / 2.0) }
-    }
-
-    /// Where a trail leaves a box, or comes to it: beside the other trails, in the order of where they lead.
-    fn door_px(&self, trail: usize, leaving: bool) -> f64 {
-        let ends = |trail: &Vec<usize>| {
-            let last = trail.len() - 1;
-            if leaving { (trail[0], trail[1]) } else { (trail[last], trail[last - 1]) }
-        };
-        let (node, _) = ends(&self.layers.trails[trail]);
-        let mut doors: Vec<(f64, usize)> = Vec::new();
-        for (number, other) in self.layers.trails.iter().enumerate() {
-            let (own, next) = ends(other);
-            if own == node {
-                doors.push((self.x_px[next], number));
-            }
-        }
-        doors.sort_by(|one, other| one.0.total_cmp(&other.0));
-        let place = doors.iter().position(|(_, number)| *number == trail).unwrap_or(0) as f64;
-        let gaps = (doors.len() - 1) as f64;
-        let gap = ARROWS_PX.min((self.boxes_px[node].0 - 2.0 * SIDE_PX) / gaps.max(1.0));
-        self.x_px[node] + (place - gaps / 2.0) * gap
     }
 
     fn arrow(&self, number: usize, link: &Link) -> String {
@@ -183,12 +165,13 @@ impl<'a> Picture<'a> {
     fn path(&self, trail: usize, up: bool) -> (String, String) {
         let nodes = &self.layers.trails[trail];
         let last = nodes.len() - 1;
-        let mut points = vec![(self.door_px(trail, true), self.edges_px(nodes[0]).1)];
+        let (leaves_px, comes_px) = self.doors_px[trail];
+        let mut points = vec![(leaves_px, self.edges_px(nodes[0]).1)];
         for node in &nodes[1..last] {
             let (top, bottom) = self.edges_px(*node);
             points.extend([(self.x_px[*node], top), (self.x_px[*node], bottom)]);
         }
-        points.push((self.door_px(trail, false), self.edges_px(nodes[last]).0));
+        points.push((comes_px, self.edges_px(nodes[last]).0));
         if up {
             points.reverse();
         }
@@ -249,6 +232,30 @@ impl<'a> Picture<'a> {
         };
         self.legend.iter().enumerate().map(line).collect()
     }
+}
+
+/// Where each trail leaves its first box and comes to its last: beside the other trails there, in the order of where they
+/// lead.
+fn doors_px(layers: &Layers, x_px: &[f64], boxes_px: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let mut doors = vec![(0.0, 0.0); layers.trails.len()];
+    for leaving in [true, false] {
+        let mut at: BTreeMap<usize, Vec<(f64, usize)>> = BTreeMap::new();
+        for (number, trail) in layers.trails.iter().enumerate() {
+            let last = trail.len() - 1;
+            let (own, next) = if leaving { (trail[0], trail[1]) } else { (trail[last], trail[last - 1]) };
+            at.entry(own).or_default().push((x_px[next], number));
+        }
+        for (node, mut trails) in at {
+            trails.sort_by(|one, other| one.0.total_cmp(&other.0));
+            let gaps = (trails.len() - 1) as f64;
+            let gap = ARROWS_PX.min((boxes_px[node].0 - 2.0 * SIDE_PX) / gaps.max(1.0));
+            for (place, (_, number)) in trails.into_iter().enumerate() {
+                let door = x_px[node] + (place as f64 - gaps / 2.0) * gap;
+                if leaving { doors[number].0 = door } else { doors[number].1 = door }
+            }
+        }
+    }
+    doors
 }
 
 /// What the marks mean, as far as there are any, in lines that fit.

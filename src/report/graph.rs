@@ -8,7 +8,11 @@ use crate::pipeline::{Overrides, Pipeline};
 use crate::plan::resolve;
 use crate::watch::duration;
 
-/// The picture, where it can be drawn: not where the pipeline is one that this program does not read any more.
+/// With more steps than this nobody finds anything in the picture.
+const STEPS_LIMIT: usize = 300;
+
+/// The picture, where it can be drawn: not where the pipeline is one that this program does not read any more, or has very
+/// many steps.
 pub fn svg(manifest: &Manifest) -> Option<String> {
     let told = &manifest.pipeline;
     let overrides = Overrides {
@@ -19,6 +23,9 @@ pub fn svg(manifest: &Manifest) -> Option<String> {
     let included = told.included.iter().map(|file| (file.path.clone(), file.text.clone())).collect();
     let path = told.folder.join(told.path.file_name().unwrap_or_default());
     let pipeline = Pipeline::of_text(&told.text, included, &path, &overrides).ok()?;
+    if pipeline.document.steps.len() > STEPS_LIMIT {
+        return None;
+    }
     let graph = resolve(&pipeline, &manifest.targets, rockface_stages::all()).ok()?;
     let mut steps: BTreeMap<&str, Vec<&StepDone>> = BTreeMap::new();
     manifest.steps.iter().for_each(|done| steps.entry(&done.step).or_default().push(done));
