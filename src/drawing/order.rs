@@ -15,7 +15,10 @@ pub fn untangle(layers: &mut Layers) {
     (0..layers.rows.len()).for_each(|row| note_places(layers, row, &mut places));
     let mut best = (crossings(layers, &places), layers.rows.clone());
     let sweeps = if layers.row_of.len() > MANY { FEW_SWEEPS } else { SWEEPS };
-    for sweep in (0..sweeps).take_while(|sweep| *sweep == 0 || best.0 > 0) {
+    for sweep in 0..sweeps {
+        if best.0 == 0 {
+            break;
+        }
         let down = sweep % 2 == 0;
         let count = layers.rows.len();
         for step in 1..count {
