@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use crate::artefact::Mesh;
 use crate::kernel::camera::{Camera, full_pixel};
 use crate::kernel::ray_row::RayRow;
-use crate::kernel::triangle_reach::{Bend, NEAR_M, Reach, reach};
+use crate::kernel::triangle_reach::{Bend, NEAR_M, Projected, Reach, reach_of_projected};
 
 /// Rows a task works on.
 pub(super) const BAND: usize = 16;
@@ -111,14 +111,15 @@ impl<'a> Scene<'a> {
         let (width, height) = (camera.sensor().width_px as usize / scale, camera.sensor().height_px as usize / scale);
         let points: Vec<_> = mesh.vertices.par_iter().map(|v| camera.to_camera(&Vector3::from(*v))).collect();
         let bend = Bend::new(camera.sensor());
-        let corners = |triangle: &[u32; 3]| triangle.map(|i| points[i as usize]);
+        let projected: Vec<_> = points.par_iter().map(|point| Projected::new(camera, point)).collect();
         let find = |triangle: &[u32; 3]| {
-            let corners = corners(triangle);
+            let corners = triangle.map(|i| points[i as usize]);
             let faces_away = corners[0].dot(&corners[1].cross(&corners[2])) >= 0.0;
             if drawing.front_only && faces_away {
                 return Reach::Nothing;
             }
-            reach(camera, &bend, &corners, f64::from(drawing.downscale), (width, height))
+            let projected = triangle.map(|i| projected[i as usize]);
+            reach_of_projected(&projected, &bend, &corners, f64::from(drawing.downscale), (width, height))
         };
         let reaches: Vec<_> = mesh.triangles.par_iter().map(find).collect();
         let bands = sort_into_bands(&reaches, height);

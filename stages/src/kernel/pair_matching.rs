@@ -13,7 +13,7 @@ use crate::artefact::Depth;
 use crate::fail;
 use crate::kernel::camera::{Camera, full_pixel};
 use crate::kernel::matching_noise::{FieldRecipe, LocalNoise, Lookup, SmoothNoise};
-use crate::kernel::noise::terms::{Site, Terms};
+use crate::kernel::noise::terms::{Lookups, Site, Terms};
 use crate::kernel::own_row::{OwnPixel, OwnRow, noisy_ray};
 use crate::kernel::random::Key;
 use crate::kernel::rectification::{Placed, Rectification};
@@ -172,8 +172,13 @@ impl Matcher<'_> {
     /// The white draws of a row: the first image's are drawn ahead, the second looks its own up one by one.
     fn row_of_draws(&self, own: usize, pixels: &OwnRow) -> Draws<'_> {
         let noise = self.local.as_ref().map(|(_, noise)| noise);
-        let mut draws =
-            Draws { ahead: Vec::new(), row: pixels.row as i32, first: 0, noise: noise.map(LocalNoise::lookup) };
+        let mut draws = Draws {
+            ahead: Vec::new(),
+            row: pixels.row as i32,
+            first: 0,
+            noise: noise.map(LocalNoise::lookup),
+            terms: self.terms.as_ref().map(Terms::lookups).unwrap_or_default(),
+        };
         if let (0, Some(noise), [first, .., last]) = (own, noise, pixels.pixels.as_slice()) {
             draws.first = first.column as i32;
             draws.ahead.resize(last.column - first.column + 1, 0.0);
@@ -210,7 +215,7 @@ impl Matcher<'_> {
             let disparity_px_m = fb_px_m / own_place.slant;
             let rectified_px = first.position_px;
             let site = Site { first_px, second_px, rectified_px, point_m, pixel: pixel_index, disparity_px_m };
-            let [local_px, regular_px] = terms.error_px(&site)?;
+            let [local_px, regular_px] = terms.error_px(&site, &mut draws.terms)?;
             (local_px, regular_px, terms.sub_pixel(true_px + (local_px + regular_px)))
         } else {
             let (local_px, regular_px) = self.paper_noise(first_px, first.position_px, draws);
@@ -271,6 +276,7 @@ struct Draws<'a> {
     row: i32,
     first: i32,
     noise: Option<Lookup<'a>>,
+    terms: Lookups<'a>,
 }
 
 impl Draws<'_> {

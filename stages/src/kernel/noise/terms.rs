@@ -4,10 +4,11 @@
 //! matcher's window, the error of a pixel is `M (u sqrt(sigma_local^2 + (gain r^power)^2) + v sigma_regular)`, plus the blunders, and
 //! at last what the matcher's sub-pixel step does: locking towards whole disparities, and rounding to its step.
 
-use crate::kernel::matching_noise::{LocalNoise, SmoothNoise};
+use crate::kernel::matching_noise::{LocalNoise, Lookup, SmoothNoise};
 use crate::kernel::noise::correlated::CorrelatedNoise;
 use crate::kernel::noise::modulation::{Blunders, Modulation, Patches};
 use crate::kernel::precise;
+use crate::kernel::whole::nearest;
 
 /// A unit field.
 #[derive(Debug, Clone)]
@@ -106,8 +107,13 @@ pub struct Terms {
 }
 
 impl Terms {
+    /// The white fields of the local noise, to be looked up along a row.
+    pub fn lookups(&self) -> Lookups<'_> {
+        Lookups(self.local.1.iter().map(Part::lookup).collect())
+    }
+
     /// Local and smooth error of a disparity before the sub-pixel step, pixels; `None` in a hole. Blunders count as local.
-    pub fn error_px(&self, site: &Site) -> Option<[f64; 2]> {
+    pub fn error_px(&self, site: &Site, lookups: &mut Lookups) -> Option<[f64; 2]> {
         if self.holes.as_ref().is_some_and(|holes| holes.covers(site.first_px)) {
             return None;
         }
@@ -115,7 +121,7 @@ impl Terms {
         let sigma_px = (self.local.0 * self.local.0 + relief_px * relief_px).sqrt();
         let strength = self.strength(site);
         let blunder_px = self.blunders.as_ref().map_or(0.0, |blunders| blunders.at(site.first_px));
-        let local_px = strength * sigma_px * unit(&self.local.1, site) + blunder_px;
+        let local_px = strength * sigma_px * lookups.unit(&self.local.1, site) + blunder_px;
         Some([local_px, strength * self.regular.0 * unit(&self.regular.1, site)])
     }
 
@@ -133,21 +139,53 @@ impl Terms {
     }
 }
 
-fn unit(parts: &[Part], site: &Site) -> f64 {
-    let value = |part: &Part| {
-        let position = match part.address {
+/// White draws at hand for each part of the local noise that has some.
+#[derive(Default)]
+pub struct Lookups<'a>(Vec<Option<Lookup<'a>>>);
+
+impl Lookups<'_> {
+    /// The sum of the parts at a site; the same as [`unit`].
+    fn unit(&mut self, parts: &[Part], site: &Site) -> f64 {
+        let value = |(part, lookup): (&Part, &mut Option<Lookup>)| match lookup {
+            Some(lookup) => {
+                let [column, row] = part.position(site).map(nearest);
+                part.weight * f64::from(lookup.at(column, row))
+            }
+            None => part.value(site),
+        };
+        parts.iter().zip(&mut self.0).map(value).sum()
+    }
+}
+
+impl Part {
+    fn lookup(&self) -> Option<Lookup<'_>> {
+        if let UnitField::White(noise) = &self.field { Some(noise.lookup()) } else { None }
+    }
+
+    fn position(&self, site: &Site) -> [f64; 2] {
+        match self.address {
             Address::First => site.first_px,
             Address::Second => site.second_px,
             Address::Rectified => site.rectified_px,
-        };
-        part.weight
-            * match &part.field {
-                UnitField::White(noise) => f64::from(noise.at(position[0].round() as i32, position[1].round() as i32)),
+        }
+    }
+
+    fn value(&self, site: &Site) -> f64 {
+        let position = self.position(site);
+        self.weight
+            * match &self.field {
+                UnitField::White(noise) => {
+                    let [column, row] = position.map(nearest);
+                    f64::from(noise.at(column, row))
+                }
                 UnitField::Correlated(noise) => noise.at(position),
                 UnitField::Smooth(noise) => noise.at(position),
             }
-    };
-    parts.iter().map(value).sum()
+    }
+}
+
+fn unit(parts: &[Part], site: &Site) -> f64 {
+    parts.iter().map(|part| part.value(site)).sum()
 }
 
 #[cfg(test)]
@@ -183,11 +221,15 @@ pub(crate) mod tests {
         }
     }
 
+    fn error(terms: &Terms, site: &Site) -> Option<[f64; 2]> {
+        terms.error_px(site, &mut terms.lookups())
+    }
+
     #[test]
     fn relief_adds_in_squares_and_the_acquisition_multiplies() {
-        let [bare, _] = plain().error_px(&SITE).unwrap();
+        let [bare, _] = error(&plain(), &SITE).unwrap();
         let relief = Some(Relief { gain: 2.0, power: 2.0, limit_px: 3.0, inverse_depth: vec![6e-4] });
-        let [more, _] = Terms { relief, acquisition: 1.5, ..plain() }.error_px(&SITE).unwrap();
+        let [more, _] = error(&Terms { relief, acquisition: 1.5, ..plain() }, &SITE).unwrap();
         let expected = 1.5 * (0.25f64 + 0.72 * 0.72).sqrt() / 0.5;
         assert!((more / bare - expected).abs() < 1e-6, "{more} {bare}");
     }
@@ -196,10 +238,10 @@ pub(crate) mod tests {
     fn a_hole_has_no_disparity_and_a_blunder_moves_it() {
         let field = || smooth_field(&Key([2; 32]), 5.0, [0.0; 2], [9.0; 2]);
         let holes = Some(Patches::new(1.0, field()));
-        assert_eq!(Terms { holes, ..plain() }.error_px(&SITE), None);
+        assert_eq!(error(&Terms { holes, ..plain() }, &SITE), None);
         let blunders = Some(Blunders { patches: Patches::new(1.0, field()), sigma_px: 4.0, error: field() });
-        let [with, _] = Terms { blunders, ..plain() }.error_px(&SITE).unwrap();
-        let [without, _] = plain().error_px(&SITE).unwrap();
+        let [with, _] = error(&Terms { blunders, ..plain() }, &SITE).unwrap();
+        let [without, _] = error(&plain(), &SITE).unwrap();
         assert!((with - without - 4.0 * field().at(SITE.first_px)).abs() < 1e-12);
     }
 
