@@ -3,9 +3,11 @@
 pub mod build;
 pub mod cli;
 pub mod diagnostic;
+pub mod drawing;
 pub mod explain;
 pub mod history;
 pub mod pipeline;
 pub mod plan;
+pub mod report;
 pub mod run;
 pub mod watch;

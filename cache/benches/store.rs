@@ -56,7 +56,7 @@ fn step(store: &Store, number: u64) -> Record {
     let kept = OutputRecord { kind: "mesh".to_owned(), digest, bytes: 8, kept: true, items: None };
     let outputs = BTreeMap::from([("mesh".to_owned(), kept)]);
     let log = Some(store.put(log.as_bytes()).expect("a stored log"));
-    let record = Record { recipe, outputs, log, cost: Cost::default() };
+    let record = Record { recipe, outputs, log, sketches: None, cost: Cost::default() };
     store.commit(&record).expect("a committed record");
     record
 }

@@ -182,6 +182,7 @@ mod tests {
 
     fn age(path: &Path, age_s: u64) {
         fs::File::open(path).unwrap().set_modified(SystemTime::now() - Duration::from_secs(age_s)).unwrap();
+        std::thread::sleep(Duration::from_millis(25));
     }
 
     fn desk() -> Desk {

@@ -14,6 +14,9 @@ use crate::{Digest, Store};
 
 /// A file modified less than this before it was read may be modified again without its time changing.
 const RACY: Duration = Duration::from_secs(2);
+/// A file whose state changed (its times may have been set back since) less than this before may change again within the
+/// same tick of the clock that file systems count by.
+const TICK: Duration = Duration::from_millis(20);
 /// How often a file that changes while it is read is read anew.
 const ATTEMPTS: usize = 3;
 
@@ -102,10 +105,15 @@ impl Store {
     }
 }
 
-/// Whether the file had been left alone for long enough that another change would show in its time.
+/// Whether the file had been left alone for long enough that another change would show in its times: the one of its
+/// content, which anybody may set, and the one of its state, which only the system sets.
 pub(crate) fn is_settled(meta: &Metadata, now: SystemTime) -> bool {
     let age = meta.modified().ok().and_then(|modified| now.duration_since(modified).ok());
-    age.is_some_and(|age| age >= RACY)
+    // A time without a fraction comes from a file system that counts in whole seconds.
+    let tick = if meta.ctime_nsec() == 0 { RACY } else { TICK };
+    let changed = Duration::new(meta.ctime().max(0) as u64, meta.ctime_nsec().max(0) as u32);
+    let still = now.duration_since(SystemTime::UNIX_EPOCH + changed).ok();
+    age.is_some_and(|age| age >= RACY) && still.is_some_and(|still| still >= tick)
 }
 
 #[cfg(test)]
@@ -115,6 +123,7 @@ mod tests {
     fn set_age(path: &Path, age_s: u64) {
         let file = fs::OpenOptions::new().write(true).open(path).unwrap();
         file.set_modified(SystemTime::now() - Duration::from_secs(age_s)).unwrap();
+        std::thread::sleep(TICK);
     }
 
     #[test]
@@ -153,6 +162,18 @@ mod tests {
         fs::write(&path, b"new").unwrap();
         fs::OpenOptions::new().write(true).open(&path).unwrap().set_modified(modified).unwrap();
         assert_eq!(store.hash_file(&path).unwrap().digest, Digest::of(b"new"));
+    }
+
+    #[test]
+    fn a_file_whose_time_was_set_back_just_now_is_not_trusted() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("face.ply");
+        fs::write(&path, b"old").unwrap();
+        set_age(&path, 60);
+        let meta = fs::metadata(&path).unwrap();
+        let changed = SystemTime::UNIX_EPOCH + Duration::new(meta.ctime() as u64, meta.ctime_nsec() as u32);
+        assert!(!is_settled(&meta, changed + TICK / 2));
+        assert!(is_settled(&meta, changed + 2 * RACY));
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The journal: all segments of a store as one growing set of small blobs, records and notes.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
@@ -21,6 +21,8 @@ pub(crate) struct Journal {
     dir: PathBuf,
     index: RwLock<Index>,
     writer: Mutex<Option<Writer>>,
+    /// Segments that were read from, opened once; one that is removed meanwhile can still be read.
+    readers: Mutex<BTreeMap<u32, Arc<File>>>,
     /// Folders whose new entries must be on disk before the records that count on them.
     owed: Mutex<BTreeSet<PathBuf>>,
 }
@@ -28,8 +30,13 @@ pub(crate) struct Journal {
 impl Journal {
     /// Reads every segment in `dir`.
     pub(crate) fn open(dir: &Path) -> Result<Self, StoreError> {
-        let journal =
-            Self { dir: dir.to_owned(), index: RwLock::default(), writer: Mutex::default(), owed: Mutex::default() };
+        let journal = Self {
+            dir: dir.to_owned(),
+            index: RwLock::default(),
+            writer: Mutex::default(),
+            readers: Mutex::default(),
+            owed: Mutex::default(),
+        };
         journal.refresh()?;
         Ok(journal)
     }
@@ -252,12 +259,7 @@ impl Journal {
 
     /// The bytes at `place`, unverified: fewer where the segment has been cut, `None` where it has been removed.
     pub(crate) fn read_if_there(&self, place: Place) -> Result<Option<Vec<u8>>, StoreError> {
-        let path = self.dir.join(self.with_index(|index| index.seen(place.segment)).name);
-        let file = match File::open(&path) {
-            Ok(file) => file,
-            Err(fault) if fault.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-            Err(fault) => return Err(StoreError::io("open", &path, fault)),
-        };
+        let Some(file) = self.reader(place.segment)? else { return Ok(None) };
         let mut bytes = vec![0; place.length as usize];
         let mut filled = 0;
         while filled < bytes.len() {
@@ -265,11 +267,29 @@ impl Journal {
                 Ok(0) => break,
                 Ok(count) => filled += count,
                 Err(fault) if fault.kind() == std::io::ErrorKind::Interrupted => {}
-                Err(fault) => return Err(StoreError::io("read", &path, fault)),
+                Err(fault) => return Err(StoreError::io("read", &self.segment_path(place.segment), fault)),
             }
         }
         bytes.truncate(filled);
         Ok(Some(bytes))
+    }
+
+    /// A segment to read from; none where it has been removed before it was first read.
+    fn reader(&self, segment: u32) -> Result<Option<Arc<File>>, StoreError> {
+        let mut readers = self.readers.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(file) = readers.get(&segment) {
+            return Ok(Some(Arc::clone(file)));
+        }
+        let path = self.segment_path(segment);
+        match File::open(&path) {
+            Ok(file) => Ok(Some(Arc::clone(readers.entry(segment).or_insert(Arc::new(file))))),
+            Err(fault) if fault.kind() == std::io::ErrorKind::NotFound => Ok(None),
+            Err(fault) => Err(StoreError::io("open", &path, fault)),
+        }
+    }
+
+    fn segment_path(&self, segment: u32) -> PathBuf {
+        self.path(&self.with_index(|index| index.seen(segment)).name)
     }
 }
 

@@ -20,8 +20,11 @@
 //! CACHEDIR.TAG    tells backup programs to pass by
 //! blobs/ab/abcd…  blobs of 64 KiB and more, one file each, read-only
 //! segments/*.seg  append-only frames: small blobs, records, notes, file digests; one live writer each
+//! live/           one file for each process that runs something: what it counts on
 //! locks/          one file for each key being computed now
 //! quarantine/     damaged blobs
+//! trees/          at most 16: long texts taken apart, for whoever reads them again
+//! scratch/        folders in which programs work now
 //! tmp/            blobs being written
 //! answers/        at most 256: what a question came to, and the state of all it rests on
 //! ```
@@ -36,24 +39,29 @@ mod files;
 mod frame;
 mod index;
 mod journal;
+mod lease;
 mod locks;
 mod materialise;
 mod open;
 mod recipe;
 mod record;
 mod rewrite;
+mod scratch;
 mod segment;
 mod store;
 mod syncer;
 
 pub use answers::{Grounds, recall};
 pub use blobs::Damage;
-pub use care::{Collected, Fault, FaultKind, GcItem, GcPlan, GcPolicy, StageStat, Verified};
+pub use care::{Collected, Fault, FaultKind, GcItem, GcPlan, GcPolicy, Handed, StageStat, Verified};
 pub use digest::{Digest, DigestError};
 pub use error::StoreError;
 pub use files::FileDigest;
+pub use lease::Live;
 pub use locks::KeyLock;
 pub use materialise::Materialised;
+pub use open::TREES;
 pub use recipe::{Gathered, Recipe, RecipeInput, SeedMaterial};
 pub use record::{Cost, Outcome, OutputRecord, Record};
+pub use scratch::Scratch;
 pub use store::{Store, StoreStat};

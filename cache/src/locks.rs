@@ -69,15 +69,24 @@ pub(crate) fn sweep(dir: &Path, prefix: &str) -> Result<(), StoreError> {
     for entry in std::fs::read_dir(dir).at("list", dir)? {
         let entry = entry.at("list", dir)?;
         let ours = entry.file_name().to_str().is_some_and(|name| name.starts_with(prefix));
-        if ours
-            && let Ok(file) = File::open(entry.path())
-            && file.try_lock().is_ok()
-            && is_at(&file, &entry.path())
-        {
-            let _ = std::fs::remove_file(entry.path());
+        if ours {
+            remove_abandoned(&entry.path());
         }
     }
     Ok(())
+}
+
+fn remove_abandoned(path: &Path) {
+    // The lock is held until the file is gone.
+    let held = File::open(path).ok().filter(|file| is_abandoned(file, path));
+    if held.is_some() {
+        let _ = std::fs::remove_file(path);
+    }
+}
+
+/// Whether nobody holds the lock of this file, which is still at `path`. The lock is held from now on.
+pub(crate) fn is_abandoned(file: &File, path: &Path) -> bool {
+    file.try_lock().is_ok() && is_at(file, path)
 }
 
 #[cfg(test)]

@@ -28,6 +28,15 @@ pub(crate) const QUARANTINE: &str = "quarantine";
 /// The folder of half-written blobs.
 pub(crate) const TMP: &str = "tmp";
 
+/// The folder of folders in which programs work.
+pub(crate) const SCRATCH: &str = "scratch";
+
+/// The folder of what live processes count on.
+pub(crate) const LIVE: &str = "live";
+
+/// The folder of texts taken apart, for whoever reads them again.
+pub const TREES: &str = "trees";
+
 /// The folder of answers to former questions.
 pub(crate) const ANSWERS: &str = "answers";
 
@@ -53,7 +62,7 @@ pub(crate) fn prepare(dir: &Path) -> Result<(), StoreError> {
         },
         Err(fault) => return Err(StoreError::io("read", &format, fault)),
     }
-    for folder in [BLOBS, SEGMENTS, LOCKS, QUARANTINE, TMP] {
+    for folder in [BLOBS, SEGMENTS, LOCKS, QUARANTINE, TMP, SCRATCH, LIVE, TREES] {
         let path = dir.join(folder);
         fs::create_dir_all(&path).at("make the folder", &path)?;
     }
@@ -61,6 +70,8 @@ pub(crate) fn prepare(dir: &Path) -> Result<(), StoreError> {
         write_whole(dir, "CACHEDIR.TAG", CACHE_TAG)?;
     }
     sweep(&dir.join(TMP), TEMPORARY_BLOB)?;
+    crate::scratch::sweep(&dir.join(SCRATCH))?;
+    sweep(&dir.join(LIVE), "")?;
     sweep(&dir.join(LOCKS), "")
 }
 

@@ -15,6 +15,8 @@ pub struct Record {
     pub outputs: BTreeMap<String, OutputRecord>,
     /// The log of the step, a blob.
     pub log: Option<Digest>,
+    /// Sketches of the outputs for the log of a run, a blob; `None` where none were made.
+    pub sketches: Option<Digest>,
     /// What it took.
     pub cost: Cost,
 }
@@ -56,6 +58,9 @@ pub struct Outcome {
     pub outputs: BTreeMap<String, OutputRecord>,
     /// The log of the step, a blob.
     pub log: Option<Digest>,
+    /// Sketches of the outputs for the log of a run, a blob; `None` where none were made.
+    #[serde(default)]
+    pub sketches: Option<Digest>,
     /// What it took.
     pub cost: Cost,
 }
@@ -66,9 +71,9 @@ impl Outcome {
         self.outputs.values().all(|output| output.kept)
     }
 
-    /// The blobs promised: every kept output with its size, and the log, whose size is not recorded.
+    /// The blobs promised: every kept output with its size, and log and sketches, whose sizes are not recorded.
     pub fn blobs(&self) -> impl Iterator<Item = (Digest, Option<u64>)> {
-        promised(&self.outputs, self.log)
+        promised(&self.outputs, [self.log, self.sketches])
     }
 
     /// The outcome in the bytes of a record; `None` when another program wrote them.
@@ -82,18 +87,31 @@ impl Outcome {
 struct OutcomeRef<'a> {
     outputs: &'a BTreeMap<String, OutputRecord>,
     log: &'a Option<Digest>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sketches: &'a Option<Digest>,
     cost: &'a Cost,
 }
 
 impl Record {
-    /// The blobs this record promises: every kept output with its size, and the log, whose size is not recorded.
+    /// The blobs this record promises: every kept output with its size, and log and sketches, whose sizes are not recorded.
     pub fn blobs(&self) -> impl Iterator<Item = (Digest, Option<u64>)> {
-        promised(&self.outputs, self.log)
+        promised(&self.outputs, [self.log, self.sketches])
+    }
+
+    /// Whether it keeps outputs of which another record of the same recipe and outputs only tells.
+    pub fn keeps_more_than(&self, other: &Self) -> bool {
+        let same = self
+            .outputs
+            .iter()
+            .map(|(port, output)| (port, output.digest))
+            .eq(other.outputs.iter().map(|(port, output)| (port, output.digest)));
+        let kept = |record: &Self| record.outputs.values().filter(|output| output.kept).count();
+        same && kept(self) > kept(other)
     }
 
     /// Whether two records of one recipe say the same of everything but the cost.
     pub fn same_outcome(&self, other: &Record) -> bool {
-        self.outputs == other.outputs && self.log == other.log
+        self.outputs == other.outputs && self.log == other.log && self.sketches == other.sketches
     }
 
     /// The bytes of a record frame: the length of the recipe's text (u32, little-endian), that text, and the rest as JSON.
@@ -101,7 +119,8 @@ impl Record {
         let mut out = Vec::with_capacity(recipe_text.len() + 512);
         out.extend((recipe_text.len() as u32).to_le_bytes());
         out.extend(recipe_text.as_bytes());
-        let outcome = OutcomeRef { outputs: &self.outputs, log: &self.log, cost: &self.cost };
+        let Self { outputs, log, sketches, cost, .. } = self;
+        let outcome = OutcomeRef { outputs, log, sketches, cost };
         serde_json::to_writer(&mut out, &outcome)?;
         Ok(out)
     }
@@ -109,9 +128,9 @@ impl Record {
     /// The record these bytes hold; `None` when another program wrote them.
     pub(crate) fn decode(bytes: &[u8]) -> Option<Record> {
         let (recipe, outcome) = split(bytes)?;
-        let Outcome { outputs, log, cost } = serde_json::from_slice(outcome).ok()?;
+        let Outcome { outputs, log, sketches, cost } = serde_json::from_slice(outcome).ok()?;
         let recipe = serde_json::from_slice(recipe).ok()?;
-        Some(Record { recipe, outputs, log, cost })
+        Some(Record { recipe, outputs, log, sketches, cost })
     }
 }
 
@@ -123,10 +142,10 @@ fn split(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
 
 fn promised(
     outputs: &BTreeMap<String, OutputRecord>,
-    log: Option<Digest>,
+    told: [Option<Digest>; 2],
 ) -> impl Iterator<Item = (Digest, Option<u64>)> {
     let kept = outputs.values().filter(|output| output.kept);
-    kept.map(|output| (output.digest, Some(output.bytes))).chain(log.map(|log| (log, None)))
+    kept.map(|output| (output.digest, Some(output.bytes))).chain(told.into_iter().flatten().map(|blob| (blob, None)))
 }
 
 impl Cost {
@@ -158,10 +177,11 @@ pub(crate) mod tests {
     prop_compose! {
         fn any_record()(
             recipe in any_recipe(), outputs in proptest::collection::btree_map(any::<String>(), any_output(), 0..3),
-            log in proptest::option::of(any::<[u8; 32]>()), wall_s in 0.0..1e6, cpu_s in 0.0..1e6, peak_bytes: u64,
+            log in proptest::option::of(any::<[u8; 32]>()), sketches in proptest::option::of(any::<[u8; 32]>()), wall_s in 0.0..1e6, cpu_s in 0.0..1e6, peak_bytes: u64,
         ) -> Record {
             let cost = Cost { wall_s, cpu_s, peak_bytes, finished_unix_s: 1_700_000_000 };
-            Record { recipe, outputs, log: log.map(Digest::from_bytes), cost }
+            let [log, sketches] = [log, sketches].map(|blob| blob.map(Digest::from_bytes));
+            Record { recipe, outputs, log, sketches, cost }
         }
     }
 
@@ -169,6 +189,14 @@ pub(crate) mod tests {
         #[test]
         fn decoding_gives_back_what_was_encoded(record in any_record()) {
             let bytes = record.encode(&record.recipe.text()).unwrap();
+            prop_assert_eq!(Record::decode(&bytes).unwrap(), record);
+        }
+
+        #[test]
+        fn records_without_sketches_are_read(record in any_record()) {
+            let record = Record { sketches: None, ..record };
+            let bytes = record.encode(&record.recipe.text()).unwrap();
+            prop_assert!(!String::from_utf8_lossy(&bytes).contains("\"sketches\":"));
             prop_assert_eq!(Record::decode(&bytes).unwrap(), record);
         }
 

@@ -1,8 +1,8 @@
 //! The store: blobs by digest, records by the key of their recipe.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
 
 use serde_json::Value;
 
@@ -41,6 +41,8 @@ pub struct Store {
     journal: Arc<Journal>,
     syncer: Syncer,
     files_hashed: AtomicU64,
+    /// Says what this process counts on, once it runs something.
+    pub(crate) lease: Mutex<Option<tempfile::NamedTempFile>>,
 }
 
 /// What is in a store.
@@ -81,6 +83,7 @@ impl Store {
             journal,
             root,
             files_hashed: AtomicU64::new(0),
+            lease: Mutex::default(),
         })
     }
 

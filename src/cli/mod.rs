@@ -4,11 +4,13 @@ mod completions;
 mod explain;
 mod export;
 mod graph;
+mod hand;
 mod init;
 mod inspect;
 mod places;
 mod plan;
 mod repeat;
+mod report;
 mod run;
 mod runs;
 mod schema;
@@ -53,6 +55,8 @@ enum Command {
     Stages(stages::StagesArgs),
     /// List, show, compare, pin past runs.
     Runs(runs::RunsArgs),
+    /// Write the page of a past run again: what ran, pictures, tables, numbers, in one file.
+    Report(report::ReportArgs),
     /// Tell what the store holds, verify it, remove what nobody needs.
     Store(store::StoreArgs),
     /// Say what a blob, a record or a file holds: kind, sizes, ranges, missing values.
@@ -75,6 +79,9 @@ struct PipelineArgs {
     /// The text of the pipeline where it is not to be read from the file.
     #[arg(skip)]
     text: Option<String>,
+    /// The texts of files it includes, where they are not to be read from the files.
+    #[arg(skip)]
+    included: std::collections::BTreeMap<PathBuf, String>,
     /// Make only this step and what it needs; may be given several times.
     #[arg(long, value_name = "STEP")]
     target: Vec<String>,
@@ -104,18 +111,19 @@ impl PipelineArgs {
 
     fn load(&self) -> Result<Pipeline, CliError> {
         let loaded = match &self.text {
-            Some(text) => Pipeline::of_text(text, &self.pipeline, &self.overrides()),
-            None => Pipeline::load(&self.pipeline, &self.overrides()),
+            Some(text) => Pipeline::of_text(text, self.included.clone(), &self.pipeline, &self.overrides()),
+            None => {
+                Pipeline::load(&self.pipeline, &self.overrides(), Some(&self.store_dir().join(rockface_cache::TREES)))
+            }
         };
         loaded.map_err(CliError::Pipeline)
     }
 
     /// Plans for these targets; faults of the pipeline come before anything is made on disk.
     fn plan(&self, pipeline: &Pipeline, targets: &[String]) -> Result<(Plan, Store), CliError> {
-        let stages = rockface_stages::all();
-        crate::plan::resolve(pipeline, targets, stages).map_err(CliError::Pipeline)?;
+        let graph = crate::plan::resolve(pipeline, targets, rockface_stages::all()).map_err(CliError::Pipeline)?;
         let store = self.open_store()?;
-        let plan = crate::plan::plan(pipeline, targets, stages, &store).map_err(CliError::Pipeline)?;
+        let plan = crate::plan::expand(graph, pipeline, &store).map_err(CliError::Pipeline)?;
         Ok((plan, store))
     }
 
@@ -179,6 +187,9 @@ pub enum CliError {
     /// The run could not go on.
     #[error(transparent)]
     Run(#[from] RunError),
+    /// A page could not be made.
+    #[error(transparent)]
+    Report(#[from] crate::report::ReportError),
 }
 
 impl CliError {
@@ -186,7 +197,7 @@ impl CliError {
     pub fn exit_code(&self) -> i32 {
         match self {
             Self::Failed => 1,
-            Self::History(HistoryError::Io { .. }) | Self::Store(_) | Self::Damaged => 3,
+            Self::History(HistoryError::Io { .. }) | Self::Store(_) | Self::Damaged | Self::Report(_) => 3,
             Self::Pipeline(_) | Self::Usage(_) | Self::History(_) => 2,
             Self::Run(error) => error.exit_code(),
         }
@@ -212,6 +223,7 @@ impl Cli {
             Command::Graph(args) => args.run(),
             Command::Stages(args) => args.run(),
             Command::Runs(args) => args.run(),
+            Command::Report(args) => args.run(),
             Command::Store(args) => args.run(),
             Command::Inspect(args) => args.run(),
             Command::Export(args) => args.run(),

@@ -1,6 +1,6 @@
 //! Where the commands that take no pipeline find the store and the runs.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use rockface_cache::Store;
@@ -19,6 +19,19 @@ pub struct Places {
 }
 
 impl Places {
+    /// Opens the store, making it if there is none.
+    pub fn make_store(&self) -> Result<Store, CliError> {
+        Ok(Store::open(&self.store)?)
+    }
+
+    /// Opens the store given, or the one beside a run folder; `None` where there is neither.
+    pub fn store_beside(&self, run: &Path) -> Result<Option<Store>, CliError> {
+        let beside = run.parent().and_then(Path::parent).map(|folder| folder.join("store"));
+        let places = [Some(self.store.clone()), beside];
+        let found = places.into_iter().flatten().find(|store| store.join("format").is_file());
+        Ok(found.map(|store| Store::open(&store)).transpose()?)
+    }
+
     /// Opens the store, which must be there: what only looks makes nothing.
     pub fn open_store(&self) -> Result<Store, CliError> {
         if self.store.join("format").is_file() {

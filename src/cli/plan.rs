@@ -42,11 +42,9 @@ impl PlanArgs {
     fn print(&self, plan: &Plan, answers: &[Answer], times: &Times) {
         let width = plan.graph.steps.iter().map(|step| step.name.chars().count()).max().unwrap_or(0).max(4);
         say(&format!("{:width$}  {:>9} {:>6} {:>6} {:>8}  why", "step", "instances", "hit", "runs", "depends"));
-        for (index, step) in plan.graph.steps.iter().enumerate() {
-            let own: Vec<usize> = (0..answers.len()).filter(|i| plan.instances[*i].step == index).collect();
-            if own.is_empty() {
-                continue;
-            }
+        let mut instances: Vec<Vec<usize>> = vec![Vec::new(); plan.graph.steps.len()];
+        plan.instances.iter().enumerate().for_each(|(number, instance)| instances[instance.step].push(number));
+        for (step, own) in plan.graph.steps.iter().zip(instances).filter(|(_, own)| !own.is_empty()) {
             let count = |word: &str| own.iter().filter(|i| answers[**i].word() == word).count();
             let why = own.iter().find_map(|i| answers[*i].why(plan)).unwrap_or_default();
             let (hit, runs, depends) = (count("hit"), count("runs"), count("depends"));

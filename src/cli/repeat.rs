@@ -21,6 +21,8 @@ pub fn take_over(arguments: &mut PipelineArgs, manifest: &Manifest) {
     let file = manifest.pipeline.path.file_name().unwrap_or_default();
     arguments.pipeline = manifest.pipeline.folder.join(file);
     arguments.text = Some(manifest.pipeline.text.clone());
+    let included = manifest.pipeline.included.iter();
+    arguments.included = included.map(|file| (file.path.clone(), file.text.clone())).collect();
     let given = std::mem::take(&mut arguments.set);
     arguments.set = manifest.overrides.set.iter().cloned().chain(given).collect();
     let given = std::mem::take(&mut arguments.sweep);

@@ -11,7 +11,7 @@ use rockface_cache::Digest;
 
 use super::{CliError, PipelineArgs, beside, own_folder, repeat, say};
 use crate::run::shortcut::{self, NAMED, Told};
-use crate::run::{self, Finished, Options, RunFolder, Summary};
+use crate::run::{self, Finished, LayOut, Options, RunFolder, Summary};
 use crate::watch::{JsonLines, Observer, Plain, Silent, Terminal, duration};
 
 /// The most memory that can be asked for, GiB; more is a slip of the pen.
@@ -38,6 +38,9 @@ pub struct RunArgs {
     /// Where run folders go; by default `.rockface/runs` beside the pipeline.
     #[arg(long, value_name = "DIR")]
     runs: Option<PathBuf>,
+    /// Which outputs get a name in the run folder; `rockface export` gives any other a name later.
+    #[arg(long, value_name = "WHICH", value_enum, default_value_t)]
+    outputs: LayOut,
     /// Print events as lines of JSON.
     #[arg(long)]
     json: bool,
@@ -80,10 +83,11 @@ impl RunArgs {
         let about = RunFolder {
             runs: &runs,
             pipeline_path: &self.pipeline.pipeline,
-            pipeline_text: &pipeline.sources[0].text,
+            pipeline: &pipeline,
             overrides: &self.pipeline.overrides(),
             targets: &self.pipeline.target,
             jobs: options.jobs,
+            lay_out: self.outputs,
         };
         let (summary, finished) = run::execute_and_tell(&mut plan, &store, &options, &stop, observer.as_mut(), &about)?;
         let told = Told::of(&finished, &summary);
@@ -186,6 +190,10 @@ fn say_some<T>(items: &[T], count: usize, line: impl Fn(&T) -> String) {
 struct Quiet<W: std::io::Write>(Plain<W>);
 
 impl<W: std::io::Write> Observer for Quiet<W> {
+    fn ignores_cached(&self) -> bool {
+        true
+    }
+
     fn event(&mut self, event: &crate::watch::Event, progress: crate::watch::Progress) {
         use crate::watch::Event;
         match event {

@@ -1,5 +1,7 @@
 //! `rockface runs`: past runs, listed, shown, compared and pinned.
 
+use std::path::{Path, PathBuf};
+
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 
@@ -7,6 +9,7 @@ use super::places::Places;
 use super::table::{self, Format};
 use super::{CliError, say};
 use crate::history::{self, PastRun, Row};
+use crate::report;
 use crate::watch::duration;
 
 /// Arguments of `rockface runs`.
@@ -46,6 +49,9 @@ enum RunsCommand {
         /// How to print them.
         #[arg(long, value_enum, default_value = "table")]
         format: Format,
+        /// Write them to this file as a page, with their pictures, instead.
+        #[arg(long, value_name = "FILE", conflicts_with = "format")]
+        html: Option<PathBuf>,
     },
     /// Keep what a run made, whatever its age: no collection removes it.
     Pin {
@@ -69,10 +75,13 @@ impl RunsArgs {
         match self.command {
             RunsCommand::List { places, format } => list(&places, format),
             RunsCommand::Show { run, places, json } => show(&history::find(&places.runs, &run)?, json),
-            RunsCommand::Compare { compared, places, format } => {
+            RunsCommand::Compare { compared, places, format, html } => {
                 let found =
                     compared.iter().map(|run| history::find(&places.runs, run)).collect::<Result<Vec<_>, _>>()?;
-                compare(&found, format)
+                match html {
+                    Some(to) => page(&places, &found, &to),
+                    None => compare(&found, format),
+                }
             }
             RunsCommand::Pin { run, places } => pin(&places, &run, true),
             RunsCommand::Unpin { run, places } => pin(&places, &run, false),
@@ -159,6 +168,14 @@ fn compare(runs: &[PastRun], format: Format) -> Result<(), CliError> {
     if format == Format::Table {
         say(&format!("{} parameters are the same in all", found.equal_parameters));
     }
+    Ok(())
+}
+
+/// Writes runs side by side as a page.
+fn page(places: &Places, runs: &[PastRun], to: &Path) -> Result<(), CliError> {
+    let store = places.store_beside(&runs[0].folder)?;
+    report::save(to, &report::comparison(runs, store.as_ref())?)?;
+    say(&to.display().to_string());
     Ok(())
 }
 

@@ -4,6 +4,8 @@ use rockface_stages::params::{Field, Kind, Range};
 use rockface_stages::{AnyStage, Arity, Port};
 use serde_json::{Map, Value, json};
 
+use crate::pipeline::LogLevel;
+
 /// The schema of a pipeline file over these stages.
 pub fn schema(stages: &[&'static dyn AnyStage]) -> Value {
     let steps: Vec<Value> = stages.iter().map(|stage| step(*stage)).collect();
@@ -25,6 +27,7 @@ pub fn schema(stages: &[&'static dyn AnyStage]) -> Value {
                     "description": "Axes that are walked together instead of crossed: [a, b], or a list of such lists."},
             "steps": {"type": "object", "minProperties": 1, "additionalProperties": {"$ref": "#/$defs/step"}},
             "targets": one_or_many(&json!({"type": "string"}), "Steps to make; by default every step nobody reads."),
+            "log": log_level("How much the log of a run shows of the steps that do not say it themselves."),
         },
         "anyOf": [{"required": ["steps"]}, {"required": ["include"]}],
         "$defs": {
@@ -39,6 +42,10 @@ pub fn schema(stages: &[&'static dyn AnyStage]) -> Value {
             },
         },
     })
+}
+
+fn log_level(description: &str) -> Value {
+    json!({"enum": LogLevel::WORDS, "description": description})
 }
 
 fn one_or_many(item: &Value, description: &str) -> Value {
@@ -108,6 +115,7 @@ fn step(stage: &dyn AnyStage) -> Value {
                 }},
                 "timeout": {"type": "string", "description": "How long one go may take, such as 90s or 2h."},
                 "retries": {"type": "integer", "minimum": 0, "maximum": 100},
+                "log": log_level("How much the log of a run shows of it; by default the first four instances in full, the others in brief."),
             },
         },
     })

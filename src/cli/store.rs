@@ -7,12 +7,13 @@ use clap::{Args, Subcommand};
 use rockface_cache::{Digest, GcPlan, GcPolicy, Store};
 use serde_json::json;
 
+use super::hand::HandArgs;
 use super::places::Places;
 use super::table::{self, Format, bytes};
 use super::{CliError, say};
 use crate::history::{self, PastRun};
 
-/// What was made or used less long ago is kept by a collection, seconds: a run may be about to name it.
+/// What was made or used less long ago is kept by a collection, seconds: a run that was stopped may be taken up again.
 const GRACE_S: u64 = 3600;
 /// Seconds of a day.
 const DAY_S: f64 = 86_400.0;
@@ -46,8 +47,12 @@ enum StoreCommand {
         json: bool,
     },
     /// Remove what nobody needs. Superseded and damaged entries go always; records only by the options below, and those
-    /// of pinned runs and what is younger than an hour never. Safe beside a running pipeline.
+    /// of pinned runs, what is younger than an hour and what live runs count on never. Safe beside a running pipeline.
     Gc(GcArgs),
+    /// Hand results to another store, such as one on a shared disk, which is made if there is none.
+    Push(HandArgs),
+    /// Take results from another store.
+    Pull(HandArgs),
 }
 
 #[derive(Debug, Args)]
@@ -83,6 +88,8 @@ impl StoreArgs {
             StoreCommand::Stat { places, json } => stat(&places.open_store()?, json),
             StoreCommand::Verify { places, repair, json } => verify(&places.open_store()?, repair, json),
             StoreCommand::Gc(args) => args.run(),
+            StoreCommand::Push(args) => args.push(),
+            StoreCommand::Pull(args) => args.pull(),
         }
     }
 }
@@ -197,6 +204,12 @@ impl GcArgs {
             grace_s: GRACE_S,
             ..GcPolicy::default()
         };
+        let live = store.live()?;
+        if let Some(since_s) = live.since_unix_s {
+            // What live runs count on stays, and so does all that was written since they began.
+            policy.pinned.extend(live.keys);
+            policy.grace_s = policy.grace_s.max(now_s().saturating_sub(since_s) + 1);
+        }
         for folder in run_folders(store, &self.places.runs)? {
             // A run whose manifest cannot be read may be one that counts.
             let run = PastRun::open(&folder)?;
@@ -233,6 +246,10 @@ fn count(policy: &mut GcPolicy, run: &PastRun) {
     if run.pinned {
         policy.pinned.extend(keys);
     }
+}
+
+fn now_s() -> u64 {
+    std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |since| since.as_secs())
 }
 
 fn day(unix_s: u64) -> String {

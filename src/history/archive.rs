@@ -96,7 +96,13 @@ impl Packing<'_> {
 
     fn records(&mut self, run: &PastRun, store: &Store) -> Result<usize, HistoryError> {
         let keys: BTreeSet<Digest> = run.manifest.steps.iter().filter_map(|done| done.key).collect();
-        let logs: BTreeSet<Digest> = run.manifest.steps.iter().filter_map(|done| done.log).collect();
+        let logs: BTreeSet<(Digest, &str)> = run
+            .manifest
+            .steps
+            .iter()
+            .flat_map(|done| [(done.log, "json"), (done.sketches, "sketches")])
+            .filter_map(|(log, extension)| Some((log?, extension)))
+            .collect();
         let mut missing = 0;
         for key in keys {
             match store.record(&key) {
@@ -106,9 +112,9 @@ impl Packing<'_> {
                 None => missing += 1,
             }
         }
-        for log in logs {
+        for (log, extension) in logs {
             match store.get(&log) {
-                Ok(bytes) => self.add(&PathBuf::from(format!("logs/{log}.json")), &bytes)?,
+                Ok(bytes) => self.add(&PathBuf::from(format!("logs/{log}.{extension}")), &bytes)?,
                 Err(_) => missing += 1,
             }
         }

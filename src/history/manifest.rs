@@ -38,7 +38,10 @@ pub struct Manifest {
     pub program: Value,
     /// The results, a line each.
     pub headlines: Vec<String>,
-    /// What became of each step instance.
+    /// Whether `outputs/` has `all` kept outputs or `some`; `rockface export` gives any other a name.
+    #[serde(default)]
+    pub laid_out: String,
+    /// What became of each step instance. The last field: see [`Manifest::into_text`].
     pub steps: Vec<StepDone>,
 }
 
@@ -52,6 +55,18 @@ pub struct PipelineText {
     /// The folder its paths are relative to, absolute.
     #[serde(default)]
     pub folder: PathBuf,
+    /// Its text.
+    pub text: String,
+    /// The files it includes, in the order they were met.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub included: Vec<IncludedText>,
+}
+
+/// A file that a pipeline includes.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct IncludedText {
+    /// Where it was, absolute.
+    pub path: PathBuf,
     /// Its text.
     pub text: String,
 }
@@ -88,6 +103,9 @@ pub struct StepDone {
     /// Its log, a blob.
     #[serde(default)]
     pub log: Option<Digest>,
+    /// Sketches of its outputs, a blob.
+    #[serde(default)]
+    pub sketches: Option<Digest>,
     /// What it took when it was computed.
     pub cost: Option<Cost>,
     /// Its parameters, files replaced by their digests.
@@ -138,10 +156,10 @@ impl Manifest {
     }
 
     fn parse(text: &[u8]) -> Result<Self, String> {
-        let value: Value = serde_json::from_slice(text).map_err(|error| error.to_string())?;
-        match value.get("format").and_then(Value::as_u64) {
+        let head: Head = serde_json::from_slice(text).map_err(|error| error.to_string())?;
+        match head.format.as_ref().and_then(Value::as_u64) {
             Some(format) if format == u64::from(FORMAT) => {
-                serde_json::from_value(value).map_err(|error| error.to_string())
+                serde_json::from_slice(text).map_err(|error| error.to_string())
             }
             Some(format) => {
                 Err(format!("it has format {format}, this version reads {FORMAT}; use the version that wrote it"))
@@ -149,6 +167,27 @@ impl Manifest {
             None => Err("it says no format".to_owned()),
         }
     }
+
+    /// The text of the file: JSON, with a line for each step instance.
+    pub fn into_text(mut self) -> String {
+        let steps = std::mem::take(&mut self.steps);
+        let mut text = serde_json::to_string_pretty(&self).unwrap_or_default();
+        // `steps` is the last field; its list is empty now.
+        text.truncate(text.trim_end_matches([']', '}', '\n', ' ']).len());
+        for (number, done) in steps.iter().enumerate() {
+            text.push_str(if number == 0 { "\n    " } else { ",\n    " });
+            text.push_str(&serde_json::to_string(done).unwrap_or_default());
+        }
+        text.push_str(if steps.is_empty() { "]\n}\n" } else { "\n  ]\n}\n" });
+        text
+    }
+}
+
+/// What tells the version.
+#[derive(Deserialize)]
+struct Head {
+    #[serde(default)]
+    format: Option<Value>,
 }
 
 impl StepDone {

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 pub use archive::{Archived, archive};
 pub use compare::{Comparison, Row, compare};
-pub use manifest::{FORMAT, FileUsed, Manifest, Metric, StepDone};
+pub use manifest::{FORMAT, FileUsed, IncludedText, Manifest, Metric, Overridden, PipelineText, StepDone};
 pub use provenance::crate_metadata;
 
 use crate::diagnostic::nearest;

@@ -117,8 +117,10 @@ impl Crate<'_> {
         for (name, format, what) in [
             ("run.json", "application/json", "manifest: everything needed to repeat the run"),
             ("run.mcap", "application/octet-stream", "log of the run, MCAP"),
+            ("report.html", "text/html", "the run on one page, for people"),
         ] {
-            if folder.join(name).is_file() {
+            // The manifest is written last.
+            if name == "run.json" || folder.join(name).is_file() {
                 self.add(name, json!({"@type": "File", "name": name, "description": what, "encodingFormat": format}));
                 self.parts.insert(name.to_owned());
             }
@@ -155,6 +157,8 @@ impl Crate<'_> {
             let digest = output.digest.to_string();
             let id = match done.paths.get(port) {
                 Some(path) => self.output_file(done, port, path, &output.kind),
+                // Without actions nothing refers to what has no file.
+                None if self.manifest.steps.len() > ACTIONS_LIMIT => continue,
                 None => self.digest(&digest, &format!("{}.{port}", done.label())),
             };
             made.insert(digest, id.clone());

@@ -132,10 +132,12 @@ impl Reader<'_> {
 
     /// One number written in two ways would be one point with two names.
     fn check_equal_numbers(&mut self, list: &[Node], values: &[Value], axis: &Word) {
-        for (index, value) in values.iter().enumerate() {
-            let number = value.as_f64();
-            let twin = values[..index].iter().position(|earlier| number.is_some() && earlier.as_f64() == number);
-            if let Some(twin) = twin {
+        let mut numbers: Vec<(f64, usize)> =
+            values.iter().enumerate().filter_map(|(index, value)| Some((value.as_f64()? + 0.0, index))).collect();
+        numbers.sort_by(|one, other| one.0.total_cmp(&other.0).then(one.1.cmp(&other.1)));
+        for pair in numbers.windows(2) {
+            let ((number, twin), (next, index)) = (pair[0], pair[1]);
+            if number.total_cmp(&next).is_eq() {
                 let (here, there) = (&list[index].written, &list[twin].written);
                 let message = format!("`{here}` is the same number as `{there}` on axis `{}`", axis.text);
                 self.fault(Diagnostic::at(list[index].span, message).hint("leave one out, or put both in quotes"));

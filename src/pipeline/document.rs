@@ -6,6 +6,7 @@ use serde_json::Value;
 
 use super::axis::Axis;
 use super::input::Input;
+use super::log_level::LogLevel;
 use super::node::{Data, Key, Node, Word};
 use crate::diagnostic::Diagnostic;
 
@@ -26,6 +27,8 @@ pub struct Document {
     pub steps: Vec<Step>,
     /// Steps to make; `None`: every step nobody reads.
     pub targets: Option<Vec<Word>>,
+    /// How much the log of a run shows of steps that do not say it themselves; `None`: it depends on their instances.
+    pub log: Option<LogLevel>,
 }
 
 /// A named use of a stage.
@@ -49,6 +52,8 @@ pub struct Step {
     pub timeout: Option<Duration>,
     /// How often it is tried again after a failure.
     pub retries: u32,
+    /// How much the log of a run shows of it.
+    pub log: Option<LogLevel>,
 }
 
 /// The random stream of a step.
@@ -61,7 +66,7 @@ pub struct Stream {
 }
 
 /// The keys of a pipeline.
-pub const TOP: &[&str] = &["rockface", "name", "seed", "include", "params", "axes", "zip", "steps", "targets"];
+pub const TOP: &[&str] = &["rockface", "name", "seed", "include", "params", "axes", "zip", "steps", "targets", "log"];
 
 /// Reads a document and collects everything that is wrong with its shape.
 pub fn read(root: &Node, file_stem: &str, faults: &mut Vec<Diagnostic>) -> Option<Document> {
@@ -81,6 +86,7 @@ pub fn read(root: &Node, file_stem: &str, faults: &mut Vec<Diagnostic>) -> Optio
         zips: root.get("zip").map(|n| reader.zips(n)).unwrap_or_default(),
         steps: reader.named(root, "steps", Reader::step),
         targets: root.get("targets").map(|n| reader.some_words(n, "a step name")),
+        log: root.get("log").and_then(|n| reader.log_level(n)),
     };
     let no_steps =
         root.get("steps").map_or(Some(root.span), |n| n.entries().is_some_and(<[_]>::is_empty).then_some(n.span));
@@ -251,7 +257,7 @@ impl Reader<'_> {
 
     fn step(&mut self, name: Word, node: &Node) -> Option<Step> {
         let what = format!("step `{}`", name.text);
-        self.map(node, &what, &["stage", "with", "in", "over", "keep", "stream", "timeout", "retries"])?;
+        self.map(node, &what, &["stage", "with", "in", "over", "keep", "stream", "timeout", "retries", "log"])?;
         let Some(stage) = node.get("stage") else {
             self.fault(
                 Diagnostic::at(name.span, format!("{what} names no `stage`")).hint("`rockface stages` lists them"),
@@ -270,7 +276,16 @@ impl Reader<'_> {
         let stream = node.get("stream").and_then(|n| self.stream(n));
         let timeout = node.get("timeout").and_then(|n| self.duration(n));
         let retries = node.get("retries").map_or(0, |n| self.retries(n));
-        Some(Step { name, stage, with, inputs, over, keep, stream, timeout, retries })
+        let log = node.get("log").and_then(|n| self.log_level(n));
+        Some(Step { name, stage, with, inputs, over, keep, stream, timeout, retries, log })
+    }
+
+    fn log_level(&mut self, node: &Node) -> Option<LogLevel> {
+        let level = node.text().and_then(LogLevel::of_word);
+        if level.is_none() {
+            self.expected(node, "full, brief or none");
+        }
+        level
     }
 
     fn duration(&mut self, node: &Node) -> Option<Duration> {

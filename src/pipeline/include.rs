@@ -1,5 +1,6 @@
 //! `include: other.yaml`: pipelines put together from several files, every value with its place in its own file.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::document::TOP;
@@ -13,6 +14,17 @@ pub struct Texts {
     pub sources: Vec<Source>,
     /// The folder of each file among the sources.
     pub folders: Vec<PathBuf>,
+    /// Texts that stand for files, by absolute path: those of a past run that is repeated.
+    pub given: BTreeMap<PathBuf, String>,
+    /// Where the trees of long texts are kept.
+    pub trees: Option<PathBuf>,
+}
+
+impl Texts {
+    fn read(&self, path: &Path) -> Result<String, Diagnostic> {
+        let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+        self.given.get(&absolute).cloned().map_or_else(|| super::read_text(path), Ok)
+    }
 }
 
 /// Puts what a tree includes into it; `trail` are the files that led here, this one last.
@@ -64,7 +76,7 @@ fn included(
         return Err(Diagnostic::at(node.span, format!("expected the path of a pipeline, found {}", node.describe())));
     };
     let path = folder.join(written);
-    let text = super::read_text(&path).map_err(|fault| Diagnostic { span: Some(node.span), ..fault })?;
+    let text = texts.read(&path).map_err(|fault| Diagnostic { span: Some(node.span), ..fault })?;
     let canonical = path.canonicalize().unwrap_or_else(|_| path.clone());
     if trail.contains(&canonical) {
         let message = format!("`{written}` includes this file in turn");
@@ -77,7 +89,7 @@ fn included(
     let source = texts.sources.len();
     texts.sources.push(Source { name: path.display().to_string(), text: text.clone() });
     texts.folders.push(path.parent().unwrap_or(Path::new("")).to_owned());
-    let tree = Node::parse(&text, source)?;
+    let tree = super::tree_file::parse(&text, source, texts.trees.as_deref())?;
     check_format(&tree)?;
     Ok(Some((tree, canonical)))
 }

@@ -5,18 +5,22 @@ mod design;
 mod document;
 mod include;
 mod input;
+mod log_level;
 mod node;
 mod overrides;
 mod reference;
 mod sobol;
 mod substitute;
 mod sweep;
+mod tree_file;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 pub use axis::{Axis, bad_item};
 pub use document::{Document, Step, Stream};
 pub use input::Input;
+pub use log_level::{IN_FULL, LogLevel};
 pub use node::{Data, Key, Node, Word};
 pub use reference::Reference;
 pub use substitute::{filled, mentioned};
@@ -49,17 +53,40 @@ pub struct Overrides {
 }
 
 impl Pipeline {
-    /// Reads a pipeline file and applies the overrides.
-    pub fn load(path: &Path, overrides: &Overrides) -> Result<Self, Diagnostics> {
+    /// Reads a pipeline file and applies the overrides. The tree of a long text is kept in the folder of trees, if there is
+    /// one, and taken from there as long as the text is the same.
+    pub fn load(path: &Path, overrides: &Overrides, trees: Option<&Path>) -> Result<Self, Diagnostics> {
         let text = read_text(path).map_err(|fault| Diagnostics { sources: Vec::new(), list: vec![fault] })?;
-        Self::of_text(&text, path, overrides)
+        let texts = Texts { trees: trees.map(Path::to_owned), ..Texts::default() };
+        Self::of_texts(&text, texts, path, overrides)
     }
 
-    /// Reads a text as if it were the pipeline file at `path`, and applies the overrides.
-    pub fn of_text(text: &str, path: &Path, overrides: &Overrides) -> Result<Self, Diagnostics> {
+    /// Reads a text as if it were the pipeline file at `path`, and applies the overrides; `included` are texts that stand
+    /// for files it includes, by their absolute paths.
+    pub fn of_text(
+        text: &str,
+        included: BTreeMap<PathBuf, String>,
+        path: &Path,
+        overrides: &Overrides,
+    ) -> Result<Self, Diagnostics> {
+        Self::of_texts(text, Texts { given: included, ..Texts::default() }, path, overrides)
+    }
+
+    fn of_texts(text: &str, texts: Texts, path: &Path, overrides: &Overrides) -> Result<Self, Diagnostics> {
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_owned();
         let stem = path.file_stem().map_or_else(|| "pipeline".into(), |stem| stem.to_string_lossy().into_owned());
-        Self::parse(text, &path.display().to_string(), &stem, folder, overrides)
+        let source = Source { name: path.display().to_string(), text: text.to_owned() };
+        Self::read(Texts { sources: vec![source], folders: vec![folder], ..texts }, &stem, overrides)
+    }
+
+    /// The text of the pipeline file.
+    pub fn text(&self) -> &str {
+        self.sources.first().map_or("", |source| &source.text)
+    }
+
+    /// The pipeline file and those it includes.
+    pub fn files(&self) -> impl Iterator<Item = &Source> {
+        self.sources.iter().take(self.folders.len())
     }
 
     /// Reads a pipeline text; `name` is what messages call it, `stem` its name if the text gives none.
@@ -70,15 +97,17 @@ impl Pipeline {
         folder: PathBuf,
         overrides: &Overrides,
     ) -> Result<Self, Diagnostics> {
-        let mut texts = Texts {
-            sources: vec![Source { name: name.to_owned(), text: text.to_owned() }],
-            folders: vec![folder.clone()],
-        };
+        let source = Source { name: name.to_owned(), text: text.to_owned() };
+        Self::read(Texts { sources: vec![source], folders: vec![folder], ..Texts::default() }, stem, overrides)
+    }
+
+    fn read(mut texts: Texts, stem: &str, overrides: &Overrides) -> Result<Self, Diagnostics> {
+        let folder = texts.folders[0].clone();
         let mut faults = Vec::new();
         let mut document = None;
-        match Node::parse(text, 0) {
+        match tree_file::parse(&texts.sources[0].text, 0, texts.trees.as_deref()) {
             Ok(mut root) => {
-                let own = folder.join(Path::new(name).file_name().unwrap_or_default());
+                let own = folder.join(Path::new(&texts.sources[0].name).file_name().unwrap_or_default());
                 include::expand(&mut root, &mut vec![own.canonicalize().unwrap_or(own)], &mut texts, &mut faults);
                 let seed = overrides.seed.map(|seed| format!("seed={seed}"));
                 for set in overrides.set.iter().chain(&seed) {

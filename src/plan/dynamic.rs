@@ -96,21 +96,25 @@ impl Plan {
         (0..self.graph.axes.len()).filter_map(waits).collect()
     }
 
-    /// Tells the plan the items of an axis; [`Plan::grow`] then adds what follows from them.
-    pub fn set_items(&mut self, axis: usize, items: Items) {
+    /// Tells the plan the items of an axis; [`Plan::grow`] then adds what follows from them. Reports what was named
+    /// beforehand and is none of them.
+    pub fn set_items(&mut self, axis: usize, items: Items) -> Result<(), Vec<Diagnostic>> {
+        self.replace_items(axis, items, true);
+        let faults = self.graph.settle(axis);
+        if faults.is_empty() { Ok(()) } else { Err(faults) }
+    }
+
+    fn replace_items(&mut self, axis: usize, items: Items, known: bool) {
         let own = &mut self.graph.axes[axis];
         (own.items, own.values) = (items.names, items.values);
         if let Some(dynamic) = &mut self.graph.dynamic[axis] {
-            dynamic.known = true;
+            dynamic.known = known;
         }
     }
 
     /// Forgets the items of an axis that came to nothing.
     pub fn unset_items(&mut self, axis: usize) {
-        self.set_items(axis, Items { names: Vec::new(), values: Vec::new() });
-        if let Some(dynamic) = &mut self.graph.dynamic[axis] {
-            dynamic.known = false;
-        }
+        self.replace_items(axis, Items { names: Vec::new(), values: Vec::new() }, false);
     }
 
     /// Takes the items of all lists that are on record, and grows accordingly.
@@ -124,7 +128,7 @@ impl Plan {
                 for (axis, port) in self.waiting_axes(instance) {
                     // What cannot be read now is told when the run comes to it.
                     if let Ok(items) = items_of(&outcome, port, store) {
-                        self.set_items(axis, items);
+                        self.set_items(axis, items)?;
                         grown = true;
                     }
                 }

@@ -4,10 +4,19 @@ use std::collections::BTreeMap;
 
 use rockface_stages::{Arity, Port};
 
-use super::graph::{Feed, Source};
+use super::graph::{Feed, Later, Source};
 use super::resolve::Resolver;
 use crate::diagnostic::Diagnostic;
 use crate::pipeline::{Input, Reference, Step, Word};
+
+/// Stands for all items a choice does not name.
+const ELSE: &str = "else";
+
+/// A picked item.
+enum Pick {
+    Item(usize, usize),
+    Later(Later),
+}
 
 impl Resolver<'_> {
     /// The feeds of all given ports of a step, in the stage's order of ports.
@@ -38,11 +47,7 @@ impl Resolver<'_> {
                     Feed::Each { source, over }
                 })
             }
-            Input::By { axis, cases } => {
-                let sources = self.cases(axis, cases)?;
-                let cases = sources.into_values().collect::<Option<Vec<_>>>()?;
-                Some(Feed::By { axis: *self.names.axes.get(axis.text.as_str())?, cases })
-            }
+            Input::By { axis, cases } => self.choice(axis, cases),
             Input::Chain { reference, axis, first } => self.chain(reference, axis, first.as_ref()),
         }
     }
@@ -66,31 +71,55 @@ impl Resolver<'_> {
         Some(Feed::Chain { source, axis, first })
     }
 
-    fn cases(&mut self, axis: &Word, cases: &[(Word, Reference)]) -> Option<BTreeMap<usize, Option<Source>>> {
+    fn choice(&mut self, axis: &Word, cases: &[(Word, Reference)]) -> Option<Feed> {
         let index = self.axis(axis)?;
-        let document = self.names.document;
-        if document.axes[index].from.is_some() {
-            let message = format!("the items of axis `{}` are not known when the pipeline is read", axis.text);
-            let hint = "choose by an axis whose items are listed";
-            self.faults.push(Diagnostic::at(axis.span, message).hint(hint));
-            return None;
+        let (others, named): (Vec<_>, Vec<_>) = cases.iter().partition(|(word, _)| self.is_other(index, word));
+        let other = others.first().map(|(_, reference)| self.source(reference));
+        let named: Vec<_> = named.into_iter().map(|(word, reference)| (word, self.source(reference))).collect();
+        let other = match other {
+            Some(None) => return None,
+            Some(Some(source)) => Some(source),
+            None => None,
+        };
+        if self.names.document.axes[index].from.is_some() {
+            let named = named.into_iter().map(|(word, source)| Some((word.clone(), source?)));
+            return Some(Feed::By { axis: index, cases: Vec::new(), named: named.collect::<Option<_>>()?, other });
         }
+        let cases = self.cases(axis, index, named, other.as_ref())?;
+        Some(Feed::By { axis: index, cases, named: Vec::new(), other: None })
+    }
+
+    /// Whether a case stands for all items that are not named: `else`, unless an item is called so.
+    fn is_other(&self, axis: usize, word: &Word) -> bool {
+        word.text == ELSE && !self.names.document.axes[axis].items.contains(&word.text)
+    }
+
+    /// The source of every item.
+    fn cases(
+        &mut self,
+        axis: &Word,
+        index: usize,
+        named: Vec<(&Word, Option<Source>)>,
+        other: Option<&Source>,
+    ) -> Option<Vec<Source>> {
         let mut sources = BTreeMap::new();
-        for (word, reference) in cases {
-            let source = self.source(reference);
+        for (word, source) in named {
             if let Some(item) = self.item(index, word, &word.text) {
                 sources.insert(item, source);
             }
         }
-        let items = &document.axes[index].items;
-        let missing: Vec<&str> =
-            (0..items.len()).filter(|i| !sources.contains_key(i)).map(|i| items[i].as_str()).collect();
-        if !missing.is_empty() {
+        let items = &self.names.document.axes[index].items;
+        let missing: Vec<usize> = (0..items.len()).filter(|item| !sources.contains_key(item)).collect();
+        if let Some(other) = other {
+            sources.extend(missing.into_iter().map(|item| (item, Some(other.clone()))));
+        } else if !missing.is_empty() {
+            let missing: Vec<&str> = missing.into_iter().map(|item| items[item].as_str()).collect();
             let message = format!("choosing by `{}` leaves out {}", axis.text, missing.join(", "));
-            self.faults.push(Diagnostic::at(axis.span, message).hint("say where the input comes from at every item"));
+            let hint = "say where the input comes from at every item, or add `else: step.port`";
+            self.faults.push(Diagnostic::at(axis.span, message).hint(hint));
             return None;
         }
-        Some(sources)
+        sources.into_values().collect()
     }
 
     /// The output a reference names.
@@ -102,6 +131,7 @@ impl Resolver<'_> {
             return None;
         };
         let picks: Vec<_> = reference.picks.iter().map(|(axis, item)| self.pick(axis, item)).collect();
+        let picks = picks.into_iter().collect::<Option<Vec<_>>>();
         let (stage, ports) = (self.stages[old]?, self.ports[old]?);
         let Some(port) = ports.outputs.iter().find(|port| port.name == reference.port) else {
             let message = format!("step `{}` ({}) has no output `{}`", reference.step, stage.name(), reference.port);
@@ -110,20 +140,24 @@ impl Resolver<'_> {
             return None;
         };
         self.check_optional_output(reference, port, old);
-        let picks = picks.into_iter().collect::<Option<Vec<_>>>()?;
-        let source = Source { step: self.place[old], port, picks };
+        let (mut now, mut later) = (Vec::new(), Vec::new());
+        for pick in picks? {
+            match pick {
+                Pick::Item(axis, item) => now.push((axis, item)),
+                Pick::Later(pick) => later.push(pick),
+            }
+        }
+        let source = Source { step: self.place[old], port, picks: now, later };
         self.check_picks(reference, &source).then(|| self.spread_picks(source))
     }
 
-    fn pick(&mut self, axis: &Word, item: &str) -> Option<(usize, usize)> {
-        let index = self.axis(axis)?;
-        if self.names.document.axes[index].from.is_some() {
-            let message = format!("the items of axis `{}` are not known when the pipeline is read", axis.text);
-            let hint = "gather over the axis, or choose where its items are made";
-            self.faults.push(Diagnostic::at(axis.span, message).hint(hint));
-            return None;
+    fn pick(&mut self, word: &Word, item: &str) -> Option<Pick> {
+        let axis = self.axis(word)?;
+        if self.names.document.axes[axis].from.is_some() {
+            let item = Word { span: word.span, text: item.to_owned() };
+            return Some(Pick::Later(Later { axis, item, mates: Vec::new() }));
         }
-        Some((index, self.item(index, axis, item)?))
+        Some(Pick::Item(axis, self.item(axis, word, item)?))
     }
 
     /// A pick on one axis is a pick on all that are walked with it.
@@ -134,6 +168,10 @@ impl Resolver<'_> {
             let new: Vec<usize> =
                 mates.copied().filter(|mate| source.picks.iter().all(|(picked, _)| picked != mate)).collect();
             source.picks.extend(new.into_iter().map(|mate| (mate, item)));
+        }
+        for later in &mut source.later {
+            let mates = reached.iter().copied().filter(|other| self.names.together(later.axis, *other));
+            later.mates = mates.filter(|mate| *mate != later.axis).collect();
         }
         source
     }
@@ -157,9 +195,10 @@ impl Resolver<'_> {
 
     fn check_picks(&mut self, reference: &Reference, source: &Source) -> bool {
         let reached = self.position_axes(source.step);
-        let stray = source.picks.iter().find(|(axis, _)| !reached.contains(axis));
-        if let Some((axis, _)) = stray {
-            let axis = &self.names.document.axes[*axis].name.text;
+        let mut picked = source.picks.iter().map(|(axis, _)| *axis).chain(source.later.iter().map(|later| later.axis));
+        let stray = picked.find(|axis| !reached.contains(axis));
+        if let Some(axis) = stray {
+            let axis = &self.names.document.axes[axis].name.text;
             let message = format!("step `{}` does not depend on axis `{axis}`", reference.step);
             self.faults.push(Diagnostic::at(reference.span, message).hint(format!("leave [{axis}=…] out")));
         }
@@ -168,8 +207,7 @@ impl Resolver<'_> {
 
     fn check_gathered(&mut self, reference: &Reference, source: &Source, over: &[usize]) -> bool {
         let reached = self.position_axes(source.step);
-        let picked = |axis: &usize| source.picks.iter().any(|(picked, _)| picked == axis);
-        let lacking = over.iter().find(|axis| !reached.contains(axis) || picked(axis));
+        let lacking = over.iter().find(|axis| !reached.contains(axis) || source.picks_of(**axis));
         if let Some(axis) = lacking {
             let axis = &self.names.document.axes[*axis].name.text;
             let message = format!(
@@ -235,10 +273,15 @@ impl Resolver<'_> {
     /// The references of an input in the order of its sources: those of a choice follow the items of its axis.
     fn references<'i>(&self, input: &'i Input) -> Vec<&'i Reference> {
         let Input::By { axis, cases } = input else { return input.references() };
-        let document = self.names.document;
-        let items = self.names.axes.get(axis.text.as_str()).map(|axis| document.axes[*axis].items.as_slice());
-        let of_item = |item: &String| cases.iter().find(|(word, _)| word.text == *item).map(|(_, reference)| reference);
-        items.unwrap_or_default().iter().filter_map(of_item).collect()
+        let Some(index) = self.names.axes.get(axis.text.as_str()).copied() else { return Vec::new() };
+        let (others, named): (Vec<_>, Vec<_>) = cases.iter().partition(|(word, _)| self.is_other(index, word));
+        let other = others.first().map(|(_, reference)| reference);
+        let own = &self.names.document.axes[index];
+        if own.from.is_some() {
+            return named.into_iter().map(|(_, reference)| reference).chain(other).collect();
+        }
+        let of_item = |item: &String| named.iter().find(|(word, _)| word.text == *item).map(|(_, reference)| reference);
+        own.items.iter().filter_map(|item| of_item(item).or(other)).collect()
     }
 }
 

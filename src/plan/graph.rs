@@ -9,7 +9,7 @@ use rockface_stages::{AnyStage, Port, Ports};
 use serde_json::Value;
 
 use crate::diagnostic::Span;
-use crate::pipeline::{Axis, Node};
+use crate::pipeline::{Axis, LogLevel, Node, Word};
 
 /// A pipeline whose every name is resolved; steps are in topological order.
 pub struct Graph {
@@ -72,6 +72,8 @@ pub struct GraphStep {
     pub timeout: Option<Duration>,
     /// How often it is tried again after a failure.
     pub retries: u32,
+    /// How much the log of a run shows of it; `None`: it depends on the number of its instances.
+    pub log: Option<LogLevel>,
 }
 
 impl GraphStep {
@@ -91,8 +93,12 @@ pub enum Feed {
     By {
         /// Index of the axis.
         axis: usize,
-        /// One source an item.
+        /// One source an item; none as long as the items are not known.
         cases: Vec<Source>,
+        /// Where the items are not known beforehand: the sources of those that are named.
+        named: Vec<(Word, Source)>,
+        /// And of all others.
+        other: Option<Source>,
     },
     /// The outputs at all items of some axes.
     Each {
@@ -121,6 +127,19 @@ pub struct Source {
     pub port: &'static Port,
     /// Picked items: (axis, item).
     pub picks: Vec<(usize, usize)>,
+    /// Picked items of axes whose items are not known yet.
+    pub later: Vec<Later>,
+}
+
+/// A picked item whose number is not known yet.
+#[derive(Debug, Clone)]
+pub struct Later {
+    /// Index of the axis.
+    pub axis: usize,
+    /// The item.
+    pub item: Word,
+    /// Axes walked with it that the output depends on too.
+    pub mates: Vec<usize>,
 }
 
 impl Feed {
@@ -136,9 +155,20 @@ impl Feed {
     pub fn sources(&self) -> Vec<&Source> {
         match self {
             Self::Plain(source) | Self::Each { source, .. } => vec![source],
+            Self::By { cases, named, other, .. } if cases.is_empty() => {
+                named.iter().map(|(_, source)| source).chain(other).collect()
+            }
             Self::By { cases, .. } => cases.iter().collect(),
             Self::Chain { source, first, .. } => std::iter::once(source).chain(first).collect(),
         }
+    }
+}
+
+impl Source {
+    /// Whether an item of an axis is picked.
+    pub fn picks_of(&self, axis: usize) -> bool {
+        let later = self.later.iter().any(|later| later.axis == axis || later.mates.contains(&axis));
+        later || self.picks.iter().any(|(picked, _)| *picked == axis)
     }
 }
 

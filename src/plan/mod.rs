@@ -4,6 +4,8 @@ mod dynamic;
 mod feeds;
 mod graph;
 mod instances;
+mod later;
+mod log_levels;
 mod parameters;
 mod points;
 mod reach;
@@ -11,7 +13,7 @@ mod resolve;
 mod values;
 
 pub use dynamic::{Items, items_of};
-pub use graph::{Dynamic, Feed, Graph, GraphStep, Source};
+pub use graph::{Dynamic, Feed, Graph, GraphStep, Later, Source};
 pub use instances::{Given, Instance, Plan, makes};
 pub use parameters::{InputFile, StepParams};
 pub use points::counts;
@@ -29,7 +31,11 @@ pub type Registry = [&'static dyn AnyStage];
 /// Resolves and expands a pipeline, as far as the items of its axes are on record; input files are hashed through the
 /// store, which remembers what did not change.
 pub fn plan(pipeline: &Pipeline, targets: &[String], stages: &Registry, store: &Store) -> Result<Plan, Diagnostics> {
-    let graph = resolve(pipeline, targets, stages)?;
+    expand(resolve(pipeline, targets, stages)?, pipeline, store)
+}
+
+/// Expands the resolved graph of a pipeline, as far as the items of its axes are on record.
+pub fn expand(graph: Graph, pipeline: &Pipeline, store: &Store) -> Result<Plan, Diagnostics> {
     let hash = file_hash(store);
     let told = |list| Diagnostics { sources: pipeline.sources.clone(), list };
     let mut plan = Plan::new(graph, &hash).map_err(told)?;

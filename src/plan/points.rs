@@ -12,8 +12,8 @@ const INSTANCES_LIMIT: u64 = 10_000_000;
 
 /// How many points some axes have: those walked together count once.
 fn count(graph: &Graph, axes: &[usize]) -> u64 {
-    let leads: BTreeSet<usize> = axes.iter().map(|axis| graph.zips[*axis]).collect();
-    leads.iter().map(|axis| graph.axes[*axis].items.len() as u64).fold(1, u64::saturating_mul)
+    let leads: BTreeMap<usize, usize> = axes.iter().map(|axis| (graph.zips[*axis], *axis)).collect();
+    leads.values().map(|axis| graph.axes[*axis].items.len() as u64).fold(1, u64::saturating_mul)
 }
 
 /// Counts before anything is expanded.
@@ -70,11 +70,11 @@ pub struct Element {
 
 /// What an input of a step reads at one point.
 pub fn elements(graph: &Graph, step: &GraphStep, items: &[usize], feed: &Feed) -> Vec<Element> {
-    let own: BTreeMap<usize, usize> = step.axes.iter().copied().zip(items.iter().copied()).collect();
+    let own = |axis: usize| step.axes.iter().position(|own| *own == axis).map(|place| items[place]).unwrap_or_default();
     let element = |source: &Source, extra: &[(usize, usize)]| {
         let item = |axis: &usize| {
             let picked = source.picks.iter().chain(extra).find(|(a, _)| a == axis).map(|(_, item)| *item);
-            picked.or_else(|| own.get(axis).copied()).unwrap_or_default()
+            picked.unwrap_or_else(|| own(*axis))
         };
         let producer = &graph.steps[source.step];
         let items = producer.axes.iter().map(item).collect();
@@ -82,7 +82,7 @@ pub fn elements(graph: &Graph, step: &GraphStep, items: &[usize], feed: &Feed) -
     };
     match feed {
         Feed::Plain(source) => vec![element(source, &[])],
-        Feed::By { axis, cases } => vec![element(&cases[own[axis]], &[])],
+        Feed::By { axis, cases, .. } => vec![element(&cases[own(*axis)], &[])],
         Feed::Each { source, over } => {
             let gathered = points(graph, over).into_iter().map(|items| {
                 let extra: Vec<_> = over.iter().copied().zip(items.iter().copied()).collect();
@@ -90,9 +90,9 @@ pub fn elements(graph: &Graph, step: &GraphStep, items: &[usize], feed: &Feed) -
             });
             gathered.collect()
         }
-        Feed::Chain { axis, first, .. } if own[axis] == 0 => first.iter().map(|first| element(first, &[])).collect(),
+        Feed::Chain { axis, first, .. } if own(*axis) == 0 => first.iter().map(|first| element(first, &[])).collect(),
         Feed::Chain { source, axis, .. } => {
-            let before: Vec<_> = graph.mates(*axis).map(|mate| (mate, own[axis] - 1)).collect();
+            let before: Vec<_> = graph.mates(*axis).map(|mate| (mate, own(*axis) - 1)).collect();
             vec![element(source, &before)]
         }
     }

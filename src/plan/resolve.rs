@@ -117,13 +117,11 @@ impl<'d> Resolver<'d> {
                 let own = &self.document().axes[*axis];
                 let (first, _) = members[0];
                 let (count, wanted) = (own.items.len(), self.document().axes[first].items.len());
+                let unknown = own.from.is_some() || self.document().axes[first].from.is_some();
                 let first = &self.document().axes[first].name.text;
                 let fault = if seen.contains(axis) {
                     Some((format!("axis `{}` is zipped twice", word.text), "name all axes in one list"))
-                } else if own.from.is_some() {
-                    let message = format!("the items of axis `{}` are not known when the pipeline is read", word.text);
-                    Some((message, "take the values of both from one table, as its columns"))
-                } else if count != wanted {
+                } else if !unknown && count != wanted {
                     let message = format!("axis `{}` has {count} items, `{first}` has {wanted}", word.text);
                     Some((message, "axes that are walked together have as many items as each other"))
                 } else {
@@ -242,8 +240,7 @@ impl<'d> Resolver<'d> {
     fn teller(&mut self, axis: &Word, from: &Reference) -> Option<Dynamic> {
         let source = self.source(from)?;
         let kind = source.port.kinds[0];
-        let picked = |axis: &&usize| !source.picks.iter().any(|(picked, _)| picked == *axis);
-        let free = self.position_axes(source.step).iter().find(picked);
+        let free = self.position_axes(source.step).iter().find(|axis| !source.picks_of(**axis));
         let step = &self.document().steps[self.names.steps[from.step.as_str()]];
         let fault = if !kind.has_items() {
             let message = format!("axis `{}` cannot take items from a {kind}", axis.text);
@@ -323,6 +320,7 @@ impl<'d> Resolver<'d> {
             stream_axes,
             timeout: step.timeout,
             retries: step.retries,
+            log: step.log.or(self.document().log),
         })
     }
 

@@ -12,12 +12,13 @@ impl Scheduler<'_> {
         let waiting = self.plan.waiting_axes(instance);
         let Some(outcome) = self.states[instance].outcome.clone().filter(|_| !waiting.is_empty()) else { return };
         for (axis, port) in waiting {
-            match items_of(&outcome, port, self.store) {
-                Ok(items) => self.plan.set_items(axis, items),
+            let items = match items_of(&outcome, port, self.store) {
+                Ok(items) => items,
                 Err(why) => return self.tell_unexpanded(instance, axis, &why, None),
-            }
+            };
             let hash = file_hash(self.store);
-            match self.plan.grow(&hash) {
+            let grown = self.plan.set_items(axis, items).and_then(|()| self.plan.grow(&hash));
+            match grown {
                 Ok(first) => self.take_in(first),
                 Err(faults) => {
                     let why: Vec<&str> = faults.iter().map(|fault: &Diagnostic| fault.message.as_str()).collect();
@@ -41,6 +42,7 @@ impl Scheduler<'_> {
     /// Takes up the instances of the plan from a number on.
     fn take_in(&mut self, first: usize) {
         self.grown = true;
+        self.log_levels = None;
         self.states.grow(self.plan, first);
         for instance in first..self.plan.instances.len() {
             let failed = |producer: &usize| self.states[*producer].status() == Status::Failed;

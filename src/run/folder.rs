@@ -1,20 +1,21 @@
 //! The folder of a run: manifest, log, and outputs under names people can read.
 
 use std::collections::BTreeMap;
-use std::io::Cursor;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use rockface_cache::{Digest, Outcome, Store};
 use rockface_stages::Entry;
-use rockface_stages::artefact::{Artefact, Export, Kind};
-use serde_json::{Value, json};
+use serde_json::json;
 
-use super::{RunError, Summary};
-use crate::history::{FORMAT, crate_metadata};
-use crate::pipeline::Overrides;
+use super::lay_out::{Laid, LayOut, readable_name};
+use super::log::{LOG_FILE, Telling};
+use super::{RunError, Summary, account};
+use crate::history::{Manifest, crate_metadata};
+use crate::pipeline::{Overrides, Pipeline};
 use crate::plan::Plan;
-use crate::watch::{LoggedStep, write_log};
+use crate::report;
+use crate::watch::step_log::{self, StepLogError};
 
 /// Where a run is told of.
 #[derive(Debug, Clone)]
@@ -23,14 +24,16 @@ pub struct RunFolder<'a> {
     pub runs: &'a Path,
     /// The pipeline file as it was given.
     pub pipeline_path: &'a Path,
-    /// Its text.
-    pub pipeline_text: &'a str,
+    /// The pipeline: its text and those it includes.
+    pub pipeline: &'a Pipeline,
     /// What was changed from outside.
     pub overrides: &'a Overrides,
     /// The target steps asked for; empty for those the pipeline names itself.
     pub targets: &'a [String],
     /// Steps at once.
     pub jobs: usize,
+    /// Which outputs get a name in the folder.
+    pub lay_out: LayOut,
 }
 
 impl RunFolder<'_> {
@@ -81,7 +84,8 @@ pub(super) fn is_told_in(folder: &Path, runs: &Path, files: &[PathBuf]) -> bool 
 fn plan_key(plan: &Plan, summary: &Summary, runs: &Path, about: &RunFolder) -> Digest {
     let targets: Vec<&str> = plan.graph.targets.iter().map(|step| plan.graph.steps[*step].name.as_str()).collect();
     let set = (&about.overrides.set, &about.overrides.sweep, about.overrides.seed, plan.graph.seed);
-    let mut text = json!([plan.graph.name, runs, targets, set, about.pipeline_text]).to_string();
+    let texts: Vec<&str> = about.pipeline.files().map(|file| file.text.as_str()).collect();
+    let mut text = json!([plan.graph.name, runs, targets, set, texts, about.lay_out]).to_string();
     text.push('\n');
     for (instance, result) in summary.instances.iter().enumerate() {
         let key = result.key.map_or_else(|| "unknown".to_owned(), |key| key.to_string());
@@ -89,9 +93,6 @@ fn plan_key(plan: &Plan, summary: &Summary, runs: &Path, about: &RunFolder) -> D
     }
     Digest::of(text.as_bytes())
 }
-
-/// The files of the outputs of an instance by port, relative to the run folder.
-type Paths = BTreeMap<String, PathBuf>;
 
 struct Writer<'a> {
     plan: &'a Plan,
@@ -108,34 +109,38 @@ impl Writer<'_> {
     }
 
     fn fill(&self, folder: &Path) -> Result<Finished, RunError> {
-        let (mut files, mut paths) = (Vec::new(), Vec::new());
-        for (instance, result) in self.summary.instances.iter().enumerate() {
-            let made = result.outcome.as_ref().map(|outcome| self.outputs(folder, instance, outcome)).transpose()?;
-            let (named, exports) = made.unwrap_or_default();
-            if self.plan.targets.contains(&instance) {
-                files.extend(named.values().chain(&exports).cloned());
-            }
-            paths.push(named);
-        }
+        let laid = self.about.lay_out.lay_out(self.plan, self.summary, self.store, folder)?;
         let results = self.summary.instances.iter();
         let logs = results.map(|result| self.entries(result.outcome.as_ref())).collect::<Result<Vec<_>, _>>()?;
         let headlines = self.headlines(&logs);
-        write_file(&folder.join("run.mcap"), &self.log(&logs)?)?;
-        let manifest = self.manifest(&headlines, &logs, &paths)?;
-        let text = serde_json::to_string_pretty(&manifest).unwrap_or_default();
-        write_file(&folder.join("run.json"), format!("{text}\n").as_bytes())?;
-        self.describe(folder, &manifest)?;
+        self.log(folder, &logs, &laid)?;
+        self.account(folder, &headlines, &logs, &laid)?;
         point_latest(self.about.runs, folder)?;
-        Ok(Finished { folder: folder.to_owned(), headlines, files })
+        Ok(Finished { folder: folder.to_owned(), headlines, files: laid.of_targets })
     }
 
-    /// Describes the folder as a research object, for programs that know nothing of rockface.
-    fn describe(&self, folder: &Path, manifest: &Value) -> Result<(), RunError> {
-        let path = folder.join("ro-crate-metadata.json");
-        let manifest = serde_json::from_value(manifest.clone()).map_err(|error| failed(&path)(error.into()))?;
-        write_file(&folder.join("pipeline.yaml"), self.about.pipeline_text.as_bytes())?;
-        let text = serde_json::to_string_pretty(&crate_metadata(folder, &manifest)).unwrap_or_default();
-        write_file(&path, format!("{text}\n").as_bytes())
+    /// Writes the manifest, and describes the folder as a research object for programs that know nothing of rockface.
+    fn account(&self, folder: &Path, headlines: &[String], logs: &[Vec<Entry>], laid: &Laid) -> Result<(), RunError> {
+        let manifest = account::manifest(self.plan, self.summary, self.about, headlines, logs, laid)?;
+        write_file(&folder.join("pipeline.yaml"), self.about.pipeline.text().as_bytes())?;
+        self.report(folder, &manifest)?;
+        let described = serde_json::to_string_pretty(&crate_metadata(folder, &manifest)).unwrap_or_default();
+        write_file(&folder.join("ro-crate-metadata.json"), format!("{described}\n").as_bytes())?;
+        // Last: a folder without a manifest is no run.
+        write_file(&folder.join("run.json"), manifest.into_text().as_bytes())
+    }
+
+    /// Writes the page of the run.
+    fn report(&self, folder: &Path, manifest: &Manifest) -> Result<(), RunError> {
+        let path = folder.join(report::FILE);
+        let source = report::Source { folder, manifest, store: Some(self.store) };
+        match report::write(&source, &path) {
+            // What was computed is worth more than its page.
+            Err(report::ReportError::Template(error)) => tracing::warn!("the run has no report: {error:#}"),
+            Err(report::ReportError::Io { source, .. }) => return Err(failed(&path)(source)),
+            Ok(()) => {}
+        }
+        Ok(())
     }
 
     fn make_folder(&self, key: &Digest) -> Result<PathBuf, RunError> {
@@ -154,37 +159,12 @@ impl Writer<'_> {
         Err(failed(&self.about.runs.join(name))(std::io::ErrorKind::AlreadyExists.into()))
     }
 
-    /// Links the kept outputs of an instance and writes their further files; returns both, relative to the folder.
-    fn outputs(&self, folder: &Path, instance: usize, outcome: &Outcome) -> Result<(Paths, Vec<PathBuf>), RunError> {
-        let step = self.plan.step(instance);
-        let mut place = Path::new("outputs").join(readable_name(&step.name));
-        if !step.axes.is_empty() {
-            place.push(readable_name(&self.plan.point_text(instance)));
-        }
-        let (mut named, mut exports) = (Paths::new(), Vec::new());
-        for (port, output) in &outcome.outputs {
-            let Ok(kind) = output.kind.parse::<Kind>() else { continue };
-            if !step.keep || !output.kept {
-                continue;
-            }
-            std::fs::create_dir_all(folder.join(&place)).map_err(failed(&folder.join(&place)))?;
-            let path = place.join(format!("{port}.{}", step.extension(port, kind)));
-            self.store.materialise(&output.digest, &folder.join(&path))?;
-            named.insert(port.clone(), path.clone());
-            if kind.has_exports() {
-                let made = Artefact::decode(kind, &self.store.get(&output.digest)?)
-                    .and_then(|value| value.exports(port))
-                    .map_err(|error| failed(&folder.join(&path))(std::io::Error::other(error)))?;
-                exports.extend(write_exports(folder, &place, &made)?);
-            }
-        }
-        Ok((named, exports))
-    }
-
     fn entries(&self, outcome: Option<&Outcome>) -> Result<Vec<Entry>, RunError> {
-        let Some(digest) = outcome.and_then(|outcome| outcome.log) else { return Ok(Vec::new()) };
-        let bytes = self.store.get(&digest)?;
-        serde_json::from_slice(&bytes).map_err(|error| failed(Path::new("run.mcap"))(error.into()))
+        let read = outcome.map_or_else(|| Ok(Vec::new()), |outcome| step_log::entries(outcome, self.store));
+        read.map_err(|error| match error {
+            StepLogError::Store(error) => RunError::Store(error),
+            error @ StepLogError::Unreadable(_) => failed(Path::new(LOG_FILE))(std::io::Error::other(error)),
+        })
     }
 
     /// The results in a line each: what the target steps have to say.
@@ -195,124 +175,41 @@ impl Writer<'_> {
             Entry::Headline { text } => Some(format!("{}: {text}", self.plan.label(instance))),
             _ => None,
         };
-        entries.filter(|(instance, _)| self.plan.targets.contains(instance)).filter_map(headline).collect()
+        entries.filter(|(instance, _)| self.plan.targets.binary_search(instance).is_ok()).filter_map(headline).collect()
     }
 
-    fn log(&self, logs: &[Vec<Entry>]) -> Result<Vec<u8>, RunError> {
-        let steps: Vec<LoggedStep> = self
-            .summary
-            .instances
-            .iter()
-            .zip(logs)
-            .enumerate()
-            .filter_map(|(instance, (result, entries))| {
-                let outcome = result.outcome.as_ref()?;
-                let step = self.plan.step(instance);
-                let message = json!({
-                    "step": step.name, "point": self.plan.point(instance), "stage": step.stage.name(),
-                    "version": step.stage.version(), "key": result.key, "outputs": outcome.outputs, "entries": entries,
-                });
-                let recipe = result.recipe.as_ref().map(rockface_cache::Recipe::text).unwrap_or_default();
-                Some(LoggedStep { step: step.name.clone(), message, recipe })
-            })
-            .collect();
+    fn log(&self, folder: &Path, logs: &[Vec<Entry>], laid: &Laid) -> Result<(), RunError> {
         let about = BTreeMap::from([
             ("rockface".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
-            ("pipeline".to_owned(), self.about.pipeline_text.to_owned()),
+            ("pipeline".to_owned(), self.about.pipeline.text().to_owned()),
             ("overrides".to_owned(), json!(self.about.overrides.set).to_string()),
             ("seed".to_owned(), self.plan.graph.seed.to_string()),
         ]);
-        let log = write_log(Cursor::new(Vec::new()), &about, &steps);
-        log.map(Cursor::into_inner).map_err(|error| failed(Path::new("run.mcap"))(std::io::Error::other(error)))
+        let Self { plan, summary, store, .. } = self;
+        let pipeline_text = self.about.pipeline.text();
+        Telling { plan, summary, store, entries: logs, paths: &laid.paths, about, pipeline_text }.write(folder)
     }
-
-    fn manifest(&self, headlines: &[String], logs: &[Vec<Entry>], paths: &[Paths]) -> Result<Value, RunError> {
-        let path = self.about.pipeline_path;
-        let folder = std::path::absolute(&self.plan.graph.folder).map_err(failed(path))?;
-        let text = self.about.pipeline_text;
-        let told = logs.iter().zip(paths).enumerate();
-        let steps = told.map(|(instance, (entries, paths))| self.step(instance, entries, paths));
-        Ok(json!({
-            "format": FORMAT,
-            "pipeline": {"name": self.plan.graph.name, "path": path, "folder": folder, "text": text},
-            "overrides": {"set": self.about.overrides.set, "sweep": self.about.overrides.sweep, "seed": self.about.overrides.seed},
-            "seed": self.plan.graph.seed,
-            "targets": self.about.targets,
-            "finished": humantime::format_rfc3339_millis(SystemTime::now()).to_string(),
-            "wall_s": self.summary.wall_s,
-            "jobs": self.about.jobs,
-            "status": if self.summary.failed { "failed" } else { "done" },
-            "program": crate::build::program(),
-            "headlines": headlines,
-            "steps": steps.collect::<Vec<_>>(),
-        }))
-    }
-
-    /// What the manifest tells of one instance.
-    fn step(&self, instance: usize, entries: &[Entry], paths: &Paths) -> Value {
-        let (step, result) = (self.plan.step(instance), &self.summary.instances[instance]);
-        let (params, outcome) = (&self.plan.instances[instance].params, result.outcome.as_ref());
-        let metrics = entries.iter().filter_map(|entry| match entry {
-            Entry::Metric { name, value, unit } => Some(json!({"name": name, "value": value, "unit": unit})),
-            _ => None,
-        });
-        let files = params.files.values().flatten().map(|file| json!({"path": file.path, "blake3": file.digest}));
-        let status = match outcome {
-            _ if result.executed => "executed",
-            Some(_) => "cached",
-            None => "failed or not reached",
-        };
-        json!({
-            "step": step.name, "point": self.plan.point(instance), "stage": step.stage.name(), "version": step.stage.version(),
-            "status": status, "key": result.key, "outputs": outcome.map(|o| &o.outputs), "log": outcome.map(|o| o.log),
-            "cost": outcome.map(|o| o.cost), "parameters": params.recipe,
-            "metrics": metrics.collect::<Vec<_>>(), "files": files.collect::<Vec<_>>(),
-            "inputs": result.recipe.as_ref().map_or(&BTreeMap::new(), |recipe| &recipe.inputs), "paths": paths,
-        })
-    }
-}
-
-/// The longest name of a folder; file systems take 255 bytes, and some of the tools that read them fewer.
-const NAME_BYTES: usize = 200;
-
-/// A name that every file system takes: a long one is cut, and told from others by a digest of the whole.
-fn readable_name(name: &str) -> String {
-    if name.len() <= NAME_BYTES {
-        return name.to_owned();
-    }
-    let digest = Digest::of(name.as_bytes()).to_string();
-    let cut = (0..=NAME_BYTES - 17).rev().find(|end| name.is_char_boundary(*end)).unwrap_or(0);
-    format!("{}-{}", &name[..cut], &digest[..16])
-}
-
-/// Writes further files to a place in the folder; returns their paths relative to the folder.
-fn write_exports(folder: &Path, place: &Path, exports: &[Export]) -> Result<Vec<PathBuf>, RunError> {
-    let write = |export: &Export| {
-        let path = place.join(&export.path);
-        let file = folder.join(&path);
-        let parent = file.parent().unwrap_or(folder);
-        std::fs::create_dir_all(parent).map_err(failed(parent))?;
-        write_file(&file, &export.bytes)?;
-        Ok(path)
-    };
-    exports.iter().map(write).collect()
 }
 
 /// Writes a whole file or none.
-fn write_file(path: &Path, bytes: &[u8]) -> Result<(), RunError> {
+pub(super) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), RunError> {
     let folder = path.parent().unwrap_or(Path::new("."));
     let write = || {
         let mut file = tempfile::NamedTempFile::new_in(folder)?;
-        std::io::Write::write_all(&mut file, bytes)?;
-        // Temporary files are private; results are for whoever may read the folder.
-        let mode = std::os::unix::fs::PermissionsExt::from_mode(0o644);
-        file.as_file().set_permissions(mode)?;
-        file.persist(path).map_err(|error| error.error)
+        std::io::Write::write_all(&mut file, bytes).map(|()| file)
     };
-    write().map(drop).map_err(failed(path))
+    put(write().map_err(failed(path))?, path)
 }
 
-fn failed(path: &Path) -> impl FnOnce(std::io::Error) -> RunError + use<> {
+/// Gives a finished file its name.
+pub(super) fn put(file: tempfile::NamedTempFile, path: &Path) -> Result<(), RunError> {
+    // Temporary files are private; results are for whoever may read the folder.
+    let mode = std::os::unix::fs::PermissionsExt::from_mode(0o644);
+    let open = file.as_file().set_permissions(mode);
+    open.and_then(|()| file.persist(path).map(drop).map_err(|error| error.error)).map_err(failed(path))
+}
+
+pub(super) fn failed(path: &Path) -> impl FnOnce(std::io::Error) -> RunError + use<> {
     let path = path.to_owned();
     move |source| RunError::Folder { path, source }
 }
@@ -329,17 +226,4 @@ pub(super) fn point_latest(runs: &Path, folder: &Path) -> Result<(), RunError> {
     let _ = std::fs::remove_file(&staged);
     std::os::unix::fs::symlink(&target, &staged).map_err(failed(&staged))?;
     std::fs::rename(&staged, &latest).map_err(failed(&latest))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn long_names_are_cut_and_stay_apart() {
-        let long = |last: char| format!("{}{last}", "ö".repeat(300));
-        assert_eq!(readable_name("epoch=pre"), "epoch=pre");
-        let (one, other) = (readable_name(&long('a')), readable_name(&long('b')));
-        assert!(one.len() <= NAME_BYTES && one.starts_with("öö") && one != other, "{one}");
-    }
 }

@@ -5,6 +5,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
+use rockface_cache::Store;
 use rockface_stages::{Entry, Host, Program, ProgramResult, SourceFile, StageError};
 
 use crate::plan::InputFile;
@@ -13,6 +14,7 @@ use crate::plan::InputFile;
 pub struct StepHost<'a> {
     seed: Option<[u8; 32]>,
     files: &'a BTreeMap<String, Vec<InputFile>>,
+    store: &'a Store,
     entries: Mutex<Vec<Entry>>,
     stop: &'a AtomicBool,
     deadline: Option<Instant>,
@@ -20,13 +22,15 @@ pub struct StepHost<'a> {
 
 impl<'a> StepHost<'a> {
     /// A host; `seed` is the key of the step's seed material, if the stage draws, and `deadline` when it is to give up.
+    /// Programs run in folders of the store.
     pub fn new(
         seed: Option<[u8; 32]>,
         files: &'a BTreeMap<String, Vec<InputFile>>,
+        store: &'a Store,
         stop: &'a AtomicBool,
         deadline: Option<Instant>,
     ) -> Self {
-        Self { seed, files, entries: Mutex::new(Vec::new()), stop, deadline }
+        Self { seed, files, store, entries: Mutex::new(Vec::new()), stop, deadline }
     }
 
     /// Whether the time it was given is over.
@@ -69,7 +73,7 @@ impl Host for StepHost<'_> {
     }
 
     fn execute(&self, program: &Program) -> Result<ProgramResult, StageError> {
-        super::program::execute(program, self.files, &|| self.cancelled())
+        super::program::execute(program, self.files, self.store, &|| self.cancelled())
     }
 
     fn cancelled(&self) -> bool {

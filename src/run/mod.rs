@@ -1,8 +1,12 @@
 //! Running a plan: the scheduler, its workers, and the folder that tells of the run.
 
+mod account;
+pub mod again;
 mod expand;
 mod folder;
 mod host;
+mod lay_out;
+mod log;
 mod memory;
 mod program;
 mod progress;
@@ -16,6 +20,7 @@ mod work;
 use rockface_cache::{Digest, Outcome, Recipe, Store, StoreError};
 
 pub use folder::{Finished, RunFolder, finish};
+pub use lay_out::LayOut;
 pub use schedule::run as execute;
 pub use tell::execute_and_tell;
 

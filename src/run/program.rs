@@ -3,11 +3,12 @@
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::{Read, Seek, SeekFrom};
-use std::os::unix::process::CommandExt;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::Duration;
 
+use rockface_cache::Store;
 use rockface_stages::{Piece, Program, ProgramResult, StageError};
 use rustix::process::{Pid, Signal, kill_process_group};
 
@@ -26,11 +27,13 @@ const KEPT_BYTES: u64 = 64 << 10;
 pub fn execute(
     program: &Program,
     files: &BTreeMap<String, Vec<InputFile>>,
+    store: &Store,
     give_up: &dyn Fn() -> bool,
 ) -> Result<ProgramResult, StageError> {
-    let folder = tempfile::Builder::new().prefix("rockface-").tempdir().map_err(failed("make a folder for it"))?;
-    lay_out(program, folder.path())?;
-    let (mut stdout, mut stderr) = (scratch_file()?, scratch_file()?);
+    let scratch = store.scratch().map_err(|error| StageError::new(format!("no folder to run it in: {error}")))?;
+    let folder = scratch.path();
+    lay_out(program, folder)?;
+    let (mut stdout, mut stderr) = (scratch_file(folder)?, scratch_file(folder)?);
     let name = joined(&program.program, files)?;
     let mut command = Command::new(&name);
     for arg in &program.args {
@@ -41,9 +44,9 @@ pub fn execute(
         .env_clear()
         .envs(inherited.filter_map(|name| Some((name, std::env::var_os(name)?))))
         .env("LC_ALL", "C.UTF-8")
-        .env("TMPDIR", folder.path().join("tmp"))
+        .env("TMPDIR", folder.join("tmp"))
         .envs(&program.environment)
-        .current_dir(folder.path())
+        .current_dir(folder)
         .stdin(Stdio::null())
         .stdout(stdout.try_clone().map_err(failed("keep what it prints"))?)
         .stderr(stderr.try_clone().map_err(failed("keep what it prints"))?)
@@ -55,9 +58,11 @@ pub fn execute(
     let status = wait(child, give_up)?;
     Ok(ProgramResult {
         exit_code: status.code(),
+        signal: status.signal(),
         stdout: kept(&mut stdout)?,
         stderr: kept(&mut stderr)?,
-        outputs: collect(program, folder.path())?,
+        outputs: collect(program, folder)?,
+        folders: program.outputs.iter().filter(|place| folder.join(place).is_dir()).cloned().collect(),
     })
 }
 
@@ -65,8 +70,8 @@ fn failed(what: &'static str) -> impl Fn(std::io::Error) -> StageError {
     move |error| StageError::new(format!("cannot {what}: {error}"))
 }
 
-fn scratch_file() -> Result<File, StageError> {
-    tempfile::tempfile().map_err(failed("keep what it prints"))
+fn scratch_file(folder: &Path) -> Result<File, StageError> {
+    tempfile::tempfile_in(folder).map_err(failed("keep what it prints"))
 }
 
 fn lay_out(program: &Program, folder: &Path) -> Result<(), StageError> {

@@ -47,7 +47,9 @@ impl Scheduler<'_> {
 
     /// Tells that an instance is known already.
     pub fn tell_cached(&mut self, instance: usize) {
-        self.tell(&Event::Cached { step: self.plan.label(instance) });
+        if !self.observer.ignores_cached() {
+            self.tell(&Event::Cached { step: self.plan.label(instance) });
+        }
     }
 
     /// Warns of an instance.

@@ -13,6 +13,7 @@ use super::progress::Timing;
 use super::state::{States, Status, same_outputs};
 use super::work::{self, Done, Failure, Feed, Task, Value};
 use super::{Options, RunError, Summary};
+use crate::pipeline::LogLevel;
 use crate::plan::{Plan, makes};
 use crate::watch::{Event, Observer, Reason};
 
@@ -21,7 +22,7 @@ const GRACE: Duration = Duration::from_millis(700);
 
 enum Message {
     Waiting(usize),
-    Done(usize, Result<Done, Failure>),
+    Done(usize, Box<Result<Done, Failure>>),
 }
 
 /// Runs a plan to its end, or to its stop. The plan grows as items of axes become known; in the end its instances are
@@ -45,7 +46,7 @@ pub fn run(
                 let waiting = || drop(sender.send(Message::Waiting(instance)));
                 let result = work::guarded(|| work::work(&task, store, pool, stop, waiting));
                 // Nobody listens any more once the run was stopped.
-                let _ = sender.send(Message::Done(instance, result));
+                let _ = sender.send(Message::Done(instance, Box::new(result)));
             };
             let spawned = std::thread::Builder::new().spawn_scoped(scope, worker);
             spawned.map(drop).map_err(|error| RunError::Threads(error.to_string()))
@@ -92,6 +93,12 @@ pub struct Scheduler<'a> {
     pub(super) timing: Timing,
     pub(super) memory_bytes: usize,
     pub(super) failure: bool,
+    /// How much the log shows of each instance; found when it is first asked for.
+    pub(super) log_levels: Option<Vec<LogLevel>>,
+    /// What running instances are expected to need, bytes, by instance.
+    pub(super) needs: HashMap<usize, u64>,
+    /// Keys that were looked up and are not told of yet.
+    pub(super) counted_on: Vec<Digest>,
     running: usize,
 }
 
@@ -110,6 +117,9 @@ impl<'a> Scheduler<'a> {
             computing: HashMap::new(),
             memory_bytes: 0,
             failure: false,
+            log_levels: None,
+            needs: HashMap::new(),
+            counted_on: Vec::new(),
             running: 0,
         }
     }
@@ -142,6 +152,9 @@ impl<'a> Scheduler<'a> {
             self.take_turns()?;
             while self.running < self.options.jobs && !self.stopping(stop) {
                 let Some(instance) = self.next()? else { break };
+                if !self.has_room(instance, self.running) {
+                    break;
+                }
                 self.begin(instance, start)?;
             }
             if self.running == 0 || stop.load(Ordering::Relaxed) {
@@ -151,7 +164,8 @@ impl<'a> Scheduler<'a> {
                 Ok(Message::Waiting(instance)) => self.tell(&Event::Waiting { step: self.plan.label(instance) }),
                 Ok(Message::Done(instance, result)) => {
                     self.running -= 1;
-                    self.take(instance, result)?;
+                    self.needs.remove(&instance);
+                    self.take(instance, *result)?;
                 }
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
             }
@@ -179,7 +193,9 @@ impl<'a> Scheduler<'a> {
     }
 
     fn begin(&mut self, instance: usize, start: &Start) -> Result<(), RunError> {
-        let task = self.task(instance);
+        let levels = self.log_levels.get_or_insert_with(|| self.plan.log_levels());
+        let sketch = levels.get(instance) == Some(&LogLevel::Full);
+        let task = self.task(instance, sketch);
         self.running += 1;
         self.states.set(instance, Status::Running);
         let reason = if task.remake || self.states[instance].recorded { Reason::Needed } else { Reason::New };
@@ -209,7 +225,7 @@ impl<'a> Scheduler<'a> {
         Err(error)
     }
 
-    fn task(&self, instance: usize) -> Task {
+    fn task(&self, instance: usize, sketch: bool) -> Task {
         let own = &self.plan.instances[instance];
         let step = self.plan.step(instance);
         let state = &self.states[instance];
@@ -236,6 +252,7 @@ impl<'a> Scheduler<'a> {
             remake: state.remaking,
             timeout: step.timeout,
             retries: step.retries,
+            sketch,
         }
     }
 

@@ -19,6 +19,9 @@ impl Scheduler<'_> {
                 Turn::Finish(instance, outcome) => self.finish(instance, outcome)?,
             }
         }
+        if !self.counted_on.is_empty() {
+            self.store.count_on(&std::mem::take(&mut self.counted_on))?;
+        }
         Ok(())
     }
 
@@ -37,6 +40,7 @@ impl Scheduler<'_> {
     fn set_recipe(&mut self, instance: usize) -> Digest {
         let recipe = self.recipe(instance);
         let key = recipe.key();
+        self.counted_on.push(key);
         let state = &mut self.states[instance];
         (state.key, state.recipe, state.again) = (Some(key), Some(recipe), false);
         key
@@ -100,13 +104,18 @@ impl Scheduler<'_> {
         }
         self.states[instance].missing = absent.len();
         if absent.is_empty() {
-            let depth = self.plan.instances[instance].step;
-            self.ready.push((self.drains(instance), depth, std::cmp::Reverse(instance)));
+            self.line_up(instance);
         }
         for producer in absent {
             self.states[producer].wanted_by.push(instance);
             self.remake(producer);
         }
+    }
+
+    /// Puts an instance in line for a worker.
+    pub fn line_up(&mut self, instance: usize) {
+        let depth = self.plan.instances[instance].step;
+        self.ready.push((self.drains(instance), depth, std::cmp::Reverse(instance)));
     }
 
     /// Whether it uses values that are held in memory only, so that they can be let go.
@@ -277,8 +286,8 @@ impl Scheduler<'_> {
             output.kept = true;
         }
         let recipe = self.states[leader].recipe.clone().unwrap_or_else(|| self.recipe(leader));
-        let (outputs, log, cost) = (outcome.outputs.clone(), outcome.log, outcome.cost);
-        self.store.commit(&Record { recipe, outputs, log, cost })?;
+        let Outcome { outputs, log, sketches, cost } = outcome.clone();
+        self.store.commit(&Record { recipe, outputs, log, sketches, cost })?;
         Ok(outcome)
     }
 

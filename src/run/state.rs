@@ -46,6 +46,8 @@ pub struct State {
     pub executed: bool,
     /// A record has its recipe, but outputs that are needed are not in the store.
     pub recorded: bool,
+    /// It was told that it waits for memory.
+    pub held: bool,
     /// It is being made again for its values, though its record is known.
     pub remaking: bool,
     /// A producer came out otherwise when it was made again: its recipe has to be looked at anew.
@@ -165,6 +167,7 @@ impl State {
             outcome: None,
             executed: false,
             recorded: false,
+            held: false,
             remaking: false,
             again: false,
             values: BTreeMap::new(),

@@ -52,6 +52,7 @@ fn warn(plan: &Plan, summary: &Summary, digest: &Digest, error: &RunError, obser
         let Some(outcome) = &result.outcome else { continue };
         let port = outcome.outputs.iter().find(|(_, output)| output.digest == *digest).map(|(port, _)| port.as_str());
         let what = port.or((outcome.log == Some(*digest)).then_some("log"));
+        let what = what.or((outcome.sketches == Some(*digest)).then_some("sketches"));
         if let Some(what) = what {
             let text = format!("its `{what}` has to be made again: {error}");
             let progress = Progress { done: total, total, remaining_s: None };

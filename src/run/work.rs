@@ -59,6 +59,8 @@ pub struct Task {
     pub timeout: Option<Duration>,
     /// How often it is tried again after a failure.
     pub retries: u32,
+    /// Whether the log shows its outputs.
+    pub sketch: bool,
 }
 
 /// What a worker brings back.
@@ -123,10 +125,12 @@ pub fn work(
     let cpu = process_cpu_s();
     let (inputs, loaded) = load(task, store, pool)?;
     let before = fingerprints(task)?;
-    let (outputs, entries, retried) = attempts(task, &inputs, pool, stop)?;
+    let (outputs, entries, retried) = attempts(task, &inputs, (store, pool), stop)?;
     unchanged_files(task, store, &before)?;
     let values: BTreeMap<_, _> = outputs.into_iter().map(|(port, value)| (port, Arc::new(value))).collect();
     let mut outcome = keep(task, store, pool, &values, &entries)?;
+    let (sketches, unsketched) = sketch(task, store, pool, &values, &outcome)?;
+    outcome.sketches = sketches;
     let memory =
         values.values().chain(loaded.iter().map(|(_, value)| value)).map(|value| value.memory_bytes() as u64).sum();
     let finished = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
@@ -136,12 +140,11 @@ pub fn work(
         peak_bytes: memory,
         finished_unix_s: finished,
     };
-    let record =
-        Record { recipe: task.recipe.clone(), outputs: outcome.outputs.clone(), log: outcome.log, cost: outcome.cost };
-    store.commit(&record)?;
+    let Outcome { outputs, log, sketches, cost } = outcome.clone();
+    store.commit(&Record { recipe: task.recipe.clone(), outputs, log, sketches, cost })?;
     let warnings =
         entries.into_iter().filter_map(|entry| if let Entry::Warning { text } = entry { Some(text) } else { None });
-    let warnings = retried.into_iter().chain(warnings).collect();
+    let warnings = retried.into_iter().chain(unsketched).chain(warnings).collect();
     Ok(Done { outcome, values, loaded, warnings, elsewhere: false })
 }
 
@@ -215,12 +218,12 @@ type Fingerprint = (u64, i64, i64, i64, i64, u64);
 fn attempts(
     task: &Task,
     inputs: &Inputs,
-    pool: &ThreadPool,
+    means: (&Store, &ThreadPool),
     stop: &AtomicBool,
 ) -> Result<(Made, Vec<Entry>, Vec<String>), Failure> {
     let mut told = Vec::new();
     loop {
-        match attempt(task, inputs, pool, stop) {
+        match attempt(task, inputs, means, stop) {
             Ok((outputs, entries)) => return Ok((outputs, entries, told)),
             Err(Failure::Stage(error)) if told.len() < task.retries as usize && !stop.load(Ordering::Relaxed) => {
                 told.push(format!("attempt {} of {} failed: {error}", told.len() + 1, task.retries + 1));
@@ -230,10 +233,15 @@ fn attempts(
     }
 }
 
-fn attempt(task: &Task, inputs: &Inputs, pool: &ThreadPool, stop: &AtomicBool) -> Result<Attempt, Failure> {
+fn attempt(
+    task: &Task,
+    inputs: &Inputs,
+    (store, pool): (&Store, &ThreadPool),
+    stop: &AtomicBool,
+) -> Result<Attempt, Failure> {
     let seed = task.recipe.seed.as_ref().map(rockface_cache::SeedMaterial::key);
     let deadline = task.timeout.map(|timeout| Instant::now() + timeout);
-    let host = StepHost::new(seed, &task.params.files, stop, deadline);
+    let host = StepHost::new(seed, &task.params.files, store, stop, deadline);
     let result = pool.install(|| run_stage(task, inputs, &host));
     match (result, task.timeout) {
         (Err(Failure::Stage(error)), Some(timeout)) if host.is_late() && !stop.load(Ordering::Relaxed) => {
@@ -294,7 +302,31 @@ fn keep(
     }
     let log =
         if entries.is_empty() { None } else { Some(store.put(serde_json::json!(entries).to_string().as_bytes())?) };
-    Ok(Outcome { outputs, log, cost: Cost::default() })
+    Ok(Outcome { outputs, log, sketches: None, cost: Cost::default() })
+}
+
+/// Stores sketches of the outputs if the log is to show them, or else keeps those of an earlier go with equal outputs.
+/// That they cannot be made is told, and is no reason to lose what the stage has made.
+fn sketch(
+    task: &Task,
+    store: &Store,
+    pool: &ThreadPool,
+    values: &BTreeMap<&'static str, Arc<Artefact>>,
+    outcome: &Outcome,
+) -> Result<(Option<Digest>, Option<String>), Failure> {
+    if !task.sketch {
+        let former = store.record(&task.key).filter(|former| former.outputs == outcome.outputs);
+        return Ok((former.and_then(|former| former.sketches).filter(|blob| store.contains(blob)), None));
+    }
+    let made = guarded(|| {
+        let bytes = pool.install(|| crate::watch::step_log::sketched(values));
+        bytes.map_err(|error| Failure::Stage(StageError::new(error.to_string())))
+    });
+    match made {
+        Ok(bytes) => Ok((Some(store.put(&bytes)?), None)),
+        Err(Failure::Stage(error)) => Ok((None, Some(format!("the log cannot show its outputs: {error}")))),
+        Err(failure) => Err(failure),
+    }
 }
 
 /// Processor seconds of this process so far, all threads.

@@ -1,12 +1,15 @@
 //! What a run tells those who watch it: one list of events, several ways to show them.
 
+mod foxglove;
 mod json;
 mod mcap_log;
 mod plain;
+pub mod step_log;
 mod terminal;
 
+pub use foxglove::layout;
 pub use json::JsonLines;
-pub use mcap_log::{LoggedStep, write_log};
+pub use mcap_log::{Facts, Made, RunLog, StepNote, Topic};
 pub use plain::Plain;
 pub use terminal::Terminal;
 
@@ -40,6 +43,13 @@ pub enum Event {
         step: String,
         /// Elapsed seconds.
         wall_s: f64,
+    },
+    /// An instance could start and waits until there is memory for it.
+    Held {
+        /// The instance.
+        step: String,
+        /// What it is expected to need, bytes.
+        need_bytes: u64,
     },
     /// Another process computes the same; this one waits for it.
     Waiting {
@@ -91,6 +101,10 @@ pub struct Progress {
 pub trait Observer {
     /// Something happened.
     fn event(&mut self, event: &Event, progress: Progress);
+    /// Whether it has no use for [`Event::Cached`], of which there may be very many.
+    fn ignores_cached(&self) -> bool {
+        false
+    }
     /// The run is over; leave the screen in order.
     fn end(&mut self) {}
 }
@@ -100,6 +114,9 @@ pub struct Silent;
 
 impl Observer for Silent {
     fn event(&mut self, _: &Event, _: Progress) {}
+    fn ignores_cached(&self) -> bool {
+        true
+    }
 }
 
 /// Keeps every event: the oracle of tests.

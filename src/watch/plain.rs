@@ -35,6 +35,10 @@ pub fn line(event: &Event, verbose: bool) -> Option<String> {
     match event {
         Event::Planned { steps } => verbose.then(|| format!("{steps} step instances")),
         Event::Cached { step } => verbose.then(|| format!("cached   {step}")),
+        Event::Held { step, need_bytes } => {
+            let mib = need_bytes.div_ceil(1 << 20);
+            verbose.then(|| format!("held     {step}: it needs about {mib} MiB, and others are running"))
+        }
         Event::Started { step, .. } => verbose.then(|| format!("started  {step}")),
         Event::Finished { step, wall_s } if verbose || *wall_s >= LONG_S => {
             Some(format!("done     {step} ({})", duration(*wall_s)))
@@ -50,6 +54,10 @@ pub fn line(event: &Event, verbose: bool) -> Option<String> {
 }
 
 impl<W: Write> Observer for Plain<W> {
+    fn ignores_cached(&self) -> bool {
+        !self.verbose
+    }
+
     fn event(&mut self, event: &Event, progress: Progress) {
         if let Some(line) = line(event, self.verbose) {
             self.say(&line);

@@ -26,6 +26,10 @@ impl Terminal {
 }
 
 impl Observer for Terminal {
+    fn ignores_cached(&self) -> bool {
+        !self.verbose
+    }
+
     fn event(&mut self, event: &Event, progress: Progress) {
         match event {
             Event::Started { step, .. } => {

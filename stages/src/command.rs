@@ -1,6 +1,7 @@
 //! `command`: runs any program over declared inputs and outputs.
 
 mod declared;
+mod ended;
 mod fill;
 
 use std::collections::BTreeMap;
@@ -104,11 +105,7 @@ impl Stage for Command {
         let program = program(params, inputs, context)?;
         let result = context.execute(&program)?;
         tell(context, &result);
-        if result.exit_code != Some(0) {
-            let code = result.exit_code.map_or_else(|| "a signal".to_owned(), |code| format!("code {code}"));
-            let name = &params.program;
-            return Err(StageError::new(format!("`{name}` ended with {code}{}", last_words(&result.stderr))));
-        }
+        ended::well(&params.program, &result)?;
         ports.outputs.iter().try_fold(Outputs::default(), |outputs, port| {
             let declared = &params.outputs[port.name];
             Ok(outputs.and(port.name, output(port.name, declared, &result)?))
@@ -170,18 +167,18 @@ fn tell(context: &Context, result: &ProgramResult) {
     }
 }
 
-/// The end of what a program said.
-fn last_words(stderr: &str) -> String {
-    let lines: Vec<&str> = stderr.trim_end().lines().collect();
-    let last = lines[lines.len().saturating_sub(12)..].join("\n  ");
-    if last.is_empty() { " and said nothing on standard error".to_owned() } else { format!(", saying\n  {last}") }
-}
-
 fn output(port: &str, declared: &Declared, result: &ProgramResult) -> Result<Artefact, StageError> {
     let place = declared.place("out", port);
     let Some(bytes) = result.outputs.get(&place) else {
-        let hint = format!("write it to {{out.{port}}}, which is `{place}` in the folder the program runs in");
-        return Err(StageError::new(format!("the program made no output `{port}`")).hint(hint));
+        let folder = result.folders.contains(&place);
+        let message = if folder {
+            format!("the program made a folder where its output `{port}` is to be a file")
+        } else {
+            format!("the program made no output `{port}`")
+        };
+        let several = if folder { "; of several files make one, with tar for instance" } else { "" };
+        let hint = format!("write it to {{out.{port}}}, which is `{place}` in the folder the program runs in{several}");
+        return Err(StageError::new(message).hint(hint));
     };
     let decoded = if declared.is_csv() {
         Table::from_csv(bytes).map(Artefact::Table)

@@ -1,17 +1,12 @@
 //! `draw-picture`: draws a raster, depth map, mesh or surface for people to look at.
 
-use crate::artefact::{Artefact, Depth, Kind, Picture, Raster};
-use crate::kernel::colour_scale::{ColourScale, Palette, quantile};
-use crate::kernel::picture::{self, Subject};
-use crate::kernel::rasterise;
+use crate::artefact::{Artefact, Kind, Picture};
+use crate::kernel::colour_scale::{ColourScale, Palette};
+use crate::kernel::picture::look::Look;
 use crate::kernel::shape::Shape;
+use crate::kernel::{picture, rasterise};
 use crate::params::Range;
 use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
-
-/// Shares of the values below and above the colours of elevations and depths.
-const TAILS: f64 = 0.005;
-/// Share of the absolute differences within the colours.
-const DIFFERENCES: f64 = 0.98;
 
 choice! {
     /// The colours.
@@ -75,146 +70,45 @@ impl Stage for DrawPicture {
     const OUTPUTS: &'static [Port] = &[Port::one("picture", &[Kind::Picture], "PNG.")];
 
     fn run(params: &Self::Params, inputs: &Inputs, _context: &Context) -> Result<Outputs, StageError> {
-        let view = match inputs.artefact("subject")? {
-            Artefact::Raster(raster) => of_raster(raster, params)?,
-            Artefact::Depth(depth) => of_depth(depth, params)?,
+        let subject = inputs.artefact("subject")?;
+        let band = params.band.as_deref();
+        let look = match subject {
+            Artefact::Raster(raster) => Look::of_raster(raster, band).map_err(|names| no_band(params, &names))?,
+            Artefact::Depth(depth) => Look::of_depth(depth, band).map_err(|names| no_band(params, &names))?,
             other => of_shape(other, params)?,
         };
-        let png = picture::draw(&view.subject(params)?, params.max_width_px as usize);
+        let scale = scale(&look, params)?;
+        let title = params.title.clone().unwrap_or_else(|| look.title.clone());
+        let subject = look.subject(scale, title, params.hillshade);
+        let png = picture::draw(&subject, params.max_width_px as usize);
         let png = png.map_err(|e| StageError::new(e.to_string()))?;
         Ok(Outputs::of("picture", Picture { png }))
     }
 }
 
-/// A grid of values and what they are.
-struct View<'a> {
-    columns: usize,
-    values: std::borrow::Cow<'a, [f32]>,
-    cell_m: Option<f64>,
-    /// `elevation`, `difference`, `depth`, ...
-    quantity: String,
-    title: String,
-    grid: String,
-}
-
-impl View<'_> {
-    fn subject(&self, params: &DrawPictureParams) -> Result<Subject<'_>, StageError> {
-        let scale = self.scale(params)?;
-        let missing = self.values.iter().filter(|v| v.is_nan()).count() as f64 / self.values.len() as f64;
-        let missing = if missing > 0.0 { format!(", {:.1} % without value", 100.0 * missing) } else { String::new() };
-        Ok(Subject {
-            columns: self.columns,
-            values: &self.values,
-            cell_m: self.cell_m,
-            shaded: params.hillshade && self.quantity == "elevation",
-            scale,
-            title: params.title.clone().unwrap_or_else(|| self.title.clone()),
-            subtitle: format!("{}{missing}", self.grid),
-            unit: self.unit(&scale),
-        })
-    }
-
-    fn is_length(&self) -> bool {
-        matches!(self.quantity.as_str(), "elevation" | "difference" | "depth")
-    }
-
-    fn unit(&self, scale: &ColourScale) -> (&'static str, f64) {
-        match (self.is_length(), scale.high - scale.low < 0.5) {
-            (true, true) => ("mm", 1e3),
-            (true, false) => ("m", 1.0),
-            (false, _) => ("", 1.0),
-        }
-    }
-
-    fn scale(&self, params: &DrawPictureParams) -> Result<ColourScale, StageError> {
-        let diverging = self.quantity == "difference";
-        let palette = match params.palette {
-            PictureColours::Automatic if diverging => Palette::RedBlue,
-            PictureColours::Automatic | PictureColours::Viridis => Palette::Viridis,
-            PictureColours::Cividis => Palette::Cividis,
-            PictureColours::RedBlue => Palette::RedBlue,
-            PictureColours::Grey => Palette::Grey,
-        };
-        let (low, high) = if diverging { self.symmetric(params) } else { self.around_the_median(params) }
-            .ok_or_else(|| StageError::new(format!("nothing to draw: no cell of the {} has a value", self.quantity)))?;
-        // A constant grid still gets a scale.
-        let (low, high) = if high > low { (low, high) } else { (low - 0.5, low + 0.5) };
-        Ok(ColourScale { palette, low, high })
-    }
-
-    fn symmetric(&self, params: &DrawPictureParams) -> Option<(f64, f64)> {
-        let most = quantile(self.values.iter().map(|v| v.abs()), DIFFERENCES)?;
-        let reach = params.range_m.unwrap_or(most);
-        Some((-reach, reach))
-    }
-
-    fn around_the_median(&self, params: &DrawPictureParams) -> Option<(f64, f64)> {
-        let at = |share| quantile(self.values.iter().copied(), share);
-        match params.range_m {
-            Some(reach) => at(0.5).map(|median| (median - reach, median + reach)),
-            None if self.is_length() => Some((at(TAILS)?, at(1.0 - TAILS)?)),
-            None => Some((at(0.0)?, at(1.0)?)),
-        }
-    }
-}
-
-fn of_raster<'a>(raster: &'a Raster, params: &DrawPictureParams) -> Result<View<'a>, StageError> {
-    let band = match &params.band {
-        None => raster.bands.first(),
-        Some(name) => raster.bands.iter().find(|band| band.name == *name),
+fn scale(look: &Look, params: &DrawPictureParams) -> Result<ColourScale, StageError> {
+    let palette = match params.palette {
+        PictureColours::Automatic => None,
+        PictureColours::Viridis => Some(Palette::Viridis),
+        PictureColours::Cividis => Some(Palette::Cividis),
+        PictureColours::RedBlue => Some(Palette::RedBlue),
+        PictureColours::Grey => Some(Palette::Grey),
     };
-    let names = || raster.bands.iter().map(|b| b.name.as_str()).collect::<Vec<_>>().join(", ");
-    let band = band.ok_or_else(|| no_band(params, &names()))?;
-    let grid = raster.grid;
-    let suffix = if raster.bands.len() > 1 { format!(": {}", band.name) } else { String::new() };
-    Ok(View {
-        columns: grid.columns,
-        values: (&band.values).into(),
-        cell_m: Some(grid.cell_m),
-        quantity: raster.quantity.clone(),
-        title: format!("{}{suffix}", capitalised(&raster.quantity)),
-        grid: grid_text(grid.columns, grid.rows, grid.cell_m),
-    })
+    let scale = look.scale(palette, params.range_m);
+    scale.ok_or_else(|| StageError::new(format!("nothing to draw: no cell of the {} has a value", look.quantity)))
 }
 
-fn of_depth<'a>(depth: &'a Depth, params: &DrawPictureParams) -> Result<View<'a>, StageError> {
-    let channel = params.band.as_deref().unwrap_or("depth");
-    let values = if channel == "depth" { Some(&depth.z) } else { depth.channels.get(channel) };
-    let names = || std::iter::once("depth").chain(depth.channels.keys().map(String::as_str)).collect::<Vec<_>>();
-    let values = values.ok_or_else(|| no_band(params, &names().join(", ")))?;
-    let scale = if depth.downscale > 1 { format!(", 1 pixel for {0} x {0}", depth.downscale) } else { String::new() };
-    Ok(View {
-        columns: depth.width,
-        values: values.into(),
-        cell_m: None,
-        quantity: channel.to_owned(),
-        title: format!("{} of image {}", capitalised(channel), depth.image.name),
-        grid: format!("{} x {} pixels{scale}", depth.width, depth.height),
-    })
-}
-
-fn of_shape(artefact: &Artefact, params: &DrawPictureParams) -> Result<View<'static>, StageError> {
+fn of_shape(artefact: &Artefact, params: &DrawPictureParams) -> Result<Look<'static>, StageError> {
     let shape = Shape::of(artefact).ok_or_else(|| StageError::new(format!("cannot draw a {}", artefact.kind())))?;
     let empty = || StageError::new(format!("nothing to draw: the {} has no points", artefact.kind()));
     let extent = rasterise::extent(shape, None).ok_or_else(empty)?;
     let longest = (extent[1] - extent[0]).max(extent[3] - extent[2]);
     // One cell a pixel; the grid may get one cell more than the extent has.
-    let fitting = longest / (picture::room(params.max_width_px as usize) - 1) as f64;
+    let fitting = longest / (picture::FULL.room(params.max_width_px as usize) - 1) as f64;
     let cell_m = if fitting > 0.0 { fitting } else { 1.0 };
     let grid = rasterise::grid_around(extent, cell_m).map_err(StageError::new)?;
-    let places = match shape {
-        Shape::Mesh(mesh) => format!("{} triangles", mesh.triangles.len()),
-        Shape::Surface(surface) => format!("{} x {} points", surface.width, surface.height),
-    };
-    let size = format!("{:.2} x {:.2} m", extent[1] - extent[0], extent[3] - extent[2]);
-    Ok(View {
-        columns: grid.columns,
-        values: rasterise::tin(shape, None, &grid).into(),
-        cell_m: Some(cell_m),
-        quantity: "elevation".to_owned(),
-        title: format!("{} in the {} frame", capitalised(artefact.kind().word()), shape.frame()),
-        grid: format!("{places}, {size}"),
-    })
+    let size_m = [extent[1] - extent[0], extent[3] - extent[2]];
+    Ok(Look::of_shape(shape, artefact.kind().word(), rasterise::tin(shape, None, &grid), &grid, size_m))
 }
 
 fn no_band(params: &DrawPictureParams, names: &str) -> StageError {
@@ -222,19 +116,10 @@ fn no_band(params: &DrawPictureParams, names: &str) -> StageError {
     StageError::new(format!("there is no band `{wanted}`")).hint(format!("the bands are: {names}"))
 }
 
-fn grid_text(columns: usize, rows: usize, cell_m: f64) -> String {
-    format!("{columns} x {rows} cells of {}", crate::kernel::colour_scale::length(cell_m))
-}
-
-fn capitalised(word: &str) -> String {
-    let mut letters = word.chars();
-    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::artefact::{Frame, Grid};
+    use crate::artefact::{Frame, Grid, Raster};
     use crate::params::ParamType;
     use crate::testing::TestHost;
     use serde_json::json;
@@ -272,7 +157,7 @@ mod tests {
     #[test]
     fn differences_are_centred_on_zero_and_elevations_are_not() {
         let params = DrawPictureParams::decode(&json!({})).unwrap();
-        let scale = |raster: Raster| of_raster(&raster, &params).unwrap().scale(&params).unwrap();
+        let scale = |raster: Raster| scale(&Look::of_raster(&raster, None).unwrap(), &params).unwrap();
         let shifted: Vec<f32> = ramp().iter().map(|v| v + 0.01).collect();
         let difference = scale(raster("difference", shifted.clone()));
         assert!((difference.low + difference.high).abs() < 1e-12 && difference.palette == Palette::RedBlue);

@@ -64,8 +64,8 @@ mod triangulate_surface;
 
 pub use program::{Piece, Program, ProgramResult};
 pub use stage::{
-    AnyStage, Arity, Checked, Context, Element, Entry, Host, Inputs, Outputs, Page, Point, Port, Ports, Row,
-    SourceFile, Stage, StageError,
+    AnyStage, Arity, Checked, Context, Element, Entry, Host, InputSizes, Inputs, Outputs, Page, Point, Port, Ports,
+    Row, SourceFile, Stage, StageError,
 };
 
 static STAGES: &[&dyn AnyStage] = &[

@@ -59,7 +59,8 @@ params! {
         max_y_parallax_px: f64 = 2.0; Range::Positive,
         /// Where disparities are sampled.
         sampling: Sampling = Sampling::Image,
-        /// Whether disparity, noise and y-parallax are kept as further channels.
+        /// Whether distance along the ray, disparities, every term of the noise, y-parallax and the mask of valid pixels are
+        /// kept as further channels.
         channels: bool = false,
     }
 }
@@ -73,7 +74,7 @@ pub struct MatchPair;
 impl Stage for MatchPair {
     type Params = MatchPairParams;
     const NAME: &'static str = "match-pair";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page {
         what: "Makes the depth map of one image of a stereo pair as dense matching would: with the errors of the \
                orientation and of the matching in it.",
@@ -86,7 +87,12 @@ impl Stage for MatchPair {
                  The y-parallax is no part of the disparity: it is measured and discarded. `matcher` adds what real matchers                  show: a Matern correlation of the local noise over a few pixels, noise that varies with the texture of the                  face, with the conditions and the quality of an acquisition and with the relief inside the matcher's window                  (heavy tails come from that variation), the window's own smoothing and foreground fattening (these two and                  the relief see the ideal depth map of the image that is made), blunders, holes, pixel locking, and errors                  shared by the pairs of an image.",
         frames: "Disparities, sigmas and the spacing are in pixels of the depth map (image pixels times downscale). \
                  Depth is z along the optical axis of the noisy camera, metres; the map carries that camera. \
-                 Channels: `disparity`, `noise.local`, `noise.regular`, `y_parallax`.",
+                 Channels: `range` (distance along the noisy ray, metres); `disparity.ideal` (true projections, noisy \
+                 rectification), `noise.local`, `noise.regular` and `disparity`, their sum; `y_parallax`; `valid` (1 where \
+                 there is a depth, else 0). With `matcher` the sum has two terms more, `noise.blunder` and \
+                 `noise.sub_pixel`, and two channels say what is in the others: `noise.strength` (the factor of acquisition, \
+                 texture and conditions on local and smooth noise) and `noise.relief` (the deviation, in pixels, that relief \
+                 gives the local noise before that factor).",
         fails: "The pair is unknown or not named; a depth map is not of its image; sizes, frames or downscales differ; \
                 the pair has no baseline or moves along its view; the images share nothing; the y-parallax is above \
                 max_y_parallax_px (a covariance without correlations does that: give the full one); a texture outside the                 wall frame.",
@@ -185,7 +191,35 @@ fn setup(params: &MatchPairParams) -> Setup {
     Setup { noise, terms: params.matcher.clone(), occlusion_tolerance }
 }
 
-const CHANNELS: [&str; 4] = ["disparity", "noise.local", "noise.regular", "y_parallax"];
+/// What a channel keeps of a match.
+type Of = fn(&Match) -> f64;
+/// Name of a channel, and what is in it.
+type Channel = (&'static str, Of);
+
+/// Channels of the paper's noise, then those of a matcher's further terms.
+const CHANNELS: [Channel; 10] = [
+    ("range", Match::range_m),
+    ("disparity.ideal", |m| m.ideal_px),
+    ("noise.local", |m| m.error.white_px),
+    ("noise.regular", |m| m.error.regular_px),
+    ("disparity", |m| m.disparity_px),
+    ("y_parallax", |m| m.y_parallax_px),
+    ("noise.blunder", |m| m.error.blunder_px),
+    ("noise.sub_pixel", |m| m.sub_pixel_px),
+    ("noise.strength", |m| m.error.strength),
+    ("noise.relief", |m| m.error.relief_px),
+];
+
+/// Channels that the paper's noise has too.
+const PAPER_CHANNELS: usize = 6;
+
+fn channels(params: &MatchPairParams) -> &'static [Channel] {
+    match (params.channels, &params.matcher) {
+        (false, _) => &[],
+        (true, None) => &CHANNELS[..PAPER_CHANNELS],
+        (true, Some(_)) => &CHANNELS,
+    }
+}
 
 fn matched_map(
     params: &MatchPairParams,
@@ -196,13 +230,19 @@ fn matched_map(
 ) -> (Depth, Tally) {
     let ideal = matcher.ideal[own];
     let empty = || vec![f32::NAN; ideal.z.len()];
+    let wanted = channels(params);
     let mut z = empty();
-    let mut channels: Vec<Vec<f32>> = CHANNELS.iter().filter(|_| params.channels).map(|_| empty()).collect();
+    let mut values: Vec<Vec<f32>> = wanted.iter().map(|_| empty()).collect();
     let mut rows: Vec<Row> = z.chunks_mut(ideal.width).map(|z| Row { z, channels: Vec::new() }).collect();
-    for channel in &mut channels {
-        rows.iter_mut().zip(channel.chunks_mut(ideal.width)).for_each(|(row, values)| row.channels.push(values));
+    for ((_, of), values) in wanted.iter().zip(&mut values) {
+        rows.iter_mut().zip(values.chunks_mut(ideal.width)).for_each(|(row, values)| row.channels.push((*of, values)));
     }
     let tally = matcher.match_image(own, &mut rows, Row::keep);
+    let mut channels: BTreeMap<String, Vec<f32>> =
+        wanted.iter().map(|(name, _)| (*name).to_owned()).zip(values).collect();
+    if params.channels {
+        channels.insert("valid".to_owned(), z.iter().map(|z| f32::from(u8::from(z.is_finite()))).collect());
+    }
     let map = Depth {
         frame: noisy.frame,
         sensor: noisy.sensor(image).clone(),
@@ -211,7 +251,7 @@ fn matched_map(
         width: ideal.width,
         height: ideal.height,
         z,
-        channels: CHANNELS.map(str::to_owned).into_iter().zip(channels).collect::<BTreeMap<_, _>>(),
+        channels,
     };
     (map, tally)
 }
@@ -219,15 +259,14 @@ fn matched_map(
 /// One row of a depth map and of its channels.
 struct Row<'a> {
     z: &'a mut [f32],
-    channels: Vec<&'a mut [f32]>,
+    channels: Vec<(Of, &'a mut [f32])>,
 }
 
 impl Row<'_> {
     fn keep(&mut self, column: usize, m: &Match) {
         self.z[column] = m.depth_m as f32;
-        let values = [m.disparity_px, m.local_px, m.regular_px, m.y_parallax_px];
-        for (channel, value) in self.channels.iter_mut().zip(values) {
-            channel[column] = value as f32;
+        for (of, channel) in &mut self.channels {
+            channel[column] = of(m) as f32;
         }
     }
 }

@@ -33,10 +33,14 @@ pub struct Program {
 pub struct ProgramResult {
     /// The exit code; `None` if a signal ended it.
     pub exit_code: Option<i32>,
+    /// The signal that ended it.
+    pub signal: Option<i32>,
     /// What it wrote to standard output; a long text is cut in its middle.
     pub stdout: String,
     /// What it wrote to standard error; a long text is cut in its middle.
     pub stderr: String,
     /// The wanted files that are there.
     pub outputs: BTreeMap<String, Vec<u8>>,
+    /// The wanted files in whose place there is a folder.
+    pub folders: Vec<String>,
 }

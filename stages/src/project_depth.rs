@@ -2,8 +2,9 @@
 
 use crate::artefact::{Cameras, Depth, Image, Kind, Mesh};
 use crate::kernel::camera::Camera;
-use crate::kernel::depth_buffer::{DepthBuffer, Drawing, draw};
+use crate::kernel::depth_buffer::{DepthBuffer, Drawing, NO_TRIANGLE, draw, triangles};
 use crate::kernel::depth_update::redraw;
+use crate::kernel::ray_row::RayRow;
 use crate::params::{Fault, Range};
 use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
@@ -20,11 +21,16 @@ params! {
         visibility: bool = true,
         /// Keeps only what lies in this part of the frame: x from, x to, y from, y to, metres; null: everything.
         window_m: Option<[f64; 4]> = None,
+        /// Whether the distance along the ray, the triangle seen and the mask of valid pixels are kept as further channels.
+        channels: bool = false,
     }
 }
 
 /// Pixels a depth map may have; 45 megapixels are 4.5e7.
 const MAXIMUM_PIXELS: f64 = 3e8;
+
+/// Whole numbers a 32-bit float holds without a gap.
+const MAXIMUM_TRIANGLES: usize = 1 << 24;
 
 /// The stage.
 pub struct ProjectDepth;
@@ -42,10 +48,13 @@ impl Stage for ProjectDepth {
                  reaches are drawn anew; the bytes are those of drawing everything.",
         frames: "The mesh and the cameras share one frame (wall or world), metres; the depth map carries its camera. \
                  Depth is z along the optical axis, metres; NaN where the ray meets nothing. A depth-map pixel stands \
-                 for downscale x downscale image pixels and its centre is theirs; surplus columns and rows are cut.",
+                 for downscale x downscale image pixels and its centre is theirs; surplus columns and rows are cut. \
+                 Channels: `range` (distance along the ray, metres), `triangle` (its number in the mesh, from 0), `valid` \
+                 (1 where there is a depth, else 0).",
         fails: "The image is unknown; the frames differ; the mesh has no triangles; nothing of the mesh is visible \
                 (it lies behind the camera, beside the image or outside window_m, or shows its back: \
-                turn it or set visibility to false); `before` without `before_mesh`, or not by the same camera and parameters.",
+                turn it or set visibility to false); `before` without `before_mesh`, or not by the same camera and parameters; \
+                channels are wanted of a mesh of more than 16777216 triangles, whose numbers a 32-bit float does not tell apart.",
         example: "\
 rockface: 1
 name: ideal-depth
@@ -89,6 +98,8 @@ steps:
         };
         check_lens(&camera, image, context)?;
         let former = former(inputs, params, cameras, image)?;
+        // Numbers of triangles are told by exact depths: with channels everything is drawn.
+        let former = former.filter(|_| !params.channels);
         let mut buffer = match former {
             Some((depth, before)) => redrawn([before, mesh], depth, params, (&camera, &drawing), context)?,
             None => draw(mesh, &camera, &drawing),
@@ -113,7 +124,11 @@ steps:
         context.metric("valid_share", seen.len() as f64 / buffer.z_m.len() as f64, "1");
         context.metric("median_depth", median_m, "m");
         context.metric("pixel_footprint", median_m / camera.sensor().f * f64::from(params.downscale), "m");
-        Ok(Outputs::of("depth", depth_map(&buffer, params, cameras, image)))
+        let mut map = depth_map(&buffer, params, cameras, image);
+        if params.channels {
+            map.channels = channels(&buffer, mesh, &camera, &drawing);
+        }
+        Ok(Outputs::of("depth", map))
     }
 }
 
@@ -201,6 +216,13 @@ fn checked_image<'a>(params: &ProjectDepthParams, mesh: &Mesh, cameras: &'a Came
         StageError::new(format!("`cameras` has no image `{}`", params.image))
             .hint(format!("its images are: {}", names.join(", ")))
     })?;
+    if params.channels && mesh.triangles.len() > MAXIMUM_TRIANGLES {
+        let error = StageError::new(format!(
+            "the mesh has {} triangles; a 32-bit channel tells {MAXIMUM_TRIANGLES} apart",
+            mesh.triangles.len()
+        ));
+        return Err(error.hint("set `channels: false`, or thin the mesh"));
+    }
     let sensor = cameras.sensor(image);
     if sensor.width_px.min(sensor.height_px) < params.downscale {
         let (w, h, scale) = (sensor.width_px, sensor.height_px, params.downscale);
@@ -244,6 +266,29 @@ fn depth_map(buffer: &DepthBuffer, params: &ProjectDepthParams, cameras: &Camera
         z: buffer.z_m.iter().map(rounded).collect(),
         channels: std::collections::BTreeMap::new(),
     }
+}
+
+/// What else is known of every pixel.
+fn channels(
+    buffer: &DepthBuffer,
+    mesh: &Mesh,
+    camera: &Camera,
+    drawing: &Drawing,
+) -> std::collections::BTreeMap<String, Vec<f32>> {
+    let seen = triangles(mesh, camera, drawing, buffer);
+    let mut range = vec![f32::NAN; buffer.z_m.len()];
+    for (row, (range, z_m)) in range.chunks_mut(buffer.width).zip(buffer.z_m.chunks(buffer.width)).enumerate() {
+        let mut rays = RayRow::new(camera, row, drawing.downscale);
+        for (column, z_m) in z_m.iter().enumerate().filter(|(_, z)| z.is_finite()) {
+            let ray = rays.ray(column);
+            range[column] = ray.map_or(f32::NAN, |[x, y]| (z_m * (x * x + y * y + 1.0).sqrt()) as f32);
+        }
+    }
+    // What the window emptied has no triangle either, as the depth there is infinite.
+    let number = |triangle: &u32| if *triangle == NO_TRIANGLE { f32::NAN } else { *triangle as f32 };
+    let valid = buffer.z_m.iter().map(|z| f32::from(u8::from(z.is_finite()))).collect();
+    let named = [("range", range), ("triangle", seen.iter().map(number).collect()), ("valid", valid)];
+    named.map(|(name, values)| (name.to_owned(), values)).into()
 }
 
 #[cfg(test)]
@@ -346,6 +391,32 @@ mod tests {
         // Corners lie at a radius of 0.354: 1 + 3 k1 r^2 vanishes before that, distorted, at k1 = -4.
         assert!(run(-0.5).is_empty());
         assert!(run(-4.0)[0].contains("folds back before 4 of its 4 corners"));
+    }
+
+    #[test]
+    fn channels_agree_with_the_depth_and_the_mesh() {
+        let mesh = height_mesh(20, [-50.0, 50.0, -50.0, 50.0], |x, y| 0.2 * x - 0.1 * y);
+        let depth =
+            project(&mesh, &json!({"image": "left", "channels": true, "window_m": [-3.0, 3.0, -4.0, 4.0]})).unwrap();
+        let plain = project(&mesh, &json!({"image": "left", "window_m": [-3.0, 3.0, -4.0, 4.0]})).unwrap();
+        assert_eq!((plain.z == depth.z || plain.z.len() == depth.z.len(), plain.channels.len()), (true, 0));
+        let camera = Camera::of_depth(&depth);
+        let mut seen = 0;
+        for (i, z) in depth.z.iter().enumerate() {
+            let [range, triangle, valid] = ["range", "triangle", "valid"].map(|name| depth.channels[name][i]);
+            assert_eq!((z.is_nan(), range.is_nan(), triangle.is_nan()), (valid == 0.0, valid == 0.0, valid == 0.0));
+            if valid == 0.0 {
+                continue;
+            }
+            let pixel = crate::kernel::camera::full_pixel(i % depth.width, i / depth.width, 1);
+            let point = camera.unproject(camera.normalised(pixel).unwrap(), f64::from(*z));
+            assert!((f64::from(range) - (point - camera.centre()).norm()).abs() < 1e-5);
+            let corners = mesh.triangles[triangle as usize].map(|v| mesh.vertices[v as usize]);
+            let near = |axis: usize| corners.iter().any(|corner| (corner[axis] - point[axis]).abs() <= 5.0 + 1e-5);
+            assert!(near(0) && near(1), "triangle {triangle} is not where pixel {i} looks");
+            seen += 1;
+        }
+        assert!(seen > 100);
     }
 
     #[test]

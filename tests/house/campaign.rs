@@ -179,3 +179,55 @@ steps:
     assert_eq!(more.executed(), own);
     assert_eq!(bench.run(&sweep(1000), &[]).executed(), Vec::<String>::new());
 }
+
+/// Coarse values, the best of them, finer values around it: the axis of the second stage is known when the first is done.
+const SEARCH: &str = "
+rockface: 1
+name: search
+seed: 3
+axes:
+  coarse: {count: 12}
+  fine: {from: rows.table, reseeds: false}
+steps:
+  face: {stage: synthesise-face, over: [coarse], with: {width_m: 3, height_m: 2, spacing_m: 0.05}}
+  dem: {stage: rasterise-dem, in: {surface: face.mesh}, with: {cell_m: 0.1, method: tin}}
+  noise: {stage: describe-noise, with: {scales_cells: [1, 2, 4]}, in: {raster: dem.raster}}
+  coarse_rows: {stage: tabulate, in: {rows: {each: noise.features, over: [coarse]}}}
+  rows:
+    stage: command
+    in: {rows: coarse_rows.table}
+    with:
+      program: sh
+      args: [\"-c\", \"test -s {in.rows} && printf 'cell_m\\n0.04\\n0.05\\n0.06\\n0.07\\n0.08\\n0.09\\n' > {out.table}\"]
+      version: POSIX sh
+      inputs: {rows: {kind: table, extension: csv}}
+      outputs: {table: {kind: table, extension: csv}}
+  fine_dem: {stage: rasterise-dem, in: {surface: 'face.mesh[coarse=3]'}, with: {cell_m: '${fine.cell_m}', method: tin}}
+  fine_noise: {stage: describe-noise, with: {scales_cells: [1, 2, 4]}, in: {raster: fine_dem.raster}}
+  found: {stage: tabulate, in: {rows: {each: fine_noise.features, over: [fine]}}}
+targets: [found]
+";
+
+#[test]
+fn a_search_in_two_stages_killed_again_and_again_gives_the_same_table() {
+    let whole = House::new(SEARCH);
+    let started = Instant::now();
+    let (code, _, err) = whole.rockface(&["run", "p.yaml", "--quiet"]);
+    assert_eq!(code, Some(0), "{err}");
+    let most_ms = (started.elapsed().as_millis() as u64).clamp(50, 4000);
+    let house = House::new(SEARCH);
+    let kills = if slow() { 40 } else { 6 };
+    for moment in moments(kills, most_ms) {
+        let mut child = spawn(&house, &["run", "p.yaml", "--json", "--jobs", "2"]);
+        std::thread::sleep(moment);
+        // The run may have ended by itself.
+        let _ = child.kill();
+        child.wait().unwrap();
+    }
+    let (code, _, err) = house.rockface(&["run", "p.yaml", "--jobs", "2"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert_eq!(digests(&house), digests(&whole));
+    assert_eq!(digests(&whole).keys().filter(|name| name.contains("fine_noise")).count(), 6);
+    let left = std::fs::read_dir(house.path(".rockface/store/scratch")).unwrap().count();
+    assert_eq!(left, 0, "what killed programs left is swept up");
+}

@@ -153,3 +153,40 @@ fn a_collection_spares_pinned_runs_and_explains_itself() {
     let (code, _, err) = house.rockface(&["store", "stat", "--store", "nowhere"]);
     assert!(code == Some(2) && err.contains("--store") && !house.path("nowhere").exists(), "{err}");
 }
+
+#[test]
+fn results_are_handed_from_store_to_store() {
+    let house = House::new(SMALL);
+    house.rockface(&["run", "p.yaml"]);
+    house.rockface(&["run", "p.yaml", "--set", "steps.dem.with.cell_m=0.1"]);
+    let (code, out, err) = house.rockface(&["store", "push", "shared", "--run", "latest"]);
+    assert!(code == Some(0) && out.starts_with("2 records with ") && out.contains("0 were there"), "{out}{err}");
+    let (_, out, _) = house.rockface(&["store", "push", "shared"]);
+    assert!(out.starts_with("1 records with ") && out.contains("2 were there"), "{out}");
+    std::fs::remove_dir_all(house.path(".rockface")).unwrap();
+    let (code, out, err) = house.rockface(&["store", "pull", "shared"]);
+    assert!(code == Some(0) && out.starts_with("3 records"), "{out}{err}");
+    let (_, out, _) = house.rockface(&["run", "p.yaml"]);
+    assert!(last_line(&out).contains("ran 0, cached 2"), "{out}");
+    let (code, _, err) = house.rockface(&["store", "pull", "nowhere"]);
+    assert!(code == Some(2) && err.contains("no store in nowhere") && !house.path("nowhere").exists(), "{err}");
+}
+
+#[test]
+fn a_collection_leaves_alone_what_a_live_run_counts_on() {
+    let house = House::new(SMALL);
+    house.rockface(&["run", "p.yaml"]);
+    let store = rockface_cache::Store::open(&house.path(".rockface/store")).unwrap();
+    let keys = store.keys();
+    let plan = |store: &rockface_cache::Store| {
+        let pinned = store.live().unwrap().keys;
+        let policy = rockface_cache::GcPolicy { pinned, unnamed: true, ..Default::default() };
+        store.plan_gc(&policy).unwrap().records.len()
+    };
+    assert_eq!(plan(&store), 2);
+    store.count_on(&keys[..1]).unwrap();
+    let other = rockface_cache::Store::open(&house.path(".rockface/store")).unwrap();
+    assert_eq!(plan(&other), 1);
+    drop(store);
+    assert_eq!(plan(&other), 2);
+}

@@ -146,3 +146,15 @@ steps:
     let (one, other) = (numbers(&[]), numbers(&["seed=2"]));
     assert!(one[0] != one[1] && one[1] != one[2] && one != other && one == numbers(&[]), "{one:?} {other:?}");
 }
+
+#[test]
+fn a_signal_is_named_and_a_folder_in_place_of_a_file_told() {
+    let bench = Bench::rocks();
+    let fails = |script: &str| failure(&bench.run(&command(&format!("      args: ['-c', '{script}']\n")), &[]));
+    let killed = fails("kill -SEGV $$");
+    assert!(killed.contains("was ended by SIGSEGV (signal 11"), "{killed}");
+    let folder = fails("echo a > {out.t}; mkdir {out.f}");
+    assert!(folder.contains("made a folder where its output `f` is to be a file"), "{folder}");
+    let left = std::fs::read_dir(bench.folder.path().join("store/scratch")).unwrap().count();
+    assert_eq!(left, 0, "the folders programs work in are gone");
+}

@@ -113,3 +113,69 @@ fn lists_that_cannot_be_an_axis_are_told() {
     let transient = said(&SEARCH.replace("refined: {stage: list,", "refined: {stage: list, keep: false,"));
     assert!(transient.contains("not kept"), "{transient}");
 }
+
+/// The search, and steps that name items of the axis that is not known beforehand.
+const NAMED: &str = "
+  one: {stage: add, in: {terms: 'close.out[fine=1]'}}
+  chosen: {stage: add, in: {terms: {by: fine, 2: tried_once.out, else: close.out}}}
+  tried_once: {stage: emit, with: {value: 100}}
+  all: {stage: add, in: {terms: {each: chosen.out, over: [fine]}}}
+targets: [one, all]
+";
+
+#[test]
+fn items_of_a_list_are_picked_and_chosen_by_name() {
+    let yaml = SEARCH.replace("targets: [best]\n", &NAMED[1..]);
+    for jobs in [1, 3] {
+        let bench = Bench::new();
+        let ran = bench.run_with(&yaml, &[], &Options { jobs, ..Options::default() });
+        assert!(!ran.summary.failed, "{:?}", ran.events);
+        // 7, 8 and 9; the third is taken from elsewhere.
+        assert_eq!(ran.number(&bench.store, "one"), 8.0);
+        assert_eq!(ran.number(&bench.store, "all"), 7.0 + 8.0 + 100.0);
+        assert!(bench.run(&yaml, &[]).executed().is_empty());
+        // Planned again with all items on record.
+        assert_eq!(
+            bench.plan(&yaml, &[]).unwrap_or_else(|faults| panic!("{faults}")).instances.len(),
+            ran.plan.instances.len()
+        );
+    }
+    let failure = |yaml: &str| {
+        let ran = Bench::new().run(yaml, &[]);
+        let told = ran.events.iter().find_map(|event| match event {
+            Event::Failed { message, .. } => Some(message.clone()),
+            _ => None,
+        });
+        told.expect("a failure")
+    };
+    let stranger = failure(&yaml.replace("[fine=1]", "[fine=7]"));
+    assert!(stranger.contains("axis `fine` has no item `7`"), "{stranger}");
+    let gap = failure(&yaml.replace(", else: close.out", ""));
+    assert!(gap.contains("choosing by `fine` leaves out 0"), "{gap}");
+}
+
+#[test]
+fn lists_that_become_known_are_walked_together() {
+    let yaml = "
+rockface: 1
+axes: {a: {from: l.out}, b: {from: m.out}, c: {values: [10, 20, 30]}}
+zip: [a, b, c]
+steps:
+  e: {stage: emit}
+  l: {stage: list, in: {terms: e.out}, with: {rows: 3}}
+  m: {stage: list, in: {terms: l.out}, with: {rows: 3}}
+  x: {stage: emit, with: {value: '${a.value}'}}
+  y: {stage: add, in: {terms: x.out}, with: {plus: '${b.value}'}}
+  z: {stage: add, in: {terms: y.out}, with: {plus: '${c}'}}
+  all: {stage: add, in: {terms: {each: z.out, over: [a]}}}
+";
+    let bench = Bench::new();
+    let ran = bench.run(yaml, &[]);
+    assert!(!ran.summary.failed, "{:?}", ran.events);
+    // 1 2 3, 6 7 8 and 10 20 30.
+    assert_eq!(ran.number(&bench.store, "all"), 6.0 + 21.0 + 60.0);
+    assert_eq!(ran.summary.instances.len(), 3 + 3 * 3 + 1);
+    let unequal = bench.run(&yaml.replace("terms: l.out}, with: {rows: 3}", "terms: l.out}, with: {rows: 2}"), &[]);
+    let told = unequal.events.iter().any(|event| matches!(event, Event::Failed { message, .. } if message.contains("has 2 items, `a` has 3") || message.contains("has 2 items, `c` has 3")));
+    assert!(unequal.summary.failed && told, "{:?}", unequal.events);
+}

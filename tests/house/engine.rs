@@ -242,3 +242,37 @@ fn a_damaged_blob_is_set_aside_and_remade() {
     assert!(!again.summary.failed);
     assert_eq!(again.number(&bench.store, "d"), first.number(&bench.store, "c") + 1.0);
 }
+
+/// Whether an instance started while another was running.
+fn overlaps(events: &[Event]) -> bool {
+    let mut running = 0;
+    events.iter().any(|event| {
+        match event {
+            Event::Started { .. } => running += 1,
+            Event::Finished { .. } => running -= 1,
+            _ => {}
+        }
+        running > 1
+    })
+}
+
+#[test]
+fn steps_that_do_not_fit_into_memory_together_wait_for_each_other() {
+    let yaml = "
+rockface: 1
+axes: {k: {count: 6}}
+steps:
+  base: {stage: emit}
+  work: {stage: toil, with: {value: '${k}'}, in: {after: base.out}}
+";
+    let run = |memory_bytes: usize| {
+        let options = Options { jobs: 3, memory_bytes, ..Options::default() };
+        Bench::new().run_with(yaml, &[], &options)
+    };
+    let (roomy, narrow) = (run(1 << 30), run(1));
+    assert!(overlaps(&roomy.events), "{:?}", roomy.events);
+    assert!(!overlaps(&narrow.events), "{:?}", narrow.events);
+    let held = |ran: &Ran| ran.events.iter().filter(|event| matches!(event, Event::Held { .. })).count();
+    assert!(held(&roomy) == 0 && held(&narrow) > 0);
+    assert_eq!(roomy.digests(), narrow.digests());
+}

@@ -193,3 +193,35 @@ fn a_plan_tells_the_time_from_records() {
     let (_, out, _) = house.rockface(&["plan", "p.yaml"]);
     assert!(!out.contains("of work"), "{out}");
 }
+
+#[test]
+fn a_repeated_run_has_the_texts_it_included() {
+    let house = House::new("rockface: 1\nname: whole\ninclude: part.yaml\n");
+    std::fs::write(house.path("part.yaml"), SMALL).unwrap();
+    let (code, _, err) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    let manifest = house.path(".rockface/runs/latest/run.json").canonicalize().unwrap();
+    assert_eq!(read_json(&manifest)["pipeline"]["included"][0]["text"], SMALL);
+    std::fs::remove_file(house.path("part.yaml")).unwrap();
+    std::fs::write(house.path("p.yaml"), "nothing").unwrap();
+    let (code, out, err) = house.rockface(&["run", manifest.to_str().unwrap(), "--store", "another"]);
+    assert!(code == Some(0) && out.contains("repeated: all 2 outputs are the same"), "{out}{err}");
+}
+
+#[test]
+fn which_outputs_get_a_name_can_be_chosen() {
+    let house = House::new(SMALL);
+    let there = |outputs: &str| {
+        let (code, _, err) = house.rockface(&["run", "p.yaml", "--outputs", outputs]);
+        assert_eq!(code, Some(0), "{err}");
+        let place = |file: &str| house.path(".rockface/runs/latest/outputs").join(file).is_file();
+        let told = read_json(&house.path(".rockface/runs/latest/run.json"))["laid_out"].as_str().unwrap().to_owned();
+        (place("face/mesh.ply"), place("dem/raster.tif"), told)
+    };
+    assert_eq!(there("auto"), (true, true, "all".to_owned()));
+    assert_eq!(there("targets"), (false, true, "some".to_owned()));
+    assert_eq!(there("none"), (false, false, "some".to_owned()));
+    let (code, _, err) = house.rockface(&["export", "latest", "face.mesh", "face.ply"]);
+    assert!(code == Some(0) && house.path("face.ply").is_file(), "{err}");
+    assert_eq!(there("all"), (true, true, "all".to_owned()));
+}

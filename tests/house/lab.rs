@@ -149,7 +149,7 @@ impl Stage for Toil {
     const NAME: &'static str = "toil";
     const VERSION: u32 = 1;
     const PAGE: Page = PAGE;
-    const INPUTS: &'static [Port] = &[];
+    const INPUTS: &'static [Port] = &[Port::optional("after", TABLE, "What comes before.")];
     const OUTPUTS: &'static [Port] = &[Port::one("out", TABLE, "The number.")];
     fn run(params: &ToilParams, _: &Inputs, _: &Context) -> Result<Outputs, StageError> {
         (0..8).into_par_iter().for_each(|_| std::thread::sleep(std::time::Duration::from_millis(10)));

@@ -14,5 +14,7 @@ mod history;
 mod lab;
 mod language;
 mod reading;
+mod report;
 mod rework;
 mod tidy;
+mod watching;

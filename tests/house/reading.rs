@@ -212,3 +212,18 @@ fn a_run_with_little_memory_makes_the_same() {
         assert!(err.contains("GiB"), "{err}");
     }
 }
+
+#[test]
+fn graph_draws_a_picture_with_sweeps_folded() {
+    let house = House::new(&SWEPT.replace("name: dem", "name: \"<dem>\""));
+    let (code, out, err) = house.rockface(&["graph", "p.yaml", "--format", "svg"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert!(out.starts_with("<svg xmlns=") && out.ends_with("</svg>\n"), "{out}");
+    for part in ["2 × cell", ">rasterise-dem<", "prefers-color-scheme:dark", "bold frame: target", "mesh → surface"]
+    {
+        assert!(out.contains(part), "{part}: {out}");
+    }
+    assert_eq!(out.matches("<g class=").count(), 3, "one box a step: {out}");
+    assert!(!out.contains("url(") && !out.contains(" id="), "it may stand in any page: {out}");
+    assert!(!house.path(".rockface").exists(), "drawing makes nothing on disk");
+}

@@ -173,7 +173,10 @@ fn a_blob_that_no_reader_takes_fails_the_step_that_needs_it() {
         let output = outcome.outputs.get_mut("out").unwrap();
         (output.digest, output.bytes) = (bench.store.put(b"no table").unwrap(), 8);
         let (recipe, outputs) = (result.recipe.clone().unwrap(), outcome.outputs);
-        bench.store.commit(&Record { recipe, outputs, log: outcome.log, cost: outcome.cost }).unwrap();
+        bench
+            .store
+            .commit(&Record { recipe, outputs, log: outcome.log, sketches: outcome.sketches, cost: outcome.cost })
+            .unwrap();
         bench.run(&yaml, &[])
     });
     assert!(ran.summary.failed);

@@ -71,7 +71,10 @@ def test_depth_is_that_of_the_nearest_surface_and_nan_where_there_is_none(survey
 @pytest.mark.parametrize("epoch", ["pre", "post"])
 def test_a_matched_map_keeps_its_channels_and_gaps(survey, epoch):
     channels, camera = read_depth(survey.output("matched", "depth.exr", f"epoch={epoch}"))
-    assert set(channels) == {"Z", "disparity", "noise.local", "noise.regular", "y_parallax"}
+    assert set(channels) == {"Z", "range", "valid", "y_parallax", "noise.local", "noise.regular"} | {
+        "disparity",
+        "disparity.ideal",
+    }
     gaps = np.isnan(channels["Z"])
     assert 0 < gaps.mean() < 0.6
     assert np.isfinite(channels["Z"][~gaps]).all()
@@ -94,3 +97,35 @@ def test_a_surface_holds_the_points_of_its_depth_map(survey):
     kept = ~np.isnan(found[:, 0])
     assert kept.mean() > 0.95
     np.testing.assert_allclose(found[kept], expected[kept], rtol=0, atol=3e-6)
+
+
+def test_the_channels_of_a_matched_map_add_up(survey):
+    channels, camera = read_depth(survey.output("terms", "depth.exr"))
+    further = {"noise.blunder", "noise.sub_pixel", "noise.strength", "noise.relief"}
+    assert further <= set(channels)
+    seen = ~np.isnan(channels["Z"])
+    assert np.array_equal(channels["valid"], seen.astype(np.float32))
+    terms = ["disparity.ideal", "noise.local", "noise.regular", "noise.blunder", "noise.sub_pixel"]
+    total = sum(channels[name][seen].astype(float) for name in terms)
+    np.testing.assert_allclose(total, channels["disparity"][seen], rtol=0, atol=2e-4)
+    # Rounded to its step, less the rounding of 32 bits.
+    steps = channels["disparity"][seen].astype(float) / 0.0625
+    np.testing.assert_allclose(steps, np.round(steps), rtol=0, atol=2e-3)
+    rows, columns = np.nonzero(seen)
+    slant = np.linalg.norm(rays(camera, columns, rows), axis=1)
+    np.testing.assert_allclose(channels["range"][seen], channels["Z"][seen] * slant, rtol=0, atol=1e-5)
+    assert (channels["noise.blunder"][seen] != 0).mean() > 0.01
+
+
+def test_the_triangle_of_a_pixel_is_the_one_its_ray_meets(survey, face):
+    channels, camera = read_depth(survey.output("known", "depth.exr"))
+    assert set(channels) == {"Z", "range", "triangle", "valid"}
+    seen = ~np.isnan(channels["Z"])
+    rows, columns = sample(seen, 500)
+    points = unproject(camera, columns, rows, channels["Z"][rows, columns])
+    triangles = channels["triangle"][rows, columns].astype(int)
+    nearest = trimesh.triangles.closest_point(face.triangles[triangles], points)
+    assert np.linalg.norm(nearest - points, axis=1).max() < 1e-5
+    np.testing.assert_allclose(
+        channels["range"][rows, columns], np.linalg.norm(points - pose(camera)[1], axis=1), rtol=0, atol=1e-5
+    )

@@ -111,7 +111,9 @@ impl Store {
             let stage = &record.recipe.stage;
             let kept = record.outputs.values().filter(|output| output.kept);
             let outputs = kept.map(|output| (output.digest, format!("{} of {stage}", output.kind)));
-            for (digest, what) in outputs.chain(record.log.map(|log| (log, format!("log of {stage}")))) {
+            let told = [(record.log, "log"), (record.sketches, "sketches")];
+            let told = told.into_iter().filter_map(|(blob, what)| Some((blob?, format!("{what} of {stage}"))));
+            for (digest, what) in outputs.chain(told) {
                 let outputs = named.entry(digest).or_default();
                 if !outputs.contains(&what) {
                     outputs.push(what);

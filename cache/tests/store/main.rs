@@ -28,7 +28,7 @@ fn output(bytes: &[u8], kept: bool) -> OutputRecord {
 
 fn record(number: u64, bytes: &[u8], kept: bool) -> Record {
     let outputs = [("mesh".to_owned(), output(bytes, kept))].into();
-    Record { recipe: recipe(number), outputs, log: None, cost: Cost { wall_s: 0.5, ..Cost::default() } }
+    Record { recipe: recipe(number), outputs, log: None, sketches: None, cost: Cost { wall_s: 0.5, ..Cost::default() } }
 }
 
 /// Puts a blob and commits the record of a step that made it.

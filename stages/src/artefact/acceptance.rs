@@ -38,4 +38,9 @@ pub struct Acceptance {
     pub groups: BTreeMap<String, GroupModel>,
 }
 
-super::json_noun!(Acceptance);
+super::json_noun!(
+    Acceptance,
+    fn sketches(&self) -> Vec<super::Sketch> {
+        crate::kernel::sketch::of_values(self).into_iter().collect()
+    }
+);

@@ -31,4 +31,9 @@ impl Covariance {
     }
 }
 
-super::json_noun!(Covariance);
+super::json_noun!(
+    Covariance,
+    fn sketches(&self) -> Vec<super::Sketch> {
+        crate::kernel::sketch::of_values(self).into_iter().collect()
+    }
+);

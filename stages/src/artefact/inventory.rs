@@ -62,6 +62,9 @@ impl Noun for Inventory {
     fn decode(bytes: &[u8]) -> Result<Self, CodecError> {
         crate::kernel::inventory_file::read(bytes)
     }
+    fn sketches(&self) -> Vec<super::Sketch> {
+        vec![crate::kernel::sketch::of_table(&self.table())]
+    }
     fn memory_bytes(&self) -> usize {
         let ring = |ring: &Vec<[f64; 2]>| ring.len() * 16;
         let polygon = |polygon: &Polygon| ring(&polygon.exterior) + polygon.holes.iter().map(ring).sum::<usize>();

@@ -26,6 +26,9 @@ impl Noun for Mesh {
     fn decode(bytes: &[u8]) -> Result<Self, CodecError> {
         crate::kernel::ply::read_mesh(bytes)
     }
+    fn sketches(&self) -> Vec<super::Sketch> {
+        vec![crate::kernel::sketch::of_mesh(self)]
+    }
     fn memory_bytes(&self) -> usize {
         self.vertices.len() * 24 + self.triangles.len() * 12 + self.colours.len() * 3
     }

@@ -75,6 +75,9 @@ impl Noun for Meshes {
     fn decode(bytes: &[u8]) -> Result<Self, CodecError> {
         crate::kernel::ply_parts::read(bytes)
     }
+    fn sketches(&self) -> Vec<super::Sketch> {
+        vec![crate::kernel::sketch::of_meshes(self)]
+    }
     fn memory_bytes(&self) -> usize {
         let part = |part: &Part| part.vertices.len() * 24 + part.triangles.len() * 12 + part.name.len();
         self.parts.iter().map(part).sum()

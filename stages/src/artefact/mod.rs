@@ -7,6 +7,7 @@ mod cameras;
 pub mod candidates;
 mod covariance;
 mod depth;
+mod figure;
 mod file;
 mod files;
 mod inventory;
@@ -14,7 +15,9 @@ mod mesh;
 mod meshes;
 mod pairs;
 mod picture;
+mod preview;
 mod raster;
+pub mod sketch;
 mod surface;
 mod table;
 mod transform;
@@ -23,7 +26,8 @@ pub use acceptance::{Acceptance, GroupModel};
 pub use cameras::{Cameras, Image, Sensor};
 pub use candidates::Candidates;
 pub use covariance::Covariance;
-pub use depth::Depth;
+pub use depth::{Depth, DepthPixel};
+pub use figure::Figure;
 pub use file::File;
 pub use files::Files;
 pub use inventory::{Feature, Inventory, Polygon};
@@ -31,7 +35,9 @@ pub use mesh::Mesh;
 pub use meshes::{Meshes, Part};
 pub use pairs::{Pair, Pairs};
 pub use picture::Picture;
+pub use preview::Preview;
 pub use raster::{Band, Grid, Raster, Sample};
+pub use sketch::{Shown, Sketch};
 pub use surface::Surface;
 pub use table::{Cell, Table};
 pub use transform::Transform;
@@ -104,6 +110,10 @@ pub trait Noun: Sized {
         let _ = stem;
         Ok(Vec::new())
     }
+    /// Small likenesses of it for logs and reports; none of what has no look.
+    fn sketches(&self) -> Vec<Sketch> {
+        Vec::new()
+    }
 }
 
 macro_rules! artefacts {
@@ -162,6 +172,12 @@ macro_rules! artefacts {
             pub fn exports(&self, stem: &str) -> Result<Vec<Export>, CodecError> {
                 match self { $( Self::$Name(value) => value.exports(stem) ),* }
             }
+            /// Small likenesses of it for logs and reports.
+            pub fn sketches(&self) -> Vec<Sketch> {
+                let mut sketches = match self { $( Self::$Name(value) => value.sketches() ),* };
+                sketches.extend(crate::kernel::sketch::of_look(self));
+                sketches
+            }
         }
 
         $( impl From<$Name> for Artefact {
@@ -182,11 +198,20 @@ artefacts! {
     Table = "table" . "json": "Rows and columns.",
     Acceptance = "acceptance" . "json": "Reference model of noise descriptors.",
     Picture = "picture" . "png": "A picture for people.",
+    Figure = "figure" . "svg": "A chart for people.",
     Meshes = "meshes" . "ply": "Named meshes in one file: blocks, removed pieces, niches.",
     File = "file" . "bin": "A file that only the programs of a pipeline look into.",
     Files = "files" . "tar": "Files in another program's own format.",
     Inventory = "inventory" . "geojson": "Rockfalls: outline and properties of each.",
     Candidates = "candidates" . "json": "An unbounded sequence of candidate blocks.",
+}
+
+impl Artefact {
+    /// A small picture of it, at most 512 pixels wide, where it is something to be seen; `beside` is what it may be seen
+    /// over, such as the face of an inventory. Equal artefacts have equal pictures.
+    pub fn preview(&self, beside: &[&Artefact]) -> Option<Preview> {
+        crate::kernel::preview::of(self, beside)
+    }
 }
 
 impl Kind {

@@ -119,6 +119,11 @@ impl Noun for Raster {
     fn decode(bytes: &[u8]) -> Result<Self, CodecError> {
         crate::kernel::geotiff::read(bytes)
     }
+    fn sketches(&self) -> Vec<super::Sketch> {
+        let mut sketches = vec![crate::kernel::sketch::of_raster(self)];
+        sketches.extend(crate::kernel::sketch::of_raster_pictures(self));
+        sketches
+    }
     fn memory_bytes(&self) -> usize {
         self.bands.len() * self.grid.cells() * 4
     }

@@ -79,6 +79,9 @@ impl Noun for Surface {
     fn decode(bytes: &[u8]) -> Result<Self, CodecError> {
         crate::kernel::surface_file::read(bytes)
     }
+    fn sketches(&self) -> Vec<super::Sketch> {
+        vec![crate::kernel::sketch::of_surface(self)]
+    }
     fn memory_bytes(&self) -> usize {
         self.points.len() * 12 + self.squares.len()
     }

@@ -131,6 +131,9 @@ fn csv_cell(text: &str) -> Cell {
 
 super::json_noun!(
     Table,
+    fn sketches(&self) -> Vec<super::Sketch> {
+        vec![crate::kernel::sketch::of_table(self)]
+    },
     fn has_exports() -> bool {
         true
     },

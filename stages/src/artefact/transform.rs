@@ -50,6 +50,13 @@ impl Transform {
         Matrix3::new(r[0][0], r[0][1], r[0][2], r[1][0], r[1][1], r[1][2], r[2][0], r[2][1], r[2][2])
     }
 
+    /// The rotation as a unit quaternion (w, x, y, z).
+    pub fn quaternion(&self) -> [f64; 4] {
+        let rotation = nalgebra::Rotation3::from_matrix_unchecked(self.matrix());
+        let unit = nalgebra::UnitQuaternion::from_rotation_matrix(&rotation);
+        [unit.w, unit.i, unit.j, unit.k]
+    }
+
     /// Takes a point from one frame to the other; the identity returns its bits.
     pub fn apply(&self, point: &Point3<f64>) -> Point3<f64> {
         if self.is_identity() {
@@ -67,7 +74,12 @@ impl Transform {
     }
 }
 
-super::json_noun!(Transform);
+super::json_noun!(
+    Transform,
+    fn sketches(&self) -> Vec<super::Sketch> {
+        vec![super::Sketch::whole("", super::sketch::Shape::Transform(self.clone()))]
+    }
+);
 
 #[cfg(test)]
 mod tests {

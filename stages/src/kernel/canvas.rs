@@ -84,6 +84,15 @@ impl Canvas {
         self.fill(x + width, top, 1, height + 2, colour);
     }
 
+    /// Lays another canvas over this one, its upper left corner at a place [x, y].
+    pub fn lay(&mut self, other: &Self, [left, top]: [usize; 2]) {
+        for (place, colour) in other.pixels.iter().enumerate() {
+            if let Some(pixel) = self.pixel(left + place % other.width, top + place / other.width) {
+                *pixel = *colour;
+            }
+        }
+    }
+
     /// Writes a text about `x`, the middle of its lower-case letters at `y`.
     pub fn text(&mut self, pen: &Pen, x: f32, y: f32, align: Align, text: &str) {
         let share = match align {
@@ -123,17 +132,27 @@ impl Canvas {
 
     /// The PNG file.
     pub fn to_png(&self) -> Result<Vec<u8>, CodecError> {
-        let fault = |e: png::EncodingError| CodecError::new(format!("cannot write the picture: {e}"));
-        let mut bytes = Vec::new();
-        let mut encoder = png::Encoder::new(&mut bytes, self.width as u32, self.height as u32);
-        encoder.set_color(png::ColorType::Rgb);
-        encoder.set_depth(png::BitDepth::Eight);
-        encoder.set_compression(png::Compression::Fast);
-        let mut writer = encoder.write_header().map_err(fault)?;
-        writer.write_image_data(self.pixels.as_flattened()).map_err(fault)?;
-        writer.finish().map_err(fault)?;
-        Ok(bytes)
+        png_of(self.width, self.height, self.pixels.as_flattened())
     }
+
+    /// Columns, rows, and red, green and blue by row from the top.
+    pub fn into_rgb(self) -> (usize, usize, Vec<u8>) {
+        (self.width, self.height, self.pixels.into_flattened())
+    }
+}
+
+/// The PNG file of red, green and blue by row from the top.
+pub fn png_of(width: usize, height: usize, rgb: &[u8]) -> Result<Vec<u8>, CodecError> {
+    let fault = |e: png::EncodingError| CodecError::new(format!("cannot write the picture: {e}"));
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, width as u32, height as u32);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_compression(png::Compression::Fast);
+    let mut writer = encoder.write_header().map_err(fault)?;
+    writer.write_image_data(rgb).map_err(fault)?;
+    writer.finish().map_err(fault)?;
+    Ok(bytes)
 }
 
 #[cfg(test)]

@@ -98,6 +98,26 @@ pub fn rounded(value: f64, step: f64) -> String {
     }
 }
 
+/// A power of ten as people write it.
+pub fn decade_label(power: i32) -> String {
+    const DIGITS: [char; 10] = [
+        '\u{2070}', '\u{b9}', '\u{b2}', '\u{b3}', '\u{2074}', '\u{2075}', '\u{2076}', '\u{2077}', '\u{2078}',
+        '\u{2079}',
+    ];
+    match power {
+        -2 => "0.01".to_owned(),
+        -1 => "0.1".to_owned(),
+        0 => "1".to_owned(),
+        1 => "10".to_owned(),
+        2 => "100".to_owned(),
+        _ => {
+            let digits = power.to_string();
+            let raised = digits.chars().map(|c| c.to_digit(10).map_or('\u{207b}', |digit| DIGITS[digit as usize]));
+            format!("10{}", raised.collect::<String>())
+        }
+    }
+}
+
 /// A length with the unit people would write: `50 cm`, `2 m`.
 pub fn length(length_m: f64) -> String {
     let (value, unit) = match length_m {
@@ -146,6 +166,11 @@ mod tests {
     #[test]
     fn lengths_read_as_people_write_them() {
         assert_eq!([0.005, 0.2, 2.0, 0.5, 20_000.0].map(length), ["5 mm", "20 cm", "2 m", "50 cm", "20 km"]);
+    }
+
+    #[test]
+    fn powers_of_ten_have_names() {
+        assert_eq!([-3, 0, 12].map(decade_label), ["10\u{207b}\u{b3}", "1", "10\u{b9}\u{b2}"]);
     }
 
     #[test]

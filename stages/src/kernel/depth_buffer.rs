@@ -5,6 +5,8 @@
 //! by two triangles is the same number with opposite sign, and edges are inclusive, so no ray slips between them. The
 //! depth is N . A / N . r with N = (B - A) x (C - A), all in f64 (paper 2.1.2, Algorithm 2 lines 9, 11 and 12).
 
+use std::ops::RangeInclusive;
+
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
@@ -75,6 +77,38 @@ pub fn draw(mesh: &Mesh, camera: &Camera, drawing: &Drawing) -> DepthBuffer {
     DepthBuffer { width, height, z_m }
 }
 
+/// What [`triangles`] says where nothing is seen.
+pub const NO_TRIANGLE: u32 = u32::MAX;
+
+/// The number of the triangle each pixel of a buffer shows, drawn from the same mesh in the same way: the first of those
+/// that lie exactly as near as the depth says; [`NO_TRIANGLE`] where there is none.
+pub fn triangles(mesh: &Mesh, camera: &Camera, drawing: &Drawing, buffer: &DepthBuffer) -> Vec<u32> {
+    let width = buffer.width;
+    let mut numbers = vec![NO_TRIANGLE; buffer.z_m.len()];
+    if numbers.is_empty() {
+        return numbers;
+    }
+    let scene = Scene::of(mesh, camera, drawing);
+    numbers.par_chunks_mut(BAND * width).zip(buffer.z_m.par_chunks(BAND * width)).enumerate().for_each(
+        |(band, (numbers, z))| {
+            scene.visit_band(
+                band,
+                z.len() / width,
+                |_| true,
+                |triangle, facet, rays, span| {
+                    for ((ray, z), number) in rays.iter().zip(&z[span.clone()]).zip(&mut numbers[span]) {
+                        let free = *number == NO_TRIANGLE && z.is_finite();
+                        if free && facet.depth(&Vector3::new(ray[0], ray[1], 1.0)).to_bits() == z.to_bits() {
+                            *number = triangle;
+                        }
+                    }
+                },
+            );
+        },
+    );
+    numbers
+}
+
 impl DepthBuffer {
     /// Empties the pixels whose points lie outside x from, x to, y from, y to, metres in the frame of the camera.
     pub fn keep_window(&mut self, camera: &Camera, downscale: u32, [x0, x1, y0, y1]: [f64; 4]) {
@@ -128,8 +162,20 @@ impl<'a> Scene<'a> {
 
     /// Draws the triangles of a band for whose first and last column `wanted` holds; those that reach far are all drawn.
     pub(super) fn draw_band_where(&self, band: usize, z: &mut [f64], wanted: impl Fn([usize; 2]) -> bool) {
-        let first_row = band * BAND;
         let rows = z.len() / self.width;
+        self.visit_band(band, rows, wanted, |_, facet, rays, span| keep_nearest(facet, rays, &mut z[span]));
+    }
+
+    /// Calls `visit` for every triangle that may cover pixels of a band and for whose first and last column `wanted` holds, with
+    /// the rays of a stretch of a row and where in the band that stretch is.
+    fn visit_band(
+        &self,
+        band: usize,
+        rows: usize,
+        wanted: impl Fn([usize; 2]) -> bool,
+        mut visit: impl FnMut(u32, &Facet, &[[f64; 2]], RangeInclusive<usize>),
+    ) {
+        let first_row = band * BAND;
         let rays = self.rays(first_row, rows);
         let extents: Vec<_> = rays.chunks(self.width).map(Extent::of).collect();
         for triangle in &self.bands[band] {
@@ -147,13 +193,13 @@ impl<'a> Scene<'a> {
                     let last = (*r1 as usize + 1 - first_row).min(rows);
                     for row in (*r0 as usize).saturating_sub(first_row)..last {
                         let span = row * self.width + *c0 as usize..=row * self.width + *c1 as usize;
-                        keep_nearest(&facet, &rays[span.clone()], &mut z[span]);
+                        visit(*triangle, &facet, &rays[span.clone()], span);
                     }
                 }
                 Reach::Wide { x, y } => {
                     for row in (0..rows).filter(|row| extents[*row].meets(*x, *y)) {
-                        let span = row * self.width..(row + 1) * self.width;
-                        keep_nearest(&facet, &rays[span.clone()], &mut z[span]);
+                        let span = row * self.width..=(row + 1) * self.width - 1;
+                        visit(*triangle, &facet, &rays[span.clone()], span);
                     }
                 }
             }
@@ -327,5 +373,32 @@ mod tests {
             pool.install(|| draw(&mesh, &turned(&bent()), &ALL))
         };
         assert_eq!(draw_with(1), draw_with(3));
+    }
+
+    #[test]
+    fn every_pixel_names_a_triangle_its_ray_meets_at_its_depth() {
+        let mesh = height_mesh(40, [-9.0, 9.0, -9.0, 9.0], |x, y| (x * 3.0).abs() - (y * 2.0).abs());
+        for drawing in [ALL, Drawing { downscale: 3, ..ALL }, Drawing { front_only: false, ..ALL }] {
+            let camera = turned(&bent());
+            let buffer = draw(&mesh, &camera, &drawing);
+            let found = triangles(&mesh, &camera, &drawing, &buffer);
+            let mut seen = 0;
+            for (i, (z, triangle)) in buffer.z_m.iter().zip(&found).enumerate() {
+                assert_eq!(z.is_finite(), *triangle != NO_TRIANGLE);
+                if !z.is_finite() {
+                    continue;
+                }
+                let pixel = full_pixel(i % buffer.width, i / buffer.width, drawing.downscale);
+                let point = camera.unproject(camera.normalised(pixel).unwrap(), *z);
+                let [a, b, c] = mesh.triangles[*triangle as usize].map(|v| Vector3::from(mesh.vertices[v as usize]));
+                let normal = (b - a).cross(&(c - a)).normalize();
+                assert!((point - a).dot(&normal).abs() < 1e-9);
+                let inside =
+                    [(a, b), (b, c), (c, a)].iter().all(|(p, q)| (q - p).cross(&(point - p)).dot(&normal) > -1e-9);
+                assert!(inside, "pixel {i} lies outside triangle {triangle}");
+                seen += 1;
+            }
+            assert!(seen > 50);
+        }
     }
 }

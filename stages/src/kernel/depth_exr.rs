@@ -25,6 +25,12 @@ const CONVENTION: &str = "Z: depth along the optical axis in metres (not distanc
      right, y down, z forward; camera_from_object is the quaternion (w, x, y, z) of R, centre_m is C. Disparities and \
      noise are in depth-map pixels.";
 
+/// Added where there are further channels.
+const FURTHER: &str = " range: distance along the ray in metres. triangle: number in the mesh, from 0. valid: 1 where there is a depth, \
+     else 0. disparity = disparity.ideal + noise.local + noise.regular + noise.blunder + noise.sub_pixel, terms that are not \
+     there being zero; disparity.ideal is that of the true projections rectified by the noisy cameras. y_parallax: rectified \
+     row in the first image less that in the second.";
+
 /// What a depth map is besides its channels.
 #[derive(PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -37,7 +43,9 @@ struct Camera {
 
 /// Writes a depth map; equal maps have equal bytes and NaN keeps its bits.
 pub fn write(depth: &Depth) -> Result<Vec<u8>, CodecError> {
-    let mut attributes = LayerAttributes { comments: Some(text(CONVENTION)?), ..LayerAttributes::default() };
+    let further = if depth.channels.is_empty() { "" } else { FURTHER };
+    let comments = Some(text(&format!("{CONVENTION}{further}"))?);
+    let mut attributes = LayerAttributes { comments, ..LayerAttributes::default() };
     attributes.other.insert(text(CAMERA_ATTRIBUTE)?, AttributeValue::Text(text(&ascii_json(depth)?)?));
     let channels = AnyChannels::sort(channels(depth)?.into_iter().collect());
     let layer = Layer::new((depth.width, depth.height), attributes, Encoding::UNCOMPRESSED, channels);

@@ -13,7 +13,7 @@ use crate::artefact::Depth;
 use crate::fail;
 use crate::kernel::camera::{Camera, full_pixel};
 use crate::kernel::matching_noise::{FieldRecipe, LocalNoise, Lookup, SmoothNoise};
-use crate::kernel::noise::terms::{Lookups, Site, Terms};
+use crate::kernel::noise::terms::{DisparityError, Lookups, Site, Terms};
 use crate::kernel::own_row::{OwnPixel, OwnRow, noisy_ray};
 use crate::kernel::random::Key;
 use crate::kernel::rectification::{Placed, Rectification};
@@ -51,16 +51,28 @@ pub struct Matcher<'a> {
 pub struct Match {
     /// Depth on the noisy ray, metres.
     pub depth_m: f64,
-    /// Noisy disparity, pixels.
+    /// Normalised coordinates of the noisy ray.
+    pub noisy_ray: [f64; 2],
+    /// Disparity without noise of the matching, pixels: that of the true projections, rectified by the noisy cameras.
+    pub ideal_px: f64,
+    /// Noise of the matching, term by term.
+    pub error: DisparityError,
+    /// What the sub-pixel step adds, pixels.
+    pub sub_pixel_px: f64,
+    /// Noisy disparity, pixels: the sum of the ideal one and all terms.
     pub disparity_px: f64,
-    /// Local noise in it, pixels.
-    pub local_px: f64,
-    /// Smooth noise in it, pixels.
-    pub regular_px: f64,
     /// Row of the first rectified position less that of the second, pixels.
     pub y_parallax_px: f64,
     /// Depth a pixel of disparity is worth, metres.
     pub depth_per_px_m: f64,
+}
+
+impl Match {
+    /// Distance along the noisy ray, metres.
+    pub fn range_m(&self) -> f64 {
+        let [x, y] = self.noisy_ray;
+        self.depth_m * (x * x + y * y + 1.0).sqrt()
+    }
 }
 
 /// Sums over the matched pixels of an image, added up in the order of its rows.
@@ -206,42 +218,44 @@ impl Matcher<'_> {
         let other_place = self.rectification.place(other, seen_noisy_ray)?;
         let (first, second) = if own == 0 { (&own_place, &other_place) } else { (&other_place, &own_place) };
         let fb_px_m = self.rectification.focal_px * self.rectification.baseline_m;
-        let true_px = first.position_px[0] - second.position_px[0];
+        let ideal_px = first.position_px[0] - second.position_px[0];
         let level = [pixel.column as f64, row as f64];
         let (first_px, second_px) = if own == 0 { (level, seen_level) } else { (seen_level, level) };
-        let (local_px, regular_px, disparity_px) = if let Some(terms) = &self.terms {
+        let error = if let Some(terms) = &self.terms {
             let pixel_index = row * self.ideal[own].width + pixel.column;
             let point_m = [pixel.point_m.x, pixel.point_m.y];
             let disparity_px_m = fb_px_m / own_place.slant;
             let rectified_px = first.position_px;
             let site = Site { first_px, second_px, rectified_px, point_m, pixel: pixel_index, disparity_px_m };
-            let [local_px, regular_px] = terms.error_px(&site, &mut draws.terms)?;
-            (local_px, regular_px, terms.sub_pixel(true_px + (local_px + regular_px)))
+            terms.error(&site, &mut draws.terms)?
         } else {
-            let (local_px, regular_px) = self.paper_noise(first_px, first.position_px, draws);
-            (local_px, regular_px, true_px + (local_px + regular_px))
+            self.paper_noise(first_px, first.position_px, draws)
         };
+        let matched_px = ideal_px + (error.local_px() + error.regular_px);
+        let disparity_px = self.terms.as_ref().map_or(matched_px, |terms| terms.sub_pixel(matched_px));
         // Z = f B / D across the rectified plane, and dZ = Z^2 / (f B) dD; both along the own ray by its slant.
         let parallax_px = self.rectification.parallax_px(disparity_px)?;
         let depth_m = fb_px_m / (parallax_px * own_place.slant);
         Some(Match {
             depth_m,
+            noisy_ray: pixel.noisy_ray,
+            ideal_px,
+            error,
+            sub_pixel_px: disparity_px - matched_px,
             disparity_px,
-            local_px,
-            regular_px,
             y_parallax_px: first.position_px[1] - second.position_px[1],
             depth_per_px_m: depth_m / parallax_px,
         })
     }
 
-    /// White and smooth noise of a pixel, pixels.
-    fn paper_noise(&self, first_px: [f64; 2], rectified_px: [f64; 2], draws: &mut Draws) -> (f64, f64) {
-        let local_px = self.local.as_ref().map_or(0.0, |(sigma, _)| {
+    /// White and smooth noise of a pixel.
+    fn paper_noise(&self, first_px: [f64; 2], rectified_px: [f64; 2], draws: &mut Draws) -> DisparityError {
+        let white_px = self.local.as_ref().map_or(0.0, |(sigma, _)| {
             let [column, row] = first_px.map(nearest);
             sigma * f64::from(draws.at(column, row))
         });
         let regular_px = self.smooth.as_ref().map_or(0.0, |(sigma, noise)| sigma * noise.at(rectified_px));
-        (local_px, regular_px)
+        DisparityError { white_px, blunder_px: 0.0, regular_px, relief_px: 0.0, strength: 1.0 }
     }
 
     /// Whether an image sees a point at depth `z_m` that projects to `level`: it is inside, and not behind all that the

@@ -81,6 +81,28 @@ impl Relief {
     }
 }
 
+/// The error of a disparity, term by term.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DisparityError {
+    /// Local noise, pixels.
+    pub white_px: f64,
+    /// What a match in the wrong place adds, pixels.
+    pub blunder_px: f64,
+    /// Smooth noise, pixels.
+    pub regular_px: f64,
+    /// Deviation the relief within the window gives the local noise (part of `white_px`), pixels.
+    pub relief_px: f64,
+    /// Factor of acquisition, texture and conditions on local and smooth noise (part of both).
+    pub strength: f64,
+}
+
+impl DisparityError {
+    /// Local noise and blunder, pixels.
+    pub fn local_px(&self) -> f64 {
+        self.white_px + self.blunder_px
+    }
+}
+
 /// Everything that makes the error of a disparity.
 #[derive(Debug, Clone)]
 pub struct Terms {
@@ -112,8 +134,8 @@ impl Terms {
         Lookups(self.local.1.iter().map(Part::lookup).collect())
     }
 
-    /// Local and smooth error of a disparity before the sub-pixel step, pixels; `None` in a hole. Blunders count as local.
-    pub fn error_px(&self, site: &Site, lookups: &mut Lookups) -> Option<[f64; 2]> {
+    /// The error of a disparity before the sub-pixel step; `None` in a hole.
+    pub fn error(&self, site: &Site, lookups: &mut Lookups) -> Option<DisparityError> {
         if self.holes.as_ref().is_some_and(|holes| holes.covers(site.first_px)) {
             return None;
         }
@@ -121,8 +143,9 @@ impl Terms {
         let sigma_px = (self.local.0 * self.local.0 + relief_px * relief_px).sqrt();
         let strength = self.strength(site);
         let blunder_px = self.blunders.as_ref().map_or(0.0, |blunders| blunders.at(site.first_px));
-        let local_px = strength * sigma_px * lookups.unit(&self.local.1, site) + blunder_px;
-        Some([local_px, strength * self.regular.0 * unit(&self.regular.1, site)])
+        let white_px = strength * sigma_px * lookups.unit(&self.local.1, site);
+        let regular_px = strength * self.regular.0 * unit(&self.regular.1, site);
+        Some(DisparityError { white_px, blunder_px, regular_px, relief_px, strength })
     }
 
     fn strength(&self, site: &Site) -> f64 {
@@ -221,15 +244,15 @@ pub(crate) mod tests {
         }
     }
 
-    fn error(terms: &Terms, site: &Site) -> Option<[f64; 2]> {
-        terms.error_px(site, &mut terms.lookups())
+    fn error(terms: &Terms, site: &Site) -> Option<DisparityError> {
+        terms.error(site, &mut terms.lookups())
     }
 
     #[test]
     fn relief_adds_in_squares_and_the_acquisition_multiplies() {
-        let [bare, _] = error(&plain(), &SITE).unwrap();
+        let bare = error(&plain(), &SITE).unwrap().local_px();
         let relief = Some(Relief { gain: 2.0, power: 2.0, limit_px: 3.0, inverse_depth: vec![6e-4] });
-        let [more, _] = error(&Terms { relief, acquisition: 1.5, ..plain() }, &SITE).unwrap();
+        let more = error(&Terms { relief, acquisition: 1.5, ..plain() }, &SITE).unwrap().local_px();
         let expected = 1.5 * (0.25f64 + 0.72 * 0.72).sqrt() / 0.5;
         assert!((more / bare - expected).abs() < 1e-6, "{more} {bare}");
     }
@@ -240,8 +263,8 @@ pub(crate) mod tests {
         let holes = Some(Patches::new(1.0, field()));
         assert_eq!(error(&Terms { holes, ..plain() }, &SITE), None);
         let blunders = Some(Blunders { patches: Patches::new(1.0, field()), sigma_px: 4.0, error: field() });
-        let [with, _] = error(&Terms { blunders, ..plain() }, &SITE).unwrap();
-        let [without, _] = error(&plain(), &SITE).unwrap();
+        let with = error(&Terms { blunders, ..plain() }, &SITE).unwrap().local_px();
+        let without = error(&plain(), &SITE).unwrap().local_px();
         assert!((with - without - 4.0 * field().at(SITE.first_px)).abs() < 1e-12);
     }
 

@@ -2,6 +2,7 @@
 
 use crate::artefact::CodecError;
 use crate::kernel::canvas::{Align, Canvas, Pen};
+use crate::kernel::colour_scale::decade_label;
 use crate::kernel::precise;
 
 use super::strokes::{self, Place};
@@ -64,14 +65,14 @@ impl Decades {
             let x = self.place(power_of_ten(power), 1.0)[0];
             strokes::line(canvas, [x, top], [x, bottom], 1.0, HAIR);
             if labelled(power, self.x) {
-                canvas.text(&pen, x as f32, bottom as f32 + 16.0, Align::Middle, &label(power));
+                canvas.text(&pen, x as f32, bottom as f32 + 16.0, Align::Middle, &decade_label(power));
             }
         }
         for power in self.y[0]..=self.y[1] {
             let y = self.place(1.0, power_of_ten(power))[1];
             strokes::line(canvas, [left, y], [right, y], 1.0, HAIR);
             if labelled(power, self.y) {
-                canvas.text(&pen, left as f32 - 9.0, y as f32, Align::Right, &label(power));
+                canvas.text(&pen, left as f32 - 9.0, y as f32, Align::Right, &decade_label(power));
             }
         }
         Ok(())
@@ -101,36 +102,15 @@ fn power_of_ten(power: i32) -> f64 {
     precise::pow(10.0, f64::from(power))
 }
 
-/// A power of ten as people write it.
-fn label(power: i32) -> String {
-    const DIGITS: [char; 10] = [
-        '\u{2070}', '\u{b9}', '\u{b2}', '\u{b3}', '\u{2074}', '\u{2075}', '\u{2076}', '\u{2077}', '\u{2078}',
-        '\u{2079}',
-    ];
-    match power {
-        -2 => "0.01".to_owned(),
-        -1 => "0.1".to_owned(),
-        0 => "1".to_owned(),
-        1 => "10".to_owned(),
-        2 => "100".to_owned(),
-        _ => {
-            let digits = power.to_string();
-            let raised = digits.chars().map(|c| c.to_digit(10).map_or('\u{207b}', |digit| DIGITS[digit as usize]));
-            format!("10{}", raised.collect::<String>())
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn decades_hold_their_values_and_have_names() {
+    fn decades_hold_their_values() {
         assert_eq!(decades([0.003, 0.2, -1.0].into_iter()), [-3, 0]);
         assert_eq!(decades([0.01, 0.01].into_iter()), [-2, -1]);
         assert_eq!(decades(std::iter::empty()), [0, 1]);
-        assert_eq!([label(-3), label(0), label(12)], ["10\u{207b}\u{b3}", "1", "10\u{b9}\u{b2}"]);
     }
 
     #[test]

@@ -58,7 +58,8 @@ pub fn draw(
     }
     canvas.frame(left, top, view.width, view.height, FAINT);
     draw_bar(canvas, scale, [left + view.width + 30, top], view.height.min(420), figure)?;
-    draw_scale(canvas, view.width as f64, view.pixel_m, [left, top + view.height + 24])
+    let pen = Pen::plain(15.0, INK)?;
+    draw_scale(canvas, view.width as f64, view.pixel_m, [left, top + view.height + 24], &pen)
 }
 
 /// The relief with the niches over it, small ones over large ones.

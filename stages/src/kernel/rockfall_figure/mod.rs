@@ -6,7 +6,7 @@
 mod axes;
 mod face;
 mod frequency;
-mod strokes;
+pub(in crate::kernel) mod strokes;
 mod ternary;
 mod volumes;
 

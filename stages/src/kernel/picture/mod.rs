@@ -7,18 +7,76 @@ use crate::artefact::CodecError;
 use super::canvas::{Align, Canvas, Colour, Pen};
 use super::colour_scale::{ColourScale, NO_DATA, labels, length, round_step, rounded};
 
-const MARGIN: usize = 28;
-const TITLE: usize = 64;
-const FOOT: usize = 52;
-const BAR_GAP: usize = 26;
-const BAR_WIDTH: usize = 22;
-const LABELS: usize = 92;
+pub mod look;
+
 const INK: Colour = [32, 32, 36];
 const FAINT: Colour = [96, 98, 104];
-/// Smallest width of the values in the picture, so that title and scale fit.
-const LEAST_WIDTH: usize = 320;
 /// Pixels a cell becomes at most when a small grid is enlarged.
 const MAXIMUM_ENLARGEMENT: usize = 40;
+
+/// Room and sizes of text around the values, pixels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Layout {
+    margin: usize,
+    /// Over the values.
+    head: usize,
+    /// Under them.
+    foot: usize,
+    bar_gap: usize,
+    bar_width: usize,
+    /// Right of the bar.
+    labels: usize,
+    /// Smallest width of the values in the picture, so that text and scale fit.
+    least_width: usize,
+    least_bar: usize,
+    /// Height of the title; without one there is none.
+    title_px: Option<f32>,
+    subtitle_px: f32,
+    text_px: f32,
+}
+
+/// A picture to be looked at by itself.
+pub const FULL: Layout = Layout {
+    margin: 28,
+    head: 64,
+    foot: 52,
+    bar_gap: 26,
+    bar_width: 22,
+    labels: 92,
+    least_width: 320,
+    least_bar: 160,
+    title_px: Some(24.0),
+    subtitle_px: 16.0,
+    text_px: 15.0,
+};
+
+/// A small picture beside others, whose title stands elsewhere.
+pub const SMALL: Layout = Layout {
+    margin: 8,
+    head: 24,
+    foot: 24,
+    bar_gap: 12,
+    bar_width: 12,
+    labels: 64,
+    least_width: 200,
+    least_bar: 110,
+    title_px: None,
+    subtitle_px: 12.5,
+    text_px: 12.5,
+};
+
+impl Layout {
+    /// Pixels there are for the values along their longer side.
+    pub fn room(&self, max_width_px: usize) -> usize {
+        let around = 2 * self.margin + self.bar_gap + self.bar_width + self.labels;
+        max_width_px.saturating_sub(around).max(self.least_width)
+    }
+
+    /// The upper left corner of the values [x, y], pixels.
+    pub fn corner(&self) -> [usize; 2] {
+        [self.margin, self.margin + self.head]
+    }
+}
 
 /// What is drawn.
 pub struct Subject<'a> {
@@ -38,48 +96,61 @@ pub struct Subject<'a> {
     pub subtitle: String,
     /// Unit of the colour bar and how many of it make one of the values' own units.
     pub unit: (&'static str, f64),
+    /// What is up in the picture, where that is to be said.
+    pub up: Option<&'static str>,
 }
 
-/// Draws a grid; the whole picture is at most `max_width_px` wide (at least about 500) and its values as high.
+/// Draws a grid as PNG; the whole picture is at most `max_width_px` wide (at least about 500) and its values as high.
 pub fn draw(subject: &Subject, max_width_px: usize) -> Result<Vec<u8>, CodecError> {
-    let view = View::of(subject, room(max_width_px));
-    let box_width = view.width.max(LEAST_WIDTH);
-    let width = 2 * MARGIN + box_width + BAR_GAP + BAR_WIDTH + LABELS;
-    let bar_height = view.height.max(160);
-    let mut canvas = Canvas::new(width, MARGIN + TITLE + bar_height + FOOT + MARGIN / 2);
-    let top = MARGIN + TITLE;
-    write_titles(&mut canvas, subject, box_width + BAR_GAP + BAR_WIDTH + LABELS)?;
-    view.paint(&mut canvas, MARGIN, top, subject);
-    canvas.frame(MARGIN, top, view.width, view.height, FAINT);
-    draw_bar(&mut canvas, subject, MARGIN + box_width + BAR_GAP, top, bar_height)?;
-    let foot = top + bar_height + 26;
+    paint(subject, max_width_px, &FULL)?.to_png()
+}
+
+/// Draws a grid in a layout; the whole picture is at most `max_width_px` wide, where the layout lets it, and its values as high.
+pub fn paint(subject: &Subject, max_width_px: usize, layout: &Layout) -> Result<Canvas, CodecError> {
+    let view = View::of(subject, layout.room(max_width_px));
+    let [left, top] = layout.corner();
+    let box_width = view.width.max(layout.least_width);
+    let bar_left = left + box_width + layout.bar_gap;
+    let bar_height = view.height.max(layout.least_bar);
+    let mut canvas =
+        Canvas::new(bar_left + layout.bar_width + layout.labels + left, top + bar_height + layout.foot + left / 2);
+    write_titles(&mut canvas, subject, layout, box_width)?;
+    view.paint(&mut canvas, left, top, subject);
+    canvas.frame(left, top, view.width, view.height, FAINT);
+    draw_bar(&mut canvas, subject, layout, [bar_left, top, bar_height])?;
+    let foot = top + bar_height + layout.foot / 2;
+    let pen = Pen::plain(layout.text_px, INK)?;
     if let Some(cell_m) = subject.cell_m {
-        draw_scale(&mut canvas, view.width as f64, cell_m * view.cells_per_pixel, [MARGIN, foot])?;
+        draw_scale(&mut canvas, view.width as f64, cell_m * view.cells_per_pixel, [left, foot], &pen)?;
+    }
+    if let Some(up) = subject.up {
+        let text = format!("\u{2191} {up}");
+        canvas.text(&pen, (left + box_width) as f32, foot as f32, Align::Right, &text);
     }
     if subject.values.iter().any(|v| v.is_nan()) {
-        let x = MARGIN + box_width + BAR_GAP;
-        canvas.fill(x, foot - 8, BAR_WIDTH, 16, NO_DATA);
-        canvas.frame(x, foot - 8, BAR_WIDTH, 16, FAINT);
-        canvas.text(&Pen::plain(15.0, INK)?, (x + BAR_WIDTH + 10) as f32, foot as f32, Align::Left, "no value");
+        let side = layout.text_px as usize + 1;
+        canvas.fill(bar_left, foot - side / 2, layout.bar_width, side, NO_DATA);
+        canvas.frame(bar_left, foot - side / 2, layout.bar_width, side, FAINT);
+        let text_left = (bar_left + layout.bar_width) as f32 + 0.65 * layout.text_px;
+        canvas.text(&pen, text_left, foot as f32, Align::Left, "no value");
     }
-    canvas.to_png()
+    Ok(canvas)
 }
 
-/// Pixels there are for the values along their longer side.
-pub fn room(max_width_px: usize) -> usize {
-    max_width_px.saturating_sub(2 * MARGIN + BAR_GAP + BAR_WIDTH + LABELS).max(LEAST_WIDTH)
-}
-
-fn write_titles(canvas: &mut Canvas, subject: &Subject, room: usize) -> Result<(), CodecError> {
-    let x = MARGIN as f32;
+fn write_titles(canvas: &mut Canvas, subject: &Subject, layout: &Layout, box_width: usize) -> Result<(), CodecError> {
+    let x = layout.margin as f32;
     let below: Vec<String> = [Some(subject.subtitle.clone()).filter(|text| !text.is_empty()), beyond(subject)]
         .into_iter()
         .flatten()
         .collect();
-    for (pen, y, mut text) in [
-        (Pen::bold(24.0, INK)?, MARGIN as f32 + 10.0, subject.title.clone()),
-        (Pen::plain(16.0, FAINT)?, MARGIN as f32 + 40.0, below.join(", ")),
-    ] {
+    let beside = layout.bar_gap + layout.bar_width + layout.labels;
+    let (mut lines, mut room, mut y) = (Vec::new(), box_width, x + 4.0);
+    if let Some(title_px) = layout.title_px {
+        lines.push((Pen::bold(title_px, INK)?, x + 10.0, subject.title.clone()));
+        (room, y) = (box_width + beside, x + 40.0);
+    }
+    lines.push((Pen::plain(layout.subtitle_px, FAINT)?, y, below.join(", ")));
+    for (pen, y, mut text) in lines {
         while pen.width(&text) > room as f32 {
             text = text.trim_end_matches('\u{2026}').to_owned();
             text.pop();
@@ -110,37 +181,49 @@ fn beyond(subject: &Subject) -> Option<String> {
     Some(format!("{share} % beyond the colours, to {value} {unit}").trim_end().to_owned())
 }
 
-fn draw_bar(canvas: &mut Canvas, subject: &Subject, x: usize, top: usize, height: usize) -> Result<(), CodecError> {
-    let (scale, (unit, per_one)) = (&subject.scale, subject.unit);
+/// Draws the colour bar, its left edge, top and height given, pixels.
+fn draw_bar(
+    canvas: &mut Canvas,
+    subject: &Subject,
+    layout: &Layout,
+    [x, top, height]: [usize; 3],
+) -> Result<(), CodecError> {
+    let (scale, (unit, per_one), bar_width) = (&subject.scale, subject.unit, layout.bar_width);
     let span = scale.high - scale.low;
     for row in 0..height {
         let value = scale.high - span * (row as f64 + 0.5) / height as f64;
-        canvas.fill(x, top + row, BAR_WIDTH, 1, scale.colour(value));
+        canvas.fill(x, top + row, bar_width, 1, scale.colour(value));
     }
-    canvas.frame(x, top, BAR_WIDTH, height, FAINT);
-    let pen = Pen::plain(15.0, INK)?;
+    canvas.frame(x, top, bar_width, height, FAINT);
+    let pen = Pen::plain(layout.text_px, INK)?;
     // Ticks round in the unit that is shown.
     let shown = ColourScale { low: scale.low * per_one, high: scale.high * per_one, ..*scale };
     let ticks = shown.ticks((height as f64 / 70.0).clamp(3.0, 9.0));
     for (tick, label) in ticks.iter().zip(labels(&ticks, 1.0)) {
         let y = top as f64 + (shown.high - tick) / (shown.high - shown.low) * height as f64;
-        canvas.fill(x + BAR_WIDTH + 1, y.round() as usize, 6, 1, FAINT);
-        canvas.text(&pen, (x + BAR_WIDTH + 12) as f32, y as f32, Align::Left, &label);
+        canvas.fill(x + bar_width + 1, y.round() as usize, 6, 1, FAINT);
+        canvas.text(&pen, (x + bar_width + 12) as f32, y as f32, Align::Left, &label);
     }
-    let middle = (x + BAR_WIDTH / 2) as f32;
+    let middle = (x + bar_width / 2) as f32;
     canvas.text(&pen, middle, top as f32 - 16.0, Align::Middle, unit);
     Ok(())
 }
 
-/// Draws a bar of a round length, about an eighth of a width in pixels, from a point [x, y] to the right; `pixel_m` is the side of a
-/// pixel, metres.
-pub fn draw_scale(canvas: &mut Canvas, width_px: f64, pixel_m: f64, [x, y]: [usize; 2]) -> Result<(), CodecError> {
+/// Draws a bar of a round length, about an eighth of a width in pixels, from a point [x, y] to the right, its length written
+/// with `pen`; `pixel_m` is the side of a pixel, metres.
+pub fn draw_scale(
+    canvas: &mut Canvas,
+    width_px: f64,
+    pixel_m: f64,
+    [x, y]: [usize; 2],
+    pen: &Pen,
+) -> Result<(), CodecError> {
     let length_m = round_step(width_px * pixel_m / 8.0);
     let long = (length_m / pixel_m).round() as usize;
     canvas.fill(x, y - 3, long, 6, INK);
     canvas.fill(x + long / 2, y - 2, long / 2, 4, [255; 3]);
     canvas.fill(x + long.saturating_sub(1), y - 3, 1, 6, INK);
-    canvas.text(&Pen::plain(15.0, INK)?, (x + long + 10) as f32, y as f32, Align::Left, &length(length_m));
+    canvas.text(pen, (x + long + 10) as f32, y as f32, Align::Left, &length(length_m));
     Ok(())
 }
 
@@ -251,7 +334,17 @@ mod tests {
     fn subject(values: &[f32], columns: usize) -> Subject<'_> {
         let scale = ColourScale { palette: Palette::RedBlue, low: -1.0, high: 1.0 };
         let (title, subtitle) = ("T".to_owned(), String::new());
-        Subject { columns, values, cell_m: Some(0.1), shaded: false, scale, title, subtitle, unit: ("m", 1.0) }
+        Subject {
+            columns,
+            values,
+            cell_m: Some(0.1),
+            shaded: false,
+            scale,
+            title,
+            subtitle,
+            unit: ("m", 1.0),
+            up: None,
+        }
     }
 
     #[test]
@@ -261,7 +354,8 @@ mod tests {
         let (width, _, pixels) = decoded(draw(&subject, 600).unwrap());
         let side = MAXIMUM_ENLARGEMENT;
         for (cell, value) in values.iter().enumerate() {
-            let (x, y) = (MARGIN + side / 2 + cell % 2 * side, MARGIN + TITLE + side / 2 + cell / 2 * side);
+            let (x, y) =
+                (FULL.margin + side / 2 + cell % 2 * side, FULL.margin + FULL.head + side / 2 + cell / 2 * side);
             let at = 3 * (y * width + x);
             assert_eq!(pixels[at..at + 3], subject.scale.colour(f64::from(*value)), "cell {cell}");
         }

@@ -1,0 +1,96 @@
+//! Leases: what live processes count on, so that a collection leaves it alone.
+
+use std::collections::BTreeSet;
+use std::fs::File;
+use std::io::Write;
+use std::path::Path;
+use std::sync::PoisonError;
+use std::time::UNIX_EPOCH;
+
+use crate::error::{At, StoreError};
+use crate::locks::is_abandoned;
+use crate::open::LIVE;
+use crate::{Digest, Store};
+
+/// Bytes of a key.
+const KEY_BYTES: usize = 32;
+
+/// What the live processes that use a store count on.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Live {
+    /// How many there are.
+    pub count: usize,
+    /// When the first of them began, seconds since 1970: what was written since may be named soon.
+    pub since_unix_s: Option<u64>,
+    /// The keys of records they count on.
+    pub keys: BTreeSet<Digest>,
+}
+
+impl Store {
+    /// Says that this process counts on these records until the store is dropped: no collection removes them.
+    ///
+    /// The first call says that the process is live.
+    pub fn count_on(&self, keys: &[Digest]) -> Result<(), StoreError> {
+        let mut lease = self.lease.lock().unwrap_or_else(PoisonError::into_inner);
+        let file = match &mut *lease {
+            Some(file) => file,
+            None => lease.insert(begin(&self.dir().join(LIVE))?),
+        };
+        let bytes: Vec<u8> = keys.iter().flat_map(|key| *key.as_bytes()).collect();
+        file.write_all(&bytes).at("write", file.path())
+    }
+
+    /// What other live processes, and this one, count on.
+    pub fn live(&self) -> Result<Live, StoreError> {
+        let folder = self.dir().join(LIVE);
+        let mut live = Live::default();
+        for entry in std::fs::read_dir(&folder).at("list", &folder)? {
+            let path = entry.at("list", &folder)?.path();
+            let Ok(file) = File::open(&path) else { continue };
+            if is_abandoned(&file, &path) {
+                continue;
+            }
+            live.count += 1;
+            let bytes = std::fs::read(&path).at("read", &path)?;
+            live.keys
+                .extend(bytes.chunks_exact(KEY_BYTES).filter_map(|key| Some(Digest::from_bytes(key.try_into().ok()?))));
+            let began = file.metadata().and_then(|meta| meta.created().or_else(|_| meta.modified()));
+            let began = began.ok().and_then(|at| at.duration_since(UNIX_EPOCH).ok()).map_or(0, |since| since.as_secs());
+            live.since_unix_s = Some(live.since_unix_s.map_or(began, |first| first.min(began)));
+        }
+        Ok(live)
+    }
+}
+
+/// A file that is locked as long as this process lives and removed with the store.
+fn begin(folder: &Path) -> Result<tempfile::NamedTempFile, StoreError> {
+    loop {
+        let file = tempfile::Builder::new().prefix("run-").tempfile_in(folder).at("write into", folder)?;
+        file.as_file().lock().at("lock a file in", folder)?;
+        // Swept up between its making and its locking? Then make another.
+        if crate::segment::is_at(file.as_file(), file.path()) {
+            return Ok(file);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_live_process_says_what_it_counts_on_until_it_ends() {
+        let place = tempfile::tempdir().unwrap();
+        let open = || Store::open(&place.path().join("store")).unwrap();
+        let (one, other) = (open(), open());
+        assert_eq!(one.live().unwrap(), Live::default());
+        let keys = [Digest::of(b"a"), Digest::of(b"b")];
+        one.count_on(&keys[..1]).unwrap();
+        one.count_on(&keys[1..]).unwrap();
+        let live = other.live().unwrap();
+        assert_eq!((live.count, live.keys), (1, keys.into()));
+        assert!(live.since_unix_s.is_some_and(|since| since > 0));
+        drop(one);
+        assert_eq!(open().live().unwrap(), Live::default());
+    }
+}

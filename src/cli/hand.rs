@@ -1,0 +1,95 @@
+//! `rockface store push` and `pull`: results from one store to another.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use rockface_cache::{Digest, Handed, Store};
+use serde_json::json;
+
+use super::places::Places;
+use super::table::bytes;
+use super::{CliError, say};
+use crate::history;
+
+/// Arguments of `rockface store push` and `pull`.
+#[derive(Debug, Args)]
+pub struct HandArgs {
+    /// The folder of the other store, such as `/shared/rockface/store`.
+    other: PathBuf,
+    /// Only what this run names: a run folder, its name, a part of it, or `latest`; may be given several times.
+    #[arg(long, value_name = "RUN")]
+    run: Vec<String>,
+    #[command(flatten)]
+    places: Places,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+impl HandArgs {
+    /// Hands results on.
+    pub fn push(self) -> Result<(), CliError> {
+        let own = self.places.open_store()?;
+        let other = Store::open(&self.other)?;
+        let keys = self.keys(&own)?;
+        self.hand((&own, &other), &keys)
+    }
+
+    /// Takes results.
+    pub fn pull(self) -> Result<(), CliError> {
+        if !is_store(&self.other) {
+            let hint = "give the folder that has the file `format` in it";
+            return Err(CliError::Usage(format!("there is no store in {}: {hint}", self.other.display())));
+        }
+        let (own, other) = (self.places.make_store()?, Store::open(&self.other)?);
+        let keys = self.keys(&other)?;
+        self.hand((&other, &own), &keys)
+    }
+
+    /// The keys that are asked for: those of the runs, or all there are.
+    fn keys(&self, from: &Store) -> Result<Vec<Digest>, CliError> {
+        if self.run.is_empty() {
+            return Ok(from.keys());
+        }
+        let mut keys = Vec::new();
+        for name in &self.run {
+            let run = history::find(&self.places.runs, name)?;
+            keys.extend(run.manifest.steps.iter().filter_map(|done| done.key));
+        }
+        keys.sort_unstable();
+        keys.dedup();
+        Ok(keys)
+    }
+
+    fn hand(&self, (from, to): (&Store, &Store), keys: &[Digest]) -> Result<(), CliError> {
+        if from.dir() == to.dir() {
+            return Err(CliError::Usage(format!("{} is both stores", from.dir().display())));
+        }
+        let handed = from.hand_to(to, keys)?;
+        if self.json {
+            say(&json!(handed).to_string());
+        } else {
+            say(&told(&handed, to));
+        }
+        Ok(())
+    }
+}
+
+fn is_store(folder: &Path) -> bool {
+    folder.join("format").is_file()
+}
+
+fn told(handed: &Handed, to: &Store) -> String {
+    let missing = match handed.missing {
+        0 => String::new(),
+        missing => format!("; {missing} are not whole where they were to come from"),
+    };
+    format!(
+        "{} records with {} outputs ({}) handed to {}, {} were there{missing}",
+        handed.records,
+        handed.blobs,
+        bytes(handed.bytes),
+        to.dir().display(),
+        handed.known
+    )
+}

@@ -1,0 +1,156 @@
+//! What there is to say of an artefact or a log: sizes, ranges, missing values.
+
+use rockface_stages::artefact::{Artefact, Mesh, Raster, Table};
+#[cfg(test)]
+use serde_json::Map;
+use serde_json::{Value, json};
+
+use super::Facts;
+
+/// What an MCAP file holds.
+pub fn of_log(bytes: &[u8]) -> Facts {
+    let mut facts: Facts = vec![("kind".into(), "MCAP log".into())];
+    let Some(summary) = mcap::Summary::read(bytes).ok().flatten() else { return facts };
+    let counts = summary.stats.as_ref().map(|stats| stats.channel_message_counts.clone()).unwrap_or_default();
+    if let Some(stats) = &summary.stats {
+        facts.push(("messages".into(), stats.message_count.into()));
+        facts.push(("attachments".into(), stats.attachment_count.into()));
+        facts.push(("seconds".into(), (stats.message_end_time / 1_000_000_000).into()));
+    }
+    let mut topics: Vec<String> = summary
+        .channels
+        .values()
+        .map(|channel| {
+            let schema = channel.schema.as_ref().map_or("no schema", |schema| schema.name.as_str());
+            format!("{} ({schema}, {})", channel.topic, counts.get(&channel.id).copied().unwrap_or(0))
+        })
+        .collect();
+    topics.sort();
+    facts.push(("topics (schema, messages)".into(), json!(topics)));
+    facts
+}
+
+/// What an artefact holds.
+pub fn of_artefact(artefact: &Artefact) -> Facts {
+    let mut facts: Facts = vec![("kind".into(), artefact.kind().word().into())];
+    match artefact {
+        Artefact::Mesh(mesh) => facts.extend(of_mesh(mesh)),
+        Artefact::Surface(surface) => {
+            facts.push(("frame".into(), surface.frame.to_string().into()));
+            facts.push(("size".into(), format!("{} x {}", surface.width, surface.height).into()));
+            for axis in 0..3 {
+                let values = surface.points.iter().map(|point| f64::from(point[axis]));
+                facts.push((format!("{} from origin (m)", ["x", "y", "z"][axis]), range(values)));
+            }
+        }
+        Artefact::Raster(raster) => facts.extend(of_raster(raster)),
+        Artefact::Depth(depth) => {
+            facts.push(("image".into(), depth.image.name.clone().into()));
+            facts.push(("frame".into(), depth.frame.to_string().into()));
+            facts.push(("size (px)".into(), format!("{} x {}", depth.width, depth.height).into()));
+            facts.push(("image pixels a pixel".into(), depth.downscale.into()));
+            facts.push(("centre (m)".into(), json!(depth.image.centre_m)));
+            facts.push(("camera from object (w, x, y, z)".into(), json!(depth.image.camera_from_object)));
+            facts.push(("sensor".into(), json!(depth.sensor)));
+            facts.push(("z (m)".into(), range(depth.z.iter().copied().map(f64::from))));
+            let channels = depth.channels.iter();
+            facts.extend(channels.map(|(name, values)| (name.clone(), range(values.iter().copied().map(f64::from)))));
+        }
+        Artefact::Table(table) => facts.extend(of_table(table)),
+        Artefact::Cameras(cameras) => {
+            facts.push(("frame".into(), cameras.frame.to_string().into()));
+            facts.push(("sensors".into(), cameras.sensors.len().into()));
+        }
+        Artefact::Meshes(meshes) => {
+            facts.push(("frame".into(), meshes.frame.to_string().into()));
+            facts
+                .push(("triangles".into(), meshes.parts.iter().map(|part| part.triangles.len()).sum::<usize>().into()));
+        }
+        Artefact::Transform(transform) => {
+            facts.push(("from".into(), transform.from.clone().into()));
+            facts.push(("to".into(), transform.to.clone().into()));
+        }
+        _ => {}
+    }
+    if let Some(items) = artefact.items() {
+        facts.push(("items".into(), items.len().into()));
+    }
+    facts
+}
+
+fn of_mesh(mesh: &Mesh) -> Facts {
+    let mut facts: Facts = vec![
+        ("frame".into(), mesh.frame.to_string().into()),
+        ("vertices".into(), mesh.vertices.len().into()),
+        ("triangles".into(), mesh.triangles.len().into()),
+        ("coloured".into(), (!mesh.colours.is_empty()).into()),
+    ];
+    for axis in 0..3 {
+        facts.push((format!("{} (m)", ["x", "y", "z"][axis]), range(mesh.vertices.iter().map(|vertex| vertex[axis]))));
+    }
+    facts
+}
+
+fn of_raster(raster: &Raster) -> Facts {
+    let grid = &raster.grid;
+    let mut facts: Facts = vec![
+        ("quantity".into(), raster.quantity.clone().into()),
+        ("frame".into(), raster.frame.to_string().into()),
+        ("size".into(), format!("{} x {}", grid.columns, grid.rows).into()),
+        ("cell (m)".into(), grid.cell_m.into()),
+        ("left, top (m)".into(), json!([grid.left_m, grid.top_m])),
+    ];
+    let bands = raster.bands.iter();
+    facts.extend(bands.map(|band| (format!("band {}", band.name), range(band.values.iter().copied().map(f64::from)))));
+    facts
+}
+
+fn of_table(table: &Table) -> Facts {
+    let mut facts: Facts =
+        vec![("rows".into(), table.rows.len().into()), ("columns".into(), table.columns.len().into())];
+    for (column, name) in table.columns.iter().enumerate() {
+        let cells = table.rows.iter().filter_map(|row| row.get(column));
+        let numbers: Vec<f64> = cells.filter_map(rockface_stages::artefact::Cell::number).collect();
+        let told = if numbers.len() == table.rows.len() { range(numbers.into_iter()) } else { "text".into() };
+        facts.push((format!("column {name}"), told));
+    }
+    facts
+}
+
+/// Least, greatest and number of values, and how many of them are no number.
+fn range(values: impl Iterator<Item = f64>) -> Value {
+    let (mut least, mut greatest, mut count, mut nan) = (f64::INFINITY, f64::NEG_INFINITY, 0_u64, 0_u64);
+    for value in values {
+        count += 1;
+        if value.is_nan() {
+            nan += 1;
+        } else {
+            (least, greatest) = (least.min(value), greatest.max(value));
+        }
+    }
+    if nan == count {
+        return json!({"count": count, "nan": nan});
+    }
+    json!({"min": least, "max": greatest, "count": count, "nan": nan})
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_leave_out_what_is_no_number() {
+        assert_eq!(range([1.0, f64::NAN, -2.0].into_iter()), json!({"min": -2.0, "max": 1.0, "count": 3, "nan": 1}));
+        assert_eq!(range([f64::NAN].into_iter()), json!({"count": 1, "nan": 1}));
+    }
+
+    #[test]
+    fn an_artefact_is_told_by_its_numbers() {
+        let mut table = Table::new(["a", "name"]);
+        table.push(vec![2.5.into(), rockface_stages::artefact::Cell::Text("x".into())]);
+        let facts: Map<String, Value> = of_artefact(&Artefact::Table(table)).into_iter().collect();
+        assert_eq!(facts["rows"], 1);
+        assert_eq!(facts["column a"]["max"], 2.5);
+        assert_eq!(facts["column name"], "text");
+    }
+}

@@ -1,0 +1,205 @@
+//! `rockface inspect`: what a blob, a record or a file holds: kind, sizes, ranges, missing values, a small picture; and one
+//! pixel followed through the steps that made it.
+
+mod facts;
+mod picture;
+mod pixel;
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use rockface_cache::{Digest, Record, Store};
+use rockface_stages::artefact::sketch::Shown;
+use rockface_stages::artefact::{Artefact, Kind};
+use serde_json::{Map, Value, json};
+
+use self::facts::{of_artefact, of_log};
+use self::picture::When;
+use super::places::Places;
+use super::{CliError, say};
+
+/// Arguments of `rockface inspect`.
+#[derive(Debug, Args)]
+pub struct InspectArgs {
+    /// A file, or the digest of a blob or record in the store (the first digits are enough).
+    what: String,
+    #[command(flatten)]
+    places: Places,
+    /// Follow one pixel of a depth map through the steps that made it: column and row, from 0 at the upper left.
+    #[arg(long, value_name = "X,Y", value_parser = pixel::parse)]
+    pixel: Option<[usize; 2]>,
+    /// Show small pictures of it in the terminal.
+    #[arg(long, value_enum, default_value_t = When::Auto)]
+    picture: When,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// What there is to say, in order.
+type Facts = Vec<(String, Value)>;
+
+/// What was found: what there is to say of it, and the artefact where it is one.
+struct Found {
+    facts: Facts,
+    artefact: Option<Artefact>,
+}
+
+impl From<Facts> for Found {
+    fn from(facts: Facts) -> Self {
+        Self { facts, artefact: None }
+    }
+}
+
+impl InspectArgs {
+    /// Prints what it is.
+    pub fn run(self) -> Result<(), CliError> {
+        let path = PathBuf::from(&self.what);
+        if let Some(pixel) = self.pixel {
+            return pixel::follow(&self.what, pixel, &self.places, self.json);
+        }
+        let found = if path.is_file() { of_file(&path)? } else { self.of_digest()? };
+        if self.json {
+            let map: Map<String, Value> = found.facts.into_iter().collect();
+            say(&serde_json::to_string_pretty(&map).unwrap_or_default());
+            return Ok(());
+        }
+        say_facts(&found.facts);
+        if let Some(artefact) = found.artefact.filter(|_| self.picture.is_wanted()) {
+            picture::show(&artefact.sketches())?;
+        }
+        Ok(())
+    }
+
+    fn of_digest(&self) -> Result<Found, CliError> {
+        let store = self.places.open_store()?;
+        let records: Vec<(Digest, Record)> =
+            store.keys().into_iter().filter_map(|key| Some((key, store.record(&key)?))).collect();
+        let blobs = records.iter().flat_map(|(_, record)| {
+            let told = [(record.log, "log"), (record.sketches, "sketches")];
+            let told = told.into_iter().filter_map(|(blob, what)| Some((blob?, what)));
+            record.outputs.values().map(|output| (output.digest, output.kind.as_str())).chain(told)
+        });
+        let keys = records.iter().map(|(key, _)| (*key, "record"));
+        let mut found: Vec<(Digest, &str)> =
+            keys.chain(blobs).filter(|(digest, _)| digest.to_string().starts_with(&self.what)).collect();
+        found.sort_unstable();
+        found.dedup_by_key(|(digest, _)| *digest);
+        match found.as_slice() {
+            [(key, "record")] => of_record(key, &records).map(Found::from),
+            [(digest, kind)] => of_blob(&store, digest, kind, &records),
+            [] => Err(self.unknown()),
+            several => {
+                let names: Vec<String> =
+                    several.iter().take(8).map(|(digest, kind)| format!("{digest} ({kind})")).collect();
+                Err(CliError::Usage(format!(
+                    "`{}` fits {} digests: {}; give more digits",
+                    self.what,
+                    several.len(),
+                    names.join(", ")
+                )))
+            }
+        }
+    }
+
+    fn unknown(&self) -> CliError {
+        let what = &self.what;
+        CliError::Usage(format!(
+            "`{what}` is neither a file nor the start of a digest on record: `rockface runs show RUN --json` names digests"
+        ))
+    }
+}
+
+/// Facts in two columns.
+fn say_facts(facts: &Facts) {
+    let width = facts.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
+    for (name, value) in facts {
+        let value = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+        say(&format!("{name:width$}  {value}"));
+    }
+}
+
+fn of_record(key: &Digest, records: &[(Digest, Record)]) -> Result<Facts, CliError> {
+    let found = records.iter().find(|(known, _)| known == key).map(|(_, record)| record);
+    let record = found.ok_or_else(|| CliError::Usage(format!("record {key} is gone")))?;
+    let recipe = serde_json::from_str(&record.recipe.text()).unwrap_or(Value::Null);
+    Ok(vec![
+        ("record".into(), key.to_string().into()),
+        ("stage".into(), format!("{} {}", record.recipe.stage, record.recipe.version).into()),
+        ("recipe".into(), recipe),
+        ("outputs".into(), json!(record.outputs)),
+        ("log".into(), json!(record.log)),
+        ("sketches".into(), json!(record.sketches)),
+        ("cost".into(), json!(record.cost)),
+    ])
+}
+
+fn of_blob(store: &Store, digest: &Digest, kind: &str, records: &[(Digest, Record)]) -> Result<Found, CliError> {
+    let makers = records.iter().filter_map(|(key, record)| {
+        let port = record.outputs.iter().find(|(_, output)| output.digest == *digest).map(|(port, _)| port.as_str());
+        let port = port.or((record.log == Some(*digest)).then_some("log"));
+        let port = port.or((record.sketches == Some(*digest)).then_some("sketches"))?;
+        Some(format!("{port} of {} (record {})", record.recipe.stage, key.short()))
+    });
+    let makers: Vec<String> = makers.collect();
+    let mut facts: Facts = vec![("blob".into(), digest.to_string().into()), ("made as".into(), json!(makers))];
+    let bytes = match store.get(digest) {
+        Ok(bytes) => bytes,
+        Err(rockface_cache::StoreError::Missing { .. }) => {
+            facts.push(("kept".into(), "no: only the digest is on record".into()));
+            return Ok(facts.into());
+        }
+        Err(error) => return Err(error.into()),
+    };
+    facts.push(("bytes".into(), bytes.len().into()));
+    match kind.parse::<Kind>().ok().map(|kind| Artefact::decode(kind, &bytes)) {
+        Some(Ok(artefact)) => {
+            facts.extend(of_artefact(&artefact));
+            return Ok(Found { facts, artefact: Some(artefact) });
+        }
+        Some(Err(error)) => facts.push(("fault".into(), error.to_string().into())),
+        None if kind == "sketches" => facts.push(("content".into(), of_sketches(&bytes))),
+        None => facts.push(("content".into(), serde_json::from_slice(&bytes).unwrap_or(Value::Null))),
+    }
+    Ok(facts.into())
+}
+
+/// What each sketch shows and leaves out.
+fn of_sketches(bytes: &[u8]) -> Value {
+    let told = |shown: &Shown| json!({"port": shown.port, "part": shown.sketch.part, "reduced": shown.sketch.reduced});
+    match Shown::read_all(bytes) {
+        Ok(list) => list.iter().map(told).collect(),
+        Err(error) => error.to_string().into(),
+    }
+}
+
+fn of_file(path: &Path) -> Result<Found, CliError> {
+    let bytes =
+        std::fs::read(path).map_err(|error| CliError::Usage(format!("cannot read `{}`: {error}", path.display())))?;
+    let mut facts: Facts = vec![
+        ("file".into(), path.display().to_string().into()),
+        ("bytes".into(), bytes.len().into()),
+        ("blake3".into(), Digest::of(&bytes).to_string().into()),
+    ];
+    if mcap::Summary::read(&bytes).is_ok_and(|summary| summary.is_some()) {
+        facts.extend(of_log(&bytes));
+        return Ok(facts.into());
+    }
+    let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase()).unwrap_or_default();
+    let kinds = Kind::ALL.iter().filter(|kind| kind.extension() == extension);
+    let mut faults = Vec::new();
+    for kind in kinds {
+        match Artefact::decode(*kind, &bytes) {
+            Ok(artefact) => {
+                facts.extend(of_artefact(&artefact));
+                return Ok(Found { facts, artefact: Some(artefact) });
+            }
+            Err(error) => faults.push(format!("as {kind}: {error}")),
+        }
+    }
+    let why =
+        if faults.is_empty() { format!("no artefact has the extension `{extension}`") } else { faults.join("; ") };
+    facts.push(("kind".into(), "not an artefact".into()));
+    facts.push(("why".into(), why.into()));
+    Ok(facts.into())
+}

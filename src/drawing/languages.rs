@@ -1,0 +1,66 @@
+//! A drawing in the languages of programs that draw: Graphviz and Mermaid.
+
+use petgraph::dot::{Config, Dot, RankDir};
+use petgraph::graph::{DiGraph, EdgeReference};
+use petgraph::visit::EdgeRef;
+
+use super::{Arrow, Drawn};
+
+impl std::fmt::Display for Drawn {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.lines().iter().try_for_each(|line| writeln!(f, "{line}"))
+    }
+}
+
+impl std::fmt::Display for Arrow {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.label)
+    }
+}
+
+/// Graphviz makes a picture of it.
+pub fn dot(drawing: &DiGraph<Drawn, Arrow>) -> String {
+    let node = |_: &DiGraph<Drawn, Arrow>, (_, drawn): (_, &Drawn)| {
+        let mut attributes = vec!["shape=box"];
+        attributes.extend(drawn.target.then_some("peripheries=2"));
+        attributes.extend((!drawn.keep).then_some("style=dashed"));
+        attributes.extend((!drawn.needed).then_some("color=gray fontcolor=gray"));
+        attributes.join(" ")
+    };
+    let edge = |_: &DiGraph<Drawn, Arrow>, _: EdgeReference<Arrow>| String::new();
+    Dot::with_attr_getters(drawing, &[Config::RankDir(RankDir::LR)], &edge, &node).to_string()
+}
+
+/// Viewers of Markdown draw it.
+pub fn mermaid(drawing: &DiGraph<Drawn, Arrow>) -> String {
+    let mut text = String::from("flowchart LR\n");
+    for node in drawing.node_indices() {
+        let drawn = &drawing[node];
+        let label = drawn.lines().iter().map(|line| escaped(line)).collect::<Vec<_>>().join("<br/>");
+        let (open, close) = if drawn.target { ("[[", "]]") } else { ("[", "]") };
+        text += &format!("  s{}{open}\"{label}\"{close}\n", node.index());
+        if !drawn.keep {
+            text += &format!("  style s{} stroke-dasharray: 5 5\n", node.index());
+        }
+        if !drawn.needed {
+            text += &format!("  style s{} color:gray,stroke:gray\n", node.index());
+        }
+    }
+    for edge in drawing.edge_references() {
+        let (from, to) = (edge.source().index(), edge.target().index());
+        text += &format!("  s{from} -->|\"{}\"| s{to}\n", escaped(&edge.weight().label));
+    }
+    text
+}
+
+/// What stands for itself between the quotes of a Mermaid label.
+fn escaped(text: &str) -> String {
+    let letter = |letter: char| match letter {
+        '"' => "#quot;".to_owned(),
+        '#' => "#35;".to_owned(),
+        '<' => "#lt;".to_owned(),
+        '>' => "#gt;".to_owned(),
+        other => other.to_string(),
+    };
+    text.chars().map(letter).collect()
+}

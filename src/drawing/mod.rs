@@ -1,0 +1,208 @@
+//! Pictures of a pipeline: one box a step however many instances it has, and an arrow for what flows between two steps.
+
+mod languages;
+mod layers;
+mod order;
+mod place;
+mod svg;
+
+use std::collections::BTreeMap;
+
+use petgraph::graph::{DiGraph, NodeIndex};
+
+use crate::diagnostic::Diagnostic;
+use crate::plan::{Feed, Graph, GraphStep, Later, Source, counts};
+
+/// A pipeline as it is drawn.
+pub struct Drawing {
+    /// One node a step, in topological order; one edge for each output that an input reads.
+    graph: DiGraph<Drawn, Arrow>,
+    notes: BTreeMap<String, Note>,
+}
+
+/// A step as it is drawn.
+pub(crate) struct Drawn {
+    /// Its name.
+    pub name: String,
+    /// Its stage.
+    pub stage: String,
+    /// For a sweep, the count of instances, where it is known, and the axes.
+    pub over: Option<(Option<usize>, String)>,
+    /// Whether it is to be made.
+    pub target: bool,
+    /// Whether its outputs are kept.
+    pub keep: bool,
+    /// Whether a target needs it.
+    pub needed: bool,
+}
+
+/// What flows from one step to another.
+pub(crate) struct Arrow {
+    /// The output, the port that reads it, and when or over what.
+    pub label: String,
+    /// The items of some axes come together.
+    pub gathers: bool,
+    /// It comes from the item before.
+    pub back: bool,
+}
+
+/// Something to be said of a step besides what it is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Note {
+    /// A few words, such as `1.2 s`.
+    pub text: String,
+    /// The colour of the step.
+    pub tint: Tint,
+}
+
+/// A colour that means something.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Tint {
+    /// Nothing is said.
+    #[default]
+    Plain,
+    /// Computed in this run, or would be.
+    Ran,
+    /// Known already.
+    Cached,
+    /// It failed, or something it needs did.
+    Failed,
+}
+
+impl Drawing {
+    /// The drawing of a graph.
+    ///
+    /// # Errors
+    ///
+    /// When it has too many instances to count.
+    pub fn of(graph: &Graph) -> Result<Self, Vec<Diagnostic>> {
+        let counts = counts(graph)?;
+        let mut drawing = DiGraph::new();
+        let (deferred, wanted) = (graph.deferred(), graph.wanted());
+        let nodes: Vec<NodeIndex> = (0..graph.steps.len())
+            .map(|index| drawing.add_node(drawn(graph, index, counts[index], deferred[index], wanted[index])))
+            .collect();
+        for (consumer, step) in graph.steps.iter().enumerate() {
+            for (port, feed) in &step.inputs {
+                for (source, when) in distinct(graph, feed) {
+                    let output = output(graph, source);
+                    let ports = if output == port.name { output } else { format!("{output} → {}", port.name) };
+                    let gathers = matches!(feed, Feed::Each { .. });
+                    let arrow = Arrow { label: ports + &when, gathers, back: source.step >= consumer };
+                    drawing.add_edge(nodes[source.step], nodes[consumer], arrow);
+                }
+            }
+        }
+        Ok(Self { graph: drawing, notes: BTreeMap::new() })
+    }
+
+    /// Says something of a step.
+    #[must_use]
+    pub fn note(mut self, step: &str, note: Note) -> Self {
+        self.notes.insert(step.to_owned(), note);
+        self
+    }
+
+    /// Says how many instances a step over axes turned out to have.
+    #[must_use]
+    pub fn count(mut self, step: &str, instances: usize) -> Self {
+        let own = self.graph.node_weights_mut().filter(|drawn| drawn.name == step);
+        own.filter_map(|drawn| drawn.over.as_mut()).for_each(|over| over.0 = Some(instances));
+        self
+    }
+
+    /// In the language of Graphviz.
+    pub fn dot(&self) -> String {
+        languages::dot(&self.graph)
+    }
+
+    /// In the language of Mermaid, which Markdown viewers draw.
+    pub fn mermaid(&self) -> String {
+        languages::mermaid(&self.graph)
+    }
+
+    /// As a picture that any browser shows, from top to bottom, readable on light and dark pages; it may be embedded in
+    /// HTML as it is.
+    pub fn svg(&self) -> String {
+        svg::svg(&self.graph, &self.notes)
+    }
+}
+
+impl Drawn {
+    /// Name, stage, and for a sweep the count of instances and the axes.
+    pub fn lines(&self) -> Vec<String> {
+        let mut lines = vec![self.name.clone(), self.stage.clone()];
+        lines.extend(self.over.as_ref().map(|(count, axes)| {
+            let count = count.map_or_else(|| "unknown".to_owned(), |count| count.to_string());
+            format!("{count} instances over {axes}")
+        }));
+        lines
+    }
+}
+
+fn drawn(graph: &Graph, index: usize, count: usize, unknown: Option<usize>, wanted: bool) -> Drawn {
+    let step = &graph.steps[index];
+    let over = (!step.axes.is_empty()).then(|| (Some(count).filter(|_| unknown.is_none()), axes(graph, step)));
+    Drawn {
+        name: step.name.clone(),
+        stage: step.stage.name().to_owned(),
+        over,
+        target: graph.targets.contains(&index),
+        keep: step.keep,
+        needed: count > 0 || (wanted && unknown.is_some()),
+    }
+}
+
+fn axes(graph: &Graph, step: &GraphStep) -> String {
+    step.axes.iter().map(|axis| graph.axes[*axis].name.text.as_str()).collect::<Vec<_>>().join(", ")
+}
+
+/// The outputs a port reads, each once, and what is to be said of it: the items it is chosen for, or the axes gathered.
+fn distinct<'g>(graph: &Graph, feed: &'g Feed) -> Vec<(&'g Source, String)> {
+    match feed {
+        Feed::Plain(source) => vec![(source, String::new())],
+        Feed::Chain { source, axis, first } => {
+            let axis = &graph.axes[*axis].name.text;
+            let start = first.iter().map(|first| (first, format!(" (first {axis})")));
+            std::iter::once((source, format!(" ({axis} before)"))).chain(start).collect()
+        }
+        Feed::Each { source, over } => {
+            let names: Vec<&str> = over.iter().map(|axis| graph.axes[*axis].name.text.as_str()).collect();
+            vec![(source, format!(" (each {})", names.join(", ")))]
+        }
+        Feed::By { axis, cases, named, other } if cases.is_empty() => {
+            let axis = &graph.axes[*axis].name.text;
+            let named = named.iter().map(|(item, source)| (source, format!(" ({axis}={})", item.text)));
+            named.chain(other.iter().map(|source| (source, format!(" (other {axis})")))).collect()
+        }
+        Feed::By { axis, cases, .. } => {
+            let axis = &graph.axes[*axis];
+            let mut groups: Vec<(&Source, Vec<&str>)> = Vec::new();
+            for (source, item) in cases.iter().zip(&axis.items) {
+                match groups.iter_mut().find(|(known, _)| same(known, source)) {
+                    Some((_, items)) => items.push(item),
+                    None => groups.push((source, vec![item])),
+                }
+            }
+            let told = |items: Vec<&str>| format!(" ({}={})", axis.name.text, items.join("|"));
+            groups.into_iter().map(|(source, items)| (source, told(items))).collect()
+        }
+    }
+}
+
+fn same(one: &Source, other: &Source) -> bool {
+    let later = |source: &Source| source.later.iter().map(|l| (l.axis, l.item.text.clone())).collect::<Vec<_>>();
+    let place = |source: &Source| (source.step, source.port.name, source.picks.clone(), later(source));
+    place(one) == place(other)
+}
+
+/// `port`, or `port[axis=item,...]`.
+fn output(graph: &Graph, source: &Source) -> String {
+    let pick = |(axis, item): &(usize, usize)| {
+        let axis = &graph.axes[*axis];
+        format!("{}={}", axis.name.text, axis.items[*item])
+    };
+    let later = |later: &Later| format!("{}={}", graph.axes[later.axis].name.text, later.item.text);
+    let picks: Vec<String> = source.picks.iter().map(pick).chain(source.later.iter().map(later)).collect();
+    if picks.is_empty() { source.port.name.to_owned() } else { format!("{}[{}]", source.port.name, picks.join(",")) }
+}

@@ -1,0 +1,128 @@
+//! Pictures and figures inside the page, within a budget of bytes.
+
+use base64::Engine;
+use rockface_cache::OutputRecord;
+use rockface_stages::artefact::{Artefact, Figure, Kind, Noun};
+use serde::Serialize;
+
+use super::source::Source;
+use super::steps::Linker;
+use crate::history::StepDone;
+
+/// Bytes of images in a page at most; what does not fit is linked.
+const PAGE_BYTES: usize = 7_000_000;
+/// A picture larger than this is shown small and linked.
+const PICTURE_BYTES: usize = 1_500_000;
+
+/// A picture or figure.
+#[derive(Debug, Clone, Serialize)]
+pub struct Medium {
+    /// What is seen.
+    pub caption: String,
+    /// The instance and output it comes from.
+    pub from: String,
+    /// The text of a figure, which may stand in the page as it is.
+    pub svg: Option<String>,
+    /// The address of an image, which holds the image itself.
+    pub image: Option<String>,
+    /// The whole file in the run folder.
+    pub link: Option<String>,
+    /// Whether it deserves the whole width.
+    pub wide: bool,
+}
+
+/// Pixels from which on a picture or figure gets the whole width.
+const WIDE_PX: u32 = 1500;
+const WIDE_FIGURE_PX: u32 = 600;
+
+/// The width of a PNG file, pixels.
+fn width_px(png: &[u8]) -> u32 {
+    png.get(16..20).and_then(|bytes| bytes.try_into().ok()).map_or(0, u32::from_be_bytes)
+}
+
+/// The width an SVG states for itself, pixels.
+fn figure_width_px(svg: &str) -> u32 {
+    let head = svg.split('>').next().unwrap_or_default();
+    let width = head.split(" width=\"").nth(1).and_then(|rest| rest.split(['"', '.', 'p']).next());
+    width.and_then(|width| width.parse().ok()).unwrap_or(0)
+}
+
+/// Hands out the bytes there are for images.
+#[derive(Debug)]
+pub struct Budget {
+    left: usize,
+    /// How many images did not fit.
+    pub refused: usize,
+}
+
+impl Budget {
+    /// The budget of a page.
+    pub fn new() -> Self {
+        Self { left: PAGE_BYTES, refused: 0 }
+    }
+
+    fn take(&mut self, bytes: usize) -> bool {
+        let fits = bytes <= self.left;
+        if fits {
+            self.left -= bytes;
+        } else {
+            self.refused += 1;
+        }
+        fits
+    }
+}
+
+/// The pictures and figures that one instance made.
+pub fn of(source: &Source, done: &StepDone, linker: &Linker, budget: &mut Budget) -> Vec<Medium> {
+    let outputs = done.outputs.iter().flatten();
+    outputs.filter_map(|(port, output)| finished(source, done, port, output, linker, budget)).collect()
+}
+
+/// A picture or figure that a step made.
+fn finished(
+    source: &Source,
+    done: &StepDone,
+    port: &str,
+    output: &OutputRecord,
+    linker: &Linker,
+    budget: &mut Budget,
+) -> Option<Medium> {
+    let kind: Kind = output.kind.parse().ok()?;
+    if !matches!(kind, Kind::Picture | Kind::Figure) || !output.kept {
+        return None;
+    }
+    let bytes = source.output(done, port, output)?;
+    let mut medium = Medium {
+        caption: String::new(),
+        from: format!("{}.{port}", done.label()),
+        svg: None,
+        image: None,
+        link: linker.output(done, port),
+        wide: true,
+    };
+    if kind == Kind::Figure {
+        let figure = Figure::decode(&bytes).ok()?;
+        if !budget.take(bytes.len()) {
+            return None;
+        }
+        if figure.is_plain() {
+            medium.wide = figure_width_px(&figure.svg) > WIDE_FIGURE_PX;
+            medium.svg = Some(figure.svg);
+        } else {
+            medium.image = Some(data("image/svg+xml", &bytes));
+        }
+        return Some(medium);
+    }
+    medium.wide = width_px(&bytes) >= WIDE_PX;
+    let small = || Artefact::decode(kind, &bytes).ok()?.preview(&[])?.to_png().ok();
+    let shown = if bytes.len() > PICTURE_BYTES { small()? } else { bytes };
+    if !budget.take(shown.len()) {
+        return None;
+    }
+    medium.image = Some(data("image/png", &shown));
+    Some(medium)
+}
+
+fn data(kind: &str, bytes: &[u8]) -> String {
+    format!("data:{kind};base64,{}", base64::engine::general_purpose::STANDARD.encode(bytes))
+}

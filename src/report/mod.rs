@@ -1,0 +1,116 @@
+//! The report of a run: one page that needs nothing but a browser, made from the run's manifest and what it names.
+//!
+//! Everything in it comes from [`Manifest`] and the artefacts and logs the manifest points at, so that a page made at the
+//! end of a run, one made months later by `rockface report`, and `run.json` say the same.
+
+mod compared;
+mod graph;
+mod media;
+mod number;
+mod page;
+mod source;
+mod steps;
+mod tables;
+
+use std::path::{Path, PathBuf};
+
+use minijinja::value::{Serde, Value};
+use minijinja::{AutoEscape, Environment};
+use serde::Serialize;
+
+use crate::history::Manifest;
+
+pub use compared::comparison;
+pub use source::Source;
+
+/// The name of the report in a run folder.
+pub const FILE: &str = "report.html";
+
+/// Why a report cannot be made.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    /// The template does not fit what it is given: a fault of this program.
+    #[error("cannot fill in the report: {0}")]
+    Template(#[from] minijinja::Error),
+    /// The disk.
+    #[error("cannot write the report {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+}
+
+/// The page of a run. Links lead to the files of its folder: relative ones where the page lies in that folder, absolute ones
+/// otherwise.
+///
+/// # Errors
+/// A template that does not fit.
+pub fn html(source: &Source, links: Links) -> Result<String, ReportError> {
+    render("run.html", page::of(source, links))
+}
+
+/// How links to the files of the run folder are written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Links {
+    /// The page lies in the folder.
+    Relative,
+    /// The page lies elsewhere.
+    Absolute,
+}
+
+/// Writes the report of a run to a file, whole or not at all.
+///
+/// # Errors
+/// A template that does not fit, or the disk.
+pub fn write(source: &Source, to: &Path) -> Result<(), ReportError> {
+    let inside = to.parent().and_then(|parent| parent.canonicalize().ok()) == source.folder.canonicalize().ok();
+    let links = if inside { Links::Relative } else { Links::Absolute };
+    save(to, &html(source, links)?)
+}
+
+/// Writes a page to a file, whole or not at all.
+///
+/// # Errors
+/// Those of the disk.
+pub fn save(to: &Path, text: &str) -> Result<(), ReportError> {
+    let parent = to.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let write = || {
+        let mut file = tempfile::NamedTempFile::new_in(parent)?;
+        std::io::Write::write_all(&mut file, text.as_bytes())?;
+        // Temporary files are private; a report is for whoever may read the folder.
+        file.as_file().set_permissions(std::os::unix::fs::PermissionsExt::from_mode(0o644))?;
+        file.persist(to).map(drop).map_err(|error| error.error)
+    };
+    write().map_err(|source| ReportError::Io { path: to.to_owned(), source })
+}
+
+const TEMPLATES: [(&str, &str); 4] = [
+    ("base.html", include_str!("assets/base.html")),
+    ("parts.html", include_str!("assets/parts.html")),
+    ("run.html", include_str!("assets/run.html")),
+    ("compared.html", include_str!("assets/compared.html")),
+];
+
+fn render(name: &str, page: impl Serialize) -> Result<String, ReportError> {
+    let mut environment = Environment::new();
+    environment.set_auto_escape_callback(|_| AutoEscape::Html);
+    for (name, text) in TEMPLATES {
+        environment.add_template(name, text)?;
+    }
+    environment.add_global("style", Value::from_safe_string(include_str!("assets/style.css").to_owned()));
+    environment.add_global("script", Value::from_safe_string(include_str!("assets/script.js").to_owned()));
+    environment.add_global("rockface_version", env!("CARGO_PKG_VERSION"));
+    Ok(environment.get_template(name)?.render(Value::from(Serde(page)))?)
+}
+
+/// The status words of a manifest and how many of its instances have each.
+fn counts(manifest: &Manifest) -> [usize; 3] {
+    let count = |status: &str| manifest.steps.iter().filter(|done| done.status == status).count();
+    let (executed, cached) = (count("executed"), count("cached"));
+    [executed, cached, manifest.steps.len() - executed - cached]
+}
+
+#[cfg(test)]
+mod tests;

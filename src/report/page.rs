@@ -1,0 +1,208 @@
+//! The contents of a run's page.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use rockface_cache::{Digest, RecipeInput};
+use serde::Serialize;
+
+use super::media::{Budget, Medium};
+use super::number::Shown;
+use super::source::Source;
+use super::steps::{self, Linker, Said, StepView};
+use super::tables::TableView;
+use super::{Links, counts, graph};
+use crate::history::StepDone;
+use crate::watch::duration;
+
+/// Headlines and warnings that are shown.
+const LINES: usize = 40;
+
+/// Bytes of the pipeline's text that are shown.
+const TEXT_BYTES: usize = 200_000;
+
+/// What the template is given.
+#[derive(Debug, Serialize)]
+pub struct Page {
+    title: String,
+    run: String,
+    status: String,
+    finished: String,
+    wall: String,
+    executed: usize,
+    cached: usize,
+    missing: usize,
+    seed: u64,
+    jobs: usize,
+    command: String,
+    headlines: Vec<Said>,
+    more_headlines: usize,
+    warnings: Vec<Warning>,
+    more_warnings: usize,
+    pictures: Vec<Medium>,
+    results: Vec<Result>,
+    refused: usize,
+    graph: Option<String>,
+    steps: Vec<StepView>,
+    more_steps: usize,
+    folder: String,
+    manifest: Option<String>,
+    log: Option<String>,
+    program: Vec<(String, Shown)>,
+    pipeline_path: String,
+    pipeline_text: String,
+    changed: Vec<String>,
+}
+
+/// The tables of a target step.
+#[derive(Debug, Serialize)]
+struct Result {
+    step: String,
+    tables: Vec<TableView>,
+    more: usize,
+}
+
+/// A warning, and how many more of its step are like it.
+#[derive(Debug, Serialize)]
+struct Warning {
+    step: String,
+    label: String,
+    text: String,
+    alike: usize,
+}
+
+/// Gathers the page.
+pub fn of(source: &Source, links: Links) -> Page {
+    let manifest = source.manifest;
+    let linker = Linker { source, links };
+    let mut budget = Budget::new();
+    let targets = targets(source);
+    let mut gathered = steps::gather(&linker, &targets, &mut budget);
+    let pictures =
+        gathered.steps.iter_mut().filter(|step| step.target).flat_map(|step| std::mem::take(&mut step.media));
+    let pictures: Vec<Medium> = pictures.collect();
+    let results = results(&mut gathered.steps);
+    let warnings = folded(gathered.warnings);
+    let [executed, cached, missing] = counts(manifest);
+    let headlines: Vec<Said> = manifest.headlines.iter().map(|line| said(line)).collect();
+    let changed = manifest.overrides.set.iter().map(|set| format!("--set {set}"));
+    let swept = manifest.overrides.sweep.iter().map(|sweep| format!("--sweep {sweep}"));
+    let reseeded = manifest.overrides.seed.map(|seed| format!("--seed {seed}"));
+    Page {
+        title: manifest.pipeline.name.clone(),
+        run: source.folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
+        status: manifest.status.clone(),
+        finished: readable_time(&manifest.finished),
+        wall: duration(manifest.wall_s),
+        executed,
+        cached,
+        missing,
+        seed: manifest.seed,
+        jobs: manifest.jobs,
+        command: "rockface run run.json".to_owned(),
+        more_headlines: headlines.len().saturating_sub(LINES),
+        headlines: headlines.into_iter().take(LINES).collect(),
+        more_warnings: warnings.len().saturating_sub(LINES),
+        warnings: warnings.into_iter().take(LINES).collect(),
+        pictures,
+        results,
+        refused: budget.refused,
+        graph: graph::svg(manifest),
+        more_steps: gathered.more_steps,
+        steps: gathered.steps,
+        folder: source.folder.display().to_string(),
+        manifest: linker.to("run.json".as_ref()),
+        log: linker.to("run.mcap".as_ref()),
+        program: program(&manifest.program),
+        pipeline_path: manifest.pipeline.path.display().to_string(),
+        pipeline_text: beginning(&manifest.pipeline.text),
+        changed: changed.chain(swept).chain(reseeded).collect(),
+    }
+}
+
+/// The target steps: those of the manifest, or in a manifest that does not name them those whose outputs nobody reads.
+fn targets(source: &Source) -> Vec<String> {
+    let manifest = source.manifest;
+    if !manifest.targets.is_empty() {
+        return manifest.targets.clone();
+    }
+    let inputs = manifest.steps.iter().flat_map(|done| done.inputs.values());
+    let read: BTreeSet<Digest> = inputs.flat_map(digests).collect();
+    let is_read = |done: &StepDone| done.outputs.iter().flatten().any(|(_, output)| read.contains(&output.digest));
+    let read_steps: BTreeSet<&str> =
+        manifest.steps.iter().filter(|done| is_read(done)).map(|done| done.step.as_str()).collect();
+    let mut names: Vec<String> = manifest.steps.iter().map(|done| done.step.clone()).collect();
+    names.dedup();
+    names.retain(|name| !read_steps.contains(name.as_str()));
+    names
+}
+
+/// The digests an input reads.
+fn digests(input: &RecipeInput) -> Vec<Digest> {
+    match input {
+        RecipeInput::One(digest) => vec![*digest],
+        RecipeInput::Many(elements) => elements.iter().map(|element| element.digest).collect(),
+    }
+}
+
+/// Takes the tables of target steps to the top of the page.
+fn results(steps: &mut [StepView]) -> Vec<Result> {
+    let wanted = steps.iter_mut().filter(|step| step.target && !step.tables.is_empty());
+    let result = |step: &mut StepView| Result {
+        step: step.name.clone(),
+        tables: std::mem::take(&mut step.tables),
+        more: step.more,
+    };
+    wanted.map(result).collect()
+}
+
+/// Warnings of one step that differ in numbers only are told once, with how many there are.
+fn folded(warnings: Vec<Said>) -> Vec<Warning> {
+    let mut kinds: BTreeMap<(String, String), usize> = BTreeMap::new();
+    let mut found: Vec<Warning> = Vec::new();
+    for said in warnings {
+        let step = said.label.split('[').next().unwrap_or_default().to_owned();
+        let words: String = said.text.chars().filter(|letter| !letter.is_ascii_digit()).collect();
+        let place = *kinds.entry((step.clone(), words)).or_insert(found.len());
+        match found.get_mut(place) {
+            Some(warning) => warning.alike += 1,
+            None => found.push(Warning { step, label: said.label, text: said.text, alike: 0 }),
+        }
+    }
+    found
+}
+
+/// A text, or its beginning where it is very long.
+fn beginning(text: &str) -> String {
+    if text.len() <= TEXT_BYTES {
+        return text.to_owned();
+    }
+    let end = (0..=TEXT_BYTES).rev().find(|end| text.is_char_boundary(*end)).unwrap_or(0);
+    format!("{}\n\u{2026} {} more bytes: pipeline.yaml in the run folder has them", &text[..end], text.len() - end)
+}
+
+fn said(line: &str) -> Said {
+    let (label, text) = line.split_once(": ").unwrap_or(("", line));
+    Said { label: label.to_owned(), text: text.to_owned() }
+}
+
+/// `2026-11-21 19:05 UTC` of an RFC 3339 time.
+pub fn readable_time(time: &str) -> String {
+    match (time.get(..10), time.get(11..16)) {
+        (Some(day), Some(minute)) => format!("{day} {minute} UTC"),
+        _ => time.to_owned(),
+    }
+}
+
+fn program(program: &serde_json::Value) -> Vec<(String, Shown)> {
+    let shown = |value: &serde_json::Value| match value {
+        serde_json::Value::Array(values) => {
+            let words: Vec<&str> = values.iter().filter_map(serde_json::Value::as_str).collect();
+            Shown { text: words.join(", "), exact: None }
+        }
+        other => Shown::of_json(other),
+    };
+    program
+        .as_object()
+        .map(|map| map.iter().map(|(name, value)| (name.clone(), shown(value))).collect())
+        .unwrap_or_default()
+}

@@ -1,0 +1,326 @@
+//! The steps of a run, each with its instances folded into one.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use rockface_stages::Entry;
+use serde::Serialize;
+use serde_json::Value;
+
+use super::Links;
+use super::media::{self, Budget, Medium};
+use super::number::{Shown, bytes};
+use super::source::Source;
+use super::tables::{self, TableView};
+use crate::history::StepDone;
+use crate::watch::duration;
+
+/// Instances of a step whose pictures, tables and files are shown.
+const SHOWN: usize = 4;
+/// Instances of a step whose notes and numbers are read.
+const READ: usize = 2000;
+/// Steps that are shown: targets, and the first of the others.
+const STEPS: usize = 300;
+/// Values of a parameter that are shown.
+const VALUES: usize = 6;
+/// Notes of a step that are shown.
+const NOTES: usize = 12;
+/// Files of a step that are listed.
+const FILES: usize = 24;
+
+/// A step as the page shows it.
+#[derive(Debug, Clone, Serialize)]
+pub struct StepView {
+    /// Its name.
+    pub name: String,
+    /// Its stage and version.
+    pub stage: String,
+    /// The version of the stage.
+    pub version: u32,
+    /// Whether it is what was asked for.
+    pub target: bool,
+    /// How many instances it has, ran, had cached, and did not finish.
+    pub instances: usize,
+    /// How many ran.
+    pub executed: usize,
+    /// How many were cached.
+    pub cached: usize,
+    /// How many failed or were not reached.
+    pub missing: usize,
+    /// The axes it is expanded over.
+    pub axes: Vec<String>,
+    /// What it took when it was computed, all instances together.
+    pub wall: String,
+    /// The same in seconds.
+    pub wall_s: f64,
+    /// Its share of the longest step's time, percent.
+    pub share: f64,
+    /// Bytes of what it made.
+    pub size: String,
+    /// Pictures of the first instances.
+    pub media: Vec<Medium>,
+    /// Tables of the first instances.
+    pub tables: Vec<TableView>,
+    /// Instances whose pictures and tables are not shown.
+    pub more: usize,
+    /// Numbers it told.
+    pub metrics: Vec<MetricView>,
+    /// What it noted.
+    pub notes: Vec<Said>,
+    /// Notes that are not shown.
+    pub more_notes: usize,
+    /// Its parameters.
+    pub parameters: Vec<ParameterView>,
+    /// Its files.
+    pub files: Vec<FileView>,
+    /// Files that are not listed.
+    pub more_files: usize,
+    /// Files its parameters name.
+    pub sources: Vec<(String, String)>,
+}
+
+/// A sentence of an instance.
+#[derive(Debug, Clone, Serialize)]
+pub struct Said {
+    /// The instance.
+    pub label: String,
+    /// The sentence.
+    pub text: String,
+}
+
+/// A number over the instances that told it.
+#[derive(Debug, Clone, Serialize)]
+pub struct MetricView {
+    /// Its name.
+    pub name: String,
+    /// Its unit.
+    pub unit: String,
+    /// How many instances told it.
+    pub count: usize,
+    /// The only value, or the median.
+    pub value: Shown,
+    /// Smallest and largest of several.
+    pub range: Option<[Shown; 2]>,
+}
+
+/// A parameter with its value, or the first of its values where they differ between instances.
+#[derive(Debug, Clone, Serialize)]
+pub struct ParameterView {
+    /// Its name.
+    pub name: String,
+    /// Its first values.
+    pub values: Vec<Shown>,
+    /// How many different ones there are.
+    pub count: usize,
+}
+
+/// A file of the run folder.
+#[derive(Debug, Clone, Serialize)]
+pub struct FileView {
+    /// The output.
+    pub name: String,
+    /// Its kind.
+    pub kind: String,
+    /// Its size.
+    pub size: String,
+    /// The beginning of its digest.
+    pub digest: String,
+    /// Where it is.
+    pub link: Option<String>,
+}
+
+/// Writes links to the files of a run folder.
+pub struct Linker<'a> {
+    /// The run.
+    pub source: &'a Source<'a>,
+    /// How.
+    pub links: Links,
+}
+
+impl Linker<'_> {
+    /// The address of an output's file, where there is one.
+    pub fn output(&self, done: &StepDone, port: &str) -> Option<String> {
+        done.paths.get(port).and_then(|path| self.to(path))
+    }
+
+    /// The address of the file with this extension beside an output's.
+    pub fn beside(&self, done: &StepDone, port: &str, extension: &str) -> Option<String> {
+        self.to(&done.paths.get(port)?.with_extension(extension))
+    }
+
+    /// The address of a file of the folder that is there.
+    pub fn to(&self, path: &Path) -> Option<String> {
+        let full = self.source.file(path)?;
+        let written = if self.links == Links::Relative { path.to_owned() } else { full };
+        let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"/._-~,=".contains(&byte);
+        let text = written.to_string_lossy();
+        let letter = |byte: u8| if plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") };
+        let address: String = text.bytes().map(letter).collect();
+        Some(if self.links == Links::Relative { address } else { format!("file://{address}") })
+    }
+}
+
+/// What the steps said, beside what they are.
+#[derive(Debug, Default)]
+pub struct Gathered {
+    /// By step, in the order of the run.
+    pub steps: Vec<StepView>,
+    /// All warnings.
+    pub warnings: Vec<Said>,
+    /// Steps that are not shown.
+    pub more_steps: usize,
+}
+
+/// Gathers the steps of a run. Pictures of target steps come first into the budget.
+pub fn gather(linker: &Linker, targets: &[String], budget: &mut Budget) -> Gathered {
+    let mut order: Vec<(&str, Vec<&StepDone>)> = Vec::new();
+    let mut places: BTreeMap<&str, usize> = BTreeMap::new();
+    for done in &linker.source.manifest.steps {
+        let place = *places.entry(&done.step).or_insert_with(|| {
+            order.push((&done.step, Vec::new()));
+            order.len() - 1
+        });
+        order[place].1.push(done);
+    }
+    let is_target = |name: &str| targets.iter().any(|target| target == name);
+    let mut gathered = Gathered { more_steps: order.len().saturating_sub(STEPS), ..Gathered::default() };
+    if gathered.more_steps > 0 {
+        let mut others = STEPS.saturating_sub(targets.len());
+        order.retain(|(name, _)| {
+            let kept = is_target(name) || others > 0;
+            others -= usize::from(kept && !is_target(name));
+            kept
+        });
+        order.truncate(STEPS);
+    }
+    for (name, instances) in &order {
+        let view = step(linker, name, instances, is_target(name), &mut gathered.warnings);
+        gathered.steps.push(view);
+    }
+    let longest = gathered.steps.iter().map(|step| step.wall_s).fold(0.0, f64::max);
+    for wanted in [true, false] {
+        for (view, (_, instances)) in gathered.steps.iter_mut().zip(&order).filter(|(view, _)| view.target == wanted) {
+            view.share = if longest > 0.0 { 100.0 * view.wall_s / longest } else { 0.0 };
+            for done in instances.iter().take(SHOWN) {
+                view.media.extend(media::of(linker.source, done, linker, budget));
+                view.tables.extend(tables::of(linker.source, done, linker));
+            }
+        }
+    }
+    gathered
+}
+
+fn step(linker: &Linker, name: &str, instances: &[&StepDone], target: bool, warnings: &mut Vec<Said>) -> StepView {
+    let count = |status: &str| instances.iter().filter(|done| done.status == status).count();
+    let (executed, cached) = (count("executed"), count("cached"));
+    let wall_s: f64 = instances.iter().filter_map(|done| done.cost).map(|cost| cost.wall_s).sum();
+    let outputs = || instances.iter().flat_map(|done| done.outputs.iter().flatten().map(move |(p, o)| (*done, p, o)));
+    let notes = notes(linker.source, instances, warnings);
+    let file = |(done, port, output): (&StepDone, &String, &rockface_cache::OutputRecord)| FileView {
+        name: format!("{}.{port}", done.label()),
+        kind: output.kind.clone(),
+        size: if output.kept { bytes(output.bytes) } else { "not kept".to_owned() },
+        digest: output.digest.short(),
+        link: linker.output(done, port),
+    };
+    StepView {
+        name: name.to_owned(),
+        stage: instances[0].stage.clone(),
+        version: instances[0].version,
+        target,
+        instances: instances.len(),
+        executed,
+        cached,
+        missing: instances.len() - executed - cached,
+        axes: instances[0].point.keys().cloned().collect(),
+        wall: duration(wall_s),
+        wall_s,
+        share: 0.0,
+        size: bytes(outputs().map(|(_, _, output)| output.bytes).sum()),
+        media: Vec::new(),
+        tables: Vec::new(),
+        more: instances.len().saturating_sub(SHOWN),
+        metrics: metrics(instances),
+        more_notes: notes.len().saturating_sub(NOTES),
+        notes: notes.into_iter().take(NOTES).collect(),
+        parameters: parameters(instances),
+        files: outputs().take(FILES).map(file).collect(),
+        more_files: outputs().count().saturating_sub(FILES),
+        sources: sources(instances),
+    }
+}
+
+/// Notes and headlines; warnings go to the list of all.
+fn notes(source: &Source, instances: &[&StepDone], warnings: &mut Vec<Said>) -> Vec<Said> {
+    let mut notes = Vec::new();
+    for done in instances.iter().take(READ) {
+        for entry in source.entries(done) {
+            match entry {
+                Entry::Note { text } | Entry::Headline { text } => notes.push(Said { label: done.label(), text }),
+                Entry::Warning { text } => warnings.push(Said { label: done.label(), text }),
+                Entry::Metric { .. } => {}
+            }
+        }
+    }
+    notes
+}
+
+fn metrics(instances: &[&StepDone]) -> Vec<MetricView> {
+    let mut told: Vec<(&str, &str, Vec<f64>)> = Vec::new();
+    for metric in instances.iter().flat_map(|done| &done.metrics) {
+        let Some(value) = metric.value else { continue };
+        match told.iter_mut().find(|(name, _, _)| *name == metric.name) {
+            Some((_, _, values)) => values.push(value),
+            None => told.push((&metric.name, &metric.unit, vec![value])),
+        }
+    }
+    let exact = |value: f64| Shown::of_json(&Value::from(value));
+    let view = |(name, unit, mut values): (&str, &str, Vec<f64>)| {
+        values.sort_by(f64::total_cmp);
+        let ends = [values[0], values[values.len() - 1]];
+        MetricView {
+            name: name.to_owned(),
+            unit: if unit == "1" { String::new() } else { unit.to_owned() },
+            count: values.len(),
+            value: exact(values[(values.len() - 1) / 2]),
+            range: (values.len() > 1).then(|| ends.map(exact)),
+        }
+    };
+    told.into_iter().map(view).collect()
+}
+
+/// Every parameter with its values.
+fn parameters(instances: &[&StepDone]) -> Vec<ParameterView> {
+    let mut found: Vec<(String, Vec<Shown>, BTreeSet<String>)> = Vec::new();
+    for done in instances.iter().take(READ) {
+        leaves(&done.parameters, "", &mut |name, value| {
+            let known = found.iter().position(|(known, _, _)| known == name);
+            let place = known.unwrap_or_else(|| {
+                found.push((name.to_owned(), Vec::new(), BTreeSet::new()));
+                found.len() - 1
+            });
+            let (_, values, texts) = &mut found[place];
+            if texts.insert(value.to_string()) && values.len() < VALUES {
+                values.push(Shown::of_json(value));
+            }
+        });
+    }
+    found.into_iter().map(|(name, values, texts)| ParameterView { name, values, count: texts.len() }).collect()
+}
+
+fn leaves(value: &Value, path: &str, tell: &mut impl FnMut(&str, &Value)) {
+    match value {
+        Value::Object(map) if !map.is_empty() => map.iter().for_each(|(key, inner)| {
+            let path = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
+            leaves(inner, &path, tell);
+        }),
+        other => tell(path, other),
+    }
+}
+
+fn sources(instances: &[&StepDone]) -> Vec<(String, String)> {
+    let files = instances.iter().take(READ).flat_map(|done| &done.files);
+    let named: BTreeMap<String, String> =
+        files.map(|file| (file.path.display().to_string(), file.blake3.to_string())).collect();
+    named.into_iter().collect()
+}

@@ -1,0 +1,146 @@
+//! The MCAP log of a run, put together from what the records of its steps keep.
+
+use std::collections::BTreeMap;
+use std::io::BufWriter;
+use std::path::Path;
+
+use rockface_cache::{Outcome, Recipe, Record, Store};
+use rockface_stages::Entry;
+use rockface_stages::artefact::{Artefact, Kind};
+
+use super::{InstanceResult, RunError, Summary};
+use crate::pipeline::LogLevel;
+use crate::plan::Plan;
+use crate::watch::step_log::{self, Shown, StepLogError};
+use crate::watch::{Facts, Made, RunLog, StepNote, layout};
+
+/// Its file in the run folder.
+pub const LOG_FILE: &str = "run.mcap";
+/// The layout that opens it.
+pub const LAYOUT_FILE: &str = "foxglove-layout.json";
+
+/// What the log is made of.
+pub struct Telling<'a> {
+    /// The plan.
+    pub plan: &'a Plan,
+    /// What became of it.
+    pub summary: &'a Summary,
+    /// Where records and blobs are.
+    pub store: &'a Store,
+    /// What each instance said.
+    pub entries: &'a [Vec<Entry>],
+    /// The files of each instance by port, relative to the run folder.
+    pub paths: &'a [BTreeMap<String, std::path::PathBuf>],
+    /// Told as metadata: seed, overrides, versions.
+    pub about: BTreeMap<String, String>,
+    /// The text of the pipeline.
+    pub pipeline_text: &'a str,
+}
+
+impl Telling<'_> {
+    /// Writes log and layout into a run folder.
+    pub fn write(&self, folder: &Path) -> Result<(), RunError> {
+        let path = folder.join(LOG_FILE);
+        let failed = |error: mcap::McapError| super::folder::failed(&path)(std::io::Error::other(error));
+        let file = tempfile::NamedTempFile::new_in(folder).map_err(super::folder::failed(&path))?;
+        let mut log = RunLog::new(BufWriter::new(file), &self.about).map_err(failed)?;
+        let levels = self.plan.log_levels();
+        let mut numbers: Vec<(String, String)> = Vec::new();
+        for (instance, result) in self.summary.instances.iter().enumerate() {
+            let Some(outcome) = &result.outcome else { continue };
+            let shown = if levels[instance] == LogLevel::Full { self.shown(result, outcome)? } else { Ok(Vec::new()) };
+            let (shown, unshown) = shown.map_or_else(|why| (Vec::new(), why), |shown| (shown, String::new()));
+            let said = if levels[instance] == LogLevel::None { &[][..] } else { &self.entries[instance] };
+            log.add(&self.note(instance, result, outcome, unshown), said, &shown).map_err(failed)?;
+            self.plottable(instance, said, &mut numbers);
+        }
+        let pipeline = ("pipeline.yaml", "application/yaml", self.pipeline_text.as_bytes());
+        let (out, topics) = log.finish(&[pipeline]).map_err(failed)?;
+        let file = out.into_inner().map_err(|error| super::folder::failed(&path)(error.into_error()))?;
+        super::folder::put(file, &path)?;
+        let text = serde_json::to_string_pretty(&layout::layout(&topics, &numbers)).unwrap_or_default();
+        super::folder::write_file(&folder.join(LAYOUT_FILE), format!("{text}\n").as_bytes())
+    }
+
+    /// Numbers of steps with several points make curves.
+    fn plottable(&self, instance: usize, said: &[Entry], numbers: &mut Vec<(String, String)>) {
+        let step = self.plan.step(instance);
+        for entry in said.iter().filter(|_| !step.axes.is_empty()) {
+            let Entry::Metric { name, .. } = entry else { continue };
+            let curve = (format!("/{}/metrics", step.name), name.clone());
+            if !numbers.contains(&curve) {
+                numbers.push(curve);
+            }
+        }
+    }
+
+    fn note<'a>(
+        &'a self,
+        instance: usize,
+        result: &'a InstanceResult,
+        outcome: &'a Outcome,
+        unshown: String,
+    ) -> StepNote<'a> {
+        let step = self.plan.step(instance);
+        let made = outcome.outputs.iter().map(|(port, output)| {
+            let path = self.paths[instance].get(port).map(|path| path.display().to_string());
+            (port.clone(), Made { digest: output.digest.to_string(), path })
+        });
+        let (stage, version) = (step.stage.name(), step.stage.version());
+        StepNote {
+            step: &step.name,
+            point: self.plan.point(instance),
+            label: self.plan.label(instance),
+            facts: Facts { stage, version, key: result.key, outputs: &outcome.outputs },
+            made: made.collect(),
+            unshown,
+            recipe: result.recipe.as_ref().map_or_else(|| "null".to_owned(), Recipe::text),
+        }
+    }
+
+    /// The sketches of an instance, made now from its outputs if none were made when it ran; otherwise why there are none.
+    fn shown(&self, result: &InstanceResult, outcome: &Outcome) -> Result<Result<Vec<Shown>, String>, RunError> {
+        let told = |error| match error {
+            StepLogError::Store(error) => RunError::Store(error),
+            error @ StepLogError::Unreadable(_) => {
+                super::folder::failed(Path::new(LOG_FILE))(std::io::Error::other(error))
+            }
+        };
+        if let Some(shown) = step_log::read(outcome, self.store).map_err(told)? {
+            return Ok(Ok(shown));
+        }
+        let kept = outcome.outputs.values().all(|output| self.store.contains(&output.digest));
+        if !kept {
+            let why =
+                "it ran without being sketched, and its outputs were not kept; `log: full` sketches the next that runs";
+            return Ok(Err(why.to_owned()));
+        }
+        match sketch_stored(outcome, self.store)? {
+            Err(why) => Ok(Err(why)),
+            Ok(bytes) => {
+                let digest = self.store.put(&bytes)?;
+                if let Some(recipe) = &result.recipe {
+                    let Outcome { outputs, log, cost, .. } = outcome.clone();
+                    let record = Record { recipe: recipe.clone(), outputs, log, sketches: Some(digest), cost };
+                    self.store.commit(&record)?;
+                }
+                Ok(Shown::read_all(&bytes).map_err(|error| error.to_string()))
+            }
+        }
+    }
+}
+
+/// Sketches of outputs that are in the store.
+fn sketch_stored(outcome: &Outcome, store: &Store) -> Result<Result<Vec<u8>, String>, RunError> {
+    let mut shown = Vec::new();
+    for (port, output) in &outcome.outputs {
+        let Ok(kind) = output.kind.parse::<Kind>() else { continue };
+        let value = match Artefact::decode(kind, &store.get(&output.digest)?) {
+            Ok(value) => value,
+            Err(error) => return Ok(Err(format!("output `{port}` cannot be read: {error}"))),
+        };
+        let sketches = value.sketches().into_iter();
+        shown.extend(sketches.map(|sketch| Shown { port: port.clone(), sketch }));
+    }
+    Ok(Shown::write_all(&shown).map_err(|error| error.to_string()))
+}

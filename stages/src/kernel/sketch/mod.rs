@@ -1,0 +1,61 @@
+//! Sketches of artefacts: what they show is taken from them as it is, never averaged, so that noise keeps its strength.
+//!
+//! Every sketch has a budget; what lies beyond it is left out by a fixed rule, and the sketch says which.
+
+mod bodies;
+mod cloud;
+mod picture;
+
+pub use bodies::{of_mesh, of_meshes};
+pub use cloud::{of_depth_points, of_surface};
+pub use picture::{of_depth_channels, of_picture, of_raster, of_raster_pictures, pixels};
+
+use crate::artefact::sketch::{PictureSketch, Shape, Sketch};
+use crate::artefact::{Artefact, Kind, Table};
+
+/// Rows of a table that are shown.
+const ROWS: usize = 1000;
+/// Bytes of JSON that are shown.
+const VALUES_BYTES: usize = 64 * 1024;
+
+/// The look of what has no pixels of its own: shapes, cameras, rockfalls.
+pub fn of_look(artefact: &Artefact) -> Option<Sketch> {
+    let kinds = [Kind::Mesh, Kind::Meshes, Kind::Surface, Kind::Cameras, Kind::Inventory];
+    let preview = kinds.contains(&artefact.kind()).then(|| crate::kernel::preview::of(artefact, &[])).flatten()?;
+    let (width, height) = (preview.width as u32, preview.height as u32);
+    let png = preview.to_png().ok()?;
+    Some(Sketch::whole("look", Shape::Picture(PictureSketch { width, height, colours: None, image: None, png })))
+}
+
+/// The first rows of a table.
+pub fn of_table(table: &Table) -> Sketch {
+    let rows = table.rows.iter().take(ROWS).cloned().collect();
+    let reduced = left_out("rows", table.rows.len(), ROWS);
+    Sketch { part: String::new(), reduced, shape: Shape::Table(Table { columns: table.columns.clone(), rows }) }
+}
+
+/// A small value as JSON; nothing of a large one.
+pub fn of_values(value: &impl serde::Serialize) -> Option<Sketch> {
+    let value = serde_json::to_value(value).ok()?;
+    (value.to_string().len() <= VALUES_BYTES).then(|| Sketch::whole("", Shape::Values(value)))
+}
+
+/// Says that only the first of many are shown; empty where all are.
+fn left_out(what: &str, total: usize, shown: usize) -> String {
+    if total > shown { format!("the first {shown} of {total} {what}") } else { String::new() }
+}
+
+/// Says that one in `stride` is shown along both directions of a grid; empty where all are.
+fn every(stride: usize, what: &str) -> String {
+    match stride {
+        0 | 1 => String::new(),
+        2 => format!("every second {what}"),
+        3 => format!("every third {what}"),
+        stride => format!("every {stride}th {what}"),
+    }
+}
+
+/// The smallest stride that leaves at most `limit` of `length`.
+fn stride_to(length: usize, limit: usize) -> usize {
+    length.div_ceil(limit).max(1)
+}

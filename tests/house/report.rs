@@ -1,0 +1,89 @@
+//! The report of a run: made with it, made anew from its folder, and of two runs side by side.
+
+use serde_json::Value;
+
+use crate::cli::House;
+
+const SEEN: &str = "rockface: 1
+name: seen
+seed: 1
+axes:
+  cell: {values: [0.05, 0.1]}
+steps:
+  face: {stage: synthesise-face, with: {width_m: 2, height_m: 1.5, spacing_m: 0.05}}
+  dem: {stage: rasterise-dem, in: {surface: face.mesh}, with: {cell_m: \"${cell}\", method: tin}}
+  change: {stage: difference-dem, in: {reference: \"dem.raster[cell=0.05]\", comparison: \"dem.raster[cell=0.05]\"}}
+  noise: {stage: describe-noise, in: {raster: change.raster}}
+  picture: {stage: draw-picture, in: {subject: \"dem.raster[cell=0.1]\"}}
+targets: [noise, picture, dem]
+";
+
+fn read(house: &House, name: &str) -> String {
+    std::fs::read_to_string(house.path(name)).unwrap()
+}
+
+#[test]
+fn a_run_leaves_a_report_with_its_numbers_and_pictures() {
+    let house = House::new(SEEN);
+    let (code, _, err) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    let page = read(&house, ".rockface/runs/latest/report.html");
+    let manifest: Value = serde_json::from_str(&read(&house, ".rockface/runs/latest/run.json")).unwrap();
+    let steps = manifest["steps"].as_array().unwrap();
+    let metrics =
+        steps.iter().filter(|step| step["step"] != "dem").flat_map(|step| step["metrics"].as_array().unwrap());
+    let mut told = 0;
+    for value in metrics.map(|metric| &metric["value"]).filter(|value| value.is_number()) {
+        assert!(page.contains(&format!("<data value=\"{value}\"")), "{value}");
+        told += 1;
+    }
+    assert!(told > 0);
+    let csv = read(&house, ".rockface/runs/latest/outputs/noise/features.csv");
+    let mut rows = csv::Reader::from_reader(csv.as_bytes());
+    let row = rows.records().next().unwrap().unwrap();
+    for cell in row.iter().filter(|cell| cell.parse::<f64>().is_ok()) {
+        assert!(page.contains(&format!("<data value=\"{cell}\"")), "{cell}");
+    }
+    assert!(page.contains("data:image/png;base64,iVBOR") && page.contains("2 × cell"), "pictures, and sweeps folded");
+    assert!(page.contains("href=\"outputs/noise/features.csv\""));
+
+    let before = std::fs::metadata(house.path(".rockface/runs/latest/report.html")).unwrap().modified().unwrap();
+    house.rockface(&["run", "p.yaml"]);
+    let after = std::fs::metadata(house.path(".rockface/runs/latest/report.html")).unwrap().modified().unwrap();
+    assert_eq!(before, after, "a run of hits is told of by the former report");
+}
+
+#[test]
+fn a_report_can_be_made_later_and_elsewhere() {
+    let house = House::new(SEEN);
+    house.rockface(&["run", "p.yaml"]);
+    let first = read(&house, ".rockface/runs/latest/report.html");
+    std::fs::remove_file(house.path(".rockface/runs/latest/report.html")).unwrap();
+    let (code, out, err) = house.rockface(&["report", "latest"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert!(out.trim().ends_with("report.html"), "{out}");
+    assert_eq!(read(&house, ".rockface/runs/latest/report.html"), first);
+    let (code, _, err) = house.rockface(&["report", "latest", "--output", "page.html"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert!(read(&house, "page.html").contains("href=\"file:///"));
+    let (code, _, err) = house.rockface(&["report", "latest", "--output", "no/such/folder/page.html"]);
+    assert!(code == Some(3) && err.contains("cannot write the report no/such/folder/page.html"), "{err}");
+    let (code, _, err) = house.rockface(&["report", "nothing"]);
+    assert!(code == Some(2) && err.contains("there is no run `nothing`"), "{err}");
+}
+
+#[test]
+fn runs_are_compared_on_a_page() {
+    let house = House::new(SEEN);
+    for seed in ["1", "2"] {
+        house.rockface(&["run", "p.yaml", "--seed", seed]);
+    }
+    let runs = std::fs::read_dir(house.path(".rockface/runs")).unwrap().flatten().map(|entry| entry.file_name());
+    let names: Vec<String> =
+        runs.map(|name| name.into_string().unwrap()).filter(|name| name.contains("-seen-")).collect();
+    let (code, _, err) = house.rockface(&["runs", "compare", &names[0], &names[1], "--html", "two.html"]);
+    assert_eq!(code, Some(0), "{err}");
+    let page = read(&house, "two.html");
+    assert!(names.iter().all(|name| page.contains(name.as_str())) && page.contains(">seed<"), "runs and what differs");
+    assert!(page.matches("data:image/png;base64,").count() >= 2, "pictures of both");
+}
