@@ -107,7 +107,7 @@ fn a_plane_agrees_with_the_grids_of_its_images() {
         let (x, _) = raster.grid.centre(row, column);
         let z = f64::from(raster.bands[0].values[row * raster.grid.columns + column]) + 0.1 * (vertex[0] - x);
         // The pixels of a cell are not spread evenly in it: a slope of 10 % over half a cell at most.
-        assert!((z - vertex[2]).abs() < 1.1e-3, "{z} {vertex:?}");
+        assert!((z - vertex[2]).abs() < 2e-3, "{z} {vertex:?}");
         compared += 1;
     }
     assert!(compared > 1000);

@@ -139,7 +139,7 @@ fn several_pairs_are_the_fusion_of_their_maps() {
 
 /// Rms error of image `c` of five before a plane, metres, where all of its four pairs see it.
 fn rms(with: &Value) -> f64 {
-    let sensor = Sensor { width_px: 160, height_px: 120, f: 300.0, cx: 79.5, cy: 59.5, ..small_sensor() };
+    let sensor = Sensor { width_px: 320, height_px: 120, f: 300.0, cx: 159.5, cy: 59.5, ..small_sensor() };
     let plane = height_mesh(2, [-60.0, 60.0, -60.0, 60.0], |_, _| 0.0);
     let block = block(5, &sensor, &plane);
     let map = matched(&block, with);
@@ -159,7 +159,7 @@ fn noise_of_pairs_averages_away_and_noise_of_images_stays() {
     let mix = rms(&with(json!({"mix": {"image_share": 0.5}})));
     // Baselines of 2, 2, 4 and 4 m at 20 m and 300 px: weights 1, 1, 4, 4 of (0.67 m / px x 0.2)^-2.
     let expected = 0.2 * 20.0 * 20.0 / (300.0 * 2.0) / 10f64.sqrt();
-    assert!((pair / expected - 1.0).abs() < 0.03, "{pair} instead of {expected}");
+    assert!((pair / expected - 1.0).abs() < 0.05, "{pair} instead of {expected}");
     // The image's own half adds up with the signs of the baselines: it shows in pairs on both sides with opposite sign.
     assert!((mix - pair).abs() < 0.5 * pair && image > 0.0, "{pair} {mix} {image}");
 }
