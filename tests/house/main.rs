@@ -6,6 +6,7 @@ mod care;
 mod chain;
 mod cli;
 mod commands;
+mod detection;
 mod documents;
 mod dynamic;
 mod engine;
