@@ -28,7 +28,7 @@ pub fn integrate(volume: &mut Volume, depth: &Depth, sigma: Option<&[f32]>) {
     let seen = depth.z.iter().filter(|z| z.is_finite() && **z > 0.0);
     let range_m = seen.fold([f64::INFINITY, 0.0], |[a, b], z| [a.min(f64::from(*z)), b.max(f64::from(*z))]);
     let sensor = &depth.sensor;
-    let pinhole = sensor.k == [0.0; 4] && sensor.p == [0.0; 2];
+    let pinhole = sensor.k.iter().chain(&sensor.p).all(|coefficient| coefficient.abs() <= 0.0);
     let view = View { depth, camera: Camera::of_depth(depth), sigma, range_m, pinhole };
     let layout = volume.layout;
     let blocks = (volume.keys.par_iter())
