@@ -18,12 +18,25 @@ mod classify_shapes;
 mod clean_mesh;
 mod command;
 mod compare_samples;
+mod describe_detectability;
 mod describe_noise;
+mod detect_m3c2;
+mod detect_raster;
+mod detect_voxels;
 mod difference_dem;
+mod draw_descriptors;
+mod draw_detection_frequency;
+mod draw_detection_rates;
+mod draw_detection_volumes;
+mod draw_detections;
 mod draw_picture;
+mod draw_rasters;
 mod draw_rockfall;
+mod draw_scores;
+mod draw_search;
 mod estimate_covariance;
 mod export_cameras;
+mod export_dataset;
 mod filter_outliers;
 mod fit_acceptance;
 mod fit_magnitude_frequency;
@@ -38,6 +51,8 @@ mod import_inventory;
 mod import_mesh;
 mod import_rasters;
 mod import_table;
+mod join_inventories;
+mod map_noise;
 mod mask_safe_zone;
 mod match_pair;
 mod perturb_cameras;
@@ -47,11 +62,15 @@ mod project_depth;
 mod propose_parameters;
 mod rasterise_dem;
 mod rasterise_inventory;
+mod reconstruct_blocks;
 mod refine_search;
 mod register_icp;
 mod remove_blocks;
+mod score_detections;
+mod select_features;
 mod select_pairs;
 mod summarise_acceptance;
+mod summarise_detections;
 mod synthesise_face;
 mod tabulate;
 mod test_acceptance;
@@ -89,10 +108,21 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<register_icp::RegisterIcp>::new(),
     &Row::<rasterise_dem::RasteriseDem>::new(),
     &Row::<difference_dem::DifferenceDem>::new(),
+    &Row::<detect_raster::DetectRaster>::new(),
+    &Row::<detect_m3c2::DetectM3c2>::new(),
+    &Row::<detect_voxels::DetectVoxels>::new(),
+    &Row::<score_detections::ScoreDetections>::new(),
+    &Row::<summarise_detections::SummariseDetections>::new(),
+    &Row::<describe_detectability::DescribeDetectability>::new(),
+    &Row::<join_inventories::JoinInventories>::new(),
+    &Row::<select_features::SelectFeatures>::new(),
+    &Row::<reconstruct_blocks::ReconstructBlocks>::new(),
+    &Row::<export_dataset::ExportDataset>::new(),
     &Row::<import_rasters::ImportRasters>::new(),
     &Row::<rasterise_inventory::RasteriseInventory>::new(),
     &Row::<filter_outliers::FilterOutliers>::new(),
     &Row::<apply_mask::ApplyMask>::new(),
+    &Row::<map_noise::MapNoise>::new(),
     &Row::<describe_noise::DescribeNoise>::new(),
     &Row::<fit_acceptance::FitAcceptance>::new(),
     &Row::<test_acceptance::TestAcceptance>::new(),
@@ -106,8 +136,16 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<tabulate::Tabulate>::new(),
     &Row::<triangulate_surface::TriangulateSurface>::new(),
     &Row::<draw_picture::DrawPicture>::new(),
+    &Row::<draw_detections::DrawDetections>::new(),
+    &Row::<draw_detection_volumes::DrawDetectionVolumes>::new(),
+    &Row::<draw_detection_frequency::DrawDetectionFrequency>::new(),
+    &Row::<draw_detection_rates::DrawDetectionRates>::new(),
     &Row::<command::Command>::new(),
     &Row::<draw_rockfall::DrawRockfall>::new(),
+    &Row::<draw_descriptors::DrawDescriptors>::new(),
+    &Row::<draw_scores::DrawScores>::new(),
+    &Row::<draw_search::DrawSearch>::new(),
+    &Row::<draw_rasters::DrawRasters>::new(),
 ];
 
 /// Every stage there is, in the order of the catalogue.

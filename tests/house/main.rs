@@ -1,11 +1,13 @@
 //! Proofs of the whole house, in one binary.
 
 mod broken;
+mod calibration;
 mod campaign;
 mod care;
 mod chain;
 mod cli;
 mod commands;
+mod detection;
 mod documents;
 mod dynamic;
 mod engine;

@@ -64,7 +64,7 @@ pub fn draw(
 
 /// The relief with the niches over it, small ones over large ones.
 fn paint(sheet: &mut Canvas, figure: &Figure, view: &View, scale: &ColourScale) {
-    for (place, shade) in shades(figure, view).iter().enumerate() {
+    for (place, shade) in shades(figure.face, &figure.grid, view).iter().enumerate() {
         if let Some(pixel) = sheet.pixel(place % view.width, place / view.width) {
             *pixel = *shade;
         }
@@ -85,15 +85,17 @@ fn darker(colour: Colour) -> Colour {
     colour.map(|value| value / 2)
 }
 
-fn in_pixels(polygon: &Polygon, grid: &Grid, view: &View) -> Polygon {
+/// A polygon in metres as one in pixels of a view.
+pub fn in_pixels(polygon: &Polygon, grid: &Grid, view: &View) -> Polygon {
     let place = |[x, y]: &[f64; 2]| [(x - grid.left_m) / view.pixel_m, (grid.top_m - y) / view.pixel_m];
     let ring = |ring: &Vec<[f64; 2]>| ring.iter().map(place).collect();
     Polygon { exterior: ring(&polygon.exterior), holes: polygon.holes.iter().map(ring).collect() }
 }
 
-/// Grey relief by row from the top.
-fn shades(figure: &Figure, view: &View) -> Vec<Colour> {
-    let heights: Vec<f64> = (0..view.width * view.height).into_par_iter().map(|i| height(figure, view, i)).collect();
+/// Grey relief of elevations by row from the top.
+pub fn shades(face: &[f32], grid: &Grid, view: &View) -> Vec<Colour> {
+    let heights: Vec<f64> =
+        (0..view.width * view.height).into_par_iter().map(|i| height(face, grid, view, i)).collect();
     let at = |x: usize, y: usize| heights[y * view.width + x];
     let shade = |place: usize| {
         let (x, y) = (place % view.width, place / view.width);
@@ -111,8 +113,7 @@ fn shades(figure: &Figure, view: &View) -> Vec<Colour> {
 }
 
 /// Elevation under a pixel: between the four cells around it, the mean of the cells it covers when they are smaller.
-fn height(figure: &Figure, view: &View, place: usize) -> f64 {
-    let grid = &figure.grid;
+fn height(face: &[f32], grid: &Grid, view: &View, place: usize) -> f64 {
     let cells = view.pixel_m / grid.cell_m;
     let centre = |pixel: usize| (pixel as f64 + 0.5) * cells - 0.5;
     let (column, row) = (centre(place % view.width), centre(place / view.width));
@@ -124,7 +125,7 @@ fn height(figure: &Figure, view: &View, place: usize) -> f64 {
     let (mut sum, mut weight) = (0.0, 0.0);
     for r in range(row, grid.rows) {
         for c in range(column, grid.columns) {
-            let value = f64::from(figure.face[r * grid.columns + c]);
+            let value = f64::from(face[r * grid.columns + c]);
             // A tent over the pixel: linear between cells, a mean over many.
             let share = (1.0 - (r as f64 - row).abs() / reach) * (1.0 - (c as f64 - column).abs() / reach) + 1e-9;
             if value.is_finite() {

@@ -1,11 +1,12 @@
 //! The summary figure of a rockfall inventory: the face with its niches, magnitude and frequency, shapes, and what blocks lost.
 //!
 //! `strokes` draws lines, dots and polygons, `axes` a frame with logarithmic axes, and `face`, `frequency`, `ternary` and
-//! `volumes` a panel each.
+//! `volumes` a panel each; `outcomes` maps what was found and what was not.
 
 mod axes;
 mod face;
 mod frequency;
+pub mod outcomes;
 pub(in crate::kernel) mod strokes;
 mod ternary;
 mod volumes;
