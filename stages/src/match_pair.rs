@@ -74,7 +74,7 @@ pub struct MatchPair;
 impl Stage for MatchPair {
     type Params = MatchPairParams;
     const NAME: &'static str = "match-pair";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page {
         what: "Makes the depth map of one image of a stereo pair as dense matching would: with the errors of the \
                orientation and of the matching in it.",

@@ -194,11 +194,13 @@ impl MatcherTerms {
         Self {
             local_length_px: 0.0,
             local_smoothness: 0.5,
+            local_stretch: 1.0,
             image_share: 0.0,
             acquisition: None,
             texture: None,
             conditions: None,
             relief: None,
+            ledges: None,
             window: None,
             blunders: None,
             holes: None,
