@@ -29,7 +29,9 @@ impl ReportArgs {
         if store.is_none() {
             eprintln!("warning: there is no store here; what is not in the run folder is missing from the report");
         }
-        let source = Source { folder: &run.folder, manifest: &run.manifest, store: store.as_ref() };
+        let graph = report::graph_of(&run.manifest);
+        let (folder, manifest) = (&run.folder, &run.manifest);
+        let source = Source { folder, manifest, store: store.as_ref(), graph: graph.as_ref(), logs: None };
         let to = self.output.unwrap_or_else(|| run.folder.join(report::FILE));
         report::write(&source, &to)?;
         say(&to.display().to_string());

@@ -68,7 +68,7 @@ pub fn comparison(runs: &[PastRun], store: Option<&Store>) -> Result<String, Rep
 }
 
 fn run(run: &PastRun) -> RunView {
-    let source = Source { folder: &run.folder, manifest: &run.manifest, store: None };
+    let source = Source { folder: &run.folder, manifest: &run.manifest, store: None, graph: None, logs: None };
     let linker = Linker { source: &source, links: Links::Absolute };
     RunView {
         name: run.name.clone(),
@@ -95,10 +95,10 @@ fn pictures(runs: &[PastRun], store: Option<&Store>) -> Vec<PictureRow> {
     let mut budget = Budget::new();
     let mut found: BTreeMap<String, Vec<Option<Medium>>> = BTreeMap::new();
     for (place, run) in runs.iter().enumerate() {
-        let source = Source { folder: &run.folder, manifest: &run.manifest, store };
+        let source = Source { folder: &run.folder, manifest: &run.manifest, store, graph: None, logs: None };
         let linker = Linker { source: &source, links: Links::Absolute };
         for done in &run.manifest.steps {
-            for medium in media::of(&source, done, &linker, &mut budget) {
+            for medium in media::finished_of(&source, done, &linker, &mut budget) {
                 let images = found.entry(medium.from.clone()).or_insert_with(|| runs.iter().map(|_| None).collect());
                 images[place] = Some(medium);
             }

@@ -1,54 +1,55 @@
 //! The graph of a run, each step with what became of it.
 
-use std::collections::BTreeMap;
-
 use crate::drawing::{Drawing, Note, Tint};
-use crate::history::{Manifest, StepDone};
+use crate::history::Manifest;
 use crate::pipeline::{Overrides, Pipeline};
-use crate::plan::resolve;
-use crate::watch::duration;
+use crate::plan::{Graph, resolve};
 
-/// With more steps than this nobody finds anything in the picture.
-const STEPS_LIMIT: usize = 300;
+use super::steps::StepView;
 
-/// The picture, where it can be drawn: not where the pipeline is one that this program does not read any more, or has very
-/// many steps.
-pub fn svg(manifest: &Manifest) -> Option<String> {
-    let told = &manifest.pipeline;
-    let overrides = Overrides {
-        set: manifest.overrides.set.clone(),
-        sweep: manifest.overrides.sweep.clone(),
-        seed: manifest.overrides.seed,
-    };
+/// A graph of more steps is not drawn: nobody could read it.
+const STEPS: usize = 150;
+
+/// The graph of a past run, from the texts its manifest holds; `None` where this version does not read them.
+pub fn of(manifest: &Manifest) -> Option<Graph> {
+    let (told, changed) = (&manifest.pipeline, &manifest.overrides);
+    let path = told.folder.join(told.path.file_name()?);
+    let overrides = Overrides { set: changed.set.clone(), sweep: changed.sweep.clone(), seed: changed.seed };
     let included = told.included.iter().map(|file| (file.path.clone(), file.text.clone())).collect();
-    let path = told.folder.join(told.path.file_name().unwrap_or_default());
     let pipeline = Pipeline::of_text(&told.text, included, &path, &overrides).ok()?;
-    if pipeline.document.steps.len() > STEPS_LIMIT {
-        return None;
-    }
-    let graph = resolve(&pipeline, &manifest.targets, rockface_stages::all()).ok()?;
-    let mut steps: BTreeMap<&str, Vec<&StepDone>> = BTreeMap::new();
-    manifest.steps.iter().for_each(|done| steps.entry(&done.step).or_default().push(done));
-    let drawing = Drawing::of(&graph).ok()?;
-    let noted = |drawing: Drawing, (step, done): (&str, Vec<&StepDone>)| {
-        drawing.count(step, done.len()).note(step, note(&done))
-    };
-    Some(steps.into_iter().fold(drawing, noted).svg())
+    resolve(&pipeline, &manifest.targets, rockface_stages::all()).ok()
 }
 
-/// How many of the instances of a step ran and how long they took together, in the colour of what became of them.
-fn note(done: &[&StepDone]) -> Note {
-    let with = |status: &'static str| done.iter().filter(move |done| done.status == status);
-    let (ran, cached) = (with("executed").count(), with("cached").count());
-    let wall_s: f64 = with("executed").filter_map(|done| done.cost.map(|cost| cost.wall_s)).sum();
-    let failed = done.len() - ran - cached;
-    let took = format!("ran {ran}, {}", duration(wall_s));
-    let (tint, text) = match (failed, ran) {
-        (0, 0) => (Tint::Cached, "cached".to_owned()),
-        (0, 1) if cached == 0 => (Tint::Ran, format!("ran, {}", duration(wall_s))),
-        (0, _) if cached == 0 => (Tint::Ran, took),
-        (0, _) => (Tint::Ran, format!("{took}; cached {cached}")),
-        (failed, _) => (Tint::Failed, format!("{failed} not made")),
+/// The names of the target steps.
+pub fn targets(graph: &Graph) -> Vec<String> {
+    graph.targets.iter().map(|step| graph.steps[*step].name.clone()).collect()
+}
+
+/// The picture, each step with its time and whether it ran, was cached or did not finish.
+pub fn svg(graph: &Graph, steps: &[StepView]) -> Option<String> {
+    if graph.steps.len() > STEPS {
+        return None;
+    }
+    let drawing = Drawing::of(graph).ok()?;
+    let noted = |drawing: Drawing, step: &StepView| {
+        // The items of some axes were not known before the run.
+        let instances = step.executed + step.cached + step.missing;
+        drawing.count(&step.name, instances).note(&step.name, note(step))
     };
-    Note { text, tint }
+    Some(steps.iter().fold(drawing, noted).svg())
+}
+
+fn note(step: &StepView) -> Note {
+    let tint = match step {
+        step if step.missing > 0 => Tint::Failed,
+        step if step.executed > 0 => Tint::Ran,
+        _ => Tint::Cached,
+    };
+    let what = match step {
+        step if step.missing > 0 => format!("{} not finished", step.missing),
+        step if step.executed == 0 => "cached".to_owned(),
+        step if step.cached > 0 => format!("ran {}, cached {}", step.executed, step.cached),
+        _ => "ran".to_owned(),
+    };
+    Note { text: format!("{what}, {}", step.wall), tint }
 }

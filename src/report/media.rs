@@ -1,10 +1,13 @@
 //! Pictures and figures inside the page, within a budget of bytes.
 
+use std::collections::BTreeMap;
+
 use base64::Engine;
 use rockface_cache::OutputRecord;
 use rockface_stages::artefact::{Artefact, Figure, Kind, Noun};
 use serde::Serialize;
 
+use super::number::Shown;
 use super::source::Source;
 use super::steps::Linker;
 use crate::history::StepDone;
@@ -12,7 +15,9 @@ use crate::history::StepDone;
 /// Bytes of images in a page at most; what does not fit is linked.
 const PAGE_BYTES: usize = 7_000_000;
 /// A picture larger than this is shown small and linked.
-const PICTURE_BYTES: usize = 1_500_000;
+const PICTURE_BYTES: usize = 2_500_000;
+/// Pictures of one output that are shown; a depth map may have a dozen channels.
+const CHANNELS: usize = 3;
 
 /// A picture or figure.
 #[derive(Debug, Clone, Serialize)]
@@ -29,6 +34,21 @@ pub struct Medium {
     pub link: Option<String>,
     /// Whether it deserves the whole width.
     pub wide: bool,
+    /// What its colours stand for, where it does not say so itself.
+    pub colours: Option<Colours>,
+}
+
+/// A colour bar.
+#[derive(Debug, Clone, Serialize)]
+pub struct Colours {
+    /// `viridis`, `red_blue` or `grey`.
+    pub palette: String,
+    /// Values at its ends.
+    pub low: Shown,
+    /// Values at its ends.
+    pub high: Shown,
+    /// Their unit.
+    pub unit: String,
 }
 
 /// Pixels from which on a picture or figure gets the whole width.
@@ -72,8 +92,38 @@ impl Budget {
     }
 }
 
-/// The pictures and figures that one instance made.
+/// The pictures of one instance: those it made, then those its log keeps of its other outputs.
 pub fn of(source: &Source, done: &StepDone, linker: &Linker, budget: &mut Budget) -> Vec<Medium> {
+    let mut found = finished_of(source, done, linker, budget);
+    let mut shown: BTreeMap<String, usize> = BTreeMap::new();
+    for preview in source.previews(done) {
+        let from = format!("{}.{}", done.label(), preview.port);
+        let count = shown.entry(from.clone()).or_default();
+        let is_finished = found.iter().any(|medium| medium.from == from && medium.caption.is_empty());
+        if is_finished || *count >= CHANNELS || !budget.take(preview.png.len()) {
+            continue;
+        }
+        *count += 1;
+        found.push(Medium {
+            caption: preview.caption,
+            from,
+            svg: None,
+            image: Some(data("image/png", &preview.png)),
+            link: linker.output(done, &preview.port),
+            wide: false,
+            colours: preview.colours.map(|key| Colours {
+                palette: key.palette,
+                low: Shown::of_json(&key.low.into()),
+                high: Shown::of_json(&key.high.into()),
+                unit: key.unit,
+            }),
+        });
+    }
+    found
+}
+
+/// The pictures and figures that one instance made.
+pub fn finished_of(source: &Source, done: &StepDone, linker: &Linker, budget: &mut Budget) -> Vec<Medium> {
     let outputs = done.outputs.iter().flatten();
     outputs.filter_map(|(port, output)| finished(source, done, port, output, linker, budget)).collect()
 }
@@ -99,6 +149,7 @@ fn finished(
         image: None,
         link: linker.output(done, port),
         wide: true,
+        colours: None,
     };
     if kind == Kind::Figure {
         let figure = Figure::decode(&bytes).ok()?;

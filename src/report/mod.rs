@@ -21,6 +21,7 @@ use serde::Serialize;
 use crate::history::Manifest;
 
 pub use compared::comparison;
+pub use graph::of as graph_of;
 pub use source::Source;
 
 /// The name of the report in a run folder.

@@ -45,7 +45,7 @@ pub struct Page {
     steps: Vec<StepView>,
     more_steps: usize,
     folder: String,
-    manifest: Option<String>,
+    manifest: String,
     log: Option<String>,
     program: Vec<(String, Shown)>,
     pipeline_path: String,
@@ -106,11 +106,11 @@ pub fn of(source: &Source, links: Links) -> Page {
         pictures,
         results,
         refused: budget.refused,
-        graph: graph::svg(manifest),
+        graph: source.graph.and_then(|graph| graph::svg(graph, &gathered.steps)),
         more_steps: gathered.more_steps,
         steps: gathered.steps,
         folder: source.folder.display().to_string(),
-        manifest: linker.to("run.json".as_ref()),
+        manifest: linker.certain("run.json"),
         log: linker.to("run.mcap".as_ref()),
         program: program(&manifest.program),
         pipeline_path: manifest.pipeline.path.display().to_string(),
@@ -119,9 +119,12 @@ pub fn of(source: &Source, links: Links) -> Page {
     }
 }
 
-/// The target steps: those of the manifest, or in a manifest that does not name them those whose outputs nobody reads.
+/// The target steps: those of the graph, of the manifest, or without either those whose outputs nobody reads.
 fn targets(source: &Source) -> Vec<String> {
     let manifest = source.manifest;
+    if let Some(graph) = source.graph {
+        return graph::targets(graph);
+    }
     if !manifest.targets.is_empty() {
         return manifest.targets.clone();
     }

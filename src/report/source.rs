@@ -4,8 +4,11 @@ use std::path::{Path, PathBuf};
 
 use rockface_cache::{Digest, OutputRecord, Store};
 use rockface_stages::Entry;
+use rockface_stages::artefact::Shown;
+use rockface_stages::artefact::sketch::{ColourKey, Shape};
 
 use crate::history::{Manifest, StepDone};
+use crate::plan::Graph;
 
 /// A run and where its files are.
 pub struct Source<'a> {
@@ -15,6 +18,22 @@ pub struct Source<'a> {
     pub manifest: &'a Manifest,
     /// The store, for what is not in the folder; without it such things are left out, and the page says so.
     pub store: Option<&'a Store>,
+    /// Its steps and how they hang together, where that is known.
+    pub graph: Option<&'a Graph>,
+    /// What each step instance said, in the order of the manifest, where that was read already; otherwise the store is asked.
+    pub logs: Option<&'a [Vec<Entry>]>,
+}
+
+/// A picture of an output that was made when the step ran.
+pub struct Preview {
+    /// The output.
+    pub port: String,
+    /// The part of it that is shown, and what was left out.
+    pub caption: String,
+    /// What its colours stand for, where it does not say so itself.
+    pub colours: Option<ColourKey>,
+    /// The PNG file.
+    pub png: Vec<u8>,
 }
 
 impl Source<'_> {
@@ -28,10 +47,20 @@ impl Source<'_> {
         self.store?.get(digest).ok()
     }
 
-    /// What a step instance said.
-    pub(super) fn entries(&self, done: &StepDone) -> Vec<Entry> {
-        let log = done.log.and_then(|digest| self.blob(&digest));
+    /// What the step instance at this place of the manifest said.
+    pub(super) fn entries(&self, place: usize) -> Vec<Entry> {
+        if let Some(entries) = self.logs.and_then(|logs| logs.get(place)) {
+            return entries.clone();
+        }
+        let log = self.manifest.steps[place].log.and_then(|digest| self.blob(&digest));
         log.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default()
+    }
+
+    /// The pictures of the outputs of a step instance that its log keeps.
+    pub(super) fn previews(&self, done: &StepDone) -> Vec<Preview> {
+        let kept = done.sketches.and_then(|digest| self.blob(&digest));
+        let shown = kept.and_then(|bytes| Shown::read_all(&bytes).ok()).unwrap_or_default();
+        shown.into_iter().filter_map(preview).collect()
     }
 
     /// The path of a file of the run folder that is there.
@@ -39,4 +68,12 @@ impl Source<'_> {
         let full = self.folder.join(path);
         full.is_file().then_some(full)
     }
+}
+
+fn preview(shown: Shown) -> Option<Preview> {
+    let Shape::Picture(picture) = shown.sketch.shape else { return None };
+    let quantity = picture.colours.as_ref().map_or("", |colours| &colours.quantity);
+    let named = [quantity, &shown.sketch.reduced].into_iter().filter(|text| !text.is_empty());
+    let caption = named.collect::<Vec<_>>().join(", ");
+    Some(Preview { port: shown.port, caption, colours: picture.colours, png: picture.png })
 }

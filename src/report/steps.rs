@@ -151,12 +151,19 @@ impl Linker<'_> {
     /// The address of a file of the folder that is there.
     pub fn to(&self, path: &Path) -> Option<String> {
         let full = self.source.file(path)?;
-        let written = if self.links == Links::Relative { path.to_owned() } else { full };
+        Some(self.address(if self.links == Links::Relative { path } else { &full }))
+    }
+
+    /// The address of a file that every run folder has, though this one may get it after its report.
+    pub fn certain(&self, name: &str) -> String {
+        self.address(&if self.links == Links::Relative { name.into() } else { self.source.folder.join(name) })
+    }
+
+    fn address(&self, path: &Path) -> String {
         let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"/._-~,=".contains(&byte);
-        let text = written.to_string_lossy();
         let letter = |byte: u8| if plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") };
-        let address: String = text.bytes().map(letter).collect();
-        Some(if self.links == Links::Relative { address } else { format!("file://{address}") })
+        let address: String = path.to_string_lossy().bytes().map(letter).collect();
+        if self.links == Links::Relative { address } else { format!("file://{address}") }
     }
 }
 
@@ -173,14 +180,15 @@ pub struct Gathered {
 
 /// Gathers the steps of a run. Pictures of target steps come first into the budget.
 pub fn gather(linker: &Linker, targets: &[String], budget: &mut Budget) -> Gathered {
-    let mut order: Vec<(&str, Vec<&StepDone>)> = Vec::new();
-    let mut places: BTreeMap<&str, usize> = BTreeMap::new();
-    for done in &linker.source.manifest.steps {
-        let place = *places.entry(&done.step).or_insert_with(|| {
+    let all = &linker.source.manifest.steps;
+    let mut order: Vec<(&str, Vec<usize>)> = Vec::new();
+    let mut known: BTreeMap<&str, usize> = BTreeMap::new();
+    for (place, done) in all.iter().enumerate() {
+        let row = *known.entry(&done.step).or_insert_with(|| {
             order.push((&done.step, Vec::new()));
             order.len() - 1
         });
-        order[place].1.push(done);
+        order[row].1.push(place);
     }
     let is_target = |name: &str| targets.iter().any(|target| target == name);
     let mut gathered = Gathered { more_steps: order.len().saturating_sub(STEPS), ..Gathered::default() };
@@ -193,15 +201,17 @@ pub fn gather(linker: &Linker, targets: &[String], budget: &mut Budget) -> Gathe
         });
         order.truncate(STEPS);
     }
-    for (name, instances) in &order {
-        let view = step(linker, name, instances, is_target(name), &mut gathered.warnings);
+    for (name, places) in &order {
+        let mut view = step(linker, name, &places.iter().map(|place| &all[*place]).collect::<Vec<_>>());
+        view.target = is_target(name);
+        view.say(linker.source, places, &mut gathered.warnings);
         gathered.steps.push(view);
     }
     let longest = gathered.steps.iter().map(|step| step.wall_s).fold(0.0, f64::max);
     for wanted in [true, false] {
-        for (view, (_, instances)) in gathered.steps.iter_mut().zip(&order).filter(|(view, _)| view.target == wanted) {
+        for (view, (_, places)) in gathered.steps.iter_mut().zip(&order).filter(|(view, _)| view.target == wanted) {
             view.share = if longest > 0.0 { 100.0 * view.wall_s / longest } else { 0.0 };
-            for done in instances.iter().take(SHOWN) {
+            for done in places.iter().take(SHOWN).map(|place| &all[*place]) {
                 view.media.extend(media::of(linker.source, done, linker, budget));
                 view.tables.extend(tables::of(linker.source, done, linker));
             }
@@ -210,12 +220,11 @@ pub fn gather(linker: &Linker, targets: &[String], budget: &mut Budget) -> Gathe
     gathered
 }
 
-fn step(linker: &Linker, name: &str, instances: &[&StepDone], target: bool, warnings: &mut Vec<Said>) -> StepView {
+fn step(linker: &Linker, name: &str, instances: &[&StepDone]) -> StepView {
     let count = |status: &str| instances.iter().filter(|done| done.status == status).count();
     let (executed, cached) = (count("executed"), count("cached"));
     let wall_s: f64 = instances.iter().filter_map(|done| done.cost).map(|cost| cost.wall_s).sum();
     let outputs = || instances.iter().flat_map(|done| done.outputs.iter().flatten().map(move |(p, o)| (*done, p, o)));
-    let notes = notes(linker.source, instances, warnings);
     let file = |(done, port, output): (&StepDone, &String, &rockface_cache::OutputRecord)| FileView {
         name: format!("{}.{port}", done.label()),
         kind: output.kind.clone(),
@@ -227,7 +236,7 @@ fn step(linker: &Linker, name: &str, instances: &[&StepDone], target: bool, warn
         name: name.to_owned(),
         stage: instances[0].stage.clone(),
         version: instances[0].version,
-        target,
+        target: false,
         instances: instances.len(),
         executed,
         cached,
@@ -241,8 +250,8 @@ fn step(linker: &Linker, name: &str, instances: &[&StepDone], target: bool, warn
         tables: Vec::new(),
         more: instances.len().saturating_sub(SHOWN),
         metrics: metrics(instances),
-        more_notes: notes.len().saturating_sub(NOTES),
-        notes: notes.into_iter().take(NOTES).collect(),
+        more_notes: 0,
+        notes: Vec::new(),
         parameters: parameters(instances),
         files: outputs().take(FILES).map(file).collect(),
         more_files: outputs().count().saturating_sub(FILES),
@@ -250,19 +259,24 @@ fn step(linker: &Linker, name: &str, instances: &[&StepDone], target: bool, warn
     }
 }
 
-/// Notes and headlines; warnings go to the list of all.
-fn notes(source: &Source, instances: &[&StepDone], warnings: &mut Vec<Said>) -> Vec<Said> {
-    let mut notes = Vec::new();
-    for done in instances.iter().take(READ) {
-        for entry in source.entries(done) {
-            match entry {
-                Entry::Note { text } | Entry::Headline { text } => notes.push(Said { label: done.label(), text }),
-                Entry::Warning { text } => warnings.push(Said { label: done.label(), text }),
-                Entry::Metric { .. } => {}
+impl StepView {
+    /// Takes in what its instances said; warnings go to the list of all.
+    fn say(&mut self, source: &Source, places: &[usize], warnings: &mut Vec<Said>) {
+        for place in places.iter().take(READ) {
+            let label = source.manifest.steps[*place].label();
+            for entry in source.entries(*place) {
+                let said = |text| Said { label: label.clone(), text };
+                match entry {
+                    Entry::Note { text } | Entry::Headline { text } if self.notes.len() < NOTES => {
+                        self.notes.push(said(text));
+                    }
+                    Entry::Note { .. } | Entry::Headline { .. } => self.more_notes += 1,
+                    Entry::Warning { text } => warnings.push(said(text)),
+                    Entry::Metric { .. } => {}
+                }
             }
         }
     }
-    notes
 }
 
 fn metrics(instances: &[&StepDone]) -> Vec<MetricView> {

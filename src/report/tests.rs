@@ -25,7 +25,7 @@ fn manifest() -> Manifest {
 
 fn page() -> String {
     let (manifest, folder) = (manifest(), Path::new("/nowhere"));
-    html(&Source { folder, manifest: &manifest, store: None }, Links::Relative).unwrap()
+    html(&Source { folder, manifest: &manifest, store: None, graph: None, logs: None }, Links::Relative).unwrap()
 }
 
 #[test]

@@ -127,15 +127,16 @@ impl Writer<'_> {
         let mut manifest = account::manifest(self.plan, self.summary, self.about, headlines, logs, laid)?;
         write_file(&folder.join("pipeline.yaml"), self.about.pipeline.text().as_bytes())?;
         write_file(&folder.join("run.json"), manifest.text().as_bytes())?;
-        self.report(folder, &manifest)?;
+        self.report(folder, &manifest, logs)?;
         let described = serde_json::to_string_pretty(&crate_metadata(folder, &manifest)).unwrap_or_default();
         write_file(&folder.join("ro-crate-metadata.json"), format!("{described}\n").as_bytes())
     }
 
     /// Writes the page of the run.
-    fn report(&self, folder: &Path, manifest: &Manifest) -> Result<(), RunError> {
+    fn report(&self, folder: &Path, manifest: &Manifest, logs: &[Vec<Entry>]) -> Result<(), RunError> {
         let path = folder.join(report::FILE);
-        let source = report::Source { folder, manifest, store: Some(self.store) };
+        let (store, graph) = (Some(self.store), Some(&self.plan.graph));
+        let source = report::Source { folder, manifest, store, graph, logs: Some(logs) };
         match report::write(&source, &path) {
             // What was computed is worth more than its page.
             Err(report::ReportError::Template(error)) => tracing::warn!("the run has no report: {error:#}"),

@@ -21,6 +21,8 @@ params! {
         ridge: f64 = 1e-3; Range::NonNegative,
         /// Quantile of the reference distances that is reported as threshold.
         quantile: f64 = 0.95; Range::Between(0.5, 1.0),
+        /// Share of the rasters, the last ones, that is not looked at: a calibration by this model can be judged by them.
+        held_out: f64 = 0.0; Range::Between(0.0, 0.9),
     }
 }
 
@@ -68,7 +70,8 @@ impl Stage for FitAcceptance {
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let tables = inputs.many::<Table>("features")?;
-        let rows = feature_rows(&tables, &params.features).map_err(StageError::new)?;
+        let mut rows = feature_rows(&tables, &params.features).map_err(StageError::new)?;
+        rows.truncate(rows.len() - (rows.len() as f64 * params.held_out).round() as usize);
         let mut groups = BTreeMap::from([("all".to_owned(), fit_columns(&params.features, params, &rows)?)]);
         for (group, _) in GROUPS {
             let chosen: Vec<String> = params.features.iter().filter(|name| in_group(group, name)).cloned().collect();

@@ -24,12 +24,16 @@ mod detect_m3c2;
 mod detect_raster;
 mod detect_voxels;
 mod difference_dem;
+mod draw_descriptors;
 mod draw_detection_frequency;
 mod draw_detection_rates;
 mod draw_detection_volumes;
 mod draw_detections;
 mod draw_picture;
+mod draw_rasters;
 mod draw_rockfall;
+mod draw_scores;
+mod draw_search;
 mod estimate_covariance;
 mod export_cameras;
 mod export_dataset;
@@ -48,6 +52,7 @@ mod import_mesh;
 mod import_rasters;
 mod import_table;
 mod join_inventories;
+mod map_noise;
 mod mask_safe_zone;
 mod match_pair;
 mod perturb_cameras;
@@ -117,6 +122,7 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<rasterise_inventory::RasteriseInventory>::new(),
     &Row::<filter_outliers::FilterOutliers>::new(),
     &Row::<apply_mask::ApplyMask>::new(),
+    &Row::<map_noise::MapNoise>::new(),
     &Row::<describe_noise::DescribeNoise>::new(),
     &Row::<fit_acceptance::FitAcceptance>::new(),
     &Row::<test_acceptance::TestAcceptance>::new(),
@@ -136,6 +142,10 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<draw_detection_rates::DrawDetectionRates>::new(),
     &Row::<command::Command>::new(),
     &Row::<draw_rockfall::DrawRockfall>::new(),
+    &Row::<draw_descriptors::DrawDescriptors>::new(),
+    &Row::<draw_scores::DrawScores>::new(),
+    &Row::<draw_search::DrawSearch>::new(),
+    &Row::<draw_rasters::DrawRasters>::new(),
 ];
 
 /// Every stage there is, in the order of the catalogue.

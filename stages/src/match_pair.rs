@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::artefact::{Cameras, Depth, Image, Kind, Pair, Pairs};
+use crate::artefact::{Cameras, Depth, Image, Kind, Pair, Pairs, Raster};
 use crate::kernel::camera::Camera;
 use crate::kernel::matching_noise::{Distribution, FieldRecipe, Interpolation, LocalNoise, Variance};
 use crate::kernel::noise::matcher::{MatcherTerms, PairScene, PaperNoise};
@@ -85,7 +85,12 @@ impl Stage for MatchPair {
                  the first rectified image; back to depth on the noisy rays of the image. Sampled at image pixels, so \
                  nothing is resampled. The two maps of a pair carry the same error at corresponding points where both steps draw \
                  from one stream: give both `stream: {label: match, axes: [...]}` with the axes they share. \
-                 The y-parallax is no part of the disparity: it is measured and discarded. `matcher` adds what real matchers                  show: a Matern correlation of the local noise over a few pixels, noise that varies with the texture of the                  face, with the conditions and the quality of an acquisition and with the relief inside the matcher's window                  (heavy tails come from that variation), the window's own smoothing and foreground fattening (these two and                  the relief see the ideal depth map of the image that is made), blunders, holes, pixel locking, and errors                  shared by the pairs of an image.",
+                 The y-parallax is no part of the disparity: it is measured and discarded. `matcher` adds what real matchers \
+                 show: a Matern correlation of the local noise over a few pixels, noise that varies with the texture of the \
+                 face, with the conditions and the quality of an acquisition and with the relief inside the matcher's window, \
+                 or as a map from rasters of the site says (heavy tails come from that variation), noise at ledges of a \
+                 kind of its own, the window's own smoothing and foreground fattening (these two and the relief see the ideal depth \
+                 map of the image that is made), blunders, holes, pixel locking, and errors shared by the pairs of an image.",
         frames: "Disparities, sigmas and the spacing are in pixels of the depth map (image pixels times downscale). \
                  Depth is z along the optical axis of the noisy camera, metres; the map carries that camera. \
                  Channels: `range` (distance along the noisy ray, metres); `disparity.ideal` (true projections, noisy \
@@ -96,7 +101,8 @@ impl Stage for MatchPair {
                  gives the local noise before that factor).",
         fails: "The pair is unknown or not named; a depth map is not of its image; sizes, frames or downscales differ; \
                 the pair has no baseline or moves along its view; the images share nothing; the y-parallax is above \
-                max_y_parallax_px (a covariance without correlations does that: give the full one); a texture outside the                 wall frame.",
+                max_y_parallax_px (a covariance without correlations does that: give the full one); a texture outside the wall \
+                frame; a map of strength in another frame, or without `matcher`.",
         example: "\
 rockface: 1
 name: noisy-depth
@@ -119,6 +125,11 @@ steps:
         Port::one("second", &[Kind::Depth], "Ideal depth map of the pair's second image, with its true camera."),
         Port::one("noisy", &[Kind::Cameras], "The cameras as the bundle adjustment believes them to be."),
         Port::one("pairs", &[Kind::Pairs], "The pairs."),
+        Port::optional(
+            "strength",
+            &[Kind::Raster],
+            "Factor on the local noise by place, from `map-noise`; needs `matcher`.",
+        ),
     ];
     const OUTPUTS: &'static [Port] =
         &[Port::one("depth", &[Kind::Depth], "The noisy depth map, with its noisy camera.")];
@@ -140,7 +151,14 @@ steps:
         if let Some(seen) = &seen {
             matched[own] = seen;
         }
-        let matcher = prepare(params, context, &pair.name, matched, noisy, images)?;
+        let strength = inputs.optional::<Raster>("strength")?;
+        if strength.is_some() && params.matcher.is_none() {
+            return Err(StageError::new(
+                "the paper's noise is equally strong everywhere and has no use for `strength`",
+            )
+            .hint("add `matcher: {}` to the parameters, or leave the input out"));
+        }
+        let matcher = prepare(params, context, &pair.name, matched, (noisy, images), strength)?;
         let (map, tally) = matched_map(params, &matcher, own, noisy, images[own]);
         report(params, context, pair, &map, &tally)?;
         Ok(Outputs::of("depth", map))
@@ -202,8 +220,8 @@ fn prepare<'a>(
     context: &Context,
     pair: &str,
     ideal: [&'a Depth; 2],
-    cameras: &Cameras,
-    images: [&Image; 2],
+    (cameras, images): (&Cameras, [&Image; 2]),
+    strength: Option<&Raster>,
 ) -> Result<Matcher<'a>, StageError> {
     let noisy = images.map(|image| Camera::new(cameras.sensor(image), image));
     let rectification = Rectification::new([&noisy[0], &noisy[1]], ideal[0].downscale)
@@ -229,6 +247,7 @@ fn prepare<'a>(
         camera: &cameras[own],
         noisy: &noisy[0],
         rectification: &rectification,
+        strength,
     };
     let keys = |purpose: &str, item: &str| context.stream(purpose, item);
     let (local, smooth, terms) = match &params.matcher {

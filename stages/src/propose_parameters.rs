@@ -4,7 +4,7 @@ use crate::artefact::{Acceptance, Cell, GroupModel, Kind, Table};
 use crate::kernel::gathered::feature_rows;
 use crate::kernel::mahalanobis::distance;
 use crate::kernel::noise::moments::Surrogate;
-use crate::kernel::noise::points::{ITEM, Scale, coordinates, positions, rounded};
+use crate::kernel::noise::points::{ITEM, MOST_DIMENSIONS, Scale, coordinates, halton, positions, rounded};
 use crate::kernel::precise;
 use crate::kernel::quantile::quantile;
 use crate::params::{Fault, Range};
@@ -21,6 +21,10 @@ params! {
         scale: Scale = Scale::Log,
         /// How far outside the range of the simulations the proposal may lie: a share of its width on either side.
         trust: f64 = 0.25; Range::NonNegative,
+        /// How many points are proposed: the nearest, and others around it for the next round to learn from.
+        count: usize = 1; Range::Between(1.0, 1e6),
+        /// Reach of the others, as a share of the range of the simulations to either side.
+        reach: f64 = 0.2; Range::Positive,
     }
 }
 
@@ -39,7 +43,8 @@ impl Stage for ProposeParameters {
                  their logarithms), simulations near the reference counting more (weight 1 / (1 + D2 / median D2)); the proposal makes the \
                  squared Mahalanobis distance of the predicted features smallest within the trusted range. In the paper's \
                  noise model each parameter has its own feature: sigma_local_px the nugget, sigma_regular_px the sill, spacing_px the \
-                 range; the table of sensitivities shows whether that holds here.",
+                 range; the table of sensitivities shows whether that holds here. With `count` above 1 the others follow the Halton \
+                 sequence around the proposal, within the trusted range; a larger count keeps those of a smaller one.",
         frames: "Parameters in their own units; sensitivities in deviations of the reference for a doubling of the parameter \
                  (`scale: log`) or for one unit of it (`scale: linear`).",
         fails: "An unknown group; a parameter that is found nowhere, has no logarithm, or was not varied; fewer simulations \
@@ -66,15 +71,15 @@ impl Stage for ProposeParameters {
         Port::one(
             "points",
             &[Kind::Table],
-            "The proposal, one row: `item`, parameters, predicted D2, whether at the edge.",
+            "The proposal, and others around it: `item`, parameters, predicted D2, whether the proposal is at the edge.",
         ),
         Port::one("sensitivities", &[Kind::Table], "How each feature follows each parameter, with its standard error."),
     ];
 
     fn check(params: &Self::Params) -> Vec<Fault> {
-        let mut fault = Fault::new("name at least one parameter");
+        let mut fault = Fault::new(format!("name at least one parameter and at most {MOST_DIMENSIONS}"));
         fault.path = vec!["parameters".to_owned()];
-        if params.parameters.is_empty() { vec![fault] } else { Vec::new() }
+        if (1..=MOST_DIMENSIONS).contains(&params.parameters.len()) { Vec::new() } else { vec![fault] }
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
@@ -97,7 +102,14 @@ impl Stage for ProposeParameters {
         let predicted = quadratic(&group.inverse, &surrogate.features(&at));
         report(params, context, &sample, &values, predicted, edge);
         let sensitivities = sensitivities(params, group, &surrogate);
-        Ok(Outputs::of("points", proposal(params, &values, predicted, edge)).and("sensitivities", sensitivities))
+        let predict = |at: &[f64]| quadratic(&group.inverse, &surrogate.features(at));
+        let points = proposal(
+            params,
+            &[at.clone()].into_iter().chain(around(params, &at, &low, &high)).collect::<Vec<_>>(),
+            predict,
+            edge,
+        );
+        Ok(Outputs::of("points", points).and("sensitivities", sensitivities))
     }
 }
 
@@ -178,13 +190,29 @@ fn report(
     ));
 }
 
-fn proposal(params: &ProposeParametersParams, values: &[f64], predicted: f64, edge: bool) -> Table {
+/// Further points around one, within the trusted range.
+fn around(params: &ProposeParametersParams, at: &[f64], low: &[f64], high: &[f64]) -> Vec<Vec<f64>> {
+    let coordinate = |k: usize, j: usize| {
+        let width = (high[j] - low[j]) / (1.0 + 2.0 * params.trust);
+        (at[j] + params.reach * width * (2.0 * halton(k as u64, j) - 1.0)).clamp(low[j], high[j])
+    };
+    (1..params.count).map(|k| (0..at.len()).map(|j| coordinate(k, j)).collect()).collect()
+}
+
+fn proposal(
+    params: &ProposeParametersParams,
+    points: &[Vec<f64>],
+    predict: impl Fn(&[f64]) -> f64,
+    edge: bool,
+) -> Table {
     let own = ["predicted_d2", "at_edge"].map(str::to_owned);
     let mut table = Table::new(std::iter::once(ITEM.to_owned()).chain(params.parameters.iter().cloned()).chain(own));
-    let mut row = vec![Cell::from("proposal")];
-    row.extend(values.iter().map(|value| Cell::from(*value)));
-    row.extend([predicted.into(), edge.into()]);
-    table.push(row);
+    for (k, at) in points.iter().enumerate() {
+        let mut row = vec![if k == 0 { Cell::from("proposal") } else { Cell::from(format!("p{k}")) }];
+        row.extend(at.iter().map(|x| Cell::from(rounded(params.scale.to_value(*x)))));
+        row.extend([predict(at).into(), edge.into()]);
+        table.push(row);
+    }
     table
 }
 
@@ -262,6 +290,17 @@ mod tests {
         let change = |row: usize| sensitivities.rows[row][2].number().unwrap();
         // sigma moves nugget and sill and leaves the range alone.
         assert!(change(0) > 5.0 && change(1) > 10.0 && change(2).abs() < 2.0, "{sensitivities:?}");
+    }
+
+    #[test]
+    fn further_points_lie_around_the_proposal_and_a_larger_count_keeps_them() {
+        let points = |count: usize| proposed(&json!({"parameters": ["sigma", "length"], "count": count})).unwrap().0;
+        let (few, many) = (points(4), points(9));
+        assert_eq!((few.rows.len(), &few.rows[..]), (4, &many.rows[..4]));
+        let sigma = |row: usize| many.rows[row][1].number().unwrap();
+        // A fifth of the range from 0.1 to 0.4, in logarithms, to either side.
+        let reach = precise::pow(4.0, 0.2) * (1.0 + 1e-4);
+        assert!((1..9).all(|k| sigma(k) <= sigma(0) * reach && sigma(k) >= sigma(0) / reach), "{many:?}");
     }
 
     #[test]

@@ -74,6 +74,7 @@ impl Stage for RefineSearch {
     const OUTPUTS: &'static [Port] = &[
         Port::one("points", &[Kind::Table], "The new points: `item`, parameters, rank of the point they surround."),
         Port::one("ranking", &[Kind::Table], "The old points from the best on: parameters, count, score, quartiles."),
+        Port::one("best", &[Kind::Table], "The best old point, one row called `best`: an axis for its replicates."),
     ];
 
     fn check(params: &Self::Params) -> Vec<Fault> {
@@ -108,7 +109,9 @@ impl Stage for RefineSearch {
             params.objective,
             best.score
         ));
-        Ok(Outputs::of("points", new_points(params, &ranked)).and("ranking", ranking(params, &ranked)))
+        Ok(Outputs::of("points", new_points(params, &ranked))
+            .and("ranking", ranking(params, &ranked))
+            .and("best", best_point(params, &ranked[0])))
     }
 }
 
@@ -180,6 +183,14 @@ fn new_points(params: &RefineSearchParams, ranked: &[Scored]) -> Table {
         row.push(((parent + 1) as f64).into());
         table.push(row);
     }
+    table
+}
+
+fn best_point(params: &RefineSearchParams, best: &Scored) -> Table {
+    let columns = std::iter::once(ITEM.to_owned()).chain(params.parameters.iter().cloned());
+    let mut table = Table::new(columns.chain(std::iter::once("score".to_owned())));
+    let values = best.values.iter().copied().chain(std::iter::once(best.score)).map(Cell::from);
+    table.push(std::iter::once(Cell::from("best")).chain(values).collect());
     table
 }
 

@@ -1,6 +1,7 @@
 //! Proofs of the whole house, in one binary.
 
 mod broken;
+mod calibration;
 mod campaign;
 mod care;
 mod chain;

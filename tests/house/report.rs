@@ -10,9 +10,10 @@ seed: 1
 axes:
   cell: {values: [0.05, 0.1]}
 steps:
-  face: {stage: synthesise-face, with: {width_m: 2, height_m: 1.5, spacing_m: 0.05}}
+  face: {stage: synthesise-face, with: {width_m: 4, height_m: 3.6, spacing_m: 0.025}}
   dem: {stage: rasterise-dem, in: {surface: face.mesh}, with: {cell_m: \"${cell}\", method: tin}}
-  change: {stage: difference-dem, in: {reference: \"dem.raster[cell=0.05]\", comparison: \"dem.raster[cell=0.05]\"}}
+  mean: {stage: rasterise-dem, in: {surface: face.mesh, grid: \"dem.raster[cell=0.05]\"}}
+  change: {stage: difference-dem, in: {reference: \"dem.raster[cell=0.05]\", comparison: mean.raster}}
   noise: {stage: describe-noise, in: {raster: change.raster}}
   picture: {stage: draw-picture, in: {subject: \"dem.raster[cell=0.1]\"}}
 targets: [noise, picture, dem]

@@ -41,11 +41,25 @@ pub fn roughness(values: &[f32], columns: usize, cell: f64, scales_cells: &[f64]
     Roughness { sigma: scales_cells.iter().map(|scale| scale * cell).collect(), rms }
 }
 
-fn residual(centred: &[f64], mask: &[f64], columns: usize, scale: f64) -> f64 {
-    let rows = centred.len() / columns;
+/// The values under a Gaussian of `scale` cells, gaps without weight; 0 where nothing is in reach.
+pub fn smoothed(values: &[f32], columns: usize, scale: f64) -> Vec<f64> {
+    let filled: Vec<f64> = values.iter().map(|v| if v.is_nan() { 0.0 } else { f64::from(*v) }).collect();
+    let mask: Vec<f64> = values.iter().map(|v| if v.is_nan() { 0.0 } else { 1.0 }).collect();
+    let (sums, weights) = convolved(&filled, &mask, columns, scale);
+    sums.iter().zip(weights).map(|(sum, weight)| if weight > 0.0 { sum / weight } else { 0.0 }).collect()
+}
+
+/// A field and its mask under a Gaussian of `scale` cells.
+fn convolved(field: &[f64], mask: &[f64], columns: usize, scale: f64) -> (Vec<f64>, Vec<f64>) {
+    let rows = field.len() / columns;
     let kernel = half_kernel(scale);
     let smooth = |field: &[f64]| filter_rows(&filter_rows(field, columns, &kernel), rows, &kernel);
-    let (sums, weights) = rayon::join(|| smooth(centred), || smooth(mask));
+    rayon::join(|| smooth(field), || smooth(mask))
+}
+
+fn residual(centred: &[f64], mask: &[f64], columns: usize, scale: f64) -> f64 {
+    let rows = centred.len() / columns;
+    let (sums, weights) = convolved(centred, mask, columns, scale);
     let of_row = |row: usize| {
         let cells = row * columns..(row + 1) * columns;
         let mut total = (0.0, 0.0);

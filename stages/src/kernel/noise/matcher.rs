@@ -1,12 +1,13 @@
 //! The parameters that make matching noise more like a real matcher's, and the fields they stand for at one pair.
 
 use crate::StageError;
-use crate::artefact::{Depth, Frame};
+use crate::artefact::{Depth, Frame, Raster};
 use crate::kernel::camera::{Camera, full_pixel};
 use crate::kernel::matching_noise::{Distribution, FieldRecipe, LocalNoise, SmoothNoise};
 use crate::kernel::noise::correlated::CorrelatedNoise;
 use crate::kernel::noise::modulation::{Blunders, Modulation, Patches, smooth_field};
-use crate::kernel::noise::terms::{Address, Part, Relief, Terms, UnitField};
+use crate::kernel::noise::strength::Strength;
+use crate::kernel::noise::terms::{Address, Ledges, Part, Relief, Terms, UnitField};
 use crate::kernel::noise::window::{WindowEffects, relief, seen_depth};
 use crate::kernel::pair_matching::smooth_noise;
 use crate::kernel::precise;
@@ -22,6 +23,8 @@ params! {
         log_sd: f64 = 0.15; Range::Between(0.0, 2.0),
         /// The same for a factor on `local_length_px`: a blurred image has a longer one.
         length_log_sd: f64 = 0.0; Range::Between(0.0, 2.0),
+        /// Power of the factor on the noise that multiplies `local_length_px` too: haze and blur make noise stronger and longer.
+        length_power: f64 = 0.0; Range::Between(0.0, 2.0),
         /// Share of bad acquisitions.
         bad_share: f64 = 0.0; Range::Between(0.0, 1.0),
         /// Further factor on the noise of bad ones.
@@ -67,6 +70,22 @@ params! {
 }
 
 params! {
+    /// What the noise at ledges (from `relief`, or from the map at port `strength`) has of its own.
+    pub struct LedgeNoise {
+        /// Factor of the map from which on its noise is that of ledges.
+        from: f64 = 1.6; Range::AtLeast(0.0),
+        /// Deviation of what all ledges have in common in an acquisition, as a share of the deviation of their noise: how far
+        /// the foreground grows depends on light and blur. It makes rasters skewed, to either side.
+        common: f64 = 0.12; Range::Between(0.0, 1.0),
+        /// Share of the variance whose correlation is longer along the rows of the first image, as a matcher that follows its
+        /// scan lines has it.
+        along_share: f64 = 0.3; Range::Between(0.0, 1.0),
+        /// How many times longer.
+        along: f64 = 4.0; Range::AtLeast(1.0),
+    }
+}
+
+params! {
     /// What the window does to the surface itself.
     pub struct Window {
         /// Half width over which disparity is averaged, pixels of the depth map; 0: none.
@@ -107,6 +126,8 @@ params! {
         local_length_px: f64 = 0.0; Range::NonNegative,
         /// Smoothness of its Matern correlation: 0.5 is exponential.
         local_smoothness: f64 = 0.5; Range::Between(0.1, 5.0),
+        /// How many times longer it is along the rows of the image than down the columns, which `local_length_px` is for.
+        local_stretch: f64 = 1.0; Range::Between(0.2, 20.0),
         /// Share of the noise variance that belongs to the two images, half each, and is common to all pairs of an image; the rest
         /// is the pair's own. The steps that are to share it need one stream that does not depend on the pair.
         image_share: f64 = 0.0; Range::Between(0.0, 1.0),
@@ -118,6 +139,8 @@ params! {
         conditions: Option<Conditions> = None,
         /// Noise by relief.
         relief: Option<ReliefNoise> = None,
+        /// What the noise at ledges has of its own; left out: nothing.
+        ledges: Option<LedgeNoise> = None,
         /// The surface as the window sees it.
         window: Option<Window> = None,
         /// Neighbourhoods matched to the wrong place.
@@ -158,6 +181,8 @@ pub struct PairScene<'a> {
     pub noisy: &'a Camera,
     /// Rectification of the noisy cameras.
     pub rectification: &'a Rectification,
+    /// How strong the noise is from place to place; `None`: equally.
+    pub strength: Option<&'a Raster>,
 }
 
 /// Keys of random streams by purpose and item.
@@ -180,7 +205,7 @@ impl MatcherTerms {
     /// The fields of a pair.
     ///
     /// # Errors
-    /// A texture over a map that is not in the wall frame; a rectified image of no use.
+    /// A texture or a map of strength over a depth map in another frame; a rectified image of no use.
     pub fn fields(&self, noise: &PaperNoise, scene: &PairScene, keys: Keys) -> Result<Terms, StageError> {
         let depth = scene.depths[scene.own];
         let image = extent(scene.depths[0]);
@@ -198,6 +223,12 @@ impl MatcherTerms {
                 .as_ref()
                 .map(|c| Modulation { log_sd: c.log_sd, field: field("match-conditions", c.length_px) }),
             relief: self.relief.as_ref().map(|term| term.over(depth)),
+            map: self.map(scene)?,
+            ledges: self.ledges.as_ref().map(|ledges| {
+                let length_px = self.local_length_px * acquisition[1];
+                ledges.drawn(length_px, self.local_smoothness, scene, keys)
+            }),
+            stretch: if self.local_length_px > 0.0 { self.local_stretch } else { 1.0 },
             blunders: self.blunders.as_ref().map(|b| Blunders {
                 patches: patches("match-blunders", b.share, b.length_px),
                 sigma_px: b.sigma_px,
@@ -216,7 +247,21 @@ impl MatcherTerms {
         let [strength, length] = field.normals(0, 0);
         let bad = f64::from(field.words(1, 0)[0]) < a.bad_share * 4_294_967_296.0;
         let strength = precise::exp(a.log_sd * strength) * if bad { a.bad_factor } else { 1.0 };
-        [strength, precise::exp(a.length_log_sd * length)]
+        let length = precise::exp(a.length_log_sd * length) * precise::pow(strength, a.length_power);
+        [strength, length]
+    }
+
+    /// The strength of the noise by place; without ledges all of it is that of texture.
+    fn map(&self, scene: &PairScene) -> Result<Option<Strength>, StageError> {
+        let (Some(raster), depth) = (scene.strength, scene.depths[scene.own]) else { return Ok(None) };
+        if raster.frame != depth.frame {
+            let text = format!(
+                "the map of strength is in the {} frame, the depth maps in the {} frame",
+                raster.frame, depth.frame
+            );
+            return Err(StageError::new(text).hint("make the map from rasters in the frame of the survey"));
+        }
+        Ok(Some(Strength::new(raster, self.ledges.as_ref().map_or(f64::INFINITY, |ledges| ledges.from))))
     }
 
     /// The pair's own field and those of its images, with the square roots of their shares; the second image's error counts
@@ -271,6 +316,18 @@ impl MatcherTerms {
             };
             Ok(Part { weight: 1.0, address, field: UnitField::Smooth(field) })
         })
+    }
+}
+
+impl LedgeNoise {
+    /// The ledges of one acquisition of a pair; `length_px` and `smoothness` are those of its local noise.
+    fn drawn(&self, length_px: f64, smoothness: f64, scene: &PairScene, keys: Keys) -> Ledges {
+        let key = |level: usize| keys(&format!("match-ledges-{level}"), scene.name);
+        let high = extent(scene.depths[0]);
+        let field =
+            CorrelatedNoise::new(length_px.max(0.5), smoothness, key, [0.0; 2], [high[0] / self.along, high[1]]);
+        let common = self.common * keys("match-ledge-growth", scene.name).field().normal(0, 0);
+        Ledges { along: (self.along_share, field), along_rows: self.along, common }
     }
 }
 

@@ -65,7 +65,7 @@ pub fn coordinates(
 ) -> Result<Vec<f64>, String> {
     let of_row = |name: &str| table.column(name).and_then(|at| row[at].number());
     let of_axis = |name: &str| items.get(name).and_then(|item| item.parse::<f64>().ok());
-    let of_points = |name: &str| points.and_then(|points| point_value(points, name, items));
+    let of_points = |name: &str| points.and_then(|points| point_value(points, name, items, row));
     let value = |name: &String| {
         of_row(name).or_else(|| of_axis(name)).or_else(|| of_points(name)).filter(|x| x.is_finite()).ok_or_else(|| {
             let place: Vec<String> = items.iter().map(|(axis, item)| format!("{axis}={item}")).collect();
@@ -78,13 +78,14 @@ pub fn coordinates(
     parameters.iter().map(value).collect()
 }
 
-/// The number in column `name` of the point that one of the items names.
-fn point_value(points: &Table, name: &str, items: &BTreeMap<String, String>) -> Option<f64> {
+/// The number in column `name` of the point that one of the items names, or a cell of the row, where its axis was tabulated.
+fn point_value(points: &Table, name: &str, items: &BTreeMap<String, String>, row: &[Cell]) -> Option<f64> {
     let column = points.column(name)?;
     let naming = points.column(ITEM);
     let called = |row: usize| naming.map_or_else(|| row.to_string(), |at| points.rows[row][at].to_string());
-    let row = (0..points.rows.len()).find(|row| items.values().any(|item| *item == called(*row)))?;
-    points.rows[row][column].number()
+    let texts = || items.values().map(String::as_str).chain(row.iter().filter_map(Cell::text));
+    let found = (0..points.rows.len()).find(|row| texts().any(|item| item == called(*row)))?;
+    points.rows[found][column].number()
 }
 
 /// Prime bases of the Halton sequence, one a dimension.
@@ -154,5 +155,9 @@ mod tests {
         };
         assert_eq!(found(&["a", "b", "c"]).unwrap(), [0.5, 7.0, 2.0]);
         assert!(found(&["e"]).unwrap_err().contains("`e` has no number at `a=0.5 point=p1`"));
+        let mut tabulated = Table::new(["fine", "d2"]);
+        tabulated.push(vec!["p0".into(), 3.0.into()]);
+        let row = coordinates(&["c".to_owned()], &BTreeMap::new(), &tabulated, &tabulated.rows[0], Some(&points));
+        assert_eq!(row.unwrap(), [1.0]);
     }
 }

@@ -1,12 +1,15 @@
 //! The error of a matched disparity with all the terms a real matcher shows, each of which may be absent.
 //!
-//! With u and v the unit local and smooth fields, M the product of all modulations and r the relief of the disparity within the
-//! matcher's window, the error of a pixel is `M (u sqrt(sigma_local^2 + (gain r^power)^2) + v sigma_regular)`, plus the blunders, and
-//! at last what the matcher's sub-pixel step does: locking towards whole disparities, and rounding to its step.
+//! With u and v the unit local and smooth fields, M the product of all modulations and s the deviation at ledges (from the relief r
+//! within the matcher's window, `gain r^power`, and from the map of strength), the error of a pixel is
+//! `M (u sqrt(sigma_local^2 + (1 - a) s^2) + s (w sqrt(a) + n) + v sigma_regular)`, where w is a field that is longer along the rows of the
+//! image and n one number of the acquisition: what light and blur do to all ledges alike. Blunders are added, and at last
+//! what the matcher's sub-pixel step does: locking towards whole disparities, and rounding to its step.
 
 use crate::kernel::matching_noise::{LocalNoise, SmoothNoise};
 use crate::kernel::noise::correlated::CorrelatedNoise;
 use crate::kernel::noise::modulation::{Blunders, Modulation, Patches};
+use crate::kernel::noise::strength::Strength;
 use crate::kernel::precise;
 
 /// A unit field.
@@ -80,6 +83,17 @@ impl Relief {
     }
 }
 
+/// What the noise at ledges has of its own.
+#[derive(Debug, Clone)]
+pub struct Ledges {
+    /// Field that is longer along the rows, and its share a of the variance.
+    pub along: (f64, CorrelatedNoise),
+    /// How many times longer than down the columns.
+    pub along_rows: f64,
+    /// n: what all ledges have in common in this acquisition, in deviations of their noise.
+    pub common: f64,
+}
+
 /// The error of a disparity, term by term.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DisparityError {
@@ -89,7 +103,7 @@ pub struct DisparityError {
     pub blunder_px: f64,
     /// Smooth noise, pixels.
     pub regular_px: f64,
-    /// Deviation the relief within the window gives the local noise (part of `white_px`), pixels.
+    /// Deviation that ledges (relief within the window, map of strength) give the local noise (part of `white_px`), pixels.
     pub relief_px: f64,
     /// Factor of acquisition, texture and conditions on local and smooth noise (part of both).
     pub strength: f64,
@@ -117,6 +131,12 @@ pub struct Terms {
     pub conditions: Option<Modulation>,
     /// Growth with the relief within the window.
     pub relief: Option<Relief>,
+    /// Strength by place from rasters of the site.
+    pub map: Option<Strength>,
+    /// What the noise at ledges has of its own; `None`: it is as all local noise.
+    pub ledges: Option<Ledges>,
+    /// Factor by which local noise is longer along the rows of the image.
+    pub stretch: f64,
     /// Neighbourhoods matched to the wrong place.
     pub blunders: Option<Blunders>,
     /// Neighbourhoods not matched at all.
@@ -133,13 +153,31 @@ impl Terms {
         if self.holes.as_ref().is_some_and(|holes| holes.covers(site.first_px)) {
             return None;
         }
-        let relief_px = self.relief.as_ref().map_or(0.0, |relief| relief.sigma_px(site));
-        let sigma_px = (self.local.0 * self.local.0 + relief_px * relief_px).sqrt();
         let strength = self.strength(site);
         let blunder_px = self.blunders.as_ref().map_or(0.0, |blunders| blunders.at(site.first_px));
-        let white_px = strength * sigma_px * unit(&self.local.1, site);
-        let regular_px = strength * self.regular.0 * unit(&self.regular.1, site);
+        let [local_px, relief_px] = self.local_px(site);
+        let white_px = strength * local_px;
+        let regular_px = strength * self.regular.0 * unit(&self.regular.1, site, 1.0);
         Some(DisparityError { white_px, blunder_px, regular_px, relief_px, strength })
+    }
+
+    /// Noise of texture and of ledges, and the deviation of that of ledges.
+    fn local_px(&self, site: &Site) -> [f64; 2] {
+        let [texture, ledge] = self.map.as_ref().map_or([1.0, 0.0], |map| map.parts(site.point_m));
+        let relief_px = self.relief.as_ref().map_or(0.0, |relief| relief.sigma_px(site));
+        let (sigma_px, excess_px) = (self.local.0 * texture, self.local.0 * ledge);
+        let ledge2 = relief_px * relief_px + excess_px * excess_px;
+        let (share, own) = self.ledges.as_ref().map_or((0.0, 0.0), |ledges| {
+            let (share, field) = &ledges.along;
+            let along = if *share > 0.0 {
+                share.sqrt() * field.at([site.first_px[0] / ledges.along_rows, site.first_px[1]])
+            } else {
+                0.0
+            };
+            (*share, along + ledges.common)
+        });
+        let common_px = (sigma_px * sigma_px + (1.0 - share) * ledge2).sqrt();
+        [common_px * unit(&self.local.1, site, self.stretch) + ledge2.sqrt() * own, ledge2.sqrt()]
     }
 
     fn strength(&self, site: &Site) -> f64 {
@@ -156,13 +194,15 @@ impl Terms {
     }
 }
 
-fn unit(parts: &[Part], site: &Site) -> f64 {
+/// The sum of fields at a site; columns count `stretch` times less.
+fn unit(parts: &[Part], site: &Site, stretch: f64) -> f64 {
     let value = |part: &Part| {
         let position = match part.address {
             Address::First => site.first_px,
             Address::Second => site.second_px,
             Address::Rectified => site.rectified_px,
         };
+        let position = [position[0] / stretch, position[1]];
         part.weight
             * match &part.field {
                 UnitField::White(noise) => f64::from(noise.at(position[0].round() as i32, position[1].round() as i32)),
@@ -176,6 +216,7 @@ fn unit(parts: &[Part], site: &Site) -> f64 {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+    use crate::artefact::{Frame, Grid, Raster};
     use crate::kernel::matching_noise::Distribution;
     use crate::kernel::noise::modulation::smooth_field;
     use crate::kernel::random::Key;
@@ -199,6 +240,9 @@ pub(crate) mod tests {
             texture: None,
             conditions: None,
             relief: None,
+            map: None,
+            ledges: None,
+            stretch: 1.0,
             blunders: None,
             holes: None,
             locking_px: 0.0,
@@ -213,6 +257,26 @@ pub(crate) mod tests {
         let more = Terms { relief, acquisition: 1.5, ..plain() }.error(&SITE).unwrap().local_px();
         let expected = 1.5 * (0.25f64 + 0.72 * 0.72).sqrt() / 0.5;
         assert!((more / bare - expected).abs() < 1e-6, "{more} {bare}");
+    }
+
+    #[test]
+    fn ledges_have_a_sign_in_common_and_the_map_parts_them_from_texture() {
+        let grid = Grid { columns: 1, rows: 1, cell_m: 1.0, left_m: -0.5, top_m: 0.5 };
+        let map = Strength::new(&Raster::single(grid, Frame::Wall, "strength", "", vec![5.0]), 3.0);
+        let along = || CorrelatedNoise::new(2.0, 0.5, |_| Key([3; 32]), [0.0; 2], [9.0; 2]);
+        let ledges = |common: f64| Some(Ledges { along: (0.0, along()), along_rows: 1.0, common });
+        let with = |common: f64| {
+            let terms = Terms { map: Some(map.clone()), ledges: ledges(common), ..plain() };
+            terms.error(&SITE).unwrap().local_px()
+        };
+        let bare = plain().error(&SITE).unwrap().local_px();
+        assert!((with(0.0) / bare - 5.0).abs() < 1e-9);
+        // Four of the five are the ledge's: sqrt(25 - 9) times 0.5 px.
+        assert!((with(0.25) - with(0.0) - 0.25 * 4.0 * 0.5).abs() < 1e-9);
+        let all_along = Ledges { along: (1.0, along()), along_rows: 1.0, common: 0.0 };
+        let terms = Terms { map: Some(map.clone()), ledges: Some(all_along), ..plain() };
+        let expected = 3.0 * bare + 2.0 * along().at(SITE.first_px);
+        assert!((terms.error(&SITE).unwrap().local_px() - expected).abs() < 1e-9);
     }
 
     #[test]
