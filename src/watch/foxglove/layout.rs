@@ -41,13 +41,15 @@ pub fn layout(topics: &[Topic], metrics: &[(String, String)]) -> Value {
     })
 }
 
-/// Everything drawn: meshes and grids at once, clouds on demand, since they lie over each other.
+/// Everything that can be drawn: the first face and all bodies at once, other faces, clouds and grids on demand, since they
+/// lie over each other.
 fn scene(topics: &[Topic]) -> Value {
     let drawn = topics.iter().filter(|topic| DRAWN.contains(&topic.schema.as_str()));
     let first_mesh = topics.iter().find(|topic| topic.schema == "foxglove.SceneUpdate");
     let config = |topic: &Topic| {
-        let visible =
-            Some(topic) == first_mesh || (topic.schema == "foxglove.SceneUpdate" && Some(topic) != first_mesh);
+        let is_scene = topic.schema == "foxglove.SceneUpdate";
+        // One face is enough; what was taken out of it stands before it.
+        let visible = Some(topic) == first_mesh || (is_scene && !topic.name.ends_with("/mesh"));
         let colours = json!({"visible": visible, "colorMode": "colormap", "colorMap": "turbo", "pointSize": 3});
         let colours = match topic.schema.as_str() {
             "foxglove.PointCloud" => merged(&colours, &json!({"colorField": "z"})),
