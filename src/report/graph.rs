@@ -31,7 +31,12 @@ pub fn svg(graph: &Graph, steps: &[StepView]) -> Option<String> {
         return None;
     }
     let drawing = Drawing::of(graph).ok()?;
-    Some(steps.iter().fold(drawing, |drawing, step| drawing.note(&step.name, note(step))).svg())
+    let noted = |drawing: Drawing, step: &StepView| {
+        // The items of some axes were not known before the run.
+        let instances = step.executed + step.cached + step.missing;
+        drawing.count(&step.name, instances).note(&step.name, note(step))
+    };
+    Some(steps.iter().fold(drawing, noted).svg())
 }
 
 fn note(step: &StepView) -> Note {
