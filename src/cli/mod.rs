@@ -104,11 +104,6 @@ impl PipelineArgs {
         Overrides { set: self.set.clone(), sweep: self.sweep.clone(), seed: self.seed }
     }
 
-    /// How many texts a pipeline has that is all in one file.
-    fn source_count(&self) -> usize {
-        1 + self.set.len() + self.sweep.len() + usize::from(self.seed.is_some())
-    }
-
     fn load(&self) -> Result<Pipeline, CliError> {
         let loaded = match &self.text {
             Some(text) => Pipeline::of_text(text, self.included.clone(), &self.pipeline, &self.overrides()),

@@ -91,8 +91,11 @@ impl RunArgs {
         };
         let (summary, finished) = run::execute_and_tell(&mut plan, &store, &options, &stop, observer.as_mut(), &about)?;
         let told = Told::of(&finished, &summary);
-        if let Some(question) = question.filter(|_| pipeline.sources.len() == self.pipeline.source_count()) {
-            shortcut::remember(&store, &question, &plan, &summary, &told)?;
+        if let Some(question) = question {
+            let included = pipeline.files().skip(1);
+            let included: Vec<_> =
+                included.map(|file| (PathBuf::from(&file.name), Digest::of(file.text.as_bytes()))).collect();
+            shortcut::remember(&store, &question, &plan, (&summary, &told), &included)?;
         }
         if let Some(former) = former.filter(|_| !self.json) {
             repeat::verdict(&former, &plan, &summary).iter().for_each(|line| say(line));
@@ -153,6 +156,10 @@ impl RunArgs {
 
     fn say_end(&self, told: &Told, (ran, cached): (usize, usize), failed: bool, wall_s: f64) {
         let folder = readable(&told.folder);
+        if told.unnamed > 0 && self.outputs == LayOut::Auto && !self.quiet {
+            let ways = "`rockface export RUN STEP.PORT FILE` writes one, `--outputs all` names them all";
+            say(&format!("  {} outputs are in the store only: {ways}", told.unnamed));
+        }
         if !told.files.is_empty() && !self.quiet {
             say_some(&told.files, told.file_count, |file| format!("  {}", folder.join(file).display()));
             say("");
@@ -160,8 +167,12 @@ impl RunArgs {
         say_some(&told.headlines, told.headline_count, String::clone);
         let verdict = if failed { "failed" } else { "done" };
         let kept = if failed { "what was finished is kept and not run again; " } else { "" };
+        let missing = match told.instances.saturating_sub(ran + cached) {
+            0 => String::new(),
+            missing => format!(", {missing} not made"),
+        };
         say(&format!(
-            "{verdict}: ran {ran}, cached {cached}, {}; {kept}results in {}",
+            "{verdict}: ran {ran}, cached {cached}{missing}, {}; {kept}results in {}",
             duration_or_ms(wall_s),
             folder.display()
         ));

@@ -44,6 +44,8 @@ pub(crate) struct Arrow {
     pub gathers: bool,
     /// It comes from the item before.
     pub back: bool,
+    /// It is the list an axis takes its items from.
+    pub lists: bool,
 }
 
 /// Something to be said of a step besides what it is.
@@ -88,9 +90,14 @@ impl Drawing {
                     let output = output(graph, source);
                     let ports = if output == port.name { output } else { format!("{output} → {}", port.name) };
                     let gathers = matches!(feed, Feed::Each { .. });
-                    let arrow = Arrow { label: ports + &when, gathers, back: source.step >= consumer };
+                    let arrow = Arrow { label: ports + &when, gathers, back: source.step >= consumer, lists: false };
                     drawing.add_edge(nodes[source.step], nodes[consumer], arrow);
                 }
+            }
+            for (source, axis) in begun_lists(graph, step) {
+                let label = format!("{} → items of {axis}", output(graph, source));
+                let arrow = Arrow { label, gathers: false, back: false, lists: true };
+                drawing.add_edge(nodes[source.step], nodes[consumer], arrow);
             }
         }
         Ok(Self { graph: drawing, notes: BTreeMap::new() })
@@ -151,6 +158,16 @@ fn drawn(graph: &Graph, index: usize, count: usize, unknown: Option<usize>, want
         keep: step.keep,
         needed: count > 0 || (wanted && unknown.is_some()),
     }
+}
+
+/// The lists that tell the items of the axes which begin at a step.
+fn begun_lists<'g>(graph: &'g Graph, step: &'g GraphStep) -> impl Iterator<Item = (&'g Source, &'g str)> {
+    let given = |axis: usize| {
+        let mut sources = step.inputs.iter().flat_map(|(_, feed)| feed.forward_sources());
+        sources.any(|source| graph.steps[source.step].axes.contains(&axis))
+    };
+    let begun = step.axes.iter().filter(move |axis| !given(**axis));
+    begun.filter_map(|axis| Some((&graph.dynamic[*axis].as_ref()?.source, graph.axes[*axis].name.text.as_str())))
 }
 
 fn axes(graph: &Graph, step: &GraphStep) -> String {

@@ -46,6 +46,7 @@ const STYLE: &str = r#"
 .rockface-graph .arrow{fill:none;stroke:#8c959f;stroke-width:1.3}
 .rockface-graph .gathers{stroke-width:3}
 .rockface-graph .back{stroke-dasharray:5 3}
+.rockface-graph .lists{stroke-dasharray:1.5 2.5}
 .rockface-graph .tip{fill:#8c959f}
 @media (prefers-color-scheme:dark){
 .rockface-graph .paper{fill:#14181d}
@@ -72,7 +73,7 @@ pub fn svg(drawing: &DiGraph<Drawn, Arrow>, notes: &BTreeMap<String, Note>) -> S
     );
     picture.links.iter().enumerate().for_each(|(number, link)| out += &picture.arrow(number, link));
     drawing.node_indices().for_each(|node| out += &picture.step(node.index(), &drawing[node]));
-    out += &picture.legend(drawing);
+    out += &picture.legend();
     out + "</svg>\n"
 }
 
@@ -83,6 +84,7 @@ struct Link {
     labels: Vec<String>,
     gathers: bool,
     back: bool,
+    lists: bool,
 }
 
 struct Picture<'a> {
@@ -93,10 +95,14 @@ struct Picture<'a> {
     trails: Vec<Option<usize>>,
     /// By node, the middle of its box.
     x_px: Vec<f64>,
+    /// By trail, where it leaves the box it begins at, and where it comes to the one it ends at.
+    doors_px: Vec<(f64, f64)>,
     /// By row, its upper and its lower edge.
     rows_px: Vec<(f64, f64)>,
     /// By node, width and height of its box; those of stand-ins are 0.
     boxes_px: Vec<(f64, f64)>,
+    /// What the marks mean.
+    legend: Vec<String>,
     size_px: (f64, f64),
 }
 
@@ -127,8 +133,11 @@ impl<'a> Picture<'a> {
             top += height + ROW_GAP_PX;
         }
         let right = (0..x_px.len()).map(|node| x_px[node] + widths[node] / 2.0).fold(320.0, f64::max);
-        let size_px = (right + 2.0 * MARGIN_PX, top - ROW_GAP_PX + MARGIN_PX + LINE_PX + PADDING_PX);
-        Self { notes, links, layers, trails, x_px, rows_px, boxes_px, size_px }
+        let legend = legend(drawing, right);
+        let below = MARGIN_PX + legend.len() as f64 * LINE_PX + PADDING_PX;
+        let size_px = (right + 2.0 * MARGIN_PX, top - ROW_GAP_PX + below);
+        let doors_px = doors_px(&layers, &x_px, &boxes_px);
+        Self { notes, links, layers, trails, x_px, doors_px, rows_px, boxes_px, legend, size_px }
     }
 
     /// Upper and lower edge of a box; it stands in the middle of its row.
@@ -139,27 +148,6 @@ impl<'a> Picture<'a> {
         if height == 0.0 { (top, bottom) } else { (middle - height / 2.0, middle + height / 2.0) }
     }
 
-    /// Where a trail leaves a box, or comes to it: beside the other trails, in the order of where they lead.
-    fn door_px(&self, trail: usize, leaving: bool) -> f64 {
-        let ends = |trail: &Vec<usize>| {
-            let last = trail.len() - 1;
-            if leaving { (trail[0], trail[1]) } else { (trail[last], trail[last - 1]) }
-        };
-        let (node, _) = ends(&self.layers.trails[trail]);
-        let mut doors: Vec<(f64, usize)> = Vec::new();
-        for (number, other) in self.layers.trails.iter().enumerate() {
-            let (own, next) = ends(other);
-            if own == node {
-                doors.push((self.x_px[next], number));
-            }
-        }
-        doors.sort_by(|one, other| one.0.total_cmp(&other.0));
-        let place = doors.iter().position(|(_, number)| *number == trail).unwrap_or(0) as f64;
-        let gaps = (doors.len() - 1) as f64;
-        let gap = ARROWS_PX.min((self.boxes_px[node].0 - 2.0 * SIDE_PX) / gaps.max(1.0));
-        self.x_px[node] + (place - gaps / 2.0) * gap
-    }
-
     fn arrow(&self, number: usize, link: &Link) -> String {
         let (path, tip) = match self.trails[number] {
             Some(trail) => self.path(trail, link.from > link.to),
@@ -168,6 +156,7 @@ impl<'a> Picture<'a> {
         let mut class = String::from("arrow");
         class += if link.gathers { " gathers" } else { "" };
         class += if link.back { " back" } else { "" };
+        class += if link.lists { " lists" } else { "" };
         let told = escaped(&link.labels.join("\n"));
         format!("<g><title>{told}</title><path class=\"{class}\" d=\"{path}\"/><path class=\"tip\" d=\"{tip}\"/></g>\n")
     }
@@ -176,12 +165,13 @@ impl<'a> Picture<'a> {
     fn path(&self, trail: usize, up: bool) -> (String, String) {
         let nodes = &self.layers.trails[trail];
         let last = nodes.len() - 1;
-        let mut points = vec![(self.door_px(trail, true), self.edges_px(nodes[0]).1)];
+        let (leaves_px, comes_px) = self.doors_px[trail];
+        let mut points = vec![(leaves_px, self.edges_px(nodes[0]).1)];
         for node in &nodes[1..last] {
             let (top, bottom) = self.edges_px(*node);
             points.extend([(self.x_px[*node], top), (self.x_px[*node], bottom)]);
         }
-        points.push((self.door_px(trail, false), self.edges_px(nodes[last]).0));
+        points.push((comes_px, self.edges_px(nodes[last]).0));
         if up {
             points.reverse();
         }
@@ -235,33 +225,76 @@ impl<'a> Picture<'a> {
         out + "</g>\n"
     }
 
-    /// What the marks mean, as far as there are any.
-    fn legend(&self, drawing: &DiGraph<Drawn, Arrow>) -> String {
-        let steps = |is: fn(&Drawn) -> bool| drawing.node_weights().any(is);
-        let arrows = |is: fn(&Arrow) -> bool| drawing.edge_weights().any(is);
-        let marks = [
-            (steps(|step| step.target), "bold frame: target"),
-            (steps(|step| step.over.is_some()), "two sheets: one instance a point"),
-            (steps(|step| !step.keep), "broken frame: not kept"),
-            (steps(|step| !step.needed), "faint: no target needs it"),
-            (arrows(|arrow| arrow.gathers), "bold arrow: gathered"),
-            (arrows(|arrow| arrow.back), "broken arrow: from the item before"),
-        ];
-        let told: Vec<&str> = marks.iter().filter(|(there, _)| *there).map(|(_, text)| *text).collect();
-        let y = self.size_px.1 - PADDING_PX;
-        format!("<text class=\"more\" x=\"{MARGIN_PX:.0}\" y=\"{y:.0}\">{}</text>\n", escaped(&told.join(" · ")))
+    fn legend(&self) -> String {
+        let line = |(number, text): (usize, &String)| {
+            let y = self.size_px.1 - PADDING_PX - (self.legend.len() - 1 - number) as f64 * LINE_PX;
+            format!("<text class=\"more\" x=\"{MARGIN_PX:.0}\" y=\"{y:.0}\">{}</text>\n", escaped(text))
+        };
+        self.legend.iter().enumerate().map(line).collect()
     }
+}
+
+/// Where each trail leaves its first box and comes to its last: beside the other trails there, in the order of where they
+/// lead.
+fn doors_px(layers: &Layers, x_px: &[f64], boxes_px: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let mut doors = vec![(0.0, 0.0); layers.trails.len()];
+    for leaving in [true, false] {
+        let mut at: BTreeMap<usize, Vec<(f64, usize)>> = BTreeMap::new();
+        for (number, trail) in layers.trails.iter().enumerate() {
+            let last = trail.len() - 1;
+            let (own, next) = if leaving { (trail[0], trail[1]) } else { (trail[last], trail[last - 1]) };
+            at.entry(own).or_default().push((x_px[next], number));
+        }
+        for (node, mut trails) in at {
+            trails.sort_by(|one, other| one.0.total_cmp(&other.0));
+            let gaps = (trails.len() - 1) as f64;
+            let gap = ARROWS_PX.min((boxes_px[node].0 - 2.0 * SIDE_PX) / gaps.max(1.0));
+            for (place, (_, number)) in trails.into_iter().enumerate() {
+                let door = x_px[node] + (place as f64 - gaps / 2.0) * gap;
+                if leaving { doors[number].0 = door } else { doors[number].1 = door }
+            }
+        }
+    }
+    doors
+}
+
+/// What the marks mean, as far as there are any, in lines that fit.
+fn legend(drawing: &DiGraph<Drawn, Arrow>, width_px: f64) -> Vec<String> {
+    let steps = |is: fn(&Drawn) -> bool| drawing.node_weights().any(is);
+    let arrows = |is: fn(&Arrow) -> bool| drawing.edge_weights().any(is);
+    let marks = [
+        (steps(|step| step.target), "bold frame: target"),
+        (steps(|step| step.over.is_some()), "two sheets: one instance a point"),
+        (steps(|step| !step.keep), "broken frame: not kept"),
+        (steps(|step| !step.needed), "faint: no target needs it"),
+        (arrows(|arrow| arrow.gathers), "bold arrow: gathered"),
+        (arrows(|arrow| arrow.back), "broken arrow: from the item before"),
+        (arrows(|arrow| arrow.lists), "dotted arrow: items of an axis"),
+    ];
+    let mut lines: Vec<String> = Vec::new();
+    for (_, mark) in marks.iter().filter(|(there, _)| *there) {
+        let longer = lines.last().map(|line| format!("{line} · {mark}"));
+        match longer.filter(|line| line.chars().count() as f64 * LETTER * 11.0 <= width_px) {
+            Some(longer) => {
+                lines.pop();
+                lines.push(longer);
+            }
+            None => lines.push((*mark).to_owned()),
+        }
+    }
+    lines
 }
 
 fn links(drawing: &DiGraph<Drawn, Arrow>) -> Vec<Link> {
     let mut links: BTreeMap<(usize, usize), Link> = BTreeMap::new();
     for edge in drawing.edge_references() {
         let (from, to, arrow) = (edge.source().index(), edge.target().index(), edge.weight());
-        let new = || Link { from, to, labels: Vec::new(), gathers: false, back: false };
+        let new = || Link { from, to, labels: Vec::new(), gathers: false, back: false, lists: true };
         let link = links.entry((from, to)).or_insert_with(new);
         link.labels.push(arrow.label.clone());
         link.gathers |= arrow.gathers;
         link.back |= arrow.back;
+        link.lists &= arrow.lists;
     }
     links.into_values().collect()
 }

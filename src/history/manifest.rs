@@ -41,7 +41,7 @@ pub struct Manifest {
     /// Whether `outputs/` has `all` kept outputs or `some`; `rockface export` gives any other a name.
     #[serde(default)]
     pub laid_out: String,
-    /// What became of each step instance. The last field: see [`Manifest::into_text`].
+    /// What became of each step instance. The last field: see [`Manifest::text`].
     pub steps: Vec<StepDone>,
 }
 
@@ -169,9 +169,9 @@ impl Manifest {
     }
 
     /// The text of the file: JSON, with a line for each step instance.
-    pub fn into_text(mut self) -> String {
+    pub fn text(&mut self) -> String {
         let steps = std::mem::take(&mut self.steps);
-        let mut text = serde_json::to_string_pretty(&self).unwrap_or_default();
+        let mut text = serde_json::to_string_pretty(self).unwrap_or_default();
         // `steps` is the last field; its list is empty now.
         text.truncate(text.trim_end_matches([']', '}', '\n', ' ']).len());
         for (number, done) in steps.iter().enumerate() {
@@ -179,6 +179,7 @@ impl Manifest {
             text.push_str(&serde_json::to_string(done).unwrap_or_default());
         }
         text.push_str(if steps.is_empty() { "]\n}\n" } else { "\n  ]\n}\n" });
+        self.steps = steps;
         text
     }
 }

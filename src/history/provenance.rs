@@ -89,8 +89,11 @@ impl Crate<'_> {
             if steps.last().is_none_or(|(step, _)| *step != done.step) {
                 steps.push((&done.step, tool.clone()));
             }
-            let version = done.version.to_string();
-            self.add(&tool, json!({"@type": "SoftwareApplication", "name": done.stage, "softwareVersion": version}));
+            if !self.graph.contains_key(&tool) {
+                let version = done.version.to_string();
+                let stage = json!({"@type": "SoftwareApplication", "name": done.stage, "softwareVersion": version});
+                self.add(&tool, stage);
+            }
         }
         for (place, (step, tool)) in steps.iter().enumerate() {
             let how =
@@ -119,8 +122,7 @@ impl Crate<'_> {
             ("run.mcap", "application/octet-stream", "log of the run, MCAP"),
             ("report.html", "text/html", "the run on one page, for people"),
         ] {
-            // The manifest is written last.
-            if name == "run.json" || folder.join(name).is_file() {
+            if folder.join(name).is_file() {
                 self.add(name, json!({"@type": "File", "name": name, "description": what, "encodingFormat": format}));
                 self.parts.insert(name.to_owned());
             }

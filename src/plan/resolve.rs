@@ -213,7 +213,7 @@ impl<'d> Resolver<'d> {
         let dynamic = self.dynamic();
         let steps: Vec<GraphStep> =
             order.iter().filter_map(|old| self.step(&document.steps[*old], *old, pipeline)).collect();
-        let targets = self.targets(&steps, targets);
+        let targets = self.targets(&steps, &dynamic, targets);
         let (params, faults) = values::resolve(&document.params, &self.axis_names());
         self.faults.extend(faults);
         self.unused_axes(&steps);
@@ -388,7 +388,7 @@ impl<'d> Resolver<'d> {
         (label.text.clone(), narrowed.into_iter().collect())
     }
 
-    fn targets(&mut self, steps: &[GraphStep], given: &[String]) -> Vec<usize> {
+    fn targets(&mut self, steps: &[GraphStep], dynamic: &[Option<Dynamic>], given: &[String]) -> Vec<usize> {
         let declared = self.document().targets.as_deref();
         for word in declared.unwrap_or_default() {
             self.check_target(&word.text, Some(word));
@@ -397,7 +397,7 @@ impl<'d> Resolver<'d> {
         let names: Vec<&str> = match declared {
             _ if !given.is_empty() => given.iter().map(String::as_str).collect(),
             Some(words) => words.iter().map(|word| word.text.as_str()).collect(),
-            None => return unread(steps),
+            None => return unread(steps, dynamic),
         };
         names.iter().filter_map(|name| steps.iter().position(|step| step.name == *name)).collect()
     }
@@ -414,9 +414,10 @@ impl<'d> Resolver<'d> {
     }
 }
 
-/// Steps that no other reads, but for those that go back along an axis.
-fn unread(steps: &[GraphStep]) -> Vec<usize> {
+/// Steps that no other reads, but for those that go back along an axis, and that tell the items of none.
+fn unread(steps: &[GraphStep], dynamic: &[Option<Dynamic>]) -> Vec<usize> {
     let feeds = steps.iter().flat_map(|step| step.inputs.iter().flat_map(|(_, feed)| feed.forward_sources()));
-    let read: BTreeSet<usize> = feeds.map(|source| source.step).collect();
+    let lists = dynamic.iter().flatten().map(|dynamic| &dynamic.source);
+    let read: BTreeSet<usize> = feeds.chain(lists).map(|source| source.step).collect();
     (0..steps.len()).filter(|index| !read.contains(index)).collect()
 }

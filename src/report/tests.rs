@@ -1,3 +1,5 @@
+//! What a report shows, of a manifest made by hand.
+
 use serde_json::json;
 
 use super::*;

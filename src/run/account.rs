@@ -35,7 +35,7 @@ pub fn manifest(
         status: if summary.failed { "failed" } else { "done" }.to_owned(),
         program: crate::build::program(),
         headlines: headlines.to_vec(),
-        laid_out: if laid.whole { "all" } else { "some" }.to_owned(),
+        laid_out: if laid.unnamed == 0 { "all" } else { "some" }.to_owned(),
         steps: steps.collect(),
     })
 }

@@ -53,6 +53,9 @@ pub struct Finished {
     pub headlines: Vec<String>,
     /// The files of the target steps, relative to the run folder.
     pub files: Vec<PathBuf>,
+    /// How many kept outputs have no file there.
+    #[serde(default)]
+    pub unnamed: usize,
 }
 
 /// Tells of a run. One in which nothing was executed is told by its former folder, if that is still there.
@@ -116,18 +119,17 @@ impl Writer<'_> {
         self.log(folder, &logs, &laid)?;
         self.account(folder, &headlines, &logs, &laid)?;
         point_latest(self.about.runs, folder)?;
-        Ok(Finished { folder: folder.to_owned(), headlines, files: laid.of_targets })
+        Ok(Finished { folder: folder.to_owned(), headlines, files: laid.of_targets, unnamed: laid.unnamed })
     }
 
     /// Writes the manifest, and describes the folder as a research object for programs that know nothing of rockface.
     fn account(&self, folder: &Path, headlines: &[String], logs: &[Vec<Entry>], laid: &Laid) -> Result<(), RunError> {
-        let manifest = account::manifest(self.plan, self.summary, self.about, headlines, logs, laid)?;
+        let mut manifest = account::manifest(self.plan, self.summary, self.about, headlines, logs, laid)?;
         write_file(&folder.join("pipeline.yaml"), self.about.pipeline.text().as_bytes())?;
+        write_file(&folder.join("run.json"), manifest.text().as_bytes())?;
         self.report(folder, &manifest, logs)?;
         let described = serde_json::to_string_pretty(&crate_metadata(folder, &manifest)).unwrap_or_default();
-        write_file(&folder.join("ro-crate-metadata.json"), format!("{described}\n").as_bytes())?;
-        // Last: a folder without a manifest is no run.
-        write_file(&folder.join("run.json"), manifest.into_text().as_bytes())
+        write_file(&folder.join("ro-crate-metadata.json"), format!("{described}\n").as_bytes())
     }
 
     /// Writes the page of the run.

@@ -11,14 +11,15 @@ use super::folder::failed;
 use super::{RunError, Summary};
 use crate::plan::Plan;
 
-/// A run with more outputs than this lays out those of its targets only, unless it is told otherwise.
+/// A run with more outputs than this lays out those of its targets only, and of these no step with more, unless it is told
+/// otherwise: a folder for each of very many points costs more than the whole rerun.
 pub const OUTPUTS_LIMIT: usize = 1000;
 
 /// Which outputs get a name in the run folder. All others are in the store, and `rockface export` gives them a name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum LayOut {
-    /// Those of all steps up to 1000 outputs; beyond, those of the target steps.
+    /// Those of all steps up to 1000 outputs; beyond, those of target steps that have up to 1000.
     #[default]
     Auto,
     /// Those of all steps.
@@ -39,19 +40,26 @@ pub struct Laid {
     pub paths: Vec<Paths>,
     /// All files of the target steps.
     pub of_targets: Vec<PathBuf>,
-    /// Whether every kept output has a file.
-    pub whole: bool,
+    /// How many kept outputs have no file.
+    pub unnamed: usize,
 }
 
 impl LayOut {
     /// Gives the outputs of a run their names.
     pub fn lay_out(self, plan: &Plan, summary: &Summary, store: &Store, folder: &Path) -> Result<Laid, RunError> {
-        let wanted = self.settled(plan, summary);
+        let counts = counts(plan, summary);
+        let is_large = counts.iter().sum::<usize>() > OUTPUTS_LIMIT;
         let layer = Layer { plan, store, folder };
-        let mut laid = Laid { whole: wanted == Self::All, ..Laid::default() };
+        let mut laid = Laid::default();
         for (instance, result) in summary.instances.iter().enumerate() {
             let is_target = plan.targets.binary_search(&instance).is_ok();
-            let is_wanted = wanted == Self::All || (wanted == Self::Targets && is_target);
+            let is_wanted = match self {
+                Self::All => true,
+                Self::Auto if !is_large => true,
+                Self::Auto => is_target && counts[plan.instances[instance].step] <= OUTPUTS_LIMIT,
+                Self::Targets => is_target,
+                Self::None => false,
+            };
             let outcome = result.outcome.as_ref().filter(|_| is_wanted);
             let (named, exports) =
                 outcome.map_or(Ok((Paths::new(), Vec::new())), |outcome| layer.outputs(instance, outcome))?;
@@ -60,20 +68,20 @@ impl LayOut {
             }
             laid.paths.push(named);
         }
+        let named: usize = laid.paths.iter().map(BTreeMap::len).sum();
+        laid.unnamed = counts.iter().sum::<usize>().saturating_sub(named);
         Ok(laid)
     }
+}
 
-    fn settled(self, plan: &Plan, summary: &Summary) -> Self {
-        if self != Self::Auto {
-            return self;
-        }
-        let kept = |(instance, result): (usize, &super::InstanceResult)| {
-            let outcome = result.outcome.as_ref().filter(|_| plan.step(instance).keep);
-            outcome.map_or(0, |outcome| outcome.outputs.len())
-        };
-        let count: usize = summary.instances.iter().enumerate().map(kept).sum();
-        if count > OUTPUTS_LIMIT { Self::Targets } else { Self::All }
+/// How many kept outputs each step has.
+fn counts(plan: &Plan, summary: &Summary) -> Vec<usize> {
+    let mut counts = vec![0; plan.graph.steps.len()];
+    for (instance, result) in summary.instances.iter().enumerate().filter(|(instance, _)| plan.step(*instance).keep) {
+        let outputs = result.outcome.iter().flat_map(|outcome| outcome.outputs.values());
+        counts[plan.instances[instance].step] += outputs.filter(|output| output.kept).count();
     }
+    counts
 }
 
 struct Layer<'a> {

@@ -27,6 +27,9 @@ pub struct Told {
     pub files: Vec<PathBuf>,
     /// How many files there are.
     pub file_count: usize,
+    /// How many kept outputs have no file there.
+    #[serde(default)]
+    pub unnamed: usize,
     /// How many instances there are.
     pub instances: usize,
 }
@@ -40,6 +43,7 @@ impl Told {
             headline_count: finished.headlines.len(),
             files: finished.files.iter().take(NAMED).cloned().collect(),
             file_count: finished.files.len(),
+            unnamed: finished.unnamed,
             instances: summary.instances.len(),
         }
     }
@@ -62,16 +66,29 @@ pub fn recall(store: &Path, question: &Digest, runs: &Path) -> Result<Option<Tol
     Ok(Some(told))
 }
 
-/// Keeps what `question` came to, for [`recall`]; a run that failed is not kept.
+/// Keeps what `question` came to, for [`recall`]; a run that failed is not kept. It rests on the included files too.
 ///
 /// # Errors
 ///
 /// Those of the store.
-pub fn remember(store: &Store, question: &Digest, plan: &Plan, summary: &Summary, told: &Told) -> Result<(), RunError> {
+pub fn remember(
+    store: &Store,
+    question: &Digest,
+    plan: &Plan,
+    (summary, told): (&Summary, &Told),
+    included: &[(PathBuf, Digest)],
+) -> Result<(), RunError> {
     if summary.failed || summary.instances.iter().any(|instance| instance.outcome.is_none()) {
         return Ok(());
     }
-    let grounds = grounds(plan, summary);
+    let mut grounds = grounds(plan, summary);
+    for (path, digest) in included {
+        // Makes the store know the state of the file, which must still be what was read.
+        if store.hash_file(path)?.digest != *digest {
+            return Ok(());
+        }
+        grounds.files.push((path.clone(), *digest));
+    }
     if grounds.folders.iter().any(|folder| may_change_unseen(folder)) {
         return Ok(());
     }

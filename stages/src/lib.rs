@@ -42,7 +42,10 @@ mod fit_acceptance;
 mod fit_magnitude_frequency;
 mod forecast_precision;
 mod fuse_depth;
+mod fuse_grids;
+mod fuse_volume;
 mod generate_blocks;
+mod grid_depth;
 mod import_blocks;
 mod import_cameras;
 mod import_cloud;
@@ -54,6 +57,7 @@ mod import_table;
 mod join_inventories;
 mod map_noise;
 mod mask_safe_zone;
+mod match_image;
 mod match_pair;
 mod perturb_cameras;
 mod place_blocks;
@@ -103,7 +107,11 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<forecast_precision::ForecastPrecision>::new(),
     &Row::<project_depth::ProjectDepth>::new(),
     &Row::<match_pair::MatchPair>::new(),
+    &Row::<match_image::MatchImage>::new(),
     &Row::<fuse_depth::FuseDepth>::new(),
+    &Row::<grid_depth::GridDepth>::new(),
+    &Row::<fuse_grids::FuseGrids>::new(),
+    &Row::<fuse_volume::FuseVolume>::new(),
     &Row::<clean_mesh::CleanMesh>::new(),
     &Row::<register_icp::RegisterIcp>::new(),
     &Row::<rasterise_dem::RasteriseDem>::new(),

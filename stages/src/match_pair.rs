@@ -3,11 +3,10 @@
 use std::collections::BTreeMap;
 
 use crate::artefact::{Cameras, Depth, Image, Kind, Pair, Pairs, Raster};
-use crate::kernel::camera::Camera;
-use crate::kernel::matching_noise::{Distribution, FieldRecipe, Interpolation, LocalNoise, Variance};
-use crate::kernel::noise::matcher::{MatcherTerms, PairScene, PaperNoise};
-use crate::kernel::pair_matching::{Local, Match, Matcher, Smooth, Tally, smooth_noise};
-use crate::kernel::rectification::Rectification;
+use crate::kernel::matching_noise::{Distribution, FieldRecipe, Interpolation, Variance};
+use crate::kernel::noise::matcher::{MatcherTerms, PaperNoise};
+use crate::kernel::pair_matching::{Match, Matcher, Tally};
+use crate::kernel::pair_setup::{Setup, check_size, noisy_image};
 use crate::params::Range;
 use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
 
@@ -75,7 +74,7 @@ pub struct MatchPair;
 impl Stage for MatchPair {
     type Params = MatchPairParams;
     const NAME: &'static str = "match-pair";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page {
         what: "Makes the depth map of one image of a stereo pair as dense matching would: with the errors of the \
                orientation and of the matching in it.",
@@ -144,7 +143,6 @@ steps:
         let noisy = inputs.one::<Cameras>("noisy")?;
         let pair = choose_pair(params, inputs.one("pairs")?)?;
         check_depths(pair, ideal)?;
-        let images = [noisy_image(noisy, ideal[0])?, noisy_image(noisy, ideal[1])?];
         let own = usize::from(params.of == Side::Second);
         let seen = params.matcher.as_ref().and_then(|terms| terms.seen(ideal[own]));
         let mut matched = ideal;
@@ -158,8 +156,9 @@ steps:
             )
             .hint("add `matcher: {}` to the parameters, or leave the input out"));
         }
-        let matcher = prepare(params, context, &pair.name, matched, (noisy, images), strength)?;
-        let (map, tally) = matched_map(params, &matcher, own, noisy, images[own]);
+        let keys = |purpose: &str, item: &str| context.stream(purpose, item);
+        let matcher = setup(params, strength).matcher(&pair.name, matched, own, noisy, &keys)?;
+        let (map, tally) = matched_map(params, &matcher, own, noisy, noisy_image(noisy, ideal[own])?);
         report(params, context, pair, &map, &tally)?;
         Ok(Outputs::of("depth", map))
     }
@@ -183,11 +182,7 @@ fn check_depths(pair: &Pair, [first, second]: [&Depth; 2]) -> Result<(), StageEr
         if found != expected {
             fail!("`{port}` is a depth map of image `{found}`, pair `{}` needs `{expected}` there", pair.name);
         }
-        let size = [depth.sensor.width_px, depth.sensor.height_px].map(|full| (full / depth.downscale) as usize);
-        if size != [depth.width, depth.height] {
-            let ([w, h], scale) = (size, depth.downscale);
-            fail!("`{port}` has {} x {} pixels, its camera at downscale {scale} {w} x {h}", depth.width, depth.height);
-        }
+        check_size(&format!("`{port}`"), depth)?;
     }
     if first.downscale != second.downscale {
         let (a, b) = (first.downscale, second.downscale);
@@ -197,35 +192,7 @@ fn check_depths(pair: &Pair, [first, second]: [&Depth; 2]) -> Result<(), StageEr
     Ok(())
 }
 
-/// The noisy image a depth map belongs to.
-fn noisy_image<'a>(noisy: &'a Cameras, depth: &Depth) -> Result<&'a Image, StageError> {
-    let name = &depth.image.name;
-    let Some(image) = noisy.image(name) else {
-        fail!("`noisy` has no image `{name}`, which the pair needs");
-    };
-    if noisy.frame != depth.frame {
-        fail!("`noisy` is in the {} frame, the depth map of image `{name}` in the {} frame", noisy.frame, depth.frame);
-    }
-    let sensor = noisy.sensor(image);
-    if (sensor.width_px, sensor.height_px) != (depth.sensor.width_px, depth.sensor.height_px) {
-        let (w, h) = (sensor.width_px, sensor.height_px);
-        let (v, g) = (depth.sensor.width_px, depth.sensor.height_px);
-        fail!("image `{name}` has {w} x {h} pixels in `noisy`, but {v} x {g} in its depth map");
-    }
-    Ok(image)
-}
-
-fn prepare<'a>(
-    params: &MatchPairParams,
-    context: &Context,
-    pair: &str,
-    ideal: [&'a Depth; 2],
-    (cameras, images): (&Cameras, [&Image; 2]),
-    strength: Option<&Raster>,
-) -> Result<Matcher<'a>, StageError> {
-    let noisy = images.map(|image| Camera::new(cameras.sensor(image), image));
-    let rectification = Rectification::new([&noisy[0], &noisy[1]], ideal[0].downscale)
-        .map_err(|e| StageError::new(format!("pair `{pair}`: {}", e.message)))?;
+fn setup<'a>(params: &MatchPairParams, strength: Option<&'a Raster>) -> Setup<'a> {
     let recipe = FieldRecipe {
         spacing_px: params.spacing_px,
         distribution: params.regular_distribution,
@@ -238,47 +205,8 @@ fn prepare<'a>(
         sigma_regular_px: params.sigma_regular_px,
         recipe,
     };
-    let cameras = ideal.map(Camera::of_depth);
-    let own = usize::from(params.of == Side::Second);
-    let scene = PairScene {
-        name: pair,
-        depths: ideal,
-        own,
-        camera: &cameras[own],
-        noisy: &noisy[0],
-        rectification: &rectification,
-        strength,
-    };
-    let keys = |purpose: &str, item: &str| context.stream(purpose, item);
-    let (local, smooth, terms) = match &params.matcher {
-        None => (paper_local(&noise, &scene, context), paper_smooth(&noise, &scene, context)?, None),
-        Some(matcher) => (None, None, Some(matcher.fields(&noise, &scene, &keys)?)),
-    };
-    Ok(Matcher {
-        ideal,
-        cameras,
-        noisy,
-        rectification,
-        local,
-        smooth,
-        terms,
-        occlusion_tolerance: params.occlusion.then_some(params.occlusion_tolerance),
-    })
-}
-
-fn paper_local(noise: &PaperNoise, scene: &PairScene, context: &Context) -> Option<Local> {
-    let sigma_px = noise.sigma_local_px;
-    let key = || context.stream("match-local", scene.name);
-    (sigma_px > 0.0).then(|| (sigma_px, LocalNoise::new(&key(), noise.local_distribution)))
-}
-
-fn paper_smooth(noise: &PaperNoise, scene: &PairScene, context: &Context) -> Result<Option<Smooth>, StageError> {
-    if noise.sigma_regular_px <= 0.0 {
-        return Ok(None);
-    }
-    let key = context.stream("match-regular", scene.name);
-    let field = smooth_noise(&key, noise.recipe, scene.depths[0], scene.noisy, scene.rectification)?;
-    Ok(Some((noise.sigma_regular_px, field)))
+    let occlusion_tolerance = params.occlusion.then_some(params.occlusion_tolerance);
+    Setup { noise, terms: params.matcher.clone(), occlusion_tolerance, strength }
 }
 
 /// What a channel keeps of a match.
@@ -288,7 +216,7 @@ type Channel = (&'static str, Of);
 
 /// Channels of the paper's noise, then those of a matcher's further terms.
 const CHANNELS: [Channel; 10] = [
-    ("range", |m| m.range_m),
+    ("range", Match::range_m),
     ("disparity.ideal", |m| m.ideal_px),
     ("noise.local", |m| m.error.white_px),
     ("noise.regular", |m| m.error.regular_px),

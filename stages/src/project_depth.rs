@@ -3,6 +3,7 @@
 use crate::artefact::{Cameras, Depth, Image, Kind, Mesh};
 use crate::kernel::camera::Camera;
 use crate::kernel::depth_buffer::{DepthBuffer, Drawing, NO_TRIANGLE, draw, triangles};
+use crate::kernel::depth_update::redraw;
 use crate::kernel::ray_row::RayRow;
 use crate::params::{Fault, Range};
 use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
@@ -42,7 +43,9 @@ impl Stage for ProjectDepth {
         what: "Projects a mesh into one image and keeps, at every pixel centre, the depth of the nearest triangle.",
         method: "Collinearity with Brown-Conrady distortion (paper 2.1.2, Algorithm 2 lines 9, 11 and 12). The exact \
                  undistorted ray of each pixel centre is intersected in f64 with the plane of the triangle it meets \
-                 first; nothing is interpolated, and depths are rounded once, to float32.",
+                 first; nothing is interpolated, and depths are rounded once, to float32. With `before` and `before_mesh`, as \
+                 for the epoch after a rockfall seen from fixed stations, only the tiles that a vanished or a new triangle \
+                 reaches are drawn anew; the bytes are those of drawing everything.",
         frames: "The mesh and the cameras share one frame (wall or world), metres; the depth map carries its camera. \
                  Depth is z along the optical axis, metres; NaN where the ray meets nothing. A depth-map pixel stands \
                  for downscale x downscale image pixels and its centre is theirs; surplus columns and rows are cut. \
@@ -50,8 +53,8 @@ impl Stage for ProjectDepth {
                  (1 where there is a depth, else 0).",
         fails: "The image is unknown; the frames differ; the mesh has no triangles; nothing of the mesh is visible \
                 (it lies behind the camera, beside the image or outside window_m, or shows its back: \
-                turn it or set visibility to false); channels are wanted of a mesh of more than 16777216 triangles, whose \
-                numbers a 32-bit float does not tell apart.",
+                turn it or set visibility to false); `before` without `before_mesh`, or not by the same camera and parameters; \
+                channels are wanted of a mesh of more than 16777216 triangles, whose numbers a 32-bit float does not tell apart.",
         example: "\
 rockface: 1
 name: ideal-depth
@@ -68,6 +71,12 @@ steps:
     const INPUTS: &'static [Port] = &[
         Port::one("mesh", &[Kind::Mesh], "The surface, counter-clockwise seen from outside the rock."),
         Port::one("cameras", &[Kind::Cameras], "The true cameras."),
+        Port::optional(
+            "before",
+            &[Kind::Depth],
+            "The depth map of `before_mesh` by this step's cameras and parameters: only what changed is drawn.",
+        ),
+        Port::optional("before_mesh", &[Kind::Mesh], "The mesh of `before`."),
     ];
     const OUTPUTS: &'static [Port] = &[Port::one("depth", &[Kind::Depth], "The depth map, with its true camera.")];
 
@@ -87,8 +96,16 @@ steps:
             safe_border_px: params.safe_border_px,
             front_only: params.visibility,
         };
-        let mut buffer = draw(mesh, &camera, &drawing);
-        if let Some(window) = params.window_m {
+        check_lens(&camera, image, context)?;
+        let former = former(inputs, params, cameras, image)?;
+        // Numbers of triangles are told by exact depths: with channels everything is drawn.
+        let former = former.filter(|_| !params.channels);
+        let mut buffer = match former {
+            Some((depth, before)) => redrawn([before, mesh], depth, params, (&camera, &drawing), context)?,
+            None => draw(mesh, &camera, &drawing),
+        };
+        // What was taken over has been cut already, by exact depths.
+        if let (Some(window), None) = (params.window_m, former) {
             let before = buffer.z_m.iter().any(|z| z.is_finite());
             buffer.keep_window(&camera, params.downscale, window);
             if before && !buffer.z_m.iter().any(|z| z.is_finite()) {
@@ -113,6 +130,74 @@ steps:
         }
         Ok(Outputs::of("depth", map))
     }
+}
+
+/// Refuses a lens without an inverse in the middle of the image, and warns of one that folds back towards its corners.
+fn check_lens(camera: &Camera, image: &Image, context: &Context) -> Result<(), StageError> {
+    let (right, bottom) = (f64::from(camera.sensor().width_px) - 1.0, f64::from(camera.sensor().height_px) - 1.0);
+    let advice =
+        "check the signs and units of its coefficients (they are those of normalised coordinates, OpenCV's model)";
+    if camera.normalised([0.5 * right, 0.5 * bottom]).is_none() {
+        let error =
+            StageError::new(format!("image `{}`: the lens distortion has no inverse in its middle", image.name));
+        return Err(error.hint(advice));
+    }
+    let lost = [[0.0, 0.0], [right, 0.0], [0.0, bottom], [right, bottom]]
+        .into_iter()
+        .filter(|corner| camera.normalised(*corner).is_none())
+        .count();
+    if lost > 0 {
+        let name = &image.name;
+        context.warn(format!(
+            "image `{name}`: the lens distortion folds back before {lost} of its 4 corners, which see nothing; {advice}"
+        ));
+    }
+    Ok(())
+}
+
+/// The depth map and mesh to start from, where they are given.
+fn former<'a>(
+    inputs: &'a Inputs,
+    params: &ProjectDepthParams,
+    cameras: &Cameras,
+    image: &Image,
+) -> Result<Option<(&'a Depth, &'a Mesh)>, StageError> {
+    let (depth, mesh) = (inputs.optional::<Depth>("before")?, inputs.optional::<Mesh>("before_mesh")?);
+    let (depth, mesh) = match (depth, mesh) {
+        (None, None) => return Ok(None),
+        (Some(depth), Some(mesh)) => (depth, mesh),
+        _ => fail!("`before` and `before_mesh` go together: the depth map to start from, and the mesh it shows"),
+    };
+    let own = Image { sensor: 0, ..image.clone() };
+    if (&depth.sensor, &depth.image) != (cameras.sensor(image), &own) || depth.frame != cameras.frame {
+        let error = StageError::new(format!("`before` is by another camera than image `{}` of `cameras`", image.name));
+        return Err(error.hint("where stations are not fixed nothing can be taken over: leave `before` out"));
+    }
+    if depth.downscale != params.downscale {
+        fail!("`before` has downscale {}, this step {}", depth.downscale, params.downscale);
+    }
+    Ok(Some((depth, mesh)))
+}
+
+fn redrawn(
+    meshes: [&Mesh; 2],
+    depth: &Depth,
+    params: &ProjectDepthParams,
+    (camera, drawing): (&Camera, &Drawing),
+    context: &Context,
+) -> Result<DepthBuffer, StageError> {
+    let cut = |buffer: &mut DepthBuffer| {
+        if let Some(window) = params.window_m {
+            buffer.keep_window(camera, params.downscale, window);
+        }
+    };
+    let Some(found) = redraw(meshes, &depth.z, camera, drawing, cut) else {
+        let error = StageError::new("`before` is not what `before_mesh` looks like with the parameters of this step");
+        return Err(error.hint("make both by `project-depth` with equal parameters, or leave `before` out"));
+    };
+    context.metric("changed_triangles", found.changed_triangles as f64, "1");
+    context.metric("redrawn_share", found.share, "1");
+    Ok(found.buffer)
 }
 
 fn checked_image<'a>(params: &ProjectDepthParams, mesh: &Mesh, cameras: &'a Cameras) -> Result<&'a Image, StageError> {
@@ -262,6 +347,50 @@ mod tests {
             assert!((f64::from(*z) - exact).abs() <= f64::from(f32::EPSILON) * 16.0, "pixel {i}");
         }
         assert_eq!(Depth::decode(&depth.encode().unwrap()).unwrap(), depth);
+    }
+
+    #[test]
+    fn starting_from_the_map_before_gives_the_same_bytes() {
+        let whole = |mesh: &Mesh| project(mesh, &json!({"image": "left"})).unwrap();
+        let mut niche = height_mesh(80, [-50.0, 50.0, -50.0, 50.0], |_, _| 0.0);
+        let flat = niche.clone();
+        niche.vertices.iter_mut().filter(|v| (v[0] - 2.0).abs() < 2.0 && v[1].abs() < 2.0).for_each(|v| v[2] = -1.0);
+        let start = |before: Depth, with: serde_json::Value| {
+            let inputs = [
+                ("mesh", Artefact::Mesh(niche.clone())),
+                ("cameras", Artefact::Cameras(cameras())),
+                ("before", Artefact::Depth(before)),
+                ("before_mesh", Artefact::Mesh(flat.clone())),
+            ];
+            let outputs = run_stage::<ProjectDepth>(&TestHost::default(), &with, &inputs)?.into_inner();
+            Ok::<_, StageError>(Depth::of(&outputs["depth"]).unwrap().clone())
+        };
+        let with = || json!({"image": "left"});
+        assert_eq!(start(whole(&flat), with()).unwrap(), whole(&niche));
+        assert_ne!(whole(&flat), whole(&niche));
+        let mut moved = whole(&flat);
+        moved.image.centre_m[0] += 1.0;
+        assert!(start(moved, with()).unwrap_err().message.contains("another camera"));
+        let error = start(whole(&flat), json!({"image": "left", "safe_border_px": 2})).unwrap_err();
+        assert!(error.message.contains("not what `before_mesh` looks like"), "{error}");
+        assert!(
+            start(whole(&flat), json!({"image": "left", "downscale": 2})).unwrap_err().message.contains("downscale")
+        );
+    }
+
+    #[test]
+    fn a_lens_that_folds_is_told() {
+        let run = |k1: f64| {
+            let mut folding = cameras();
+            folding.sensors[0].k[0] = k1;
+            let inputs = [("mesh", Artefact::Mesh(plane())), ("cameras", Artefact::Cameras(folding))];
+            let host = TestHost::default();
+            run_stage::<ProjectDepth>(&host, &json!({"image": "left"}), &inputs).unwrap();
+            host.warnings()
+        };
+        // Corners lie at a radius of 0.354: 1 + 3 k1 r^2 vanishes before that, distorted, at k1 = -4.
+        assert!(run(-0.5).is_empty());
+        assert!(run(-4.0)[0].contains("folds back before 4 of its 4 corners"));
     }
 
     #[test]

@@ -1,5 +1,7 @@
 //! `select-pairs`: chooses the stereo pairs of an image block and settles the order of their images once.
 
+use std::collections::BTreeMap;
+
 use crate::artefact::{Cameras, Kind, Mesh, Pair, Pairs};
 use crate::kernel::overlap::{NoPair, Views, sample_vertices};
 use crate::params::{Fault, Range};
@@ -19,6 +21,8 @@ params! {
         max_base_to_distance: f64 = 1.0; Range::Positive,
         /// Largest angle between the optical axes, degrees.
         max_convergence_deg: f64 = 45.0; Range::Between(0.0, 180.0),
+        /// Most pairs of an image: those of the largest overlap are taken first, as long as both images have room; null: no limit.
+        neighbours: Option<u32> = None; Range::AtLeast(1.0),
         /// Pairs by hand, each `a+b`, whatever the limits say; null: every pair within the limits.
         list: Option<Vec<String>> = None,
     }
@@ -153,7 +157,27 @@ fn within_limits(
             context.note(format!("{count} combinations left out: {why}"));
         }
     }
-    if chosen.is_empty() { Err(none(params, n, &left_out)) } else { Ok(chosen) }
+    if chosen.is_empty() {
+        return Err(none(params, n, &left_out));
+    }
+    Ok(params.neighbours.map_or(chosen.clone(), |most| nearest(&chosen, most)))
+}
+
+/// The pairs that are left when no image may have more than `most`, those of the largest overlap first; order kept.
+fn nearest(pairs: &[Pair], most: u32) -> Vec<Pair> {
+    let mut order: Vec<usize> = (0..pairs.len()).collect();
+    order.sort_by(|a, b| pairs[*b].overlap.total_cmp(&pairs[*a].overlap).then(a.cmp(b)));
+    let mut taken: BTreeMap<&str, u32> = BTreeMap::new();
+    let mut kept = Vec::new();
+    for index in order {
+        let images = [pairs[index].first.as_str(), pairs[index].second.as_str()];
+        if images.iter().all(|image| taken.get(image).is_none_or(|count| *count < most)) {
+            images.into_iter().for_each(|image| *taken.entry(image).or_default() += 1);
+            kept.push(index);
+        }
+    }
+    kept.sort_unstable();
+    kept.into_iter().map(|index| pairs[index].clone()).collect()
 }
 
 /// The limits that a pair breaks, by parameter name.
@@ -237,6 +261,16 @@ mod tests {
         assert!(pairs[0].convergence_rad.abs() < 1e-12 && (pairs[0].baseline_m - 4.0).abs() < 1e-12);
         let more = select(&cameras, face(Frame::Wall), &json!({"min_overlap": 0.3})).unwrap();
         assert_eq!(names(&more), ["b+c", "a+b"]);
+    }
+
+    #[test]
+    fn neighbours_are_those_of_the_largest_overlap() {
+        let cameras = row(&[("a", 0.0), ("b", 1.0), ("c", 2.0), ("d", 3.0)]);
+        let chosen = |with: Value| select(&cameras, face(Frame::Wall), &with).unwrap();
+        assert_eq!(chosen(json!({"min_overlap": 0.1})).len(), 6);
+        let pairs = chosen(json!({"min_overlap": 0.1, "neighbours": 2}));
+        assert_eq!(names(&pairs), ["a+b", "a+d", "b+c", "c+d"]);
+        assert_eq!(names(&chosen(json!({"min_overlap": 0.1, "neighbours": 1}))), ["a+b", "c+d"]);
     }
 
     #[test]

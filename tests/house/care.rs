@@ -190,3 +190,25 @@ fn a_collection_leaves_alone_what_a_live_run_counts_on() {
     drop(store);
     assert_eq!(plan(&other), 2);
 }
+
+#[test]
+fn a_pipeline_of_several_files_is_answered_for_until_one_changes() {
+    let house = House::new("rockface: 1\nname: whole\ninclude: part.yaml\n");
+    let old = std::time::SystemTime::now() - std::time::Duration::from_mins(1);
+    let write = |text: &str| {
+        fs::write(house.path("part.yaml"), text).unwrap();
+        fs::File::open(house.path("part.yaml")).unwrap().set_modified(old).unwrap();
+        std::thread::sleep(std::time::Duration::from_millis(30));
+    };
+    let ends = |expected: &str| {
+        let (code, out, err) = house.rockface(&["run", "p.yaml"]);
+        assert_eq!(code, Some(0), "{err}");
+        assert!(last_line(&out).contains(expected), "{out}");
+    };
+    write(SMALL);
+    ends("ran 2, cached 0");
+    assert_eq!(answers(&house), 1);
+    ends("ran 0, cached 2");
+    write(&SMALL.replace("cell_m: 0.05", "cell_m: 0.1"));
+    ends("ran 1, cached 1");
+}

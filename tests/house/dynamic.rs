@@ -179,3 +179,11 @@ steps:
     let told = unequal.events.iter().any(|event| matches!(event, Event::Failed { message, .. } if message.contains("has 2 items, `a` has 3") || message.contains("has 2 items, `c` has 3")));
     assert!(unequal.summary.failed && told, "{:?}", unequal.events);
 }
+
+#[test]
+fn a_list_that_only_an_axis_reads_is_no_target() {
+    let bench = Bench::new();
+    let plan = bench.plan(&SEARCH.replace("targets: [best]\n", ""), &[]).unwrap_or_else(|faults| panic!("{faults}"));
+    let targets: Vec<&str> = plan.graph.targets.iter().map(|step| plan.graph.steps[*step].name.as_str()).collect();
+    assert_eq!(targets, ["again", "best"]);
+}

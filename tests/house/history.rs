@@ -225,3 +225,25 @@ fn which_outputs_get_a_name_can_be_chosen() {
     assert!(code == Some(0) && house.path("face.ply").is_file(), "{err}");
     assert_eq!(there("all"), (true, true, "all".to_owned()));
 }
+
+#[test]
+fn outputs_of_very_many_points_stay_in_the_store() {
+    if std::env::var_os("ROCKFACE_SLOW").is_none() {
+        return;
+    }
+    let house = House::new(
+        "rockface: 1\naxes: {k: {count: 1001}}\nsteps:\n  base: {stage: import-table, with: {path: t.csv}}\n  \
+         each: {stage: tabulate, over: [k], in: {rows: base.table}}\n  \
+         all: {stage: tabulate, in: {rows: {each: each.table, over: [k]}}}\ntargets: [each, all]\n",
+    );
+    std::fs::write(house.path("t.csv"), "a\n1\n").unwrap();
+    let (code, out, err) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert!(out.contains("1002 outputs are in the store only"), "{out}");
+    let outputs = house.path(".rockface/runs/latest/outputs");
+    assert!(outputs.join("all/table.csv").is_file() && !outputs.join("each").exists());
+    let (code, _, err) = house.rockface(&["export", "latest", "each[k=7].table", "seven.json"]);
+    assert!(code == Some(0) && house.path("seven.json").is_file(), "{err}");
+    let (code, _, err) = house.rockface(&["run", "p.yaml", "--outputs", "targets"]);
+    assert!(code == Some(0) && house.path(".rockface/runs/latest/outputs/each/k=1000/table.csv").is_file(), "{err}");
+}

@@ -34,6 +34,12 @@ impl Camera {
         &self.sensor
     }
 
+    /// Whether both cameras map rays to pixels alike: all of their interior orientations but the name is the same.
+    pub fn has_interior_of(&self, other: &Self) -> bool {
+        let name = other.sensor.name.clone();
+        Sensor { name, ..self.sensor.clone() } == other.sensor
+    }
+
     /// R, object to camera frame.
     pub fn camera_from_object(&self) -> &Matrix3<f64> {
         &self.rotation

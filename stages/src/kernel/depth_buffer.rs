@@ -13,10 +13,10 @@ use rayon::prelude::*;
 use crate::artefact::Mesh;
 use crate::kernel::camera::{Camera, full_pixel};
 use crate::kernel::ray_row::RayRow;
-use crate::kernel::triangle_reach::{Bend, NEAR_M, Reach, reach};
+use crate::kernel::triangle_reach::{Bend, NEAR_M, Projected, Reach, reach_of_projected};
 
 /// Rows a task works on.
-const BAND: usize = 16;
+pub(super) const BAND: usize = 16;
 
 /// How a mesh is drawn into a depth buffer.
 #[derive(Debug, Clone, Copy)]
@@ -67,17 +67,13 @@ impl Facet {
 
 /// Draws a mesh; its vertices must be in the frame of the camera. The same bits at any thread count.
 pub fn draw(mesh: &Mesh, camera: &Camera, drawing: &Drawing) -> DepthBuffer {
-    let scale = drawing.downscale as usize;
-    let (width, height) = (camera.sensor().width_px as usize / scale, camera.sensor().height_px as usize / scale);
+    let scene = Scene::of(mesh, camera, drawing);
+    let (width, height) = (scene.width, scene.height);
     let mut z_m = vec![f64::INFINITY; width * height];
-    if z_m.is_empty() {
-        return DepthBuffer { width, height, z_m };
+    if !z_m.is_empty() {
+        let bands = z_m.par_chunks_mut(BAND * width).enumerate();
+        bands.for_each(|(band, z)| scene.draw_band_where(band, z, |_| true));
     }
-    let scene = Scene::new(mesh, camera, drawing, (width, height));
-    z_m.par_chunks_mut(BAND * width).enumerate().for_each(|(band, z)| {
-        let rows = z.len() / width;
-        scene.visit_band(band, rows, |_, facet, rays, span| keep_nearest(facet, rays, &mut z[span]));
-    });
     DepthBuffer { width, height, z_m }
 }
 
@@ -92,17 +88,22 @@ pub fn triangles(mesh: &Mesh, camera: &Camera, drawing: &Drawing, buffer: &Depth
     if numbers.is_empty() {
         return numbers;
     }
-    let scene = Scene::new(mesh, camera, drawing, (width, buffer.height));
+    let scene = Scene::of(mesh, camera, drawing);
     numbers.par_chunks_mut(BAND * width).zip(buffer.z_m.par_chunks(BAND * width)).enumerate().for_each(
         |(band, (numbers, z))| {
-            scene.visit_band(band, z.len() / width, |triangle, facet, rays, span| {
-                for ((ray, z), number) in rays.iter().zip(&z[span.clone()]).zip(&mut numbers[span]) {
-                    let free = *number == NO_TRIANGLE && z.is_finite();
-                    if free && facet.depth(&Vector3::new(ray[0], ray[1], 1.0)).to_bits() == z.to_bits() {
-                        *number = triangle;
+            scene.visit_band(
+                band,
+                z.len() / width,
+                |_| true,
+                |triangle, facet, rays, span| {
+                    for ((ray, z), number) in rays.iter().zip(&z[span.clone()]).zip(&mut numbers[span]) {
+                        let free = *number == NO_TRIANGLE && z.is_finite();
+                        if free && facet.depth(&Vector3::new(ray[0], ray[1], 1.0)).to_bits() == z.to_bits() {
+                            *number = triangle;
+                        }
                     }
-                }
-            });
+                },
+            );
         },
     );
     numbers
@@ -124,10 +125,13 @@ impl DepthBuffer {
 }
 
 /// A mesh in the camera frame, its triangles sorted into bands of rows.
-struct Scene<'a> {
+pub(super) struct Scene<'a> {
     camera: &'a Camera,
     drawing: &'a Drawing,
-    width: usize,
+    /// Columns of the buffer.
+    pub(super) width: usize,
+    /// Rows of the buffer.
+    pub(super) height: usize,
     triangles: &'a [[u32; 3]],
     points: Vec<Vector3<f64>>,
     reaches: Vec<Reach>,
@@ -135,38 +139,55 @@ struct Scene<'a> {
 }
 
 impl<'a> Scene<'a> {
-    fn new(mesh: &'a Mesh, camera: &'a Camera, drawing: &'a Drawing, (width, height): (usize, usize)) -> Self {
+    /// The scene of a mesh before a camera.
+    pub(super) fn of(mesh: &'a Mesh, camera: &'a Camera, drawing: &'a Drawing) -> Self {
+        let scale = drawing.downscale as usize;
+        let (width, height) = (camera.sensor().width_px as usize / scale, camera.sensor().height_px as usize / scale);
         let points: Vec<_> = mesh.vertices.par_iter().map(|v| camera.to_camera(&Vector3::from(*v))).collect();
         let bend = Bend::new(camera.sensor());
-        let corners = |triangle: &[u32; 3]| triangle.map(|i| points[i as usize]);
+        let projected: Vec<_> = points.par_iter().map(|point| Projected::new(camera, point)).collect();
         let find = |triangle: &[u32; 3]| {
-            let corners = corners(triangle);
+            let corners = triangle.map(|i| points[i as usize]);
             let faces_away = corners[0].dot(&corners[1].cross(&corners[2])) >= 0.0;
             if drawing.front_only && faces_away {
                 return Reach::Nothing;
             }
-            reach(camera, &bend, &corners, f64::from(drawing.downscale), (width, height))
+            let projected = triangle.map(|i| projected[i as usize]);
+            reach_of_projected(&projected, &bend, &corners, f64::from(drawing.downscale), (width, height))
         };
         let reaches: Vec<_> = mesh.triangles.par_iter().map(find).collect();
         let bands = sort_into_bands(&reaches, height);
-        Self { camera, drawing, width, triangles: &mesh.triangles, points, reaches, bands }
+        Self { camera, drawing, width, height, triangles: &mesh.triangles, points, reaches, bands }
     }
 
-    /// Calls `visit` for every triangle that may cover pixels of a band, with the rays of a stretch of a row and where in
-    /// the band that stretch is.
+    /// Draws the triangles of a band for whose first and last column `wanted` holds; those that reach far are all drawn.
+    pub(super) fn draw_band_where(&self, band: usize, z: &mut [f64], wanted: impl Fn([usize; 2]) -> bool) {
+        let rows = z.len() / self.width;
+        self.visit_band(band, rows, wanted, |_, facet, rays, span| keep_nearest(facet, rays, &mut z[span]));
+    }
+
+    /// Calls `visit` for every triangle that may cover pixels of a band and for whose first and last column `wanted` holds, with
+    /// the rays of a stretch of a row and where in the band that stretch is.
     fn visit_band(
         &self,
         band: usize,
         rows: usize,
+        wanted: impl Fn([usize; 2]) -> bool,
         mut visit: impl FnMut(u32, &Facet, &[[f64; 2]], RangeInclusive<usize>),
     ) {
         let first_row = band * BAND;
         let rays = self.rays(first_row, rows);
         let extents: Vec<_> = rays.chunks(self.width).map(Extent::of).collect();
         for triangle in &self.bands[band] {
+            let reach = &self.reaches[*triangle as usize];
+            if let Reach::Pixels { columns, .. } = reach
+                && !wanted(columns.map(|column| column as usize))
+            {
+                continue;
+            }
             let [a, b, c] = self.triangles[*triangle as usize].map(|i| self.points[i as usize]);
             let facet = Facet::new(&a, &b, &c);
-            match &self.reaches[*triangle as usize] {
+            match reach {
                 Reach::Nothing => {}
                 Reach::Pixels { columns: [c0, c1], rows: [r0, r1] } => {
                     let last = (*r1 as usize + 1 - first_row).min(rows);

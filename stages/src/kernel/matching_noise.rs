@@ -7,6 +7,7 @@ use crate::choice;
 use crate::kernel::noise::student::student;
 use crate::kernel::precise;
 use crate::kernel::random::{Field, Key};
+use crate::kernel::whole::floor;
 
 choice! {
     /// Distribution of a draw, scaled to unit standard deviation.
@@ -130,6 +131,11 @@ impl LocalNoise {
         self.distribution.draw(&self.field, column, row) as f32
     }
 
+    /// Draws to be looked up one after the other.
+    pub fn lookup(&self) -> Lookup<'_> {
+        Lookup { noise: self, cell: [0; 2], pair: self.field.normals(0, 0) }
+    }
+
     /// The draws of a row from column `first` on; equal to calling [`LocalNoise::at`].
     pub fn fill_row(&self, first: i32, row: i32, values: &mut [f32]) {
         if self.distribution == Distribution::Gaussian {
@@ -138,6 +144,29 @@ impl LocalNoise {
         for (column, value) in values.iter_mut().enumerate() {
             *value = self.at(first + column as i32, row);
         }
+    }
+}
+
+/// Draws of a noise looked up pixel by pixel: neighbours along a row share one transform, which is done once.
+#[derive(Debug, Clone, Copy)]
+pub struct Lookup<'a> {
+    noise: &'a LocalNoise,
+    cell: [i32; 2],
+    pair: [f64; 2],
+}
+
+impl Lookup<'_> {
+    /// The draw of a pixel; equal to [`LocalNoise::at`].
+    #[inline]
+    pub fn at(&mut self, column: i32, row: i32) -> f32 {
+        if self.noise.distribution != Distribution::Gaussian {
+            return self.noise.at(column, row);
+        }
+        let cell = [column >> 1, row];
+        if cell != self.cell {
+            (self.cell, self.pair) = (cell, self.noise.field.normals(cell[0], row));
+        }
+        self.pair[(column & 1) as usize] as f32
     }
 }
 
@@ -183,12 +212,12 @@ impl SmoothNoise {
     /// The field at a position, pixels.
     pub fn at(&self, position_px: [f64; 2]) -> f64 {
         let [x, y] = position_px.map(|p| p / self.recipe.spacing_px);
-        let (column, row) = (x.floor(), y.floor());
-        let wx = self.recipe.interpolation.weights(x - column);
-        let wy = self.recipe.interpolation.weights(y - row);
+        let (column, row) = (floor(x), floor(y));
+        let wx = self.recipe.interpolation.weights(x - f64::from(column));
+        let wy = self.recipe.interpolation.weights(y - f64::from(row));
         let mut sum = 0.0;
         for (j, weight) in (-1..3).zip(wy) {
-            let [a, b, c, d] = self.four_nodes(column as i32 - 1, row as i32 + j);
+            let [a, b, c, d] = self.four_nodes(column - 1, row + j);
             sum += weight * (wx[0] * a + wx[1] * b + wx[2] * c + wx[3] * d);
         }
         match self.recipe.variance {
@@ -315,6 +344,10 @@ mod tests {
             let mut rows = vec![[0.0f32; 300]; 300];
             rows.iter_mut().enumerate().for_each(|(y, row)| noise.fill_row(0, y as i32, row));
             assert_eq!(rows[7][123].to_bits(), noise.at(123, 7).to_bits());
+            let mut lookup = noise.lookup();
+            for (column, row) in [(0, 0), (7, 3), (6, 3), (7, 4), (-3, 4), (-4, 4), (1, 0)] {
+                assert_eq!(lookup.at(column, row).to_bits(), noise.at(column, row).to_bits());
+            }
             let pairs = |f: &dyn Fn(usize, usize) -> f32| {
                 let products = (0..299 * 299).map(|i| f64::from(f(i / 299, i % 299)));
                 products.sum::<f64>() / (299.0 * 299.0)

@@ -6,19 +6,18 @@
 //! Rows of the two positions differ by the y-parallax that wrong orientations cause; it is reported, never averaged in.
 //! Pixels are those of the depth-map level throughout.
 
-use std::ops::RangeInclusive;
-
 use rayon::prelude::*;
 
 use crate::StageError;
 use crate::artefact::Depth;
 use crate::fail;
 use crate::kernel::camera::{Camera, full_pixel};
-use crate::kernel::matching_noise::{FieldRecipe, LocalNoise, SmoothNoise};
-use crate::kernel::noise::terms::{DisparityError, Site, Terms};
+use crate::kernel::matching_noise::{FieldRecipe, LocalNoise, Lookup, SmoothNoise};
+use crate::kernel::noise::terms::{DisparityError, Lookups, Site, Terms};
+use crate::kernel::own_row::{OwnPixel, OwnRow, noisy_ray};
 use crate::kernel::random::Key;
-use crate::kernel::ray_row::RayRow;
 use crate::kernel::rectification::{Placed, Rectification};
+use crate::kernel::whole::{floor, nearest};
 
 /// The white part of the noise: its deviation in pixels, and its draws.
 pub type Local = (f64, LocalNoise);
@@ -33,6 +32,8 @@ pub struct Matcher<'a> {
     pub cameras: [Camera; 2],
     /// Noisy cameras.
     pub noisy: [Camera; 2],
+    /// Whether the noisy camera has the interior orientation of the true one.
+    pub same_interior: [bool; 2],
     /// Rectification of the noisy cameras.
     pub rectification: Rectification,
     /// White noise; `None` without any.
@@ -50,8 +51,8 @@ pub struct Matcher<'a> {
 pub struct Match {
     /// Depth on the noisy ray, metres.
     pub depth_m: f64,
-    /// Distance along the noisy ray, metres.
-    pub range_m: f64,
+    /// Normalised coordinates of the noisy ray.
+    pub noisy_ray: [f64; 2],
     /// Disparity without noise of the matching, pixels: that of the true projections, rectified by the noisy cameras.
     pub ideal_px: f64,
     /// Noise of the matching, term by term.
@@ -66,6 +67,14 @@ pub struct Match {
     pub depth_per_px_m: f64,
 }
 
+impl Match {
+    /// Distance along the noisy ray, metres.
+    pub fn range_m(&self) -> f64 {
+        let [x, y] = self.noisy_ray;
+        self.depth_m * (x * x + y * y + 1.0).sqrt()
+    }
+}
+
 /// Sums over the matched pixels of an image, added up in the order of its rows.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Tally {
@@ -78,13 +87,16 @@ pub struct Tally {
 }
 
 impl Tally {
-    fn add(&mut self, m: &Match) {
+    /// Counts a match.
+    pub fn add(&mut self, m: &Match) {
         self.count += 1;
         self.y_parallax2_px2 += m.y_parallax_px * m.y_parallax_px;
         self.depth_per_px_m += m.depth_per_px_m;
     }
 
-    fn plus(self, other: Self) -> Self {
+    /// The sums of both.
+    #[must_use]
+    pub fn plus(self, other: Self) -> Self {
         Self {
             count: self.count + other.count,
             y_parallax2_px2: self.y_parallax2_px2 + other.y_parallax2_px2,
@@ -148,7 +160,8 @@ impl Matcher<'_> {
             .enumerate()
             .map(|(row, out)| {
                 let mut tally = Tally::default();
-                self.match_row(own, row, |column, found| {
+                let pixels = OwnRow::new(self.ideal[own], &self.cameras[own], &self.noisy[own], row);
+                self.match_row(own, &pixels, |column, found| {
                     tally.add(found);
                     keep(out, column, found);
                 });
@@ -158,94 +171,91 @@ impl Matcher<'_> {
         tallies.into_iter().fold(Tally::default(), Tally::plus)
     }
 
-    fn match_row(&self, own: usize, row: usize, mut found: impl FnMut(usize, &Match)) {
-        let depth = self.ideal[own];
-        let values = &depth.z[row * depth.width..(row + 1) * depth.width];
-        let valid = |z: &f32| z.is_finite();
-        let (Some(from), Some(to)) = (values.iter().position(valid), values.iter().rposition(valid)) else { return };
-        let draws = self.row_of_draws(own, row, from..=to);
-        let mut rays = RayRow::new(&self.cameras[own], row, depth.downscale);
-        for (column, z) in (from..=to).zip(&values[from..=to]).filter(|(_, z)| valid(z)) {
-            let Some(ray) = rays.ray(column) else { continue };
-            let pixel = full_pixel(column, row, depth.downscale);
-            let draw = draws.get(column - from).copied();
-            if let Some(m) = self.match_pixel(own, pixel, ray, f64::from(*z), draw) {
-                found(column, &m);
+    /// Matches the pixels of a row of image `own`, from left to right.
+    pub fn match_row(&self, own: usize, pixels: &OwnRow, mut found: impl FnMut(usize, &Match)) {
+        let mut draws = self.row_of_draws(own, pixels);
+        for pixel in &pixels.pixels {
+            if let Some(m) = self.match_pixel(own, pixels.row, pixel, &mut draws) {
+                found(pixel.column, &m);
             }
         }
     }
 
-    /// The white draws of a stretch of a row of the first image; the second looks its own up one by one.
-    fn row_of_draws(&self, own: usize, row: usize, columns: RangeInclusive<usize>) -> Vec<f32> {
-        let mut draws = Vec::new();
-        if let (0, Some((_, noise))) = (own, &self.local) {
-            draws.resize(columns.end() - columns.start() + 1, 0.0);
-            noise.fill_row(*columns.start() as i32, row as i32, &mut draws);
+    /// The white draws of a row: the first image's are drawn ahead, the second looks its own up one by one.
+    fn row_of_draws(&self, own: usize, pixels: &OwnRow) -> Draws<'_> {
+        let noise = self.local.as_ref().map(|(_, noise)| noise);
+        let mut draws = Draws {
+            ahead: Vec::new(),
+            row: pixels.row as i32,
+            first: 0,
+            noise: noise.map(LocalNoise::lookup),
+            terms: self.terms.as_ref().map(Terms::lookups).unwrap_or_default(),
+        };
+        if let (0, Some(noise), [first, .., last]) = (own, noise, pixels.pixels.as_slice()) {
+            draws.first = first.column as i32;
+            draws.ahead.resize(last.column - first.column + 1, 0.0);
+            noise.fill_row(draws.first, draws.row, &mut draws.ahead);
         }
         draws
     }
 
-    /// `ray`: undistorted normalised coordinates of full-image position `pixel` in the true camera.
-    fn match_pixel(&self, own: usize, pixel: [f64; 2], ray: [f64; 2], z_m: f64, draw: Option<f32>) -> Option<Match> {
+    fn match_pixel(&self, own: usize, row: usize, pixel: &OwnPixel, draws: &mut Draws) -> Option<Match> {
         let other = 1 - own;
-        let point = self.cameras[own].unproject(ray, z_m);
-        let seen = self.cameras[other].to_camera(&point);
-        let seen_pixel = self.cameras[other].project_from_camera(&seen)?;
-        let seen_level = to_level(seen_pixel, self.ideal[other].downscale);
+        let seen = self.cameras[other].to_camera(&pixel.point_m);
+        if seen.z <= 0.0 {
+            return None;
+        }
+        let inverse = 1.0 / seen.z;
+        let seen_ray = [seen.x * inverse, seen.y * inverse];
+        let seen_pixel = self.cameras[other].pixel(seen_ray)?;
+        let seen_level = to_level(seen_pixel, 1.0 / f64::from(self.ideal[other].downscale));
         if !self.is_seen(other, seen_level, seen.z) {
             return None;
         }
-        let seen_ray = [seen.x / seen.z, seen.y / seen.z];
-        let place = |side, ray| self.rectification.place(side, ray);
-        let own_ray = self.noisy_ray(own, pixel, ray)?;
-        let own_place = place(own, own_ray)?;
-        let other_place = place(other, self.noisy_ray(other, seen_pixel, seen_ray)?)?;
+        let seen_noisy_ray =
+            if self.same_interior[other] { seen_ray } else { noisy_ray(&self.noisy[other], seen_pixel, seen_ray)? };
+        let own_place = self.rectification.place(own, pixel.noisy_ray)?;
+        let other_place = self.rectification.place(other, seen_noisy_ray)?;
         let (first, second) = if own == 0 { (&own_place, &other_place) } else { (&other_place, &own_place) };
         let fb_px_m = self.rectification.focal_px * self.rectification.baseline_m;
         let ideal_px = first.position_px[0] - second.position_px[0];
-        let level = to_level(pixel, self.ideal[own].downscale);
+        let level = [pixel.column as f64, row as f64];
         let (first_px, second_px) = if own == 0 { (level, seen_level) } else { (seen_level, level) };
         let error = if let Some(terms) = &self.terms {
-            let pixel = level[1].round() as usize * self.ideal[own].width + level[0].round() as usize;
-            let point_m = [point.x, point.y];
+            let pixel_index = row * self.ideal[own].width + pixel.column;
+            let point_m = [pixel.point_m.x, pixel.point_m.y];
             let disparity_px_m = fb_px_m / own_place.slant;
             let rectified_px = first.position_px;
-            terms.error(&Site { first_px, second_px, rectified_px, point_m, pixel, disparity_px_m })?
+            let site = Site { first_px, second_px, rectified_px, point_m, pixel: pixel_index, disparity_px_m };
+            terms.error(&site, &mut draws.terms)?
         } else {
-            self.paper_noise(first_px, first.position_px, draw)
+            self.paper_noise(first_px, first.position_px, draws)
         };
         let matched_px = ideal_px + (error.local_px() + error.regular_px);
         let disparity_px = self.terms.as_ref().map_or(matched_px, |terms| terms.sub_pixel(matched_px));
-        let distance_m = self.rectification.distance_m(disparity_px)?;
+        // Z = f B / D across the rectified plane, and dZ = Z^2 / (f B) dD; both along the own ray by its slant.
+        let parallax_px = self.rectification.parallax_px(disparity_px)?;
+        let depth_m = fb_px_m / (parallax_px * own_place.slant);
         Some(Match {
-            depth_m: distance_m / own_place.slant,
-            range_m: distance_m / own_place.slant * (own_ray[0] * own_ray[0] + own_ray[1] * own_ray[1] + 1.0).sqrt(),
+            depth_m,
+            noisy_ray: pixel.noisy_ray,
             ideal_px,
             error,
             sub_pixel_px: disparity_px - matched_px,
             disparity_px,
             y_parallax_px: first.position_px[1] - second.position_px[1],
-            depth_per_px_m: distance_m * distance_m / (fb_px_m * own_place.slant),
+            depth_per_px_m: depth_m / parallax_px,
         })
     }
 
-    /// White and smooth noise of a pixel; the white draw of the pixel may be at hand already.
-    fn paper_noise(&self, first_px: [f64; 2], rectified_px: [f64; 2], draw: Option<f32>) -> DisparityError {
-        let white_px = self.local.as_ref().map_or(0.0, |(sigma, noise)| {
-            let [column, row] = first_px.map(|p| p.round() as i32);
-            sigma * f64::from(draw.unwrap_or_else(|| noise.at(column, row)))
+    /// White and smooth noise of a pixel.
+    fn paper_noise(&self, first_px: [f64; 2], rectified_px: [f64; 2], draws: &mut Draws) -> DisparityError {
+        let white_px = self.local.as_ref().map_or(0.0, |(sigma, _)| {
+            let [column, row] = first_px.map(nearest);
+            sigma * f64::from(draws.at(column, row))
         });
         let regular_px = self.smooth.as_ref().map_or(0.0, |(sigma, noise)| sigma * noise.at(rectified_px));
         DisparityError { white_px, blunder_px: 0.0, regular_px, relief_px: 0.0, strength: 1.0 }
-    }
-
-    /// Undistorts a position with the noisy interior orientation, near where the true one puts it.
-    fn noisy_ray(&self, side: usize, pixel: [f64; 2], true_ray: [f64; 2]) -> Option<[f64; 2]> {
-        let noisy = &self.noisy[side];
-        if noisy.sensor() == self.cameras[side].sensor() {
-            return Some(true_ray);
-        }
-        noisy.normalised_near(pixel, true_ray).or_else(|| noisy.normalised(pixel))
     }
 
     /// Whether an image sees a point at depth `z_m` that projects to `level`: it is inside, and not behind all that the
@@ -257,16 +267,39 @@ impl Matcher<'_> {
             return false;
         }
         let Some(tolerance) = self.occlusion_tolerance else { return true };
-        let near = |x: f64, size: f64| [x.floor().max(0.0) as usize, (x.floor() + 1.0).min(size - 1.0) as usize];
-        let columns = near(u, width);
+        let near = |x: f64, size: usize| {
+            let below = floor(x);
+            [below.max(0) as usize, ((below + 1) as usize).min(size - 1)]
+        };
+        let columns = near(u, depth.width);
         let shown =
-            near(v, height).into_iter().flat_map(|row| columns.map(|column| depth.z[row * depth.width + column]));
+            near(v, depth.height).into_iter().flat_map(|row| columns.map(|column| depth.z[row * depth.width + column]));
         // The comparison with NaN is false: where nothing is shown nothing is seen.
         shown.into_iter().any(|shown| z_m <= f64::from(shown) * (1.0 + tolerance))
     }
 }
 
-/// Full-image position in pixels of the depth-map level.
-fn to_level(pixel: [f64; 2], downscale: u32) -> [f64; 2] {
-    pixel.map(|p| (p + 0.5) / f64::from(downscale) - 0.5)
+/// Full-image position in pixels of the depth-map level, whose pixels are `1 / scale` image pixels.
+fn to_level(pixel: [f64; 2], scale: f64) -> [f64; 2] {
+    pixel.map(|p| (p + 0.5) * scale - 0.5)
+}
+
+/// The white draws of one row: a stretch of the first image's own row drawn ahead, any other pixel looked up.
+struct Draws<'a> {
+    ahead: Vec<f32>,
+    row: i32,
+    first: i32,
+    noise: Option<Lookup<'a>>,
+    terms: Lookups<'a>,
+}
+
+impl Draws<'_> {
+    fn at(&mut self, column: i32, row: i32) -> f32 {
+        if row == self.row
+            && let Some(draw) = self.ahead.get((column - self.first) as usize)
+        {
+            return *draw;
+        }
+        self.noise.as_mut().map_or(0.0, |noise| noise.at(column, row))
+    }
 }

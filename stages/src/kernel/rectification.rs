@@ -71,15 +71,20 @@ impl Rectification {
     /// Rectifies undistorted normalised coordinates of image `side` (0 first, 1 second); `None` beyond the plane's horizon.
     pub fn place(&self, side: usize, [x, y]: [f64; 2]) -> Option<Placed> {
         let ray = self.rectified_from_camera[side] * Vector3::new(x, y, 1.0);
-        let position_px =
-            [self.focal_px * ray.x / ray.z + self.centre_x_px[side], self.focal_px * ray.y / ray.z + self.centre_y_px];
+        let scale = self.focal_px / ray.z;
+        let position_px = [ray.x * scale + self.centre_x_px[side], ray.y * scale + self.centre_y_px];
         (ray.z > 0.0).then_some(Placed { position_px, slant: ray.z })
     }
 
     /// Depth across the rectified plane of a disparity `x1 - x2`, metres; `None` at or beyond infinity.
     pub fn distance_m(&self, disparity_px: f64) -> Option<f64> {
+        Some(self.focal_px * self.baseline_m / self.parallax_px(disparity_px)?)
+    }
+
+    /// What is left of a disparity without the shift of the principal points, pixels; `None` at or beyond infinity.
+    pub fn parallax_px(&self, disparity_px: f64) -> Option<f64> {
         let parallax = disparity_px - (self.centre_x_px[0] - self.centre_x_px[1]);
-        (parallax > 0.0).then(|| self.focal_px * self.baseline_m / parallax)
+        (parallax > 0.0).then_some(parallax)
     }
 }
 

@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 
 use crate::artefact::Sensor;
 use crate::kernel::camera::Camera;
+use crate::kernel::whole::floor;
 
 /// Nothing nearer to the camera than this is seen, metres along the optical axis.
 pub const NEAR_M: f64 = 1e-3;
@@ -59,8 +60,38 @@ impl Bend {
     }
 }
 
+/// A point in the camera frame and what becomes of it, found once for all triangles that share it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Projected {
+    /// Normalised coordinates; of use where the point lies beyond the near plane.
+    flat: [f64; 2],
+    /// Pixel of the full image; NaN where it has none.
+    pixel: [f64; 2],
+}
+
+impl Projected {
+    /// Projects a point of the camera frame.
+    pub fn new(camera: &Camera, point: &Vector3<f64>) -> Self {
+        let flat = [point.x / point.z, point.y / point.z];
+        let pixel = if point.z >= NEAR_M { camera.pixel(flat) } else { None };
+        Self { flat, pixel: pixel.unwrap_or([f64::NAN; 2]) }
+    }
+}
+
 /// The pixels a triangle in the camera frame may cover, in a buffer of `size` (columns, rows) reduced by `downscale`.
 pub fn reach(camera: &Camera, bend: &Bend, corners: &[Vector3<f64>; 3], downscale: f64, size: (usize, usize)) -> Reach {
+    reach_of_projected(&corners.map(|c| Projected::new(camera, &c)), bend, corners, downscale, size)
+}
+
+/// As [`reach`], for corners that are projected already.
+#[inline]
+pub fn reach_of_projected(
+    projected: &[Projected; 3],
+    bend: &Bend,
+    corners: &[Vector3<f64>; 3],
+    downscale: f64,
+    size: (usize, usize),
+) -> Reach {
     let in_front = corners.iter().filter(|corner| corner.z >= NEAR_M).count();
     if in_front == 0 {
         return Reach::Nothing;
@@ -68,10 +99,11 @@ pub fn reach(camera: &Camera, bend: &Bend, corners: &[Vector3<f64>; 3], downscal
     if in_front < 3 {
         return wide(&clip_near(corners));
     }
-    let flat = corners.map(|c| [c.x / c.z, c.y / c.z]);
-    let [Some(a), Some(b), Some(c)] = flat.map(|xy| camera.pixel(xy)) else {
+    let flat = projected.map(|p| p.flat);
+    let [a, b, c] = projected.map(|p| p.pixel);
+    if a[0].is_nan() || b[0].is_nan() || c[0].is_nan() {
         return wide(&flat);
-    };
+    }
     let r2 = flat.iter().map(|[x, y]| x * x + y * y).fold(0.0, f64::max);
     let h2 = [(0, 1), (1, 2), (2, 0)].map(|(i, j)| squared_distance(flat[i], flat[j])).into_iter().fold(0.0, f64::max);
     // A thousandth of a pixel covers rounding.
@@ -96,7 +128,12 @@ fn bounds(values: impl Iterator<Item = f64>) -> [f64; 2] {
 fn span(corners: [f64; 3], margin: f64, downscale: f64, size: usize) -> Option<[u32; 2]> {
     let [low, high] = bounds(corners.into_iter());
     let at = |full: f64| (full + 0.5) / downscale - 0.5;
-    let (first, last) = (at(low - margin).ceil().max(0.0), at(high + margin).floor().min(size as f64 - 1.0));
+    let (low, high) = (at(low - margin), at(high + margin));
+    if high < 0.0 || low > size as f64 - 1.0 {
+        return None;
+    }
+    // Beyond 2^31 the bounds stop there, far outside of any image.
+    let (first, last) = ((-floor(-low)).max(0), floor(high).min(size as i32 - 1));
     (first <= last).then_some([first as u32, last as u32])
 }
 

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::artefact::{Artefact, Frame, Mesh, Noun, Sensor};
-use crate::kernel::camera::full_pixel;
+use crate::kernel::camera::{Camera, full_pixel};
 use crate::kernel::depth_buffer::{Drawing, draw};
 use crate::testing::{TestHost, height_mesh, image_at, run_stage, small_sensor};
 use serde_json::{Value, json};
@@ -104,8 +104,8 @@ fn the_kernel_itself_is_exact_to_a_nanometre() {
     let params = <MatchPairParams as crate::params::ParamType>::decode(&silent("first")).unwrap();
     let host = TestHost::default();
     let ideal = [&scene.depths[0], &scene.depths[1]];
-    let images = [&scene.noisy.images[0], &scene.noisy.images[1]];
-    let matcher = prepare(&params, &Context::new(&host), "p", ideal, (&scene.noisy, images), None).unwrap();
+    let keys = |purpose: &str, item: &str| Context::new(&host).stream(purpose, item);
+    let matcher = setup(&params, None).matcher("p", ideal, 0, &scene.noisy, &keys).unwrap();
     let mut rows: Vec<Vec<(usize, f64)>> = vec![Vec::new(); ideal[0].height];
     matcher.match_image(0, &mut rows, |row, column, m| row.push((column, m.depth_m)));
     for (row, found) in rows.iter().enumerate() {

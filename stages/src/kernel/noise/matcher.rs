@@ -189,6 +189,24 @@ pub struct PairScene<'a> {
 pub type Keys<'a> = &'a dyn Fn(&str, &str) -> Key;
 
 impl MatcherTerms {
+    /// Terms of which every one is off.
+    pub fn none() -> Self {
+        Self {
+            local_length_px: 0.0,
+            local_smoothness: 0.5,
+            image_share: 0.0,
+            acquisition: None,
+            texture: None,
+            conditions: None,
+            relief: None,
+            window: None,
+            blunders: None,
+            holes: None,
+            pixel_locking_px: 0.0,
+            disparity_step_px: 0.0,
+        }
+    }
+
     /// Whether anything is drawn even where the paper's noise is silent.
     pub fn draws(&self) -> bool {
         self.relief.is_some() || self.blunders.is_some() || self.holes.is_some()

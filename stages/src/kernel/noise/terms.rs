@@ -6,11 +6,12 @@
 //! image and n one number of the acquisition: what light and blur do to all ledges alike. Blunders are added, and at last
 //! what the matcher's sub-pixel step does: locking towards whole disparities, and rounding to its step.
 
-use crate::kernel::matching_noise::{LocalNoise, SmoothNoise};
+use crate::kernel::matching_noise::{LocalNoise, Lookup, SmoothNoise};
 use crate::kernel::noise::correlated::CorrelatedNoise;
 use crate::kernel::noise::modulation::{Blunders, Modulation, Patches};
 use crate::kernel::noise::strength::Strength;
 use crate::kernel::precise;
+use crate::kernel::whole::nearest;
 
 /// A unit field.
 #[derive(Debug, Clone)]
@@ -148,21 +149,26 @@ pub struct Terms {
 }
 
 impl Terms {
+    /// The white fields of the local noise, to be looked up along a row.
+    pub fn lookups(&self) -> Lookups<'_> {
+        Lookups(self.local.1.iter().map(Part::lookup).collect())
+    }
+
     /// The error of a disparity before the sub-pixel step; `None` in a hole.
-    pub fn error(&self, site: &Site) -> Option<DisparityError> {
+    pub fn error(&self, site: &Site, lookups: &mut Lookups) -> Option<DisparityError> {
         if self.holes.as_ref().is_some_and(|holes| holes.covers(site.first_px)) {
             return None;
         }
         let strength = self.strength(site);
         let blunder_px = self.blunders.as_ref().map_or(0.0, |blunders| blunders.at(site.first_px));
-        let [local_px, relief_px] = self.local_px(site);
+        let [local_px, relief_px] = self.local_px(site, lookups);
         let white_px = strength * local_px;
-        let regular_px = strength * self.regular.0 * unit(&self.regular.1, site, 1.0);
+        let regular_px = strength * self.regular.0 * unit(&self.regular.1, site);
         Some(DisparityError { white_px, blunder_px, regular_px, relief_px, strength })
     }
 
     /// Noise of texture and of ledges, and the deviation of that of ledges.
-    fn local_px(&self, site: &Site) -> [f64; 2] {
+    fn local_px(&self, site: &Site, lookups: &mut Lookups) -> [f64; 2] {
         let [texture, ledge] = self.map.as_ref().map_or([1.0, 0.0], |map| map.parts(site.point_m));
         let relief_px = self.relief.as_ref().map_or(0.0, |relief| relief.sigma_px(site));
         let (sigma_px, excess_px) = (self.local.0 * texture, self.local.0 * ledge);
@@ -177,7 +183,7 @@ impl Terms {
             (*share, along + ledges.common)
         });
         let common_px = (sigma_px * sigma_px + (1.0 - share) * ledge2).sqrt();
-        [common_px * unit(&self.local.1, site, self.stretch) + ledge2.sqrt() * own, ledge2.sqrt()]
+        [common_px * lookups.unit(&self.local.1, site, self.stretch) + ledge2.sqrt() * own, ledge2.sqrt()]
     }
 
     fn strength(&self, site: &Site) -> f64 {
@@ -194,23 +200,55 @@ impl Terms {
     }
 }
 
-/// The sum of fields at a site; columns count `stretch` times less.
-fn unit(parts: &[Part], site: &Site, stretch: f64) -> f64 {
-    let value = |part: &Part| {
-        let position = match part.address {
+/// White draws at hand for each part of the local noise that has some.
+#[derive(Default)]
+pub struct Lookups<'a>(Vec<Option<Lookup<'a>>>);
+
+impl Lookups<'_> {
+    /// The sum of the parts at a site, as [`unit`]; columns count `stretch` times less.
+    fn unit(&mut self, parts: &[Part], site: &Site, stretch: f64) -> f64 {
+        let value = |(part, lookup): (&Part, &mut Option<Lookup>)| match lookup {
+            Some(lookup) => {
+                let [column, row] = part.position(site, stretch).map(nearest);
+                part.weight * f64::from(lookup.at(column, row))
+            }
+            None => part.value(site, stretch),
+        };
+        parts.iter().zip(&mut self.0).map(value).sum()
+    }
+}
+
+impl Part {
+    fn lookup(&self) -> Option<Lookup<'_>> {
+        if let UnitField::White(noise) = &self.field { Some(noise.lookup()) } else { None }
+    }
+
+    fn position(&self, site: &Site, stretch: f64) -> [f64; 2] {
+        let [column, row] = match self.address {
             Address::First => site.first_px,
             Address::Second => site.second_px,
             Address::Rectified => site.rectified_px,
         };
-        let position = [position[0] / stretch, position[1]];
-        part.weight
-            * match &part.field {
-                UnitField::White(noise) => f64::from(noise.at(position[0].round() as i32, position[1].round() as i32)),
+        [column / stretch, row]
+    }
+
+    fn value(&self, site: &Site, stretch: f64) -> f64 {
+        let position = self.position(site, stretch);
+        self.weight
+            * match &self.field {
+                UnitField::White(noise) => {
+                    let [column, row] = position.map(nearest);
+                    f64::from(noise.at(column, row))
+                }
                 UnitField::Correlated(noise) => noise.at(position),
                 UnitField::Smooth(noise) => noise.at(position),
             }
-    };
-    parts.iter().map(value).sum()
+    }
+}
+
+/// The sum of the parts at a site.
+fn unit(parts: &[Part], site: &Site) -> f64 {
+    parts.iter().map(|part| part.value(site, 1.0)).sum()
 }
 
 #[cfg(test)]
@@ -250,11 +288,15 @@ pub(crate) mod tests {
         }
     }
 
+    fn error(terms: &Terms, site: &Site) -> Option<DisparityError> {
+        terms.error(site, &mut terms.lookups())
+    }
+
     #[test]
     fn relief_adds_in_squares_and_the_acquisition_multiplies() {
-        let bare = plain().error(&SITE).unwrap().local_px();
+        let bare = error(&plain(), &SITE).unwrap().local_px();
         let relief = Some(Relief { gain: 2.0, power: 2.0, limit_px: 3.0, inverse_depth: vec![6e-4] });
-        let more = Terms { relief, acquisition: 1.5, ..plain() }.error(&SITE).unwrap().local_px();
+        let more = error(&Terms { relief, acquisition: 1.5, ..plain() }, &SITE).unwrap().local_px();
         let expected = 1.5 * (0.25f64 + 0.72 * 0.72).sqrt() / 0.5;
         assert!((more / bare - expected).abs() < 1e-6, "{more} {bare}");
     }
@@ -267,26 +309,26 @@ pub(crate) mod tests {
         let ledges = |common: f64| Some(Ledges { along: (0.0, along()), along_rows: 1.0, common });
         let with = |common: f64| {
             let terms = Terms { map: Some(map.clone()), ledges: ledges(common), ..plain() };
-            terms.error(&SITE).unwrap().local_px()
+            error(&terms, &SITE).unwrap().local_px()
         };
-        let bare = plain().error(&SITE).unwrap().local_px();
+        let bare = error(&plain(), &SITE).unwrap().local_px();
         assert!((with(0.0) / bare - 5.0).abs() < 1e-9);
         // Four of the five are the ledge's: sqrt(25 - 9) times 0.5 px.
         assert!((with(0.25) - with(0.0) - 0.25 * 4.0 * 0.5).abs() < 1e-9);
         let all_along = Ledges { along: (1.0, along()), along_rows: 1.0, common: 0.0 };
         let terms = Terms { map: Some(map.clone()), ledges: Some(all_along), ..plain() };
         let expected = 3.0 * bare + 2.0 * along().at(SITE.first_px);
-        assert!((terms.error(&SITE).unwrap().local_px() - expected).abs() < 1e-9);
+        assert!((error(&terms, &SITE).unwrap().local_px() - expected).abs() < 1e-9);
     }
 
     #[test]
     fn a_hole_has_no_disparity_and_a_blunder_moves_it() {
         let field = || smooth_field(&Key([2; 32]), 5.0, [0.0; 2], [9.0; 2]);
         let holes = Some(Patches::new(1.0, field()));
-        assert_eq!(Terms { holes, ..plain() }.error(&SITE), None);
+        assert_eq!(error(&Terms { holes, ..plain() }, &SITE), None);
         let blunders = Some(Blunders { patches: Patches::new(1.0, field()), sigma_px: 4.0, error: field() });
-        let with = Terms { blunders, ..plain() }.error(&SITE).unwrap().local_px();
-        let without = plain().error(&SITE).unwrap().local_px();
+        let with = error(&Terms { blunders, ..plain() }, &SITE).unwrap().local_px();
+        let without = error(&plain(), &SITE).unwrap().local_px();
         assert!((with - without - 4.0 * field().at(SITE.first_px)).abs() < 1e-12);
     }
 

@@ -1,0 +1,32 @@
+//! Whole numbers from coordinates without a call into the mathematics library, for inner loops.
+
+/// The largest whole number not above `x`; for |x| below 2^31.
+#[inline]
+pub fn floor(x: f64) -> i32 {
+    let cut = x as i32;
+    cut - i32::from(x < f64::from(cut))
+}
+
+/// The nearest whole number, halves away from zero; for |x| below 2^31.
+#[inline]
+pub fn nearest(x: f64) -> i32 {
+    let cut = x as i32;
+    let rest = x - f64::from(cut);
+    cut + i32::from(rest >= 0.5) - i32::from(rest <= -0.5)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn they_are_the_librarys(x in -1e6..1e6f64, whole in -1000i32..1000, half in 0u8..3) {
+            for x in [x, f64::from(whole) + 0.5 * f64::from(half), f64::from(whole) + 0.499_999_999_999_99] {
+                prop_assert_eq!(floor(x), x.floor() as i32);
+                prop_assert_eq!(nearest(x), x.round() as i32);
+            }
+        }
+    }
+}
