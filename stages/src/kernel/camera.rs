@@ -96,7 +96,7 @@ impl Camera {
 
     /// Newton's method on the distortion with its analytic Jacobian; a step below 1e-9 leaves an error below 1e-15.
     fn undistort(&self, xd: f64, yd: f64, [mut x, mut y]: [f64; 2]) -> Option<[f64; 2]> {
-        if self.sensor.k == [0.0; 4] && self.sensor.p == [0.0; 2] {
+        if self.sensor.k.iter().chain(&self.sensor.p).all(|coefficient| *coefficient == 0.0) {
             return Some([xd, yd]);
         }
         for _ in 0..20 {

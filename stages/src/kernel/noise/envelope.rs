@@ -52,7 +52,6 @@ pub fn rasters(tables: &[&Table]) -> usize {
 }
 
 #[cfg(test)]
-#[expect(clippy::float_cmp, reason = "what is exact must be exact")]
 mod tests {
     use super::*;
 
