@@ -95,17 +95,17 @@ fn fits(cell: &Cell, condition: &Condition) -> bool {
 
 fn is_inside(feature: &Feature, raster: &crate::artefact::Raster, margin_m: f64) -> bool {
     let grid = &raster.grid;
-    let reach = (margin_m / grid.cell_m).ceil() as i64;
+    // A corner lies between cells: without a margin, those around it count.
+    let reach = ((margin_m / grid.cell_m).ceil() as i64).max(1);
     let value = |row: i64, column: i64| {
         let within = (0..grid.rows as i64).contains(&row) && (0..grid.columns as i64).contains(&column);
         within && !raster.bands[0].values[row as usize * grid.columns + column as usize].is_nan()
     };
     let mut corners = feature.outline.iter().flat_map(|polygon| &polygon.exterior);
     corners.all(|[x, y]| {
-        // A corner lies between cells: those around it count.
         let column = ((x - grid.left_m) / grid.cell_m).round() as i64;
         let row = ((grid.top_m - y) / grid.cell_m).round() as i64;
-        (row - 1 - reach..=row + reach).all(|r| (column - 1 - reach..=column + reach).all(|c| value(r, c)))
+        (row - reach..row + reach).all(|r| (column - reach..column + reach).all(|c| value(r, c)))
     })
 }
 

@@ -69,7 +69,7 @@ fn a_search_killed_half_way_ends_with_the_same_table_and_a_wider_one_reuses_it()
     assert!(resumed.len() < all - told / 2, "{told} of {all} were done, then {}", resumed.len());
     assert_eq!(ranking(&house), table);
 
-    let more = run(&whole, &["axes.spacing_px.values=[10, 20, 40]", "steps.refine.with.count=1"]);
+    let more = run(&whole, &["axes.spacing_px.values=[10, 20, 40]", "steps.refine.with.count=2"]);
     let described: Vec<&String> = more.iter().filter(|step| step.starts_with("noise_")).collect();
     assert!(described.iter().all(|step| !step.starts_with("noise_r")), "{described:?}");
     assert_eq!(described.iter().filter(|step| step.starts_with("noise_c")).count(), 2, "{described:?}");

@@ -25,8 +25,8 @@ steps:
   noisy: {stage: perturb-cameras, over: [epoch, trial], in: {cameras: survey.cameras}, with: {model: independent, independent: {position_m: [0.001, 0.001, 0.001]}}}
   matched: {stage: match-pair, keep: false, in: {first: left.depth, second: right.depth, noisy: noisy.cameras, pairs: pairs.pairs}, with: {max_y_parallax_px: 9, matcher: {blunders: {share: 0.1}, disparity_step_px: 0.0625}}}
   surface: {stage: fuse-depth, in: {depth: matched.depth}}
-  dem: {stage: rasterise-dem, in: {surface: surface.surface}, with: {cell_m: 0.1}}
-  features: {stage: describe-noise, in: {raster: dem.raster}}
+  dem: {stage: rasterise-dem, in: {surface: surface.surface}, with: {cell_m: 0.06}}
+  features: {stage: describe-noise, in: {raster: dem.raster}, with: {scales_cells: [1, 2, 4]}}
   table: {stage: tabulate, in: {rows: {each: features.features, over: [epoch, trial]}}}
 ";
 

@@ -1,3 +1,5 @@
+//! Charts are plain SVG, the same every time, with what they show in them.
+
 use super::*;
 use crate::artefact::Noun;
 

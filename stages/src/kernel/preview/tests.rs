@@ -1,3 +1,5 @@
+//! Small pictures show what an artefact holds, with its scale, at the size that was asked for.
+
 use super::*;
 use crate::artefact::{
     Cameras, Cell, Depth, Feature, Grid, Image, Inventory, Mesh, Meshes, Part, Picture, Polygon, Raster,

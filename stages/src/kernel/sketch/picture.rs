@@ -248,7 +248,7 @@ mod tests {
     #[test]
     fn large_rasters_are_sampled_not_averaged() {
         // White noise keeps its strength.
-        let values: Vec<f32> = (0..1024 * 600).map(|i| if (i * 7919) % 13 < 6 { 1.0 } else { -1.0 }).collect();
+        let values: Vec<f32> = (0..1024 * 600_i64).map(|i| if (i * 7919) % 13 < 6 { 1.0 } else { -1.0 }).collect();
         let raster = raster(1024, 600, "difference", values);
         let Shape::Grid(grid) = of_raster(&raster).shape else { panic!("a grid") };
         assert_eq!((grid.columns, grid.rows, grid.cell_m), (256, 150, 2.0));
