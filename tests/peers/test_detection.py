@@ -119,7 +119,9 @@ def test_voxels_agree_with_a_direct_count(detection):
     # Every cluster of ours is one of these; those of no loss are left out.
     for volume in found.volume_m3:
         assert np.min(np.abs(np.array(volumes) - volume)) < 1e-9
-    assert len(volumes) - len(found) <= 0.3 * len(volumes)
+    # Pockets between the two surfaces that are no loss are small; every niche is found, those under overhangs too.
+    assert sum(volumes) - found.volume_m3.sum() <= 0.02 * sum(volumes)
+    assert len(found) == len(geopandas.read_file(detection.output("fallen", "truth.geojson")))
 
 
 def test_scores_agree_with_scipy(detection):

@@ -33,7 +33,7 @@ pub struct Cluster {
     pub inside: Vec<[usize; 3]>,
     /// Voxels around them, over edges and corners too.
     pub shell: usize,
-    /// Enclosed voxels under the reference and under the comparison, seen along Z.
+    /// Enclosed voxels in the rock of the reference only, and in that of the comparison only.
     pub under: [usize; 2],
 }
 
@@ -164,19 +164,26 @@ impl Voxels {
             inside.iter().flat_map(|at| around(*at)).filter(|near| !own.contains(near)).collect();
         let mut under = [0; 2];
         for at in &inside {
-            match self.above(*at) {
-                REFERENCE => under[0] += 1,
-                COMPARISON => under[1] += 1,
+            // Inside the rock a line up passes its surface an odd number of times: also under an overhang.
+            match self.passed(*at).map(|runs| runs % 2) {
+                [1, 0] => under[0] += 1,
+                [0, 1] => under[1] += 1,
                 _ => {}
             }
         }
         Cluster { inside, shell: shell.len(), under }
     }
 
-    /// The surfaces that occupy the first occupied voxel above one.
-    fn above(&self, [x, y, z]: [usize; 3]) -> u8 {
-        let flags = (z + 1..self.count[2]).map(|z| self.flags[self.place([x, y, z])] & (REFERENCE | COMPARISON));
-        flags.into_iter().find(|flags| *flags != 0).unwrap_or(0)
+    /// How often a line up from a voxel passes the reference and the comparison: runs of voxels that they occupy.
+    fn passed(&self, [x, y, z]: [usize; 3]) -> [usize; 2] {
+        let (mut runs, mut last) = ([0; 2], 0);
+        for flags in (z + 1..self.count[2]).map(|z| self.flags[self.place([x, y, z])]) {
+            for (run, bit) in runs.iter_mut().zip([REFERENCE, COMPARISON]) {
+                *run += usize::from(flags & bit != 0 && last & bit == 0);
+            }
+            last = flags;
+        }
+        runs
     }
 }
 
