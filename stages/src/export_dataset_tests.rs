@@ -5,7 +5,8 @@ use std::sync::Arc;
 use serde_json::json;
 
 use super::*;
-use crate::artefact::{Artefact, Feature, Frame, Grid, Polygon};
+use crate::Point;
+use crate::artefact::{Artefact, Feature, Frame, Grid, Inventory, Noun, Polygon, Raster};
 use crate::params::ParamType;
 use crate::testing::TestHost;
 
@@ -42,7 +43,7 @@ fn inputs(events: usize, quiet: usize) -> Inputs {
     inputs
 }
 
-fn run(with: &serde_json::Value, inputs: &Inputs) -> Result<(Vec<File>, Table), StageError> {
+fn run(with: &serde_json::Value, inputs: &Inputs) -> Result<(Vec<(String, Vec<u8>)>, Table), StageError> {
     let params = ExportDatasetParams::decode(with).unwrap();
     let mut made = ExportDataset::run(&params, inputs, &Context::new(&TestHost::default()))?.into_inner();
     match (made.remove("dataset"), made.remove("index")) {
