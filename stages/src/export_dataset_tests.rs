@@ -43,7 +43,10 @@ fn inputs(events: usize, quiet: usize) -> Inputs {
     inputs
 }
 
-fn run(with: &serde_json::Value, inputs: &Inputs) -> Result<(Vec<(String, Vec<u8>)>, Table), StageError> {
+/// Path and content.
+type File = (String, Vec<u8>);
+
+fn run(with: &serde_json::Value, inputs: &Inputs) -> Result<(Vec<File>, Table), StageError> {
     let params = ExportDatasetParams::decode(with).unwrap();
     let mut made = ExportDataset::run(&params, inputs, &Context::new(&TestHost::default()))?.into_inner();
     match (made.remove("dataset"), made.remove("index")) {
