@@ -5,6 +5,7 @@
 //! needs of them it is lent through [`Context`].
 
 pub mod artefact;
+mod inputs;
 pub mod kernel;
 pub mod params;
 mod program;
@@ -81,10 +82,11 @@ mod test_acceptance;
 mod transform_crs;
 mod triangulate_surface;
 
+pub use inputs::{Element, Inputs, Later};
 pub use program::{Piece, Program, ProgramResult};
 pub use stage::{
-    AnyStage, Arity, Checked, Context, Element, Entry, Host, InputSizes, Inputs, Outputs, Page, Point, Port, Ports,
-    Row, SourceFile, Stage, StageError,
+    AnyStage, Arity, Checked, Context, Entry, Host, InputSizes, Outputs, Page, Point, Port, Ports, Row, SourceFile,
+    Stage, StageError,
 };
 
 static STAGES: &[&dyn AnyStage] = &[

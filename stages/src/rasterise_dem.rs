@@ -3,6 +3,7 @@
 use crate::artefact::{Frame, Grid, Kind, Raster, Transform};
 use crate::kernel::rasterise;
 use crate::kernel::shape::{Moved, Shape};
+use crate::kernel::window;
 use crate::params::{Fault, Range};
 use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
 
@@ -57,14 +58,7 @@ impl Stage for RasteriseDem {
     const OUTPUTS: &'static [Port] = &[Port::one("raster", &[Kind::Raster], "Elevation, metres, one band.")];
 
     fn check(params: &Self::Params) -> Vec<Fault> {
-        match params.window_m {
-            Some([left, right, bottom, top]) if !(left < right && bottom < top) => {
-                let text =
-                    format!("[{left}, {right}, {bottom}, {top}] is empty; the order is left, right, bottom, top");
-                vec![Fault { path: vec!["window_m".into()], ..Fault::new(text) }]
-            }
-            _ => Vec::new(),
-        }
+        window::faults(params.window_m)
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

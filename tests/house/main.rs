@@ -18,5 +18,6 @@ mod language;
 mod reading;
 mod report;
 mod rework;
+mod survey;
 mod tidy;
 mod watching;

@@ -3,8 +3,6 @@
 //! A pixel that neither a vanished nor a new triangle reaches is met by the same triangles before and after, so its depth is
 //! the same to the bit. Triangles are the same when their corners are, bit by bit and in the same order.
 
-use std::collections::{HashMap, HashSet};
-
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
@@ -29,26 +27,52 @@ pub struct Redrawn {
     pub share: f64,
 }
 
+/// A triangle by a number made of its corners, and its place in the mesh.
+type Marked = (u64, u32);
+/// The corners of a triangle, bit by bit.
+type Corners = [[u64; 3]; 3];
+
 /// Triangles of either mesh that the other does not have, by index: those of `before`, those of `after`.
 pub fn changed_triangles(before: &Mesh, after: &Mesh) -> [Vec<u32>; 2] {
-    let bits = |vertex: &[f64; 3]| vertex.map(f64::to_bits);
-    let mut numbers: HashMap<[u64; 3], u32> = HashMap::with_capacity(before.vertices.len());
-    let own: Vec<u32> =
-        before.vertices.iter().enumerate().map(|(i, v)| *numbers.entry(bits(v)).or_insert(i as u32)).collect();
-    // What the mesh before does not have gets a number beyond all of its own.
-    let theirs: Vec<u32> =
-        after.vertices.iter().map(|vertex| numbers.get(&bits(vertex)).copied().unwrap_or(u32::MAX)).collect();
-    let triple = |numbers: &[u32], triangle: &[u32; 3]| triangle.map(|i| numbers[i as usize]);
-    let there: HashSet<[u32; 3]> = before.triangles.iter().map(|t| triple(&own, t)).collect();
-    let is_new = |t: &[u32; 3]| !there.contains(&triple(&theirs, t));
-    let new: Vec<u32> = index_where(&after.triangles, is_new);
-    let here: HashSet<[u32; 3]> = after.triangles.iter().map(|t| triple(&theirs, t)).collect();
-    let gone: Vec<u32> = index_where(&before.triangles, |t| !here.contains(&triple(&own, t)));
+    let (own, theirs) = rayon::join(|| marked(before), || marked(after));
+    let [mut gone, mut new] = [Vec::new(), Vec::new()];
+    let (mut i, mut j) = (0, 0);
+    while i < own.len() || j < theirs.len() {
+        let next = own.get(i).into_iter().chain(theirs.get(j)).map(|(mark, _)| *mark).min().unwrap_or_default();
+        let (here, there) = (run(&own[i..], next), run(&theirs[j..], next));
+        // Other corners with the same mark do not occur; if they did, all would be drawn anew, which is never wrong.
+        let mut all = here.iter().map(|(_, t)| corners(before, *t)).chain(there.iter().map(|(_, t)| corners(after, *t)));
+        let first = all.next();
+        if here.is_empty() || there.is_empty() || !all.all(|other| Some(other) == first) {
+            gone.extend(here.iter().map(|(_, triangle)| *triangle));
+            new.extend(there.iter().map(|(_, triangle)| *triangle));
+        }
+        (i, j) = (i + here.len(), j + there.len());
+    }
+    gone.sort_unstable();
+    new.sort_unstable();
     [gone, new]
 }
 
-fn index_where(triangles: &[[u32; 3]], holds: impl Fn(&[u32; 3]) -> bool) -> Vec<u32> {
-    triangles.iter().enumerate().filter(|(_, triangle)| holds(triangle)).map(|(i, _)| i as u32).collect()
+fn corners(mesh: &Mesh, triangle: u32) -> Corners {
+    mesh.triangles[triangle as usize].map(|i| mesh.vertices[i as usize].map(f64::to_bits))
+}
+
+/// The triangles of a mesh with their marks, sorted by these.
+fn marked(mesh: &Mesh) -> Vec<Marked> {
+    let mark = |triangle: u32| {
+        let mix = |sum: u64, bits: &u64| (sum ^ bits).wrapping_mul(0x9E37_79B9_7F4A_7C15).rotate_left(29);
+        (corners(mesh, triangle).as_flattened().iter().fold(0, mix), triangle)
+    };
+    let mut marked: Vec<Marked> = (0..mesh.triangles.len() as u32).into_par_iter().map(mark).collect();
+    marked.par_sort_unstable();
+    marked
+}
+
+/// The first triangles, as long as they have this mark.
+fn run(marked: &[Marked], mark: u64) -> &[Marked] {
+    let length = marked.iter().take_while(|(own, _)| *own == mark).count();
+    &marked[..length]
 }
 
 /// Draws `after` from the depths of `before` (NaN where there is none), which the same camera and drawing gave.
@@ -141,6 +165,7 @@ mod tests {
     use super::*;
     use crate::kernel::depth_buffer::draw;
     use crate::testing::{height_mesh, image_at, small_sensor};
+    use std::collections::HashSet;
 
     fn camera() -> Camera {
         let sensor = crate::artefact::Sensor {
@@ -180,6 +205,12 @@ mod tests {
         assert_eq!(gone.len(), new.len());
         assert!((150..400).contains(&new.len()), "{}", new.len());
         assert!(changed_triangles(&before, &before).iter().all(Vec::is_empty));
+        let bits = |mesh: &Mesh| (0..mesh.triangles.len() as u32).map(|t| corners(mesh, t)).collect::<HashSet<_>>();
+        let (own, theirs) = (bits(&before), bits(&after));
+        assert!(gone.iter().all(|t| !theirs.contains(&corners(&before, *t))));
+        assert!(new.iter().all(|t| !own.contains(&corners(&after, *t))));
+        assert_eq!(gone.len(), own.difference(&theirs).count());
+        assert!(gone.is_sorted() && new.is_sorted());
     }
 
     #[test]

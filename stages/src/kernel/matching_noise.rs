@@ -76,6 +76,7 @@ fn laplace(u: f64) -> f64 {
 
 impl Interpolation {
     /// Weights of the nodes -1, 0, 1 and 2 at `t` between nodes 0 and 1.
+    #[inline]
     pub fn weights(self, t: f64) -> [f64; 4] {
         match self {
             Self::CatmullRom => keys(-0.5, t),
@@ -210,6 +211,7 @@ impl SmoothNoise {
     }
 
     /// The field at a position, pixels.
+    #[inline]
     pub fn at(&self, position_px: [f64; 2]) -> f64 {
         let [x, y] = position_px.map(|p| p / self.recipe.spacing_px);
         let (column, row) = (floor(x), floor(y));
@@ -227,6 +229,7 @@ impl SmoothNoise {
         }
     }
 
+    #[inline]
     fn four_nodes(&self, column: i32, row: i32) -> [f64; 4] {
         let [x, y] = [column - self.first[0], row - self.first[1]];
         if x >= 0 && y >= 0 && x + 4 <= self.size[0] && y < self.size[1] {
