@@ -10,7 +10,9 @@ use crate::kernel::matching::Matching;
 use crate::kernel::noise::matcher::MatcherTerms;
 use crate::kernel::pair_setup::{Setup, check_size, noisy_image};
 use crate::params::{Fault, Range};
-use crate::{Context, Element, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params, union};
+use crate::{
+    Context, Element, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params, union,
+};
 
 params! {
     /// Nothing to say.

@@ -689,7 +689,8 @@ mod tests {
         let label = Label::decode(&json!({"text": "a", "height_mm": 3})).unwrap();
         assert_eq!((label.lettering.height_mm, label.encode()), (3.0, json!({"text": "a", "height_mm": 3.0})));
         assert_eq!(Label::fields().iter().map(|field| field.name).collect::<Vec<_>>(), ["text", "height_mm"]);
-        let places = |value| Label::decode(&value).unwrap_err().into_iter().map(|f| f.path.join(".")).collect::<Vec<_>>();
+        let places =
+            |value| Label::decode(&value).unwrap_err().into_iter().map(|f| f.path.join(".")).collect::<Vec<_>>();
         assert_eq!(places(json!({"text": "a", "height_mm": -1, "lettering": 1})), ["height_mm", "lettering"]);
     }
 

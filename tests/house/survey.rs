@@ -64,13 +64,23 @@ fn cameras_behind_the_face() {
 #[test]
 fn a_pair_without_overlap() {
     let list = "steps.pairs.with={list: [left+right]}";
-    check(&cameras(3.5, 4.0, 0.0), &[list], "pairs", &["`left+right` is no stereo pair", "no part of the face lies in both"]);
+    check(
+        &cameras(3.5, 4.0, 0.0),
+        &[list],
+        "pairs",
+        &["`left+right` is no stereo pair", "no part of the face lies in both"],
+    );
 }
 
 #[test]
 fn a_covariance_that_is_not_determined() {
     let free = "steps.adjust.with.control_points=0";
-    check(&cameras(1.0, 10.0, 0.0), &[free], "adjust", &["not determined", "7 of the block as a whole", "`control_points`"]);
+    check(
+        &cameras(1.0, 10.0, 0.0),
+        &[free],
+        "adjust",
+        &["not determined", "7 of the block as a whole", "`control_points`"],
+    );
 }
 
 #[test]

@@ -41,7 +41,8 @@ pub fn changed_triangles(before: &Mesh, after: &Mesh) -> [Vec<u32>; 2] {
         let next = own.get(i).into_iter().chain(theirs.get(j)).map(|(mark, _)| *mark).min().unwrap_or_default();
         let (here, there) = (run(&own[i..], next), run(&theirs[j..], next));
         // Other corners with the same mark do not occur; if they did, all would be drawn anew, which is never wrong.
-        let mut all = here.iter().map(|(_, t)| corners(before, *t)).chain(there.iter().map(|(_, t)| corners(after, *t)));
+        let mut all =
+            here.iter().map(|(_, t)| corners(before, *t)).chain(there.iter().map(|(_, t)| corners(after, *t)));
         let first = all.next();
         if here.is_empty() || there.is_empty() || !all.all(|other| Some(other) == first) {
             gone.extend(here.iter().map(|(_, triangle)| *triangle));

@@ -49,9 +49,7 @@ impl Matching {
     pub fn setup<'a>(&self, strength: Option<&'a Raster>) -> Result<Setup<'a>, StageError> {
         if strength.is_some() && self.matcher.is_none() {
             let error = "the paper's noise is equally strong everywhere and has no use for `strength`";
-            return Err(
-                StageError::new(error).hint("add `matcher: {}` to the parameters, or leave the input out")
-            );
+            return Err(StageError::new(error).hint("add `matcher: {}` to the parameters, or leave the input out"));
         }
         let recipe = FieldRecipe {
             spacing_px: self.spacing_px,

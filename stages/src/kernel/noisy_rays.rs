@@ -36,9 +36,9 @@ impl NoisyRays {
     /// Undistorts a position with the noisy interior orientation; `true_ray` is what the true one makes of it.
     #[inline]
     pub fn ray(&self, noisy: &Camera, pixel: [f64; 2], true_ray: [f64; 2]) -> Option<[f64; 2]> {
-        let near = self.step(pixel).and_then(|step| {
-            noisy.normalised_near(pixel, [true_ray[0] + step[0], true_ray[1] + step[1]])
-        });
+        let near = self
+            .step(pixel)
+            .and_then(|step| noisy.normalised_near(pixel, [true_ray[0] + step[0], true_ray[1] + step[1]]));
         near.or_else(|| noisy.normalised(pixel))
     }
 
@@ -55,7 +55,8 @@ impl NoisyRays {
         let at = row * self.columns + column;
         let (above, below) = (&self.steps[at..at + 2], &self.steps[at + self.columns..at + self.columns + 2]);
         let between = |i: usize| {
-            let (top, bottom) = (above[0][i] + tx * (above[1][i] - above[0][i]), below[0][i] + tx * (below[1][i] - below[0][i]));
+            let (top, bottom) =
+                (above[0][i] + tx * (above[1][i] - above[0][i]), below[0][i] + tx * (below[1][i] - below[0][i]));
             top + ty * (bottom - top)
         };
         let step = [between(0), between(1)];

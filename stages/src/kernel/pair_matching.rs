@@ -215,8 +215,11 @@ impl Matcher<'_> {
         if !self.is_seen(other, seen_level, seen.z) {
             return None;
         }
-        let seen_noisy_ray =
-            if self.same_interior[other] { seen_ray } else { self.noisy_rays[other].ray(&self.noisy[other], seen_pixel, seen_ray)? };
+        let seen_noisy_ray = if self.same_interior[other] {
+            seen_ray
+        } else {
+            self.noisy_rays[other].ray(&self.noisy[other], seen_pixel, seen_ray)?
+        };
         let own_place = self.rectification.place(own, pixel.noisy_ray)?;
         let other_place = self.rectification.place(other, seen_noisy_ray)?;
         let (first, second) = if own == 0 { (&own_place, &other_place) } else { (&other_place, &own_place) };
