@@ -3,6 +3,7 @@
 
 use rockface::run::Options;
 use rockface::watch::Event;
+use rockface_stages::artefact::Raster;
 use serde_json::{Value, json};
 
 use crate::lab::Bench;
@@ -108,11 +109,27 @@ steps:
   pairs:   {stage: select-pairs, in: {cameras: survey.cameras, mesh: face.mesh}, with: {neighbours: 3}}
   noisy:   {stage: perturb-cameras, in: {cameras: survey.cameras}, with: {model: independent, independent: {position_m: [0.001, 0.001, 0.001]}}}
   seen:    {stage: project-depth, keep: false, with: {image: '${image}'}, in: {mesh: face.mesh, cameras: survey.cameras}}
-  matched: {stage: match-image, keep: false, with: {image: '${image}', spacing_px: 12}, in: {depths: {each: seen.depth, over: [image]}, noisy: noisy.cameras, pairs: pairs.pairs}}
+  matched: {stage: match-image, keep: false, with: {image: '${image}', sigma_local_px: 0.05, sigma_regular_px: 0.05, spacing_px: 12}, in: {depths: {each: seen.depth, over: [image]}, noisy: noisy.cameras, pairs: pairs.pairs}}
   cells:   {stage: grid-depth, keep: false, with: {cell_m: 0.1}, in: {depth: matched.depth}}
   surface: {stage: fuse-grids, in: {grids: {each: cells.grid, over: [image]}}}
-  volume:  {stage: fuse-volume, with: {voxel_m: 0.1}, in: {depths: {each: matched.depth, over: [image]}}}
+  volume:  {stage: fuse-volume, with: {voxel_m: 0.05}, in: {depths: {each: matched.depth, over: [image]}}}
+  solid:   {stage: rasterise-dem, with: {cell_m: 0.1, method: tin}, in: {surface: volume.mesh, grid: surface.raster}}
 ";
+
+#[test]
+fn two_ways_to_fuse_agree() {
+    let bench = Bench::rocks();
+    let ran = bench.run(BLOCK, &[]);
+    assert!(!ran.summary.failed, "{:?}", ran.events.last());
+    let band = |label: &str| ran.value::<Raster>(&bench.store, label, "raster").bands.swap_remove(0).values;
+    let pairs = band("surface").into_iter().zip(band("solid"));
+    let mut apart: Vec<f32> = pairs.map(|(one, other)| (one - other).abs()).filter(|d| d.is_finite()).collect();
+    apart.sort_by(f32::total_cmp);
+    assert!(apart.len() > 1500, "{} cells", apart.len());
+    // A pixel of disparity is worth 0.3 m, the noise 2 cm in each image; at steps a cell holds both sides.
+    let (half, most) = (apart[apart.len() / 2], apart[apart.len() * 9 / 10]);
+    assert!(half < 0.015 && most < 0.1, "{half} m, {most} m");
+}
 
 #[test]
 fn a_block_is_the_same_for_any_jobs_and_memory() {
