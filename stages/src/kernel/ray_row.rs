@@ -82,7 +82,7 @@ mod tests {
     fn a_ray_is_the_same_whatever_else_was_asked_for() {
         let sensor = Sensor { width_px: 400, k: [-0.3, 0.2, 0.0, 0.0], f: 500.0, ..small_sensor() };
         let camera = Camera::new(&sensor, &image_at("a", [0.0; 3], [0.0; 3]));
-        let all: Vec<_> = (0..400).scan(RayRow::new(&camera, 5, 1), |row, column| row.ray(column)).collect();
+        let all: Vec<_> = (0..400).scan(RayRow::new(&camera, 5, 1), RayRow::ray).collect();
         assert_eq!(all.len(), 400);
         for column in [0, 31, 32, 200, 64, 399, 398] {
             assert_eq!(RayRow::new(&camera, 5, 1).ray(column), Some(all[column]));
