@@ -27,6 +27,11 @@ pub struct Redrawn {
     pub share: f64,
 }
 
+/// How far ahead the next triangle both meshes have is looked for, at first and at most.
+const AHEAD: [usize; 2] = [1 << 8, 1 << 14];
+/// How many triangles are looked at so in all before it is taken that the order is another.
+const PATIENCE: usize = 200_000_000;
+
 /// A triangle by a number made of its corners, and its place in the mesh.
 type Marked = (u64, u32);
 /// The corners of a triangle, bit by bit.
@@ -35,6 +40,9 @@ type Corners = [[u64; 3]; 3];
 /// Triangles of either mesh that the other does not have, by index: those of `before`, those of `after`.
 pub fn changed_triangles(before: &Mesh, after: &Mesh) -> [Vec<u32>; 2] {
     let (own, theirs) = rayon::join(|| marked(before), || marked(after));
+    let [mut own, mut theirs] = unlike([&own, &theirs], [before, after]);
+    own.sort_unstable();
+    theirs.sort_unstable();
     let [mut gone, mut new] = [Vec::new(), Vec::new()];
     let (mut i, mut j) = (0, 0);
     while i < own.len() || j < theirs.len() {
@@ -59,15 +67,41 @@ fn corners(mesh: &Mesh, triangle: u32) -> Corners {
     mesh.triangles[triangle as usize].map(|i| mesh.vertices[i as usize].map(f64::to_bits))
 }
 
-/// The triangles of a mesh with their marks, sorted by these.
+/// What is left when triangles that follow each other alike in both meshes are taken out: next to nothing where the order was
+/// kept, everything where it was not.
+fn unlike([own, theirs]: [&[Marked]; 2], [before, after]: [&Mesh; 2]) -> [Vec<Marked>; 2] {
+    let (mut left, mut patience, mut ahead) = ([Vec::new(), Vec::new()], PATIENCE, AHEAD[0]);
+    let (mut i, mut j) = (0, 0);
+    while let (Some(one), Some(other), true) = (own.get(i), theirs.get(j), patience > 0) {
+        if one.0 == other.0 && corners(before, one.1) == corners(after, other.1) {
+            (i, j, ahead) = (i + 1, j + 1, AHEAD[0]);
+            continue;
+        }
+        let gone = (1..ahead).find(|k| own.get(i + k).is_some_and(|next| next.0 == other.0));
+        let new = (1..gone.unwrap_or(ahead)).find(|k| theirs.get(j + k).is_some_and(|next| next.0 == one.0));
+        patience -= ahead.min(patience);
+        ahead = (2 * ahead).min(AHEAD[1]);
+        let skip = match (gone, new) {
+            (_, Some(new)) => [0, new],
+            (Some(gone), None) => [gone, 0],
+            (None, None) => [1, 1],
+        };
+        left[0].extend(&own[i..i + skip[0]]);
+        left[1].extend(&theirs[j..j + skip[1]]);
+        (i, j) = (i + skip[0], j + skip[1]);
+    }
+    left[0].extend(&own[i..]);
+    left[1].extend(&theirs[j..]);
+    left
+}
+
+/// The triangles of a mesh with their marks.
 fn marked(mesh: &Mesh) -> Vec<Marked> {
     let mark = |triangle: u32| {
         let mix = |sum: u64, bits: &u64| (sum ^ bits).wrapping_mul(0x9E37_79B9_7F4A_7C15).rotate_left(29);
         (corners(mesh, triangle).as_flattened().iter().fold(0, mix), triangle)
     };
-    let mut marked: Vec<Marked> = (0..mesh.triangles.len() as u32).into_par_iter().map(mark).collect();
-    marked.par_sort_unstable();
-    marked
+    (0..mesh.triangles.len() as u32).into_par_iter().map(mark).collect()
 }
 
 /// The first triangles, as long as they have this mark.
@@ -197,6 +231,21 @@ mod tests {
 
     fn floats(buffer: &DepthBuffer) -> Vec<u32> {
         buffer.z_m.iter().map(|z| (*z as f32).to_bits()).collect()
+    }
+
+    #[test]
+    fn what_changed_is_found_in_order_too() {
+        let [before, _] = meshes();
+        let mut after = before.clone();
+        let vertex = after.vertices.len() as u32;
+        after.vertices.push([0.1, 0.2, -3.0]);
+        let fresh = |i: u32| [vertex, i, i + 1];
+        after.triangles.splice(100..3200, [fresh(7), fresh(11)]);
+        after.triangles.insert(40, fresh(3));
+        after.triangles.push(fresh(5));
+        let [gone, new] = changed_triangles(&before, &after);
+        assert_eq!(gone, (100..3200).collect::<Vec<u32>>());
+        assert_eq!(new, [40, 101, 102, after.triangles.len() as u32 - 1]);
     }
 
     #[test]
