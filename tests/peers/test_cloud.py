@@ -74,7 +74,7 @@ def test_labels_are_those_of_the_raster_under_the_points(run):
     with rasterio.open(run.output("fallen", "labels.tif")) as raster:
         band, across = raster.read(1), raster.transform
         inverse = ~across
-        column, row = inverse * (points[:, 0], points[:, 1])
+        column, row = inverse @ (points[:, 0], points[:, 1])
         inside = (column >= 0) & (row >= 0) & (column < raster.width) & (row < raster.height)
         expected = np.zeros(len(points), int)
         expected[inside] = band[row[inside].astype(int), column[inside].astype(int)]
@@ -109,7 +109,7 @@ def test_cells_of_the_dem_are_points_on_the_cliff(run, to_world):
     with rasterio.open(run.output("dem", "raster.tif")) as raster:
         z = raster.read(1).ravel()
         rows, columns = np.divmod(cloud["id"], raster.width)
-        x, y = raster.transform * (columns + 0.5, rows + 0.5)
+        x, y = raster.transform @ (columns + 0.5, rows + 0.5)
     assert len(cloud["points"]) == np.isfinite(z).sum()
     np.testing.assert_allclose(cloud["points"], to_world(np.stack([x, y, z[cloud["id"]]], axis=1)), rtol=0, atol=1e-6)
 

@@ -58,10 +58,19 @@ def apart(first, second):
     return 1e3 * np.sqrt(((first - second) ** 2).sum(axis=1).mean())
 
 
+def check(source, found, theirs, method):
+    """Near theirs, and as near the truth as noise of 5 mm a point allows both.
+
+    To planes the normals differ: ours are regressions over 17 x 17 points, wide enough for noise on both sides, theirs those
+    of neighbours, the better ones here, where the target has no noise.
+    """
+    between, error, their_error = apart(found, theirs), apart(found, source - SHIFT_M), apart(theirs, source - SHIFT_M)
+    print(f"{method}: {between:.3f} mm apart; off the truth {error:.3f} mm, theirs {their_error:.3f} mm")
+    assert between < (0.5 if method == "point_to_plane" else 0.05) and max(error, their_error) < 1.0
+
+
 def test_a_known_motion_is_found(run):
     source, _ = points_and_normals(run.output("source", "surface.surface"))
-    target, _ = points_and_normals(run.output("target", "surface.surface"))
-    assert len(source) == len(target) and apart(source - SHIFT_M, target) < 0.01
     error = apart(ours(run, "align", "point_to_plane")(source), source - SHIFT_M)
     print(f"exact copy: {error:.4f} mm off")
     assert error < 0.05
@@ -71,9 +80,7 @@ def test_a_known_motion_is_found(run):
 def test_a_plain_icp_finds_the_same(run, method):
     source, _ = points_and_normals(run.output("rough", "surface.surface"))
     target, normals = points_and_normals(run.output("target", "surface.surface"))
-    found = apart(ours(run, "align_rough", method)(source), plain(source, target, normals, method == "point_to_plane"))
-    print(f"{method}: {found:.3f} mm from a plain ICP")
-    assert found < 0.3
+    check(source, ours(run, "align_rough", method)(source), plain(source, target, normals, method == "point_to_plane"), method)
 
 
 @pytest.mark.parametrize("method", ["point_to_plane", "point_to_point"])
@@ -91,6 +98,4 @@ def test_open3d_finds_the_same(run, method):
     criteria = registration.ICPConvergenceCriteria(1e-10, 1e-10, 200)
     made = registration.registration_icp(clouds[0], clouds[1], 0.1, np.eye(4), estimate, criteria).transformation
     theirs = source @ made[:3, :3].T + made[:3, 3]
-    found = apart(ours(run, "align_rough", method)(source), theirs)
-    print(f"{method}: {found:.3f} mm from Open3D")
-    assert found < 0.3
+    check(source, ours(run, "align_rough", method)(source), theirs, method)

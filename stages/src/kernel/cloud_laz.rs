@@ -29,6 +29,7 @@ const FLOAT_32: u8 = 9;
 /// Points farther apart than the integers of the format reach, 214 km.
 pub fn write(cloud: &Cloud) -> Result<Vec<u8>, CodecError> {
     let fault = |error: las::Error| CodecError(format!("LAZ file: {error}"));
+    check_extent(cloud)?;
     let header = header(cloud).into_header().map_err(fault)?;
     let mut writer = Writer::new(Cursor::new(Vec::new()), header).map_err(fault)?;
     for place in 0..cloud.points.len() {
@@ -36,6 +37,21 @@ pub fn write(cloud: &Cloud) -> Result<Vec<u8>, CodecError> {
     }
     writer.close().map_err(fault)?;
     Ok(writer.into_inner().map_err(fault)?.into_inner())
+}
+
+/// A point that the integers do not reach would be found out too late: the writer could not be closed any more.
+fn check_extent(cloud: &Cloud) -> Result<(), CodecError> {
+    for axis in 0..3 {
+        let range = cloud.points.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], point| {
+            [low.min(point[axis]), high.max(point[axis])]
+        });
+        let extent_m = range[1] - range[0].floor();
+        if extent_m / SCALE_M > f64::from(i32::MAX) {
+            let reach_m = f64::from(i32::MAX) * SCALE_M;
+            return Err(CodecError(format!("LAZ file: points {extent_m:.0} m apart; it reaches {reach_m:.0} m")));
+        }
+    }
+    Ok(())
 }
 
 fn header(cloud: &Cloud) -> Builder {
@@ -142,6 +158,6 @@ mod tests {
         let bytes = write(&Cloud::new(Frame::Wall, vec![[1.0, 2.0, 3.0]])).unwrap();
         assert_eq!(cloud_las::read(bytes).unwrap().points.len(), 1);
         let far = Cloud::new(Frame::Wall, vec![[0.0; 3], [1e6, 0.0, 0.0]]);
-        assert!(write(&far).is_err());
+        assert!(write(&far).unwrap_err().0.contains("points 1000000 m apart"));
     }
 }

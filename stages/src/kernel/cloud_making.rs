@@ -116,7 +116,7 @@ mod tests {
         assert_eq!(cloud.numbers["id"], [0, 3, 6, 9, 12, 15, 18, 21, 24]);
         // Vertex 3 is (3, 0, 3) on the wall: (y, -x, z) there is (x - 1e6, y, z) of the world.
         assert_eq!(cloud.points[1], [1e6, -3.0, 3.0]);
-        assert_eq!(cloud.numbers["label"], [0, 7, 0, 7, 0, 0, 7, 0, 7]);
+        assert_eq!(cloud.numbers["label"], [0, 0, 0, 7, 0, 0, 7, 0, 7]);
         let slope = 0.5f32.sqrt();
         for normal in &cloud.normals {
             assert!(

@@ -1,7 +1,7 @@
 //! A depth map looked at between its pixels: the slope of the inverse depth about a pixel, and the depth at any position.
 //!
-//! Inverse depth is an affine function of the ray wherever the surface is plane, and so, within a pixel and less than a
-//! micrometre, of the position in the image.
+//! Inverse depth is an affine function of the ray wherever the surface is plane, and so, within a pixel of a real lens and
+//! less than a micrometre, of the position in the image.
 
 use crate::artefact::Depth;
 use crate::kernel::whole::nearest;

@@ -38,7 +38,7 @@ fn depths_unprojected_by_the_cameras_of_the_file_lie_on_the_wall() {
         let mut seen = 0;
         for (at, z) in z.iter().enumerate().filter(|(_, z)| **z > 0.0) {
             let ray = camera.normalised([(at % 60) as f64, (at / 60) as f64]).unwrap();
-            assert!(camera.unproject(ray, f64::from(*z)).z.abs() < 2e-5);
+            assert!(camera.unproject(ray, f64::from(*z)).z.abs() < 1e-4);
             seen += 1;
         }
         assert!(seen > 2200, "{seen}");
