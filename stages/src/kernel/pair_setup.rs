@@ -66,6 +66,7 @@ impl Setup<'_> {
             smooth,
             terms,
             occlusion_tolerance: self.occlusion_tolerance,
+            rectified: false,
         })
     }
 
