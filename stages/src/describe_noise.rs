@@ -177,7 +177,8 @@ fn curves_table(named: &[(&str, &Description)], cell_m: f64) -> Table {
                 add(&curve, cells * cell_m, along.gamma[i], along.pairs[i]);
             }
         }
-        let sectors = found.directional.iter().map(|(deg, _, along)| (format!("spectrum_{}", deg.rem_euclid(180.0)), along));
+        let sectors =
+            found.directional.iter().map(|(deg, _, along)| (format!("spectrum_{}", deg.rem_euclid(180.0)), along));
         for (curve, spectrum) in std::iter::once(("spectrum".to_owned(), &found.spectrum)).chain(sectors) {
             // The lowest frequencies of a sector may have no sample.
             for (i, f) in spectrum.frequency.iter().enumerate().filter(|(i, _)| spectrum.samples[*i] > 0.0) {

@@ -132,7 +132,8 @@ mod tests {
     #[test]
     fn rasters_of_both_inputs_lie_in_rows_of_their_own() {
         let (stack, at) = (raster(40, 2), Point::from([("replicate".to_owned(), "3".to_owned())]));
-        let names = |list: &[(&Point, &Raster)], prefix| tiles(list, prefix, 2).into_iter().map(|tile| tile.0).collect();
+        let names =
+            |list: &[(&Point, &Raster)], prefix| tiles(list, prefix, 2).into_iter().map(|tile| tile.0).collect();
         let (of_stack, of_axis): (Vec<String>, Vec<String>) = (
             names(&[(&Point::new(), &stack)], None),
             names(&[(&at, &raster(40, 1)), (&at, &stack)], Some("simulated")),

@@ -25,12 +25,14 @@ fn noise(raster: usize) -> Vec<f32> {
     (0..SIDE * SIDE).map(|cell| 0.002 * (1.0 + 0.1 * (raster % 5) as f32) * scatter(raster, cell)).collect()
 }
 
-/// The mean over 9 x 9 cells: so smooth that its variogram has no nugget.
+/// Means over 17 x 17 cells that weigh the nearer ones more: so smooth that the variogram starts as a parabola, without nugget.
 fn smooth(raster: usize) -> Vec<f32> {
-    let wide = SIDE + 8;
+    let wide = SIDE + 16;
+    let weight = |k: usize| 9.0 - (k as f32 - 8.0).abs();
     let mean = |cell: usize| {
-        let places = (0..81).map(|k| (cell / SIDE + k / 9) * wide + cell % SIDE + k % 9);
-        places.map(|place| scatter(raster, place)).sum::<f32>() / 81.0
+        let places =
+            (0..289).map(|k| (weight(k / 17) * weight(k % 17), (cell / SIDE + k / 17) * wide + cell % SIDE + k % 17));
+        places.map(|(weight, place)| weight * scatter(raster, place)).sum::<f32>() / 6561.0
     };
     (0..SIDE * SIDE).map(|cell| 0.02 * mean(cell)).collect()
 }

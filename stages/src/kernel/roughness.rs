@@ -59,8 +59,7 @@ pub fn smoothed(values: &[f32], columns: usize, scale: f64) -> Vec<f64> {
         filter_columns(&along, columns, &kernel, block, strip, |_, sums| means.extend(sums.map(mean)));
         means
     };
-    let blocks: Vec<Vec<f64>> =
-        (0..columns.div_ceil(BLOCK)).into_par_iter().map_init(Vec::new, of_block).collect();
+    let blocks: Vec<Vec<f64>> = (0..columns.div_ceil(BLOCK)).into_par_iter().map_init(Vec::new, of_block).collect();
     let mut smooth = vec![0.0; values.len()];
     smooth.par_chunks_mut(columns).enumerate().for_each(|(row, line)| {
         for (out, means) in line.chunks_mut(BLOCK).zip(&blocks) {
@@ -83,8 +82,7 @@ fn residual(values: &[f32], columns: usize, mean: f64, scale: f64, along: &mut [
         });
         total.sums()
     };
-    let blocks: Vec<[f64; 2]> =
-        (0..columns.div_ceil(BLOCK)).into_par_iter().map_init(Vec::new, of_block).collect();
+    let blocks: Vec<[f64; 2]> = (0..columns.div_ceil(BLOCK)).into_par_iter().map_init(Vec::new, of_block).collect();
     let [squares, count] = blocks.iter().fold([0.0, 0.0], |sum, block| [sum[0] + block[0], sum[1] + block[1]]);
     (squares / count).sqrt()
 }

@@ -79,12 +79,7 @@ pub fn spectrum(values: &[f32], columns: usize, cell: f64) -> Option<Spectrum> {
 /// The spectrum over all directions, and those of the frequencies in the [`Sector`] about each of some directions (degrees
 /// counter-clockwise from the rows' direction), whose bins without samples have no power (NaN). A field that varies fast along
 /// X has its power about 0 degrees.
-pub fn spectra(
-    values: &[f32],
-    columns: usize,
-    cell: f64,
-    directions_deg: &[f64],
-) -> Option<(Spectrum, Vec<Spectrum>)> {
+pub fn spectra(values: &[f32], columns: usize, cell: f64, directions_deg: &[f64]) -> Option<(Spectrum, Vec<Spectrum>)> {
     let rows = values.len() / columns;
     let shorter = columns.min(rows);
     if shorter < 2 {
@@ -200,9 +195,8 @@ mod tests {
         };
         let values: Vec<f32> = (0..10_000).map(wave).collect();
         let (all, sectors) = spectra(&values, 100, 1.0, &[0.0, 45.0, 90.0, 135.0]).unwrap();
-        let power = |s: &Spectrum| {
-            s.power.iter().zip(&s.samples).filter(|(_, n)| **n > 0.0).map(|(p, n)| p * n).sum::<f64>()
-        };
+        let power =
+            |s: &Spectrum| s.power.iter().zip(&s.samples).filter(|(_, n)| **n > 0.0).map(|(p, n)| p * n).sum::<f64>();
         assert!(power(&sectors[3]) > 0.95 * power(&all));
         assert!((sectors.iter().map(power).sum::<f64>() / power(&all) - 1.0).abs() < 0.01);
     }
