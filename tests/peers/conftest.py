@@ -22,9 +22,9 @@ class Run:
         return self.folder / "outputs" / step / point / file
 
 
-def execute(binary: Path, pipeline: Path, work: Path) -> Run:
+def execute(binary: Path, pipeline: Path, work: Path, *more: str) -> Run:
     """Runs a pipeline into a store of its own; fails with what the program said."""
-    command = [binary, "run", pipeline, "--quiet", "--store", work / "store", "--runs", work / "runs"]
+    command = [binary, "run", pipeline, "--quiet", "--store", work / "store", "--runs", work / "runs", *more]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, f"{pipeline.name}: exit code {done.returncode}\n{done.stdout}{done.stderr}"
     return Run((work / "runs" / "latest").resolve())
@@ -48,6 +48,12 @@ def stages(binary) -> set[str]:
 def survey(binary, tmp_path_factory) -> Run:
     """The run of peers.yaml."""
     return execute(binary, HERE / "peers.yaml", tmp_path_factory.mktemp("survey"))
+
+
+@pytest.fixture(scope="session")
+def quickstart(binary, tmp_path_factory) -> Run:
+    """The run of the first pipeline of the README."""
+    return execute(binary, HERE / "../../pipelines/quickstart.yaml", tmp_path_factory.mktemp("quickstart"))
 
 
 @pytest.fixture(scope="session")

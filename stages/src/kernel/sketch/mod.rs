@@ -7,11 +7,11 @@ mod cloud;
 mod picture;
 
 pub use bodies::{of_mesh, of_meshes};
-pub use cloud::{of_depth_points, of_surface};
+pub use cloud::{of_cloud, of_depth_points, of_surface};
 pub use picture::{of_depth_channels, of_picture, of_raster, of_raster_pictures, pixels};
 
 use crate::artefact::sketch::{PictureSketch, Shape, Sketch};
-use crate::artefact::{Artefact, Kind, Table};
+use crate::artefact::{Artefact, Cameras, Kind, Table};
 
 /// Rows of a table that are shown.
 const ROWS: usize = 1000;
@@ -20,11 +20,23 @@ const VALUES_BYTES: usize = 64 * 1024;
 
 /// The look of what has no pixels of its own: shapes, cameras, rockfalls.
 pub fn of_look(artefact: &Artefact) -> Option<Sketch> {
-    let kinds = [Kind::Mesh, Kind::Meshes, Kind::Surface, Kind::Cameras, Kind::Inventory];
+    let kinds = [Kind::Cloud, Kind::Mesh, Kind::Meshes, Kind::Surface, Kind::Cameras, Kind::Inventory];
     let preview = kinds.contains(&artefact.kind()).then(|| crate::kernel::preview::of(artefact, &[])).flatten()?;
     let (width, height) = (preview.width as u32, preview.height as u32);
     let png = preview.to_png().ok()?;
     Some(Sketch::whole("look", Shape::Picture(PictureSketch { width, height, colours: None, image: None, png })))
+}
+
+/// Orientations; says which lenses the usual model of five coefficients cannot hold, and which therefore are logged without distortion.
+pub fn of_cameras(part: &str, cameras: Cameras) -> Sketch {
+    let beyond = |sensor: &&crate::artefact::Sensor| sensor.k[3] != 0.0;
+    let names: Vec<&str> = cameras.sensors.iter().filter(beyond).map(|sensor| sensor.name.as_str()).collect();
+    let reduced = if names.is_empty() {
+        String::new()
+    } else {
+        format!("the distortion of {}: camera messages have no place for k4", names.join(", "))
+    };
+    Sketch { part: part.to_owned(), reduced, shape: Shape::Cameras(cameras) }
 }
 
 /// The first rows of a table.
