@@ -50,7 +50,7 @@ fn fit(count: usize, values: impl Fn(usize) -> Vec<f32>, left_m: impl Fn(usize) 
     (code, err)
 }
 
-fn check(found: (Option<i32>, String), code: i32, told: &[&str]) {
+fn check(found: &(Option<i32>, String), code: i32, told: &[&str]) {
     assert_eq!(found.0, Some(code), "{}", found.1);
     for text in told {
         assert!(found.1.contains(text), "`{text}` is missing: {}", found.1);
@@ -61,15 +61,15 @@ fn check(found: (Option<i32>, String), code: i32, told: &[&str]) {
 fn too_few_constant_empty_and_shifted_rasters_are_refused_by_name() {
     let fifth = |odd: f32| move |k: usize| if k == 5 { vec![odd; SIDE * SIDE] } else { noise(k) };
     let here = |_: usize| 0.0;
-    check(fit(11, noise, here), 1, &["at least 12 reference rasters, found 11", "add real rasters"]);
-    check(fit(14, fifth(0.25), here), 1, &["`r05`", "all its values are 0.25", "leave it out"]);
-    check(fit(14, fifth(f32::NAN), here), 1, &["`r05.tif`", "no value in any of its cells", "leave the file out"]);
+    check(&fit(11, noise, here), 1, &["at least 12 reference rasters, found 11", "add real rasters"]);
+    check(&fit(14, fifth(0.25), here), 1, &["`r05`", "all its values are 0.25", "leave it out"]);
+    check(&fit(14, fifth(f32::NAN), here), 1, &["`r05.tif`", "no value in any of its cells", "leave the file out"]);
     let shifted = fit(14, noise, |k| if k == 7 { 0.004 } else { 0.0 });
-    check(shifted, 1, &["`r07.tif`", "left 0.004 m", "resample the files to one grid"]);
-    check(fit(14, |_| noise(0), here), 1, &["none of mean_m", "varies over the 14 reference rasters"]);
+    check(&shifted, 1, &["`r07.tif`", "left 0.004 m", "resample the files to one grid"]);
+    check(&fit(14, |_| noise(0), here), 1, &["none of mean_m", "varies over the 14 reference rasters"]);
 }
 
 #[test]
 fn a_nugget_that_is_zero_everywhere_is_set_aside() {
-    check(fit(14, smooth, |_| 0.0), 0, &["set aside", "nugget_m2"]);
+    check(&fit(14, smooth, |_| 0.0), 0, &["set aside", "nugget_m2"]);
 }
