@@ -112,6 +112,7 @@ impl Interpolation {
 }
 
 /// Keys' cubic convolution kernel (1981) for the nodes -1, 0, 1 and 2.
+#[inline]
 fn keys(a: f64, t: f64) -> [f64; 4] {
     keys_at(a, [t; 2]).map(|[weight, _]| weight)
 }
@@ -123,12 +124,14 @@ fn keys_at(a: f64, t: [f64; 2]) -> [[f64; 2]; 4] {
     [far(t.map(|t| 1.0 + t)), near(t), near(t.map(|t| 1.0 - t)), far(t.map(|t| 2.0 - t))]
 }
 
+#[inline]
 fn b_spline(t: f64) -> [f64; 4] {
     let end = |t: f64| t * t * t / 6.0;
     let middle = |t: f64| (3.0 * t - 6.0) * t * t / 6.0 + 2.0 / 3.0;
     [end(1.0 - t), middle(t), middle(1.0 - t), end(t)]
 }
 
+#[inline]
 fn squares(weights: &[f64; 4]) -> f64 {
     weights.iter().map(|w| w * w).sum()
 }

@@ -1,6 +1,6 @@
 //! Undistorted rays along one row of a depth map, found from a few of them.
 
-use crate::kernel::camera::Camera;
+use crate::kernel::camera::{Camera, full_pixel};
 
 /// Image pixels between the rays that are found from scratch.
 const SPACING_PX: u32 = 32;
@@ -13,8 +13,9 @@ const FEWEST: usize = 4;
 /// step of Newton's method does the rest.
 pub struct RayRow<'a> {
     camera: &'a Camera,
-    row: usize,
     downscale: u32,
+    /// Distorted normalised y of the row.
+    yd: f64,
     /// Columns from a ray found from scratch to the next.
     spacing: usize,
     /// Number of the stretch of columns that `around` is for.
@@ -27,7 +28,8 @@ impl<'a> RayRow<'a> {
     /// The rays of a row of an image reduced by `downscale`.
     pub fn new(camera: &'a Camera, row: usize, downscale: u32) -> Self {
         let spacing = ((SPACING_PX / downscale.max(1)) as usize).max(FEWEST);
-        Self { camera, row, downscale, spacing, stretch: None, around: [None; 4] }
+        let [_, v] = full_pixel(0, row, downscale);
+        Self { camera, downscale, yd: camera.distorted_y(v), spacing, stretch: None, around: [None; 4] }
     }
 
     /// Undistorted normalised coordinates of the centre of a pixel; `None` where the distortion has no inverse.
@@ -37,30 +39,30 @@ impl<'a> RayRow<'a> {
         if self.stretch != Some(stretch) {
             self.enter(stretch);
         }
-        let pixel = self.pixel(column as f64);
-        let [Some(a), Some(b), Some(c), Some(d)] = self.around else { return self.camera.normalised(pixel) };
-        let t = (column - stretch * self.spacing) as f64 / self.spacing as f64;
-        let [wa, wb, wc, wd] = lagrange(t);
-        let guess = [0, 1].map(|i| wa * a[i] + wb * b[i] + wc * c[i] + wd * d[i]);
-        self.camera.normalised_near(pixel, guess).or_else(|| self.camera.normalised(pixel))
+        let guess = if let [Some(a), Some(b), Some(c), Some(d)] = self.around {
+            let [wa, wb, wc, wd] = lagrange((column - stretch * self.spacing) as f64 / self.spacing as f64);
+            Some([0, 1].map(|i| wa * a[i] + wb * b[i] + wc * c[i] + wd * d[i]))
+        } else {
+            None
+        };
+        self.camera.normalised_in_row(self.full_column(column as f64), self.yd, guess)
     }
 
     fn enter(&mut self, stretch: usize) {
         let known = self.stretch.is_some_and(|last| last + 1 == stretch);
         let find = |step: i32| {
             let column = (stretch as f64 + f64::from(step)) * self.spacing as f64;
-            self.camera.normalised(self.pixel(column))
+            self.camera.normalised_in_row(self.full_column(column), self.yd, None)
         };
         let [_, b, c, d] = self.around;
         self.around = if known { [b, c, d, find(2)] } else { [-1, 0, 1, 2].map(find) };
         self.stretch = Some(stretch);
     }
 
-    /// Position in the full image of a column of the row, pixels.
+    /// Position in the full image of a column of the row, pixels; it may lie beyond the image.
     #[inline]
-    fn pixel(&self, column: f64) -> [f64; 2] {
-        let s = f64::from(self.downscale);
-        [(column + 0.5) * s - 0.5, (self.row as f64 + 0.5) * s - 0.5]
+    fn full_column(&self, column: f64) -> f64 {
+        (column + 0.5) * f64::from(self.downscale) - 0.5
     }
 }
 
@@ -75,7 +77,6 @@ fn lagrange(t: f64) -> [f64; 4] {
 mod tests {
     use super::*;
     use crate::artefact::Sensor;
-    use crate::kernel::camera::full_pixel;
     use crate::testing::{image_at, small_sensor};
 
     #[test]
