@@ -53,7 +53,7 @@ fn step(store: &Store, number: u64) -> Record {
         seed: Some(SeedMaterial { seed: 2747, stream: "removed".to_owned(), items }),
     };
     let digest = store.put(&output).expect("a stored blob");
-    let kept = OutputRecord { kind: "mesh".to_owned(), digest, bytes: 8, kept: true, items: None };
+    let kept = OutputRecord { kind: "mesh".to_owned(), digest, bytes: 8, kept: true, items: None, memory_bytes: None };
     let outputs = BTreeMap::from([("mesh".to_owned(), kept)]);
     let log = Some(store.put(log.as_bytes()).expect("a stored log"));
     let record = Record { recipe, outputs, log, sketches: None, cost: Cost::default() };

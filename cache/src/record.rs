@@ -32,6 +32,9 @@ pub struct OutputRecord {
     pub bytes: u64,
     /// Whether the bytes were stored; if not, only their digest is known.
     pub kept: bool,
+    /// Bytes the value takes in memory, for whoever plans to read it; `None` in records of former versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub memory_bytes: Option<u64>,
     /// The items of a list artefact, over which a dynamic axis may fan out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub items: Option<Vec<String>>,
@@ -45,7 +48,9 @@ pub struct Cost {
     /// Processor time of the whole process over the life of the step, seconds: all threads, and with them whatever else
     /// ran at the same time. It is the step's own only where steps run one by one.
     pub cpu_s: f64,
-    /// Greatest memory in use, bytes.
+    /// Greatest resident memory of the whole process over the life of the step, looked at about 20 times a second, bytes:
+    /// the step's own only where steps run one by one, and without the programs it starts. Of a step too short to be
+    /// looked at, or where the system does not tell: the size in memory of what it loaded and made.
     pub peak_bytes: u64,
     /// When it was finished, seconds since 1970-01-01 UTC.
     pub finished_unix_s: u64,
@@ -163,11 +168,13 @@ pub(crate) mod tests {
 
     fn any_output() -> impl Strategy<Value = OutputRecord> {
         let items = proptest::option::of(proptest::collection::vec(any::<String>(), 0..3));
-        (any::<String>(), any::<[u8; 32]>(), any::<u64>(), any::<bool>(), items).prop_map(
-            |(kind, digest, bytes, kept, items)| OutputRecord {
+        let memory_bytes = proptest::option::of(any::<u64>());
+        (any::<String>(), any::<[u8; 32]>(), any::<u64>(), memory_bytes, any::<bool>(), items).prop_map(
+            |(kind, digest, bytes, memory_bytes, kept, items)| OutputRecord {
                 kind,
                 digest: Digest::from_bytes(digest),
                 bytes,
+                memory_bytes,
                 kept,
                 items,
             },

@@ -168,6 +168,13 @@ impl Manifest {
         }
     }
 
+    /// How many step instances were executed, how many were cached, and how many were not made.
+    pub fn counts(&self) -> [usize; 3] {
+        let count = |status: &str| self.steps.iter().filter(|done| done.status == status).count();
+        let (executed, cached) = (count("executed"), count("cached"));
+        [executed, cached, self.steps.len() - executed - cached]
+    }
+
     /// The text of the file: JSON, with a line for each step instance.
     pub fn text(&mut self) -> String {
         let steps = std::mem::take(&mut self.steps);

@@ -10,11 +10,13 @@ mod log;
 mod memory;
 mod program;
 mod progress;
+mod resident;
 mod schedule;
 mod settle;
 pub mod shortcut;
 mod state;
 mod tell;
+mod unfinished;
 mod work;
 
 use rockface_cache::{Digest, Outcome, Recipe, Store, StoreError};

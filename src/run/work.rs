@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::os::unix::fs::MetadataExt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use rayon::ThreadPool;
@@ -61,6 +61,8 @@ pub struct Task {
     pub retries: u32,
     /// Whether the log shows its outputs.
     pub sketch: bool,
+    /// The greatest memory of the process that was seen since it began, bytes.
+    pub peak_bytes: Arc<AtomicU64>,
 }
 
 /// What a worker brings back.
@@ -131,13 +133,13 @@ pub fn work(
     let mut outcome = keep(task, store, pool, &values, &entries)?;
     let (sketches, unsketched) = sketch(task, store, pool, &values, &outcome)?;
     outcome.sketches = sketches;
-    let memory =
-        values.values().chain(loaded.iter().map(|(_, value)| value)).map(|value| value.memory_bytes() as u64).sum();
+    let handled = values.values().chain(loaded.iter().map(|(_, value)| value));
+    let handled_bytes: u64 = handled.map(|value| value.memory_bytes() as u64).sum();
     let finished = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
     outcome.cost = Cost {
         wall_s: start.elapsed().as_secs_f64(),
         cpu_s: process_cpu_s() - cpu,
-        peak_bytes: memory,
+        peak_bytes: handled_bytes.max(task.peak_bytes.load(Ordering::Relaxed)),
         finished_unix_s: finished,
     };
     let Outcome { outputs, log, sketches, cost } = outcome.clone();
@@ -295,6 +297,7 @@ fn keep(
             kind: value.kind().word().to_owned(),
             digest,
             bytes: encoded.len() as u64,
+            memory_bytes: Some(value.memory_bytes() as u64),
             kept: task.keep,
             items: value.items(),
         };

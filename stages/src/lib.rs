@@ -6,6 +6,7 @@
 
 pub mod artefact;
 pub mod kernel;
+mod needs;
 pub mod params;
 mod program;
 mod stage;
@@ -81,10 +82,11 @@ mod test_acceptance;
 mod transform_crs;
 mod triangulate_surface;
 
+pub use needs::{InputSize, InputSizes, SmallInput};
 pub use program::{Piece, Program, ProgramResult};
 pub use stage::{
-    AnyStage, Arity, Checked, Context, Element, Entry, Host, InputSizes, Inputs, Outputs, Page, Point, Port, Ports,
-    Row, SourceFile, Stage, StageError,
+    AnyStage, Arity, Checked, Context, Element, Entry, Host, Inputs, Outputs, Page, Point, Port, Ports, Row,
+    SourceFile, Stage, StageError,
 };
 
 static STAGES: &[&dyn AnyStage] = &[

@@ -11,6 +11,7 @@ mod detection;
 mod documents;
 mod dynamic;
 mod engine;
+mod folders;
 mod golden;
 mod history;
 mod lab;

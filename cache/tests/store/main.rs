@@ -23,7 +23,14 @@ fn recipe(number: u64) -> Recipe {
 }
 
 fn output(bytes: &[u8], kept: bool) -> OutputRecord {
-    OutputRecord { kind: "mesh".into(), digest: Digest::of(bytes), bytes: bytes.len() as u64, kept, items: None }
+    OutputRecord {
+        kind: "mesh".into(),
+        digest: Digest::of(bytes),
+        bytes: bytes.len() as u64,
+        kept,
+        items: None,
+        memory_bytes: None,
+    }
 }
 
 fn record(number: u64, bytes: &[u8], kept: bool) -> Record {
