@@ -5,7 +5,8 @@ use std::sync::Arc;
 use serde_json::json;
 
 use super::*;
-use crate::artefact::{Artefact, Feature, Frame, Grid, Polygon};
+use crate::Point;
+use crate::artefact::{Artefact, Feature, Frame, Grid, Inventory, Noun, Polygon, Raster};
 use crate::params::ParamType;
 use crate::testing::TestHost;
 
@@ -41,6 +42,9 @@ fn inputs(events: usize, quiet: usize) -> Inputs {
     }
     inputs
 }
+
+/// Path and content.
+type File = (String, Vec<u8>);
 
 fn run(with: &serde_json::Value, inputs: &Inputs) -> Result<(Vec<File>, Table), StageError> {
     let params = ExportDatasetParams::decode(with).unwrap();

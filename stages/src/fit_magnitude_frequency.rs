@@ -4,7 +4,7 @@ use crate::artefact::{Cell, Kind, Table};
 use crate::kernel::power_law::{self, PowerLaw};
 use crate::kernel::records;
 use crate::params::Range;
-use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, params};
 
 params! {
     /// Parameters of `fit-magnitude-frequency`.
@@ -13,7 +13,7 @@ params! {
         column: String = "removed_m3".to_owned(),
         /// Smallest volume the law is fitted to, cubic metres; left out, the one at which law and volumes agree best.
         minimum_m3: Option<f64> = None; Range::Positive,
-        /// Volumes the fit needs at least.
+        /// Volumes the law is fitted to at least; of fewer only the curve is told.
         least_count: u32 = 10; Range::AtLeast(2.0),
     }
 }
@@ -24,15 +24,16 @@ pub struct FitMagnitudeFrequency;
 impl Stage for FitMagnitudeFrequency {
     type Params = FitMagnitudeFrequencyParams;
     const NAME: &'static str = "fit-magnitude-frequency";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page {
         what: "Fits N(>= V) = n (V / V_min)^-b to the volumes of an inventory, and tabulates how many are at least as large as \
-               each. Rows without a positive volume are counted and left out.",
+               each. Rows without a positive volume are counted and left out. Of fewer than `least_count` volumes, or equal ones, \
+               there is no law: its numbers are empty, with a warning, and the curve is there all the same.",
         method: "Maximum likelihood b = n / sum ln(V / V_min), standard error b / sqrt(n); V_min by the smallest \
                  Kolmogorov-Smirnov distance (Clauset, Shalizi and Newman 2009, SIAM Review 51, 661-703; their exponent is \
                  b + 1). Volumes below V_min are the roll-over: what a survey misses, or what does not follow the law.",
         frames: "Volumes in cubic metres; b and the distance have no unit.",
-        fails: "There is no such column; fewer than `least_count` volumes are left, or all are equal.",
+        fails: "There is no such column.",
         example: "\
 rockface: 1
 name: magnitude-and-frequency
@@ -55,7 +56,10 @@ steps:
             context.note(format!("{without} rows have no positive number in `{}`", params.column));
         }
         let Some(law) = power_law::fit(&volumes, params.minimum_m3, params.least_count as usize) else {
-            fail!("{}", why_not(&volumes, params));
+            let why = why_not(&volumes, params);
+            context.warn(&*why);
+            context.headline(why);
+            return Ok(Outputs::of("fit", no_law(&volumes, params)).and("curve", curve_table(&volumes, None)));
         };
         context.metric("exponent", law.exponent, "1");
         context.metric("minimum", law.minimum, "m3");
@@ -63,7 +67,7 @@ steps:
             "b = {:.3} +- {:.3} for the {} volumes from {:.3e} m3 up, {} below",
             law.exponent, law.standard_error, law.count, law.minimum, law.below
         ));
-        Ok(Outputs::of("fit", fit_table(&law)).and("curve", curve_table(&volumes, &law)))
+        Ok(Outputs::of("fit", fit_table(&law)).and("curve", curve_table(&volumes, Some(&law))))
     }
 }
 
@@ -82,36 +86,31 @@ fn why_not(volumes: &[f64], params: &FitMagnitudeFrequencyParams) -> String {
     )
 }
 
-fn fit_table(law: &PowerLaw) -> Table {
-    let mut table = Table::new([
-        "exponent",
-        "standard_error",
-        "minimum_m3",
-        "count",
-        "count_below",
-        "ks_distance",
-        "density_exponent",
-    ]);
-    table.push(
-        [
-            law.exponent,
-            law.standard_error,
-            law.minimum,
-            law.count as f64,
-            law.below as f64,
-            law.distance,
-            law.exponent + 1.0,
-        ]
-        .map(Cell::from)
-        .to_vec(),
-    );
+const COLUMNS: [&str; 7] =
+    ["exponent", "standard_error", "minimum_m3", "count", "count_below", "ks_distance", "density_exponent"];
+
+fn row(numbers: [f64; 7]) -> Table {
+    let mut table = Table::new(COLUMNS);
+    table.push(numbers.map(Cell::from).to_vec());
     table
 }
 
-fn curve_table(volumes: &[f64], law: &PowerLaw) -> Table {
+fn fit_table(law: &PowerLaw) -> Table {
+    let PowerLaw { exponent, standard_error, minimum, count, below, distance } = *law;
+    row([exponent, standard_error, minimum, count as f64, below as f64, distance, exponent + 1.0])
+}
+
+/// The counts that are known without a law.
+fn no_law(volumes: &[f64], params: &FitMagnitudeFrequencyParams) -> Table {
+    let below = params.minimum_m3.map_or(0, |minimum| volumes.partition_point(|volume| *volume < minimum));
+    let minimum = params.minimum_m3.unwrap_or(f64::NAN);
+    row([f64::NAN, f64::NAN, minimum, (volumes.len() - below) as f64, below as f64, f64::NAN, f64::NAN])
+}
+
+fn curve_table(volumes: &[f64], law: Option<&PowerLaw>) -> Table {
     let mut table = Table::new(["volume_m3", "count_from", "count_by_law"]);
     for (volume, count) in power_law::curve(volumes) {
-        let by_law = if volume >= law.minimum { law.number_from(volume) } else { f64::NAN };
+        let by_law = law.filter(|law| volume >= law.minimum).map_or(f64::NAN, |law| law.number_from(volume));
         table.push([volume, count as f64, by_law].map(Cell::from).to_vec());
     }
     table
@@ -149,13 +148,24 @@ mod tests {
     }
 
     #[test]
-    fn too_few_volumes_are_told_with_their_range() {
-        let error = run_stage::<FitMagnitudeFrequency>(
-            &TestHost::default(),
-            &json!({"minimum_m3": 3.0}),
-            &[("volumes", table([1.0, 2.0, 4.0]))],
-        );
-        let text = error.unwrap_err().message;
-        assert!(text.contains("1 of the 3 volumes") && text.contains("10 that are not all equal"), "{text}");
+    fn of_too_few_volumes_the_curve_is_told_and_why_there_is_no_law() {
+        let host = TestHost::default();
+        let with = json!({"minimum_m3": 3.0});
+        let volumes = [("volumes", table([1.0, 2.0, 4.0]))];
+        let mut made = run_stage::<FitMagnitudeFrequency>(&host, &with, &volumes).unwrap().into_inner();
+        let (Some(Artefact::Table(fit)), Some(Artefact::Table(curve))) = (made.remove("fit"), made.remove("curve"))
+        else {
+            panic!("two tables")
+        };
+        let counts: Vec<Option<f64>> = fit.rows[0].iter().map(Cell::number).collect();
+        assert_eq!(counts[2..5], [Some(3.0), Some(1.0), Some(2.0)]);
+        assert!(fit.rows[0][0].number().is_none_or(f64::is_nan) && curve.rows.len() == 3);
+        let warned = host.entries.lock().unwrap().iter().any(|entry| {
+            matches!(entry, crate::Entry::Warning { text } if text.contains("1 of the 3 volumes") && text.contains("10 that are not all equal"))
+        });
+        assert!(warned);
+        let none =
+            run_stage::<FitMagnitudeFrequency>(&TestHost::default(), &json!({}), &[("volumes", table([]))]).unwrap();
+        assert_eq!(none.into_inner().len(), 2, "no volume at all is no failure either");
     }
 }

@@ -51,6 +51,12 @@ def survey(binary, tmp_path_factory) -> Run:
 
 
 @pytest.fixture(scope="session")
+def quickstart(binary, tmp_path_factory) -> Run:
+    """The run of the first pipeline of the README."""
+    return execute(binary, HERE / "../../pipelines/quickstart.yaml", tmp_path_factory.mktemp("quickstart"))
+
+
+@pytest.fixture(scope="session")
 def rockfall(binary, stages, tmp_path_factory) -> Run:
     """The run of rockfall.yaml."""
     if "remove-blocks" not in stages:

@@ -36,7 +36,7 @@ class Page(HTMLParser):
             self.ids.append(attrs["id"])
 
 
-@pytest.fixture(scope="module", params=["survey", "rockfall"])
+@pytest.fixture(scope="module", params=["quickstart", "rockfall"])
 def run(request):
     return request.getfixturevalue(request.param)
 
@@ -54,6 +54,10 @@ def browse(run, *flags):
     command = [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--v=0", *flags, address]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=180)
     return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+
+
+def test_it_is_small_enough_to_be_sent(run):
+    assert (run.folder / "report.html").stat().st_size < 10_000_000
 
 
 def test_nothing_is_loaded_from_elsewhere(page):

@@ -45,7 +45,7 @@ fn pose(place: &Place, port: &str, frame: &str, image: &Image) -> proto::FrameTr
 }
 
 /// Interior orientation in the convention of `OpenCV`. Its five-parameter model has no k4: a lens that has one is given
-/// without distortion, and with no model.
+/// without distortion and with no model, as its sketch says.
 fn calibration(place: &Place, port: &str, sensor: &Sensor, image: &Image) -> proto::CameraCalibration {
     let ([k1, k2, k3, k4], [p1, p2]) = (sensor.k, sensor.p);
     let plain = k4 == 0.0;

@@ -85,7 +85,7 @@ impl Noun for Depth {
         let mut sketches = crate::kernel::sketch::of_depth_channels(self);
         let image = Image { sensor: 0, ..self.image.clone() };
         let cameras = Cameras { frame: self.frame, sensors: vec![self.sensor.clone()], images: vec![image] };
-        sketches.push(super::Sketch::whole("camera", super::sketch::Shape::Cameras(cameras)));
+        sketches.push(crate::kernel::sketch::of_cameras("camera", cameras));
         sketches.push(crate::kernel::sketch::of_depth_points(self));
         sketches
     }

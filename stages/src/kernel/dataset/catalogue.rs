@@ -40,7 +40,7 @@ pub fn item(item: &Item) -> Vec<u8> {
     let Grid { columns, rows, cell_m, left_m, top_m } = item.grid;
     let bounds = [left_m, top_m - rows as f64 * cell_m, left_m + columns as f64 * cell_m, top_m];
     let mut properties = item.properties.clone();
-    let wkt = format!("LOCAL_CS[\"rockface {} frame\",UNIT[\"metre\",1]]", item.frame);
+    let wkt = engineering_crs(item.frame);
     let more = json!({
         "datetime": item.datetime, "proj:code": null, "proj:wkt2": wkt, "proj:bbox": bounds, "proj:shape": [rows, columns],
         "proj:transform": [cell_m, 0.0, left_m, 0.0, -cell_m, top_m],
@@ -67,6 +67,14 @@ pub fn item(item: &Item) -> Vec<u8> {
             {"rel": "parent", "href": "../catalog.json", "type": "application/json"},
         ],
     }))
+}
+
+/// The local system in WKT2 (ISO 19162), so that readers take coordinates for metres and for nothing on the Earth.
+fn engineering_crs(frame: Frame) -> String {
+    format!(
+        "ENGCRS[\"rockface {frame} frame\",EDATUM[\"{frame} frame\"],CS[Cartesian,2],AXIS[\"(X)\",unspecified,ORDER[1]],\
+         AXIS[\"(Y)\",unspecified,ORDER[2]],LENGTHUNIT[\"metre\",1]]"
+    )
 }
 
 fn pretty(value: &Value) -> Vec<u8> {

@@ -242,6 +242,44 @@ mod tests {
         assert!(clusters(&before, &before).is_empty());
     }
 
+    /// A ledge with a roof 0.2 m thick that juts out over its floor, which is lowered by `depth` over [0, 0.3] x [-0.2, 0.2].
+    fn overhang(depth: f64) -> Mesh {
+        let corners = [[-1.0, 1.0], [0.5, 1.0], [0.5, 0.8], [-0.3, 0.8], [-0.3, 0.0], [1.0, 0.0]];
+        let steps = 60;
+        let profile: Vec<[f64; 2]> = corners
+            .windows(2)
+            .flat_map(|ends| {
+                (0..steps).map(|step| {
+                    [0, 1].map(|k| ends[0][k] + (ends[1][k] - ends[0][k]) * f64::from(step) / f64::from(steps))
+                })
+            })
+            .collect();
+        let rows = 81;
+        let vertex = |(row, [x, z]): (usize, [f64; 2])| {
+            let y = -1.0 + 0.025 * row as f64;
+            let lowered = z < 0.01 && (0.0..0.3).contains(&x) && y.abs() < 0.2;
+            [x + 0.003, y + 0.007, z + 0.013 - if lowered { depth } else { 0.0 }]
+        };
+        let vertices = (0..rows).flat_map(|row| profile.iter().map(move |point| (row, *point))).map(vertex).collect();
+        let across = profile.len() as u32;
+        let quad = |at: u32| [[at, at + 1, at + across + 1], [at, at + across + 1, at + across]];
+        let cells = (0..rows as u32 - 1).flat_map(|row| (0..across - 1).map(move |column| row * across + column));
+        let frame = crate::artefact::Frame::Wall;
+        Mesh { frame, vertices, triangles: cells.flat_map(quad).collect(), colours: Vec::new() }
+    }
+
+    #[test]
+    fn what_falls_from_under_an_overhang_is_a_loss() {
+        let (before, after) = (overhang(0.0), overhang(0.3));
+        let found = clusters(&before, &after);
+        assert_eq!(found.len(), 1);
+        let cluster = &found[0];
+        let volume = 1.25e-4 * (cluster.inside.len() as f64 + 0.5 * cluster.shell as f64);
+        assert!((volume / (0.3 * 0.4 * 0.3) - 1.0).abs() < 0.25, "{volume}");
+        assert_eq!(cluster.under, [cluster.inside.len(), 0]);
+        assert_eq!(clusters(&after, &before)[0].under, [0, cluster.inside.len()]);
+    }
+
     #[test]
     fn a_box_is_counted_voxel_by_voxel() {
         let cuboid = crate::kernel::truth::facets::tests::cuboid(0.92, 0.72, 0.52);

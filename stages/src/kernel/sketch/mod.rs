@@ -11,7 +11,7 @@ pub use cloud::{of_depth_points, of_surface};
 pub use picture::{of_depth_channels, of_picture, of_raster, of_raster_pictures, pixels};
 
 use crate::artefact::sketch::{PictureSketch, Shape, Sketch};
-use crate::artefact::{Artefact, Kind, Table};
+use crate::artefact::{Artefact, Cameras, Kind, Table};
 
 /// Rows of a table that are shown.
 const ROWS: usize = 1000;
@@ -25,6 +25,18 @@ pub fn of_look(artefact: &Artefact) -> Option<Sketch> {
     let (width, height) = (preview.width as u32, preview.height as u32);
     let png = preview.to_png().ok()?;
     Some(Sketch::whole("look", Shape::Picture(PictureSketch { width, height, colours: None, image: None, png })))
+}
+
+/// Orientations; says which lenses the usual model of five coefficients cannot hold, and which therefore are logged without distortion.
+pub fn of_cameras(part: &str, cameras: Cameras) -> Sketch {
+    let beyond = |sensor: &&crate::artefact::Sensor| sensor.k[3] != 0.0;
+    let names: Vec<&str> = cameras.sensors.iter().filter(beyond).map(|sensor| sensor.name.as_str()).collect();
+    let reduced = if names.is_empty() {
+        String::new()
+    } else {
+        format!("the distortion of {}: camera messages have no place for k4", names.join(", "))
+    };
+    Sketch { part: part.to_owned(), reduced, shape: Shape::Cameras(cameras) }
 }
 
 /// The first rows of a table.
