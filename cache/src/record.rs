@@ -1,10 +1,8 @@
 //! The record of a finished step: its recipe, what came out, and what it cost.
 
-use std::collections::BTreeMap;
-
 use serde::{Deserialize, Serialize};
 
-use crate::{Digest, Recipe};
+use crate::{Digest, Outputs, Recipe};
 
 /// What is remembered of a finished step under the key of its recipe.
 #[derive(Debug, Clone, PartialEq)]
@@ -12,7 +10,7 @@ pub struct Record {
     /// What decided the outputs.
     pub recipe: Recipe,
     /// What came out of each output port.
-    pub outputs: BTreeMap<String, OutputRecord>,
+    pub outputs: Outputs,
     /// The log of the step, a blob.
     pub log: Option<Digest>,
     /// Sketches of the outputs for the log of a run, a blob; `None` where none were made.
@@ -60,7 +58,7 @@ pub struct Cost {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct Outcome {
     /// What came out of each output port.
-    pub outputs: BTreeMap<String, OutputRecord>,
+    pub outputs: Outputs,
     /// The log of the step, a blob.
     pub log: Option<Digest>,
     /// Sketches of the outputs for the log of a run, a blob; `None` where none were made.
@@ -90,7 +88,7 @@ impl Outcome {
 /// The part of a record that is not its recipe, as it is written.
 #[derive(Serialize)]
 struct OutcomeRef<'a> {
-    outputs: &'a BTreeMap<String, OutputRecord>,
+    outputs: &'a Outputs,
     log: &'a Option<Digest>,
     #[serde(skip_serializing_if = "Option::is_none")]
     sketches: &'a Option<Digest>,
@@ -145,10 +143,7 @@ fn split(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     rest.split_at_checked(u32::from_le_bytes(*length) as usize)
 }
 
-fn promised(
-    outputs: &BTreeMap<String, OutputRecord>,
-    told: [Option<Digest>; 2],
-) -> impl Iterator<Item = (Digest, Option<u64>)> {
+fn promised(outputs: &Outputs, told: [Option<Digest>; 2]) -> impl Iterator<Item = (Digest, Option<u64>)> {
     let kept = outputs.values().filter(|output| output.kept);
     kept.map(|output| (output.digest, Some(output.bytes))).chain(told.into_iter().flatten().map(|blob| (blob, None)))
 }
@@ -183,11 +178,12 @@ pub(crate) mod tests {
 
     prop_compose! {
         fn any_record()(
-            recipe in any_recipe(), outputs in proptest::collection::btree_map(any::<String>(), any_output(), 0..3),
+            recipe in any_recipe(), outputs in proptest::collection::vec((any::<String>(), any_output()), 0..3),
             log in proptest::option::of(any::<[u8; 32]>()), sketches in proptest::option::of(any::<[u8; 32]>()), wall_s in 0.0..1e6, cpu_s in 0.0..1e6, peak_bytes: u64,
         ) -> Record {
             let cost = Cost { wall_s, cpu_s, peak_bytes, finished_unix_s: 1_700_000_000 };
             let [log, sketches] = [log, sketches].map(|blob| blob.map(Digest::from_bytes));
+            let outputs = outputs.into_iter().collect();
             Record { recipe, outputs, log, sketches, cost }
         }
     }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use rockface_cache::{Cost, Digest, OutputRecord, RecipeInput};
+use rockface_cache::{Cost, Digest, Outputs, RecipeInput};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -99,7 +99,7 @@ pub struct StepDone {
     /// The key of its recipe.
     pub key: Option<Digest>,
     /// What came out, by port.
-    pub outputs: Option<BTreeMap<String, OutputRecord>>,
+    pub outputs: Option<Outputs>,
     /// Its log, a blob.
     #[serde(default)]
     pub log: Option<Digest>,

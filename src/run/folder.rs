@@ -130,7 +130,7 @@ impl Writer<'_> {
     /// Writes the page, describes the folder as a research object for programs that know nothing of rockface, and last of
     /// all writes the manifest, without which a folder is no run.
     fn account(&self, folder: &Path, headlines: &[String], logs: &[Vec<Entry>], laid: &Laid) -> Result<(), RunError> {
-        let mut manifest = account::manifest(self.plan, self.summary, self.about, headlines, logs, laid)?;
+        let mut manifest = account::manifest(self.plan, self.summary, self.store, self.about, headlines, logs, laid)?;
         write_file(&folder.join("pipeline.yaml"), self.about.pipeline.text().as_bytes())?;
         self.report(folder, &manifest, logs)?;
         let described = serde_json::to_string_pretty(&crate_metadata(folder, &manifest)).unwrap_or_default();

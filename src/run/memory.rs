@@ -58,14 +58,21 @@ impl Scheduler<'_> {
         false
     }
 
-    /// What an instance is expected to need, going by its inputs; found when it is first asked for.
+    /// What an instance is expected to need beside the inputs that are in memory; found when it is first asked for.
     fn need_bytes(&mut self, instance: usize) -> u64 {
         if let Some(known) = self.estimates.get(&instance) {
             return *known;
         }
-        let need = self.estimate_bytes(instance);
+        let need = self.estimate_bytes(instance).saturating_sub(self.held_bytes(instance));
         self.estimates.insert(instance, need);
         need
+    }
+
+    /// The inputs that are in memory already.
+    fn held_bytes(&self, instance: usize) -> u64 {
+        let given = self.plan.instances[instance].inputs.iter().flat_map(|(_, given)| given);
+        let values = given.filter_map(|given| self.states[given.instance].values.get(given.port));
+        values.map(|value| value.memory_bytes() as u64).sum()
     }
 
     fn estimate_bytes(&self, instance: usize) -> u64 {

@@ -105,12 +105,20 @@ pub struct Summary {
 pub struct InstanceResult {
     /// The key of its recipe, once it was known.
     pub key: Option<Digest>,
-    /// Its recipe, once it was known.
-    pub recipe: Option<Recipe>,
+    /// Its recipe, if it was known and is not on record: see [`InstanceResult::recipe`].
+    recipe: Option<Recipe>,
     /// Whether its stage ran in this run.
     pub executed: bool,
     /// What came out; `None` if it failed or was not reached.
     pub outcome: Option<Outcome>,
+}
+
+impl InstanceResult {
+    /// Its recipe: that of its record, where it has one.
+    pub fn recipe(&self, store: &Store) -> Option<Recipe> {
+        let recorded = || store.record(&self.key?).map(|record| record.recipe);
+        self.recipe.clone().or_else(recorded)
+    }
 }
 
 impl Summary {

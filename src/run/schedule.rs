@@ -248,12 +248,11 @@ impl<'a> Scheduler<'a> {
             })
         });
         let outputs = step.ports.outputs.iter().filter(|port| makes(own, port)).map(|port| (port.name, port.kinds[0]));
-        let (key, recipe) = (state.key, state.recipe.clone());
-        let recipe = recipe.unwrap_or_else(|| self.plan.recipe(instance, |_, _| Digest::of(b"")));
+        let recipe = self.known_recipe(instance);
         Task {
             instance,
             stage: step.stage,
-            key: key.unwrap_or_else(|| recipe.key()),
+            key: state.key.unwrap_or_else(|| recipe.key()),
             recipe,
             params: own.params.clone(),
             feeds: feeds.collect(),
@@ -309,6 +308,7 @@ impl<'a> Scheduler<'a> {
             self.hold(instance, port, value);
         }
         self.states.set(instance, Status::Done);
+        self.states[instance].recipe = None;
         self.tell_end(instance, done.elsewhere, done.outcome.cost.wall_s);
         if self.states[instance].remaking {
             let former = self.states[instance].outcome.as_ref();
@@ -341,7 +341,7 @@ impl<'a> Scheduler<'a> {
         let instances = self.states.into_list().into_iter().map(|state| super::InstanceResult {
             outcome: if state.status() == Status::Done { state.outcome } else { None },
             key: state.key,
-            recipe: state.recipe,
+            recipe: state.recipe.map(|recipe| *recipe),
             executed: state.executed,
         });
         Summary { instances: instances.collect(), wall_s: elapsed.as_secs_f64(), failed: self.failure }

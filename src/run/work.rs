@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use rayon::ThreadPool;
-use rockface_cache::{Cost, Digest, Outcome, OutputRecord, Recipe, Record, Store, StoreError};
+use rockface_cache::{Cost, Digest, Outcome, OutputRecord, Outputs, Recipe, Record, Store, StoreError};
 use rockface_stages::artefact::{Artefact, Kind};
 use rockface_stages::{AnyStage, Context, Entry, Inputs, Point, StageError};
 
@@ -287,7 +287,7 @@ fn keep(
     values: &BTreeMap<&'static str, Arc<Artefact>>,
     entries: &[Entry],
 ) -> Result<Outcome, Failure> {
-    let mut outputs = BTreeMap::new();
+    let mut outputs = Outputs::default();
     for (port, value) in values {
         let encoded = pool
             .install(|| value.encode())

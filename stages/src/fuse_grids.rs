@@ -5,7 +5,7 @@ use crate::kernel::grid_fusion::{FusedGrid, common_grid, fuse_grids, surface_of}
 use crate::kernel::map_fusion::{Averaging, Rule};
 use crate::kernel::rasterise::{MAXIMUM_CELLS, grid_around};
 use crate::params::{Fault, Range};
-use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use crate::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
 params! {
     /// Parameters of `fuse-grids`.
@@ -73,6 +73,11 @@ steps:
             }
             _ => Vec::new(),
         }
+    }
+
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        // All grids are at hand together; the fused one, its surface and their files besides.
+        2 * inputs.total() + 8 * inputs.largest("grids")
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

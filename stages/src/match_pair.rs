@@ -8,7 +8,7 @@ use crate::kernel::noise::matcher::{MatcherTerms, PaperNoise};
 use crate::kernel::pair_matching::{Match, Matcher, Tally};
 use crate::kernel::pair_setup::{Setup, check_size, noisy_image};
 use crate::params::Range;
-use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
+use crate::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
 
 choice! {
     /// An image of a pair.
@@ -136,6 +136,14 @@ steps:
     fn draws(params: &Self::Params) -> bool {
         let terms = params.matcher.as_ref().is_some_and(MatcherTerms::draws);
         params.sigma_local_px > 0.0 || params.sigma_regular_px > 0.0 || terms
+    }
+
+    fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
+        // Both maps, the noisy one and its file; further terms of the noise and channels are maps too.
+        let maps = inputs.of("first") + inputs.of("second");
+        let terms = if params.matcher.is_some() { 2 } else { 0 };
+        let channels = if params.channels { 24 } else { 0 };
+        (4 + terms) * maps + channels * inputs.of("first")
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

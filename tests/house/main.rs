@@ -16,6 +16,7 @@ mod golden;
 mod history;
 mod lab;
 mod language;
+mod memory;
 mod reading;
 mod report;
 mod rework;

@@ -78,7 +78,7 @@ mod tests {
         let recipe = Recipe {
             stage: stage.into(),
             version: 1,
-            params: serde_json::json!({}),
+            params: serde_json::json!({}).into(),
             inputs: std::collections::BTreeMap::new(),
             seed: None,
         };

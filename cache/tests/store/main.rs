@@ -19,7 +19,7 @@ fn new_store() -> (tempfile::TempDir, Store) {
 
 fn recipe(number: u64) -> Recipe {
     let params = json!({ "number": number });
-    Recipe { stage: "remove-blocks".into(), version: 1, params, inputs: BTreeMap::new(), seed: None }
+    Recipe { stage: "remove-blocks".into(), version: 1, params: params.into(), inputs: BTreeMap::new(), seed: None }
 }
 
 fn output(bytes: &[u8], kept: bool) -> OutputRecord {
