@@ -37,11 +37,14 @@ mod draw_scores;
 mod draw_search;
 mod estimate_covariance;
 mod export_cameras;
+mod export_cloud;
 mod export_dataset;
+mod export_metashape;
 mod filter_outliers;
 mod fit_acceptance;
 mod fit_magnitude_frequency;
 mod forecast_precision;
+mod fuse_colmap;
 mod fuse_depth;
 mod fuse_grids;
 mod fuse_volume;
@@ -114,10 +117,13 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<grid_depth::GridDepth>::new(),
     &Row::<fuse_grids::FuseGrids>::new(),
     &Row::<fuse_volume::FuseVolume>::new(),
+    &Row::<fuse_colmap::FuseColmap>::new(),
+    &Row::<export_metashape::ExportMetashape>::new(),
     &Row::<clean_mesh::CleanMesh>::new(),
     &Row::<register_icp::RegisterIcp>::new(),
     &Row::<rasterise_dem::RasteriseDem>::new(),
     &Row::<difference_dem::DifferenceDem>::new(),
+    &Row::<export_cloud::ExportCloud>::new(),
     &Row::<detect_raster::DetectRaster>::new(),
     &Row::<detect_m3c2::DetectM3c2>::new(),
     &Row::<detect_voxels::DetectVoxels>::new(),

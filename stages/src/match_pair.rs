@@ -7,6 +7,7 @@ use crate::kernel::matching_noise::{Distribution, FieldRecipe, Interpolation, Va
 use crate::kernel::noise::matcher::{MatcherTerms, PaperNoise};
 use crate::kernel::pair_matching::{Match, Matcher, Tally};
 use crate::kernel::pair_setup::{Setup, check_size, noisy_image};
+use crate::kernel::rectified_row::rectified_camera;
 use crate::params::Range;
 use crate::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
 
@@ -25,6 +26,8 @@ choice! {
     pub enum Sampling {
         /// At the pixels of the image whose depth map is made.
         Image = "image",
+        /// At the pixels of its rectified image, as the paper has it: the depth map is that of the rectified camera.
+        Rectified = "rectified",
     }
 }
 
@@ -84,14 +87,17 @@ impl Stage for MatchPair {
                  the first rectified image; back to depth on the noisy rays of the image. Sampled at image pixels, so \
                  nothing is resampled. The two maps of a pair carry the same error at corresponding points where both steps draw \
                  from one stream: give both `stream: {label: match, axes: [...]}` with the axes they share. \
-                 The y-parallax is no part of the disparity: it is measured and discarded. `matcher` adds what real matchers \
+                 The y-parallax is no part of the disparity: it is measured and discarded. With `sampling: rectified` the grid is that \
+                 of the rectified image, one of its own for each pair, as in the paper; noise is then addressed by the pixels of \
+                 the rectified first image. `matcher` adds what real matchers \
                  show: a Matern correlation of the local noise over a few pixels, noise that varies with the texture of the \
                  face, with the conditions and the quality of an acquisition and with the relief inside the matcher's window, \
                  or as a map from rasters of the site says (heavy tails come from that variation), noise at ledges of a \
                  kind of its own, the window's own smoothing and foreground fattening (these two and the relief see the ideal depth \
                  map of the image that is made), blunders, holes, pixel locking, and errors shared by the pairs of an image.",
         frames: "Disparities, sigmas and the spacing are in pixels of the depth map (image pixels times downscale). \
-                 Depth is z along the optical axis of the noisy camera, metres; the map carries that camera. \
+                 Depth is z along the optical axis of the noisy camera, metres; the map carries that camera, or that of the \
+                 rectified image (no distortion, turned to the plane of the pair, centre of the noisy camera). \
                  Channels: `range` (distance along the noisy ray, metres); `disparity.ideal` (true projections, noisy \
                  rectification), `noise.local`, `noise.regular` and `disparity`, their sum; `y_parallax`; `valid` (1 where \
                  there is a depth, else 0). With `matcher` the sum has two terms more, `noise.blunder` and \
@@ -165,7 +171,8 @@ steps:
             .hint("add `matcher: {}` to the parameters, or leave the input out"));
         }
         let keys = |purpose: &str, item: &str| context.stream(purpose, item);
-        let matcher = setup(params, strength).matcher(&pair.name, matched, own, noisy, &keys)?;
+        let mut matcher = setup(params, strength).matcher(&pair.name, matched, own, noisy, &keys)?;
+        matcher.rectified = params.sampling == Sampling::Rectified;
         let (map, tally) = matched_map(params, &matcher, own, noisy, noisy_image(noisy, ideal[own])?);
         report(params, context, pair, &map, &tally)?;
         Ok(Outputs::of("depth", map))
@@ -269,10 +276,15 @@ fn matched_map(
     if params.channels {
         channels.insert("valid".to_owned(), z.iter().map(|z| f32::from(u8::from(z.is_finite()))).collect());
     }
+    let sensor = noisy.sensor(image);
+    let (sensor, image) = match params.sampling {
+        Sampling::Image => (sensor.clone(), Image { sensor: 0, ..image.clone() }),
+        Sampling::Rectified => rectified_camera(&matcher.rectification, own, ideal, (sensor, image)),
+    };
     let map = Depth {
         frame: noisy.frame,
-        sensor: noisy.sensor(image).clone(),
-        image: Image { sensor: 0, ..image.clone() },
+        sensor,
+        image,
         downscale: ideal.downscale,
         width: ideal.width,
         height: ideal.height,

@@ -17,6 +17,7 @@ use crate::kernel::noise::terms::{DisparityError, Lookups, Site, Terms};
 use crate::kernel::own_row::{OwnPixel, OwnRow, noisy_ray};
 use crate::kernel::random::Key;
 use crate::kernel::rectification::{Placed, Rectification};
+use crate::kernel::rectified_row::{rectified_ray, rectified_row, source_pixel};
 use crate::kernel::whole::{floor, nearest};
 
 /// The white part of the noise: its deviation in pixels, and its draws.
@@ -44,14 +45,16 @@ pub struct Matcher<'a> {
     pub terms: Option<Terms>,
     /// Relative depth by which a point may lie behind what the other image sees there; `None` lets it see through.
     pub occlusion_tolerance: Option<f64>,
+    /// Whether disparities are sampled at the pixels of the rectified image, whose depth map is then made.
+    pub rectified: bool,
 }
 
 /// One matched pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Match {
-    /// Depth on the noisy ray, metres.
+    /// Depth on the noisy ray, metres; in the rectified image where that is sampled.
     pub depth_m: f64,
-    /// Normalised coordinates of the noisy ray.
+    /// Normalised coordinates of the noisy ray, or of that of the rectified image.
     pub noisy_ray: [f64; 2],
     /// Disparity without noise of the matching, pixels: that of the true projections, rectified by the noisy cameras.
     pub ideal_px: f64,
@@ -160,7 +163,7 @@ impl Matcher<'_> {
             .enumerate()
             .map(|(row, out)| {
                 let mut tally = Tally::default();
-                let pixels = OwnRow::new(self.ideal[own], &self.cameras[own], &self.noisy[own], row);
+                let pixels = self.own_row(own, row);
                 self.match_row(own, &pixels, |column, found| {
                     tally.add(found);
                     keep(out, column, found);
@@ -169,6 +172,16 @@ impl Matcher<'_> {
             })
             .collect();
         tallies.into_iter().fold(Tally::default(), Tally::plus)
+    }
+
+    /// The pixels of a row that show something, of image `own` or of its rectified image.
+    fn own_row(&self, own: usize, row: usize) -> OwnRow {
+        let (ideal, cameras) = (self.ideal[own], [&self.cameras[own], &self.noisy[own]]);
+        if self.rectified {
+            rectified_row(ideal, cameras, &self.rectification, own, row)
+        } else {
+            OwnRow::new(ideal, cameras[0], cameras[1], row)
+        }
     }
 
     /// Matches the pixels of a row of image `own`, from left to right.
@@ -220,9 +233,17 @@ impl Matcher<'_> {
         let fb_px_m = self.rectification.focal_px * self.rectification.baseline_m;
         let ideal_px = first.position_px[0] - second.position_px[0];
         let level = [pixel.column as f64, row as f64];
-        let (first_px, second_px) = if own == 0 { (level, seen_level) } else { (seen_level, level) };
+        let (first_px, second_px) = match (self.rectified, own) {
+            (true, _) => (first.position_px, second.position_px),
+            (false, 0) => (level, seen_level),
+            (false, _) => (seen_level, level),
+        };
         let error = if let Some(terms) = &self.terms {
-            let pixel_index = row * self.ideal[own].width + pixel.column;
+            let pixel_index = if self.rectified {
+                source_pixel(self.ideal[own], &self.noisy[own], pixel.noisy_ray)?
+            } else {
+                row * self.ideal[own].width + pixel.column
+            };
             let point_m = [pixel.point_m.x, pixel.point_m.y];
             let disparity_px_m = fb_px_m / own_place.slant;
             let rectified_px = first.position_px;
@@ -235,10 +256,15 @@ impl Matcher<'_> {
         let disparity_px = self.terms.as_ref().map_or(matched_px, |terms| terms.sub_pixel(matched_px));
         // Z = f B / D across the rectified plane, and dZ = Z^2 / (f B) dD; both along the own ray by its slant.
         let parallax_px = self.rectification.parallax_px(disparity_px)?;
-        let depth_m = fb_px_m / (parallax_px * own_place.slant);
+        let (slant, noisy_ray) = if self.rectified {
+            (1.0, rectified_ray(&self.rectification, own, level))
+        } else {
+            (own_place.slant, pixel.noisy_ray)
+        };
+        let depth_m = fb_px_m / (parallax_px * slant);
         Some(Match {
             depth_m,
-            noisy_ray: pixel.noisy_ray,
+            noisy_ray,
             ideal_px,
             error,
             sub_pixel_px: disparity_px - matched_px,

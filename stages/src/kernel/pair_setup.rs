@@ -63,6 +63,7 @@ impl Setup<'_> {
             smooth,
             terms,
             occlusion_tolerance: self.occlusion_tolerance,
+            rectified: false,
         })
     }
 

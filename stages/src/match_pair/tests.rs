@@ -339,3 +339,5 @@ fn noise_is_stronger_at_a_ledge_and_holes_leave_gaps() {
     let count = |map: &Depth| map.z.iter().filter(|z| z.is_finite()).count();
     assert!(count(&holes) * 10 < count(&plain) * 8 && count(&holes) * 10 > count(&plain) * 2);
 }
+
+mod rectified;
