@@ -128,6 +128,11 @@ impl Record {
         Ok(out)
     }
 
+    /// The text of the recipe in the bytes of a record.
+    pub(crate) fn recipe_text(bytes: &[u8]) -> Option<&str> {
+        std::str::from_utf8(split(bytes)?.0).ok()
+    }
+
     /// The record these bytes hold; `None` when another program wrote them.
     pub(crate) fn decode(bytes: &[u8]) -> Option<Record> {
         let (recipe, outcome) = split(bytes)?;
@@ -192,6 +197,7 @@ pub(crate) mod tests {
         #[test]
         fn decoding_gives_back_what_was_encoded(record in any_record()) {
             let bytes = record.encode(&record.recipe.text()).unwrap();
+            prop_assert_eq!(Record::recipe_text(&bytes), Some(record.recipe.text().as_str()));
             prop_assert_eq!(Record::decode(&bytes).unwrap(), record);
         }
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::io::BufWriter;
 use std::path::Path;
 
-use rockface_cache::{Outcome, Recipe, Record, Store};
+use rockface_cache::{Outcome, Record, Store};
 use rockface_stages::Entry;
 use rockface_stages::artefact::{Artefact, Kind};
 
@@ -94,7 +94,7 @@ impl Telling<'_> {
             facts: Facts { stage, version, key: result.key, outputs: &outcome.outputs },
             made: made.collect(),
             unshown,
-            recipe: result.recipe(self.store).as_ref().map_or_else(|| "null".to_owned(), Recipe::text),
+            recipe: result.recipe_text(self.store).unwrap_or_else(|| "null".to_owned()),
         }
     }
 

@@ -119,6 +119,11 @@ impl InstanceResult {
         let recorded = || store.record(&self.key?).map(|record| record.recipe);
         self.recipe.clone().or_else(recorded)
     }
+
+    /// The text of its recipe, as it was hashed.
+    pub fn recipe_text(&self, store: &Store) -> Option<String> {
+        self.recipe.as_ref().map_or_else(|| store.recipe_text(&self.key?), |recipe| Some(recipe.text()))
+    }
 }
 
 impl Summary {
