@@ -18,6 +18,7 @@ mod lab;
 mod language;
 mod memory;
 mod reading;
+mod references;
 mod report;
 mod rework;
 mod tidy;
