@@ -197,7 +197,8 @@ pub(crate) mod tests {
         #[test]
         fn decoding_gives_back_what_was_encoded(record in any_record()) {
             let bytes = record.encode(&record.recipe.text()).unwrap();
-            prop_assert_eq!(Record::recipe_text(&bytes), Some(record.recipe.text().as_str()));
+            let text = record.recipe.text();
+            prop_assert_eq!(Record::recipe_text(&bytes), Some(text.as_str()));
             prop_assert_eq!(Record::decode(&bytes).unwrap(), record);
         }
 
