@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 use std::os::unix::fs::MetadataExt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use rayon::ThreadPool;
-use rockface_cache::{Cost, Digest, Outcome, OutputRecord, Recipe, Record, Store, StoreError};
+use rockface_cache::{Cost, Digest, Outcome, OutputRecord, Outputs, Recipe, Record, Store, StoreError};
 use rockface_stages::artefact::{Artefact, Kind};
 use rockface_stages::{AnyStage, Context, Entry, Inputs, Later, Point, StageError};
 
@@ -61,6 +61,8 @@ pub struct Task {
     pub retries: u32,
     /// Whether the log shows its outputs.
     pub sketch: bool,
+    /// The greatest memory of the process that was seen since it began, bytes.
+    pub peak_bytes: Arc<AtomicU64>,
 }
 
 /// What a worker brings back.
@@ -134,13 +136,13 @@ pub fn work(
     outcome.sketches = sketches;
     let kept = |(from, later): &(_, Arc<Later>)| later.kept().map(|value| (*from, value.clone()));
     let loaded: Vec<_> = stored.iter().filter_map(kept).collect();
-    let memory =
-        values.values().chain(loaded.iter().map(|(_, value)| value)).map(|value| value.memory_bytes() as u64).sum();
+    let handled = values.values().chain(loaded.iter().map(|(_, value)| value));
+    let handled_bytes: u64 = handled.map(|value| value.memory_bytes() as u64).sum();
     let finished = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
     outcome.cost = Cost {
         wall_s: start.elapsed().as_secs_f64(),
         cpu_s: process_cpu_s() - cpu,
-        peak_bytes: memory,
+        peak_bytes: handled_bytes.max(task.peak_bytes.load(Ordering::Relaxed)),
         finished_unix_s: finished,
     };
     let Outcome { outputs, log, sketches, cost } = outcome.clone();
@@ -304,7 +306,7 @@ fn keep(
     values: &BTreeMap<&'static str, Arc<Artefact>>,
     entries: &[Entry],
 ) -> Result<Outcome, Failure> {
-    let mut outputs = BTreeMap::new();
+    let mut outputs = Outputs::default();
     for (port, value) in values {
         let encoded = pool
             .install(|| value.encode())
@@ -314,6 +316,7 @@ fn keep(
             kind: value.kind().word().to_owned(),
             digest,
             bytes: encoded.len() as u64,
+            memory_bytes: Some(value.memory_bytes() as u64),
             kept: task.keep,
             items: value.items(),
         };

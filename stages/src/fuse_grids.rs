@@ -6,7 +6,7 @@ use crate::kernel::map_fusion::{Averaging, Rule};
 use crate::kernel::rasterise::{MAXIMUM_CELLS, grid_around};
 use crate::kernel::window;
 use crate::params::{Fault, Range};
-use crate::{Context, Inputs, Outputs, Page, Point, Port, Stage, StageError, fail, params};
+use crate::{Context, InputSizes, Inputs, Outputs, Page, Point, Port, Stage, StageError, fail, params};
 
 params! {
     /// Parameters of `fuse-grids`.
@@ -68,6 +68,11 @@ steps:
 
     fn check(params: &Self::Params) -> Vec<Fault> {
         window::faults(params.window_m)
+    }
+
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        // All grids are at hand together; the fused one, its surface and their files besides.
+        2 * inputs.total() + 8 * inputs.largest("grids")
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

@@ -66,8 +66,7 @@ steps:
     /// The volume and the mesh made of it, going by a surface a few images wide at voxels of about two pixels; of the depth
     /// maps, which may be more than memory holds, one at a time.
     fn memory_bytes(_params: &Self::Params, inputs: &InputSizes) -> u64 {
-        let largest = inputs.0.iter().map(|(_, bytes)| *bytes).max().unwrap_or(0);
-        largest.saturating_mul(32)
+        inputs.largest("depths").saturating_mul(32)
     }
 
     fn check(params: &Self::Params) -> Vec<Fault> {

@@ -7,6 +7,7 @@
 pub mod artefact;
 mod inputs;
 pub mod kernel;
+mod needs;
 pub mod params;
 mod program;
 mod stage;
@@ -86,10 +87,11 @@ mod transform_crs;
 mod triangulate_surface;
 
 pub use inputs::{Element, Inputs, Later};
+pub use needs::{InputSize, InputSizes, SmallInput};
 pub use program::{Piece, Program, ProgramResult};
 pub use stage::{
-    AnyStage, Arity, Checked, Context, Entry, Host, InputSizes, Outputs, Page, Point, Port, Ports, Row, SourceFile,
-    Stage, StageError,
+    AnyStage, Arity, Checked, Context, Entry, Host, Outputs, Page, Point, Port, Ports, Row, SourceFile, Stage,
+    StageError,
 };
 
 static STAGES: &[&dyn AnyStage] = &[

@@ -138,9 +138,7 @@ steps:
 
     /// The map and its channels with two copies while they are written, and depth maps of eight partners or so.
     fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
-        let depths = inputs.0.iter().filter(|(port, _)| *port == "depths");
-        let largest = depths.map(|(_, bytes)| *bytes).max().unwrap_or(0);
-        largest.saturating_mul(9 + 3 * (1 + params.channels.len() as u64))
+        inputs.largest("depths").saturating_mul(9 + 3 * (1 + params.channels.len() as u64))
     }
 
     fn check(params: &Self::Params) -> Vec<Fault> {

@@ -7,7 +7,7 @@ use crate::kernel::matching::Matching;
 use crate::kernel::pair_matching::{Match, Matcher, Tally};
 use crate::kernel::pair_setup::{check_size, noisy_image};
 use crate::kernel::rectified_row::rectified_camera;
-use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
+use crate::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
 
 choice! {
     /// An image of a pair.
@@ -115,6 +115,14 @@ steps:
 
     fn draws(params: &Self::Params) -> bool {
         params.matching.draws()
+    }
+
+    fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
+        // Both maps, the noisy one and its file; further terms of the noise and channels are maps too.
+        let maps = inputs.of("first") + inputs.of("second");
+        let terms = if params.matching.matcher.is_some() { 2 } else { 0 };
+        let channels = if params.channels { 24 } else { 0 };
+        (4 + terms) * maps + channels * inputs.of("first")
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

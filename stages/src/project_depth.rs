@@ -7,7 +7,7 @@ use crate::kernel::depth_update::redraw;
 use crate::kernel::ray_row::RayRow;
 use crate::kernel::window;
 use crate::params::{Fault, Range};
-use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use crate::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
 params! {
     /// Parameters of `project-depth`.
@@ -83,6 +83,17 @@ steps:
 
     fn check(params: &Self::Params) -> Vec<Fault> {
         window::faults(params.window_m)
+    }
+
+    fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
+        // Depths in double precision, once more for their median, and the map; with `before` the triangles that changed.
+        let pixels = inputs.small("cameras", |cameras: &Cameras| {
+            let sensor = cameras.image(&params.image).map(|image| cameras.sensor(image));
+            let side = |pixels: u32| u64::from(pixels / params.downscale.max(1));
+            sensor.map_or(0, |sensor| side(sensor.width_px) * side(sensor.height_px))
+        });
+        let meshes = inputs.of("mesh") + inputs.of("before_mesh");
+        2 * meshes + 3 * inputs.of("before_mesh") + 2 * inputs.of("before") + 30 * pixels.unwrap_or(0)
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

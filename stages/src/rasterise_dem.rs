@@ -4,7 +4,7 @@ use crate::artefact::{Frame, Grid, Kind, Raster, Transform};
 use crate::kernel::shape::{Moved, Shape};
 use crate::kernel::{frame_change, rasterise, window};
 use crate::params::{Fault, Range};
-use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
+use crate::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
 
 choice! {
     /// How a cell gets its value.
@@ -62,6 +62,11 @@ impl Stage for RasteriseDem {
 
     fn check(params: &Self::Params) -> Vec<Fault> {
         window::faults(params.window_m)
+    }
+
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        // The surface, as it is read and as it is used, and sums and counts of the cells.
+        5 * inputs.of("surface") + 3 * inputs.of("grid")
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

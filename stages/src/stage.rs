@@ -8,6 +8,7 @@ use serde_json::Value;
 
 use crate::artefact::{Artefact, Kind};
 use crate::inputs::Inputs;
+use crate::needs::InputSizes;
 use crate::params::{Fault, Field, FileRef, FilesRef, ParamType, Params};
 use crate::program::{Program, ProgramResult};
 
@@ -293,30 +294,15 @@ pub trait Stage: Send + Sync + 'static {
         Vec::new()
     }
 
-    /// The memory it will need beside its inputs, bytes, going by its parameters and the size of its inputs. A guess on the
-    /// safe side: a run starts no more steps at once than fit into its memory.
+    /// The memory it will need, its inputs and outputs among it, bytes, going by its parameters and its inputs. A guess on
+    /// the safe side, with everything that is made while outputs are encoded and sketched: a run starts no more steps at
+    /// once than fit into its memory.
     fn memory_bytes(_params: &Self::Params, inputs: &InputSizes) -> u64 {
         inputs.total().saturating_mul(4)
     }
 
     /// Does the work.
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError>;
-}
-
-/// The sizes of the inputs of a step instance, files that its parameters name among them, bytes as they are stored.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct InputSizes(pub Vec<(&'static str, u64)>);
-
-impl InputSizes {
-    /// All inputs.
-    pub fn total(&self) -> u64 {
-        self.0.iter().fold(0, |sum, (_, bytes)| sum.saturating_add(*bytes))
-    }
-
-    /// The inputs at one port.
-    pub fn of(&self, port: &str) -> u64 {
-        self.0.iter().filter(|(own, _)| *own == port).fold(0, |sum, (_, bytes)| sum.saturating_add(*bytes))
-    }
 }
 
 /// Parameters that were read and checked.
@@ -346,7 +332,7 @@ pub trait AnyStage: Sync {
     fn fields(&self) -> Vec<Field>;
     /// Reads and checks a step's `with`.
     fn check(&self, with: &Value) -> Result<Checked, Vec<Fault>>;
-    /// The memory it will need beside its inputs, bytes; `with` must have passed [`AnyStage::check`].
+    /// The memory it will need, bytes; `with` must have passed [`AnyStage::check`].
     fn memory_bytes(&self, with: &Value, inputs: &InputSizes) -> u64;
     /// Does the work; `with` must have passed [`AnyStage::check`].
     fn run(&self, with: &Value, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError>;
