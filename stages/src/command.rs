@@ -1,7 +1,6 @@
 //! `command`: runs any program over declared inputs and outputs.
 
 mod declared;
-mod ended;
 mod fill;
 
 use std::collections::BTreeMap;
@@ -12,7 +11,7 @@ use self::declared::Declared;
 use self::fill::{Names, TEMPLATE, pieces};
 use crate::artefact::{Artefact, Table};
 use crate::params::{Fault, FileRef};
-use crate::program::{Piece, Program, ProgramResult};
+use crate::program::{Piece, Program, ProgramResult, ended};
 use crate::{Arity, Context, Inputs, Outputs, Page, Port, Ports, Stage, StageError, params};
 
 params! {
@@ -104,7 +103,7 @@ impl Stage for Command {
         let ports = declared::ports_of(&params.inputs, &params.outputs);
         let program = program(params, inputs, context)?;
         let result = context.execute(&program)?;
-        tell(context, &result);
+        ended::tell(context, &result);
         ended::well(&params.program, &result)?;
         ports.outputs.iter().try_fold(Outputs::default(), |outputs, port| {
             let declared = &params.outputs[port.name];
@@ -144,27 +143,19 @@ fn given(params: &CommandParams, inputs: &Inputs) -> Result<Vec<(String, Vec<u8>
         let elements = inputs.elements(port);
         if declared.arity != Arity::Many {
             for element in elements {
-                files.push((declared.place("in", port), declared.bytes(port, &element.artefact)?));
+                files.push((declared.place("in", port), declared.bytes(port, element.artefact()?)?));
             }
             continue;
         }
         let mut index = Vec::new();
         for (number, element) in elements.iter().enumerate() {
             let name = format!("{number:06}.{}", declared.extension());
-            files.push((format!("in/{port}/{name}"), declared.bytes(port, &element.artefact)?));
+            files.push((format!("in/{port}/{name}"), declared.bytes(port, element.artefact()?)?));
             index.push(serde_json::json!({ "file": name, "point": element.point }));
         }
         files.push((format!("in/{port}/index.json"), Value::from(index).to_string().into_bytes()));
     }
     Ok(files)
-}
-
-fn tell(context: &Context, result: &ProgramResult) {
-    for (name, text) in [("standard output", &result.stdout), ("standard error", &result.stderr)] {
-        if !text.trim().is_empty() {
-            context.note(format!("{name}:\n{}", text.trim_end()));
-        }
-    }
 }
 
 fn output(port: &str, declared: &Declared, result: &ProgramResult) -> Result<Artefact, StageError> {

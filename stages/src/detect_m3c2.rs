@@ -76,8 +76,8 @@ steps:
 ",
     };
     const INPUTS: &'static [Port] = &[
-        Port::one("reference", &[Kind::Surface, Kind::Mesh], "The earlier epoch: its points or vertices."),
-        Port::one("comparison", &[Kind::Surface, Kind::Mesh], "The later epoch."),
+        Port::one("reference", &[Kind::Surface, Kind::Mesh, Kind::Cloud], "The earlier epoch: its points or vertices."),
+        Port::one("comparison", &[Kind::Surface, Kind::Mesh, Kind::Cloud], "The later epoch."),
         Port::optional("transform", &[Kind::Transform], "Applied to the comparison, such as a registration."),
         Port::optional("grid", &[Kind::Raster], "A raster whose window is searched; its cell is not taken."),
     ];
@@ -121,7 +121,7 @@ steps:
 
 fn shape<'a>(inputs: &'a Inputs, port: &str) -> Result<Shape<'a>, StageError> {
     let artefact: &Artefact = inputs.artefact(port)?;
-    Shape::of(artefact).ok_or_else(|| StageError::new(format!("port `{port}` needs a surface or a mesh")))
+    Shape::of(artefact).ok_or_else(|| StageError::new(format!("port `{port}` needs a surface, a mesh or a cloud")))
 }
 
 fn grid(params: &DetectM3c2Params, reference: Shape, inputs: &Inputs) -> Result<Grid, StageError> {

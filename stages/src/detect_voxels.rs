@@ -6,6 +6,7 @@ use crate::artefact::{Artefact, Grid, Kind, Surface, Transform};
 use crate::kernel::detection::change::Change;
 use crate::kernel::detection::found::{self, Found};
 use crate::kernel::detection::voxels::{Cluster, Voxels};
+use crate::kernel::raster_surface;
 use crate::kernel::shape::{Moved, Shape};
 use crate::params::Range;
 use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
@@ -107,28 +108,7 @@ fn shape<'a>(port: &str, inputs: &'a Inputs) -> Result<Shape<'a>, StageError> {
 /// The triangles between the cell centres of an elevation raster; `None` for what has triangles of its own.
 fn triangles(port: &str, artefact: &Artefact) -> Result<Option<Surface>, StageError> {
     let Artefact::Raster(raster) = artefact else { return Ok(None) };
-    let [band] = raster.bands.as_slice() else { fail!("`{port}` has {} bands, one is needed", raster.bands.len()) };
-    let Grid { columns: width, rows: height, left_m, top_m, .. } = raster.grid;
-    let z_m = band.values.iter().find(|z| !z.is_nan()).map_or(0.0, |z| f64::from(*z));
-    let point = |(cell, z): (usize, &f32)| {
-        let (x, y) = raster.grid.centre(cell / width, cell % width);
-        let local = [x - left_m, y - top_m, f64::from(*z) - z_m].map(|value| value as f32);
-        if z.is_nan() { [f32::NAN; 3] } else { local }
-    };
-    let points: Vec<[f32; 3]> = band.values.iter().enumerate().map(point).collect();
-    let square = |place: usize| {
-        let (row, column) = (place / (width - 1), place % (width - 1));
-        let whole = |other: u8| {
-            let corners = Surface::corners(width, row, column, other);
-            corners.map(|triangle| triangle.iter().all(|corner| !points[*corner][0].is_nan()))
-        };
-        let byte = |[first, second]: [bool; 2]| u8::from(first) * Surface::FIRST + u8::from(second) * Surface::SECOND;
-        // With one corner missing, the diagonal between its neighbours leaves a triangle.
-        let (plain, other) = (byte(whole(0)), byte(whole(Surface::OTHER_DIAGONAL)));
-        if plain == 0 && other != 0 { other | Surface::OTHER_DIAGONAL } else { plain }
-    };
-    let squares = (0..width.saturating_sub(1) * height.saturating_sub(1)).map(square).collect();
-    Ok(Some(Surface { frame: raster.frame, width, height, origin_m: [left_m, top_m, z_m], points, squares }))
+    raster_surface::between_cells(raster).map(Some).map_err(|text| StageError::new(format!("`{port}` {text}")))
 }
 
 /// The columns of voxels as a grid.

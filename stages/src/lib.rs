@@ -5,7 +5,9 @@
 //! needs of them it is lent through [`Context`].
 
 pub mod artefact;
+mod inputs;
 pub mod kernel;
+mod needs;
 pub mod params;
 mod program;
 mod stage;
@@ -36,11 +38,14 @@ mod draw_scores;
 mod draw_search;
 mod estimate_covariance;
 mod export_cameras;
+mod export_cloud;
 mod export_dataset;
+mod export_metashape;
 mod filter_outliers;
 mod fit_acceptance;
 mod fit_magnitude_frequency;
 mod forecast_precision;
+mod fuse_colmap;
 mod fuse_depth;
 mod fuse_grids;
 mod fuse_volume;
@@ -81,10 +86,12 @@ mod test_acceptance;
 mod transform_crs;
 mod triangulate_surface;
 
+pub use inputs::{Element, Inputs, Later};
+pub use needs::{InputSize, InputSizes, SmallInput};
 pub use program::{Piece, Program, ProgramResult};
 pub use stage::{
-    AnyStage, Arity, Checked, Context, Element, Entry, Host, InputSizes, Inputs, Outputs, Page, Point, Port, Ports,
-    Row, SourceFile, Stage, StageError,
+    AnyStage, Arity, Checked, Context, Entry, Host, Outputs, Page, Point, Port, Ports, Row, SourceFile, Stage,
+    StageError,
 };
 
 static STAGES: &[&dyn AnyStage] = &[
@@ -112,10 +119,13 @@ static STAGES: &[&dyn AnyStage] = &[
     &Row::<grid_depth::GridDepth>::new(),
     &Row::<fuse_grids::FuseGrids>::new(),
     &Row::<fuse_volume::FuseVolume>::new(),
+    &Row::<fuse_colmap::FuseColmap>::new(),
+    &Row::<export_metashape::ExportMetashape>::new(),
     &Row::<clean_mesh::CleanMesh>::new(),
     &Row::<register_icp::RegisterIcp>::new(),
     &Row::<rasterise_dem::RasteriseDem>::new(),
     &Row::<difference_dem::DifferenceDem>::new(),
+    &Row::<export_cloud::ExportCloud>::new(),
     &Row::<detect_raster::DetectRaster>::new(),
     &Row::<detect_m3c2::DetectM3c2>::new(),
     &Row::<detect_voxels::DetectVoxels>::new(),

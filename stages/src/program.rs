@@ -1,5 +1,7 @@
 //! What a stage asks the engine to run for it, and what comes back; no stage starts a process itself.
 
+pub(crate) mod ended;
+
 use std::collections::BTreeMap;
 
 /// A part of an argument.

@@ -1,10 +1,10 @@
 //! `rasterise-dem`: turns a surface into a grid of elevations above the wall plane.
 
 use crate::artefact::{Frame, Grid, Kind, Raster, Transform};
-use crate::kernel::rasterise;
 use crate::kernel::shape::{Moved, Shape};
+use crate::kernel::{frame_change, rasterise, window};
 use crate::params::{Fault, Range};
-use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
+use crate::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
 
 choice! {
     /// How a cell gets its value.
@@ -45,34 +45,39 @@ impl Stage for RasteriseDem {
                  of the raster at `grid`, else `window_m`, else the extent snapped outward to multiples of the cell.",
         frames: "Surface in the wall frame (Z out of the rock), metres; elevation in metres. Epochs that are to be compared \
                  need one grid: give all the same `window_m`, or the first raster as `grid`.",
-        fails: "The surface has no points; the window is empty; the grid would have more than 1.5e8 cells; a transform from another frame than the surface's.",
+        fails: "The surface has no points; the window is empty; the grid would have more than 1.5e8 cells; a transform that has nothing to do with the frame of the surface; `tin` of a cloud.",
         example: "rockface: 1\nname: dem-of-a-face\nseed: 1\nsteps:\n  face: {stage: synthesise-face, with: {width_m: 3, height_m: 2}}\n  \
                   dem:\n    stage: rasterise-dem\n    in: {surface: face.mesh}\n    with: {cell_m: 0.05, method: tin}\n",
     };
     const INPUTS: &'static [Port] = &[
-        Port::one("surface", &[Kind::Surface, Kind::Mesh], "What is measured or known, in the wall frame."),
+        Port::one(
+            "surface",
+            &[Kind::Surface, Kind::Mesh, Kind::Cloud],
+            "What is measured or known, in the wall frame.",
+        ),
         Port::optional("transform", &[Kind::Transform], "Applied to every point, such as a registration."),
         Port::optional("grid", &[Kind::Raster], "A raster whose grid is taken over exactly."),
     ];
     const OUTPUTS: &'static [Port] = &[Port::one("raster", &[Kind::Raster], "Elevation, metres, one band.")];
 
     fn check(params: &Self::Params) -> Vec<Fault> {
-        match params.window_m {
-            Some([left, right, bottom, top]) if !(left < right && bottom < top) => {
-                let text =
-                    format!("[{left}, {right}, {bottom}, {top}] is empty; the order is left, right, bottom, top");
-                vec![Fault { path: vec!["window_m".into()], ..Fault::new(text) }]
-            }
-            _ => Vec::new(),
-        }
+        window::faults(params.window_m)
+    }
+
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        // The surface, as it is read and as it is used, and sums and counts of the cells.
+        5 * inputs.of("surface") + 3 * inputs.of("grid")
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let shape = Shape::of(inputs.artefact("surface")?)
-            .ok_or_else(|| StageError::new("port `surface` needs a surface or a mesh"))?;
-        let transform = inputs.optional::<Transform>("transform")?;
-        let moved = transform.and_then(Moved::by);
-        check_frames(shape.frame(), transform)?;
+            .ok_or_else(|| StageError::new("port `surface` needs a surface, a mesh or a cloud"))?;
+        let change = frame_change::change(shape.frame(), inputs.optional::<Transform>("transform")?)?;
+        let moved = change.moved;
+        if params.method == DemMethod::Tin && matches!(shape, Shape::Cloud(_)) {
+            return Err(StageError::new("`method: tin` interpolates in triangles, and a cloud has none")
+                .hint("take `method: mean`"));
+        }
         let grid = match inputs.optional::<Raster>("grid")? {
             Some(raster) => usable(raster.grid)?,
             None => make_grid(params, shape, moved.as_ref())?,
@@ -82,7 +87,7 @@ impl Stage for RasteriseDem {
             DemMethod::Tin => rasterise::tin(shape, moved.as_ref(), &grid),
         };
         report(&values, &grid, context);
-        let frame = frame_after(shape.frame(), transform);
+        let frame = change.frame;
         if frame == Frame::World {
             context.warn("the surface is in the world frame: elevation is along world Z, not out of the wall");
         }
@@ -107,24 +112,6 @@ fn usable(grid: Grid) -> Result<Grid, StageError> {
         return Ok(grid);
     }
     fail!("the given grid has {} x {} cells of {} m and cannot be filled", grid.columns, grid.rows, grid.cell_m)
-}
-
-/// A transform that says it comes from the world or the wall frame fits only a surface in that frame.
-fn check_frames(frame: Frame, transform: Option<&Transform>) -> Result<(), StageError> {
-    let named = |t: &&Transform| ["world", "wall"].contains(&t.from.as_str()) && t.from != frame.to_string();
-    match transform.filter(named) {
-        None => Ok(()),
-        Some(t) => Err(StageError::new(format!(
-            "the transform takes {} to {}, but the surface is in the {frame} frame",
-            t.from, t.to
-        ))
-        .hint("leave the transform out, or give the surface as it was before")),
-    }
-}
-
-fn frame_after(frame: Frame, transform: Option<&Transform>) -> Frame {
-    let named = |t: &Transform| [Frame::World, Frame::Wall].into_iter().find(|f| f.to_string() == t.to);
-    transform.and_then(named).unwrap_or(frame)
 }
 
 fn report(values: &[f32], grid: &Grid, context: &Context) {

@@ -1,7 +1,7 @@
 //! `triangulate-surface`: turns an organised surface into a triangle mesh that other programs open.
 
-use crate::artefact::{Frame, Kind, Mesh, Surface, Transform};
-use crate::kernel::shape::Moved;
+use crate::artefact::{Artefact, Kind, Mesh, Surface, Transform};
+use crate::kernel::frame_change;
 use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
 params! {
@@ -21,12 +21,13 @@ impl Stage for TriangulateSurface {
     const VERSION: u32 = 1;
     const PAGE: Page = Page {
         what: "Writes the points and triangles of an organised surface out as a mesh (PLY), for other programs and for stages that \
-               take meshes; moved by a transform first where one is given.",
+               take meshes; moved by a transform first where one is given. A mesh stays what it is, but for the transform.",
         method: "Each point that a triangle uses becomes a vertex, in order of rows; triangles keep the cut of their square. With \
                  `step` above 1 only every so many rows and columns are taken: a square is cut in two where its four points \
                  exist, from its first corner to the opposite one, whatever lay between.",
-        frames: "Metres, in the frame of the surface, or the one the transform leads to.",
-        fails: "The surface has no triangle, or the transform comes from another frame than the surface's.",
+        frames: "Metres, in the frame of the surface, or the one the transform leads to: `wall_from_world` of `transform-crs` takes \
+                 what is in the wall frame back to the world.",
+        fails: "The surface has no triangle, a mesh is to be thinned, or the transform has nothing to do with the frame of the surface.",
         example: "\
 rockface: 1
 name: surface-as-ply
@@ -40,40 +41,29 @@ steps:
 ",
     };
     const INPUTS: &'static [Port] = &[
-        Port::one("surface", &[Kind::Surface], "From `fuse-depth` or `clean-mesh`."),
+        Port::one("surface", &[Kind::Surface, Kind::Mesh], "From `fuse-depth` or `clean-mesh`; or a mesh."),
         Port::optional("transform", &[Kind::Transform], "Applied to every point, such as the way back to the world."),
     ];
     const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The same points and triangles.")];
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
-        let surface = inputs.one::<Surface>("surface")?;
-        let transform = inputs.optional::<Transform>("transform")?;
-        let frame = frame_after(surface.frame, transform)?;
-        let mut mesh = triangulate(surface, params.step as usize);
+        let step = params.step as usize;
+        let mut mesh = match inputs.artefact("surface")? {
+            Artefact::Mesh(_) if step > 1 => fail!("`step` thins the rows and columns of a surface; a mesh has none"),
+            Artefact::Mesh(mesh) => mesh.clone(),
+            _ => triangulate(inputs.one("surface")?, step),
+        };
         if mesh.triangles.is_empty() {
-            fail!("the surface of {} x {} points has no triangle at this step", surface.width, surface.height);
+            fail!("the surface has no triangle, or none is left at a step of {step}");
         }
-        if let Some(moved) = transform.and_then(Moved::by) {
+        let change = frame_change::change(mesh.frame, inputs.optional::<Transform>("transform")?)?;
+        if let Some(moved) = change.moved {
             mesh.vertices.iter_mut().for_each(|vertex| *vertex = moved.apply(*vertex));
         }
-        mesh.frame = frame;
+        mesh.frame = change.frame;
         let (vertices, triangles) = (mesh.vertices.len(), mesh.triangles.len());
         context.headline(format!("{vertices} vertices, {triangles} triangles"));
         Ok(Outputs::of("mesh", mesh))
-    }
-}
-
-/// The frame a transform from the surface's frame leads to.
-fn frame_after(frame: Frame, transform: Option<&Transform>) -> Result<Frame, StageError> {
-    let Some(transform) = transform else { return Ok(frame) };
-    let named = |name: &str| [Frame::World, Frame::Wall].into_iter().find(|frame| frame.to_string() == name);
-    match (named(&transform.from), named(&transform.to)) {
-        (Some(from), _) if from != frame => Err(StageError::new(format!(
-            "the transform takes {} to {}, but the surface is in the {frame} frame",
-            transform.from, transform.to
-        ))),
-        (_, Some(to)) => Ok(to),
-        (_, None) => Ok(frame),
     }
 }
 
@@ -117,7 +107,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::artefact::Artefact;
+    use crate::artefact::Frame;
     use crate::testing::{TestHost, run_stage};
 
     /// 3 x 3 points, rows down, with a hole in the last corner.
@@ -160,8 +150,18 @@ mod tests {
         let mesh = made(&json!({"step": 2}), &inputs).unwrap();
         assert_eq!((mesh.vertices.len(), mesh.triangles.len(), mesh.frame), (4, 2, Frame::World));
         assert!((mesh.vertices[0][2] - 13.25).abs() < 1e-12);
-        let wrong = [("surface", surface().into()), ("transform", Transform::identity("world", "wall").into())];
-        assert!(made(&json!({}), &wrong).unwrap_err().message.contains("surface is in the wall frame"));
+        let mut in_wall = Transform::identity("world", "wall");
+        in_wall.origin = [1e6, 0.0, 0.0];
+        let inputs = [("surface", mesh.clone().into()), ("transform", in_wall.clone().into())];
+        let moved = made(&json!({}), &inputs).unwrap();
+        assert_eq!((moved.frame, moved.triangles == mesh.triangles), (Frame::Wall, true));
+        let back = made(&json!({}), &[("surface", moved.into()), ("transform", in_wall.into())]).unwrap();
+        assert_eq!(back, mesh);
+        let wrong = [("surface", surface().into()), ("transform", Transform::identity("world", "local").into())];
+        assert!(made(&json!({}), &wrong).unwrap_err().message.contains("is in the wall frame"));
+        assert!(
+            made(&json!({"step": 2}), &[("surface", mesh.into())]).unwrap_err().message.contains("a mesh has none")
+        );
         assert!(
             made(&json!({"step": 2}), &[("surface", surface().into())]).unwrap_err().message.contains("no triangle")
         );

@@ -12,13 +12,14 @@ const SCENE: &str = include_str!("golden.yaml");
 const LIST: &str = "tests/house/golden.txt";
 
 /// Stages that need files or programs; what they read is pinned by tests of their own.
-const NEED_FILES: [&str; 8] = [
+const NEED_FILES: [&str; 9] = [
     "import-mesh",
     "import-cloud",
     "import-cameras",
     "import-rasters",
     "import-inventory",
     "command",
+    "fuse-colmap",
     "import-blocks",
     "import-table",
 ];

@@ -22,9 +22,9 @@ class Run:
         return self.folder / "outputs" / step / point / file
 
 
-def execute(binary: Path, pipeline: Path, work: Path) -> Run:
+def execute(binary: Path, pipeline: Path, work: Path, *more: str) -> Run:
     """Runs a pipeline into a store of its own; fails with what the program said."""
-    command = [binary, "run", pipeline, "--quiet", "--store", work / "store", "--runs", work / "runs"]
+    command = [binary, "run", pipeline, "--quiet", "--store", work / "store", "--runs", work / "runs", *more]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, f"{pipeline.name}: exit code {done.returncode}\n{done.stdout}{done.stderr}"
     return Run((work / "runs" / "latest").resolve())

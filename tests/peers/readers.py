@@ -51,6 +51,25 @@ def unproject(camera, columns, rows, z):
     return centre + z.astype(float)[:, None] * rays(camera, columns, rows) @ rotation
 
 
+def read_cloud(path):
+    """Points, normals, further numbers by name and the frame of a cloud."""
+    header, body = path.read_bytes().split(b"end_header\n", 1)
+    lines = header.decode("ascii").splitlines()
+    assert lines[1] == "format binary_little_endian 1.0"
+    types = {"double": "<f8", "float": "<f4", "uchar": "u1", "uint": "<u4"}
+    fields = [(line.split()[2], types[line.split()[1]]) for line in lines if line.startswith("property")]
+    count = next(int(line.split()[2]) for line in lines if line.startswith("element vertex"))
+    rows = np.frombuffer(body, fields)
+    assert len(rows) == count
+    stated = next(line for line in lines if line.startswith("comment rockface cloud, frame "))
+    cloud = {name: rows[name] for name in rows.dtype.names}
+    cloud["frame"] = stated.split()[4].rstrip(",")
+    cloud["points"] = np.stack([rows[axis] for axis in "xyz"], axis=1)
+    if "nx" in cloud:
+        cloud["normals"] = np.stack([rows["n" + axis] for axis in "xyz"], axis=1).astype(float)
+    return cloud
+
+
 def read_surface(path):
     """Points (height x width x 3, metres, NaN = none), squares (bytes) and header of a surface file."""
     magic, header, body = path.read_bytes().split(b"\n", 2)

@@ -1,6 +1,6 @@
 //! What there is to say of an artefact or a log: sizes, ranges, missing values.
 
-use rockface_stages::artefact::{Artefact, Mesh, Raster, Table};
+use rockface_stages::artefact::{Artefact, Cloud, Mesh, Raster, Table};
 #[cfg(test)]
 use serde_json::Map;
 use serde_json::{Value, json};
@@ -35,6 +35,7 @@ pub fn of_artefact(artefact: &Artefact) -> Facts {
     let mut facts: Facts = vec![("kind".into(), artefact.kind().word().into())];
     match artefact {
         Artefact::Mesh(mesh) => facts.extend(of_mesh(mesh)),
+        Artefact::Cloud(cloud) => facts.extend(of_cloud(cloud)),
         Artefact::Surface(surface) => {
             facts.push(("frame".into(), surface.frame.to_string().into()));
             facts.push(("size".into(), format!("{} x {}", surface.width, surface.height).into()));
@@ -88,6 +89,21 @@ fn of_mesh(mesh: &Mesh) -> Facts {
     for axis in 0..3 {
         facts.push((format!("{} (m)", ["x", "y", "z"][axis]), range(mesh.vertices.iter().map(|vertex| vertex[axis]))));
     }
+    facts
+}
+
+fn of_cloud(cloud: &Cloud) -> Facts {
+    let mut facts: Facts = vec![
+        ("frame".into(), cloud.frame.to_string().into()),
+        ("points".into(), cloud.points.len().into()),
+        ("normals".into(), (!cloud.normals.is_empty()).into()),
+        ("coloured".into(), (!cloud.colours.is_empty()).into()),
+    ];
+    for axis in 0..3 {
+        facts.push((format!("{} (m)", ["x", "y", "z"][axis]), range(cloud.points.iter().map(|point| point[axis]))));
+    }
+    let numbers = cloud.numbers.iter();
+    facts.extend(numbers.map(|(name, values)| (name.clone(), range(values.iter().copied().map(f64::from)))));
     facts
 }
 

@@ -201,6 +201,10 @@ impl<'a> Chain<'a> {
 
     /// The stops of the input that is the same image at the same size.
     fn upstream(&self, record: &Record, depth: &Depth, pixel: [usize; 2]) -> Result<Vec<Stop>, CliError> {
+        if record.recipe.params.get("sampling").and_then(Value::as_str) == Some("rectified") {
+            // Its pixels are those of a rectified image, which no map upstream has.
+            return Ok(Vec::new());
+        }
         for input in record.recipe.inputs.values() {
             let RecipeInput::One(digest) = input else { continue };
             if self.kinds.get(digest) != Some(&Kind::Depth) {

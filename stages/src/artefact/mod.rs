@@ -5,6 +5,7 @@
 mod acceptance;
 mod cameras;
 pub mod candidates;
+mod cloud;
 mod covariance;
 mod depth;
 mod figure;
@@ -25,6 +26,7 @@ mod transform;
 pub use acceptance::{Acceptance, GroupModel};
 pub use cameras::{Cameras, Image, Sensor};
 pub use candidates::Candidates;
+pub use cloud::Cloud;
 pub use covariance::Covariance;
 pub use depth::{Depth, DepthPixel};
 pub use figure::Figure;
@@ -187,6 +189,8 @@ macro_rules! artefacts {
 }
 
 artefacts! {
+    // Before the other kinds of PLY file: it alone refuses files with faces.
+    Cloud = "cloud" . "ply": "Points with normals, colours and numbers.",
     Mesh = "mesh" . "ply": "Triangle mesh, f64 vertices.",
     Surface = "surface" . "surface": "Organised grid of points with implicit triangles.",
     Raster = "raster" . "tif": "One or more bands on a square grid: elevation, difference, mask.",

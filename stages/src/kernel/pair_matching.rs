@@ -14,9 +14,11 @@ use crate::fail;
 use crate::kernel::camera::{Camera, full_pixel};
 use crate::kernel::matching_noise::{FieldRecipe, LocalNoise, Lookup, SmoothNoise};
 use crate::kernel::noise::terms::{DisparityError, Lookups, Site, Terms};
-use crate::kernel::own_row::{OwnPixel, OwnRow, noisy_ray};
+use crate::kernel::noisy_rays::NoisyRays;
+use crate::kernel::own_row::{OwnPixel, OwnRow};
 use crate::kernel::random::Key;
 use crate::kernel::rectification::{Placed, Rectification};
+use crate::kernel::rectified_row::{rectified_ray, rectified_row, source_pixel};
 use crate::kernel::whole::{floor, nearest};
 
 /// The white part of the noise: its deviation in pixels, and its draws.
@@ -34,6 +36,8 @@ pub struct Matcher<'a> {
     pub noisy: [Camera; 2],
     /// Whether the noisy camera has the interior orientation of the true one.
     pub same_interior: [bool; 2],
+    /// Rays of the noisy cameras from those of the true ones.
+    pub noisy_rays: [NoisyRays; 2],
     /// Rectification of the noisy cameras.
     pub rectification: Rectification,
     /// White noise; `None` without any.
@@ -44,14 +48,16 @@ pub struct Matcher<'a> {
     pub terms: Option<Terms>,
     /// Relative depth by which a point may lie behind what the other image sees there; `None` lets it see through.
     pub occlusion_tolerance: Option<f64>,
+    /// Whether disparities are sampled at the pixels of the rectified image, whose depth map is then made.
+    pub rectified: bool,
 }
 
 /// One matched pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Match {
-    /// Depth on the noisy ray, metres.
+    /// Depth on the noisy ray, metres; in the rectified image where that is sampled.
     pub depth_m: f64,
-    /// Normalised coordinates of the noisy ray.
+    /// Normalised coordinates of the noisy ray, or of that of the rectified image.
     pub noisy_ray: [f64; 2],
     /// Disparity without noise of the matching, pixels: that of the true projections, rectified by the noisy cameras.
     pub ideal_px: f64,
@@ -160,7 +166,7 @@ impl Matcher<'_> {
             .enumerate()
             .map(|(row, out)| {
                 let mut tally = Tally::default();
-                let pixels = OwnRow::new(self.ideal[own], &self.cameras[own], &self.noisy[own], row);
+                let pixels = self.own_row(own, row);
                 self.match_row(own, &pixels, |column, found| {
                     tally.add(found);
                     keep(out, column, found);
@@ -169,6 +175,16 @@ impl Matcher<'_> {
             })
             .collect();
         tallies.into_iter().fold(Tally::default(), Tally::plus)
+    }
+
+    /// The pixels of a row that show something, of image `own` or of its rectified image.
+    fn own_row(&self, own: usize, row: usize) -> OwnRow {
+        let (ideal, cameras) = (self.ideal[own], [&self.cameras[own], &self.noisy[own]]);
+        if self.rectified {
+            rectified_row(ideal, cameras, &self.rectification, own, row)
+        } else {
+            OwnRow::new(ideal, cameras[0], cameras[1], row)
+        }
     }
 
     /// Matches the pixels of a row of image `own`, from left to right.
@@ -199,6 +215,7 @@ impl Matcher<'_> {
         draws
     }
 
+    #[inline]
     fn match_pixel(&self, own: usize, row: usize, pixel: &OwnPixel, draws: &mut Draws) -> Option<Match> {
         let other = 1 - own;
         let seen = self.cameras[other].to_camera(&pixel.point_m);
@@ -212,17 +229,28 @@ impl Matcher<'_> {
         if !self.is_seen(other, seen_level, seen.z) {
             return None;
         }
-        let seen_noisy_ray =
-            if self.same_interior[other] { seen_ray } else { noisy_ray(&self.noisy[other], seen_pixel, seen_ray)? };
+        let seen_noisy_ray = if self.same_interior[other] {
+            seen_ray
+        } else {
+            self.noisy_rays[other].ray(&self.noisy[other], seen_pixel, seen_ray)?
+        };
         let own_place = self.rectification.place(own, pixel.noisy_ray)?;
         let other_place = self.rectification.place(other, seen_noisy_ray)?;
         let (first, second) = if own == 0 { (&own_place, &other_place) } else { (&other_place, &own_place) };
         let fb_px_m = self.rectification.focal_px * self.rectification.baseline_m;
         let ideal_px = first.position_px[0] - second.position_px[0];
         let level = [pixel.column as f64, row as f64];
-        let (first_px, second_px) = if own == 0 { (level, seen_level) } else { (seen_level, level) };
+        let (first_px, second_px) = match (self.rectified, own) {
+            (true, _) => (first.position_px, second.position_px),
+            (false, 0) => (level, seen_level),
+            (false, _) => (seen_level, level),
+        };
         let error = if let Some(terms) = &self.terms {
-            let pixel_index = row * self.ideal[own].width + pixel.column;
+            let pixel_index = if self.rectified {
+                source_pixel(self.ideal[own], &self.noisy[own], pixel.noisy_ray)?
+            } else {
+                row * self.ideal[own].width + pixel.column
+            };
             let point_m = [pixel.point_m.x, pixel.point_m.y];
             let disparity_px_m = fb_px_m / own_place.slant;
             let rectified_px = first.position_px;
@@ -235,10 +263,15 @@ impl Matcher<'_> {
         let disparity_px = self.terms.as_ref().map_or(matched_px, |terms| terms.sub_pixel(matched_px));
         // Z = f B / D across the rectified plane, and dZ = Z^2 / (f B) dD; both along the own ray by its slant.
         let parallax_px = self.rectification.parallax_px(disparity_px)?;
-        let depth_m = fb_px_m / (parallax_px * own_place.slant);
+        let (slant, noisy_ray) = if self.rectified {
+            (1.0, rectified_ray(&self.rectification, own, level))
+        } else {
+            (own_place.slant, pixel.noisy_ray)
+        };
+        let depth_m = fb_px_m / (parallax_px * slant);
         Some(Match {
             depth_m,
-            noisy_ray: pixel.noisy_ray,
+            noisy_ray,
             ideal_px,
             error,
             sub_pixel_px: disparity_px - matched_px,
@@ -249,6 +282,7 @@ impl Matcher<'_> {
     }
 
     /// White and smooth noise of a pixel.
+    #[inline]
     fn paper_noise(&self, first_px: [f64; 2], rectified_px: [f64; 2], draws: &mut Draws) -> DisparityError {
         let white_px = self.local.as_ref().map_or(0.0, |(sigma, _)| {
             let [column, row] = first_px.map(nearest);
@@ -260,6 +294,7 @@ impl Matcher<'_> {
 
     /// Whether an image sees a point at depth `z_m` that projects to `level`: it is inside, and not behind all that the
     /// four nearest pixels show.
+    #[inline]
     fn is_seen(&self, side: usize, [u, v]: [f64; 2], z_m: f64) -> bool {
         let depth = self.ideal[side];
         let (width, height) = (depth.width as f64, depth.height as f64);
@@ -271,15 +306,18 @@ impl Matcher<'_> {
             let below = floor(x);
             [below.max(0) as usize, ((below + 1) as usize).min(size - 1)]
         };
-        let columns = near(u, depth.width);
-        let shown =
-            near(v, depth.height).into_iter().flat_map(|row| columns.map(|column| depth.z[row * depth.width + column]));
+        let ([left, right], [top, bottom]) = (near(u, depth.width), near(v, depth.height));
         // The comparison with NaN is false: where nothing is shown nothing is seen.
-        shown.into_iter().any(|shown| z_m <= f64::from(shown) * (1.0 + tolerance))
+        let passes = |row: usize, column: usize| {
+            let shown = depth.z.get(row * depth.width + column).copied().unwrap_or(f32::NAN);
+            z_m <= f64::from(shown) * (1.0 + tolerance)
+        };
+        passes(top, left) || passes(top, right) || passes(bottom, left) || passes(bottom, right)
     }
 }
 
 /// Full-image position in pixels of the depth-map level, whose pixels are `1 / scale` image pixels.
+#[inline]
 fn to_level(pixel: [f64; 2], scale: f64) -> [f64; 2] {
     pixel.map(|p| (p + 0.5) * scale - 0.5)
 }

@@ -60,14 +60,17 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, CodecError> {
 }
 
 /// Numbers one after the other; every PLY number type is exact in f64.
-trait Source {
+pub(super) trait Source {
+    /// The next number, of this type.
     fn number(&mut self, kind: Type) -> Result<f64, String>;
     /// Whether the rest may hold this many rows, so that no header alone makes us allocate.
     fn may_hold(&self, element: &Element) -> bool;
 }
 
-struct Ascii<'a> {
-    rest: &'a [u8],
+/// The numbers of a text file.
+pub(super) struct Ascii<'a> {
+    /// What is not read yet.
+    pub rest: &'a [u8],
 }
 
 impl Source for Ascii<'_> {
@@ -86,8 +89,10 @@ impl Source for Ascii<'_> {
     }
 }
 
-struct Binary<'a, const LITTLE: bool> {
-    rest: &'a [u8],
+/// The numbers of a binary file.
+pub(super) struct Binary<'a, const LITTLE: bool> {
+    /// What is not read yet.
+    pub rest: &'a [u8],
 }
 
 impl<const LITTLE: bool> Binary<'_, LITTLE> {
@@ -172,8 +177,9 @@ fn read_vertices<S: Source>(element: &Element, source: &mut S, mesh: &mut Mesh) 
     Ok(())
 }
 
+/// Reads a number, or steps over a list.
 #[inline]
-fn read_property<S: Source>(property: &Property, source: &mut S, value: &mut f64) -> Result<(), String> {
+pub(super) fn read_property<S: Source>(property: &Property, source: &mut S, value: &mut f64) -> Result<(), String> {
     match property.count {
         None => *value = source.number(property.kind)?,
         Some(count) => {
@@ -250,7 +256,8 @@ fn list_length<S: Source>(source: &mut S, count: Type) -> Result<u64, String> {
     }
 }
 
-fn skip<S: Source>(element: &Element, source: &mut S) -> Result<(), CodecError> {
+/// Steps over all rows of an element.
+pub(super) fn skip<S: Source>(element: &Element, source: &mut S) -> Result<(), CodecError> {
     let rows = if element.properties.is_empty() { 0 } else { element.count };
     for number in 0..rows {
         for property in &element.properties {
@@ -260,11 +267,13 @@ fn skip<S: Source>(element: &Element, source: &mut S) -> Result<(), CodecError> 
     Ok(())
 }
 
-fn at(element: &Element, number: usize, message: &str) -> CodecError {
+/// A fault of a row.
+pub(super) fn at(element: &Element, number: usize, message: &str) -> CodecError {
     fault(&format!("{} {number} (counted from 0): {message}", element.name))
 }
 
-fn fault(message: &str) -> CodecError {
+/// A fault of the file.
+pub(super) fn fault(message: &str) -> CodecError {
     CodecError(format!("PLY file: {message}"))
 }
 

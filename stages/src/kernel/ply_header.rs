@@ -4,7 +4,9 @@ use crate::artefact::{CodecError, Frame};
 
 /// Start of the comment that states the frame of our own files; the frame and [`UNITS_COMMENT`] follow.
 pub const FRAME_COMMENT: &str = "rockface mesh, frame ";
-/// End of that comment.
+/// The same for a point cloud.
+pub const CLOUD_COMMENT: &str = "rockface cloud, frame ";
+/// End of these comments.
 pub const UNITS_COMMENT: &str = ", units metres";
 
 /// How numbers are written.
@@ -157,7 +159,9 @@ fn parse_encoding(word: &str) -> Result<Encoding, CodecError> {
 }
 
 fn stated_frame(comment: &str) -> Option<Frame> {
-    let stated = comment.strip_prefix("comment ")?.strip_prefix(FRAME_COMMENT)?.strip_suffix(UNITS_COMMENT)?;
+    let comment = comment.strip_prefix("comment ")?;
+    let stated = comment.strip_prefix(FRAME_COMMENT).or_else(|| comment.strip_prefix(CLOUD_COMMENT))?;
+    let stated = stated.strip_suffix(UNITS_COMMENT)?;
     [Frame::World, Frame::Wall].into_iter().find(|frame| frame.to_string() == stated)
 }
 

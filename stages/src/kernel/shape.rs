@@ -1,19 +1,21 @@
-//! One view of a mesh and an organised surface: points by number, triangles by strip.
+//! One view of a mesh, an organised surface and a point cloud: points by number, triangles by strip.
 
 use nalgebra::Point3;
 
-use crate::artefact::{Artefact, Frame, Mesh, Surface, Transform};
+use crate::artefact::{Artefact, Cloud, Frame, Mesh, Surface, Transform};
 
 /// Triangles of a mesh that make one strip.
 const STRIP_TRIANGLES: usize = 1024;
 
-/// Anything made of points and triangles.
+/// Anything made of points, and triangles where it has some.
 #[derive(Debug, Clone, Copy)]
 pub enum Shape<'a> {
     /// A triangle mesh.
     Mesh(&'a Mesh),
     /// An organised grid of points.
     Surface(&'a Surface),
+    /// Points without triangles.
+    Cloud(&'a Cloud),
 }
 
 impl<'a> Shape<'a> {
@@ -22,6 +24,7 @@ impl<'a> Shape<'a> {
         match artefact {
             Artefact::Mesh(mesh) => Some(Self::Mesh(mesh)),
             Artefact::Surface(surface) => Some(Self::Surface(surface)),
+            Artefact::Cloud(cloud) => Some(Self::Cloud(cloud)),
             _ => None,
         }
     }
@@ -31,6 +34,7 @@ impl<'a> Shape<'a> {
         match self {
             Self::Mesh(mesh) => mesh.frame,
             Self::Surface(surface) => surface.frame,
+            Self::Cloud(cloud) => cloud.frame,
         }
     }
 
@@ -39,6 +43,7 @@ impl<'a> Shape<'a> {
         match self {
             Self::Mesh(mesh) => mesh.vertices.len(),
             Self::Surface(surface) => surface.points.len(),
+            Self::Cloud(cloud) => cloud.points.len(),
         }
     }
 
@@ -47,6 +52,7 @@ impl<'a> Shape<'a> {
     pub fn point(self, place: usize, transform: Option<&Moved>) -> [f64; 3] {
         let point = match self {
             Self::Mesh(mesh) => mesh.vertices[place],
+            Self::Cloud(cloud) => cloud.points[place],
             Self::Surface(surface) => {
                 let (p, o) = (surface.points[place], surface.origin_m);
                 [o[0] + f64::from(p[0]), o[1] + f64::from(p[1]), o[2] + f64::from(p[2])]
@@ -60,6 +66,7 @@ impl<'a> Shape<'a> {
         match self {
             Self::Mesh(mesh) => mesh.triangles.len().div_ceil(STRIP_TRIANGLES),
             Self::Surface(surface) => surface.height.saturating_sub(1),
+            Self::Cloud(_) => 0,
         }
     }
 
@@ -78,6 +85,7 @@ impl<'a> Shape<'a> {
                     surface.triangles(strip, column).for_each(&mut visit);
                 }
             }
+            Self::Cloud(_) => {}
         }
     }
 }
@@ -102,5 +110,10 @@ impl Moved {
     pub fn apply(&self, point: [f64; 3]) -> [f64; 3] {
         let local = Point3::from(point).coords - self.origin;
         (self.rotation * local + self.translation).into()
+    }
+
+    /// A direction, turned as the points are.
+    pub fn turn(&self, direction: [f64; 3]) -> [f64; 3] {
+        (self.rotation * nalgebra::Vector3::from(direction)).into()
     }
 }

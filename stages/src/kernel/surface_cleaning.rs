@@ -3,17 +3,37 @@
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use crate::artefact::Surface;
+use crate::artefact::{Raster, Surface};
 
 /// What a triangle must be to stay.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Rules {
+pub struct Rules<'a> {
     /// Smallest area, square metres.
     pub min_area_m2: f64,
     /// Rectangle `[x0, x1, y0, y1]` all corners must lie in, metres.
     pub window_m: Option<[f64; 4]>,
-    /// Fewest triangles of a connected piece; pieces connect through points.
+    /// Raster all corners must lie over a cell of that has a value and not 0, in its first band.
+    pub mask: Option<&'a Raster>,
+    /// Fewest triangles of a connected piece; pieces of a surface connect through points, of a mesh through edges.
     pub min_component_triangles: usize,
+}
+
+impl Rules<'_> {
+    /// Whether a corner lies in the window.
+    pub fn in_window(&self, [x, y]: [f64; 2]) -> bool {
+        self.window_m.is_none_or(|[x0, x1, y0, y1]| (x0..=x1).contains(&x) && (y0..=y1).contains(&y))
+    }
+
+    /// Whether a corner lies over a valid cell of the mask.
+    pub fn in_mask(&self, [x, y]: [f64; 2]) -> bool {
+        let Some(Raster { grid, bands, .. }) = self.mask else { return true };
+        let (column, row) = ((x - grid.left_m) / grid.cell_m, (grid.top_m - y) / grid.cell_m);
+        let inside = column >= 0.0 && row >= 0.0 && column < grid.columns as f64 && row < grid.rows as f64;
+        inside && {
+            let value = bands[0].values[row as usize * grid.columns + column as usize];
+            value.is_finite() && value != 0.0
+        }
+    }
 }
 
 /// Triangles taken away by cause, each counted once, and points no triangle uses any more.
@@ -25,6 +45,8 @@ pub struct Removed {
     pub degenerate: usize,
     /// A corner lies outside the window.
     pub outside: usize,
+    /// A corner lies over no valid cell of the mask.
+    pub masked: usize,
     /// The piece has too few triangles.
     pub small_pieces: usize,
     /// Points that became NaN.
@@ -34,18 +56,21 @@ pub struct Removed {
 }
 
 /// Cleans a surface; the same bits at any thread count.
-pub fn clean(surface: &mut Surface, rules: &Rules) -> Removed {
+pub fn clean(surface: &mut Surface, rules: &Rules<'_>) -> Removed {
     let not_finite =
         retain(surface, |s, corners| corners.iter().all(|i| s.points[*i].iter().all(|value| value.is_finite())));
     let degenerate = retain(surface, |s, corners| area_m2(s, corners) >= rules.min_area_m2);
-    let outside = rules
-        .window_m
-        .map_or(0, |window| retain(surface, |s, corners| corners.iter().all(|i| is_within(s, *i, window))));
+    let all = |s: &Surface, corners: &[usize; 3], holds: &dyn Fn([f64; 2]) -> bool| {
+        corners.iter().all(|i| holds(plan_m(s, *i)))
+    };
+    let outside =
+        rules.window_m.map_or(0, |_| retain(surface, |s, corners| all(s, corners, &|at| rules.in_window(at))));
+    let masked = rules.mask.map_or(0, |_| retain(surface, |s, corners| all(s, corners, &|at| rules.in_mask(at))));
     let small_pieces = remove_small_pieces(surface, rules.min_component_triangles);
     let points = remove_unused_points(surface);
     let kept = surface.squares.par_iter().map(|byte| (byte & (Surface::FIRST | Surface::SECOND)).count_ones() as usize);
     let kept = kept.sum();
-    Removed { not_finite, degenerate, outside, small_pieces, points, kept }
+    Removed { not_finite, degenerate, outside, masked, small_pieces, points, kept }
 }
 
 fn area_m2(surface: &Surface, corners: &[usize; 3]) -> f64 {
@@ -53,9 +78,9 @@ fn area_m2(surface: &Surface, corners: &[usize; 3]) -> f64 {
     0.5 * (b - a).cross(&(c - a)).norm()
 }
 
-fn is_within(surface: &Surface, point: usize, [x0, x1, y0, y1]: [f64; 4]) -> bool {
-    let at = |axis: usize| surface.origin_m[axis] + f64::from(surface.points[point][axis]);
-    (x0..=x1).contains(&at(0)) && (y0..=y1).contains(&at(1))
+/// X and Y of a point, metres.
+fn plan_m(surface: &Surface, point: usize) -> [f64; 2] {
+    [0, 1].map(|axis| surface.origin_m[axis] + f64::from(surface.points[point][axis]))
 }
 
 /// Keeps the triangles a test holds for; returns how many went.

@@ -26,7 +26,7 @@ const SAMPLES: usize = 2;
 /// A small picture of an artefact; `None` where there is nothing to be seen.
 pub fn of(artefact: &Artefact, beside: &[&Artefact]) -> Option<Preview> {
     match artefact {
-        Artefact::Mesh(_) | Artefact::Surface(_) => {
+        Artefact::Mesh(_) | Artefact::Surface(_) | Artefact::Cloud(_) => {
             let shape = Shape::of(artefact)?;
             looked_at(&relief::look(shape, artefact.kind().word())?, Some(up(shape.frame())))
         }

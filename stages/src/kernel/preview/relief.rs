@@ -43,6 +43,7 @@ fn is_small(shape: Shape) -> bool {
     match shape {
         Shape::Mesh(mesh) => mesh.triangles.len() <= TRIANGLES,
         Shape::Surface(surface) => 2 * surface.points.len() <= TRIANGLES,
+        Shape::Cloud(_) => false,
     }
 }
 

@@ -1,16 +1,26 @@
-//! Points of surfaces and depth maps, thinned to every n-th column and row.
+//! Points of clouds, surfaces and depth maps, thinned to every n-th point, or column and row.
 
 use nalgebra::Vector3;
 
-use super::every;
+use super::{every, stride_to};
 use crate::artefact::sketch::{CloudSketch, Shape, Sketch};
-use crate::artefact::{Depth, Surface};
+use crate::artefact::{Cloud, Depth, Surface};
 use crate::kernel::camera::{Camera, full_pixel};
 
-/// Points of a surface that are shown at most.
+/// Points of a surface or cloud that are shown at most.
 const SURFACE_POINTS: usize = 20_000;
 /// Points of a depth map that are shown at most: its picture shows the rest.
 const DEPTH_POINTS: usize = 10_000;
+
+/// The points of a cloud.
+pub fn of_cloud(cloud: &Cloud) -> Sketch {
+    let stride = stride_to(cloud.points.len(), SURFACE_POINTS);
+    let origin_m = cloud.points.first().map_or([0.0; 3], |first| first.map(f64::round));
+    let local = |point: &[f64; 3]| [0, 1, 2].map(|axis| (point[axis] - origin_m[axis]) as f32);
+    let points = cloud.points.iter().step_by(stride).map(local).collect();
+    let shape = Shape::Cloud(CloudSketch { frame: cloud.frame.to_string(), origin_m, points });
+    Sketch { part: String::new(), reduced: every(stride, "point"), shape }
+}
 
 /// The points of a surface.
 pub fn of_surface(surface: &Surface) -> Sketch {

@@ -7,7 +7,7 @@ mod cloud;
 mod picture;
 
 pub use bodies::{of_mesh, of_meshes};
-pub use cloud::{of_depth_points, of_surface};
+pub use cloud::{of_cloud, of_depth_points, of_surface};
 pub use picture::{of_depth_channels, of_picture, of_raster, of_raster_pictures, pixels};
 
 use crate::artefact::sketch::{PictureSketch, Shape, Sketch};
@@ -20,7 +20,7 @@ const VALUES_BYTES: usize = 64 * 1024;
 
 /// The look of what has no pixels of its own: shapes, cameras, rockfalls.
 pub fn of_look(artefact: &Artefact) -> Option<Sketch> {
-    let kinds = [Kind::Mesh, Kind::Meshes, Kind::Surface, Kind::Cameras, Kind::Inventory];
+    let kinds = [Kind::Cloud, Kind::Mesh, Kind::Meshes, Kind::Surface, Kind::Cameras, Kind::Inventory];
     let preview = kinds.contains(&artefact.kind()).then(|| crate::kernel::preview::of(artefact, &[])).flatten()?;
     let (width, height) = (preview.width as u32, preview.height as u32);
     let png = preview.to_png().ok()?;

@@ -1,7 +1,7 @@
-//! How a program ended, in words.
+//! How a program ended and what it said, in words.
 
-use crate::StageError;
 use crate::program::ProgramResult;
+use crate::{Context, StageError};
 
 /// How many of the last lines a program said are told.
 const LAST_LINES: usize = 12;
@@ -32,6 +32,15 @@ pub fn well(program: &str, result: &ProgramResult) -> Result<(), StageError> {
         (None, None) => "did not end by itself".to_owned(),
     };
     Err(StageError::new(format!("`{program}` {how}{}", last_words(&result.stderr))))
+}
+
+/// Keeps what a program said in the step's log.
+pub fn tell(context: &Context, result: &ProgramResult) {
+    for (name, text) in [("standard output", &result.stdout), ("standard error", &result.stderr)] {
+        if !text.trim().is_empty() {
+            context.note(format!("{name}:\n{}", text.trim_end()));
+        }
+    }
 }
 
 fn named(signal: i32) -> String {
