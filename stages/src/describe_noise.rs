@@ -21,7 +21,7 @@ params! {
         estimator: Estimator = Estimator::Matheron,
         /// What is taken off before variogram, spectrum and roughness.
         detrend: Detrend = Detrend::Mean,
-        /// Directions of further variograms, degrees counter-clockwise from X; each takes the lags within 22.5 degrees.
+        /// Directions of further variograms and spectra, degrees counter-clockwise from X; each takes what lies within 22.5 degrees.
         directions_deg: Vec<f64> = Vec::new(); Range::Between(-360.0, 360.0),
         /// Standard deviations of the roughness filters, cells.
         scales_cells: Vec<f64> = vec![1.0, 2.0, 4.0, 8.0, 16.0, 32.0]; Range::Between(0.25, 1000.0),
@@ -34,7 +34,7 @@ pub struct DescribeNoise;
 impl Stage for DescribeNoise {
     type Params = DescribeNoiseParams;
     const NAME: &'static str = "describe-noise";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page {
         what: "Describes each band by ten features (mean, standard deviation, skewness; nugget, sill, range; spectral \
                slope and entropy; roughness intercept and exponent), by further figures, and by the curves they are \
@@ -61,7 +61,7 @@ impl Stage for DescribeNoise {
                  between machines the last digits of sine tables may differ.",
         frames: "Values in metres; `_m2` in square metres; frequencies in 1/m. Curves: `variogram`, `variogram_model` (x \
                  lag m, y gamma m^2, n pairs), `spectrum` (x frequency 1/m, y power m^2, n samples), `roughness` (x \
-                 sigma m, y R m, n cells), and `variogram_45` and the like for each direction, between 0 and 180 degrees.",
+                 sigma m, y R m, n cells), and `variogram_45`, `spectrum_45` and the like for each direction, between 0 and 180 degrees.",
         fails: "A scale of the roughness above half the shorter side of the raster; a band without cells or of one \
                 constant value; a raster below about 20 x 20 cells (too few frequencies \
                 and lags); infinite values. Each error names the band.",
@@ -171,14 +171,19 @@ fn curves_table(named: &[(&str, &Description)], cell_m: f64) -> Table {
         for (i, h) in found.lags_m.iter().enumerate() {
             add("variogram_model", *h, found.model.gamma(*h), empirical.pairs[i]);
         }
-        for (deg, along) in &found.directional {
+        for (deg, along, _) in &found.directional {
             let curve = format!("variogram_{}", deg.rem_euclid(180.0));
             for (i, cells) in along.lag_cells.iter().enumerate() {
                 add(&curve, cells * cell_m, along.gamma[i], along.pairs[i]);
             }
         }
-        for (i, f) in found.spectrum.frequency.iter().enumerate() {
-            add("spectrum", *f, found.spectrum.power[i], found.spectrum.samples[i]);
+        let sectors =
+            found.directional.iter().map(|(deg, _, along)| (format!("spectrum_{}", deg.rem_euclid(180.0)), along));
+        for (curve, spectrum) in std::iter::once(("spectrum".to_owned(), &found.spectrum)).chain(sectors) {
+            // The lowest frequencies of a sector may have no sample.
+            for (i, f) in spectrum.frequency.iter().enumerate().filter(|(i, _)| spectrum.samples[*i] > 0.0) {
+                add(&curve, *f, spectrum.power[i], spectrum.samples[i]);
+            }
         }
         for (sigma, rms) in found.roughness.sigma.iter().zip(&found.roughness.rms) {
             add("roughness", *sigma, *rms, found.marginal.count as f64);

@@ -3,20 +3,20 @@
 use crate::artefact::{Band, Kind, Picture, Raster};
 use crate::kernel::colour_scale::{ColourScale, Palette, length, quantile};
 use crate::kernel::grid;
-use crate::kernel::picture::{self, Subject};
+use crate::kernel::picture::{Subject, mosaic::Mosaic};
 use crate::params::Range;
-use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use crate::{Context, Inputs, Outputs, Page, Point, Port, Stage, StageError, fail, params};
 
 /// Share of the absolute values within the colours.
 const WITHIN: f64 = 0.98;
-/// Gap between two rasters, as a share of their width.
-const GAP: f64 = 0.03;
 
 params! {
     /// Parameters of `draw-rasters`.
     pub struct DrawRastersParams {
         /// Title; left out, how many rasters there are.
         title: Option<String> = None,
+        /// What the rasters of the first and of the second input are called, written before the name of each.
+        names: Vec<String> = Vec::new(),
         /// Rasters that are drawn at most of each input, the first ones.
         most: usize = 6; Range::Between(1.0, 100.0),
         /// Rasters in a row; left out, those of one input.
@@ -34,11 +34,12 @@ pub struct DrawRasters;
 impl Stage for DrawRasters {
     type Params = DrawRastersParams;
     const NAME: &'static str = "draw-rasters";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page {
         what: "Draws rasters side by side with one colour bar, those of `rasters` in the first row and those of `beside` below: real \
                differences over simulated ones, say. Whoever cannot tell the rows apart has a good simulation.",
-        method: "Every raster has the same colours, which diverge from zero; red is material lost. Larger mosaics are averaged to the \
+        method: "Every raster has the same colours, which diverge from zero; red is material lost. Its name is above it: that of its band, \
+                 or its items of the gathered axes. Larger mosaics are averaged to the \
                  picture's size.",
         frames: "Differences in metres; the bar in millimetres where the range is below half a metre. X to the right, Y up.",
         fails: "Rasters of different grids; nothing has a value.",
@@ -53,60 +54,56 @@ impl Stage for DrawRasters {
     const OUTPUTS: &'static [Port] = &[Port::one("picture", &[Kind::Picture], "PNG.")];
 
     fn run(params: &Self::Params, inputs: &Inputs, _context: &Context) -> Result<Outputs, StageError> {
-        let first: Vec<&Raster> = inputs.many::<Raster>("rasters")?.into_iter().map(|(_, raster)| raster).collect();
-        let second: Vec<&Raster> = inputs.many::<Raster>("beside")?.into_iter().map(|(_, raster)| raster).collect();
-        let like = first[0];
-        if let Some(other) = first.iter().chain(&second).find(|other| !grid::same(&other.grid, &like.grid)) {
+        let lists = [inputs.many::<Raster>("rasters")?, inputs.many::<Raster>("beside")?];
+        let like = lists[0][0].1;
+        if let Some((_, other)) = lists.iter().flatten().find(|(_, other)| !grid::same(&other.grid, &like.grid)) {
             let (a, b) = (grid::describe(&like.grid), grid::describe(&other.grid));
             return Err(StageError::new(format!("one raster has {a}, another {b}"))
                 .hint("rasterise all on one grid: port `grid` of `rasterise-dem`"));
         }
-        let bands = |rasters: &[&'_ Raster]| -> Vec<Band> {
-            rasters.iter().flat_map(|raster| raster.bands.iter().cloned()).take(params.most).collect()
-        };
-        let rows = [bands(&first), bands(&second)];
-        let png = draw(params, like, &rows)?;
-        Ok(Outputs::of("picture", Picture { png }))
+        let tiles = |k: usize| tiles(&lists[k], params.names.get(k).map(String::as_str), params.most);
+        Ok(Outputs::of("picture", Picture { png: draw(params, like, &[tiles(0), tiles(1)])? }))
     }
 }
 
-fn draw(params: &DrawRastersParams, like: &Raster, rows: &[Vec<Band>; 2]) -> Result<Vec<u8>, StageError> {
-    let columns = params.columns.unwrap_or_else(|| rows[0].len().max(rows[1].len()));
-    let values = rows.iter().flatten().flat_map(|band| band.values.iter().map(|v| v.abs()));
-    let Some(most) = quantile(values, WITHIN) else { fail!("nothing to draw: no cell has a value") };
+/// The name of a raster and its values.
+type Tile<'a> = (String, &'a [f32]);
+
+/// The first rasters of a list, named by what they are, their place on the gathered axes and their band.
+fn tiles<'a>(list: &[(&Point, &'a Raster)], prefix: Option<&str>, most: usize) -> Vec<Tile<'a>> {
+    let bands = list.iter().flat_map(|(point, raster)| raster.bands.iter().map(move |band| (*point, *raster, band)));
+    let named = |(point, raster, band): (&Point, &Raster, &'a Band)| {
+        let own = (point.is_empty() || raster.bands.len() > 1).then(|| band.name.clone());
+        let parts = point.iter().map(|(axis, item)| format!("{axis} {item}")).chain(own);
+        let name = prefix.map(str::to_owned).into_iter().chain(parts).collect::<Vec<_>>().join(", ");
+        (name, band.values.as_slice())
+    };
+    bands.take(most).map(named).collect()
+}
+
+fn draw(params: &DrawRastersParams, like: &Raster, lists: &[Vec<Tile>; 2]) -> Result<Vec<u8>, StageError> {
+    let across = params.columns.unwrap_or_else(|| lists[0].len().max(lists[1].len()));
+    let tiles = || lists.iter().flatten();
+    let Some(most) = quantile(tiles().flat_map(|(_, values)| values.iter().map(|v| v.abs())), WITHIN) else {
+        fail!("nothing to draw: no cell has a value")
+    };
     let reach = params.range_m.unwrap_or(if most > 0.0 { most } else { 0.5 });
-    let (width, mosaic) = mosaic(&like.grid, rows, columns);
+    let values = lists.each_ref().map(|list| list.iter().map(|(_, values)| *values).collect());
+    let max_width_px = params.max_width_px as usize;
+    let mosaic = Mosaic::new([like.grid.columns, like.grid.rows], &values, across, max_width_px);
     let subject = Subject {
-        columns: width,
-        values: &mosaic,
+        columns: mosaic.columns,
+        values: &mosaic.values,
         cell_m: Some(like.grid.cell_m),
         shaded: false,
         scale: ColourScale { palette: Palette::RedBlue, low: -reach, high: reach },
-        title: params.title.clone().unwrap_or_else(|| format!("{} rasters", rows.iter().map(Vec::len).sum::<usize>())),
+        title: params.title.clone().unwrap_or_else(|| format!("{} rasters", tiles().count())),
         subtitle: format!("each {} x {} cells of {}", like.grid.columns, like.grid.rows, length(like.grid.cell_m)),
         unit: if reach < 0.25 { ("mm", 1e3) } else { ("m", 1.0) },
         up: None,
     };
-    picture::draw(&subject, params.max_width_px as usize).map_err(|e| StageError::new(e.to_string()))
-}
-
-/// All rasters on one grid with gaps between them, those of the second list in rows of their own; its width and cells.
-fn mosaic(grid: &crate::artefact::Grid, lists: &[Vec<Band>; 2], columns: usize) -> (usize, Vec<f32>) {
-    let gap = ((grid.columns as f64 * GAP) as usize).max(1);
-    let lines = lists.each_ref().map(|list| list.len().div_ceil(columns));
-    let rows = lines[0] + lines[1];
-    let (width, height) = (columns * (grid.columns + gap) - gap, rows * (grid.rows + gap) - gap);
-    let mut cells = vec![f32::NAN; width * height];
-    for (list, first) in lists.iter().zip([0, lines[0]]) {
-        for (k, band) in list.iter().enumerate() {
-            let (left, top) = (k % columns * (grid.columns + gap), (first + k / columns) * (grid.rows + gap));
-            for (row, line) in band.values.chunks_exact(grid.columns).enumerate() {
-                let at = (top + row) * width + left;
-                cells[at..at + grid.columns].copy_from_slice(line);
-            }
-        }
-    }
-    (width, cells)
+    let names: Vec<String> = tiles().map(|(name, _)| name.clone()).collect();
+    mosaic.draw(&subject, &names, max_width_px).map_err(|e| StageError::new(e.to_string()))
 }
 
 #[cfg(test)]
@@ -134,11 +131,15 @@ mod tests {
 
     #[test]
     fn rasters_of_both_inputs_lie_in_rows_of_their_own() {
-        let bands = |n: usize| raster(40, n).bands;
-        let (width, cells) = mosaic(&raster(40, 1).grid, &[bands(3), bands(2)], 3);
-        assert_eq!((width, cells.len()), (3 * 40 + 2, (3 * 40 + 2) * 21));
-        assert!(cells[40].is_nan() && !cells[41].is_nan() && !cells[11 * width].is_nan());
-        assert!(cells[20 * width + 82].is_nan(), "the second row has two");
+        let (stack, at) = (raster(40, 2), Point::from([("replicate".to_owned(), "3".to_owned())]));
+        let names =
+            |list: &[(&Point, &Raster)], prefix| tiles(list, prefix, 2).into_iter().map(|tile| tile.0).collect();
+        let (of_stack, of_axis): (Vec<String>, Vec<String>) = (
+            names(&[(&Point::new(), &stack)], None),
+            names(&[(&at, &raster(40, 1)), (&at, &stack)], Some("simulated")),
+        );
+        assert_eq!(of_stack, ["a", "a"]);
+        assert_eq!(of_axis, ["simulated, replicate 3", "simulated, replicate 3, a"]);
         assert!(drawn(raster(40, 5), raster(40, 2)).unwrap().png.starts_with(b"\x89PNG"));
         assert!(drawn(raster(40, 5), raster(30, 2)).unwrap_err().message.contains("another"));
     }

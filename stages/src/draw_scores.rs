@@ -22,7 +22,7 @@ pub struct DrawScores;
 impl Stage for DrawScores {
     type Params = DrawScoresParams;
     const NAME: &'static str = "draw-scores";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page {
         what: "Draws the verdicts of `test-acceptance`: a radar of the compatibility scores, jointly and by group of descriptors; \
                the distances of simulated rasters beside those of the real ones, with the threshold; and the mean contribution of \
@@ -122,9 +122,15 @@ fn contributions(columns: &BTreeMap<String, Vec<f64>>) -> Panel {
     names.extend(further);
     let mean = |name: &&str| {
         let values = &columns[&format!("contribution_{name}")];
-        ((*name).replace('_', " "), values.iter().sum::<f64>() / values.len() as f64)
+        (plain(name), values.iter().sum::<f64>() / values.len() as f64)
     };
     Panel::new("What makes them", Axes::bars("mean contribution to D²", names.iter().map(mean)))
+}
+
+/// A feature without its unit: contributions to a distance have none.
+fn plain(feature: &str) -> String {
+    let stem = ["_m2", "_m"].iter().find_map(|unit| feature.strip_suffix(unit));
+    stem.unwrap_or(feature).replace('_', " ")
 }
 
 #[cfg(test)]
@@ -156,9 +162,10 @@ mod tests {
         };
         let outputs = draw(verdicts).unwrap().into_inner();
         let Artefact::Figure(figure) = &outputs["figure"] else { panic!("a figure comes out") };
-        for text in ["jointly", "variogram", "30 real rasters, 8 simulated", "sill m2", "threshold"] {
+        for text in ["jointly", "variogram", "30 real rasters, 8 simulated", "sill", "threshold"] {
             assert!(figure.svg.contains(text), "{text}");
         }
+        assert_eq!([plain("sill_m2"), plain("spectral_slope")], ["sill", "spectral slope"]);
         assert!(draw(Table::new(["d2"])).err().unwrap().message.contains("`d2`"));
     }
 }

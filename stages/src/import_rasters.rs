@@ -6,7 +6,7 @@ use crate::artefact::{Band, Frame, Kind, Noun, Raster};
 use crate::kernel::geotiff::DAMAGED;
 use crate::kernel::{grid, marginal};
 use crate::params::FilesRef;
-use crate::{Context, Inputs, Outputs, Page, Port, SourceFile, Stage, StageError, choice, fail, params};
+use crate::{Context, Inputs, Outputs, Page, Port, SourceFile, Stage, StageError, choice, params};
 
 choice! {
     /// The frame of imported grids.
@@ -98,7 +98,8 @@ fn read(file: &mut SourceFile) -> Result<Raster, StageError> {
     let single = raster.bands.len() == 1;
     for band in &mut raster.bands {
         if band.values.iter().all(|v| v.is_nan()) {
-            fail!("`{name}`: band `{}` has no value in any of its cells", band.name);
+            return Err(StageError::new(format!("`{name}`: band `{}` has no value in any of its cells", band.name))
+                .hint("leave the file out (a pattern such as `folder/a*.tif` does), or export it again"));
         }
         band.name = if single { stem.to_owned() } else { format!("{stem}.{}", band.name) };
     }

@@ -8,11 +8,11 @@ use crate::cli::House;
 
 const PIPELINE: &str = include_str!("../../pipelines/calibrate.yaml");
 
-/// Images of 220 pixels and cells of 10 cm; four coarse points, six fine ones, 14 references.
+/// Images of 160 pixels and cells of 9 cm; four coarse points, six fine ones, 14 references.
 const SMALL: [&str; 11] = [
-    "params.image_px=220",
+    "params.image_px=160",
     "params.focal_px=1954",
-    "params.cell_m=0.1",
+    "params.cell_m=0.09",
     "params.lag_cells=30",
     "axes.reference.count=14",
     "axes.theta.values=[1]",

@@ -16,6 +16,7 @@ mod history;
 mod lab;
 mod language;
 mod reading;
+mod references;
 mod report;
 mod rework;
 mod tidy;

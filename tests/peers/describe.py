@@ -76,19 +76,27 @@ def roughness(values, scales):
     return [rest(scale) for scale in scales]
 
 
-def spectrum(values, cell):
-    """Frequency, power and samples of the radial bins."""
+def spectrum(values, cell, direction=None):
+    """Frequency, power and samples of the radial bins; of the frequencies within 22.5 degrees of a direction where one is given."""
     height, width = values.shape
     window = np.outer(hann(height), hann(width)) * ~np.isnan(values)
     filled = np.nan_to_num(values)
     windowed = window * (filled - (window * filled).sum() / window.sum())
     power = np.abs(np.fft.fft2(windowed)) ** 2 / (window**2).sum()
-    frequency = np.hypot(np.fft.fftfreq(height, cell)[:, None], np.fft.fftfreq(width, cell)[None, :])
+    down, across = np.fft.fftfreq(height, cell)[:, None], np.fft.fftfreq(width, cell)[None, :]
+    frequency = np.hypot(down, across)
     step = 1 / (min(height, width) * cell)
     nearest = np.floor(frequency / step + 0.5).astype(int)
-    bins = np.arange(1, min(height, width) // 2 + 1)
-    samples = np.bincount(nearest.ravel())[bins]
-    return bins * step, np.bincount(nearest.ravel(), power.ravel())[bins] / samples, samples
+    longest = min(height, width) // 2
+    bins = np.arange(1, longest + 1)
+    if direction is not None:
+        # Rows go down, angles go up.
+        along = np.abs(across * np.cos(np.radians(direction)) - down * np.sin(np.radians(direction)))
+        nearest = np.where(along >= np.cos(np.radians(22.5)) * frequency, nearest, 0)
+    samples = np.bincount(nearest.ravel(), minlength=longest + 1)[bins]
+    sums = np.bincount(nearest.ravel(), power.ravel(), minlength=longest + 1)[bins]
+    met = samples > 0
+    return (bins * step)[met], sums[met] / samples[met], samples[met]
 
 
 def entropy(power):

@@ -1,4 +1,4 @@
-"""Variograms: fields of gstools with known parameters come back; scikit-gstat and xDEM find our empirical values."""
+"""Descriptors: fields of gstools with known parameters come back; numpy, scipy, scikit-gstat and xDEM find our values."""
 
 import csv
 import subprocess
@@ -8,6 +8,7 @@ import pytest
 import rasterio
 from rasterio.transform import from_origin
 
+import describe as definitions
 from conftest import HERE, Run
 
 CELL_M = 0.01
@@ -87,6 +88,41 @@ def small(binary, tmp_path_factory):
     return fields, *describe(binary, tmp_path_factory.mktemp("small"), fields, lag=15)
 
 
+@pytest.fixture(params=[f"s{number}" for number in range(10)])
+def one(request, small):
+    """Values, features and curves of one of the ten."""
+    fields, features, curves = small
+    own = {kind: triple for (name, kind), triple in curves.items() if name == request.param}
+    return fields[request.param].astype(np.float32).astype(float), features[request.param], own
+
+
+def test_all_ten_features_follow_from_their_definitions(one):
+    values, features, curves = one
+    for name, expected in definitions.marginal(values).items():
+        np.testing.assert_allclose(features[name], expected, rtol=1e-6, atol=1e-12, err_msg=name)
+    lags, gamma, pairs = definitions.variogram(values, 15)
+    np.testing.assert_allclose(curves["variogram"], [lags * CELL_M, gamma, pairs], rtol=1e-6)
+    for name, expected in definitions.exponential_model(*curves["variogram"]).items():
+        np.testing.assert_allclose(features[name], expected, rtol=1e-4, atol=1e-12, err_msg=name)
+    sigma, rms, _ = curves["roughness"]
+    np.testing.assert_allclose(rms, definitions.roughness(values, [1, 2, 4, 8]), rtol=1e-6)
+    slope, intercept = np.polyfit(np.log(sigma), np.log(rms), 1)
+    np.testing.assert_allclose([features["roughness_a"], features["roughness_b"]], [intercept, slope], rtol=1e-6)
+    spectrum = definitions.spectrum(values, CELL_M)
+    np.testing.assert_allclose(curves["spectrum"], spectrum, rtol=1e-6)
+    np.testing.assert_allclose(features["spectral_entropy"], definitions.entropy(spectrum[1]), rtol=1e-6)
+    slope = definitions.spectral_slope(*spectrum[:2], CELL_M)
+    np.testing.assert_allclose(features["spectral_slope"], slope, rtol=1e-6)
+
+
+def test_directional_spectra_follow_from_their_definition(one):
+    values, _, curves = one
+    for direction in (0, 90):
+        np.testing.assert_allclose(
+            curves[f"spectrum_{direction}"], definitions.spectrum(values, CELL_M, direction), rtol=1e-6
+        )
+
+
 def test_scikit_gstat_finds_the_same_gamma(small):
     skgstat = pytest.importorskip("skgstat")
     fields, _, curves = small
@@ -102,13 +138,16 @@ def test_scikit_gstat_finds_the_same_gamma(small):
 
 
 def test_directions_are_those_of_the_axes(binary, tmp_path):
-    """A field longer along X than along Y has the smaller variogram along X."""
+    """A field longer along X than along Y has the smaller variogram along X, and its power along Y."""
     from scipy.ndimage import gaussian_filter
 
     field = gaussian_filter(np.random.default_rng(1).normal(size=(200, 200)), (2, 6))
     _, curves = describe(binary, tmp_path, {"a": 0.01 * field / field.std()}, lag=30)
     along, across = curves["a", "variogram_0"][1], curves["a", "variogram_90"][1]
     assert (along[1:8] < 0.6 * across[1:8]).all()
+    along, across = curves["a", "spectrum_0"], curves["a", "spectrum_90"]
+    middle = slice(20, 35)
+    assert (along[1][-80:][middle] < 0.2 * across[1][-80:][middle]).all()
 
 
 def test_xdem_agrees_on_a_square(binary, tmp_path):

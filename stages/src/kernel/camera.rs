@@ -15,13 +15,16 @@ pub struct Camera {
     centre: Vector3<f64>,
     /// Squared radius (normalised, undistorted) at which the radial polynomial folds back.
     fold2: f64,
+    /// Whether all coefficients of the distortion are zero.
+    straight: bool,
 }
 
 impl Camera {
     /// A camera from its interior and exterior orientation.
     pub fn new(sensor: &Sensor, image: &Image) -> Self {
         let fold2 = fold_radius_squared(&sensor.k);
-        Self { sensor: sensor.clone(), rotation: image.matrix(), centre: image.centre(), fold2 }
+        let straight = sensor.k.iter().chain(&sensor.p).all(|coefficient| *coefficient == 0.0);
+        Self { sensor: sensor.clone(), rotation: image.matrix(), centre: image.centre(), fold2, straight }
     }
 
     /// The camera of a depth map.
@@ -51,6 +54,7 @@ impl Camera {
     }
 
     /// An object point in the camera frame, metres.
+    #[inline]
     pub fn to_camera(&self, point: &Vector3<f64>) -> Vector3<f64> {
         self.rotation * (point - self.centre)
     }
@@ -66,39 +70,65 @@ impl Camera {
     }
 
     /// The pixel of undistorted normalised coordinates; `None` beyond the fold of the distortion.
+    #[inline]
     pub fn pixel(&self, [x, y]: [f64; 2]) -> Option<[f64; 2]> {
         if x * x + y * y >= self.fold2 {
             return None;
         }
         let s = &self.sensor;
-        let [xd, yd] = distort(s, x, y);
+        let [xd, yd] = if self.straight { [x, y] } else { distort(s, x, y) };
         Some([s.cx + (s.f + s.b1) * xd + s.b2 * yd, s.cy + s.f * yd])
     }
 
     /// Undistorted normalised coordinates of a pixel; `None` where no point inside the fold maps to it.
+    #[inline]
     pub fn normalised(&self, pixel: [f64; 2]) -> Option<[f64; 2]> {
         let [xd, yd] = self.distorted(pixel);
         self.undistort(xd, yd, [xd, yd])
     }
 
     /// As [`Camera::normalised`], searched from a near guess, which saves half the work.
+    #[inline]
     pub fn normalised_near(&self, pixel: [f64; 2], guess: [f64; 2]) -> Option<[f64; 2]> {
         let [xd, yd] = self.distorted(pixel);
         self.undistort(xd, yd, guess)
     }
 
     /// Distorted normalised coordinates of a pixel.
+    #[inline]
     fn distorted(&self, [u, v]: [f64; 2]) -> [f64; 2] {
+        let yd = self.distorted_y(v);
+        [self.distorted_x(u, yd), yd]
+    }
+
+    #[inline]
+    fn distorted_x(&self, u: f64, yd: f64) -> f64 {
         let s = &self.sensor;
-        let yd = (v - s.cy) / s.f;
-        [(u - s.cx - s.b2 * yd) / (s.f + s.b1), yd]
+        (u - s.cx - s.b2 * yd) / (s.f + s.b1)
+    }
+
+    /// Distorted normalised y of the pixels of a row.
+    #[inline]
+    pub fn distorted_y(&self, v: f64) -> f64 {
+        (v - self.sensor.cy) / self.sensor.f
+    }
+
+    /// As [`Camera::normalised`] for column `u` of a row whose distorted y is known, searched from a near guess if there is one.
+    #[inline]
+    pub fn normalised_in_row(&self, u: f64, yd: f64, guess: Option<[f64; 2]>) -> Option<[f64; 2]> {
+        let xd = self.distorted_x(u, yd);
+        let near = guess.and_then(|guess| self.undistort(xd, yd, guess));
+        near.or_else(|| self.undistort(xd, yd, [xd, yd]))
+    }
+
+    /// Undistorted normalised coordinates of distorted ones, searched from a guess.
+    #[inline]
+    fn undistort(&self, xd: f64, yd: f64, guess: [f64; 2]) -> Option<[f64; 2]> {
+        if self.straight { Some([xd, yd]) } else { self.solve_distortion(xd, yd, guess) }
     }
 
     /// Newton's method on the distortion with its analytic Jacobian; a step below 1e-9 leaves an error below 1e-15.
-    fn undistort(&self, xd: f64, yd: f64, [mut x, mut y]: [f64; 2]) -> Option<[f64; 2]> {
-        if self.sensor.k.iter().chain(&self.sensor.p).all(|coefficient| *coefficient == 0.0) {
-            return Some([xd, yd]);
-        }
+    fn solve_distortion(&self, xd: f64, yd: f64, [mut x, mut y]: [f64; 2]) -> Option<[f64; 2]> {
         for _ in 0..20 {
             let [fx, fy] = distort(&self.sensor, x, y);
             let (rx, ry) = (fx - xd, fy - yd);
@@ -114,6 +144,7 @@ impl Camera {
     }
 
     /// The object point at depth `z_m` (along the optical axis) on the ray of undistorted normalised coordinates.
+    #[inline]
     pub fn unproject(&self, [x, y]: [f64; 2], z_m: f64) -> Vector3<f64> {
         self.centre + self.rotation.tr_mul(&Vector3::new(x * z_m, y * z_m, z_m))
     }
@@ -132,6 +163,7 @@ impl Camera {
 }
 
 /// Image position of the centre of a depth-map pixel, in pixels of the full image.
+#[inline]
 pub fn full_pixel(column: usize, row: usize, downscale: u32) -> [f64; 2] {
     let s = f64::from(downscale);
     [(column as f64 + 0.5) * s - 0.5, (row as f64 + 0.5) * s - 0.5]
@@ -142,6 +174,7 @@ fn radial(k: &[f64; 4], r2: f64) -> f64 {
 }
 
 /// Distorted normalised coordinates of undistorted ones, without look at the fold.
+#[inline]
 pub fn distort(s: &Sensor, x: f64, y: f64) -> [f64; 2] {
     let (r2, [p1, p2]) = (x * x + y * y, s.p);
     let radial = radial(&s.k, r2);

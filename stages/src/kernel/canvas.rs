@@ -46,7 +46,21 @@ impl Pen {
         let font = self.font.as_scaled(PxScale::from(self.size_px));
         text.chars().fold(0.0, |sum, c| sum + font.h_advance(font.glyph_id(c)))
     }
+
+    /// A text cut short, with an ellipsis, until it is at most `room_px` pixels wide.
+    pub fn fitted(&self, text: &str, room_px: f32) -> String {
+        let mut text = text.to_owned();
+        while self.width(&text) > room_px && text != ELLIPSIS {
+            text = text.trim_end_matches(ELLIPSIS).to_owned();
+            text.pop();
+            text.push_str(ELLIPSIS);
+        }
+        text
+    }
 }
+
+/// What stands for the rest of a text.
+const ELLIPSIS: &str = "\u{2026}";
 
 /// Pixels by row from the top, white at first.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -50,7 +50,9 @@ pub fn write(depth: &Depth) -> Result<Vec<u8>, CodecError> {
     let channels = AnyChannels::sort(channels(depth)?.into_iter().collect());
     let layer = Layer::new((depth.width, depth.height), attributes, Encoding::UNCOMPRESSED, channels);
     let image = ExrImage::new(ImageAttributes::with_size((depth.width, depth.height)), layer);
-    let mut bytes = Cursor::new(Vec::new());
+    // Every line has eight bytes before its values, and eight in the table of offsets.
+    let size = (4 * depth.width * (1 + depth.channels.len()) + 16) * depth.height + 8192;
+    let mut bytes = Cursor::new(Vec::with_capacity(size));
     image
         .write()
         .non_parallel()

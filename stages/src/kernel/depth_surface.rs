@@ -156,10 +156,11 @@ impl Joiner<'_> {
     fn join_row(&self, row: usize, squares: &mut [u8]) -> Joined {
         let mut joined = Joined::default();
         for (column, byte) in squares.iter_mut().enumerate() {
-            *byte = self.diagonal(row, column);
-            let corners = Surface::corners(self.depth.width, row, column, *byte);
-            for (corners, bit) in corners.into_iter().zip([Surface::FIRST, Surface::SECOND]) {
-                match self.judge(corners) {
+            let square = self.square(row, column);
+            *byte = square.diagonal();
+            let (triangles, steps) = (square.triangles(*byte == 0), self.steps(&square, *byte == 0));
+            for ((corners, steps), bit) in triangles.iter().zip(steps).zip([Surface::FIRST, Surface::SECOND]) {
+                match self.judge(corners, steps) {
                     Verdict::Kept => {
                         *byte |= bit;
                         joined.triangles += 1;
@@ -173,40 +174,99 @@ impl Joiner<'_> {
         joined
     }
 
-    /// The diagonal that steps less, or the one that leaves a triangle where a corner is missing.
-    fn diagonal(&self, row: usize, column: usize) -> u8 {
-        let a = row * self.depth.width + column;
-        let (b, c, d) = (a + 1, a + self.depth.width + 1, a + self.depth.width);
-        let step = |i: usize, j: usize| {
-            let (a, b) = (self.depth.z[i], self.depth.z[j]);
-            if is_depth(a) && is_depth(b) { (a - b).abs() } else { f32::INFINITY }
-        };
-        if step(b, d) < step(a, c) { Surface::OTHER_DIAGONAL } else { 0 }
+    #[inline]
+    fn square(&self, row: usize, column: usize) -> Square {
+        let width = self.depth.width;
+        let (upper, lower) = (row * width + column, (row + 1) * width + column);
+        let (z, points) = (&self.depth.z, &self.surface.points);
+        let (z_above, z_below) = (&z[upper..upper + 2], &z[lower..lower + 2]);
+        let (above, below) = (&points[upper..upper + 2], &points[lower..lower + 2]);
+        let point = |p: &[f32; 3]| Vector3::from(*p).map(f64::from);
+        Square {
+            z: [z_above[0], z_above[1], z_below[1], z_below[0]],
+            points: [point(&above[0]), point(&above[1]), point(&below[1]), point(&below[0])],
+        }
     }
 
-    fn judge(&self, corners: [usize; 3]) -> Verdict {
-        let local = corners.map(|i| Vector3::from(self.surface.points[i]).map(f64::from));
-        if local.iter().any(|p| p.x.is_nan()) {
+    #[inline]
+    fn judge(&self, corners: &[Vector3<f64>; 3], steps: bool) -> Verdict {
+        if corners.iter().any(|p| p.x.is_nan()) {
             return Verdict::Missing;
         }
-        if [(0, 1), (1, 2), (2, 0)].into_iter().any(|(i, j)| self.steps(corners[i], corners[j])) {
+        if steps {
             return Verdict::Steps;
         }
-        let normal = (local[1] - local[0]).cross(&(local[2] - local[0]));
-        let view = self.viewpoint - (local[0] + local[1] + local[2]) / 3.0;
+        let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
+        let sum = corners[0] + corners[1] + corners[2];
+        if self.faces_clearly(&normal, &(self.viewpoint * 3.0 - sum)) {
+            return Verdict::Kept;
+        }
+        let view = self.viewpoint - sum / 3.0;
         let grazes = normal.dot(&view) < self.joining.min_cosine * normal.norm() * view.norm();
         if grazes { Verdict::Grazing } else { Verdict::Kept }
     }
 
-    fn steps(&self, i: usize, j: usize) -> bool {
-        let (depth, width) = (self.depth, self.depth.width);
-        let (a, b) = (f64::from(depth.z[i]), f64::from(depth.z[j]));
-        let across = i / width != j / width && i % width != j % width;
-        let pixels = if across { std::f64::consts::SQRT_2 } else { 1.0 };
-        let allowed = match self.joining.step {
+    /// Whether a normal is so near the view that no rounding could make it graze; found without roots and divisions.
+    #[inline]
+    fn faces_clearly(&self, normal: &Vector3<f64>, view: &Vector3<f64>) -> bool {
+        let along = normal.dot(view);
+        let least = self.joining.min_cosine * self.joining.min_cosine * (1.0 + 1e-9);
+        along > 0.0 && along * along > least * normal.norm_squared() * view.norm_squared()
+    }
+
+    /// Whether an edge steps, of the two triangles in their order.
+    #[inline]
+    fn steps(&self, square: &Square, along_ac: bool) -> [bool; 2] {
+        let [a, b, c, d] = square.z.map(f64::from);
+        let (low, high) = (a.min(b).min(c.min(d)), a.max(b).max(c.max(d)));
+        // No two corners differ by more than may the nearest ones: the rule of most squares. NaN is never within it.
+        if !square.z.iter().any(|z| z.is_nan()) && high - low <= self.allowed_m(low) {
+            return [false; 2];
+        }
+        let side = |z, other| self.edge_steps(z, other, 1.0);
+        let diagonal = if along_ac { (a, c) } else { (b, d) };
+        let [top, right, bottom, left] = [side(a, b), side(b, c), side(c, d), side(d, a)];
+        let across = self.edge_steps(diagonal.0, diagonal.1, std::f64::consts::SQRT_2);
+        let first = left || across || if along_ac { bottom } else { top };
+        let second = right || across || if along_ac { top } else { bottom };
+        [first, second]
+    }
+
+    fn edge_steps(&self, a: f64, b: f64, pixels: f64) -> bool {
+        (a - b).abs() > self.allowed_m(a.min(b)) * pixels
+    }
+
+    /// The largest step between neighbours, the nearer of them at a depth; it grows with depth.
+    #[inline]
+    fn allowed_m(&self, z_m: f64) -> f64 {
+        match self.joining.step {
             Step::Metres(metres) => metres,
-            Step::Factor(factor) => factor * a.min(b) / depth.f * f64::from(depth.downscale),
-        };
-        (a - b).abs() > allowed * pixels
+            Step::Factor(factor) => factor * z_m / self.depth.f * f64::from(self.depth.downscale),
+        }
+    }
+}
+
+/// Four neighbours: corners a, b, c and d in the order of [`Surface`].
+struct Square {
+    /// Depths, metres.
+    z: [f32; 4],
+    /// Points relative to the origin of the surface, metres.
+    points: [Vector3<f64>; 4],
+}
+
+impl Square {
+    /// The diagonal that steps less, or the one that leaves a triangle where a corner is missing.
+    #[inline]
+    fn diagonal(&self) -> u8 {
+        let step = |a: f32, b: f32| if is_depth(a) && is_depth(b) { (a - b).abs() } else { f32::INFINITY };
+        let [a, b, c, d] = self.z;
+        if step(b, d) < step(a, c) { Surface::OTHER_DIAGONAL } else { 0 }
+    }
+
+    /// The corners of both triangles, as [`Surface::corners`] orders them.
+    #[inline]
+    fn triangles(&self, along_ac: bool) -> [[Vector3<f64>; 3]; 2] {
+        let [a, b, c, d] = self.points;
+        if along_ac { [[a, d, c], [a, c, b]] } else { [[a, d, b], [b, d, c]] }
     }
 }

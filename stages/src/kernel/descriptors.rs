@@ -5,7 +5,7 @@ use super::noise::detrend::Detrend;
 use super::noise::robust_variogram::Estimator;
 use super::precise;
 use super::roughness::{Roughness, roughness};
-use super::spectrum::{Spectrum, spectrum};
+use super::spectrum::{Spectrum, spectra};
 use super::variogram::{Variogram, directional, variogram};
 use super::variogram_model::{Model, Shape, fit};
 use crate::artefact::Grid;
@@ -66,7 +66,7 @@ pub struct Settings {
     pub estimator: Estimator,
     /// What is taken off before all but the marginal statistics.
     pub detrend: Detrend,
-    /// Directions of further variograms, degrees counter-clockwise from X.
+    /// Directions of further variograms and spectra, degrees counter-clockwise from X.
     pub directions_deg: Vec<f64>,
     /// Standard deviations of the roughness filters, cells.
     pub scales_cells: Vec<f64>,
@@ -83,8 +83,8 @@ pub struct Description {
     pub lags_m: Vec<f64>,
     /// Fitted model, m and m^2.
     pub model: Model,
-    /// A variogram for each of the directions asked for; lags in cells, gamma in m^2.
-    pub directional: Vec<(f64, Variogram)>,
+    /// A variogram and a spectrum for each of the directions asked for; lags in cells, gamma in m^2, 1/m and m^2.
+    pub directional: Vec<(f64, Variogram, Spectrum)>,
     /// Radial spectrum, 1/m and m^2.
     pub spectrum: Spectrum,
     /// Roughness, m.
@@ -113,15 +113,14 @@ pub fn describe(values: &[f32], grid: &Grid, settings: &Settings) -> Result<Desc
     let taken = if detrended.is_some() { checked_marginal(values)? } else { marginal };
     let mut variogram = variogram(values, columns, max_lag, taken.mean, taken.deviation);
     settings.estimator.refine(&mut variogram, values, columns);
-    let directional = settings
-        .directions_deg
-        .iter()
-        .map(|deg| (*deg, directional(values, columns, max_lag, [taken.mean, taken.deviation], *deg)))
-        .collect();
     let lags_m: Vec<f64> = variogram.lag_cells.iter().map(|h| h * cell_m).collect();
     let model = fit(&lags_m, &variogram, settings.shape)
         .ok_or_else(|| format!("its variogram has only {} lags with pairs, 3 are needed", lags_m.len()))?;
-    let spectrum = spectrum(values, columns, cell_m).ok_or("its spectrum is empty")?;
+    let (spectrum, sectors) =
+        spectra(values, columns, cell_m, &settings.directions_deg).ok_or("its spectrum is empty")?;
+    let moments = [taken.mean, taken.deviation];
+    let along = |(deg, spectrum)| (deg, directional(values, columns, max_lag, moments, deg), spectrum);
+    let directional = settings.directions_deg.iter().copied().zip(sectors).map(along).collect();
     let slope = spectrum.slope().ok_or_else(|| {
         format!(
             "its spectrum of {} frequencies is too short for a slope (at least 20 x 20 cells)",

@@ -77,6 +77,41 @@ impl Fft2 {
         spectrum
     }
 
+    /// The spectrum of a real field that is zero beyond `filled` rows: columns 0 to n / 2, as [`Fft2::forward`].
+    ///
+    /// Two rows go through one transform, as its real and its imaginary part; symmetry parts them again.
+    pub fn forward_real(&self, filled: usize, fill: impl Fn(usize, &mut [f64]) + Sync) -> Vec<C64> {
+        let mut field = vec![C64::default(); filled.div_ceil(2) * self.columns];
+        field.par_chunks_mut(self.columns).enumerate().for_each(|(pair, line)| {
+            let mut rows = vec![0.0; 2 * self.columns];
+            let (even, odd) = rows.split_at_mut(self.columns);
+            fill(2 * pair, even);
+            if 2 * pair + 1 < filled {
+                fill(2 * pair + 1, odd);
+            }
+            line.iter_mut().zip(even).zip(odd).for_each(|((cell, re), im)| *cell = C64::new(*re, *im));
+            self.along_row[0].process(line);
+        });
+        let mut spectrum = vec![C64::default(); self.half() * self.rows];
+        spectrum.par_chunks_mut(self.rows * BLOCK).enumerate().for_each(|(block, lines)| {
+            let count = lines.len() / self.rows;
+            for (pair, cells) in field.chunks_exact(self.columns).enumerate() {
+                for j in 0..count {
+                    let kx = block * BLOCK + j;
+                    let (here, there) = (cells[kx], cells[(self.columns - kx) % self.columns].conj());
+                    let (sum, difference) = (here + there, here - there);
+                    let at = j * self.rows + 2 * pair;
+                    lines[at] = sum * 0.5;
+                    if 2 * pair + 1 < filled {
+                        lines[at + 1] = C64::new(0.5 * difference.im, -0.5 * difference.re);
+                    }
+                }
+            }
+            self.along_column[0].process(lines);
+        });
+        spectrum
+    }
+
     /// Turns the half spectrum of a field back into its first rows, without the factor 1 / (columns rows).
     ///
     /// The spectrum must be that of two even real fields a + i b, as of autocorrelations: `spectrum(-k) = spectrum(k)`.
@@ -132,6 +167,20 @@ mod tests {
                 }
                 assert!((sum - spectrum[kx * rows + ky]).norm() < 1e-12);
             }
+        }
+    }
+
+    #[test]
+    fn real_rows_go_in_pairs() {
+        for (columns, rows, filled) in [(6, 5, 3), (7, 4, 4), (1, 3, 1), (8, 6, 0)] {
+            let fft = Fft2::new(columns, rows);
+            let one = fft.forward(filled, fft.half(), |row, line| {
+                line.iter_mut().enumerate().for_each(|(column, cell)| *cell = C64::new(sample(row, column), 0.0));
+            });
+            let two = fft.forward_real(filled, |row, line| {
+                line.iter_mut().enumerate().for_each(|(column, cell)| *cell = sample(row, column));
+            });
+            assert!(one.iter().zip(&two).all(|(a, b)| (a - b).norm() < 1e-12));
         }
     }
 

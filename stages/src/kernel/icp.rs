@@ -130,7 +130,7 @@ struct Pair {
 
 struct Fit<'a> {
     target: &'a Surface,
-    normals: Normals,
+    normals: Normals<'a>,
     columns: Columns<'a>,
     arms: Vec<Vector3<f64>>,
     radius_m: f64,

@@ -76,6 +76,7 @@ fn laplace(u: f64) -> f64 {
 
 impl Interpolation {
     /// Weights of the nodes -1, 0, 1 and 2 at `t` between nodes 0 and 1.
+    #[inline]
     pub fn weights(self, t: f64) -> [f64; 4] {
         match self {
             Self::CatmullRom => keys(-0.5, t),
@@ -97,18 +98,21 @@ impl Interpolation {
 }
 
 /// Keys' cubic convolution kernel (1981) for the nodes -1, 0, 1 and 2.
+#[inline]
 fn keys(a: f64, t: f64) -> [f64; 4] {
     let near = |t: f64| ((a + 2.0) * t - (a + 3.0)) * t * t + 1.0;
     let far = |t: f64| ((a * t - 5.0 * a) * t + 8.0 * a) * t - 4.0 * a;
     [far(1.0 + t), near(t), near(1.0 - t), far(2.0 - t)]
 }
 
+#[inline]
 fn b_spline(t: f64) -> [f64; 4] {
     let end = |t: f64| t * t * t / 6.0;
     let middle = |t: f64| (3.0 * t - 6.0) * t * t / 6.0 + 2.0 / 3.0;
     [end(1.0 - t), middle(t), middle(1.0 - t), end(t)]
 }
 
+#[inline]
 fn squares(weights: &[f64; 4]) -> f64 {
     weights.iter().map(|w| w * w).sum()
 }
@@ -210,6 +214,7 @@ impl SmoothNoise {
     }
 
     /// The field at a position, pixels.
+    #[inline]
     pub fn at(&self, position_px: [f64; 2]) -> f64 {
         let [x, y] = position_px.map(|p| p / self.recipe.spacing_px);
         let (column, row) = (floor(x), floor(y));
@@ -227,6 +232,7 @@ impl SmoothNoise {
         }
     }
 
+    #[inline]
     fn four_nodes(&self, column: i32, row: i32) -> [f64; 4] {
         let [x, y] = [column - self.first[0], row - self.first[1]];
         if x >= 0 && y >= 0 && x + 4 <= self.size[0] && y < self.size[1] {

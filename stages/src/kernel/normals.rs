@@ -1,7 +1,8 @@
 //! Normals of an organised surface from neighbourhoods wide enough that noise does not turn them.
 
+use std::sync::OnceLock;
+
 use nalgebra::Vector3;
-use rayon::prelude::*;
 
 use super::nearest::local;
 use crate::artefact::Surface;
@@ -14,26 +15,26 @@ const REACH: usize = 8;
 /// Share of the neighbourhood that must have points.
 const LEAST_FILLED: f64 = 0.5;
 
-/// One normal for every block of 4 x 4 points, by regression over 17 x 17 points about it.
-pub struct Normals {
-    width: usize,
+/// One normal for every block of 4 x 4 points, by regression over 17 x 17 points about it; worked out when first asked for,
+/// since a registration by a subset of points asks for few.
+pub struct Normals<'a> {
+    surface: &'a Surface,
     blocks_wide: usize,
-    blocks: Vec<Option<Vector3<f64>>>,
+    blocks: Vec<OnceLock<Option<Vector3<f64>>>>,
 }
 
-impl Normals {
-    /// The normals of a surface; the same bits at any thread count.
-    pub fn new(surface: &Surface) -> Self {
+impl<'a> Normals<'a> {
+    /// The normals of a surface.
+    pub fn new(surface: &'a Surface) -> Self {
         let (blocks_wide, blocks_high) = (surface.width.div_ceil(BLOCK), surface.height.div_ceil(BLOCK));
-        let blocks = (0..blocks_wide * blocks_high).into_par_iter();
-        let centre = |block: usize| (block / blocks_wide * BLOCK + BLOCK / 2, block % blocks_wide * BLOCK + BLOCK / 2);
-        let blocks = blocks.map(|block| normal_about(surface, centre(block))).collect();
-        Self { width: surface.width, blocks_wide, blocks }
+        Self { surface, blocks_wide, blocks: (0..blocks_wide * blocks_high).map(|_| OnceLock::new()).collect() }
     }
 
     /// Unit normal of a place of the surface, of either sign; `None` where too few points are about.
     pub fn at(&self, place: usize) -> Option<Vector3<f64>> {
-        self.blocks[place / self.width / BLOCK * self.blocks_wide + place % self.width / BLOCK]
+        let (row, column) = (place / self.surface.width / BLOCK, place % self.surface.width / BLOCK);
+        let centre = (row * BLOCK + BLOCK / 2, column * BLOCK + BLOCK / 2);
+        *self.blocks[row * self.blocks_wide + column].get_or_init(|| normal_about(self.surface, centre))
     }
 }
 

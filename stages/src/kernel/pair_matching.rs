@@ -212,6 +212,7 @@ impl Matcher<'_> {
         draws
     }
 
+    #[inline]
     fn match_pixel(&self, own: usize, row: usize, pixel: &OwnPixel, draws: &mut Draws) -> Option<Match> {
         let other = 1 - own;
         let seen = self.cameras[other].to_camera(&pixel.point_m);
@@ -275,6 +276,7 @@ impl Matcher<'_> {
     }
 
     /// White and smooth noise of a pixel.
+    #[inline]
     fn paper_noise(&self, first_px: [f64; 2], rectified_px: [f64; 2], draws: &mut Draws) -> DisparityError {
         let white_px = self.local.as_ref().map_or(0.0, |(sigma, _)| {
             let [column, row] = first_px.map(nearest);
@@ -286,6 +288,7 @@ impl Matcher<'_> {
 
     /// Whether an image sees a point at depth `z_m` that projects to `level`: it is inside, and not behind all that the
     /// four nearest pixels show.
+    #[inline]
     fn is_seen(&self, side: usize, [u, v]: [f64; 2], z_m: f64) -> bool {
         let depth = self.ideal[side];
         let (width, height) = (depth.width as f64, depth.height as f64);
@@ -306,6 +309,7 @@ impl Matcher<'_> {
 }
 
 /// Full-image position in pixels of the depth-map level, whose pixels are `1 / scale` image pixels.
+#[inline]
 fn to_level(pixel: [f64; 2], scale: f64) -> [f64; 2] {
     pixel.map(|p| (p + 0.5) * scale - 0.5)
 }

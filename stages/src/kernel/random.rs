@@ -31,6 +31,7 @@ pub struct Field {
 
 impl Field {
     /// Two independent standard normal draws of cell (x, y), by the Box-Muller transform.
+    #[inline]
     pub fn normals(&self, x: i32, y: i32) -> [f64; 2] {
         let [a, b, c, d] = self.words(x, y);
         // 53-bit uniforms, the first in (0, 1] so that its logarithm is finite.
@@ -61,12 +62,14 @@ impl Field {
     }
 
     /// Four random words of cell (x, y).
+    #[inline]
     pub fn words(&self, x: i32, y: i32) -> [u32; 4] {
         philox4x32([x as u32, y as u32, self.high[0], self.high[1]], self.key)
     }
 }
 
 /// The Philox4x32-10 block function (Salmon, Moraes, Dror, Shaw 2011, SC'11).
+#[inline]
 pub fn philox4x32(mut counter: [u32; 4], mut key: [u32; 2]) -> [u32; 4] {
     for round in 0..10 {
         if round > 0 {

@@ -77,10 +77,12 @@ pub fn mean(shape: Shape, moved: Option<&Moved>, grid: &Grid, minimum_points: u3
 /// The cell of a point and its Z; a cell that does not exist for points outside.
 #[inline]
 pub(super) fn place(grid: &Grid, [x, y, z]: [f64; 3]) -> (u32, f64) {
-    let column = ((x - grid.left_m) / grid.cell_m).floor();
-    let row = ((grid.top_m - y) / grid.cell_m).ceil() - 1.0;
-    if column >= 0.0 && column < grid.columns as f64 && row >= 0.0 && row < grid.rows as f64 && !z.is_nan() {
-        (row as u32 * grid.columns as u32 + column as u32, z)
+    // A cell has its left and its lower edge. Cutting off is rounding down where there is no sign, and needs no call.
+    let (column, row) = ((x - grid.left_m) / grid.cell_m, (grid.top_m - y) / grid.cell_m);
+    if column >= 0.0 && column < grid.columns as f64 && row > 0.0 && row <= grid.rows as f64 && !z.is_nan() {
+        let cut = row as u32;
+        let row = cut - u32::from(f64::from(cut) >= row);
+        (row * grid.columns as u32 + column as u32, z)
     } else {
         (u32::MAX, z)
     }

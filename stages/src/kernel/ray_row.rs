@@ -6,22 +6,24 @@ use crate::kernel::camera::{Camera, full_pixel};
 /// row only in its last bits, and on no other row.
 pub struct RayRow<'a> {
     camera: &'a Camera,
-    row: usize,
     downscale: u32,
+    /// Distorted normalised y of the row.
+    yd: f64,
     near: Option<[f64; 2]>,
 }
 
 impl<'a> RayRow<'a> {
     /// The rays of a row of an image reduced by `downscale`.
     pub fn new(camera: &'a Camera, row: usize, downscale: u32) -> Self {
-        Self { camera, row, downscale, near: None }
+        let [_, v] = full_pixel(0, row, downscale);
+        Self { camera, downscale, yd: camera.distorted_y(v), near: None }
     }
 
     /// Undistorted normalised coordinates of the centre of a pixel; `None` where the distortion has no inverse.
+    #[inline]
     pub fn ray(&mut self, column: usize) -> Option<[f64; 2]> {
-        let pixel = full_pixel(column, self.row, self.downscale);
-        let near = self.near.and_then(|guess| self.camera.normalised_near(pixel, guess));
-        self.near = near.or_else(|| self.camera.normalised(pixel));
+        let [u, _] = full_pixel(column, 0, self.downscale);
+        self.near = self.camera.normalised_in_row(u, self.yd, self.near);
         self.near
     }
 }

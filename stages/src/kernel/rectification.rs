@@ -69,6 +69,7 @@ impl Rectification {
     }
 
     /// Rectifies undistorted normalised coordinates of image `side` (0 first, 1 second); `None` beyond the plane's horizon.
+    #[inline]
     pub fn place(&self, side: usize, [x, y]: [f64; 2]) -> Option<Placed> {
         let ray = self.rectified_from_camera[side] * Vector3::new(x, y, 1.0);
         let scale = self.focal_px / ray.z;
@@ -82,6 +83,7 @@ impl Rectification {
     }
 
     /// What is left of a disparity without the shift of the principal points, pixels; `None` at or beyond infinity.
+    #[inline]
     pub fn parallax_px(&self, disparity_px: f64) -> Option<f64> {
         let parallax = disparity_px - (self.centre_x_px[0] - self.centre_x_px[1]);
         (parallax > 0.0).then_some(parallax)

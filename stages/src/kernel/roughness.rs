@@ -32,46 +32,86 @@ impl Roughness {
 /// Where the filter is cut off, in standard deviations.
 const TRUNCATION: f64 = 4.0;
 
+/// A value and its weight: those of a cell that has a value, or zeros, or sums of these.
+type Weighted = [f64; 2];
+
+/// Cells filtered together, so that their sums stay in registers.
+const BLOCK: usize = 8;
+/// Numbers in a block.
+const LANES: usize = 2 * BLOCK;
+
 /// Roughness of `columns` columns of values by row (NaN = none), for filters of `scales_cells` cells; `cell` is the side
 /// of a cell. Gaps and what lies beyond the edge have no weight (normalised convolution). `mean` only centres the values.
 pub fn roughness(values: &[f32], columns: usize, cell: f64, scales_cells: &[f64], mean: f64) -> Roughness {
-    let centred: Vec<f64> = values.iter().map(|v| if v.is_nan() { 0.0 } else { f64::from(*v) - mean }).collect();
-    let mask: Vec<f64> = values.iter().map(|v| if v.is_nan() { 0.0 } else { 1.0 }).collect();
-    let rms = scales_cells.iter().map(|scale| residual(&centred, &mask, columns, *scale)).collect();
+    let mut along = vec![[0.0; 2]; values.len()];
+    let rms = scales_cells.iter().map(|scale| residual(values, columns, mean, *scale, &mut along)).collect();
     Roughness { sigma: scales_cells.iter().map(|scale| scale * cell).collect(), rms }
 }
 
 /// The values under a Gaussian of `scale` cells, gaps without weight; 0 where nothing is in reach.
 pub fn smoothed(values: &[f32], columns: usize, scale: f64) -> Vec<f64> {
-    let filled: Vec<f64> = values.iter().map(|v| if v.is_nan() { 0.0 } else { f64::from(*v) }).collect();
-    let mask: Vec<f64> = values.iter().map(|v| if v.is_nan() { 0.0 } else { 1.0 }).collect();
-    let (sums, weights) = convolved(&filled, &mask, columns, scale);
-    sums.iter().zip(weights).map(|(sum, weight)| if weight > 0.0 { sum / weight } else { 0.0 }).collect()
-}
-
-/// A field and its mask under a Gaussian of `scale` cells.
-fn convolved(field: &[f64], mask: &[f64], columns: usize, scale: f64) -> (Vec<f64>, Vec<f64>) {
-    let rows = field.len() / columns;
     let kernel = half_kernel(scale);
-    let smooth = |field: &[f64]| filter_rows(&filter_rows(field, columns, &kernel), rows, &kernel);
-    rayon::join(|| smooth(field), || smooth(mask))
+    let mut along = vec![[0.0; 2]; values.len()];
+    filter_rows(values, columns, 0.0, &kernel, &mut along);
+    let mean = |[sum, weight]: Weighted| if weight > 0.0 { sum / weight } else { 0.0 };
+    let of_block = |strip: &mut Vec<Weighted>, block: usize| {
+        let mut means = Vec::with_capacity(values.len() / columns * BLOCK);
+        filter_columns(&along, columns, &kernel, block, strip, |_, sums| means.extend(sums.map(mean)));
+        means
+    };
+    let blocks: Vec<Vec<f64>> = (0..columns.div_ceil(BLOCK)).into_par_iter().map_init(Vec::new, of_block).collect();
+    let mut smooth = vec![0.0; values.len()];
+    smooth.par_chunks_mut(columns).enumerate().for_each(|(row, line)| {
+        for (out, means) in line.chunks_mut(BLOCK).zip(&blocks) {
+            out.copy_from_slice(&means[row * BLOCK..][..out.len()]);
+        }
+    });
+    smooth
 }
 
-fn residual(centred: &[f64], mask: &[f64], columns: usize, scale: f64) -> f64 {
-    let rows = centred.len() / columns;
-    let (sums, weights) = convolved(centred, mask, columns, scale);
-    let of_row = |row: usize| {
-        let cells = row * columns..(row + 1) * columns;
-        let mut total = (0.0, 0.0);
-        for i in cells.filter(|i| mask[*i] > 0.0) {
-            let d = centred[i] - sums[i] / weights[i];
-            total = (total.0 + d * d, total.1 + 1.0);
-        }
-        total
+/// Root mean square of what a Gaussian of `scale` cells takes away; `along` is room for the rows filtered.
+fn residual(values: &[f32], columns: usize, mean: f64, scale: f64, along: &mut [Weighted]) -> f64 {
+    let kernel = half_kernel(scale);
+    filter_rows(values, columns, mean, &kernel, along);
+    let of_block = |strip: &mut Vec<Weighted>, block: usize| {
+        let mut total = Squares::default();
+        filter_columns(along, columns, &kernel, block, strip, |row, sums| {
+            let end = (row + 1) * columns;
+            let cells = &values[row * columns + block * BLOCK..end.min(row * columns + (block + 1) * BLOCK)];
+            total.add(cells, mean, &sums);
+        });
+        total.sums()
     };
-    let lines: Vec<(f64, f64)> = (0..rows).into_par_iter().map(of_row).collect();
-    let (squares, count) = lines.iter().fold((0.0, 0.0), |(s, n), line| (s + line.0, n + line.1));
+    let blocks: Vec<[f64; 2]> = (0..columns.div_ceil(BLOCK)).into_par_iter().map_init(Vec::new, of_block).collect();
+    let [squares, count] = blocks.iter().fold([0.0, 0.0], |sum, block| [sum[0] + block[0], sum[1] + block[1]]);
     (squares / count).sqrt()
+}
+
+/// Squares of what is left of the values, and how many there are, by column of a block.
+#[derive(Default)]
+struct Squares {
+    squares: [f64; BLOCK],
+    counts: [f64; BLOCK],
+}
+
+impl Squares {
+    #[inline]
+    fn add(&mut self, cells: &[f32], mean: f64, sums: &[Weighted; BLOCK]) {
+        let mut values = [f32::NAN; BLOCK];
+        values[..cells.len()].copy_from_slice(cells);
+        for (lane, value) in values.into_iter().enumerate() {
+            let [sum, weight] = sums[lane];
+            let rest = f64::from(value) - mean - sum / weight;
+            // Where there is no value the rest is NaN.
+            let (square, one) = if rest.is_nan() { (0.0, 0.0) } else { (rest * rest, 1.0) };
+            self.squares[lane] += square;
+            self.counts[lane] += one;
+        }
+    }
+
+    fn sums(&self) -> [f64; 2] {
+        [self.squares.iter().sum(), self.counts.iter().sum()]
+    }
 }
 
 /// Weights at distances 0, 1, 2, ... cells; over both sides they add up to 1.
@@ -83,53 +123,57 @@ fn half_kernel(scale: f64) -> Vec<f64> {
     kernel.iter().map(|w| w / total).collect()
 }
 
-/// Outputs computed together, so that their sums stay in registers.
-const LANES: usize = 8;
-
-/// Filters each row of `columns` cells, with zeros beyond its ends, and returns the result transposed.
-fn filter_rows(field: &[f64], columns: usize, kernel: &[f64]) -> Vec<f64> {
+/// Filters each row, with nothing beyond its ends.
+fn filter_rows(values: &[f32], columns: usize, mean: f64, kernel: &[f64], along: &mut [Weighted]) {
     let radius = kernel.len() - 1;
-    let mut lines = vec![0.0; field.len()];
-    lines.par_chunks_mut(columns).zip(field.par_chunks(columns)).for_each(|(out, line)| {
-        let mut padded = vec![0.0; columns + 2 * radius + LANES];
-        padded[radius..radius + columns].copy_from_slice(line);
-        for (block, out) in out.chunks_mut(LANES).enumerate() {
-            let sums = convolve(&padded[block * LANES..], kernel);
-            out.copy_from_slice(&sums[..out.len()]);
+    along.par_chunks_mut(columns).zip(values.par_chunks(columns)).for_each(|(out, line)| {
+        let mut padded = vec![[0.0; 2]; columns + 2 * radius + BLOCK];
+        for (cell, value) in padded[radius..].iter_mut().zip(line).filter(|(_, value)| !value.is_nan()) {
+            *cell = [f64::from(*value) - mean, 1.0];
+        }
+        for (block, out) in out.chunks_mut(BLOCK).enumerate() {
+            out.copy_from_slice(&convolve(&padded[block * BLOCK..], 1, kernel)[..out.len()]);
         }
     });
-    transpose(&lines, columns)
 }
 
-/// Rows become columns; eight at a time, so that reading stays within cache lines.
-fn transpose(field: &[f64], columns: usize) -> Vec<f64> {
-    let rows = field.len() / columns;
-    let mut transposed = vec![0.0; field.len()];
-    transposed.par_chunks_mut(rows * LANES).enumerate().for_each(|(block, lines)| {
-        let count = lines.len() / rows;
-        for (row, cells) in field.chunks_exact(columns).enumerate() {
-            for (lane, cell) in cells[block * LANES..block * LANES + count].iter().enumerate() {
-                lines[lane * rows + row] = *cell;
-            }
-        }
-    });
-    transposed
+/// Filters a block of columns, with nothing beyond their ends, and hands over its cells row by row; `strip` is room for it.
+fn filter_columns(
+    along: &[Weighted],
+    columns: usize,
+    kernel: &[f64],
+    block: usize,
+    strip: &mut Vec<Weighted>,
+    mut take: impl FnMut(usize, [Weighted; BLOCK]),
+) {
+    let (rows, radius) = (along.len() / columns, kernel.len() - 1);
+    let wide = BLOCK.min(columns - block * BLOCK);
+    strip.clear();
+    strip.resize((rows + 2 * radius) * BLOCK, [0.0; 2]);
+    for (cells, line) in strip[radius * BLOCK..].chunks_exact_mut(BLOCK).zip(along.chunks_exact(columns)) {
+        cells[..wide].copy_from_slice(&line[block * BLOCK..][..wide]);
+    }
+    for row in 0..rows {
+        take(row, convolve(&strip[row * BLOCK..], BLOCK, kernel));
+    }
 }
 
-/// Eight neighbouring outputs; the first one's centre is `input[kernel.len() - 1]`.
-fn convolve(input: &[f64], kernel: &[f64]) -> [f64; LANES] {
-    let radius = kernel.len() - 1;
+/// A block of neighbours under the kernel, whose steps are `stride` cells of the input apart; the first one's centre is
+/// `input[(kernel.len() - 1) * stride]`.
+fn convolve(input: &[Weighted], stride: usize, kernel: &[f64]) -> [Weighted; BLOCK] {
+    let (input, centre) = (input.as_flattened(), 2 * (kernel.len() - 1) * stride);
     let mut sums = [0.0; LANES];
-    for lane in 0..LANES {
-        sums[lane] = kernel[0] * input[radius + lane];
+    for (sum, x) in sums.iter_mut().zip(&input[centre..][..LANES]) {
+        *sum = kernel[0] * x;
     }
     for (k, weight) in kernel.iter().enumerate().skip(1) {
-        let (left, right) = (&input[radius - k..][..LANES], &input[radius + k..][..LANES]);
+        let step = 2 * k * stride;
+        let (before, after) = (&input[centre - step..][..LANES], &input[centre + step..][..LANES]);
         for lane in 0..LANES {
-            sums[lane] += weight * (left[lane] + right[lane]);
+            sums[lane] += weight * (before[lane] + after[lane]);
         }
     }
-    sums
+    std::array::from_fn(|cell| [sums[2 * cell], sums[2 * cell + 1]])
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use super::fft::{C64, Fft2};
 use super::line::{Line, fit_line};
+use super::noise::sector::Sector;
 use super::precise;
 
 /// The radially averaged power spectrum.
@@ -72,41 +73,53 @@ impl Spectrum {
 ///
 /// `None` where the shorter side has fewer than two cells or no weight falls on cells with a value.
 pub fn spectrum(values: &[f32], columns: usize, cell: f64) -> Option<Spectrum> {
+    spectra(values, columns, cell, &[]).map(|(all, _)| all)
+}
+
+/// The spectrum over all directions, and those of the frequencies in the [`Sector`] about each of some directions (degrees
+/// counter-clockwise from the rows' direction), whose bins without samples have no power (NaN). A field that varies fast along
+/// X has its power about 0 degrees.
+pub fn spectra(values: &[f32], columns: usize, cell: f64, directions_deg: &[f64]) -> Option<(Spectrum, Vec<Spectrum>)> {
     let rows = values.len() / columns;
     let shorter = columns.min(rows);
-    let bins = shorter / 2;
-    if bins == 0 {
+    if shorter < 2 {
         return None;
     }
     let (across, down) = (hann(columns), hann(rows));
     let (mean, weight_squares) = weighted_mean(values, &across, &down)?;
     let fft = Fft2::new(columns, rows);
-    let spectrum = fft.forward(rows, fft.half(), |row, cells| {
+    let plane = fft.forward_real(rows, |row, cells| {
         for (column, out) in cells.iter_mut().enumerate() {
             let value = values[row * columns + column];
-            let weighted = if value.is_nan() { 0.0 } else { across[column] * down[row] * (f64::from(value) - mean) };
-            *out = C64::new(weighted, 0.0);
+            *out = if value.is_nan() { 0.0 } else { across[column] * down[row] * (f64::from(value) - mean) };
         }
     });
-    let lines = spectrum
-        .par_chunks(rows)
-        .enumerate()
-        .map(|(kx, line)| column_bins(line, kx, columns, bins))
-        .collect::<Vec<_>>();
+    let binned = |sector: Option<Sector>| {
+        let sums = radial_sums(&plane, [columns, rows], sector);
+        Spectrum {
+            frequency: (1..sums.len()).map(|k| k as f64 / (cell * shorter as f64)).collect(),
+            power: sums[1..].iter().map(|[n, p]| p / (n * weight_squares)).collect(),
+            samples: sums[1..].iter().map(|[n, _]| *n).collect(),
+            nyquist_bins: 0.5 * shorter as f64,
+        }
+    };
+    Some((binned(None), directions_deg.iter().map(|deg| binned(Some(Sector::about(*deg)))).collect()))
+}
+
+/// Samples and power by radial bin, from 0, of a half plane column by column.
+fn radial_sums(plane: &[C64], [columns, rows]: [usize; 2], sector: Option<Sector>) -> Vec<[f64; 2]> {
+    let bins = columns.min(rows) / 2;
+    let of_column = |(kx, line): (usize, &[C64])| column_bins(line, kx, columns, bins, sector);
+    let lines: Vec<Vec<[f64; 2]>> = plane.par_chunks(rows).enumerate().map(of_column).collect();
     let mut sums = vec![[0.0; 2]; bins + 1];
     for line in lines {
         sums.iter_mut().zip(line).for_each(|(sum, add)| *sum = [sum[0] + add[0], sum[1] + add[1]]);
     }
-    Some(Spectrum {
-        frequency: (1..=bins).map(|k| k as f64 / (cell * shorter as f64)).collect(),
-        power: sums[1..].iter().map(|[n, p]| p / (n * weight_squares)).collect(),
-        samples: sums[1..].iter().map(|[n, _]| *n).collect(),
-        nyquist_bins: 0.5 * shorter as f64,
-    })
+    sums
 }
 
 /// Samples and power by radial bin in one column of the half plane; inner columns stand for their mirror image too.
-fn column_bins(line: &[C64], kx: usize, columns: usize, bins: usize) -> Vec<[f64; 2]> {
+fn column_bins(line: &[C64], kx: usize, columns: usize, bins: usize, sector: Option<Sector>) -> Vec<[f64; 2]> {
     let rows = line.len();
     let shorter = columns.min(rows) as f64;
     let copies = if kx == 0 || 2 * kx == columns { 1.0 } else { 2.0 };
@@ -115,7 +128,8 @@ fn column_bins(line: &[C64], kx: usize, columns: usize, bins: usize) -> Vec<[f64
     for (ky, value) in line.iter().enumerate() {
         let y = ky.min(rows - ky) as f64 * shorter / rows as f64;
         let bin = ((x * x + y * y).sqrt() + 0.5).floor() as usize;
-        if (1..=bins).contains(&bin) {
+        let down = if 2 * ky > rows { -y } else { y };
+        if (1..=bins).contains(&bin) && sector.is_none_or(|sector| sector.contains(x, down)) {
             sums[bin] = [sums[bin][0] + copies, sums[bin][1] + copies * value.norm_sqr()];
         }
     }
@@ -170,6 +184,21 @@ mod tests {
         let strongest = (0..60).max_by(|a, b| found.power[*a].total_cmp(&found.power[*b])).unwrap();
         assert_eq!(strongest + 1, 12);
         assert!((found.frequency[11] - 12.0 / 60.0).abs() < 1e-15);
+    }
+
+    #[test]
+    fn a_wave_has_its_power_along_itself() {
+        // Crests run up to the right (rows go down), so it varies fastest at 135 degrees.
+        let wave = |i: usize| {
+            let turns = 9.0 * ((i % 100) as f64 + (i / 100) as f64) / 100.0;
+            precise::sin(std::f64::consts::TAU * turns) as f32
+        };
+        let values: Vec<f32> = (0..10_000).map(wave).collect();
+        let (all, sectors) = spectra(&values, 100, 1.0, &[0.0, 45.0, 90.0, 135.0]).unwrap();
+        let power =
+            |s: &Spectrum| s.power.iter().zip(&s.samples).filter(|(_, n)| **n > 0.0).map(|(p, n)| p * n).sum::<f64>();
+        assert!(power(&sectors[3]) > 0.95 * power(&all));
+        assert!((sectors.iter().map(power).sum::<f64>() / power(&all) - 1.0).abs() < 0.01);
     }
 
     #[test]

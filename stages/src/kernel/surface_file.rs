@@ -27,10 +27,12 @@ pub fn write(surface: &Surface) -> Result<Vec<u8>, CodecError> {
     bytes.extend_from_slice(MAGIC);
     bytes.extend_from_slice(header.as_bytes());
     bytes.push(b'\n');
-    for point in &surface.points {
-        for value in point {
-            bytes.extend_from_slice(&value.to_le_bytes());
-        }
+    let start = bytes.len();
+    bytes.resize(start + surface.points.len() * 12, 0);
+    for (place, [x, y, z]) in bytes[start..].chunks_exact_mut(12).zip(&surface.points) {
+        place[..4].copy_from_slice(&x.to_le_bytes());
+        place[4..8].copy_from_slice(&y.to_le_bytes());
+        place[8..].copy_from_slice(&z.to_le_bytes());
     }
     bytes.extend_from_slice(&surface.squares);
     Ok(bytes)

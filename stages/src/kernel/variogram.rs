@@ -5,7 +5,7 @@
 //! 22), so Matheron's estimator is S / 2N. Lag vectors of length h fall into the bin of the nearest whole number of cells.
 
 use super::fft::{C64, Fft2, fast_size};
-use super::precise;
+use super::noise::sector::Sector;
 
 /// The empirical variogram, one entry a lag bin that has pairs.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,16 +26,10 @@ pub fn variogram(values: &[f32], columns: usize, max_lag: usize, mean: f64, devi
     binned(values, columns, max_lag, [mean, deviation], &|_, _| true)
 }
 
-/// Half the angle of the sector of lags a directional variogram takes, degrees.
-pub const SECTOR_DEG: f64 = 22.5;
-
-/// The variogram of the lags within [`SECTOR_DEG`] of a direction, degrees counter-clockwise from the rows' direction.
+/// The variogram of the lags in the [`Sector`] about a direction, degrees counter-clockwise from the rows' direction.
 pub fn directional(values: &[f32], columns: usize, max_lag: usize, moments: [f64; 2], direction_deg: f64) -> Variogram {
-    let (sin, cos) = precise::sincos(direction_deg.to_radians());
-    let least = precise::cos(SECTOR_DEG.to_radians());
-    // Rows go down, angles up. A lag and its opposite are one.
-    let inside = |dx: f64, dy: f64| (dx * cos - dy * sin).abs() >= least * (dx * dx + dy * dy).sqrt();
-    binned(values, columns, max_lag, moments, &inside)
+    let sector = Sector::about(direction_deg);
+    binned(values, columns, max_lag, moments, &|dx, dy| sector.contains(dx, dy))
 }
 
 /// The variogram of the lag vectors (columns, rows down) that `takes` says count.
@@ -55,9 +49,9 @@ fn binned(
             *cell = scaled(*value).map_or(C64::default(), |z| C64::new(1.0, z));
         }
     });
-    let mut squares = fft.forward(rows, fft.half(), |row, cells| {
+    let mut squares = fft.forward_real(rows, |row, cells| {
         for (cell, value) in cells.iter_mut().zip(line(row)) {
-            *cell = scaled(*value).map_or(C64::default(), |z| C64::new(z * z, 0.0));
+            *cell = scaled(*value).map_or(0.0, |z| z * z);
         }
     });
     combine(&fft, &mask_and_value, &mut squares);

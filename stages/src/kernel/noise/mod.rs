@@ -12,6 +12,7 @@ pub mod moments;
 pub mod nested_variogram;
 pub mod points;
 pub mod robust_variogram;
+pub mod sector;
 pub mod strength;
 pub mod student;
 pub mod terms;

@@ -8,6 +8,7 @@ use super::canvas::{Align, Canvas, Colour, Pen};
 use super::colour_scale::{ColourScale, NO_DATA, labels, length, round_step, rounded};
 
 pub mod look;
+pub mod mosaic;
 
 const INK: Colour = [32, 32, 36];
 const FAINT: Colour = [96, 98, 104];
@@ -150,13 +151,8 @@ fn write_titles(canvas: &mut Canvas, subject: &Subject, layout: &Layout, box_wid
         (room, y) = (box_width + beside, x + 40.0);
     }
     lines.push((Pen::plain(layout.subtitle_px, FAINT)?, y, below.join(", ")));
-    for (pen, y, mut text) in lines {
-        while pen.width(&text) > room as f32 {
-            text = text.trim_end_matches('\u{2026}').to_owned();
-            text.pop();
-            text.push('\u{2026}');
-        }
-        canvas.text(&pen, x, y, Align::Left, &text);
+    for (pen, y, text) in lines {
+        canvas.text(&pen, x, y, Align::Left, &pen.fitted(&text, room as f32));
     }
     Ok(())
 }
@@ -227,6 +223,17 @@ pub fn draw_scale(
     Ok(())
 }
 
+/// Cells of a grid (columns, rows) that a pixel of its picture covers along a side, where there are `room` pixels.
+fn cells_per_pixel([columns, rows]: [usize; 2], room: usize) -> f64 {
+    let longest = columns.max(rows);
+    if longest > room { longest as f64 / room as f64 } else { 1.0 / (room / longest).min(MAXIMUM_ENLARGEMENT) as f64 }
+}
+
+/// Pixels that so many cells take.
+fn pixels_of(cells: usize, cells_per_pixel: f64) -> usize {
+    ((cells as f64 / cells_per_pixel).round() as usize).max(1)
+}
+
 /// The values at the size of the picture.
 struct View {
     width: usize,
@@ -239,14 +246,8 @@ impl View {
     fn of(subject: &Subject, room: usize) -> Self {
         let columns = subject.columns.max(1);
         let rows = (subject.values.len() / columns).max(1);
-        let longest = columns.max(rows);
-        let cells_per_pixel = if longest > room {
-            longest as f64 / room as f64
-        } else {
-            1.0 / (room / longest).min(MAXIMUM_ENLARGEMENT) as f64
-        };
-        let pixels = |cells: usize| ((cells as f64 / cells_per_pixel).round() as usize).max(1);
-        let (width, height) = (pixels(columns), pixels(rows));
+        let cells_per_pixel = cells_per_pixel([columns, rows], room);
+        let [width, height] = [columns, rows].map(|cells| pixels_of(cells, cells_per_pixel));
         let mut values = vec![f32::NAN; width * height];
         let across: Vec<_> = (0..width).map(|x| cells(x, cells_per_pixel, columns)).collect();
         values.par_chunks_mut(width).enumerate().for_each(|(y, line)| {
