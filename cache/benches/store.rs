@@ -1,6 +1,5 @@
 //! Measures what an engine waits for: committing, opening, looking up and recalling many small steps.
 
-use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use rockface_cache::{Cost, Digest, OutputRecord, Recipe, RecipeInput, Record, SeedMaterial, Store};
@@ -48,13 +47,13 @@ fn step(store: &Store, number: u64) -> Record {
     let recipe = Recipe {
         stage: "remove-blocks".to_owned(),
         version: 1,
-        params: json!({"count": 100, "max_failed_attempts": 1000, "radius_m": 0.25, "number": number}),
+        params: json!({"count": 100, "max_failed_attempts": 1000, "radius_m": 0.25, "number": number}).into(),
         inputs: ["mesh", "blocks", "mask"].map(|port| (port.to_owned(), RecipeInput::One(Digest::of(&output)))).into(),
         seed: Some(SeedMaterial { seed: 2747, stream: "removed".to_owned(), items }),
     };
     let digest = store.put(&output).expect("a stored blob");
-    let kept = OutputRecord { kind: "mesh".to_owned(), digest, bytes: 8, kept: true, items: None };
-    let outputs = BTreeMap::from([("mesh".to_owned(), kept)]);
+    let kept = OutputRecord { kind: "mesh".to_owned(), digest, bytes: 8, kept: true, items: None, memory_bytes: None };
+    let outputs = [("mesh".to_owned(), kept)].into();
     let log = Some(store.put(log.as_bytes()).expect("a stored log"));
     let record = Record { recipe, outputs, log, sketches: None, cost: Cost::default() };
     store.commit(&record).expect("a committed record");

@@ -112,6 +112,9 @@ impl Index {
 
     /// Enters the frames of a segment, which has now been read up to `end`.
     pub(crate) fn enter(&mut self, segment: u32, frames: Vec<Frame>, end: u64) {
+        let count = |kind: Kind| frames.iter().filter(|frame| frame.header.kind == kind).count();
+        self.blobs.reserve(count(Kind::Blob));
+        self.records.reserve(count(Kind::Record));
         for Frame { header, at, payload } in frames {
             self.enter_one(segment, &header, at, payload);
         }

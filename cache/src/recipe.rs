@@ -1,8 +1,9 @@
 //! The recipe of an output: everything that decides its bytes and nothing else.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::Value;
 
 use crate::Digest;
@@ -20,7 +21,8 @@ pub struct Recipe {
     /// The version of the stage's code.
     pub version: u32,
     /// The parameters, defaults filled in, files replaced by their digests.
-    pub params: Value,
+    #[serde(serialize_with = "write_shared", deserialize_with = "read_shared")]
+    pub params: Arc<Value>,
     /// What each input port reads.
     pub inputs: BTreeMap<String, RecipeInput>,
     /// Where the random numbers come from; `None` for a stage that draws none.
@@ -101,6 +103,14 @@ impl SeedMaterial {
     }
 }
 
+fn write_shared<S: Serializer>(value: &Arc<Value>, serializer: S) -> Result<S::Ok, S::Error> {
+    value.serialize(serializer)
+}
+
+fn read_shared<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Arc<Value>, D::Error> {
+    Value::deserialize(deserializer).map(Arc::new)
+}
+
 fn write_input(out: &mut String, input: &RecipeInput) {
     match input {
         RecipeInput::One(digest) => write_digest(out, digest),
@@ -148,7 +158,7 @@ pub(crate) mod tests {
             stage: String, version: u32, params in any_value(),
             inputs in btree_map(any::<String>(), any_input(), 0..4), seed in proptest::option::of(any_seed()),
         ) -> Recipe {
-            Recipe { stage, version, params, inputs, seed }
+            Recipe { stage, version, params: Arc::new(params), inputs, seed }
         }
     }
 
@@ -163,7 +173,7 @@ pub(crate) mod tests {
         Recipe {
             stage: "remove-blocks".into(),
             version: 3,
-            params: json!({"radius_m": 1.0, "count": 100, "file": Digest::of(b"").to_string()}),
+            params: json!({"radius_m": 1.0, "count": 100, "file": Digest::of(b"").to_string()}).into(),
             inputs: [("rows".to_owned(), rows), ("mesh".to_owned(), mesh)].into(),
             seed: Some(SeedMaterial { seed: 2747, stream: "removed".into(), items: strings(&[("replicate", "7")]) }),
         }
@@ -198,7 +208,7 @@ pub(crate) mod tests {
         let mut others = vec![fixed(); 6];
         others[0].stage.push('s');
         others[1].version = 4;
-        others[2].params["count"] = json!(100.0);
+        Arc::make_mut(&mut others[2].params)["count"] = json!(100.0);
         others[3].inputs.remove("rows");
         others[4].seed = None;
         others[5].seed.as_mut().unwrap().seed = 2748;

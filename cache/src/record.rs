@@ -1,10 +1,8 @@
 //! The record of a finished step: its recipe, what came out, and what it cost.
 
-use std::collections::BTreeMap;
-
 use serde::{Deserialize, Serialize};
 
-use crate::{Digest, Recipe};
+use crate::{Digest, Outputs, Recipe};
 
 /// What is remembered of a finished step under the key of its recipe.
 #[derive(Debug, Clone, PartialEq)]
@@ -12,7 +10,7 @@ pub struct Record {
     /// What decided the outputs.
     pub recipe: Recipe,
     /// What came out of each output port.
-    pub outputs: BTreeMap<String, OutputRecord>,
+    pub outputs: Outputs,
     /// The log of the step, a blob.
     pub log: Option<Digest>,
     /// Sketches of the outputs for the log of a run, a blob; `None` where none were made.
@@ -32,6 +30,9 @@ pub struct OutputRecord {
     pub bytes: u64,
     /// Whether the bytes were stored; if not, only their digest is known.
     pub kept: bool,
+    /// Bytes the value takes in memory, for whoever plans to read it; `None` in records of former versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub memory_bytes: Option<u64>,
     /// The items of a list artefact, over which a dynamic axis may fan out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub items: Option<Vec<String>>,
@@ -45,7 +46,9 @@ pub struct Cost {
     /// Processor time of the whole process over the life of the step, seconds: all threads, and with them whatever else
     /// ran at the same time. It is the step's own only where steps run one by one.
     pub cpu_s: f64,
-    /// Greatest memory in use, bytes.
+    /// Greatest resident memory of the whole process over the life of the step, looked at about 20 times a second, bytes:
+    /// the step's own only where steps run one by one, and without the programs it starts. Of a step too short to be
+    /// looked at, or where the system does not tell: the size in memory of what it loaded and made.
     pub peak_bytes: u64,
     /// When it was finished, seconds since 1970-01-01 UTC.
     pub finished_unix_s: u64,
@@ -55,7 +58,7 @@ pub struct Cost {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct Outcome {
     /// What came out of each output port.
-    pub outputs: BTreeMap<String, OutputRecord>,
+    pub outputs: Outputs,
     /// The log of the step, a blob.
     pub log: Option<Digest>,
     /// Sketches of the outputs for the log of a run, a blob; `None` where none were made.
@@ -85,7 +88,7 @@ impl Outcome {
 /// The part of a record that is not its recipe, as it is written.
 #[derive(Serialize)]
 struct OutcomeRef<'a> {
-    outputs: &'a BTreeMap<String, OutputRecord>,
+    outputs: &'a Outputs,
     log: &'a Option<Digest>,
     #[serde(skip_serializing_if = "Option::is_none")]
     sketches: &'a Option<Digest>,
@@ -125,6 +128,11 @@ impl Record {
         Ok(out)
     }
 
+    /// The text of the recipe in the bytes of a record.
+    pub(crate) fn recipe_text(bytes: &[u8]) -> Option<&str> {
+        std::str::from_utf8(split(bytes)?.0).ok()
+    }
+
     /// The record these bytes hold; `None` when another program wrote them.
     pub(crate) fn decode(bytes: &[u8]) -> Option<Record> {
         let (recipe, outcome) = split(bytes)?;
@@ -140,10 +148,7 @@ fn split(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     rest.split_at_checked(u32::from_le_bytes(*length) as usize)
 }
 
-fn promised(
-    outputs: &BTreeMap<String, OutputRecord>,
-    told: [Option<Digest>; 2],
-) -> impl Iterator<Item = (Digest, Option<u64>)> {
+fn promised(outputs: &Outputs, told: [Option<Digest>; 2]) -> impl Iterator<Item = (Digest, Option<u64>)> {
     let kept = outputs.values().filter(|output| output.kept);
     kept.map(|output| (output.digest, Some(output.bytes))).chain(told.into_iter().flatten().map(|blob| (blob, None)))
 }
@@ -163,11 +168,13 @@ pub(crate) mod tests {
 
     fn any_output() -> impl Strategy<Value = OutputRecord> {
         let items = proptest::option::of(proptest::collection::vec(any::<String>(), 0..3));
-        (any::<String>(), any::<[u8; 32]>(), any::<u64>(), any::<bool>(), items).prop_map(
-            |(kind, digest, bytes, kept, items)| OutputRecord {
+        let memory_bytes = proptest::option::of(any::<u64>());
+        (any::<String>(), any::<[u8; 32]>(), any::<u64>(), memory_bytes, any::<bool>(), items).prop_map(
+            |(kind, digest, bytes, memory_bytes, kept, items)| OutputRecord {
                 kind,
                 digest: Digest::from_bytes(digest),
                 bytes,
+                memory_bytes,
                 kept,
                 items,
             },
@@ -176,11 +183,12 @@ pub(crate) mod tests {
 
     prop_compose! {
         fn any_record()(
-            recipe in any_recipe(), outputs in proptest::collection::btree_map(any::<String>(), any_output(), 0..3),
+            recipe in any_recipe(), outputs in proptest::collection::vec((any::<String>(), any_output()), 0..3),
             log in proptest::option::of(any::<[u8; 32]>()), sketches in proptest::option::of(any::<[u8; 32]>()), wall_s in 0.0..1e6, cpu_s in 0.0..1e6, peak_bytes: u64,
         ) -> Record {
             let cost = Cost { wall_s, cpu_s, peak_bytes, finished_unix_s: 1_700_000_000 };
             let [log, sketches] = [log, sketches].map(|blob| blob.map(Digest::from_bytes));
+            let outputs = outputs.into_iter().collect();
             Record { recipe, outputs, log, sketches, cost }
         }
     }
@@ -189,6 +197,8 @@ pub(crate) mod tests {
         #[test]
         fn decoding_gives_back_what_was_encoded(record in any_record()) {
             let bytes = record.encode(&record.recipe.text()).unwrap();
+            let text = record.recipe.text();
+            prop_assert_eq!(Record::recipe_text(&bytes), Some(text.as_str()));
             prop_assert_eq!(Record::decode(&bytes).unwrap(), record);
         }
 

@@ -104,14 +104,17 @@ pub(crate) fn scan(file: &File, from: u64) -> io::Result<Scan> {
         frames.push(Frame { header, at, payload });
         next = window.find_header(start + header.frame_bytes())?;
     }
-    let mut whole = Vec::with_capacity(frames.len());
-    for frame in frames {
-        if frame.at < durable || window.is_whole(&frame)? {
-            whole.push(frame);
-        }
-    }
-    let end = whole.last().map_or(from, |frame| frame.at + u64::from(frame.header.length));
-    Ok(Scan { frames: whole, end })
+    let mut torn = Ok(());
+    frames.retain(|frame| {
+        frame.at < durable
+            || window.is_whole(frame).unwrap_or_else(|fault| {
+                torn = Err(fault);
+                false
+            })
+    });
+    torn?;
+    let end = frames.last().map_or(from, |frame: &Frame| frame.at + u64::from(frame.header.length));
+    Ok(Scan { frames, end })
 }
 
 /// A reader of a file by offset that remembers the stretch it read last.

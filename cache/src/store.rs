@@ -152,6 +152,11 @@ impl Store {
         self.journal.with_index(|index| Record::decode(index.payload(Kind::Record, key)?))
     }
 
+    /// The text of the recipe whose key this is, if it is on record.
+    pub fn recipe_text(&self, key: &Digest) -> Option<String> {
+        self.journal.with_index(|index| Some(Record::recipe_text(index.payload(Kind::Record, key)?)?.to_owned()))
+    }
+
     /// The latest record under this key, if every blob it names is there.
     pub fn is_hit(&self, key: &Digest) -> Option<Record> {
         self.record(key).filter(|record| self.has_all(record.blobs()))

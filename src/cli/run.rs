@@ -101,7 +101,10 @@ impl RunArgs {
             repeat::verdict(&former, &plan, &summary).iter().for_each(|line| say(line));
         }
         self.report(&summary, &finished, &told, begun.elapsed().as_secs_f64());
-        if summary.failed { Err(CliError::Failed) } else { Ok(()) }
+        let failed = summary.failed;
+        // The process ends now: taking a large plan apart piece by piece would only take time.
+        std::mem::forget((pipeline, plan, summary));
+        if failed { Err(CliError::Failed) } else { Ok(()) }
     }
 
     fn runs_folder(&self) -> Result<PathBuf, CliError> {
@@ -113,7 +116,7 @@ impl RunArgs {
 
     fn observer(&self) -> Box<dyn Observer> {
         if self.json {
-            Box::new(JsonLines(std::io::stdout()))
+            Box::new(JsonLines::new(std::io::stdout()))
         } else if std::io::stderr().is_terminal() && !self.quiet {
             Box::new(Terminal::new(self.verbose))
         } else if self.quiet {

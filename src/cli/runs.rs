@@ -89,18 +89,13 @@ impl RunsArgs {
     }
 }
 
-fn counts(run: &PastRun) -> (usize, usize) {
-    let count = |status: &str| run.manifest.steps.iter().filter(|done| done.status == status).count();
-    (count("executed"), count("cached"))
-}
-
 fn list(places: &Places, format: Format) -> Result<(), CliError> {
     let (runs, faults) = history::list(&places.runs)?;
     for fault in faults {
         eprintln!("warning: {fault}");
     }
     let row = |run: &PastRun| {
-        let (executed, cached) = counts(run);
+        let [executed, cached, _] = run.manifest.counts();
         let pinned = if run.pinned { "pinned" } else { "" };
         let first = run.manifest.headlines.first().cloned().unwrap_or_default();
         let (status, wall) = (run.manifest.status.clone(), duration(run.manifest.wall_s));
@@ -110,7 +105,7 @@ fn list(places: &Places, format: Format) -> Result<(), CliError> {
     let json: Value = runs
         .iter()
         .map(|run| {
-            let ((executed, cached), manifest) = (counts(run), &run.manifest);
+            let ([executed, cached, _], manifest) = (run.manifest.counts(), &run.manifest);
             json!({
                 "name": run.name, "folder": run.folder, "pipeline": manifest.pipeline.name, "status": manifest.status,
                 "finished": manifest.finished, "wall_s": manifest.wall_s, "executed": executed, "cached": cached,
@@ -127,7 +122,7 @@ fn show(run: &PastRun, as_json: bool) -> Result<(), CliError> {
         say(&serde_json::to_string_pretty(manifest).unwrap_or_default());
         return Ok(());
     }
-    let (executed, cached) = counts(run);
+    let [executed, cached, _] = run.manifest.counts();
     say(&format!("{} ({}){}", run.name, manifest.status, if run.pinned { ", pinned" } else { "" }));
     say(&format!("pipeline  {} ({})", manifest.pipeline.name, manifest.pipeline.path.display()));
     say(&format!("seed      {}", manifest.seed));

@@ -142,7 +142,7 @@ mod tests {
         Recipe {
             stage: "s".into(),
             version: 1,
-            params,
+            params: params.into(),
             inputs: [("mesh".to_owned(), RecipeInput::One(Digest::of(b"m"))), ("rows".to_owned(), rows)].into(),
             seed: Some(SeedMaterial { seed: 1, stream: "s".into(), items: Point::new() }),
         }
@@ -178,8 +178,8 @@ mod tests {
         let mut others = vec![base.clone(); 4];
         others[0].seed = None;
         others[1].inputs.remove("mesh");
-        others[2].params = json!({"a": {}});
-        others[3].params = json!({});
+        others[2].params = json!({"a": {}}).into();
+        others[3].params = json!({}).into();
         for other in others {
             assert_ne!(other.key(), base.key());
             assert!(!told(&base, &other).is_empty() && !told(&other, &base).is_empty(), "{other:?}");

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use rockface_cache::{Digest, Store};
 
+use super::sources::source_files;
 use super::{HistoryError, PastRun};
 
 /// Explains the archive to whoever opens it.
@@ -14,6 +15,7 @@ const README: &str = "This archive holds one run of rockface.
 
 run.json                 the manifest: pipeline, overrides, seed, program, and every step with its key and digests
 pipeline.yaml            the pipeline as it was run
+pipeline/                the same with the files it includes, where they lay to each other; only where it includes any
 run.mcap                 the log
 ro-crate-metadata.json   the same for programs that know nothing of rockface (Workflow Run RO-Crate)
 records/KEY.recipe.json  the recipe of every step: the BLAKE3 of these very bytes is KEY
@@ -47,6 +49,9 @@ pub fn archive(run: &PastRun, store: &Store, outputs: bool, to: &Path) -> Result
     for path in files_of(run, outputs)? {
         let bytes = std::fs::read(run.folder.join(&path)).map_err(HistoryError::io("read", &run.folder.join(&path)))?;
         packing.add(&path, &bytes)?;
+    }
+    for (path, text) in source_files(&run.manifest.pipeline) {
+        packing.add(&Path::new("pipeline").join(path), text.as_bytes())?;
     }
     let missing = packing.records(run, store)?;
     let files = packing.sums.len() + 1;

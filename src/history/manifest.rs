@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use rockface_cache::{Cost, Digest, OutputRecord, RecipeInput};
+use rockface_cache::{Cost, Digest, Outputs, RecipeInput};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -99,7 +99,7 @@ pub struct StepDone {
     /// The key of its recipe.
     pub key: Option<Digest>,
     /// What came out, by port.
-    pub outputs: Option<BTreeMap<String, OutputRecord>>,
+    pub outputs: Option<Outputs>,
     /// Its log, a blob.
     #[serde(default)]
     pub log: Option<Digest>,
@@ -166,6 +166,13 @@ impl Manifest {
             }
             None => Err("it says no format".to_owned()),
         }
+    }
+
+    /// How many step instances were executed, how many were cached, and how many were not made.
+    pub fn counts(&self) -> [usize; 3] {
+        let count = |status: &str| self.steps.iter().filter(|done| done.status == status).count();
+        let (executed, cached) = (count("executed"), count("cached"));
+        [executed, cached, self.steps.len() - executed - cached]
     }
 
     /// The text of the file: JSON, with a line for each step instance.

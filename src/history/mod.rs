@@ -4,6 +4,7 @@ mod archive;
 mod compare;
 mod manifest;
 mod provenance;
+mod sources;
 
 use std::path::{Path, PathBuf};
 

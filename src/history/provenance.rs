@@ -14,6 +14,8 @@ use super::manifest::{Manifest, StepDone};
 
 /// Runs of more instances are described as a whole, without an action for each.
 const ACTIONS_LIMIT: usize = 2000;
+/// The manifest, as it lies in the folder.
+const MANIFEST: &str = "run.json";
 /// The pipeline, as it lies in the folder.
 const PIPELINE: &str = "pipeline.yaml";
 /// The profiles the crate conforms to: address, name, version.
@@ -118,11 +120,12 @@ impl Crate<'_> {
     /// The files of the folder that are not outputs of steps.
     fn files(&mut self, folder: &Path) {
         for (name, format, what) in [
-            ("run.json", "application/json", "manifest: everything needed to repeat the run"),
+            (MANIFEST, "application/json", "manifest: everything needed to repeat the run"),
             ("run.mcap", "application/octet-stream", "log of the run, MCAP"),
             ("report.html", "text/html", "the run on one page, for people"),
         ] {
-            if folder.join(name).is_file() {
+            // The manifest is written last of all.
+            if name == MANIFEST || folder.join(name).is_file() {
                 self.add(name, json!({"@type": "File", "name": name, "description": what, "encodingFormat": format}));
                 self.parts.insert(name.to_owned());
             }

@@ -1,5 +1,6 @@
 //! The typed document: parameters, axes, steps and targets, each with its place in the text.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use serde_json::Value;
@@ -39,7 +40,7 @@ pub struct Step {
     /// The stage it uses.
     pub stage: Word,
     /// Its parameters.
-    pub with: Option<Node>,
+    pub with: Option<Arc<Node>>,
     /// Where its inputs come from, by port.
     pub inputs: Vec<(Word, Input)>,
     /// Axes it depends on besides those that follow from its inputs and parameters.
@@ -68,10 +69,13 @@ pub struct Stream {
 /// The keys of a pipeline.
 pub const TOP: &[&str] = &["rockface", "name", "seed", "include", "params", "axes", "zip", "steps", "targets", "log"];
 
-/// Reads a document and collects everything that is wrong with its shape.
-pub fn read(root: &Node, file_stem: &str, faults: &mut Vec<Diagnostic>) -> Option<Document> {
+/// Reads a document and collects everything that is wrong with its shape. Axes and steps are taken out of the tree one by
+/// one: it may be large.
+pub fn read(root: &mut Node, file_stem: &str, faults: &mut Vec<Diagnostic>) -> Option<Document> {
     let mut reader = Reader { faults, seed: 0 };
     reader.check_numbers(root);
+    let no_steps =
+        root.get("steps").map_or(Some(root.span), |n| n.entries().is_some_and(<[_]>::is_empty).then_some(n.span));
     let top = reader.map(root, "the pipeline", TOP)?;
     reader.format_version(root, top);
     reader.seed = root.get("seed").map_or(0, |n| reader.seed(n));
@@ -82,14 +86,12 @@ pub fn read(root: &Node, file_stem: &str, faults: &mut Vec<Diagnostic>) -> Optio
             .map_or_else(|| file_stem.to_owned(), |w| w.text),
         seed: reader.seed,
         params: root.get("params").and_then(|n| reader.any_map(n, "`params`")).map(<[_]>::to_vec).unwrap_or_default(),
-        axes: reader.named(root, "axes", Reader::axis),
+        axes: reader.named(root, "axes", |reader, name, node| reader.axis(name, node)),
         zips: root.get("zip").map(|n| reader.zips(n)).unwrap_or_default(),
         steps: reader.named(root, "steps", Reader::step),
         targets: root.get("targets").map(|n| reader.some_words(n, "a step name")),
         log: root.get("log").and_then(|n| reader.log_level(n)),
     };
-    let no_steps =
-        root.get("steps").map_or(Some(root.span), |n| n.entries().is_some_and(<[_]>::is_empty).then_some(n.span));
     if let Some(span) = no_steps {
         reader.fault(
             Diagnostic::at(span, "the pipeline has no `steps`")
@@ -171,18 +173,26 @@ impl Reader<'_> {
         }
     }
 
-    fn named<T>(&mut self, root: &Node, section: &str, read: fn(&mut Self, Word, &Node) -> Option<T>) -> Vec<T> {
-        let Some(node) = root.get(section) else { return Vec::new() };
-        let Some(entries) = self.any_map(node, &format!("`{section}`")) else { return Vec::new() };
-        let named = entries.iter().filter_map(|(key, node)| {
-            let word = Word { span: key.span, text: key.name.clone() };
+    fn named<T>(
+        &mut self,
+        root: &mut Node,
+        section: &str,
+        read: fn(&mut Self, Word, &mut Node) -> Option<T>,
+    ) -> Vec<T> {
+        let Some(node) = root.take(section) else { return Vec::new() };
+        if self.any_map(&node, &format!("`{section}`")).is_none() {
+            return Vec::new();
+        }
+        let entries = node.into_entries();
+        let mut found = Vec::with_capacity(entries.len());
+        for (key, mut node) in entries {
             if let Some(bad) = bad_name(&key.name) {
                 self.fault(Diagnostic::at(key.span, format!("`{}` cannot be a name: {bad}", key.name)));
-                return None;
+                continue;
             }
-            read(self, word, node)
-        });
-        named.collect()
+            found.extend(read(self, Word { span: key.span, text: key.name }, &mut node));
+        }
+        found
     }
 
     fn identifier(&mut self, node: &Node, what: &str) -> Option<Word> {
@@ -255,7 +265,7 @@ impl Reader<'_> {
         }
     }
 
-    fn step(&mut self, name: Word, node: &Node) -> Option<Step> {
+    fn step(&mut self, name: Word, node: &mut Node) -> Option<Step> {
         let what = format!("step `{}`", name.text);
         self.map(node, &what, &["stage", "with", "in", "over", "keep", "stream", "timeout", "retries", "log"])?;
         let Some(stage) = node.get("stage") else {
@@ -265,19 +275,22 @@ impl Reader<'_> {
             return None;
         };
         let stage = self.word(stage, "the name of a stage")?;
-        let with = node.get("with").filter(|n| self.any_map(n, "`with`").is_some()).cloned();
+        if let Some(with) = node.get("with") {
+            self.any_map(with, "`with`");
+        }
         let inputs = node.get("in").and_then(|n| self.any_map(n, "`in`")).unwrap_or_default();
-        let inputs = inputs
-            .iter()
-            .filter_map(|(key, node)| Some((Word { span: key.span, text: key.name.clone() }, self.input(node)?)))
-            .collect();
+        let mut read = Vec::with_capacity(inputs.len());
+        for (key, node) in inputs {
+            read.extend(self.input(node).map(|input| (Word { span: key.span, text: key.name.clone() }, input)));
+        }
         let over = node.get("over").map(|n| self.words(n, "an axis")).unwrap_or_default();
         let keep = self.flag(node.get("keep"), true);
         let stream = node.get("stream").and_then(|n| self.stream(n));
         let timeout = node.get("timeout").and_then(|n| self.duration(n));
         let retries = node.get("retries").map_or(0, |n| self.retries(n));
         let log = node.get("log").and_then(|n| self.log_level(n));
-        Some(Step { name, stage, with, inputs, over, keep, stream, timeout, retries, log })
+        let with = node.take("with").filter(|with| with.entries().is_some()).map(Arc::new);
+        Some(Step { name, stage, with, inputs: read, over, keep, stream, timeout, retries, log })
     }
 
     fn log_level(&mut self, node: &Node) -> Option<LogLevel> {

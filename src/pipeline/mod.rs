@@ -116,7 +116,7 @@ impl Pipeline {
                 for sweep in &overrides.sweep {
                     faults.extend(sweep::apply(&mut root, sweep, &mut texts.sources).err());
                 }
-                document = document::read(&root, stem, &mut faults);
+                document = document::read(&mut root, stem, &mut faults);
             }
             Err(fault) => faults.push(fault),
         }

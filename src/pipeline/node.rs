@@ -88,6 +88,11 @@ impl Node {
         if let Data::Map(entries) = &self.data { Some(entries) } else { None }
     }
 
+    /// The entries, taken over; none if it is no map.
+    pub fn into_entries(self) -> Vec<(Key, Node)> {
+        if let Data::Map(entries) = self.data { entries } else { Vec::new() }
+    }
+
     /// The value of a key, if it is a map and has it.
     pub fn get(&self, name: &str) -> Option<&Node> {
         self.entries()?.iter().find(|(key, _)| key.name == name).map(|(_, node)| node)
@@ -108,6 +113,13 @@ impl Node {
             },
             Data::Scalar(_) => self.span,
         }
+    }
+
+    /// Takes the value of a key out of a map.
+    pub fn take(&mut self, key: &str) -> Option<Node> {
+        let Data::Map(entries) = &mut self.data else { return None };
+        let place = entries.iter().position(|(own, _)| own.name == key)?;
+        Some(entries.swap_remove(place).1)
     }
 
     /// What it is, for messages.

@@ -159,17 +159,22 @@ impl<'a> Reader<'a> {
                 self.text()?.clone_into(&mut written);
                 Data::Scalar(value)
             }
-            b'l' => {
-                let count = self.number()?;
-                Data::List((0..count).map(|_| self.node()).collect::<Option<_>>()?)
-            }
-            b'm' => {
-                let count = self.number()?;
-                Data::Map((0..count).map(|_| self.entry()).collect::<Option<_>>()?)
-            }
+            b'l' => Data::List(self.many(Self::node)?),
+            b'm' => Data::Map(self.many(Self::entry)?),
             _ => return None,
         };
         Some(Node { span, data, written })
+    }
+
+    /// A number of things and the things, in no more room than they need: most lists and maps are short.
+    fn many<T>(&mut self, one: fn(&mut Self) -> Option<T>) -> Option<Vec<T>> {
+        // Each takes a byte at least; a larger number is damage.
+        let count = self.number().filter(|count| *count <= self.body.len())?;
+        let mut many = Vec::with_capacity(count);
+        for _ in 0..count {
+            many.push(one(self)?);
+        }
+        Some(many)
     }
 
     fn entry(&mut self) -> Option<(Key, Node)> {

@@ -22,7 +22,7 @@ impl Resolver<'_> {
     /// The feeds of all given ports of a step, in the stage's order of ports.
     pub fn inputs(&mut self, step: &Step, own: usize) -> Vec<(&'static Port, Feed)> {
         let Some(ports) = self.ports[own] else { return Vec::new() };
-        let mut inputs = Vec::new();
+        let mut inputs = Vec::with_capacity(step.inputs.len());
         for (port, input) in &step.inputs {
             let feed = self.feed(input);
             let Some(declared) = self.port(own, step, port) else { continue };

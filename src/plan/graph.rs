@@ -1,7 +1,8 @@
 //! The resolved graph of steps: every name found, every port checked, axes propagated along the arrows.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
 
 use rockface_stages::artefact::Kind;
@@ -53,9 +54,9 @@ pub struct GraphStep {
     /// Its ports.
     pub ports: Ports,
     /// Paths in its parameters are relative to this folder.
-    pub folder: PathBuf,
+    pub folder: Arc<Path>,
     /// Its parameters as written.
-    pub with: Option<Node>,
+    pub with: Option<Arc<Node>>,
     /// What feeds each given input port, in the stage's order of ports.
     pub inputs: Vec<(&'static Port, Feed)>,
     /// Indices of the axes it is expanded over, ascending.

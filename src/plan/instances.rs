@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 
 use rockface_cache::{Digest, Gathered, Recipe, RecipeInput, SeedMaterial};
+use rockface_stages::params::Field;
 use rockface_stages::{Arity, Point};
 
 use super::graph::{Feed, Graph, GraphStep};
@@ -203,12 +204,14 @@ struct Expansion<'a> {
     graph: &'a Graph,
     hash: &'a HashFile<'a>,
     params: HashMap<(usize, Vec<usize>), Option<Arc<StepParams>>>,
+    /// The fields of the stages met.
+    fields: HashMap<&'static str, Vec<Field>>,
     faults: Vec<Diagnostic>,
 }
 
 impl<'a> Expansion<'a> {
     fn new(graph: &'a Graph, hash: &'a HashFile<'a>) -> Self {
-        Self { graph, hash, params: HashMap::new(), faults: Vec::new() }
+        Self { graph, hash, params: HashMap::new(), fields: HashMap::new(), faults: Vec::new() }
     }
 
     /// The instances at all needed points that are not there yet; new ones are numbered on from those.
@@ -232,14 +235,18 @@ impl<'a> Expansion<'a> {
         for (index, items) in new {
             let step = &graph.steps[index];
             let Some(params) = self.params(index, step, items) else { continue };
-            let feeds = step.inputs.iter().map(|(port, feed)| {
-                let given = elements(graph, step, items, feed).into_iter().filter_map(|element| {
+            let mut inputs = Vec::with_capacity(step.inputs.len());
+            for (port, feed) in &step.inputs {
+                let elements = elements(graph, step, items, feed);
+                let mut given = Vec::with_capacity(elements.len());
+                given.extend(elements.into_iter().filter_map(|element| {
                     let instance = *numbers[element.step].get(&element.items)?;
                     Some(Given { instance, port: element.port, point: element.point })
-                });
-                (port.name, given.collect::<Vec<_>>())
-            });
-            let inputs: Vec<_> = feeds.filter(|(_, given)| !given.is_empty()).collect();
+                }));
+                if !given.is_empty() {
+                    inputs.push((port.name, given));
+                }
+            }
             instances.push(Instance { step: index, items: items.clone(), params, inputs, dependents: Vec::new() });
         }
         if there.is_empty() {
@@ -266,8 +273,9 @@ impl<'a> Expansion<'a> {
         if let Some(known) = self.params.get(&key) {
             return known.clone();
         }
+        let fields = self.fields.entry(step.stage.name()).or_insert_with(|| step.stage.fields());
         let checked = parameters::check(self.graph, step, &mentioned).and_then(|mut params| {
-            let faults = parameters::find_files(step, &mut params, self.hash);
+            let faults = parameters::find_files(step, fields, &mut params, self.hash);
             if faults.is_empty() { Ok(params) } else { Err(faults) }
         });
         let params = match checked {
@@ -293,8 +301,10 @@ impl<'a> Expansion<'a> {
 /// Tells producers of their consumers from a number on.
 fn link(instances: &mut [Instance], from: usize) {
     for consumer in from..instances.len() {
-        let producers: BTreeSet<usize> =
-            instances[consumer].inputs.iter().flat_map(|(_, given)| given.iter().map(|g| g.instance)).collect();
+        let given = instances[consumer].inputs.iter().flat_map(|(_, given)| given.iter().map(|g| g.instance));
+        let mut producers: Vec<usize> = given.collect();
+        producers.sort_unstable();
+        producers.dedup();
         for producer in producers {
             instances[producer].dependents.push(consumer);
         }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use rockface_cache::Digest;
 use rockface_stages::AnyStage;
@@ -16,9 +17,9 @@ use crate::pipeline::{Node, filled};
 #[derive(Debug, Clone, PartialEq)]
 pub struct StepParams {
     /// Canonical, every default filled in, files as written: what the stage gets.
-    pub canonical: Value,
+    pub canonical: Arc<Value>,
     /// The same with every file replaced by its name-free or named digests: what the recipe holds.
-    pub recipe: Value,
+    pub recipe: Arc<Value>,
     /// Whether the stage draws random numbers with them.
     pub draws: bool,
     /// The files behind each file parameter, as it was written.
@@ -51,17 +52,13 @@ pub fn check(graph: &Graph, step: &GraphStep, items: &BTreeMap<usize, usize>) ->
         })
     };
     let with = step.with.as_ref().map_or(Ok(Value::Null), |with| filled(with, &lookup)).map_err(|fault| vec![fault])?;
-    let place = Place { step: &step.name, stage: step.stage, with: step.with.as_ref(), span: step.span };
+    let place = Place { step: &step.name, stage: step.stage, with: step.with.as_deref(), span: step.span };
     let checked = step
         .stage
         .check(&with)
         .map_err(|faults| faults.into_iter().map(|fault| told(&place, &with, &fault)).collect::<Vec<_>>())?;
-    Ok(StepParams {
-        recipe: checked.canonical.clone(),
-        canonical: checked.canonical,
-        draws: checked.draws,
-        files: BTreeMap::new(),
-    })
+    let canonical = Arc::new(checked.canonical);
+    Ok(StepParams { recipe: canonical.clone(), canonical, draws: checked.draws, files: BTreeMap::new() })
 }
 
 /// Where the parameters of a step stand.
@@ -87,13 +84,27 @@ pub fn told(place: &Place, with: &Value, fault: &Fault) -> Diagnostic {
     Diagnostic::at(at, message).suggest(&given, fault.known.iter().map(String::as_str))
 }
 
-/// Finds and hashes every file the parameters name, and puts the digests into the recipe's parameters.
-pub fn find_files(step: &GraphStep, params: &mut StepParams, hash: &HashFile) -> Vec<Diagnostic> {
+/// Finds and hashes every file the parameters name, and puts the digests into the recipe's parameters; `fields` are those of
+/// the stage.
+pub fn find_files(step: &GraphStep, fields: &[Field], params: &mut StepParams, hash: &HashFile) -> Vec<Diagnostic> {
     let mut finder = Finder { step, hash, files: BTreeMap::new(), faults: Vec::new(), path: Vec::new() };
-    let fields = step.stage.fields();
-    params.recipe = finder.fields(&fields, &params.canonical);
-    params.files = finder.files;
+    if fields.iter().any(|field| names_files(&field.kind)) {
+        params.recipe = Arc::new(finder.fields(fields, &params.canonical));
+        params.files = finder.files;
+    }
     finder.faults
+}
+
+/// Whether a parameter of this shape can name files.
+fn names_files(kind: &Kind) -> bool {
+    match kind {
+        Kind::File | Kind::Files => true,
+        Kind::List(inner, _) | Kind::Optional(inner) | Kind::Entries(inner) | Kind::NumberOr(inner) => {
+            names_files(inner)
+        }
+        Kind::Map(fields) | Kind::Union(fields) => fields.iter().any(|field| names_files(&field.kind)),
+        Kind::Number | Kind::Integer | Kind::Boolean | Kind::Text | Kind::Choice(_) | Kind::Any => false,
+    }
 }
 
 struct Finder<'a> {

@@ -1,6 +1,8 @@
 //! From document to graph: names, ports, cycles and axes, with all faults reported together.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::sync::Arc;
 
 use petgraph::algo::{kosaraju_scc, toposort};
 use petgraph::graph::DiGraph;
@@ -16,7 +18,7 @@ use crate::pipeline::{Document, Node, Pipeline, Reference, Step, Word, mentioned
 
 /// Resolves a pipeline; `targets` on the command line take the place of the document's.
 pub fn resolve(pipeline: &Pipeline, targets: &[String], stages: &Registry) -> Result<Graph, Diagnostics> {
-    let mut resolver = Resolver::new(&pipeline.document, stages);
+    let mut resolver = Resolver::new(pipeline, stages);
     resolver.check_names();
     resolver.check_zips();
     let order = resolver.order();
@@ -40,14 +42,18 @@ pub struct Resolver<'d> {
     /// What is wrong.
     pub faults: Vec<Diagnostic>,
     registry: &'d Registry,
+    /// The folder of each file of the pipeline, and then that of the pipeline itself.
+    folders: Vec<Arc<Path>>,
     /// By number in the graph: the axes of the step.
     reach: Vec<BTreeSet<usize>>,
 }
 
 impl<'d> Resolver<'d> {
-    fn new(document: &'d Document, registry: &'d Registry) -> Self {
-        let stages: Vec<_> =
-            document.steps.iter().map(|step| registry.iter().copied().find(|s| s.name() == step.stage.text)).collect();
+    fn new(pipeline: &'d Pipeline, registry: &'d Registry) -> Self {
+        let document = &pipeline.document;
+        let known: BTreeMap<&str, &'static dyn AnyStage> =
+            registry.iter().map(|stage| (stage.name(), *stage)).collect();
+        let stages: Vec<_> = document.steps.iter().map(|step| known.get(step.stage.text.as_str()).copied()).collect();
         let mut resolver = Self {
             names: Names::new(document),
             ports: Vec::with_capacity(stages.len()),
@@ -55,6 +61,12 @@ impl<'d> Resolver<'d> {
             place: vec![0; document.steps.len()],
             faults: Vec::new(),
             registry,
+            folders: pipeline
+                .folders
+                .iter()
+                .chain([&pipeline.folder])
+                .map(|folder| Arc::from(folder.as_path()))
+                .collect(),
             reach: Vec::new(),
         };
         for (own, step) in document.steps.iter().enumerate() {
@@ -65,8 +77,9 @@ impl<'d> Resolver<'d> {
     }
 
     fn ports_of(&mut self, step: &Step, stage: &dyn AnyStage) -> Option<Ports> {
-        let with = step.with.as_ref().map_or(Value::Null, Node::to_value);
-        let place = parameters::Place { step: &step.name.text, stage, with: step.with.as_ref(), span: step.name.span };
+        let with = step.with.as_ref().map_or(Value::Null, |with| with.to_value());
+        let place =
+            parameters::Place { step: &step.name.text, stage, with: step.with.as_deref(), span: step.name.span };
         match stage.ports(&with) {
             Ok(ports) => Some(ports),
             Err(faults) => {
@@ -169,9 +182,12 @@ impl<'d> Resolver<'d> {
             let references = step.inputs.iter().flat_map(|(_, input)| input.forward_references());
             let axes = self.names.met_axes(step);
             let lists = axes.iter().filter_map(|axis| document.axes[*axis].from.as_ref());
-            for reference in references.chain(lists) {
-                if let Some(producer) = self.names.steps.get(reference.step.as_str()) {
-                    arrows.update_edge(nodes[*producer], nodes[consumer], ());
+            // One arrow for each producer; asking the graph whether it has it would go through all arrows of the producer.
+            let mut producers: Vec<usize> = Vec::new();
+            for producer in references.chain(lists).filter_map(|to| self.names.steps.get(to.step.as_str())) {
+                if !producers.contains(producer) {
+                    producers.push(*producer);
+                    arrows.add_edge(nodes[*producer], nodes[consumer], ());
                 }
             }
         }
@@ -211,8 +227,7 @@ impl<'d> Resolver<'d> {
         let reach = self.names.reach(order);
         self.reach = order.iter().map(|old| reach[*old].clone()).collect();
         let dynamic = self.dynamic();
-        let steps: Vec<GraphStep> =
-            order.iter().filter_map(|old| self.step(&document.steps[*old], *old, pipeline)).collect();
+        let steps: Vec<GraphStep> = order.iter().filter_map(|old| self.step(&document.steps[*old], *old)).collect();
         let targets = self.targets(&steps, &dynamic, targets);
         let (params, faults) = values::resolve(&document.params, &self.axis_names());
         self.faults.extend(faults);
@@ -296,7 +311,7 @@ impl<'d> Resolver<'d> {
         }
     }
 
-    fn step(&mut self, step: &Step, old: usize, pipeline: &Pipeline) -> Option<GraphStep> {
+    fn step(&mut self, step: &Step, old: usize) -> Option<GraphStep> {
         let (stage, ports) = (self.stages[old]?, self.ports[old]?);
         let with_axes = step.with.as_ref().map(|with| self.mentioned_axes(with)).unwrap_or_default();
         for word in &step.over {
@@ -310,7 +325,7 @@ impl<'d> Resolver<'d> {
             span: step.name.span,
             stage,
             ports,
-            folder: pipeline.folders.get(step.name.span.source).unwrap_or(&pipeline.folder).clone(),
+            folder: self.folders[step.name.span.source.min(self.folders.len() - 1)].clone(),
             with: step.with.clone(),
             inputs,
             axes,

@@ -1,7 +1,7 @@
 //! The report of a run: one page that needs nothing but a browser, made from the run's manifest and what it names.
 //!
-//! Everything in it comes from [`Manifest`] and the artefacts and logs the manifest points at, so that a page made at the
-//! end of a run, one made months later by `rockface report`, and `run.json` say the same.
+//! Everything in it comes from the manifest and the artefacts and logs that points at, so that a page made at the end of a
+//! run, one made months later by `rockface report`, and `run.json` say the same.
 
 mod compared;
 mod graph;
@@ -17,8 +17,6 @@ use std::path::{Path, PathBuf};
 use minijinja::value::{Serde, Value};
 use minijinja::{AutoEscape, Environment};
 use serde::Serialize;
-
-use crate::history::Manifest;
 
 pub use compared::comparison;
 pub use graph::of as graph_of;
@@ -104,13 +102,6 @@ fn render(name: &str, page: impl Serialize) -> Result<String, ReportError> {
     environment.add_global("script", Value::from_safe_string(include_str!("assets/script.js").to_owned()));
     environment.add_global("rockface_version", env!("CARGO_PKG_VERSION"));
     Ok(environment.get_template(name)?.render(Value::from(Serde(page)))?)
-}
-
-/// The status words of a manifest and how many of its instances have each.
-fn counts(manifest: &Manifest) -> [usize; 3] {
-    let count = |status: &str| manifest.steps.iter().filter(|done| done.status == status).count();
-    let (executed, cached) = (count("executed"), count("cached"));
-    [executed, cached, manifest.steps.len() - executed - cached]
 }
 
 #[cfg(test)]

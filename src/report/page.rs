@@ -10,7 +10,7 @@ use super::number::Shown;
 use super::source::Source;
 use super::steps::{self, Linker, Said, StepView};
 use super::tables::TableView;
-use super::{Links, counts, graph};
+use super::{Links, graph};
 use crate::history::StepDone;
 use crate::watch::duration;
 
@@ -82,7 +82,7 @@ pub fn of(source: &Source, links: Links) -> Page {
     let pictures: Vec<Medium> = pictures.collect();
     let results = results(&mut gathered.steps);
     let warnings = folded(gathered.warnings);
-    let [executed, cached, missing] = counts(manifest);
+    let [executed, cached, missing] = manifest.counts();
     let headlines: Vec<Said> = manifest.headlines.iter().map(|line| said(line)).collect();
     let changed = manifest.overrides.set.iter().map(|set| format!("--set {set}"));
     let swept = manifest.overrides.sweep.iter().map(|sweep| format!("--sweep {sweep}"));

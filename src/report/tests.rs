@@ -3,6 +3,7 @@
 use serde_json::json;
 
 use super::*;
+use crate::history::Manifest;
 
 /// A manifest of one step with two instances, in a folder with the table it made.
 fn manifest() -> Manifest {

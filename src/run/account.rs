@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::time::SystemTime;
 
+use rockface_cache::Store;
 use rockface_stages::Entry;
 
 use super::folder::failed;
@@ -15,6 +16,7 @@ use crate::plan::Plan;
 pub fn manifest(
     plan: &Plan,
     summary: &Summary,
+    store: &Store,
     about: &RunFolder,
     headlines: &[String],
     logs: &[Vec<Entry>],
@@ -22,7 +24,7 @@ pub fn manifest(
 ) -> Result<Manifest, RunError> {
     let overrides = about.overrides;
     let told = logs.iter().zip(&laid.paths).enumerate();
-    let steps = told.map(|(instance, (entries, paths))| step(plan, summary, instance, entries, paths));
+    let steps = told.map(|(instance, (entries, paths))| step(plan, summary, store, instance, (entries, paths)));
     Ok(Manifest {
         format: FORMAT,
         pipeline: pipeline_text(plan, about)?,
@@ -56,8 +58,11 @@ fn pipeline_text(plan: &Plan, about: &RunFolder) -> Result<PipelineText, RunErro
     })
 }
 
+/// What an instance said, and the files of its outputs.
+type Said<'a> = (&'a [Entry], &'a Paths);
+
 /// What the manifest tells of one instance.
-fn step(plan: &Plan, summary: &Summary, instance: usize, entries: &[Entry], paths: &Paths) -> StepDone {
+fn step(plan: &Plan, summary: &Summary, store: &Store, instance: usize, (entries, paths): Said) -> StepDone {
     let (step, result) = (plan.step(instance), &summary.instances[instance]);
     let (params, outcome) = (&plan.instances[instance].params, result.outcome.as_ref());
     let metrics = entries.iter().filter_map(|entry| match entry {
@@ -83,10 +88,10 @@ fn step(plan: &Plan, summary: &Summary, instance: usize, entries: &[Entry], path
         log: outcome.and_then(|outcome| outcome.log),
         sketches: outcome.and_then(|outcome| outcome.sketches),
         cost: outcome.map(|outcome| outcome.cost),
-        parameters: params.recipe.clone(),
+        parameters: (*params.recipe).clone(),
         metrics: metrics.collect(),
         files: files.map(|file| FileUsed { path: file.path.clone(), blake3: file.digest }).collect(),
-        inputs: result.recipe.as_ref().map(|recipe| recipe.inputs.clone()).unwrap_or_default(),
+        inputs: result.recipe(store).map(|recipe| recipe.inputs).unwrap_or_default(),
         paths: paths.clone(),
     }
 }

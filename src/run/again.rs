@@ -31,7 +31,7 @@ pub fn with_channels(
             StageError::new(format!("`{}` was version {was} when it ran and is version {is} now", recipe.stage));
         return Err(error.hint("run the pipeline again with this program"));
     }
-    let mut with = recipe.params.clone();
+    let mut with = (*recipe.params).clone();
     let has_switch =
         stage.fields().iter().any(|field| field.name == SWITCH && field.default == Some(Value::Bool(false)));
     if let (true, Some(map)) = (has_switch, with.as_object_mut()) {
@@ -43,7 +43,11 @@ pub fn with_channels(
     Ok(stage.run(&with, &inputs, &Context::new(&host))?.into_inner())
 }
 
-fn inputs(recipe: &Recipe, store: &Store, kind_of: &dyn Fn(&Digest) -> Option<Kind>) -> Result<Inputs, StageError> {
+fn inputs(
+    recipe: &Recipe,
+    store: &Store,
+    kind_of: &dyn Fn(&Digest) -> Option<Kind>,
+) -> Result<Inputs<'static>, StageError> {
     let mut inputs = Inputs::default();
     for (port, input) in &recipe.inputs {
         let elements: Vec<(Point, Digest)> = match input {

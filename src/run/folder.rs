@@ -10,6 +10,7 @@ use serde_json::json;
 
 use super::lay_out::{Laid, LayOut, readable_name};
 use super::log::{LOG_FILE, Telling};
+use super::unfinished::{self, Unfinished};
 use super::{RunError, Summary, account};
 use crate::history::{Manifest, crate_metadata};
 use crate::pipeline::{Overrides, Pipeline};
@@ -40,6 +41,7 @@ impl RunFolder<'_> {
     /// Makes the folder of runs and makes sure that it can be written to, before any work is done.
     pub fn prepare(&self) -> Result<(), RunError> {
         std::fs::create_dir_all(self.runs).map_err(failed(self.runs))?;
+        unfinished::sweep(self.runs);
         tempfile::tempfile_in(self.runs).map(drop).map_err(failed(self.runs))
     }
 }
@@ -108,7 +110,11 @@ impl Writer<'_> {
     fn write(&self, key: &Digest) -> Result<Finished, RunError> {
         let folder = self.make_folder(key)?;
         // A folder that tells half of a run would only mislead.
-        self.fill(&folder).inspect_err(|_| drop(std::fs::remove_dir_all(&folder)))
+        let mark = Unfinished::mark(&folder);
+        let filled = mark.and_then(|mark| self.fill(&folder).and_then(|finished| mark.finish().map(|()| finished)));
+        let finished = filled.inspect_err(|_| drop(std::fs::remove_dir_all(&folder)))?;
+        point_latest(self.about.runs, &folder)?;
+        Ok(finished)
     }
 
     fn fill(&self, folder: &Path) -> Result<Finished, RunError> {
@@ -118,18 +124,18 @@ impl Writer<'_> {
         let headlines = self.headlines(&logs);
         self.log(folder, &logs, &laid)?;
         self.account(folder, &headlines, &logs, &laid)?;
-        point_latest(self.about.runs, folder)?;
         Ok(Finished { folder: folder.to_owned(), headlines, files: laid.of_targets, unnamed: laid.unnamed })
     }
 
-    /// Writes the manifest, and describes the folder as a research object for programs that know nothing of rockface.
+    /// Writes the page, describes the folder as a research object for programs that know nothing of rockface, and last of
+    /// all writes the manifest, without which a folder is no run.
     fn account(&self, folder: &Path, headlines: &[String], logs: &[Vec<Entry>], laid: &Laid) -> Result<(), RunError> {
-        let mut manifest = account::manifest(self.plan, self.summary, self.about, headlines, logs, laid)?;
+        let mut manifest = account::manifest(self.plan, self.summary, self.store, self.about, headlines, logs, laid)?;
         write_file(&folder.join("pipeline.yaml"), self.about.pipeline.text().as_bytes())?;
-        write_file(&folder.join("run.json"), manifest.text().as_bytes())?;
         self.report(folder, &manifest, logs)?;
         let described = serde_json::to_string_pretty(&crate_metadata(folder, &manifest)).unwrap_or_default();
-        write_file(&folder.join("ro-crate-metadata.json"), format!("{described}\n").as_bytes())
+        write_file(&folder.join("ro-crate-metadata.json"), format!("{described}\n").as_bytes())?;
+        write_file(&folder.join("run.json"), manifest.text().as_bytes())
     }
 
     /// Writes the page of the run.

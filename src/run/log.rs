@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::io::BufWriter;
 use std::path::Path;
 
-use rockface_cache::{Outcome, Recipe, Record, Store};
+use rockface_cache::{Outcome, Record, Store};
 use rockface_stages::Entry;
 use rockface_stages::artefact::{Artefact, Kind};
 
@@ -94,7 +94,7 @@ impl Telling<'_> {
             facts: Facts { stage, version, key: result.key, outputs: &outcome.outputs },
             made: made.collect(),
             unshown,
-            recipe: result.recipe.as_ref().map_or_else(|| "null".to_owned(), Recipe::text),
+            recipe: result.recipe_text(self.store).unwrap_or_else(|| "null".to_owned()),
         }
     }
 
@@ -119,9 +119,9 @@ impl Telling<'_> {
             Err(why) => Ok(Err(why)),
             Ok(bytes) => {
                 let digest = self.store.put(&bytes)?;
-                if let Some(recipe) = &result.recipe {
+                if let Some(recipe) = result.recipe(self.store) {
                     let Outcome { outputs, log, cost, .. } = outcome.clone();
-                    let record = Record { recipe: recipe.clone(), outputs, log, sketches: Some(digest), cost };
+                    let record = Record { recipe, outputs, log, sketches: Some(digest), cost };
                     self.store.commit(&record)?;
                 }
                 Ok(Shown::read_all(&bytes).map_err(|error| error.to_string()))

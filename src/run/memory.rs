@@ -2,13 +2,16 @@
 
 use std::sync::Arc;
 
-use rockface_stages::InputSizes;
 use rockface_stages::artefact::Artefact;
+use rockface_stages::{InputSize, InputSizes};
 
 use super::schedule::Scheduler;
 use super::state::State;
 use crate::plan::Given;
 use crate::watch::Event;
+
+/// Inputs up to this size are read to estimate what a step needs.
+const SMALL_BYTES: u64 = 1 << 20;
 
 impl Scheduler<'_> {
     /// Keeps a value in memory.
@@ -44,6 +47,7 @@ impl Scheduler<'_> {
         self.relieve_to(left as usize);
         let fits = self.memory_bytes as u64 <= left && taken.saturating_add(need) <= self.options.memory_bytes as u64;
         if fits || running == 0 {
+            self.estimates.remove(&instance);
             self.needs.insert(instance, need);
             return true;
         }
@@ -54,18 +58,53 @@ impl Scheduler<'_> {
         false
     }
 
-    /// What an instance is expected to need beside its inputs, going by the sizes of these.
-    fn need_bytes(&self, instance: usize) -> u64 {
+    /// What an instance is expected to need beside the inputs that are in memory; found when it is first asked for.
+    fn need_bytes(&mut self, instance: usize) -> u64 {
+        if let Some(known) = self.estimates.get(&instance) {
+            return *known;
+        }
+        let need = self.estimate_bytes(instance).saturating_sub(self.held_bytes(instance));
+        self.estimates.insert(instance, need);
+        need
+    }
+
+    /// The inputs that are in memory already.
+    fn held_bytes(&self, instance: usize) -> u64 {
+        let given = self.plan.instances[instance].inputs.iter().flat_map(|(_, given)| given);
+        let values = given.filter_map(|given| self.states[given.instance].values.get(given.port));
+        values.map(|value| value.memory_bytes() as u64).sum()
+    }
+
+    fn estimate_bytes(&self, instance: usize) -> u64 {
         let own = &self.plan.instances[instance];
         let given = own.inputs.iter().flat_map(|(port, given)| given.iter().map(move |given| (*port, given)));
-        let size = |given: &Given| {
+        let size = |(port, given): (&'static str, &Given)| {
             let outcome = self.states[given.instance].outcome.as_ref();
-            outcome.and_then(|outcome| outcome.outputs.get(given.port)).map_or(0, |output| output.bytes)
+            let output = outcome.and_then(|outcome| outcome.outputs.get(given.port));
+            let (stored_bytes, memory_bytes) = output.map_or((0, None), |output| (output.bytes, output.memory_bytes));
+            InputSize { port, stored_bytes, memory_bytes }
         };
-        let mut sizes: Vec<(&'static str, u64)> = given.map(|(port, given)| (port, size(given))).collect();
-        let files = own.params.files.values().flatten();
-        sizes.extend(files.map(|file| ("", std::fs::metadata(&file.path).map_or(0, |meta| meta.len()))));
-        self.plan.step(instance).stage.memory_bytes(&own.params.canonical, &InputSizes(sizes))
+        let mut sizes: Vec<InputSize> = given.map(size).collect();
+        sizes.extend(own.params.files.values().flatten().map(|file| InputSize {
+            port: "",
+            stored_bytes: std::fs::metadata(&file.path).map_or(0, |meta| meta.len()),
+            memory_bytes: None,
+        }));
+        let small = |port: &str| self.small_input(instance, port);
+        self.plan.step(instance).stage.memory_bytes(&own.params.canonical, &InputSizes::new(sizes, &small))
+    }
+
+    /// The only value at an input port, if it is in memory or small.
+    fn small_input(&self, instance: usize, port: &str) -> Option<Arc<Artefact>> {
+        let (_, given) = self.plan.instances[instance].inputs.iter().find(|(own, _)| *own == port)?;
+        let [given] = given.as_slice() else { return None };
+        let state = &self.states[given.instance];
+        if let Some(value) = state.values.get(given.port) {
+            return Some(value.clone());
+        }
+        let output = state.outcome.as_ref()?.outputs.get(given.port).filter(|output| output.bytes <= SMALL_BYTES)?;
+        let bytes = self.store.get(&output.digest).ok()?;
+        Artefact::decode(output.kind.parse().ok()?, &bytes).ok().map(Arc::new)
     }
 
     /// Frees memory when more is held than the run may.

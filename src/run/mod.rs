@@ -10,11 +10,13 @@ mod log;
 mod memory;
 mod program;
 mod progress;
+mod resident;
 mod schedule;
 mod settle;
 pub mod shortcut;
 mod state;
 mod tell;
+mod unfinished;
 mod work;
 
 use rockface_cache::{Digest, Outcome, Recipe, Store, StoreError};
@@ -103,12 +105,25 @@ pub struct Summary {
 pub struct InstanceResult {
     /// The key of its recipe, once it was known.
     pub key: Option<Digest>,
-    /// Its recipe, once it was known.
-    pub recipe: Option<Recipe>,
+    /// Its recipe, if it was known and is not on record: see [`InstanceResult::recipe`].
+    recipe: Option<Recipe>,
     /// Whether its stage ran in this run.
     pub executed: bool,
     /// What came out; `None` if it failed or was not reached.
     pub outcome: Option<Outcome>,
+}
+
+impl InstanceResult {
+    /// Its recipe: that of its record, where it has one.
+    pub fn recipe(&self, store: &Store) -> Option<Recipe> {
+        let recorded = || store.record(&self.key?).map(|record| record.recipe);
+        self.recipe.clone().or_else(recorded)
+    }
+
+    /// The text of its recipe, as it was hashed.
+    pub fn recipe_text(&self, store: &Store) -> Option<String> {
+        self.recipe.as_ref().map_or_else(|| store.recipe_text(&self.key?), |recipe| Some(recipe.text()))
+    }
 }
 
 impl Summary {

@@ -2,7 +2,7 @@
 
 use std::collections::{BinaryHeap, HashMap, VecDeque};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 
@@ -10,6 +10,7 @@ use rockface_cache::{Digest, Outcome, Store, StoreError};
 use rockface_stages::artefact::Kind;
 
 use super::progress::Timing;
+use super::resident::Resident;
 use super::state::{States, Status, same_outputs};
 use super::work::{self, Done, Failure, Feed, Task, Value};
 use super::{Options, RunError, Summary};
@@ -97,6 +98,9 @@ pub struct Scheduler<'a> {
     pub(super) log_levels: Option<Vec<LogLevel>>,
     /// What running instances are expected to need, bytes, by instance.
     pub(super) needs: HashMap<usize, u64>,
+    /// What instances in line are expected to need, bytes, as far as that was asked for.
+    pub(super) estimates: HashMap<usize, u64>,
+    resident: Resident,
     /// Keys that were looked up and are not told of yet.
     pub(super) counted_on: Vec<Digest>,
     running: usize,
@@ -119,6 +123,8 @@ impl<'a> Scheduler<'a> {
             failure: false,
             log_levels: None,
             needs: HashMap::new(),
+            estimates: HashMap::new(),
+            resident: Resident::default(),
             counted_on: Vec::new(),
             running: 0,
         }
@@ -160,11 +166,14 @@ impl<'a> Scheduler<'a> {
             if self.running == 0 || stop.load(Ordering::Relaxed) {
                 return Ok(());
             }
-            match receiver.recv_timeout(Duration::from_millis(50)) {
+            let message = receiver.recv_timeout(Duration::from_millis(50));
+            self.resident.look();
+            match message {
                 Ok(Message::Waiting(instance)) => self.tell(&Event::Waiting { step: self.plan.label(instance) }),
                 Ok(Message::Done(instance, result)) => {
                     self.running -= 1;
                     self.needs.remove(&instance);
+                    self.resident.end(instance);
                     self.take(instance, *result)?;
                 }
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
@@ -195,7 +204,8 @@ impl<'a> Scheduler<'a> {
     fn begin(&mut self, instance: usize, start: &Start) -> Result<(), RunError> {
         let levels = self.log_levels.get_or_insert_with(|| self.plan.log_levels());
         let sketch = levels.get(instance) == Some(&LogLevel::Full);
-        let task = self.task(instance, sketch);
+        let peak = self.resident.begin(instance);
+        let task = self.task(instance, sketch, peak);
         self.running += 1;
         self.states.set(instance, Status::Running);
         let reason = if task.remake || self.states[instance].recorded { Reason::Needed } else { Reason::New };
@@ -225,7 +235,7 @@ impl<'a> Scheduler<'a> {
         Err(error)
     }
 
-    fn task(&self, instance: usize, sketch: bool) -> Task {
+    fn task(&self, instance: usize, sketch: bool, peak_bytes: Arc<AtomicU64>) -> Task {
         let own = &self.plan.instances[instance];
         let step = self.plan.step(instance);
         let state = &self.states[instance];
@@ -238,12 +248,11 @@ impl<'a> Scheduler<'a> {
             })
         });
         let outputs = step.ports.outputs.iter().filter(|port| makes(own, port)).map(|port| (port.name, port.kinds[0]));
-        let (key, recipe) = (state.key, state.recipe.clone());
-        let recipe = recipe.unwrap_or_else(|| self.plan.recipe(instance, |_, _| Digest::of(b"")));
+        let recipe = self.known_recipe(instance);
         Task {
             instance,
             stage: step.stage,
-            key: key.unwrap_or_else(|| recipe.key()),
+            key: state.key.unwrap_or_else(|| recipe.key()),
             recipe,
             params: own.params.clone(),
             feeds: feeds.collect(),
@@ -253,6 +262,7 @@ impl<'a> Scheduler<'a> {
             timeout: step.timeout,
             retries: step.retries,
             sketch,
+            peak_bytes,
         }
     }
 
@@ -298,6 +308,7 @@ impl<'a> Scheduler<'a> {
             self.hold(instance, port, value);
         }
         self.states.set(instance, Status::Done);
+        self.states[instance].recipe = None;
         self.tell_end(instance, done.elsewhere, done.outcome.cost.wall_s);
         if self.states[instance].remaking {
             let former = self.states[instance].outcome.as_ref();
@@ -330,7 +341,7 @@ impl<'a> Scheduler<'a> {
         let instances = self.states.into_list().into_iter().map(|state| super::InstanceResult {
             outcome: if state.status() == Status::Done { state.outcome } else { None },
             key: state.key,
-            recipe: state.recipe,
+            recipe: state.recipe.map(|recipe| *recipe),
             executed: state.executed,
         });
         Summary { instances: instances.collect(), wall_s: elapsed.as_secs_f64(), failed: self.failure }

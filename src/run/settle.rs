@@ -37,20 +37,28 @@ impl Scheduler<'_> {
         })
     }
 
-    fn set_recipe(&mut self, instance: usize) -> Digest {
+    /// The recipe an instance has or had when it was done: that of its record, where it is not at hand.
+    pub fn known_recipe(&self, instance: usize) -> Recipe {
+        let state = &self.states[instance];
+        let recorded = || self.store.record(&state.key?).map(|record| record.recipe);
+        state.recipe.as_deref().cloned().or_else(recorded).unwrap_or_else(|| self.recipe(instance))
+    }
+
+    /// Finds the recipe of an instance; kept by whoever has to compute it.
+    fn set_recipe(&mut self, instance: usize) -> (Digest, Recipe) {
         let recipe = self.recipe(instance);
         let key = recipe.key();
         self.counted_on.push(key);
         let state = &mut self.states[instance];
-        (state.key, state.recipe, state.again) = (Some(key), Some(recipe), false);
-        key
+        (state.key, state.recipe, state.again) = (Some(key), None, false);
+        (key, recipe)
     }
 
     fn settle(&mut self, instance: usize) {
         if !matches!(self.states[instance].status(), Status::Waiting | Status::Due) {
             return;
         }
-        let key = self.set_recipe(instance);
+        let (key, recipe) = self.set_recipe(instance);
         self.states.set(instance, Status::Due);
         let known = hit(self.store, &key, self.plan.step(instance).keep);
         self.tell_damaged(instance);
@@ -59,7 +67,8 @@ impl Scheduler<'_> {
             self.tell_cached(instance);
             self.turns.push_back(Turn::Finish(instance, outcome));
         } else {
-            self.states[instance].recorded = self.store.has_record(&key);
+            let state = &mut self.states[instance];
+            (state.recorded, state.recipe) = (self.store.has_record(&key), Some(Box::new(recipe)));
             self.enter(instance, key);
         }
     }
@@ -168,7 +177,8 @@ impl Scheduler<'_> {
                 continue;
             }
             if self.states[due].remaking {
-                let key = self.set_recipe(due);
+                let (key, recipe) = self.set_recipe(due);
+                self.states[due].recipe = Some(Box::new(recipe));
                 self.enter(due, key);
             } else {
                 self.turns.push_back(Turn::Settle(due));
@@ -278,14 +288,14 @@ impl Scheduler<'_> {
 
     /// Writes values that were not kept, and a record that says so.
     fn store_values(&self, leader: usize, mut outcome: Outcome, values: &Values) -> Result<Outcome, RunError> {
-        for (port, output) in &mut outcome.outputs {
+        for (port, output) in outcome.outputs.iter_mut() {
             let encoded = values[port.as_str()].encode();
             let encoded =
                 encoded.map_err(|error| RunError::Encode(format!("{}.{port}: {error}", self.plan.label(leader))))?;
             output.digest = self.store.put(&encoded)?;
             output.kept = true;
         }
-        let recipe = self.states[leader].recipe.clone().unwrap_or_else(|| self.recipe(leader));
+        let recipe = self.known_recipe(leader);
         let Outcome { outputs, log, sketches, cost } = outcome.clone();
         self.store.commit(&Record { recipe, outputs, log, sketches, cost })?;
         Ok(outcome)

@@ -38,8 +38,8 @@ pub struct State {
     pub missing: usize,
     /// The key of its recipe, once all producers are done.
     pub key: Option<Digest>,
-    /// That recipe.
-    pub recipe: Option<Recipe>,
+    /// That recipe, until it is on record.
+    pub recipe: Option<Box<Recipe>>,
     /// What its record says.
     pub outcome: Option<Outcome>,
     /// Its stage ran in this run.
@@ -184,8 +184,8 @@ impl State {
 
 /// Whether two outcomes have the same outputs, kept or not.
 pub fn same_outputs(one: &Outcome, other: &Outcome) -> bool {
-    let digests = |outcome: &Outcome| -> Vec<(String, Digest)> {
-        outcome.outputs.iter().map(|(port, output)| (port.clone(), output.digest)).collect()
-    };
-    digests(one) == digests(other)
+    fn digests(outcome: &Outcome) -> impl Iterator<Item = (&String, Digest)> {
+        outcome.outputs.iter().map(|(port, output)| (port, output.digest))
+    }
+    digests(one).eq(digests(other))
 }

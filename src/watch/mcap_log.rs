@@ -8,7 +8,7 @@ use std::io::{Seek, Write};
 
 use mcap::records::MessageHeader;
 use mcap::{Compression, McapError, WriteOptions};
-use rockface_cache::{Digest, OutputRecord};
+use rockface_cache::{Digest, Outputs};
 use rockface_stages::Point;
 
 use super::foxglove::{self, Message, Place};
@@ -43,7 +43,7 @@ pub struct Facts<'a> {
     /// The key of its recipe.
     pub key: Option<Digest>,
     /// What came out, by port.
-    pub outputs: &'a BTreeMap<String, OutputRecord>,
+    pub outputs: &'a Outputs,
 }
 
 /// An output that a sketch stands for.
@@ -197,7 +197,7 @@ mod tests {
     use crate::watch::step_log::sketch::CloudSketch;
     use serde_json::Value;
 
-    fn note<'a>(step: &'a str, outputs: &'a BTreeMap<String, OutputRecord>) -> StepNote<'a> {
+    fn note<'a>(step: &'a str, outputs: &'a Outputs) -> StepNote<'a> {
         let made = Made { digest: "ab".into(), path: Some("outputs/a/b.ply".into()) };
         StepNote {
             step,
@@ -216,7 +216,7 @@ mod tests {
         let shown = Shown { port: "points".into(), sketch: Sketch::whole("", Shape::Cloud(cloud)) };
         let metric = Entry::Metric { name: "rms".into(), value: 0.1 + 0.2, unit: "m".into() };
         let warning = Entry::Warning { text: "thin".into() };
-        let none = BTreeMap::new();
+        let none = Outputs::default();
         log.add(&note("a", &none), &[metric, warning], &[shown]).unwrap();
         log.add(&note("b", &none), &[], &[]).unwrap();
         log.finish(&[("pipeline.yaml", "application/yaml", b"rockface: 1\n")]).unwrap().0.into_inner()

@@ -8,7 +8,7 @@ use crate::kernel::noise::detrend::Detrend;
 use crate::kernel::noise::robust_variogram::Estimator;
 use crate::kernel::variogram_model::Shape;
 use crate::params::{Fault, Range};
-use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, params};
+use crate::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 
 params! {
     /// Parameters of `describe-noise`.
@@ -82,6 +82,11 @@ impl Stage for DescribeNoise {
         let first = params.scales_cells.first();
         let varied = params.scales_cells.iter().any(|scale| Some(scale) != first);
         if varied { Vec::new() } else { vec![fault] }
+    }
+
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        // Complex spectra of twice the sides for the exact variogram.
+        20 * inputs.of("raster")
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

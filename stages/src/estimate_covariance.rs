@@ -10,7 +10,7 @@ use crate::kernel::block_adjustment::tie_points::{Visibility, Wanted, control_po
 use crate::kernel::block_adjustment::unknowns::{FreeInterior, Unknowns};
 use crate::kernel::orientation_parameters::{INTERIOR, Parameter};
 use crate::params::{Fault, Range};
-use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
+use crate::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
 
 choice! {
     /// What fixes position, orientation and scale of the whole block.
@@ -157,6 +157,11 @@ impl Stage for EstimateCovariance {
             faults.push(fault(&["interior_sigma"], message));
         }
         faults
+    }
+
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        // The mesh with a search tree over its triangles, for what is seen from where.
+        7 * inputs.of("mesh")
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

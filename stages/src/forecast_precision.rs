@@ -13,7 +13,7 @@ use crate::kernel::rasterise::{extent, grid_around, tin};
 use crate::kernel::shape::Shape;
 use crate::kernel::survey::forecast::{Joint, Matching, at_point};
 use crate::params::Range;
-use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use crate::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
 /// Points a pair is judged at.
 const SAMPLES: usize = 2000;
@@ -84,6 +84,11 @@ impl Stage for ForecastPrecision {
         Port::one("table", &[Kind::Table], "One row a pair, one for all images."),
         Port::one("raster", &[Kind::Raster], "Images, GSD, precision and LoD95 over the face."),
     ];
+
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        // The mesh with a search tree over its triangles, and the raster of its cells.
+        7 * inputs.of("mesh") + 4 * inputs.of("difference")
+    }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let (cameras, mesh): (&Cameras, &Mesh) = (inputs.one("cameras")?, inputs.one("mesh")?);

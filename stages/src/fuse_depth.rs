@@ -4,7 +4,7 @@ use crate::artefact::{Depth, Kind};
 use crate::kernel::depth_surface::{Joined, Joining, Step, join};
 use crate::kernel::precise;
 use crate::params::Range;
-use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use crate::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
 params! {
     /// Parameters of `fuse-depth`.
@@ -24,7 +24,7 @@ pub struct FuseDepth;
 impl Stage for FuseDepth {
     type Params = FuseDepthParams;
     const NAME: &'static str = "fuse-depth";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page {
         what: "Turns a depth map into a surface: every pixel a point, neighbours joined to triangles unless the depth \
                steps between them or the view grazes them.",
@@ -48,6 +48,11 @@ steps:
     };
     const INPUTS: &'static [Port] = &[Port::one("depth", &[Kind::Depth], "The depth map.")];
     const OUTPUTS: &'static [Port] = &[Port::one("surface", &[Kind::Surface], "The surface.")];
+
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        // Normals and edges in double precision beside the map; measured at 5 and 45 megapixels.
+        14 * inputs.of("depth")
+    }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let depth = inputs.one::<Depth>("depth")?;

@@ -2,9 +2,9 @@
 
 use crate::artefact::{Frame, Grid, Kind, Raster, Transform};
 use crate::kernel::shape::{Moved, Shape};
-use crate::kernel::{frame_change, rasterise};
+use crate::kernel::{frame_change, rasterise, window};
 use crate::params::{Fault, Range};
-use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
+use crate::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
 
 choice! {
     /// How a cell gets its value.
@@ -61,14 +61,12 @@ impl Stage for RasteriseDem {
     const OUTPUTS: &'static [Port] = &[Port::one("raster", &[Kind::Raster], "Elevation, metres, one band.")];
 
     fn check(params: &Self::Params) -> Vec<Fault> {
-        match params.window_m {
-            Some([left, right, bottom, top]) if !(left < right && bottom < top) => {
-                let text =
-                    format!("[{left}, {right}, {bottom}, {top}] is empty; the order is left, right, bottom, top");
-                vec![Fault { path: vec!["window_m".into()], ..Fault::new(text) }]
-            }
-            _ => Vec::new(),
-        }
+        window::faults(params.window_m)
+    }
+
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        // The surface, as it is read and as it is used, and sums and counts of the cells.
+        5 * inputs.of("surface") + 3 * inputs.of("grid")
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

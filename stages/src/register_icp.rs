@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use crate::artefact::{Frame, Kind, Surface, Transform};
 use crate::kernel::icp::{self, Registration, Settings};
 use crate::params::Range;
-use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
+use crate::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
 
 choice! {
     /// What is minimised.
@@ -81,6 +81,11 @@ impl Stage for RegisterIcp {
         Port::one("target", &[Kind::Surface], "The surface that stays, in the same frame."),
     ];
     const OUTPUTS: &'static [Port] = &[Port::one("transform", &[Kind::Transform], "target_from_source.")];
+
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        // Both surfaces as they are read and as they are used; only samples of them are matched.
+        2 * inputs.total()
+    }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let (source, target): (&Surface, &Surface) = (inputs.one("source")?, inputs.one("target")?);

@@ -13,7 +13,7 @@ use crate::kernel::removal::tables;
 use crate::kernel::removal::zone::Zone;
 use crate::kernel::truth::{self, RemovedPiece};
 use crate::params::Range;
-use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
+use crate::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
 
 choice! {
     /// The direction a block is moved along to its place.
@@ -199,6 +199,11 @@ impl Stage for RemoveBlocks {
 
     fn draws(_params: &Self::Params) -> bool {
         true
+    }
+
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        // The face with its search tree and neighbours, and the face after.
+        5 * inputs.of("mesh") + 2 * inputs.total()
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

@@ -5,7 +5,7 @@ use crate::kernel::face::block_relief::{BlockRelief, Fallen, JointSet, StepLaw};
 use crate::kernel::random::Field;
 use crate::kernel::relief::{self, Lattice};
 use crate::params::{Fault, Range};
-use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
+use crate::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
 
 /// Vertices a face may have.
 const MAXIMUM_VERTICES: f64 = 1e8;
@@ -163,6 +163,12 @@ impl Stage for SynthesiseFace {
             fault(&["bedding", name], text);
         }
         faults
+    }
+
+    fn memory_bytes(params: &Self::Params, _inputs: &InputSizes) -> u64 {
+        // Two triangles a vertex, as they are made and as they are written.
+        let vertices = params.width_m / params.spacing_m * params.height_m / params.spacing_m;
+        (110.0 * vertices) as u64
     }
 
     fn run(params: &Self::Params, _inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

@@ -172,7 +172,7 @@ fn a_blob_that_no_reader_takes_fails_the_step_that_needs_it() {
         let mut outcome = result.outcome.clone().unwrap();
         let output = outcome.outputs.get_mut("out").unwrap();
         (output.digest, output.bytes) = (bench.store.put(b"no table").unwrap(), 8);
-        let (recipe, outputs) = (result.recipe.clone().unwrap(), outcome.outputs);
+        let (recipe, outputs) = (result.recipe(&bench.store).unwrap(), outcome.outputs);
         bench
             .store
             .commit(&Record { recipe, outputs, log: outcome.log, sketches: outcome.sketches, cost: outcome.cost })

@@ -67,11 +67,18 @@ mod tests {
 
     fn record(store: &Store, stage: &str, bytes: &[u8], kept: bool) -> Digest {
         let digest = if kept { store.put(bytes).unwrap() } else { Digest::of(bytes) };
-        let output = OutputRecord { kind: "table".into(), digest, bytes: bytes.len() as u64, kept, items: None };
+        let output = OutputRecord {
+            kind: "table".into(),
+            digest,
+            bytes: bytes.len() as u64,
+            kept,
+            items: None,
+            memory_bytes: None,
+        };
         let recipe = Recipe {
             stage: stage.into(),
             version: 1,
-            params: serde_json::json!({}),
+            params: serde_json::json!({}).into(),
             inputs: std::collections::BTreeMap::new(),
             seed: None,
         };

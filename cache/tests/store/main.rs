@@ -19,11 +19,18 @@ fn new_store() -> (tempfile::TempDir, Store) {
 
 fn recipe(number: u64) -> Recipe {
     let params = json!({ "number": number });
-    Recipe { stage: "remove-blocks".into(), version: 1, params, inputs: BTreeMap::new(), seed: None }
+    Recipe { stage: "remove-blocks".into(), version: 1, params: params.into(), inputs: BTreeMap::new(), seed: None }
 }
 
 fn output(bytes: &[u8], kept: bool) -> OutputRecord {
-    OutputRecord { kind: "mesh".into(), digest: Digest::of(bytes), bytes: bytes.len() as u64, kept, items: None }
+    OutputRecord {
+        kind: "mesh".into(),
+        digest: Digest::of(bytes),
+        bytes: bytes.len() as u64,
+        kept,
+        items: None,
+        memory_bytes: None,
+    }
 }
 
 fn record(number: u64, bytes: &[u8], kept: bool) -> Record {

@@ -1,11 +1,12 @@
-//! `rockface inspect`: what a blob, a record or a file holds: kind, sizes, ranges, missing values, a small picture; and one
-//! pixel followed through the steps that made it.
+//! `rockface inspect`: what a blob, a record, a file or a run folder holds: kind, sizes, ranges, missing values, a small
+//! picture; and one pixel followed through the steps that made it.
 
 mod facts;
 mod picture;
 mod pixel;
+mod run;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use clap::Args;
 use rockface_cache::{Digest, Record, Store};
@@ -17,11 +18,12 @@ use self::facts::{of_artefact, of_log};
 use self::picture::When;
 use super::places::Places;
 use super::{CliError, say};
+use crate::history::Manifest;
 
 /// Arguments of `rockface inspect`.
 #[derive(Debug, Args)]
 pub struct InspectArgs {
-    /// A file, or the digest of a blob or record in the store (the first digits are enough).
+    /// A file, a run folder, or the digest of a blob or record in the store (the first digits are enough).
     what: String,
     #[command(flatten)]
     places: Places,
@@ -54,7 +56,7 @@ impl From<Facts> for Found {
 impl InspectArgs {
     /// Prints what it is.
     pub fn run(self) -> Result<(), CliError> {
-        let path = PathBuf::from(&self.what);
+        let path = run::file_meant(Path::new(&self.what));
         if let Some(pixel) = self.pixel {
             return pixel::follow(&self.what, pixel, &self.places, self.json);
         }
@@ -183,6 +185,10 @@ fn of_file(path: &Path) -> Result<Found, CliError> {
     ];
     if mcap::Summary::read(&bytes).is_ok_and(|summary| summary.is_some()) {
         facts.extend(of_log(&bytes));
+        return Ok(facts.into());
+    }
+    if run::is_manifest(&bytes) {
+        facts.extend(run::of_manifest(&Manifest::read(path)?));
         return Ok(facts.into());
     }
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase()).unwrap_or_default();

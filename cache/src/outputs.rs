@@ -1,0 +1,144 @@
+//! What came out of a step, by port: a short sorted list, since a map by tree takes ten times the room for one or two.
+
+use std::fmt;
+
+use serde::de::{MapAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use crate::OutputRecord;
+
+type Entry = (String, OutputRecord);
+
+/// What came out of each output port, sorted by port.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Outputs(Vec<Entry>);
+
+impl Outputs {
+    /// What came out of a port.
+    pub fn get(&self, port: &str) -> Option<&OutputRecord> {
+        self.place(port).ok().map(|at| &self.0[at].1)
+    }
+
+    /// The same, to be changed.
+    pub fn get_mut(&mut self, port: &str) -> Option<&mut OutputRecord> {
+        self.place(port).ok().map(|at| &mut self.0[at].1)
+    }
+
+    /// Sets what came out of a port.
+    pub fn insert(&mut self, port: String, output: OutputRecord) {
+        match self.place(&port) {
+            Ok(at) => self.0[at].1 = output,
+            Err(at) => self.0.insert(at, (port, output)),
+        }
+    }
+
+    fn place(&self, port: &str) -> Result<usize, usize> {
+        self.0.binary_search_by(|(own, _)| own.as_str().cmp(port))
+    }
+
+    /// Ports and what came out of them.
+    pub fn iter(&self) -> Iter<'_> {
+        self.0.iter().map(|(port, output)| (port, output))
+    }
+
+    /// The ports.
+    pub fn keys(&self) -> impl Iterator<Item = &String> {
+        self.0.iter().map(|(port, _)| port)
+    }
+
+    /// What came out.
+    pub fn values(&self) -> impl Iterator<Item = &OutputRecord> {
+        self.0.iter().map(|(_, output)| output)
+    }
+
+    /// What came out, to be changed.
+    pub fn iter_mut(&mut self) -> impl Iterator<Item = (&String, &mut OutputRecord)> {
+        self.0.iter_mut().map(|(port, output)| (&*port, output))
+    }
+}
+
+/// Goes over [`Outputs`].
+pub type Iter<'a> = std::iter::Map<std::slice::Iter<'a, Entry>, fn(&'a Entry) -> (&'a String, &'a OutputRecord)>;
+
+impl<'a> IntoIterator for &'a Outputs {
+    type Item = (&'a String, &'a OutputRecord);
+    type IntoIter = Iter<'a>;
+    fn into_iter(self) -> Iter<'a> {
+        self.iter()
+    }
+}
+
+impl FromIterator<Entry> for Outputs {
+    fn from_iter<I: IntoIterator<Item = Entry>>(entries: I) -> Self {
+        let mut entries: Vec<Entry> = entries.into_iter().collect();
+        // Of two with one port the later counts: sorting keeps their order, and duplicates are taken from the end.
+        entries.sort_by(|(one, _), (other, _)| one.cmp(other));
+        entries.reverse();
+        entries.dedup_by(|(later, _), (kept, _)| later == kept);
+        entries.reverse();
+        entries.shrink_to_fit();
+        Self(entries)
+    }
+}
+
+impl<const N: usize> From<[Entry; N]> for Outputs {
+    fn from(entries: [Entry; N]) -> Self {
+        entries.into_iter().collect()
+    }
+}
+
+impl std::ops::Index<&str> for Outputs {
+    type Output = OutputRecord;
+    /// What came out of a port that is there.
+    fn index(&self, port: &str) -> &OutputRecord {
+        self.get(port).expect("an output of this port")
+    }
+}
+
+impl Serialize for Outputs {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(self)
+    }
+}
+
+impl<'de> Deserialize<'de> for Outputs {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Reader;
+        impl<'de> Visitor<'de> for Reader {
+            type Value = Outputs;
+            fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+                f.write_str("a map of ports to what came out of them")
+            }
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Outputs, A::Error> {
+                let mut entries = Vec::with_capacity(1);
+                while let Some(entry) = map.next_entry()? {
+                    entries.push(entry);
+                }
+                Ok(entries.into_iter().collect())
+            }
+        }
+        deserializer.deserialize_map(Reader)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Digest;
+
+    fn output(bytes: u64) -> OutputRecord {
+        let digest = Digest::of(b"");
+        OutputRecord { kind: "mesh".into(), digest, bytes, memory_bytes: None, kept: true, items: None }
+    }
+
+    #[test]
+    fn ports_are_sorted_found_and_written_as_a_map() {
+        let mut outputs: Outputs = [("mesh".to_owned(), output(1)), ("depth".to_owned(), output(2))].into();
+        outputs.insert("mesh".to_owned(), output(3));
+        assert_eq!(outputs.keys().collect::<Vec<_>>(), ["depth", "mesh"]);
+        assert_eq!((outputs["mesh"].bytes, outputs.get("dem")), (3, None));
+        let text = serde_json::to_string(&outputs).unwrap();
+        assert!(text.starts_with(r#"{"depth":{"#), "{text}");
+        assert_eq!(serde_json::from_str::<Outputs>(&text).unwrap(), outputs);
+    }
+}

@@ -1,0 +1,71 @@
+//! The files of a pipeline as they lay to each other: what an archive keeps of one that includes others.
+
+use std::path::{Component, Path, PathBuf};
+
+use super::PipelineText;
+
+/// The pipeline file and those it includes with their texts, by paths relative to the deepest folder that holds them all.
+/// Nothing where nothing is included.
+pub fn source_files(pipeline: &PipelineText) -> Vec<(PathBuf, &str)> {
+    if pipeline.included.is_empty() {
+        return Vec::new();
+    }
+    let main = pipeline.folder.join(pipeline.path.file_name().unwrap_or_default());
+    let own = std::iter::once((without_detours(&main), pipeline.text.as_str()));
+    let included = pipeline.included.iter().map(|file| (without_detours(&file.path), file.text.as_str()));
+    let files: Vec<(PathBuf, &str)> = own.chain(included).collect();
+    let top = common_folder(files.iter().map(|(path, _)| path.as_path()));
+    files.iter().map(|(path, text)| (path.strip_prefix(&top).unwrap_or(path).to_owned(), *text)).collect()
+}
+
+/// A path in which no `..` goes back on the folder before it.
+fn without_detours(path: &Path) -> PathBuf {
+    let mut straight = PathBuf::new();
+    for part in path.components() {
+        match part {
+            Component::ParentDir => drop(straight.pop()),
+            Component::CurDir => {}
+            other => straight.push(other),
+        }
+    }
+    straight
+}
+
+fn common_folder<'a>(paths: impl Iterator<Item = &'a Path>) -> PathBuf {
+    let mut folders = paths.map(|path| path.parent().unwrap_or(Path::new("")));
+    let first = folders.next().unwrap_or(Path::new(""));
+    folders.fold(first.to_owned(), |common, folder| {
+        common
+            .components()
+            .zip(folder.components())
+            .take_while(|(one, other)| one == other)
+            .map(|(one, _)| one)
+            .collect()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::history::IncludedText;
+
+    #[test]
+    fn files_keep_their_places_to_each_other() {
+        let included = |path: &str| IncludedText { path: path.into(), text: String::new() };
+        let pipeline = |included| PipelineText {
+            name: "p".into(),
+            path: "work/main.yaml".into(),
+            folder: "/home/me/work".into(),
+            text: "include: …".into(),
+            included,
+        };
+        assert!(source_files(&pipeline(Vec::new())).is_empty());
+        let beside = pipeline(vec![included("/home/me/work/./parts/a.yaml")]);
+        let paths = |pipeline: &PipelineText| -> Vec<String> {
+            source_files(pipeline).iter().map(|(path, _)| path.display().to_string()).collect()
+        };
+        assert_eq!(paths(&beside), ["main.yaml", "parts/a.yaml"]);
+        let elsewhere = pipeline(vec![included("/home/me/work/../shared/a.yaml"), included("/home/me/work/b.yaml")]);
+        assert_eq!(paths(&elsewhere), ["work/main.yaml", "shared/a.yaml", "work/b.yaml"]);
+    }
+}

@@ -1,0 +1,97 @@
+//! What is known of the inputs of a step before it runs: what an estimate of the memory it will need goes by.
+
+use std::fmt;
+use std::sync::Arc;
+
+use crate::artefact::{Artefact, Noun};
+
+/// The size of one input of a step instance, or of one file that its parameters name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct InputSize {
+    /// The input port; empty for a file.
+    pub port: &'static str,
+    /// Bytes as it is stored.
+    pub stored_bytes: u64,
+    /// Bytes of the value in memory, where they are on record.
+    pub memory_bytes: Option<u64>,
+}
+
+impl InputSize {
+    /// Bytes in memory; twice those of the file where nothing better is known.
+    fn in_memory(&self) -> u64 {
+        self.memory_bytes.map_or(self.stored_bytes.saturating_mul(2), |bytes| bytes.max(self.stored_bytes / 4))
+    }
+}
+
+/// Gives the value of an input, if it is at hand or so small that reading it costs next to nothing.
+pub type SmallInput<'a> = dyn Fn(&str) -> Option<Arc<Artefact>> + 'a;
+
+/// The inputs of a step instance that is about to run.
+pub struct InputSizes<'a> {
+    sizes: Vec<InputSize>,
+    small: &'a SmallInput<'a>,
+}
+
+impl<'a> InputSizes<'a> {
+    /// Inputs of these sizes.
+    pub fn new(sizes: Vec<InputSize>, small: &'a SmallInput<'a>) -> Self {
+        Self { sizes, small }
+    }
+
+    /// Bytes of all inputs in memory.
+    pub fn total(&self) -> u64 {
+        self.sizes.iter().fold(0, |sum, size| sum.saturating_add(size.in_memory()))
+    }
+
+    /// Bytes of the inputs at one port in memory.
+    pub fn of(&self, port: &str) -> u64 {
+        self.at(port).fold(0, |sum, size| sum.saturating_add(size.in_memory()))
+    }
+
+    /// Bytes of the largest input at one port in memory: what a stage needs that takes them one by one.
+    pub fn largest(&self, port: &str) -> u64 {
+        self.at(port).map(InputSize::in_memory).max().unwrap_or(0)
+    }
+
+    /// How many inputs there are at a port.
+    pub fn count(&self, port: &str) -> u64 {
+        self.at(port).count() as u64
+    }
+
+    fn at(&self, port: &str) -> impl Iterator<Item = &InputSize> {
+        self.sizes.iter().filter(move |size| size.port == port)
+    }
+
+    /// Does something with the only input at a port, such as cameras; `None` where it is large and not at hand.
+    pub fn small<T: Noun, R>(&self, port: &str, look: impl FnOnce(&T) -> R) -> Option<R> {
+        let value = (self.small)(port)?;
+        T::of(&value).map(look)
+    }
+}
+
+impl fmt::Debug for InputSizes<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("InputSizes").field(&self.sizes).finish()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::artefact::Table;
+
+    #[test]
+    fn sizes_go_by_what_is_on_record() {
+        let small = |port: &str| (port == "table").then(|| Arc::new(Table::new(["a"]).into()));
+        let sizes = [("depth", 10, Some(100)), ("depth", 20, None), ("", 7, None)];
+        let sizes =
+            sizes.map(|(port, stored_bytes, memory_bytes)| InputSize { port, stored_bytes, memory_bytes }).to_vec();
+        let inputs = InputSizes::new(sizes, &small);
+        assert_eq!(
+            (inputs.total(), inputs.of("depth"), inputs.largest("depth"), inputs.count("depth")),
+            (154, 140, 100, 2)
+        );
+        assert_eq!(inputs.small("table", |table: &Table| table.columns.len()), Some(1));
+        assert_eq!(inputs.small("depth", |table: &Table| table.columns.len()), None);
+    }
+}

@@ -1,0 +1,81 @@
+//! Run folders as others find them: inspected, archived with all files of the pipeline, whole or not there.
+
+use std::collections::BTreeMap;
+
+use crate::cli::{House, SMALL};
+
+/// A pipeline that includes another file, run once.
+fn including() -> House {
+    let house = House::new("rockface: 1\nname: whole\ninclude: parts/part.yaml\n");
+    std::fs::create_dir(house.path("parts")).unwrap();
+    std::fs::write(house.path("parts/part.yaml"), SMALL).unwrap();
+    let (code, _, err) = house.rockface(&["run", "p.yaml", "--set", "steps.dem.with.cell_m=0.1"]);
+    assert_eq!(code, Some(0), "{err}");
+    house
+}
+
+/// The texts of the files of a tar archive.
+fn unpacked(path: &std::path::Path) -> BTreeMap<String, Vec<u8>> {
+    let mut archive = tar::Archive::new(std::fs::File::open(path).unwrap());
+    let read = |entry: std::io::Result<tar::Entry<std::fs::File>>| {
+        let mut entry = entry.unwrap();
+        let mut bytes = Vec::new();
+        std::io::Read::read_to_end(&mut entry, &mut bytes).unwrap();
+        (entry.path().unwrap().display().to_string(), bytes)
+    };
+    archive.entries().unwrap().map(read).collect()
+}
+
+#[test]
+fn inspect_tells_of_a_run_by_its_folder_and_by_its_manifest() {
+    let house = including();
+    for what in [".rockface/runs/latest", ".rockface/runs/latest/run.json"] {
+        let (code, out, err) = house.rockface(&["inspect", what, "--json"]);
+        assert_eq!(code, Some(0), "{err}");
+        let facts: serde_json::Value = serde_json::from_str(&out).unwrap();
+        assert_eq!(
+            (&facts["kind"], &facts["pipeline"], &facts["status"]),
+            (&"run".into(), &"whole".into(), &"done".into())
+        );
+        assert_eq!(facts["executed, cached, not made"], serde_json::json!([2, 0, 0]));
+        assert_eq!(facts["set"][0], "steps.dem.with.cell_m=0.1");
+        assert!(facts["includes"][0].as_str().unwrap().ends_with("parts/part.yaml"));
+    }
+    std::fs::write(house.path("other.json"), r#"{"format": 7, "pipeline": {}, "steps": []}"#).unwrap();
+    let (code, _, err) = house.rockface(&["inspect", "other.json"]);
+    assert!(code == Some(2) && err.contains("format 7"), "{err}");
+}
+
+#[test]
+fn an_archive_has_the_included_files_where_they_lay() {
+    let house = including();
+    let (code, _, err) = house.rockface(&["archive", "latest", "-o", "run.tar"]);
+    assert_eq!(code, Some(0), "{err}");
+    let files = unpacked(&house.path("run.tar"));
+    assert_eq!(files["pipeline/parts/part.yaml"], SMALL.as_bytes());
+    let elsewhere = House::new("");
+    for (path, bytes) in &files {
+        let path = elsewhere.path(path);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, bytes).unwrap();
+    }
+    let (code, out, err) = elsewhere.rockface(&["plan", "pipeline/p.yaml"]);
+    assert!(code == Some(0) && out.contains("dem"), "{out}{err}");
+}
+
+#[test]
+fn a_folder_whose_writer_died_is_no_run_and_goes_with_the_next() {
+    let house = including();
+    let left = house.path(".rockface/runs/2020-01-01T000000Z-left-00000000");
+    std::fs::create_dir(&left).unwrap();
+    std::fs::write(left.join(".unfinished"), "").unwrap();
+    std::fs::write(left.join("run.mcap"), "half").unwrap();
+    let (_, out, _) = house.rockface(&["runs", "list"]);
+    assert!(!out.contains("left"), "{out}");
+    let (code, _, err) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert!(!left.exists());
+    let latest = house.path(".rockface/runs/latest");
+    let names = std::fs::read_dir(latest).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    assert_eq!(names.filter(|name| name.starts_with('.')).count(), 0);
+}
