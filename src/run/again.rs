@@ -43,7 +43,11 @@ pub fn with_channels(
     Ok(stage.run(&with, &inputs, &Context::new(&host))?.into_inner())
 }
 
-fn inputs(recipe: &Recipe, store: &Store, kind_of: &dyn Fn(&Digest) -> Option<Kind>) -> Result<Inputs, StageError> {
+fn inputs(
+    recipe: &Recipe,
+    store: &Store,
+    kind_of: &dyn Fn(&Digest) -> Option<Kind>,
+) -> Result<Inputs<'static>, StageError> {
     let mut inputs = Inputs::default();
     for (port, input) in &recipe.inputs {
         let elements: Vec<(Point, Digest)> = match input {

@@ -1,16 +1,16 @@
-//! One step instance: take its key, load its inputs, run the stage, store what came out, then the record.
+//! One step instance: take its key, run the stage, which reads its inputs, store what came out, then the record.
 
 use std::collections::BTreeMap;
 use std::os::unix::fs::MetadataExt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use rayon::ThreadPool;
 use rockface_cache::{Cost, Digest, Outcome, OutputRecord, Outputs, Recipe, Record, Store, StoreError};
 use rockface_stages::artefact::{Artefact, Kind};
-use rockface_stages::{AnyStage, Context, Entry, Inputs, Point, StageError};
+use rockface_stages::{AnyStage, Context, Entry, Inputs, Later, Point, StageError};
 
 use super::host::StepHost;
 use crate::plan::{InputFile, StepParams};
@@ -71,7 +71,7 @@ pub struct Done {
     pub outcome: Outcome,
     /// The outputs in memory; empty when another process had done the work.
     pub values: BTreeMap<&'static str, Arc<Artefact>>,
-    /// Inputs it had to decode, for other consumers.
+    /// Inputs it had to read and kept, for other consumers.
     pub loaded: Vec<((usize, &'static str), Arc<Artefact>)>,
     /// Warnings it gave.
     pub warnings: Vec<String>,
@@ -125,14 +125,17 @@ pub fn work(
     }
     let start = Instant::now();
     let cpu = process_cpu_s();
-    let (inputs, loaded) = load(task, store, pool)?;
+    let trouble = Trouble::default();
+    let (inputs, stored) = inputs(task, store, &trouble);
     let before = fingerprints(task)?;
-    let (outputs, entries, retried) = attempts(task, &inputs, (store, pool), stop)?;
+    let (outputs, entries, retried) = attempts(task, (&inputs, &trouble), (store, pool), stop)?;
     unchanged_files(task, store, &before)?;
     let values: BTreeMap<_, _> = outputs.into_iter().map(|(port, value)| (port, Arc::new(value))).collect();
     let mut outcome = keep(task, store, pool, &values, &entries)?;
     let (sketches, unsketched) = sketch(task, store, pool, &values, &outcome)?;
     outcome.sketches = sketches;
+    let kept = |(from, later): &(_, Arc<Later>)| later.kept().map(|value| (*from, value.clone()));
+    let loaded: Vec<_> = stored.iter().filter_map(kept).collect();
     let handled = values.values().chain(loaded.iter().map(|(_, value)| value));
     let handled_bytes: u64 = handled.map(|value| value.memory_bytes() as u64).sum();
     let finished = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
@@ -157,33 +160,46 @@ fn done_elsewhere(task: &Task, store: &Store) -> Option<Outcome> {
     (!task.remake || values_there).then_some(outcome)
 }
 
-type Loaded = Vec<((usize, &'static str), Arc<Artefact>)>;
+/// Inputs that were not in memory, by producer and port.
+type Stored<'s> = Vec<((usize, &'static str), Arc<Later<'s>>)>;
+/// Why an input could not be had; a stage is told only that it could not.
+type Trouble = Mutex<Option<Failure>>;
 
-fn load(task: &Task, store: &Store, pool: &ThreadPool) -> Result<(Inputs, Loaded), Failure> {
-    let mut inputs = Inputs::default();
-    let mut loaded: Loaded = Vec::new();
+/// The inputs of a task. Those that are in the store are read when the stage asks for them, in its thread: reading takes no
+/// lock that is held while others compute.
+fn inputs<'s>(task: &'s Task, store: &'s Store, trouble: &'s Trouble) -> (Inputs<'s>, Stored<'s>) {
+    let (mut inputs, mut stored) = (Inputs::default(), Stored::new());
     for feed in &task.feeds {
-        let known = loaded.iter().find(|(from, _)| *from == feed.from).map(|(_, value)| value.clone());
+        let known = stored.iter().find(|(from, _)| *from == feed.from).map(|(_, later)| later.clone());
         let value = match (&feed.value, known) {
-            (Value::Ready(value), _) => value.clone(),
-            (_, Some(value)) => value,
+            (Value::Ready(value), _) => Arc::new(Later::ready(value.clone())),
+            (Value::Stored(..), Some(later)) => later,
             (Value::Stored(kind, digest), None) => {
-                let lost = |why: String| Failure::Lost(feed.from.0, why);
-                let bytes = match store.get(digest) {
-                    Ok(bytes) => bytes,
-                    Err(error @ StoreError::Damaged { .. }) => return Err(lost(error.to_string())),
-                    Err(error) if !store.contains(digest) => return Err(lost(error.to_string())),
-                    Err(error) => return Err(error.into()),
-                };
-                let decoded = pool.install(|| Artefact::decode(*kind, &bytes));
-                let value = Arc::new(decoded.map_err(|error| unreadable(feed, digest, &error.to_string()))?);
-                loaded.push((feed.from, value.clone()));
-                value
+                let later = Arc::new(Later::new(move || {
+                    read(feed, *kind, digest, store).map_err(|failure| {
+                        *trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(failure);
+                        StageError::new(format!("input `{}` cannot be read", feed.port))
+                    })
+                }));
+                stored.push((feed.from, later.clone()));
+                later
             }
         };
-        inputs.push(feed.port, feed.point.clone(), value);
+        inputs.push_later(feed.port, feed.point.clone(), value);
     }
-    Ok((inputs, loaded))
+    (inputs, stored)
+}
+
+fn read(feed: &Feed, kind: Kind, digest: &Digest, store: &Store) -> Result<Arc<Artefact>, Failure> {
+    let lost = |why: String| Failure::Lost(feed.from.0, why);
+    let bytes = match store.get(digest) {
+        Ok(bytes) => bytes,
+        Err(error @ StoreError::Damaged { .. }) => return Err(lost(error.to_string())),
+        Err(error) if !store.contains(digest) => return Err(lost(error.to_string())),
+        Err(error) => return Err(error.into()),
+    };
+    let decoded = Artefact::decode(kind, &bytes);
+    decoded.map(Arc::new).map_err(|error| unreadable(feed, digest, &error.to_string()))
 }
 
 /// A blob that is what was stored and yet cannot be read: making it again would not help.
@@ -219,7 +235,7 @@ type Fingerprint = (u64, i64, i64, i64, i64, u64);
 /// Runs the stage, and again as often as it may fail; also tells of the failures that were made good.
 fn attempts(
     task: &Task,
-    inputs: &Inputs,
+    inputs: (&Inputs, &Trouble),
     means: (&Store, &ThreadPool),
     stop: &AtomicBool,
 ) -> Result<(Made, Vec<Entry>, Vec<String>), Failure> {
@@ -237,7 +253,7 @@ fn attempts(
 
 fn attempt(
     task: &Task,
-    inputs: &Inputs,
+    (inputs, trouble): (&Inputs, &Trouble),
     (store, pool): (&Store, &ThreadPool),
     stop: &AtomicBool,
 ) -> Result<Attempt, Failure> {
@@ -245,6 +261,9 @@ fn attempt(
     let deadline = task.timeout.map(|timeout| Instant::now() + timeout);
     let host = StepHost::new(seed, &task.params.files, store, stop, deadline);
     let result = pool.install(|| run_stage(task, inputs, &host));
+    if let Some(failure) = trouble.lock().unwrap_or_else(PoisonError::into_inner).take() {
+        return Err(failure);
+    }
     match (result, task.timeout) {
         (Err(Failure::Stage(error)), Some(timeout)) if host.is_late() && !stop.load(Ordering::Relaxed) => {
             let message =

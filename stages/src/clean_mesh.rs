@@ -5,6 +5,7 @@ use serde_json::Value;
 use crate::artefact::{Frame, Kind, Mesh, Raster, Surface};
 use crate::kernel::mesh_cleaning::{self, Mended};
 use crate::kernel::surface_cleaning::{Removed, Rules, clean};
+use crate::kernel::window;
 use crate::params::{Fault, Range};
 use crate::{Context, Inputs, Outputs, Page, Port, Ports, Stage, StageError, choice, fail, params};
 
@@ -80,13 +81,7 @@ steps:
     }
 
     fn check(params: &Self::Params) -> Vec<Fault> {
-        let empty = |[x0, x1, y0, y1]: [f64; 4]| x0 >= x1 || y0 >= y1;
-        if !params.window_m.is_some_and(empty) {
-            return Vec::new();
-        }
-        let mut fault = Fault::new("the window is empty: it is [x0, x1, y0, y1] with x0 < x1 and y0 < y1");
-        fault.path = vec!["window_m".to_owned()];
-        vec![fault]
+        window::faults(params.window_m)
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

@@ -143,14 +143,14 @@ fn given(params: &CommandParams, inputs: &Inputs) -> Result<Vec<(String, Vec<u8>
         let elements = inputs.elements(port);
         if declared.arity != Arity::Many {
             for element in elements {
-                files.push((declared.place("in", port), declared.bytes(port, &element.artefact)?));
+                files.push((declared.place("in", port), declared.bytes(port, element.artefact()?)?));
             }
             continue;
         }
         let mut index = Vec::new();
         for (number, element) in elements.iter().enumerate() {
             let name = format!("{number:06}.{}", declared.extension());
-            files.push((format!("in/{port}/{name}"), declared.bytes(port, &element.artefact)?));
+            files.push((format!("in/{port}/{name}"), declared.bytes(port, element.artefact()?)?));
             index.push(serde_json::json!({ "file": name, "point": element.point }));
         }
         files.push((format!("in/{port}/index.json"), Value::from(index).to_string().into_bytes()));

@@ -5,7 +5,7 @@ use crate::kernel::rockfall_figure::{self, Figure, Rockfall};
 use crate::kernel::shape::Shape;
 use crate::kernel::{power_law, rasterise, records};
 use crate::params::Range;
-use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use crate::{Context, Element, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
 /// Cells along the longer side of a face that comes as a mesh.
 const CELLS: f64 = 1500.0;
@@ -74,7 +74,7 @@ steps:
         }
         let mut volumes: Vec<f64> = rockfalls.iter().map(|fall| fall.removed_m3).collect();
         volumes.sort_by(f64::total_cmp);
-        let requested = inputs.elements("requested").first().map(|element| &*element.artefact);
+        let requested = inputs.elements("requested").first().map(Element::artefact).transpose()?;
         let requested = requested.map(|rows| records::magnitudes(rows, &params.requested_column));
         let requested_m3 = requested.transpose().map_err(StageError::new)?.map_or_else(Vec::new, |found| found.0);
         let law = power_law::fit(&volumes, None, params.least_count as usize);

@@ -24,7 +24,7 @@ fn truth(changed: bool) -> Inventory {
     Inventory { frame: Frame::Wall, columns: vec!["id".into()], features }
 }
 
-fn inputs(events: usize, quiet: usize) -> Inputs {
+fn inputs(events: usize, quiet: usize) -> Inputs<'static> {
     let mut inputs = Inputs::default();
     for event in 0..events + quiet {
         let epoch: Point = [("epoch".to_owned(), event.to_string())].into_iter().collect();

@@ -24,7 +24,7 @@ pub struct FuseDepth;
 impl Stage for FuseDepth {
     type Params = FuseDepthParams;
     const NAME: &'static str = "fuse-depth";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page {
         what: "Turns a depth map into a surface: every pixel a point, neighbours joined to triangles unless the depth \
                steps between them or the view grazes them.",

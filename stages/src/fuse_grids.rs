@@ -4,8 +4,9 @@ use crate::artefact::{Band, Frame, Grid, Kind, Raster, Sample};
 use crate::kernel::grid_fusion::{FusedGrid, common_grid, fuse_grids, surface_of};
 use crate::kernel::map_fusion::{Averaging, Rule};
 use crate::kernel::rasterise::{MAXIMUM_CELLS, grid_around};
+use crate::kernel::window;
 use crate::params::{Fault, Range};
-use crate::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use crate::{Context, InputSizes, Inputs, Outputs, Page, Point, Port, Stage, StageError, fail, params};
 
 params! {
     /// Parameters of `fuse-grids`.
@@ -42,7 +43,8 @@ impl Stage for FuseGrids {
         frames: "Wall frame, metres. Outputs: `surface`, points at cell centres; `raster` with the bands `elevation`, `images` \
                  (how many agreed) and `sigma` (expected deviation were the images independent, metres).",
         fails: "Grids of different cells or frames, or off the common lattice; a raster without the bands `elevation` and `sigma`; \
-                no cell on which min_images agree; more than 1.5e8 cells.",
+                no grid with a value; no cell on which min_images agree; more than \
+                1.5e8 cells.",
         example: "\
 rockface: 1
 name: surface-of-a-block
@@ -65,14 +67,7 @@ steps:
     ];
 
     fn check(params: &Self::Params) -> Vec<Fault> {
-        match params.window_m {
-            Some([left, right, bottom, top]) if !(left < right && bottom < top) => {
-                let text =
-                    format!("[{left}, {right}, {bottom}, {top}] is empty; the order is left, right, bottom, top");
-                vec![Fault { path: vec!["window_m".into()], ..Fault::new(text) }]
-            }
-            _ => Vec::new(),
-        }
+        window::faults(params.window_m)
     }
 
     fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
@@ -82,11 +77,12 @@ steps:
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let grids = inputs.many::<Raster>("grids")?;
-        let label = |index: usize| grids[index].0.values().cloned().collect::<Vec<_>>().join(", ");
-        let rasters: Vec<&Raster> = grids.iter().map(|(_, raster)| *raster).collect();
-        for (index, raster) in rasters.iter().enumerate() {
-            check_bands(raster, &label(index))?;
+        for given in &grids {
+            check_bands(given)?;
         }
+        let grids = with_values(grids, context)?;
+        let label = |index: usize| label(grids[index].0);
+        let rasters: Vec<&Raster> = grids.iter().map(|(_, raster)| *raster).collect();
         if let Some(index) = rasters.iter().position(|raster| raster.frame != rasters[0].frame) {
             let frame = rasters[index].frame;
             fail!("grid `{}` is in the {frame} frame, the first one in the {} frame", label(index), rasters[0].frame);
@@ -116,13 +112,34 @@ steps:
     }
 }
 
-fn check_bands(raster: &Raster, label: &str) -> Result<(), StageError> {
+/// A grid with the items it was gathered from.
+type Given<'a> = (&'a Point, &'a Raster);
+
+fn label(point: &Point) -> String {
+    point.values().cloned().collect::<Vec<_>>().join(", ")
+}
+
+fn check_bands((point, raster): &Given) -> Result<(), StageError> {
     let names: Vec<&str> = raster.bands.iter().map(|band| band.name.as_str()).collect();
     if names == ["elevation", "sigma"] {
         return Ok(());
     }
-    let error = StageError::new(format!("grid `{label}` has the bands {}, not elevation, sigma", names.join(", ")));
-    Err(error.hint("`grid-depth` makes such grids"))
+    let text = format!("grid `{}` has the bands {}, not elevation, sigma", label(point), names.join(", "));
+    Err(StageError::new(text).hint("`grid-depth` makes such grids"))
+}
+
+/// The grids that have a value somewhere; those of images that see nothing of the window have none.
+fn with_values<'a>(mut grids: Vec<Given<'a>>, context: &Context) -> Result<Vec<Given<'a>>, StageError> {
+    let all = grids.len();
+    grids.retain(|(_, raster)| raster.bands[0].values.iter().any(|z| !z.is_nan()));
+    if grids.is_empty() {
+        let error = StageError::new(format!("none of {all} grids has a value: no image sees anything of the window"));
+        return Err(error.hint("widen the `window_m` of `grid-depth`, or look at the depth maps"));
+    }
+    if grids.len() < all {
+        context.metric("empty_grids", (all - grids.len()) as f64, "1");
+    }
+    Ok(grids)
 }
 
 /// The part of the common grid that is asked for, on the same lattice.
@@ -203,6 +220,16 @@ mod tests {
         let point = surface.point(1, 4).unwrap();
         assert!((point[0] - 1.25).abs() < 1e-6 && (point[1] - 1.25).abs() < 1e-6 && (point[2] - 1.002).abs() < 1e-6);
         assert_eq!(surface.squares.iter().filter(|square| **square & 3 == 3).count(), 6);
+    }
+
+    #[test]
+    fn an_image_that_sees_nothing_is_passed_over_unless_none_sees_anything() {
+        let nothing = image(-4000.0, 1, f32::NAN, f32::NAN);
+        let seen = [image(0.0, 3, 1.0, 0.01), nothing.clone(), image(0.0, 3, 1.0, 0.01)];
+        let (_, raster) = run(&seen, &json!({})).unwrap();
+        assert_eq!((raster.grid.columns, raster.bands[1].values[0]), (3, 2.0));
+        let error = run(&[nothing.clone(), nothing], &json!({})).unwrap_err();
+        assert!(error.message.contains("none of 2 grids has a value"), "{error}");
     }
 
     #[test]

@@ -1,11 +1,12 @@
 //! `fuse-volume`: the mesh that many depth maps agree on, overhangs and all.
 
-use crate::artefact::{Depth, Kind};
+use crate::artefact::{Depth, Frame, Kind};
 use crate::kernel::volume::blocks::{Layout, VOXELS, Volume, near};
 use crate::kernel::volume::integration::integrate;
 use crate::kernel::volume::surface::extract;
+use crate::kernel::window;
 use crate::params::{Fault, Range};
-use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use crate::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
 params! {
     /// Parameters of `fuse-volume`.
@@ -35,7 +36,7 @@ pub struct FuseVolume;
 impl Stage for FuseVolume {
     type Params = FuseVolumeParams;
     const NAME: &'static str = "fuse-volume";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page {
         what: "Fuses depth maps to one triangle mesh in space: what hangs over stays, and what one image hides another may show.",
         method: "Truncated signed distances along the rays, averaged by weight in voxels (Curless and Levoy 1996), kept in blocks of \
@@ -62,35 +63,34 @@ steps:
     const INPUTS: &'static [Port] = &[Port::many("depths", &[Kind::Depth], "Depth maps, one or more.")];
     const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The fused surface.")];
 
+    /// The volume and the mesh made of it, going by a surface a few images wide at voxels of about two pixels; of the depth
+    /// maps, which may be more than memory holds, one at a time.
+    fn memory_bytes(_params: &Self::Params, inputs: &InputSizes) -> u64 {
+        inputs.largest("depths").saturating_mul(32)
+    }
+
     fn check(params: &Self::Params) -> Vec<Fault> {
         if let Some(truncation_m) = params.truncation_m.filter(|t| *t > MAXIMUM_TRUNCATION * params.voxel_m) {
             let text = format!("{truncation_m} m is more than {MAXIMUM_TRUNCATION} voxels of {} m", params.voxel_m);
             return vec![Fault { path: vec!["truncation_m".into()], ..Fault::new(text) }];
         }
-        match params.window_m {
-            Some([left, right, bottom, top]) if !(left < right && bottom < top) => {
-                let text =
-                    format!("[{left}, {right}, {bottom}, {top}] is empty; the order is left, right, bottom, top");
-                vec![Fault { path: vec!["window_m".into()], ..Fault::new(text) }]
-            }
-            _ => Vec::new(),
-        }
+        window::faults(params.window_m)
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
-        let depths: Vec<&Depth> = inputs.many::<Depth>("depths")?.into_iter().map(|(_, depth)| depth).collect();
-        let has_sigma = check_alike(&depths)?;
-        let truncation_m = params.truncation_m.unwrap_or_else(|| truncation_m(&depths, params.voxel_m));
+        let facts = Facts::gather(inputs, params.truncation_m.is_none(), context)?;
+        let truncation_m = params.truncation_m.unwrap_or_else(|| facts.truncation_m(params.voxel_m));
         let layout = Layout { voxel_m: params.voxel_m, truncation_m, window_m: params.window_m };
-        let mut volume = allocate(&depths, layout, context)?;
-        for depth in &depths {
+        let mut volume = allocate(inputs, layout, context)?;
+        for index in 0..facts.maps {
             context.check_cancelled()?;
-            integrate(&mut volume, depth, has_sigma.then(|| depth.channels["sigma"].as_slice()));
+            let add = |depth: &Depth| integrate(&mut volume, depth, depth.channels.get("sigma").map(Vec::as_slice));
+            inputs.visit("depths", index, add)?;
         }
         let pieces = params.min_component_triangles as usize;
-        let mesh = extract(&volume, depths[0].frame, params.min_images as u8, pieces);
+        let mesh = extract(&volume, facts.frame, params.min_images as u8, pieces);
         if mesh.triangles.is_empty() {
-            let (n, least) = (depths.len(), params.min_images);
+            let (n, least) = (facts.maps, params.min_images);
             return Err(StageError::new(format!("{n} depth maps leave no surface that {least} of them saw")).hint(
                 "lower `min_images` or `min_component_triangles`, or raise `truncation_m` if the maps lie apart",
             ));
@@ -100,7 +100,7 @@ steps:
         context.metric("triangles", mesh.triangles.len() as f64, "1");
         context.headline(format!(
             "{} depth maps, {} blocks of {} voxels, {} triangles",
-            depths.len(),
+            facts.maps,
             volume.keys.len(),
             VOXELS,
             mesh.triangles.len()
@@ -109,37 +109,60 @@ steps:
     }
 }
 
-/// Whether all depth maps have a channel `sigma`; an error where only some do, or where frames differ.
-fn check_alike(depths: &[&Depth]) -> Result<bool, StageError> {
-    let frame = depths[0].frame;
-    if let Some(other) = depths.iter().find(|depth| depth.frame != frame) {
-        let (name, found) = (&other.image.name, other.frame);
-        fail!("the depth map of image `{name}` is in the {found} frame, the first one in the {frame} frame");
-    }
-    let with = depths.iter().filter(|depth| depth.channels.contains_key("sigma")).count();
-    if with != 0 && with != depths.len() {
-        let text = format!("{with} of {} depth maps have a channel `sigma`: they cannot be weighed", depths.len());
-        return Err(StageError::new(text).hint("make all of them by one stage with the same channels"));
-    }
-    Ok(with > 0)
+/// What has to be known of all depth maps before the first is added.
+struct Facts {
+    maps: usize,
+    frame: Frame,
+    /// Maps with a channel `sigma`.
+    with_sigma: usize,
+    /// Sum of all sigmas, metres, and how many there are.
+    sigma: (f64, usize),
 }
 
-/// Three voxels, or three times the mean sigma of the maps.
-fn truncation_m(depths: &[&Depth], voxel_m: f64) -> f64 {
-    let (mut sum, mut count) = (0.0, 0usize);
-    for sigma in depths.iter().filter_map(|depth| depth.channels.get("sigma")) {
-        for value in sigma.iter().filter(|value| value.is_finite()) {
-            (sum, count) = (sum + f64::from(*value), count + 1);
+impl Facts {
+    /// Looks at one depth map after the other; at their sigmas only if asked.
+    fn gather(inputs: &Inputs, sigmas: bool, context: &Context) -> Result<Self, StageError> {
+        let maps = inputs.elements("depths").len();
+        let mut facts = Self { maps, frame: Frame::Wall, with_sigma: 0, sigma: (0.0, 0) };
+        for index in 0..maps {
+            context.check_cancelled()?;
+            inputs.visit("depths", index, |depth: &Depth| facts.add(index, depth, sigmas))??;
         }
+        if facts.with_sigma != 0 && facts.with_sigma != maps {
+            let with = facts.with_sigma;
+            let text = format!("{with} of {maps} depth maps have a channel `sigma`: they cannot be weighed");
+            return Err(StageError::new(text).hint("make all of them by one stage with the same channels"));
+        }
+        Ok(facts)
     }
-    (3.0 * voxel_m).max(3.0 * sum / count.max(1) as f64).min(MAXIMUM_TRUNCATION * voxel_m)
+
+    fn add(&mut self, index: usize, depth: &Depth, sigmas: bool) -> Result<(), StageError> {
+        if index == 0 {
+            self.frame = depth.frame;
+        } else if self.frame != depth.frame {
+            let (name, found, first) = (&depth.image.name, depth.frame, self.frame);
+            fail!("the depth map of image `{name}` is in the {found} frame, the first one in the {first} frame");
+        }
+        let Some(sigma) = depth.channels.get("sigma") else { return Ok(()) };
+        self.with_sigma += 1;
+        for value in sigma.iter().filter(|value| sigmas && value.is_finite()) {
+            self.sigma = (self.sigma.0 + f64::from(*value), self.sigma.1 + 1);
+        }
+        Ok(())
+    }
+
+    /// Three voxels, or three times the mean sigma of the maps.
+    fn truncation_m(&self, voxel_m: f64) -> f64 {
+        let (sum, count) = self.sigma;
+        (3.0 * voxel_m).max(3.0 * sum / count.max(1) as f64).min(MAXIMUM_TRUNCATION * voxel_m)
+    }
 }
 
-fn allocate(depths: &[&Depth], layout: Layout, context: &Context) -> Result<Volume, StageError> {
-    let mut keys = Vec::new();
-    for depth in depths {
+fn allocate(inputs: &Inputs, layout: Layout, context: &Context) -> Result<Volume, StageError> {
+    let (mut keys, maps) = (Vec::new(), inputs.elements("depths").len());
+    for index in 0..maps {
         context.check_cancelled()?;
-        keys.extend(near(depth, &layout));
+        keys.extend(inputs.visit("depths", index, |depth: &Depth| near(depth, &layout))?);
         keys.sort_unstable();
         keys.dedup();
         if keys.len() > MAXIMUM_BLOCKS {
@@ -151,7 +174,7 @@ fn allocate(depths: &[&Depth], layout: Layout, context: &Context) -> Result<Volu
         }
     }
     if keys.is_empty() {
-        let error = StageError::new(format!("none of {} depth maps has a depth in the window", depths.len()));
+        let error = StageError::new(format!("none of {maps} depth maps has a depth in the window"));
         return Err(error.hint("are the maps empty? if not, widen `window_m`"));
     }
     Ok(Volume::new(layout, keys))

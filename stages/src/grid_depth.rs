@@ -1,7 +1,8 @@
 //! `grid-depth`: reduces the depth map of one image to one elevation a cell of the wall.
 
-use crate::artefact::{Band, Depth, Frame, Kind, Raster, Sample};
-use crate::kernel::depth_cells::{Sigma, reduce};
+use crate::artefact::{Band, Depth, Frame, Grid, Kind, Raster, Sample};
+use crate::kernel::depth_cells::{Cells, Sigma, reduce};
+use crate::kernel::window;
 use crate::params::{Fault, Range};
 use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, params};
 
@@ -23,7 +24,7 @@ pub struct GridDepth;
 impl Stage for GridDepth {
     type Params = GridDepthParams;
     const NAME: &'static str = "grid-depth";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page {
         what: "Reduces the depth map of one image to a grid of elevations over the wall, one value a cell, with its expected \
                deviation: half the size of the map or less. What `fuse-grids` fuses.",
@@ -32,8 +33,9 @@ impl Stage for GridDepth {
                  outvoting the others, and bounds the memory of a large block.",
         frames: "Wall frame, metres: X right, Y up, elevation along Z. Bands `elevation` and `sigma`; sigma is that of one depth \
                  along Z, larger by 1 / sqrt(cos) where the view stands at an angle to Z. Cells stand on whole multiples of cell_m.",
-        fails: "The depth map is not in the wall frame; it has no channel `sigma` and sigma_m is not given; nothing of it lies in \
-                the window, or nothing at all; the grid would have more than 1.5e8 cells.",
+        fails: "The depth map is not in the wall frame; it has no channel `sigma` and sigma_m is not given; the grid would have \
+                more than 1.5e8 cells. An image that sees nothing of the window is no failure, since one of a large block may: \
+                its grid is one cell without a value, with a warning, and `fuse-grids` passes over it.",
         example: "\
 rockface: 1
 name: cells-of-an-image
@@ -49,14 +51,7 @@ steps:
     const OUTPUTS: &'static [Port] = &[Port::one("grid", &[Kind::Raster], "Bands `elevation` and `sigma`, metres.")];
 
     fn check(params: &Self::Params) -> Vec<Fault> {
-        match params.window_m {
-            Some([left, right, bottom, top]) if !(left < right && bottom < top) => {
-                let text =
-                    format!("[{left}, {right}, {bottom}, {top}] is empty; the order is left, right, bottom, top");
-                vec![Fault { path: vec!["window_m".into()], ..Fault::new(text) }]
-            }
-            _ => Vec::new(),
-        }
+        window::faults(params.window_m)
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
@@ -79,20 +74,30 @@ steps:
         };
         let cells = reduce(depth, sigma, params.cell_m, params.window_m)
             .map_err(|message| StageError::new(message).hint("choose another `cell_m` or `window_m`"))?;
-        let Some(cells) = cells else {
-            let error = StageError::new(format!("image `{name}` has no depth inside the window"));
-            return Err(error.hint("is the depth map empty? if not, widen `window_m`, or leave the image out"));
-        };
+        let cells = cells.unwrap_or_else(|| {
+            context.warn(format!("image `{name}` has no depth inside the window: its grid is one empty cell"));
+            empty(depth, params.cell_m)
+        });
         let filled = cells.elevation_m.iter().filter(|z| !z.is_nan()).count();
         context.metric("cells", filled as f64, "1");
-        context.metric("pixels_per_cell", cells.pixels[1] as f64 / filled as f64, "1");
-        context.metric("share_in_window", cells.pixels[1] as f64 / cells.pixels[0] as f64, "1");
+        if filled > 0 {
+            context.metric("pixels_per_cell", cells.pixels[1] as f64 / filled as f64, "1");
+            context.metric("share_in_window", cells.pixels[1] as f64 / cells.pixels[0] as f64, "1");
+        }
         let band = |name: &str, values| Band { name: name.to_owned(), values };
         let bands = vec![band("elevation", cells.elevation_m), band("sigma", cells.sigma_m)];
         let quantity = "elevation".to_owned();
         let raster = Raster { grid: cells.grid, frame: depth.frame, quantity, sample: Sample::Float, bands };
         Ok(Outputs::of("grid", raster))
     }
+}
+
+/// One cell without a value under the camera, for an image that sees nothing of the window.
+fn empty(depth: &Depth, cell_m: f64) -> Cells {
+    let [x, y, _] = depth.image.centre_m;
+    let edge = |position: f64| (position / cell_m).floor() * cell_m;
+    let grid = Grid { columns: 1, rows: 1, cell_m, left_m: edge(x), top_m: edge(y) };
+    Cells { grid, elevation_m: vec![f32::NAN], sigma_m: vec![f32::NAN], pixels: [0; 2] }
 }
 
 #[cfg(test)]
@@ -117,8 +122,20 @@ mod tests {
         let with = json!({"cell_m": 0.2, "sigma_m": 0.01});
         assert!(error(Depth { frame: Frame::World, ..depth(10.0) }, &with).contains("world frame"));
         assert!(error(depth(10.0), &json!({"cell_m": 0.2})).contains("no channel `sigma`"));
-        assert!(error(depth(f32::NAN), &with).contains("no depth inside"));
         assert!(error(depth(10.0), &json!({"cell_m": 1e-5, "sigma_m": 0.01})).contains("cells"));
+    }
+
+    #[test]
+    fn an_image_that_sees_nothing_leaves_one_empty_cell_and_a_warning() {
+        let with = json!({"cell_m": 0.2, "sigma_m": 0.01, "window_m": [50, 60, 0, 10]});
+        for map in [depth(f32::NAN), depth(10.0)] {
+            let host = TestHost::default();
+            let outputs = run_stage::<GridDepth>(&host, &with, &[("depth", Artefact::Depth(map))]);
+            let Some(Artefact::Raster(raster)) = outputs.unwrap().into_inner().remove("grid") else { panic!("none") };
+            assert_eq!((raster.grid.cells(), host.metric("cells")), (1, Some(0.0)));
+            assert!(raster.bands.iter().all(|band| band.values[0].is_nan()));
+            assert!(host.warnings()[0].contains("image `a` has no depth inside the window"));
+        }
     }
 
     #[test]

@@ -5,6 +5,7 @@
 //! needs of them it is lent through [`Context`].
 
 pub mod artefact;
+mod inputs;
 pub mod kernel;
 mod needs;
 pub mod params;
@@ -85,11 +86,12 @@ mod test_acceptance;
 mod transform_crs;
 mod triangulate_surface;
 
+pub use inputs::{Element, Inputs, Later};
 pub use needs::{InputSize, InputSizes, SmallInput};
 pub use program::{Piece, Program, ProgramResult};
 pub use stage::{
-    AnyStage, Arity, Checked, Context, Element, Entry, Host, Inputs, Outputs, Page, Point, Port, Ports, Row,
-    SourceFile, Stage, StageError,
+    AnyStage, Arity, Checked, Context, Entry, Host, Outputs, Page, Point, Port, Ports, Row, SourceFile, Stage,
+    StageError,
 };
 
 static STAGES: &[&dyn AnyStage] = &[

@@ -2,15 +2,17 @@
 
 use std::collections::BTreeMap;
 
-use crate::artefact::{Cameras, Depth, Image, Kind, Pair, Pairs};
+use crate::artefact::{Cameras, Depth, Image, Kind, Pair, Pairs, Raster};
 use crate::kernel::camera::Camera;
 use crate::kernel::image_matching::{Fusion, ImageTally, Side, match_image};
 use crate::kernel::map_fusion::{Averaging, Fused, Rule};
-use crate::kernel::matching_noise::{Distribution, FieldRecipe, Interpolation, Variance};
-use crate::kernel::noise::matcher::{MatcherTerms, PaperNoise};
+use crate::kernel::matching::Matching;
+use crate::kernel::noise::matcher::MatcherTerms;
 use crate::kernel::pair_setup::{Setup, check_size, noisy_image};
 use crate::params::{Fault, Range};
-use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params, union};
+use crate::{
+    Context, Element, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params, union,
+};
 
 params! {
     /// Nothing to say.
@@ -50,32 +52,11 @@ choice! {
 params! {
     /// Parameters of `match-image`.
     pub struct MatchImageParams {
+        ..matching: Matching,
         /// Name of the image.
         image: String,
-        /// Standard deviation of the white disparity noise, pixels of the depth map.
-        sigma_local_px: f64 = 0.7; Range::NonNegative,
-        /// Standard deviation of the smooth disparity noise, pixels of the depth map.
-        sigma_regular_px: f64 = 0.6; Range::NonNegative,
-        /// Distance of the nodes of the smooth noise, pixels of the depth map.
-        spacing_px: f64 = 50.0; Range::AtLeast(2.0),
-        /// How the smooth noise is interpolated between its nodes.
-        kernel: Interpolation = Interpolation::CatmullRom,
-        /// What the standard deviation of the smooth noise refers to.
-        variance: Variance = Variance::Nodes,
-        /// Distribution of the white noise.
-        local_distribution: Distribution = Distribution::Gaussian,
-        /// Distribution of the nodes of the smooth noise.
-        regular_distribution: Distribution = Distribution::Gaussian,
-        /// What a real matcher's noise has beyond these two, as in `match-pair`; left out: nothing.
-        matcher: Option<MatcherTerms> = None,
         /// What the errors of the pairs of an image have in common.
         noise_sharing: NoiseSharing = NoiseSharing::Pair(Whole {}),
-        /// Whether a pixel counts only where the other image sees the same point.
-        occlusion: bool = true,
-        /// Share of the depth by which a point may lie behind what the other image sees and still be seen.
-        occlusion_tolerance: f64 = 0.001; Range::NonNegative,
-        /// Largest rms y-parallax between rectified images, pixels of the depth map; beyond it matching would fail.
-        max_y_parallax_px: f64 = 2.0; Range::Positive,
         /// How the depths of the pairs that agree become one.
         averaging: Averaging = Averaging::Mean,
         /// A depth is rejected beyond so many robust deviations from the weighted median of the pairs (1.4826 times the median
@@ -88,8 +69,6 @@ params! {
     }
 }
 
-/// Y-parallax above which a warning is due, pixels.
-const DOUBTFUL_Y_PARALLAX_PX: f64 = 0.5;
 /// Pairs an image may have.
 const MAXIMUM_PAIRS: usize = 255;
 
@@ -99,7 +78,7 @@ pub struct MatchImage;
 impl Stage for MatchImage {
     type Params = MatchImageParams;
     const NAME: &'static str = "match-image";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page {
         what: "Makes the depth map of an image as dense matching with all of its partners would: every pair of the image is \
                matched as `match-pair` does it, and the depths they give a pixel are fused. The maps of single pairs exist for \
@@ -115,7 +94,8 @@ impl Stage for MatchImage {
                  independent, metres; `pairs`, how many pairs the depth stands on.",
         fails: "The image has no pair, or more than 255; a depth map of it or of a partner is missing or there twice; sizes, frames \
                 or downscales differ; no pair sees anything in common with it; the y-parallax of a pair is above max_y_parallax_px; \
-                `noise_sharing` other than `pair` beside an `image_share` of `matcher`.",
+                `noise_sharing` other than `pair` beside an `image_share` of `matcher`; a map of strength in another frame, or without \
+                `matcher`.",
         example: "\
 rockface: 1
 name: noisy-depth-of-a-block
@@ -143,17 +123,26 @@ steps:
         ),
         Port::one("noisy", &[Kind::Cameras], "The cameras as the bundle adjustment believes them to be."),
         Port::one("pairs", &[Kind::Pairs], "The pairs of the block."),
+        Port::optional(
+            "strength",
+            &[Kind::Raster],
+            "Factor on the local noise by place, from `map-noise`; needs `matcher`.",
+        ),
     ];
     const OUTPUTS: &'static [Port] =
         &[Port::one("depth", &[Kind::Depth], "The fused noisy depth map, with its noisy camera.")];
 
     fn draws(params: &Self::Params) -> bool {
-        let terms = params.matcher.as_ref().is_some_and(MatcherTerms::draws);
-        params.sigma_local_px > 0.0 || params.sigma_regular_px > 0.0 || terms
+        params.matching.draws()
+    }
+
+    /// The map and its channels with two copies while they are written, and depth maps of eight partners or so.
+    fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
+        inputs.largest("depths").saturating_mul(9 + 3 * (1 + params.channels.len() as u64))
     }
 
     fn check(params: &Self::Params) -> Vec<Fault> {
-        let shared = params.matcher.as_ref().is_some_and(|matcher| matcher.image_share > 0.0);
+        let shared = params.matching.matcher.as_ref().is_some_and(|matcher| matcher.image_share > 0.0);
         if !shared || matches!(params.noise_sharing, NoiseSharing::Pair(_)) {
             return Vec::new();
         }
@@ -162,12 +151,11 @@ steps:
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
-        let depths: Vec<&Depth> = inputs.many::<Depth>("depths")?.into_iter().map(|(_, depth)| depth).collect();
         let (noisy, pairs) = (inputs.one::<Cameras>("noisy")?, inputs.one::<Pairs>("pairs")?);
-        let ideal = depth_of(&depths, &params.image, None)?;
+        let ideal = depth_of(inputs, &params.image, None)?;
         let chosen = pairs_of(pairs, &params.image)?;
         let image = noisy_image(noisy, ideal)?;
-        let setup = setup(params);
+        let setup = setup(params, inputs.optional::<Raster>("strength")?)?;
         let seen = setup.terms.as_ref().and_then(|terms| terms.seen(ideal));
         let seen = seen.as_ref().unwrap_or(ideal);
         let keys = |purpose: &str, item: &str| context.stream(purpose, item);
@@ -176,7 +164,7 @@ steps:
             context.check_cancelled()?;
             let own = usize::from(pair.second == params.image);
             let partner = if own == 0 { &pair.second } else { &pair.first };
-            let other = depth_of(&depths, partner, Some(pair))?;
+            let other = depth_of(inputs, partner, Some(pair))?;
             check_scale(ideal, other)?;
             let both = if own == 0 { [seen, other] } else { [other, seen] };
             sides.push(Side { matcher: setup.matcher(&pair.name, both, own, noisy, &keys)?, own });
@@ -188,7 +176,8 @@ steps:
 }
 
 /// The one depth map of an image; `pair` says who asks.
-fn depth_of<'a>(depths: &[&'a Depth], image: &str, pair: Option<&Pair>) -> Result<&'a Depth, StageError> {
+fn depth_of<'a>(inputs: &'a Inputs, image: &str, pair: Option<&Pair>) -> Result<&'a Depth, StageError> {
+    let depths = candidates(inputs, image)?;
     let mut found = depths.iter().filter(|depth| depth.image.name == image);
     let asked = pair.map_or(String::new(), |pair| format!(", which pair `{}` needs", pair.name));
     let (Some(depth), None) = (found.next(), found.next()) else {
@@ -198,6 +187,18 @@ fn depth_of<'a>(depths: &[&'a Depth], image: &str, pair: Option<&Pair>) -> Resul
     };
     check_size(&format!("the depth map of image `{image}`"), depth)?;
     Ok(depth)
+}
+
+/// The depth maps among which that of an image is to be found: those that were gathered under its name, so that in a large
+/// block only a few are ever read; all of them where there is none.
+fn candidates<'a>(inputs: &'a Inputs, image: &str) -> Result<Vec<&'a Depth>, StageError> {
+    let named = |(_, element): &(usize, &Element)| element.point.values().any(|item| item == image);
+    let elements = inputs.elements("depths").iter().enumerate().filter(named);
+    let depths: Vec<&Depth> = elements.map(|(index, _)| inputs.nth("depths", index)).collect::<Result<_, _>>()?;
+    if depths.iter().any(|depth| depth.image.name == image) {
+        return Ok(depths);
+    }
+    Ok(inputs.many::<Depth>("depths")?.into_iter().map(|(_, depth)| depth).collect())
 }
 
 fn pairs_of<'a>(pairs: &'a Pairs, image: &str) -> Result<Vec<&'a Pair>, StageError> {
@@ -219,34 +220,21 @@ fn check_scale(ideal: &Depth, other: &Depth) -> Result<(), StageError> {
     Err(StageError::new(text).hint("project all depth maps with one `downscale`"))
 }
 
-fn setup(params: &MatchImageParams) -> Setup<'static> {
-    let recipe = FieldRecipe {
-        spacing_px: params.spacing_px,
-        distribution: params.regular_distribution,
-        interpolation: params.kernel,
-        variance: params.variance,
-    };
-    let noise = PaperNoise {
-        sigma_local_px: params.sigma_local_px,
-        local_distribution: params.local_distribution,
-        sigma_regular_px: params.sigma_regular_px,
-        recipe,
-    };
+fn setup<'a>(params: &MatchImageParams, strength: Option<&'a Raster>) -> Result<Setup<'a>, StageError> {
+    let mut setup = params.matching.setup(strength)?;
     let share = match &params.noise_sharing {
         NoiseSharing::Pair(_) => 0.0,
         NoiseSharing::Image(_) => 1.0,
         NoiseSharing::Mix(mix) => mix.image_share,
     };
-    let mut terms = params.matcher.clone();
     if share > 0.0 {
-        terms.get_or_insert_with(MatcherTerms::none).image_share = share;
+        setup.terms.get_or_insert_with(MatcherTerms::none).image_share = share;
     }
-    let occlusion_tolerance = params.occlusion.then_some(params.occlusion_tolerance);
-    Setup { noise, terms, occlusion_tolerance, strength: None }
+    Ok(setup)
 }
 
 fn fusion(params: &MatchImageParams) -> Fusion {
-    let (local, regular) = (params.sigma_local_px, params.sigma_regular_px);
+    let (local, regular) = (params.matching.sigma_local_px, params.matching.sigma_regular_px);
     let sigma_px = (local * local + regular * regular).sqrt();
     let rule = Rule {
         averaging: params.averaging,
@@ -336,16 +324,8 @@ fn report(
             continue;
         }
         let rms_px = (found.y_parallax2_px2 / found.count as f64).sqrt();
-        let limit = params.max_y_parallax_px;
-        if rms_px > limit {
-            return Err(StageError::new(format!(
-                "pair `{}`: the rms y-parallax is {rms_px:.2} px, {limit} px are allowed: these images could not be matched",
-                pair.name
-            ))
-            .hint("perturb the cameras with the full joint covariance, or less; or raise `max_y_parallax_px`"));
-        }
-        if rms_px > DOUBTFUL_Y_PARALLAX_PX {
-            context.warn(format!("pair `{}`: the rms y-parallax is {rms_px:.2} px; a matcher would suffer", pair.name));
+        if let Some(warning) = params.matching.judge_y_parallax(&pair.name, rms_px)? {
+            context.warn(warning);
         }
         worst_px = worst_px.max(rms_px);
     }

@@ -6,9 +6,9 @@ use crate::kernel::depth_buffer::{Drawing, draw};
 use crate::kernel::map_fusion::{Measured, fuse};
 use crate::params::ParamType;
 use crate::testing::{TestHost, height_mesh, image_at, run_stage, small_sensor};
-use crate::{Point, find};
+use crate::{Later, Point, find};
 use serde_json::{Value, json};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 struct Block {
     noisy: Cameras,
@@ -98,6 +98,66 @@ fn one_pair_is_what_match_pair_makes_bit_for_bit() {
             assert_eq!(matched(&block, &all), single(&block, &block.pairs.pairs[0], &one));
         }
     }
+}
+
+#[test]
+fn only_the_image_and_its_partners_are_read() {
+    let mut block = block(4, &lens(), &wavy());
+    block.pairs.pairs.retain(|pair| ["a+b", "b+c", "c+d"].contains(&pair.name.as_str()));
+    let read = Mutex::new(Vec::new());
+    let mut inputs = Inputs::default();
+    for depth in &block.depths {
+        let (name, value) = (depth.image.name.clone(), Arc::new(Artefact::Depth(depth.clone())));
+        let point = Point::from([("image".to_owned(), name.clone())]);
+        let read = &read;
+        let later = Later::new(move || {
+            read.lock().unwrap().push(name.clone());
+            Ok(value.clone())
+        });
+        inputs.push_later("depths", point, Arc::new(later));
+    }
+    inputs.push("noisy", Point::new(), Arc::new(block.noisy.clone().into()));
+    inputs.push("pairs", Point::new(), Arc::new(block.pairs.clone().into()));
+    let with = json!({"image": "a"});
+    let params = MatchImageParams::decode(&with).unwrap();
+    let outputs = MatchImage::run(&params, &inputs, &Context::new(&TestHost::default())).unwrap().into_inner();
+    assert_eq!(*read.lock().unwrap(), ["a", "b"]);
+    assert_eq!(Depth::of(&outputs["depth"]).unwrap(), &matched(&block, &with));
+}
+
+#[test]
+fn a_map_of_strength_is_for_matchers_with_terms_and_acts_where_it_is_strong() {
+    let block = block(3, &lens(), &wavy());
+    let grid = crate::artefact::Grid { columns: 2, rows: 1, cell_m: 20.0, left_m: -20.0, top_m: 10.0 };
+    let strength = Raster::single(grid, Frame::Wall, "strength", "", vec![0.0, 2.0]);
+    let run = |with: &Value, strength: Option<&Raster>| {
+        let mut inputs: Vec<(&str, Artefact)> =
+            vec![("noisy", Artefact::Cameras(block.noisy.clone())), ("pairs", Artefact::Pairs(block.pairs.clone()))];
+        inputs.extend(block.depths.iter().map(|depth| ("depths", Artefact::Depth(depth.clone()))));
+        inputs.extend(strength.map(|raster| ("strength", Artefact::Raster(raster.clone()))));
+        let outputs = run_stage::<MatchImage>(&TestHost::default(), with, &inputs)?.into_inner();
+        Ok::<_, StageError>(Depth::of(&outputs["depth"]).unwrap().clone())
+    };
+    // Little noise, so that depth is linear in it.
+    let mut with = json!({"image": "b", "sigma_local_px": 0.001, "sigma_regular_px": 0, "rejection": 50});
+    assert!(run(&with, Some(&strength)).unwrap_err().message.contains("no use for `strength`"));
+    with["matcher"] = json!({});
+    let (mapped, plain) = (run(&with, Some(&strength)).unwrap(), run(&with, None).unwrap());
+    let camera = Camera::new(&block.noisy.sensors[0], &block.noisy.images[1]);
+    let mut checked = [0; 2];
+    for (i, ideal) in block.depths[1].z.iter().enumerate().filter(|(i, _)| !mapped.z[*i].is_nan()) {
+        let ray = camera.normalised(crate::kernel::camera::full_pixel(i % 60, i / 60, 1)).unwrap();
+        let x = camera.unproject(ray, f64::from(*ideal)).x;
+        let (with, without) = (f64::from(mapped.z[i] - ideal), f64::from(plain.z[i] - ideal));
+        if x < -0.1 {
+            assert!(with.abs() < 1e-5, "pixel {i}: {with}");
+            checked[0] += 1;
+        } else if x > 0.1 {
+            assert!((with - 2.0 * without).abs() < 0.02 * without.abs() + 1e-5, "pixel {i}: {with} {without}");
+            checked[1] += 1;
+        }
+    }
+    assert!(checked.iter().all(|count| *count > 500), "{checked:?}");
 }
 
 #[test]

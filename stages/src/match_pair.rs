@@ -3,12 +3,10 @@
 use std::collections::BTreeMap;
 
 use crate::artefact::{Cameras, Depth, Image, Kind, Pair, Pairs, Raster};
-use crate::kernel::matching_noise::{Distribution, FieldRecipe, Interpolation, Variance};
-use crate::kernel::noise::matcher::{MatcherTerms, PaperNoise};
+use crate::kernel::matching::Matching;
 use crate::kernel::pair_matching::{Match, Matcher, Tally};
-use crate::kernel::pair_setup::{Setup, check_size, noisy_image};
+use crate::kernel::pair_setup::{check_size, noisy_image};
 use crate::kernel::rectified_row::rectified_camera;
-use crate::params::Range;
 use crate::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
 
 choice! {
@@ -34,32 +32,11 @@ choice! {
 params! {
     /// Parameters of `match-pair`.
     pub struct MatchPairParams {
+        ..matching: Matching,
         /// Name of the pair; needed where there are several.
         pair: Option<String> = None,
         /// The image whose depth map is made.
         of: Side = Side::First,
-        /// Standard deviation of the white disparity noise, pixels of the depth map.
-        sigma_local_px: f64 = 0.7; Range::NonNegative,
-        /// Standard deviation of the smooth disparity noise, pixels of the depth map.
-        sigma_regular_px: f64 = 0.6; Range::NonNegative,
-        /// Distance of the nodes of the smooth noise, pixels of the depth map.
-        spacing_px: f64 = 50.0; Range::AtLeast(2.0),
-        /// How the smooth noise is interpolated between its nodes.
-        kernel: Interpolation = Interpolation::CatmullRom,
-        /// What the standard deviation of the smooth noise refers to.
-        variance: Variance = Variance::Nodes,
-        /// Distribution of the white noise.
-        local_distribution: Distribution = Distribution::Gaussian,
-        /// Distribution of the nodes of the smooth noise.
-        regular_distribution: Distribution = Distribution::Gaussian,
-        /// What a real matcher's noise has beyond these two; left out: nothing, the paper's noise.
-        matcher: Option<MatcherTerms> = None,
-        /// Whether a pixel counts only where the other image sees the same point.
-        occlusion: bool = true,
-        /// Share of the depth by which a point may lie behind what the other image sees and still be seen.
-        occlusion_tolerance: f64 = 0.001; Range::NonNegative,
-        /// Largest rms y-parallax between the rectified images, pixels of the depth map; beyond it matching would fail.
-        max_y_parallax_px: f64 = 2.0; Range::Positive,
         /// Where disparities are sampled.
         sampling: Sampling = Sampling::Image,
         /// Whether distance along the ray, disparities, every term of the noise, y-parallax and the mask of valid pixels are
@@ -68,16 +45,13 @@ params! {
     }
 }
 
-/// Y-parallax above which a warning is due, pixels.
-const DOUBTFUL_Y_PARALLAX_PX: f64 = 0.5;
-
 /// The stage.
 pub struct MatchPair;
 
 impl Stage for MatchPair {
     type Params = MatchPairParams;
     const NAME: &'static str = "match-pair";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: Page = Page {
         what: "Makes the depth map of one image of a stereo pair as dense matching would: with the errors of the \
                orientation and of the matching in it.",
@@ -140,14 +114,13 @@ steps:
         &[Port::one("depth", &[Kind::Depth], "The noisy depth map, with its noisy camera.")];
 
     fn draws(params: &Self::Params) -> bool {
-        let terms = params.matcher.as_ref().is_some_and(MatcherTerms::draws);
-        params.sigma_local_px > 0.0 || params.sigma_regular_px > 0.0 || terms
+        params.matching.draws()
     }
 
     fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
         // Both maps, the noisy one and its file; further terms of the noise and channels are maps too.
         let maps = inputs.of("first") + inputs.of("second");
-        let terms = if params.matcher.is_some() { 2 } else { 0 };
+        let terms = if params.matching.matcher.is_some() { 2 } else { 0 };
         let channels = if params.channels { 24 } else { 0 };
         (4 + terms) * maps + channels * inputs.of("first")
     }
@@ -158,20 +131,14 @@ steps:
         let pair = choose_pair(params, inputs.one("pairs")?)?;
         check_depths(pair, ideal)?;
         let own = usize::from(params.of == Side::Second);
-        let seen = params.matcher.as_ref().and_then(|terms| terms.seen(ideal[own]));
+        let seen = params.matching.matcher.as_ref().and_then(|terms| terms.seen(ideal[own]));
         let mut matched = ideal;
         if let Some(seen) = &seen {
             matched[own] = seen;
         }
-        let strength = inputs.optional::<Raster>("strength")?;
-        if strength.is_some() && params.matcher.is_none() {
-            return Err(StageError::new(
-                "the paper's noise is equally strong everywhere and has no use for `strength`",
-            )
-            .hint("add `matcher: {}` to the parameters, or leave the input out"));
-        }
+        let setup = params.matching.setup(inputs.optional::<Raster>("strength")?)?;
         let keys = |purpose: &str, item: &str| context.stream(purpose, item);
-        let mut matcher = setup(params, strength).matcher(&pair.name, matched, own, noisy, &keys)?;
+        let mut matcher = setup.matcher(&pair.name, matched, own, noisy, &keys)?;
         matcher.rectified = params.sampling == Sampling::Rectified;
         let (map, tally) = matched_map(params, &matcher, own, noisy, noisy_image(noisy, ideal[own])?);
         report(params, context, pair, &map, &tally)?;
@@ -207,23 +174,6 @@ fn check_depths(pair: &Pair, [first, second]: [&Depth; 2]) -> Result<(), StageEr
     Ok(())
 }
 
-fn setup<'a>(params: &MatchPairParams, strength: Option<&'a Raster>) -> Setup<'a> {
-    let recipe = FieldRecipe {
-        spacing_px: params.spacing_px,
-        distribution: params.regular_distribution,
-        interpolation: params.kernel,
-        variance: params.variance,
-    };
-    let noise = PaperNoise {
-        sigma_local_px: params.sigma_local_px,
-        local_distribution: params.local_distribution,
-        sigma_regular_px: params.sigma_regular_px,
-        recipe,
-    };
-    let occlusion_tolerance = params.occlusion.then_some(params.occlusion_tolerance);
-    Setup { noise, terms: params.matcher.clone(), occlusion_tolerance, strength }
-}
-
 /// What a channel keeps of a match.
 type Of = fn(&Match) -> f64;
 /// Name of a channel, and what is in it.
@@ -247,7 +197,7 @@ const CHANNELS: [Channel; 10] = [
 const PAPER_CHANNELS: usize = 6;
 
 fn channels(params: &MatchPairParams) -> &'static [Channel] {
-    match (params.channels, &params.matcher) {
+    match (params.channels, &params.matching.matcher) {
         (false, _) => &[],
         (true, None) => &CHANNELS[..PAPER_CHANNELS],
         (true, Some(_)) => &CHANNELS,
@@ -325,16 +275,8 @@ fn report(
     context.metric("valid_share", count / map.z.len() as f64, "1");
     context.metric("y_parallax_rms", rms_px, "px");
     context.metric("depth_per_disparity", tally.depth_per_px_m / count, "m/px");
-    let limit = params.max_y_parallax_px;
-    if rms_px > limit {
-        return Err(StageError::new(format!(
-            "pair `{}`: the rms y-parallax is {rms_px:.2} px, {limit} px are allowed: these images could not be matched",
-            pair.name
-        ))
-        .hint("perturb the cameras with the full joint covariance, or less; or raise `max_y_parallax_px`"));
-    }
-    if rms_px > DOUBTFUL_Y_PARALLAX_PX {
-        context.warn(format!("pair `{}`: the rms y-parallax is {rms_px:.2} px; a matcher would suffer", pair.name));
+    if let Some(warning) = params.matching.judge_y_parallax(&pair.name, rms_px)? {
+        context.warn(warning);
     }
     Ok(())
 }

@@ -162,10 +162,16 @@ pub trait ParamType: Sized {
     }
 }
 
-/// The whole of a stage's parameters.
+/// The whole of a stage's parameters, or a part that several stages have in common.
 pub trait Params: ParamType {
     /// The fields, in the order of declaration.
     fn fields() -> Vec<Field>;
+    /// Adds the keys to a list.
+    fn names(known: &mut Vec<&'static str>);
+    /// Reads the keys of a map that may hold others; `None` where there are faults.
+    fn read(reader: &mut MapReader) -> Option<Self>;
+    /// Adds every key with its canonical value to a map.
+    fn write(&self, map: &mut Map<String, Value>);
 }
 
 /// A file named by a parameter; the engine opens and hashes it, [`crate::Context::file`] hands over a reader.
@@ -419,57 +425,81 @@ impl<'a> MapReader<'a> {
 
 /// Declares the parameters of a stage: `name: type = default; range` with a doc comment each.
 ///
-/// Without `= default` the parameter must be given; without `; range` any value of the type is right.
+/// Without `= default` the parameter must be given; without `; range` any value of the type is right. Parameters that several
+/// stages have in common are a part, `..part: Part,` before the others: its keys stand beside theirs and are told of last.
 #[macro_export]
 macro_rules! params {
     (
         $(#[doc = $about:literal])*
         pub struct $Name:ident {
+            $( ..$part:ident : $Part:ty , )*
             $( $(#[doc = $doc:literal])+ $field:ident : $ty:ty $(= $default:expr)? $(; $range:expr)? ),* $(,)?
         }
     ) => {
         $(#[doc = $about])*
         #[derive(Debug, Clone, PartialEq)]
         #[allow(clippy::struct_field_names)] // units are part of the names
-        pub struct $Name { $( $(#[doc = $doc])+ pub $field: $ty, )* }
+        pub struct $Name {
+            $( $(#[doc = $doc])+ pub $field: $ty, )*
+            $( #[doc = concat!("What it has in common with others: [`", stringify!($Part), "`].")] pub $part: $Part, )*
+        }
 
         impl $crate::params::ParamType for $Name {
             fn kind() -> $crate::params::Kind {
                 $crate::params::Kind::Map(<Self as $crate::params::Params>::fields())
             }
-            #[allow(unused_mut, unused_variables)]
             fn decode(value: &serde_json::Value) -> Result<Self, Vec<$crate::params::Fault>> {
                 let mut reader = $crate::params::MapReader::new(value);
-                $( let $field: Option<$ty> =
-                    reader.field(stringify!($field), $crate::params!(@default $ty $(, $default)?), $crate::params!(@range $($range)?)); )*
-                let faults = reader.finish(&[$(stringify!($field)),*]);
+                let read = <Self as $crate::params::Params>::read(&mut reader);
+                let mut known = Vec::new();
+                <Self as $crate::params::Params>::names(&mut known);
+                let faults = reader.finish(&known);
                 if !faults.is_empty() {
                     return Err(faults);
                 }
-                match ($($field,)*) {
-                    ($(Some($field),)*) => Ok(Self { $($field),* }),
-                    #[allow(unreachable_patterns)]
-                    _ => Err(vec![$crate::params::Fault::new("a parameter is missing")]),
-                }
+                read.ok_or_else(|| vec![$crate::params::Fault::new("a parameter is missing")])
             }
             fn encode(&self) -> serde_json::Value {
-                #[allow(unused_mut)]
                 let mut map = serde_json::Map::new();
-                $( map.insert(stringify!($field).to_owned(), $crate::params::ParamType::encode(&self.$field)); )*
+                $crate::params::Params::write(self, &mut map);
                 serde_json::Value::Object(map)
             }
         }
 
         impl $crate::params::Params for $Name {
+            #[allow(unused_mut)]
             fn fields() -> Vec<$crate::params::Field> {
-                vec![$( $crate::params::Field {
+                let mut fields: Vec<$crate::params::Field> = vec![$( $crate::params::Field {
                     name: stringify!($field),
                     doc: [$($doc),+].map(str::trim).join(" "),
                     kind: <$ty as $crate::params::ParamType>::kind(),
                     default: $crate::params!(@default $ty $(, $default)?)
                         .map(|value: $ty| $crate::params::ParamType::encode(&value)),
                     range: $crate::params!(@range $($range)?),
-                } ),*]
+                } ),*];
+                $( fields.extend(<$Part as $crate::params::Params>::fields()); )*
+                fields
+            }
+            #[allow(unused_variables)]
+            fn names(known: &mut Vec<&'static str>) {
+                $( known.push(stringify!($field)); )*
+                $( <$Part as $crate::params::Params>::names(known); )*
+            }
+            #[allow(unused_variables)]
+            fn read(reader: &mut $crate::params::MapReader) -> Option<Self> {
+                $( let $field: Option<$ty> =
+                    reader.field(stringify!($field), $crate::params!(@default $ty $(, $default)?), $crate::params!(@range $($range)?)); )*
+                $( let $part = <$Part as $crate::params::Params>::read(reader); )*
+                match ($($field,)* $($part,)*) {
+                    ($(Some($field),)* $(Some($part),)*) => Some(Self { $($field,)* $($part,)* }),
+                    #[allow(unreachable_patterns)]
+                    _ => None,
+                }
+            }
+            #[allow(unused_variables)]
+            fn write(&self, map: &mut serde_json::Map<String, serde_json::Value>) {
+                $( map.insert(stringify!($field).to_owned(), $crate::params::ParamType::encode(&self.$field)); )*
+                $( $crate::params::Params::write(&self.$part, map); )*
             }
         }
     };
@@ -635,6 +665,33 @@ mod tests {
         let places: Vec<_> = faults.iter().map(|f| f.path.join(".")).collect();
         assert_eq!(places, ["cell_m", "shape", "corner_m.1", "", "cel_m"]);
         assert!(faults[3].message.contains("`path` (file) is missing"));
+    }
+
+    params! {
+        /// What all labels have.
+        pub struct Lettering {
+            /// Height of its letters.
+            height_mm: f64 = 2.5; Range::Positive,
+        }
+    }
+
+    params! {
+        /// A label.
+        pub struct Label {
+            ..lettering: Lettering,
+            /// What it says.
+            text: String,
+        }
+    }
+
+    #[test]
+    fn a_part_in_common_has_its_keys_beside_the_others() {
+        let label = Label::decode(&json!({"text": "a", "height_mm": 3})).unwrap();
+        assert_eq!((label.lettering.height_mm, label.encode()), (3.0, json!({"text": "a", "height_mm": 3.0})));
+        assert_eq!(Label::fields().iter().map(|field| field.name).collect::<Vec<_>>(), ["text", "height_mm"]);
+        let places =
+            |value| Label::decode(&value).unwrap_err().into_iter().map(|f| f.path.join(".")).collect::<Vec<_>>();
+        assert_eq!(places(json!({"text": "a", "height_mm": -1, "lettering": 1})), ["height_mm", "lettering"]);
     }
 
     params! {

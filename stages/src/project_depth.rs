@@ -5,6 +5,7 @@ use crate::kernel::camera::Camera;
 use crate::kernel::depth_buffer::{DepthBuffer, Drawing, NO_TRIANGLE, draw, triangles};
 use crate::kernel::depth_update::redraw;
 use crate::kernel::ray_row::RayRow;
+use crate::kernel::window;
 use crate::params::{Fault, Range};
 use crate::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
@@ -19,7 +20,7 @@ params! {
         safe_border_px: f64 = 0.0; Range::NonNegative,
         /// Whether what faces away from the camera is no surface; if not, the nearest surface counts whichever way it faces.
         visibility: bool = true,
-        /// Keeps only what lies in this part of the frame: x from, x to, y from, y to, metres; null: everything.
+        /// Keeps only what lies in this part of the frame: left, right, bottom, top, metres; null: everything.
         window_m: Option<[f64; 4]> = None,
         /// Whether the distance along the ray, the triangle seen and the mask of valid pixels are kept as further channels.
         channels: bool = false,
@@ -38,7 +39,7 @@ pub struct ProjectDepth;
 impl Stage for ProjectDepth {
     type Params = ProjectDepthParams;
     const NAME: &'static str = "project-depth";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page {
         what: "Projects a mesh into one image and keeps, at every pixel centre, the depth of the nearest triangle.",
         method: "Collinearity with Brown-Conrady distortion (paper 2.1.2, Algorithm 2 lines 9, 11 and 12). The exact \
@@ -81,10 +82,7 @@ steps:
     const OUTPUTS: &'static [Port] = &[Port::one("depth", &[Kind::Depth], "The depth map, with its true camera.")];
 
     fn check(params: &Self::Params) -> Vec<Fault> {
-        let reversed = params.window_m.is_some_and(|[x0, x1, y0, y1]| x0 >= x1 || y0 >= y1);
-        let fault =
-            Fault { path: vec!["window_m".into()], ..Fault::new("is x from, x to, y from, y to: this one is empty") };
-        if reversed { vec![fault] } else { Vec::new() }
+        window::faults(params.window_m)
     }
 
     fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
@@ -122,7 +120,7 @@ steps:
             if before && !buffer.z_m.iter().any(|z| z.is_finite()) {
                 let error = StageError::new(format!("image `{}` sees nothing inside `window_m`", image.name));
                 return Err(
-                    error.hint("it sees other parts of the mesh: the window is x from, x to, y from, y to, metres")
+                    error.hint("it sees other parts of the mesh: the window is left, right, bottom, top, metres")
                 );
             }
         }

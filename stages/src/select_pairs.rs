@@ -104,9 +104,10 @@ fn by_hand(list: &[String], cameras: &Cameras, views: &Views) -> Result<Vec<Pair
     let mut pairs: Vec<Pair> = Vec::with_capacity(list.len());
     for entry in list {
         let (i, j) = named(entry, cameras)?;
-        let pair = views
-            .pair(i.min(j), i.max(j))
-            .map_err(|why| StageError::new(format!("list: `{entry}` is no stereo pair: {why}")))?;
+        let pair = views.pair(i.min(j), i.max(j)).map_err(|why| {
+            StageError::new(format!("list: `{entry}` is no stereo pair: {why}"))
+                .hint("leave it out of `list`, or check frames and orientation")
+        })?;
         if pairs.iter().any(|other| other.name == pair.name) {
             fail!("list: the pair `{entry}` is there twice");
         }

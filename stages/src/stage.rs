@@ -3,11 +3,11 @@
 use std::collections::BTreeMap;
 use std::io::Read;
 use std::marker::PhantomData;
-use std::sync::Arc;
 
 use serde_json::Value;
 
-use crate::artefact::{Artefact, Kind, Noun};
+use crate::artefact::{Artefact, Kind};
+use crate::inputs::Inputs;
 use crate::needs::InputSizes;
 use crate::params::{Fault, Field, FileRef, FilesRef, ParamType, Params};
 use crate::program::{Program, ProgramResult};
@@ -110,59 +110,6 @@ impl StageError {
 #[macro_export]
 macro_rules! fail {
     ($($message:tt)*) => { return Err($crate::StageError::new(format!($($message)*))) };
-}
-
-/// One element of an input: the artefact, and the point it was gathered from (empty for a plain reference).
-#[derive(Debug, Clone)]
-pub struct Element {
-    /// Item of each gathered axis.
-    pub point: Point,
-    /// The value.
-    pub artefact: Arc<Artefact>,
-}
-
-/// The artefacts handed to a stage, by port.
-#[derive(Debug, Clone, Default)]
-pub struct Inputs(BTreeMap<String, Vec<Element>>);
-
-impl Inputs {
-    /// Adds one element to a port.
-    pub fn push(&mut self, port: &str, point: Point, artefact: Arc<Artefact>) {
-        self.0.entry(port.to_owned()).or_default().push(Element { point, artefact });
-    }
-
-    /// All elements of a port.
-    pub fn elements(&self, port: &str) -> &[Element] {
-        self.0.get(port).map_or(&[], Vec::as_slice)
-    }
-
-    /// The only artefact of a port, of whatever kind the port takes.
-    pub fn artefact(&self, port: &str) -> Result<&Artefact, StageError> {
-        match self.elements(port) {
-            [element] => Ok(&element.artefact),
-            found => Err(StageError::new(format!("port `{port}` needs one artefact, found {}", found.len()))),
-        }
-    }
-
-    /// The only artefact of a port, as the type the stage works on.
-    pub fn one<T: Noun>(&self, port: &str) -> Result<&T, StageError> {
-        typed(port, self.artefact(port)?)
-    }
-
-    /// The artefact of an optional port.
-    pub fn optional<T: Noun>(&self, port: &str) -> Result<Option<&T>, StageError> {
-        if self.elements(port).is_empty() { Ok(None) } else { self.one(port).map(Some) }
-    }
-
-    /// Every artefact of a port, with the point it was gathered from.
-    pub fn many<T: Noun>(&self, port: &str) -> Result<Vec<(&Point, &T)>, StageError> {
-        self.elements(port).iter().map(|e| Ok((&e.point, typed(port, &e.artefact)?))).collect()
-    }
-}
-
-fn typed<'a, T: Noun>(port: &str, artefact: &'a Artefact) -> Result<&'a T, StageError> {
-    T::of(artefact)
-        .ok_or_else(|| StageError::new(format!("port `{port}` needs a {}, found a {}", T::KIND, artefact.kind())))
 }
 
 /// The artefacts a stage made, by port.

@@ -21,5 +21,6 @@ mod reading;
 mod references;
 mod report;
 mod rework;
+mod survey;
 mod tidy;
 mod watching;

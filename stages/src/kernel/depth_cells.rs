@@ -9,6 +9,7 @@ use crate::artefact::{Depth, Grid};
 use crate::kernel::camera::{Camera, full_pixel};
 use crate::kernel::rasterise::grid_around;
 use crate::kernel::ray_row::RayRow;
+use crate::kernel::whole::floor;
 
 /// Rows whose points are found in parallel before they are added in order.
 const BATCH_ROWS: usize = 256;
@@ -119,10 +120,11 @@ impl Placer<'_> {
     fn place(&self, point: &Vector3<f64>, direction: &Vector3<f64>, sigma_m: f64) -> Sample {
         let inside =
             self.window_m.is_none_or(|[x0, x1, y0, y1]| point.x >= x0 && point.x < x1 && point.y > y0 && point.y <= y1);
-        let column = ((point.x - self.grid.left_m) / self.grid.cell_m).floor();
-        let row = ((self.grid.top_m - point.y) / self.grid.cell_m).floor();
-        let fits = column >= 0.0 && row >= 0.0 && column < self.grid.columns as f64 && row < self.grid.rows as f64;
-        let cell = if inside && fits { row as u32 * self.grid.columns as u32 + column as u32 } else { NOWHERE };
+        let column = floor((point.x - self.grid.left_m) / self.grid.cell_m) as usize;
+        let row = floor((self.grid.top_m - point.y) / self.grid.cell_m) as usize;
+        // What lies left of the grid or above it is beyond any size once its sign is gone.
+        let fits = column < self.grid.columns && row < self.grid.rows;
+        let cell = if inside && fits { (row * self.grid.columns + column) as u32 } else { NOWHERE };
         let across = direction.z.abs();
         let cosine = (across / direction.norm()).max(0.05);
         Sample { cell, z_m: point.z as f32, sigma_m: (sigma_m * across / cosine.sqrt()) as f32 }

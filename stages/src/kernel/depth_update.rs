@@ -3,8 +3,6 @@
 //! A pixel that neither a vanished nor a new triangle reaches is met by the same triangles before and after, so its depth is
 //! the same to the bit. Triangles are the same when their corners are, bit by bit and in the same order.
 
-use std::collections::{HashMap, HashSet};
-
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
@@ -29,26 +27,87 @@ pub struct Redrawn {
     pub share: f64,
 }
 
+/// How far ahead the next triangle both meshes have is looked for, at first and at most.
+const AHEAD: [usize; 2] = [1 << 8, 1 << 14];
+/// How many triangles are looked at so in all before it is taken that the order is another.
+const PATIENCE: usize = 200_000_000;
+
+/// A triangle by a number made of its corners, and its place in the mesh.
+type Marked = (u64, u32);
+/// The corners of a triangle, bit by bit.
+type Corners = [[u64; 3]; 3];
+
 /// Triangles of either mesh that the other does not have, by index: those of `before`, those of `after`.
 pub fn changed_triangles(before: &Mesh, after: &Mesh) -> [Vec<u32>; 2] {
-    let bits = |vertex: &[f64; 3]| vertex.map(f64::to_bits);
-    let mut numbers: HashMap<[u64; 3], u32> = HashMap::with_capacity(before.vertices.len());
-    let own: Vec<u32> =
-        before.vertices.iter().enumerate().map(|(i, v)| *numbers.entry(bits(v)).or_insert(i as u32)).collect();
-    // What the mesh before does not have gets a number beyond all of its own.
-    let theirs: Vec<u32> =
-        after.vertices.iter().map(|vertex| numbers.get(&bits(vertex)).copied().unwrap_or(u32::MAX)).collect();
-    let triple = |numbers: &[u32], triangle: &[u32; 3]| triangle.map(|i| numbers[i as usize]);
-    let there: HashSet<[u32; 3]> = before.triangles.iter().map(|t| triple(&own, t)).collect();
-    let is_new = |t: &[u32; 3]| !there.contains(&triple(&theirs, t));
-    let new: Vec<u32> = index_where(&after.triangles, is_new);
-    let here: HashSet<[u32; 3]> = after.triangles.iter().map(|t| triple(&theirs, t)).collect();
-    let gone: Vec<u32> = index_where(&before.triangles, |t| !here.contains(&triple(&own, t)));
+    let (own, theirs) = rayon::join(|| marked(before), || marked(after));
+    let [mut own, mut theirs] = unlike([&own, &theirs], [before, after]);
+    own.sort_unstable();
+    theirs.sort_unstable();
+    let [mut gone, mut new] = [Vec::new(), Vec::new()];
+    let (mut i, mut j) = (0, 0);
+    while i < own.len() || j < theirs.len() {
+        let next = own.get(i).into_iter().chain(theirs.get(j)).map(|(mark, _)| *mark).min().unwrap_or_default();
+        let (here, there) = (run(&own[i..], next), run(&theirs[j..], next));
+        // Other corners with the same mark do not occur; if they did, all would be drawn anew, which is never wrong.
+        let mut all =
+            here.iter().map(|(_, t)| corners(before, *t)).chain(there.iter().map(|(_, t)| corners(after, *t)));
+        let first = all.next();
+        if here.is_empty() || there.is_empty() || !all.all(|other| Some(other) == first) {
+            gone.extend(here.iter().map(|(_, triangle)| *triangle));
+            new.extend(there.iter().map(|(_, triangle)| *triangle));
+        }
+        (i, j) = (i + here.len(), j + there.len());
+    }
+    gone.sort_unstable();
+    new.sort_unstable();
     [gone, new]
 }
 
-fn index_where(triangles: &[[u32; 3]], holds: impl Fn(&[u32; 3]) -> bool) -> Vec<u32> {
-    triangles.iter().enumerate().filter(|(_, triangle)| holds(triangle)).map(|(i, _)| i as u32).collect()
+fn corners(mesh: &Mesh, triangle: u32) -> Corners {
+    mesh.triangles[triangle as usize].map(|i| mesh.vertices[i as usize].map(f64::to_bits))
+}
+
+/// What is left when triangles that follow each other alike in both meshes are taken out: next to nothing where the order was
+/// kept, everything where it was not.
+fn unlike([own, theirs]: [&[Marked]; 2], [before, after]: [&Mesh; 2]) -> [Vec<Marked>; 2] {
+    let (mut left, mut patience, mut ahead) = ([Vec::new(), Vec::new()], PATIENCE, AHEAD[0]);
+    let (mut i, mut j) = (0, 0);
+    while let (Some(one), Some(other), true) = (own.get(i), theirs.get(j), patience > 0) {
+        if one.0 == other.0 && corners(before, one.1) == corners(after, other.1) {
+            (i, j, ahead) = (i + 1, j + 1, AHEAD[0]);
+            continue;
+        }
+        let gone = (1..ahead).find(|k| own.get(i + k).is_some_and(|next| next.0 == other.0));
+        let new = (1..gone.unwrap_or(ahead)).find(|k| theirs.get(j + k).is_some_and(|next| next.0 == one.0));
+        patience -= ahead.min(patience);
+        ahead = (2 * ahead).min(AHEAD[1]);
+        let skip = match (gone, new) {
+            (_, Some(new)) => [0, new],
+            (Some(gone), None) => [gone, 0],
+            (None, None) => [1, 1],
+        };
+        left[0].extend(&own[i..i + skip[0]]);
+        left[1].extend(&theirs[j..j + skip[1]]);
+        (i, j) = (i + skip[0], j + skip[1]);
+    }
+    left[0].extend(&own[i..]);
+    left[1].extend(&theirs[j..]);
+    left
+}
+
+/// The triangles of a mesh with their marks.
+fn marked(mesh: &Mesh) -> Vec<Marked> {
+    let mark = |triangle: u32| {
+        let mix = |sum: u64, bits: &u64| (sum ^ bits).wrapping_mul(0x9E37_79B9_7F4A_7C15).rotate_left(29);
+        (corners(mesh, triangle).as_flattened().iter().fold(0, mix), triangle)
+    };
+    (0..mesh.triangles.len() as u32).into_par_iter().map(mark).collect()
+}
+
+/// The first triangles, as long as they have this mark.
+fn run(marked: &[Marked], mark: u64) -> &[Marked] {
+    let length = marked.iter().take_while(|(own, _)| *own == mark).count();
+    &marked[..length]
 }
 
 /// Draws `after` from the depths of `before` (NaN where there is none), which the same camera and drawing gave.
@@ -141,6 +200,7 @@ mod tests {
     use super::*;
     use crate::kernel::depth_buffer::draw;
     use crate::testing::{height_mesh, image_at, small_sensor};
+    use std::collections::HashSet;
 
     fn camera() -> Camera {
         let sensor = crate::artefact::Sensor {
@@ -174,12 +234,33 @@ mod tests {
     }
 
     #[test]
+    fn what_changed_is_found_in_order_too() {
+        let [before, _] = meshes();
+        let mut after = before.clone();
+        let vertex = after.vertices.len() as u32;
+        after.vertices.push([0.1, 0.2, -3.0]);
+        let fresh = |i: u32| [vertex, i, i + 1];
+        after.triangles.splice(100..3200, [fresh(7), fresh(11)]);
+        after.triangles.insert(40, fresh(3));
+        after.triangles.push(fresh(5));
+        let [gone, new] = changed_triangles(&before, &after);
+        assert_eq!(gone, (100..3200).collect::<Vec<u32>>());
+        assert_eq!(new, [40, 101, 102, after.triangles.len() as u32 - 1]);
+    }
+
+    #[test]
     fn what_changed_is_found_whatever_the_order() {
         let [before, after] = meshes();
         let [gone, new] = changed_triangles(&before, &after);
         assert_eq!(gone.len(), new.len());
         assert!((150..400).contains(&new.len()), "{}", new.len());
         assert!(changed_triangles(&before, &before).iter().all(Vec::is_empty));
+        let bits = |mesh: &Mesh| (0..mesh.triangles.len() as u32).map(|t| corners(mesh, t)).collect::<HashSet<_>>();
+        let (own, theirs) = (bits(&before), bits(&after));
+        assert!(gone.iter().all(|t| !theirs.contains(&corners(&before, *t))));
+        assert!(new.iter().all(|t| !own.contains(&corners(&after, *t))));
+        assert_eq!(gone.len(), own.difference(&theirs).count());
+        assert!(gone.is_sorted() && new.is_sorted());
     }
 
     #[test]

@@ -87,6 +87,20 @@ impl Interpolation {
         }
     }
 
+    /// [`Interpolation::weights`] at two places at once, which costs little more than at one.
+    #[inline]
+    fn weights_at(self, t: [f64; 2]) -> [[f64; 2]; 4] {
+        match self {
+            Self::CatmullRom => keys_at(-0.5, t),
+            Self::Cubic075 => keys_at(-0.75, t),
+            Self::Cubic100 => keys_at(-1.0, t),
+            Self::Bilinear | Self::BSpline => {
+                let [x, y] = t.map(|t| self.weights(t));
+                [0, 1, 2, 3].map(|i| [x[i], y[i]])
+            }
+        }
+    }
+
     /// Mean over a cell of the variance along one direction, for nodes of unit variance.
     pub fn mean_variance(self) -> f64 {
         // Gauss-Legendre with four points is exact up to degree 7; the variance has degree 6.
@@ -100,9 +114,14 @@ impl Interpolation {
 /// Keys' cubic convolution kernel (1981) for the nodes -1, 0, 1 and 2.
 #[inline]
 fn keys(a: f64, t: f64) -> [f64; 4] {
-    let near = |t: f64| ((a + 2.0) * t - (a + 3.0)) * t * t + 1.0;
-    let far = |t: f64| ((a * t - 5.0 * a) * t + 8.0 * a) * t - 4.0 * a;
-    [far(1.0 + t), near(t), near(1.0 - t), far(2.0 - t)]
+    keys_at(a, [t; 2]).map(|[weight, _]| weight)
+}
+
+#[inline]
+fn keys_at(a: f64, t: [f64; 2]) -> [[f64; 2]; 4] {
+    let near = |t: [f64; 2]| t.map(|t| ((a + 2.0) * t - (a + 3.0)) * t * t + 1.0);
+    let far = |t: [f64; 2]| t.map(|t| ((a * t - 5.0 * a) * t + 8.0 * a) * t - 4.0 * a);
+    [far(t.map(|t| 1.0 + t)), near(t), near(t.map(|t| 1.0 - t)), far(t.map(|t| 2.0 - t))]
 }
 
 #[inline]
@@ -218,8 +237,8 @@ impl SmoothNoise {
     pub fn at(&self, position_px: [f64; 2]) -> f64 {
         let [x, y] = position_px.map(|p| p / self.recipe.spacing_px);
         let (column, row) = (floor(x), floor(y));
-        let wx = self.recipe.interpolation.weights(x - f64::from(column));
-        let wy = self.recipe.interpolation.weights(y - f64::from(row));
+        let weights = self.recipe.interpolation.weights_at([x - f64::from(column), y - f64::from(row)]);
+        let (wx, wy) = (weights.map(|[x, _]| x), weights.map(|[_, y]| y));
         let mut sum = 0.0;
         for (j, weight) in (-1..3).zip(wy) {
             let [a, b, c, d] = self.four_nodes(column - 1, row + j);

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use crate::artefact::Depth;
-use crate::kernel::camera::{Camera, full_pixel};
+use crate::kernel::camera::Camera;
 use crate::kernel::ray_row::RayRow;
 
 /// A pixel that shows something.
@@ -32,19 +32,14 @@ impl OwnRow {
         let values = &depth.z[row * depth.width..(row + 1) * depth.width];
         let same_interior = noisy.has_interior_of(camera);
         let mut rays = RayRow::new(camera, row, depth.downscale);
+        let mut noisy_rays = RayRow::new(noisy, row, depth.downscale);
         let mut pixels = Vec::with_capacity(values.len());
         for (column, z) in values.iter().enumerate().filter(|(_, z)| z.is_finite()) {
             let Some(ray) = rays.ray(column) else { continue };
-            let pixel = full_pixel(column, row, depth.downscale);
-            let noisy_ray = if same_interior { Some(ray) } else { noisy_ray(noisy, pixel, ray) };
+            let noisy_ray = if same_interior { Some(ray) } else { noisy_rays.ray(column) };
             let Some(noisy_ray) = noisy_ray else { continue };
             pixels.push(OwnPixel { column, point_m: camera.unproject(ray, f64::from(*z)), noisy_ray });
         }
         Self { row, pixels }
     }
-}
-
-/// Undistorts a position with the noisy interior orientation, near where the true one puts it.
-pub fn noisy_ray(noisy: &Camera, pixel: [f64; 2], true_ray: [f64; 2]) -> Option<[f64; 2]> {
-    noisy.normalised_near(pixel, true_ray).or_else(|| noisy.normalised(pixel))
 }

@@ -14,7 +14,8 @@ use crate::fail;
 use crate::kernel::camera::{Camera, full_pixel};
 use crate::kernel::matching_noise::{FieldRecipe, LocalNoise, Lookup, SmoothNoise};
 use crate::kernel::noise::terms::{DisparityError, Lookups, Site, Terms};
-use crate::kernel::own_row::{OwnPixel, OwnRow, noisy_ray};
+use crate::kernel::noisy_rays::NoisyRays;
+use crate::kernel::own_row::{OwnPixel, OwnRow};
 use crate::kernel::random::Key;
 use crate::kernel::rectification::{Placed, Rectification};
 use crate::kernel::rectified_row::{rectified_ray, rectified_row, source_pixel};
@@ -35,6 +36,8 @@ pub struct Matcher<'a> {
     pub noisy: [Camera; 2],
     /// Whether the noisy camera has the interior orientation of the true one.
     pub same_interior: [bool; 2],
+    /// Rays of the noisy cameras from those of the true ones.
+    pub noisy_rays: [NoisyRays; 2],
     /// Rectification of the noisy cameras.
     pub rectification: Rectification,
     /// White noise; `None` without any.
@@ -226,8 +229,11 @@ impl Matcher<'_> {
         if !self.is_seen(other, seen_level, seen.z) {
             return None;
         }
-        let seen_noisy_ray =
-            if self.same_interior[other] { seen_ray } else { noisy_ray(&self.noisy[other], seen_pixel, seen_ray)? };
+        let seen_noisy_ray = if self.same_interior[other] {
+            seen_ray
+        } else {
+            self.noisy_rays[other].ray(&self.noisy[other], seen_pixel, seen_ray)?
+        };
         let own_place = self.rectification.place(own, pixel.noisy_ray)?;
         let other_place = self.rectification.place(other, seen_noisy_ray)?;
         let (first, second) = if own == 0 { (&own_place, &other_place) } else { (&other_place, &own_place) };
@@ -300,11 +306,13 @@ impl Matcher<'_> {
             let below = floor(x);
             [below.max(0) as usize, ((below + 1) as usize).min(size - 1)]
         };
-        let columns = near(u, depth.width);
-        let shown =
-            near(v, depth.height).into_iter().flat_map(|row| columns.map(|column| depth.z[row * depth.width + column]));
+        let ([left, right], [top, bottom]) = (near(u, depth.width), near(v, depth.height));
         // The comparison with NaN is false: where nothing is shown nothing is seen.
-        shown.into_iter().any(|shown| z_m <= f64::from(shown) * (1.0 + tolerance))
+        let passes = |row: usize, column: usize| {
+            let shown = depth.z.get(row * depth.width + column).copied().unwrap_or(f32::NAN);
+            z_m <= f64::from(shown) * (1.0 + tolerance)
+        };
+        passes(top, left) || passes(top, right) || passes(bottom, left) || passes(bottom, right)
     }
 }
 

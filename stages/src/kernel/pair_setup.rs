@@ -4,6 +4,7 @@ use crate::artefact::{Cameras, Depth, Image, Raster};
 use crate::kernel::camera::Camera;
 use crate::kernel::matching_noise::LocalNoise;
 use crate::kernel::noise::matcher::{Keys, MatcherTerms, PairScene, PaperNoise};
+use crate::kernel::noisy_rays::NoisyRays;
 use crate::kernel::pair_matching::{Local, Matcher, Smooth, smooth_noise};
 use crate::kernel::rectification::Rectification;
 use crate::{StageError, fail};
@@ -53,11 +54,13 @@ impl Setup<'_> {
             Some(terms) => (None, None, Some(terms.fields(&self.noise, &scene, keys)?)),
         };
         let same_interior = [0, 1].map(|side| noisy[side].has_interior_of(&cameras[side]));
+        let noisy_rays = [0, 1].map(|side| NoisyRays::new(&cameras[side], &noisy[side]));
         Ok(Matcher {
             ideal,
             cameras,
             noisy,
             same_interior,
+            noisy_rays,
             rectification,
             local,
             smooth,

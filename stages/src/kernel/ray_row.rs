@@ -1,31 +1,76 @@
-//! Undistorted rays along one row of a depth map, each found from the one before it.
+//! Undistorted rays along one row of a depth map, found from a few of them.
 
 use crate::kernel::camera::{Camera, full_pixel};
 
-/// Finds the rays of a row from left to right; columns may be left out. A ray depends on those found before it in its
-/// row only in its last bits, and on no other row.
+/// Image pixels between the rays that are found from scratch.
+const SPACING_PX: u32 = 32;
+/// Fewest columns between them.
+const FEWEST: usize = 4;
+
+/// Finds the rays of a row; columns may be left out. A ray depends on no other column that was asked for.
+///
+/// Rays some columns apart are found from scratch; the cubic through four of them tells those between to 1e-10 or so, and one
+/// step of Newton's method does the rest.
 pub struct RayRow<'a> {
     camera: &'a Camera,
     downscale: u32,
     /// Distorted normalised y of the row.
     yd: f64,
-    near: Option<[f64; 2]>,
+    /// Columns from a ray found from scratch to the next.
+    spacing: usize,
+    /// Number of the stretch of columns that `around` is for.
+    stretch: Option<usize>,
+    /// Rays one stretch before its start, at its start, at its end and one stretch beyond.
+    around: [Option<[f64; 2]>; 4],
 }
 
 impl<'a> RayRow<'a> {
     /// The rays of a row of an image reduced by `downscale`.
     pub fn new(camera: &'a Camera, row: usize, downscale: u32) -> Self {
+        let spacing = ((SPACING_PX / downscale.max(1)) as usize).max(FEWEST);
         let [_, v] = full_pixel(0, row, downscale);
-        Self { camera, downscale, yd: camera.distorted_y(v), near: None }
+        Self { camera, downscale, yd: camera.distorted_y(v), spacing, stretch: None, around: [None; 4] }
     }
 
     /// Undistorted normalised coordinates of the centre of a pixel; `None` where the distortion has no inverse.
     #[inline]
     pub fn ray(&mut self, column: usize) -> Option<[f64; 2]> {
-        let [u, _] = full_pixel(column, 0, self.downscale);
-        self.near = self.camera.normalised_in_row(u, self.yd, self.near);
-        self.near
+        let stretch = column / self.spacing;
+        if self.stretch != Some(stretch) {
+            self.enter(stretch);
+        }
+        let guess = if let [Some(a), Some(b), Some(c), Some(d)] = self.around {
+            let [wa, wb, wc, wd] = lagrange((column - stretch * self.spacing) as f64 / self.spacing as f64);
+            Some([0, 1].map(|i| wa * a[i] + wb * b[i] + wc * c[i] + wd * d[i]))
+        } else {
+            None
+        };
+        self.camera.normalised_in_row(self.full_column(column as f64), self.yd, guess)
     }
+
+    fn enter(&mut self, stretch: usize) {
+        let known = self.stretch.is_some_and(|last| last + 1 == stretch);
+        let find = |step: i32| {
+            let column = (stretch as f64 + f64::from(step)) * self.spacing as f64;
+            self.camera.normalised_in_row(self.full_column(column), self.yd, None)
+        };
+        let [_, b, c, d] = self.around;
+        self.around = if known { [b, c, d, find(2)] } else { [-1, 0, 1, 2].map(find) };
+        self.stretch = Some(stretch);
+    }
+
+    /// Position in the full image of a column of the row, pixels; it may lie beyond the image.
+    #[inline]
+    fn full_column(&self, column: f64) -> f64 {
+        (column + 0.5) * f64::from(self.downscale) - 0.5
+    }
+}
+
+/// Weights of the values at -1, 0, 1 and 2 in the cubic through them at `t`.
+#[inline]
+fn lagrange(t: f64) -> [f64; 4] {
+    let (before, after, beyond) = (t + 1.0, t - 1.0, t - 2.0);
+    [-t * after * beyond / 6.0, before * after * beyond / 2.0, -before * t * beyond / 2.0, before * t * after / 6.0]
 }
 
 #[cfg(test)]
@@ -33,6 +78,17 @@ mod tests {
     use super::*;
     use crate::artefact::Sensor;
     use crate::testing::{image_at, small_sensor};
+
+    #[test]
+    fn a_ray_is_the_same_whatever_else_was_asked_for() {
+        let sensor = Sensor { width_px: 400, k: [-0.3, 0.2, 0.0, 0.0], f: 500.0, ..small_sensor() };
+        let camera = Camera::new(&sensor, &image_at("a", [0.0; 3], [0.0; 3]));
+        let all: Vec<_> = (0..400).scan(RayRow::new(&camera, 5, 1), RayRow::ray).collect();
+        assert_eq!(all.len(), 400);
+        for column in [0, 31, 32, 200, 64, 399, 398] {
+            assert_eq!(RayRow::new(&camera, 5, 1).ray(column), Some(all[column]));
+        }
+    }
 
     #[test]
     fn rays_of_a_row_are_those_of_its_pixels() {

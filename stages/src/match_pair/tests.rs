@@ -105,7 +105,7 @@ fn the_kernel_itself_is_exact_to_a_nanometre() {
     let host = TestHost::default();
     let ideal = [&scene.depths[0], &scene.depths[1]];
     let keys = |purpose: &str, item: &str| Context::new(&host).stream(purpose, item);
-    let matcher = setup(&params, None).matcher("p", ideal, 0, &scene.noisy, &keys).unwrap();
+    let matcher = params.matching.setup(None).unwrap().matcher("p", ideal, 0, &scene.noisy, &keys).unwrap();
     let mut rows: Vec<Vec<(usize, f64)>> = vec![Vec::new(); ideal[0].height];
     matcher.match_image(0, &mut rows, |row, column, m| row.push((column, m.depth_m)));
     for (row, found) in rows.iter().enumerate() {

@@ -1,0 +1,184 @@
+//! What a stage is given: artefacts by port, each read from the store when it is first asked for.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, OnceLock};
+
+use crate::StageError;
+use crate::artefact::{Artefact, Noun};
+use crate::stage::Point;
+
+/// Reads an artefact.
+type Read<'s> = dyn Fn() -> Result<Arc<Artefact>, StageError> + Send + Sync + 's;
+
+/// A value that is read when it is first asked for.
+pub struct Later<'s> {
+    value: OnceLock<Arc<Artefact>>,
+    read: Option<Box<Read<'s>>>,
+}
+
+impl std::fmt::Debug for Later<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Later").field("value", &self.value).finish_non_exhaustive()
+    }
+}
+
+impl<'s> Later<'s> {
+    /// A value that is there.
+    pub fn ready(value: Arc<Artefact>) -> Self {
+        Self { value: OnceLock::from(value), read: None }
+    }
+
+    /// A value that `read` gets.
+    pub fn new(read: impl Fn() -> Result<Arc<Artefact>, StageError> + Send + Sync + 's) -> Self {
+        Self { value: OnceLock::new(), read: Some(Box::new(read)) }
+    }
+
+    /// The value, if it was read and kept here; what was there from the start does not count.
+    pub fn kept(&self) -> Option<&Arc<Artefact>> {
+        self.value.get().filter(|_| self.read.is_some())
+    }
+
+    fn read(&self) -> Result<Arc<Artefact>, StageError> {
+        match (self.value.get(), &self.read) {
+            (Some(value), _) => Ok(value.clone()),
+            (None, Some(read)) => read(),
+            (None, None) => Err(StageError::new("an input is neither there nor to be read")),
+        }
+    }
+
+    fn keep(&self) -> Result<&Artefact, StageError> {
+        if let Some(value) = self.value.get() {
+            return Ok(value);
+        }
+        let value = self.read()?;
+        Ok(self.value.get_or_init(|| value))
+    }
+}
+
+/// One element of an input: the point it was gathered from (empty for a plain reference), and its value.
+#[derive(Debug, Clone)]
+pub struct Element<'s> {
+    /// Item of each gathered axis.
+    pub point: Point,
+    value: Arc<Later<'s>>,
+}
+
+impl Element<'_> {
+    /// The value, kept in memory until the stage is done.
+    pub fn artefact(&self) -> Result<&Artefact, StageError> {
+        self.value.keep()
+    }
+}
+
+/// The artefacts handed to a stage, by port.
+///
+/// Every one is read when it is first asked for. Those asked for by reference stay in memory until the stage is done; where
+/// many large ones are gathered, [`Inputs::visit`] looks at one at a time.
+#[derive(Debug, Clone, Default)]
+pub struct Inputs<'s>(BTreeMap<String, Vec<Element<'s>>>);
+
+impl<'s> Inputs<'s> {
+    /// Adds an element that is there to a port.
+    pub fn push(&mut self, port: &str, point: Point, artefact: Arc<Artefact>) {
+        self.push_later(port, point, Arc::new(Later::ready(artefact)));
+    }
+
+    /// Adds an element that may have to be read to a port.
+    pub fn push_later(&mut self, port: &str, point: Point, value: Arc<Later<'s>>) {
+        self.0.entry(port.to_owned()).or_default().push(Element { point, value });
+    }
+
+    /// All elements of a port.
+    pub fn elements(&self, port: &str) -> &[Element<'s>] {
+        self.0.get(port).map_or(&[], Vec::as_slice)
+    }
+
+    /// The only artefact of a port, of whatever kind the port takes.
+    pub fn artefact(&self, port: &str) -> Result<&Artefact, StageError> {
+        match self.elements(port) {
+            [element] => element.artefact(),
+            found => Err(StageError::new(format!("port `{port}` needs one artefact, found {}", found.len()))),
+        }
+    }
+
+    /// The only artefact of a port, as the type the stage works on.
+    pub fn one<T: Noun>(&self, port: &str) -> Result<&T, StageError> {
+        typed(port, self.artefact(port)?)
+    }
+
+    /// The artefact of an optional port.
+    pub fn optional<T: Noun>(&self, port: &str) -> Result<Option<&T>, StageError> {
+        if self.elements(port).is_empty() { Ok(None) } else { self.one(port).map(Some) }
+    }
+
+    /// Every artefact of a port, with the point it was gathered from.
+    pub fn many<T: Noun>(&self, port: &str) -> Result<Vec<(&Point, &T)>, StageError> {
+        self.elements(port).iter().map(|e| Ok((&e.point, typed(port, e.artefact()?)?))).collect()
+    }
+
+    /// One artefact of a port by its place in the list.
+    pub fn nth<T: Noun>(&self, port: &str, index: usize) -> Result<&T, StageError> {
+        typed(port, self.element(port, index)?.artefact()?)
+    }
+
+    /// Looks at one artefact of a port, which is let go again where it had to be read.
+    pub fn visit<T: Noun, R>(&self, port: &str, index: usize, look: impl FnOnce(&T) -> R) -> Result<R, StageError> {
+        let artefact = self.element(port, index)?.value.read()?;
+        typed(port, &artefact).map(look)
+    }
+
+    fn element(&self, port: &str, index: usize) -> Result<&Element<'s>, StageError> {
+        let elements = self.elements(port);
+        let missing = || StageError::new(format!("port `{port}` has {} elements, no number {index}", elements.len()));
+        elements.get(index).ok_or_else(missing)
+    }
+}
+
+fn typed<'a, T: Noun>(port: &str, artefact: &'a Artefact) -> Result<&'a T, StageError> {
+    T::of(artefact)
+        .ok_or_else(|| StageError::new(format!("port `{port}` needs a {}, found a {}", T::KIND, artefact.kind())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::artefact::{Picture, Table};
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    fn picture(n: u8) -> Arc<Artefact> {
+        Arc::new(Picture { png: vec![n] }.into())
+    }
+
+    #[test]
+    fn what_is_visited_is_let_go_and_what_is_asked_for_is_kept() {
+        let reads = AtomicUsize::new(0);
+        let later = Arc::new(Later::new(|| {
+            reads.fetch_add(1, Ordering::Relaxed);
+            Ok(picture(7))
+        }));
+        let mut inputs = Inputs::default();
+        inputs.push_later("a", Point::new(), later.clone());
+        inputs.push_later("b", Point::new(), later.clone());
+        assert_eq!(reads.load(Ordering::Relaxed), 0);
+        let visit = |port: &str| inputs.visit("a", 0, |p: &Picture| p.png[0]).map(|n| (n, port.len())).unwrap();
+        assert_eq!((visit("a"), visit("b")), ((7, 1), (7, 1)));
+        assert_eq!(reads.load(Ordering::Relaxed), 2);
+        assert!(later.kept().is_none());
+        assert_eq!(inputs.one::<Picture>("a").unwrap().png, [7]);
+        assert_eq!(inputs.nth::<Picture>("b", 0).unwrap().png, [7]);
+        visit("b");
+        assert_eq!(reads.load(Ordering::Relaxed), 3);
+        assert!(later.kept().is_some());
+    }
+
+    #[test]
+    fn what_cannot_be_had_is_told_when_it_is_asked_for() {
+        let mut inputs = Inputs::default();
+        inputs.push_later("a", Point::new(), Arc::new(Later::new(|| Err(StageError::new("gone")))));
+        inputs.push("a", Point::new(), picture(1));
+        assert_eq!(inputs.many::<Picture>("a").unwrap_err().message, "gone");
+        assert!(inputs.nth::<Picture>("a", 2).unwrap_err().message.contains("no number 2"));
+        assert!(inputs.nth::<Table>("a", 1).unwrap_err().message.contains("needs a table, found a picture"));
+        assert_eq!(inputs.visit("a", 1, |p: &Picture| p.png[0]).unwrap(), 1);
+    }
+}
