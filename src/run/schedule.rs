@@ -174,7 +174,11 @@ impl<'a> Scheduler<'a> {
                     self.running -= 1;
                     self.needs.remove(&instance);
                     self.resident.end(instance);
-                    self.take(instance, *result)?;
+                    // What gives up because it was told to stop has not failed.
+                    let stopped = stop.load(Ordering::Relaxed) && matches!(*result, Err(Failure::Stage(_)));
+                    if !stopped {
+                        self.take(instance, *result)?;
+                    }
                 }
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
             }

@@ -1,16 +1,22 @@
 //! `rasterise-dem`: turns a surface into a grid of elevations above the wall plane.
 
+use serde_json::Value;
+
 use crate::artefact::{Frame, Grid, Kind, Raster, Transform};
 use crate::kernel::shape::{Moved, Shape};
-use crate::kernel::{frame_change, rasterise, window};
+use crate::kernel::{frame_change, rasterise, rasterise_points, window};
 use crate::params::{Fault, Range};
-use crate::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
+use crate::{Context, InputSizes, Inputs, Outputs, Page, Port, Ports, Stage, StageError, choice, fail, params};
 
 choice! {
     /// How a cell gets its value.
     pub enum DemMethod {
         /// Mean Z of the points that fall into the cell.
         Mean = "mean",
+        /// Median Z of the points that fall into the cell: blunders do not move it.
+        Median = "median",
+        /// Z of the point in the cell that is nearest to its centre.
+        Nearest = "nearest",
         /// Z at the centre of the cell, interpolated in the triangles; the highest of several.
         Tin = "tin",
     }
@@ -23,12 +29,18 @@ params! {
         cell_m: f64 = 0.01; Range::Positive,
         /// How a cell gets its value.
         method: DemMethod = DemMethod::Mean,
-        /// A cell with fewer points has no value (`mean` only).
+        /// A cell with fewer points has no value (not for `tin`).
         minimum_points: u32 = 2; Range::AtLeast(1.0),
         /// Window (left, right, bottom, top) in metres; left out, the extent of the surface in whole cells.
         window_m: Option<[f64; 4]> = None,
+        /// Whether the number of points in each cell is put out too, at the port `coverage`.
+        coverage: bool = false,
     }
 }
+
+const RASTER: Port = Port::one("raster", &[Kind::Raster], "Elevation, metres, one band.");
+const COVERAGE: Port =
+    Port::one("coverage", &[Kind::Raster], "Number of points in each cell; with `coverage: true` only.");
 
 /// The stage.
 pub struct RasteriseDem;
@@ -40,7 +52,8 @@ impl Stage for RasteriseDem {
     const PAGE: Page = Page {
         what: "Turns a surface or mesh into a grid of elevations (Z) over X and Y, moving its points by a transform first \
                where one is given. Cells without enough data are NaN.",
-        method: "`mean` averages the points in each cell as point-cloud software does for a 2.5D raster (paper, section 4.3); \
+        method: "`mean` averages the points in each cell as point-cloud software does for a 2.5D raster (paper, section 4.3), `median` takes \
+                 their median, `nearest` the one nearest to the cell's centre; \
                  `tin` interpolates linearly in the triangles at cell centres, the highest layer wins. The grid is that \
                  of the raster at `grid`, else `window_m`, else the extent snapped outward to multiples of the cell.",
         frames: "Surface in the wall frame (Z out of the rock), metres; elevation in metres. Epochs that are to be compared \
@@ -58,7 +71,13 @@ impl Stage for RasteriseDem {
         Port::optional("transform", &[Kind::Transform], "Applied to every point, such as a registration."),
         Port::optional("grid", &[Kind::Raster], "A raster whose grid is taken over exactly."),
     ];
-    const OUTPUTS: &'static [Port] = &[Port::one("raster", &[Kind::Raster], "Elevation, metres, one band.")];
+    const OUTPUTS: &'static [Port] = &[RASTER, COVERAGE];
+
+    fn ports(with: &Value) -> Result<Ports, Vec<Fault>> {
+        const RASTER_ONLY: &[Port] = &[RASTER];
+        let counted = with.get("coverage").and_then(Value::as_bool) == Some(true);
+        Ok(Ports { inputs: Self::INPUTS, outputs: if counted { Self::OUTPUTS } else { RASTER_ONLY } })
+    }
 
     fn check(params: &Self::Params) -> Vec<Fault> {
         window::faults(params.window_m)
@@ -76,7 +95,7 @@ impl Stage for RasteriseDem {
         let moved = change.moved;
         if params.method == DemMethod::Tin && matches!(shape, Shape::Cloud(_)) {
             return Err(StageError::new("`method: tin` interpolates in triangles, and a cloud has none")
-                .hint("take `method: mean`"));
+                .hint("take `method: mean`, `median` or `nearest`"));
         }
         let grid = match inputs.optional::<Raster>("grid")? {
             Some(raster) => usable(raster.grid)?,
@@ -84,6 +103,8 @@ impl Stage for RasteriseDem {
         };
         let values = match params.method {
             DemMethod::Mean => rasterise::mean(shape, moved.as_ref(), &grid, params.minimum_points),
+            DemMethod::Median => rasterise_points::median(shape, moved.as_ref(), &grid, params.minimum_points),
+            DemMethod::Nearest => rasterise_points::nearest(shape, moved.as_ref(), &grid, params.minimum_points),
             DemMethod::Tin => rasterise::tin(shape, moved.as_ref(), &grid),
         };
         report(&values, &grid, context);
@@ -91,7 +112,12 @@ impl Stage for RasteriseDem {
         if frame == Frame::World {
             context.warn("the surface is in the world frame: elevation is along world Z, not out of the wall");
         }
-        Ok(Outputs::of("raster", Raster::single(grid, frame, "elevation", "elevation", values)))
+        let outputs = Outputs::of("raster", Raster::single(grid, frame, "elevation", "elevation", values));
+        if !params.coverage {
+            return Ok(outputs);
+        }
+        let counts = rasterise_points::counts(shape, moved.as_ref(), &grid);
+        Ok(outputs.and("coverage", Raster::single(grid, frame, "count", "points", counts)))
     }
 }
 
@@ -169,6 +195,18 @@ mod tests {
         assert_eq!(raster.bands[0].values[8..12], [1.25; 4]);
         assert!(raster.bands[0].values[..2].iter().all(|z| z.is_nan()));
         assert_eq!(host.metric("coverage"), Some(8.0 / 12.0));
+    }
+
+    #[test]
+    fn coverage_has_a_port_of_its_own_where_it_is_asked_for() {
+        let with = json!({"cell_m": 1.0, "method": "median", "minimum_points": 1, "coverage": true});
+        assert_eq!(RasteriseDem::ports(&with).unwrap().outputs.len(), 2);
+        assert_eq!(RasteriseDem::ports(&json!({})).unwrap().outputs.len(), 1);
+        let made =
+            crate::testing::run_stage::<RasteriseDem>(&TestHost::default(), &with, &[("surface", face().into())]);
+        let made = made.unwrap().into_inner();
+        let Artefact::Raster(coverage) = &made["coverage"] else { panic!("no raster") };
+        assert_eq!((coverage.quantity.as_str(), coverage.bands[0].values.iter().sum::<f32>()), ("count", 4.0));
     }
 
     #[test]

@@ -1,9 +1,12 @@
 //! `register-icp`: finds the rigid motion that lays one measured surface on another.
 
+use std::borrow::Cow;
+
 use nalgebra::Vector3;
 
-use crate::artefact::{Frame, Kind, Surface, Transform};
+use crate::artefact::{Artefact, Frame, Kind, Surface, Transform};
 use crate::kernel::icp::{self, Registration, Settings};
+use crate::kernel::raster_surface;
 use crate::params::Range;
 use crate::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
 
@@ -59,7 +62,8 @@ impl Stage for RegisterIcp {
     const VERSION: u32 = 1;
     const PAGE: Page = Page {
         what: "Finds the rigid motion that lays the source on the target. The motion is applied by whoever samples the \
-               source (`rasterise-dem`); no moved copy is made.",
+               source (`rasterise-dem`); no moved copy is made. What another program fused, a cloud or a mesh, is registered by its \
+               DEMs.",
         method: "Iterative closest points (Besl and McKay 1992; to planes: Chen and Medioni 1992), trimmed (Chetverikov et \
                  al. 2005), on the nearest points, in plan or in space; normals by regression over 17 x 17 neighbours, one for 4 x 4 points. \
                  Directions the surface does not determine, as on a plane, are not moved along and reported. Stops below \
@@ -77,8 +81,8 @@ impl Stage for RegisterIcp {
             motion:\n    stage: register-icp\n    in: {source: \"surface.surface[epoch=post]\", target: \"surface.surface[epoch=pre]\"}\n",
     };
     const INPUTS: &'static [Port] = &[
-        Port::one("source", &[Kind::Surface], "The surface that moves."),
-        Port::one("target", &[Kind::Surface], "The surface that stays, in the same frame."),
+        Port::one("source", &[Kind::Surface, Kind::Raster], "The surface that moves; a raster holds elevations."),
+        Port::one("target", &[Kind::Surface, Kind::Raster], "The surface that stays, in the same frame."),
     ];
     const OUTPUTS: &'static [Port] = &[Port::one("transform", &[Kind::Transform], "target_from_source.")];
 
@@ -88,7 +92,7 @@ impl Stage for RegisterIcp {
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
-        let (source, target): (&Surface, &Surface) = (inputs.one("source")?, inputs.one("target")?);
+        let (source, target) = (surface(inputs, "source")?, surface(inputs, "target")?);
         if source.frame != target.frame {
             fail!("the source is in the {} frame, but the target in the {} frame", source.frame, target.frame);
         }
@@ -96,9 +100,19 @@ impl Stage for RegisterIcp {
             context.headline("not registered, as asked");
             return Ok(Outputs::of("transform", Transform::identity("source", "target")));
         };
-        let found = icp::register(source, target, &settings)?;
+        let found = icp::register(&source, &target, &settings)?;
         report(&found, context);
         Ok(Outputs::of("transform", found.transform))
+    }
+}
+
+/// A surface, or that of the cell centres of an elevation raster: clouds and meshes of other programs come as one.
+fn surface<'a>(inputs: &'a Inputs, port: &str) -> Result<Cow<'a, Surface>, StageError> {
+    match inputs.artefact(port)? {
+        Artefact::Raster(raster) => raster_surface::between_cells(raster)
+            .map(Cow::Owned)
+            .map_err(|text| StageError::new(format!("`{port}` {text}"))),
+        _ => inputs.one(port).map(Cow::Borrowed),
     }
 }
 
@@ -199,6 +213,25 @@ mod tests {
         assert!((transform.translation[2] - (transform.origin[2] - 0.25)).abs() < 1e-9);
         assert!((host.metric("shift_z").unwrap() + 0.25).abs() < 1e-9);
         assert_eq!(host.warnings().iter().filter(|text| text.contains("does not determine")).count(), 3);
+    }
+
+    #[test]
+    fn elevation_rasters_are_registered_like_surfaces() {
+        let grid = crate::artefact::Grid { columns: 80, rows: 60, cell_m: 0.05, left_m: 10.0, top_m: 20.0 };
+        let relief = |shift_m: f64| {
+            let z = |cell: usize| {
+                let (x, y) = grid.centre(cell / 80, cell % 80);
+                let bump = crate::kernel::precise::sin(3.0 * x) * crate::kernel::precise::cos(2.0 * y);
+                (0.3 * bump + shift_m) as f32
+            };
+            crate::artefact::Raster::single(grid, Frame::Wall, "elevation", "z", (0..grid.cells()).map(z).collect())
+        };
+        let host = TestHost::default();
+        let inputs = [("source", Artefact::from(relief(0.02))), ("target", Artefact::from(relief(0.0)))];
+        let made = crate::testing::run_stage::<RegisterIcp>(&host, &json!({}), &inputs).unwrap().into_inner();
+        let Artefact::Transform(transform) = &made["transform"] else { panic!("none") };
+        let moved = transform.apply(&nalgebra::Point3::new(12.0, 18.5, 0.0));
+        assert!((moved - nalgebra::Point3::new(12.0, 18.5, -0.02)).norm() < 2e-3, "{moved}");
     }
 
     #[test]

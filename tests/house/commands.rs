@@ -6,6 +6,7 @@ use rockface::run::Options;
 use rockface::watch::Event;
 use rockface_stages::artefact::{File, Table};
 
+use crate::cli::House;
 use crate::lab::{Bench, Ran};
 
 fn command(with: &str) -> String {
@@ -157,4 +158,20 @@ fn a_signal_is_named_and_a_folder_in_place_of_a_file_told() {
     assert!(folder.contains("made a folder where its output `f` is to be a file"), "{folder}");
     let left = std::fs::read_dir(bench.folder.path().join("store/scratch")).unwrap().count();
     assert_eq!(left, 0, "the folders programs work in are gone");
+}
+
+#[test]
+fn a_program_that_is_interrupted_has_not_failed() {
+    let house = House::new(
+        "rockface: 1\nsteps:\n  nap:\n    stage: command\n    with: {program: sleep, args: [\"30\"], outputs: {n: {kind: file, extension: txt}}, version: any}\n",
+    );
+    let mut child =
+        house.command(&["run", "p.yaml", "--verbose"]).stderr(std::process::Stdio::piped()).spawn().unwrap();
+    let mut lines = std::io::BufRead::lines(std::io::BufReader::new(child.stderr.take().unwrap()));
+    assert!(lines.by_ref().any(|line| line.unwrap().contains("started  nap")));
+    let id = child.id().to_string();
+    assert!(std::process::Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+    let rest: Vec<String> = lines.map(Result::unwrap).collect();
+    assert_eq!(child.wait().unwrap().code(), Some(130), "{rest:?}");
+    assert!(rest.iter().all(|line| !line.contains("failed")) && rest.iter().any(|line| line.contains("interrupted")));
 }

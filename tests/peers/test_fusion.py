@@ -1,5 +1,6 @@
 """Fusion: COLMAP itself fuses our depth maps, and what comes out is our fusion's surface within what noise allows."""
 
+import shutil
 import subprocess
 import sys
 
@@ -89,6 +90,18 @@ def test_the_same_maps_give_the_same_bytes(binary, fusion, tmp_path):
     again = execute(binary, HERE / "fusion.yaml", tmp_path, *tool(), "--target", "fused", "--jobs", "1")
     for file in ["cloud.ply", "mesh.ply"]:
         assert again.output("fused", file).read_bytes() == fusion.output("fused", file).read_bytes()
+
+
+@pytest.mark.skipif(shutil.which("colmap") is None, reason="the program colmap is not there")
+def test_the_command_line_program_makes_the_same_cloud(binary, fusion, tmp_path):
+    help_text = subprocess.run(["colmap", "help"], capture_output=True, text=True, check=True, timeout=60).stdout
+    program = ["engine=colmap", "program=colmap", f'version="{help_text.split()[1]}"']
+    sets = [word for change in program for word in ("--set", f"steps.exact.with.{change}")]
+    run = execute(binary, HERE / "fusion.yaml", tmp_path, *tool(), *sets, "--target", "exact")
+    theirs, ours = (read_cloud(folder.output("exact", "cloud.ply")) for folder in (run, fusion))
+    assert len(theirs["points"]) == len(ours["points"])
+    np.testing.assert_allclose(theirs["points"], ours["points"], rtol=0, atol=1e-5)
+    np.testing.assert_array_equal(theirs["views"], ours["views"])
 
 
 @pytest.mark.parametrize(

@@ -70,6 +70,7 @@ pub mod quantile;
 pub mod random;
 pub mod raster_surface;
 pub mod rasterise;
+pub mod rasterise_points;
 pub mod ray_row;
 pub mod records;
 pub mod rectification;

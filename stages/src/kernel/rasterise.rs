@@ -76,7 +76,7 @@ pub fn mean(shape: Shape, moved: Option<&Moved>, grid: &Grid, minimum_points: u3
 
 /// The cell of a point and its Z; a cell that does not exist for points outside.
 #[inline]
-fn place(grid: &Grid, [x, y, z]: [f64; 3]) -> (u32, f64) {
+pub(super) fn place(grid: &Grid, [x, y, z]: [f64; 3]) -> (u32, f64) {
     // A cell has its left and its lower edge. Cutting off is rounding down where there is no sign, and needs no call.
     let (column, row) = ((x - grid.left_m) / grid.cell_m, (grid.top_m - y) / grid.cell_m);
     if column >= 0.0 && column < grid.columns as f64 && row > 0.0 && row <= grid.rows as f64 && !z.is_nan() {
