@@ -63,10 +63,10 @@ steps:
     const INPUTS: &'static [Port] = &[Port::many("depths", &[Kind::Depth], "Depth maps, one or more.")];
     const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The fused surface.")];
 
-    /// The volume and the mesh made of it, going by a surface a few images wide at voxels of about two pixels; of the depth
-    /// maps, which may be more than memory holds, one at a time.
-    fn memory_bytes(_params: &Self::Params, inputs: &InputSizes) -> u64 {
-        inputs.largest("depths").saturating_mul(32)
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        // The depth maps that are held (one at a time where they are not); the volume and its mesh, going by a surface a few
+        // images wide at voxels of about two pixels.
+        inputs.total() + 32 * inputs.largest("depths")
     }
 
     fn check(params: &Self::Params) -> Vec<Fault> {

@@ -136,9 +136,9 @@ steps:
         params.matching.draws()
     }
 
-    /// The map and its channels with two copies while they are written, and depth maps of eight partners or so.
     fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
-        inputs.largest("depths").saturating_mul(9 + 3 * (1 + params.channels.len() as u64))
+        // The ideal maps that are held; the map and its channels with two copies while they are written, terms of the noise.
+        inputs.total() + (3 * (1 + params.channels.len() as u64) + 3) * inputs.largest("depths")
     }
 
     fn check(params: &Self::Params) -> Vec<Fault> {
