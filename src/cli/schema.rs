@@ -94,7 +94,8 @@ fn step(stage: &dyn AnyStage) -> Value {
     let fields = stage.fields();
     let needed = fields.iter().any(|field| field.default.is_none());
     let free = stage.inputs().is_empty() && stage.outputs().is_empty();
-    let needs_input = !free && stage.inputs().iter().any(|port| port.arity != Arity::Optional);
+    let inputs = inputs(stage, &fields);
+    let needs_input = !free && inputs.iter().all(|ports| ports.iter().any(|port| port.arity != Arity::Optional));
     let mut required = vec!["stage"];
     required.extend(needed.then_some("with"));
     required.extend(needs_input.then_some("in"));
@@ -106,7 +107,7 @@ fn step(stage: &dyn AnyStage) -> Value {
             "properties": {
                 "stage": {"description": stage.page().what},
                 "with": map_of(&fields),
-                "in": if free { json!({"type": "object", "additionalProperties": {"$ref": "#/$defs/input"}}) } else { ports(stage.inputs()) },
+                "in": if free { json!({"type": "object", "additionalProperties": {"$ref": "#/$defs/input"}}) } else { ports(&inputs) },
                 "over": one_or_many(&json!({"type": "string"}), "Axes it is expanded over besides those that follow."),
                 "keep": {"type": "boolean", "description": "Whether its outputs stay on disk; true by default."},
                 "stream": {"type": "object", "additionalProperties": false, "properties": {
@@ -121,14 +122,43 @@ fn step(stage: &dyn AnyStage) -> Value {
     })
 }
 
-fn ports(ports: &[Port]) -> Value {
-    let entries = ports.iter().map(|port| {
+/// The input ports there can be: those of each choice a parameter leaves.
+fn inputs(stage: &dyn AnyStage, fields: &[Field]) -> Vec<&'static [Port]> {
+    let words = |field: &Field| match field.kind {
+        Kind::Choice(words) => words.iter().map(|(word, _)| json!({field.name: word})).collect(),
+        _ => Vec::new(),
+    };
+    let choices = fields.iter().flat_map(words);
+    let mut found = vec![stage.inputs()];
+    for ports in choices.filter_map(|with: Value| stage.ports(&with).ok()) {
+        if !found.iter().any(|known| names(known).eq(names(ports.inputs))) {
+            found.push(ports.inputs);
+        }
+    }
+    found
+}
+
+fn names(ports: &[Port]) -> impl Iterator<Item = &'static str> {
+    ports.iter().map(|port| port.name)
+}
+
+/// What `in` may hold; needed is what every variant needs.
+fn ports(variants: &[&[Port]]) -> Value {
+    let entry = |port: &Port| {
         let kinds: Vec<&str> = port.kinds.iter().map(|kind| kind.word()).collect();
         let doc = format!("{} ({})", port.doc, kinds.join(" or "));
         (port.name.to_owned(), json!({"$ref": "#/$defs/input", "description": doc}))
-    });
-    let required: Vec<&str> = ports.iter().filter(|port| port.arity != Arity::Optional).map(|port| port.name).collect();
-    json!({"type": "object", "additionalProperties": false, "properties": entries.collect::<Map<_, _>>(), "required": required})
+    };
+    let needed = |name: &str| {
+        variants.iter().all(|ports| ports.iter().any(|port| port.name == name && port.arity != Arity::Optional))
+    };
+    let mut entries = Map::new();
+    // The first variant is the usual one: its words stay.
+    for port in variants.iter().rev().flat_map(|ports| ports.iter()) {
+        entries.extend([entry(port)]);
+    }
+    let required: Vec<&str> = variants[0].iter().map(|port| port.name).filter(|name| needed(name)).collect();
+    json!({"type": "object", "additionalProperties": false, "properties": entries, "required": required})
 }
 
 fn map_of(fields: &[Field]) -> Value {

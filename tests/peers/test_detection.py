@@ -194,7 +194,7 @@ def test_the_catalogue_is_valid_stac(detection):
             assert told["properties"]["proj:shape"] == [64, 64]
 
 
-def test_the_data_set_of_the_documentation_loads(detection):
+def test_the_data_set_of_the_documentation_loads(detection, monkeypatch):
     text = (HERE / "../../docs/dataset.md").read_text()
     code = text.split("```python\n")[1].split("```")[0]
     if "torch" not in sys.modules:
@@ -206,7 +206,8 @@ def test_the_data_set_of_the_documentation_loads(detection):
             torch.from_numpy = lambda array: array
             utils, data = types.ModuleType("torch.utils"), types.ModuleType("torch.utils.data")
             data.Dataset = object
-            sys.modules.update({"torch": torch, "torch.utils": utils, "torch.utils.data": data})
+            for name, module in {"torch": torch, "torch.utils": utils, "torch.utils.data": data}.items():
+                monkeypatch.setitem(sys.modules, name, module)
     scope = {}
     exec(code, scope)  # our own documentation
     loaded = scope["Rockfalls"](detection.output("tiles", "dataset"), "train")

@@ -71,7 +71,7 @@ def test_the_inventory_has_a_local_system_in_metres_and_valid_outlines(rockfall,
 
 
 def test_the_table_is_the_inventory_without_outlines(rockfall, inventory):
-    table = pandas.read_csv(rockfall.output("removed", "truth.csv"))
+    table = pandas.read_csv(rockfall.output("removed", "truth.csv"), float_precision="round_trip")
     assert list(table.columns) == [name for name in inventory.columns if name != "geometry"]
     np.testing.assert_array_equal(table.removed_m3, inventory.removed_m3)
 
