@@ -63,10 +63,11 @@ def test_normals_are_those_of_the_face(fusion):
     assert np.quantile(cosine, 0.02) > 0.5
 
 
-def test_colmap_and_our_fusion_agree(fusion):
-    face = trimesh.load_mesh(fusion.output("face", "mesh.ply"), process=False)
-    ours = trimesh.load_mesh(fusion.output("volume", "mesh.ply"), process=False)
-    cloud = read_cloud(fusion.output("fused", "cloud.ply"))
+def agree(run):
+    """COLMAP's cloud and our mesh of a run agree; gives back the cloud."""
+    face = trimesh.load_mesh(run.output("face", "mesh.ply"), process=False)
+    ours = trimesh.load_mesh(run.output("volume", "mesh.ply"), process=False)
+    cloud = read_cloud(run.output("fused", "cloud.ply"))
     points = cloud["points"][inside(cloud["points"], 1.5, 1.0)]
     apart, theirs, own = distances(ours, points), distances(face, points), distances(face, ours.vertices)
     for name, values in [("COLMAP to ours", apart), ("COLMAP to the face", theirs), ("ours to the face", own)]:
@@ -75,6 +76,11 @@ def test_colmap_and_our_fusion_agree(fusion):
     assert abs(np.median(apart)) < 0.1 * GSD_M
     noise = np.hypot(np.quantile(np.abs(theirs), 0.95), np.quantile(np.abs(own), 0.95))
     assert np.quantile(np.abs(apart), 0.95) < 1.1 * noise
+    return cloud
+
+
+def test_colmap_and_our_fusion_agree(fusion):
+    cloud = agree(fusion)
     assert cloud["views"].min() >= 2 and cloud["views"].mean() > 2.5
 
 
@@ -125,14 +131,4 @@ def test_what_is_wrong_is_said_with_a_way_out(binary, tmp_path, changes, told):
 def test_on_the_outcrop(binary, tmp_path):
     """The same block before a real rock face."""
     real = ["--set", "steps.face={stage: import-mesh, with: {path: " + str(OUTCROP.resolve()) + ", frame: wall}}"]
-    run = execute(binary, HERE / "fusion.yaml", tmp_path, *tool(), *real, "--target", "fused", "--target", "volume")
-    face = trimesh.load_mesh(run.output("face", "mesh.ply"), process=False)
-    ours = trimesh.load_mesh(run.output("volume", "mesh.ply"), process=False)
-    points = read_cloud(run.output("fused", "cloud.ply"))["points"]
-    points = points[inside(points, 1.5, 1.0)]
-    apart, theirs, own = distances(ours, points), distances(face, points), distances(face, ours.vertices)
-    for name, values in [("COLMAP to ours", apart), ("COLMAP to the face", theirs), ("ours to the face", own)]:
-        told(name, values)
-    assert abs(np.median(apart)) < 0.1 * GSD_M
-    noise = np.hypot(np.quantile(np.abs(theirs), 0.95), np.quantile(np.abs(own), 0.95))
-    assert np.quantile(np.abs(apart), 0.95) < 1.1 * noise
+    agree(execute(binary, HERE / "fusion.yaml", tmp_path, *tool(), *real, "--target", "fused", "--target", "volume"))
