@@ -122,17 +122,21 @@ impl Writer<'_> {
         let results = self.summary.instances.iter();
         let logs = results.map(|result| self.entries(result.outcome.as_ref())).collect::<Result<Vec<_>, _>>()?;
         let headlines = self.headlines(&logs);
-        self.log(folder, &logs, &laid)?;
         self.account(folder, &headlines, &logs, &laid)?;
         Ok(Finished { folder: folder.to_owned(), headlines, files: laid.of_targets, unnamed: laid.unnamed })
     }
 
-    /// Writes the page, describes the folder as a research object for programs that know nothing of rockface, and last of
-    /// all writes the manifest, without which a folder is no run.
+    /// Writes the log and beside it the page, describes the folder as a research object for programs that know nothing of
+    /// rockface, and last of all writes the manifest, without which a folder is no run.
     fn account(&self, folder: &Path, headlines: &[String], logs: &[Vec<Entry>], laid: &Laid) -> Result<(), RunError> {
-        let mut manifest = account::manifest(self.plan, self.summary, self.store, self.about, headlines, logs, laid)?;
         write_file(&folder.join("pipeline.yaml"), self.about.pipeline.text().as_bytes())?;
-        self.report(folder, &manifest, logs)?;
+        let told = || -> Result<Manifest, RunError> {
+            let manifest = account::manifest(self.plan, self.summary, self.store, self.about, headlines, logs, laid)?;
+            self.report(folder, &manifest, logs)?;
+            Ok(manifest)
+        };
+        let (logged, manifest) = rayon::join(|| self.log(folder, logs, laid), told);
+        let (mut manifest, ()) = (manifest?, logged?);
         let described = serde_json::to_string_pretty(&crate_metadata(folder, &manifest)).unwrap_or_default();
         write_file(&folder.join("ro-crate-metadata.json"), format!("{described}\n").as_bytes())?;
         write_file(&folder.join("run.json"), manifest.text().as_bytes())

@@ -11,15 +11,15 @@ use super::folder::failed;
 use super::{RunError, Summary};
 use crate::plan::Plan;
 
-/// A run with more outputs than this lays out those of its targets only, and of these no step with more, unless it is told
-/// otherwise: a folder for each of very many points costs more than the whole rerun.
+/// A run with more outputs than this lays out those of its targets only, step by step as long as there are no more, unless it
+/// is told otherwise: a folder for each of very many points costs more than the whole rerun.
 pub const OUTPUTS_LIMIT: usize = 1000;
 
 /// Which outputs get a name in the run folder. All others are in the store, and `rockface export` gives them a name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum LayOut {
-    /// Those of all steps up to 1000 outputs; beyond, those of target steps that have up to 1000.
+    /// Those of all steps up to 1000 outputs; beyond, those of target steps, step by step, up to 1000 in all.
     #[default]
     Auto,
     /// Those of all steps.
@@ -49,6 +49,7 @@ impl LayOut {
     pub fn lay_out(self, plan: &Plan, summary: &Summary, store: &Store, folder: &Path) -> Result<Laid, RunError> {
         let counts = counts(plan, summary);
         let is_large = counts.iter().sum::<usize>() > OUTPUTS_LIMIT;
+        let fitting = fitting_targets(plan, &counts);
         let layer = Layer { plan, store, folder };
         let mut laid = Laid::default();
         for (instance, result) in summary.instances.iter().enumerate() {
@@ -56,7 +57,7 @@ impl LayOut {
             let is_wanted = match self {
                 Self::All => true,
                 Self::Auto if !is_large => true,
-                Self::Auto => is_target && counts[plan.instances[instance].step] <= OUTPUTS_LIMIT,
+                Self::Auto => fitting[plan.instances[instance].step],
                 Self::Targets => is_target,
                 Self::None => false,
             };
@@ -82,6 +83,16 @@ fn counts(plan: &Plan, summary: &Summary) -> Vec<usize> {
         counts[plan.instances[instance].step] += outputs.filter(|output| output.kept).count();
     }
     counts
+}
+
+/// Which steps are targets whose outputs fit under the limit together with those of targets before them.
+fn fitting_targets(plan: &Plan, counts: &[usize]) -> Vec<bool> {
+    let (mut left, mut fitting) = (OUTPUTS_LIMIT, vec![false; counts.len()]);
+    for step in &plan.graph.targets {
+        fitting[*step] = counts[*step] <= left;
+        left -= if fitting[*step] { counts[*step] } else { 0 };
+    }
+    fitting
 }
 
 struct Layer<'a> {

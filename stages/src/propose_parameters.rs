@@ -6,7 +6,6 @@ use crate::kernel::mahalanobis::distance;
 use crate::kernel::noise::moments::Surrogate;
 use crate::kernel::noise::points::{ITEM, MOST_DIMENSIONS, Scale, coordinates, halton, positions, rounded};
 use crate::kernel::precise;
-use crate::kernel::quantile::quantile;
 use crate::params::{Fault, Range};
 use crate::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
@@ -34,13 +33,14 @@ pub struct ProposeParameters;
 impl Stage for ProposeParameters {
     type Params = ProposeParametersParams;
     const NAME: &'static str = "propose-parameters";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page {
         what: "One step of a calibration that needs few simulations: learns from simulations at some points how the features follow the \
                parameters, and proposes the point at which they should come nearest to those of the reference. The proposal is a \
                table of points, so the next round takes it as an axis: `axes: {next: {from: propose.points}}`.",
         method: "Simulated method of moments (McFadden 1989). Standardised features are regressed on the parameters (by default on \
-                 their logarithms), simulations near the reference counting more (weight 1 / (1 + D2 / median D2)); the proposal makes the \
+                 their logarithms), simulations near the reference counting more (weight 1 / (1 + D2 / d)^2, with d the D2 of simulation \
+                 number 2 (parameters + 1) in order of D2); the proposal makes the \
                  squared Mahalanobis distance of the predicted features smallest within the trusted range. In the paper's \
                  noise model each parameter has its own feature: sigma_local_px the nugget, sigma_regular_px the sill, spacing_px the \
                  range; the table of sensitivities shows whether that holds here. With `count` above 1 the others follow the Halton \
@@ -150,10 +150,14 @@ impl Sample {
         Ok(sample)
     }
 
-    /// Simulations near the reference count more.
+    /// Simulations near the reference count more: those well beyond the few nearest hardly at all, since features are not
+    /// linear over the whole range.
     fn weights(&self) -> Vec<f64> {
-        let median = quantile(&self.d2, 0.5).unwrap_or(1.0).max(f64::MIN_POSITIVE);
-        self.d2.iter().map(|d2| 1.0 / (1.0 + d2 / median)).collect()
+        let few = 2 * (self.positions[0].len() + 1);
+        let mut sorted = self.d2.clone();
+        sorted.sort_by(f64::total_cmp);
+        let near = sorted[(few - 1).min(sorted.len() - 1)].max(f64::MIN_POSITIVE);
+        self.d2.iter().map(|d2| 1.0 / ((1.0 + d2 / near) * (1.0 + d2 / near))).collect()
     }
 
     /// The range of the simulations, widened on either side by a share of its width.

@@ -3,7 +3,15 @@
 use nalgebra::{Matrix3, Vector3};
 
 use crate::artefact::{Depth, Image, Sensor};
+use crate::kernel::lanes::{Lanes, Number, both};
 use crate::kernel::precise;
+
+/// Step below which a search for undistorted coordinates ends, from a near guess and from anywhere.
+const NEAR: f64 = 2e-8;
+/// See [`NEAR`].
+const FAR: f64 = 1e-9;
+/// Most steps of such a search.
+const MOST_STEPS: usize = 20;
 
 /// A sensor and an image made ready for projecting many points.
 ///
@@ -75,23 +83,28 @@ impl Camera {
         if x * x + y * y >= self.fold2 {
             return None;
         }
+        Some(self.affine(if self.straight { [x, y] } else { distort(&self.sensor, x, y) }))
+    }
+
+    /// The pixel of distorted normalised coordinates.
+    #[inline(always)]
+    fn affine<T: Number>(&self, [xd, yd]: [T; 2]) -> [T; 2] {
         let s = &self.sensor;
-        let [xd, yd] = if self.straight { [x, y] } else { distort(s, x, y) };
-        Some([s.cx + (s.f + s.b1) * xd + s.b2 * yd, s.cy + s.f * yd])
+        [xd * (s.f + s.b1) + s.cx + yd * s.b2, yd * s.f + s.cy]
     }
 
     /// Undistorted normalised coordinates of a pixel; `None` where no point inside the fold maps to it.
     #[inline]
     pub fn normalised(&self, pixel: [f64; 2]) -> Option<[f64; 2]> {
         let [xd, yd] = self.distorted(pixel);
-        self.undistort(xd, yd, [xd, yd], 1e-9)
+        self.undistort(xd, yd, [xd, yd], FAR)
     }
 
     /// As [`Camera::normalised`], searched from a near guess, which saves most of the work.
     #[inline]
     pub fn normalised_near(&self, pixel: [f64; 2], guess: [f64; 2]) -> Option<[f64; 2]> {
         let [xd, yd] = self.distorted(pixel);
-        self.undistort(xd, yd, guess, 2e-8)
+        self.undistort(xd, yd, guess, NEAR)
     }
 
     /// Distorted normalised coordinates of a pixel.
@@ -117,8 +130,8 @@ impl Camera {
     #[inline]
     pub fn normalised_in_row(&self, u: f64, yd: f64, guess: Option<[f64; 2]>) -> Option<[f64; 2]> {
         let xd = self.distorted_x(u, yd);
-        let near = guess.and_then(|guess| self.undistort(xd, yd, guess, 2e-8));
-        near.or_else(|| self.undistort(xd, yd, [xd, yd], 1e-9))
+        let near = guess.and_then(|guess| self.undistort(xd, yd, guess, NEAR));
+        near.or_else(|| self.undistort(xd, yd, [xd, yd], FAR))
     }
 
     /// Undistorted normalised coordinates of distorted ones, searched from a guess until a step is smaller than the last.
@@ -131,18 +144,68 @@ impl Camera {
     /// square of that step times half the second derivative over the first, some tenths for lenses of use: 1e-16 after 2e-8.
     #[inline]
     fn solve_distortion(&self, xd: f64, yd: f64, [mut x, mut y]: [f64; 2], last: f64) -> Option<[f64; 2]> {
-        for _ in 0..20 {
-            let [fx, fy] = distort(&self.sensor, x, y);
-            let (rx, ry) = (fx - xd, fy - yd);
-            let [[a, b], [c, d]] = distortion_jacobian(&self.sensor, x, y);
-            let det = a * d - b * c;
-            let (dx, dy) = ((d * rx - b * ry) / det, (a * ry - c * rx) / det);
+        for _ in 0..MOST_STEPS {
+            let [dx, dy] = newton_step(&self.sensor, [xd, yd], [x, y]);
             (x, y) = (x - dx, y - dy);
             if dx.abs().max(dy.abs()) < last {
                 return (x * x + y * y < self.fold2).then_some([x, y]);
             }
         }
         None
+    }
+
+    /// As [`Camera::to_camera`], for several points.
+    #[inline(always)]
+    pub fn to_camera_lanes(&self, point: [Lanes; 3]) -> [Lanes; 3] {
+        let r = &self.rotation;
+        let [x, y, z] = [point[0] - self.centre.x, point[1] - self.centre.y, point[2] - self.centre.z];
+        let along = |row: usize| x * r[(row, 0)] + y * r[(row, 1)] + z * r[(row, 2)];
+        [along(0), along(1), along(2)]
+    }
+
+    /// As [`Camera::pixel`], for several rays; none beyond the fold of the distortion.
+    #[inline(always)]
+    pub fn pixel_lanes(&self, [x, y]: [Lanes; 2]) -> [Lanes; 2] {
+        let bent = if self.straight { [x, y] } else { distort(&self.sensor, x, y) };
+        let radius2 = x * x + y * y;
+        both(self.affine(bent), |p| p.where_below(radius2, self.fold2))
+    }
+
+    /// As [`Camera::normalised_near`], for several pixels; none where it has none.
+    #[inline(always)]
+    pub fn normalised_near_lanes(&self, [u, v]: [Lanes; 2], guess: [Lanes; 2]) -> [Lanes; 2] {
+        let s = &self.sensor;
+        let yd = (v - s.cy) / s.f;
+        self.undistort_lanes([(u - s.cx - yd * s.b2) / (s.f + s.b1), yd], guess)
+    }
+
+    /// As [`Camera::normalised_in_row`] from near guesses only, for several columns; none where they do not lead to it.
+    #[inline(always)]
+    pub fn normalised_in_row_lanes(&self, u: Lanes, yd: f64, guess: [Lanes; 2]) -> [Lanes; 2] {
+        let s = &self.sensor;
+        self.undistort_lanes([(u - s.cx - s.b2 * yd) / (s.f + s.b1), Lanes::all(yd)], guess)
+    }
+
+    /// As [`Camera::solve_distortion`] from near guesses, for several rays: each lane goes as far as it would alone.
+    #[inline(always)]
+    fn undistort_lanes(&self, distorted: [Lanes; 2], [mut x, mut y]: [Lanes; 2]) -> [Lanes; 2] {
+        if self.straight {
+            return distorted;
+        }
+        // 1 where the search goes on.
+        let mut open = (x + y + distorted[0] + distorted[1]).map(|sum| if sum.is_nan() { 0.0 } else { 1.0 });
+        for _ in 0..MOST_STEPS {
+            let [dx, dy] = newton_step(&self.sensor, distorted, [x, y]);
+            let open_step = |step: Lanes| step.with(open, |step, open| if open > 0.0 { step } else { 0.0 });
+            (x, y) = (x - open_step(dx), y - open_step(dy));
+            let longest = dx.with(dy, |dx, dy| dx.abs().max(dy.abs()));
+            open = open.with(longest, |open, step| if step < NEAR { 0.0 } else { open });
+            if open.each().iter().all(|open| *open == 0.0) {
+                break;
+            }
+        }
+        let radius2 = (x * x + y * y).with(open, |radius2, open| if open > 0.0 { f64::INFINITY } else { radius2 });
+        both([x, y], |found| found.where_below(radius2, self.fold2))
     }
 
     /// The object point at depth `z_m` (along the optical axis) on the ray of undistorted normalised coordinates.
@@ -171,28 +234,43 @@ pub fn full_pixel(column: usize, row: usize, downscale: u32) -> [f64; 2] {
     [(column as f64 + 0.5) * s - 0.5, (row as f64 + 0.5) * s - 0.5]
 }
 
-fn radial(k: &[f64; 4], r2: f64) -> f64 {
-    1.0 + r2 * (k[0] + r2 * (k[1] + r2 * (k[2] + r2 * k[3])))
+#[inline(always)]
+fn radial<T: Number>(k: &[f64; 4], r2: T) -> T {
+    r2 * (r2 * (r2 * (r2 * k[3] + k[2]) + k[1]) + k[0]) + 1.0
 }
 
 /// Distorted normalised coordinates of undistorted ones, without look at the fold.
-#[inline]
-pub fn distort(s: &Sensor, x: f64, y: f64) -> [f64; 2] {
+#[inline(always)]
+pub fn distort<T: Number>(s: &Sensor, x: T, y: T) -> [T; 2] {
     let (r2, [p1, p2]) = (x * x + y * y, s.p);
     let radial = radial(&s.k, r2);
-    [x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x), y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y]
+    [
+        x * radial + x * (2.0 * p1) * y + (r2 + x * 2.0 * x) * p2,
+        y * radial + (r2 + y * 2.0 * y) * p1 + x * (2.0 * p2) * y,
+    ]
 }
 
 /// Derivatives of the distorted normalised coordinates by the undistorted ones: rows x', y'.
-pub fn distortion_jacobian(s: &Sensor, x: f64, y: f64) -> [[f64; 2]; 2] {
+#[inline(always)]
+pub fn distortion_jacobian<T: Number>(s: &Sensor, x: T, y: T) -> [[T; 2]; 2] {
     let (r2, [p1, p2], k) = (x * x + y * y, s.p, &s.k);
     let radial = radial(k, r2);
-    let slope = k[0] + r2 * (2.0 * k[1] + r2 * (3.0 * k[2] + r2 * 4.0 * k[3]));
-    let cross = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y;
+    let slope = r2 * (r2 * (r2 * (4.0 * k[3]) + 3.0 * k[2]) + 2.0 * k[1]) + k[0];
+    let cross = x * 2.0 * y * slope + x * (2.0 * p1) + y * (2.0 * p2);
     [
-        [radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x, cross],
-        [cross, radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x],
+        [radial + x * 2.0 * x * slope + y * (2.0 * p1) + x * (6.0 * p2), cross],
+        [cross, radial + y * 2.0 * y * slope + y * (6.0 * p1) + x * (2.0 * p2)],
     ]
+}
+
+/// What a step of Newton's method takes off undistorted coordinates so that they distort to the given ones.
+#[inline(always)]
+fn newton_step<T: Number>(s: &Sensor, [xd, yd]: [T; 2], [x, y]: [T; 2]) -> [T; 2] {
+    let [fx, fy] = distort(s, x, y);
+    let (rx, ry) = (fx - xd, fy - yd);
+    let [[a, b], [c, d]] = distortion_jacobian(s, x, y);
+    let det = a * d - b * c;
+    [(d * rx - b * ry) / det, (a * ry - c * rx) / det]
 }
 
 /// First root in r^2 of `1 + 3 k1 r^2 + 5 k2 r^4 + 7 k3 r^6 + 9 k4 r^8`, beyond which the distortion folds back.

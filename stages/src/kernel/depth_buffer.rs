@@ -208,16 +208,17 @@ impl<'a> Scene<'a> {
 
     /// Undistorted normalised coordinates of every pixel of some rows; NaN where no depth is wanted.
     fn rays(&self, first_row: usize, rows: usize) -> Vec<[f64; 2]> {
-        (first_row..first_row + rows).flat_map(|row| self.row_of_rays(row)).collect()
-    }
-
-    fn row_of_rays(&self, row: usize) -> impl Iterator<Item = [f64; 2]> {
         let Drawing { downscale, safe_border_px, .. } = *self.drawing;
-        let mut rays = RayRow::new(self.camera, row, downscale);
-        (0..self.width).map(move |column| {
-            let wanted = self.camera.inside(full_pixel(column, row, downscale), safe_border_px);
-            wanted.then(|| rays.ray(column)).flatten().unwrap_or([f64::NAN; 2])
-        })
+        let row_of_rays = |row: usize| {
+            let mut rays = RayRow::new(self.camera, row, downscale).rays(0, self.width);
+            for (column, ray) in rays.iter_mut().enumerate() {
+                if !self.camera.inside(full_pixel(column, row, downscale), safe_border_px) {
+                    *ray = [f64::NAN; 2];
+                }
+            }
+            rays
+        };
+        (first_row..first_row + rows).flat_map(row_of_rays).collect()
     }
 }
 

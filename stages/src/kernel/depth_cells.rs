@@ -106,10 +106,16 @@ impl Placer<'_> {
     fn row(&self, row: usize) -> Vec<Sample> {
         let start = row * self.depth.width;
         let values = &self.depth.z[start..start + self.depth.width];
-        let mut rays = RayRow::new(self.camera, row, self.depth.downscale);
         let mut samples = Vec::with_capacity(values.len());
+        if !values.iter().any(|z| is_depth(*z)) {
+            return samples;
+        }
+        let rays = RayRow::new(self.camera, row, self.depth.downscale).rays(0, values.len());
         for (column, z) in values.iter().enumerate().filter(|(_, z)| is_depth(**z)) {
-            let Some(ray) = rays.ray(column) else { continue };
+            let ray = rays[column];
+            if ray[0].is_nan() {
+                continue;
+            }
             let direction = self.camera.direction(ray);
             let point = self.camera.centre() + direction * f64::from(*z);
             samples.push(self.place(&point, &direction, self.sigma.at(start + column)));

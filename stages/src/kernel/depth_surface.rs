@@ -131,13 +131,10 @@ fn is_depth(z: f32) -> bool {
 }
 
 fn place_row(depth: &Patch, camera: &Camera, origin: &Vector3<f64>, row: usize, points: &mut [[f32; 3]]) {
-    let mut rays = RayRow::new(camera, depth.row + row, depth.downscale);
-    for (column, point) in points.iter_mut().enumerate() {
+    let rays = RayRow::new(camera, depth.row + row, depth.downscale).rays(depth.column, depth.width);
+    for ((column, point), ray) in points.iter_mut().enumerate().zip(rays) {
         let z = depth.z[row * depth.width + column];
-        if !is_depth(z) {
-            continue;
-        }
-        if let Some(ray) = rays.ray(depth.column + column) {
+        if is_depth(z) && !ray[0].is_nan() {
             let local = camera.unproject(ray, f64::from(z)) - origin;
             *point = [local.x as f32, local.y as f32, local.z as f32];
         }

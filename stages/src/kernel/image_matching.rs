@@ -108,16 +108,16 @@ impl Scratch {
                 *count += 1;
             });
         }
-        for pixel in &pixels.pixels {
-            let count = usize::from(self.counts[pixel.column]);
-            let start = pixel.column * n;
+        for column in &pixels.columns {
+            let count = usize::from(self.counts[*column]);
+            let start = column * n;
             tally.matched += usize::from(count > 0);
             if let Some(fused) = fuse(&mut self.values[start..start + count], &fusion.rule) {
                 tally.fused += 1;
                 tally.kept += fused.count;
                 tally.given += count;
                 tally.sigma_m += fused.value.sigma_m;
-                keep(pixel.column, &fused);
+                keep(*column, &fused);
             }
         }
         tally

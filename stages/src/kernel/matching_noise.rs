@@ -3,7 +3,10 @@
 //! Both are unit fields that a sigma multiplies, so a sweep of sigma reuses its draws (paper 2.1.2, Eq. 2 and 3).
 //! Interpolation lowers the variance between nodes, from 1 at a node to 0.41 in the centre of a Catmull-Rom cell.
 
+use std::ops::Mul;
+
 use crate::choice;
+use crate::kernel::lanes::{LANES, Lanes, Number, both};
 use crate::kernel::noise::student::student;
 use crate::kernel::precise;
 use crate::kernel::random::{Field, Key};
@@ -76,28 +79,14 @@ fn laplace(u: f64) -> f64 {
 
 impl Interpolation {
     /// Weights of the nodes -1, 0, 1 and 2 at `t` between nodes 0 and 1.
-    #[inline]
-    pub fn weights(self, t: f64) -> [f64; 4] {
+    #[inline(always)]
+    pub fn weights<T: Number>(self, t: T) -> [T; 4] {
         match self {
             Self::CatmullRom => keys(-0.5, t),
             Self::Cubic075 => keys(-0.75, t),
             Self::Cubic100 => keys(-1.0, t),
-            Self::Bilinear => [0.0, 1.0 - t, t, 0.0],
+            Self::Bilinear => [t * 0.0, -t + 1.0, t, t * 0.0],
             Self::BSpline => b_spline(t),
-        }
-    }
-
-    /// [`Interpolation::weights`] at two places at once, which costs little more than at one.
-    #[inline]
-    fn weights_at(self, t: [f64; 2]) -> [[f64; 2]; 4] {
-        match self {
-            Self::CatmullRom => keys_at(-0.5, t),
-            Self::Cubic075 => keys_at(-0.75, t),
-            Self::Cubic100 => keys_at(-1.0, t),
-            Self::Bilinear | Self::BSpline => {
-                let [x, y] = t.map(|t| self.weights(t));
-                [0, 1, 2, 3].map(|i| [x[i], y[i]])
-            }
         }
     }
 
@@ -112,28 +101,23 @@ impl Interpolation {
 }
 
 /// Keys' cubic convolution kernel (1981) for the nodes -1, 0, 1 and 2.
-#[inline]
-fn keys(a: f64, t: f64) -> [f64; 4] {
-    keys_at(a, [t; 2]).map(|[weight, _]| weight)
+#[inline(always)]
+fn keys<T: Number>(a: f64, t: T) -> [T; 4] {
+    let near = |t: T| (t * (a + 2.0) - (a + 3.0)) * t * t + 1.0;
+    let far = |t: T| ((t * a - 5.0 * a) * t + 8.0 * a) * t - 4.0 * a;
+    [far(t + 1.0), near(t), near(-t + 1.0), far(-t + 2.0)]
 }
 
-#[inline]
-fn keys_at(a: f64, t: [f64; 2]) -> [[f64; 2]; 4] {
-    let near = |t: [f64; 2]| t.map(|t| ((a + 2.0) * t - (a + 3.0)) * t * t + 1.0);
-    let far = |t: [f64; 2]| t.map(|t| ((a * t - 5.0 * a) * t + 8.0 * a) * t - 4.0 * a);
-    [far(t.map(|t| 1.0 + t)), near(t), near(t.map(|t| 1.0 - t)), far(t.map(|t| 2.0 - t))]
+#[inline(always)]
+fn b_spline<T: Number>(t: T) -> [T; 4] {
+    let end = |t: T| t * t * t / 6.0;
+    let middle = |t: T| (t * 3.0 - 6.0) * t * t / 6.0 + 2.0 / 3.0;
+    [end(-t + 1.0), middle(t), middle(-t + 1.0), end(t)]
 }
 
-#[inline]
-fn b_spline(t: f64) -> [f64; 4] {
-    let end = |t: f64| t * t * t / 6.0;
-    let middle = |t: f64| (3.0 * t - 6.0) * t * t / 6.0 + 2.0 / 3.0;
-    [end(1.0 - t), middle(t), middle(1.0 - t), end(t)]
-}
-
-#[inline]
-fn squares(weights: &[f64; 4]) -> f64 {
-    weights.iter().map(|w| w * w).sum()
+#[inline(always)]
+fn squares<T: Number>([a, b, c, d]: &[T; 4]) -> T {
+    *a * *a + *b * *b + *c * *c + *d * *d
 }
 
 /// White noise addressed by pixel, standard deviation 1.
@@ -152,6 +136,18 @@ impl LocalNoise {
     /// The draw of a pixel.
     pub fn at(&self, column: i32, row: i32) -> f32 {
         self.distribution.draw(&self.field, column, row) as f32
+    }
+
+    /// The draws of several pixels; equal to calling [`LocalNoise::at`].
+    #[inline(always)]
+    pub fn at_lanes(&self, columns: [i32; LANES], rows: [i32; LANES]) -> Lanes {
+        if self.distribution != Distribution::Gaussian {
+            return Lanes::of(|lane| f64::from(self.at(columns[lane], rows[lane])));
+        }
+        let mut pairs = columns;
+        pairs.iter_mut().for_each(|column| *column >>= 1);
+        let [even, odd] = self.field.normals_lanes(pairs, rows);
+        Lanes::of(|lane| f64::from(if columns[lane] & 1 == 0 { even[lane] } else { odd[lane] } as f32))
     }
 
     /// Draws to be looked up one after the other.
@@ -237,13 +233,48 @@ impl SmoothNoise {
     pub fn at(&self, position_px: [f64; 2]) -> f64 {
         let [x, y] = position_px.map(|p| p / self.recipe.spacing_px);
         let (column, row) = (floor(x), floor(y));
-        let weights = self.recipe.interpolation.weights_at([x - f64::from(column), y - f64::from(row)]);
-        let (wx, wy) = (weights.map(|[x, _]| x), weights.map(|[_, y]| y));
-        let mut sum = 0.0;
-        for (j, weight) in (-1..3).zip(wy) {
-            let [a, b, c, d] = self.four_nodes(column - 1, row + j);
-            sum += weight * (wx[0] * a + wx[1] * b + wx[2] * c + wx[3] * d);
+        // Weights along both directions cost little more than along one.
+        let t = Lanes::from([x - f64::from(column), y - f64::from(row)]);
+        let weights = self.recipe.interpolation.weights(t);
+        let along = |i: usize| [weights[0][i], weights[1][i], weights[2][i], weights[3][i]];
+        self.weighted([along(0), along(1)], self.nodes_about(column, row))
+    }
+
+    /// The field at several positions, pixels; none where a position has none.
+    #[inline(always)]
+    pub fn at_lanes(&self, position_px: [Lanes; 2]) -> Lanes {
+        let [x, y] = both(position_px, |p| p / self.recipe.spacing_px);
+        let [across, down] = both([x, y], |p| p.map(f64::floor));
+        let weights = both([x - across, y - down], |t| self.recipe.interpolation.weights(t));
+        let none = |lane: usize| across[lane].is_nan() || down[lane].is_nan();
+        let Some(first) = (0..LANES).find(|lane| !none(*lane)) else { return Lanes::NONE };
+        let cell = [across[first], down[first]];
+        let mut one_cell = true;
+        for lane in first + 1..LANES {
+            one_cell &= none(lane) || (across[lane] == cell[0] && down[lane] == cell[1]);
         }
+        if one_cell {
+            return self.weighted(weights, self.nodes_about(cell[0] as i32, cell[1] as i32));
+        }
+        let mut nodes = [[Lanes::NONE; 4]; 4];
+        for lane in 0..LANES {
+            if none(lane) {
+                continue;
+            }
+            let about = self.nodes_about(across[lane] as i32, down[lane] as i32);
+            for (line, values) in nodes.iter_mut().zip(about) {
+                line.iter_mut().zip(values).for_each(|(node, value)| node.set(lane, value));
+            }
+        }
+        self.weighted(weights, nodes)
+    }
+
+    /// The sum of the four nodes in each of the four rows about a place, by their weights along x and y.
+    #[inline(always)]
+    fn weighted<T: Number + Mul<M, Output = T>, M: Copy>(&self, [wx, wy]: [[T; 4]; 2], nodes: [[M; 4]; 4]) -> T {
+        let [first, second, third, last] = nodes;
+        let sum = wy[0] * row_of(wx, first) + wy[1] * row_of(wx, second) + wy[2] * row_of(wx, third);
+        let sum = sum + wy[3] * row_of(wx, last);
         match self.recipe.variance {
             Variance::Nodes => sum,
             Variance::Mean => sum / self.mean_deviation,
@@ -251,7 +282,18 @@ impl SmoothNoise {
         }
     }
 
-    #[inline]
+    /// The four nodes in each of the four rows about a cell.
+    #[inline(always)]
+    fn nodes_about(&self, column: i32, row: i32) -> [[f64; 4]; 4] {
+        [
+            self.four_nodes(column - 1, row - 1),
+            self.four_nodes(column - 1, row),
+            self.four_nodes(column - 1, row + 1),
+            self.four_nodes(column - 1, row + 2),
+        ]
+    }
+
+    #[inline(always)]
     fn four_nodes(&self, column: i32, row: i32) -> [f64; 4] {
         let [x, y] = [column - self.first[0], row - self.first[1]];
         if x >= 0 && y >= 0 && x + 4 <= self.size[0] && y < self.size[1] {
@@ -259,8 +301,19 @@ impl SmoothNoise {
             let n = &self.nodes[start..start + 4];
             return [n[0], n[1], n[2], n[3]];
         }
+        self.drawn_nodes(column, row)
+    }
+
+    /// Nodes that were not drawn ahead.
+    #[cold]
+    fn drawn_nodes(&self, column: i32, row: i32) -> [f64; 4] {
         [0, 1, 2, 3].map(|i| self.recipe.distribution.draw(&self.field, column + i, row))
     }
+}
+
+#[inline(always)]
+fn row_of<T: Number + Mul<M, Output = T>, M: Copy>([a, b, c, d]: [T; 4], nodes: [M; 4]) -> T {
+    a * nodes[0] + b * nodes[1] + c * nodes[2] + d * nodes[3]
 }
 
 #[cfg(test)]
@@ -328,6 +381,27 @@ mod tests {
     }
 
     #[test]
+    fn several_positions_have_the_bits_of_each() {
+        for (variance, kernel) in [Variance::Nodes, Variance::Mean, Variance::Pointwise].into_iter().zip(KERNELS) {
+            let recipe = FieldRecipe { variance, interpolation: kernel, ..RECIPE };
+            let field = SmoothNoise::new(&Key([6; 32]), recipe, [-50.0, -30.0], [40.0, 60.0]);
+            // All in one cell, over several, and beyond what was drawn ahead.
+            for step in [0.5, 3.7, -20.0] {
+                let x = Lanes::of(|lane| 16.2 + step * lane as f64);
+                let y = Lanes::of(|lane| -5.4 + 0.1 * step * lane as f64);
+                let found = field.at_lanes([x, y]);
+                for lane in 0..LANES {
+                    assert_eq!(
+                        found[lane].to_bits(),
+                        field.at([x[lane], y[lane]]).to_bits(),
+                        "{kernel:?} {step} {lane}"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
     fn nodes_drawn_ahead_change_nothing() {
         let key = Key([9; 32]);
         let ahead = SmoothNoise::new(&key, RECIPE, [-50.0, -30.0], [40.0, 60.0]);
@@ -369,6 +443,11 @@ mod tests {
             let mut rows = vec![[0.0f32; 300]; 300];
             rows.iter_mut().enumerate().for_each(|(y, row)| noise.fill_row(0, y as i32, row));
             assert_eq!(rows[7][123].to_bits(), noise.at(123, 7).to_bits());
+            let (columns, lines) = ([0, 7, 6, -3, -4, 1, 250, 8], [0, 3, 3, 4, -1, 0, 299, 5]);
+            let several = noise.at_lanes(columns, lines);
+            for lane in 0..LANES {
+                assert_eq!(several[lane].to_bits(), f64::from(noise.at(columns[lane], lines[lane])).to_bits());
+            }
             let mut lookup = noise.lookup();
             for (column, row) in [(0, 0), (7, 3), (6, 3), (7, 4), (-3, 4), (-4, 4), (1, 0)] {
                 assert_eq!(lookup.at(column, row).to_bits(), noise.at(column, row).to_bits());

@@ -36,6 +36,7 @@ pub mod image_matching;
 pub mod inventory_file;
 pub mod inventory_foreign;
 pub mod inventory_labels;
+pub mod lanes;
 pub mod line;
 pub mod mahalanobis;
 pub mod map_fusion;

@@ -1,6 +1,7 @@
 //! The rays that a camera with a wrong interior orientation takes the rays of the true one for.
 
 use crate::kernel::camera::Camera;
+use crate::kernel::lanes::{LANES, Lanes, both};
 use crate::kernel::whole::floor;
 
 /// Image pixels between the places where the step from the true ray to the noisy one is known.
@@ -42,13 +43,51 @@ impl NoisyRays {
         near.or_else(|| noisy.normalised(pixel))
     }
 
+    /// As [`NoisyRays::ray`], for several positions; none where there is none.
+    #[inline(always)]
+    pub fn ray_lanes(&self, noisy: &Camera, pixel: [Lanes; 2], true_ray: [Lanes; 2]) -> [Lanes; 2] {
+        let [x, y] = both(pixel, |p| p / SPACING_PX + 0.5);
+        let [across, down] = both([x, y], |p| p.map(f64::floor));
+        let (tx, ty) = (x - across, y - down);
+        // Steps at the places above left, above right, below left and below right of each position.
+        let mut around = [[Lanes::NONE; 2]; 4];
+        for lane in 0..LANES {
+            let inside = across[lane] >= 0.0 && down[lane] >= 0.0;
+            let (column, row) = (across[lane] as usize, down[lane] as usize);
+            if inside && column + 1 < self.columns && row + 1 < self.rows {
+                let at = row * self.columns + column;
+                for (steps, at) in around.iter_mut().zip([at, at + 1, at + self.columns, at + self.columns + 1]) {
+                    (0..2).for_each(|i| steps[i].set(lane, self.steps[at][i]));
+                }
+            }
+        }
+        let [above_left, above_right, below_left, below_right] = around;
+        let guess = both([0, 1], |i| {
+            let top = above_left[i] + tx * (above_right[i] - above_left[i]);
+            let bottom = below_left[i] + tx * (below_right[i] - below_left[i]);
+            true_ray[i] + (top + ty * (bottom - top))
+        });
+        let mut found = noisy.normalised_near_lanes(pixel, guess);
+        // What no near guess leads to is searched for from afar.
+        for lane in 0..LANES {
+            if found[0][lane].is_nan()
+                && !pixel[0][lane].is_nan()
+                && let Some([x, y]) = noisy.normalised(pixel.map(|p| p[lane]))
+            {
+                found[0].set(lane, x);
+                found[1].set(lane, y);
+            }
+        }
+        found
+    }
+
     /// The step at a position, between the four places around it.
     #[inline]
     fn step(&self, pixel: [f64; 2]) -> Option<[f64; 2]> {
         let [x, y] = pixel.map(|p| p / SPACING_PX + 0.5);
         let (column, row) = (floor(x), floor(y));
         let (tx, ty) = (x - f64::from(column), y - f64::from(row));
-        let (column, row) = (column as usize, row as usize);
+        let (column, row) = (usize::try_from(column).ok()?, usize::try_from(row).ok()?);
         if column + 1 >= self.columns || row + 1 >= self.rows {
             return None;
         }
@@ -84,6 +123,17 @@ mod tests {
             let [ex, ey] = noisy.normalised(pixel).unwrap();
             assert!((x - ex).abs() < 1e-15 && (y - ey).abs() < 1e-15, "{i}: {x} {ex} {y} {ey}");
         }
-        assert_eq!(rays.ray(&noisy, [-90.0, 3.0], [0.0; 2]), noisy.normalised([-90.0, 3.0]));
+        for beyond in [-90.0, -20.0] {
+            assert_eq!(rays.ray(&noisy, [beyond, 3.0], [0.0; 2]), noisy.normalised([beyond, 3.0]));
+        }
+        let u = Lanes::from([-90.0, -20.0, 0.0, 3.7, f64::NAN, 31.2, 59.0, 300.0]);
+        let pixels = [0, 1, 2, 3, 4, 5, 6, 7].map(|lane| [u[lane], 7.5]);
+        let truth = pixels.map(|pixel| camera.normalised(pixel).unwrap_or([f64::NAN; 2]));
+        let lanes = [0, 1].map(|i| Lanes::of(|lane| truth[lane][i]));
+        let found = rays.ray_lanes(&noisy, [u, Lanes::all(7.5)], lanes);
+        for lane in 0..LANES {
+            let expected = rays.ray(&noisy, pixels[lane], truth[lane]).unwrap_or([f64::NAN; 2]);
+            assert_eq!(found.map(|value| value[lane].to_bits()), expected.map(f64::to_bits), "{lane}");
+        }
     }
 }

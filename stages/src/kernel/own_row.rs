@@ -4,42 +4,88 @@ use nalgebra::Vector3;
 
 use crate::artefact::Depth;
 use crate::kernel::camera::Camera;
+use crate::kernel::lanes::{LANES, Lanes};
 use crate::kernel::ray_row::RayRow;
-
-/// A pixel that shows something.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct OwnPixel {
-    /// Its column in the depth map.
-    pub column: usize,
-    /// The true point, in the frame of the cameras, metres.
-    pub point_m: Vector3<f64>,
-    /// Undistorted normalised coordinates of the pixel in the noisy camera.
-    pub noisy_ray: [f64; 2],
-}
 
 /// The pixels of a row that show something, from left to right.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OwnRow {
     /// The row in the depth map.
     pub row: usize,
-    /// Its pixels.
-    pub pixels: Vec<OwnPixel>,
+    /// The column of each pixel in the depth map.
+    pub columns: Vec<usize>,
+    /// X, Y and Z of the true points, in the frame of the cameras, metres.
+    points_m: [Vec<f64>; 3],
+    /// Undistorted normalised coordinates of the pixels in the noisy camera.
+    noisy_rays: [Vec<f64>; 2],
+}
+
+/// Up to [`LANES`] pixels of a row; lanes beyond the last pixel have no values.
+#[derive(Debug, Clone, Copy)]
+pub struct Block<'a> {
+    /// Their columns.
+    pub columns: &'a [usize],
+    /// Their points, metres.
+    pub points_m: [Lanes; 3],
+    /// Their noisy rays.
+    pub noisy_rays: [Lanes; 2],
 }
 
 impl OwnRow {
     /// A row of an ideal depth map, by its true and its noisy camera.
     pub fn new(depth: &Depth, camera: &Camera, noisy: &Camera, row: usize) -> Self {
         let values = &depth.z[row * depth.width..(row + 1) * depth.width];
-        let same_interior = noisy.has_interior_of(camera);
-        let mut rays = RayRow::new(camera, row, depth.downscale);
-        let mut noisy_rays = RayRow::new(noisy, row, depth.downscale);
-        let mut pixels = Vec::with_capacity(values.len());
-        for (column, z) in values.iter().enumerate().filter(|(_, z)| z.is_finite()) {
-            let Some(ray) = rays.ray(column) else { continue };
-            let noisy_ray = if same_interior { Some(ray) } else { noisy_rays.ray(column) };
-            let Some(noisy_ray) = noisy_ray else { continue };
-            pixels.push(OwnPixel { column, point_m: camera.unproject(ray, f64::from(*z)), noisy_ray });
+        let mut own = Self::empty(row, values.len());
+        if !values.iter().any(|z| z.is_finite()) {
+            return own;
         }
-        Self { row, pixels }
+        let rays = |camera: &Camera| RayRow::new(camera, row, depth.downscale).rays(0, values.len());
+        let truth = rays(camera);
+        let believed = if noisy.has_interior_of(camera) { None } else { Some(rays(noisy)) };
+        let believed = believed.as_ref().unwrap_or(&truth);
+        for (column, z) in values.iter().enumerate().filter(|(_, z)| z.is_finite()) {
+            let (ray, noisy_ray) = (truth[column], believed[column]);
+            if !ray[0].is_nan() && !noisy_ray[0].is_nan() {
+                own.push(column, &camera.unproject(ray, f64::from(*z)), noisy_ray);
+            }
+        }
+        own
+    }
+
+    /// A row without pixels, with room for some.
+    pub fn empty(row: usize, room: usize) -> Self {
+        let list = || Vec::with_capacity(room);
+        Self {
+            row,
+            columns: Vec::with_capacity(room),
+            points_m: [(); 3].map(|()| list()),
+            noisy_rays: [(); 2].map(|()| list()),
+        }
+    }
+
+    /// Adds a pixel to the right of the others.
+    pub fn push(&mut self, column: usize, point_m: &Vector3<f64>, noisy_ray: [f64; 2]) {
+        self.columns.push(column);
+        self.points_m.iter_mut().zip(point_m).for_each(|(list, value)| list.push(*value));
+        self.noisy_rays.iter_mut().zip(noisy_ray).for_each(|(list, value)| list.push(value));
+    }
+
+    /// The pixels, some at a time.
+    pub fn blocks(&self) -> impl Iterator<Item = Block<'_>> {
+        let starts = (0..self.columns.len()).step_by(LANES);
+        starts.map(|start| {
+            let end = self.columns.len().min(start + LANES);
+            let lanes = |list: &Vec<f64>| {
+                list.get(start..start + LANES).map_or_else(
+                    || Lanes::of(|lane| list.get(start + lane).copied().unwrap_or(f64::NAN)),
+                    |values| Lanes::of(|lane| values[lane]),
+                )
+            };
+            Block {
+                columns: &self.columns[start..end],
+                points_m: self.points_m.each_ref().map(lanes),
+                noisy_rays: self.noisy_rays.each_ref().map(lanes),
+            }
+        })
     }
 }

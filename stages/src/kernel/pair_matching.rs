@@ -12,10 +12,11 @@ use crate::StageError;
 use crate::artefact::Depth;
 use crate::fail;
 use crate::kernel::camera::{Camera, full_pixel};
-use crate::kernel::matching_noise::{FieldRecipe, LocalNoise, Lookup, SmoothNoise};
+use crate::kernel::lanes::{LANES, Lanes, Number, Work, both, vectorised};
+use crate::kernel::matching_noise::{FieldRecipe, LocalNoise, SmoothNoise};
 use crate::kernel::noise::terms::{DisparityError, Lookups, Site, Terms};
 use crate::kernel::noisy_rays::NoisyRays;
-use crate::kernel::own_row::{OwnPixel, OwnRow};
+use crate::kernel::own_row::{Block, OwnRow};
 use crate::kernel::random::Key;
 use crate::kernel::rectification::{Placed, Rectification};
 use crate::kernel::rectified_row::{rectified_ray, rectified_row, source_pixel};
@@ -190,85 +191,137 @@ impl Matcher<'_> {
     /// Matches the pixels of a row of image `own`, from left to right.
     pub fn match_row(&self, own: usize, pixels: &OwnRow, mut found: impl FnMut(usize, &Match)) {
         let mut draws = self.row_of_draws(own, pixels);
-        for pixel in &pixels.pixels {
-            if let Some(m) = self.match_pixel(own, pixels.row, pixel, &mut draws) {
-                found(pixel.column, &m);
+        for block in pixels.blocks() {
+            let mut shown = vectorised(Show { matcher: self, side: 1 - own, block: &block });
+            let mut seen = [false; LANES];
+            for (lane, seen) in seen.iter_mut().enumerate() {
+                *seen = self.is_seen(1 - own, [shown.level[0][lane], shown.level[1][lane]], shown.z_m[lane]);
+                if !*seen {
+                    shown.hide(lane);
+                }
+            }
+            if !seen.contains(&true) {
+                continue;
+            }
+            let sights =
+                vectorised(Place { matcher: self, own, row: pixels.row, block: &block, shown: &shown, draws: &draws });
+            for (lane, column) in block.columns.iter().enumerate().filter(|(lane, _)| seen[*lane]) {
+                let sight = Sight::of(&sights, lane);
+                let matched = if self.terms.is_none() {
+                    sight.matched()
+                } else {
+                    let point_m = [block.points_m[0][lane], block.points_m[1][lane]];
+                    self.match_pixel(own, pixels.row, *column, point_m, &sight, &mut draws.terms)
+                };
+                if let Some(matched) = matched {
+                    found(*column, &matched);
+                }
             }
         }
     }
 
-    /// The white draws of a row: the first image's are drawn ahead, the second looks its own up one by one.
+    /// The draws of a row: the first image's white ones are drawn ahead, the second looks its own up block by block.
     fn row_of_draws(&self, own: usize, pixels: &OwnRow) -> Draws<'_> {
         let noise = self.local.as_ref().map(|(_, noise)| noise);
         let mut draws = Draws {
             ahead: Vec::new(),
             row: pixels.row as i32,
             first: 0,
-            noise: noise.map(LocalNoise::lookup),
             terms: self.terms.as_ref().map(Terms::lookups).unwrap_or_default(),
         };
-        if let (0, Some(noise), [first, .., last]) = (own, noise, pixels.pixels.as_slice()) {
-            draws.first = first.column as i32;
-            draws.ahead.resize(last.column - first.column + 1, 0.0);
+        if let (0, Some(noise), [first, .., last]) = (own, noise, pixels.columns.as_slice()) {
+            draws.first = *first as i32;
+            draws.ahead.resize(last - first + 1, 0.0);
             noise.fill_row(draws.first, draws.row, &mut draws.ahead);
         }
         draws
     }
 
-    #[inline]
-    fn match_pixel(&self, own: usize, row: usize, pixel: &OwnPixel, draws: &mut Draws) -> Option<Match> {
+    /// Where an image would show the points of some pixels, whatever is before them.
+    #[inline(always)]
+    fn shown(&self, side: usize, block: &Block) -> Shown {
+        let [x, y, z_m] = self.cameras[side].to_camera_lanes(block.points_m);
+        let inverse = Lanes::all(1.0) / z_m.where_positive(z_m);
+        let ray = [x * inverse, y * inverse];
+        let pixel = self.cameras[side].pixel_lanes(ray);
+        Shown { z_m, ray, pixel, level: to_level(pixel, 1.0 / f64::from(self.ideal[side].downscale)) }
+    }
+
+    /// Where some pixels and their points in the other image are placed in the rectified images.
+    #[inline(always)]
+    fn sights(&self, own: usize, row: usize, block: &Block, shown: &Shown, draws: &Draws) -> Sight<Lanes> {
         let other = 1 - own;
-        let seen = self.cameras[other].to_camera(&pixel.point_m);
-        if seen.z <= 0.0 {
-            return None;
-        }
-        let inverse = 1.0 / seen.z;
-        let seen_ray = [seen.x * inverse, seen.y * inverse];
-        let seen_pixel = self.cameras[other].pixel(seen_ray)?;
-        let seen_level = to_level(seen_pixel, 1.0 / f64::from(self.ideal[other].downscale));
-        if !self.is_seen(other, seen_level, seen.z) {
-            return None;
-        }
-        let seen_noisy_ray = if self.same_interior[other] {
-            seen_ray
+        let noisy_ray = if self.same_interior[other] {
+            shown.ray
         } else {
-            self.noisy_rays[other].ray(&self.noisy[other], seen_pixel, seen_ray)?
+            self.noisy_rays[other].ray_lanes(&self.noisy[other], shown.pixel, shown.ray)
         };
-        let own_place = self.rectification.place(own, pixel.noisy_ray)?;
-        let other_place = self.rectification.place(other, seen_noisy_ray)?;
-        let (first, second) = if own == 0 { (&own_place, &other_place) } else { (&other_place, &own_place) };
-        let fb_px_m = self.rectification.focal_px * self.rectification.baseline_m;
-        let ideal_px = first.position_px[0] - second.position_px[0];
-        let level = [pixel.column as f64, row as f64];
+        let own_place = self.rectification.place_lanes(own, block.noisy_rays);
+        let other_place = self.rectification.place_lanes(other, noisy_ray);
+        let [first, second] = if own == 0 { [&own_place, &other_place] } else { [&other_place, &own_place] };
+        let column = Lanes::of(|lane| block.columns.get(lane).map_or(f64::NAN, |column| *column as f64));
+        let level = [column, Lanes::all(row as f64)];
         let (first_px, second_px) = match (self.rectified, own) {
             (true, _) => (first.position_px, second.position_px),
-            (false, 0) => (level, seen_level),
-            (false, _) => (seen_level, level),
+            (false, 0) => (level, shown.level),
+            (false, _) => (shown.level, level),
         };
-        let error = if let Some(terms) = &self.terms {
-            let pixel_index = if self.rectified {
-                source_pixel(self.ideal[own], &self.noisy[own], pixel.noisy_ray)?
-            } else {
-                row * self.ideal[own].width + pixel.column
-            };
-            let point_m = [pixel.point_m.x, pixel.point_m.y];
-            let disparity_px_m = fb_px_m / own_place.slant;
-            let rectified_px = first.position_px;
-            let site = Site { first_px, second_px, rectified_px, point_m, pixel: pixel_index, disparity_px_m };
-            terms.error(&site, &mut draws.terms)?
-        } else {
-            self.paper_noise(first_px, first.position_px, draws)
-        };
-        let matched_px = ideal_px + (error.local_px() + error.regular_px);
-        let disparity_px = self.terms.as_ref().map_or(matched_px, |terms| terms.sub_pixel(matched_px));
+        let rectified_px = first.position_px;
+        let ideal_px = rectified_px[0] - second.position_px[0];
+        let (white_px, regular_px) = (self.white_px(first_px, draws), self.regular_px(rectified_px));
+        let disparity_px = ideal_px + (white_px + regular_px);
         // Z = f B / D across the rectified plane, and dZ = Z^2 / (f B) dD; both along the own ray by its slant.
-        let parallax_px = self.rectification.parallax_px(disparity_px)?;
-        let (slant, noisy_ray) = if self.rectified {
-            (1.0, rectified_ray(&self.rectification, own, level))
+        let slant = if self.rectified { Lanes::all(1.0) } else { own_place.slant };
+        let parallax_px = disparity_px - self.rectification.shift_px();
+        let depth_m = Lanes::all(self.fb_px_m()) / (parallax_px * slant);
+        let noisy_ray = if self.rectified { rectified_ray(&self.rectification, own, level) } else { block.noisy_rays };
+        Sight {
+            own_ray: block.noisy_rays,
+            noisy_ray,
+            first_px,
+            second_px,
+            rectified_px,
+            ideal_px,
+            y_parallax_px: rectified_px[1] - second.position_px[1],
+            disparity_px_m: Lanes::all(self.fb_px_m()) / own_place.slant,
+            slant,
+            white_px,
+            regular_px,
+            disparity_px,
+            depth_m: depth_m.where_positive(parallax_px),
+            depth_per_px_m: depth_m / parallax_px,
+        }
+    }
+
+    /// Principal distance times baseline, pixel metres.
+    #[inline]
+    fn fb_px_m(&self) -> f64 {
+        self.rectification.focal_px * self.rectification.baseline_m
+    }
+
+    /// Matches a pixel with the noise of `terms`.
+    fn match_pixel(
+        &self,
+        own: usize,
+        row: usize,
+        column: usize,
+        point_m: [f64; 2],
+        sight: &Sight<f64>,
+        lookups: &mut Lookups,
+    ) -> Option<Match> {
+        let Sight { first_px, second_px, rectified_px, ideal_px, noisy_ray, disparity_px_m, .. } = *sight;
+        let terms = self.terms.as_ref().filter(|_| !ideal_px.is_nan())?;
+        let pixel = if self.rectified {
+            source_pixel(self.ideal[own], &self.noisy[own], sight.own_ray)?
         } else {
-            (own_place.slant, pixel.noisy_ray)
+            row * self.ideal[own].width + column
         };
-        let depth_m = fb_px_m / (parallax_px * slant);
+        let error =
+            terms.error(&Site { first_px, second_px, rectified_px, point_m, pixel, disparity_px_m }, lookups)?;
+        let matched_px = ideal_px + (error.local_px() + error.regular_px);
+        let disparity_px = terms.sub_pixel(matched_px);
+        let parallax_px = self.rectification.parallax_px(disparity_px)?;
+        let depth_m = self.fb_px_m() / (parallax_px * sight.slant);
         Some(Match {
             depth_m,
             noisy_ray,
@@ -276,20 +329,34 @@ impl Matcher<'_> {
             error,
             sub_pixel_px: disparity_px - matched_px,
             disparity_px,
-            y_parallax_px: first.position_px[1] - second.position_px[1],
+            y_parallax_px: sight.y_parallax_px,
             depth_per_px_m: depth_m / parallax_px,
         })
     }
 
-    /// White and smooth noise of a pixel.
-    #[inline]
-    fn paper_noise(&self, first_px: [f64; 2], rectified_px: [f64; 2], draws: &mut Draws) -> DisparityError {
-        let white_px = self.local.as_ref().map_or(0.0, |(sigma, _)| {
-            let [column, row] = first_px.map(nearest);
-            sigma * f64::from(draws.at(column, row))
-        });
-        let regular_px = self.smooth.as_ref().map_or(0.0, |(sigma, noise)| sigma * noise.at(rectified_px));
-        DisparityError { white_px, blunder_px: 0.0, regular_px, relief_px: 0.0, strength: 1.0 }
+    /// Smooth noise at some positions.
+    #[inline(always)]
+    fn regular_px(&self, rectified_px: [Lanes; 2]) -> Lanes {
+        match &self.smooth {
+            Some((sigma_px, noise)) => noise.at_lanes(rectified_px) * *sigma_px,
+            None => Lanes::all(0.0),
+        }
+    }
+
+    /// White noise of some pixels.
+    #[inline(always)]
+    fn white_px(&self, first_px: [Lanes; 2], draws: &Draws) -> Lanes {
+        let Some((sigma_px, noise)) = &self.local else { return Lanes::all(0.0) };
+        let (mut columns, mut rows, mut white) = ([0; LANES], [0; LANES], Lanes::all(0.0));
+        let mut drawn = true;
+        for (lane, (column, row)) in columns.iter_mut().zip(&mut rows).enumerate() {
+            (*column, *row) = (nearest(first_px[0][lane]), nearest(first_px[1][lane]));
+            match draws.ahead.get(column.wrapping_sub(draws.first) as usize) {
+                Some(draw) if *row == draws.row => white.set(lane, f64::from(*draw)),
+                _ => drawn = false,
+            }
+        }
+        (if drawn { white } else { noise.at_lanes(columns, rows) }) * *sigma_px
     }
 
     /// Whether an image sees a point at depth `z_m` that projects to `level`: it is inside, and not behind all that the
@@ -317,27 +384,142 @@ impl Matcher<'_> {
 }
 
 /// Full-image position in pixels of the depth-map level, whose pixels are `1 / scale` image pixels.
-#[inline]
-fn to_level(pixel: [f64; 2], scale: f64) -> [f64; 2] {
-    pixel.map(|p| (p + 0.5) * scale - 0.5)
+#[inline(always)]
+fn to_level<T: Number>(pixel: [T; 2], scale: f64) -> [T; 2] {
+    both(pixel, |p| (p + 0.5) * scale - 0.5)
 }
 
-/// The white draws of one row: a stretch of the first image's own row drawn ahead, any other pixel looked up.
+/// [`Matcher::shown`] of a block.
+struct Show<'a> {
+    matcher: &'a Matcher<'a>,
+    side: usize,
+    block: &'a Block<'a>,
+}
+
+impl Work for Show<'_> {
+    type Output = Shown;
+
+    #[inline(always)]
+    fn run(self) -> Shown {
+        self.matcher.shown(self.side, self.block)
+    }
+}
+
+/// [`Matcher::sights`] of a block.
+struct Place<'a> {
+    matcher: &'a Matcher<'a>,
+    own: usize,
+    row: usize,
+    block: &'a Block<'a>,
+    shown: &'a Shown,
+    draws: &'a Draws<'a>,
+}
+
+impl Work for Place<'_> {
+    type Output = Sight<Lanes>;
+
+    #[inline(always)]
+    fn run(self) -> Sight<Lanes> {
+        self.matcher.sights(self.own, self.row, self.block, self.shown, self.draws)
+    }
+}
+
+/// Where an image would show points; none where it cannot.
+struct Shown {
+    /// Depths of the points in the image, metres.
+    z_m: Lanes,
+    /// Undistorted normalised coordinates of their true rays.
+    ray: [Lanes; 2],
+    /// Positions in the image, pixels.
+    pixel: [Lanes; 2],
+    /// The same, pixels of the depth map.
+    level: [Lanes; 2],
+}
+
+impl Shown {
+    /// Takes away what is not seen.
+    #[inline]
+    fn hide(&mut self, lane: usize) {
+        let Self { ray, pixel, level, .. } = self;
+        ray.iter_mut().chain(pixel).chain(level).for_each(|lanes| lanes.set(lane, f64::NAN));
+    }
+}
+
+/// Where a point that both images see is placed, and what matching makes of it with the paper's noise; none where it has no place.
+struct Sight<T> {
+    /// Noisy ray of the own pixel.
+    own_ray: [T; 2],
+    /// The ray the depth is on: that, or the one of the rectified image.
+    noisy_ray: [T; 2],
+    /// Positions in the first and the second image that tell the noise, pixels of the depth map.
+    first_px: [T; 2],
+    /// See `first_px`.
+    second_px: [T; 2],
+    /// Position in the rectified first image, pixels.
+    rectified_px: [T; 2],
+    /// Disparity without noise of the matching, pixels.
+    ideal_px: T,
+    /// Row of the first rectified position less that of the second, pixels.
+    y_parallax_px: T,
+    /// Disparity that an inverse depth of 1/m is worth, pixel metres.
+    disparity_px_m: T,
+    /// Depth across the rectified plane of the point at depth 1 on the ray.
+    slant: T,
+    /// The paper's white noise, pixels.
+    white_px: T,
+    /// The paper's smooth noise, pixels.
+    regular_px: T,
+    /// Disparity with both, pixels.
+    disparity_px: T,
+    /// Depth it gives, metres.
+    depth_m: T,
+    /// Depth a pixel of disparity is worth, metres.
+    depth_per_px_m: T,
+}
+
+impl Sight<f64> {
+    #[inline]
+    fn of(sights: &Sight<Lanes>, lane: usize) -> Self {
+        let pair = |[one, other]: &[Lanes; 2]| [one[lane], other[lane]];
+        Self {
+            own_ray: pair(&sights.own_ray),
+            noisy_ray: pair(&sights.noisy_ray),
+            first_px: pair(&sights.first_px),
+            second_px: pair(&sights.second_px),
+            rectified_px: pair(&sights.rectified_px),
+            ideal_px: sights.ideal_px[lane],
+            y_parallax_px: sights.y_parallax_px[lane],
+            disparity_px_m: sights.disparity_px_m[lane],
+            slant: sights.slant[lane],
+            white_px: sights.white_px[lane],
+            regular_px: sights.regular_px[lane],
+            disparity_px: sights.disparity_px[lane],
+            depth_m: sights.depth_m[lane],
+            depth_per_px_m: sights.depth_per_px_m[lane],
+        }
+    }
+
+    /// The match with the paper's noise.
+    #[inline]
+    fn matched(&self) -> Option<Match> {
+        let Self { white_px, regular_px, .. } = *self;
+        (!self.depth_m.is_nan()).then_some(Match {
+            depth_m: self.depth_m,
+            noisy_ray: self.noisy_ray,
+            ideal_px: self.ideal_px,
+            error: DisparityError { white_px, blunder_px: 0.0, regular_px, relief_px: 0.0, strength: 1.0 },
+            sub_pixel_px: 0.0,
+            disparity_px: self.disparity_px,
+            y_parallax_px: self.y_parallax_px,
+            depth_per_px_m: self.depth_per_px_m,
+        })
+    }
+}
+
+/// The draws of one row: a stretch of the first image's own row of white noise drawn ahead, and those of further terms.
 struct Draws<'a> {
     ahead: Vec<f32>,
     row: i32,
     first: i32,
-    noise: Option<Lookup<'a>>,
     terms: Lookups<'a>,
-}
-
-impl Draws<'_> {
-    fn at(&mut self, column: i32, row: i32) -> f32 {
-        if row == self.row
-            && let Some(draw) = self.ahead.get((column - self.first) as usize)
-        {
-            return *draw;
-        }
-        self.noise.as_mut().map_or(0.0, |noise| noise.at(column, row))
-    }
 }

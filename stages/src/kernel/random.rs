@@ -3,6 +3,7 @@
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
+use crate::kernel::lanes::{LANES, Lanes, Number, Work, vectorised};
 use crate::kernel::precise;
 
 /// The key of one random stream, derived by the engine from the pipeline seed, the step, its point, a purpose and an item.
@@ -41,6 +42,22 @@ impl Field {
         [radius * cos, radius * sin]
     }
 
+    /// As [`Field::normals`] of several cells: the same bits.
+    #[inline(always)]
+    pub fn normals_lanes<const N: usize>(&self, x: [i32; N], y: [i32; N]) -> [Lanes<N>; 2] {
+        let mut words = [[0; 4]; N];
+        for ((words, x), y) in words.iter_mut().zip(x).zip(y) {
+            *words = self.words(x, y);
+        }
+        let unit = |hi: usize, lo: usize| {
+            let upper = Lanes::<N>::of_whole(|i| u64::from(words[i][hi])) * 2_097_152.0;
+            (upper + Lanes::of_whole(|i| u64::from(words[i][lo] >> 11))) / 9_007_199_254_740_992.0
+        };
+        let radius = (precise::log_lanes(-unit(0, 1) + 1.0) * -2.0).sqrt();
+        let [sin, cos] = precise::sincos_lanes(unit(2, 3) * std::f64::consts::TAU);
+        [radius * cos, radius * sin]
+    }
+
     /// One standard normal draw of cell (x, y).
     ///
     /// Neighbours along x share one transform: even x takes its first draw, odd x its second.
@@ -53,23 +70,41 @@ impl Field {
         let (lead, rest) = row.split_at_mut(((first & 1) as usize).min(row.len()));
         lead.iter_mut().for_each(|cell| *cell = self.normal(first, y) as f32);
         let start = (first + 1) >> 1;
-        for (pair, cells) in rest.chunks_mut(2).enumerate() {
-            let draws = self.normals(start + pair as i32, y);
-            for (cell, draw) in cells.iter_mut().zip(draws) {
-                *cell = draw as f32;
+        for (block, cells) in rest.chunks_mut(2 * LANES).enumerate() {
+            let pair = start + (block * LANES) as i32;
+            let x = std::array::from_fn(|lane| pair + lane as i32);
+            let draws = vectorised(Normals { field: self, x, y: [y; LANES] });
+            for (lane, cells) in cells.chunks_mut(2).enumerate() {
+                cells.iter_mut().zip(&draws).for_each(|(cell, draws)| *cell = draws[lane] as f32);
             }
         }
     }
 
     /// Four random words of cell (x, y).
-    #[inline]
+    #[inline(always)]
     pub fn words(&self, x: i32, y: i32) -> [u32; 4] {
         philox4x32([x as u32, y as u32, self.high[0], self.high[1]], self.key)
     }
 }
 
+/// Draws of several cells.
+struct Normals<'a> {
+    field: &'a Field,
+    x: [i32; LANES],
+    y: [i32; LANES],
+}
+
+impl Work for Normals<'_> {
+    type Output = [Lanes; 2];
+
+    #[inline(always)]
+    fn run(self) -> [Lanes; 2] {
+        self.field.normals_lanes(self.x, self.y)
+    }
+}
+
 /// The Philox4x32-10 block function (Salmon, Moraes, Dror, Shaw 2011, SC'11).
-#[inline]
+#[inline(always)]
 pub fn philox4x32(mut counter: [u32; 4], mut key: [u32; 2]) -> [u32; 4] {
     for round in 0..10 {
         if round > 0 {
@@ -96,7 +131,7 @@ mod tests {
     fn rows_equal_single_cells() {
         let field = Key([7; 32]).field();
         for first in [0, 4, 5, -3] {
-            let mut row = [0.0f32; 9];
+            let mut row = [0.0f32; 39];
             field.fill_row(first, -3, &mut row);
             for (x, value) in row.iter().enumerate() {
                 assert_eq!(value.to_bits(), (field.normal(first + x as i32, -3) as f32).to_bits());

@@ -1,6 +1,7 @@
 //! Undistorted rays along one row of a depth map, found from a few of them.
 
 use crate::kernel::camera::{Camera, full_pixel};
+use crate::kernel::lanes::{LANES, Lanes, Number, Work, both, vectorised};
 
 /// Image pixels between the rays that are found from scratch.
 const SPACING_PX: u32 = 32;
@@ -48,6 +49,41 @@ impl<'a> RayRow<'a> {
         self.camera.normalised_in_row(self.full_column(column as f64), self.yd, guess)
     }
 
+    /// The rays of `count` columns from one on, NaN where there is none; equal to calling [`RayRow::ray`] for each.
+    pub fn rays(&mut self, first: usize, count: usize) -> Vec<[f64; 2]> {
+        let mut rays = vec![[f64::NAN; 2]; count];
+        for (block, rays) in rays.chunks_mut(LANES).enumerate() {
+            let found = self.block(first + block * LANES);
+            rays.iter_mut().enumerate().for_each(|(lane, ray)| *ray = [found[0][lane], found[1][lane]]);
+        }
+        rays
+    }
+
+    /// The rays of the [`LANES`] columns from one on, NaN where there is none.
+    fn block(&mut self, first: usize) -> [Lanes; 2] {
+        let (start, end) = (first / self.spacing, (first + LANES - 1) / self.spacing);
+        if start == end {
+            if self.stretch != Some(start) {
+                self.enter(start);
+            }
+            if let [Some(a), Some(b), Some(c), Some(d)] = self.around {
+                let offset = (first - start * self.spacing) as f64;
+                let stretch = Stretch { row: self, first: first as f64, offset, around: [a, b, c, d] };
+                let found = vectorised(stretch);
+                if found[0].each().iter().all(|x| !x.is_nan()) {
+                    return found;
+                }
+            }
+        }
+        let mut found = [Lanes::NONE; 2];
+        for lane in 0..LANES {
+            let [x, y] = self.ray(first + lane).unwrap_or([f64::NAN; 2]);
+            found[0].set(lane, x);
+            found[1].set(lane, y);
+        }
+        found
+    }
+
     fn enter(&mut self, stretch: usize) {
         let known = self.stretch.is_some_and(|last| last + 1 == stretch);
         let find = |step: i32| {
@@ -66,9 +102,31 @@ impl<'a> RayRow<'a> {
     }
 }
 
+/// Columns in one stretch of a row, from `first` on, which is `offset` columns behind the start of the stretch.
+struct Stretch<'a> {
+    row: &'a RayRow<'a>,
+    first: f64,
+    offset: f64,
+    around: [[f64; 2]; 4],
+}
+
+impl Work for Stretch<'_> {
+    type Output = [Lanes; 2];
+
+    #[inline(always)]
+    fn run(self) -> [Lanes; 2] {
+        let Self { row, first, offset, around: [a, b, c, d] } = self;
+        let lane = Lanes::<LANES>::of(|lane| lane as f64);
+        let [wa, wb, wc, wd] = lagrange((lane + offset) / row.spacing as f64);
+        let guess = both([0, 1], |i| wa * a[i] + wb * b[i] + wc * c[i] + wd * d[i]);
+        let full = (lane + first + 0.5) * f64::from(row.downscale) - 0.5;
+        row.camera.normalised_in_row_lanes(full, row.yd, guess)
+    }
+}
+
 /// Weights of the values at -1, 0, 1 and 2 in the cubic through them at `t`.
-#[inline]
-fn lagrange(t: f64) -> [f64; 4] {
+#[inline(always)]
+fn lagrange<T: Number>(t: T) -> [T; 4] {
     let (before, after, beyond) = (t + 1.0, t - 1.0, t - 2.0);
     [-t * after * beyond / 6.0, before * after * beyond / 2.0, -before * t * beyond / 2.0, before * t * after / 6.0]
 }
@@ -87,6 +145,9 @@ mod tests {
         assert_eq!(all.len(), 400);
         for column in [0, 31, 32, 200, 64, 399, 398] {
             assert_eq!(RayRow::new(&camera, 5, 1).ray(column), Some(all[column]));
+        }
+        for first in [0, 13] {
+            assert_eq!(RayRow::new(&camera, 5, 1).rays(first, 350), all[first..first + 350]);
         }
     }
 

@@ -8,6 +8,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use crate::kernel::camera::Camera;
+use crate::kernel::lanes::Lanes;
 use crate::{StageError, fail};
 
 /// The rectified geometry of a pair; positions are pixels of the depth-map level.
@@ -27,11 +28,11 @@ pub struct Rectification {
 
 /// Where a ray of an image goes in its rectified image.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Placed {
+pub struct Placed<T = f64> {
     /// Rectified position, pixels.
-    pub position_px: [f64; 2],
+    pub position_px: [T; 2],
     /// Depth across the rectified plane of the ray's point at depth 1 in its own image.
-    pub slant: f64,
+    pub slant: T,
 }
 
 impl Rectification {
@@ -77,6 +78,17 @@ impl Rectification {
         (ray.z > 0.0).then_some(Placed { position_px, slant: ray.z })
     }
 
+    /// As [`Rectification::place`], for several rays; none beyond the plane's horizon.
+    #[inline(always)]
+    pub fn place_lanes(&self, side: usize, [x, y]: [Lanes; 2]) -> Placed<Lanes> {
+        let r = &self.rectified_from_camera[side];
+        let along = |row: usize| x * r[(row, 0)] + y * r[(row, 1)] + r[(row, 2)];
+        let (ray, depth) = ([along(0), along(1)], along(2));
+        let slant = depth.where_positive(depth);
+        let scale = Lanes::all(self.focal_px) / slant;
+        Placed { position_px: [ray[0] * scale + self.centre_x_px[side], ray[1] * scale + self.centre_y_px], slant }
+    }
+
     /// Depth across the rectified plane of a disparity `x1 - x2`, metres; `None` at or beyond infinity.
     pub fn distance_m(&self, disparity_px: f64) -> Option<f64> {
         Some(self.focal_px * self.baseline_m / self.parallax_px(disparity_px)?)
@@ -85,8 +97,14 @@ impl Rectification {
     /// What is left of a disparity without the shift of the principal points, pixels; `None` at or beyond infinity.
     #[inline]
     pub fn parallax_px(&self, disparity_px: f64) -> Option<f64> {
-        let parallax = disparity_px - (self.centre_x_px[0] - self.centre_x_px[1]);
+        let parallax = disparity_px - self.shift_px();
         (parallax > 0.0).then_some(parallax)
+    }
+
+    /// Disparity of a point at infinity: the shift of the principal points, pixels.
+    #[inline]
+    pub fn shift_px(&self) -> f64 {
+        self.centre_x_px[0] - self.centre_x_px[1]
     }
 }
 

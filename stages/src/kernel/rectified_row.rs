@@ -6,14 +6,16 @@
 use nalgebra::Vector3;
 
 use super::depth_window::{DepthWindow, pixel_at};
+use super::lanes::Number;
 use super::orientation::quaternion;
-use super::own_row::{OwnPixel, OwnRow};
+use super::own_row::OwnRow;
 use super::rectification::Rectification;
 use crate::artefact::{Depth, Image, Sensor};
 use crate::kernel::camera::Camera;
 
 /// Normalised coordinates of a pixel of rectified image `side`.
-pub fn rectified_ray(rectification: &Rectification, side: usize, [column, row]: [f64; 2]) -> [f64; 2] {
+#[inline(always)]
+pub fn rectified_ray<T: Number>(rectification: &Rectification, side: usize, [column, row]: [T; 2]) -> [T; 2] {
     let f = rectification.focal_px;
     [(column - rectification.centre_x_px[side]) / f, (row - rectification.centre_y_px) / f]
 }
@@ -47,9 +49,15 @@ pub fn rectified_row(
         let position = position(depth, noisy, noisy_ray)?;
         let z_m = window.z_at(position)?;
         let true_ray = camera.normalised_near(position.map(|p| (p + 0.5) * scale - 0.5), noisy_ray)?;
-        Some(OwnPixel { column, point_m: camera.unproject(true_ray, z_m), noisy_ray })
+        Some((camera.unproject(true_ray, z_m), noisy_ray))
     };
-    OwnRow { row, pixels: (0..depth.width).filter_map(pixel).collect() }
+    let mut own = OwnRow::empty(row, depth.width);
+    for column in 0..depth.width {
+        if let Some((point_m, noisy_ray)) = pixel(column) {
+            own.push(column, &point_m, noisy_ray);
+        }
+    }
+    own
 }
 
 /// The camera of rectified image `side`: no distortion, the rotation of the pair, the centre of the noisy image.

@@ -1,14 +1,14 @@
 //! Whole numbers from coordinates without a call into the mathematics library, for inner loops.
 
 /// The largest whole number not above `x`; for |x| below 2^31.
-#[inline]
+#[inline(always)]
 pub fn floor(x: f64) -> i32 {
     let cut = x as i32;
     cut - i32::from(x < f64::from(cut))
 }
 
 /// The nearest whole number, halves away from zero; for |x| below 2^31.
-#[inline]
+#[inline(always)]
 pub fn nearest(x: f64) -> i32 {
     let cut = x as i32;
     let rest = x - f64::from(cut);
