@@ -232,16 +232,19 @@ fn outputs_of_very_many_points_stay_in_the_store() {
         return;
     }
     let house = House::new(
-        "rockface: 1\naxes: {k: {count: 1001}}\nsteps:\n  base: {stage: import-table, with: {path: t.csv}}\n  \
+        "rockface: 1\naxes: {k: {count: 1001}, j: {count: 600}}\nsteps:\n  base: {stage: import-table, with: {path: t.csv}}\n  \
          each: {stage: tabulate, over: [k], in: {rows: base.table}}\n  \
-         all: {stage: tabulate, in: {rows: {each: each.table, over: [k]}}}\ntargets: [each, all]\n",
+         few: {stage: tabulate, over: [j], in: {rows: base.table}}\n  \
+         fewer: {stage: tabulate, over: [j], in: {rows: few.table}}\n  \
+         all: {stage: tabulate, in: {rows: {each: each.table, over: [k]}}}\ntargets: [each, few, fewer, all]\n",
     );
     std::fs::write(house.path("t.csv"), "a\n1\n").unwrap();
     let (code, out, err) = house.rockface(&["run", "p.yaml"]);
     assert_eq!(code, Some(0), "{err}");
-    assert!(out.contains("1002 outputs are in the store only"), "{out}");
+    assert!(out.contains("1602 outputs are in the store only"), "{out}");
     let outputs = house.path(".rockface/runs/latest/outputs");
-    assert!(outputs.join("all/table.csv").is_file() && !outputs.join("each").exists());
+    let laid = ["all/table.csv", "few/j=599/table.csv", "each", "fewer"].map(|path| outputs.join(path).exists());
+    assert_eq!(laid, [true, true, false, false]);
     let (code, _, err) = house.rockface(&["export", "latest", "each[k=7].table", "seven.json"]);
     assert!(code == Some(0) && house.path("seven.json").is_file(), "{err}");
     let (code, _, err) = house.rockface(&["run", "p.yaml", "--outputs", "targets"]);
