@@ -124,8 +124,8 @@ impl Crate<'_> {
             ("run.mcap", "application/octet-stream", "log of the run, MCAP"),
             ("report.html", "text/html", "the run on one page, for people"),
         ] {
-            // The manifest is written last of all.
-            if name == MANIFEST || folder.join(name).is_file() {
+            // Manifest and log are always written, the report where its template can be filled in.
+            if name != crate::report::FILE || folder.join(name).is_file() {
                 self.add(name, json!({"@type": "File", "name": name, "description": what, "encodingFormat": format}));
                 self.parts.insert(name.to_owned());
             }

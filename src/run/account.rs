@@ -1,9 +1,10 @@
 //! The account of a run: what its manifest tells of the whole and of each instance.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::SystemTime;
 
-use rockface_cache::Store;
+use rockface_cache::{Digest, RecipeInput, Store};
 use rockface_stages::Entry;
 
 use super::folder::failed;
@@ -91,7 +92,21 @@ fn step(plan: &Plan, summary: &Summary, store: &Store, instance: usize, (entries
         parameters: (*params.recipe).clone(),
         metrics: metrics.collect(),
         files: files.map(|file| FileUsed { path: file.path.clone(), blake3: file.digest }).collect(),
-        inputs: result.recipe(store).map(|recipe| recipe.inputs).unwrap_or_default(),
+        inputs: inputs(plan, summary, store, instance),
         paths: paths.clone(),
+    }
+}
+
+/// What each input port of an instance read. That of the plan, unless a producer was made again since and came out otherwise.
+fn inputs(plan: &Plan, summary: &Summary, store: &Store, instance: usize) -> BTreeMap<String, RecipeInput> {
+    let result = &summary.instances[instance];
+    let digest = |producer: usize, port: &str| {
+        let outcome = summary.instances[producer].outcome.as_ref();
+        outcome.map_or_else(|| Digest::of(b""), |outcome| outcome.outputs[port].digest)
+    };
+    let planned = result.key.map(|key| (key, plan.recipe(instance, digest)));
+    match planned {
+        Some((key, recipe)) if recipe.key() == key => recipe.inputs,
+        _ => result.recipe(store).map(|recipe| recipe.inputs).unwrap_or_default(),
     }
 }

@@ -130,16 +130,17 @@ impl Writer<'_> {
     /// rockface, and last of all writes the manifest, without which a folder is no run.
     fn account(&self, folder: &Path, headlines: &[String], logs: &[Vec<Entry>], laid: &Laid) -> Result<(), RunError> {
         write_file(&folder.join("pipeline.yaml"), self.about.pipeline.text().as_bytes())?;
-        let told = || -> Result<Manifest, RunError> {
-            let manifest = account::manifest(self.plan, self.summary, self.store, self.about, headlines, logs, laid)?;
+        let told = || -> Result<String, RunError> {
+            let mut manifest =
+                account::manifest(self.plan, self.summary, self.store, self.about, headlines, logs, laid)?;
             self.report(folder, &manifest, logs)?;
-            Ok(manifest)
+            let described = serde_json::to_string_pretty(&crate_metadata(folder, &manifest)).unwrap_or_default();
+            write_file(&folder.join("ro-crate-metadata.json"), format!("{described}\n").as_bytes())?;
+            Ok(manifest.text())
         };
         let (logged, manifest) = rayon::join(|| self.log(folder, logs, laid), told);
-        let (mut manifest, ()) = (manifest?, logged?);
-        let described = serde_json::to_string_pretty(&crate_metadata(folder, &manifest)).unwrap_or_default();
-        write_file(&folder.join("ro-crate-metadata.json"), format!("{described}\n").as_bytes())?;
-        write_file(&folder.join("run.json"), manifest.text().as_bytes())
+        logged?;
+        write_file(&folder.join("run.json"), manifest?.as_bytes())
     }
 
     /// Writes the page of the run.

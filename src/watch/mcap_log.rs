@@ -3,7 +3,7 @@
 //! It holds no clock time: an instance takes one second on its timeline, so that a player goes from step to step, and within
 //! a step from point to point (from before a rockfall to after it). Equal runs have equal bytes.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::io::{Seek, Write};
 
 use mcap::records::MessageHeader;
@@ -68,7 +68,8 @@ pub struct Topic {
 pub struct RunLog<W: Write + Seek> {
     writer: mcap::Writer<W>,
     schemas: BTreeMap<&'static str, u16>,
-    channels: BTreeMap<Topic, u16>,
+    /// By topic; one that is told of in two schemas has two.
+    channels: HashMap<String, Vec<(&'static str, u16)>>,
     topics: Vec<Topic>,
     /// The list of recipes, JSON, without its end.
     recipes: String,
@@ -82,7 +83,7 @@ impl<W: Write + Seek> RunLog<W> {
         let mut writer = options.create(out)?;
         let metadata = mcap::records::Metadata { name: "rockface".into(), metadata: about.clone() };
         writer.write_metadata(&metadata)?;
-        let (schemas, channels) = (BTreeMap::new(), BTreeMap::new());
+        let (schemas, channels) = (BTreeMap::new(), HashMap::new());
         Ok(Self { writer, schemas, channels, topics: Vec::new(), recipes: String::new(), second: 0 })
     }
 
@@ -115,9 +116,9 @@ impl<W: Write + Seek> RunLog<W> {
     }
 
     fn channel(&mut self, message: &Message) -> Result<u16, McapError> {
-        let topic = Topic { name: message.topic.clone(), schema: message.schema.name.to_owned() };
-        if let Some(channel) = self.channels.get(&topic) {
-            return Ok(*channel);
+        let known = self.channels.get(&message.topic).into_iter().flatten();
+        if let Some((_, channel)) = known.copied().find(|(schema, _)| *schema == message.schema.name) {
+            return Ok(channel);
         }
         let schema = if let Some(schema) = self.schemas.get(message.schema.name) {
             *schema
@@ -128,9 +129,9 @@ impl<W: Write + Seek> RunLog<W> {
             schema
         };
         let encoding = if message.schema.encoding == "protobuf" { "protobuf" } else { "json" };
-        let channel = self.writer.add_channel(schema, &topic.name, encoding, &BTreeMap::new())?;
-        self.topics.push(topic.clone());
-        self.channels.insert(topic, channel);
+        let channel = self.writer.add_channel(schema, &message.topic, encoding, &BTreeMap::new())?;
+        self.topics.push(Topic { name: message.topic.clone(), schema: message.schema.name.to_owned() });
+        self.channels.entry(message.topic.clone()).or_default().push((message.schema.name, channel));
         Ok(channel)
     }
 

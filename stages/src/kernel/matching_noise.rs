@@ -251,7 +251,7 @@ impl SmoothNoise {
         let cell = [across[first], down[first]];
         let mut one_cell = true;
         for lane in first + 1..LANES {
-            one_cell &= none(lane) || (across[lane] == cell[0] && down[lane] == cell[1]);
+            one_cell &= none(lane) || ((across[lane] - cell[0]).abs() < 0.5 && (down[lane] - cell[1]).abs() < 0.5);
         }
         if one_cell {
             return self.weighted(weights, self.nodes_about(cell[0] as i32, cell[1] as i32));

@@ -18,37 +18,37 @@ const MANTISSA: u64 = (1 << 52) - 1;
 /// Upper half of the square root of 1/2, where the exponent of a logarithm's argument steps.
 const HALF_ROOT: u64 = 0x3fe6_a09e << 32;
 /// Upper and lower part of the logarithm of 2.
-const LN2: [f64; 2] = [6.931_471_803_691_238_164_90e-1, 1.908_214_929_270_587_700_02e-10];
+const LN2: [f64; 2] = [0.693_147_180_369_123_8, 1.908_214_929_270_587_7e-10];
 /// Coefficients of the logarithm (2 artanh s - 2 s) / s in s^2.
 const LOG: [f64; 7] = [
-    6.666_666_666_666_735_130e-1,
-    3.999_999_999_940_941_908e-1,
-    2.857_142_874_366_239_149e-1,
-    2.222_219_843_214_978_396e-1,
-    1.818_357_216_161_805_012e-1,
-    1.531_383_769_920_937_332e-1,
-    1.479_819_860_511_658_591e-1,
+    0.666_666_666_666_673_5,
+    0.399_999_999_994_094_2,
+    0.285_714_287_436_623_9,
+    0.222_221_984_321_497_84,
+    0.181_835_721_616_180_5,
+    0.153_138_376_992_093_73,
+    0.147_981_986_051_165_86,
 ];
 /// Coefficients of (sin x - x) / x^3 in x^2.
 const SIN: [f64; 6] = [
-    -1.666_666_666_666_663_243_48e-1,
-    8.333_333_333_322_489_461_24e-3,
-    -1.984_126_982_985_794_931_34e-4,
-    2.755_731_370_707_006_767_89e-6,
-    -2.505_076_025_340_686_341_95e-8,
-    1.589_690_995_211_550_102_21e-10,
+    -0.166_666_666_666_666_32,
+    0.008_333_333_333_322_49,
+    -0.000_198_412_698_298_579_5,
+    2.755_731_370_707_006_8e-6,
+    -2.505_076_025_340_686_3e-8,
+    1.589_690_995_211_55e-10,
 ];
 /// Coefficients of (cos x - 1 + x^2 / 2) / x^4 in x^2.
 const COS: [f64; 6] = [
-    4.166_666_666_666_660_190_37e-2,
-    -1.388_888_888_887_410_957_49e-3,
-    2.480_158_728_947_672_941_78e-5,
-    -2.755_731_435_139_066_330_35e-7,
-    2.087_572_321_298_174_827_90e-9,
-    -1.135_964_755_778_819_482_65e-11,
+    0.041_666_666_666_666_6,
+    -0.001_388_888_888_887_411,
+    2.480_158_728_947_673e-5,
+    -2.755_731_435_139_066_3e-7,
+    2.087_572_321_298_175e-9,
+    -1.135_964_755_778_819_5e-11,
 ];
 /// A quarter turn: its first 33 bits, and what is left of it.
-const QUARTER: [f64; 2] = [1.570_796_326_734_125_614_17, 6.077_100_506_506_192_249_32e-11];
+const QUARTER: [f64; 2] = [1.570_796_326_734_125_6, 6.077_100_506_506_192e-11];
 
 /// [`log`] of several positive numbers that are neither subnormal nor infinite: the same bits.
 #[inline(always)]
@@ -87,7 +87,8 @@ pub fn sincos_lanes<const N: usize>(x: Lanes<N>) -> [Lanes<N>; 2] {
     let cos = left + (((-left + 1.0) - half) + (z * r - y0 * y1));
     // The second and the fourth quarter swap sine and cosine.
     let place = quarter.map(|quarter| if quarter > 2.0 { quarter - 2.0 } else { quarter });
-    let [sine, cosine] = [place.choose(|p| p == 1.0, cos, sin), place.choose(|p| p == 1.0, sin, cos)];
+    let swaps = |place: f64| (place - 1.0).abs() < 0.5;
+    let [sine, cosine] = [place.choose(swaps, cos, sin), place.choose(swaps, sin, cos)];
     let sine_sign =
         quarter.map(|q| if q > 1.0 { -1.0 } else { 1.0 }).with(quarter, |s, q| if q > 3.0 { 1.0 } else { s });
     let cosine_sign =
