@@ -2,7 +2,6 @@
 
 use crate::kernel::camera::Camera;
 use crate::kernel::lanes::{LANES, Lanes, both};
-use crate::kernel::whole::floor;
 
 /// Image pixels between the places where the step from the true ray to the noisy one is known.
 const SPACING_PX: f64 = 32.0;
@@ -34,16 +33,7 @@ impl NoisyRays {
         Self { columns, rows, steps: (0..columns * rows).map(step).collect() }
     }
 
-    /// Undistorts a position with the noisy interior orientation; `true_ray` is what the true one makes of it.
-    #[inline]
-    pub fn ray(&self, noisy: &Camera, pixel: [f64; 2], true_ray: [f64; 2]) -> Option<[f64; 2]> {
-        let near = self
-            .step(pixel)
-            .and_then(|step| noisy.normalised_near(pixel, [true_ray[0] + step[0], true_ray[1] + step[1]]));
-        near.or_else(|| noisy.normalised(pixel))
-    }
-
-    /// As [`NoisyRays::ray`], for several positions; none where there is none.
+    /// Undistorts positions with the noisy interior orientation; `true_ray` is what the true one makes of them. None where there is none.
     #[inline(always)]
     pub fn ray_lanes(&self, noisy: &Camera, pixel: [Lanes; 2], true_ray: [Lanes; 2]) -> [Lanes; 2] {
         let [x, y] = both(pixel, |p| p / SPACING_PX + 0.5);
@@ -80,34 +70,45 @@ impl NoisyRays {
         }
         found
     }
-
-    /// The step at a position, between the four places around it.
-    #[inline]
-    fn step(&self, pixel: [f64; 2]) -> Option<[f64; 2]> {
-        let [x, y] = pixel.map(|p| p / SPACING_PX + 0.5);
-        let (column, row) = (floor(x), floor(y));
-        let (tx, ty) = (x - f64::from(column), y - f64::from(row));
-        let (column, row) = (usize::try_from(column).ok()?, usize::try_from(row).ok()?);
-        if column + 1 >= self.columns || row + 1 >= self.rows {
-            return None;
-        }
-        let at = row * self.columns + column;
-        let (above, below) = (&self.steps[at..at + 2], &self.steps[at + self.columns..at + self.columns + 2]);
-        let between = |i: usize| {
-            let (top, bottom) =
-                (above[0][i] + tx * (above[1][i] - above[0][i]), below[0][i] + tx * (below[1][i] - below[0][i]));
-            top + ty * (bottom - top)
-        };
-        let step = [between(0), between(1)];
-        (!step[0].is_nan()).then_some(step)
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::artefact::Sensor;
+    use crate::kernel::whole::floor;
     use crate::testing::{image_at, small_sensor};
+
+    /// One position at a time.
+    impl NoisyRays {
+        /// Undistorts a position with the noisy interior orientation; `true_ray` is what the true one makes of it.
+        fn ray(&self, noisy: &Camera, pixel: [f64; 2], true_ray: [f64; 2]) -> Option<[f64; 2]> {
+            let near = self
+                .step(pixel)
+                .and_then(|step| noisy.normalised_near(pixel, [true_ray[0] + step[0], true_ray[1] + step[1]]));
+            near.or_else(|| noisy.normalised(pixel))
+        }
+
+        /// The step at a position, between the four places around it.
+        fn step(&self, pixel: [f64; 2]) -> Option<[f64; 2]> {
+            let [x, y] = pixel.map(|p| p / SPACING_PX + 0.5);
+            let (column, row) = (floor(x), floor(y));
+            let (tx, ty) = (x - f64::from(column), y - f64::from(row));
+            let (column, row) = (usize::try_from(column).ok()?, usize::try_from(row).ok()?);
+            if column + 1 >= self.columns || row + 1 >= self.rows {
+                return None;
+            }
+            let at = row * self.columns + column;
+            let (above, below) = (&self.steps[at..at + 2], &self.steps[at + self.columns..at + self.columns + 2]);
+            let between = |i: usize| {
+                let (top, bottom) =
+                    (above[0][i] + tx * (above[1][i] - above[0][i]), below[0][i] + tx * (below[1][i] - below[0][i]));
+                top + ty * (bottom - top)
+            };
+            let step = [between(0), between(1)];
+            (!step[0].is_nan()).then_some(step)
+        }
+    }
 
     #[test]
     fn rays_are_those_of_their_pixels() {
