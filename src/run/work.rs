@@ -308,8 +308,10 @@ fn keep(
 ) -> Result<Outcome, Failure> {
     let mut outputs = Outputs::default();
     for (port, value) in values {
-        let encoded = pool
-            .install(|| value.encode())
+        // Writing text takes no threads; waking those of the pool would cost more.
+        let text = value.kind().extension() == "json";
+        let encoded = if text { value.encode() } else { pool.install(|| value.encode()) };
+        let encoded = encoded
             .map_err(|error| Failure::Stage(StageError::new(format!("output `{port}` cannot be written: {error}"))))?;
         let digest = if task.keep { store.put(&encoded)? } else { Digest::of(&encoded) };
         let record = OutputRecord {
