@@ -55,17 +55,17 @@ mod tests {
         let pipeline = |included| PipelineText {
             name: "p".into(),
             path: "work/main.yaml".into(),
-            folder: "/home/me/work".into(),
+            folder: "/site/work".into(),
             text: "include: …".into(),
             included,
         };
         assert!(source_files(&pipeline(Vec::new())).is_empty());
-        let beside = pipeline(vec![included("/home/me/work/./parts/a.yaml")]);
+        let beside = pipeline(vec![included("/site/work/./parts/a.yaml")]);
         let paths = |pipeline: &PipelineText| -> Vec<String> {
             source_files(pipeline).iter().map(|(path, _)| path.display().to_string()).collect()
         };
         assert_eq!(paths(&beside), ["main.yaml", "parts/a.yaml"]);
-        let elsewhere = pipeline(vec![included("/home/me/work/../shared/a.yaml"), included("/home/me/work/b.yaml")]);
+        let elsewhere = pipeline(vec![included("/site/work/../shared/a.yaml"), included("/site/work/b.yaml")]);
         assert_eq!(paths(&elsewhere), ["work/main.yaml", "shared/a.yaml", "work/b.yaml"]);
     }
 }
