@@ -17,11 +17,11 @@
 //!
 //! ```text
 //! format          the format version, one line
+//! keys.lock       empty; its bytes are locked for the keys being computed now
 //! CACHEDIR.TAG    tells backup programs to pass by
 //! blobs/ab/abcd…  blobs of 64 KiB and more, one file each, read-only
 //! segments/*.seg  append-only frames: small blobs, records, notes, file digests; one live writer each
 //! live/           one file for each process that runs something: what it counts on
-//! locks/          one file for each key being computed now
 //! quarantine/     damaged blobs
 //! trees/          at most 16: long texts taken apart, for whoever reads them again
 //! scratch/        folders in which programs work now

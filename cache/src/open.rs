@@ -21,8 +21,8 @@ pub(crate) const TEMPORARY_BLOB: &str = "blob-";
 pub(crate) const BLOBS: &str = "blobs";
 /// The folder of segments.
 pub(crate) const SEGMENTS: &str = "segments";
-/// The folder of lock files.
-pub(crate) const LOCKS: &str = "locks";
+/// The file whose bytes are locked for the keys being computed.
+pub(crate) const LOCKS: &str = "keys.lock";
 /// The folder of damaged blobs.
 pub(crate) const QUARANTINE: &str = "quarantine";
 /// The folder of half-written blobs.
@@ -62,7 +62,7 @@ pub(crate) fn prepare(dir: &Path) -> Result<(), StoreError> {
         },
         Err(fault) => return Err(StoreError::io("read", &format, fault)),
     }
-    for folder in [BLOBS, SEGMENTS, LOCKS, QUARANTINE, TMP, SCRATCH, LIVE, TREES] {
+    for folder in [BLOBS, SEGMENTS, QUARANTINE, TMP, SCRATCH, LIVE, TREES] {
         let path = dir.join(folder);
         fs::create_dir_all(&path).at("make the folder", &path)?;
     }
@@ -71,8 +71,7 @@ pub(crate) fn prepare(dir: &Path) -> Result<(), StoreError> {
     }
     sweep(&dir.join(TMP), TEMPORARY_BLOB)?;
     crate::scratch::sweep(&dir.join(SCRATCH))?;
-    sweep(&dir.join(LIVE), "")?;
-    sweep(&dir.join(LOCKS), "")
+    sweep(&dir.join(LIVE), "")
 }
 
 fn wrong_format(dir: &Path, found: &str) -> StoreError {
