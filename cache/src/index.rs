@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
+use std::sync::OnceLock;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::Digest;
@@ -58,6 +59,8 @@ struct Entry {
     stamp: u64,
     check: [u8; 16],
     payload: Box<[u8]>,
+    /// Whether the payload is what was written, once somebody has asked.
+    is_whole: OnceLock<bool>,
 }
 
 /// Everything the segments hold.
@@ -132,7 +135,7 @@ impl Index {
             Kind::Mark | Kind::Unknown => return,
         };
         self.clock = self.clock.max(header.stamp);
-        let entry = Entry { stamp: header.stamp, check: header.check, payload };
+        let entry = Entry { stamp: header.stamp, check: header.check, payload, is_whole: OnceLock::new() };
         match map.get_mut(&header.name) {
             Some(older) if older.stamp > entry.stamp => {}
             Some(older) => *older = entry,
@@ -176,7 +179,8 @@ impl Index {
     /// The latest payload of this kind under `key`, if it is whole.
     pub(crate) fn payload(&self, kind: Kind, key: &Digest) -> Option<&[u8]> {
         let entry = self.entry(kind, key)?;
-        (payload_check(&entry.payload) == entry.check).then_some(&*entry.payload)
+        let is_whole = entry.is_whole.get_or_init(|| payload_check(&entry.payload) == entry.check);
+        is_whole.then_some(&*entry.payload)
     }
 
     /// When the latest payload of this kind under `key` was written.

@@ -63,7 +63,7 @@ pub use locks::KeyLock;
 pub use materialise::Materialised;
 pub use open::TREES;
 pub use outputs::Outputs;
-pub use recipe::{Gathered, Recipe, RecipeInput, SeedMaterial};
+pub use recipe::{Gathered, Recipe, RecipeInput, SeedMaterial, shared};
 pub use record::{Cost, Outcome, OutputRecord, Record};
 pub use scratch::Scratch;
 pub use store::{Store, StoreStat};

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::Digest;
@@ -21,7 +21,7 @@ pub struct Recipe {
     /// The version of the stage's code.
     pub version: u32,
     /// The parameters, defaults filled in, files replaced by their digests.
-    #[serde(serialize_with = "write_shared", deserialize_with = "read_shared")]
+    #[serde(with = "shared")]
     pub params: Arc<Value>,
     /// What each input port reads.
     pub inputs: BTreeMap<String, RecipeInput>,
@@ -103,12 +103,22 @@ impl SeedMaterial {
     }
 }
 
-fn write_shared<S: Serializer>(value: &Arc<Value>, serializer: S) -> Result<S::Ok, S::Error> {
-    value.serialize(serializer)
-}
+/// A value that others hold too, written as if it were held by one alone; for `#[serde(with)]`.
+pub mod shared {
+    use std::sync::Arc;
 
-fn read_shared<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Arc<Value>, D::Error> {
-    Value::deserialize(deserializer).map(Arc::new)
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+    use serde_json::Value;
+
+    /// Writes the value.
+    pub fn serialize<S: Serializer>(value: &Arc<Value>, serializer: S) -> Result<S::Ok, S::Error> {
+        value.as_ref().serialize(serializer)
+    }
+
+    /// Reads a value that nobody else holds yet.
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Arc<Value>, D::Error> {
+        Value::deserialize(deserializer).map(Arc::new)
+    }
 }
 
 fn write_input(out: &mut String, input: &RecipeInput) {

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use rockface_cache::{Cost, Digest, Outputs, RecipeInput};
 use serde::{Deserialize, Serialize};
@@ -109,7 +110,8 @@ pub struct StepDone {
     /// What it took when it was computed.
     pub cost: Option<Cost>,
     /// Its parameters, files replaced by their digests.
-    pub parameters: Value,
+    #[serde(with = "rockface_cache::shared")]
+    pub parameters: Arc<Value>,
     /// The numbers it told.
     #[serde(default)]
     pub metrics: Vec<Metric>,
@@ -176,18 +178,18 @@ impl Manifest {
     }
 
     /// The text of the file: JSON, with a line for each step instance.
-    pub fn text(&mut self) -> String {
+    pub fn text(mut self) -> String {
         let steps = std::mem::take(&mut self.steps);
-        let mut text = serde_json::to_string_pretty(self).unwrap_or_default();
+        let mut text = serde_json::to_vec_pretty(&self).unwrap_or_default();
         // `steps` is the last field; its list is empty now.
-        text.truncate(text.trim_end_matches([']', '}', '\n', ' ']).len());
+        text.truncate(text.trim_ascii_end().strip_suffix(b"]\n}").map_or(0, <[u8]>::len));
         for (number, done) in steps.iter().enumerate() {
-            text.push_str(if number == 0 { "\n    " } else { ",\n    " });
-            text.push_str(&serde_json::to_string(done).unwrap_or_default());
+            text.extend_from_slice(if number == 0 { b"\n    " } else { b",\n    " });
+            // Into memory, and of nothing that JSON cannot hold.
+            let _ = serde_json::to_writer(&mut text, done);
         }
-        text.push_str(if steps.is_empty() { "]\n}\n" } else { "\n  ]\n}\n" });
-        self.steps = steps;
-        text
+        text.extend_from_slice(if steps.is_empty() { b"]\n}\n" } else { b"\n  ]\n}\n" });
+        String::from_utf8(text).unwrap_or_default()
     }
 }
 

@@ -168,9 +168,20 @@ impl Plan {
 
     /// Everything that decides the outputs of an instance, once the digests of its inputs are known.
     pub fn recipe(&self, instance: usize, digest: impl Fn(usize, &str) -> Digest) -> Recipe {
+        let (step, params) = (self.step(instance), &self.instances[instance].params);
+        Recipe {
+            stage: step.stage.name().to_owned(),
+            version: step.stage.version(),
+            params: params.recipe.clone(),
+            inputs: self.inputs(instance, digest),
+            seed: params.draws.then(|| self.seed(instance)),
+        }
+    }
+
+    /// What each input port of an instance reads, once the digests of its inputs are known.
+    pub fn inputs(&self, instance: usize, digest: impl Fn(usize, &str) -> Digest) -> BTreeMap<String, RecipeInput> {
         let step = self.step(instance);
-        let own = &self.instances[instance];
-        let inputs = own.inputs.iter().map(|(port, given)| {
+        let inputs = self.instances[instance].inputs.iter().map(|(port, given)| {
             let many = step.inputs.iter().any(|(p, feed)| p.name == *port && matches!(feed, Feed::Each { .. }));
             let input = match given.as_slice() {
                 [one] if !many => RecipeInput::One(digest(one.instance, one.port)),
@@ -182,13 +193,7 @@ impl Plan {
             };
             ((*port).to_owned(), input)
         });
-        Recipe {
-            stage: step.stage.name().to_owned(),
-            version: step.stage.version(),
-            params: own.params.recipe.clone(),
-            inputs: inputs.collect(),
-            seed: own.params.draws.then(|| self.seed(instance)),
-        }
+        inputs.collect()
     }
 
     fn seed(&self, instance: usize) -> SeedMaterial {

@@ -66,7 +66,7 @@ fn runs_side_by_side_tell_what_differs() {
         crate::history::PastRun { name: "one".into(), folder: "/nowhere".into(), manifest: manifest(), pinned: false };
     let mut other = one.clone();
     other.name = "other".into();
-    other.manifest.steps[1].parameters = json!({"cell_m": 0.5, "name": "x"});
+    other.manifest.steps[1].parameters = json!({"cell_m": 0.5, "name": "x"}).into();
     let page = comparison(&[one, other], None).unwrap();
     assert!(page.contains("noise.cell_m") && page.contains("noise[trial=0].sill") && page.contains("other"));
 }

@@ -89,7 +89,7 @@ fn step(plan: &Plan, summary: &Summary, store: &Store, instance: usize, (entries
         log: outcome.and_then(|outcome| outcome.log),
         sketches: outcome.and_then(|outcome| outcome.sketches),
         cost: outcome.map(|outcome| outcome.cost),
-        parameters: (*params.recipe).clone(),
+        parameters: params.recipe.clone(),
         metrics: metrics.collect(),
         files: files.map(|file| FileUsed { path: file.path.clone(), blake3: file.digest }).collect(),
         inputs: inputs(plan, summary, store, instance),
@@ -97,16 +97,15 @@ fn step(plan: &Plan, summary: &Summary, store: &Store, instance: usize, (entries
     }
 }
 
-/// What each input port of an instance read. That of the plan, unless a producer was made again since and came out otherwise.
+/// What each input port of an instance read. That of the plan, unless a step was made again since and came out otherwise.
 fn inputs(plan: &Plan, summary: &Summary, store: &Store, instance: usize) -> BTreeMap<String, RecipeInput> {
     let result = &summary.instances[instance];
     let digest = |producer: usize, port: &str| {
         let outcome = summary.instances[producer].outcome.as_ref();
         outcome.map_or_else(|| Digest::of(b""), |outcome| outcome.outputs[port].digest)
     };
-    let planned = result.key.map(|key| (key, plan.recipe(instance, digest)));
-    match planned {
-        Some((key, recipe)) if recipe.key() == key => recipe.inputs,
-        _ => result.recipe(store).map(|recipe| recipe.inputs).unwrap_or_default(),
+    if result.key.is_some() && !summary.revised {
+        return plan.inputs(instance, digest);
     }
+    result.recipe(store).map(|recipe| recipe.inputs).unwrap_or_default()
 }

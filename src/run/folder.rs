@@ -1,6 +1,7 @@
 //! The folder of a run: manifest, log, and outputs under names people can read.
 
 use std::collections::BTreeMap;
+use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
@@ -11,7 +12,7 @@ use serde_json::json;
 use super::lay_out::{Laid, LayOut, readable_name};
 use super::log::{LOG_FILE, Telling};
 use super::unfinished::{self, Unfinished};
-use super::{RunError, Summary, account};
+use super::{InstanceResult, RunError, Summary, account};
 use crate::history::{Manifest, crate_metadata};
 use crate::pipeline::{Overrides, Pipeline};
 use crate::plan::Plan;
@@ -90,11 +91,12 @@ fn plan_key(plan: &Plan, summary: &Summary, runs: &Path, about: &RunFolder) -> D
     let targets: Vec<&str> = plan.graph.targets.iter().map(|step| plan.graph.steps[*step].name.as_str()).collect();
     let set = (&about.overrides.set, &about.overrides.sweep, about.overrides.seed, plan.graph.seed);
     let texts: Vec<&str> = about.pipeline.files().map(|file| file.text.as_str()).collect();
+    let unknown = Digest::of(b"");
     let mut text = json!([plan.graph.name, runs, targets, set, texts, about.lay_out]).to_string();
     text.push('\n');
     for (instance, result) in summary.instances.iter().enumerate() {
-        let key = result.key.map_or_else(|| "unknown".to_owned(), |key| key.to_string());
-        text.push_str(&format!("{} {key}\n", plan.label(instance)));
+        let key = result.key.unwrap_or(unknown);
+        let _ = writeln!(text, "{} {key}", plan.label(instance));
     }
     Digest::of(text.as_bytes())
 }
@@ -119,28 +121,44 @@ impl Writer<'_> {
 
     fn fill(&self, folder: &Path) -> Result<Finished, RunError> {
         let laid = self.about.lay_out.lay_out(self.plan, self.summary, self.store, folder)?;
-        let results = self.summary.instances.iter();
-        let logs = results.map(|result| self.entries(result.outcome.as_ref())).collect::<Result<Vec<_>, _>>()?;
+        let logs = self.logs()?;
         let headlines = self.headlines(&logs);
         self.account(folder, &headlines, &logs, &laid)?;
         Ok(Finished { folder: folder.to_owned(), headlines, files: laid.of_targets, unnamed: laid.unnamed })
     }
 
-    /// Writes the log and beside it the page, describes the folder as a research object for programs that know nothing of
-    /// rockface, and last of all writes the manifest, without which a folder is no run.
+    /// Writes the log, the page, a description of the folder as a research object for programs that know nothing of rockface,
+    /// and last of all the manifest, without which a folder is no run.
     fn account(&self, folder: &Path, headlines: &[String], logs: &[Vec<Entry>], laid: &Laid) -> Result<(), RunError> {
         write_file(&folder.join("pipeline.yaml"), self.about.pipeline.text().as_bytes())?;
+        let Self { plan, summary, store, about } = self;
         let told = || -> Result<String, RunError> {
-            let mut manifest =
-                account::manifest(self.plan, self.summary, self.store, self.about, headlines, logs, laid)?;
+            let manifest = account::manifest(plan, summary, store, about, headlines, logs, laid)?;
             self.report(folder, &manifest, logs)?;
             let described = serde_json::to_string_pretty(&crate_metadata(folder, &manifest)).unwrap_or_default();
             write_file(&folder.join("ro-crate-metadata.json"), format!("{described}\n").as_bytes())?;
             Ok(manifest.text())
         };
-        let (logged, manifest) = rayon::join(|| self.log(folder, logs, laid), told);
+        let (logged, manifest) = self.beside(|| self.log(folder, logs, laid), told)?;
         logged?;
         write_file(&folder.join("run.json"), manifest?.as_bytes())
+    }
+
+    /// Does two things at once, the second in this thread; one after the other if there is to be one job.
+    fn beside<A: Send, B>(
+        &self,
+        other: impl FnOnce() -> A + Send,
+        own: impl FnOnce() -> B,
+    ) -> Result<(A, B), RunError> {
+        if self.about.jobs < 2 {
+            return Ok((other(), own()));
+        }
+        std::thread::scope(|scope| {
+            let other = std::thread::Builder::new().spawn_scoped(scope, other);
+            let other = other.map_err(|error| RunError::Threads(error.to_string()))?;
+            let own = own();
+            Ok((other.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)), own))
+        })
     }
 
     /// Writes the page of the run.
@@ -171,6 +189,18 @@ impl Writer<'_> {
             }
         }
         Err(failed(&self.about.runs.join(name))(std::io::ErrorKind::AlreadyExists.into()))
+    }
+
+    /// What each instance said.
+    fn logs(&self) -> Result<Vec<Vec<Entry>>, RunError> {
+        let read = |part: &[InstanceResult]| -> Result<Vec<_>, RunError> {
+            part.iter().map(|result| self.entries(result.outcome.as_ref())).collect()
+        };
+        let (former, latter) = self.summary.instances.split_at(self.summary.instances.len() / 2);
+        let (latter, former) = self.beside(|| read(latter), || read(former))?;
+        let mut logs = former?;
+        logs.extend(latter?);
+        Ok(logs)
     }
 
     fn entries(&self, outcome: Option<&Outcome>) -> Result<Vec<Entry>, RunError> {

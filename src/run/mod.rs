@@ -98,6 +98,8 @@ pub struct Summary {
     pub wall_s: f64,
     /// Whether a step failed.
     pub failed: bool,
+    /// Whether a step that was made again came out otherwise than what others had read by then.
+    revised: bool,
 }
 
 /// What became of one instance.

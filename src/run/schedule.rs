@@ -1,9 +1,10 @@
 //! The scheduler: one thread owns every state, workers only compute, and a step whose output did not change stops the wave.
 
+use std::cell::Cell;
 use std::collections::{BinaryHeap, HashMap, VecDeque};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use rockface_cache::{Digest, Outcome, Store, StoreError};
@@ -38,26 +39,42 @@ pub fn run(
     let pool = rayon::ThreadPoolBuilder::new().num_threads(options.jobs).build();
     let pool = pool.map_err(|error| RunError::Threads(error.to_string()))?;
     let (sender, receiver) = channel();
+    let (tasks, queue) = channel::<Task>();
+    let (queue, workers) = (Mutex::new(queue), Cell::new(0));
+    let worker = |sender: Sender<Message>| {
+        while let Some(task) = next_task(&queue) {
+            let instance = task.instance;
+            let waiting = || drop(sender.send(Message::Waiting(instance)));
+            let result = work::guarded(|| work::work(&task, store, &pool, stop, waiting));
+            // Its inputs are let go before the scheduler hears of it, which then counts what is in memory.
+            drop(task);
+            // Nobody listens any more once the run was stopped.
+            let _ = sender.send(Message::Done(instance, Box::new(result)));
+        }
+    };
     std::thread::scope(|scope| {
-        let start = |task: Task| {
-            let sender: Sender<Message> = sender.clone();
-            let pool = &pool;
-            let worker = move || {
-                let instance = task.instance;
-                let waiting = || drop(sender.send(Message::Waiting(instance)));
-                let result = work::guarded(|| work::work(&task, store, pool, stop, waiting));
-                // Nobody listens any more once the run was stopped.
-                let _ = sender.send(Message::Done(instance, Box::new(result)));
-            };
-            let spawned = std::thread::Builder::new().spawn_scoped(scope, worker);
-            spawned.map(drop).map_err(|error| RunError::Threads(error.to_string()))
+        // Workers live until the scheduler is gone and with it the sender of tasks.
+        let worker = &worker;
+        let start = move |task: Task, running: usize| {
+            if workers.get() < running {
+                let sender = sender.clone();
+                let spawned = std::thread::Builder::new().spawn_scoped(scope, move || worker(sender));
+                spawned.map_err(|error| RunError::Threads(error.to_string()))?;
+                workers.set(running);
+            }
+            tasks.send(task).map_err(|_| RunError::Threads("all of them are gone".to_owned()))
         };
         Scheduler::new(plan, store, options, observer).run(&start, &receiver, stop)
     })
 }
 
-/// Starts a worker.
-type Start<'s> = dyn Fn(Task) -> Result<(), RunError> + 's;
+/// Waits for work; `None` when there will be none.
+fn next_task(queue: &Mutex<Receiver<Task>>) -> Option<Task> {
+    queue.lock().unwrap_or_else(PoisonError::into_inner).recv().ok()
+}
+
+/// Hands a task to a worker; so many are running, with this one.
+type Start<'s> = dyn Fn(Task, usize) -> Result<(), RunError> + 's;
 
 /// What the scheduler still has to do for an instance; done one after the other, so that no chain is too long.
 pub enum Turn {
@@ -94,6 +111,8 @@ pub struct Scheduler<'a> {
     pub(super) timing: Timing,
     pub(super) memory_bytes: usize,
     pub(super) failure: bool,
+    /// A step that was made again came out otherwise.
+    pub(super) revised: bool,
     /// How much the log shows of each instance; found when it is first asked for.
     pub(super) log_levels: Option<Vec<LogLevel>>,
     /// What running instances are expected to need, bytes, by instance.
@@ -121,6 +140,7 @@ impl<'a> Scheduler<'a> {
             computing: HashMap::new(),
             memory_bytes: 0,
             failure: false,
+            revised: false,
             log_levels: None,
             needs: HashMap::new(),
             estimates: HashMap::new(),
@@ -214,7 +234,7 @@ impl<'a> Scheduler<'a> {
         self.states.set(instance, Status::Running);
         let reason = if task.remake || self.states[instance].recorded { Reason::Needed } else { Reason::New };
         self.tell(&Event::Started { step: self.plan.label(instance), reason });
-        start(task).inspect_err(|_| self.running -= 1)
+        start(task, self.running).inspect_err(|_| self.running -= 1)
     }
 
     /// Lets running stages notice the stop; those that do not in time are left behind by ending the process.
@@ -348,7 +368,12 @@ impl<'a> Scheduler<'a> {
             recipe: state.recipe.map(|recipe| *recipe),
             executed: state.executed,
         });
-        Summary { instances: instances.collect(), wall_s: elapsed.as_secs_f64(), failed: self.failure }
+        Summary {
+            instances: instances.collect(),
+            wall_s: elapsed.as_secs_f64(),
+            failed: self.failure,
+            revised: self.revised,
+        }
     }
 }
 

@@ -191,6 +191,7 @@ impl Scheduler<'_> {
         self.states.set(instance, Status::Done);
         let state = &mut self.states[instance];
         (state.remaking, state.outcome) = (false, Some(outcome));
+        self.revised |= changed;
         if changed {
             // What is done keeps the former output; what is still to run has it in its recipe and looks again.
             for dependent in &self.plan.instances[instance].dependents {
