@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::SystemTime;
 
 use rockface_cache::{Digest, Outcome, Store};
@@ -61,8 +62,15 @@ pub struct Finished {
     pub unnamed: usize,
 }
 
-/// Tells of a run. One in which nothing was executed is told by its former folder, if that is still there.
-pub fn finish(plan: &Plan, summary: &Summary, store: &Store, about: &RunFolder) -> Result<Finished, RunError> {
+/// Tells of a run. One in which nothing was executed is told by its former folder, if that is still there. A stop leaves no
+/// folder: whatever was computed is in the store, and the next run tells of it.
+pub fn finish(
+    plan: &Plan,
+    summary: &Summary,
+    store: &Store,
+    about: &RunFolder,
+    stop: &AtomicBool,
+) -> Result<Finished, RunError> {
     let runs = std::path::absolute(about.runs).map_err(failed(about.runs))?;
     let key = plan_key(plan, summary, &runs, about);
     if summary.executed() == 0 && !summary.failed {
@@ -72,7 +80,7 @@ pub fn finish(plan: &Plan, summary: &Summary, store: &Store, about: &RunFolder) 
             return Ok(former);
         }
     }
-    let finished = Writer { plan, summary, store, about }.write(&key)?;
+    let finished = Writer { plan, summary, store, about, stop }.write(&key)?;
     if !summary.failed {
         store.remember_run(&key, &json!(finished))?;
         store.sync()?;
@@ -106,6 +114,7 @@ struct Writer<'a> {
     summary: &'a Summary,
     store: &'a Store,
     about: &'a RunFolder<'a>,
+    stop: &'a AtomicBool,
 }
 
 impl Writer<'_> {
@@ -120,7 +129,7 @@ impl Writer<'_> {
     }
 
     fn fill(&self, folder: &Path) -> Result<Finished, RunError> {
-        let laid = self.about.lay_out.lay_out(self.plan, self.summary, self.store, folder)?;
+        let laid = self.about.lay_out.lay_out(self.plan, self.summary, self.store, folder, self.stop)?;
         let logs = self.logs()?;
         let headlines = self.headlines(&logs);
         self.account(folder, &headlines, &logs, &laid)?;
@@ -131,10 +140,12 @@ impl Writer<'_> {
     /// and last of all the manifest, without which a folder is no run.
     fn account(&self, folder: &Path, headlines: &[String], logs: &[Vec<Entry>], laid: &Laid) -> Result<(), RunError> {
         write_file(&folder.join("pipeline.yaml"), self.about.pipeline.text().as_bytes())?;
-        let Self { plan, summary, store, about } = self;
+        let Self { plan, summary, store, about, .. } = self;
         let told = || -> Result<String, RunError> {
             let manifest = account::manifest(plan, summary, store, about, headlines, logs, laid)?;
+            going_on(self.stop)?;
             self.report(folder, &manifest, logs)?;
+            going_on(self.stop)?;
             let described = serde_json::to_string_pretty(&crate_metadata(folder, &manifest)).unwrap_or_default();
             write_file(&folder.join("ro-crate-metadata.json"), format!("{described}\n").as_bytes())?;
             Ok(manifest.text())
@@ -194,7 +205,7 @@ impl Writer<'_> {
     /// What each instance said.
     fn logs(&self) -> Result<Vec<Vec<Entry>>, RunError> {
         let read = |part: &[InstanceResult]| -> Result<Vec<_>, RunError> {
-            part.iter().map(|result| self.entries(result.outcome.as_ref())).collect()
+            part.iter().map(|result| going_on(self.stop).and_then(|()| self.entries(result.outcome.as_ref()))).collect()
         };
         let (former, latter) = self.summary.instances.split_at(self.summary.instances.len() / 2);
         let (latter, former) = self.beside(|| read(latter), || read(former))?;
@@ -231,8 +242,14 @@ impl Writer<'_> {
         ]);
         let Self { plan, summary, store, .. } = self;
         let pipeline_text = self.about.pipeline.text();
-        Telling { plan, summary, store, entries: logs, paths: &laid.paths, about, pipeline_text }.write(folder)
+        let paths = &laid.paths;
+        Telling { plan, summary, store, entries: logs, paths, about, pipeline_text, stop: self.stop }.write(folder)
     }
+}
+
+/// Whether nobody has asked for a stop.
+pub(super) fn going_on(stop: &AtomicBool) -> Result<(), RunError> {
+    if stop.load(Ordering::Relaxed) { Err(RunError::Interrupted) } else { Ok(()) }
 }
 
 /// Writes a whole file or none.

@@ -2,12 +2,13 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
 
 use rockface_cache::{Digest, Outcome, OutputRecord, Store};
 use rockface_stages::artefact::{Artefact, Kind};
 use serde::{Deserialize, Serialize};
 
-use super::folder::failed;
+use super::folder::{failed, going_on};
 use super::{RunError, Summary};
 use crate::plan::Plan;
 
@@ -46,13 +47,21 @@ pub struct Laid {
 
 impl LayOut {
     /// Gives the outputs of a run their names.
-    pub fn lay_out(self, plan: &Plan, summary: &Summary, store: &Store, folder: &Path) -> Result<Laid, RunError> {
+    pub fn lay_out(
+        self,
+        plan: &Plan,
+        summary: &Summary,
+        store: &Store,
+        folder: &Path,
+        stop: &AtomicBool,
+    ) -> Result<Laid, RunError> {
         let counts = counts(plan, summary);
         let is_large = counts.iter().sum::<usize>() > OUTPUTS_LIMIT;
         let fitting = fitting_targets(plan, &counts);
         let layer = Layer { plan, store, folder };
         let mut laid = Laid::default();
         for (instance, result) in summary.instances.iter().enumerate() {
+            going_on(stop)?;
             let is_target = plan.targets.binary_search(&instance).is_ok();
             let is_wanted = match self {
                 Self::All => true,

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::io::BufWriter;
 use std::path::Path;
+use std::sync::atomic::AtomicBool;
 
 use rockface_cache::{Outcome, Record, Store};
 use rockface_stages::Entry;
@@ -35,6 +36,8 @@ pub struct Telling<'a> {
     pub about: BTreeMap<String, String>,
     /// The text of the pipeline.
     pub pipeline_text: &'a str,
+    /// Set when the user asks for a stop.
+    pub stop: &'a AtomicBool,
 }
 
 impl Telling<'_> {
@@ -47,6 +50,7 @@ impl Telling<'_> {
         let levels = self.plan.log_levels();
         let mut numbers: Vec<(String, String)> = Vec::new();
         for (instance, result) in self.summary.instances.iter().enumerate() {
+            super::folder::going_on(self.stop)?;
             let Some(outcome) = &result.outcome else { continue };
             let shown = if levels[instance] == LogLevel::Full { self.shown(result, outcome)? } else { Ok(Vec::new()) };
             let (shown, unshown) = shown.map_or_else(|why| (Vec::new(), why), |shown| (shown, String::new()));

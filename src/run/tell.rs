@@ -27,7 +27,7 @@ pub fn execute_and_tell(
     let mut summary = execute(plan, store, options, stop, observer)?;
     let mut lost = BTreeSet::new();
     loop {
-        let error = match finish(plan, &summary, store, about) {
+        let error = match finish(plan, &summary, store, about, stop) {
             Ok(finished) => return Ok((summary, finished)),
             Err(error) => error,
         };

@@ -1,6 +1,7 @@
 //! Run folders as others find them: inspected, archived with all files of the pipeline, whole or not there.
 
 use std::collections::BTreeMap;
+use std::process::Command;
 
 use crate::cli::{House, SMALL};
 
@@ -78,4 +79,25 @@ fn a_folder_whose_writer_died_is_no_run_and_goes_with_the_next() {
     let latest = house.path(".rockface/runs/latest");
     let names = std::fs::read_dir(latest).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
     assert_eq!(names.filter(|name| name.starts_with('.')).count(), 0);
+}
+
+#[test]
+fn an_interrupt_while_the_folder_is_written_leaves_none_and_loses_nothing() {
+    let house = House::new(
+        "rockface: 1\naxes: {k: {count: 4000}}\nsteps:\n  read: {stage: import-table, with: {path: t.csv}}\n  \
+         many: {stage: tabulate, in: {rows: read.table}, with: {constants: {k: \"${k}\"}}}\n",
+    );
+    std::fs::write(house.path("t.csv"), "a\n1\n").unwrap();
+    let runs = house.path(".rockface/runs");
+    let folders = || std::fs::read_dir(&runs).into_iter().flatten().flatten().map(|entry| entry.path());
+    let mut child = house.command(&["run", "p.yaml", "--quiet"]).stdout(std::process::Stdio::null()).spawn().unwrap();
+    while !folders().any(|folder| folder.join(".unfinished").exists()) {
+        assert!(child.try_wait().unwrap().is_none(), "it ended before its folder was begun");
+        std::thread::sleep(std::time::Duration::from_millis(1));
+    }
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    assert_eq!(folders().count(), 0, "a folder that tells half of a run would mislead");
+    let (code, out, err) = house.rockface(&["run", "p.yaml"]);
+    assert!(code == Some(0) && out.contains("ran 0, cached 4001"), "{out}{err}");
 }
