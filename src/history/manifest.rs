@@ -95,8 +95,11 @@ pub struct StepDone {
     pub stage: String,
     /// The version of the stage.
     pub version: u32,
-    /// `executed`, `cached`, or `failed or not reached`.
+    /// `executed`, `cached`, `failed`, or `not reached` because something before it failed.
     pub status: String,
+    /// Why it failed, if it did.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub failure: Option<String>,
     /// The key of its recipe.
     pub key: Option<Digest>,
     /// What came out, by port.

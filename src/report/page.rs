@@ -36,6 +36,8 @@ pub struct Page {
     command: String,
     headlines: Vec<Said>,
     more_headlines: usize,
+    failures: Vec<Warning>,
+    more_failures: usize,
     warnings: Vec<Warning>,
     more_warnings: usize,
     pictures: Vec<Medium>,
@@ -61,7 +63,7 @@ struct Result {
     more: usize,
 }
 
-/// A warning, and how many more of its step are like it.
+/// A warning or the cause of a failure, and how many more of its step are like it.
 #[derive(Debug, Serialize)]
 struct Warning {
     step: String,
@@ -82,6 +84,7 @@ pub fn of(source: &Source, links: Links) -> Page {
     let pictures: Vec<Medium> = pictures.collect();
     let results = results(&mut gathered.steps);
     let warnings = folded(gathered.warnings);
+    let failures = folded(gathered.failures);
     let [executed, cached, missing] = manifest.counts();
     let headlines: Vec<Said> = manifest.headlines.iter().map(|line| said(line)).collect();
     let changed = manifest.overrides.set.iter().map(|set| format!("--set {set}"));
@@ -101,6 +104,8 @@ pub fn of(source: &Source, links: Links) -> Page {
         command: "rockface run run.json".to_owned(),
         more_headlines: headlines.len().saturating_sub(LINES),
         headlines: headlines.into_iter().take(LINES).collect(),
+        more_failures: failures.len().saturating_sub(LINES),
+        failures: failures.into_iter().take(LINES).collect(),
         more_warnings: warnings.len().saturating_sub(LINES),
         warnings: warnings.into_iter().take(LINES).collect(),
         pictures,
@@ -158,7 +163,7 @@ fn results(steps: &mut [StepView]) -> Vec<Result> {
     wanted.map(result).collect()
 }
 
-/// Warnings of one step that differ in numbers only are told once, with how many there are.
+/// Those of one step that differ in numbers only are told once, with how many there are.
 fn folded(warnings: Vec<Said>) -> Vec<Warning> {
     let mut kinds: BTreeMap<(String, String), usize> = BTreeMap::new();
     let mut found: Vec<Warning> = Vec::new();

@@ -172,6 +172,8 @@ impl Linker<'_> {
 pub struct Gathered {
     /// By step, in the order of the run.
     pub steps: Vec<StepView>,
+    /// Why instances failed.
+    pub failures: Vec<Said>,
     /// All warnings.
     pub warnings: Vec<Said>,
     /// Steps that are not shown.
@@ -204,6 +206,11 @@ pub fn gather(linker: &Linker, targets: &[String], budget: &mut Budget) -> Gathe
     for (name, places) in &order {
         let mut view = step(linker, name, &places.iter().map(|place| &all[*place]).collect::<Vec<_>>());
         view.target = is_target(name);
+        let failed = places.iter().filter_map(|place| {
+            let text = all[*place].failure.clone()?;
+            Some(Said { label: all[*place].label(), text })
+        });
+        gathered.failures.extend(failed);
         view.say(linker.source, places, &mut gathered.warnings);
         gathered.steps.push(view);
     }

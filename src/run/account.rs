@@ -76,7 +76,8 @@ fn step(plan: &Plan, summary: &Summary, store: &Store, instance: usize, (entries
     let status = match outcome {
         _ if result.executed => "executed",
         Some(_) => "cached",
-        None => "failed or not reached",
+        None if result.failure.is_some() => "failed",
+        None => "not reached",
     };
     StepDone {
         step: step.name.clone(),
@@ -86,7 +87,8 @@ fn step(plan: &Plan, summary: &Summary, store: &Store, instance: usize, (entries
         status: status.to_owned(),
         key: result.key,
         outputs: outcome.map(|outcome| outcome.outputs.clone()),
-        log: outcome.and_then(|outcome| outcome.log),
+        failure: result.failure.as_ref().map(|failure| failure.message.clone()),
+        log: result.log(),
         sketches: outcome.and_then(|outcome| outcome.sketches),
         cost: outcome.map(|outcome| outcome.cost),
         parameters: params.recipe.clone(),

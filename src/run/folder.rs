@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::SystemTime;
 
-use rockface_cache::{Digest, Outcome, Store};
+use rockface_cache::{Digest, Store};
 use rockface_stages::Entry;
 use serde_json::json;
 
@@ -205,7 +205,7 @@ impl Writer<'_> {
     /// What each instance said.
     fn logs(&self) -> Result<Vec<Vec<Entry>>, RunError> {
         let read = |part: &[InstanceResult]| -> Result<Vec<_>, RunError> {
-            part.iter().map(|result| going_on(self.stop).and_then(|()| self.entries(result.outcome.as_ref()))).collect()
+            part.iter().map(|result| going_on(self.stop).and_then(|()| self.entries(result.log()))).collect()
         };
         let (former, latter) = self.summary.instances.split_at(self.summary.instances.len() / 2);
         let (latter, former) = self.beside(|| read(latter), || read(former))?;
@@ -214,9 +214,8 @@ impl Writer<'_> {
         Ok(logs)
     }
 
-    fn entries(&self, outcome: Option<&Outcome>) -> Result<Vec<Entry>, RunError> {
-        let read = outcome.map_or_else(|| Ok(Vec::new()), |outcome| step_log::entries(outcome, self.store));
-        read.map_err(|error| match error {
+    fn entries(&self, log: Option<Digest>) -> Result<Vec<Entry>, RunError> {
+        step_log::entries(log, self.store).map_err(|error| match error {
             StepLogError::Store(error) => RunError::Store(error),
             error @ StepLogError::Unreadable(_) => failed(Path::new(LOG_FILE))(std::io::Error::other(error)),
         })

@@ -5,7 +5,7 @@ use std::io::BufWriter;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
-use rockface_cache::{Outcome, Record, Store};
+use rockface_cache::{Cost, Outcome, Outputs, Record, Store};
 use rockface_stages::Entry;
 use rockface_stages::artefact::{Artefact, Kind};
 
@@ -48,11 +48,17 @@ impl Telling<'_> {
         let file = tempfile::NamedTempFile::new_in(folder).map_err(super::folder::failed(&path))?;
         let mut log = RunLog::new(BufWriter::new(file), &self.about).map_err(failed)?;
         let levels = self.plan.log_levels();
+        let nothing = Outcome { outputs: Outputs::default(), log: None, sketches: None, cost: Cost::default() };
         let mut numbers: Vec<(String, String)> = Vec::new();
         for (instance, result) in self.summary.instances.iter().enumerate() {
             super::folder::going_on(self.stop)?;
-            let Some(outcome) = &result.outcome else { continue };
-            let shown = if levels[instance] == LogLevel::Full { self.shown(result, outcome)? } else { Ok(Vec::new()) };
+            let (outcome, is_done) = match (&result.outcome, &result.failure) {
+                (Some(outcome), _) => (outcome, true),
+                (None, Some(_)) => (&nothing, false),
+                (None, None) => continue,
+            };
+            let is_shown = is_done && levels[instance] == LogLevel::Full;
+            let shown = if is_shown { self.shown(result, outcome)? } else { Ok(Vec::new()) };
             let (shown, unshown) = shown.map_or_else(|why| (Vec::new(), why), |shown| (shown, String::new()));
             let said = if levels[instance] == LogLevel::None { &[][..] } else { &self.entries[instance] };
             log.add(&self.note(instance, result, outcome, unshown), said, &shown).map_err(failed)?;
@@ -97,6 +103,7 @@ impl Telling<'_> {
             label: self.plan.label(instance),
             facts: Facts { stage, version, key: result.key, outputs: &outcome.outputs },
             made: made.collect(),
+            failure: result.failure.as_ref().map(|failure| failure.message.as_str()),
             unshown,
             recipe: result.recipe_text(self.store).unwrap_or_else(|| "null".to_owned()),
         }

@@ -113,9 +113,26 @@ pub struct InstanceResult {
     pub executed: bool,
     /// What came out; `None` if it failed or was not reached.
     pub outcome: Option<Outcome>,
+    /// Why its stage gave up, if it did.
+    pub failure: Option<StepFailure>,
+}
+
+/// Why a stage gave up.
+#[derive(Debug, Clone)]
+pub struct StepFailure {
+    /// The cause and the way out.
+    pub message: String,
+    /// What it had said by then, a blob, as [`Outcome::log`] is.
+    pub log: Option<Digest>,
 }
 
 impl InstanceResult {
+    /// What it said, a blob.
+    pub fn log(&self) -> Option<Digest> {
+        let failed = self.failure.as_ref().and_then(|failure| failure.log);
+        self.outcome.as_ref().map_or(failed, |outcome| outcome.log)
+    }
+
     /// Its recipe: that of its record, where it has one.
     pub fn recipe(&self, store: &Store) -> Option<Recipe> {
         let recorded = || store.record(&self.key?).map(|record| record.recipe);

@@ -195,7 +195,7 @@ impl<'a> Scheduler<'a> {
                     self.needs.remove(&instance);
                     self.resident.end(instance);
                     // What gives up because it was told to stop has not failed.
-                    let stopped = stop.load(Ordering::Relaxed) && matches!(*result, Err(Failure::Stage(_)));
+                    let stopped = stop.load(Ordering::Relaxed) && matches!(*result, Err(Failure::Stage(..)));
                     if !stopped {
                         self.take(instance, *result)?;
                     }
@@ -309,9 +309,12 @@ impl<'a> Scheduler<'a> {
                 self.states.set(instance, Status::Due);
                 self.turns.push_back(Turn::Prepare(instance));
             }
-            Err(Failure::Stage(error)) => {
+            Err(Failure::Stage(error, log)) => {
                 let stage = self.plan.step(instance).stage.name().to_owned();
                 let step = self.plan.label(instance);
+                let help = error.hint.as_ref().map(|hint| format!("\nhelp: {hint}")).unwrap_or_default();
+                let message = format!("{}{help}", error.message);
+                self.states[instance].failure = Some(Box::new(super::StepFailure { message, log }));
                 self.tell(&Event::Failed { step, stage, message: error.message, hint: error.hint });
                 self.fail(instance);
             }
@@ -367,6 +370,7 @@ impl<'a> Scheduler<'a> {
             key: state.key,
             recipe: state.recipe.map(|recipe| *recipe),
             executed: state.executed,
+            failure: state.failure.map(|failure| *failure),
         });
         Summary {
             instances: instances.collect(),

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use rockface_cache::{Digest, Outcome, Recipe};
 use rockface_stages::artefact::Artefact;
 
+use super::StepFailure;
 use crate::plan::Plan;
 
 /// How far an instance is.
@@ -44,6 +45,8 @@ pub struct State {
     pub outcome: Option<Outcome>,
     /// Its stage ran in this run.
     pub executed: bool,
+    /// Why its stage gave up, if it did.
+    pub failure: Option<Box<StepFailure>>,
     /// A record has its recipe, but outputs that are needed are not in the store.
     pub recorded: bool,
     /// It was told that it waits for memory.
@@ -166,6 +169,7 @@ impl State {
             recipe: None,
             outcome: None,
             executed: false,
+            failure: None,
             recorded: false,
             held: false,
             remaking: false,

@@ -81,12 +81,18 @@ pub struct Done {
 
 /// Why an instance did not finish.
 pub enum Failure {
-    /// The stage gave up.
-    Stage(StageError),
+    /// The stage gave up; what it had said by then is in the store.
+    Stage(StageError, Option<Digest>),
     /// An input blob is damaged or gone; its producer has to run again.
     Lost(usize, String),
     /// The store cannot go on.
     Store(StoreError),
+}
+
+impl From<StageError> for Failure {
+    fn from(error: StageError) -> Self {
+        Self::Stage(error, None)
+    }
 }
 
 impl From<StoreError> for Failure {
@@ -101,7 +107,7 @@ pub fn guarded<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failur
         let said = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
         let error = StageError::new(format!("the stage broke down: {}", said.unwrap_or("no message")));
         let hint = "this is a fault of rockface; please report it with the pipeline and the run folder";
-        Err(Failure::Stage(error.hint(hint)))
+        Err(error.hint(hint).into())
     })
 }
 
@@ -206,12 +212,12 @@ fn read(feed: &Feed, kind: Kind, digest: &Digest, store: &Store) -> Result<Arc<A
 fn unreadable(feed: &Feed, digest: &Digest, why: &str) -> Failure {
     let message = format!("input `{}` (blob {}) cannot be read back: {why}", feed.port, digest.short());
     let hint = "the stage that made it wrote what no reader takes; please report it with the pipeline";
-    Failure::Stage(StageError::new(message).hint(hint))
+    StageError::new(message).hint(hint).into()
 }
 
 fn run_stage(task: &Task, inputs: &Inputs, host: &StepHost) -> Result<BTreeMap<&'static str, Artefact>, Failure> {
     let context = Context::new(host);
-    let run = || task.stage.run(&task.params.canonical, inputs, &context).map_err(Failure::Stage);
+    let run = || task.stage.run(&task.params.canonical, inputs, &context).map_err(Failure::from);
     let outputs = guarded(run)?;
     let outputs = outputs.into_inner();
     for (port, kind) in &task.outputs {
@@ -220,7 +226,7 @@ fn run_stage(task: &Task, inputs: &Inputs, host: &StepHost) -> Result<BTreeMap<&
             found => {
                 let found = found.map_or_else(|| "nothing".to_owned(), |value| format!("a {}", value.kind()));
                 let message = format!("the stage owes a {kind} at `{port}` and made {found}");
-                return Err(Failure::Stage(StageError::new(message)));
+                return Err(StageError::new(message).into());
             }
         }
     }
@@ -228,7 +234,8 @@ fn run_stage(task: &Task, inputs: &Inputs, host: &StepHost) -> Result<BTreeMap<&
 }
 
 type Made = BTreeMap<&'static str, Artefact>;
-type Attempt = (Made, Vec<Entry>);
+/// What came of one go, and what the stage said.
+type Attempt = (Result<Made, StageError>, Vec<Entry>);
 /// Size, times of modification and change, inode.
 type Fingerprint = (u64, i64, i64, i64, i64, u64);
 
@@ -236,19 +243,30 @@ type Fingerprint = (u64, i64, i64, i64, i64, u64);
 fn attempts(
     task: &Task,
     inputs: (&Inputs, &Trouble),
-    means: (&Store, &ThreadPool),
+    (store, pool): (&Store, &ThreadPool),
     stop: &AtomicBool,
 ) -> Result<(Made, Vec<Entry>, Vec<String>), Failure> {
-    let mut told = Vec::new();
+    let (mut told, mut said) = (Vec::new(), Vec::new());
     loop {
-        match attempt(task, inputs, means, stop) {
-            Ok((outputs, entries)) => return Ok((outputs, entries, told)),
-            Err(Failure::Stage(error)) if told.len() < task.retries as usize && !stop.load(Ordering::Relaxed) => {
-                told.push(format!("attempt {} of {} failed: {error}", told.len() + 1, task.retries + 1));
-            }
-            Err(failure) => return Err(failure),
+        let (result, entries) = attempt(task, inputs, (store, pool), stop)?;
+        let error = match result {
+            Ok(outputs) => return Ok((outputs, entries, told)),
+            Err(error) => error,
+        };
+        said.extend(entries);
+        if told.len() == task.retries as usize || stop.load(Ordering::Relaxed) {
+            return Err(Failure::Stage(error, told_in_full(store, &said)));
         }
+        let text = format!("attempt {} of {} failed: {error}", told.len() + 1, task.retries + 1);
+        said.push(Entry::Warning { text: text.clone() });
+        told.push(text);
     }
+}
+
+/// Keeps what a step that failed had said. Where even that cannot be, the cause is told all the same.
+fn told_in_full(store: &Store, said: &[Entry]) -> Option<Digest> {
+    let bytes = serde_json::to_vec(said).ok().filter(|_| !said.is_empty())?;
+    store.put(&bytes).ok()
 }
 
 fn attempt(
@@ -264,23 +282,24 @@ fn attempt(
     if let Some(failure) = trouble.lock().unwrap_or_else(PoisonError::into_inner).take() {
         return Err(failure);
     }
-    match (result, task.timeout) {
-        (Err(Failure::Stage(error)), Some(timeout)) if host.is_late() && !stop.load(Ordering::Relaxed) => {
+    let result = match (result, task.timeout) {
+        (Err(Failure::Stage(error, _)), Some(timeout)) if host.is_late() && !stop.load(Ordering::Relaxed) => {
             let message =
                 format!("it took longer than its timeout of {}: {error}", humantime::format_duration(timeout));
             let hint = "give it more with `timeout:` on the step, or less to do";
-            Err(Failure::Stage(StageError::new(message).hint(hint)))
+            Err(StageError::new(message).hint(hint))
         }
-        (result, _) => Ok((result?, host.into_entries())),
-    }
+        (Err(Failure::Stage(error, _)), _) => Err(error),
+        (result, _) => Ok(result?),
+    };
+    Ok((result, host.into_entries()))
 }
 
 /// What tells an untouched input file, for each of them.
 fn fingerprints(task: &Task) -> Result<Vec<Fingerprint>, Failure> {
     let look = |file: &InputFile| {
-        let meta = std::fs::metadata(&file.path).map_err(|error| {
-            Failure::Stage(StageError::new(format!("cannot read `{}`: {error}", file.path.display())))
-        })?;
+        let meta = std::fs::metadata(&file.path)
+            .map_err(|error| StageError::new(format!("cannot read `{}`: {error}", file.path.display())))?;
         Ok((meta.len(), meta.mtime(), meta.mtime_nsec(), meta.ctime(), meta.ctime_nsec(), meta.ino()))
     };
     task.params.files.values().flatten().map(look).collect()
@@ -293,7 +312,7 @@ fn unchanged_files(task: &Task, store: &Store, before: &[Fingerprint]) -> Result
         let now = store.hash_file(&file.path)?.digest;
         if touched || now != file.digest {
             let message = format!("`{}` changed while it was read", file.path.display());
-            return Err(Failure::Stage(StageError::new(message).hint("run again once nobody writes to it")));
+            return Err(StageError::new(message).hint("run again once nobody writes to it").into());
         }
     }
     Ok(())
@@ -311,8 +330,8 @@ fn keep(
         // Writing text takes no threads; waking those of the pool would cost more.
         let text = value.kind().extension() == "json";
         let encoded = if text { value.encode() } else { pool.install(|| value.encode()) };
-        let encoded = encoded
-            .map_err(|error| Failure::Stage(StageError::new(format!("output `{port}` cannot be written: {error}"))))?;
+        let encoded =
+            encoded.map_err(|error| StageError::new(format!("output `{port}` cannot be written: {error}")))?;
         let digest = if task.keep { store.put(&encoded)? } else { Digest::of(&encoded) };
         let record = OutputRecord {
             kind: value.kind().word().to_owned(),
@@ -344,11 +363,11 @@ fn sketch(
     }
     let made = guarded(|| {
         let bytes = pool.install(|| crate::watch::step_log::sketched(values));
-        bytes.map_err(|error| Failure::Stage(StageError::new(error.to_string())))
+        bytes.map_err(|error| StageError::new(error.to_string()).into())
     });
     match made {
         Ok(bytes) => Ok((Some(store.put(&bytes)?), None)),
-        Err(Failure::Stage(error)) => Ok((None, Some(format!("the log cannot show its outputs: {error}")))),
+        Err(Failure::Stage(error, _)) => Ok((None, Some(format!("the log cannot show its outputs: {error}")))),
         Err(failure) => Err(failure),
     }
 }
@@ -367,7 +386,7 @@ mod tests {
     fn a_panic_anywhere_is_a_failure_that_says_what_was_said() {
         for panic in [|| panic!("at {}", 7), || panic!("at 7")] {
             match guarded::<()>(panic) {
-                Err(Failure::Stage(error)) => assert_eq!(error.message, "the stage broke down: at 7"),
+                Err(Failure::Stage(error, _)) => assert_eq!(error.message, "the stage broke down: at 7"),
                 _ => panic!("it should have failed"),
             }
         }

@@ -27,6 +27,8 @@ pub struct StepNote<'a> {
     pub facts: Facts<'a>,
     /// What it made, by port.
     pub made: BTreeMap<String, Made>,
+    /// Why it failed, if it did.
+    pub failure: Option<&'a str>,
     /// Why there is no sketch of it though one is wanted; empty otherwise.
     pub unshown: String,
     /// The canonical text of its recipe.
@@ -94,7 +96,7 @@ impl<W: Write + Seek> RunLog<W> {
         let sketches: Vec<(&Shown, Vec<Message>)> =
             shown.iter().map(|shown| (shown, foxglove::messages(&place, shown, note.made.get(&shown.port)))).collect();
         self.send(&foxglove::step(&place, step_message(note, entries, &sketches)))?;
-        self.send_all(&foxglove::log(&place, &note.label, entries))?;
+        self.send_all(&foxglove::log(&place, &note.label, entries, note.failure))?;
         self.send_all(&foxglove::metrics(&place, &note.point, entries))?;
         for (_, messages) in &sketches {
             self.send_all(messages)?;
@@ -162,6 +164,8 @@ struct StepMessage<'a> {
     #[serde(flatten)]
     facts: &'a Facts<'a>,
     entries: &'a [Entry],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    failure: Option<&'a str>,
     shown: Vec<ShownOn<'a>>,
     unshown: &'a str,
 }
@@ -186,8 +190,8 @@ fn step_message(note: &StepNote, entries: &[Entry], sketches: &[(&Shown, Vec<Mes
         colours: if let Shape::Picture(picture) = &shown.sketch.shape { picture.colours.as_ref() } else { None },
         of: note.made.get(&shown.port),
     });
-    let StepNote { step, point, facts, unshown, .. } = note;
-    serde_json::to_vec(&StepMessage { step, point, facts, entries, shown: shown.collect(), unshown })
+    let StepNote { step, point, facts, failure, unshown, .. } = note;
+    serde_json::to_vec(&StepMessage { step, point, facts, entries, failure: *failure, shown: shown.collect(), unshown })
         .unwrap_or_default()
 }
 

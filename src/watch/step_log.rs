@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use rockface_cache::{Outcome, Store, StoreError};
+use rockface_cache::{Digest, Outcome, Store, StoreError};
 use rockface_stages::artefact::{Artefact, CodecError};
 
 pub use rockface_stages::Entry;
@@ -34,8 +34,8 @@ impl From<CodecError> for StepLogError {
 ///
 /// # Errors
 /// The blob is damaged or not readable.
-pub fn entries(outcome: &Outcome, store: &Store) -> Result<Vec<Entry>, StepLogError> {
-    let Some(digest) = outcome.log else { return Ok(Vec::new()) };
+pub fn entries(log: Option<Digest>, store: &Store) -> Result<Vec<Entry>, StepLogError> {
+    let Some(digest) = log else { return Ok(Vec::new()) };
     serde_json::from_slice(&store.get(&digest)?).map_err(|error| StepLogError::Unreadable(error.to_string()))
 }
 

@@ -15,6 +15,7 @@ const STEP: &str = r#"{"type": "object", "title": "rockface.Step", "properties":
 "version": {"type": "integer", "description": "its version"},
 "key": {"type": "string", "description": "BLAKE3 of the recipe"},
 "outputs": {"type": "object", "description": "by port: kind, BLAKE3 digest, bytes, whether kept"},
+"failure": {"type": "string", "description": "why it failed, if it did"},
 "entries": {"type": "array", "description": "notes, warnings, headlines and metrics in the order they were made"},
 "shown": {"type": "array", "description":
  "sketches: port, part, topics, what was left out, what colours mean, digest and file of the whole"},
@@ -41,25 +42,26 @@ pub fn step(place: &Place, data: Vec<u8>) -> Message {
     of_json("rockface.Step", STEP, place.topic("step", ""), data)
 }
 
-/// A line a note, warning and headline.
-pub fn log(place: &Place, label: &str, entries: &[Entry]) -> Vec<Message> {
-    let line = |entry: &Entry| {
-        let (level, text) = match entry {
-            Entry::Note { text } | Entry::Headline { text } => (Level::Info, text),
-            Entry::Warning { text } => (Level::Warning, text),
-            Entry::Metric { .. } => return None,
-        };
+/// A line a note, warning and headline, and the last for why the instance failed, if it did.
+pub fn log(place: &Place, label: &str, entries: &[Entry], failure: Option<&str>) -> Vec<Message> {
+    let said = |entry: &Entry| match entry {
+        Entry::Note { text } | Entry::Headline { text } => Some((Level::Info, text.clone())),
+        Entry::Warning { text } => Some((Level::Warning, text.clone())),
+        Entry::Metric { .. } => None,
+    };
+    let line = |(level, text): (Level, String)| {
         let line = proto::Log {
             timestamp: Some(place.time()),
             level: level as i32,
-            message: text.clone(),
+            message: text,
             name: label.to_owned(),
             file: String::new(),
             line: 0,
         };
-        Some(message("foxglove.Log", "/log".to_owned(), &line))
+        message("foxglove.Log", "/log".to_owned(), &line)
     };
-    entries.iter().filter_map(line).collect()
+    let failure = failure.map(|text| (Level::Error, format!("failed: {text}")));
+    entries.iter().filter_map(said).chain(failure).map(line).collect()
 }
 
 /// All numbers an instance told, in one message; none if it told none.
