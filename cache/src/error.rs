@@ -98,7 +98,7 @@ pub enum StoreError {
 
 impl StoreError {
     /// Wraps what the operating system said, telling a full disk from everything else.
-    pub(crate) fn io(action: &'static str, path: &Path, source: io::Error) -> Self {
+    pub fn io(action: &'static str, path: &Path, source: io::Error) -> Self {
         use io::ErrorKind::{QuotaExceeded, StorageFull};
         let path = path.to_owned();
         match source.kind() {

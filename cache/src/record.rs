@@ -44,11 +44,11 @@ pub struct Cost {
     /// Elapsed time, seconds.
     pub wall_s: f64,
     /// Processor time of the whole process over the life of the step, seconds: all threads, and with them whatever else
-    /// ran at the same time. It is the step's own only where steps run one by one.
+    /// ran at the same time; and that of the programs the step started. It is the step's own only where steps run one by one.
     pub cpu_s: f64,
     /// Greatest resident memory of the whole process over the life of the step, looked at about 20 times a second, bytes:
-    /// the step's own only where steps run one by one, and without the programs it starts. Of a step too short to be
-    /// looked at, or where the system does not tell: the size in memory of what it loaded and made.
+    /// the step's own only where steps run one by one; or that of the largest program it started, if that is more. Of a step
+    /// too short to be looked at, or where the system does not tell: the size in memory of what it loaded and made.
     pub peak_bytes: u64,
     /// When it was finished, seconds since 1970-01-01 UTC.
     pub finished_unix_s: u64,

@@ -1,13 +1,15 @@
 //! What the engine lends a running stage: streams, opened files, a log, the wish to stop.
 
 use std::collections::BTreeMap;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
-use rockface_cache::Store;
+use rockface_cache::{Store, StoreError};
 use rockface_stages::{Entry, Host, Program, ProgramResult, SourceFile, StageError};
 
+use super::program::Used;
+use super::work::Failure;
 use crate::plan::InputFile;
 
 /// The host of one step instance.
@@ -18,6 +20,10 @@ pub struct StepHost<'a> {
     entries: Mutex<Vec<Entry>>,
     stop: &'a AtomicBool,
     deadline: Option<Instant>,
+    /// What programs took.
+    used: Mutex<Used>,
+    /// Why the store could not do what a program needs; the stage is told only that it could not.
+    trouble: Mutex<Option<StoreError>>,
 }
 
 impl<'a> StepHost<'a> {
@@ -30,7 +36,8 @@ impl<'a> StepHost<'a> {
         stop: &'a AtomicBool,
         deadline: Option<Instant>,
     ) -> Self {
-        Self { seed, files, store, entries: Mutex::new(Vec::new()), stop, deadline }
+        let (entries, used, trouble) = (Mutex::default(), Mutex::default(), Mutex::default());
+        Self { seed, files, store, entries, stop, deadline, used, trouble }
     }
 
     /// Whether the time it was given is over.
@@ -38,9 +45,21 @@ impl<'a> StepHost<'a> {
         self.deadline.is_some_and(|deadline| Instant::now() >= deadline)
     }
 
-    /// What the stage said.
-    pub fn into_entries(self) -> Vec<Entry> {
-        self.entries.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner)
+    /// What the store could not do, if that was so.
+    pub fn trouble(&self) -> Option<StoreError> {
+        self.trouble.lock().unwrap_or_else(PoisonError::into_inner).take()
+    }
+
+    /// What the stage said, and what its programs took.
+    pub fn end(self) -> (Vec<Entry>, Used) {
+        let entries = self.entries.into_inner().unwrap_or_else(PoisonError::into_inner);
+        (entries, self.used.into_inner().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Programs of a step run one after the other or side by side; their memory is that of the largest.
+    fn add(&self, used: Used) {
+        let mut sum = self.used.lock().unwrap_or_else(PoisonError::into_inner);
+        *sum = Used { cpu_s: sum.cpu_s + used.cpu_s, peak_bytes: sum.peak_bytes.max(used.peak_bytes) };
     }
 }
 
@@ -69,11 +88,23 @@ impl Host for StepHost<'_> {
     }
 
     fn record(&self, entry: Entry) {
-        self.entries.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push(entry);
+        self.entries.lock().unwrap_or_else(PoisonError::into_inner).push(entry);
     }
 
     fn execute(&self, program: &Program) -> Result<ProgramResult, StageError> {
-        super::program::execute(program, self.files, self.store, &|| self.cancelled())
+        match super::program::execute(program, self.files, self.store, &|| self.cancelled()) {
+            Ok((result, used)) => {
+                self.add(used);
+                Ok(result)
+            }
+            Err(Failure::Stage(error, _)) => Err(error),
+            Err(Failure::Lost(_, why)) => Err(StageError::new(why)),
+            Err(Failure::Store(error)) => {
+                let told = StageError::new(error.to_string());
+                *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
+                Err(told)
+            }
+        }
     }
 
     fn cancelled(&self) -> bool {

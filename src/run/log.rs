@@ -44,7 +44,12 @@ impl Telling<'_> {
     /// Writes log and layout into a run folder.
     pub fn write(&self, folder: &Path) -> Result<(), RunError> {
         let path = folder.join(LOG_FILE);
-        let failed = |error: mcap::McapError| super::folder::failed(&path)(std::io::Error::other(error));
+        let failed = |error: mcap::McapError| {
+            super::folder::failed(&path)(match error {
+                mcap::McapError::Io(error) => error,
+                error => std::io::Error::other(error),
+            })
+        };
         let file = tempfile::NamedTempFile::new_in(folder).map_err(super::folder::failed(&path))?;
         let mut log = RunLog::new(BufWriter::new(file), &self.about).map_err(failed)?;
         let levels = self.plan.log_levels();

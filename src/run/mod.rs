@@ -70,13 +70,25 @@ pub enum RunError {
     #[error("an output cannot be written: {0}")]
     Encode(String),
     /// The run folder could not be written.
-    #[error("cannot write the run folder `{path}`: {source}")]
+    #[error("cannot write the run folder `{path}`: {source}{}", way_out(source))]
     Folder {
         /// What was to be written.
         path: std::path::PathBuf,
         /// Why not.
         source: std::io::Error,
     },
+}
+
+/// What helps where a folder of runs cannot be written to.
+fn way_out(error: &std::io::Error) -> &'static str {
+    use std::io::ErrorKind::{PermissionDenied, QuotaExceeded, ReadOnlyFilesystem, StorageFull};
+    match error.kind() {
+        StorageFull | QuotaExceeded => {
+            "; free some space or give --runs on another disk; what is finished is kept and the next run continues"
+        }
+        PermissionDenied | ReadOnlyFilesystem => "; give folders you may write to with --runs and --store",
+        _ => "",
+    }
 }
 
 impl RunError {

@@ -8,10 +8,12 @@ use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::Duration;
 
-use rockface_cache::Store;
+use rockface_cache::{Store, StoreError};
 use rockface_stages::{Piece, Program, ProgramResult, StageError};
-use rustix::process::{Pid, Signal, kill_process_group};
+use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
+use wait4::Wait4;
 
+use super::work::Failure;
 use crate::plan::InputFile;
 
 /// What reaches every program from outside.
@@ -23,14 +25,26 @@ const LOOK_EVERY: Duration = Duration::from_millis(10);
 /// Bytes of the beginning, and as many of the end, that are kept of what a program prints.
 const KEPT_BYTES: u64 = 64 << 10;
 
+/// The store has less room than this: a program that failed did so for want of it.
+const FULL_BYTES: u64 = 64 << 10;
+
+/// What a program took, with all it started and waited for.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Used {
+    /// Processor seconds.
+    pub cpu_s: f64,
+    /// The greatest resident memory of any one of them, bytes.
+    pub peak_bytes: u64,
+}
+
 /// Runs a program to its end. `give_up` is asked now and then; when it says so, the program and its children are killed.
 pub fn execute(
     program: &Program,
     files: &BTreeMap<String, Vec<InputFile>>,
     store: &Store,
     give_up: &dyn Fn() -> bool,
-) -> Result<ProgramResult, StageError> {
-    let scratch = store.scratch().map_err(|error| StageError::new(format!("no folder to run it in: {error}")))?;
+) -> Result<(ProgramResult, Used), Failure> {
+    let scratch = store.scratch()?;
     let folder = scratch.path();
     lay_out(program, folder)?;
     let (mut stdout, mut stderr) = (scratch_file(folder)?, scratch_file(folder)?);
@@ -48,41 +62,56 @@ pub fn execute(
         .envs(&program.environment)
         .current_dir(folder)
         .stdin(Stdio::null())
-        .stdout(stdout.try_clone().map_err(failed("keep what it prints"))?)
-        .stderr(stderr.try_clone().map_err(failed("keep what it prints"))?)
+        .stdout(stdout.try_clone().map_err(in_folder("keep what a program prints in", folder))?)
+        .stderr(stderr.try_clone().map_err(in_folder("keep what a program prints in", folder))?)
         .process_group(0);
     let child = command.spawn().map_err(|error| {
         let fault = StageError::new(format!("cannot run `{name}`: {error}"));
         fault.hint("install it, or name a script under `files` and write {file.name}")
     })?;
-    let status = wait(child, give_up)?;
-    Ok(ProgramResult {
+    let (status, used) = wait(child, give_up)?;
+    if !status.success() && is_full(folder) {
+        return Err(StoreError::DiskFull { path: folder.to_owned() }.into());
+    }
+    let read = in_folder("read what a program left in", folder);
+    let result = ProgramResult {
         exit_code: status.code(),
         signal: status.signal(),
-        stdout: kept(&mut stdout)?,
-        stderr: kept(&mut stderr)?,
-        outputs: collect(program, folder)?,
+        stdout: kept(&mut stdout).map_err(&read)?,
+        stderr: kept(&mut stderr).map_err(&read)?,
+        outputs: collect(program, folder).map_err(&read)?,
         folders: program.outputs.iter().filter(|place| folder.join(place).is_dir()).cloned().collect(),
-    })
+    };
+    Ok((result, used))
 }
 
 fn failed(what: &'static str) -> impl Fn(std::io::Error) -> StageError {
     move |error| StageError::new(format!("cannot {what}: {error}"))
 }
 
-fn scratch_file(folder: &Path) -> Result<File, StageError> {
-    tempfile::tempfile_in(folder).map_err(failed("keep what it prints"))
+/// What goes wrong in a folder of the store is a fault of the store.
+fn in_folder<'a>(action: &'static str, folder: &'a Path) -> impl Fn(std::io::Error) -> StoreError + use<'a> {
+    move |error| StoreError::io(action, folder, error)
 }
 
-fn lay_out(program: &Program, folder: &Path) -> Result<(), StageError> {
-    let made = |path: &Path| fs::create_dir_all(path).map_err(failed("make its folders"));
+/// Whether nothing more can be written there.
+fn is_full(folder: &Path) -> bool {
+    rustix::fs::statvfs(folder).is_ok_and(|room| room.f_bavail.saturating_mul(room.f_frsize) < FULL_BYTES)
+}
+
+fn scratch_file(folder: &Path) -> Result<File, StoreError> {
+    tempfile::tempfile_in(folder).map_err(in_folder("keep what a program prints in", folder))
+}
+
+fn lay_out(program: &Program, folder: &Path) -> Result<(), StoreError> {
+    let made = |path: &Path| fs::create_dir_all(path).map_err(in_folder("make the folder", path));
     for place in ["in", "out", "tmp"] {
         made(&folder.join(place))?;
     }
     for (path, bytes) in &program.inputs {
         let path = folder.join(path);
         path.parent().map_or(Ok(()), made)?;
-        fs::write(&path, bytes).map_err(failed("write its inputs"))?;
+        fs::write(&path, bytes).map_err(in_folder("write", &path))?;
     }
     Ok(())
 }
@@ -102,17 +131,22 @@ fn joined(pieces: &[Piece], files: &BTreeMap<String, Vec<InputFile>>) -> Result<
 }
 
 /// Waits for the end of a program, or brings it about.
-fn wait(mut child: Child, give_up: &dyn Fn() -> bool) -> Result<ExitStatus, StageError> {
-    let group = i32::try_from(child.id()).ok().and_then(Pid::from_raw);
+fn wait(mut child: Child, give_up: &dyn Fn() -> bool) -> Result<(ExitStatus, Used), StageError> {
+    let pid = i32::try_from(child.id()).ok().and_then(Pid::from_raw);
     let kill_all = || {
         // There may be none left.
-        group.map(|group| kill_process_group(group, Signal::KILL).ok())
+        pid.map(|group| kill_process_group(group, Signal::KILL).ok())
     };
+    let look = WaitIdOptions::EXITED | WaitIdOptions::NOWAIT | WaitIdOptions::NOHANG;
     loop {
-        if let Some(status) = child.try_wait().map_err(failed("wait for it"))? {
+        // Only looked at: what it took is told once, to whoever lets it go.
+        let ended = pid.map_or(Ok(true), |pid| waitid(WaitId::Pid(pid), look).map(|status| status.is_some()));
+        if ended.map_err(|errno| failed("wait for it")(errno.into()))? {
+            let ended = child.wait4().map_err(failed("wait for it"))?;
             // What it left running would write into a folder that is gone.
             kill_all();
-            return Ok(status);
+            let cpu_s = (ended.rusage.utime + ended.rusage.stime).as_secs_f64();
+            return Ok((ended.status, Used { cpu_s, peak_bytes: ended.rusage.maxrss }));
         }
         if give_up() {
             kill_all();
@@ -124,38 +158,22 @@ fn wait(mut child: Child, give_up: &dyn Fn() -> bool) -> Result<ExitStatus, Stag
 }
 
 /// What was printed; of a long text the beginning and the end.
-fn kept(file: &mut File) -> Result<String, StageError> {
-    let mut read = |from: u64, count: u64| -> std::io::Result<Vec<u8>> {
+fn kept(file: &mut File) -> std::io::Result<String> {
+    let length = file.metadata()?.len();
+    let mut read = |from: u64, count: u64| -> std::io::Result<String> {
         let mut bytes = Vec::new();
         file.seek(SeekFrom::Start(from))?;
         Read::by_ref(file).take(count).read_to_end(&mut bytes)?;
-        Ok(bytes)
+        Ok(String::from_utf8_lossy(&bytes).into_owned())
     };
-    let whole = read(0, 2 * KEPT_BYTES + 1).map_err(failed("read what it printed"))?;
-    if whole.len() as u64 <= 2 * KEPT_BYTES {
-        return Ok(String::from_utf8_lossy(&whole).into_owned());
+    if length <= 2 * KEPT_BYTES {
+        return read(0, 2 * KEPT_BYTES);
     }
-    let length = file.metadata().map_err(failed("read what it printed"))?.len();
-    let mut read = |from: u64| -> std::io::Result<Vec<u8>> {
-        let mut bytes = Vec::new();
-        file.seek(SeekFrom::Start(from))?;
-        Read::by_ref(file).take(KEPT_BYTES).read_to_end(&mut bytes)?;
-        Ok(bytes)
-    };
-    let (head, tail) = (read(0), read(length - KEPT_BYTES));
-    let text = |part: std::io::Result<Vec<u8>>| {
-        part.map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).map_err(failed("read what it printed"))
-    };
-    Ok(format!("{}\n… {} bytes left out …\n{}", text(head)?, length - 2 * KEPT_BYTES, text(tail)?))
+    let (head, tail) = (read(0, KEPT_BYTES)?, read(length - KEPT_BYTES, KEPT_BYTES)?);
+    Ok(format!("{head}\n… {} bytes left out …\n{tail}", length - 2 * KEPT_BYTES))
 }
 
-fn collect(program: &Program, folder: &Path) -> Result<BTreeMap<String, Vec<u8>>, StageError> {
-    let mut outputs = BTreeMap::new();
-    for place in &program.outputs {
-        let path = folder.join(place);
-        if path.is_file() {
-            outputs.insert(place.clone(), fs::read(&path).map_err(failed("read an output"))?);
-        }
-    }
-    Ok(outputs)
+fn collect(program: &Program, folder: &Path) -> std::io::Result<BTreeMap<String, Vec<u8>>> {
+    let found = program.outputs.iter().map(|place| (place, folder.join(place))).filter(|(_, path)| path.is_file());
+    found.map(|(place, path)| Ok((place.clone(), fs::read(path)?))).collect()
 }

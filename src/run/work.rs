@@ -13,6 +13,7 @@ use rockface_stages::artefact::{Artefact, Kind};
 use rockface_stages::{AnyStage, Context, Entry, Inputs, Later, Point, StageError};
 
 use super::host::StepHost;
+use super::program::Used;
 use crate::plan::{InputFile, StepParams};
 
 /// An artefact that is in memory, or the blob to read it from.
@@ -134,7 +135,7 @@ pub fn work(
     let trouble = Trouble::default();
     let (inputs, stored) = inputs(task, store, &trouble);
     let before = fingerprints(task)?;
-    let (outputs, entries, retried) = attempts(task, (&inputs, &trouble), (store, pool), stop)?;
+    let (outputs, entries, retried, programs) = attempts(task, (&inputs, &trouble), (store, pool), stop)?;
     unchanged_files(task, store, &before)?;
     let values: BTreeMap<_, _> = outputs.into_iter().map(|(port, value)| (port, Arc::new(value))).collect();
     let mut outcome = keep(task, store, pool, &values, &entries)?;
@@ -147,8 +148,8 @@ pub fn work(
     let finished = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
     outcome.cost = Cost {
         wall_s: start.elapsed().as_secs_f64(),
-        cpu_s: process_cpu_s() - cpu,
-        peak_bytes: handled_bytes.max(task.peak_bytes.load(Ordering::Relaxed)),
+        cpu_s: process_cpu_s() - cpu + programs.cpu_s,
+        peak_bytes: handled_bytes.max(task.peak_bytes.load(Ordering::Relaxed)).max(programs.peak_bytes),
         finished_unix_s: finished,
     };
     let Outcome { outputs, log, sketches, cost } = outcome.clone();
@@ -234,23 +235,24 @@ fn run_stage(task: &Task, inputs: &Inputs, host: &StepHost) -> Result<BTreeMap<&
 }
 
 type Made = BTreeMap<&'static str, Artefact>;
-/// What came of one go, and what the stage said.
-type Attempt = (Result<Made, StageError>, Vec<Entry>);
+/// What came of one go, what the stage said, and what its programs took.
+type Attempt = (Result<Made, StageError>, (Vec<Entry>, Used));
 /// Size, times of modification and change, inode.
 type Fingerprint = (u64, i64, i64, i64, i64, u64);
 
-/// Runs the stage, and again as often as it may fail; also tells of the failures that were made good.
+/// Runs the stage, and again as often as it may fail; also tells of the failures that were made good, and what programs took
+/// in the go that succeeded.
 fn attempts(
     task: &Task,
     inputs: (&Inputs, &Trouble),
     (store, pool): (&Store, &ThreadPool),
     stop: &AtomicBool,
-) -> Result<(Made, Vec<Entry>, Vec<String>), Failure> {
+) -> Result<(Made, Vec<Entry>, Vec<String>, Used), Failure> {
     let (mut told, mut said) = (Vec::new(), Vec::new());
     loop {
-        let (result, entries) = attempt(task, inputs, (store, pool), stop)?;
+        let (result, (entries, used)) = attempt(task, inputs, (store, pool), stop)?;
         let error = match result {
-            Ok(outputs) => return Ok((outputs, entries, told)),
+            Ok(outputs) => return Ok((outputs, entries, told, used)),
             Err(error) => error,
         };
         said.extend(entries);
@@ -282,6 +284,9 @@ fn attempt(
     if let Some(failure) = trouble.lock().unwrap_or_else(PoisonError::into_inner).take() {
         return Err(failure);
     }
+    if let Some(error) = host.trouble() {
+        return Err(error.into());
+    }
     let result = match (result, task.timeout) {
         (Err(Failure::Stage(error, _)), Some(timeout)) if host.is_late() && !stop.load(Ordering::Relaxed) => {
             let message =
@@ -292,7 +297,7 @@ fn attempt(
         (Err(Failure::Stage(error, _)), _) => Err(error),
         (result, _) => Ok(result?),
     };
-    Ok((result, host.into_entries()))
+    Ok((result, host.end()))
 }
 
 /// What tells an untouched input file, for each of them.
