@@ -6,6 +6,7 @@ use rockface_stages::artefact::Artefact;
 use rockface_stages::{InputSize, InputSizes};
 
 use super::schedule::Scheduler;
+use super::spill::Spilled;
 use super::state::State;
 use crate::plan::Given;
 use crate::watch::Event;
@@ -22,8 +23,14 @@ impl Scheduler<'_> {
         }
     }
 
-    /// Lets go of all values of an instance.
-    pub fn forget(&mut self, instance: usize) {
+    /// Lets go of all values of an instance, wherever they are held.
+    pub fn drop_values(&mut self, instance: usize) {
+        self.forget(instance);
+        self.states[instance].spilled.clear();
+    }
+
+    /// Frees the memory of all values of an instance.
+    fn forget(&mut self, instance: usize) {
         let values = std::mem::take(&mut self.states[instance].values);
         let freed: usize = values.values().map(|value| value.memory_bytes()).sum();
         self.memory_bytes -= freed.min(self.memory_bytes);
@@ -34,7 +41,7 @@ impl Scheduler<'_> {
         let state = &mut self.states[producer];
         state.users = state.users.saturating_sub(1);
         if state.users == 0 && state.wanted_by.is_empty() {
-            self.forget(producer);
+            self.drop_values(producer);
         }
     }
 
@@ -112,24 +119,37 @@ impl Scheduler<'_> {
         self.relieve_to(self.options.memory_bytes);
     }
 
-    /// Lets go of values until no more than this is held: stored values first, then transient ones after writing them.
+    /// Frees memory until no more than this is held: of stored values first, then of transient ones after writing them.
     fn relieve_to(&mut self, memory_bytes: usize) {
         for transient in [false, true] {
             for instance in 0..self.states.len() {
                 if self.memory_bytes <= memory_bytes {
                     return;
                 }
-                let state = &self.states[instance];
-                let spilled = transient && self.spill(state);
-                if !state.values.is_empty() && (spilled || self.is_stored(state)) {
+                if self.states[instance].values.is_empty() {
+                    continue;
+                }
+                if self.is_stored(&self.states[instance]) || (transient && self.spill(instance)) {
                     self.forget(instance);
                 }
             }
         }
     }
 
-    fn spill(&self, state: &State) -> bool {
-        state.values.values().all(|value| value.encode().is_ok_and(|bytes| self.store.put(&bytes).is_ok()))
+    /// Writes the values of an instance to files that are gone when nobody needs them any more; not all may fit there.
+    fn spill(&mut self, instance: usize) -> bool {
+        if self.spill_room.is_none() {
+            self.spill_room = self.store.scratch().ok();
+        }
+        let Some(room) = &self.spill_room else { return false };
+        let State { values, spilled, .. } = &mut self.states[instance];
+        for (port, value) in values.iter() {
+            if !spilled.contains_key(port) {
+                let Some(written) = Spilled::write(value, room.path()) else { return false };
+                spilled.insert(*port, Arc::new(written));
+            }
+        }
+        true
     }
 
     /// Whether all outputs of an instance can be read from the store.

@@ -14,6 +14,7 @@ mod resident;
 mod schedule;
 mod settle;
 pub mod shortcut;
+mod spill;
 mod state;
 mod tell;
 mod unfinished;

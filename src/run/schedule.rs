@@ -7,7 +7,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use rockface_cache::{Digest, Outcome, Store, StoreError};
+use rockface_cache::{Digest, Outcome, Scratch, Store, StoreError};
 use rockface_stages::artefact::Kind;
 
 use super::progress::Timing;
@@ -122,6 +122,8 @@ pub struct Scheduler<'a> {
     resident: Resident,
     /// Keys that were looked up and are not told of yet.
     pub(super) counted_on: Vec<Digest>,
+    /// Where values are put that memory has no room for, once there are any.
+    pub(super) spill_room: Option<Scratch>,
     running: usize,
 }
 
@@ -146,6 +148,7 @@ impl<'a> Scheduler<'a> {
             estimates: HashMap::new(),
             resident: Resident::default(),
             counted_on: Vec::new(),
+            spill_room: None,
             running: 0,
         }
     }
@@ -293,6 +296,9 @@ impl<'a> Scheduler<'a> {
     fn value(&self, producer: usize, port: &'static str) -> Value {
         let state = &self.states[producer];
         let recorded = state.outcome.as_ref().map(|outcome| &outcome.outputs[port]);
+        if let Some(spilled) = state.spilled.get(port).filter(|_| !state.values.contains_key(port)) {
+            return Value::Spilled(spilled.clone());
+        }
         match (state.values.get(port), recorded) {
             (Some(value), _) => Value::Ready(value.clone()),
             (None, Some(recorded)) => Value::Stored(recorded.kind.parse().unwrap_or(Kind::Table), recorded.digest),
@@ -306,6 +312,7 @@ impl<'a> Scheduler<'a> {
             Err(Failure::Store(error)) => return Err(RunError::Store(error)),
             Err(Failure::Lost(producer, why)) => {
                 self.warn(producer, format!("an output had to be made again: {why}"));
+                self.states[producer].spilled.clear();
                 self.states.set(instance, Status::Due);
                 self.turns.push_back(Turn::Prepare(instance));
             }

@@ -129,7 +129,10 @@ impl Scheduler<'_> {
 
     /// Whether it uses values that are held in memory only, so that they can be let go.
     fn drains(&self, instance: usize) -> bool {
-        let transient = |producer: &usize| !self.plan.step(*producer).keep && !self.states[*producer].values.is_empty();
+        let transient = |producer: &usize| {
+            let state = &self.states[*producer];
+            !self.plan.step(*producer).keep && !(state.values.is_empty() && state.spilled.is_empty())
+        };
         self.plan.producers(instance).iter().any(transient)
     }
 
@@ -139,7 +142,7 @@ impl Scheduler<'_> {
         let is_absent = |(producer, port): &(usize, &str)| {
             let state = &self.states[*producer];
             let digest = state.outcome.as_ref().map(|outcome| outcome.outputs[*port].digest);
-            !state.values.contains_key(*port) && !digest.is_some_and(|digest| self.store.contains(&digest))
+            !state.holds(port) && !digest.is_some_and(|digest| self.store.contains(&digest))
         };
         let mut absent: Vec<usize> = Vec::new();
         for (producer, _) in given.map(|given| (given.instance, given.port)).filter(is_absent) {
@@ -232,7 +235,7 @@ impl Scheduler<'_> {
             self.release(producer);
         }
         if self.states[instance].users == 0 {
-            self.forget(instance);
+            self.drop_values(instance);
         }
     }
 
@@ -261,7 +264,8 @@ impl Scheduler<'_> {
             return Ok(());
         };
         if self.states[twin].users > 0 {
-            let values = self.states[leader].values.clone();
+            let (values, spilled) = (self.states[leader].values.clone(), self.states[leader].spilled.clone());
+            self.states[twin].spilled = spilled;
             values.into_iter().for_each(|(port, value)| self.hold(twin, port, value));
         }
         self.states.set(twin, Status::Done);
@@ -283,7 +287,8 @@ impl Scheduler<'_> {
         if self.plan.step(twin).keep && !outcome.is_kept() {
             return if in_memory { self.store_values(leader, outcome, &values).map(Some) } else { Ok(None) };
         }
-        let there = !self.states[twin].remaking || in_memory || self.is_stored(&self.states[leader]);
+        let held = outcome.outputs.keys().all(|port| self.states[leader].holds(port));
+        let there = !self.states[twin].remaking || held || self.is_stored(&self.states[leader]);
         Ok(there.then_some(outcome))
     }
 

@@ -7,6 +7,7 @@ use rockface_cache::{Digest, Outcome, Recipe};
 use rockface_stages::artefact::Artefact;
 
 use super::StepFailure;
+use super::spill::Spilled;
 use crate::plan::Plan;
 
 /// How far an instance is.
@@ -57,6 +58,8 @@ pub struct State {
     pub again: bool,
     /// Its outputs, as far as they are in memory.
     pub values: BTreeMap<&'static str, Arc<Artefact>>,
+    /// Its outputs that are in no store, as far as memory had no room for them.
+    pub spilled: BTreeMap<&'static str, Arc<Spilled>>,
     /// Consumers that may still ask for the values.
     pub users: usize,
     /// Instances that wait for the values.
@@ -175,6 +178,7 @@ impl State {
             remaking: false,
             again: false,
             values: BTreeMap::new(),
+            spilled: BTreeMap::new(),
             users,
             wanted_by: Vec::new(),
         }
@@ -183,6 +187,11 @@ impl State {
     /// How far it is.
     pub fn status(&self) -> Status {
         self.status
+    }
+
+    /// Whether this output is in memory, or in a file until nobody needs it.
+    pub fn holds(&self, port: &str) -> bool {
+        self.values.contains_key(port) || self.spilled.contains_key(port)
     }
 }
 

@@ -14,6 +14,7 @@ use rockface_stages::{AnyStage, Context, Entry, Inputs, Later, Point, StageError
 
 use super::host::StepHost;
 use super::program::Used;
+use super::spill::Spilled;
 use crate::plan::{InputFile, StepParams};
 
 /// An artefact that is in memory, or the blob to read it from.
@@ -22,6 +23,8 @@ pub enum Value {
     Ready(Arc<Artefact>),
     /// In the store.
     Stored(Kind, Digest),
+    /// In a file, for want of memory.
+    Spilled(Arc<Spilled>),
 }
 
 /// One element of an input.
@@ -180,10 +183,10 @@ fn inputs<'s>(task: &'s Task, store: &'s Store, trouble: &'s Trouble) -> (Inputs
         let known = stored.iter().find(|(from, _)| *from == feed.from).map(|(_, later)| later.clone());
         let value = match (&feed.value, known) {
             (Value::Ready(value), _) => Arc::new(Later::ready(value.clone())),
-            (Value::Stored(..), Some(later)) => later,
-            (Value::Stored(kind, digest), None) => {
+            (_, Some(later)) => later,
+            (value, None) => {
                 let later = Arc::new(Later::new(move || {
-                    read(feed, *kind, digest, store).map_err(|failure| {
+                    read(feed, value, store).map_err(|failure| {
                         *trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(failure);
                         StageError::new(format!("input `{}` cannot be read", feed.port))
                     })
@@ -197,8 +200,13 @@ fn inputs<'s>(task: &'s Task, store: &'s Store, trouble: &'s Trouble) -> (Inputs
     (inputs, stored)
 }
 
-fn read(feed: &Feed, kind: Kind, digest: &Digest, store: &Store) -> Result<Arc<Artefact>, Failure> {
+fn read(feed: &Feed, value: &Value, store: &Store) -> Result<Arc<Artefact>, Failure> {
     let lost = |why: String| Failure::Lost(feed.from.0, why);
+    let (kind, digest) = match value {
+        Value::Ready(value) => return Ok(value.clone()),
+        Value::Spilled(spilled) => return spilled.read().map(Arc::new).map_err(lost),
+        Value::Stored(kind, digest) => (*kind, digest),
+    };
     let bytes = match store.get(digest) {
         Ok(bytes) => bytes,
         Err(error @ StoreError::Damaged { .. }) => return Err(lost(error.to_string())),

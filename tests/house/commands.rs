@@ -175,3 +175,43 @@ fn a_program_that_is_interrupted_has_not_failed() {
     assert_eq!(child.wait().unwrap().code(), Some(130), "{rest:?}");
     assert!(rest.iter().all(|line| !line.contains("failed")) && rest.iter().any(|line| line.contains("interrupted")));
 }
+
+#[test]
+fn a_failed_step_leaves_why_it_failed_and_what_it_said() {
+    let house = House::new(
+        "rockface: 1\naxes: {i: {count: 3}}\nsteps:\n  a:\n    stage: command\n    over: [i]\n    retries: 1\n    with:\n      \
+         program: sh\n      version: POSIX sh\n      params: {i: '${i}'}\n      outputs: {f: {kind: file, extension: txt}}\n      \
+         args: ['-c', 'echo hello {param.i}; echo oh dear >&2; test {param.i} != 1 && echo {param.i} > {out.f}']\n  \
+         b: {stage: command, in: {f: a.f}, with: {program: cp, version: any, inputs: {f: {kind: file, extension: txt}}, \
+         args: ['{in.f}', '{out.f}'], outputs: {f: {kind: file, extension: txt}}}}\n",
+    );
+    let (code, _, err) = house.rockface(&["run", "p.yaml", "--keep-going", "--quiet"]);
+    assert_eq!(code, Some(1), "{err}");
+    let folder = house.path(".rockface/runs/latest");
+    let text = std::fs::read_to_string(folder.join("run.json")).unwrap();
+    let run: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let told = |step: &str| {
+        let is_meant = |done: &&serde_json::Value| done["step"] == step && done["point"]["i"] == "1";
+        run["steps"].as_array().unwrap().iter().find(is_meant).unwrap().clone()
+    };
+    let (failed, beyond) = (told("a"), told("b"));
+    assert!(failed["status"] == "failed" && beyond["status"] == "not reached" && beyond.get("failure").is_none());
+    assert!(failed["failure"].as_str().unwrap().contains("ended with code 1, saying\n  oh dear"), "{failed}");
+    let (_, log, _) = house.rockface(&["inspect", failed["log"].as_str().unwrap()]);
+    assert!(log.contains("hello 1") && log.contains("attempt 1 of 2 failed"), "{log}");
+    let page = std::fs::read_to_string(folder.join("report.html")).unwrap();
+    assert!(page.contains("<h2>Failures</h2>") && page.contains("oh dear"));
+    let log = std::fs::read(folder.join("run.mcap")).unwrap();
+    let said = |message: &mcap::Message| String::from_utf8_lossy(&message.data).into_owned();
+    let said: Vec<String> = mcap::MessageStream::new(&log).unwrap().map(|message| said(&message.unwrap())).collect();
+    assert!(said.iter().any(|text| text.contains("failed: `sh` ended with code 1")), "{said:?}");
+}
+
+#[test]
+fn a_record_counts_what_its_program_took() {
+    let bench = Bench::rocks();
+    let script = "i=0; while test $i -lt 60000; do i=$((i + 1)); done; echo a > {out.t}; echo > {out.f}";
+    let ran = bench.run(&command(&format!("      args: ['-c', '{script}']\n")), &[]);
+    let cost = ran.summary.instances[0].outcome.as_ref().unwrap().cost;
+    assert!(cost.cpu_s > 0.01 && cost.peak_bytes > 500_000, "{cost:?}");
+}

@@ -170,7 +170,15 @@ fn memory_that_runs_short_changes_nothing() {
     let transient = SWEEP.replace("noisy: {stage: draw,", "noisy: {stage: draw, keep: false,");
     let small = Options { jobs: 2, memory_bytes: 1, ..Options::default() };
     let (roomy, tight) = (Bench::new(), Bench::new());
-    assert_eq!(roomy.run(&transient, &[]).digests(), tight.run_with(&transient, &[], &small).digests());
+    let ran = tight.run_with(&transient, &[], &small);
+    assert_eq!(roomy.run(&transient, &[]).digests(), ran.digests());
+    for result in &ran.summary.instances {
+        for output in result.outcome.as_ref().unwrap().outputs.values() {
+            let there = |bench: &Bench| bench.store.contains(&output.digest);
+            assert_eq!(there(&tight), there(&roomy), "what is not kept is dropped after use");
+        }
+    }
+    assert_eq!(std::fs::read_dir(tight.store.dir().join("scratch")).unwrap().count(), 0);
 }
 
 #[test]

@@ -90,7 +90,11 @@ impl InspectArgs {
         match found.as_slice() {
             [(key, "record")] => of_record(key, &records).map(Found::from),
             [(digest, kind)] => of_blob(&store, digest, kind, &records),
-            [] => Err(self.unknown()),
+            [] => {
+                // What a failed step said is named by the manifest of its run only.
+                let whole = self.what.parse().ok().filter(|digest| store.contains(digest));
+                whole.map_or_else(|| Err(self.unknown()), |digest| of_blob(&store, &digest, "log", &records))
+            }
             several => {
                 let names: Vec<String> =
                     several.iter().take(8).map(|(digest, kind)| format!("{digest} ({kind})")).collect();
