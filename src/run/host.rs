@@ -99,6 +99,7 @@ impl Host for StepHost<'_> {
             }
             Err(Failure::Stage(error, _)) => Err(error),
             Err(Failure::Lost(_, why)) => Err(StageError::new(why)),
+            Err(Failure::Held) => Err(StageError::new("another process has its key")),
             Err(Failure::Store(error)) => {
                 let told = StageError::new(error.to_string());
                 *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);

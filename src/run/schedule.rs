@@ -105,6 +105,12 @@ pub struct Scheduler<'a> {
     /// First what uses up values that are in memory only, then deeper steps, so that those values are used up before
     /// more are made.
     pub(super) ready: BinaryHeap<(bool, usize, std::cmp::Reverse<usize>)>,
+    /// Instances whose inputs are on record and would have to be made again: another process may do without.
+    pub(super) costly: VecDeque<usize>,
+    /// The same by the keys of those inputs: what is made again is made for all of them.
+    pub(super) wanting: HashMap<Digest, Vec<usize>>,
+    /// Instances whose keys other processes have.
+    elsewhere: VecDeque<usize>,
     /// Instances were added to the plan.
     pub(super) grown: bool,
     pub(super) computing: HashMap<Digest, Line>,
@@ -138,6 +144,9 @@ impl<'a> Scheduler<'a> {
             observer,
             turns: VecDeque::new(),
             ready: BinaryHeap::new(),
+            costly: VecDeque::new(),
+            wanting: HashMap::new(),
+            elsewhere: VecDeque::new(),
             grown: false,
             computing: HashMap::new(),
             memory_bytes: 0,
@@ -212,8 +221,33 @@ impl<'a> Scheduler<'a> {
         stop.load(Ordering::Relaxed) || (self.failure && !self.options.keep_going)
     }
 
-    /// The next instance a worker can have.
+    /// The next instance a worker can have: one that is ready, or becomes so when its inputs are made again, or at last one
+    /// whose key is waited for.
     fn next(&mut self) -> Result<Option<usize>, RunError> {
+        loop {
+            if let Some(instance) = self.next_ready()? {
+                return Ok(Some(instance));
+            }
+            if let Some(instance) = self.costly.pop_front() {
+                self.call_for_inputs(instance)?;
+                self.take_turns()?;
+                continue;
+            }
+            let Some(instance) = self.elsewhere.pop_front() else { return Ok(None) };
+            if self.states[instance].status() == Status::Due {
+                self.states[instance].patient = true;
+                return Ok(Some(instance));
+            }
+        }
+    }
+
+    /// An instance has to be looked at again when another process has let go of its key.
+    pub(super) fn leave_elsewhere(&mut self, instance: usize) {
+        self.states.set(instance, Status::Due);
+        self.elsewhere.push_back(instance);
+    }
+
+    fn next_ready(&mut self) -> Result<Option<usize>, RunError> {
         while let Some((_, _, std::cmp::Reverse(instance))) = self.ready.pop() {
             let state = &self.states[instance];
             if state.status() != Status::Due || state.missing > 0 {
@@ -286,6 +320,7 @@ impl<'a> Scheduler<'a> {
             outputs: outputs.collect(),
             keep: self.must_keep(instance),
             remake: state.remaking,
+            patient: state.patient,
             timeout: step.timeout,
             retries: step.retries,
             sketch,
@@ -310,6 +345,7 @@ impl<'a> Scheduler<'a> {
         match result {
             Ok(done) => self.complete(instance, done)?,
             Err(Failure::Store(error)) => return Err(RunError::Store(error)),
+            Err(Failure::Held) => self.leave_elsewhere(instance),
             Err(Failure::Lost(producer, why)) => {
                 self.warn(producer, format!("an output had to be made again: {why}"));
                 self.states[producer].spilled.clear();

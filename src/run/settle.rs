@@ -99,7 +99,7 @@ impl Scheduler<'_> {
         twins.chain([instance]).any(|twin| self.plan.step(twin).keep)
     }
 
-    /// Puts an instance in line for a worker, after the producers whose values are neither in memory nor in the store.
+    /// Puts an instance in line for a worker; where values it needs are neither in memory nor in the store, behind all others.
     fn prepare(&mut self, instance: usize) {
         if !self.is_due(instance) {
             return;
@@ -111,6 +111,52 @@ impl Scheduler<'_> {
         if absent.iter().any(|producer| self.states[*producer].status() == Status::Failed) {
             return self.fail(instance);
         }
+        if absent.is_empty() {
+            self.line_up(instance);
+        } else if self.states[instance].remaking {
+            self.remake_all(instance, absent);
+        } else {
+            self.costly.push_back(instance);
+            for key in absent.iter().filter_map(|producer| self.states[*producer].key) {
+                self.wanting.entry(key).or_default().push(instance);
+            }
+        }
+    }
+
+    /// Has the inputs of an instance made again, for it and for others that want them, unless another process is doing without
+    /// or has done so.
+    pub fn call_for_inputs(&mut self, instance: usize) -> Result<(), RunError> {
+        let mut calling = vec![instance];
+        while let Some(instance) = calling.pop() {
+            for producer in self.call_for(instance)? {
+                let key = self.states[producer].key;
+                calling.extend(key.and_then(|key| self.wanting.remove(&key)).unwrap_or_default());
+            }
+        }
+        Ok(())
+    }
+
+    /// Returns the producers that are made again for an instance.
+    fn call_for(&mut self, instance: usize) -> Result<Vec<usize>, RunError> {
+        let is_called = !self.is_due(instance) || self.states[instance].missing > 0;
+        let Some(key) = self.states[instance].key.filter(|_| !is_called) else { return Ok(Vec::new()) };
+        self.store.refresh()?;
+        if let Some(outcome) = hit(self.store, &key, self.must_keep(instance)) {
+            self.states.set(instance, Status::Done);
+            self.tell_cached(instance);
+            self.turns.push_back(Turn::Finish(instance, outcome));
+        } else if self.store.try_lock(&key)?.is_none() {
+            self.leave_elsewhere(instance);
+        } else {
+            let absent = self.absent(instance);
+            self.remake_all(instance, absent.clone());
+            return Ok(absent);
+        }
+        Ok(Vec::new())
+    }
+
+    /// Has values made again, after which the instance is looked at anew.
+    fn remake_all(&mut self, instance: usize, absent: Vec<usize>) {
         self.states[instance].missing = absent.len();
         if absent.is_empty() {
             self.line_up(instance);

@@ -52,6 +52,8 @@ pub struct State {
     pub recorded: bool,
     /// It was told that it waits for memory.
     pub held: bool,
+    /// It is waited for while another process has its key, as there is nothing else to do.
+    pub patient: bool,
     /// It is being made again for its values, though its record is known.
     pub remaking: bool,
     /// A producer came out otherwise when it was made again: its recipe has to be looked at anew.
@@ -175,6 +177,7 @@ impl State {
             failure: None,
             recorded: false,
             held: false,
+            patient: false,
             remaking: false,
             again: false,
             values: BTreeMap::new(),

@@ -59,6 +59,8 @@ pub struct Task {
     pub keep: bool,
     /// It is recorded, but its values are needed.
     pub remake: bool,
+    /// Whether to wait for a key that another process has: there is nothing else to do.
+    pub patient: bool,
     /// How long one go may take.
     pub timeout: Option<Duration>,
     /// How often it is tried again after a failure.
@@ -89,6 +91,8 @@ pub enum Failure {
     Stage(StageError, Option<Digest>),
     /// An input blob is damaged or gone; its producer has to run again.
     Lost(usize, String),
+    /// Another process has its key.
+    Held,
     /// The store cannot go on.
     Store(StoreError),
 }
@@ -115,7 +119,7 @@ pub fn guarded<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failur
     })
 }
 
-/// Runs one instance; `waiting` is called when another process holds its key.
+/// Runs one instance; `waiting` is called when another process holds its key and this one is to wait for it.
 ///
 /// Locks are taken and the store is used on the calling thread. Only computing goes into the pool: a thread of the pool
 /// that waits for its fellows takes up other work meanwhile, and must not come upon a lock held further down its stack.
@@ -126,7 +130,8 @@ pub fn work(
     stop: &AtomicBool,
     waiting: impl FnOnce(),
 ) -> Result<Done, Failure> {
-    let _lock = store.lock(&task.key, waiting)?;
+    let lock = if task.patient { Some(store.lock(&task.key, waiting)?) } else { store.try_lock(&task.key)? };
+    let Some(_lock) = lock else { return Err(Failure::Held) };
     // Whoever held the key before may have done the work since it was last looked for.
     store.refresh()?;
     if let Some(outcome) = done_elsewhere(task, store) {
