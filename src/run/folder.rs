@@ -88,10 +88,18 @@ pub fn finish(
     Ok(finished)
 }
 
-/// Whether a run folder is one of those in `runs` and still there, with these files.
+/// Whether a run folder is one of those in `runs` and still as it was told: with these files, none of which was written to
+/// since the manifest, which is written last.
 pub(super) fn is_told_in(folder: &Path, runs: &Path, files: &[PathBuf]) -> bool {
-    let is_there = |file: &Path| folder.join(file).is_file();
-    folder.parent() == Some(runs) && is_there(Path::new("run.json")) && files.iter().all(|file| is_there(file))
+    let written = |file: &Path| {
+        let meta = std::fs::metadata(folder.join(file)).ok().filter(std::fs::Metadata::is_file)?;
+        meta.modified().ok().map(|at| (at, meta.len()))
+    };
+    let Some((told, 1..)) = written(Path::new("run.json")) else { return false };
+    let is_untouched = |file: &Path| written(file).is_some_and(|(at, _)| at <= told);
+    // A page may be written again later.
+    let is_whole = written(Path::new(report::FILE)).is_some() && is_untouched(Path::new(LOG_FILE));
+    folder.parent() == Some(runs) && is_whole && files.iter().all(|file| is_untouched(file))
 }
 
 /// The same for two runs of the same text, overrides and targets with the same recipes, told of in the same place.

@@ -101,3 +101,31 @@ fn an_interrupt_while_the_folder_is_written_leaves_none_and_loses_nothing() {
     let (code, out, err) = house.rockface(&["run", "p.yaml"]);
     assert!(code == Some(0) && out.contains("ran 0, cached 4001"), "{out}{err}");
 }
+
+#[test]
+fn a_former_folder_that_somebody_wrote_to_answers_no_more() {
+    let house = House::new(SMALL);
+    let folder = || std::fs::canonicalize(house.path(".rockface/runs/latest")).unwrap();
+    let run = || {
+        let (code, out, err) = house.rockface(&["run", "p.yaml"]);
+        assert!(code == Some(0), "{err}");
+        (folder(), out)
+    };
+    let first = run().0;
+    assert_eq!(run().0, first);
+    let raster = "outputs/dem/raster.tif";
+    let whole = std::fs::read(first.join(raster)).unwrap();
+    for spoil in [raster, "run.mcap", "report.html", "run.json"] {
+        let before = folder();
+        // The system may tell times no finer than to some milliseconds.
+        std::thread::sleep(std::time::Duration::from_millis(30));
+        match spoil {
+            "report.html" => std::fs::remove_file(before.join(spoil)).unwrap(),
+            "run.json" => std::fs::write(before.join(spoil), "").unwrap(),
+            _ => std::fs::write(before.join(spoil), "edited").unwrap(),
+        }
+        let (after, out) = run();
+        assert!(after != before && out.contains("ran 0"), "{spoil}: {out}");
+        assert_eq!(std::fs::read(after.join(raster)).unwrap(), whole, "{spoil}");
+    }
+}
