@@ -210,6 +210,7 @@ mod tests {
             label: step.into(),
             facts: Facts { stage: "make-points", version: 1, key: None, outputs },
             made: BTreeMap::from([("points".to_owned(), made)]),
+            failure: None,
             unshown: String::new(),
             recipe: "{}".into(),
         }

@@ -9,7 +9,8 @@ use serde_json::Value;
 
 use self::declared::Declared;
 use self::fill::{Names, TEMPLATE, pieces};
-use crate::artefact::{Artefact, Table};
+use crate::artefact::Artefact;
+use crate::kernel::table_file;
 use crate::params::{Fault, FileRef};
 use crate::program::{Piece, Program, ProgramResult, ended};
 use crate::{Arity, Context, Inputs, Outputs, Page, Port, Ports, Stage, StageError, params};
@@ -45,7 +46,7 @@ pub struct Command;
 impl Stage for Command {
     type Params = CommandParams;
     const NAME: &'static str = "command";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page {
         what: "Runs a program over declared inputs and outputs: a script, a compiled tool, another photogrammetry package. \
                Its output files are decoded and checked like those of any stage.",
@@ -172,7 +173,7 @@ fn output(port: &str, declared: &Declared, result: &ProgramResult) -> Result<Art
         return Err(StageError::new(message).hint(hint));
     };
     let decoded = if declared.is_csv() {
-        Table::from_csv(bytes).map(Artefact::Table)
+        table_file::read(bytes).map(Artefact::Table)
     } else {
         Artefact::decode(declared.kind, bytes)
     };

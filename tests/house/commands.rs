@@ -85,7 +85,7 @@ fn a_program_that_fails_says_why() {
     let broken = fails("echo > {out.f}; printf \"a,b\\n1\\n\" > {out.t}");
     assert!(broken.contains("output `t`") && broken.contains("is no table"), "{broken}");
     let empty = fails("echo > {out.f}; : > {out.t}");
-    assert!(empty.contains("output `t`") && empty.contains("header line"), "{empty}");
+    assert!(empty.contains("output `t`") && empty.contains("first line names no column"), "{empty}");
     let absent = failure(&bench.run(&command("").replace("program: sh", "program: no-such-program"), &[]));
     assert!(absent.contains("cannot run `no-such-program`"), "{absent}");
 }
@@ -105,6 +105,18 @@ fn a_timeout_ends_a_program_and_its_children_and_retries_try_again() {
     );
     let flaky = bench.run(&command(&format!("      args: ['-c', '{script}']\n    retries: 2\n")), &[]);
     assert!(!flaky.summary.failed && flaky.warnings()[0].contains("attempt 1 of 3"), "{:?}", flaky.warnings());
+}
+
+#[test]
+fn tables_of_programs_are_read_as_table_files_are() {
+    let bench = Bench::rocks();
+    let make = |text: &str| {
+        bench.run(&command(&format!("      args: ['-c', 'printf \"{text}\" > {{out.t}}; echo > {{out.f}}']\n")), &[])
+    };
+    let ran = make("a;b\\\\n1.5;x\\\\nnan;true\\\\n");
+    let table: Table = ran.value(&bench.store, "c", "t");
+    assert_eq!(table.rows, [vec![1.5.into(), "x".into()], vec![f64::NAN.into(), true.into()]]);
+    assert!(failure(&make("a,a\\\\n1,2\\\\n")).contains("two columns are called `a`"));
 }
 
 #[test]

@@ -90,23 +90,6 @@ impl Table {
         self.columns.iter().position(|column| column == name)
     }
 
-    /// Reads CSV with a header line: what reads as a finite number is one, `true` and `false` are flags, nothing is empty.
-    ///
-    /// # Errors
-    /// Text that is no CSV, or rows of another length than the header.
-    pub fn from_csv(bytes: &[u8]) -> Result<Self, CodecError> {
-        let mut reader = csv::Reader::from_reader(bytes);
-        let failed = |e: csv::Error| CodecError(format!("cannot read CSV: {e}"));
-        let mut table = Self::new(reader.headers().map_err(failed)?);
-        if table.columns.is_empty() {
-            return Err(CodecError::new("it is empty; a table has at least its header line"));
-        }
-        for record in reader.records() {
-            table.push(record.map_err(failed)?.iter().map(csv_cell).collect());
-        }
-        Ok(table)
-    }
-
     /// The table as CSV with a header line.
     pub fn to_csv(&self) -> Result<Vec<u8>, CodecError> {
         let mut writer = csv::Writer::from_writer(Vec::new());
@@ -116,16 +99,6 @@ impl Table {
             writer.write_record(row.iter().map(ToString::to_string)).map_err(failed)?;
         }
         writer.into_inner().map_err(|e| CodecError(format!("cannot write CSV: {e}")))
-    }
-}
-
-fn csv_cell(text: &str) -> Cell {
-    let number = text.trim().parse::<f64>().ok().filter(|x| x.is_finite());
-    match (text, number) {
-        ("", _) => Cell::Empty(()),
-        ("true" | "false", _) => Cell::Flag(text == "true"),
-        (_, Some(number)) => number.into(),
-        (_, None) => text.into(),
     }
 }
 
