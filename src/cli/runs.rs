@@ -96,9 +96,6 @@ fn list(places: &Places, format: Format) -> Result<(), CliError> {
     for fault in faults {
         eprintln!("warning: {fault}");
     }
-    let (head, row): (&[&str], fn(&PastRun) -> Vec<String>) =
-        if format == Format::Csv { (&RECORD_HEAD, record) } else { (&LINE_HEAD, line) };
-    let rows: Vec<Vec<String>> = runs.iter().map(row).collect();
     let json: Value = runs
         .iter()
         .map(|run| {
@@ -110,7 +107,11 @@ fn list(places: &Places, format: Format) -> Result<(), CliError> {
             })
         })
         .collect();
-    table::print(format, head, &rows, &json)
+    let rows = |row: fn(&PastRun) -> Vec<String>| runs.iter().map(row).collect::<Vec<_>>();
+    match format {
+        Format::Csv => table::print(format, &RECORD_HEAD, &rows(record), &json),
+        Format::Table | Format::Json => table::print(format, &LINE_HEAD, &rows(line), &json),
+    }
 }
 
 /// The columns of runs for people.
