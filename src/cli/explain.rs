@@ -1,11 +1,13 @@
 //! `rockface explain`.
 
+use std::path::PathBuf;
+
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::{CliError, PipelineArgs, say};
+use super::{CliError, PipelineArgs, beside, say};
 use crate::diagnostic::nearest;
-use crate::explain::{Answers, Cause, Change, Explanation, explain};
+use crate::explain::{Answers, Cause, Change, Explanation, Former, explain};
 use crate::pipeline::Pipeline;
 use crate::plan::Plan;
 
@@ -20,6 +22,9 @@ pub struct ExplainArgs {
     /// The step; with more than one instance its point too: `dem[epoch=pre,replicate=3]`, in quotes for most shells.
     #[arg(value_name = "STEP[AXIS=ITEM,...]")]
     step: String,
+    /// The run folders that tell where a former record comes from; by default `.rockface/runs` beside the pipeline.
+    #[arg(long, value_name = "DIR")]
+    runs: Option<PathBuf>,
     /// Print the explanation as JSON.
     #[arg(long)]
     json: bool,
@@ -39,7 +44,8 @@ impl ExplainArgs {
         }
         let instance = one_instance(&plan, name, &items)?;
         let answers = Answers::new(&plan, &store);
-        let Some(told) = explain(&plan, &store, &answers, instance) else {
+        let runs = self.runs.unwrap_or_else(|| beside(&self.pipeline.pipeline).join("runs"));
+        let Some(told) = explain(&plan, &store, &answers, instance, &runs) else {
             return Err(CliError::Usage(format!("the inputs of `{}` are not on record", plan.label(instance))));
         };
         if self.json {
@@ -81,6 +87,7 @@ fn one_instance(plan: &Plan, name: &str, items: &[&str]) -> Result<usize, CliErr
     let fitting: Vec<usize> = own.iter().copied().filter(fits).collect();
     match fitting.as_slice() {
         [one] => Ok(*one),
+        [] if own.is_empty() => Err(CliError::Usage(unexpanded(plan, name))),
         [] => {
             let message = format!("step `{name}` has no instance at [{}]; it has", items.join(","));
             Err(CliError::Usage(listed(plan, &message, &own)))
@@ -90,6 +97,21 @@ fn one_instance(plan: &Plan, name: &str, items: &[&str]) -> Result<usize, CliErr
             Err(CliError::Usage(listed(plan, &message, many)))
         }
     }
+}
+
+/// Why a step has no instance at all: some list of items is not known yet.
+fn unexpanded(plan: &Plan, name: &str) -> String {
+    let graph = &plan.graph;
+    let step = graph.steps.iter().position(|step| step.name == name);
+    let axis = step.and_then(|step| graph.deferred()[step]);
+    let Some((axis, dynamic)) = axis.and_then(|axis| Some((&graph.axes[axis], graph.dynamic[axis].as_ref()?))) else {
+        return format!("step `{name}` has no instance");
+    };
+    let (axis, maker) = (&axis.name.text, &graph.steps[dynamic.source.step].name);
+    format!(
+        "which instances step `{name}` has is not known: the items of axis `{axis}` are made by step `{maker}`, which has \
+         not run; run it (`rockface run PIPELINE --target {maker}`), or explain `{maker}`"
+    )
 }
 
 fn listed(plan: &Plan, message: &str, instances: &[usize]) -> String {
@@ -111,7 +133,7 @@ fn print(plan: &Plan, answers: &Answers, told: &Explanation) {
     say(&format!("key {}\nrecipe {pretty}", told.recipe.key()));
     for (index, cause) in told.causes.iter().enumerate() {
         say(&format!("\n{}", headline(plan, cause, index == 0)));
-        let changes = cause.former.as_ref().map_or(&[][..], |(_, changes)| changes);
+        let changes = cause.former.as_ref().map_or(&[][..], |former| &former.changes);
         changes.iter().take(NAMED).for_each(|change| say(&format!("  {change}{}", origin(plan, cause, change))));
         if changes.len() > NAMED {
             say(&format!("  … and {} more", changes.len() - NAMED));
@@ -131,11 +153,17 @@ fn headline(plan: &Plan, cause: &Cause, first: bool) -> String {
     match (&cause.former, first) {
         (None, true) => format!("{label}: nothing is on record of stage `{stage}`"),
         (None, false) => format!("{label} made that input; no record tells what made the former one"),
-        (Some((key, _)), true) => {
-            format!("{label}: against {}…, the most like of {} on record of `{stage}`", key.short(), cause.records)
+        (Some(former), true) => {
+            format!("{label}: against {}, the most like of {} on record of `{stage}`", named(former), cause.records)
         }
-        (Some((key, _)), false) => format!("{label} made that input; against {}…, which made the former", key.short()),
+        (Some(former), false) => format!("{label} made that input; against {}, which made the former", named(former)),
     }
+}
+
+/// The key of a former record and the run it is known from.
+fn named(former: &Former) -> String {
+    let run = former.run.as_ref().map_or_else(|| "no run folder names it".to_owned(), |run| format!("in run {run}"));
+    format!("{}… ({run})", former.key.short())
 }
 
 /// Where a changed component comes from: the output of a step, or a file.
@@ -163,10 +191,12 @@ fn print_json(plan: &Plan, answers: &Answers, told: &Explanation) {
     };
     let change = |change: &Change| json!({ "path": change.path, "old": change.old, "new": change.new });
     let cause = |cause: &Cause| {
-        let (former, changes) = cause.former.as_ref().map(|(key, changes)| (key, changes.as_slice())).unzip();
+        let former = cause.former.as_ref();
+        let changes = former.map_or(&[][..], |former| &former.changes);
         json!({
             "step": plan.step(cause.instance).name, "point": plan.point(cause.instance), "records": cause.records,
-            "former_key": former, "changes": changes.unwrap_or_default().iter().map(change).collect::<Vec<_>>(),
+            "former_key": former.map(|former| former.key), "former_run": former.and_then(|former| former.run.as_ref()),
+            "changes": changes.iter().map(change).collect::<Vec<_>>(),
         })
     };
     let whole = json!({

@@ -2,10 +2,13 @@
 
 use clap::{Args, ValueEnum};
 
+use rockface_cache::Store;
+
 use super::{CliError, PipelineArgs, say};
 use crate::diagnostic::Diagnostics;
 use crate::drawing::Drawing;
-use crate::plan::resolve;
+use crate::pipeline::Pipeline;
+use crate::plan::{Graph, expand, resolve};
 
 /// Arguments of `rockface graph`.
 #[derive(Debug, Args)]
@@ -15,6 +18,9 @@ pub struct GraphArgs {
     /// The language to write: `rockface graph p.yaml --format svg > p.svg` is a picture; Graphviz makes one of the first.
     #[arg(long, value_enum, default_value_t = Format::Dot)]
     format: Format,
+    /// The same as `--format json`.
+    #[arg(long, conflicts_with = "format")]
+    json: bool,
 }
 
 /// A language for graphs.
@@ -26,21 +32,40 @@ enum Format {
     Mermaid,
     /// A picture for browsers and documents.
     Svg,
+    /// Steps and arrows for programs.
+    Json,
 }
 
 impl GraphArgs {
     /// Prints the graph.
     pub fn run(self) -> Result<(), CliError> {
         let pipeline = self.pipeline.load()?;
-        let graph = resolve(&pipeline, &self.pipeline.target, rockface_stages::all()).map_err(CliError::Pipeline)?;
+        let graph = self.graph(&pipeline)?;
         let drawing = Drawing::of(&graph)
             .map_err(|list| CliError::Pipeline(Diagnostics { sources: pipeline.sources.clone(), list }))?;
-        say(match self.format {
+        let drawing = if self.pipeline.target.is_empty() { drawing } else { drawing.only_needed() };
+        let format = if self.json { Format::Json } else { self.format };
+        say(match format {
             Format::Dot => drawing.dot(),
             Format::Mermaid => drawing.mermaid(),
             Format::Svg => drawing.svg(),
+            Format::Json => serde_json::to_string_pretty(&drawing.json()).unwrap_or_default(),
         }
         .trim_end());
         Ok(())
+    }
+
+    /// The graph, with the items of axes that are on record; drawing makes no store.
+    fn graph(&self, pipeline: &Pipeline) -> Result<Graph, CliError> {
+        let resolved = || resolve(pipeline, &self.pipeline.target, rockface_stages::all());
+        let graph = resolved().map_err(CliError::Pipeline)?;
+        let place = self.pipeline.store_dir();
+        let is_pending = (0..graph.axes.len()).any(|axis| graph.is_pending(axis));
+        if !is_pending || !place.join("format").is_file() {
+            return Ok(graph);
+        }
+        // What keeps it from being planned, such as a missing file, does not keep it from being drawn.
+        let plan = Store::open(&place).ok().and_then(|store| expand(graph, pipeline, &store).ok());
+        plan.map_or_else(resolved, |plan| Ok(plan.graph)).map_err(CliError::Pipeline)
     }
 }

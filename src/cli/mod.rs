@@ -232,10 +232,17 @@ impl Cli {
     }
 }
 
-/// Writes to standard output; a reader that has gone away ends the writing quietly.
+/// Writes to standard output. A reader that has gone away ends the writing quietly; whatever else keeps the text from
+/// being written, such as a full disk, ends the program with the exit code of a disk that failed.
 fn say(text: &str) {
     use std::io::Write;
-    let _ = writeln!(std::io::stdout(), "{text}");
+    match writeln!(std::io::stdout(), "{text}") {
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
+            eprintln!("error: cannot write to standard output: {error}");
+            std::process::exit(3);
+        }
+        _ => {}
+    }
 }
 
 #[cfg(test)]

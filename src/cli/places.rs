@@ -7,6 +7,9 @@ use rockface_cache::Store;
 
 use super::CliError;
 
+/// The folder of runs that is looked at if none is given.
+const RUNS: &str = ".rockface/runs";
+
 /// The store and the folder of runs; by default those of a pipeline in the working folder.
 #[derive(Debug, Args)]
 pub struct Places {
@@ -14,11 +17,16 @@ pub struct Places {
     #[arg(long, value_name = "DIR", env = "ROCKFACE_STORE", default_value = ".rockface/store")]
     store: PathBuf,
     /// The folder of runs.
-    #[arg(long, value_name = "DIR", default_value = ".rockface/runs")]
+    #[arg(long, value_name = "DIR", default_value = RUNS)]
     pub runs: PathBuf,
 }
 
 impl Places {
+    /// Whether the folder of runs is there, or is the one that the first run makes.
+    pub fn are_runs_there(&self) -> bool {
+        self.runs == Path::new(RUNS) || self.runs.is_dir()
+    }
+
     /// Opens the store, making it if there is none.
     pub fn make_store(&self) -> Result<Store, CliError> {
         Ok(Store::open(&self.store)?)

@@ -1,10 +1,10 @@
 //! `rockface plan`.
 
-use std::collections::BTreeMap;
+use std::collections::HashMap;
 
 use clap::Args;
 use rockface_cache::Store;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::{CliError, PipelineArgs, say};
 use crate::explain::{Answer, Answers};
@@ -30,7 +30,7 @@ impl PlanArgs {
         let pipeline = self.pipeline.load()?;
         let (plan, store) = self.pipeline.plan(&pipeline, &self.pipeline.target)?;
         let answers = Answers::new(&plan, &store);
-        let times = times(&store);
+        let times = Times::new(&store);
         if self.json {
             print_json(&plan, answers.list(), &times);
         } else {
@@ -75,18 +75,51 @@ fn unknown(plan: &Plan) -> Vec<(&str, &str)> {
     told.collect()
 }
 
-/// Mean elapsed seconds of an instance by stage, from records.
-type Times = BTreeMap<String, f64>;
+/// Elapsed seconds of instances that were alike, and how many there were, from records.
+struct Times(HashMap<String, (f64, u32)>);
 
-fn times(store: &Store) -> Times {
-    let stats = store.stat_by_stage().into_iter().filter(|stat| stat.records > 0);
-    stats.map(|stat| (stat.stage, stat.wall_s / stat.records as f64)).collect()
+impl Times {
+    fn new(store: &Store) -> Self {
+        let mut times: HashMap<String, (f64, u32)> = HashMap::new();
+        for record in store.keys().iter().filter_map(|key| store.record(key)) {
+            for likeness in likenesses(&record.recipe.stage, &record.recipe.params) {
+                let (wall_s, count) = times.entry(likeness).or_default();
+                *wall_s += record.cost.wall_s;
+                *count += 1;
+            }
+        }
+        Self(times)
+    }
+
+    /// The mean of those most like an instance.
+    fn expected_s(&self, plan: &Plan, instance: usize) -> Option<f64> {
+        let params = &plan.instances[instance].params.recipe;
+        let mut alike = likenesses(plan.step(instance).stage.name(), params).into_iter();
+        alike.find_map(|likeness| self.0.get(&likeness)).map(|(wall_s, count)| wall_s / f64::from(*count))
+    }
 }
 
-/// How long the instances that are no hits would take one after the other, going by records of their stages.
+/// What instances that take about as long have in common, the most telling first: the stage and the parameters but for
+/// their numbers, which a sweep changes; but for those in texts too, such as the arguments of a program; the stage.
+fn likenesses(stage: &str, params: &Value) -> [String; 3] {
+    let without = params_without_numbers(params).to_string();
+    let numberless: String = without.split(|letter: char| letter.is_ascii_digit()).collect();
+    [format!("{stage} {without}"), format!("{stage} {numberless}"), stage.to_owned()]
+}
+
+fn params_without_numbers(value: &Value) -> Value {
+    match value {
+        Value::Number(_) => Value::Null,
+        Value::Array(list) => list.iter().map(params_without_numbers).collect(),
+        Value::Object(map) => map.iter().map(|(key, value)| (key.clone(), params_without_numbers(value))).collect(),
+        other => other.clone(),
+    }
+}
+
+/// How long the instances that are no hits would take one after the other, going by records of such.
 fn estimate(plan: &Plan, answers: &[Answer], times: &Times) -> Option<String> {
-    let open: Vec<usize> = (0..answers.len()).filter(|i| answers[*i] != Answer::Hit).collect();
-    let known = open.iter().filter_map(|i| times.get(plan.step(*i).stage.name()));
+    let open: Vec<usize> = (0..answers.len()).filter(|i| answers[*i].word() != "hit").collect();
+    let known = open.iter().filter_map(|i| times.expected_s(plan, *i));
     let (count, seconds) = known.fold((0, 0.0), |(count, sum), wall_s| (count + 1, sum + wall_s));
     if count == 0 {
         return None;
@@ -99,7 +132,7 @@ fn estimate(plan: &Plan, answers: &[Answer], times: &Times) -> Option<String> {
 fn print_json(plan: &Plan, answers: &[Answer], times: &Times) {
     let instances = answers.iter().enumerate().map(|(instance, answer)| {
         let step = plan.step(instance);
-        let estimate_s = if *answer == Answer::Hit { None } else { times.get(step.stage.name()) };
+        let estimate_s = if answer.word() == "hit" { None } else { times.expected_s(plan, instance) };
         json!({
             "step": step.name, "point": plan.point(instance), "answer": answer.word(), "why": answer.why(plan),
             "estimate_s": estimate_s,

@@ -1,7 +1,7 @@
 //! Repeating a past run from its manifest, and saying whether it came out the same.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Component, Path, PathBuf};
 
 use rockface_cache::Digest;
 
@@ -43,33 +43,57 @@ pub fn verdict(manifest: &Manifest, plan: &Plan, summary: &Summary) -> Vec<Strin
             (done.label(), outputs.collect())
         })
         .collect();
-    let (mut same, mut lines) = (0, Vec::new());
+    let (mut same, mut others) = (0, Vec::new());
     for (instance, result) in summary.instances.iter().enumerate() {
         let Some(outcome) = &result.outcome else { continue };
         let label = sorted_label(plan, instance);
         for (port, output) in &outcome.outputs {
             match former.get(&label).and_then(|outputs| outputs.get(port.as_str())) {
                 Some(digest) if *digest == output.digest => same += 1,
-                Some(digest) => lines.push(format!(
+                Some(digest) => others.push(format!(
                     "differs  {label}.{port}: {} then, {} now",
                     digest.short(),
                     output.digest.short()
                 )),
-                None => lines.push(format!("new      {label}.{port}: it was not made then")),
+                None => others.push(format!("new      {label}.{port}: it was not made then")),
             }
         }
     }
-    if lines.is_empty() {
+    if others.is_empty() {
         return vec![format!("repeated: all {same} outputs are the same")];
     }
+    let count = others.len();
+    let mut lines = changed_files(manifest, plan);
+    lines.extend(others);
     let program = crate::build::program();
     if manifest.program != program {
         lines.push(
             "the program is not the one that made the run; run.json tells both its version and its lock file".into(),
         );
     }
-    lines.push(format!("repeated: {same} outputs are the same, {} are not", lines.len()));
+    lines.push(format!("repeated: {same} outputs are the same, {count} are not"));
     lines
+}
+
+/// The input files whose content is not what it was.
+fn changed_files(manifest: &Manifest, plan: &Plan) -> Vec<String> {
+    let here = working_folder(manifest);
+    let former = manifest.steps.iter().flat_map(|done| &done.files).map(|file| (here.join(&file.path), file.blake3));
+    let former: BTreeMap<PathBuf, Digest> = former.collect();
+    let now = plan.instances.iter().flat_map(|instance| instance.params.files.values().flatten());
+    let now: BTreeMap<&PathBuf, Digest> = now.map(|file| (&file.path, file.digest)).collect();
+    let changed = now.into_iter().filter_map(|(path, now)| {
+        let then = former.get(path).filter(|then| **then != now)?;
+        Some(format!("changed  {}: {} then, {} now", path.display(), then.short(), now.short()))
+    });
+    changed.collect()
+}
+
+/// The folder a run was started in, which its relative paths start from.
+fn working_folder(manifest: &Manifest) -> &Path {
+    let told = &manifest.pipeline;
+    let steps = told.path.parent().into_iter().flat_map(Path::components).filter(|part| *part != Component::CurDir);
+    told.folder.ancestors().nth(steps.count()).unwrap_or(&told.folder)
 }
 
 /// The label with its axes by name, as manifests have them.

@@ -6,7 +6,7 @@ use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 
 use super::places::Places;
-use super::table::{self, Format};
+use super::table::{self, Format, Printed};
 use super::{CliError, say};
 use crate::history::{self, PastRun, Row};
 use crate::report;
@@ -25,9 +25,8 @@ enum RunsCommand {
     List {
         #[command(flatten)]
         places: Places,
-        /// How to print them.
-        #[arg(long, value_enum, default_value = "table")]
-        format: Format,
+        #[command(flatten)]
+        printed: Printed,
     },
     /// Show one run: what was asked, what ran, the numbers it told.
     Show {
@@ -46,11 +45,10 @@ enum RunsCommand {
         compared: Vec<String>,
         #[command(flatten)]
         places: Places,
-        /// How to print them.
-        #[arg(long, value_enum, default_value = "table")]
-        format: Format,
+        #[command(flatten)]
+        printed: Printed,
         /// Write them to this file as a page, with their pictures, instead.
-        #[arg(long, value_name = "FILE", conflicts_with = "format")]
+        #[arg(long, value_name = "FILE", conflicts_with_all = ["format", "json"])]
         html: Option<PathBuf>,
     },
     /// Keep what a run made, whatever its age: no collection removes it.
@@ -73,14 +71,14 @@ impl RunsArgs {
     /// Does what the subcommand says.
     pub fn run(self) -> Result<(), CliError> {
         match self.command {
-            RunsCommand::List { places, format } => list(&places, format),
+            RunsCommand::List { places, printed } => list(&places, printed.format()),
             RunsCommand::Show { run, places, json } => show(&history::find(&places.runs, &run)?, json),
-            RunsCommand::Compare { compared, places, format, html } => {
+            RunsCommand::Compare { compared, places, printed, html } => {
                 let found =
                     compared.iter().map(|run| history::find(&places.runs, run)).collect::<Result<Vec<_>, _>>()?;
                 match html {
                     Some(to) => page(&places, &found, &to),
-                    None => compare(&found, format),
+                    None => compare(&found, printed.format()),
                 }
             }
             RunsCommand::Pin { run, places } => pin(&places, &run, true),
@@ -90,18 +88,14 @@ impl RunsArgs {
 }
 
 fn list(places: &Places, format: Format) -> Result<(), CliError> {
+    if !places.are_runs_there() {
+        let hint = "give the folder of runs with --runs, or go to the folder of the pipeline";
+        return Err(CliError::Usage(format!("there is no folder {}: {hint}", places.runs.display())));
+    }
     let (runs, faults) = history::list(&places.runs)?;
     for fault in faults {
         eprintln!("warning: {fault}");
     }
-    let row = |run: &PastRun| {
-        let [executed, cached, _] = run.manifest.counts();
-        let pinned = if run.pinned { "pinned" } else { "" };
-        let first = run.manifest.headlines.first().cloned().unwrap_or_default();
-        let (status, wall) = (run.manifest.status.clone(), duration(run.manifest.wall_s));
-        vec![run.name.clone(), status, executed.to_string(), cached.to_string(), wall, pinned.to_owned(), first]
-    };
-    let rows: Vec<Vec<String>> = runs.iter().map(row).collect();
     let json: Value = runs
         .iter()
         .map(|run| {
@@ -113,7 +107,42 @@ fn list(places: &Places, format: Format) -> Result<(), CliError> {
             })
         })
         .collect();
-    table::print(format, &["run", "status", "ran", "cached", "time", "", "result"], &rows, &json)
+    let rows = |row: fn(&PastRun) -> Vec<String>| runs.iter().map(row).collect::<Vec<_>>();
+    match format {
+        Format::Csv => table::print(format, &RECORD_HEAD, &rows(record), &json),
+        Format::Table | Format::Json => table::print(format, &LINE_HEAD, &rows(line), &json),
+    }
+}
+
+/// The columns of runs for people.
+const LINE_HEAD: [&str; 7] = ["run", "status", "ran", "cached", "time", "", "result"];
+
+fn line(run: &PastRun) -> Vec<String> {
+    let [executed, cached, _] = run.manifest.counts();
+    let pinned = if run.pinned { "pinned" } else { "" };
+    let first = run.manifest.headlines.first().cloned().unwrap_or_default();
+    let (status, wall) = (run.manifest.status.clone(), duration(run.manifest.wall_s));
+    vec![run.name.clone(), status, executed.to_string(), cached.to_string(), wall, pinned.to_owned(), first]
+}
+
+/// The columns of runs for programs.
+const RECORD_HEAD: [&str; 10] =
+    ["run", "pipeline", "seed", "status", "finished", "executed", "cached", "wall_s", "pinned", "result"];
+
+fn record(run: &PastRun) -> Vec<String> {
+    let ([executed, cached, _], manifest) = (run.manifest.counts(), &run.manifest);
+    vec![
+        run.name.clone(),
+        manifest.pipeline.name.clone(),
+        manifest.seed.to_string(),
+        manifest.status.clone(),
+        manifest.finished.clone(),
+        executed.to_string(),
+        cached.to_string(),
+        manifest.wall_s.to_string(),
+        run.pinned.to_string(),
+        manifest.headlines.first().cloned().unwrap_or_default(),
+    ]
 }
 
 fn show(run: &PastRun, as_json: bool) -> Result<(), CliError> {
@@ -147,7 +176,7 @@ fn number(value: Option<f64>) -> String {
 
 fn compare(runs: &[PastRun], format: Format) -> Result<(), CliError> {
     let found = history::compare(runs);
-    let mut head = vec!["", "name"];
+    let mut head = vec![if format == Format::Csv { "kind" } else { "" }, "name"];
     head.extend(found.runs.iter().map(String::as_str));
     head.extend(["last - first", "unit"]);
     let row = |what: &str, row: &Row| {

@@ -161,7 +161,8 @@ fn ports(variants: &[&[Port]]) -> Value {
     json!({"type": "object", "additionalProperties": false, "properties": entries, "required": required})
 }
 
-fn map_of(fields: &[Field]) -> Value {
+/// The schema of a map of parameters.
+pub fn map_of(fields: &[Field]) -> Value {
     let property = |field: &Field| {
         let mut shape = shape(&field.kind, field.range);
         if let Value::Object(map) = &mut shape {

@@ -3,7 +3,9 @@
 use clap::Args;
 use rockface_stages::params::{Field, Kind};
 use rockface_stages::{AnyStage, Arity, Port};
+use serde_json::{Value, json};
 
+use super::schema::map_of;
 use super::{CliError, say};
 use crate::diagnostic::nearest;
 
@@ -13,22 +15,24 @@ pub struct StagesArgs {
     /// Show the page of this stage.
     name: Option<String>,
     /// Print the JSON Schema of pipelines, for editors: `rockface stages --schema > rockface.schema.json`.
-    #[arg(long, conflicts_with = "name")]
+    #[arg(long, conflicts_with_all = ["name", "json"])]
     schema: bool,
+    /// Print what programs need to know of the stages, or of one: ports with their kinds, parameters with their defaults.
+    #[arg(long)]
+    json: bool,
 }
 
 impl StagesArgs {
     /// Prints the catalogue or a page.
     pub fn run(self) -> Result<(), CliError> {
+        let pretty = |value: &Value| serde_json::to_string_pretty(value).unwrap_or_default();
         match self.name {
-            None if self.schema => {
-                let schema = super::schema::schema(rockface_stages::all());
-                say(&serde_json::to_string_pretty(&schema).unwrap_or_default());
-            }
+            None if self.schema => say(&pretty(&super::schema::schema(rockface_stages::all()))),
+            None if self.json => say(&pretty(&rockface_stages::all().iter().map(|stage| about(*stage)).collect())),
             None => say(&catalogue()),
             Some(name) => {
                 let stage = rockface_stages::find(&name).ok_or_else(|| unknown(&name))?;
-                say(&page(stage));
+                say(&if self.json { pretty(&about(stage)) } else { page(stage) });
             }
         }
         Ok(())
@@ -54,6 +58,25 @@ fn catalogue() -> String {
     lines.push(String::new());
     lines.push("`rockface stages NAME` shows ports, parameters, units, method and an example.".into());
     lines.join("\n")
+}
+
+/// What a program needs to know of a stage; its parameters as a JSON Schema.
+fn about(stage: &dyn AnyStage) -> Value {
+    let port = |port: &Port| {
+        let kinds: Vec<&str> = port.kinds.iter().map(|kind| kind.word()).collect();
+        let arity = match port.arity {
+            Arity::One => "one",
+            Arity::Optional => "optional",
+            Arity::Many => "many",
+        };
+        json!({"name": port.name, "kinds": kinds, "arity": arity, "doc": port.doc})
+    };
+    json!({
+        "name": stage.name(), "version": stage.version(), "what": stage.page().what,
+        "inputs": stage.inputs().iter().map(port).collect::<Vec<_>>(),
+        "outputs": stage.outputs().iter().map(port).collect::<Vec<_>>(),
+        "parameters": map_of(&stage.fields()),
+    })
 }
 
 /// The whole page of a stage, as Markdown.

@@ -1,6 +1,6 @@
 //! Tables as people, spreadsheets and programs read them.
 
-use clap::ValueEnum;
+use clap::{Args, ValueEnum};
 use serde_json::Value;
 
 use super::CliError;
@@ -14,6 +14,24 @@ pub enum Format {
     Csv,
     /// JSON.
     Json,
+}
+
+/// What the commands that print tables take.
+#[derive(Debug, Args)]
+pub struct Printed {
+    /// How to print them.
+    #[arg(long, value_enum, default_value = "table")]
+    format: Format,
+    /// The same as `--format json`.
+    #[arg(long, conflicts_with = "format")]
+    json: bool,
+}
+
+impl Printed {
+    /// How the table is printed.
+    pub fn format(&self) -> Format {
+        if self.json { Format::Json } else { self.format }
+    }
 }
 
 /// Prints rows under a head: as columns or CSV; as JSON, `json` instead.

@@ -1,8 +1,9 @@
-//! A drawing in the languages of programs that draw: Graphviz and Mermaid.
+//! A drawing in the languages of programs: Graphviz and Mermaid, which draw, and JSON.
 
 use petgraph::dot::{Config, Dot, RankDir};
 use petgraph::graph::{DiGraph, EdgeReference};
 use petgraph::visit::EdgeRef;
+use serde_json::{Value, json};
 
 use super::{Arrow, Drawn};
 
@@ -51,6 +52,28 @@ pub fn mermaid(drawing: &DiGraph<Drawn, Arrow>) -> String {
         text += &format!("  s{from} -->|\"{}\"| s{to}\n", escaped(&edge.weight().label));
     }
     text
+}
+
+/// Any program reads it. `instances` is null where it is not known.
+pub fn json(drawing: &DiGraph<Drawn, Arrow>) -> Value {
+    let node = |drawn: &Drawn| {
+        let (instances, over) = drawn.over.clone().unwrap_or((Some(usize::from(drawn.needed)), String::new()));
+        let axes: Vec<&str> = over.split(", ").filter(|axis| !axis.is_empty()).collect();
+        json!({
+            "step": drawn.name, "stage": drawn.stage, "instances": instances, "axes": axes, "target": drawn.target,
+            "keep": drawn.keep, "needed": drawn.needed,
+        })
+    };
+    let edge = |edge: EdgeReference<Arrow>| {
+        let (from, to, arrow) = (&drawing[edge.source()].name, &drawing[edge.target()].name, edge.weight());
+        json!({
+            "from": from, "to": to, "output": arrow.output, "input": arrow.input, "label": arrow.label,
+            "gathers": arrow.gathers, "from_item_before": arrow.back, "tells_items": arrow.lists(),
+        })
+    };
+    let nodes: Vec<Value> = drawing.node_weights().map(node).collect();
+    let edges: Vec<Value> = drawing.edge_references().map(edge).collect();
+    json!({ "nodes": nodes, "edges": edges })
 }
 
 /// What stands for itself between the quotes of a Mermaid label.

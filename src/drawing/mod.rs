@@ -9,6 +9,7 @@ mod svg;
 use std::collections::BTreeMap;
 
 use petgraph::graph::{DiGraph, NodeIndex};
+use serde_json::Value;
 
 use crate::diagnostic::Diagnostic;
 use crate::plan::{Feed, Graph, GraphStep, Later, Source, counts};
@@ -21,6 +22,7 @@ pub struct Drawing {
 }
 
 /// A step as it is drawn.
+#[derive(Clone)]
 pub(crate) struct Drawn {
     /// Its name.
     pub name: String,
@@ -37,15 +39,25 @@ pub(crate) struct Drawn {
 }
 
 /// What flows from one step to another.
+#[derive(Clone)]
 pub(crate) struct Arrow {
+    /// The output, with the items that are picked.
+    pub output: String,
+    /// The port that reads it; none where it is the list an axis takes its items from.
+    pub input: Option<&'static str>,
     /// The output, the port that reads it, and when or over what.
     pub label: String,
     /// The items of some axes come together.
     pub gathers: bool,
     /// It comes from the item before.
     pub back: bool,
-    /// It is the list an axis takes its items from.
-    pub lists: bool,
+}
+
+impl Arrow {
+    /// Whether it is the list an axis takes its items from.
+    pub fn lists(&self) -> bool {
+        self.input.is_none()
+    }
 }
 
 /// Something to be said of a step besides what it is.
@@ -88,19 +100,29 @@ impl Drawing {
             for (port, feed) in &step.inputs {
                 for (source, when) in distinct(graph, feed) {
                     let output = output(graph, source);
-                    let ports = if output == port.name { output } else { format!("{output} → {}", port.name) };
-                    let gathers = matches!(feed, Feed::Each { .. });
-                    let arrow = Arrow { label: ports + &when, gathers, back: source.step >= consumer, lists: false };
+                    let ports =
+                        if output == port.name { output.clone() } else { format!("{output} → {}", port.name) };
+                    let (gathers, back) = (matches!(feed, Feed::Each { .. }), source.step >= consumer);
+                    let arrow = Arrow { output, input: Some(port.name), label: ports + &when, gathers, back };
                     drawing.add_edge(nodes[source.step], nodes[consumer], arrow);
                 }
             }
             for (source, axis) in begun_lists(graph, step) {
-                let label = format!("{} → items of {axis}", output(graph, source));
-                let arrow = Arrow { label, gathers: false, back: false, lists: true };
+                let output = output(graph, source);
+                let label = format!("{output} → items of {axis}");
+                let arrow = Arrow { output, input: None, label, gathers: false, back: false };
                 drawing.add_edge(nodes[source.step], nodes[consumer], arrow);
             }
         }
         Ok(Self { graph: drawing, notes: BTreeMap::new() })
+    }
+
+    /// Without the steps that no target needs.
+    #[must_use]
+    pub fn only_needed(self) -> Self {
+        let needed = |drawn: &Drawn| drawn.needed.then(|| drawn.clone());
+        let graph = self.graph.filter_map(|_, drawn| needed(drawn), |_, arrow| Some(arrow.clone()));
+        Self { graph, ..self }
     }
 
     /// Says something of a step.
@@ -126,6 +148,11 @@ impl Drawing {
     /// In the language of Mermaid, which Markdown viewers draw.
     pub fn mermaid(&self) -> String {
         languages::mermaid(&self.graph)
+    }
+
+    /// For programs: its steps and arrows.
+    pub fn json(&self) -> Value {
+        languages::json(&self.graph)
     }
 
     /// As a picture that any browser shows, from top to bottom, readable on light and dark pages; it may be embedded in

@@ -269,7 +269,7 @@ fn legend(drawing: &DiGraph<Drawn, Arrow>, width_px: f64) -> Vec<String> {
         (steps(|step| !step.needed), "faint: no target needs it"),
         (arrows(|arrow| arrow.gathers), "bold arrow: gathered"),
         (arrows(|arrow| arrow.back), "broken arrow: from the item before"),
-        (arrows(|arrow| arrow.lists), "dotted arrow: items of an axis"),
+        (arrows(Arrow::lists), "dotted arrow: items of an axis"),
     ];
     let mut lines: Vec<String> = Vec::new();
     for (_, mark) in marks.iter().filter(|(there, _)| *there) {
@@ -294,7 +294,7 @@ fn links(drawing: &DiGraph<Drawn, Arrow>) -> Vec<Link> {
         link.labels.push(arrow.label.clone());
         link.gathers |= arrow.gathers;
         link.back |= arrow.back;
-        link.lists &= arrow.lists;
+        link.lists &= arrow.lists();
     }
     links.into_values().collect()
 }

@@ -1,5 +1,7 @@
 //! What a run would do with every step instance, and why; told from records, without reading a blob.
 
+use std::collections::HashMap;
+
 use rockface_cache::{Digest, Outcome, Recipe, Store};
 
 use crate::plan::Plan;
@@ -9,10 +11,14 @@ use crate::plan::Plan;
 pub enum Answer {
     /// Its record is there.
     Hit,
+    /// It has the recipe of this instance, which would run: the record will be there.
+    Same(usize),
     /// It would run.
     Runs(Why),
     /// It depends on this instance, which would run or depends on another.
     Depends(usize),
+    /// It is recorded and keeps no outputs, and this instance, which depends on what runs, may need them.
+    Lends(usize),
 }
 
 /// Why an instance would run.
@@ -32,9 +38,9 @@ impl Answer {
     /// One word for it.
     pub fn word(self) -> &'static str {
         match self {
-            Self::Hit => "hit",
+            Self::Hit | Self::Same(_) => "hit",
             Self::Runs(_) => "runs",
-            Self::Depends(_) => "depends",
+            Self::Depends(_) | Self::Lends(_) => "depends",
         }
     }
 
@@ -46,7 +52,9 @@ impl Answer {
             Self::Runs(Why::Gone) => Some("an output is gone from the store".into()),
             Self::Runs(Why::Unkept) => Some("its outputs were not kept and now are to be".into()),
             Self::Runs(Why::Needed) => Some("its values are needed".into()),
+            Self::Same(leader) => Some(format!("the same as {}", plan.label(leader))),
             Self::Depends(producer) => Some(format!("waits for {}", plan.label(producer))),
+            Self::Lends(consumer) => Some(format!("its values may be needed by {}", plan.label(consumer))),
         }
     }
 }
@@ -57,19 +65,26 @@ pub struct Answers<'a> {
     list: Vec<Answer>,
     /// What is recorded, for hits and for what runs only because its values are needed.
     outcomes: Vec<Option<Outcome>>,
+    /// The keys, where they are known.
+    keys: Vec<Option<Digest>>,
 }
 
 impl<'a> Answers<'a> {
-    /// Keys come from records, producers before consumers; then what runs calls for what was not kept.
+    /// Keys come from records, producers before consumers; then what is to run calls for what was not kept. Of equal
+    /// recipes one runs, and is served before it calls.
     pub fn new(plan: &'a Plan, store: &Store) -> Self {
         let count = plan.instances.len();
-        let mut answers = Self { plan, list: Vec::with_capacity(count), outcomes: Vec::with_capacity(count) };
+        let (list, outcomes, keys) = (Vec::with_capacity(count), Vec::with_capacity(count), Vec::with_capacity(count));
+        let mut answers = Self { plan, list, outcomes, keys };
         for instance in 0..count {
-            let (answer, outcome) = answers.look_up(store, instance);
+            let (answer, outcome, key) = answers.look_up(store, instance);
             answers.list.push(answer);
             answers.outcomes.push(outcome);
+            answers.keys.push(key);
         }
+        answers.fold_twins();
         answers.call_for_values(store);
+        answers.fold_twins();
         answers
     }
 
@@ -89,18 +104,30 @@ impl<'a> Answers<'a> {
         Some(self.outcomes[instance].as_ref()?.outputs.get(port)?.digest)
     }
 
-    fn look_up(&self, store: &Store, instance: usize) -> (Answer, Option<Outcome>) {
+    fn look_up(&self, store: &Store, instance: usize) -> (Answer, Option<Outcome>, Option<Digest>) {
         if let Some(producer) = self.producers(instance).find(|producer| self.list[*producer] != Answer::Hit) {
-            return (Answer::Depends(producer), None);
+            return (Answer::Depends(producer), None, None);
         }
         let Some(key) = self.recipe(instance).map(|recipe| recipe.key()) else {
-            return (Answer::Runs(Why::New), None);
+            return (Answer::Runs(Why::New), None, None);
         };
-        match crate::run::hit(store, &key, self.plan.step(instance).keep) {
+        let (answer, outcome) = match crate::run::hit(store, &key, self.plan.step(instance).keep) {
             Some(outcome) => (Answer::Hit, Some(outcome)),
             None if store.hit_outcome(&key).is_some() => (Answer::Runs(Why::Unkept), None),
             None if store.has_record(&key) => (Answer::Runs(Why::Gone), None),
             None => (Answer::Runs(Why::New), None),
+        };
+        (answer, outcome, Some(key))
+    }
+
+    /// Of the instances that run with one recipe, the first computes and the others take what it made.
+    fn fold_twins(&mut self) {
+        let mut leaders: HashMap<Digest, usize> = HashMap::new();
+        for (instance, answer) in self.list.iter_mut().enumerate() {
+            if let (Answer::Runs(_), Some(key)) = (*answer, self.keys[instance]) {
+                let leader = *leaders.entry(key).or_insert(instance);
+                *answer = if leader == instance { *answer } else { Answer::Same(leader) };
+            }
         }
     }
 
@@ -108,18 +135,24 @@ impl<'a> Answers<'a> {
         self.plan.instances[instance].inputs.iter().flat_map(|(_, given)| given.iter().map(|given| given.instance))
     }
 
-    /// Producers that are recorded, but whose values are nowhere, run again for what is sure to run; consumers come
-    /// last, so one pass from the end finds them all.
+    /// Producers that are recorded, but whose values are nowhere, run again for what is sure to run, and perhaps for what
+    /// depends on that; consumers come last, so one pass from the end finds them all.
     fn call_for_values(&mut self, store: &Store) {
         for index in (0..self.list.len()).rev() {
-            if !matches!(self.list[index], Answer::Runs(_)) {
-                continue;
-            }
+            let called = match self.list[index] {
+                Answer::Runs(_) => Answer::Runs(Why::Needed),
+                Answer::Depends(_) | Answer::Lends(_) => Answer::Lends(index),
+                Answer::Hit | Answer::Same(_) => continue,
+            };
             for given in self.plan.instances[index].inputs.iter().flat_map(|(_, given)| given) {
-                let hit = self.list[given.instance] == Answer::Hit;
+                let is_open = match self.list[given.instance] {
+                    Answer::Hit => true,
+                    Answer::Lends(_) => matches!(called, Answer::Runs(_)),
+                    _ => false,
+                };
                 let digest = self.output(given.instance, given.port);
-                if hit && digest.is_some_and(|digest| !store.contains(&digest)) {
-                    self.list[given.instance] = Answer::Runs(Why::Needed);
+                if is_open && digest.is_some_and(|digest| !store.contains(&digest)) {
+                    self.list[given.instance] = called;
                 }
             }
         }

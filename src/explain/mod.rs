@@ -2,11 +2,14 @@
 
 mod answers;
 mod difference;
+mod former;
 
 pub use answers::{Answer, Answers, Why};
 pub use difference::{Change, InputPlace};
 
 use difference::Parts;
+use std::path::Path;
+
 use rockface_cache::{Digest, Recipe, Record, Store};
 
 use crate::plan::Plan;
@@ -29,19 +32,36 @@ pub struct Cause {
     pub instance: usize,
     /// The records of its stage that were looked at: all, or for a producer those that made the former input.
     pub records: usize,
-    /// The most like of these: its key, and what changed since. `None` when there is none.
-    pub former: Option<(Digest, Vec<Change>)>,
+    /// The most like of these; `None` when there is none.
+    pub former: Option<Former>,
 }
 
-/// Explains an instance; `None` when the plan is not what the answers are for.
-pub fn explain(plan: &Plan, store: &Store, answers: &Answers, asked: usize) -> Option<Explanation> {
+/// The record an instance is compared with.
+pub struct Former {
+    /// Its key.
+    pub key: Digest,
+    /// The latest run whose folder names it; `None` where none does any more.
+    pub run: Option<String>,
+    /// What changed since.
+    pub changes: Vec<Change>,
+}
+
+/// Explains an instance, naming former runs by their folders in `runs`; `None` when the plan is not what the answers are for.
+pub fn explain(plan: &Plan, store: &Store, answers: &Answers, asked: usize, runs: &Path) -> Option<Explanation> {
     let mut explained = asked;
-    while let Answer::Depends(producer) = answers.list()[explained] {
-        explained = producer;
+    loop {
+        explained = match answers.list()[explained] {
+            Answer::Depends(producer) => producer,
+            Answer::Same(leader) if explained != asked => leader,
+            _ => break,
+        };
     }
     let recipe = answers.recipe(explained)?;
-    let is_new = answers.list()[explained] == Answer::Runs(Why::New);
-    let causes = if is_new { causes(plan, store, answers, explained, &recipe) } else { Vec::new() };
+    let is_new = matches!(answers.list()[explained], Answer::Runs(Why::New) | Answer::Same(_));
+    let mut causes = if is_new { causes(plan, store, answers, explained, &recipe) } else { Vec::new() };
+    for former in causes.iter_mut().filter_map(|cause| cause.former.as_mut()) {
+        former.run = former::run_naming(runs, &former.key);
+    }
     Some(Explanation { asked, explained, recipe, causes })
 }
 
@@ -58,8 +78,7 @@ fn causes(plan: &Plan, store: &Store, answers: &Answers, instance: usize, recipe
 
 /// The producer and the port of the first input that changed, and what it was before.
 fn changed_input(plan: &Plan, cause: &Cause) -> Option<(usize, &'static str, Digest)> {
-    let (_, changes) = cause.former.as_ref()?;
-    changes.iter().find_map(|change| {
+    cause.former.as_ref()?.changes.iter().find_map(|change| {
         let (place, old) = (change.input.as_ref()?, change.old_digest()?);
         let (_, given) = plan.instances[cause.instance].inputs.iter().find(|(port, _)| *port == place.port)?;
         let given = given.iter().find(|given| given.point == place.point)?;
@@ -81,7 +100,7 @@ fn most_like(store: &Store, instance: usize, recipe: &Recipe, counts: impl Fn(&R
         let changes = now.changes_from(&Parts::of(&record.recipe));
         let rank = (changes.len(), u64::MAX - record.cost.finished_unix_s);
         if cause.former.is_none() || rank < best {
-            (best, cause.former) = (rank, Some((key, changes)));
+            (best, cause.former) = (rank, Some(Former { key, run: None, changes }));
         }
     }
     cause

@@ -7,6 +7,7 @@ use rockface::plan::{Plan, plan, resolve};
 use rockface::watch::Event;
 use rockface_cache::Store;
 
+use crate::cli::House;
 use crate::lab::Bench;
 
 fn root() -> &'static Path {
@@ -88,6 +89,35 @@ fn the_yaml_of_the_documentation_plans() {
         }
     }
     assert!(seen > 0);
+}
+
+#[test]
+fn the_pipelines_of_the_readme_that_need_no_file_run() {
+    let readme = std::fs::read_to_string(root().join("README.md")).unwrap();
+    let blocks = readme.split("```yaml\n").skip(1).filter_map(|rest| rest.split("```").next());
+    let mut ran = 0;
+    for block in blocks.filter(|block| !names_files(block)) {
+        let house = House::new(block);
+        let (code, _, err) = house.rockface(&["run", "p.yaml"]);
+        assert_eq!(code, Some(0), "{block}\n{err}");
+        ran += 1;
+    }
+    assert!(ran >= 2);
+}
+
+#[test]
+fn the_commands_of_the_readme_about_its_sweep_work() {
+    let readme = std::fs::read_to_string(root().join("README.md")).unwrap();
+    let (_, rest) = readme.split_once("### Sweep\n").unwrap();
+    let house = House::new(rest.split("```yaml\n").nth(1).and_then(|rest| rest.split("```").next()).unwrap());
+    let (sweep, output) = ("cell_m=0.05..0.2:7", "dem[cell_m=0.1,trial=3].raster");
+    assert!(rest.contains(&format!("--sweep {sweep}\n")) && rest.contains(&format!("export RUN '{output}' dem.tif")));
+    for arguments in [&["run", "p.yaml", "--sweep", sweep][..], &["run", "p.yaml"]] {
+        let (code, _, err) = house.rockface(arguments);
+        assert_eq!(code, Some(0), "{err}");
+    }
+    let (code, _, err) = house.rockface(&["export", "latest", output, "dem.tif"]);
+    assert!(code == Some(0) && house.path("dem.tif").is_file(), "{err}");
 }
 
 #[test]

@@ -46,11 +46,48 @@ fn runs_are_listed_shown_and_compared_by_what_varies() {
     assert_eq!(found["parameters"][0]["values"], serde_json::json!([0.05, 0.1]));
     assert!(found["equal_parameters"].as_u64().unwrap() > 5);
     let (_, out, _) = house.rockface(&["runs", "compare", &names[0], "latest", "--format", "csv"]);
-    assert!(out.contains("parameter,dem.cell_m,0.05,0.1,0.05,"), "{out}");
+    assert!(out.starts_with("kind,name,") && out.contains("parameter,dem.cell_m,0.05,0.1,0.05,"), "{out}");
     let (code, _, err) = house.rockface(&["runs", "show", "latst"]);
     assert!(code == Some(2) && err.contains("runs list"), "{err}");
     let (code, _, err) = house.rockface(&["runs", "show", "small"]);
     assert!(code == Some(2) && err.contains("fits several runs"), "{err}");
+}
+
+#[test]
+fn runs_are_listed_for_programs() {
+    let house = two_runs();
+    let (_, out, _) = house.rockface(&["runs", "list", "--format", "csv"]);
+    let lines: Vec<Vec<&str>> = out.lines().map(|line| line.splitn(10, ',').collect()).collect();
+    let head = ["run", "pipeline", "seed", "status", "finished", "executed", "cached", "wall_s", "pinned", "result"];
+    assert_eq!((lines.len(), &lines[0][..]), (3, &head[..]));
+    assert_eq!((&lines[1][1..4], &lines[1][5..7]), (&["small", "1", "done"][..], &["2", "0"][..]));
+    assert!(lines[1][7].parse::<f64>().is_ok() && lines[1][8] == "false", "{out}");
+    let names = names(&house);
+    for command in [&["runs", "list"][..], &["runs", "compare", &names[0], &names[1]]] {
+        let told = |format: &[&str]| house.rockface(&[command, format].concat());
+        assert_eq!(told(&["--json"]), told(&["--format", "json"]));
+    }
+    let (code, _, err) = house.rockface(&["runs", "list", "--runs", "nowhere"]);
+    assert!(code == Some(2) && err.contains("there is no folder nowhere"), "{err}");
+    let (code, out, _) = House::new(SMALL).rockface(&["runs", "list"]);
+    assert!(code == Some(0) && out.lines().count() == 1, "{out}");
+}
+
+#[test]
+fn a_repetition_names_the_files_that_changed() {
+    let house = House::new("rockface: 1\nsteps:\n  a: {stage: import-table, with: {path: t.csv}}\n");
+    let write = |text: &str| std::fs::write(house.path("t.csv"), text).unwrap();
+    write("x\n1\n");
+    let (code, _, err) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    let manifest = house.path(".rockface/runs/latest/run.json").canonicalize().unwrap();
+    write("x\n23\n");
+    let (code, out, err) = house.rockface(&["run", manifest.to_str().unwrap()]);
+    assert_eq!(code, Some(0), "{err}");
+    let digests = ["x\n1\n", "x\n23\n"].map(|text| blake3::hash(text.as_bytes()).to_hex()[..8].to_owned());
+    let line = out.lines().find(|line| line.starts_with("changed  ")).unwrap_or_else(|| panic!("{out}"));
+    assert!(line.contains("t.csv: ") && digests.iter().all(|digest| line.contains(digest.as_str())), "{out}");
+    assert!(out.contains("repeated: 0 outputs are the same, 1 are not"), "{out}");
 }
 
 #[test]
@@ -183,6 +220,12 @@ fn the_starter_runs_and_is_not_overwritten() {
     assert_eq!(code, Some(0), "{err}");
     let (code, _, err) = house.rockface(&["init", "new/place"]);
     assert!(code == Some(2) && err.contains("is there already"), "{err}");
+    let (_, out, _) = house.rockface(&["init", "a place"]);
+    assert!(out.contains("rockface run 'a place/pipeline.yaml'"), "{out}");
+    let (code, _, err) = house.rockface(&["init", "p.yaml"]);
+    assert!(code == Some(2) && err.contains("p.yaml is a file"), "{err}");
+    let (code, _, err) = house.rockface(&["init", "p.yaml/under"]);
+    assert!(code == Some(3) && err.contains("cannot make the folder p.yaml/under"), "{err}");
 }
 
 #[test]

@@ -1,8 +1,8 @@
-//! The commands that read the state of things: `explain`, `graph`, `completions`.
+//! The commands that read the state of things: `plan`, `explain`, `graph`, `stages`, `completions`.
 
 use serde_json::Value;
 
-use crate::cli::{House, SMALL};
+use crate::cli::{House, SMALL, last_line};
 
 /// A face, two sweeps of its raster, and their difference.
 const SWEPT: &str = "# Rasters of a face.
@@ -54,6 +54,11 @@ fn explain_names_what_changed() {
     assert_eq!(code, Some(0), "{err}");
     assert!(out.starts_with("dem (rasterise-dem): runs, no record has this recipe\n"), "{out}");
     assert!(out.ends_with("\n  params.cell_m: 0.05 -> 0.1\n"), "{out}");
+    let run = std::fs::read_link(house.path(".rockface/runs/latest")).unwrap().display().to_string();
+    assert!(out.contains(&format!("… (in run {run}), the most like of 1 on record")), "{out}");
+    assert_eq!(json(&house, &[&set[..], &["--json"]].concat())["causes"][0]["former_run"], run);
+    let (_, out, _) = house.rockface(&[&set[..], &["--runs", "elsewhere"]].concat());
+    assert!(out.contains("… (no run folder names it), the most like"), "{out}");
     let (_, plan, _) = house.rockface(&["plan", "p.yaml", "--set", "steps.dem.with.cell_m=0.1"]);
     assert!(plan.contains("no record has this recipe"), "{plan}");
 }
@@ -226,4 +231,133 @@ fn graph_draws_a_picture_with_sweeps_folded() {
     assert_eq!(out.matches("<g class=").count(), 3, "one box a step: {out}");
     assert!(!out.contains("url(") && !out.contains(" id="), "it may stand in any page: {out}");
     assert!(!house.path(".rockface").exists(), "drawing makes nothing on disk");
+}
+
+/// Items that a step makes, and steps over them.
+const LISTED: &str = "rockface: 1
+axes: {row: {from: pts.table}}
+steps:
+  pts: {stage: import-table, with: {path: t.csv}}
+  each: {stage: tabulate, over: [row], in: {rows: pts.table}}
+  all: {stage: tabulate, in: {rows: {each: each.table, over: [row]}}}
+";
+
+#[test]
+fn what_is_over_items_that_are_not_known_says_who_makes_them() {
+    let house = House::new(LISTED);
+    std::fs::write(house.path("t.csv"), "item\np1\np2\n").unwrap();
+    for step in ["each[row=p1]", "each", "all"] {
+        let (code, _, err) = house.rockface(&["explain", "p.yaml", step]);
+        let expected = "the items of axis `row` are made by step `pts`, which has not run";
+        assert!(code == Some(2) && err.contains(expected) && err.contains("or explain `pts`"), "{err}");
+    }
+    let (code, out, err) = house.rockface(&["explain", "p.yaml", "pts"]);
+    assert!(code == Some(0) && out.starts_with("pts (import-table): runs"), "{out}{err}");
+}
+
+#[test]
+fn graph_counts_items_that_are_on_record() {
+    let house = House::new(LISTED);
+    std::fs::write(house.path("t.csv"), "item\np1\np2\n").unwrap();
+    let drawn = || house.rockface(&["graph", "p.yaml", "--store", "store"]).1;
+    assert!(drawn().contains("unknown instances over row") && !house.path("store").exists());
+    let (code, _, err) = house.rockface(&["run", "p.yaml", "--store", "store", "--target", "pts"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert!(drawn().contains("2 instances over row"), "{}", drawn());
+    // A missing file is no reason not to draw.
+    std::fs::remove_file(house.path("t.csv")).unwrap();
+    assert!(drawn().contains("unknown instances over row"), "{}", drawn());
+}
+
+#[test]
+fn graph_draws_for_a_target_what_it_needs() {
+    let house = House::new(SWEPT);
+    let told = json(&house, &["graph", "p.yaml", "--target", "dem", "--json"]);
+    let steps: Vec<&str> = told["nodes"].as_array().unwrap().iter().map(|n| n["step"].as_str().unwrap()).collect();
+    assert_eq!(steps, ["face", "dem"]);
+    assert_eq!((&told["nodes"][1]["instances"], &told["nodes"][1]["axes"][0]), (&2.into(), &"cell".into()));
+    let edge = &told["edges"].as_array().unwrap()[..];
+    let ends = |edge: &Value| ["from", "output", "to", "input"].map(|key| edge[key].as_str().unwrap().to_owned());
+    assert_eq!(edge.iter().map(ends).collect::<Vec<_>>(), [["face", "mesh", "dem", "surface"]]);
+    assert_eq!(told, json(&house, &["graph", "p.yaml", "--target", "dem", "--format", "json"]));
+}
+
+#[test]
+fn stages_are_told_to_programs() {
+    let house = House::new(SMALL);
+    let all = json(&house, &["stages", "--json"]);
+    assert_eq!(all.as_array().unwrap().len(), rockface_stages::all().len());
+    let one = json(&house, &["stages", "rasterise-dem", "--json"]);
+    assert!(all.as_array().unwrap().contains(&one));
+    assert_eq!(one["outputs"][0]["kinds"], serde_json::json!(["raster"]));
+    assert!(one["version"].is_u64() && one["parameters"]["properties"]["cell_m"]["default"].is_number(), "{one}");
+}
+
+/// A sweep whose values are not kept, gathered at the end.
+const UNKEPT: &str = "rockface: 1
+axes: {relief: {values: [0.1, 0.2]}}
+steps:
+  face: {stage: synthesise-face, keep: false, with: {width_m: 2, height_m: 1.5, spacing_m: 0.05, relief_m: \"${relief}\"}}
+  dem: {stage: rasterise-dem, keep: false, in: {surface: face.mesh}, with: {cell_m: 0.05, method: tin}}
+  stat: {stage: describe-noise, keep: false, with: {scales_cells: [1, 2, 4]}, in: {raster: dem.raster}}
+  all: {stage: tabulate, in: {rows: {each: stat.features, over: [relief]}}}
+";
+
+#[test]
+fn a_plan_counts_what_may_have_to_be_made_again() {
+    let house = House::new(UNKEPT);
+    house.rockface(&["run", "p.yaml"]);
+    let more = ["p.yaml", "--sweep", "relief=0.1,0.2,0.3"];
+    let (_, out, _) = house.rockface(&[&["plan"][..], &more].concat());
+    assert!(out.contains("its values may be needed by "), "{out}");
+    assert_eq!(last_line(&out), "0 hit, 1 run, 9 depend on what runs");
+    let told = json(&house, &["explain", more[0], "dem[relief=0.1]", more[1], more[2], "--json"]);
+    assert_eq!((&told["asked"]["answer"], &told["explained"]["step"]), (&"depends".into(), &"dem".into()));
+    let (_, out, _) = house.rockface(&[&["run"][..], &more].concat());
+    assert!(last_line(&out).contains("ran 10, cached 0"), "{out}");
+}
+
+#[test]
+fn a_plan_knows_equal_recipes() {
+    let house = House::new(LISTED);
+    std::fs::write(house.path("t.csv"), "item\np1\np2\np3\n").unwrap();
+    house.rockface(&["run", "p.yaml", "--target", "pts"]);
+    let each = ["p.yaml", "--target", "each"];
+    let (_, out, _) = house.rockface(&[&["plan"][..], &each].concat());
+    assert_eq!(last_line(&out), "3 hit, 1 run, 0 depend on what runs");
+    let told = json(&house, &[&["plan"][..], &each, &["--json"]].concat());
+    let why: Vec<&str> = told.as_array().unwrap().iter().filter_map(|told| told["why"].as_str()).collect();
+    assert_eq!(why, ["no record has this recipe", "the same as each[row=p1]", "the same as each[row=p1]"]);
+    let (_, out, _) = house.rockface(&["explain", "p.yaml", "each[row=p2]"]);
+    assert!(out.starts_with("each[row=p2] (tabulate): hit, the same as each[row=p1]\nkey "), "{out}");
+    let (_, out, _) = house.rockface(&[&["run"][..], &each].concat());
+    assert!(last_line(&out).contains("ran 1, cached 3"), "{out}");
+}
+
+#[test]
+fn a_plan_tells_the_times_of_programs_apart() {
+    let step = |name: &str, sleep_s: f64| {
+        let arguments = format!("[\"-c\", \"sleep {sleep_s}; echo {{param.n}} > {{out.text}}\"]");
+        let rest = "outputs: {text: {kind: file, extension: txt}}, params: {n: 1}, version: sh";
+        format!("  {name}: {{stage: command, with: {{program: sh, args: {arguments}, {rest}}}}}\n")
+    };
+    let house = House::new(&format!("rockface: 1\nsteps:\n{}{}", step("slow", 0.4), step("quick", 0.0)));
+    let (code, _, err) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    let set = ["--set", "steps.slow.with.params.n=2", "--set", "steps.quick.with.params.n=2"];
+    let told = json(&house, &[&["plan", "p.yaml", "--json"][..], &set].concat());
+    let seconds = |step: &str| {
+        let told = told.as_array().unwrap().iter().find(|told| told["step"] == step).unwrap();
+        told["estimate_s"].as_f64().unwrap()
+    };
+    assert!(seconds("slow") >= 0.4 && seconds("quick") < seconds("slow"), "{told}");
+}
+
+#[test]
+fn what_cannot_be_written_is_told() {
+    let Ok(full) = std::fs::OpenOptions::new().write(true).open("/dev/full") else { return };
+    let house = House::new(SMALL);
+    let done = house.command(&["plan", "p.yaml", "--json"]).stdout(full).output().unwrap();
+    let err = String::from_utf8(done.stderr).unwrap();
+    assert!(done.status.code() == Some(3) && err.contains("cannot write to standard output"), "{err}");
 }
