@@ -101,9 +101,9 @@ impl Index {
         segments.into_iter().all(&mut is_read) && count == self.segments.iter().filter(|seen| seen.end > 0).count()
     }
 
-    /// Whether a segment that was read is not among these any more.
-    pub(crate) fn lacks_any(&self, names: &[String]) -> bool {
-        self.segments.iter().any(|seen| seen.end > 0 && !names.contains(&seen.name))
+    /// The names of the segments of which something was read.
+    pub(crate) fn read_names(&self) -> Vec<String> {
+        self.segments.iter().filter(|seen| seen.end > 0).map(|seen| seen.name.clone()).collect()
     }
 
     /// Forgets everything but the numbers and names of segments, as if none had been read.

@@ -54,12 +54,14 @@ impl Journal {
     /// Reads what the segments have gained since they were last read; all of them anew where one has been removed, since
     /// what it held may be elsewhere now.
     pub(crate) fn refresh(&self) -> Result<(), StoreError> {
+        // Taken before the folder is listed: a segment that is begun and read meanwhile is not among those removed.
+        let read = self.with_index(Index::read_names);
         let names = self.names()?;
-        if self.with_index(|index| index.lacks_any(&names)) {
+        if read.iter().any(|name| !names.contains(name)) {
             // Nothing may be appended between the clearing and the reading: it would be entered twice or lost.
             let _writer = self.writer();
             self.edit_index(Index::clear);
-            return self.read_all(names);
+            return self.read_all(self.names()?);
         }
         self.read_all(names)
     }

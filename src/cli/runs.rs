@@ -12,6 +12,9 @@ use crate::history::{self, PastRun, Row};
 use crate::report;
 use crate::watch::duration;
 
+/// Failures that are named.
+const NAMED: usize = 20;
+
 /// Arguments of `rockface runs`.
 #[derive(Debug, Args)]
 pub struct RunsArgs {
@@ -159,6 +162,11 @@ fn show(run: &PastRun, as_json: bool) -> Result<(), CliError> {
     manifest.overrides.sweep.iter().for_each(|sweep| say(&format!("sweep     {sweep}")));
     say(&format!("finished  {}, ran {executed}, cached {cached}, {}", manifest.finished, duration(manifest.wall_s)));
     say(&format!("folder    {}", run.folder.display()));
+    manifest.failures().take(NAMED).for_each(|(label, why)| say(&format!("failed    {label}: {why}")));
+    let beyond = manifest.failures().count().saturating_sub(NAMED);
+    if beyond > 0 {
+        say(&format!("failed    {beyond} more: run.json has them"));
+    }
     manifest.headlines.iter().for_each(|line| say(line));
     let told = manifest.steps.iter().flat_map(|done| done.metrics.iter().map(move |metric| (done.label(), metric)));
     let rows: Vec<Vec<String>> = told

@@ -180,6 +180,11 @@ impl Manifest {
         [executed, cached, self.steps.len() - executed - cached]
     }
 
+    /// The step instances that failed, and why.
+    pub fn failures(&self) -> impl Iterator<Item = (String, &str)> {
+        self.steps.iter().filter_map(|done| Some((done.label(), done.failure.as_deref()?)))
+    }
+
     /// The text of the file: JSON, with a line for each step instance.
     pub fn text(mut self) -> String {
         let steps = std::mem::take(&mut self.steps);

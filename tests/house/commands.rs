@@ -209,6 +209,10 @@ fn a_failed_step_leaves_why_it_failed_and_what_it_said() {
     let (failed, beyond) = (told("a"), told("b"));
     assert!(failed["status"] == "failed" && beyond["status"] == "not reached" && beyond.get("failure").is_none());
     assert!(failed["failure"].as_str().unwrap().contains("ended with code 1, saying\n  oh dear"), "{failed}");
+    for command in [["runs", "show", "latest"].as_slice(), &["inspect", ".rockface/runs/latest"]] {
+        let (_, out, _) = house.rockface(command);
+        assert!(out.contains("a[i=1]: `sh` ended with code 1"), "{out}");
+    }
     let (_, log, _) = house.rockface(&["inspect", failed["log"].as_str().unwrap()]);
     assert!(log.contains("hello 1") && log.contains("attempt 1 of 2 failed"), "{log}");
     let page = std::fs::read_to_string(folder.join("report.html")).unwrap();

@@ -207,6 +207,20 @@ fn notes_on_runs_are_recalled_latest_first() {
 }
 
 #[test]
+fn looking_for_news_while_a_segment_is_begun_forgets_nothing() {
+    for _ in 0..200 {
+        let (_folder, store) = new_store();
+        let key = std::thread::scope(|scope| {
+            let looking = scope.spawn(|| (0..20).for_each(|_| store.refresh().unwrap()));
+            let key = finish(&store, 1, b"begun");
+            looking.join().unwrap();
+            key
+        });
+        assert!(store.has_record(&key));
+    }
+}
+
+#[test]
 fn threads_share_one_store() {
     let (_folder, store) = new_store();
     std::thread::scope(|scope| {

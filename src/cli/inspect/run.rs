@@ -46,6 +46,10 @@ pub fn of_manifest(manifest: &Manifest) -> Facts {
         let files = pipeline.included.iter().map(|file| file.path.display().to_string());
         facts.push(("includes".into(), files.collect()));
     }
+    let failures: Vec<String> = manifest.failures().map(|(label, why)| format!("{label}: {why}")).collect();
+    if !failures.is_empty() {
+        facts.push(("failures".into(), json!(failures)));
+    }
     facts.push(("results".into(), json!(manifest.headlines)));
     facts
 }
