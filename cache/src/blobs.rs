@@ -1,7 +1,7 @@
 //! Large blobs: one read-only file each, named by its digest, written beside its place and renamed into it.
 
-use std::fs::{self, File};
-use std::io::Write;
+use std::fs::{self, File, Metadata};
+use std::io::{ErrorKind, Write};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -10,6 +10,9 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use crate::Digest;
 use crate::error::{At, StoreError};
 use crate::open::{BLOBS, QUARANTINE, TEMPORARY_BLOB, TMP, set_mode};
+
+/// What was put less long ago is not put again, seconds: much less than the hour a collection spares.
+const RECENT_S: u64 = 900;
 
 /// The folder of large blobs and the two it works with.
 ///
@@ -50,12 +53,27 @@ impl Blobs {
 
     /// The size of a blob, or why it is not to be had: missing, or damaged and now set aside.
     pub(crate) fn check(&self, digest: &Digest) -> Result<u64, StoreError> {
+        self.look(digest).map(|meta| meta.len())
+    }
+
+    fn look(&self, digest: &Digest) -> Result<Metadata, StoreError> {
         let path = self.path(digest);
         let meta = fs::metadata(&path).map_err(|fault| unreadable(digest, &path, fault))?;
         if meta.mtime_nsec() != i64::from(seal_ns(digest)) {
             self.verify(digest, &path).inspect_err(|fault| self.note(fault))?;
         }
-        Ok(meta.len())
+        Ok(meta)
+    }
+
+    /// Whether a blob is there and no collection can take it for one that nobody has put lately: one put long ago has its
+    /// time set anew.
+    ///
+    /// That it still has its name is looked at after that: a collection moves a blob away and then looks at its time.
+    pub(crate) fn renew(&self, digest: &Digest) -> bool {
+        let Ok(meta) = self.look(digest) else { return false };
+        let path = self.path(digest);
+        let touched = || File::open(&path).and_then(|file| seal(&file, digest)).is_ok() && path.exists();
+        is_recent(put_s(&meta)) || touched()
     }
 
     fn note(&self, fault: &StoreError) {
@@ -72,7 +90,7 @@ impl Blobs {
 
     /// Reads a blob whose seal is broken; seals it again or sets it aside.
     fn verify(&self, digest: &Digest, path: &Path) -> Result<(), StoreError> {
-        let file = File::open(path).at("open", path)?;
+        let file = self.open(digest)?;
         let (found, _) = Digest::of_reader(&file).at("read", path)?;
         if found != *digest {
             return Err(self.quarantine(digest));
@@ -82,11 +100,18 @@ impl Blobs {
         Ok(())
     }
 
+    /// A blob to read from, unverified.
+    pub(crate) fn open(&self, digest: &Digest) -> Result<File, StoreError> {
+        let path = self.path(digest);
+        File::open(&path).map_err(|fault| unreadable(digest, &path, fault))
+    }
+
     /// Moves a damaged blob out of the way and says where to.
     pub(crate) fn quarantine(&self, digest: &Digest) -> StoreError {
         let (path, moved_to) = (self.path(digest), self.quarantine_path(digest));
         match fs::rename(&path, &moved_to) {
             Ok(()) => StoreError::Damaged { digest: *digest, moved_to },
+            Err(fault) if fault.kind() == ErrorKind::NotFound => StoreError::Missing { digest: *digest },
             Err(fault) => StoreError::io("set aside the damaged blob", &path, fault),
         }
     }
@@ -134,7 +159,7 @@ impl Blobs {
 
     /// The number of large blobs and their bytes.
     pub(crate) fn count(&self) -> Result<(u64, u64), StoreError> {
-        let sizes: Vec<u64> = self.list()?.iter().filter_map(|blob| Some(self.written(blob)?.1)).collect();
+        let sizes: Vec<u64> = self.list()?.iter().filter_map(|blob| Some(self.written(blob)?.0)).collect();
         Ok((sizes.len() as u64, sizes.iter().sum()))
     }
 
@@ -153,25 +178,49 @@ impl Blobs {
         Ok(found)
     }
 
-    /// A blob with its size and when it was written or last verified, seconds since 1970; `None` if it is not there.
-    pub(crate) fn written(&self, digest: &Digest) -> Option<(Digest, u64, u64)> {
+    /// The size of a blob and when it was last put or verified, seconds since 1970; `None` if it is not there.
+    pub(crate) fn written(&self, digest: &Digest) -> Option<(u64, u64)> {
         let meta = fs::metadata(self.path(digest)).ok()?;
-        Some((*digest, meta.len(), meta.mtime().max(0) as u64))
+        Some((meta.len(), put_s(&meta)))
     }
 
-    /// Removes a blob, if it is there.
-    pub(crate) fn remove(&self, digest: &Digest) -> Result<(), StoreError> {
+    /// Removes a blob that was not put after `since_s`, seconds since 1970; says whether it did.
+    ///
+    /// It is moved away before its time is looked at for the last time: whoever puts it meanwhile has set the time, and
+    /// it is moved back, or finds it gone, and writes it anew.
+    pub(crate) fn remove(&self, digest: &Digest, since_s: u64) -> Result<bool, StoreError> {
         let path = self.path(digest);
-        match fs::remove_file(&path) {
-            Err(fault) if fault.kind() != std::io::ErrorKind::NotFound => Err(StoreError::io("remove", &path, fault)),
-            _ => Ok(()),
+        let Ok(file) = File::open(&path) else { return Ok(false) };
+        // Locked, it is not swept up as the half-written blob of a process that died.
+        if self.written(digest).is_none_or(|(_, put_s)| put_s > since_s) || file.try_lock().is_err() {
+            return Ok(false);
         }
+        let away = self.root.join(TMP).join(format!("{TEMPORARY_BLOB}{digest}"));
+        match fs::rename(&path, &away) {
+            Err(fault) if fault.kind() == ErrorKind::NotFound => return Ok(false),
+            moved => moved.at("remove", &path)?,
+        }
+        let was_put = fs::metadata(&away).is_ok_and(|meta| put_s(&meta) > since_s);
+        let done = if was_put { fs::rename(&away, &path) } else { fs::remove_file(&away) };
+        done.at("remove", &path)?;
+        Ok(!was_put)
     }
+}
+
+/// When a blob was last put or verified, seconds since 1970.
+fn put_s(meta: &Metadata) -> u64 {
+    meta.mtime().max(0) as u64
+}
+
+/// Whether a blob put then need not be put again: a collection keeps what was put within a much longer time.
+pub(crate) fn is_recent(put_s: u64) -> bool {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    now.as_secs() < put_s.saturating_add(RECENT_S)
 }
 
 fn unreadable(digest: &Digest, path: &Path, fault: std::io::Error) -> StoreError {
     match fault.kind() {
-        std::io::ErrorKind::NotFound => StoreError::Missing { digest: *digest },
+        ErrorKind::NotFound => StoreError::Missing { digest: *digest },
         _ => StoreError::io("read", path, fault),
     }
 }
@@ -187,4 +236,47 @@ pub(crate) fn seal_ns(digest: &Digest) -> u32 {
 fn seal(file: &File, digest: &Digest) -> std::io::Result<()> {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     file.set_modified(UNIX_EPOCH + Duration::new(now.as_secs(), seal_ns(digest)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HOUR_S: u64 = 3600;
+
+    /// A large blob put two hours ago.
+    fn aged() -> (tempfile::TempDir, Blobs, Digest) {
+        let folder = tempfile::tempdir().unwrap();
+        [BLOBS, TMP, QUARANTINE].iter().for_each(|name| fs::create_dir(folder.path().join(name)).unwrap());
+        let (blobs, digest) = (Blobs::new(folder.path()), Digest::of(b"blob"));
+        blobs.put(&digest, b"blob").unwrap();
+        let file = blobs.open(&digest).unwrap();
+        let then = file.metadata().unwrap().modified().unwrap() - Duration::from_secs(2 * HOUR_S);
+        file.set_modified(then).unwrap();
+        (folder, blobs, digest)
+    }
+
+    fn an_hour_ago() -> u64 {
+        UNIX_EPOCH.elapsed().unwrap().as_secs() - HOUR_S
+    }
+
+    #[test]
+    fn a_blob_is_removed_unless_it_was_put_again() {
+        let (folder, blobs, digest) = aged();
+        assert!(blobs.renew(&digest));
+        assert!(!blobs.remove(&digest, an_hour_ago()).unwrap());
+        assert_eq!(blobs.get(&digest).unwrap(), b"blob");
+        assert!(blobs.remove(&digest, an_hour_ago() + 2 * HOUR_S).unwrap());
+        assert!(!blobs.renew(&digest) && !blobs.remove(&digest, an_hour_ago()).unwrap());
+        assert_eq!(fs::read_dir(folder.path().join(TMP)).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn the_seal_outlasts_being_put_again() {
+        let (_folder, blobs, digest) = aged();
+        assert!(blobs.renew(&digest));
+        let meta = fs::metadata(blobs.path(&digest)).unwrap();
+        assert_eq!(meta.mtime_nsec(), i64::from(seal_ns(&digest)));
+        assert!(is_recent(put_s(&meta)) && !is_recent(an_hour_ago()));
+    }
 }

@@ -30,6 +30,17 @@ pub enum StoreError {
         /// What this version writes.
         expected: String,
     },
+    /// A run may not write to the store.
+    #[error(
+        "the store {} can only be read ({source}), and a run has to write there what it counts on: give another one with `--store DIR`",
+        dir.display()
+    )]
+    ReadOnly {
+        /// The folder of the store.
+        dir: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
     /// The folder holds other things.
     #[error(
         "{} is not a store and not empty (it holds `{entry}`): give an empty or a new folder for the store",
@@ -106,6 +117,17 @@ impl StoreError {
             _ => Self::Io { action, path, source },
         }
     }
+
+    /// Says that the store at `dir` can only be read, where that is why something could not be written.
+    pub(crate) fn or_read_only(self, dir: &Path) -> Self {
+        use io::ErrorKind::{PermissionDenied, ReadOnlyFilesystem};
+        match self {
+            Self::Io { source, .. } if matches!(source.kind(), PermissionDenied | ReadOnlyFilesystem) => {
+                Self::ReadOnly { dir: dir.to_owned(), source }
+            }
+            other => other,
+        }
+    }
 }
 
 /// Names the action and the path of a failed system call.
@@ -135,6 +157,17 @@ mod tests {
         let error = full.write_all(b"x").at("write", path).unwrap_err();
         assert!(matches!(&error, StoreError::DiskFull { path: named } if named == path), "{error:?}");
         assert!(error.to_string().contains("/dev/full") && error.to_string().contains("free some space"));
+    }
+
+    #[test]
+    fn a_store_that_can_only_be_read_says_how_to_give_another() {
+        let fault = |kind: io::ErrorKind| StoreError::io("write into", Path::new("/s/live"), kind.into());
+        for kind in [io::ErrorKind::PermissionDenied, io::ErrorKind::ReadOnlyFilesystem] {
+            let told = fault(kind).or_read_only(Path::new("/s")).to_string();
+            assert!(told.starts_with("the store /s can only be read") && told.contains("--store"), "{told}");
+        }
+        let other = fault(io::ErrorKind::NotFound).or_read_only(Path::new("/s"));
+        assert!(matches!(other, StoreError::Io { .. }));
     }
 
     #[test]

@@ -6,6 +6,7 @@ use std::sync::OnceLock;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::Digest;
+use crate::blobs::is_recent;
 use crate::frame::{Header, Kind, payload_check};
 use crate::segment::Frame;
 
@@ -42,6 +43,18 @@ pub(crate) struct Place {
     pub length: u32,
     /// When they were written.
     pub stamp: u64,
+}
+
+impl Place {
+    /// When it was written, seconds since 1970.
+    pub(crate) fn put_s(self) -> u64 {
+        self.stamp / 1_000_000_000
+    }
+
+    /// Whether it was written so lately that it need not be written again.
+    pub(crate) fn is_recent(self) -> bool {
+        is_recent(self.put_s())
+    }
 }
 
 /// How far a segment has been read.

@@ -111,8 +111,10 @@ impl Journal {
     /// Appends a payload under `name` to this process's segment.
     pub(crate) fn append(&self, kind: Kind, name: Digest, payload: &[u8]) -> Result<(), StoreError> {
         let mut slot = self.writer();
-        // Another thread may have stored the same blob while this one waited.
-        if kind == Kind::Blob && self.with_index(|index| index.blob(&name)).is_some() {
+        // Another thread may have stored the same blob while this one waited. A segment that is written to stays.
+        let own = slot.as_ref().map(|writer| writer.segment);
+        let is_safe = |place: Place| place.is_recent() || own == Some(place.segment);
+        if kind == Kind::Blob && self.with_index(|index| index.blob(&name)).is_some_and(is_safe) {
             return Ok(());
         }
         self.append_to(&mut slot, kind, name, payload)

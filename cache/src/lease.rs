@@ -2,18 +2,20 @@
 
 use std::collections::BTreeSet;
 use std::fs::File;
-use std::io::Write;
+use std::io::{Read, Write};
 use std::path::Path;
 use std::sync::PoisonError;
 use std::time::UNIX_EPOCH;
 
 use crate::error::{At, StoreError};
-use crate::locks::is_abandoned;
+use crate::locks::{KeyLock, is_abandoned};
 use crate::open::LIVE;
 use crate::{Digest, Store};
 
 /// Bytes of a key.
 const KEY_BYTES: usize = 32;
+/// Stands for the lock between collections and runs that begin, among those of keys.
+const GATE: &[u8] = b"rockface: who is live";
 
 /// What the live processes that use a store count on.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -24,20 +26,37 @@ pub struct Live {
     pub since_unix_s: Option<u64>,
     /// The keys of records they count on.
     pub keys: BTreeSet<Digest>,
+    /// Whether one of them has not said yet what it counts on: it is just looking.
+    pub is_looking: bool,
 }
 
 impl Store {
     /// Says that this process counts on these records until the store is dropped: no collection removes them.
     ///
-    /// The first call says that the process is live.
+    /// The first call says that the process is live, and reads what the store holds from then on: without keys, before
+    /// anything is looked up, it makes collections spare all records until the keys of some are told.
     pub fn count_on(&self, keys: &[Digest]) -> Result<(), StoreError> {
         let mut lease = self.lease.lock().unwrap_or_else(PoisonError::into_inner);
-        let file = match &mut *lease {
-            Some(file) => file,
-            None => lease.insert(begin(&self.dir().join(LIVE))?),
+        let file = if let Some(file) = &mut *lease {
+            file
+        } else {
+            let file = lease.insert(self.begin_lease().map_err(|fault| fault.or_read_only(self.dir()))?);
+            self.refresh()?;
+            file
         };
         let bytes: Vec<u8> = keys.iter().flat_map(|key| *key.as_bytes()).collect();
         file.write_all(&bytes).at("write", file.path())
+    }
+
+    fn begin_lease(&self) -> Result<tempfile::NamedTempFile, StoreError> {
+        let _gate = self.gate()?;
+        begin(&self.dir().join(LIVE))
+    }
+
+    /// Held by a collection from its last look at who is live until what leaves has left, and for a moment by each run
+    /// that begins: so it is seen, or sees what is left.
+    pub(crate) fn gate(&self) -> Result<KeyLock, StoreError> {
+        self.lock(&Digest::of(GATE), || ())
     }
 
     /// What other live processes, and this one, count on.
@@ -46,12 +65,14 @@ impl Store {
         let mut live = Live::default();
         for entry in std::fs::read_dir(&folder).at("list", &folder)? {
             let path = entry.at("list", &folder)?.path();
-            let Ok(file) = File::open(&path) else { continue };
+            let Ok(mut file) = File::open(&path) else { continue };
             if is_abandoned(&file, &path) {
                 continue;
             }
             live.count += 1;
-            let bytes = std::fs::read(&path).at("read", &path)?;
+            let mut bytes = Vec::new();
+            file.read_to_end(&mut bytes).at("read", &path)?;
+            live.is_looking |= bytes.is_empty();
             live.keys
                 .extend(bytes.chunks_exact(KEY_BYTES).filter_map(|key| Some(Digest::from_bytes(key.try_into().ok()?))));
             let began = file.metadata().and_then(|meta| meta.created().or_else(|_| meta.modified()));

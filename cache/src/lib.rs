@@ -17,7 +17,7 @@
 //!
 //! ```text
 //! format          the format version, one line
-//! keys.lock       empty; its bytes are locked for the keys being computed now
+//! keys.lock       empty; its bytes are locked for the keys being computed now, one of them by collections
 //! CACHEDIR.TAG    tells backup programs to pass by
 //! blobs/ab/abcd…  blobs of 64 KiB and more, one file each, read-only
 //! segments/*.seg  append-only frames: small blobs, records, notes, file digests; one live writer each

@@ -44,7 +44,7 @@ impl Store {
         }
         let bytes = self.blobs().check(digest)?;
         let blob = self.blobs().path(digest);
-        if reflink(&blob, folder, to)? {
+        if reflink(&self.blobs().open(digest)?, folder, to)? {
             return Ok(Materialised::Reflink);
         }
         if bytes <= COPY_BYTES {
@@ -87,10 +87,9 @@ fn copy_bytes(bytes: &[u8], folder: &Path, to: &Path) -> Result<Materialised, St
 }
 
 /// False where the file system cannot share extents, or not across these two places.
-fn reflink(blob: &Path, folder: &Path, to: &Path) -> Result<bool, StoreError> {
-    let source = File::open(blob).at("open", blob)?;
+fn reflink(source: &File, folder: &Path, to: &Path) -> Result<bool, StoreError> {
     let file = beside(folder)?;
-    if rustix::fs::ioctl_ficlone(&file, &source).is_err() {
+    if rustix::fs::ioctl_ficlone(&file, source).is_err() {
         return Ok(false);
     }
     persist(file, to)?;
@@ -116,9 +115,8 @@ fn is_same_file(a: &Path, b: &Path) -> bool {
 }
 
 fn copy_file(blobs: &Blobs, digest: &Digest, folder: &Path, to: &Path) -> Result<Materialised, StoreError> {
-    let blob = blobs.path(digest);
     let mut file = beside(folder)?;
-    let mut tee = Tee { from: File::open(&blob).at("open", &blob)?, to: &mut file };
+    let mut tee = Tee { from: blobs.open(digest)?, to: &mut file };
     let (found, _) = Digest::of_reader(&mut tee).at("copy the blob to", to)?;
     if found != *digest {
         return Err(blobs.quarantine(digest));

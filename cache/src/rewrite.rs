@@ -1,7 +1,8 @@
 //! Writing segments anew: what counts is copied to a new one, made durable, and the old one goes.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
+use std::io::ErrorKind;
 
 use crate::Digest;
 use crate::error::{At, StoreError};
@@ -10,52 +11,97 @@ use crate::index::{Index, Place};
 use crate::journal::Journal;
 use crate::segment::{Frame, claim, scan};
 
+/// Records and small blobs that leave, each with the stamp it had when that was decided: one written since stays.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(crate) struct Leaving {
+    /// Records by key.
+    pub records: BTreeMap<Digest, u64>,
+    /// Small blobs.
+    pub blobs: BTreeMap<Digest, u64>,
+}
+
+impl Leaving {
+    /// Whether the frame of this header leaves.
+    pub(crate) fn has(&self, header: &Header) -> bool {
+        let stamps = match header.kind {
+            Kind::Record => &self.records,
+            Kind::Blob => &self.blobs,
+            _ => return false,
+        };
+        stamps.get(&header.name) == Some(&header.stamp)
+    }
+}
+
+/// The segments there are: those nobody writes to are held, so that nobody begins to.
+#[derive(Debug)]
+pub(crate) struct Claimed {
+    free: Vec<(String, File)>,
+    busy: Vec<String>,
+}
+
+impl Claimed {
+    /// How many are being written to and stay as they are.
+    pub(crate) fn busy(&self) -> u64 {
+        self.busy.len() as u64
+    }
+}
+
 impl Journal {
-    /// Drops these records and blobs, and all that was superseded, from every segment nobody is writing to; returns how
-    /// many are being written to and stay as they are.
-    ///
-    /// At no moment is anything that stays in no segment at all, on disk too.
-    pub(crate) fn rewrite(&self, records: &BTreeSet<Digest>, blobs: &BTreeSet<Digest>) -> Result<u64, StoreError> {
-        self.refresh()?;
+    /// Takes hold of every segment nobody is writing to, and reads all of them to their ends.
+    pub(crate) fn claim_all(&self) -> Result<Claimed, StoreError> {
         // This process may continue a segment; from now on it writes to a new one.
         self.rest()?;
-        let (mut busy, mut claimed) = (0, Vec::new());
+        let mut claimed = Claimed { free: Vec::new(), busy: Vec::new() };
         for name in self.names()? {
             match claim(&self.path(&name))? {
-                Some(file) => claimed.push((name, file)),
-                None => busy += 1,
+                Some(file) => claimed.free.push((name, file)),
+                None => claimed.busy.push(name),
             }
         }
-        for (name, file) in &claimed {
-            self.copy_live(name, file, records, blobs)?;
-        }
-        self.sync()?;
-        self.rest()?;
-        for (name, _) in &claimed {
-            let path = self.path(name);
-            std::fs::remove_file(&path).at("remove", &path)?;
-        }
+        // Not before: what was written to one of them until it was claimed counts too.
         self.refresh()?;
-        Ok(busy)
+        Ok(claimed)
     }
 
-    fn copy_live(
-        &self,
-        name: &str,
-        file: &File,
-        records: &BTreeSet<Digest>,
-        blobs: &BTreeSet<Digest>,
-    ) -> Result<(), StoreError> {
+    /// The keys of all records, superseded ones too, in the segments that stay as they are.
+    pub(crate) fn busy_records(&self, claimed: &Claimed) -> Result<BTreeSet<Digest>, StoreError> {
+        let mut keys = BTreeSet::new();
+        for name in &claimed.busy {
+            let path = self.path(name);
+            let file = match File::open(&path) {
+                Err(fault) if fault.kind() == ErrorKind::NotFound => continue,
+                file => file.at("open", &path)?,
+            };
+            let frames = scan(&file, 0).at("read", &path)?.frames;
+            keys.extend(frames.iter().filter(|one| one.header.kind == Kind::Record).map(|one| one.header.name));
+        }
+        Ok(keys)
+    }
+
+    /// Copies what counts and `stays` from the claimed segments, and makes it durable. At no moment is anything that
+    /// stays in no segment at all, on disk too.
+    pub(crate) fn copy_all(&self, claimed: &Claimed, stays: impl Fn(&Header) -> bool) -> Result<(), StoreError> {
+        for (name, file) in &claimed.free {
+            self.copy_live(name, file, &stays)?;
+        }
+        self.rest()
+    }
+
+    /// Removes the claimed segments.
+    pub(crate) fn remove(&self, claimed: Claimed) -> Result<(), StoreError> {
+        // Each is held until it is gone.
+        for (name, _held) in claimed.free {
+            let path = self.path(&name);
+            std::fs::remove_file(&path).at("remove", &path)?;
+        }
+        self.refresh()
+    }
+
+    fn copy_live(&self, name: &str, file: &File, stays: &impl Fn(&Header) -> bool) -> Result<(), StoreError> {
         let path = self.path(name);
         let segment = self.edit_index(|index| index.segment(name));
         for frame in scan(file, 0).at("read", &path)?.frames {
-            let leaves = match frame.header.kind {
-                Kind::Record => records.contains(&frame.header.name),
-                Kind::Blob => blobs.contains(&frame.header.name),
-                Kind::Mark => true,
-                _ => false,
-            };
-            if !leaves && self.with_index(|index| is_latest(index, segment, &frame)) {
+            if stays(&frame.header) && self.with_index(|index| is_latest(index, segment, &frame)) {
                 self.copy(segment, &frame)?;
             }
         }

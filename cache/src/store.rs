@@ -93,9 +93,12 @@ impl Store {
     }
 
     /// Stores these bytes, unless they are there already, and returns their digest.
+    ///
+    /// What is there but was put long ago is put again: a large blob has its time set, a small one is written to the
+    /// segment of this process. So a collection beside this sees that it is used, however old it is.
     pub fn put(&self, bytes: &[u8]) -> Result<Digest, StoreError> {
         let digest = Digest::of(bytes);
-        if self.contains(&digest) {
+        if self.renew(&digest) {
             return Ok(digest);
         }
         if bytes.len() < LARGE_BYTES {
@@ -107,6 +110,11 @@ impl Store {
         path.ancestors().skip(1).take(2).for_each(|folder| self.journal.owe(folder));
         self.syncer.wake()?;
         Ok(digest)
+    }
+
+    /// Whether a blob is there and no collection takes it for one nobody uses; false where it has to be put again.
+    pub(crate) fn renew(&self, digest: &Digest) -> bool {
+        self.place(digest).map_or_else(|| self.blobs.renew(digest), Place::is_recent)
     }
 
     /// Whether a blob is there.
@@ -187,9 +195,28 @@ impl Store {
     /// A record that says the same of all but the cost as the one that is there is not written again; one that says
     /// otherwise supersedes it.
     pub fn commit(&self, record: &Record) -> Result<Digest, StoreError> {
+        self.commit_or(record, || Ok(()))
+    }
+
+    /// [`Store::commit`]; should a blob have left again since it was put, `put_again` is called, which puts them all.
+    pub fn commit_or<E: From<StoreError>>(
+        &self,
+        record: &Record,
+        put_again: impl FnOnce() -> Result<(), E>,
+    ) -> Result<Digest, E> {
+        if self.lacking(record).is_some() {
+            put_again()?;
+            self.check(record)?;
+        }
+        Ok(self.append_record(record)?)
+    }
+
+    fn append_record(&self, record: &Record) -> Result<Digest, StoreError> {
+        if !record.cost.is_finite() {
+            return Err(bad_record(record, "its cost is not a finite number of seconds".to_owned()));
+        }
         let text = record.recipe.text();
         let key = Digest::of(text.as_bytes());
-        self.check(record)?;
         if self.record(&key).is_some_and(|first| first.same_outcome(record)) {
             return Ok(key);
         }
@@ -198,18 +225,16 @@ impl Store {
         Ok(key)
     }
 
-    /// Refuses a record that could never be a hit or could not be read back.
+    /// A blob the record names that is not there.
+    fn lacking(&self, record: &Record) -> Option<Digest> {
+        record.blobs().find(|(digest, bytes)| !self.has(digest, *bytes)).map(|(digest, _)| digest)
+    }
+
+    /// Refuses a record that could never be a hit.
     fn check(&self, record: &Record) -> Result<(), StoreError> {
-        if !record.cost.is_finite() {
-            return Err(bad_record(record, "its cost is not a finite number of seconds".to_owned()));
-        }
-        match record.blobs().find(|(digest, bytes)| !self.has(digest, *bytes)) {
-            Some((digest, _)) => {
-                let reason = format!("blob {} of it is not in the store with that size: put it first", digest.short());
-                Err(bad_record(record, reason))
-            }
-            None => Ok(()),
-        }
+        let Some(digest) = self.lacking(record) else { return Ok(()) };
+        let reason = format!("blob {} of it is not in the store with that size: put it first", digest.short());
+        Err(bad_record(record, reason))
     }
 
     fn has(&self, digest: &Digest, bytes: Option<u64>) -> bool {
@@ -315,7 +340,11 @@ fn bad_record(record: &Record, reason: String) -> StoreError {
 fn count_files(folder: &Path) -> Result<(u64, u64), StoreError> {
     let (mut count, mut bytes) = (0, 0);
     for entry in std::fs::read_dir(folder).at("list", folder)? {
-        bytes += entry.and_then(|entry| entry.metadata()).at("list", folder)?.len();
+        match entry.at("list", folder)?.metadata() {
+            // Removed since it was listed.
+            Err(fault) if fault.kind() == std::io::ErrorKind::NotFound => continue,
+            meta => bytes += meta.at("list", folder)?.len(),
+        }
         count += 1;
     }
     Ok((count, bytes))

@@ -36,7 +36,7 @@ impl ExplainArgs {
         let pipeline = self.pipeline.load()?;
         let (name, items) = wanted(&self.step)?;
         check_step(&pipeline, name)?;
-        let (mut plan, store) = self.pipeline.plan(&pipeline, &self.pipeline.target)?;
+        let (mut plan, store) = self.pipeline.look(&pipeline, &self.pipeline.target)?;
         if !(0..plan.instances.len()).any(|instance| plan.step(instance).name == name) {
             // No target needs it: explained as if it were one.
             plan = crate::plan::plan(&pipeline, &[name.to_owned()], rockface_stages::all(), &store)

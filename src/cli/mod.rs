@@ -122,6 +122,14 @@ impl PipelineArgs {
         Ok((plan, store))
     }
 
+    /// [`PipelineArgs::plan`] for what only looks: where there is no store, none is made.
+    fn look(&self, pipeline: &Pipeline, targets: &[String]) -> Result<(Plan, Looked), CliError> {
+        let graph = crate::plan::resolve(pipeline, targets, rockface_stages::all()).map_err(CliError::Pipeline)?;
+        let store = Looked::open(&self.store_dir())?;
+        let plan = crate::plan::expand(graph, pipeline, &store).map_err(CliError::Pipeline)?;
+        Ok((plan, store))
+    }
+
     fn open_store(&self) -> Result<Store, CliError> {
         if self.store.is_none() {
             own_folder(&self.pipeline)?;
@@ -132,6 +140,37 @@ impl PipelineArgs {
     /// Where the store is or will be.
     fn store_dir(&self) -> PathBuf {
         self.store.clone().unwrap_or_else(|| beside(&self.pipeline).join("store"))
+    }
+}
+
+/// A store to look into: where there is none, an empty one that goes away with this.
+struct Looked {
+    store: Store,
+    /// Removed after the store is closed.
+    _folder: Option<tempfile::TempDir>,
+}
+
+impl Looked {
+    fn open(dir: &Path) -> Result<Self, CliError> {
+        // An empty folder could become a store; one of other things is refused by opening it.
+        let is_none = match std::fs::read_dir(dir) {
+            Ok(mut entries) => entries.next().is_none(),
+            Err(fault) => fault.kind() == std::io::ErrorKind::NotFound,
+        };
+        if !is_none {
+            return Ok(Self { store: Store::open(dir)?, _folder: None });
+        }
+        let failed = |source| CliError::Run(RunError::Folder { path: std::env::temp_dir(), source });
+        let folder = tempfile::tempdir().map_err(failed)?;
+        Ok(Self { store: Store::open(folder.path())?, _folder: Some(folder) })
+    }
+}
+
+impl std::ops::Deref for Looked {
+    type Target = Store;
+
+    fn deref(&self) -> &Store {
+        &self.store
     }
 }
 

@@ -28,7 +28,7 @@ impl PlanArgs {
     /// Prints the plan.
     pub fn run(self) -> Result<(), CliError> {
         let pipeline = self.pipeline.load()?;
-        let (plan, store) = self.pipeline.plan(&pipeline, &self.pipeline.target)?;
+        let (plan, store) = self.pipeline.look(&pipeline, &self.pipeline.target)?;
         let answers = Answers::new(&plan, &store);
         let times = Times::new(&store);
         if self.json {

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
-use rockface_cache::{Digest, GcPlan, GcPolicy, Store};
+use rockface_cache::{Collected, Digest, Fault, FaultKind, GcPlan, GcPolicy, Store};
 use serde_json::json;
 
 use super::hand::HandArgs;
@@ -137,18 +137,24 @@ fn verify(store: &Store, repair: bool, as_json: bool) -> Result<(), CliError> {
             say(&format!("{kind:8} {}  {what}{done}", fault.digest.short()));
         }
         let (blobs, size, records) = (found.blobs, bytes(found.bytes), found.records);
-        say(&format!("read {blobs} blobs ({size}) of {records} records: {}", verdict(found.faults.len(), repair)));
+        say(&format!("read {blobs} blobs ({size}) of {records} records: {}", verdict(&found.faults, repair)));
     }
     let is_well = found.faults.is_empty() || repair;
     if is_well { Ok(()) } else { Err(CliError::Damaged) }
 }
 
-fn verdict(faults: usize, repair: bool) -> String {
-    match (faults, repair) {
-        (0, _) => "all whole".to_owned(),
-        (_, true) => format!("{faults} not whole; the next run that needs them makes them again"),
-        (_, false) => format!("{faults} not whole; `rockface store verify --repair` sets what is damaged aside"),
-    }
+/// What was found, and what to do about it: only what is damaged has to be set aside before a run makes it again.
+fn verdict(faults: &[Fault], repair: bool) -> String {
+    let damaged = faults.iter().filter(|fault| fault.kind == FaultKind::Damaged).count();
+    let missing = faults.len() - damaged;
+    let remedy = match (damaged, repair) {
+        (0, _) if missing == 0 => return "all whole".to_owned(),
+        (0, _) | (_, true) => "the next `rockface run` that needs them makes them again",
+        (_, false) => {
+            "`rockface store verify --repair` sets what is damaged aside, and the next `rockface run` that needs it makes it again"
+        }
+    };
+    format!("{damaged} damaged, {missing} missing; {remedy}")
 }
 
 impl GcArgs {
@@ -163,11 +169,7 @@ impl GcArgs {
             say(&json!(done).to_string());
             return Ok(());
         }
-        let busy = match done.busy_segments {
-            0 => String::new(),
-            busy => format!("; {busy} segments are being written to and were left as they are"),
-        };
-        say(&format!("removed {} records and {} blobs, {} freed{busy}", done.records, done.blobs, bytes(done.bytes)));
+        say(&told(&done));
         Ok(())
     }
 
@@ -217,6 +219,18 @@ impl GcArgs {
         }
         Ok(policy)
     }
+}
+
+/// What was removed, and why not more.
+fn told(done: &Collected) -> String {
+    let mut told = format!("removed {} records and {} blobs, {} freed", done.records, done.blobs, bytes(done.bytes));
+    if done.busy_segments > 0 {
+        told += &format!("; {} segments are being written to and were left as they are", done.busy_segments);
+    }
+    if done.spared_records > 0 {
+        told += &format!("; {} records stay for now, since runs go on or have just ended", done.spared_records);
+    }
+    told
 }
 
 /// All run folders that are there: those in `runs`, and those elsewhere that the store was told of.

@@ -164,6 +164,7 @@ impl<'a> Scheduler<'a> {
 
     fn run(mut self, start: &Start, receiver: &Receiver<Message>, stop: &AtomicBool) -> Result<Summary, RunError> {
         let begun = Instant::now();
+        self.store.count_on(&[])?;
         self.tell(&Event::Planned { steps: self.plan.instances.len() });
         let first = (0..self.states.len()).filter(|instance| self.states[*instance].unmet == 0);
         self.turns = first.map(Turn::Settle).collect();

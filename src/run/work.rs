@@ -161,7 +161,9 @@ pub fn work(
         finished_unix_s: finished,
     };
     let Outcome { outputs, log, sketches, cost } = outcome.clone();
-    store.commit(&Record { recipe: task.recipe.clone(), outputs, log, sketches, cost })?;
+    let put_again =
+        || keep(task, store, pool, &values, &entries).and_then(|made| sketch(task, store, pool, &values, &made));
+    store.commit_or(&Record { recipe: task.recipe.clone(), outputs, log, sketches, cost }, || put_again().map(drop))?;
     let warnings =
         entries.into_iter().filter_map(|entry| if let Entry::Warning { text } = entry { Some(text) } else { None });
     let warnings = retried.into_iter().chain(unsketched).chain(warnings).collect();

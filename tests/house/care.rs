@@ -212,3 +212,42 @@ fn a_pipeline_of_several_files_is_answered_for_until_one_changes() {
     write(&SMALL.replace("cell_m: 0.05", "cell_m: 0.1"));
     ends("ran 1, cached 1");
 }
+
+#[test]
+fn what_is_missing_is_made_again_by_a_run_and_nothing_else_is_advised() {
+    let house = House::new(&SMALL.replace("width_m: 2,", "width_m: 40,"));
+    house.rockface(&["run", "p.yaml"]);
+    let blobs = fs::read_dir(house.path(".rockface/store/blobs")).unwrap().flatten();
+    let large: Vec<_> = blobs.flat_map(|folder| fs::read_dir(folder.path()).unwrap().flatten()).collect();
+    fs::remove_file(large[0].path()).unwrap();
+    let (code, out, _) = house.rockface(&["store", "verify"]);
+    let told = last_line(&out);
+    assert!(code == Some(3) && told.contains("0 damaged, 1 missing") && told.contains("`rockface run`"), "{out}");
+    assert!(!told.contains("--repair"), "{out}");
+    house.rockface(&["run", "p.yaml"]);
+    let (code, out, _) = house.rockface(&["store", "verify"]);
+    assert!(code == Some(0) && out.contains("all whole"), "{out}");
+}
+
+#[test]
+fn looking_makes_no_store() {
+    let house = House::new(SMALL);
+    for arguments in [&["plan", "p.yaml"][..], &["explain", "p.yaml", "face"]] {
+        fs::create_dir(house.path("empty")).unwrap();
+        for place in [&[][..], &["--store", "new/store"], &["--store", "empty"]] {
+            let (code, out, err) = house.rockface(&[arguments, place].concat());
+            assert!(code == Some(0) && !out.is_empty(), "{arguments:?} {place:?}: {err}");
+        }
+        assert!(!house.path("new").exists() && !house.path(".rockface").exists());
+        // Not removed if anything had been put there.
+        fs::remove_dir(house.path("empty")).unwrap();
+    }
+    fs::write(house.path("file"), "in the way").unwrap();
+    let (code, _, err) = house.rockface(&["plan", "p.yaml", "--store", "file/store"]);
+    assert_eq!(code, Some(3), "{err}");
+    let (code, _, err) = house.rockface(&["plan", "p.yaml", "--store", "."]);
+    assert!(code == Some(3) && err.contains("is not a store"), "{err}");
+    house.rockface(&["run", "p.yaml"]);
+    let (_, out, _) = house.rockface(&["plan", "p.yaml"]);
+    assert!(last_line(&out).starts_with("2 hit"), "{out}");
+}

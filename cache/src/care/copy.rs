@@ -41,7 +41,7 @@ impl Store {
             handed.known += 1;
             return Ok(());
         }
-        for (digest, _) in record.blobs().filter(|(digest, _)| !other.contains(digest)) {
+        for (digest, _) in record.blobs().filter(|(digest, _)| !other.renew(digest)) {
             let bytes = match self.get(&digest) {
                 Ok(bytes) => bytes,
                 Err(StoreError::Damaged { .. } | StoreError::Missing { .. }) => {

@@ -4,6 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::error::StoreError;
+use crate::frame::Kind;
+use crate::rewrite::Leaving;
 use crate::{Digest, Store};
 
 /// What is to be kept.
@@ -19,7 +21,8 @@ pub struct GcPolicy {
     pub max_age_s: Option<u64>,
     /// Remove the longest unused until the blobs of records take no more bytes.
     pub max_bytes: Option<u64>,
-    /// What was made or used less long ago is kept, seconds: a run may be about to name it.
+    /// What was made, put or used less long ago is kept, seconds: a run may be about to name it. Beside live runs, an hour
+    /// at least.
     pub grace_s: u64,
 }
 
@@ -49,6 +52,15 @@ pub struct GcPlan {
     pub kept_records: u64,
     /// Bytes of the blobs of records that stay.
     pub kept_bytes: u64,
+    /// What leaves the segments, as it was.
+    #[serde(skip)]
+    pub(super) leaving: Leaving,
+    /// Blobs put after that stay, seconds since 1970.
+    #[serde(skip)]
+    pub(super) since_s: u64,
+    /// When the latest note on a run was written.
+    #[serde(skip)]
+    pub(super) noted: u64,
 }
 
 /// One record, as far as it matters here.
@@ -65,6 +77,7 @@ impl Store {
     /// What this policy removes. Nothing is touched.
     pub fn plan_gc(&self, policy: &GcPolicy) -> Result<GcPlan, StoreError> {
         let now_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
+        let since_s = now_s.saturating_sub(policy.grace_s);
         let mut candidates = self.candidates(policy, now_s);
         within_budget(&mut candidates, policy.max_bytes);
         let stays = candidates.iter().filter(|candidate| candidate.why.is_none());
@@ -73,10 +86,30 @@ impl Store {
             kept_records: stays.count() as u64,
             kept_bytes: kept.values().sum(),
             records: candidates.iter().filter(|one| one.why.is_some()).map(|one| one.key).collect(),
-            blobs: self.leaving(&candidates, &kept),
+            blobs: self.leaving(&candidates, &kept, since_s),
+            leaving: Leaving::default(),
+            since_s,
+            noted: self.noted(),
         };
-        plan.blobs.extend(self.orphans(&candidates, now_s.saturating_sub(policy.grace_s))?);
+        plan.blobs.extend(self.orphans(&candidates, since_s)?);
+        plan.leaving = self.as_it_is(&plan);
         Ok(plan)
+    }
+
+    /// When the latest note on a run was written.
+    pub(super) fn noted(&self) -> u64 {
+        self.journal().with_index(|index| {
+            let stamps = index.names(Kind::Note).into_iter().filter_map(|key| index.stamp(Kind::Note, &key));
+            stamps.max().unwrap_or(0)
+        })
+    }
+
+    /// The records and small blobs of a plan with the stamps they have now.
+    fn as_it_is(&self, plan: &GcPlan) -> Leaving {
+        self.journal().with_index(|index| Leaving {
+            records: plan.records.iter().filter_map(|key| Some((*key, index.stamp(Kind::Record, key)?))).collect(),
+            blobs: plan.blobs.iter().filter_map(|item| Some((item.digest, index.blob(&item.digest)?.stamp))).collect(),
+        })
     }
 
     /// Every record, the longest unused first.
@@ -99,15 +132,16 @@ impl Store {
         candidates
     }
 
-    /// The blobs that only leaving records name.
-    fn leaving(&self, candidates: &[Candidate], kept: &BTreeMap<Digest, u64>) -> Vec<GcItem> {
+    /// The blobs that only leaving records name and that nobody has put after `since_s`.
+    fn leaving(&self, candidates: &[Candidate], kept: &BTreeMap<Digest, u64>, since_s: u64) -> Vec<GcItem> {
+        let is_old = |digest: &Digest| self.last_put(digest).is_some_and(|(_, put_s)| put_s <= since_s);
         let named = self.named_blobs();
         let mut seen = BTreeSet::new();
         let mut items = Vec::new();
         for candidate in candidates {
             let Some(why) = &candidate.why else { continue };
             for (digest, bytes) in &candidate.blobs {
-                if !kept.contains_key(digest) && seen.insert(*digest) && self.contains(digest) {
+                if !kept.contains_key(digest) && seen.insert(*digest) && is_old(digest) {
                     let what = named.get(digest).map_or_else(String::new, |outputs| outputs.join(", "));
                     let (digest, bytes, used_unix_s) = (*digest, *bytes, candidate.used_s);
                     items.push(GcItem { digest, bytes, what, used_unix_s, why: why.clone() });
@@ -117,28 +151,27 @@ impl Store {
         items
     }
 
-    /// Blobs that no record names and that were written before `since_s`.
+    /// The size of a blob and when it was last put, seconds since 1970; `None` where it is not there.
+    fn last_put(&self, digest: &Digest) -> Option<(u64, u64)> {
+        let large = || self.blobs().written(digest);
+        self.place(digest).map_or_else(large, |place| Some((u64::from(place.length), place.put_s())))
+    }
+
+    /// Blobs that no record names and that nobody has put after `since_s`.
     fn orphans(&self, candidates: &[Candidate], since_s: u64) -> Result<Vec<GcItem>, StoreError> {
         let named: BTreeSet<Digest> =
             candidates.iter().flat_map(|one| one.blobs.iter().map(|(blob, _)| *blob)).collect();
-        let small = self.small_blobs().into_iter().filter_map(|digest| {
-            let place = self.place(&digest)?;
-            Some((digest, u64::from(place.length), place.stamp / 1_000_000_000))
-        });
-        let mut all: Vec<(Digest, u64, u64)> = small.collect();
-        all.extend(self.blobs().list()?.into_iter().filter_map(|digest| self.blobs().written(&digest)));
-        let orphan = |(digest, bytes, _)| GcItem {
+        let all = self.small_blobs().into_iter().chain(self.blobs().list()?);
+        let unnamed = all.filter(|digest| !named.contains(digest));
+        let old = unnamed.filter_map(|digest| Some((digest, self.last_put(&digest)?)));
+        let orphan = |(digest, (bytes, _))| GcItem {
             digest,
             bytes,
             what: "an output that was superseded or never recorded".to_owned(),
             used_unix_s: 0,
             why: "no record names it".to_owned(),
         };
-        Ok(all
-            .into_iter()
-            .filter(|(digest, _, made_s)| !named.contains(digest) && *made_s < since_s)
-            .map(orphan)
-            .collect())
+        Ok(old.filter(|(_, (_, put_s))| *put_s <= since_s).map(orphan).collect())
     }
 }
 

@@ -2,8 +2,10 @@
 
 use std::collections::BTreeSet;
 use std::fs;
+use std::path::Path;
+use std::time::Duration;
 
-use rockface_cache::{Digest, FaultKind, GcPolicy, Store};
+use rockface_cache::{Digest, FaultKind, GcPolicy, Store, StoreError};
 
 use crate::{blob_path, finish, new_store, output, recipe, record, segments};
 
@@ -154,4 +156,159 @@ fn what_is_held_is_told_by_stage() {
     assert_eq!(stat.len(), 1);
     let found = (stat[0].stage.as_str(), stat[0].records, stat[0].blobs, stat[0].bytes, stat[0].wall_s);
     assert_eq!(found, ("remove-blocks", 3, 2, 100_006, 1.5));
+}
+
+/// Everything no run names may go, but for what is younger than an hour; the records of these tests are from 1970.
+fn after_an_hour() -> GcPolicy {
+    GcPolicy { unnamed: true, grace_s: 3600, ..GcPolicy::default() }
+}
+
+/// Makes a large blob look as if it had last been put two hours ago.
+fn age(dir: &Path, digest: &Digest) {
+    let file = fs::File::open(blob_path(dir, digest)).unwrap();
+    let then = file.metadata().unwrap().modified().unwrap() - Duration::from_hours(2);
+    file.set_modified(then).unwrap();
+}
+
+/// A store with one old record of one old large blob, which nobody has open.
+fn aged_store() -> (tempfile::TempDir, Digest) {
+    let (folder, store) = new_store();
+    let key = finish(&store, 1, &large(1));
+    age(folder.path(), &Digest::of(&large(1)));
+    (folder, key)
+}
+
+#[test]
+fn a_blob_that_is_put_again_stays_though_its_record_leaves() {
+    for is_planned_before in [true, false] {
+        let (folder, key) = aged_store();
+        let open = || Store::open(folder.path()).unwrap();
+        let (store, run) = (open(), open());
+        let former = store.plan_gc(&after_an_hour()).unwrap();
+        assert_eq!((former.records.len(), former.blobs.len()), (1, 1));
+        let digest = run.put(&large(1)).unwrap();
+        let plan = if is_planned_before { former } else { open().plan_gc(&after_an_hour()).unwrap() };
+        assert_eq!(plan.blobs.len(), usize::from(is_planned_before));
+        let collected = store.collect(&plan).unwrap();
+        assert_eq!((collected.records, collected.blobs), (1, 0));
+        run.commit(&record(2, &large(1), true)).unwrap();
+        drop((store, run));
+        let store = open();
+        assert!(store.is_hit(&recipe(2).key()).is_some() && !store.has_record(&key));
+        age(folder.path(), &digest);
+        assert_eq!(store.collect(&store.plan_gc(&after_an_hour()).unwrap()).unwrap().blobs, 1);
+    }
+}
+
+#[test]
+fn collections_never_take_a_blob_from_under_a_run() {
+    let (folder, _) = aged_store();
+    let digest = Digest::of(&large(1));
+    for number in 10..60 {
+        age(folder.path(), &digest);
+        let (store, run) = (Store::open(folder.path()).unwrap(), Store::open(folder.path()).unwrap());
+        let mut made = record(number, &large(1), true);
+        made.cost.finished_unix_s = std::time::UNIX_EPOCH.elapsed().unwrap().as_secs();
+        std::thread::scope(|scope| {
+            scope.spawn(|| store.collect(&store.plan_gc(&after_an_hour()).unwrap()).unwrap());
+            run.put(&large(1)).unwrap();
+            run.commit(&made).unwrap();
+        });
+        drop((store, run));
+        assert!(Store::open(folder.path()).unwrap().is_hit(&recipe(number).key()).is_some(), "{number}");
+    }
+}
+
+#[test]
+fn blobs_that_records_in_a_busy_segment_name_stay_with_them() {
+    let (folder, writer) = new_store();
+    let key = finish(&writer, 1, &large(1));
+    finish(&writer, 2, b"small");
+    let store = Store::open(folder.path()).unwrap();
+    for _ in 0..2 {
+        let collected = store.collect(&store.plan_gc(&at_once()).unwrap()).unwrap();
+        assert_eq!((collected.records, collected.blobs, collected.bytes), (0, 0, 0));
+        assert_eq!((collected.busy_segments, collected.spared_records), (1, 2));
+        assert_eq!(store.verify(false).unwrap().faults, []);
+        assert!(store.is_hit(&key).is_some());
+    }
+    drop(writer);
+    let collected = store.collect(&store.plan_gc(&at_once()).unwrap()).unwrap();
+    assert_eq!((collected.records, collected.blobs, collected.spared_records), (2, 2, 0));
+}
+
+#[test]
+fn no_superseded_record_comes_back_when_the_latest_would_leave() {
+    let (folder, writer) = new_store();
+    finish(&writer, 1, b"first");
+    let other = Store::open(folder.path()).unwrap();
+    finish(&other, 1, b"second");
+    drop(other);
+    let store = Store::open(folder.path()).unwrap();
+    assert_eq!(store.collect(&store.plan_gc(&at_once()).unwrap()).unwrap().spared_records, 1);
+    drop((store, writer));
+    let store = Store::open(folder.path()).unwrap();
+    assert_eq!(store.is_hit(&recipe(1).key()).unwrap().outputs["mesh"], output(b"second", true));
+}
+
+#[test]
+fn what_comes_to_be_used_between_plan_and_removal_stays() {
+    let (folder, store) = new_store();
+    let keys: Vec<Digest> = (0..3).map(|number| finish(&store, number, &large(number))).collect();
+    drop(store);
+    let open = || Store::open(folder.path()).unwrap();
+    let (store, run) = (open(), open());
+    let plan = store.plan_gc(&at_once()).unwrap();
+    assert_eq!(plan.records.len(), 3);
+    run.count_on(&[]).unwrap();
+    let collected = store.collect(&plan).unwrap();
+    assert_eq!((collected.records, collected.blobs, collected.spared_records), (0, 0, 3), "who knows what it looks up");
+    run.count_on(&keys[..1]).unwrap();
+    let collected = store.collect(&plan).unwrap();
+    assert_eq!((collected.records, collected.spared_records), (2, 1));
+    run.refresh().unwrap();
+    let hits: Vec<bool> = keys.iter().map(|key| run.is_hit(key).is_some()).collect();
+    assert_eq!(hits, [true, false, false]);
+    drop(run);
+    assert_eq!(store.collect(&store.plan_gc(&at_once()).unwrap()).unwrap().records, 1);
+}
+
+#[test]
+fn a_record_written_after_the_plan_and_runs_that_came_and_went_are_no_loss() {
+    let (folder, store) = new_store();
+    let keys: Vec<Digest> = (0..2).map(|number| finish(&store, number, b"former")).collect();
+    drop(store);
+    let open = || Store::open(folder.path()).unwrap();
+    let store = open();
+    let plan = store.plan_gc(&at_once()).unwrap();
+    finish(&open(), 1, b"latter");
+    let collected = store.collect(&plan).unwrap();
+    assert_eq!((collected.records, collected.spared_records), (1, 1));
+    assert_eq!(open().is_hit(&keys[1]).unwrap().outputs["mesh"], output(b"latter", true));
+    let plan = store.plan_gc(&at_once()).unwrap();
+    open().remember_run(&keys[0], &serde_json::json!({})).unwrap();
+    assert_eq!(store.collect(&plan).unwrap().records, 0, "that run may have used it");
+}
+
+#[test]
+fn a_run_that_begins_sees_what_a_collection_left() {
+    let (folder, key) = aged_store();
+    let (store, run) = (Store::open(folder.path()).unwrap(), Store::open(folder.path()).unwrap());
+    store.collect(&store.plan_gc(&after_an_hour()).unwrap()).unwrap();
+    assert!(run.has_record(&key), "as it was read");
+    run.count_on(&[]).unwrap();
+    assert!(!run.has_record(&key));
+}
+
+#[test]
+fn a_blob_that_left_after_it_was_put_is_put_again() {
+    let (folder, store) = new_store();
+    let digest = store.put(&large(1)).unwrap();
+    fs::remove_file(blob_path(folder.path(), &digest)).unwrap();
+    let record = record(1, &large(1), true);
+    assert!(store.commit(&record).unwrap_err().to_string().contains("put it first"));
+    let key = store.commit_or(&record, || store.put(&large(1)).map(drop)).unwrap();
+    assert!(store.is_hit(&key).is_some());
+    let never = store.commit_or(&record, || -> Result<(), StoreError> { panic!("all is there") });
+    assert_eq!(never.unwrap(), key);
 }
