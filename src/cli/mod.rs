@@ -111,7 +111,11 @@ impl PipelineArgs {
                 Pipeline::load(&self.pipeline, &self.overrides(), Some(&self.store_dir().join(rockface_cache::TREES)))
             }
         };
-        loaded.map_err(CliError::Pipeline)
+        let pipeline = loaded.map_err(CliError::Pipeline)?;
+        if !pipeline.faults.is_empty() {
+            crate::plan::resolve(&pipeline, &self.target, rockface_stages::all()).map_err(CliError::Pipeline)?;
+        }
+        Ok(pipeline)
     }
 
     /// Plans for these targets; faults of the pipeline come before anything is made on disk.

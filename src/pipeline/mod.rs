@@ -18,7 +18,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 pub use axis::{Axis, bad_item};
-pub use document::{Document, Step, Stream};
+pub use document::{Document, Gaps, Step, Stream, Unread};
 pub use input::Input;
 pub use log_level::{IN_FULL, LogLevel};
 pub use node::{Data, Key, Node, Word};
@@ -39,6 +39,9 @@ pub struct Pipeline {
     pub folders: Vec<PathBuf>,
     /// The typed document.
     pub document: Document,
+    /// What is wrong with the shape of the document, where that leaves its names readable; [`crate::plan::resolve`] tells
+    /// it together with what else is wrong, and makes no graph.
+    pub faults: Vec<Diagnostic>,
 }
 
 /// Values given on the command line.
@@ -104,7 +107,7 @@ impl Pipeline {
     fn read(mut texts: Texts, stem: &str, overrides: &Overrides) -> Result<Self, Diagnostics> {
         let folder = texts.folders[0].clone();
         let mut faults = Vec::new();
-        let mut document = None;
+        let (mut document, mut whole) = (None, false);
         match tree_file::parse(&texts.sources[0].text, 0, texts.trees.as_deref()) {
             Ok(mut root) => {
                 let own = folder.join(Path::new(&texts.sources[0].name).file_name().unwrap_or_default());
@@ -116,13 +119,14 @@ impl Pipeline {
                 for sweep in &overrides.sweep {
                     faults.extend(sweep::apply(&mut root, sweep, &mut texts.sources).err());
                 }
+                whole = faults.is_empty();
                 document = document::read(&mut root, stem, &mut faults);
             }
             Err(fault) => faults.push(fault),
         }
         match document {
-            Some(document) if faults.is_empty() => {
-                Ok(Self { sources: texts.sources, folder, folders: texts.folders, document })
+            Some(document) if whole => {
+                Ok(Self { sources: texts.sources, folder, folders: texts.folders, document, faults })
             }
             _ => Err(Diagnostics { sources: texts.sources, list: faults }),
         }

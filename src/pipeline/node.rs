@@ -5,6 +5,7 @@ use std::fmt;
 use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
 use serde_json::{Number, Value};
 use serde_saphyr::Spanned;
+use serde_saphyr::options::NonFiniteFloatPolicy;
 
 use crate::diagnostic::{Diagnostic, Span};
 
@@ -15,7 +16,7 @@ pub struct Node {
     pub span: Span,
     /// What it is.
     pub data: Data,
-    /// A number as it is written; empty for anything else.
+    /// A number as it is written; empty for anything else. One that is not finite has no value besides.
     pub written: String,
 }
 
@@ -51,7 +52,10 @@ pub struct Key {
 impl Node {
     /// Parses a text; `source` is its index in the list of sources.
     pub fn parse(text: &str, source: usize) -> Result<Self, Diagnostic> {
-        let options = serde_saphyr::options! { strict_booleans: true };
+        let options = serde_saphyr::options! {
+            strict_booleans: true,
+            non_finite_float_policy: NonFiniteFloatPolicy::PassThrough,
+        };
         match serde_saphyr::from_str_with_options::<Spanned<Raw>>(text, options) {
             Ok(raw) => Ok(raw_node(raw, text, source)),
             Err(error) => Err(syntax_error(text, source, &error)),
@@ -67,6 +71,29 @@ impl Node {
     pub fn has_leading_zero(&self) -> bool {
         let digits = self.written.trim_start_matches(['+', '-']);
         digits.len() > 1 && digits.starts_with('0') && digits[1..].starts_with(|c: char| c.is_ascii_digit())
+    }
+
+    /// Why a number cannot be taken as it is written, and the way out.
+    pub fn bad_number(&self) -> Option<(String, &'static str)> {
+        let written = &self.written;
+        if self.has_leading_zero() {
+            let message = format!("`{written}` has a zero before its first digit");
+            Some((message, "write the number without it, or put the whole in quotes if it is text"))
+        } else if matches!(self.data, Data::Scalar(Value::Null)) && !written.is_empty() {
+            let message = format!("`{written}` is not a finite number");
+            Some((message, "write a finite number, or put it in quotes if it is text"))
+        } else {
+            None
+        }
+    }
+
+    /// Whether it or anything in it is such a number.
+    pub fn holds_bad_number(&self) -> bool {
+        match &self.data {
+            Data::Scalar(_) => self.bad_number().is_some(),
+            Data::List(items) => items.iter().any(Self::holds_bad_number),
+            Data::Map(entries) => entries.iter().any(|(_, item)| item.holds_bad_number()),
+        }
     }
 
     /// The plain value, without places.
@@ -138,6 +165,7 @@ impl Node {
 /// What serde sees of a node.
 enum Raw {
     Scalar(Value),
+    NotFinite,
     List(Vec<Spanned<Raw>>),
     Map(Vec<(Spanned<String>, Spanned<Raw>)>),
 }
@@ -165,9 +193,8 @@ impl<'de> Visitor<'de> for RawVisitor {
     fn visit_u64<E>(self, value: u64) -> Result<Raw, E> {
         Ok(Raw::Scalar(value.into()))
     }
-    fn visit_f64<E: serde::de::Error>(self, value: f64) -> Result<Raw, E> {
-        let number = Number::from_f64(value).ok_or_else(|| E::custom("a number must be finite"))?;
-        Ok(Raw::Scalar(Value::Number(number)))
+    fn visit_f64<E>(self, value: f64) -> Result<Raw, E> {
+        Ok(Number::from_f64(value).map_or(Raw::NotFinite, |number| Raw::Scalar(Value::Number(number))))
     }
     fn visit_str<E>(self, value: &str) -> Result<Raw, E> {
         Ok(Raw::Scalar(value.into()))
@@ -202,6 +229,7 @@ fn raw_node(raw: Spanned<Raw>, text: &str, source: usize) -> Node {
     let written = written(&raw.value, text, span);
     let data = match raw.value {
         Raw::Scalar(value) => Data::Scalar(value),
+        Raw::NotFinite => Data::Scalar(Value::Null),
         Raw::List(items) => Data::List(items.into_iter().map(|item| raw_node(item, text, source)).collect()),
         Raw::Map(entries) => Data::Map(
             entries
@@ -218,8 +246,13 @@ fn raw_node(raw: Spanned<Raw>, text: &str, source: usize) -> Node {
 
 /// The text of a number; an alias stands for a number without being one.
 fn written(raw: &Raw, text: &str, span: Span) -> String {
-    let Raw::Scalar(Value::Number(_)) = raw else { return String::new() };
     let found = text.get(span.start..span.end).unwrap_or_default().trim();
+    match raw {
+        Raw::Scalar(Value::Number(_)) => {}
+        Raw::NotFinite if found.is_empty() => return ".nan".to_owned(),
+        Raw::NotFinite => return found.to_owned(),
+        _ => return String::new(),
+    }
     let number = found.starts_with(|c: char| c.is_ascii_digit() || matches!(c, '+' | '-' | '.'));
     if number { found.to_owned() } else { String::new() }
 }
@@ -249,9 +282,6 @@ fn fault_of_text(error: &serde_saphyr::Error) -> (String, &'static str) {
     match error {
         Error::MultipleDocuments { .. } => {
             ("a second document begins here".to_owned(), "a pipeline is one document: remove the line `---` before it")
-        }
-        Error::NonFiniteFloat { value, .. } => {
-            (format!("`{value}` is not a finite number"), "write a finite number, or put it in quotes if it is text")
         }
         Error::DuplicateMappingKey { key, .. } => {
             let key = key.as_deref().map(|key| format!(" `{key}`")).unwrap_or_default();

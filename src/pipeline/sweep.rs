@@ -66,7 +66,9 @@ fn listed(values: &str, span: Span) -> Result<Vec<Node>, String> {
         at = place.end + 1;
         let node = Node::parse(value.trim(), span.source).map_err(|_| format!("`{value}` is no value"))?;
         match node.data {
-            Data::Scalar(Value::Null) => return Err("a value between two commas is missing".to_owned()),
+            Data::Scalar(Value::Null) if node.written.is_empty() => {
+                return Err("a value between two commas is missing".to_owned());
+            }
             Data::Scalar(_) => nodes.push(Node { span: place, ..node }),
             Data::List(_) | Data::Map(_) => return Err(format!("`{value}` is not a single value")),
         }

@@ -26,6 +26,14 @@ pub struct StepParams {
     pub files: BTreeMap<String, Vec<InputFile>>,
 }
 
+impl StepParams {
+    /// Parameters whose files are not looked for yet.
+    fn of(canonical: Value, draws: bool) -> Self {
+        let canonical = Arc::new(canonical);
+        Self { recipe: canonical.clone(), canonical, draws, files: BTreeMap::new() }
+    }
+}
+
 /// A file named by a parameter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct InputFile {
@@ -40,25 +48,59 @@ pub struct InputFile {
 /// Hashes a file, or says why it cannot.
 pub type HashFile<'a> = dyn Fn(&Path) -> Result<Digest, String> + 'a;
 
+/// What a `${name}` stands for at the items of some axes.
+pub fn lookup(graph: &Graph, items: &BTreeMap<usize, usize>, name: &str) -> Option<Value> {
+    let known = graph.params.get(name).cloned();
+    known.or_else(|| {
+        let (base, field) = name.split_once('.').map_or((name, None), |(base, field)| (base, Some(field)));
+        let axis = graph.axes.iter().position(|axis| axis.name.text == base)?;
+        let value = graph.axes[axis].values.get(*items.get(&axis)?)?;
+        field.map_or_else(|| Some(value.clone()), |field| value.get(field).cloned())
+    })
+}
+
 /// Fills in and checks the parameters of a step at the items of the axes its `with` mentions.
 pub fn check(graph: &Graph, step: &GraphStep, items: &BTreeMap<usize, usize>) -> Result<StepParams, Vec<Diagnostic>> {
-    let lookup = |name: &str| {
-        let known = graph.params.get(name).cloned();
-        known.or_else(|| {
-            let (base, field) = name.split_once('.').map_or((name, None), |(base, field)| (base, Some(field)));
-            let axis = graph.axes.iter().position(|axis| axis.name.text == base)?;
-            let value = &graph.axes[axis].values[*items.get(&axis)?];
-            field.map_or_else(|| Some(value.clone()), |field| value.get(field).cloned())
-        })
-    };
-    let with = step.with.as_ref().map_or(Ok(Value::Null), |with| filled(with, &lookup)).map_err(|fault| vec![fault])?;
+    check_filled(step, &fill(graph, step, items)?)
+}
+
+/// The same, and finds and hashes the files that the parameters name; `fields` are those of the stage.
+pub fn check_with_files(
+    graph: &Graph,
+    step: &GraphStep,
+    items: &BTreeMap<usize, usize>,
+    fields: &[Field],
+    hash: &HashFile,
+) -> Result<StepParams, Vec<Diagnostic>> {
+    let with = fill(graph, step, items)?;
+    match check_filled(step, &with) {
+        Ok(mut params) => {
+            let faults = find_files(step, fields, &mut params, hash);
+            if faults.is_empty() { Ok(params) } else { Err(faults) }
+        }
+        Err(mut faults) => {
+            let mut as_written = StepParams::of(with, false);
+            let missing = find_files(step, fields, &mut as_written, hash);
+            let new = missing.into_iter().filter(|fault| faults.iter().all(|known| known.span != fault.span));
+            let new: Vec<_> = new.collect();
+            faults.extend(new);
+            Err(faults)
+        }
+    }
+}
+
+fn fill(graph: &Graph, step: &GraphStep, items: &BTreeMap<usize, usize>) -> Result<Value, Vec<Diagnostic>> {
+    let with = step.with.as_ref();
+    with.map_or(Ok(Value::Null), |with| filled(with, &|name| lookup(graph, items, name))).map_err(|fault| vec![fault])
+}
+
+fn check_filled(step: &GraphStep, with: &Value) -> Result<StepParams, Vec<Diagnostic>> {
     let place = Place { step: &step.name, stage: step.stage, with: step.with.as_deref(), span: step.span };
     let checked = step
         .stage
-        .check(&with)
-        .map_err(|faults| faults.into_iter().map(|fault| told(&place, &with, &fault)).collect::<Vec<_>>())?;
-    let canonical = Arc::new(checked.canonical);
-    Ok(StepParams { recipe: canonical.clone(), canonical, draws: checked.draws, files: BTreeMap::new() })
+        .check(with)
+        .map_err(|faults| faults.into_iter().map(|fault| told(&place, with, &fault)).collect::<Vec<_>>())?;
+    Ok(StepParams::of(checked.canonical, checked.draws))
 }
 
 /// Where the parameters of a step stand.
@@ -86,7 +128,7 @@ pub fn told(place: &Place, with: &Value, fault: &Fault) -> Diagnostic {
 
 /// Finds and hashes every file the parameters name, and puts the digests into the recipe's parameters; `fields` are those of
 /// the stage.
-pub fn find_files(step: &GraphStep, fields: &[Field], params: &mut StepParams, hash: &HashFile) -> Vec<Diagnostic> {
+fn find_files(step: &GraphStep, fields: &[Field], params: &mut StepParams, hash: &HashFile) -> Vec<Diagnostic> {
     let mut finder = Finder { step, hash, files: BTreeMap::new(), faults: Vec::new(), path: Vec::new() };
     if fields.iter().any(|field| names_files(&field.kind)) {
         params.recipe = Arc::new(finder.fields(fields, &params.canonical));
