@@ -23,7 +23,7 @@ pub use input::Input;
 pub use log_level::{IN_FULL, LogLevel};
 pub use node::{Data, Key, Node, Word};
 pub use reference::Reference;
-pub use substitute::{filled, mentioned};
+pub use substitute::{escape_hint, filled, mentioned};
 
 use crate::diagnostic::{Diagnostic, Diagnostics, Source};
 use include::Texts;

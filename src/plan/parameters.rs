@@ -10,8 +10,8 @@ use rockface_stages::params::{Fault, Field, Kind};
 use serde_json::{Value, json};
 
 use super::graph::{Graph, GraphStep};
-use crate::diagnostic::{Diagnostic, Span};
-use crate::pipeline::{Node, filled};
+use crate::diagnostic::{Diagnostic, Span, nearest};
+use crate::pipeline::{Node, filled, mentioned};
 
 /// Parameters that are ready for the recipe and for the stage.
 #[derive(Debug, Clone, PartialEq)]
@@ -90,8 +90,33 @@ pub fn check_with_files(
 }
 
 fn fill(graph: &Graph, step: &GraphStep, items: &BTreeMap<usize, usize>) -> Result<Value, Vec<Diagnostic>> {
-    let with = step.with.as_ref();
-    with.map_or(Ok(Value::Null), |with| filled(with, &|name| lookup(graph, items, name))).map_err(|fault| vec![fault])
+    let Some(with) = &step.with else { return Ok(Value::Null) };
+    filled(with, &|name| lookup(graph, items, name)).map_err(|fault| {
+        let strange = strange_columns(graph, step, with, items);
+        if strange.is_empty() { vec![fault] } else { strange }
+    })
+}
+
+/// Mentions of what the items of an axis turn out not to have.
+fn strange_columns(graph: &Graph, step: &GraphStep, with: &Node, items: &BTreeMap<usize, usize>) -> Vec<Diagnostic> {
+    let mut names = Vec::new();
+    mentioned(with, &mut names);
+    let strange = names.into_iter().filter(|(name, _)| lookup(graph, items, name).is_none());
+    let told = |(name, span): (String, Span)| {
+        let (base, column) = name.split_once('.')?;
+        let axis = graph.axes.iter().position(|axis| axis.name.text == base)?;
+        let value = graph.axes[axis].values.get(*items.get(&axis)?)?;
+        let Some(columns) = value.as_object() else {
+            let message = format!("step `{}`: an item of axis `{base}` is a single value", step.name);
+            return Some(Diagnostic::at(span, message).hint(format!("write ${{{base}}}")));
+        };
+        let known: Vec<&str> = columns.keys().map(String::as_str).collect();
+        let columns = format!("the table behind it has {}", known.join(", "));
+        let message = format!("step `{}`: `${{{name}}}`: axis `{base}` has no column `{column}`; {columns}", step.name);
+        let near = nearest(column, &known).map(|near| format!("did you mean `${{{base}.{near}}}`?"));
+        Some(near.into_iter().fold(Diagnostic::at(span, message), Diagnostic::hint))
+    };
+    strange.filter_map(told).collect()
 }
 
 fn check_filled(step: &GraphStep, with: &Value) -> Result<StepParams, Vec<Diagnostic>> {

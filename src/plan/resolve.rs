@@ -15,7 +15,7 @@ use super::points::too_many;
 use super::reach::Names;
 use super::{Registry, parameters, values};
 use crate::diagnostic::{Diagnostic, Diagnostics};
-use crate::pipeline::{Axis, Document, Key, Node, Pipeline, Reference, Step, Word, mentioned};
+use crate::pipeline::{Axis, Document, Key, Node, Pipeline, Reference, Step, Word, escape_hint, mentioned};
 
 /// Resolves a pipeline; `targets` on the command line take the place of the document's.
 pub fn resolve(pipeline: &Pipeline, targets: &[String], stages: &Registry) -> Result<Graph, Diagnostics> {
@@ -381,7 +381,7 @@ impl<'d> Resolver<'d> {
                 let known: Vec<&str> =
                     document.params.iter().map(|(key, _)| key.name.as_str()).chain(self.axis_names()).collect();
                 let message = format!("`${{{name}}}` names neither a parameter nor an axis");
-                self.faults.push(Diagnostic::at(span, message).suggest(&name, known));
+                self.faults.push(Diagnostic::at(span, message).suggest(&name, known).or_hint(escape_hint(&name)));
             }
         }
         axes.into_iter().collect()

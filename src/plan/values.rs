@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde_json::Value;
 
 use crate::diagnostic::{Diagnostic, Span};
-use crate::pipeline::{Key, Node, filled, mentioned};
+use crate::pipeline::{Key, Node, escape_hint, filled, mentioned};
 
 /// Puts the values of parameters into each other until no `${name}` is left; says what stands in the way. Parameters that
 /// cannot be told, and those that need them, are left out.
@@ -55,7 +55,7 @@ fn stranger(name: &str, span: Span, params: &[&str], axes: &[&str]) -> Option<Di
         Some(Diagnostic::at(span, message).hint(format!("mention ${{{name}}} in the `with` of a step")))
     } else {
         let message = format!("`${{{name}}}` names no parameter");
-        Some(Diagnostic::at(span, message).suggest(name, params.iter().copied()))
+        Some(Diagnostic::at(span, message).suggest(name, params.iter().copied()).or_hint(escape_hint(name)))
     }
 }
 
