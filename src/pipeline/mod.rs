@@ -139,12 +139,24 @@ fn read_text(path: &Path) -> Result<String, Diagnostic> {
         let fault = Diagnostic::general(format!("`{shown}` is a folder; a pipeline is a file"));
         return Err(name_one_of(fault, &pipelines_in(path)));
     }
+    if is_stream(path) {
+        let fault = Diagnostic::general(format!("`{shown}` is no regular file; a pipeline is one"));
+        let hint = "write it to a file: the paths in it are relative to that, and its results are kept beside it";
+        return Err(fault.hint(hint));
+    }
     let bytes = std::fs::read(path).map_err(|error| unreadable(path, &error))?;
     String::from_utf8(bytes).map_err(|error| {
         let at = error.utf8_error().valid_up_to();
         Diagnostic::general(format!("`{shown}` is not a text in UTF-8: its byte {at} fits nowhere"))
             .hint("a pipeline is a YAML text; save it as UTF-8")
     })
+}
+
+/// Whether a path leads to what can be read only once, or has no folder of its own: a pipe, a device, the standard input.
+pub fn is_stream(path: &Path) -> bool {
+    let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    let lent = ["/dev/stdin", "/dev/fd", "/proc"].iter().any(|place| absolute.starts_with(place));
+    lent || path.metadata().is_ok_and(|metadata| !metadata.is_file() && !metadata.is_dir())
 }
 
 fn unreadable(path: &Path, error: &std::io::Error) -> Diagnostic {
