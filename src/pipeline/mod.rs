@@ -24,6 +24,7 @@ pub use log_level::{IN_FULL, LogLevel};
 pub use node::{Data, Key, Node, Word};
 pub use reference::Reference;
 pub use substitute::{escape_hint, filled, mentioned};
+pub use sweep::is_same_axis;
 
 use crate::diagnostic::{Diagnostic, Diagnostics, Source};
 use include::Texts;

@@ -22,6 +22,7 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<(
     };
     let path_span = here(0, path.len());
     let values_span = here(path.len() + 1, text.len());
+    check_once((path, values), &sources[..source], path_span)?;
     let values = listed(values, values_span).map_err(|message| Diagnostic::at(values_span, message).hint(hint))?;
     let keys: Vec<&str> = path.split('.').map(str::trim).collect();
     check_exists(root, &keys, path_span)?;
@@ -45,6 +46,41 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<(
     let list = Node::made(values_span, Data::List(values));
     let axis = Node::made(path_span, Data::Map(vec![(key("values"), list)]));
     put(root, &["axes", name], axis, path_span)
+}
+
+/// The path and the values of a sweep.
+fn parts(text: &str) -> Option<(&str, &str)> {
+    text.split_once('=').map(|(path, values)| (path.trim(), values.trim()))
+}
+
+/// The axis that a path makes.
+fn axis_of(path: &str) -> &str {
+    path.rsplit('.').next().unwrap_or(path).trim()
+}
+
+/// Whether two texts sweep one axis.
+pub fn is_same_axis(one: &str, other: &str) -> bool {
+    parts(one).map(|(path, _)| axis_of(path)) == parts(other).map(|(path, _)| axis_of(path))
+}
+
+/// A second sweep of an axis would silently take the place of the first; two values may follow one axis.
+fn check_once((path, values): (&str, &str), earlier: &[Source], span: Span) -> Result<(), Diagnostic> {
+    let (path, values) = (path.trim(), values.trim());
+    let name = axis_of(path);
+    let former = earlier.iter().filter(|source| source.name == "--sweep").filter_map(|source| parts(&source.text));
+    let Some((known, first)) =
+        former.into_iter().find(|(known, first)| axis_of(known) == name && (*known == path || *first != values))
+    else {
+        return Ok(());
+    };
+    let fault = Diagnostic::at(span, format!("axis `{name}` is swept twice"));
+    Err(if known != path {
+        fault.hint(format!("`{known}` makes it already: give both the same values, or declare an axis of another name"))
+    } else if first.contains("..") || values.contains("..") {
+        fault.hint(format!("give all its values at once, as a list or a range: --sweep {path}=0.1,0.2,0.5"))
+    } else {
+        fault.hint(format!("give all its values at once: --sweep {path}={first},{values}"))
+    })
 }
 
 fn remove(root: &mut Node, section: &str, name: &str) {

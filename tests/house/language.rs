@@ -3,6 +3,7 @@
 #![expect(clippy::float_cmp, reason = "these numbers are small sums, exact")]
 
 use rockface::pipeline::{Overrides, Pipeline};
+use rockface::watch::Event;
 
 use crate::lab::{Bench, Ran};
 
@@ -253,4 +254,43 @@ fn what_follows_from_a_told_fault_is_not_told_again() {
         let asked = if only == "`stag`" { 2 } else { 1 }; // An unknown key, and none that is needed.
         assert_eq!(count, asked, "{said}");
     }
+}
+
+#[test]
+fn a_text_that_looks_like_a_mention_is_told_from_one() {
+    let yaml = "rockface: 1\nparams: {name: x}\nsteps: {a: {stage: moody, with: {unless: '$${name}/${name}'}}}\n";
+    let plan = Bench::new().plan(yaml, &[]).unwrap_or_else(|faults| panic!("{faults}"));
+    assert_eq!(plan.instances[0].params.canonical["unless"], "${name}/x");
+    let unknown = said(&yaml.replace("/${name}", "/${nane}"));
+    let help = "did you mean `name`?; write $${nane} for the text itself";
+    assert!(unknown.contains("`${nane}` names neither a parameter nor an axis") && unknown.contains(help), "{unknown}");
+}
+
+#[test]
+fn a_column_that_a_list_lacks_is_told_with_those_it_has() {
+    let yaml = "rockface: 1\naxes: {row: {from: rows.out}}\nsteps:\n  one: {stage: emit}\n  rows: {stage: list, in: {terms: one.out}}\n  x: {stage: emit, with: {value: '${row.valu}'}}\n";
+    let ran = Bench::new().run(yaml, &[]);
+    let told = ran.events.iter().find_map(|event| match event {
+        Event::Failed { message, hint, .. } => Some((message.clone(), hint.clone())),
+        _ => None,
+    });
+    let (message, hint) = told.unwrap();
+    let expected = "step `x`: `${row.valu}`: axis `row` has no column `valu`; the table behind it has value";
+    assert!(message.contains(expected), "{message}");
+    assert_eq!(hint.as_deref(), Some("did you mean `${row.value}`?"));
+}
+
+#[test]
+fn sweeping_one_axis_twice_is_a_fault() {
+    let yaml = "rockface: 1\nparams: {v: 1}\nsteps: {a: {stage: emit, with: {value: '${v}'}}, b: {stage: emit}}\n";
+    let swept = |sweep: &[&str]| {
+        let overrides = Overrides { sweep: sweep.iter().map(ToString::to_string).collect(), ..Overrides::default() };
+        Pipeline::parse(yaml, "test.yaml", "test", ".".into(), &overrides).map_err(|faults| faults.to_string())
+    };
+    let twice = swept(&["params.v=1", "params.v=2"]).unwrap_err();
+    assert!(twice.contains("`v` is swept twice") && twice.contains("--sweep params.v=1,2"), "{twice}");
+    let two = swept(&["params.v=1", "steps.b.with.v=2"]).unwrap_err();
+    assert!(two.contains("`v` is swept twice"), "{two}");
+    let one = swept(&["steps.a.with.value=1,2", "steps.b.with.value=1,2", "params.v=1..2:2"]).unwrap();
+    assert_eq!(one.document.axes.len(), 2);
 }
