@@ -2,6 +2,7 @@
 
 use serde_json::Value;
 
+use super::design::tidy;
 use super::node::{Data, Key, Node};
 use super::overrides::{check_exists, put};
 use crate::diagnostic::{Diagnostic, Source, Span};
@@ -119,12 +120,22 @@ fn range(lo: &str, rest: &str, span: Span) -> Result<Vec<Node>, String> {
     let number = |text: &str| text.trim().parse::<f64>().ok().filter(|x| x.is_finite()).ok_or_else(wrong);
     let (lo, hi) = (number(lo)?, number(hi)?);
     let count: usize = count.trim().parse().map_err(|_| wrong())?;
+    if !(hi - lo).is_finite() {
+        return Err(format!("the range from {lo:e} to {hi:e} is wider than any number"));
+    }
     if !(2..=VALUES_LIMIT).contains(&count) {
         return Err(format!("a range has from 2 to {VALUES_LIMIT} values, not {count}"));
     }
     let whole = lo.fract() == 0.0 && hi.fract() == 0.0 && (hi - lo) % (count - 1) as f64 == 0.0;
+    // Values that are nearer to each other than 12 digits can tell keep all they have.
+    let fine = (hi - lo).abs() <= (count - 1) as f64 * lo.abs().max(hi.abs()) * 1e-10;
     let node = |index: usize| {
-        let value = if index + 1 == count { hi } else { lo + (hi - lo) * (index as f64 / (count - 1) as f64) };
+        let value = match lo + (hi - lo) * (index as f64 / (count - 1) as f64) {
+            _ if index == 0 => lo,
+            _ if index + 1 == count => hi,
+            value if fine => value,
+            value => tidy(value, (lo, hi)),
+        };
         let value = if whole && value.abs() < 9e15 { Value::from(value.round() as i64) } else { Value::from(value) };
         Node { span, written: value.to_string(), data: Data::Scalar(value) }
     };
@@ -150,6 +161,11 @@ mod tests {
             swept("{params: {x: 1, y: 2}}", "params.x=1..3:3"),
             r#"{"axes":{"x":{"values":[1,2,3]}},"params":{"y":2}}"#
         );
+        assert_eq!(
+            swept("seed: 1", "a=0.05..0.2:7"),
+            r#"{"axes":{"a":{"values":[0.05,0.075,0.1,0.125,0.15,0.175,0.2]}},"seed":1}"#
+        );
+        assert!(swept("seed: 1", "a=-1e308..1e308:3").contains("wider"));
         assert_eq!(
             swept("steps: {a: {stage: b}}", "steps.a.with.c=0..1:3"),
             r#"{"axes":{"c":{"values":[0.0,0.5,1.0]}},"steps":{"a":{"stage":"b","with":{"c":"${c}"}}}}"#
