@@ -269,6 +269,11 @@ fn syntax_error(text: &str, source: usize, error: &serde_saphyr::Error) -> Diagn
     let diagnostic = match error.location() {
         Some(location) => {
             let start = byte_position(text, location.line() as usize, location.column() as usize);
+            if let Some(mention) = open_mention(text, start) {
+                let message = format!("`{mention}` without quotes cannot stand between braces or brackets");
+                let span = Span { source, start: start - 1, end: start - 1 + mention.len() };
+                return Diagnostic::at(span, message).hint(format!("put quotes around it: \"{mention}\""));
+            }
             Diagnostic::at(Span { source, start, end: start + 1 }, message)
         }
         None => Diagnostic::general(message),
@@ -294,13 +299,30 @@ fn fault_of_text(error: &serde_saphyr::Error) -> (String, &'static str) {
         Error::Budget { .. }
         | Error::AliasReplayLimitExceeded { .. }
         | Error::AliasExpansionLimitExceeded { .. }
-        | Error::AliasReplayStackDepthExceeded { .. } => (
-            "the text is larger or nested deeper than a pipeline may be".to_owned(),
-            "divide it, or repeat less by `*`",
-        ),
+        | Error::AliasReplayStackDepthExceeded { .. } => too_large(),
         Error::Message { msg, .. } => (format!("this is not YAML that can be read: {msg}"), ""),
-        _ => ("this is not YAML that can be read".to_owned(), "look for a missing quote, bracket or space after `:`"),
+        other => {
+            let told = other.to_string();
+            let reason = told.split(" at line ").next().unwrap_or_default();
+            if reason.contains("recursion limit") || reason.contains("budget breached") {
+                return too_large();
+            }
+            let message = format!("this is not YAML that can be read: {reason}");
+            (message, "look for a missing quote, bracket or space after `:`")
+        }
     }
+}
+
+fn too_large() -> (String, &'static str) {
+    let message = "the text is larger or nested deeper than a pipeline may be".to_owned();
+    (message, "divide it, or repeat less by `*`")
+}
+
+/// The `${name}` whose brace stands at a place, on which readers stumble where it is not quoted.
+fn open_mention(text: &str, at: usize) -> Option<&str> {
+    let mention = text.get(at.checked_sub(1)?..).filter(|rest| rest.starts_with("${"))?;
+    let end = mention.find(['}', '\n']).filter(|end| mention[*end..].starts_with('}'))?;
+    mention.get(..=end)
 }
 
 /// The byte of a line and column, both counted from one, the column in characters.
@@ -330,6 +352,24 @@ mod tests {
     fn words_that_look_like_booleans_stay_words() {
         let node = Node::parse("y: no\nn: on\nt: true\n", 0).unwrap();
         assert_eq!(node.to_value().to_string(), r#"{"n":"on","t":true,"y":"no"}"#);
+    }
+
+    #[test]
+    fn unreadable_texts_say_why() {
+        let said = |text: &str| {
+            let fault = Node::parse(text, 0).unwrap_err();
+            format!("{} | {}", fault.message, fault.hint.unwrap_or_default())
+        };
+        for text in ["a: {b: ${x}}", "a: [${x}, 1]", "a: {b: ${x}/y, c: 1}"] {
+            assert!(said(text).contains("`${x}` without quotes") && said(text).contains("\"${x}\""), "{}", said(text));
+        }
+        assert!(said("a: {b: 1").contains("can be read: ") && said("a: b: c").contains("not allowed"));
+        let deep = format!("a: {}{}", "[".repeat(5000), "]".repeat(5000));
+        let level = |i: u32| format!("a{i}: &a{i} [{}]\n", vec![format!("*a{}", i.wrapping_sub(1)); 10].join(", "));
+        let repeated = format!("a0: &a0 [1, 2]\n{}", (1..9).map(level).collect::<String>());
+        for text in [deep, repeated] {
+            assert!(said(&text).contains("larger or nested deeper"), "{}", said(&text));
+        }
     }
 
     #[test]

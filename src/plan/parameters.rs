@@ -1,6 +1,8 @@
 //! The parameters of a step at one point: filled in, checked, and with its files found and hashed.
 
 use std::collections::BTreeMap;
+use std::fs::FileType;
+use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -278,8 +280,20 @@ fn one_file(path: &Path) -> Result<Vec<PathBuf>, String> {
     let shown = path.display();
     match std::fs::metadata(path) {
         Ok(metadata) if metadata.is_file() => Ok(vec![path.to_owned()]),
-        Ok(_) => Err(format!("`{shown}` is a folder, a file is needed")),
+        Ok(metadata) => Err(format!("`{shown}` is {}, a file is needed", kind_of(metadata.file_type()))),
         Err(error) => Err(format!("cannot read `{shown}`: {error}")),
+    }
+}
+
+fn kind_of(entry: FileType) -> &'static str {
+    if entry.is_dir() {
+        "a folder"
+    } else if entry.is_fifo() {
+        "a pipe"
+    } else if entry.is_socket() {
+        "a socket"
+    } else {
+        "a device"
     }
 }
 
@@ -323,6 +337,12 @@ fn value_at(value: &Value, path: &[String]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_no_file_is_called_what_it_is() {
+        assert!(one_file(Path::new("/dev/null")).unwrap_err().contains("`/dev/null` is a device"));
+        assert!(one_file(Path::new("/dev")).unwrap_err().contains("is a folder"));
+    }
 
     #[test]
     fn patterns() {

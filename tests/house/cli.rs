@@ -325,3 +325,13 @@ fn a_pipeline_from_a_pipe_is_refused_with_the_way_out() {
     }
     assert!(!Path::new("/dev/.rockface").exists() && !house.path(".rockface").exists());
 }
+
+#[test]
+fn an_empty_variable_for_the_store_is_as_good_as_none() {
+    let house = House::new(SMALL);
+    for arguments in [&["run", "p.yaml"][..], &["store", "stat"], &["plan", "p.yaml"]] {
+        let done = house.command(arguments).env("ROCKFACE_STORE", "").output().unwrap();
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    }
+    assert!(house.path(".rockface/store/CACHEDIR.TAG").is_file());
+}
