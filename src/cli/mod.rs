@@ -20,6 +20,7 @@ mod table;
 
 use std::path::{Path, PathBuf};
 
+use clap::builder::{OsStringValueParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand};
 use rockface_cache::{Store, StoreError};
 
@@ -95,8 +96,13 @@ struct PipelineArgs {
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
     /// The store of results; by default `.rockface/store` beside the pipeline.
-    #[arg(long, value_name = "DIR", env = "ROCKFACE_STORE")]
+    #[arg(long, value_name = "DIR", env = "ROCKFACE_STORE", value_parser = folder_or_nothing())]
     store: Option<PathBuf>,
+}
+
+/// A folder, or nothing where the variable of the environment is empty.
+fn folder_or_nothing() -> impl TypedValueParser<Value = PathBuf> {
+    OsStringValueParser::new().map(PathBuf::from)
 }
 
 impl PipelineArgs {
@@ -111,7 +117,11 @@ impl PipelineArgs {
                 Pipeline::load(&self.pipeline, &self.overrides(), Some(&self.store_dir().join(rockface_cache::TREES)))
             }
         };
-        loaded.map_err(CliError::Pipeline)
+        let pipeline = loaded.map_err(CliError::Pipeline)?;
+        if !pipeline.faults.is_empty() {
+            crate::plan::resolve(&pipeline, &self.target, rockface_stages::all()).map_err(CliError::Pipeline)?;
+        }
+        Ok(pipeline)
     }
 
     /// Plans for these targets; faults of the pipeline come before anything is made on disk.
@@ -131,15 +141,19 @@ impl PipelineArgs {
     }
 
     fn open_store(&self) -> Result<Store, CliError> {
-        if self.store.is_none() {
+        if self.given_store().is_none() {
             own_folder(&self.pipeline)?;
         }
         Ok(Store::open(&self.store_dir())?)
     }
 
+    fn given_store(&self) -> Option<&PathBuf> {
+        self.store.as_ref().filter(|folder| !folder.as_os_str().is_empty())
+    }
+
     /// Where the store is or will be.
     fn store_dir(&self) -> PathBuf {
-        self.store.clone().unwrap_or_else(|| beside(&self.pipeline).join("store"))
+        self.given_store().cloned().unwrap_or_else(|| beside(&self.pipeline).join("store"))
     }
 }
 

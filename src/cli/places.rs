@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use clap::builder::{OsStringValueParser, TypedValueParser};
 use rockface_cache::Store;
 
 use super::CliError;
@@ -10,11 +11,19 @@ use super::CliError;
 /// The folder of runs that is looked at if none is given.
 const RUNS: &str = ".rockface/runs";
 
+/// The store of a pipeline in the working folder.
+const STORE: &str = ".rockface/store";
+
+/// A folder; where the variable of the environment is empty, as if it were not set.
+fn store_or_default() -> impl TypedValueParser<Value = PathBuf> {
+    OsStringValueParser::new().map(|folder| PathBuf::from(if folder.is_empty() { STORE.into() } else { folder }))
+}
+
 /// The store and the folder of runs; by default those of a pipeline in the working folder.
 #[derive(Debug, Args)]
 pub struct Places {
     /// The store of results.
-    #[arg(long, value_name = "DIR", env = "ROCKFACE_STORE", default_value = ".rockface/store")]
+    #[arg(long, value_name = "DIR", env = "ROCKFACE_STORE", default_value = STORE, value_parser = store_or_default())]
     store: PathBuf,
     /// The folder of runs.
     #[arg(long, value_name = "DIR", default_value = RUNS)]

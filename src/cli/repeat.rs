@@ -7,6 +7,7 @@ use rockface_cache::Digest;
 
 use super::{CliError, PipelineArgs};
 use crate::history::Manifest;
+use crate::pipeline::is_same_axis;
 use crate::plan::Plan;
 use crate::run::Summary;
 
@@ -26,7 +27,9 @@ pub fn take_over(arguments: &mut PipelineArgs, manifest: &Manifest) {
     let given = std::mem::take(&mut arguments.set);
     arguments.set = manifest.overrides.set.iter().cloned().chain(given).collect();
     let given = std::mem::take(&mut arguments.sweep);
-    arguments.sweep = manifest.overrides.sweep.iter().cloned().chain(given).collect();
+    let replaced = |former: &&String| given.iter().any(|sweep| is_same_axis(sweep, former));
+    let former: Vec<String> = manifest.overrides.sweep.iter().filter(|sweep| !replaced(sweep)).cloned().collect();
+    arguments.sweep = former.into_iter().chain(given).collect();
     arguments.seed = arguments.seed.or(manifest.overrides.seed);
     if arguments.target.is_empty() {
         arguments.target.clone_from(&manifest.targets);

@@ -10,6 +10,7 @@ use clap::Args;
 use rockface_cache::Digest;
 
 use super::{CliError, PipelineArgs, beside, own_folder, repeat, say};
+use crate::pipeline::is_stream;
 use crate::run::shortcut::{self, NAMED, Told};
 use crate::run::{self, Finished, LayOut, Options, RunFolder, Summary};
 use crate::watch::{JsonLines, Observer, Plain, Silent, Terminal, duration};
@@ -128,10 +129,11 @@ impl RunArgs {
 
     /// The digest of all that this command is asked and asked with; `None` where every step instance is to be told of.
     fn question(&self) -> Option<Digest> {
-        if self.json || self.verbose || self.rehash || self.pipeline.text.is_some() {
+        let path = &self.pipeline.pipeline;
+        if self.json || self.verbose || self.rehash || self.pipeline.text.is_some() || is_stream(path) {
             return None;
         }
-        let text = std::fs::read(&self.pipeline.pipeline).ok()?;
+        let text = std::fs::read(path).ok()?;
         let arguments: Vec<_> = std::env::args_os().skip(1).collect();
         let program = crate::build::state_of_program()?;
         let place = (std::env::current_dir().ok()?, self.pipeline.store_dir(), &self.runs);

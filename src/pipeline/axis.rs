@@ -114,24 +114,27 @@ impl Reader<'_> {
             return None;
         }
         let mut items: Vec<String> = Vec::with_capacity(list.len());
+        let mut sound: Vec<&Node> = Vec::with_capacity(list.len());
         let mut seen = std::collections::BTreeSet::new();
         for node in list {
-            let item = self.word(node, "a name, a number or true/false")?.text;
+            let Some(item) = self.word(node, "a name, a number or true/false") else { continue };
+            let item = item.text;
             let twice = || format!("`{item}` occurs twice on axis `{}`", axis.text);
             if let Some(bad) = bad_item(&item).or_else(|| seen.contains(&item).then(twice)) {
                 self.fault(Diagnostic::at(node.span, bad));
-                return None;
+                continue;
             }
             seen.insert(item.clone());
             items.push(item);
+            sound.push(node);
         }
-        let values: Vec<Value> = list.iter().map(Node::to_value).collect();
-        self.check_equal_numbers(list, &values, axis);
-        Some((items, values))
+        let values: Vec<Value> = sound.iter().map(|node| node.to_value()).collect();
+        self.check_equal_numbers(&sound, &values, axis);
+        (items.len() == list.len()).then_some((items, values))
     }
 
     /// One number written in two ways would be one point with two names.
-    fn check_equal_numbers(&mut self, list: &[Node], values: &[Value], axis: &Word) {
+    fn check_equal_numbers(&mut self, list: &[&Node], values: &[Value], axis: &Word) {
         let mut numbers: Vec<(f64, usize)> =
             values.iter().enumerate().filter_map(|(index, value)| Some((value.as_f64()? + 0.0, index))).collect();
         numbers.sort_by(|one, other| one.0.total_cmp(&other.0).then(one.1.cmp(&other.1)));
@@ -152,15 +155,15 @@ impl Reader<'_> {
             self.fault(fault.suggest(&word.text, Design::NAMES));
             return None;
         };
-        let missing = ["count", "over"].into_iter().find(|key| node.get(key).is_none());
-        if let Some(missing) = missing {
+        for missing in ["count", "over"].into_iter().filter(|key| node.get(key).is_none()) {
             let fault = Diagnostic::at(empty.name.span, format!("axis `{}` has no `{missing}`", empty.name.text));
             self.fault(fault.hint("for example {sample: sobol, count: 64, over: {a_m: [0.1, 2.0]}}"));
-            return None;
         }
-        let over = self.any_map(node.get("over")?, "`over`")?;
-        let spreads = over.iter().map(|(key, node)| self.spread(key, node)).collect::<Option<Vec<_>>>()?;
-        let counts = self.counts(node.get("count")?)?;
+        let over = node.get("over").and_then(|over| self.any_map(over, "`over`"));
+        let spreads: Option<Vec<_>> =
+            over.map(|over| over.iter().map(|(key, node)| self.spread(key, node)).collect::<Vec<_>>());
+        let counts = node.get("count").and_then(|count| self.counts(count));
+        let (spreads, counts) = (spreads?.into_iter().collect::<Option<Vec<_>>>()?, counts?);
         match points(design, &counts, &spreads, self.seed, &empty.name.text) {
             Ok(drawn) => {
                 let fields: Vec<String> = spreads.iter().map(|spread| spread.name.clone()).collect();
@@ -179,7 +182,10 @@ impl Reader<'_> {
 
     fn counts(&mut self, node: &Node) -> Option<Vec<u64>> {
         match &node.data {
-            Data::List(list) => list.iter().map(|node| self.whole(node)).collect(),
+            Data::List(list) => {
+                let counts: Vec<_> = list.iter().map(|node| self.whole(node)).collect();
+                counts.into_iter().collect()
+            }
             _ => self.whole(node).map(|count| vec![count]),
         }
     }

@@ -62,6 +62,7 @@ impl Spread {
     pub fn fault(&self) -> Option<String> {
         let (lo, hi) = (self.lo, self.hi);
         match self.scale {
+            _ if !(hi - lo).is_finite() => Some(format!("the range from {lo:e} to {hi:e} is wider than any number")),
             _ if lo >= hi => Some(format!("the range has to grow, from {lo} to {hi} it does not")),
             Scale::Log if lo <= 0.0 => Some(format!("a logarithm needs a range above zero, it begins at {lo}")),
             Scale::Whole if lo.fract() != 0.0 || hi.fract() != 0.0 || lo.abs().max(hi.abs()) > 9e15 => {
@@ -82,6 +83,17 @@ impl Spread {
             }
             Scale::Whole => self.number((self.lo + ((self.hi - self.lo + 1.0) * fraction).floor()).min(self.hi)),
         }
+    }
+
+    /// A level of a grid without dust.
+    fn tidy(&self, value: f64, count: u64) -> f64 {
+        let parts = count.saturating_sub(1).max(1) as f64;
+        let step = match self.scale {
+            Scale::Log => value * libm::log(self.hi / self.lo) / parts,
+            Scale::Linear | Scale::Whole => (self.hi - self.lo) / parts,
+        };
+        let neighbourhood = if self.scale == Scale::Log { value } else { self.lo.abs().max(self.hi.abs()) };
+        if step <= neighbourhood * 1e-10 { value } else { tidy(value, (self.lo, self.hi)) }
     }
 
     fn number(&self, value: f64) -> Value {
@@ -174,7 +186,18 @@ fn level_value(spread: &Spread, level: u64, count: u64) -> Value {
     if spread.scale == Scale::Whole {
         return spread.number((spread.lo + (spread.hi - spread.lo) * fraction).round());
     }
-    spread.at(fraction)
+    match spread.at(fraction).as_f64() {
+        _ if level == 0 && count > 1 => spread.number(spread.lo),
+        Some(value) if level + 1 < count || count == 1 => spread.number(spread.tidy(value, count)),
+        _ => spread.number(spread.hi),
+    }
+}
+
+/// A value between two ends without the dust of its computation: to 12 digits, if that leaves it between them.
+pub fn tidy(value: f64, (lo, hi): (f64, f64)) -> f64 {
+    let is_dust = lo.signum() != hi.signum() && value.abs() < lo.abs().max(hi.abs()) * 1e-14;
+    let short = if is_dust { 0.0 } else { format!("{value:.11e}").parse().unwrap_or(value) };
+    if (lo.min(hi)..=lo.max(hi)).contains(&short) { short } else { value }
 }
 
 /// Fractions of a Latin hypercube. The chain of counts begins at the odd part of `count` and doubles: each doubling
@@ -291,6 +314,22 @@ mod tests {
             (log[0] - 0.01).abs() < 1e-15 && (log[1] - 1.0).abs() < 1e-14 && (log[2] - 100.0).abs() < 1e-12,
             "{log:?}"
         );
+    }
+
+    #[test]
+    fn levels_carry_no_dust_and_ranges_are_no_wider_than_numbers() {
+        let spread = |scale, lo, hi| Spread { name: "a".into(), scale, lo, hi };
+        let levels = |spread: Spread, count| -> Vec<f64> {
+            let drawn = points(Design::Grid, &[count], &[spread], 1, "p").unwrap();
+            drawn.iter().map(|(_, values)| values[0].as_f64().unwrap()).collect()
+        };
+        assert_eq!(levels(spread(Scale::Linear, 0.05, 0.2), 7), [0.05, 0.075, 0.1, 0.125, 0.15, 0.175, 0.2]);
+        assert_eq!(levels(spread(Scale::Log, 0.01, 100.0), 5), [0.01, 0.1, 1.0, 10.0, 100.0]);
+        assert_eq!(levels(spread(Scale::Linear, -0.1, 0.2), 4), [-0.1, 0.0, 0.1, 0.2]);
+        let narrow = levels(spread(Scale::Linear, 1.0, 1.0 + 1e-12), 5);
+        assert!(narrow.windows(2).all(|pair| pair[0] < pair[1]), "{narrow:?}");
+        assert!(spread(Scale::Linear, -1e308, 1e308).fault().unwrap().contains("wider"));
+        assert!(spread(Scale::Linear, 0.0, 1e308).fault().is_none());
     }
 
     #[test]

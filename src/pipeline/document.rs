@@ -1,5 +1,6 @@
 //! The typed document: parameters, axes, steps and targets, each with its place in the text.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -9,7 +10,7 @@ use super::axis::Axis;
 use super::input::Input;
 use super::log_level::LogLevel;
 use super::node::{Data, Key, Node, Word};
-use crate::diagnostic::Diagnostic;
+use crate::diagnostic::{Diagnostic, nearest};
 
 /// A pipeline as written, after overrides; names are not yet resolved.
 #[derive(Debug, Clone)]
@@ -30,6 +31,19 @@ pub struct Document {
     pub targets: Option<Vec<Word>>,
     /// How much the log of a run shows of steps that do not say it themselves; `None`: it depends on their instances.
     pub log: Option<LogLevel>,
+    /// What is declared and could not be read.
+    pub unread: Unread,
+}
+
+/// Declarations that could not be read, which is told of: what refers to one of them is not wrong for that.
+#[derive(Debug, Clone, Default)]
+pub struct Unread {
+    /// Names of steps.
+    pub steps: BTreeSet<String>,
+    /// Names of axes.
+    pub axes: BTreeSet<String>,
+    /// Whether it is open which axes are walked together.
+    pub zips: bool,
 }
 
 /// A named use of a stage.
@@ -55,6 +69,19 @@ pub struct Step {
     pub retries: u32,
     /// How much the log of a run shows of it.
     pub log: Option<LogLevel>,
+    /// What could not be read of it.
+    pub gaps: Gaps,
+}
+
+/// The parts of a step that could not be read whole, which is told of: that something is lacking there is no other fault.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Gaps {
+    /// Its parameters.
+    pub with: bool,
+    /// Its inputs.
+    pub inputs: bool,
+    /// Any part of it.
+    pub any: bool,
 }
 
 /// The random stream of a step.
@@ -69,16 +96,22 @@ pub struct Stream {
 /// The keys of a pipeline.
 pub const TOP: &[&str] = &["rockface", "name", "seed", "include", "params", "axes", "zip", "steps", "targets", "log"];
 
-/// Reads a document and collects everything that is wrong with its shape. Axes and steps are taken out of the tree one by
-/// one: it may be large.
+/// Reads a document and collects everything that is wrong with its shape; `None` where that leaves open what names it
+/// declares. Axes and steps are taken out of the tree one by one: it may be large.
 pub fn read(root: &mut Node, file_stem: &str, faults: &mut Vec<Diagnostic>) -> Option<Document> {
-    let mut reader = Reader { faults, seed: 0 };
+    let mut reader = Reader { faults, seed: 0, bad_numbers: false };
     reader.check_numbers(root);
+    let names_known = tells_names(root);
     let no_steps =
         root.get("steps").map_or(Some(root.span), |n| n.entries().is_some_and(<[_]>::is_empty).then_some(n.span));
     let top = reader.map(root, "the pipeline", TOP)?;
     reader.format_version(root, top);
     reader.seed = root.get("seed").map_or(0, |n| reader.seed(n));
+    let (axes, unread_axes) = reader.named(root, "axes", |reader, name, node| reader.axis(name, node));
+    let before = reader.faults.len();
+    let zips = root.get("zip").map(|n| reader.zips(n)).unwrap_or_default();
+    let unread_zips = reader.faults.len() > before;
+    let (steps, unread_steps) = reader.named(root, "steps", Reader::step);
     let document = Document {
         name: root
             .get("name")
@@ -86,11 +119,12 @@ pub fn read(root: &mut Node, file_stem: &str, faults: &mut Vec<Diagnostic>) -> O
             .map_or_else(|| file_stem.to_owned(), |w| w.text),
         seed: reader.seed,
         params: root.get("params").and_then(|n| reader.any_map(n, "`params`")).map(<[_]>::to_vec).unwrap_or_default(),
-        axes: reader.named(root, "axes", |reader, name, node| reader.axis(name, node)),
-        zips: root.get("zip").map(|n| reader.zips(n)).unwrap_or_default(),
-        steps: reader.named(root, "steps", Reader::step),
+        axes,
+        zips,
+        steps,
         targets: root.get("targets").map(|n| reader.some_words(n, "a step name")),
         log: root.get("log").and_then(|n| reader.log_level(n)),
+        unread: Unread { steps: unread_steps, axes: unread_axes, zips: unread_zips },
     };
     if let Some(span) = no_steps {
         reader.fault(
@@ -98,7 +132,26 @@ pub fn read(root: &mut Node, file_stem: &str, faults: &mut Vec<Diagnostic>) -> O
                 .hint("a small complete one is pipelines/quickstart.yaml"),
         );
     }
-    Some(document)
+    names_known.then_some(document)
+}
+
+/// Whether it can be told what names a pipeline declares: it is of this format, and no section of names is unreadable or
+/// behind an unknown key.
+fn tells_names(root: &Node) -> bool {
+    const SECTIONS: [&str; 3] = ["params", "axes", "steps"];
+    let known = |(key, node): &(Key, Node)| match key.name.as_str() {
+        "rockface" => node.to_value().as_u64() == Some(1),
+        name if SECTIONS.contains(&name) => node.entries().is_some(),
+        name => TOP.contains(&name) || is_aside(name, node),
+    };
+    let steps = root.get("steps").and_then(Node::entries);
+    steps.is_some_and(|steps| !steps.is_empty()) && root.entries().is_some_and(|top| top.iter().all(known))
+}
+
+/// Whether an unknown key of a pipeline stands for none that names anything.
+fn is_aside(name: &str, node: &Node) -> bool {
+    let near = nearest(name, TOP);
+    matches!(node.data, Data::Scalar(_)) && near.is_none_or(|near| matches!(near, "rockface" | "name" | "seed" | "log"))
 }
 
 /// Reads one part of a document after the other.
@@ -106,6 +159,8 @@ pub struct Reader<'f> {
     faults: &'f mut Vec<Diagnostic>,
     /// The pipeline seed.
     pub seed: u64,
+    /// Whether there is a number that cannot be taken.
+    bad_numbers: bool,
 }
 
 impl Reader<'_> {
@@ -114,23 +169,23 @@ impl Reader<'_> {
         self.faults.push(diagnostic);
     }
 
-    /// Numbers such as `017`, of which nobody can say whether the zero counts.
+    /// Numbers such as `017`, of which nobody can say whether the zero counts, and such as `.nan`, which are none.
     fn check_numbers(&mut self, node: &Node) {
         match &node.data {
             Data::List(items) => items.iter().for_each(|item| self.check_numbers(item)),
             Data::Map(entries) => entries.iter().for_each(|(_, item)| self.check_numbers(item)),
-            Data::Scalar(_) if node.has_leading_zero() => {
-                let message = format!("`{}` has a zero before its first digit", node.written);
-                let hint = "write the number without it, or put the whole in quotes if it is text";
-                self.fault(Diagnostic::at(node.span, message).hint(hint));
+            Data::Scalar(_) => {
+                if let Some((message, hint)) = node.bad_number() {
+                    self.bad_numbers = true;
+                    self.fault(Diagnostic::at(node.span, message).hint(hint));
+                }
             }
-            Data::Scalar(_) => {}
         }
     }
 
     /// Adds the fault of a value that is of another kind than it should be.
     pub fn expected(&mut self, node: &Node, what: &str) {
-        if node.has_leading_zero() {
+        if node.bad_number().is_some() {
             return; // Told of already.
         }
         self.fault(Diagnostic::at(node.span, format!("expected {what}, found {}", node.describe())));
@@ -173,26 +228,31 @@ impl Reader<'_> {
         }
     }
 
+    /// What a section declares, and the names of what could not be read.
     fn named<T>(
         &mut self,
         root: &mut Node,
         section: &str,
         read: fn(&mut Self, Word, &mut Node) -> Option<T>,
-    ) -> Vec<T> {
-        let Some(node) = root.take(section) else { return Vec::new() };
+    ) -> (Vec<T>, BTreeSet<String>) {
+        let Some(node) = root.take(section) else { return Default::default() };
         if self.any_map(&node, &format!("`{section}`")).is_none() {
-            return Vec::new();
+            return Default::default();
         }
         let entries = node.into_entries();
-        let mut found = Vec::with_capacity(entries.len());
+        let (mut found, mut unread) = (Vec::with_capacity(entries.len()), BTreeSet::new());
         for (key, mut node) in entries {
             if let Some(bad) = bad_name(&key.name) {
                 self.fault(Diagnostic::at(key.span, format!("`{}` cannot be a name: {bad}", key.name)));
+                unread.insert(key.name);
                 continue;
             }
-            found.extend(read(self, Word { span: key.span, text: key.name }, &mut node));
+            match read(self, Word { span: key.span, text: key.name.clone() }, &mut node) {
+                Some(one) => found.push(one),
+                None => drop(unread.insert(key.name)),
+            }
         }
-        found
+        (found, unread)
     }
 
     fn identifier(&mut self, node: &Node, what: &str) -> Option<Word> {
@@ -266,23 +326,15 @@ impl Reader<'_> {
     }
 
     fn step(&mut self, name: Word, node: &mut Node) -> Option<Step> {
+        let before = self.faults.len();
         let what = format!("step `{}`", name.text);
         self.map(node, &what, &["stage", "with", "in", "over", "keep", "stream", "timeout", "retries", "log"])?;
-        let Some(stage) = node.get("stage") else {
-            self.fault(
-                Diagnostic::at(name.span, format!("{what} names no `stage`")).hint("`rockface stages` lists them"),
-            );
-            return None;
-        };
-        let stage = self.word(stage, "the name of a stage")?;
-        if let Some(with) = node.get("with") {
-            self.any_map(with, "`with`");
-        }
-        let inputs = node.get("in").and_then(|n| self.any_map(n, "`in`")).unwrap_or_default();
-        let mut read = Vec::with_capacity(inputs.len());
-        for (key, node) in inputs {
-            read.extend(self.input(node).map(|input| (Word { span: key.span, text: key.name.clone() }, input)));
-        }
+        let strange_key = self.faults.len() > before;
+        let stage = self.stage(&name, node);
+        let bad_with =
+            |with: &Node| self.any_map(with, "`with`").is_none() || self.bad_numbers && with.holds_bad_number();
+        let gap_in_with = node.get("with").map_or(strange_key, bad_with);
+        let (inputs, gap_in_inputs) = node.get("in").map_or((Vec::new(), strange_key), |n| self.inputs(n));
         let over = node.get("over").map(|n| self.words(n, "an axis")).unwrap_or_default();
         let keep = self.flag(node.get("keep"), true);
         let stream = node.get("stream").and_then(|n| self.stream(n));
@@ -290,7 +342,29 @@ impl Reader<'_> {
         let retries = node.get("retries").map_or(0, |n| self.retries(n));
         let log = node.get("log").and_then(|n| self.log_level(n));
         let with = node.take("with").filter(|with| with.entries().is_some()).map(Arc::new);
-        Some(Step { name, stage, with, inputs: read, over, keep, stream, timeout, retries, log })
+        let any = gap_in_with || gap_in_inputs || self.faults.len() > before;
+        let gaps = Gaps { with: gap_in_with, inputs: gap_in_inputs, any };
+        Some(Step { name, stage: stage?, with, inputs, over, keep, stream, timeout, retries, log, gaps })
+    }
+
+    fn stage(&mut self, name: &Word, node: &Node) -> Option<Word> {
+        let Some(stage) = node.get("stage") else {
+            let fault = Diagnostic::at(name.span, format!("step `{}` names no `stage`", name.text));
+            self.fault(fault.hint("`rockface stages` lists them"));
+            return None;
+        };
+        self.word(stage, "the name of a stage")
+    }
+
+    /// The inputs of a step, and whether some could not be read.
+    fn inputs(&mut self, node: &Node) -> (Vec<(Word, Input)>, bool) {
+        let Some(entries) = self.any_map(node, "`in`") else { return (Vec::new(), true) };
+        let mut inputs = Vec::with_capacity(entries.len());
+        for (key, node) in entries {
+            inputs.extend(self.input(node).map(|input| (Word { span: key.span, text: key.name.clone() }, input)));
+        }
+        let gap = inputs.len() < entries.len();
+        (inputs, gap)
     }
 
     fn log_level(&mut self, node: &Node) -> Option<LogLevel> {

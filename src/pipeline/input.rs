@@ -79,7 +79,7 @@ impl Reader<'_> {
 
     fn each(&mut self, node: &Node) -> Option<Input> {
         self.map(node, "a gathered input", &["each", "over"])?;
-        let reference = self.forward(node.get("each")?)?;
+        let reference = self.forward(node.get("each")?);
         let Some(over) = node.get("over") else {
             self.fault(
                 Diagnostic::at(node.span, "a gathered input needs `over`")
@@ -87,16 +87,17 @@ impl Reader<'_> {
             );
             return None;
         };
-        Some(Input::Each { reference, over: self.some_words(over, "an axis") })
+        let over = self.some_words(over, "an axis");
+        Some(Input::Each { reference: reference?, over })
     }
 
     fn by(&mut self, node: &Node, entries: &[(Key, Node)]) -> Option<Input> {
-        let axis = self.word(node.get("by")?, "an axis")?;
+        let axis = self.word(node.get("by")?, "an axis");
         let cases = entries.iter().filter(|(key, _)| key.name != "by");
-        let cases = cases
+        let cases: Vec<_> = cases
             .map(|(key, node)| Some((Word { span: key.span, text: key.name.clone() }, self.forward(node)?)))
-            .collect::<Option<Vec<_>>>()?;
-        Some(Input::By { axis, cases })
+            .collect();
+        Some(Input::By { axis: axis?, cases: cases.into_iter().collect::<Option<_>>()? })
     }
 
     fn chain(&mut self, node: &Node) -> Option<Input> {

@@ -18,12 +18,13 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 pub use axis::{Axis, bad_item};
-pub use document::{Document, Step, Stream};
+pub use document::{Document, Gaps, Step, Stream, Unread};
 pub use input::Input;
 pub use log_level::{IN_FULL, LogLevel};
 pub use node::{Data, Key, Node, Word};
 pub use reference::Reference;
-pub use substitute::{filled, mentioned};
+pub use substitute::{escape_hint, filled, mentioned};
+pub use sweep::is_same_axis;
 
 use crate::diagnostic::{Diagnostic, Diagnostics, Source};
 use include::Texts;
@@ -39,6 +40,9 @@ pub struct Pipeline {
     pub folders: Vec<PathBuf>,
     /// The typed document.
     pub document: Document,
+    /// What is wrong with the shape of the document, where that leaves its names readable; [`crate::plan::resolve`] tells
+    /// it together with what else is wrong, and makes no graph.
+    pub faults: Vec<Diagnostic>,
 }
 
 /// Values given on the command line.
@@ -104,7 +108,7 @@ impl Pipeline {
     fn read(mut texts: Texts, stem: &str, overrides: &Overrides) -> Result<Self, Diagnostics> {
         let folder = texts.folders[0].clone();
         let mut faults = Vec::new();
-        let mut document = None;
+        let (mut document, mut whole) = (None, false);
         match tree_file::parse(&texts.sources[0].text, 0, texts.trees.as_deref()) {
             Ok(mut root) => {
                 let own = folder.join(Path::new(&texts.sources[0].name).file_name().unwrap_or_default());
@@ -116,13 +120,14 @@ impl Pipeline {
                 for sweep in &overrides.sweep {
                     faults.extend(sweep::apply(&mut root, sweep, &mut texts.sources).err());
                 }
+                whole = faults.is_empty();
                 document = document::read(&mut root, stem, &mut faults);
             }
             Err(fault) => faults.push(fault),
         }
         match document {
-            Some(document) if faults.is_empty() => {
-                Ok(Self { sources: texts.sources, folder, folders: texts.folders, document })
+            Some(document) if whole => {
+                Ok(Self { sources: texts.sources, folder, folders: texts.folders, document, faults })
             }
             _ => Err(Diagnostics { sources: texts.sources, list: faults }),
         }
@@ -135,12 +140,24 @@ fn read_text(path: &Path) -> Result<String, Diagnostic> {
         let fault = Diagnostic::general(format!("`{shown}` is a folder; a pipeline is a file"));
         return Err(name_one_of(fault, &pipelines_in(path)));
     }
+    if is_stream(path) {
+        let fault = Diagnostic::general(format!("`{shown}` is no regular file; a pipeline is one"));
+        let hint = "write it to a file: the paths in it are relative to that, and its results are kept beside it";
+        return Err(fault.hint(hint));
+    }
     let bytes = std::fs::read(path).map_err(|error| unreadable(path, &error))?;
     String::from_utf8(bytes).map_err(|error| {
         let at = error.utf8_error().valid_up_to();
         Diagnostic::general(format!("`{shown}` is not a text in UTF-8: its byte {at} fits nowhere"))
             .hint("a pipeline is a YAML text; save it as UTF-8")
     })
+}
+
+/// Whether a path leads to what can be read only once, or has no folder of its own: a pipe, a device, the standard input.
+pub fn is_stream(path: &Path) -> bool {
+    let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    let lent = ["/dev/stdin", "/dev/fd", "/proc"].iter().any(|place| absolute.starts_with(place));
+    lent || path.metadata().is_ok_and(|metadata| !metadata.is_file() && !metadata.is_dir())
 }
 
 fn unreadable(path: &Path, error: &std::io::Error) -> Diagnostic {

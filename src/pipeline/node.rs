@@ -5,6 +5,7 @@ use std::fmt;
 use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
 use serde_json::{Number, Value};
 use serde_saphyr::Spanned;
+use serde_saphyr::options::NonFiniteFloatPolicy;
 
 use crate::diagnostic::{Diagnostic, Span};
 
@@ -15,7 +16,7 @@ pub struct Node {
     pub span: Span,
     /// What it is.
     pub data: Data,
-    /// A number as it is written; empty for anything else.
+    /// A number as it is written; empty for anything else. One that is not finite has no value besides.
     pub written: String,
 }
 
@@ -51,7 +52,10 @@ pub struct Key {
 impl Node {
     /// Parses a text; `source` is its index in the list of sources.
     pub fn parse(text: &str, source: usize) -> Result<Self, Diagnostic> {
-        let options = serde_saphyr::options! { strict_booleans: true };
+        let options = serde_saphyr::options! {
+            strict_booleans: true,
+            non_finite_float_policy: NonFiniteFloatPolicy::PassThrough,
+        };
         match serde_saphyr::from_str_with_options::<Spanned<Raw>>(text, options) {
             Ok(raw) => Ok(raw_node(raw, text, source)),
             Err(error) => Err(syntax_error(text, source, &error)),
@@ -67,6 +71,29 @@ impl Node {
     pub fn has_leading_zero(&self) -> bool {
         let digits = self.written.trim_start_matches(['+', '-']);
         digits.len() > 1 && digits.starts_with('0') && digits[1..].starts_with(|c: char| c.is_ascii_digit())
+    }
+
+    /// Why a number cannot be taken as it is written, and the way out.
+    pub fn bad_number(&self) -> Option<(String, &'static str)> {
+        let written = &self.written;
+        if self.has_leading_zero() {
+            let message = format!("`{written}` has a zero before its first digit");
+            Some((message, "write the number without it, or put the whole in quotes if it is text"))
+        } else if matches!(self.data, Data::Scalar(Value::Null)) && !written.is_empty() {
+            let message = format!("`{written}` is not a finite number");
+            Some((message, "write a finite number, or put it in quotes if it is text"))
+        } else {
+            None
+        }
+    }
+
+    /// Whether it or anything in it is such a number.
+    pub fn holds_bad_number(&self) -> bool {
+        match &self.data {
+            Data::Scalar(_) => self.bad_number().is_some(),
+            Data::List(items) => items.iter().any(Self::holds_bad_number),
+            Data::Map(entries) => entries.iter().any(|(_, item)| item.holds_bad_number()),
+        }
     }
 
     /// The plain value, without places.
@@ -138,6 +165,7 @@ impl Node {
 /// What serde sees of a node.
 enum Raw {
     Scalar(Value),
+    NotFinite,
     List(Vec<Spanned<Raw>>),
     Map(Vec<(Spanned<String>, Spanned<Raw>)>),
 }
@@ -165,9 +193,8 @@ impl<'de> Visitor<'de> for RawVisitor {
     fn visit_u64<E>(self, value: u64) -> Result<Raw, E> {
         Ok(Raw::Scalar(value.into()))
     }
-    fn visit_f64<E: serde::de::Error>(self, value: f64) -> Result<Raw, E> {
-        let number = Number::from_f64(value).ok_or_else(|| E::custom("a number must be finite"))?;
-        Ok(Raw::Scalar(Value::Number(number)))
+    fn visit_f64<E>(self, value: f64) -> Result<Raw, E> {
+        Ok(Number::from_f64(value).map_or(Raw::NotFinite, |number| Raw::Scalar(Value::Number(number))))
     }
     fn visit_str<E>(self, value: &str) -> Result<Raw, E> {
         Ok(Raw::Scalar(value.into()))
@@ -202,6 +229,7 @@ fn raw_node(raw: Spanned<Raw>, text: &str, source: usize) -> Node {
     let written = written(&raw.value, text, span);
     let data = match raw.value {
         Raw::Scalar(value) => Data::Scalar(value),
+        Raw::NotFinite => Data::Scalar(Value::Null),
         Raw::List(items) => Data::List(items.into_iter().map(|item| raw_node(item, text, source)).collect()),
         Raw::Map(entries) => Data::Map(
             entries
@@ -218,8 +246,13 @@ fn raw_node(raw: Spanned<Raw>, text: &str, source: usize) -> Node {
 
 /// The text of a number; an alias stands for a number without being one.
 fn written(raw: &Raw, text: &str, span: Span) -> String {
-    let Raw::Scalar(Value::Number(_)) = raw else { return String::new() };
     let found = text.get(span.start..span.end).unwrap_or_default().trim();
+    match raw {
+        Raw::Scalar(Value::Number(_)) => {}
+        Raw::NotFinite if found.is_empty() => return ".nan".to_owned(),
+        Raw::NotFinite => return found.to_owned(),
+        _ => return String::new(),
+    }
     let number = found.starts_with(|c: char| c.is_ascii_digit() || matches!(c, '+' | '-' | '.'));
     if number { found.to_owned() } else { String::new() }
 }
@@ -236,6 +269,11 @@ fn syntax_error(text: &str, source: usize, error: &serde_saphyr::Error) -> Diagn
     let diagnostic = match error.location() {
         Some(location) => {
             let start = byte_position(text, location.line() as usize, location.column() as usize);
+            if let Some(mention) = open_mention(text, start) {
+                let message = format!("`{mention}` without quotes cannot stand between braces or brackets");
+                let span = Span { source, start: start - 1, end: start - 1 + mention.len() };
+                return Diagnostic::at(span, message).hint(format!("put quotes around it: \"{mention}\""));
+            }
             Diagnostic::at(Span { source, start, end: start + 1 }, message)
         }
         None => Diagnostic::general(message),
@@ -250,9 +288,6 @@ fn fault_of_text(error: &serde_saphyr::Error) -> (String, &'static str) {
         Error::MultipleDocuments { .. } => {
             ("a second document begins here".to_owned(), "a pipeline is one document: remove the line `---` before it")
         }
-        Error::NonFiniteFloat { value, .. } => {
-            (format!("`{value}` is not a finite number"), "write a finite number, or put it in quotes if it is text")
-        }
         Error::DuplicateMappingKey { key, .. } => {
             let key = key.as_deref().map(|key| format!(" `{key}`")).unwrap_or_default();
             (format!("the key{key} occurs twice"), "rename or remove one of the two")
@@ -264,13 +299,30 @@ fn fault_of_text(error: &serde_saphyr::Error) -> (String, &'static str) {
         Error::Budget { .. }
         | Error::AliasReplayLimitExceeded { .. }
         | Error::AliasExpansionLimitExceeded { .. }
-        | Error::AliasReplayStackDepthExceeded { .. } => (
-            "the text is larger or nested deeper than a pipeline may be".to_owned(),
-            "divide it, or repeat less by `*`",
-        ),
+        | Error::AliasReplayStackDepthExceeded { .. } => too_large(),
         Error::Message { msg, .. } => (format!("this is not YAML that can be read: {msg}"), ""),
-        _ => ("this is not YAML that can be read".to_owned(), "look for a missing quote, bracket or space after `:`"),
+        other => {
+            let told = other.to_string();
+            let reason = told.split(" at line ").next().unwrap_or_default();
+            if reason.contains("recursion limit") || reason.contains("budget breached") {
+                return too_large();
+            }
+            let message = format!("this is not YAML that can be read: {reason}");
+            (message, "look for a missing quote, bracket or space after `:`")
+        }
     }
+}
+
+fn too_large() -> (String, &'static str) {
+    let message = "the text is larger or nested deeper than a pipeline may be".to_owned();
+    (message, "divide it, or repeat less by `*`")
+}
+
+/// The `${name}` whose brace stands at a place, on which readers stumble where it is not quoted.
+fn open_mention(text: &str, at: usize) -> Option<&str> {
+    let mention = text.get(at.checked_sub(1)?..).filter(|rest| rest.starts_with("${"))?;
+    let end = mention.find(['}', '\n']).filter(|end| mention[*end..].starts_with('}'))?;
+    mention.get(..=end)
 }
 
 /// The byte of a line and column, both counted from one, the column in characters.
@@ -300,6 +352,24 @@ mod tests {
     fn words_that_look_like_booleans_stay_words() {
         let node = Node::parse("y: no\nn: on\nt: true\n", 0).unwrap();
         assert_eq!(node.to_value().to_string(), r#"{"n":"on","t":true,"y":"no"}"#);
+    }
+
+    #[test]
+    fn unreadable_texts_say_why() {
+        let said = |text: &str| {
+            let fault = Node::parse(text, 0).unwrap_err();
+            format!("{} | {}", fault.message, fault.hint.unwrap_or_default())
+        };
+        for text in ["a: {b: ${x}}", "a: [${x}, 1]", "a: {b: ${x}/y, c: 1}"] {
+            assert!(said(text).contains("`${x}` without quotes") && said(text).contains("\"${x}\""), "{}", said(text));
+        }
+        assert!(said("a: {b: 1").contains("can be read: ") && said("a: b: c").contains("not allowed"));
+        let deep = format!("a: {}{}", "[".repeat(5000), "]".repeat(5000));
+        let level = |i: u32| format!("a{i}: &a{i} [{}]\n", vec![format!("*a{}", i.wrapping_sub(1)); 10].join(", "));
+        let repeated = format!("a0: &a0 [1, 2]\n{}", (1..9).map(level).collect::<String>());
+        for text in [deep, repeated] {
+            assert!(said(&text).contains("larger or nested deeper"), "{}", said(&text));
+        }
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! `${name}`: parameters and axis items put into the values of a step.
+//! `${name}`: parameters and axis items put into the values of a step. `$${name}` stands for the text `${name}`.
 
 use serde_json::Value;
 
@@ -13,6 +13,11 @@ pub fn mentioned(node: &Node, found: &mut Vec<(String, Span)>) {
         Data::List(items) => items.iter().for_each(|item| mentioned(item, found)),
         Data::Map(entries) => entries.iter().for_each(|(_, item)| mentioned(item, found)),
     }
+}
+
+/// How a text that looks like a mention is written.
+pub fn escape_hint(name: &str) -> String {
+    format!("write $${{{name}}} for the text itself")
 }
 
 /// The value with every `${name}` replaced. A value that is nothing but `${name}` takes the type of what it names;
@@ -33,6 +38,12 @@ fn fill_text(text: &str, lookup: &dyn Fn(&str) -> Option<Value>) -> Result<Value
     }
     let (mut filled, mut rest) = (String::new(), text);
     while let Some((before, after)) = rest.split_once("${") {
+        if let Some(before) = before.strip_suffix('$') {
+            filled.push_str(before);
+            filled.push_str("${");
+            rest = after;
+            continue;
+        }
         let (name, tail) = after.split_once('}').ok_or_else(|| format!("`{text}`: `${{` without `}}`"))?;
         filled.push_str(before);
         match value(name.trim())? {
@@ -49,7 +60,10 @@ fn fill_text(text: &str, lookup: &dyn Fn(&str) -> Option<Value>) -> Result<Value
 }
 
 fn names(text: &str) -> impl Iterator<Item = &str> {
-    text.split("${").skip(1).filter_map(|part| part.split_once('}')).map(|(name, _)| name.trim())
+    let parts = text.split("${");
+    let before = parts.clone().map(|part| part.ends_with('$'));
+    let meant = parts.skip(1).zip(before).filter(|(_, escaped)| !escaped);
+    meant.filter_map(|(part, _)| part.split_once('}')).map(|(name, _)| name.trim())
 }
 
 #[cfg(test)]
@@ -73,6 +87,15 @@ mod tests {
             fill("{a: '${cell}', b: '${dir}/x_${cell}.ply', c: ['${list}']}").unwrap(),
             json!({"a": 0.01, "b": "data/x_0.01.ply", "c": [[1, 2]]})
         );
+    }
+
+    #[test]
+    fn a_doubled_dollar_stands_for_the_text() {
+        assert_eq!(
+            fill("{a: '$${cell}', b: 'x $${ ${dir}/$${cell} ${cell}$', c: '$$${cell}', d: '$$x ${dir}'}").unwrap(),
+            json!({"a": "${cell}", "b": "x ${ data/${cell} 0.01$", "c": "$${cell}", "d": "$$x data"})
+        );
+        assert_eq!(names("$${a} ${b} $${c ${d}").collect::<Vec<_>>(), ["b", "d"]);
     }
 
     #[test]

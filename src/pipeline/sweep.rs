@@ -2,6 +2,7 @@
 
 use serde_json::Value;
 
+use super::design::tidy;
 use super::node::{Data, Key, Node};
 use super::overrides::{check_exists, put};
 use crate::diagnostic::{Diagnostic, Source, Span};
@@ -22,6 +23,7 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<(
     };
     let path_span = here(0, path.len());
     let values_span = here(path.len() + 1, text.len());
+    check_once((path, values), &sources[..source], path_span)?;
     let values = listed(values, values_span).map_err(|message| Diagnostic::at(values_span, message).hint(hint))?;
     let keys: Vec<&str> = path.split('.').map(str::trim).collect();
     check_exists(root, &keys, path_span)?;
@@ -47,6 +49,41 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<(
     put(root, &["axes", name], axis, path_span)
 }
 
+/// The path and the values of a sweep.
+fn parts(text: &str) -> Option<(&str, &str)> {
+    text.split_once('=').map(|(path, values)| (path.trim(), values.trim()))
+}
+
+/// The axis that a path makes.
+fn axis_of(path: &str) -> &str {
+    path.rsplit('.').next().unwrap_or(path).trim()
+}
+
+/// Whether two texts sweep one axis.
+pub fn is_same_axis(one: &str, other: &str) -> bool {
+    parts(one).map(|(path, _)| axis_of(path)) == parts(other).map(|(path, _)| axis_of(path))
+}
+
+/// A second sweep of an axis would silently take the place of the first; two values may follow one axis.
+fn check_once((path, values): (&str, &str), earlier: &[Source], span: Span) -> Result<(), Diagnostic> {
+    let (path, values) = (path.trim(), values.trim());
+    let name = axis_of(path);
+    let former = earlier.iter().filter(|source| source.name == "--sweep").filter_map(|source| parts(&source.text));
+    let Some((known, first)) =
+        former.into_iter().find(|(known, first)| axis_of(known) == name && (*known == path || *first != values))
+    else {
+        return Ok(());
+    };
+    let fault = Diagnostic::at(span, format!("axis `{name}` is swept twice"));
+    Err(if known != path {
+        fault.hint(format!("`{known}` makes it already: give both the same values, or declare an axis of another name"))
+    } else if first.contains("..") || values.contains("..") {
+        fault.hint(format!("give all its values at once, as a list or a range: --sweep {path}=0.1,0.2,0.5"))
+    } else {
+        fault.hint(format!("give all its values at once: --sweep {path}={first},{values}"))
+    })
+}
+
 fn remove(root: &mut Node, section: &str, name: &str) {
     let Data::Map(sections) = &mut root.data else { return };
     let section = sections.iter_mut().find(|(key, _)| key.name == section);
@@ -66,7 +103,9 @@ fn listed(values: &str, span: Span) -> Result<Vec<Node>, String> {
         at = place.end + 1;
         let node = Node::parse(value.trim(), span.source).map_err(|_| format!("`{value}` is no value"))?;
         match node.data {
-            Data::Scalar(Value::Null) => return Err("a value between two commas is missing".to_owned()),
+            Data::Scalar(Value::Null) if node.written.is_empty() => {
+                return Err("a value between two commas is missing".to_owned());
+            }
             Data::Scalar(_) => nodes.push(Node { span: place, ..node }),
             Data::List(_) | Data::Map(_) => return Err(format!("`{value}` is not a single value")),
         }
@@ -81,12 +120,22 @@ fn range(lo: &str, rest: &str, span: Span) -> Result<Vec<Node>, String> {
     let number = |text: &str| text.trim().parse::<f64>().ok().filter(|x| x.is_finite()).ok_or_else(wrong);
     let (lo, hi) = (number(lo)?, number(hi)?);
     let count: usize = count.trim().parse().map_err(|_| wrong())?;
+    if !(hi - lo).is_finite() {
+        return Err(format!("the range from {lo:e} to {hi:e} is wider than any number"));
+    }
     if !(2..=VALUES_LIMIT).contains(&count) {
         return Err(format!("a range has from 2 to {VALUES_LIMIT} values, not {count}"));
     }
     let whole = lo.fract() == 0.0 && hi.fract() == 0.0 && (hi - lo) % (count - 1) as f64 == 0.0;
+    // Values that are nearer to each other than 12 digits can tell keep all they have.
+    let fine = (hi - lo).abs() <= (count - 1) as f64 * lo.abs().max(hi.abs()) * 1e-10;
     let node = |index: usize| {
-        let value = if index + 1 == count { hi } else { lo + (hi - lo) * (index as f64 / (count - 1) as f64) };
+        let value = match lo + (hi - lo) * (index as f64 / (count - 1) as f64) {
+            _ if index == 0 => lo,
+            _ if index + 1 == count => hi,
+            value if fine => value,
+            value => tidy(value, (lo, hi)),
+        };
         let value = if whole && value.abs() < 9e15 { Value::from(value.round() as i64) } else { Value::from(value) };
         Node { span, written: value.to_string(), data: Data::Scalar(value) }
     };
@@ -112,6 +161,11 @@ mod tests {
             swept("{params: {x: 1, y: 2}}", "params.x=1..3:3"),
             r#"{"axes":{"x":{"values":[1,2,3]}},"params":{"y":2}}"#
         );
+        assert_eq!(
+            swept("seed: 1", "a=0.05..0.2:7"),
+            r#"{"axes":{"a":{"values":[0.05,0.075,0.1,0.125,0.15,0.175,0.2]}},"seed":1}"#
+        );
+        assert!(swept("seed: 1", "a=-1e308..1e308:3").contains("wider"));
         assert_eq!(
             swept("steps: {a: {stage: b}}", "steps.a.with.c=0..1:3"),
             r#"{"axes":{"c":{"values":[0.0,0.5,1.0]}},"steps":{"a":{"stage":"b","with":{"c":"${c}"}}}}"#

@@ -21,7 +21,6 @@ enum Pick {
 impl Resolver<'_> {
     /// The feeds of all given ports of a step, in the stage's order of ports.
     pub fn inputs(&mut self, step: &Step, own: usize) -> Vec<(&'static Port, Feed)> {
-        let Some(ports) = self.ports[own] else { return Vec::new() };
         let mut inputs = Vec::with_capacity(step.inputs.len());
         for (port, input) in &step.inputs {
             let feed = self.feed(input);
@@ -31,6 +30,7 @@ impl Resolver<'_> {
             inputs.push((declared, feed));
         }
         self.check_missing_ports(own, step);
+        let Some(ports) = self.ports[own] else { return Vec::new() };
         inputs.sort_by_key(|(port, _)| ports.inputs.iter().position(|p| p.name == port.name));
         inputs
     }
@@ -60,7 +60,8 @@ impl Resolver<'_> {
         let reached = self.position_axes(source.step);
         if !reached.contains(&axis) {
             let message = format!("step `{}` does not depend on axis `{}`", reference.step, word.text);
-            self.faults.push(Diagnostic::at(reference.span, message).hint(format!("leave [{}=prev] out", word.text)));
+            let fault = Diagnostic::at(reference.span, message).hint(format!("leave [{}=prev] out", word.text));
+            self.unless_unsure(&reference.step, fault);
             return None;
         }
         let first = match first {
@@ -72,7 +73,10 @@ impl Resolver<'_> {
     }
 
     fn choice(&mut self, axis: &Word, cases: &[(Word, Reference)]) -> Option<Feed> {
-        let index = self.axis(axis)?;
+        let Some(index) = self.axis(axis) else {
+            cases.iter().for_each(|(_, reference)| drop(self.source(reference)));
+            return None;
+        };
         let (others, named): (Vec<_>, Vec<_>) = cases.iter().partition(|(word, _)| self.is_other(index, word));
         let other = others.first().map(|(_, reference)| self.source(reference));
         let named: Vec<_> = named.into_iter().map(|(word, reference)| (word, self.source(reference))).collect();
@@ -125,6 +129,9 @@ impl Resolver<'_> {
     /// The output a reference names.
     pub fn source(&mut self, reference: &Reference) -> Option<Source> {
         let Some(old) = self.names.steps.get(reference.step.as_str()).copied() else {
+            if self.names.document.unread.steps.contains(&reference.step) {
+                return None;
+            }
             let fault = Diagnostic::at(reference.span, format!("unknown step `{}`", reference.step));
             let known = self.names.document.steps.iter().map(|step| step.name.text.as_str());
             self.faults.push(fault.suggest(&reference.step, known));
@@ -185,8 +192,8 @@ impl Resolver<'_> {
     }
 
     fn check_optional_output(&mut self, reference: &Reference, port: &Port, old: usize) {
-        let given = &self.names.document.steps[old].inputs;
-        if port.arity == Arity::Optional && !given.iter().any(|(given, _)| given.text == port.name) {
+        let Step { inputs: given, gaps, .. } = &self.names.document.steps[old];
+        if port.arity == Arity::Optional && !gaps.inputs && !given.iter().any(|(given, _)| given.text == port.name) {
             let message = format!("step `{}` makes no `{}`", reference.step, port.name);
             let hint = format!("it is made when the step is given an input `{}`", port.name);
             self.faults.push(Diagnostic::at(reference.span, message).hint(hint));
@@ -200,7 +207,8 @@ impl Resolver<'_> {
         if let Some(axis) = stray {
             let axis = &self.names.document.axes[axis].name.text;
             let message = format!("step `{}` does not depend on axis `{axis}`", reference.step);
-            self.faults.push(Diagnostic::at(reference.span, message).hint(format!("leave [{axis}=…] out")));
+            let fault = Diagnostic::at(reference.span, message).hint(format!("leave [{axis}=…] out"));
+            self.unless_unsure(&reference.step, fault);
         }
         stray.is_none()
     }
@@ -214,7 +222,7 @@ impl Resolver<'_> {
                 "`{}.{}` cannot be gathered over `{axis}`: it does not depend on it",
                 reference.step, source.port.name
             );
-            self.faults.push(Diagnostic::at(reference.span, message));
+            self.unless_unsure(&reference.step, Diagnostic::at(reference.span, message));
         }
         lacking.is_none()
     }
@@ -233,7 +241,8 @@ impl Resolver<'_> {
     fn check_missing_ports(&mut self, own: usize, step: &Step) {
         let Some(ports) = self.ports[own] else { return };
         let given = |port: &Port| step.inputs.iter().any(|(word, _)| word.text == port.name);
-        for port in ports.inputs.iter().filter(|port| port.arity != Arity::Optional && !given(port)) {
+        let needed = |port: &&Port| port.arity != Arity::Optional && !step.gaps.inputs;
+        for port in ports.inputs.iter().filter(needed).filter(|port| !given(port)) {
             let message = format!("step `{}` is not given its input `{}` ({})", step.name.text, port.name, kinds(port));
             self.faults.push(Diagnostic::at(step.stage.span, message).hint(port.doc));
         }

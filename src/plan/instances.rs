@@ -279,11 +279,7 @@ impl<'a> Expansion<'a> {
             return known.clone();
         }
         let fields = self.fields.entry(step.stage.name()).or_insert_with(|| step.stage.fields());
-        let checked = parameters::check(self.graph, step, &mentioned).and_then(|mut params| {
-            let faults = parameters::find_files(step, fields, &mut params, self.hash);
-            if faults.is_empty() { Ok(params) } else { Err(faults) }
-        });
-        let params = match checked {
+        let params = match parameters::check_with_files(self.graph, step, &mentioned, fields, self.hash) {
             Ok(params) => Some(Arc::new(params)),
             Err(faults) => {
                 self.report(faults);

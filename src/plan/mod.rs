@@ -1,5 +1,6 @@
 //! From pipeline to plan: resolve names, expand axes, key every step instance.
 
+mod blind;
 mod dynamic;
 mod feeds;
 mod graph;

@@ -1,6 +1,8 @@
 //! The parameters of a step at one point: filled in, checked, and with its files found and hashed.
 
 use std::collections::BTreeMap;
+use std::fs::FileType;
+use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -10,8 +12,8 @@ use rockface_stages::params::{Fault, Field, Kind};
 use serde_json::{Value, json};
 
 use super::graph::{Graph, GraphStep};
-use crate::diagnostic::{Diagnostic, Span};
-use crate::pipeline::{Node, filled};
+use crate::diagnostic::{Diagnostic, Span, nearest};
+use crate::pipeline::{Node, filled, mentioned};
 
 /// Parameters that are ready for the recipe and for the stage.
 #[derive(Debug, Clone, PartialEq)]
@@ -24,6 +26,14 @@ pub struct StepParams {
     pub draws: bool,
     /// The files behind each file parameter, as it was written.
     pub files: BTreeMap<String, Vec<InputFile>>,
+}
+
+impl StepParams {
+    /// Parameters whose files are not looked for yet.
+    fn of(canonical: Value, draws: bool) -> Self {
+        let canonical = Arc::new(canonical);
+        Self { recipe: canonical.clone(), canonical, draws, files: BTreeMap::new() }
+    }
 }
 
 /// A file named by a parameter.
@@ -40,25 +50,84 @@ pub struct InputFile {
 /// Hashes a file, or says why it cannot.
 pub type HashFile<'a> = dyn Fn(&Path) -> Result<Digest, String> + 'a;
 
+/// What a `${name}` stands for at the items of some axes.
+pub fn lookup(graph: &Graph, items: &BTreeMap<usize, usize>, name: &str) -> Option<Value> {
+    let known = graph.params.get(name).cloned();
+    known.or_else(|| {
+        let (base, field) = name.split_once('.').map_or((name, None), |(base, field)| (base, Some(field)));
+        let axis = graph.axes.iter().position(|axis| axis.name.text == base)?;
+        let value = graph.axes[axis].values.get(*items.get(&axis)?)?;
+        field.map_or_else(|| Some(value.clone()), |field| value.get(field).cloned())
+    })
+}
+
 /// Fills in and checks the parameters of a step at the items of the axes its `with` mentions.
 pub fn check(graph: &Graph, step: &GraphStep, items: &BTreeMap<usize, usize>) -> Result<StepParams, Vec<Diagnostic>> {
-    let lookup = |name: &str| {
-        let known = graph.params.get(name).cloned();
-        known.or_else(|| {
-            let (base, field) = name.split_once('.').map_or((name, None), |(base, field)| (base, Some(field)));
-            let axis = graph.axes.iter().position(|axis| axis.name.text == base)?;
-            let value = &graph.axes[axis].values[*items.get(&axis)?];
-            field.map_or_else(|| Some(value.clone()), |field| value.get(field).cloned())
-        })
+    check_filled(step, &fill(graph, step, items)?)
+}
+
+/// The same, and finds and hashes the files that the parameters name; `fields` are those of the stage.
+pub fn check_with_files(
+    graph: &Graph,
+    step: &GraphStep,
+    items: &BTreeMap<usize, usize>,
+    fields: &[Field],
+    hash: &HashFile,
+) -> Result<StepParams, Vec<Diagnostic>> {
+    let with = fill(graph, step, items)?;
+    match check_filled(step, &with) {
+        Ok(mut params) => {
+            let faults = find_files(step, fields, &mut params, hash);
+            if faults.is_empty() { Ok(params) } else { Err(faults) }
+        }
+        Err(mut faults) => {
+            let mut as_written = StepParams::of(with, false);
+            let missing = find_files(step, fields, &mut as_written, hash);
+            let new = missing.into_iter().filter(|fault| faults.iter().all(|known| known.span != fault.span));
+            let new: Vec<_> = new.collect();
+            faults.extend(new);
+            Err(faults)
+        }
+    }
+}
+
+fn fill(graph: &Graph, step: &GraphStep, items: &BTreeMap<usize, usize>) -> Result<Value, Vec<Diagnostic>> {
+    let Some(with) = &step.with else { return Ok(Value::Null) };
+    filled(with, &|name| lookup(graph, items, name)).map_err(|fault| {
+        let strange = strange_columns(graph, step, with, items);
+        if strange.is_empty() { vec![fault] } else { strange }
+    })
+}
+
+/// Mentions of what the items of an axis turn out not to have.
+fn strange_columns(graph: &Graph, step: &GraphStep, with: &Node, items: &BTreeMap<usize, usize>) -> Vec<Diagnostic> {
+    let mut names = Vec::new();
+    mentioned(with, &mut names);
+    let strange = names.into_iter().filter(|(name, _)| lookup(graph, items, name).is_none());
+    let told = |(name, span): (String, Span)| {
+        let (base, column) = name.split_once('.')?;
+        let axis = graph.axes.iter().position(|axis| axis.name.text == base)?;
+        let value = graph.axes[axis].values.get(*items.get(&axis)?)?;
+        let Some(columns) = value.as_object() else {
+            let message = format!("step `{}`: an item of axis `{base}` is a single value", step.name);
+            return Some(Diagnostic::at(span, message).hint(format!("write ${{{base}}}")));
+        };
+        let known: Vec<&str> = columns.keys().map(String::as_str).collect();
+        let columns = format!("the table behind it has {}", known.join(", "));
+        let message = format!("step `{}`: `${{{name}}}`: axis `{base}` has no column `{column}`; {columns}", step.name);
+        let near = nearest(column, &known).map(|near| format!("did you mean `${{{base}.{near}}}`?"));
+        Some(near.into_iter().fold(Diagnostic::at(span, message), Diagnostic::hint))
     };
-    let with = step.with.as_ref().map_or(Ok(Value::Null), |with| filled(with, &lookup)).map_err(|fault| vec![fault])?;
+    strange.filter_map(told).collect()
+}
+
+fn check_filled(step: &GraphStep, with: &Value) -> Result<StepParams, Vec<Diagnostic>> {
     let place = Place { step: &step.name, stage: step.stage, with: step.with.as_deref(), span: step.span };
     let checked = step
         .stage
-        .check(&with)
-        .map_err(|faults| faults.into_iter().map(|fault| told(&place, &with, &fault)).collect::<Vec<_>>())?;
-    let canonical = Arc::new(checked.canonical);
-    Ok(StepParams { recipe: canonical.clone(), canonical, draws: checked.draws, files: BTreeMap::new() })
+        .check(with)
+        .map_err(|faults| faults.into_iter().map(|fault| told(&place, with, &fault)).collect::<Vec<_>>())?;
+    Ok(StepParams::of(checked.canonical, checked.draws))
 }
 
 /// Where the parameters of a step stand.
@@ -86,7 +155,7 @@ pub fn told(place: &Place, with: &Value, fault: &Fault) -> Diagnostic {
 
 /// Finds and hashes every file the parameters name, and puts the digests into the recipe's parameters; `fields` are those of
 /// the stage.
-pub fn find_files(step: &GraphStep, fields: &[Field], params: &mut StepParams, hash: &HashFile) -> Vec<Diagnostic> {
+fn find_files(step: &GraphStep, fields: &[Field], params: &mut StepParams, hash: &HashFile) -> Vec<Diagnostic> {
     let mut finder = Finder { step, hash, files: BTreeMap::new(), faults: Vec::new(), path: Vec::new() };
     if fields.iter().any(|field| names_files(&field.kind)) {
         params.recipe = Arc::new(finder.fields(fields, &params.canonical));
@@ -211,8 +280,20 @@ fn one_file(path: &Path) -> Result<Vec<PathBuf>, String> {
     let shown = path.display();
     match std::fs::metadata(path) {
         Ok(metadata) if metadata.is_file() => Ok(vec![path.to_owned()]),
-        Ok(_) => Err(format!("`{shown}` is a folder, a file is needed")),
+        Ok(metadata) => Err(format!("`{shown}` is {}, a file is needed", kind_of(metadata.file_type()))),
         Err(error) => Err(format!("cannot read `{shown}`: {error}")),
+    }
+}
+
+fn kind_of(entry: FileType) -> &'static str {
+    if entry.is_dir() {
+        "a folder"
+    } else if entry.is_fifo() {
+        "a pipe"
+    } else if entry.is_socket() {
+        "a socket"
+    } else {
+        "a device"
     }
 }
 
@@ -256,6 +337,12 @@ fn value_at(value: &Value, path: &[String]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_no_file_is_called_what_it_is() {
+        assert!(one_file(Path::new("/dev/null")).unwrap_err().contains("`/dev/null` is a device"));
+        assert!(one_file(Path::new("/dev")).unwrap_err().contains("is a folder"));
+    }
 
     #[test]
     fn patterns() {

@@ -11,7 +11,7 @@ use crate::diagnostic::Diagnostic;
 const INSTANCES_LIMIT: u64 = 10_000_000;
 
 /// How many points some axes have: those walked together count once.
-fn count(graph: &Graph, axes: &[usize]) -> u64 {
+pub fn count(graph: &Graph, axes: &[usize]) -> u64 {
     let leads: BTreeMap<usize, usize> = axes.iter().map(|axis| (graph.zips[*axis], *axis)).collect();
     leads.values().map(|axis| graph.axes[*axis].items.len() as u64).fold(1, u64::saturating_mul)
 }

@@ -37,6 +37,12 @@ impl<'d> Names<'d> {
         self.axes.get(base).copied().filter(|_| !self.is_param(name))
     }
 
+    /// Whether a `${name}` stands for an axis that could not be read.
+    pub fn is_unread_axis(&self, name: &str) -> bool {
+        let base = name.split_once('.').map_or(name, |(base, _)| base);
+        self.document.unread.axes.contains(base)
+    }
+
     /// Whether a parameter has this name.
     pub fn is_param(&self, name: &str) -> bool {
         self.document.params.iter().any(|(key, _)| key.name == name)

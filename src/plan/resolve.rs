@@ -11,10 +11,11 @@ use rockface_stages::{AnyStage, Ports};
 use serde_json::Value;
 
 use super::graph::{Dynamic, Graph, GraphStep};
+use super::points::too_many;
 use super::reach::Names;
 use super::{Registry, parameters, values};
 use crate::diagnostic::{Diagnostic, Diagnostics};
-use crate::pipeline::{Document, Node, Pipeline, Reference, Step, Word, mentioned};
+use crate::pipeline::{Axis, Document, Key, Node, Pipeline, Reference, Step, Word, escape_hint, mentioned};
 
 /// Resolves a pipeline; `targets` on the command line take the place of the document's.
 pub fn resolve(pipeline: &Pipeline, targets: &[String], stages: &Registry) -> Result<Graph, Diagnostics> {
@@ -22,11 +23,15 @@ pub fn resolve(pipeline: &Pipeline, targets: &[String], stages: &Registry) -> Re
     resolver.check_names();
     resolver.check_zips();
     let order = resolver.order();
-    let graph = order.map(|order| resolver.build(&order, pipeline, targets));
-    match graph {
-        Some(graph) if resolver.faults.is_empty() => Ok(graph),
-        _ => Err(Diagnostics { sources: pipeline.sources.clone(), list: resolver.faults }),
+    let graph = resolver.build(&order, pipeline, targets);
+    if resolver.faults.is_empty() {
+        resolver.faults = too_many(&graph);
     }
+    if resolver.faults.is_empty() {
+        return Ok(graph);
+    }
+    resolver.check_parameters(&graph, targets);
+    Err(Diagnostics { sources: pipeline.sources.clone(), list: resolver.faults })
 }
 
 /// A graph in the making. Steps are numbered as in the document; `place` tells their number in the graph.
@@ -46,6 +51,12 @@ pub struct Resolver<'d> {
     folders: Vec<Arc<Path>>,
     /// By number in the graph: the axes of the step.
     reach: Vec<BTreeSet<usize>>,
+    /// Faults that are none where it is not sure which axes a step has: the step, and the fault.
+    unsure: Vec<(usize, Diagnostic)>,
+    /// By step: whether it waits for itself.
+    pub circling: Vec<bool>,
+    /// By step: whether a name in its parameters stands for nothing.
+    pub unfilled: Vec<bool>,
 }
 
 impl<'d> Resolver<'d> {
@@ -59,7 +70,7 @@ impl<'d> Resolver<'d> {
             ports: Vec::with_capacity(stages.len()),
             stages,
             place: vec![0; document.steps.len()],
-            faults: Vec::new(),
+            faults: pipeline.faults.clone(),
             registry,
             folders: pipeline
                 .folders
@@ -68,6 +79,9 @@ impl<'d> Resolver<'d> {
                 .map(|folder| Arc::from(folder.as_path()))
                 .collect(),
             reach: Vec::new(),
+            unsure: Vec::new(),
+            circling: vec![false; document.steps.len()],
+            unfilled: vec![false; document.steps.len()],
         };
         for (own, step) in document.steps.iter().enumerate() {
             let ports = resolver.stages[own].and_then(|stage| resolver.ports_of(step, stage));
@@ -82,6 +96,7 @@ impl<'d> Resolver<'d> {
             parameters::Place { step: &step.name.text, stage, with: step.with.as_deref(), span: step.name.span };
         match stage.ports(&with) {
             Ok(ports) => Some(ports),
+            Err(_) if step.gaps.with => None,
             Err(faults) => {
                 self.faults.extend(faults.into_iter().map(|fault| parameters::told(&place, &with, &fault)));
                 None
@@ -149,7 +164,7 @@ impl<'d> Resolver<'d> {
     /// The axis of a name.
     pub fn axis(&mut self, word: &Word) -> Option<usize> {
         let found = self.names.axes.get(word.text.as_str()).copied();
-        if found.is_none() {
+        if found.is_none() && !self.document().unread.axes.contains(&word.text) {
             let fault = Diagnostic::at(word.span, format!("unknown axis `{}`", word.text));
             let fault = if self.names.axes.is_empty() {
                 fault.hint("declare it under `axes:`")
@@ -173,8 +188,13 @@ impl<'d> Resolver<'d> {
         found
     }
 
-    /// Document indices of the steps, producers first; `None` on a cycle.
-    fn order(&mut self) -> Option<Vec<usize>> {
+    /// Adds a fault that follows from the axes of a step, if it turns out that those are sure.
+    pub fn unless_unsure(&mut self, step: &str, fault: Diagnostic) {
+        self.unsure.extend(self.names.steps.get(step).map(|step| (*step, fault)));
+    }
+
+    /// Document indices of the steps, producers first as far as there is no cycle.
+    fn order(&mut self) -> Vec<usize> {
         let mut arrows = DiGraph::<usize, ()>::new();
         let document = self.document();
         let nodes: Vec<_> = (0..document.steps.len()).map(|i| arrows.add_node(i)).collect();
@@ -192,16 +212,18 @@ impl<'d> Resolver<'d> {
             }
         }
         if let Ok(order) = toposort(&arrows, None) {
-            return Some(order.into_iter().map(|node| arrows[node]).collect());
+            return order.into_iter().map(|node| arrows[node]).collect();
         }
-        for component in kosaraju_scc(&arrows) {
+        let components = kosaraju_scc(&arrows);
+        for component in &components {
             let alone = component.len() == 1 && !arrows.contains_edge(component[0], component[0]);
             if !alone {
-                let members: BTreeSet<usize> = component.into_iter().map(|node| arrows[node]).collect();
+                let members: BTreeSet<usize> = component.iter().map(|node| arrows[*node]).collect();
                 self.report_cycle(&members);
+                members.into_iter().for_each(|step| self.circling[step] = true);
             }
         }
-        None
+        components.into_iter().rev().flatten().map(|node| arrows[node]).collect()
     }
 
     fn report_cycle(&mut self, members: &BTreeSet<usize>) {
@@ -230,9 +252,13 @@ impl<'d> Resolver<'d> {
         let steps: Vec<GraphStep> = order.iter().filter_map(|old| self.step(&document.steps[*old], *old)).collect();
         let targets = self.targets(&steps, &dynamic, targets);
         let (params, faults) = values::resolve(&document.params, &self.axis_names());
+        if faults.is_empty() {
+            let unused: Vec<Diagnostic> = self.unused_axes().into_iter().chain(self.unused_params()).collect();
+            self.faults.extend(self.if_all_is_read(unused));
+        }
         self.faults.extend(faults);
-        self.unused_axes(&steps);
-        self.unused_params(&steps);
+        let unsure = std::mem::take(&mut self.unsure);
+        self.faults.extend(self.where_sure(unsure));
         Graph {
             name: document.name.clone(),
             seed: document.seed,
@@ -257,15 +283,18 @@ impl<'d> Resolver<'d> {
         let kind = source.port.kinds[0];
         let free = self.position_axes(source.step).iter().find(|axis| !source.picks_of(**axis));
         let step = &self.document().steps[self.names.steps[from.step.as_str()]];
+        if let Some(free) = free.filter(|_| kind.has_items()) {
+            let free = &self.document().axes[*free].name.text;
+            let message =
+                format!("axis `{}` takes its items from one list, `{}` has one for each {free}", axis.text, from.step);
+            let hint = format!("pick one: `{}.{}[{free}=…]`", from.step, from.port);
+            self.unless_unsure(&from.step, Diagnostic::at(from.span, message).hint(hint));
+            return None;
+        }
         let fault = if !kind.has_items() {
             let message = format!("axis `{}` cannot take items from a {kind}", axis.text);
             let lists: Vec<&str> = Kind::ALL.iter().filter(|kind| kind.has_items()).map(|kind| kind.word()).collect();
             Some((message, format!("lists are: {}", lists.join(", "))))
-        } else if let Some(free) = free {
-            let free = &self.document().axes[*free].name.text;
-            let message =
-                format!("axis `{}` takes its items from one list, `{}` has one for each {free}", axis.text, from.step);
-            Some((message, format!("pick one: `{}.{}[{free}=…]`", from.step, from.port)))
         } else if kind == Kind::Table && !step.keep {
             let message =
                 format!("the rows of axis `{}` are read from the store, and `{}` is not kept", axis.text, from.step);
@@ -282,44 +311,43 @@ impl<'d> Resolver<'d> {
         }
     }
 
-    fn unused_axes(&mut self, steps: &[GraphStep]) {
-        if !self.faults.is_empty() {
-            return;
-        }
-        let used: BTreeSet<usize> = steps.iter().flat_map(|step| step.axes.iter().copied()).collect();
-        for (index, axis) in self.document().axes.iter().enumerate().filter(|(index, _)| !used.contains(index)) {
-            let name = &self.document().axes[index].name.text;
-            self.faults.push(Diagnostic::at(axis.name.span, format!("no step depends on axis `{name}`")).hint(
-                format!(
-                    "say `over: [{name}]` on the step where it begins, mention ${{{name}}} in a `with`, or remove it"
-                ),
-            ));
-        }
+    fn unused_axes(&self) -> Vec<Diagnostic> {
+        let used: BTreeSet<usize> = self.reach.iter().flatten().copied().collect();
+        let unused = self.document().axes.iter().enumerate().filter(|(index, _)| !used.contains(index));
+        let told = |(_, axis): (usize, &Axis)| {
+            let name = &axis.name.text;
+            Diagnostic::at(axis.name.span, format!("no step depends on axis `{name}`")).hint(format!(
+                "say `over: [{name}]` on the step where it begins, mention ${{{name}}} in a `with`, or remove it"
+            ))
+        };
+        unused.map(told).collect()
     }
 
-    fn unused_params(&mut self, steps: &[GraphStep]) {
-        if !self.faults.is_empty() {
-            return;
-        }
+    fn unused_params(&self) -> Vec<Diagnostic> {
+        let document = self.document();
         let mut used = Vec::new();
-        steps.iter().filter_map(|step| step.with.as_ref()).for_each(|with| mentioned(with, &mut used));
-        self.document().params.iter().for_each(|(_, node)| mentioned(node, &mut used));
+        document.steps.iter().filter_map(|step| step.with.as_ref()).for_each(|with| mentioned(with, &mut used));
+        document.params.iter().for_each(|(_, node)| mentioned(node, &mut used));
         let used: BTreeSet<&str> = used.iter().map(|(name, _)| name.as_str()).collect();
-        for (key, _) in self.document().params.iter().filter(|(key, _)| !used.contains(key.name.as_str())) {
+        let unused = document.params.iter().filter(|(key, _)| !used.contains(key.name.as_str()));
+        let told = |(key, _): &(Key, Node)| {
             let fault = Diagnostic::at(key.span, format!("nothing mentions parameter `{}`", key.name));
-            self.faults.push(fault.hint(format!("write ${{{}}} in a `with`, or remove it", key.name)));
-        }
+            fault.hint(format!("write ${{{}}} in a `with`, or remove it", key.name))
+        };
+        unused.map(told).collect()
     }
 
     fn step(&mut self, step: &Step, old: usize) -> Option<GraphStep> {
-        let (stage, ports) = (self.stages[old]?, self.ports[old]?);
+        let before = self.faults.len();
         let with_axes = step.with.as_ref().map(|with| self.mentioned_axes(with)).unwrap_or_default();
+        self.unfilled[old] = self.faults.len() > before;
         for word in &step.over {
             self.axis(word);
         }
         let inputs = self.inputs(step, old);
         let axes: Vec<usize> = self.position_axes(self.place[old]).iter().copied().collect();
         let (stream, stream_axes) = self.stream(step, &axes);
+        let (stage, ports) = (self.stages[old]?, self.ports[old]?);
         Some(GraphStep {
             name: step.name.text.clone(),
             span: step.name.span,
@@ -348,12 +376,12 @@ impl<'d> Resolver<'d> {
                 axes.insert(axis);
                 let fault = self.field_fault(axis, &name);
                 self.faults.extend(fault.map(|(message, hint)| Diagnostic::at(span, message).hint(hint)));
-            } else if !self.names.is_param(&name) {
+            } else if !self.names.is_param(&name) && !self.names.is_unread_axis(&name) {
                 let document = self.document();
                 let known: Vec<&str> =
                     document.params.iter().map(|(key, _)| key.name.as_str()).chain(self.axis_names()).collect();
                 let message = format!("`${{{name}}}` names neither a parameter nor an axis");
-                self.faults.push(Diagnostic::at(span, message).suggest(&name, known));
+                self.faults.push(Diagnostic::at(span, message).suggest(&name, known).or_hint(escape_hint(&name)));
             }
         }
         axes.into_iter().collect()
@@ -395,7 +423,7 @@ impl<'d> Resolver<'d> {
                 }
                 Some(_) => {
                     let message = format!("step `{}` does not depend on axis `{}`", step.name.text, word.text);
-                    self.faults.push(Diagnostic::at(word.span, message));
+                    self.unless_unsure(&step.name.text, Diagnostic::at(word.span, message));
                 }
                 None => {}
             }
@@ -418,7 +446,7 @@ impl<'d> Resolver<'d> {
     }
 
     fn check_target(&mut self, name: &str, place: Option<&Word>) {
-        if !self.names.steps.contains_key(name) {
+        if !self.names.steps.contains_key(name) && !self.document().unread.steps.contains(name) {
             let message = format!("unknown target step `{name}`");
             let fault = place.map_or_else(
                 || Diagnostic::general(message.clone()),

@@ -301,3 +301,37 @@ fn what_is_no_pipeline_file_is_told_as_it_is() {
         assert!(err.contains(expected) && !err.contains("did you mean"), "{err}");
     }
 }
+
+#[test]
+fn a_pipeline_from_a_pipe_is_refused_with_the_way_out() {
+    let house = House::new(SMALL);
+    let refused = |command: &mut Command| {
+        let Output { status, stderr, .. } = command.output().unwrap();
+        let err = String::from_utf8(stderr).unwrap();
+        assert_eq!(status.code(), Some(2), "{err}");
+        assert!(err.contains("is no regular file") && err.contains("write it to a file"), "{err}");
+    };
+    for command in [&["run"][..], &["plan"], &["graph"], &["explain"]] {
+        let step: &[&str] = if command == ["explain"] { &["dem"] } else { &[] };
+        let arguments = |path: &'static str| [command, &[path], step].concat();
+        let file = || std::fs::File::open(house.path("p.yaml")).unwrap();
+        refused(house.command(&arguments("/dev/stdin")).stdin(file()));
+        refused(house.command(&arguments("/proc/self/fd/0")).stdin(file()));
+        let mut cat =
+            Command::new("cat").arg(house.path("p.yaml")).stdout(std::process::Stdio::piped()).spawn().unwrap();
+        refused(house.command(&arguments("/dev/stdin")).stdin(cat.stdout.take().unwrap()));
+        cat.wait().unwrap();
+        refused(&mut house.command(&arguments("/dev/null")));
+    }
+    assert!(!Path::new("/dev/.rockface").exists() && !house.path(".rockface").exists());
+}
+
+#[test]
+fn an_empty_variable_for_the_store_is_as_good_as_none() {
+    let house = House::new(SMALL);
+    for arguments in [&["run", "p.yaml"][..], &["store", "stat"], &["plan", "p.yaml"]] {
+        let done = house.command(arguments).env("ROCKFACE_STORE", "").output().unwrap();
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    }
+    assert!(house.path(".rockface/store/CACHEDIR.TAG").is_file());
+}

@@ -3,6 +3,7 @@
 #![expect(clippy::float_cmp, reason = "these numbers are small sums, exact")]
 
 use rockface::pipeline::{Overrides, Pipeline};
+use rockface::watch::Event;
 
 use crate::lab::{Bench, Ran};
 
@@ -146,4 +147,150 @@ fn pipelines_are_put_together_from_files() {
     assert!(fault.contains("deeper.yaml:3:14") && fault.contains("did you mean `draw`?"), "{fault}");
     let absent = bench.plan("rockface: 1\ninclude: parts/bose.yaml\n", &[]).err().unwrap().to_string();
     assert!(absent.contains("test.yaml:2:10") && absent.contains("base.yaml"), "{absent}");
+}
+
+/// Everything that is said, as often as it is said.
+fn faults_of(yaml: &str) -> (String, usize) {
+    let said = said(yaml);
+    let count = said.lines().filter(|line| line.starts_with("error")).count();
+    (said, count)
+}
+
+#[test]
+fn faults_of_every_kind_are_told_in_one_go_and_once() {
+    let cases: &[(&str, &[&str])] = &[
+        (
+            "rockface: 1\nsteps:\n  a: {stage: ad, in: {terms: b.out}, kep: true}\n  b: {stage: add, in: {terms: zz.out}}\n",
+            &["unknown key `kep`", "unknown stage `ad`", "unknown step `zz`"],
+        ),
+        (
+            "rockface: 1\nsteps:\n  a: {stage: add, in: {terms: a.out}}\n  b: {stage: add, in: {terms: zz.out}, with: {bogus: 1}}\n",
+            &["in a circle: a", "unknown step `zz`", "unknown parameter `bogus`"],
+        ),
+        (
+            "rockface: 1\nsteps:\n  i: {stage: read, with: {path: nofile.txt, bogus: 1}}\n  b: {stage: add, in: {terms: i.outt}}\n",
+            &["no output `outt`", "nofile.txt", "unknown parameter `bogus`"],
+        ),
+        (
+            "rockface: 1\naxes: {k: {items: ['a,b', 'c]d', 'e=f', e, e]}}\nsteps: {a: {stage: emit, over: [k], wiht: {value: 2}}}\n",
+            &["`a,b`", "`c]d`", "`e=f`", "`e` occurs twice", "unknown key `wiht`"],
+        ),
+        (
+            "rockface: 1\nseed: .nan\nsteps:\n  a: {stage: emit, with: {value: -.inf, vale: 1}}\n  b: {stage: emitt, with: {value: 9e999}}\n",
+            &["`.nan` is not a finite", "`-.inf` is not", "unknown stage `emitt`", "`9e999` is not"],
+        ),
+        (
+            "rockface: 1\nparams: {p: '${q}', r: 1}\naxes: {k: {count: 2}}\nsteps:\n  a: {stage: emit, over: [j], with: {value: '${p}'}}\n  b: {stage: add, in: {terms: 'a.out[j=1]'}, with: {plus: '${rr}'}}\n  c: {stage: draw, over: [k], with: {sigma: '${k}', x: '${r}'}}\n  d: {stage: add, in: {terms: {each: b.out, over: [k]}}}\n",
+            &[
+                "`${q}` names no parameter",
+                "unknown axis `j`",
+                "unknown axis `j`",
+                "`${rr}` names",
+                "`in` (table)",
+                "parameter `x`",
+            ],
+        ),
+        (
+            "rockface: 1\naxes: {k: {count: 2}, l: {count: 0}, m: {sample: grid, over: {a: [2, 1], b: [3, 2]}}}\nsteps:\n  a: {stage: emit, over: [k, l], with: {value: '${m.a}'}}\n  b: {stage: add, in: {terms: 'a.out[k=0,l=5]'}}\n  c: {stage: add, in: {terms: {by: l, x: a.out, y: a.outt}}, with: {plus: word}}\n",
+            &[
+                "a count from 1",
+                "has no `count`",
+                "`a`: the range",
+                "`b`: the range",
+                "no output `outt`",
+                "`plus`: expected a number",
+            ],
+        ),
+        (
+            "rockface: 1\nnmae: x\nparams: {u: 1}\naxes: {k: {count: 2}}\nsteps: {a: {stage: emit, with: {value: many}}}\n",
+            &[
+                "unknown key `nmae`",
+                "no step depends on axis `k`",
+                "nothing mentions parameter `u`",
+                "expected a number",
+            ],
+        ),
+    ];
+    for (yaml, expected) in cases {
+        let (said, count) = faults_of(yaml);
+        for piece in *expected {
+            assert!(said.contains(piece), "missing `{piece}` in:\n{said}");
+        }
+        assert_eq!(count, expected.len(), "{said}");
+    }
+}
+
+#[test]
+fn what_follows_from_a_told_fault_is_not_told_again() {
+    for (yaml, only) in [
+        // Sections behind a wrong key, of another format, or no maps.
+        ("rockface: 1\naxis: {k: {count: 2}}\nsteps: {a: {stage: emit, over: [k]}}\n", "unknown key `axis`"),
+        ("rockface: 1\naxes: [k]\nsteps: {a: {stage: emit, over: [k]}}\n", "expected `axes` to be a map"),
+        ("rockface: 2\nsteps: {a: {stage: emitt}}\n", "pipeline format 2"),
+        // Steps and axes that could not be read.
+        ("rockface: 1\nsteps: {a: {stag: emit}, b: {stage: add, in: {terms: a.out}}}\ntargets: [a, b]\n", "`stag`"),
+        ("rockface: 1\nsteps: {a: {stage: draw, inn: {in: b.out}}, b: {stage: emit}}\n", "unknown key `inn`"),
+        ("rockface: 1\nsteps: {a: {stage: read, wiht: {path: x}}}\n", "unknown key `wiht`"),
+        (
+            "rockface: 1\naxes: {k: {items: [prev]}}\nsteps:\n  a: {stage: emit, with: {value: '${k}'}}\n  b: {stage: add, in: {terms: {each: a.out, over: [k]}}}\n",
+            "`prev` cannot be an item",
+        ),
+        (
+            "rockface: 1\naxes: {k: {count: 2}}\nsteps:\n  a: {stage: emit, ovr: [k]}\n  b: {stage: add, in: {terms: {each: a.out, over: [k]}}}\n",
+            "unknown key `ovr`",
+        ),
+        // Wrong values at points that nobody needs.
+        (
+            "rockface: 1\naxes: {k: {items: [x, 1]}, l: {count: 2}}\nsteps:\n  a: {stage: emit, with: {value: '${k}'}}\n  b: {stage: add, in: {terms: 'a.out[k=1]'}}\n",
+            "no step depends on axis `l`",
+        ),
+        (
+            "rockface: 1\naxes: {l: {count: 2}}\nsteps: {a: {stage: read, with: {path: none.txt}}, b: {stage: emit}}\ntargets: [b]\n",
+            "no step depends on axis `l`",
+        ),
+    ] {
+        let (said, count) = faults_of(yaml);
+        assert!(said.contains(only), "{said}");
+        let asked = if only == "`stag`" { 2 } else { 1 }; // An unknown key, and none that is needed.
+        assert_eq!(count, asked, "{said}");
+    }
+}
+
+#[test]
+fn a_text_that_looks_like_a_mention_is_told_from_one() {
+    let yaml = "rockface: 1\nparams: {name: x}\nsteps: {a: {stage: moody, with: {unless: '$${name}/${name}'}}}\n";
+    let plan = Bench::new().plan(yaml, &[]).unwrap_or_else(|faults| panic!("{faults}"));
+    assert_eq!(plan.instances[0].params.canonical["unless"], "${name}/x");
+    let unknown = said(&yaml.replace("/${name}", "/${nane}"));
+    let help = "did you mean `name`?; write $${nane} for the text itself";
+    assert!(unknown.contains("`${nane}` names neither a parameter nor an axis") && unknown.contains(help), "{unknown}");
+}
+
+#[test]
+fn a_column_that_a_list_lacks_is_told_with_those_it_has() {
+    let yaml = "rockface: 1\naxes: {row: {from: rows.out}}\nsteps:\n  one: {stage: emit}\n  rows: {stage: list, in: {terms: one.out}}\n  x: {stage: emit, with: {value: '${row.valu}'}}\n";
+    let ran = Bench::new().run(yaml, &[]);
+    let told = ran.events.iter().find_map(|event| match event {
+        Event::Failed { message, hint, .. } => Some((message.clone(), hint.clone())),
+        _ => None,
+    });
+    let (message, hint) = told.unwrap();
+    let expected = "step `x`: `${row.valu}`: axis `row` has no column `valu`; the table behind it has value";
+    assert!(message.contains(expected), "{message}");
+    assert_eq!(hint.as_deref(), Some("did you mean `${row.value}`?"));
+}
+
+#[test]
+fn sweeping_one_axis_twice_is_a_fault() {
+    let yaml = "rockface: 1\nparams: {v: 1}\nsteps: {a: {stage: emit, with: {value: '${v}'}}, b: {stage: emit}}\n";
+    let swept = |sweep: &[&str]| {
+        let overrides = Overrides { sweep: sweep.iter().map(ToString::to_string).collect(), ..Overrides::default() };
+        Pipeline::parse(yaml, "test.yaml", "test", ".".into(), &overrides).map_err(|faults| faults.to_string())
+    };
+    let twice = swept(&["params.v=1", "params.v=2"]).unwrap_err();
+    assert!(twice.contains("`v` is swept twice") && twice.contains("--sweep params.v=1,2"), "{twice}");
+    let two = swept(&["params.v=1", "steps.b.with.v=2"]).unwrap_err();
+    assert!(two.contains("`v` is swept twice"), "{two}");
+    let one = swept(&["steps.a.with.value=1,2", "steps.b.with.value=1,2", "params.v=1..2:2"]).unwrap();
+    assert_eq!(one.document.axes.len(), 2);
 }
