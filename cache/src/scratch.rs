@@ -1,7 +1,11 @@
-//! Folders for programs to work in: gone when they are done, or when the store is next opened after the process died.
+//! Folders for programs to work in: gone when they are done, or when the store is next opened after the process died; and
+//! with them whatever programs still run there.
 
 use std::fs::{self, File};
+use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
+
+use rustix::process::{Pid, Signal, getpid, kill_process};
 
 use crate::Store;
 use crate::error::{At, StoreError};
@@ -12,6 +16,9 @@ use crate::open::SCRATCH;
 const LOCK: &str = ".lock";
 
 /// A folder of its own for one program, removed with all that is in it when this is dropped.
+///
+/// A program that has `TMPDIR` in its environment with [`Scratch::temporary`] for a value is known by that, and so are all
+/// that it starts: they are ended before the folder goes, also where the process that started them was killed.
 #[derive(Debug)]
 pub struct Scratch {
     folder: PathBuf,
@@ -24,10 +31,16 @@ impl Scratch {
     pub fn path(&self) -> &Path {
         &self.folder
     }
+
+    /// Where programs are to put what is temporary, absolute; not made yet.
+    pub fn temporary(&self) -> PathBuf {
+        temporary(&self.folder)
+    }
 }
 
 impl Drop for Scratch {
     fn drop(&mut self) {
+        end_programs(&self.folder);
         // What cannot be removed now is swept up when the store is next opened.
         let _ = fs::remove_dir_all(&self.folder);
         drop(self.lock.take());
@@ -59,16 +72,60 @@ pub(crate) fn sweep(root: &Path) -> Result<(), StoreError> {
         let is_lock = path.to_str().is_some_and(|path| path.ends_with(LOCK));
         let Some(held) = File::open(&path).ok().filter(|_| is_lock) else { continue };
         if is_abandoned(&held, &path) {
-            let _ = fs::remove_dir_all(path.with_extension(""));
+            let folder = path.with_extension("");
+            std::path::absolute(&folder).iter().for_each(|folder| end_programs(folder));
+            let _ = fs::remove_dir_all(&folder);
             let _ = fs::remove_file(&path);
         }
     }
     Ok(())
 }
 
+fn temporary(folder: &Path) -> PathBuf {
+    folder.join("tmp")
+}
+
+/// Ends the programs of this folder that still run. Those of other users, and systems that do not tell, are left alone.
+fn end_programs(folder: &Path) {
+    let variable = [b"TMPDIR=", temporary(folder).as_os_str().as_bytes()].concat();
+    for entry in fs::read_dir("/proc").into_iter().flatten().flatten() {
+        let pid = entry.file_name().to_str().and_then(|name| name.parse().ok()).and_then(Pid::from_raw);
+        let Some(pid) = pid.filter(|pid| *pid != getpid()) else { continue };
+        let environment = fs::read(entry.path().join("environ")).unwrap_or_default();
+        if environment.split(|byte| *byte == 0).any(|one| one == variable) {
+            // It may have ended meanwhile.
+            let _ = kill_process(pid, Signal::KILL);
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::os::unix::process::ExitStatusExt;
+
+    #[test]
+    fn programs_end_with_their_folder_and_others_do_not() {
+        let place = tempfile::tempdir().unwrap();
+        let dir = place.path().join("store");
+        let store = Store::open(&dir).unwrap();
+        let sleep = |scratch: &Scratch| {
+            let mut command = std::process::Command::new("sleep");
+            command.arg("60").env("TMPDIR", scratch.temporary()).spawn().unwrap()
+        };
+        let (done, dead, used) = (store.scratch().unwrap(), store.scratch().unwrap(), store.scratch().unwrap());
+        let [mut of_done, mut of_dead, mut of_used] = [&done, &dead, &used].map(sleep);
+        drop(done);
+        assert_eq!(of_done.wait().unwrap().signal(), Some(9));
+        // As after a kill: nothing is removed, the lock ends.
+        dead.lock.as_ref().unwrap().as_file().unlock().unwrap();
+        std::mem::forget(dead);
+        drop(Store::open(&dir).unwrap());
+        assert_eq!(of_dead.wait().unwrap().signal(), Some(9));
+        assert!(of_used.try_wait().unwrap().is_none(), "it goes on");
+        drop(used);
+        of_used.wait().unwrap();
+    }
 
     #[test]
     fn a_folder_lives_as_long_as_its_owner_and_no_longer_than_the_next_opening() {

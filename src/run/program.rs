@@ -58,7 +58,7 @@ pub fn execute(
         .env_clear()
         .envs(inherited.filter_map(|name| Some((name, std::env::var_os(name)?))))
         .env("LC_ALL", "C.UTF-8")
-        .env("TMPDIR", folder.join("tmp"))
+        .env("TMPDIR", scratch.temporary())
         .envs(&program.environment)
         .current_dir(folder)
         .stdin(Stdio::null())
