@@ -40,7 +40,12 @@ const TURNS_RAD: [f64; 2] = [0.1, 1e-6];
 pub fn oriented_box(body: &Facets, axes: [Vector3<f64>; 3]) -> Option<OrientedBox> {
     let origin = Vector3::from(*body.vertices.first()?);
     let points: Vec<Vector3<f64>> = body.vertices.iter().map(|v| Vector3::from(*v) - origin).collect();
-    let [points, normals] = hull(&points).unwrap_or_else(|| [points, Vec::new()]);
+    let [points, normals] = match hull(&points) {
+        Some([corners, normals]) if hold(&corners, &points, &normals) => [corners, normals],
+        // The hull of a body that is all but flat may lack some of its corners.
+        Some([_, normals]) => [points, normals],
+        None => [points, Vec::new()],
+    };
     let smaller = |best: OrientedBox, next: OrientedBox| if next.volume_m3() < best.volume_m3() { next } else { best };
     let flush = normals.into_iter().map(|normal| flush_with(&points, normal)).fold(along(&points, axes), smaller);
     let mut best = flush;
@@ -86,14 +91,21 @@ fn hull(points: &[Vector3<f64>]) -> Option<[Vec<Vector3<f64>>; 2]> {
     Some([vertices, normals])
 }
 
+/// Whether corners reach as far along these directions as all points do, up to rounding.
+fn hold(corners: &[Vector3<f64>], points: &[Vector3<f64>], directions: &[Vector3<f64>]) -> bool {
+    directions.iter().all(|axis| extent(points, axis) <= extent(corners, axis) * (1.0 + 1e-9) + 1e-12)
+}
+
+/// How far points reach along an axis.
+fn extent(points: &[Vector3<f64>], axis: &Vector3<f64>) -> f64 {
+    let grow = |[low, high]: [f64; 2], value: f64| [low.min(value), high.max(value)];
+    let [low, high] = points.iter().map(|p| p.dot(axis)).fold([f64::INFINITY, f64::NEG_INFINITY], grow);
+    high - low
+}
+
 /// The box along three axes.
 fn along(points: &[Vector3<f64>], axes: [Vector3<f64>; 3]) -> OrientedBox {
-    let extent = |axis: &Vector3<f64>| {
-        let grow = |[low, high]: [f64; 2], value: f64| [low.min(value), high.max(value)];
-        let [low, high] = points.iter().map(|p| p.dot(axis)).fold([f64::INFINITY, f64::NEG_INFINITY], grow);
-        high - low
-    };
-    let mut sides = axes.map(|axis| (extent(&axis), with_a_sign(axis)));
+    let mut sides = axes.map(|axis| (extent(points, &axis), with_a_sign(axis)));
     sides.sort_by(|a, b| b.0.total_cmp(&a.0));
     OrientedBox { sides_m: sides.map(|side| side.0), axes: sides.map(|side| side.1) }
 }
@@ -189,6 +201,26 @@ mod tests {
         let flat = Facets { vertices: vec![[0.0; 3], [2.0, 0.0, 0.0], [2.0, 1.0, 0.0]], triangles: vec![[0, 1, 2]] };
         let found = oriented_box(&flat, [Vector3::x(), Vector3::y(), Vector3::z()]).unwrap();
         assert!((found.sides_m[0] - 2.0).abs() < 1e-12 && found.sides_m[2].abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_sharp_tetrahedron_is_held_whole() {
+        let vertices = vec![
+            [-0.619_912_578_688_508_2, 0.322_299_050_548_414_6, 0.020_150_330_604_063_79],
+            [-0.876_422_407_130_403_6, 0.092_106_127_821_556_6, -0.163_489_030_705_177_1],
+            [-0.340_134_054_480_352_8, 0.769_934_893_752_146_1, 0.289_477_255_951_315_24],
+            [0.984_696_835_631_387_9, -0.293_853_245_590_476, 0.451_723_142_528_943_1],
+        ];
+        let body = Facets { vertices, triangles: Vec::new() };
+        let found = oriented_box(&body, [Vector3::x(), Vector3::y(), Vector3::z()]).unwrap();
+        for (axis, side) in found.axes.iter().zip(found.sides_m) {
+            let along: Vec<f64> = body.vertices.iter().map(|v| Vector3::from(*v).dot(axis)).collect();
+            let ends = along.iter().fold([f64::MAX, f64::MIN], |[low, high], x| [low.min(*x), high.max(*x)]);
+            assert!(ends[1] - ends[0] <= side + 1e-9, "{found:?} {ends:?}");
+        }
+        let [low, high] = body.bounds().unwrap();
+        let aligned: f64 = (0..3).map(|i| high[i] - low[i]).product();
+        assert!(found.volume_m3() <= aligned, "{found:?} {aligned}");
     }
 
     proptest! {
