@@ -164,8 +164,7 @@ struct StepMessage<'a> {
     #[serde(flatten)]
     facts: &'a Facts<'a>,
     entries: &'a [Entry],
-    #[serde(skip_serializing_if = "Option::is_none")]
-    failure: Option<&'a str>,
+    failure: &'a str,
     shown: Vec<ShownOn<'a>>,
     unshown: &'a str,
 }
@@ -191,8 +190,16 @@ fn step_message(note: &StepNote, entries: &[Entry], sketches: &[(&Shown, Vec<Mes
         of: note.made.get(&shown.port),
     });
     let StepNote { step, point, facts, failure, unshown, .. } = note;
-    serde_json::to_vec(&StepMessage { step, point, facts, entries, failure: *failure, shown: shown.collect(), unshown })
-        .unwrap_or_default()
+    serde_json::to_vec(&StepMessage {
+        step,
+        point,
+        facts,
+        entries,
+        failure: failure.unwrap_or_default(),
+        shown: shown.collect(),
+        unshown,
+    })
+    .unwrap_or_default()
 }
 
 #[cfg(test)]

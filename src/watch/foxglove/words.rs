@@ -15,7 +15,7 @@ const STEP: &str = r#"{"type": "object", "title": "rockface.Step", "properties":
 "version": {"type": "integer", "description": "its version"},
 "key": {"type": "string", "description": "BLAKE3 of the recipe"},
 "outputs": {"type": "object", "description": "by port: kind, BLAKE3 digest, bytes, whether kept"},
-"failure": {"type": "string", "description": "why it failed, if it did"},
+"failure": {"type": "string", "description": "why it failed; empty if it did not"},
 "entries": {"type": "array", "description": "notes, warnings, headlines and metrics in the order they were made"},
 "shown": {"type": "array", "description":
  "sketches: port, part, topics, what was left out, what colours mean, digest and file of the whole"},
