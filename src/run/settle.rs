@@ -177,7 +177,8 @@ impl Scheduler<'_> {
     fn drains(&self, instance: usize) -> bool {
         let transient = |producer: &usize| {
             let state = &self.states[*producer];
-            !self.plan.step(*producer).keep && !(state.values.is_empty() && state.spilled.is_empty())
+            let is_held = !state.values.is_empty() || !state.spilled.is_empty();
+            is_held && !self.plan.step(*producer).keep
         };
         self.plan.producers(instance).iter().any(transient)
     }
