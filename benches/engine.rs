@@ -206,7 +206,9 @@ fn measure(shape: &str, steps: usize, arrows: &Arrows) {
     let folder = tempfile::tempdir().expect("a folder");
     let place = folder.path();
     std::fs::create_dir_all(told_in(place)).expect("a folder");
-    std::fs::write(told_in(place).join("run.json"), "{}").expect("a file");
+    for file in ["run.mcap", "report.html", "run.json"] {
+        std::fs::write(told_in(place).join(file), "{}").expect("a file");
+    }
     std::fs::write(place.join("p.yaml"), yaml(arrows)).expect("a file");
     let (cold, executed) = run(place, &[]);
     assert_eq!(executed, steps);
