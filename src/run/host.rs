@@ -8,8 +8,7 @@ use std::time::Instant;
 use rockface_cache::{Store, StoreError};
 use rockface_stages::{Entry, Host, Program, ProgramResult, SourceFile, StageError};
 
-use super::program::Used;
-use super::work::Failure;
+use super::program::{Fault, Used};
 use crate::plan::InputFile;
 
 /// The host of one step instance.
@@ -97,10 +96,8 @@ impl Host for StepHost<'_> {
                 self.add(used);
                 Ok(result)
             }
-            Err(Failure::Stage(error, _)) => Err(error),
-            Err(Failure::Lost(_, why)) => Err(StageError::new(why)),
-            Err(Failure::Held) => Err(StageError::new("another process has its key")),
-            Err(Failure::Store(error)) => {
+            Err(Fault::Program(error)) => Err(error),
+            Err(Fault::Store(error)) => {
                 let told = StageError::new(error.to_string());
                 *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
                 Err(told)

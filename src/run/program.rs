@@ -13,7 +13,6 @@ use rockface_stages::{Piece, Program, ProgramResult, StageError};
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 use wait4::Wait4;
 
-use super::work::Failure;
 use crate::plan::InputFile;
 
 /// What reaches every program from outside.
@@ -37,13 +36,34 @@ pub struct Used {
     pub peak_bytes: u64,
 }
 
+/// Why a program could not be run to its end.
+#[derive(Debug)]
+pub enum Fault {
+    /// The program, or how it is called.
+    Program(StageError),
+    /// The store, in whose folders it runs.
+    Store(StoreError),
+}
+
+impl From<StageError> for Fault {
+    fn from(error: StageError) -> Self {
+        Self::Program(error)
+    }
+}
+
+impl From<StoreError> for Fault {
+    fn from(error: StoreError) -> Self {
+        Self::Store(error)
+    }
+}
+
 /// Runs a program to its end. `give_up` is asked now and then; when it says so, the program and its children are killed.
 pub fn execute(
     program: &Program,
     files: &BTreeMap<String, Vec<InputFile>>,
     store: &Store,
     give_up: &dyn Fn() -> bool,
-) -> Result<(ProgramResult, Used), Failure> {
+) -> Result<(ProgramResult, Used), Fault> {
     let scratch = store.scratch()?;
     let folder = scratch.path();
     lay_out(program, folder)?;
