@@ -2,13 +2,11 @@
 
 use clap::{Args, ValueEnum};
 
-use rockface_cache::Store;
-
 use super::{CliError, PipelineArgs, say};
 use crate::diagnostic::Diagnostics;
 use crate::drawing::Drawing;
 use crate::pipeline::Pipeline;
-use crate::plan::{Graph, expand, resolve};
+use crate::plan::{Graph, resolve};
 
 /// Arguments of `rockface graph`.
 #[derive(Debug, Args)]
@@ -57,15 +55,12 @@ impl GraphArgs {
 
     /// The graph, with the items of axes that are on record; drawing makes no store.
     fn graph(&self, pipeline: &Pipeline) -> Result<Graph, CliError> {
-        let resolved = || resolve(pipeline, &self.pipeline.target, rockface_stages::all());
-        let graph = resolved().map_err(CliError::Pipeline)?;
-        let place = self.pipeline.store_dir();
-        let is_pending = (0..graph.axes.len()).any(|axis| graph.is_pending(axis));
-        if !is_pending || !place.join("format").is_file() {
+        let target = &self.pipeline.target;
+        let graph = resolve(pipeline, target, rockface_stages::all()).map_err(CliError::Pipeline)?;
+        if !(0..graph.axes.len()).any(|axis| graph.is_pending(axis)) {
             return Ok(graph);
         }
         // What keeps it from being planned, such as a missing file, does not keep it from being drawn.
-        let plan = Store::open(&place).ok().and_then(|store| expand(graph, pipeline, &store).ok());
-        plan.map_or_else(resolved, |plan| Ok(plan.graph)).map_err(CliError::Pipeline)
+        Ok(self.pipeline.look(pipeline, target).map_or(graph, |(plan, _)| plan.graph))
     }
 }

@@ -30,7 +30,8 @@ impl PlanArgs {
         let pipeline = self.pipeline.load()?;
         let (plan, store) = self.pipeline.look(&pipeline, &self.pipeline.target)?;
         let answers = Answers::new(&plan, &store);
-        let times = Times::new(&store);
+        let is_timed = answers.list().iter().any(|answer| answer.is_open());
+        let times = if is_timed { Times::new(&store) } else { Times::default() };
         if self.json {
             print_json(&plan, answers.list(), &times);
         } else {
@@ -76,6 +77,7 @@ fn unknown(plan: &Plan) -> Vec<(&str, &str)> {
 }
 
 /// Elapsed seconds of instances that were alike, and how many there were, from records.
+#[derive(Default)]
 struct Times(HashMap<String, (f64, u32)>);
 
 impl Times {
@@ -118,7 +120,7 @@ fn params_without_numbers(value: &Value) -> Value {
 
 /// How long the instances that are no hits would take one after the other, going by records of such.
 fn estimate(plan: &Plan, answers: &[Answer], times: &Times) -> Option<String> {
-    let open: Vec<usize> = (0..answers.len()).filter(|i| answers[*i].word() != "hit").collect();
+    let open: Vec<usize> = (0..answers.len()).filter(|i| answers[*i].is_open()).collect();
     let known = open.iter().filter_map(|i| times.expected_s(plan, *i));
     let (count, seconds) = known.fold((0, 0.0), |(count, sum), wall_s| (count + 1, sum + wall_s));
     if count == 0 {
@@ -132,7 +134,7 @@ fn estimate(plan: &Plan, answers: &[Answer], times: &Times) -> Option<String> {
 fn print_json(plan: &Plan, answers: &[Answer], times: &Times) {
     let instances = answers.iter().enumerate().map(|(instance, answer)| {
         let step = plan.step(instance);
-        let estimate_s = if answer.word() == "hit" { None } else { times.expected_s(plan, instance) };
+        let estimate_s = if answer.is_open() { times.expected_s(plan, instance) } else { None };
         json!({
             "step": step.name, "point": plan.point(instance), "answer": answer.word(), "why": answer.why(plan),
             "estimate_s": estimate_s,

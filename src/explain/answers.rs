@@ -35,6 +35,11 @@ pub enum Why {
 }
 
 impl Answer {
+    /// Whether it would or may run.
+    pub fn is_open(self) -> bool {
+        !matches!(self, Self::Hit | Self::Same(_))
+    }
+
     /// One word for it.
     pub fn word(self) -> &'static str {
         match self {

@@ -88,12 +88,11 @@ impl Spread {
     /// A level of a grid without dust.
     fn tidy(&self, value: f64, count: u64) -> f64 {
         let parts = count.saturating_sub(1).max(1) as f64;
-        let step = match self.scale {
-            Scale::Log => value * libm::log(self.hi / self.lo) / parts,
-            Scale::Linear | Scale::Whole => (self.hi - self.lo) / parts,
+        let (apart, size) = match self.scale {
+            Scale::Log => (value * libm::log(self.hi / self.lo) / parts, value),
+            Scale::Linear | Scale::Whole => ((self.hi - self.lo) / parts, self.lo.abs().max(self.hi.abs())),
         };
-        let neighbourhood = if self.scale == Scale::Log { value } else { self.lo.abs().max(self.hi.abs()) };
-        if step <= neighbourhood * 1e-10 { value } else { tidy(value, (self.lo, self.hi)) }
+        tidy(value, (self.lo, self.hi), apart, size)
     }
 
     fn number(&self, value: f64) -> Value {
@@ -193,8 +192,12 @@ fn level_value(spread: &Spread, level: u64, count: u64) -> Value {
     }
 }
 
-/// A value between two ends without the dust of its computation: to 12 digits, if that leaves it between them.
-pub fn tidy(value: f64, (lo, hi): (f64, f64)) -> f64 {
+/// A value between two ends without the dust of its computation: to 12 digits, if that leaves it between them. Levels that
+/// are nearer to each other than 12 digits of numbers of this size can tell keep all they have.
+pub fn tidy(value: f64, (lo, hi): (f64, f64), apart: f64, size: f64) -> f64 {
+    if apart <= size * 1e-10 {
+        return value;
+    }
     let is_dust = lo.signum() != hi.signum() && value.abs() < lo.abs().max(hi.abs()) * 1e-14;
     let short = if is_dust { 0.0 } else { format!("{value:.11e}").parse().unwrap_or(value) };
     if (lo.min(hi)..=lo.max(hi)).contains(&short) { short } else { value }

@@ -127,14 +127,12 @@ fn range(lo: &str, rest: &str, span: Span) -> Result<Vec<Node>, String> {
         return Err(format!("a range has from 2 to {VALUES_LIMIT} values, not {count}"));
     }
     let whole = lo.fract() == 0.0 && hi.fract() == 0.0 && (hi - lo) % (count - 1) as f64 == 0.0;
-    // Values that are nearer to each other than 12 digits can tell keep all they have.
-    let fine = (hi - lo).abs() <= (count - 1) as f64 * lo.abs().max(hi.abs()) * 1e-10;
+    let (apart, size) = ((hi - lo).abs() / (count - 1) as f64, lo.abs().max(hi.abs()));
     let node = |index: usize| {
         let value = match lo + (hi - lo) * (index as f64 / (count - 1) as f64) {
             _ if index == 0 => lo,
             _ if index + 1 == count => hi,
-            value if fine => value,
-            value => tidy(value, (lo, hi)),
+            value => tidy(value, (lo, hi), apart, size),
         };
         let value = if whole && value.abs() < 9e15 { Value::from(value.round() as i64) } else { Value::from(value) };
         Node { span, written: value.to_string(), data: Data::Scalar(value) }

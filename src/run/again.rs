@@ -10,6 +10,7 @@ use rockface_stages::{Context, Inputs, Point, StageError};
 use serde_json::Value;
 
 use super::host::StepHost;
+use super::work::Trouble;
 
 /// The parameter of stages that can keep more of what they know.
 const SWITCH: &str = "channels";
@@ -38,8 +39,8 @@ pub fn with_channels(
         map.insert(SWITCH.to_owned(), Value::Bool(true));
     }
     let inputs = inputs(recipe, store, kind_of)?;
-    let (files, stop) = (BTreeMap::new(), AtomicBool::new(false));
-    let host = StepHost::new(recipe.seed.as_ref().map(SeedMaterial::key), &files, store, &stop, None);
+    let (files, stop, trouble) = (BTreeMap::new(), AtomicBool::new(false), Trouble::default());
+    let host = StepHost::new(recipe.seed.as_ref().map(SeedMaterial::key), &files, store, &stop, None, &trouble);
     Ok(stage.run(&with, &inputs, &Context::new(&host))?.into_inner())
 }
 

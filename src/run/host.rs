@@ -5,10 +5,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
-use rockface_cache::{Store, StoreError};
+use rockface_cache::Store;
 use rockface_stages::{Entry, Host, Program, ProgramResult, SourceFile, StageError};
 
 use super::program::{Fault, Used};
+use super::work::Trouble;
 use crate::plan::InputFile;
 
 /// The host of one step instance.
@@ -21,8 +22,8 @@ pub struct StepHost<'a> {
     deadline: Option<Instant>,
     /// What programs took.
     used: Mutex<Used>,
-    /// Why the store could not do what a program needs; the stage is told only that it could not.
-    trouble: Mutex<Option<StoreError>>,
+    /// Where it is put down why the store could not do what a program needs; the stage is told only that it could not.
+    trouble: &'a Trouble,
 }
 
 impl<'a> StepHost<'a> {
@@ -34,19 +35,15 @@ impl<'a> StepHost<'a> {
         store: &'a Store,
         stop: &'a AtomicBool,
         deadline: Option<Instant>,
+        trouble: &'a Trouble,
     ) -> Self {
-        let (entries, used, trouble) = (Mutex::default(), Mutex::default(), Mutex::default());
+        let (entries, used) = (Mutex::default(), Mutex::default());
         Self { seed, files, store, entries, stop, deadline, used, trouble }
     }
 
     /// Whether the time it was given is over.
     pub fn is_late(&self) -> bool {
         self.deadline.is_some_and(|deadline| Instant::now() >= deadline)
-    }
-
-    /// What the store could not do, if that was so.
-    pub fn trouble(&self) -> Option<StoreError> {
-        self.trouble.lock().unwrap_or_else(PoisonError::into_inner).take()
     }
 
     /// What the stage said, and what its programs took.
@@ -99,7 +96,7 @@ impl Host for StepHost<'_> {
             Err(Fault::Program(error)) => Err(error),
             Err(Fault::Store(error)) => {
                 let told = StageError::new(error.to_string());
-                *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
+                *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(error.into());
                 Err(told)
             }
         }

@@ -37,24 +37,13 @@ pub struct Used {
 }
 
 /// Why a program could not be run to its end.
-#[derive(Debug)]
+#[derive(Debug, thiserror::Error)]
+#[error(transparent)]
 pub enum Fault {
     /// The program, or how it is called.
-    Program(StageError),
+    Program(#[from] StageError),
     /// The store, in whose folders it runs.
-    Store(StoreError),
-}
-
-impl From<StageError> for Fault {
-    fn from(error: StageError) -> Self {
-        Self::Program(error)
-    }
-}
-
-impl From<StoreError> for Fault {
-    fn from(error: StoreError) -> Self {
-        Self::Store(error)
-    }
+    Store(#[from] StoreError),
 }
 
 /// Runs a program to its end. `give_up` is asked now and then; when it says so, the program and its children are killed.

@@ -114,7 +114,7 @@ impl Scheduler<'_> {
         if absent.is_empty() {
             self.line_up(instance);
         } else if self.states[instance].remaking {
-            self.remake_all(instance, absent);
+            self.remake_all(instance, &absent);
         } else {
             self.costly.push_back(instance);
             for key in absent.iter().filter_map(|producer| self.states[*producer].key) {
@@ -149,21 +149,21 @@ impl Scheduler<'_> {
             self.leave_elsewhere(instance);
         } else {
             let absent = self.absent(instance);
-            self.remake_all(instance, absent.clone());
+            self.remake_all(instance, &absent);
             return Ok(absent);
         }
         Ok(Vec::new())
     }
 
     /// Has values made again, after which the instance is looked at anew.
-    fn remake_all(&mut self, instance: usize, absent: Vec<usize>) {
+    fn remake_all(&mut self, instance: usize, absent: &[usize]) {
         self.states[instance].missing = absent.len();
         if absent.is_empty() {
             self.line_up(instance);
         }
         for producer in absent {
-            self.states[producer].wanted_by.push(instance);
-            self.remake(producer);
+            self.states[*producer].wanted_by.push(instance);
+            self.remake(*producer);
         }
     }
 

@@ -179,8 +179,8 @@ fn done_elsewhere(task: &Task, store: &Store) -> Option<Outcome> {
 
 /// Inputs that were not in memory, by producer and port.
 type Stored<'s> = Vec<((usize, &'static str), Arc<Later<'s>>)>;
-/// Why an input could not be had; a stage is told only that it could not.
-type Trouble = Mutex<Option<Failure>>;
+/// Why an input could not be had, or a program could not be run; a stage is told only that it could not.
+pub type Trouble = Mutex<Option<Failure>>;
 
 /// The inputs of a task. Those that are in the store are read when the stage asks for them, in its thread: reading takes no
 /// lock that is held while others compute.
@@ -272,7 +272,8 @@ fn attempts(
         };
         said.extend(entries);
         if told.len() == task.retries as usize || stop.load(Ordering::Relaxed) {
-            return Err(Failure::Stage(error, told_in_full(store, &said)));
+            // Where even that cannot be kept, the cause is told all the same.
+            return Err(Failure::Stage(error, keep_log(store, &said).unwrap_or_default()));
         }
         let text = format!("attempt {} of {} failed: {error}", told.len() + 1, task.retries + 1);
         said.push(Entry::Warning { text: text.clone() });
@@ -280,10 +281,9 @@ fn attempts(
     }
 }
 
-/// Keeps what a step that failed had said. Where even that cannot be, the cause is told all the same.
-fn told_in_full(store: &Store, said: &[Entry]) -> Option<Digest> {
-    let bytes = serde_json::to_vec(said).ok().filter(|_| !said.is_empty())?;
-    store.put(&bytes).ok()
+/// Keeps what a step said, if it said anything.
+fn keep_log(store: &Store, said: &[Entry]) -> Result<Option<Digest>, StoreError> {
+    if said.is_empty() { Ok(None) } else { store.put(serde_json::json!(said).to_string().as_bytes()).map(Some) }
 }
 
 fn attempt(
@@ -294,13 +294,10 @@ fn attempt(
 ) -> Result<Attempt, Failure> {
     let seed = task.recipe.seed.as_ref().map(rockface_cache::SeedMaterial::key);
     let deadline = task.timeout.map(|timeout| Instant::now() + timeout);
-    let host = StepHost::new(seed, &task.params.files, store, stop, deadline);
+    let host = StepHost::new(seed, &task.params.files, store, stop, deadline, trouble);
     let result = pool.install(|| run_stage(task, inputs, &host));
     if let Some(failure) = trouble.lock().unwrap_or_else(PoisonError::into_inner).take() {
         return Err(failure);
-    }
-    if let Some(error) = host.trouble() {
-        return Err(error.into());
     }
     let result = match (result, task.timeout) {
         (Err(Failure::Stage(error, _)), Some(timeout)) if host.is_late() && !stop.load(Ordering::Relaxed) => {
@@ -363,8 +360,7 @@ fn keep(
         };
         outputs.insert((*port).to_owned(), record);
     }
-    let log =
-        if entries.is_empty() { None } else { Some(store.put(serde_json::json!(entries).to_string().as_bytes())?) };
+    let log = keep_log(store, entries)?;
     Ok(Outcome { outputs, log, sketches: None, cost: Cost::default() })
 }
 
