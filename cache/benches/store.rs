@@ -53,7 +53,7 @@ fn step(store: &Store, number: u64) -> Record {
     };
     let digest = store.put(&output).expect("a stored blob");
     let kept = OutputRecord { kind: "mesh".to_owned(), digest, bytes: 8, kept: true, items: None, memory_bytes: None };
-    let outputs = [("mesh".to_owned(), kept)].into();
+    let outputs = [("mesh", kept)].try_into().expect("names");
     let log = Some(store.put(log.as_bytes()).expect("a stored log"));
     let record = Record { recipe, outputs, log, sketches: None, cost: Cost::default() };
     store.commit(&record).expect("a committed record");

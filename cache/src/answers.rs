@@ -15,10 +15,10 @@ use std::time::SystemTime;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::blobs::seal_ns;
 use crate::error::{At, StoreError};
 use crate::files::{Fingerprint, is_settled};
-use crate::open::{self, ANSWERS, BLOBS, SEGMENTS, TEMPORARY_BLOB, TMP};
+use crate::open::{self, ANSWERS, BLOBS, SEGMENTS};
+use crate::seal::seal_ns;
 use crate::{Digest, Store};
 
 /// Opens every answer; what was written by another version is no answer.
@@ -71,8 +71,8 @@ impl Store {
         let path = slot(self.dir(), question);
         let folder = self.dir().join(ANSWERS);
         fs::create_dir_all(&folder).at("make the folder", &folder)?;
-        let tmp = self.dir().join(TMP);
-        let mut file = tempfile::Builder::new().prefix(TEMPORARY_BLOB).tempfile_in(&tmp).at("write into", &tmp)?;
+        // Locked, so that nobody who opens the store meanwhile sweeps it up.
+        let mut file = self.blobs().temporary()?;
         let head = format!("{FORMAT} {}\n", Digest::of(&body));
         file.write_all(head.as_bytes()).and_then(|()| file.write_all(&body)).at("write", &path)?;
         file.persist(&path).map_err(|fault| fault.error).at("write", &path)?;

@@ -1,15 +1,15 @@
 //! Large blobs: one read-only file each, named by its digest, written beside its place and renamed into it.
 
-use std::fs::{self, File, Metadata};
-use std::io::{ErrorKind, Write};
+use std::fs::{self, Metadata};
+use std::io::{ErrorKind, Read, Write};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{SystemTime, UNIX_EPOCH};
 
-use crate::Digest;
 use crate::error::{At, StoreError};
-use crate::open::{BLOBS, QUARANTINE, TEMPORARY_BLOB, TMP, set_mode};
+use crate::open::{BLOBS, TEMPORARY_BLOB, TMP, set_mode};
+use crate::seal::{Knowledge, seal};
+use crate::{Digest, plain};
 
 /// What was put less long ago is not put again, seconds: much less than the hour a collection spares.
 const RECENT_S: u64 = 900;
@@ -18,27 +18,18 @@ const RECENT_S: u64 = 900;
 ///
 /// A blob may have other names: outputs are hard links to it, and root ignores read-only bits. So every blob carries a
 /// **seal**: the fraction of a second of its modification time is derived from its digest. Whoever writes into the file
-/// breaks the seal, and a blob whose seal is broken is verified before it is believed.
+/// breaks the seal, and a blob whose seal is broken is verified before it is believed. Bit rot breaks no seal: what is
+/// handed on is read first.
 #[derive(Debug)]
 pub(crate) struct Blobs {
-    root: PathBuf,
-    /// Damage found by [`Blobs::check`] that nobody has asked for yet.
-    found: Mutex<Vec<Damage>>,
-}
-
-/// A damaged blob and where its bytes are now.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Damage {
-    /// The digest it was stored under.
-    pub digest: Digest,
-    /// Where it was set aside.
-    pub moved_to: PathBuf,
+    pub(crate) root: PathBuf,
+    pub(crate) known: Knowledge,
 }
 
 impl Blobs {
     /// The large blobs of the store at `root`.
     pub(crate) fn new(root: &Path) -> Self {
-        Self { root: root.to_owned(), found: Mutex::default() }
+        Self { root: root.to_owned(), known: Knowledge::default() }
     }
 
     /// The folder under which all large blobs are.
@@ -51,94 +42,34 @@ impl Blobs {
         digest.hex(|text| self.root.join(BLOBS).join(&text[..2]).join(text))
     }
 
-    /// The size of a blob, or why it is not to be had: missing, or damaged and now set aside.
-    pub(crate) fn check(&self, digest: &Digest) -> Result<u64, StoreError> {
-        self.look(digest).map(|meta| meta.len())
-    }
-
-    fn look(&self, digest: &Digest) -> Result<Metadata, StoreError> {
-        let path = self.path(digest);
-        let meta = fs::metadata(&path).map_err(|fault| unreadable(digest, &path, fault))?;
-        if meta.mtime_nsec() != i64::from(seal_ns(digest)) {
-            self.verify(digest, &path).inspect_err(|fault| self.note(fault))?;
-        }
-        Ok(meta)
-    }
-
     /// Whether a blob is there and no collection can take it for one that nobody has put lately: one put long ago has its
-    /// time set anew.
+    /// time set anew. One that has not the size it should have is set aside.
     ///
     /// That it still has its name is looked at after that: a collection moves a blob away and then looks at its time.
-    pub(crate) fn renew(&self, digest: &Digest) -> bool {
-        let Ok(meta) = self.look(digest) else { return false };
+    pub(crate) fn renew(&self, digest: &Digest, bytes: Option<u64>) -> bool {
+        let Ok(meta) = self.look(digest, bytes) else { return false };
         let path = self.path(digest);
-        let touched = || File::open(&path).and_then(|file| seal(&file, digest)).is_ok() && path.exists();
+        let touched = || plain::open(&path).and_then(|file| seal(&file, digest)).is_ok() && path.exists();
         is_recent(put_s(&meta)) || touched()
-    }
-
-    fn note(&self, fault: &StoreError) {
-        if let StoreError::Damaged { digest, moved_to } = fault {
-            let damage = Damage { digest: *digest, moved_to: moved_to.clone() };
-            self.found.lock().unwrap_or_else(PoisonError::into_inner).push(damage);
-        }
-    }
-
-    /// The damage found by looking, each told of once.
-    pub(crate) fn take_damaged(&self) -> Vec<Damage> {
-        std::mem::take(&mut self.found.lock().unwrap_or_else(PoisonError::into_inner))
-    }
-
-    /// Reads a blob whose seal is broken; seals it again or sets it aside.
-    fn verify(&self, digest: &Digest, path: &Path) -> Result<(), StoreError> {
-        let file = self.open(digest)?;
-        let (found, _) = Digest::of_reader(&file).at("read", path)?;
-        if found != *digest {
-            return Err(self.quarantine(digest));
-        }
-        // Only the owner may seal; unsealed, the blob is merely verified every time.
-        let _ = seal(&file, digest);
-        Ok(())
-    }
-
-    /// A blob to read from, unverified.
-    pub(crate) fn open(&self, digest: &Digest) -> Result<File, StoreError> {
-        let path = self.path(digest);
-        File::open(&path).map_err(|fault| unreadable(digest, &path, fault))
-    }
-
-    /// Moves a damaged blob out of the way and says where to.
-    pub(crate) fn quarantine(&self, digest: &Digest) -> StoreError {
-        let (path, moved_to) = (self.path(digest), self.quarantine_path(digest));
-        match fs::rename(&path, &moved_to) {
-            Ok(()) => StoreError::Damaged { digest: *digest, moved_to },
-            Err(fault) if fault.kind() == ErrorKind::NotFound => StoreError::Missing { digest: *digest },
-            Err(fault) => StoreError::io("set aside the damaged blob", &path, fault),
-        }
-    }
-
-    /// A name in the quarantine that nothing has yet.
-    pub(crate) fn quarantine_path(&self, digest: &Digest) -> PathBuf {
-        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        self.root.join(QUARANTINE).join(format!("{digest}-{}", now.as_nanos()))
     }
 
     /// Stores a blob that is not there yet.
     pub(crate) fn put(&self, digest: &Digest, bytes: &[u8]) -> Result<(), StoreError> {
         let path = self.path(digest);
+        // A link to another folder would have the blob written there.
+        plain::folder(path.parent().unwrap_or(&self.root))?;
         let mut file = self.temporary()?;
         file.write_all(bytes).at("write", &path)?;
         set_mode(file.as_file(), 0o444).at("set the mode of", &path)?;
         seal(file.as_file(), digest).at("set the time of", &path)?;
         file.as_file().sync_all().at("sync", &path)?;
-        if let Some(folder) = path.parent() {
-            fs::create_dir_all(folder).at("make the folder", folder)?;
-        }
-        file.persist(&path).map_err(|fault| fault.error).at("write", &path)?;
+        let file = file.persist(&path).map_err(|fault| fault.error).at("write", &path)?;
+        self.remember(digest, &file);
         Ok(())
     }
 
     /// A new file in `tmp/`, locked so that nobody takes it for one whose writer died.
-    fn temporary(&self) -> Result<tempfile::NamedTempFile, StoreError> {
+    pub(crate) fn temporary(&self) -> Result<tempfile::NamedTempFile, StoreError> {
         let tmp = self.root.join(TMP);
         loop {
             let file = tempfile::Builder::new().prefix(TEMPORARY_BLOB).tempfile_in(&tmp).at("write into", &tmp)?;
@@ -152,9 +83,14 @@ impl Blobs {
 
     /// The bytes of a blob, verified.
     pub(crate) fn get(&self, digest: &Digest) -> Result<Vec<u8>, StoreError> {
-        let path = self.path(digest);
-        let bytes = fs::read(&path).map_err(|fault| unreadable(digest, &path, fault))?;
-        if Digest::of(&bytes) == *digest { Ok(bytes) } else { Err(self.quarantine(digest)) }
+        let (path, mut file) = (self.path(digest), self.open(digest)?);
+        let mut bytes = Vec::new();
+        file.read_to_end(&mut bytes).at("read", &path)?;
+        if Digest::of(&bytes) != *digest {
+            return Err(self.quarantine(digest));
+        }
+        self.remember(digest, &file);
+        Ok(bytes)
     }
 
     /// The number of large blobs and their bytes.
@@ -169,6 +105,9 @@ impl Blobs {
         let all = self.folder();
         for folder in fs::read_dir(&all).at("list", &all)? {
             let folder = folder.at("list", &all)?.path();
+            if !plain::is_folder(&folder) {
+                continue;
+            }
             for blob in fs::read_dir(&folder).at("list", &folder)? {
                 let name = blob.at("list", &folder)?.file_name();
                 found.extend(name.to_str().and_then(|name| name.parse::<Digest>().ok()));
@@ -180,7 +119,7 @@ impl Blobs {
 
     /// The size of a blob and when it was last put or verified, seconds since 1970; `None` if it is not there.
     pub(crate) fn written(&self, digest: &Digest) -> Option<(u64, u64)> {
-        let meta = fs::metadata(self.path(digest)).ok()?;
+        let meta = fs::symlink_metadata(self.path(digest)).ok().filter(Metadata::is_file)?;
         Some((meta.len(), put_s(&meta)))
     }
 
@@ -190,7 +129,10 @@ impl Blobs {
     /// it is moved back, or finds it gone, and writes it anew.
     pub(crate) fn remove(&self, digest: &Digest, since_s: u64) -> Result<bool, StoreError> {
         let path = self.path(digest);
-        let Ok(file) = File::open(&path) else { return Ok(false) };
+        let Some(file) = path.parent().filter(|folder| plain::is_folder(folder)).and_then(|_| plain::open(&path).ok())
+        else {
+            return Ok(false);
+        };
         // Locked, it is not swept up as the half-written blob of a process that died.
         if self.written(digest).is_none_or(|(_, put_s)| put_s > since_s) || file.try_lock().is_err() {
             return Ok(false);
@@ -218,29 +160,19 @@ pub(crate) fn is_recent(put_s: u64) -> bool {
     now.as_secs() < put_s.saturating_add(RECENT_S)
 }
 
-fn unreadable(digest: &Digest, path: &Path, fault: std::io::Error) -> StoreError {
+pub(crate) fn unreadable(digest: &Digest, path: &Path, fault: std::io::Error) -> StoreError {
     match fault.kind() {
         ErrorKind::NotFound => StoreError::Missing { digest: *digest },
         _ => StoreError::io("read", path, fault),
     }
 }
 
-/// The fraction of a second, in nanoseconds, that the modification time of this blob must have: whole microseconds,
-/// since some file systems keep no more, and never zero, which many tools write.
-pub(crate) fn seal_ns(digest: &Digest) -> u32 {
-    let bytes = digest.as_bytes();
-    let drawn = u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
-    (1 + drawn % 999_999) * 1000
-}
-
-fn seal(file: &File, digest: &Digest) -> std::io::Result<()> {
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    file.set_modified(UNIX_EPOCH + Duration::new(now.as_secs(), seal_ns(digest)))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::open::QUARANTINE;
+    use crate::seal::seal_ns;
+    use std::time::Duration;
 
     const HOUR_S: u64 = 3600;
 
@@ -263,18 +195,18 @@ mod tests {
     #[test]
     fn a_blob_is_removed_unless_it_was_put_again() {
         let (folder, blobs, digest) = aged();
-        assert!(blobs.renew(&digest));
+        assert!(blobs.renew(&digest, None));
         assert!(!blobs.remove(&digest, an_hour_ago()).unwrap());
         assert_eq!(blobs.get(&digest).unwrap(), b"blob");
         assert!(blobs.remove(&digest, an_hour_ago() + 2 * HOUR_S).unwrap());
-        assert!(!blobs.renew(&digest) && !blobs.remove(&digest, an_hour_ago()).unwrap());
+        assert!(!blobs.renew(&digest, None) && !blobs.remove(&digest, an_hour_ago()).unwrap());
         assert_eq!(fs::read_dir(folder.path().join(TMP)).unwrap().count(), 0);
     }
 
     #[test]
     fn the_seal_outlasts_being_put_again() {
         let (_folder, blobs, digest) = aged();
-        assert!(blobs.renew(&digest));
+        assert!(blobs.renew(&digest, None));
         let meta = fs::metadata(blobs.path(&digest)).unwrap();
         assert_eq!(meta.mtime_nsec(), i64::from(seal_ns(&digest)));
         assert!(is_recent(put_s(&meta)) && !is_recent(an_hour_ago()));

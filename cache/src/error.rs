@@ -52,6 +52,15 @@ pub enum StoreError {
         /// One of the things in it.
         entry: String,
     },
+    /// Something stands in the store where a folder of it should be.
+    #[error(
+        "{} is a link or a file, and a store has a folder of its own there: whoever put it there could have files elsewhere changed or removed; take it away if you trust the store, or give another store",
+        path.display()
+    )]
+    Foreign {
+        /// Where it stands.
+        path: PathBuf,
+    },
     /// No blob has this digest.
     #[error("blob {digest} is not in the store: run the step that makes it again")]
     Missing {

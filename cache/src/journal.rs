@@ -6,11 +6,11 @@ use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 
-use crate::Digest;
 use crate::error::{At, StoreError};
 use crate::frame::{Header, Kind, PAYLOAD_LIMIT};
 use crate::index::{Index, Place};
 use crate::segment::{FULL_BYTES, Frame, Writer, claim, scan};
+use crate::{Digest, plain};
 
 /// Ends the name of every segment.
 const SUFFIX: &str = ".seg";
@@ -71,7 +71,7 @@ impl Journal {
             let path = self.dir.join(&name);
             let number = self.edit_index(|index| index.segment(&name));
             let seen = self.with_index(|index| index.seen(number)).end;
-            match File::open(&path) {
+            match plain::open(&path) {
                 Ok(file) if file.metadata().at("look at", &path)?.len() > seen => {
                     self.read_on(&file, &path, number)?;
                 }
@@ -285,7 +285,7 @@ impl Journal {
             return Ok(Some(Arc::clone(file)));
         }
         let path = self.segment_path(segment);
-        match File::open(&path) {
+        match plain::open(&path) {
             Ok(file) => Ok(Some(Arc::clone(readers.entry(segment).or_insert(Arc::new(file))))),
             Err(fault) if fault.kind() == std::io::ErrorKind::NotFound => Ok(None),
             Err(fault) => Err(StoreError::io("open", &path, fault)),

@@ -1,7 +1,6 @@
 //! Leases: what live processes count on, so that a collection leaves it alone.
 
 use std::collections::BTreeSet;
-use std::fs::File;
 use std::io::{Read, Write};
 use std::path::Path;
 use std::sync::PoisonError;
@@ -10,7 +9,7 @@ use std::time::UNIX_EPOCH;
 use crate::error::{At, StoreError};
 use crate::locks::{KeyLock, is_abandoned};
 use crate::open::LIVE;
-use crate::{Digest, Store};
+use crate::{Digest, Store, plain};
 
 /// Bytes of a key.
 const KEY_BYTES: usize = 32;
@@ -65,7 +64,7 @@ impl Store {
         let mut live = Live::default();
         for entry in std::fs::read_dir(&folder).at("list", &folder)? {
             let path = entry.at("list", &folder)?.path();
-            let Ok(mut file) = File::open(&path) else { continue };
+            let Ok(mut file) = plain::open(&path) else { continue };
             if is_abandoned(&file, &path) {
                 continue;
             }

@@ -8,8 +8,10 @@
 //!   when a new writer continues them; a collection writes new ones and then removes the old); a later record of the same key supersedes the earlier one, which stays.
 //! - **Blobs before records.** A record is appended after the blobs it names, and made durable no earlier than they are. Should
 //!   a power cut break that order on disk, the record names a blob that is not there and simply is not a hit.
-//! - **Every read is verified.** What a frame or a blob says is checked against its checksum or digest when it is used;
-//!   a damaged blob is set aside in `quarantine/` and reported.
+//! - **Every read is verified.** What a frame or a blob says is checked against its checksum or digest when it is used, be
+//!   it read or linked; a damaged blob is set aside in `quarantine/` and reported.
+//! - **No name is believed.** What a record, a manifest or a folder of the store says was written by anybody: it becomes
+//!   part of a path only as a [`SafeName`] or [`SafePath`], and links in the store are not followed.
 //! - **Nothing to unlock.** All locks are kernel advisory locks, gone with the process that held them.
 //! - **No state outside the folder** of the store, and none in it that only the process which wrote it could use.
 //!
@@ -42,18 +44,20 @@ mod journal;
 mod lease;
 mod locks;
 mod materialise;
+mod names;
 mod open;
 mod outputs;
+mod plain;
 mod recipe;
 mod record;
 mod rewrite;
 mod scratch;
+mod seal;
 mod segment;
 mod store;
 mod syncer;
 
 pub use answers::{Grounds, recall};
-pub use blobs::Damage;
 pub use care::{Collected, Fault, FaultKind, GcItem, GcPlan, GcPolicy, Handed, StageStat, Verified};
 pub use digest::{Digest, DigestError};
 pub use error::StoreError;
@@ -61,9 +65,11 @@ pub use files::FileDigest;
 pub use lease::Live;
 pub use locks::KeyLock;
 pub use materialise::Materialised;
-pub use open::TREES;
+pub use names::{NameError, SafeName, SafePath};
+pub use open::{TREES, read_own};
 pub use outputs::Outputs;
 pub use recipe::{Gathered, Recipe, RecipeInput, SeedMaterial, shared};
 pub use record::{Cost, Outcome, OutputRecord, Record};
 pub use scratch::Scratch;
+pub use seal::Damage;
 pub use store::{Store, StoreStat};

@@ -7,9 +7,9 @@ use nix::errno::Errno;
 use nix::fcntl::{FcntlArg, fcntl};
 use nix::libc;
 
-use crate::Digest;
 use crate::error::{At, StoreError};
 use crate::segment::is_at;
+use crate::{Digest, plain};
 
 /// The right to compute one key. Released when dropped, or by the kernel when the process ends in any way.
 ///
@@ -58,7 +58,8 @@ fn is_taken(file: &File, path: &Path, key: &Digest) -> Result<bool, StoreError> 
 }
 
 fn open(path: &Path) -> Result<File, StoreError> {
-    OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path).at("open", path)
+    let mut options = OpenOptions::new();
+    plain::open_with(options.read(true).write(true).create(true).truncate(false), path).at("open", path)
 }
 
 /// The byte that stands for `key`, to be locked for writing.
@@ -92,7 +93,7 @@ pub(crate) fn sweep(dir: &Path, prefix: &str) -> Result<(), StoreError> {
 
 fn remove_abandoned(path: &Path) {
     // The lock is held until the file is gone.
-    let held = File::open(path).ok().filter(|file| is_abandoned(file, path));
+    let held = plain::open(path).ok().filter(|file| is_abandoned(file, path));
     if held.is_some() {
         let _ = std::fs::remove_file(path);
     }

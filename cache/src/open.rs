@@ -3,9 +3,11 @@
 use std::fs;
 use std::io::{self, Write};
 use std::path::Path;
+use std::time::Duration;
 
 use crate::error::{At, StoreError};
 use crate::locks::sweep;
+use crate::plain;
 
 /// What the format file says.
 const FORMAT: &str = "rockface store 1";
@@ -14,6 +16,10 @@ const CACHE_TAG: &str = "Signature: 8a477f597d28d172789f06886806bc55\n\
     # Everything in this folder can be computed again; backup programs may pass it by.\n";
 /// Starts the names of half-written files in the root of a store.
 const HALF_WRITTEN: &str = ".new-";
+/// Starts the names of half-written trees.
+const HALF_WRITTEN_TREE: &str = ".tmp";
+/// Nobody takes longer to write a file of the store that is not locked meanwhile.
+const LONGEST_WRITING: Duration = Duration::from_secs(3600);
 /// Starts the names of half-written blobs.
 pub(crate) const TEMPORARY_BLOB: &str = "blob-";
 
@@ -62,16 +68,43 @@ pub(crate) fn prepare(dir: &Path) -> Result<(), StoreError> {
         },
         Err(fault) => return Err(StoreError::io("read", &format, fault)),
     }
-    for folder in [BLOBS, SEGMENTS, QUARANTINE, TMP, SCRATCH, LIVE, TREES] {
-        let path = dir.join(folder);
-        fs::create_dir_all(&path).at("make the folder", &path)?;
+    for folder in [BLOBS, SEGMENTS, QUARANTINE, TMP, SCRATCH, LIVE, TREES, ANSWERS] {
+        // What lies there may be swept up or written over, so it must not be another folder.
+        plain::folder(&dir.join(folder))?;
     }
     if !dir.join("CACHEDIR.TAG").exists() {
         write_whole(dir, "CACHEDIR.TAG", CACHE_TAG)?;
     }
     sweep(&dir.join(TMP), TEMPORARY_BLOB)?;
     crate::scratch::sweep(&dir.join(SCRATCH))?;
+    sweep_aged(dir, HALF_WRITTEN)?;
+    sweep_aged(&dir.join(TREES), HALF_WRITTEN_TREE)?;
     sweep(&dir.join(LIVE), "")
+}
+
+/// Removes the files in `dir` that start with `prefix` and are so old that whoever was writing them has died.
+fn sweep_aged(dir: &Path, prefix: &str) -> Result<(), StoreError> {
+    for entry in fs::read_dir(dir).at("list", dir)? {
+        let entry = entry.at("list", dir)?;
+        let ours = entry.file_name().to_str().is_some_and(|name| name.starts_with(prefix));
+        let age = || entry.metadata().ok()?.modified().ok()?.elapsed().ok();
+        if ours && age().is_some_and(|age| age > LONGEST_WRITING) {
+            // What cannot be removed now is left for another time.
+            let _ = fs::remove_file(entry.path());
+        }
+    }
+    Ok(())
+}
+
+/// The bytes of a plain file that belongs to the user of this process; nothing otherwise.
+///
+/// Whoever may write to a shared store can put files into it. What decides more than a result, such as the steps that run,
+/// is taken only from those this user has written.
+pub fn read_own(path: &Path) -> Option<Vec<u8>> {
+    let mut file = plain::open(path).ok()?;
+    let is_own = std::os::unix::fs::MetadataExt::uid(&file.metadata().ok()?) == rustix::process::geteuid().as_raw();
+    let mut bytes = Vec::new();
+    is_own.then(|| io::Read::read_to_end(&mut file, &mut bytes).ok().map(|_| bytes)).flatten()
 }
 
 fn wrong_format(dir: &Path, found: &str) -> StoreError {
@@ -150,5 +183,50 @@ mod tests {
         prepare(folder.path()).unwrap();
         assert!(!left.exists());
         assert!(folder.path().join("tmp/blob-held").exists());
+    }
+
+    #[test]
+    fn half_written_files_that_nobody_locks_go_when_they_are_old() {
+        let folder = tempfile::tempdir().unwrap();
+        prepare(folder.path()).unwrap();
+        for (name, age_s, stays) in
+            [(".new-a", 7200, false), (".new-b", 60, true), ("trees/.tmpa", 7200, false), ("trees/.tmpb", 60, true)]
+        {
+            let path = folder.path().join(name);
+            let file = fs::File::create(&path).unwrap();
+            file.set_modified(std::time::SystemTime::now() - Duration::from_secs(age_s)).unwrap();
+            prepare(folder.path()).unwrap();
+            assert_eq!(path.exists(), stays, "{name}");
+        }
+    }
+
+    #[test]
+    fn a_link_in_the_place_of_a_folder_is_refused_and_nothing_behind_it_is_touched() {
+        for name in [BLOBS, SEGMENTS, QUARANTINE, TMP, SCRATCH, LIVE, TREES, ANSWERS] {
+            let place = tempfile::tempdir().unwrap();
+            let (dir, home) = (place.path().join("store"), place.path().join("home"));
+            prepare(&dir).unwrap();
+            fs::create_dir_all(home.join("work")).unwrap();
+            fs::write(home.join("work.lock"), "mine").unwrap();
+            fs::remove_dir(dir.join(name)).unwrap();
+            std::os::unix::fs::symlink(&home, dir.join(name)).unwrap();
+            let fault = prepare(&dir).unwrap_err();
+            assert!(matches!(&fault, StoreError::Foreign { path } if *path == dir.join(name)), "{fault}");
+            assert!(home.join("work.lock").exists() && home.join("work").exists(), "{name}");
+        }
+    }
+
+    #[test]
+    fn only_what_this_user_wrote_is_own() {
+        let folder = tempfile::tempdir().unwrap();
+        let (own, link) = (folder.path().join("own"), folder.path().join("link"));
+        fs::write(&own, "mine").unwrap();
+        std::os::unix::fs::symlink(&own, &link).unwrap();
+        assert_eq!(read_own(&own).as_deref(), Some(b"mine".as_slice()));
+        assert_eq!((read_own(&link), read_own(&folder.path().join("none"))), (None, None));
+        let foreign = Path::new("/proc/1/cmdline");
+        let is_foreign = fs::metadata(foreign)
+            .is_ok_and(|meta| std::os::unix::fs::MetadataExt::uid(&meta) != rustix::process::geteuid().as_raw());
+        assert!(!is_foreign || read_own(foreign).is_none());
     }
 }

@@ -5,11 +5,12 @@ use std::fmt;
 use serde::de::{MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use crate::OutputRecord;
+use crate::names::NameError;
+use crate::{OutputRecord, SafeName};
 
-type Entry = (String, OutputRecord);
+type Entry = (SafeName, OutputRecord);
 
-/// What came out of each output port, sorted by port.
+/// What came out of each output port, sorted by port. A port may become part of a path, so it is a name and nothing else.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Outputs(Vec<Entry>);
 
@@ -25,7 +26,7 @@ impl Outputs {
     }
 
     /// Sets what came out of a port.
-    pub fn insert(&mut self, port: String, output: OutputRecord) {
+    pub fn insert(&mut self, port: SafeName, output: OutputRecord) {
         match self.place(&port) {
             Ok(at) => self.0[at].1 = output,
             Err(at) => self.0.insert(at, (port, output)),
@@ -42,7 +43,7 @@ impl Outputs {
     }
 
     /// The ports.
-    pub fn keys(&self) -> impl Iterator<Item = &String> {
+    pub fn keys(&self) -> impl Iterator<Item = &SafeName> {
         self.0.iter().map(|(port, _)| port)
     }
 
@@ -52,16 +53,16 @@ impl Outputs {
     }
 
     /// What came out, to be changed.
-    pub fn iter_mut(&mut self) -> impl Iterator<Item = (&String, &mut OutputRecord)> {
+    pub fn iter_mut(&mut self) -> impl Iterator<Item = (&SafeName, &mut OutputRecord)> {
         self.0.iter_mut().map(|(port, output)| (&*port, output))
     }
 }
 
 /// Goes over [`Outputs`].
-pub type Iter<'a> = std::iter::Map<std::slice::Iter<'a, Entry>, fn(&'a Entry) -> (&'a String, &'a OutputRecord)>;
+pub type Iter<'a> = std::iter::Map<std::slice::Iter<'a, Entry>, fn(&'a Entry) -> (&'a SafeName, &'a OutputRecord)>;
 
 impl<'a> IntoIterator for &'a Outputs {
-    type Item = (&'a String, &'a OutputRecord);
+    type Item = (&'a SafeName, &'a OutputRecord);
     type IntoIter = Iter<'a>;
     fn into_iter(self) -> Iter<'a> {
         self.iter()
@@ -81,9 +82,10 @@ impl FromIterator<Entry> for Outputs {
     }
 }
 
-impl<const N: usize> From<[Entry; N]> for Outputs {
-    fn from(entries: [Entry; N]) -> Self {
-        entries.into_iter().collect()
+impl<const N: usize> TryFrom<[(&str, OutputRecord); N]> for Outputs {
+    type Error = NameError;
+    fn try_from(entries: [(&str, OutputRecord); N]) -> Result<Self, NameError> {
+        entries.into_iter().map(|(port, output)| Ok((SafeName::new(port)?, output))).collect()
     }
 }
 
@@ -133,12 +135,20 @@ mod tests {
 
     #[test]
     fn ports_are_sorted_found_and_written_as_a_map() {
-        let mut outputs: Outputs = [("mesh".to_owned(), output(1)), ("depth".to_owned(), output(2))].into();
-        outputs.insert("mesh".to_owned(), output(3));
-        assert_eq!(outputs.keys().collect::<Vec<_>>(), ["depth", "mesh"]);
+        let mut outputs: Outputs = [("mesh", output(1)), ("depth", output(2))].try_into().unwrap();
+        outputs.insert(SafeName::new("mesh").unwrap(), output(3));
+        assert_eq!(outputs.keys().map(SafeName::as_str).collect::<Vec<_>>(), ["depth", "mesh"]);
         assert_eq!((outputs["mesh"].bytes, outputs.get("dem")), (3, None));
         let text = serde_json::to_string(&outputs).unwrap();
         assert!(text.starts_with(r#"{"depth":{"#), "{text}");
         assert_eq!(serde_json::from_str::<Outputs>(&text).unwrap(), outputs);
+    }
+
+    #[test]
+    fn a_port_that_leads_elsewhere_is_not_read() {
+        let written = serde_json::to_string(&output(1)).unwrap();
+        for port in ["../mesh", "/mesh", "a/b", "..", ""] {
+            assert!(serde_json::from_str::<Outputs>(&format!("{{{port:?}: {written}}}")).is_err(), "{port}");
+        }
     }
 }

@@ -1,6 +1,7 @@
 //! The record of a finished step: its recipe, what came out, and what it cost.
 
-use serde::{Deserialize, Serialize};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::{Digest, Outputs, Recipe};
 
@@ -27,11 +28,12 @@ pub struct OutputRecord {
     /// The digest of its encoded bytes.
     pub digest: Digest,
     /// The number of its encoded bytes.
+    #[serde(deserialize_with = "size")]
     pub bytes: u64,
     /// Whether the bytes were stored; if not, only their digest is known.
     pub kept: bool,
     /// Bytes the value takes in memory, for whoever plans to read it; `None` in records of former versions.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "size_if_told", skip_serializing_if = "Option::is_none")]
     pub memory_bytes: Option<u64>,
     /// The items of a list artefact, over which a dynamic axis may fan out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -42,16 +44,50 @@ pub struct OutputRecord {
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Cost {
     /// Elapsed time, seconds.
+    #[serde(deserialize_with = "seconds")]
     pub wall_s: f64,
     /// Processor time of the whole process over the life of the step, seconds: all threads, and with them whatever else
     /// ran at the same time; and that of the programs the step started. It is the step's own only where steps run one by one.
+    #[serde(deserialize_with = "seconds")]
     pub cpu_s: f64,
     /// Greatest resident memory of the whole process over the life of the step, looked at about 20 times a second, bytes:
     /// the step's own only where steps run one by one; or that of the largest program it started, if that is more. Of a step
     /// too short to be looked at, or where the system does not tell: the size in memory of what it loaded and made.
+    #[serde(deserialize_with = "size")]
     pub peak_bytes: u64,
     /// When it was finished, seconds since 1970-01-01 UTC.
+    #[serde(deserialize_with = "moment")]
     pub finished_unix_s: u64,
+}
+
+/// No size is greater, bytes: sums of many stay far from the end of the numbers.
+const SIZE_LIMIT: u64 = 1 << 50;
+/// Nothing takes longer, seconds: 30,000 years.
+const SECONDS_LIMIT: f64 = 1e12;
+/// The last second of the year 9999, after which dates cannot be written.
+const MOMENT_LIMIT: u64 = 253_402_300_799;
+
+fn within<T: PartialOrd + std::fmt::Display, E: Error>(value: T, least: &T, most: &T) -> Result<T, E> {
+    if value >= *least && value <= *most {
+        return Ok(value);
+    }
+    Err(E::custom(format!("{value} cannot be: it is not from {least} to {most}")))
+}
+
+fn size<'de, D: Deserializer<'de>>(from: D) -> Result<u64, D::Error> {
+    within(u64::deserialize(from)?, &0, &SIZE_LIMIT)
+}
+
+fn size_if_told<'de, D: Deserializer<'de>>(from: D) -> Result<Option<u64>, D::Error> {
+    Option::deserialize(from)?.map(|bytes| within(bytes, &0, &SIZE_LIMIT)).transpose()
+}
+
+fn seconds<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+    within(f64::deserialize(from)?, &0.0, &SECONDS_LIMIT)
+}
+
+fn moment<'de, D: Deserializer<'de>>(from: D) -> Result<u64, D::Error> {
+    within(u64::deserialize(from)?, &0, &MOMENT_LIMIT)
 }
 
 /// What a record says apart from its recipe; quicker to read than the whole.
@@ -154,22 +190,24 @@ fn promised(outputs: &Outputs, told: [Option<Digest>; 2]) -> impl Iterator<Item 
 }
 
 impl Cost {
-    /// Whether both times are finite numbers; JSON cannot hold others.
-    pub(crate) fn is_finite(&self) -> bool {
-        self.wall_s.is_finite() && self.cpu_s.is_finite()
+    /// Whether it could be read back: no time is negative or without end.
+    pub(crate) fn is_sound(&self) -> bool {
+        let times = [self.wall_s, self.cpu_s].iter().all(|time| (0.0..=SECONDS_LIMIT).contains(time));
+        times && self.peak_bytes <= SIZE_LIMIT && self.finished_unix_s <= MOMENT_LIMIT
     }
 }
 
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+    use crate::SafeName;
     use crate::recipe::tests::any_recipe;
     use proptest::prelude::*;
 
     fn any_output() -> impl Strategy<Value = OutputRecord> {
         let items = proptest::option::of(proptest::collection::vec(any::<String>(), 0..3));
-        let memory_bytes = proptest::option::of(any::<u64>());
-        (any::<String>(), any::<[u8; 32]>(), any::<u64>(), memory_bytes, any::<bool>(), items).prop_map(
+        let memory_bytes = proptest::option::of(0..=SIZE_LIMIT);
+        (any::<String>(), any::<[u8; 32]>(), 0..=SIZE_LIMIT, memory_bytes, any::<bool>(), items).prop_map(
             |(kind, digest, bytes, memory_bytes, kept, items)| OutputRecord {
                 kind,
                 digest: Digest::from_bytes(digest),
@@ -183,12 +221,13 @@ pub(crate) mod tests {
 
     prop_compose! {
         fn any_record()(
-            recipe in any_recipe(), outputs in proptest::collection::vec((any::<String>(), any_output()), 0..3),
-            log in proptest::option::of(any::<[u8; 32]>()), sketches in proptest::option::of(any::<[u8; 32]>()), wall_s in 0.0..1e6, cpu_s in 0.0..1e6, peak_bytes: u64,
+            recipe in any_recipe(), outputs in proptest::collection::vec(("[a-z_0-9-]{1,9}", any_output()), 0..3),
+            log in proptest::option::of(any::<[u8; 32]>()), sketches in proptest::option::of(any::<[u8; 32]>()), wall_s in 0.0..1e6, cpu_s in 0.0..1e6, peak_bytes in 0..=SIZE_LIMIT,
         ) -> Record {
             let cost = Cost { wall_s, cpu_s, peak_bytes, finished_unix_s: 1_700_000_000 };
             let [log, sketches] = [log, sketches].map(|blob| blob.map(Digest::from_bytes));
-            let outputs = outputs.into_iter().collect();
+            let named = |(port, output): (String, OutputRecord)| (SafeName::new(port).unwrap(), output);
+            let outputs = outputs.into_iter().map(named).collect();
             Record { recipe, outputs, log, sketches, cost }
         }
     }
@@ -208,6 +247,19 @@ pub(crate) mod tests {
             let bytes = record.encode(&record.recipe.text()).unwrap();
             prop_assert!(!String::from_utf8_lossy(&bytes).contains("\"sketches\":"));
             prop_assert_eq!(Record::decode(&bytes).unwrap(), record);
+        }
+
+        #[test]
+        fn numbers_that_cannot_be_are_not_read(record in any_record(), at in 0usize..4) {
+            let text = String::from_utf8(record.encode("").unwrap()[4..].to_vec()).unwrap();
+            let field = ["\"wall_s\":", "\"cpu_s\":", "\"peak_bytes\":", "\"finished_unix_s\":"][at];
+            let (before, after) = text.split_once(field).unwrap();
+            let after = after.split_once([',', '}']).unwrap();
+            let end = &text[text.len() - after.1.len() - 1..];
+            for number in ["-1", "1e300", "18446744073709551615"] {
+                let forged = format!("{before}{field}{number}{end}");
+                prop_assert!(serde_json::from_str::<Outcome>(&forged).is_err(), "{}", forged);
+            }
         }
 
         #[test]

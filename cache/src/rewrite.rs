@@ -4,12 +4,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::ErrorKind;
 
-use crate::Digest;
 use crate::error::{At, StoreError};
 use crate::frame::{Header, Kind};
 use crate::index::{Index, Place};
 use crate::journal::Journal;
 use crate::segment::{Frame, claim, scan};
+use crate::{Digest, plain};
 
 /// Records and small blobs that leave, each with the stamp it had when that was decided: one written since stays.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -68,7 +68,7 @@ impl Journal {
         let mut keys = BTreeSet::new();
         for name in &claimed.busy {
             let path = self.path(name);
-            let file = match File::open(&path) {
+            let file = match plain::open(&path) {
                 Err(fault) if fault.kind() == ErrorKind::NotFound => continue,
                 file => file.at("open", &path)?,
             };

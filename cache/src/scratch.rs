@@ -1,19 +1,23 @@
 //! Folders for programs to work in: gone when they are done, or when the store is next opened after the process died; and
 //! with them whatever programs still run there.
 
-use std::fs::{self, File};
+use std::fs::{self, Permissions};
 use std::os::unix::ffi::OsStrExt;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use rustix::process::{Pid, Signal, getpid, kill_process};
+use tempfile::NamedTempFile;
 
-use crate::Store;
 use crate::error::{At, StoreError};
 use crate::locks::is_abandoned;
 use crate::open::SCRATCH;
+use crate::{Store, plain};
 
 /// Ends the name of the file that is locked as long as the folder beside it is used.
 const LOCK: &str = ".lock";
+/// Starts the names of the folders.
+const PREFIX: &str = "run-";
 
 /// A folder of its own for one program, removed with all that is in it when this is dropped.
 ///
@@ -23,7 +27,7 @@ const LOCK: &str = ".lock";
 pub struct Scratch {
     folder: PathBuf,
     /// Removed after the folder.
-    lock: Option<tempfile::NamedTempFile>,
+    lock: Option<NamedTempFile>,
 }
 
 impl Scratch {
@@ -40,10 +44,12 @@ impl Scratch {
 
 impl Drop for Scratch {
     fn drop(&mut self) {
-        end_programs(&self.folder);
-        // What cannot be removed now is swept up when the store is next opened.
-        let _ = fs::remove_dir_all(&self.folder);
-        drop(self.lock.take());
+        clear(&self.folder);
+        let lock = self.lock.take();
+        if self.folder.exists() {
+            // What cannot be removed now is swept up when the store is next opened; until then its lock tells whose it is.
+            drop(lock.map(NamedTempFile::keep));
+        }
     }
 }
 
@@ -53,7 +59,7 @@ impl Store {
         let root = self.dir().join(SCRATCH);
         loop {
             let mut builder = tempfile::Builder::new();
-            let lock = builder.prefix("run-").suffix(LOCK).tempfile_in(&root).at("write into", &root)?;
+            let lock = builder.prefix(PREFIX).suffix(LOCK).tempfile_in(&root).at("write into", &root)?;
             lock.as_file().lock().at("lock a file in", &root)?;
             // Swept up between its making and its locking? Then make another.
             if crate::segment::is_at(lock.as_file(), lock.path()) {
@@ -65,20 +71,50 @@ impl Store {
     }
 }
 
-/// Removes the folders in `root` whose process is gone.
+/// Removes the folders in `root` whose process is gone, and those whose lock has gone before them.
 pub(crate) fn sweep(root: &Path) -> Result<(), StoreError> {
     for entry in fs::read_dir(root).at("list", root)? {
         let path = entry.at("list", root)?.path();
-        let is_lock = path.to_str().is_some_and(|path| path.ends_with(LOCK));
-        let Some(held) = File::open(&path).ok().filter(|_| is_lock) else { continue };
-        if is_abandoned(&held, &path) {
-            let folder = path.with_extension("");
-            std::path::absolute(&folder).iter().for_each(|folder| end_programs(folder));
-            let _ = fs::remove_dir_all(&folder);
-            let _ = fs::remove_file(&path);
+        let name = path.file_name().and_then(|name| name.to_str()).filter(|name| name.starts_with(PREFIX));
+        match name.map(|name| name.strip_suffix(LOCK)) {
+            Some(Some(_)) => sweep_locked(&path),
+            // A folder is made after its lock and removed before it: without one, it is left from a sweep that failed.
+            Some(None) if plain::is_folder(&path) && !lock_of(&path).exists() => clear(&path),
+            _ => {}
         }
     }
     Ok(())
+}
+
+fn sweep_locked(lock: &Path) {
+    let Some(_held) = plain::open(lock).ok().filter(|file| is_abandoned(file, lock)) else { return };
+    let folder = lock.with_extension("");
+    clear(&folder);
+    // What is left of the folder would be nobody's without its lock.
+    if !folder.exists() {
+        let _ = fs::remove_file(lock);
+    }
+}
+
+fn lock_of(folder: &Path) -> PathBuf {
+    folder.with_extension(&LOCK[1..])
+}
+
+/// Ends the programs of a folder and removes it, as far as that can be done.
+fn clear(folder: &Path) {
+    std::path::absolute(folder).iter().for_each(|folder| end_programs(folder));
+    if fs::remove_dir_all(folder).is_err() {
+        // A program may have made folders in which nothing can be removed.
+        open_up(folder);
+        let _ = fs::remove_dir_all(folder);
+    }
+}
+
+/// Lets this user write to a folder and all folders in it, as far as they are this user's.
+fn open_up(folder: &Path) {
+    let _ = fs::set_permissions(folder, Permissions::from_mode(0o700));
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    entries.filter(|path| plain::is_folder(path)).for_each(|path| open_up(&path));
 }
 
 fn temporary(folder: &Path) -> PathBuf {
@@ -147,5 +183,22 @@ mod tests {
         drop(scratch);
         assert!(!used.exists());
         assert_eq!(fs::read_dir(dir.join(SCRATCH)).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn folders_without_their_locks_go_and_what_is_not_of_a_store_stays() {
+        let place = tempfile::tempdir().unwrap();
+        let dir = place.path().join("store");
+        let used = Store::open(&dir).unwrap().scratch().unwrap();
+        let at = |name: &str| dir.join(SCRATCH).join(name);
+        for folder in ["run-left/out/sealed", "mine"] {
+            fs::create_dir_all(at(folder)).unwrap();
+        }
+        fs::write(at("run-left/out/sealed/file"), "half").unwrap();
+        fs::set_permissions(at("run-left/out/sealed"), Permissions::from_mode(0o500)).unwrap();
+        fs::write(at("mine.lock"), "").unwrap();
+        drop(Store::open(&dir).unwrap());
+        assert!(!at("run-left").exists(), "nobody has it, though nothing could be removed from a folder in it");
+        assert!(used.path().exists() && at("mine").exists() && at("mine.lock").exists());
     }
 }

@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use crate::error::{At, StoreError};
 use crate::frame::{HEADER_BYTES, Header, Kind, MAGIC};
+use crate::plain;
 
 /// A segment that has grown beyond this is not continued.
 pub(crate) const FULL_BYTES: u64 = 256 << 20;
@@ -68,7 +69,7 @@ impl Writer {
 
 /// Opens a segment for appending if no live process writes it.
 pub(crate) fn claim(path: &Path) -> Result<Option<File>, StoreError> {
-    let file = OpenOptions::new().read(true).append(true).create(true).open(path).at("open", path)?;
+    let file = plain::open_with(OpenOptions::new().read(true).append(true).create(true), path).at("open", path)?;
     match file.try_lock() {
         Ok(()) => Ok(is_at(&file, path).then_some(file)),
         Err(TryLockError::WouldBlock) => Ok(None),

@@ -6,13 +6,14 @@ use std::sync::{Arc, Mutex};
 
 use serde_json::Value;
 
-use crate::blobs::{Blobs, Damage};
+use crate::blobs::Blobs;
 use crate::error::{At, StoreError};
 use crate::frame::Kind;
 use crate::index::Place;
 use crate::journal::Journal;
 use crate::locks::{self, KeyLock};
 use crate::open::{self, LOCKS, QUARANTINE, SEGMENTS};
+use crate::seal::Damage;
 use crate::syncer::Syncer;
 use crate::{Digest, Outcome, Record};
 
@@ -95,10 +96,11 @@ impl Store {
     /// Stores these bytes, unless they are there already, and returns their digest.
     ///
     /// What is there but was put long ago is put again: a large blob has its time set, a small one is written to the
-    /// segment of this process. So a collection beside this sees that it is used, however old it is.
+    /// segment of this process. So a collection beside this sees that it is used, however old it is. What is there and has
+    /// another size is set aside, and told of by [`Store::take_damaged`].
     pub fn put(&self, bytes: &[u8]) -> Result<Digest, StoreError> {
         let digest = Digest::of(bytes);
-        if self.renew(&digest) {
+        if self.renew(&digest, Some(bytes.len() as u64)) {
             return Ok(digest);
         }
         if bytes.len() < LARGE_BYTES {
@@ -113,8 +115,8 @@ impl Store {
     }
 
     /// Whether a blob is there and no collection takes it for one nobody uses; false where it has to be put again.
-    pub(crate) fn renew(&self, digest: &Digest) -> bool {
-        self.place(digest).map_or_else(|| self.blobs.renew(digest), Place::is_recent)
+    pub(crate) fn renew(&self, digest: &Digest, bytes: Option<u64>) -> bool {
+        self.place(digest).map_or_else(|| self.blobs.renew(digest, bytes), Place::is_recent)
     }
 
     /// Whether a blob is there.
@@ -124,9 +126,14 @@ impl Store {
 
     /// The size of a blob, if it is there. A large one that was written to by others is verified first.
     pub fn size(&self, digest: &Digest) -> Option<u64> {
+        self.size_if(digest, None)
+    }
+
+    /// The size of a blob, which should be `bytes`.
+    fn size_if(&self, digest: &Digest, bytes: Option<u64>) -> Option<u64> {
         match self.place(digest) {
             Some(place) => Some(u64::from(place.length)),
-            None => self.blobs.check(digest).ok(),
+            None => self.blobs.check(digest, bytes).ok(),
         }
     }
 
@@ -155,14 +162,18 @@ impl Store {
         Err(StoreError::Damaged { digest: *digest, moved_to })
     }
 
-    /// The latest record under this key. Those of other live processes are seen after [`Store::refresh`].
+    /// The latest record under this key, if its recipe is the one of that key. Those of other live processes are seen after
+    /// [`Store::refresh`].
     pub fn record(&self, key: &Digest) -> Option<Record> {
-        self.journal.with_index(|index| Record::decode(index.payload(Kind::Record, key)?))
+        self.journal.with_index(|index| {
+            let payload = index.payload(Kind::Record, key)?;
+            own_recipe(payload, key).and_then(|_| Record::decode(payload))
+        })
     }
 
     /// The text of the recipe whose key this is, if it is on record.
     pub fn recipe_text(&self, key: &Digest) -> Option<String> {
-        self.journal.with_index(|index| Some(Record::recipe_text(index.payload(Kind::Record, key)?)?.to_owned()))
+        self.journal.with_index(|index| own_recipe(index.payload(Kind::Record, key)?, key).map(str::to_owned))
     }
 
     /// The latest record under this key, if every blob it names is there.
@@ -212,8 +223,8 @@ impl Store {
     }
 
     fn append_record(&self, record: &Record) -> Result<Digest, StoreError> {
-        if !record.cost.is_finite() {
-            return Err(bad_record(record, "its cost is not a finite number of seconds".to_owned()));
+        if !record.cost.is_sound() {
+            return Err(bad_record(record, "its cost is negative, or no finite number of seconds".to_owned()));
         }
         let text = record.recipe.text();
         let key = Digest::of(text.as_bytes());
@@ -238,7 +249,7 @@ impl Store {
     }
 
     fn has(&self, digest: &Digest, bytes: Option<u64>) -> bool {
-        self.size(digest).is_some_and(|size| bytes.is_none_or(|bytes| bytes == size))
+        self.size_if(digest, bytes).is_some_and(|size| bytes.is_none_or(|bytes| bytes == size))
     }
 
     /// Takes the right to compute `key`, calling `on_wait` once before waiting if another holds it, here or in another
@@ -330,6 +341,11 @@ impl Store {
     pub(crate) fn place(&self, digest: &Digest) -> Option<Place> {
         self.journal.with_index(|index| index.blob(digest))
     }
+}
+
+/// The text of the recipe in a record, if its key is this one.
+fn own_recipe<'a>(payload: &'a [u8], key: &Digest) -> Option<&'a str> {
+    Record::recipe_text(payload).filter(|text| Digest::of(text.as_bytes()) == *key)
 }
 
 fn bad_record(record: &Record, reason: String) -> StoreError {

@@ -110,7 +110,9 @@ impl Store {
         };
         for entry in entries {
             let path = entry.at("list", &folder)?.path();
-            match std::fs::remove_file(&path) {
+            // Whatever stood in the place of a blob was set aside, be it a folder.
+            let is_folder = crate::plain::is_folder(&path);
+            match if is_folder { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) } {
                 Err(fault) if fault.kind() == std::io::ErrorKind::NotFound => {}
                 removed => removed.at("remove", &path)?,
             }

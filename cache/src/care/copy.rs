@@ -41,7 +41,7 @@ impl Store {
             handed.known += 1;
             return Ok(());
         }
-        for (digest, _) in record.blobs().filter(|(digest, _)| !other.renew(digest)) {
+        for (digest, _) in record.blobs().filter(|(digest, bytes)| !other.renew(digest, *bytes)) {
             let bytes = match self.get(&digest) {
                 Ok(bytes) => bytes,
                 Err(StoreError::Damaged { .. } | StoreError::Missing { .. }) => {
@@ -82,7 +82,7 @@ mod tests {
             inputs: std::collections::BTreeMap::new(),
             seed: None,
         };
-        let outputs = [("out".to_owned(), output)].into();
+        let outputs = [("out", output)].try_into().unwrap();
         store.commit(&Record { recipe, outputs, log: None, sketches: None, cost: Cost::default() }).unwrap()
     }
 

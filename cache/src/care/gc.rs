@@ -84,7 +84,7 @@ impl Store {
         let kept: BTreeMap<Digest, u64> = stays.clone().flat_map(|candidate| candidate.blobs.iter().copied()).collect();
         let mut plan = GcPlan {
             kept_records: stays.count() as u64,
-            kept_bytes: kept.values().sum(),
+            kept_bytes: kept.values().copied().fold(0, u64::saturating_add),
             records: candidates.iter().filter(|one| one.why.is_some()).map(|one| one.key).collect(),
             blobs: self.leaving(&candidates, &kept, since_s),
             leaving: Leaving::default(),
@@ -186,21 +186,22 @@ fn why(policy: &GcPolicy, named: bool, age_s: u64) -> Option<String> {
 fn within_budget(candidates: &mut [Candidate], max_bytes: Option<u64>) {
     let Some(max_bytes) = max_bytes else { return };
     let mut users: BTreeMap<Digest, u32> = BTreeMap::new();
-    let mut bytes = 0;
+    // What records say may be anything; sums of it are wide enough.
+    let mut bytes = 0_u128;
     for (digest, size) in candidates.iter().filter(|one| one.why.is_none()).flat_map(|one| &one.blobs) {
         let count = users.entry(*digest).or_default();
-        bytes += if *count == 0 { *size } else { 0 };
+        bytes += if *count == 0 { u128::from(*size) } else { 0 };
         *count += 1;
     }
     for candidate in candidates.iter_mut().filter(|one| one.why.is_none() && !one.fixed) {
-        if bytes <= max_bytes {
+        if bytes <= u128::from(max_bytes) {
             return;
         }
         candidate.why = Some("the store is larger than its budget, and this was not used for longest".to_owned());
         for (digest, size) in &candidate.blobs {
             let count = users.entry(*digest).or_default();
             *count = count.saturating_sub(1);
-            bytes -= if *count == 0 { *size } else { 0 };
+            bytes -= if *count == 0 { u128::from(*size) } else { 0 };
         }
     }
 }

@@ -55,6 +55,11 @@ impl Store {
             let file = match self.blobs().open(&digest) {
                 // Removed since it was listed; where a record names it, that is told below.
                 Err(StoreError::Missing { .. }) => continue,
+                // No plain file: nothing to read, and set aside by the opening.
+                Err(StoreError::Damaged { .. }) => {
+                    found.faults.push(damaged(&digest, &named, true));
+                    continue;
+                }
                 file => file?,
             };
             let read = Digest::of_reader(file).at("read", &self.blobs().path(&digest))?;
@@ -67,8 +72,8 @@ impl Store {
             outputs: outputs.clone(),
             set_aside: false,
         };
-        let damaged: Vec<Digest> = found.faults.iter().map(|fault| fault.digest).collect();
-        found.faults.extend(missing.filter(|(digest, _)| !damaged.contains(digest)).map(fault));
+        let told: Vec<Digest> = found.faults.iter().map(|fault| fault.digest).collect();
+        found.faults.extend(missing.filter(|(digest, _)| !told.contains(digest)).map(fault));
         found.faults.sort_by_key(|fault| fault.digest);
         Ok(found)
     }
@@ -94,8 +99,7 @@ impl Store {
         if repair {
             self.set_aside(digest)?;
         }
-        let outputs = named.get(digest).cloned().unwrap_or_default();
-        found.faults.push(Fault { kind: FaultKind::Damaged, digest: *digest, outputs, set_aside: repair });
+        found.faults.push(damaged(digest, named, repair));
         Ok(())
     }
 
@@ -130,4 +134,9 @@ impl Store {
     pub(super) fn small_blobs(&self) -> Vec<Digest> {
         self.journal().with_index(|index| index.names(Kind::Blob))
     }
+}
+
+fn damaged(digest: &Digest, named: &BTreeMap<Digest, Vec<String>>, set_aside: bool) -> Fault {
+    let outputs = named.get(digest).cloned().unwrap_or_default();
+    Fault { kind: FaultKind::Damaged, digest: *digest, outputs, set_aside }
 }

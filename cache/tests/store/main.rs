@@ -3,6 +3,7 @@
 mod care;
 mod crash;
 mod faults;
+mod hostile;
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -34,7 +35,7 @@ fn output(bytes: &[u8], kept: bool) -> OutputRecord {
 }
 
 fn record(number: u64, bytes: &[u8], kept: bool) -> Record {
-    let outputs = [("mesh".to_owned(), output(bytes, kept))].into();
+    let outputs = [("mesh", output(bytes, kept))].try_into().unwrap();
     Record { recipe: recipe(number), outputs, log: None, sketches: None, cost: Cost { wall_s: 0.5, ..Cost::default() } }
 }
 

@@ -1,0 +1,92 @@
+//! Opening what lies in a store: plain files and true folders only.
+//!
+//! Whoever may write to a shared store may put a link to somebody else's file in the place of a segment, or a pipe that
+//! nobody ever writes to. Neither is followed or waited for.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, ErrorKind};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::Path;
+
+use rustix::fs::OFlags;
+use rustix::io::Errno;
+
+use crate::error::StoreError;
+
+/// Opens a plain file to read from.
+pub(crate) fn open(path: &Path) -> io::Result<File> {
+    open_with(OpenOptions::new().read(true), path)
+}
+
+/// Opens a plain file in a way of its own.
+pub(crate) fn open_with(options: &mut OpenOptions, path: &Path) -> io::Result<File> {
+    let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK;
+    let file = options.custom_flags(flags.bits() as i32).open(path).map_err(|fault| {
+        // A link, or a pipe without a reader.
+        let is_foreign =
+            [Errno::LOOP, Errno::NXIO].iter().any(|errno| fault.raw_os_error() == Some(errno.raw_os_error()));
+        if is_foreign { not_plain() } else { fault }
+    })?;
+    if file.metadata()?.is_file() { Ok(file) } else { Err(not_plain()) }
+}
+
+fn not_plain() -> io::Error {
+    io::Error::new(ErrorKind::InvalidInput, "it is a link or no plain file, which no store has there")
+}
+
+/// Whether a file could not be opened because it is not one.
+pub(crate) fn is_foreign(fault: &io::Error) -> bool {
+    fault.kind() == ErrorKind::InvalidInput
+}
+
+/// Makes sure that there is a folder at `path`, and not a link to one.
+pub(crate) fn folder(path: &Path) -> Result<(), StoreError> {
+    match fs::create_dir(path) {
+        Ok(()) => Ok(()),
+        Err(_) if is_folder(path) => Ok(()),
+        Err(fault) if fault.kind() == ErrorKind::AlreadyExists => Err(StoreError::Foreign { path: path.to_owned() }),
+        Err(fault) => Err(StoreError::io("make the folder", path, fault)),
+    }
+}
+
+/// Whether there is a folder at `path`, and not a link to one.
+pub(crate) fn is_folder(path: &Path) -> bool {
+    fs::symlink_metadata(path).is_ok_and(|meta| meta.is_dir())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::symlink;
+
+    #[test]
+    fn links_pipes_and_folders_are_no_files() {
+        let place = tempfile::tempdir().unwrap();
+        let path = |name: &str| place.path().join(name);
+        fs::write(path("file"), "bytes").unwrap();
+        symlink(path("file"), path("link")).unwrap();
+        symlink(path("nothing"), path("dangling")).unwrap();
+        fs::create_dir(path("folder")).unwrap();
+        rustix::fs::mknodat(rustix::fs::CWD, path("pipe"), rustix::fs::FileType::Fifo, 0o600.into(), 0).unwrap();
+        assert!(open(&path("file")).is_ok());
+        for name in ["link", "dangling", "folder", "pipe"] {
+            assert!(is_foreign(&open(&path(name)).unwrap_err()), "{name}");
+        }
+        let mut append = OpenOptions::new();
+        append.append(true).create(true);
+        assert!(open_with(&mut append, &path("dangling")).is_err() && !path("nothing").exists());
+        assert!(open_with(&mut append, &path("pipe")).is_err());
+        assert_eq!(open(&path("none")).unwrap_err().kind(), ErrorKind::NotFound);
+    }
+
+    #[test]
+    fn a_link_to_a_folder_is_none() {
+        let place = tempfile::tempdir().unwrap();
+        let (real, link) = (place.path().join("real"), place.path().join("link"));
+        folder(&real).unwrap();
+        folder(&real).unwrap();
+        symlink(&real, &link).unwrap();
+        assert!(matches!(folder(&link), Err(StoreError::Foreign { path }) if path == link));
+        assert!(is_folder(&real) && !is_folder(&link));
+    }
+}
