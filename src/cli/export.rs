@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use rockface_cache::SafeName;
 
 use super::places::Places;
 use super::{CliError, say};
@@ -18,6 +19,10 @@ pub struct ExportArgs {
     output: String,
     /// The file to write, or a folder to write it into.
     path: PathBuf,
+    /// Write the output without reading it first: quicker for very large ones, and what has decayed on disk is handed on
+    /// as it is.
+    #[arg(long)]
+    trust_store: bool,
     #[command(flatten)]
     places: Places,
 }
@@ -34,11 +39,13 @@ impl ExportArgs {
         let kind: Option<rockface_stages::artefact::Kind> = output.kind.parse().ok();
         let to = if self.path.is_dir() {
             let extension = kind.map_or("bin", rockface_stages::artefact::Kind::extension);
-            self.path.join(format!("{}.{port}.{extension}", done.label()))
+            let name = SafeName::new(format!("{}.{port}.{extension}", done.label()));
+            self.path.join(name.map_err(|error| CliError::Usage(format!("{error}; name the file to write")))?)
         } else {
             self.path.clone()
         };
         let store = self.places.open_store()?;
+        store.trust(self.trust_store);
         let how = store.materialise(&output.digest, &to).map_err(|error| unkept(error, &run.folder))?;
         let how = match how {
             rockface_cache::Materialised::Reflink => "shared with the store until it is written to",

@@ -9,6 +9,7 @@ mod init;
 mod inspect;
 mod places;
 mod plan;
+mod programs;
 mod repeat;
 mod report;
 mod run;
@@ -203,9 +204,11 @@ fn own_folder(pipeline: &Path) -> Result<PathBuf, CliError> {
     let failed = |source| CliError::Run(RunError::Folder { path: folder.clone(), source });
     std::fs::create_dir_all(&folder).map_err(failed)?;
     for (name, text) in [(".gitignore", "*\n"), ("CACHEDIR.TAG", CACHE_TAG)] {
-        let path = folder.join(name);
-        if !path.exists() {
-            std::fs::write(&path, text).map_err(failed)?;
+        // Made only where there is nothing, not even a link.
+        match std::fs::File::create_new(folder.join(name)) {
+            Ok(mut file) => std::io::Write::write_all(&mut file, text.as_bytes()).map_err(failed)?,
+            Err(fault) if fault.kind() == std::io::ErrorKind::AlreadyExists => {}
+            Err(fault) => return Err(failed(fault)),
         }
     }
     Ok(folder)
@@ -245,7 +248,10 @@ impl CliError {
     pub fn exit_code(&self) -> i32 {
         match self {
             Self::Failed => 1,
-            Self::History(HistoryError::Io { .. }) | Self::Store(_) | Self::Damaged | Self::Report(_) => 3,
+            Self::History(HistoryError::Io { .. } | HistoryError::Changed { .. })
+            | Self::Store(_)
+            | Self::Damaged
+            | Self::Report(_) => 3,
             Self::Pipeline(_) | Self::Usage(_) | Self::History(_) => 2,
             Self::Run(error) => error.exit_code(),
         }
@@ -256,7 +262,7 @@ impl CliError {
         match self {
             Self::Pipeline(diagnostics) => diagnostics.render(colour),
             Self::Failed | Self::Damaged => String::new(),
-            other => format!("error: {other}"),
+            other => crate::watch::printable(&format!("error: {other}")).into_owned(),
         }
     }
 }
@@ -289,7 +295,7 @@ impl Cli {
 /// being written, such as a full disk, ends the program with the exit code of a disk that failed.
 fn say(text: &str) {
     use std::io::Write;
-    match writeln!(std::io::stdout(), "{text}") {
+    match writeln!(std::io::stdout(), "{}", crate::watch::printable(text)) {
         Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
             eprintln!("error: cannot write to standard output: {error}");
             std::process::exit(3);

@@ -6,6 +6,7 @@ use clap::Args;
 use rockface_cache::Store;
 use serde_json::{Value, json};
 
+use super::programs::ProgramArgs;
 use super::{CliError, PipelineArgs, say};
 use crate::explain::{Answer, Answers};
 use crate::plan::Plan;
@@ -16,6 +17,8 @@ use crate::watch::duration;
 pub struct PlanArgs {
     #[command(flatten)]
     pipeline: PipelineArgs,
+    #[command(flatten)]
+    programs: ProgramArgs,
     /// Print every step instance, not only a line a step.
     #[arg(long, short)]
     verbose: bool,
@@ -28,6 +31,7 @@ impl PlanArgs {
     /// Prints the plan.
     pub fn run(self) -> Result<(), CliError> {
         let pipeline = self.pipeline.load()?;
+        self.programs.check(&pipeline, &self.pipeline.target)?;
         let (plan, store) = self.pipeline.look(&pipeline, &self.pipeline.target)?;
         let answers = Answers::new(&plan, &store);
         let is_timed = answers.list().iter().any(|answer| answer.is_open());

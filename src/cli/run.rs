@@ -9,6 +9,7 @@ use clap::Args;
 
 use rockface_cache::Digest;
 
+use super::programs::ProgramArgs;
 use super::{CliError, PipelineArgs, beside, own_folder, repeat, say};
 use crate::pipeline::is_stream;
 use crate::run::shortcut::{self, NAMED, Told};
@@ -23,6 +24,8 @@ const MEMORY_LIMIT_GIB: f64 = 1_048_576.0;
 pub struct RunArgs {
     #[command(flatten)]
     pipeline: PipelineArgs,
+    #[command(flatten)]
+    programs: ProgramArgs,
     /// Steps at once, and threads inside them; by default one a core.
     #[arg(long, short, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: Option<u16>,
@@ -42,6 +45,10 @@ pub struct RunArgs {
     /// Which outputs get a name in the run folder; `rockface export` gives any other a name later.
     #[arg(long, value_name = "WHICH", value_enum, default_value_t)]
     outputs: LayOut,
+    /// Link results into the run folder without reading them first: quicker where many gigabytes are linked anew, and
+    /// what has decayed on disk is linked as it is.
+    #[arg(long)]
+    trust_store: bool,
     /// Print events as lines of JSON.
     #[arg(long)]
     json: bool,
@@ -67,6 +74,7 @@ impl RunArgs {
             return Ok(());
         }
         let pipeline = self.pipeline.load()?;
+        self.programs.check(&pipeline, &self.pipeline.target)?;
         let (mut plan, store) = self.pipeline.plan(&pipeline, &self.pipeline.target)?;
         if self.rehash {
             for file in plan.instances.iter().flat_map(|instance| instance.params.files.values().flatten()) {
@@ -74,6 +82,7 @@ impl RunArgs {
             }
             plan = self.pipeline.plan(&pipeline, &self.pipeline.target)?.0;
         }
+        store.trust(self.trust_store);
         let mut options = Options { keep_going: self.keep_going, exit_when_stuck: true, ..Options::default() };
         options.jobs = self.jobs.map_or(options.jobs, usize::from);
         options.memory_bytes = self.memory.unwrap_or(options.memory_bytes);
@@ -130,7 +139,13 @@ impl RunArgs {
     /// The digest of all that this command is asked and asked with; `None` where every step instance is to be told of.
     fn question(&self) -> Option<Digest> {
         let path = &self.pipeline.pipeline;
-        if self.json || self.verbose || self.rehash || self.pipeline.text.is_some() || is_stream(path) {
+        if self.json
+            || self.verbose
+            || self.rehash
+            || self.programs.are_refused()
+            || self.pipeline.text.is_some()
+            || is_stream(path)
+        {
             return None;
         }
         let text = std::fs::read(path).ok()?;

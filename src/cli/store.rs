@@ -11,7 +11,7 @@ use super::hand::HandArgs;
 use super::places::Places;
 use super::table::{self, Format, bytes};
 use super::{CliError, say};
-use crate::history::{self, PastRun};
+use crate::history::{self, HistoryError, PastRun};
 
 /// What was made or used less long ago is kept by a collection, seconds: a run that was stopped may be taken up again.
 const GRACE_S: u64 = 3600;
@@ -188,7 +188,7 @@ impl GcArgs {
             &rows,
             &json!(null),
         )?;
-        let size = bytes(plan.blobs.iter().map(|item| item.bytes).sum());
+        let size = bytes(plan.blobs.iter().map(|item| item.bytes).fold(0, u64::saturating_add));
         let (records, kept) = (plan.records.len(), plan.kept_records);
         let kept_size = bytes(plan.kept_bytes);
         say(&format!(
@@ -213,9 +213,11 @@ impl GcArgs {
             policy.grace_s = policy.grace_s.max(now_s().saturating_sub(since_s) + 1);
         }
         for folder in run_folders(store, &self.places.runs)? {
-            // A run whose manifest cannot be read may be one that counts.
-            let run = PastRun::open(&folder)?;
-            count(&mut policy, &run);
+            match PastRun::open(&folder) {
+                Ok(run) => count(&mut policy, &run),
+                Err(fault @ HistoryError::Manifest { .. }) => count_torn(&mut policy, store, &folder, &fault)?,
+                Err(fault) => return Err(fault.into()),
+            }
         }
         Ok(policy)
     }
@@ -235,11 +237,8 @@ fn told(done: &Collected) -> String {
 
 /// All run folders that are there: those in `runs`, and those elsewhere that the store was told of.
 fn run_folders(store: &Store, runs: &Path) -> Result<BTreeSet<PathBuf>, CliError> {
-    let (found, faults) = history::list(runs)?;
-    if let Some(fault) = faults.into_iter().next() {
-        return Err(fault.into());
-    }
-    let mut folders: BTreeSet<PathBuf> = found.into_iter().map(|run| run.folder).collect();
+    let absolute = |folder: PathBuf| std::path::absolute(&folder).unwrap_or(folder);
+    let mut folders: BTreeSet<PathBuf> = history::folders(runs)?.into_iter().map(absolute).collect();
     for note in store.recalled_runs() {
         let folder = note.get("folder").and_then(serde_json::Value::as_str).map(PathBuf::from);
         folders.extend(folder.filter(|folder| folder.join("run.json").is_file()));
@@ -252,12 +251,27 @@ fn count(policy: &mut GcPolicy, run: &PastRun) {
     let since = finished.and_then(|at| at.duration_since(std::time::UNIX_EPOCH).ok());
     let used_s = since.map_or(0, |since| since.as_secs());
     let keys: Vec<Digest> = run.manifest.steps.iter().filter_map(|done| done.key).collect();
+    use_keys(policy, keys, used_s, run.pinned);
+}
+
+/// Counts what a manifest that cannot be read still names: its run may be one that is wanted.
+fn count_torn(policy: &mut GcPolicy, store: &Store, folder: &Path, fault: &HistoryError) -> Result<(), CliError> {
+    let (digests, written_s) = history::digests_told(folder)?;
+    let keys: Vec<Digest> = digests.into_iter().filter(|digest| store.has_record(digest)).collect();
+    let (count, pinned) = (keys.len(), history::is_pinned(folder));
+    use_keys(policy, keys, written_s, pinned);
+    let way = "repeat its pipeline to have it told anew, or remove the folder";
+    eprintln!("warning: {fault}; the {count} records that can still be read in it count as used by this run: {way}");
+    Ok(())
+}
+
+fn use_keys(policy: &mut GcPolicy, keys: Vec<Digest>, used_s: u64, pinned: bool) {
     let latest: &mut BTreeMap<Digest, u64> = &mut policy.used;
     for key in &keys {
         let known = latest.entry(*key).or_default();
         *known = used_s.max(*known);
     }
-    if run.pinned {
+    if pinned {
         policy.pinned.extend(keys);
     }
 }

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use rockface_cache::{Digest, Store};
 
 use super::sources::source_files;
-use super::{HistoryError, PastRun};
+use super::{HistoryError, Manifest, PastRun};
 
 /// Explains the archive to whoever opens it.
 const README: &str = "This archive holds one run of rockface.
@@ -46,11 +46,18 @@ pub fn archive(run: &PastRun, store: &Store, outputs: bool, to: &Path) -> Result
     let file = tempfile::NamedTempFile::new_in(folder).map_err(HistoryError::io("write into", folder))?;
     let mut packing = Packing { tar: tar::Builder::new(BufWriter::new(file)), sums: BTreeMap::new(), to };
     packing.add(Path::new("README"), README.as_bytes())?;
+    let made = made(&run.manifest);
     for path in files_of(run, outputs)? {
-        let bytes = std::fs::read(run.folder.join(&path)).map_err(HistoryError::io("read", &run.folder.join(&path)))?;
+        let file = run.folder.join(&path);
+        let bytes = std::fs::read(&file).map_err(HistoryError::io("read", &file))?;
+        let bytes = match made.get(path.as_path()) {
+            Some(digest) => as_made(bytes, digest, store, &file, run)?,
+            None => bytes,
+        };
         packing.add(&path, &bytes)?;
     }
-    for (path, text) in source_files(&run.manifest.pipeline) {
+    let sources = source_files(&run.manifest.pipeline);
+    for (path, text) in sources.map_err(|error| HistoryError::io("archive", &run.folder)(error.into()))? {
         packing.add(&Path::new("pipeline").join(path), text.as_bytes())?;
     }
     let missing = packing.records(run, store)?;
@@ -60,6 +67,34 @@ pub fn archive(run: &PastRun, store: &Store, outputs: bool, to: &Path) -> Result
     file.as_file().set_permissions(mode).map_err(HistoryError::io("write", to))?;
     file.persist(to).map_err(|fault| HistoryError::io("write", to)(fault.error))?;
     Ok(Archived { files, missing })
+}
+
+/// What each output file of a run was made as.
+fn made(manifest: &Manifest) -> BTreeMap<&Path, Digest> {
+    let mut made = BTreeMap::new();
+    for done in &manifest.steps {
+        for (port, output) in done.outputs.iter().flatten() {
+            made.extend(done.paths.get(port.as_str()).map(|path| (&**path, output.digest)));
+        }
+    }
+    made
+}
+
+/// The bytes of an output as it was made: those of the file in the run folder, unless it was written to or has decayed
+/// since; then those in the store.
+fn as_made(
+    bytes: Vec<u8>,
+    digest: &Digest,
+    store: &Store,
+    file: &Path,
+    run: &PastRun,
+) -> Result<Vec<u8>, HistoryError> {
+    if Digest::of(&bytes) == *digest {
+        return Ok(bytes);
+    }
+    let changed =
+        |_| HistoryError::Changed { path: file.to_owned(), digest: *digest, manifest: run.folder.join("run.json") };
+    store.get(digest).map_err(changed)
 }
 
 /// The files of a run folder, relative to it, sorted.

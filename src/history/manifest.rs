@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use rockface_cache::{Cost, Digest, Outputs, RecipeInput};
+use rockface_cache::{Cost, Digest, Outputs, RecipeInput, SafePath};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -126,7 +126,7 @@ pub struct StepDone {
     pub inputs: BTreeMap<String, RecipeInput>,
     /// The files of its outputs by port, relative to the run folder.
     #[serde(default)]
-    pub paths: BTreeMap<String, PathBuf>,
+    pub paths: BTreeMap<String, SafePath>,
 }
 
 /// A number a step told.

@@ -5,6 +5,7 @@ mod compare;
 mod manifest;
 mod provenance;
 mod sources;
+mod torn;
 
 use std::path::{Path, PathBuf};
 
@@ -12,6 +13,7 @@ pub use archive::{Archived, archive};
 pub use compare::{Comparison, Row, compare};
 pub use manifest::{FORMAT, FileUsed, IncludedText, Manifest, Metric, Overridden, PipelineText, StepDone};
 pub use provenance::crate_metadata;
+pub use torn::digests_told;
 
 use crate::diagnostic::nearest;
 
@@ -60,6 +62,19 @@ pub enum HistoryError {
         /// What is wrong.
         why: String,
     },
+    /// A file of a run folder is not what the run made.
+    #[error(
+        "{} is not what the run made any more (blob {}), and the store does not have it: repeat the run with `rockface run {}`, or leave out --outputs",
+        path.display(), digest.short(), manifest.display()
+    )]
+    Changed {
+        /// The file.
+        path: PathBuf,
+        /// What it was.
+        digest: rockface_cache::Digest,
+        /// Where the run is told of.
+        manifest: PathBuf,
+    },
     /// The disk.
     #[error("cannot {action} {}: {source}", path.display())]
     Io {
@@ -89,7 +104,7 @@ impl PastRun {
         let manifest = Manifest::read(&folder.join("run.json"))?;
         let folder = std::path::absolute(folder).map_err(HistoryError::io("find", folder))?;
         let name = folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-        let pinned = folder.join(PIN).exists();
+        let pinned = is_pinned(&folder);
         Ok(Self { name, folder, manifest, pinned })
     }
 
@@ -109,6 +124,20 @@ impl PastRun {
             _ => Ok(()),
         }
     }
+}
+
+/// Whether what the run of this folder made is kept whatever its age.
+pub fn is_pinned(folder: &Path) -> bool {
+    folder.join(PIN).exists()
+}
+
+/// The run folders in a folder of runs, be their manifests readable or not.
+///
+/// # Errors
+///
+/// When the folder of runs cannot be listed.
+pub fn folders(runs: &Path) -> Result<Vec<PathBuf>, HistoryError> {
+    Ok(names(runs)?.into_iter().map(|name| runs.join(name)).collect())
 }
 
 /// All runs in a folder of runs, oldest first, and what is wrong with the folders that cannot be read.

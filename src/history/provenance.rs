@@ -160,7 +160,7 @@ impl Crate<'_> {
         let mut ids = Vec::new();
         for (port, output) in done.outputs.iter().flatten() {
             let digest = output.digest.to_string();
-            let id = match done.paths.get(port) {
+            let id = match done.paths.get(port.as_str()) {
                 Some(path) => self.output_file(done, port, path, &output.kind),
                 // Without actions nothing refers to what has no file.
                 None if self.manifest.steps.len() > ACTIONS_LIMIT => continue,

@@ -2,20 +2,27 @@
 
 use std::path::{Component, Path, PathBuf};
 
+use rockface_cache::{NameError, SafePath};
+
 use super::PipelineText;
 
 /// The pipeline file and those it includes with their texts, by paths relative to the deepest folder that holds them all.
 /// Nothing where nothing is included.
-pub fn source_files(pipeline: &PipelineText) -> Vec<(PathBuf, &str)> {
+///
+/// # Errors
+///
+/// Where a manifest names a file that lies nowhere below such a folder.
+pub fn source_files(pipeline: &PipelineText) -> Result<Vec<(SafePath, &str)>, NameError> {
     if pipeline.included.is_empty() {
-        return Vec::new();
+        return Ok(Vec::new());
     }
     let main = pipeline.folder.join(pipeline.path.file_name().unwrap_or_default());
     let own = std::iter::once((without_detours(&main), pipeline.text.as_str()));
     let included = pipeline.included.iter().map(|file| (without_detours(&file.path), file.text.as_str()));
     let files: Vec<(PathBuf, &str)> = own.chain(included).collect();
     let top = common_folder(files.iter().map(|(path, _)| path.as_path()));
-    files.iter().map(|(path, text)| (path.strip_prefix(&top).unwrap_or(path).to_owned(), *text)).collect()
+    let below = |path: &Path| SafePath::of(path.strip_prefix(&top).unwrap_or(path));
+    files.iter().map(|(path, text)| below(path).map(|path| (path, *text))).collect()
 }
 
 /// A path in which no `..` goes back on the folder before it.
@@ -59,13 +66,15 @@ mod tests {
             text: "include: …".into(),
             included,
         };
-        assert!(source_files(&pipeline(Vec::new())).is_empty());
+        assert!(source_files(&pipeline(Vec::new())).unwrap().is_empty());
         let beside = pipeline(vec![included("/site/work/./parts/a.yaml")]);
         let paths = |pipeline: &PipelineText| -> Vec<String> {
-            source_files(pipeline).iter().map(|(path, _)| path.display().to_string()).collect()
+            source_files(pipeline).unwrap().iter().map(|(path, _)| path.display().to_string()).collect()
         };
         assert_eq!(paths(&beside), ["main.yaml", "parts/a.yaml"]);
         let elsewhere = pipeline(vec![included("/site/work/../shared/a.yaml"), included("/site/work/b.yaml")]);
         assert_eq!(paths(&elsewhere), ["work/main.yaml", "shared/a.yaml", "work/b.yaml"]);
+        // A manifest that was made up: this one would have an absolute path put into the archive.
+        assert!(source_files(&PipelineText { folder: "".into(), ..pipeline(vec![included("/etc/a.yaml")]) }).is_err());
     }
 }

@@ -33,8 +33,11 @@ const ITEMS_LIMIT: u64 = 1_000_000;
 
 /// Why a text cannot be an item.
 pub fn bad_item(item: &str) -> Option<String> {
-    if item.is_empty() || item.contains(['/', '\\', ',', '=', '[', ']', '\0']) {
-        Some(format!("`{item}` cannot be an item: an item is not empty and has none of / \\ , = [ ]"))
+    if item.is_empty() || item.contains(['/', '\\', ',', '=', '[', ']']) || item.contains(char::is_control) {
+        let item = item.escape_debug();
+        Some(format!(
+            "`{item}` cannot be an item: an item is not empty and has none of / \\ , = [ ] and no control characters"
+        ))
     } else if item == PREV {
         Some("`prev` cannot be an item: `[axis=prev]` means the item before".to_owned())
     } else {

@@ -1,6 +1,7 @@
 //! The tree of a long YAML text in a compact file, so that the text is not taken apart anew as long as it is the same.
 //!
-//! At most 16 files in a folder, each replaced in one step and believed only if its digest and that of the text are right.
+//! At most 16 files in a folder, each replaced in one step and believed only if its digest and that of the text are right, and
+//! if this user wrote it: in a shared store somebody else could put another pipeline in the place of a text.
 //! A node is a byte that tells what it is, where it stands (start and length, as many bytes as they need), and its content.
 
 use std::path::{Path, PathBuf};
@@ -25,7 +26,7 @@ pub fn parse(text: &str, source: usize, folder: Option<&Path>) -> Result<Node, D
     let Some(folder) = folder.filter(|_| text.len() >= LONG_BYTES) else { return Node::parse(text, source) };
     let digest = Digest::of(text.as_bytes());
     let file = slot(folder, &digest);
-    if let Some(tree) = std::fs::read(&file).ok().and_then(|bytes| read(&bytes, &digest, text, source)) {
+    if let Some(tree) = rockface_cache::read_own(&file).and_then(|bytes| read(&bytes, &digest, text, source)) {
         return Ok(tree);
     }
     let tree = Node::parse(text, source)?;

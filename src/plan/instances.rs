@@ -3,9 +3,9 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 
-use rockface_cache::{Digest, Gathered, Recipe, RecipeInput, SeedMaterial};
+use rockface_cache::{Digest, Gathered, Outcome, OutputRecord, Recipe, RecipeInput, SafeName, SeedMaterial};
 use rockface_stages::params::Field;
-use rockface_stages::{Arity, Point};
+use rockface_stages::{Arity, Point, Port};
 
 use super::graph::{Feed, Graph, GraphStep};
 use super::parameters::{self, HashFile, StepParams};
@@ -136,6 +136,12 @@ impl Plan {
         producers.sort_unstable();
         producers.dedup();
         producers
+    }
+
+    /// Whether an outcome is one that this instance can have: see [`has_ports`].
+    pub fn fits(&self, instance: usize, outcome: &Outcome) -> bool {
+        let (own, declared) = (&self.instances[instance], self.step(instance).ports.outputs);
+        has_ports(outcome, declared, declared.iter().filter(|port| makes(own, port)).map(|port| port.name))
     }
 
     /// The step of an instance.
@@ -312,7 +318,15 @@ fn link(instances: &mut [Instance], from: usize) {
     }
 }
 
+/// Whether an outcome has all outputs that are owed, and none but those declared, each of its kind.
+pub fn has_ports<'a>(outcome: &Outcome, declared: &[Port], mut owed: impl Iterator<Item = &'a str>) -> bool {
+    let is_declared = |(name, output): (&SafeName, &OutputRecord)| {
+        declared.iter().any(|port| port.name == name.as_str() && port.kinds[0].word() == output.kind)
+    };
+    outcome.outputs.iter().all(is_declared) && owed.all(|port| outcome.outputs.get(port).is_some())
+}
+
 /// Whether an output port of an instance is made: optional ones only where the input of the same name is given.
-pub fn makes(instance: &Instance, port: &rockface_stages::Port) -> bool {
+pub fn makes(instance: &Instance, port: &Port) -> bool {
     port.arity != Arity::Optional || instance.inputs.iter().any(|(given, _)| *given == port.name)
 }

@@ -9,15 +9,17 @@ mod later;
 mod log_levels;
 mod parameters;
 mod points;
+mod programs;
 mod reach;
 mod resolve;
 mod values;
 
 pub use dynamic::{Items, items_of};
 pub use graph::{Dynamic, Feed, Graph, GraphStep, Later, Source};
-pub use instances::{Given, Instance, Plan, makes};
+pub use instances::{Given, Instance, Plan, has_ports, makes};
 pub use parameters::{InputFile, StepParams};
 pub use points::counts;
+pub use programs::without_programs;
 pub use resolve::resolve;
 
 use rockface_cache::{Digest, Store};

@@ -40,6 +40,8 @@ impl Source<'_> {
     /// The bytes of an output: from the run folder, else from the store; `None` where neither has it.
     pub(super) fn output(&self, done: &StepDone, port: &str, output: &OutputRecord) -> Option<Vec<u8>> {
         let linked = done.paths.get(port).and_then(|path| std::fs::read(self.folder.join(path)).ok());
+        // A folder may come from anybody: what is shown is what the run made, and no other file that a link leads to.
+        let linked = linked.filter(|bytes| Digest::of(bytes) == output.digest);
         linked.or_else(|| self.blob(&output.digest))
     }
 

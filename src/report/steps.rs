@@ -232,7 +232,7 @@ fn step(linker: &Linker, name: &str, instances: &[&StepDone]) -> StepView {
     let (executed, cached) = (count("executed"), count("cached"));
     let wall_s: f64 = instances.iter().filter_map(|done| done.cost).map(|cost| cost.wall_s).sum();
     let outputs = || instances.iter().flat_map(|done| done.outputs.iter().flatten().map(move |(p, o)| (*done, p, o)));
-    let file = |(done, port, output): (&StepDone, &String, &rockface_cache::OutputRecord)| FileView {
+    let file = |(done, port, output): (&StepDone, &rockface_cache::SafeName, &rockface_cache::OutputRecord)| FileView {
         name: format!("{}.{port}", done.label()),
         kind: output.kind.clone(),
         size: if output.kept { bytes(output.bytes) } else { "not kept".to_owned() },
@@ -252,7 +252,7 @@ fn step(linker: &Linker, name: &str, instances: &[&StepDone]) -> StepView {
         wall: duration(wall_s),
         wall_s,
         share: 0.0,
-        size: bytes(outputs().map(|(_, _, output)| output.bytes).sum()),
+        size: bytes(outputs().map(|(_, _, output)| output.bytes).fold(0, u64::saturating_add)),
         media: Vec::new(),
         tables: Vec::new(),
         more: instances.len().saturating_sub(SHOWN),

@@ -18,7 +18,7 @@ const SWITCH: &str = "channels";
 /// Runs a recipe again with `channels` on, where its stage has that switch; inputs are read from the store.
 ///
 /// # Errors
-/// The stage is another version now or reads files, or an input was not kept.
+/// The stage is another version now, reads files or starts programs, or an input was not kept.
 pub fn with_channels(
     recipe: &Recipe,
     store: &Store,
@@ -26,6 +26,12 @@ pub fn with_channels(
 ) -> Result<BTreeMap<&'static str, Artefact>, StageError> {
     let stage = rockface_stages::find(&recipe.stage)
         .ok_or_else(|| StageError::new(format!("this program has no stage `{}`", recipe.stage)))?;
+    if stage.starts_programs() {
+        // The recipe may be anybody's who could write to the store; to look at a result must not run what it says.
+        let error =
+            StageError::new(format!("`{}` starts a program, which looking at a result never does", recipe.stage));
+        return Err(error.hint("run the pipeline again, if you trust it"));
+    }
     if stage.version() != recipe.version {
         let (was, is) = (recipe.version, stage.version());
         let error =
@@ -40,7 +46,7 @@ pub fn with_channels(
     }
     let inputs = inputs(recipe, store, kind_of)?;
     let (files, stop, trouble) = (BTreeMap::new(), AtomicBool::new(false), Trouble::default());
-    let host = StepHost::new(recipe.seed.as_ref().map(SeedMaterial::key), &files, store, &stop, None, &trouble);
+    let host = StepHost::new(recipe.seed.as_ref().map(SeedMaterial::key), &files, store, &stop, None, &trouble, false);
     Ok(stage.run(&with, &inputs, &Context::new(&host))?.into_inner())
 }
 

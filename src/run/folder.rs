@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::SystemTime;
 
-use rockface_cache::{Digest, Store};
+use rockface_cache::{Digest, SafeName, SafePath, Store};
 use rockface_stages::Entry;
 use serde_json::json;
 
@@ -56,7 +56,7 @@ pub struct Finished {
     /// The results in a line each.
     pub headlines: Vec<String>,
     /// The files of the target steps, relative to the run folder.
-    pub files: Vec<PathBuf>,
+    pub files: Vec<SafePath>,
     /// How many kept outputs have no file there.
     #[serde(default)]
     pub unnamed: usize,
@@ -90,7 +90,7 @@ pub fn finish(
 
 /// Whether a run folder is one of those in `runs` and still as it was told: with these files, none of which was written to
 /// since the manifest, which is written last.
-pub(super) fn is_told_in(folder: &Path, runs: &Path, files: &[PathBuf]) -> bool {
+pub(super) fn is_told_in(folder: &Path, runs: &Path, files: &[SafePath]) -> bool {
     let written = |file: &Path| {
         let meta = std::fs::metadata(folder.join(file)).ok().filter(std::fs::Metadata::is_file)?;
         meta.modified().ok().map(|at| (at, meta.len()))
@@ -99,7 +99,9 @@ pub(super) fn is_told_in(folder: &Path, runs: &Path, files: &[PathBuf]) -> bool 
     let is_untouched = |file: &Path| written(file).is_some_and(|(at, _)| at <= told);
     // A page may be written again later.
     let is_whole = written(Path::new(report::FILE)).is_some() && is_untouched(Path::new(LOG_FILE));
-    folder.parent() == Some(runs) && is_whole && files.iter().all(|file| is_untouched(file))
+    // `runs/..` has the parent `runs`, and no name.
+    let is_in_runs = folder.parent() == Some(runs) && folder.file_name().is_some();
+    is_in_runs && is_whole && files.iter().all(|file| is_untouched(file))
 }
 
 /// The same for two runs of the same text, overrides and targets with the same recipes, told of in the same place.
@@ -127,10 +129,9 @@ struct Writer<'a> {
 
 impl Writer<'_> {
     fn write(&self, key: &Digest) -> Result<Finished, RunError> {
-        let folder = self.make_folder(key)?;
+        let (folder, mark) = self.make_folder(key)?;
         // A folder that tells half of a run would only mislead.
-        let mark = Unfinished::mark(&folder);
-        let filled = mark.and_then(|mark| self.fill(&folder).and_then(|finished| mark.finish().map(|()| finished)));
+        let filled = self.fill(&folder).and_then(|finished| mark.finish().map(|()| finished));
         let finished = filled.inspect_err(|_| drop(std::fs::remove_dir_all(&folder)))?;
         point_latest(self.about.runs, &folder)?;
         Ok(finished)
@@ -194,20 +195,14 @@ impl Writer<'_> {
         Ok(())
     }
 
-    fn make_folder(&self, key: &Digest) -> Result<PathBuf, RunError> {
+    fn make_folder(&self, key: &Digest) -> Result<(PathBuf, Unfinished), RunError> {
         let time = humantime::format_rfc3339_seconds(SystemTime::now()).to_string().replace(':', "");
         let name = format!("{time}-{}-{}", readable_name(&self.plan.graph.name), &key.short()[..8]);
-        for attempt in 0..1000 {
-            let suffix = if attempt == 0 { String::new() } else { format!("-{attempt}") };
-            let folder = self.about.runs.join(format!("{name}{suffix}"));
-            std::fs::create_dir_all(self.about.runs).map_err(failed(self.about.runs))?;
-            match std::fs::create_dir(&folder) {
-                Ok(()) => return std::path::absolute(&folder).map_err(failed(&folder)),
-                Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {}
-                Err(error) => return Err(failed(&folder)(error)),
-            }
-        }
-        Err(failed(&self.about.runs.join(name))(std::io::ErrorKind::AlreadyExists.into()))
+        let runs = std::path::absolute(self.about.runs).map_err(failed(self.about.runs))?;
+        std::fs::create_dir_all(&runs).map_err(failed(&runs))?;
+        let names = (0..1000).map(|attempt| if attempt == 0 { name.clone() } else { format!("{name}-{attempt}") });
+        let names: Result<Vec<SafeName>, _> = names.map(SafeName::new).collect();
+        Unfinished::begin(&runs, &names.map_err(|error| failed(&runs)(error.into()))?)
     }
 
     /// What each instance said.
@@ -290,7 +285,7 @@ pub(super) fn point_latest(runs: &Path, folder: &Path) -> Result<(), RunError> {
     if std::fs::read_link(&latest).is_ok_and(|now| now == target) {
         return Ok(());
     }
-    let staged = runs.join(format!(".latest-{}", std::process::id()));
+    let staged = runs.join(format!("{}{}", unfinished::NEXT_LATEST, std::process::id()));
     let _ = std::fs::remove_file(&staged);
     std::os::unix::fs::symlink(&target, &staged).map_err(failed(&staged))?;
     std::fs::rename(&staged, &latest).map_err(failed(&latest))

@@ -24,11 +24,13 @@ pub struct StepHost<'a> {
     used: Mutex<Used>,
     /// Where it is put down why the store could not do what a program needs; the stage is told only that it could not.
     trouble: &'a Trouble,
+    /// Whether the stage said that it starts programs; who said nothing may not.
+    programs: bool,
 }
 
 impl<'a> StepHost<'a> {
     /// A host; `seed` is the key of the step's seed material, if the stage draws, and `deadline` when it is to give up.
-    /// Programs run in folders of the store.
+    /// Programs run in folders of the store, where the stage has said that it starts `programs`.
     pub fn new(
         seed: Option<[u8; 32]>,
         files: &'a BTreeMap<String, Vec<InputFile>>,
@@ -36,9 +38,10 @@ impl<'a> StepHost<'a> {
         stop: &'a AtomicBool,
         deadline: Option<Instant>,
         trouble: &'a Trouble,
+        programs: bool,
     ) -> Self {
         let (entries, used) = (Mutex::default(), Mutex::default());
-        Self { seed, files, store, entries, stop, deadline, used, trouble }
+        Self { seed, files, store, entries, stop, deadline, used, trouble, programs }
     }
 
     /// Whether the time it was given is over.
@@ -88,6 +91,9 @@ impl Host for StepHost<'_> {
     }
 
     fn execute(&self, program: &Program) -> Result<ProgramResult, StageError> {
+        if !self.programs {
+            return Err(StageError::new("no program is started here"));
+        }
         match super::program::execute(program, self.files, self.store, &|| self.cancelled()) {
             Ok((result, used)) => {
                 self.add(used);

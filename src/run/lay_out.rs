@@ -1,14 +1,14 @@
 //! Outputs under names people can read: `outputs/<step>/<point>/<port>.<extension>`, and further files beside them.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
-use rockface_cache::{Digest, Outcome, OutputRecord, Store};
+use rockface_cache::{Digest, NameError, Outcome, OutputRecord, SafeName, SafePath, Store};
 use rockface_stages::artefact::{Artefact, Kind};
 use serde::{Deserialize, Serialize};
 
-use super::folder::{failed, going_on};
+use super::folder::{failed, going_on, write_file};
 use super::{RunError, Summary};
 use crate::plan::Plan;
 
@@ -32,7 +32,7 @@ pub enum LayOut {
 }
 
 /// The files of the outputs of an instance by port, relative to the run folder.
-pub type Paths = BTreeMap<String, PathBuf>;
+pub type Paths = BTreeMap<String, SafePath>;
 
 /// What was laid out; paths are relative to the run folder.
 #[derive(Debug, Default)]
@@ -40,7 +40,7 @@ pub struct Laid {
     /// The outputs of each instance.
     pub paths: Vec<Paths>,
     /// All files of the target steps.
-    pub of_targets: Vec<PathBuf>,
+    pub of_targets: Vec<SafePath>,
     /// How many kept outputs have no file.
     pub unnamed: usize,
 }
@@ -112,51 +112,57 @@ struct Layer<'a> {
 
 impl Layer<'_> {
     /// Links the kept outputs of an instance and writes their further files; returns both, relative to the folder.
-    fn outputs(&self, instance: usize, outcome: &Outcome) -> Result<(Paths, Vec<PathBuf>), RunError> {
+    fn outputs(&self, instance: usize, outcome: &Outcome) -> Result<(Paths, Vec<SafePath>), RunError> {
         let step = self.plan.step(instance);
         let (mut named, mut exports) = (Paths::new(), Vec::new());
         let kept = outcome.outputs.iter().filter(|(_, output)| step.keep && output.kept);
         let kept = kept.filter_map(|(port, output)| Some((port, output, output.kind.parse::<Kind>().ok()?)));
+        let place = self.place(instance).map_err(|error| failed(self.folder)(error.into()))?;
         for (port, output, kind) in kept {
             if named.is_empty() {
-                let place = self.folder.join(self.place(instance));
+                let place = self.folder.join(&place);
                 std::fs::create_dir_all(&place).map_err(failed(&place))?;
             }
-            let path = self.place(instance).join(format!("{port}.{}", step.extension(port, kind)));
+            let file = SafeName::new(format!("{port}.{}", step.extension(port, kind)));
+            let path = place.with(&file.map_err(|error| failed(self.folder)(error.into()))?);
             self.store.materialise_new(&output.digest, &self.folder.join(&path))?;
             if kind.has_exports() {
-                exports.extend(self.exports(instance, port, output, kind)?);
+                exports.extend(self.exports(&place, port, output, kind)?);
             }
-            named.insert(port.clone(), path);
+            named.insert(port.to_string(), path);
         }
         Ok((named, exports))
     }
 
     /// Where the outputs of an instance go.
-    fn place(&self, instance: usize) -> PathBuf {
+    fn place(&self, instance: usize) -> Result<SafePath, NameError> {
         let step = self.plan.step(instance);
-        let place = Path::new("outputs").join(readable_name(&step.name));
-        if step.axes.is_empty() { place } else { place.join(readable_name(&self.plan.point_text(instance))) }
+        let place = SafePath::new("outputs")?.with(&SafeName::new(readable_name(&step.name))?);
+        if step.axes.is_empty() {
+            return Ok(place);
+        }
+        Ok(place.with(&SafeName::new(readable_name(&self.plan.point_text(instance)))?))
     }
 
     /// Writes the further files of an output; returns their paths.
     fn exports(
         &self,
-        instance: usize,
+        place: &SafePath,
         port: &str,
         output: &OutputRecord,
         kind: Kind,
-    ) -> Result<Vec<PathBuf>, RunError> {
-        let place = self.place(instance);
+    ) -> Result<Vec<SafePath>, RunError> {
         let made = Artefact::decode(kind, &self.store.get(&output.digest)?)
             .and_then(|value| value.exports(port))
-            .map_err(|error| failed(&self.folder.join(&place).join(port))(std::io::Error::other(error)))?;
+            .map_err(|error| failed(&self.folder.join(place).join(port))(std::io::Error::other(error)))?;
         let write = |export: &rockface_stages::artefact::Export| {
-            let path = place.join(&export.path);
+            // The names of an archive or of parts, which were read from a stored file.
+            let path = SafePath::new(&export.path).map_err(|error| failed(&self.folder.join(place))(error.into()))?;
+            let path = place.below(&path);
             let file = self.folder.join(&path);
             let parent = file.parent().unwrap_or(self.folder);
             std::fs::create_dir_all(parent).map_err(failed(parent))?;
-            std::fs::write(&file, &export.bytes).map_err(failed(&file))?;
+            write_file(&file, &export.bytes)?;
             Ok(path)
         };
         made.iter().map(write).collect()

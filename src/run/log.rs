@@ -31,7 +31,7 @@ pub struct Telling<'a> {
     /// What each instance said.
     pub entries: &'a [Vec<Entry>],
     /// The files of each instance by port, relative to the run folder.
-    pub paths: &'a [BTreeMap<String, std::path::PathBuf>],
+    pub paths: &'a [super::lay_out::Paths],
     /// Told as metadata: seed, overrides, versions.
     pub about: BTreeMap<String, String>,
     /// The text of the pipeline.
@@ -98,8 +98,8 @@ impl Telling<'_> {
     ) -> StepNote<'a> {
         let step = self.plan.step(instance);
         let made = outcome.outputs.iter().map(|(port, output)| {
-            let path = self.paths[instance].get(port).map(|path| path.display().to_string());
-            (port.clone(), Made { digest: output.digest.to_string(), path })
+            let path = self.paths[instance].get(port.as_str()).map(|path| path.display().to_string());
+            (port.to_string(), Made { digest: output.digest.to_string(), path })
         });
         let (stage, version) = (step.stage.name(), step.stage.version());
         StepNote {
@@ -156,7 +156,7 @@ fn sketch_stored(outcome: &Outcome, store: &Store) -> Result<Result<Vec<u8>, Str
             Err(error) => return Ok(Err(format!("output `{port}` cannot be read: {error}"))),
         };
         let sketches = value.sketches().into_iter();
-        shown.extend(sketches.map(|sketch| Shown { port: port.clone(), sketch }));
+        shown.extend(sketches.map(|sketch| Shown { port: port.to_string(), sketch }));
     }
     Ok(Shown::write_all(&shown).map_err(|error| error.to_string()))
 }

@@ -49,7 +49,7 @@ impl Scheduler<'_> {
     /// the run. One that may not is put in line again; alone, every one may.
     pub fn has_room(&mut self, instance: usize, running: usize) -> bool {
         let need = self.need_bytes(instance);
-        let taken: u64 = self.needs.values().sum();
+        let taken = self.needs.values().copied().fold(0, u64::saturating_add);
         let left = (self.options.memory_bytes as u64).saturating_sub(taken.saturating_add(need));
         self.relieve_to(left as usize);
         let fits = self.memory_bytes as u64 <= left && taken.saturating_add(need) <= self.options.memory_bytes as u64;

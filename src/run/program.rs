@@ -8,7 +8,7 @@ use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::Duration;
 
-use rockface_cache::{Store, StoreError};
+use rockface_cache::{SafePath, Store, StoreError};
 use rockface_stages::{Piece, Program, ProgramResult, StageError};
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 use wait4::Wait4;
@@ -53,6 +53,9 @@ pub fn execute(
     store: &Store,
     give_up: &dyn Fn() -> bool,
 ) -> Result<(ProgramResult, Used), Fault> {
+    for path in program.inputs.iter().map(|(path, _)| path).chain(&program.outputs) {
+        SafePath::new(path).map_err(|error| StageError::new(error.to_string()))?;
+    }
     let scratch = store.scratch()?;
     let folder = scratch.path();
     lay_out(program, folder)?;

@@ -318,6 +318,7 @@ impl<'a> Scheduler<'a> {
             recipe,
             params: own.params.clone(),
             feeds: feeds.collect(),
+            ports: step.ports.outputs,
             outputs: outputs.collect(),
             keep: self.must_keep(instance),
             remake: state.remaking,

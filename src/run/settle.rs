@@ -60,7 +60,7 @@ impl Scheduler<'_> {
         }
         let (key, recipe) = self.set_recipe(instance);
         self.states.set(instance, Status::Due);
-        let known = hit(self.store, &key, self.plan.step(instance).keep);
+        let known = hit(self.store, &key, self.plan.step(instance).keep, |outcome| self.plan.fits(instance, outcome));
         self.tell_damaged(instance);
         if let Some(outcome) = known {
             self.states.set(instance, Status::Done);
@@ -141,7 +141,8 @@ impl Scheduler<'_> {
         let is_called = !self.is_due(instance) || self.states[instance].missing > 0;
         let Some(key) = self.states[instance].key.filter(|_| !is_called) else { return Ok(Vec::new()) };
         self.store.refresh()?;
-        if let Some(outcome) = hit(self.store, &key, self.must_keep(instance)) {
+        let known = hit(self.store, &key, self.must_keep(instance), |outcome| self.plan.fits(instance, outcome));
+        if let Some(outcome) = known {
             self.states.set(instance, Status::Done);
             self.tell_cached(instance);
             self.turns.push_back(Turn::Finish(instance, outcome));

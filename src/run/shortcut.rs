@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use rockface_cache::{Digest, Grounds, Store};
+use rockface_cache::{Digest, Grounds, SafePath, Store};
 use serde::{Deserialize, Serialize};
 
 use super::folder::{is_told_in, point_latest};
@@ -24,7 +24,7 @@ pub struct Told {
     /// How many results there are.
     pub headline_count: usize,
     /// The first files of the target steps, relative to the run folder.
-    pub files: Vec<PathBuf>,
+    pub files: Vec<SafePath>,
     /// How many files there are.
     pub file_count: usize,
     /// How many kept outputs have no file there.

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use rockface_cache::{Digest, Outcome, Recipe};
+use rockface_cache::{Digest, Outcome, Recipe, SafeName};
 use rockface_stages::artefact::Artefact;
 
 use super::StepFailure;
@@ -200,7 +200,7 @@ impl State {
 
 /// Whether two outcomes have the same outputs, kept or not.
 pub fn same_outputs(one: &Outcome, other: &Outcome) -> bool {
-    fn digests(outcome: &Outcome) -> impl Iterator<Item = (&String, Digest)> {
+    fn digests(outcome: &Outcome) -> impl Iterator<Item = (&SafeName, Digest)> {
         outcome.outputs.iter().map(|(port, output)| (port, output.digest))
     }
     digests(one).eq(digests(other))

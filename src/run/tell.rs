@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use rockface_cache::{Digest, Store, StoreError};
+use rockface_cache::{Digest, Outcome, Store, StoreError};
 
 use super::{Finished, Options, RunError, RunFolder, Summary, execute, finish};
 use crate::plan::Plan;
@@ -32,9 +32,15 @@ pub fn execute_and_tell(
             Err(error) => error,
         };
         let Some(digest) = lost_blob(&error).filter(|digest| lost.insert(*digest)) else { return Err(error) };
+        warn(plan, &summary, &digest, &error.to_string(), observer);
+        // Where one blob is damaged others may be: all are looked through now, not one a go.
+        let blobs = summary.instances.iter().filter_map(|result| result.outcome.as_ref()).flat_map(Outcome::blobs);
+        for damage in store.scrub(blobs.map(|(digest, _)| digest))? {
+            let told = StoreError::Damaged { digest: damage.digest, moved_to: damage.moved_to }.to_string();
+            warn(plan, &summary, &damage.digest, &told, observer);
+        }
         // Told of here, with the name of the step.
         drop(store.take_damaged());
-        warn(plan, &summary, &digest, &error, observer);
         summary = after(&summary, execute(plan, store, options, stop, observer)?);
     }
 }
@@ -46,7 +52,7 @@ fn lost_blob(error: &RunError) -> Option<Digest> {
     }
 }
 
-fn warn(plan: &Plan, summary: &Summary, digest: &Digest, error: &RunError, observer: &mut dyn Observer) {
+fn warn(plan: &Plan, summary: &Summary, digest: &Digest, why: &str, observer: &mut dyn Observer) {
     let total = summary.instances.len();
     for (instance, result) in summary.instances.iter().enumerate() {
         let Some(outcome) = &result.outcome else { continue };
@@ -54,7 +60,7 @@ fn warn(plan: &Plan, summary: &Summary, digest: &Digest, error: &RunError, obser
         let what = port.or((outcome.log == Some(*digest)).then_some("log"));
         let what = what.or((outcome.sketches == Some(*digest)).then_some("sketches"));
         if let Some(what) = what {
-            let text = format!("its `{what}` has to be made again: {error}");
+            let text = format!("its `{what}` has to be made again: {why}");
             let progress = Progress { done: total, total, remaining_s: None };
             observer.event(&Event::Warning { step: plan.label(instance), text }, progress);
         }

@@ -8,14 +8,14 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use rayon::ThreadPool;
-use rockface_cache::{Cost, Digest, Outcome, OutputRecord, Outputs, Recipe, Record, Store, StoreError};
+use rockface_cache::{Cost, Digest, Outcome, OutputRecord, Outputs, Recipe, Record, SafeName, Store, StoreError};
 use rockface_stages::artefact::{Artefact, Kind};
-use rockface_stages::{AnyStage, Context, Entry, Inputs, Later, Point, StageError};
+use rockface_stages::{AnyStage, Context, Entry, Inputs, Later, Point, Port, StageError};
 
 use super::host::StepHost;
 use super::program::Used;
 use super::spill::Spilled;
-use crate::plan::{InputFile, StepParams};
+use crate::plan::{InputFile, StepParams, has_ports};
 
 /// An artefact that is in memory, or the blob to read it from.
 pub enum Value {
@@ -53,6 +53,8 @@ pub struct Task {
     pub params: Arc<StepParams>,
     /// Its inputs.
     pub feeds: Vec<Feed>,
+    /// Output ports its step declares.
+    pub ports: &'static [Port],
     /// Output ports it must make.
     pub outputs: Vec<(&'static str, Kind)>,
     /// Whether its outputs are kept.
@@ -172,7 +174,8 @@ pub fn work(
 
 /// The outcome another process has recorded meanwhile, if it has the values this task is for.
 fn done_elsewhere(task: &Task, store: &Store) -> Option<Outcome> {
-    let outcome = super::hit(store, &task.key, task.keep)?;
+    let owed = task.outputs.iter().map(|(port, _)| *port);
+    let outcome = super::hit(store, &task.key, task.keep, |outcome| has_ports(outcome, task.ports, owed))?;
     let values_there = outcome.outputs.values().all(|output| store.contains(&output.digest));
     (!task.remake || values_there).then_some(outcome)
 }
@@ -294,7 +297,8 @@ fn attempt(
 ) -> Result<Attempt, Failure> {
     let seed = task.recipe.seed.as_ref().map(rockface_cache::SeedMaterial::key);
     let deadline = task.timeout.map(|timeout| Instant::now() + timeout);
-    let host = StepHost::new(seed, &task.params.files, store, stop, deadline, trouble);
+    let programs = task.stage.starts_programs();
+    let host = StepHost::new(seed, &task.params.files, store, stop, deadline, trouble, programs);
     let result = pool.install(|| run_stage(task, inputs, &host));
     if let Some(failure) = trouble.lock().unwrap_or_else(PoisonError::into_inner).take() {
         return Err(failure);
@@ -358,7 +362,8 @@ fn keep(
             kept: task.keep,
             items: value.items(),
         };
-        outputs.insert((*port).to_owned(), record);
+        let port = SafeName::new(*port).map_err(|error| StageError::new(error.to_string()))?;
+        outputs.insert(port, record);
     }
     let log = keep_log(store, entries)?;
     Ok(Outcome { outputs, log, sketches: None, cost: Cost::default() })

@@ -13,6 +13,8 @@ pub use mcap_log::{Facts, Made, RunLog, StepNote, Topic};
 pub use plain::Plain;
 pub use terminal::Terminal;
 
+use std::borrow::Cow;
+
 use serde::Serialize;
 
 /// Something that happened in a run. The order of [`Event::Started`] and [`Event::Finished`] depends on the machine;
@@ -97,6 +99,17 @@ pub struct Progress {
     pub remaining_s: Option<f64>,
 }
 
+/// A text as it may be put on a terminal: logs and names come from stores and files of others, and what a terminal takes for
+/// a command is written out instead.
+pub fn printable(text: &str) -> Cow<'_, str> {
+    let is_command = |letter: char| letter.is_control() && !matches!(letter, '\n' | '\t');
+    if !text.contains(is_command) {
+        return text.into();
+    }
+    let written = |letter: char| if is_command(letter) { letter.escape_default().to_string() } else { letter.into() };
+    text.chars().map(written).collect::<String>().into()
+}
+
 /// Someone who watches a run.
 pub trait Observer {
     /// Something happened.
@@ -142,6 +155,12 @@ pub fn duration(seconds: f64) -> String {
 
 #[cfg(test)]
 mod tests {
+    #[test]
+    fn nothing_is_said_that_a_terminal_takes_for_a_command() {
+        assert_eq!(super::printable("a\tb\nü"), "a\tb\nü");
+        assert_eq!(super::printable("\u{1b}]0;title\u{7}\rend\u{9b}2J"), "\\u{1b}]0;title\\u{7}\\rend\\u{9b}2J");
+    }
+
     #[test]
     fn durations_read_well() {
         let said = [0.04, 9.96, 119.0, 200.4, 7500.0].map(super::duration);

@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::time::{Duration, Instant};
 
-use super::{Event, Observer, Progress, duration};
+use super::{Event, Observer, Progress, duration, printable};
 
 /// How often a line of progress is due.
 const PROGRESS_EVERY: Duration = Duration::from_secs(2);
@@ -32,6 +32,10 @@ impl<W: Write> Plain<W> {
 
 /// The line an event is worth, if any.
 pub fn line(event: &Event, verbose: bool) -> Option<String> {
+    words(event, verbose).map(|text| printable(&text).into_owned())
+}
+
+fn words(event: &Event, verbose: bool) -> Option<String> {
     match event {
         Event::Planned { steps } => verbose.then(|| format!("{steps} step instances")),
         Event::Cached { step } => verbose.then(|| format!("cached   {step}")),

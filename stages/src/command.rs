@@ -67,6 +67,7 @@ impl Stage for Command {
     };
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[];
+    const STARTS_PROGRAMS: bool = true;
 
     fn ports(with: &Value) -> Result<Ports, Vec<Fault>> {
         declared::ports(with)

@@ -105,6 +105,7 @@ steps:
     };
     const INPUTS: &'static [Port] = &[Port::many("depths", &[Kind::Depth], "Depth maps of two images or more.")];
     const OUTPUTS: &'static [Port] = &[CLOUD, MESH];
+    const STARTS_PROGRAMS: bool = true;
 
     fn ports(with: &Value) -> Result<Ports, Vec<Fault>> {
         const CLOUD_ONLY: &[Port] = &[CLOUD];

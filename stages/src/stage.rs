@@ -279,6 +279,9 @@ pub trait Stage: Send + Sync + 'static {
     /// What it makes; every output is made at every run.
     const OUTPUTS: &'static [Port];
 
+    /// Whether it has programs started ([`Context::execute`]); one that does not say so is refused when it asks for one.
+    const STARTS_PROGRAMS: bool = false;
+
     /// Whether it draws random numbers with these parameters; only then is its seed part of the recipe.
     fn draws(_params: &Self::Params) -> bool {
         false
@@ -326,6 +329,8 @@ pub trait AnyStage: Sync {
     fn inputs(&self) -> &'static [Port];
     /// What it makes.
     fn outputs(&self) -> &'static [Port];
+    /// Whether it has programs started.
+    fn starts_programs(&self) -> bool;
     /// The ports of a step whose `with` is written like this.
     fn ports(&self, with: &Value) -> Result<Ports, Vec<Fault>>;
     /// Its parameters.
@@ -369,6 +374,9 @@ impl<S: Stage> AnyStage for Row<S> {
     }
     fn outputs(&self) -> &'static [Port] {
         S::OUTPUTS
+    }
+    fn starts_programs(&self) -> bool {
+        S::STARTS_PROGRAMS
     }
     fn ports(&self, with: &Value) -> Result<Ports, Vec<Fault>> {
         S::ports(with)

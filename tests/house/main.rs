@@ -14,6 +14,7 @@ mod engine;
 mod folders;
 mod golden;
 mod history;
+mod hostile;
 mod lab;
 mod language;
 mod memory;

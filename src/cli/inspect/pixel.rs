@@ -144,7 +144,7 @@ impl<'a> Chain<'a> {
     fn maker(&self, digest: &Digest) -> Option<(Digest, String)> {
         self.records.iter().find_map(|(key, record)| {
             let (port, _) = record.outputs.iter().find(|(_, output)| output.digest == *digest)?;
-            Some((*key, port.clone()))
+            Some((*key, port.to_string()))
         })
     }
 
@@ -155,7 +155,7 @@ impl<'a> Chain<'a> {
             for (port, output) in record.outputs.iter().filter(|(_, output)| output.kind == Kind::Depth.word()) {
                 let fits = [&output.digest, key].iter().any(|digest| digest.to_string().starts_with(start));
                 if fits && !found.iter().any(|(key, _)| self.digest(key, port) == Some(output.digest)) {
-                    found.push((*key, port.clone()));
+                    found.push((*key, port.to_string()));
                 }
             }
         }

@@ -1,0 +1,31 @@
+//! `--no-commands`: pipelines that start no program, and no others.
+
+use clap::Args;
+use clap::builder::FalseyValueParser;
+
+use super::CliError;
+use crate::pipeline::Pipeline;
+
+/// Whether steps may start programs.
+#[derive(Debug, Args)]
+pub struct ProgramArgs {
+    /// Refuse a pipeline with steps that start programs (`command`, `fuse-colmap`), also if their results are known already.
+    #[arg(long, env = "ROCKFACE_NO_COMMANDS", value_parser = FalseyValueParser::new())]
+    no_commands: bool,
+}
+
+impl ProgramArgs {
+    /// Whether programs are refused.
+    pub fn are_refused(&self) -> bool {
+        self.no_commands
+    }
+
+    /// Refuses a pipeline whose targets need a step that starts a program, where programs are refused.
+    pub fn check(&self, pipeline: &Pipeline, targets: &[String]) -> Result<(), CliError> {
+        if !self.no_commands {
+            return Ok(());
+        }
+        let graph = crate::plan::resolve(pipeline, targets, rockface_stages::all()).map_err(CliError::Pipeline)?;
+        crate::plan::without_programs(&graph, pipeline).map_err(CliError::Pipeline)
+    }
+}
