@@ -19,7 +19,7 @@ const HALF_WRITTEN: &str = ".new-";
 /// Starts the names of half-written trees.
 const HALF_WRITTEN_TREE: &str = ".tmp";
 /// Nobody takes longer to write a file of the store that is not locked meanwhile.
-const LONGEST_WRITING: Duration = Duration::from_secs(3600);
+const LONGEST_WRITING: Duration = Duration::from_hours(1);
 /// Starts the names of half-written blobs.
 pub(crate) const TEMPORARY_BLOB: &str = "blob-";
 

@@ -18,7 +18,7 @@ const BEGUN: &str = ".begun-";
 /// Starts the names of links that are about to become `latest`.
 pub(super) const NEXT_LATEST: &str = ".latest-";
 /// Nobody takes longer from the making of such a thing to its name.
-const LONGEST_BEGINNING: Duration = Duration::from_secs(3600);
+const LONGEST_BEGINNING: Duration = Duration::from_hours(1);
 
 /// The right to write a run folder.
 pub struct Unfinished {
