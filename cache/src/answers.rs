@@ -18,7 +18,7 @@ use serde_json::Value;
 use crate::blobs::seal_ns;
 use crate::error::{At, StoreError};
 use crate::files::{Fingerprint, is_settled};
-use crate::open::{self, ANSWERS, BLOBS, SEGMENTS, TEMPORARY_BLOB, TMP};
+use crate::open::{self, ANSWERS, BLOBS, SEGMENTS};
 use crate::{Digest, Store};
 
 /// Opens every answer; what was written by another version is no answer.
@@ -71,8 +71,7 @@ impl Store {
         let path = slot(self.dir(), question);
         let folder = self.dir().join(ANSWERS);
         fs::create_dir_all(&folder).at("make the folder", &folder)?;
-        let tmp = self.dir().join(TMP);
-        let mut file = tempfile::Builder::new().prefix(TEMPORARY_BLOB).tempfile_in(&tmp).at("write into", &tmp)?;
+        let mut file = self.blobs().temporary()?;
         let head = format!("{FORMAT} {}\n", Digest::of(&body));
         file.write_all(head.as_bytes()).and_then(|()| file.write_all(&body)).at("write", &path)?;
         file.persist(&path).map_err(|fault| fault.error).at("write", &path)?;
@@ -178,6 +177,27 @@ mod tests {
             store.sync().unwrap();
             store.remember_answer(&self.question, &json!("done"), &self.grounds()).unwrap()
         }
+    }
+
+    #[test]
+    fn a_segment_that_was_begun_and_never_written_to_is_no_hindrance() {
+        let desk = desk();
+        fs::write(desk.path("store/segments/ffffffffffffffff-1.seg"), b"").unwrap();
+        assert_eq!(desk.recall(), None, "who knows what comes");
+        assert!(desk.ask());
+        assert_eq!(desk.recall(), Some(json!("done")));
+    }
+
+    #[test]
+    fn an_answer_being_filed_is_not_swept_up() {
+        let desk = desk();
+        let store = Store::open(&desk.path("store")).unwrap();
+        std::thread::scope(|scope| {
+            let sweeping = scope.spawn(|| (0..300).for_each(|_| open::prepare(&desk.path("store")).unwrap()));
+            while !sweeping.is_finished() {
+                store.remember_answer(&desk.question, &json!("done"), &desk.grounds()).unwrap();
+            }
+        });
     }
 
     fn age(path: &Path, age_s: u64) {

@@ -104,14 +104,16 @@ impl Index {
         self.segments[number as usize].clone()
     }
 
-    /// Whether these are all the segments there are, each read to its end.
+    /// Whether these are all the segments there are, each read to its end. One that a process began and never wrote to
+    /// has nothing to be read.
     pub(crate) fn is_read<'a>(&self, segments: impl Iterator<Item = (&'a str, u64)>) -> bool {
         let mut count = 0;
         let mut is_read = |(name, end): (&str, u64)| {
             count += 1;
             self.segments.iter().any(|seen| seen.name == name && seen.end == end)
         };
-        segments.into_iter().all(&mut is_read) && count == self.segments.iter().filter(|seen| seen.end > 0).count()
+        segments.into_iter().filter(|(_, end)| *end > 0).all(&mut is_read)
+            && count == self.segments.iter().filter(|seen| seen.end > 0).count()
     }
 
     /// The names of the segments of which something was read.
