@@ -64,6 +64,8 @@ pub(crate) struct Seen {
     pub name: String,
     /// Everything before is in the index.
     pub end: u64,
+    /// Whether a torn frame lies before: see [`crate::segment::Scan::is_torn`].
+    pub is_torn: bool,
 }
 
 /// The latest payload filed under a key, as it was read.
@@ -94,7 +96,7 @@ impl Index {
     pub(crate) fn segment(&mut self, name: &str) -> u32 {
         let known = self.segments.iter().position(|seen| seen.name == name);
         known.unwrap_or_else(|| {
-            self.segments.push(Seen { name: name.to_owned(), end: 0 });
+            self.segments.push(Seen { name: name.to_owned(), end: 0, is_torn: false });
             self.segments.len() - 1
         }) as u32
     }
@@ -123,7 +125,7 @@ impl Index {
 
     /// Forgets everything but the numbers and names of segments, as if none had been read.
     pub(crate) fn clear(&mut self) {
-        self.segments.iter_mut().for_each(|seen| seen.end = 0);
+        self.segments.iter_mut().for_each(|seen| (seen.end, seen.is_torn) = (0, false));
         let segments = std::mem::take(&mut self.segments);
         *self = Self { segments, clock: self.clock, ..Self::default() };
     }
@@ -177,6 +179,11 @@ impl Index {
         if self.blobs.get(&header.name).is_some_and(|place| place.stamp <= *gone) {
             self.blobs.remove(&header.name);
         }
+    }
+
+    /// Notes that a torn frame lies in what was read of a segment.
+    pub(crate) fn note_torn(&mut self, segment: u32) {
+        self.segments[segment as usize].is_torn = true;
     }
 
     /// A stamp later than every one in the store as far as it has been read.

@@ -1,6 +1,9 @@
-//! Run folders that are being written: marked until they are whole, and removed when their writer has died.
+//! Run folders that are being written: hidden until they are marked, marked until they are whole, and removed when their
+//! writer has died.
 
-use std::fs::File;
+use std::fs::{File, Permissions};
+use std::io::ErrorKind;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use super::RunError;
@@ -8,45 +11,131 @@ use super::folder::failed;
 
 /// The file that marks a folder being written. Its writer holds a lock on it, which ends with the process.
 const MARK: &str = ".unfinished";
+/// Starts the names of folders that are not marked yet.
+const BEGUN: &str = ".begun-";
+/// Starts the names of links that are to become `latest`.
+pub const STAGED: &str = ".latest-";
 
 /// The right to write a run folder.
 pub struct Unfinished {
-    path: PathBuf,
+    folder: PathBuf,
     /// Holds the lock.
     _file: File,
 }
 
 impl Unfinished {
-    /// Marks a new folder.
-    pub fn mark(folder: &Path) -> Result<Self, RunError> {
-        let (path, begun) = (folder.join(MARK), folder.join(format!("{MARK}-")));
-        let file = File::create(&begun).map_err(failed(&begun))?;
-        file.lock().map_err(failed(&begun))?;
-        // It has its name only once it is locked, so that nobody finds it without.
-        std::fs::rename(&begun, &path).map_err(failed(&path))?;
-        Ok(Self { path, _file: file })
+    /// Begins a folder in `runs`, under a name that nobody takes for a run.
+    pub fn begin(runs: &Path) -> Result<Self, RunError> {
+        loop {
+            let mut builder = tempfile::Builder::new();
+            let folder = builder.prefix(BEGUN).permissions(Permissions::from_mode(0o777)).tempdir_in(runs);
+            let folder = folder.map_err(failed(runs))?.keep();
+            let path = folder.join(MARK);
+            match File::create(&path).and_then(|file| file.lock().map(|()| file)) {
+                // Swept up before it was locked? Then begin another.
+                Ok(file) if path.exists() => {
+                    // No power cut leaves a folder of a run without it.
+                    sync(&folder)?;
+                    return Ok(Self { folder, _file: file });
+                }
+                Ok(_) => {}
+                Err(error) if error.kind() == ErrorKind::NotFound => {}
+                Err(error) => {
+                    drop(std::fs::remove_dir_all(&folder));
+                    return Err(failed(&path)(error));
+                }
+            }
+        }
+    }
+
+    /// Gives the folder its name; false where there is something of that name.
+    pub fn rename(&mut self, to: &Path) -> Result<bool, RunError> {
+        match std::fs::rename(&self.folder, to) {
+            Ok(()) => {
+                to.clone_into(&mut self.folder);
+                Ok(true)
+            }
+            Err(error)
+                if matches!(
+                    error.kind(),
+                    ErrorKind::AlreadyExists | ErrorKind::DirectoryNotEmpty | ErrorKind::NotADirectory
+                ) =>
+            {
+                Ok(false)
+            }
+            Err(error) => Err(failed(to)(error)),
+        }
+    }
+
+    /// The folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
     }
 
     /// The folder is whole.
     pub fn finish(self) -> Result<(), RunError> {
-        std::fs::remove_file(&self.path).map_err(failed(&self.path))
+        let path = self.folder.join(MARK);
+        std::fs::remove_file(&path).map_err(failed(&path))
+    }
+
+    /// A folder that tells half of a run would only mislead.
+    pub fn discard(self) {
+        // What cannot be removed now is left for the next sweep, which finds its mark.
+        let _ = std::fs::remove_dir_all(&self.folder);
     }
 }
 
-/// Removes the folders whose writers died before they were whole. One whose manifest is there lacks nothing but the end of
-/// its mark. What cannot be removed now is left for another time.
+/// Removes the folders whose writers died before they were whole, and links that never became `latest`. A folder whose
+/// manifest is there lacks nothing but the end of its mark. What cannot be removed now is left for another time.
 pub fn sweep(runs: &Path) {
     for entry in std::fs::read_dir(runs).into_iter().flatten().flatten() {
-        let (folder, mark) = (entry.path(), entry.path().join(MARK));
-        let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
-        // Opened for writing: network file systems lock no other files.
-        let abandoned = is_folder
-            && File::options().write(true).open(&mark).is_ok_and(|file| file.try_lock().is_ok() && mark.exists());
-        if abandoned {
-            let whole = folder.join("run.json").is_file();
-            let _ = if whole { std::fs::remove_file(&mark) } else { std::fs::remove_dir_all(&folder) };
+        let (path, name) = (entry.path(), entry.file_name());
+        let starts_with = |prefix: &str| name.as_encoded_bytes().starts_with(prefix.as_bytes());
+        let Ok(kind) = entry.file_type() else { continue };
+        if kind.is_symlink() && starts_with(STAGED) {
+            // A process that is about to rename it makes another.
+            let _ = std::fs::remove_file(&path);
+        } else if kind.is_dir() {
+            sweep_folder(&path, starts_with(BEGUN));
         }
     }
+}
+
+fn sweep_folder(folder: &Path, is_begun: bool) {
+    let mark = folder.join(MARK);
+    // Opened for writing: network file systems lock no other files. The lock is held until the folder is gone.
+    let held = File::options().write(true).open(&mark);
+    let abandoned = match &held {
+        Ok(file) => file.try_lock().is_ok() && mark.exists(),
+        // A process that is about to mark it begins another.
+        Err(error) => is_begun && error.kind() == ErrorKind::NotFound,
+    };
+    if abandoned {
+        let _ = match std::fs::metadata(folder.join("run.json")) {
+            Ok(_) => std::fs::remove_file(&mark),
+            Err(error) if error.kind() == ErrorKind::NotFound => std::fs::remove_dir_all(folder),
+            Err(_) => Ok(()),
+        };
+    }
+}
+
+/// Makes a folder and all that is in it durable. Links are, with the folder they are in.
+pub fn sync_all(folder: &Path) -> Result<(), RunError> {
+    for entry in std::fs::read_dir(folder).map_err(failed(folder))? {
+        let entry = entry.map_err(failed(folder))?;
+        let (path, kind) = (entry.path(), entry.file_type().map_err(failed(folder))?);
+        if kind.is_dir() {
+            sync_all(&path)?;
+        } else if kind.is_file() {
+            sync(&path)?;
+        }
+    }
+    sync(folder)
+}
+
+/// Makes a file, or the names in a folder, durable.
+pub fn sync(path: &Path) -> Result<(), RunError> {
+    File::open(path).and_then(|file| file.sync_all()).map_err(failed(path))
 }
 
 #[cfg(test)]
@@ -56,21 +145,51 @@ mod tests {
     #[test]
     fn only_what_nobody_writes_any_more_is_removed() {
         let runs = tempfile::tempdir().unwrap();
-        let folder = |name: &str| {
-            let folder = runs.path().join(name);
-            std::fs::create_dir(&folder).unwrap();
-            folder
+        let path = |name: &str| runs.path().join(name);
+        let begin = |name: &str| {
+            let mut begun = Unfinished::begin(runs.path()).unwrap();
+            assert!(begun.rename(&path(name)).unwrap());
+            begun
         };
-        let (held, left, whole, foreign) = (folder("held"), folder("left"), folder("whole"), folder("foreign"));
-        let writing = Unfinished::mark(&held).unwrap();
-        drop(Unfinished::mark(&left).unwrap());
-        drop(Unfinished::mark(&whole).unwrap());
-        std::fs::write(whole.join("run.json"), "{}").unwrap();
+        let writing = begin("held");
+        drop((begin("left"), begin("whole"), Unfinished::begin(runs.path()).unwrap()));
+        std::fs::write(path("whole/run.json"), "{}").unwrap();
+        for name in ["foreign", ".begun-and-died"] {
+            std::fs::create_dir(path(name)).unwrap();
+        }
+        std::os::unix::fs::symlink("whole", path(".latest-1")).unwrap();
         sweep(runs.path());
-        assert!(held.join(MARK).exists() && !left.exists() && foreign.exists());
-        assert!(whole.join("run.json").exists() && !whole.join(MARK).exists());
+        let mut left: Vec<_> =
+            std::fs::read_dir(runs.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        left.sort();
+        assert_eq!(left, ["foreign", "held", "whole"]);
+        assert!(path("held").join(MARK).exists() && !path("whole").join(MARK).exists());
         writing.finish().unwrap();
         sweep(runs.path());
-        assert!(held.exists());
+        assert!(path("held").exists());
+    }
+
+    #[test]
+    fn no_folder_of_a_run_takes_the_place_of_another() {
+        let runs = tempfile::tempdir().unwrap();
+        let (mut one, mut other) = (Unfinished::begin(runs.path()).unwrap(), Unfinished::begin(runs.path()).unwrap());
+        assert!(one.rename(&runs.path().join("run")).unwrap());
+        assert!(!other.rename(&runs.path().join("run")).unwrap());
+        assert!(other.rename(&runs.path().join("run-1")).unwrap());
+        other.discard();
+        assert!(one.folder().join(MARK).exists() && !runs.path().join("run-1").exists());
+    }
+
+    #[test]
+    fn folders_begun_while_others_sweep_are_there() {
+        let runs = tempfile::tempdir().unwrap();
+        std::thread::scope(|scope| {
+            let sweeping = scope.spawn(|| (0..2000).for_each(|_| sweep(runs.path())));
+            while !sweeping.is_finished() {
+                let begun = Unfinished::begin(runs.path()).unwrap();
+                assert!(begun.folder().join(MARK).exists());
+                begun.discard();
+            }
+        });
     }
 }
