@@ -13,7 +13,7 @@ fn main() {
     if let Err(error) = result {
         let message = error.render(std::io::stderr().is_terminal());
         if !message.is_empty() {
-            eprintln!("{message}");
+            rockface::cli::complain(&message);
         }
         std::process::exit(error.exit_code());
     }
@@ -23,7 +23,7 @@ fn main() {
 /// the main thread.
 fn tell_panic(panic: &std::panic::PanicHookInfo) {
     if std::thread::current().name() == Some("main") {
-        eprintln!("error: rockface broke down: {panic}\nplease report it with the pipeline");
+        rockface::cli::complain(&format!("error: rockface broke down: {panic}\nplease report it with the pipeline"));
     } else {
         tracing::debug!("{panic}");
     }

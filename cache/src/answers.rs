@@ -180,6 +180,27 @@ mod tests {
         }
     }
 
+    #[test]
+    fn a_segment_that_was_begun_and_never_written_to_is_no_hindrance() {
+        let desk = desk();
+        fs::write(desk.path("store/segments/ffffffffffffffff-1.seg"), b"").unwrap();
+        assert_eq!(desk.recall(), None, "who knows what comes");
+        assert!(desk.ask());
+        assert_eq!(desk.recall(), Some(json!("done")));
+    }
+
+    #[test]
+    fn an_answer_being_filed_is_not_swept_up() {
+        let desk = desk();
+        let store = Store::open(&desk.path("store")).unwrap();
+        std::thread::scope(|scope| {
+            let sweeping = scope.spawn(|| (0..300).for_each(|_| open::prepare(&desk.path("store")).unwrap()));
+            while !sweeping.is_finished() {
+                store.remember_answer(&desk.question, &json!("done"), &desk.grounds()).unwrap();
+            }
+        });
+    }
+
     fn age(path: &Path, age_s: u64) {
         fs::File::open(path).unwrap().set_modified(SystemTime::now() - Duration::from_secs(age_s)).unwrap();
         std::thread::sleep(Duration::from_millis(25));

@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::error::{At, StoreError};
-use crate::open::{BLOBS, TEMPORARY_BLOB, TMP, set_mode};
+use crate::locks::is_abandoned;
+use crate::open::{BLOBS, QUARANTINE, TEMPORARY_BLOB, TMP, set_mode};
 use crate::seal::{Knowledge, seal};
 use crate::{Digest, plain};
 
@@ -147,6 +148,23 @@ impl Blobs {
         done.at("remove", &path)?;
         Ok(!was_put)
     }
+
+    /// Moves blobs back that a collection which died had moved away: it may have been about to do so itself. The next
+    /// collection removes the others.
+    pub(crate) fn take_back(&self) -> Result<(), StoreError> {
+        let tmp = self.root.join(TMP);
+        for entry in fs::read_dir(&tmp).at("list", &tmp)? {
+            let away = entry.at("list", &tmp)?.path();
+            let name = away.file_name().and_then(|name| name.to_str()?.strip_prefix(TEMPORARY_BLOB));
+            let Some(digest) = name.and_then(|name| name.parse::<Digest>().ok()) else { continue };
+            // The lock is held until it is back. What cannot be moved now is left for another time.
+            let held = File::open(&away).ok().filter(|file| is_abandoned(file, &away));
+            if held.is_some() {
+                let _ = fs::rename(&away, self.path(&digest));
+            }
+        }
+        Ok(())
+    }
 }
 
 /// When a blob was last put or verified, seconds since 1970.
@@ -201,6 +219,21 @@ mod tests {
         assert!(blobs.remove(&digest, an_hour_ago() + 2 * HOUR_S).unwrap());
         assert!(!blobs.renew(&digest, None) && !blobs.remove(&digest, an_hour_ago()).unwrap());
         assert_eq!(fs::read_dir(folder.path().join(TMP)).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn a_blob_that_a_collection_moved_away_before_it_died_is_taken_back() {
+        let (folder, blobs, digest) = aged();
+        let away = folder.path().join(TMP).join(format!("{TEMPORARY_BLOB}{digest}"));
+        fs::rename(blobs.path(&digest), &away).unwrap();
+        let held = File::open(&away).unwrap();
+        held.lock().unwrap();
+        blobs.take_back().unwrap();
+        assert!(away.exists(), "the collection is at it");
+        drop(held);
+        blobs.take_back().unwrap();
+        assert_eq!(blobs.get(&digest).unwrap(), b"blob");
+        assert!(!away.exists());
     }
 
     #[test]

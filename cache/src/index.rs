@@ -64,6 +64,8 @@ pub(crate) struct Seen {
     pub name: String,
     /// Everything before is in the index.
     pub end: u64,
+    /// Whether a torn frame lies before: see [`crate::segment::Scan::is_torn`].
+    pub is_torn: bool,
 }
 
 /// The latest payload filed under a key, as it was read.
@@ -94,7 +96,7 @@ impl Index {
     pub(crate) fn segment(&mut self, name: &str) -> u32 {
         let known = self.segments.iter().position(|seen| seen.name == name);
         known.unwrap_or_else(|| {
-            self.segments.push(Seen { name: name.to_owned(), end: 0 });
+            self.segments.push(Seen { name: name.to_owned(), end: 0, is_torn: false });
             self.segments.len() - 1
         }) as u32
     }
@@ -104,14 +106,16 @@ impl Index {
         self.segments[number as usize].clone()
     }
 
-    /// Whether these are all the segments there are, each read to its end.
+    /// Whether these are all the segments there are, each read to its end. One that a process began and never wrote to
+    /// has nothing to be read.
     pub(crate) fn is_read<'a>(&self, segments: impl Iterator<Item = (&'a str, u64)>) -> bool {
         let mut count = 0;
         let mut is_read = |(name, end): (&str, u64)| {
             count += 1;
             self.segments.iter().any(|seen| seen.name == name && seen.end == end)
         };
-        segments.into_iter().all(&mut is_read) && count == self.segments.iter().filter(|seen| seen.end > 0).count()
+        segments.into_iter().filter(|(_, end)| *end > 0).all(&mut is_read)
+            && count == self.segments.iter().filter(|seen| seen.end > 0).count()
     }
 
     /// The names of the segments of which something was read.
@@ -121,7 +125,7 @@ impl Index {
 
     /// Forgets everything but the numbers and names of segments, as if none had been read.
     pub(crate) fn clear(&mut self) {
-        self.segments.iter_mut().for_each(|seen| seen.end = 0);
+        self.segments.iter_mut().for_each(|seen| (seen.end, seen.is_torn) = (0, false));
         let segments = std::mem::take(&mut self.segments);
         *self = Self { segments, clock: self.clock, ..Self::default() };
     }
@@ -175,6 +179,11 @@ impl Index {
         if self.blobs.get(&header.name).is_some_and(|place| place.stamp <= *gone) {
             self.blobs.remove(&header.name);
         }
+    }
+
+    /// Notes that a torn frame lies in what was read of a segment.
+    pub(crate) fn note_torn(&mut self, segment: u32) {
+        self.segments[segment as usize].is_torn = true;
     }
 
     /// A stamp later than every one in the store as far as it has been read.

@@ -88,7 +88,12 @@ impl Journal {
     fn read_on(&self, file: &File, path: &Path, number: u32) -> Result<u64, StoreError> {
         let seen = self.with_index(|index| index.seen(number)).end;
         let found = scan(file, seen).at("read", path)?;
-        self.edit_index(|index| index.enter(number, found.frames, found.end));
+        self.edit_index(|index| {
+            index.enter(number, found.frames, found.end);
+            if found.is_torn {
+                index.note_torn(number);
+            }
+        });
         Ok(found.end)
     }
 
@@ -208,6 +213,11 @@ impl Journal {
         }
         let segment = self.edit_index(|index| index.segment(name));
         let end = self.read_on(&file, &path, segment)?;
+        // Continued, it would be marked as synced, and what a power cut tore would count as whole. It is read as it is
+        // until a collection writes it anew.
+        if self.with_index(|index| index.seen(segment).is_torn) {
+            return Ok(None);
+        }
         if size > end {
             file.set_len(end).at("cut the torn tail of", &path)?;
         }

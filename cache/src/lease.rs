@@ -64,7 +64,11 @@ impl Store {
         let mut live = Live::default();
         for entry in std::fs::read_dir(&folder).at("list", &folder)? {
             let path = entry.at("list", &folder)?.path();
-            let Ok(mut file) = plain::open(&path) else { continue };
+            let mut file = match plain::open(&path) {
+                // Its process has ended since it was listed, or it is nothing that a process made.
+                Err(fault) if fault.kind() == std::io::ErrorKind::NotFound || plain::is_foreign(&fault) => continue,
+                file => file.at("open", &path)?,
+            };
             if is_abandoned(&file, &path) {
                 continue;
             }
@@ -97,6 +101,16 @@ fn begin(folder: &Path) -> Result<tempfile::NamedTempFile, StoreError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn who_cannot_be_read_is_not_taken_for_dead() {
+        let place = tempfile::tempdir().unwrap();
+        let store = Store::open(&place.path().join("store")).unwrap();
+        // Opening it fails, and not because it is gone.
+        std::os::unix::fs::symlink("run-loop", store.dir().join(LIVE).join("run-loop")).unwrap();
+        let told = store.live().unwrap_err().to_string();
+        assert!(told.contains("run-loop"), "{told}");
+    }
 
     #[test]
     fn a_live_process_says_what_it_counts_on_until_it_ends() {

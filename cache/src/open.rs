@@ -2,9 +2,10 @@
 
 use std::fs;
 use std::io::{self, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use crate::blobs::Blobs;
 use crate::error::{At, StoreError};
 use crate::locks::sweep;
 use crate::plain;
@@ -53,11 +54,14 @@ pub(crate) fn is_current(dir: &Path) -> bool {
 
 /// Makes `dir` a store, or makes sure that it is one of this format.
 pub(crate) fn prepare(dir: &Path) -> Result<(), StoreError> {
+    let outside = nearest_that_is_there(dir)?;
     fs::create_dir_all(dir).at("make the folder", dir)?;
     // Listed before the format is read: another process may be making the store now, and writes its format first.
     let foreign = foreign_entry(dir)?;
     let format = dir.join("format");
-    match fs::read_to_string(&format) {
+    let read = fs::read_to_string(&format);
+    let is_new = read.is_err();
+    match read {
         Ok(found) if found.trim_end() == FORMAT => {}
         Ok(found) => return Err(wrong_format(dir, &found)),
         Err(fault) if fault.kind() == io::ErrorKind::NotFound => match foreign {
@@ -75,6 +79,11 @@ pub(crate) fn prepare(dir: &Path) -> Result<(), StoreError> {
     if !dir.join("CACHEDIR.TAG").exists() {
         write_whole(dir, "CACHEDIR.TAG", CACHE_TAG)?;
     }
+    if is_new {
+        sync_names(dir, &outside)?;
+    }
+    // Before the sweep, which would remove them.
+    Blobs::new(dir).take_back()?;
     sweep(&dir.join(TMP), TEMPORARY_BLOB)?;
     crate::scratch::sweep(&dir.join(SCRATCH))?;
     sweep_aged(dir, HALF_WRITTEN)?;
@@ -91,6 +100,26 @@ fn sweep_aged(dir: &Path, prefix: &str) -> Result<(), StoreError> {
         if ours && age().is_some_and(|age| age > LONGEST_WRITING) {
             // What cannot be removed now is left for another time.
             let _ = fs::remove_file(entry.path());
+        }
+    }
+    Ok(())
+}
+
+/// The nearest folder around `dir`, or `dir` itself, that is there.
+fn nearest_that_is_there(dir: &Path) -> Result<PathBuf, StoreError> {
+    let dir = std::path::absolute(dir).at("find", dir)?;
+    Ok(dir.ancestors().find(|folder| folder.exists()).unwrap_or(&dir).to_owned())
+}
+
+/// Makes the names in a new store durable, and its own in the folders around it as far as `outside`: what is synced inside
+/// is lost with any of them.
+fn sync_names(dir: &Path, outside: &Path) -> Result<(), StoreError> {
+    let dir = std::path::absolute(dir).at("find", dir)?;
+    for folder in dir.ancestors().take_while(|folder| folder.starts_with(outside)) {
+        match fs::File::open(folder).and_then(|folder| folder.sync_all()) {
+            // A folder that may be entered and not listed cannot be synced by this user.
+            Err(fault) if fault.kind() == io::ErrorKind::PermissionDenied && folder != dir => {}
+            synced => synced.at("sync", folder)?,
         }
     }
     Ok(())

@@ -33,6 +33,8 @@ pub(crate) struct Scan {
     pub frames: Vec<Frame>,
     /// Where the last whole frame ends.
     pub end: u64,
+    /// Whether a frame before that end has a whole header and a torn payload: a mark after it would vouch for it.
+    pub is_torn: bool,
 }
 
 /// The growing end of the one segment this process writes.
@@ -105,17 +107,16 @@ pub(crate) fn scan(file: &File, from: u64) -> io::Result<Scan> {
         frames.push(Frame { header, at, payload });
         next = window.find_header(start + header.frame_bytes())?;
     }
-    let mut torn = Ok(());
-    frames.retain(|frame| {
-        frame.at < durable
-            || window.is_whole(frame).unwrap_or_else(|fault| {
-                torn = Err(fault);
-                false
-            })
-    });
-    torn?;
-    let end = frames.last().map_or(from, |frame: &Frame| frame.at + u64::from(frame.header.length));
-    Ok(Scan { frames, end })
+    let (mut whole, mut first_torn) = (Vec::with_capacity(frames.len()), u64::MAX);
+    for frame in frames {
+        if frame.at < durable || window.is_whole(&frame)? {
+            whole.push(frame);
+        } else {
+            first_torn = first_torn.min(frame.at);
+        }
+    }
+    let end = whole.last().map_or(from, |frame: &Frame| frame.at + u64::from(frame.header.length));
+    Ok(Scan { frames: whole, end, is_torn: first_torn < end })
 }
 
 /// A reader of a file by offset that remembers the stretch it read last.
@@ -234,6 +235,22 @@ mod tests {
             assert_eq!(scan(file.as_file(), 0).unwrap().frames.len(), ends.len() - 1, "damaged at {at}");
             file.as_file().write_all_at(&byte, at).unwrap();
         }
+    }
+
+    #[test]
+    fn only_damage_that_a_mark_would_vouch_for_makes_a_segment_torn() {
+        let (file, ends) = sample(false);
+        let is_torn_at = |at: u64| {
+            let mut byte = [0];
+            file.as_file().read_exact_at(&mut byte, at).unwrap();
+            file.as_file().write_all_at(&[byte[0] ^ 0x55], at).unwrap();
+            let found = scan(file.as_file(), 0).unwrap();
+            file.as_file().write_all_at(&byte, at).unwrap();
+            found.is_torn
+        };
+        assert!(is_torn_at(ends[1] - 1), "the payload of a frame in the middle");
+        assert!(!is_torn_at(ends[1]), "a header: the frame is never found again");
+        assert!(!is_torn_at(ends[3] - 1), "the last frame: it is cut off");
     }
 
     #[test]

@@ -244,6 +244,10 @@ impl Store {
     /// Refuses a record that could never be a hit.
     fn check(&self, record: &Record) -> Result<(), StoreError> {
         let Some(digest) = self.lacking(record) else { return Ok(()) };
+        // It may be there, and the system refuses to say.
+        if let Err(fault @ StoreError::Io { .. }) = self.blobs.check(&digest) {
+            return Err(fault);
+        }
         let reason = format!("blob {} of it is not in the store with that size: put it first", digest.short());
         Err(bad_record(record, reason))
     }
@@ -271,7 +275,7 @@ impl Store {
 
     /// Makes everything stored so far durable now. Happens by itself within a second, and when the store is dropped.
     pub fn sync(&self) -> Result<(), StoreError> {
-        self.journal.sync()
+        self.syncer.sync()
     }
 
     /// Keeps a note on a run under the key of its plan; a later note replaces it.

@@ -47,17 +47,32 @@ impl Syncer {
             state.dirty = true;
             self.pulse.bell.notify_one();
             drop(state);
-            self.start();
+            return self.start();
         }
         Ok(())
     }
 
-    fn start(&self) {
+    /// Syncs now; reports what went wrong with the last sync in the background, too: the system reports a lost write once,
+    /// and a second sync succeeds without it.
+    pub(crate) fn sync(&self) -> Result<(), StoreError> {
+        let fault = self.pulse.state().fault.take();
+        let synced = self.journal.sync();
+        fault.map_or(synced, Err)
+    }
+
+    /// Starts the thread. On a system that starts no more threads, what was written is synced at once instead.
+    fn start(&self) -> Result<(), StoreError> {
         let mut thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
-        if thread.is_none() {
-            let (journal, pulse) = (Arc::clone(&self.journal), Arc::clone(&self.pulse));
-            *thread = Some(std::thread::spawn(move || pulse.beat(&journal)));
+        if thread.is_some() {
+            return Ok(());
         }
+        let (journal, pulse) = (Arc::clone(&self.journal), Arc::clone(&self.pulse));
+        if let Ok(started) = std::thread::Builder::new().spawn(move || pulse.beat(&journal)) {
+            *thread = Some(started);
+            return Ok(());
+        }
+        self.pulse.state().dirty = false;
+        self.journal.sync()
     }
 }
 
@@ -96,5 +111,19 @@ impl Pulse {
         let (mut state, _) = waited.unwrap_or_else(PoisonError::into_inner);
         state.dirty = false;
         !state.stopping
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_went_wrong_in_the_background_is_reported_by_the_next_sync() {
+        let folder = tempfile::tempdir().unwrap();
+        let syncer = Syncer::new(Arc::new(Journal::open(folder.path()).unwrap()));
+        syncer.pulse.state().fault = Some(StoreError::DiskFull { path: "a segment".into() });
+        assert!(matches!(syncer.sync(), Err(StoreError::DiskFull { .. })));
+        syncer.sync().unwrap();
     }
 }

@@ -112,7 +112,8 @@ impl ArchiveArgs {
         let to = self.output.unwrap_or_else(|| PathBuf::from(format!("{}.tar", run.name)));
         let done = history::archive(&run, &self.places.open_store()?, self.outputs, &to)?;
         if done.missing > 0 {
-            eprintln!("warning: {} records or logs of this run are not in the store any more", done.missing);
+            let missing = done.missing;
+            super::complain(&format!("warning: {missing} records or logs of this run are not in the store any more"));
         }
         say(&format!("{}: {} files", to.display(), done.files));
         Ok(())

@@ -1,12 +1,12 @@
 //! `rockface store push` and `pull`: results from one store to another.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
 use rockface_cache::{Digest, Handed, Store};
 use serde_json::json;
 
-use super::places::Places;
+use super::places::{Places, may_be_store};
 use super::table::bytes;
 use super::{CliError, say};
 use crate::history;
@@ -37,7 +37,7 @@ impl HandArgs {
 
     /// Takes results.
     pub fn pull(self) -> Result<(), CliError> {
-        if !is_store(&self.other) {
+        if !may_be_store(&self.other) {
             let hint = "give the folder that has the file `format` in it";
             return Err(CliError::Usage(format!("there is no store in {}: {hint}", self.other.display())));
         }
@@ -73,10 +73,6 @@ impl HandArgs {
         }
         Ok(())
     }
-}
-
-fn is_store(folder: &Path) -> bool {
-    folder.join("format").is_file()
 }
 
 fn told(handed: &Handed, to: &Store) -> String {

@@ -202,16 +202,38 @@ fn beside(pipeline: &Path) -> PathBuf {
 fn own_folder(pipeline: &Path) -> Result<PathBuf, CliError> {
     let folder = beside(pipeline);
     let failed = |source| CliError::Run(RunError::Folder { path: folder.clone(), source });
+    let is_new = !folder.exists();
     std::fs::create_dir_all(&folder).map_err(failed)?;
     for (name, text) in [(".gitignore", "*\n"), ("CACHEDIR.TAG", CACHE_TAG)] {
-        // Made only where there is nothing, not even a link.
-        match std::fs::File::create_new(folder.join(name)) {
-            Ok(mut file) => std::io::Write::write_all(&mut file, text.as_bytes()).map_err(failed)?,
-            Err(fault) if fault.kind() == std::io::ErrorKind::AlreadyExists => {}
-            Err(fault) => return Err(failed(fault)),
+        if !folder.join(name).exists() {
+            write_own(&folder, name, text).map_err(failed)?;
         }
     }
+    if is_new {
+        // What is durable inside is lost with its name.
+        let around = folder.parent().filter(|around| !around.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let synced = std::fs::File::open(around).and_then(|around| around.sync_all());
+        synced
+            .or_else(|error| if error.kind() == std::io::ErrorKind::PermissionDenied { Ok(()) } else { Err(error) })
+            .map_err(failed)?;
+    }
     Ok(folder)
+}
+
+/// Writes a file whole or not at all: half of one would never be completed.
+fn write_own(folder: &Path, name: &str, text: &str) -> std::io::Result<()> {
+    let mut file = tempfile::Builder::new()
+        .permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666))
+        .tempfile_in(folder)?;
+    std::io::Write::write_all(&mut file, text.as_bytes())?;
+    file.as_file().sync_all()?;
+    file.persist(folder.join(name)).map(drop).map_err(|error| error.error)
+}
+
+/// Prints a line on standard error. Where that cannot be written to, there is nobody left to tell.
+pub fn complain(line: &str) {
+    use std::io::Write;
+    let _ = writeln!(std::io::stderr(), "{line}");
 }
 
 /// Why a command did not do what it was asked.
@@ -297,7 +319,7 @@ fn say(text: &str) {
     use std::io::Write;
     match writeln!(std::io::stdout(), "{}", crate::watch::printable(text)) {
         Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
-            eprintln!("error: cannot write to standard output: {error}");
+            complain(&format!("error: cannot write to standard output: {error}"));
             std::process::exit(3);
         }
         _ => {}

@@ -45,17 +45,26 @@ impl Places {
     pub fn store_beside(&self, run: &Path) -> Result<Option<Store>, CliError> {
         let beside = run.parent().and_then(Path::parent).map(|folder| folder.join("store"));
         let places = [Some(self.store.clone()), beside];
-        let found = places.into_iter().flatten().find(|store| store.join("format").is_file());
+        let found = places.into_iter().flatten().find(|store| may_be_store(store));
         Ok(found.map(|store| Store::open(&store)).transpose()?)
     }
 
     /// Opens the store, which must be there: what only looks makes nothing.
     pub fn open_store(&self) -> Result<Store, CliError> {
-        if self.store.join("format").is_file() {
+        if may_be_store(&self.store) {
             return Ok(Store::open(&self.store)?);
         }
         let shown = self.store.display();
         let hint = "give its folder with --store, or go to the folder of the pipeline";
         Err(CliError::Usage(format!("there is no store in {shown}: {hint}")))
+    }
+}
+
+/// Whether a folder is a store, or cannot be looked into: opening it then says why.
+pub fn may_be_store(folder: &Path) -> bool {
+    use std::io::ErrorKind::{NotADirectory, NotFound};
+    match std::fs::metadata(folder.join("format")) {
+        Ok(meta) => meta.is_file(),
+        Err(fault) => !matches!(fault.kind(), NotFound | NotADirectory),
     }
 }

@@ -27,7 +27,9 @@ impl ReportArgs {
         let run = history::find(&self.places.runs, &self.run)?;
         let store = self.places.store_beside(&run.folder)?;
         if store.is_none() {
-            eprintln!("warning: there is no store here; what is not in the run folder is missing from the report");
+            super::complain(
+                "warning: there is no store here; what is not in the run folder is missing from the report",
+            );
         }
         let graph = report::graph_of(&run.manifest);
         let (folder, manifest) = (&run.folder, &run.manifest);

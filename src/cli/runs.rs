@@ -97,7 +97,7 @@ fn list(places: &Places, format: Format) -> Result<(), CliError> {
     }
     let (runs, faults) = history::list(&places.runs)?;
     for fault in faults {
-        eprintln!("warning: {fault}");
+        super::complain(&format!("warning: {fault}"));
     }
     let json: Value = runs
         .iter()

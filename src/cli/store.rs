@@ -241,7 +241,7 @@ fn run_folders(store: &Store, runs: &Path) -> Result<BTreeSet<PathBuf>, CliError
     let mut folders: BTreeSet<PathBuf> = history::folders(runs)?.into_iter().map(absolute).collect();
     for note in store.recalled_runs() {
         let folder = note.get("folder").and_then(serde_json::Value::as_str).map(PathBuf::from);
-        folders.extend(folder.filter(|folder| folder.join("run.json").is_file()));
+        folders.extend(folder.filter(|folder| history::may_be_run(folder)));
     }
     Ok(folders)
 }

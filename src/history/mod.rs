@@ -104,7 +104,8 @@ impl PastRun {
         let manifest = Manifest::read(&folder.join("run.json"))?;
         let folder = std::path::absolute(folder).map_err(HistoryError::io("find", folder))?;
         let name = folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-        let pinned = is_pinned(&folder);
+        let pin = folder.join(PIN);
+        let pinned = pin.try_exists().map_err(HistoryError::io("look at", &pin))?;
         Ok(Self { name, folder, manifest, pinned })
     }
 
@@ -128,7 +129,8 @@ impl PastRun {
 
 /// Whether what the run of this folder made is kept whatever its age.
 pub fn is_pinned(folder: &Path) -> bool {
-    folder.join(PIN).exists()
+    // What cannot be looked at is spared.
+    folder.join(PIN).try_exists().unwrap_or(true)
 }
 
 /// The run folders in a folder of runs, be their manifests readable or not.
@@ -157,6 +159,16 @@ pub fn list(runs: &Path) -> Result<(Vec<PastRun>, Vec<HistoryError>), HistoryErr
     Ok((found, faults))
 }
 
+/// Whether a folder is that of a run, or cannot be looked into: opening it then says why. Taken for none, what it names
+/// would be collected.
+pub fn may_be_run(folder: &Path) -> bool {
+    use std::io::ErrorKind::{NotADirectory, NotFound};
+    match std::fs::metadata(folder.join("run.json")) {
+        Ok(meta) => meta.is_file(),
+        Err(fault) => !matches!(fault.kind(), NotFound | NotADirectory),
+    }
+}
+
 /// The names of the run folders, sorted; none where there is no folder of runs.
 fn names(runs: &Path) -> Result<Vec<String>, HistoryError> {
     let entries = match std::fs::read_dir(runs) {
@@ -165,10 +177,11 @@ fn names(runs: &Path) -> Result<Vec<String>, HistoryError> {
         Err(fault) => return Err(HistoryError::io("list", runs)(fault)),
     };
     let mut names = Vec::new();
-    for entry in entries.flatten() {
+    for entry in entries {
+        let entry = entry.map_err(HistoryError::io("list", runs))?;
         // `latest` is another name of one of them.
-        let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
-        if is_folder && entry.path().join("run.json").is_file() {
+        let is_folder = entry.file_type().map_err(HistoryError::io("look at", &entry.path()))?.is_dir();
+        if is_folder && may_be_run(&entry.path()) {
             names.extend(entry.file_name().into_string().ok());
         }
     }

@@ -129,10 +129,19 @@ struct Writer<'a> {
 
 impl Writer<'_> {
     fn write(&self, key: &Digest) -> Result<Finished, RunError> {
-        let (folder, mark) = self.make_folder(key)?;
-        // A folder that tells half of a run would only mislead.
-        let filled = self.fill(&folder).and_then(|finished| mark.finish().map(|()| finished));
-        let finished = filled.inspect_err(|_| drop(std::fs::remove_dir_all(&folder)))?;
+        let unfinished = self.make_folder(key)?;
+        let folder = unfinished.folder().to_owned();
+        let finished = match self.fill(&folder) {
+            Ok(finished) => finished,
+            Err(error) => {
+                unfinished.discard();
+                return Err(error);
+            }
+        };
+        unfinished.finish()?;
+        // The store is told of the folder next, and nothing it is told of may be lost.
+        unfinished::sync(&folder)?;
+        unfinished::sync(self.about.runs)?;
         point_latest(self.about.runs, &folder)?;
         Ok(finished)
     }
@@ -161,7 +170,10 @@ impl Writer<'_> {
         };
         let (logged, manifest) = self.beside(|| self.log(folder, logs, laid), told)?;
         logged?;
-        write_file(&folder.join("run.json"), manifest?.as_bytes())
+        let manifest = manifest?;
+        // A folder with a manifest is whole, after a power cut too.
+        unfinished::sync_all(folder)?;
+        write_file(&folder.join("run.json"), manifest.as_bytes())
     }
 
     /// Does two things at once, the second in this thread; one after the other if there is to be one job.
@@ -195,14 +207,21 @@ impl Writer<'_> {
         Ok(())
     }
 
-    fn make_folder(&self, key: &Digest) -> Result<(PathBuf, Unfinished), RunError> {
+    fn make_folder(&self, key: &Digest) -> Result<Unfinished, RunError> {
         let time = humantime::format_rfc3339_seconds(SystemTime::now()).to_string().replace(':', "");
         let name = format!("{time}-{}-{}", readable_name(&self.plan.graph.name), &key.short()[..8]);
         let runs = std::path::absolute(self.about.runs).map_err(failed(self.about.runs))?;
         std::fs::create_dir_all(&runs).map_err(failed(&runs))?;
-        let names = (0..1000).map(|attempt| if attempt == 0 { name.clone() } else { format!("{name}-{attempt}") });
-        let names: Result<Vec<SafeName>, _> = names.map(SafeName::new).collect();
-        Unfinished::begin(&runs, &names.map_err(|error| failed(&runs)(error.into()))?)
+        let name = SafeName::new(name).map_err(|error| failed(&runs)(error.into()))?;
+        let mut begun = Unfinished::begin(&runs)?;
+        for attempt in 0..1000 {
+            let suffix = if attempt == 0 { String::new() } else { format!("-{attempt}") };
+            if begun.rename(&runs.join(format!("{name}{suffix}")))? {
+                return Ok(begun);
+            }
+        }
+        begun.discard();
+        Err(failed(&runs.join(name))(std::io::ErrorKind::AlreadyExists.into()))
     }
 
     /// What each instance said.
@@ -254,12 +273,13 @@ pub(super) fn going_on(stop: &AtomicBool) -> Result<(), RunError> {
     if stop.load(Ordering::Relaxed) { Err(RunError::Interrupted) } else { Ok(()) }
 }
 
-/// Writes a whole file or none.
+/// Writes a whole file or none, and makes its content durable.
 pub(super) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), RunError> {
     let folder = path.parent().unwrap_or(Path::new("."));
     let write = || {
         let mut file = tempfile::NamedTempFile::new_in(folder)?;
-        std::io::Write::write_all(&mut file, bytes).map(|()| file)
+        std::io::Write::write_all(&mut file, bytes)?;
+        file.as_file().sync_all().map(|()| file)
     };
     put(write().map_err(failed(path))?, path)
 }
@@ -285,8 +305,17 @@ pub(super) fn point_latest(runs: &Path, folder: &Path) -> Result<(), RunError> {
     if std::fs::read_link(&latest).is_ok_and(|now| now == target) {
         return Ok(());
     }
-    let staged = runs.join(format!("{}{}", unfinished::NEXT_LATEST, std::process::id()));
-    let _ = std::fs::remove_file(&staged);
-    std::os::unix::fs::symlink(&target, &staged).map_err(failed(&staged))?;
-    std::fs::rename(&staged, &latest).map_err(failed(&latest))
+    let staged = runs.join(format!("{}{}", unfinished::STAGED, std::process::id()));
+    loop {
+        let _ = std::fs::remove_file(&staged);
+        std::os::unix::fs::symlink(&target, &staged).map_err(failed(&staged))?;
+        match std::fs::rename(&staged, &latest) {
+            // Another process took it for one that was left by the dead.
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
+            renamed => {
+                let cleared = renamed.inspect_err(|_| drop(std::fs::remove_file(&staged)));
+                return cleared.map_err(failed(&latest));
+            }
+        }
+    }
 }

@@ -291,7 +291,8 @@ impl<'a> Scheduler<'a> {
         }
         self.store.sync()?;
         if self.running > 0 && self.options.exit_when_stuck {
-            eprintln!("{error}");
+            // Where that cannot be said, the exit code says it.
+            let _ = std::io::Write::write_fmt(&mut std::io::stderr(), format_args!("{error}\n"));
             std::process::exit(error.exit_code());
         }
         Err(error)

@@ -1,100 +1,141 @@
-//! Run folders that are being written: marked until they are whole, and removed when their writer has died.
+//! Run folders that are being written: hidden until they are marked, marked until they are whole, and removed when their
+//! writer has died.
 
-use std::fs::{self, File};
+use std::fs::{File, Permissions};
 use std::io::ErrorKind;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
-
-use rockface_cache::SafeName;
 
 use super::RunError;
 use super::folder::failed;
 
 /// The file that marks a folder being written. Its writer holds a lock on it, which ends with the process.
 const MARK: &str = ".unfinished";
-/// Starts the names of folders that have no mark or no name yet.
+/// Starts the names of folders that are not marked yet.
 const BEGUN: &str = ".begun-";
-/// Starts the names of links that are about to become `latest`.
-pub(super) const NEXT_LATEST: &str = ".latest-";
-/// Nobody takes longer from the making of such a thing to its name.
-const LONGEST_BEGINNING: Duration = Duration::from_hours(1);
+/// Starts the names of links that are to become `latest`.
+pub const STAGED: &str = ".latest-";
 
 /// The right to write a run folder.
 pub struct Unfinished {
-    path: PathBuf,
+    folder: PathBuf,
     /// Holds the lock.
     _file: File,
 }
 
 impl Unfinished {
-    /// Makes a folder under the first of these names that nothing has. It gets its name with its mark in it and locked, so
-    /// that nobody ever finds it without.
-    pub fn begin(runs: &Path, names: &[SafeName]) -> Result<(PathBuf, Self), RunError> {
-        let mut builder = tempfile::Builder::new();
-        builder.prefix(BEGUN).permissions(fs::Permissions::from_mode(0o777));
-        let begun = builder.tempdir_in(runs).map_err(failed(runs))?;
-        let file = File::create_new(begun.path().join(MARK)).map_err(failed(begun.path()))?;
-        file.lock().map_err(failed(begun.path()))?;
-        for name in names {
-            let folder = runs.join(name);
-            match fs::rename(begun.path(), &folder) {
-                Ok(()) => {
-                    // Under its former name there is nothing to be removed any more.
-                    let _ = begun.keep();
-                    return Ok((folder.clone(), Self { path: folder.join(MARK), _file: file }));
+    /// Begins a folder in `runs`, under a name that nobody takes for a run.
+    pub fn begin(runs: &Path) -> Result<Self, RunError> {
+        loop {
+            let mut builder = tempfile::Builder::new();
+            let folder = builder.prefix(BEGUN).permissions(Permissions::from_mode(0o777)).tempdir_in(runs);
+            let folder = folder.map_err(failed(runs))?.keep();
+            let path = folder.join(MARK);
+            match File::create(&path).and_then(|file| file.lock().map(|()| file)) {
+                // Swept up before it was locked? Then begin another.
+                Ok(file) if path.exists() => {
+                    // No power cut leaves a folder of a run without it.
+                    sync(&folder)?;
+                    return Ok(Self { folder, _file: file });
                 }
-                Err(error) if is_taken(&error) => {}
-                Err(error) => return Err(failed(&folder)(error)),
+                Ok(_) => {}
+                Err(error) if error.kind() == ErrorKind::NotFound => {}
+                Err(error) => {
+                    drop(std::fs::remove_dir_all(&folder));
+                    return Err(failed(&path)(error));
+                }
             }
         }
-        Err(failed(runs)(ErrorKind::AlreadyExists.into()))
+    }
+
+    /// Gives the folder its name; false where there is something of that name.
+    pub fn rename(&mut self, to: &Path) -> Result<bool, RunError> {
+        match std::fs::rename(&self.folder, to) {
+            Ok(()) => {
+                to.clone_into(&mut self.folder);
+                Ok(true)
+            }
+            Err(error)
+                if matches!(
+                    error.kind(),
+                    ErrorKind::AlreadyExists | ErrorKind::DirectoryNotEmpty | ErrorKind::NotADirectory
+                ) =>
+            {
+                Ok(false)
+            }
+            Err(error) => Err(failed(to)(error)),
+        }
+    }
+
+    /// The folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
     }
 
     /// The folder is whole.
     pub fn finish(self) -> Result<(), RunError> {
-        std::fs::remove_file(&self.path).map_err(failed(&self.path))
+        let path = self.folder.join(MARK);
+        std::fs::remove_file(&path).map_err(failed(&path))
+    }
+
+    /// A folder that tells half of a run would only mislead.
+    pub fn discard(self) {
+        // What cannot be removed now is left for the next sweep, which finds its mark.
+        let _ = std::fs::remove_dir_all(&self.folder);
     }
 }
 
-/// Whether a folder cannot have a name because something else has it.
-fn is_taken(error: &std::io::Error) -> bool {
-    matches!(error.kind(), ErrorKind::AlreadyExists | ErrorKind::DirectoryNotEmpty | ErrorKind::NotADirectory)
-}
-
-/// Removes the folders whose writers died before they were whole. One whose manifest is there lacks nothing but the end of
-/// its mark. What cannot be removed now is left for another time.
+/// Removes the folders whose writers died before they were whole, and links that never became `latest`. A folder whose
+/// manifest is there lacks nothing but the end of its mark. What cannot be removed now is left for another time.
 pub fn sweep(runs: &Path) {
-    for entry in fs::read_dir(runs).into_iter().flatten().flatten() {
-        let (name, Ok(kind)) = (entry.file_name(), entry.file_type()) else { continue };
-        let name = name.to_string_lossy();
-        if kind.is_dir() && name.starts_with(BEGUN) {
-            // Its writer may be about to lock the mark.
-            let _ = if is_old(&entry) { fs::remove_dir_all(entry.path()) } else { Ok(()) };
-        } else if kind.is_symlink() && name.starts_with(NEXT_LATEST) {
-            let _ = if is_old(&entry) { fs::remove_file(entry.path()) } else { Ok(()) };
+    for entry in std::fs::read_dir(runs).into_iter().flatten().flatten() {
+        let (path, name) = (entry.path(), entry.file_name());
+        let starts_with = |prefix: &str| name.as_encoded_bytes().starts_with(prefix.as_bytes());
+        let Ok(kind) = entry.file_type() else { continue };
+        if kind.is_symlink() && starts_with(STAGED) {
+            // A process that is about to rename it makes another.
+            let _ = std::fs::remove_file(&path);
         } else if kind.is_dir() {
-            sweep_one(&entry.path());
+            sweep_folder(&path, starts_with(BEGUN));
         }
     }
 }
 
-fn is_old(entry: &fs::DirEntry) -> bool {
-    let modified = entry.metadata().and_then(|meta| meta.modified()).ok();
-    modified.and_then(|at| at.elapsed().ok()).is_some_and(|age| age > LONGEST_BEGINNING)
+fn sweep_folder(folder: &Path, is_begun: bool) {
+    let mark = folder.join(MARK);
+    // Opened for writing: network file systems lock no other files. The lock is held until the folder is gone.
+    let held = File::options().write(true).open(&mark);
+    let abandoned = match &held {
+        Ok(file) => file.try_lock().is_ok() && mark.exists(),
+        // A process that is about to mark it begins another.
+        Err(error) => is_begun && error.kind() == ErrorKind::NotFound,
+    };
+    if abandoned {
+        let _ = match std::fs::metadata(folder.join("run.json")) {
+            Ok(_) => std::fs::remove_file(&mark),
+            Err(error) if error.kind() == ErrorKind::NotFound => std::fs::remove_dir_all(folder),
+            Err(_) => Ok(()),
+        };
+    }
 }
 
-fn sweep_one(folder: &Path) {
-    let mark = folder.join(MARK);
-    if !fs::symlink_metadata(&mark).is_ok_and(|meta| meta.is_file()) {
-        return;
+/// Makes a folder and all that is in it durable. Links are, with the folder they are in.
+pub fn sync_all(folder: &Path) -> Result<(), RunError> {
+    for entry in std::fs::read_dir(folder).map_err(failed(folder))? {
+        let entry = entry.map_err(failed(folder))?;
+        let (path, kind) = (entry.path(), entry.file_type().map_err(failed(folder))?);
+        if kind.is_dir() {
+            sync_all(&path)?;
+        } else if kind.is_file() {
+            sync(&path)?;
+        }
     }
-    // Opened for writing: network file systems lock no other files.
-    let file = File::options().write(true).open(&mark).ok();
-    if file.is_some_and(|file| file.try_lock().is_ok() && mark.exists()) {
-        let whole = folder.join("run.json").is_file();
-        let _ = if whole { fs::remove_file(&mark) } else { fs::remove_dir_all(folder) };
-    }
+    sync(folder)
+}
+
+/// Makes a file, or the names in a folder, durable.
+pub fn sync(path: &Path) -> Result<(), RunError> {
+    File::open(path).and_then(|file| file.sync_all()).map_err(failed(path))
 }
 
 #[cfg(test)]
@@ -104,42 +145,51 @@ mod tests {
     #[test]
     fn only_what_nobody_writes_any_more_is_removed() {
         let runs = tempfile::tempdir().unwrap();
-        let begin = |name: &str| Unfinished::begin(runs.path(), &[SafeName::new(name).unwrap()]).unwrap();
-        let ((held, writing), (left, _), (whole, _)) = (begin("held"), begin("left"), begin("whole"));
-        let foreign = runs.path().join("foreign");
-        fs::create_dir(&foreign).unwrap();
-        fs::write(whole.join("run.json"), "{}").unwrap();
+        let path = |name: &str| runs.path().join(name);
+        let begin = |name: &str| {
+            let mut begun = Unfinished::begin(runs.path()).unwrap();
+            assert!(begun.rename(&path(name)).unwrap());
+            begun
+        };
+        let writing = begin("held");
+        drop((begin("left"), begin("whole"), Unfinished::begin(runs.path()).unwrap()));
+        std::fs::write(path("whole/run.json"), "{}").unwrap();
+        for name in ["foreign", ".begun-and-died"] {
+            std::fs::create_dir(path(name)).unwrap();
+        }
+        std::os::unix::fs::symlink("whole", path(".latest-1")).unwrap();
         sweep(runs.path());
-        assert!(held.join(MARK).exists() && !left.exists() && foreign.exists());
-        assert!(whole.join("run.json").exists() && !whole.join(MARK).exists());
+        let mut left: Vec<_> =
+            std::fs::read_dir(runs.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        left.sort();
+        assert_eq!(left, ["foreign", "held", "whole"]);
+        assert!(path("held").join(MARK).exists() && !path("whole").join(MARK).exists());
         writing.finish().unwrap();
         sweep(runs.path());
-        assert!(held.exists());
+        assert!(path("held").exists());
     }
 
     #[test]
-    fn a_folder_has_its_mark_as_soon_as_its_name_and_takes_no_other_folders() {
+    fn no_folder_of_a_run_takes_the_place_of_another() {
         let runs = tempfile::tempdir().unwrap();
-        let names = ["a", "b", "c"].map(|name| SafeName::new(name).unwrap());
-        fs::create_dir_all(runs.path().join("a/full")).unwrap();
-        fs::write(runs.path().join("b"), "a file").unwrap();
-        let (folder, _held) = Unfinished::begin(runs.path(), &names).unwrap();
-        assert_eq!(folder, runs.path().join("c"));
-        assert!(folder.join(MARK).exists());
-        assert!(Unfinished::begin(runs.path(), &names).is_err());
-        assert_eq!(fs::read_dir(runs.path()).unwrap().count(), 3, "what had no name is gone");
+        let (mut one, mut other) = (Unfinished::begin(runs.path()).unwrap(), Unfinished::begin(runs.path()).unwrap());
+        assert!(one.rename(&runs.path().join("run")).unwrap());
+        assert!(!other.rename(&runs.path().join("run")).unwrap());
+        assert!(other.rename(&runs.path().join("run-1")).unwrap());
+        other.discard();
+        assert!(one.folder().join(MARK).exists() && !runs.path().join("run-1").exists());
     }
 
     #[test]
-    fn what_was_left_before_it_had_a_name_goes_when_it_is_old() {
+    fn folders_begun_while_others_sweep_are_there() {
         let runs = tempfile::tempdir().unwrap();
-        let [old, young, link] = [".begun-old", ".begun-young", ".latest-1"].map(|name| runs.path().join(name));
-        fs::create_dir(&young).unwrap();
-        fs::create_dir(&old).unwrap();
-        std::os::unix::fs::symlink("gone", &link).unwrap();
-        let then = std::time::SystemTime::now() - 2 * LONGEST_BEGINNING;
-        File::open(&old).unwrap().set_modified(then).unwrap();
-        sweep(runs.path());
-        assert!(!old.exists() && young.exists() && fs::symlink_metadata(&link).is_ok());
+        std::thread::scope(|scope| {
+            let sweeping = scope.spawn(|| (0..2000).for_each(|_| sweep(runs.path())));
+            while !sweeping.is_finished() {
+                let begun = Unfinished::begin(runs.path()).unwrap();
+                assert!(begun.folder().join(MARK).exists());
+                begun.discard();
+            }
+        });
     }
 }

@@ -47,7 +47,7 @@ fn stage_modules() -> Vec<String> {
 
 #[test]
 fn every_file_opens_with_a_sentence() {
-    for folder in ["src", "stages/src", "cache/src", "tests/house"] {
+    for folder in ["src", "stages/src", "cache/src", "tests/house", "tests/crash"] {
         for (path, text) in sources(folder) {
             assert!(
                 text.starts_with("//! "),

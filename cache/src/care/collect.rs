@@ -40,6 +40,10 @@ impl Store {
     /// Removes what `plan` says, unless it has come to be used since, and damaged blobs that were set aside.
     pub fn collect(&self, plan: &GcPlan) -> Result<Collected, StoreError> {
         let before = self.disk_bytes()?;
+        // On a full disk this makes room for the segments that are written anew.
+        for folder in [QUARANTINE, ANSWERS] {
+            self.empty(folder)?;
+        }
         let claimed = self.journal().claim_all()?;
         let busy_segments = claimed.busy();
         let (left, named) = self.leave_segments(plan, claimed)?;
@@ -47,9 +51,6 @@ impl Store {
         let mut blobs = left.blobs.keys().filter(|digest| !self.is_small(digest)).count() as u64;
         for item in plan.blobs.iter().filter(|item| !named.contains(&item.digest)) {
             blobs += u64::from(self.blobs().remove(&item.digest, plan.since_s)?);
-        }
-        for folder in [QUARANTINE, ANSWERS] {
-            self.empty(folder)?;
         }
         let records = left.records.keys().filter(|key| !self.has_record(key)).count() as u64;
         let spared_records = plan.records.len() as u64 - records;

@@ -126,3 +126,23 @@ fn large_blobs_that_a_power_cut_lost_emptied_or_tore_are_made_again() {
         check(scene.folder.path(), context);
     }
 }
+
+#[test]
+fn what_a_power_cut_tore_stays_out_when_later_writes_are_synced() {
+    let scene = scene();
+    let (mut bytes, torn) = (scene.bytes.clone(), output(5));
+    let at = bytes.windows(torn.len()).position(|some| some == torn).unwrap();
+    bytes[at + 10] ^= 1;
+    fs::write(&scene.segment, &bytes).unwrap();
+    let open = || Store::open(scene.folder.path()).unwrap();
+    finish(&open(), 9, b"later");
+    let store = open();
+    assert!(!store.contains(&Digest::of(&torn)), "torn bytes count as a blob");
+    assert!([2, 6, 9].iter().all(|number| store.is_hit(&recipe(*number).key()).is_some()));
+    finish(&store, 5, &torn);
+    drop(store);
+    assert_eq!(open().verify(false).unwrap().faults, []);
+    let store = open();
+    store.collect(&store.plan_gc(&rockface_cache::GcPolicy::default()).unwrap()).unwrap();
+    assert_eq!(segments(scene.folder.path()).len(), 1, "a collection writes the torn segment anew");
+}
