@@ -2,6 +2,7 @@
 
 mod blind;
 mod dynamic;
+mod faults;
 mod feeds;
 mod graph;
 mod instances;
@@ -11,6 +12,7 @@ mod parameters;
 mod points;
 mod reach;
 mod resolve;
+mod sight;
 mod values;
 
 pub use dynamic::{Items, items_of};
@@ -19,6 +21,7 @@ pub use instances::{Given, Instance, Plan, makes};
 pub use parameters::{InputFile, StepParams};
 pub use points::counts;
 pub use resolve::resolve;
+pub use sight::Looks;
 
 use rockface_cache::{Digest, Store};
 use rockface_stages::AnyStage;

@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 
 use rockface_cache::{Digest, Store, StoreError};
 
-use super::{Finished, Options, RunError, RunFolder, Summary, execute, finish};
+use super::{Finished, Options, RunError, RunFolder, Summary, execute, finish, tools};
 use crate::plan::Plan;
 use crate::watch::{Event, Observer, Progress};
 
@@ -25,6 +25,8 @@ pub fn execute_and_tell(
 ) -> Result<(Summary, Finished), RunError> {
     about.prepare()?;
     let mut summary = execute(plan, store, options, stop, observer)?;
+    let changed = tools::behind(plan, store, summary.keys()).changed;
+    changed.into_iter().for_each(|(step, text)| warn(&summary, step, text, observer));
     let mut lost = BTreeSet::new();
     loop {
         let error = match finish(plan, &summary, store, about, stop) {
@@ -34,7 +36,7 @@ pub fn execute_and_tell(
         let Some(digest) = lost_blob(&error).filter(|digest| lost.insert(*digest)) else { return Err(error) };
         // Told of here, with the name of the step.
         drop(store.take_damaged());
-        warn(plan, &summary, &digest, &error, observer);
+        warn_lost(plan, &summary, &digest, &error, observer);
         summary = after(&summary, execute(plan, store, options, stop, observer)?);
     }
 }
@@ -46,8 +48,12 @@ fn lost_blob(error: &RunError) -> Option<Digest> {
     }
 }
 
-fn warn(plan: &Plan, summary: &Summary, digest: &Digest, error: &RunError, observer: &mut dyn Observer) {
+fn warn(summary: &Summary, step: String, text: String, observer: &mut dyn Observer) {
     let total = summary.instances.len();
+    observer.event(&Event::Warning { step, text }, Progress { done: total, total, remaining_s: None });
+}
+
+fn warn_lost(plan: &Plan, summary: &Summary, digest: &Digest, error: &RunError, observer: &mut dyn Observer) {
     for (instance, result) in summary.instances.iter().enumerate() {
         let Some(outcome) = &result.outcome else { continue };
         let port = outcome.outputs.iter().find(|(_, output)| output.digest == *digest).map(|(port, _)| port.as_str());
@@ -55,8 +61,7 @@ fn warn(plan: &Plan, summary: &Summary, digest: &Digest, error: &RunError, obser
         let what = what.or((outcome.sketches == Some(*digest)).then_some("sketches"));
         if let Some(what) = what {
             let text = format!("its `{what}` has to be made again: {error}");
-            let progress = Progress { done: total, total, remaining_s: None };
-            observer.event(&Event::Warning { step: plan.label(instance), text }, progress);
+            warn(summary, plan.label(instance), text, observer);
         }
     }
 }
