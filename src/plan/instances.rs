@@ -212,10 +212,13 @@ impl Plan {
     }
 }
 
+/// Parameters, or what is wrong with them.
+type Checked = Result<Arc<StepParams>, Vec<Counted>>;
+
 struct Expansion<'a> {
     graph: &'a Graph,
     sight: &'a Sight<'a>,
-    params: HashMap<(usize, Vec<usize>), Result<Arc<StepParams>, Vec<Counted>>>,
+    params: HashMap<(usize, Vec<usize>), Checked>,
     /// The fields of the stages met.
     fields: HashMap<&'static str, Vec<Field>>,
     faults: Faults,

@@ -84,11 +84,12 @@ pub fn finish(
 ) -> Result<Finished, RunError> {
     let runs = std::path::absolute(about.runs).map_err(failed(about.runs))?;
     let key = plan_key(plan, summary, &runs, about);
-    if summary.executed() == 0 && !summary.failed {
-        if let Some(former) = former(store, &key, &runs)? {
-            point_latest(about.runs, &former.folder)?;
-            return Ok(former);
-        }
+    if summary.executed() == 0
+        && !summary.failed
+        && let Some(former) = former(store, &key, &runs)?
+    {
+        point_latest(about.runs, &former.folder)?;
+        return Ok(former);
     }
     let finished = Writer { plan, summary, store, about, stop }.write(&key)?;
     if !summary.failed {
