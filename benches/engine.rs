@@ -148,11 +148,12 @@ fn run(folder: &Path, set: &[String]) -> (f64, usize) {
     let mut plan = plan(&pipeline, &[], STAGES, &store).expect("a plan");
     let stop = Arc::new(AtomicBool::new(false));
     let summary = execute(&mut plan, &store, &Options::default(), &stop, &mut Silent).expect("a run");
-    let told =
-        Told::of(&Finished { folder: told_in(folder), headlines: Vec::new(), files: Vec::new(), unnamed: 0 }, &summary);
+    let (headlines, files, made) = (Vec::new(), Vec::new(), Vec::new());
+    let finished = Finished { folder: told_in(folder), headlines, files, unnamed: 0, made };
+    let told = Told::of(&finished, &summary);
     let question = Digest::of(text.as_bytes());
     if set.is_empty() {
-        shortcut::remember(&store, &question, &plan, (&summary, &told), &[]).expect("an answer");
+        shortcut::remember(&store, &question, &plan, (&summary, &told, &finished), &[]).expect("an answer");
     }
     drop(store);
     (begun.elapsed().as_secs_f64() * 1e3, summary.executed())

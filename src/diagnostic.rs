@@ -15,7 +15,7 @@ pub struct Source {
 }
 
 /// A stretch of a source, in bytes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub struct Span {
     /// Index of the source.
     pub source: usize,
@@ -78,16 +78,48 @@ impl Diagnostic {
         match nearest(given, &known) {
             Some(word) => self.hint(format!("did you mean `{word}`?")),
             None if known.is_empty() => self,
-            None => self.hint(format!("known here: {}", known.join(", "))),
+            None => self.hint(format!("known here: {}", listed(known))),
         }
     }
 }
 
+/// Faults that are shown; beyond, they are only counted.
+pub const SHOWN: usize = 100;
+/// Words of a list that are named.
+const NAMED: usize = 20;
+/// Longer words are not compared: the time grows with the product of their lengths.
+const WORD_BYTES: usize = 200;
+/// Longer messages are cut.
+const MESSAGE_BYTES: usize = 2000;
+
+/// Words with commas between them: the first ones, and how many there are beyond.
+pub fn listed<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
+    let mut words = words.into_iter();
+    let mut text = words.by_ref().take(NAMED).map(shortened).collect::<Vec<_>>().join(", ");
+    match words.count() {
+        0 => {}
+        more => text += &format!(", … and {more} more"),
+    }
+    text
+}
+
+/// A text, or where it is very long its beginning.
+fn shortened(text: &str) -> std::borrow::Cow<'_, str> {
+    if text.len() <= MESSAGE_BYTES {
+        return text.into();
+    }
+    let end = (0..=MESSAGE_BYTES).rev().find(|end| text.is_char_boundary(*end)).unwrap_or(0);
+    format!("{}… ({} bytes)", &text[..end], text.len()).into()
+}
+
 /// The known word most like the given one, if any is close.
 pub fn nearest<'a>(given: &str, known: &[&'a str]) -> Option<&'a str> {
-    let scored = known.iter().map(|word| (strsim::damerau_levenshtein(given, word), *word));
+    let furthest = 1 + given.chars().count() / 3;
+    let may_be_near =
+        |word: &&&str| word.len().max(given.len()) <= WORD_BYTES && word.len().abs_diff(given.len()) <= 4 * furthest;
+    let scored = known.iter().filter(may_be_near).map(|word| (strsim::damerau_levenshtein(given, word), *word));
     let best = scored.min_by_key(|(distance, _)| *distance)?;
-    (best.0 <= 1 + given.chars().count() / 3).then_some(best.1)
+    (best.0 <= furthest).then_some(best.1)
 }
 
 /// All that is wrong with a pipeline, with the texts it points into.
@@ -105,30 +137,35 @@ impl Diagnostics {
         let renderer = if colour { Renderer::styled() } else { Renderer::plain() };
         let mut ordered: Vec<&Diagnostic> = self.list.iter().collect();
         ordered.sort_by_key(|d| d.span.map(|span| (span.source, span.start)));
-        let texts: Vec<String> = ordered.iter().map(|d| self.render_one(&renderer, d)).collect();
-        let count = match texts.len() {
+        let texts: Vec<String> = ordered.iter().take(SHOWN).map(|d| self.render_one(&renderer, d)).collect();
+        let count = match ordered.len() {
             1 => "1 error; nothing was run".to_owned(),
+            n if n > SHOWN => format!("{n} errors, of which the first {SHOWN} are shown; nothing was run"),
             n => format!("{n} errors; nothing was run"),
         };
         format!("{}\n\n{count}", texts.join("\n\n"))
     }
 
     fn render_one(&self, renderer: &Renderer, diagnostic: &Diagnostic) -> String {
-        let title = Level::ERROR.primary_title(diagnostic.message.as_str());
+        let message = shortened(&diagnostic.message);
+        let title = Level::ERROR.primary_title(message.as_ref());
         let mut groups: Vec<Group> = Vec::new();
         let mut group = match diagnostic.span.and_then(|span| Some((self.sources.get(span.source)?, span))) {
             Some((source, span)) => {
                 let range = visible(&source.text, span.start..span.end);
-                let mut annotation = AnnotationKind::Primary.span(range);
+                let (line, first) = line_at(&source.text, range.start);
+                let mut annotation = AnnotationKind::Primary.span(range.start - line.start..range.end - line.start);
                 if !diagnostic.label.is_empty() {
                     annotation = annotation.label(diagnostic.label.as_str());
                 }
-                title.element(Snippet::source(source.text.as_str()).path(source.name.as_str()).annotation(annotation))
+                let snippet = Snippet::source(&source.text[line]).line_start(first);
+                title.element(snippet.path(source.name.as_str()).annotation(annotation))
             }
             None => Group::with_title(title),
         };
-        if let Some(hint) = &diagnostic.hint {
-            group = group.element(Level::HELP.message(hint.as_str()));
+        let hint = diagnostic.hint.as_deref().map(shortened);
+        if let Some(hint) = &hint {
+            group = group.element(Level::HELP.message(hint.as_ref()));
         }
         groups.push(group);
         renderer.render(&groups)
@@ -158,9 +195,58 @@ fn visible(text: &str, range: Range<usize>) -> Range<usize> {
     start..(start + trimmed).max(start)
 }
 
+/// The line that holds a byte, and its number; the end of a text belongs to its last line that is not empty. Only this much is
+/// looked at where a fault is shown: the text may be long, and the faults many.
+fn line_at(text: &str, at: usize) -> (Range<usize>, usize) {
+    let end = text[at..].find('\n').map_or(text.len(), |offset| at + offset);
+    let is_beyond = at == text.len() && text.ends_with('\n');
+    let before = if is_beyond { &text[..at - 1] } else { &text[..at] };
+    let start = before.rfind('\n').map_or(0, |newline| newline + 1);
+    (start..end, 1 + before[..start].bytes().filter(|byte| *byte == b'\n').count())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn many_faults_are_counted_and_the_first_of_them_shown() {
+        let text: String = (0..30_000).map(|step| format!("step{step:05}: {{}}\n")).collect();
+        let fault = |step: usize| {
+            let start = step * 14;
+            Diagnostic::at(Span { source: 0, start, end: start + 9 }, format!("fault {step}"))
+        };
+        let sources = vec![Source { name: "p.yaml".into(), text }];
+        let shown = Diagnostics { sources, list: (0..30_000).rev().map(fault).collect() }.to_string();
+        assert!(
+            shown.contains("fault 99\n") && !shown.contains("fault 100\n") && shown.contains("p.yaml:100:1"),
+            "{shown}"
+        );
+        assert!(shown.ends_with("30000 errors, of which the first 100 are shown; nothing was run"), "{shown}");
+    }
+
+    #[test]
+    fn lines_are_found_at_their_ends_too() {
+        let text = "a\nbc\n\nd\n";
+        let found = |at: usize| {
+            let (line, number) = line_at(text, at);
+            (&text[line], number)
+        };
+        assert_eq!([found(0), found(1), found(2), found(4)], [("a", 1), ("a", 1), ("bc", 2), ("bc", 2)]);
+        assert_eq!([found(5), found(6), found(7), found(8)], [("", 3), ("d", 4), ("d", 4), ("d\n", 4)]);
+        assert_eq!(line_at("", 0), (0..0, 1));
+    }
+
+    #[test]
+    fn long_words_and_long_lists_stay_short() {
+        let (key, other) = ("k".repeat(1 << 20), "l".repeat(1 << 20));
+        assert_eq!(nearest(&key, &[&other, "k"]), None);
+        let names: Vec<String> = (0..30_000).map(|name| format!("name{name}")).collect();
+        let fault = Diagnostic::general(key).suggest("x", names.iter().map(String::as_str));
+        assert!(fault.hint.as_ref().unwrap().ends_with("name19, … and 29980 more"), "{:?}", fault.hint);
+        assert!(Diagnostics { sources: Vec::new(), list: vec![fault] }.to_string().len() < 3000);
+        assert_eq!(nearest("rasterize-dem", &["rasterise-dem", "import-mesh"]), Some("rasterise-dem"));
+    }
 
     #[test]
     fn shows_file_line_column_caret_and_hint() {

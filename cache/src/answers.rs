@@ -10,36 +10,40 @@ use std::fs;
 use std::io::Write;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::error::{At, StoreError};
-use crate::files::{Fingerprint, is_settled};
+use crate::files::Fingerprint;
+use crate::looks::{Repeatable, Seen, State, is_same};
 use crate::open::{self, ANSWERS, BLOBS, SEGMENTS};
 use crate::seal::seal_ns;
 use crate::{Digest, Store};
 
 /// Opens every answer; what was written by another version is no answer.
-const FORMAT: &str = "rockface answer 1";
+const FORMAT: &str = "rockface answer 2";
 
 /// What an answer rests on outside and inside the store.
 #[derive(Debug, Clone, Default)]
 pub struct Grounds {
-    /// Input files, with the digests they had.
-    pub files: Vec<(PathBuf, Digest)>,
-    /// Folders whose list of files was looked at.
-    pub folders: Vec<PathBuf>,
+    /// What was seen where in the file system: input files, listed folders, places where no file was.
+    pub looks: Vec<(PathBuf, Seen)>,
+    /// The folder of what was made, and the state in which each file was left there.
+    pub made: Made,
     /// Blobs that have to be there, with their sizes where they are known.
     pub blobs: Vec<(Digest, Option<u64>)>,
 }
+
+/// A folder and the states of files in it, by their paths relative to it.
+pub type Made = (PathBuf, Vec<(PathBuf, State)>);
 
 /// An answer as it is kept.
 #[derive(Debug, Serialize, Deserialize)]
 struct Kept {
     question: Digest,
-    paths: Vec<(PathBuf, Fingerprint)>,
+    looks: Vec<Repeatable>,
+    made: Made,
     segments: Vec<(String, Fingerprint)>,
     /// Large blobs and their sizes; small ones are in the segments.
     blobs: Vec<(Digest, u64)>,
@@ -53,8 +57,10 @@ pub fn recall(dir: &Path, question: &Digest) -> Option<Value> {
     open::is_current(dir).then_some(())?;
     let text = fs::read(slot(dir, question)).ok()?;
     let kept = decode(&text).filter(|kept| kept.question == *question)?;
-    let untouched = |(path, then): &(PathBuf, Fingerprint)| fingerprint(path).is_some_and(|now| now == *then);
-    let holds = kept.paths.iter().all(untouched)
+    let (folder, made) = &kept.made;
+    let untouched = |(file, then): &(PathBuf, State)| State::of(&folder.join(file)) == Some(*then);
+    let holds = kept.looks.iter().all(is_same)
+        && made.iter().all(untouched)
         && segments(dir).is_some_and(|now| now == kept.segments)
         && kept.blobs.iter().all(|(digest, bytes)| is_sealed(dir, digest, *bytes));
     holds.then_some(kept.answer)
@@ -82,25 +88,18 @@ impl Store {
     fn kept_answer(&self, question: &Digest, answer: &Value, grounds: &Grounds) -> Option<Kept> {
         // Taken before anything is compared: what changes from now on will show.
         let segments = segments(self.dir())?;
-        let files = grounds.files.iter().map(|(path, digest)| self.trusted(path, digest));
-        let folders = grounds.folders.iter().map(|path| settled_folder(path));
-        let mut paths = files.chain(folders).collect::<Option<Vec<_>>>()?;
-        paths.sort_by(|one, other| one.0.cmp(&other.0));
-        paths.dedup_by(|one, other| one.0 == other.0);
+        let looks = grounds.looks.iter().map(|(path, seen)| self.repeatable(path, seen));
+        let mut looks = looks.collect::<Option<Vec<_>>>()?;
+        looks.sort_unstable();
+        looks.dedup();
         self.journal().has_read(segments.iter().map(|(name, state)| (name.as_str(), state.bytes))).then_some(())?;
         let large = grounds.blobs.iter().filter(|(digest, _)| !self.is_small(digest));
         let sized = large.map(|(digest, bytes)| Some((*digest, bytes.or_else(|| self.size(digest))?)));
         let mut blobs = sized.collect::<Option<Vec<_>>>()?;
         blobs.sort_unstable();
         blobs.dedup();
-        Some(Kept { question: *question, paths, segments, blobs, answer: answer.clone() })
-    }
-
-    /// The state of a file that is remembered to have had this digest in this very state.
-    fn trusted(&self, path: &Path, digest: &Digest) -> Option<(PathBuf, Fingerprint)> {
-        let now = fingerprint(path)?;
-        let (then, remembered) = self.remembered_file(path)?;
-        (then == now && remembered == *digest).then(|| (path.to_owned(), now))
+        let (made, answer) = (grounds.made.clone(), answer.clone());
+        Some(Kept { question: *question, looks, made, segments, blobs, answer })
     }
 }
 
@@ -114,16 +113,6 @@ fn decode(text: &[u8]) -> Option<Kept> {
     let (head, body) = (std::str::from_utf8(&text[..end]).ok()?, &text[end + 1..]);
     let digest: Digest = head.strip_prefix(FORMAT)?.trim().parse().ok()?;
     if Digest::of(body) == digest { serde_json::from_slice(body).ok() } else { None }
-}
-
-fn fingerprint(path: &Path) -> Option<Fingerprint> {
-    fs::metadata(path).ok().map(|meta| Fingerprint::of(&meta))
-}
-
-/// The state of a folder that was left alone long enough for a new entry to show in its time.
-fn settled_folder(path: &Path) -> Option<(PathBuf, Fingerprint)> {
-    let meta = fs::metadata(path).ok()?;
-    is_settled(&meta, SystemTime::now()).then(|| (path.to_owned(), Fingerprint::of(&meta)))
 }
 
 /// The names and states of all segments, sorted.
@@ -147,7 +136,7 @@ fn is_sealed(dir: &Path, digest: &Digest, bytes: u64) -> bool {
 mod tests {
     use super::*;
     use serde_json::json;
-    use std::time::Duration;
+    use std::time::{Duration, SystemTime};
 
     struct Desk {
         folder: tempfile::TempDir,
@@ -165,9 +154,12 @@ mod tests {
         }
 
         fn grounds(&self) -> Grounds {
-            let file = (self.path("face.ply"), Digest::of(b"ply"));
+            let file = (self.path("face.ply"), Seen::File(Digest::of(b"ply")));
+            let listed = (self.path("list"), Seen::folder(&self.path("list")));
             let blobs = vec![(self.large, None), (Digest::of(b"small"), Some(5))];
-            Grounds { files: vec![file], folders: vec![self.path("list")], blobs }
+            let made = vec![("run.json".into(), State::of(&self.path("run/run.json")).unwrap())];
+            let looks = vec![file, listed, (self.path("list/lost"), Seen::NoFile)];
+            Grounds { looks, made: (self.path("run"), made), blobs }
         }
 
         fn ask(&self) -> bool {
@@ -210,6 +202,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let desk = Desk { folder, question: Digest::of(b"question"), large: Digest::of(&vec![1; 100_000]) };
         fs::create_dir(desk.path("list")).unwrap();
+        fs::create_dir(desk.path("run")).unwrap();
+        fs::write(desk.path("run/run.json"), "{}").unwrap();
+        std::os::unix::fs::symlink(desk.path("target"), desk.path("list/lost")).unwrap();
         fs::write(desk.path("face.ply"), b"ply").unwrap();
         age(&desk.path("face.ply"), 60);
         age(&desk.path("list"), 60);
@@ -223,6 +218,7 @@ mod tests {
         let desk = desk();
         change(&desk);
         assert_eq!(desk.recall(), None);
+        let _ = fs::remove_file(desk.path("target"));
         age(&desk.path("list"), 50);
         assert!(desk.ask());
         assert_eq!(desk.recall(), Some(json!("done")));
@@ -237,6 +233,14 @@ mod tests {
             age(&desk.path("face.ply"), 60);
         });
         check(|desk| fs::write(desk.path("list/new.tif"), b"").unwrap());
+        check(|desk| fs::write(desk.path("target"), b"what a dangling link leads to").unwrap());
+        check(|desk| {
+            let path = desk.path("run/run.json");
+            let before = fs::metadata(&path).unwrap().modified().unwrap();
+            std::thread::sleep(Duration::from_millis(25));
+            fs::write(&path, "[]").unwrap();
+            fs::File::options().write(true).open(&path).unwrap().set_modified(before).unwrap();
+        });
         check(|desk| {
             let hex = desk.large.to_string();
             fs::remove_file(desk.path("store/blobs").join(&hex[..2]).join(hex)).unwrap();
@@ -246,7 +250,7 @@ mod tests {
             age(&desk.path("store/blobs").join(&hex[..2]).join(hex), 7);
         });
         check(|desk| _ = Store::open(&desk.path("store")).unwrap().put(b"another").unwrap());
-        check(|desk| fs::write(slot(&desk.path("store"), &desk.question), "rockface answer 1 x\n{}").unwrap());
+        check(|desk| fs::write(slot(&desk.path("store"), &desk.question), "rockface answer 2 x\n{}").unwrap());
     }
 
     #[test]

@@ -7,6 +7,7 @@ use std::path::Path;
 use std::time::{Duration, SystemTime};
 
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use crate::error::{At, StoreError};
 use crate::frame::Kind;
@@ -52,6 +53,16 @@ impl Fingerprint {
             device: meta.dev(),
         }
     }
+
+    /// All of it, one after the other.
+    pub(crate) fn bytes(&self) -> [u8; 56] {
+        let mut all = [0; 56];
+        let parts = [self.bytes.to_le_bytes(), self.inode.to_le_bytes(), self.device.to_le_bytes()];
+        all[..24].copy_from_slice(parts.as_flattened());
+        all[24..40].copy_from_slice(&self.mtime_ns.to_le_bytes());
+        all[40..].copy_from_slice(&self.ctime_ns.to_le_bytes());
+        all
+    }
 }
 
 impl Store {
@@ -71,6 +82,17 @@ impl Store {
     pub fn rehash_file(&self, path: &Path) -> Result<FileDigest, StoreError> {
         let canonical = fs::canonicalize(path).at("find", path)?;
         self.hash_anew(&canonical, &Digest::of(canonical.as_os_str().as_bytes()))
+    }
+
+    /// Keeps a note beside the record of a recipe, on what decides nothing of it; a later note replaces it.
+    pub fn annotate(&self, key: &Digest, json: &Value) -> Result<(), StoreError> {
+        // Among what is known of files: neither the name nor the payload of one can be taken for that of the other.
+        self.append(Kind::File, *key, json.to_string().as_bytes())
+    }
+
+    /// The latest note beside the record of a recipe.
+    pub fn annotation(&self, key: &Digest) -> Option<Value> {
+        self.journal().with_index(|index| serde_json::from_slice(index.payload(Kind::File, key)?).ok())
     }
 
     /// The state and the digest that a file had when it was last read, if that is remembered.
@@ -148,6 +170,22 @@ mod tests {
         let other = Store::open(&dir).unwrap();
         other.hash_file(&path).unwrap();
         assert_eq!(other.stat().unwrap().files_hashed, 0, "what one process read the next remembers");
+    }
+
+    #[test]
+    fn a_note_beside_a_record_is_there_for_the_next_process_and_is_no_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let dir = folder.path().join("store");
+        let key = Digest::of(b"recipe");
+        let store = Store::open(&dir).unwrap();
+        assert_eq!(store.annotation(&key), None);
+        for note in ["first", "second"] {
+            store.annotate(&key, &Value::from(note)).unwrap();
+        }
+        assert_eq!(store.annotation(&key), Some("second".into()));
+        drop(store);
+        let store = Store::open(&dir).unwrap();
+        assert_eq!((store.annotation(&key), store.remembered(&key)), (Some("second".into()), None));
     }
 
     #[test]

@@ -6,9 +6,9 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use super::{CliError, PipelineArgs, beside, say};
-use crate::diagnostic::nearest;
+use crate::diagnostic::{self, nearest};
 use crate::explain::{Answers, Cause, Change, Explanation, Former, explain};
-use crate::pipeline::Pipeline;
+use crate::pipeline::{Label, Pipeline};
 use crate::plan::Plan;
 
 /// How many changes of one instance, or points of a step, are named.
@@ -34,7 +34,8 @@ impl ExplainArgs {
     /// Prints the explanation.
     pub fn run(self) -> Result<(), CliError> {
         let pipeline = self.pipeline.load()?;
-        let (name, items) = wanted(&self.step)?;
+        let label = wanted(&self.step)?;
+        let name = label.step;
         check_step(&pipeline, name)?;
         let (mut plan, store) = self.pipeline.look(&pipeline, &self.pipeline.target)?;
         if !(0..plan.instances.len()).any(|instance| plan.step(instance).name == name) {
@@ -42,7 +43,7 @@ impl ExplainArgs {
             plan = crate::plan::plan(&pipeline, &[name.to_owned()], rockface_stages::all(), &store)
                 .map_err(CliError::Pipeline)?;
         }
-        let instance = one_instance(&plan, name, &items)?;
+        let instance = one_instance(&plan, &label)?;
         let answers = Answers::new(&plan, &store);
         let runs = self.runs.unwrap_or_else(|| beside(&self.pipeline.pipeline).join("runs"));
         let Some(told) = explain(&plan, &store, &answers, instance, &runs) else {
@@ -57,13 +58,11 @@ impl ExplainArgs {
     }
 }
 
-/// The step and the `axis=item` texts of an argument.
-fn wanted(text: &str) -> Result<(&str, Vec<&str>), CliError> {
-    let Some((name, rest)) = text.split_once('[') else { return Ok((text.trim(), Vec::new())) };
-    let inside = rest.trim_end().strip_suffix(']').ok_or_else(|| {
-        CliError::Usage(format!("`{text}` names no step instance; write STEP or 'STEP[axis=item,...]'"))
-    })?;
-    Ok((name.trim(), inside.split(',').map(str::trim).filter(|item| !item.is_empty()).collect()))
+/// The step and the items of an argument; a port behind them does no harm.
+fn wanted(text: &str) -> Result<Label<'_>, CliError> {
+    let empty = text.trim_end().strip_suffix("[]").unwrap_or(text);
+    let fault = || CliError::Usage(format!("`{text}` names no step instance; write STEP or 'STEP[axis=item,...]'"));
+    Label::parse(empty).ok_or_else(fault)
 }
 
 fn check_step(pipeline: &Pipeline, name: &str) -> Result<(), CliError> {
@@ -71,24 +70,23 @@ fn check_step(pipeline: &Pipeline, name: &str) -> Result<(), CliError> {
     if known.contains(&name) {
         return Ok(());
     }
-    let hint = nearest(name, &known)
-        .map_or_else(|| format!("there are {}", known.join(", ")), |near| format!("did you mean `{near}`?"));
+    let hint = nearest(name, &known).map_or_else(
+        || format!("there are {}", diagnostic::listed(known.iter().copied())),
+        |near| format!("did you mean `{near}`?"),
+    );
     Err(CliError::Usage(format!("the pipeline has no step `{name}`; {hint}")))
 }
 
 /// The one instance of a step that has all these items.
-fn one_instance(plan: &Plan, name: &str, items: &[&str]) -> Result<usize, CliError> {
+fn one_instance(plan: &Plan, label: &Label) -> Result<usize, CliError> {
+    let name = label.step;
     let own: Vec<usize> = (0..plan.instances.len()).filter(|i| plan.step(*i).name == name).collect();
-    let fits = |instance: &usize| {
-        let point: Vec<String> =
-            plan.point(*instance).into_iter().map(|(axis, item)| format!("{axis}={item}")).collect();
-        items.iter().all(|item| point.iter().any(|own| own == item))
-    };
-    let fitting: Vec<usize> = own.iter().copied().filter(fits).collect();
+    let fitting: Vec<usize> = own.iter().copied().filter(|instance| label.fits(&plan.point(*instance))).collect();
     match fitting.as_slice() {
         [one] => Ok(*one),
         [] if own.is_empty() => Err(CliError::Usage(unexpanded(plan, name))),
         [] => {
+            let items: Vec<String> = label.picks.iter().map(|(axis, item)| format!("{axis}={item}")).collect();
             let message = format!("step `{name}` has no instance at [{}]; it has", items.join(","));
             Err(CliError::Usage(listed(plan, &message, &own)))
         }

@@ -7,15 +7,16 @@ use rockface_cache::SafeName;
 
 use super::places::Places;
 use super::{CliError, say};
-use crate::diagnostic::nearest;
+use crate::diagnostic::{listed, nearest};
 use crate::history::{self, Manifest, StepDone};
+use crate::pipeline::Label;
 
 /// Arguments of `rockface export`.
 #[derive(Debug, Args)]
 pub struct ExportArgs {
     /// A run folder, its name, a part of it, or `latest`.
     run: String,
-    /// The output, such as `dem.raster` or `dem[epoch=pre].raster`.
+    /// The output, such as `dem.raster`, `dem[epoch=pre].raster` or `dem.raster[epoch=pre]`.
     output: String,
     /// The file to write, or a folder to write it into.
     path: PathBuf,
@@ -69,23 +70,23 @@ fn unkept(error: rockface_cache::StoreError, folder: &Path) -> CliError {
     }
 }
 
-/// The instance and the port that `output` names.
+/// The instance and the port that `output` names, its axes in any order.
 fn chosen<'a>(manifest: &'a Manifest, output: &'a str) -> Result<(&'a StepDone, &'a str), CliError> {
-    // `dem.raster[epoch=pre]`, as pipelines refer to it, or `dem[epoch=pre].raster`, as messages do.
-    let known = |done: &'a StepDone| {
-        let ports = done.outputs.iter().flatten().map(|(port, _)| port.as_str());
-        let point = done.label()[done.step.len()..].to_owned();
-        ports
-            .map(move |port| (done, port, [format!("{}.{port}", done.label()), format!("{}.{port}{point}", done.step)]))
-    };
-    let all: Vec<_> = manifest.steps.iter().flat_map(known).collect();
-    if let Some((done, port, _)) = all.iter().find(|(_, _, names)| names.iter().any(|name| name == output)) {
-        return Ok((done, port));
+    let ports = |done: &'a StepDone| done.outputs.iter().flatten().map(move |(port, _)| (done, port.as_str()));
+    let all = || manifest.steps.iter().flat_map(ports);
+    if let Some(label) = Label::parse(output) {
+        let is_meant = |done: &StepDone| {
+            done.step == label.step && done.point.len() == label.picks.len() && label.fits(&done.point)
+        };
+        if let Some(found) = all().find(|(done, port)| Some(*port) == label.port && is_meant(done)) {
+            return Ok(found);
+        }
     }
-    let names: Vec<&str> = all.iter().map(|(_, _, names)| names[0].as_str()).collect();
+    let names: Vec<String> = all().map(|(done, port)| format!("{}.{port}", done.label())).collect();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
     let hint = match nearest(output, &names) {
         Some(near) => format!("did you mean `{near}`?"),
-        None => format!("it has {}", names.iter().take(12).copied().collect::<Vec<_>>().join(", ")),
+        None => format!("it has {}", listed(names)),
     };
     Err(CliError::Usage(format!("the run has no output `{output}`: {hint}")))
 }

@@ -94,11 +94,15 @@ struct PipelineArgs {
     #[arg(long, value_name = "AXIS=VALUES")]
     sweep: Vec<String>,
     /// Override the pipeline's seed.
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = seed, allow_hyphen_values = true)]
     seed: Option<u64>,
     /// The store of results; by default `.rockface/store` beside the pipeline.
     #[arg(long, value_name = "DIR", env = "ROCKFACE_STORE", value_parser = folder_or_nothing())]
     store: Option<PathBuf>,
+}
+
+fn seed(text: &str) -> Result<u64, String> {
+    text.parse().map_err(|_| format!("a seed is a whole number from 0 to {}", u64::MAX))
 }
 
 /// A folder, or nothing where the variable of the environment is empty.
@@ -112,11 +116,22 @@ impl PipelineArgs {
     }
 
     fn load(&self) -> Result<Pipeline, CliError> {
+        self.load_text(&self.read()?)
+    }
+
+    /// The text of the pipeline: read once, so that what is asked about it and what is run is the same.
+    fn read(&self) -> Result<String, CliError> {
+        let given = self.text.clone().map(Ok);
+        given.unwrap_or_else(|| Pipeline::read_file(&self.pipeline)).map_err(CliError::Pipeline)
+    }
+
+    /// The pipeline of the text that was read.
+    fn load_text(&self, text: &str) -> Result<Pipeline, CliError> {
+        let (path, overrides) = (&self.pipeline, self.overrides());
+        let trees = self.store_dir().join(rockface_cache::TREES);
         let loaded = match &self.text {
-            Some(text) => Pipeline::of_text(text, self.included.clone(), &self.pipeline, &self.overrides()),
-            None => {
-                Pipeline::load(&self.pipeline, &self.overrides(), Some(&self.store_dir().join(rockface_cache::TREES)))
-            }
+            Some(_) => Pipeline::of_text(text, self.included.clone(), path, &overrides),
+            None => Pipeline::of_read(text, path, &overrides, Some(&trees)),
         };
         let pipeline = loaded.map_err(CliError::Pipeline)?;
         if !pipeline.faults.is_empty() {

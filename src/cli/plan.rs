@@ -10,6 +10,7 @@ use super::programs::ProgramArgs;
 use super::{CliError, PipelineArgs, say};
 use crate::explain::{Answer, Answers};
 use crate::plan::Plan;
+use crate::run::tools;
 use crate::watch::duration;
 
 /// Arguments of `rockface plan`.
@@ -34,6 +35,9 @@ impl PlanArgs {
         self.programs.check(&pipeline, &self.pipeline.target)?;
         let (plan, store) = self.pipeline.look(&pipeline, &self.pipeline.target)?;
         let answers = Answers::new(&plan, &store);
+        for (label, text) in tools::behind(&plan, &store, answers.hits()).changed {
+            eprintln!("warning: {label}: {text}");
+        }
         let is_timed = answers.list().iter().any(|answer| answer.is_open());
         let times = if is_timed { Times::new(&store) } else { Times::default() };
         if self.json {

@@ -11,7 +11,6 @@ use rockface_cache::Digest;
 
 use super::programs::ProgramArgs;
 use super::{CliError, PipelineArgs, beside, own_folder, repeat, say};
-use crate::pipeline::is_stream;
 use crate::run::shortcut::{self, NAMED, Told};
 use crate::run::{self, Finished, LayOut, Options, RunFolder, Summary};
 use crate::watch::{JsonLines, Observer, Plain, Silent, Terminal, duration};
@@ -27,11 +26,11 @@ pub struct RunArgs {
     #[command(flatten)]
     programs: ProgramArgs,
     /// Steps at once, and threads inside them; by default one a core.
-    #[arg(long, short, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(long, short, value_name = "N", value_parser = jobs, allow_hyphen_values = true)]
     jobs: Option<u16>,
     /// Memory for values handed from step to step; beyond it they are written to the store. By default half of the
     /// machine's.
-    #[arg(long, value_name = "GiB", value_parser = memory_bytes)]
+    #[arg(long, value_name = "GiB", value_parser = memory_bytes, allow_hyphen_values = true)]
     memory: Option<usize>,
     /// Go on with what does not depend on a failed step.
     #[arg(long)]
@@ -68,12 +67,13 @@ impl RunArgs {
         if let Some(former) = &former {
             repeat::take_over(&mut self.pipeline, former);
         }
-        let question = self.question();
+        let text = self.pipeline.read()?;
+        let question = self.question(&text);
         if let Some(told) = self.recall(question.as_ref())? {
             self.say_end(&told, (0, told.instances), false, begun.elapsed().as_secs_f64());
             return Ok(());
         }
-        let pipeline = self.pipeline.load()?;
+        let pipeline = self.pipeline.load_text(&text)?;
         self.programs.check(&pipeline, &self.pipeline.target)?;
         let (mut plan, store) = self.pipeline.plan(&pipeline, &self.pipeline.target)?;
         if self.rehash {
@@ -102,10 +102,7 @@ impl RunArgs {
         let (summary, finished) = run::execute_and_tell(&mut plan, &store, &options, &stop, observer.as_mut(), &about)?;
         let told = Told::of(&finished, &summary);
         if let Some(question) = question {
-            let included = pipeline.files().skip(1);
-            let included: Vec<_> =
-                included.map(|file| (PathBuf::from(&file.name), Digest::of(file.text.as_bytes()))).collect();
-            shortcut::remember(&store, &question, &plan, (&summary, &told), &included)?;
+            shortcut::remember(&store, &question, &plan, (&summary, &told, &finished), &pipeline.looks)?;
         }
         if let Some(former) = former.filter(|_| !self.json) {
             repeat::verdict(&former, &plan, &summary).iter().for_each(|line| say(line));
@@ -137,23 +134,22 @@ impl RunArgs {
     }
 
     /// The digest of all that this command is asked and asked with; `None` where every step instance is to be told of.
-    fn question(&self) -> Option<Digest> {
-        let path = &self.pipeline.pipeline;
+    fn question(&self, text: &str) -> Option<Digest> {
         if self.json
             || self.verbose
             || self.rehash
             || self.programs.are_refused()
             || self.pipeline.text.is_some()
-            || is_stream(path)
         {
             return None;
         }
-        let text = std::fs::read(path).ok()?;
         let arguments: Vec<_> = std::env::args_os().skip(1).collect();
         let program = crate::build::state_of_program()?;
         let place = (std::env::current_dir().ok()?, self.pipeline.store_dir(), &self.runs);
-        let question = serde_json::json!([program, place, Digest::of(&text)]).to_string();
-        Some(Digest::of(format!("{question} {arguments:?}").as_bytes()))
+        let question = serde_json::json!([program, place, Digest::of(text.as_bytes())]).to_string();
+        // Where programs are looked for decides which ones steps run.
+        let search = std::env::var_os("PATH");
+        Some(Digest::of(format!("{question} {arguments:?} {search:?}").as_bytes()))
     }
 
     fn recall(&self, question: Option<&Digest>) -> Result<Option<Told>, CliError> {
@@ -197,6 +193,11 @@ impl RunArgs {
             folder.display()
         ));
     }
+}
+
+fn jobs(text: &str) -> Result<u16, String> {
+    let count = text.parse().ok().filter(|count| (1..=1024).contains(count));
+    count.ok_or_else(|| "give a whole number of jobs from 1 to 1024".to_owned())
 }
 
 /// The bytes in a number of GiB; a program with none for its values would write all of them.

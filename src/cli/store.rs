@@ -63,10 +63,10 @@ struct GcArgs {
     #[arg(long)]
     unnamed: bool,
     /// Also remove what was not used for so many days.
-    #[arg(long, value_name = "DAYS", value_parser = non_negative)]
+    #[arg(long, value_name = "DAYS", value_parser = non_negative, allow_hyphen_values = true)]
     max_age: Option<f64>,
     /// Also remove the longest unused until the outputs on record fit into so many GiB.
-    #[arg(long, value_name = "GiB", value_parser = non_negative)]
+    #[arg(long, value_name = "GiB", value_parser = non_negative, allow_hyphen_values = true)]
     max_size: Option<f64>,
     /// Say what each blob is that would go, and remove nothing.
     #[arg(long)]

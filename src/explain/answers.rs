@@ -98,6 +98,12 @@ impl<'a> Answers<'a> {
         &self.list
     }
 
+    /// The instances that are on record, each with its key.
+    pub fn hits(&self) -> impl Iterator<Item = (usize, Digest)> {
+        let hit = |instance: &usize| self.list[*instance] == Answer::Hit;
+        (0..self.list.len()).filter(hit).filter_map(|instance| Some((instance, self.keys[instance]?)))
+    }
+
     /// The recipe of an instance, if all its inputs are known.
     pub fn recipe(&self, instance: usize) -> Option<Recipe> {
         let given = self.plan.instances[instance].inputs.iter().flat_map(|(_, given)| given);

@@ -31,6 +31,9 @@ pub const PREV: &str = "prev";
 /// The most items of a counted or drawn axis.
 const ITEMS_LIMIT: u64 = 1_000_000;
 
+/// The most items and values of all counted and drawn axes together: a few lines must not fill the memory.
+const DRAWN_LIMIT: u64 = 10_000_000;
+
 /// Why a text cannot be an item.
 pub fn bad_item(item: &str) -> Option<String> {
     if item.is_empty() || item.contains(['/', '\\', ',', '=', '[', ']']) || item.contains(char::is_control) {
@@ -95,7 +98,20 @@ impl Reader<'_> {
 
     fn count(&mut self, node: &Node) -> Option<(Vec<String>, Vec<Value>)> {
         let count = self.whole(node)?;
+        self.is_within(node, count).then_some(())?;
         Some(((0..count).map(|i| i.to_string()).collect(), (0..count).map(Value::from).collect()))
+    }
+
+    /// Whether so many more items or values are not too many.
+    fn is_within(&mut self, node: &Node, more: u64) -> bool {
+        self.drawn = self.drawn.saturating_add(more);
+        let is_within = self.drawn <= DRAWN_LIMIT;
+        if !is_within {
+            let message = format!("with this axis there are {} items and values of counted and drawn axes", self.drawn);
+            let hint = format!("there may be {DRAWN_LIMIT} in all: lower a count, or divide the pipeline");
+            self.fault(Diagnostic::at(node.span, message).hint(hint));
+        }
+        is_within
     }
 
     fn whole(&mut self, node: &Node) -> Option<u64> {
@@ -167,6 +183,10 @@ impl Reader<'_> {
             over.map(|over| over.iter().map(|(key, node)| self.spread(key, node)).collect::<Vec<_>>());
         let counts = node.get("count").and_then(|count| self.counts(count));
         let (spreads, counts) = (spreads?.into_iter().collect::<Option<Vec<_>>>()?, counts?);
+        let total =
+            if counts.len() == 1 { counts[0] } else { counts.iter().fold(1, |all, n| u64::saturating_mul(all, *n)) };
+        let values = total.saturating_mul(1 + spreads.len() as u64);
+        self.is_within(node.get("count")?, values).then_some(())?;
         match points(design, &counts, &spreads, self.seed, &empty.name.text) {
             Ok(drawn) => {
                 let fields: Vec<String> = spreads.iter().map(|spread| spread.name.clone()).collect();

@@ -99,7 +99,7 @@ pub const TOP: &[&str] = &["rockface", "name", "seed", "include", "params", "axe
 /// Reads a document and collects everything that is wrong with its shape; `None` where that leaves open what names it
 /// declares. Axes and steps are taken out of the tree one by one: it may be large.
 pub fn read(root: &mut Node, file_stem: &str, faults: &mut Vec<Diagnostic>) -> Option<Document> {
-    let mut reader = Reader { faults, seed: 0, bad_numbers: false };
+    let mut reader = Reader { faults, seed: 0, bad_numbers: false, drawn: 0 };
     reader.check_numbers(root);
     let names_known = tells_names(root);
     let no_steps =
@@ -161,6 +161,8 @@ pub struct Reader<'f> {
     pub seed: u64,
     /// Whether there is a number that cannot be taken.
     bad_numbers: bool,
+    /// Items and values of counted and drawn axes so far.
+    pub drawn: u64,
 }
 
 impl Reader<'_> {
@@ -286,8 +288,9 @@ impl Reader<'_> {
             Data::List(items) => items.iter().filter_map(|item| self.word(item, what)).collect(),
             _ => self.word(node, &format!("{what} or a list of them")).into_iter().collect(),
         };
-        for (index, word) in words.iter().enumerate() {
-            if words[..index].iter().any(|earlier| earlier.text == word.text) {
+        let mut seen = BTreeSet::new();
+        for word in &words {
+            if !seen.insert(word.text.as_str()) {
                 self.fault(Diagnostic::at(word.span, format!("`{}` is named twice", word.text)).hint("name it once"));
             }
         }
@@ -308,7 +311,7 @@ impl Reader<'_> {
     fn seed(&mut self, node: &Node) -> u64 {
         let seed = if let Data::Scalar(value) = &node.data { value.as_u64() } else { None };
         if seed.is_none() {
-            self.expected(node, "the seed to be a whole number, zero or greater");
+            self.expected(node, &format!("the seed to be a whole number from 0 to {}", u64::MAX));
         }
         seed.unwrap_or(0)
     }

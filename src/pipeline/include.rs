@@ -3,9 +3,14 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use rockface_cache::{Digest, Seen};
+
 use super::document::TOP;
 use super::node::{Data, Key, Node};
 use crate::diagnostic::{Diagnostic, Source, Span};
+
+/// How deep included files may lie in each other.
+const INCLUDES_DEEP: usize = 100;
 
 /// The texts of a pipeline and the folders of its files.
 #[derive(Debug, Clone, Default)]
@@ -18,12 +23,19 @@ pub struct Texts {
     pub given: BTreeMap<PathBuf, String>,
     /// Where the trees of long texts are kept.
     pub trees: Option<PathBuf>,
+    /// What was read from included files.
+    pub looks: Vec<(PathBuf, Seen)>,
 }
 
 impl Texts {
-    fn read(&self, path: &Path) -> Result<String, Diagnostic> {
+    fn read(&mut self, path: &Path) -> Result<String, Diagnostic> {
         let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
-        self.given.get(&absolute).cloned().map_or_else(|| super::read_text(path), Ok)
+        if let Some(given) = self.given.get(&absolute) {
+            return Ok(given.clone());
+        }
+        let text = super::read_text(path)?;
+        self.looks.push((path.to_owned(), Seen::File(Digest::of(text.as_bytes()))));
+        Ok(text)
     }
 }
 
@@ -82,6 +94,10 @@ fn included(
         let message = format!("`{written}` includes this file in turn");
         return Err(Diagnostic::at(node.span, message).hint("put what both need into a third file"));
     }
+    if trail.len() > INCLUDES_DEEP {
+        let message = format!("`{written}` is included by way of {} files, one in the other", trail.len());
+        return Err(Diagnostic::at(node.span, message).hint(format!("at most {INCLUDES_DEEP} may lie in each other")));
+    }
     if seen.contains(&canonical) {
         return Ok(None);
     }
@@ -134,11 +150,11 @@ fn merge_section(name: &str, section: &mut Node, other: Node, texts: &Texts, fau
         faults.push(Diagnostic::at(span, format!("`{name}` has to be a map in every file")));
         return;
     };
+    let known: BTreeMap<String, Key> = entries.iter().map(|(key, _)| (key.name.clone(), key.clone())).collect();
     for (key, value) in others {
-        if let Some((known, _)) = entries.iter().find(|(known, _)| known.name == key.name) {
-            faults.push(twice(&what, &key, known, texts));
-        } else {
-            entries.push((key, value));
+        match known.get(&key.name) {
+            Some(known) => faults.push(twice(&what, &key, known, texts)),
+            None => entries.push((key, value)),
         }
     }
 }

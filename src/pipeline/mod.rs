@@ -22,9 +22,11 @@ pub use document::{Document, Gaps, Step, Stream, Unread};
 pub use input::Input;
 pub use log_level::{IN_FULL, LogLevel};
 pub use node::{Data, Key, Node, Word};
-pub use reference::Reference;
-pub use substitute::{escape_hint, filled, mentioned};
+pub use reference::{Label, Reference};
+pub use substitute::{escape_hint, filled, mentioned, value_bytes};
 pub use sweep::is_same_axis;
+
+use rockface_cache::Seen;
 
 use crate::diagnostic::{Diagnostic, Diagnostics, Source};
 use include::Texts;
@@ -40,6 +42,8 @@ pub struct Pipeline {
     pub folders: Vec<PathBuf>,
     /// The typed document.
     pub document: Document,
+    /// What was read from included files: the bytes that were parsed.
+    pub looks: Vec<(PathBuf, Seen)>,
     /// What is wrong with the shape of the document, where that leaves its names readable; [`crate::plan::resolve`] tells
     /// it together with what else is wrong, and makes no graph.
     pub faults: Vec<Diagnostic>,
@@ -60,9 +64,18 @@ impl Pipeline {
     /// Reads a pipeline file and applies the overrides. The tree of a long text is kept in the folder of trees, if there is
     /// one, and taken from there as long as the text is the same.
     pub fn load(path: &Path, overrides: &Overrides, trees: Option<&Path>) -> Result<Self, Diagnostics> {
-        let text = read_text(path).map_err(|fault| Diagnostics { sources: Vec::new(), list: vec![fault] })?;
+        Self::of_read(&Self::read_file(path)?, path, overrides, trees)
+    }
+
+    /// The text of a pipeline file, for [`Pipeline::of_read`].
+    pub fn read_file(path: &Path) -> Result<String, Diagnostics> {
+        read_text(path).map_err(|fault| Diagnostics { sources: Vec::new(), list: vec![fault] })
+    }
+
+    /// [`Pipeline::load`] with the text of the file, which is not read a second time.
+    pub fn of_read(text: &str, path: &Path, overrides: &Overrides, trees: Option<&Path>) -> Result<Self, Diagnostics> {
         let texts = Texts { trees: trees.map(Path::to_owned), ..Texts::default() };
-        Self::of_texts(&text, texts, path, overrides)
+        Self::of_texts(text, texts, path, overrides)
     }
 
     /// Reads a text as if it were the pipeline file at `path`, and applies the overrides; `included` are texts that stand
@@ -127,7 +140,8 @@ impl Pipeline {
         }
         match document {
             Some(document) if whole => {
-                Ok(Self { sources: texts.sources, folder, folders: texts.folders, document, faults })
+                let Texts { sources, folders, looks, .. } = texts;
+                Ok(Self { sources, folder, folders, document, looks, faults })
             }
             _ => Err(Diagnostics { sources: texts.sources, list: faults }),
         }

@@ -3,6 +3,9 @@
 use super::node::{Data, Key, Node};
 use crate::diagnostic::{Diagnostic, Source, Span};
 
+/// The most keys of a path: nothing in a pipeline lies deeper.
+const KEYS_LIMIT: usize = 64;
+
 /// Merges one override into the tree; `source` is the index its text gets in `sources`.
 pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<(), Diagnostic> {
     let source = sources.len();
@@ -22,8 +25,17 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<(
     if keys.iter().any(|key| key.is_empty()) {
         return Err(Diagnostic::at(here(0, path.len()), format!("`{path}` is not a path of keys")));
     }
+    check_depth(&keys, here(0, path.len()))?;
     check_exists(root, &keys, here(0, path.len()))?;
     put(root, &keys, node, here(0, path.len()))
+}
+
+/// A path that is longer than anything lies deep would only build a tree too deep to be walked.
+pub fn check_depth(keys: &[&str], span: Span) -> Result<(), Diagnostic> {
+    if keys.len() <= KEYS_LIMIT {
+        return Ok(());
+    }
+    Err(Diagnostic::at(span, format!("this path has {} keys, and a path has at most {KEYS_LIMIT}", keys.len())))
 }
 
 /// A path into a parameter, step or axis that is not there is a slip of the pen: nothing would ever read it.
@@ -120,5 +132,7 @@ mod tests {
         assert_eq!((span.source, &sources[0].text[span.start..span.end]), (0, "many"));
         assert!(apply(&mut root, "seed", &mut sources).is_err());
         assert!(apply(&mut root, "seed.x=1", &mut sources).is_err());
+        let deep = format!("{}=1", vec!["a"; 100_000].join("."));
+        assert!(apply(&mut root, &deep, &mut sources).unwrap_err().message.contains("at most 64"));
     }
 }

@@ -1,5 +1,7 @@
 //! `${name}`: parameters and axis items put into the values of a step. `$${name}` stands for the text `${name}`.
 
+use std::cell::Cell;
+
 use serde_json::Value;
 
 use super::node::{Data, Node};
@@ -20,43 +22,81 @@ pub fn escape_hint(name: &str) -> String {
     format!("write $${{{name}}} for the text itself")
 }
 
+/// The most bytes that `${name}` may bring into one value; names of names of names grow without end.
+pub const FILLED_BYTES: usize = 4 << 20;
+
 /// The value with every `${name}` replaced. A value that is nothing but `${name}` takes the type of what it names;
 /// inside a longer text the value is written out.
 pub fn filled(node: &Node, lookup: &dyn Fn(&str) -> Option<Value>) -> Result<Value, Diagnostic> {
-    match &node.data {
-        Data::Scalar(Value::String(text)) => fill_text(text, lookup).map_err(|e| Diagnostic::at(node.span, e)),
-        Data::Scalar(value) => Ok(value.clone()),
-        Data::List(items) => items.iter().map(|item| filled(item, lookup)).collect(),
-        Data::Map(entries) => entries.iter().map(|(key, item)| Ok((key.name.clone(), filled(item, lookup)?))).collect(),
+    Filler { lookup, room: Cell::new(FILLED_BYTES) }.value(node)
+}
+
+/// About the bytes that a value takes: those of its texts, and some for each other part.
+pub fn value_bytes(value: &Value) -> usize {
+    const PART: usize = 8;
+    match value {
+        Value::String(text) => PART + text.len(),
+        Value::Array(items) => PART + items.iter().map(value_bytes).sum::<usize>(),
+        Value::Object(map) => PART + map.iter().map(|(key, item)| key.len() + value_bytes(item)).sum::<usize>(),
+        Value::Null | Value::Bool(_) | Value::Number(_) => PART,
     }
 }
 
-fn fill_text(text: &str, lookup: &dyn Fn(&str) -> Option<Value>) -> Result<Value, String> {
-    let value = |name: &str| lookup(name).ok_or_else(|| format!("`${{{name}}}` names neither a parameter nor an axis"));
-    if let Some(name) = text.strip_prefix("${").and_then(|rest| rest.strip_suffix('}')).filter(|n| !n.contains('}')) {
-        return value(name.trim());
-    }
-    let (mut filled, mut rest) = (String::new(), text);
-    while let Some((before, after)) = rest.split_once("${") {
-        if let Some(before) = before.strip_suffix('$') {
-            filled.push_str(before);
-            filled.push_str("${");
-            rest = after;
-            continue;
+struct Filler<'a> {
+    lookup: &'a dyn Fn(&str) -> Option<Value>,
+    /// Bytes that may still come in.
+    room: Cell<usize>,
+}
+
+impl Filler<'_> {
+    fn value(&self, node: &Node) -> Result<Value, Diagnostic> {
+        match &node.data {
+            Data::Scalar(Value::String(text)) => self.text(text).map_err(|e| Diagnostic::at(node.span, e)),
+            Data::Scalar(value) => Ok(value.clone()),
+            Data::List(items) => items.iter().map(|item| self.value(item)).collect(),
+            Data::Map(entries) => entries.iter().map(|(key, item)| Ok((key.name.clone(), self.value(item)?))).collect(),
         }
-        let (name, tail) = after.split_once('}').ok_or_else(|| format!("`{text}`: `${{` without `}}`"))?;
-        filled.push_str(before);
-        match value(name.trim())? {
-            Value::String(text) => filled.push_str(&text),
-            Value::Array(_) | Value::Object(_) => {
-                return Err(format!("`${{{name}}}` is a list or map and cannot stand inside a text"));
+    }
+
+    /// What a name stands for.
+    fn named(&self, name: &str) -> Result<Value, String> {
+        let value =
+            (self.lookup)(name).ok_or_else(|| format!("`${{{name}}}` names neither a parameter nor an axis"))?;
+        let left = self.room.get().checked_sub(value_bytes(&value));
+        self.room.set(left.ok_or_else(|| {
+            let mib = FILLED_BYTES >> 20;
+            format!("with `${{{name}}}` this value takes more than {mib} MiB; put a long one into a file")
+        })?);
+        Ok(value)
+    }
+
+    fn text(&self, text: &str) -> Result<Value, String> {
+        if let Some(name) = text.strip_prefix("${").and_then(|rest| rest.strip_suffix('}')).filter(|n| !n.contains('}'))
+        {
+            return self.named(name.trim());
+        }
+        let (mut filled, mut rest) = (String::new(), text);
+        while let Some((before, after)) = rest.split_once("${") {
+            if let Some(before) = before.strip_suffix('$') {
+                filled.push_str(before);
+                filled.push_str("${");
+                rest = after;
+                continue;
             }
-            other => filled.push_str(&other.to_string()),
+            let (name, tail) = after.split_once('}').ok_or_else(|| format!("`{text}`: `${{` without `}}`"))?;
+            filled.push_str(before);
+            match self.named(name.trim())? {
+                Value::String(text) => filled.push_str(&text),
+                Value::Array(_) | Value::Object(_) => {
+                    return Err(format!("`${{{name}}}` is a list or map and cannot stand inside a text"));
+                }
+                other => filled.push_str(&other.to_string()),
+            }
+            rest = tail;
         }
-        rest = tail;
+        filled.push_str(rest);
+        Ok(Value::String(filled))
     }
-    filled.push_str(rest);
-    Ok(Value::String(filled))
 }
 
 fn names(text: &str) -> impl Iterator<Item = &str> {
@@ -96,6 +136,17 @@ mod tests {
             json!({"a": "${cell}", "b": "x ${ data/${cell} 0.01$", "c": "$${cell}", "d": "$$x data"})
         );
         assert_eq!(names("$${a} ${b} $${c ${d}").collect::<Vec<_>>(), ["b", "d"]);
+    }
+
+    #[test]
+    fn what_names_bring_in_is_bounded() {
+        let long = Value::from("x".repeat(FILLED_BYTES / 4));
+        let filled_with = |yaml: &str| filled(&Node::parse(yaml, 0).unwrap(), &|_| Some(long.clone()));
+        assert!(filled_with("'${a}${a}${a}'").is_ok());
+        for bad in ["'${a}${a}${a}${a}'", "['${a}', ['${a}', '${a}'], {b: '${a}'}]"] {
+            let message = filled_with(bad).unwrap_err().message;
+            assert!(message.contains("`${a}`") && message.contains("4 MiB"), "{message}");
+        }
     }
 
     #[test]

@@ -4,7 +4,7 @@ use serde_json::Value;
 
 use super::design::tidy;
 use super::node::{Data, Key, Node};
-use super::overrides::{check_exists, put};
+use super::overrides::{check_depth, check_exists, put};
 use crate::diagnostic::{Diagnostic, Source, Span};
 
 /// The most values of a range.
@@ -26,6 +26,7 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<(
     check_once((path, values), &sources[..source], path_span)?;
     let values = listed(values, values_span).map_err(|message| Diagnostic::at(values_span, message).hint(hint))?;
     let keys: Vec<&str> = path.split('.').map(str::trim).collect();
+    check_depth(&keys, path_span)?;
     check_exists(root, &keys, path_span)?;
     let name = match keys[..] {
         [name] | ["axes", name] => name,

@@ -10,6 +10,7 @@ use super::graph::{Graph, GraphStep};
 use super::parameters;
 use super::points::{count, points};
 use super::resolve::Resolver;
+use super::sight::Sight;
 use crate::diagnostic::Diagnostic;
 use crate::pipeline::{Input, Reference, Step, Word, mentioned};
 
@@ -39,18 +40,20 @@ impl Resolver<'_> {
         let steps = &self.names.document.steps;
         let own = |(index, step): (usize, &Step)| self.circling[index] || self.is_unsure(step);
         let mut unsure: Vec<bool> = steps.iter().enumerate().map(own).collect();
-        loop {
-            let follows = |(index, step): (usize, &Step)| {
-                let mut producers = references(step).filter_map(|to| self.names.steps.get(to.step.as_str()));
-                !unsure[index] && producers.any(|producer| unsure[*producer])
-            };
-            let new: Vec<usize> =
-                steps.iter().enumerate().filter(|entry| follows(*entry)).map(|(index, _)| index).collect();
-            if new.is_empty() {
-                return unsure;
-            }
-            new.into_iter().for_each(|index| unsure[index] = true);
+        let mut readers: Vec<Vec<usize>> = vec![Vec::new(); steps.len()];
+        for (reader, step) in steps.iter().enumerate() {
+            let producers = references(step).filter_map(|to| self.names.steps.get(to.step.as_str()));
+            producers.for_each(|producer| readers[*producer].push(reader));
         }
+        let mut open: Vec<usize> = (0..steps.len()).filter(|step| unsure[*step]).collect();
+        while let Some(step) = open.pop() {
+            for reader in &readers[step] {
+                if !std::mem::replace(&mut unsure[*reader], true) {
+                    open.push(*reader);
+                }
+            }
+        }
+        unsure
     }
 
     fn is_unsure(&self, step: &Step) -> bool {
@@ -133,13 +136,14 @@ fn faults_at_all_points(graph: &Graph, step: &GraphStep, with_files: bool) -> Ve
         return Vec::new();
     }
     let fields = if with_files { step.stage.fields() } else { Vec::new() };
+    let sight = Sight::new(&can_be_read);
     let mut common: Option<Vec<Diagnostic>> = None;
     for items in points(graph, &step.with_axes) {
         let items: BTreeMap<usize, usize> = step.with_axes.iter().copied().zip(items).collect();
         if !can_be_filled(graph, step, &items) {
             return Vec::new();
         }
-        let here = parameters::check_with_files(graph, step, &items, &fields, &can_be_read);
+        let here = parameters::check_with_files(graph, step, &items, &fields, &sight);
         let here = here.err().unwrap_or_default();
         let both = match common {
             Some(before) => before.into_iter().filter(|fault| here.contains(fault)).collect(),

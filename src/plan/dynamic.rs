@@ -7,7 +7,7 @@ use rockface_stages::artefact::{Artefact, Cell, Kind, Table};
 use serde_json::{Map, Value};
 
 use super::instances::Plan;
-use super::parameters::HashFile;
+use super::sight::HashFile;
 use crate::diagnostic::Diagnostic;
 use crate::pipeline::bad_item;
 

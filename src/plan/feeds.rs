@@ -6,7 +6,7 @@ use rockface_stages::{Arity, Port};
 
 use super::graph::{Feed, Later, Source};
 use super::resolve::Resolver;
-use crate::diagnostic::Diagnostic;
+use crate::diagnostic::{Diagnostic, listed};
 use crate::pipeline::{Input, Reference, Step, Word};
 
 /// Stands for all items a choice does not name.
@@ -95,7 +95,7 @@ impl Resolver<'_> {
 
     /// Whether a case stands for all items that are not named: `else`, unless an item is called so.
     fn is_other(&self, axis: usize, word: &Word) -> bool {
-        word.text == ELSE && !self.names.document.axes[axis].items.contains(&word.text)
+        word.text == ELSE && self.names.item(axis, ELSE).is_none()
     }
 
     /// The source of every item.
@@ -117,8 +117,8 @@ impl Resolver<'_> {
         if let Some(other) = other {
             sources.extend(missing.into_iter().map(|item| (item, Some(other.clone()))));
         } else if !missing.is_empty() {
-            let missing: Vec<&str> = missing.into_iter().map(|item| items[item].as_str()).collect();
-            let message = format!("choosing by `{}` leaves out {}", axis.text, missing.join(", "));
+            let missing = missing.into_iter().map(|item| items[item].as_str());
+            let message = format!("choosing by `{}` leaves out {}", axis.text, listed(missing));
             let hint = "say where the input comes from at every item, or add `else: step.port`";
             self.faults.push(Diagnostic::at(axis.span, message).hint(hint));
             return None;
@@ -134,7 +134,7 @@ impl Resolver<'_> {
             }
             let fault = Diagnostic::at(reference.span, format!("unknown step `{}`", reference.step));
             let known = self.names.document.steps.iter().map(|step| step.name.text.as_str());
-            self.faults.push(fault.suggest(&reference.step, known));
+            self.faults.push(self.suggest(fault, &reference.step, || known));
             return None;
         };
         let picks: Vec<_> = reference.picks.iter().map(|(axis, item)| self.pick(axis, item)).collect();
@@ -143,7 +143,7 @@ impl Resolver<'_> {
         let Some(port) = ports.outputs.iter().find(|port| port.name == reference.port) else {
             let message = format!("step `{}` ({}) has no output `{}`", reference.step, stage.name(), reference.port);
             let known = ports.outputs.iter().map(|port| port.name);
-            self.faults.push(Diagnostic::at(reference.span, message).suggest(&reference.port, known));
+            self.faults.push(self.suggest(Diagnostic::at(reference.span, message), &reference.port, || known));
             return None;
         };
         self.check_optional_output(reference, port, old);
@@ -233,7 +233,7 @@ impl Resolver<'_> {
         if found.is_none() {
             let message = format!("stage `{}` (step `{}`) has no input `{}`", stage.name(), step.name.text, port.text);
             let known = ports.inputs.iter().map(|port| port.name);
-            self.faults.push(Diagnostic::at(port.span, message).suggest(&port.text, known));
+            self.faults.push(self.suggest(Diagnostic::at(port.span, message), &port.text, || known));
         }
         found
     }
@@ -289,8 +289,9 @@ impl Resolver<'_> {
         if own.from.is_some() {
             return named.into_iter().map(|(_, reference)| reference).chain(other).collect();
         }
-        let of_item = |item: &String| named.iter().find(|(word, _)| word.text == *item).map(|(_, reference)| reference);
-        own.items.iter().filter_map(|item| of_item(item).or(other)).collect()
+        let cases: BTreeMap<&str, &Reference> =
+            named.into_iter().rev().map(|(word, reference)| (word.text.as_str(), reference)).collect();
+        own.items.iter().filter_map(|item| cases.get(item.as_str()).copied().or(other)).collect()
     }
 }
 

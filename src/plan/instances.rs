@@ -7,10 +7,13 @@ use rockface_cache::{Digest, Gathered, Outcome, OutputRecord, Recipe, RecipeInpu
 use rockface_stages::params::Field;
 use rockface_stages::{Arity, Point, Port};
 
+use super::faults::{Counted, Faults};
 use super::graph::{Feed, Graph, GraphStep};
-use super::parameters::{self, HashFile, StepParams};
+use super::parameters::{self, StepParams};
 use super::points::{elements, named, needed_points, points, too_many};
+use super::sight::{HashFile, Looks, Sight};
 use crate::diagnostic::Diagnostic;
+use crate::pipeline::value_bytes;
 
 /// All step instances the targets need, producers before consumers.
 pub struct Plan {
@@ -20,6 +23,8 @@ pub struct Plan {
     pub instances: Vec<Instance>,
     /// Instances of the target steps.
     pub targets: Vec<usize>,
+    /// All that was looked at in the file system to make it.
+    pub looks: Looks,
 }
 
 /// A step at one point.
@@ -49,7 +54,7 @@ pub struct Given {
 impl Plan {
     /// Expands a graph as far as the items of its axes are known; faults of parameters and files are reported together.
     pub fn new(graph: Graph, hash: &HashFile) -> Result<Self, Vec<Diagnostic>> {
-        let mut plan = Self { graph, instances: Vec::new(), targets: Vec::new() };
+        let mut plan = Self { graph, instances: Vec::new(), targets: Vec::new(), looks: Looks::new() };
         plan.grow(hash)?;
         plan.order()?;
         Ok(plan)
@@ -64,8 +69,10 @@ impl Plan {
         }
         let needed = needed_points(&self.graph);
         let known = self.instances.len();
-        let new = Expansion::new(&self.graph, hash).run(&needed, &self.instances)?;
+        let sight = Sight::new(hash);
+        let new = Expansion::new(&self.graph, &sight).run(&needed, &self.instances)?;
         self.instances.extend(new);
+        self.looks.append(&mut sight.looks());
         link(&mut self.instances, known);
         let is_target = |instance: &usize| self.graph.targets.contains(&self.instances[*instance].step);
         self.targets = (0..self.instances.len()).filter(is_target).collect();
@@ -211,18 +218,33 @@ impl Plan {
     }
 }
 
+/// Parameters, or what is wrong with them.
+type Checked = Result<Arc<StepParams>, Vec<Counted>>;
+
 struct Expansion<'a> {
     graph: &'a Graph,
-    hash: &'a HashFile<'a>,
-    params: HashMap<(usize, Vec<usize>), Option<Arc<StepParams>>>,
+    sight: &'a Sight<'a>,
+    params: HashMap<(usize, Vec<usize>), Checked>,
     /// The fields of the stages met.
     fields: HashMap<&'static str, Vec<Field>>,
-    faults: Vec<Diagnostic>,
+    faults: Faults,
+    /// Bytes that the parameters may still take.
+    room: usize,
 }
 
+/// The most bytes that the parameters of a plan may take, all put together.
+const PARAMETERS_BYTES: usize = 256 << 20;
+
 impl<'a> Expansion<'a> {
-    fn new(graph: &'a Graph, hash: &'a HashFile<'a>) -> Self {
-        Self { graph, hash, params: HashMap::new(), fields: HashMap::new(), faults: Vec::new() }
+    fn new(graph: &'a Graph, sight: &'a Sight<'a>) -> Self {
+        Self {
+            graph,
+            sight,
+            params: HashMap::new(),
+            fields: HashMap::new(),
+            faults: Faults::default(),
+            room: PARAMETERS_BYTES,
+        }
     }
 
     /// The instances at all needed points that are not there yet; new ones are numbered on from those.
@@ -264,7 +286,7 @@ impl<'a> Expansion<'a> {
             let idle = (0..needed.len()).filter(|step| needed[*step].is_empty() && deferred[*step].is_none());
             idle.for_each(|step| self.check_unneeded(step, &graph.steps[step]));
         }
-        if self.faults.is_empty() { Ok(instances) } else { Err(self.faults) }
+        if self.faults.is_empty() { Ok(instances) } else { Err(self.faults.into_list()) }
     }
 
     /// Steps that no target needs are checked all the same; their files are not looked for.
@@ -281,27 +303,34 @@ impl<'a> Expansion<'a> {
         let own: BTreeMap<usize, usize> = step.axes.iter().copied().zip(items.iter().copied()).collect();
         let mentioned: BTreeMap<usize, usize> = step.with_axes.iter().map(|axis| (*axis, own[axis])).collect();
         let key = (index, mentioned.values().copied().collect::<Vec<_>>());
-        if let Some(known) = self.params.get(&key) {
-            return known.clone();
+        if !self.params.contains_key(&key) {
+            let checked = self.check(step, &mentioned).map_err(|faults| self.faults.enter(faults));
+            self.params.insert(key.clone(), checked);
         }
-        let fields = self.fields.entry(step.stage.name()).or_insert_with(|| step.stage.fields());
-        let params = match parameters::check_with_files(self.graph, step, &mentioned, fields, self.hash) {
-            Ok(params) => Some(Arc::new(params)),
+        match &self.params[&key] {
+            Ok(params) => Some(params.clone()),
             Err(faults) => {
-                self.report(faults);
+                self.faults.count(faults);
                 None
             }
-        };
-        self.params.insert(key, params.clone());
-        params
+        }
+    }
+
+    fn check(&mut self, step: &GraphStep, items: &BTreeMap<usize, usize>) -> Result<Arc<StepParams>, Vec<Diagnostic>> {
+        let fields = self.fields.entry(step.stage.name()).or_insert_with(|| step.stage.fields());
+        let params = parameters::check_with_files(self.graph, step, items, fields, self.sight)?;
+        let left = self.room.checked_sub(value_bytes(&params.canonical)).ok_or_else(|| {
+            let mib = PARAMETERS_BYTES >> 20;
+            let message = format!("the parameters of all step instances together take more than {mib} MiB");
+            vec![Diagnostic::general(message).hint("put long values into a file that the steps read")]
+        })?;
+        self.room = left;
+        Ok(Arc::new(params))
     }
 
     fn report(&mut self, faults: Vec<Diagnostic>) {
-        for fault in faults {
-            if !self.faults.contains(&fault) {
-                self.faults.push(fault);
-            }
-        }
+        let entered = self.faults.enter(faults);
+        self.faults.count(&entered);
     }
 }
 

@@ -2,6 +2,7 @@
 
 mod blind;
 mod dynamic;
+mod faults;
 mod feeds;
 mod graph;
 mod instances;
@@ -12,6 +13,7 @@ mod points;
 mod programs;
 mod reach;
 mod resolve;
+mod sight;
 mod values;
 
 pub use dynamic::{Items, items_of};
@@ -21,6 +23,7 @@ pub use parameters::{InputFile, StepParams};
 pub use points::counts;
 pub use programs::without_programs;
 pub use resolve::resolve;
+pub use sight::Looks;
 
 use rockface_cache::{Digest, Store};
 use rockface_stages::AnyStage;

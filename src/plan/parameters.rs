@@ -1,8 +1,6 @@
 //! The parameters of a step at one point: filled in, checked, and with its files found and hashed.
 
 use std::collections::BTreeMap;
-use std::fs::FileType;
-use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -12,6 +10,7 @@ use rockface_stages::params::{Fault, Field, Kind};
 use serde_json::{Value, json};
 
 use super::graph::{Graph, GraphStep};
+use super::sight::{Sight, one_file};
 use crate::diagnostic::{Diagnostic, Span, nearest};
 use crate::pipeline::{Node, filled, mentioned};
 
@@ -47,9 +46,6 @@ pub struct InputFile {
     pub digest: Digest,
 }
 
-/// Hashes a file, or says why it cannot.
-pub type HashFile<'a> = dyn Fn(&Path) -> Result<Digest, String> + 'a;
-
 /// What a `${name}` stands for at the items of some axes.
 pub fn lookup(graph: &Graph, items: &BTreeMap<usize, usize>, name: &str) -> Option<Value> {
     let known = graph.params.get(name).cloned();
@@ -72,17 +68,17 @@ pub fn check_with_files(
     step: &GraphStep,
     items: &BTreeMap<usize, usize>,
     fields: &[Field],
-    hash: &HashFile,
+    sight: &Sight,
 ) -> Result<StepParams, Vec<Diagnostic>> {
     let with = fill(graph, step, items)?;
     match check_filled(step, &with) {
         Ok(mut params) => {
-            let faults = find_files(step, fields, &mut params, hash);
+            let faults = find_files(step, fields, &mut params, sight);
             if faults.is_empty() { Ok(params) } else { Err(faults) }
         }
         Err(mut faults) => {
             let mut as_written = StepParams::of(with, false);
-            let missing = find_files(step, fields, &mut as_written, hash);
+            let missing = find_files(step, fields, &mut as_written, sight);
             let new = missing.into_iter().filter(|fault| faults.iter().all(|known| known.span != fault.span));
             let new: Vec<_> = new.collect();
             faults.extend(new);
@@ -155,8 +151,8 @@ pub fn told(place: &Place, with: &Value, fault: &Fault) -> Diagnostic {
 
 /// Finds and hashes every file the parameters name, and puts the digests into the recipe's parameters; `fields` are those of
 /// the stage.
-fn find_files(step: &GraphStep, fields: &[Field], params: &mut StepParams, hash: &HashFile) -> Vec<Diagnostic> {
-    let mut finder = Finder { step, hash, files: BTreeMap::new(), faults: Vec::new(), path: Vec::new() };
+fn find_files(step: &GraphStep, fields: &[Field], params: &mut StepParams, sight: &Sight) -> Vec<Diagnostic> {
+    let mut finder = Finder { step, sight, files: BTreeMap::new(), faults: Vec::new(), path: Vec::new() };
     if fields.iter().any(|field| names_files(&field.kind)) {
         params.recipe = Arc::new(finder.fields(fields, &params.canonical));
         params.files = finder.files;
@@ -178,7 +174,7 @@ fn names_files(kind: &Kind) -> bool {
 
 struct Finder<'a> {
     step: &'a GraphStep,
-    hash: &'a HashFile<'a>,
+    sight: &'a Sight<'a>,
     files: BTreeMap<String, Vec<InputFile>>,
     faults: Vec<Diagnostic>,
     path: Vec<String>,
@@ -229,7 +225,7 @@ impl Finder<'_> {
         let path = self.step.folder.join(written);
         let listed = match written.trim() {
             "" => Err("a path is needed, and this one is empty".to_owned()),
-            _ if many => list_files(&path),
+            _ if many => self.sight.list(&path),
             _ => one_file(&path),
         };
         let hashed =
@@ -248,7 +244,7 @@ impl Finder<'_> {
     }
 
     fn hashed(&self, path: PathBuf) -> Result<InputFile, String> {
-        let digest = (self.hash)(&path)?;
+        let digest = self.sight.hash(&path)?;
         let name = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
         Ok(InputFile { name, path, digest })
     }
@@ -276,77 +272,10 @@ fn missing(span: Span, message: &str, written: &str, path: &Path) -> Diagnostic 
     }
 }
 
-fn one_file(path: &Path) -> Result<Vec<PathBuf>, String> {
-    let shown = path.display();
-    match std::fs::metadata(path) {
-        Ok(metadata) if metadata.is_file() => Ok(vec![path.to_owned()]),
-        Ok(metadata) => Err(format!("`{shown}` is {}, a file is needed", kind_of(metadata.file_type()))),
-        Err(error) => Err(format!("cannot read `{shown}`: {error}")),
-    }
-}
-
-fn kind_of(entry: FileType) -> &'static str {
-    if entry.is_dir() {
-        "a folder"
-    } else if entry.is_fifo() {
-        "a pipe"
-    } else if entry.is_socket() {
-        "a socket"
-    } else {
-        "a device"
-    }
-}
-
-/// The files of a folder, the files matching `*` in the last part of a path, or one file; sorted by name.
-fn list_files(path: &Path) -> Result<Vec<PathBuf>, String> {
-    let pattern = path.file_name().map(|name| name.to_string_lossy().into_owned()).filter(|name| name.contains('*'));
-    let folder = match &pattern {
-        Some(_) => path.parent().unwrap_or(Path::new(".")),
-        None if path.is_dir() => path,
-        None => return one_file(path),
-    };
-    let entries = std::fs::read_dir(folder).map_err(|error| format!("cannot read `{}`: {error}", folder.display()))?;
-    let matches = |file: &Path| {
-        let name = file.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-        let wanted = pattern.as_ref().map_or(!name.starts_with('.'), |pattern| fits(pattern, &name));
-        wanted && file.is_file()
-    };
-    let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).filter(|file| matches(file)).collect();
-    files.sort();
-    if files.is_empty() { Err(format!("`{}` names no file", path.display())) } else { Ok(files) }
-}
-
-/// Whether a name fits a pattern in which `*` stands for any text.
-fn fits(pattern: &str, name: &str) -> bool {
-    match pattern.split_once('*') {
-        None => pattern == name,
-        Some((head, rest)) => name.strip_prefix(head).is_some_and(|tail| {
-            tail.char_indices().map(|(i, _)| i).chain([tail.len()]).any(|i| fits(rest, &tail[i..]))
-        }),
-    }
-}
-
 fn value_at(value: &Value, path: &[String]) -> String {
     let found = path.iter().try_fold(value, |value, key| match value {
         Value::Array(items) => items.get(key.parse::<usize>().ok()?),
         other => other.get(key),
     });
     found.and_then(Value::as_str).unwrap_or_default().to_owned()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_is_no_file_is_called_what_it_is() {
-        assert!(one_file(Path::new("/dev/null")).unwrap_err().contains("`/dev/null` is a device"));
-        assert!(one_file(Path::new("/dev")).unwrap_err().contains("is a folder"));
-    }
-
-    #[test]
-    fn patterns() {
-        assert!(fits("*.tif", "a.tif") && fits("cmp_*_*.tif", "cmp_00_01.tif") && fits("*", ""));
-        assert!(!fits("*.tif", "a.tiff") && !fits("cmp_*.tif", "x_cmp_1.tif"));
-    }
 }

@@ -16,9 +16,12 @@ pub fn count(graph: &Graph, axes: &[usize]) -> u64 {
     leads.values().map(|axis| graph.axes[*axis].items.len() as u64).fold(1, u64::saturating_mul)
 }
 
+/// The most gathered elements that the inputs of a plan may have, all together.
+const GATHERED_LIMIT: u64 = 20_000_000;
+
 /// Counts before anything is expanded.
 pub fn too_many(graph: &Graph) -> Vec<Diagnostic> {
-    let mut total = 0_u64;
+    let (mut total, mut gathered) = (0_u64, 0_u64);
     for step in &graph.steps {
         total = total.saturating_add(count(graph, &step.axes));
         if total > INSTANCES_LIMIT {
@@ -28,8 +31,26 @@ pub fn too_many(graph: &Graph) -> Vec<Diagnostic> {
             let hint = format!("a plan has at most {INSTANCES_LIMIT}: shorten an axis, or divide the pipeline");
             return vec![Diagnostic::at(step.span, message).hint(hint)];
         }
+        gathered = gathered.saturating_add(gathered_by(graph, step));
+        if gathered > GATHERED_LIMIT {
+            let (name, own) = (&step.name, count(graph, &step.axes));
+            let message =
+                format!("the {own} instances of step `{name}` bring the gathered inputs to {gathered} elements");
+            let hint =
+                format!("a plan has at most {GATHERED_LIMIT}: gather once and let the steps read what that makes");
+            return vec![Diagnostic::at(step.span, message).hint(hint)];
+        }
     }
     Vec::new()
+}
+
+/// How many elements all instances of a step gather.
+fn gathered_by(graph: &Graph, step: &GraphStep) -> u64 {
+    let each = step.inputs.iter().map(|(_, feed)| match feed {
+        Feed::Each { over, .. } => count(graph, over),
+        _ => 0,
+    });
+    each.fold(0, u64::saturating_add).saturating_mul(count(graph, &step.axes))
 }
 
 /// The name of each item of some axes.

@@ -1,6 +1,7 @@
 //! Which axes each step depends on: those it names, and those that reach it along the arrows.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::cell::OnceCell;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use crate::pipeline::{Document, Input, Reference, Step, mentioned};
 
@@ -14,6 +15,10 @@ pub struct Names<'d> {
     pub axes: BTreeMap<&'d str, usize>,
     /// By axis: the first of those it is walked together with; itself where it is alone.
     pub zips: Vec<usize>,
+    /// Parameters.
+    params: BTreeSet<&'d str>,
+    /// By axis: the numbers of its items, once one is asked for.
+    items: Vec<OnceCell<HashMap<&'d str, usize>>>,
 }
 
 impl<'d> Names<'d> {
@@ -28,7 +33,18 @@ impl<'d> Names<'d> {
             let first = members.iter().copied().min();
             members.iter().for_each(|axis| zips[*axis] = first.unwrap_or(*axis));
         }
-        Self { document, steps, axes, zips }
+        let params = document.params.iter().map(|(key, _)| key.name.as_str()).collect();
+        let items = document.axes.iter().map(|_| OnceCell::new()).collect();
+        Self { document, steps, axes, zips, params, items }
+    }
+
+    /// The number of an item on an axis.
+    pub fn item(&self, axis: usize, item: &str) -> Option<usize> {
+        let numbered = || {
+            let items = self.document.axes[axis].items.iter().enumerate();
+            items.map(|(number, item)| (item.as_str(), number)).collect()
+        };
+        self.items[axis].get_or_init(numbered).get(item).copied()
     }
 
     /// The axis a `${name}` or `${name.value}` stands for.
@@ -45,7 +61,7 @@ impl<'d> Names<'d> {
 
     /// Whether a parameter has this name.
     pub fn is_param(&self, name: &str) -> bool {
-        self.document.params.iter().any(|(key, _)| key.name == name)
+        self.params.contains(name)
     }
 
     /// Axes a step names itself.

@@ -14,8 +14,8 @@ use super::graph::{Dynamic, Graph, GraphStep};
 use super::points::too_many;
 use super::reach::Names;
 use super::{Registry, parameters, values};
-use crate::diagnostic::{Diagnostic, Diagnostics};
-use crate::pipeline::{Axis, Document, Key, Node, Pipeline, Reference, Step, Word, escape_hint, mentioned};
+use crate::diagnostic::{Diagnostic, Diagnostics, SHOWN, listed};
+use crate::pipeline::{Axis, Document, Key, Label, Node, Pipeline, Reference, Step, Word, escape_hint, mentioned};
 
 /// Resolves a pipeline; `targets` on the command line take the place of the document's.
 pub fn resolve(pipeline: &Pipeline, targets: &[String], stages: &Registry) -> Result<Graph, Diagnostics> {
@@ -126,7 +126,7 @@ impl<'d> Resolver<'d> {
             if stage.is_none() {
                 let known = self.registry.iter().map(|stage| stage.name());
                 let fault = Diagnostic::at(step.stage.span, format!("unknown stage `{}`", step.stage.text));
-                self.faults.push(fault.suggest(&step.stage.text, known));
+                self.faults.push(self.suggest(fault, &step.stage.text, || known));
             }
         }
         for (key, _) in &self.document().params {
@@ -169,7 +169,7 @@ impl<'d> Resolver<'d> {
             let fault = if self.names.axes.is_empty() {
                 fault.hint("declare it under `axes:`")
             } else {
-                fault.suggest(&word.text, self.axis_names())
+                self.suggest(fault, &word.text, || self.axis_names())
             };
             self.faults.push(fault);
         }
@@ -179,13 +179,23 @@ impl<'d> Resolver<'d> {
     /// The number of an item on an axis.
     pub fn item(&mut self, axis: usize, word: &Word, item: &str) -> Option<usize> {
         let declared = &self.document().axes[axis];
-        let found = declared.items.iter().position(|known| known == item);
+        let found = self.names.item(axis, item);
         if found.is_none() {
             let message = format!("`{item}` is no item of axis `{}`", declared.name.text);
-            self.faults
-                .push(Diagnostic::at(word.span, message).suggest(item, declared.items.iter().map(String::as_str)));
+            let known = || declared.items.iter().map(String::as_str);
+            self.faults.push(self.suggest(Diagnostic::at(word.span, message), item, known));
         }
         found
+    }
+
+    /// Adds a suggestion as long as the faults are few: to look for one takes time, and of many only the first are shown.
+    pub fn suggest<'a, I: IntoIterator<Item = &'a str>>(
+        &self,
+        fault: Diagnostic,
+        given: &str,
+        known: impl FnOnce() -> I,
+    ) -> Diagnostic {
+        if self.faults.len() < SHOWN { fault.suggest(given, known()) } else { fault }
     }
 
     /// Adds a fault that follows from the axes of a step, if it turns out that those are sure.
@@ -229,11 +239,11 @@ impl<'d> Resolver<'d> {
     fn report_cycle(&mut self, members: &BTreeSet<usize>) {
         let document = self.document();
         let name = |i: &usize| document.steps[*i].name.text.as_str();
-        let names: Vec<&str> = members.iter().map(name).collect();
         let Some(first) = members.first().map(|i| &document.steps[*i]) else { return };
+        let is_member = |to: &&Reference| self.names.steps.get(to.step.as_str()).is_some_and(|i| members.contains(i));
         let back = first.inputs.iter().flat_map(|(_, input)| input.references());
-        let back = back.into_iter().find(|r| names.contains(&r.step.as_str())).map_or(first.name.span, |r| r.span);
-        let message = format!("these steps wait for each other in a circle: {}", names.join(", "));
+        let back = back.into_iter().find(is_member).map_or(first.name.span, |r| r.span);
+        let message = format!("these steps wait for each other in a circle: {}", listed(members.iter().map(name)));
         self.faults.push(
             Diagnostic::at(back, message)
                 .label("needs what comes after it")
@@ -377,11 +387,10 @@ impl<'d> Resolver<'d> {
                 let fault = self.field_fault(axis, &name);
                 self.faults.extend(fault.map(|(message, hint)| Diagnostic::at(span, message).hint(hint)));
             } else if !self.names.is_param(&name) && !self.names.is_unread_axis(&name) {
-                let document = self.document();
-                let known: Vec<&str> =
-                    document.params.iter().map(|(key, _)| key.name.as_str()).chain(self.axis_names()).collect();
-                let message = format!("`${{{name}}}` names neither a parameter nor an axis");
-                self.faults.push(Diagnostic::at(span, message).suggest(&name, known).or_hint(escape_hint(&name)));
+                let params = self.document().params.iter().map(|(key, _)| key.name.as_str());
+                let fault = Diagnostic::at(span, format!("`${{{name}}}` names neither a parameter nor an axis"));
+                let fault = self.suggest(fault, &name, || params.chain(self.axis_names()));
+                self.faults.push(fault.or_hint(escape_hint(&name)));
             }
         }
         axes.into_iter().collect()
@@ -442,7 +451,9 @@ impl<'d> Resolver<'d> {
             Some(words) => words.iter().map(|word| word.text.as_str()).collect(),
             None => return unread(steps, dynamic),
         };
-        names.iter().filter_map(|name| steps.iter().position(|step| step.name == *name)).collect()
+        let numbers: BTreeMap<&str, usize> =
+            steps.iter().enumerate().map(|(number, step)| (step.name.as_str(), number)).collect();
+        names.iter().filter_map(|name| numbers.get(name).copied()).collect()
     }
 
     fn check_target(&mut self, name: &str, place: Option<&Word>) {
@@ -452,7 +463,11 @@ impl<'d> Resolver<'d> {
                 || Diagnostic::general(message.clone()),
                 |word| Diagnostic::at(word.span, message.clone()),
             );
-            self.faults.push(fault.suggest(name, self.step_names()));
+            let step = Label::parse(name).map(|label| label.step).filter(|step| self.names.steps.contains_key(step));
+            self.faults.push(match step {
+                Some(step) => fault.hint(format!("a target is a whole step: write `{step}`")),
+                None => self.suggest(fault, name, || self.step_names()),
+            });
         }
     }
 }

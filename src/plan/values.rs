@@ -4,20 +4,28 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::Value;
 
-use crate::diagnostic::{Diagnostic, Span};
-use crate::pipeline::{Key, Node, escape_hint, filled, mentioned};
+use crate::diagnostic::{Diagnostic, SHOWN, Span, listed};
+use crate::pipeline::{Key, Node, escape_hint, filled, mentioned, value_bytes};
+
+/// The most bytes that all parameters together may take once they are filled in.
+const PARAMETERS_BYTES: usize = 64 << 20;
+
+/// A parameter and the names it needs.
+type Open<'n> = (&'n Key, &'n Node, BTreeSet<String>);
 
 /// Puts the values of parameters into each other until no `${name}` is left; says what stands in the way. Parameters that
 /// cannot be told, and those that need them, are left out.
 pub fn resolve(params: &[(Key, Node)], axes: &[&str]) -> (BTreeMap<String, Value>, Vec<Diagnostic>) {
     let mut known: BTreeMap<String, Option<Value>> = BTreeMap::new();
     let mut faults = Vec::new();
-    let names: Vec<&str> = params.iter().map(|(key, _)| key.name.as_str()).collect();
-    let mut open: Vec<(&Key, &Node, BTreeSet<String>)> = Vec::new();
+    let names: BTreeSet<&str> = params.iter().map(|(key, _)| key.name.as_str()).collect();
+    let mut open: Vec<Open> = Vec::new();
     for (key, node) in params {
         let mut needs = Vec::new();
         mentioned(node, &mut needs);
-        let strangers: Vec<_> = needs.iter().filter_map(|(name, span)| stranger(name, *span, &names, axes)).collect();
+        let few = faults.len() < SHOWN;
+        let strange = |(name, span): &(String, Span)| stranger(name, *span, (&names, axes), few);
+        let strangers: Vec<_> = needs.iter().filter_map(strange).collect();
         if strangers.is_empty() && !node.holds_bad_number() {
             open.push((key, node, needs.into_iter().map(|(name, _)| name).collect()));
         } else {
@@ -25,43 +33,80 @@ pub fn resolve(params: &[(Key, Node)], axes: &[&str]) -> (BTreeMap<String, Value
         }
         faults.extend(strangers);
     }
-    while !open.is_empty() {
-        let (now, later): (Vec<_>, Vec<_>) =
-            open.into_iter().partition(|(_, _, needs)| needs.iter().all(|name| known.contains_key(name)));
-        if now.is_empty() {
-            faults.extend(circle(&later));
-            break;
-        }
-        for (key, node, needs) in now {
-            let able = needs.iter().all(|name| known.get(name).is_some_and(Option::is_some));
-            let value = able.then(|| filled(node, &|name| known.get(name).cloned().flatten()));
-            let value = value.transpose().unwrap_or_else(|fault| {
-                faults.push(fault);
-                None
-            });
-            known.insert(key.name.clone(), value);
-        }
-        open = later;
+    let mut room = PARAMETERS_BYTES;
+    for (key, node, needs) in ordered(open, &known, &mut faults) {
+        let able = needs.iter().all(|name| known.get(name).is_some_and(Option::is_some));
+        let value = able.then(|| filled(node, &|name| known.get(name).cloned().flatten()));
+        let value = value.transpose().and_then(|value| within(value, &mut room, node)).unwrap_or_else(|fault| {
+            faults.push(fault);
+            None
+        });
+        known.insert(key.name.clone(), value);
     }
     (known.into_iter().filter_map(|(name, value)| Some((name, value?))).collect(), faults)
 }
 
-/// The fault of a name that is no parameter.
-fn stranger(name: &str, span: Span, params: &[&str], axes: &[&str]) -> Option<Diagnostic> {
-    if params.contains(&name) {
+/// Takes the bytes of a value off those that are left.
+fn within(value: Option<Value>, room: &mut usize, node: &Node) -> Result<Option<Value>, Diagnostic> {
+    let left = room.checked_sub(value.as_ref().map_or(0, value_bytes));
+    *room = left.ok_or_else(|| {
+        let message = format!("with this one all parameters together take more than {} MiB", PARAMETERS_BYTES >> 20);
+        Diagnostic::at(node.span, message).hint("put long values into files that the steps read")
+    })?;
+    Ok(value)
+}
+
+/// Parameters after those they need; the fault of a circle where there is one, and its parameters are left out.
+fn ordered<'n>(
+    open: Vec<Open<'n>>,
+    known: &BTreeMap<String, Option<Value>>,
+    faults: &mut Vec<Diagnostic>,
+) -> Vec<Open<'n>> {
+    let mut needed_by: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+    let mut unmet = vec![0_usize; open.len()];
+    for (number, (_, _, needs)) in open.iter().enumerate() {
+        for name in needs.iter().filter(|name| !known.contains_key(*name)) {
+            needed_by.entry(name).or_default().push(number);
+            unmet[number] += 1;
+        }
+    }
+    let mut order: Vec<usize> = (0..open.len()).filter(|number| unmet[*number] == 0).collect();
+    let mut done = 0;
+    while let Some(number) = order.get(done) {
+        for later in needed_by.get(open[*number].0.name.as_str()).into_iter().flatten() {
+            unmet[*later] -= 1;
+            if unmet[*later] == 0 {
+                order.push(*later);
+            }
+        }
+        done += 1;
+    }
+    if order.len() < open.len() {
+        let circling: Vec<&Open> =
+            open.iter().zip(&unmet).filter(|(_, unmet)| **unmet > 0).map(|(one, _)| one).collect();
+        faults.extend(circle(&circling));
+    }
+    let mut open: Vec<Option<Open>> = open.into_iter().map(Some).collect();
+    order.into_iter().filter_map(|number| open[number].take()).collect()
+}
+
+/// The fault of a name that is no parameter, with a suggestion while the faults are few.
+fn stranger(name: &str, span: Span, (params, axes): (&BTreeSet<&str>, &[&str]), few: bool) -> Option<Diagnostic> {
+    if params.contains(name) {
         None
     } else if axes.contains(&name) {
         let message = format!("a parameter cannot depend on axis `{name}`");
         Some(Diagnostic::at(span, message).hint(format!("mention ${{{name}}} in the `with` of a step")))
     } else {
-        let message = format!("`${{{name}}}` names no parameter");
-        Some(Diagnostic::at(span, message).suggest(name, params.iter().copied()).or_hint(escape_hint(name)))
+        let fault = Diagnostic::at(span, format!("`${{{name}}}` names no parameter"));
+        let fault = if few { fault.suggest(name, params.iter().copied()) } else { fault };
+        Some(fault.or_hint(escape_hint(name)))
     }
 }
 
-fn circle(open: &[(&Key, &Node, BTreeSet<String>)]) -> Vec<Diagnostic> {
-    let names: Vec<&str> = open.iter().map(|(key, _, _)| key.name.as_str()).collect();
-    let message = format!("these parameters wait for each other in a circle: {}", names.join(", "));
+fn circle(open: &[&Open]) -> Option<Diagnostic> {
+    let names = open.iter().map(|(key, _, _)| key.name.as_str());
+    let message = format!("these parameters wait for each other in a circle: {}", listed(names));
     let first = open.first().map(|(_, node, _)| Diagnostic::at(node.span, message));
-    first.map(|fault| fault.hint("give one of them a value of its own")).into_iter().collect()
+    first.map(|fault| fault.hint("give one of them a value of its own"))
 }

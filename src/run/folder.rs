@@ -12,6 +12,7 @@ use serde_json::json;
 
 use super::lay_out::{Laid, LayOut, readable_name};
 use super::log::{LOG_FILE, Telling};
+use super::made::{self, Made};
 use super::unfinished::{self, Unfinished};
 use super::{InstanceResult, RunError, Summary, account};
 use crate::history::{Manifest, crate_metadata};
@@ -19,6 +20,13 @@ use crate::pipeline::{Overrides, Pipeline};
 use crate::plan::Plan;
 use crate::report;
 use crate::watch::step_log::{self, StepLogError};
+
+/// The manifest, written last.
+const MANIFEST: &str = "run.json";
+/// The text of the pipeline.
+const PIPELINE: &str = "pipeline.yaml";
+/// The description for programs that know nothing of rockface.
+const CRATE: &str = "ro-crate-metadata.json";
 
 /// Where a run is told of.
 #[derive(Debug, Clone)]
@@ -60,6 +68,9 @@ pub struct Finished {
     /// How many kept outputs have no file there.
     #[serde(default)]
     pub unnamed: usize,
+    /// What was left in the folder, in which state.
+    #[serde(default)]
+    pub made: Vec<Made>,
 }
 
 /// Tells of a run. One in which nothing was executed is told by its former folder, if that is still there. A stop leaves no
@@ -73,12 +84,12 @@ pub fn finish(
 ) -> Result<Finished, RunError> {
     let runs = std::path::absolute(about.runs).map_err(failed(about.runs))?;
     let key = plan_key(plan, summary, &runs, about);
-    if summary.executed() == 0 && !summary.failed {
-        let former = store.recalled_run(&key).and_then(|note| serde_json::from_value::<Finished>(note).ok());
-        if let Some(former) = former.filter(|former| is_told_in(&former.folder, &runs, &former.files)) {
-            point_latest(about.runs, &former.folder)?;
-            return Ok(former);
-        }
+    if summary.executed() == 0
+        && !summary.failed
+        && let Some(former) = former(store, &key, &runs)?
+    {
+        point_latest(about.runs, &former.folder)?;
+        return Ok(former);
     }
     let finished = Writer { plan, summary, store, about, stop }.write(&key)?;
     if !summary.failed {
@@ -88,20 +99,18 @@ pub fn finish(
     Ok(finished)
 }
 
-/// Whether a run folder is one of those in `runs` and still as it was told: with these files, none of which was written to
-/// since the manifest, which is written last.
-pub(super) fn is_told_in(folder: &Path, runs: &Path, files: &[SafePath]) -> bool {
-    let written = |file: &Path| {
-        let meta = std::fs::metadata(folder.join(file)).ok().filter(std::fs::Metadata::is_file)?;
-        meta.modified().ok().map(|at| (at, meta.len()))
-    };
-    let Some((told, 1..)) = written(Path::new("run.json")) else { return false };
-    let is_untouched = |file: &Path| written(file).is_some_and(|(at, _)| at <= told);
-    // A page may be written again later.
-    let is_whole = written(Path::new(report::FILE)).is_some() && is_untouched(Path::new(LOG_FILE));
-    // `runs/..` has the parent `runs`, and no name.
-    let is_in_runs = folder.parent() == Some(runs) && folder.file_name().is_some();
-    is_in_runs && is_whole && files.iter().all(|file| is_untouched(file))
+/// A former run of the same key, if its folder is in `runs` and all that was left in it is what it was.
+fn former(store: &Store, key: &Digest, runs: &Path) -> Result<Option<Finished>, RunError> {
+    let former = store.recalled_run(key).and_then(|note| serde_json::from_value::<Finished>(note).ok());
+    let Some(mut former) = former.filter(|former| made::is_in(&former.folder, runs)) else { return Ok(None) };
+    let before = former.made.clone();
+    if !made::is_whole(&former.folder, &mut former.made) {
+        return Ok(None);
+    }
+    if former.made != before {
+        store.remember_run(key, &json!(former))?;
+    }
+    Ok(Some(former))
 }
 
 /// The same for two runs of the same text, overrides and targets with the same recipes, told of in the same place.
@@ -151,13 +160,14 @@ impl Writer<'_> {
         let logs = self.logs()?;
         let headlines = self.headlines(&logs);
         self.account(folder, &headlines, &logs, &laid)?;
-        Ok(Finished { folder: folder.to_owned(), headlines, files: laid.of_targets, unnamed: laid.unnamed })
+        let made = made::left(folder, &[MANIFEST, LOG_FILE, PIPELINE, CRATE], &laid)?;
+        Ok(Finished { folder: folder.to_owned(), headlines, files: laid.of_targets, unnamed: laid.unnamed, made })
     }
 
     /// Writes the log, the page, a description of the folder as a research object for programs that know nothing of rockface,
     /// and last of all the manifest, without which a folder is no run.
     fn account(&self, folder: &Path, headlines: &[String], logs: &[Vec<Entry>], laid: &Laid) -> Result<(), RunError> {
-        write_file(&folder.join("pipeline.yaml"), self.about.pipeline.text().as_bytes())?;
+        write_file(&folder.join(PIPELINE), self.about.pipeline.text().as_bytes())?;
         let Self { plan, summary, store, about, .. } = self;
         let told = || -> Result<String, RunError> {
             let manifest = account::manifest(plan, summary, store, about, headlines, logs, laid)?;
@@ -165,15 +175,15 @@ impl Writer<'_> {
             self.report(folder, &manifest, logs)?;
             going_on(self.stop)?;
             let described = serde_json::to_string_pretty(&crate_metadata(folder, &manifest)).unwrap_or_default();
-            write_file(&folder.join("ro-crate-metadata.json"), format!("{described}\n").as_bytes())?;
+            write_file(&folder.join(CRATE), format!("{described}\n").as_bytes())?;
             Ok(manifest.text())
         };
         let (logged, manifest) = self.beside(|| self.log(folder, logs, laid), told)?;
         logged?;
-        let manifest = manifest?;
         // A folder with a manifest is whole, after a power cut too.
+        let manifest = manifest?;
         unfinished::sync_all(folder)?;
-        write_file(&folder.join("run.json"), manifest.as_bytes())
+        write_file(&folder.join(MANIFEST), manifest.as_bytes())
     }
 
     /// Does two things at once, the second in this thread; one after the other if there is to be one job.

@@ -58,7 +58,9 @@ impl<'a> StepHost<'a> {
     /// Programs of a step run one after the other or side by side; their memory is that of the largest.
     fn add(&self, used: Used) {
         let mut sum = self.used.lock().unwrap_or_else(PoisonError::into_inner);
-        *sum = Used { cpu_s: sum.cpu_s + used.cpu_s, peak_bytes: sum.peak_bytes.max(used.peak_bytes) };
+        sum.cpu_s += used.cpu_s;
+        sum.peak_bytes = sum.peak_bytes.max(used.peak_bytes);
+        sum.tools.extend(used.tools);
     }
 }
 

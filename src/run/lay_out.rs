@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
-use rockface_cache::{Digest, NameError, Outcome, OutputRecord, SafeName, SafePath, Store};
+use rockface_cache::{Digest, Materialised, NameError, Outcome, OutputRecord, SafeName, SafePath, Store};
 use rockface_stages::artefact::{Artefact, Kind};
 use serde::{Deserialize, Serialize};
 
@@ -41,6 +41,8 @@ pub struct Laid {
     pub paths: Vec<Paths>,
     /// All files of the target steps.
     pub of_targets: Vec<SafePath>,
+    /// All files; with the digest of its blob one that is but another name of that.
+    pub files: Files,
     /// How many kept outputs have no file.
     pub unnamed: usize,
 }
@@ -71,11 +73,12 @@ impl LayOut {
                 Self::None => false,
             };
             let outcome = result.outcome.as_ref().filter(|_| is_wanted);
-            let (named, exports) =
+            let (named, files) =
                 outcome.map_or(Ok((Paths::new(), Vec::new())), |outcome| layer.outputs(instance, outcome))?;
             if is_target {
-                laid.of_targets.extend(named.values().cloned().chain(exports));
+                laid.of_targets.extend(files.iter().map(|(path, _)| path.clone()));
             }
+            laid.files.extend(files);
             laid.paths.push(named);
         }
         let named: usize = laid.paths.iter().map(BTreeMap::len).sum();
@@ -104,6 +107,9 @@ fn fitting_targets(plan: &Plan, counts: &[usize]) -> Vec<bool> {
     fitting
 }
 
+/// Files, and the blobs that some of them are other names of.
+type Files = Vec<(SafePath, Option<Digest>)>;
+
 struct Layer<'a> {
     plan: &'a Plan,
     store: &'a Store,
@@ -111,10 +117,11 @@ struct Layer<'a> {
 }
 
 impl Layer<'_> {
-    /// Links the kept outputs of an instance and writes their further files; returns both, relative to the folder.
-    fn outputs(&self, instance: usize, outcome: &Outcome) -> Result<(Paths, Vec<SafePath>), RunError> {
+    /// Links the kept outputs of an instance and writes their further files; returns the former by port, and then all with
+    /// the blobs that some are other names of, relative to the folder.
+    fn outputs(&self, instance: usize, outcome: &Outcome) -> Result<(Paths, Files), RunError> {
         let step = self.plan.step(instance);
-        let (mut named, mut exports) = (Paths::new(), Vec::new());
+        let (mut named, mut files, mut exports) = (Paths::new(), Vec::new(), Vec::new());
         let kept = outcome.outputs.iter().filter(|(_, output)| step.keep && output.kept);
         let kept = kept.filter_map(|(port, output)| Some((port, output, output.kind.parse::<Kind>().ok()?)));
         let place = self.place(instance).map_err(|error| failed(self.folder)(error.into()))?;
@@ -125,13 +132,15 @@ impl Layer<'_> {
             }
             let file = SafeName::new(format!("{port}.{}", step.extension(port, kind)));
             let path = place.with(&file.map_err(|error| failed(self.folder)(error.into()))?);
-            self.store.materialise_new(&output.digest, &self.folder.join(&path))?;
+            let how = self.store.materialise_new(&output.digest, &self.folder.join(&path))?;
+            files.push((path.clone(), (how == Materialised::HardLink).then_some(output.digest)));
             if kind.has_exports() {
                 exports.extend(self.exports(&place, port, output, kind)?);
             }
             named.insert(port.to_string(), path);
         }
-        Ok((named, exports))
+        files.extend(exports.into_iter().map(|path| (path, None)));
+        Ok((named, files))
     }
 
     /// Where the outputs of an instance go.

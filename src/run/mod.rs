@@ -7,6 +7,7 @@ mod folder;
 mod host;
 mod lay_out;
 mod log;
+mod made;
 mod memory;
 mod program;
 mod progress;
@@ -17,6 +18,7 @@ pub mod shortcut;
 mod spill;
 mod state;
 mod tell;
+pub mod tools;
 mod unfinished;
 mod work;
 
@@ -159,6 +161,12 @@ impl InstanceResult {
 }
 
 impl Summary {
+    /// The instances that have an outcome, each with its key.
+    pub fn keys(&self) -> impl Iterator<Item = (usize, Digest)> {
+        let known = self.instances.iter().enumerate().filter(|(_, result)| result.outcome.is_some());
+        known.filter_map(|(instance, result)| Some((instance, result.key?)))
+    }
+
     /// How many instances ran in this run.
     pub fn executed(&self) -> usize {
         self.instances.iter().filter(|instance| instance.executed).count()

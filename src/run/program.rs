@@ -13,6 +13,7 @@ use rockface_stages::{Piece, Program, ProgramResult, StageError};
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 use wait4::Wait4;
 
+use super::tools::{self, Call, Tools};
 use crate::plan::InputFile;
 
 /// What reaches every program from outside.
@@ -28,12 +29,14 @@ const KEPT_BYTES: u64 = 64 << 10;
 const FULL_BYTES: u64 = 64 << 10;
 
 /// What a program took, with all it started and waited for.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Used {
     /// Processor seconds.
     pub cpu_s: f64,
     /// The greatest resident memory of any one of them, bytes.
     pub peak_bytes: u64,
+    /// The program files that were called by a name or a path.
+    pub tools: Tools,
 }
 
 /// Why a program could not be run to its end.
@@ -81,7 +84,8 @@ pub fn execute(
         let fault = StageError::new(format!("cannot run `{name}`: {error}"));
         fault.hint("install it, or name a script under `files` and write {file.name}")
     })?;
-    let (status, used) = wait(child, give_up)?;
+    let (status, mut used) = wait(child, give_up)?;
+    used.tools = tools::state(call(program, &name), store);
     if !status.success() && is_full(folder) {
         return Err(StoreError::DiskFull { path: folder.to_owned() }.into());
     }
@@ -95,6 +99,13 @@ pub fn execute(
         folders: program.outputs.iter().filter(|place| folder.join(place).is_dir()).cloned().collect(),
     };
     Ok((result, used))
+}
+
+/// How a program was called; one that a parameter names is part of the recipe.
+fn call(program: &Program, name: &str) -> Option<Call> {
+    let named = program.program.iter().any(|piece| matches!(piece, Piece::File(_)));
+    let search = program.environment.get("PATH").cloned();
+    (!named).then(|| Call { program: name.to_owned(), search })
 }
 
 fn failed(what: &'static str) -> impl Fn(std::io::Error) -> StageError {
@@ -158,7 +169,8 @@ fn wait(mut child: Child, give_up: &dyn Fn() -> bool) -> Result<(ExitStatus, Use
             // What it left running would write into a folder that is gone.
             kill_all();
             let cpu_s = (ended.rusage.utime + ended.rusage.stime).as_secs_f64();
-            return Ok((ended.status, Used { cpu_s, peak_bytes: ended.rusage.maxrss }));
+            let used = Used { cpu_s, peak_bytes: ended.rusage.maxrss, ..Used::default() };
+            return Ok((ended.status, used));
         }
         if give_up() {
             kill_all();

@@ -2,13 +2,13 @@
 //! has changed since.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
-use rockface_cache::{Digest, Grounds, SafePath, Store};
+use rockface_cache::{Digest, Grounds, SafePath, Seen, Store};
 use serde::{Deserialize, Serialize};
 
-use super::folder::{is_told_in, point_latest};
-use super::{Finished, RunError, Summary};
+use super::folder::point_latest;
+use super::made::{self, Made};
+use super::{Finished, RunError, Summary, tools};
 use crate::plan::Plan;
 
 /// How many headlines and files the end of a run names.
@@ -58,15 +58,15 @@ pub fn recall(store: &Path, question: &Digest, runs: &Path) -> Result<Option<Tol
     let answer = rockface_cache::recall(store, question);
     let told = answer.and_then(|answer| serde_json::from_value::<Told>(answer).ok());
     let absolute = std::path::absolute(runs).ok();
-    let Some(told) = told.filter(|told| absolute.is_some_and(|runs| is_told_in(&told.folder, &runs, &told.files)))
-    else {
+    let Some(told) = told.filter(|told| absolute.is_some_and(|runs| made::is_in(&told.folder, &runs))) else {
         return Ok(None);
     };
     point_latest(runs, &told.folder)?;
     Ok(Some(told))
 }
 
-/// Keeps what `question` came to, for [`recall`]; a run that failed is not kept. It rests on the included files too.
+/// Keeps what `question` came to, for [`recall`]; a run that failed is not kept. It rests on the files that were `included`
+/// too, each of which must still be what was read.
 ///
 /// # Errors
 ///
@@ -75,57 +75,25 @@ pub fn remember(
     store: &Store,
     question: &Digest,
     plan: &Plan,
-    (summary, told): (&Summary, &Told),
-    included: &[(PathBuf, Digest)],
+    (summary, told, finished): (&Summary, &Told, &Finished),
+    included: &[(PathBuf, Seen)],
 ) -> Result<(), RunError> {
     if summary.failed || summary.instances.iter().any(|instance| instance.outcome.is_none()) {
         return Ok(());
     }
-    let mut grounds = grounds(plan, summary);
-    for (path, digest) in included {
-        // Makes the store know the state of the file, which must still be what was read.
-        if store.hash_file(path)?.digest != *digest {
-            return Ok(());
-        }
-        grounds.files.push((path.clone(), *digest));
+    // Makes the store know the state of these files; one that is gone will be seen to be.
+    included.iter().for_each(|(path, _)| drop(store.hash_file(path)));
+    let tools = tools::behind(plan, store, summary.keys());
+    if !tools.changed.is_empty() {
+        return Ok(()); // To be told again.
     }
-    if grounds.folders.iter().any(|folder| may_change_unseen(folder)) {
-        return Ok(());
-    }
+    let outcomes = summary.instances.iter().filter_map(|instance| instance.outcome.as_ref());
+    let grounds = Grounds {
+        looks: plan.looks.iter().chain(included).chain(&tools.looks).cloned().collect(),
+        made: (finished.folder.clone(), finished.made.iter().map(Made::state).collect()),
+        blobs: outcomes.flat_map(rockface_cache::Outcome::blobs).collect(),
+    };
     store.sync()?;
     store.remember_answer(question, &serde_json::json!(told), &grounds)?;
     Ok(())
-}
-
-/// Everything a plan and its outcomes rest on.
-fn grounds(plan: &Plan, summary: &Summary) -> Grounds {
-    let mut grounds = Grounds::default();
-    let mut last = None;
-    for instance in &plan.instances {
-        let params = Arc::as_ptr(&instance.params);
-        if instance.params.files.is_empty() || last.replace(params) == Some(params) {
-            continue;
-        }
-        for (written, files) in &instance.params.files {
-            let named = plan.graph.folder.join(written);
-            let single = matches!(files.as_slice(), [only] if only.path == named);
-            // A folder or a pattern: another file may come to fit it.
-            grounds.folders.extend((!single).then(|| listed_folder(&named)));
-            grounds.files.extend(files.iter().map(|file| (file.path.clone(), file.digest)));
-        }
-    }
-    let outcomes = summary.instances.iter().filter_map(|instance| instance.outcome.as_ref());
-    grounds.blobs = outcomes.flat_map(rockface_cache::Outcome::blobs).collect();
-    grounds
-}
-
-/// A link that leads to no file may begin to lead to one, and its folder would not show it.
-fn may_change_unseen(folder: &Path) -> bool {
-    let leads_nowhere =
-        |entry: std::fs::DirEntry| entry.file_type().is_ok_and(|kind| kind.is_symlink()) && !entry.path().is_file();
-    std::fs::read_dir(folder).map_or(true, |entries| entries.flatten().any(leads_nowhere))
-}
-
-fn listed_folder(named: &Path) -> PathBuf {
-    if named.is_dir() { named.to_owned() } else { named.parent().unwrap_or(Path::new(".")).to_owned() }
 }

@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 
 use rockface_cache::{Digest, Outcome, Store, StoreError};
 
-use super::{Finished, Options, RunError, RunFolder, Summary, execute, finish};
+use super::{Finished, Options, RunError, RunFolder, Summary, execute, finish, tools};
 use crate::plan::Plan;
 use crate::watch::{Event, Observer, Progress};
 
@@ -25,6 +25,8 @@ pub fn execute_and_tell(
 ) -> Result<(Summary, Finished), RunError> {
     about.prepare()?;
     let mut summary = execute(plan, store, options, stop, observer)?;
+    let changed = tools::behind(plan, store, summary.keys()).changed;
+    changed.into_iter().for_each(|(step, text)| warn(&summary, step, text, observer));
     let mut lost = BTreeSet::new();
     loop {
         let error = match finish(plan, &summary, store, about, stop) {
@@ -32,12 +34,12 @@ pub fn execute_and_tell(
             Err(error) => error,
         };
         let Some(digest) = lost_blob(&error).filter(|digest| lost.insert(*digest)) else { return Err(error) };
-        warn(plan, &summary, &digest, &error.to_string(), observer);
+        warn_lost(plan, &summary, &digest, &error.to_string(), observer);
         // Where one blob is damaged others may be: all are looked through now, not one a go.
         let blobs = summary.instances.iter().filter_map(|result| result.outcome.as_ref()).flat_map(Outcome::blobs);
         for damage in store.scrub(blobs.map(|(digest, _)| digest))? {
             let told = StoreError::Damaged { digest: damage.digest, moved_to: damage.moved_to }.to_string();
-            warn(plan, &summary, &damage.digest, &told, observer);
+            warn_lost(plan, &summary, &damage.digest, &told, observer);
         }
         // Told of here, with the name of the step.
         drop(store.take_damaged());
@@ -52,8 +54,12 @@ fn lost_blob(error: &RunError) -> Option<Digest> {
     }
 }
 
-fn warn(plan: &Plan, summary: &Summary, digest: &Digest, why: &str, observer: &mut dyn Observer) {
+fn warn(summary: &Summary, step: String, text: String, observer: &mut dyn Observer) {
     let total = summary.instances.len();
+    observer.event(&Event::Warning { step, text }, Progress { done: total, total, remaining_s: None });
+}
+
+fn warn_lost(plan: &Plan, summary: &Summary, digest: &Digest, why: &str, observer: &mut dyn Observer) {
     for (instance, result) in summary.instances.iter().enumerate() {
         let Some(outcome) = &result.outcome else { continue };
         let port = outcome.outputs.iter().find(|(_, output)| output.digest == *digest).map(|(port, _)| port.as_str());
@@ -61,8 +67,7 @@ fn warn(plan: &Plan, summary: &Summary, digest: &Digest, why: &str, observer: &m
         let what = what.or((outcome.sketches == Some(*digest)).then_some("sketches"));
         if let Some(what) = what {
             let text = format!("its `{what}` has to be made again: {why}");
-            let progress = Progress { done: total, total, remaining_s: None };
-            observer.event(&Event::Warning { step: plan.label(instance), text }, progress);
+            warn(summary, plan.label(instance), text, observer);
         }
     }
 }

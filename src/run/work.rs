@@ -15,6 +15,7 @@ use rockface_stages::{AnyStage, Context, Entry, Inputs, Later, Point, Port, Stag
 use super::host::StepHost;
 use super::program::Used;
 use super::spill::Spilled;
+use super::tools;
 use crate::plan::{InputFile, StepParams, has_ports};
 
 /// An artefact that is in memory, or the blob to read it from.
@@ -166,6 +167,7 @@ pub fn work(
     let put_again =
         || keep(task, store, pool, &values, &entries).and_then(|made| sketch(task, store, pool, &values, &made));
     store.commit_or(&Record { recipe: task.recipe.clone(), outputs, log, sketches, cost }, || put_again().map(drop))?;
+    tools::remember(store, &task.key, &programs.tools)?;
     let warnings =
         entries.into_iter().filter_map(|entry| if let Entry::Warning { text } = entry { Some(text) } else { None });
     let warnings = retried.into_iter().chain(unsketched).chain(warnings).collect();

@@ -18,7 +18,7 @@ use crate::{Arity, Context, Inputs, Outputs, Page, Port, Ports, Stage, StageErro
 params! {
     /// Parameters of `command`.
     pub struct CommandParams {
-        /// The program: a name on the search path, an absolute path, or `{file.name}`.
+        /// The program: a name on the search path, an absolute path, or `{file.name}` for one under `files`.
         program: String,
         /// Its arguments, one each; no shell looks at them. `{in.port}`, `{out.port}`, `{param.name}`, `{file.name}` and
         /// `{seed}` are filled in, other braces stay.
@@ -57,7 +57,11 @@ impl Stage for Command {
                  the declared variables only PATH, HOME, USER, LOGNAME, LD_LIBRARY_PATH and those under `inherit` reach \
                  the program, with LC_ALL=C.UTF-8 and TMPDIR in its folder. With `{seed}` in an argument the step draws: \
                  a whole number from 0 to 2147483647 that changes with seed and reseeding axes. What the program prints \
-                 is kept in the log. The step's `timeout` and a stop of the run end the program and its children.",
+                 is kept in the log. Which file the name of a program leads to is not part of the recipe, since it differs from \
+                 machine to machine: where it has changed since it made a result, the result is used and a warning tells \
+                 so; a new `version` computes it again. A program named under `files` and called by {file.name} is part \
+                 of the recipe by its content. Whole numbers under `params` are passed without a decimal point, however \
+                 they are written. The step's `timeout` and a stop of the run end the program and its children.",
         frames: "Those of the files; nothing is converted.",
         fails: "The program is not found, ends with another code than 0 or takes longer than the step's `timeout`; an \
                 output is missing or is not of its declared kind. What it said last on standard error is told.",

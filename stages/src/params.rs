@@ -335,13 +335,24 @@ impl<T: ParamType> ParamType for BTreeMap<String, T> {
     }
 }
 
-/// Any value, kept as it is written.
+/// The whole number that a number with a decimal point or an exponent is, up to where every whole number has one.
+fn whole_number(number: &serde_json::Number) -> Option<i64> {
+    let value = number.as_f64().filter(|x| number.is_f64() && x.fract() == 0.0 && x.abs() < 9e15)?;
+    Some(value as i64)
+}
+
+/// Any value. A number is one however it is written: `1.0` and `1e0` become `1`.
 impl ParamType for Value {
     fn kind() -> Kind {
         Kind::Any
     }
     fn decode(value: &Value) -> Result<Self, Vec<Fault>> {
-        Ok(value.clone())
+        Ok(match value {
+            Value::Number(number) => whole_number(number).map_or_else(|| value.clone(), Value::from),
+            Value::Array(_) => Value::Array(Vec::decode(value)?),
+            Value::Object(_) => BTreeMap::<String, Value>::decode(value)?.encode(),
+            other => other.clone(),
+        })
     }
     fn encode(&self) -> Value {
         self.clone()
@@ -656,6 +667,17 @@ mod tests {
             r#"{"cell_m":1.0,"corner_m":null,"count":3,"path":"a.ply","shape":"round"}"#
         );
         assert_eq!(Sample::decode(&sample.encode()).unwrap(), sample);
+    }
+
+    #[test]
+    fn a_number_is_one_however_it_is_written() {
+        let free = |value: Value| Value::decode(&value).unwrap().encode().to_string();
+        for one in [json!(1), json!(1.0), serde_json::from_str("1e0").unwrap()] {
+            assert_eq!((free(one.clone()), f64::decode(&one).unwrap().encode()), ("1".to_owned(), json!(1.0)));
+            assert_eq!(u32::decode(&one).unwrap().encode(), json!(1));
+        }
+        assert_eq!(free(json!({"a": [-0.0, 0.5, 1e300, -7.0], "b": "1.0"})), r#"{"a":[0,0.5,1e300,-7],"b":"1.0"}"#);
+        assert_eq!(free(json!(u64::MAX)), u64::MAX.to_string());
     }
 
     #[test]

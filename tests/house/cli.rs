@@ -99,6 +99,57 @@ fn exit_codes_tell_what_is_wrong() {
 }
 
 #[test]
+fn numbers_that_cannot_be_are_refused_with_those_that_can() {
+    let house = House::new(SMALL);
+    for (arguments, way) in [
+        (["run", "p.yaml", "--seed", "-1"].as_slice(), "a seed is a whole number from 0 to 18446744073709551615"),
+        (&["run", "p.yaml", "--seed", "1.5"], "a seed is a whole number from 0"),
+        (&["run", "p.yaml", "--jobs", "-1"], "jobs from 1 to 1024"),
+        (&["run", "p.yaml", "-j", "-1"], "jobs from 1 to 1024"),
+        (&["run", "p.yaml", "--memory", "-3"], "a number of GiB above 0"),
+        (&["store", "gc", "--max-age", "-1"], "a number from 0"),
+        (&["store", "gc", "--max-size", "-1"], "a number from 0"),
+        (&["inspect", "x", "--pixel", "-1,2"], "whole numbers from 0"),
+    ] {
+        let (code, _, err) = house.rockface(arguments);
+        assert!(code == Some(2) && err.contains(way) && !err.contains("'-- "), "{arguments:?}: {err}");
+    }
+    let (code, out, err) = house.rockface(&["plan", "p.yaml", "--set", "steps.face.with.width_m=-1"]);
+    assert!(code == Some(2) && err.contains("-1 is out of range"), "{out}{err}");
+}
+
+#[test]
+fn an_output_is_named_with_its_axes_in_any_order() {
+    let house = House::new(
+        "rockface: 1\naxes: {rep: {count: 2}, image: {items: [left, right]}}\nsteps:\n  read: {stage: import-table, with: {path: t.csv}}\n  \
+         t: {stage: tabulate, over: [rep], in: {rows: read.table}, with: {constants: {image: '${image}'}}}\n  \
+         u: {stage: tabulate, in: {rows: 't[image=left,rep=0].table'}}\ntargets: [t, u]\n",
+    );
+    std::fs::write(house.path("t.csv"), "a\n1\n").unwrap();
+    let (code, _, err) = house.rockface(&["run", "p.yaml", "--quiet"]);
+    assert_eq!(code, Some(0), "{err}");
+    for name in [
+        "t[rep=0,image=left].table",
+        "t[image=left,rep=0].table",
+        "t.table[rep=0,image=left]",
+        "t.table[ image=left, rep=0 ]",
+    ] {
+        let (code, out, err) = house.rockface(&["export", "latest", name, "out.json"]);
+        assert!(code == Some(0), "{name}: {out}{err}");
+    }
+    for name in ["t[rep=0].table", "t.table", "t[rep=0,image=left,k=1].table"] {
+        let (code, _, err) = house.rockface(&["export", "latest", name, "out.json"]);
+        assert!(code == Some(2) && err.contains("no output"), "{name}: {err}");
+    }
+    for name in ["t[rep=0,image=left]", "t[image=left,rep=0]", "t.table[image=left,rep=0]"] {
+        let (code, out, err) = house.rockface(&["explain", "p.yaml", name]);
+        assert!(code == Some(0) && out.starts_with("t[rep=0,image=left] (tabulate): hit"), "{name}: {out}{err}");
+    }
+    let (code, _, err) = house.rockface(&["plan", "p.yaml", "--target", "t[rep=0,image=left]"]);
+    assert!(code == Some(2) && err.contains("a target is a whole step: write `t`"), "{err}");
+}
+
+#[test]
 fn the_catalogue_and_its_pages() {
     let house = House::new(SMALL);
     let (code, out, _) = house.rockface(&["stages"]);

@@ -261,3 +261,63 @@ fn two_runs_at_once_share_the_steps_and_do_none_twice() {
         assert!(text.contains("\"status\":\"executed\""), "neither only waits for the other");
     }
 }
+
+#[test]
+fn a_program_that_changed_is_told_of_and_what_it_made_is_kept() {
+    let house = House::new(
+        "rockface: 1\naxes: {k: {count: 3}}\nsteps:\n  c:\n    stage: command\n    over: [k]\n    with:\n      program: mytool\n      \
+         version: one\n      params: {k: '${k}'}\n      args: ['{out.f}', '{param.k}']\n      outputs: {f: {kind: file, extension: txt}}\n",
+    );
+    let tool = |folder: &str, text: &str| {
+        use std::os::unix::fs::PermissionsExt;
+        std::fs::create_dir_all(house.path(folder)).unwrap();
+        let path = house.path(folder).join("mytool");
+        std::fs::write(&path, format!("#!/bin/sh\n{text}")).unwrap();
+        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).unwrap();
+        let past = std::time::SystemTime::now() - Duration::from_secs(3600);
+        std::fs::File::open(&path).unwrap().set_modified(past).unwrap();
+        std::thread::sleep(Duration::from_millis(25));
+    };
+    let search =
+        format!("{}:{}:{}", house.path("first").display(), house.path("bin").display(), std::env::var("PATH").unwrap());
+    let rockface = |arguments: &[&str]| {
+        let output = house.command(arguments).env("PATH", &search).output().unwrap();
+        (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap())
+    };
+    tool("bin", "echo $2 > $1");
+    let (out, err) = rockface(&["run", "p.yaml"]);
+    assert!(out.contains("ran 3, cached 0"), "{out}{err}");
+    for _ in 0..2 {
+        let (out, err) = rockface(&["run", "p.yaml"]);
+        assert!(out.contains("ran 0, cached 3") && !err.contains("has changed"), "{out}{err}");
+    }
+    tool("bin", "echo other $2 > $1");
+    for command in [["run", "p.yaml"], ["run", "p.yaml"], ["plan", "p.yaml"]] {
+        let (out, err) = rockface(&command);
+        assert!(out.contains("ran 0, cached 3") || out.contains("3 hit"), "{out}");
+        assert_eq!(err.matches("the program `mytool`").count(), 1, "{err}");
+        assert!(err.contains("has changed since it made 3 results") && err.contains("change `version`"), "{err}");
+    }
+    tool("bin", "echo $2 > $1");
+    assert!(!rockface(&["run", "p.yaml"]).1.contains("has changed"), "the same bytes are the same program");
+    tool("first", "echo earlier on the search path");
+    assert!(rockface(&["run", "p.yaml"]).1.contains("first/mytool) has changed"));
+    std::fs::remove_file(house.path("first/mytool")).unwrap();
+    tool("bin", "echo other $2 > $1");
+    let (out, err) = rockface(&["run", "p.yaml", "--set", "steps.c.with.version=two"]);
+    assert!(out.contains("ran 3") && !err.contains("has changed"), "{out}{err}");
+}
+
+#[test]
+fn a_number_for_a_program_is_one_however_it_is_written() {
+    let bench = Bench::rocks();
+    let yaml =
+        command("      params: {v: 1, w: 0.5}\n      args: ['-c', 'echo a > {out.t}; echo {param.v} > {out.f}']\n");
+    let ran = bench.run(&yaml, &[]);
+    assert_eq!(ran.value::<File>(&bench.store, "c", "f").bytes, b"1\n");
+    for same in ["v=1.0", "v=1e0", "w=5e-1"] {
+        assert!(bench.run(&yaml, &[&format!("steps.c.with.params.{same}")]).executed().is_empty(), "{same}");
+    }
+    assert_eq!(bench.run(&yaml, &["steps.c.with.params.v='1.0'"]).executed(), ["c"], "text stays as it is written");
+    assert_eq!(bench.run(&yaml, &["steps.c.with.params.v=-1"]).executed(), ["c"]);
+}

@@ -11,7 +11,7 @@ use rockface::run::{Options, Summary, execute};
 use rockface::watch::{Event, Events, Reason};
 use rockface_cache::Store;
 use rockface_stages::artefact::{Kind, Noun, Table};
-use rockface_stages::params::FileRef;
+use rockface_stages::params::{FileRef, FilesRef};
 use rockface_stages::{AnyStage, Context, Inputs, Outputs, Page, Port, Row, Stage, StageError, params};
 
 const PAGE: Page = Page { what: "A test.", method: "None.", frames: "None.", fails: "Never.", example: "" };
@@ -135,6 +135,35 @@ impl Stage for Read {
 }
 
 params! {
+    /// Parameters of `tally`.
+    pub struct TallyParams {
+        /// Files with a number in each.
+        path: FilesRef,
+    }
+}
+
+/// Sums the numbers of files.
+pub struct Tally;
+impl Stage for Tally {
+    type Params = TallyParams;
+    const NAME: &'static str = "tally";
+    const VERSION: u32 = 1;
+    const PAGE: Page = PAGE;
+    const INPUTS: &'static [Port] = &[];
+    const OUTPUTS: &'static [Port] = &[Port::one("out", TABLE, "The sum.")];
+    fn run(params: &TallyParams, _: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let mut sum = 0.0;
+        for mut file in context.files(&params.path)? {
+            let mut text = String::new();
+            let read = std::io::Read::read_to_string(&mut file.reader, &mut text);
+            read.map_err(|error| StageError::new(error.to_string()))?;
+            sum += text.trim().parse().unwrap_or(0.0);
+        }
+        Ok(Outputs::of("out", cell(sum)))
+    }
+}
+
+params! {
     /// Parameters of `toil`.
     pub struct ToilParams {
         /// Tells one piece of toil from another.
@@ -219,6 +248,7 @@ pub const STAGES: &[&dyn AnyStage] = &[
     &Row::<Add>::new(),
     &Row::<Draw>::new(),
     &Row::<Read>::new(),
+    &Row::<Tally>::new(),
     &Row::<Toil>::new(),
     &Row::<Moody>::new(),
     &Row::<List>::new(),

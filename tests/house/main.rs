@@ -1,5 +1,6 @@
 //! Proofs of the whole house, in one binary.
 
+mod bounds;
 mod broken;
 mod calibration;
 mod campaign;
@@ -22,6 +23,7 @@ mod reading;
 mod references;
 mod report;
 mod rework;
+mod shortcut;
 mod survey;
 mod tidy;
 mod watching;

@@ -28,7 +28,7 @@ pub struct InspectArgs {
     #[command(flatten)]
     places: Places,
     /// Follow one pixel of a depth map through the steps that made it: column and row, from 0 at the upper left.
-    #[arg(long, value_name = "X,Y", value_parser = pixel::parse)]
+    #[arg(long, value_name = "X,Y", value_parser = pixel::parse, allow_hyphen_values = true)]
     pixel: Option<[usize; 2]>,
     /// Show small pictures of it in the terminal.
     #[arg(long, value_enum, default_value_t = When::Auto)]

@@ -16,7 +16,8 @@ use crate::run::again;
 /// Reads `X,Y`.
 pub fn parse(text: &str) -> Result<[usize; 2], String> {
     let (x, y) = text.split_once(',').ok_or("give column and row, such as 812,430")?;
-    let number = |text: &str| text.trim().parse::<usize>().map_err(|error| format!("`{text}`: {error}"));
+    let wrong = |text: &str| format!("`{text}` is no column or row: whole numbers from 0, such as 812,430");
+    let number = |text: &str| text.trim().parse::<usize>().map_err(|_| wrong(text));
     Ok([number(x)?, number(y)?])
 }
 

@@ -1,0 +1,155 @@
+//! What planning sees of the file system. Every look goes through here and is noted, so that a later run can tell whether
+//! planning would see the same.
+
+use std::cell::RefCell;
+use std::collections::BTreeSet;
+use std::fs::FileType;
+use std::os::unix::fs::FileTypeExt;
+use std::path::{Path, PathBuf};
+
+use rockface_cache::{Digest, Seen};
+
+/// What was seen where; links are followed.
+pub type Looks = BTreeSet<(PathBuf, Seen)>;
+
+/// Hashes a file, or says why it cannot.
+pub type HashFile<'a> = dyn Fn(&Path) -> Result<Digest, String> + 'a;
+
+/// Looks at files and folders, and notes what it sees.
+pub struct Sight<'a> {
+    hash: &'a HashFile<'a>,
+    looks: RefCell<Looks>,
+}
+
+impl<'a> Sight<'a> {
+    /// Nothing seen yet; files are hashed by `hash`.
+    pub fn new(hash: &'a HashFile<'a>) -> Self {
+        Self { hash, looks: RefCell::default() }
+    }
+
+    /// All that was seen.
+    pub fn looks(self) -> Looks {
+        self.looks.into_inner()
+    }
+
+    fn note(&self, path: &Path, seen: Seen) {
+        self.looks.borrow_mut().insert((path.to_owned(), seen));
+    }
+
+    /// The digest of a file.
+    pub fn hash(&self, path: &Path) -> Result<Digest, String> {
+        let digest = (self.hash)(path)?;
+        self.note(path, Seen::File(digest));
+        Ok(digest)
+    }
+
+    /// The files of a folder, the files matching `*` in the last part of a path, or one file; sorted by name.
+    pub fn list(&self, path: &Path) -> Result<Vec<PathBuf>, String> {
+        let pattern =
+            path.file_name().map(|name| name.to_string_lossy().into_owned()).filter(|name| name.contains('*'));
+        let folder = match &pattern {
+            Some(_) => path.parent().unwrap_or(Path::new(".")),
+            None if path.is_dir() => path,
+            None => return one_file(path),
+        };
+        let matches = |file: &Path| {
+            let name = file.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+            pattern.as_ref().map_or(!name.starts_with('.'), |pattern| fits(pattern, &name))
+        };
+        let named = self.entries(folder).map_err(|error| format!("cannot read `{}`: {error}", folder.display()))?;
+        let named = named.into_iter().filter(|file| matches(file));
+        let mut files: Vec<PathBuf> = named.filter(|file| self.is_file(file)).collect();
+        files.sort();
+        if files.is_empty() { Err(format!("`{}` names no file", path.display())) } else { Ok(files) }
+    }
+
+    fn entries(&self, folder: &Path) -> std::io::Result<Vec<PathBuf>> {
+        // Before it is listed: an entry that comes meanwhile is then missed by both or shows in the state.
+        self.note(folder, Seen::folder(folder));
+        std::fs::read_dir(folder)?.map(|entry| entry.map(|entry| entry.path())).collect()
+    }
+
+    /// Whether a name leads to a file; one that does not may begin to without a change of its folder, as links do.
+    fn is_file(&self, path: &Path) -> bool {
+        let is_file = path.is_file();
+        if !is_file {
+            self.note(path, Seen::NoFile);
+        }
+        is_file
+    }
+}
+
+/// The file at a path.
+pub fn one_file(path: &Path) -> Result<Vec<PathBuf>, String> {
+    let shown = path.display();
+    match std::fs::metadata(path) {
+        Ok(metadata) if metadata.is_file() => Ok(vec![path.to_owned()]),
+        Ok(metadata) => Err(format!("`{shown}` is {}, a file is needed", kind_of(metadata.file_type()))),
+        Err(error) => Err(format!("cannot read `{shown}`: {error}")),
+    }
+}
+
+fn kind_of(entry: FileType) -> &'static str {
+    if entry.is_dir() {
+        "a folder"
+    } else if entry.is_fifo() {
+        "a pipe"
+    } else if entry.is_socket() {
+        "a socket"
+    } else {
+        "a device"
+    }
+}
+
+/// Whether a name fits a pattern in which `*` stands for any text.
+fn fits(pattern: &str, name: &str) -> bool {
+    let Some((head, rest)) = pattern.split_once('*') else { return pattern == name };
+    let (middle, last) = rest.rsplit_once('*').map_or((None, rest), |(middle, last)| (Some(middle), last));
+    let Some(inner) = name.strip_prefix(head).and_then(|tail| tail.strip_suffix(last)) else { return false };
+    // Between the first and the last star: each part at the first place it fits leaves the most for those behind it.
+    let mut parts = middle.into_iter().flat_map(|middle| middle.split('*'));
+    parts.try_fold(inner, |left, part| left.find(part).map(|at| &left[at + part.len()..])).is_some()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_no_file_is_called_what_it_is() {
+        assert!(one_file(Path::new("/dev/null")).unwrap_err().contains("`/dev/null` is a device"));
+        assert!(one_file(Path::new("/dev")).unwrap_err().contains("is a folder"));
+    }
+
+    #[test]
+    fn patterns() {
+        assert!(fits("*.tif", "a.tif") && fits("cmp_*_*.tif", "cmp_00_01.tif") && fits("*", "") && fits("**", "a"));
+        assert!(fits("a*b*a", "abba") && fits("*a*b*", "xaxbx") && fits("a.tif", "a.tif"));
+        assert!(!fits("*.tif", "a.tiff") && !fits("cmp_*.tif", "x_cmp_1.tif"));
+        assert!(!fits("a*a", "a") && !fits("a*b*a", "aba_") && !fits("*a*b*", "bxa") && !fits("a*bb*b", "abb"));
+    }
+
+    #[test]
+    fn a_pattern_of_many_stars_takes_no_longer_than_its_length() {
+        assert!(!fits(&"*a".repeat(60), &format!("{}b", "a".repeat(250))));
+    }
+
+    #[test]
+    fn all_that_decides_a_list_is_noted() {
+        let folder = tempfile::tempdir().unwrap();
+        let place = |name: &str| folder.path().join(name);
+        for name in ["d1.tif", "d2.tif", "other"] {
+            std::fs::write(place(name), name).unwrap();
+        }
+        std::os::unix::fs::symlink(place("nowhere"), place("d3.tif")).unwrap();
+        let hash = |path: &Path| std::fs::read(path).map(|bytes| Digest::of(&bytes)).map_err(|error| error.to_string());
+        let sight = Sight::new(&hash);
+        let listed = sight.list(&place("d*.tif")).unwrap();
+        assert_eq!(listed, [place("d1.tif"), place("d2.tif")]);
+        sight.hash(&listed[0]).unwrap();
+        let looks = sight.looks();
+        assert!(looks.contains(&(place("d3.tif"), Seen::NoFile)));
+        assert!(looks.contains(&(place("d1.tif"), Seen::File(Digest::of(b"d1.tif")))));
+        assert!(looks.iter().any(|(path, seen)| path == folder.path() && matches!(seen, Seen::Folder(_))));
+    }
+}
