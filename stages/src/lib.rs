@@ -5,6 +5,9 @@
 //! needs of them it is lent through [`Context`].
 
 pub mod artefact;
+pub mod format;
+#[cfg(test)]
+mod format_tests;
 mod inputs;
 pub mod kernel;
 mod needs;
