@@ -158,7 +158,8 @@ pub enum Entry {
     Metric {
         /// Name, in `snake_case`.
         name: String,
-        /// Value.
+        /// Value; in a log NaN and infinities are the strings `NaN`, `inf` and `-inf`.
+        #[serde(with = "crate::any_number")]
         value: f64,
         /// Unit (`m`, `px`, `1`, ...).
         unit: String,
