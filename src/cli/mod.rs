@@ -307,6 +307,7 @@ impl CliError {
 impl Cli {
     /// Does what the command says.
     pub fn run(self) -> Result<(), CliError> {
+        rockface_stages::format::raise_memory_limit(crate::run::Options::default().memory_bytes as u64);
         match self.command {
             Command::Run(args) => args.run(),
             Command::Plan(args) => args.run(),

@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use clap::Args;
 
 use rockface_cache::Digest;
+use rockface_stages::format::raise_memory_limit;
 
 use super::programs::ProgramArgs;
 use super::{CliError, PipelineArgs, beside, own_folder, repeat, say};
@@ -86,6 +87,7 @@ impl RunArgs {
         let mut options = Options { keep_going: self.keep_going, exit_when_stuck: true, ..Options::default() };
         options.jobs = self.jobs.map_or(options.jobs, usize::from);
         options.memory_bytes = self.memory.unwrap_or(options.memory_bytes);
+        raise_memory_limit(options.memory_bytes as u64);
         let stop = Arc::new(AtomicBool::new(false));
         stop_on_signal(&stop);
         let mut observer = self.observer();

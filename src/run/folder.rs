@@ -14,12 +14,12 @@ use super::lay_out::{Laid, LayOut, readable_name};
 use super::log::{LOG_FILE, Telling};
 use super::made::{self, Made};
 use super::unfinished::{self, Unfinished};
-use super::{InstanceResult, RunError, Summary, account};
+use super::{RunError, Summary, account};
 use crate::history::{Manifest, crate_metadata};
 use crate::pipeline::{Overrides, Pipeline};
 use crate::plan::Plan;
 use crate::report;
-use crate::watch::step_log::{self, StepLogError};
+use crate::watch::step_log;
 
 /// The manifest, written last.
 const MANIFEST: &str = "run.json";
@@ -236,21 +236,28 @@ impl Writer<'_> {
 
     /// What each instance said.
     fn logs(&self) -> Result<Vec<Vec<Entry>>, RunError> {
-        let read = |part: &[InstanceResult]| -> Result<Vec<_>, RunError> {
-            part.iter().map(|result| going_on(self.stop).and_then(|()| self.entries(result.log()))).collect()
+        let read = |part: &[usize]| -> Result<Vec<_>, RunError> {
+            part.iter().map(|instance| going_on(self.stop).and_then(|()| self.entries(*instance))).collect()
         };
-        let (former, latter) = self.summary.instances.split_at(self.summary.instances.len() / 2);
+        let instances: Vec<usize> = (0..self.summary.instances.len()).collect();
+        let (former, latter) = instances.split_at(instances.len() / 2);
         let (latter, former) = self.beside(|| read(latter), || read(former))?;
         let mut logs = former?;
         logs.extend(latter?);
         Ok(logs)
     }
 
-    fn entries(&self, log: Option<Digest>) -> Result<Vec<Entry>, RunError> {
-        step_log::entries(log, self.store).map_err(|error| match error {
-            StepLogError::Store(error) => RunError::Store(error),
-            error @ StepLogError::Unreadable(_) => failed(Path::new(LOG_FILE))(std::io::Error::other(error)),
-        })
+    /// The log of an instance; one that cannot be read is no reason to lose the run folder.
+    fn entries(&self, instance: usize) -> Result<Vec<Entry>, RunError> {
+        match step_log::entries(self.summary.instances[instance].log(), self.store) {
+            Ok(entries) => Ok(entries),
+            Err(error) => {
+                let why = error.of_one_step()?;
+                let text = format!("{why}; what the step reported is missing here, its results are not affected");
+                tracing::warn!("step {}: {text}", self.plan.label(instance));
+                Ok(vec![Entry::Warning { text }])
+            }
+        }
     }
 
     /// The results in a line each: what the target steps have to say.

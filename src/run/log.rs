@@ -12,7 +12,7 @@ use rockface_stages::artefact::{Artefact, Kind};
 use super::{InstanceResult, RunError, Summary};
 use crate::pipeline::LogLevel;
 use crate::plan::Plan;
-use crate::watch::step_log::{self, Shown, StepLogError};
+use crate::watch::step_log::{self, Shown};
 use crate::watch::{Facts, Made, RunLog, StepNote, layout};
 
 /// Its file in the run folder.
@@ -116,14 +116,10 @@ impl Telling<'_> {
 
     /// The sketches of an instance, made now from its outputs if none were made when it ran; otherwise why there are none.
     fn shown(&self, result: &InstanceResult, outcome: &Outcome) -> Result<Result<Vec<Shown>, String>, RunError> {
-        let told = |error| match error {
-            StepLogError::Store(error) => RunError::Store(error),
-            error @ StepLogError::Unreadable(_) => {
-                super::folder::failed(Path::new(LOG_FILE))(std::io::Error::other(error))
-            }
-        };
-        if let Some(shown) = step_log::read(outcome, self.store).map_err(told)? {
-            return Ok(Ok(shown));
+        match step_log::read(outcome, self.store) {
+            Ok(Some(shown)) => return Ok(Ok(shown)),
+            Ok(None) => {}
+            Err(error) => return Ok(Err(error.of_one_step()?)),
         }
         let kept = outcome.outputs.values().all(|output| self.store.contains(&output.digest));
         if !kept {

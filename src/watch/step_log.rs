@@ -24,6 +24,22 @@ pub enum StepLogError {
     Unreadable(String),
 }
 
+impl StepLogError {
+    /// The message, where the fault is of this log alone.
+    ///
+    /// # Errors
+    /// A store that cannot be read at all.
+    pub fn of_one_step(self) -> Result<String, StoreError> {
+        match self {
+            Self::Store(error @ (StoreError::Missing { .. } | StoreError::Damaged { .. })) => {
+                Ok(format!("the log of a step cannot be read: {error}"))
+            }
+            Self::Store(error) => Err(error),
+            Self::Unreadable(_) => Ok(self.to_string()),
+        }
+    }
+}
+
 impl From<CodecError> for StepLogError {
     fn from(error: CodecError) -> Self {
         Self::Unreadable(error.to_string())

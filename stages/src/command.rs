@@ -113,7 +113,7 @@ impl Stage for Command {
         ended::well(&params.program, &result)?;
         ports.outputs.iter().try_fold(Outputs::default(), |outputs, port| {
             let declared = &params.outputs[port.name];
-            Ok(outputs.and(port.name, output(port.name, declared, &result)?))
+            Ok(outputs.and(port.name, output(port.name, declared, &result, context)?))
         })
     }
 }
@@ -164,7 +164,7 @@ fn given(params: &CommandParams, inputs: &Inputs) -> Result<Vec<(String, Vec<u8>
     Ok(files)
 }
 
-fn output(port: &str, declared: &Declared, result: &ProgramResult) -> Result<Artefact, StageError> {
+fn output(port: &str, declared: &Declared, result: &ProgramResult, context: &Context) -> Result<Artefact, StageError> {
     let place = declared.place("out", port);
     let Some(bytes) = result.outputs.get(&place) else {
         let folder = result.folders.contains(&place);
@@ -178,7 +178,7 @@ fn output(port: &str, declared: &Declared, result: &ProgramResult) -> Result<Art
         return Err(StageError::new(message).hint(hint));
     };
     let decoded = if declared.is_csv() {
-        table_file::read(bytes).map(Artefact::Table)
+        table_file::read(bytes, &|| context.cancelled()).map(Artefact::Table)
     } else {
         Artefact::decode(declared.kind, bytes)
     };

@@ -101,10 +101,11 @@ impl Stage for ImportBlocks {
         for mut file in context.files(&params.path)? {
             context.check_cancelled()?;
             let stem = file.name.rsplit_once('.').map_or(file.name.as_str(), |(stem, _)| stem).to_owned();
-            let mesh = tidied(read_mesh(&mut file)?, &file.name, params, moved.as_ref(), context)?;
+            let mesh = tidied(read_mesh(&mut file, context)?, &file.name, params, moved.as_ref(), context)?;
             let pieces = if params.split { split(&mesh) } else { vec![mesh] };
             let several = pieces.len() > 1;
             for (number, piece) in pieces.into_iter().enumerate() {
+                context.check_cancelled()?;
                 let name = if several { format!("{stem}-{}", number + 1) } else { stem.clone() };
                 let class = params.class.clone().unwrap_or_else(|| stem.clone());
                 let solid = finished(piece, &name, params, &modifiers, context)?;
@@ -135,11 +136,11 @@ fn frame(of_files: BlockFrame, transform: Option<&Transform>) -> Result<Frame, S
     }
 }
 
-fn read_mesh(file: &mut SourceFile) -> Result<Mesh, StageError> {
+fn read_mesh(file: &mut SourceFile, context: &Context) -> Result<Mesh, StageError> {
     let name = file.name.clone();
     let mut bytes = Vec::new();
     file.reader.read_to_end(&mut bytes).map_err(|e| StageError::new(format!("cannot read `{name}`: {e}")))?;
-    mesh_file::read(&bytes).map_err(|e| StageError::new(format!("cannot read `{name}`: {e}")))
+    mesh_file::read(&bytes, &|| context.cancelled()).map_err(|e| StageError::new(format!("cannot read `{name}`: {e}")))
 }
 
 /// A file's mesh, repaired where that moves nothing, facing outwards, in the frame that is asked for.
@@ -181,13 +182,23 @@ fn tidied(
 /// The connected pieces of a mesh, each with its own vertices.
 fn split(mesh: &Mesh) -> Vec<Mesh> {
     let (piece_of, count) = HalfEdges::new(mesh).pieces();
-    let of_piece = |piece: usize| {
-        let own = mesh.triangles.iter().zip(&piece_of).filter(|(_, of)| **of as usize == piece);
-        let mut part = Mesh { triangles: own.map(|(triangle, _)| *triangle).collect(), ..mesh.clone() };
-        crate::kernel::mesh_check::drop_unreferenced(&mut part);
-        part
-    };
-    (0..count).map(of_piece).collect()
+    let mut pieces: Vec<Vec<[u32; 3]>> = vec![Vec::new(); count];
+    for (triangle, piece) in mesh.triangles.iter().zip(&piece_of) {
+        pieces[*piece as usize].push(*triangle);
+    }
+    pieces.into_iter().map(|triangles| part(mesh, triangles)).collect()
+}
+
+/// Some triangles of a mesh with their vertices in the order of the mesh.
+fn part(mesh: &Mesh, mut triangles: Vec<[u32; 3]>) -> Mesh {
+    let mut used = triangles.as_flattened().to_vec();
+    used.sort_unstable();
+    used.dedup();
+    let number = |vertex: u32| used.binary_search(&vertex).unwrap_or_default() as u32;
+    triangles.iter_mut().for_each(|triangle| *triangle = triangle.map(number));
+    let vertices = used.iter().map(|vertex| mesh.vertices[*vertex as usize]).collect();
+    let colours = used.iter().filter_map(|vertex| mesh.colours.get(*vertex as usize).copied()).collect();
+    Mesh { frame: mesh.frame, vertices, triangles, colours }
 }
 
 /// One block: outward, modified, and a solid, or the reason why not.

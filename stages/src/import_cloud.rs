@@ -79,7 +79,7 @@ impl Stage for ImportCloud {
 
     fn run(params: &Self::Params, _inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let path = &params.path.0;
-        let cloud = cloud::read(context.read(&params.path)?, params.columns.as_deref());
+        let cloud = cloud::read(context.read(&params.path)?, params.columns.as_deref(), &|| context.cancelled());
         let mut cloud = cloud.map_err(|e| StageError::new(format!("cannot read `{path}`: {e}")))?;
         if cloud.points.len() < 3 {
             fail!("`{path}` has {} points, a mesh needs at least three", cloud.points.len());

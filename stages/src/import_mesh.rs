@@ -108,7 +108,8 @@ impl Stage for ImportMesh {
     fn run(params: &Self::Params, _inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let path = &params.path.0;
         let bytes = context.read(&params.path)?;
-        let mut mesh = mesh_file::read(&bytes).map_err(|e| StageError::new(format!("cannot read `{path}`: {e}")))?;
+        let mut mesh = mesh_file::read(&bytes, &|| context.cancelled())
+            .map_err(|e| StageError::new(format!("cannot read `{path}`: {e}")))?;
         if mesh.triangles.is_empty() {
             return Err(StageError::new(format!("`{path}` has {} vertices but no triangles", mesh.vertices.len()))
                 .hint("a point cloud is meshed by `import-cloud`"));

@@ -55,21 +55,22 @@ impl Stage for ImportTable {
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let path = &params.path.0;
         let failed = |e: String| StageError::new(format!("cannot read `{path}`: {e}"));
-        let mut table = table_file::read(&context.read(&params.path)?).map_err(|e| failed(e.0))?;
+        let mut table =
+            table_file::read(&context.read(&params.path)?, &|| context.cancelled()).map_err(|e| failed(e.0))?;
         rename(&mut table, &params.rename).map_err(failed)?;
         if let Some(transform) = inputs.optional::<Transform>("transform")? {
             move_positions(&mut table, transform).map_err(failed)?;
         }
         context.metric("rows", table.rows.len() as f64, "1");
-        context.note(format!("{} rows of {}", table.rows.len(), table.columns.join(", ")));
+        context.note(format!("{} rows of {}", table.rows.len(), table_file::listed(&table)));
         Ok(Outputs::of("table", table))
     }
 }
 
 fn rename(table: &mut Table, renamed: &[Renamed]) -> Result<(), String> {
     for Renamed { from, to } in renamed {
-        let columns = table.columns.join(", ");
-        let at = table.column(from).ok_or_else(|| format!("it has no column `{from}` to rename, only {columns}"))?;
+        let missing = || format!("it has no column `{from}` to rename, only {}", table_file::listed(table));
+        let at = table.column(from).ok_or_else(missing)?;
         if table.column(to).is_some() {
             return Err(format!("`{from}` cannot be called `{to}`: another column is called so already"));
         }

@@ -4,7 +4,11 @@
 //! `verb-object` in a pipeline. Nothing here touches disk, clock, thread count, YAML or hash function; what a stage
 //! needs of them it is lent through [`Context`].
 
+mod any_number;
 pub mod artefact;
+pub mod format;
+#[cfg(test)]
+mod format_tests;
 mod inputs;
 pub mod kernel;
 mod needs;

@@ -158,7 +158,8 @@ pub enum Entry {
     Metric {
         /// Name, in `snake_case`.
         name: String,
-        /// Value.
+        /// Value; in a log NaN and infinities are the strings `NaN`, `inf` and `-inf`.
+        #[serde(with = "crate::any_number")]
         value: f64,
         /// Unit (`m`, `px`, `1`, ...).
         unit: String,
@@ -232,10 +233,8 @@ impl<'a> Context<'a> {
 
     /// Reads the whole of the one file a parameter names.
     pub fn read(&self, file: &FileRef) -> Result<Vec<u8>, StageError> {
-        let mut bytes = Vec::new();
-        let read = self.file(file)?.reader.read_to_end(&mut bytes);
-        read.map_err(|e| StageError::new(format!("cannot read `{}`: {e}", file.0)))?;
-        Ok(bytes)
+        let read = crate::format::read_whole(&mut self.file(file)?.reader, &|| self.cancelled());
+        read.map_err(|e| StageError::new(format!("cannot read `{}`: {e}", file.0)))
     }
 
     /// Logs something worth reading.
@@ -260,7 +259,12 @@ impl<'a> Context<'a> {
 
     /// Gives up early when the run was asked to stop; call it now and then in long loops.
     pub fn check_cancelled(&self) -> Result<(), StageError> {
-        if self.0.cancelled() { Err(StageError::new("interrupted")) } else { Ok(()) }
+        if self.cancelled() { Err(StageError::new("interrupted")) } else { Ok(()) }
+    }
+
+    /// Whether the run was asked to stop, or the step's time is over.
+    pub fn cancelled(&self) -> bool {
+        self.0.cancelled()
     }
 }
 

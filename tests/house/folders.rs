@@ -3,6 +3,9 @@
 use std::collections::BTreeMap;
 use std::process::Command;
 
+use rockface_cache::{Digest, Record, Store};
+use serde_json::Value;
+
 use crate::cli::{House, SMALL};
 
 /// A pipeline that includes another file, run once.
@@ -62,6 +65,39 @@ fn an_archive_has_the_included_files_where_they_lay() {
     }
     let (code, out, err) = elsewhere.rockface(&["plan", "pipeline/p.yaml"]);
     assert!(code == Some(0) && out.contains("dem"), "{out}{err}");
+}
+
+/// The manifest of the latest run, and of it the part of one step.
+fn done(house: &House, step: &str) -> Value {
+    let manifest = std::fs::read(house.path(".rockface/runs/latest/run.json")).unwrap();
+    let manifest: Value = serde_json::from_slice(&manifest).unwrap();
+    manifest["steps"].as_array().unwrap().iter().find(|done| done["step"] == step).unwrap().clone()
+}
+
+/// Gives a step another log, as another version of the program may have written it.
+fn put_log(house: &House, step: &str, log: &[u8]) {
+    let key: Digest = done(house, step)["key"].as_str().unwrap().parse().unwrap();
+    let store = Store::open(&house.path(".rockface/store")).unwrap();
+    let record = store.record(&key).unwrap();
+    let log = Some(store.put(log).unwrap());
+    store.commit(&Record { log, ..record }).unwrap();
+    store.sync().unwrap();
+}
+
+#[test]
+fn a_log_that_cannot_be_read_costs_no_run_folder() {
+    let house = House::new(SMALL);
+    let (code, _, err) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    // Former versions wrote `null` for a number that is not finite, and could not read it.
+    put_log(&house, "face", br#"[{"type":"metric","name":"area","value":null,"unit":"m2"}]"#);
+    put_log(&house, "dem", br#"[{"type":"tune"}]"#);
+    std::fs::remove_dir_all(house.path(".rockface/runs")).unwrap();
+    let (code, out, err) = house.rockface(&["run", "p.yaml"]);
+    assert!(code == Some(0) && out.contains("ran 0, cached 2"), "{out}{err}");
+    assert!(err.contains("step dem: the log of a step cannot be read") && !err.contains("step face"), "{err}");
+    assert_eq!(done(&house, "face")["metrics"][0]["value"], Value::Null);
+    assert!(house.path(".rockface/runs/latest/report.html").is_file());
 }
 
 #[test]

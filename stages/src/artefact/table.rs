@@ -65,12 +65,32 @@ impl std::fmt::Display for Cell {
 
 /// Rows of cells under named columns; every row has one cell a column.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(try_from = "Unchecked")]
 pub struct Table {
     /// Column names, unit in the name where there is one.
     pub columns: Vec<String>,
     /// Rows.
     pub rows: Vec<Vec<Cell>>,
+}
+
+/// A table as a file holds it.
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Unchecked {
+    columns: Vec<String>,
+    rows: Vec<Vec<Cell>>,
+}
+
+impl TryFrom<Unchecked> for Table {
+    type Error = String;
+    fn try_from(Unchecked { columns, rows }: Unchecked) -> Result<Self, String> {
+        match rows.iter().position(|row| row.len() != columns.len()) {
+            Some(at) => {
+                Err(format!("row {at} (counted from 0) has {} cells for {} columns", rows[at].len(), columns.len()))
+            }
+            None => Ok(Self { columns, rows }),
+        }
+    }
 }
 
 impl Table {
@@ -128,6 +148,8 @@ mod tests {
         table.push(vec![1e-300.into(), "".into()]);
         let bytes = table.encode().unwrap();
         assert_eq!(Table::decode(&bytes).unwrap(), table);
+        let ragged = Table::decode(br#"{"columns": ["a", "b"], "rows": [[1, 2], [3]]}"#);
+        assert!(ragged.unwrap_err().0.contains("row 1 (counted from 0) has 1 cells for 2 columns"));
         assert_eq!(String::from_utf8(table.to_csv().unwrap()).unwrap().lines().nth(1), Some("1,1"));
     }
 }

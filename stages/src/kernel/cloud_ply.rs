@@ -2,9 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use super::ply::{Ascii, Binary, Source, at, fault, read_property, skip};
+use super::ply::{Ascii, Binary, Source, at, check_held, fault, read_property, skip};
 use super::ply_header::{CLOUD_COMMENT, Element, Encoding, Header, Property, Type, UNITS_COMMENT};
 use crate::artefact::{Cloud, CodecError};
+use crate::format;
 
 /// Properties with a meaning of their own: no number may have such a name.
 const KNOWN: [&str; 9] = ["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"];
@@ -102,10 +103,7 @@ fn read_body<S: Source>(header: &Header, mut source: S) -> Result<Cloud, CodecEr
     let mut cloud = Cloud::new(header.frame, Vec::new());
     header.element("vertex").ok_or_else(|| fault("the header declares no element `vertex`"))?;
     for element in &header.elements {
-        if !source.may_hold(element) {
-            let (name, count) = (&element.name, element.count);
-            return Err(fault(&format!("the header promises {count} x `{name}`, but the file is too short for them")));
-        }
+        check_held(&source, element)?;
         if element.name == "vertex" {
             read_points(element, &mut source, &mut cloud)?;
         } else {
@@ -152,8 +150,9 @@ fn read_points<S: Source>(element: &Element, source: &mut S, cloud: &mut Cloud) 
         names.iter().all(|name| element.scalar(name).is_some_and(|own| kind.is_none_or(|kind| own == kind)))
     };
     let (normals, colours) = (has(&KNOWN[3..6], None), has(&KNOWN[6..], Some(Type::U8)));
-    let mut numbers: Vec<Vec<u32>> = vec![Vec::with_capacity(element.count); names.len()];
-    cloud.points.reserve_exact(element.count);
+    let lists = names.iter().map(|_| format::list("numbers", element.count));
+    let mut numbers: Vec<Vec<u32>> = lists.collect::<Result<_, _>>()?;
+    cloud.points = format::list("points", element.count)?;
     for row in 0..element.count {
         let mut known = [0.0f64; 9];
         for (property, role) in element.properties.iter().zip(&roles) {

@@ -14,6 +14,7 @@ use exr::prelude::{
 };
 
 use crate::artefact::{CodecError, Depth, Frame, Image, Sensor};
+use crate::format;
 
 const DEPTH_CHANNEL: &str = "Z";
 /// The one attribute of our own: the crate keeps them unordered, so a second one would make the bytes vary.
@@ -149,20 +150,25 @@ fn check_header(bytes: &[u8]) -> Result<(), CodecError> {
     if header.deep || channels.iter().any(|c| c.sample_type != SampleType::F32 || c.sampling.area() != 1) {
         return Err(CodecError::new("OpenEXR depth map: every channel must be 32-bit float at full resolution"));
     }
-    let needed = needed_bytes(header, channels.len()).filter(|needed| *needed <= bytes.len());
-    needed.map(|_| ()).ok_or_else(|| {
-        let (w, h, found) = (header.layer_size.0, header.layer_size.1, bytes.len());
-        CodecError(format!(
+    let (w, h, found) = (header.layer_size.0, header.layer_size.1, bytes.len());
+    let samples = sample_bytes(header, channels.len());
+    if !samples.is_some_and(|samples| least_bytes(header, samples) <= found) {
+        return Err(CodecError(format!(
             "OpenEXR depth map: {w} x {h} pixels do not fit in {found} bytes; it is cut short or damaged"
-        ))
-    })
+        )));
+    }
+    let what = format!("OpenEXR depth map of {found} bytes: {w} x {h} pixels of {} channels", channels.len());
+    format::affordable(&what, samples.map(|bytes| bytes as u64))
+}
+
+fn sample_bytes(header: &Header, channels: usize) -> Option<usize> {
+    header.layer_size.0.checked_mul(header.layer_size.1)?.checked_mul(channels)?.checked_mul(4)
 }
 
 /// The least number of bytes that can hold the samples: no compression of OpenEXR reaches 1100 : 1.
-fn needed_bytes(header: &Header, channels: usize) -> Option<usize> {
-    let samples = header.layer_size.0.checked_mul(header.layer_size.1)?.checked_mul(channels)?.checked_mul(4)?;
-    let least = if header.compression == exr::prelude::Compression::Uncompressed { samples } else { samples / 1100 };
-    Some(least)
+fn least_bytes(header: &Header, sample_bytes: usize) -> usize {
+    let is_plain = header.compression == exr::prelude::Compression::Uncompressed;
+    if is_plain { sample_bytes } else { sample_bytes / 1100 }
 }
 
 fn camera(image: &ImageAttributes, layer: &LayerAttributes) -> Result<Camera, CodecError> {

@@ -3,6 +3,7 @@
 use serde_json::Value;
 
 use crate::artefact::{Cell, CodecError, Feature, Frame, Inventory, Polygon};
+use crate::format;
 
 /// Reads a feature collection; the frame is world. Properties become columns in alphabetical order.
 ///
@@ -18,6 +19,11 @@ pub fn read(bytes: &[u8]) -> Result<Inventory, CodecError> {
     let names: std::collections::BTreeSet<String> =
         features.iter().flat_map(|feature| properties(feature).into_iter().map(|(name, _)| name)).collect();
     let columns: Vec<String> = names.into_iter().collect();
+    let cells = (features.len() as u64).checked_mul((columns.len() * size_of::<Cell>()) as u64);
+    format::affordable(
+        &format!("an inventory of {} features with {} properties", features.len(), columns.len()),
+        cells,
+    )?;
     let read = |(number, feature): (usize, &Value)| {
         let mut properties = properties(feature);
         let values = columns.iter().map(|column| cell(properties.remove(column))).collect();
@@ -98,6 +104,14 @@ mod tests {
         assert!((turned[0][0] - clockwise[2][0]).abs() < 1e-9);
         assert_eq!(wound(turned.clone(), true).len(), 3);
         assert!((wound(turned, false)[0][0] - clockwise[0][0]).abs() < 1e-9);
+    }
+
+    #[test]
+    fn features_that_share_no_property_are_refused_before_they_fill_the_memory() {
+        let feature = |number: usize| format!(r#"{{"properties": {{"p{number}": 1}}}}"#);
+        let features: Vec<String> = (0..20_000).map(feature).collect();
+        let message = read(format!(r#"{{"features": [{}]}}"#, features.join(",")).as_bytes()).unwrap_err().0;
+        assert!(message.contains("20000 features with 20000 properties would take"), "{message}");
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Meshes as PLY files: our own binary layout, written and read to the bit, and any common file of other programs.
 
 use crate::artefact::{CodecError, Mesh};
+use crate::format;
 
 use super::ply_header::{Element, Encoding, Header, Property, Type};
 
@@ -63,8 +64,9 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, CodecError> {
 pub(super) trait Source {
     /// The next number, of this type.
     fn number(&mut self, kind: Type) -> Result<f64, String>;
-    /// Whether the rest may hold this many rows, so that no header alone makes us allocate.
-    fn may_hold(&self, element: &Element) -> bool;
+    /// How many rows of at least so many numbers, or bytes in a binary file, the rest may hold, so that no header alone
+    /// makes us allocate.
+    fn held(&self, least_row: (usize, usize)) -> usize;
 }
 
 /// The numbers of a text file.
@@ -82,10 +84,9 @@ impl Source for Ascii<'_> {
         let text = String::from_utf8_lossy(&rest[..end]);
         text.parse().map_err(|_| format!("`{}` is not a number", text.chars().take(40).collect::<String>()))
     }
-    fn may_hold(&self, element: &Element) -> bool {
+    fn held(&self, (numbers, _): (usize, usize)) -> usize {
         // A number and the space after it take two bytes; the last may lack the space.
-        let least = element.count.checked_mul(element.properties.len()).and_then(|n| n.checked_mul(2));
-        least.is_some_and(|least| least <= self.rest.len() + 1)
+        (self.rest.len() + 1).checked_div(2 * numbers).unwrap_or(usize::MAX)
     }
 }
 
@@ -121,9 +122,8 @@ impl<const LITTLE: bool> Source for Binary<'_, LITTLE> {
             Type::F64 => f64::from_le_bytes(self.take()?),
         })
     }
-    fn may_hold(&self, element: &Element) -> bool {
-        let row: usize = element.properties.iter().map(Property::least_bytes).sum();
-        element.count.checked_mul(row).is_some_and(|least| least <= self.rest.len())
+    fn held(&self, (_, bytes): (usize, usize)) -> usize {
+        self.rest.len().checked_div(bytes).unwrap_or(usize::MAX)
     }
 }
 
@@ -131,10 +131,7 @@ fn read_body<S: Source>(header: &Header, mut source: S) -> Result<Mesh, CodecErr
     let mut mesh = Mesh { frame: header.frame, vertices: Vec::new(), triangles: Vec::new(), colours: Vec::new() };
     let vertices = header.element("vertex").ok_or_else(|| fault("the header declares no element `vertex`"))?.count;
     for element in &header.elements {
-        if !source.may_hold(element) {
-            let (name, count) = (&element.name, element.count);
-            return Err(fault(&format!("the header promises {count} x `{name}`, but the file is too short for them")));
-        }
+        check_held(&source, element)?;
         match element.name.as_str() {
             "vertex" => read_vertices(element, &mut source, &mut mesh)?,
             "face" => read_faces(element, &mut source, vertices, &mut mesh)?,
@@ -142,6 +139,15 @@ fn read_body<S: Source>(header: &Header, mut source: S) -> Result<Mesh, CodecErr
         }
     }
     Ok(mesh)
+}
+
+/// Refuses an element whose rows the rest of the file cannot hold.
+pub(super) fn check_held<S: Source>(source: &S, element: &Element) -> Result<(), CodecError> {
+    if element.count <= source.held(element.least_row()) {
+        return Ok(());
+    }
+    let (name, count) = (&element.name, element.count);
+    Err(fault(&format!("the header promises {count} x `{name}`, but the file is too short for them")))
 }
 
 fn read_vertices<S: Source>(element: &Element, source: &mut S, mesh: &mut Mesh) -> Result<(), CodecError> {
@@ -154,8 +160,8 @@ fn read_vertices<S: Source>(element: &Element, source: &mut S, mesh: &mut Mesh) 
     // Where each property goes: 0..3 coordinates, 3..6 colours, 6 nowhere.
     let role = |name: &str| ["x", "y", "z", "red", "green", "blue"].iter().position(|r| *r == name).unwrap_or(6);
     let roles: Vec<usize> = element.properties.iter().map(|p| role(&p.name)).collect();
-    mesh.vertices.reserve_exact(element.count);
-    mesh.colours.reserve_exact(if coloured { element.count } else { 0 });
+    mesh.vertices = format::list("vertices", element.count)?;
+    mesh.colours = format::list("colours", if coloured { element.count } else { 0 })?;
     for number in 0..element.count {
         let mut row = [0.0; 7];
         for (property, role) in element.properties.iter().zip(&roles) {
@@ -197,11 +203,9 @@ fn read_faces<S: Source>(
     vertices: usize,
     mesh: &mut Mesh,
 ) -> Result<(), CodecError> {
-    let is_list = |p: &Property| p.count.is_some() && matches!(p.name.as_str(), "vertex_indices" | "vertex_index");
-    let corners_at = element.properties.iter().position(is_list);
     let corners_at =
-        corners_at.ok_or_else(|| fault("element `face` has no list `vertex_indices` or `vertex_index`"))?;
-    mesh.triangles.reserve_exact(element.count);
+        element.corners().ok_or_else(|| fault("element `face` has no list `vertex_indices` or `vertex_index`"))?;
+    mesh.triangles = format::list("triangles", element.count.min(source.held(element.least_face())))?;
     for number in 0..element.count {
         for (place, property) in element.properties.iter().enumerate() {
             let read = match property.count {

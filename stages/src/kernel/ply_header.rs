@@ -2,6 +2,9 @@
 
 use crate::artefact::{CodecError, Frame};
 
+/// Elements and properties a header may declare: a file with more is damaged.
+const MOST_DECLARATIONS: usize = 4096;
+
 /// Start of the comment that states the frame of our own files; the frame and [`UNITS_COMMENT`] follow.
 pub const FRAME_COMMENT: &str = "rockface mesh, frame ";
 /// The same for a point cloud.
@@ -72,8 +75,12 @@ pub struct Property {
 
 impl Property {
     /// The fewest bytes it takes in a binary file.
-    pub fn least_bytes(&self) -> usize {
+    fn least_bytes(&self) -> usize {
         self.count.unwrap_or(self.kind).bytes()
+    }
+
+    fn is_corners(&self) -> bool {
+        self.count.is_some() && matches!(self.name.as_str(), "vertex_indices" | "vertex_index")
     }
 }
 
@@ -92,6 +99,23 @@ impl Element {
     /// Type of the property of this name that is a single number.
     pub fn scalar(&self, name: &str) -> Option<Type> {
         self.properties.iter().find(|p| p.name == name && p.count.is_none()).map(|p| p.kind)
+    }
+
+    /// Position of the list of a face's corners.
+    pub fn corners(&self) -> Option<usize> {
+        self.properties.iter().position(Property::is_corners)
+    }
+
+    /// The fewest numbers a row has, and the fewest bytes it takes in a binary file.
+    pub fn least_row(&self) -> (usize, usize) {
+        (self.properties.len(), self.properties.iter().map(Property::least_bytes).sum())
+    }
+
+    /// The same for a row that is a face: it has at least three corners.
+    pub fn least_face(&self) -> (usize, usize) {
+        let (numbers, bytes) = self.least_row();
+        let corner = self.corners().map_or(0, |place| self.properties[place].kind.bytes());
+        (numbers + 3, bytes + 3 * corner)
     }
 }
 
@@ -114,6 +138,7 @@ impl Header {
             return Err(bad("the first line is not `ply`"));
         }
         let (mut encoding, mut elements, mut frame) = (None, Vec::new(), Frame::World);
+        let mut declared = 0;
         loop {
             if rest.is_empty() {
                 return Err(bad("the header has no `end_header`; the file is cut short"));
@@ -127,8 +152,19 @@ impl Header {
                 ["format", word, _version] => encoding = Some(parse_encoding(word)?),
                 ["comment", ..] => frame = stated_frame(text).unwrap_or(frame),
                 ["obj_info", ..] | [] => {}
-                ["element", name, count] => add_element(&mut elements, name, count)?,
-                ["property", property @ ..] => add_property(&mut elements, property)?,
+                ["element" | "property", ..] if declared == MOST_DECLARATIONS => {
+                    return Err(bad(&format!(
+                        "the header declares more than {MOST_DECLARATIONS} elements and properties"
+                    )));
+                }
+                ["element", name, count] => {
+                    declared += 1;
+                    add_element(&mut elements, name, count)?;
+                }
+                ["property", property @ ..] => {
+                    declared += 1;
+                    add_property(&mut elements, property)?;
+                }
                 _ => return Err(bad(&format!("cannot read the header line `{}`", shorten(text)))),
             }
         }

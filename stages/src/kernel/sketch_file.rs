@@ -19,6 +19,9 @@ pub fn write(list: &[Shown]) -> Result<Vec<u8>, CodecError> {
     let arrays: Vec<Vec<u8>> = list.iter().flat_map(|shown| arrays(&shown.sketch.shape)).collect();
     let head = Head { shown: list, bytes: arrays.iter().map(Vec::len).collect() };
     let head = serde_json::to_vec(&head).map_err(|e| CodecError(format!("a sketch cannot be written: {e}")))?;
+    // A number that is not finite becomes `null`.
+    let read_back = serde_json::from_slice::<Head<Vec<Shown>>>(&head);
+    read_back.map_err(|e| CodecError(format!("a sketch cannot be written: a number in it is not finite ({e})")))?;
     let mut out = Vec::with_capacity(MAGIC.len() + 4 + head.len() + arrays.iter().map(Vec::len).sum::<usize>());
     out.extend(MAGIC);
     out.extend((head.len() as u32).to_le_bytes());
@@ -155,6 +158,13 @@ mod tests {
         let bytes = write(&sample()).unwrap();
         assert_eq!(read(&bytes).unwrap(), sample());
         assert_eq!(read(&write(&[]).unwrap()).unwrap(), []);
+    }
+
+    #[test]
+    fn what_could_not_be_read_back_is_not_written() {
+        let cloud = CloudSketch { frame: "wall".into(), origin_m: [0.0, f64::NAN, 0.0], points: Vec::new() };
+        let shown = Shown { port: "out".into(), sketch: Sketch::whole("", Shape::Cloud(cloud)) };
+        assert!(write(&[shown]).unwrap_err().0.contains("not finite"));
     }
 
     #[test]

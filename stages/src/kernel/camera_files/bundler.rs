@@ -38,8 +38,10 @@ pub fn read(text: &str, list: Option<&str>, [width, height]: [u32; 2], frame: Fr
     let count = whole(&mut numbers, "the count of cameras")?;
     whole(&mut numbers, "the count of points")?;
     let names = names(list, count)?;
+    let name_of = |number: usize| names.get(number).cloned().unwrap_or_else(|| format!("image{number}"));
     let (mut sensors, mut images, mut left_out) = (Vec::new(), Vec::new(), Vec::new());
-    for (number, name) in names.into_iter().enumerate() {
+    for number in 0..count {
+        let name = name_of(number);
         let camera = values(&mut numbers, &name)?;
         if camera[0] == 0.0 {
             left_out.push(name);
@@ -60,9 +62,9 @@ fn whole<'a>(words: &mut impl Iterator<Item = &'a str>, what: &str) -> Result<us
     word.parse().map_err(|_| StageError::new(format!("{what} is not there: `{word}`")))
 }
 
-/// The first word of each line that has one.
+/// The first word of each line that has one; none without a list.
 fn names(list: Option<&str>, count: usize) -> Result<Vec<String>, StageError> {
-    let Some(list) = list else { return Ok((0..count).map(|i| format!("image{i}")).collect()) };
+    let Some(list) = list else { return Ok(Vec::new()) };
     let names: Vec<String> =
         list.lines().filter_map(|line| line.split_whitespace().next()).map(str::to_owned).collect();
     if names.len() != count {
@@ -184,6 +186,8 @@ mod tests {
         says(&FILE.replace("0 -1 0\n", "0 nan 0\n"), None, "R is not a rotation");
         says("# Bundle file v0.3\n1 0\n1 2", None, "camera `image0`: number 3 of 15");
         says("# Bundle file v0.3\nx", None, "the count of cameras");
+        let endless = FILE.replacen("2 1", "9999999999999999 1", 1);
+        says(&endless, None, "camera `image2`: number 12 of 15");
     }
 
     #[test]

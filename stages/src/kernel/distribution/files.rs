@@ -35,7 +35,7 @@ fn replace(value: &mut Value, read: &ReadFile) -> Result<(), String> {
 fn samples(file: &Value, read: &ReadFile) -> Result<Map<String, Value>, String> {
     let text = |key: &str| file[key].as_str().unwrap_or_default();
     let path = text("path");
-    let table = table_file::read(&read(path)?);
+    let table = table_file::read(&read(path)?, &|| false);
     let values = table.and_then(|table| table_file::numbers(&table, text("column")));
     let mut values = values.map_err(|e| format!("cannot take numbers from `{path}`: {e}"))?;
     values.sort_by(f64::total_cmp);

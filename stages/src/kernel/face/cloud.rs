@@ -18,10 +18,10 @@ pub struct Cloud {
 /// `columns` names the columns of a text file; see [`cloud_text::read`].
 ///
 /// # Errors
-/// The place at fault, as the reader of the format says it.
-pub fn read(bytes: Vec<u8>, columns: Option<&[String]>) -> Result<Cloud, CodecError> {
+/// The place at fault, as the reader of the format says it; `cancelled` became true.
+pub fn read(bytes: Vec<u8>, columns: Option<&[String]>, cancelled: &dyn Fn() -> bool) -> Result<Cloud, CodecError> {
     if bytes.starts_with(b"LASF") {
-        return cloud_las::read(bytes);
+        return cloud_las::read(bytes, cancelled);
     }
     if bytes.starts_with(b"ply") {
         let mesh = ply::read_mesh(&bytes)?;
@@ -30,5 +30,5 @@ pub fn read(bytes: Vec<u8>, columns: Option<&[String]>) -> Result<Cloud, CodecEr
     if bytes.iter().take(4096).any(|byte| *byte == 0) {
         return Err(CodecError::new("its content is not LAS, LAZ, PLY or columns of numbers"));
     }
-    cloud_text::read(&bytes, columns)
+    cloud_text::read(&bytes, columns, cancelled)
 }

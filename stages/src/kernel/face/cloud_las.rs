@@ -1,36 +1,49 @@
 //! Point clouds as LAS and LAZ files.
 
 use std::io::Cursor;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use las::{Color, PointDataBuilder, Reader};
+use las::{Color, Header, PointDataBuilder, Reader};
 
 use super::cloud::Cloud;
+use super::laz_check::{check_chunks, check_header, damaged};
 use crate::artefact::CodecError;
 
-/// Points read at once.
+/// Points read at once, at most.
 const BATCH: u64 = 1 << 16;
-/// Bytes of the shortest point record, uncompressed and, at the very least, compressed.
-const LEAST_BITS_PER_POINT: u64 = 1;
+/// Bytes of the points read at once.
+const BATCH_BYTES: u64 = 1 << 23;
 
 /// Reads all points: `scale x integer + offset` in double precision, so nothing of the file is lost.
 ///
 /// Colours of 16 bits keep their upper byte; some programs write 8 bits into them, which is seen by no value exceeding 255.
 ///
 /// # Errors
-/// What is damaged, or how many points of those promised are there.
-pub fn read(bytes: Vec<u8>) -> Result<Cloud, CodecError> {
-    let bits = 8 * bytes.len() as u64;
-    let mut reader = Reader::new(Cursor::new(bytes))
-        .map_err(|e| fault(&format!("its header cannot be read ({e}): it was cut short or is damaged")))?;
-    let promised = reader.header().number_of_points();
-    if promised / LEAST_BITS_PER_POINT > bits {
-        return Err(fault(&format!("the header promises {promised} points, more than the file can hold")));
+/// What is damaged, or how many points of those promised are there; `cancelled` became true.
+pub fn read(bytes: Vec<u8>, cancelled: &dyn Fn() -> bool) -> Result<Cloud, CodecError> {
+    check_header(&bytes)?;
+    let unreadable = |e: las::Error| damaged(&format!("its header cannot be read ({e})"));
+    let header = Header::new(Cursor::new(bytes.as_slice())).map_err(unreadable)?;
+    if header.point_format().is_compressed {
+        check_chunks(&bytes, &header)?;
     }
+    // The decompressor panics on some damaged points.
+    let points =
+        catch_unwind(AssertUnwindSafe(|| read_points(Reader::new(Cursor::new(bytes)).map_err(unreadable)?, cancelled)));
+    points.unwrap_or_else(|_| Err(damaged("its points cannot be decompressed")))
+}
+
+fn read_points(mut reader: Reader, cancelled: &dyn Fn() -> bool) -> Result<Cloud, CodecError> {
+    let promised = reader.header().number_of_points();
+    let at_once = (BATCH_BYTES / u64::from(reader.header().point_format().len()).max(1)).clamp(1, BATCH);
     let mut batch = PointDataBuilder::new().for_header(reader.header()).build();
     let (mut points, mut colours) = (Vec::new(), Vec::new());
     loop {
+        if cancelled() {
+            return Err(CodecError::new("interrupted"));
+        }
         let number = points.len();
-        let read = reader.fill_points(BATCH, &mut batch).map_err(|e| cut_short(promised, number, &e.to_string()))?;
+        let read = reader.fill_points(at_once, &mut batch).map_err(|e| cut_short(promised, number, &e.to_string()))?;
         if read == 0 {
             break;
         }
@@ -72,6 +85,10 @@ fn fault(message: &str) -> CodecError {
 mod tests {
     use super::*;
     use las::{Builder, Point, Transform, Vector, Writer};
+
+    fn read(bytes: Vec<u8>) -> Result<Cloud, CodecError> {
+        super::read(bytes, &|| false)
+    }
 
     fn written(compressed: bool) -> Vec<u8> {
         let mut header = Builder::from((1, 4));

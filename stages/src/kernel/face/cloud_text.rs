@@ -2,6 +2,7 @@
 
 use super::cloud::Cloud;
 use crate::artefact::CodecError;
+use crate::format::Stop;
 
 /// Reads a point a line, columns set apart by blanks, commas or semicolons.
 ///
@@ -11,14 +12,17 @@ use crate::artefact::CodecError;
 /// begin with `#` or `//` and a first line that holds nothing but the number of points.
 ///
 /// # Errors
-/// The line at fault: another number of columns than before, a word that is no number, a coordinate that is not finite.
-pub fn read(bytes: &[u8], columns: Option<&[String]>) -> Result<Cloud, CodecError> {
+/// The line at fault: another number of columns than before, a word that is no number, a coordinate that is not finite;
+/// `cancelled` became true.
+pub fn read(bytes: &[u8], columns: Option<&[String]>, cancelled: &dyn Fn() -> bool) -> Result<Cloud, CodecError> {
     let text = std::str::from_utf8(bytes).map_err(|e| CodecError(format!("byte {} is not text", e.valid_up_to())))?;
     let mut reader = Columns::default();
     if let Some(names) = columns {
         reader.name(&names.iter().map(String::as_str).collect::<Vec<_>>()).map_err(CodecError)?;
     }
+    let mut stop = Stop::when(cancelled);
     for (number, line) in text.lines().enumerate() {
+        stop.check()?;
         reader.line(line).map_err(|e| CodecError(format!("line {}: {e}", number + 1)))?;
     }
     Ok(reader.finish())
@@ -127,6 +131,10 @@ fn colour(words: [&str; 3]) -> Result<[u8; 3], String> {
 #[allow(clippy::float_cmp)] // to the bit
 mod tests {
     use super::*;
+
+    fn read(bytes: &[u8], columns: Option<&[String]>) -> Result<Cloud, CodecError> {
+        super::read(bytes, columns, &|| false)
+    }
 
     fn cloud(text: &str) -> Cloud {
         read(text.as_bytes(), None).unwrap()

@@ -7,6 +7,7 @@ pub mod cloud_text;
 pub mod distance;
 pub mod half_edges;
 pub mod inspection;
+mod laz_check;
 pub mod mesh_file;
 pub mod obj;
 pub mod orient;

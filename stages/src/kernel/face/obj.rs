@@ -4,6 +4,7 @@
 //! every group and material, which tears a surface.
 
 use crate::artefact::{CodecError, Frame, Mesh};
+use crate::format::Stop;
 
 /// Words that may begin a line; everything but vertices and faces is skipped.
 const WORDS: [&str; 12] = ["v", "vn", "vt", "vp", "f", "o", "g", "s", "l", "p", "usemtl", "mtllib"];
@@ -20,11 +21,14 @@ pub fn is_obj(bytes: &[u8]) -> bool {
 /// Colours after the coordinates (as MeshLab writes them, 0 to 1) are kept where every vertex has them.
 ///
 /// # Errors
-/// The line at fault: a number that is none or not finite, a corner that is not there, a face of fewer than three.
-pub fn read(bytes: &[u8]) -> Result<Mesh, CodecError> {
+/// The line at fault: a number that is none or not finite, a corner that is not there, a face of fewer than three;
+/// `cancelled` became true.
+pub fn read(bytes: &[u8], cancelled: &dyn Fn() -> bool) -> Result<Mesh, CodecError> {
     let mut mesh = Mesh { frame: Frame::World, vertices: Vec::new(), triangles: Vec::new(), colours: Vec::new() };
     let mut joined = String::new();
+    let mut stop = Stop::when(cancelled);
     for (number, line) in bytes.split(|byte| *byte == b'\n').enumerate() {
+        stop.check()?;
         let line = std::str::from_utf8(line).or_else(|e| std::str::from_utf8(&line[..e.valid_up_to()])).unwrap_or("");
         let line = line.trim_end();
         if let Some(begun) = line.strip_suffix('\\') {
@@ -109,6 +113,10 @@ fn corner(word: &str, vertices: usize) -> Result<u32, String> {
 #[allow(clippy::float_cmp)] // to the bit
 mod tests {
     use super::*;
+
+    fn read(bytes: &[u8]) -> Result<Mesh, CodecError> {
+        super::read(bytes, &|| false)
+    }
 
     const SQUARE: &str = "# a square\nmtllib rock.mtl\no face\nv 451000.0125 5512000.0375 0.1\nv 451001 5512000 0 1.0\ng one\n\
         v 451001 5512001 0\nv 451000 5512001 0\nvn 0 0 1\nusemtl rock\nf 1/1/1 2//1 3\ng two\nf -4 -2 \\\n -1 # shared\n";

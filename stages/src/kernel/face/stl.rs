@@ -2,6 +2,7 @@
 
 use super::repair::Places;
 use crate::artefact::{CodecError, Frame, Mesh};
+use crate::format;
 
 /// Bytes before the triangles of a binary file: a comment and the number of triangles.
 const HEAD: usize = 84;
@@ -50,7 +51,7 @@ fn read_binary(bytes: &[u8], places: &mut Places) -> Result<Vec<[u32; 3]>, Strin
             "the header promises {count} triangles, but the file ends after {held}: it was cut short, or is no STL file"
         ));
     }
-    let mut triangles = Vec::with_capacity(count);
+    let mut triangles = format::list("triangles", count).map_err(|e| e.0)?;
     for (number, record) in bytes[HEAD..].chunks_exact(RECORD).take(count).enumerate() {
         let value =
             |at: usize| f64::from(f32::from_le_bytes([record[at], record[at + 1], record[at + 2], record[at + 3]]));

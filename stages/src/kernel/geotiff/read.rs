@@ -7,11 +7,16 @@ use tiff::tags::{PlanarConfiguration, Tag};
 
 use super::tags::{GDAL_METADATA, Georeference, Metadata};
 use crate::artefact::{Band, CodecError, Frame, Grid, Raster, Sample};
+use crate::format;
 
 type File<'a> = Decoder<Cursor<&'a [u8]>>;
 
-/// DEFLATE cannot expand further than this; a file that claims more is damaged.
-const LARGEST_EXPANSION: usize = 1100;
+/// Neither DEFLATE (1032) nor LZW (1370) can expand further than this; a file that claims more is damaged.
+const LARGEST_EXPANSION: usize = 1400;
+/// Bytes of the largest value.
+const LARGEST_VALUE_BYTES: usize = 8;
+/// Bytes of tags and of one tile or strip that are always allowed.
+const LEAST_LIMIT_BYTES: usize = 1 << 20;
 
 /// What the refusal of a GeoTIFF begins with whose bytes are not those that were once written.
 pub const DAMAGED: &str = "damaged GeoTIFF";
@@ -29,7 +34,9 @@ pub fn read(bytes: &[u8]) -> Result<Raster, CodecError> {
     }
     let file = Decoder::new(Cursor::new(bytes)).map_err(|e| refused(&e))?;
     let mut limits = Limits::default();
-    limits.decoding_buffer_size = 1 << 30;
+    let possible = bytes.len().saturating_mul(LARGEST_EXPANSION).max(LEAST_LIMIT_BYTES);
+    limits.decoding_buffer_size = possible.min(1 << 30);
+    limits.intermediate_buffer_size = bytes.len().max(LEAST_LIMIT_BYTES);
     limits.ifd_value_size = 1 << 26;
     let mut file = file.with_limits(limits);
     let layout = Layout::of(&mut file, bytes.len())?;
@@ -86,13 +93,29 @@ impl Layout {
         }
         let planar = number(file, Tag::PlanarConfiguration)? == Some(PlanarConfiguration::Planar.to_u16());
         let (chunk_columns, chunk_rows) = chunk_size(file, columns, rows)?;
-        let cells = columns.checked_mul(rows).and_then(|n| n.checked_mul(bands));
+        let layout = Self { columns, rows, bands, planar, chunk_columns, chunk_rows };
+        layout.check(file_length).map(|()| layout)
+    }
+
+    /// Refuses values, padding of the tiles at the edges included, that the bytes of the file or the memory cannot hold.
+    fn check(&self, file_length: usize) -> Result<(), CodecError> {
+        let Self { columns, rows, bands, .. } = *self;
+        let padded = |length: usize, chunk: usize| length.div_ceil(chunk).checked_mul(chunk);
+        let wide = padded(columns, self.chunk_columns).zip(padded(rows, self.chunk_rows));
+        let values = wide.and_then(|(wide, high)| wide.checked_mul(high)).and_then(|n| n.checked_mul(bands));
         let possible = file_length.saturating_mul(LARGEST_EXPANSION);
-        match cells {
-            Some(cells) if cells > 0 && cells <= possible && chunk_columns.saturating_mul(chunk_rows) <= possible => {}
-            _ => return Err(damaged(&format!("{columns} x {rows} x {bands} values in {file_length} bytes"))),
+        if !values.is_some_and(|values| values > 0 && values <= possible) {
+            return Err(damaged(&format!("{columns} x {rows} x {bands} values in {file_length} bytes")));
         }
-        Ok(Self { columns, rows, bands, planar, chunk_columns, chunk_rows })
+        let chunk = self.chunk_columns.saturating_mul(self.chunk_rows).saturating_mul(self.interleaved());
+        let bytes = (4 * columns * rows * bands).checked_add(chunk.saturating_mul(LARGEST_VALUE_BYTES));
+        let what = format!("GeoTIFF of {file_length} bytes: {columns} x {rows} x {bands} values");
+        format::affordable(&what, bytes.map(|bytes| bytes as u64))
+    }
+
+    /// Values of one cell that stand side by side.
+    fn interleaved(&self) -> usize {
+        if self.planar { 1 } else { self.bands }
     }
 
     fn across(&self) -> usize {
@@ -129,7 +152,12 @@ fn chunk_size(file: &mut File, columns: usize, rows: usize) -> Result<(usize, us
 }
 
 fn values(file: &mut File, layout: &Layout, nodata: Option<f64>) -> Result<(Vec<Vec<f32>>, Sample), CodecError> {
-    let mut planes = vec![vec![f32::NAN; layout.columns * layout.rows]; layout.bands];
+    let mut planes = Vec::with_capacity(layout.bands);
+    for _ in 0..layout.bands {
+        let mut plane = format::list("values", layout.columns * layout.rows)?;
+        plane.resize(layout.columns * layout.rows, f32::NAN);
+        planes.push(plane);
+    }
     let mut sample = Sample::Float;
     for chunk in 0..layout.chunks() {
         let decoded = file.read_chunk(chunk as u32).map_err(|e| refused(&e))?;
@@ -140,7 +168,7 @@ fn values(file: &mut File, layout: &Layout, nodata: Option<f64>) -> Result<(Vec<
         };
         let [band, left, top, width, height] = layout.place(chunk);
         let numbers = floats(&decoded, nodata)?;
-        let interleaved = if layout.planar { 1 } else { layout.bands };
+        let interleaved = layout.interleaved();
         if numbers.len() < width * height * interleaved {
             return Err(damaged(&format!("chunk {chunk} holds {} values, {} expected", numbers.len(), width * height)));
         }
