@@ -8,7 +8,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::error::{At, StoreError};
 use crate::locks::is_abandoned;
-use crate::open::{BLOBS, QUARANTINE, TEMPORARY_BLOB, TMP, set_mode};
+use crate::open::{BLOBS, TEMPORARY_BLOB, TMP, set_mode};
 use crate::seal::{Knowledge, seal};
 use crate::{Digest, plain};
 
@@ -158,7 +158,7 @@ impl Blobs {
             let name = away.file_name().and_then(|name| name.to_str()?.strip_prefix(TEMPORARY_BLOB));
             let Some(digest) = name.and_then(|name| name.parse::<Digest>().ok()) else { continue };
             // The lock is held until it is back. What cannot be moved now is left for another time.
-            let held = File::open(&away).ok().filter(|file| is_abandoned(file, &away));
+            let held = plain::open(&away).ok().filter(|file| is_abandoned(file, &away));
             if held.is_some() {
                 let _ = fs::rename(&away, self.path(&digest));
             }
@@ -226,7 +226,7 @@ mod tests {
         let (folder, blobs, digest) = aged();
         let away = folder.path().join(TMP).join(format!("{TEMPORARY_BLOB}{digest}"));
         fs::rename(blobs.path(&digest), &away).unwrap();
-        let held = File::open(&away).unwrap();
+        let held = fs::File::open(&away).unwrap();
         held.lock().unwrap();
         blobs.take_back().unwrap();
         assert!(away.exists(), "the collection is at it");

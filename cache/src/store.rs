@@ -245,7 +245,7 @@ impl Store {
     fn check(&self, record: &Record) -> Result<(), StoreError> {
         let Some(digest) = self.lacking(record) else { return Ok(()) };
         // It may be there, and the system refuses to say.
-        if let Err(fault @ StoreError::Io { .. }) = self.blobs.check(&digest) {
+        if let Err(fault @ StoreError::Io { .. }) = self.blobs.check(&digest, None) {
             return Err(fault);
         }
         let reason = format!("blob {} of it is not in the store with that size: put it first", digest.short());
