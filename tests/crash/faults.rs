@@ -244,12 +244,17 @@ fn jobs(scenes: &[Scene]) -> Vec<Job<'_>> {
     }
     if let Some(at) = only.as_ref().and_then(|only| only.split('/').nth(2)?.parse::<u64>().ok()) {
         jobs.retain(|job| job.2 == at);
-    } else if !slow() && only.is_none() {
-        let mut draws = Draws(11);
-        let all = jobs.len() as u64;
-        return (0..SAMPLE).map(|_| jobs[draws.below(all) as usize].clone()).collect();
+    } else if let Some(sample) = sample().filter(|_| only.is_none()) {
+        let (mut draws, all) = (Draws(11), jobs.len() as u64);
+        return (0..sample).map(|_| jobs[draws.below(all) as usize].clone()).collect();
     }
     jobs
+}
+
+/// How many faults to draw; `None` for all there are.
+fn sample() -> Option<usize> {
+    let asked = std::env::var("CRASH_FAULTS").ok().map(|count| count.parse().expect("CRASH_FAULTS is a number"));
+    asked.or((!slow()).then_some(SAMPLE))
 }
 
 fn print(tally: &Tally) {

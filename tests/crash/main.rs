@@ -7,6 +7,7 @@
 //! cargo test --test crash                                  a sample, some seconds
 //! ROCKFACE_SLOW=1 cargo test --test crash -- --nocapture   every call, some minutes, with tables of what happened
 //! CRASH_ONLY='first run/kill/17' cargo test --test crash   one fault of the campaign: scene, fault (`+`: from then on), call
+//! CRASH_FAULTS=1000 cargo test --test crash faults         as many, drawn from all
 //! CRASH_CUT=14 cargo test --test crash                     one power cut
 //! ```
 //!
