@@ -38,9 +38,4 @@ pub struct Acceptance {
     pub groups: BTreeMap<String, GroupModel>,
 }
 
-super::json_noun!(
-    Acceptance,
-    fn sketches(&self) -> Vec<super::Sketch> {
-        crate::kernel::sketch::of_values(self).into_iter().collect()
-    }
-);
+super::json_noun!(Acceptance);

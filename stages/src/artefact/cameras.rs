@@ -103,9 +103,6 @@ impl Cameras {
 
 super::json_noun!(
     Cameras,
-    fn sketches(&self) -> Vec<super::Sketch> {
-        vec![crate::kernel::sketch::of_cameras("", self.clone())]
-    },
     fn items(&self) -> Option<Vec<String>> {
         Some(self.images.iter().map(|image| image.name.clone()).collect())
     }

@@ -31,9 +31,4 @@ impl Covariance {
     }
 }
 
-super::json_noun!(
-    Covariance,
-    fn sketches(&self) -> Vec<super::Sketch> {
-        crate::kernel::sketch::of_values(self).into_iter().collect()
-    }
-);
+super::json_noun!(Covariance);

@@ -1,6 +1,6 @@
 //! A rockfall inventory: outline and properties of each event or piece, kept as GeoJSON, with the properties as CSV.
 
-use super::{Artefact, Cell, CodecError, Export, Frame, Kind, Noun, Table};
+use super::{Cell, Frame, Table};
 
 /// A polygon: rings of (x, y) without the repetition of the first point that files have.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -48,39 +48,5 @@ impl Inventory {
     pub fn table(&self) -> Table {
         let rows = self.features.iter().map(|feature| feature.values.clone()).collect();
         Table { columns: self.columns.clone(), rows }
-    }
-}
-
-impl Noun for Inventory {
-    const KIND: Kind = Kind::Inventory;
-    fn of(artefact: &Artefact) -> Option<&Self> {
-        if let Artefact::Inventory(value) = artefact { Some(value) } else { None }
-    }
-    fn encode(&self) -> Result<Vec<u8>, CodecError> {
-        crate::kernel::inventory_file::write(self)
-    }
-    fn decode(bytes: &[u8]) -> Result<Self, CodecError> {
-        crate::kernel::inventory_file::read(bytes)
-    }
-    fn sketches(&self) -> Vec<super::Sketch> {
-        vec![crate::kernel::sketch::of_table(&self.table())]
-    }
-    fn memory_bytes(&self) -> usize {
-        let ring = |ring: &Vec<[f64; 2]>| ring.len() * 16;
-        let polygon = |polygon: &Polygon| ring(&polygon.exterior) + polygon.holes.iter().map(ring).sum::<usize>();
-        let outlines: usize = self.features.iter().flat_map(|feature| &feature.outline).map(polygon).sum();
-        outlines + self.features.len() * self.columns.len() * size_of::<Cell>()
-    }
-    fn has_exports() -> bool {
-        true
-    }
-    fn exports(&self, stem: &str) -> Result<Vec<Export>, CodecError> {
-        let table = self.table();
-        let csv = Export { path: format!("{stem}.csv"), bytes: table.to_csv()? };
-        #[cfg(feature = "parquet")]
-        let parquet = [Export { path: format!("{stem}.parquet"), bytes: crate::kernel::parquet_file::write(&table)? }];
-        #[cfg(not(feature = "parquet"))]
-        let parquet = [];
-        Ok([csv].into_iter().chain(parquet).collect())
     }
 }

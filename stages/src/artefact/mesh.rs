@@ -1,6 +1,6 @@
 //! A triangle mesh with f64 vertices, kept as binary little-endian PLY.
 
-use super::{Artefact, CodecError, Frame, Kind, Noun};
+use super::Frame;
 
 /// A triangle mesh.
 #[derive(Debug, Clone, PartialEq)]
@@ -13,23 +13,4 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
     /// Red, green and blue of each vertex; empty where the source has none.
     pub colours: Vec<[u8; 3]>,
-}
-
-impl Noun for Mesh {
-    const KIND: Kind = Kind::Mesh;
-    fn of(artefact: &Artefact) -> Option<&Self> {
-        if let Artefact::Mesh(value) = artefact { Some(value) } else { None }
-    }
-    fn encode(&self) -> Result<Vec<u8>, CodecError> {
-        Ok(crate::kernel::ply::write_mesh(self))
-    }
-    fn decode(bytes: &[u8]) -> Result<Self, CodecError> {
-        crate::kernel::ply::read_mesh(bytes)
-    }
-    fn sketches(&self) -> Vec<super::Sketch> {
-        vec![crate::kernel::sketch::of_mesh(self)]
-    }
-    fn memory_bytes(&self) -> usize {
-        self.vertices.len() * 24 + self.triangles.len() * 12 + self.colours.len() * 3
-    }
 }

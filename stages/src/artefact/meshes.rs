@@ -1,6 +1,6 @@
 //! Named meshes in one file, such as the blocks, pieces and niches of rockfalls, kept as binary little-endian PLY.
 
-use super::{Artefact, CodecError, Export, Frame, Kind, Mesh, Noun};
+use super::{Frame, Mesh};
 
 /// One named mesh. Where it is closed its triangles are counter-clockwise seen from outside.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -50,8 +50,8 @@ fn file_stem(name: &str) -> String {
     if stem.starts_with('.') || stem.is_empty() { format!("_{stem}") } else { stem }
 }
 
-/// One file name a part: its name where that is a file name of its own, otherwise with its number (from 0) behind it.
-fn file_names(parts: &[Part]) -> Vec<String> {
+/// A file name for each part: its own name where that is one and nobody else has it, otherwise with its number (from 0) behind it.
+pub fn file_names(parts: &[Part]) -> Vec<String> {
     let mut taken = std::collections::BTreeSet::new();
     let unique = |(number, part): (usize, &Part)| {
         let mut name = file_stem(&part.name);
@@ -62,60 +62,4 @@ fn file_names(parts: &[Part]) -> Vec<String> {
         name
     };
     parts.iter().enumerate().map(unique).collect()
-}
-
-impl Noun for Meshes {
-    const KIND: Kind = Kind::Meshes;
-    fn of(artefact: &Artefact) -> Option<&Self> {
-        if let Artefact::Meshes(value) = artefact { Some(value) } else { None }
-    }
-    fn encode(&self) -> Result<Vec<u8>, CodecError> {
-        crate::kernel::ply_parts::write(self)
-    }
-    fn decode(bytes: &[u8]) -> Result<Self, CodecError> {
-        crate::kernel::ply_parts::read(bytes)
-    }
-    fn sketches(&self) -> Vec<super::Sketch> {
-        vec![crate::kernel::sketch::of_meshes(self)]
-    }
-    fn memory_bytes(&self) -> usize {
-        let part = |part: &Part| part.vertices.len() * 24 + part.triangles.len() * 12 + part.name.len();
-        self.parts.iter().map(part).sum()
-    }
-    fn items(&self) -> Option<Vec<String>> {
-        Some(self.parts.iter().map(|part| part.name.clone()).collect())
-    }
-    fn has_exports() -> bool {
-        true
-    }
-    fn exports(&self, stem: &str) -> Result<Vec<Export>, CodecError> {
-        let names = file_names(&self.parts);
-        let export = |(part, name): (&Part, String)| Export {
-            path: format!("{stem}/{name}.ply"),
-            bytes: crate::kernel::ply::write_mesh(&self.mesh(part)),
-        };
-        Ok(self.parts.iter().zip(names).map(export).collect())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn part(name: &str) -> Part {
-        let vertices = vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
-        Part { name: name.into(), class: "slab".into(), vertices, triangles: vec![[0, 1, 2]] }
-    }
-
-    #[test]
-    fn exports_have_names_of_their_own_inside_the_folder() {
-        let names = ["7", "../x", "a b", "A_b", "", "7"];
-        let meshes = Meshes { frame: Frame::Wall, parts: names.into_iter().map(part).collect() };
-        let exports = meshes.exports("pieces").unwrap();
-        let paths: Vec<&str> = exports.iter().map(|export| export.path.as_str()).collect();
-        let expected = ["7", "_.._x", "a_b", "A_b-3", "_", "7-5"].map(|name| format!("pieces/{name}.ply"));
-        assert_eq!(paths, expected);
-        let mesh = crate::kernel::ply::read_mesh(&exports[1].bytes).unwrap();
-        assert_eq!(mesh, meshes.mesh(&meshes.parts[1]));
-    }
 }

@@ -28,13 +28,13 @@ pub use cameras::{Cameras, Image, Sensor};
 pub use candidates::Candidates;
 pub use cloud::Cloud;
 pub use covariance::Covariance;
-pub use depth::{Depth, DepthPixel};
+pub use depth::Depth;
 pub use figure::Figure;
 pub use file::File;
 pub use files::Files;
 pub use inventory::{Feature, Inventory, Polygon};
 pub use mesh::Mesh;
-pub use meshes::{Meshes, Part};
+pub use meshes::{Meshes, Part, file_names as part_file_names};
 pub use pairs::{Pair, Pairs};
 pub use picture::Picture;
 pub use preview::Preview;
@@ -112,10 +112,6 @@ pub trait Noun: Sized {
         let _ = stem;
         Ok(Vec::new())
     }
-    /// Small likenesses of it for logs and reports; none of what has no look.
-    fn sketches(&self) -> Vec<Sketch> {
-        Vec::new()
-    }
 }
 
 macro_rules! artefacts {
@@ -174,12 +170,6 @@ macro_rules! artefacts {
             pub fn exports(&self, stem: &str) -> Result<Vec<Export>, CodecError> {
                 match self { $( Self::$Name(value) => value.exports(stem) ),* }
             }
-            /// Small likenesses of it for logs and reports.
-            pub fn sketches(&self) -> Vec<Sketch> {
-                let mut sketches = match self { $( Self::$Name(value) => value.sketches() ),* };
-                sketches.extend(crate::kernel::sketch::of_look(self));
-                sketches
-            }
         }
 
         $( impl From<$Name> for Artefact {
@@ -208,14 +198,6 @@ artefacts! {
     Files = "files" . "tar": "Files in another program's own format.",
     Inventory = "inventory" . "geojson": "Rockfalls: outline and properties of each.",
     Candidates = "candidates" . "json": "An unbounded sequence of candidate blocks.",
-}
-
-impl Artefact {
-    /// A small picture of it, at most 512 pixels wide, where it is something to be seen; `beside` is what it may be seen
-    /// over, such as the face of an inventory. Equal artefacts have equal pictures.
-    pub fn preview(&self, beside: &[&Artefact]) -> Option<Preview> {
-        crate::kernel::preview::of(self, beside)
-    }
 }
 
 impl Kind {

@@ -30,9 +30,6 @@ pub struct Pairs {
 
 super::json_noun!(
     Pairs,
-    fn sketches(&self) -> Vec<super::Sketch> {
-        crate::kernel::sketch::of_values(self).into_iter().collect()
-    },
     fn items(&self) -> Option<Vec<String>> {
         Some(self.pairs.iter().map(|pair| pair.name.clone()).collect())
     }

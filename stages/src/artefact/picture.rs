@@ -23,9 +23,6 @@ impl Noun for Picture {
         }
         Ok(Self { png: bytes.to_vec() })
     }
-    fn sketches(&self) -> Vec<super::Sketch> {
-        crate::kernel::sketch::of_picture(self).into_iter().collect()
-    }
     fn memory_bytes(&self) -> usize {
         self.png.len()
     }

@@ -1,6 +1,6 @@
 //! Bands on a square grid, kept as GeoTIFF: elevations, differences, masks, stacks of them.
 
-use super::{Artefact, CodecError, Frame, Kind, Noun};
+use super::Frame;
 
 /// A square grid. Row 0 is at the top; cell (row, column) covers
 /// `left + column cell .. left + (column + 1) cell` by `top - (row + 1) cell .. top - row cell`.
@@ -105,29 +105,5 @@ impl PartialEq for Raster {
             && self.quantity == other.quantity
             && self.sample == other.sample
             && bits(self) == bits(other)
-    }
-}
-
-impl Noun for Raster {
-    const KIND: Kind = Kind::Raster;
-    fn of(artefact: &Artefact) -> Option<&Self> {
-        if let Artefact::Raster(value) = artefact { Some(value) } else { None }
-    }
-    fn encode(&self) -> Result<Vec<u8>, CodecError> {
-        crate::kernel::geotiff::write(self)
-    }
-    fn decode(bytes: &[u8]) -> Result<Self, CodecError> {
-        crate::kernel::geotiff::read(bytes)
-    }
-    fn sketches(&self) -> Vec<super::Sketch> {
-        let mut sketches = vec![crate::kernel::sketch::of_raster(self)];
-        sketches.extend(crate::kernel::sketch::of_raster_pictures(self));
-        sketches
-    }
-    fn memory_bytes(&self) -> usize {
-        self.bands.len() * self.grid.cells() * 4
-    }
-    fn items(&self) -> Option<Vec<String>> {
-        Some(self.bands.iter().map(|band| band.name.clone()).collect())
     }
 }

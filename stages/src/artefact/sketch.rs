@@ -155,31 +155,3 @@ pub struct GridBand {
     #[serde(skip)]
     pub values: Vec<f32>,
 }
-
-impl PictureSketch {
-    /// Its pixels by row, red, green and blue.
-    ///
-    /// # Errors
-    /// A file that is no PNG.
-    pub fn pixels(&self) -> Result<Vec<[u8; 3]>, CodecError> {
-        crate::kernel::sketch::pixels(&self.png)
-    }
-}
-
-impl Shown {
-    /// All sketches of a step as one file; equal lists have equal bytes.
-    ///
-    /// # Errors
-    /// A number that JSON cannot hold.
-    pub fn write_all(list: &[Self]) -> Result<Vec<u8>, CodecError> {
-        crate::kernel::sketch_file::write(list)
-    }
-
-    /// Reads what [`Shown::write_all`] wrote.
-    ///
-    /// # Errors
-    /// Bytes that are no such file, cut short or damaged.
-    pub fn read_all(bytes: &[u8]) -> Result<Vec<Self>, CodecError> {
-        crate::kernel::sketch_file::read(bytes)
-    }
-}

@@ -1,6 +1,6 @@
 //! An organised grid of points whose triangles are implicit: 45 million vertices without two gigabytes of indices.
 
-use super::{Artefact, CodecError, Frame, Kind, Noun};
+use super::Frame;
 
 /// An organised surface: a grid of points, and for every grid square which of its two triangles exist.
 ///
@@ -65,24 +65,5 @@ impl PartialEq for Surface {
             && self.origin_m == other.origin_m
             && self.squares == other.squares
             && bits(self) == bits(other)
-    }
-}
-
-impl Noun for Surface {
-    const KIND: Kind = Kind::Surface;
-    fn of(artefact: &Artefact) -> Option<&Self> {
-        if let Artefact::Surface(value) = artefact { Some(value) } else { None }
-    }
-    fn encode(&self) -> Result<Vec<u8>, CodecError> {
-        crate::kernel::surface_file::write(self)
-    }
-    fn decode(bytes: &[u8]) -> Result<Self, CodecError> {
-        crate::kernel::surface_file::read(bytes)
-    }
-    fn sketches(&self) -> Vec<super::Sketch> {
-        vec![crate::kernel::sketch::of_surface(self)]
-    }
-    fn memory_bytes(&self) -> usize {
-        self.points.len() * 12 + self.squares.len()
     }
 }

@@ -124,9 +124,6 @@ impl Table {
 
 super::json_noun!(
     Table,
-    fn sketches(&self) -> Vec<super::Sketch> {
-        vec![crate::kernel::sketch::of_table(self)]
-    },
     fn has_exports() -> bool {
         true
     },

@@ -74,12 +74,7 @@ impl Transform {
     }
 }
 
-super::json_noun!(
-    Transform,
-    fn sketches(&self) -> Vec<super::Sketch> {
-        vec![super::Sketch::whole("", super::sketch::Shape::Transform(self.clone()))]
-    }
-);
+super::json_noun!(Transform);
 
 #[cfg(test)]
 mod tests {

@@ -146,27 +146,13 @@ impl Canvas {
 
     /// The PNG file.
     pub fn to_png(&self) -> Result<Vec<u8>, CodecError> {
-        png_of(self.width, self.height, self.pixels.as_flattened())
+        crate::kernel::png_file::write(self.width, self.height, self.pixels.as_flattened())
     }
 
     /// Columns, rows, and red, green and blue by row from the top.
     pub fn into_rgb(self) -> (usize, usize, Vec<u8>) {
         (self.width, self.height, self.pixels.into_flattened())
     }
-}
-
-/// The PNG file of red, green and blue by row from the top.
-pub fn png_of(width: usize, height: usize, rgb: &[u8]) -> Result<Vec<u8>, CodecError> {
-    let fault = |e: png::EncodingError| CodecError::new(format!("cannot write the picture: {e}"));
-    let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(&mut bytes, width as u32, height as u32);
-    encoder.set_color(png::ColorType::Rgb);
-    encoder.set_depth(png::BitDepth::Eight);
-    encoder.set_compression(png::Compression::Fast);
-    let mut writer = encoder.write_header().map_err(fault)?;
-    writer.write_image_data(rgb).map_err(fault)?;
-    writer.finish().map_err(fault)?;
-    Ok(bytes)
 }
 
 #[cfg(test)]

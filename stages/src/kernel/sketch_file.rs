@@ -114,6 +114,24 @@ fn triples<T: Copy>(bytes: &[u8], from: fn([u8; 4]) -> T) -> Option<Vec<[T; 3]>>
     rest.is_empty().then(|| triples.to_vec())
 }
 
+impl Shown {
+    /// All sketches of a step as one file; equal lists have equal bytes.
+    ///
+    /// # Errors
+    /// A number that JSON cannot hold.
+    pub fn write_all(list: &[Self]) -> Result<Vec<u8>, CodecError> {
+        write(list)
+    }
+
+    /// Reads what [`Shown::write_all`] wrote.
+    ///
+    /// # Errors
+    /// Bytes that are no such file, cut short or damaged.
+    pub fn read_all(bytes: &[u8]) -> Result<Vec<Self>, CodecError> {
+        read(bytes)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -135,9 +135,6 @@ fn read_classes<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Class>
 
 super::json_noun!(
     Candidates,
-    fn sketches(&self) -> Vec<super::Sketch> {
-        crate::kernel::sketch::of_values(self).into_iter().collect()
-    },
     fn items(&self) -> Option<Vec<String>> {
         Some(self.class_names())
     }

@@ -5,8 +5,8 @@
 //! relative to its median (heteroscedasticity; compare Hugonnet et al. 2022, IEEE JSTARS 15, who regress it on slope).
 
 use crate::artefact::{Grid, Raster};
+use crate::kernel::gaussian::smoothed;
 use crate::kernel::quantile::median;
-use crate::kernel::roughness::smoothed;
 
 /// Largest factor: beyond it a place would be matched to somewhere else altogether.
 const LARGEST: f32 = 30.0;

@@ -92,7 +92,7 @@ fn all() -> Vec<(&'static str, Artefact)> {
     };
     let images = vec![camera("left", [-3.5, 0.0, 20.0]), camera("right", [3.5, 0.0, 20.0])];
     let picture = mesh(60, 40);
-    let picture = Artefact::from(picture).preview(&[]).unwrap().to_png().unwrap();
+    let picture = of(&Artefact::from(picture), &[]).unwrap().to_png().unwrap();
     vec![
         ("mesh", mesh(120, 80).into()),
         ("large-mesh", mesh(900, 600).into()),
@@ -110,10 +110,10 @@ fn all() -> Vec<(&'static str, Artefact)> {
 fn everything_that_can_be_seen_has_a_small_picture_with_equal_bytes() {
     let face = Artefact::from(mesh(120, 80));
     for (name, artefact) in all() {
-        let preview = artefact.preview(&[&face]).unwrap_or_else(|| panic!("no preview of the {name}"));
+        let preview = of(&artefact, &[&face]).unwrap_or_else(|| panic!("no preview of the {name}"));
         assert!(preview.width <= WIDTH_PX && preview.rgb.len() == 3 * preview.width * preview.height, "{name}");
         assert!(!preview.caption.is_empty());
-        assert_eq!(artefact.preview(&[&face]), Some(preview.clone()));
+        assert_eq!(of(&artefact, &[&face]), Some(preview.clone()));
         if let Ok(folder) = std::env::var("ROCKFACE_LOOK") {
             std::fs::write(format!("{folder}/{name}.png"), preview.to_png().unwrap()).unwrap();
         }
@@ -124,17 +124,17 @@ fn everything_that_can_be_seen_has_a_small_picture_with_equal_bytes() {
 fn what_has_nothing_to_be_seen_has_none() {
     let mut empty = difference();
     empty.bands[0].values.fill(f32::NAN);
-    assert_eq!(Artefact::from(empty).preview(&[]), None);
-    assert_eq!(Artefact::from(Table::new(["a"])).preview(&[]), None);
-    assert_eq!(Artefact::from(Picture { png: b"\x89PNG\r\n\x1a\n".to_vec() }).preview(&[]), None);
+    assert_eq!(of(&Artefact::from(empty), &[]), None);
+    assert_eq!(of(&Artefact::from(Table::new(["a"])), &[]), None);
+    assert_eq!(of(&Artefact::from(Picture { png: b"\x89PNG\r\n\x1a\n".to_vec() }), &[]), None);
     let nothing = Mesh { frame: Frame::Wall, vertices: Vec::new(), triangles: Vec::new(), colours: Vec::new() };
-    assert_eq!(Artefact::from(nothing).preview(&[]), None);
-    assert!(Artefact::from(inventory()).preview(&[]).is_some(), "outlines alone are drawn without a relief");
+    assert_eq!(of(&Artefact::from(nothing), &[]), None);
+    assert!(of(&Artefact::from(inventory()), &[]).is_some(), "outlines alone are drawn without a relief");
 }
 
 #[test]
 fn missing_values_are_grey_and_losses_are_red() {
-    let preview = Artefact::from(difference()).preview(&[]).unwrap();
+    let preview = of(&Artefact::from(difference()), &[]).unwrap();
     let [left, top] = SMALL.corner();
     let at = |x: usize, y: usize| &preview.rgb[3 * ((top + y) * preview.width + left + x)..][..3];
     assert_eq!(at(3, 100), crate::kernel::colour_scale::NO_DATA);

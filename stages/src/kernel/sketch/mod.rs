@@ -8,15 +8,49 @@ mod picture;
 
 pub use bodies::{of_mesh, of_meshes};
 pub use cloud::{of_cloud, of_depth_points, of_surface};
-pub use picture::{of_depth_channels, of_picture, of_raster, of_raster_pictures, pixels};
+pub use picture::{of_depth_channels, of_picture, of_raster, of_raster_pictures};
 
 use crate::artefact::sketch::{PictureSketch, Shape, Sketch};
-use crate::artefact::{Artefact, Cameras, Kind, Table};
+use crate::artefact::{Artefact, Cameras, Depth, Image, Kind, Table};
 
 /// Rows of a table that are shown.
 const ROWS: usize = 1000;
 /// Bytes of JSON that are shown.
 const VALUES_BYTES: usize = 64 * 1024;
+
+/// All sketches of an artefact, for logs and reports; none of what has no look.
+pub fn of(artefact: &Artefact) -> Vec<Sketch> {
+    let mut sketches = match artefact {
+        Artefact::Cloud(cloud) => vec![of_cloud(cloud)],
+        Artefact::Mesh(mesh) => vec![of_mesh(mesh)],
+        Artefact::Meshes(meshes) => vec![of_meshes(meshes)],
+        Artefact::Surface(surface) => vec![of_surface(surface)],
+        Artefact::Raster(raster) => std::iter::once(of_raster(raster)).chain(of_raster_pictures(raster)).collect(),
+        Artefact::Depth(depth) => of_depth(depth),
+        Artefact::Cameras(cameras) => vec![of_cameras("", cameras.clone())],
+        Artefact::Table(table) => vec![of_table(table)],
+        Artefact::Inventory(inventory) => vec![of_table(&inventory.table())],
+        Artefact::Transform(transform) => vec![Sketch::whole("", Shape::Transform(transform.clone()))],
+        Artefact::Picture(picture) => of_picture(picture).into_iter().collect(),
+        Artefact::Covariance(covariance) => of_values(covariance).into_iter().collect(),
+        Artefact::Pairs(pairs) => of_values(pairs).into_iter().collect(),
+        Artefact::Acceptance(acceptance) => of_values(acceptance).into_iter().collect(),
+        Artefact::Candidates(candidates) => of_values(candidates).into_iter().collect(),
+        Artefact::Figure(_) | Artefact::File(_) | Artefact::Files(_) => Vec::new(),
+    };
+    sketches.extend(of_look(artefact));
+    sketches
+}
+
+/// Channels in false colours, the camera, and the points of a depth map.
+fn of_depth(depth: &Depth) -> Vec<Sketch> {
+    let image = Image { sensor: 0, ..depth.image.clone() };
+    let cameras = Cameras { frame: depth.frame, sensors: vec![depth.sensor.clone()], images: vec![image] };
+    let mut sketches = of_depth_channels(depth);
+    sketches.push(of_cameras("camera", cameras));
+    sketches.push(of_depth_points(depth));
+    sketches
+}
 
 /// The look of what has no pixels of its own: shapes, cameras, rockfalls.
 pub fn of_look(artefact: &Artefact) -> Option<Sketch> {

@@ -5,7 +5,7 @@
 
 use super::{every, left_out, stride_to};
 use crate::artefact::sketch::{ColourKey, GridBand, GridSketch, PictureSketch, Shape, Sketch};
-use crate::artefact::{CodecError, Depth, Picture, Raster};
+use crate::artefact::{Depth, Picture, Raster};
 use crate::kernel::colour_scale::{ColourScale, NO_DATA, Palette, quantile};
 
 /// Pixels of the longer side of a picture at most.
@@ -16,8 +16,6 @@ const GRID_CELLS: usize = 256;
 const BANDS: usize = 4;
 /// Bytes of a picture made for people that is shown.
 const PICTURE_BYTES: usize = 512 * 1024;
-/// Bytes of a decoded picture at most, so that a damaged header asks for no more memory than there is.
-const DECODED_BYTES: usize = 1 << 28;
 /// Share of the values beyond either end of the colours.
 const TAILS: f64 = 0.01;
 
@@ -188,26 +186,6 @@ fn indexed_png(width: usize, height: usize, values: &[f32], scale: &ColourScale)
     writer.write_image_data(&numbers).ok()?;
     writer.finish().ok()?;
     Some(png)
-}
-
-/// The pixels of a PNG file by row, red, green and blue.
-pub fn pixels(png: &[u8]) -> Result<Vec<[u8; 3]>, CodecError> {
-    let fault = |error: png::DecodingError| CodecError(format!("not a readable PNG file: {error}"));
-    let mut decoder = png::Decoder::new(std::io::Cursor::new(png));
-    decoder.set_transformations(png::Transformations::normalize_to_color8());
-    let mut reader = decoder.read_info().map_err(fault)?;
-    let bytes = reader
-        .output_buffer_size()
-        .filter(|bytes| *bytes <= DECODED_BYTES)
-        .ok_or_else(|| CodecError::new("a PNG file too large to be read"))?;
-    let mut samples = vec![0; bytes];
-    let info = reader.next_frame(&mut samples).map_err(fault)?;
-    let of = |pixel: &[u8]| match *pixel {
-        [r, g, b] | [r, g, b, _] => [r, g, b],
-        [grey, ..] => [grey; 3],
-        [] => [0; 3],
-    };
-    Ok(samples.chunks_exact(info.color_type.samples()).map(of).collect())
 }
 
 #[cfg(test)]

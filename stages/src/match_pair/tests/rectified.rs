@@ -17,7 +17,7 @@ fn points_lie_on_the_surface_and_the_camera_has_no_distortion() {
             let map = run(&scene, &host, &rectified(of, 0.0)).unwrap();
             assert!(map.sensor.k.iter().chain(&map.sensor.p).all(|c| *c == 0.0) && map.sensor.b2 == 0.0);
             let points: Vec<[f64; 3]> = (0..map.z.len())
-                .filter_map(|at| map.pixel(at % map.width, at / map.width))
+                .filter_map(|at| crate::kernel::depth_pixel::pixel(&map, at % map.width, at / map.width))
                 .map(|pixel| pixel.point_m)
                 .collect();
             assert!(points.len() * 2 > map.z.len(), "{} of {}", points.len(), map.z.len());
