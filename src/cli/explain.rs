@@ -6,10 +6,11 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use super::{CliError, PipelineArgs, beside, say};
-use crate::diagnostic::{self, nearest};
-use crate::explain::{Answers, Cause, Change, Explanation, Former, explain};
-use crate::pipeline::{Label, Pipeline};
-use crate::plan::Plan;
+use rockface_engine::diagnostic;
+use rockface_engine::diagnostic::nearest;
+use rockface_engine::explain::{Answers, Cause, Change, Explanation, Former, explain};
+use rockface_engine::pipeline::{Label, Pipeline};
+use rockface_engine::plan::Plan;
 
 /// How many changes of one instance, or points of a step, are named.
 const NAMED: usize = 20;
@@ -40,7 +41,7 @@ impl ExplainArgs {
         let (mut plan, store) = self.pipeline.look(&pipeline, &self.pipeline.target)?;
         if !(0..plan.instances.len()).any(|instance| plan.step(instance).name == name) {
             // No target needs it: explained as if it were one.
-            plan = crate::plan::plan(&pipeline, &[name.to_owned()], rockface_stages::all(), &store)
+            plan = rockface_engine::plan::plan(&pipeline, &[name.to_owned()], rockface_stages::all(), &store)
                 .map_err(CliError::Pipeline)?;
         }
         let instance = one_instance(&plan, &label)?;

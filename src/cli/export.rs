@@ -7,9 +7,10 @@ use rockface_cache::SafeName;
 
 use super::places::Places;
 use super::{CliError, say};
-use crate::diagnostic::{listed, nearest};
-use crate::history::{self, Manifest, StepDone};
-use crate::pipeline::Label;
+use rockface_engine::diagnostic::{listed, nearest};
+use rockface_engine::history;
+use rockface_engine::history::{Manifest, StepDone};
+use rockface_engine::pipeline::Label;
 
 /// Arguments of `rockface export`.
 #[derive(Debug, Args)]
@@ -37,9 +38,9 @@ impl ExportArgs {
         let Some(output) = output else {
             return Err(CliError::Usage(format!("`{}` was not made in this run", done.label())));
         };
-        let kind: Option<rockface_stages::artefact::Kind> = output.kind.parse().ok();
+        let kind: Option<rockface_core::artefact::Kind> = output.kind.parse().ok();
         let to = if self.path.is_dir() {
-            let extension = kind.map_or("bin", rockface_stages::artefact::Kind::extension);
+            let extension = kind.map_or("bin", rockface_core::artefact::Kind::extension);
             let name = SafeName::new(format!("{}.{port}.{extension}", done.label()));
             self.path.join(name.map_err(|error| CliError::Usage(format!("{error}; name the file to write")))?)
         } else {

@@ -3,10 +3,10 @@
 use clap::{Args, ValueEnum};
 
 use super::{CliError, PipelineArgs, say};
-use crate::diagnostic::Diagnostics;
+use rockface_engine::diagnostic::Diagnostics;
 use crate::drawing::Drawing;
-use crate::pipeline::Pipeline;
-use crate::plan::{Graph, resolve};
+use rockface_engine::pipeline::Pipeline;
+use rockface_engine::plan::{Graph, resolve};
 
 /// Arguments of `rockface graph`.
 #[derive(Debug, Args)]

@@ -9,7 +9,7 @@ use serde_json::json;
 use super::places::{Places, may_be_store};
 use super::table::bytes;
 use super::{CliError, say};
-use crate::history;
+use rockface_engine::history;
 
 /// Arguments of `rockface store push` and `pull`.
 #[derive(Debug, Args)]

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::{CliError, say};
-use crate::history::HistoryError;
+use rockface_engine::history::HistoryError;
 
 /// The pipeline everybody begins with.
 pub const STARTER: &str = include_str!("starter.yaml");

@@ -25,11 +25,11 @@ use clap::builder::{OsStringValueParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand};
 use rockface_cache::{Store, StoreError};
 
-use crate::diagnostic::Diagnostics;
-use crate::history::HistoryError;
-use crate::pipeline::{Overrides, Pipeline};
-use crate::plan::Plan;
-use crate::run::RunError;
+use rockface_engine::diagnostic::Diagnostics;
+use rockface_engine::history::HistoryError;
+use rockface_engine::pipeline::{Overrides, Pipeline};
+use rockface_engine::plan::Plan;
+use rockface_engine::run::RunError;
 
 /// Simulates photogrammetric rockfall monitoring: pipelines of stages, every output cached by what decided it.
 #[derive(Debug, Parser)]
@@ -135,24 +135,24 @@ impl PipelineArgs {
         };
         let pipeline = loaded.map_err(CliError::Pipeline)?;
         if !pipeline.faults.is_empty() {
-            crate::plan::resolve(&pipeline, &self.target, rockface_stages::all()).map_err(CliError::Pipeline)?;
+            rockface_engine::plan::resolve(&pipeline, &self.target, rockface_stages::all()).map_err(CliError::Pipeline)?;
         }
         Ok(pipeline)
     }
 
     /// Plans for these targets; faults of the pipeline come before anything is made on disk.
     fn plan(&self, pipeline: &Pipeline, targets: &[String]) -> Result<(Plan, Store), CliError> {
-        let graph = crate::plan::resolve(pipeline, targets, rockface_stages::all()).map_err(CliError::Pipeline)?;
+        let graph = rockface_engine::plan::resolve(pipeline, targets, rockface_stages::all()).map_err(CliError::Pipeline)?;
         let store = self.open_store()?;
-        let plan = crate::plan::expand(graph, pipeline, &store).map_err(CliError::Pipeline)?;
+        let plan = rockface_engine::plan::expand(graph, pipeline, &store).map_err(CliError::Pipeline)?;
         Ok((plan, store))
     }
 
     /// [`PipelineArgs::plan`] for what only looks: where there is no store, none is made.
     fn look(&self, pipeline: &Pipeline, targets: &[String]) -> Result<(Plan, Looked), CliError> {
-        let graph = crate::plan::resolve(pipeline, targets, rockface_stages::all()).map_err(CliError::Pipeline)?;
+        let graph = rockface_engine::plan::resolve(pipeline, targets, rockface_stages::all()).map_err(CliError::Pipeline)?;
         let store = Looked::open(&self.store_dir())?;
-        let plan = crate::plan::expand(graph, pipeline, &store).map_err(CliError::Pipeline)?;
+        let plan = rockface_engine::plan::expand(graph, pipeline, &store).map_err(CliError::Pipeline)?;
         Ok((plan, store))
     }
 
@@ -299,7 +299,7 @@ impl CliError {
         match self {
             Self::Pipeline(diagnostics) => diagnostics.render(colour),
             Self::Failed | Self::Damaged => String::new(),
-            other => crate::watch::printable(&format!("error: {other}")).into_owned(),
+            other => rockface_engine::watch::printable(&format!("error: {other}")).into_owned(),
         }
     }
 }
@@ -307,7 +307,7 @@ impl CliError {
 impl Cli {
     /// Does what the command says.
     pub fn run(self) -> Result<(), CliError> {
-        rockface_stages::format::raise_memory_limit(crate::run::Options::default().memory_bytes as u64);
+        rockface_core::format::limits::raise_memory_limit(rockface_engine::run::Options::default().memory_bytes as u64);
         match self.command {
             Command::Run(args) => args.run(),
             Command::Plan(args) => args.run(),
@@ -333,7 +333,7 @@ impl Cli {
 /// being written, such as a full disk, ends the program with the exit code of a disk that failed.
 fn say(text: &str) {
     use std::io::Write;
-    match writeln!(std::io::stdout(), "{}", crate::watch::printable(text)) {
+    match writeln!(std::io::stdout(), "{}", rockface_engine::watch::printable(text)) {
         Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
             complain(&format!("error: cannot write to standard output: {error}"));
             std::process::exit(3);

@@ -8,10 +8,10 @@ use serde_json::{Value, json};
 
 use super::programs::ProgramArgs;
 use super::{CliError, PipelineArgs, say};
-use crate::explain::{Answer, Answers};
-use crate::plan::Plan;
-use crate::run::tools;
-use crate::watch::duration;
+use rockface_engine::explain::{Answer, Answers};
+use rockface_engine::plan::Plan;
+use rockface_engine::run::tools;
+use rockface_engine::watch::duration;
 
 /// Arguments of `rockface plan`.
 #[derive(Debug, Args)]

@@ -4,7 +4,7 @@ use clap::Args;
 use clap::builder::FalseyValueParser;
 
 use super::CliError;
-use crate::pipeline::Pipeline;
+use rockface_engine::pipeline::Pipeline;
 
 /// Whether steps may start programs.
 #[derive(Debug, Args)]
@@ -25,7 +25,7 @@ impl ProgramArgs {
         if !self.no_commands {
             return Ok(());
         }
-        let graph = crate::plan::resolve(pipeline, targets, rockface_stages::all()).map_err(CliError::Pipeline)?;
-        crate::plan::without_programs(&graph, pipeline).map_err(CliError::Pipeline)
+        let graph = rockface_engine::plan::resolve(pipeline, targets, rockface_stages::all()).map_err(CliError::Pipeline)?;
+        rockface_engine::plan::without_programs(&graph, pipeline).map_err(CliError::Pipeline)
     }
 }

@@ -6,10 +6,10 @@ use std::path::{Component, Path, PathBuf};
 use rockface_cache::Digest;
 
 use super::{CliError, PipelineArgs};
-use crate::history::Manifest;
-use crate::pipeline::is_same_axis;
-use crate::plan::Plan;
-use crate::run::Summary;
+use rockface_engine::history::Manifest;
+use rockface_engine::pipeline::is_same_axis;
+use rockface_engine::plan::Plan;
+use rockface_engine::run::Summary;
 
 /// The manifest at `path`, if it is that of a run and not a pipeline.
 pub fn manifest(path: &Path) -> Result<Option<Manifest>, CliError> {
@@ -68,7 +68,7 @@ pub fn verdict(manifest: &Manifest, plan: &Plan, summary: &Summary) -> Vec<Strin
     let count = others.len();
     let mut lines = changed_files(manifest, plan);
     lines.extend(others);
-    let program = crate::build::program();
+    let program = rockface_engine::build::program();
     if manifest.program != program {
         lines.push(
             "the program is not the one that made the run; run.json tells both its version and its lock file".into(),

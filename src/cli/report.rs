@@ -6,7 +6,7 @@ use clap::Args;
 
 use super::places::Places;
 use super::{CliError, say};
-use crate::history;
+use rockface_engine::history;
 use crate::report::{self, Source};
 
 /// Arguments of `rockface report`.

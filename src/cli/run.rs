@@ -8,13 +8,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use clap::Args;
 
 use rockface_cache::Digest;
-use rockface_stages::format::raise_memory_limit;
+use rockface_core::format::limits::raise_memory_limit;
 
 use super::programs::ProgramArgs;
 use super::{CliError, PipelineArgs, beside, own_folder, repeat, say};
-use crate::run::shortcut::{self, NAMED, Told};
-use crate::run::{self, Finished, LayOut, Options, RunFolder, Summary};
-use crate::watch::{JsonLines, Observer, Plain, Silent, Terminal, duration};
+use rockface_engine::run::shortcut;
+use rockface_engine::run::shortcut::{NAMED, Told};
+use rockface_engine::run;
+use rockface_engine::run::{Finished, LayOut, Options, RunFolder, Summary};
+use rockface_engine::watch::{JsonLines, Observer, Plain, Silent, Terminal, duration};
 
 /// The most memory that can be asked for, GiB; more is a slip of the pen.
 const MEMORY_LIMIT_GIB: f64 = 1_048_576.0;
@@ -146,7 +148,7 @@ impl RunArgs {
             return None;
         }
         let arguments: Vec<_> = std::env::args_os().skip(1).collect();
-        let program = crate::build::state_of_program()?;
+        let program = rockface_engine::build::state_of_program()?;
         let place = (std::env::current_dir().ok()?, self.pipeline.store_dir(), &self.runs);
         let question = serde_json::json!([program, place, Digest::of(text.as_bytes())]).to_string();
         // Where programs are looked for decides which ones steps run.
@@ -228,8 +230,8 @@ impl<W: std::io::Write> Observer for Quiet<W> {
         true
     }
 
-    fn event(&mut self, event: &crate::watch::Event, progress: crate::watch::Progress) {
-        use crate::watch::Event;
+    fn event(&mut self, event: &rockface_engine::watch::Event, progress: rockface_engine::watch::Progress) {
+        use rockface_engine::watch::Event;
         match event {
             Event::Warning { .. } | Event::Failed { .. } => self.0.event(event, progress),
             _ => Silent.event(event, progress),

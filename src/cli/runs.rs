@@ -8,9 +8,10 @@ use serde_json::{Value, json};
 use super::places::Places;
 use super::table::{self, Format, Printed};
 use super::{CliError, say};
-use crate::history::{self, PastRun, Row};
+use rockface_engine::history;
+use rockface_engine::history::{PastRun, Row};
 use crate::report;
-use crate::watch::duration;
+use rockface_engine::watch::duration;
 
 /// Failures that are named.
 const NAMED: usize = 20;

@@ -1,10 +1,10 @@
 //! The JSON Schema of pipelines, made from the stages' own declarations, so that editors complete and check what is written.
 
-use rockface_stages::params::{Field, Kind, Range};
-use rockface_stages::{AnyStage, Arity, Port};
+use rockface_core::params::{Field, Kind, Range};
+use rockface_core::{AnyStage, Arity, Port};
 use serde_json::{Map, Value, json};
 
-use crate::pipeline::LogLevel;
+use rockface_engine::pipeline::LogLevel;
 
 /// The schema of a pipeline file over these stages.
 pub fn schema(stages: &[&'static dyn AnyStage]) -> Value {

@@ -1,13 +1,13 @@
 //! `rockface stages`: the catalogue, and the page of one stage.
 
 use clap::Args;
-use rockface_stages::params::{Field, Kind};
-use rockface_stages::{AnyStage, Arity, Port};
+use rockface_core::params::{Field, Kind};
+use rockface_core::{AnyStage, Arity, Port};
 use serde_json::{Value, json};
 
 use super::schema::map_of;
 use super::{CliError, say};
-use crate::diagnostic::nearest;
+use rockface_engine::diagnostic::nearest;
 
 /// Arguments of `rockface stages`.
 #[derive(Debug, Args)]

@@ -11,7 +11,8 @@ use super::hand::HandArgs;
 use super::places::Places;
 use super::table::{self, Format, bytes};
 use super::{CliError, say};
-use crate::history::{self, HistoryError, PastRun};
+use rockface_engine::history;
+use rockface_engine::history::{HistoryError, PastRun};
 
 /// What was made or used less long ago is kept by a collection, seconds: a run that was stopped may be taken up again.
 const GRACE_S: u64 = 3600;
@@ -106,7 +107,7 @@ fn stat(store: &Store, as_json: bool) -> Result<(), CliError> {
             stage.records.to_string(),
             stage.blobs.to_string(),
             bytes(stage.bytes),
-            crate::watch::duration(stage.wall_s),
+            rockface_engine::watch::duration(stage.wall_s),
         ]
     };
     let rows: Vec<Vec<String>> = stages.iter().map(row).collect();

@@ -11,8 +11,8 @@ use std::collections::BTreeMap;
 use petgraph::graph::{DiGraph, NodeIndex};
 use serde_json::Value;
 
-use crate::diagnostic::Diagnostic;
-use crate::plan::{Feed, Graph, GraphStep, Later, Source, counts};
+use rockface_engine::diagnostic::Diagnostic;
+use rockface_engine::plan::{Feed, Graph, GraphStep, Later, Source, counts};
 
 /// A pipeline as it is drawn.
 pub struct Drawing {

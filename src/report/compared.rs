@@ -10,8 +10,8 @@ use super::number::Shown;
 use super::source::Source;
 use super::steps::Linker;
 use super::{FILE, Links, ReportError, render};
-use crate::history::{PastRun, Row, compare};
-use crate::watch::duration;
+use rockface_engine::history::{PastRun, Row, compare};
+use rockface_engine::watch::duration;
 
 /// Headlines of a run that are shown.
 const LINES: usize = 8;

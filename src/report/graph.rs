@@ -1,9 +1,9 @@
 //! The graph of a run, each step with what became of it.
 
 use crate::drawing::{Drawing, Note, Tint};
-use crate::history::Manifest;
-use crate::pipeline::{Overrides, Pipeline};
-use crate::plan::{Graph, resolve};
+use rockface_engine::history::Manifest;
+use rockface_engine::pipeline::{Overrides, Pipeline};
+use rockface_engine::plan::{Graph, resolve};
 
 use super::steps::StepView;
 

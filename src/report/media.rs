@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 
 use base64::Engine;
 use rockface_cache::OutputRecord;
-use rockface_stages::artefact::{Artefact, Figure, Kind, Noun};
+use rockface_core::artefact::{Artefact, Figure, Kind, Noun};
 use serde::Serialize;
 
 use super::number::Shown;
 use super::source::Source;
 use super::steps::Linker;
-use crate::history::StepDone;
+use rockface_engine::history::StepDone;
 
 /// Bytes of images in a page at most; what does not fit is linked.
 const PAGE_BYTES: usize = 7_000_000;

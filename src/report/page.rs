@@ -11,8 +11,8 @@ use super::source::Source;
 use super::steps::{self, Linker, Said, StepView};
 use super::tables::TableView;
 use super::{Links, graph};
-use crate::history::StepDone;
-use crate::watch::duration;
+use rockface_engine::history::StepDone;
+use rockface_engine::watch::duration;
 
 /// Headlines and warnings that are shown.
 const LINES: usize = 40;

@@ -3,12 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use rockface_cache::{Digest, OutputRecord, Store};
-use rockface_stages::Entry;
-use rockface_stages::artefact::Shown;
-use rockface_stages::artefact::sketch::{ColourKey, Shape};
+use rockface_core::Entry;
+use rockface_core::artefact::Shown;
+use rockface_core::artefact::sketch::{ColourKey, Shape};
 
-use crate::history::{Manifest, StepDone};
-use crate::plan::Graph;
+use rockface_engine::history::{Manifest, StepDone};
+use rockface_engine::plan::Graph;
 
 /// A run and where its files are.
 pub struct Source<'a> {

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use rockface_stages::Entry;
+use rockface_core::Entry;
 use serde::Serialize;
 use serde_json::Value;
 
@@ -12,8 +12,8 @@ use super::media::{self, Budget, Medium};
 use super::number::{Shown, bytes};
 use super::source::Source;
 use super::tables::{self, TableView};
-use crate::history::StepDone;
-use crate::watch::duration;
+use rockface_engine::history::StepDone;
+use rockface_engine::watch::duration;
 
 /// Instances of a step whose pictures, tables and files are shown.
 const SHOWN: usize = 4;

@@ -1,13 +1,13 @@
 //! The first rows of tables and inventories.
 
 use rockface_cache::OutputRecord;
-use rockface_stages::artefact::{Artefact, Kind, Table};
+use rockface_core::artefact::{Artefact, Kind, Table};
 use serde::Serialize;
 
 use super::number::Shown;
 use super::source::Source;
 use super::steps::Linker;
-use crate::history::StepDone;
+use rockface_engine::history::StepDone;
 
 /// Rows of a table that are shown.
 const ROWS: usize = 12;

@@ -3,7 +3,7 @@
 use serde_json::json;
 
 use super::*;
-use crate::history::Manifest;
+use rockface_engine::history::Manifest;
 
 /// A manifest of one step with two instances, in a folder with the table it made.
 fn manifest() -> Manifest {
@@ -63,7 +63,7 @@ fn a_page_needs_nothing_from_elsewhere() {
 #[test]
 fn runs_side_by_side_tell_what_differs() {
     let one =
-        crate::history::PastRun { name: "one".into(), folder: "/nowhere".into(), manifest: manifest(), pinned: false };
+        rockface_engine::history::PastRun { name: "one".into(), folder: "/nowhere".into(), manifest: manifest(), pinned: false };
     let mut other = one.clone();
     other.name = "other".into();
     other.manifest.steps[1].parameters = json!({"cell_m": 0.5, "name": "x"}).into();

@@ -1,6 +1,6 @@
 //! What there is to say of an artefact or a log: sizes, ranges, missing values.
 
-use rockface_stages::artefact::{Artefact, Cloud, Mesh, Raster, Table};
+use rockface_core::artefact::{Artefact, Cloud, Mesh, Raster, Table};
 #[cfg(test)]
 use serde_json::Map;
 use serde_json::{Value, json};
@@ -126,7 +126,7 @@ fn of_table(table: &Table) -> Facts {
         vec![("rows".into(), table.rows.len().into()), ("columns".into(), table.columns.len().into())];
     for (column, name) in table.columns.iter().enumerate() {
         let cells = table.rows.iter().filter_map(|row| row.get(column));
-        let numbers: Vec<f64> = cells.filter_map(rockface_stages::artefact::Cell::number).collect();
+        let numbers: Vec<f64> = cells.filter_map(rockface_core::artefact::Cell::number).collect();
         let told = if numbers.len() == table.rows.len() { range(numbers.into_iter()) } else { "text".into() };
         facts.push((format!("column {name}"), told));
     }
@@ -163,7 +163,7 @@ mod tests {
     #[test]
     fn an_artefact_is_told_by_its_numbers() {
         let mut table = Table::new(["a", "name"]);
-        table.push(vec![2.5.into(), rockface_stages::artefact::Cell::Text("x".into())]);
+        table.push(vec![2.5.into(), rockface_core::artefact::Cell::Text("x".into())]);
         let facts: Map<String, Value> = of_artefact(&Artefact::Table(table)).into_iter().collect();
         assert_eq!(facts["rows"], 1);
         assert_eq!(facts["column a"]["max"], 2.5);

@@ -10,15 +10,15 @@ use std::path::Path;
 
 use clap::Args;
 use rockface_cache::{Digest, Record, Store};
-use rockface_stages::artefact::sketch::Shown;
-use rockface_stages::artefact::{Artefact, Kind};
+use rockface_core::artefact::sketch::Shown;
+use rockface_core::artefact::{Artefact, Kind};
 use serde_json::{Map, Value, json};
 
 use self::facts::{of_artefact, of_log};
 use self::picture::When;
 use super::places::Places;
 use super::{CliError, say};
-use crate::history::Manifest;
+use rockface_engine::history::Manifest;
 
 /// Arguments of `rockface inspect`.
 #[derive(Debug, Args)]

@@ -3,8 +3,8 @@
 use std::io::IsTerminal;
 
 use clap::ValueEnum;
-use rockface_stages::artefact::Sketch;
-use rockface_stages::artefact::sketch::{PictureSketch, Shape};
+use rockface_core::artefact::Sketch;
+use rockface_core::artefact::sketch::{PictureSketch, Shape};
 
 use super::super::{CliError, say};
 
@@ -45,7 +45,7 @@ pub fn show(sketches: &[Sketch]) -> Result<(), CliError> {
         _ => None,
     });
     for (sketch, picture) in pictures.take(PICTURES) {
-        let failed = |error: rockface_stages::artefact::CodecError| CliError::Usage(error.to_string());
+        let failed = |error: rockface_core::artefact::CodecError| CliError::Usage(error.to_string());
         let pixels = picture.pixels().map_err(failed)?;
         say(&format!("\n{}", caption(sketch, picture)));
         lines(&pixels, picture.width as usize, COLUMNS).iter().for_each(|line| say(line));

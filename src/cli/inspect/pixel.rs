@@ -5,13 +5,13 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use rockface_cache::{Digest, RecipeInput, Record, Store};
-use rockface_stages::artefact::{Artefact, Depth, Kind, Mesh, Noun};
+use rockface_core::artefact::{Artefact, Depth, Kind, Mesh, Noun};
 use serde_json::{Value, json};
 
 use super::super::places::Places;
 use super::super::{CliError, say};
 use super::{Facts, say_facts};
-use crate::run::again;
+use rockface_engine::run::again;
 
 /// Reads `X,Y`.
 pub fn parse(text: &str) -> Result<[usize; 2], String> {
@@ -180,7 +180,7 @@ impl<'a> Chain<'a> {
     /// What the steps upstream make of a pixel, then what this one does.
     fn stops(&self, key: &Digest, port: &str, pixel: [usize; 2]) -> Result<Vec<Stop>, CliError> {
         let Some(record) = self.record(key) else { return Ok(Vec::new()) };
-        let failed = |error: rockface_stages::StageError| {
+        let failed = |error: rockface_core::StageError| {
             let hint = error.hint.map(|hint| format!(" ({hint})")).unwrap_or_default();
             CliError::Usage(format!("`{}` cannot be run again: {}{hint}", record.recipe.stage, error.message))
         };

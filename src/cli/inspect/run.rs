@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde_json::{Value, json};
 
 use super::Facts;
-use crate::history::Manifest;
+use rockface_engine::history::Manifest;
 
 /// The file of a run folder that tells of its run.
 const MANIFEST: &str = "run.json";

@@ -1,0 +1,166 @@
+//! Axes whose items are made by a step: taken from records when a plan is made, or from what came out while it runs.
+
+use std::collections::BTreeSet;
+
+use rockface_cache::{Outcome, Store};
+use rockface_core::artefact::{Artefact, Cell, Kind, Table};
+use serde_json::{Map, Value};
+
+use super::instances::Plan;
+use super::sight::HashFile;
+use crate::diagnostic::Diagnostic;
+use crate::pipeline::bad_item;
+
+/// The items of a list, each with what `${axis}` stands for.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Items {
+    /// Names, unique.
+    pub names: Vec<String>,
+    /// A text each, or a map of the columns of a row.
+    pub values: Vec<Value>,
+}
+
+/// The column of a table that names its rows; without it they are numbered.
+const NAME_COLUMN: &str = "item";
+
+/// The items of a recorded output: from its record, or for the rows of a table from the table itself.
+pub fn items_of(outcome: &Outcome, port: &str, store: &Store) -> Result<Items, String> {
+    let Some(output) = outcome.outputs.get(port) else { return Err(format!("it made no `{port}`")) };
+    let items = match (&output.items, output.kind.parse::<Kind>()) {
+        (Some(names), _) => {
+            Items { names: names.clone(), values: names.iter().map(|name| Value::from(name.clone())).collect() }
+        }
+        (None, Ok(Kind::Table)) => {
+            let bytes = store.get(&output.digest).map_err(|error| error.to_string())?;
+            match Artefact::decode(Kind::Table, &bytes) {
+                Ok(Artefact::Table(table)) => rows(&table),
+                Ok(other) => return Err(format!("`{port}` is a {}, not a table", other.kind())),
+                Err(error) => return Err(format!("`{port}` cannot be read back: {error}")),
+            }
+        }
+        _ => return Err(format!("`{port}` is no list")),
+    };
+    check(&items)?;
+    Ok(items)
+}
+
+fn rows(table: &Table) -> Items {
+    let naming = table.column(NAME_COLUMN);
+    let name = |(number, row): (usize, &Vec<Cell>)| naming.map_or_else(|| number.to_string(), |at| row[at].to_string());
+    let value = |row: &Vec<Cell>| {
+        let cells = table.columns.iter().zip(row).map(|(column, cell)| (column.clone(), cell_value(cell)));
+        Value::Object(cells.collect::<Map<_, _>>())
+    };
+    Items { names: table.rows.iter().enumerate().map(name).collect(), values: table.rows.iter().map(value).collect() }
+}
+
+/// Whole numbers are written as such, so that they can stand in a text or be a count.
+fn cell_value(cell: &Cell) -> Value {
+    match cell {
+        Cell::Number(x) if x.fract() == 0.0 && x.abs() < 9e15 => Value::from(*x as i64),
+        Cell::Number(x) => Value::from(*x),
+        Cell::Text(text) => Value::from(text.clone()),
+        Cell::Flag(flag) => Value::from(*flag),
+        Cell::Empty(()) => Value::Null,
+    }
+}
+
+fn check(items: &Items) -> Result<(), String> {
+    let mut seen = BTreeSet::new();
+    if items.names.is_empty() {
+        return Err("the list is empty, and an axis needs an item".to_owned());
+    }
+    for name in &items.names {
+        if let Some(bad) = bad_item(name) {
+            return Err(bad);
+        }
+        if !seen.insert(name) {
+            return Err(format!("`{name}` occurs twice in the list"));
+        }
+    }
+    Ok(())
+}
+
+impl Plan {
+    /// The axes that wait for an instance, with the port their items come from.
+    pub fn waiting_axes(&self, instance: usize) -> Vec<(usize, &'static str)> {
+        let own = &self.instances[instance];
+        let axes = &self.graph.steps[own.step].axes;
+        let waits = |axis: usize| {
+            let dynamic = self.graph.dynamic[axis].as_ref().filter(|dynamic| !dynamic.known)?;
+            let source = &dynamic.source;
+            let item = |axis: &usize| source.picks.iter().find(|(a, _)| a == axis).map_or(0, |(_, item)| *item);
+            let here = source.step == own.step && axes.iter().map(item).eq(own.items.iter().copied());
+            here.then_some((axis, source.port.name))
+        };
+        (0..self.graph.axes.len()).filter_map(waits).collect()
+    }
+
+    /// Tells the plan the items of an axis; [`Plan::grow`] then adds what follows from them. Reports what was named
+    /// beforehand and is none of them.
+    pub fn set_items(&mut self, axis: usize, items: Items) -> Result<(), Vec<Diagnostic>> {
+        self.replace_items(axis, items, true);
+        let faults = self.graph.settle(axis);
+        if faults.is_empty() { Ok(()) } else { Err(faults) }
+    }
+
+    fn replace_items(&mut self, axis: usize, items: Items, known: bool) {
+        let own = &mut self.graph.axes[axis];
+        (own.items, own.values) = (items.names, items.values);
+        if let Some(dynamic) = &mut self.graph.dynamic[axis] {
+            dynamic.known = known;
+        }
+    }
+
+    /// Forgets the items of an axis that came to nothing.
+    pub fn unset_items(&mut self, axis: usize) {
+        self.replace_items(axis, Items { names: Vec::new(), values: Vec::new() }, false);
+    }
+
+    /// Takes the items of all lists that are on record, and grows accordingly.
+    pub fn take_recorded(&mut self, store: &Store, hash: &HashFile) -> Result<(), Vec<Diagnostic>> {
+        loop {
+            let tellers: Vec<usize> =
+                (0..self.instances.len()).filter(|instance| !self.waiting_axes(*instance).is_empty()).collect();
+            let mut grown = false;
+            for instance in tellers {
+                let Some(outcome) = self.recorded(store, instance) else { continue };
+                for (axis, port) in self.waiting_axes(instance) {
+                    // What cannot be read now is told when the run comes to it.
+                    if let Ok(items) = items_of(&outcome, port, store) {
+                        self.set_items(axis, items)?;
+                        grown = true;
+                    }
+                }
+            }
+            if !grown {
+                return Ok(());
+            }
+            self.grow(hash)?;
+            self.order()?;
+        }
+    }
+
+    /// What is on record of an instance, if it and all it comes from are.
+    fn recorded(&self, store: &Store, wanted: usize) -> Option<Outcome> {
+        let mut upstream = BTreeSet::from([wanted]);
+        let mut open = vec![wanted];
+        while let Some(instance) = open.pop() {
+            for given in self.instances[instance].inputs.iter().flat_map(|(_, given)| given) {
+                if upstream.insert(given.instance) {
+                    open.push(given.instance);
+                }
+            }
+        }
+        let mut outcomes: std::collections::BTreeMap<usize, Outcome> = std::collections::BTreeMap::new();
+        for instance in upstream {
+            // Producers have lower numbers, so their outcomes are there.
+            let recipe = self.recipe(instance, |producer, port| outcomes[&producer].outputs[port].digest);
+            let outcome = crate::run::hit(store, &recipe.key(), self.step(instance).keep, |outcome| {
+                self.fits(instance, outcome)
+            })?;
+            outcomes.insert(instance, outcome);
+        }
+        outcomes.remove(&wanted)
+    }
+}

@@ -1,0 +1,233 @@
+//! The resolved graph of steps: every name found, every port checked, axes propagated along the arrows.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use rockface_core::artefact::Kind;
+use rockface_core::{AnyStage, Port, Ports};
+use serde_json::Value;
+
+use crate::diagnostic::Span;
+use crate::pipeline::{Axis, LogLevel, Node, Word};
+
+/// A pipeline whose every name is resolved; steps are in topological order.
+pub struct Graph {
+    /// Name of the pipeline.
+    pub name: String,
+    /// Pipeline seed.
+    pub seed: u64,
+    /// The folder of the pipeline file.
+    pub folder: PathBuf,
+    /// Values that `${name}` refers to.
+    pub params: BTreeMap<String, Value>,
+    /// The axes, in the order of declaration.
+    pub axes: Vec<Axis>,
+    /// By axis: the first of those it is walked together with; itself where it is alone.
+    pub zips: Vec<usize>,
+    /// By axis: the output its items are taken from, and whether they are known.
+    pub dynamic: Vec<Option<Dynamic>>,
+    /// The steps, producers before consumers.
+    pub steps: Vec<GraphStep>,
+    /// Indices of the steps to make.
+    pub targets: Vec<usize>,
+}
+
+/// Where the items of an axis come from.
+#[derive(Debug, Clone)]
+pub struct Dynamic {
+    /// The output.
+    pub source: Source,
+    /// Whether the items are known.
+    pub known: bool,
+}
+
+/// One resolved step.
+pub struct GraphStep {
+    /// Its name.
+    pub name: String,
+    /// Where its name stands.
+    pub span: Span,
+    /// Its stage.
+    pub stage: &'static dyn AnyStage,
+    /// Its ports.
+    pub ports: Ports,
+    /// Paths in its parameters are relative to this folder.
+    pub folder: Arc<Path>,
+    /// Its parameters as written.
+    pub with: Option<Arc<Node>>,
+    /// What feeds each given input port, in the stage's order of ports.
+    pub inputs: Vec<(&'static Port, Feed)>,
+    /// Indices of the axes it is expanded over, ascending.
+    pub axes: Vec<usize>,
+    /// Indices of the axes its parameters mention, ascending.
+    pub with_axes: Vec<usize>,
+    /// Whether its outputs are kept.
+    pub keep: bool,
+    /// What stands for it in seed material.
+    pub stream: String,
+    /// The reseeding axes whose items are part of the seed material, ascending.
+    pub stream_axes: Vec<usize>,
+    /// How long one go may take.
+    pub timeout: Option<Duration>,
+    /// How often it is tried again after a failure.
+    pub retries: u32,
+    /// How much the log of a run shows of it; `None`: it depends on the number of its instances.
+    pub log: Option<LogLevel>,
+}
+
+impl GraphStep {
+    /// The file extension of an output of this kind at a port, without the dot.
+    pub fn extension(&self, port: &str, kind: Kind) -> &'static str {
+        let declared = self.ports.outputs.iter().find(|declared| declared.name == port);
+        declared.and_then(|port| port.extension).unwrap_or(kind.extension())
+    }
+}
+
+/// Where an input comes from.
+#[derive(Debug, Clone)]
+pub enum Feed {
+    /// One output.
+    Plain(Source),
+    /// The output chosen by the item of an axis: one source an item.
+    By {
+        /// Index of the axis.
+        axis: usize,
+        /// One source an item; none as long as the items are not known.
+        cases: Vec<Source>,
+        /// Where the items are not known beforehand: the sources of those that are named.
+        named: Vec<(Word, Source)>,
+        /// And of all others.
+        other: Option<Source>,
+    },
+    /// The outputs at all items of some axes.
+    Each {
+        /// The output.
+        source: Source,
+        /// Indices of the axes gathered over, outermost first.
+        over: Vec<usize>,
+    },
+    /// The output at the item before.
+    Chain {
+        /// The output.
+        source: Source,
+        /// Index of the axis it goes back on.
+        axis: usize,
+        /// What the first item gets.
+        first: Option<Source>,
+    },
+}
+
+/// One output of a step, perhaps with the items of some axes picked.
+#[derive(Debug, Clone)]
+pub struct Source {
+    /// Index of the step.
+    pub step: usize,
+    /// Its output port.
+    pub port: &'static Port,
+    /// Picked items: (axis, item).
+    pub picks: Vec<(usize, usize)>,
+    /// Picked items of axes whose items are not known yet.
+    pub later: Vec<Later>,
+}
+
+/// A picked item whose number is not known yet.
+#[derive(Debug, Clone)]
+pub struct Later {
+    /// Index of the axis.
+    pub axis: usize,
+    /// The item.
+    pub item: Word,
+    /// Axes walked with it that the output depends on too.
+    pub mates: Vec<usize>,
+}
+
+impl Feed {
+    /// Every source but one at the item before.
+    pub fn forward_sources(&self) -> Vec<&Source> {
+        match self {
+            Self::Chain { first, .. } => first.iter().collect(),
+            _ => self.sources(),
+        }
+    }
+
+    /// Every source in it.
+    pub fn sources(&self) -> Vec<&Source> {
+        match self {
+            Self::Plain(source) | Self::Each { source, .. } => vec![source],
+            Self::By { cases, named, other, .. } if cases.is_empty() => {
+                named.iter().map(|(_, source)| source).chain(other).collect()
+            }
+            Self::By { cases, .. } => cases.iter().collect(),
+            Self::Chain { source, first, .. } => std::iter::once(source).chain(first).collect(),
+        }
+    }
+}
+
+impl Source {
+    /// Whether an item of an axis is picked.
+    pub fn picks_of(&self, axis: usize) -> bool {
+        let later = self.later.iter().any(|later| later.axis == axis || later.mates.contains(&axis));
+        later || self.picks.iter().any(|(picked, _)| *picked == axis)
+    }
+}
+
+impl Graph {
+    /// Whether the items of an axis are not known yet.
+    pub fn is_pending(&self, axis: usize) -> bool {
+        self.dynamic[axis].as_ref().is_some_and(|dynamic| !dynamic.known)
+    }
+
+    /// The axes walked together with one, itself among them.
+    pub fn mates(&self, axis: usize) -> impl Iterator<Item = usize> {
+        (0..self.axes.len()).filter(move |other| self.zips[*other] == self.zips[axis])
+    }
+
+    /// The axes a step is expanded or gathers over.
+    pub fn axes_met(&self, step: usize) -> Vec<usize> {
+        let step = &self.steps[step];
+        let gathered = step.inputs.iter().flat_map(|(_, feed)| match feed {
+            Feed::Each { over, .. } => over.as_slice(),
+            _ => &[],
+        });
+        step.axes.iter().chain(gathered).copied().collect()
+    }
+
+    /// The steps that targets need, also those that tell the items of their axes.
+    pub fn wanted(&self) -> Vec<bool> {
+        let mut wanted = vec![false; self.steps.len()];
+        let mut open = self.targets.clone();
+        while let Some(step) = open.pop() {
+            if std::mem::replace(&mut wanted[step], true) {
+                continue;
+            }
+            let feeds = self.steps[step].inputs.iter().flat_map(|(_, feed)| feed.sources());
+            open.extend(feeds.map(|source| source.step));
+            let tellers = self.axes_met(step).into_iter().filter_map(|axis| self.dynamic[axis].as_ref());
+            open.extend(tellers.map(|dynamic| dynamic.source.step));
+        }
+        wanted
+    }
+
+    /// The steps whose instances cannot be told before some list of items is known, each with the axis it waits for.
+    pub fn deferred(&self) -> Vec<Option<usize>> {
+        let mut deferred: Vec<Option<usize>> = vec![None; self.steps.len()];
+        if !(0..self.axes.len()).any(|axis| self.is_pending(axis)) {
+            return deferred;
+        }
+        // Arrows that go back along an axis lead upwards in the list of steps: until nothing changes.
+        loop {
+            let before = deferred.clone();
+            for step in 0..self.steps.len() {
+                let own = self.axes_met(step).into_iter().find(|axis| self.is_pending(*axis));
+                let feeds = self.steps[step].inputs.iter().flat_map(|(_, feed)| feed.sources());
+                let given = feeds.into_iter().find_map(|source| deferred[source.step]);
+                deferred[step] = deferred[step].or(own).or(given);
+            }
+            if deferred == before {
+                return deferred;
+            }
+        }
+    }
+}

@@ -1,0 +1,55 @@
+//! From pipeline to plan: resolve names, expand axes, key every step instance.
+
+mod blind;
+mod dynamic;
+mod faults;
+mod feeds;
+mod graph;
+mod instances;
+mod later;
+mod log_levels;
+mod parameters;
+mod points;
+mod programs;
+mod reach;
+mod resolve;
+mod sight;
+mod values;
+
+pub use dynamic::{Items, items_of};
+pub use graph::{Dynamic, Feed, Graph, GraphStep, Later, Source};
+pub use instances::{Given, Instance, Plan, has_ports, makes};
+pub use parameters::{InputFile, StepParams};
+pub use points::counts;
+pub use programs::without_programs;
+pub use resolve::resolve;
+pub use sight::Looks;
+
+use rockface_cache::{Digest, Store};
+use rockface_core::AnyStage;
+
+use crate::diagnostic::Diagnostics;
+use crate::pipeline::Pipeline;
+
+/// The stages a pipeline may use.
+pub type Registry = [&'static dyn AnyStage];
+
+/// Resolves and expands a pipeline, as far as the items of its axes are on record; input files are hashed through the
+/// store, which remembers what did not change.
+pub fn plan(pipeline: &Pipeline, targets: &[String], stages: &Registry, store: &Store) -> Result<Plan, Diagnostics> {
+    expand(resolve(pipeline, targets, stages)?, pipeline, store)
+}
+
+/// Expands the resolved graph of a pipeline, as far as the items of its axes are on record.
+pub fn expand(graph: Graph, pipeline: &Pipeline, store: &Store) -> Result<Plan, Diagnostics> {
+    let hash = file_hash(store);
+    let told = |list| Diagnostics { sources: pipeline.sources.clone(), list };
+    let mut plan = Plan::new(graph, &hash).map_err(told)?;
+    plan.take_recorded(store, &hash).map_err(told)?;
+    Ok(plan)
+}
+
+/// How a file is hashed through a store.
+pub fn file_hash(store: &Store) -> impl Fn(&std::path::Path) -> Result<Digest, String> {
+    |path| store.hash_file(path).map(|file| file.digest).map_err(|error| error.to_string())
+}

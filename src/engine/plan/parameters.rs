@@ -1,0 +1,281 @@
+//! The parameters of a step at one point: filled in, checked, and with its files found and hashed.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use rockface_cache::Digest;
+use rockface_core::AnyStage;
+use rockface_core::params::{Fault, Field, Kind};
+use serde_json::{Value, json};
+
+use super::graph::{Graph, GraphStep};
+use super::sight::{Sight, one_file};
+use crate::diagnostic::{Diagnostic, Span, nearest};
+use crate::pipeline::{Node, filled, mentioned};
+
+/// Parameters that are ready for the recipe and for the stage.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StepParams {
+    /// Canonical, every default filled in, files as written: what the stage gets.
+    pub canonical: Arc<Value>,
+    /// The same with every file replaced by its name-free or named digests: what the recipe holds.
+    pub recipe: Arc<Value>,
+    /// Whether the stage draws random numbers with them.
+    pub draws: bool,
+    /// The files behind each file parameter, as it was written.
+    pub files: BTreeMap<String, Vec<InputFile>>,
+}
+
+impl StepParams {
+    /// Parameters whose files are not looked for yet.
+    fn of(canonical: Value, draws: bool) -> Self {
+        let canonical = Arc::new(canonical);
+        Self { recipe: canonical.clone(), canonical, draws, files: BTreeMap::new() }
+    }
+}
+
+/// A file named by a parameter.
+#[derive(Debug, Clone, PartialEq)]
+pub struct InputFile {
+    /// Its name without the folder.
+    pub name: String,
+    /// Where it is.
+    pub path: PathBuf,
+    /// Its digest when the plan was made.
+    pub digest: Digest,
+}
+
+/// What a `${name}` stands for at the items of some axes.
+pub fn lookup(graph: &Graph, items: &BTreeMap<usize, usize>, name: &str) -> Option<Value> {
+    let known = graph.params.get(name).cloned();
+    known.or_else(|| {
+        let (base, field) = name.split_once('.').map_or((name, None), |(base, field)| (base, Some(field)));
+        let axis = graph.axes.iter().position(|axis| axis.name.text == base)?;
+        let value = graph.axes[axis].values.get(*items.get(&axis)?)?;
+        field.map_or_else(|| Some(value.clone()), |field| value.get(field).cloned())
+    })
+}
+
+/// Fills in and checks the parameters of a step at the items of the axes its `with` mentions.
+pub fn check(graph: &Graph, step: &GraphStep, items: &BTreeMap<usize, usize>) -> Result<StepParams, Vec<Diagnostic>> {
+    check_filled(step, &fill(graph, step, items)?)
+}
+
+/// The same, and finds and hashes the files that the parameters name; `fields` are those of the stage.
+pub fn check_with_files(
+    graph: &Graph,
+    step: &GraphStep,
+    items: &BTreeMap<usize, usize>,
+    fields: &[Field],
+    sight: &Sight,
+) -> Result<StepParams, Vec<Diagnostic>> {
+    let with = fill(graph, step, items)?;
+    match check_filled(step, &with) {
+        Ok(mut params) => {
+            let faults = find_files(step, fields, &mut params, sight);
+            if faults.is_empty() { Ok(params) } else { Err(faults) }
+        }
+        Err(mut faults) => {
+            let mut as_written = StepParams::of(with, false);
+            let missing = find_files(step, fields, &mut as_written, sight);
+            let new = missing.into_iter().filter(|fault| faults.iter().all(|known| known.span != fault.span));
+            let new: Vec<_> = new.collect();
+            faults.extend(new);
+            Err(faults)
+        }
+    }
+}
+
+fn fill(graph: &Graph, step: &GraphStep, items: &BTreeMap<usize, usize>) -> Result<Value, Vec<Diagnostic>> {
+    let Some(with) = &step.with else { return Ok(Value::Null) };
+    filled(with, &|name| lookup(graph, items, name)).map_err(|fault| {
+        let strange = strange_columns(graph, step, with, items);
+        if strange.is_empty() { vec![fault] } else { strange }
+    })
+}
+
+/// Mentions of what the items of an axis turn out not to have.
+fn strange_columns(graph: &Graph, step: &GraphStep, with: &Node, items: &BTreeMap<usize, usize>) -> Vec<Diagnostic> {
+    let mut names = Vec::new();
+    mentioned(with, &mut names);
+    let strange = names.into_iter().filter(|(name, _)| lookup(graph, items, name).is_none());
+    let told = |(name, span): (String, Span)| {
+        let (base, column) = name.split_once('.')?;
+        let axis = graph.axes.iter().position(|axis| axis.name.text == base)?;
+        let value = graph.axes[axis].values.get(*items.get(&axis)?)?;
+        let Some(columns) = value.as_object() else {
+            let message = format!("step `{}`: an item of axis `{base}` is a single value", step.name);
+            return Some(Diagnostic::at(span, message).hint(format!("write ${{{base}}}")));
+        };
+        let known: Vec<&str> = columns.keys().map(String::as_str).collect();
+        let columns = format!("the table behind it has {}", known.join(", "));
+        let message = format!("step `{}`: `${{{name}}}`: axis `{base}` has no column `{column}`; {columns}", step.name);
+        let near = nearest(column, &known).map(|near| format!("did you mean `${{{base}.{near}}}`?"));
+        Some(near.into_iter().fold(Diagnostic::at(span, message), Diagnostic::hint))
+    };
+    strange.filter_map(told).collect()
+}
+
+fn check_filled(step: &GraphStep, with: &Value) -> Result<StepParams, Vec<Diagnostic>> {
+    let place = Place { step: &step.name, stage: step.stage, with: step.with.as_deref(), span: step.span };
+    let checked = step
+        .stage
+        .check(with)
+        .map_err(|faults| faults.into_iter().map(|fault| told(&place, with, &fault)).collect::<Vec<_>>())?;
+    Ok(StepParams::of(checked.canonical, checked.draws))
+}
+
+/// Where the parameters of a step stand.
+pub struct Place<'a> {
+    /// The step.
+    pub step: &'a str,
+    /// Its stage.
+    pub stage: &'a dyn AnyStage,
+    /// Its parameters as written.
+    pub with: Option<&'a Node>,
+    /// Where its name stands.
+    pub span: Span,
+}
+
+/// What a stage finds wrong with parameters, with its place in the text.
+pub fn told(place: &Place, with: &Value, fault: &Fault) -> Diagnostic {
+    let at = place.with.map_or(place.span, |node| node.locate(&fault.path, fault.at_key));
+    let silent = fault.path.is_empty() || fault.at_key;
+    let about = if silent { String::new() } else { format!("`{}`: ", fault.path.join(".")) };
+    let message = format!("step `{}` ({}): {about}{}", place.step, place.stage.name(), fault.message);
+    let written = fault.path.last().map_or_else(String::new, Clone::clone);
+    let given = if fault.at_key { written } else { value_at(with, &fault.path) };
+    Diagnostic::at(at, message).suggest(&given, fault.known.iter().map(String::as_str))
+}
+
+/// Finds and hashes every file the parameters name, and puts the digests into the recipe's parameters; `fields` are those of
+/// the stage.
+fn find_files(step: &GraphStep, fields: &[Field], params: &mut StepParams, sight: &Sight) -> Vec<Diagnostic> {
+    let mut finder = Finder { step, sight, files: BTreeMap::new(), faults: Vec::new(), path: Vec::new() };
+    if fields.iter().any(|field| names_files(&field.kind)) {
+        params.recipe = Arc::new(finder.fields(fields, &params.canonical));
+        params.files = finder.files;
+    }
+    finder.faults
+}
+
+/// Whether a parameter of this shape can name files.
+fn names_files(kind: &Kind) -> bool {
+    match kind {
+        Kind::File | Kind::Files => true,
+        Kind::List(inner, _) | Kind::Optional(inner) | Kind::Entries(inner) | Kind::NumberOr(inner) => {
+            names_files(inner)
+        }
+        Kind::Map(fields) | Kind::Union(fields) => fields.iter().any(|field| names_files(&field.kind)),
+        Kind::Number | Kind::Integer | Kind::Boolean | Kind::Text | Kind::Choice(_) | Kind::Any => false,
+    }
+}
+
+struct Finder<'a> {
+    step: &'a GraphStep,
+    sight: &'a Sight<'a>,
+    files: BTreeMap<String, Vec<InputFile>>,
+    faults: Vec<Diagnostic>,
+    path: Vec<String>,
+}
+
+impl Finder<'_> {
+    fn fields(&mut self, fields: &[Field], value: &Value) -> Value {
+        let Value::Object(map) = value else { return value.clone() };
+        let entries = map.iter().map(|(key, value)| {
+            let kind = fields.iter().find(|field| field.name == key).map(|field| &field.kind);
+            self.path.push(key.clone());
+            let found = kind.map_or_else(|| value.clone(), |kind| self.value(kind, value));
+            self.path.pop();
+            (key.clone(), found)
+        });
+        Value::Object(entries.collect())
+    }
+
+    fn value(&mut self, kind: &Kind, value: &Value) -> Value {
+        match (kind, value) {
+            (Kind::Optional(inner), value) if !value.is_null() => self.value(inner, value),
+            (Kind::List(inner, _), Value::Array(items)) => items.iter().map(|item| self.value(inner, item)).collect(),
+            (Kind::Entries(inner), Value::Object(map)) => {
+                let entries = map.iter().map(|(key, value)| {
+                    self.path.push(key.clone());
+                    let found = self.value(inner, value);
+                    self.path.pop();
+                    (key.clone(), found)
+                });
+                Value::Object(entries.collect())
+            }
+            (Kind::Map(fields) | Kind::Union(fields), value) => self.fields(fields, value),
+            (Kind::NumberOr(inner), value) => self.value(inner, value),
+            (Kind::File, Value::String(written)) => {
+                let files = self.find(written, false);
+                files.first().map_or(Value::Null, |file| json!({ "blake3": file.digest }))
+            }
+            (Kind::Files, Value::String(written)) => self
+                .find(written, true)
+                .iter()
+                .map(|file| json!({ "name": file.name, "blake3": file.digest }))
+                .collect(),
+            _ => value.clone(),
+        }
+    }
+
+    fn find(&mut self, written: &str, many: bool) -> Vec<InputFile> {
+        let path = self.step.folder.join(written);
+        let listed = match written.trim() {
+            "" => Err("a path is needed, and this one is empty".to_owned()),
+            _ if many => self.sight.list(&path),
+            _ => one_file(&path),
+        };
+        let hashed =
+            listed.and_then(|paths| paths.into_iter().map(|path| self.hashed(path)).collect::<Result<Vec<_>, _>>());
+        match hashed {
+            Ok(files) => {
+                self.files.insert(written.to_owned(), files.clone());
+                files
+            }
+            Err(message) => {
+                let span = self.step.with.as_ref().map_or(self.step.span, |with| with.locate(&self.path, false));
+                self.faults.push(missing(span, &format!("step `{}`: {message}", self.step.name), written, &path));
+                Vec::new()
+            }
+        }
+    }
+
+    fn hashed(&self, path: PathBuf) -> Result<InputFile, String> {
+        let digest = self.sight.hash(&path)?;
+        let name = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+        Ok(InputFile { name, path, digest })
+    }
+}
+
+fn missing(span: Span, message: &str, written: &str, path: &Path) -> Diagnostic {
+    let name = path.file_name().map_or_else(|| written.to_owned(), |name| name.to_string_lossy().into_owned());
+    if written.trim().is_empty() || path.symlink_metadata().is_ok() {
+        // What was named is there: nothing beside it was meant instead.
+        return Diagnostic::at(span, message);
+    }
+    let beside = path.parent().map(std::fs::read_dir);
+    let names: Vec<String> = match beside {
+        Some(Ok(entries)) => entries.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned()).collect(),
+        _ => {
+            return Diagnostic::at(span, message)
+                .hint("paths are relative to the folder of the pipeline file; the folder of this one does not exist");
+        }
+    };
+    match crate::diagnostic::nearest(&name, &names.iter().map(String::as_str).collect::<Vec<_>>()) {
+        Some(near) => {
+            Diagnostic::at(span, message).hint(format!("there is a `{near}` in that folder; did you mean it?"))
+        }
+        None => Diagnostic::at(span, message).hint("paths are relative to the folder of the pipeline file"),
+    }
+}
+
+fn value_at(value: &Value, path: &[String]) -> String {
+    let found = path.iter().try_fold(value, |value, key| match value {
+        Value::Array(items) => items.get(key.parse::<usize>().ok()?),
+        other => other.get(key),
+    });
+    found.and_then(Value::as_str).unwrap_or_default().to_owned()
+}

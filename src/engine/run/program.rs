@@ -1,0 +1,203 @@
+//! Running a program for a stage: in a folder of its own, with a plain environment, and no longer than it may.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::{Read, Seek, SeekFrom};
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::Duration;
+
+use rockface_cache::{SafePath, Store, StoreError};
+use rockface_core::{Piece, Program, ProgramResult, StageError};
+use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
+use wait4::Wait4;
+
+use super::tools::{self, Call, Tools};
+use crate::plan::InputFile;
+
+/// What reaches every program from outside.
+const INHERITED: [&str; 5] = ["PATH", "HOME", "USER", "LOGNAME", "LD_LIBRARY_PATH"];
+
+/// How often it is looked at whether a program has ended or is to be ended.
+const LOOK_EVERY: Duration = Duration::from_millis(10);
+
+/// Bytes of the beginning, and as many of the end, that are kept of what a program prints.
+const KEPT_BYTES: u64 = 64 << 10;
+
+/// The store has less room than this: a program that failed did so for want of it.
+const FULL_BYTES: u64 = 64 << 10;
+
+/// What a program took, with all it started and waited for.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Used {
+    /// Processor seconds.
+    pub cpu_s: f64,
+    /// The greatest resident memory of any one of them, bytes.
+    pub peak_bytes: u64,
+    /// The program files that were called by a name or a path.
+    pub tools: Tools,
+}
+
+/// Why a program could not be run to its end.
+#[derive(Debug, thiserror::Error)]
+#[error(transparent)]
+pub enum Fault {
+    /// The program, or how it is called.
+    Program(#[from] StageError),
+    /// The store, in whose folders it runs.
+    Store(#[from] StoreError),
+}
+
+/// Runs a program to its end. `give_up` is asked now and then; when it says so, the program and its children are killed.
+pub fn execute(
+    program: &Program,
+    files: &BTreeMap<String, Vec<InputFile>>,
+    store: &Store,
+    give_up: &dyn Fn() -> bool,
+) -> Result<(ProgramResult, Used), Fault> {
+    for path in program.inputs.iter().map(|(path, _)| path).chain(&program.outputs) {
+        SafePath::new(path).map_err(|error| StageError::new(error.to_string()))?;
+    }
+    let scratch = store.scratch()?;
+    let folder = scratch.path();
+    lay_out(program, folder)?;
+    let (mut stdout, mut stderr) = (scratch_file(folder)?, scratch_file(folder)?);
+    let name = joined(&program.program, files)?;
+    let mut command = Command::new(&name);
+    for arg in &program.args {
+        command.arg(joined(arg, files)?);
+    }
+    let inherited = INHERITED.iter().copied().chain(program.inherit.iter().map(String::as_str));
+    command
+        .env_clear()
+        .envs(inherited.filter_map(|name| Some((name, std::env::var_os(name)?))))
+        .env("LC_ALL", "C.UTF-8")
+        .env("TMPDIR", scratch.temporary())
+        .envs(&program.environment)
+        .current_dir(folder)
+        .stdin(Stdio::null())
+        .stdout(stdout.try_clone().map_err(in_folder("keep what a program prints in", folder))?)
+        .stderr(stderr.try_clone().map_err(in_folder("keep what a program prints in", folder))?)
+        .process_group(0);
+    let child = command.spawn().map_err(|error| {
+        let fault = StageError::new(format!("cannot run `{name}`: {error}"));
+        fault.hint("install it, or name a script under `files` and write {file.name}")
+    })?;
+    let (status, mut used) = wait(child, give_up)?;
+    used.tools = tools::state(call(program, &name), store);
+    if !status.success() && is_full(folder) {
+        return Err(StoreError::DiskFull { path: folder.to_owned() }.into());
+    }
+    let read = in_folder("read what a program left in", folder);
+    let result = ProgramResult {
+        exit_code: status.code(),
+        signal: status.signal(),
+        stdout: kept(&mut stdout).map_err(&read)?,
+        stderr: kept(&mut stderr).map_err(&read)?,
+        outputs: collect(program, folder).map_err(&read)?,
+        folders: program.outputs.iter().filter(|place| folder.join(place).is_dir()).cloned().collect(),
+    };
+    Ok((result, used))
+}
+
+/// How a program was called; one that a parameter names is part of the recipe.
+fn call(program: &Program, name: &str) -> Option<Call> {
+    let named = program.program.iter().any(|piece| matches!(piece, Piece::File(_)));
+    let search = program.environment.get("PATH").cloned();
+    (!named).then(|| Call { program: name.to_owned(), search })
+}
+
+fn failed(what: &'static str) -> impl Fn(std::io::Error) -> StageError {
+    move |error| StageError::new(format!("cannot {what}: {error}"))
+}
+
+/// What goes wrong in a folder of the store is a fault of the store.
+fn in_folder<'a>(action: &'static str, folder: &'a Path) -> impl Fn(std::io::Error) -> StoreError + use<'a> {
+    move |error| StoreError::io(action, folder, error)
+}
+
+/// Whether nothing more can be written there.
+fn is_full(folder: &Path) -> bool {
+    rustix::fs::statvfs(folder).is_ok_and(|room| room.f_bavail.saturating_mul(room.f_frsize) < FULL_BYTES)
+}
+
+fn scratch_file(folder: &Path) -> Result<File, StoreError> {
+    tempfile::tempfile_in(folder).map_err(in_folder("keep what a program prints in", folder))
+}
+
+fn lay_out(program: &Program, folder: &Path) -> Result<(), StoreError> {
+    let made = |path: &Path| fs::create_dir_all(path).map_err(in_folder("make the folder", path));
+    for place in ["in", "out", "tmp"] {
+        made(&folder.join(place))?;
+    }
+    for (path, bytes) in &program.inputs {
+        let path = folder.join(path);
+        path.parent().map_or(Ok(()), made)?;
+        fs::write(&path, bytes).map_err(in_folder("write", &path))?;
+    }
+    Ok(())
+}
+
+fn joined(pieces: &[Piece], files: &BTreeMap<String, Vec<InputFile>>) -> Result<String, StageError> {
+    let text = |piece: &Piece| match piece {
+        Piece::Text(text) => Ok(text.clone()),
+        Piece::File(written) => {
+            let file = files.get(written).and_then(|files| files.first());
+            let file = file.ok_or_else(|| StageError::new(format!("`{written}` is not named by a file parameter")))?;
+            let path = std::path::absolute(&file.path).map_err(failed("find the working folder"))?;
+            let shown = path.to_str().map(str::to_owned);
+            shown.ok_or_else(|| StageError::new(format!("the path `{}` is not UTF-8", path.display())))
+        }
+    };
+    pieces.iter().map(text).collect()
+}
+
+/// Waits for the end of a program, or brings it about.
+fn wait(mut child: Child, give_up: &dyn Fn() -> bool) -> Result<(ExitStatus, Used), StageError> {
+    let pid = i32::try_from(child.id()).ok().and_then(Pid::from_raw);
+    let kill_all = || {
+        // There may be none left.
+        pid.map(|group| kill_process_group(group, Signal::KILL).ok())
+    };
+    let look = WaitIdOptions::EXITED | WaitIdOptions::NOWAIT | WaitIdOptions::NOHANG;
+    loop {
+        // Only looked at: what it took is told once, to whoever lets it go.
+        let ended = pid.map_or(Ok(true), |pid| waitid(WaitId::Pid(pid), look).map(|status| status.is_some()));
+        if ended.map_err(|errno| failed("wait for it")(errno.into()))? {
+            let ended = child.wait4().map_err(failed("wait for it"))?;
+            // What it left running would write into a folder that is gone.
+            kill_all();
+            let cpu_s = (ended.rusage.utime + ended.rusage.stime).as_secs_f64();
+            let used = Used { cpu_s, peak_bytes: ended.rusage.maxrss, ..Used::default() };
+            return Ok((ended.status, used));
+        }
+        if give_up() {
+            kill_all();
+            child.wait().map_err(failed("wait for it"))?;
+            return Err(StageError::new("the program was ended before it was done"));
+        }
+        std::thread::sleep(LOOK_EVERY);
+    }
+}
+
+/// What was printed; of a long text the beginning and the end.
+fn kept(file: &mut File) -> std::io::Result<String> {
+    let length = file.metadata()?.len();
+    let mut read = |from: u64, count: u64| -> std::io::Result<String> {
+        let mut bytes = Vec::new();
+        file.seek(SeekFrom::Start(from))?;
+        Read::by_ref(file).take(count).read_to_end(&mut bytes)?;
+        Ok(String::from_utf8_lossy(&bytes).into_owned())
+    };
+    if length <= 2 * KEPT_BYTES {
+        return read(0, 2 * KEPT_BYTES);
+    }
+    let (head, tail) = (read(0, KEPT_BYTES)?, read(length - KEPT_BYTES, KEPT_BYTES)?);
+    Ok(format!("{head}\n… {} bytes left out …\n{tail}", length - 2 * KEPT_BYTES))
+}
+
+fn collect(program: &Program, folder: &Path) -> std::io::Result<BTreeMap<String, Vec<u8>>> {
+    let found = program.outputs.iter().map(|place| (place, folder.join(place))).filter(|(_, path)| path.is_file());
+    found.map(|(place, path)| Ok((place.clone(), fs::read(path)?))).collect()
+}

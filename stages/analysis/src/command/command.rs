@@ -1,0 +1,225 @@
+//! `command`: runs any program over declared inputs and outputs.
+
+mod declared;
+mod fill;
+
+use std::collections::BTreeMap;
+
+use serde_json::Value;
+
+use self::declared::Declared;
+use self::fill::{Names, TEMPLATE, pieces};
+use rockface_core::artefact::Artefact;
+use rockface_core::format::table_file;
+use rockface_core::params::{Fault, FileRef};
+use rockface_core::program::{Piece, Program, ProgramResult, ended};
+use rockface_core::{Arity, Context, Inputs, Outputs, Page, Port, Ports, Stage, StageError, params};
+
+params! {
+    /// Parameters of `command`.
+    pub struct CommandParams {
+        /// The program: a name on the search path, an absolute path, or `{file.name}` for one under `files`.
+        program: String,
+        /// Its arguments, one each; no shell looks at them. `{in.port}`, `{out.port}`, `{param.name}`, `{file.name}` and
+        /// `{seed}` are filled in, other braces stay.
+        args: Vec<String> = Vec::new(),
+        /// The tool and its version, in words that change when its results may change: part of what a result is known by.
+        version: String,
+        /// Input ports: a kind each, or `{kind: table, many: true, optional: true, extension: csv}`.
+        inputs: BTreeMap<String, Declared> = BTreeMap::new(),
+        /// Output ports: a kind each, or `{kind: file, extension: txt}`.
+        outputs: BTreeMap<String, Declared>,
+        /// Values for `{param.name}`.
+        params: BTreeMap<String, Value> = BTreeMap::new(),
+        /// Files for `{file.name}`, such as scripts; their content is part of what a result is known by.
+        files: BTreeMap<String, FileRef> = BTreeMap::new(),
+        /// Environment variables the program is given.
+        environment: BTreeMap<String, String> = BTreeMap::new(),
+        /// Environment variables handed on from outside; for what does not change results, such as a licence.
+        inherit: Vec<String> = Vec::new(),
+    }
+}
+
+/// The stage.
+pub struct Command;
+
+impl Stage for Command {
+    type Params = CommandParams;
+    const NAME: &'static str = "command";
+    const VERSION: u32 = 2;
+    const PAGE: Page = Page {
+        what: "Runs a program over declared inputs and outputs: a script, a compiled tool, another photogrammetry package. \
+               Its output files are decoded and checked like those of any stage.",
+        method: "The program runs in a fresh folder. Inputs lie in `in/PORT.EXTENSION`; a gathered input is a folder \
+                 `in/PORT` of numbered files with an `index.json` that tells the point of each. Outputs are written to \
+                 `out/PORT.EXTENSION`. Tables come and go as CSV where `extension: csv` says so. The arguments, the \
+                 version, the declared environment, parameters and the content of named files enter the recipe; besides \
+                 the declared variables only PATH, HOME, USER, LOGNAME, LD_LIBRARY_PATH and those under `inherit` reach \
+                 the program, with LC_ALL=C.UTF-8 and TMPDIR in its folder. With `{seed}` in an argument the step draws: \
+                 a whole number from 0 to 2147483647 that changes with seed and reseeding axes. What the program prints \
+                 is kept in the log. Which file the name of a program leads to is not part of the recipe, since it differs from \
+                 machine to machine: where it has changed since it made a result, the result is used and a warning tells \
+                 so; a new `version` computes it again. A program named under `files` and called by {file.name} is part \
+                 of the recipe by its content. Whole numbers under `params` are passed without a decimal point, however \
+                 they are written. The step's `timeout` and a stop of the run end the program and its children.",
+        frames: "Those of the files; nothing is converted.",
+        fails: "The program is not found, ends with another code than 0 or takes longer than the step's `timeout`; an \
+                output is missing or is not of its declared kind. What it said last on standard error is told.",
+        example: "rockface: 1\nname: sizes\nsteps:\n  sizes:\n    stage: command\n    with:\n      program: sh\n      \
+                  args: [\"-c\", \"printf 'size_m,count\\\\n0.5,12\\\\n1,{param.count}\\\\n' > {out.table}\"]\n      \
+                  params: {count: 4}\n      outputs: {table: {kind: table, extension: csv}}\n      version: POSIX sh\n",
+    };
+    const INPUTS: &'static [Port] = &[];
+    const OUTPUTS: &'static [Port] = &[];
+    const STARTS_PROGRAMS: bool = true;
+
+    fn ports(with: &Value) -> Result<Ports, Vec<Fault>> {
+        declared::ports(with)
+    }
+
+    fn draws(params: &CommandParams) -> bool {
+        params.args.iter().chain(params.environment.values()).any(|text| text.contains("{seed}"))
+    }
+
+    fn check(params: &CommandParams) -> Vec<Fault> {
+        let names = Names::of(params);
+        let texts =
+            params.args.iter().enumerate().map(|(index, text)| (vec!["args".to_owned(), index.to_string()], text));
+        let variables =
+            params.environment.iter().map(|(key, text)| (vec!["environment".to_owned(), key.clone()], text));
+        let program = std::iter::once((vec!["program".to_owned()], &params.program));
+        let mut faults: Vec<Fault> = program
+            .chain(texts)
+            .chain(variables)
+            .filter_map(|(path, text)| names.stranger(text).map(|fault| Fault { path, ..fault }))
+            .collect();
+        if params.program.contains('/') && !params.program.starts_with('/') && !params.program.contains(TEMPLATE) {
+            let message = "a relative path would be looked for in the folder it runs in; name it under `files` and \
+                           write {file.name}";
+            faults.push(Fault { path: vec!["program".to_owned()], ..Fault::new(message) });
+        }
+        if params.version.trim().is_empty() {
+            let message = "say which tool it is and its version; it tells old results from new ones";
+            faults.push(Fault { path: vec!["version".to_owned()], ..Fault::new(message) });
+        }
+        faults
+    }
+
+    fn run(params: &CommandParams, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let ports = declared::ports_of(&params.inputs, &params.outputs);
+        let program = program(params, inputs, context)?;
+        let result = context.execute(&program)?;
+        ended::tell(context, &result);
+        ended::well(&params.program, &result)?;
+        ports.outputs.iter().try_fold(Outputs::default(), |outputs, port| {
+            let declared = &params.outputs[port.name];
+            Ok(outputs.and(port.name, output(port.name, declared, &result, context)?))
+        })
+    }
+}
+
+fn program(params: &CommandParams, inputs: &Inputs, context: &Context) -> Result<Program, StageError> {
+    let names = Names::of(params);
+    let seed = if Command::draws(params) { Some(context.seed("command")) } else { None };
+    let fill = |text: &String| pieces(text, &names, params, seed);
+    let environment = params.environment.iter().map(|(name, text)| Ok((name.clone(), plain(&fill(text)?)?)));
+    Ok(Program {
+        program: fill(&params.program)?,
+        args: params.args.iter().map(fill).collect::<Result<_, _>>()?,
+        environment: environment.collect::<Result<_, StageError>>()?,
+        inherit: params.inherit.clone(),
+        inputs: given(params, inputs)?,
+        outputs: params.outputs.iter().map(|(port, declared)| declared.place("out", port)).collect(),
+    })
+}
+
+/// A variable has no use for the path of a file that only the engine knows.
+fn plain(pieces: &[Piece]) -> Result<String, StageError> {
+    let text = |piece: &Piece| match piece {
+        Piece::Text(text) => Ok(text.clone()),
+        Piece::File(_) => Err(StageError::new("{file.name} stands for a path in `args`, not in `environment`")),
+    };
+    pieces.iter().map(text).collect()
+}
+
+/// The input files of a program.
+fn given(params: &CommandParams, inputs: &Inputs) -> Result<Vec<(String, Vec<u8>)>, StageError> {
+    let mut files = Vec::new();
+    for (port, declared) in &params.inputs {
+        let elements = inputs.elements(port);
+        if declared.arity != Arity::Many {
+            for element in elements {
+                files.push((declared.place("in", port), declared.bytes(port, element.artefact()?)?));
+            }
+            continue;
+        }
+        let mut index = Vec::new();
+        for (number, element) in elements.iter().enumerate() {
+            let name = format!("{number:06}.{}", declared.extension());
+            files.push((format!("in/{port}/{name}"), declared.bytes(port, element.artefact()?)?));
+            index.push(serde_json::json!({ "file": name, "point": element.point }));
+        }
+        files.push((format!("in/{port}/index.json"), Value::from(index).to_string().into_bytes()));
+    }
+    Ok(files)
+}
+
+fn output(port: &str, declared: &Declared, result: &ProgramResult, context: &Context) -> Result<Artefact, StageError> {
+    let place = declared.place("out", port);
+    let Some(bytes) = result.outputs.get(&place) else {
+        let folder = result.folders.contains(&place);
+        let message = if folder {
+            format!("the program made a folder where its output `{port}` is to be a file")
+        } else {
+            format!("the program made no output `{port}`")
+        };
+        let several = if folder { "; of several files make one, with tar for instance" } else { "" };
+        let hint = format!("write it to {{out.{port}}}, which is `{place}` in the folder the program runs in{several}");
+        return Err(StageError::new(message).hint(hint));
+    };
+    let decoded = if declared.is_csv() {
+        table_file::read(bytes, &|| context.cancelled()).map(Artefact::Table)
+    } else {
+        Artefact::decode(declared.kind, bytes)
+    };
+    decoded.map_err(|error| StageError::new(format!("output `{port}` (`{place}`) is no {}: {error}", declared.kind)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rockface_core::artefact::Kind;
+    use rockface_core::params::ParamType;
+
+    fn params(text: &str) -> Result<CommandParams, Vec<Fault>> {
+        CommandParams::decode(&serde_json::from_str(text).unwrap())
+    }
+
+    #[test]
+    fn faults_name_the_argument() {
+        let params = params(
+            r#"{"program": "bin/tool", "args": ["{in.dem}", "{out.tabel}", "{print $1}"], "version": "1",
+                "inputs": {"dem": "raster"}, "outputs": {"table": "table"}}"#,
+        )
+        .unwrap();
+        let faults = Command::check(&params);
+        assert_eq!(faults[0].path, ["args", "1"]);
+        assert!(faults[0].message.contains("{out.tabel}") && faults[1].path == ["program"], "{faults:?}");
+        assert_eq!(faults.len(), 2);
+    }
+
+    #[test]
+    fn ports_follow_from_what_is_declared() {
+        let with = serde_json::json!({
+            "inputs": {"rows": {"kind": "table", "many": true}, "extra": {"kind": "mesh", "optional": true}},
+            "outputs": {"plot": {"kind": "file", "extension": "svg"}, "table": "table"},
+        });
+        let ports = Command::ports(&with).unwrap();
+        let told: Vec<_> = ports.inputs.iter().map(|port| (port.name, port.arity)).collect();
+        assert_eq!(told, [("extra", Arity::Optional), ("rows", Arity::Many)]);
+        assert_eq!((ports.outputs[0].extension, ports.outputs[1].kinds), (Some("svg"), &[Kind::Table][..]));
+        let faults = Command::ports(&serde_json::json!({"outputs": {"a": "tabel"}})).unwrap_err();
+        assert_eq!(faults[0].path, ["outputs", "a"]);
+        assert!(Command::ports(&serde_json::json!({"outputs": {}})).is_err());
+    }
+}

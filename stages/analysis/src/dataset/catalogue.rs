@@ -1,0 +1,136 @@
+//! A STAC catalogue (version 1.1.0) of a data set: a root and an item for each tile.
+//!
+//! Tiles lie in a wall frame, not on the Earth: geometries are null, and the projection extension holds the local system.
+
+use serde_json::{Map, Value, json};
+
+use rockface_core::artefact::{Frame, Grid};
+
+use super::checksums;
+
+/// What an item tells of a tile.
+pub struct Item<'a> {
+    /// Its name, unique in the catalogue.
+    pub id: &'a str,
+    /// Its grid.
+    pub grid: Grid,
+    /// The frame of its grid.
+    pub frame: Frame,
+    /// Date and time it stands for, RFC 3339.
+    pub datetime: &'a str,
+    /// Further properties.
+    pub properties: Map<String, Value>,
+    /// Its files: role, place in the data set, media type, content.
+    pub assets: Vec<(&'a str, &'a str, &'a str, &'a [u8])>,
+}
+
+/// The root, which lists the items.
+pub fn root(title: &str, description: &str, items: &[String]) -> Vec<u8> {
+    let link =
+        |id: &String| json!({"rel": "item", "href": format!("./items/{id}.json"), "type": "application/geo+json"});
+    let mut links = vec![json!({"rel": "root", "href": "./catalog.json", "type": "application/json"})];
+    links.extend(items.iter().map(link));
+    pretty(&json!({
+        "type": "Catalog", "stac_version": "1.1.0", "id": "rockface-dataset", "title": title, "description": description, "links": links,
+    }))
+}
+
+/// One item.
+pub fn item(item: &Item) -> Vec<u8> {
+    let Grid { columns, rows, cell_m, left_m, top_m } = item.grid;
+    let bounds = [left_m, top_m - rows as f64 * cell_m, left_m + columns as f64 * cell_m, top_m];
+    let mut properties = item.properties.clone();
+    let wkt = engineering_crs(item.frame);
+    let more = json!({
+        "datetime": item.datetime, "proj:code": null, "proj:wkt2": wkt, "proj:bbox": bounds, "proj:shape": [rows, columns],
+        "proj:transform": [cell_m, 0.0, left_m, 0.0, -cell_m, top_m],
+    });
+    properties.extend(more.as_object().cloned().unwrap_or_default());
+    let asset = |(role, place, media, bytes): &(&str, &str, &str, &[u8])| {
+        // A multihash: 0x12 for SHA-256, 0x20 for its 32 bytes.
+        let checksum = format!("1220{}", checksums::sum(bytes));
+        let value = json!({
+            "href": format!("../../{place}"), "type": media, "roles": [if *role == "npz" { "data" } else { *role }],
+            "file:size": bytes.len(), "file:checksum": checksum,
+        });
+        ((*role).to_owned(), value)
+    };
+    let assets: Map<String, Value> = item.assets.iter().map(asset).collect();
+    pretty(&json!({
+        "type": "Feature", "stac_version": "1.1.0", "id": item.id, "geometry": null, "properties": properties, "assets": assets,
+        "stac_extensions": [
+            "https://stac-extensions.github.io/projection/v2.0.0/schema.json",
+            "https://stac-extensions.github.io/file/v2.1.0/schema.json",
+        ],
+        "links": [
+            {"rel": "root", "href": "../catalog.json", "type": "application/json"},
+            {"rel": "parent", "href": "../catalog.json", "type": "application/json"},
+        ],
+    }))
+}
+
+/// The local system in WKT2 (ISO 19162), so that readers take coordinates for metres and for nothing on the Earth.
+fn engineering_crs(frame: Frame) -> String {
+    format!(
+        "ENGCRS[\"rockface {frame} frame\",EDATUM[\"{frame} frame\"],CS[Cartesian,2],AXIS[\"(X)\",unspecified,ORDER[1]],\
+         AXIS[\"(Y)\",unspecified,ORDER[2]],LENGTHUNIT[\"metre\",1]]"
+    )
+}
+
+fn pretty(value: &Value) -> Vec<u8> {
+    let mut text = format!("{value:#}").into_bytes();
+    text.push(b'\n');
+    text
+}
+
+/// The date `days` after 1970-01-01 at midnight, RFC 3339 (Gregorian calendar, Hinnant's algorithm).
+pub fn date(days: i64) -> String {
+    let shifted = days + 719_468;
+    let era = shifted.div_euclid(146_097);
+    let of_era = shifted.rem_euclid(146_097);
+    let year_of_era = (of_era - of_era / 1460 + of_era / 36_524 - of_era / 146_096) / 365;
+    let of_year = of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let month = (5 * of_year + 2) / 153;
+    let day = of_year - (153 * month + 2) / 5 + 1;
+    let month = if month < 10 { month + 3 } else { month - 9 };
+    let year = year_of_era + era * 400 + i64::from(month <= 2);
+    format!("{year:04}-{month:02}-{day:02}T00:00:00Z")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn days_become_dates() {
+        let cases = [
+            (0, "1970-01-01"),
+            (19_782, "2024-02-29"),
+            (20_454, "2026-01-01"),
+            (-1, "1969-12-31"),
+            (11_016, "2000-02-29"),
+        ];
+        for (days, expected) in cases {
+            assert_eq!(date(days), format!("{expected}T00:00:00Z"));
+        }
+    }
+
+    #[test]
+    fn an_item_has_no_place_on_earth_and_knows_its_own() {
+        let grid = Grid { columns: 4, rows: 2, cell_m: 0.5, left_m: 1.0, top_m: 3.0 };
+        let made = item(&Item {
+            id: "a",
+            grid,
+            frame: Frame::Wall,
+            datetime: "2026-01-01T00:00:00Z",
+            properties: Map::new(),
+            assets: vec![("npz", "tiles/a.npz", "application/x-npz", b"abc")],
+        });
+        let made: Value = serde_json::from_slice(&made).unwrap();
+        assert!(made["geometry"].is_null() && made.get("bbox").is_none());
+        assert_eq!(made["properties"]["proj:bbox"], json!([1.0, 2.0, 3.0, 3.0]));
+        assert!(made["assets"]["npz"]["file:checksum"].as_str().unwrap().starts_with("1220ba7816bf"));
+        let root: Value = serde_json::from_slice(&root("t", "d", &["a".to_owned()])).unwrap();
+        assert_eq!(root["links"][1]["href"], "./items/a.json");
+    }
+}

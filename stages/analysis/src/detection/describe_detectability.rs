@@ -1,0 +1,227 @@
+//! `describe-detectability`: which changes are found, by volume, depth, shape, position or any other property.
+
+use std::collections::BTreeMap;
+
+use rockface_core::artefact::{Cell, Kind, Table};
+use crate::noise::acceptance_rate::wilson_interval;
+use crate::detection::detectability;
+use crate::detection::detectability::Class;
+use rockface_core::numerics::quantile::median;
+use rockface_raster::columns;
+use rockface_core::params::Range;
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+
+params! {
+    /// Parameters of `describe-detectability`.
+    pub struct DescribeDetectabilityParams {
+        /// Properties: columns of numbers, or of words, each of which is a class.
+        properties: Vec<String> = ["removed_m3", "depth_max_m", "plan_area_m2", "shape_class", "flatness", "elongation",
+            "centroid_x_m", "centroid_y_m", "visible_fraction"].map(str::to_owned).to_vec(),
+        /// Classes of a property of numbers.
+        classes: u32 = 8; Range::Between(1.0, 1000.0),
+        /// Probability at which a change is called detectable.
+        probability: f64 = 0.9; Range::Between(0.01, 0.99),
+    }
+}
+
+/// The stage.
+pub struct DescribeDetectability;
+
+impl Stage for DescribeDetectability {
+    type Params = DescribeDetectabilityParams;
+    const NAME: &'static str = "describe-detectability";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Tells which true changes are found: the share found in classes of volume, depth, area, shape and position, how far their \
+               volumes are off, and the volume from which on they are found with 50 % and with a given probability.",
+        method: "Classes of equal width, in the logarithm where a property spreads over more than a factor of ten. Intervals of 95 % (Wilson \
+                 1927). For positive properties, a logistic curve of the logarithm by maximum likelihood; none where a property tells found from \
+                 missed without error, or all were found. Hidden changes (`outcome` of `score-detections`) are left out.",
+        frames: "Properties in the units of their columns; shares from 0 to 1; volume errors as shares of the true volume.",
+        fails: "There is no column `outcome` (score first), none of the properties is a column, or nothing counts.",
+        example: "\
+rockface: 1
+name: what-is-found
+steps:
+  scored: {stage: import-inventory, with: {path: truth.geojson, frame: wall}}
+  share:  {stage: describe-detectability, in: {truth: scored.inventory}, with: {properties: [removed_m3, shape_class]}}
+",
+    };
+    const INPUTS: &'static [Port] =
+        &[Port::one("truth", &[Kind::Inventory, Kind::Table], "The `truth` of `score-detections`, or many joined.")];
+    const OUTPUTS: &'static [Port] = &[
+        Port::one("classes", &[Kind::Table], "One row a class of a property: counts, share found, volume error."),
+        Port::one("limits", &[Kind::Table], "One row a property with a curve: where half are found, and more."),
+    ];
+
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let truth = inputs.artefact("truth")?;
+        let Some((columns, rows)) = columns::rows(truth) else { fail!("a {} has no columns", truth.kind()) };
+        let place = |name: &str| columns.iter().position(|column| column == name);
+        let outcome = place("outcome").ok_or_else(|| {
+            let message = format!("there is no column `outcome`; there are {}", columns.join(", "));
+            StageError::new(message).hint("connect the port `truth` of `score-detections`")
+        })?;
+        let counted = |row: &&&[Cell]| ["found", "missed"].contains(&row[outcome].text().unwrap_or_default());
+        let rows: Vec<&[Cell]> = rows.iter().filter(counted).copied().collect();
+        if rows.is_empty() {
+            fail!("no change is `found` or `missed`: nothing counts");
+        }
+        let found: Vec<bool> = rows.iter().map(|row| row[outcome].text() == Some("found")).collect();
+        let error = place("volume_error");
+        let errors = rows.iter().map(|row| error.and_then(|at| row[at].number())).collect();
+        let scene = Scene { rows, found, errors };
+        let known: Vec<(&String, usize)> =
+            params.properties.iter().filter_map(|name| Some((name, place(name)?))).collect();
+        if known.is_empty() {
+            fail!("none of the properties is a column; there are {}", columns.join(", "));
+        }
+        let mut classes = Table::new(CLASSES);
+        let mut limits =
+            Table::new(["property", "count", "at_50", "at_probability", "probability", "slope", "slope_se"]);
+        for (name, at) in known {
+            scene.classes(name, at, params.classes as usize, &mut classes);
+            scene.limit(name, at, params.probability, &mut limits);
+        }
+        report(&limits, &scene, params, context);
+        Ok(Outputs::of("classes", classes).and("limits", limits))
+    }
+}
+
+const CLASSES: [&str; 10] = [
+    "property",
+    "class",
+    "from",
+    "to",
+    "count",
+    "found",
+    "share_found",
+    "share_low",
+    "share_high",
+    "volume_error_median",
+];
+
+/// The true changes that count.
+struct Scene<'a> {
+    rows: Vec<&'a [Cell]>,
+    found: Vec<bool>,
+    errors: Vec<Option<f64>>,
+}
+
+impl Scene<'_> {
+    fn classes(&self, name: &str, at: usize, count: usize, table: &mut Table) {
+        let mut words: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+        for (row, cells) in self.rows.iter().enumerate() {
+            if let Some(word) = cells[at].text() {
+                words.entry(word).or_default().push(row);
+            }
+        }
+        let word = |(word, rows): (&str, Vec<usize>)| (word.to_owned(), Class { from: f64::NAN, to: f64::NAN, rows });
+        let numbers: Vec<Option<f64>> = self.rows.iter().map(|cells| cells[at].number()).collect();
+        let number = |(place, class): (usize, Class)| ((place + 1).to_string(), class);
+        let numbered = detectability::classes(&numbers, count).into_iter().enumerate().map(number);
+        for (label, class) in words.into_iter().map(word).chain(numbered) {
+            self.push(name, &label, &class, table);
+        }
+    }
+
+    fn push(&self, name: &str, label: &str, class: &Class, table: &mut Table) {
+        let count = class.rows.len();
+        let found = class.rows.iter().filter(|row| self.found[**row]).count();
+        let (low, high) = if count > 0 { wilson_interval(found, count) } else { (f64::NAN, f64::NAN) };
+        let mut errors: Vec<f64> = class.rows.iter().filter_map(|row| self.errors[*row]).collect();
+        let numbers = [
+            class.from,
+            class.to,
+            count as f64,
+            found as f64,
+            found as f64 / count as f64,
+            low,
+            high,
+            median(&mut errors).unwrap_or(f64::NAN),
+        ];
+        let cells = [Cell::from(name), label.into()].into_iter().chain(numbers.map(Cell::from));
+        table.push(cells.collect());
+    }
+
+    fn limit(&self, name: &str, at: usize, probability: f64, table: &mut Table) {
+        let known = self.rows.iter().zip(&self.found).filter_map(|(cells, found)| Some((cells[at].number()?, *found)));
+        let (values, found): (Vec<f64>, Vec<bool>) = known.filter(|(value, _)| *value > 0.0).unzip();
+        // A property that may be negative or zero, such as a position, has no logarithm.
+        if values.len() < self.rows.len() {
+            return;
+        }
+        if let Some(curve) = detectability::logistic(&values, &found) {
+            let numbers =
+                [values.len() as f64, curve.at(0.5), curve.at(probability), probability, curve.slope, curve.slope_se];
+            table.push(std::iter::once(Cell::from(name)).chain(numbers.map(Cell::from)).collect());
+        }
+    }
+}
+
+fn report(limits: &Table, scene: &Scene, params: &DescribeDetectabilityParams, context: &Context) {
+    let found = scene.found.iter().filter(|found| **found).count();
+    let total = scene.found.len();
+    let first = limits.rows.iter().find(|row| row[0].text() == params.properties.first().map(String::as_str));
+    let numbers = first.map(|row| (row[0].to_string(), row[2].number(), row[3].number()));
+    if let Some((name, Some(half), Some(most))) = numbers {
+        context.metric("at_50", half, "1");
+        context.headline(format!(
+            "{found} of {total} found; half of those with {name} {half:.2e}, {:.0} % of those with {most:.2e}",
+            100.0 * params.probability
+        ));
+    } else {
+        context.headline(format!("{found} of {total} found; no curve of {}", params.properties.join(", ")));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use rockface_core::artefact::Artefact;
+    use rockface_core::testing::{TestHost, run_stage};
+
+    #[test]
+    fn shares_by_class_and_the_curve() {
+        let mut truth = Table::new(["removed_m3", "shape_class", "outcome", "volume_error", "centroid_x_m"]);
+        for i in 0..40u32 {
+            let volume = 0.001 * f64::from(i + 1);
+            // Larger than 15 dm3 is found, but for one, and one smaller.
+            let found = (i >= 15) != (i == 20 || i == 10);
+            let outcome = if i == 0 {
+                "hidden"
+            } else if found {
+                "found"
+            } else {
+                "missed"
+            };
+            let error = if found { -0.2 } else { f64::NAN };
+            let shape = if i % 2 == 0 { "C" } else { "VB" };
+            truth.push(vec![volume.into(), shape.into(), outcome.into(), error.into(), (f64::from(i) - 20.0).into()]);
+        }
+        let with = json!({"properties": ["removed_m3", "shape_class", "centroid_x_m"], "classes": 2});
+        let made = run_stage::<DescribeDetectability>(&TestHost::default(), &with, &[("truth", truth.into())]);
+        let made = made.unwrap().into_inner();
+        let (Artefact::Table(classes), Artefact::Table(limits)) = (&made["classes"], &made["limits"]) else {
+            panic!("no tables")
+        };
+        assert_eq!(classes.rows.len(), 2 + 2 + 2);
+        let counts: Vec<f64> = classes.rows.iter().filter_map(|row| row[4].number()).collect();
+        assert!((counts.iter().sum::<f64>() - 3.0 * 39.0).abs() < 1e-12);
+        let compact = classes.rows.iter().find(|row| row[1].text() == Some("C")).unwrap();
+        assert_eq!((compact[4].number(), compact[5].number()), (Some(19.0), Some(12.0)));
+        assert_eq!(compact[9].number(), Some(-0.2));
+        assert_eq!(limits.rows.len(), 1);
+        let half = limits.rows[0][2].number().unwrap();
+        assert!((0.01..0.02).contains(&half), "{half}");
+    }
+
+    #[test]
+    fn an_inventory_that_was_not_scored_is_refused() {
+        let table = Table::new(["removed_m3"]);
+        let error = run_stage::<DescribeDetectability>(&TestHost::default(), &json!({}), &[("truth", table.into())]);
+        assert!(error.unwrap_err().hint.unwrap().contains("score-detections"));
+    }
+}

@@ -1,0 +1,281 @@
+//! `detect-m3c2`: finds detachments by the distances of two point clouds along local normals.
+
+use rockface_core::artefact::{Artefact, Band, Frame, Grid, Kind, Raster, Transform};
+use crate::detection::change::Change;
+use crate::detection::cloud::Cloud;
+use crate::detection::found;
+use crate::detection::found::Found;
+use crate::detection::limit::NORMAL_95;
+use crate::detection::m3c2;
+use crate::detection::m3c2::{Distance, Scales};
+use crate::detection::{clusters, raster};
+use rockface_raster::rasterise;
+use rockface_raster::shape::{Moved, Shape};
+use rockface_core::params::{Fault, Range};
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+
+/// Surface under a cell is plan area over the normal's Z; below this the cell is taken as no steeper.
+const STEEPEST: f64 = 0.2;
+
+params! {
+    /// Parameters of `detect-m3c2`.
+    pub struct DetectM3c2Params {
+        /// Which changes are looked for.
+        change: Change = Change::Loss,
+        /// Cell of the grid in plan of which each holds one core point, metres.
+        core_spacing_m: f64 = 0.05; Range::Positive,
+        /// Radii of the spheres normals are taken from, metres; of several, the one whose points are most planar counts.
+        normal_radii_m: Vec<f64> = vec![0.25]; Range::Positive,
+        /// Radius of the cylinders, metres.
+        projection_radius_m: f64 = 0.05; Range::Positive,
+        /// Half the length of the cylinders, metres: greatest change that is seen.
+        depth_m: f64 = 1.0; Range::Positive,
+        /// Registration error, metres (standard deviation).
+        registration_m: f64 = 0.005; Range::NonNegative,
+        /// Least limit of detection, metres: where `lod95` is smaller, this counts.
+        min_lod_m: f64 = 0.0; Range::NonNegative,
+        /// Points a cylinder must hold of either cloud.
+        least_points: u32 = 5; Range::AtLeast(2.0),
+        /// Core points a detachment must have.
+        least_cores: u32 = 2; Range::AtLeast(1.0),
+    }
+}
+
+/// The stage.
+pub struct DetectM3c2;
+
+impl Stage for DetectM3c2 {
+    type Params = DetectM3c2Params;
+    const NAME: &'static str = "detect-m3c2";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Finds detachments by M3C2: at core points of the reference, the distance of the two clouds along the local normal, \
+               where it is beyond its own limit of detection; core points that touch are joined.",
+        method: "Lague, Brodu and Leroux 2013: normal of the plane through the reference within a radius; mean of the points of \
+                 either cloud in a cylinder along it; LoD95 = 1.96 (sqrt(s1^2/n1 + s2^2/n2) + registration). Core points are the reference \
+                 points nearest to the centres of a grid in plan, so that clusters have outlines: cells that touch along edges or at corners. \
+                 Volume = sum of |distance| x plan area / n_z of the core points (n_z at least 0.2); its deviation takes LoD95 / 1.96 of them as \
+                 fully correlated. Core points that lost everything within `depth_m` have no distance.",
+        frames: "Both clouds in one frame, metres; normals point towards positive Z. `distances` has a cell for each core point: \
+                 distance, lod95, spreads and counts of both clouds, normal, core.",
+        fails: "Different frames; a surface without points; no core point with a distance; more than 65535 clusters.",
+        example: "\
+rockface: 1
+name: detect-by-m3c2
+seed: 3
+axes: {epoch: {items: [pre, post]}}
+steps:
+  face:   {stage: synthesise-face, with: {width_m: 4, height_m: 3, spacing_m: 0.05}}
+  blocks: {stage: generate-blocks}
+  fallen: {stage: remove-blocks, in: {mesh: face.mesh, blocks: blocks.blocks}, with: {count: 3, cell_m: 0.05, min_volume_m3: 0.005}}
+  survey: {stage: plan-survey, in: {mesh: face.mesh}, with: {width_px: 480, height_px: 320, focal_px: 900, distance_m: 10, baseline_m: 3}}
+  depth:  {stage: project-depth, in: {mesh: {by: epoch, pre: face.mesh, post: fallen.mesh}, cameras: survey.cameras}, with: {image: left}}
+  cloud:  {stage: fuse-depth, in: {depth: depth.depth}}
+  found:
+    stage: detect-m3c2
+    with: {normal_radii_m: [0.15], projection_radius_m: 0.06}
+    in: {reference: \"cloud.surface[epoch=pre]\", comparison: \"cloud.surface[epoch=post]\"}
+",
+    };
+    const INPUTS: &'static [Port] = &[
+        Port::one("reference", &[Kind::Surface, Kind::Mesh, Kind::Cloud], "The earlier epoch: its points or vertices."),
+        Port::one("comparison", &[Kind::Surface, Kind::Mesh, Kind::Cloud], "The later epoch."),
+        Port::optional("transform", &[Kind::Transform], "Applied to the comparison, such as a registration."),
+        Port::optional("grid", &[Kind::Raster], "A raster whose window is searched; its cell is not taken."),
+    ];
+    const OUTPUTS: &'static [Port] = &[
+        Port::one("detections", &[Kind::Inventory], "One feature a cluster: outline, volume, area, depth, box, score."),
+        Port::one("labels", &[Kind::Raster], "Number of the cluster of each core point, 0 for none."),
+        Port::one("distances", &[Kind::Raster], "What is known at each core point."),
+    ];
+
+    fn check(params: &Self::Params) -> Vec<Fault> {
+        let empty = params.normal_radii_m.is_empty();
+        let fault = Fault { path: vec!["normal_radii_m".into()], ..Fault::new("at least one radius is needed") };
+        if empty { vec![fault] } else { Vec::new() }
+    }
+
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let [reference, comparison] = ["reference", "comparison"].map(|port| shape(inputs, port));
+        let (reference, comparison) = (reference?, comparison?);
+        let frame = reference.frame();
+        if frame != comparison.frame() {
+            fail!("the reference is in the {frame} frame, the comparison in the {} frame", comparison.frame());
+        }
+        let grid = grid(params, reference, inputs)?;
+        let moved = inputs.optional::<Transform>("transform")?.and_then(Moved::by);
+        let side = params.projection_radius_m;
+        let cloud = |shape, moved, name: &str| {
+            Cloud::new(shape, moved, side).ok_or_else(|| StageError::new(format!("the {name} has no points")))
+        };
+        let clouds = [cloud(reference, None, "reference")?, cloud(comparison, moved.as_ref(), "comparison")?];
+        context.check_cancelled()?;
+        let cores = m3c2::cores(&clouds[0], &grid);
+        let distances = m3c2::distances([&clouds[0], &clouds[1]], &cores, &scales(params));
+        let found = detect(params, &grid, &distances);
+        report(&found, &distances, params, context)?;
+        let labels = found::labels(&grid, frame, &found).map_err(StageError::new)?;
+        let detections = found::inventory(&grid, frame, "m3c2", &found);
+        let distances = bands(&grid, frame, &distances);
+        Ok(Outputs::of("detections", detections).and("labels", labels).and("distances", distances))
+    }
+}
+
+fn shape<'a>(inputs: &'a Inputs, port: &str) -> Result<Shape<'a>, StageError> {
+    let artefact: &Artefact = inputs.artefact(port)?;
+    Shape::of(artefact).ok_or_else(|| StageError::new(format!("port `{port}` needs a surface, a mesh or a cloud")))
+}
+
+fn grid(params: &DetectM3c2Params, reference: Shape, inputs: &Inputs) -> Result<Grid, StageError> {
+    let window = inputs.optional::<Raster>("grid")?.map(|raster| {
+        let Grid { columns, rows, cell_m, left_m, top_m } = raster.grid;
+        [left_m, left_m + columns as f64 * cell_m, top_m - rows as f64 * cell_m, top_m]
+    });
+    let grid = if let Some(window) = window {
+        rasterise::grid_of_window(window, params.core_spacing_m)
+    } else {
+        let extent = rasterise::extent(reference, None);
+        let extent = extent.ok_or_else(|| StageError::new("the reference has no points"))?;
+        rasterise::grid_around(extent, params.core_spacing_m)
+    };
+    grid.map_err(|e| StageError::new(e).hint("choose another `core_spacing_m`"))
+}
+
+fn scales(params: &DetectM3c2Params) -> Scales {
+    Scales {
+        normal_radii_m: params.normal_radii_m.clone(),
+        projection_radius_m: params.projection_radius_m,
+        depth_m: params.depth_m,
+        registration_m: params.registration_m,
+        least_points: params.least_points,
+    }
+}
+
+fn detect(params: &DetectM3c2Params, grid: &Grid, distances: &[Option<Distance>]) -> Vec<Found> {
+    let sign = params.change.sign();
+    let limit = |found: &Distance| found.limit_m.max(params.min_lod_m);
+    let significant = |found: &Distance| sign * found.distance_m > limit(found);
+    let mask: Vec<bool> = distances.iter().map(|found| found.as_ref().is_some_and(significant)).collect();
+    let groups = clusters::groups(&mask, grid.columns);
+    let large = groups.into_iter().filter(|cells| cells.len() >= params.least_cores as usize);
+    large.map(|cells| cluster(grid, &cells, distances, limit)).collect()
+}
+
+fn cluster(grid: &Grid, cells: &[usize], distances: &[Option<Distance>], limit: impl Fn(&Distance) -> f64) -> Found {
+    let (mut volume, mut deviation, mut sum, mut deepest, mut score) = (0.0, 0.0, 0.0, 0.0f64, 0.0f64);
+    let mut points = Vec::with_capacity(8 * cells.len());
+    for found in cells.iter().filter_map(|cell| distances[*cell].as_ref()) {
+        let area = grid.cell_m * grid.cell_m / found.normal[2].max(STEEPEST);
+        let size = found.distance_m.abs();
+        volume += area * size;
+        deviation += area * limit(found) / NORMAL_95;
+        sum += size;
+        deepest = deepest.max(size);
+        score = score.max(size / limit(found));
+        points.extend(raster::corners(found.core, found.normal, found.distance_m, 0.5 * grid.cell_m));
+    }
+    Found {
+        cells: cells.iter().map(|cell| (cell / grid.columns, cell % grid.columns)).collect(),
+        volume_m3: volume,
+        volume_sd_m3: deviation,
+        depth_max_m: deepest,
+        depth_mean_m: sum / cells.len().max(1) as f64,
+        score,
+        points,
+    }
+}
+
+fn bands(grid: &Grid, frame: Frame, distances: &[Option<Distance>]) -> Raster {
+    type Value = fn(&Distance) -> f64;
+    let bands: [(&str, Value); 12] = [
+        ("distance", |d| d.distance_m),
+        ("lod95", |d| d.limit_m),
+        ("spread_reference", |d| d.spreads_m[0]),
+        ("spread_comparison", |d| d.spreads_m[1]),
+        ("points_reference", |d| d.points[0]),
+        ("points_comparison", |d| d.points[1]),
+        ("normal_x", |d| d.normal[0]),
+        ("normal_y", |d| d.normal[1]),
+        ("normal_z", |d| d.normal[2]),
+        ("core_x", |d| d.core[0]),
+        ("core_y", |d| d.core[1]),
+        ("core_z", |d| d.core[2]),
+    ];
+    let band = |(name, value): (&str, Value)| Band {
+        name: name.to_owned(),
+        values: distances.iter().map(|found| found.as_ref().map_or(f32::NAN, |d| value(d) as f32)).collect(),
+    };
+    let mut raster = Raster::single(*grid, frame, "m3c2", "", Vec::new());
+    raster.bands = bands.into_iter().map(band).collect();
+    raster
+}
+
+fn report(
+    found: &[Found],
+    distances: &[Option<Distance>],
+    params: &DetectM3c2Params,
+    context: &Context,
+) -> Result<(), StageError> {
+    let cores = distances.iter().flatten().count();
+    let mut limits: Vec<f64> = distances.iter().flatten().map(|d| d.limit_m).filter(|limit| !limit.is_nan()).collect();
+    if limits.is_empty() {
+        return Err(StageError::new(format!(
+            "none of the {cores} core points has {} points of both clouds",
+            params.least_points
+        ))
+        .hint("enlarge `projection_radius_m` or `depth_m`, and see whether the clouds overlap"));
+    }
+    let measured = limits.len();
+    let median = rockface_core::numerics::quantile::median(&mut limits).unwrap_or(f64::NAN);
+    let volume = found.iter().fold(0.0, |sum, found| sum + found.volume_m3);
+    context.metric("cores", cores as f64, "1");
+    context.metric("measured_share", measured as f64 / cores as f64, "1");
+    context.metric("lod95_median", median, "m");
+    context.metric("detections", found.len() as f64, "1");
+    context.metric("volume", volume, "m3");
+    context.headline(format!(
+        "{} changes of {volume:.4} m3 together at {measured} core points, median LoD95 {:.1} mm",
+        found.len(),
+        1e3 * median
+    ));
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use rockface_core::artefact::Inventory;
+    use rockface_core::testing::{TestHost, height_mesh, run_stage};
+
+    #[test]
+    fn a_box_shaped_niche_is_found_with_its_volume() {
+        let plane = height_mesh(100, [-1.0, 1.0, -1.0, 1.0], |_, _| 0.0);
+        let inside = |x: f64, y: f64| x.abs() < 0.3 && y.abs() < 0.2;
+        let niche = height_mesh(100, [-1.0, 1.0, -1.0, 1.0], |x, y| if inside(x, y) { -0.1 } else { 0.0 });
+        let with = json!({"projection_radius_m": 0.03, "normal_radii_m": [0.1], "core_spacing_m": 0.04});
+        let inputs = [("reference", plane.clone().into()), ("comparison", niche.clone().into())];
+        let made = run_stage::<DetectM3c2>(&TestHost::default(), &with, &inputs).unwrap().into_inner();
+        let Artefact::Inventory(found) = &made["detections"] else { panic!("no inventory") };
+        let number = |found: &Inventory, name: &str| found.numbers(name).unwrap()[0].unwrap();
+        assert_eq!(found.features.len(), 1);
+        assert!((number(found, "volume_m3") / 0.024 - 1.0).abs() < 0.1, "{}", number(found, "volume_m3"));
+        assert!((number(found, "depth_max_m") - 0.1).abs() < 1e-9 && number(found, "score") > 9.0);
+        let gain =
+            json!({"change": "gain", "projection_radius_m": 0.03, "normal_radii_m": [0.1], "core_spacing_m": 0.04});
+        let inputs = [("reference", plane.into()), ("comparison", niche.into())];
+        let made = run_stage::<DetectM3c2>(&TestHost::default(), &gain, &inputs).unwrap().into_inner();
+        let Artefact::Inventory(found) = &made["detections"] else { panic!("no inventory") };
+        assert!(found.features.is_empty());
+    }
+
+    #[test]
+    fn clouds_that_do_not_meet_are_refused_with_a_way_out() {
+        let low = height_mesh(20, [-1.0, 1.0, -1.0, 1.0], |_, _| 0.0);
+        let far = height_mesh(20, [8.0, 9.0, -1.0, 1.0], |_, _| 0.0);
+        let inputs = [("reference", low.into()), ("comparison", far.into())];
+        let error = run_stage::<DetectM3c2>(&TestHost::default(), &json!({}), &inputs).unwrap_err();
+        assert!(error.message.contains("core points") && error.hint.unwrap().contains("overlap"));
+    }
+}

@@ -1,0 +1,243 @@
+//! `detect-raster`: finds detachments in a difference of elevations, by thresholds, opening and size.
+
+use rockface_core::artefact::{Kind, Raster};
+use crate::detection::change::Change;
+use crate::detection::found;
+use crate::detection::found::Found;
+use crate::detection::limit;
+use crate::detection::limit::{Combination, NORMAL_95};
+use crate::detection::{clusters, raster};
+use rockface_raster::grid;
+use rockface_core::numerics::marginal;
+use rockface_core::params::Range;
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params, union};
+
+choice! {
+    /// What is left of a cluster by the filter of width.
+    pub enum Opening {
+        /// The parts that are wide enough; thin parts at the margins are lost.
+        Plain = "plain",
+        /// The whole cluster where some part of it is wide enough (opening by reconstruction).
+        Reconstruction = "reconstruction",
+    }
+}
+
+params! {
+    /// One limit for all cells.
+    pub struct FixedLimit {
+        /// The limit, metres.
+        lod_m: f64 = 0.03; Range::Positive,
+    }
+}
+
+params! {
+    /// One limit for all cells, from the spread of the difference itself.
+    pub struct EmpiricalLimit {
+        /// Multiple of the spread, NMAD = 1.4826 median |d - median d|.
+        factor: f64 = NORMAL_95; Range::Positive,
+    }
+}
+
+params! {
+    /// A limit for each cell, from the roughness of both surfaces and the registration error.
+    pub struct RoughnessLimit {
+        /// Registration error, metres (standard deviation).
+        registration_m: f64; Range::NonNegative,
+        /// Cells in every direction over which roughness is taken.
+        reach_cells: u32 = 2; Range::Between(1.0, 50.0),
+    }
+}
+
+union! {
+    /// The limit of detection at 95 %.
+    pub enum Limit {
+        /// The same for all cells, given.
+        Fixed(FixedLimit) = "fixed",
+        /// The same for all cells, from the spread of the difference.
+        Empirical(EmpiricalLimit) = "empirical",
+        /// 1.96 sqrt(s1^2 + s2^2 + registration^2) of each cell.
+        Quadrature(RoughnessLimit) = "quadrature",
+        /// 1.96 (sqrt(s1^2 + s2^2) + registration) of each cell.
+        Lague(RoughnessLimit) = "lague",
+    }
+}
+
+params! {
+    /// Parameters of `detect-raster`.
+    pub struct DetectRasterParams {
+        /// Which changes are looked for.
+        change: Change = Change::Loss,
+        /// The limit of detection: changes below it do not count.
+        lod: Limit = Limit::Fixed(FixedLimit { lod_m: 0.03 }),
+        /// Least width of a change, metres, in whole cells rounded up: side of the square of the opening; 0 leaves it out.
+        min_width_m: f64 = 0.04; Range::NonNegative,
+        /// Iterations of the opening: n erosions, then n dilations.
+        iterations: u32 = 1; Range::Between(0.0, 1000.0),
+        /// What is left of a cluster by the filter of width.
+        opening: Opening = Opening::Plain,
+        /// Least width over length of a cluster, by its principal axes; 0 lets all pass.
+        min_axis_ratio: f64 = 0.0; Range::Between(0.0, 1.0),
+        /// Least area of a cluster, square metres.
+        min_area_m2: f64 = 0.0016; Range::NonNegative,
+    }
+}
+
+/// The stage.
+pub struct DetectRaster;
+
+impl Stage for DetectRaster {
+    type Params = DetectRasterParams;
+    const NAME: &'static str = "detect-raster";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Finds detachments in a difference of elevations: cells beyond the limit of detection, filtered by width, joined to \
+               clusters, filtered by shape and area. Any difference does, simulated or of real surveys (`import-rasters`).",
+        method: "Paper, section 2.3 (SlopeMonitor): differences of the wanted sign beyond LoD95; opening with a square of \
+                 ceil(min_width_m / cell) cells; clusters of cells that touch along edges or at corners; width over length by principal axes; \
+                 area; volume = sum of cell area x |difference|. The limit is fixed, 1.96 NMAD of the difference, or each cell's \
+                 own from registration error and roughness (deviation about the local plane): in quadrature, or as Lague et al. 2013. \
+                 A volume's deviation takes LoD95 / 1.96 of its cells as fully correlated: an upper bound. `score` is the \
+                 greatest |difference| / LoD95.",
+        frames: "Difference = comparison - reference, metres along Z of its frame. Boxes and centroids lie between the reference \
+                 surface and the comparison, or between 0 and the difference without a `reference`.",
+        fails: "The raster is no difference of one band; `quadrature` or `lague` without both elevations on its grid; no cell with a value; \
+                more than 65535 clusters.",
+        example: "\
+rockface: 1
+name: detect-by-raster
+seed: 3
+axes: {epoch: {items: [pre, post]}}
+steps:
+  face:   {stage: synthesise-face, with: {width_m: 4, height_m: 3, spacing_m: 0.05}}
+  blocks: {stage: generate-blocks}
+  fallen: {stage: remove-blocks, in: {mesh: face.mesh, blocks: blocks.blocks}, with: {count: 3, cell_m: 0.02, min_volume_m3: 0.002}}
+  dem:    {stage: rasterise-dem, with: {cell_m: 0.02, method: tin, window_m: [-2, 2, -1.5, 1.5]}, in: {surface: {by: epoch, pre: face.mesh, post: fallen.mesh}}}
+  change: {stage: difference-dem, in: {reference: \"dem.raster[epoch=pre]\", comparison: \"dem.raster[epoch=post]\"}}
+  found:
+    stage: detect-raster
+    with: {lod: {fixed: {lod_m: 0.03}}, min_width_m: 0.04}
+    in: {difference: change.raster, reference: \"dem.raster[epoch=pre]\"}
+",
+    };
+    const INPUTS: &'static [Port] = &[
+        Port::one("difference", &[Kind::Raster], "Comparison minus reference, one band."),
+        Port::optional("reference", &[Kind::Raster], "Elevations before: for boxes and roughness."),
+        Port::optional("comparison", &[Kind::Raster], "Elevations after: for roughness."),
+    ];
+    const OUTPUTS: &'static [Port] = &[
+        Port::one("detections", &[Kind::Inventory], "One feature a cluster: outline, volume, area, depth, box, score."),
+        Port::one("labels", &[Kind::Raster], "Number of the cluster of each cell, 0 for none."),
+    ];
+
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let difference = inputs.one::<Raster>("difference")?;
+        let [band] = difference.bands.as_slice() else {
+            fail!("the difference has {} bands, one is needed", difference.bands.len())
+        };
+        if difference.quantity != "difference" {
+            context.warn(format!("the raster holds the quantity `{}`, not `difference`", difference.quantity));
+        }
+        let reference = on_grid("reference", inputs, difference)?;
+        let comparison = on_grid("comparison", inputs, difference)?;
+        let sign = params.change.sign();
+        let lost: Vec<f64> = band.values.iter().map(|d| sign * f64::from(*d)).collect();
+        let limits = limits(&params.lod, &band.values, [reference, comparison], difference.grid.columns)?;
+        let found = detect(params, difference, &lost, &limits, reference);
+        report(&found, &limits, &lost, context)?;
+        let labels = found::labels(&difference.grid, difference.frame, &found).map_err(StageError::new)?;
+        let detections = found::inventory(&difference.grid, difference.frame, "raster", &found);
+        Ok(Outputs::of("detections", detections).and("labels", labels))
+    }
+}
+
+/// The values of an optional raster that must lie on the grid of the difference.
+fn on_grid<'a>(port: &str, inputs: &'a Inputs, difference: &Raster) -> Result<Option<&'a [f32]>, StageError> {
+    let Some(raster) = inputs.optional::<Raster>(port)? else { return Ok(None) };
+    if !grid::same(&raster.grid, &difference.grid) || raster.frame != difference.frame {
+        let (a, b) = (grid::describe(&raster.grid), grid::describe(&difference.grid));
+        fail!("`{port}` has {a} ({} frame), the difference {b} ({} frame)", raster.frame, difference.frame);
+    }
+    let [band] = raster.bands.as_slice() else { fail!("`{port}` has {} bands, one is needed", raster.bands.len()) };
+    Ok(Some(&band.values))
+}
+
+/// The limit of each cell, metres; NaN where there is none.
+fn limits(
+    limit: &Limit,
+    difference: &[f32],
+    elevations: [Option<&[f32]>; 2],
+    columns: usize,
+) -> Result<Vec<f32>, StageError> {
+    match limit {
+        Limit::Fixed(FixedLimit { lod_m }) => Ok(vec![*lod_m as f32; difference.len()]),
+        Limit::Empirical(EmpiricalLimit { factor }) => {
+            let spread = marginal::marginal(difference).map_or(f64::NAN, |found| found.nmad);
+            if spread.is_nan() || spread <= 0.0 {
+                return Err(StageError::new("the difference has no spread (NMAD 0): no empirical limit of detection")
+                    .hint("a noise-free difference needs `lod: {fixed: {lod_m: ...}}`"));
+            }
+            Ok(vec![(factor * spread) as f32; difference.len()])
+        }
+        Limit::Quadrature(rough) => by_roughness(rough, Combination::Quadrature, elevations, columns),
+        Limit::Lague(rough) => by_roughness(rough, Combination::Lague, elevations, columns),
+    }
+}
+
+fn by_roughness(
+    rough: &RoughnessLimit,
+    how: Combination,
+    elevations: [Option<&[f32]>; 2],
+    columns: usize,
+) -> Result<Vec<f32>, StageError> {
+    let [Some(reference), Some(comparison)] = elevations else {
+        return Err(StageError::new("a limit from roughness needs both elevations")
+            .hint("connect `reference` and `comparison`, or take `lod: empirical`"));
+    };
+    let reach = rough.reach_cells as usize;
+    let [first, second] = [reference, comparison].map(|values| limit::roughness(values, columns, reach));
+    let limit = |(a, b): (&f32, &f32)| limit::combined(f64::from(*a), f64::from(*b), rough.registration_m, how) as f32;
+    Ok(first.iter().zip(&second).map(limit).collect())
+}
+
+fn detect(
+    params: &DetectRasterParams,
+    difference: &Raster,
+    lost: &[f64],
+    limits: &[f32],
+    reference: Option<&[f32]>,
+) -> Vec<Found> {
+    let (grid, columns) = (&difference.grid, difference.grid.columns);
+    let beyond: Vec<bool> = lost.iter().zip(limits).map(|(d, limit)| *d > f64::from(*limit)).collect();
+    let side = raster::whole_cells(params.min_width_m, grid.cell_m);
+    let side = if side < 2 { 1 } else { params.iterations as usize * (side - 1) + 1 };
+    let opened = clusters::opened(&beyond, columns, side);
+    let kept = match params.opening {
+        Opening::Plain => opened,
+        Opening::Reconstruction => clusters::reconstructed(&beyond, &opened, columns),
+    };
+    let least_cells = raster::whole_cells(params.min_area_m2, grid.cell_m * grid.cell_m);
+    let mut groups = clusters::groups(&kept, columns);
+    groups.retain(|cells| cells.len() >= least_cells && clusters::axis_ratio(cells, columns) >= params.min_axis_ratio);
+    let surface = |cell: usize| reference.map_or(0.0, |z| f64::from(z[cell]));
+    let sign = params.change.sign();
+    groups.iter().map(|cells| raster::cluster(grid, cells, |c| (surface(c), sign * lost[c]), limits)).collect()
+}
+
+fn report(found: &[Found], limits: &[f32], lost: &[f64], context: &Context) -> Result<(), StageError> {
+    let tested = lost.iter().zip(limits).filter(|(d, limit)| !d.is_nan() && !limit.is_nan()).count();
+    if tested == 0 {
+        fail!("no cell has a difference and a limit of detection");
+    }
+    let mut finite: Vec<f64> = limits.iter().filter(|l| !l.is_nan()).map(|l| f64::from(*l)).collect();
+    let median = rockface_core::numerics::quantile::median(&mut finite).unwrap_or(f64::NAN);
+    let volume = found.iter().fold(0.0, |sum, found| sum + found.volume_m3);
+    context.metric("tested_share", tested as f64 / lost.len() as f64, "1");
+    context.metric("lod95_median", median, "m");
+    context.metric("detections", found.len() as f64, "1");
+    context.metric("volume", volume, "m3");
+    context.headline(format!("{} changes of {volume:.4} m3 together beyond {:.1} mm", found.len(), 1e3 * median));
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;

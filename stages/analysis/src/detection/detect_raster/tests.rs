@@ -1,0 +1,101 @@
+//! `detect-raster` on scenes whose clusters and volumes are counted by hand.
+
+use serde_json::{Value, json};
+
+use super::*;
+use rockface_core::artefact::{Artefact, Frame, Grid, Inventory};
+use rockface_core::testing::{TestHost, run_stage};
+
+const GRID: Grid = Grid { columns: 20, rows: 12, cell_m: 0.02, left_m: -0.2, top_m: 0.12 };
+
+/// A difference of rectangles [left, right), [top, bottom) in cells, each with a value in metres.
+fn scene(parts: &[([usize; 4], f32)]) -> Raster {
+    let mut values = vec![0.0f32; GRID.cells()];
+    for ([left, right, top, bottom], value) in parts {
+        for row in *top..*bottom {
+            values[row * 20 + left..row * 20 + right].fill(*value);
+        }
+    }
+    Raster::single(GRID, Frame::Wall, "difference", "difference", values)
+}
+
+fn run(difference: &Raster, with: &Value, more: &[(&str, Artefact)]) -> Result<Inventory, StageError> {
+    let mut inputs = vec![("difference", difference.clone().into())];
+    inputs.extend(more.iter().cloned());
+    let made = run_stage::<DetectRaster>(&TestHost::default(), with, &inputs)?;
+    let Some(Artefact::Inventory(found)) = made.into_inner().remove("detections") else { panic!("no detections") };
+    Ok(found)
+}
+
+fn volumes(found: &Inventory) -> Vec<f64> {
+    found.numbers("volume_m3").unwrap().into_iter().flatten().collect()
+}
+
+#[test]
+fn only_losses_beyond_the_limit_that_are_large_enough_count() {
+    let difference = scene(&[
+        ([1, 4, 1, 4], -0.1),     // found: 9 cells
+        ([8, 11, 1, 4], 0.1),     // gain
+        ([14, 17, 1, 4], -0.02),  // below the limit
+        ([1, 9, 8, 9], -0.1),     // one cell wide
+        ([14, 16, 8, 10], -0.05), // found: 4 cells
+    ]);
+    let found = run(&difference, &json!({}), &[]).unwrap();
+    let expected = [9.0 * 4e-4 * 0.1, 4.0 * 4e-4 * 0.05];
+    assert_eq!(found.features.len(), 2);
+    volumes(&found).iter().zip(expected).for_each(|(v, e)| assert!((v - e).abs() < 1e-9, "{v}"));
+    assert_eq!(found.numbers("cells").unwrap(), [Some(9.0), Some(4.0)]);
+    let gain = run(&difference, &json!({"change": "gain"}), &[]).unwrap();
+    assert_eq!(gain.features.len(), 1);
+    let low = run(&difference, &json!({"lod": {"fixed": {"lod_m": 0.01}}}), &[]).unwrap();
+    assert_eq!(low.features.len(), 3);
+    let thin = run(&difference, &json!({"min_width_m": 0}), &[]).unwrap();
+    assert_eq!(thin.features.len(), 3);
+    let round = run(&difference, &json!({"min_width_m": 0, "min_axis_ratio": 0.2}), &[]).unwrap();
+    assert_eq!(round.features.len(), 2);
+    let large = run(&difference, &json!({"min_area_m2": 0.002}), &[]).unwrap();
+    assert_eq!(large.features.len(), 1);
+}
+
+#[test]
+fn iterations_widen_the_opening_and_reconstruction_keeps_margins() {
+    // A square of 4 with a tail of one cell.
+    let difference = scene(&[([2, 6, 2, 6], -0.1), ([6, 10, 3, 4], -0.1)]);
+    let cells = |with: &Value| run(&difference, with, &[]).unwrap().numbers("cells").unwrap();
+    assert_eq!(cells(&json!({})), [Some(16.0)]);
+    assert_eq!(cells(&json!({"opening": "reconstruction"})), [Some(20.0)]);
+    assert_eq!(cells(&json!({"iterations": 3})), [Some(16.0)]);
+    assert!(cells(&json!({"iterations": 4})).is_empty());
+    assert_eq!(cells(&json!({"iterations": 0})), [Some(20.0)]);
+}
+
+#[test]
+fn limits_from_spread_and_roughness() {
+    let mut difference = scene(&[([1, 4, 1, 4], -0.1)]);
+    let flat = run(&difference, &json!({"lod": "empirical"}), &[]).unwrap_err();
+    assert!(flat.message.contains("no spread") && flat.hint.unwrap().contains("fixed"));
+    difference.bands[0].values.iter_mut().enumerate().for_each(|(i, v)| *v += if i % 2 == 0 { 0.01 } else { -0.01 });
+    assert_eq!(run(&difference, &json!({"lod": "empirical"}), &[]).unwrap().features.len(), 1);
+    let plane = |z: f32| Raster::single(GRID, Frame::Wall, "elevation", "elevation", vec![z; GRID.cells()]);
+    let both = [("reference", plane(1.0).into()), ("comparison", plane(1.0).into())];
+    for (word, registration_m, count) in [("quadrature", 0.04, 1), ("lague", 0.04, 1), ("quadrature", 0.06, 0)] {
+        let with = json!({"lod": {word: {"registration_m": registration_m}}});
+        assert_eq!(run(&difference, &with, &both).unwrap().features.len(), count, "{word}");
+    }
+    let with = json!({"lod": {"lague": {"registration_m": 0.01}}});
+    assert!(run(&difference, &with, &both[..1]).unwrap_err().message.contains("both elevations"));
+}
+
+#[test]
+fn what_is_no_difference_or_lies_elsewhere_is_refused() {
+    let difference = scene(&[]);
+    let elsewhere = Raster { grid: Grid { left_m: 5.0, ..GRID }, ..difference.clone() };
+    let error = run(&difference, &json!({}), &[("reference", elsewhere.into())]).unwrap_err();
+    assert!(error.message.contains("`reference` has 20 x 12"), "{error}");
+    let mut two = difference.clone();
+    two.bands.push(two.bands[0].clone());
+    assert!(run(&two, &json!({}), &[]).unwrap_err().message.contains("2 bands"));
+    let mut empty = difference;
+    empty.bands[0].values.fill(f32::NAN);
+    assert!(run(&empty, &json!({}), &[]).unwrap_err().message.contains("no cell"));
+}

@@ -1,0 +1,219 @@
+//! `detect-voxels`: finds detachments as space enclosed between two surfaces.
+
+use std::collections::BTreeMap;
+
+use rockface_core::artefact::{Artefact, Grid, Kind, Surface, Transform};
+use crate::detection::change::Change;
+use crate::detection::found;
+use crate::detection::found::Found;
+use crate::detection::voxels::{Cluster, Voxels};
+use rockface_raster::raster_surface;
+use rockface_raster::shape::{Moved, Shape};
+use rockface_core::params::Range;
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+
+params! {
+    /// Parameters of `detect-voxels`.
+    pub struct DetectVoxelsParams {
+        /// Which changes are looked for.
+        change: Change = Change::Loss,
+        /// Edge of a voxel, metres: about the registration error; a change shows from about twice this on.
+        voxel_m: f64 = 0.05; Range::Positive,
+        /// Enclosed voxels a detachment must have.
+        least_voxels: u32 = 8; Range::AtLeast(1.0),
+        /// Least ratio of enclosed voxels to those around them: what is thinner is no body.
+        least_ratio: f64 = 2.0 / 26.0; Range::NonNegative,
+    }
+}
+
+/// The stage.
+pub struct DetectVoxels;
+
+impl Stage for DetectVoxels {
+    type Params = DetectVoxelsParams;
+    const NAME: &'static str = "detect-voxels";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Finds detachments without distances: voxels that neither surface meets and that lie enclosed between both, joined to \
+               clusters.",
+        method: "VoxFall (Farmakis et al. 2025, Engineering Geology 352, 108045). A voxel is occupied where a triangle of either \
+                 surface meets it; empty voxels that cannot be reached from outside over faces are enclosed; clusters join over edges and \
+                 corners. Volume = v^3 (N_in + N_out / 2) with the N_out voxels around a cluster, deviation v^3 N_out / 4. Loss where \
+                 the reference lies over the cluster along Z, gain where the comparison does. `score` is depth over twice the voxel. \
+                 A hole in either surface lets the outside in and hides what lies behind: elevations (`rasterise-dem`) have fewer.",
+        frames: "Both surfaces in one frame, metres, Z out of the rock; the lattice begins at whole multiples of the voxel. \
+                 Elevations are joined to triangles between centres of cells, over steps of any height.",
+        fails: "Different frames; neither surface has points; more than 6e8 voxels; more than 65535 clusters.",
+        example: "\
+rockface: 1
+name: detect-by-voxels
+seed: 3
+steps:
+  face:   {stage: synthesise-face, with: {width_m: 4, height_m: 3, spacing_m: 0.05}}
+  blocks: {stage: generate-blocks}
+  fallen: {stage: remove-blocks, in: {mesh: face.mesh, blocks: blocks.blocks}, with: {count: 3, cell_m: 0.05, min_volume_m3: 0.005}}
+  found:  {stage: detect-voxels, in: {reference: face.mesh, comparison: fallen.mesh}, with: {voxel_m: 0.04}}
+",
+    };
+    const INPUTS: &'static [Port] = &[
+        Port::one(
+            "reference",
+            &[Kind::Mesh, Kind::Surface, Kind::Raster],
+            "The earlier epoch; a raster holds elevations.",
+        ),
+        Port::one("comparison", &[Kind::Mesh, Kind::Surface, Kind::Raster], "The later epoch."),
+        Port::optional("transform", &[Kind::Transform], "Applied to the comparison, such as a registration."),
+    ];
+    const OUTPUTS: &'static [Port] = &[
+        Port::one("detections", &[Kind::Inventory], "One feature a cluster: outline, volume, area, depth, box, score."),
+        Port::one("labels", &[Kind::Raster], "Number of the cluster of each column of voxels, 0 for none."),
+    ];
+
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let mut made = Vec::new();
+        for port in ["reference", "comparison"] {
+            made.push(triangles(port, inputs.artefact(port)?)?);
+        }
+        let shapes = ["reference", "comparison"].into_iter().zip(&made).map(|(port, made)| match made {
+            Some(surface) => Ok(Shape::Surface(surface)),
+            None => shape(port, inputs),
+        });
+        let shapes: Vec<Shape> = shapes.collect::<Result<_, StageError>>()?;
+        let (reference, comparison) = (shapes[0], shapes[1]);
+        let frame = reference.frame();
+        if frame != comparison.frame() {
+            fail!("the reference is in the {frame} frame, the comparison in the {} frame", comparison.frame());
+        }
+        let moved = inputs.optional::<Transform>("transform")?.and_then(Moved::by);
+        let voxels = Voxels::new([reference, comparison], moved.as_ref(), params.voxel_m)
+            .map_err(|e| StageError::new(e).hint("choose a larger `voxel_m`; are both surfaces in metres?"))?;
+        let grid = plan(&voxels);
+        let low = voxels.low;
+        let occupied = voxels.occupied();
+        let clusters = voxels.enclosed();
+        let all = clusters.len();
+        let found: Vec<Found> =
+            clusters.iter().filter(|c| counts(c, params)).map(|c| body(c, &grid, low, params.voxel_m)).collect();
+        report(&found, all, occupied, context);
+        let labels = found::labels(&grid, frame, &found).map_err(StageError::new)?;
+        let detections = found::inventory(&grid, frame, "voxels", &found);
+        Ok(Outputs::of("detections", detections).and("labels", labels))
+    }
+}
+
+fn shape<'a>(port: &str, inputs: &'a Inputs) -> Result<Shape<'a>, StageError> {
+    Shape::of(inputs.artefact(port)?)
+        .ok_or_else(|| StageError::new(format!("port `{port}` needs a mesh, a surface or a raster")))
+}
+
+/// The triangles between the cell centres of an elevation raster; `None` for what has triangles of its own.
+fn triangles(port: &str, artefact: &Artefact) -> Result<Option<Surface>, StageError> {
+    let Artefact::Raster(raster) = artefact else { return Ok(None) };
+    raster_surface::between_cells(raster).map(Some).map_err(|text| StageError::new(format!("`{port}` {text}")))
+}
+
+/// The columns of voxels as a grid.
+fn plan(voxels: &Voxels) -> Grid {
+    let [columns, rows, _] = voxels.count;
+    let (cell_m, [left_m, bottom_m, _]) = (voxels.edge_m, voxels.low);
+    Grid { columns, rows, cell_m, left_m, top_m: bottom_m + rows as f64 * cell_m }
+}
+
+fn counts(cluster: &Cluster, params: &DetectVoxelsParams) -> bool {
+    let [loss, gain] = cluster.under;
+    let wanted = if params.change == Change::Loss { loss > gain } else { gain > loss };
+    let inside = cluster.inside.len();
+    wanted && inside >= params.least_voxels as usize && inside as f64 > params.least_ratio * cluster.shell as f64
+}
+
+fn body(cluster: &Cluster, grid: &Grid, low: [f64; 3], edge_m: f64) -> Found {
+    let mut columns: BTreeMap<(usize, usize), usize> = BTreeMap::new();
+    for [x, y, _] in &cluster.inside {
+        *columns.entry((grid.rows - 1 - y, *x)).or_default() += 1;
+    }
+    let voxel = edge_m * edge_m * edge_m;
+    let volume_m3 = voxel * (cluster.inside.len() as f64 + 0.5 * cluster.shell as f64);
+    // Half of the voxel above and of that below are within.
+    let deepest = columns.values().max().copied().unwrap_or(0) as f64 + 1.0;
+    let corner = |[x, y, z]: [usize; 3], corner: usize| {
+        let side = |k: usize| if corner >> k & 1 == 1 { 1.5 } else { -0.5 };
+        [x as f64 + side(0), y as f64 + side(1), z as f64 + side(2)]
+    };
+    let metres = |p: [f64; 3]| std::array::from_fn(|axis| low[axis] + p[axis] * edge_m);
+    let points = cluster.inside.iter().flat_map(|at| (0..8).map(|k| metres(corner(*at, k)))).collect();
+    Found {
+        depth_mean_m: volume_m3 / (columns.len() as f64 * edge_m * edge_m),
+        cells: columns.into_keys().collect(),
+        volume_m3,
+        volume_sd_m3: voxel * cluster.shell as f64 / 4.0,
+        depth_max_m: deepest * edge_m,
+        score: deepest / 2.0,
+        points,
+    }
+}
+
+fn report(found: &[Found], clusters: usize, occupied: [usize; 3], context: &Context) {
+    let [reference, comparison, both] = occupied;
+    let volume = found.iter().fold(0.0, |sum, found| sum + found.volume_m3);
+    context.metric("voxels_reference", reference as f64, "1");
+    context.metric("voxels_comparison", comparison as f64, "1");
+    context.metric("voxels_shared", both as f64, "1");
+    context.metric("clusters", clusters as f64, "1");
+    context.metric("detections", found.len() as f64, "1");
+    context.metric("volume", volume, "m3");
+    if both == 0 {
+        context.warn("the surfaces share no voxel: nothing closes the space between them; are both registered?");
+    }
+    context.headline(format!("{} changes of {volume:.4} m3 together, of {clusters} enclosed spaces", found.len()));
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use rockface_core::artefact::{Frame, Inventory, Raster};
+    use rockface_core::testing::{TestHost, run_stage};
+
+    const GRID: Grid = Grid { columns: 60, rows: 50, cell_m: 0.02, left_m: -0.6, top_m: 0.5 };
+
+    /// Elevations with a niche of 20 x 10 cells, 12 cm deep.
+    fn elevations(depth: f32) -> Raster {
+        let inside = |cell: usize| (20..40).contains(&(cell % 60)) && (20..30).contains(&(cell / 60));
+        let values = (0..3000).map(|cell| if inside(cell) { 0.01 - depth } else { 0.01 }).collect();
+        Raster::single(GRID, Frame::Wall, "elevation", "elevation", values)
+    }
+
+    fn found(before: Raster, after: Raster, change: &str) -> (Inventory, Raster) {
+        let inputs = [("reference", before.into()), ("comparison", after.into())];
+        let with = json!({"voxel_m": 0.02, "change": change});
+        let mut made = run_stage::<DetectVoxels>(&TestHost::default(), &with, &inputs).unwrap().into_inner();
+        match (made.remove("detections"), made.remove("labels")) {
+            (Some(Artefact::Inventory(found)), Some(Artefact::Raster(labels))) => (found, labels),
+            _ => panic!("outputs are missing"),
+        }
+    }
+
+    #[test]
+    fn a_niche_in_elevations_is_found_where_it_is() {
+        let (made, labels) = found(elevations(0.0), elevations(0.12), "loss");
+        assert_eq!(made.features.len(), 1);
+        let number = |name: &str| made.numbers(name).unwrap()[0].unwrap();
+        assert!((number("volume_m3") / (0.4 * 0.2 * 0.12) - 1.0).abs() < 0.3, "{}", number("volume_m3"));
+        assert!((number("depth_max_m") - 0.12).abs() < 0.021);
+        assert!(number("centroid_x_m").abs() < 0.03 && number("centroid_y_m").abs() < 0.03);
+        let count = labels.bands[0].values.iter().filter(|label| **label > 0.0).count();
+        assert!((number("cells") - count as f64).abs() < 0.5 && (120..=220).contains(&count), "{count}");
+        assert!(found(elevations(0.0), elevations(0.12), "gain").0.features.is_empty());
+        assert_eq!(found(elevations(0.12), elevations(0.0), "gain").0.features.len(), 1);
+    }
+
+    #[test]
+    fn a_hole_lets_the_outside_in() {
+        let mut after = elevations(0.12);
+        for cell in [0, 1, 60, 61] {
+            after.bands[0].values[25 * 60 + 30 + cell] = f32::NAN;
+        }
+        assert!(found(elevations(0.0), after, "loss").0.features.is_empty());
+    }
+}

@@ -1,0 +1,150 @@
+//! What a detector found, as an inventory and a label raster: the one form in which all detectors hand over.
+
+use nalgebra::Vector3;
+
+use rockface_core::artefact::{Cell, Feature, Frame, Grid, Inventory, Raster, Sample};
+use rockface_rock::rockfall::ground_truth::bounding_box::oriented_box;
+use rockface_rock::rockfall::ground_truth::{Facets, outline, sneed_folk};
+
+/// The columns of an inventory of detections, in order. Only `volume_m3` and outlines are needed to score one.
+pub const COLUMNS: [&str; 18] = [
+    "id",
+    "method",
+    "volume_m3",
+    "volume_sd_m3",
+    "area_m2",
+    "cells",
+    "depth_max_m",
+    "depth_mean_m",
+    "score",
+    "centroid_x_m",
+    "centroid_y_m",
+    "centroid_z_m",
+    "long_m",
+    "intermediate_m",
+    "short_m",
+    "shape_class",
+    "flatness",
+    "elongation",
+];
+
+/// One change that a detector found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Found {
+    /// (row, column) of the cells it covers on the detector's grid.
+    pub cells: Vec<(usize, usize)>,
+    /// Volume, cubic metres, positive.
+    pub volume_m3: f64,
+    /// Standard deviation of the volume, cubic metres; NaN where the detector knows none.
+    pub volume_sd_m3: f64,
+    /// Greatest change, metres, positive.
+    pub depth_max_m: f64,
+    /// Mean change, metres, positive.
+    pub depth_mean_m: f64,
+    /// How sure the detector is: the greatest ratio of a change to its limit of detection; NaN where there is none.
+    pub score: f64,
+    /// Points of both surfaces around the change, metres: its box and centroid are theirs.
+    pub points: Vec<[f64; 3]>,
+}
+
+/// The inventory of what was found, numbered from 1 in the given order.
+pub fn inventory(grid: &Grid, frame: Frame, method: &str, found: &[Found]) -> Inventory {
+    let feature = |(number, found): (usize, &Found)| Feature {
+        outline: outline::polygons(grid, &found.cells),
+        values: values(grid, method, number, found),
+    };
+    let features = found.iter().enumerate().map(feature).collect();
+    Inventory { frame, columns: COLUMNS.map(str::to_owned).to_vec(), features }
+}
+
+fn values(grid: &Grid, method: &str, number: usize, found: &Found) -> Vec<Cell> {
+    let count = found.points.len() as f64;
+    let sum = found.points.iter().fold(Vector3::zeros(), |sum, p| sum + Vector3::from(*p));
+    let centre = sum / count;
+    let sides = sides(&found.points);
+    let form = sneed_folk::form(sides);
+    let ratio = |of: fn(&sneed_folk::Form) -> f64| Cell::from(form.as_ref().map_or(f64::NAN, of));
+    let cells = found.cells.len() as f64;
+    let start = [(number + 1) as f64];
+    let numbers = [
+        found.volume_m3,
+        found.volume_sd_m3,
+        cells * grid.cell_m * grid.cell_m,
+        cells,
+        found.depth_max_m,
+        found.depth_mean_m,
+        found.score,
+        centre.x,
+        centre.y,
+        centre.z,
+        sides[0],
+        sides[1],
+        sides[2],
+    ];
+    let mut values: Vec<Cell> = start.map(Cell::from).to_vec();
+    values.push(method.into());
+    values.extend(numbers.map(Cell::from));
+    values.push(form.map_or(Cell::Empty(()), |form| form.class.into()));
+    values.extend([ratio(|form| form.flatness), ratio(|form| form.elongation)]);
+    values
+}
+
+/// Long, intermediate and short side of the box around points, metres; NaN without points.
+fn sides(points: &[[f64; 3]]) -> [f64; 3] {
+    let body = Facets { vertices: points.to_vec(), triangles: Vec::new() };
+    let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
+    oriented_box(&body, axes).map_or([f64::NAN; 3], |found| found.sides_m)
+}
+
+/// The label raster of what was found: the number of each, 0 elsewhere; a later one covers an earlier one.
+///
+/// # Errors
+/// More than 65535 of them.
+pub fn labels(grid: &Grid, frame: Frame, found: &[Found]) -> Result<Raster, String> {
+    let largest = usize::from(u16::MAX);
+    if found.len() > largest {
+        return Err(format!("{} changes were found, a label raster holds {largest}", found.len()));
+    }
+    let mut values = vec![0.0f32; grid.cells()];
+    for (number, found) in found.iter().enumerate() {
+        found.cells.iter().for_each(|(row, column)| values[row * grid.columns + column] = (number + 1) as f32);
+    }
+    let mut raster = Raster::single(*grid, frame, "label", "detection", values);
+    raster.sample = Sample::Word;
+    Ok(raster)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rockface_core::artefact::Noun;
+
+    #[test]
+    fn a_box_of_cells_has_its_measures() {
+        let grid = Grid { columns: 10, rows: 8, cell_m: 0.1, left_m: 1.0, top_m: 2.0 };
+        let cells: Vec<(usize, usize)> = (0..6).map(|i| (2 + i / 3, 4 + i % 3)).collect();
+        let corner =
+            |i: u32| [1.4 + 0.3 * f64::from(i & 1), 1.6 + 0.2 * f64::from(i >> 1 & 1), 0.1 * f64::from(i >> 2)];
+        let found = Found {
+            cells,
+            volume_m3: 0.006,
+            volume_sd_m3: f64::NAN,
+            depth_max_m: 0.1,
+            depth_mean_m: 0.1,
+            score: 5.0,
+            points: (0..8).map(corner).collect(),
+        };
+        let made = inventory(&grid, Frame::Wall, "raster", std::slice::from_ref(&found));
+        let number = |name: &str| made.numbers(name).unwrap()[0];
+        assert_eq!((number("id"), number("cells"), number("volume_sd_m3")), (Some(1.0), Some(6.0), None));
+        let near = |name: &str, expected: f64| assert!((number(name).unwrap() - expected).abs() < 1e-9, "{name}");
+        near("area_m2", 0.06);
+        near("long_m", 0.3);
+        near("intermediate_m", 0.2);
+        near("short_m", 0.1);
+        near("centroid_z_m", 0.05);
+        assert!(made.encode().is_ok() && made.features[0].outline.len() == 1);
+        let labels = labels(&grid, Frame::Wall, &[found]).unwrap();
+        assert_eq!(labels.bands[0].values.iter().filter(|v| **v > 0.5).count(), 6);
+    }
+}

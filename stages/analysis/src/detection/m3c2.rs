@@ -1,0 +1,128 @@
+//! Distances between two clouds along local normals (M3C2), each with its limit of detection.
+
+use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
+
+use rockface_core::artefact::Grid;
+
+use super::cloud::Cloud;
+use super::limit::NORMAL_95;
+
+/// The scales of a comparison.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scales {
+    /// Radii of the spheres normals are taken from, metres; of several, the one whose points are most planar counts.
+    pub normal_radii_m: Vec<f64>,
+    /// Radius of the cylinders, metres.
+    pub projection_radius_m: f64,
+    /// Half the length of the cylinders, metres.
+    pub depth_m: f64,
+    /// Registration error, metres.
+    pub registration_m: f64,
+    /// Points a cylinder must hold of either cloud.
+    pub least_points: u32,
+}
+
+/// What is known at a core point. Distances are positive along the normal; NaN where a cylinder holds too few points.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Distance {
+    /// The core point, metres.
+    pub core: [f64; 3],
+    /// The unit normal, towards positive Z.
+    pub normal: [f64; 3],
+    /// Comparison minus reference along the normal, metres.
+    pub distance_m: f64,
+    /// Limit of detection at 95 %, metres.
+    pub limit_m: f64,
+    /// Standard deviations along the normal of the reference and the comparison, metres.
+    pub spreads_m: [f64; 2],
+    /// Points of the reference and the comparison.
+    pub points: [f64; 2],
+}
+
+/// One core point a cell: the reference point nearest to its centre in plan, each coordinate rounded to 32 bits so that it
+/// can be kept exactly; `None` for cells without a point.
+pub fn cores(reference: &Cloud, grid: &Grid) -> Vec<Option<[f64; 3]>> {
+    let mut nearest: Vec<Option<(f64, Vector3<f64>)>> = vec![None; grid.cells()];
+    for point in reference.points() {
+        let column = ((point.x - grid.left_m) / grid.cell_m).floor();
+        let row = ((grid.top_m - point.y) / grid.cell_m).floor();
+        if !(0.0..grid.columns as f64).contains(&column) || !(0.0..grid.rows as f64).contains(&row) {
+            continue;
+        }
+        let (row, column) = (row as usize, column as usize);
+        let (x, y) = grid.centre(row, column);
+        let square = (point.x - x) * (point.x - x) + (point.y - y) * (point.y - y);
+        let best = &mut nearest[row * grid.columns + column];
+        if best.is_none_or(|(least, _)| square < least) {
+            *best = Some((square, *point));
+        }
+    }
+    let rounded = |(_, p): (f64, Vector3<f64>)| [p.x, p.y, p.z].map(|value| f64::from(value as f32));
+    nearest.into_iter().map(|best| best.map(rounded)).collect()
+}
+
+/// Distances at the core points, in their order; `None` where there is no core point or no normal.
+///
+/// The mean of the points of each cloud within a cylinder along the normal of the reference; the limit is
+/// 1.96 (sqrt(s1^2 / n1 + s2^2 / n2) + registration).
+///
+/// # References
+/// Lague, D., Brodu, N., Leroux, J. (2013), Accurate 3D comparison of complex topography with terrestrial laser scanner,
+/// ISPRS Journal of Photogrammetry and Remote Sensing 82, 10-26, equation 1.
+pub fn distances(clouds: [&Cloud; 2], cores: &[Option<[f64; 3]>], scales: &Scales) -> Vec<Option<Distance>> {
+    cores.par_iter().with_min_len(64).map(|core| distance(clouds, core.as_ref()?, scales)).collect()
+}
+
+fn distance(clouds: [&Cloud; 2], core: &[f64; 3], scales: &Scales) -> Option<Distance> {
+    let centre = Point3::from(*core);
+    let normals = scales.normal_radii_m.iter().filter_map(|radius| clouds[0].normal(&centre.coords, *radius));
+    let (normal, _) = normals.reduce(|best, next| if next.1 > best.1 { next } else { best })?;
+    let stacks = clouds.map(|cloud| cloud.along(&centre, &normal, scales.projection_radius_m, scales.depth_m));
+    let least = f64::from(scales.least_points);
+    let enough = stacks.iter().all(|stack| stack.count >= least);
+    let share = |place: usize| stacks[place].variance() / stacks[place].count;
+    let known = |value: f64| if enough { value } else { f64::NAN };
+    Some(Distance {
+        core: *core,
+        normal: normal.into(),
+        distance_m: known(stacks[1].mean - stacks[0].mean),
+        limit_m: known(NORMAL_95 * ((share(0) + share(1)).sqrt() + scales.registration_m)),
+        spreads_m: stacks.map(|stack| stack.variance().sqrt()),
+        points: stacks.map(|stack| stack.count),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rockface_raster::shape::Shape;
+    use rockface_core::testing::height_mesh;
+
+    const GRID: Grid = Grid { columns: 10, rows: 10, cell_m: 0.2, left_m: -1.0, top_m: 1.0 };
+
+    #[test]
+    fn parallel_tilted_planes_are_apart_along_their_normal() {
+        let before = height_mesh(80, [-1.2, 1.2, -1.2, 1.2], |x, _| 0.5 * x);
+        // Shifted along the normal by 7 cm.
+        let rise = 0.07 * (1.0f64 + 0.25).sqrt();
+        let after = height_mesh(80, [-1.2, 1.2, -1.2, 1.2], |x, _| 0.5 * x - rise);
+        let clouds = [&before, &after].map(|mesh| Cloud::new(Shape::Mesh(mesh), None, 0.1).unwrap());
+        let cores = cores(&clouds[0], &GRID);
+        assert!(cores.iter().all(Option::is_some));
+        let mut scales = Scales {
+            normal_radii_m: vec![0.1, 0.3],
+            projection_radius_m: 0.1,
+            depth_m: 0.5,
+            registration_m: 0.002,
+            least_points: 4,
+        };
+        for found in distances([&clouds[0], &clouds[1]], &cores, &scales).into_iter().flatten() {
+            assert!((found.distance_m + 0.07).abs() < 2e-3, "{found:?}");
+            assert!((found.limit_m - 1.96 * 0.002).abs() < 1e-3 && found.normal[2] > 0.89, "{found:?}");
+        }
+        scales.least_points = 10_000;
+        let none = distances([&clouds[0], &clouds[1]], &cores, &scales);
+        assert!(none.iter().flatten().all(|found| found.distance_m.is_nan() && found.points[0] > 10.0));
+    }
+}

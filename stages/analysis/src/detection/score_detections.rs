@@ -1,0 +1,274 @@
+//! `score-detections`: labels what was found against the ground truth, and counts.
+
+use rockface_core::artefact::{Artefact, Band, Cell, Feature, Grid, Inventory, Kind, Raster, Sample, Table};
+use crate::detection::compared;
+use crate::detection::compared::Side;
+use crate::detection::score;
+use crate::detection::score::{Counts, Object, Score};
+use rockface_raster::grid;
+use rockface_core::numerics::quantile::median;
+use rockface_rock::rockfall::ground_truth::outline;
+use rockface_core::params::Range;
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+
+params! {
+    /// Parameters of `score-detections`.
+    pub struct ScoreDetectionsParams {
+        /// Least intersection over union of a match, in plan; 0: a shared cell is enough.
+        least_iou: f64 = 0.0; Range::Between(0.0, 1.0),
+        /// A true change of which a smaller share can be seen along Z (column `visible_fraction`) is `hidden` and in no rate.
+        least_visible_fraction: f64 = 0.0; Range::Between(0.0, 1.0),
+        /// Column of the truth with its volumes, cubic metres.
+        truth_column: String = "removed_m3".to_owned(),
+        /// Column of the detections with their volumes, cubic metres.
+        column: String = "volume_m3".to_owned(),
+    }
+}
+
+/// The stage.
+pub struct ScoreDetections;
+
+impl Stage for ScoreDetections {
+    type Params = ScoreDetectionsParams;
+    const NAME: &'static str = "score-detections";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Compares detections with the ground truth: each detection is a true or a false positive, each true change found, missed \
+               or hidden, each cell right or wrong; precision, recall, F1, errors of volume. Detections come from any detector: \
+               `detect-raster`, `detect-m3c2`, `detect-voxels`, or a program run by `command`.",
+        method: "Outlines are taken to the cells of `grid` whose centres they hold and that have a value there. Permissive: a detection is true where \
+                 it matches any true change, a change is found where any detection matches it, so one detection may cover two \
+                 changes. One to one: pairs of the greatest sum of intersections over unions (Hungarian method, Kuhn 1955). Precision = \
+                 true positives / detections, recall = found / (found + missed), F1 = 2 P R / (P + R). Volumes are compared within \
+                 the one-to-one pairs: error (detected - true) / true, and ln(detected / true). A true change without a cell to \
+                 compare, or too little of it visible, is `hidden`; a detection without one is `outside`.",
+        frames: "All in one frame, metres. `confusion`: 0 neither, 1 found and true, 2 found only, 3 true only, 255 not compared.",
+        fails: "Different frames; a label raster on another grid; no column with the volumes; labels that are no whole numbers. \
+                A detector of your own hands over GeoJSON with the member `rockface` (`{\"frame\": \"wall\", \"columns\": [\"volume_m3\"]}`), a \
+                `MultiPolygon` and those columns a feature, or a GeoTIFF of labels on the grid of the difference: see README.",
+        example: "\
+rockface: 1
+name: score
+seed: 3
+axes: {epoch: {items: [pre, post]}}
+steps:
+  face:   {stage: synthesise-face, with: {width_m: 4, height_m: 3, spacing_m: 0.05}}
+  blocks: {stage: generate-blocks}
+  fallen: {stage: remove-blocks, in: {mesh: face.mesh, blocks: blocks.blocks}, with: {count: 3, cell_m: 0.02, min_volume_m3: 0.002}}
+  dem:    {stage: rasterise-dem, with: {cell_m: 0.02, method: tin, window_m: [-2, 2, -1.5, 1.5]}, in: {surface: {by: epoch, pre: face.mesh, post: fallen.mesh}}}
+  change: {stage: difference-dem, in: {reference: \"dem.raster[epoch=pre]\", comparison: \"dem.raster[epoch=post]\"}}
+  found:  {stage: detect-raster, in: {difference: change.raster}}
+  score:  {stage: score-detections, in: {truth: fallen.truth, detections: found.detections, grid: change.raster}}
+",
+    };
+    const INPUTS: &'static [Port] = &[
+        Port::one("truth", &[Kind::Inventory], "What is true, such as the ground truth of `remove-blocks`."),
+        Port::one(
+            "detections",
+            &[Kind::Inventory, Kind::Raster],
+            "What was found: outlines and volumes, or labels (0 for none) on the grid of the comparison.",
+        ),
+        Port::one("grid", &[Kind::Raster], "The difference that was searched: its grid, and where it has values."),
+    ];
+    const OUTPUTS: &'static [Port] = &[
+        Port::one("summary", &[Kind::Table], "Counts, rates and errors, one row."),
+        Port::one("truth", &[Kind::Inventory], "The truth with outcome, partner, intersection over union and errors."),
+        Port::one("detections", &[Kind::Inventory], "The detections with the same."),
+        Port::one("confusion", &[Kind::Raster], "Right and wrong cells."),
+    ];
+
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let (truth, searched) = (inputs.one::<Inventory>("truth")?, inputs.one::<Raster>("grid")?);
+        let [band] = searched.bands.as_slice() else {
+            fail!("the raster at `grid` has {} bands, one is needed", searched.bands.len())
+        };
+        let seen: Vec<bool> = band.values.iter().map(|value| !value.is_nan()).collect();
+        let detections = detections(inputs.artefact("detections")?, searched, &seen)?;
+        for (name, frame) in [("truth", truth.frame), ("detections", detections.frame)] {
+            if frame != searched.frame {
+                fail!("the {name} are in the {frame} frame, the grid in the {} frame", searched.frame);
+            }
+        }
+        let true_objects = truths(truth, params, &searched.grid, &seen)?;
+        let found_objects = founds(&detections, params, &searched.grid, &seen)?;
+        let score = Score::of(&true_objects, &found_objects, params.least_iou);
+        let codes = score::confusion(&true_objects, &found_objects, seen.len());
+        let sides = [
+            &Side { inventory: truth, objects: &true_objects },
+            &Side { inventory: &detections, objects: &found_objects },
+        ];
+        let judged = [true, false].map(|truths| compared::judged(&score, sides, truths));
+        let summary = summary(&score, &true_objects, &found_objects, &judged[0], &codes, &seen);
+        report(&summary, context);
+        let [truth, detections] = judged;
+        Ok(Outputs::of("summary", summary)
+            .and("truth", truth)
+            .and("detections", detections)
+            .and("confusion", confusion(searched, &codes, &seen)))
+    }
+}
+
+/// The detections as an inventory; labels get outlines, and volumes from the difference they lie on.
+fn detections(given: &Artefact, searched: &Raster, seen: &[bool]) -> Result<Inventory, StageError> {
+    let labels = match given {
+        Artefact::Inventory(inventory) => return Ok(inventory.clone()),
+        Artefact::Raster(labels) => labels,
+        other => fail!("port `detections` needs an inventory or a raster, found a {}", other.kind()),
+    };
+    if !grid::same(&labels.grid, &searched.grid) || labels.bands.len() != 1 {
+        let (a, b) = (grid::describe(&labels.grid), grid::describe(&searched.grid));
+        fail!(
+            "the labels have {a} in {} bands; they must have one band and the grid searched: {b}",
+            labels.bands.len()
+        );
+    }
+    let (grid, difference) = (&searched.grid, &searched.bands[0].values);
+    let feature = |(label, cells): (u32, Vec<usize>)| {
+        let places: Vec<(usize, usize)> = cells.iter().map(|c| (c / grid.columns, c % grid.columns)).collect();
+        let lost = cells.iter().fold(0.0, |sum, cell| sum + f64::from(difference[*cell]).abs());
+        let volume = if searched.quantity == "difference" { lost * grid.cell_m * grid.cell_m } else { f64::NAN };
+        let values = [f64::from(label), volume, cells.len() as f64].map(Cell::from).to_vec();
+        Feature { outline: outline::polygons(grid, &places), values }
+    };
+    let features = compared::labelled(labels, seen).map_err(StageError::new)?.into_iter().map(feature).collect();
+    let columns = ["id", "volume_m3", "cells"].map(str::to_owned).to_vec();
+    Ok(Inventory { frame: labels.frame, columns, features })
+}
+
+fn column(inventory: &Inventory, name: &str, whose: &str) -> Result<Vec<Option<f64>>, StageError> {
+    if inventory.features.is_empty() {
+        return Ok(Vec::new());
+    }
+    inventory.numbers(name).ok_or_else(|| {
+        StageError::new(format!(
+            "there is no column `{name}` in the {whose}; there are {}",
+            inventory.columns.join(", ")
+        ))
+    })
+}
+
+fn truths(
+    truth: &Inventory,
+    params: &ScoreDetectionsParams,
+    grid: &Grid,
+    seen: &[bool],
+) -> Result<Vec<Object>, StageError> {
+    let volumes = column(truth, &params.truth_column, "truth")?;
+    let visible = truth.numbers("visible_fraction").unwrap_or_else(|| vec![None; volumes.len()]);
+    let cells = compared::cells(truth, grid, seen);
+    let object = |((cells, volume_m3), visible): ((Vec<usize>, Option<f64>), Option<f64>)| {
+        let counts = !cells.is_empty() && visible.is_none_or(|share| share >= params.least_visible_fraction);
+        Object { cells, volume_m3, counts }
+    };
+    Ok(cells.into_iter().zip(volumes).zip(visible).map(object).collect())
+}
+
+fn founds(
+    detections: &Inventory,
+    params: &ScoreDetectionsParams,
+    grid: &Grid,
+    seen: &[bool],
+) -> Result<Vec<Object>, StageError> {
+    let volumes = column(detections, &params.column, "detections")?;
+    let cells = compared::cells(detections, grid, seen);
+    let object = |(cells, volume_m3): (Vec<usize>, Option<f64>)| Object { counts: !cells.is_empty(), cells, volume_m3 };
+    Ok(cells.into_iter().zip(volumes).map(object).collect())
+}
+
+/// Names and values of the row of `summary`.
+fn summary(
+    score: &Score,
+    truth: &[Object],
+    detections: &[Object],
+    judged: &Inventory,
+    codes: &[u8],
+    seen: &[bool],
+) -> Table {
+    let [any, strict] = [score::permissive(score, truth, detections), score::one_to_one(score, truth, detections)];
+    let number = |value: usize| Some(value as f64);
+    let of_code = |code: u8| codes.iter().zip(seen).filter(|(c, seen)| **seen && **c == code).count();
+    let [none, both, found, missed] = [0, 1, 2, 3].map(of_code);
+    let by_cell = Counts { true_positives: both, false_positives: found, found: both, missed };
+    let cell_iou = (both + found + missed > 0).then(|| both as f64 / (both + found + missed) as f64);
+    let volume = |objects: &[Object], matched: &dyn Fn(usize) -> bool| {
+        let kept = objects.iter().enumerate().filter(|(number, object)| object.counts && matched(*number));
+        kept.fold(0.0, |sum, (_, object)| sum + object.volume_m3.unwrap_or(0.0))
+    };
+    let values = |name: &str| -> Vec<f64> { judged.numbers(name).unwrap_or_default().into_iter().flatten().collect() };
+    let (errors, mut ratios, ious) = (values("volume_error"), values("log_volume_ratio"), values("iou"));
+    let mean = |values: &[f64]| (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64);
+    let absolute: Vec<f64> = errors.iter().map(|error| error.abs()).collect();
+    let row = [
+        ("truths", number(truth.len())),
+        ("hidden", number(truth.iter().filter(|object| !object.counts).count())),
+        ("detections", number(any.true_positives + any.false_positives)),
+        ("true_positives", number(any.true_positives)),
+        ("false_positives", number(any.false_positives)),
+        ("found", number(any.found)),
+        ("missed", number(any.missed)),
+        ("precision", any.precision()),
+        ("recall", any.recall()),
+        ("f1", any.f1()),
+        ("pairs", number(score.pairs.len())),
+        ("true_positives_1to1", number(strict.true_positives)),
+        ("false_positives_1to1", number(strict.false_positives)),
+        ("found_1to1", number(strict.found)),
+        ("missed_1to1", number(strict.missed)),
+        ("precision_1to1", strict.precision()),
+        ("recall_1to1", strict.recall()),
+        ("f1_1to1", strict.f1()),
+        ("cells_true_positive", number(both)),
+        ("cells_false_positive", number(found)),
+        ("cells_false_negative", number(missed)),
+        ("cells_true_negative", number(none)),
+        ("cell_precision", by_cell.precision()),
+        ("cell_recall", by_cell.recall()),
+        ("cell_f1", by_cell.f1()),
+        ("cell_iou", cell_iou),
+        ("truth_m3", Some(volume(truth, &|_| true))),
+        ("found_truth_m3", Some(volume(truth, &|number| score.of_truth(number) > 0))),
+        ("detected_m3", Some(volume(detections, &|_| true))),
+        ("true_detected_m3", Some(volume(detections, &|number| score.of_detection(number) > 0))),
+        ("volume_error_mean", mean(&errors)),
+        ("volume_error_mean_abs", mean(&absolute)),
+        ("volume_error_median", median(&mut errors.clone())),
+        ("log_volume_ratio_median", median(&mut ratios)),
+        ("iou_mean", mean(&ious)),
+    ];
+    let mut table = Table::new(row.map(|(name, _)| name));
+    table.push(row.map(|(_, value)| value.map_or(Cell::Empty(()), Cell::from)).to_vec());
+    table
+}
+
+fn report(summary: &Table, context: &Context) {
+    let value = |name: &str| summary.column(name).and_then(|at| summary.rows[0][at].number());
+    for name in ["precision", "recall", "f1", "precision_1to1", "recall_1to1", "f1_1to1", "volume_error_median"] {
+        if let Some(value) = value(name) {
+            context.metric(name, value, "1");
+        }
+    }
+    let count = |name: &str| value(name).unwrap_or(0.0);
+    let percent = |name: &str| value(name).map_or("no".to_owned(), |share| format!("{:.1} %", 100.0 * share));
+    if count("hidden") > 0.0 {
+        context.note(format!("{} true changes cannot be seen on this grid and are in no rate", count("hidden")));
+    }
+    context.headline(format!(
+        "{} of {} changes found, {} false alarms: precision {}, recall {}, F1 {}",
+        count("found"),
+        count("found") + count("missed"),
+        count("false_positives"),
+        percent("precision"),
+        percent("recall"),
+        percent("f1")
+    ));
+}
+
+fn confusion(searched: &Raster, codes: &[u8], seen: &[bool]) -> Raster {
+    let value = |(code, seen): (&u8, &bool)| if *seen { f32::from(*code) } else { 255.0 };
+    let values = codes.iter().zip(seen).map(value).collect();
+    let bands = vec![Band { name: "confusion".to_owned(), values }];
+    Raster { quantity: "confusion".to_owned(), sample: Sample::Byte, bands, ..searched.clone() }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,318 @@
+//! Space between two surfaces as voxels: those that triangles occupy, those enclosed between, and clusters of these.
+
+use std::sync::atomic::{AtomicU8, Ordering};
+
+use rayon::prelude::*;
+
+use rockface_raster::shape::{Moved, Shape};
+
+/// Voxels a grid may have.
+const MAXIMUM: f64 = 6e8;
+/// The reference occupies a voxel.
+const REFERENCE: u8 = 1;
+/// The comparison occupies a voxel.
+const COMPARISON: u8 = 2;
+/// A voxel is reached from outside, or was taken.
+const DONE: u8 = 4;
+
+/// A cubic lattice around two surfaces, with a layer of empty voxels on every side.
+pub struct Voxels {
+    /// Edge, metres.
+    pub edge_m: f64,
+    /// Lower corner, metres: whole multiples of the edge.
+    pub low: [f64; 3],
+    /// Voxels along X, Y and Z.
+    pub count: [usize; 3],
+    flags: Vec<u8>,
+}
+
+/// Enclosed voxels that touch.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Cluster {
+    /// Enclosed voxels as (x, y, z), in the order they were met from the first.
+    pub inside: Vec<[usize; 3]>,
+    /// Voxels around them, over edges and corners too.
+    pub shell: usize,
+    /// Enclosed voxels in the rock of the reference only, and in that of the comparison only.
+    pub under: [usize; 2],
+}
+
+impl Voxels {
+    /// Occupies the voxels that the triangles of both surfaces meet.
+    ///
+    /// # Errors
+    /// Surfaces without points, or too many voxels.
+    pub fn new(shapes: [Shape; 2], moved: Option<&Moved>, edge_m: f64) -> Result<Self, String> {
+        let motions = [None, moved];
+        let mut bounds = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
+        for (shape, motion) in shapes.into_iter().zip(motions) {
+            let points = (0..shape.places()).map(|place| shape.point(place, motion)).filter(|p| !p[0].is_nan());
+            for point in points {
+                for axis in 0..3 {
+                    bounds[0][axis] = bounds[0][axis].min(point[axis]);
+                    bounds[1][axis] = bounds[1][axis].max(point[axis]);
+                }
+            }
+        }
+        if bounds[0][0] > bounds[1][0] {
+            return Err("neither surface has points".to_owned());
+        }
+        let first = bounds[0].map(|low| (low / edge_m).floor() - 1.0);
+        let size: [f64; 3] = std::array::from_fn(|axis| (bounds[1][axis] / edge_m).floor() + 2.0 - first[axis]);
+        let total = size.iter().product::<f64>();
+        if total > MAXIMUM {
+            return Err(format!("{total:.2e} voxels of {edge_m} m are more than {MAXIMUM:.0e}"));
+        }
+        let count = size.map(|length| length as usize);
+        let low = first.map(|index| index * edge_m);
+        let mut voxels = Self { edge_m, low, count, flags: Vec::new() };
+        let flags: Vec<AtomicU8> = (0..total as usize).map(|_| AtomicU8::new(0)).collect();
+        for ((shape, motion), bit) in shapes.into_iter().zip(motions).zip([REFERENCE, COMPARISON]) {
+            (0..shape.strips()).into_par_iter().for_each(|strip| {
+                shape.for_each_triangle(strip, |t| voxels.occupy(t.map(|p| shape.point(p, motion)), bit, &flags));
+            });
+        }
+        voxels.flags = flags.into_iter().map(AtomicU8::into_inner).collect();
+        Ok(voxels)
+    }
+
+    fn place(&self, [x, y, z]: [usize; 3]) -> usize {
+        (z * self.count[1] + y) * self.count[0] + x
+    }
+
+    /// The order in which bits are set does not change what is set.
+    fn occupy(&self, triangle: [[f64; 3]; 3], bit: u8, flags: &[AtomicU8]) {
+        // In voxels from the lower corner.
+        let local = triangle.map(|p| -> [f64; 3] { std::array::from_fn(|k| (p[k] - self.low[k]) / self.edge_m) });
+        if local.iter().flatten().any(|value| value.is_nan()) {
+            return;
+        }
+        let end = |axis: usize, pick: fn(f64, f64) -> f64| pick(pick(local[0][axis], local[1][axis]), local[2][axis]);
+        let range =
+            |axis: usize| end(axis, f64::min) as usize..=(end(axis, f64::max) as usize).min(self.count[axis] - 1);
+        for z in range(2) {
+            for y in range(1) {
+                for x in range(0) {
+                    let centre = [x, y, z].map(|index| index as f64 + 0.5);
+                    if meets(&local, centre) {
+                        flags[self.place([x, y, z])].fetch_or(bit, Ordering::Relaxed);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Voxels that a surface occupies, and both do.
+    pub fn occupied(&self) -> [usize; 3] {
+        let count = |bits: u8| self.flags.iter().filter(|flags| **flags & bits == bits).count();
+        [REFERENCE, COMPARISON, REFERENCE | COMPARISON].map(count)
+    }
+
+    /// The empty voxels that cannot be reached from outside over faces, in clusters over edges and corners, by first voxel.
+    pub fn enclosed(mut self) -> Vec<Cluster> {
+        self.flood();
+        let mut clusters = Vec::new();
+        let cells = self.count[0] * self.count[1];
+        for first in 0..self.flags.len() {
+            if self.flags[first] == 0 {
+                self.flags[first] = DONE;
+                let start = [first % self.count[0], first % cells / self.count[0], first / cells];
+                clusters.push(self.cluster(start));
+            }
+        }
+        clusters
+    }
+
+    /// Marks what is reached from the lower corner, which is outside as every border voxel is.
+    fn flood(&mut self) {
+        let mut open = vec![[0usize; 3]];
+        self.flags[0] |= DONE;
+        while let Some(at) = open.pop() {
+            for axis in 0..3 {
+                for step in [-1, 1] {
+                    let moved = at[axis] as i64 + step;
+                    if !(0..self.count[axis] as i64).contains(&moved) {
+                        continue;
+                    }
+                    let mut next = at;
+                    next[axis] = moved as usize;
+                    let place = self.place(next);
+                    if self.flags[place] == 0 {
+                        self.flags[place] = DONE;
+                        open.push(next);
+                    }
+                }
+            }
+        }
+    }
+
+    fn cluster(&mut self, start: [usize; 3]) -> Cluster {
+        let mut inside = vec![start];
+        let mut next = 0;
+        while let Some(at) = inside.get(next).copied() {
+            next += 1;
+            for near in around(at) {
+                let place = self.place(near);
+                if self.flags[place] == 0 {
+                    self.flags[place] = DONE;
+                    inside.push(near);
+                }
+            }
+        }
+        let own: std::collections::BTreeSet<[usize; 3]> = inside.iter().copied().collect();
+        let shell: std::collections::BTreeSet<[usize; 3]> =
+            inside.iter().flat_map(|at| around(*at)).filter(|near| !own.contains(near)).collect();
+        let mut under = [0; 2];
+        for at in &inside {
+            // Inside the rock a line up passes its surface an odd number of times: also under an overhang.
+            match self.passed(*at).map(|runs| runs % 2) {
+                [1, 0] => under[0] += 1,
+                [0, 1] => under[1] += 1,
+                _ => {}
+            }
+        }
+        Cluster { inside, shell: shell.len(), under }
+    }
+
+    /// How often a line up from a voxel passes the reference and the comparison: runs of voxels that they occupy.
+    fn passed(&self, [x, y, z]: [usize; 3]) -> [usize; 2] {
+        let (mut runs, mut last) = ([0; 2], 0);
+        for flags in (z + 1..self.count[2]).map(|z| self.flags[self.place([x, y, z])]) {
+            for (run, bit) in runs.iter_mut().zip([REFERENCE, COMPARISON]) {
+                *run += usize::from(flags & bit != 0 && last & bit == 0);
+            }
+            last = flags;
+        }
+        runs
+    }
+}
+
+/// The 26 voxels around one that is not at the border.
+fn around([x, y, z]: [usize; 3]) -> impl Iterator<Item = [usize; 3]> {
+    let offsets = (0..27).filter(|i| *i != 13);
+    offsets.map(move |i| [x + i % 3 - 1, y + i / 3 % 3 - 1, z + i / 9 - 1])
+}
+
+/// Whether a triangle meets the unit cube around a centre, touching included: separating axes of triangle and cube.
+///
+/// # References
+/// Akenine-Moeller, T. (2001), Fast 3D triangle-box overlap testing, Journal of Graphics Tools 6, 29-33.
+fn meets(triangle: &[[f64; 3]; 3], centre: [f64; 3]) -> bool {
+    let v = triangle.map(|p| nalgebra::Vector3::from(p) - nalgebra::Vector3::from(centre));
+    let apart = |axis: nalgebra::Vector3<f64>| {
+        let reach = 0.5 * (axis.x.abs() + axis.y.abs() + axis.z.abs());
+        let [a, b, c] = [0, 1, 2].map(|corner| v[corner].dot(&axis));
+        a.min(b).min(c) > reach || a.max(b).max(c) < -reach
+    };
+    let units = [nalgebra::Vector3::x(), nalgebra::Vector3::y(), nalgebra::Vector3::z()];
+    let edges = [v[1] - v[0], v[2] - v[1], v[0] - v[2]];
+    let crossed = |edge: &nalgebra::Vector3<f64>| units.iter().any(|unit| apart(unit.cross(edge)));
+    !units.iter().any(|unit| apart(*unit)) && !apart(edges[0].cross(&edges[1])) && !edges.iter().any(crossed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rockface_core::artefact::Mesh;
+    use rockface_core::testing::height_mesh;
+
+    /// A plane with a box-shaped niche of cells [-0.3, 0.3] x [-0.2, 0.2] down to `-depth`, its walls between two vertices.
+    fn niche(depth: f64) -> Mesh {
+        let inside = |x: f64, y: f64| x.abs() < 0.3 && y.abs() < 0.2;
+        height_mesh(200, [-1.003, 1.003, -1.003, 1.003], |x, y| if inside(x, y) { -depth } else { 0.013 })
+    }
+
+    fn clusters(before: &Mesh, after: &Mesh) -> Vec<Cluster> {
+        Voxels::new([Shape::Mesh(before), Shape::Mesh(after)], None, 0.05).unwrap().enclosed()
+    }
+
+    #[test]
+    fn a_niche_is_one_cluster_with_its_volume_and_side() {
+        let (before, after) = (niche(-0.013), niche(0.29));
+        let found = clusters(&before, &after);
+        assert_eq!(found.len(), 1);
+        let cluster = &found[0];
+        // By hand: 10 x 6 voxels in plan lie wholly inside the walls, and 5 layers between those of top and floor.
+        assert_eq!((cluster.inside.len(), cluster.shell), (10 * 6 * 5, 12 * 8 * 7 - 10 * 6 * 5));
+        let volume = 1.25e-4 * (cluster.inside.len() as f64 + 0.5 * cluster.shell as f64);
+        assert!((volume / (0.6 * 0.4 * 0.303) - 1.0).abs() < 0.25, "{volume}");
+        assert_eq!(cluster.under, [cluster.inside.len(), 0]);
+        let back = clusters(&after, &before);
+        assert_eq!((back[0].inside.len(), back[0].under), (cluster.inside.len(), [0, cluster.inside.len()]));
+        assert!(clusters(&before, &before).is_empty());
+    }
+
+    /// A ledge with a roof 0.2 m thick that juts out over its floor, which is lowered by `depth` over [0, 0.3] x [-0.2, 0.2].
+    fn overhang(depth: f64) -> Mesh {
+        let corners = [[-1.0, 1.0], [0.5, 1.0], [0.5, 0.8], [-0.3, 0.8], [-0.3, 0.0], [1.0, 0.0]];
+        let steps = 60;
+        let profile: Vec<[f64; 2]> = corners
+            .windows(2)
+            .flat_map(|ends| {
+                (0..steps).map(|step| {
+                    [0, 1].map(|k| ends[0][k] + (ends[1][k] - ends[0][k]) * f64::from(step) / f64::from(steps))
+                })
+            })
+            .collect();
+        let rows = 81;
+        let vertex = |(row, [x, z]): (usize, [f64; 2])| {
+            let y = -1.0 + 0.025 * row as f64;
+            let lowered = z < 0.01 && (0.0..0.3).contains(&x) && y.abs() < 0.2;
+            [x + 0.003, y + 0.007, z + 0.013 - if lowered { depth } else { 0.0 }]
+        };
+        let vertices = (0..rows).flat_map(|row| profile.iter().map(move |point| (row, *point))).map(vertex).collect();
+        let across = profile.len() as u32;
+        let quad = |at: u32| [[at, at + 1, at + across + 1], [at, at + across + 1, at + across]];
+        let cells = (0..rows as u32 - 1).flat_map(|row| (0..across - 1).map(move |column| row * across + column));
+        let frame = rockface_core::artefact::Frame::Wall;
+        Mesh { frame, vertices, triangles: cells.flat_map(quad).collect(), colours: Vec::new() }
+    }
+
+    #[test]
+    fn what_falls_from_under_an_overhang_is_a_loss() {
+        let (before, after) = (overhang(0.0), overhang(0.3));
+        let found = clusters(&before, &after);
+        assert_eq!(found.len(), 1);
+        let cluster = &found[0];
+        let volume = 1.25e-4 * (cluster.inside.len() as f64 + 0.5 * cluster.shell as f64);
+        assert!((volume / (0.3 * 0.4 * 0.3) - 1.0).abs() < 0.25, "{volume}");
+        assert_eq!(cluster.under, [cluster.inside.len(), 0]);
+        assert_eq!(clusters(&after, &before)[0].under, [0, cluster.inside.len()]);
+    }
+
+    #[test]
+    fn a_box_is_counted_voxel_by_voxel() {
+        let cuboid = rockface_rock::rockfall::ground_truth::facets::tests::cuboid(0.92, 0.72, 0.52);
+        let moved = cuboid.moved(|p| p + nalgebra::Vector3::repeat(0.04));
+        let mesh = Mesh {
+            frame: rockface_core::artefact::Frame::Wall,
+            vertices: moved.vertices,
+            triangles: moved.triangles,
+            colours: Vec::new(),
+        };
+        let voxels = Voxels::new([Shape::Mesh(&mesh), Shape::Mesh(&mesh)], None, 0.1).unwrap();
+        // 10 x 8 x 6 voxels meet the box; all but the outer layer are inside it.
+        let shell = 10 * 8 * 6 - 8 * 6 * 4;
+        assert_eq!(voxels.occupied(), [shell; 3]);
+        let found = voxels.enclosed();
+        assert_eq!((found.len(), found[0].inside.len(), found[0].shell), (1, 8 * 6 * 4, shell));
+        assert_eq!(found[0].under, [0, 0]);
+    }
+
+    #[test]
+    fn a_triangle_meets_the_cubes_it_passes_and_no_other() {
+        let slanted = [[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0]];
+        assert!(meets(&slanted, [0.5, 0.5, 0.4]) && meets(&slanted, [1.4, 1.4, 0.0]));
+        assert!(!meets(&slanted, [1.6, 1.6, 0.0]) && !meets(&slanted, [0.5, 0.5, 0.6]));
+        assert!(meets(&slanted, [2.5, 0.0, 0.0]) && !meets(&slanted, [2.6, 0.0, 0.0]));
+    }
+
+    #[test]
+    fn too_many_voxels_and_no_points_are_refused() {
+        let plane = niche(0.0);
+        let shape = Shape::Mesh(&plane);
+        assert!(Voxels::new([shape, shape], None, 1e-5).err().unwrap().contains("voxels of 0.00001 m"));
+        let empty = Mesh { vertices: Vec::new(), triangles: Vec::new(), ..plane.clone() };
+        assert!(Voxels::new([Shape::Mesh(&empty), Shape::Mesh(&empty)], None, 0.1).is_err());
+    }
+}

@@ -1,0 +1,150 @@
+//! `draw-detection-volumes`: charts of detected against true volumes, overlaps, and what is found by volume.
+
+use rockface_core::artefact::{Inventory, Kind};
+use crate::noise::acceptance_rate::wilson_interval;
+use crate::figure::chart::{Axes, Axis, Ink, Layer, Mark, Panel, Sheet, draw};
+use crate::detection::detectability;
+use rockface_core::params::Range;
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+
+params! {
+    /// Parameters of `draw-detection-volumes`.
+    pub struct DrawDetectionVolumesParams {
+        /// Title.
+        title: String = "Detected against true volumes".to_owned(),
+        /// Column with the true volumes, cubic metres.
+        column: String = "removed_m3".to_owned(),
+        /// Classes of volume of the share found.
+        classes: u32 = 10; Range::Between(2.0, 100.0),
+    }
+}
+
+/// The stage.
+pub struct DrawDetectionVolumes;
+
+impl Stage for DrawDetectionVolumes {
+    type Params = DrawDetectionVolumesParams;
+    const NAME: &'static str = "draw-detection-volumes";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Draws detected against true volumes, the error of each volume, the overlap of each pair in plan, and the share found by volume: \
+               the paper's Figures 15, 16 and 17 for any scored truth, of one epoch or of many joined.",
+        method: "Pairs are the one-to-one pairs of `score-detections`. Error (detected - true) / true. Share found in classes of equal width in the \
+                 logarithm, with Wilson's 95 % intervals; hidden changes are left out.",
+        frames: "Volumes in cubic metres on logarithmic axes; errors in per cent; overlap from 0 to 1.",
+        fails: "The truth was not scored, has no such column, or no change in it counts.",
+        example: "\
+rockface: 1
+name: volumes-of-detections
+steps:
+  scored:  {stage: import-inventory, with: {path: truth.geojson, frame: wall}}
+  volumes: {stage: draw-detection-volumes, in: {truth: scored.inventory}}
+",
+    };
+    const INPUTS: &'static [Port] =
+        &[Port::one("truth", &[Kind::Inventory], "The `truth` of `score-detections`, or many joined.")];
+    const OUTPUTS: &'static [Port] = &[Port::one("figure", &[Kind::Figure], "Four charts.")];
+
+    fn run(params: &Self::Params, inputs: &Inputs, _context: &Context) -> Result<Outputs, StageError> {
+        let truth = inputs.one::<Inventory>("truth")?;
+        let changes = changes(truth, &params.column)?;
+        if changes.is_empty() {
+            fail!("no change is `found` or `missed` with a positive `{}`", params.column);
+        }
+        let points = |of: fn(&Change) -> Option<f64>| -> Vec<[f64; 2]> {
+            changes.iter().filter_map(|change| Some([change.volume_m3, of(change)?])).collect()
+        };
+        let volumes = Axes::new(Axis::log("true volume, m\u{b3}"), Axis::log("detected volume, m\u{b3}"))
+            .with(Layer::new("equal", Mark::Diagonal))
+            .with(Layer::points("", points(|change| change.detected_m3)));
+        let errors = Axes::new(Axis::log("true volume, m\u{b3}"), Axis::linear("volume error, %"))
+            .with(Layer::new("", Mark::AtY(0.0)).ink(Ink::Rule))
+            .with(Layer::points("", points(|change| change.detected_m3.map(|d| 100.0 * (d / change.volume_m3 - 1.0)))));
+        let overlaps =
+            Axes::new(Axis::log("true volume, m\u{b3}"), Axis::linear("intersection over union").between(0.0, 1.0))
+                .with(Layer::points("", points(|change| change.iou)));
+        let panels = [
+            Panel::new("Volumes", volumes),
+            Panel::new("Volume error", errors),
+            Panel::new("Overlap in plan", overlaps),
+            Panel::new("Share found", share_found(&changes, params.classes as usize)),
+        ];
+        let found = changes.iter().filter(|change| change.found).count();
+        let subtitle = format!("{found} of {} changes found", changes.len());
+        let sheet = Sheet::of(panels).title(params.title.clone()).subtitle(subtitle);
+        Ok(Outputs::of("figure", draw(&sheet).map_err(|e| StageError::new(e.to_string()))?))
+    }
+}
+
+/// A true change that counts.
+struct Change {
+    volume_m3: f64,
+    found: bool,
+    detected_m3: Option<f64>,
+    iou: Option<f64>,
+}
+
+fn changes(truth: &Inventory, column: &str) -> Result<Vec<Change>, StageError> {
+    let numbers = |name: &str| {
+        truth.numbers(name).ok_or_else(|| {
+            StageError::new(format!("there is no column `{name}`; there are {}", truth.columns.join(", ")))
+                .hint("connect the port `truth` of `score-detections`")
+        })
+    };
+    let (volumes, detected, ious) = (numbers(column)?, numbers("detected_m3")?, numbers("iou")?);
+    let outcome = truth.column("outcome").ok_or_else(|| StageError::new("there is no column `outcome`"))?;
+    let change = |place: usize| {
+        let word = truth.features[place].values[outcome].text()?;
+        let volume_m3 = volumes[place].filter(|volume| *volume > 0.0)?;
+        let counts = ["found", "missed"].contains(&word);
+        counts.then_some(Change { volume_m3, found: word == "found", detected_m3: detected[place], iou: ious[place] })
+    };
+    Ok((0..volumes.len()).filter_map(change).collect())
+}
+
+fn share_found(changes: &[Change], classes: usize) -> Axes {
+    let volumes: Vec<Option<f64>> = changes.iter().map(|change| Some(change.volume_m3)).collect();
+    let mut points = Vec::new();
+    let mut intervals = Vec::new();
+    for class in detectability::classes(&volumes, classes).into_iter().filter(|class| !class.rows.is_empty()) {
+        let found = class.rows.iter().filter(|row| changes[**row].found).count();
+        let (low, high) = wilson_interval(found, class.rows.len());
+        let middle = (class.from * class.to).sqrt();
+        points.push([middle, found as f64 / class.rows.len() as f64]);
+        intervals.push([middle, low, high]);
+    }
+    Axes::new(Axis::log("true volume, m\u{b3}"), Axis::linear("share found").between(0.0, 1.0))
+        .with(Layer::new("95 % interval", Mark::Intervals(intervals)).ink(Ink::Muted))
+        .with(Layer::line("", points.clone()).ink(Ink::Series(0)))
+        .with(Layer::points("", points).ink(Ink::Series(0)))
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use rockface_core::artefact::{Artefact, Cell, Feature, Frame};
+    use rockface_core::testing::{TestHost, run_stage};
+
+    #[test]
+    fn four_charts_are_drawn_and_an_unscored_truth_is_refused() {
+        let columns = ["removed_m3", "outcome", "detected_m3", "iou"].map(str::to_owned).to_vec();
+        let feature = |i: u32| {
+            let volume = 0.001 * f64::from(i * i + 1);
+            let found = i > 8;
+            let detected = if found { Cell::from(volume * 0.8) } else { Cell::Empty(()) };
+            let iou = if found { Cell::from(0.7) } else { Cell::Empty(()) };
+            let outcome = if found { "found" } else { "missed" };
+            Feature { outline: Vec::new(), values: vec![volume.into(), outcome.into(), detected, iou] }
+        };
+        let truth = Inventory { frame: Frame::Wall, columns, features: (0..30).map(feature).collect() };
+        let made =
+            run_stage::<DrawDetectionVolumes>(&TestHost::default(), &json!({}), &[("truth", truth.clone().into())]);
+        let Some(Artefact::Figure(figure)) = made.unwrap().into_inner().remove("figure") else { panic!("no figure") };
+        assert!(figure.svg.contains("21 of 30 changes found") && figure.is_plain());
+        let bare = Inventory { columns: vec!["removed_m3".into()], features: Vec::new(), ..truth };
+        let error = run_stage::<DrawDetectionVolumes>(&TestHost::default(), &json!({}), &[("truth", bare.into())]);
+        assert!(error.unwrap_err().hint.unwrap().contains("score-detections"));
+    }
+}

@@ -1,0 +1,133 @@
+//! `draw-detections`: maps what was found, what was missed and what is false over the face.
+
+use rockface_core::artefact::{Inventory, Kind, Picture, Polygon, Raster};
+use crate::figure::rockfall_figure::outcomes;
+use crate::figure::rockfall_figure::outcomes::{Map, Outcome};
+use rockface_core::params::Range;
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+
+params! {
+    /// Parameters of `draw-detections`.
+    pub struct DrawDetectionsParams {
+        /// Title.
+        title: String = "Detections against the truth".to_owned(),
+        /// Width of the picture, pixels.
+        width_px: u32 = 1400; Range::Between(600.0, 8000.0),
+    }
+}
+
+/// The stage.
+pub struct DrawDetections;
+
+impl Stage for DrawDetections {
+    type Params = DrawDetectionsParams;
+    const NAME: &'static str = "draw-detections";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Maps detections over the face: true and false positives filled, missed and hidden changes and the outlines of what is true, \
+               as the paper's Figure 14.",
+        method: "Outcomes are those of `score-detections`; without a truth all detections are drawn alike. Colours of Okabe and Ito, told apart with any \
+                 colour vision.",
+        frames: "Face, truth and detections in one frame, X to the right, Y up, metres.",
+        fails: "Different frames; a face without values; a truth without the column `outcome`.",
+        example: "\
+rockface: 1
+name: map-of-detections
+steps:
+  face:  {stage: import-mesh, with: {path: face.ply, frame: wall}}
+  dem:   {stage: rasterise-dem, in: {surface: face.mesh}, with: {cell_m: 0.02, method: tin}}
+  found: {stage: import-inventory, with: {path: detections.geojson, frame: wall}}
+  map:   {stage: draw-detections, in: {face: dem.raster, detections: found.inventory}}
+",
+    };
+    const INPUTS: &'static [Port] = &[
+        Port::one("face", &[Kind::Raster], "Elevations of the face."),
+        Port::one("detections", &[Kind::Inventory], "What was found, scored where there is a truth."),
+        Port::optional("truth", &[Kind::Inventory], "The truth, scored."),
+    ];
+    const OUTPUTS: &'static [Port] = &[Port::one("picture", &[Kind::Picture], "PNG.")];
+
+    fn run(params: &Self::Params, inputs: &Inputs, _context: &Context) -> Result<Outputs, StageError> {
+        let face = inputs.one::<Raster>("face")?;
+        let [band] = face.bands.as_slice() else { fail!("the face has {} bands, one is needed", face.bands.len()) };
+        if band.values.iter().all(|z| z.is_nan()) {
+            fail!("no cell of the face has a value");
+        }
+        let detections = inputs.one::<Inventory>("detections")?;
+        let truth = inputs.optional::<Inventory>("truth")?;
+        for (name, inventory) in [("detections", Some(detections)), ("truth", truth)] {
+            if let Some(inventory) = inventory.filter(|inventory| inventory.frame != face.frame) {
+                fail!("the {name} are in the {} frame, the face in the {} frame", inventory.frame, face.frame);
+            }
+        }
+        let mut outcomes = Vec::new();
+        if detections.column("outcome").is_some() {
+            outcomes.push(outcome("true positive", detections, &["true_positive"], [0, 158, 115], true)?);
+            outcomes.push(outcome("false positive", detections, &["false_positive"], [230, 159, 0], true)?);
+        } else {
+            let all = detections.features.iter().map(|feature| feature.outline.as_slice()).collect();
+            outcomes.push(Outcome { name: "detected".into(), colour: [0, 158, 115], filled: true, outlines: all });
+        }
+        if let Some(truth) = truth {
+            outcomes.push(outcome("found", truth, &["found"], [0, 60, 120], false)?);
+            outcomes.push(outcome("missed", truth, &["missed"], [204, 60, 140], true)?);
+            outcomes.push(outcome("hidden", truth, &["hidden"], [110, 110, 110], false)?);
+        }
+        let subtitle = format!("{} detections", detections.features.len());
+        let map = Map { title: params.title.clone(), subtitle, face: &band.values, grid: face.grid, outcomes };
+        let png = outcomes::draw(&map, params.width_px as usize).map_err(|e| StageError::new(e.to_string()))?;
+        Ok(Outputs::of("picture", Picture { png }))
+    }
+}
+
+fn outcome<'a>(
+    name: &str,
+    inventory: &'a Inventory,
+    words: &[&str],
+    colour: [u8; 3],
+    filled: bool,
+) -> Result<Outcome<'a>, StageError> {
+    let Some(at) = inventory.column("outcome") else {
+        return Err(
+            StageError::new("the truth has no column `outcome`").hint("connect the port `truth` of `score-detections`")
+        );
+    };
+    let is = |feature: &&rockface_core::artefact::Feature| words.contains(&feature.values[at].text().unwrap_or_default());
+    let outlines: Vec<&[Polygon]> = inventory.features.iter().filter(is).map(|f| f.outline.as_slice()).collect();
+    Ok(Outcome { name: name.to_owned(), colour, filled, outlines })
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use rockface_core::artefact::{Feature, Frame, Grid};
+    use rockface_core::testing::{TestHost, run_stage};
+
+    fn inventory(outcome: &str) -> Inventory {
+        let exterior = vec![[0.2, 0.2], [0.6, 0.2], [0.6, 0.5], [0.2, 0.5]];
+        let outline = vec![Polygon { exterior, holes: Vec::new() }];
+        let features = vec![Feature { outline, values: vec![outcome.into()] }];
+        Inventory { frame: Frame::Wall, columns: vec!["outcome".into()], features }
+    }
+
+    #[test]
+    fn a_map_is_drawn_with_and_without_a_truth() {
+        let grid = Grid { columns: 20, rows: 10, cell_m: 0.1, left_m: 0.0, top_m: 1.0 };
+        let face = Raster::single(grid, Frame::Wall, "elevation", "z", vec![0.0; 200]);
+        let host = TestHost::default();
+        let mut inputs = vec![("face", face.into()), ("detections", inventory("true_positive").into())];
+        assert!(run_stage::<DrawDetections>(&host, &json!({}), &inputs).is_ok());
+        inputs.push(("truth", inventory("missed").into()));
+        assert!(run_stage::<DrawDetections>(&host, &json!({}), &inputs).is_ok());
+        let bare = Inventory { columns: Vec::new(), features: Vec::new(), frame: Frame::Wall };
+        inputs[2].1 = bare.into();
+        assert!(
+            run_stage::<DrawDetections>(&host, &json!({}), &inputs)
+                .unwrap_err()
+                .message
+                .contains("no column `outcome`")
+        );
+    }
+}

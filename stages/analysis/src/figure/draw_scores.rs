@@ -1,0 +1,171 @@
+//! `draw-scores`: how near simulated rasters come to the real ones: scores by group, distances, and what makes them.
+
+use std::collections::BTreeMap;
+
+use rockface_core::artefact::{Acceptance, Kind, Table};
+use crate::figure::chart::{Axes, Axis, Ink, Layer, Mark, Panel, Radar, Sheet, density, draw};
+use crate::noise::descriptors::GROUPS;
+use rockface_core::numerics::quantile::quantile;
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+
+params! {
+    /// Parameters of `draw-scores`.
+    pub struct DrawScoresParams {
+        /// Title; left out, what is compared.
+        title: Option<String> = None,
+    }
+}
+
+/// The stage.
+pub struct DrawScores;
+
+impl Stage for DrawScores {
+    type Params = DrawScoresParams;
+    const NAME: &'static str = "draw-scores";
+    const VERSION: u32 = 2;
+    const PAGE: Page = Page {
+        what: "Draws the verdicts of `test-acceptance`: a radar of the compatibility scores, jointly and by group of descriptors; \
+               the distances of simulated rasters beside those of the real ones, with the threshold; and the mean contribution of \
+               each feature to them.",
+        method: "Paper, Figure 11. Outlines of the radar are the 5 %, 50 % and 95 % quantiles over the simulated rasters; rasters like the \
+                 real ones would have a median of 0.5 on every spoke. The distances of the real rasters are those of a model without \
+                 themselves (leave-one-out), as a new raster's are. Densities by Gaussian kernels of the logarithm of D2.",
+        frames: "Scores from 0 (farther than every real raster) to 1; distances and contributions without unit.",
+        fails: "A table without the columns of verdicts; fewer than two simulated rasters.",
+        example: "rockface: 1\nname: scores\nsteps:\n  real: {stage: import-rasters, with: {path: real}}\n  \
+                  noise: {stage: describe-noise, in: {raster: real.raster}}\n  \
+                  model: {stage: fit-acceptance, in: {features: noise.features}}\n  \
+                  simulated: {stage: import-rasters, with: {path: simulated}}\n  \
+                  found: {stage: describe-noise, in: {raster: simulated.raster}}\n  \
+                  verdict: {stage: test-acceptance, in: {model: model.model, features: found.features}}\n  \
+                  figure: {stage: draw-scores, in: {model: model.model, verdicts: verdict.verdicts}}\n",
+    };
+    const INPUTS: &'static [Port] = &[
+        Port::one("model", &[Kind::Acceptance], "The reference, from `fit-acceptance`."),
+        Port::many("verdicts", &[Kind::Table], "Verdicts on simulated rasters, from `test-acceptance`."),
+    ];
+    const OUTPUTS: &'static [Port] = &[Port::one("figure", &[Kind::Figure], "SVG.")];
+
+    fn run(params: &Self::Params, inputs: &Inputs, _context: &Context) -> Result<Outputs, StageError> {
+        let model = inputs.one::<Acceptance>("model")?;
+        let columns = columns(&inputs.many::<Table>("verdicts")?.into_iter().map(|(_, t)| t).collect::<Vec<_>>());
+        let d2 = of(&columns, "d2")?;
+        if d2.len() < 2 {
+            fail!("{} simulated rasters can be drawn, 2 are needed", d2.len());
+        }
+        let panels = [radar(&columns)?, distances(model, &columns, d2)?, contributions(&columns)];
+        let title = params.title.clone().unwrap_or_else(|| "Simulated rasters against real ones".to_owned());
+        let counts = format!("{} real rasters, {} simulated", model.references, d2.len());
+        let sheet = Sheet::of(panels).title(title).subtitle(counts).columns(3).size(1080, 330);
+        let figure = draw(&sheet).map_err(|e| StageError::new(e.to_string()))?;
+        Ok(Outputs::of("figure", figure))
+    }
+}
+
+/// The numbers of every column of all tables.
+fn columns(tables: &[&Table]) -> BTreeMap<String, Vec<f64>> {
+    let mut all: BTreeMap<String, Vec<f64>> = BTreeMap::new();
+    for table in tables {
+        for (j, name) in table.columns.iter().enumerate() {
+            all.entry(name.clone()).or_default().extend(table.rows.iter().filter_map(|row| row[j].number()));
+        }
+    }
+    all
+}
+
+fn of<'a>(columns: &'a BTreeMap<String, Vec<f64>>, name: &str) -> Result<&'a [f64], StageError> {
+    columns.get(name).filter(|values| !values.is_empty()).map(Vec::as_slice).ok_or_else(|| {
+        StageError::new(format!("the verdicts have no numbers in a column `{name}`"))
+            .hint("give the port `verdicts` of `test-acceptance`")
+    })
+}
+
+fn radar(columns: &BTreeMap<String, Vec<f64>>) -> Result<Panel, StageError> {
+    let mut spokes = vec![("jointly".to_owned(), of(columns, "score")?)];
+    for (group, _) in GROUPS {
+        if let Some(scores) = columns.get(&format!("score_{group}")) {
+            spokes.push((group.to_owned(), scores));
+        }
+    }
+    let outline = |name: &str, ink: Ink, level: f64| {
+        let values = spokes.iter().map(|(_, scores)| quantile(scores, level).unwrap_or(f64::NAN)).collect();
+        (name.to_owned(), ink, values)
+    };
+    let outlines = vec![
+        outline("95 %", Ink::Muted, 0.95),
+        outline("median", Ink::Series(0), 0.5),
+        outline("5 %", Ink::Series(1), 0.05),
+    ];
+    let spokes = spokes.iter().map(|(name, _)| name.clone()).collect();
+    Ok(Panel::new("Compatibility scores", Radar { spokes, range: [0.0, 1.0], outlines }))
+}
+
+fn distances(model: &Acceptance, columns: &BTreeMap<String, Vec<f64>>, d2: &[f64]) -> Result<Panel, StageError> {
+    let log = |values: &[f64]| -> Vec<f64> {
+        let positive = values.iter().filter(|d2| **d2 > 0.0 && **d2 < 1e12);
+        positive.map(|d2| rockface_core::numerics::portable_math::log10(*d2)).collect()
+    };
+    let Some(all) = model.groups.get("all") else { fail!("the acceptance model has no group `all`") };
+    let threshold = of(columns, "threshold")?[0];
+    let axes = Axes::new(Axis::linear("log10 of D²"), Axis::linear("density"))
+        .with(density("real, leave-one-out", &log(&all.leave_one_out_d2)).ink(Ink::Text))
+        .with(density("simulated", &log(d2)).ink(Ink::Series(0)))
+        .with(Layer::new("threshold", Mark::AtX(rockface_core::numerics::portable_math::log10(threshold))));
+    Ok(Panel::new("Distances", axes))
+}
+
+fn contributions(columns: &BTreeMap<String, Vec<f64>>) -> Panel {
+    let known = GROUPS.iter().flat_map(|(_, features)| features.iter().copied());
+    let others = columns.keys().filter_map(|name| name.strip_prefix("contribution_"));
+    let mut names: Vec<&str> = known.filter(|name| columns.contains_key(&format!("contribution_{name}"))).collect();
+    let further: Vec<&str> = others.filter(|name| !names.contains(name)).collect();
+    names.extend(further);
+    let mean = |name: &&str| {
+        let values = &columns[&format!("contribution_{name}")];
+        (plain(name), values.iter().sum::<f64>() / values.len() as f64)
+    };
+    Panel::new("What makes them", Axes::bars("mean contribution to D²", names.iter().map(mean)))
+}
+
+/// A feature without its unit: contributions to a distance have none.
+fn plain(feature: &str) -> String {
+    let stem = ["_m2", "_m"].iter().find_map(|unit| feature.strip_suffix(unit));
+    stem.unwrap_or(feature).replace('_', " ")
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use rockface_core::artefact::Artefact;
+    use crate::noise::mahalanobis::fit;
+    use rockface_core::numerics::random::Key;
+    use rockface_core::testing::{TestHost, run_stage};
+
+    #[test]
+    fn scores_distances_and_contributions_are_drawn() {
+        let field = Key([4; 32]).field();
+        let rows: Vec<Vec<f64>> = (0..30).map(|i| (0..2).map(|j| field.normal(i, j)).collect()).collect();
+        let names = vec!["std_m".to_owned(), "sill_m2".to_owned()];
+        let groups = BTreeMap::from([("all".to_owned(), fit(&names, &rows, 1e-3).unwrap())]);
+        let model = Acceptance { references: 30, ridge: 1e-3, labels: vec![String::new(); 30], groups };
+        let mut verdicts =
+            Table::new(["d2", "threshold", "score", "score_marginal", "score_variogram", "contribution_sill_m2"]);
+        for i in 0..8 {
+            let x = f64::from(i);
+            verdicts.push([1.0 + x, 6.0, 0.1 * x, 0.5, 0.2, x - 3.0].map(rockface_core::artefact::Cell::from).to_vec());
+        }
+        let draw = |verdicts: Table| {
+            let inputs: [(&str, Artefact); 2] = [("model", model.clone().into()), ("verdicts", verdicts.into())];
+            run_stage::<DrawScores>(&TestHost::default(), &json!({}), &inputs)
+        };
+        let outputs = draw(verdicts).unwrap().into_inner();
+        let Artefact::Figure(figure) = &outputs["figure"] else { panic!("a figure comes out") };
+        for text in ["jointly", "variogram", "30 real rasters, 8 simulated", "sill", "threshold"] {
+            assert!(figure.svg.contains(text), "{text}");
+        }
+        assert_eq!([plain("sill_m2"), plain("spectral_slope")], ["sill", "spectral slope"]);
+        assert!(draw(Table::new(["d2"])).err().unwrap().message.contains("`d2`"));
+    }
+}

@@ -1,0 +1,200 @@
+//! Squared Mahalanobis distance to a set of reference rasters in feature space (paper 2.2.5).
+//!
+//! Features are standardised by mean and standard deviation (N - 1) of the reference; the covariance S of the
+//! standardised features has a unit diagonal, so the ridge lambda v I of the paper has v = 1. With z the standardised
+//! features of a raster and P = (S + lambda I)^-1, D2 = z' P z, and `z_j (P z)_j` is the contribution of feature j.
+
+use nalgebra::{Cholesky, DMatrix, DVector, SymmetricEigen};
+
+use rockface_core::numerics::quantile::quantile;
+use rockface_core::artefact::GroupModel;
+
+/// Distance of a raster whose leave-one-out reference does not vary in a direction it differs in; JSON has no infinity.
+pub const UNBOUNDED_D2: f64 = f64::MAX;
+
+/// Spread below which a feature counts as constant, relative to its size.
+const CONSTANT: f64 = 1e-12;
+
+/// A squared distance and what each feature adds to it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Distance {
+    /// D2.
+    pub d2: f64,
+    /// `z_j (P z)_j` of each feature of the model; they add up to D2 and may be negative.
+    pub contributions: Vec<f64>,
+}
+
+/// The largest D2 that one of `n` reference rasters can have: (n - 1)^2 / n.
+pub fn bound(n: usize) -> f64 {
+    let n = n as f64;
+    (n - 1.0) * (n - 1.0) / n
+}
+
+/// Fits the reference of one group of features; `rows` has the values of each reference raster in the order of `names`.
+///
+/// # Errors
+/// No feature varies, fewer than p + 2 rasters, or features so nearly collinear that the covariance has no inverse.
+pub fn fit(names: &[String], rows: &[Vec<f64>], ridge: f64) -> Result<GroupModel, String> {
+    let (mean, deviation) = moments(rows, names.len());
+    let varies = |j: usize| deviation[j] > CONSTANT * rows.iter().map(|row| row[j].abs()).fold(0.0, f64::max);
+    let (varying, constant): (Vec<usize>, Vec<usize>) = (0..names.len()).partition(|j| varies(*j));
+    let pick = |values: &[f64]| varying.iter().map(|j| values[*j]).collect::<Vec<f64>>();
+    let (p, n) = (varying.len(), rows.len());
+    if p == 0 {
+        return Err(format!("none of {} varies over the {n} reference rasters", names.join(", ")));
+    }
+    if n < p + 2 {
+        return Err(format!("{p} features need at least {} reference rasters, found {n}", p + 2));
+    }
+    let rows: Vec<Vec<f64>> = rows.iter().map(|row| pick(row)).collect();
+    let (mean, deviation) = (pick(&mean), pick(&deviation));
+    let covariance = covariance(&rows, &mean, &deviation);
+    let inverse = inverse(&covariance, ridge).ok_or_else(|| {
+        let features: Vec<&str> = varying.iter().map(|j| names[*j].as_str()).collect();
+        format!("{} are collinear over the reference rasters: raise `ridge` or leave one out", features.join(", "))
+    })?;
+    let mut eigenvalues: Vec<f64> = SymmetricEigen::new(covariance).eigenvalues.iter().copied().collect();
+    eigenvalues.sort_by(|a, b| b.total_cmp(a));
+    let mut model = GroupModel {
+        features: varying.iter().map(|j| names[*j].clone()).collect(),
+        mean,
+        deviation,
+        inverse: (0..p).map(|i| inverse.row(i).iter().copied().collect()).collect(),
+        eigenvalues,
+        reference_d2: Vec::new(),
+        leave_one_out_d2: (0..n).map(|left_out| leave_one_out(&rows, left_out, ridge)).collect(),
+        constant: constant.iter().map(|j| names[*j].clone()).collect(),
+    };
+    model.reference_d2 = rows.iter().map(|row| distance(&model, row).d2).collect();
+    Ok(model)
+}
+
+/// The distance of a raster whose `values` are in the order of the model's features.
+pub fn distance(model: &GroupModel, values: &[f64]) -> Distance {
+    let z: Vec<f64> = (0..values.len()).map(|j| (values[j] - model.mean[j]) / model.deviation[j]).collect();
+    let along = |row: &[f64]| row.iter().zip(&z).map(|(p, z)| p * z).sum::<f64>();
+    let contributions: Vec<f64> = model.inverse.iter().zip(&z).map(|(row, z)| z * along(row)).collect();
+    Distance { d2: contributions.iter().sum::<f64>().max(0.0), contributions }
+}
+
+/// The quantile of the leave-one-out distances; `None` where it lies among distances without bound.
+pub fn leave_one_out_quantile(model: &GroupModel, level: f64) -> Option<f64> {
+    quantile(&model.leave_one_out_d2, level).filter(|d2| *d2 < 1e-9 * UNBOUNDED_D2)
+}
+
+/// The distance of one reference raster to a model made of all others.
+fn leave_one_out(rows: &[Vec<f64>], left_out: usize, ridge: f64) -> f64 {
+    let others: Vec<Vec<f64>> =
+        rows.iter().enumerate().filter(|(i, _)| *i != left_out).map(|(_, row)| row.clone()).collect();
+    let (mean, deviation) = moments(&others, rows[left_out].len());
+    if deviation.iter().any(|s| *s <= 0.0) {
+        return UNBOUNDED_D2;
+    }
+    let Some(inverse) = inverse(&covariance(&others, &mean, &deviation), ridge) else { return UNBOUNDED_D2 };
+    let z = DVector::from_iterator(mean.len(), (0..mean.len()).map(|j| (rows[left_out][j] - mean[j]) / deviation[j]));
+    z.dot(&(&inverse * &z)).clamp(0.0, UNBOUNDED_D2)
+}
+
+/// Mean and standard deviation (N - 1) of each column.
+fn moments(rows: &[Vec<f64>], columns: usize) -> (Vec<f64>, Vec<f64>) {
+    let n = rows.len() as f64;
+    let mean: Vec<f64> = (0..columns).map(|j| rows.iter().map(|row| row[j]).sum::<f64>() / n).collect();
+    let squares = |j: usize| rows.iter().map(|row| (row[j] - mean[j]) * (row[j] - mean[j])).sum::<f64>();
+    let deviation = (0..columns).map(|j| (squares(j) / (n - 1.0)).sqrt()).collect();
+    (mean, deviation)
+}
+
+/// Summed here and not by a matrix product, whose kernels depend on the processor.
+fn covariance(rows: &[Vec<f64>], mean: &[f64], deviation: &[f64]) -> DMatrix<f64> {
+    let z = |row: &[f64], j: usize| (row[j] - mean[j]) / deviation[j];
+    let sum = |i: usize, j: usize| rows.iter().map(|row| z(row, i) * z(row, j)).sum::<f64>();
+    DMatrix::from_fn(mean.len(), mean.len(), |i, j| sum(i.min(j), i.max(j)) / (rows.len() as f64 - 1.0))
+}
+
+fn inverse(covariance: &DMatrix<f64>, ridge: f64) -> Option<DMatrix<f64>> {
+    let p = covariance.nrows();
+    let inverse = Cholesky::new(covariance + DMatrix::identity(p, p) * ridge)?.inverse();
+    inverse.iter().all(|x| x.is_finite()).then_some(inverse)
+}
+
+#[cfg(test)]
+#[expect(clippy::float_cmp, reason = "what is exact must be exact")]
+mod tests {
+    use super::*;
+    use rockface_core::numerics::random::Key;
+
+    const SCALES: [f64; 5] = [1.0, 10.0, 100.0, 1e3, 1e4];
+
+    fn names(p: usize) -> Vec<String> {
+        (0..p).map(|j| format!("f{j}")).collect()
+    }
+
+    fn sample(n: usize, p: usize, seed: u8) -> Vec<Vec<f64>> {
+        let field = Key([seed; 32]).field();
+        let value = |i: usize, j: usize| field.normal(i as i32, j as i32) + 0.5 * field.normal(i as i32, -1);
+        (0..n).map(|i| (0..p).map(|j| SCALES[j] * value(i, j)).collect()).collect()
+    }
+
+    #[test]
+    fn distances_add_up_to_n_minus_one_p_and_stay_below_their_bound() {
+        let (n, p) = (20, 4);
+        let model = fit(&names(p), &sample(n, p, 1), 0.0).unwrap();
+        assert!((model.reference_d2.iter().sum::<f64>() - ((n - 1) * p) as f64).abs() < 1e-9);
+        assert!(model.reference_d2.iter().all(|d2| *d2 <= bound(n) + 1e-9));
+        assert!((model.eigenvalues.iter().sum::<f64>() - p as f64).abs() < 1e-12);
+    }
+
+    #[test]
+    fn leave_one_out_follows_its_closed_form_without_ridge() {
+        let n = 15.0;
+        let model = fit(&names(3), &sample(15, 3, 2), 0.0).unwrap();
+        for (d2, loo) in model.reference_d2.iter().zip(&model.leave_one_out_d2) {
+            let closed = n * n * (n - 2.0) * d2 / ((n - 1.0) * ((n - 1.0) * (n - 1.0) - n * d2));
+            assert!((loo - closed).abs() < 1e-9 * closed, "{loo} {closed}");
+        }
+    }
+
+    #[test]
+    fn contributions_add_up_and_scaling_a_feature_changes_nothing() {
+        let rows = sample(25, 5, 3);
+        let model = fit(&names(5), &rows, 1e-3).unwrap();
+        let found = distance(&model, &[1.0, -20.0, 300.0, 0.0, 5e4]);
+        assert!((found.contributions.iter().sum::<f64>() - found.d2).abs() < 1e-9);
+        let scaled: Vec<Vec<f64>> = rows.iter().map(|row| row.iter().map(|v| 7.0 * v - 3.0).collect()).collect();
+        let other = fit(&names(5), &scaled, 1e-3).unwrap();
+        for (a, b) in model.reference_d2.iter().zip(&other.reference_d2) {
+            assert!((a - b).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn constant_features_are_set_aside_and_collinear_ones_refused() {
+        let mut rows = sample(12, 3, 4);
+        for row in &mut rows {
+            row[1] = 0.1;
+        }
+        let model = fit(&names(3), &rows, 0.0).unwrap();
+        assert_eq!((model.features, model.constant), (vec!["f0".into(), "f2".into()], vec!["f1".to_owned()]));
+        for row in &mut rows {
+            row[1] = 2.0 * row[0];
+        }
+        assert!(fit(&names(3), &rows, 0.0).unwrap_err().contains("collinear"));
+        assert!(fit(&names(3), &rows, 1e-3).is_ok());
+        assert!(fit(&names(3), &rows[..4], 1e-3).unwrap_err().contains("at least 5"));
+        for row in &mut rows {
+            row.fill(1.0);
+        }
+        assert!(fit(&names(3), &rows, 0.0).unwrap_err().contains("none of f0, f1, f2"));
+    }
+
+    #[test]
+    fn a_feature_that_varies_in_one_raster_only_has_no_leave_one_out_distance() {
+        let mut rows = sample(12, 2, 5);
+        rows.iter_mut().enumerate().for_each(|(i, row)| row[1] = if i == 7 { 1.0 } else { 0.0 });
+        let model = fit(&names(2), &rows, 1e-3).unwrap();
+        assert_eq!(model.leave_one_out_d2[7], UNBOUNDED_D2);
+        assert!(model.leave_one_out_d2[0] < 100.0);
+        assert_eq!(leave_one_out_quantile(&model, 0.99), None);
+        assert!(leave_one_out_quantile(&model, 0.5).unwrap() < 100.0);
+    }
+}

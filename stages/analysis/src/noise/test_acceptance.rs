@@ -1,0 +1,320 @@
+//! `test-acceptance`: says which rasters are compatible with the reference noise, and why the others are not.
+
+use rockface_core::artefact::{Acceptance, Cell, GroupModel, Kind, Table};
+use crate::noise::acceptance_rate::{perfect_acceptance, score, share_below, wilson_interval};
+use crate::noise::descriptors::GROUPS;
+use rockface_raster::feature_rows::{FeatureRow, axes, feature_rows, item_cell};
+use crate::noise::mahalanobis::{Distance, distance, leave_one_out_quantile};
+use rockface_core::numerics::quantile::quantile;
+use rockface_core::params::Range;
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+
+params! {
+    /// Parameters of `test-acceptance`.
+    pub struct TestAcceptanceParams {
+        /// Quantile of the reference distances up to which a raster is accepted.
+        quantile: f64 = 0.95; Range::Between(0.5, 1.0),
+    }
+}
+
+/// The stage.
+pub struct TestAcceptance;
+
+/// Quantiles of the sensitivity table (paper, Table A1).
+const LEVELS: [f64; 3] = [0.90, 0.95, 0.99];
+
+impl Stage for TestAcceptance {
+    type Params = TestAcceptanceParams;
+    const NAME: &'static str = "test-acceptance";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Measures the distance of every raster to the reference, accepts it up to the threshold, names the features \
+               that put it there, and repeats the test at the quantiles 0.90, 0.95 and 0.99 and for each group of \
+               descriptors.",
+        method: "Paper 2.2.5 and Table A1: D2 <= quantile (type 7) of the reference's own D2. Score S = 1 - share of \
+                 reference distances <= D2, so S = 0 lies beyond all of them. Contributions z_j p_j add up to D2 and may \
+                 be negative. The summary sets beside the acceptance its 95 % interval (Wilson) and what a perfect \
+                 simulator is expected to reach, by normal theory and by leaving each reference raster out: at 39 \
+                 rasters and 10 features that is far less than 95 %, so an acceptance of 92 % speaks for a simulated \
+                 spread narrower than the real one.",
+        frames: "Features in the units of their columns; distances have none.",
+        fails: "A feature of the model that is missing from a table, or has no value (raster and feature are named); an \
+                axis named like a column.",
+        example: "rockface: 1\nname: acceptance\nsteps:\n  real: {stage: import-rasters, with: {path: real}}\n  \
+                  noise: {stage: describe-noise, in: {raster: real.raster}}\n  \
+                  model: {stage: fit-acceptance, in: {features: noise.features}}\n  \
+                  simulated: {stage: import-rasters, with: {path: simulated}}\n  \
+                  found: {stage: describe-noise, in: {raster: simulated.raster}}\n  \
+                  verdict: {stage: test-acceptance, in: {model: model.model, features: found.features}}\n",
+    };
+    const INPUTS: &'static [Port] = &[
+        Port::one("model", &[Kind::Acceptance], "The reference, from `fit-acceptance`."),
+        Port::many("features", &[Kind::Table], "Features of the rasters to test, from `describe-noise`."),
+    ];
+    const OUTPUTS: &'static [Port] = &[
+        Port::one("verdicts", &[Kind::Table], "One row a raster: items, D2, verdict, score, groups, contributions."),
+        Port::one("summary", &[Kind::Table], "One row a quantile, as Table A1, with intervals and expectations."),
+    ];
+
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let model = inputs.one::<Acceptance>("model")?;
+        let tables = inputs.many::<Table>("features")?;
+        let tests = group_tests(model, params.quantile)?;
+        let all = &tests[0];
+        let rows = feature_rows(&tables, &all.model.features).map_err(StageError::new)?;
+        if rows.is_empty() {
+            fail!("the feature tables have no rows: there is nothing to test");
+        }
+        let distances: Vec<Vec<Distance>> = tests.iter().map(|test| test.distances(all, &rows)).collect();
+        let verdicts = verdicts(&tests, &rows, &distances)?;
+        log(all, &distances[0], params.quantile, context);
+        Ok(Outputs::of("verdicts", verdicts).and("summary", summary(&tests, &distances, params.quantile)))
+    }
+}
+
+/// One group with its threshold.
+struct GroupTest<'a> {
+    name: &'static str,
+    model: &'a GroupModel,
+    threshold: f64,
+}
+
+impl GroupTest<'_> {
+    /// Distances of all rows; their values are in the order of the features of `all`.
+    fn distances(&self, all: &Self, rows: &[FeatureRow]) -> Vec<Distance> {
+        let position = |name: &String| all.model.features.iter().position(|feature| feature == name);
+        let columns: Vec<usize> = self.model.features.iter().filter_map(position).collect();
+        let values = |row: &FeatureRow| columns.iter().map(|j| row.values[*j]).collect::<Vec<f64>>();
+        rows.iter().map(|row| distance(self.model, &values(row))).collect()
+    }
+
+    fn accepted(&self, distances: &[Distance], level: f64) -> usize {
+        let threshold = threshold(self.model, level);
+        distances.iter().filter(|found| found.d2 <= threshold).count()
+    }
+}
+
+fn threshold(model: &GroupModel, level: f64) -> f64 {
+    quantile(&model.reference_d2, level).unwrap_or(f64::NAN)
+}
+
+/// The joint model first, then the groups in the order of the feature vector.
+fn group_tests(model: &Acceptance, level: f64) -> Result<Vec<GroupTest<'_>>, StageError> {
+    let names = std::iter::once("all").chain(GROUPS.map(|(group, _)| group));
+    let tests: Vec<GroupTest> = names
+        .filter_map(|name| model.groups.get(name).map(|group| (name, group)))
+        .map(|(name, model)| GroupTest { name, model, threshold: threshold(model, level) })
+        .collect();
+    match tests.first() {
+        Some(first) if first.name == "all" => Ok(tests),
+        _ => Err(StageError::new("the acceptance model has no group `all`").hint("make it with `fit-acceptance`")),
+    }
+}
+
+fn verdicts(tests: &[GroupTest], rows: &[FeatureRow], distances: &[Vec<Distance>]) -> Result<Table, StageError> {
+    let axes = axes(rows.iter().map(|row| &row.items));
+    let own = own_columns(tests);
+    if let Some(axis) = axes.iter().find(|axis| own.contains(axis)) {
+        return Err(StageError::new(format!("an axis is called `{axis}` like a column of the verdicts"))
+            .hint("give the axis another name"));
+    }
+    let mut table = Table::new(axes.iter().cloned().chain(own));
+    for (index, row) in rows.iter().enumerate() {
+        let found: Vec<&Distance> = distances.iter().map(|group| &group[index]).collect();
+        let items = axes.iter().map(|axis| item_cell(&row.items, axis));
+        table.push(items.chain(verdict(tests, row, &found)).collect());
+    }
+    Ok(table)
+}
+
+fn own_columns(tests: &[GroupTest]) -> Vec<String> {
+    let mut columns = ["raster", "d2", "threshold", "accepted", "score", "top_feature"].map(str::to_owned).to_vec();
+    for test in &tests[1..] {
+        columns.extend(["d2", "accepted", "score"].map(|what| format!("{what}_{}", test.name)));
+    }
+    columns.extend(tests[0].model.features.iter().map(|feature| format!("contribution_{feature}")));
+    columns
+}
+
+fn verdict(tests: &[GroupTest], row: &FeatureRow, found: &[&Distance]) -> Vec<Cell> {
+    let (all, d2) = (&tests[0], found[0].d2);
+    let mut cells = vec![row.raster.as_str().into(), d2.into(), all.threshold.into(), (d2 <= all.threshold).into()];
+    cells.push(score(&all.model.reference_d2, d2).into());
+    cells.push(top_feature(all.model, found[0]).into());
+    for (test, found) in tests.iter().zip(found).skip(1) {
+        let score = score(&test.model.reference_d2, found.d2);
+        cells.extend([found.d2.into(), (found.d2 <= test.threshold).into(), score.into()]);
+    }
+    cells.extend(found[0].contributions.iter().map(|c| Cell::from(*c)));
+    cells
+}
+
+/// The feature with the largest contribution; the first of equal ones.
+fn top_feature<'a>(model: &'a GroupModel, found: &Distance) -> &'a str {
+    let mut top = 0;
+    for (j, contribution) in found.contributions.iter().enumerate() {
+        if *contribution > found.contributions[top] {
+            top = j;
+        }
+    }
+    &model.features[top]
+}
+
+fn summary(tests: &[GroupTest], distances: &[Vec<Distance>], level: f64) -> Table {
+    let names = [
+        "quantile",
+        "threshold",
+        "real_accepted",
+        "real_n",
+        "real_acceptance",
+        "simulated_accepted",
+        "simulated_n",
+        "simulated_acceptance",
+        "simulated_low95",
+        "simulated_high95",
+        "leave_one_out_threshold",
+        "perfect_acceptance_normal",
+        "perfect_acceptance_leave_one_out",
+    ];
+    let groups = tests[1..].iter().map(|test| format!("simulated_acceptance_{}", test.name));
+    let mut table = Table::new(names.map(str::to_owned).into_iter().chain(groups));
+    let mut levels = LEVELS.to_vec();
+    if !levels.contains(&level) {
+        levels.push(level);
+        levels.sort_by(f64::total_cmp);
+    }
+    for level in levels {
+        table.push(summary_row(tests, distances, level));
+    }
+    table
+}
+
+fn summary_row(tests: &[GroupTest], distances: &[Vec<Distance>], level: f64) -> Vec<Cell> {
+    let model = tests[0].model;
+    let (real, n) = (&model.reference_d2, distances[0].len());
+    let threshold = threshold(model, level);
+    let accepted = tests[0].accepted(&distances[0], level);
+    let (low, high) = wilson_interval(accepted, n);
+    let mut row: Vec<Cell> = vec![level.into(), threshold.into()];
+    row.push((real.iter().filter(|d2| **d2 <= threshold).count() as f64).into());
+    row.extend([real.len() as f64, share_below(real, threshold)].map(Cell::from));
+    row.extend([accepted as f64, n as f64, accepted as f64 / n as f64, low, high].map(Cell::from));
+    row.push(leave_one_out_quantile(model, level).unwrap_or(f64::NAN).into());
+    row.push(perfect_acceptance(real.len(), model.features.len(), level).unwrap_or(f64::NAN).into());
+    row.push(share_below(&model.leave_one_out_d2, threshold).into());
+    let share = |(test, found): (&GroupTest, &Vec<Distance>)| test.accepted(found, level) as f64 / n as f64;
+    row.extend(tests.iter().zip(distances).skip(1).map(|pair| Cell::from(share(pair))));
+    row
+}
+
+fn log(all: &GroupTest, distances: &[Distance], level: f64, context: &Context) {
+    let (n, accepted) = (distances.len(), all.accepted(distances, level));
+    let expected = share_below(&all.model.leave_one_out_d2, all.threshold);
+    context.metric("acceptance", accepted as f64 / n as f64, "1");
+    context.metric("perfect_acceptance_leave_one_out", expected, "1");
+    let led = distances.iter().filter(|found| top_feature(all.model, found) == "mean_m").count();
+    if led > 0 {
+        context.warn(format!(
+            "`mean_m` is the largest contribution of {led} of {n} rasters: an offset between the epochs, not their noise, \
+             decides; check the registration, or leave `mean_m` out of the features of `fit-acceptance`"
+        ));
+    }
+    context.headline(format!(
+        "accepted {accepted} of {n} at the {} % quantile (D2 <= {:.1}); a perfect simulator is expected to reach {:.0} of {n}",
+        (level * 1000.0).round() / 10.0,
+        all.threshold,
+        expected * n as f64
+    ));
+}
+
+#[cfg(test)]
+#[expect(clippy::float_cmp, reason = "what is exact must be exact")]
+mod tests {
+    use std::collections::BTreeMap;
+    use std::sync::Arc;
+
+    use super::*;
+    use rockface_core::Entry;
+    use rockface_core::artefact::Artefact;
+    use crate::noise::mahalanobis::fit;
+    use rockface_core::numerics::random::Key;
+    use rockface_core::testing::TestHost;
+
+    const FEATURES: [&str; 3] = ["mean_m", "std_m", "spectral_slope"];
+
+    fn rows(n: i32, seed: u8, shift: f64) -> Vec<Vec<f64>> {
+        let field = Key([seed; 32]).field();
+        (0..n).map(|i| (0..3).map(|j| field.normal(i, j) + if j == 0 { shift } else { 0.0 }).collect()).collect()
+    }
+
+    fn model() -> Acceptance {
+        let all = rows(40, 1, 0.0);
+        let names = |columns: &[usize]| columns.iter().map(|j| FEATURES[*j].to_owned()).collect::<Vec<_>>();
+        let group = |columns: &[usize]| {
+            let values: Vec<Vec<f64>> = all.iter().map(|row| columns.iter().map(|j| row[*j]).collect()).collect();
+            fit(&names(columns), &values, 1e-3).unwrap()
+        };
+        let groups = [("all", group(&[0, 1, 2])), ("marginal", group(&[0, 1])), ("spectrum", group(&[2]))];
+        Acceptance {
+            references: 40,
+            ridge: 1e-3,
+            labels: (0..40).map(|i| i.to_string()).collect(),
+            groups: groups.into_iter().map(|(name, group)| (name.to_owned(), group)).collect(),
+        }
+    }
+
+    fn tested(axis: &str, rows: &[Vec<f64>]) -> Result<(Table, Table, TestHost), StageError> {
+        let mut inputs = Inputs::default();
+        inputs.push("model", BTreeMap::new(), Arc::new(model().into()));
+        for (index, row) in rows.iter().enumerate() {
+            let mut table = Table::new(["raster"].into_iter().chain(FEATURES));
+            table.push(std::iter::once("d".into()).chain(row.iter().map(|x| Cell::from(*x))).collect());
+            let point = BTreeMap::from([(axis.to_owned(), index.to_string())]);
+            inputs.push("features", point, Arc::new(table.into()));
+        }
+        let host = TestHost::default();
+        let params = TestAcceptanceParams { quantile: 0.95 };
+        let outputs = TestAcceptance::run(&params, &inputs, &Context::new(&host))?.into_inner();
+        let [Artefact::Table(verdicts), Artefact::Table(summary)] = [&outputs["verdicts"], &outputs["summary"]] else {
+            panic!("two tables come out");
+        };
+        Ok((verdicts.clone(), summary.clone(), host))
+    }
+
+    fn number(table: &Table, row: usize, column: &str) -> f64 {
+        table.rows[row][table.column(column).unwrap()].number().unwrap()
+    }
+
+    #[test]
+    fn the_reference_itself_reproduces_its_own_shares() {
+        let (verdicts, summary, _) = tested("replicate", &rows(40, 1, 0.0)).unwrap();
+        for (row, expected) in [(0, 36.0), (1, 38.0), (2, 39.0)] {
+            assert_eq!(number(&summary, row, "real_accepted"), expected);
+            assert_eq!(number(&summary, row, "simulated_accepted"), expected);
+        }
+        assert_eq!(verdicts.columns[..3], ["replicate", "raster", "d2"]);
+        assert_eq!(number(&verdicts, 11, "replicate"), 11.0);
+        let contributions: f64 = FEATURES.iter().map(|f| number(&verdicts, 5, &format!("contribution_{f}"))).sum();
+        assert!((contributions - number(&verdicts, 5, "d2")).abs() < 1e-12);
+    }
+
+    #[test]
+    fn an_offset_is_refused_and_named() {
+        let (verdicts, summary, host) = tested("replicate", &rows(10, 2, 50.0)).unwrap();
+        assert_eq!(number(&summary, 1, "simulated_acceptance"), 0.0);
+        assert_eq!(number(&summary, 1, "simulated_acceptance_marginal"), 0.0);
+        assert!(number(&summary, 1, "simulated_acceptance_spectrum") > 0.5);
+        let column = |name: &str| verdicts.column(name).unwrap();
+        assert!(verdicts.rows.iter().all(|row| row[column("top_feature")].text() == Some("mean_m")));
+        assert!(verdicts.rows.iter().all(|row| row[column("score")].number() == Some(0.0)));
+        assert!(host.warnings()[0].contains("10 of 10"));
+        let entries = host.entries.lock().unwrap();
+        let Some(Entry::Headline { text }) = entries.last() else { panic!("the headline comes last") };
+        assert!(text.starts_with("accepted 0 of 10 at the 95 % quantile (D2 <= "), "{text}");
+    }
+
+    #[test]
+    fn an_axis_called_like_a_column_is_refused() {
+        assert!(tested("score", &rows(2, 3, 0.0)).err().unwrap().message.contains("`score`"));
+    }
+}

@@ -1,0 +1,143 @@
+//! Point clouds as LAS and LAZ files.
+
+use std::io::Cursor;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use las::{Color, Header, PointDataBuilder, Reader};
+
+use rockface_rock::face::cloud::Cloud;
+use super::laz_check::{check_chunks, check_header, damaged};
+use crate::artefact::CodecError;
+
+/// Points read at once, at most.
+const BATCH: u64 = 1 << 16;
+/// Bytes of the points read at once.
+const BATCH_BYTES: u64 = 1 << 23;
+
+/// Reads all points: `scale x integer + offset` in double precision, so nothing of the file is lost.
+///
+/// Colours of 16 bits keep their upper byte; some programs write 8 bits into them, which is seen by no value exceeding 255.
+///
+/// # Errors
+/// What is damaged, or how many points of those promised are there; `cancelled` became true.
+pub fn read(bytes: Vec<u8>, cancelled: &dyn Fn() -> bool) -> Result<Cloud, CodecError> {
+    check_header(&bytes)?;
+    let unreadable = |e: las::Error| damaged(&format!("its header cannot be read ({e})"));
+    let header = Header::new(Cursor::new(bytes.as_slice())).map_err(unreadable)?;
+    if header.point_format().is_compressed {
+        check_chunks(&bytes, &header)?;
+    }
+    // The decompressor panics on some damaged points.
+    let points =
+        catch_unwind(AssertUnwindSafe(|| read_points(Reader::new(Cursor::new(bytes)).map_err(unreadable)?, cancelled)));
+    points.unwrap_or_else(|_| Err(damaged("its points cannot be decompressed")))
+}
+
+fn read_points(mut reader: Reader, cancelled: &dyn Fn() -> bool) -> Result<Cloud, CodecError> {
+    let promised = reader.header().number_of_points();
+    let at_once = (BATCH_BYTES / u64::from(reader.header().point_format().len()).max(1)).clamp(1, BATCH);
+    let mut batch = PointDataBuilder::new().for_header(reader.header()).build();
+    let (mut points, mut colours) = (Vec::new(), Vec::new());
+    loop {
+        if cancelled() {
+            return Err(CodecError::new("interrupted"));
+        }
+        let number = points.len();
+        let read = reader.fill_points(at_once, &mut batch).map_err(|e| cut_short(promised, number, &e.to_string()))?;
+        if read == 0 {
+            break;
+        }
+        for point in batch.points() {
+            let point = point.map_err(|e| fault(&format!("point {} (counted from 0): {e}", points.len())))?;
+            let place = [point.x, point.y, point.z];
+            if !place.iter().all(|x| x.is_finite()) {
+                return Err(fault(&format!("point {} (counted from 0): {place:?} is not finite", points.len())));
+            }
+            points.push(place);
+            colours.extend(point.color);
+        }
+    }
+    if (points.len() as u64) < promised {
+        return Err(cut_short(promised, points.len(), "the file ends"));
+    }
+    let colours = if colours.len() == points.len() { to_bytes(&colours) } else { Vec::new() };
+    Ok(Cloud { points, colours })
+}
+
+fn to_bytes(colours: &[Color]) -> Vec<[u8; 3]> {
+    let channels = |c: &Color| [c.red, c.green, c.blue];
+    let shift = if colours.iter().flat_map(channels).all(|value| value <= 255) { 0 } else { 8 };
+    colours.iter().map(|c| channels(c).map(|value| (value >> shift) as u8)).collect()
+}
+
+fn cut_short(promised: u64, read: usize, why: &str) -> CodecError {
+    fault(&format!(
+        "the header promises {promised} points, but after some {read} {why}: it was cut short or is damaged"
+    ))
+}
+
+fn fault(message: &str) -> CodecError {
+    CodecError(format!("LAS file: {message}"))
+}
+
+#[cfg(test)]
+#[allow(clippy::float_cmp)] // to the bit
+mod tests {
+    use super::*;
+    use las::{Builder, Point, Transform, Vector, Writer};
+
+    fn read(bytes: Vec<u8>) -> Result<Cloud, CodecError> {
+        super::read(bytes, &|| false)
+    }
+
+    fn written(compressed: bool) -> Vec<u8> {
+        let mut header = Builder::from((1, 4));
+        header.point_format = las::point::Format::new(7).unwrap();
+        header.point_format.is_compressed = compressed;
+        let axis = |offset| Transform { scale: 0.001, offset };
+        header.transforms = Vector { x: axis(451_000.0), y: axis(5_512_000.0), z: axis(0.0) };
+        let mut writer = Writer::new(Cursor::new(Vec::new()), header.into_header().unwrap()).unwrap();
+        for i in 0..2000u16 {
+            let (x, y) = (451_000.0 + f64::from(i) * 0.001, 5_512_000.0 - f64::from(i) * 0.25);
+            let color = Some(Color::new(i * 30, 256, 511));
+            let point = Point { x, y, z: f64::from(i % 7) * 0.013, color, gps_time: Some(0.0), ..Point::default() };
+            writer.write_point(point).unwrap();
+        }
+        writer.close().unwrap();
+        writer.into_inner().unwrap().into_inner()
+    }
+
+    #[test]
+    fn integers_times_scale_plus_offset_are_read_to_the_bit() {
+        for compressed in [false, true] {
+            let cloud = read(written(compressed)).unwrap();
+            assert_eq!((cloud.points.len(), cloud.colours.len()), (2000, 2000));
+            for (i, [x, y, z]) in cloud.points.iter().enumerate() {
+                let i = i as f64;
+                assert_eq!(*x, 0.001 * i + 451_000.0);
+                assert_eq!(*y, 0.001 * (-250.0 * i) + 5_512_000.0);
+                assert_eq!(*z, 0.001 * (13.0 * (i % 7.0)));
+            }
+            assert_eq!(cloud.colours[1999], [((1999u16 * 30) >> 8) as u8, 1, 1]);
+        }
+    }
+
+    #[test]
+    fn damaged_files_are_errors_and_no_panics() {
+        for compressed in [false, true] {
+            let bytes = written(compressed);
+            let message = read(bytes[..bytes.len() * 2 / 3].to_vec()).unwrap_err().0;
+            assert!(message.contains("cut short"), "{message}");
+            let key = crate::numerics::random::Key([3; 32]).field();
+            for trial in 0..80 {
+                let mut damaged = bytes.clone();
+                for hit in 0..4 {
+                    let [at, value, near, _] = key.words(trial, hit);
+                    let reach = if near % 2 == 0 { 400 } else { bytes.len() };
+                    damaged[at as usize % reach] = value as u8;
+                }
+                let _ = read(damaged);
+            }
+        }
+    }
+}

@@ -1,0 +1,222 @@
+//! Reads GeoTIFF files, our own and foreign ones; damaged files are refused with a reason.
+
+use std::io::Cursor;
+
+use tiff::decoder::{ChunkType, Decoder, DecodingResult, Limits};
+use tiff::tags::{PlanarConfiguration, Tag};
+
+use super::tags::{GDAL_METADATA, Georeference, Metadata};
+use crate::artefact::{Band, CodecError, Frame, Grid, Raster, Sample};
+use crate::format::limits;
+
+type File<'a> = Decoder<Cursor<&'a [u8]>>;
+
+/// Neither DEFLATE (1032) nor LZW (1370) can expand further than this; a file that claims more is damaged.
+const LARGEST_EXPANSION: usize = 1400;
+/// Bytes of the largest value.
+const LARGEST_VALUE_BYTES: usize = 8;
+/// Bytes of tags and of one tile or strip that are always allowed.
+const LEAST_LIMIT_BYTES: usize = 1 << 20;
+
+/// What the refusal of a GeoTIFF begins with whose bytes are not those that were once written.
+pub const DAMAGED: &str = "damaged GeoTIFF";
+
+/// Quantity of a file that does not say what its values are.
+const UNNAMED: &str = "value";
+
+/// Reads a raster. Bands without a name are called `band 1`, `band 2`, ...; cells with the no-data value become NaN.
+///
+/// # Errors
+/// A file that is no TIFF, is cut short or damaged, has no georeference, or cells that are not square.
+pub fn read(bytes: &[u8]) -> Result<Raster, CodecError> {
+    if ![b"II", b"MM"].iter().any(|order| bytes.starts_with(*order)) {
+        return Err(CodecError::new("not a GeoTIFF that can be read: it does not begin like a TIFF"));
+    }
+    let file = Decoder::new(Cursor::new(bytes)).map_err(|e| refused(&e))?;
+    let mut limits = Limits::default();
+    let possible = bytes.len().saturating_mul(LARGEST_EXPANSION).max(LEAST_LIMIT_BYTES);
+    limits.decoding_buffer_size = possible.min(1 << 30);
+    limits.intermediate_buffer_size = bytes.len().max(LEAST_LIMIT_BYTES);
+    limits.ifd_value_size = 1 << 26;
+    let mut file = file.with_limits(limits);
+    let layout = Layout::of(&mut file, bytes.len())?;
+    let grid = georeference(&mut file).grid(layout.columns, layout.rows)?;
+    let metadata =
+        ascii(&mut file, Tag::Unknown(GDAL_METADATA)).map_or_else(Metadata::default, |xml| Metadata::parse(&xml));
+    let nodata = ascii(&mut file, Tag::GdalNodata).and_then(|text| text.trim().parse::<f64>().ok());
+    let (planes, sample) = values(&mut file, &layout, nodata)?;
+    Ok(named(grid, &metadata, sample, planes))
+}
+
+fn refused(error: &tiff::TiffError) -> CodecError {
+    match error {
+        tiff::TiffError::UnsupportedError(what) => CodecError(format!(
+            "a GeoTIFF of a kind that cannot be read ({what}); rewrite it with `gdal_translate -co COMPRESS=DEFLATE`"
+        )),
+        // Bytes are in memory: what fails in the stream is its end or its compression.
+        tiff::TiffError::IoError(what) => damaged(&what.to_string()),
+        _ => CodecError(format!("not a GeoTIFF that can be read: {error}")),
+    }
+}
+
+fn damaged(what: &str) -> CodecError {
+    CodecError(format!("{DAMAGED}: {what}; copy it again"))
+}
+
+fn named(grid: Grid, metadata: &Metadata, sample: Sample, planes: Vec<Vec<f32>>) -> Raster {
+    let name = |index: usize| metadata.names.get(&index).cloned().unwrap_or_else(|| format!("band {}", index + 1));
+    let bands = planes.into_iter().enumerate().map(|(index, values)| Band { name: name(index), values }).collect();
+    let quantity = metadata.quantity.clone().unwrap_or_else(|| UNNAMED.to_owned());
+    Raster { grid, frame: metadata.frame.unwrap_or(Frame::Wall), quantity, sample, bands }
+}
+
+/// How the values lie in the file.
+struct Layout {
+    columns: usize,
+    rows: usize,
+    bands: usize,
+    planar: bool,
+    chunk_columns: usize,
+    chunk_rows: usize,
+}
+
+impl Layout {
+    fn of(file: &mut File, file_length: usize) -> Result<Self, CodecError> {
+        let (columns, rows) = file.dimensions().map_err(|e| refused(&e))?;
+        let (columns, rows) = (columns as usize, rows as usize);
+        let bands = usize::from(number(file, Tag::SamplesPerPixel)?.unwrap_or(1));
+        let photometric = number(file, Tag::PhotometricInterpretation)?.unwrap_or(1);
+        if photometric > 2 || (photometric == 2 && bands > 4) {
+            return Err(CodecError(format!(
+                "a picture (photometric interpretation {photometric}) is not a raster of values"
+            )));
+        }
+        let planar = number(file, Tag::PlanarConfiguration)? == Some(PlanarConfiguration::Planar.to_u16());
+        let (chunk_columns, chunk_rows) = chunk_size(file, columns, rows)?;
+        let layout = Self { columns, rows, bands, planar, chunk_columns, chunk_rows };
+        layout.check(file_length).map(|()| layout)
+    }
+
+    /// Refuses values, padding of the tiles at the edges included, that the bytes of the file or the memory cannot hold.
+    fn check(&self, file_length: usize) -> Result<(), CodecError> {
+        let Self { columns, rows, bands, .. } = *self;
+        let padded = |length: usize, chunk: usize| length.div_ceil(chunk).checked_mul(chunk);
+        let wide = padded(columns, self.chunk_columns).zip(padded(rows, self.chunk_rows));
+        let values = wide.and_then(|(wide, high)| wide.checked_mul(high)).and_then(|n| n.checked_mul(bands));
+        let possible = file_length.saturating_mul(LARGEST_EXPANSION);
+        if !values.is_some_and(|values| values > 0 && values <= possible) {
+            return Err(damaged(&format!("{columns} x {rows} x {bands} values in {file_length} bytes")));
+        }
+        let chunk = self.chunk_columns.saturating_mul(self.chunk_rows).saturating_mul(self.interleaved());
+        let bytes = (4 * columns * rows * bands).checked_add(chunk.saturating_mul(LARGEST_VALUE_BYTES));
+        let what = format!("GeoTIFF of {file_length} bytes: {columns} x {rows} x {bands} values");
+        limits::affordable(&what, bytes.map(|bytes| bytes as u64))
+    }
+
+    /// Values of one cell that stand side by side.
+    fn interleaved(&self) -> usize {
+        if self.planar { 1 } else { self.bands }
+    }
+
+    fn across(&self) -> usize {
+        self.columns.div_ceil(self.chunk_columns)
+    }
+
+    fn chunks(&self) -> usize {
+        let plane = self.across() * self.rows.div_ceil(self.chunk_rows);
+        if self.planar { plane * self.bands } else { plane }
+    }
+
+    /// First band, left column, top row, columns and rows of a chunk without its padding.
+    fn place(&self, chunk: usize) -> [usize; 5] {
+        let plane = self.across() * self.rows.div_ceil(self.chunk_rows);
+        let (band, within) = (chunk / plane, chunk % plane);
+        let (left, top) = (within % self.across() * self.chunk_columns, within / self.across() * self.chunk_rows);
+        [band, left, top, self.chunk_columns.min(self.columns - left), self.chunk_rows.min(self.rows - top)]
+    }
+}
+
+fn number(file: &mut File, tag: Tag) -> Result<Option<u16>, CodecError> {
+    file.find_tag_unsigned(tag).map_err(|e| refused(&e))
+}
+
+fn chunk_size(file: &mut File, columns: usize, rows: usize) -> Result<(usize, usize), CodecError> {
+    let mut side = |tag| file.find_tag_unsigned::<u32>(tag).map_err(|e| refused(&e));
+    let (width, height) = (side(Tag::TileWidth)?, side(Tag::TileLength)?);
+    let strip = side(Tag::RowsPerStrip)?;
+    let (width, height) = match file.get_chunk_type() {
+        ChunkType::Tile => (width.unwrap_or(0) as usize, height.unwrap_or(0) as usize),
+        ChunkType::Strip => (columns, strip.map_or(rows, |r| (r as usize).min(rows))),
+    };
+    if width == 0 || height == 0 { Err(damaged("tiles or strips without size")) } else { Ok((width, height)) }
+}
+
+fn values(file: &mut File, layout: &Layout, nodata: Option<f64>) -> Result<(Vec<Vec<f32>>, Sample), CodecError> {
+    let mut planes = Vec::with_capacity(layout.bands);
+    for _ in 0..layout.bands {
+        let mut plane = limits::list("values", layout.columns * layout.rows)?;
+        plane.resize(layout.columns * layout.rows, f32::NAN);
+        planes.push(plane);
+    }
+    let mut sample = Sample::Float;
+    for chunk in 0..layout.chunks() {
+        let decoded = file.read_chunk(chunk as u32).map_err(|e| refused(&e))?;
+        sample = match decoded {
+            DecodingResult::U8(_) if nodata.is_none() => Sample::Byte,
+            DecodingResult::U16(_) if nodata.is_none() => Sample::Word,
+            _ => Sample::Float,
+        };
+        let [band, left, top, width, height] = layout.place(chunk);
+        let numbers = floats(&decoded, nodata)?;
+        let interleaved = layout.interleaved();
+        if numbers.len() < width * height * interleaved {
+            return Err(damaged(&format!("chunk {chunk} holds {} values, {} expected", numbers.len(), width * height)));
+        }
+        for row in 0..height {
+            for (offset, plane) in planes[band..band + interleaved].iter_mut().enumerate() {
+                let start = (top + row) * layout.columns + left;
+                let source = numbers[row * width * interleaved + offset..].iter().step_by(interleaved);
+                plane[start..start + width].iter_mut().zip(source).for_each(|(to, from)| *to = *from);
+            }
+        }
+    }
+    Ok((planes, sample))
+}
+
+/// Values as 32-bit floats, NaN where the file says there are none.
+fn floats(decoded: &DecodingResult, nodata: Option<f64>) -> Result<Vec<f32>, CodecError> {
+    Ok(match decoded {
+        // The text of the no-data value is often shorter than its bits.
+        DecodingResult::F32(values) => cells(values, nodata.map(|n| f64::from(n as f32))),
+        DecodingResult::F64(values) => cells(values, nodata),
+        DecodingResult::U8(values) => cells(values, nodata),
+        DecodingResult::U16(values) => cells(values, nodata),
+        DecodingResult::U32(values) => cells(values, nodata),
+        DecodingResult::I8(values) => cells(values, nodata),
+        DecodingResult::I16(values) => cells(values, nodata),
+        DecodingResult::I32(values) => cells(values, nodata),
+        DecodingResult::U64(_) | DecodingResult::I64(_) | DecodingResult::F16(_) => {
+            return Err(CodecError::new("64-bit integers and 16-bit floats cannot be read; convert to 32-bit floats"));
+        }
+    })
+}
+
+fn cells<T: Copy + Into<f64>>(values: &[T], nodata: Option<f64>) -> Vec<f32> {
+    let cell = |value: &T| {
+        let value: f64 = (*value).into();
+        if value.is_nan() || nodata == Some(value) { f32::NAN } else { value as f32 }
+    };
+    values.iter().map(cell).collect()
+}
+
+fn ascii(file: &mut File, tag: Tag) -> Option<String> {
+    file.get_tag_ascii_string(tag).ok().map(|text| text.trim_end_matches('\0').to_owned())
+}
+
+fn georeference(file: &mut File) -> Georeference {
+    let mut doubles = |tag| file.get_tag_f64_vec(tag).ok();
+    let scale = doubles(Tag::ModelPixelScaleTag);
+    let tiepoint = doubles(Tag::ModelTiepointTag);
+    let matrix = doubles(Tag::ModelTransformationTag);
+    Georeference { scale, tiepoint, matrix, keys: file.get_tag_u16_vec(Tag::GeoKeyDirectoryTag).unwrap_or_default() }
+}

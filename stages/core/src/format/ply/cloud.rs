@@ -1,0 +1,234 @@
+//! Point clouds as PLY files: our own binary layout, written and read to the bit, and those of other programs.
+
+use std::collections::BTreeMap;
+
+use crate::format::ply::{Ascii, Binary, Source, at, check_held, fault, read_property, skip};
+use crate::format::ply::header::{CLOUD_COMMENT, Element, Encoding, Header, Property, Type, UNITS_COMMENT};
+use crate::artefact::{Cloud, CodecError};
+use crate::format::limits;
+
+/// Properties with a meaning of their own: no number may have such a name.
+const KNOWN: [&str; 9] = ["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"];
+
+/// Writes a cloud: binary little-endian, double `x y z`, float `nx ny nz` where normals are known, uchar `red green blue`
+/// where colours are, and a uint for each of the numbers. A comment line states frame and units.
+///
+/// # Errors
+/// A list that is not as long as the points, a coordinate that is not finite, a name that no property can have.
+pub fn write(cloud: &Cloud) -> Result<Vec<u8>, CodecError> {
+    check(cloud)?;
+    let header = header(cloud);
+    let (normals, colours) = (!cloud.normals.is_empty(), !cloud.colours.is_empty());
+    let row = 24 + 12 * usize::from(normals) + 3 * usize::from(colours) + 4 * cloud.numbers.len();
+    let mut bytes = Vec::with_capacity(header.len() + row * cloud.points.len());
+    bytes.extend_from_slice(header.as_bytes());
+    for (i, point) in cloud.points.iter().enumerate() {
+        point.iter().for_each(|value| bytes.extend_from_slice(&value.to_le_bytes()));
+        if normals {
+            cloud.normals[i].iter().for_each(|value| bytes.extend_from_slice(&value.to_le_bytes()));
+        }
+        if colours {
+            bytes.extend_from_slice(&cloud.colours[i]);
+        }
+        cloud.numbers.values().for_each(|values| bytes.extend_from_slice(&values[i].to_le_bytes()));
+    }
+    Ok(bytes)
+}
+
+fn header(cloud: &Cloud) -> String {
+    let mut text = format!(
+        "ply\nformat binary_little_endian 1.0\ncomment {CLOUD_COMMENT}{}{UNITS_COMMENT}\nelement vertex {}\n",
+        cloud.frame,
+        cloud.points.len()
+    );
+    let mut add = |kind: &str, names: &[&str]| {
+        names.iter().for_each(|name| text += &format!("property {kind} {name}\n"));
+    };
+    add("double", &KNOWN[..3]);
+    if !cloud.normals.is_empty() {
+        add("float", &KNOWN[3..6]);
+    }
+    if !cloud.colours.is_empty() {
+        add("uchar", &KNOWN[6..]);
+    }
+    cloud.numbers.keys().for_each(|name| add("uint", &[name]));
+    text + "end_header\n"
+}
+
+fn check(cloud: &Cloud) -> Result<(), CodecError> {
+    let count = cloud.points.len();
+    let lists = [("normals", cloud.normals.len()), ("colours", cloud.colours.len())];
+    if let Some((name, length)) = lists.into_iter().find(|(_, length)| *length != 0 && *length != count) {
+        return Err(fault(&format!("{count} points, but {length} {name}")));
+    }
+    for (name, values) in &cloud.numbers {
+        let plain = !name.is_empty() && name.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'_');
+        if !plain || KNOWN.contains(&name.as_str()) {
+            return Err(fault(&format!("`{name}` cannot name a number: lower-case letters, digits and `_`")));
+        }
+        if values.len() != count {
+            return Err(fault(&format!("{count} points, but {} numbers `{name}`", values.len())));
+        }
+    }
+    let finite = |values: &[f64]| values.iter().all(|value| value.is_finite());
+    if let Some(at) = cloud.points.iter().position(|point| !finite(point)) {
+        return Err(fault(&format!("point {at} (counted from 0) is {:?}, which is not finite", cloud.points[at])));
+    }
+    if let Some(at) = cloud.normals.iter().position(|normal| !finite(&normal.map(f64::from))) {
+        return Err(fault(&format!("normal {at} (counted from 0) is {:?}, which is not finite", cloud.normals[at])));
+    }
+    Ok(())
+}
+
+/// Reads a cloud from any common PLY without faces: ascii or binary of either byte order, any number types.
+///
+/// The frame is the one our own comment states, otherwise world. Colours are read where they are one byte each; of the
+/// other properties those of 32-bit whole numbers are kept, the rest is left out.
+///
+/// # Errors
+/// The row at fault: a header that is no PLY, faces, counts the file is too short for, coordinates that are not finite.
+pub fn read(bytes: &[u8]) -> Result<Cloud, CodecError> {
+    let (header, body) = Header::parse(bytes)?;
+    if header.element("face").is_some_and(|faces| faces.count > 0) {
+        return Err(fault("it has faces: it is a mesh"));
+    }
+    match header.encoding {
+        Encoding::Ascii => read_body(&header, Ascii { rest: body }),
+        Encoding::LittleEndian => read_body(&header, Binary::<true> { rest: body }),
+        Encoding::BigEndian => read_body(&header, Binary::<false> { rest: body }),
+    }
+}
+
+fn read_body<S: Source>(header: &Header, mut source: S) -> Result<Cloud, CodecError> {
+    let mut cloud = Cloud::new(header.frame, Vec::new());
+    header.element("vertex").ok_or_else(|| fault("the header declares no element `vertex`"))?;
+    for element in &header.elements {
+        check_held(&source, element)?;
+        if element.name == "vertex" {
+            read_points(element, &mut source, &mut cloud)?;
+        } else {
+            skip(element, &mut source)?;
+        }
+    }
+    Ok(cloud)
+}
+
+/// Where a property goes.
+enum Role {
+    /// One of [`KNOWN`].
+    Known(usize),
+    /// A number.
+    Number(usize),
+    /// Nowhere.
+    Other,
+}
+
+fn roles(element: &Element, names: &mut Vec<String>) -> Result<Vec<Role>, CodecError> {
+    if let Some(name) = KNOWN[..3].iter().find(|name| element.scalar(name).is_none()) {
+        return Err(fault(&format!("element `vertex` has no property `{name}`")));
+    }
+    let role = |property: &Property| {
+        if property.count.is_some() {
+            return Role::Other;
+        }
+        if let Some(known) = KNOWN.iter().position(|name| *name == property.name) {
+            return Role::Known(known);
+        }
+        if property.kind != Type::U32 || names.contains(&property.name) {
+            return Role::Other;
+        }
+        names.push(property.name.clone());
+        Role::Number(names.len() - 1)
+    };
+    Ok(element.properties.iter().map(role).collect())
+}
+
+fn read_points<S: Source>(element: &Element, source: &mut S, cloud: &mut Cloud) -> Result<(), CodecError> {
+    let mut names = Vec::new();
+    let roles = roles(element, &mut names)?;
+    let has = |names: &[&str], kind: Option<Type>| {
+        names.iter().all(|name| element.scalar(name).is_some_and(|own| kind.is_none_or(|kind| own == kind)))
+    };
+    let (normals, colours) = (has(&KNOWN[3..6], None), has(&KNOWN[6..], Some(Type::U8)));
+    let lists = names.iter().map(|_| limits::list("numbers", element.count));
+    let mut numbers: Vec<Vec<u32>> = lists.collect::<Result<_, _>>()?;
+    cloud.points = limits::list("points", element.count)?;
+    for row in 0..element.count {
+        let mut known = [0.0f64; 9];
+        for (property, role) in element.properties.iter().zip(&roles) {
+            let mut value = 0.0;
+            read_property(property, source, &mut value).map_err(|e| at(element, row, &e))?;
+            match role {
+                Role::Known(place) => known[*place] = value,
+                Role::Number(place) => numbers[*place].push(value as u32),
+                Role::Other => {}
+            }
+        }
+        let [x, y, z, nx, ny, nz, red, green, blue] = known;
+        if ![x, y, z].iter().all(|value| value.is_finite()) {
+            return Err(at(element, row, &format!("the coordinates ({x}, {y}, {z}) are not finite")));
+        }
+        cloud.points.push([x, y, z]);
+        if normals {
+            cloud.normals.push([nx, ny, nz].map(|value| if value.is_finite() { value as f32 } else { 0.0 }));
+        }
+        if colours {
+            cloud.colours.push([red, green, blue].map(|value| value as u8));
+        }
+    }
+    cloud.numbers = names.into_iter().zip(numbers).collect::<BTreeMap<_, _>>();
+    Ok(())
+}
+
+#[cfg(test)]
+#[allow(clippy::float_cmp)] // to the bit
+mod tests {
+    use super::*;
+    use crate::artefact::{Frame, Mesh};
+
+    fn cloud() -> Cloud {
+        let mut cloud = Cloud::new(Frame::Wall, vec![[0.1, -0.0, 451_000.123_456_789], [1.0, 2.0, 3.0]]);
+        cloud.normals = vec![[0.0, 0.6, 0.8], [0.0; 3]];
+        cloud.colours = vec![[1, 2, 255], [0, 0, 0]];
+        cloud.numbers.insert("id".to_owned(), vec![u32::MAX, 7]);
+        cloud.numbers.insert("views".to_owned(), vec![2, 3]);
+        cloud
+    }
+
+    #[test]
+    fn what_is_written_comes_back_to_the_bit() {
+        let bytes = write(&cloud()).unwrap();
+        let again = read(&bytes).unwrap();
+        assert_eq!(again, cloud());
+        assert_eq!(write(&again).unwrap(), bytes);
+        let bare = Cloud::new(Frame::World, Vec::new());
+        assert_eq!(read(&write(&bare).unwrap()).unwrap(), bare);
+    }
+
+    #[test]
+    fn a_text_file_of_another_program_is_read() {
+        let text = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n\
+                    property float quality\nproperty uint views\nproperty uchar red\nend_header\n1 2 3 0.5 4 9\n";
+        let cloud = read(text.as_bytes()).unwrap();
+        assert_eq!((cloud.points.as_slice(), cloud.frame), (&[[1.0, 2.0, 3.0]][..], Frame::World));
+        assert_eq!((cloud.numbers["views"].as_slice(), cloud.colours.len()), (&[4][..], 0));
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        let mut short = cloud();
+        short.colours.pop();
+        assert!(write(&short).unwrap_err().0.contains("2 points, but 1 colours"));
+        let mut named = cloud();
+        named.numbers.insert("nx".to_owned(), vec![0, 0]);
+        assert!(write(&named).unwrap_err().0.contains("`nx` cannot name"));
+        let mut endless = cloud();
+        endless.points[1][2] = f64::NAN;
+        assert!(write(&endless).unwrap_err().0.contains("point 1"));
+        let (vertices, triangles) = (vec![[0.0; 3]; 3], vec![[0, 1, 2]]);
+        let mesh = Mesh { frame: Frame::Wall, vertices, triangles, colours: Vec::new() };
+        assert!(read(&crate::format::ply::write_mesh(&mesh)).unwrap_err().0.contains("it is a mesh"));
+        let bytes = write(&cloud()).unwrap();
+        assert!(read(&bytes[..bytes.len() - 1]).unwrap_err().0.contains("too short"));
+    }
+}

@@ -1,0 +1,136 @@
+//! Tables in CSV files: a header line, then numbers and words.
+
+use std::collections::BTreeSet;
+
+use crate::artefact::{Cell, CodecError, Table};
+use crate::format::limits;
+
+/// Characters that separate cells, the likeliest first.
+const SEPARATORS: [char; 3] = [',', ';', '\t'];
+/// Columns a table may have, as many as a sheet of a spreadsheet: more are a file of another layout.
+const MOST_COLUMNS: usize = 16_384;
+/// Names of columns that a message lists.
+const LISTED: usize = 20;
+
+/// Reads a CSV file with a header line; cells are separated by the comma, semicolon or tab the header has most of.
+///
+/// Cells that are numbers become numbers, `true` and `false` flags, empty ones and NaN empty, all others text. Spaces
+/// around cells, a byte-order mark and a `//` or `#` before the header are dropped.
+///
+/// # Errors
+/// The line at fault: no header, two columns of one name, a row of another length, text that is not UTF-8, more than 16384
+/// columns, more cells than the limit of memory allows; `cancelled` became true.
+pub fn read(bytes: &[u8], cancelled: &dyn Fn() -> bool) -> Result<Table, CodecError> {
+    let text = std::str::from_utf8(bytes).map_err(|e| CodecError::new(format!("it is no UTF-8 text: {e}")))?;
+    let text = text.trim_start_matches('\u{feff}').trim_start_matches("//").trim_start_matches('#');
+    let header = text.lines().next().unwrap_or_default();
+    let separator =
+        SEPARATORS.iter().rev().max_by_key(|mark| header.matches(**mark).count()).map_or(b',', |c| *c as u8);
+    let mut reader = csv::ReaderBuilder::new().delimiter(separator).trim(csv::Trim::All).from_reader(text.as_bytes());
+    let failed = |e: csv::Error| CodecError::new(format!("it is no CSV table: {e}"));
+    let columns: Vec<String> = reader.headers().map_err(failed)?.iter().map(ToOwned::to_owned).collect();
+    check_header(&columns)?;
+    // A row has at least a separator or the end of its line for each column.
+    let rows = text.lines().count().min(text.len() / columns.len().max(1));
+    let bytes = (rows as u64).checked_mul((columns.len() * size_of::<Cell>()) as u64);
+    limits::affordable(&format!("a table of {rows} rows of {} columns", columns.len()), bytes)?;
+    let mut table = Table::new(columns);
+    let mut stop = limits::Stop::when(cancelled);
+    for record in reader.records() {
+        stop.check()?;
+        table.push(record.map_err(failed)?.iter().map(cell).collect());
+    }
+    Ok(table)
+}
+
+fn check_header(columns: &[String]) -> Result<(), CodecError> {
+    if columns.iter().all(String::is_empty) {
+        return Err(CodecError::new("its first line names no column"));
+    }
+    if columns.len() > MOST_COLUMNS {
+        let count = columns.len();
+        let message =
+            format!("its header names {count} columns, {MOST_COLUMNS} is the most; is a row meant to be a column?");
+        return Err(CodecError::new(message));
+    }
+    let mut known = BTreeSet::new();
+    let twin = columns.iter().find(|name| !known.insert(name.as_str()));
+    twin.map_or(Ok(()), |name| Err(CodecError::new(format!("two columns are called `{name}`"))))
+}
+
+/// The names of a table's columns for a message, the first ones where there are many.
+pub fn listed(table: &Table) -> String {
+    let names = table.columns.iter().take(LISTED).map(String::as_str).collect::<Vec<_>>().join(", ");
+    let beyond = table.columns.len().saturating_sub(LISTED);
+    if beyond == 0 { names } else { format!("{names} and {beyond} more") }
+}
+
+fn cell(text: &str) -> Cell {
+    match (text, text.parse::<f64>()) {
+        ("", _) => Cell::Empty(()),
+        ("true", _) => Cell::Flag(true),
+        ("false", _) => Cell::Flag(false),
+        (_, Ok(number)) => number.into(),
+        (text, Err(_)) => text.into(),
+    }
+}
+
+/// The numbers of a column, empty cells left out.
+///
+/// # Errors
+/// No such column (the message lists those there are), a cell that is no number, no number at all.
+pub fn numbers(table: &Table, column: &str) -> Result<Vec<f64>, CodecError> {
+    let missing = || CodecError::new(format!("it has no column `{column}`, only {}", listed(table)));
+    let at = table.column(column).ok_or_else(missing)?;
+    let mut values = Vec::with_capacity(table.rows.len());
+    for (row, cells) in table.rows.iter().enumerate() {
+        match &cells[at] {
+            Cell::Number(value) => values.push(*value),
+            Cell::Empty(()) => {}
+            other => {
+                let message = format!("row {} of column `{column}` holds `{other}`, which is no number", row + 1);
+                return Err(CodecError::new(message));
+            }
+        }
+    }
+    if values.is_empty() { Err(CodecError::new(format!("column `{column}` holds no number"))) } else { Ok(values) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(bytes: &[u8]) -> Result<Table, CodecError> {
+        super::read(bytes, &|| false)
+    }
+
+    #[test]
+    fn cells_are_told_apart_whatever_separates_them() {
+        for separator in SEPARATORS {
+            let text = "//x_m, name ,ok\n1.5,slab,true\n , 2b ,false\n-3e2,,nan\n".replace(',', &separator.to_string());
+            let table = read(text.as_bytes()).unwrap();
+            assert_eq!(table.columns, ["x_m", "name", "ok"]);
+            assert_eq!(table.rows[0], [Cell::Number(1.5), "slab".into(), true.into()]);
+            assert_eq!(table.rows[1], [Cell::Empty(()), "2b".into(), false.into()]);
+            assert_eq!(table.rows[2], [Cell::Number(-300.0), Cell::Empty(()), Cell::Empty(())]);
+            assert_eq!(numbers(&table, "x_m").unwrap(), [1.5, -300.0]);
+        }
+    }
+
+    #[test]
+    fn faults_name_their_place() {
+        let message = |text: &str| read(text.as_bytes()).unwrap_err().0;
+        assert!(message("").contains("names no column"));
+        assert!(message("a,b,a\n").contains("two columns are called `a`"));
+        assert!(message("a,b\n1,2\n3\n").contains("line: 3"));
+        assert_eq!(super::read(b"a\n1\n", &|| true).unwrap_err().0, "interrupted");
+        assert!(read(&[0xff, 0xfe]).unwrap_err().0.contains("UTF-8"));
+        let table = read(b"a,b\n1,x\n").unwrap();
+        assert!(numbers(&table, "c").unwrap_err().0.contains("only a, b"));
+        let wide = |count: usize| (0..count).map(|i| format!("c{i}")).collect::<Vec<_>>().join(",");
+        assert!(message(&wide(300_000)).contains("its header names 300000 columns, 16384 is the most"));
+        let most = read(wide(16_384).as_bytes()).unwrap();
+        assert!(numbers(&most, "x").unwrap_err().0.ends_with("c19 and 16364 more"));
+        assert!(numbers(&table, "b").unwrap_err().0.contains("row 1 of column `b` holds `x`"));
+    }
+}

@@ -1,0 +1,408 @@
+//! What a stage is: a pure function of parameters, input artefacts and random streams, with a page of its own.
+
+use std::collections::BTreeMap;
+use std::io::Read;
+use std::marker::PhantomData;
+
+use serde_json::Value;
+
+use crate::artefact::{Artefact, Kind};
+use crate::inputs::Inputs;
+use crate::needs::InputSizes;
+use crate::params::{Fault, Field, FileRef, FilesRef, ParamType, Params};
+use crate::program::{Program, ProgramResult};
+
+/// The item of each axis a step instance or a gathered element stands for.
+pub type Point = BTreeMap<String, String>;
+
+/// The fixed headings of a stage's page.
+#[derive(Debug, Clone, Copy)]
+pub struct Page {
+    /// What it does, in a sentence or two.
+    pub what: &'static str,
+    /// The method and where it comes from (paper section or equation, reference).
+    pub method: &'static str,
+    /// Units and frames of what goes in and out.
+    pub frames: &'static str,
+    /// When it refuses, and what to do then.
+    pub fails: &'static str,
+    /// A complete pipeline that uses it; it must plan, and it runs in the tests where it needs no file.
+    pub example: &'static str,
+}
+
+/// How many artefacts a port takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Arity {
+    /// Exactly one.
+    One,
+    /// One or none.
+    Optional,
+    /// A gathered list of at least one; a single reference counts as a list of one.
+    Many,
+}
+
+/// A typed input or output of a stage.
+#[derive(Debug, Clone, Copy)]
+pub struct Port {
+    /// Its name in `in:` or after the dot of a reference.
+    pub name: &'static str,
+    /// The kinds of artefact it takes; an output has exactly one.
+    pub kinds: &'static [Kind],
+    /// How many.
+    pub arity: Arity,
+    /// What it is.
+    pub doc: &'static str,
+    /// The extension of its file where that is not the one of its kind, without the dot.
+    pub extension: Option<&'static str>,
+}
+
+/// The ports of a step.
+#[derive(Debug, Clone, Copy)]
+pub struct Ports {
+    /// What it takes.
+    pub inputs: &'static [Port],
+    /// What it makes.
+    pub outputs: &'static [Port],
+}
+
+impl Port {
+    /// A port for exactly one artefact of these kinds.
+    pub const fn one(name: &'static str, kinds: &'static [Kind], doc: &'static str) -> Self {
+        Self { name, kinds, arity: Arity::One, doc, extension: None }
+    }
+
+    /// An input that may be left out.
+    pub const fn optional(name: &'static str, kinds: &'static [Kind], doc: &'static str) -> Self {
+        Self { name, kinds, arity: Arity::Optional, doc, extension: None }
+    }
+
+    /// An input that takes a gathered list.
+    pub const fn many(name: &'static str, kinds: &'static [Kind], doc: &'static str) -> Self {
+        Self { name, kinds, arity: Arity::Many, doc, extension: None }
+    }
+}
+
+/// Why a stage gave up: the cause, and the way out where there is one.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{message}")]
+pub struct StageError {
+    /// What is wrong, with place and value.
+    pub message: String,
+    /// What to do about it.
+    pub hint: Option<String>,
+}
+
+impl StageError {
+    /// An error without a hint.
+    pub fn new(message: impl Into<String>) -> Self {
+        Self { message: message.into(), hint: None }
+    }
+
+    /// Adds the way out.
+    #[must_use]
+    pub fn hint(mut self, hint: impl Into<String>) -> Self {
+        self.hint = Some(hint.into());
+        self
+    }
+}
+
+/// Returns a [`StageError`] with a formatted message.
+#[macro_export]
+macro_rules! fail {
+    ($($message:tt)*) => { return Err($crate::StageError::new(format!($($message)*))) };
+}
+
+/// The artefacts a stage made, by port.
+#[derive(Debug, Clone, Default)]
+pub struct Outputs(BTreeMap<&'static str, Artefact>);
+
+impl Outputs {
+    /// A single output.
+    pub fn of(port: &'static str, artefact: impl Into<Artefact>) -> Self {
+        Self::default().and(port, artefact)
+    }
+
+    /// Adds another output.
+    #[must_use]
+    pub fn and(mut self, port: &'static str, artefact: impl Into<Artefact>) -> Self {
+        self.0.insert(port, artefact.into());
+        self
+    }
+
+    /// Hands over what was made.
+    pub fn into_inner(self) -> BTreeMap<&'static str, Artefact> {
+        self.0
+    }
+}
+
+/// What a stage has to say while it works; kept with its outputs, so a cached step still tells it.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case", tag = "type")]
+pub enum Entry {
+    /// Something worth reading.
+    Note {
+        /// The sentence.
+        text: String,
+    },
+    /// Something that may be wrong.
+    Warning {
+        /// The sentence.
+        text: String,
+    },
+    /// The result in one line, shown at the end of a run.
+    Headline {
+        /// The sentence.
+        text: String,
+    },
+    /// A number with its unit.
+    Metric {
+        /// Name, in `snake_case`.
+        name: String,
+        /// Value; in a log NaN and infinities are the strings `NaN`, `inf` and `-inf`.
+        #[serde(with = "crate::any_number")]
+        value: f64,
+        /// Unit (`m`, `px`, `1`, ...).
+        unit: String,
+    },
+}
+
+/// A file named by a parameter, opened.
+pub struct SourceFile {
+    /// File name without its folder.
+    pub name: String,
+    /// Its content.
+    pub reader: Box<dyn Read + Send>,
+}
+
+/// What the engine lends a running stage. A stage touches neither disk nor clock nor hash function itself.
+pub trait Host: Sync {
+    /// 32 key bytes for one item of one purpose, derived from the step's seed material.
+    fn stream_key(&self, purpose: &str, item: &str) -> [u8; 32];
+    /// Opens what a file parameter names, as it was written in the pipeline, sorted by name.
+    fn open(&self, as_written: &str) -> std::io::Result<Vec<SourceFile>>;
+    /// Runs a program; its failure to start is an error, what it says and its exit code are not.
+    fn execute(&self, program: &Program) -> Result<ProgramResult, StageError> {
+        let _ = program;
+        Err(StageError::new("no program can be run here"))
+    }
+    /// Keeps an entry of the step's log.
+    fn record(&self, entry: Entry);
+    /// Whether the run was asked to stop.
+    fn cancelled(&self) -> bool;
+}
+
+/// The stage's side of [`Host`].
+#[derive(Clone, Copy)]
+pub struct Context<'a>(&'a dyn Host);
+
+impl<'a> Context<'a> {
+    /// Wraps what the engine lends.
+    pub fn new(host: &'a dyn Host) -> Self {
+        Self(host)
+    }
+
+    /// The key of the random stream of one item (a pair, an image, a candidate number) for one purpose.
+    pub fn stream(&self, purpose: &str, item: &str) -> crate::numerics::random::Key {
+        crate::numerics::random::Key(self.0.stream_key(purpose, item))
+    }
+
+    /// A whole number below 2^31 for one purpose, for programs that draw by themselves.
+    pub fn seed(&self, purpose: &str) -> u32 {
+        let key = self.0.stream_key(purpose, "seed");
+        u32::from_le_bytes([key[0], key[1], key[2], key[3]]) >> 1
+    }
+
+    /// Runs a program.
+    pub fn execute(&self, program: &Program) -> Result<ProgramResult, StageError> {
+        self.0.execute(program)
+    }
+
+    /// Opens the one file a parameter names.
+    pub fn file(&self, file: &FileRef) -> Result<SourceFile, StageError> {
+        let mut files = self.files(&FilesRef(file.0.clone()))?;
+        match files.len() {
+            1 => Ok(files.remove(0)),
+            n => Err(StageError::new(format!("`{}` names {n} files, one is needed", file.0))),
+        }
+    }
+
+    /// Opens every file a parameter names, sorted by name.
+    pub fn files(&self, files: &FilesRef) -> Result<Vec<SourceFile>, StageError> {
+        self.0.open(&files.0).map_err(|e| StageError::new(format!("cannot read `{}`: {e}", files.0)))
+    }
+
+    /// Reads the whole of the one file a parameter names.
+    pub fn read(&self, file: &FileRef) -> Result<Vec<u8>, StageError> {
+        let read = crate::format::limits::read_whole(&mut self.file(file)?.reader, &|| self.cancelled());
+        read.map_err(|e| StageError::new(format!("cannot read `{}`: {e}", file.0)))
+    }
+
+    /// Logs something worth reading.
+    pub fn note(&self, text: impl Into<String>) {
+        self.0.record(Entry::Note { text: text.into() });
+    }
+
+    /// Logs something that may be wrong.
+    pub fn warn(&self, text: impl Into<String>) {
+        self.0.record(Entry::Warning { text: text.into() });
+    }
+
+    /// Logs the result in one line; it is shown at the end of a run.
+    pub fn headline(&self, text: impl Into<String>) {
+        self.0.record(Entry::Headline { text: text.into() });
+    }
+
+    /// Logs a number.
+    pub fn metric(&self, name: &str, value: f64, unit: &str) {
+        self.0.record(Entry::Metric { name: name.to_owned(), value, unit: unit.to_owned() });
+    }
+
+    /// Gives up early when the run was asked to stop; call it now and then in long loops.
+    pub fn check_cancelled(&self) -> Result<(), StageError> {
+        if self.cancelled() { Err(StageError::new("interrupted")) } else { Ok(()) }
+    }
+
+    /// Whether the run was asked to stop, or the step's time is over.
+    pub fn cancelled(&self) -> bool {
+        self.0.cancelled()
+    }
+}
+
+/// A kind of computation.
+pub trait Stage: Send + Sync + 'static {
+    /// Its parameters.
+    type Params: Params;
+    /// `verb-object`.
+    const NAME: &'static str;
+    /// Raised whenever the bytes it makes change for equal inputs.
+    const VERSION: u32;
+    /// Its documentation.
+    const PAGE: Page;
+    /// What it takes.
+    const INPUTS: &'static [Port];
+    /// What it makes; every output is made at every run.
+    const OUTPUTS: &'static [Port];
+
+    /// Whether it has programs started ([`Context::execute`]); one that does not say so is refused when it asks for one.
+    const STARTS_PROGRAMS: bool = false;
+
+    /// Whether it draws random numbers with these parameters; only then is its seed part of the recipe.
+    fn draws(_params: &Self::Params) -> bool {
+        false
+    }
+
+    /// The ports of a step with these parameters; they may not depend on an axis.
+    fn ports(_with: &Value) -> Result<Ports, Vec<Fault>> {
+        Ok(Ports { inputs: Self::INPUTS, outputs: Self::OUTPUTS })
+    }
+
+    /// Checks that hold between parameters; each fault names the parameter at its path.
+    fn check(_params: &Self::Params) -> Vec<Fault> {
+        Vec::new()
+    }
+
+    /// The memory it will need, its inputs and outputs among it, bytes, going by its parameters and its inputs. A guess on
+    /// the safe side, with everything that is made while outputs are encoded and sketched: a run starts no more steps at
+    /// once than fit into its memory.
+    fn memory_bytes(_params: &Self::Params, inputs: &InputSizes) -> u64 {
+        inputs.total().saturating_mul(4)
+    }
+
+    /// Does the work.
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError>;
+}
+
+/// Parameters that were read and checked.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Checked {
+    /// Canonical form with every default filled in; file parameters still as written.
+    pub canonical: Value,
+    /// Whether the stage draws random numbers with them.
+    pub draws: bool,
+}
+
+/// A stage whose type is forgotten, as the registry lists it.
+pub trait AnyStage: Sync {
+    /// `verb-object`.
+    fn name(&self) -> &'static str;
+    /// Its version.
+    fn version(&self) -> u32;
+    /// Its page.
+    fn page(&self) -> &'static Page;
+    /// What it takes.
+    fn inputs(&self) -> &'static [Port];
+    /// What it makes.
+    fn outputs(&self) -> &'static [Port];
+    /// Whether it has programs started.
+    fn starts_programs(&self) -> bool;
+    /// The ports of a step whose `with` is written like this.
+    fn ports(&self, with: &Value) -> Result<Ports, Vec<Fault>>;
+    /// Its parameters.
+    fn fields(&self) -> Vec<Field>;
+    /// Reads and checks a step's `with`.
+    fn check(&self, with: &Value) -> Result<Checked, Vec<Fault>>;
+    /// The memory it will need, bytes; `with` must have passed [`AnyStage::check`].
+    fn memory_bytes(&self, with: &Value, inputs: &InputSizes) -> u64;
+    /// Does the work; `with` must have passed [`AnyStage::check`].
+    fn run(&self, with: &Value, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError>;
+}
+
+/// Puts a [`Stage`] into the registry.
+pub struct Row<S>(PhantomData<fn() -> S>);
+
+impl<S> Row<S> {
+    /// The row of a stage.
+    pub const fn new() -> Self {
+        Self(PhantomData)
+    }
+}
+
+impl<S> Default for Row<S> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<S: Stage> AnyStage for Row<S> {
+    fn name(&self) -> &'static str {
+        S::NAME
+    }
+    fn version(&self) -> u32 {
+        S::VERSION
+    }
+    fn page(&self) -> &'static Page {
+        &S::PAGE
+    }
+    fn inputs(&self) -> &'static [Port] {
+        S::INPUTS
+    }
+    fn outputs(&self) -> &'static [Port] {
+        S::OUTPUTS
+    }
+    fn starts_programs(&self) -> bool {
+        S::STARTS_PROGRAMS
+    }
+    fn ports(&self, with: &Value) -> Result<Ports, Vec<Fault>> {
+        S::ports(with)
+    }
+    fn fields(&self) -> Vec<Field> {
+        S::Params::fields()
+    }
+    fn check(&self, with: &Value) -> Result<Checked, Vec<Fault>> {
+        let params = S::Params::decode(with)?;
+        let faults = S::check(&params);
+        if faults.is_empty() {
+            Ok(Checked { canonical: params.encode(), draws: S::draws(&params) })
+        } else {
+            Err(faults)
+        }
+    }
+    fn memory_bytes(&self, with: &Value, inputs: &InputSizes) -> u64 {
+        S::Params::decode(with).map_or(0, |params| S::memory_bytes(&params, inputs))
+    }
+    fn run(&self, with: &Value, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let params = S::Params::decode(with)
+            .map_err(|faults| StageError::new(faults.first().map_or_else(String::new, |f| f.message.clone())))?;
+        S::run(&params, inputs, context)
+    }
+}

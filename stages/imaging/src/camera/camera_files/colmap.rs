@@ -1,0 +1,155 @@
+//! What COLMAP's text and binary models share: camera models by name and number, and poses as `X_c = R X + t`.
+//!
+//! COLMAP counts pixels from the corner of the first one, we from its centre. A model of its own that cannot be held here,
+//! or a sensor of ours that no model of COLMAP holds, is refused by name: nothing is approximated.
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+
+use rockface_core::artefact::{Image, Sensor};
+use rockface_core::{StageError, fail};
+
+/// From our pixel coordinates to those of COLMAP.
+const HALF_PIXEL: f64 = 0.5;
+
+const HELD: &str = "SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV with k4 = k5 = k6 = 0";
+
+/// COLMAP's camera models by number: name and count of parameters.
+const MODELS: [(&str, usize); 12] = [
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12),
+    ("FOV", 5),
+    ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5),
+    ("THIN_PRISM_FISHEYE", 12),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+];
+
+/// Name and count of parameters of a model by its number.
+pub fn model(number: i32) -> Result<(&'static str, usize), StageError> {
+    let found = usize::try_from(number).ok().and_then(|at| MODELS.get(at));
+    found
+        .copied()
+        .ok_or_else(|| StageError::new(format!("camera model number {number} is not known here")).hint(way_out()))
+}
+
+/// The number of a model by its name.
+pub fn number_of(name: &str) -> i32 {
+    MODELS.iter().position(|(model, _)| *model == name).map_or(-1, |at| at as i32)
+}
+
+fn way_out() -> String {
+    format!("models: {HELD}; let COLMAP refine or convert the block with one of them")
+}
+
+/// The sensor of a camera; it has no name yet.
+///
+/// # Errors
+///
+/// A model whose projection is not Brown-Conrady (fisheye, FOV, a denominator), or one with a wrong count of parameters.
+pub fn sensor(model: &str, width_px: u32, height_px: u32, params: &[f64]) -> Result<Sensor, StageError> {
+    let [fx, fy, cx, cy, k1, k2, p1, p2, k3] = opencv(model, params)?;
+    Ok(Sensor {
+        name: String::new(),
+        width_px,
+        height_px,
+        f: fy,
+        cx: cx - HALF_PIXEL,
+        cy: cy - HALF_PIXEL,
+        b1: fx - fy,
+        b2: 0.0,
+        k: [k1, k2, k3, 0.0],
+        p: [p1, p2],
+    })
+}
+
+/// fx, fy, cx, cy, k1, k2, p1, p2, k3 of a camera model.
+fn opencv(model: &str, params: &[f64]) -> Result<[f64; 9], StageError> {
+    Ok(match (model, params) {
+        ("SIMPLE_PINHOLE", &[f, cx, cy]) => [f, f, cx, cy, 0.0, 0.0, 0.0, 0.0, 0.0],
+        ("PINHOLE", &[fx, fy, cx, cy]) => [fx, fy, cx, cy, 0.0, 0.0, 0.0, 0.0, 0.0],
+        ("SIMPLE_RADIAL", &[f, cx, cy, k]) => [f, f, cx, cy, k, 0.0, 0.0, 0.0, 0.0],
+        ("RADIAL", &[f, cx, cy, k1, k2]) => [f, f, cx, cy, k1, k2, 0.0, 0.0, 0.0],
+        ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => [fx, fy, cx, cy, k1, k2, p1, p2, 0.0],
+        ("FULL_OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6]) => {
+            if [k4, k5, k6].iter().any(|k| *k != 0.0) {
+                fail!(
+                    "model FULL_OPENCV with a denominator (k4 = {k4}, k5 = {k5}, k6 = {k6}): only polynomials can be held"
+                );
+            }
+            [fx, fy, cx, cy, k1, k2, p1, p2, k3]
+        }
+        ("SIMPLE_PINHOLE" | "PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV" | "FULL_OPENCV", _) => {
+            fail!("model {model} does not have {} parameters", params.len())
+        }
+        _ => return Err(StageError::new(format!("camera model `{model}` is not known here")).hint(way_out())),
+    })
+}
+
+/// The simplest of `PINHOLE`, `OPENCV` and `FULL_OPENCV` that holds a sensor, with its parameters.
+///
+/// # Errors
+///
+/// Skew b2 and radial k4, which no model of COLMAP has.
+pub fn parameters(sensor: &Sensor) -> Result<(&'static str, Vec<f64>), StageError> {
+    let ([k1, k2, k3, k4], [p1, p2]) = (sensor.k, sensor.p);
+    for (name, value, why) in
+        [("b2", sensor.b2, "COLMAP has no skew"), ("k4", k4, "COLMAP has no term in r^8; its own k4 is a denominator")]
+    {
+        if value != 0.0 {
+            let error = StageError::new(format!(
+                "sensor `{}`: {name} = {value} does not fit a COLMAP model: {why}",
+                sensor.name
+            ));
+            return Err(error.hint("export it as metashape or json, or estimate the sensor without it"));
+        }
+    }
+    let pinhole = [sensor.f + sensor.b1, sensor.f, sensor.cx + HALF_PIXEL, sensor.cy + HALF_PIXEL];
+    let (name, distortion) = match [k1, k2, p1, p2, k3] {
+        [0.0, 0.0, 0.0, 0.0, 0.0] => ("PINHOLE", Vec::new()),
+        [_, _, _, _, 0.0] => ("OPENCV", vec![k1, k2, p1, p2]),
+        _ => ("FULL_OPENCV", vec![k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]),
+    };
+    Ok((name, pinhole.into_iter().chain(distortion).collect()))
+}
+
+/// A pose as COLMAP writes it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Pose {
+    /// Number of the image.
+    pub id: u64,
+    /// R as (w, x, y, z).
+    pub quaternion: [f64; 4],
+    /// t, in the units of the block.
+    pub translation: [f64; 3],
+    /// Number of the camera.
+    pub camera: u64,
+    /// File name of the image.
+    pub name: String,
+}
+
+/// The image of a pose: `C = -R^T t`.
+pub fn image(pose: &Pose, sensors: &[(u64, Sensor)]) -> Result<Image, StageError> {
+    let Some(sensor) = sensors.iter().position(|(id, _)| *id == pose.camera) else {
+        fail!("image `{}` names camera {}, which the model does not have", pose.name, pose.camera)
+    };
+    let [w, x, y, z] = pose.quaternion;
+    let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
+    let centre_m = (-rotation.inverse_transform_vector(&Vector3::from(pose.translation))).into();
+    Ok(Image { name: pose.name.clone(), sensor, camera_from_object: pose.quaternion, centre_m })
+}
+
+/// The pose of the image at a position of its block, `t = -R C`; images and cameras are numbered from 1.
+pub fn pose(image: &Image, position: usize) -> Pose {
+    Pose {
+        id: position as u64 + 1,
+        quaternion: image.camera_from_object,
+        translation: (-(image.rotation() * image.centre())).into(),
+        camera: image.sensor as u64 + 1,
+        name: image.name.clone(),
+    }
+}

@@ -1,0 +1,114 @@
+//! Tests of Metashape's XML: its formulas written out, chunk units, blocks, and what is refused by name.
+
+use super::*;
+use rockface_core::artefact::Covariance;
+use crate::camera::model::{Camera, exponential};
+use nalgebra::{Rotation3, Vector3};
+
+/// A chunk with a similarity, a sensor with covariance, one without calibration, and three images, one of them aligned.
+fn document() -> String {
+    let r = Rotation3::from_euler_angles(0.3, -0.2, 1.1).into_inner();
+    let s = Rotation3::from_euler_angles(-0.7, 0.4, 0.2).into_inner();
+    let rows = |m: &Matrix3<f64>| m.transpose().iter().map(f64::to_string).collect::<Vec<_>>();
+    let m = rows(&r);
+    let transform = [&m[..3], &["0.5".into()], &m[3..6], &["-0.25".into()], &m[6..], &["2".into()]].concat().join(" ");
+    format!(
+        "<?xml version=\"1.0\"?><document version=\"1.5.0\"><chunk label=\"Chunk 1\" enabled=\"true\"><sensors next_id=\"2\">
+        <sensor id=\"4\" label=\"FC6310\" type=\"frame\"><resolution width=\"60\" height=\"40\"/>
+        <calibration type=\"frame\" class=\"initial\"><resolution width=\"60\" height=\"40\"/><f>90</f></calibration>
+        <calibration type=\"frame\" class=\"adjusted\"><resolution width=\"60\" height=\"40\"/><f>100</f><cx>1.5</cx><cy>-0.5</cy>
+        <b1>0.3</b1><b2>-0.2</b2><k1>-0.1</k1><k2>0.02</k2><k3>0.003</k3><k4>-0.001</k4><p1>0.004</p1><p2>-0.002</p2></calibration>
+        <covariance><params>f p1 p2</params><coeffs>4 1 2 1 9 3 2 3 16</coeffs></covariance></sensor>
+        <sensor id=\"5\" type=\"frame\"/></sensors>
+        <components><component id=\"0\"><transform><rotation>{}</rotation><translation>10 20 30</translation><scale>2.5</scale></transform></component></components>
+        <cameras><group id=\"0\"><camera id=\"0\" sensor_id=\"4\" component_id=\"0\" label=\"DJI &amp; 1\"><transform>{transform} 0 0 0 1</transform>
+        <rotation_covariance>1 0.1 0.2 0.1 2 0.3 0.2 0.3 3</rotation_covariance><location_covariance>4 0 0 0 1 0 0 0 1</location_covariance></camera></group>
+        <camera id=\"1\" sensor_id=\"4\" label=\"b\"/><camera id=\"2\" sensor_id=\"5\" label=\"c\"/></cameras>
+        <reference>LOCAL_CS[\"Local\"]</reference></chunk></document>",
+        rows(&s).join(" ")
+    )
+}
+
+#[test]
+fn a_point_falls_where_metashapes_formula_puts_it() {
+    let file = read(&document(), Frame::World).unwrap();
+    assert_eq!(file.notes[0], "images that are not aligned or not enabled, left out: b, c");
+    assert!(file.warnings.is_empty());
+    let block = &file.cameras;
+    assert_eq!((block.images.len(), block.sensors.len(), block.images[0].name.as_str()), (1, 1, "DJI & 1"));
+    let local = Vector3::new(0.11, -0.07, 1.3);
+    let r = Rotation3::from_euler_angles(0.3, -0.2, 1.1) * local + Vector3::new(0.5, -0.25, 2.0);
+    let world = Rotation3::from_euler_angles(-0.7, 0.4, 0.2) * r * 2.5 + Vector3::new(10.0, 20.0, 30.0);
+    let (x, y) = (local.x / local.z, local.y / local.z);
+    let r2: f64 = x * x + y * y;
+    let radial = 1.0 - 0.1 * r2 + 0.02 * r2 * r2 + 0.003 * r2 * r2 * r2 - 0.001 * r2 * r2 * r2 * r2;
+    let xd = x * radial + 0.004 * (r2 + 2.0 * x * x) + 2.0 * -0.002 * x * y;
+    let yd = y * radial - 0.002 * (r2 + 2.0 * y * y) + 2.0 * 0.004 * x * y;
+    let (u, v) = (30.0 + 1.5 + 100.0 * xd + 0.3 * xd - 0.2 * yd, 20.0 - 0.5 + 100.0 * yd);
+    let [a, b] = Camera::new(&block.sensors[0], &block.images[0]).project(&world).unwrap();
+    assert!((a + 0.5 - u).abs() < 1e-12 && (b + 0.5 - v).abs() < 1e-12, "{a} {b} for {u} {v}");
+}
+
+fn block(covariance: &Covariance, names: &[&str]) -> Vec<Vec<f64>> {
+    let at = |name: &&str| covariance.parameters.iter().position(|p| p == name).unwrap();
+    names.iter().map(|i| names.iter().map(|j| covariance.matrix[at(i)][at(j)]).collect()).collect()
+}
+
+#[test]
+fn blocks_turn_into_world_units_and_our_names() {
+    let covariance = read(&document(), Frame::World).unwrap().covariance.unwrap();
+    let own = |name: &str| format!("DJI & 1.{name}");
+    let expected = ["rx", "ry", "rz", "X", "Y", "Z", "f", "p1", "p2"].map(own);
+    assert_eq!(covariance.parameters, expected);
+    assert!(!covariance.full_joint);
+    let names = expected.each_ref().map(String::as_str);
+    assert_eq!(block(&covariance, &names[..3])[1], [0.1, 2.0, 0.3]);
+    // Our p1 is its p2.
+    assert_eq!(block(&covariance, &names[6..]), [[4.0, 2.0, 1.0], [2.0, 16.0, 3.0], [1.0, 3.0, 9.0]]);
+    let turn = Rotation3::from_euler_angles(-0.7, 0.4, 0.2).into_inner() * 2.5;
+    let found = block(&covariance, &names[3..6]);
+    let world = turn * Matrix3::from_diagonal(&Vector3::new(4.0, 1.0, 1.0)) * turn.transpose();
+    assert!((0..3).all(|i| (0..3).all(|j| (found[i][j] - world[(i, j)]).abs() < 1e-12)));
+    assert!(covariance.matrix[0][3].to_bits() == 0);
+}
+
+#[test]
+fn a_turn_about_its_own_axes_is_ours_with_the_sign_turned() {
+    let r = Rotation3::from_euler_angles(0.3, -0.2, 1.1).into_inner();
+    let turn = Vector3::new(1e-3, -2e-3, 5e-4);
+    let theirs = (r * exponential(&turn)).transpose();
+    let ours = exponential(&-turn) * r.transpose();
+    assert!((theirs - ours).norm() < 1e-15);
+}
+
+#[test]
+fn what_does_not_fit_is_refused_by_name() {
+    let says = |from: &str, to: &str, text: &str| {
+        let edited = document().replacen(from, to, 1);
+        assert_ne!(edited, document(), "{from}");
+        let message = read(&edited, Frame::World).unwrap_err().message;
+        assert!(message.contains(text), "{message}");
+    };
+    says("<k4>-0.001</k4>", "<p3>0.1</p3>", "sensor 4: p3 = 0.1: a term that Brown-Conrady");
+    says("type=\"frame\" class=\"adjusted\"", "type=\"fisheye\" class=\"adjusted\"", "sensor 4 is of type `fisheye`");
+    says("sensor_id=\"4\" component_id", "sensor_id=\"5\" component_id", "sensor 5 has no <calibration>, yet");
+    says("sensor_id=\"4\" component_id", "sensor_id=\"9\" component_id", "names sensor 9");
+    says("<f>100</f>", "<fx>100</fx>", "an old PhotoScan");
+    says("<f>100</f>", "<f>wide</f>", "`wide` is not a number");
+    says(" 0 0 0 1</transform>", "</transform>", "12 numbers, 16 are needed");
+    says("<scale>2.5", "<scale>0", "a scale of 0");
+    says("4 1 2 1 9 3 2 3 16", "4 1 2 1", "3 parameters need a square");
+    says("<params>f p1 p2", "<params>f p4 p2", "the parameter `p4`");
+    says("</chunk>", "</chunk><chunk label=\"Chunk 2\"/>", "2 chunks (Chunk 1, Chunk 2)");
+    says("</document>", "", "not valid XML");
+}
+
+#[test]
+fn unknown_scale_and_geocentric_systems_are_warned_of() {
+    let without = document().replace(" component_id=\"0\"", "");
+    let file = read(&without, Frame::World).unwrap();
+    assert!(file.warnings.len() == 1 && file.warnings[0].contains("of unknown scale"));
+    let geographic = document().replace("LOCAL_CS[\"Local\"", "GEOGCS[\"WGS 84\"");
+    let file = read(&geographic, Frame::World).unwrap();
+    assert!(file.warnings.len() == 1 && file.warnings[0].contains("`WGS 84`: its centres are geocentric"));
+}

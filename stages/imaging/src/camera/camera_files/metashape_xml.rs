@@ -1,0 +1,209 @@
+//! What a Metashape camera XML says, as plain values: sensors, cameras, components; nothing is interpreted yet.
+
+use nalgebra::{Matrix3, Vector3};
+use roxmltree::{Document, Node};
+
+use rockface_core::{StageError, fail};
+
+/// One chunk of a file.
+#[derive(Debug, Default)]
+pub struct Chunk {
+    /// Its sensors.
+    pub sensors: Vec<SensorEntry>,
+    /// Its cameras, in the order of the file.
+    pub cameras: Vec<CameraEntry>,
+    /// Similarity of each component (a part of the block aligned by itself), by its id.
+    pub components: Vec<(String, Similarity)>,
+    /// Similarity of the whole chunk, in older files.
+    pub transform: Option<Similarity>,
+    /// Its coordinate reference system as WKT.
+    pub reference: Option<String>,
+}
+
+/// A sensor.
+#[derive(Debug)]
+pub struct SensorEntry {
+    /// Its id.
+    pub id: String,
+    /// `frame`, `fisheye`, ...
+    pub kind: String,
+    /// Elements of its calibration by name, image size among them as `width` and `height`; the adjusted one where there are two.
+    pub calibration: Option<Vec<(String, f64)>>,
+    /// Names and row-major elements of the covariance of its calibration.
+    pub covariance: Option<(Vec<String>, Vec<f64>)>,
+}
+
+/// A camera: an image.
+#[derive(Debug)]
+pub struct CameraEntry {
+    /// Its label.
+    pub label: String,
+    /// Id of its sensor.
+    pub sensor: String,
+    /// Id of its component.
+    pub component: Option<String>,
+    /// Whether it takes part.
+    pub enabled: bool,
+    /// Rotation and centre of `X_chunk = R X_camera + C`.
+    pub transform: Option<(Matrix3<f64>, Vector3<f64>)>,
+    /// Of a turn about the camera's own axes, rad^2.
+    pub rotation_covariance: Option<Matrix3<f64>>,
+    /// Of the centre, in chunk units squared.
+    pub location_covariance: Option<Matrix3<f64>>,
+}
+
+/// `X_world = scale rotation X_chunk + translation`.
+#[derive(Debug, Clone, Copy)]
+pub struct Similarity {
+    /// Rotation.
+    pub rotation: Matrix3<f64>,
+    /// Translation.
+    pub translation: Vector3<f64>,
+    /// Scale, greater than zero.
+    pub scale: f64,
+}
+
+impl Similarity {
+    /// What a chunk without transform has.
+    pub fn identity() -> Self {
+        Self { rotation: Matrix3::identity(), translation: Vector3::zeros(), scale: 1.0 }
+    }
+}
+
+/// Reads the one chunk of a file.
+///
+/// # Errors
+///
+/// Broken XML, no chunk or several, lists of numbers that are too short.
+pub fn read(text: &str) -> Result<Chunk, StageError> {
+    let document = Document::parse(text).map_err(|e| StageError::new(format!("not valid XML: {e}")))?;
+    let chunks: Vec<Node> = document.descendants().filter(|node| node.has_tag_name("chunk")).collect();
+    let [chunk] = chunks[..] else {
+        let labels: Vec<&str> = chunks.iter().map(|chunk| chunk.attribute("label").unwrap_or("?")).collect();
+        return Err(StageError::new(format!("{} chunks ({}), one is needed", chunks.len(), labels.join(", ")))
+            .hint("in Metashape: File > Export > Export Cameras, for one chunk, as Agisoft XML"));
+    };
+    Ok(Chunk {
+        sensors: below(chunk, "sensors", "sensor").map(sensor).collect::<Result<_, _>>()?,
+        cameras: below(chunk, "cameras", "camera").map(camera).collect::<Result<_, _>>()?,
+        components: below(chunk, "components", "component").filter_map(component).collect::<Result<_, _>>()?,
+        transform: child(chunk, "transform").map(similarity).transpose()?,
+        reference: child(chunk, "reference").and_then(|node| node.text()).map(|text| text.trim().to_owned()),
+    })
+}
+
+fn child<'a, 'i>(node: Node<'a, 'i>, name: &'static str) -> Option<Node<'a, 'i>> {
+    node.children().find(|node| node.has_tag_name(name))
+}
+
+/// The `item` elements anywhere below the `list` elements of a chunk: cameras may stand in groups.
+fn below<'a, 'i>(chunk: Node<'a, 'i>, list: &'static str, item: &'static str) -> impl Iterator<Item = Node<'a, 'i>> {
+    let lists = chunk.children().filter(move |node| node.has_tag_name(list));
+    lists.flat_map(move |node| node.descendants().filter(move |node| node.has_tag_name(item)))
+}
+
+/// Where an element stands, for messages.
+fn place(node: Node) -> String {
+    let line = node.document().text_pos_at(node.range().start).row;
+    format!("line {line}, <{}>", node.tag_name().name())
+}
+
+fn number(node: Node, text: &str) -> Result<f64, StageError> {
+    text.trim().parse().map_err(|_| StageError::new(format!("{}: `{text}` is not a number", place(node))))
+}
+
+fn numbers(node: Node) -> Result<Vec<f64>, StageError> {
+    node.text().unwrap_or("").split_whitespace().map(|word| number(node, word)).collect()
+}
+
+fn exactly<const N: usize>(node: Node) -> Result<[f64; N], StageError> {
+    let found = numbers(node)?;
+    let count = found.len();
+    found.try_into().map_err(|_| StageError::new(format!("{}: {count} numbers, {N} are needed", place(node))))
+}
+
+fn matrix(node: Node) -> Result<Matrix3<f64>, StageError> {
+    exactly::<9>(node).map(|rows| Matrix3::from_row_slice(&rows))
+}
+
+fn required(node: Node, attribute: &str) -> Result<String, StageError> {
+    let value = node.attribute(attribute).map(str::to_owned);
+    value.ok_or_else(|| StageError::new(format!("{} has no attribute `{attribute}`", place(node))))
+}
+
+fn sensor(node: Node) -> Result<SensorEntry, StageError> {
+    let calibrations: Vec<Node> = node.children().filter(|node| node.has_tag_name("calibration")).collect();
+    let adjusted = calibrations.iter().find(|node| node.attribute("class") == Some("adjusted"));
+    let chosen = adjusted.or(calibrations.first()).copied();
+    let kind = chosen.and_then(|node| node.attribute("type")).or(node.attribute("type")).unwrap_or("frame");
+    let covariance = node.descendants().find(|node| node.has_tag_name("covariance"));
+    Ok(SensorEntry {
+        id: required(node, "id")?,
+        kind: kind.to_owned(),
+        calibration: chosen.map(|chosen| calibration(node, chosen)).transpose()?,
+        covariance: covariance.map(interior_covariance).transpose()?,
+    })
+}
+
+/// The numbers of a calibration; its resolution, else that of its sensor.
+fn calibration(sensor: Node, node: Node) -> Result<Vec<(String, f64)>, StageError> {
+    let mut found = Vec::new();
+    let resolution = child(node, "resolution").or_else(|| child(sensor, "resolution"));
+    for side in ["width", "height"] {
+        let Some(text) = resolution.and_then(|node| node.attribute(side)) else {
+            fail!("{}: no <resolution> says its {side}", place(node))
+        };
+        found.push((side.to_owned(), number(node, text)?));
+    }
+    for node in node.children().filter(Node::is_element) {
+        let name = node.tag_name().name();
+        if !["resolution", "covariance", "date"].contains(&name) {
+            found.push((name.to_owned(), number(node, node.text().unwrap_or(""))?));
+        }
+    }
+    Ok(found)
+}
+
+fn interior_covariance(node: Node) -> Result<(Vec<String>, Vec<f64>), StageError> {
+    let (Some(names), Some(elements)) = (child(node, "params"), child(node, "coeffs")) else {
+        fail!("{}: <params> and <coeffs> are needed", place(node))
+    };
+    let names: Vec<String> = names.text().unwrap_or("").split_whitespace().map(str::to_owned).collect();
+    let elements = numbers(elements)?;
+    if elements.len() != names.len() * names.len() {
+        fail!("{}: {} parameters need a square of numbers, found {}", place(node), names.len(), elements.len());
+    }
+    Ok((names, elements))
+}
+
+fn camera(node: Node) -> Result<CameraEntry, StageError> {
+    let pose = |node: Node| {
+        let m = exactly::<16>(node)?;
+        let rotation = Matrix3::from_rows(&[0, 4, 8].map(|row| nalgebra::RowVector3::from_row_slice(&m[row..row + 3])));
+        Ok((rotation, Vector3::new(m[3], m[7], m[11])))
+    };
+    Ok(CameraEntry {
+        label: required(node, "label")?,
+        sensor: required(node, "sensor_id")?,
+        component: node.attribute("component_id").map(str::to_owned),
+        enabled: !matches!(node.attribute("enabled"), Some("false" | "0")),
+        transform: child(node, "transform").map(pose).transpose()?,
+        rotation_covariance: child(node, "rotation_covariance").map(matrix).transpose()?,
+        location_covariance: child(node, "location_covariance").map(matrix).transpose()?,
+    })
+}
+
+fn component(node: Node) -> Option<Result<(String, Similarity), StageError>> {
+    let transform = child(node, "transform")?;
+    Some(required(node, "id").and_then(|id| Ok((id, similarity(transform)?))))
+}
+
+fn similarity(node: Node) -> Result<Similarity, StageError> {
+    let rotation = child(node, "rotation").map(matrix).transpose()?.unwrap_or_else(Matrix3::identity);
+    let translation = child(node, "translation").map(exactly::<3>).transpose()?.unwrap_or_default();
+    let [scale] = child(node, "scale").map(exactly::<1>).transpose()?.unwrap_or([1.0]);
+    if !(scale > 0.0 && scale.is_finite()) {
+        fail!("{}: a scale of {scale}", place(node));
+    }
+    Ok(Similarity { rotation, translation: translation.into(), scale })
+}

@@ -1,0 +1,135 @@
+//! `export-cameras`: writes an image block as another program's file, whole or not at all.
+
+use rockface_core::artefact::{Cameras, Covariance, Files, Kind, Noun};
+use crate::camera::camera_files::{bundler, colmap_binary, colmap_text, metashape};
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
+
+choice! {
+    /// Who is to read it.
+    pub enum Format {
+        /// COLMAP's text model: cameras.txt, images.txt, an empty points3D.txt.
+        ColmapText = "colmap-text",
+        /// COLMAP's binary model: cameras.bin, images.bin, an empty points3D.bin.
+        ColmapBinary = "colmap-binary",
+        /// Metashape's camera XML: cameras.xml.
+        Metashape = "metashape",
+        /// Bundler v0.3: bundle.out and list.txt.
+        Bundler = "bundler",
+        /// Our own JSON: cameras.json.
+        Json = "json",
+    }
+}
+
+params! {
+    /// Parameters of `export-cameras`.
+    pub struct ExportCamerasParams {
+        /// Who is to read it.
+        format: Format = Format::ColmapText,
+    }
+}
+
+/// The stage.
+pub struct ExportCameras;
+
+impl Stage for ExportCameras {
+    type Params = ExportCamerasParams;
+    const NAME: &'static str = "export-cameras";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Writes sensors and images in the format of another program. The run's folder has the files in a folder of the \
+               port's name; the store keeps them in one archive.",
+        method: "COLMAP: the simplest of PINHOLE, OPENCV and FULL_OPENCV that holds the sensor, t = -R C, first pixel at (0.5, \
+                 0.5), fx = f + b1, fy = f. Metashape: one chunk in a local system, camera matrices, adjusted calibrations with \
+                 its own p1 and p2 (ours exchanged), and of a covariance the blocks it can hold. Bundler: f, k1, k2, axes y up \
+                 and z backward. Every number with all its digits; import-cameras reads every file back to 1e-9 px.",
+        frames: "Coordinates stay in the frame of the input, metres; files do not say which it is (our JSON does).",
+        fails: "What a format cannot hold is refused by name: b2 and k4 in COLMAP; a principal point off the middle, b1, b2, k3, \
+                k4, p1, p2 in Bundler; names with blanks or control characters where they would be lost.",
+        example: "rockface: 1\nname: export-cameras\nseed: 1\nsteps:\n  face: {stage: synthesise-face, with: {width_m: 4, \
+                  height_m: 3}}\n  survey:\n    stage: plan-survey\n    in: {mesh: face.mesh}\n    \
+                  with: {width_px: 1900, height_px: 1600, focal_px: 4545, distance_m: 20, baseline_m: 7.3}\n  \
+                  files: {stage: export-cameras, in: {cameras: survey.cameras}, with: {format: colmap-binary}}\n",
+    };
+    const INPUTS: &'static [Port] = &[
+        Port::one("cameras", &[Kind::Cameras], "The block to write."),
+        Port::optional("covariance", &[Kind::Covariance], "Its covariance; only Metashape's format holds some of it."),
+    ];
+    const OUTPUTS: &'static [Port] = &[Port::one("files", &[Kind::Files], "The files.")];
+
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let cameras: &Cameras = inputs.one("cameras")?;
+        let covariance: Option<&Covariance> = inputs.optional("covariance")?;
+        let single = |name: &str, bytes: Vec<u8>| vec![(name.to_owned(), bytes)];
+        let files = match params.format {
+            Format::ColmapText => colmap_text::write(cameras)?,
+            Format::ColmapBinary => colmap_binary::write(cameras)?,
+            Format::Metashape => single("cameras.xml", metashape::write(cameras, covariance)?),
+            Format::Bundler => bundler::write(cameras)?,
+            Format::Json => single("cameras.json", cameras.encode().map_err(|e| StageError::new(e.to_string()))?),
+        };
+        match (covariance, params.format) {
+            (Some(_), Format::Metashape) => {
+                context.note("of the covariance the file has the blocks of single images and sensors only");
+            }
+            (Some(_), _) => context.note("this format holds no covariance: none of it is written"),
+            (None, _) => {}
+        }
+        context.note(format!("{} images, {} sensors", cameras.images.len(), cameras.sensors.len()));
+        Ok(Outputs::of("files", Files { files }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rockface_core::artefact::{Artefact, Frame};
+    use crate::camera::camera_files::recognise;
+    use crate::camera::camera_files::recognise::Part;
+    use rockface_core::testing::{TestHost, image_at, run_stage, small_sensor};
+    use serde_json::json;
+
+    fn block() -> Cameras {
+        let images =
+            vec![image_at("a", [0.0, 0.0, 20.0], [0.1, 0.0, 0.3]), image_at("b", [7.0, 1.0, 20.0], [0.0, 0.2, 0.0])];
+        Cameras { frame: Frame::Wall, sensors: vec![small_sensor()], images }
+    }
+
+    fn export(format: &str, cameras: Cameras) -> Result<Files, StageError> {
+        let made = run_stage::<ExportCameras>(
+            &TestHost::default(),
+            &json!({"format": format}),
+            &[("cameras", Artefact::Cameras(cameras))],
+        )?;
+        match made.into_inner().remove("files") {
+            Some(Artefact::Files(files)) => Ok(files),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn every_format_is_known_again_by_the_importer() {
+        for format in ["colmap-text", "colmap-binary", "metashape", "bundler", "json"] {
+            let files = export(format, block()).unwrap();
+            let decoded = Files::decode(&files.encode().unwrap()).unwrap();
+            assert_eq!(decoded, files);
+            let part =
+                |(name, bytes): (String, Vec<u8>)| Some(Part { role: recognise::role(&name, &bytes)?, name, bytes });
+            let parts: Vec<Part> = files.files.into_iter().filter_map(part).collect();
+            let size = (format == "bundler").then_some([60, 40]);
+            let again = recognise::read(&parts, Frame::Wall, size).unwrap().cameras;
+            for (x, y) in block().images.iter().zip(&again.images) {
+                assert!(x.name == y.name && (x.matrix() - y.matrix()).norm() < 1e-14, "{format}");
+                assert!((x.centre() - y.centre()).norm() < 1e-13, "{format}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_does_not_fit_is_refused_and_files_have_a_folder() {
+        let mut skewed = block();
+        skewed.sensors[0].b2 = 0.5;
+        assert!(export("colmap-text", skewed).unwrap_err().message.contains("b2 = 0.5"));
+        let exports = export("bundler", block()).unwrap().exports("files").unwrap();
+        assert_eq!(exports[1].path, "files/list.txt");
+    }
+}

@@ -1,0 +1,200 @@
+//! `import-cameras`: reads an image block, and the joint covariance of its orientation, from the files of other programs.
+
+use std::io::Read;
+
+use rockface_core::artefact::{Cameras, Covariance, Frame, Kind};
+use crate::camera::camera_files::CameraFile;
+use crate::camera::camera_files::recognise;
+use crate::camera::camera_files::recognise::Part;
+use crate::camera::covariance_files;
+use crate::camera::covariance_sampling::{JointRoot, block_only};
+use rockface_core::params::{FileRef, FilesRef, Range};
+use rockface_core::{Context, Inputs, Outputs, Page, Port, SourceFile, Stage, StageError, choice, fail, params};
+
+choice! {
+    /// The frame a file's coordinates are in.
+    pub enum FileFrame {
+        /// The coordinate reference system of the input.
+        World = "world",
+        /// The frame of the face: X along it, Y up, Z towards the viewer.
+        Wall = "wall",
+    }
+}
+
+params! {
+    /// Parameters of `import-cameras`.
+    pub struct ImportCamerasParams {
+        /// A JSON, Metashape XML or Bundler file, or the folder of a COLMAP model (`cameras` and `images`, `.txt` or `.bin`)
+        /// or of a Bundler file with its `list.txt`.
+        path: FilesRef,
+        /// JSON file of the joint covariance; null: the blocks in a Metashape XML, else an output without parameters.
+        covariance: Option<FileRef> = None,
+        /// The frame of the projection centres; null: what the file says, or world where it says nothing.
+        frame: Option<FileFrame> = None,
+        /// Columns and rows of the images of a Bundler file, which does not say them; null for every other format.
+        image_size_px: Option<[u32; 2]> = None; Range::AtLeast(1.0),
+    }
+}
+
+/// Bytes that tell a format.
+const HEAD: u64 = 256;
+/// A principal distance below this share of the width (a field of view above 118 degrees) is rarely meant.
+const LEAST_USUAL_F_PER_WIDTH: f64 = 0.3;
+
+/// The stage.
+pub struct ImportCameras;
+
+impl Stage for ImportCameras {
+    type Params = ImportCamerasParams;
+    const NAME: &'static str = "import-cameras";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Reads sensors, oriented images and the joint covariance of their orientation parameters. A sensor used by \
+               exactly one image takes that image's name, any other is called sensor<id>.",
+        method: "JSON with sensors {id, width, height, f or fx and fy, cx, cy, b1, b2, k1..k4, p1, p2} and images {name, \
+                 sensor, q_wxyz, C}, or our own JSON; COLMAP text and binary models (SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, \
+                 RADIAL, OPENCV, FULL_OPENCV without denominator), C = -R^T t; Metashape's camera XML, camera -> component -> \
+                 world, its p1 our p2 and the other way round, with its covariance blocks; Bundler v0.3, whose principal point \
+                 is the middle of the image. Formats are told by content. A covariance of its own is JSON {parameters, \
+                 covariance, sigma0_applied, full_joint}; its names fit with or without file extension (paper 2.1.2: theta' = \
+                 theta + e, e from the covariance of the bundle block adjustment).",
+        frames: "Centres in metres in the frame `frame` says; X_c = R (X - C), camera x right, y down, z forward. JSON \
+                 pixels: centre of the first at (0, 0); COLMAP and Metashape pixels, first at (0.5, 0.5), are converted. \
+                 Covariance in rad (left, camera frame), m, px, 1.",
+        fails: "On camera models, distortion terms or sensor types that Brown-Conrady with k1..k4, p1, p2, b1, b2 does not hold \
+                (fisheye, denominators), aligned images whose sensor has no calibration, quaternions off unit length by more \
+                than 1e-6, unknown parameter names, a matrix that is not symmetric and positive semi-definite, frames that \
+                contradict. Images that are not aligned are left out and named. It warns when the covariance holds blocks of \
+                single images only, as Metashape's does: make the joint matrix with estimate-covariance then.",
+        example: "rockface: 1\nname: import-cameras\nseed: 1\nsteps:\n  survey:\n    stage: import-cameras\n    \
+                  with: {path: cameras.json, covariance: bba_covariance.json, frame: wall}\n  noisy:\n    \
+                  stage: perturb-cameras\n    in: {cameras: survey.cameras, covariance: survey.covariance}\n",
+    };
+    const INPUTS: &'static [Port] = &[];
+    const OUTPUTS: &'static [Port] = &[
+        Port::one("cameras", &[Kind::Cameras], "Sensors and oriented images."),
+        Port::one("covariance", &[Kind::Covariance], "Joint covariance; without parameters when no file is given."),
+    ];
+
+    fn run(params: &Self::Params, _inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let file = read_cameras(params, context)?;
+        for note in &file.notes {
+            context.note(note.as_str());
+        }
+        for warning in &file.warnings {
+            context.warn(warning.as_str());
+        }
+        warn_of_short_focal_lengths(&file.cameras, context);
+        let covariance = covariance(params, &file, context)?;
+        let (images, sensors) = (file.cameras.images.len(), file.cameras.sensors.len());
+        let (frame, known) = (file.cameras.frame, covariance.parameters.len());
+        context.note(format!("{images} images, {sensors} sensors ({frame} frame), covariance of {known} parameters"));
+        Ok(Outputs::of("cameras", file.cameras).and("covariance", covariance))
+    }
+}
+
+fn warn_of_short_focal_lengths(cameras: &Cameras, context: &Context) {
+    for sensor in &cameras.sensors {
+        if sensor.f < LEAST_USUAL_F_PER_WIDTH * f64::from(sensor.width_px) {
+            context.warn(format!(
+                "sensor `{}`: f = {} px for a width of {} px: are these millimetres instead of pixels?",
+                sensor.name, sensor.f, sensor.width_px
+            ));
+        }
+    }
+}
+
+fn nothing(frame: Frame) -> Covariance {
+    Covariance { frame, parameters: Vec::new(), matrix: Vec::new(), sigma0_applied: true, full_joint: true }
+}
+
+fn read_cameras(params: &ImportCamerasParams, context: &Context) -> Result<CameraFile, StageError> {
+    let frame = params.frame.map(|frame| match frame {
+        FileFrame::World => Frame::World,
+        FileFrame::Wall => Frame::Wall,
+    });
+    let path = &params.path.0;
+    let file = parts(context.files(&params.path)?)
+        .and_then(|parts| recognise::read(&parts, frame.unwrap_or(Frame::World), params.image_size_px))
+        .map_err(|e| StageError { message: format!("`{path}`: {}", e.message), hint: e.hint })?;
+    match frame {
+        Some(frame) if file.states_frame && frame != file.cameras.frame => {
+            Err(StageError::new(format!("`{path}` is in the {} frame, not the {frame} frame", file.cameras.frame))
+                .hint("leave `frame` out"))
+        }
+        _ => Ok(file),
+    }
+}
+
+/// The files that may hold an image block, whole; others (photographs beside a model) are not read further.
+fn parts(files: Vec<SourceFile>) -> Result<Vec<Part>, StageError> {
+    let only_one = files.len() == 1;
+    let mut parts = Vec::new();
+    for mut file in files {
+        let failed = |e: std::io::Error| StageError::new(format!("cannot read `{}`: {e}", file.name));
+        let mut bytes = Vec::new();
+        file.reader.by_ref().take(HEAD).read_to_end(&mut bytes).map_err(failed)?;
+        match recognise::role(&file.name, &bytes) {
+            Some(role) => {
+                file.reader.read_to_end(&mut bytes).map_err(failed)?;
+                parts.push(Part { role, name: file.name, bytes });
+            }
+            None if only_one => return Err(unknown(&bytes)),
+            None => {}
+        }
+    }
+    Ok(parts)
+}
+
+/// The refusal of a single file, by its first bytes.
+fn unknown(head: &[u8]) -> StageError {
+    let start = head.trim_ascii_start();
+    let found = if start.is_empty() {
+        "it is empty".to_owned()
+    } else {
+        format!("it starts with `{}`", start[..start.len().min(24)].escape_ascii())
+    };
+    StageError::new(format!("neither JSON, XML, a Bundler file nor a COLMAP model: {found}"))
+        .hint("give one of these, or the folder that holds a COLMAP model (cameras and images, .txt or .bin)")
+}
+
+/// The covariance of the parameter, else the one in the camera file, else one without parameters.
+fn covariance(params: &ImportCamerasParams, file: &CameraFile, context: &Context) -> Result<Covariance, StageError> {
+    let covariance = match (&params.covariance, &file.covariance) {
+        (Some(path), own) => {
+            if own.is_some() {
+                context.note("the covariance blocks of the camera file are not used: `covariance` is given");
+            }
+            read_covariance(path, &file.cameras, context)?
+        }
+        (None, Some(own)) => {
+            JointRoot::new(own)?;
+            own.clone()
+        }
+        (None, None) => nothing(file.cameras.frame),
+    };
+    if let Some(warning) = block_only(&covariance) {
+        context.warn(warning);
+    }
+    Ok(covariance)
+}
+
+fn read_covariance(path: &FileRef, cameras: &Cameras, context: &Context) -> Result<Covariance, StageError> {
+    let (covariance, notes) = covariance_files::read(&context.read(path)?, cameras)
+        .map_err(|e| StageError { message: format!("`{}`: {}", path.0, e.message), hint: e.hint })?;
+    for note in notes {
+        context.note(note);
+    }
+    if covariance.parameters.is_empty() {
+        fail!("`{}`: a covariance without parameters", path.0);
+    }
+    if !covariance.sigma0_applied {
+        context.warn(
+            "the covariance was not multiplied by the variance of unit weight: multiply `scale` of perturb-cameras by sigma0",
+        );
+    }
+    Ok(covariance)
+}
+
+#[cfg(test)]
+mod tests;

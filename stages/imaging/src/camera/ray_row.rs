@@ -1,0 +1,165 @@
+//! Undistorted rays along one row of a depth map, found from a few of them.
+
+use crate::camera::model::{Camera, full_pixel};
+use rockface_core::numerics::simd::{LANES, Lanes, Number, Work, both, vectorised};
+
+/// Image pixels between the rays that are found from scratch.
+const SPACING_PX: u32 = 32;
+/// Fewest columns between them.
+const FEWEST: usize = 4;
+
+/// Finds the rays of a row; columns may be left out. A ray depends on no other column that was asked for.
+///
+/// Rays some columns apart are found from scratch; the cubic through four of them tells those between to 1e-10 or so, and one
+/// step of Newton's method does the rest.
+pub struct RayRow<'a> {
+    camera: &'a Camera,
+    downscale: u32,
+    /// Distorted normalised y of the row.
+    yd: f64,
+    /// Columns from a ray found from scratch to the next.
+    spacing: usize,
+    /// Number of the stretch of columns that `around` is for.
+    stretch: Option<usize>,
+    /// Rays one stretch before its start, at its start, at its end and one stretch beyond.
+    around: [Option<[f64; 2]>; 4],
+}
+
+impl<'a> RayRow<'a> {
+    /// The rays of a row of an image reduced by `downscale`.
+    pub fn new(camera: &'a Camera, row: usize, downscale: u32) -> Self {
+        let spacing = ((SPACING_PX / downscale.max(1)) as usize).max(FEWEST);
+        let [_, v] = full_pixel(0, row, downscale);
+        Self { camera, downscale, yd: camera.distorted_y(v), spacing, stretch: None, around: [None; 4] }
+    }
+
+    /// Undistorted normalised coordinates of the centre of a pixel; `None` where the distortion has no inverse.
+    #[inline]
+    pub fn ray(&mut self, column: usize) -> Option<[f64; 2]> {
+        let stretch = column / self.spacing;
+        if self.stretch != Some(stretch) {
+            self.enter(stretch);
+        }
+        let guess = if let [Some(a), Some(b), Some(c), Some(d)] = self.around {
+            let [wa, wb, wc, wd] = lagrange((column - stretch * self.spacing) as f64 / self.spacing as f64);
+            Some([0, 1].map(|i| wa * a[i] + wb * b[i] + wc * c[i] + wd * d[i]))
+        } else {
+            None
+        };
+        self.camera.normalised_in_row(self.full_column(column as f64), self.yd, guess)
+    }
+
+    /// The rays of `count` columns from one on, NaN where there is none; equal to calling [`RayRow::ray`] for each.
+    pub fn rays(&mut self, first: usize, count: usize) -> Vec<[f64; 2]> {
+        let mut rays = vec![[f64::NAN; 2]; count];
+        for (block, rays) in rays.chunks_mut(LANES).enumerate() {
+            let found = self.block(first + block * LANES);
+            rays.iter_mut().enumerate().for_each(|(lane, ray)| *ray = [found[0][lane], found[1][lane]]);
+        }
+        rays
+    }
+
+    /// The rays of the [`LANES`] columns from one on, NaN where there is none.
+    fn block(&mut self, first: usize) -> [Lanes; 2] {
+        let (start, end) = (first / self.spacing, (first + LANES - 1) / self.spacing);
+        if start == end {
+            if self.stretch != Some(start) {
+                self.enter(start);
+            }
+            if let [Some(a), Some(b), Some(c), Some(d)] = self.around {
+                let offset = (first - start * self.spacing) as f64;
+                let stretch = Stretch { row: self, first: first as f64, offset, around: [a, b, c, d] };
+                let found = vectorised(stretch);
+                if found[0].each().iter().all(|x| !x.is_nan()) {
+                    return found;
+                }
+            }
+        }
+        let mut found = [Lanes::NONE; 2];
+        for lane in 0..LANES {
+            let [x, y] = self.ray(first + lane).unwrap_or([f64::NAN; 2]);
+            found[0].set(lane, x);
+            found[1].set(lane, y);
+        }
+        found
+    }
+
+    fn enter(&mut self, stretch: usize) {
+        let known = self.stretch.is_some_and(|last| last + 1 == stretch);
+        let find = |step: i32| {
+            let column = (stretch as f64 + f64::from(step)) * self.spacing as f64;
+            self.camera.normalised_in_row(self.full_column(column), self.yd, None)
+        };
+        let [_, b, c, d] = self.around;
+        self.around = if known { [b, c, d, find(2)] } else { [-1, 0, 1, 2].map(find) };
+        self.stretch = Some(stretch);
+    }
+
+    /// Position in the full image of a column of the row, pixels; it may lie beyond the image.
+    #[inline]
+    fn full_column(&self, column: f64) -> f64 {
+        (column + 0.5) * f64::from(self.downscale) - 0.5
+    }
+}
+
+/// Columns in one stretch of a row, from `first` on, which is `offset` columns behind the start of the stretch.
+struct Stretch<'a> {
+    row: &'a RayRow<'a>,
+    first: f64,
+    offset: f64,
+    around: [[f64; 2]; 4],
+}
+
+impl Work for Stretch<'_> {
+    type Output = [Lanes; 2];
+
+    #[inline(always)]
+    fn run(self) -> [Lanes; 2] {
+        let Self { row, first, offset, around: [a, b, c, d] } = self;
+        let lane = Lanes::<LANES>::of(|lane| lane as f64);
+        let [wa, wb, wc, wd] = lagrange((lane + offset) / row.spacing as f64);
+        let guess = both([0, 1], |i| wa * a[i] + wb * b[i] + wc * c[i] + wd * d[i]);
+        let full = (lane + first + 0.5) * f64::from(row.downscale) - 0.5;
+        row.camera.normalised_in_row_lanes(full, row.yd, guess)
+    }
+}
+
+/// Weights of the values at -1, 0, 1 and 2 in the cubic through them at `t`.
+#[inline(always)]
+fn lagrange<T: Number>(t: T) -> [T; 4] {
+    let (before, after, beyond) = (t + 1.0, t - 1.0, t - 2.0);
+    [-t * after * beyond / 6.0, before * after * beyond / 2.0, -before * t * beyond / 2.0, before * t * after / 6.0]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rockface_core::artefact::Sensor;
+    use rockface_core::testing::{image_at, small_sensor};
+
+    #[test]
+    fn a_ray_is_the_same_whatever_else_was_asked_for() {
+        let sensor = Sensor { width_px: 400, k: [-0.3, 0.2, 0.0, 0.0], f: 500.0, ..small_sensor() };
+        let camera = Camera::new(&sensor, &image_at("a", [0.0; 3], [0.0; 3]));
+        let all: Vec<_> = (0..400).scan(RayRow::new(&camera, 5, 1), RayRow::ray).collect();
+        assert_eq!(all.len(), 400);
+        for column in [0, 31, 32, 200, 64, 399, 398] {
+            assert_eq!(RayRow::new(&camera, 5, 1).ray(column), Some(all[column]));
+        }
+        for first in [0, 13] {
+            assert_eq!(RayRow::new(&camera, 5, 1).rays(first, 350), all[first..first + 350]);
+        }
+    }
+
+    #[test]
+    fn rays_of_a_row_are_those_of_its_pixels() {
+        let sensor = Sensor { k: [-0.3, 0.2, 0.0, 0.0], p: [0.01, 0.0], b2: 0.4, ..small_sensor() };
+        let camera = Camera::new(&sensor, &image_at("a", [0.0; 3], [0.0; 3]));
+        let mut row = RayRow::new(&camera, 3, 2);
+        for column in (0..30).filter(|column| column % 7 != 2) {
+            let [x, y] = row.ray(column).unwrap();
+            let [ex, ey] = camera.normalised(full_pixel(column, 3, 2)).unwrap();
+            assert!((x - ex).abs() < 1e-15 && (y - ey).abs() < 1e-15);
+        }
+    }
+}

@@ -1,0 +1,254 @@
+//! The depth map of one image reduced to the cells of a grid: one elevation a cell, with its expected deviation.
+//!
+//! All grids of one cell size stand on whole multiples of the cell, so those of several images fit each other.
+
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+use rockface_core::artefact::{Depth, Grid};
+use crate::camera::model::{Camera, full_pixel};
+use rockface_raster::rasterise::grid_around;
+use crate::camera::ray_row::RayRow;
+use rockface_core::numerics::fast_round::floor;
+
+/// Rows whose points are found in parallel before they are added in order.
+const BATCH_ROWS: usize = 256;
+/// No cell.
+const NOWHERE: u32 = u32::MAX;
+
+/// Where the expected deviation of a depth comes from.
+#[derive(Debug, Clone, Copy)]
+pub enum Sigma<'a> {
+    /// One for every pixel, metres.
+    Constant(f64),
+    /// By pixel, metres.
+    Map(&'a [f32]),
+}
+
+impl Sigma<'_> {
+    fn at(self, pixel: usize) -> f64 {
+        match self {
+            Self::Constant(sigma_m) => sigma_m,
+            Self::Map(values) => f64::from(values[pixel]),
+        }
+    }
+}
+
+/// Elevations of one image by cell.
+#[derive(Debug, Clone)]
+pub struct Cells {
+    /// The grid, no larger than it must be.
+    pub grid: Grid,
+    /// Weighted mean Z of the pixels in the cell, metres; NaN where there is none.
+    pub elevation_m: Vec<f32>,
+    /// Expected standard deviation of one of them along Z, metres, larger by 1 / sqrt(cos) for a view at an angle to Z.
+    pub sigma_m: Vec<f32>,
+    /// Pixels with a depth, and those of them in the window.
+    pub pixels: [usize; 2],
+}
+
+/// A pixel on its way to its cell.
+#[derive(Debug, Clone, Copy)]
+struct Sample {
+    cell: u32,
+    z_m: f32,
+    sigma_m: f32,
+}
+
+#[derive(Debug, Clone, Copy, Default)]
+struct Sums {
+    weight: f64,
+    weighted_z: f64,
+    count: u32,
+}
+
+/// Reduces a depth map to cells of `cell_m`, within `window_m` (left, right, bottom, top) where one is given.
+///
+/// Weights are `1 / sigma^2`. Points are added in their own order: the same bits at any thread count. `None` where no pixel
+/// falls into the window; an error where the grid would be too large.
+pub fn reduce(depth: &Depth, sigma: Sigma, cell_m: f64, window_m: Option<[f64; 4]>) -> Result<Option<Cells>, String> {
+    let camera = Camera::of_depth(depth);
+    let Some(reach) = reach(depth, &camera).map(|reach| clip(reach, window_m)) else { return Ok(None) };
+    if reach[0] >= reach[1] || reach[2] >= reach[3] {
+        return Ok(None);
+    }
+    let grid = grid_around(reach, cell_m)?;
+    let mut sums = vec![Sums::default(); grid.cells()];
+    let mut pixels = [0; 2];
+    let placer = Placer { depth, camera: &camera, sigma, grid: &grid, window_m };
+    for start in (0..depth.height).step_by(BATCH_ROWS) {
+        let rows = start..depth.height.min(start + BATCH_ROWS);
+        let placed: Vec<Vec<Sample>> = rows.into_par_iter().map(|row| placer.row(row)).collect();
+        for sample in placed.iter().flatten() {
+            pixels[0] += 1;
+            if sample.cell != NOWHERE {
+                let (cell, sigma) = (&mut sums[sample.cell as usize], f64::from(sample.sigma_m));
+                let weight = 1.0 / (sigma * sigma);
+                cell.weight += weight;
+                cell.weighted_z += weight * f64::from(sample.z_m);
+                cell.count += 1;
+            }
+        }
+    }
+    pixels[1] = sums.iter().map(|sums| sums.count as usize).sum();
+    Ok(crop(&grid, &sums, pixels))
+}
+
+struct Placer<'a> {
+    depth: &'a Depth,
+    camera: &'a Camera,
+    sigma: Sigma<'a>,
+    grid: &'a Grid,
+    window_m: Option<[f64; 4]>,
+}
+
+impl Placer<'_> {
+    fn row(&self, row: usize) -> Vec<Sample> {
+        let start = row * self.depth.width;
+        let values = &self.depth.z[start..start + self.depth.width];
+        let mut samples = Vec::with_capacity(values.len());
+        if !values.iter().any(|z| is_depth(*z)) {
+            return samples;
+        }
+        let rays = RayRow::new(self.camera, row, self.depth.downscale).rays(0, values.len());
+        for (column, z) in values.iter().enumerate().filter(|(_, z)| is_depth(**z)) {
+            let ray = rays[column];
+            if ray[0].is_nan() {
+                continue;
+            }
+            let direction = self.camera.direction(ray);
+            let point = self.camera.centre() + direction * f64::from(*z);
+            samples.push(self.place(&point, &direction, self.sigma.at(start + column)));
+        }
+        samples
+    }
+
+    fn place(&self, point: &Vector3<f64>, direction: &Vector3<f64>, sigma_m: f64) -> Sample {
+        let inside =
+            self.window_m.is_none_or(|[x0, x1, y0, y1]| point.x >= x0 && point.x < x1 && point.y > y0 && point.y <= y1);
+        let column = floor((point.x - self.grid.left_m) / self.grid.cell_m) as usize;
+        let row = floor((self.grid.top_m - point.y) / self.grid.cell_m) as usize;
+        // What lies left of the grid or above it is beyond any size once its sign is gone.
+        let fits = column < self.grid.columns && row < self.grid.rows;
+        let cell = if inside && fits { (row * self.grid.columns + column) as u32 } else { NOWHERE };
+        let across = direction.z.abs();
+        let cosine = (across / direction.norm()).max(0.05);
+        Sample { cell, z_m: point.z as f32, sigma_m: (sigma_m * across / cosine.sqrt()) as f32 }
+    }
+}
+
+/// Whether a pixel has a depth: what is not finite, or behind the camera, is none.
+fn is_depth(z: f32) -> bool {
+    z.is_finite() && z > 0.0
+}
+
+/// A rectangle in X and Y that holds all points, from the outline of the image at the least and largest depth.
+fn reach(depth: &Depth, camera: &Camera) -> Option<[f64; 4]> {
+    let (mut low, mut high) = (f32::INFINITY, 0.0f32);
+    for z in depth.z.iter().filter(|z| is_depth(**z)) {
+        (low, high) = (low.min(*z), high.max(*z));
+    }
+    let (right, bottom) = (depth.width - 1, depth.height - 1);
+    let columns = (0..depth.width).flat_map(|column| [(column, 0), (column, bottom)]);
+    let outline = columns.chain((0..depth.height).flat_map(|row| [(0, row), (right, row)]));
+    let mut reach = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
+    for (column, row) in outline {
+        let Some(ray) = camera.normalised(full_pixel(column, row, depth.downscale)) else { continue };
+        for z in [low, high] {
+            let p = camera.unproject(ray, f64::from(z));
+            reach = [reach[0].min(p.x), reach[1].max(p.x), reach[2].min(p.y), reach[3].max(p.y)];
+        }
+    }
+    (low <= high).then_some(reach)
+}
+
+fn clip([x0, x1, y0, y1]: [f64; 4], window_m: Option<[f64; 4]>) -> [f64; 4] {
+    window_m.map_or([x0, x1, y0, y1], |[a, b, c, d]| [x0.max(a), x1.min(b), y0.max(c), y1.min(d)])
+}
+
+/// The part of a grid that has values.
+fn crop(grid: &Grid, sums: &[Sums], pixels: [usize; 2]) -> Option<Cells> {
+    let (mut columns, mut rows) = ([grid.columns, 0], [grid.rows, 0]);
+    for (row, cells) in sums.chunks(grid.columns).enumerate() {
+        let filled = |cell: &Sums| cell.count > 0;
+        if let (Some(first), Some(last)) = (cells.iter().position(filled), cells.iter().rposition(filled)) {
+            columns = [columns[0].min(first), columns[1].max(last + 1)];
+            rows = [rows[0].min(row), rows[1].max(row + 1)];
+        }
+    }
+    if columns[0] >= columns[1] {
+        return None;
+    }
+    let first = [(grid.left_m / grid.cell_m).round(), (grid.top_m / grid.cell_m).round()];
+    let cropped = Grid {
+        columns: columns[1] - columns[0],
+        rows: rows[1] - rows[0],
+        cell_m: grid.cell_m,
+        left_m: (first[0] + columns[0] as f64) * grid.cell_m,
+        top_m: (first[1] - rows[0] as f64) * grid.cell_m,
+    };
+    let kept = || {
+        let lines = sums.chunks(grid.columns).take(rows[1]).skip(rows[0]);
+        lines.flat_map(|line| &line[columns[0]..columns[1]])
+    };
+    let elevation = |s: &Sums| if s.count > 0 { (s.weighted_z / s.weight) as f32 } else { f32::NAN };
+    let sigma = |s: &Sums| if s.count > 0 { (f64::from(s.count) / s.weight).sqrt() as f32 } else { f32::NAN };
+    let (elevation_m, sigma_m) = (kept().map(elevation).collect(), kept().map(sigma).collect());
+    Some(Cells { grid: cropped, elevation_m, sigma_m, pixels })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rockface_core::artefact::{Frame, Image, Sensor};
+    use rockface_core::testing::{image_at, small_sensor};
+
+    /// A camera 10 m before the plane z = 0, 0.1 m a pixel, and its exact depths.
+    fn plane(turn: [f64; 3]) -> Depth {
+        let (sensor, image): (Sensor, Image) = (small_sensor(), image_at("a", [0.0, 0.0, 10.0], turn));
+        let camera = Camera::new(&sensor, &image);
+        let z = |i: usize| {
+            let d = camera.direction(camera.normalised(full_pixel(i % 60, i / 60, 1)).unwrap());
+            (-10.0 / d.z) as f32
+        };
+        let z = (0..2400).map(z).collect();
+        Depth { frame: Frame::Wall, sensor, image, downscale: 1, width: 60, height: 40, z, channels: [].into() }
+    }
+
+    #[test]
+    fn a_plane_is_flat_and_its_cells_stand_on_multiples() {
+        let cells = reduce(&plane([0.0; 3]), Sigma::Constant(0.02), 0.25, None).unwrap().unwrap();
+        assert_eq!((cells.grid.columns, cells.grid.rows), (24, 16));
+        assert!((cells.grid.left_m + 3.0).abs() < 1e-12 && (cells.grid.top_m - 2.0).abs() < 1e-12);
+        assert!(cells.elevation_m.iter().all(|z| z.abs() < 1e-6));
+        assert!(cells.sigma_m.iter().all(|s| (s - 0.02).abs() < 1e-3));
+        assert_eq!(cells.pixels, [2400, 2400]);
+    }
+
+    #[test]
+    fn a_window_cuts_and_one_beside_the_view_leaves_nothing() {
+        let window = Some([0.5, 1.5, -0.5, 0.25]);
+        let cells = reduce(&plane([0.0; 3]), Sigma::Constant(0.02), 0.25, window).unwrap().unwrap();
+        assert_eq!((cells.grid.columns, cells.grid.rows, cells.grid.left_m), (4, 3, 0.5));
+        assert!(cells.pixels[1] < 100);
+        assert!(reduce(&plane([0.0; 3]), Sigma::Constant(0.02), 0.25, Some([5.0, 6.0, 0.0, 1.0])).unwrap().is_none());
+        let mut empty = plane([0.0; 3]);
+        empty.z.fill(f32::NAN);
+        assert!(reduce(&empty, Sigma::Constant(0.02), 0.25, None).unwrap().is_none());
+    }
+
+    #[test]
+    fn an_oblique_view_counts_less_and_a_pixel_by_its_own_sigma() {
+        let oblique = reduce(&plane([0.6, 0.0, 0.0]), Sigma::Constant(0.02), 0.5, None).unwrap().unwrap();
+        let straight = 0.02;
+        // Depth along an axis at 0.6 rad to Z is 0.825 of it along Z; the angle takes it up again by 1 / sqrt(0.825).
+        let middle: Vec<f32> = oblique.sigma_m.iter().copied().filter(|s| s.is_finite()).collect();
+        assert!(middle.iter().any(|s| (f64::from(*s) / straight - 0.908).abs() < 0.01));
+        let mut map = plane([0.0; 3]);
+        map.z.iter_mut().step_by(2).for_each(|z| *z += 1.0);
+        let sigma: Vec<f32> = (0..2400).map(|i| if i % 2 == 0 { 1.0 } else { 0.001 }).collect();
+        let cells = reduce(&map, Sigma::Map(&sigma), 0.25, None).unwrap().unwrap();
+        let inner = cells.elevation_m[8 * cells.grid.columns + 12];
+        assert!(inner.abs() < 1e-4, "{inner}");
+    }
+}

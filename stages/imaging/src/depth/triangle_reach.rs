@@ -1,0 +1,205 @@
+//! Which pixels a triangle may cover under lens distortion: a rectangle that is never too small.
+
+use nalgebra::Vector3;
+
+use rockface_core::artefact::Sensor;
+use crate::camera::model::Camera;
+use rockface_core::numerics::fast_round::floor;
+
+/// Nothing nearer to the camera than this is seen, metres along the optical axis.
+pub const NEAR_M: f64 = 1e-3;
+
+/// The pixels a triangle may cover.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Reach {
+    /// None.
+    Nothing,
+    /// Those of a rectangle of the buffer, bounds included.
+    Pixels {
+        /// First and last column.
+        columns: [u32; 2],
+        /// First and last row.
+        rows: [u32; 2],
+    },
+    /// Those whose undistorted normalised coordinates lie in a rectangle: the triangle leaves the domain of the
+    /// distortion or passes the camera, so its corners have no pixels to go by.
+    Wide {
+        /// Least and largest x.
+        x: [f64; 2],
+        /// Least and largest y.
+        y: [f64; 2],
+    },
+}
+
+/// Bounds how far distortion bends a straight line.
+///
+/// The image of a segment of length h under a map with second derivative at most M stays within M h^2 / 8 of its chord.
+#[derive(Debug, Clone)]
+pub struct Bend {
+    /// `2n (2n + 1) |k_n|` of the terms `k_n r^2n (x, y)`, whose second derivative is at most that times r^(2n - 1).
+    radial: [f64; 4],
+    tangential: f64,
+    scale_px: f64,
+}
+
+impl Bend {
+    /// The bound of a sensor.
+    pub fn new(s: &Sensor) -> Self {
+        let [k1, k2, k3, k4] = s.k.map(f64::abs);
+        let scale_px = s.f.abs() + s.b1.abs() + s.b2.abs();
+        let radial = [6.0 * k1, 20.0 * k2, 42.0 * k3, 72.0 * k4];
+        Self { radial, tangential: 8.0 * (s.p[0].abs() + s.p[1].abs()), scale_px }
+    }
+
+    /// Largest distance between a curved edge and its chord, pixels of the full image, for normalised points within
+    /// radius `r` and edges of squared length `h2`.
+    fn of_edges(&self, r: f64, h2: f64) -> f64 {
+        let (r2, [a, b, c, d]) = (r * r, self.radial);
+        let second = r * (a + r2 * (b + r2 * (c + r2 * d))) + self.tangential;
+        self.scale_px * second * h2 / 8.0
+    }
+}
+
+/// A point in the camera frame and what becomes of it, found once for all triangles that share it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Projected {
+    /// Normalised coordinates; of use where the point lies beyond the near plane.
+    flat: [f64; 2],
+    /// Pixel of the full image; NaN where it has none.
+    pixel: [f64; 2],
+}
+
+impl Projected {
+    /// Projects a point of the camera frame.
+    pub fn new(camera: &Camera, point: &Vector3<f64>) -> Self {
+        let flat = [point.x / point.z, point.y / point.z];
+        let pixel = if point.z >= NEAR_M { camera.pixel(flat) } else { None };
+        Self { flat, pixel: pixel.unwrap_or([f64::NAN; 2]) }
+    }
+}
+
+/// The pixels a triangle in the camera frame may cover, in a buffer of `size` (columns, rows) reduced by `downscale`.
+pub fn reach(camera: &Camera, bend: &Bend, corners: &[Vector3<f64>; 3], downscale: f64, size: (usize, usize)) -> Reach {
+    reach_of_projected(&corners.map(|c| Projected::new(camera, &c)), bend, corners, downscale, size)
+}
+
+/// As [`reach`], for corners that are projected already.
+#[inline]
+pub fn reach_of_projected(
+    projected: &[Projected; 3],
+    bend: &Bend,
+    corners: &[Vector3<f64>; 3],
+    downscale: f64,
+    size: (usize, usize),
+) -> Reach {
+    let in_front = corners.iter().filter(|corner| corner.z >= NEAR_M).count();
+    if in_front == 0 {
+        return Reach::Nothing;
+    }
+    if in_front < 3 {
+        return wide(&clip_near(corners));
+    }
+    let flat = projected.map(|p| p.flat);
+    let [a, b, c] = projected.map(|p| p.pixel);
+    if a[0].is_nan() || b[0].is_nan() || c[0].is_nan() {
+        return wide(&flat);
+    }
+    let r2 = flat.iter().map(|[x, y]| x * x + y * y).fold(0.0, f64::max);
+    let h2 = [(0, 1), (1, 2), (2, 0)].map(|(i, j)| squared_distance(flat[i], flat[j])).into_iter().fold(0.0, f64::max);
+    // A thousandth of a pixel covers rounding.
+    let margin = bend.of_edges(r2.sqrt(), h2) + 1e-3;
+    let columns = span([a[0], b[0], c[0]], margin, downscale, size.0);
+    let rows = span([a[1], b[1], c[1]], margin, downscale, size.1);
+    match (columns, rows) {
+        (Some(columns), Some(rows)) => Reach::Pixels { columns, rows },
+        _ => Reach::Nothing,
+    }
+}
+
+fn squared_distance([ax, ay]: [f64; 2], [bx, by]: [f64; 2]) -> f64 {
+    (ax - bx) * (ax - bx) + (ay - by) * (ay - by)
+}
+
+fn bounds(values: impl Iterator<Item = f64>) -> [f64; 2] {
+    values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], v| [low.min(v), high.max(v)])
+}
+
+/// Buffer positions whose centres lie within `margin` of the bounds of three full-image positions.
+fn span(corners: [f64; 3], margin: f64, downscale: f64, size: usize) -> Option<[u32; 2]> {
+    let [low, high] = bounds(corners.into_iter());
+    let at = |full: f64| (full + 0.5) / downscale - 0.5;
+    let (low, high) = (at(low - margin), at(high + margin));
+    if high < 0.0 || low > size as f64 - 1.0 {
+        return None;
+    }
+    // Beyond 2^31 the bounds stop there, far outside of any image.
+    let (first, last) = ((-floor(-low)).max(0), floor(high).min(size as i32 - 1));
+    (first <= last).then_some([first as u32, last as u32])
+}
+
+fn wide(polygon: &[[f64; 2]]) -> Reach {
+    Reach::Wide { x: bounds(polygon.iter().map(|p| p[0])), y: bounds(polygon.iter().map(|p| p[1])) }
+}
+
+/// Normalised corners of the part of a triangle beyond the near plane.
+fn clip_near(corners: &[Vector3<f64>; 3]) -> Vec<[f64; 2]> {
+    let mut polygon = Vec::with_capacity(4);
+    for (i, from) in corners.iter().enumerate() {
+        let to = &corners[(i + 1) % 3];
+        if from.z >= NEAR_M {
+            polygon.push([from.x / from.z, from.y / from.z]);
+        }
+        if (from.z >= NEAR_M) != (to.z >= NEAR_M) {
+            let cut = from + (to - from) * ((NEAR_M - from.z) / (to.z - from.z));
+            polygon.push([cut.x / NEAR_M, cut.y / NEAR_M]);
+        }
+    }
+    polygon
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::model::full_pixel;
+    use rockface_core::testing::{image_at, small_sensor};
+    use proptest::prelude::*;
+
+    fn is_hit([a, b, c]: &[Vector3<f64>; 3], ray: &Vector3<f64>) -> bool {
+        let signs = [a.cross(b).dot(ray), b.cross(c).dot(ray), c.cross(a).dot(ray)];
+        let normal = (b - a).cross(&(c - a));
+        let z = normal.dot(a) / normal.dot(ray);
+        (signs.iter().all(|s| *s > 0.0) || signs.iter().all(|s| *s < 0.0)) && z > NEAR_M
+    }
+
+    fn covers(reach: &Reach, column: usize, row: usize, [x, y]: [f64; 2]) -> bool {
+        match reach {
+            Reach::Nothing => false,
+            Reach::Pixels { columns, rows } => {
+                (columns[0]..=columns[1]).contains(&(column as u32)) && (rows[0]..=rows[1]).contains(&(row as u32))
+            }
+            Reach::Wide { x: [x0, x1], y: [y0, y1] } => (*x0..=*x1).contains(&x) && (*y0..=*y1).contains(&y),
+        }
+    }
+
+    fn corner() -> impl Strategy<Value = Vector3<f64>> {
+        (-8.0..8.0f64, -8.0..8.0f64, -4.0..12.0f64).prop_map(|(x, y, z)| Vector3::new(x, y, z))
+    }
+
+    proptest! {
+        #[test]
+        fn no_pixel_a_triangle_covers_is_out_of_reach(
+            corners in [corner(), corner(), corner()], k1 in -0.5..0.3f64, p1 in -0.01..0.01f64, downscale in 1u32..4,
+        ) {
+            let sensor = Sensor { f: 40.0, k: [k1, 0.1, 0.0, 0.0], p: [p1, -0.005], b2: 0.5, ..small_sensor() };
+            let camera = Camera::new(&sensor, &image_at("a", [0.0; 3], [0.0; 3]));
+            let (width, height) = ((60 / downscale) as usize, (40 / downscale) as usize);
+            let reach = reach(&camera, &Bend::new(&sensor), &corners, f64::from(downscale), (width, height));
+            for (column, row) in (0..height).flat_map(|row| (0..width).map(move |column| (column, row))) {
+                let Some([x, y]) = camera.normalised(full_pixel(column, row, downscale)) else { continue };
+                if is_hit(&corners, &Vector3::new(x, y, 1.0)) {
+                    prop_assert!(covers(&reach, column, row, [x, y]), "({column}, {row}) is not in {reach:?}");
+                }
+            }
+        }
+    }
+}

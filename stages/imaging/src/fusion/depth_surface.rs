@@ -1,0 +1,269 @@
+//! The surface of one depth map: its pixels as points, neighbours joined unless depth steps or the view grazes.
+
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+use rockface_core::artefact::{Depth, Surface};
+use crate::camera::model::{Camera, full_pixel};
+use crate::camera::ray_row::RayRow;
+
+/// Where neighbouring pixels are not joined.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Step {
+    /// Depths differ by more than this, metres.
+    Metres(f64),
+    /// Depths differ by more than this many times the distance of neighbours across the view.
+    Factor(f64),
+}
+
+/// When two pixels are one surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Joining {
+    /// Largest step in depth between neighbours; the diagonal of a square may step by its length more.
+    pub step: Step,
+    /// Cosine of the largest angle between a triangle's normal and the view.
+    pub min_cosine: f64,
+}
+
+/// What was made and what was cut.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Joined {
+    /// Triangles of the surface.
+    pub triangles: usize,
+    /// Triangles left out because an edge steps.
+    pub steps: usize,
+    /// Triangles left out because the view grazes them.
+    pub grazing: usize,
+}
+
+enum Verdict {
+    Kept,
+    Missing,
+    Steps,
+    Grazing,
+}
+
+/// Joins the pixels of a depth map, which must be at least 2 x 2, inside the rectangle of those that are valid; triangles are counter-clockwise from the camera.
+///
+/// Each square is cut along the diagonal that steps less in depth. The same bits at any thread count.
+pub fn join(depth: &Depth, joining: &Joining) -> (Surface, Joined) {
+    let camera = Camera::of_depth(depth);
+    let patch = Patch::of(depth);
+    let origin = rounded_origin(&patch, &camera);
+    let mut points = vec![[f32::NAN; 3]; patch.z.len()];
+    points.par_chunks_mut(patch.width).enumerate().for_each(|(row, points)| {
+        place_row(&patch, &camera, &origin, row, points);
+    });
+    let mut surface = Surface {
+        frame: depth.frame,
+        width: patch.width,
+        height: patch.height,
+        origin_m: origin.into(),
+        points,
+        squares: Vec::new(),
+    };
+    let joiner = Joiner { depth: &patch, surface: &surface, viewpoint: camera.centre() - origin, joining };
+    let mut squares = vec![0; (patch.width - 1) * (patch.height - 1)];
+    let rows = squares.par_chunks_mut(patch.width - 1).enumerate();
+    let counts: Vec<Joined> = rows.map(|(row, squares)| joiner.join_row(row, squares)).collect();
+    surface.squares = squares;
+    let sum = |get: fn(&Joined) -> usize| counts.iter().map(get).sum();
+    (surface, Joined { triangles: sum(|j| j.triangles), steps: sum(|j| j.steps), grazing: sum(|j| j.grazing) })
+}
+
+/// The rectangle of a depth map that holds its valid pixels, at least 2 x 2.
+struct Patch {
+    /// Principal distance, pixels of the full image.
+    f: f64,
+    downscale: u32,
+    /// Its first column in the depth map.
+    column: usize,
+    /// Its first row in the depth map.
+    row: usize,
+    width: usize,
+    height: usize,
+    z: Vec<f32>,
+}
+
+impl Patch {
+    fn of(depth: &Depth) -> Self {
+        let (width, height) = (depth.width, depth.height);
+        let (mut columns, mut rows) = ([width, 0], [height, 0]);
+        for (row, values) in depth.z.chunks(width).enumerate() {
+            let valid = |z: &f32| is_depth(*z);
+            if let (Some(first), Some(last)) = (values.iter().position(valid), values.iter().rposition(valid)) {
+                columns = [columns[0].min(first), columns[1].max(last)];
+                rows = [rows[0].min(row), rows[1].max(row)];
+            }
+        }
+        let (column, width) = span(columns, width);
+        let (row, height) = span(rows, height);
+        let lines = depth.z.chunks(depth.width).skip(row).take(height);
+        let z = lines.flat_map(|line| &line[column..column + width]).copied().collect();
+        Self { f: depth.sensor.f, downscale: depth.downscale, column, row, width, height, z }
+    }
+}
+
+/// First and number of the indices from `first` to `last`, two at least, within `size`.
+fn span([first, last]: [usize; 2], size: usize) -> (usize, usize) {
+    let first = first.min(size - 2);
+    (first, (last.max(first + 1) + 1).min(size) - first)
+}
+
+/// A point in the middle of the view, in whole metres, so that 32-bit differences from it stay exact to micrometres.
+fn rounded_origin(depth: &Patch, camera: &Camera) -> Vector3<f64> {
+    let (low, high) = depth
+        .z
+        .iter()
+        .filter(|z| is_depth(**z))
+        .fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), z| (l.min(*z), h.max(*z)));
+    if low > high {
+        return camera.centre().map(f64::round);
+    }
+    let middle = full_pixel(depth.column + depth.width / 2, depth.row + depth.height / 2, depth.downscale);
+    let ray = camera.normalised(middle).unwrap_or([0.0; 2]);
+    camera.unproject(ray, 0.5 * (f64::from(low) + f64::from(high))).map(f64::round)
+}
+
+/// Whether a pixel has a depth: what is not finite, or behind the camera, is none.
+fn is_depth(z: f32) -> bool {
+    z.is_finite() && z > 0.0
+}
+
+fn place_row(depth: &Patch, camera: &Camera, origin: &Vector3<f64>, row: usize, points: &mut [[f32; 3]]) {
+    let rays = RayRow::new(camera, depth.row + row, depth.downscale).rays(depth.column, depth.width);
+    for ((column, point), ray) in points.iter_mut().enumerate().zip(rays) {
+        let z = depth.z[row * depth.width + column];
+        if is_depth(z) && !ray[0].is_nan() {
+            let local = camera.unproject(ray, f64::from(z)) - origin;
+            *point = [local.x as f32, local.y as f32, local.z as f32];
+        }
+    }
+}
+
+struct Joiner<'a> {
+    depth: &'a Patch,
+    surface: &'a Surface,
+    /// Projection centre relative to the origin of the points.
+    viewpoint: Vector3<f64>,
+    joining: &'a Joining,
+}
+
+impl Joiner<'_> {
+    fn join_row(&self, row: usize, squares: &mut [u8]) -> Joined {
+        let mut joined = Joined::default();
+        for (column, byte) in squares.iter_mut().enumerate() {
+            let square = self.square(row, column);
+            *byte = square.diagonal();
+            let (triangles, steps) = (square.triangles(*byte == 0), self.steps(&square, *byte == 0));
+            for ((corners, steps), bit) in triangles.iter().zip(steps).zip([Surface::FIRST, Surface::SECOND]) {
+                match self.judge(corners, steps) {
+                    Verdict::Kept => {
+                        *byte |= bit;
+                        joined.triangles += 1;
+                    }
+                    Verdict::Missing => {}
+                    Verdict::Steps => joined.steps += 1,
+                    Verdict::Grazing => joined.grazing += 1,
+                }
+            }
+        }
+        joined
+    }
+
+    #[inline]
+    fn square(&self, row: usize, column: usize) -> Square {
+        let width = self.depth.width;
+        let (upper, lower) = (row * width + column, (row + 1) * width + column);
+        let (z, points) = (&self.depth.z, &self.surface.points);
+        let (z_above, z_below) = (&z[upper..upper + 2], &z[lower..lower + 2]);
+        let (above, below) = (&points[upper..upper + 2], &points[lower..lower + 2]);
+        let point = |p: &[f32; 3]| Vector3::from(*p).map(f64::from);
+        Square {
+            z: [z_above[0], z_above[1], z_below[1], z_below[0]],
+            points: [point(&above[0]), point(&above[1]), point(&below[1]), point(&below[0])],
+        }
+    }
+
+    #[inline]
+    fn judge(&self, corners: &[Vector3<f64>; 3], steps: bool) -> Verdict {
+        if corners.iter().any(|p| p.x.is_nan()) {
+            return Verdict::Missing;
+        }
+        if steps {
+            return Verdict::Steps;
+        }
+        let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
+        let sum = corners[0] + corners[1] + corners[2];
+        if self.faces_clearly(&normal, &(self.viewpoint * 3.0 - sum)) {
+            return Verdict::Kept;
+        }
+        let view = self.viewpoint - sum / 3.0;
+        let grazes = normal.dot(&view) < self.joining.min_cosine * normal.norm() * view.norm();
+        if grazes { Verdict::Grazing } else { Verdict::Kept }
+    }
+
+    /// Whether a normal is so near the view that no rounding could make it graze; found without roots and divisions.
+    #[inline]
+    fn faces_clearly(&self, normal: &Vector3<f64>, view: &Vector3<f64>) -> bool {
+        let along = normal.dot(view);
+        let least = self.joining.min_cosine * self.joining.min_cosine * (1.0 + 1e-9);
+        along > 0.0 && along * along > least * normal.norm_squared() * view.norm_squared()
+    }
+
+    /// Whether an edge steps, of the two triangles in their order.
+    #[inline]
+    fn steps(&self, square: &Square, along_ac: bool) -> [bool; 2] {
+        let [a, b, c, d] = square.z.map(f64::from);
+        let (low, high) = (a.min(b).min(c.min(d)), a.max(b).max(c.max(d)));
+        // No two corners differ by more than may the nearest ones: the rule of most squares. NaN is never within it.
+        if !square.z.iter().any(|z| z.is_nan()) && high - low <= self.allowed_m(low) {
+            return [false; 2];
+        }
+        let side = |z, other| self.edge_steps(z, other, 1.0);
+        let diagonal = if along_ac { (a, c) } else { (b, d) };
+        let [top, right, bottom, left] = [side(a, b), side(b, c), side(c, d), side(d, a)];
+        let across = self.edge_steps(diagonal.0, diagonal.1, std::f64::consts::SQRT_2);
+        let first = left || across || if along_ac { bottom } else { top };
+        let second = right || across || if along_ac { top } else { bottom };
+        [first, second]
+    }
+
+    fn edge_steps(&self, a: f64, b: f64, pixels: f64) -> bool {
+        (a - b).abs() > self.allowed_m(a.min(b)) * pixels
+    }
+
+    /// The largest step between neighbours, the nearer of them at a depth; it grows with depth.
+    #[inline]
+    fn allowed_m(&self, z_m: f64) -> f64 {
+        match self.joining.step {
+            Step::Metres(metres) => metres,
+            Step::Factor(factor) => factor * z_m / self.depth.f * f64::from(self.depth.downscale),
+        }
+    }
+}
+
+/// Four neighbours: corners a, b, c and d in the order of [`Surface`].
+struct Square {
+    /// Depths, metres.
+    z: [f32; 4],
+    /// Points relative to the origin of the surface, metres.
+    points: [Vector3<f64>; 4],
+}
+
+impl Square {
+    /// The diagonal that steps less, or the one that leaves a triangle where a corner is missing.
+    #[inline]
+    fn diagonal(&self) -> u8 {
+        let step = |a: f32, b: f32| if is_depth(a) && is_depth(b) { (a - b).abs() } else { f32::INFINITY };
+        let [a, b, c, d] = self.z;
+        if step(b, d) < step(a, c) { Surface::OTHER_DIAGONAL } else { 0 }
+    }
+
+    /// The corners of both triangles, as [`Surface::corners`] orders them.
+    #[inline]
+    fn triangles(&self, along_ac: bool) -> [[Vector3<f64>; 3]; 2] {
+        let [a, b, c, d] = self.points;
+        if along_ac { [[a, d, c], [a, c, b]] } else { [[a, d, b], [b, d, c]] }
+    }
+}

@@ -1,0 +1,117 @@
+//! Tests of the registration: known motions, planes that leave directions free, surfaces that do not meet.
+
+use nalgebra::Point3;
+
+use super::*;
+use rockface_core::artefact::Frame;
+use rockface_core::numerics::portable_math::sincos;
+
+const SETTINGS: Settings = Settings {
+    method: Method::PointToPlane,
+    pairing: Pairing::InPlan,
+    trim: 0.9,
+    max_distance_m: None,
+    points: 5000,
+    max_iterations: 50,
+    weak_eigenvalue: 1e-4,
+};
+
+/// A grid of 200 x 150 points 5 cm apart at UTM coordinates, moved by a transform.
+fn surface(height: impl Fn(f64, f64) -> f64, motion: &Transform) -> Surface {
+    let (width, rows) = (200, 150);
+    let origin = Vector3::new(451_000.0, 5_512_000.0, 300.0);
+    let place = |i: usize| {
+        let (x, y) = ((i % width) as f64 * 0.05, 7.5 - (i / width) as f64 * 0.05);
+        let moved = motion.apply(&Point3::from(origin + Vector3::new(x, y, height(x, y))));
+        (moved.coords - origin).map(|v| v as f32).into()
+    };
+    Surface {
+        frame: Frame::Wall,
+        width,
+        height: rows,
+        origin_m: origin.into(),
+        points: (0..width * rows).map(place).collect(),
+        squares: vec![Surface::FIRST | Surface::SECOND; (width - 1) * (rows - 1)],
+    }
+}
+
+fn rough(x: f64, y: f64) -> f64 {
+    0.2 * sincos(1.3 * x + 0.4 * y).0 + 0.15 * sincos(2.9 * y - 0.7 * x).1 + 0.03 * sincos(7.0 * x * y).0
+}
+
+fn motion() -> Transform {
+    let rotation = Rotation3::from_euler_angles(0.004, -0.003, 0.005).into_inner();
+    let origin = Vector3::new(451_005.0, 5_512_003.0, 300.0);
+    Transform::new("target", "source", &rotation, origin, origin + Vector3::new(0.03, -0.02, 0.04))
+}
+
+fn still() -> Transform {
+    Transform::identity("a", "b")
+}
+
+#[test]
+fn a_small_motion_is_undone_to_a_hundredth_of_a_millimetre() {
+    let (source, target) = (surface(rough, &motion()), surface(rough, &still()));
+    let ways = [
+        (Method::PointToPlane, Pairing::InPlan),
+        (Method::PointToPlane, Pairing::InSpace),
+        (Method::PointToPoint, Pairing::InSpace),
+    ];
+    for (method, pairing) in ways {
+        let settings = Settings { method, pairing, max_iterations: 200, ..SETTINGS };
+        let found = register(&source, &target, &settings).unwrap();
+        for corner in [[0.0, 0.0], [9.0, 7.0], [9.0, 0.0]] {
+            let p = Point3::new(451_000.0 + corner[0], 5_512_000.0 + corner[1], 300.0);
+            let off = (found.transform.apply(&motion().apply(&p)) - p).norm();
+            assert!(off < 1e-5, "{method:?}: {off} m off after {} iterations", found.iterations);
+        }
+        assert!(found.converged && found.unobservable.is_empty() && found.rms_m < 1e-5);
+    }
+}
+
+#[test]
+fn a_plane_leaves_two_shifts_and_a_rotation_alone() {
+    let plane = |x: f64, y: f64| 0.3 * x - 0.1 * y;
+    let mut lift = still();
+    lift.translation = [0.0, 0.0, 0.05];
+    let found = register(&surface(plane, &lift), &surface(plane, &still()), &SETTINGS).unwrap();
+    assert_eq!(found.unobservable.len(), 3);
+    // It moves along the normal only: 5 cm up is 5 cm x cos(slope) off the plane.
+    let moved = Vector3::from(found.transform.translation) - Vector3::from(found.transform.origin);
+    let normal = Vector3::new(-0.3, 0.1, 1.0).normalize();
+    assert!((moved + normal * (0.05 * normal.z)).norm() < 1e-5, "{moved}");
+}
+
+#[test]
+fn a_change_is_trimmed_away() {
+    let fallen = |x: f64, y: f64| {
+        let niche = (4.0..6.0).contains(&x) && (3.0..5.0).contains(&y);
+        rough(x, y) - if niche { 0.5 } else { 0.0 }
+    };
+    let found = register(&surface(fallen, &motion()), &surface(rough, &still()), &SETTINGS).unwrap();
+    let p = Point3::new(451_002.0, 5_512_002.0, 300.0);
+    assert!((found.transform.apply(&motion().apply(&p)) - p).norm() < 1e-3);
+}
+
+#[test]
+fn what_cannot_be_registered_is_refused() {
+    let mut far = still();
+    far.translation = [0.0, 0.0, 30.0];
+    let error = register(&surface(rough, &far), &surface(rough, &still()), &SETTINGS).unwrap_err();
+    assert!(error.message.contains("do not overlap"), "{error}");
+    let mut few = surface(rough, &still());
+    few.points[40..].fill([f32::NAN; 3]);
+    assert!(register(&few, &surface(rough, &still()), &SETTINGS).unwrap_err().message.contains("points to use"));
+    few.points.fill([f32::NAN; 3]);
+    assert!(register(&surface(rough, &still()), &few, &SETTINGS).unwrap_err().message.contains("no points"));
+}
+
+#[test]
+fn the_bits_do_not_depend_on_the_number_of_threads() {
+    let (source, target) = (surface(rough, &motion()), surface(rough, &still()));
+    let at = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| register(&source, &target, &SETTINGS).unwrap())
+    };
+    assert_eq!(at(1), at(3));
+}

@@ -1,0 +1,184 @@
+//! Exact nearest points of an organised surface, found through square columns over X and Y.
+
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+use rockface_core::artefact::Surface;
+
+/// Points a column holds on average: few enough to look at all, enough to find one in the first ring.
+const POINTS_PER_COLUMN: f64 = 2.0;
+
+/// The points of a surface, sorted into columns.
+pub struct Columns<'a> {
+    surface: &'a Surface,
+    /// Weight of differences in Z: 1 in space, 0 in plan.
+    z_weight: f64,
+    left: f64,
+    bottom: f64,
+    side: f64,
+    wide: usize,
+    high: usize,
+    /// Where each column starts in `places`; one more than there are columns.
+    starts: Vec<u32>,
+    /// Places of points in the surface, column by column.
+    places: Vec<u32>,
+}
+
+impl<'a> Columns<'a> {
+    /// Sorts the points; `None` where the surface has none. With `in_plan`, distances are those of X and Y alone.
+    pub fn new(surface: &'a Surface, in_plan: bool) -> Option<Self> {
+        let empty = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2], 0u32);
+        let grow = |(low, high, n): ([f32; 2], [f32; 2], u32), p: &[f32; 3]| {
+            let low = [low[0].min(p[0]), low[1].min(p[1])];
+            (low, [high[0].max(p[0]), high[1].max(p[1])], n + u32::from(!p[0].is_nan()))
+        };
+        let (low, high, count) = surface.points.iter().fold(empty, grow);
+        if count == 0 {
+            return None;
+        }
+        let size = [0, 1].map(|k| f64::from(high[k]) - f64::from(low[k]));
+        let side = column_side(size, f64::from(count));
+        let [wide, high] = size.map(|s| (s / side) as usize + 1);
+        let (left, bottom) = (f64::from(low[0]), f64::from(low[1]));
+        let mut columns = Self {
+            surface,
+            z_weight: if in_plan { 0.0 } else { 1.0 },
+            left,
+            bottom,
+            side,
+            wide,
+            high,
+            starts: vec![0; wide * high + 1],
+            places: Vec::new(),
+        };
+        columns.sort(count as usize);
+        Some(columns)
+    }
+
+    /// Counting sort, in the order of the surface.
+    fn sort(&mut self, count: usize) {
+        let column_of = |p: &[f32; 3]| if p[0].is_nan() { u32::MAX } else { self.column(p) };
+        let column: Vec<u32> = self.surface.points.par_iter().map(column_of).collect();
+        let filled = || column.iter().enumerate().filter(|(_, c)| **c != u32::MAX);
+        let mut next = vec![0u32; self.starts.len()];
+        filled().for_each(|(_, c)| next[*c as usize + 1] += 1);
+        for i in 1..next.len() {
+            next[i] += next[i - 1];
+        }
+        self.starts.copy_from_slice(&next);
+        self.places = vec![0; count];
+        for (place, c) in filled() {
+            let slot = &mut next[*c as usize];
+            self.places[*slot as usize] = place as u32;
+            *slot += 1;
+        }
+    }
+
+    fn column(&self, p: &[f32; 3]) -> u32 {
+        let x = ((f64::from(p[0]) - self.left) / self.side) as usize;
+        let y = ((f64::from(p[1]) - self.bottom) / self.side) as usize;
+        (y.min(self.high - 1) * self.wide + x.min(self.wide - 1)) as u32
+    }
+
+    /// Mean distance of neighbouring points, metres, were they spread evenly over X and Y.
+    pub fn spacing_m(&self) -> f64 {
+        self.side / POINTS_PER_COLUMN.sqrt()
+    }
+
+    /// Place of the nearest point within a radius of a point relative to the surface's origin, metres.
+    ///
+    /// Rings of columns are searched outward until no nearer point can follow: the answer is exact.
+    pub fn nearest(&self, point: &Vector3<f64>, radius_m: f64) -> Option<usize> {
+        let x = ((point.x - self.left) / self.side).floor();
+        let y = ((point.y - self.bottom) / self.side).floor();
+        let rings = (radius_m / self.side).ceil();
+        // Rings before the first and after the last that meet the columns hold nothing.
+        let (right, top) = (self.wide as f64 - 1.0, self.high as f64 - 1.0);
+        let first = (-x).max(x - right).max(-y).max(y - top).max(0.0);
+        let last = x.abs().max((x - right).abs()).max(y.abs()).max((y - top).abs()).min(rings);
+        if !(x.is_finite() && y.is_finite() && first <= last) {
+            return None;
+        }
+        let mut best = (radius_m * radius_m, None);
+        for ring in first as i64..=last as i64 {
+            self.search_ring([x as i64, y as i64], ring, point, &mut best);
+            let reached = ring as f64 * self.side;
+            if best.0 <= reached * reached {
+                break;
+            }
+        }
+        best.1
+    }
+
+    fn search_ring(&self, [x, y]: [i64; 2], ring: i64, point: &Vector3<f64>, best: &mut (f64, Option<usize>)) {
+        let (wide, high) = (self.wide as i64, self.high as i64);
+        for row in (y - ring).max(0)..=(y + ring).min(high - 1) {
+            if row == y - ring || row == y + ring {
+                for column in (x - ring).max(0)..=(x + ring).min(wide - 1) {
+                    self.search((row * wide + column) as usize, point, best);
+                }
+            } else {
+                for column in [x - ring, x + ring].into_iter().filter(|column| (0..wide).contains(column)) {
+                    self.search((row * wide + column) as usize, point, best);
+                }
+            }
+        }
+    }
+
+    #[inline]
+    fn search(&self, column: usize, point: &Vector3<f64>, best: &mut (f64, Option<usize>)) {
+        for place in &self.places[self.starts[column] as usize..self.starts[column + 1] as usize] {
+            let d = local(self.surface, *place as usize) - point;
+            let square = d.x * d.x + d.y * d.y + self.z_weight * d.z * d.z;
+            if square < best.0 {
+                *best = (square, Some(*place as usize));
+            }
+        }
+    }
+}
+
+/// Side of a column for so many points over a box; a box without width or height still gets one.
+fn column_side([width, height]: [f64; 2], count: f64) -> f64 {
+    let by_area = (width * height * POINTS_PER_COLUMN / count).sqrt();
+    let by_length = width.max(height) * POINTS_PER_COLUMN / count;
+    let side = by_area.max(by_length);
+    if side > 0.0 { side } else { 1.0 }
+}
+
+/// A point relative to its surface's origin, metres.
+#[inline]
+pub fn local(surface: &Surface, place: usize) -> Vector3<f64> {
+    Vector3::from(surface.points[place].map(f64::from))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rockface_core::artefact::Frame;
+    use rockface_core::numerics::random::Key;
+
+    #[test]
+    fn the_answer_is_that_of_looking_at_every_point() {
+        let noise = Key([9; 32]).field();
+        let point = |i: i32| [0, 1, 2].map(|k| (noise.normal(i, k) * [2.0, 1.0, 0.3][k as usize]) as f32);
+        let mut points: Vec<[f32; 3]> = (0..900).map(point).collect();
+        points[17] = [f32::NAN; 3];
+        let surface = Surface {
+            frame: Frame::Wall,
+            width: 30,
+            height: 30,
+            origin_m: [0.0; 3],
+            points,
+            squares: vec![0; 29 * 29],
+        };
+        let columns = Columns::new(&surface, false).unwrap();
+        for i in 0..300 {
+            let query = Vector3::new(noise.normal(i, 7), noise.normal(i, 8), noise.normal(i, 9)) * 2.0;
+            let distance = |place: usize| (local(&surface, place) - query).norm();
+            let everywhere = (0..900).filter(|p| *p != 17).min_by(|a, b| distance(*a).total_cmp(&distance(*b)));
+            let within = everywhere.filter(|place| distance(*place) < 1.5);
+            assert_eq!(columns.nearest(&query, 1.5), within, "query {i}");
+            assert_eq!(columns.nearest(&query, 1e6), everywhere, "query {i}, far");
+        }
+    }
+}

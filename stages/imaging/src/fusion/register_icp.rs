@@ -1,0 +1,242 @@
+//! `register-icp`: finds the rigid motion that lays one measured surface on another.
+
+use std::borrow::Cow;
+
+use nalgebra::Vector3;
+
+use rockface_core::artefact::{Artefact, Frame, Kind, Surface, Transform};
+use crate::fusion::icp;
+use crate::fusion::icp::{Registration, Settings};
+use rockface_raster::raster_surface;
+use rockface_core::params::Range;
+use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
+
+choice! {
+    /// What is minimised.
+    pub enum IcpMethod {
+        /// Distances to the tangent planes of the target.
+        PointToPlane = "point_to_plane",
+        /// Distances to the nearest points of the target; locks to the sampling of regular grids.
+        PointToPoint = "point_to_point",
+        /// Nothing: the surfaces are left as they are.
+        None = "none",
+    }
+}
+
+choice! {
+    /// Which point of the target is the partner of a point of the source.
+    pub enum IcpPairing {
+        /// The nearest in X and Y: noise along Z does not choose it. For surfaces in the wall frame.
+        Plan = "plan",
+        /// The nearest in space: for surfaces with overhangs; slow to converge where noise exceeds the point spacing.
+        Space = "space",
+    }
+}
+
+params! {
+    /// Parameters of `register-icp`.
+    pub struct RegisterIcpParams {
+        /// What is minimised.
+        method: IcpMethod = IcpMethod::PointToPlane,
+        /// Which points are pairs; left out, in plan for `point_to_plane` in the wall frame, in space otherwise.
+        pairing: Option<IcpPairing> = None,
+        /// Share of the pairs kept, the closest first.
+        trim: f64 = 0.9; Range::Between(0.05, 1.0),
+        /// Points further apart are no pair, metres; left out, 20 point spacings of the target.
+        max_distance_m: Option<f64> = None; Range::Positive,
+        /// Points of the source that are used, about (every n-th row and column).
+        points: u32 = 40_000; Range::AtLeast(100.0),
+        /// Iterations at most.
+        max_iterations: u32 = 50; Range::Between(1.0, 10_000.0),
+        /// Directions with a smaller eigenvalue of the normal equations, as a share of the largest, are left alone. The
+        /// default stands for slopes of 10 %: matching noise tilts a plane by some 4 %, and must not hold it in place.
+        weak_eigenvalue: f64 = 0.01; Range::Between(0.0, 1.0),
+    }
+}
+
+/// The stage.
+pub struct RegisterIcp;
+
+impl Stage for RegisterIcp {
+    type Params = RegisterIcpParams;
+    const NAME: &'static str = "register-icp";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Finds the rigid motion that lays the source on the target. The motion is applied by whoever samples the \
+               source (`rasterise-dem`); no moved copy is made. What another program fused, a cloud or a mesh, is registered by its \
+               DEMs.",
+        method: "Iterative closest points (Besl and McKay 1992; to planes: Chen and Medioni 1992), trimmed (Chetverikov et \
+                 al. 2005), on the nearest points, in plan or in space; normals by regression over 17 x 17 neighbours, one for 4 x 4 points. \
+                 Directions the surface does not determine, as on a plane, are not moved along and reported. Stops below \
+                 1e-8 rad and 1e-6 m, or than a quarter of their standard deviations.",
+        frames: "Both surfaces in one frame, metres; `target_from_source` with its origin at the centroid of the points \
+                 used. rms and standard deviations are \
+                 those of the pairs kept, residuals taken as independent: at trim 0.9 some 1.6 times too small, and more for \
+                 correlated noise.",
+        fails: "The surfaces do not overlap within `max_distance_m`; too few points; the solution runs away.",
+        example: "rockface: 1\nname: lay-one-on-the-other\nseed: 1\naxes: {epoch: {items: [pre, post]}}\nsteps:\n  \
+            face: {stage: synthesise-face, with: {width_m: 3, height_m: 2, spacing_m: 0.03}}\n  \
+            survey: {stage: plan-survey, in: {mesh: face.mesh}}\n  \
+            depth: {stage: project-depth, over: [epoch], in: {mesh: face.mesh, cameras: survey.cameras}, with: {image: left, downscale: 16}}\n  \
+            surface: {stage: fuse-depth, in: {depth: depth.depth}}\n  \
+            motion:\n    stage: register-icp\n    in: {source: \"surface.surface[epoch=post]\", target: \"surface.surface[epoch=pre]\"}\n",
+    };
+    const INPUTS: &'static [Port] = &[
+        Port::one("source", &[Kind::Surface, Kind::Raster], "The surface that moves; a raster holds elevations."),
+        Port::one("target", &[Kind::Surface, Kind::Raster], "The surface that stays, in the same frame."),
+    ];
+    const OUTPUTS: &'static [Port] = &[Port::one("transform", &[Kind::Transform], "target_from_source.")];
+
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        // Both surfaces as they are read and as they are used; only samples of them are matched.
+        2 * inputs.total()
+    }
+
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let (source, target) = (surface(inputs, "source")?, surface(inputs, "target")?);
+        if source.frame != target.frame {
+            fail!("the source is in the {} frame, but the target in the {} frame", source.frame, target.frame);
+        }
+        let Some(settings) = settings(params, source.frame) else {
+            context.headline("not registered, as asked");
+            return Ok(Outputs::of("transform", Transform::identity("source", "target")));
+        };
+        let found = icp::register(&source, &target, &settings)?;
+        report(&found, context);
+        Ok(Outputs::of("transform", found.transform))
+    }
+}
+
+/// A surface, or that of the cell centres of an elevation raster: clouds and meshes of other programs come as one.
+fn surface<'a>(inputs: &'a Inputs, port: &str) -> Result<Cow<'a, Surface>, StageError> {
+    match inputs.artefact(port)? {
+        Artefact::Raster(raster) => raster_surface::between_cells(raster)
+            .map(Cow::Owned)
+            .map_err(|text| StageError::new(format!("`{port}` {text}"))),
+        _ => inputs.one(port).map(Cow::Borrowed),
+    }
+}
+
+fn settings(params: &RegisterIcpParams, frame: Frame) -> Option<Settings> {
+    let method = match params.method {
+        IcpMethod::PointToPlane => icp::Method::PointToPlane,
+        IcpMethod::PointToPoint => icp::Method::PointToPoint,
+        IcpMethod::None => return None,
+    };
+    let by_plan = params.pairing.unwrap_or(match method {
+        icp::Method::PointToPlane if frame == Frame::Wall => IcpPairing::Plan,
+        _ => IcpPairing::Space,
+    });
+    let pairing = if by_plan == IcpPairing::Plan { icp::Pairing::InPlan } else { icp::Pairing::InSpace };
+    Some(Settings {
+        method,
+        pairing,
+        trim: params.trim,
+        max_distance_m: params.max_distance_m,
+        points: params.points as usize,
+        max_iterations: params.max_iterations as usize,
+        weak_eigenvalue: params.weak_eigenvalue,
+    })
+}
+
+/// Whether less than a hundredth of a parameter lies in directions the surface does not determine.
+fn is_determined(found: &Registration, parameter: usize) -> bool {
+    found.unobservable.iter().map(|direction| direction[parameter] * direction[parameter]).sum::<f64>() < 0.01
+}
+
+fn report(found: &Registration, context: &Context) {
+    let shift = Vector3::from(found.transform.translation) - Vector3::from(found.transform.origin);
+    let axis_angle = nalgebra::Rotation3::from_matrix_unchecked(found.transform.matrix()).scaled_axis();
+    context.metric("rms", found.rms_m, "m");
+    context.metric("pairs", found.pairs as f64, "1");
+    context.metric("iterations", found.iterations as f64, "1");
+    for (k, axis) in ["x", "y", "z"].iter().enumerate() {
+        context.metric(&format!("shift_{axis}"), shift[k], "m");
+        context.metric(&format!("rotation_{axis}"), axis_angle[k].to_degrees(), "deg");
+        // What the surface does not determine has no standard deviation.
+        if is_determined(found, 3 + k) {
+            context.metric(&format!("shift_{axis}_sd"), found.sd[3 + k], "m");
+        }
+        if is_determined(found, k) {
+            context.metric(&format!("rotation_{axis}_sd"), found.sd[k].to_degrees(), "deg");
+        }
+    }
+    if !found.converged {
+        let n = found.iterations;
+        context.warn(format!("still moving after {n} iterations; the last step is kept (raise `max_iterations`)"));
+    }
+    for [rx, ry, rz, x, y, z] in &found.unobservable {
+        context.warn(format!(
+            "the surface does not determine the direction shift ({x:.2}, {y:.2}, {z:.2}) with rotation about \
+             ({rx:.2}, {ry:.2}, {rz:.2}): nothing is moved along it"
+        ));
+    }
+    context.headline(format!(
+        "moved {:.1} mm and {:.4} deg, {:.2} mm rms over {} pairs",
+        1e3 * shift.norm(),
+        axis_angle.norm().to_degrees(),
+        1e3 * found.rms_m,
+        found.pairs
+    ));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rockface_core::artefact::{Artefact, Frame};
+    use rockface_core::params::ParamType;
+    use rockface_core::testing::TestHost;
+    use serde_json::json;
+    use std::sync::Arc;
+
+    /// A flat grid at a height.
+    fn flat(z: f32) -> Surface {
+        let points = (0..900u16).map(|i| [f32::from(i % 30), 30.0 - f32::from(i / 30), z]).collect();
+        let squares = vec![Surface::FIRST | Surface::SECOND; 29 * 29];
+        Surface { frame: Frame::Wall, width: 30, height: 30, origin_m: [0.0; 3], points, squares }
+    }
+
+    fn run(with: &serde_json::Value) -> (Transform, TestHost) {
+        let host = TestHost::default();
+        let mut inputs = Inputs::default();
+        for (port, z) in [("source", 0.25), ("target", 0.0)] {
+            inputs.push(port, rockface_core::Point::new(), Arc::new(flat(z).into()));
+        }
+        let params = RegisterIcpParams::decode(with).unwrap();
+        let outputs = RegisterIcp::run(&params, &inputs, &Context::new(&host)).unwrap();
+        let Some(Artefact::Transform(transform)) = outputs.into_inner().remove("transform") else { panic!("none") };
+        (transform, host)
+    }
+
+    #[test]
+    fn the_motion_and_the_free_directions_are_told() {
+        let (transform, host) = run(&json!({}));
+        assert!((transform.translation[2] - (transform.origin[2] - 0.25)).abs() < 1e-9);
+        assert!((host.metric("shift_z").unwrap() + 0.25).abs() < 1e-9);
+        assert_eq!(host.warnings().iter().filter(|text| text.contains("does not determine")).count(), 3);
+    }
+
+    #[test]
+    fn elevation_rasters_are_registered_like_surfaces() {
+        let grid = rockface_core::artefact::Grid { columns: 80, rows: 60, cell_m: 0.05, left_m: 10.0, top_m: 20.0 };
+        let relief = |shift_m: f64| {
+            let z = |cell: usize| {
+                let (x, y) = grid.centre(cell / 80, cell % 80);
+                let bump = rockface_core::numerics::portable_math::sin(3.0 * x) * rockface_core::numerics::portable_math::cos(2.0 * y);
+                (0.3 * bump + shift_m) as f32
+            };
+            rockface_core::artefact::Raster::single(grid, Frame::Wall, "elevation", "z", (0..grid.cells()).map(z).collect())
+        };
+        let host = TestHost::default();
+        let inputs = [("source", Artefact::from(relief(0.02))), ("target", Artefact::from(relief(0.0)))];
+        let made = rockface_core::testing::run_stage::<RegisterIcp>(&host, &json!({}), &inputs).unwrap().into_inner();
+        let Artefact::Transform(transform) = &made["transform"] else { panic!("none") };
+        let moved = transform.apply(&nalgebra::Point3::new(12.0, 18.5, 0.0));
+        assert!((moved - nalgebra::Point3::new(12.0, 18.5, -0.02)).norm() < 2e-3, "{moved}");
+    }
+
+    #[test]
+    fn none_is_the_identity() {
+        assert!(run(&json!({"method": "none"})).0.is_identity());
+    }
+}

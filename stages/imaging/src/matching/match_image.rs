@@ -1,0 +1,341 @@
+//! `match-image`: the depth map of an image fused from all of its stereo pairs, of which none is ever stored.
+
+use std::collections::BTreeMap;
+
+use rockface_core::artefact::{Cameras, Depth, Image, Kind, Pair, Pairs, Raster};
+use crate::camera::model::Camera;
+use crate::matching::image::{Fusion, ImageTally, Side, match_image};
+use crate::matching::map_fusion::{Averaging, Fused, Rule};
+use crate::matching::params::Matching;
+use crate::matching::noise::matcher::MatcherTerms;
+use crate::matching::setup::{Setup, check_size, noisy_image};
+use rockface_core::params::{Fault, Range};
+use rockface_core::{Context, Element, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params, union};
+
+params! {
+    /// Nothing to say.
+    pub struct Whole {}
+}
+
+params! {
+    /// How much of the noise belongs to the images.
+    pub struct Mix {
+        /// Share of the noise variance that belongs to the two images of a pair, half each.
+        image_share: f64 = 0.5; Range::Between(0.0, 1.0),
+    }
+}
+
+union! {
+    /// What the errors of the pairs of an image have in common.
+    pub enum NoiseSharing {
+        /// Nothing: every pair has errors of its own (the paper), which average away over the pairs.
+        Pair(Whole) = "pair",
+        /// Everything: half of a pair's noise variance is each image's, the same in all of its pairs.
+        Image(Whole) = "image",
+        /// Something of both.
+        Mix(Mix) = "mix",
+    }
+}
+
+choice! {
+    /// What is kept of a fused pixel beside its depth.
+    pub enum Channel {
+        /// Its expected standard deviation, metres.
+        Sigma = "sigma",
+        /// How many pairs it stands on.
+        Pairs = "pairs",
+    }
+}
+
+params! {
+    /// Parameters of `match-image`.
+    pub struct MatchImageParams {
+        ..matching: Matching,
+        /// Name of the image.
+        image: String,
+        /// What the errors of the pairs of an image have in common.
+        noise_sharing: NoiseSharing = NoiseSharing::Pair(Whole {}),
+        /// How the depths of the pairs that agree become one.
+        averaging: Averaging = Averaging::Mean,
+        /// A depth is rejected beyond so many robust deviations from the weighted median of the pairs (1.4826 times the median
+        /// absolute deviation), or so many of its own expected deviations where that is more.
+        rejection: f64 = 3.0; Range::Positive,
+        /// Fewest pairs that must agree on a pixel.
+        min_pairs: u32 = 1; Range::AtLeast(1.0),
+        /// Channels kept beside the depth.
+        channels: Vec<Channel> = vec![Channel::Sigma],
+    }
+}
+
+/// Pairs an image may have.
+const MAXIMUM_PAIRS: usize = 255;
+
+/// The stage.
+pub struct MatchImage;
+
+impl Stage for MatchImage {
+    type Params = MatchImageParams;
+    const NAME: &'static str = "match-image";
+    const VERSION: u32 = 2;
+    const PAGE: Page = Page {
+        what: "Makes the depth map of an image as dense matching with all of its partners would: every pair of the image is \
+               matched as `match-pair` does it, and the depths they give a pixel are fused. The maps of single pairs exist for \
+               a few rows at a time only, so a block of many large images needs no store for them.",
+        method: "Paper 2.1.2, Algorithm 2 lines 6 to 21. The noise of a pair is that of `match-pair`, draw for draw, where both \
+                 steps have the same stream. Depths are weighted by 1 / sigma^2 with sigma the depth a pixel of disparity is \
+                 worth times sqrt(sigma_local^2 + sigma_regular^2); those far from the weighted median are rejected (`rejection`) and \
+                 the rest averaged. Both images of a pair carry the same errors only where their steps draw from one stream: take the \
+                 axis of images with `reseeds: false`, or give the step `stream: {label: match, axes: [epoch]}`. Independent errors of \
+                 K pairs average away by sqrt(K), errors of a real matcher do not, since pairs share an image: `noise_sharing`.",
+        frames: "As `match-pair`: disparities in pixels of the depth map, depth along the optical axis of the noisy camera, metres. \
+                 Channels: `sigma`, the expected standard deviation of the fused depth from matching were the pairs' errors \
+                 independent, metres; `pairs`, how many pairs the depth stands on.",
+        fails: "The image has no pair, or more than 255; a depth map of it or of a partner is missing or there twice; sizes, frames \
+                or downscales differ; no pair sees anything in common with it; the y-parallax of a pair is above max_y_parallax_px; \
+                `noise_sharing` other than `pair` beside an `image_share` of `matcher`; a map of strength in another frame, or without \
+                `matcher`.",
+        example: "\
+rockface: 1
+name: noisy-depth-of-a-block
+seed: 1
+axes:
+  image: {from: survey.cameras, reseeds: false}
+steps:
+  face:   {stage: synthesise-face, with: {width_m: 8, height_m: 5}}
+  survey: {stage: plan-survey, in: {mesh: face.mesh}, with: {block: strips, width_px: 320, height_px: 240, focal_px: 260, distance_m: 10, columns: 3, rows: 1}}
+  pairs:  {stage: select-pairs, in: {cameras: survey.cameras, mesh: face.mesh}}
+  depth:  {stage: project-depth, in: {mesh: face.mesh, cameras: survey.cameras}, with: {image: \"${image}\"}}
+  noisy:  {stage: perturb-cameras, in: {cameras: survey.cameras}, with: {model: independent, independent: {position_m: [0.001, 0.001, 0.001]}}}
+  matched:
+    stage: match-image
+    keep: false
+    in: {depths: {each: depth.depth, over: [image]}, noisy: noisy.cameras, pairs: pairs.pairs}
+    with: {image: \"${image}\", sigma_local_px: 0.6, sigma_regular_px: 0.65, spacing_px: 26}
+",
+    };
+    const INPUTS: &'static [Port] = &[
+        Port::many(
+            "depths",
+            &[Kind::Depth],
+            "Ideal depth maps with their true cameras: of the image, of its partners, of any other.",
+        ),
+        Port::one("noisy", &[Kind::Cameras], "The cameras as the bundle adjustment believes them to be."),
+        Port::one("pairs", &[Kind::Pairs], "The pairs of the block."),
+        Port::optional(
+            "strength",
+            &[Kind::Raster],
+            "Factor on the local noise by place, from `map-noise`; needs `matcher`.",
+        ),
+    ];
+    const OUTPUTS: &'static [Port] =
+        &[Port::one("depth", &[Kind::Depth], "The fused noisy depth map, with its noisy camera.")];
+
+    fn draws(params: &Self::Params) -> bool {
+        params.matching.draws()
+    }
+
+    fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
+        // The ideal maps that are held; the map and its channels with two copies while they are written, terms of the noise.
+        inputs.total() + (3 * (1 + params.channels.len() as u64) + 3) * inputs.largest("depths")
+    }
+
+    fn check(params: &Self::Params) -> Vec<Fault> {
+        let shared = params.matching.matcher.as_ref().is_some_and(|matcher| matcher.image_share > 0.0);
+        if !shared || matches!(params.noise_sharing, NoiseSharing::Pair(_)) {
+            return Vec::new();
+        }
+        let fault = Fault::new("`matcher` has an `image_share` already: say it in one place");
+        vec![Fault { path: vec!["noise_sharing".into()], ..fault }]
+    }
+
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let (noisy, pairs) = (inputs.one::<Cameras>("noisy")?, inputs.one::<Pairs>("pairs")?);
+        let ideal = depth_of(inputs, &params.image, None)?;
+        let chosen = pairs_of(pairs, &params.image)?;
+        let image = noisy_image(noisy, ideal)?;
+        let setup = setup(params, inputs.optional::<Raster>("strength")?)?;
+        let seen = setup.terms.as_ref().and_then(|terms| terms.seen(ideal));
+        let seen = seen.as_ref().unwrap_or(ideal);
+        let keys = |purpose: &str, item: &str| context.stream(purpose, item);
+        let mut sides = Vec::with_capacity(chosen.len());
+        for pair in &chosen {
+            context.check_cancelled()?;
+            let own = usize::from(pair.second == params.image);
+            let partner = if own == 0 { &pair.second } else { &pair.first };
+            let other = depth_of(inputs, partner, Some(pair))?;
+            check_scale(ideal, other)?;
+            let both = if own == 0 { [seen, other] } else { [other, seen] };
+            sides.push(Side { matcher: setup.matcher(&pair.name, both, own, noisy, &keys)?, own });
+        }
+        let (map, tally) = fused_map(params, seen, &sides, noisy, image);
+        report(params, context, &chosen, &map, &tally)?;
+        Ok(Outputs::of("depth", map))
+    }
+}
+
+/// The one depth map of an image; `pair` says who asks.
+fn depth_of<'a>(inputs: &'a Inputs, image: &str, pair: Option<&Pair>) -> Result<&'a Depth, StageError> {
+    let depths = candidates(inputs, image)?;
+    let mut found = depths.iter().filter(|depth| depth.image.name == image);
+    let asked = pair.map_or(String::new(), |pair| format!(", which pair `{}` needs", pair.name));
+    let (Some(depth), None) = (found.next(), found.next()) else {
+        let count = depths.iter().filter(|depth| depth.image.name == image).count();
+        let error = StageError::new(format!("`depths` holds {count} depth maps of image `{image}`{asked}, not one"));
+        return Err(error.hint("gather them over the axis of images: {each: depth.depth, over: [image]}"));
+    };
+    check_size(&format!("the depth map of image `{image}`"), depth)?;
+    Ok(depth)
+}
+
+/// The depth maps among which that of an image is to be found: those that were gathered under its name, so that in a large
+/// block only a few are ever read; all of them where there is none.
+fn candidates<'a>(inputs: &'a Inputs, image: &str) -> Result<Vec<&'a Depth>, StageError> {
+    let named = |(_, element): &(usize, &Element)| element.point.values().any(|item| item == image);
+    let elements = inputs.elements("depths").iter().enumerate().filter(named);
+    let depths: Vec<&Depth> = elements.map(|(index, _)| inputs.nth("depths", index)).collect::<Result<_, _>>()?;
+    if depths.iter().any(|depth| depth.image.name == image) {
+        return Ok(depths);
+    }
+    Ok(inputs.many::<Depth>("depths")?.into_iter().map(|(_, depth)| depth).collect())
+}
+
+fn pairs_of<'a>(pairs: &'a Pairs, image: &str) -> Result<Vec<&'a Pair>, StageError> {
+    let chosen: Vec<&Pair> = pairs.pairs.iter().filter(|pair| pair.first == image || pair.second == image).collect();
+    match chosen.len() {
+        0 => Err(StageError::new(format!("image `{image}` is in none of the {} pairs", pairs.pairs.len()))
+            .hint("widen the limits of `select-pairs`, or leave the image out")),
+        n if n > MAXIMUM_PAIRS => fail!("image `{image}` has {n} pairs, {MAXIMUM_PAIRS} at most can be fused"),
+        _ => Ok(chosen),
+    }
+}
+
+fn check_scale(ideal: &Depth, other: &Depth) -> Result<(), StageError> {
+    if ideal.downscale == other.downscale {
+        return Ok(());
+    }
+    let (name, partner) = (&ideal.image.name, &other.image.name);
+    let text = format!("image `{name}` has downscale {}, its partner `{partner}` {}", ideal.downscale, other.downscale);
+    Err(StageError::new(text).hint("project all depth maps with one `downscale`"))
+}
+
+fn setup<'a>(params: &MatchImageParams, strength: Option<&'a Raster>) -> Result<Setup<'a>, StageError> {
+    let mut setup = params.matching.setup(strength)?;
+    let share = match &params.noise_sharing {
+        NoiseSharing::Pair(_) => 0.0,
+        NoiseSharing::Image(_) => 1.0,
+        NoiseSharing::Mix(mix) => mix.image_share,
+    };
+    if share > 0.0 {
+        setup.terms.get_or_insert_with(MatcherTerms::none).image_share = share;
+    }
+    Ok(setup)
+}
+
+fn fusion(params: &MatchImageParams) -> Fusion {
+    let (local, regular) = (params.matching.sigma_local_px, params.matching.sigma_regular_px);
+    let sigma_px = (local * local + regular * regular).sqrt();
+    let rule = Rule {
+        averaging: params.averaging,
+        rejection: params.rejection,
+        tolerance_m: 0.0,
+        minimum: params.min_pairs as usize,
+    };
+    // Without noise the weights are those of one pixel.
+    Fusion { rule, sigma_px: if sigma_px > 0.0 { sigma_px } else { 1.0 } }
+}
+
+/// One row of the map and of its channels.
+struct Row<'a> {
+    z: &'a mut [f32],
+    channels: Vec<(Channel, &'a mut [f32])>,
+}
+
+impl Row<'_> {
+    fn keep(&mut self, column: usize, fused: &Fused) {
+        self.z[column] = fused.value.value_m as f32;
+        for (channel, values) in &mut self.channels {
+            values[column] = match channel {
+                Channel::Sigma => fused.value.sigma_m as f32,
+                Channel::Pairs => fused.count as f32,
+            };
+        }
+    }
+}
+
+impl Channel {
+    fn name(self) -> String {
+        let name = match self {
+            Self::Sigma => "sigma",
+            Self::Pairs => "pairs",
+        };
+        name.to_owned()
+    }
+}
+
+fn fused_map(
+    params: &MatchImageParams,
+    ideal: &Depth,
+    sides: &[Side],
+    noisy: &Cameras,
+    image: &Image,
+) -> (Depth, ImageTally) {
+    let empty = || vec![f32::NAN; ideal.z.len()];
+    let mut z = empty();
+    let mut channels: Vec<(Channel, Vec<f32>)> = params.channels.iter().map(|channel| (*channel, empty())).collect();
+    let mut rows: Vec<Row> = z.chunks_mut(ideal.width).map(|z| Row { z, channels: Vec::new() }).collect();
+    for (channel, values) in &mut channels {
+        let lines = rows.iter_mut().zip(values.chunks_mut(ideal.width));
+        lines.for_each(|(row, line)| row.channels.push((*channel, line)));
+    }
+    let cameras = [Camera::of_depth(ideal), Camera::new(noisy.sensor(image), image)];
+    let tally = match_image(ideal, [&cameras[0], &cameras[1]], sides, &fusion(params), &mut rows, Row::keep);
+    let map = Depth {
+        frame: noisy.frame,
+        sensor: noisy.sensor(image).clone(),
+        image: Image { sensor: 0, ..image.clone() },
+        downscale: ideal.downscale,
+        width: ideal.width,
+        height: ideal.height,
+        z,
+        channels: channels.into_iter().map(|(channel, values)| (channel.name(), values)).collect::<BTreeMap<_, _>>(),
+    };
+    (map, tally)
+}
+
+fn report(
+    params: &MatchImageParams,
+    context: &Context,
+    pairs: &[&Pair],
+    map: &Depth,
+    tally: &ImageTally,
+) -> Result<(), StageError> {
+    if tally.fused == 0 {
+        let (n, name) = (pairs.len(), &params.image);
+        let text = format!("image `{name}`: none of its {n} pairs gives it a depth ({} pixels matched)", tally.matched);
+        return Err(StageError::new(text)
+            .hint("its pairs do not overlap, every point is hidden from the partners (see `occlusion`), or `min_pairs` is too high"));
+    }
+    let mut worst_px = 0.0f64;
+    for (pair, found) in pairs.iter().zip(&tally.pairs) {
+        if found.count == 0 {
+            context.warn(format!("pair `{}`: the two images have no point in common", pair.name));
+            continue;
+        }
+        let rms_px = (found.y_parallax2_px2 / found.count as f64).sqrt();
+        if let Some(warning) = params.matching.judge_y_parallax(&pair.name, rms_px)? {
+            context.warn(warning);
+        }
+        worst_px = worst_px.max(rms_px);
+    }
+    let fused = tally.fused as f64;
+    context.metric("pairs", pairs.len() as f64, "1");
+    context.metric("valid_share", fused / map.z.len() as f64, "1");
+    context.metric("pairs_per_pixel", tally.kept as f64 / fused, "1");
+    context.metric("rejected_share", 1.0 - tally.kept as f64 / tally.given as f64, "1");
+    context.metric("expected_sigma", tally.sigma_m / fused, "m");
+    context.metric("y_parallax_rms_largest", worst_px, "px");
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,285 @@
+//! `match-pair`: the noisy depth map that dense matching of one stereo pair yields for one of its images.
+
+use std::collections::BTreeMap;
+
+use rockface_core::artefact::{Cameras, Depth, Image, Kind, Pair, Pairs, Raster};
+use crate::matching::params::Matching;
+use crate::matching::pair::{Match, Matcher, Tally};
+use crate::matching::setup::{check_size, noisy_image};
+use crate::matching::rectified_row::rectified_camera;
+use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
+
+choice! {
+    /// An image of a pair.
+    pub enum Side {
+        /// The first (left) image.
+        First = "first",
+        /// The second (right) image.
+        Second = "second",
+    }
+}
+
+choice! {
+    /// Where disparities are sampled.
+    pub enum Sampling {
+        /// At the pixels of the image whose depth map is made.
+        Image = "image",
+        /// At the pixels of its rectified image, as the paper has it: the depth map is that of the rectified camera.
+        Rectified = "rectified",
+    }
+}
+
+params! {
+    /// Parameters of `match-pair`.
+    pub struct MatchPairParams {
+        ..matching: Matching,
+        /// Name of the pair; needed where there are several.
+        pair: Option<String> = None,
+        /// The image whose depth map is made.
+        of: Side = Side::First,
+        /// Where disparities are sampled.
+        sampling: Sampling = Sampling::Image,
+        /// Whether distance along the ray, disparities, every term of the noise, y-parallax and the mask of valid pixels are
+        /// kept as further channels.
+        channels: bool = false,
+    }
+}
+
+/// The stage.
+pub struct MatchPair;
+
+impl Stage for MatchPair {
+    type Params = MatchPairParams;
+    const NAME: &'static str = "match-pair";
+    const VERSION: u32 = 5;
+    const PAGE: Page = Page {
+        what: "Makes the depth map of one image of a stereo pair as dense matching would: with the errors of the \
+               orientation and of the matching in it.",
+        method: "Paper 2.1.2, Algorithm 2 lines 7 to 19, Eq. 2 and 3. True points, true projections; rectification by \
+                 the noisy cameras onto the plane along the baseline both images face best; disparity plus a white \
+                 part addressed by pixel of the first image and a smooth part interpolated from a grid of nodes over \
+                 the first rectified image; back to depth on the noisy rays of the image. Sampled at image pixels, so \
+                 nothing is resampled. The two maps of a pair carry the same error at corresponding points where both steps draw \
+                 from one stream: give both `stream: {label: match, axes: [...]}` with the axes they share. \
+                 The y-parallax is no part of the disparity: it is measured and discarded. With `sampling: rectified` the grid is that \
+                 of the rectified image, one of its own for each pair, as in the paper; noise is then addressed by the pixels of \
+                 the rectified first image. `matcher` adds what real matchers \
+                 show: a Matern correlation of the local noise over a few pixels, noise that varies with the texture of the \
+                 face, with the conditions and the quality of an acquisition and with the relief inside the matcher's window, \
+                 or as a map from rasters of the site says (heavy tails come from that variation), noise at ledges of a \
+                 kind of its own, the window's own smoothing and foreground fattening (these two and the relief see the ideal depth \
+                 map of the image that is made), blunders, holes, pixel locking, and errors shared by the pairs of an image.",
+        frames: "Disparities, sigmas and the spacing are in pixels of the depth map (image pixels times downscale). \
+                 Depth is z along the optical axis of the noisy camera, metres; the map carries that camera, or that of the \
+                 rectified image (no distortion, turned to the plane of the pair, centre of the noisy camera). \
+                 Channels: `range` (distance along the noisy ray, metres); `disparity.ideal` (true projections, noisy \
+                 rectification), `noise.local`, `noise.regular` and `disparity`, their sum; `y_parallax`; `valid` (1 where \
+                 there is a depth, else 0). With `matcher` the sum has two terms more, `noise.blunder` and \
+                 `noise.sub_pixel`, and two channels say what is in the others: `noise.strength` (the factor of acquisition, \
+                 texture and conditions on local and smooth noise) and `noise.relief` (the deviation, in pixels, that relief \
+                 gives the local noise before that factor).",
+        fails: "The pair is unknown or not named; a depth map is not of its image; sizes, frames or downscales differ; \
+                the pair has no baseline or moves along its view; the images share nothing; the y-parallax is above \
+                max_y_parallax_px (a covariance without correlations does that: give the full one); a texture outside the wall \
+                frame; a map of strength in another frame, or without `matcher`.",
+        example: "\
+rockface: 1
+name: noisy-depth
+seed: 1
+steps:
+  face:   {stage: synthesise-face}
+  survey: {stage: plan-survey, in: {mesh: face.mesh}}
+  noisy:  {stage: perturb-cameras, in: {cameras: survey.cameras}, with: {model: independent, independent: {position_m: [0.001, 0.001, 0.001]}}}
+  pairs:  {stage: select-pairs, in: {cameras: survey.cameras, mesh: face.mesh}}
+  left:   {stage: project-depth, in: {mesh: face.mesh, cameras: survey.cameras}, with: {image: left, downscale: 4}}
+  right:  {stage: project-depth, in: {mesh: face.mesh, cameras: survey.cameras}, with: {image: right, downscale: 4}}
+  matched:
+    stage: match-pair
+    in: {first: left.depth, second: right.depth, noisy: noisy.cameras, pairs: pairs.pairs}
+    with: {sigma_local_px: 0.7, sigma_regular_px: 0.6, spacing_px: 50}
+",
+    };
+    const INPUTS: &'static [Port] = &[
+        Port::one("first", &[Kind::Depth], "Ideal depth map of the pair's first image, with its true camera."),
+        Port::one("second", &[Kind::Depth], "Ideal depth map of the pair's second image, with its true camera."),
+        Port::one("noisy", &[Kind::Cameras], "The cameras as the bundle adjustment believes them to be."),
+        Port::one("pairs", &[Kind::Pairs], "The pairs."),
+        Port::optional(
+            "strength",
+            &[Kind::Raster],
+            "Factor on the local noise by place, from `map-noise`; needs `matcher`.",
+        ),
+    ];
+    const OUTPUTS: &'static [Port] =
+        &[Port::one("depth", &[Kind::Depth], "The noisy depth map, with its noisy camera.")];
+
+    fn draws(params: &Self::Params) -> bool {
+        params.matching.draws()
+    }
+
+    fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
+        // Both maps, the noisy one and its file; further terms of the noise and channels are maps too.
+        let maps = inputs.of("first") + inputs.of("second");
+        let terms = if params.matching.matcher.is_some() { 2 } else { 0 };
+        let channels = if params.channels { 24 } else { 0 };
+        (4 + terms) * maps + channels * inputs.of("first")
+    }
+
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let ideal = [inputs.one::<Depth>("first")?, inputs.one::<Depth>("second")?];
+        let noisy = inputs.one::<Cameras>("noisy")?;
+        let pair = choose_pair(params, inputs.one("pairs")?)?;
+        check_depths(pair, ideal)?;
+        let own = usize::from(params.of == Side::Second);
+        let seen = params.matching.matcher.as_ref().and_then(|terms| terms.seen(ideal[own]));
+        let mut matched = ideal;
+        if let Some(seen) = &seen {
+            matched[own] = seen;
+        }
+        let setup = params.matching.setup(inputs.optional::<Raster>("strength")?)?;
+        let keys = |purpose: &str, item: &str| context.stream(purpose, item);
+        let mut matcher = setup.matcher(&pair.name, matched, own, noisy, &keys)?;
+        matcher.rectified = params.sampling == Sampling::Rectified;
+        let (map, tally) = matched_map(params, &matcher, own, noisy, noisy_image(noisy, ideal[own])?);
+        report(params, context, pair, &map, &tally)?;
+        Ok(Outputs::of("depth", map))
+    }
+}
+
+fn choose_pair<'a>(params: &MatchPairParams, pairs: &'a Pairs) -> Result<&'a Pair, StageError> {
+    let names = || pairs.pairs.iter().map(|pair| pair.name.as_str()).collect::<Vec<_>>().join(", ");
+    match (&params.pair, pairs.pairs.as_slice()) {
+        (None, [only]) => Ok(only),
+        (None, all) => Err(StageError::new(format!("`pairs` holds {} pairs: which one is to be matched?", all.len()))
+            .hint(format!("name it with `pair`: {}", names()))),
+        (Some(name), all) => all.iter().find(|pair| pair.name == *name).ok_or_else(|| {
+            StageError::new(format!("`pairs` has no pair `{name}`")).hint(format!("its pairs are: {}", names()))
+        }),
+    }
+}
+
+fn check_depths(pair: &Pair, [first, second]: [&Depth; 2]) -> Result<(), StageError> {
+    for (port, depth, expected) in [("first", first, &pair.first), ("second", second, &pair.second)] {
+        let found = &depth.image.name;
+        if found != expected {
+            fail!("`{port}` is a depth map of image `{found}`, pair `{}` needs `{expected}` there", pair.name);
+        }
+        check_size(&format!("`{port}`"), depth)?;
+    }
+    if first.downscale != second.downscale {
+        let (a, b) = (first.downscale, second.downscale);
+        return Err(StageError::new(format!("`first` has downscale {a}, `second` {b}"))
+            .hint("project both depth maps with one `downscale`"));
+    }
+    Ok(())
+}
+
+/// What a channel keeps of a match.
+type Of = fn(&Match) -> f64;
+/// Name of a channel, and what is in it.
+type Channel = (&'static str, Of);
+
+/// Channels of the paper's noise, then those of a matcher's further terms.
+const CHANNELS: [Channel; 10] = [
+    ("range", Match::range_m),
+    ("disparity.ideal", |m| m.ideal_px),
+    ("noise.local", |m| m.error.white_px),
+    ("noise.regular", |m| m.error.regular_px),
+    ("disparity", |m| m.disparity_px),
+    ("y_parallax", |m| m.y_parallax_px),
+    ("noise.blunder", |m| m.error.blunder_px),
+    ("noise.sub_pixel", |m| m.sub_pixel_px),
+    ("noise.strength", |m| m.error.strength),
+    ("noise.relief", |m| m.error.relief_px),
+];
+
+/// Channels that the paper's noise has too.
+const PAPER_CHANNELS: usize = 6;
+
+fn channels(params: &MatchPairParams) -> &'static [Channel] {
+    match (params.channels, &params.matching.matcher) {
+        (false, _) => &[],
+        (true, None) => &CHANNELS[..PAPER_CHANNELS],
+        (true, Some(_)) => &CHANNELS,
+    }
+}
+
+fn matched_map(
+    params: &MatchPairParams,
+    matcher: &Matcher,
+    own: usize,
+    noisy: &Cameras,
+    image: &Image,
+) -> (Depth, Tally) {
+    let ideal = matcher.ideal[own];
+    let empty = || vec![f32::NAN; ideal.z.len()];
+    let wanted = channels(params);
+    let mut z = empty();
+    let mut values: Vec<Vec<f32>> = wanted.iter().map(|_| empty()).collect();
+    let mut rows: Vec<Row> = z.chunks_mut(ideal.width).map(|z| Row { z, channels: Vec::new() }).collect();
+    for ((_, of), values) in wanted.iter().zip(&mut values) {
+        rows.iter_mut().zip(values.chunks_mut(ideal.width)).for_each(|(row, values)| row.channels.push((*of, values)));
+    }
+    let tally = matcher.match_image(own, &mut rows, Row::keep);
+    let mut channels: BTreeMap<String, Vec<f32>> =
+        wanted.iter().map(|(name, _)| (*name).to_owned()).zip(values).collect();
+    if params.channels {
+        channels.insert("valid".to_owned(), z.iter().map(|z| f32::from(u8::from(z.is_finite()))).collect());
+    }
+    let sensor = noisy.sensor(image);
+    let (sensor, image) = match params.sampling {
+        Sampling::Image => (sensor.clone(), Image { sensor: 0, ..image.clone() }),
+        Sampling::Rectified => rectified_camera(&matcher.rectification, own, ideal, (sensor, image)),
+    };
+    let map = Depth {
+        frame: noisy.frame,
+        sensor,
+        image,
+        downscale: ideal.downscale,
+        width: ideal.width,
+        height: ideal.height,
+        z,
+        channels,
+    };
+    (map, tally)
+}
+
+/// One row of a depth map and of its channels.
+struct Row<'a> {
+    z: &'a mut [f32],
+    channels: Vec<(Of, &'a mut [f32])>,
+}
+
+impl Row<'_> {
+    fn keep(&mut self, column: usize, m: &Match) {
+        self.z[column] = m.depth_m as f32;
+        for (of, channel) in &mut self.channels {
+            channel[column] = of(m) as f32;
+        }
+    }
+}
+
+fn report(
+    params: &MatchPairParams,
+    context: &Context,
+    pair: &Pair,
+    map: &Depth,
+    tally: &Tally,
+) -> Result<(), StageError> {
+    if tally.count == 0 {
+        return Err(StageError::new(format!("pair `{}`: the two images have no point in common", pair.name))
+            .hint("its images do not overlap, or every point is hidden from the other (see `occlusion`)"));
+    }
+    let count = tally.count as f64;
+    let rms_px = (tally.y_parallax2_px2 / count).sqrt();
+    context.metric("valid_share", count / map.z.len() as f64, "1");
+    context.metric("y_parallax_rms", rms_px, "px");
+    context.metric("depth_per_disparity", tally.depth_per_px_m / count, "m/px");
+    if let Some(warning) = params.matching.judge_y_parallax(&pair.name, rms_px)? {
+        context.warn(warning);
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,140 @@
+//! The rays that a camera with a wrong interior orientation takes the rays of the true one for.
+
+use crate::camera::model::Camera;
+use rockface_core::numerics::simd::{LANES, Lanes, both};
+
+/// Image pixels between the places where the step from the true ray to the noisy one is known.
+const SPACING_PX: f64 = 32.0;
+
+/// Finds noisy rays of pixels whose true rays are known. The step from one to the other changes slowly over the image: a table of
+/// it tells the noisy ray to 1e-8 or so, and Newton's method the rest. A ray depends on no other.
+#[derive(Debug, Clone)]
+pub struct NoisyRays {
+    columns: usize,
+    rows: usize,
+    /// Noisy less true normalised coordinates at every [`SPACING_PX`] pixels from the first; NaN where there are none.
+    steps: Vec<[f64; 2]>,
+}
+
+impl NoisyRays {
+    /// The table of a camera and its true one.
+    pub fn new(camera: &Camera, noisy: &Camera) -> Self {
+        let count = |pixels: u32| (f64::from(pixels) / SPACING_PX).ceil() as usize + 2;
+        let (columns, rows) = (count(camera.sensor().width_px), count(camera.sensor().height_px));
+        let step = |at: usize| {
+            // The first stands half a pixel or more before the image, the last beyond it.
+            let place = |n: usize| (n as f64 - 0.5) * SPACING_PX;
+            let pixel = [place(at % columns), place(at / columns)];
+            match (camera.normalised(pixel), noisy.normalised(pixel)) {
+                (Some(truth), Some(noisy)) => [noisy[0] - truth[0], noisy[1] - truth[1]],
+                _ => [f64::NAN; 2],
+            }
+        };
+        Self { columns, rows, steps: (0..columns * rows).map(step).collect() }
+    }
+
+    /// Undistorts positions with the noisy interior orientation; `true_ray` is what the true one makes of them. None where there is none.
+    #[inline(always)]
+    pub fn ray_lanes(&self, noisy: &Camera, pixel: [Lanes; 2], true_ray: [Lanes; 2]) -> [Lanes; 2] {
+        let [x, y] = both(pixel, |p| p / SPACING_PX + 0.5);
+        let [across, down] = both([x, y], |p| p.map(f64::floor));
+        let (tx, ty) = (x - across, y - down);
+        // Steps at the places above left, above right, below left and below right of each position.
+        let mut around = [[Lanes::NONE; 2]; 4];
+        for lane in 0..LANES {
+            let inside = across[lane] >= 0.0 && down[lane] >= 0.0;
+            let (column, row) = (across[lane] as usize, down[lane] as usize);
+            if inside && column + 1 < self.columns && row + 1 < self.rows {
+                let at = row * self.columns + column;
+                for (steps, at) in around.iter_mut().zip([at, at + 1, at + self.columns, at + self.columns + 1]) {
+                    (0..2).for_each(|i| steps[i].set(lane, self.steps[at][i]));
+                }
+            }
+        }
+        let [above_left, above_right, below_left, below_right] = around;
+        let guess = both([0, 1], |i| {
+            let top = above_left[i] + tx * (above_right[i] - above_left[i]);
+            let bottom = below_left[i] + tx * (below_right[i] - below_left[i]);
+            true_ray[i] + (top + ty * (bottom - top))
+        });
+        let mut found = noisy.normalised_near_lanes(pixel, guess);
+        // What no near guess leads to is searched for from afar.
+        for lane in 0..LANES {
+            if found[0][lane].is_nan()
+                && !pixel[0][lane].is_nan()
+                && let Some([x, y]) = noisy.normalised(pixel.map(|p| p[lane]))
+            {
+                found[0].set(lane, x);
+                found[1].set(lane, y);
+            }
+        }
+        found
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rockface_core::artefact::Sensor;
+    use rockface_core::numerics::fast_round::floor;
+    use rockface_core::testing::{image_at, small_sensor};
+
+    /// One position at a time.
+    impl NoisyRays {
+        /// Undistorts a position with the noisy interior orientation; `true_ray` is what the true one makes of it.
+        fn ray(&self, noisy: &Camera, pixel: [f64; 2], true_ray: [f64; 2]) -> Option<[f64; 2]> {
+            let near = self
+                .step(pixel)
+                .and_then(|step| noisy.normalised_near(pixel, [true_ray[0] + step[0], true_ray[1] + step[1]]));
+            near.or_else(|| noisy.normalised(pixel))
+        }
+
+        /// The step at a position, between the four places around it.
+        fn step(&self, pixel: [f64; 2]) -> Option<[f64; 2]> {
+            let [x, y] = pixel.map(|p| p / SPACING_PX + 0.5);
+            let (column, row) = (floor(x), floor(y));
+            let (tx, ty) = (x - f64::from(column), y - f64::from(row));
+            let (column, row) = (usize::try_from(column).ok()?, usize::try_from(row).ok()?);
+            if column + 1 >= self.columns || row + 1 >= self.rows {
+                return None;
+            }
+            let at = row * self.columns + column;
+            let (above, below) = (&self.steps[at..at + 2], &self.steps[at + self.columns..at + self.columns + 2]);
+            let between = |i: usize| {
+                let (top, bottom) =
+                    (above[0][i] + tx * (above[1][i] - above[0][i]), below[0][i] + tx * (below[1][i] - below[0][i]));
+                top + ty * (bottom - top)
+            };
+            let step = [between(0), between(1)];
+            (!step[0].is_nan()).then_some(step)
+        }
+    }
+
+    #[test]
+    fn rays_are_those_of_their_pixels() {
+        let sensor = Sensor { k: [-0.3, 0.2, 0.0, 0.0], p: [0.01, 0.0], b2: 0.4, ..small_sensor() };
+        let wrong = Sensor { f: sensor.f * 1.001, k: [-0.305, 0.21, 0.0, 0.0], cx: sensor.cx + 0.3, ..sensor.clone() };
+        let camera = |sensor: &Sensor| Camera::new(sensor, &image_at("a", [0.0; 3], [0.0; 3]));
+        let (camera, noisy) = (camera(&sensor), camera(&wrong));
+        let rays = NoisyRays::new(&camera, &noisy);
+        // The outermost corners of the image, all of it, and what lies beyond the table.
+        for i in 0..400 {
+            let pixel = [f64::from(i % 20) * 3.15 - 0.5, f64::from(i / 20) * 2.1 - 0.5];
+            let [x, y] = rays.ray(&noisy, pixel, camera.normalised(pixel).unwrap()).unwrap();
+            let [ex, ey] = noisy.normalised(pixel).unwrap();
+            assert!((x - ex).abs() < 1e-15 && (y - ey).abs() < 1e-15, "{i}: {x} {ex} {y} {ey}");
+        }
+        for beyond in [-90.0, -20.0] {
+            assert_eq!(rays.ray(&noisy, [beyond, 3.0], [0.0; 2]), noisy.normalised([beyond, 3.0]));
+        }
+        let u = Lanes::from([-90.0, -20.0, 0.0, 3.7, f64::NAN, 31.2, 59.0, 300.0]);
+        let pixels = [0, 1, 2, 3, 4, 5, 6, 7].map(|lane| [u[lane], 7.5]);
+        let truth = pixels.map(|pixel| camera.normalised(pixel).unwrap_or([f64::NAN; 2]));
+        let lanes = [0, 1].map(|i| Lanes::of(|lane| truth[lane][i]));
+        let found = rays.ray_lanes(&noisy, [u, Lanes::all(7.5)], lanes);
+        for lane in 0..LANES {
+            let expected = rays.ray(&noisy, pixels[lane], truth[lane]).unwrap_or([f64::NAN; 2]);
+            assert_eq!(found.map(|value| value[lane].to_bits()), expected.map(f64::to_bits), "{lane}");
+        }
+    }
+}

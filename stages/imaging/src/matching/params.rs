@@ -1,0 +1,80 @@
+//! The parameters that every stage which matches pairs has in common, and what they are set up to.
+
+use rockface_core::artefact::Raster;
+use crate::matching::noise::paper::{Distribution, FieldRecipe, Interpolation, Variance};
+use crate::matching::noise::matcher::{MatcherTerms, PaperNoise};
+use crate::matching::setup::Setup;
+use rockface_core::params::Range;
+use rockface_core::{StageError, params};
+
+params! {
+    /// How pairs are matched, and with what noise.
+    pub struct Matching {
+        /// Standard deviation of the white disparity noise, pixels of the depth map.
+        sigma_local_px: f64 = 0.7; Range::NonNegative,
+        /// Standard deviation of the smooth disparity noise, pixels of the depth map.
+        sigma_regular_px: f64 = 0.6; Range::NonNegative,
+        /// Distance of the nodes of the smooth noise, pixels of the depth map.
+        spacing_px: f64 = 50.0; Range::AtLeast(2.0),
+        /// How the smooth noise is interpolated between its nodes.
+        kernel: Interpolation = Interpolation::CatmullRom,
+        /// What the standard deviation of the smooth noise refers to.
+        variance: Variance = Variance::Nodes,
+        /// Distribution of the white noise.
+        local_distribution: Distribution = Distribution::Gaussian,
+        /// Distribution of the nodes of the smooth noise.
+        regular_distribution: Distribution = Distribution::Gaussian,
+        /// What a real matcher's noise has beyond these two; left out: nothing, the paper's noise.
+        matcher: Option<MatcherTerms> = None,
+        /// Whether a pixel counts only where the other image sees the same point.
+        occlusion: bool = true,
+        /// Share of the depth by which a point may lie behind what the other image sees and still be seen.
+        occlusion_tolerance: f64 = 0.001; Range::NonNegative,
+        /// Largest rms y-parallax between rectified images, pixels of the depth map; beyond it matching would fail.
+        max_y_parallax_px: f64 = 2.0; Range::Positive,
+    }
+}
+
+/// Y-parallax above which a warning is due, pixels.
+const DOUBTFUL_Y_PARALLAX_PX: f64 = 0.5;
+
+impl Matching {
+    /// Whether random numbers are drawn.
+    pub fn draws(&self) -> bool {
+        let terms = self.matcher.as_ref().is_some_and(MatcherTerms::draws);
+        self.sigma_local_px > 0.0 || self.sigma_regular_px > 0.0 || terms
+    }
+
+    /// How pairs are matched, with a map of the strength of the noise where one is given.
+    pub fn setup<'a>(&self, strength: Option<&'a Raster>) -> Result<Setup<'a>, StageError> {
+        if strength.is_some() && self.matcher.is_none() {
+            let error = "the paper's noise is equally strong everywhere and has no use for `strength`";
+            return Err(StageError::new(error).hint("add `matcher: {}` to the parameters, or leave the input out"));
+        }
+        let recipe = FieldRecipe {
+            spacing_px: self.spacing_px,
+            distribution: self.regular_distribution,
+            interpolation: self.kernel,
+            variance: self.variance,
+        };
+        let noise = PaperNoise {
+            sigma_local_px: self.sigma_local_px,
+            local_distribution: self.local_distribution,
+            sigma_regular_px: self.sigma_regular_px,
+            recipe,
+        };
+        let occlusion_tolerance = self.occlusion.then_some(self.occlusion_tolerance);
+        Ok(Setup { noise, terms: self.matcher.clone(), occlusion_tolerance, strength })
+    }
+
+    /// What is to be said of the rms y-parallax of a pair: a warning, or an error where no matcher would get through.
+    pub fn judge_y_parallax(&self, pair: &str, rms_px: f64) -> Result<Option<String>, StageError> {
+        let (limit, found) = (self.max_y_parallax_px, format!("pair `{pair}`: the rms y-parallax is {rms_px:.2} px"));
+        if rms_px > limit {
+            let text = format!("{found}, {limit} px are allowed: these images could not be matched");
+            let hint = "perturb the cameras with the full joint covariance, or less; or raise `max_y_parallax_px`";
+            return Err(StageError::new(text).hint(hint));
+        }
+        Ok((rms_px > DOUBTFUL_Y_PARALLAX_PX).then(|| format!("{found}; a matcher would suffer")))
+    }
+}

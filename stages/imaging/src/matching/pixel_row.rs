@@ -1,0 +1,91 @@
+//! What one row of an image shows, found once for all pairs of the image: true points, and the noisy rays they are taken for.
+
+use nalgebra::Vector3;
+
+use rockface_core::artefact::Depth;
+use crate::camera::model::Camera;
+use rockface_core::numerics::simd::{LANES, Lanes};
+use crate::camera::ray_row::RayRow;
+
+/// The pixels of a row that show something, from left to right.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OwnRow {
+    /// The row in the depth map.
+    pub row: usize,
+    /// The column of each pixel in the depth map.
+    pub columns: Vec<usize>,
+    /// X, Y and Z of the true points, in the frame of the cameras, metres.
+    points_m: [Vec<f64>; 3],
+    /// Undistorted normalised coordinates of the pixels in the noisy camera.
+    noisy_rays: [Vec<f64>; 2],
+}
+
+/// Up to [`LANES`] pixels of a row; lanes beyond the last pixel have no values.
+#[derive(Debug, Clone, Copy)]
+pub struct Block<'a> {
+    /// Their columns.
+    pub columns: &'a [usize],
+    /// Their points, metres.
+    pub points_m: [Lanes; 3],
+    /// Their noisy rays.
+    pub noisy_rays: [Lanes; 2],
+}
+
+impl OwnRow {
+    /// A row of an ideal depth map, by its true and its noisy camera.
+    pub fn new(depth: &Depth, camera: &Camera, noisy: &Camera, row: usize) -> Self {
+        let values = &depth.z[row * depth.width..(row + 1) * depth.width];
+        let mut own = Self::empty(row, values.len());
+        if !values.iter().any(|z| z.is_finite()) {
+            return own;
+        }
+        let rays = |camera: &Camera| RayRow::new(camera, row, depth.downscale).rays(0, values.len());
+        let truth = rays(camera);
+        let believed = if noisy.has_interior_of(camera) { None } else { Some(rays(noisy)) };
+        let believed = believed.as_ref().unwrap_or(&truth);
+        for (column, z) in values.iter().enumerate().filter(|(_, z)| z.is_finite()) {
+            let (ray, noisy_ray) = (truth[column], believed[column]);
+            if !ray[0].is_nan() && !noisy_ray[0].is_nan() {
+                own.push(column, &camera.unproject(ray, f64::from(*z)), noisy_ray);
+            }
+        }
+        own
+    }
+
+    /// A row without pixels, with room for some.
+    pub fn empty(row: usize, room: usize) -> Self {
+        let list = || Vec::with_capacity(room);
+        Self {
+            row,
+            columns: Vec::with_capacity(room),
+            points_m: [(); 3].map(|()| list()),
+            noisy_rays: [(); 2].map(|()| list()),
+        }
+    }
+
+    /// Adds a pixel to the right of the others.
+    pub fn push(&mut self, column: usize, point_m: &Vector3<f64>, noisy_ray: [f64; 2]) {
+        self.columns.push(column);
+        self.points_m.iter_mut().zip(point_m).for_each(|(list, value)| list.push(*value));
+        self.noisy_rays.iter_mut().zip(noisy_ray).for_each(|(list, value)| list.push(value));
+    }
+
+    /// The pixels, some at a time.
+    pub fn blocks(&self) -> impl Iterator<Item = Block<'_>> {
+        let starts = (0..self.columns.len()).step_by(LANES);
+        starts.map(|start| {
+            let end = self.columns.len().min(start + LANES);
+            let lanes = |list: &Vec<f64>| {
+                list.get(start..start + LANES).map_or_else(
+                    || Lanes::of(|lane| list.get(start + lane).copied().unwrap_or(f64::NAN)),
+                    |values| Lanes::of(|lane| values[lane]),
+                )
+            };
+            Block {
+                columns: &self.columns[start..end],
+                points_m: self.points_m.each_ref().map(lanes),
+                noisy_rays: self.noisy_rays.each_ref().map(lanes),
+            }
+        })
+    }
+}

@@ -1,0 +1,333 @@
+//! `estimate-covariance`: the joint covariance that a bundle block adjustment of a planned or imported block would yield.
+
+use nalgebra::{DMatrix, Vector3};
+
+use rockface_core::artefact::{Cameras, Covariance, Kind, Mesh, Table};
+use crate::survey::block_adjustment::inverse::{Datum, Inverse, invert};
+use crate::survey::block_adjustment::normals::{ObjectPoint, Priors, reduced};
+use crate::survey::block_adjustment::propagation::{in_all, pair_effect, stereo_pairs};
+use crate::survey::block_adjustment::tie_points::{Visibility, Wanted, control_points, tie_points};
+use crate::survey::block_adjustment::unknowns::{FreeInterior, Unknowns};
+use crate::camera::orientation_parameters::{INTERIOR, Parameter};
+use rockface_core::params::{Fault, Range};
+use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
+
+choice! {
+    /// What fixes position, orientation and scale of the whole block.
+    pub enum DatumKind {
+        /// Control points or positions, with their own errors.
+        Priors = "priors",
+        /// Nothing: the errors of a free block, without the seven that move it as a whole.
+        Inner = "inner",
+    }
+}
+
+params! {
+    /// What is known of the interior orientation before the adjustment; null: nothing.
+    pub struct InteriorSigma {
+        /// Principal distance, pixels.
+        focal_px: Option<f64> = None; Range::Positive,
+        /// Principal point, pixels.
+        principal_point_px: Option<f64> = None; Range::Positive,
+        /// Affinity and skew b1, b2, pixels.
+        affinity_px: Option<f64> = None; Range::Positive,
+        /// Radial distortion k1 to k4.
+        k: Option<[f64; 4]> = None; Range::Positive,
+        /// Decentring distortion p1, p2.
+        p: Option<f64> = None; Range::Positive,
+    }
+}
+
+impl InteriorSigma {
+    fn of(&self, place: usize) -> Option<f64> {
+        match place {
+            0 => self.focal_px,
+            1 | 2 => self.principal_point_px,
+            3 | 4 => self.affinity_px,
+            5..9 => self.k.map(|k| k[place - 5]),
+            _ => self.p,
+        }
+    }
+}
+
+const UNKNOWN: InteriorSigma =
+    InteriorSigma { focal_px: None, principal_point_px: None, affinity_px: None, k: None, p: None };
+
+params! {
+    /// Parameters of `estimate-covariance`.
+    pub struct EstimateCovarianceParams {
+        /// Tie points on the face, drawn evenly over its area.
+        tie_points: usize = 400; Range::AtLeast(1.0),
+        /// Images a tie point is measured in at most.
+        most_images: usize = 8; Range::AtLeast(2.0),
+        /// Standard deviation of an image coordinate of a tie point, pixels.
+        image_sigma_px: f64 = 0.5; Range::Positive,
+        /// Control points, spread over the face and measured in every image that sees them.
+        control_points: usize = 8,
+        /// Standard deviation of each coordinate of a control point, metres.
+        control_sigma_m: f64 = 0.005; Range::Positive,
+        /// Standard deviation of an image coordinate of a control point, pixels; null: that of tie points.
+        control_sigma_px: Option<f64> = None; Range::Positive,
+        /// Standard deviations of X, Y, Z of every projection centre (GNSS); null: not measured.
+        position_sigma_m: Option<[f64; 3]> = None; Range::Positive,
+        /// Parameters of every sensor that are estimated too, of f, cx, cy, b1, b2, k1 to k4, p1, p2; none: the lens is known.
+        free_interior: Vec<String> = Vec::new(),
+        /// What is known of them beforehand.
+        interior_sigma: InteriorSigma = UNKNOWN,
+        /// What fixes the block as a whole.
+        datum: DatumKind = DatumKind::Priors,
+    }
+}
+
+/// Points an expected effect on a pair is averaged over.
+const EFFECT_POINTS: usize = 120;
+/// Pairs whose expected effects are reported.
+const EFFECT_PAIRS: usize = 40;
+
+/// The stage.
+pub struct EstimateCovariance;
+
+impl Stage for EstimateCovariance {
+    type Params = EstimateCovarianceParams;
+    const NAME: &'static str = "estimate-covariance";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Makes the full joint covariance of exterior and interior orientation that a bundle block adjustment of this \
+               block would yield: tie points where images see the face, control points or GNSS positions, a known or an \
+               estimated lens. perturb-cameras draws from it. Logs the expected depth error and y-parallax of the pairs.",
+        method: "Gauss-Markov model of the collinearity equations (analytic derivatives), linearised at the given orientation. \
+                 N = A^T P A; the object points are eliminated (Schur complement, N = U - sum W V^-1 W^T), priors added to the \
+                 diagonal, Sigma = N^-1 for a variance of unit weight of 1 (Paper 2.1.2 and 2.5; Kraus, Photogrammetry, 2007; \
+                 Triggs et al. 2000). Visibility by depth maps of 400 pixels a side. Datum `inner`: pseudo-inverse and \
+                 S-transformation with P = I - G (G^T W G)^-1 G^T W, G the seven similarity modes, W = 1 for centres and \
+                 distance^2 for rotations. Y-parallax and depth errors by first-order propagation.",
+        frames: "Cameras and mesh in one frame. Rotations in rad (left, camera frame), centres in m, interior in px and 1.",
+        fails: "When cameras and mesh are in different frames, an image shares too few tie points, or position, orientation, \
+                scale or lens parameters are not determined: the message names the free directions and what would fix them.",
+        example: "rockface: 1\nname: estimate-covariance\nseed: 1\nsteps:\n  face: {stage: synthesise-face}\n  survey:\n    \
+                  stage: plan-survey\n    in: {mesh: face.mesh}\n    \
+                  with: {width_px: 1900, height_px: 1600, focal_px: 4545, distance_m: 20, baseline_m: 7.3}\n  adjustment:\n    \
+                  stage: estimate-covariance\n    in: {cameras: survey.cameras, mesh: face.mesh}\n  noisy:\n    \
+                  stage: perturb-cameras\n    in: {cameras: survey.cameras, covariance: adjustment.covariance}\n",
+    };
+    const INPUTS: &'static [Port] = &[
+        Port::one("cameras", &[Kind::Cameras], "The orientation the adjustment is linearised at."),
+        Port::one("mesh", &[Kind::Mesh], "The face, in the same frame."),
+    ];
+    const OUTPUTS: &'static [Port] = &[
+        Port::one("covariance", &[Kind::Covariance], "Full joint covariance, in canonical order."),
+        Port::one("precision", &[Kind::Table], "Standard deviation of every parameter."),
+    ];
+
+    fn draws(_params: &Self::Params) -> bool {
+        true
+    }
+
+    fn check(params: &Self::Params) -> Vec<Fault> {
+        let fault = |path: &[&str], message: String| {
+            let path = path.iter().map(|&segment| segment.to_owned()).collect();
+            Fault { path, ..Fault::new(message) }
+        };
+        let mut faults = Vec::new();
+        for (at, name) in params.free_interior.iter().enumerate() {
+            if !INTERIOR.contains(&name.as_str()) {
+                let message = format!("`{name}` is no interior parameter: {}", INTERIOR.join(", "));
+                faults.push(fault(&["free_interior", &at.to_string()], message));
+            } else if params.free_interior[..at].contains(name) {
+                faults.push(fault(&["free_interior", &at.to_string()], format!("`{name}` is there twice")));
+            }
+        }
+        if params.datum == DatumKind::Inner {
+            if params.control_points != 0 {
+                let message = "datum `inner` has no control points: give 0";
+                faults.push(fault(&["control_points"], message.to_owned()));
+            }
+            if params.position_sigma_m.is_some() {
+                faults.push(fault(
+                    &["position_sigma_m"],
+                    "datum `inner` has no measured positions: leave it out".to_owned(),
+                ));
+            }
+        }
+        let unused = (0..INTERIOR.len()).find(|place| {
+            params.interior_sigma.of(*place).is_some() && !free_places(params).iter().any(|free| alike(*free, *place))
+        });
+        if let Some(place) = unused {
+            let message = format!("the prior of {} is for a parameter that is not in `free_interior`", INTERIOR[place]);
+            faults.push(fault(&["interior_sigma"], message));
+        }
+        faults
+    }
+
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        // The mesh with a search tree over its triangles, for what is seen from where.
+        7 * inputs.of("mesh")
+    }
+
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let (cameras, mesh): (&Cameras, &Mesh) = (inputs.one("cameras")?, inputs.one("mesh")?);
+        if mesh.frame != cameras.frame {
+            let (a, b) = (mesh.frame, cameras.frame);
+            let error = StageError::new(format!("the mesh is in the {a} frame, the cameras in the {b} frame"));
+            return Err(error.hint("send both through one transform-crs"));
+        }
+        let points = object_points(params, cameras, mesh, context)?;
+        let unknowns = Unknowns::new(cameras, free_interior(params));
+        let priors = Priors { position_sigma_m: params.position_sigma_m };
+        let normals = reduced(cameras, &unknowns, &points, &priors)?;
+        context.check_cancelled()?;
+        let inverse = invert(&normals, cameras, &unknowns, datum(params, cameras, &points))?;
+        report(&inverse, &unknowns, normals.observations, &points, context);
+        report_pairs(cameras, &unknowns, &inverse.covariance, &points, context);
+        let parameters = unknowns.parameters();
+        let precision = precision(&parameters, cameras, &inverse.covariance);
+        let covariance = Covariance {
+            frame: cameras.frame,
+            parameters: parameters.iter().map(|parameter| parameter.name(cameras)).collect(),
+            matrix: inverse.covariance.row_iter().map(|row| row.iter().copied().collect()).collect(),
+            sigma0_applied: true,
+            full_joint: true,
+        };
+        Ok(Outputs::of("covariance", covariance).and("precision", precision))
+    }
+}
+
+/// Whether two interior parameters share their prior.
+fn alike(a: usize, b: usize) -> bool {
+    let group = |place: usize| match place {
+        0 => 0,
+        1 | 2 => 1,
+        3 | 4 => 2,
+        5..9 => 3,
+        _ => 4,
+    };
+    group(a) == group(b)
+}
+
+fn free_places(params: &EstimateCovarianceParams) -> Vec<usize> {
+    params.free_interior.iter().filter_map(|name| INTERIOR.iter().position(|known| known == name)).collect()
+}
+
+fn free_interior(params: &EstimateCovarianceParams) -> Vec<FreeInterior> {
+    let free = |place| FreeInterior { place, sigma: params.interior_sigma.of(place) };
+    free_places(params).into_iter().map(free).collect()
+}
+
+/// Tie points and control points, tie points first.
+fn object_points(
+    params: &EstimateCovarianceParams,
+    cameras: &Cameras,
+    mesh: &Mesh,
+    context: &Context,
+) -> Result<Vec<ObjectPoint>, StageError> {
+    let visibility = Visibility::new(cameras, mesh);
+    let (count, most_images, sigma_px) = (params.tie_points, params.most_images, params.image_sigma_px);
+    let mut random = context.stream("tie-points", "").generator();
+    let mut points = tie_points(mesh, &visibility, &Wanted { count, most_images, sigma_px }, &mut random);
+    if points.is_empty() {
+        return Err(StageError::new("no part of the face lies in two images: there are no tie points")
+            .hint("check frames and orientation, or plan the block with more overlap"));
+    }
+    if points.len() < count {
+        context.warn(format!("only {} of {count} tie points: little of the face lies in two images", points.len()));
+    }
+    for (image, entry) in cameras.images.iter().enumerate() {
+        let rays = points.iter().filter(|point| point.images.contains(&image)).count();
+        if rays < 3 {
+            fail!("image `{}` has {rays} tie points, three are needed: more `tie_points`, or leave it out", entry.name);
+        }
+    }
+    let control_sigma_px = params.control_sigma_px.unwrap_or(sigma_px);
+    let control = control_points(&points, &visibility, params.control_points, control_sigma_px, params.control_sigma_m);
+    points.extend(control);
+    Ok(points)
+}
+
+fn datum(params: &EstimateCovarianceParams, cameras: &Cameras, points: &[ObjectPoint]) -> Datum {
+    if params.datum == DatumKind::Priors {
+        return Datum::Priors;
+    }
+    let distances = points
+        .iter()
+        .flat_map(|point| point.images.iter().map(|image| (cameras.images[*image].centre() - point.position_m).norm()));
+    let (count, sum) = distances.fold((0.0, 0.0), |(count, sum), distance| (count + 1.0, sum + distance));
+    Datum::Inner { distance_m: sum / count }
+}
+
+fn unit(parameter: Parameter) -> &'static str {
+    match parameter {
+        Parameter::Exterior(_, 0..3) => "rad",
+        Parameter::Exterior(..) => "m",
+        Parameter::Interior(_, 0..5) => "px",
+        Parameter::Interior(..) => "1",
+    }
+}
+
+fn precision(parameters: &[Parameter], cameras: &Cameras, covariance: &DMatrix<f64>) -> Table {
+    let mut table = Table::new(["parameter", "sigma", "unit"]);
+    for (at, parameter) in parameters.iter().enumerate() {
+        let sigma = covariance[(at, at)].max(0.0).sqrt();
+        table.push(vec![parameter.name(cameras).into(), sigma.into(), unit(*parameter).into()]);
+    }
+    table
+}
+
+fn report(inverse: &Inverse, unknowns: &Unknowns, observations: usize, points: &[ObjectPoint], context: &Context) {
+    let parameters = unknowns.parameters();
+    let rms = |is: &dyn Fn(Parameter) -> bool| {
+        let variances: Vec<f64> =
+            (0..parameters.len()).filter(|i| is(parameters[*i])).map(|i| inverse.covariance[(i, i)]).collect();
+        (variances.iter().sum::<f64>() / variances.len() as f64).max(0.0).sqrt()
+    };
+    context.metric("rotation_sigma_rms", rms(&|p| matches!(p, Parameter::Exterior(_, 0..3))), "rad");
+    context.metric("position_sigma_rms", rms(&|p| matches!(p, Parameter::Exterior(_, 3..))), "m");
+    context.metric("condition", inverse.condition, "1");
+    let control = points.iter().filter(|point| point.control_sigma_m.is_some()).count();
+    let rays = points.iter().map(|point| point.images.len()).sum::<usize>() as f64 / points.len() as f64;
+    context.note(format!(
+        "{observations} image coordinates of {} tie points and {control} control points ({rays:.1} images each), {} \
+         orientation parameters",
+        points.len() - control,
+        parameters.len()
+    ));
+}
+
+/// Logs what the covariance does to pairs of neighbouring images: the physical check of a joint covariance.
+fn report_pairs(
+    cameras: &Cameras,
+    unknowns: &Unknowns,
+    covariance: &DMatrix<f64>,
+    points: &[ObjectPoint],
+    context: &Context,
+) {
+    let places: Vec<Vector3<f64>> = points.iter().map(|point| point.position_m).collect();
+    let images = cameras.images.len();
+    let pairs = stereo_pairs(cameras, &places).into_iter().take(EFFECT_PAIRS);
+    let effect = |pair: [usize; 2]| {
+        let mut shared = in_all(cameras, &pair, &places);
+        shared.truncate(EFFECT_POINTS);
+        pair_effect(cameras, unknowns, covariance, pair, &shared)
+    };
+    let effects: Vec<_> = pairs.filter_map(effect).collect();
+    if effects.is_empty() {
+        context.warn("no two images make a stereo pair: expected depth errors are not told");
+        return;
+    }
+    let rms = |of: &dyn Fn(usize) -> f64| {
+        ((0..effects.len()).map(|i| of(i) * of(i)).sum::<f64>() / effects.len() as f64).sqrt()
+    };
+    let depth = rms(&|i| effects[i].depth_m);
+    let off_plane = rms(&|i| effects[i].depth_off_plane_m);
+    let parallax = rms(&|i| effects[i].y_parallax_px);
+    context.metric("expected_depth_error", depth, "m");
+    context.metric("expected_depth_error_off_plane", off_plane, "m");
+    context.metric("expected_y_parallax", parallax, "px");
+    context.headline(format!(
+        "{images} images: orientation errors of {:.1} mm in depth, {:.2} mm after a plane, y-parallax {parallax:.3} px",
+        1000.0 * depth,
+        1000.0 * off_plane
+    ));
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,310 @@
+//! `forecast-precision`: says before flying how well a survey will measure the face, and compares it with what a simulation gave.
+
+use nalgebra::Vector3;
+
+use rockface_core::artefact::{Band, Cameras, Cell, Covariance, Frame, Kind, Mesh, Pairs, Raster, Sample, Table};
+use crate::survey::block_adjustment::propagation::{in_all, stereo_pairs};
+use crate::survey::block_adjustment::tie_points::Visibility;
+use crate::camera::model::Camera;
+use rockface_core::numerics::marginal::marginal;
+use crate::matching::noise::paper::{Interpolation, Variance};
+use crate::survey::overlap::sample_vertices;
+use rockface_raster::rasterise::{extent, grid_around, tin};
+use rockface_raster::shape::Shape;
+use crate::survey::forecast::{Joint, Matching, at_point};
+use rockface_core::params::Range;
+use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+
+/// Points a pair is judged at.
+const SAMPLES: usize = 2000;
+/// Points the effect of orientation errors is averaged over.
+const EFFECT_POINTS: usize = 120;
+/// Quantile of the normal distribution: 95 % lie within.
+const QUANTILE95: f64 = 1.96;
+
+params! {
+    /// Parameters of `forecast-precision`.
+    pub struct ForecastPrecisionParams {
+        /// Standard deviation of the white disparity noise, pixels.
+        sigma_local_px: f64 = 0.7; Range::NonNegative,
+        /// Standard deviation of the smooth disparity noise, pixels.
+        sigma_regular_px: f64 = 0.6; Range::NonNegative,
+        /// How the smooth noise is interpolated between its nodes.
+        kernel: Interpolation = Interpolation::CatmullRom,
+        /// What the standard deviation of the smooth noise refers to.
+        variance: Variance = Variance::Nodes,
+        /// Side of a DEM cell, metres: white noise averages over its pixels.
+        cell_m: f64 = 0.02; Range::Positive,
+        /// Side of a cell of the forecast raster, metres.
+        map_cell_m: f64 = 0.25; Range::Positive,
+        /// Pairs listed in the table at most.
+        most_pairs: usize = 200; Range::AtLeast(1.0),
+    }
+}
+
+/// The stage.
+pub struct ForecastPrecision;
+
+impl Stage for ForecastPrecision {
+    type Params = ForecastPrecisionParams;
+    const NAME: &'static str = "forecast-precision";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Forecasts a survey: ground sampling distance, depth precision and LoD95, for every stereo pair and for all images \
+               together, as a table, and over the face as a raster (bands images, gsd_m, sigma_z_m, lod95_m). With `difference`, a \
+               simulated no-change DEM difference, the last row says how far the forecast was from it.",
+        method: "Rays are intersected by least squares with image noise of disparity noise / sqrt(2); for a normal pair sigma_Z = \
+                 Z^2 / (B f) sigma_d (Kraus, Photogrammetry, 2007). In a cell the white part falls with the root of its pixels, \
+                 the smooth part keeps its mean variance over the field. With a covariance, what orientation leaves after a plane \
+                 is added (first order): registration takes the plane. A difference of two epochs has sqrt(2) sigma_Z, LoD95 is \
+                 1.96 times that (paper 2.4.1: 3 cm at Hunter Valley). Occlusion is looked at in the raster. Fusion of many \
+                 pairs is taken as one intersection of all rays: correlations of matching between pairs are not known beforehand.",
+        frames: "Cameras, mesh and covariance in one frame; depth along the wall frame's Z, in the world frame along the mean \
+                 optical axis. Metres.",
+        fails: "When frames differ, no two images make a stereo pair, or the covariance names parameters the block does not have.",
+        example: "rockface: 1\nname: forecast-precision\nseed: 1\nsteps:\n  face: {stage: synthesise-face, with: {width_m: 8, \
+                  height_m: 6, spacing_m: 0.05}}\n  survey:\n    stage: plan-survey\n    in: {mesh: face.mesh}\n    \
+                  with: {width_px: 1900, height_px: 1600, focal_px: 4545, distance_m: 20, baseline_m: 7.3}\n  adjustment: {stage: \
+                  estimate-covariance, in: {cameras: survey.cameras, mesh: face.mesh}}\n  forecast:\n    \
+                  stage: forecast-precision\n    in: {cameras: survey.cameras, mesh: face.mesh, covariance: adjustment.covariance}\n  \
+                  map: {stage: draw-picture, in: {subject: forecast.raster}, with: {band: sigma_z_m}}\n",
+    };
+    const INPUTS: &'static [Port] = &[
+        Port::one("cameras", &[Kind::Cameras], "The planned block."),
+        Port::one("mesh", &[Kind::Mesh], "The face, in the same frame."),
+        Port::optional(
+            "covariance",
+            &[Kind::Covariance],
+            "Its joint covariance; without it orientation is without error.",
+        ),
+        Port::optional("pairs", &[Kind::Pairs], "The pairs to list; without it all that make a stereo pair."),
+        Port::optional("difference", &[Kind::Raster], "A simulated no-change difference, to compare with."),
+    ];
+    const OUTPUTS: &'static [Port] = &[
+        Port::one("table", &[Kind::Table], "One row a pair, one for all images."),
+        Port::one("raster", &[Kind::Raster], "Images, GSD, precision and LoD95 over the face."),
+    ];
+
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        // The mesh with a search tree over its triangles, and the raster of its cells.
+        7 * inputs.of("mesh") + 4 * inputs.of("difference")
+    }
+
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let (cameras, mesh): (&Cameras, &Mesh) = (inputs.one("cameras")?, inputs.one("mesh")?);
+        if mesh.frame != cameras.frame {
+            fail!("the mesh is in the {} frame, the cameras in the {} frame", mesh.frame, cameras.frame);
+        }
+        let covariance: Option<&Covariance> = inputs.optional("covariance")?;
+        if let Some(covariance) = covariance.filter(|covariance| covariance.frame != cameras.frame) {
+            fail!("the covariance is in the {} frame, the cameras in the {} frame", covariance.frame, cameras.frame);
+        }
+        let joint = covariance.map(|covariance| Joint::new(covariance, cameras)).transpose()?;
+        let points = sample_vertices(mesh, SAMPLES);
+        let survey = Survey::new(params, cameras, joint);
+        let pairs = chosen_pairs(params, inputs.optional("pairs")?, cameras, &points, context)?;
+        let mut table = Table::new(COLUMNS);
+        for pair in &pairs {
+            context.check_cancelled()?;
+            let name = format!("{}+{}", cameras.images[pair[0]].name, cameras.images[pair[1]].name);
+            let seen: Vec<_> = in_all(cameras, pair, &points).into_iter().map(|point| (point, pair.to_vec())).collect();
+            if let Some(forecast) = survey.forecast(&seen) {
+                table.push(forecast.row(name, Some(baseline_ratio(cameras, pair, &forecast)), None));
+            }
+        }
+        let visibility = Visibility::new(cameras, mesh);
+        let seen: Vec<_> = points.iter().map(|point| (*point, visibility.images(point))).collect();
+        let all = survey.forecast(&seen).ok_or_else(|| StageError::new("no part of the face lies in two images"))?;
+        let simulated = inputs.optional::<Raster>("difference")?.and_then(simulated);
+        table.push(all.row("all images".to_owned(), None, simulated));
+        report(&all, simulated, context);
+        Ok(Outputs::of("table", table).and("raster", survey.raster(params, mesh, &visibility, all.orientation_m)?))
+    }
+}
+
+const COLUMNS: [&str; 12] = [
+    "of",
+    "points",
+    "images",
+    "gsd_m",
+    "base_to_distance",
+    "sigma_matching_m",
+    "sigma_orientation_m",
+    "sigma_z_m",
+    "lod95_m",
+    "simulated_std_m",
+    "simulated_nmad_m",
+    "simulated_to_forecast",
+];
+
+/// The pairs given, else all that make a stereo pair, not more than wanted.
+fn chosen_pairs(
+    params: &ForecastPrecisionParams,
+    given: Option<&Pairs>,
+    cameras: &Cameras,
+    points: &[Vector3<f64>],
+    context: &Context,
+) -> Result<Vec<[usize; 2]>, StageError> {
+    let place = |name: &str| {
+        let found = cameras.images.iter().position(|image| image.name == name);
+        found.ok_or_else(|| StageError::new(format!("pairs: the block has no image `{name}`")))
+    };
+    let mut pairs = match given {
+        Some(given) => given
+            .pairs
+            .iter()
+            .map(|pair| Ok([place(&pair.first)?, place(&pair.second)?]))
+            .collect::<Result<Vec<_>, StageError>>()?,
+        None => stereo_pairs(cameras, points),
+    };
+    if pairs.len() > params.most_pairs {
+        context.note(format!("{} pairs, the first {} are listed", pairs.len(), params.most_pairs));
+        pairs.truncate(params.most_pairs);
+    }
+    Ok(pairs)
+}
+
+/// A block ready for forecasts.
+struct Survey<'a> {
+    cameras: &'a Cameras,
+    ready: Vec<Camera>,
+    direction: Vector3<f64>,
+    matching: Matching,
+    joint: Option<Joint>,
+}
+
+/// Mean figures over some points.
+#[derive(Debug, Clone, Copy)]
+struct Forecast {
+    points: usize,
+    images: f64,
+    gsd_m: f64,
+    matching_m: f64,
+    orientation_m: f64,
+}
+
+impl<'a> Survey<'a> {
+    fn new(params: &ForecastPrecisionParams, cameras: &'a Cameras, joint: Option<Joint>) -> Self {
+        let ready = cameras.images.iter().map(|image| Camera::new(cameras.sensor(image), image)).collect();
+        let axes = cameras.images.iter().fold(Vector3::zeros(), |sum, image| sum + image.axis());
+        let direction = if cameras.frame == Frame::Wall { Vector3::z() } else { axes.normalize() };
+        let along = params.kernel.mean_variance();
+        let share = if params.variance == Variance::Nodes { along * along } else { 1.0 };
+        let regular_px = params.sigma_regular_px * share.sqrt();
+        let matching = Matching { local_px: params.sigma_local_px, regular_px, cell_m: params.cell_m };
+        Self { cameras, ready, direction, matching, joint }
+    }
+
+    fn cameras_of(&self, images: &[usize]) -> Vec<&Camera> {
+        images.iter().map(|image| &self.ready[*image]).collect()
+    }
+
+    /// Root mean squares over points with the images that see each; `None` where no point has two.
+    fn forecast(&self, seen: &[(Vector3<f64>, Vec<usize>)]) -> Option<Forecast> {
+        let (mut count, mut images, mut gsd, mut squares) = (0.0, 0.0, 0.0, 0.0);
+        for (point, by) in seen {
+            if let Some(expected) = at_point(&self.cameras_of(by), point, &self.direction, &self.matching) {
+                count += 1.0;
+                images += by.len() as f64;
+                gsd += expected.gsd_m;
+                squares += expected.matching_m * expected.matching_m;
+            }
+        }
+        if count == 0.0 {
+            return None;
+        }
+        let stride = (seen.len() / EFFECT_POINTS).max(1);
+        let some: Vec<_> = seen.iter().filter(|(_, by)| by.len() >= 2).step_by(stride).cloned().collect();
+        let left = |joint: &Joint| joint.off_plane(self.cameras, &some, &self.direction);
+        let orientation_m = self.joint.as_ref().and_then(left).unwrap_or(0.0);
+        let matching_m = (squares / count).sqrt();
+        Some(Forecast { points: count as usize, images: images / count, gsd_m: gsd / count, matching_m, orientation_m })
+    }
+
+    fn raster(
+        &self,
+        params: &ForecastPrecisionParams,
+        mesh: &Mesh,
+        visibility: &Visibility,
+        orientation_m: f64,
+    ) -> Result<Raster, StageError> {
+        let shape = Shape::Mesh(mesh);
+        let Some(extent) = extent(shape, None) else { fail!("the mesh has no vertices") };
+        let grid = grid_around(extent, params.map_cell_m).map_err(StageError::new)?;
+        let z = tin(shape, None, &grid);
+        let names = ["images", "gsd_m", "sigma_z_m", "lod95_m"];
+        let mut bands = names.map(|name| Band { name: name.to_owned(), values: vec![f32::NAN; grid.cells()] });
+        for (cell, z) in z.iter().enumerate().filter(|(_, z)| z.is_finite()) {
+            let (x, y) = grid.centre(cell / grid.columns, cell % grid.columns);
+            let point = Vector3::new(x, y, f64::from(*z));
+            let by = visibility.images(&point);
+            bands[0].values[cell] = by.len() as f32;
+            if let Some(expected) = at_point(&self.cameras_of(&by), &point, &self.direction, &self.matching) {
+                let sigma = (expected.matching_m * expected.matching_m + orientation_m * orientation_m).sqrt();
+                bands[1].values[cell] = expected.gsd_m as f32;
+                bands[2].values[cell] = sigma as f32;
+                bands[3].values[cell] = lod95(sigma) as f32;
+            }
+        }
+        let quantity = "precision".to_owned();
+        Ok(Raster { grid, frame: mesh.frame, quantity, sample: Sample::Float, bands: bands.into() })
+    }
+}
+
+/// Smallest change of two epochs that is told from noise at 95 %.
+fn lod95(sigma_m: f64) -> f64 {
+    QUANTILE95 * std::f64::consts::SQRT_2 * sigma_m
+}
+
+fn baseline_ratio(cameras: &Cameras, pair: &[usize; 2], forecast: &Forecast) -> f64 {
+    let [a, b] = pair.map(|image| &cameras.images[image]);
+    let baseline = (a.centre() - b.centre()).norm();
+    let focal = 0.5 * (cameras.sensor(a).f + cameras.sensor(b).f);
+    baseline / (forecast.gsd_m * focal)
+}
+
+impl Forecast {
+    fn sigma_m(&self) -> f64 {
+        (self.matching_m * self.matching_m + self.orientation_m * self.orientation_m).sqrt()
+    }
+
+    fn row(&self, of: String, base_to_distance: Option<f64>, simulated: Option<[f64; 2]>) -> Vec<Cell> {
+        let sigma = self.sigma_m();
+        let number = |value: Option<f64>| value.map_or(Cell::Empty(()), Cell::from);
+        let ratio = simulated.map(|[std, _]| std / (std::f64::consts::SQRT_2 * sigma));
+        let numbers = [self.points as f64, self.images, self.gsd_m];
+        let mut row = vec![of.into()];
+        row.extend(numbers.map(Cell::from));
+        row.push(number(base_to_distance));
+        row.extend([self.matching_m, self.orientation_m, sigma, lod95(sigma)].map(Cell::from));
+        row.extend([number(simulated.map(|[std, _]| std)), number(simulated.map(|[_, nmad]| nmad)), number(ratio)]);
+        row
+    }
+}
+
+/// Standard deviation and NMAD of the first band of a difference, metres.
+fn simulated(raster: &Raster) -> Option<[f64; 2]> {
+    let found = marginal(&raster.bands.first()?.values)?;
+    Some([found.deviation, found.nmad])
+}
+
+fn report(all: &Forecast, simulated: Option<[f64; 2]>, context: &Context) {
+    let sigma = all.sigma_m();
+    context.metric("gsd", all.gsd_m, "m");
+    context.metric("sigma_z", sigma, "m");
+    context.metric("lod95", lod95(sigma), "m");
+    let compared = simulated.map_or_else(String::new, |[std, _]| {
+        let ratio = std / (std::f64::consts::SQRT_2 * sigma);
+        context.metric("simulated_to_forecast", ratio, "1");
+        format!("; the simulated difference has {ratio:.2} of the forecast's deviation")
+    });
+    context.headline(format!(
+        "forecast: GSD {:.2} mm, depth to {:.2} mm, LoD95 {:.1} mm{compared}",
+        1000.0 * all.gsd_m,
+        1000.0 * sigma,
+        1000.0 * lod95(sigma)
+    ));
+}
+
+#[cfg(test)]
+mod tests;

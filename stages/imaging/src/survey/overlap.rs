@@ -1,0 +1,108 @@
+//! What pairs of images see of a face: shared share, distance, baseline, convergence, and the order of the two images.
+
+use nalgebra::Vector3;
+
+use rockface_core::artefact::{Cameras, Mesh, Pair};
+use crate::camera::model::Camera;
+use rockface_core::numerics::portable_math;
+
+/// Below this length of the viewing direction's part across the baseline a pair cannot be rectified.
+const FORWARD: f64 = 0.1;
+
+/// Every so many vertices of a mesh, at most `limit`, as evenly spaced samples of its vertex list.
+pub fn sample_vertices(mesh: &Mesh, limit: usize) -> Vec<Vector3<f64>> {
+    let stride = mesh.vertices.len().div_ceil(limit.max(1)).max(1);
+    mesh.vertices.iter().step_by(stride).map(|vertex| Vector3::from(*vertex)).collect()
+}
+
+/// Depth along the optical axis, metres, of each point that lies in the image; occlusion is not looked at.
+pub fn depths_seen(camera: &Camera, points: &[Vector3<f64>]) -> Vec<Option<f64>> {
+    let depth = |point: &Vector3<f64>| {
+        let local = camera.to_camera(point);
+        let pixel = camera.project_from_camera(&local)?;
+        camera.inside(pixel, 0.0).then_some(local.z)
+    };
+    points.iter().map(depth).collect()
+}
+
+/// What every image of a block sees of a face, for measuring its pairs.
+#[derive(Debug)]
+pub struct Views<'a> {
+    cameras: &'a Cameras,
+    depths: Vec<Vec<Option<f64>>>,
+}
+
+/// Why two images are no stereo pair at all.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum NoPair {
+    /// Both projection centres are the same.
+    NoBaseline,
+    /// The images look along their baseline.
+    Forward,
+    /// No sampled vertex lies in both images.
+    NothingShared,
+}
+
+impl std::fmt::Display for NoPair {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::NoBaseline => "their projection centres are the same",
+            Self::Forward => "they look along their baseline",
+            Self::NothingShared => "no part of the face lies in both",
+        })
+    }
+}
+
+impl<'a> Views<'a> {
+    /// Projects the sampled points into every image.
+    pub fn new(cameras: &'a Cameras, points: &[Vector3<f64>]) -> Self {
+        let camera = |image| Camera::new(cameras.sensor(image), image);
+        let depths = cameras.images.iter().map(|image| depths_seen(&camera(image), points)).collect();
+        Self { cameras, depths }
+    }
+
+    /// The pair of two images (i < j in block order), its images put in order: image x grows towards the second.
+    ///
+    /// With `b = (C2 - C1) / B` and `m` the sum of the optical axes, a pair with `|m - (m.b) b| < 0.1` looks along its
+    /// baseline. Overlap is the share of the sampled vertices in the first image that lie in the second too.
+    pub fn pair(&self, i: usize, j: usize) -> Result<Pair, NoPair> {
+        let images = &self.cameras.images;
+        let baseline = images[j].centre() - images[i].centre();
+        let baseline_m = baseline.norm();
+        if baseline_m == 0.0 {
+            return Err(NoPair::NoBaseline);
+        }
+        let b = baseline / baseline_m;
+        let sum = images[i].axis() + images[j].axis();
+        if (sum - b * sum.dot(&b)).norm() < FORWARD {
+            return Err(NoPair::Forward);
+        }
+        let towards = b.dot(&images[i].matrix().row(0).transpose());
+        let (first, second) = if towards < 0.0 { (j, i) } else { (i, j) };
+        let (overlap, distance_m) = self.shared(first, second).ok_or(NoPair::NothingShared)?;
+        let (a, z) = (images[first].axis(), images[second].axis());
+        Ok(Pair {
+            name: format!("{}+{}", images[first].name, images[second].name),
+            first: images[first].name.clone(),
+            second: images[second].name.clone(),
+            baseline_m,
+            distance_m,
+            convergence_rad: portable_math::atan2(a.cross(&z).norm(), a.dot(&z)),
+            overlap,
+        })
+    }
+
+    /// How many of the sampled vertices lie in both images.
+    pub fn shared_count(&self, i: usize, j: usize) -> usize {
+        self.depths[i].iter().zip(&self.depths[j]).filter(|(a, b)| a.is_some() && b.is_some()).count()
+    }
+
+    /// Share of the first image's vertices in the second, and the mean depth (m) of the shared ones in both.
+    fn shared(&self, first: usize, second: usize) -> Option<(f64, f64)> {
+        let seen = self.depths[first].iter().flatten().count();
+        let both = self.depths[first].iter().zip(&self.depths[second]);
+        let depths: Vec<f64> = both.filter_map(|(a, b)| Some(0.5 * ((*a)? + (*b)?))).collect();
+        let shared = depths.len() as f64;
+        (!depths.is_empty()).then(|| (shared / seen as f64, depths.iter().sum::<f64>() / shared))
+    }
+}

@@ -1,0 +1,316 @@
+//! `select-pairs`: chooses the stereo pairs of an image block and settles the order of their images once.
+
+use std::collections::BTreeMap;
+
+use rockface_core::artefact::{Cameras, Kind, Mesh, Pair, Pairs};
+use crate::survey::overlap::{NoPair, Views, sample_vertices};
+use rockface_core::params::{Fault, Range};
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+
+/// Vertices looked at for what an image sees.
+const SAMPLES: usize = 20_000;
+
+params! {
+    /// Parameters of `select-pairs`.
+    pub struct SelectPairsParams {
+        /// Smallest share of the first image's part of the face that the second must see.
+        min_overlap: f64 = 0.5; Range::Between(0.0, 1.0),
+        /// Smallest ratio of baseline to distance.
+        min_base_to_distance: f64 = 0.05; Range::NonNegative,
+        /// Largest ratio of baseline to distance.
+        max_base_to_distance: f64 = 1.0; Range::Positive,
+        /// Largest angle between the optical axes, degrees.
+        max_convergence_deg: f64 = 45.0; Range::Between(0.0, 180.0),
+        /// Most pairs of an image: those of the largest overlap are taken first, as long as both images have room; null: no limit.
+        neighbours: Option<u32> = None; Range::AtLeast(1.0),
+        /// Pairs by hand, each `a+b`, whatever the limits say; null: every pair within the limits.
+        list: Option<Vec<String>> = None,
+    }
+}
+
+/// The stage.
+pub struct SelectPairs;
+
+impl Stage for SelectPairs {
+    type Params = SelectPairsParams;
+    const NAME: &'static str = "select-pairs";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Chooses the stereo pairs to match, by overlap, ratio of baseline to distance and convergence, or takes a list \
+               by hand. The order of the two images is settled here, from the nominal cameras: image x grows towards the \
+               second image. Noisy cameras never change it.",
+        method: "Pairs of paper 2.1.2 (Algorithm 2). With b the unit baseline and x the first image's x axis the images swap \
+                 when b.x < 0 (ties keep the order of the block). Overlap and distance come from evenly strided vertices \
+                 of the face that fall into the images; occlusion is not looked at. Pairs that look along their baseline \
+                 (|m - (m.b) b| < 0.1, m the sum of the axes) cannot be rectified and are left out.",
+        frames: "Cameras and mesh in one frame, metres; convergence in degrees in, radians out.",
+        fails: "When cameras and mesh are in different frames, a pair of the list does not exist or is none, or no pair is within \
+                the limits: the message tells the figures of the best one, so that the limits can be set.",
+        example: "rockface: 1\nname: select-pairs\nseed: 1\nsteps:\n  face: {stage: synthesise-face}\n  survey: {stage: \
+                  plan-survey, in: {mesh: face.mesh}}\n  pairs:\n    stage: select-pairs\n    \
+                  in: {cameras: survey.cameras, mesh: face.mesh}\n    with: {min_overlap: 0.3}\n",
+    };
+    const INPUTS: &'static [Port] = &[
+        Port::one("cameras", &[Kind::Cameras], "The true orientation."),
+        Port::one("mesh", &[Kind::Mesh], "The face, in the same frame."),
+    ];
+    const OUTPUTS: &'static [Port] = &[Port::one("pairs", &[Kind::Pairs], "The pairs, in the order of the block.")];
+
+    fn check(params: &Self::Params) -> Vec<Fault> {
+        if params.min_base_to_distance <= params.max_base_to_distance {
+            return Vec::new();
+        }
+        let mut fault = Fault::new("greater than `max_base_to_distance`: no pair can be within the limits");
+        fault.path = vec!["min_base_to_distance".to_owned()];
+        vec![fault]
+    }
+
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let cameras: &Cameras = inputs.one("cameras")?;
+        let mesh: &Mesh = inputs.one("mesh")?;
+        if mesh.frame != cameras.frame {
+            let error = StageError::new(format!(
+                "the mesh is in the {} frame, the cameras in the {} frame",
+                mesh.frame, cameras.frame
+            ));
+            return Err(error.hint("send both through one transform-crs"));
+        }
+        let views = Views::new(cameras, &sample_vertices(mesh, SAMPLES));
+        let pairs = match &params.list {
+            Some(list) => by_hand(list, cameras, &views)?,
+            None => within_limits(params, cameras, &views, context)?,
+        };
+        for pair in &pairs {
+            context.note(figures(pair));
+        }
+        context.metric("pairs", pairs.len() as f64, "1");
+        Ok(Outputs::of("pairs", Pairs { pairs }))
+    }
+}
+
+fn figures(pair: &Pair) -> String {
+    format!(
+        "{}: overlap {:.3}, baseline {:.3} m at {:.3} m (ratio {:.3}), convergence {:.2} deg",
+        pair.name,
+        pair.overlap,
+        pair.baseline_m,
+        pair.distance_m,
+        pair.baseline_m / pair.distance_m,
+        pair.convergence_rad.to_degrees()
+    )
+}
+
+fn by_hand(list: &[String], cameras: &Cameras, views: &Views) -> Result<Vec<Pair>, StageError> {
+    let mut pairs: Vec<Pair> = Vec::with_capacity(list.len());
+    for entry in list {
+        let (i, j) = named(entry, cameras)?;
+        let pair = views.pair(i.min(j), i.max(j)).map_err(|why| {
+            StageError::new(format!("list: `{entry}` is no stereo pair: {why}"))
+                .hint("leave it out of `list`, or check frames and orientation")
+        })?;
+        if pairs.iter().any(|other| other.name == pair.name) {
+            fail!("list: the pair `{entry}` is there twice");
+        }
+        pairs.push(pair);
+    }
+    if pairs.is_empty() {
+        return Err(
+            StageError::new("list: no pair in it").hint("leave `list` out to take every pair within the limits")
+        );
+    }
+    Ok(pairs)
+}
+
+/// The two images of `a+b`; a name may itself have a plus sign.
+fn named(entry: &str, cameras: &Cameras) -> Result<(usize, usize), StageError> {
+    let find = |name: &str| cameras.images.iter().position(|image| image.name == name);
+    let split = |(at, _): (usize, &str)| Some((find(&entry[..at])?, find(&entry[at + 1..])?));
+    match entry.match_indices('+').find_map(split) {
+        Some((i, j)) if i != j => Ok((i, j)),
+        Some(_) => Err(StageError::new(format!("list: `{entry}` is one image twice"))),
+        None => {
+            let names: Vec<&str> = cameras.images.iter().map(|image| image.name.as_str()).collect();
+            let error = StageError::new(format!("list: `{entry}` does not name two images as `a+b`"));
+            Err(error.hint(format!("images: {}", names.join(", "))))
+        }
+    }
+}
+
+fn within_limits(
+    params: &SelectPairsParams,
+    cameras: &Cameras,
+    views: &Views,
+    context: &Context,
+) -> Result<Vec<Pair>, StageError> {
+    let n = cameras.images.len();
+    let (mut chosen, mut left_out, mut refused) = (Vec::new(), Vec::new(), Vec::new());
+    for (i, j) in (0..n).flat_map(|i| (i + 1..n).map(move |j| (i, j))) {
+        context.check_cancelled()?;
+        match views.pair(i, j) {
+            Ok(pair) if faults(params, &pair).is_empty() => chosen.push(pair),
+            Ok(pair) => left_out.push(pair),
+            Err(why) => refused.push(why),
+        }
+    }
+    for why in [NoPair::NoBaseline, NoPair::Forward, NoPair::NothingShared] {
+        let count = refused.iter().filter(|other| **other == why).count();
+        if count > 0 {
+            context.note(format!("{count} combinations left out: {why}"));
+        }
+    }
+    if chosen.is_empty() {
+        return Err(none(params, n, &left_out));
+    }
+    Ok(params.neighbours.map_or(chosen.clone(), |most| nearest(&chosen, most)))
+}
+
+/// The pairs that are left when no image may have more than `most`, those of the largest overlap first; order kept.
+fn nearest(pairs: &[Pair], most: u32) -> Vec<Pair> {
+    let mut order: Vec<usize> = (0..pairs.len()).collect();
+    order.sort_by(|a, b| pairs[*b].overlap.total_cmp(&pairs[*a].overlap).then(a.cmp(b)));
+    let mut taken: BTreeMap<&str, u32> = BTreeMap::new();
+    let mut kept = Vec::new();
+    for index in order {
+        let images = [pairs[index].first.as_str(), pairs[index].second.as_str()];
+        if images.iter().all(|image| taken.get(image).is_none_or(|count| *count < most)) {
+            images.into_iter().for_each(|image| *taken.entry(image).or_default() += 1);
+            kept.push(index);
+        }
+    }
+    kept.sort_unstable();
+    kept.into_iter().map(|index| pairs[index].clone()).collect()
+}
+
+/// The limits that a pair breaks, by parameter name.
+fn faults(params: &SelectPairsParams, pair: &Pair) -> Vec<&'static str> {
+    let ratio = pair.baseline_m / pair.distance_m;
+    let limits = [
+        (pair.overlap < params.min_overlap, "min_overlap"),
+        (ratio < params.min_base_to_distance, "min_base_to_distance"),
+        (ratio > params.max_base_to_distance, "max_base_to_distance"),
+        (pair.convergence_rad.to_degrees() > params.max_convergence_deg, "max_convergence_deg"),
+    ];
+    limits.into_iter().filter_map(|(broken, name)| broken.then_some(name)).collect()
+}
+
+fn none(params: &SelectPairsParams, images: usize, left_out: &[Pair]) -> StageError {
+    let rank = |pair: &&Pair| (faults(params, pair).len(), -pair.overlap);
+    let best = left_out.iter().min_by(|a, b| {
+        let (a, b) = (rank(a), rank(b));
+        a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))
+    });
+    match best {
+        Some(pair) => {
+            StageError::new(format!("no pair of {images} images is within the limits; the best is {}", figures(pair)))
+                .hint(format!("it breaks {}", faults(params, pair).join(", ")))
+        }
+        None => StageError::new(format!("no two of {images} images make a stereo pair"))
+            .hint("they share no part of the face, have no baseline, or look along it: check frames and centres"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rockface_core::artefact::{Artefact, Frame};
+    use crate::camera::camera_files::json as json_file;
+    use rockface_core::params::ParamType;
+    use rockface_core::testing::TestHost;
+    use serde_json::{Value, json};
+    use std::sync::Arc;
+
+    /// Images that look straight at the plane Z = 0 from 20 m, at these abscissae; `up` is turned by half a turn.
+    fn row(images: &[(&str, f64)]) -> Cameras {
+        let sensor = json!({"id": 0, "width": 2000, "height": 2000, "f": 4000, "cx": 999.5, "cy": 999.5});
+        let image = |(name, x): &(&str, f64)| {
+            let q = if *name == "up" { [0, 0, 1, 0] } else { [0, 1, 0, 0] };
+            json!({"name": name, "sensor": 0, "q_wxyz": q, "C": [x, 0, 20]})
+        };
+        let file = json!({"sensors": [sensor], "images": images.iter().map(image).collect::<Vec<_>>()});
+        json_file::read(file.to_string().as_bytes(), Frame::Wall).unwrap().cameras
+    }
+
+    fn face(frame: Frame) -> Mesh {
+        let at = |i: i32| 0.25 * f64::from(i) - 0.125;
+        let vertices = (-80..80).flat_map(|i| (-40..40).map(move |j| [at(i), at(j), 0.0])).collect();
+        Mesh { frame, vertices, triangles: vec![[0, 1, 80]], colours: Vec::new() }
+    }
+
+    fn select(cameras: &Cameras, mesh: Mesh, with: &Value) -> Result<Vec<Pair>, StageError> {
+        let mut inputs = Inputs::default();
+        inputs.push("cameras", rockface_core::Point::new(), Arc::new(cameras.clone().into()));
+        inputs.push("mesh", rockface_core::Point::new(), Arc::new(mesh.into()));
+        let params = SelectPairsParams::decode(with).unwrap();
+        match SelectPairs::run(&params, &inputs, &Context::new(&TestHost::default()))?.into_inner().remove("pairs") {
+            Some(Artefact::Pairs(pairs)) => Ok(pairs.pairs),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn names(pairs: &[Pair]) -> Vec<&str> {
+        pairs.iter().map(|pair| pair.name.as_str()).collect()
+    }
+
+    #[test]
+    fn a_row_gives_its_neighbours_in_the_order_of_x() {
+        let cameras = row(&[("c", 10.0), ("b", 4.0), ("a", 0.0)]);
+        let pairs = select(&cameras, face(Frame::Wall), &json!({})).unwrap();
+        assert_eq!(names(&pairs), ["a+b"]);
+        // Footprints of 10 m, 4 m apart: 6 m shared.
+        assert!((pairs[0].overlap - 0.6).abs() < 1e-12, "{}", pairs[0].overlap);
+        assert!((pairs[0].distance_m - 20.0).abs() < 1e-12);
+        assert!(pairs[0].convergence_rad.abs() < 1e-12 && (pairs[0].baseline_m - 4.0).abs() < 1e-12);
+        let more = select(&cameras, face(Frame::Wall), &json!({"min_overlap": 0.3})).unwrap();
+        assert_eq!(names(&more), ["b+c", "a+b"]);
+    }
+
+    #[test]
+    fn neighbours_are_those_of_the_largest_overlap() {
+        let cameras = row(&[("a", 0.0), ("b", 1.0), ("c", 2.0), ("d", 3.0)]);
+        let chosen = |with: Value| select(&cameras, face(Frame::Wall), &with).unwrap();
+        assert_eq!(chosen(json!({"min_overlap": 0.1})).len(), 6);
+        let pairs = chosen(json!({"min_overlap": 0.1, "neighbours": 2}));
+        assert_eq!(names(&pairs), ["a+b", "a+d", "b+c", "c+d"]);
+        assert_eq!(names(&chosen(json!({"min_overlap": 0.1, "neighbours": 1}))), ["a+b", "c+d"]);
+    }
+
+    #[test]
+    fn the_first_images_own_x_axis_decides() {
+        let turned = row(&[("up", 0.0), ("b", 3.0)]);
+        assert_eq!(names(&select(&turned, face(Frame::Wall), &json!({})).unwrap()), ["b+up"]);
+        let mut vertical = row(&[("a", 0.0), ("b", 0.0)]);
+        vertical.images[1].centre_m[1] = 3.0;
+        assert_eq!(names(&select(&vertical, face(Frame::Wall), &json!({})).unwrap()), ["a+b"]);
+    }
+
+    #[test]
+    fn a_list_by_hand_is_put_in_order() {
+        let cameras = row(&[("c+1", 10.0), ("b", 4.0), ("a", 0.0)]);
+        let list = json!({"list": ["c+1+b", "b+a"]});
+        assert_eq!(names(&select(&cameras, face(Frame::Wall), &list).unwrap()), ["b+c+1", "a+b"]);
+        for (list, text) in [
+            (json!(["a+d"]), "`a+d` does not name two images"),
+            (json!(["a+a"]), "one image twice"),
+            (json!(["a+b", "b+a"]), "there twice"),
+            (json!([]), "no pair"),
+            (json!(["a+c+1"]), "no part of the face"),
+        ] {
+            let message = select(&cameras, face(Frame::Wall), &json!({"list": list})).unwrap_err().message;
+            assert!(message.contains(text), "{message}");
+        }
+    }
+
+    #[test]
+    fn no_pair_tells_the_best_and_forward_motion_is_left_out() {
+        let cameras = row(&[("a", 0.0), ("b", 4.0)]);
+        let error = select(&cameras, face(Frame::Wall), &json!({"min_overlap": 0.9})).unwrap_err();
+        assert!(error.message.contains("a+b: overlap 0.600, baseline 4.000 m"), "{error}");
+        assert_eq!(error.hint.unwrap(), "it breaks min_overlap");
+        let mut forward = row(&[("a", 0.0), ("b", 0.01)]);
+        forward.images[1].centre_m[2] = 15.0;
+        let error = select(&forward, face(Frame::Wall), &json!({})).unwrap_err();
+        assert!(error.message.contains("no two of 2 images"), "{error}");
+        let error = select(&cameras, face(Frame::World), &json!({})).unwrap_err();
+        assert!(error.message.contains("world frame"));
+    }
+}

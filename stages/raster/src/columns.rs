@@ -1,0 +1,55 @@
+//! Columns of numbers out of what has rows: inventories and tables.
+
+use rockface_core::artefact::{Artefact, Cell};
+
+/// The names of the columns and the cells of each row; `None` for artefacts without rows.
+pub fn rows(artefact: &Artefact) -> Option<(&[String], Vec<&[Cell]>)> {
+    match artefact {
+        Artefact::Inventory(inventory) => {
+            Some((&inventory.columns, inventory.features.iter().map(|feature| feature.values.as_slice()).collect()))
+        }
+        Artefact::Table(table) => Some((&table.columns, table.rows.iter().map(Vec::as_slice).collect())),
+        _ => None,
+    }
+}
+
+/// The numbers of a column, `None` where a row has none there.
+///
+/// # Errors
+/// An artefact without rows, or without such a column: the message names those there are.
+pub fn numbers(artefact: &Artefact, column: &str) -> Result<Vec<Option<f64>>, String> {
+    let (columns, rows) = rows(artefact).ok_or_else(|| format!("a {} has no columns", artefact.kind()))?;
+    let place = columns.iter().position(|name| name == column);
+    let place = place.ok_or_else(|| format!("there is no column `{column}`; there are {}", columns.join(", ")))?;
+    Ok(rows.iter().map(|row| row.get(place).and_then(Cell::number)).collect())
+}
+
+/// The positive numbers of a column in ascending order, and how many rows have none.
+///
+/// # Errors
+/// As [`numbers`].
+pub fn magnitudes(artefact: &Artefact, column: &str) -> Result<(Vec<f64>, usize), String> {
+    let numbers = numbers(artefact, column)?;
+    let mut positive: Vec<f64> = numbers.iter().flatten().copied().filter(|number| *number > 0.0).collect();
+    positive.sort_by(f64::total_cmp);
+    let without = numbers.len() - positive.len();
+    Ok((positive, without))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rockface_core::artefact::{Picture, Table};
+
+    #[test]
+    fn what_is_positive_is_sorted_and_the_rest_counted() {
+        let mut table = Table::new(["v", "w"]);
+        for value in [Cell::from(3.0), Cell::from(-1.0), Cell::from(f64::NAN), Cell::from(0.5), Cell::from("x")] {
+            table.push(vec![value, Cell::from(1.0)]);
+        }
+        let table = Artefact::from(table);
+        assert_eq!(magnitudes(&table, "v").unwrap(), (vec![0.5, 3.0], 3));
+        assert!(magnitudes(&table, "u").unwrap_err().contains("there are v, w"));
+        assert!(numbers(&Artefact::from(Picture { png: Vec::new() }), "v").unwrap_err().contains("picture"));
+    }
+}

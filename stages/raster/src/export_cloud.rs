@@ -1,0 +1,133 @@
+//! `export-cloud`: the points of a surface, mesh, elevation raster or cloud for other programs, in any frame, as PLY and LAZ.
+
+use rockface_core::artefact::{Artefact, Kind, Raster, Transform};
+use crate::cloud_making::cloud_of;
+use crate::shape::Shape;
+use crate::{frame_change, raster_surface};
+use rockface_core::params::Range;
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+
+params! {
+    /// Parameters of `export-cloud`.
+    pub struct ExportCloudParams {
+        /// Every so many rows and columns of a surface or raster, vertices of a mesh or points of a cloud are taken; 1 takes all.
+        step: u32 = 1; Range::AtLeast(1.0),
+    }
+}
+
+/// The stage.
+pub struct ExportCloud;
+
+impl Stage for ExportCloud {
+    type Params = ExportCloudParams;
+    const NAME: &'static str = "export-cloud";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Makes a point cloud of the points of a surface, the vertices of a mesh or the cells of an elevation raster, with normals and \
+               numbers, moved back to the world where `wall_from_world` is given. Beside the PLY that is kept, the run's folder has it as \
+               LAZ 1.4 for CloudCompare, PDAL, laspy.",
+        method: "Normals are the sums of the normals of the triangles about a point by their area; a point without triangles has a zero one. \
+                 `id` is the place of a point (vertex number; row x width + column of a surface or raster), `label` the value of the cell of \
+                 `labels` it stands in, 0 for none. PLY: double coordinates, float nx ny nz, uint numbers. LAZ: point format 6 (7 with colours), \
+                 scale 0.1 mm, extra dimensions NormalX, NormalY, NormalZ (float) and the numbers (32 bits).",
+        frames: "Metres. A transform is taken backwards where it ends in the frame of the points: `wall_from_world` takes what is in the wall \
+                 frame back to the world. `labels` are looked up before points move, in their own frame.",
+        fails: "There is no point; a raster has several bands; `labels` are in another frame; the transform has nothing to do with the frame.",
+        example: "\
+rockface: 1
+name: cloud-for-others
+seed: 1
+steps:
+  face:    {stage: synthesise-face, with: {width_m: 4, height_m: 3}}
+  blocks:  {stage: generate-blocks}
+  fallen:  {stage: remove-blocks, in: {mesh: face.mesh, blocks: blocks.blocks}, with: {count: 2, cell_m: 0.05, min_volume_m3: 0.005}}
+  cloud:   {stage: export-cloud, in: {points: fallen.mesh, labels: fallen.labels}, with: {step: 2}}
+",
+    };
+    const INPUTS: &'static [Port] = &[
+        Port::one(
+            "points",
+            &[Kind::Surface, Kind::Mesh, Kind::Raster, Kind::Cloud],
+            "What has points; a raster holds elevations.",
+        ),
+        Port::optional(
+            "transform",
+            &[Kind::Transform],
+            "Applied to every point, such as wall_from_world for the way back.",
+        ),
+        Port::optional(
+            "labels",
+            &[Kind::Raster],
+            "Numbers by place, such as those of the pieces lost, from `remove-blocks`.",
+        ),
+    ];
+    const OUTPUTS: &'static [Port] = &[Port::one("cloud", &[Kind::Cloud], "The points, with what is known of each.")];
+
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let artefact = inputs.artefact("points")?;
+        let made = match artefact {
+            Artefact::Raster(raster) => Some(
+                raster_surface::between_cells(raster).map_err(|text| StageError::new(format!("`points` {text}")))?,
+            ),
+            _ => None,
+        };
+        let shape = made.as_ref().map(Shape::Surface).or_else(|| Shape::of(artefact));
+        let shape =
+            shape.ok_or_else(|| StageError::new("port `points` needs a surface, a mesh, a raster or a cloud"))?;
+        let labels = inputs.optional::<Raster>("labels")?;
+        if let Some(labels) = labels.filter(|labels| labels.frame != shape.frame()) {
+            fail!("`labels` are in the {} frame, the points in the {} frame", labels.frame, shape.frame());
+        }
+        let change = frame_change::change(shape.frame(), inputs.optional::<Transform>("transform")?)?;
+        let cloud = cloud_of(shape, params.step as usize, labels, &change);
+        if cloud.points.is_empty() {
+            fail!("there is no point to export");
+        }
+        context.metric("points", cloud.points.len() as f64, "1");
+        context.headline(format!("{} points in the {} frame", cloud.points.len(), cloud.frame));
+        Ok(Outputs::of("cloud", cloud))
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::float_cmp)] // to the bit
+mod tests {
+    use super::*;
+    use rockface_core::artefact::{Cloud, Frame, Grid};
+    use rockface_core::testing::{TestHost, run_stage};
+    use serde_json::json;
+
+    fn raster(bands: usize) -> Raster {
+        let grid = Grid { columns: 3, rows: 2, cell_m: 0.5, left_m: 10.0, top_m: 20.0 };
+        let values = vec![1.0, 1.0, f32::NAN, 1.0, 1.0, 1.0];
+        let mut raster = Raster::single(grid, Frame::Wall, "elevation", "elevation", values);
+        let band = raster.bands[0].clone();
+        raster.bands = vec![band; bands];
+        raster
+    }
+
+    fn export(inputs: &[(&str, Artefact)]) -> Result<Cloud, StageError> {
+        let made = run_stage::<ExportCloud>(&TestHost::default(), &json!({}), inputs)?;
+        let Some(Artefact::Cloud(cloud)) = made.into_inner().remove("cloud") else { panic!("no cloud") };
+        Ok(cloud)
+    }
+
+    #[test]
+    fn cells_of_a_dem_become_points() {
+        let cloud = export(&[("points", raster(1).into())]).unwrap();
+        assert_eq!(cloud.numbers["id"], [0, 1, 3, 4, 5]);
+        assert_eq!(cloud.points[2], [10.25, 19.25, 1.0]);
+        assert!(cloud.normals.iter().all(|normal| *normal == [0.0, 0.0, 1.0]));
+    }
+
+    #[test]
+    fn what_cannot_be_exported_is_refused() {
+        let message = |inputs: &[(&str, Artefact)]| export(inputs).unwrap_err().message;
+        assert!(message(&[("points", raster(2).into())]).contains("2 bands"));
+        let world = Raster { frame: Frame::World, ..raster(1) };
+        assert!(message(&[("points", raster(1).into()), ("labels", world.into())]).contains("world frame"));
+        let away = Transform::identity("world", "world");
+        assert!(message(&[("points", raster(1).into()), ("transform", away.into())]).contains("takes world to world"));
+        assert!(message(&[("points", Cloud::new(Frame::Wall, Vec::new()).into())]).contains("no point"));
+    }
+}

@@ -1,0 +1,228 @@
+//! `import-rasters`: reads a folder of GeoTIFF files on one grid into one raster with a band a file.
+
+use std::io::Read;
+
+use rockface_core::artefact::{Band, Frame, Kind, Noun, Raster};
+use rockface_core::format::geotiff::DAMAGED;
+use crate::grid;
+use rockface_core::numerics::marginal;
+use rockface_core::params::FilesRef;
+use rockface_core::{Context, Inputs, Outputs, Page, Port, SourceFile, Stage, StageError, choice, params};
+
+choice! {
+    /// The frame of imported grids.
+    pub enum GridFrame {
+        /// X along the face, Y up the face.
+        Wall = "wall",
+        /// The coordinate reference system of the files.
+        World = "world",
+    }
+}
+
+params! {
+    /// Parameters of `import-rasters`.
+    pub struct ImportRastersParams {
+        /// A folder, a file, or a pattern such as `real/*.tif`.
+        path: FilesRef,
+        /// What the values are: `difference`, `elevation`, `mask`, ...; lengths in metres.
+        quantity: String = "difference".to_owned(),
+        /// The frame X and Y of the files are in.
+        frame: GridFrame = GridFrame::Wall,
+    }
+}
+
+/// A difference as large as this is no change of a rock face, metres.
+const LEAST_IMPOSSIBLE_M: f32 = 100.0;
+/// Differences of one survey rarely scatter by more than this, metres.
+const LARGEST_USUAL_DEVIATION_M: f64 = 1.0;
+
+/// The stage.
+pub struct ImportRasters;
+
+impl Stage for ImportRasters {
+    type Params = ImportRastersParams;
+    const NAME: &'static str = "import-rasters";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Reads GeoTIFF files, such as the difference rasters of real surveys without rockfall, into one raster \
+               with a band a file. A band is called like its file without the extension (and `file.band` for each band \
+               of a file with several); an axis `{from: step.raster}` takes these names as its items.",
+        method: "Strips or tiles; DEFLATE or none; 8- to 32-bit integers, 32- and 64-bit floats; the no-data value \
+                 of the file becomes NaN. Files are taken in the order of their names.",
+        frames: "Values in metres where `quantity` is `difference` or `elevation`; the grid in metres of `frame`.",
+        fails: "It warns of differences of 100 m and more, which look like an undeclared no-data value, and of a standard \
+                deviation above 1 m, which looks like millimetres. No file; a file that is no GeoTIFF (name the pattern so that it leaves other files out); files on \
+                different grids (resample them to one first, to a millionth of a cell); a band without any value.",
+        example: "rockface: 1\nname: real-noise\nsteps:\n  real: {stage: import-rasters, with: {path: \"real/*.tif\"}}\n  \
+                  noise: {stage: describe-noise, in: {raster: real.raster}}\n",
+    };
+    const INPUTS: &'static [Port] = &[];
+    const OUTPUTS: &'static [Port] =
+        &[Port::one("raster", &[Kind::Raster], "All files on their common grid, one band a file.")];
+
+    fn run(params: &Self::Params, _inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let mut all: Option<(String, Raster)> = None;
+        for mut file in context.files(&params.path)? {
+            context.check_cancelled()?;
+            let raster = read(&mut file)?;
+            match &mut all {
+                None => all = Some((file.name, raster)),
+                Some((first, together)) => append(first, together, &file.name, raster)?,
+            }
+        }
+        let Some((_, mut raster)) = all else {
+            return Err(StageError::new(format!("`{}` names no file", params.path.0))
+                .hint("give a folder that holds GeoTIFFs, or a pattern such as `real/*.tif`"));
+        };
+        refuse_twins(&raster)?;
+        raster.quantity.clone_from(&params.quantity);
+        if params.quantity == "difference" {
+            warn_of_strange_differences(&raster, context);
+        }
+        raster.frame = if params.frame == GridFrame::Wall { Frame::Wall } else { Frame::World };
+        context.note(format!("{} bands on {}", raster.bands.len(), grid::describe(&raster.grid)));
+        Ok(Outputs::of("raster", raster))
+    }
+}
+
+/// One file, its bands named after it.
+fn read(file: &mut SourceFile) -> Result<Raster, StageError> {
+    let name = file.name.clone();
+    let mut bytes = Vec::new();
+    file.reader.read_to_end(&mut bytes).map_err(|e| StageError::new(format!("cannot read `{name}`: {e}")))?;
+    let mut raster = Raster::decode(&bytes).map_err(|e| {
+        let error = StageError::new(format!("`{name}`: {e}"));
+        let is_damaged = e.0.starts_with(DAMAGED);
+        if is_damaged { error } else { error.hint("a pattern such as `folder/*.tif` leaves other files out") }
+    })?;
+    let stem = name.rsplit_once('.').map_or(name.as_str(), |(stem, _)| stem);
+    let single = raster.bands.len() == 1;
+    for band in &mut raster.bands {
+        if band.values.iter().all(|v| v.is_nan()) {
+            return Err(StageError::new(format!("`{name}`: band `{}` has no value in any of its cells", band.name))
+                .hint("leave the file out (a pattern such as `folder/a*.tif` does), or export it again"));
+        }
+        band.name = if single { stem.to_owned() } else { format!("{stem}.{}", band.name) };
+    }
+    Ok(raster)
+}
+
+/// Warns of what differences of a rock face in metres cannot be, or rarely are.
+fn warn_of_strange_differences(raster: &Raster, context: &Context) {
+    let mut scattered = Vec::new();
+    for band in &raster.bands {
+        let impossible = || band.values.iter().filter(|v| v.abs() >= LEAST_IMPOSSIBLE_M);
+        if let Some(largest) = impossible().copied().reduce(|a, b| if b.abs() > a.abs() { b } else { a }) {
+            context.warn(format!(
+                "band `{}`: {} cells hold 100 m or more, up to {largest}: this looks like a no-data value the file does \
+                 not declare; declare it with `gdal_edit.py -a_nodata {largest} FILE`",
+                band.name,
+                impossible().count()
+            ));
+        } else if let Some(found) = marginal::marginal(&band.values)
+            && found.deviation > LARGEST_USUAL_DEVIATION_M
+        {
+            scattered.push(format!("`{}` by {:.3} m", band.name, found.deviation));
+        }
+    }
+    if let [first, others @ ..] = scattered.as_slice() {
+        let others = if others.is_empty() { String::new() } else { format!(" and {} more bands", others.len()) };
+        context.warn(format!(
+            "differences scatter by more than 1 m: {first} (standard deviation){others}; are they millimetres? Lengths \
+             are in metres"
+        ));
+    }
+}
+
+fn append(first: &str, together: &mut Raster, name: &str, raster: Raster) -> Result<(), StageError> {
+    if !grid::same(&together.grid, &raster.grid) {
+        let (a, b) = (grid::describe(&together.grid), grid::describe(&raster.grid));
+        return Err(StageError::new(format!("`{first}` has {a}, but `{name}` has {b}"))
+            .hint("resample the files to one grid, or import them in separate steps"));
+    }
+    together.sample = together.sample.common(raster.sample);
+    together.bands.extend(raster.bands);
+    Ok(())
+}
+
+fn refuse_twins(raster: &Raster) -> Result<(), StageError> {
+    let mut names: Vec<&Band> = raster.bands.iter().collect();
+    names.sort_by(|a, b| a.name.cmp(&b.name));
+    match names.windows(2).find(|pair| pair[0].name == pair[1].name) {
+        Some(pair) => Err(StageError::new(format!("two bands would be called `{}`", pair[0].name))
+            .hint("files must differ in more than their extension; rename one")),
+        None => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use rockface_core::artefact::{Artefact, Grid};
+    use rockface_core::testing::{TestHost, run_stage};
+
+    fn file(name: &str, left_m: f64, values: Vec<f32>) -> (String, Vec<u8>) {
+        let grid = Grid { columns: 2, rows: 2, cell_m: 0.5, left_m, top_m: 1.0 };
+        let raster = Raster::single(grid, Frame::World, "elevation", "z", values);
+        (name.to_owned(), raster.encode().unwrap())
+    }
+
+    fn import(files: Vec<(String, Vec<u8>)>) -> Result<Raster, StageError> {
+        import_on(&mut TestHost::default(), files)
+    }
+
+    fn import_on(host: &mut TestHost, files: Vec<(String, Vec<u8>)>) -> Result<Raster, StageError> {
+        host.files.insert("real".into(), files);
+        let outputs = run_stage::<ImportRasters>(host, &json!({"path": "real"}), &[])?;
+        match &outputs.into_inner()["raster"] {
+            Artefact::Raster(raster) => Ok(raster.clone()),
+            other => panic!("{}", other.kind()),
+        }
+    }
+
+    #[test]
+    fn files_become_bands_in_their_order() {
+        let raster = import(vec![file("a.tif", 0.0, vec![1.0; 4]), file("b.x.tif", 1e-8, vec![2.0; 4])]).unwrap();
+        assert_eq!(raster.items().unwrap(), ["a", "b.x"]);
+        assert_eq!((raster.frame, raster.quantity.as_str()), (Frame::Wall, "difference"));
+        assert_eq!(raster.bands[1].values, [2.0; 4]);
+    }
+
+    #[test]
+    fn undeclared_no_data_and_millimetres_are_warned_of() {
+        let mut host = TestHost::default();
+        let files = vec![
+            file("good.tif", 0.0, vec![0.1, -0.2, 0.0, f32::NAN]),
+            file("holes.tif", 0.0, vec![0.1, -9999.0, -9999.0, 0.0]),
+            file("mm.tif", 0.0, vec![12.0, -7.0, 3.0, -1.0]),
+        ];
+        import_on(&mut host, files).unwrap();
+        let warnings = host.warnings();
+        assert_eq!(warnings.len(), 2, "{warnings:?}");
+        assert!(warnings[0].contains("`holes`: 2 cells") && warnings[0].contains("-a_nodata -9999 FILE"));
+        assert!(warnings[1].contains("`mm` by") && warnings[1].contains("millimetres"));
+    }
+
+    #[test]
+    fn a_damaged_file_is_to_be_copied_again() {
+        let (name, mut bytes) = file("a.tif", 0.0, vec![1.0; 4]);
+        bytes.truncate(bytes.len() - 3);
+        let error = import(vec![(name, bytes)]).unwrap_err();
+        assert!(error.message.contains("copy it again") && error.hint.is_none(), "{error}");
+        assert!(import(vec![("x.txt".into(), b"hello".to_vec())]).unwrap_err().hint.is_some());
+    }
+
+    #[test]
+    fn each_fault_names_its_file() {
+        let message = |files| import(files).unwrap_err().message;
+        assert!(message(Vec::new()).contains("`real` names no file"));
+        assert!(message(vec![("x.txt".into(), b"hello".to_vec())]).contains("`x.txt`"));
+        assert!(message(vec![file("n.tif", 0.0, vec![f32::NAN; 4])]).contains("`n.tif`"));
+        let shifted = message(vec![file("a.tif", 0.0, vec![1.0; 4]), file("b.tif", 0.1, vec![1.0; 4])]);
+        assert!(shifted.contains("`a.tif`") && shifted.contains("`b.tif`"), "{shifted}");
+        let twins = message(vec![file("a.tif", 0.0, vec![1.0; 4]), file("a.tiff", 0.0, vec![1.0; 4])]);
+        assert!(twins.contains("`a`"), "{twins}");
+    }
+}

@@ -1,0 +1,155 @@
+//! Elevation grids of meshes and organised surfaces: mean of points per cell, or interpolation in the triangles.
+
+use rayon::prelude::*;
+
+use rockface_core::artefact::Grid;
+
+use super::shape::{Moved, Shape};
+
+/// Points whose cells are looked up in parallel before they are added in order.
+const BATCH: usize = 1 << 18;
+/// Grid rows one thread fills from the triangles.
+const BAND_ROWS: usize = 64;
+/// Weight below zero, in units of a triangle's area, at which a cell centre still counts as inside: closes the seam
+/// between two triangles against rounding.
+const SEAM: f64 = -1e-9;
+/// Cells a grid may have.
+pub const MAXIMUM_CELLS: f64 = 1.5e8;
+
+/// Smallest box around the points in X and Y as (left, right, bottom, top), metres; `None` without points.
+pub fn extent(shape: Shape, moved: Option<&Moved>) -> Option<[f64; 4]> {
+    let empty = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
+    let grow = |e: [f64; 4], p: [f64; 3]| [e[0].min(p[0]), e[1].max(p[0]), e[2].min(p[1]), e[3].max(p[1])];
+    let join = |a: [f64; 4], b: [f64; 4]| [a[0].min(b[0]), a[1].max(b[1]), a[2].min(b[2]), a[3].max(b[3])];
+    // Minimum and maximum are exact in any order, and skip NaN.
+    let places = (0..shape.places()).into_par_iter().with_min_len(1 << 14);
+    let found = places.map(|i| shape.point(i, moved)).fold(|| empty, grow).reduce(|| empty, join);
+    (found[0] <= found[1]).then_some(found)
+}
+
+/// The grid of whole multiples of the cell that covers an extent (left, right, bottom, top), metres.
+pub fn grid_around([left, right, bottom, top]: [f64; 4], cell_m: f64) -> Result<Grid, String> {
+    let (first, last) = ((left / cell_m).floor(), (right / cell_m).floor());
+    let (lowest, highest) = ((bottom / cell_m).floor(), (top / cell_m).floor());
+    sized(last - first + 1.0, highest - lowest + 1.0, cell_m, first * cell_m, (highest + 1.0) * cell_m)
+}
+
+/// The grid of a window (left, right, bottom, top), metres: its size rounded to whole cells.
+pub fn grid_of_window([left, right, bottom, top]: [f64; 4], cell_m: f64) -> Result<Grid, String> {
+    sized(((right - left) / cell_m).round(), ((top - bottom) / cell_m).round(), cell_m, left, top)
+}
+
+fn sized(columns: f64, rows: f64, cell_m: f64, left_m: f64, top_m: f64) -> Result<Grid, String> {
+    if !(columns >= 1.0 && rows >= 1.0 && columns * rows <= MAXIMUM_CELLS) {
+        return Err(format!(
+            "a grid of {columns:.3e} columns and {rows:.3e} rows of {cell_m:.3e} m has none or more than {MAXIMUM_CELLS:.1e} cells; is \
+             the surface in metres?"
+        ));
+    }
+    Ok(Grid { columns: columns as usize, rows: rows as usize, cell_m, left_m, top_m })
+}
+
+/// Mean Z of the points in each cell, metres, by row from the top; NaN where a cell has fewer than `minimum_points`.
+///
+/// Points are added in their own order, so the bytes do not depend on the number of threads.
+pub fn mean(shape: Shape, moved: Option<&Moved>, grid: &Grid, minimum_points: u32) -> Vec<f32> {
+    let mut cells = vec![(0.0f64, 0u32); grid.cells()];
+    let mut batch: Vec<(u32, f64)> = Vec::with_capacity(BATCH.min(shape.places()));
+    for start in (0..shape.places()).step_by(BATCH) {
+        let places = start..shape.places().min(start + BATCH);
+        places
+            .into_par_iter()
+            .with_min_len(4096)
+            .map(|i| place(grid, shape.point(i, moved)))
+            .collect_into_vec(&mut batch);
+        for (cell, z) in &batch {
+            if let Some((sum, count)) = cells.get_mut(*cell as usize) {
+                *sum += z;
+                *count += 1;
+            }
+        }
+    }
+    let least = minimum_points.max(1);
+    let value = |&(sum, count): &(f64, u32)| if count >= least { (sum / f64::from(count)) as f32 } else { f32::NAN };
+    cells.par_iter().map(value).collect()
+}
+
+/// The cell of a point and its Z; a cell that does not exist for points outside.
+#[inline]
+pub(super) fn place(grid: &Grid, [x, y, z]: [f64; 3]) -> (u32, f64) {
+    // A cell has its left and its lower edge. Cutting off is rounding down where there is no sign, and needs no call.
+    let (column, row) = ((x - grid.left_m) / grid.cell_m, (grid.top_m - y) / grid.cell_m);
+    if column >= 0.0 && column < grid.columns as f64 && row > 0.0 && row <= grid.rows as f64 && !z.is_nan() {
+        let cut = row as u32;
+        let row = cut - u32::from(f64::from(cut) >= row);
+        (row * grid.columns as u32 + column as u32, z)
+    } else {
+        (u32::MAX, z)
+    }
+}
+
+/// Z at the cell centres interpolated in the triangles, metres, by row from the top; the highest where several lie over
+/// each other, NaN where there is none.
+pub fn tin(shape: Shape, moved: Option<&Moved>, grid: &Grid) -> Vec<f32> {
+    let points: Vec<[f64; 3]> =
+        (0..shape.places()).into_par_iter().map(|i| to_cells(grid, shape.point(i, moved))).collect();
+    let ranges: Vec<[f64; 2]> = (0..shape.strips()).into_par_iter().map(|s| row_range(shape, s, &points)).collect();
+    let mut values = vec![f32::NEG_INFINITY; grid.cells()];
+    values.par_chunks_mut(BAND_ROWS * grid.columns).enumerate().for_each(|(band, cells)| {
+        let first = band * BAND_ROWS;
+        let rows = [first as f64, (first + cells.len() / grid.columns) as f64];
+        let met = (0..ranges.len()).filter(|s| ranges[*s][0] < rows[1] && ranges[*s][1] >= rows[0]);
+        met.for_each(|s| shape.for_each_triangle(s, |t| fill(t.map(|i| points[i]), rows, grid.columns, cells)));
+        cells.iter_mut().filter(|z| **z == f32::NEG_INFINITY).for_each(|z| *z = f32::NAN);
+    });
+    values
+}
+
+/// Columns and rows from the centre of the first cell, Z in metres.
+fn to_cells(grid: &Grid, [x, y, z]: [f64; 3]) -> [f64; 3] {
+    [(x - grid.left_m) / grid.cell_m - 0.5, (grid.top_m - y) / grid.cell_m - 0.5, z]
+}
+
+fn row_range(shape: Shape, strip: usize, points: &[[f64; 3]]) -> [f64; 2] {
+    let mut range = [f64::INFINITY, f64::NEG_INFINITY];
+    shape.for_each_triangle(strip, |triangle| {
+        for place in triangle {
+            range = [range[0].min(points[place][1]), range[1].max(points[place][1])];
+        }
+    });
+    range
+}
+
+/// Raises the cells of some rows to one triangle.
+#[inline]
+fn fill([a, b, c]: [[f64; 3]; 3], rows: [f64; 2], columns: usize, cells: &mut [f32]) {
+    let (low, high) = (a[1].min(b[1]).min(c[1]), a[1].max(b[1]).max(c[1]));
+    let (top, bottom) = (low.ceil().max(rows[0]), high.floor().min(rows[1] - 1.0));
+    let left = a[0].min(b[0]).min(c[0]).ceil().max(0.0);
+    let right = a[0].max(b[0]).max(c[0]).floor().min(columns as f64 - 1.0);
+    if !(top <= bottom && left <= right) {
+        return;
+    }
+    let area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]);
+    // A triangle seen edge-on covers no cell centre; NaN corners end here too.
+    if area == 0.0 || area.is_nan() {
+        return;
+    }
+    for row in top as usize..=bottom as usize {
+        let y = row as f64 - a[1];
+        for column in left as usize..=right as usize {
+            let x = column as f64 - a[0];
+            let toward_b = (x * (c[1] - a[1]) - y * (c[0] - a[0])) / area;
+            let toward_c = (y * (b[0] - a[0]) - x * (b[1] - a[1])) / area;
+            if toward_b >= SEAM && toward_c >= SEAM && 1.0 - toward_b - toward_c >= SEAM {
+                let z = a[2] + toward_b * (b[2] - a[2]) + toward_c * (c[2] - a[2]);
+                let cell = &mut cells[(row - rows[0] as usize) * columns + column];
+                *cell = cell.max(z as f32);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::float_cmp)] // values that are exact
+mod tests;

@@ -1,0 +1,230 @@
+//! `rasterise-dem`: turns a surface into a grid of elevations above the wall plane.
+
+use serde_json::Value;
+
+use rockface_core::artefact::{Frame, Grid, Kind, Raster, Transform};
+use crate::shape::{Moved, Shape};
+use crate::{frame_change, rasterise, rasterise_points, window};
+use rockface_core::params::{Fault, Range};
+use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Ports, Stage, StageError, choice, fail, params};
+
+choice! {
+    /// How a cell gets its value.
+    pub enum DemMethod {
+        /// Mean Z of the points that fall into the cell.
+        Mean = "mean",
+        /// Median Z of the points that fall into the cell: blunders do not move it.
+        Median = "median",
+        /// Z of the point in the cell that is nearest to its centre.
+        Nearest = "nearest",
+        /// Z at the centre of the cell, interpolated in the triangles; the highest of several.
+        Tin = "tin",
+    }
+}
+
+params! {
+    /// Parameters of `rasterise-dem`.
+    pub struct RasteriseDemParams {
+        /// Side of a cell, metres; with a given grid the grid's own cell is taken.
+        cell_m: f64 = 0.01; Range::Positive,
+        /// How a cell gets its value.
+        method: DemMethod = DemMethod::Mean,
+        /// A cell with fewer points has no value (not for `tin`).
+        minimum_points: u32 = 2; Range::AtLeast(1.0),
+        /// Window (left, right, bottom, top) in metres; left out, the extent of the surface in whole cells.
+        window_m: Option<[f64; 4]> = None,
+        /// Whether the number of points in each cell is put out too, at the port `coverage`.
+        coverage: bool = false,
+    }
+}
+
+const RASTER: Port = Port::one("raster", &[Kind::Raster], "Elevation, metres, one band.");
+const COVERAGE: Port =
+    Port::one("coverage", &[Kind::Raster], "Number of points in each cell; with `coverage: true` only.");
+
+/// The stage.
+pub struct RasteriseDem;
+
+impl Stage for RasteriseDem {
+    type Params = RasteriseDemParams;
+    const NAME: &'static str = "rasterise-dem";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Turns a surface or mesh into a grid of elevations (Z) over X and Y, moving its points by a transform first \
+               where one is given. Cells without enough data are NaN.",
+        method: "`mean` averages the points in each cell as point-cloud software does for a 2.5D raster (paper, section 4.3), `median` takes \
+                 their median, `nearest` the one nearest to the cell's centre; \
+                 `tin` interpolates linearly in the triangles at cell centres, the highest layer wins. The grid is that \
+                 of the raster at `grid`, else `window_m`, else the extent snapped outward to multiples of the cell.",
+        frames: "Surface in the wall frame (Z out of the rock), metres; elevation in metres. Epochs that are to be compared \
+                 need one grid: give all the same `window_m`, or the first raster as `grid`.",
+        fails: "The surface has no points; the window is empty; the grid would have more than 1.5e8 cells; a transform that has nothing to do with the frame of the surface; `tin` of a cloud.",
+        example: "rockface: 1\nname: dem-of-a-face\nseed: 1\nsteps:\n  face: {stage: synthesise-face, with: {width_m: 3, height_m: 2}}\n  \
+                  dem:\n    stage: rasterise-dem\n    in: {surface: face.mesh}\n    with: {cell_m: 0.05, method: tin}\n",
+    };
+    const INPUTS: &'static [Port] = &[
+        Port::one(
+            "surface",
+            &[Kind::Surface, Kind::Mesh, Kind::Cloud],
+            "What is measured or known, in the wall frame.",
+        ),
+        Port::optional("transform", &[Kind::Transform], "Applied to every point, such as a registration."),
+        Port::optional("grid", &[Kind::Raster], "A raster whose grid is taken over exactly."),
+    ];
+    const OUTPUTS: &'static [Port] = &[RASTER, COVERAGE];
+
+    fn ports(with: &Value) -> Result<Ports, Vec<Fault>> {
+        const RASTER_ONLY: &[Port] = &[RASTER];
+        let counted = with.get("coverage").and_then(Value::as_bool) == Some(true);
+        Ok(Ports { inputs: Self::INPUTS, outputs: if counted { Self::OUTPUTS } else { RASTER_ONLY } })
+    }
+
+    fn check(params: &Self::Params) -> Vec<Fault> {
+        window::faults(params.window_m)
+    }
+
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        // The surface, as it is read and as it is used, and sums and counts of the cells.
+        5 * inputs.of("surface") + 3 * inputs.of("grid")
+    }
+
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let shape = Shape::of(inputs.artefact("surface")?)
+            .ok_or_else(|| StageError::new("port `surface` needs a surface, a mesh or a cloud"))?;
+        let change = frame_change::change(shape.frame(), inputs.optional::<Transform>("transform")?)?;
+        let moved = change.moved;
+        if params.method == DemMethod::Tin && matches!(shape, Shape::Cloud(_)) {
+            return Err(StageError::new("`method: tin` interpolates in triangles, and a cloud has none")
+                .hint("take `method: mean`, `median` or `nearest`"));
+        }
+        let grid = match inputs.optional::<Raster>("grid")? {
+            Some(raster) => usable(raster.grid)?,
+            None => make_grid(params, shape, moved.as_ref())?,
+        };
+        let values = match params.method {
+            DemMethod::Mean => rasterise::mean(shape, moved.as_ref(), &grid, params.minimum_points),
+            DemMethod::Median => rasterise_points::median(shape, moved.as_ref(), &grid, params.minimum_points),
+            DemMethod::Nearest => rasterise_points::nearest(shape, moved.as_ref(), &grid, params.minimum_points),
+            DemMethod::Tin => rasterise::tin(shape, moved.as_ref(), &grid),
+        };
+        report(&values, &grid, context);
+        let frame = change.frame;
+        if frame == Frame::World {
+            context.warn("the surface is in the world frame: elevation is along world Z, not out of the wall");
+        }
+        let outputs = Outputs::of("raster", Raster::single(grid, frame, "elevation", "elevation", values));
+        if !params.coverage {
+            return Ok(outputs);
+        }
+        let counts = rasterise_points::counts(shape, moved.as_ref(), &grid);
+        Ok(outputs.and("coverage", Raster::single(grid, frame, "count", "points", counts)))
+    }
+}
+
+fn make_grid(params: &RasteriseDemParams, shape: Shape, moved: Option<&Moved>) -> Result<Grid, StageError> {
+    let grid = if let Some(window_m) = params.window_m {
+        rasterise::grid_of_window(window_m, params.cell_m)
+    } else {
+        let extent = rasterise::extent(shape, moved);
+        let extent = extent.ok_or_else(|| StageError::new("the surface has no points, so it has no extent"))?;
+        rasterise::grid_around(extent, params.cell_m)
+    };
+    grid.map_err(|message| StageError::new(message).hint("choose another `cell_m` or `window_m`"))
+}
+
+fn usable(grid: Grid) -> Result<Grid, StageError> {
+    let cells = grid.columns as f64 * grid.rows as f64;
+    if (1.0..=rasterise::MAXIMUM_CELLS).contains(&cells) && grid.cell_m > 0.0 {
+        return Ok(grid);
+    }
+    fail!("the given grid has {} x {} cells of {} m and cannot be filled", grid.columns, grid.rows, grid.cell_m)
+}
+
+fn report(values: &[f32], grid: &Grid, context: &Context) {
+    let filled = values.iter().filter(|value| !value.is_nan()).count();
+    let coverage = filled as f64 / values.len() as f64;
+    context.metric("columns", grid.columns as f64, "1");
+    context.metric("rows", grid.rows as f64, "1");
+    context.metric("coverage", coverage, "1");
+    if filled == 0 {
+        context.warn("no cell has a value: the surface lies outside the grid, or no cell has enough points");
+    }
+    context.headline(format!(
+        "{} x {} cells of {} m, {:.1} % with a value",
+        grid.columns,
+        grid.rows,
+        grid.cell_m,
+        100.0 * coverage
+    ));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rockface_core::Point;
+    use rockface_core::artefact::{Artefact, Mesh};
+    use rockface_core::params::ParamType;
+    use rockface_core::testing::TestHost;
+    use serde_json::json;
+    use std::sync::Arc;
+
+    fn face() -> Mesh {
+        let vertices = vec![[0.0, 0.0, 1.0], [2.0, 0.0, 1.0], [2.0, 1.0, 2.0], [0.0, 1.0, 2.0]];
+        Mesh { frame: Frame::Wall, vertices, triangles: vec![[0, 1, 2], [0, 2, 3]], colours: Vec::new() }
+    }
+
+    fn run(with: &serde_json::Value, extra: Vec<(&str, Artefact)>) -> (Raster, TestHost) {
+        let host = TestHost::default();
+        let mut inputs = Inputs::default();
+        inputs.push("surface", Point::new(), Arc::new(face().into()));
+        for (port, artefact) in extra {
+            inputs.push(port, Point::new(), Arc::new(artefact));
+        }
+        let params = RasteriseDemParams::decode(with).unwrap();
+        let outputs = RasteriseDem::run(&params, &inputs, &Context::new(&host)).unwrap();
+        let Some(Artefact::Raster(raster)) = outputs.into_inner().remove("raster") else { panic!("no raster") };
+        (raster, host)
+    }
+
+    #[test]
+    fn a_window_sets_the_grid_and_a_plane_its_values() {
+        let with = json!({"cell_m": 0.5, "method": "tin", "window_m": [-1, 2, 0, 1]});
+        let (raster, host) = run(&with, Vec::new());
+        assert_eq!((raster.grid.columns, raster.grid.rows), (6, 2));
+        assert_eq!(raster.bands[0].values[2..6], [1.75; 4]);
+        assert_eq!(raster.bands[0].values[8..12], [1.25; 4]);
+        assert!(raster.bands[0].values[..2].iter().all(|z| z.is_nan()));
+        assert_eq!(host.metric("coverage"), Some(8.0 / 12.0));
+    }
+
+    #[test]
+    fn coverage_has_a_port_of_its_own_where_it_is_asked_for() {
+        let with = json!({"cell_m": 1.0, "method": "median", "minimum_points": 1, "coverage": true});
+        assert_eq!(RasteriseDem::ports(&with).unwrap().outputs.len(), 2);
+        assert_eq!(RasteriseDem::ports(&json!({})).unwrap().outputs.len(), 1);
+        let made =
+            rockface_core::testing::run_stage::<RasteriseDem>(&TestHost::default(), &with, &[("surface", face().into())]);
+        let made = made.unwrap().into_inner();
+        let Artefact::Raster(coverage) = &made["coverage"] else { panic!("no raster") };
+        assert_eq!((coverage.quantity.as_str(), coverage.bands[0].values.iter().sum::<f32>()), ("count", 4.0));
+    }
+
+    #[test]
+    fn a_given_grid_is_taken_exactly_and_a_transform_applied() {
+        let grid = Grid { columns: 3, rows: 2, cell_m: 0.3, left_m: 0.1, top_m: 0.77 };
+        let given = Raster::single(grid, Frame::Wall, "mask", "mask", vec![0.0; 6]);
+        let mut up = Transform::identity("source", "target");
+        up.translation = [0.0, 0.0, 10.0];
+        let (raster, _) = run(&json!({"method": "tin"}), vec![("grid", given.into()), ("transform", up.into())]);
+        assert_eq!(raster.grid, grid);
+        let (_, y) = grid.centre(1, 2);
+        assert!((f64::from(raster.bands[0].values[5]) - (11.0 + y)).abs() < 1e-6);
+        assert_eq!(raster.frame, Frame::Wall);
+    }
+
+    #[test]
+    fn an_empty_window_is_a_fault_of_the_parameters() {
+        let params = RasteriseDemParams::decode(&json!({"window_m": [2, 1, 0, 1]})).unwrap();
+        assert_eq!(RasteriseDem::check(&params)[0].path, ["window_m"]);
+    }
+}

@@ -1,0 +1,169 @@
+//! `triangulate-surface`: turns an organised surface into a triangle mesh that other programs open.
+
+use rockface_core::artefact::{Artefact, Kind, Mesh, Surface, Transform};
+use crate::frame_change;
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+
+params! {
+    /// Parameters of `triangulate-surface`.
+    pub struct TriangulateSurfaceParams {
+        /// Every so many rows and columns of points are taken; 1 takes them all.
+        step: u32 = 1; rockface_core::params::Range::AtLeast(1.0),
+    }
+}
+
+/// The stage.
+pub struct TriangulateSurface;
+
+impl Stage for TriangulateSurface {
+    type Params = TriangulateSurfaceParams;
+    const NAME: &'static str = "triangulate-surface";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Writes the points and triangles of an organised surface out as a mesh (PLY), for other programs and for stages that \
+               take meshes; moved by a transform first where one is given. A mesh stays what it is, but for the transform.",
+        method: "Each point that a triangle uses becomes a vertex, in order of rows; triangles keep the cut of their square. With \
+                 `step` above 1 only every so many rows and columns are taken: a square is cut in two where its four points \
+                 exist, from its first corner to the opposite one, whatever lay between.",
+        frames: "Metres, in the frame of the surface, or the one the transform leads to: `wall_from_world` of `transform-crs` takes \
+                 what is in the wall frame back to the world.",
+        fails: "The surface has no triangle, a mesh is to be thinned, or the transform has nothing to do with the frame of the surface.",
+        example: "\
+rockface: 1
+name: surface-as-ply
+seed: 1
+steps:
+  face:    {stage: synthesise-face}
+  survey:  {stage: plan-survey, in: {mesh: face.mesh}}
+  depth:   {stage: project-depth, in: {mesh: face.mesh, cameras: survey.cameras}, with: {image: left, downscale: 4}}
+  surface: {stage: fuse-depth, in: {depth: depth.depth}}
+  mesh:    {stage: triangulate-surface, in: {surface: surface.surface}, with: {step: 2}}
+",
+    };
+    const INPUTS: &'static [Port] = &[
+        Port::one("surface", &[Kind::Surface, Kind::Mesh], "From `fuse-depth` or `clean-mesh`; or a mesh."),
+        Port::optional("transform", &[Kind::Transform], "Applied to every point, such as the way back to the world."),
+    ];
+    const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The same points and triangles.")];
+
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let step = params.step as usize;
+        let mut mesh = match inputs.artefact("surface")? {
+            Artefact::Mesh(_) if step > 1 => fail!("`step` thins the rows and columns of a surface; a mesh has none"),
+            Artefact::Mesh(mesh) => mesh.clone(),
+            _ => triangulate(inputs.one("surface")?, step),
+        };
+        if mesh.triangles.is_empty() {
+            fail!("the surface has no triangle, or none is left at a step of {step}");
+        }
+        let change = frame_change::change(mesh.frame, inputs.optional::<Transform>("transform")?)?;
+        if let Some(moved) = change.moved {
+            mesh.vertices.iter_mut().for_each(|vertex| *vertex = moved.apply(*vertex));
+        }
+        mesh.frame = change.frame;
+        let (vertices, triangles) = (mesh.vertices.len(), mesh.triangles.len());
+        context.headline(format!("{vertices} vertices, {triangles} triangles"));
+        Ok(Outputs::of("mesh", mesh))
+    }
+}
+
+fn triangulate(surface: &Surface, step: usize) -> Mesh {
+    let corners = if step == 1 { all(surface) } else { thinned(surface, step) };
+    let mut numbers = vec![u32::MAX; surface.points.len()];
+    corners.iter().flatten().for_each(|place| numbers[*place] = 0);
+    let mut vertices = Vec::new();
+    for (place, number) in numbers.iter_mut().enumerate().filter(|(_, number)| **number == 0) {
+        *number = vertices.len() as u32;
+        let (p, o) = (surface.points[place], surface.origin_m);
+        vertices.push(std::array::from_fn(|i| o[i] + f64::from(p[i])));
+    }
+    let triangles = corners.iter().map(|triangle| triangle.map(|place| numbers[place])).collect();
+    Mesh { frame: surface.frame, vertices, triangles, colours: Vec::new() }
+}
+
+fn all(surface: &Surface) -> Vec<[usize; 3]> {
+    let squares = (0..surface.height.saturating_sub(1))
+        .flat_map(|row| (0..surface.width.saturating_sub(1)).map(move |column| (row, column)));
+    squares.flat_map(|(row, column)| surface.triangles(row, column)).collect()
+}
+
+fn thinned(surface: &Surface, step: usize) -> Vec<[usize; 3]> {
+    let mut triangles = Vec::new();
+    for row in (step..surface.height).step_by(step) {
+        for column in (step..surface.width).step_by(step) {
+            let at = |row: usize, column: usize| row * surface.width + column;
+            let (a, b) = (at(row - step, column - step), at(row - step, column));
+            let (c, d) = (at(row, column), at(row, column - step));
+            if [a, b, c, d].iter().all(|place| !surface.points[*place][0].is_nan()) {
+                triangles.extend([[a, d, c], [a, c, b]]);
+            }
+        }
+    }
+    triangles
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use rockface_core::artefact::Frame;
+    use rockface_core::testing::{TestHost, run_stage};
+
+    /// 3 x 3 points, rows down, with a hole in the last corner.
+    fn surface() -> Surface {
+        let point = |i: u16| if i == 8 { [f32::NAN; 3] } else { [f32::from(i % 3), -f32::from(i / 3), 0.25] };
+        let both = Surface::FIRST | Surface::SECOND;
+        Surface {
+            frame: Frame::Wall,
+            width: 3,
+            height: 3,
+            origin_m: [1000.0, 2000.0, 3.0],
+            points: (0..9).map(point).collect(),
+            squares: vec![both, both | Surface::OTHER_DIAGONAL, both, Surface::FIRST | Surface::OTHER_DIAGONAL],
+        }
+    }
+
+    fn made(with: &serde_json::Value, inputs: &[(&str, Artefact)]) -> Result<Mesh, StageError> {
+        let made = run_stage::<TriangulateSurface>(&TestHost::default(), with, inputs)?;
+        let Some(Artefact::Mesh(mesh)) = made.into_inner().remove("mesh") else { panic!("no mesh") };
+        Ok(mesh)
+    }
+
+    #[test]
+    fn points_and_triangles_are_those_of_the_surface() {
+        let mesh = made(&json!({}), &[("surface", surface().into())]).unwrap();
+        assert_eq!((mesh.vertices.len(), mesh.triangles.len(), mesh.frame), (8, 7, Frame::Wall));
+        assert!((mesh.vertices[7][0] - 1001.0).abs() < 1e-12 && (mesh.vertices[7][1] - 1998.0).abs() < 1e-12);
+        let facets =
+            rockface_rock::rockfall::ground_truth::Facets { vertices: mesh.vertices.clone(), triangles: mesh.triangles.clone() };
+        assert!((facets.vector_area_m2().z - 3.5).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_step_thins_and_a_transform_moves() {
+        let mut whole = surface();
+        whole.points[8] = [2.0, -2.0, 0.25];
+        let mut out = Transform::identity("wall", "world");
+        out.translation = [0.0, 0.0, 10.0];
+        let inputs = [("surface", whole.into()), ("transform", out.into())];
+        let mesh = made(&json!({"step": 2}), &inputs).unwrap();
+        assert_eq!((mesh.vertices.len(), mesh.triangles.len(), mesh.frame), (4, 2, Frame::World));
+        assert!((mesh.vertices[0][2] - 13.25).abs() < 1e-12);
+        let mut in_wall = Transform::identity("world", "wall");
+        in_wall.origin = [1e6, 0.0, 0.0];
+        let inputs = [("surface", mesh.clone().into()), ("transform", in_wall.clone().into())];
+        let moved = made(&json!({}), &inputs).unwrap();
+        assert_eq!((moved.frame, moved.triangles == mesh.triangles), (Frame::Wall, true));
+        let back = made(&json!({}), &[("surface", moved.into()), ("transform", in_wall.into())]).unwrap();
+        assert_eq!(back, mesh);
+        let wrong = [("surface", surface().into()), ("transform", Transform::identity("world", "local").into())];
+        assert!(made(&json!({}), &wrong).unwrap_err().message.contains("is in the wall frame"));
+        assert!(
+            made(&json!({"step": 2}), &[("surface", mesh.into())]).unwrap_err().message.contains("a mesh has none")
+        );
+        assert!(
+            made(&json!({"step": 2}), &[("surface", surface().into())]).unwrap_err().message.contains("no triangle")
+        );
+    }
+}

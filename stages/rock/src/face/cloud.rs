@@ -1,0 +1,35 @@
+//! Point clouds from elsewhere: points and colours, whatever the format.
+
+use rockface_core::format::cloud_las;
+use super::cloud_text;
+use rockface_core::artefact::CodecError;
+use rockface_core::format::ply;
+
+/// Points, in the order of the file.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Cloud {
+    /// Places, metres, in the frame of the file.
+    pub points: Vec<[f64; 3]>,
+    /// Red, green and blue of each point; empty where the source has none.
+    pub colours: Vec<[u8; 3]>,
+}
+
+/// Reads a cloud of whatever format its content shows: LAS or LAZ, PLY (faces are left out), or columns of numbers.
+///
+/// `columns` names the columns of a text file; see [`cloud_text::read`].
+///
+/// # Errors
+/// The place at fault, as the reader of the format says it; `cancelled` became true.
+pub fn read(bytes: Vec<u8>, columns: Option<&[String]>, cancelled: &dyn Fn() -> bool) -> Result<Cloud, CodecError> {
+    if bytes.starts_with(b"LASF") {
+        return cloud_las::read(bytes, cancelled);
+    }
+    if bytes.starts_with(b"ply") {
+        let mesh = ply::read_mesh(&bytes)?;
+        return Ok(Cloud { points: mesh.vertices, colours: mesh.colours });
+    }
+    if bytes.iter().take(4096).any(|byte| *byte == 0) {
+        return Err(CodecError::new("its content is not LAS, LAZ, PLY or columns of numbers"));
+    }
+    cloud_text::read(&bytes, columns, cancelled)
+}

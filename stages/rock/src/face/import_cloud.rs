@@ -1,0 +1,174 @@
+//! `import-cloud`: reads a point cloud of a rock face and meshes it over its best-fit plane.
+
+use nalgebra::Vector3;
+
+use rockface_core::artefact::{Frame, Kind};
+use crate::face::cloud;
+use crate::face::cloud::Cloud;
+use crate::face::sheet;
+use crate::face::sheet::{Made, Rules, SheetPlane};
+use rockface_raster::plane_fit;
+use rockface_raster::plane_fit::Plane;
+use rockface_core::params::{Fault, FileRef, Range};
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
+
+/// A normal whose cosine with a direction is smaller does not tell on which side the rock is (6 degrees).
+const LEAST_COSINE: f64 = 0.1;
+
+choice! {
+    /// The frame of the file's coordinates.
+    pub enum CloudFrame {
+        /// The input's coordinate reference system, Z up.
+        World = "world",
+        /// X along the face, Y up the face, Z out of the rock.
+        Wall = "wall",
+    }
+}
+
+params! {
+    /// Parameters of `import-cloud`.
+    pub struct ImportCloudParams {
+        /// The file; its format is told by its content: LAS, LAZ, PLY, or columns of numbers (XYZ, TXT, CSV, PTS).
+        path: FileRef,
+        /// The frame of the file's coordinates.
+        frame: CloudFrame = CloudFrame::World,
+        /// Added to every point in double precision, metres: brings a file with shifted coordinates back.
+        offset_m: [f64; 3] = [0.0; 3],
+        /// Names of the columns of a text file without a header, such as `[x, y, z, intensity, red, green, blue]`; left out,
+        /// x, y and z come first.
+        columns: Option<Vec<String>> = None,
+        /// A direction out of the rock in the frame of the file; left out, Z in the wall frame, and up in the world.
+        outward: Option<[f64; 3]> = None,
+        /// Thins to one point of the file a cell of this side in the plane, metres; left out, every point is used.
+        cell_m: Option<f64> = None; Range::Positive,
+        /// Triangles with a longer edge in the plane are dropped, metres; left out, `max_edge_medians` decides.
+        max_edge_m: Option<f64> = None; Range::Positive,
+        /// Triangles with an edge in the plane longer than so many median edges are dropped.
+        max_edge_medians: f64 = 6.0; Range::AtLeast(1.0),
+        /// Pieces of fewer triangles are dropped.
+        min_piece_triangles: u32 = 100; Range::AtLeast(1.0),
+    }
+}
+
+/// The stage.
+pub struct ImportCloud;
+
+impl Stage for ImportCloud {
+    type Params = ImportCloudParams;
+    const NAME: &'static str = "import-cloud";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Reads a point cloud of a rock face and makes a 2.5D mesh of it whose vertices are points of the cloud, with \
+               their colours. Gaps stay open: triangles that bridge them are dropped, and so are flat ones at the border, small \
+               pieces and what hangs on the rest in a point only. Everything dropped is counted in the log.",
+        method: "Delaunay triangulation (exact predicates, crate spade) of the points seen along the normal of their best-fit \
+                 plane: total least squares trimmed at 2.5 robust sigmas, from a start of least median of squares \
+                 (Rousseeuw 1984), so plateau or talus may be nearly half the cloud. Edges are measured in the plane, so \
+                 steps of the face stay whole. Where points lie behind each other the outer one is kept: overhangs are lost.",
+        frames: "Metres; coordinates stay as they are in the file (LAS: scale x integer + offset) in double precision. Triangles \
+                 are counter-clockwise seen from outside.",
+        fails: "The file is of another format or damaged; nothing tells on which side of a vertical face the rock is \
+                (give `outward`); no triangle is left (raise `max_edge_m`, lower `min_piece_triangles`).",
+        example: "rockface: 1\nname: import-a-scan\nsteps:\n  face: {stage: import-cloud, with: {path: scan.laz, cell_m: 0.05}}\n",
+    };
+    const INPUTS: &'static [Port] = &[];
+    const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The mesh, in the frame of the file.")];
+
+    fn check(params: &Self::Params) -> Vec<Fault> {
+        let zero = params.outward.is_some_and(|outward| Vector3::from(outward).norm() == 0.0);
+        let fault = || Fault { path: vec!["outward".into()], ..Fault::new("a direction cannot be zero") };
+        zero.then(fault).into_iter().collect()
+    }
+
+    fn run(params: &Self::Params, _inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let path = &params.path.0;
+        let cloud = cloud::read(context.read(&params.path)?, params.columns.as_deref(), &|| context.cancelled());
+        let mut cloud = cloud.map_err(|e| StageError::new(format!("cannot read `{path}`: {e}")))?;
+        if cloud.points.len() < 3 {
+            fail!("`{path}` has {} points, a mesh needs at least three", cloud.points.len());
+        }
+        if u32::try_from(cloud.points.len()).is_err() {
+            fail!("`{path}` has {} points, more than a mesh can number; thin it first", cloud.points.len());
+        }
+        shift(&mut cloud, params.offset_m);
+        context.check_cancelled()?;
+        let frame = if params.frame == CloudFrame::Wall { Frame::Wall } else { Frame::World };
+        let plane = plane_fit::fit_points_robust(&cloud.points)
+            .ok_or_else(|| StageError::new(format!("the points of `{path}` do not span a plane")))?;
+        let sheet = SheetPlane { origin: plane.centroid, axes: axes(outward(params, &plane)?) };
+        let rules = Rules {
+            cell_m: params.cell_m,
+            max_edge_m: params.max_edge_m,
+            max_edge_medians: params.max_edge_medians,
+            min_piece_triangles: params.min_piece_triangles as usize,
+        };
+        let meshed = sheet::mesh(&cloud, &sheet, &rules, frame);
+        let (mesh, made) = meshed.map_err(|e| {
+            StageError::new(format!("`{path}` cannot be meshed: {e}"))
+                .hint("look at `max_edge_m`, `max_edge_medians`, `cell_m` and `min_piece_triangles`")
+        })?;
+        report(&cloud, (mesh.vertices.len(), mesh.triangles.len()), &plane, &made, context);
+        Ok(Outputs::of("mesh", mesh))
+    }
+}
+
+fn shift(cloud: &mut Cloud, offset_m: [f64; 3]) {
+    if offset_m.iter().any(|shift| *shift != 0.0) {
+        let moved = |p: &[f64; 3]| [p[0] + offset_m[0], p[1] + offset_m[1], p[2] + offset_m[2]];
+        cloud.points.iter_mut().for_each(|p| *p = moved(p));
+    }
+}
+
+/// The plane's normal with the sign that `outward`, or Z, tells.
+fn outward(params: &ImportCloudParams, plane: &Plane) -> Result<Vector3<f64>, StageError> {
+    let direction = params.outward.map_or_else(Vector3::z, |outward| Vector3::from(outward).normalize());
+    let cosine = plane.normal.dot(&direction);
+    if cosine.abs() >= LEAST_COSINE {
+        return Ok(plane.normal * cosine.signum());
+    }
+    let [x, y, z] = plane.normal.into();
+    let along = if params.outward.is_some() { "`outward` lies" } else { "Z lies" };
+    Err(StageError::new(format!(
+        "{along} within 6 degrees of the best-fit plane (normal {x:.3}, {y:.3}, {z:.3}) and does not tell on which side the rock is"
+    ))
+    .hint("give `outward`, a direction from the rock towards the viewer, such as the normal or its opposite"))
+}
+
+/// Right-handed axes with the normal last; any two directions in the plane will do.
+fn axes(normal: Vector3<f64>) -> nalgebra::Matrix3<f64> {
+    let least = normal.iamin();
+    let mut across = Vector3::zeros();
+    across[least] = 1.0;
+    let x = (across - normal * normal[least]).normalize();
+    nalgebra::Matrix3::from_rows(&[x.transpose(), normal.cross(&x).transpose(), normal.transpose()])
+}
+
+fn report(cloud: &Cloud, (vertices, triangles): (usize, usize), plane: &Plane, made: &Made, context: &Context) {
+    let counts = [
+        ("points", cloud.points.len()),
+        ("vertices", vertices),
+        ("triangles", triangles),
+        ("thinned_points", made.thinned_points),
+        ("covered_points", made.covered_points),
+        ("unused_points", made.unused_points),
+        ("dropped_long_triangles", made.long_triangles),
+        ("dropped_flat_triangles", made.flat_triangles),
+        ("dropped_loose_triangles", made.loose_triangles),
+    ];
+    for (name, count) in counts {
+        context.metric(name, count as f64, "1");
+    }
+    context.metric("plane_rms", plane.rms_m, "m");
+    context.metric("plane_share", plane.fitted, "1");
+    context.metric("median_edge", made.median_edge_m, "m");
+    context.metric("max_edge", made.max_edge_m, "m");
+    context.headline(format!(
+        "{} points, {vertices} vertices, {triangles} triangles, median edge {:.3} m, edges over {:.3} m left out",
+        cloud.points.len(),
+        made.median_edge_m,
+        made.max_edge_m
+    ));
+}
+
+#[cfg(test)]
+mod tests;

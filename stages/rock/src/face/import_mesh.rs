@@ -1,0 +1,325 @@
+//! `import-mesh`: reads a triangle mesh of a rock face from a file, repairs what is safe and names the rest.
+
+use nalgebra::Vector3;
+
+use rockface_core::artefact::{Frame, Kind, Mesh};
+use crate::face::inspection::{Found, Inspection};
+use crate::face::repair;
+use crate::face::repair::Repaired;
+use crate::face::{mesh_file, orient};
+use rockface_raster::mesh_check;
+use rockface_core::params::{Fault, FileRef, Range};
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
+
+/// A mean normal whose cosine with the way out is smaller does not tell inside from outside.
+const LEAST_COSINE: f64 = 0.02;
+
+/// Beyond this cosine a mean normal that points down is strange for a face (30 degrees below the horizontal).
+const DOWNWARDS: f64 = 0.5;
+
+choice! {
+    /// The frame of the file's coordinates.
+    pub enum FileFrame {
+        /// The input's coordinate reference system.
+        World = "world",
+        /// X along the face, Y up the face, Z out of the rock.
+        Wall = "wall",
+    }
+}
+
+choice! {
+    /// What to repair.
+    pub enum Repair {
+        /// What changes no surface: merges vertices at exactly one place, drops what covers nothing, turns triangles over.
+        Safe = "safe",
+        /// Nothing: every vertex and triangle stays as it is.
+        Nothing = "none",
+    }
+}
+
+choice! {
+    /// What to do with a mesh that is not an oriented manifold after repair.
+    pub enum Defects {
+        /// Refuse it.
+        Refuse = "refuse",
+        /// Keep it as it is, with a warning: enough for survey and rasters, not for removing blocks near the defects.
+        Keep = "keep",
+    }
+}
+
+params! {
+    /// Parameters of `import-mesh`.
+    pub struct ImportMeshParams {
+        /// The file; its format is told by its content: PLY, OBJ or STL, text or binary.
+        path: FileRef,
+        /// The frame of the file's coordinates.
+        frame: FileFrame = FileFrame::World,
+        /// Added to every vertex in double precision, metres: brings a file with shifted coordinates back.
+        offset_m: [f64; 3] = [0.0; 3],
+        /// What to repair.
+        repair: Repair = Repair::Safe,
+        /// Pieces of fewer triangles are dropped.
+        min_piece_triangles: u32 = 1; Range::AtLeast(1.0),
+        /// A direction out of the rock in the frame of the file: a mesh that faces the other way is inside out. Not needed
+        /// in the wall frame (Z) and for closed meshes.
+        outward: Option<[f64; 3]> = None,
+        /// What to do with edges of three or more triangles, triangles oriented against each other, and a face inside out.
+        defects: Defects = Defects::Refuse,
+    }
+}
+
+/// The stage.
+pub struct ImportMesh;
+
+impl Stage for ImportMesh {
+    type Params = ImportMeshParams;
+    const NAME: &'static str = "import-mesh";
+    const VERSION: u32 = 2;
+    const PAGE: Page = Page {
+        what: "Reads a triangle mesh of a rock face, repairs what is safe, and counts in the log what it repaired and \
+               what it found: pieces, borders, holes, and vertices where surfaces meet in a point only. Holes are kept, \
+               with a warning.",
+        method: "PLY 1.0 (Turk 1994), Wavefront OBJ (shared vertices stay shared across groups) and STL (corners joined \
+                 at exactly equal places); polygons are cut into fans. Repair: vertices at one place to the bit become \
+                 one; triangles without area, repeated triangles and vertices without triangle go; in each piece the \
+                 triangles of the smaller area are turned to agree with the larger; a mesh inside out is turned where \
+                 that can be told.",
+        frames: "Metres. Coordinates are taken to be in `frame`; single-precision files cannot hold centimetres at UTM \
+                 magnitudes, so keep them shifted and give the shift as `offset_m`. Text files keep all digits.",
+        fails: "The file is of another format (point clouds: `import-cloud`), is damaged or ends too early; a coordinate is not finite; \
+                it has no triangles; an edge belongs to three or more triangles, neighbours face opposite ways or the mesh is inside \
+                out and `repair` cannot or may not help (repair it in MeshLab, or accept it with `defects: keep`).",
+        example: "rockface: 1\nname: import-a-face\nsteps:\n  face: {stage: import-mesh, with: {path: face.ply}}\n",
+    };
+    const INPUTS: &'static [Port] = &[];
+    const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The mesh, in the frame of the file.")];
+
+    fn check(params: &Self::Params) -> Vec<Fault> {
+        let mut faults = Vec::new();
+        if params.outward.is_some_and(|outward| Vector3::from(outward).norm() == 0.0) {
+            faults.push(Fault { path: vec!["outward".into()], ..Fault::new("a direction cannot be zero") });
+        }
+        if params.repair == Repair::Nothing && params.min_piece_triangles > 1 {
+            let text = "dropping pieces is a repair, and `repair` is `none`";
+            faults.push(Fault { path: vec!["min_piece_triangles".into()], ..Fault::new(text) });
+        }
+        faults
+    }
+
+    fn run(params: &Self::Params, _inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let path = &params.path.0;
+        let bytes = context.read(&params.path)?;
+        let mut mesh = mesh_file::read(&bytes, &|| context.cancelled())
+            .map_err(|e| StageError::new(format!("cannot read `{path}`: {e}")))?;
+        if mesh.triangles.is_empty() {
+            return Err(StageError::new(format!("`{path}` has {} vertices but no triangles", mesh.vertices.len()))
+                .hint("a point cloud is meshed by `import-cloud`"));
+        }
+        mesh.frame = match params.frame {
+            FileFrame::World => Frame::World,
+            FileFrame::Wall => Frame::Wall,
+        };
+        warn_of_single_precision(&mesh, context);
+        shift(&mut mesh, params.offset_m);
+        context.check_cancelled()?;
+        tidy(&mut mesh, params, context)?;
+        Ok(Outputs::of("mesh", mesh))
+    }
+}
+
+fn shift(mesh: &mut Mesh, offset_m: [f64; 3]) {
+    if offset_m.iter().any(|shift| *shift != 0.0) {
+        let moved = |v: &[f64; 3]| [v[0] + offset_m[0], v[1] + offset_m[1], v[2] + offset_m[2]];
+        mesh.vertices.iter_mut().for_each(|v| *v = moved(v));
+    }
+}
+
+/// Single precision at UTM magnitudes holds half a metre.
+fn warn_of_single_precision(mesh: &Mesh, context: &Context) {
+    let largest = mesh.vertices.iter().flatten().fold(0.0f64, |largest, x| largest.max(x.abs()));
+    let step_m = largest * f64::from(f32::EPSILON);
+    let is_single = |x: &f64| f64::from(*x as f32).to_bits() == x.to_bits();
+    if step_m > 1e-3 && mesh.vertices.iter().flatten().all(is_single) {
+        context.warn(format!(
+            "coordinates of {largest:.0} m were written in single precision, which holds only {step_m:.2} m there: export in double \
+             precision, or shifted, and add the shift with `offset_m`"
+        ));
+    }
+}
+
+/// Repairs, inspects, reports, and refuses what is still wrong.
+fn tidy(mesh: &mut Mesh, params: &ImportMeshParams, context: &Context) -> Result<(), StageError> {
+    let path = &params.path.0;
+    let before = mesh.triangles.len();
+    let mut faults = Vec::new();
+    let mut repaired = Repaired::default();
+    let mut turned = 0;
+    if params.repair == Repair::Safe {
+        repaired = repair::repair(mesh, params.min_piece_triangles as usize);
+        if mesh.triangles.is_empty() {
+            let text = format!("none of the {before} triangles of `{path}` is left: {}", describe(&repaired));
+            return Err(StageError::new(text).hint("a mesh needs triangles with an area; lower `min_piece_triangles`"));
+        }
+        match orient::make_coherent(mesh) {
+            Ok(count) => turned = count,
+            Err(one_sided) => {
+                faults.push(format!("a surface with one side only, seen near {}", place(one_sided.place)));
+            }
+        }
+    } else {
+        count_in(&mut faults, mesh_check::degenerate_triangles(mesh), "triangles without area");
+        count_in(&mut faults, repair::duplicate_triangles(mesh).len(), "repeated triangles");
+    }
+    let found = Inspection::of(mesh);
+    find_in(&mut faults, &found.crowded_edges, "edges of three or more triangles");
+    find_in(&mut faults, &found.opposed_edges, "edges whose triangles are oriented against each other");
+    turned += face_outward(mesh, params, &found, context, &mut faults);
+    report(mesh, (&repaired, turned), &found, context);
+    if faults.is_empty() {
+        return Ok(());
+    }
+    let message = format!("`{path}` has {}", faults.join(" and "));
+    if params.defects == Defects::Keep {
+        context.warn(message);
+        return Ok(());
+    }
+    Err(StageError::new(message).hint(
+        "repair the mesh first: in MeshLab `Repair Non Manifold Edges`, then `Re-Orient All Faces Coherently`; or keep \
+         it as it is with `defects: keep`, which is enough where no blocks are removed",
+    ))
+}
+
+fn count_in(faults: &mut Vec<String>, count: usize, what: &str) {
+    if count > 0 {
+        faults.push(format!("{count} {what}"));
+    }
+}
+
+fn find_in(faults: &mut Vec<String>, found: &Found, what: &str) {
+    if let Some(first) = found.place {
+        faults.push(format!("{} {what}, the first near {}", found.count, place(first)));
+    }
+}
+
+fn place([x, y, z]: [f64; 3]) -> String {
+    format!("({x}, {y}, {z})")
+}
+
+/// Turns what is inside out where that can be told and may be repaired; returns how many triangles were turned.
+fn face_outward(
+    mesh: &mut Mesh,
+    params: &ImportMeshParams,
+    found: &Inspection,
+    context: &Context,
+    faults: &mut Vec<String>,
+) -> usize {
+    if !faults.is_empty() {
+        return 0;
+    }
+    let wall = (mesh.frame == Frame::Wall).then(Vector3::z);
+    let outward = params.outward.map(|outward| Vector3::from(outward).normalize()).or(wall);
+    let cosine = found.open_area().and_then(|(area, normal)| outward.map(|outward| normal.dot(&outward) / area));
+    if outward.is_none() && found.open_area().is_some_and(|(area, normal)| normal.z < -DOWNWARDS * area) {
+        context.warn("on the whole the triangles face downwards: if the mesh is inside out, give `outward`");
+    }
+    if cosine.is_some_and(|cosine| cosine.abs() < LEAST_COSINE) {
+        context
+            .warn("the triangles face outward and inward in equal parts: nothing tells whether the mesh is inside out");
+    }
+    let mut turned = 0;
+    let open = (false, cosine.is_some_and(|cosine| cosine <= -LEAST_COSINE), "its triangles face into the rock");
+    let negative = found.closed_volume_m3().is_some_and(|volume_m3| volume_m3 < 0.0);
+    let closed = (true, negative, "its closed pieces enclose a negative volume");
+    for (is_closed, inside_out, why) in [open, closed] {
+        if inside_out && params.repair == Repair::Safe {
+            orient::turn_over(mesh, is_closed);
+            let pieces = found.pieces.iter().filter(|piece| (piece.open_edges == 0) == is_closed);
+            turned += pieces.map(|piece| piece.triangles).sum::<usize>();
+            context.warn(format!("the mesh was inside out and has been turned: {why}"));
+        } else if inside_out {
+            faults.push(format!("an outside that is inside: {why} (`repair: safe` turns it)"));
+        }
+    }
+    turned
+}
+
+fn describe(repaired: &Repaired) -> String {
+    let Repaired {
+        merged_vertices,
+        degenerate_triangles,
+        duplicate_triangles,
+        small_piece_triangles,
+        unreferenced_vertices,
+    } = repaired;
+    format!(
+        "merged {merged_vertices} vertices with others at the same place, dropped {degenerate_triangles} triangles without \
+         area, {duplicate_triangles} repeated ones, {small_piece_triangles} of small pieces and {unreferenced_vertices} \
+         vertices without triangle"
+    )
+}
+
+fn report(mesh: &Mesh, (repaired, turned): (&Repaired, usize), found: &Inspection, context: &Context) {
+    let closed = found.pieces.iter().filter(|piece| piece.open_edges == 0).count();
+    let counts = [
+        ("vertices", mesh.vertices.len()),
+        ("triangles", mesh.triangles.len()),
+        ("boundary_edges", found.border_edges),
+        ("merged_vertices", repaired.merged_vertices),
+        ("dropped_degenerate_triangles", repaired.degenerate_triangles),
+        ("dropped_duplicate_triangles", repaired.duplicate_triangles),
+        ("dropped_small_piece_triangles", repaired.small_piece_triangles),
+        ("dropped_unreferenced_vertices", repaired.unreferenced_vertices),
+        ("turned_triangles", turned),
+        ("duplicate_vertices", mesh_check::duplicate_vertices(mesh)),
+        ("non_manifold_edges", found.crowded_edges.count),
+        ("inconsistent_edges", found.opposed_edges.count),
+        ("non_manifold_vertices", found.pinched_vertices.count),
+        ("pieces", found.pieces.len()),
+        ("closed_pieces", closed),
+        ("holes", found.holes.len()),
+    ];
+    for (name, count) in counts {
+        context.metric(name, count as f64, "1");
+    }
+    if *repaired != Repaired::default() {
+        context.note(describe(repaired));
+    }
+    if turned > 0 {
+        context.note(format!("turned {turned} triangles over"));
+    }
+    warn_of_what_stays(found, context);
+}
+
+/// Metres in words, tiny ones with their digits.
+fn length(length_m: f64) -> String {
+    if length_m < 0.01 { format!("{length_m:.1e} m") } else { format!("{length_m:.3} m") }
+}
+
+fn warn_of_what_stays(found: &Inspection, context: &Context) {
+    let largest = found.pieces.iter().map(|piece| piece.triangles).max().unwrap_or(0);
+    if found.pieces.len() > 1 {
+        context.note(format!(
+            "{} pieces, the largest of {largest} triangles; `min_piece_triangles` drops small ones",
+            found.pieces.len()
+        ));
+    }
+    if let Some(first) = found.pinched_vertices.place {
+        context.warn(format!(
+            "at {} vertices surfaces meet in a point only, the first at {}: no block can be removed there",
+            found.pinched_vertices.count,
+            place(first)
+        ));
+    }
+    if let Some(hole) = found.holes.iter().max_by(|a, b| a.length_m.total_cmp(&b.length_m)) {
+        context.metric("largest_hole_perimeter", hole.length_m, "m");
+        context.warn(format!(
+            "{} holes, the largest of {} around, at {}: blocks keep away from them with `mask-safe-zone`",
+            found.holes.len(),
+            length(hole.length_m),
+            place(hole.place)
+        ));
+    }
+}
+
+#[cfg(test)]
+mod tests;

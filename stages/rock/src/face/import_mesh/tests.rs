@@ -1,0 +1,190 @@
+//! Tests of `import-mesh`: formats, repairs, refusals and real faces.
+
+use serde_json::{Value, json};
+
+use super::*;
+use rockface_core::artefact::{Artefact, Noun};
+use rockface_core::format::ply;
+use rockface_core::testing::{TestHost, height_mesh, run_stage};
+
+fn run(bytes: &[u8], offset_m: [f64; 3], defects: Defects) -> (Result<Mesh, StageError>, TestHost) {
+    let host = TestHost::default().with("face.ply", &[("face.ply", bytes)]);
+    let word = if defects == Defects::Keep { "keep" } else { "refuse" };
+    let with = json!({"path": "face.ply", "offset_m": offset_m, "defects": word});
+    let outputs = run_stage::<ImportMesh>(&host, &with, &[]);
+    let mesh = outputs.map(|outputs| match outputs.into_inner().remove("mesh") {
+        Some(Artefact::Mesh(mesh)) => mesh,
+        other => panic!("no mesh but {other:?}"),
+    });
+    (mesh, host)
+}
+
+fn square(triangles: &[[u32; 3]]) -> Vec<u8> {
+    let vertices = vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0], [7.0, 7.0, 7.0]];
+    let colours = Vec::new();
+    ply::write_mesh(&Mesh { frame: Frame::Wall, vertices, triangles: triangles.to_vec(), colours })
+}
+
+#[test]
+#[allow(clippy::float_cmp)] // to the bit
+fn a_mesh_is_tidied_shifted_and_counted() {
+    let (mesh, host) = run(&square(&[[0, 1, 2], [0, 2, 3], [1, 1, 2]]), [451_000.125, 0.0, 0.0], Defects::Refuse);
+    let mesh = mesh.unwrap();
+    assert_eq!((mesh.frame, mesh.vertices.len(), mesh.triangles.len()), (Frame::World, 4, 2));
+    assert_eq!(mesh.vertices[1], [451_001.125, 0.0, 0.0]);
+    assert_eq!(host.metric("dropped_degenerate_triangles"), Some(1.0));
+    assert_eq!(host.metric("dropped_unreferenced_vertices"), Some(1.0));
+    assert_eq!(host.metric("boundary_edges"), Some(4.0));
+}
+
+fn with(bytes: &[u8], extra: &Value) -> (Result<Mesh, StageError>, TestHost) {
+    let host = TestHost::default().with("face", &[("face", bytes)]);
+    let mut with = json!({"path": "face"});
+    with.as_object_mut().unwrap().extend(extra.as_object().unwrap().clone());
+    let outputs = run_stage::<ImportMesh>(&host, &with, &[]);
+    let mesh = outputs.map(|outputs| Mesh::of(&outputs.into_inner()["mesh"]).unwrap().clone());
+    (mesh, host)
+}
+
+/// A face of 6 x 6 squares in the XY plane, turned to face `-Y` (a cliff), as OBJ text.
+fn cliff_obj() -> String {
+    let mesh = height_mesh(6, [0.0, 6.0, 0.0, 6.0], |x, y| 0.1 * x * y);
+    let vertices = mesh.vertices.iter().map(|[x, y, z]| format!("v {x} {} {y}\n", -z));
+    let faces = mesh.triangles.iter().map(|t| format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1));
+    vertices.chain(faces).collect()
+}
+
+#[test]
+fn formats_are_told_by_their_content() {
+    let (obj, _) = with(cliff_obj().as_bytes(), &json!({}));
+    let obj = obj.unwrap();
+    assert_eq!((obj.vertices.len(), obj.triangles.len()), (49, 72));
+    let mut stl = "solid\n".to_owned();
+    for triangle in &obj.triangles {
+        let corner = |i: u32| obj.vertices[i as usize].map(|x| x.to_string()).join(" ");
+        stl += &format!(
+            "facet normal 0 0 0\nouter loop\n{}endloop\nendfacet\n",
+            triangle.map(|i| format!("vertex {}\n", corner(i))).concat()
+        );
+    }
+    let (read, host) = with((stl + "endsolid\n").as_bytes(), &json!({}));
+    let read = read.unwrap();
+    assert_eq!((read.vertices.len(), host.metric("boundary_edges")), (49, Some(24.0)));
+    let refused = |bytes: &[u8]| with(bytes, &json!({})).0.unwrap_err().message;
+    assert!(refused(b"1 2 3\n4 5 6\n").contains("not PLY, OBJ or STL"));
+    assert!(refused(b"LASF\0\0").contains("import-cloud"));
+}
+
+#[test]
+fn what_cannot_be_repaired_safely_is_refused() {
+    let refused = |bytes: Vec<u8>| run(&bytes, [0.0; 3], Defects::Refuse).0.unwrap_err();
+    assert!(refused(square(&[[0, 1, 2], [0, 2, 3], [2, 0, 4]])).message.contains("1 edges of three or more"));
+    assert!(refused(square(&[])).hint.unwrap().contains("import-cloud"));
+    assert!(refused(square(&[[1, 1, 2]])).message.contains("none of the 1 triangles"));
+}
+
+#[test]
+fn without_repair_every_fault_is_named_and_nothing_moves() {
+    let flipped = square(&[[0, 1, 2], [0, 3, 2], [1, 1, 2]]);
+    let error = with(&flipped, &json!({"repair": "none"})).0.unwrap_err().message;
+    assert!(error.contains("has 1 triangles without area and "), "{error}");
+    let (kept, host) = with(&flipped, &json!({"repair": "none", "defects": "keep"}));
+    let kept = kept.unwrap();
+    assert_eq!((kept.vertices.len(), kept.triangles.len()), (5, 3));
+    assert!(host.warnings()[0].contains("oriented against each other, the first near ("), "{:?}", host.warnings());
+    let (repaired, host) = with(&flipped, &json!({}));
+    assert_eq!(repaired.unwrap().triangles, [[0, 1, 2], [0, 2, 3]]);
+    assert_eq!(host.metric("turned_triangles"), Some(1.0));
+}
+
+#[test]
+fn a_face_inside_out_is_turned_where_that_can_be_told() {
+    let inside_out = cliff_obj()
+        .replace("f ", "f 1 ")
+        .lines()
+        .filter(|l| !l.starts_with('f'))
+        .map(|l| format!("{l}\n"))
+        .collect::<String>()
+        + &cliff_obj()
+            .lines()
+            .filter(|l| l.starts_with('f'))
+            .map(|l| {
+                let corners: Vec<&str> = l.split(' ').collect();
+                format!("f {} {} {}\n", corners[1], corners[3], corners[2])
+            })
+            .collect::<String>();
+    let right = with(cliff_obj().as_bytes(), &json!({"outward": [0, -1, 0]})).0.unwrap();
+    let (turned, host) = with(inside_out.as_bytes(), &json!({"outward": [0, -1, 0]}));
+    let normal = |mesh: &Mesh| Inspection::of(mesh).open_area().unwrap().1;
+    assert!((normal(&turned.unwrap()) - normal(&right)).norm() < 1e-9);
+    assert_eq!(host.metric("turned_triangles"), Some(72.0));
+    assert!(host.warnings()[0].contains("inside out and has been turned"));
+    let refused = with(inside_out.as_bytes(), &json!({"outward": [0, -1, 0], "repair": "none"})).0.unwrap_err();
+    assert!(refused.message.contains("face into the rock"), "{refused}");
+    let unknown = with(inside_out.as_bytes(), &json!({})).0.unwrap();
+    assert!(normal(&unknown).dot(&normal(&right)) < 0.0, "without `outward` nobody knows");
+    let closed = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 4 2\nf 2 4 3\nf 1 3 4\n";
+    let (closed, host) = with(closed.as_bytes(), &json!({}));
+    assert!(Inspection::of(&closed.unwrap()).closed_volume_m3().unwrap() > 0.16);
+    assert_eq!((host.metric("closed_pieces"), host.metric("turned_triangles")), (Some(1.0), Some(4.0)));
+}
+
+#[test]
+fn holes_pieces_and_pinches_are_reported_with_their_place() {
+    let gone = ["f 17 18 25\n", "f 17 25 24\n"];
+    let holed = gone.iter().fold(cliff_obj(), |text, face| {
+        assert!(text.contains(face));
+        text.replace(face, "")
+    });
+    let (mesh, host) = with(holed.as_bytes(), &json!({}));
+    assert_eq!((mesh.unwrap().triangles.len(), host.metric("holes")), (70, Some(1.0)));
+    assert!(host.warnings()[0].starts_with("1 holes, the largest of 4."), "{:?}", host.warnings());
+    let strip = holed
+        .lines()
+        .filter(|line| !["f 10 11 18", "f 10 18 17", "f 3 4 11", "f 3 11 10"].contains(line))
+        .collect::<Vec<_>>()
+        .join("\n");
+    let (_, host) = with((strip + "\nv 50 0 0\nv 51 0 0\nv 50 0 1\nf 50 51 52\n").as_bytes(), &json!({}));
+    assert_eq!((host.metric("pieces"), host.metric("holes")), (Some(2.0), Some(0.0)));
+    let (small, _) =
+        with((holed + "v 50 0 0\nv 51 0 0\nv 50 0 1\nf 50 51 52\n").as_bytes(), &json!({"min_piece_triangles": 2}));
+    assert_eq!(small.unwrap().vertices.len(), 49);
+}
+
+#[test]
+fn damaged_files_are_named_with_their_place() {
+    let refused = |bytes: &[u8]| with(bytes, &json!({})).0.unwrap_err().message;
+    let ply = square(&[[0, 1, 2], [0, 2, 3]]);
+    assert!(refused(&ply[..ply.len() - 5]).contains("face 1 (counted from 0): the file ends here"));
+    let nan = cliff_obj().replacen("v 0 -0 0", "v 0 nan 0", 1);
+    assert!(refused(nan.as_bytes()).contains("line 1: the coordinate NaN is not finite"));
+    assert!(
+        refused(cliff_obj().split_inclusive('\n').take(20).collect::<String>().as_bytes()).contains("no triangles")
+    );
+}
+
+#[test]
+fn real_faces_of_other_programs_are_read() {
+    let shared = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data"));
+    let Ok(folder) = std::fs::read_dir(shared.join("faces")) else {
+        println!("skipped: the folder of real faces is absent");
+        return;
+    };
+    let mut paths: Vec<_> = folder.filter_map(|entry| entry.ok().map(|e| e.path())).collect();
+    paths.retain(|path| path.extension().is_some_and(|e| e == "ply"));
+    paths.push(shared.join("outcrop-survey/face.ply"));
+    paths.sort();
+    let mut refused = Vec::new();
+    for path in paths {
+        let bytes = std::fs::read(&path).unwrap();
+        let name = path.file_name().unwrap().to_string_lossy().into_owned();
+        if run(&bytes, [0.0; 3], Defects::Refuse).0.is_err() {
+            refused.push(name.clone());
+        }
+        let (mesh, host) = run(&bytes, [0.0; 3], Defects::Keep);
+        assert!(mesh.unwrap().triangles.len() > 1000, "{name}");
+        assert_eq!(host.warnings().join("\n").contains("three or more"), refused.contains(&name), "{name}");
+    }
+    // The two whole scenes have two edges of three triangles each.
+    assert_eq!(refused, ["cliff_trier_post.ply", "cliff_trier_pre.ply"]);
+}

@@ -1,0 +1,172 @@
+//! `fit-magnitude-frequency`: fits the power law of rockfall volumes and tabulates their cumulative curve.
+
+use rockface_core::artefact::{Cell, Kind, Table};
+use crate::rockfall::power_law;
+use crate::rockfall::power_law::PowerLaw;
+use rockface_raster::columns;
+use rockface_core::params::Range;
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, params};
+
+params! {
+    /// Parameters of `fit-magnitude-frequency`.
+    pub struct FitMagnitudeFrequencyParams {
+        /// Column that holds the volumes.
+        column: String = "removed_m3".to_owned(),
+        /// Smallest volume the law is fitted to, cubic metres; left out, the one at which law and volumes agree best.
+        minimum_m3: Option<f64> = None; Range::Positive,
+        /// Volumes the law is fitted to at least; of fewer only the curve is told.
+        least_count: u32 = 10; Range::AtLeast(2.0),
+    }
+}
+
+/// The stage.
+pub struct FitMagnitudeFrequency;
+
+impl Stage for FitMagnitudeFrequency {
+    type Params = FitMagnitudeFrequencyParams;
+    const NAME: &'static str = "fit-magnitude-frequency";
+    const VERSION: u32 = 2;
+    const PAGE: Page = Page {
+        what: "Fits N(>= V) = n (V / V_min)^-b to the volumes of an inventory, and tabulates how many are at least as large as \
+               each. Rows without a positive volume are counted and left out. Of fewer than `least_count` volumes, or equal ones, \
+               there is no law: its numbers are empty, with a warning, and the curve is there all the same.",
+        method: "Maximum likelihood b = n / sum ln(V / V_min), standard error b / sqrt(n); V_min by the smallest \
+                 Kolmogorov-Smirnov distance (Clauset, Shalizi and Newman 2009, SIAM Review 51, 661-703; their exponent is \
+                 b + 1). Volumes below V_min are the roll-over: what a survey misses, or what does not follow the law.",
+        frames: "Volumes in cubic metres; b and the distance have no unit.",
+        fails: "There is no such column.",
+        example: "\
+rockface: 1
+name: magnitude-and-frequency
+steps:
+  found: {stage: import-inventory, with: {path: rockfalls.geojson, frame: wall}}
+  law:   {stage: fit-magnitude-frequency, in: {volumes: found.inventory}, with: {column: volume_m3}}
+",
+    };
+    const INPUTS: &'static [Port] =
+        &[Port::one("volumes", &[Kind::Inventory, Kind::Table], "One volume a row, such as a ground truth.")];
+    const OUTPUTS: &'static [Port] = &[
+        Port::one("fit", &[Kind::Table], "b, its standard error, V_min, the counts and the distance, in one row."),
+        Port::one("curve", &[Kind::Table], "Each volume, how many are at least as large, and how many by the law."),
+    ];
+
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let (volumes, without) =
+            columns::magnitudes(inputs.artefact("volumes")?, &params.column).map_err(StageError::new)?;
+        if without > 0 {
+            context.note(format!("{without} rows have no positive number in `{}`", params.column));
+        }
+        let Some(law) = power_law::fit(&volumes, params.minimum_m3, params.least_count as usize) else {
+            let why = why_not(&volumes, params);
+            context.warn(&*why);
+            context.headline(why);
+            return Ok(Outputs::of("fit", no_law(&volumes, params)).and("curve", curve_table(&volumes, None)));
+        };
+        context.metric("exponent", law.exponent, "1");
+        context.metric("minimum", law.minimum, "m3");
+        context.headline(format!(
+            "b = {:.3} +- {:.3} for the {} volumes from {:.3e} m3 up, {} below",
+            law.exponent, law.standard_error, law.count, law.minimum, law.below
+        ));
+        Ok(Outputs::of("fit", fit_table(&law)).and("curve", curve_table(&volumes, Some(&law))))
+    }
+}
+
+fn why_not(volumes: &[f64], params: &FitMagnitudeFrequencyParams) -> String {
+    let from = params.minimum_m3.unwrap_or(0.0);
+    let count = volumes.iter().filter(|volume| **volume >= from).count();
+    let range = match volumes {
+        [] => "none".to_owned(),
+        [first, .., last] => format!("from {first:.3e} to {last:.3e} m3"),
+        [only] => format!("{only:.3e} m3"),
+    };
+    format!(
+        "no law: {count} of the {} volumes ({range}) lie from {from} m3 up; {} that are not all equal are needed",
+        volumes.len(),
+        params.least_count
+    )
+}
+
+const COLUMNS: [&str; 7] =
+    ["exponent", "standard_error", "minimum_m3", "count", "count_below", "ks_distance", "density_exponent"];
+
+fn row(numbers: [f64; 7]) -> Table {
+    let mut table = Table::new(COLUMNS);
+    table.push(numbers.map(Cell::from).to_vec());
+    table
+}
+
+fn fit_table(law: &PowerLaw) -> Table {
+    let PowerLaw { exponent, standard_error, minimum, count, below, distance } = *law;
+    row([exponent, standard_error, minimum, count as f64, below as f64, distance, exponent + 1.0])
+}
+
+/// The counts that are known without a law.
+fn no_law(volumes: &[f64], params: &FitMagnitudeFrequencyParams) -> Table {
+    let below = params.minimum_m3.map_or(0, |minimum| volumes.partition_point(|volume| *volume < minimum));
+    let minimum = params.minimum_m3.unwrap_or(f64::NAN);
+    row([f64::NAN, f64::NAN, minimum, (volumes.len() - below) as f64, below as f64, f64::NAN, f64::NAN])
+}
+
+fn curve_table(volumes: &[f64], law: Option<&PowerLaw>) -> Table {
+    let mut table = Table::new(["volume_m3", "count_from", "count_by_law"]);
+    for (volume, count) in power_law::curve(volumes) {
+        let by_law = law.filter(|law| volume >= law.minimum).map_or(f64::NAN, |law| law.number_from(volume));
+        table.push([volume, count as f64, by_law].map(Cell::from).to_vec());
+    }
+    table
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use rockface_core::artefact::Artefact;
+    use rockface_core::testing::{TestHost, run_stage};
+
+    fn table(volumes: impl IntoIterator<Item = f64>) -> Artefact {
+        let mut table = Table::new(["removed_m3"]);
+        volumes.into_iter().for_each(|volume| table.push(vec![volume.into()]));
+        table.into()
+    }
+
+    #[test]
+    fn law_and_curve_agree_at_the_smallest_volume() {
+        let host = TestHost::default();
+        let volumes = (1..=50).map(|i| 2.0 / f64::from(i)).chain([0.0]);
+        let with = json!({"minimum_m3": 0.04});
+        let made = run_stage::<FitMagnitudeFrequency>(&host, &with, &[("volumes", table(volumes))]).unwrap();
+        let mut made = made.into_inner();
+        let Some(Artefact::Table(curve)) = made.remove("curve") else { panic!("no curve") };
+        let last = curve.rows.last().unwrap();
+        assert_eq!((curve.rows.len(), last[1].number()), (50, Some(50.0)));
+        assert!((last[2].number().unwrap() - 50.0).abs() < 1e-9);
+        // V = 2 / i is a law of exponent 1; the estimate of 50 values lies within its standard error.
+        let exponent = host.metric("exponent").unwrap();
+        assert!((exponent - 1.0).abs() < exponent / 50f64.sqrt(), "{exponent}");
+        assert_eq!(host.entries.lock().unwrap().len(), 4);
+    }
+
+    #[test]
+    fn of_too_few_volumes_the_curve_is_told_and_why_there_is_no_law() {
+        let host = TestHost::default();
+        let with = json!({"minimum_m3": 3.0});
+        let volumes = [("volumes", table([1.0, 2.0, 4.0]))];
+        let mut made = run_stage::<FitMagnitudeFrequency>(&host, &with, &volumes).unwrap().into_inner();
+        let (Some(Artefact::Table(fit)), Some(Artefact::Table(curve))) = (made.remove("fit"), made.remove("curve"))
+        else {
+            panic!("two tables")
+        };
+        let counts: Vec<Option<f64>> = fit.rows[0].iter().map(Cell::number).collect();
+        assert_eq!(counts[2..5], [Some(3.0), Some(1.0), Some(2.0)]);
+        assert!(fit.rows[0][0].number().is_none_or(f64::is_nan) && curve.rows.len() == 3);
+        let warned = host.entries.lock().unwrap().iter().any(|entry| {
+            matches!(entry, rockface_core::Entry::Warning { text } if text.contains("1 of the 3 volumes") && text.contains("10 that are not all equal"))
+        });
+        assert!(warned);
+        let none =
+            run_stage::<FitMagnitudeFrequency>(&TestHost::default(), &json!({}), &[("volumes", table([]))]).unwrap();
+        assert_eq!(none.into_inner().len(), 2, "no volume at all is no failure either");
+    }
+}

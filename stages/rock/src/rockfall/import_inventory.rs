@@ -1,0 +1,111 @@
+//! `import-inventory`: reads a rockfall inventory from a GeoJSON file, our own or of another program.
+
+use rockface_core::artefact::{Frame, Inventory, Kind, Noun};
+use crate::rockfall::inventory_foreign;
+use rockface_core::params::FileRef;
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
+
+choice! {
+    /// The frame of the outlines.
+    pub enum InventoryFrame {
+        /// The one the file names, otherwise world.
+        Automatic = "automatic",
+        /// X along the face, Y up it.
+        Wall = "wall",
+        /// The input's reference system.
+        World = "world",
+    }
+}
+
+params! {
+    /// Parameters of `import-inventory`.
+    pub struct ImportInventoryParams {
+        /// A GeoJSON file: a feature collection of polygons, multipolygons or features without geometry.
+        path: FileRef,
+        /// The frame of the outlines; coordinates are metres in it, whatever the file says.
+        frame: InventoryFrame = InventoryFrame::Automatic,
+    }
+}
+
+/// The stage.
+pub struct ImportInventory;
+
+impl Stage for ImportInventory {
+    type Params = ImportInventoryParams;
+    const NAME: &'static str = "import-inventory";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Reads a rockfall inventory, such as a ground truth of an earlier run or the rockfalls found on a real face, with \
+               the outline and the properties of each.",
+        method: "GeoJSON (RFC 7946). Properties of other programs become columns in alphabetical order, empty where a feature \
+                 lacks one; lists and objects become text; heights of points are left out.",
+        frames: "Outlines in metres in the frame the file names in its member `rockface`, or the one given.",
+        fails: "The file is no GeoJSON feature collection, has other geometries than polygons, or rings that are not closed.",
+        example: "\
+rockface: 1
+name: real-rockfalls
+steps:
+  found: {stage: import-inventory, with: {path: rockfalls.geojson, frame: wall}}
+  law:   {stage: fit-magnitude-frequency, in: {volumes: found.inventory}, with: {column: volume_m3}}
+",
+    };
+    const INPUTS: &'static [Port] = &[];
+    const OUTPUTS: &'static [Port] = &[Port::one("inventory", &[Kind::Inventory], "The rockfalls.")];
+
+    fn run(params: &Self::Params, _inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let bytes = context.read(&params.path)?;
+        let named = |e: rockface_core::artefact::CodecError| StageError::new(format!("`{}`: {e}", params.path.0));
+        let mut inventory = match Inventory::decode(&bytes) {
+            Ok(own) => own,
+            Err(_) => inventory_foreign::read(&bytes).map_err(named)?,
+        };
+        match params.frame {
+            InventoryFrame::Automatic => {}
+            InventoryFrame::Wall => inventory.frame = Frame::Wall,
+            InventoryFrame::World => inventory.frame = Frame::World,
+        }
+        let (count, columns) = (inventory.features.len(), inventory.columns.len());
+        context.headline(format!("{count} rockfalls with {columns} properties, {} frame", inventory.frame));
+        Ok(Outputs::of("inventory", inventory))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use rockface_core::artefact::Artefact;
+    use rockface_core::testing::{TestHost, run_stage};
+
+    fn imported(text: &str, with: &serde_json::Value) -> Result<Inventory, StageError> {
+        let host = TestHost::default().with("a.geojson", &[("a.geojson", text.as_bytes())]);
+        let made = run_stage::<ImportInventory>(&host, with, &[])?;
+        let Some(Artefact::Inventory(inventory)) = made.into_inner().remove("inventory") else {
+            panic!("no inventory")
+        };
+        Ok(inventory)
+    }
+
+    #[test]
+    fn a_foreign_file_and_our_own_are_read() {
+        let foreign = r#"{"type": "FeatureCollection", "features": [
+            {"type": "Feature", "properties": {"v": 2, "b": [1]},
+             "geometry": {"type": "Polygon", "coordinates": [[[0, 0, 5], [1, 0, 5], [1, 1, 5], [0, 0, 5]]]}},
+            {"type": "Feature", "properties": null, "geometry": null}]}"#;
+        let found = imported(foreign, &json!({"path": "a.geojson", "frame": "wall"})).unwrap();
+        assert_eq!((found.frame, found.columns.as_slice()), (Frame::Wall, ["b".to_owned(), "v".to_owned()].as_slice()));
+        assert_eq!(found.features[0].outline[0].exterior.len(), 3);
+        assert_eq!(found.numbers("v").unwrap(), [Some(2.0), None]);
+        let own = String::from_utf8(found.encode().unwrap()).unwrap();
+        assert_eq!(imported(&own, &json!({"path": "a.geojson"})).unwrap(), found);
+    }
+
+    #[test]
+    fn what_is_no_inventory_is_refused_with_its_name() {
+        let refused = |text: &str| imported(text, &json!({"path": "a.geojson"})).unwrap_err().message;
+        assert!(refused("{}").contains("a.geojson"));
+        let point = r#"{"features": [{"properties": {}, "geometry": {"type": "Point", "coordinates": [1, 2]}}]}"#;
+        assert!(refused(point).contains("feature 0") && refused(point).contains("`Point`"), "{}", refused(point));
+    }
+}

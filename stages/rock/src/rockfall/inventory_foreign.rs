@@ -1,0 +1,123 @@
+//! Reads rockfall inventories that other programs wrote as GeoJSON.
+
+use serde_json::Value;
+
+use rockface_core::artefact::{Cell, CodecError, Feature, Frame, Inventory, Polygon};
+use rockface_core::format::limits;
+
+/// Reads a feature collection; the frame is world. Properties become columns in alphabetical order.
+///
+/// # Errors
+/// Text that is no feature collection; the feature (counted from 0) whose geometry is no polygon, or whose ring is not
+/// closed or holds something else than points.
+pub fn read(bytes: &[u8]) -> Result<Inventory, CodecError> {
+    let file: Value = serde_json::from_slice(bytes).map_err(|e| CodecError(format!("not a JSON file: {e}")))?;
+    let features = file.get("features").and_then(Value::as_array);
+    let features = features.ok_or_else(|| CodecError::new("not a GeoJSON feature collection: it has no `features`"))?;
+    let properties =
+        |feature: &Value| feature.get("properties").and_then(Value::as_object).cloned().unwrap_or_default();
+    let names: std::collections::BTreeSet<String> =
+        features.iter().flat_map(|feature| properties(feature).into_iter().map(|(name, _)| name)).collect();
+    let columns: Vec<String> = names.into_iter().collect();
+    let cells = (features.len() as u64).checked_mul((columns.len() * size_of::<Cell>()) as u64);
+    limits::affordable(
+        &format!("an inventory of {} features with {} properties", features.len(), columns.len()),
+        cells,
+    )?;
+    let read = |(number, feature): (usize, &Value)| {
+        let mut properties = properties(feature);
+        let values = columns.iter().map(|column| cell(properties.remove(column))).collect();
+        let outline = outline(feature.get("geometry").unwrap_or(&Value::Null))
+            .map_err(|e| CodecError(format!("feature {number} (counted from 0): {e}")))?;
+        Ok(Feature { outline, values })
+    };
+    let features = features.iter().enumerate().map(read).collect::<Result<_, CodecError>>()?;
+    Ok(Inventory { frame: Frame::World, columns, features })
+}
+
+fn cell(value: Option<Value>) -> Cell {
+    match value {
+        None | Some(Value::Null) => Cell::Empty(()),
+        Some(Value::Bool(flag)) => flag.into(),
+        Some(Value::String(text)) => text.into(),
+        Some(Value::Number(number)) => number.as_f64().map_or(Cell::Empty(()), Cell::from),
+        Some(other) => other.to_string().into(),
+    }
+}
+
+fn outline(geometry: &Value) -> Result<Vec<Polygon>, String> {
+    if geometry.is_null() {
+        return Ok(Vec::new());
+    }
+    let coordinates = geometry.get("coordinates").and_then(Value::as_array).ok_or("a geometry without coordinates")?;
+    match geometry.get("type").and_then(Value::as_str) {
+        Some("Polygon") => Ok(vec![polygon(coordinates)?]),
+        Some("MultiPolygon") => {
+            let list = |value: &Value| value.as_array().cloned().ok_or("a polygon that is no list");
+            coordinates.iter().map(|value| polygon(&list(value)?)).collect()
+        }
+        other => Err(format!("its geometry is a `{}`, not a polygon", other.unwrap_or_default())),
+    }
+}
+
+fn polygon(rings: &[Value]) -> Result<Polygon, String> {
+    let mut rings = rings.iter().map(ring);
+    let exterior = wound(rings.next().ok_or("a polygon without rings")??, true);
+    let holes = rings.map(|ring| Ok(wound(ring?, false))).collect::<Result<_, String>>()?;
+    Ok(Polygon { exterior, holes })
+}
+
+/// The points of a ring without the repetition of the first.
+fn ring(value: &Value) -> Result<Vec<[f64; 2]>, String> {
+    let points = value.as_array().ok_or("a ring that is no list")?.iter().map(|point| {
+        let number = |place: usize| point.get(place).and_then(Value::as_f64);
+        number(0).zip(number(1)).map(|(x, y)| [x, y]).ok_or_else(|| format!("`{point}` is no point"))
+    });
+    let mut points = points.collect::<Result<Vec<_>, String>>()?;
+    let last = points.pop();
+    if points.len() < 3 || last != points.first().copied() {
+        return Err("a ring that is not closed or has fewer than three points".to_owned());
+    }
+    Ok(points)
+}
+
+/// The ring turned so that it is counter-clockwise, or clockwise.
+fn wound(mut ring: Vec<[f64; 2]>, counter_clockwise: bool) -> Vec<[f64; 2]> {
+    let origin = ring.first().copied().unwrap_or_default();
+    let local = |p: &[f64; 2]| [p[0] - origin[0], p[1] - origin[1]];
+    let pairs = ring.iter().zip(ring.iter().cycle().skip(1)).map(|(a, b)| (local(a), local(b)));
+    let area = pairs.fold(0.0, |sum, (a, b)| sum + a[0] * b[1] - b[0] * a[1]);
+    if (area < 0.0) == counter_clockwise {
+        ring.reverse();
+    }
+    ring
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rings_are_wound_as_the_standard_wants() {
+        let clockwise = vec![[5e5, 5e6], [5e5, 5e6 + 1.0], [5e5 + 1.0, 5e6 + 1.0]];
+        let turned = wound(clockwise.clone(), true);
+        assert!((turned[0][0] - clockwise[2][0]).abs() < 1e-9);
+        assert_eq!(wound(turned.clone(), true).len(), 3);
+        assert!((wound(turned, false)[0][0] - clockwise[0][0]).abs() < 1e-9);
+    }
+
+    #[test]
+    fn features_that_share_no_property_are_refused_before_they_fill_the_memory() {
+        let feature = |number: usize| format!(r#"{{"properties": {{"p{number}": 1}}}}"#);
+        let features: Vec<String> = (0..20_000).map(feature).collect();
+        let message = read(format!(r#"{{"features": [{}]}}"#, features.join(",")).as_bytes()).unwrap_err().0;
+        assert!(message.contains("20000 features with 20000 properties would take"), "{message}");
+    }
+
+    #[test]
+    fn an_open_ring_is_refused() {
+        let text =
+            r#"{"features": [{"geometry": {"type": "Polygon", "coordinates": [[[0, 0], [1, 0], [1, 1], [0, 1]]]}}]}"#;
+        assert!(read(text.as_bytes()).unwrap_err().0.contains("feature 0 (counted from 0): a ring that is not closed"));
+    }
+}

@@ -1,0 +1,143 @@
+//! Volume, area and depth of pieces of rock.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::face::Rect;
+
+/// Six times the signed volume between a triangle and a point, added over triangles and divided: the volume inside a
+/// closed mesh (divergence theorem). `about` should lie near the mesh, or digits are lost.
+pub fn volume_m3(vertices: &[[f64; 3]], triangles: &[[u32; 3]], about: [f64; 3]) -> f64 {
+    let about = Vector3::from(about);
+    let at = |v: u32| Vector3::from(vertices[v as usize]) - about;
+    triangles.iter().fold(0.0, |sum, [a, b, c]| sum + at(*a).dot(&at(*b).cross(&at(*c)))) / 6.0
+}
+
+/// Area of triangles.
+pub fn area_m2(vertices: &[[f64; 3]], triangles: &[[u32; 3]]) -> f64 {
+    let at = |v: u32| Vector3::from(vertices[v as usize]);
+    triangles.iter().fold(0.0, |sum, [a, b, c]| sum + (at(*b) - at(*a)).cross(&(at(*c) - at(*a))).norm()) / 2.0
+}
+
+/// The volume centroid of a closed mesh; that of its vertices where it has no volume.
+pub fn centroid(vertices: &[[f64; 3]], triangles: &[[u32; 3]]) -> [f64; 3] {
+    let sum = vertices.iter().fold(Vector3::zeros(), |sum, v| sum + Vector3::from(*v));
+    let mean = sum / (vertices.len().max(1) as f64);
+    let at = |v: u32| Vector3::from(vertices[v as usize]) - mean;
+    let (mut moment, mut volume) = (Vector3::zeros(), 0.0);
+    for [a, b, c] in triangles {
+        let (a, b, c) = (at(*a), at(*b), at(*c));
+        let part = a.dot(&b.cross(&c));
+        volume += part;
+        moment += (a + b + c) * part;
+    }
+    if volume > 0.0 { (mean + moment / (4.0 * volume)).into() } else { mean.into() }
+}
+
+/// The greatest distance, along a direction, from a vertex of `deep` up to the triangles of `cover`; 0 where none lies
+/// under any.
+pub fn depth_m(vertices: &[[f64; 3]], deep: &[[u32; 3]], cover: &[[u32; 3]], frame: &Matrix3<f64>) -> f64 {
+    let turned: Vec<[f64; 3]> = vertices.iter().map(|v| (frame.transpose() * Vector3::from(*v)).into()).collect();
+    let mut points: Vec<u32> = deep.iter().flatten().copied().collect();
+    points.sort_unstable();
+    points.dedup();
+    let lids = Lids::new(&turned, cover);
+    points.iter().fold(0.0, |depth: f64, v| {
+        let [x, y, z] = turned[*v as usize];
+        lids.heights(x, y).fold(depth, |depth, top| depth.max(top - z))
+    })
+}
+
+/// Triangles sorted into square cells over the first two coordinates, to find those above a point.
+pub struct Lids<'a> {
+    places: &'a [[f64; 3]],
+    triangles: Vec<[u32; 3]>,
+    low: [f64; 2],
+    side: f64,
+    wide: usize,
+    high: usize,
+    cells: Vec<Vec<u32>>,
+}
+
+impl<'a> Lids<'a> {
+    /// Sorts triangles in.
+    pub fn new(places: &'a [[f64; 3]], triangles: &[[u32; 3]]) -> Self {
+        let rect = Rect::around(triangles.iter().flatten().map(|v| &places[*v as usize]));
+        let size = [0, 1].map(|k| (rect.high[k] - rect.low[k]).max(0.0));
+        let side = ((size[0] * size[1]) / (triangles.len().max(1) as f64)).sqrt().max(size[0].max(size[1]) / 1000.0);
+        let side = if side > 0.0 && side.is_finite() { side } else { 1.0 };
+        let [wide, high] = size.map(|s| (s / side) as usize + 1);
+        let mut lids = Self {
+            places,
+            triangles: triangles.to_vec(),
+            low: rect.low.map(|x| if x.is_finite() { x } else { 0.0 }),
+            side,
+            wide,
+            high,
+            cells: vec![Vec::new(); wide * high],
+        };
+        for (number, t) in triangles.iter().enumerate() {
+            let rect = Rect::around(t.iter().map(|v| &places[*v as usize]));
+            let ([left, bottom], [right, top]) = (lids.cell(rect.low), lids.cell(rect.high));
+            for row in bottom..=top {
+                for column in left..=right {
+                    lids.cells[row * wide + column].push(number as u32);
+                }
+            }
+        }
+        lids
+    }
+
+    fn cell(&self, p: [f64; 2]) -> [usize; 2] {
+        let cell = |k: usize, count: usize| (((p[k] - self.low[k]) / self.side).max(0.0) as usize).min(count - 1);
+        [cell(0, self.wide), cell(1, self.high)]
+    }
+
+    /// The third coordinate of every triangle over or under a point, in the order of the triangles.
+    pub fn heights(&self, x: f64, y: f64) -> impl Iterator<Item = f64> {
+        let [column, row] = self.cell([x, y]);
+        self.cells[row * self.wide + column].iter().filter_map(move |number| {
+            let [a, b, c] = self.triangles[*number as usize].map(|v| self.places[v as usize]);
+            height_in([a, b, c], x, y)
+        })
+    }
+}
+
+/// Height of a triangle at a point inside its outline (edges included); none beside it or where it stands upright.
+pub fn height_in([a, b, c]: [[f64; 3]; 3], x: f64, y: f64) -> Option<f64> {
+    let cross = |p: [f64; 3], q: [f64; 3]| (q[0] - p[0]) * (y - p[1]) - (q[1] - p[1]) * (x - p[0]);
+    let (wc, wa, wb) = (cross(a, b), cross(b, c), cross(c, a));
+    let inside = (wa >= 0.0 && wb >= 0.0 && wc >= 0.0) || (wa <= 0.0 && wb <= 0.0 && wc <= 0.0);
+    let sum = wa + wb + wc;
+    (inside && sum != 0.0).then(|| (wa * a[2] + wb * b[2] + wc * c[2]) / sum)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rockface_core::testing::height_mesh;
+
+    #[test]
+    fn a_corner_of_a_cube_has_the_known_volume_area_centroid_and_depth() {
+        let places = [[10.0, 20.0, 30.0], [11.0, 20.0, 30.0], [10.0, 21.0, 30.0], [10.0, 20.0, 31.0]];
+        let triangles = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
+        assert!((volume_m3(&places, &triangles, [10.0, 20.0, 30.0]) - 1.0 / 6.0).abs() < 1e-15);
+        assert!((area_m2(&places, &triangles[..3]) - 1.5).abs() < 1e-15);
+        let centre = centroid(&places, &triangles);
+        assert!((0..3).all(|k| (centre[k] - places[0][k] - 0.25).abs() < 1e-12), "{centre:?}");
+        let depth = depth_m(&places, &triangles[..1], &triangles[3..], &Matrix3::identity());
+        assert!((depth - 1.0).abs() < 1e-15);
+        let frame = Matrix3::from_columns(&[Vector3::y(), Vector3::z(), Vector3::x()]);
+        assert!((depth_m(&places, &triangles[2..3], &triangles[3..], &frame) - 1.0).abs() < 1e-15);
+    }
+
+    #[test]
+    fn heights_are_those_of_the_surface() {
+        let mesh = height_mesh(7, [-1.0, 3.0, 2.0, 4.0], |x, y| 2.0 * x - y);
+        let lids = Lids::new(&mesh.vertices, &mesh.triangles);
+        for (x, y) in [(0.1, 2.3), (-0.99, 3.99), (2.5, 3.0)] {
+            let first = lids.heights(x, y).next().unwrap();
+            assert!((first - (2.0 * x - y)).abs() < 1e-12, "{x} {y} {first}");
+        }
+        assert_eq!(lids.heights(9.0, 9.0).count(), 0);
+    }
+}

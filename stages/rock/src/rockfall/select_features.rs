@@ -1,0 +1,161 @@
+//! `select-features`: keeps the rockfalls of an inventory whose properties say so.
+
+use rockface_core::artefact::{Cell, Feature, Inventory, Kind};
+use rockface_core::params::Range;
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+
+params! {
+    /// What a property must be.
+    pub struct Condition {
+        /// Column.
+        column: String,
+        /// Texts or numbers it may be, as they are written; null: any.
+        is: Option<Vec<String>> = None,
+        /// Least number; null: any.
+        min: Option<f64> = None,
+        /// Greatest number; null: any.
+        max: Option<f64> = None,
+    }
+}
+
+params! {
+    /// Parameters of `select-features`.
+    pub struct SelectFeaturesParams {
+        /// What must hold of a rockfall, all of it.
+        keep: Vec<Condition> = Vec::new(),
+        /// Rockfalls nearer than this to the border of the raster at `inside`, or to a cell without a value there, are dropped, metres.
+        margin_m: f64 = 0.0; Range::NonNegative,
+        /// How many at most, in their order; null: all; 0: an empty inventory, the truth of a survey in which nothing happened.
+        count: Option<u32> = None,
+    }
+}
+
+/// The stage.
+pub struct SelectFeatures;
+
+impl Stage for SelectFeatures {
+    type Params = SelectFeaturesParams;
+    const NAME: &'static str = "select-features";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page {
+        what: "Keeps the rockfalls of an inventory whose properties lie in ranges or are among given words, and that keep a distance \
+               from the border of the survey: verified detections, for instance, before they become blocks.",
+        method: "A condition on numbers holds for no feature without a number there. Distance from the border is that of the corners of the \
+                 outlines, by cells in rows and columns (paper, section 2.3, leaves out detachments at the edges). With `count: 0` the inventory is \
+                 empty but in its frame and with its columns.",
+        frames: "As the inventory; `inside` in the same frame.",
+        fails: "There is no such column; different frames.",
+        example: "\
+rockface: 1
+name: large-ones
+steps:
+  found: {stage: import-inventory, with: {path: rockfalls.geojson, frame: wall}}
+  large: {stage: select-features, in: {inventory: found.inventory}, with: {keep: [{column: volume_m3, min: 0.1}, {column: outcome, is: [true_positive]}]}}
+",
+    };
+    const INPUTS: &'static [Port] = &[
+        Port::one("inventory", &[Kind::Inventory], "The rockfalls."),
+        Port::optional("inside", &[Kind::Raster], "The raster whose border counts."),
+    ];
+    const OUTPUTS: &'static [Port] = &[Port::one("inventory", &[Kind::Inventory], "Those that are kept.")];
+
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let inventory = inputs.one::<Inventory>("inventory")?;
+        let inside = inputs.optional::<rockface_core::artefact::Raster>("inside")?;
+        if let Some(raster) = inside.filter(|raster| raster.frame != inventory.frame) {
+            fail!("the inventory is in the {} frame, the raster in the {} frame", inventory.frame, raster.frame);
+        }
+        let mut places = Vec::new();
+        for condition in &params.keep {
+            let columns = || inventory.columns.join(", ");
+            let column = inventory.column(&condition.column).or(inventory.features.is_empty().then_some(0));
+            let message =
+                || StageError::new(format!("there is no column `{}`; there are {}", condition.column, columns()));
+            places.push(column.ok_or_else(message)?);
+        }
+        let holds = |feature: &&Feature| {
+            let all = params.keep.iter().zip(&places).all(|(condition, at)| fits(&feature.values[*at], condition));
+            all && inside.is_none_or(|raster| is_inside(feature, raster, params.margin_m))
+        };
+        let most = params.count.map_or(usize::MAX, |count| count as usize);
+        let features: Vec<Feature> = inventory.features.iter().filter(holds).take(most).cloned().collect();
+        context.metric("kept", features.len() as f64, "1");
+        context.headline(format!("{} of {} rockfalls kept", features.len(), inventory.features.len()));
+        Ok(Outputs::of("inventory", Inventory { features, ..inventory.clone() }))
+    }
+}
+
+fn fits(cell: &Cell, condition: &Condition) -> bool {
+    let Condition { is, min, max, .. } = condition;
+    let among = is.as_ref().is_none_or(|words| words.contains(&cell.to_string()));
+    let number = cell.number();
+    let from = min.is_none_or(|least| number.is_some_and(|x| x >= least));
+    among && from && max.is_none_or(|most| number.is_some_and(|x| x <= most))
+}
+
+fn is_inside(feature: &Feature, raster: &rockface_core::artefact::Raster, margin_m: f64) -> bool {
+    let grid = &raster.grid;
+    // A corner lies between cells: without a margin, those around it count.
+    let reach = ((margin_m / grid.cell_m).ceil() as i64).max(1);
+    let value = |row: i64, column: i64| {
+        let within = (0..grid.rows as i64).contains(&row) && (0..grid.columns as i64).contains(&column);
+        within && !raster.bands[0].values[row as usize * grid.columns + column as usize].is_nan()
+    };
+    let mut corners = feature.outline.iter().flat_map(|polygon| &polygon.exterior);
+    corners.all(|[x, y]| {
+        let column = ((x - grid.left_m) / grid.cell_m).round() as i64;
+        let row = ((grid.top_m - y) / grid.cell_m).round() as i64;
+        (row - reach..row + reach).all(|r| (column - reach..column + reach).all(|c| value(r, c)))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::{Value, json};
+
+    use super::*;
+    use rockface_core::artefact::{Artefact, Frame, Grid, Polygon, Raster};
+    use rockface_core::testing::{TestHost, run_stage};
+
+    fn kept(with: &Value, inside: Option<Raster>) -> Result<Vec<f64>, StageError> {
+        let feature = |(left, volume, word): (f64, Cell, &str)| {
+            let exterior = vec![[left, 0.4], [left + 0.2, 0.4], [left + 0.2, 0.6], [left, 0.6]];
+            Feature {
+                outline: vec![Polygon { exterior, holes: Vec::new() }],
+                values: vec![left.into(), volume, word.into()],
+            }
+        };
+        let rows = [(0.1, Cell::from(1.0), "a"), (0.4, 2.0.into(), "b"), (0.7, Cell::Empty(()), "a")];
+        let columns = ["left", "volume", "word"].map(str::to_owned).to_vec();
+        let inventory = Inventory { frame: Frame::Wall, columns, features: rows.map(feature).to_vec() };
+        let mut inputs = vec![("inventory", inventory.into())];
+        inputs.extend(inside.map(|raster| ("inside", raster.into())));
+        let made = run_stage::<SelectFeatures>(&TestHost::default(), with, &inputs)?;
+        let Artefact::Inventory(found) = made.into_inner().remove("inventory").unwrap() else { panic!("none") };
+        Ok(found.numbers("left").unwrap().into_iter().flatten().collect())
+    }
+
+    #[test]
+    fn words_and_ranges_select() {
+        assert_eq!(kept(&json!({}), None).unwrap(), [0.1, 0.4, 0.7]);
+        assert_eq!(kept(&json!({"keep": [{"column": "word", "is": ["a"]}]}), None).unwrap(), [0.1, 0.7]);
+        assert_eq!(kept(&json!({"keep": [{"column": "volume", "min": 1.5}]}), None).unwrap(), [0.4]);
+        let both = json!({"keep": [{"column": "volume", "max": 1.5}, {"column": "word", "is": ["b"]}]});
+        assert!(kept(&both, None).unwrap().is_empty());
+        assert_eq!(kept(&json!({"count": 1}), None).unwrap(), [0.1]);
+        assert!(kept(&json!({"count": 0}), None).unwrap().is_empty());
+        assert!(
+            kept(&json!({"keep": [{"column": "v"}]}), None).unwrap_err().message.contains("there are left, volume")
+        );
+    }
+
+    #[test]
+    fn what_lies_at_the_border_is_left_out() {
+        let grid = Grid { columns: 10, rows: 10, cell_m: 0.1, left_m: 0.0, top_m: 1.0 };
+        let mut raster = Raster::single(grid, Frame::Wall, "difference", "d", vec![0.0; 100]);
+        assert_eq!(kept(&json!({"margin_m": 0.1}), Some(raster.clone())).unwrap(), [0.1, 0.4, 0.7]);
+        assert_eq!(kept(&json!({"margin_m": 0.2}), Some(raster.clone())).unwrap(), [0.4]);
+        raster.bands[0].values[55] = f32::NAN;
+        assert_eq!(kept(&json!({}), Some(raster)).unwrap(), [0.1, 0.7]);
+    }
+}
