@@ -68,7 +68,7 @@ pub fn verdict(manifest: &Manifest, plan: &Plan, summary: &Summary) -> Vec<Strin
     let count = others.len();
     let mut lines = changed_files(manifest, plan);
     lines.extend(others);
-    let program = rockface_engine::build::program();
+    let program = rockface_engine::version::program();
     if manifest.program != program {
         lines.push(
             "the program is not the one that made the run; run.json tells both its version and its lock file".into(),

@@ -148,7 +148,7 @@ impl RunArgs {
             return None;
         }
         let arguments: Vec<_> = std::env::args_os().skip(1).collect();
-        let program = rockface_engine::build::state_of_program()?;
+        let program = rockface_engine::version::state_of_program()?;
         let place = (std::env::current_dir().ok()?, self.pipeline.store_dir(), &self.runs);
         let question = serde_json::json!([program, place, Digest::of(text.as_bytes())]).to_string();
         // Where programs are looked for decides which ones steps run.

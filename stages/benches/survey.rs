@@ -7,8 +7,8 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use rockface_stages::artefact::Artefact;
-use rockface_stages::{Context, Entry, Host, Inputs, Point, SourceFile, find};
+use rockface_core::artefact::Artefact;
+use rockface_core::{Context, Entry, Host, Inputs, Point, SourceFile};
 use serde_json::{Value, json};
 
 /// Streams of its own, no files, no log.
@@ -100,7 +100,7 @@ fn timed(stage: &str, with: &Value, given: &[Given]) -> (Arc<Artefact>, Duration
     for (port, artefact) in given {
         inputs.push(port, Point::new(), (*artefact).clone());
     }
-    let found = find(stage).expect("the stage is there");
+    let found = rockface_stages::registry().find(stage).expect("the stage is there");
     let clock = Instant::now();
     let outputs = found.run(with, &inputs, &Context::new(&Alone)).unwrap_or_else(|error| panic!("{stage}: {error}"));
     let took = clock.elapsed();

@@ -8,10 +8,12 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use exr::prelude::{Encoding, ReadChannels, ReadLayers, WritableImage};
 
-use crate::artefact::{Artefact, Band, Cloud, Frame, Grid, Inventory, Kind, Mesh, Meshes, Noun, Part, Raster, Table};
-use crate::kernel::face::{cloud, mesh_file};
-use crate::kernel::{inventory_foreign, random, table_file};
-use crate::testing::{height_mesh, image_at, small_sensor};
+use rockface_core::artefact::{Artefact, Band, Cloud, Frame, Grid, Inventory, Kind, Mesh, Meshes, Noun, Part, Raster, Table};
+use rockface_rock::face::{cloud, mesh_file};
+use rockface_core::format::table_file;
+use rockface_core::numerics::random;
+use rockface_rock::rockfall::inventory_foreign;
+use rockface_core::testing::{height_mesh, image_at, small_sensor};
 
 /// Reads a file; what it holds does not matter.
 type Reader = fn(&[u8]) -> bool;
@@ -113,9 +115,9 @@ fn damaged_meshes() {
     check("surface", &surface().encode().unwrap(), |bytes| decoded(Kind::Surface, bytes));
 }
 
-fn surface() -> crate::artefact::Surface {
+fn surface() -> rockface_core::artefact::Surface {
     let points = vec![[0.0, 1.0, 2.0]; 6];
-    crate::artefact::Surface {
+    rockface_core::artefact::Surface {
         frame: Frame::Wall,
         width: 3,
         height: 2,
@@ -213,11 +215,11 @@ fn damaged_rasters() {
     check("GeoTIFF, packed", &foreign_tiff::<Gray16>(Compression::Packbits), read);
 }
 
-fn depth() -> crate::artefact::Depth {
+fn depth() -> rockface_core::artefact::Depth {
     let image = image_at("left", [0.0; 3], [0.0; 3]);
     let (sensor, z) = (small_sensor(), (0..12u8).map(f32::from).collect());
     let channels = [("disparity".to_owned(), vec![1.5; 12])].into();
-    crate::artefact::Depth { frame: Frame::Wall, sensor, image, downscale: 15, width: 4, height: 3, z, channels }
+    rockface_core::artefact::Depth { frame: Frame::Wall, sensor, image, downscale: 15, width: 4, height: 3, z, channels }
 }
 
 /// A depth map as another program may pack it.
@@ -251,8 +253,8 @@ fn damaged_tables_and_inventories() {
     table.push(vec![1.0.into(), "x".into()]);
     check("table", &table.encode().unwrap(), |bytes| decoded(Kind::Table, bytes));
     let ring = vec![[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]];
-    let polygon = crate::artefact::Polygon { exterior: ring, holes: Vec::new() };
-    let feature = crate::artefact::Feature { outline: vec![polygon], values: vec![1.0.into()] };
+    let polygon = rockface_core::artefact::Polygon { exterior: ring, holes: Vec::new() };
+    let feature = rockface_core::artefact::Feature { outline: vec![polygon], values: vec![1.0.into()] };
     let inventory = Inventory { frame: Frame::Wall, columns: vec!["id".into()], features: vec![feature] };
     check("inventory", &inventory.encode().unwrap(), |bytes| {
         inventory_foreign::read(bytes).is_ok() | decoded(Kind::Inventory, bytes)
@@ -261,14 +263,14 @@ fn damaged_tables_and_inventories() {
 
 #[test]
 fn damaged_pictures_and_sketches() {
-    let png = crate::kernel::png_file::write(3, 2, &[9; 18]).unwrap();
-    check("PNG", &png, |bytes| crate::kernel::png_file::read(bytes).is_ok());
+    let png = rockface_core::format::png::write(3, 2, &[9; 18]).unwrap();
+    check("PNG", &png, |bytes| rockface_core::format::png::read(bytes).is_ok());
     let figure = br#"<svg xmlns="http://www.w3.org/2000/svg"><g><rect width="3"/></g></svg>"#;
     check("SVG", figure, |bytes| decoded(Kind::Figure, bytes));
     let sketches = Artefact::from(mesh()).sketches().into_iter();
-    let shown: Vec<_> = sketches.map(|sketch| crate::artefact::Shown { port: "a".into(), sketch }).collect();
-    let bytes = crate::artefact::Shown::write_all(&shown).unwrap();
-    check("sketches", &bytes, |bytes| crate::artefact::Shown::read_all(bytes).is_ok());
+    let shown: Vec<_> = sketches.map(|sketch| rockface_core::artefact::Shown { port: "a".into(), sketch }).collect();
+    let bytes = rockface_core::artefact::Shown::write_all(&shown).unwrap();
+    check("sketches", &bytes, |bytes| rockface_core::artefact::Shown::read_all(bytes).is_ok());
 }
 
 #[test]

@@ -36,7 +36,7 @@ pub fn manifest(
         wall_s: summary.wall_s,
         jobs: about.jobs,
         status: if summary.failed { "failed" } else { "done" }.to_owned(),
-        program: crate::build::program(),
+        program: crate::version::program(),
         headlines: headlines.to_vec(),
         laid_out: if laid.unnamed == 0 { "all" } else { "some" }.to_owned(),
         steps: steps.collect(),

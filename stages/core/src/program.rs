@@ -1,6 +1,6 @@
 //! What a stage asks the engine to run for it, and what comes back; no stage starts a process itself.
 
-pub(crate) mod ended;
+pub mod ended;
 
 use std::collections::BTreeMap;
 

@@ -9,7 +9,7 @@ use nalgebra::UnitQuaternion;
 
 use crate::artefact::{Artefact, Frame, Image, Mesh, Sensor};
 use crate::params::ParamType;
-use crate::{Context, Entry, Host, Inputs, Outputs, Point, SourceFile, Stage, StageError};
+use crate::{AnyStage, Context, Entry, Host, Inputs, Outputs, Point, SourceFile, Stage, StageError};
 
 /// A host that keeps its log in memory and serves files from memory.
 #[derive(Default)]
@@ -75,9 +75,18 @@ impl Host for TestHost {
     }
 }
 
+/// The stage of a name in a room.
+///
+/// # Panics
+/// When the room has no such stage.
+pub fn stage(room: &[&'static dyn AnyStage], name: &str) -> &'static dyn AnyStage {
+    let found = room.iter().copied().find(|stage| stage.name() == name);
+    found.unwrap_or_else(|| panic!("the room has no stage `{name}`"))
+}
+
 /// A file of the shared data; `None`, and a line saying so, where the data is not there.
 pub fn shared(path: &str) -> Option<Vec<u8>> {
-    let file = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data")).join(path);
+    let file = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")).join(path);
     let bytes = std::fs::read(&file).ok();
     if bytes.is_none() {
         println!("skipped: {} is not there", file.display());

@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use rockface_core::artefact::{Raster, Surface};
+use rockface_core::numerics::union_find::UnionFind;
 
 /// What a triangle must be to stay.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -117,7 +118,7 @@ fn remove_small_pieces(surface: &mut Surface, min_triangles: usize) -> usize {
     if min_triangles <= 1 {
         return 0;
     }
-    let mut pieces = Pieces::new(surface.points.len());
+    let mut pieces = UnionFind::new(surface.points.len());
     for_each_triangle(surface, |[a, b, c]| {
         let root = pieces.join(a, b);
         pieces.join(root, c);
@@ -137,41 +138,4 @@ fn remove_unused_points(surface: &mut Surface) -> usize {
         *point = [f32::NAN; 3];
     }
     removed
-}
-
-/// Disjoint sets of points; the root of a set is its first point.
-pub(super) struct Pieces(Vec<u32>);
-
-impl Pieces {
-    /// Every point on its own.
-    pub(super) fn new(points: usize) -> Self {
-        Self((0..points as u32).collect())
-    }
-
-    /// The first point of the set of a point.
-    pub(super) fn root(&mut self, point: usize) -> usize {
-        let mut at = point;
-        while self.0[at] as usize != at {
-            self.0[at] = self.0[self.0[at] as usize];
-            at = self.0[at] as usize;
-        }
-        at
-    }
-
-    /// Joins the sets of two points; returns the root of the union.
-    pub(super) fn join(&mut self, a: usize, b: usize) -> usize {
-        let (a, b) = (self.root(a), self.root(b));
-        let (first, last) = (a.min(b), a.max(b));
-        self.0[last] = first as u32;
-        first
-    }
-
-    /// The root of every point.
-    pub(super) fn into_roots(mut self) -> Vec<u32> {
-        // A root comes before its members, so one pass forward reaches it.
-        for point in 0..self.0.len() {
-            self.0[point] = self.0[self.0[point] as usize];
-        }
-        self.0
-    }
 }

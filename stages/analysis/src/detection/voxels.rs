@@ -282,7 +282,7 @@ mod tests {
 
     #[test]
     fn a_box_is_counted_voxel_by_voxel() {
-        let cuboid = rockface_rock::rockfall::ground_truth::facets::tests::cuboid(0.92, 0.72, 0.52);
+        let cuboid = rockface_rock::rockfall::ground_truth::Facets::cuboid(0.92, 0.72, 0.52);
         let moved = cuboid.moved(|p| p + nalgebra::Vector3::repeat(0.04));
         let mesh = Mesh {
             frame: rockface_core::artefact::Frame::Wall,

@@ -296,7 +296,7 @@ mod tests {
 
     /// Compares real rasters with an independent implementation; `step` takes every so manieth of the 39.
     fn compare_with_reference(step: usize) {
-        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data/outcrop-survey");
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data/outcrop-survey");
         let Ok(csv) = std::fs::read(format!("{folder}/features.csv")) else {
             eprintln!("skipped: {folder} is not there");
             return;

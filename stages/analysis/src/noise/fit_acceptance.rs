@@ -286,7 +286,7 @@ mod tests {
 
     /// Features of 39 real rasters by an independent implementation.
     fn real_features() -> Option<Table> {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data/outcrop-survey/features.csv");
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data/outcrop-survey/features.csv");
         let Ok(csv) = std::fs::read(path) else {
             eprintln!("skipped: {path} is not there");
             return None;

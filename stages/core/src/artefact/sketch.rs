@@ -1,11 +1,11 @@
 //! A small likeness of an artefact, for logs and reports: what was left out is said beside it.
 //!
-//! Every artefact draws its own ([`super::Artefact::sketches`]). Sketches are made once, when a step has run, and kept with
+//! They are drawn by [`crate::Look::sketches`]. Sketches are made once, when a step has run, and kept with
 //! its record, so that what was dropped can still be looked at.
 
 use serde::{Deserialize, Serialize};
 
-use super::{Cameras, CodecError, Table, Transform};
+use super::{Cameras, Table, Transform};
 
 /// One likeness of an artefact or of a part of it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

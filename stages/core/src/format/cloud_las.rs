@@ -5,9 +5,17 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use las::{Color, Header, PointDataBuilder, Reader};
 
-use rockface_rock::face::cloud::Cloud;
 use super::laz_check::{check_chunks, check_header, damaged};
 use crate::artefact::CodecError;
+
+/// Points, in the order of the file.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Cloud {
+    /// Places, metres, in the frame of the file.
+    pub points: Vec<[f64; 3]>,
+    /// Red, green and blue of each point; empty where the source has none.
+    pub colours: Vec<[u8; 3]>,
+}
 
 /// Points read at once, at most.
 const BATCH: u64 = 1 << 16;

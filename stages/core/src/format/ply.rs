@@ -1,5 +1,9 @@
 //! Meshes as PLY files: our own binary layout, written and read to the bit, and any common file of other programs.
 
+pub mod cloud;
+mod header;
+pub mod parts;
+
 use crate::artefact::{CodecError, Mesh};
 use crate::format::limits;
 

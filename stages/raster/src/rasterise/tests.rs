@@ -90,7 +90,7 @@ fn the_bytes_do_not_depend_on_the_number_of_threads() {
 #[test]
 fn the_difference_of_two_epochs_holds_the_volume_of_the_block() {
     let read = |name: &str| {
-        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data/faces/");
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data/faces/");
         std::fs::read(format!("{folder}cliff_trier_{name}.ply")).map(|bytes| ply::read_mesh(&bytes).unwrap())
     };
     let (Ok(mut before), Ok(mut after), Ok(mut block)) = (read("wall_pre"), read("wall_post"), read("block")) else {

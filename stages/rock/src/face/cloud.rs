@@ -1,18 +1,10 @@
 //! Point clouds from elsewhere: points and colours, whatever the format.
 
-use rockface_core::format::cloud_las;
 use super::cloud_text;
 use rockface_core::artefact::CodecError;
-use rockface_core::format::ply;
+use rockface_core::format::{cloud_las, ply};
 
-/// Points, in the order of the file.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Cloud {
-    /// Places, metres, in the frame of the file.
-    pub points: Vec<[f64; 3]>,
-    /// Red, green and blue of each point; empty where the source has none.
-    pub colours: Vec<[u8; 3]>,
-}
+pub use rockface_core::format::cloud_las::Cloud;
 
 /// Reads a cloud of whatever format its content shows: LAS or LAZ, PLY (faces are left out), or columns of numbers.
 ///

@@ -6,7 +6,7 @@
 use rayon::prelude::*;
 
 use rockface_core::artefact::Mesh;
-use rockface_raster::surface_cleaning::Pieces;
+use rockface_core::numerics::union_find::UnionFind;
 
 /// The other half-edge of a half-edge on the border.
 pub const BORDER: u32 = u32::MAX;
@@ -80,7 +80,7 @@ impl<'a> HalfEdges<'a> {
     /// The piece of each triangle and the number of pieces; pieces connect through edges of exactly two triangles and are
     /// numbered in the order of their first triangle.
     pub fn pieces(&self) -> (Vec<u32>, usize) {
-        let mut sets = Pieces::new(self.triangles.len());
+        let mut sets = UnionFind::new(self.triangles.len());
         for half in self.all() {
             if let Some(twin) = self.twin(half).filter(|twin| *twin > half) {
                 sets.join(half as usize / 3, twin as usize / 3);
@@ -93,7 +93,7 @@ impl<'a> HalfEdges<'a> {
     ///
     /// A vertex of a manifold has one fan.
     pub fn fans(&self) -> (Vec<u32>, usize) {
-        let mut sets = Pieces::new(self.twins.len());
+        let mut sets = UnionFind::new(self.twins.len());
         for half in self.all() {
             if let Some(twin) = self.twin(half).filter(|twin| *twin > half) {
                 let (here, there) = if self.is_opposed(half) { (twin, next(twin)) } else { (next(twin), twin) };

@@ -6,7 +6,7 @@ use super::distance;
 use rockface_core::artefact::{Grid, Mesh};
 use rockface_raster::rasterise;
 use rockface_raster::shape::Shape;
-use rockface_raster::surface_cleaning::Pieces;
+use rockface_core::numerics::union_find::UnionFind;
 
 /// How far to keep away, and from what.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -82,7 +82,7 @@ struct Gaps {
 /// Gaps connect through sides; the rim of the grid has no surface, so all around the face is one.
 fn gaps(footprint: &[bool], grid: &Grid) -> Gaps {
     let columns = grid.columns;
-    let mut sets = Pieces::new(footprint.len());
+    let mut sets = UnionFind::new(footprint.len());
     for cell in (0..footprint.len()).filter(|cell| !footprint[*cell]) {
         if cell % columns > 0 && !footprint[cell - 1] {
             sets.join(cell - 1, cell);

@@ -6,7 +6,7 @@
 //! dark ([`theme`] names them) and a file alone is a white card. Equal sheets give equal bytes.
 //!
 //! ```
-//! use rockface_stages::kernel::chart::{Axes, Axis, Ink, Layer, Panel, Sheet, draw};
+//! use rockface_analysis::figure::chart::{Axes, Axis, Ink, Layer, Panel, Sheet, draw};
 //!
 //! let lags: Vec<f64> = (1..=40).map(|i| 0.02 * f64::from(i)).collect();
 //! let real = lags.iter().map(|h| [*h, 20.0 + 60.0 * h, 40.0 + 90.0 * h]).collect();

@@ -7,7 +7,7 @@ mod axes;
 mod face;
 mod frequency;
 pub mod outcomes;
-pub(in rockface_core::kernel) mod strokes;
+pub mod strokes;
 mod ternary;
 mod volumes;
 

@@ -127,7 +127,7 @@ mod tests {
 
     #[test]
     fn foreign_rasters_are_read() {
-        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data/outcrop-survey/real");
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data/outcrop-survey/real");
         let Ok(bytes) = std::fs::read(format!("{folder}/cmp_00_01.tif")) else {
             eprintln!("skipped: {folder} is not there");
             return;

@@ -42,7 +42,7 @@ fn camera_at(centre_m: [f64; 3]) -> Cameras {
 }
 
 fn real(name: &str) -> Option<Mesh> {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data/faces/").to_owned() + name;
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data/faces/").to_owned() + name;
     let bytes = std::fs::read(&path).map_err(|_| println!("skipped: {name} is absent")).ok()?;
     Some(read_mesh(&bytes).unwrap())
 }

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::blocks::{Key, SIDE, VOXELS, Volume};
 use super::cubes::{Edge, triangles};
 use rockface_core::artefact::{Frame, Mesh};
-use rockface_raster::surface_cleaning::Pieces;
+use rockface_core::numerics::union_find::UnionFind;
 
 /// Samples along a side of a block with those of the blocks beyond it.
 const WITH_NEXT: usize = 9;
@@ -137,7 +137,7 @@ fn keep_large(vertices: usize, triangles: Vec<[u32; 3]>, min_triangles: usize) -
     if min_triangles <= 1 {
         return triangles;
     }
-    let mut pieces = Pieces::new(vertices);
+    let mut pieces = UnionFind::new(vertices);
     for [a, b, c] in &triangles {
         let root = pieces.join(*a as usize, *b as usize);
         pieces.join(root, *c as usize);

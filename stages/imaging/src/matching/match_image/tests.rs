@@ -7,7 +7,6 @@ use crate::matching::map_fusion::{Measured, fuse};
 use rockface_core::params::ParamType;
 use rockface_core::testing::{TestHost, height_mesh, image_at, run_stage, small_sensor};
 use rockface_core::{Later, Point};
-use rockface_stages::find;
 use serde_json::{Value, json};
 use std::sync::{Arc, Mutex};
 
@@ -79,7 +78,7 @@ fn single(block: &Block, pair: &Pair, with: &Value) -> Depth {
     ] {
         inputs.push(port, Point::new(), Arc::new(artefact));
     }
-    let stage = find("match-pair").unwrap();
+    let stage = rockface_core::testing::stage(crate::matching::STAGES, "match-pair");
     let outputs = stage.run(with, &inputs, &Context::new(&TestHost::default())).unwrap().into_inner();
     Depth::of(&outputs["depth"]).unwrap().clone()
 }

@@ -165,7 +165,7 @@ fn damaged_files_are_named_with_their_place() {
 
 #[test]
 fn real_faces_of_other_programs_are_read() {
-    let shared = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data"));
+    let shared = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data"));
     let Ok(folder) = std::fs::read_dir(shared.join("faces")) else {
         println!("skipped: the folder of real faces is absent");
         return;

@@ -170,7 +170,6 @@ mod tests {
     use nalgebra::Rotation3;
     use proptest::prelude::*;
 
-    use super::super::facets::tests::cuboid;
     use super::*;
 
     fn found(body: &Facets) -> OrientedBox {
@@ -180,7 +179,7 @@ mod tests {
     #[test]
     fn a_turned_cube_is_found_though_its_principal_axes_are_any() {
         let turn = Rotation3::from_euler_angles(0.3, 0.9, -2.0);
-        let cube = cuboid(1.0, 1.0, 1.0).moved(|p| turn * p + Vector3::new(5e5, 5e6, 0.0));
+        let cube = Facets::cuboid(1.0, 1.0, 1.0).moved(|p| turn * p + Vector3::new(5e5, 5e6, 0.0));
         let found = found(&cube);
         assert!(found.sides_m.iter().all(|side| (side - 1.0).abs() < 1e-8), "{found:?}");
     }
@@ -188,7 +187,7 @@ mod tests {
     #[test]
     fn a_wedge_lies_in_the_box_of_its_legs() {
         // Half a box: whichever face of the wedge its box is flush with, it is half of that box.
-        let mut wedge = cuboid(4.0, 2.0, 1.0);
+        let mut wedge = Facets::cuboid(4.0, 2.0, 1.0);
         wedge.vertices[7] = wedge.vertices[5];
         wedge.vertices[6] = wedge.vertices[4];
         let found = found(&wedge);
@@ -229,7 +228,7 @@ mod tests {
             sides in prop::array::uniform3(0.05f64..4.0), angles in prop::array::uniform3(-3.0f64..3.0),
         ) {
             let turn = Rotation3::from_euler_angles(angles[0], angles[1], angles[2]);
-            let found = found(&cuboid(sides[0], sides[1], sides[2]).moved(|p| turn * p));
+            let found = found(&Facets::cuboid(sides[0], sides[1], sides[2]).moved(|p| turn * p));
             let mut sides = sides;
             sides.sort_by(|a, b| b.total_cmp(a));
             for (side, expected) in found.sides_m.iter().zip(sides) {

@@ -23,6 +23,14 @@ pub struct Body {
 }
 
 impl Facets {
+    /// A box with its edges along the axes and one corner at the origin; metres.
+    pub fn cuboid(x: f64, y: f64, z: f64) -> Self {
+        let corner = |i: u32| [x * f64::from(i & 1), y * f64::from(i >> 1 & 1), z * f64::from(i >> 2 & 1)];
+        let squares = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+        let triangles = squares.iter().flat_map(|[a, b, c, d]| [[*a, *b, *c], [*a, *c, *d]]).collect();
+        Self { vertices: (0..8).map(corner).collect(), triangles }
+    }
+
     /// Smallest box along the axes as (lower corner, upper corner), metres; `None` without vertices.
     pub fn bounds(&self) -> Option<[[f64; 3]; 2]> {
         let first = *self.vertices.first()?;
@@ -101,24 +109,16 @@ pub fn with_a_sign(axis: Vector3<f64>) -> Vector3<f64> {
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
+mod tests {
     use nalgebra::Rotation3;
 
     use super::*;
-
-    /// A box with its edges along the axes and one corner at the origin.
-    pub fn cuboid(x: f64, y: f64, z: f64) -> Facets {
-        let corner = |i: u32| [x * f64::from(i & 1), y * f64::from(i >> 1 & 1), z * f64::from(i >> 2 & 1)];
-        let squares = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-        let triangles = squares.iter().flat_map(|[a, b, c, d]| [[*a, *b, *c], [*a, *c, *d]]).collect();
-        Facets { vertices: (0..8).map(corner).collect(), triangles }
-    }
 
     #[test]
     fn a_box_at_utm_magnitudes_has_its_volume_and_moments() {
         let turn = Rotation3::from_euler_angles(0.4, -0.7, 1.2);
         let far = Vector3::new(451_234.5, 5_512_345.25, 231.0);
-        let body = cuboid(3.0, 2.0, 0.5).moved(|p| turn * p + far);
+        let body = Facets::cuboid(3.0, 2.0, 0.5).moved(|p| turn * p + far);
         let found = body.body().unwrap();
         assert!((found.volume_m3 - 3.0).abs() < 1e-8 && (body.volume_m3() - 3.0).abs() < 1e-8);
         assert!((found.centroid - far - turn * Vector3::new(1.5, 1.0, 0.25)).norm() < 1e-8);
@@ -135,10 +135,10 @@ pub(crate) mod tests {
 
     #[test]
     fn inside_out_or_flat_is_no_body() {
-        let mut inside_out = cuboid(1.0, 1.0, 1.0);
+        let mut inside_out = Facets::cuboid(1.0, 1.0, 1.0);
         inside_out.triangles.iter_mut().for_each(|t| t.swap(0, 1));
         assert!((inside_out.volume_m3() + 1.0).abs() < 1e-12);
-        assert!(inside_out.body().is_none() && cuboid(1.0, 1.0, 0.0).body().is_none());
+        assert!(inside_out.body().is_none() && Facets::cuboid(1.0, 1.0, 0.0).body().is_none());
         assert!(Facets::default().body().is_none() && Facets::default().bounds().is_none());
     }
 }

@@ -131,7 +131,6 @@ impl Window {
 
 #[cfg(test)]
 mod tests {
-    use super::super::facets::tests::cuboid;
     use super::*;
 
     fn plane(z: f64) -> Mesh {
@@ -158,7 +157,7 @@ mod tests {
 
     #[test]
     fn a_box_out_of_a_plane_is_labelled_to_its_edges() {
-        let piece = cuboid(1.0, 1.0, 0.5).moved(|p| p + nalgebra::Vector3::new(1.0, 1.0, 1.5));
+        let piece = Facets::cuboid(1.0, 1.0, 0.5).moved(|p| p + nalgebra::Vector3::new(1.0, 1.0, 1.5));
         // Before: the plane at 2. After: all that is left of it around the box, and the floor at 1.5.
         let after = joined(&[plane(1.5), raised(2.0, 0.0, 1.0), raised(2.0, 2.0, 4.0)]);
         let seen = compare(&plane(2.0), &after, &[(7, &piece)], 0.1).unwrap();
@@ -175,7 +174,7 @@ mod tests {
 
     #[test]
     fn what_lies_under_an_overhang_is_not_seen() {
-        let piece = cuboid(2.0, 3.0, 0.5).moved(|p| p + nalgebra::Vector3::new(1.0, 0.0, 0.5));
+        let piece = Facets::cuboid(2.0, 3.0, 0.5).moved(|p| p + nalgebra::Vector3::new(1.0, 0.0, 0.5));
         let roof = raised(2.0, 2.0, 4.0);
         let before = joined(&[plane(1.0), roof.clone()]);
         let seen = compare(&before, &joined(&[plane(0.5), roof]), &[(1, &piece)], 0.1).unwrap();
@@ -184,8 +183,8 @@ mod tests {
 
     #[test]
     fn a_piece_between_the_cells_or_beside_the_grid_is_not_seen() {
-        let small = cuboid(0.01, 0.01, 0.01).moved(|p| p + nalgebra::Vector3::new(1.01, 1.01, 1.99));
-        let beside = cuboid(1.0, 1.0, 1.0).moved(|p| p + nalgebra::Vector3::new(50.0, 50.0, 1.0));
+        let small = Facets::cuboid(0.01, 0.01, 0.01).moved(|p| p + nalgebra::Vector3::new(1.01, 1.01, 1.99));
+        let beside = Facets::cuboid(1.0, 1.0, 1.0).moved(|p| p + nalgebra::Vector3::new(50.0, 50.0, 1.0));
         let seen = compare(&plane(2.0), &plane(2.0), &[(1, &small), (2, &beside)], 0.1).unwrap();
         assert!(seen.pieces.iter().all(|trace| trace.cells.is_empty() && trace.visible_fraction().to_bits() == 0));
         assert!(compare(&plane(2.0), &plane(2.0), &[], 0.0).unwrap_err().contains("0 m"));

@@ -64,20 +64,19 @@ fn mesh(Facets { vertices, triangles }: Facets) -> Mesh {
 mod tests {
     use nalgebra::Rotation3;
 
-    use super::super::facets::tests::cuboid;
     use super::*;
 
     #[test]
     fn a_turned_plate_is_as_thick_as_it_is() {
         let turn = Rotation3::from_euler_angles(0.4, -0.7, 1.2);
-        let plate = cuboid(3.0, 2.0, 0.25).moved(|p| turn * p + Vector3::new(100.0, 5.0, -20.0));
+        let plate = Facets::cuboid(3.0, 2.0, 0.25).moved(|p| turn * p + Vector3::new(100.0, 5.0, -20.0));
         let found = along(&plate, turn * Vector3::new(0.0, 0.0, 2.0)).unwrap();
         assert!((found.greatest_m - 0.25).abs() < 1e-6 && (found.mean_m - 0.25).abs() < 1e-6, "{found:?}");
     }
 
     #[test]
     fn a_wedge_has_half_its_height_on_average() {
-        let mut wedge = cuboid(4.0, 2.0, 1.0);
+        let mut wedge = Facets::cuboid(4.0, 2.0, 1.0);
         for corner in [5, 7] {
             wedge.vertices[corner][2] = 0.0;
         }
@@ -87,8 +86,8 @@ mod tests {
 
     #[test]
     fn no_direction_or_no_extent_is_refused() {
-        assert!(along(&cuboid(1.0, 1.0, 1.0), Vector3::zeros()).is_err());
+        assert!(along(&Facets::cuboid(1.0, 1.0, 1.0), Vector3::zeros()).is_err());
         assert!(along(&Facets::default(), Vector3::z()).is_err());
-        assert!(along(&cuboid(0.0, 0.0, 1.0), Vector3::z()).is_err());
+        assert!(along(&Facets::cuboid(0.0, 0.0, 1.0), Vector3::z()).is_err());
     }
 }

@@ -1,11 +1,11 @@
 //! Takes one block out of a patch of rock face: the removed pieces and the surface that closes their niches.
 
+use rockface_core::numerics::union_find::UnionFind;
 use std::collections::BTreeMap;
 
 use nalgebra::Matrix3;
 
 use super::boolean::{BooleanError, Origin, Shell, Solid};
-use super::groups::Groups;
 use super::measure;
 use super::patch::{Patch, less, more};
 use super::weld::{Weld, Welded};
@@ -169,10 +169,10 @@ struct Split {
 
 impl Split {
     fn new(taken: &Welded, places: &[[f64; 3]]) -> Self {
-        let mut groups = Groups::of_triangles(places.len(), &taken.triangles);
-        let mut pieces: BTreeMap<u32, Raw> = BTreeMap::new();
+        let mut groups = UnionFind::of_triangles(places.len(), &taken.triangles);
+        let mut pieces: BTreeMap<usize, Raw> = BTreeMap::new();
         for (triangle, origin) in taken.triangles.iter().zip(&taken.origins) {
-            let piece = pieces.entry(groups.of(triangle[0])).or_default();
+            let piece = pieces.entry(groups.root(triangle[0] as usize)).or_default();
             match origin {
                 Origin::Rock(_) => piece.rock.push(*triangle),
                 Origin::Block(_) => piece.block.push(*triangle),

@@ -12,7 +12,6 @@ pub mod cut;
 pub mod evaluate;
 pub mod face;
 pub mod frame;
-pub mod groups;
 pub mod measure;
 pub mod patch;
 pub mod place;

@@ -1,6 +1,6 @@
 //! What a removal would do to the connections of the mesh: edges, fans around vertices, borders, islands.
 
-use super::groups::Groups;
+use rockface_core::numerics::union_find::UnionFind;
 use super::patch::open_edges;
 
 /// The faults of a patch after a removal that it did not have before.
@@ -58,16 +58,16 @@ impl Change<'_> {
 
     /// Groups of the surface that hold some of these triangles and no vertex of the border.
     fn islands(&self, surface: &[[u32; 3]], touched: &[[u32; 3]]) -> usize {
-        let mut groups = Groups::of_triangles(self.vertices, surface);
+        let mut groups = UnionFind::of_triangles(self.vertices, surface);
         let mut anchored = vec![false; self.vertices];
         for edge in self.border {
-            anchored[groups.of(edge[0]) as usize] = true;
+            anchored[groups.root(edge[0] as usize)] = true;
         }
-        let mut found: Vec<u32> = touched.iter().map(|t| groups.of(t[0])).collect();
-        found.retain(|group| !anchored[*group as usize]);
-        found.sort_unstable();
-        found.dedup();
-        found.len()
+        let mut islands: Vec<usize> = touched.iter().map(|t| groups.root(t[0] as usize)).collect();
+        islands.retain(|group| !anchored[*group]);
+        islands.sort_unstable();
+        islands.dedup();
+        islands.len()
     }
 }
 
@@ -91,10 +91,12 @@ fn fans_of(corners: &[[u32; 3]]) -> u32 {
     let mut ends: Vec<u32> = corners.iter().flat_map(|c| [c[1], c[2]]).collect();
     ends.sort_unstable();
     ends.dedup();
-    let number = |v: u32| ends.partition_point(|end| *end < v) as u32;
-    let mut groups = Groups::new(ends.len());
-    corners.iter().for_each(|c| groups.join(number(c[1]), number(c[2])));
-    (0..ends.len() as u32).filter(|n| groups.of(*n) == *n).count() as u32
+    let number = |v: u32| ends.partition_point(|end| *end < v);
+    let mut groups = UnionFind::new(ends.len());
+    for corner in corners {
+        groups.join(number(corner[1]), number(corner[2]));
+    }
+    (0..ends.len()).filter(|n| groups.root(*n) == *n).count() as u32
 }
 
 #[cfg(test)]

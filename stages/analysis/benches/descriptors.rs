@@ -5,12 +5,12 @@
 
 use std::time::Instant;
 
-use rockface_stages::artefact::Grid;
-use rockface_stages::kernel::descriptors::{Settings, describe};
-use rockface_stages::kernel::noise::detrend::Detrend;
-use rockface_stages::kernel::noise::robust_variogram::Estimator;
-use rockface_stages::kernel::random::Key;
-use rockface_stages::kernel::variogram_model::Shape;
+use rockface_core::artefact::Grid;
+use rockface_analysis::noise::descriptors::{Settings, describe};
+use rockface_analysis::noise::detrend::Detrend;
+use rockface_analysis::noise::robust_variogram::Estimator;
+use rockface_core::numerics::random::Key;
+use rockface_analysis::noise::variogram_model::Shape;
 
 fn main() {
     for [columns, rows] in [[630, 560], [800, 800], [3560, 2900]] {

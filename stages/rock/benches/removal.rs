@@ -5,15 +5,15 @@
 use std::convert::Infallible;
 use std::time::Instant;
 
-use rockface_stages::artefact::{Frame, Mesh, Part};
-use rockface_stages::kernel::block::hull::hull;
-use rockface_stages::kernel::random::Key;
-use rockface_stages::kernel::removal::attempts::{Plan, run};
-use rockface_stages::kernel::removal::cut::Least;
-use rockface_stages::kernel::removal::evaluate::{Direction, Rules};
-use rockface_stages::kernel::removal::face::Face;
-use rockface_stages::kernel::removal::sites::Sites;
-use rockface_stages::kernel::removal::source::{Blocks, Source};
+use rockface_core::artefact::{Frame, Mesh, Part};
+use rockface_rock::rockfall::block::hull::hull;
+use rockface_core::numerics::random::Key;
+use rockface_rock::rockfall::removal::attempts::{Plan, run};
+use rockface_rock::rockfall::removal::cut::Least;
+use rockface_rock::rockfall::removal::evaluate::{Direction, Rules};
+use rockface_rock::rockfall::removal::face::Face;
+use rockface_rock::rockfall::removal::sites::Sites;
+use rockface_rock::rockfall::removal::source::{Blocks, Source};
 
 /// Distance between vertices, metres.
 const SPACING_M: f64 = 0.02;

@@ -1,0 +1,12 @@
+//! Programs of the user's own as steps.
+
+
+// A new stage is its file, its `mod` here and its row below.
+mod command;
+
+use rockface_core::{AnyStage, Row};
+
+/// The stages of this room, in the order of the catalogue.
+pub static STAGES: &[&dyn AnyStage] = &[
+    &Row::<command::Command>::new(),
+];

@@ -1,0 +1,40 @@
+//! Noise descriptors of rasters, and the acceptance of simulations against references (paper, section 2.4).
+
+pub mod acceptance_rate;
+pub mod chain;
+pub mod classifier;
+pub mod descriptors;
+pub mod detrend;
+pub mod envelope;
+pub mod mahalanobis;
+pub mod moments;
+pub mod nested_variogram;
+pub mod points;
+pub mod robust_variogram;
+pub mod roughness;
+pub mod sector;
+pub mod spectrum;
+pub mod variogram;
+pub mod variogram_model;
+
+// A new stage is its file, its `mod` here and its row below.
+mod compare_samples;
+mod describe_noise;
+mod fit_acceptance;
+mod propose_parameters;
+mod refine_search;
+mod summarise_acceptance;
+mod test_acceptance;
+
+use rockface_core::{AnyStage, Row};
+
+/// The stages of this room, in the order of the catalogue.
+pub static STAGES: &[&dyn AnyStage] = &[
+    &Row::<compare_samples::CompareSamples>::new(),
+    &Row::<describe_noise::DescribeNoise>::new(),
+    &Row::<fit_acceptance::FitAcceptance>::new(),
+    &Row::<propose_parameters::ProposeParameters>::new(),
+    &Row::<refine_search::RefineSearch>::new(),
+    &Row::<summarise_acceptance::SummariseAcceptance>::new(),
+    &Row::<test_acceptance::TestAcceptance>::new(),
+];

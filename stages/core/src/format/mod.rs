@@ -1,0 +1,18 @@
+//! The files artefacts are kept in, and those of other programs that several rooms read or write.
+
+pub mod cloud_las;
+pub mod cloud_laz;
+pub mod depth_exr;
+pub mod geotiff;
+pub mod inventory_file;
+mod laz_check;
+pub mod limits;
+pub mod nouns;
+#[cfg(feature = "parquet")]
+pub mod parquet_file;
+pub mod ply;
+pub mod png;
+pub mod sketch_file;
+pub mod surface_file;
+pub mod table_file;
+pub mod tar_file;

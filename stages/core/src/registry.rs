@@ -1,0 +1,95 @@
+//! What the engine is handed: the stages it can run, by room, and what draws small pictures of their outputs.
+
+use crate::AnyStage;
+use crate::artefact::{Artefact, Preview, Sketch};
+
+/// The stages of one domain.
+#[derive(Clone, Copy)]
+pub struct Room {
+    /// Its name, such as `matching`.
+    pub name: &'static str,
+    /// What its stages are about, in a sentence.
+    pub doc: &'static str,
+    /// Its stages, in the order of the catalogue.
+    pub stages: &'static [&'static dyn AnyStage],
+}
+
+/// Draws artefacts for logs and reports.
+pub trait Look: Sync {
+    /// Small likenesses of an artefact; none of what cannot be seen.
+    fn sketches(&self, artefact: &Artefact) -> Vec<Sketch>;
+
+    /// A small picture of an artefact, at most 512 pixels wide, where it can be seen; `beside` is what it may be drawn over, such as
+    /// the face of an inventory. Equal artefacts have equal pictures.
+    fn preview(&self, artefact: &Artefact, beside: &[&Artefact]) -> Option<Preview>;
+}
+
+/// A [`Look`] that draws nothing.
+struct Blank;
+
+impl Look for Blank {
+    fn sketches(&self, _: &Artefact) -> Vec<Sketch> {
+        Vec::new()
+    }
+
+    fn preview(&self, _: &Artefact, _: &[&Artefact]) -> Option<Preview> {
+        None
+    }
+}
+
+/// Every stage a program knows, room by room.
+#[derive(Clone)]
+pub struct Registry {
+    rooms: Vec<Room>,
+    stages: Vec<&'static dyn AnyStage>,
+    look: &'static dyn Look,
+}
+
+impl Default for Registry {
+    fn default() -> Self {
+        Self { rooms: Vec::new(), stages: Vec::new(), look: &Blank }
+    }
+}
+
+impl Registry {
+    /// Adds a room behind the others.
+    ///
+    /// # Panics
+    /// When a stage of that name is there already: two stages of one name are a mistake of the program, not of its user.
+    #[must_use]
+    pub fn with(mut self, room: Room) -> Self {
+        for stage in room.stages {
+            assert!(self.find(stage.name()).is_none(), "two stages are named `{}`", stage.name());
+            self.stages.push(*stage);
+        }
+        self.rooms.push(room);
+        self
+    }
+
+    /// Draws artefacts by `look`.
+    #[must_use]
+    pub fn drawn_by(mut self, look: &'static dyn Look) -> Self {
+        self.look = look;
+        self
+    }
+
+    /// The rooms, in the order they were added.
+    pub fn rooms(&self) -> &[Room] {
+        &self.rooms
+    }
+
+    /// Every stage, in the order of the catalogue.
+    pub fn stages(&self) -> &[&'static dyn AnyStage] {
+        &self.stages
+    }
+
+    /// The stage of a name.
+    pub fn find(&self, name: &str) -> Option<&'static dyn AnyStage> {
+        self.stages.iter().copied().find(|stage| stage.name() == name)
+    }
+
+    /// What draws artefacts for logs and reports.
+    pub fn look(&self) -> &'static dyn Look {
+        self.look
+    }
+}

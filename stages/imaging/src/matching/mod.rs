@@ -1,0 +1,26 @@
+//! Dense matching of image pairs and its noise (paper, sections 2.2 and 2.3).
+
+pub mod image;
+pub mod map_fusion;
+pub mod noise;
+pub mod noisy_rays;
+pub mod pair;
+pub mod params;
+pub mod pixel_row;
+pub mod rectification;
+pub mod rectified_row;
+pub mod setup;
+
+// A new stage is its file, its `mod` here and its row below.
+mod map_noise;
+mod match_image;
+mod match_pair;
+
+use rockface_core::{AnyStage, Row};
+
+/// The stages of this room, in the order of the catalogue.
+pub static STAGES: &[&dyn AnyStage] = &[
+    &Row::<map_noise::MapNoise>::new(),
+    &Row::<match_image::MatchImage>::new(),
+    &Row::<match_pair::MatchPair>::new(),
+];

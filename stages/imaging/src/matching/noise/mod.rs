@@ -1,0 +1,10 @@
+//! Matching noise: the two components of the paper, and terms that real matchers have beyond them.
+
+pub mod correlated;
+pub mod matcher;
+pub mod modulation;
+pub mod paper;
+pub mod strength;
+pub mod student;
+pub mod terms;
+pub mod window;

@@ -1,0 +1,4 @@
+//! The face and its rockfalls.
+
+pub mod face;
+pub mod rockfall;
