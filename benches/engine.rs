@@ -13,14 +13,14 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
-use rockface::pipeline::{Overrides, Pipeline};
-use rockface::plan::plan;
-use rockface::run::shortcut::{self, Told};
-use rockface::run::{Finished, Options, execute};
-use rockface::watch::Silent;
 use rockface_cache::{Digest, Store};
-use rockface_stages::artefact::{Kind, Table};
-use rockface_stages::{AnyStage, Context, Inputs, Outputs, Page, Port, Row, Stage, StageError, params};
+use rockface_core::artefact::{Kind, Table};
+use rockface_core::{AnyStage, Context, Inputs, Outputs, Page, Port, Row, Stage, StageError, params};
+use rockface_engine::pipeline::{Overrides, Pipeline};
+use rockface_engine::plan::plan;
+use rockface_engine::run::shortcut::{self, Told};
+use rockface_engine::run::{Finished, Options, execute};
+use rockface_engine::watch::Silent;
 
 params! {
     /// Parameters of `cheap`.

@@ -9,7 +9,7 @@ fn main() {
     let filter = EnvFilter::try_from_env("ROCKFACE_LOG").unwrap_or_else(|_| EnvFilter::new("warn"));
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
     std::panic::set_hook(Box::new(tell_panic));
-    let result = rockface::cli::Cli::parse().run();
+    let result = rockface::cli::Cli::parse().run(rockface_stages::registry());
     if let Err(error) = result {
         let message = error.render(std::io::stderr().is_terminal());
         if !message.is_empty() {

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use rockface_core::Registry;
 use serde_json::{Value, json};
 
 use super::{CliError, PipelineArgs, beside, say};
@@ -33,15 +34,15 @@ pub struct ExplainArgs {
 
 impl ExplainArgs {
     /// Prints the explanation.
-    pub fn run(self) -> Result<(), CliError> {
-        let pipeline = self.pipeline.load()?;
+    pub fn run(self, registry: &Registry) -> Result<(), CliError> {
+        let pipeline = self.pipeline.load(registry)?;
         let label = wanted(&self.step)?;
         let name = label.step;
         check_step(&pipeline, name)?;
-        let (mut plan, store) = self.pipeline.look(&pipeline, &self.pipeline.target)?;
+        let (mut plan, store) = self.pipeline.look(registry, &pipeline, &self.pipeline.target)?;
         if !(0..plan.instances.len()).any(|instance| plan.step(instance).name == name) {
             // No target needs it: explained as if it were one.
-            plan = rockface_engine::plan::plan(&pipeline, &[name.to_owned()], rockface_stages::all(), &store)
+            plan = rockface_engine::plan::plan(&pipeline, &[name.to_owned()], registry.stages(), &store)
                 .map_err(CliError::Pipeline)?;
         }
         let instance = one_instance(&plan, &label)?;

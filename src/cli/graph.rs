@@ -1,10 +1,11 @@
 //! `rockface graph`: the steps of a pipeline and what flows between them, as a picture or for programs that draw.
 
 use clap::{Args, ValueEnum};
+use rockface_core::Registry;
 
 use super::{CliError, PipelineArgs, say};
-use rockface_engine::diagnostic::Diagnostics;
 use crate::drawing::Drawing;
+use rockface_engine::diagnostic::Diagnostics;
 use rockface_engine::pipeline::Pipeline;
 use rockface_engine::plan::{Graph, resolve};
 
@@ -36,9 +37,9 @@ enum Format {
 
 impl GraphArgs {
     /// Prints the graph.
-    pub fn run(self) -> Result<(), CliError> {
-        let pipeline = self.pipeline.load()?;
-        let graph = self.graph(&pipeline)?;
+    pub fn run(self, registry: &Registry) -> Result<(), CliError> {
+        let pipeline = self.pipeline.load(registry)?;
+        let graph = self.graph(registry, &pipeline)?;
         let drawing = Drawing::of(&graph)
             .map_err(|list| CliError::Pipeline(Diagnostics { sources: pipeline.sources.clone(), list }))?;
         let drawing = if self.pipeline.target.is_empty() { drawing } else { drawing.only_needed() };
@@ -54,13 +55,13 @@ impl GraphArgs {
     }
 
     /// The graph, with the items of axes that are on record; drawing makes no store.
-    fn graph(&self, pipeline: &Pipeline) -> Result<Graph, CliError> {
+    fn graph(&self, registry: &Registry, pipeline: &Pipeline) -> Result<Graph, CliError> {
         let target = &self.pipeline.target;
-        let graph = resolve(pipeline, target, rockface_stages::all()).map_err(CliError::Pipeline)?;
+        let graph = resolve(pipeline, target, registry.stages()).map_err(CliError::Pipeline)?;
         if !(0..graph.axes.len()).any(|axis| graph.is_pending(axis)) {
             return Ok(graph);
         }
         // What keeps it from being planned, such as a missing file, does not keep it from being drawn.
-        Ok(self.pipeline.look(pipeline, target).map_or(graph, |(plan, _)| plan.graph))
+        Ok(self.pipeline.look(registry, pipeline, target).map_or(graph, |(plan, _)| plan.graph))
     }
 }

@@ -24,6 +24,7 @@ use std::path::{Path, PathBuf};
 use clap::builder::{OsStringValueParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand};
 use rockface_cache::{Store, StoreError};
+use rockface_core::Registry;
 
 use rockface_engine::diagnostic::Diagnostics;
 use rockface_engine::history::HistoryError;
@@ -115,8 +116,8 @@ impl PipelineArgs {
         Overrides { set: self.set.clone(), sweep: self.sweep.clone(), seed: self.seed }
     }
 
-    fn load(&self) -> Result<Pipeline, CliError> {
-        self.load_text(&self.read()?)
+    fn load(&self, registry: &Registry) -> Result<Pipeline, CliError> {
+        self.load_text(registry, &self.read()?)
     }
 
     /// The text of the pipeline: read once, so that what is asked about it and what is run is the same.
@@ -126,7 +127,7 @@ impl PipelineArgs {
     }
 
     /// The pipeline of the text that was read.
-    fn load_text(&self, text: &str) -> Result<Pipeline, CliError> {
+    fn load_text(&self, registry: &Registry, text: &str) -> Result<Pipeline, CliError> {
         let (path, overrides) = (&self.pipeline, self.overrides());
         let trees = self.store_dir().join(rockface_cache::TREES);
         let loaded = match &self.text {
@@ -135,22 +136,22 @@ impl PipelineArgs {
         };
         let pipeline = loaded.map_err(CliError::Pipeline)?;
         if !pipeline.faults.is_empty() {
-            rockface_engine::plan::resolve(&pipeline, &self.target, rockface_stages::all()).map_err(CliError::Pipeline)?;
+            rockface_engine::plan::resolve(&pipeline, &self.target, registry.stages()).map_err(CliError::Pipeline)?;
         }
         Ok(pipeline)
     }
 
     /// Plans for these targets; faults of the pipeline come before anything is made on disk.
-    fn plan(&self, pipeline: &Pipeline, targets: &[String]) -> Result<(Plan, Store), CliError> {
-        let graph = rockface_engine::plan::resolve(pipeline, targets, rockface_stages::all()).map_err(CliError::Pipeline)?;
+    fn plan(&self, registry: &Registry, pipeline: &Pipeline, targets: &[String]) -> Result<(Plan, Store), CliError> {
+        let graph = rockface_engine::plan::resolve(pipeline, targets, registry.stages()).map_err(CliError::Pipeline)?;
         let store = self.open_store()?;
         let plan = rockface_engine::plan::expand(graph, pipeline, &store).map_err(CliError::Pipeline)?;
         Ok((plan, store))
     }
 
     /// [`PipelineArgs::plan`] for what only looks: where there is no store, none is made.
-    fn look(&self, pipeline: &Pipeline, targets: &[String]) -> Result<(Plan, Looked), CliError> {
-        let graph = rockface_engine::plan::resolve(pipeline, targets, rockface_stages::all()).map_err(CliError::Pipeline)?;
+    fn look(&self, registry: &Registry, pipeline: &Pipeline, targets: &[String]) -> Result<(Plan, Looked), CliError> {
+        let graph = rockface_engine::plan::resolve(pipeline, targets, registry.stages()).map_err(CliError::Pipeline)?;
         let store = Looked::open(&self.store_dir())?;
         let plan = rockface_engine::plan::expand(graph, pipeline, &store).map_err(CliError::Pipeline)?;
         Ok((plan, store))
@@ -306,18 +307,18 @@ impl CliError {
 
 impl Cli {
     /// Does what the command says.
-    pub fn run(self) -> Result<(), CliError> {
-        rockface_core::format::limits::raise_memory_limit(rockface_engine::run::Options::default().memory_bytes as u64);
+    pub fn run(self, registry: &Registry) -> Result<(), CliError> {
+        rockface_core::limits::raise_memory_limit(rockface_engine::run::Options::default().memory_bytes as u64);
         match self.command {
-            Command::Run(args) => args.run(),
-            Command::Plan(args) => args.run(),
-            Command::Explain(args) => args.run(),
-            Command::Graph(args) => args.run(),
-            Command::Stages(args) => args.run(),
-            Command::Runs(args) => args.run(),
-            Command::Report(args) => args.run(),
+            Command::Run(args) => args.run(registry),
+            Command::Plan(args) => args.run(registry),
+            Command::Explain(args) => args.run(registry),
+            Command::Graph(args) => args.run(registry),
+            Command::Stages(args) => args.run(registry),
+            Command::Runs(args) => args.run(registry),
+            Command::Report(args) => args.run(registry),
             Command::Store(args) => args.run(),
-            Command::Inspect(args) => args.run(),
+            Command::Inspect(args) => args.run(registry),
             Command::Export(args) => args.run(),
             Command::Archive(args) => args.run(),
             Command::Init(args) => args.run(),

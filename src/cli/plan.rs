@@ -4,6 +4,7 @@ use std::collections::HashMap;
 
 use clap::Args;
 use rockface_cache::Store;
+use rockface_core::Registry;
 use serde_json::{Value, json};
 
 use super::programs::ProgramArgs;
@@ -30,10 +31,10 @@ pub struct PlanArgs {
 
 impl PlanArgs {
     /// Prints the plan.
-    pub fn run(self) -> Result<(), CliError> {
-        let pipeline = self.pipeline.load()?;
-        self.programs.check(&pipeline, &self.pipeline.target)?;
-        let (plan, store) = self.pipeline.look(&pipeline, &self.pipeline.target)?;
+    pub fn run(self, registry: &Registry) -> Result<(), CliError> {
+        let pipeline = self.pipeline.load(registry)?;
+        self.programs.check(registry, &pipeline, &self.pipeline.target)?;
+        let (plan, store) = self.pipeline.look(registry, &pipeline, &self.pipeline.target)?;
         let answers = Answers::new(&plan, &store);
         for (label, text) in tools::behind(&plan, &store, answers.hits()).changed {
             eprintln!("warning: {label}: {text}");

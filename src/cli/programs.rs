@@ -2,6 +2,7 @@
 
 use clap::Args;
 use clap::builder::FalseyValueParser;
+use rockface_core::Registry;
 
 use super::CliError;
 use rockface_engine::pipeline::Pipeline;
@@ -21,11 +22,11 @@ impl ProgramArgs {
     }
 
     /// Refuses a pipeline whose targets need a step that starts a program, where programs are refused.
-    pub fn check(&self, pipeline: &Pipeline, targets: &[String]) -> Result<(), CliError> {
+    pub fn check(&self, registry: &Registry, pipeline: &Pipeline, targets: &[String]) -> Result<(), CliError> {
         if !self.no_commands {
             return Ok(());
         }
-        let graph = rockface_engine::plan::resolve(pipeline, targets, rockface_stages::all()).map_err(CliError::Pipeline)?;
+        let graph = rockface_engine::plan::resolve(pipeline, targets, registry.stages()).map_err(CliError::Pipeline)?;
         rockface_engine::plan::without_programs(&graph, pipeline).map_err(CliError::Pipeline)
     }
 }

@@ -6,8 +6,9 @@ use clap::Args;
 
 use super::places::Places;
 use super::{CliError, say};
-use rockface_engine::history;
 use crate::report::{self, Source};
+use rockface_core::Registry;
+use rockface_engine::history::{self, REPORT_FILE, RunContents};
 
 /// Arguments of `rockface report`.
 #[derive(Debug, Args)]
@@ -23,7 +24,7 @@ pub struct ReportArgs {
 
 impl ReportArgs {
     /// Writes the report.
-    pub fn run(self) -> Result<(), CliError> {
+    pub fn run(self, registry: &Registry) -> Result<(), CliError> {
         let run = history::find(&self.places.runs, &self.run)?;
         let store = self.places.store_beside(&run.folder)?;
         if store.is_none() {
@@ -31,10 +32,11 @@ impl ReportArgs {
                 "warning: there is no store here; what is not in the run folder is missing from the report",
             );
         }
-        let graph = report::graph_of(&run.manifest);
+        let graph = report::graph_of(registry, &run.manifest);
         let (folder, manifest) = (&run.folder, &run.manifest);
-        let source = Source { folder, manifest, store: store.as_ref(), graph: graph.as_ref(), logs: None };
-        let to = self.output.unwrap_or_else(|| run.folder.join(report::FILE));
+        let (store, graph, look) = (store.as_ref(), graph.as_ref(), registry.look());
+        let source = Source { run: RunContents { folder, manifest, store, graph, logs: None }, look };
+        let to = self.output.unwrap_or_else(|| run.folder.join(REPORT_FILE));
         report::write(&source, &to)?;
         say(&to.display().to_string());
         Ok(())

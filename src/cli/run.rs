@@ -6,15 +6,17 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::Args;
+use rockface_core::Registry;
 
 use rockface_cache::Digest;
-use rockface_core::format::limits::raise_memory_limit;
+use rockface_core::limits::raise_memory_limit;
 
 use super::programs::ProgramArgs;
 use super::{CliError, PipelineArgs, beside, own_folder, repeat, say};
+use crate::report::Pages;
+use rockface_engine::run;
 use rockface_engine::run::shortcut;
 use rockface_engine::run::shortcut::{NAMED, Told};
-use rockface_engine::run;
 use rockface_engine::run::{Finished, LayOut, Options, RunFolder, Summary};
 use rockface_engine::watch::{JsonLines, Observer, Plain, Silent, Terminal, duration};
 
@@ -64,7 +66,7 @@ pub struct RunArgs {
 
 impl RunArgs {
     /// Runs the pipeline.
-    pub fn run(mut self) -> Result<(), CliError> {
+    pub fn run(mut self, registry: &Registry) -> Result<(), CliError> {
         let begun = std::time::Instant::now();
         let former = repeat::manifest(&self.pipeline.pipeline)?;
         if let Some(former) = &former {
@@ -76,17 +78,18 @@ impl RunArgs {
             self.say_end(&told, (0, told.instances), false, begun.elapsed().as_secs_f64());
             return Ok(());
         }
-        let pipeline = self.pipeline.load_text(&text)?;
-        self.programs.check(&pipeline, &self.pipeline.target)?;
-        let (mut plan, store) = self.pipeline.plan(&pipeline, &self.pipeline.target)?;
+        let pipeline = self.pipeline.load_text(registry, &text)?;
+        self.programs.check(registry, &pipeline, &self.pipeline.target)?;
+        let (mut plan, store) = self.pipeline.plan(registry, &pipeline, &self.pipeline.target)?;
         if self.rehash {
             for file in plan.instances.iter().flat_map(|instance| instance.params.files.values().flatten()) {
                 store.rehash_file(&file.path)?;
             }
-            plan = self.pipeline.plan(&pipeline, &self.pipeline.target)?.0;
+            plan = self.pipeline.plan(registry, &pipeline, &self.pipeline.target)?.0;
         }
         store.trust(self.trust_store);
-        let mut options = Options { keep_going: self.keep_going, exit_when_stuck: true, ..Options::default() };
+        let mut options =
+            Options { keep_going: self.keep_going, look: registry.look(), exit_when_stuck: true, ..Options::default() };
         options.jobs = self.jobs.map_or(options.jobs, usize::from);
         options.memory_bytes = self.memory.unwrap_or(options.memory_bytes);
         raise_memory_limit(options.memory_bytes as u64);
@@ -102,6 +105,8 @@ impl RunArgs {
             targets: &self.pipeline.target,
             jobs: options.jobs,
             lay_out: self.outputs,
+            look: registry.look(),
+            reporter: &Pages(registry.look()),
         };
         let (summary, finished) = run::execute_and_tell(&mut plan, &store, &options, &stop, observer.as_mut(), &about)?;
         let told = Told::of(&finished, &summary);
@@ -139,12 +144,7 @@ impl RunArgs {
 
     /// The digest of all that this command is asked and asked with; `None` where every step instance is to be told of.
     fn question(&self, text: &str) -> Option<Digest> {
-        if self.json
-            || self.verbose
-            || self.rehash
-            || self.programs.are_refused()
-            || self.pipeline.text.is_some()
-        {
+        if self.json || self.verbose || self.rehash || self.programs.are_refused() || self.pipeline.text.is_some() {
             return None;
         }
         let arguments: Vec<_> = std::env::args_os().skip(1).collect();

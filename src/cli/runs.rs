@@ -3,14 +3,15 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
+use rockface_core::Registry;
 use serde_json::{Value, json};
 
 use super::places::Places;
 use super::table::{self, Format, Printed};
 use super::{CliError, say};
+use crate::report;
 use rockface_engine::history;
 use rockface_engine::history::{PastRun, Row};
-use crate::report;
 use rockface_engine::watch::duration;
 
 /// Failures that are named.
@@ -73,7 +74,7 @@ enum RunsCommand {
 
 impl RunsArgs {
     /// Does what the subcommand says.
-    pub fn run(self) -> Result<(), CliError> {
+    pub fn run(self, registry: &Registry) -> Result<(), CliError> {
         match self.command {
             RunsCommand::List { places, printed } => list(&places, printed.format()),
             RunsCommand::Show { run, places, json } => show(&history::find(&places.runs, &run)?, json),
@@ -81,7 +82,7 @@ impl RunsArgs {
                 let found =
                     compared.iter().map(|run| history::find(&places.runs, run)).collect::<Result<Vec<_>, _>>()?;
                 match html {
-                    Some(to) => page(&places, &found, &to),
+                    Some(to) => page(registry, &places, &found, &to),
                     None => compare(&found, printed.format()),
                 }
             }
@@ -205,9 +206,9 @@ fn compare(runs: &[PastRun], format: Format) -> Result<(), CliError> {
 }
 
 /// Writes runs side by side as a page.
-fn page(places: &Places, runs: &[PastRun], to: &Path) -> Result<(), CliError> {
+fn page(registry: &Registry, places: &Places, runs: &[PastRun], to: &Path) -> Result<(), CliError> {
     let store = places.store_beside(&runs[0].folder)?;
-    report::save(to, &report::comparison(runs, store.as_ref())?)?;
+    report::save(to, &report::comparison(runs, store.as_ref(), registry.look())?)?;
     say(&to.display().to_string());
     Ok(())
 }

@@ -1,6 +1,7 @@
 //! `rockface stages`: the catalogue, and the page of one stage.
 
 use clap::Args;
+use rockface_core::Registry;
 use rockface_core::params::{Field, Kind};
 use rockface_core::{AnyStage, Arity, Port};
 use serde_json::{Value, json};
@@ -24,14 +25,14 @@ pub struct StagesArgs {
 
 impl StagesArgs {
     /// Prints the catalogue or a page.
-    pub fn run(self) -> Result<(), CliError> {
+    pub fn run(self, registry: &Registry) -> Result<(), CliError> {
         let pretty = |value: &Value| serde_json::to_string_pretty(value).unwrap_or_default();
         match self.name {
-            None if self.schema => say(&pretty(&super::schema::schema(rockface_stages::all()))),
-            None if self.json => say(&pretty(&rockface_stages::all().iter().map(|stage| about(*stage)).collect())),
-            None => say(&catalogue()),
+            None if self.schema => say(&pretty(&super::schema::schema(registry.stages()))),
+            None if self.json => say(&pretty(&registry.stages().iter().map(|stage| about(*stage)).collect())),
+            None => say(&catalogue(registry)),
             Some(name) => {
-                let stage = rockface_stages::find(&name).ok_or_else(|| unknown(&name))?;
+                let stage = registry.find(&name).ok_or_else(|| unknown(registry, &name))?;
                 say(&if self.json { pretty(&about(stage)) } else { page(stage) });
             }
         }
@@ -39,23 +40,27 @@ impl StagesArgs {
     }
 }
 
-fn unknown(name: &str) -> CliError {
-    let known: Vec<&str> = rockface_stages::all().iter().map(|stage| stage.name()).collect();
+fn unknown(registry: &Registry, name: &str) -> CliError {
+    let known: Vec<&str> = registry.stages().iter().map(|stage| stage.name()).collect();
     let hint = nearest(name, &known)
         .map_or_else(|| "`rockface stages` lists them".to_owned(), |near| format!("did you mean `{near}`?"));
     CliError::Usage(format!("there is no stage `{name}`; {hint}"))
 }
 
-/// One line a stage.
-fn catalogue() -> String {
-    let width = rockface_stages::all().iter().map(|stage| stage.name().len()).max().unwrap_or(0);
+/// One line a stage, by room.
+fn catalogue(registry: &Registry) -> String {
+    let width = registry.stages().iter().map(|stage| stage.name().len()).max().unwrap_or(0);
     let line = |stage: &&dyn AnyStage| {
         let what = stage.page().what;
         let first = what.split_inclusive(". ").next().unwrap_or(what).trim();
-        format!("{:width$}  {first}", stage.name())
+        format!("  {:width$}  {first}", stage.name())
     };
-    let mut lines: Vec<String> = rockface_stages::all().iter().map(line).collect();
-    lines.push(String::new());
+    let mut lines = Vec::new();
+    for room in registry.rooms() {
+        lines.push(format!("{}: {}", room.name, room.doc));
+        lines.extend(room.stages.iter().map(line));
+        lines.push(String::new());
+    }
     lines.push("`rockface stages NAME` shows ports, parameters, units, method and an example.".into());
     lines.join("\n")
 }

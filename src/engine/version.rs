@@ -6,7 +6,7 @@ use rockface_cache::Digest;
 use serde_json::{Value, json};
 
 /// The lock file this program was built with.
-const LOCK: &str = include_str!("../Cargo.lock");
+const LOCK: &str = include_str!("../../Cargo.lock");
 
 /// Version, compiler, target and lock file of this program, and the features of the processor it runs on.
 pub fn program() -> Value {

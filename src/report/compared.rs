@@ -9,8 +9,9 @@ use super::media::{self, Budget, Medium};
 use super::number::Shown;
 use super::source::Source;
 use super::steps::Linker;
-use super::{FILE, Links, ReportError, render};
-use rockface_engine::history::{PastRun, Row, compare};
+use super::{Links, ReportError, render};
+use rockface_core::Look;
+use rockface_engine::history::{PastRun, REPORT_FILE, Row, RunContents, compare};
 use rockface_engine::watch::duration;
 
 /// Headlines of a run that are shown.
@@ -55,24 +56,25 @@ struct PictureRow {
 ///
 /// # Errors
 /// A template that does not fit.
-pub fn comparison(runs: &[PastRun], store: Option<&Store>) -> Result<String, ReportError> {
+pub fn comparison(runs: &[PastRun], store: Option<&Store>, look: &'static dyn Look) -> Result<String, ReportError> {
     let found = compare(runs);
     let page = Page {
-        runs: runs.iter().map(run).collect(),
+        runs: runs.iter().map(|one| run(one, look)).collect(),
         parameters: found.parameters.iter().map(row).collect(),
         metrics: found.metrics.iter().map(row).collect(),
         equal_parameters: found.equal_parameters,
-        pictures: pictures(runs, store),
+        pictures: pictures(runs, store, look),
     };
     render("compared.html", page)
 }
 
-fn run(run: &PastRun) -> RunView {
-    let source = Source { folder: &run.folder, manifest: &run.manifest, store: None, graph: None, logs: None };
+fn run(run: &PastRun, look: &'static dyn Look) -> RunView {
+    let run_files = RunContents { folder: &run.folder, manifest: &run.manifest, store: None, graph: None, logs: None };
+    let source = Source { run: run_files, look };
     let linker = Linker { source: &source, links: Links::Absolute };
     RunView {
         name: run.name.clone(),
-        link: linker.to(FILE.as_ref()),
+        link: linker.to(REPORT_FILE.as_ref()),
         pipeline: run.manifest.pipeline.name.clone(),
         status: run.manifest.status.clone(),
         wall: duration(run.manifest.wall_s),
@@ -91,11 +93,12 @@ fn row(row: &Row) -> RowView {
 }
 
 /// Finished pictures and figures, in a row for each output that at least one of the runs has.
-fn pictures(runs: &[PastRun], store: Option<&Store>) -> Vec<PictureRow> {
+fn pictures(runs: &[PastRun], store: Option<&Store>, look: &'static dyn Look) -> Vec<PictureRow> {
     let mut budget = Budget::new();
     let mut found: BTreeMap<String, Vec<Option<Medium>>> = BTreeMap::new();
     for (place, run) in runs.iter().enumerate() {
-        let source = Source { folder: &run.folder, manifest: &run.manifest, store, graph: None, logs: None };
+        let run_files = RunContents { folder: &run.folder, manifest: &run.manifest, store, graph: None, logs: None };
+        let source = Source { run: run_files, look };
         let linker = Linker { source: &source, links: Links::Absolute };
         for done in &run.manifest.steps {
             for medium in media::finished_of(&source, done, &linker, &mut budget) {

@@ -1,6 +1,7 @@
 //! The graph of a run, each step with what became of it.
 
 use crate::drawing::{Drawing, Note, Tint};
+use rockface_core::Registry;
 use rockface_engine::history::Manifest;
 use rockface_engine::pipeline::{Overrides, Pipeline};
 use rockface_engine::plan::{Graph, resolve};
@@ -11,13 +12,13 @@ use super::steps::StepView;
 const STEPS: usize = 150;
 
 /// The graph of a past run, from the texts its manifest holds; `None` where this version does not read them.
-pub fn of(manifest: &Manifest) -> Option<Graph> {
+pub fn of(registry: &Registry, manifest: &Manifest) -> Option<Graph> {
     let (told, changed) = (&manifest.pipeline, &manifest.overrides);
     let path = told.folder.join(told.path.file_name()?);
     let overrides = Overrides { set: changed.set.clone(), sweep: changed.sweep.clone(), seed: changed.seed };
     let included = told.included.iter().map(|file| (file.path.clone(), file.text.clone())).collect();
     let pipeline = Pipeline::of_text(&told.text, included, &path, &overrides).ok()?;
-    resolve(&pipeline, &manifest.targets, rockface_stages::all()).ok()
+    resolve(&pipeline, &manifest.targets, registry.stages()).ok()
 }
 
 /// The names of the target steps.

@@ -165,7 +165,7 @@ fn finished(
         return Some(medium);
     }
     medium.wide = width_px(&bytes) >= WIDE_PX;
-    let small = || Artefact::decode(kind, &bytes).ok()?.preview(&[])?.to_png().ok();
+    let small = || source.look.preview(&Artefact::decode(kind, &bytes).ok()?, &[])?.to_png().ok();
     let shown = if bytes.len() > PICTURE_BYTES { small()? } else { bytes };
     if !budget.take(shown.len()) {
         return None;

@@ -16,14 +16,14 @@ use std::path::{Path, PathBuf};
 
 use minijinja::value::{Serde, Value};
 use minijinja::{AutoEscape, Environment};
+use rockface_core::Look;
+use rockface_engine::history::RunContents;
+use rockface_engine::run::Reporter;
 use serde::Serialize;
 
 pub use compared::comparison;
 pub use graph::of as graph_of;
 pub use source::Source;
-
-/// The name of the report in a run folder.
-pub const FILE: &str = "report.html";
 
 /// Why a report cannot be made.
 #[derive(Debug, thiserror::Error)]
@@ -83,6 +83,26 @@ pub fn save(to: &Path, text: &str) -> Result<(), ReportError> {
         file.persist(to).map(drop).map_err(|error| error.error)
     };
     write().map_err(|source| ReportError::Io { path: to.to_owned(), source })
+}
+
+/// Writes the page of a run when it ends.
+#[derive(Debug)]
+pub struct Pages(
+    /// What makes large pictures small.
+    pub &'static dyn Look,
+);
+
+impl Reporter for Pages {
+    fn report(&self, run: &RunContents, to: &Path) -> std::io::Result<()> {
+        match write(&Source { run: *run, look: self.0 }, to) {
+            Ok(()) => Ok(()),
+            Err(ReportError::Io { source, .. }) => Err(source),
+            Err(error) => {
+                tracing::warn!("the run has no report: {error:#}");
+                Ok(())
+            }
+        }
+    }
 }
 
 const TEMPLATES: [(&str, &str); 4] = [

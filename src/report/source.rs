@@ -1,27 +1,29 @@
 //! Where a report takes its contents from: the manifest, the run folder, and the store.
 
+use std::ops::Deref;
 use std::path::{Path, PathBuf};
 
-use rockface_cache::{Digest, OutputRecord, Store};
-use rockface_core::Entry;
+use rockface_cache::{Digest, OutputRecord};
 use rockface_core::artefact::Shown;
 use rockface_core::artefact::sketch::{ColourKey, Shape};
+use rockface_core::{Entry, Look};
 
-use rockface_engine::history::{Manifest, StepDone};
-use rockface_engine::plan::Graph;
+use rockface_engine::history::{RunContents, StepDone};
 
-/// A run and where its files are.
+/// A run and what draws its pictures.
 pub struct Source<'a> {
-    /// The run folder.
-    pub folder: &'a Path,
-    /// What it tells.
-    pub manifest: &'a Manifest,
-    /// The store, for what is not in the folder; without it such things are left out, and the page says so.
-    pub store: Option<&'a Store>,
-    /// Its steps and how they hang together, where that is known.
-    pub graph: Option<&'a Graph>,
-    /// What each step instance said, in the order of the manifest, where that was read already; otherwise the store is asked.
-    pub logs: Option<&'a [Vec<Entry>]>,
+    /// The run.
+    pub run: RunContents<'a>,
+    /// What makes large pictures small.
+    pub look: &'static dyn Look,
+}
+
+impl<'a> Deref for Source<'a> {
+    type Target = RunContents<'a>;
+
+    fn deref(&self) -> &RunContents<'a> {
+        &self.run
+    }
 }
 
 /// A picture of an output that was made when the step ran.

@@ -26,7 +26,8 @@ fn manifest() -> Manifest {
 
 fn page() -> String {
     let (manifest, folder) = (manifest(), Path::new("/nowhere"));
-    html(&Source { folder, manifest: &manifest, store: None, graph: None, logs: None }, Links::Relative).unwrap()
+    let run = RunContents { folder, manifest: &manifest, store: None, graph: None, logs: None };
+    html(&Source { run, look: rockface_core::Registry::default().look() }, Links::Relative).unwrap()
 }
 
 #[test]
@@ -62,11 +63,15 @@ fn a_page_needs_nothing_from_elsewhere() {
 
 #[test]
 fn runs_side_by_side_tell_what_differs() {
-    let one =
-        rockface_engine::history::PastRun { name: "one".into(), folder: "/nowhere".into(), manifest: manifest(), pinned: false };
+    let one = rockface_engine::history::PastRun {
+        name: "one".into(),
+        folder: "/nowhere".into(),
+        manifest: manifest(),
+        pinned: false,
+    };
     let mut other = one.clone();
     other.name = "other".into();
     other.manifest.steps[1].parameters = json!({"cell_m": 0.5, "name": "x"}).into();
-    let page = comparison(&[one, other], None).unwrap();
+    let page = comparison(&[one, other], None, rockface_core::Registry::default().look()).unwrap();
     assert!(page.contains("noise.cell_m") && page.contains("noise[trial=0].sill") && page.contains("other"));
 }

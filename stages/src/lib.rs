@@ -1,9 +1,17 @@
 //! The registry of the stages of rockface, room by room.
 
+use std::sync::LazyLock;
+
 use rockface_core::{Registry, Room};
 
-/// Every stage that ships with rockface, and what draws their outputs.
-pub fn registry() -> Registry {
+static SHIPPED: LazyLock<Registry> = LazyLock::new(shipped);
+
+/// Every stage that ships with rockface, and what draws their outputs. A program of your own clones it and adds a [`Room`].
+pub fn registry() -> &'static Registry {
+    &SHIPPED
+}
+
+fn shipped() -> Registry {
     let room = |name, doc, stages| Room { name, doc, stages };
     Registry::default()
         .with(room("face", "Meshes and clouds of a rock face: import, repair, synthesis.", rockface_rock::face::STAGES))

@@ -8,12 +8,14 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use exr::prelude::{Encoding, ReadChannels, ReadLayers, WritableImage};
 
-use rockface_core::artefact::{Artefact, Band, Cloud, Frame, Grid, Inventory, Kind, Mesh, Meshes, Noun, Part, Raster, Table};
-use rockface_rock::face::{cloud, mesh_file};
+use rockface_core::artefact::{
+    Artefact, Band, Cloud, Frame, Grid, Inventory, Kind, Mesh, Meshes, Noun, Part, Raster, Table,
+};
 use rockface_core::format::table_file;
 use rockface_core::numerics::random;
-use rockface_rock::rockfall::inventory_foreign;
 use rockface_core::testing::{height_mesh, image_at, small_sensor};
+use rockface_rock::face::{cloud, mesh_file};
+use rockface_rock::rockfall::inventory_foreign;
 
 /// Reads a file; what it holds does not matter.
 type Reader = fn(&[u8]) -> bool;
@@ -219,7 +221,16 @@ fn depth() -> rockface_core::artefact::Depth {
     let image = image_at("left", [0.0; 3], [0.0; 3]);
     let (sensor, z) = (small_sensor(), (0..12u8).map(f32::from).collect());
     let channels = [("disparity".to_owned(), vec![1.5; 12])].into();
-    rockface_core::artefact::Depth { frame: Frame::Wall, sensor, image, downscale: 15, width: 4, height: 3, z, channels }
+    rockface_core::artefact::Depth {
+        frame: Frame::Wall,
+        sensor,
+        image,
+        downscale: 15,
+        width: 4,
+        height: 3,
+        z,
+        channels,
+    }
 }
 
 /// A depth map as another program may pack it.
@@ -267,7 +278,7 @@ fn damaged_pictures_and_sketches() {
     check("PNG", &png, |bytes| rockface_core::format::png::read(bytes).is_ok());
     let figure = br#"<svg xmlns="http://www.w3.org/2000/svg"><g><rect width="3"/></g></svg>"#;
     check("SVG", figure, |bytes| decoded(Kind::Figure, bytes));
-    let sketches = Artefact::from(mesh()).sketches().into_iter();
+    let sketches = rockface_stages::registry().look().sketches(&Artefact::from(mesh())).into_iter();
     let shown: Vec<_> = sketches.map(|sketch| rockface_core::artefact::Shown { port: "a".into(), sketch }).collect();
     let bytes = rockface_core::artefact::Shown::write_all(&shown).unwrap();
     check("sketches", &bytes, |bytes| rockface_core::artefact::Shown::read_all(bytes).is_ok());

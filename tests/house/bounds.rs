@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use rockface::plan::Plan;
+use rockface_engine::plan::Plan;
 
 use crate::lab::Bench;
 

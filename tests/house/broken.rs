@@ -1,6 +1,6 @@
 //! Broken pipelines: each fault is told with place, value and way out, all in one go, and nothing panics.
 
-use rockface::pipeline::{Overrides, Pipeline};
+use rockface_engine::pipeline::{Overrides, Pipeline};
 
 use crate::lab::Bench;
 
@@ -215,7 +215,8 @@ fn more_points_than_anyone_can_wait_for() {
 fn unknown_targets_are_told_of_even_when_others_are_asked_for() {
     let yaml = "rockface: 1\nsteps: {a: {stage: emit}}\ntargets: [b]\n";
     let pipeline = Pipeline::parse(yaml, "test.yaml", "test", ".".into(), &Overrides::default()).unwrap();
-    let said = rockface::plan::resolve(&pipeline, &["a".to_owned()], crate::lab::STAGES).err().unwrap().to_string();
+    let said =
+        rockface_engine::plan::resolve(&pipeline, &["a".to_owned()], crate::lab::STAGES).err().unwrap().to_string();
     assert!(said.contains("test.yaml:3:11") && said.contains("unknown target step `b`"), "{said}");
 }
 

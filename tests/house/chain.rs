@@ -1,6 +1,6 @@
 //! The chain from face to difference against what is known of it: the truth, and the geometry's own arithmetic.
 
-use rockface_stages::artefact::Raster;
+use rockface_core::artefact::Raster;
 
 use crate::lab::{Bench, Ran};
 
@@ -97,7 +97,7 @@ fn a_change_of_the_matching_noise_leaves_ideal_depths_alone() {
 fn same_bytes_at_one_and_two_jobs_and_others_from_another_seed() {
     let run = |jobs, set: &[&str]| {
         let bench = Bench::rocks();
-        let options = rockface::run::Options { jobs, ..Default::default() };
+        let options = rockface_engine::run::Options { jobs, ..Default::default() };
         bench.run_with(PLANE, set, &options).digests()
     };
     let one = run(1, &[]);

@@ -154,8 +154,8 @@ fn the_catalogue_and_its_pages() {
     let house = House::new(SMALL);
     let (code, out, _) = house.rockface(&["stages"]);
     assert_eq!(code, Some(0));
-    assert!(rockface_stages::all().iter().all(|stage| out.contains(stage.name())));
-    for stage in rockface_stages::all() {
+    assert!(rockface_stages::registry().stages().iter().all(|stage| out.contains(stage.name())));
+    for stage in rockface_stages::registry().stages() {
         let (code, out, _) = house.rockface(&["stages", stage.name()]);
         assert_eq!(code, Some(0));
         for heading in

@@ -2,9 +2,9 @@
 
 use std::time::{Duration, Instant};
 
-use rockface::run::Options;
-use rockface::watch::Event;
-use rockface_stages::artefact::{File, Table};
+use rockface_core::artefact::{File, Table};
+use rockface_engine::run::Options;
+use rockface_engine::watch::Event;
 
 use crate::cli::House;
 use crate::lab::{Bench, Ran};

@@ -1,6 +1,6 @@
 //! Detection against exact ground truth: nothing is missed without noise, and thresholds cost volume with it.
 
-use rockface_stages::artefact::{Inventory, Table};
+use rockface_core::artefact::{Inventory, Table};
 
 use crate::lab::{Bench, Ran};
 

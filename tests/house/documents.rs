@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use rockface::pipeline::{Overrides, Pipeline};
-use rockface::plan::{Plan, plan, resolve};
-use rockface::watch::Event;
 use rockface_cache::Store;
+use rockface_engine::pipeline::{Overrides, Pipeline};
+use rockface_engine::plan::{Plan, plan, resolve};
+use rockface_engine::watch::Event;
 
 use crate::cli::House;
 use crate::lab::Bench;
@@ -19,12 +19,12 @@ fn check(text: &str, name: &str, folder: PathBuf, files: bool) -> Option<Plan> {
     let pipeline =
         Pipeline::parse(text, name, "example", folder, &Overrides::default()).unwrap_or_else(|f| panic!("{f}"));
     if !files {
-        resolve(&pipeline, &[], rockface_stages::all()).unwrap_or_else(|faults| panic!("{faults}"));
+        resolve(&pipeline, &[], rockface_stages::registry().stages()).unwrap_or_else(|faults| panic!("{faults}"));
         return None;
     }
     let place = tempfile::tempdir().unwrap();
     let store = Store::open(&place.path().join("store")).unwrap();
-    Some(plan(&pipeline, &[], rockface_stages::all(), &store).unwrap_or_else(|faults| panic!("{faults}")))
+    Some(plan(&pipeline, &[], rockface_stages::registry().stages(), &store).unwrap_or_else(|faults| panic!("{faults}")))
 }
 
 fn names_files(text: &str) -> bool {
@@ -54,7 +54,7 @@ fn the_pipelines_plan() {
 
 #[test]
 fn the_examples_of_the_pages_plan() {
-    for stage in rockface_stages::all() {
+    for stage in rockface_stages::registry().stages() {
         let example = stage.page().example;
         assert!(example.contains(stage.name()), "the example of `{}` does not use it", stage.name());
         check(example, stage.name(), root().to_owned(), !names_files(example));
@@ -65,7 +65,7 @@ fn the_examples_of_the_pages_plan() {
 fn the_examples_that_need_no_file_run() {
     let bench = Bench::rocks();
     let (mut ran, mut failures) = (0, Vec::new());
-    for stage in rockface_stages::all().iter().filter(|stage| !names_files(stage.page().example)) {
+    for stage in rockface_stages::registry().stages().iter().filter(|stage| !names_files(stage.page().example)) {
         let result = bench.run(stage.page().example, &[]);
         ran += 1;
         failures.extend(result.events.iter().filter_map(|event| match event {
@@ -122,7 +122,7 @@ fn the_commands_of_the_readme_about_its_sweep_work() {
 
 #[test]
 fn every_page_is_complete() {
-    for stage in rockface_stages::all() {
+    for stage in rockface_stages::registry().stages() {
         let (name, page) = (stage.name(), stage.page());
         for (heading, text) in
             [("what", page.what), ("method", page.method), ("frames", page.frames), ("fails", page.fails)]

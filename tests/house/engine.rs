@@ -2,8 +2,8 @@
 
 #![expect(clippy::float_cmp, reason = "these numbers are small sums, exact or the same bits")]
 
-use rockface::run::Options;
-use rockface::watch::Event;
+use rockface_engine::run::Options;
+use rockface_engine::watch::Event;
 
 use crate::lab::{Bench, Ran};
 

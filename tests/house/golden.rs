@@ -45,7 +45,8 @@ fn changed_bytes_need_a_new_version() {
     }
     lines.sort();
     let text = lines.join("\n") + "\n";
-    let missing: Vec<&str> = rockface_stages::all()
+    let missing: Vec<&str> = rockface_stages::registry()
+        .stages()
         .iter()
         .map(|stage| stage.name())
         .filter(|name| !stages.contains(name) && !NEED_FILES.contains(name))

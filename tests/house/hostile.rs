@@ -136,7 +136,7 @@ fn looking_at_a_result_runs_no_program_of_its_record() {
         "inputs": {}, "outputs": {"map": {"kind": "depth", "many": false, "optional": false, "extension": "exr"}},
         "params": {}, "files": {}, "environment": {}, "inherit": [],
     });
-    let version = rockface_stages::find("command").unwrap().version();
+    let version = rockface_stages::registry().find("command").unwrap().version();
     let recipe = Recipe { stage: "command".into(), version, params: params.into(), inputs: [].into(), seed: None };
     forge(&store, &recipe.text(), &outcome(&json!({"map": output(&digest, "depth", 12)})));
     let (code, _, err) = house.rockface(&["inspect", &digest.short(), "--pixel", "0,0"]);

@@ -4,15 +4,15 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use rayon::prelude::*;
-use rockface::diagnostic::Diagnostics;
-use rockface::pipeline::{Overrides, Pipeline};
-use rockface::plan::{Plan, plan};
-use rockface::run::{Options, Summary, execute};
-use rockface::watch::{Event, Events, Reason};
 use rockface_cache::Store;
-use rockface_stages::artefact::{Kind, Noun, Table};
-use rockface_stages::params::{FileRef, FilesRef};
-use rockface_stages::{AnyStage, Context, Inputs, Outputs, Page, Port, Row, Stage, StageError, params};
+use rockface_core::artefact::{Kind, Noun, Table};
+use rockface_core::params::{FileRef, FilesRef};
+use rockface_core::{AnyStage, Context, Inputs, Outputs, Page, Port, Row, Stage, StageError, params};
+use rockface_engine::diagnostic::Diagnostics;
+use rockface_engine::pipeline::{Overrides, Pipeline};
+use rockface_engine::plan::{Plan, plan};
+use rockface_engine::run::{Options, Summary, execute};
+use rockface_engine::watch::{Event, Events, Reason};
 
 const PAGE: Page = Page { what: "A test.", method: "None.", frames: "None.", fails: "Never.", example: "" };
 const TABLE: &[Kind] = &[Kind::Table];
@@ -342,7 +342,7 @@ impl Bench {
 
     /// A bench for the real stages.
     pub fn rocks() -> Self {
-        Self { stages: rockface_stages::all(), ..Self::new() }
+        Self { stages: rockface_stages::registry().stages(), ..Self::new() }
     }
 
     /// Runs a pipeline text of laboratory stages with some overrides.

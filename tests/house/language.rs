@@ -2,8 +2,8 @@
 
 #![expect(clippy::float_cmp, reason = "these numbers are small sums, exact")]
 
-use rockface::pipeline::{Overrides, Pipeline};
-use rockface::watch::Event;
+use rockface_engine::pipeline::{Overrides, Pipeline};
+use rockface_engine::watch::Event;
 
 use crate::lab::{Bench, Ran};
 

@@ -23,6 +23,7 @@ mod reading;
 mod references;
 mod report;
 mod rework;
+mod rooms;
 mod shortcut;
 mod survey;
 mod tidy;

@@ -286,7 +286,7 @@ fn graph_draws_for_a_target_what_it_needs() {
 fn stages_are_told_to_programs() {
     let house = House::new(SMALL);
     let all = json(&house, &["stages", "--json"]);
-    assert_eq!(all.as_array().unwrap().len(), rockface_stages::all().len());
+    assert_eq!(all.as_array().unwrap().len(), rockface_stages::registry().stages().len());
     let one = json(&house, &["stages", "rasterise-dem", "--json"]);
     assert!(all.as_array().unwrap().contains(&one));
     assert_eq!(one["outputs"][0]["kinds"], serde_json::json!(["raster"]));

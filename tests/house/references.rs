@@ -1,6 +1,6 @@
 //! Reference rasters that cannot be used: each is refused from the command line with its name, its fault and a way out.
 
-use rockface_stages::artefact::{Frame, Grid, Noun, Raster};
+use rockface_core::artefact::{Frame, Grid, Noun, Raster};
 
 use crate::cli::House;
 

@@ -4,8 +4,8 @@
 
 use std::time::Duration;
 
-use rockface::run::Options;
 use rockface_cache::Record;
+use rockface_engine::run::Options;
 
 use crate::lab::Bench;
 

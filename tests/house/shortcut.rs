@@ -8,13 +8,13 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, SystemTime};
 
-use rockface::diagnostic::Diagnostics;
-use rockface::pipeline::{Overrides, Pipeline};
-use rockface::plan::plan;
-use rockface::run::shortcut::{Told, recall, remember};
-use rockface::run::{Finished, LayOut, Options, RunFolder, Summary, execute_and_tell};
-use rockface::watch::Events;
 use rockface_cache::{Digest, Store};
+use rockface_engine::diagnostic::Diagnostics;
+use rockface_engine::pipeline::{Overrides, Pipeline};
+use rockface_engine::plan::plan;
+use rockface_engine::run::shortcut::{Told, recall, remember};
+use rockface_engine::run::{Finished, LayOut, Options, RunFolder, Summary, execute_and_tell};
+use rockface_engine::watch::Events;
 
 use crate::cli::House;
 use crate::lab::STAGES;
@@ -124,8 +124,18 @@ impl Site {
         let pipeline = Pipeline::load(&path, &self.overrides, None)?;
         let mut plan = plan(&pipeline, &[], STAGES, &store)?;
         let (runs, overrides, lay_out) = (&self.path("runs"), &self.overrides, LayOut::default());
-        let about =
-            RunFolder { runs, pipeline_path: &path, pipeline: &pipeline, overrides, targets: &[], jobs: 1, lay_out };
+        let look = rockface_stages::registry().look();
+        let about = RunFolder {
+            runs,
+            pipeline_path: &path,
+            pipeline: &pipeline,
+            overrides,
+            targets: &[],
+            jobs: 1,
+            lay_out,
+            look,
+            reporter: &rockface::report::Pages(look),
+        };
         let (options, stop) = (Options { jobs: 1, ..Options::default() }, Arc::new(AtomicBool::new(false)));
         let done = execute_and_tell(&mut plan, &store, &options, &stop, &mut Events::default(), &about);
         let (summary, finished) = done.unwrap();

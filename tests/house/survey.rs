@@ -1,9 +1,9 @@
 //! Surveys that cannot be: every fault is told by the step that meets it, with the values and a way out; and one block that is
 //! the same for any number of jobs and however little memory there is.
 
-use rockface::run::Options;
-use rockface::watch::Event;
-use rockface_stages::artefact::Raster;
+use rockface_core::artefact::Raster;
+use rockface_engine::run::Options;
+use rockface_engine::watch::Event;
 use serde_json::{Value, json};
 
 use crate::lab::Bench;

@@ -10,6 +10,7 @@ use std::path::Path;
 
 use clap::Args;
 use rockface_cache::{Digest, Record, Store};
+use rockface_core::Registry;
 use rockface_core::artefact::sketch::Shown;
 use rockface_core::artefact::{Artefact, Kind};
 use serde_json::{Map, Value, json};
@@ -55,10 +56,10 @@ impl From<Facts> for Found {
 
 impl InspectArgs {
     /// Prints what it is.
-    pub fn run(self) -> Result<(), CliError> {
+    pub fn run(self, registry: &Registry) -> Result<(), CliError> {
         let path = run::file_meant(Path::new(&self.what));
         if let Some(pixel) = self.pixel {
-            return pixel::follow(&self.what, pixel, &self.places, self.json);
+            return pixel::follow(registry, &self.what, pixel, &self.places, self.json);
         }
         let found = if path.is_file() { of_file(&path)? } else { self.of_digest()? };
         if self.json {
@@ -68,7 +69,7 @@ impl InspectArgs {
         }
         say_facts(&found.facts);
         if let Some(artefact) = found.artefact.filter(|_| self.picture.is_wanted()) {
-            picture::show(&artefact.sketches())?;
+            picture::show(&registry.look().sketches(&artefact))?;
         }
         Ok(())
     }

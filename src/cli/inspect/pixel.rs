@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use rockface_cache::{Digest, RecipeInput, Record, Store};
+use rockface_core::Registry;
 use rockface_core::artefact::{Artefact, Depth, Kind, Mesh, Noun};
 use serde_json::{Value, json};
 
@@ -28,7 +29,13 @@ struct Stop {
 }
 
 /// Follows a pixel of the depth map `what` (a file, or the start of the digest of one on record).
-pub fn follow(what: &str, pixel: [usize; 2], places: &Places, as_json: bool) -> Result<(), CliError> {
+pub fn follow(
+    registry: &Registry,
+    what: &str,
+    pixel: [usize; 2],
+    places: &Places,
+    as_json: bool,
+) -> Result<(), CliError> {
     let path = Path::new(what);
     let (store, start) = if path.is_file() {
         let bytes = std::fs::read(path).map_err(|error| CliError::Usage(format!("cannot read `{what}`: {error}")))?;
@@ -38,7 +45,7 @@ pub fn follow(what: &str, pixel: [usize; 2], places: &Places, as_json: bool) -> 
     } else {
         (Some(places.open_store()?), Start::Prefix)
     };
-    let chain = store.as_ref().map(Chain::new);
+    let chain = store.as_ref().map(|store| Chain::new(registry, store));
     let stops = match (start, &chain) {
         (Start::File(digest, depth), chain) => {
             match chain.as_ref().and_then(|chain| chain.maker(&digest).map(|m| (chain, m))) {
@@ -104,7 +111,7 @@ fn numbers(depth: &Depth, [column, row]: [usize; 2]) -> Facts {
     let at = row * depth.width + column;
     let number = |value: f32| if value.is_nan() { "no value".into() } else { json!(f64::from(value)) };
     let mut facts: Facts = vec![("image".into(), depth.image.name.clone().into())];
-    let found = depth.pixel(column, row);
+    let found = rockface_imaging::camera::depth_pixel::pixel(depth, column, row);
     if let Some(found) = &found {
         facts.push(("position in the full image (px)".into(), json!(found.full_px)));
     }
@@ -127,18 +134,19 @@ fn labelled(name: &str) -> String {
 
 /// The records of a store, as far as a pixel is concerned.
 struct Chain<'a> {
+    registry: &'a Registry,
     store: &'a Store,
     records: Vec<(Digest, Record)>,
     kinds: BTreeMap<Digest, Kind>,
 }
 
 impl<'a> Chain<'a> {
-    fn new(store: &'a Store) -> Self {
+    fn new(registry: &'a Registry, store: &'a Store) -> Self {
         let records: Vec<(Digest, Record)> =
             store.keys().into_iter().filter_map(|key| Some((key, store.record(&key)?))).collect();
         let outputs = records.iter().flat_map(|(_, record)| record.outputs.values());
         let kinds = outputs.filter_map(|output| Some((output.digest, output.kind.parse().ok()?))).collect();
-        Self { store, records, kinds }
+        Self { registry, store, records, kinds }
     }
 
     /// The record and port that made an output.
@@ -185,7 +193,7 @@ impl<'a> Chain<'a> {
             CliError::Usage(format!("`{}` cannot be run again: {}{hint}", record.recipe.stage, error.message))
         };
         let kind_of = |digest: &Digest| self.kinds.get(digest).copied();
-        let made = again::with_channels(&record.recipe, self.store, &kind_of).map_err(failed)?;
+        let made = again::with_channels(&record.recipe, self.registry, self.store, &kind_of).map_err(failed)?;
         let Some(Artefact::Depth(depth)) = made.get(port) else {
             return Err(CliError::Usage(format!("`{port}` of `{}` is no depth map", record.recipe.stage)));
         };

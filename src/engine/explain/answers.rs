@@ -123,7 +123,7 @@ impl<'a> Answers<'a> {
             return (Answer::Runs(Why::New), None, None);
         };
         let fits = |outcome: &Outcome| self.plan.fits(instance, outcome);
-        let (answer, outcome) = match crate::run::hit(store, &key, self.plan.step(instance).keep, fits) {
+        let (answer, outcome) = match crate::plan::hit(store, &key, self.plan.step(instance).keep, fits) {
             Some(outcome) => (Answer::Hit, Some(outcome)),
             None if store.hit_outcome(&key).is_some() => (Answer::Runs(Why::Unkept), None),
             None if store.has_record(&key) => (Answer::Runs(Why::Gone), None),

@@ -2,6 +2,7 @@
 
 mod archive;
 mod compare;
+mod contents;
 mod manifest;
 mod provenance;
 mod sources;
@@ -11,6 +12,7 @@ use std::path::{Path, PathBuf};
 
 pub use archive::{Archived, archive};
 pub use compare::{Comparison, Row, compare};
+pub use contents::{REPORT_FILE, RunContents};
 pub use manifest::{FORMAT, FileUsed, IncludedText, Manifest, Metric, Overridden, PipelineText, StepDone};
 pub use provenance::crate_metadata;
 pub use torn::digests_told;

@@ -125,7 +125,7 @@ impl Crate<'_> {
             ("report.html", "text/html", "the run on one page, for people"),
         ] {
             // Manifest and log are always written, the report where its template can be filled in.
-            if name != rockface::report::FILE || folder.join(name).is_file() {
+            if name != super::REPORT_FILE || folder.join(name).is_file() {
                 self.add(name, json!({"@type": "File", "name": name, "description": what, "encodingFormat": format}));
                 self.parts.insert(name.to_owned());
             }

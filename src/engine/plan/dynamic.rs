@@ -156,9 +156,8 @@ impl Plan {
         for instance in upstream {
             // Producers have lower numbers, so their outcomes are there.
             let recipe = self.recipe(instance, |producer, port| outcomes[&producer].outputs[port].digest);
-            let outcome = crate::run::hit(store, &recipe.key(), self.step(instance).keep, |outcome| {
-                self.fits(instance, outcome)
-            })?;
+            let outcome =
+                super::hit(store, &recipe.key(), self.step(instance).keep, |outcome| self.fits(instance, outcome))?;
             outcomes.insert(instance, outcome);
         }
         outcomes.remove(&wanted)

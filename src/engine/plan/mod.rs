@@ -5,6 +5,7 @@ mod dynamic;
 mod faults;
 mod feeds;
 mod graph;
+mod hit;
 mod instances;
 mod later;
 mod log_levels;
@@ -18,6 +19,7 @@ mod values;
 
 pub use dynamic::{Items, items_of};
 pub use graph::{Dynamic, Feed, Graph, GraphStep, Later, Source};
+pub use hit::hit;
 pub use instances::{Given, Instance, Plan, has_ports, makes};
 pub use parameters::{InputFile, StepParams};
 pub use points::counts;
@@ -32,11 +34,11 @@ use crate::diagnostic::Diagnostics;
 use crate::pipeline::Pipeline;
 
 /// The stages a pipeline may use.
-pub type Registry = [&'static dyn AnyStage];
+pub type Stages = [&'static dyn AnyStage];
 
 /// Resolves and expands a pipeline, as far as the items of its axes are on record; input files are hashed through the
 /// store, which remembers what did not change.
-pub fn plan(pipeline: &Pipeline, targets: &[String], stages: &Registry, store: &Store) -> Result<Plan, Diagnostics> {
+pub fn plan(pipeline: &Pipeline, targets: &[String], stages: &Stages, store: &Store) -> Result<Plan, Diagnostics> {
     expand(resolve(pipeline, targets, stages)?, pipeline, store)
 }
 

@@ -13,12 +13,12 @@ use serde_json::Value;
 use super::graph::{Dynamic, Graph, GraphStep};
 use super::points::too_many;
 use super::reach::Names;
-use super::{Registry, parameters, values};
+use super::{Stages, parameters, values};
 use crate::diagnostic::{Diagnostic, Diagnostics, SHOWN, listed};
 use crate::pipeline::{Axis, Document, Key, Label, Node, Pipeline, Reference, Step, Word, escape_hint, mentioned};
 
 /// Resolves a pipeline; `targets` on the command line take the place of the document's.
-pub fn resolve(pipeline: &Pipeline, targets: &[String], stages: &Registry) -> Result<Graph, Diagnostics> {
+pub fn resolve(pipeline: &Pipeline, targets: &[String], stages: &Stages) -> Result<Graph, Diagnostics> {
     let mut resolver = Resolver::new(pipeline, stages);
     resolver.check_names();
     resolver.check_zips();
@@ -46,7 +46,7 @@ pub struct Resolver<'d> {
     pub place: Vec<usize>,
     /// What is wrong.
     pub faults: Vec<Diagnostic>,
-    registry: &'d Registry,
+    available: &'d Stages,
     /// The folder of each file of the pipeline, and then that of the pipeline itself.
     folders: Vec<Arc<Path>>,
     /// By number in the graph: the axes of the step.
@@ -60,10 +60,10 @@ pub struct Resolver<'d> {
 }
 
 impl<'d> Resolver<'d> {
-    fn new(pipeline: &'d Pipeline, registry: &'d Registry) -> Self {
+    fn new(pipeline: &'d Pipeline, available: &'d Stages) -> Self {
         let document = &pipeline.document;
         let known: BTreeMap<&str, &'static dyn AnyStage> =
-            registry.iter().map(|stage| (stage.name(), *stage)).collect();
+            available.iter().map(|stage| (stage.name(), *stage)).collect();
         let stages: Vec<_> = document.steps.iter().map(|step| known.get(step.stage.text.as_str()).copied()).collect();
         let mut resolver = Self {
             names: Names::new(document),
@@ -71,7 +71,7 @@ impl<'d> Resolver<'d> {
             stages,
             place: vec![0; document.steps.len()],
             faults: pipeline.faults.clone(),
-            registry,
+            available,
             folders: pipeline
                 .folders
                 .iter()
@@ -124,7 +124,7 @@ impl<'d> Resolver<'d> {
     fn check_names(&mut self) {
         for (step, stage) in self.document().steps.iter().zip(&self.stages) {
             if stage.is_none() {
-                let known = self.registry.iter().map(|stage| stage.name());
+                let known = self.available.iter().map(|stage| stage.name());
                 let fault = Diagnostic::at(step.stage.span, format!("unknown stage `{}`", step.stage.text));
                 self.faults.push(self.suggest(fault, &step.stage.text, || known));
             }

@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 
 use rockface_cache::{Digest, Recipe, RecipeInput, SeedMaterial, Store};
 use rockface_core::artefact::{Artefact, Kind};
-use rockface_core::{Context, Inputs, Point, StageError};
+use rockface_core::{Context, Inputs, Point, Registry, StageError};
 use serde_json::Value;
 
 use super::host::StepHost;
@@ -21,10 +21,12 @@ const SWITCH: &str = "channels";
 /// The stage is another version now, reads files or starts programs, or an input was not kept.
 pub fn with_channels(
     recipe: &Recipe,
+    stages: &Registry,
     store: &Store,
     kind_of: &dyn Fn(&Digest) -> Option<Kind>,
 ) -> Result<BTreeMap<&'static str, Artefact>, StageError> {
-    let stage = rockface_stages::find(&recipe.stage)
+    let stage = stages
+        .find(&recipe.stage)
         .ok_or_else(|| StageError::new(format!("this program has no stage `{}`", recipe.stage)))?;
     if stage.starts_programs() {
         // The recipe may be anybody's who could write to the store; to look at a result must not run what it says.

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::SystemTime;
 
 use rockface_cache::{Digest, SafeName, SafePath, Store};
-use rockface_core::Entry;
+use rockface_core::{Entry, Look};
 use serde_json::json;
 
 use super::lay_out::{Laid, LayOut, readable_name};
@@ -15,10 +15,9 @@ use super::log::{LOG_FILE, Telling};
 use super::made::{self, Made};
 use super::unfinished::{self, Unfinished};
 use super::{RunError, Summary, account};
-use crate::history::{Manifest, crate_metadata};
+use crate::history::{Manifest, REPORT_FILE, RunContents, crate_metadata};
 use crate::pipeline::{Overrides, Pipeline};
 use crate::plan::Plan;
-use rockface::report;
 use crate::watch::step_log;
 
 /// The manifest, written last.
@@ -45,6 +44,10 @@ pub struct RunFolder<'a> {
     pub jobs: usize,
     /// Which outputs get a name in the folder.
     pub lay_out: LayOut,
+    /// What draws outputs that have no sketches yet.
+    pub look: &'static dyn Look,
+    /// What writes the page of the run.
+    pub reporter: &'a dyn Reporter,
 }
 
 impl RunFolder<'_> {
@@ -54,6 +57,17 @@ impl RunFolder<'_> {
         unfinished::sweep(self.runs);
         tempfile::tempfile_in(self.runs).map(drop).map_err(failed(self.runs))
     }
+}
+
+/// Writes the page of a run when it ends.
+pub trait Reporter: Sync + std::fmt::Debug {
+    /// Writes the page to a file, whole or not at all. A page that cannot be filled in is logged and left out: what was computed
+    /// is worth more.
+    ///
+    /// # Errors
+    ///
+    /// Those of the disk.
+    fn report(&self, run: &RunContents, to: &Path) -> std::io::Result<()>;
 }
 
 /// A run that was told of.
@@ -205,16 +219,10 @@ impl Writer<'_> {
 
     /// Writes the page of the run.
     fn report(&self, folder: &Path, manifest: &Manifest, logs: &[Vec<Entry>]) -> Result<(), RunError> {
-        let path = folder.join(report::FILE);
+        let path = folder.join(REPORT_FILE);
         let (store, graph) = (Some(self.store), Some(&self.plan.graph));
-        let source = report::Source { folder, manifest, store, graph, logs: Some(logs) };
-        match report::write(&source, &path) {
-            // What was computed is worth more than its page.
-            Err(report::ReportError::Template(error)) => tracing::warn!("the run has no report: {error:#}"),
-            Err(report::ReportError::Io { source, .. }) => return Err(failed(&path)(source)),
-            Ok(()) => {}
-        }
-        Ok(())
+        let contents = RunContents { folder, manifest, store, graph, logs: Some(logs) };
+        self.about.reporter.report(&contents, &path).map_err(failed(&path))
     }
 
     fn make_folder(&self, key: &Digest) -> Result<Unfinished, RunError> {
@@ -281,7 +289,18 @@ impl Writer<'_> {
         let Self { plan, summary, store, .. } = self;
         let pipeline_text = self.about.pipeline.text();
         let paths = &laid.paths;
-        Telling { plan, summary, store, entries: logs, paths, about, pipeline_text, stop: self.stop }.write(folder)
+        Telling {
+            plan,
+            summary,
+            store,
+            look: self.about.look,
+            entries: logs,
+            paths,
+            about,
+            pipeline_text,
+            stop: self.stop,
+        }
+        .write(folder)
     }
 }
 

@@ -7,6 +7,7 @@ use std::sync::atomic::AtomicBool;
 
 use rockface_cache::{Cost, Outcome, Outputs, Record, Store};
 use rockface_core::Entry;
+use rockface_core::Look;
 use rockface_core::artefact::{Artefact, Kind};
 
 use super::{InstanceResult, RunError, Summary};
@@ -28,6 +29,8 @@ pub struct Telling<'a> {
     pub summary: &'a Summary,
     /// Where records and blobs are.
     pub store: &'a Store,
+    /// What draws outputs that have no sketches yet.
+    pub look: &'a dyn Look,
     /// What each instance said.
     pub entries: &'a [Vec<Entry>],
     /// The files of each instance by port, relative to the run folder.
@@ -127,7 +130,7 @@ impl Telling<'_> {
                 "it ran without being sketched, and its outputs were not kept; `log: full` sketches the next that runs";
             return Ok(Err(why.to_owned()));
         }
-        match sketch_stored(outcome, self.store)? {
+        match sketch_stored(outcome, self.store, self.look)? {
             Err(why) => Ok(Err(why)),
             Ok(bytes) => {
                 let digest = self.store.put(&bytes)?;
@@ -143,7 +146,7 @@ impl Telling<'_> {
 }
 
 /// Sketches of outputs that are in the store.
-fn sketch_stored(outcome: &Outcome, store: &Store) -> Result<Result<Vec<u8>, String>, RunError> {
+fn sketch_stored(outcome: &Outcome, store: &Store, look: &dyn Look) -> Result<Result<Vec<u8>, String>, RunError> {
     let mut shown = Vec::new();
     for (port, output) in &outcome.outputs {
         let Ok(kind) = output.kind.parse::<Kind>() else { continue };
@@ -151,7 +154,7 @@ fn sketch_stored(outcome: &Outcome, store: &Store) -> Result<Result<Vec<u8>, Str
             Ok(value) => value,
             Err(error) => return Ok(Err(format!("output `{port}` cannot be read: {error}"))),
         };
-        let sketches = value.sketches().into_iter();
+        let sketches = look.sketches(&value).into_iter();
         shown.extend(sketches.map(|sketch| Shown { port: port.to_string(), sketch }));
     }
     Ok(Shown::write_all(&shown).map_err(|error| error.to_string()))

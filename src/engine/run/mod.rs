@@ -23,8 +23,9 @@ mod unfinished;
 mod work;
 
 use rockface_cache::{Digest, Outcome, Recipe, Store, StoreError};
+use rockface_core::{Look, Registry};
 
-pub use folder::{Finished, RunFolder, finish};
+pub use folder::{Finished, Reporter, RunFolder, finish};
 pub use lay_out::LayOut;
 pub use schedule::run as execute;
 pub use tell::execute_and_tell;
@@ -38,6 +39,8 @@ pub struct Options {
     pub keep_going: bool,
     /// Memory for values handed from step to step, bytes; beyond it they are written to the store.
     pub memory_bytes: usize,
+    /// What draws outputs for the log.
+    pub look: &'static dyn Look,
     /// End the process if a stage does not notice a stop in time; for programs, not for tests.
     pub exit_when_stuck: bool,
 }
@@ -45,7 +48,13 @@ pub struct Options {
 impl Default for Options {
     fn default() -> Self {
         let jobs = std::thread::available_parallelism().map_or(1, usize::from);
-        Self { jobs, keep_going: false, memory_bytes: half_of_memory(), exit_when_stuck: false }
+        Self {
+            jobs,
+            keep_going: false,
+            memory_bytes: half_of_memory(),
+            look: Registry::default().look(),
+            exit_when_stuck: false,
+        }
     }
 }
 
@@ -176,10 +185,4 @@ impl Summary {
     pub fn cached(&self) -> usize {
         self.instances.iter().filter(|instance| !instance.executed && instance.outcome.is_some()).count()
     }
-}
-
-/// What is recorded under a key, if every blob it promises is there, all outputs are where they are to be kept, and it
-/// `fits` the step: a store may have been written to by anybody, and a record that names other ports is none.
-pub fn hit(store: &Store, key: &Digest, keep: bool, fits: impl FnOnce(&Outcome) -> bool) -> Option<Outcome> {
-    store.hit_outcome(key).filter(|outcome| (!keep || outcome.is_kept()) && fits(outcome))
 }

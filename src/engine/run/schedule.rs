@@ -8,6 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use rockface_cache::{Digest, Outcome, Scratch, Store, StoreError};
+use rockface_core::Look;
 use rockface_core::artefact::Kind;
 
 use super::progress::Timing;
@@ -265,7 +266,7 @@ impl<'a> Scheduler<'a> {
 
     fn begin(&mut self, instance: usize, start: &Start) -> Result<(), RunError> {
         let levels = self.log_levels.get_or_insert_with(|| self.plan.log_levels());
-        let sketch = levels.get(instance) == Some(&LogLevel::Full);
+        let sketch = (levels.get(instance) == Some(&LogLevel::Full)).then_some(self.options.look);
         let peak = self.resident.begin(instance);
         let task = self.task(instance, sketch, peak);
         self.running += 1;
@@ -298,7 +299,7 @@ impl<'a> Scheduler<'a> {
         Err(error)
     }
 
-    fn task(&self, instance: usize, sketch: bool, peak_bytes: Arc<AtomicU64>) -> Task {
+    fn task(&self, instance: usize, sketch: Option<&'static dyn Look>, peak_bytes: Arc<AtomicU64>) -> Task {
         let own = &self.plan.instances[instance];
         let step = self.plan.step(instance);
         let state = &self.states[instance];

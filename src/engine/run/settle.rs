@@ -5,9 +5,10 @@ use std::sync::Arc;
 use rockface_cache::{Digest, Outcome, Recipe, Record};
 use rockface_core::artefact::Artefact;
 
+use super::RunError;
 use super::schedule::{Line, Scheduler, Turn};
 use super::state::{Status, same_outputs};
-use super::{RunError, hit};
+use crate::plan::hit;
 
 impl Scheduler<'_> {
     /// Does all that is to be done without a worker.

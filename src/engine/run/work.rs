@@ -10,7 +10,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use rayon::ThreadPool;
 use rockface_cache::{Cost, Digest, Outcome, OutputRecord, Outputs, Recipe, Record, SafeName, Store, StoreError};
 use rockface_core::artefact::{Artefact, Kind};
-use rockface_core::{AnyStage, Context, Entry, Inputs, Later, Point, Port, StageError};
+use rockface_core::{AnyStage, Context, Entry, Inputs, Later, Look, Point, Port, StageError};
 
 use super::host::StepHost;
 use super::program::Used;
@@ -68,8 +68,8 @@ pub struct Task {
     pub timeout: Option<Duration>,
     /// How often it is tried again after a failure.
     pub retries: u32,
-    /// Whether the log shows its outputs.
-    pub sketch: bool,
+    /// What draws its outputs, where the log is to show them.
+    pub sketch: Option<&'static dyn Look>,
     /// The greatest memory of the process that was seen since it began, bytes.
     pub peak_bytes: Arc<AtomicU64>,
 }
@@ -177,7 +177,7 @@ pub fn work(
 /// The outcome another process has recorded meanwhile, if it has the values this task is for.
 fn done_elsewhere(task: &Task, store: &Store) -> Option<Outcome> {
     let owed = task.outputs.iter().map(|(port, _)| *port);
-    let outcome = super::hit(store, &task.key, task.keep, |outcome| has_ports(outcome, task.ports, owed))?;
+    let outcome = crate::plan::hit(store, &task.key, task.keep, |outcome| has_ports(outcome, task.ports, owed))?;
     let values_there = outcome.outputs.values().all(|output| store.contains(&output.digest));
     (!task.remake || values_there).then_some(outcome)
 }
@@ -380,12 +380,12 @@ fn sketch(
     values: &BTreeMap<&'static str, Arc<Artefact>>,
     outcome: &Outcome,
 ) -> Result<(Option<Digest>, Option<String>), Failure> {
-    if !task.sketch {
+    let Some(look) = task.sketch else {
         let former = store.record(&task.key).filter(|former| former.outputs == outcome.outputs);
         return Ok((former.and_then(|former| former.sketches).filter(|blob| store.contains(blob)), None));
-    }
+    };
     let made = guarded(|| {
-        let bytes = pool.install(|| crate::watch::step_log::sketched(values));
+        let bytes = pool.install(|| crate::watch::step_log::sketched(values, look));
         bytes.map_err(|error| StageError::new(error.to_string()).into())
     });
     match made {

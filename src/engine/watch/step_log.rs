@@ -9,6 +9,8 @@ use std::sync::Arc;
 use rockface_cache::{Digest, Outcome, Store, StoreError};
 use rockface_core::artefact::{Artefact, CodecError};
 
+use rockface_core::Look;
+
 pub use rockface_core::Entry;
 pub use rockface_core::artefact::sketch;
 pub use rockface_core::artefact::{Shown, Sketch};
@@ -68,10 +70,10 @@ pub fn read(outcome: &Outcome, store: &Store) -> Result<Option<Vec<Shown>>, Step
 ///
 /// # Errors
 /// A number in a sketch that cannot be written.
-pub fn sketched(values: &BTreeMap<&'static str, Arc<Artefact>>) -> Result<Vec<u8>, CodecError> {
+pub fn sketched(values: &BTreeMap<&'static str, Arc<Artefact>>, look: &dyn Look) -> Result<Vec<u8>, CodecError> {
     let shown = |(port, value): (&&'static str, &Arc<Artefact>)| {
         let port = (*port).to_owned();
-        value.sketches().into_iter().map(move |sketch| Shown { port: port.clone(), sketch })
+        look.sketches(value).into_iter().map(move |sketch| Shown { port: port.clone(), sketch })
     };
     Shown::write_all(&values.iter().flat_map(shown).collect::<Vec<_>>())
 }

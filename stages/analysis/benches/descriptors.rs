@@ -5,12 +5,12 @@
 
 use std::time::Instant;
 
-use rockface_core::artefact::Grid;
 use rockface_analysis::noise::descriptors::{Settings, describe};
 use rockface_analysis::noise::detrend::Detrend;
 use rockface_analysis::noise::robust_variogram::Estimator;
-use rockface_core::numerics::random::Key;
 use rockface_analysis::noise::variogram_model::Shape;
+use rockface_core::artefact::Grid;
+use rockface_core::numerics::random::Key;
 
 fn main() {
     for [columns, rows] in [[630, 560], [800, 800], [3560, 2900]] {

@@ -8,6 +8,7 @@ mod any_number;
 pub mod artefact;
 pub mod format;
 mod inputs;
+pub mod limits;
 mod needs;
 pub mod numerics;
 pub mod params;

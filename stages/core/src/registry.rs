@@ -15,7 +15,7 @@ pub struct Room {
 }
 
 /// Draws artefacts for logs and reports.
-pub trait Look: Sync {
+pub trait Look: Sync + std::fmt::Debug {
     /// Small likenesses of an artefact; none of what cannot be seen.
     fn sketches(&self, artefact: &Artefact) -> Vec<Sketch>;
 
@@ -25,6 +25,7 @@ pub trait Look: Sync {
 }
 
 /// A [`Look`] that draws nothing.
+#[derive(Debug)]
 struct Blank;
 
 impl Look for Blank {
@@ -43,6 +44,14 @@ pub struct Registry {
     rooms: Vec<Room>,
     stages: Vec<&'static dyn AnyStage>,
     look: &'static dyn Look,
+}
+
+impl std::fmt::Debug for Registry {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let names =
+            self.rooms.iter().map(|room| (room.name, room.stages.iter().map(|stage| stage.name()).collect::<Vec<_>>()));
+        f.debug_map().entries(names).finish()
+    }
 }
 
 impl Default for Registry {

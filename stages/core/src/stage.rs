@@ -233,7 +233,7 @@ impl<'a> Context<'a> {
 
     /// Reads the whole of the one file a parameter names.
     pub fn read(&self, file: &FileRef) -> Result<Vec<u8>, StageError> {
-        let read = crate::format::limits::read_whole(&mut self.file(file)?.reader, &|| self.cancelled());
+        let read = crate::limits::read_whole(&mut self.file(file)?.reader, &|| self.cancelled());
         read.map_err(|e| StageError::new(format!("cannot read `{}`: {e}", file.0)))
     }
 

@@ -2,8 +2,8 @@
 
 use serde_json::Value;
 
-use rockface_core::artefact::{Band, Kind, Raster, Sample};
 use crate::grid;
+use rockface_core::artefact::{Band, Kind, Raster, Sample};
 use rockface_core::params::{Fault, ParamType, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
 

@@ -2,9 +2,9 @@
 
 use nalgebra::Vector3;
 
-use rockface_core::artefact::{Cloud, Raster};
 use crate::frame_change::FrameChange;
 use crate::shape::Shape;
+use rockface_core::artefact::{Cloud, Raster};
 
 /// The points of a shape at every so many places, moved to another frame.
 ///
@@ -98,8 +98,8 @@ fn label(raster: &Raster, [x, y, _]: [f64; 3]) -> u32 {
 #[allow(clippy::float_cmp)] // to the bit
 mod tests {
     use super::*;
-    use rockface_core::artefact::{Frame, Grid, Transform};
     use crate::frame_change::change;
+    use rockface_core::artefact::{Frame, Grid, Transform};
     use rockface_core::testing::height_mesh;
 
     #[test]

@@ -1,7 +1,7 @@
 //! `difference-dem`: comparison minus reference, cell by cell.
 
-use rockface_core::artefact::{Band, Kind, Raster};
 use crate::grid;
+use rockface_core::artefact::{Band, Kind, Raster};
 use rockface_core::numerics::marginal;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 

@@ -1,9 +1,9 @@
 //! `export-cloud`: the points of a surface, mesh, elevation raster or cloud for other programs, in any frame, as PLY and LAZ.
 
-use rockface_core::artefact::{Artefact, Kind, Raster, Transform};
 use crate::cloud_making::cloud_of;
 use crate::shape::Shape;
 use crate::{frame_change, raster_surface};
+use rockface_core::artefact::{Artefact, Kind, Raster, Transform};
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 

@@ -1,8 +1,8 @@
 //! Where a transform takes what is in a frame: forwards where it begins there, backwards where it ends there.
 
+use crate::shape::Moved;
 use rockface_core::StageError;
 use rockface_core::artefact::{Frame, Transform};
-use crate::shape::Moved;
 
 /// A move out of a frame.
 #[derive(Debug, Clone, Copy)]

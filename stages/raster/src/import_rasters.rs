@@ -2,9 +2,9 @@
 
 use std::io::Read;
 
+use crate::grid;
 use rockface_core::artefact::{Band, Frame, Kind, Noun, Raster};
 use rockface_core::format::geotiff::DAMAGED;
-use crate::grid;
 use rockface_core::numerics::marginal;
 use rockface_core::params::FilesRef;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, SourceFile, Stage, StageError, choice, params};

@@ -2,9 +2,9 @@
 
 use serde_json::Value;
 
-use rockface_core::artefact::{Frame, Grid, Kind, Raster, Transform};
 use crate::shape::{Moved, Shape};
 use crate::{frame_change, rasterise, rasterise_points, window};
+use rockface_core::artefact::{Frame, Grid, Kind, Raster, Transform};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Ports, Stage, StageError, choice, fail, params};
 
@@ -202,8 +202,11 @@ mod tests {
         let with = json!({"cell_m": 1.0, "method": "median", "minimum_points": 1, "coverage": true});
         assert_eq!(RasteriseDem::ports(&with).unwrap().outputs.len(), 2);
         assert_eq!(RasteriseDem::ports(&json!({})).unwrap().outputs.len(), 1);
-        let made =
-            rockface_core::testing::run_stage::<RasteriseDem>(&TestHost::default(), &with, &[("surface", face().into())]);
+        let made = rockface_core::testing::run_stage::<RasteriseDem>(
+            &TestHost::default(),
+            &with,
+            &[("surface", face().into())],
+        );
         let made = made.unwrap().into_inner();
         let Artefact::Raster(coverage) = &made["coverage"] else { panic!("no raster") };
         assert_eq!((coverage.quantity.as_str(), coverage.bands[0].values.iter().sum::<f32>()), ("count", 4.0));

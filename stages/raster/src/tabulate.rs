@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use serde_json::Value;
 
-use rockface_core::artefact::{Cell, Kind, Table};
 use crate::feature_rows::{axes, item_cell};
+use rockface_core::artefact::{Cell, Kind, Table};
 use rockface_core::params::Fault;
 use rockface_core::{Context, Inputs, Outputs, Page, Point, Port, Stage, StageError, params};
 

@@ -1,7 +1,7 @@
 //! `triangulate-surface`: turns an organised surface into a triangle mesh that other programs open.
 
-use rockface_core::artefact::{Artefact, Kind, Mesh, Surface, Transform};
 use crate::frame_change;
+use rockface_core::artefact::{Artefact, Kind, Mesh, Surface, Transform};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
 params! {

@@ -6,8 +6,8 @@ use std::convert::Infallible;
 use std::time::Instant;
 
 use rockface_core::artefact::{Frame, Mesh, Part};
-use rockface_rock::rockfall::block::hull::hull;
 use rockface_core::numerics::random::Key;
+use rockface_rock::rockfall::block::hull::hull;
 use rockface_rock::rockfall::removal::attempts::{Plan, run};
 use rockface_rock::rockfall::removal::cut::Least;
 use rockface_rock::rockfall::removal::evaluate::{Direction, Rules};

@@ -1,7 +1,7 @@
 //! `export-dataset`: cuts comparisons into labelled tiles for training, with split, balance, catalogue and card.
 
-use rockface_core::artefact::{Cell, Files, Kind, Table};
 use crate::dataset::split::PARTS;
+use rockface_core::artefact::{Cell, Files, Kind, Table};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
 

@@ -16,6 +16,4 @@ mod export_dataset;
 use rockface_core::{AnyStage, Row};
 
 /// The stages of this room, in the order of the catalogue.
-pub static STAGES: &[&dyn AnyStage] = &[
-    &Row::<export_dataset::ExportDataset>::new(),
-];
+pub static STAGES: &[&dyn AnyStage] = &[&Row::<export_dataset::ExportDataset>::new()];

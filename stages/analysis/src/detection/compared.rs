@@ -1,8 +1,8 @@
 //! Inventories and label rasters as objects on the cells of one grid, and what a comparison adds to their columns.
 
 use rockface_core::artefact::{Cell, Feature, Grid, Inventory, Raster};
-use rockface_rock::rockfall::inventory_labels;
 use rockface_core::numerics::portable_math;
+use rockface_rock::rockfall::inventory_labels;
 
 use super::score::{Object, Score};
 

@@ -2,14 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use rockface_core::artefact::{Cell, Kind, Table};
-use crate::noise::acceptance_rate::wilson_interval;
 use crate::detection::detectability;
 use crate::detection::detectability::Class;
+use crate::noise::acceptance_rate::wilson_interval;
+use rockface_core::artefact::{Cell, Kind, Table};
 use rockface_core::numerics::quantile::median;
-use rockface_raster::columns;
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_raster::columns;
 
 params! {
     /// Parameters of `describe-detectability`.

@@ -1,6 +1,5 @@
 //! `detect-m3c2`: finds detachments by the distances of two point clouds along local normals.
 
-use rockface_core::artefact::{Artefact, Band, Frame, Grid, Kind, Raster, Transform};
 use crate::detection::change::Change;
 use crate::detection::cloud::Cloud;
 use crate::detection::found;
@@ -9,10 +8,11 @@ use crate::detection::limit::NORMAL_95;
 use crate::detection::m3c2;
 use crate::detection::m3c2::{Distance, Scales};
 use crate::detection::{clusters, raster};
-use rockface_raster::rasterise;
-use rockface_raster::shape::{Moved, Shape};
+use rockface_core::artefact::{Artefact, Band, Frame, Grid, Kind, Raster, Transform};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_raster::rasterise;
+use rockface_raster::shape::{Moved, Shape};
 
 /// Surface under a cell is plan area over the normal's Z; below this the cell is taken as no steeper.
 const STEEPEST: f64 = 0.2;

@@ -1,16 +1,16 @@
 //! `detect-raster`: finds detachments in a difference of elevations, by thresholds, opening and size.
 
-use rockface_core::artefact::{Kind, Raster};
 use crate::detection::change::Change;
 use crate::detection::found;
 use crate::detection::found::Found;
 use crate::detection::limit;
 use crate::detection::limit::{Combination, NORMAL_95};
 use crate::detection::{clusters, raster};
-use rockface_raster::grid;
+use rockface_core::artefact::{Kind, Raster};
 use rockface_core::numerics::marginal;
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params, union};
+use rockface_raster::grid;
 
 choice! {
     /// What is left of a cluster by the filter of width.

@@ -2,15 +2,15 @@
 
 use std::collections::BTreeMap;
 
-use rockface_core::artefact::{Artefact, Grid, Kind, Surface, Transform};
 use crate::detection::change::Change;
 use crate::detection::found;
 use crate::detection::found::Found;
 use crate::detection::voxels::{Cluster, Voxels};
-use rockface_raster::raster_surface;
-use rockface_raster::shape::{Moved, Shape};
+use rockface_core::artefact::{Artefact, Grid, Kind, Surface, Transform};
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_raster::raster_surface;
+use rockface_raster::shape::{Moved, Shape};
 
 params! {
     /// Parameters of `detect-voxels`.

@@ -118,7 +118,8 @@ mod tests {
         let curve = Logistic { intercept: 8.0, slope: 4.0, slope_se: 0.0 };
         // A hundred changes of each of 21 volumes, found in the share the curve says.
         let volumes: Vec<f64> = (0..2100).map(|i| portable_math::pow(10.0, -4.0 + f64::from(i / 100) * 0.2)).collect();
-        let share = |v: f64| 1.0 / (1.0 + portable_math::exp(-(curve.intercept + curve.slope * portable_math::log10(v))));
+        let share =
+            |v: f64| 1.0 / (1.0 + portable_math::exp(-(curve.intercept + curve.slope * portable_math::log10(v))));
         let found: Vec<bool> =
             volumes.iter().enumerate().map(|(i, v)| ((i % 100) as f64) < (100.0 * share(*v)).round()).collect();
         let fit = logistic(&volumes, &found).unwrap();

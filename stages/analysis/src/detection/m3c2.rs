@@ -96,8 +96,8 @@ fn distance(clouds: [&Cloud; 2], core: &[f64; 3], scales: &Scales) -> Option<Dis
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rockface_raster::shape::Shape;
     use rockface_core::testing::height_mesh;
+    use rockface_raster::shape::Shape;
 
     const GRID: Grid = Grid { columns: 10, rows: 10, cell_m: 0.2, left_m: -1.0, top_m: 1.0 };
 

@@ -1,11 +1,11 @@
 //! `reconstruct-blocks`: makes blocks of what a comparison lost, to be taken out of a face again.
 
-use rockface_core::artefact::{Frame, Inventory, Kind, Meshes, Part, Raster};
-use rockface_rock::rockfall::block::Solid;
 use crate::detection::{compared, solid};
-use rockface_raster::grid;
+use rockface_core::artefact::{Frame, Inventory, Kind, Meshes, Part, Raster};
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_raster::grid;
+use rockface_rock::rockfall::block::Solid;
 
 params! {
     /// Parameters of `reconstruct-blocks`.

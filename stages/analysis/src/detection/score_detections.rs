@@ -1,15 +1,15 @@
 //! `score-detections`: labels what was found against the ground truth, and counts.
 
-use rockface_core::artefact::{Artefact, Band, Cell, Feature, Grid, Inventory, Kind, Raster, Sample, Table};
 use crate::detection::compared;
 use crate::detection::compared::Side;
 use crate::detection::score;
 use crate::detection::score::{Counts, Object, Score};
-use rockface_raster::grid;
+use rockface_core::artefact::{Artefact, Band, Cell, Feature, Grid, Inventory, Kind, Raster, Sample, Table};
 use rockface_core::numerics::quantile::median;
-use rockface_rock::rockfall::ground_truth::outline;
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_raster::grid;
+use rockface_rock::rockfall::ground_truth::outline;
 
 params! {
     /// Parameters of `score-detections`.

@@ -1,13 +1,13 @@
 //! `summarise-detections`: rates of a detector over many epochs, with intervals, one row a setting.
 
-use rockface_core::artefact::{Kind, Table};
 use crate::detection::rates;
 use crate::detection::rates::Interval;
 use crate::detection::score::Counts;
-use rockface_raster::feature_rows;
-use rockface_raster::feature_rows::{Items, item_cell};
+use rockface_core::artefact::{Kind, Table};
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_raster::feature_rows;
+use rockface_raster::feature_rows::{Items, item_cell};
 
 params! {
     /// Parameters of `summarise-detections`.

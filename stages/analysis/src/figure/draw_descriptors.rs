@@ -1,8 +1,8 @@
 //! `draw-descriptors`: variogram, roughness and spectrum of simulated rasters over the envelopes of the real ones.
 
-use rockface_core::artefact::{Kind, Table};
 use crate::figure::chart::{Axes, Axis, Ink, Layer, Panel, Sheet, draw};
 use crate::noise::envelope::{Step, envelope, rasters};
+use rockface_core::artefact::{Kind, Table};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
 params! {

@@ -1,10 +1,10 @@
 //! `draw-detection-frequency`: magnitude and frequency of truth and detections, and the shapes found and missed.
 
-use rockface_core::artefact::{Inventory, Kind};
 use crate::figure::chart::{Axes, Axis, Ink, Layer, Panel, Sheet, Ternary, draw};
-use rockface_rock::rockfall::power_law;
+use rockface_core::artefact::{Inventory, Kind};
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_rock::rockfall::power_law;
 
 params! {
     /// Parameters of `draw-detection-frequency`.

@@ -1,7 +1,7 @@
 //! `draw-detection-rates`: precision-recall curves of detectors over a swept threshold.
 
-use rockface_core::artefact::{Cell, Kind, Table};
 use crate::figure::chart::{Axes, Axis, Ink, Layer, Mark, Panel, Sheet, draw};
+use rockface_core::artefact::{Cell, Kind, Table};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
 
 choice! {

@@ -1,9 +1,9 @@
 //! `draw-detection-volumes`: charts of detected against true volumes, overlaps, and what is found by volume.
 
-use rockface_core::artefact::{Inventory, Kind};
-use crate::noise::acceptance_rate::wilson_interval;
-use crate::figure::chart::{Axes, Axis, Ink, Layer, Mark, Panel, Sheet, draw};
 use crate::detection::detectability;
+use crate::figure::chart::{Axes, Axis, Ink, Layer, Mark, Panel, Sheet, draw};
+use crate::noise::acceptance_rate::wilson_interval;
+use rockface_core::artefact::{Inventory, Kind};
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 

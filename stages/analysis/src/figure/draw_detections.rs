@@ -1,8 +1,8 @@
 //! `draw-detections`: maps what was found, what was missed and what is false over the face.
 
-use rockface_core::artefact::{Inventory, Kind, Picture, Polygon, Raster};
 use crate::figure::rockfall_figure::outcomes;
 use crate::figure::rockfall_figure::outcomes::{Map, Outcome};
+use rockface_core::artefact::{Inventory, Kind, Picture, Polygon, Raster};
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
@@ -92,7 +92,8 @@ fn outcome<'a>(
             StageError::new("the truth has no column `outcome`").hint("connect the port `truth` of `score-detections`")
         );
     };
-    let is = |feature: &&rockface_core::artefact::Feature| words.contains(&feature.values[at].text().unwrap_or_default());
+    let is =
+        |feature: &&rockface_core::artefact::Feature| words.contains(&feature.values[at].text().unwrap_or_default());
     let outlines: Vec<&[Polygon]> = inventory.features.iter().filter(is).map(|f| f.outline.as_slice()).collect();
     Ok(Outcome { name: name.to_owned(), colour, filled, outlines })
 }

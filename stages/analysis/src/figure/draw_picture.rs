@@ -1,13 +1,13 @@
 //! `draw-picture`: draws a raster, depth map, mesh or surface for people to look at.
 
-use rockface_core::artefact::{Artefact, Kind, Picture};
 use crate::figure::colour_scale::{ColourScale, Palette};
-use crate::figure::picture::look::Look;
-use rockface_raster::shape::Shape;
 use crate::figure::picture;
-use rockface_raster::rasterise;
+use crate::figure::picture::look::Look;
+use rockface_core::artefact::{Artefact, Kind, Picture};
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
+use rockface_raster::rasterise;
+use rockface_raster::shape::Shape;
 
 choice! {
     /// The colours.

@@ -1,12 +1,12 @@
 //! `draw-rasters`: rasters of one grid side by side in one set of colours.
 
-use rockface_core::artefact::{Band, Kind, Picture, Raster};
 use crate::figure::colour_scale::{ColourScale, Palette, length, quantile};
-use rockface_raster::grid;
 use crate::figure::picture::Subject;
 use crate::figure::picture::mosaic::Mosaic;
+use rockface_core::artefact::{Band, Kind, Picture, Raster};
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Point, Port, Stage, StageError, fail, params};
+use rockface_raster::grid;
 
 /// Share of the absolute values within the colours.
 const WITHIN: f64 = 0.98;

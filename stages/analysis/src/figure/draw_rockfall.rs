@@ -1,13 +1,13 @@
 //! `draw-rockfall`: draws the summary figure of a rockfall inventory.
 
-use rockface_core::artefact::{Artefact, Frame, Grid, Inventory, Kind, Picture};
 use crate::figure::rockfall_figure;
 use crate::figure::rockfall_figure::{Figure, Rockfall};
-use rockface_raster::shape::Shape;
-use rockface_rock::rockfall::power_law;
-use rockface_raster::{columns, rasterise};
+use rockface_core::artefact::{Artefact, Frame, Grid, Inventory, Kind, Picture};
 use rockface_core::params::Range;
 use rockface_core::{Context, Element, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_raster::shape::Shape;
+use rockface_raster::{columns, rasterise};
+use rockface_rock::rockfall::power_law;
 
 /// Cells along the longer side of a face that comes as a mesh.
 const CELLS: f64 = 1500.0;

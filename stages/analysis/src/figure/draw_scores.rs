@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use rockface_core::artefact::{Acceptance, Kind, Table};
 use crate::figure::chart::{Axes, Axis, Ink, Layer, Mark, Panel, Radar, Sheet, density, draw};
 use crate::noise::descriptors::GROUPS;
+use rockface_core::artefact::{Acceptance, Kind, Table};
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
@@ -138,8 +138,8 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use rockface_core::artefact::Artefact;
     use crate::noise::mahalanobis::fit;
+    use rockface_core::artefact::Artefact;
     use rockface_core::numerics::random::Key;
     use rockface_core::testing::{TestHost, run_stage};
 

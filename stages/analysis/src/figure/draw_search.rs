@@ -1,8 +1,8 @@
 //! `draw-search`: the landscape of a calibration: how the score depends on the parameters that were tried.
 
-use rockface_core::artefact::{Kind, Table};
 use crate::figure::chart::{Axes, Axis, ColourKey, Ink, Layer, Mark, Panel, Sheet, draw};
 use crate::noise::points::Scale;
+use rockface_core::artefact::{Kind, Table};
 use rockface_core::params::Fault;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 

@@ -7,6 +7,7 @@ use rockface_core::Look;
 use rockface_core::artefact::{Artefact, Preview, Sketch};
 
 /// Draws every kind of artefact that can be seen.
+#[derive(Debug)]
 pub struct Drawn;
 
 impl Look for Drawn {

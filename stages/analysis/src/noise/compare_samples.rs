@@ -1,12 +1,12 @@
 //! `compare-samples`: whether a classifier can tell simulated rasters from real ones by their features.
 
-use rockface_core::artefact::{Cell, Kind, Table};
-use crate::noise::descriptors::feature_names;
-use rockface_raster::feature_rows::{FeatureRow, feature_rows};
 use crate::noise::chain;
 use crate::noise::classifier::{Auc, Logistic, area, cross_validated};
+use crate::noise::descriptors::feature_names;
+use rockface_core::artefact::{Cell, Kind, Table};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, params};
+use rockface_raster::feature_rows::{FeatureRow, feature_rows};
 
 params! {
     /// Parameters of `compare-samples`.

@@ -2,11 +2,11 @@
 
 use rayon::prelude::*;
 
-use rockface_core::artefact::{Band, Cell, Kind, Raster, Table};
 use crate::noise::descriptors::{DIAGNOSTICS, Description, Settings, describe, feature_names};
 use crate::noise::detrend::Detrend;
 use crate::noise::robust_variogram::Estimator;
 use crate::noise::variogram_model::Shape;
+use rockface_core::artefact::{Band, Cell, Kind, Raster, Table};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 

@@ -1,14 +1,14 @@
 //! All noise descriptors of one raster: marginal statistics, variogram, spectrum, roughness (paper 2.2.1 to 2.2.4).
 
-use rockface_core::numerics::marginal::{Marginal, marginal};
-use crate::noise::detrend::Detrend;
-use crate::noise::robust_variogram::Estimator;
-use rockface_core::numerics::portable_math;
 use super::roughness::{Roughness, roughness};
 use super::spectrum::{Spectrum, spectra};
 use super::variogram::{Variogram, directional, variogram};
 use super::variogram_model::{Model, Shape, fit};
+use crate::noise::detrend::Detrend;
+use crate::noise::robust_variogram::Estimator;
 use rockface_core::artefact::Grid;
+use rockface_core::numerics::marginal::{Marginal, marginal};
+use rockface_core::numerics::portable_math;
 
 /// Groups of the feature vector, each with its features in the order of the vector.
 pub const GROUPS: [(&str, &[&str]); 4] = [

@@ -2,15 +2,15 @@
 
 use std::collections::BTreeMap;
 
-use rockface_core::artefact::{Acceptance, Cell, GroupModel, Kind, Table};
 use crate::noise::acceptance_rate::{perfect_acceptance, share_below};
-use crate::noise::descriptors::{GROUPS, feature_names, in_group};
-use rockface_raster::feature_rows::{FeatureRow, feature_rows};
-use crate::noise::mahalanobis::{bound, fit, leave_one_out_quantile};
 use crate::noise::chain;
+use crate::noise::descriptors::{GROUPS, feature_names, in_group};
+use crate::noise::mahalanobis::{bound, fit, leave_one_out_quantile};
+use rockface_core::artefact::{Acceptance, Cell, GroupModel, Kind, Table};
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, params};
+use rockface_raster::feature_rows::{FeatureRow, feature_rows};
 
 params! {
     /// Parameters of `fit-acceptance`.

@@ -6,8 +6,8 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector, SymmetricEigen};
 
-use rockface_core::numerics::quantile::quantile;
 use rockface_core::artefact::GroupModel;
+use rockface_core::numerics::quantile::quantile;
 
 /// Distance of a raster whose leave-one-out reference does not vary in a direction it differs in; JSON has no infinity.
 pub const UNBOUNDED_D2: f64 = f64::MAX;

@@ -5,8 +5,8 @@
 
 use nalgebra::{Cholesky, Matrix3, Vector3};
 
-use rockface_core::numerics::portable_math;
 use crate::noise::variogram_model::{Model, Shape, golden_section};
+use rockface_core::numerics::portable_math;
 
 /// Steps of the grid over each length.
 const GRID: usize = 28;

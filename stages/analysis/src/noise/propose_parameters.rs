@@ -1,13 +1,13 @@
 //! `propose-parameters`: the simulation parameters whose noise should be nearest to the real one, from a few simulations.
 
-use rockface_core::artefact::{Acceptance, Cell, GroupModel, Kind, Table};
-use rockface_raster::feature_rows::feature_rows;
 use crate::noise::mahalanobis::distance;
 use crate::noise::moments::Surrogate;
 use crate::noise::points::{ITEM, MOST_DIMENSIONS, Scale, coordinates, halton, positions, rounded};
+use rockface_core::artefact::{Acceptance, Cell, GroupModel, Kind, Table};
 use rockface_core::numerics::portable_math;
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_raster::feature_rows::feature_rows;
 
 params! {
     /// Parameters of `propose-parameters`.
@@ -241,8 +241,8 @@ mod tests {
     use serde_json::{Value, json};
 
     use super::*;
-    use rockface_core::artefact::Artefact;
     use crate::noise::mahalanobis::fit;
+    use rockface_core::artefact::Artefact;
     use rockface_core::numerics::random::Key;
     use rockface_core::params::ParamType;
     use rockface_core::testing::TestHost;

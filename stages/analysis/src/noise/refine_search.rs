@@ -1,7 +1,7 @@
 //! `refine-search`: from the scores of a coarse search, the points of a finer one around its best.
 
-use rockface_core::artefact::{Cell, Kind, Table};
 use crate::noise::points::{ITEM, MOST_DIMENSIONS, Scale, coordinates, halton, positions, rounded, spacing};
+use rockface_core::artefact::{Cell, Kind, Table};
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};

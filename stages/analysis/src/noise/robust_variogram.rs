@@ -2,11 +2,11 @@
 
 use rayon::prelude::*;
 
+use crate::noise::variogram::Variogram;
 use rockface_core::choice;
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::quantile::median;
 use rockface_core::numerics::random::{Field, Key};
-use crate::noise::variogram::Variogram;
 
 choice! {
     /// How gamma is estimated from the differences of pairs.

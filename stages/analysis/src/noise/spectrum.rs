@@ -6,9 +6,9 @@
 
 use rayon::prelude::*;
 
+use crate::noise::sector::Sector;
 use rockface_core::numerics::fft::{C64, Fft2};
 use rockface_core::numerics::linear_fit::{Line, fit_line};
-use crate::noise::sector::Sector;
 use rockface_core::numerics::portable_math;
 
 /// The radially averaged power spectrum.
@@ -50,7 +50,8 @@ impl Spectrum {
         let step = self.frequency.first()?;
         let to = 0.5 * self.nyquist_bins;
         let width = portable_math::log(to / SLOPE_FROM) / SLOPE_BINS as f64;
-        let edge = |bin: usize| if bin == SLOPE_BINS { to } else { SLOPE_FROM * portable_math::exp(width * bin as f64) };
+        let edge =
+            |bin: usize| if bin == SLOPE_BINS { to } else { SLOPE_FROM * portable_math::exp(width * bin as f64) };
         let mut points = Vec::new();
         for bin in 0..SLOPE_BINS {
             // A whole k that meets an edge belongs above it, however the edge was rounded.

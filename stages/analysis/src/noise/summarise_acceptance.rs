@@ -1,14 +1,14 @@
 //! `summarise-acceptance`: how many rasters pass the test at each quantile, with intervals and with what may be expected.
 
-use rockface_core::artefact::{Cell, GroupModel, Kind, Table};
 use crate::noise::acceptance_rate::{binomial_band, exact_interval, perfect_acceptance, share_below, wilson_interval};
-use crate::noise::descriptors::{GROUPS, feature_names, in_group};
-use rockface_raster::feature_rows::{FeatureRow, feature_rows};
-use crate::noise::mahalanobis::{bound, distance, fit, leave_one_out_quantile};
 use crate::noise::chain;
+use crate::noise::descriptors::{GROUPS, feature_names, in_group};
+use crate::noise::mahalanobis::{bound, distance, fit, leave_one_out_quantile};
+use rockface_core::artefact::{Cell, GroupModel, Kind, Table};
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_raster::feature_rows::{FeatureRow, feature_rows};
 
 params! {
     /// Parameters of `summarise-acceptance`.

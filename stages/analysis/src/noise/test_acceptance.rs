@@ -1,13 +1,13 @@
 //! `test-acceptance`: says which rasters are compatible with the reference noise, and why the others are not.
 
-use rockface_core::artefact::{Acceptance, Cell, GroupModel, Kind, Table};
 use crate::noise::acceptance_rate::{perfect_acceptance, score, share_below, wilson_interval};
 use crate::noise::descriptors::GROUPS;
-use rockface_raster::feature_rows::{FeatureRow, axes, feature_rows, item_cell};
 use crate::noise::mahalanobis::{Distance, distance, leave_one_out_quantile};
+use rockface_core::artefact::{Acceptance, Cell, GroupModel, Kind, Table};
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_raster::feature_rows::{FeatureRow, axes, feature_rows, item_cell};
 
 params! {
     /// Parameters of `test-acceptance`.
@@ -234,9 +234,9 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
+    use crate::noise::mahalanobis::fit;
     use rockface_core::Entry;
     use rockface_core::artefact::Artefact;
-    use crate::noise::mahalanobis::fit;
     use rockface_core::numerics::random::Key;
     use rockface_core::testing::TestHost;
 

@@ -4,8 +4,8 @@
 //! S = corr(q, m) + corr(m, q) - 2 corr(z, z) sums their squared differences (Marcotte 1996, Computers & Geosciences
 //! 22), so Matheron's estimator is S / 2N. Lag vectors of length h fall into the bin of the nearest whole number of cells.
 
-use rockface_core::numerics::fft::{C64, Fft2, fast_size};
 use crate::noise::sector::Sector;
+use rockface_core::numerics::fft::{C64, Fft2, fast_size};
 
 /// The empirical variogram, one entry a lag bin that has pairs.
 #[derive(Debug, Clone, PartialEq)]
@@ -132,8 +132,8 @@ fn finish(bins: &[[f64; 3]], variance: f64) -> Variogram {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rockface_core::numerics::random::Key;
     use proptest::prelude::*;
+    use rockface_core::numerics::random::Key;
 
     fn brute_force(values: &[f32], columns: usize, max_lag: usize) -> Variogram {
         let mut bins = vec![[0.0; 3]; max_lag + 1];

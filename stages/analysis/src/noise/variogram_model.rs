@@ -5,10 +5,10 @@
 //! Pereyra 1973): first on a fine logarithmic grid over all lengths that make sense, then by golden section. There is
 //! no starting value that could be wrong.
 
-use crate::noise::nested_variogram;
-use rockface_core::numerics::portable_math;
 use super::variogram::Variogram;
+use crate::noise::nested_variogram;
 use rockface_core::choice;
+use rockface_core::numerics::portable_math;
 
 choice! {
     /// The shape f of a variogram model.

@@ -14,7 +14,7 @@ use exr::prelude::{
 };
 
 use crate::artefact::{CodecError, Depth, Frame, Image, Sensor};
-use crate::format::limits;
+use crate::limits;
 
 const DEPTH_CHANNEL: &str = "Z";
 /// The one attribute of our own: the crate keeps them unordered, so a second one would make the bytes vary.

@@ -6,7 +6,7 @@
 use las::{Header, raw};
 
 use crate::artefact::CodecError;
-use crate::format::limits::{affordable, fits};
+use crate::limits::{affordable, fits};
 
 /// Bytes of the head of an extended record, and where its length stands in it.
 const EXTENDED_HEAD: usize = 60;

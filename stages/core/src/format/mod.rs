@@ -6,7 +6,6 @@ pub mod depth_exr;
 pub mod geotiff;
 pub mod inventory_file;
 mod laz_check;
-pub mod limits;
 pub mod nouns;
 #[cfg(feature = "parquet")]
 pub mod parquet_file;

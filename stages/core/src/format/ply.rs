@@ -5,7 +5,7 @@ mod header;
 pub mod parts;
 
 use crate::artefact::{CodecError, Mesh};
-use crate::format::limits;
+use crate::limits;
 
 use crate::format::ply::header::{Element, Encoding, Header, Property, Type};
 

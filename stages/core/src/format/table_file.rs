@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use crate::artefact::{Cell, CodecError, Table};
-use crate::format::limits;
+use crate::limits;
 
 /// Characters that separate cells, the likeliest first.
 const SEPARATORS: [char; 3] = [',', ';', '\t'];

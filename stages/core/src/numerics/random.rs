@@ -3,8 +3,8 @@
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use crate::numerics::simd::{LANES, Lanes, Number, Work, vectorised};
 use crate::numerics::portable_math;
+use crate::numerics::simd::{LANES, Lanes, Number, Work, vectorised};
 
 /// The key of one random stream, derived by the engine from the pipeline seed, the step, its point, a purpose and an item.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -2,8 +2,8 @@
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
-use rockface_core::artefact::Covariance;
 use crate::camera::orientation::check_size;
+use rockface_core::artefact::Covariance;
 use rockface_core::{StageError, fail};
 
 /// Largest relative difference of two mirrored elements.

@@ -1,7 +1,7 @@
 //! `export-cameras`: writes an image block as another program's file, whole or not at all.
 
-use rockface_core::artefact::{Cameras, Covariance, Files, Kind, Noun};
 use crate::camera::camera_files::{bundler, colmap_binary, colmap_text, metashape};
+use rockface_core::artefact::{Cameras, Covariance, Files, Kind, Noun};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
 
 choice! {
@@ -82,9 +82,9 @@ impl Stage for ExportCameras {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rockface_core::artefact::{Artefact, Frame};
     use crate::camera::camera_files::recognise;
     use crate::camera::camera_files::recognise::Part;
+    use rockface_core::artefact::{Artefact, Frame};
     use rockface_core::testing::{TestHost, image_at, run_stage, small_sensor};
     use serde_json::json;
 

@@ -2,12 +2,12 @@
 
 use std::io::Read;
 
-use rockface_core::artefact::{Cameras, Covariance, Frame, Kind};
 use crate::camera::camera_files::CameraFile;
 use crate::camera::camera_files::recognise;
 use crate::camera::camera_files::recognise::Part;
 use crate::camera::covariance_files;
 use crate::camera::covariance_sampling::{JointRoot, block_only};
+use rockface_core::artefact::{Cameras, Covariance, Frame, Kind};
 use rockface_core::params::{FileRef, FilesRef, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, SourceFile, Stage, StageError, choice, fail, params};
 

@@ -3,8 +3,8 @@
 use nalgebra::{Matrix3, Vector3};
 
 use rockface_core::artefact::{Depth, Image, Sensor};
-use rockface_core::numerics::simd::{Lanes, Number, both};
 use rockface_core::numerics::portable_math;
+use rockface_core::numerics::simd::{Lanes, Number, both};
 
 /// Step below which a search for undistorted coordinates ends, from a near guess and from anywhere.
 const NEAR: f64 = 2e-8;

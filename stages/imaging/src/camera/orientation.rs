@@ -121,8 +121,8 @@ fn mirror(matrix: &mut [Vec<f64>]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rockface_core::artefact::Sensor;
     use crate::camera::model::Camera;
+    use rockface_core::artefact::Sensor;
 
     fn turn() -> Transform {
         let rotation = Rotation3::from_euler_angles(0.4, -1.1, 2.3).into_inner();

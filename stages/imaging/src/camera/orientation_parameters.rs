@@ -2,11 +2,11 @@
 
 use nalgebra::Vector3;
 
+use crate::camera::camera_files::{check_sensor, find_name};
+use crate::camera::model::exponential;
+use crate::camera::orientation::quaternion;
 use rockface_core::StageError;
 use rockface_core::artefact::{Cameras, Sensor};
-use crate::camera::model::exponential;
-use crate::camera::camera_files::{check_sensor, find_name};
-use crate::camera::orientation::quaternion;
 
 /// The parameters of an image, in order.
 pub const EXTERIOR: [&str; 6] = ["rx", "ry", "rz", "X", "Y", "Z"];

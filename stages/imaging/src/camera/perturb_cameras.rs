@@ -1,8 +1,8 @@
 //! `perturb-cameras`: draws the orientation errors of one epoch, jointly from a bundle block covariance or one by one.
 
-use rockface_core::artefact::{Cameras, Covariance, Kind};
 use crate::camera::covariance_sampling::{JointRoot, block_only};
 use crate::camera::orientation_parameters::{EXTERIOR, INTERIOR, Parameter, correct};
+use rockface_core::artefact::{Cameras, Covariance, Kind};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
 

@@ -7,9 +7,9 @@
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use rockface_core::artefact::{Depth, Sensor};
-use crate::camera::model::Camera;
 use crate::camera::depth_window::{DepthWindow, STEP, Slope, pixel_at};
+use crate::camera::model::Camera;
+use rockface_core::artefact::{Depth, Sensor};
 
 /// Side of the squares of pixels that share a regression where windows are wide.
 const BLOCK: usize = 4;
@@ -135,8 +135,8 @@ mod tests {
     use std::collections::BTreeMap;
 
     use super::*;
-    use rockface_core::artefact::Frame;
     use crate::camera::model::full_pixel;
+    use rockface_core::artefact::Frame;
     use rockface_core::testing::{image_at, small_sensor};
 
     /// The depth map of the plane n . X = d of the camera frame.

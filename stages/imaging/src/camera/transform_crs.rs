@@ -3,14 +3,14 @@
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 
-use rockface_core::artefact::{Cameras, Covariance, Frame, Kind, Mesh, Transform};
 use crate::camera::orientation::{cameras_to_frame, covariance_to_frame};
-use rockface_raster::plane_fit;
-use rockface_raster::plane_fit::{Plane, UpSource};
+use rockface_core::artefact::{Cameras, Covariance, Frame, Kind, Mesh, Transform};
 use rockface_core::numerics::portable_math;
-use rockface_raster::shape::Moved;
 use rockface_core::params::Fault;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
+use rockface_raster::plane_fit;
+use rockface_raster::plane_fit::{Plane, UpSource};
+use rockface_raster::shape::Moved;
 
 /// How far a given rotation may be off orthonormal.
 const ROTATION_TOLERANCE: f64 = 1e-9;

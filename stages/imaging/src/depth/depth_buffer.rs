@@ -10,10 +10,10 @@ use std::ops::RangeInclusive;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use rockface_core::artefact::Mesh;
 use crate::camera::model::{Camera, full_pixel};
 use crate::camera::ray_row::RayRow;
 use crate::depth::triangle_reach::{Bend, NEAR_M, Projected, Reach, reach_of_projected};
+use rockface_core::artefact::Mesh;
 
 /// Rows a task works on.
 pub(super) const BAND: usize = 16;

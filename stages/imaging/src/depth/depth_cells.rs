@@ -5,11 +5,11 @@
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use rockface_core::artefact::{Depth, Grid};
 use crate::camera::model::{Camera, full_pixel};
-use rockface_raster::rasterise::grid_around;
 use crate::camera::ray_row::RayRow;
+use rockface_core::artefact::{Depth, Grid};
 use rockface_core::numerics::fast_round::floor;
+use rockface_raster::rasterise::grid_around;
 
 /// Rows whose points are found in parallel before they are added in order.
 const BATCH_ROWS: usize = 256;

@@ -6,10 +6,10 @@
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use rockface_core::artefact::Mesh;
 use crate::camera::model::Camera;
 use crate::depth::depth_buffer::{BAND, DepthBuffer, Drawing, Scene};
 use crate::depth::triangle_reach::{Bend, Reach, reach};
+use rockface_core::artefact::Mesh;
 
 /// Columns of a tile; its rows are those of a band.
 const TILE: usize = 64;

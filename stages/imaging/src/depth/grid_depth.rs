@@ -1,10 +1,10 @@
 //! `grid-depth`: reduces the depth map of one image to one elevation a cell of the wall.
 
-use rockface_core::artefact::{Band, Depth, Frame, Grid, Kind, Raster, Sample};
 use crate::depth::depth_cells::{Cells, Sigma, reduce};
-use rockface_raster::window;
+use rockface_core::artefact::{Band, Depth, Frame, Grid, Kind, Raster, Sample};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, params};
+use rockface_raster::window;
 
 params! {
     /// Parameters of `grid-depth`.

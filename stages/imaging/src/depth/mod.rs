@@ -12,7 +12,5 @@ mod project_depth;
 use rockface_core::{AnyStage, Row};
 
 /// The stages of this room, in the order of the catalogue.
-pub static STAGES: &[&dyn AnyStage] = &[
-    &Row::<grid_depth::GridDepth>::new(),
-    &Row::<project_depth::ProjectDepth>::new(),
-];
+pub static STAGES: &[&dyn AnyStage] =
+    &[&Row::<grid_depth::GridDepth>::new(), &Row::<project_depth::ProjectDepth>::new()];

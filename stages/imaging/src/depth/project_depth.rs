@@ -1,13 +1,13 @@
 //! `project-depth`: the ideal depth map of one image, exact at every pixel centre.
 
-use rockface_core::artefact::{Cameras, Depth, Image, Kind, Mesh};
 use crate::camera::model::Camera;
+use crate::camera::ray_row::RayRow;
 use crate::depth::depth_buffer::{DepthBuffer, Drawing, NO_TRIANGLE, draw, triangles};
 use crate::depth::depth_update::redraw;
-use crate::camera::ray_row::RayRow;
-use rockface_raster::window;
+use rockface_core::artefact::{Cameras, Depth, Image, Kind, Mesh};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_raster::window;
 
 params! {
     /// Parameters of `project-depth`.

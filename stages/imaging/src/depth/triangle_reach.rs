@@ -2,8 +2,8 @@
 
 use nalgebra::Vector3;
 
-use rockface_core::artefact::Sensor;
 use crate::camera::model::Camera;
+use rockface_core::artefact::Sensor;
 use rockface_core::numerics::fast_round::floor;
 
 /// Nothing nearer to the camera than this is seen, metres along the optical axis.
@@ -161,8 +161,8 @@ fn clip_near(corners: &[Vector3<f64>; 3]) -> Vec<[f64; 2]> {
 mod tests {
     use super::*;
     use crate::camera::model::full_pixel;
-    use rockface_core::testing::{image_at, small_sensor};
     use proptest::prelude::*;
+    use rockface_core::testing::{image_at, small_sensor};
 
     fn is_hit([a, b, c]: &[Vector3<f64>; 3], ray: &Vector3<f64>) -> bool {
         let signs = [a.cross(b).dot(ray), b.cross(c).dot(ray), c.cross(a).dot(ray)];

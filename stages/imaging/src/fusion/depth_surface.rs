@@ -3,9 +3,9 @@
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use rockface_core::artefact::{Depth, Surface};
 use crate::camera::model::{Camera, full_pixel};
 use crate::camera::ray_row::RayRow;
+use rockface_core::artefact::{Depth, Surface};
 
 /// Where neighbouring pixels are not joined.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,7 +1,7 @@
 //! `export-metashape`: a folder from which Agisoft Metashape builds a mesh of depth maps made here.
 
-use rockface_core::artefact::{Depth, Files, Kind};
 use crate::fusion::metashape_project::{Project, lay_out};
+use rockface_core::artefact::{Depth, Files, Kind};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
 params! {

@@ -4,9 +4,9 @@ mod engine;
 
 use serde_json::Value;
 
-use rockface_core::artefact::{Depth, Kind};
 use crate::fusion::colmap_workspace;
 use crate::fusion::colmap_workspace::Workspace;
+use rockface_core::artefact::{Depth, Kind};
 use rockface_core::params::{Fault, Range};
 use rockface_core::program::ProgramResult;
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Ports, Stage, StageError, choice, fail, params};

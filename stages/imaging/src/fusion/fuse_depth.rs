@@ -1,7 +1,7 @@
 //! `fuse-depth`: the surface of a single depth map, its grid of pixels joined to triangles.
 
-use rockface_core::artefact::{Depth, Kind};
 use crate::fusion::depth_surface::{Joined, Joining, Step, join};
+use rockface_core::artefact::{Depth, Kind};
 use rockface_core::numerics::portable_math;
 use rockface_core::params::Range;
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
@@ -96,10 +96,10 @@ fn warn_of_holes(context: &Context, joined: &Joined) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rockface_core::artefact::{Artefact, Frame, Noun, Sensor, Surface};
     use crate::camera::model::{Camera, full_pixel};
-    use rockface_core::testing::{TestHost, image_at, run_stage, small_sensor};
     use nalgebra::Vector3;
+    use rockface_core::artefact::{Artefact, Frame, Noun, Sensor, Surface};
+    use rockface_core::testing::{TestHost, image_at, run_stage, small_sensor};
     use serde_json::{Value, json};
 
     fn depth(z: impl Fn(usize, usize) -> f32) -> Depth {

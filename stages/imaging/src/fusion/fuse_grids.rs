@@ -1,12 +1,12 @@
 //! `fuse-grids`: the 2.5D surface that the grids of many images agree on.
 
-use rockface_core::artefact::{Band, Frame, Grid, Kind, Raster, Sample};
 use crate::fusion::grid_fusion::{FusedGrid, common_grid, fuse_grids, surface_of};
 use crate::matching::map_fusion::{Averaging, Rule};
-use rockface_raster::rasterise::{MAXIMUM_CELLS, grid_around};
-use rockface_raster::window;
+use rockface_core::artefact::{Band, Frame, Grid, Kind, Raster, Sample};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Point, Port, Stage, StageError, fail, params};
+use rockface_raster::rasterise::{MAXIMUM_CELLS, grid_around};
+use rockface_raster::window;
 
 params! {
     /// Parameters of `fuse-grids`.

@@ -1,12 +1,12 @@
 //! `fuse-volume`: the mesh that many depth maps agree on, overhangs and all.
 
-use rockface_core::artefact::{Depth, Frame, Kind};
 use crate::fusion::volume::blocks::{Layout, VOXELS, Volume, near};
 use crate::fusion::volume::integration::integrate;
 use crate::fusion::volume::surface::extract;
-use rockface_raster::window;
+use rockface_core::artefact::{Depth, Frame, Kind};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_raster::window;
 
 params! {
     /// Parameters of `fuse-volume`.

@@ -2,8 +2,8 @@
 
 use rayon::prelude::*;
 
-use rockface_core::artefact::{Frame, Grid, Raster, Surface};
 use crate::matching::map_fusion::{Measured, Rule, fuse};
+use rockface_core::artefact::{Frame, Grid, Raster, Surface};
 
 /// What the images say together.
 #[derive(Debug, Clone)]

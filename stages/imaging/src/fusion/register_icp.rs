@@ -4,12 +4,12 @@ use std::borrow::Cow;
 
 use nalgebra::Vector3;
 
-use rockface_core::artefact::{Artefact, Frame, Kind, Surface, Transform};
 use crate::fusion::icp;
 use crate::fusion::icp::{Registration, Settings};
-use rockface_raster::raster_surface;
+use rockface_core::artefact::{Artefact, Frame, Kind, Surface, Transform};
 use rockface_core::params::Range;
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
+use rockface_raster::raster_surface;
 
 choice! {
     /// What is minimised.
@@ -222,10 +222,17 @@ mod tests {
         let relief = |shift_m: f64| {
             let z = |cell: usize| {
                 let (x, y) = grid.centre(cell / 80, cell % 80);
-                let bump = rockface_core::numerics::portable_math::sin(3.0 * x) * rockface_core::numerics::portable_math::cos(2.0 * y);
+                let bump = rockface_core::numerics::portable_math::sin(3.0 * x)
+                    * rockface_core::numerics::portable_math::cos(2.0 * y);
                 (0.3 * bump + shift_m) as f32
             };
-            rockface_core::artefact::Raster::single(grid, Frame::Wall, "elevation", "z", (0..grid.cells()).map(z).collect())
+            rockface_core::artefact::Raster::single(
+                grid,
+                Frame::Wall,
+                "elevation",
+                "z",
+                (0..grid.cells()).map(z).collect(),
+            )
         };
         let host = TestHost::default();
         let inputs = [("source", Artefact::from(relief(0.02))), ("target", Artefact::from(relief(0.0)))];

@@ -2,11 +2,11 @@
 
 use rayon::prelude::*;
 
-use rockface_core::artefact::Depth;
 use crate::camera::model::Camera;
 use crate::matching::map_fusion::{Fused, Measured, Rule, fuse};
-use crate::matching::pixel_row::OwnRow;
 use crate::matching::pair::{Matcher, Tally};
+use crate::matching::pixel_row::OwnRow;
+use rockface_core::artefact::Depth;
 
 /// A pair seen from one of its images.
 pub struct Side<'a> {

@@ -1,11 +1,11 @@
 //! `map-noise`: where on a site the noise is strong, from rasters without change.
 
-use rockface_core::artefact::{Band, Kind, Raster, Sample};
-use rockface_raster::grid;
 use crate::matching::noise::strength::{Estimation, strength};
+use rockface_core::artefact::{Band, Kind, Raster, Sample};
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_raster::grid;
 
 params! {
     /// Parameters of `map-noise`.

@@ -2,15 +2,17 @@
 
 use std::collections::BTreeMap;
 
-use rockface_core::artefact::{Cameras, Depth, Image, Kind, Pair, Pairs, Raster};
 use crate::camera::model::Camera;
 use crate::matching::image::{Fusion, ImageTally, Side, match_image};
 use crate::matching::map_fusion::{Averaging, Fused, Rule};
-use crate::matching::params::Matching;
 use crate::matching::noise::matcher::MatcherTerms;
+use crate::matching::params::Matching;
 use crate::matching::setup::{Setup, check_size, noisy_image};
+use rockface_core::artefact::{Cameras, Depth, Image, Kind, Pair, Pairs, Raster};
 use rockface_core::params::{Fault, Range};
-use rockface_core::{Context, Element, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params, union};
+use rockface_core::{
+    Context, Element, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params, union,
+};
 
 params! {
     /// Nothing to say.

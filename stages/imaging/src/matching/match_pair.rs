@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use rockface_core::artefact::{Cameras, Depth, Image, Kind, Pair, Pairs, Raster};
-use crate::matching::params::Matching;
 use crate::matching::pair::{Match, Matcher, Tally};
-use crate::matching::setup::{check_size, noisy_image};
+use crate::matching::params::Matching;
 use crate::matching::rectified_row::rectified_camera;
+use crate::matching::setup::{check_size, noisy_image};
+use rockface_core::artefact::{Cameras, Depth, Image, Kind, Pair, Pairs, Raster};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
 
 choice! {

@@ -19,8 +19,5 @@ mod match_pair;
 use rockface_core::{AnyStage, Row};
 
 /// The stages of this room, in the order of the catalogue.
-pub static STAGES: &[&dyn AnyStage] = &[
-    &Row::<map_noise::MapNoise>::new(),
-    &Row::<match_image::MatchImage>::new(),
-    &Row::<match_pair::MatchPair>::new(),
-];
+pub static STAGES: &[&dyn AnyStage] =
+    &[&Row::<map_noise::MapNoise>::new(), &Row::<match_image::MatchImage>::new(), &Row::<match_pair::MatchPair>::new()];

@@ -8,19 +8,19 @@
 
 use rayon::prelude::*;
 
-use rockface_core::StageError;
-use rockface_core::artefact::Depth;
-use rockface_core::fail;
 use crate::camera::model::{Camera, full_pixel};
-use rockface_core::numerics::simd::{LANES, Lanes, Number, Work, both, vectorised};
 use crate::matching::noise::paper::{FieldRecipe, LocalNoise, SmoothNoise};
 use crate::matching::noise::terms::{DisparityError, Lookups, Site, Terms};
 use crate::matching::noisy_rays::NoisyRays;
 use crate::matching::pixel_row::{Block, OwnRow};
-use rockface_core::numerics::random::Key;
 use crate::matching::rectification::{Placed, Rectification};
 use crate::matching::rectified_row::{rectified_ray, rectified_row, source_pixel};
+use rockface_core::StageError;
+use rockface_core::artefact::Depth;
+use rockface_core::fail;
 use rockface_core::numerics::fast_round::{floor, nearest};
+use rockface_core::numerics::random::Key;
+use rockface_core::numerics::simd::{LANES, Lanes, Number, Work, both, vectorised};
 
 /// The white part of the noise: its deviation in pixels, and its draws.
 pub type Local = (f64, LocalNoise);

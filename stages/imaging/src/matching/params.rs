@@ -1,9 +1,9 @@
 //! The parameters that every stage which matches pairs has in common, and what they are set up to.
 
-use rockface_core::artefact::Raster;
-use crate::matching::noise::paper::{Distribution, FieldRecipe, Interpolation, Variance};
 use crate::matching::noise::matcher::{MatcherTerms, PaperNoise};
+use crate::matching::noise::paper::{Distribution, FieldRecipe, Interpolation, Variance};
 use crate::matching::setup::Setup;
+use rockface_core::artefact::Raster;
 use rockface_core::params::Range;
 use rockface_core::{StageError, params};
 

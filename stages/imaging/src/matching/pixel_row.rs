@@ -2,10 +2,10 @@
 
 use nalgebra::Vector3;
 
-use rockface_core::artefact::Depth;
 use crate::camera::model::Camera;
-use rockface_core::numerics::simd::{LANES, Lanes};
 use crate::camera::ray_row::RayRow;
+use rockface_core::artefact::Depth;
+use rockface_core::numerics::simd::{LANES, Lanes};
 
 /// The pixels of a row that show something, from left to right.
 #[derive(Debug, Clone, PartialEq)]

@@ -137,9 +137,9 @@ fn area_keeping_focal(cameras: [&Camera; 2], rectified: &[Matrix3<f64>; 2]) -> R
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::{Matrix4, Vector4};
     use rockface_core::artefact::Sensor;
     use rockface_core::testing::{image_at, small_sensor};
-    use nalgebra::{Matrix4, Vector4};
 
     fn camera(centre: [f64; 3], turn: [f64; 3]) -> Camera {
         let sensor = Sensor { k: [-0.2, 0.05, 0.0, 0.0], p: [0.001, 0.002], b1: 0.4, ..small_sensor() };

@@ -5,13 +5,13 @@
 
 use nalgebra::Vector3;
 
+use super::rectification::Rectification;
 use crate::camera::depth_window::{DepthWindow, pixel_at};
-use rockface_core::numerics::simd::Number;
+use crate::camera::model::Camera;
 use crate::camera::orientation::quaternion;
 use crate::matching::pixel_row::OwnRow;
-use super::rectification::Rectification;
 use rockface_core::artefact::{Depth, Image, Sensor};
-use crate::camera::model::Camera;
+use rockface_core::numerics::simd::Number;
 
 /// Normalised coordinates of a pixel of rectified image `side`.
 #[inline(always)]

@@ -1,12 +1,12 @@
 //! A pair made ready for matching: its depth maps and cameras checked, its noise fields set up.
 
-use rockface_core::artefact::{Cameras, Depth, Image, Raster};
 use crate::camera::model::Camera;
-use crate::matching::noise::paper::LocalNoise;
 use crate::matching::noise::matcher::{Keys, MatcherTerms, PairScene, PaperNoise};
+use crate::matching::noise::paper::LocalNoise;
 use crate::matching::noisy_rays::NoisyRays;
 use crate::matching::pair::{Local, Matcher, Smooth, smooth_noise};
 use crate::matching::rectification::Rectification;
+use rockface_core::artefact::{Cameras, Depth, Image, Raster};
 use rockface_core::{StageError, fail};
 
 /// How pairs are matched; the same for all of them.

@@ -2,13 +2,13 @@
 
 use nalgebra::{DMatrix, Vector3};
 
-use rockface_core::artefact::{Cameras, Covariance, Kind, Mesh, Table};
+use crate::camera::orientation_parameters::{INTERIOR, Parameter};
 use crate::survey::block_adjustment::inverse::{Datum, Inverse, invert};
 use crate::survey::block_adjustment::normals::{ObjectPoint, Priors, reduced};
 use crate::survey::block_adjustment::propagation::{in_all, pair_effect, stereo_pairs};
 use crate::survey::block_adjustment::tie_points::{Visibility, Wanted, control_points, tie_points};
 use crate::survey::block_adjustment::unknowns::{FreeInterior, Unknowns};
-use crate::camera::orientation_parameters::{INTERIOR, Parameter};
+use rockface_core::artefact::{Cameras, Covariance, Kind, Mesh, Table};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
 

@@ -2,8 +2,8 @@
 
 use nalgebra::Vector3;
 
-use rockface_core::artefact::{Frame, Mesh};
 use crate::survey::overlap::sample_vertices;
+use rockface_core::artefact::{Frame, Mesh};
 use rockface_core::{StageError, fail};
 
 /// The extent of a face in the wall frame, metres.

@@ -2,13 +2,13 @@
 
 use nalgebra::{DMatrix, Matrix3, Vector3};
 
-use rockface_core::StageError;
-use rockface_core::artefact::{Cameras, Covariance};
+use crate::camera::model::Camera;
+use crate::camera::orientation_parameters::{INTERIOR, Parameter};
 use crate::survey::block_adjustment::partials::Partials;
 use crate::survey::block_adjustment::propagation::{movement, rms_off_plane};
 use crate::survey::block_adjustment::unknowns::{FreeInterior, Unknowns};
-use crate::camera::model::Camera;
-use crate::camera::orientation_parameters::{INTERIOR, Parameter};
+use rockface_core::StageError;
+use rockface_core::artefact::{Cameras, Covariance};
 
 /// Matching noise, and the cell of the DEM that averages the white part of it.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -2,18 +2,18 @@
 
 use nalgebra::Vector3;
 
-use rockface_core::artefact::{Band, Cameras, Cell, Covariance, Frame, Kind, Mesh, Pairs, Raster, Sample, Table};
+use crate::camera::model::Camera;
+use crate::matching::noise::paper::{Interpolation, Variance};
 use crate::survey::block_adjustment::propagation::{in_all, stereo_pairs};
 use crate::survey::block_adjustment::tie_points::Visibility;
-use crate::camera::model::Camera;
-use rockface_core::numerics::marginal::marginal;
-use crate::matching::noise::paper::{Interpolation, Variance};
-use crate::survey::overlap::sample_vertices;
-use rockface_raster::rasterise::{extent, grid_around, tin};
-use rockface_raster::shape::Shape;
 use crate::survey::forecast::{Joint, Matching, at_point};
+use crate::survey::overlap::sample_vertices;
+use rockface_core::artefact::{Band, Cameras, Cell, Covariance, Frame, Kind, Mesh, Pairs, Raster, Sample, Table};
+use rockface_core::numerics::marginal::marginal;
 use rockface_core::params::Range;
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_raster::rasterise::{extent, grid_around, tin};
+use rockface_raster::shape::Shape;
 
 /// Points a pair is judged at.
 const SAMPLES: usize = 2000;

@@ -2,8 +2,8 @@
 
 use nalgebra::Vector3;
 
-use rockface_core::artefact::{Cameras, Mesh, Pair};
 use crate::camera::model::Camera;
+use rockface_core::artefact::{Cameras, Mesh, Pair};
 use rockface_core::numerics::portable_math;
 
 /// Below this length of the viewing direction's part across the baseline a pair cannot be rectified.

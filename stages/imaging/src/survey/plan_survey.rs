@@ -2,11 +2,11 @@
 
 use nalgebra::Vector3;
 
-use rockface_core::artefact::{Cameras, Frame, Image, Kind, Mesh, Sensor};
 use crate::camera::model::Camera;
-use crate::survey::overlap::{Views, depths_seen};
 use crate::survey::face::Face;
+use crate::survey::overlap::{Views, depths_seen};
 use crate::survey::stations::{Strips, count_to_cover, looking, scatter};
+use rockface_core::artefact::{Cameras, Frame, Image, Kind, Mesh, Sensor};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
 

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use rockface_core::artefact::{Cameras, Kind, Mesh, Pair, Pairs};
 use crate::survey::overlap::{NoPair, Views, sample_vertices};
+use rockface_core::artefact::{Cameras, Kind, Mesh, Pair, Pairs};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
@@ -212,8 +212,8 @@ fn none(params: &SelectPairsParams, images: usize, left_out: &[Pair]) -> StageEr
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rockface_core::artefact::{Artefact, Frame};
     use crate::camera::camera_files::json as json_file;
+    use rockface_core::artefact::{Artefact, Frame};
     use rockface_core::params::ParamType;
     use rockface_core::testing::TestHost;
     use serde_json::{Value, json};

@@ -3,9 +3,9 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::face::Face;
-use rockface_core::artefact::Image;
 use crate::camera::model::exponential;
 use crate::camera::orientation::quaternion;
+use rockface_core::artefact::Image;
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::random::Field;
 
@@ -70,7 +70,8 @@ impl Strips {
     fn station(&self, target: &Vector3<f64>, [yaw_deg, pitch_deg]: [f64; 2]) -> Vector3<f64> {
         let (yaw, pitch) = (yaw_deg.to_radians(), pitch_deg.to_radians());
         let across = portable_math::cos(yaw) * portable_math::cos(pitch);
-        let axis = Vector3::new(portable_math::sin(yaw) * portable_math::cos(pitch), portable_math::sin(pitch), -across);
+        let axis =
+            Vector3::new(portable_math::sin(yaw) * portable_math::cos(pitch), portable_math::sin(pitch), -across);
         target - axis * (self.distance_m / across)
     }
 }

@@ -4,8 +4,8 @@ use nalgebra::Vector3;
 use proptest::prelude::*;
 
 use super::*;
-use rockface_core::artefact::{Frame, Mesh, Surface, Transform};
 use crate::plane_fit;
+use rockface_core::artefact::{Frame, Mesh, Surface, Transform};
 use rockface_core::format::ply;
 
 fn mesh(vertices: Vec<[f64; 3]>, triangles: Vec<[u32; 3]>) -> Mesh {

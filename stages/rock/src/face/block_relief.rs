@@ -6,9 +6,9 @@
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
+use crate::face::relief::Lattice;
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::random::Field;
-use crate::face::relief::Lattice;
 
 /// Joints followed until one is found that goes through; with more missing in a row the next one goes through.
 const MISSING_IN_A_ROW: i32 = 12;

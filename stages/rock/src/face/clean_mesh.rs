@@ -2,13 +2,13 @@
 
 use serde_json::Value;
 
-use rockface_core::artefact::{Frame, Kind, Mesh, Raster, Surface};
 use crate::face::mesh_cleaning;
 use crate::face::mesh_cleaning::Mended;
-use rockface_raster::surface_cleaning::{Removed, Rules, clean};
-use rockface_raster::window;
+use rockface_core::artefact::{Frame, Kind, Mesh, Raster, Surface};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Ports, Stage, StageError, choice, fail, params};
+use rockface_raster::surface_cleaning::{Removed, Rules, clean};
+use rockface_raster::window;
 
 choice! {
     /// What is cleaned.

@@ -2,7 +2,7 @@
 
 use super::cloud::Cloud;
 use rockface_core::artefact::CodecError;
-use rockface_core::format::limits::Stop;
+use rockface_core::limits::Stop;
 
 /// Reads a point a line, columns set apart by blanks, commas or semicolons.
 ///

@@ -2,15 +2,15 @@
 
 use nalgebra::Vector3;
 
-use rockface_core::artefact::{Frame, Kind};
 use crate::face::cloud;
 use crate::face::cloud::Cloud;
 use crate::face::sheet;
 use crate::face::sheet::{Made, Rules, SheetPlane};
-use rockface_raster::plane_fit;
-use rockface_raster::plane_fit::Plane;
+use rockface_core::artefact::{Frame, Kind};
 use rockface_core::params::{Fault, FileRef, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
+use rockface_raster::plane_fit;
+use rockface_raster::plane_fit::Plane;
 
 /// A normal whose cosine with a direction is smaller does not tell on which side the rock is (6 degrees).
 const LEAST_COSINE: f64 = 0.1;

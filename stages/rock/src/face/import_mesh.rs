@@ -2,14 +2,14 @@
 
 use nalgebra::Vector3;
 
-use rockface_core::artefact::{Frame, Kind, Mesh};
 use crate::face::inspection::{Found, Inspection};
 use crate::face::repair;
 use crate::face::repair::Repaired;
 use crate::face::{mesh_file, orient};
-use rockface_raster::mesh_check;
+use rockface_core::artefact::{Frame, Kind, Mesh};
 use rockface_core::params::{Fault, FileRef, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
+use rockface_raster::mesh_check;
 
 /// A mean normal whose cosine with the way out is smaller does not tell inside from outside.
 const LEAST_COSINE: f64 = 0.02;

@@ -1,8 +1,8 @@
 //! `mask-safe-zone`: where on a face a block may stand without touching borders and holes.
 
-use rockface_core::artefact::{Band, Frame, Kind, Mesh, Raster, Sample};
 use crate::face::safe_zone;
 use crate::face::safe_zone::{Rules, Zone};
+use rockface_core::artefact::{Band, Frame, Kind, Mesh, Raster, Sample};
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, params};
 

@@ -3,8 +3,8 @@
 use nalgebra::Vector3;
 
 use crate::face::{orient, repair};
-use rockface_raster::surface_cleaning::{Removed, Rules};
 use rockface_core::artefact::{Frame, Mesh};
+use rockface_raster::surface_cleaning::{Removed, Rules};
 
 /// What was done to a mesh besides what [`Removed`] counts.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]

@@ -4,7 +4,7 @@
 //! every group and material, which tears a surface.
 
 use rockface_core::artefact::{CodecError, Frame, Mesh};
-use rockface_core::format::limits::Stop;
+use rockface_core::limits::Stop;
 
 /// Words that may begin a line; everything but vertices and faces is skipped.
 const WORDS: [&str; 12] = ["v", "vn", "vt", "vp", "f", "o", "g", "s", "l", "p", "usemtl", "mtllib"];

@@ -125,10 +125,10 @@ fn unpinched(mesh: &Mesh) -> Vec<bool> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rockface_core::artefact::Frame;
     use crate::face::inspection::Inspection;
-    use rockface_core::testing::height_mesh;
     use proptest::prelude::*;
+    use rockface_core::artefact::Frame;
+    use rockface_core::testing::height_mesh;
 
     proptest! {
         #[test]

@@ -2,9 +2,9 @@
 
 use rayon::prelude::*;
 
+use rockface_core::artefact::{Frame, Mesh};
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::random::Field;
-use rockface_core::artefact::{Frame, Mesh};
 
 /// Ratio of the wavelengths of neighbouring octaves; irrational, so that their lattices never line up.
 const OCTAVE_RATIO: f64 = 1.932_851;

@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 
 use super::distance;
 use rockface_core::artefact::{Grid, Mesh};
+use rockface_core::numerics::union_find::UnionFind;
 use rockface_raster::rasterise;
 use rockface_raster::shape::Shape;
-use rockface_core::numerics::union_find::UnionFind;
 
 /// How far to keep away, and from what.
 #[derive(Debug, Clone, Copy, PartialEq)]

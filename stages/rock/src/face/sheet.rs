@@ -8,8 +8,8 @@ use super::cloud::Cloud;
 use super::half_edges::{BORDER, HalfEdges};
 use super::{orient, repair};
 use rockface_core::artefact::{Frame, Mesh};
-use rockface_raster::mesh_check;
 use rockface_core::numerics::quantile;
+use rockface_raster::mesh_check;
 
 /// Coordinates nearer to zero than this are zero: the triangulation's exact arithmetic needs room below.
 const LEAST_COORDINATE_M: f64 = 1e-30;
@@ -201,8 +201,8 @@ fn median_edge(flat: &[Vector3<f64>], triangles: &[[u32; 3]]) -> f64 {
 mod tests {
     use super::*;
     use crate::face::inspection::Inspection;
-    use rockface_core::numerics::random::Key;
     use nalgebra::Rotation3;
+    use rockface_core::numerics::random::Key;
 
     const RULES: Rules = Rules { cell_m: None, max_edge_m: None, max_edge_medians: 4.0, min_piece_triangles: 10 };
 

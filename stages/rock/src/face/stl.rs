@@ -2,7 +2,7 @@
 
 use super::repair::Places;
 use rockface_core::artefact::{CodecError, Frame, Mesh};
-use rockface_core::format::limits;
+use rockface_core::limits;
 
 /// Bytes before the triangles of a binary file: a comment and the number of triangles.
 const HEAD: usize = 84;

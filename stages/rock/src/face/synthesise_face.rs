@@ -1,10 +1,10 @@
 //! `synthesise-face`: makes a rock face out of nothing but a seed: relief broken into blocks by joints and beds.
 
-use rockface_core::artefact::{Kind, Mesh};
 use crate::face::block_relief::{BlockRelief, Fallen, JointSet, StepLaw};
-use rockface_core::numerics::random::Field;
 use crate::face::relief;
 use crate::face::relief::Lattice;
+use rockface_core::artefact::{Kind, Mesh};
+use rockface_core::numerics::random::Field;
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
 

@@ -1,12 +1,12 @@
 //! `classify-shapes`: puts bodies into the shape classes of Sneed and Folk.
 
-use rockface_core::artefact::{Artefact, Cell, Kind, Meshes, Table};
-use rockface_raster::columns;
 use crate::rockfall::ground_truth::Facets;
 use crate::rockfall::ground_truth::bounding_box::oriented_box;
 use crate::rockfall::ground_truth::sneed_folk;
 use crate::rockfall::ground_truth::sneed_folk::CLASSES;
+use rockface_core::artefact::{Artefact, Cell, Kind, Meshes, Table};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, params};
+use rockface_raster::columns;
 
 params! {
     /// Parameters of `classify-shapes`.

@@ -1,11 +1,11 @@
 //! `fit-magnitude-frequency`: fits the power law of rockfall volumes and tabulates their cumulative curve.
 
-use rockface_core::artefact::{Cell, Kind, Table};
 use crate::rockfall::power_law;
 use crate::rockfall::power_law::PowerLaw;
-use rockface_raster::columns;
+use rockface_core::artefact::{Cell, Kind, Table};
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, params};
+use rockface_raster::columns;
 
 params! {
     /// Parameters of `fit-magnitude-frequency`.

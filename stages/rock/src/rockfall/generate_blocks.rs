@@ -2,11 +2,11 @@
 
 use serde_json::{Value, json};
 
-use rockface_core::artefact::candidates::{Class, HexKey, Modifier, Shape, Size};
-use rockface_core::artefact::{Candidates, Kind, Meshes, Transform};
 use crate::rockfall::block;
 use crate::rockfall::block::joints;
 use crate::rockfall::distribution;
+use rockface_core::artefact::candidates::{Class, HexKey, Modifier, Shape, Size};
+use rockface_core::artefact::{Candidates, Kind, Meshes, Transform};
 use rockface_core::params::{Fault, FileRef, ParamType, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 

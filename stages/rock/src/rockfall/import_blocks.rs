@@ -2,17 +2,17 @@
 
 use std::io::Read;
 
-use rockface_core::artefact::candidates::Modifier;
-use rockface_core::artefact::{Frame, Kind, Mesh, Meshes, Part, Transform};
+use crate::face::half_edges::HalfEdges;
+use crate::face::{mesh_file, orient, repair};
 use crate::rockfall::block;
 use crate::rockfall::block::{Flaw, Solid, smoothing};
 use crate::rockfall::distribution;
-use crate::face::half_edges::HalfEdges;
-use crate::face::{mesh_file, orient, repair};
+use rockface_core::artefact::candidates::Modifier;
+use rockface_core::artefact::{Frame, Kind, Mesh, Meshes, Part, Transform};
 use rockface_core::numerics::random::Key;
-use rockface_raster::shape::Moved;
 use rockface_core::params::{FileRef, FilesRef, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, SourceFile, Stage, StageError, choice, fail, params};
+use rockface_raster::shape::Moved;
 
 choice! {
     /// The frame of the files' coordinates.

@@ -1,7 +1,7 @@
 //! `import-inventory`: reads a rockfall inventory from a GeoJSON file, our own or of another program.
 
-use rockface_core::artefact::{Frame, Inventory, Kind, Noun};
 use crate::rockfall::inventory_foreign;
+use rockface_core::artefact::{Frame, Inventory, Kind, Noun};
 use rockface_core::params::FileRef;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
 

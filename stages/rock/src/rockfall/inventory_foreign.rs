@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 use rockface_core::artefact::{Cell, CodecError, Feature, Frame, Inventory, Polygon};
-use rockface_core::format::limits;
+use rockface_core::limits;
 
 /// Reads a feature collection; the frame is world. Properties become columns in alphabetical order.
 ///

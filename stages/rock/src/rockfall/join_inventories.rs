@@ -1,8 +1,8 @@
 //! `join-inventories`: puts the features of many gathered inventories into one.
 
 use rockface_core::artefact::{Cell, Feature, Inventory, Kind};
-use rockface_raster::feature_rows::{axes, item_cell};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_raster::feature_rows::{axes, item_cell};
 
 params! {
     /// Parameters of `join-inventories`: there are none.

@@ -1,8 +1,8 @@
 //! `place-blocks`: says how likely a block stands at each place of a face, for all classes of blocks or for each.
 
-use rockface_core::artefact::{Band, Candidates, Grid, Kind, Raster, Sample};
 use crate::rockfall::block::placement;
 use crate::rockfall::block::placement::Weights;
+use rockface_core::artefact::{Band, Candidates, Grid, Kind, Raster, Sample};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 

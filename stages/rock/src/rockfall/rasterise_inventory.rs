@@ -1,8 +1,8 @@
 //! `rasterise-inventory`: burns the outlines of an inventory into a label raster.
 
+use crate::rockfall::inventory_labels::burn;
 use rockface_core::artefact::Sample;
 use rockface_core::artefact::{Feature, Inventory, Kind, Raster};
-use crate::rockfall::inventory_labels::burn;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
 params! {

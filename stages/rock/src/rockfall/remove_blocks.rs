@@ -2,7 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use rockface_core::artefact::{Artefact, Candidates, Frame, Kind, Mesh, Meshes, Raster, Transform};
+use crate::rockfall::ground_truth;
+use crate::rockfall::ground_truth::RemovedPiece;
 use crate::rockfall::removal::attempts;
 use crate::rockfall::removal::attempts::{End, Event, Outcome, Plan};
 use crate::rockfall::removal::cut::Least;
@@ -12,8 +13,7 @@ use crate::rockfall::removal::sites::Sites;
 use crate::rockfall::removal::source::{Blocks, Source};
 use crate::rockfall::removal::tables;
 use crate::rockfall::removal::zone::Zone;
-use crate::rockfall::ground_truth;
-use crate::rockfall::ground_truth::RemovedPiece;
+use rockface_core::artefact::{Artefact, Candidates, Frame, Kind, Mesh, Meshes, Raster, Transform};
 use rockface_core::params::Range;
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
 

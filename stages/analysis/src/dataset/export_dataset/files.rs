@@ -5,7 +5,6 @@ use serde_json::{Map, Value, json};
 use super::choice::{Events, Pick};
 use super::sources::Scored;
 use super::{ExportDatasetParams, Format, Negatives, SplitBy};
-use rockface_core::artefact::{Cell, Noun, Raster, Sample, Table};
 use crate::dataset::card;
 use crate::dataset::card::Facts;
 use crate::dataset::npz;
@@ -13,6 +12,7 @@ use crate::dataset::npz::Array;
 use crate::dataset::split::PARTS;
 use crate::dataset::tiles::Tile;
 use crate::dataset::{catalogue, checksums};
+use rockface_core::artefact::{Cell, Noun, Raster, Sample, Table};
 use rockface_core::{Context, StageError};
 
 /// The name of a tile: its number, its point, its corner.

@@ -1,11 +1,11 @@
 //! The comparisons tiles are cut from: differences, elevations and truth that belong together.
 
 use super::ExportDatasetParams;
-use rockface_core::artefact::{Inventory, Raster};
 use crate::dataset::tiles::Scene;
 use crate::detection::compared;
-use rockface_raster::grid;
+use rockface_core::artefact::{Inventory, Raster};
 use rockface_core::{Inputs, Point, StageError, fail};
+use rockface_raster::grid;
 
 /// One comparison.
 pub(super) struct Scored<'a> {

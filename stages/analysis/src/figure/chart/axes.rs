@@ -11,9 +11,9 @@ use super::layer::{Layer, Mark};
 use super::scale::{Axis, AxisKind, Scale};
 use super::theme::{Anchor, Face, Ink, UNIT, words};
 use super::{Area, Inset, failed, legend};
-use rockface_core::artefact::CodecError;
 use crate::figure::canvas::Canvas;
 use crate::figure::colour_scale::rounded;
+use rockface_core::artefact::CodecError;
 
 /// A chart over two axes.
 #[derive(Debug, Clone, PartialEq)]

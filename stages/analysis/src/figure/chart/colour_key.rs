@@ -2,9 +2,9 @@
 
 use super::theme::{Anchor, Face, Ink, UNIT, stroke, words};
 use super::{Area, Inset};
-use rockface_core::artefact::CodecError;
 use crate::figure::canvas::Canvas;
 use crate::figure::colour_scale::{ColourScale, Palette, labels};
+use rockface_core::artefact::CodecError;
 
 /// Colours of values and what the values are.
 #[derive(Debug, Clone, PartialEq)]

@@ -4,8 +4,8 @@ use plotters::element::Polygon;
 
 use super::theme::{Anchor, Face, Ink, UNIT, stroke, words};
 use super::{Area, Layer, Mark, failed, legend};
-use rockface_core::artefact::CodecError;
 use crate::figure::colour_scale::{ColourScale, Palette, labels};
+use rockface_core::artefact::CodecError;
 use rockface_core::numerics::portable_math;
 
 /// A radar.

@@ -15,8 +15,8 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 use plotters::style::{Color, FontStyle, IntoFont, RGBColor, ShapeStyle, TextStyle};
 
 use super::{Area, Inset, failed};
-use rockface_core::artefact::CodecError;
 use crate::figure::canvas::{Colour, Pen};
+use rockface_core::artefact::CodecError;
 
 /// Drawing units a pixel: the backend knows whole numbers only.
 pub(super) const UNIT: i32 = 10;

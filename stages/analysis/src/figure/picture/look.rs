@@ -2,8 +2,8 @@
 
 use std::borrow::Cow;
 
-use rockface_core::artefact::{Depth, Grid, Raster};
 use crate::figure::colour_scale::{ColourScale, Palette, length, quantile};
+use rockface_core::artefact::{Depth, Grid, Raster};
 use rockface_raster::shape::Shape;
 
 use super::Subject;

@@ -1,8 +1,8 @@
 //! A frame with two logarithmic axes: decades, grid lines and labels.
 
-use rockface_core::artefact::CodecError;
 use crate::figure::canvas::{Align, Canvas, Pen};
 use crate::figure::colour_scale::decade_label;
+use rockface_core::artefact::CodecError;
 use rockface_core::numerics::portable_math;
 
 use super::strokes::{self, Place};
@@ -80,8 +80,9 @@ impl Decades {
 
     /// Where positive values lie, pixels.
     pub fn place(&self, x: f64, y: f64) -> Place {
-        let share =
-            |value: f64, [first, last]: [i32; 2]| (portable_math::log10(value) - f64::from(first)) / f64::from(last - first);
+        let share = |value: f64, [first, last]: [i32; 2]| {
+            (portable_math::log10(value) - f64::from(first)) / f64::from(last - first)
+        };
         let Frame { left, top, width, height } = self.frame;
         [left as f64 + share(x, self.x) * width as f64, top as f64 + (1.0 - share(y, self.y)) * height as f64]
     }

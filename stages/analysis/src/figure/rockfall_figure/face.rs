@@ -2,10 +2,10 @@
 
 use rayon::prelude::*;
 
-use rockface_core::artefact::{CodecError, Grid, Polygon};
 use crate::figure::canvas::{Align, Canvas, Colour, Pen};
 use crate::figure::colour_scale::{ColourScale, NO_DATA};
 use crate::figure::picture::{brightness, draw_scale};
+use rockface_core::artefact::{CodecError, Grid, Polygon};
 use rockface_core::numerics::portable_math;
 
 use super::{FAINT, Figure, INK, strokes, volume};

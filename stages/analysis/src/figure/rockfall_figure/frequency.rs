@@ -1,7 +1,7 @@
 //! Magnitude and cumulative frequency with the fitted law, and the volumes asked for where they are given.
 
-use rockface_core::artefact::CodecError;
 use crate::figure::canvas::{Canvas, Pen};
+use rockface_core::artefact::CodecError;
 use rockface_rock::rockfall::power_law;
 
 use super::axes::{Decades, decades};

@@ -15,8 +15,8 @@ use rockface_core::artefact::{CodecError, Grid, Polygon};
 
 use super::canvas::{Align, Canvas, Colour, Pen};
 use super::colour_scale::{ColourScale, Palette};
-use rockface_rock::rockfall::power_law::PowerLaw;
 use rockface_core::numerics::portable_math;
+use rockface_rock::rockfall::power_law::PowerLaw;
 
 const MARGIN: usize = 40;
 const TITLE: usize = 78;

@@ -1,8 +1,8 @@
 //! The face in grey relief with what was found, what was missed and what is false, in colours anyone can tell apart.
 
-use rockface_core::artefact::{CodecError, Grid, Polygon};
 use crate::figure::canvas::{Align, Canvas, Colour, Pen};
 use crate::figure::picture::draw_scale;
+use rockface_core::artefact::{CodecError, Grid, Polygon};
 
 use super::face::{self, View};
 use super::{FAINT, INK, MARGIN, TITLE, strokes};

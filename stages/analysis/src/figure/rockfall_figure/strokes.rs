@@ -1,7 +1,7 @@
 //! Lines, dots, triangles and filled polygons with soft edges.
 
-use rockface_core::artefact::Polygon;
 use crate::figure::canvas::{Canvas, Colour};
+use rockface_core::artefact::Polygon;
 
 /// A place in the picture, pixels from the left and top edges.
 pub type Place = [f64; 2];

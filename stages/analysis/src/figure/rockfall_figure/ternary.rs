@@ -1,8 +1,8 @@
 //! The triangle of shapes of Sneed and Folk: compact at the top, platy to the left, elongate to the right.
 
-use rockface_core::artefact::CodecError;
 use crate::figure::canvas::{Align, Canvas, Pen};
 use crate::figure::colour_scale::ColourScale;
+use rockface_core::artefact::CodecError;
 use rockface_core::numerics::portable_math;
 use rockface_rock::rockfall::ground_truth::sneed_folk;
 use rockface_rock::rockfall::ground_truth::sneed_folk::{CLASSES, ELONGATION_LIMITS, FLATNESS_LIMITS};

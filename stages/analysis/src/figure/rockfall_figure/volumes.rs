@@ -1,8 +1,8 @@
 //! Volume of each block against the rock it removed.
 
-use rockface_core::artefact::CodecError;
 use crate::figure::canvas::{Canvas, Pen};
 use crate::figure::colour_scale::ColourScale;
+use rockface_core::artefact::CodecError;
 use rockface_core::numerics::portable_math;
 
 use super::axes::{Decades, decades};

@@ -1,9 +1,9 @@
 //! Cameras from above: where they stand and which way they look.
 
-use rockface_core::artefact::{Cameras, Frame, Image, Preview};
 use crate::figure::canvas::{Align, Canvas, Pen};
 use crate::figure::picture::draw_scale;
 use crate::figure::rockfall_figure::strokes;
+use rockface_core::artefact::{Cameras, Frame, Image, Preview};
 
 use super::{WIDTH_PX, framed};
 

@@ -14,9 +14,9 @@ use std::borrow::Cow;
 use rockface_core::artefact::{Artefact, Frame, Preview};
 
 use crate::figure::canvas::Canvas;
-use crate::figure::picture::look::Look;
 use crate::figure::picture;
 use crate::figure::picture::SMALL;
+use crate::figure::picture::look::Look;
 use rockface_raster::shape::Shape;
 
 /// Width of a preview at most, pixels.

@@ -1,8 +1,8 @@
 //! Elevations of meshes and surfaces at the size of a preview.
 
-use rockface_core::artefact::{Grid, Mesh, Meshes};
 use crate::figure::picture::SMALL;
 use crate::figure::picture::look::Look;
+use rockface_core::artefact::{Grid, Mesh, Meshes};
 use rockface_raster::rasterise;
 use rockface_raster::shape::Shape;
 

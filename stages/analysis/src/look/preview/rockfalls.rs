@@ -1,13 +1,13 @@
 //! Outlines of rockfalls coloured by volume, over the relief of their face where that is at hand.
 
-use rockface_core::artefact::{Artefact, Grid, Inventory, Polygon, Preview};
 use crate::figure::canvas::Canvas;
 use crate::figure::colour_scale::{ColourScale, Palette};
 use crate::figure::picture;
 use crate::figure::picture::{SMALL, Subject, brightness};
+use crate::figure::rockfall_figure::strokes;
+use rockface_core::artefact::{Artefact, Grid, Inventory, Polygon, Preview};
 use rockface_core::numerics::portable_math;
 use rockface_raster::rasterise;
-use crate::figure::rockfall_figure::strokes;
 use rockface_raster::shape::Shape;
 
 use super::{WIDTH_PX, framed, relief, up};

@@ -1,7 +1,9 @@
 //! Small pictures show what an artefact holds, with its scale, at the size that was asked for.
 
 use super::*;
-use rockface_core::artefact::{Cameras, Cell, Depth, Feature, Grid, Image, Inventory, Mesh, Meshes, Part, Picture, Polygon, Raster};
+use rockface_core::artefact::{
+    Cameras, Cell, Depth, Feature, Grid, Image, Inventory, Mesh, Meshes, Part, Picture, Polygon, Raster,
+};
 use rockface_core::artefact::{Sensor, Surface, Table};
 use rockface_core::numerics::portable_math;
 use std::collections::BTreeMap;

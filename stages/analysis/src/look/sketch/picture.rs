@@ -4,9 +4,9 @@
 //! and kept between 1 and 255 otherwise, so that values can be had back from the picture to 1/254 of its range.
 
 use super::{every, left_out, stride_to};
+use crate::figure::colour_scale::{ColourScale, NO_DATA, Palette, quantile};
 use rockface_core::artefact::sketch::{ColourKey, GridBand, GridSketch, PictureSketch, Shape, Sketch};
 use rockface_core::artefact::{Depth, Picture, Raster};
-use crate::figure::colour_scale::{ColourScale, NO_DATA, Palette, quantile};
 
 /// Pixels of the longer side of a picture at most.
 const PICTURE_PX: usize = 512;

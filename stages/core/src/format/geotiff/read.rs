@@ -7,7 +7,7 @@ use tiff::tags::{PlanarConfiguration, Tag};
 
 use super::tags::{GDAL_METADATA, Georeference, Metadata};
 use crate::artefact::{Band, CodecError, Frame, Grid, Raster, Sample};
-use crate::format::limits;
+use crate::limits;
 
 type File<'a> = Decoder<Cursor<&'a [u8]>>;
 

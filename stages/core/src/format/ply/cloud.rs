@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use crate::format::ply::{Ascii, Binary, Source, at, check_held, fault, read_property, skip};
-use crate::format::ply::header::{CLOUD_COMMENT, Element, Encoding, Header, Property, Type, UNITS_COMMENT};
 use crate::artefact::{Cloud, CodecError};
-use crate::format::limits;
+use crate::format::ply::header::{CLOUD_COMMENT, Element, Encoding, Header, Property, Type, UNITS_COMMENT};
+use crate::format::ply::{Ascii, Binary, Source, at, check_held, fault, read_property, skip};
+use crate::limits;
 
 /// Properties with a meaning of their own: no number may have such a name.
 const KNOWN: [&str; 9] = ["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"];

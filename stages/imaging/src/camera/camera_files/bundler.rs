@@ -6,8 +6,8 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::{CameraFile, assemble};
-use rockface_core::artefact::{Cameras, Frame, Image, Sensor};
 use crate::camera::orientation::quaternion;
+use rockface_core::artefact::{Cameras, Frame, Image, Sensor};
 use rockface_core::{StageError, fail};
 
 const HEADER: &str = "# Bundle file v0.3";

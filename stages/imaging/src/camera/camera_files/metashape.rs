@@ -10,8 +10,8 @@ use nalgebra::Matrix3;
 use super::metashape_covariance::covariance;
 use super::metashape_xml::{self, CameraEntry, Chunk, SensorEntry, Similarity};
 use super::{CameraFile, assemble};
-use rockface_core::artefact::{Frame, Image, Sensor};
 use crate::camera::orientation::quaternion;
+use rockface_core::artefact::{Frame, Image, Sensor};
 use rockface_core::{StageError, fail};
 
 pub use super::metashape_writer::write;

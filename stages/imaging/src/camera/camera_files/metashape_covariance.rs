@@ -4,8 +4,8 @@ use nalgebra::Matrix3;
 
 use super::metashape::{our_name, placed};
 use super::metashape_xml::{CameraEntry, Chunk, SensorEntry, Similarity};
-use rockface_core::artefact::{Cameras, Covariance};
 use crate::camera::orientation_parameters::{EXTERIOR, INTERIOR, Parameter};
+use rockface_core::artefact::{Cameras, Covariance};
 use rockface_core::{StageError, fail};
 
 /// Gathers the blocks of the images and sensors in use, in canonical order; `None` where the file has none.

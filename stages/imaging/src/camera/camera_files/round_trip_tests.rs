@@ -4,10 +4,10 @@ use nalgebra::{UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
 use super::{CameraFile, bundler, colmap_binary, colmap_text, json, metashape};
-use rockface_core::StageError;
-use rockface_core::artefact::{Cameras, Covariance, Frame, Image, Noun, Sensor};
 use crate::camera::model::Camera;
 use crate::camera::orientation_parameters::{EXTERIOR, INTERIOR, Parameter};
+use rockface_core::StageError;
+use rockface_core::artefact::{Cameras, Covariance, Frame, Image, Noun, Sensor};
 
 /// A block of two sensors and three images, from numbers between -1 and 1.
 fn block(x: &[f64]) -> Cameras {

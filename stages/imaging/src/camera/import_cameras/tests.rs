@@ -1,12 +1,12 @@
 //! Tests of `import-cameras`: one block from every format, covariances, and what cannot be read.
 
 use super::*;
-use rockface_core::artefact::Artefact;
-use crate::camera::model::Camera;
 use crate::camera::camera_files::{bundler, colmap_binary, metashape};
+use crate::camera::model::Camera;
+use nalgebra::Vector3;
+use rockface_core::artefact::Artefact;
 use rockface_core::params::ParamType;
 use rockface_core::testing::{TestHost, shared};
-use nalgebra::Vector3;
 use serde_json::{Value, json};
 
 fn outcrop() -> Option<TestHost> {

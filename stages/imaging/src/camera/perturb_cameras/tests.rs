@@ -1,13 +1,13 @@
 //! Tests of `perturb-cameras`: joint draws keep rays together, names address draws, bad input is refused.
 
 use super::*;
-use rockface_core::artefact::{Artefact, Frame};
-use crate::camera::model::Camera;
 use crate::camera::camera_files::json as json_file;
 use crate::camera::covariance_files;
+use crate::camera::model::Camera;
+use nalgebra::{Matrix3, Vector3};
+use rockface_core::artefact::{Artefact, Frame};
 use rockface_core::params::ParamType;
 use rockface_core::testing::{TestHost, shared};
-use nalgebra::{Matrix3, Vector3};
 use serde_json::{Value, json};
 use std::sync::Arc;
 

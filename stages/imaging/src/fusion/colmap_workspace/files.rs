@@ -2,8 +2,8 @@
 
 use super::View;
 use super::tie_points::TiePoint;
-use rockface_core::StageError;
 use crate::camera::pinhole::PinholeMap;
+use rockface_core::StageError;
 
 /// COLMAP's sparse code counts pixels from the corner of the first one.
 const HALF_PIXEL: f64 = 0.5;

@@ -3,8 +3,8 @@
 use nalgebra::Vector3;
 
 use rockface_core::artefact::{Cloud, Frame, Mesh};
-use rockface_core::format::ply::cloud;
 use rockface_core::format::ply;
+use rockface_core::format::ply::cloud;
 use rockface_core::{StageError, fail};
 
 /// Share of the largest depth by which points may lie beyond the box: the lattice it is made from misses the rims.

@@ -6,8 +6,8 @@ use std::sync::{Arc, Mutex};
 use serde_json::json;
 
 use super::*;
-use rockface_core::artefact::Artefact;
 use crate::depth::depth_buffer::{Drawing, draw};
+use rockface_core::artefact::Artefact;
 use rockface_core::params::ParamType;
 use rockface_core::testing::{height_mesh, image_at, small_sensor};
 use rockface_core::{Entry, Host, Program, SourceFile};

@@ -1,13 +1,13 @@
 //! `fuse-volume` on a sphere, a plane and a ledge that hangs over, against 2.5D fusion, and its refusals.
 
 use super::*;
-use rockface_core::artefact::{Artefact, Frame, Image, Mesh, Noun, Raster, Sensor};
 use crate::camera::model::Camera;
 use crate::depth::depth_buffer::{Drawing, draw};
-use rockface_core::testing::{TestHost, height_mesh, image_at, run_stage, small_sensor};
-use rockface_core::Point;
-use rockface_core::testing::stage;
 use nalgebra::Vector3;
+use rockface_core::Point;
+use rockface_core::artefact::{Artefact, Frame, Image, Mesh, Noun, Raster, Sensor};
+use rockface_core::testing::stage;
+use rockface_core::testing::{TestHost, height_mesh, image_at, run_stage, small_sensor};
 use serde_json::{Value, json};
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -94,11 +94,14 @@ fn a_plane_agrees_with_the_grids_of_its_images() {
         let mut inputs = Inputs::default();
         inputs.push("depth", Point::new(), Arc::new(depth.clone().into()));
         let with = json!({"cell_m": 0.02, "sigma_m": 0.01, "window_m": window});
-        let outputs = stage(crate::depth::STAGES, "grid-depth").run(&with, &inputs, &Context::new(&TestHost::default())).unwrap();
+        let outputs =
+            stage(crate::depth::STAGES, "grid-depth").run(&with, &inputs, &Context::new(&TestHost::default())).unwrap();
         let grid = outputs.into_inner().remove("grid").unwrap();
         grids.push("grids", Point::new(), Arc::new(grid));
     }
-    let fused = stage(crate::fusion::STAGES, "fuse-grids").run(&json!({}), &grids, &Context::new(&TestHost::default())).unwrap();
+    let fused = stage(crate::fusion::STAGES, "fuse-grids")
+        .run(&json!({}), &grids, &Context::new(&TestHost::default()))
+        .unwrap();
     let raster = fused.into_inner().remove("raster").unwrap();
     let raster = Raster::of(&raster).unwrap();
     let mut compared = 0;

@@ -8,9 +8,9 @@ use std::collections::HashMap;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use rockface_core::artefact::Depth;
 use crate::camera::model::Camera;
 use crate::camera::ray_row::RayRow;
+use rockface_core::artefact::Depth;
 
 /// Voxels along a side of a block.
 pub const SIDE: i32 = 8;

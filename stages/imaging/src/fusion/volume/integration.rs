@@ -4,8 +4,8 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::blocks::{SIDE, VOXELS, Volume};
-use rockface_core::artefact::Depth;
 use crate::camera::model::Camera;
+use rockface_core::artefact::Depth;
 
 /// Sigma that has weight 1, metres.
 const UNIT_SIGMA_M: f64 = 0.01;

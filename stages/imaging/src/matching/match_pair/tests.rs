@@ -1,9 +1,9 @@
 //! Round trips, noise and refusals of `match-pair` on small scenes with known answers.
 
 use super::*;
-use rockface_core::artefact::{Artefact, Frame, Mesh, Noun, Sensor};
 use crate::camera::model::{Camera, full_pixel};
 use crate::depth::depth_buffer::{Drawing, draw};
+use rockface_core::artefact::{Artefact, Frame, Mesh, Noun, Sensor};
 use rockface_core::testing::{TestHost, height_mesh, image_at, run_stage, small_sensor};
 use serde_json::{Value, json};
 

@@ -1,18 +1,18 @@
 //! The parameters that make matching noise more like a real matcher's, and the fields they stand for at one pair.
 
-use rockface_core::StageError;
-use rockface_core::artefact::{Depth, Frame, Raster};
 use crate::camera::model::{Camera, full_pixel};
-use crate::matching::noise::paper::{Distribution, FieldRecipe, LocalNoise, SmoothNoise};
 use crate::matching::noise::correlated::CorrelatedNoise;
 use crate::matching::noise::modulation::{Blunders, Modulation, Patches, smooth_field};
+use crate::matching::noise::paper::{Distribution, FieldRecipe, LocalNoise, SmoothNoise};
 use crate::matching::noise::strength::Strength;
 use crate::matching::noise::terms::{Address, Ledges, Part, Relief, Terms, UnitField};
 use crate::matching::noise::window::{WindowEffects, relief, seen_depth};
 use crate::matching::pair::smooth_noise;
+use crate::matching::rectification::Rectification;
+use rockface_core::StageError;
+use rockface_core::artefact::{Depth, Frame, Raster};
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::random::Key;
-use crate::matching::rectification::Rectification;
 use rockface_core::params;
 use rockface_core::params::Range;
 

@@ -1,7 +1,7 @@
 //! Smooth random factors and patches: how strong the noise is from place to place, and where matching goes astray.
 
-use crate::matching::noise::paper::{Distribution, FieldRecipe, Interpolation, SmoothNoise, Variance};
 use crate::matching::noise::correlated::SPACING_OF_SCALE;
+use crate::matching::noise::paper::{Distribution, FieldRecipe, Interpolation, SmoothNoise, Variance};
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::random::Key;
 

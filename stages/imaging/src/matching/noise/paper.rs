@@ -5,12 +5,12 @@
 
 use std::ops::Mul;
 
-use rockface_core::choice;
-use rockface_core::numerics::simd::{LANES, Lanes, Number, both};
 use crate::matching::noise::student::student;
+use rockface_core::choice;
+use rockface_core::numerics::fast_round::floor;
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::random::{Field, Key};
-use rockface_core::numerics::fast_round::floor;
+use rockface_core::numerics::simd::{LANES, Lanes, Number, both};
 
 choice! {
     /// Distribution of a draw, scaled to unit standard deviation.

@@ -6,12 +6,12 @@
 //! image and n one number of the acquisition: what light and blur do to all ledges alike. Blunders are added, and at last
 //! what the matcher's sub-pixel step does: locking towards whole disparities, and rounding to its step.
 
-use crate::matching::noise::paper::{LocalNoise, Lookup, SmoothNoise};
 use crate::matching::noise::correlated::CorrelatedNoise;
 use crate::matching::noise::modulation::{Blunders, Modulation, Patches};
+use crate::matching::noise::paper::{LocalNoise, Lookup, SmoothNoise};
 use crate::matching::noise::strength::Strength;
-use rockface_core::numerics::portable_math;
 use rockface_core::numerics::fast_round::nearest;
+use rockface_core::numerics::portable_math;
 
 /// A unit field.
 #[derive(Debug, Clone)]
@@ -254,9 +254,9 @@ fn unit(parts: &[Part], site: &Site) -> f64 {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use rockface_core::artefact::{Frame, Grid, Raster};
-    use crate::matching::noise::paper::Distribution;
     use crate::matching::noise::modulation::smooth_field;
+    use crate::matching::noise::paper::Distribution;
+    use rockface_core::artefact::{Frame, Grid, Raster};
     use rockface_core::numerics::random::Key;
 
     const SITE: Site = Site {

@@ -7,8 +7,8 @@ use super::inverse::{Datum, invert};
 use super::normals::{ObjectPoint, Priors, reduced};
 use super::partials::Partials;
 use super::unknowns::{FreeInterior, Unknowns};
-use rockface_core::artefact::{Cameras, Frame, Sensor};
 use crate::camera::model::Camera;
+use rockface_core::artefact::{Cameras, Frame, Sensor};
 use rockface_core::testing::{image_at, small_sensor};
 
 /// Three images of a lens with distortion and 25 points, 4 of them control points.

@@ -9,10 +9,10 @@ use super::normals::{ObjectPoint, Priors, reduced};
 use super::partials::Partials;
 use super::propagation::{intersection, pair_effect, variance};
 use super::unknowns::Unknowns;
-use rockface_core::artefact::{Cameras, Covariance};
-use crate::camera::model::Camera;
 use crate::camera::covariance_sampling::JointRoot;
+use crate::camera::model::Camera;
 use crate::camera::orientation_parameters::correct;
+use rockface_core::artefact::{Cameras, Covariance};
 use rockface_core::numerics::random::{Field, Key};
 
 /// Gauss-Newton of a whole small block, object points among the unknowns; returns the corrections of the orientation.

@@ -4,9 +4,9 @@ use nalgebra::{DMatrix, Matrix3, Vector3};
 
 use super::partials::Partials;
 use super::unknowns::Unknowns;
+use crate::camera::model::Camera;
 use rockface_core::StageError;
 use rockface_core::artefact::Cameras;
-use crate::camera::model::Camera;
 
 /// Least determinant of a point's normal matrix, as a share of that of a point known evenly: below it rays are parallel.
 const RAYS_MEET: f64 = 1e-12;

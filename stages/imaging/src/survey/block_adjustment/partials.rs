@@ -59,10 +59,10 @@ fn interior(camera: &Camera, x: f64, y: f64) -> [[f64; INTERIOR.len()]; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rockface_core::artefact::{Cameras, Frame, Sensor};
     use crate::camera::orientation_parameters::{Parameter, correct};
-    use rockface_core::testing::{image_at, small_sensor};
     use proptest::prelude::*;
+    use rockface_core::artefact::{Cameras, Frame, Sensor};
+    use rockface_core::testing::{image_at, small_sensor};
 
     fn block() -> Cameras {
         let sensor = Sensor { b1: 0.3, b2: -0.2, k: [-0.1, 0.05, 0.02, -0.01], p: [2e-3, -1e-3], ..small_sensor() };

@@ -8,9 +8,9 @@ use nalgebra::{DMatrix, Matrix4x3, Vector3, Vector4};
 
 use super::partials::Partials;
 use super::unknowns::Unknowns;
-use rockface_core::artefact::Cameras;
 use crate::camera::model::Camera;
 use crate::survey::overlap::Views;
+use rockface_core::artefact::Cameras;
 
 /// Smallest overlap and ratio of baseline to distance of images taken for a stereo pair.
 const STEREO: [f64; 2] = [0.3, 0.03];

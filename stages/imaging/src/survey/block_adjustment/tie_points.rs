@@ -6,9 +6,9 @@ use rand::{Rng, RngExt};
 use rayon::prelude::*;
 
 use super::normals::ObjectPoint;
-use rockface_core::artefact::{Cameras, Mesh};
 use crate::camera::model::Camera;
 use crate::depth::depth_buffer::{DepthBuffer, Drawing, draw};
+use rockface_core::artefact::{Cameras, Mesh};
 
 /// Columns or rows, whichever is more, of the depth maps visibility is decided on.
 const BUFFER_SIDE: u32 = 400;

@@ -1,8 +1,8 @@
 //! Which orientation parameters of a block are estimated, and where each stands: images first, then sensors.
 
 use super::partials::Partials;
-use rockface_core::artefact::Cameras;
 use crate::camera::orientation_parameters::{EXTERIOR, Parameter};
+use rockface_core::artefact::Cameras;
 
 /// A parameter of the interior orientation that is estimated.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,12 +1,12 @@
 //! Tests of `estimate-covariance`: the station of the paper, big blocks in seconds, and blocks that nothing fixes.
 
 use super::*;
-use rockface_core::artefact::{Artefact, Frame, Image, Sensor};
 use crate::camera::covariance_sampling::{JointRoot, block_only};
 use crate::camera::orientation::quaternion;
+use nalgebra::Matrix3;
+use rockface_core::artefact::{Artefact, Frame, Image, Sensor};
 use rockface_core::params::ParamType;
 use rockface_core::testing::{TestHost, height_mesh, image_at, run_stage, small_sensor};
-use nalgebra::Matrix3;
 use serde_json::{Value, json};
 
 fn looking(name: &str, centre: Vector3<f64>, target: Vector3<f64>) -> Image {
@@ -24,7 +24,10 @@ fn station() -> (Cameras, Mesh) {
     let sensor = Sensor { width_px: 8256, height_px: 5504, f: 19_540.0, cx: 4127.5, cy: 2751.5, ..small_sensor() };
     let image = |name: &str, x: f64| looking(name, Vector3::new(x, 0.0, 87.0), Vector3::zeros());
     let images = vec![image("left", -16.3), image("right", 16.3)];
-    let relief = |x: f64, y: f64| 0.8 * rockface_core::numerics::portable_math::sin(0.7 * x) * rockface_core::numerics::portable_math::cos(0.9 * y);
+    let relief = |x: f64, y: f64| {
+        0.8 * rockface_core::numerics::portable_math::sin(0.7 * x)
+            * rockface_core::numerics::portable_math::cos(0.9 * y)
+    };
     (Cameras { frame: Frame::Wall, sensors: vec![sensor], images }, height_mesh(60, [-17.8, 17.8, -12.0, 12.0], relief))
 }
 
@@ -106,7 +109,9 @@ fn eighty_images_are_adjusted_in_seconds() {
         image_at(&format!("r{row}c{column}"), centre, [0.02 * (at % 3) as f64, 0.0, 0.0])
     };
     let cameras = Cameras { frame: Frame::Wall, sensors: vec![sensor], images: (0..80).map(image).collect() };
-    let mesh = height_mesh(80, [-20.0, 20.0, -11.0, 11.0], |x, y| 0.5 * rockface_core::numerics::portable_math::sin(x + 0.6 * y));
+    let mesh = height_mesh(80, [-20.0, 20.0, -11.0, 11.0], |x, y| {
+        0.5 * rockface_core::numerics::portable_math::sin(x + 0.6 * y)
+    });
     let with = json!({"tie_points": 1500, "control_points": 0, "position_sigma_m": [0.02, 0.02, 0.03],
         "free_interior": ["f", "cx", "cy", "k1", "k2", "p1", "p2"], "image_sigma_px": 0.7});
     let host = TestHost::default();

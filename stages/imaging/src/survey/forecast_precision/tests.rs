@@ -1,9 +1,9 @@
 //! Tests of `forecast-precision`: textbook figures, the two sites of the paper, and a simulated difference beside the forecast.
 
 use super::*;
+use crate::survey::stations::looking;
 use rockface_core::artefact::{Artefact, Grid, Sensor};
 use rockface_core::numerics::random::Key;
-use crate::survey::stations::looking;
 use rockface_core::testing::{TestHost, height_mesh, image_at, run_stage, small_sensor};
 use serde_json::{Value, json};
 

@@ -1,11 +1,11 @@
 //! Tests of `plan-survey`: the stations of the paper, repeated flights, and plans that cannot be.
 
 use super::*;
-use rockface_core::artefact::Artefact;
 use crate::camera::model::Camera;
+use nalgebra::Matrix3;
+use rockface_core::artefact::Artefact;
 use rockface_core::params::ParamType;
 use rockface_core::testing::TestHost;
-use nalgebra::Matrix3;
 use serde_json::{Value, json};
 use std::sync::Arc;
 
@@ -74,7 +74,9 @@ fn nobbys(more: &Value) -> Value {
 
 /// A face of 40 x 22 m.
 fn headland() -> Mesh {
-    rockface_core::testing::height_mesh(80, [-20.0, 20.0, -11.0, 11.0], |x, _| 0.3 * rockface_core::numerics::portable_math::sin(x))
+    rockface_core::testing::height_mesh(80, [-20.0, 20.0, -11.0, 11.0], |x, _| {
+        0.3 * rockface_core::numerics::portable_math::sin(x)
+    })
 }
 
 #[test]

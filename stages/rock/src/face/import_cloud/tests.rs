@@ -3,8 +3,8 @@
 use serde_json::json;
 
 use super::*;
-use rockface_core::artefact::{Mesh, Noun};
 use crate::face::inspection::Inspection;
+use rockface_core::artefact::{Mesh, Noun};
 use rockface_core::testing::{TestHost, run_stage, shared};
 
 fn import(bytes: &[u8], extra: &serde_json::Value) -> (Result<Mesh, StageError>, TestHost) {

@@ -5,9 +5,9 @@ use serde_json::json;
 
 use super::*;
 use rockface_core::artefact::Artefact;
-use rockface_raster::mesh_check::{EdgeReport, check_edges};
 use rockface_core::params::ParamType;
 use rockface_core::testing::TestHost;
+use rockface_raster::mesh_check::{EdgeReport, check_edges};
 
 fn face(with: &serde_json::Value) -> Mesh {
     let params = SynthesiseFaceParams::decode(with).unwrap();

@@ -213,8 +213,8 @@ fn line(a: V, b: V) -> Option<V> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rockface_core::artefact::candidates::{Class, HexKey};
     use crate::rockfall::distribution::Draws;
+    use rockface_core::artefact::candidates::{Class, HexKey};
     use rockface_core::numerics::random::Key;
     use rockface_core::params::ParamType;
     use serde_json::{Value, json};

@@ -16,11 +16,11 @@ mod vector;
 
 pub use solid::{Flaw, Solid};
 
+use crate::rockfall::distribution::{Draws, chosen};
+use draw::Drawing;
 use rockface_core::artefact::Candidates;
 use rockface_core::artefact::candidates::{Align, Class, Modifier, Shape};
-use crate::rockfall::distribution::{Draws, chosen};
 use rockface_core::numerics::random::Key;
-use draw::Drawing;
 use vector::sub;
 
 /// One candidate block: closed, outward, centred at its volume centroid.

@@ -79,7 +79,8 @@ fn irregular(polyhedron: &Polyhedron, drawing: &mut Drawing) -> Result<Solid, Bl
     for i in 0..polyhedron.points {
         let radius = drawing.unnoted(&format!("shape.radius.{i}"), &polyhedron.radius)?;
         let z = 2.0 * drawing.uniform(&format!("shape.point.{i}.z")) - 1.0;
-        let (sin, cos) = portable_math::sincos(std::f64::consts::TAU * drawing.uniform(&format!("shape.point.{i}.turn")));
+        let (sin, cos) =
+            portable_math::sincos(std::f64::consts::TAU * drawing.uniform(&format!("shape.point.{i}.turn")));
         let across = (1.0 - z * z).sqrt();
         points.push(scaled([across * cos, across * sin, z], radius));
     }

@@ -1,9 +1,9 @@
 //! A closed triangle mesh as a solid: its extent, volume and centroid, and whether it is one.
 
 use super::crossing;
-use rockface_core::artefact::{Frame, Mesh};
-use crate::rockfall::block::vector::{V, add, cross, dot, scaled, sub};
 use crate::face::inspection::Inspection;
+use crate::rockfall::block::vector::{V, add, cross, dot, scaled, sub};
+use rockface_core::artefact::{Frame, Mesh};
 
 /// A closed triangle mesh; metres, triangles counter-clockwise seen from outside.
 #[derive(Debug, Clone, PartialEq, Default)]

@@ -3,8 +3,8 @@
 use serde_json::{Value, json};
 
 use super::*;
-use rockface_core::artefact::{Artefact, Frame, Noun, Part};
 use crate::rockfall::block::Solid;
+use rockface_core::artefact::{Artefact, Frame, Noun, Part};
 use rockface_core::testing::{TestHost, run_stage};
 
 fn run_on(host: &TestHost, with: &Value, inputs: &[(&str, Artefact)]) -> Result<Candidates, StageError> {

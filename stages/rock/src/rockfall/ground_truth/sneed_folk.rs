@@ -35,8 +35,11 @@ pub fn form(mut sides_m: [f64; 3]) -> Option<Form> {
     }
     let flatness = short / long;
     let elongation = if long > short { (long - intermediate) / (long - short) } else { 0.5 };
-    let sphericity =
-        if intermediate > 0.0 { rockface_core::numerics::portable_math::cbrt(short * short / (long * intermediate)) } else { 0.0 };
+    let sphericity = if intermediate > 0.0 {
+        rockface_core::numerics::portable_math::cbrt(short * short / (long * intermediate))
+    } else {
+        0.0
+    };
     Some(Form { flatness, elongation, sphericity, class: class(flatness, elongation) })
 }
 

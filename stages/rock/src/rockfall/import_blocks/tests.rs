@@ -4,8 +4,8 @@ use nalgebra::{Rotation3, Vector3};
 use serde_json::{Value, json};
 
 use super::*;
-use rockface_core::artefact::Artefact;
 use crate::rockfall::block::hull::hull;
+use rockface_core::artefact::Artefact;
 use rockface_core::format::ply;
 use rockface_core::testing::{TestHost, run_stage, shared};
 

@@ -8,8 +8,8 @@ use super::frame::{local_normal, turn_to};
 use super::measure::{self, Lids};
 use super::reason::{Reason, Rejection};
 use super::search::{Columns, Limits, Offset};
-use rockface_core::numerics::portable_math;
 use crate::rockfall::ground_truth::Facets;
+use rockface_core::numerics::portable_math;
 
 /// A block where it is to be taken out.
 pub struct Placed {

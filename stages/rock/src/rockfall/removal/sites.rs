@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use super::evaluate::Stand;
 use super::zone::zone_band;
-use rockface_core::artefact::{Band, Cell, Grid, Mesh, Raster, Table};
 use crate::rockfall::distribution::Draws;
+use rockface_core::artefact::{Band, Cell, Grid, Mesh, Raster, Table};
 
 /// A source of places.
 pub enum Sites {

@@ -7,13 +7,13 @@ use super::evaluate::{Stand, Trial};
 use super::measure;
 use super::reason::{Reason, Rejection};
 use super::sites::{Row, Sites};
-use rockface_core::artefact::candidates::Align;
-use rockface_core::artefact;
-use rockface_core::artefact::{Candidates, Mesh};
 use crate::rockfall::block::{Block, BlockError, candidate};
 use crate::rockfall::distribution::Draws;
-use rockface_core::numerics::random::Key;
 use crate::rockfall::ground_truth::Facets;
+use rockface_core::artefact;
+use rockface_core::artefact::candidates::Align;
+use rockface_core::artefact::{Candidates, Mesh};
+use rockface_core::numerics::random::Key;
 
 /// Candidates looked through for one of the class a row asks for.
 const MOST_SKIPPED: u64 = 10_000;

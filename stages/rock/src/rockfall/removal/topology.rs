@@ -1,7 +1,7 @@
 //! What a removal would do to the connections of the mesh: edges, fans around vertices, borders, islands.
 
-use rockface_core::numerics::union_find::UnionFind;
 use super::patch::open_edges;
+use rockface_core::numerics::union_find::UnionFind;
 
 /// The faults of a patch after a removal that it did not have before.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

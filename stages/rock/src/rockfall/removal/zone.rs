@@ -2,8 +2,8 @@
 
 use super::face::Rect;
 use super::measure::height_in;
-use rockface_core::artefact::{Band, Grid, Raster};
 use crate::rockfall::ground_truth::Facets;
+use rockface_core::artefact::{Band, Grid, Raster};
 
 /// The band of a zone: the one called `zone`, or the only one.
 pub fn zone_band(raster: &Raster) -> Result<&Band, String> {

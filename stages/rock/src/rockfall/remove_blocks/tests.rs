@@ -3,15 +3,15 @@
 use serde_json::{Value, json};
 
 use super::*;
+use crate::rockfall::block::hull::hull;
+use crate::rockfall::generate_blocks::GenerateBlocks;
+use crate::rockfall::removal::measure::volume_m3;
 use rockface_core::Entry;
 use rockface_core::artefact::Table;
 use rockface_core::artefact::{Cell, Inventory, Part};
-use crate::rockfall::generate_blocks::GenerateBlocks;
-use crate::rockfall::block::hull::hull;
-use rockface_raster::mesh_check::check_edges;
 use rockface_core::format::ply;
-use crate::rockfall::removal::measure::volume_m3;
 use rockface_core::testing::{TestHost, height_mesh, run_stage, shared};
+use rockface_raster::mesh_check::check_edges;
 
 fn rough(x: f64, y: f64) -> f64 {
     let wave = |t: f64| 1.0 - 2.0 * ((t - t.floor()) - 0.5).abs();

@@ -1,9 +1,9 @@
 //! Tests of Metashape's XML: its formulas written out, chunk units, blocks, and what is refused by name.
 
 use super::*;
-use rockface_core::artefact::Covariance;
 use crate::camera::model::{Camera, exponential};
 use nalgebra::{Rotation3, Vector3};
+use rockface_core::artefact::Covariance;
 
 /// A chunk with a similarity, a sensor with covariance, one without calibration, and three images, one of them aligned.
 fn document() -> String {

@@ -1,10 +1,10 @@
 //! Tests of the removal of one block: known shapes, the real cliff, and what cannot be taken.
 
 use super::*;
-use rockface_core::artefact::Mesh;
-use rockface_core::format::ply;
 use crate::rockfall::removal::face::{Face, Rect};
 use crate::rockfall::removal::patch::open_edges;
+use rockface_core::artefact::Mesh;
+use rockface_core::format::ply;
 use rockface_core::testing::{height_mesh, shared};
 
 const MANNER: Manner =
