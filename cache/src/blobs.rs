@@ -9,6 +9,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use crate::Digest;
 use crate::error::{At, StoreError};
+use crate::locks::Locked;
 use crate::open::{BLOBS, QUARANTINE, TEMPORARY_BLOB, TMP, set_mode};
 
 /// What was put less long ago is not put again, seconds: much less than the hour a collection spares.
@@ -133,7 +134,9 @@ impl Blobs {
         if let Some(folder) = path.parent() {
             fs::create_dir_all(folder).at("make the folder", folder)?;
         }
-        file.persist(&path).map_err(|fault| fault.error).at("write", &path)?;
+        let file = file.persist(&path).map_err(|fault| fault.error).at("write", &path)?;
+        // Before it is closed: a program that is being started may have a copy of it.
+        let _ = file.unlock();
         Ok(())
     }
 
@@ -192,7 +195,8 @@ impl Blobs {
         let path = self.path(digest);
         let Ok(file) = File::open(&path) else { return Ok(false) };
         // Locked, it is not swept up as the half-written blob of a process that died.
-        if self.written(digest).is_none_or(|(_, put_s)| put_s > since_s) || file.try_lock().is_err() {
+        let locked = Locked::try_new(file).ok().flatten();
+        if self.written(digest).is_none_or(|(_, put_s)| put_s > since_s) || locked.is_none() {
             return Ok(false);
         }
         let away = self.root.join(TMP).join(format!("{TEMPORARY_BLOB}{digest}"));

@@ -10,6 +10,7 @@ use crate::Digest;
 use crate::error::{At, StoreError};
 use crate::frame::{Header, Kind, PAYLOAD_LIMIT};
 use crate::index::{Index, Place};
+use crate::locks::Locked;
 use crate::segment::{FULL_BYTES, Frame, Writer, claim, scan};
 
 /// Ends the name of every segment.
@@ -298,6 +299,6 @@ impl Journal {
 }
 
 /// What a sync needs to know of the writer once its lock is released.
-fn pending_of(writer: &Writer) -> (Arc<File>, PathBuf, u32, u64) {
+fn pending_of(writer: &Writer) -> (Arc<Locked>, PathBuf, u32, u64) {
     (Arc::clone(&writer.file), writer.path.clone(), writer.segment, writer.end)
 }

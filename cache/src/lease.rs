@@ -8,7 +8,7 @@ use std::sync::PoisonError;
 use std::time::UNIX_EPOCH;
 
 use crate::error::{At, StoreError};
-use crate::locks::{KeyLock, is_abandoned};
+use crate::locks::{KeyLock, abandoned};
 use crate::open::LIVE;
 use crate::{Digest, Store};
 
@@ -65,8 +65,9 @@ impl Store {
         let mut live = Live::default();
         for entry in std::fs::read_dir(&folder).at("list", &folder)? {
             let path = entry.at("list", &folder)?.path();
-            let Ok(mut file) = File::open(&path) else { continue };
-            if is_abandoned(&file, &path) {
+            let open = || File::open(&path).ok();
+            let Some(mut file) = open() else { continue };
+            if open().is_none_or(|file| abandoned(file, &path).is_some()) {
                 continue;
             }
             live.count += 1;

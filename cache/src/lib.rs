@@ -10,24 +10,28 @@
 //!   a power cut break that order on disk, the record names a blob that is not there and simply is not a hit.
 //! - **Every read is verified.** What a frame or a blob says is checked against its checksum or digest when it is used;
 //!   a damaged blob is set aside in `quarantine/` and reported.
-//! - **Nothing to unlock.** All locks are kernel advisory locks, gone with the process that held them.
+//! - **Nothing to unlock.** All locks are kernel advisory locks, gone with the process that held them; what ends before is
+//!   unlocked, not merely closed, since a program that is being started has a copy of every open file.
 //! - **No state outside the folder** of the store, and none in it that only the process which wrote it could use.
 //!
 //! # Layout
 //!
 //! ```text
 //! format          the format version, one line
-//! keys.lock       empty; its bytes are locked for the keys being computed now, one of them by collections
+//! keys.lock       empty; its bytes are locked for the keys being computed now, one of them by collections, and for the
+//!                 values that live processes have at hand though they are not kept
 //! CACHEDIR.TAG    tells backup programs to pass by
 //! blobs/ab/abcd…  blobs of 64 KiB and more, one file each, read-only
 //! segments/*.seg  append-only frames: small blobs, records, notes, file digests; one live writer each
 //! live/           one file for each process that runs something: what it counts on
 //! quarantine/     damaged blobs
 //! trees/          at most 16: long texts taken apart, for whoever reads them again
-//! scratch/        folders in which programs work now
+//! scratch/        folders in which programs work now, and through which live processes hand values to each other
 //! tmp/            blobs being written
 //! answers/        at most 256: what a question came to, and the state of all it rests on
 //! ```
+
+#![cfg_attr(not(test), warn(clippy::print_stdout, clippy::print_stderr))]
 
 mod answers;
 mod blobs;
@@ -51,6 +55,7 @@ mod scratch;
 mod segment;
 mod store;
 mod syncer;
+mod values;
 
 pub use answers::{Grounds, recall};
 pub use blobs::Damage;
@@ -59,7 +64,7 @@ pub use digest::{Digest, DigestError};
 pub use error::StoreError;
 pub use files::FileDigest;
 pub use lease::Live;
-pub use locks::KeyLock;
+pub use locks::{Announced, KeyLock};
 pub use materialise::Materialised;
 pub use open::TREES;
 pub use outputs::Outputs;
@@ -67,3 +72,4 @@ pub use recipe::{Gathered, Recipe, RecipeInput, SeedMaterial, shared};
 pub use record::{Cost, Outcome, OutputRecord, Record};
 pub use scratch::Scratch;
 pub use store::{Store, StoreStat};
+pub use values::{Room, Want};

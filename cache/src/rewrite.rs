@@ -9,6 +9,7 @@ use crate::error::{At, StoreError};
 use crate::frame::{Header, Kind};
 use crate::index::{Index, Place};
 use crate::journal::Journal;
+use crate::locks::Locked;
 use crate::segment::{Frame, claim, scan};
 
 /// Records and small blobs that leave, each with the stamp it had when that was decided: one written since stays.
@@ -35,7 +36,7 @@ impl Leaving {
 /// The segments there are: those nobody writes to are held, so that nobody begins to.
 #[derive(Debug)]
 pub(crate) struct Claimed {
-    free: Vec<(String, File)>,
+    free: Vec<(String, Locked)>,
     busy: Vec<String>,
 }
 

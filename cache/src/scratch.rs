@@ -9,7 +9,7 @@ use rustix::process::{Pid, Signal, getpid, kill_process};
 
 use crate::Store;
 use crate::error::{At, StoreError};
-use crate::locks::is_abandoned;
+use crate::locks::abandoned;
 use crate::open::SCRATCH;
 
 /// Ends the name of the file that is locked as long as the folder beside it is used.
@@ -24,12 +24,21 @@ pub struct Scratch {
     folder: PathBuf,
     /// Removed after the folder.
     lock: Option<tempfile::NamedTempFile>,
+    /// Programs may still run there when it goes.
+    for_programs: bool,
 }
 
 impl Scratch {
     /// The folder, absolute.
     pub fn path(&self) -> &Path {
         &self.folder
+    }
+
+    /// Leaves everything as a kill would: nothing is removed, the lock ends.
+    #[cfg(test)]
+    pub(crate) fn abandon(self) {
+        self.lock.as_ref().unwrap().as_file().unlock().unwrap();
+        std::mem::forget(self);
     }
 
     /// Where programs are to put what is temporary, absolute; not made yet.
@@ -40,26 +49,38 @@ impl Scratch {
 
 impl Drop for Scratch {
     fn drop(&mut self) {
-        end_programs(&self.folder);
-        // What cannot be removed now is swept up when the store is next opened.
-        let _ = fs::remove_dir_all(&self.folder);
-        drop(self.lock.take());
+        if self.for_programs {
+            end_programs(&self.folder);
+        }
+        let lock = self.lock.take();
+        if fs::remove_dir_all(&self.folder).is_err()
+            && self.folder.exists()
+            && let Some(Ok((file, _))) = lock.map(tempfile::NamedTempFile::keep)
+        {
+            // What cannot be removed now is swept up when the store is next opened, as long as its lock is there to be found.
+            let _ = file.unlock();
+        }
     }
 }
 
 impl Store {
-    /// An empty folder in the store that nobody else uses.
+    /// An empty folder in the store that nobody else uses, for a program to work in.
     pub fn scratch(&self) -> Result<Scratch, StoreError> {
+        self.scratch_named("run-", true)
+    }
+
+    /// An empty folder that is known by how its name begins.
+    pub(crate) fn scratch_named(&self, prefix: &str, for_programs: bool) -> Result<Scratch, StoreError> {
         let root = self.dir().join(SCRATCH);
         loop {
             let mut builder = tempfile::Builder::new();
-            let lock = builder.prefix("run-").suffix(LOCK).tempfile_in(&root).at("write into", &root)?;
+            let lock = builder.prefix(prefix).suffix(LOCK).tempfile_in(&root).at("write into", &root)?;
             lock.as_file().lock().at("lock a file in", &root)?;
             // Swept up between its making and its locking? Then make another.
             if crate::segment::is_at(lock.as_file(), lock.path()) {
                 let folder = lock.path().with_extension("");
                 fs::create_dir(&folder).at("make the folder", &folder)?;
-                return Ok(Scratch { folder, lock: Some(lock) });
+                return Ok(Scratch { folder, lock: Some(lock), for_programs });
             }
         }
     }
@@ -70,8 +91,8 @@ pub(crate) fn sweep(root: &Path) -> Result<(), StoreError> {
     for entry in fs::read_dir(root).at("list", root)? {
         let path = entry.at("list", root)?.path();
         let is_lock = path.to_str().is_some_and(|path| path.ends_with(LOCK));
-        let Some(held) = File::open(&path).ok().filter(|_| is_lock) else { continue };
-        if is_abandoned(&held, &path) {
+        let held = File::open(&path).ok().filter(|_| is_lock).and_then(|file| abandoned(file, &path));
+        if held.is_some() {
             let folder = path.with_extension("");
             std::path::absolute(&folder).iter().for_each(|folder| end_programs(folder));
             let _ = fs::remove_dir_all(&folder);
@@ -117,9 +138,7 @@ mod tests {
         let [mut of_done, mut of_dead, mut of_used] = [&done, &dead, &used].map(sleep);
         drop(done);
         assert_eq!(of_done.wait().unwrap().signal(), Some(9));
-        // As after a kill: nothing is removed, the lock ends.
-        dead.lock.as_ref().unwrap().as_file().unlock().unwrap();
-        std::mem::forget(dead);
+        dead.abandon();
         drop(Store::open(&dir).unwrap());
         assert_eq!(of_dead.wait().unwrap().signal(), Some(9));
         assert!(of_used.try_wait().unwrap().is_none(), "it goes on");
@@ -136,10 +155,8 @@ mod tests {
         fs::write(scratch.path().join("half"), "half").unwrap();
         let dead = store.scratch().unwrap();
         let left = dead.path().to_owned();
-        // As after a kill: nothing is removed, the lock ends.
-        dead.lock.as_ref().unwrap().as_file().unlock().unwrap();
         let (folder, lock) = (left.clone(), left.with_extension(&LOCK[1..]));
-        std::mem::forget(dead);
+        dead.abandon();
         drop(Store::open(&dir).unwrap());
         assert!(!folder.exists() && !lock.exists(), "what the dead left is swept up");
         assert!(scratch.path().join("half").exists(), "what is in use stays");
