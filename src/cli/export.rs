@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::places::Places;
-use super::{CliError, say};
+use super::{CliError, say, tell};
 use crate::diagnostic::nearest;
 use crate::history::{self, Manifest, StepDone};
 
@@ -105,7 +105,7 @@ impl ArchiveArgs {
         let to = self.output.unwrap_or_else(|| PathBuf::from(format!("{}.tar", run.name)));
         let done = history::archive(&run, &self.places.open_store()?, self.outputs, &to)?;
         if done.missing > 0 {
-            eprintln!("warning: {} records or logs of this run are not in the store any more", done.missing);
+            tell(&format!("warning: {} records or logs of this run are not in the store any more", done.missing));
         }
         say(&format!("{}: {} files", to.display(), done.files));
         Ok(())

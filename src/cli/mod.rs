@@ -7,6 +7,7 @@ mod graph;
 mod hand;
 mod init;
 mod inspect;
+pub mod output;
 mod places;
 mod plan;
 mod repeat;
@@ -14,6 +15,7 @@ mod report;
 mod run;
 mod runs;
 mod schema;
+mod signals;
 mod stages;
 mod store;
 mod table;
@@ -29,6 +31,7 @@ use crate::history::HistoryError;
 use crate::pipeline::{Overrides, Pipeline};
 use crate::plan::Plan;
 use crate::run::RunError;
+use output::{say, tell};
 
 /// Simulates photogrammetric rockfall monitoring: pipelines of stages, every output cached by what decided it.
 #[derive(Debug, Parser)]
@@ -238,6 +241,9 @@ pub enum CliError {
     /// A page could not be made.
     #[error(transparent)]
     Report(#[from] crate::report::ReportError),
+    /// What there was to say could not be written.
+    #[error("cannot write to standard output: {0}")]
+    Output(std::io::Error),
 }
 
 impl CliError {
@@ -245,7 +251,11 @@ impl CliError {
     pub fn exit_code(&self) -> i32 {
         match self {
             Self::Failed => 1,
-            Self::History(HistoryError::Io { .. }) | Self::Store(_) | Self::Damaged | Self::Report(_) => 3,
+            Self::History(HistoryError::Io { .. })
+            | Self::Store(_)
+            | Self::Damaged
+            | Self::Report(_)
+            | Self::Output(_) => 3,
             Self::Pipeline(_) | Self::Usage(_) | Self::History(_) => 2,
             Self::Run(error) => error.exit_code(),
         }
@@ -262,39 +272,36 @@ impl CliError {
 }
 
 impl Cli {
-    /// Does what the command says.
+    /// Does what the command says, and makes sure that what it says is written.
     pub fn run(self) -> Result<(), CliError> {
-        match self.command {
-            Command::Run(args) => args.run(),
-            Command::Plan(args) => args.run(),
-            Command::Explain(args) => args.run(),
-            Command::Graph(args) => args.run(),
-            Command::Stages(args) => args.run(),
-            Command::Runs(args) => args.run(),
-            Command::Report(args) => args.run(),
-            Command::Store(args) => args.run(),
-            Command::Inspect(args) => args.run(),
-            Command::Export(args) => args.run(),
-            Command::Archive(args) => args.run(),
-            Command::Init(args) => args.run(),
-            Command::Completions(args) => {
-                args.run();
-                Ok(())
-            }
+        match (self.command.run(), output::fault()) {
+            // What there is to say about a failed step was part of what could not be written.
+            (Ok(()) | Err(CliError::Failed | CliError::Damaged), Some(error)) => Err(CliError::Output(error)),
+            (result, _) => result,
         }
     }
 }
 
-/// Writes to standard output. A reader that has gone away ends the writing quietly; whatever else keeps the text from
-/// being written, such as a full disk, ends the program with the exit code of a disk that failed.
-fn say(text: &str) {
-    use std::io::Write;
-    match writeln!(std::io::stdout(), "{text}") {
-        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
-            eprintln!("error: cannot write to standard output: {error}");
-            std::process::exit(3);
+impl Command {
+    fn run(self) -> Result<(), CliError> {
+        match self {
+            Self::Run(args) => args.run(),
+            Self::Plan(args) => args.run(),
+            Self::Explain(args) => args.run(),
+            Self::Graph(args) => args.run(),
+            Self::Stages(args) => args.run(),
+            Self::Runs(args) => args.run(),
+            Self::Report(args) => args.run(),
+            Self::Store(args) => args.run(),
+            Self::Inspect(args) => args.run(),
+            Self::Export(args) => args.run(),
+            Self::Archive(args) => args.run(),
+            Self::Init(args) => args.run(),
+            Self::Completions(args) => {
+                args.run();
+                Ok(())
+            }
         }
-        _ => {}
     }
 }
 

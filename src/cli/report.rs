@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::places::Places;
-use super::{CliError, say};
+use super::{CliError, say, tell};
 use crate::history;
 use crate::report::{self, Source};
 
@@ -27,7 +27,7 @@ impl ReportArgs {
         let run = history::find(&self.places.runs, &self.run)?;
         let store = self.places.store_beside(&run.folder)?;
         if store.is_none() {
-            eprintln!("warning: there is no store here; what is not in the run folder is missing from the report");
+            tell("warning: there is no store here; what is not in the run folder is missing from the report");
         }
         let graph = report::graph_of(&run.manifest);
         let (folder, manifest) = (&run.folder, &run.manifest);

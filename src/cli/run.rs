@@ -3,13 +3,13 @@
 use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
 use clap::Args;
 
 use rockface_cache::Digest;
 
-use super::{CliError, PipelineArgs, beside, own_folder, repeat, say};
+use super::{CliError, PipelineArgs, beside, own_folder, repeat, say, signals};
 use crate::pipeline::is_stream;
 use crate::run::shortcut::{self, NAMED, Told};
 use crate::run::{self, Finished, LayOut, Options, RunFolder, Summary};
@@ -74,11 +74,12 @@ impl RunArgs {
             }
             plan = self.pipeline.plan(&pipeline, &self.pipeline.target)?.0;
         }
-        let mut options = Options { keep_going: self.keep_going, exit_when_stuck: true, ..Options::default() };
+        let mut options = Options { keep_going: self.keep_going, ..Options::default() };
         options.jobs = self.jobs.map_or(options.jobs, usize::from);
         options.memory_bytes = self.memory.unwrap_or(options.memory_bytes);
         let stop = Arc::new(AtomicBool::new(false));
-        stop_on_signal(&stop);
+        signals::stop_on_signal(&stop);
+        let store = Arc::new(store);
         let mut observer = self.observer();
         let runs = self.runs_folder()?;
         let about = RunFolder {
@@ -228,17 +229,4 @@ fn readable(path: &std::path::Path) -> PathBuf {
     let here = std::env::current_dir().ok();
     let relative = here.and_then(|here| path.strip_prefix(here).ok().map(std::path::Path::to_path_buf));
     relative.unwrap_or_else(|| path.to_path_buf())
-}
-
-/// The first Ctrl-C (or SIGTERM) asks the run to stop, the second ends the process.
-fn stop_on_signal(stop: &Arc<AtomicBool>) {
-    let stop = stop.clone();
-    let handler = move || {
-        if stop.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
-        }
-    };
-    if let Err(error) = ctrlc::set_handler(handler) {
-        tracing::warn!("Ctrl-C will end the program at once: {error}");
-    }
 }

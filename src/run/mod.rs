@@ -2,6 +2,7 @@
 
 mod account;
 pub mod again;
+mod exchange;
 mod expand;
 mod folder;
 mod host;
@@ -10,6 +11,7 @@ mod log;
 mod memory;
 mod program;
 mod progress;
+mod remake;
 mod resident;
 mod schedule;
 mod settle;
@@ -19,6 +21,7 @@ mod state;
 mod tell;
 mod unfinished;
 mod work;
+mod workers;
 
 use rockface_cache::{Digest, Outcome, Recipe, Store, StoreError};
 
@@ -36,14 +39,12 @@ pub struct Options {
     pub keep_going: bool,
     /// Memory for values handed from step to step, bytes; beyond it they are written to the store.
     pub memory_bytes: usize,
-    /// End the process if a stage does not notice a stop in time; for programs, not for tests.
-    pub exit_when_stuck: bool,
 }
 
 impl Default for Options {
     fn default() -> Self {
         let jobs = std::thread::available_parallelism().map_or(1, usize::from);
-        Self { jobs, keep_going: false, memory_bytes: half_of_memory(), exit_when_stuck: false }
+        Self { jobs, keep_going: false, memory_bytes: half_of_memory() }
     }
 }
 

@@ -13,7 +13,14 @@ const MARK: &str = ".unfinished";
 pub struct Unfinished {
     path: PathBuf,
     /// Holds the lock.
-    _file: File,
+    file: File,
+}
+
+impl Drop for Unfinished {
+    fn drop(&mut self) {
+        // A program that is being started has a copy of the file, which would hold the lock on.
+        let _ = self.file.unlock();
+    }
 }
 
 impl Unfinished {
@@ -24,7 +31,7 @@ impl Unfinished {
         file.lock().map_err(failed(&begun))?;
         // It has its name only once it is locked, so that nobody finds it without.
         std::fs::rename(&begun, &path).map_err(failed(&path))?;
-        Ok(Self { path, _file: file })
+        Ok(Self { path, file })
     }
 
     /// The folder is whole.

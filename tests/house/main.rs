@@ -21,6 +21,8 @@ mod reading;
 mod references;
 mod report;
 mod rework;
+mod streams;
 mod survey;
 mod tidy;
+mod together;
 mod watching;
