@@ -1,29 +1,53 @@
 //! The program `rockface`.
 
+#![warn(clippy::print_stdout, clippy::print_stderr)]
+
 use std::io::IsTerminal;
 
 use clap::Parser;
+use rockface::cli::{Cli, output};
 use tracing_subscriber::EnvFilter;
 
 fn main() {
     let filter = EnvFilter::try_from_env("ROCKFACE_LOG").unwrap_or_else(|_| EnvFilter::new("warn"));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    // Where standard error cannot be written to, saying so there would be a panic.
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).log_internal_errors(false).init();
     std::panic::set_hook(Box::new(tell_panic));
-    let result = rockface::cli::Cli::parse().run();
-    if let Err(error) = result {
-        let message = error.render(std::io::stderr().is_terminal());
-        if !message.is_empty() {
-            rockface::cli::complain(&message);
-        }
-        std::process::exit(error.exit_code());
-    }
+    let code = match Cli::try_parse() {
+        Ok(cli) => run(cli),
+        Err(answer) => print(&answer),
+    };
+    std::process::exit(code);
 }
 
-/// A worker that breaks down is reported as the failure of its step, with what it said; not twice. Nobody else tells of
-/// the main thread.
+/// Runs a command and says why it failed, if it did; returns the exit code.
+fn run(cli: Cli) -> i32 {
+    let Err(error) = cli.run() else { return 0 };
+    let message = error.render(std::io::stderr().is_terminal());
+    if !message.is_empty() {
+        output::complain(&message);
+    }
+    error.exit_code()
+}
+
+/// Prints what clap has to say: what is wrong with the command, or help and version, which are results.
+fn print(answer: &clap::Error) -> i32 {
+    let written = answer.print();
+    if answer.use_stderr() {
+        return answer.exit_code();
+    }
+    output::note(written);
+    output::fault().map_or(0, |fault| {
+        output::complain(&format!("error: cannot write to standard output: {fault}"));
+        3
+    })
+}
+
+/// A worker that panics is reported as the failure of its step, with what it said; not twice. Nobody else reports the main
+/// thread.
 fn tell_panic(panic: &std::panic::PanicHookInfo) {
     if std::thread::current().name() == Some("main") {
-        rockface::cli::complain(&format!("error: rockface broke down: {panic}\nplease report it with the pipeline"));
+        output::complain(&format!("error: rockface broke down: {panic}\nplease report it with the pipeline"));
     } else {
         tracing::debug!("{panic}");
     }

@@ -6,7 +6,7 @@ use clap::Args;
 use rockface_cache::SafeName;
 
 use super::places::Places;
-use super::{CliError, say};
+use super::{CliError, complain, say};
 use crate::diagnostic::{listed, nearest};
 use crate::history::{self, Manifest, StepDone};
 use crate::pipeline::Label;
@@ -114,7 +114,7 @@ impl ArchiveArgs {
         let done = history::archive(&run, &self.places.open_store()?, self.outputs, &to)?;
         if done.missing > 0 {
             let missing = done.missing;
-            super::complain(&format!("warning: {missing} records or logs of this run are not in the store any more"));
+            complain(&format!("warning: {missing} records or logs of this run are not in the store any more"));
         }
         say(&format!("{}: {} files", to.display(), done.files));
         Ok(())

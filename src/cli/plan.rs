@@ -7,7 +7,7 @@ use rockface_cache::Store;
 use serde_json::{Value, json};
 
 use super::programs::ProgramArgs;
-use super::{CliError, PipelineArgs, say};
+use super::{CliError, PipelineArgs, complain, say};
 use crate::explain::{Answer, Answers};
 use crate::plan::Plan;
 use crate::run::tools;
@@ -36,7 +36,7 @@ impl PlanArgs {
         let (plan, store) = self.pipeline.look(&pipeline, &self.pipeline.target)?;
         let answers = Answers::new(&plan, &store);
         for (label, text) in tools::behind(&plan, &store, answers.hits()).changed {
-            eprintln!("warning: {label}: {text}");
+            complain(&format!("warning: {label}: {text}"));
         }
         let is_timed = answers.list().iter().any(|answer| answer.is_open());
         let times = if is_timed { Times::new(&store) } else { Times::default() };

@@ -3,7 +3,7 @@
 use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
 use clap::Args;
 
@@ -11,7 +11,7 @@ use rockface_cache::Digest;
 use rockface_stages::format::raise_memory_limit;
 
 use super::programs::ProgramArgs;
-use super::{CliError, PipelineArgs, beside, own_folder, repeat, say};
+use super::{CliError, PipelineArgs, beside, own_folder, repeat, say, signals};
 use crate::run::shortcut::{self, NAMED, Told};
 use crate::run::{self, Finished, LayOut, Options, RunFolder, Summary};
 use crate::watch::{JsonLines, Observer, Plain, Silent, Terminal, duration};
@@ -84,12 +84,13 @@ impl RunArgs {
             plan = self.pipeline.plan(&pipeline, &self.pipeline.target)?.0;
         }
         store.trust(self.trust_store);
-        let mut options = Options { keep_going: self.keep_going, exit_when_stuck: true, ..Options::default() };
+        let mut options = Options { keep_going: self.keep_going, ..Options::default() };
         options.jobs = self.jobs.map_or(options.jobs, usize::from);
         options.memory_bytes = self.memory.unwrap_or(options.memory_bytes);
         raise_memory_limit(options.memory_bytes as u64);
         let stop = Arc::new(AtomicBool::new(false));
-        stop_on_signal(&stop);
+        signals::stop_on_signal(&stop);
+        let store = Arc::new(store);
         let mut observer = self.observer();
         let runs = self.runs_folder()?;
         let about = RunFolder {
@@ -137,12 +138,7 @@ impl RunArgs {
 
     /// The digest of all that this command is asked and asked with; `None` where every step instance is to be told of.
     fn question(&self, text: &str) -> Option<Digest> {
-        if self.json
-            || self.verbose
-            || self.rehash
-            || self.programs.are_refused()
-            || self.pipeline.text.is_some()
-        {
+        if self.json || self.verbose || self.rehash || self.programs.are_refused() || self.pipeline.text.is_some() {
             return None;
         }
         let arguments: Vec<_> = std::env::args_os().skip(1).collect();
@@ -246,17 +242,4 @@ fn readable(path: &std::path::Path) -> PathBuf {
     let here = std::env::current_dir().ok();
     let relative = here.and_then(|here| path.strip_prefix(here).ok().map(std::path::Path::to_path_buf));
     relative.unwrap_or_else(|| path.to_path_buf())
-}
-
-/// The first Ctrl-C (or SIGTERM) asks the run to stop, the second ends the process.
-fn stop_on_signal(stop: &Arc<AtomicBool>) {
-    let stop = stop.clone();
-    let handler = move || {
-        if stop.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
-        }
-    };
-    if let Err(error) = ctrlc::set_handler(handler) {
-        tracing::warn!("Ctrl-C will end the program at once: {error}");
-    }
 }

@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use super::places::Places;
 use super::table::{self, Format, Printed};
-use super::{CliError, say};
+use super::{CliError, complain, say};
 use crate::history::{self, PastRun, Row};
 use crate::report;
 use crate::watch::duration;
@@ -97,7 +97,7 @@ fn list(places: &Places, format: Format) -> Result<(), CliError> {
     }
     let (runs, faults) = history::list(&places.runs)?;
     for fault in faults {
-        super::complain(&format!("warning: {fault}"));
+        complain(&format!("warning: {fault}"));
     }
     let json: Value = runs
         .iter()

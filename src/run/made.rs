@@ -18,7 +18,7 @@ pub struct Made(SafePath, State, #[serde(default)] Option<Digest>);
 impl Made {
     /// Its path relative to the run folder, and its state.
     pub fn state(&self) -> (PathBuf, State) {
-        (self.0.as_path().to_owned(), self.1)
+        (self.0.to_path_buf(), self.1)
     }
 
     /// Whether it is what it was. The state of another name of a blob is brought up to date if only that has changed.
@@ -39,7 +39,7 @@ impl Made {
 /// What a run has left in its folder: some files of its own, and what was laid out. The page is none of them; it may be
 /// written again later.
 pub fn left(folder: &Path, own: &[&str], laid: &Laid) -> Result<Vec<Made>, RunError> {
-    let own = own.iter().map(|name| Ok((SafePath::new(*name).map_err(|error| failed(folder)(error.into()))?, None)));
+    let own = own.iter().map(|name| Ok((SafePath::new(name).map_err(|error| failed(folder)(error.into()))?, None)));
     let outputs = laid.files.iter().map(|(path, blob)| Ok((path.clone(), *blob)));
     let made = |file: Result<(SafePath, Option<Digest>), RunError>| {
         let (file, blob) = file?;
@@ -72,7 +72,8 @@ mod tests {
         for name in ["linked", "own"] {
             std::fs::write(place(name), "bytes").unwrap();
         }
-        let laid = Laid { files: vec![(SafePath::new("linked").unwrap(), Some(Digest::of(b"bytes")))], ..Laid::default() };
+        let laid =
+            Laid { files: vec![(SafePath::new("linked").unwrap(), Some(Digest::of(b"bytes")))], ..Laid::default() };
         let mut made = left(folder.path(), &["own"], &laid).unwrap();
         let before = made.clone();
         assert!(is_whole(folder.path(), &mut made) && made == before);

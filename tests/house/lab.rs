@@ -328,7 +328,7 @@ impl Ran {
 /// A folder with a store in it.
 pub struct Bench {
     pub folder: tempfile::TempDir,
-    pub store: Store,
+    pub store: Arc<Store>,
     pub stages: &'static [&'static dyn AnyStage],
 }
 
@@ -336,7 +336,7 @@ impl Bench {
     /// A bench for the stages of the laboratory.
     pub fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(&folder.path().join("store")).unwrap();
+        let store = Arc::new(Store::open(&folder.path().join("store")).unwrap());
         Self { folder, store, stages: STAGES }
     }
 

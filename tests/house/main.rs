@@ -24,6 +24,8 @@ mod references;
 mod report;
 mod rework;
 mod shortcut;
+mod streams;
 mod survey;
 mod tidy;
+mod together;
 mod watching;
