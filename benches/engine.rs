@@ -37,7 +37,7 @@ impl Stage for Cheap {
     type Params = CheapParams;
     const NAME: &'static str = "cheap";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page { what: "", method: "", frames: "", fails: "", example: "" };
+    const PAGE: Page = Page::new("");
     const INPUTS: &'static [Port] = &[
         Port::many("terms", &[Kind::Table], "What came before."),
         Port::optional("also", &[Kind::Table], "More of it."),
@@ -64,7 +64,7 @@ impl Stage for Root {
     type Params = CheapParams;
     const NAME: &'static str = "root";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page { what: "", method: "", frames: "", fails: "", example: "" };
+    const PAGE: Page = Page::new("");
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[Port::one("out", &[Kind::Table], "A number.")];
     fn run(params: &CheapParams, _: &Inputs, _: &Context) -> Result<Outputs, StageError> {
@@ -144,7 +144,7 @@ fn run(folder: &Path, set: &[String]) -> (f64, usize) {
     let text = std::fs::read_to_string(folder.join("p.yaml")).expect("the pipeline");
     let overrides = Overrides { set: set.to_vec(), ..Overrides::default() };
     let pipeline = Pipeline::parse(&text, "bench", "bench", folder.to_owned(), &overrides).expect("a right pipeline");
-    let store = Store::open(&folder.join("store")).expect("a store");
+    let store = Arc::new(Store::open(&folder.join("store")).expect("a store"));
     let mut plan = plan(&pipeline, &[], STAGES, &store).expect("a plan");
     let stop = Arc::new(AtomicBool::new(false));
     let summary = execute(&mut plan, &store, &Options::default(), &stop, &mut Silent).expect("a run");

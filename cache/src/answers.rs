@@ -16,7 +16,7 @@ use serde_json::Value;
 
 use crate::error::{At, StoreError};
 use crate::files::Fingerprint;
-use crate::looks::{Repeatable, Seen, State, is_same};
+use crate::looks::{Repeatable, Seen, State, are_same, is_same};
 use crate::open::{self, ANSWERS, BLOBS, SEGMENTS};
 use crate::seal::seal_ns;
 use crate::{Digest, Store};
@@ -52,15 +52,15 @@ struct Kept {
 
 /// What `question` came to last time, if nothing has happened since to anything the answer rests on.
 ///
-/// `dir` is the folder of a store, which is not opened. Reads one small file and looks once at each thing relied on.
+/// `dir` is the folder of a store, which is not opened. Reads one small file and looks once at each thing relied on. Only
+/// what this user has filed is an answer: whoever may write to a shared store could file another.
 pub fn recall(dir: &Path, question: &Digest) -> Option<Value> {
     open::is_current(dir).then_some(())?;
-    let text = fs::read(slot(dir, question)).ok()?;
+    let text = open::read_own(&slot(dir, question))?;
     let kept = decode(&text).filter(|kept| kept.question == *question)?;
     let (folder, made) = &kept.made;
-    let untouched = |(file, then): &(PathBuf, State)| State::of(&folder.join(file)) == Some(*then);
     let holds = kept.looks.iter().all(is_same)
-        && made.iter().all(untouched)
+        && are_same(folder, made)
         && segments(dir).is_some_and(|now| now == kept.segments)
         && kept.blobs.iter().all(|(digest, bytes)| is_sealed(dir, digest, *bytes));
     holds.then_some(kept.answer)
@@ -260,6 +260,22 @@ mod tests {
         assert_eq!(recall(&desk.path("nowhere"), &desk.question), None);
         fs::write(desk.path("store/format"), "rockface store 99\n").unwrap();
         assert_eq!(desk.recall(), None);
+    }
+
+    #[test]
+    fn an_answer_that_somebody_else_may_have_filed_is_none() {
+        let desk = desk();
+        let (filed, aside) = (slot(&desk.path("store"), &desk.question), desk.path("aside"));
+        fs::rename(&filed, &aside).unwrap();
+        std::os::unix::fs::symlink(&aside, &filed).unwrap();
+        assert_eq!(desk.recall(), None, "a link leads to what anybody wrote");
+        fs::rename(&aside, &filed).unwrap();
+        assert_eq!(desk.recall(), Some(json!("done")));
+        if std::os::unix::fs::chown(&filed, Some(1), None).is_ok() {
+            assert_eq!(desk.recall(), None, "it belongs to another user");
+        } else {
+            println!("skipped: only root can give a file away");
+        }
     }
 
     #[test]

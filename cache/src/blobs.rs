@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::error::{At, StoreError};
-use crate::locks::is_abandoned;
+use crate::locks::{Locked, abandoned};
 use crate::open::{BLOBS, TEMPORARY_BLOB, TMP, set_mode};
 use crate::seal::{Knowledge, seal};
 use crate::{Digest, plain};
@@ -66,6 +66,8 @@ impl Blobs {
         file.as_file().sync_all().at("sync", &path)?;
         let file = file.persist(&path).map_err(|fault| fault.error).at("write", &path)?;
         self.remember(digest, &file);
+        // Before it is closed: a program that is being started may have a copy of it.
+        let _ = file.unlock();
         Ok(())
     }
 
@@ -135,7 +137,8 @@ impl Blobs {
             return Ok(false);
         };
         // Locked, it is not swept up as the half-written blob of a process that died.
-        if self.written(digest).is_none_or(|(_, put_s)| put_s > since_s) || file.try_lock().is_err() {
+        let locked = Locked::try_new(file).ok().flatten();
+        if self.written(digest).is_none_or(|(_, put_s)| put_s > since_s) || locked.is_none() {
             return Ok(false);
         }
         let away = self.root.join(TMP).join(format!("{TEMPORARY_BLOB}{digest}"));
@@ -158,7 +161,7 @@ impl Blobs {
             let name = away.file_name().and_then(|name| name.to_str()?.strip_prefix(TEMPORARY_BLOB));
             let Some(digest) = name.and_then(|name| name.parse::<Digest>().ok()) else { continue };
             // The lock is held until it is back. What cannot be moved now is left for another time.
-            let held = plain::open(&away).ok().filter(|file| is_abandoned(file, &away));
+            let held = plain::open(&away).ok().and_then(|file| abandoned(file, &away));
             if held.is_some() {
                 let _ = fs::rename(&away, self.path(&digest));
             }

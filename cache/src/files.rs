@@ -54,6 +54,18 @@ impl Fingerprint {
         }
     }
 
+    /// The same, as the system call has it.
+    pub(crate) fn of_stat(stat: &rustix::fs::Stat) -> Self {
+        let nanoseconds = |seconds: i64, rest: u64| i128::from(seconds) * 1_000_000_000 + i128::from(rest);
+        Self {
+            bytes: stat.st_size as u64,
+            mtime_ns: nanoseconds(stat.st_mtime, stat.st_mtime_nsec),
+            ctime_ns: nanoseconds(stat.st_ctime, stat.st_ctime_nsec),
+            inode: stat.st_ino,
+            device: stat.st_dev,
+        }
+    }
+
     /// All of it, one after the other.
     pub(crate) fn bytes(&self) -> [u8; 56] {
         let mut all = [0; 56];

@@ -9,6 +9,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 use crate::error::{At, StoreError};
 use crate::frame::{Header, Kind, PAYLOAD_LIMIT};
 use crate::index::{Index, Place};
+use crate::locks::Locked;
 use crate::segment::{FULL_BYTES, Frame, Writer, claim, scan};
 use crate::{Digest, plain};
 
@@ -308,6 +309,6 @@ impl Journal {
 }
 
 /// What a sync needs to know of the writer once its lock is released.
-fn pending_of(writer: &Writer) -> (Arc<File>, PathBuf, u32, u64) {
+fn pending_of(writer: &Writer) -> (Arc<Locked>, PathBuf, u32, u64) {
     (Arc::clone(&writer.file), writer.path.clone(), writer.segment, writer.end)
 }

@@ -7,7 +7,7 @@ use std::sync::PoisonError;
 use std::time::UNIX_EPOCH;
 
 use crate::error::{At, StoreError};
-use crate::locks::{KeyLock, is_abandoned};
+use crate::locks::{KeyLock, abandoned};
 use crate::open::LIVE;
 use crate::{Digest, Store, plain};
 
@@ -69,7 +69,11 @@ impl Store {
                 Err(fault) if fault.kind() == std::io::ErrorKind::NotFound || plain::is_foreign(&fault) => continue,
                 file => file.at("open", &path)?,
             };
-            if is_abandoned(&file, &path) {
+            let is_dead = plain::open(&path).map_or_else(
+                |fault| fault.kind() == std::io::ErrorKind::NotFound,
+                |file| abandoned(file, &path).is_some(),
+            );
+            if is_dead {
                 continue;
             }
             live.count += 1;

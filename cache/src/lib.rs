@@ -12,24 +12,28 @@
 //!   it read or linked; a damaged blob is set aside in `quarantine/` and reported.
 //! - **No name is believed.** What a record, a manifest or a folder of the store says was written by anybody: it becomes
 //!   part of a path only as a [`SafeName`] or [`SafePath`], and links in the store are not followed.
-//! - **Nothing to unlock.** All locks are kernel advisory locks, gone with the process that held them.
+//! - **Nothing to unlock.** All locks are kernel advisory locks, gone with the process that held them; what ends before is
+//!   unlocked, not merely closed, since a program that is being started has a copy of every open file.
 //! - **No state outside the folder** of the store, and none in it that only the process which wrote it could use.
 //!
 //! # Layout
 //!
 //! ```text
 //! format          the format version, one line
-//! keys.lock       empty; its bytes are locked for the keys being computed now, one of them by collections
+//! keys.lock       empty; its bytes are locked for the keys being computed now, one of them by collections, and for the
+//!                 values that live processes have at hand though they are not kept
 //! CACHEDIR.TAG    tells backup programs to pass by
 //! blobs/ab/abcd…  blobs of 64 KiB and more, one file each, read-only
 //! segments/*.seg  append-only frames: small blobs, records, notes, file digests; one live writer each
 //! live/           one file for each process that runs something: what it counts on
 //! quarantine/     damaged blobs
 //! trees/          at most 16: long texts taken apart, for whoever reads them again
-//! scratch/        folders in which programs work now
+//! scratch/        folders in which programs work now, and through which live processes hand values to each other
 //! tmp/            blobs being written
 //! answers/        at most 256: what a question came to, and the state of all it rests on
 //! ```
+
+#![cfg_attr(not(test), warn(clippy::print_stdout, clippy::print_stderr))]
 
 mod answers;
 mod blobs;
@@ -57,6 +61,7 @@ mod seal;
 mod segment;
 mod store;
 mod syncer;
+mod values;
 
 pub use answers::{Grounds, recall};
 pub use care::{Collected, Fault, FaultKind, GcItem, GcPlan, GcPolicy, Handed, StageStat, Verified};
@@ -64,7 +69,7 @@ pub use digest::{Digest, DigestError};
 pub use error::StoreError;
 pub use files::FileDigest;
 pub use lease::Live;
-pub use locks::KeyLock;
+pub use locks::{Announced, KeyLock};
 pub use looks::{Seen, State};
 pub use materialise::Materialised;
 pub use names::{NameError, SafeName, SafePath};
@@ -75,3 +80,4 @@ pub use record::{Cost, Outcome, OutputRecord, Record};
 pub use scratch::Scratch;
 pub use seal::Damage;
 pub use store::{Store, StoreStat};
+pub use values::{Room, Want};

@@ -1,7 +1,14 @@
 //! Locks: no two processes do the same step at once, and nothing is removed from under its owner.
+//!
+//! A program that is being started has a copy of every open file of this process until it runs, and a lock belongs to the
+//! open file: one that is merely closed is held on by that copy. So every lock here is released in so many words.
 
-use std::fs::{File, OpenOptions};
-use std::path::Path;
+use std::collections::HashMap;
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io;
+use std::ops::Deref;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use nix::errno::Errno;
 use nix::fcntl::{FcntlArg, fcntl};
@@ -11,66 +18,205 @@ use crate::error::{At, StoreError};
 use crate::segment::is_at;
 use crate::{Digest, plain};
 
+/// A file that is locked until this is dropped.
+#[derive(Debug)]
+pub(crate) struct Locked(File);
+
+impl Locked {
+    /// Locks a file unless it is locked elsewhere.
+    pub(crate) fn try_new(file: File) -> io::Result<Option<Self>> {
+        match file.try_lock() {
+            Ok(()) => Ok(Some(Self(file))),
+            Err(TryLockError::WouldBlock) => Ok(None),
+            Err(TryLockError::Error(fault)) => Err(fault),
+        }
+    }
+}
+
+impl Deref for Locked {
+    type Target = File;
+
+    fn deref(&self) -> &File {
+        &self.0
+    }
+}
+
+impl Drop for Locked {
+    fn drop(&mut self) {
+        // Without it the lock ends with the last copy of the file, a moment later.
+        let _ = self.0.unlock();
+    }
+}
+
 /// The right to compute one key. Released when dropped, or by the kernel when the process ends in any way.
-///
-/// The keys share one empty file, of which each locks the byte it is numbered by: a file of its own for every step would
-/// be made and removed again, which some file systems take longer for than small steps do. Two keys of one number
-/// (one chance in 2^62) would wait for each other, no more.
 #[derive(Debug)]
 #[must_use = "the lock is released when this is dropped"]
 pub struct KeyLock {
-    /// Opened for this lock alone: what is locked through one opening is locked against all others, also in this process.
-    _file: File,
+    bytes: Arc<Bytes>,
+    byte: i64,
 }
 
-/// Takes the lock of `key` in the file `path`, calling `on_wait` once before waiting if it is held elsewhere.
-pub(crate) fn lock(path: &Path, key: &Digest, on_wait: impl FnOnce()) -> Result<KeyLock, StoreError> {
-    let file = open(path)?;
-    if is_taken(&file, path, key)? {
-        return Ok(KeyLock { _file: file });
+impl Drop for KeyLock {
+    fn drop(&mut self) {
+        self.bytes.release(self.byte);
     }
-    on_wait();
-    loop {
-        match fcntl(&file, FcntlArg::F_OFD_SETLKW(&byte_of(key))) {
-            Ok(_) => return Ok(KeyLock { _file: file }),
-            Err(Errno::EINTR) => {}
-            Err(fault) => return Err(StoreError::io("lock", path, fault.into())),
+}
+
+/// What this process says that it has at hand; others see it until this is dropped, or until the process ends.
+#[derive(Debug)]
+#[must_use = "others do not see it any more once this is dropped"]
+pub struct Announced {
+    _byte: KeyLock,
+}
+
+/// The bytes of an empty file, each of which stands for what hashes to its number.
+///
+/// All are locked through one opening of the file: a file of its own for every step would be made and removed again, which
+/// some file systems take longer for than small steps do, and an opening of its own would be one open file more for each
+/// lock that is held. What is locked through one opening is locked against all others; among the threads of this process
+/// `held` decides. Two keys of one number (one chance in 2^62) would wait for each other, no more.
+#[derive(Debug)]
+pub(crate) struct Bytes {
+    path: PathBuf,
+    /// Opened when the first lock is asked for: a store that is only read may not be writable.
+    file: OnceLock<File>,
+    /// Bytes that this process has, and how many times: a right once, an announcement any number of times.
+    held: Mutex<HashMap<i64, u32>>,
+    released: Condvar,
+}
+
+impl Bytes {
+    /// The bytes of the file `path`.
+    pub(crate) fn new(path: PathBuf) -> Arc<Self> {
+        Arc::new(Self { path, file: OnceLock::new(), held: Mutex::default(), released: Condvar::new() })
+    }
+
+    /// Takes the lock of `key`, calling `on_wait` once before waiting if it is held elsewhere.
+    pub(crate) fn lock(self: &Arc<Self>, key: &Digest, on_wait: impl FnOnce()) -> Result<KeyLock, StoreError> {
+        let byte = byte_of(key);
+        let mut on_wait = Some(on_wait);
+        let mut wait = || on_wait.take().map_or((), |on_wait| on_wait());
+        let mut held = self.held();
+        while held.contains_key(&byte) {
+            drop(held);
+            wait();
+            held = self.held();
+            if held.contains_key(&byte) {
+                held = self.released.wait(held).unwrap_or_else(PoisonError::into_inner);
+            }
+        }
+        held.insert(byte, 1);
+        drop(held);
+        // From here on the byte is this lock's within the process; if the system refuses it, dropping gives it back.
+        let lock = KeyLock { bytes: Arc::clone(self), byte };
+        if !self.set(&flock(byte, libc::F_WRLCK))? {
+            wait();
+            self.wait_for(byte)?;
+        }
+        Ok(lock)
+    }
+
+    /// Takes the lock of `key` unless it is held elsewhere.
+    pub(crate) fn try_lock(self: &Arc<Self>, key: &Digest) -> Result<Option<KeyLock>, StoreError> {
+        let byte = byte_of(key);
+        let mut held = self.held();
+        if held.contains_key(&byte) || !self.set(&flock(byte, libc::F_WRLCK))? {
+            return Ok(None);
+        }
+        held.insert(byte, 1);
+        Ok(Some(KeyLock { bytes: Arc::clone(self), byte }))
+    }
+
+    /// Lets other processes see `name`; any number of them may announce the same.
+    pub(crate) fn announce(self: &Arc<Self>, name: &Digest) -> Result<Announced, StoreError> {
+        let byte = byte_of(name);
+        let mut held = self.held();
+        let count = held.entry(byte).or_default();
+        if *count == 0 {
+            // Nobody locks the byte of a name against announcements of it.
+            self.set(&flock(byte, libc::F_RDLCK))?;
+        }
+        *count += 1;
+        Ok(Announced { _byte: KeyLock { bytes: Arc::clone(self), byte } })
+    }
+
+    /// Whether another process, or another handle in this one, announces `name`.
+    pub(crate) fn is_announced_elsewhere(&self, name: &Digest) -> Result<bool, StoreError> {
+        let mut asked = flock(byte_of(name), libc::F_WRLCK);
+        self.fcntl(FcntlArg::F_OFD_GETLK(&mut asked))?;
+        Ok(i32::from(asked.l_type) != i32::from(libc::F_UNLCK as libc::c_short))
+    }
+
+    fn held(&self) -> MutexGuard<'_, HashMap<i64, u32>> {
+        self.held.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn release(&self, byte: i64) {
+        let mut held = self.held();
+        let left = held.get(&byte).map_or(0, |count| count - 1);
+        if left > 0 {
+            held.insert(byte, left);
+            return;
+        }
+        held.remove(&byte);
+        // It cannot fail for a byte that is locked; the end of the process releases it in any case.
+        let _ = self.set(&flock(byte, libc::F_UNLCK));
+        self.released.notify_all();
+    }
+
+    /// Sets a lock; false where another process is in the way.
+    fn set(&self, lock: &libc::flock) -> Result<bool, StoreError> {
+        self.fcntl(FcntlArg::F_OFD_SETLK(lock))
+    }
+
+    fn wait_for(&self, byte: i64) -> Result<(), StoreError> {
+        self.fcntl(FcntlArg::F_OFD_SETLKW(&flock(byte, libc::F_WRLCK))).map(|_| ())
+    }
+
+    fn fcntl(&self, mut call: FcntlArg) -> Result<bool, StoreError> {
+        let file = self.file()?;
+        loop {
+            // Taken apart and put together: a call that was interrupted is made again.
+            let done = match &mut call {
+                FcntlArg::F_OFD_GETLK(lock) => fcntl(file, FcntlArg::F_OFD_GETLK(lock)),
+                FcntlArg::F_OFD_SETLK(lock) => fcntl(file, FcntlArg::F_OFD_SETLK(lock)),
+                FcntlArg::F_OFD_SETLKW(lock) => fcntl(file, FcntlArg::F_OFD_SETLKW(lock)),
+                _ => Err(Errno::EINVAL),
+            };
+            match done {
+                Ok(_) => return Ok(true),
+                Err(Errno::EAGAIN | Errno::EACCES) => return Ok(false),
+                Err(Errno::EINTR) => {}
+                Err(fault) => return Err(StoreError::io("lock", &self.path, fault.into())),
+            }
         }
     }
-}
 
-/// Takes the lock of `key` in the file `path` unless it is held elsewhere.
-pub(crate) fn try_lock(path: &Path, key: &Digest) -> Result<Option<KeyLock>, StoreError> {
-    let file = open(path)?;
-    Ok(is_taken(&file, path, key)?.then_some(KeyLock { _file: file }))
-}
-
-/// Takes the lock of `key` through this opening of the file, unless another holds it.
-fn is_taken(file: &File, path: &Path, key: &Digest) -> Result<bool, StoreError> {
-    loop {
-        match fcntl(file, FcntlArg::F_OFD_SETLK(&byte_of(key))) {
-            Ok(_) => return Ok(true),
-            Err(Errno::EAGAIN | Errno::EACCES) => return Ok(false),
-            Err(Errno::EINTR) => {}
-            Err(fault) => return Err(StoreError::io("lock", path, fault.into())),
+    fn file(&self) -> Result<&File, StoreError> {
+        if let Some(file) = self.file.get() {
+            return Ok(file);
         }
+        let mut options = OpenOptions::new();
+        options.read(true).write(true).create(true).truncate(false);
+        let opened = plain::open_with(&mut options, &self.path).at("open", &self.path)?;
+        // Another thread may have been first; then its opening counts.
+        Ok(self.file.get_or_init(|| opened))
     }
 }
 
-fn open(path: &Path) -> Result<File, StoreError> {
-    let mut options = OpenOptions::new();
-    plain::open_with(options.read(true).write(true).create(true).truncate(false), path).at("open", path)
-}
-
-/// The byte that stands for `key`, to be locked for writing.
-fn byte_of(key: &Digest) -> libc::flock {
+/// The number of the byte that stands for `key`.
+fn byte_of(key: &Digest) -> i64 {
     let [a, b, c, d, e, f, g, h, ..] = *key.as_bytes();
-    let number = i64::from_le_bytes([a, b, c, d, e, f, g, h]);
+    // A file has 2^63 bytes at most.
+    i64::from_le_bytes([a, b, c, d, e, f, g, h]) & (i64::MAX >> 1)
+}
+
+/// One byte and what is to be done with it.
+fn flock(byte: i64, what: libc::c_int) -> libc::flock {
     libc::flock {
-        l_type: libc::F_WRLCK as libc::c_short,
+        l_type: what as libc::c_short,
         l_whence: libc::SEEK_SET as libc::c_short,
-        // A file has 2^63 bytes at most.
-        l_start: number & (i64::MAX >> 1),
+        l_start: byte,
         l_len: 1,
         l_pid: 0,
     }
@@ -93,15 +239,15 @@ pub(crate) fn sweep(dir: &Path, prefix: &str) -> Result<(), StoreError> {
 
 fn remove_abandoned(path: &Path) {
     // The lock is held until the file is gone.
-    let held = plain::open(path).ok().filter(|file| is_abandoned(file, path));
+    let held = plain::open(path).ok().and_then(|file| abandoned(file, path));
     if held.is_some() {
         let _ = std::fs::remove_file(path);
     }
 }
 
-/// Whether nobody holds the lock of this file, which is still at `path`. The lock is held from now on.
-pub(crate) fn is_abandoned(file: &File, path: &Path) -> bool {
-    file.try_lock().is_ok() && is_at(file, path)
+/// This file, locked, if nobody else holds its lock and it is still at `path`.
+pub(crate) fn abandoned(file: File, path: &Path) -> Option<Locked> {
+    Locked::try_new(file).ok().flatten().filter(|file| is_at(file, path))
 }
 
 #[cfg(test)]
@@ -109,34 +255,43 @@ mod tests {
     use super::*;
     use std::sync::atomic::{AtomicU32, Ordering};
 
+    fn bytes(folder: &tempfile::TempDir) -> Arc<Bytes> {
+        Bytes::new(folder.path().join("keys"))
+    }
+
     #[test]
     fn a_held_key_is_refused_then_waited_for() {
         let folder = tempfile::tempdir().unwrap();
-        let (path, key) = (folder.path().join("keys"), Digest::of(b"key"));
-        let held = try_lock(&path, &key).unwrap().unwrap();
-        assert!(try_lock(&path, &key).unwrap().is_none());
-        assert!(try_lock(&path, &Digest::of(b"other")).unwrap().is_some());
-        let (waiting, waits) = std::sync::mpsc::channel();
-        std::thread::scope(|scope| {
-            let waiter = scope.spawn(|| drop(lock(&path, &key, || waiting.send(()).unwrap()).unwrap()));
-            waits.recv().unwrap();
-            assert!(!waiter.is_finished());
-            drop(held);
-        });
-        assert!(try_lock(&path, &key).unwrap().is_some(), "who waited has released it");
-        assert_eq!(path.metadata().unwrap().len(), 0, "nothing is ever written");
+        let (one, other, key) = (bytes(&folder), bytes(&folder), Digest::of(b"key"));
+        // In the same process through the same opening, and through another as another process would.
+        for second in [&one, &other] {
+            let held = one.try_lock(&key).unwrap().unwrap();
+            assert!(second.try_lock(&key).unwrap().is_none());
+            assert!(second.try_lock(&Digest::of(b"other")).unwrap().is_some());
+            let (waiting, waits) = std::sync::mpsc::channel();
+            std::thread::scope(|scope| {
+                let waiter = scope.spawn(|| drop(second.lock(&key, || waiting.send(()).unwrap()).unwrap()));
+                waits.recv().unwrap();
+                assert!(!waiter.is_finished());
+                drop(held);
+            });
+            assert!(second.try_lock(&key).unwrap().is_some(), "who waited has released it");
+        }
+        assert_eq!(one.path.metadata().unwrap().len(), 0, "nothing is ever written");
     }
 
     #[test]
     fn one_holder_at_a_time_however_many_contend() {
         let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("keys");
+        let shared = bytes(&folder);
         let (inside, entered) = (AtomicU32::new(0), AtomicU32::new(0));
         std::thread::scope(|scope| {
-            for _ in 0..8 {
-                scope.spawn(|| {
+            for contender in 0..8 {
+                let bytes = if contender < 4 { Arc::clone(&shared) } else { bytes(&folder) };
+                let (inside, entered) = (&inside, &entered);
+                scope.spawn(move || {
                     for _ in 0..50 {
-                        let _held = lock(&path, &Digest::of(b"key"), || ()).unwrap();
+                        let _held = bytes.lock(&Digest::of(b"key"), || ()).unwrap();
                         assert_eq!(inside.fetch_add(1, Ordering::SeqCst), 0);
                         entered.fetch_add(1, Ordering::SeqCst);
                         inside.fetch_sub(1, Ordering::SeqCst);
@@ -150,12 +305,44 @@ mod tests {
     #[test]
     fn any_key_has_a_byte_that_a_file_can_have() {
         let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("keys");
-        for bytes in [[0; 32], [0xff; 32], [0x80; 32]] {
-            let key = Digest::from_bytes(bytes);
-            let held = try_lock(&path, &key).unwrap();
-            assert!(held.is_some() && try_lock(&path, &key).unwrap().is_none(), "{key}");
+        let (one, other) = (bytes(&folder), bytes(&folder));
+        for raw in [[0; 32], [0xff; 32], [0x80; 32]] {
+            let key = Digest::from_bytes(raw);
+            let held = one.try_lock(&key).unwrap();
+            assert!(held.is_some() && other.try_lock(&key).unwrap().is_none(), "{key}");
         }
+    }
+
+    #[test]
+    fn what_is_released_is_free_though_a_program_that_starts_has_a_copy_of_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let (one, other, key) = (bytes(&folder), bytes(&folder), Digest::of(b"key"));
+        let held = one.try_lock(&key).unwrap();
+        // What a child has between its fork and the program that it becomes.
+        let copy = one.file().unwrap().try_clone().unwrap();
+        drop((held, one));
+        assert!(other.try_lock(&key).unwrap().is_some());
+        drop(copy);
+        let path = folder.path().join("file");
+        let locked = Locked::try_new(File::create(&path).unwrap()).unwrap().unwrap();
+        let copy = locked.try_clone().unwrap();
+        drop(locked);
+        assert!(abandoned(File::open(&path).unwrap(), &path).is_some());
+        drop(copy);
+    }
+
+    #[test]
+    fn an_announcement_is_seen_by_others_until_the_last_of_it_is_dropped() {
+        let folder = tempfile::tempdir().unwrap();
+        let (one, other, name) = (bytes(&folder), bytes(&folder), Digest::of(b"value"));
+        let seen = |by: &Bytes| by.is_announced_elsewhere(&name).unwrap();
+        let (first, second) = (one.announce(&name).unwrap(), one.announce(&name).unwrap());
+        assert!(seen(&other) && !seen(&one));
+        let third = other.announce(&name).unwrap();
+        drop(first);
+        assert!(seen(&other) && seen(&one));
+        drop((second, third));
+        assert!(!seen(&other) && !seen(&one));
     }
 
     #[test]

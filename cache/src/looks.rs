@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
+use rustix::fs::{AtFlags, Mode, OFlags, open, statat};
 use serde::{Deserialize, Serialize};
 
 use crate::files::{Fingerprint, is_settled};
@@ -65,6 +66,20 @@ pub(crate) fn is_same((path, then): &Repeatable) -> bool {
         Some(then) => State::of(path) == Some(*then),
         None => !path.is_file(),
     }
+}
+
+/// Whether all of these files in a folder are in these states.
+///
+/// There may be thousands: each is looked up from the folder, and not along all the folders above it.
+pub(crate) fn are_same(folder: &Path, files: &[(PathBuf, State)]) -> bool {
+    if files.is_empty() {
+        return true;
+    }
+    let Ok(folder) = open(folder, OFlags::PATH | OFlags::DIRECTORY | OFlags::CLOEXEC, Mode::empty()) else {
+        return false;
+    };
+    let now = |file| statat(&folder, file, AtFlags::empty()).map(|stat| State::from(&Fingerprint::of_stat(&stat)));
+    files.iter().all(|(file, then)| now(file).is_ok_and(|now| now == *then))
 }
 
 impl Store {

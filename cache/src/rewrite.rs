@@ -8,6 +8,7 @@ use crate::error::{At, StoreError};
 use crate::frame::{Header, Kind};
 use crate::index::{Index, Place};
 use crate::journal::Journal;
+use crate::locks::Locked;
 use crate::segment::{Frame, claim, scan};
 use crate::{Digest, plain};
 
@@ -35,7 +36,7 @@ impl Leaving {
 /// The segments there are: those nobody writes to are held, so that nobody begins to.
 #[derive(Debug)]
 pub(crate) struct Claimed {
-    free: Vec<(String, File)>,
+    free: Vec<(String, Locked)>,
     busy: Vec<String>,
 }
 

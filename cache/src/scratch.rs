@@ -10,14 +10,15 @@ use rustix::process::{Pid, Signal, getpid, kill_process};
 use tempfile::NamedTempFile;
 
 use crate::error::{At, StoreError};
-use crate::locks::is_abandoned;
+use crate::locks::abandoned;
 use crate::open::SCRATCH;
+use crate::values::ROOM;
 use crate::{Store, plain};
 
 /// Ends the name of the file that is locked as long as the folder beside it is used.
 const LOCK: &str = ".lock";
-/// Starts the names of the folders.
-const PREFIX: &str = "run-";
+/// Starts the names of the folders in which programs run.
+const PROGRAMS: &str = "run-";
 
 /// A folder of its own for one program, removed with all that is in it when this is dropped.
 ///
@@ -28,12 +29,21 @@ pub struct Scratch {
     folder: PathBuf,
     /// Removed after the folder.
     lock: Option<NamedTempFile>,
+    /// Programs may still run there when it goes.
+    for_programs: bool,
 }
 
 impl Scratch {
     /// The folder, absolute.
     pub fn path(&self) -> &Path {
         &self.folder
+    }
+
+    /// Leaves everything as a kill would: nothing is removed, the lock ends.
+    #[cfg(test)]
+    pub(crate) fn abandon(self) {
+        self.lock.as_ref().unwrap().as_file().unlock().unwrap();
+        std::mem::forget(self);
     }
 
     /// Where programs are to put what is temporary, absolute; not made yet.
@@ -44,28 +54,35 @@ impl Scratch {
 
 impl Drop for Scratch {
     fn drop(&mut self) {
-        clear(&self.folder);
+        clear(&self.folder, self.for_programs);
         let lock = self.lock.take();
-        if self.folder.exists() {
+        if self.folder.exists()
+            && let Some(Ok((file, _))) = lock.map(NamedTempFile::keep)
+        {
             // What cannot be removed now is swept up when the store is next opened; until then its lock tells whose it is.
-            drop(lock.map(NamedTempFile::keep));
+            let _ = file.unlock();
         }
     }
 }
 
 impl Store {
-    /// An empty folder in the store that nobody else uses.
+    /// An empty folder in the store that nobody else uses, for a program to work in.
     pub fn scratch(&self) -> Result<Scratch, StoreError> {
+        self.scratch_named(PROGRAMS, true)
+    }
+
+    /// An empty folder that is known by how its name begins.
+    pub(crate) fn scratch_named(&self, prefix: &str, for_programs: bool) -> Result<Scratch, StoreError> {
         let root = self.dir().join(SCRATCH);
         loop {
             let mut builder = tempfile::Builder::new();
-            let lock = builder.prefix(PREFIX).suffix(LOCK).tempfile_in(&root).at("write into", &root)?;
+            let lock = builder.prefix(prefix).suffix(LOCK).tempfile_in(&root).at("write into", &root)?;
             lock.as_file().lock().at("lock a file in", &root)?;
             // Swept up between its making and its locking? Then make another.
             if crate::segment::is_at(lock.as_file(), lock.path()) {
                 let folder = lock.path().with_extension("");
                 fs::create_dir(&folder).at("make the folder", &folder)?;
-                return Ok(Scratch { folder, lock: Some(lock) });
+                return Ok(Scratch { folder, lock: Some(lock), for_programs });
             }
         }
     }
@@ -75,21 +92,25 @@ impl Store {
 pub(crate) fn sweep(root: &Path) -> Result<(), StoreError> {
     for entry in fs::read_dir(root).at("list", root)? {
         let path = entry.at("list", root)?.path();
-        let name = path.file_name().and_then(|name| name.to_str()).filter(|name| name.starts_with(PREFIX));
-        match name.map(|name| name.strip_suffix(LOCK)) {
-            Some(Some(_)) => sweep_locked(&path),
+        let Some(name) = path.file_name().and_then(|name| name.to_str()) else { continue };
+        let for_programs = name.starts_with(PROGRAMS);
+        if !for_programs && !name.starts_with(ROOM) {
+            continue;
+        }
+        if name.ends_with(LOCK) {
+            sweep_locked(&path, for_programs);
+        } else if plain::is_folder(&path) && !lock_of(&path).exists() {
             // A folder is made after its lock and removed before it: without one, it is left from a sweep that failed.
-            Some(None) if plain::is_folder(&path) && !lock_of(&path).exists() => clear(&path),
-            _ => {}
+            clear(&path, for_programs);
         }
     }
     Ok(())
 }
 
-fn sweep_locked(lock: &Path) {
-    let Some(_held) = plain::open(lock).ok().filter(|file| is_abandoned(file, lock)) else { return };
+fn sweep_locked(lock: &Path, for_programs: bool) {
+    let Some(_held) = plain::open(lock).ok().and_then(|file| abandoned(file, lock)) else { return };
     let folder = lock.with_extension("");
-    clear(&folder);
+    clear(&folder, for_programs);
     // What is left of the folder would be nobody's without its lock.
     if !folder.exists() {
         let _ = fs::remove_file(lock);
@@ -100,9 +121,11 @@ fn lock_of(folder: &Path) -> PathBuf {
     folder.with_extension(&LOCK[1..])
 }
 
-/// Ends the programs of a folder and removes it, as far as that can be done.
-fn clear(folder: &Path) {
-    std::path::absolute(folder).iter().for_each(|folder| end_programs(folder));
+/// Removes a folder, as far as that can be done, and before that ends its programs if it may have some.
+fn clear(folder: &Path, for_programs: bool) {
+    if for_programs {
+        std::path::absolute(folder).iter().for_each(|folder| end_programs(folder));
+    }
     if fs::remove_dir_all(folder).is_err() {
         // A program may have made folders in which nothing can be removed.
         open_up(folder);
@@ -153,9 +176,7 @@ mod tests {
         let [mut of_done, mut of_dead, mut of_used] = [&done, &dead, &used].map(sleep);
         drop(done);
         assert_eq!(of_done.wait().unwrap().signal(), Some(9));
-        // As after a kill: nothing is removed, the lock ends.
-        dead.lock.as_ref().unwrap().as_file().unlock().unwrap();
-        std::mem::forget(dead);
+        dead.abandon();
         drop(Store::open(&dir).unwrap());
         assert_eq!(of_dead.wait().unwrap().signal(), Some(9));
         assert!(of_used.try_wait().unwrap().is_none(), "it goes on");
@@ -172,10 +193,8 @@ mod tests {
         fs::write(scratch.path().join("half"), "half").unwrap();
         let dead = store.scratch().unwrap();
         let left = dead.path().to_owned();
-        // As after a kill: nothing is removed, the lock ends.
-        dead.lock.as_ref().unwrap().as_file().unlock().unwrap();
         let (folder, lock) = (left.clone(), left.with_extension(&LOCK[1..]));
-        std::mem::forget(dead);
+        dead.abandon();
         drop(Store::open(&dir).unwrap());
         assert!(!folder.exists() && !lock.exists(), "what the dead left is swept up");
         assert!(scratch.path().join("half").exists(), "what is in use stays");

@@ -1,6 +1,6 @@
 //! Segments: append-only files of frames, read by everyone and grown by the one process that holds their lock.
 
-use std::fs::{File, OpenOptions, TryLockError};
+use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use crate::error::{At, StoreError};
 use crate::frame::{HEADER_BYTES, Header, Kind, MAGIC};
+use crate::locks::Locked;
 use crate::plain;
 
 /// A segment that has grown beyond this is not continued.
@@ -40,8 +41,8 @@ pub(crate) struct Scan {
 /// The growing end of the one segment this process writes.
 #[derive(Debug)]
 pub(crate) struct Writer {
-    /// The file; its lock lives as long as it.
-    pub file: Arc<File>,
+    /// The file. Whoever syncs it may outlive this; its lock does not.
+    pub file: Arc<Locked>,
     /// Its path.
     pub path: PathBuf,
     /// Its number in the index.
@@ -59,7 +60,7 @@ impl Writer {
     ///
     /// After an error the end of the file is not known: drop the writer, and whoever claims the segment next cuts the torn tail.
     pub(crate) fn append(&mut self, header: &Header, payload: &[u8]) -> Result<u64, StoreError> {
-        (&*self.file).write_all(&header.encode(payload)).at("append to", &self.path)?;
+        (&**self.file).write_all(&header.encode(payload)).at("append to", &self.path)?;
         let at = self.end + HEADER_BYTES as u64;
         self.end += header.frame_bytes();
         if header.kind != Kind::Mark {
@@ -69,14 +70,17 @@ impl Writer {
     }
 }
 
-/// Opens a segment for appending if no live process writes it.
-pub(crate) fn claim(path: &Path) -> Result<Option<File>, StoreError> {
-    let file = plain::open_with(OpenOptions::new().read(true).append(true).create(true), path).at("open", path)?;
-    match file.try_lock() {
-        Ok(()) => Ok(is_at(&file, path).then_some(file)),
-        Err(TryLockError::WouldBlock) => Ok(None),
-        Err(TryLockError::Error(fault)) => Err(StoreError::io("lock", path, fault)),
+impl Drop for Writer {
+    fn drop(&mut self) {
+        // A sync that goes on in another thread keeps the file open, and is no reason for others to begin a segment.
+        let _ = self.file.unlock();
     }
+}
+
+/// Opens a segment for appending if no live process writes it.
+pub(crate) fn claim(path: &Path) -> Result<Option<Locked>, StoreError> {
+    let file = plain::open_with(OpenOptions::new().read(true).append(true).create(true), path).at("open", path)?;
+    Ok(Locked::try_new(file).at("lock", path)?.filter(|file| is_at(file, path)))
 }
 
 /// Whether `path` still leads to this very file.
@@ -275,8 +279,11 @@ mod tests {
         let first = claim(&path).unwrap();
         assert!(first.is_some());
         assert!(claim(&path).unwrap().is_none());
+        // What a program that is being started has.
+        let copy = first.as_ref().unwrap().try_clone().unwrap();
         drop(first);
         assert!(claim(&path).unwrap().is_some());
+        drop(copy);
     }
 
     #[test]
@@ -286,7 +293,7 @@ mod tests {
             println!("skipped: this system has no /dev/full");
             return;
         };
-        let file = Arc::new(file);
+        let file = Arc::new(Locked::try_new(file).unwrap().unwrap());
         let mut writer = Writer { file, path: path.into(), segment: 0, end: 0, appended: 0, durable: 0 };
         let fault = writer.append(&Header::of(Kind::Note, Digest::of(b""), 1, b"x"), b"x").unwrap_err();
         assert!(matches!(fault, StoreError::DiskFull { .. }), "{fault}");

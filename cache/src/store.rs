@@ -11,7 +11,7 @@ use crate::error::{At, StoreError};
 use crate::frame::Kind;
 use crate::index::Place;
 use crate::journal::Journal;
-use crate::locks::{self, KeyLock};
+use crate::locks::{Bytes, KeyLock};
 use crate::open::{self, LOCKS, QUARANTINE, SEGMENTS};
 use crate::seal::Damage;
 use crate::syncer::Syncer;
@@ -42,6 +42,7 @@ pub struct Store {
     journal: Arc<Journal>,
     syncer: Syncer,
     files_hashed: AtomicU64,
+    pub(crate) locks: Arc<Bytes>,
     /// Says what this process counts on, once it runs something.
     pub(crate) lease: Mutex<Option<tempfile::NamedTempFile>>,
 }
@@ -82,6 +83,7 @@ impl Store {
             blobs: Blobs::new(&root),
             syncer: Syncer::new(Arc::clone(&journal)),
             journal,
+            locks: Bytes::new(root.join(LOCKS)),
             root,
             files_hashed: AtomicU64::new(0),
             lease: Mutex::default(),
@@ -260,12 +262,12 @@ impl Store {
     /// process; so a thread must not ask again for a key it holds. After a wait, [`Store::refresh`] and look again: the
     /// other has probably done the work.
     pub fn lock(&self, key: &Digest, on_wait: impl FnOnce()) -> Result<KeyLock, StoreError> {
-        locks::lock(&self.root.join(LOCKS), key, on_wait)
+        self.locks.lock(key, on_wait)
     }
 
     /// Takes the right to compute `key` unless another holds it.
     pub fn try_lock(&self, key: &Digest) -> Result<Option<KeyLock>, StoreError> {
-        locks::try_lock(&self.root.join(LOCKS), key)
+        self.locks.try_lock(key)
     }
 
     /// Picks up what other processes have stored meanwhile.

@@ -6,10 +6,9 @@ use clap::Args;
 use rockface_cache::SafeName;
 
 use super::places::Places;
-use super::{CliError, say};
+use super::{CliError, complain, say};
 use rockface_engine::diagnostic::{listed, nearest};
-use rockface_engine::history;
-use rockface_engine::history::{Manifest, StepDone};
+use rockface_engine::history::{self, Manifest, StepDone};
 use rockface_engine::pipeline::Label;
 
 /// Arguments of `rockface export`.
@@ -115,7 +114,7 @@ impl ArchiveArgs {
         let done = history::archive(&run, &self.places.open_store()?, self.outputs, &to)?;
         if done.missing > 0 {
             let missing = done.missing;
-            super::complain(&format!("warning: {missing} records or logs of this run are not in the store any more"));
+            complain(&format!("warning: {missing} records or logs of this run are not in the store any more"));
         }
         say(&format!("{}: {} files", to.display(), done.files));
         Ok(())

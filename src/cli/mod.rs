@@ -7,6 +7,7 @@ mod graph;
 mod hand;
 mod init;
 mod inspect;
+pub mod output;
 mod places;
 mod plan;
 mod programs;
@@ -15,6 +16,7 @@ mod report;
 mod run;
 mod runs;
 mod schema;
+mod signals;
 mod stages;
 mod store;
 mod table;
@@ -26,6 +28,7 @@ use clap::{Args, Parser, Subcommand};
 use rockface_cache::{Store, StoreError};
 use rockface_core::Registry;
 
+use output::{complain, say};
 use rockface_engine::diagnostic::Diagnostics;
 use rockface_engine::history::HistoryError;
 use rockface_engine::pipeline::{Overrides, Pipeline};
@@ -246,12 +249,6 @@ fn write_own(folder: &Path, name: &str, text: &str) -> std::io::Result<()> {
     file.persist(folder.join(name)).map(drop).map_err(|error| error.error)
 }
 
-/// Prints a line on standard error. Where that cannot be written to, there is nobody left to tell.
-pub fn complain(line: &str) {
-    use std::io::Write;
-    let _ = writeln!(std::io::stderr(), "{line}");
-}
-
 /// Why a command did not do what it was asked.
 #[derive(Debug, thiserror::Error)]
 pub enum CliError {
@@ -279,6 +276,9 @@ pub enum CliError {
     /// A page could not be made.
     #[error(transparent)]
     Report(#[from] crate::report::ReportError),
+    /// What there was to say could not be written.
+    #[error("cannot write to standard output: {0}")]
+    Output(std::io::Error),
 }
 
 impl CliError {
@@ -289,7 +289,8 @@ impl CliError {
             Self::History(HistoryError::Io { .. } | HistoryError::Changed { .. })
             | Self::Store(_)
             | Self::Damaged
-            | Self::Report(_) => 3,
+            | Self::Report(_)
+            | Self::Output(_) => 3,
             Self::Pipeline(_) | Self::Usage(_) | Self::History(_) => 2,
             Self::Run(error) => error.exit_code(),
         }
@@ -306,40 +307,37 @@ impl CliError {
 }
 
 impl Cli {
-    /// Does what the command says.
+    /// Does what the command says, and makes sure that what it says is written.
     pub fn run(self, registry: &Registry) -> Result<(), CliError> {
         rockface_core::limits::raise_memory_limit(rockface_engine::run::Options::default().memory_bytes as u64);
-        match self.command {
-            Command::Run(args) => args.run(registry),
-            Command::Plan(args) => args.run(registry),
-            Command::Explain(args) => args.run(registry),
-            Command::Graph(args) => args.run(registry),
-            Command::Stages(args) => args.run(registry),
-            Command::Runs(args) => args.run(registry),
-            Command::Report(args) => args.run(registry),
-            Command::Store(args) => args.run(),
-            Command::Inspect(args) => args.run(registry),
-            Command::Export(args) => args.run(),
-            Command::Archive(args) => args.run(),
-            Command::Init(args) => args.run(),
-            Command::Completions(args) => {
-                args.run();
-                Ok(())
-            }
+        match (self.command.run(registry), output::fault()) {
+            // What there is to say about a failed step was part of what could not be written.
+            (Ok(()) | Err(CliError::Failed | CliError::Damaged), Some(error)) => Err(CliError::Output(error)),
+            (result, _) => result,
         }
     }
 }
 
-/// Writes to standard output. A reader that has gone away ends the writing quietly; whatever else keeps the text from
-/// being written, such as a full disk, ends the program with the exit code of a disk that failed.
-fn say(text: &str) {
-    use std::io::Write;
-    match writeln!(std::io::stdout(), "{}", rockface_engine::watch::printable(text)) {
-        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
-            complain(&format!("error: cannot write to standard output: {error}"));
-            std::process::exit(3);
+impl Command {
+    fn run(self, registry: &Registry) -> Result<(), CliError> {
+        match self {
+            Self::Run(args) => args.run(registry),
+            Self::Plan(args) => args.run(registry),
+            Self::Explain(args) => args.run(registry),
+            Self::Graph(args) => args.run(registry),
+            Self::Stages(args) => args.run(registry),
+            Self::Runs(args) => args.run(registry),
+            Self::Report(args) => args.run(registry),
+            Self::Store(args) => args.run(),
+            Self::Inspect(args) => args.run(registry),
+            Self::Export(args) => args.run(),
+            Self::Archive(args) => args.run(),
+            Self::Init(args) => args.run(),
+            Self::Completions(args) => {
+                args.run();
+                Ok(())
+            }
         }
-        _ => {}
     }
 }
 

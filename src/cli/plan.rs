@@ -8,7 +8,7 @@ use rockface_core::Registry;
 use serde_json::{Value, json};
 
 use super::programs::ProgramArgs;
-use super::{CliError, PipelineArgs, say};
+use super::{CliError, PipelineArgs, complain, say};
 use rockface_engine::explain::{Answer, Answers};
 use rockface_engine::plan::Plan;
 use rockface_engine::run::tools;
@@ -37,7 +37,7 @@ impl PlanArgs {
         let (plan, store) = self.pipeline.look(registry, &pipeline, &self.pipeline.target)?;
         let answers = Answers::new(&plan, &store);
         for (label, text) in tools::behind(&plan, &store, answers.hits()).changed {
-            eprintln!("warning: {label}: {text}");
+            complain(&format!("warning: {label}: {text}"));
         }
         let is_timed = answers.list().iter().any(|answer| answer.is_open());
         let times = if is_timed { Times::new(&store) } else { Times::default() };

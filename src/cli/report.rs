@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::places::Places;
-use super::{CliError, say};
+use super::{CliError, complain, say};
 use crate::report::{self, Source};
 use rockface_core::Registry;
 use rockface_engine::history::{self, REPORT_FILE, RunContents};
@@ -28,9 +28,7 @@ impl ReportArgs {
         let run = history::find(&self.places.runs, &self.run)?;
         let store = self.places.store_beside(&run.folder)?;
         if store.is_none() {
-            super::complain(
-                "warning: there is no store here; what is not in the run folder is missing from the report",
-            );
+            complain("warning: there is no store here; what is not in the run folder is missing from the report");
         }
         let graph = report::graph_of(registry, &run.manifest);
         let (folder, manifest) = (&run.folder, &run.manifest);

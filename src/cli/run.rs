@@ -3,7 +3,7 @@
 use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
 use clap::Args;
 use rockface_core::Registry;
@@ -12,12 +12,10 @@ use rockface_cache::Digest;
 use rockface_core::limits::raise_memory_limit;
 
 use super::programs::ProgramArgs;
-use super::{CliError, PipelineArgs, beside, own_folder, repeat, say};
+use super::{CliError, PipelineArgs, beside, own_folder, repeat, say, signals};
 use crate::report::Pages;
-use rockface_engine::run;
-use rockface_engine::run::shortcut;
-use rockface_engine::run::shortcut::{NAMED, Told};
-use rockface_engine::run::{Finished, LayOut, Options, RunFolder, Summary};
+use rockface_engine::run::shortcut::{self, NAMED, Told};
+use rockface_engine::run::{self, Finished, LayOut, Options, RunFolder, Summary};
 use rockface_engine::watch::{JsonLines, Observer, Plain, Silent, Terminal, duration};
 
 /// The most memory that can be asked for, GiB; more is a slip of the pen.
@@ -88,13 +86,13 @@ impl RunArgs {
             plan = self.pipeline.plan(registry, &pipeline, &self.pipeline.target)?.0;
         }
         store.trust(self.trust_store);
-        let mut options =
-            Options { keep_going: self.keep_going, look: registry.look(), exit_when_stuck: true, ..Options::default() };
+        let mut options = Options { keep_going: self.keep_going, look: registry.look(), ..Options::default() };
         options.jobs = self.jobs.map_or(options.jobs, usize::from);
         options.memory_bytes = self.memory.unwrap_or(options.memory_bytes);
         raise_memory_limit(options.memory_bytes as u64);
         let stop = Arc::new(AtomicBool::new(false));
-        stop_on_signal(&stop);
+        signals::stop_on_signal(&stop);
+        let store = Arc::new(store);
         let mut observer = self.observer();
         let runs = self.runs_folder()?;
         let about = RunFolder {
@@ -248,17 +246,4 @@ fn readable(path: &std::path::Path) -> PathBuf {
     let here = std::env::current_dir().ok();
     let relative = here.and_then(|here| path.strip_prefix(here).ok().map(std::path::Path::to_path_buf));
     relative.unwrap_or_else(|| path.to_path_buf())
-}
-
-/// The first Ctrl-C (or SIGTERM) asks the run to stop, the second ends the process.
-fn stop_on_signal(stop: &Arc<AtomicBool>) {
-    let stop = stop.clone();
-    let handler = move || {
-        if stop.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
-        }
-    };
-    if let Err(error) = ctrlc::set_handler(handler) {
-        tracing::warn!("Ctrl-C will end the program at once: {error}");
-    }
 }

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::places::Places;
 use super::table::{self, Format, Printed};
-use super::{CliError, say};
+use super::{CliError, complain, say};
 use crate::report;
 use rockface_engine::history;
 use rockface_engine::history::{PastRun, Row};
@@ -99,7 +99,7 @@ fn list(places: &Places, format: Format) -> Result<(), CliError> {
     }
     let (runs, faults) = history::list(&places.runs)?;
     for fault in faults {
-        super::complain(&format!("warning: {fault}"));
+        complain(&format!("warning: {fault}"));
     }
     let json: Value = runs
         .iter()

@@ -105,7 +105,7 @@ fn step(stage: &dyn AnyStage) -> Value {
             "required": required,
             "additionalProperties": false,
             "properties": {
-                "stage": {"description": stage.page().what},
+                "stage": {"description": stage.page().what()},
                 "with": map_of(&fields),
                 "in": if free { json!({"type": "object", "additionalProperties": {"$ref": "#/$defs/input"}}) } else { ports(&inputs) },
                 "over": one_or_many(&json!({"type": "string"}), "Axes it is expanded over besides those that follow."),

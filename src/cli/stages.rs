@@ -51,7 +51,7 @@ fn unknown(registry: &Registry, name: &str) -> CliError {
 fn catalogue(registry: &Registry) -> String {
     let width = registry.stages().iter().map(|stage| stage.name().len()).max().unwrap_or(0);
     let line = |stage: &&dyn AnyStage| {
-        let what = stage.page().what;
+        let what = stage.page().what();
         let first = what.split_inclusive(". ").next().unwrap_or(what).trim();
         format!("  {:width$}  {first}", stage.name())
     };
@@ -77,7 +77,7 @@ fn about(stage: &dyn AnyStage) -> Value {
         json!({"name": port.name, "kinds": kinds, "arity": arity, "doc": port.doc})
     };
     json!({
-        "name": stage.name(), "version": stage.version(), "what": stage.page().what,
+        "name": stage.name(), "version": stage.version(), "what": stage.page().what(),
         "inputs": stage.inputs().iter().map(port).collect::<Vec<_>>(),
         "outputs": stage.outputs().iter().map(port).collect::<Vec<_>>(),
         "parameters": map_of(&stage.fields()),
@@ -87,7 +87,7 @@ fn about(stage: &dyn AnyStage) -> Value {
 /// The whole page of a stage, as Markdown.
 pub fn page(stage: &dyn AnyStage) -> String {
     let page = stage.page();
-    let mut text = format!("# {} (version {})\n\n{}\n", stage.name(), stage.version(), page.what);
+    let mut text = format!("# {} (version {})\n\n{}\n", stage.name(), stage.version(), page.what());
     text += &ports("Inputs", stage.inputs());
     text += &ports("Outputs", stage.outputs());
     text += "\n## Parameters\n\n";
@@ -97,10 +97,10 @@ pub fn page(stage: &dyn AnyStage) -> String {
         text += "\n## Distributions\n\nA number may be drawn anew each time: in its place stands a map with one of these keys.\n\n";
         text += &inner(&distribution, "");
     }
-    text += &format!("\n## Method and references\n\n{}\n", page.method);
-    text += &format!("\n## Units and frames\n\n{}\n", page.frames);
-    text += &format!("\n## Fails when\n\n{}\n", page.fails);
-    text += &format!("\n## Example\n\n```yaml\n{}\n```", page.example.trim());
+    text += &format!("\n## Method and references\n\n{}\n", page.method());
+    text += &format!("\n## Units and frames\n\n{}\n", page.frames());
+    text += &format!("\n## Fails when\n\n{}\n", page.fails());
+    text += &format!("\n## Example\n\n```yaml\n{}\n```", page.example().trim());
     text
 }
 

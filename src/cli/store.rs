@@ -10,9 +10,8 @@ use serde_json::json;
 use super::hand::HandArgs;
 use super::places::Places;
 use super::table::{self, Format, bytes};
-use super::{CliError, say};
-use rockface_engine::history;
-use rockface_engine::history::{HistoryError, PastRun};
+use super::{CliError, complain, say};
+use rockface_engine::history::{self, HistoryError, PastRun};
 
 /// What was made or used less long ago is kept by a collection, seconds: a run that was stopped may be taken up again.
 const GRACE_S: u64 = 3600;
@@ -262,7 +261,8 @@ fn count_torn(policy: &mut GcPolicy, store: &Store, folder: &Path, fault: &Histo
     let (count, pinned) = (keys.len(), history::is_pinned(folder));
     use_keys(policy, keys, written_s, pinned);
     let way = "repeat its pipeline to have it told anew, or remove the folder";
-    eprintln!("warning: {fault}; the {count} records that can still be read in it count as used by this run: {way}");
+    let used = format!("the {count} records that can still be read in it count as used by this run");
+    complain(&format!("warning: {fault}; {used}: {way}"));
     Ok(())
 }
 

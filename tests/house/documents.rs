@@ -55,7 +55,7 @@ fn the_pipelines_plan() {
 #[test]
 fn the_examples_of_the_pages_plan() {
     for stage in rockface_stages::registry().stages() {
-        let example = stage.page().example;
+        let example = stage.page().example();
         assert!(example.contains(stage.name()), "the example of `{}` does not use it", stage.name());
         check(example, stage.name(), root().to_owned(), !names_files(example));
     }
@@ -65,8 +65,8 @@ fn the_examples_of_the_pages_plan() {
 fn the_examples_that_need_no_file_run() {
     let bench = Bench::rocks();
     let (mut ran, mut failures) = (0, Vec::new());
-    for stage in rockface_stages::registry().stages().iter().filter(|stage| !names_files(stage.page().example)) {
-        let result = bench.run(stage.page().example, &[]);
+    for stage in rockface_stages::registry().stages().iter().filter(|stage| !names_files(stage.page().example())) {
+        let result = bench.run(stage.page().example(), &[]);
         ran += 1;
         failures.extend(result.events.iter().filter_map(|event| match event {
             Event::Failed { message, .. } => Some(format!("the example of `{}` fails: {message}", stage.name())),
@@ -125,7 +125,7 @@ fn every_page_is_complete() {
     for stage in rockface_stages::registry().stages() {
         let (name, page) = (stage.name(), stage.page());
         for (heading, text) in
-            [("what", page.what), ("method", page.method), ("frames", page.frames), ("fails", page.fails)]
+            [("what", page.what()), ("method", page.method()), ("frames", page.frames()), ("fails", page.fails())]
         {
             assert!(text.len() > 20, "`{name}` says too little under `{heading}`");
         }

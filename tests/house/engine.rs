@@ -244,7 +244,7 @@ fn a_damaged_blob_is_set_aside_and_remade() {
         places.into_iter().for_each(|i| bytes[i] = b'C');
         std::fs::write(entry.path(), bytes).unwrap();
     }
-    let store = rockface_cache::Store::open(&home.path().join("store")).unwrap();
+    let store = std::sync::Arc::new(rockface_cache::Store::open(&home.path().join("store")).unwrap());
     let bench = Bench { folder: home, store, stages };
     let again = bench.run(CHAIN, &["steps.d.with.plus=1"]);
     assert!(!again.summary.failed);

@@ -14,7 +14,7 @@ use rockface_engine::plan::{Plan, plan};
 use rockface_engine::run::{Options, Summary, execute};
 use rockface_engine::watch::{Event, Events, Reason};
 
-const PAGE: Page = Page { what: "A test.", method: "None.", frames: "None.", fails: "Never.", example: "" };
+const PAGE: Page = Page::new("# test\n\nA test.\n");
 const TABLE: &[Kind] = &[Kind::Table];
 
 fn cell(value: f64) -> Table {
@@ -328,7 +328,7 @@ impl Ran {
 /// A folder with a store in it.
 pub struct Bench {
     pub folder: tempfile::TempDir,
-    pub store: Store,
+    pub store: Arc<Store>,
     pub stages: &'static [&'static dyn AnyStage],
 }
 
@@ -336,7 +336,7 @@ impl Bench {
     /// A bench for the stages of the laboratory.
     pub fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(&folder.path().join("store")).unwrap();
+        let store = Arc::new(Store::open(&folder.path().join("store")).unwrap());
         Self { folder, store, stages: STAGES }
     }
 

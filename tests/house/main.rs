@@ -25,6 +25,8 @@ mod report;
 mod rework;
 mod rooms;
 mod shortcut;
+mod streams;
 mod survey;
 mod tidy;
+mod together;
 mod watching;

@@ -152,7 +152,7 @@ fn what_another_process_finished_meanwhile_is_not_done_again() {
     let yaml = "rockface: 1\nsteps: {a: {stage: emit}, b: {stage: add, in: {terms: a.out}}}\n";
     let bench = Bench::new();
     let other = Bench {
-        store: rockface_cache::Store::open(&bench.folder.path().join("store")).unwrap(),
+        store: std::sync::Arc::new(rockface_cache::Store::open(&bench.folder.path().join("store")).unwrap()),
         folder: tempfile::tempdir().unwrap(),
         stages: bench.stages,
     };

@@ -195,6 +195,29 @@ fn a_lock_holds_across_handles_and_is_released_on_drop() {
 }
 
 #[test]
+fn programs_that_start_meanwhile_hold_on_to_nothing() {
+    let (folder, store) = new_store();
+    drop(store);
+    let done = std::sync::atomic::AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        for _ in 0..2 {
+            scope.spawn(|| {
+                while !done.load(std::sync::atomic::Ordering::Relaxed) {
+                    std::process::Command::new("true").status().unwrap();
+                }
+            });
+        }
+        for number in 0..200 {
+            let store = Store::open(folder.path()).unwrap();
+            drop(store.try_lock(&Digest::of(b"key")).unwrap().expect("nobody holds it"));
+            finish(&store, number, b"mesh");
+        }
+        done.store(true, std::sync::atomic::Ordering::Relaxed);
+    });
+    assert_eq!(segments(folder.path()).len(), 1);
+}
+
+#[test]
 fn notes_on_runs_are_recalled_latest_first() {
     let (folder, store) = new_store();
     let plan = Digest::of(b"plan");

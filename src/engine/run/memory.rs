@@ -26,7 +26,11 @@ impl Scheduler<'_> {
     /// Lets go of all values of an instance, wherever they are held.
     pub fn drop_values(&mut self, instance: usize) {
         self.forget(instance);
-        self.states[instance].spilled.clear();
+        self.discard_brought(instance);
+        let state = &mut self.states[instance];
+        state.spilled.clear();
+        // Last: others may take what is not announced any more for used up.
+        state.announced.clear();
     }
 
     /// Frees the memory of all values of an instance.
@@ -138,10 +142,7 @@ impl Scheduler<'_> {
 
     /// Writes the values of an instance to files that are gone when nobody needs them any more; not all may fit there.
     fn spill(&mut self, instance: usize) -> bool {
-        if self.spill_room.is_none() {
-            self.spill_room = self.store.scratch().ok();
-        }
-        let Some(room) = &self.spill_room else { return false };
+        let Ok(room) = self.exchange.room(self.store) else { return false };
         let State { values, spilled, .. } = &mut self.states[instance];
         for (port, value) in values.iter() {
             if !spilled.contains_key(port) {

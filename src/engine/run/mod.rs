@@ -2,6 +2,7 @@
 
 mod account;
 pub mod again;
+mod exchange;
 mod expand;
 mod folder;
 mod host;
@@ -11,6 +12,7 @@ mod made;
 mod memory;
 mod program;
 mod progress;
+mod remake;
 mod resident;
 mod schedule;
 mod settle;
@@ -21,6 +23,7 @@ mod tell;
 pub mod tools;
 mod unfinished;
 mod work;
+mod workers;
 
 use rockface_cache::{Digest, Outcome, Recipe, Store, StoreError};
 use rockface_core::{Look, Registry};
@@ -41,20 +44,12 @@ pub struct Options {
     pub memory_bytes: usize,
     /// What draws outputs for the log.
     pub look: &'static dyn Look,
-    /// End the process if a stage does not notice a stop in time; for programs, not for tests.
-    pub exit_when_stuck: bool,
 }
 
 impl Default for Options {
     fn default() -> Self {
         let jobs = std::thread::available_parallelism().map_or(1, usize::from);
-        Self {
-            jobs,
-            keep_going: false,
-            memory_bytes: half_of_memory(),
-            look: Registry::default().look(),
-            exit_when_stuck: false,
-        }
+        Self { jobs, keep_going: false, memory_bytes: half_of_memory(), look: Registry::default().look() }
     }
 }
 

@@ -1,20 +1,21 @@
 //! The scheduler: one thread owns every state, workers only compute, and a step whose output did not change stops the wave.
 
-use std::cell::Cell;
 use std::collections::{BinaryHeap, HashMap, VecDeque};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
-use rockface_cache::{Digest, Outcome, Scratch, Store, StoreError};
+use rockface_cache::{Digest, Outcome, Store, StoreError};
 use rockface_core::Look;
 use rockface_core::artefact::Kind;
 
+use super::exchange::Exchange;
 use super::progress::Timing;
 use super::resident::Resident;
-use super::state::{States, Status, same_outputs};
-use super::work::{self, Done, Failure, Feed, Task, Value};
+use super::state::{State, States, Status, same_outputs};
+use super::work::{Done, Failure, Feed, Task, Value};
+use super::workers::{self, Workers};
 use super::{Options, RunError, Summary};
 use crate::pipeline::LogLevel;
 use crate::plan::{Plan, makes};
@@ -23,59 +24,20 @@ use crate::watch::{Event, Observer, Reason};
 /// How long a stop may take before running stages are abandoned.
 const GRACE: Duration = Duration::from_millis(700);
 
-enum Message {
-    Waiting(usize),
-    Done(usize, Box<Result<Done, Failure>>),
-}
-
 /// Runs a plan to its end, or to its stop. The plan grows as items of axes become known; in the end its instances are
 /// in the order they would have had from the start.
+///
+/// A stage that does not notice the stop in time goes on in a thread of its own, which only the end of the process ends.
 pub fn run(
     plan: &mut Plan,
-    store: &Store,
+    store: &Arc<Store>,
     options: &Options,
     stop: &Arc<AtomicBool>,
     observer: &mut dyn Observer,
 ) -> Result<Summary, RunError> {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(options.jobs).build();
-    let pool = pool.map_err(|error| RunError::Threads(error.to_string()))?;
-    let (sender, receiver) = channel();
-    let (tasks, queue) = channel::<Task>();
-    let (queue, workers) = (Mutex::new(queue), Cell::new(0));
-    let worker = |sender: Sender<Message>| {
-        while let Some(task) = next_task(&queue) {
-            let instance = task.instance;
-            let waiting = || drop(sender.send(Message::Waiting(instance)));
-            let result = work::guarded(|| work::work(&task, store, &pool, stop, waiting));
-            // Its inputs are let go before the scheduler hears of it, which then counts what is in memory.
-            drop(task);
-            // Nobody listens any more once the run was stopped.
-            let _ = sender.send(Message::Done(instance, Box::new(result)));
-        }
-    };
-    std::thread::scope(|scope| {
-        // Workers live until the scheduler is gone and with it the sender of tasks.
-        let worker = &worker;
-        let start = move |task: Task, running: usize| {
-            if workers.get() < running {
-                let sender = sender.clone();
-                let spawned = std::thread::Builder::new().spawn_scoped(scope, move || worker(sender));
-                spawned.map_err(|error| RunError::Threads(error.to_string()))?;
-                workers.set(running);
-            }
-            tasks.send(task).map_err(|_| RunError::Threads("all of them are gone".to_owned()))
-        };
-        Scheduler::new(plan, store, options, observer).run(&start, &receiver, stop)
-    })
+    let (workers, results) = Workers::new(store, options, stop)?;
+    Scheduler::new(plan, store, options, observer, workers).run(&results, stop)
 }
-
-/// Waits for work; `None` when there will be none.
-fn next_task(queue: &Mutex<Receiver<Task>>) -> Option<Task> {
-    queue.lock().unwrap_or_else(PoisonError::into_inner).recv().ok()
-}
-
-/// Hands a task to a worker; so many are running, with this one.
-type Start<'s> = dyn Fn(Task, usize) -> Result<(), RunError> + 's;
 
 /// What the scheduler still has to do for an instance; done one after the other, so that no chain is too long.
 pub enum Turn {
@@ -110,8 +72,10 @@ pub struct Scheduler<'a> {
     pub(super) costly: VecDeque<usize>,
     /// The same by the keys of those inputs: what is made again is made for all of them.
     pub(super) wanting: HashMap<Digest, Vec<usize>>,
-    /// Instances whose keys other processes have.
-    elsewhere: VecDeque<usize>,
+    /// Recorded instances whose values are needed and not at hand; the last one called for comes first.
+    pub(super) remakes: VecDeque<usize>,
+    /// What other processes do that this one would do too, and what is handed over between them.
+    pub(super) exchange: Exchange,
     /// Instances were added to the plan.
     pub(super) grown: bool,
     pub(super) computing: HashMap<Digest, Line>,
@@ -129,13 +93,18 @@ pub struct Scheduler<'a> {
     resident: Resident,
     /// Keys that were looked up and are not told of yet.
     pub(super) counted_on: Vec<Digest>,
-    /// Where values are put that memory has no room for, once there are any.
-    pub(super) spill_room: Option<Scratch>,
-    running: usize,
+    workers: Workers,
+    pub(super) running: usize,
 }
 
 impl<'a> Scheduler<'a> {
-    fn new(plan: &'a mut Plan, store: &'a Store, options: &'a Options, observer: &'a mut dyn Observer) -> Self {
+    fn new(
+        plan: &'a mut Plan,
+        store: &'a Store,
+        options: &'a Options,
+        observer: &'a mut dyn Observer,
+        workers: Workers,
+    ) -> Self {
         Self {
             states: States::new(plan),
             timing: Timing::new(plan.graph.steps.len()),
@@ -147,7 +116,8 @@ impl<'a> Scheduler<'a> {
             ready: BinaryHeap::new(),
             costly: VecDeque::new(),
             wanting: HashMap::new(),
-            elsewhere: VecDeque::new(),
+            remakes: VecDeque::new(),
+            exchange: Exchange::default(),
             grown: false,
             computing: HashMap::new(),
             memory_bytes: 0,
@@ -158,25 +128,25 @@ impl<'a> Scheduler<'a> {
             estimates: HashMap::new(),
             resident: Resident::default(),
             counted_on: Vec::new(),
-            spill_room: None,
+            workers,
             running: 0,
         }
     }
 
-    fn run(mut self, start: &Start, receiver: &Receiver<Message>, stop: &AtomicBool) -> Result<Summary, RunError> {
+    fn run(mut self, results: &Receiver<workers::Result>, stop: &AtomicBool) -> Result<Summary, RunError> {
         let begun = Instant::now();
         self.store.count_on(&[])?;
         self.tell(&Event::Planned { steps: self.plan.instances.len() });
         let first = (0..self.states.len()).filter(|instance| self.states[*instance].unmet == 0);
         self.turns = first.map(Turn::Settle).collect();
-        let outcome = self.work_off(start, receiver, stop);
+        let outcome = self.work_off(results, stop);
         self.observer.end();
         let interrupted = stop.load(Ordering::Relaxed);
         if let Err(error) = outcome {
-            return self.abandon(stop, receiver, error);
+            return self.abandon(stop, results, error);
         }
         if interrupted {
-            return self.abandon(stop, receiver, RunError::Interrupted);
+            return self.abandon(stop, results, RunError::Interrupted);
         }
         self.store.sync()?;
         if self.grown
@@ -187,7 +157,7 @@ impl<'a> Scheduler<'a> {
         Ok(self.summary(begun.elapsed()))
     }
 
-    fn work_off(&mut self, start: &Start, receiver: &Receiver<Message>, stop: &AtomicBool) -> Result<(), RunError> {
+    fn work_off(&mut self, results: &Receiver<workers::Result>, stop: &AtomicBool) -> Result<(), RunError> {
         loop {
             self.take_turns()?;
             while self.running < self.options.jobs && !self.stopping(stop) {
@@ -195,58 +165,51 @@ impl<'a> Scheduler<'a> {
                 if !self.has_room(instance, self.running) {
                     break;
                 }
-                self.begin(instance, start)?;
+                self.begin(instance)?;
             }
-            if self.running == 0 || stop.load(Ordering::Relaxed) {
+            let is_over = self.running == 0 && (self.stopping(stop) || !self.waits_for_others());
+            if is_over || stop.load(Ordering::Relaxed) {
                 return Ok(());
             }
-            let message = receiver.recv_timeout(Duration::from_millis(50));
+            let result = results.recv_timeout(self.patience());
             self.resident.look();
-            match message {
-                Ok(Message::Waiting(instance)) => self.tell(&Event::Waiting { step: self.plan.label(instance) }),
-                Ok(Message::Done(instance, result)) => {
-                    self.running -= 1;
-                    self.needs.remove(&instance);
-                    self.resident.end(instance);
-                    // What gives up because it was told to stop has not failed.
-                    let stopped = stop.load(Ordering::Relaxed) && matches!(*result, Err(Failure::Stage(..)));
-                    if !stopped {
-                        self.take(instance, *result)?;
-                    }
-                }
-                Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
+            match result {
+                Ok((instance, result)) => self.end(instance, *result, stop)?,
+                // Nothing came in time: there is a sender as long as there is a scheduler.
+                Err(_) => self.exchange.grow_patient(),
             }
+            self.look_around()?;
         }
+    }
+
+    fn end(&mut self, instance: usize, result: Result<Done, Failure>, stop: &AtomicBool) -> Result<(), RunError> {
+        self.running -= 1;
+        self.needs.remove(&instance);
+        self.resident.end(instance);
+        // What gives up because it was told to stop has not failed.
+        let stopped = stop.load(Ordering::Relaxed) && matches!(result, Err(Failure::Stage(..)));
+        if stopped { Ok(()) } else { self.take(instance, result) }
     }
 
     fn stopping(&self, stop: &AtomicBool) -> bool {
         stop.load(Ordering::Relaxed) || (self.failure && !self.options.keep_going)
     }
 
-    /// The next instance a worker can have: one that is ready, or becomes so when its inputs are made again, or at last one
-    /// whose key is waited for.
+    /// The next instance a worker can have: one that is ready, or becomes so when its inputs are made again.
     fn next(&mut self) -> Result<Option<usize>, RunError> {
         loop {
             if let Some(instance) = self.next_ready()? {
                 return Ok(Some(instance));
             }
-            if let Some(instance) = self.costly.pop_front() {
+            if let Some(instance) = self.remakes.pop_front() {
+                self.take_up(instance)?;
+            } else if let Some(instance) = self.costly.pop_front() {
                 self.call_for_inputs(instance)?;
-                self.take_turns()?;
-                continue;
+            } else {
+                return Ok(None);
             }
-            let Some(instance) = self.elsewhere.pop_front() else { return Ok(None) };
-            if self.states[instance].status() == Status::Due {
-                self.states[instance].patient = true;
-                return Ok(Some(instance));
-            }
+            self.take_turns()?;
         }
-    }
-
-    /// An instance has to be looked at again when another process has let go of its key.
-    pub(super) fn leave_elsewhere(&mut self, instance: usize) {
-        self.states.set(instance, Status::Due);
-        self.elsewhere.push_back(instance);
     }
 
     fn next_ready(&mut self) -> Result<Option<usize>, RunError> {
@@ -264,37 +227,36 @@ impl<'a> Scheduler<'a> {
         Ok(None)
     }
 
-    fn begin(&mut self, instance: usize, start: &Start) -> Result<(), RunError> {
+    fn begin(&mut self, instance: usize) -> Result<(), RunError> {
         let levels = self.log_levels.get_or_insert_with(|| self.plan.log_levels());
         let sketch = (levels.get(instance) == Some(&LogLevel::Full)).then_some(self.options.look);
         let peak = self.resident.begin(instance);
-        let task = self.task(instance, sketch, peak);
+        let mut task = self.task(instance, sketch, peak);
+        task.lease = self.states[instance].lease.take();
         self.running += 1;
         self.states.set(instance, Status::Running);
         let reason = if task.remake || self.states[instance].recorded { Reason::Needed } else { Reason::New };
         self.tell(&Event::Started { step: self.plan.label(instance), reason });
-        start(task, self.running).inspect_err(|_| self.running -= 1)
+        self.workers.start(task, self.running).inspect_err(|_| self.running -= 1)
     }
 
-    /// Lets running stages notice the stop; those that do not in time are left behind by ending the process.
+    /// Lets running stages notice the stop; those that do not in time are left behind.
     fn abandon(
-        &mut self,
+        mut self,
         stop: &AtomicBool,
-        receiver: &Receiver<Message>,
+        results: &Receiver<workers::Result>,
         error: RunError,
     ) -> Result<Summary, RunError> {
         stop.store(true, Ordering::Relaxed);
         let until = Instant::now() + GRACE;
         while self.running > 0 && Instant::now() < until {
-            if let Ok(Message::Done(..)) = receiver.recv_timeout(Duration::from_millis(20)) {
+            if results.recv_timeout(Duration::from_millis(20)).is_ok() {
                 self.running -= 1;
             }
         }
         self.store.sync()?;
-        if self.running > 0 && self.options.exit_when_stuck {
-            // Where that cannot be said, the exit code says it.
-            let _ = std::io::Write::write_fmt(&mut std::io::stderr(), format_args!("{error}\n"));
-            std::process::exit(error.exit_code());
+        if self.running == 0 {
+            self.workers.end();
         }
         Err(error)
     }
@@ -324,7 +286,7 @@ impl<'a> Scheduler<'a> {
             outputs: outputs.collect(),
             keep: self.must_keep(instance),
             remake: state.remaking,
-            patient: state.patient,
+            lease: None,
             timeout: step.timeout,
             retries: step.retries,
             sketch,
@@ -352,7 +314,9 @@ impl<'a> Scheduler<'a> {
             Err(Failure::Held) => self.leave_elsewhere(instance),
             Err(Failure::Lost(producer, why)) => {
                 self.warn(producer, format!("an output had to be made again: {why}"));
-                self.states[producer].spilled.clear();
+                let State { values, spilled, announced, .. } = &mut self.states[producer];
+                spilled.clear();
+                announced.retain(|port, _| values.contains_key(port));
                 self.states.set(instance, Status::Due);
                 self.turns.push_back(Turn::Prepare(instance));
             }
@@ -381,6 +345,7 @@ impl<'a> Scheduler<'a> {
         for (port, value) in done.values {
             self.hold(instance, port, value);
         }
+        self.states[instance].announced.extend(done.announced);
         self.states.set(instance, Status::Done);
         self.states[instance].recipe = None;
         self.tell_end(instance, done.elsewhere, done.outcome.cost.wall_s);
@@ -392,8 +357,10 @@ impl<'a> Scheduler<'a> {
                     "it was made again from the same recipe and came out otherwise: the stage is not deterministic";
                 self.warn(instance, text.to_owned());
             }
+            self.hand_over_made(instance, &done.outcome);
             self.remade(instance, done.outcome, changed)?;
         } else {
+            self.hand_over_made(instance, &done.outcome);
             self.turns.push_front(Turn::Finish(instance, done.outcome));
         }
         self.take_turns()?;
@@ -412,6 +379,7 @@ impl<'a> Scheduler<'a> {
     }
 
     fn summary(self, elapsed: Duration) -> Summary {
+        self.workers.end();
         let instances = self.states.into_list().into_iter().map(|state| super::InstanceResult {
             outcome: if state.status() == Status::Done { state.outcome } else { None },
             key: state.key,

@@ -7,7 +7,7 @@ use rockface_core::artefact::Artefact;
 
 use super::RunError;
 use super::schedule::{Line, Scheduler, Turn};
-use super::state::{Status, same_outputs};
+use super::state::{State, Status, same_outputs};
 use crate::plan::hit;
 
 impl Scheduler<'_> {
@@ -26,12 +26,12 @@ impl Scheduler<'_> {
         Ok(())
     }
 
-    fn is_due(&self, instance: usize) -> bool {
+    pub fn is_due(&self, instance: usize) -> bool {
         self.states[instance].status() == Status::Due
     }
 
     /// The recipe of an instance whose producers are done.
-    fn recipe(&self, instance: usize) -> Recipe {
+    pub fn recipe(&self, instance: usize) -> Recipe {
         let states = &self.states;
         self.plan.recipe(instance, |producer, port| {
             states[producer].outcome.as_ref().map_or_else(|| Digest::of(b""), |outcome| outcome.outputs[port].digest)
@@ -51,7 +51,7 @@ impl Scheduler<'_> {
         let key = recipe.key();
         self.counted_on.push(key);
         let state = &mut self.states[instance];
-        (state.key, state.recipe, state.again) = (Some(key), None, false);
+        (state.key, state.recipe, state.again, state.lease) = (Some(key), None, false, None);
         (key, recipe)
     }
 
@@ -75,7 +75,7 @@ impl Scheduler<'_> {
     }
 
     /// Computes a recipe, or waits for the one that does.
-    fn enter(&mut self, instance: usize, key: Digest) {
+    pub fn enter(&mut self, instance: usize, key: Digest) {
         if let Some(line) = self.computing.get_mut(&key) {
             line.twins.push(instance);
         } else {
@@ -85,7 +85,7 @@ impl Scheduler<'_> {
     }
 
     /// Ends the line of an instance, if it leads one, and gives back who waited in it.
-    fn end_line(&mut self, instance: usize) -> Vec<usize> {
+    pub fn end_line(&mut self, instance: usize) -> Vec<usize> {
         let Some(key) = self.states[instance].key else { return Vec::new() };
         if self.computing.get(&key).is_none_or(|line| line.leader != instance) {
             return Vec::new();
@@ -108,6 +108,9 @@ impl Scheduler<'_> {
         if self.states[instance].again {
             return self.look_again(instance);
         }
+        if self.states[instance].remaking && self.states[instance].lease.is_none() {
+            return self.remakes.push_front(instance);
+        }
         let absent = self.absent(instance);
         if absent.iter().any(|producer| self.states[*producer].status() == Status::Failed) {
             return self.fail(instance);
@@ -121,51 +124,6 @@ impl Scheduler<'_> {
             for key in absent.iter().filter_map(|producer| self.states[*producer].key) {
                 self.wanting.entry(key).or_default().push(instance);
             }
-        }
-    }
-
-    /// Has the inputs of an instance made again, for it and for others that want them, unless another process is doing without
-    /// or has done so.
-    pub fn call_for_inputs(&mut self, instance: usize) -> Result<(), RunError> {
-        let mut calling = vec![instance];
-        while let Some(instance) = calling.pop() {
-            for producer in self.call_for(instance)? {
-                let key = self.states[producer].key;
-                calling.extend(key.and_then(|key| self.wanting.remove(&key)).unwrap_or_default());
-            }
-        }
-        Ok(())
-    }
-
-    /// Returns the producers that are made again for an instance.
-    fn call_for(&mut self, instance: usize) -> Result<Vec<usize>, RunError> {
-        let is_called = !self.is_due(instance) || self.states[instance].missing > 0;
-        let Some(key) = self.states[instance].key.filter(|_| !is_called) else { return Ok(Vec::new()) };
-        self.store.refresh()?;
-        let known = hit(self.store, &key, self.must_keep(instance), |outcome| self.plan.fits(instance, outcome));
-        if let Some(outcome) = known {
-            self.states.set(instance, Status::Done);
-            self.tell_cached(instance);
-            self.turns.push_back(Turn::Finish(instance, outcome));
-        } else if self.store.try_lock(&key)?.is_none() {
-            self.leave_elsewhere(instance);
-        } else {
-            let absent = self.absent(instance);
-            self.remake_all(instance, &absent);
-            return Ok(absent);
-        }
-        Ok(Vec::new())
-    }
-
-    /// Has values made again, after which the instance is looked at anew.
-    fn remake_all(&mut self, instance: usize, absent: &[usize]) {
-        self.states[instance].missing = absent.len();
-        if absent.is_empty() {
-            self.line_up(instance);
-        }
-        for producer in absent {
-            self.states[*producer].wanted_by.push(instance);
-            self.remake(*producer);
         }
     }
 
@@ -185,42 +143,6 @@ impl Scheduler<'_> {
         self.plan.producers(instance).iter().any(transient)
     }
 
-    /// Producers whose values are neither in memory nor in the store.
-    fn absent(&mut self, instance: usize) -> Vec<usize> {
-        let given = self.plan.instances[instance].inputs.iter().flat_map(|(_, given)| given);
-        let is_absent = |(producer, port): &(usize, &str)| {
-            let state = &self.states[*producer];
-            let digest = state.outcome.as_ref().map(|outcome| outcome.outputs[*port].digest);
-            !state.holds(port) && !digest.is_some_and(|digest| self.store.contains(&digest))
-        };
-        let mut absent: Vec<usize> = Vec::new();
-        for (producer, _) in given.map(|given| (given.instance, given.port)).filter(is_absent) {
-            if !absent.contains(&producer) {
-                absent.push(producer);
-            }
-        }
-        absent.iter().for_each(|producer| self.tell_damaged(*producer));
-        absent
-    }
-
-    /// Runs a recorded instance again for its values.
-    fn remake(&mut self, instance: usize) {
-        if self.states[instance].remaking {
-            return;
-        }
-        self.states[instance].remaking = true;
-        self.states.set(instance, Status::Due);
-        for producer in self.plan.producers(instance) {
-            self.states[producer].users += 1;
-        }
-        self.enter_again(instance);
-    }
-
-    fn enter_again(&mut self, instance: usize) {
-        let key = self.states[instance].key.unwrap_or_else(|| self.recipe(instance).key());
-        self.enter(instance, key);
-    }
-
     /// A producer came out otherwise: the recipe of this instance, and of who waits for it, is not what it was.
     fn look_again(&mut self, instance: usize) {
         let twins = self.end_line(instance);
@@ -236,30 +158,6 @@ impl Scheduler<'_> {
                 self.turns.push_back(Turn::Settle(due));
             }
         }
-    }
-
-    /// The values of an instance are there again: those who waited for them go on.
-    pub fn remade(&mut self, instance: usize, outcome: Outcome, changed: bool) -> Result<(), RunError> {
-        self.states.set(instance, Status::Done);
-        let state = &mut self.states[instance];
-        (state.remaking, state.outcome) = (false, Some(outcome));
-        self.revised |= changed;
-        if changed {
-            // What is done keeps the former output; what is still to run has it in its recipe and looks again.
-            for dependent in &self.plan.instances[instance].dependents {
-                self.states[*dependent].again |= self.is_due(*dependent);
-            }
-        }
-        self.deliver_to_twins(instance)?;
-        for consumer in std::mem::take(&mut self.states[instance].wanted_by) {
-            let state = &mut self.states[consumer];
-            state.missing = state.missing.saturating_sub(1);
-            if state.missing == 0 {
-                self.turns.push_back(Turn::Prepare(consumer));
-            }
-        }
-        self.let_go(instance);
-        Ok(())
     }
 
     /// The record of an instance is known: tell its consumers, and free what only it needed.
@@ -279,7 +177,7 @@ impl Scheduler<'_> {
     }
 
     /// Frees the values an instance needed, and its own if nobody needs them.
-    fn let_go(&mut self, instance: usize) {
+    pub fn let_go(&mut self, instance: usize) {
         for producer in self.plan.producers(instance) {
             self.release(producer);
         }
@@ -288,7 +186,7 @@ impl Scheduler<'_> {
         }
     }
 
-    fn deliver_to_twins(&mut self, instance: usize) -> Result<(), RunError> {
+    pub fn deliver_to_twins(&mut self, instance: usize) -> Result<(), RunError> {
         for twin in self.end_line(instance) {
             self.deliver(instance, twin)?;
         }
@@ -313,8 +211,9 @@ impl Scheduler<'_> {
             return Ok(());
         };
         if self.states[twin].users > 0 {
-            let (values, spilled) = (self.states[leader].values.clone(), self.states[leader].spilled.clone());
-            self.states[twin].spilled = spilled;
+            let State { values, spilled, announced, .. } = &self.states[leader];
+            let (values, spilled, announced) = (values.clone(), spilled.clone(), announced.clone());
+            (self.states[twin].spilled, self.states[twin].announced) = (spilled, announced);
             values.into_iter().for_each(|(port, value)| self.hold(twin, port, value));
         }
         self.states.set(twin, Status::Done);
@@ -367,6 +266,7 @@ impl Scheduler<'_> {
             }
             failed.extend(self.end_line(instance));
             self.states.set(instance, Status::Failed);
+            self.states[instance].lease = None;
             self.plan.producers(instance).into_iter().for_each(|producer| self.release(producer));
             let waiting = self.plan.instances[instance].dependents.iter().copied();
             let waiting = waiting.chain(std::mem::take(&mut self.states[instance].wanted_by));

@@ -1,7 +1,8 @@
-//! Values that memory has no room for and that are not kept: in files that go with the last who may ask for them.
+//! Values that are not kept, in files that go with the last who may ask for them: those that memory has no room for, and
+//! those that another process has brought.
 
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use rockface_cache::Digest;
 use rockface_core::artefact::{Artefact, Kind};
@@ -21,6 +22,16 @@ impl Spilled {
         let mut file = tempfile::NamedTempFile::new_in(folder).ok()?;
         file.write_all(&bytes).ok()?;
         Some(Self { path: file.into_temp_path(), kind: value.kind(), digest: Digest::of(&bytes) })
+    }
+
+    /// A file that another process has written.
+    pub fn brought(path: PathBuf, kind: Kind, digest: Digest) -> Option<Self> {
+        Some(Self { path: tempfile::TempPath::try_from_path(path).ok()?, kind, digest })
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
     }
 
     /// Reads it back, or says why it cannot be.

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use rockface_cache::{Digest, Outcome, Recipe, SafeName};
+use rockface_cache::{Announced, Digest, KeyLock, Outcome, Recipe, SafeName};
 use rockface_core::artefact::Artefact;
 
 use super::StepFailure;
@@ -52,8 +52,12 @@ pub struct State {
     pub recorded: bool,
     /// It was told that it waits for memory.
     pub held: bool,
-    /// It is waited for while another process has its key, as there is nothing else to do.
-    pub patient: bool,
+    /// It was told that another process has its key, and that there is nothing else to do.
+    pub waited_for: bool,
+    /// Other processes were asked for its values.
+    pub asked: bool,
+    /// The lock of its key, from when its values are to be made again until a worker has it.
+    pub lease: Option<KeyLock>,
     /// It is being made again for its values, though its record is known.
     pub remaking: bool,
     /// A producer came out otherwise when it was made again: its recipe has to be looked at anew.
@@ -62,6 +66,8 @@ pub struct State {
     pub values: BTreeMap<&'static str, Arc<Artefact>>,
     /// Its outputs that are in no store, as far as memory had no room for them.
     pub spilled: BTreeMap<&'static str, Arc<Spilled>>,
+    /// Of these, what other processes see that it is here, since it is in no store.
+    pub announced: BTreeMap<&'static str, Arc<Announced>>,
     /// Consumers that may still ask for the values.
     pub users: usize,
     /// Instances that wait for the values.
@@ -177,11 +183,14 @@ impl State {
             failure: None,
             recorded: false,
             held: false,
-            patient: false,
+            waited_for: false,
+            asked: false,
+            lease: None,
             remaking: false,
             again: false,
             values: BTreeMap::new(),
             spilled: BTreeMap::new(),
+            announced: BTreeMap::new(),
             users,
             wanted_by: Vec::new(),
         }

@@ -17,7 +17,7 @@ use crate::watch::{Event, Observer, Progress};
 /// Those of [`execute`] and [`finish`]; a lost blob is one of them only when it was lost twice.
 pub fn execute_and_tell(
     plan: &mut Plan,
-    store: &Store,
+    store: &Arc<Store>,
     options: &Options,
     stop: &Arc<AtomicBool>,
     observer: &mut dyn Observer,

@@ -20,7 +20,14 @@ pub const STAGED: &str = ".latest-";
 pub struct Unfinished {
     folder: PathBuf,
     /// Holds the lock.
-    _file: File,
+    file: File,
+}
+
+impl Drop for Unfinished {
+    fn drop(&mut self) {
+        // A program that is being started has a copy of the file, which would hold the lock on.
+        let _ = self.file.unlock();
+    }
 }
 
 impl Unfinished {
@@ -36,7 +43,7 @@ impl Unfinished {
                 Ok(file) if path.exists() => {
                     // No power cut leaves a folder of a run without it.
                     sync(&folder)?;
-                    return Ok(Self { folder, _file: file });
+                    return Ok(Self { folder, file });
                 }
                 Ok(_) => {}
                 Err(error) if error.kind() == ErrorKind::NotFound => {}

@@ -8,7 +8,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use rayon::ThreadPool;
-use rockface_cache::{Cost, Digest, Outcome, OutputRecord, Outputs, Recipe, Record, SafeName, Store, StoreError};
+use rockface_cache::{
+    Announced, Cost, Digest, KeyLock, Outcome, OutputRecord, Outputs, Recipe, Record, SafeName, Store, StoreError,
+};
 use rockface_core::artefact::{Artefact, Kind};
 use rockface_core::{AnyStage, Context, Entry, Inputs, Later, Look, Point, Port, StageError};
 
@@ -62,8 +64,8 @@ pub struct Task {
     pub keep: bool,
     /// It is recorded, but its values are needed.
     pub remake: bool,
-    /// Whether to wait for a key that another process has: there is nothing else to do.
-    pub patient: bool,
+    /// The lock of its key, if it is held already.
+    pub lease: Option<KeyLock>,
     /// How long one go may take.
     pub timeout: Option<Duration>,
     /// How often it is tried again after a failure.
@@ -80,6 +82,8 @@ pub struct Done {
     pub outcome: Outcome,
     /// The outputs in memory; empty when another process had done the work.
     pub values: BTreeMap<&'static str, Arc<Artefact>>,
+    /// What other processes see that it is in memory here, as it is in no store.
+    pub announced: BTreeMap<&'static str, Arc<Announced>>,
     /// Inputs it had to read and kept, for other consumers.
     pub loaded: Vec<((usize, &'static str), Arc<Artefact>)>,
     /// Warnings it gave.
@@ -122,24 +126,20 @@ pub fn guarded<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failur
     })
 }
 
-/// Runs one instance; `waiting` is called when another process holds its key and this one is to wait for it.
+/// Runs one instance.
 ///
 /// Locks are taken and the store is used on the calling thread. Only computing goes into the pool: a thread of the pool
 /// that waits for its fellows takes up other work meanwhile, and must not come upon a lock held further down its stack.
-pub fn work(
-    task: &Task,
-    store: &Store,
-    pool: &ThreadPool,
-    stop: &AtomicBool,
-    waiting: impl FnOnce(),
-) -> Result<Done, Failure> {
-    let lock = if task.patient { Some(store.lock(&task.key, waiting)?) } else { store.try_lock(&task.key)? };
-    let Some(_lock) = lock else { return Err(Failure::Held) };
+pub fn work(task: &Task, store: &Store, pool: &ThreadPool, stop: &AtomicBool) -> Result<Done, Failure> {
+    let lock = if task.lease.is_none() { store.try_lock(&task.key)? } else { None };
+    if task.lease.is_none() && lock.is_none() {
+        return Err(Failure::Held);
+    }
     // Whoever held the key before may have done the work since it was last looked for.
     store.refresh()?;
     if let Some(outcome) = done_elsewhere(task, store) {
-        let (values, loaded, warnings) = (BTreeMap::new(), Vec::new(), Vec::new());
-        return Ok(Done { outcome, values, loaded, warnings, elsewhere: true });
+        let (values, announced) = (BTreeMap::new(), BTreeMap::new());
+        return Ok(Done { outcome, values, announced, loaded: Vec::new(), warnings: Vec::new(), elsewhere: true });
     }
     let start = Instant::now();
     let cpu = process_cpu_s();
@@ -163,6 +163,8 @@ pub fn work(
         peak_bytes: handled_bytes.max(task.peak_bytes.load(Ordering::Relaxed)).max(programs.peak_bytes),
         finished_unix_s: finished,
     };
+    // Before anybody can see that it is done.
+    let announced = announce(task, store, &outcome)?;
     let Outcome { outputs, log, sketches, cost } = outcome.clone();
     let put_again =
         || keep(task, store, pool, &values, &entries).and_then(|made| sketch(task, store, pool, &values, &made));
@@ -171,7 +173,17 @@ pub fn work(
     let warnings =
         entries.into_iter().filter_map(|entry| if let Entry::Warning { text } = entry { Some(text) } else { None });
     let warnings = retried.into_iter().chain(unsketched).chain(warnings).collect();
-    Ok(Done { outcome, values, loaded, warnings, elsewhere: false })
+    Ok(Done { outcome, values, announced, loaded, warnings, elsewhere: false })
+}
+
+/// Lets other processes see what is in memory here and in no store.
+fn announce(
+    task: &Task,
+    store: &Store,
+    outcome: &Outcome,
+) -> Result<BTreeMap<&'static str, Arc<Announced>>, StoreError> {
+    let made = task.outputs.iter().filter(|_| !task.keep);
+    made.map(|(port, _)| Ok((*port, Arc::new(store.announce(&outcome.outputs[*port].digest)?)))).collect()
 }
 
 /// The outcome another process has recorded meanwhile, if it has the values this task is for.

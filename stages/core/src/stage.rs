@@ -15,19 +15,57 @@ use crate::program::{Program, ProgramResult};
 /// The item of each axis a step instance or a gathered element stands for.
 pub type Point = BTreeMap<String, String>;
 
-/// The fixed headings of a stage's page.
+/// The page of a stage: Markdown with fixed headings, in a file beside the stage.
+///
+/// ```
+/// use rockface_core::Page;
+///
+/// let page = Page::new("# add-noise\n\nAdds noise.\n\n## Method and references\n\nWhite noise.\n");
+/// assert_eq!(page.what(), "Adds noise.");
+/// assert_eq!(page.method(), "White noise.");
+/// ```
 #[derive(Debug, Clone, Copy)]
-pub struct Page {
-    /// What it does, in a sentence or two.
-    pub what: &'static str,
+pub struct Page(&'static str);
+
+impl Page {
+    /// The page with this text.
+    pub const fn new(text: &'static str) -> Self {
+        Self(text)
+    }
+
+    /// What the stage does, in a sentence or two: what stands between the title and the first heading.
+    pub fn what(&self) -> &'static str {
+        let (_, rest) = self.0.split_once('\n').unwrap_or((self.0, ""));
+        rest.split("\n## ").next().unwrap_or_default().trim()
+    }
+
     /// The method and where it comes from (paper section or equation, reference).
-    pub method: &'static str,
+    pub fn method(&self) -> &'static str {
+        self.section("Method and references")
+    }
+
     /// Units and frames of what goes in and out.
-    pub frames: &'static str,
+    pub fn frames(&self) -> &'static str {
+        self.section("Units and frames")
+    }
+
     /// When it refuses, and what to do then.
-    pub fails: &'static str,
+    pub fn fails(&self) -> &'static str {
+        self.section("Fails when")
+    }
+
     /// A complete pipeline that uses it; it must plan, and it runs in the tests where it needs no file.
-    pub example: &'static str,
+    pub fn example(&self) -> &'static str {
+        let fenced = self.section("Example");
+        fenced.trim_start_matches("```yaml").trim_end_matches("```").trim()
+    }
+
+    /// The text under a heading; empty where the page lacks it.
+    fn section(&self, heading: &str) -> &'static str {
+        let sections = self.0.split("\n## ").skip(1);
+        let found = sections.filter_map(|section| section.split_once('\n')).find(|(title, _)| title.trim() == heading);
+        found.map_or("", |(_, text)| text.trim())
+    }
 }
 
 /// How many artefacts a port takes.

@@ -61,21 +61,7 @@ impl Stage for ApplyMask {
     type Params = ApplyMaskParams;
     const NAME: &'static str = "apply-mask";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Sets cells to NaN that a mask does not allow, in every band of the raster. Any raster can be the mask: \
-               by default a cell is kept where the mask has a value.",
-        method: "Spectrum and variogram depend on where values are missing (30 % of missing cells move a spectral slope \
-                 by 0.3), so simulated rasters are given the missing cells of real ones before they are described. A \
-                 numbered band wraps around: `band: ${replicate}` takes the masks of n real rasters in turn. Without \
-                 `band`, the cells all bands have in common are kept: the common mask of a stack. A label raster of an inventory \
-                 (0 where nothing happened, as `rasterise-inventory` makes it) leaves out its events with `keep: zero`, as the \
-                 paper does with known rockfalls, and `grow_cells` a margin round them.",
-        frames: "The two grids must lie on each other; values stay in their unit.",
-        fails: "Different grids or frames (rasterise both on one grid, port `grid` of `rasterise-dem`); a band that is \
-                not there; a mask that leaves no value.",
-        example: "rockface: 1\nname: common-mask\nsteps:\n  real: {stage: import-rasters, with: {path: real}}\n  \
-                  common: {stage: apply-mask, in: {raster: real.raster, mask: real.raster}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("apply_mask.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("raster", &[Kind::Raster], "What is masked, any number of bands."),
         Port::one("mask", &[Kind::Raster], "What decides, any number of bands."),

@@ -17,19 +17,7 @@ impl Stage for DifferenceDem {
     type Params = DifferenceDemParams;
     const NAME: &'static str = "difference-dem";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Subtracts two elevation rasters: comparison - reference. Material lost is negative. A cell has a value \
-               where both have one.",
-        method: "Raster difference on the wall plane (paper 2.2). Band k is subtracted from band k. Mean, standard \
-                 deviation (N - 1), NMAD = 1.4826 median |d - median d| and the share of cells with a value are logged \
-                 over all bands.",
-        frames: "Metres along Z of the frame the elevations are in.",
-        fails: "Different grids, frames or numbers of bands (hand the first raster to the port `grid` of the second \
-                `rasterise-dem`); no cell in common.",
-        example: "rockface: 1\nname: difference\nsteps:\n  face: {stage: synthesise-face}\n  \
-                  dem: {stage: rasterise-dem, in: {surface: face.mesh}, with: {method: tin}}\n  \
-                  same: {stage: difference-dem, in: {reference: dem.raster, comparison: dem.raster}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("difference_dem.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("reference", &[Kind::Raster], "Elevations of the earlier epoch."),
         Port::one("comparison", &[Kind::Raster], "Elevations of the later epoch, on the same grid."),

@@ -22,28 +22,7 @@ impl Stage for ExportCloud {
     type Params = ExportCloudParams;
     const NAME: &'static str = "export-cloud";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Makes a point cloud of the points of a surface, the vertices of a mesh or the cells of an elevation raster, with normals and \
-               numbers, moved back to the world where `wall_from_world` is given. Beside the PLY that is kept, the run's folder has it as \
-               LAZ 1.4 for CloudCompare, PDAL, laspy.",
-        method: "Normals are the sums of the normals of the triangles about a point by their area; a point without triangles has a zero one. \
-                 `id` is the place of a point (vertex number; row x width + column of a surface or raster), `label` the value of the cell of \
-                 `labels` it stands in, 0 for none. PLY: double coordinates, float nx ny nz, uint numbers. LAZ: point format 6 (7 with colours), \
-                 scale 0.1 mm, extra dimensions NormalX, NormalY, NormalZ (float) and the numbers (32 bits).",
-        frames: "Metres. A transform is taken backwards where it ends in the frame of the points: `wall_from_world` takes what is in the wall \
-                 frame back to the world. `labels` are looked up before points move, in their own frame.",
-        fails: "There is no point; a raster has several bands; `labels` are in another frame; the transform has nothing to do with the frame.",
-        example: "\
-rockface: 1
-name: cloud-for-others
-seed: 1
-steps:
-  face:    {stage: synthesise-face, with: {width_m: 4, height_m: 3}}
-  blocks:  {stage: generate-blocks}
-  fallen:  {stage: remove-blocks, in: {mesh: face.mesh, blocks: blocks.blocks}, with: {count: 2, cell_m: 0.05, min_volume_m3: 0.005}}
-  cloud:   {stage: export-cloud, in: {points: fallen.mesh, labels: fallen.labels}, with: {step: 2}}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("export_cloud.md"));
     const INPUTS: &'static [Port] = &[
         Port::one(
             "points",

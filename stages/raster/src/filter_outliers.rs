@@ -19,15 +19,7 @@ impl Stage for FilterOutliers {
     type Params = FilterOutliersParams;
     const NAME: &'static str = "filter-outliers";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Sets every cell with |value| > `max_abs_m` to NaN, in each band.",
-        method: "The paper leaves out differences beyond 10 cm as gross errors (section 2.3). What is done to real \
-                 rasters must be done to simulated ones too, or their noise cannot be compared.",
-        frames: "Values in metres; the grid stays as it is.",
-        fails: "When nothing is left of a band: the limit is too small, or the values are not in metres.",
-        example: "rockface: 1\nname: cleaned-noise\nsteps:\n  real: {stage: import-rasters, with: {path: real}}\n  \
-                  clean: {stage: filter-outliers, in: {raster: real.raster}, with: {max_abs_m: 0.1}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("filter_outliers.md"));
     const INPUTS: &'static [Port] = &[Port::one("raster", &[Kind::Raster], "Differences, any number of bands.")];
     const OUTPUTS: &'static [Port] = &[Port::one("raster", &[Kind::Raster], "The same without the outliers.")];
 

@@ -43,19 +43,7 @@ impl Stage for ImportRasters {
     type Params = ImportRastersParams;
     const NAME: &'static str = "import-rasters";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Reads GeoTIFF files, such as the difference rasters of real surveys without rockfall, into one raster \
-               with a band a file. A band is called like its file without the extension (and `file.band` for each band \
-               of a file with several); an axis `{from: step.raster}` takes these names as its items.",
-        method: "Strips or tiles; DEFLATE or none; 8- to 32-bit integers, 32- and 64-bit floats; the no-data value \
-                 of the file becomes NaN. Files are taken in the order of their names.",
-        frames: "Values in metres where `quantity` is `difference` or `elevation`; the grid in metres of `frame`.",
-        fails: "It warns of differences of 100 m and more, which look like an undeclared no-data value, and of a standard \
-                deviation above 1 m, which looks like millimetres. No file; a file that is no GeoTIFF (name the pattern so that it leaves other files out); files on \
-                different grids (resample them to one first, to a millionth of a cell); a band without any value.",
-        example: "rockface: 1\nname: real-noise\nsteps:\n  real: {stage: import-rasters, with: {path: \"real/*.tif\"}}\n  \
-                  noise: {stage: describe-noise, in: {raster: real.raster}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("import_rasters.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] =
         &[Port::one("raster", &[Kind::Raster], "All files on their common grid, one band a file.")];

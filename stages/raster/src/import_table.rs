@@ -37,17 +37,7 @@ impl Stage for ImportTable {
     type Params = ImportTableParams;
     const NAME: &'static str = "import-table";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Reads a table from a CSV file. Numbers become numbers, `true` and `false` flags, empty cells and NaN empty, all else \
-               text. With `transform`, positions in the columns `x_m`, `y_m`, `z_m` are taken to the wall frame. Positions of blocks for \
-               `remove-blocks` are such a table: `x_m` and `y_m`, and optionally `z_m`, `class` and `spin_deg`.",
-        method: "The separator is the one of comma, semicolon and tab the header has most of; quoted cells as in RFC 4180. A \
-                 `//` or `#` before the header, as CloudCompare writes it, is dropped.",
-        frames: "As in the file; with `transform`, positions in metres are taken from world to wall.",
-        fails: "The file is no such table: no header, two columns of one name, a row of another length, no UTF-8; a column to be \
-                renamed is not there; with `transform`, a position is missing or no number.",
-        example: "rockface: 1\nname: a-table\nsteps:\n  positions: {stage: import-table, with: {path: positions.csv}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("import_table.md"));
     const INPUTS: &'static [Port] =
         &[Port::optional("transform", &[Kind::Transform], "wall_from_world, which positions are moved by.")];
     const OUTPUTS: &'static [Port] = &[Port::one("table", &[Kind::Table], "The table.")];

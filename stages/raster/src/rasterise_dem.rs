@@ -49,19 +49,7 @@ impl Stage for RasteriseDem {
     type Params = RasteriseDemParams;
     const NAME: &'static str = "rasterise-dem";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Turns a surface or mesh into a grid of elevations (Z) over X and Y, moving its points by a transform first \
-               where one is given. Cells without enough data are NaN.",
-        method: "`mean` averages the points in each cell as point-cloud software does for a 2.5D raster (paper, section 4.3), `median` takes \
-                 their median, `nearest` the one nearest to the cell's centre; \
-                 `tin` interpolates linearly in the triangles at cell centres, the highest layer wins. The grid is that \
-                 of the raster at `grid`, else `window_m`, else the extent snapped outward to multiples of the cell.",
-        frames: "Surface in the wall frame (Z out of the rock), metres; elevation in metres. Epochs that are to be compared \
-                 need one grid: give all the same `window_m`, or the first raster as `grid`.",
-        fails: "The surface has no points; the window is empty; the grid would have more than 1.5e8 cells; a transform that has nothing to do with the frame of the surface; `tin` of a cloud.",
-        example: "rockface: 1\nname: dem-of-a-face\nseed: 1\nsteps:\n  face: {stage: synthesise-face, with: {width_m: 3, height_m: 2}}\n  \
-                  dem:\n    stage: rasterise-dem\n    in: {surface: face.mesh}\n    with: {cell_m: 0.05, method: tin}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("rasterise_dem.md"));
     const INPUTS: &'static [Port] = &[
         Port::one(
             "surface",

@@ -35,19 +35,7 @@ impl Stage for Tabulate {
     type Params = TabulateParams;
     const NAME: &'static str = "tabulate";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Concatenates tables. The item of each gathered axis becomes a leading column called like the axis; items \
-               written as numbers become numbers. `constants` come next, the same in every row. Columns of all tables follow in the order they are first met; a row \
-               without a value for a column has an empty cell there.",
-        method: "Rows keep the order of the gathered list and of their tables.",
-        frames: "Units are those of the columns.",
-        fails: "An axis or a constant called like a column, or a table with two columns of one name: rename one of them.",
-        example: "rockface: 1\nname: thresholds\naxes:\n  max_abs_m: {values: [0.05, 0.1]}\nsteps:\n  \
-                  real: {stage: import-rasters, with: {path: real}}\n  \
-                  clean: {stage: filter-outliers, in: {raster: real.raster}, with: {max_abs_m: \"${max_abs_m}\"}}\n  \
-                  noise: {stage: describe-noise, in: {raster: clean.raster}}\n  \
-                  table: {stage: tabulate, in: {rows: {each: noise.features, over: [max_abs_m]}}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("tabulate.md"));
     const INPUTS: &'static [Port] = &[Port::many("rows", &[Kind::Table], "Tables, gathered over any axes.")];
     const OUTPUTS: &'static [Port] = &[Port::one("table", &[Kind::Table], "All rows.")];
 

@@ -19,27 +19,7 @@ impl Stage for TriangulateSurface {
     type Params = TriangulateSurfaceParams;
     const NAME: &'static str = "triangulate-surface";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Writes the points and triangles of an organised surface out as a mesh (PLY), for other programs and for stages that \
-               take meshes; moved by a transform first where one is given. A mesh stays what it is, but for the transform.",
-        method: "Each point that a triangle uses becomes a vertex, in order of rows; triangles keep the cut of their square. With \
-                 `step` above 1 only every so many rows and columns are taken: a square is cut in two where its four points \
-                 exist, from its first corner to the opposite one, whatever lay between.",
-        frames: "Metres, in the frame of the surface, or the one the transform leads to: `wall_from_world` of `transform-crs` takes \
-                 what is in the wall frame back to the world.",
-        fails: "The surface has no triangle, a mesh is to be thinned, or the transform has nothing to do with the frame of the surface.",
-        example: "\
-rockface: 1
-name: surface-as-ply
-seed: 1
-steps:
-  face:    {stage: synthesise-face}
-  survey:  {stage: plan-survey, in: {mesh: face.mesh}}
-  depth:   {stage: project-depth, in: {mesh: face.mesh, cameras: survey.cameras}, with: {image: left, downscale: 4}}
-  surface: {stage: fuse-depth, in: {depth: depth.depth}}
-  mesh:    {stage: triangulate-surface, in: {surface: surface.surface}, with: {step: 2}}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("triangulate_surface.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("surface", &[Kind::Surface, Kind::Mesh], "From `fuse-depth` or `clean-mesh`; or a mesh."),
         Port::optional("transform", &[Kind::Transform], "Applied to every point, such as the way back to the world."),

@@ -47,28 +47,7 @@ impl Stage for Command {
     type Params = CommandParams;
     const NAME: &'static str = "command";
     const VERSION: u32 = 2;
-    const PAGE: Page = Page {
-        what: "Runs a program over declared inputs and outputs: a script, a compiled tool, another photogrammetry package. \
-               Its output files are decoded and checked like those of any stage.",
-        method: "The program runs in a fresh folder. Inputs lie in `in/PORT.EXTENSION`; a gathered input is a folder \
-                 `in/PORT` of numbered files with an `index.json` that tells the point of each. Outputs are written to \
-                 `out/PORT.EXTENSION`. Tables come and go as CSV where `extension: csv` says so. The arguments, the \
-                 version, the declared environment, parameters and the content of named files enter the recipe; besides \
-                 the declared variables only PATH, HOME, USER, LOGNAME, LD_LIBRARY_PATH and those under `inherit` reach \
-                 the program, with LC_ALL=C.UTF-8 and TMPDIR in its folder. With `{seed}` in an argument the step draws: \
-                 a whole number from 0 to 2147483647 that changes with seed and reseeding axes. What the program prints \
-                 is kept in the log. Which file the name of a program leads to is not part of the recipe, since it differs from \
-                 machine to machine: where it has changed since it made a result, the result is used and a warning tells \
-                 so; a new `version` computes it again. A program named under `files` and called by {file.name} is part \
-                 of the recipe by its content. Whole numbers under `params` are passed without a decimal point, however \
-                 they are written. The step's `timeout` and a stop of the run end the program and its children.",
-        frames: "Those of the files; nothing is converted.",
-        fails: "The program is not found, ends with another code than 0 or takes longer than the step's `timeout`; an \
-                output is missing or is not of its declared kind. What it said last on standard error is told.",
-        example: "rockface: 1\nname: sizes\nsteps:\n  sizes:\n    stage: command\n    with:\n      program: sh\n      \
-                  args: [\"-c\", \"printf 'size_m,count\\\\n0.5,12\\\\n1,{param.count}\\\\n' > {out.table}\"]\n      \
-                  params: {count: 4}\n      outputs: {table: {kind: table, extension: csv}}\n      version: POSIX sh\n",
-    };
+    const PAGE: Page = Page::new(include_str!("command.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[];
     const STARTS_PROGRAMS: bool = true;

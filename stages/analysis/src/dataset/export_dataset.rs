@@ -92,39 +92,7 @@ impl Stage for ExportDataset {
     type Params = ExportDatasetParams;
     const NAME: &'static str = "export-dataset";
     const VERSION: u32 = 2;
-    const PAGE: Page = Page {
-        what: "Cuts comparisons into tiles for training change detection: difference, elevations before and after, masks of change and of its \
-               instances, as NumPy archives and GeoTIFF, split into training, validation and test, with tiles without change, an index, the \
-               ground truth, checksums, a STAC catalogue and a data set card.",
-        method: "Gather `difference`, `reference` and `comparison` over the same axes, `truth` over those of them it depends on. Events are shuffled \
-                 and dealt out by shares, or the face is cut along X, so that no event or no place is in two parts. Tiles without change are those \
-                 with the largest mean apparent loss, or drawn, as many as the ratio says of those in each part. A survey of an unchanged face has \
-                 an empty truth (`select-features` with `count: 0`). Masks hold the cells whose centres lie in the outlines of the truth.",
-        frames: "Metres in the frame of the rasters; row 0 at the top; difference = comparison - reference. docs/dataset.md has a PyTorch data set.",
-        fails: "Rasters of one point on different grids, or none for a point; a truth without whole numbers `id`; a tile larger than the rasters; \
-                an axis that nothing is gathered over; no tile with change.",
-        example: "\
-rockface: 1
-name: small-dataset
-seed: 3
-axes: {epoch: {count: 3}}
-steps:
-  face:    {stage: synthesise-face, with: {width_m: 4, height_m: 3, spacing_m: 0.05}}
-  blocks:  {stage: generate-blocks, over: [epoch]}
-  fallen:  {stage: remove-blocks, in: {mesh: face.mesh, blocks: blocks.blocks}, with: {count: 3, cell_m: 0.02, min_volume_m3: 0.002}}
-  before:  {stage: rasterise-dem, over: [epoch], with: {cell_m: 0.02, method: tin, window_m: [-2, 2, -1.5, 1.5]}, in: {surface: face.mesh}}
-  after:   {stage: rasterise-dem, with: {method: tin}, in: {surface: fallen.mesh, grid: before.raster}}
-  change:  {stage: difference-dem, in: {reference: before.raster, comparison: after.raster}}
-  dataset:
-    stage: export-dataset
-    with: {tile_cells: 64, stride_cells: 64}
-    in:
-      difference: {each: change.raster, over: [epoch]}
-      reference: {each: before.raster, over: [epoch]}
-      comparison: {each: after.raster, over: [epoch]}
-      truth: {each: fallen.truth, over: [epoch]}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("export_dataset.md"));
     const INPUTS: &'static [Port] = &[
         Port::many("difference", &[Kind::Raster], "Differences, gathered over events and draws."),
         Port::many("reference", &[Kind::Raster], "Elevations before, gathered over the same or fewer axes."),

@@ -31,22 +31,7 @@ impl Stage for DescribeDetectability {
     type Params = DescribeDetectabilityParams;
     const NAME: &'static str = "describe-detectability";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Tells which true changes are found: the share found in classes of volume, depth, area, shape and position, how far their \
-               volumes are off, and the volume from which on they are found with 50 % and with a given probability.",
-        method: "Classes of equal width, in the logarithm where a property spreads over more than a factor of ten. Intervals of 95 % (Wilson \
-                 1927). For positive properties, a logistic curve of the logarithm by maximum likelihood; none where a property tells found from \
-                 missed without error, or all were found. Hidden changes (`outcome` of `score-detections`) are left out.",
-        frames: "Properties in the units of their columns; shares from 0 to 1; volume errors as shares of the true volume.",
-        fails: "There is no column `outcome` (score first), none of the properties is a column, or nothing counts.",
-        example: "\
-rockface: 1
-name: what-is-found
-steps:
-  scored: {stage: import-inventory, with: {path: truth.geojson, frame: wall}}
-  share:  {stage: describe-detectability, in: {truth: scored.inventory}, with: {properties: [removed_m3, shape_class]}}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("describe_detectability.md"));
     const INPUTS: &'static [Port] =
         &[Port::one("truth", &[Kind::Inventory, Kind::Table], "The `truth` of `score-detections`, or many joined.")];
     const OUTPUTS: &'static [Port] = &[

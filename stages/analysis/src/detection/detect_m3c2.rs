@@ -48,35 +48,7 @@ impl Stage for DetectM3c2 {
     type Params = DetectM3c2Params;
     const NAME: &'static str = "detect-m3c2";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Finds detachments by M3C2: at core points of the reference, the distance of the two clouds along the local normal, \
-               where it is beyond its own limit of detection; core points that touch are joined.",
-        method: "Lague, Brodu and Leroux 2013: normal of the plane through the reference within a radius; mean of the points of \
-                 either cloud in a cylinder along it; LoD95 = 1.96 (sqrt(s1^2/n1 + s2^2/n2) + registration). Core points are the reference \
-                 points nearest to the centres of a grid in plan, so that clusters have outlines: cells that touch along edges or at corners. \
-                 Volume = sum of |distance| x plan area / n_z of the core points (n_z at least 0.2); its deviation takes LoD95 / 1.96 of them as \
-                 fully correlated. Core points that lost everything within `depth_m` have no distance.",
-        frames: "Both clouds in one frame, metres; normals point towards positive Z. `distances` has a cell for each core point: \
-                 distance, lod95, spreads and counts of both clouds, normal, core.",
-        fails: "Different frames; a surface without points; no core point with a distance; more than 65535 clusters.",
-        example: "\
-rockface: 1
-name: detect-by-m3c2
-seed: 3
-axes: {epoch: {items: [pre, post]}}
-steps:
-  face:   {stage: synthesise-face, with: {width_m: 4, height_m: 3, spacing_m: 0.05}}
-  blocks: {stage: generate-blocks}
-  fallen: {stage: remove-blocks, in: {mesh: face.mesh, blocks: blocks.blocks}, with: {count: 3, cell_m: 0.05, min_volume_m3: 0.005}}
-  survey: {stage: plan-survey, in: {mesh: face.mesh}, with: {width_px: 480, height_px: 320, focal_px: 900, distance_m: 10, baseline_m: 3}}
-  depth:  {stage: project-depth, in: {mesh: {by: epoch, pre: face.mesh, post: fallen.mesh}, cameras: survey.cameras}, with: {image: left}}
-  cloud:  {stage: fuse-depth, in: {depth: depth.depth}}
-  found:
-    stage: detect-m3c2
-    with: {normal_radii_m: [0.15], projection_radius_m: 0.06}
-    in: {reference: \"cloud.surface[epoch=pre]\", comparison: \"cloud.surface[epoch=post]\"}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("detect_m3c2.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("reference", &[Kind::Surface, Kind::Mesh, Kind::Cloud], "The earlier epoch: its points or vertices."),
         Port::one("comparison", &[Kind::Surface, Kind::Mesh, Kind::Cloud], "The later epoch."),

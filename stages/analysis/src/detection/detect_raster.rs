@@ -89,36 +89,7 @@ impl Stage for DetectRaster {
     type Params = DetectRasterParams;
     const NAME: &'static str = "detect-raster";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Finds detachments in a difference of elevations: cells beyond the limit of detection, filtered by width, joined to \
-               clusters, filtered by shape and area. Any difference does, simulated or of real surveys (`import-rasters`).",
-        method: "Paper, section 2.3 (SlopeMonitor): differences of the wanted sign beyond LoD95; opening with a square of \
-                 ceil(min_width_m / cell) cells; clusters of cells that touch along edges or at corners; width over length by principal axes; \
-                 area; volume = sum of cell area x |difference|. The limit is fixed, 1.96 NMAD of the difference, or each cell's \
-                 own from registration error and roughness (deviation about the local plane): in quadrature, or as Lague et al. 2013. \
-                 A volume's deviation takes LoD95 / 1.96 of its cells as fully correlated: an upper bound. `score` is the \
-                 greatest |difference| / LoD95.",
-        frames: "Difference = comparison - reference, metres along Z of its frame. Boxes and centroids lie between the reference \
-                 surface and the comparison, or between 0 and the difference without a `reference`.",
-        fails: "The raster is no difference of one band; `quadrature` or `lague` without both elevations on its grid; no cell with a value; \
-                more than 65535 clusters.",
-        example: "\
-rockface: 1
-name: detect-by-raster
-seed: 3
-axes: {epoch: {items: [pre, post]}}
-steps:
-  face:   {stage: synthesise-face, with: {width_m: 4, height_m: 3, spacing_m: 0.05}}
-  blocks: {stage: generate-blocks}
-  fallen: {stage: remove-blocks, in: {mesh: face.mesh, blocks: blocks.blocks}, with: {count: 3, cell_m: 0.02, min_volume_m3: 0.002}}
-  dem:    {stage: rasterise-dem, with: {cell_m: 0.02, method: tin, window_m: [-2, 2, -1.5, 1.5]}, in: {surface: {by: epoch, pre: face.mesh, post: fallen.mesh}}}
-  change: {stage: difference-dem, in: {reference: \"dem.raster[epoch=pre]\", comparison: \"dem.raster[epoch=post]\"}}
-  found:
-    stage: detect-raster
-    with: {lod: {fixed: {lod_m: 0.03}}, min_width_m: 0.04}
-    in: {difference: change.raster, reference: \"dem.raster[epoch=pre]\"}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("detect_raster.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("difference", &[Kind::Raster], "Comparison minus reference, one band."),
         Port::optional("reference", &[Kind::Raster], "Elevations before: for boxes and roughness."),

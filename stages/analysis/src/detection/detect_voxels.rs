@@ -33,28 +33,7 @@ impl Stage for DetectVoxels {
     type Params = DetectVoxelsParams;
     const NAME: &'static str = "detect-voxels";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Finds detachments without distances: voxels that neither surface meets and that lie enclosed between both, joined to \
-               clusters.",
-        method: "VoxFall (Farmakis et al. 2025, Engineering Geology 352, 108045). A voxel is occupied where a triangle of either \
-                 surface meets it; empty voxels that cannot be reached from outside over faces are enclosed; clusters join over edges and \
-                 corners. Volume = v^3 (N_in + N_out / 2) with the N_out voxels around a cluster, deviation v^3 N_out / 4. Loss where \
-                 the reference lies over the cluster along Z, gain where the comparison does. `score` is depth over twice the voxel. \
-                 A hole in either surface lets the outside in and hides what lies behind: elevations (`rasterise-dem`) have fewer.",
-        frames: "Both surfaces in one frame, metres, Z out of the rock; the lattice begins at whole multiples of the voxel. \
-                 Elevations are joined to triangles between centres of cells, over steps of any height.",
-        fails: "Different frames; neither surface has points; more than 6e8 voxels; more than 65535 clusters.",
-        example: "\
-rockface: 1
-name: detect-by-voxels
-seed: 3
-steps:
-  face:   {stage: synthesise-face, with: {width_m: 4, height_m: 3, spacing_m: 0.05}}
-  blocks: {stage: generate-blocks}
-  fallen: {stage: remove-blocks, in: {mesh: face.mesh, blocks: blocks.blocks}, with: {count: 3, cell_m: 0.05, min_volume_m3: 0.005}}
-  found:  {stage: detect-voxels, in: {reference: face.mesh, comparison: fallen.mesh}, with: {voxel_m: 0.04}}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("detect_voxels.md"));
     const INPUTS: &'static [Port] = &[
         Port::one(
             "reference",

@@ -24,30 +24,7 @@ impl Stage for ReconstructBlocks {
     type Params = ReconstructBlocksParams;
     const NAME: &'static str = "reconstruct-blocks";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Makes a closed block of each detection between the elevations before and after, in its place: `remove-blocks` takes them out \
-               of a face again, which replicates an observed event with exact ground truth (the paper's user-defined blocks).",
-        method: "Paper, section 2.3. Over the cells of a detection: the elevation after as the lower side, the elevation before raised by `proud_m` \
-                 as the upper one, vertical walls around. Cells that meet at corners only are joined and holes closed, so that each block is \
-                 one manifold solid.",
-        frames: "Wall frame, metres. Blocks are called by the `id` of their detection.",
-        fails: "Rasters on different grids, or in another frame than the wall's; no detection covers a cell where the face retreated.",
-        example: "\
-rockface: 1
-name: replicate
-seed: 3
-axes: {epoch: {items: [pre, post]}}
-steps:
-  face:   {stage: synthesise-face, with: {width_m: 4, height_m: 3, spacing_m: 0.05}}
-  blocks: {stage: generate-blocks}
-  fallen: {stage: remove-blocks, in: {mesh: face.mesh, blocks: blocks.blocks}, with: {count: 2, min_volume_m3: 0.01}}
-  dem:    {stage: rasterise-dem, with: {cell_m: 0.04, method: tin, window_m: [-2, 2, -1.52, 1.52]}, in: {surface: {by: epoch, pre: face.mesh, post: fallen.mesh}}}
-  change: {stage: difference-dem, in: {reference: \"dem.raster[epoch=pre]\", comparison: \"dem.raster[epoch=post]\"}}
-  found:  {stage: detect-raster, in: {difference: change.raster}, with: {min_width_m: 0.08}}
-  again:  {stage: reconstruct-blocks, in: {detections: found.detections, reference: \"dem.raster[epoch=pre]\", comparison: \"dem.raster[epoch=post]\"}}
-  copy:   {stage: remove-blocks, in: {mesh: face.mesh, blocks: again.blocks}, with: {direction: z}}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("reconstruct_blocks.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("detections", &[Kind::Inventory], "What was found, verified or not."),
         Port::one("reference", &[Kind::Raster], "Elevations before."),

@@ -32,35 +32,7 @@ impl Stage for ScoreDetections {
     type Params = ScoreDetectionsParams;
     const NAME: &'static str = "score-detections";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Compares detections with the ground truth: each detection is a true or a false positive, each true change found, missed \
-               or hidden, each cell right or wrong; precision, recall, F1, errors of volume. Detections come from any detector: \
-               `detect-raster`, `detect-m3c2`, `detect-voxels`, or a program run by `command`.",
-        method: "Outlines are taken to the cells of `grid` whose centres they hold and that have a value there. Permissive: a detection is true where \
-                 it matches any true change, a change is found where any detection matches it, so one detection may cover two \
-                 changes. One to one: pairs of the greatest sum of intersections over unions (Hungarian method, Kuhn 1955). Precision = \
-                 true positives / detections, recall = found / (found + missed), F1 = 2 P R / (P + R). Volumes are compared within \
-                 the one-to-one pairs: error (detected - true) / true, and ln(detected / true). A true change without a cell to \
-                 compare, or too little of it visible, is `hidden`; a detection without one is `outside`.",
-        frames: "All in one frame, metres. `confusion`: 0 neither, 1 found and true, 2 found only, 3 true only, 255 not compared.",
-        fails: "Different frames; a label raster on another grid; no column with the volumes; labels that are no whole numbers. \
-                A detector of your own hands over GeoJSON with the member `rockface` (`{\"frame\": \"wall\", \"columns\": [\"volume_m3\"]}`), a \
-                `MultiPolygon` and those columns a feature, or a GeoTIFF of labels on the grid of the difference: see README.",
-        example: "\
-rockface: 1
-name: score
-seed: 3
-axes: {epoch: {items: [pre, post]}}
-steps:
-  face:   {stage: synthesise-face, with: {width_m: 4, height_m: 3, spacing_m: 0.05}}
-  blocks: {stage: generate-blocks}
-  fallen: {stage: remove-blocks, in: {mesh: face.mesh, blocks: blocks.blocks}, with: {count: 3, cell_m: 0.02, min_volume_m3: 0.002}}
-  dem:    {stage: rasterise-dem, with: {cell_m: 0.02, method: tin, window_m: [-2, 2, -1.5, 1.5]}, in: {surface: {by: epoch, pre: face.mesh, post: fallen.mesh}}}
-  change: {stage: difference-dem, in: {reference: \"dem.raster[epoch=pre]\", comparison: \"dem.raster[epoch=post]\"}}
-  found:  {stage: detect-raster, in: {difference: change.raster}}
-  score:  {stage: score-detections, in: {truth: fallen.truth, detections: found.detections, grid: change.raster}}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("score_detections.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("truth", &[Kind::Inventory], "What is true, such as the ground truth of `remove-blocks`."),
         Port::one(

@@ -27,34 +27,7 @@ impl Stage for SummariseDetections {
     type Params = SummariseDetectionsParams;
     const NAME: &'static str = "summarise-detections";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Puts the scores of many epochs together: precision, recall and F1 of all objects together (pooled) and averaged over \
-               epochs (macro), by any overlap and one to one, with 95 % intervals; one row a detector, threshold or other setting.",
-        method: "Pooled: rates of summed counts. Averaged: means of the rates of the epochs that have one; its F1 is that of the two means, \
-                 2 P R / (P + R), as the paper reports it (section 3.2: 56.7 and 24.4 % give 34.1 %), and `mean_f1` the mean of the epochs' own. \
-                 Intervals: percentile bootstrap (Efron 1979) over epochs, the same draws for every setting with as many epochs. Errors of volume: \
-                 mean over epochs of the epoch's own.",
-        frames: "Shares from 0 to 1; volume errors as shares of the true volume.",
-        fails: "A gathered table that `score-detections` did not make; an axis of `epochs` that nothing was gathered over.",
-        example: "\
-rockface: 1
-name: score-several-epochs
-seed: 3
-axes:
-  epoch: {count: 3}
-  lod_m: {values: [0.02, 0.05]}
-steps:
-  face:   {stage: synthesise-face, with: {width_m: 4, height_m: 3, spacing_m: 0.05}}
-  blocks: {stage: generate-blocks, over: [epoch]}
-  fallen: {stage: remove-blocks, in: {mesh: face.mesh, blocks: blocks.blocks}, with: {count: 3, cell_m: 0.02, min_volume_m3: 0.002}}
-  before: {stage: rasterise-dem, with: {cell_m: 0.02, method: tin, window_m: [-2, 2, -1.5, 1.5]}, in: {surface: face.mesh}}
-  after:  {stage: rasterise-dem, with: {method: tin}, in: {surface: fallen.mesh, grid: before.raster}}
-  change: {stage: difference-dem, in: {reference: before.raster, comparison: after.raster}}
-  found:  {stage: detect-raster, in: {difference: change.raster}, with: {lod: {fixed: {lod_m: \"${lod_m}\"}}}}
-  score:  {stage: score-detections, in: {truth: fallen.truth, detections: found.detections, grid: change.raster}}
-  rates:  {stage: summarise-detections, in: {scores: {each: score.summary, over: [epoch, lod_m]}}}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("summarise_detections.md"));
     const INPUTS: &'static [Port] = &[Port::many(
         "scores",
         &[Kind::Table],

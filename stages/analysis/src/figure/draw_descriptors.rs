@@ -22,19 +22,7 @@ impl Stage for DrawDescriptors {
     type Params = DrawDescriptorsParams;
     const NAME: &'static str = "draw-descriptors";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Draws the curves of `describe-noise`: the band that holds nine tenths of the real rasters and their median, and the same of \
-               simulated ones over it. What leaves the band is what `test-acceptance` rejects.",
-        method: "Paper, Figure 10. At each lag, scale or frequency the 5 %, 50 % and 95 % quantiles over the rasters.",
-        frames: "Semivariance in square millimetres over lags in metres; roughness in millimetres over scales in metres; power in \
-                 square millimetres over frequencies in 1/m; all axes logarithmic.",
-        fails: "Tables without the columns raster, curve, x and y; a curve no raster has.",
-        example: "rockface: 1\nname: envelopes\nsteps:\n  real: {stage: import-rasters, with: {path: real}}\n  \
-                  noise: {stage: describe-noise, in: {raster: real.raster}}\n  \
-                  simulated: {stage: import-rasters, with: {path: simulated}}\n  \
-                  found: {stage: describe-noise, in: {raster: simulated.raster}}\n  \
-                  figure: {stage: draw-descriptors, in: {reference: noise.curves, simulated: found.curves}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("draw_descriptors.md"));
     const INPUTS: &'static [Port] = &[
         Port::many("reference", &[Kind::Table], "Curves of real rasters, from `describe-noise`."),
         Port::many("simulated", &[Kind::Table], "Curves of simulated rasters, from `describe-noise`."),

@@ -27,22 +27,7 @@ impl Stage for DrawDetectionFrequency {
     type Params = DrawDetectionFrequencyParams;
     const NAME: &'static str = "draw-detection-frequency";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Draws the cumulative frequency of the volumes of the truth, of what of it was found, and of the true detections, with their power laws, \
-               and the shapes found and missed in the triangle of Sneed and Folk: the paper's Figure 18.",
-        method: "The laws are those of `fit-magnitude-frequency`, each from the volume at which it agrees best. Shapes by `long_m`, \
-                 `intermediate_m` and `short_m` of the truth; hidden changes are left out.",
-        frames: "Volumes in cubic metres on logarithmic axes.",
-        fails: "Truth or detections were not scored or have no such column; no change counts.",
-        example: "\
-rockface: 1
-name: frequency-of-detections
-steps:
-  true:  {stage: import-inventory, with: {path: truth.geojson, frame: wall}}
-  found: {stage: import-inventory, with: {path: detections.geojson, frame: wall}}
-  chart: {stage: draw-detection-frequency, in: {truth: true.inventory, detections: found.inventory}}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("draw_detection_frequency.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("truth", &[Kind::Inventory], "The `truth` of `score-detections`, or many joined."),
         Port::one("detections", &[Kind::Inventory], "The `detections` of `score-detections`, or many joined."),

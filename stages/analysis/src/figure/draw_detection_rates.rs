@@ -35,19 +35,7 @@ impl Stage for DrawDetectionRates {
     type Params = DrawDetectionRatesParams;
     const NAME: &'static str = "draw-detection-rates";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Draws precision against recall, and F1 and volume error against the threshold, a curve a detector, with 95 % intervals.",
-        method: "From the table of `summarise-detections`, gathered over a threshold and, where wanted, detectors.",
-        frames: "Shares from 0 to 1, volume errors in per cent; the threshold in the unit of its column.",
-        fails: "There are no such columns, or no row.",
-        example: "\
-rockface: 1
-name: curves-of-detectors
-steps:
-  rates:  {stage: import-table, with: {path: rates.csv}}
-  curves: {stage: draw-detection-rates, in: {rates: rates.table}}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("draw_detection_rates.md"));
     const INPUTS: &'static [Port] = &[Port::one("rates", &[Kind::Table], "The table of `summarise-detections`.")];
     const OUTPUTS: &'static [Port] = &[Port::one("figure", &[Kind::Figure], "Three charts.")];
 

@@ -26,21 +26,7 @@ impl Stage for DrawDetectionVolumes {
     type Params = DrawDetectionVolumesParams;
     const NAME: &'static str = "draw-detection-volumes";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Draws detected against true volumes, the error of each volume, the overlap of each pair in plan, and the share found by volume: \
-               the paper's Figures 15, 16 and 17 for any scored truth, of one epoch or of many joined.",
-        method: "Pairs are the one-to-one pairs of `score-detections`. Error (detected - true) / true. Share found in classes of equal width in the \
-                 logarithm, with Wilson's 95 % intervals; hidden changes are left out.",
-        frames: "Volumes in cubic metres on logarithmic axes; errors in per cent; overlap from 0 to 1.",
-        fails: "The truth was not scored, has no such column, or no change in it counts.",
-        example: "\
-rockface: 1
-name: volumes-of-detections
-steps:
-  scored:  {stage: import-inventory, with: {path: truth.geojson, frame: wall}}
-  volumes: {stage: draw-detection-volumes, in: {truth: scored.inventory}}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("draw_detection_volumes.md"));
     const INPUTS: &'static [Port] =
         &[Port::one("truth", &[Kind::Inventory], "The `truth` of `score-detections`, or many joined.")];
     const OUTPUTS: &'static [Port] = &[Port::one("figure", &[Kind::Figure], "Four charts.")];

@@ -23,23 +23,7 @@ impl Stage for DrawDetections {
     type Params = DrawDetectionsParams;
     const NAME: &'static str = "draw-detections";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Maps detections over the face: true and false positives filled, missed and hidden changes and the outlines of what is true, \
-               as the paper's Figure 14.",
-        method: "Outcomes are those of `score-detections`; without a truth all detections are drawn alike. Colours of Okabe and Ito, told apart with any \
-                 colour vision.",
-        frames: "Face, truth and detections in one frame, X to the right, Y up, metres.",
-        fails: "Different frames; a face without values; a truth without the column `outcome`.",
-        example: "\
-rockface: 1
-name: map-of-detections
-steps:
-  face:  {stage: import-mesh, with: {path: face.ply, frame: wall}}
-  dem:   {stage: rasterise-dem, in: {surface: face.mesh}, with: {cell_m: 0.02, method: tin}}
-  found: {stage: import-inventory, with: {path: detections.geojson, frame: wall}}
-  map:   {stage: draw-detections, in: {face: dem.raster, detections: found.inventory}}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("draw_detections.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("face", &[Kind::Raster], "Elevations of the face."),
         Port::one("detections", &[Kind::Inventory], "What was found, scored where there is a truth."),

@@ -51,18 +51,7 @@ impl Stage for DrawPicture {
     type Params = DrawPictureParams;
     const NAME: &'static str = "draw-picture";
     const VERSION: u32 = 2;
-    const PAGE: Page = Page {
-        what: "Draws a raster, depth map, mesh or surface in false colours with a colour bar, a scale bar and a title. Cells \
-               without value are grey; the subtitle says how many values lie beyond the colours. Differences get colours that diverge from zero: material lost is red.",
-        method: "Grids wider than the picture are averaged, smaller ones enlarged by whole factors. Meshes and surfaces are \
-                 drawn as elevations interpolated in their triangles at a fitting cell size. Shading is Lambert's law for a \
-                 light from the upper left, 45 degrees high.",
-        frames: "Elevations, differences and depths in metres; bars in millimetres where the range is below half a metre. X \
-                 to the right, Y up; depth maps as the image.",
-        fails: "There is no such band, or nothing has a value.",
-        example: "rockface: 1\nname: look-at-a-face\nseed: 1\nsteps:\n  face: {stage: synthesise-face, with: {width_m: 4, height_m: 3}}\n  \
-                  picture: {stage: draw-picture, in: {subject: face.mesh}, with: {title: A synthetic face}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("draw_picture.md"));
     const INPUTS: &'static [Port] = &[Port::one(
         "subject",
         &[Kind::Raster, Kind::Depth, Kind::Mesh, Kind::Surface],

@@ -36,18 +36,7 @@ impl Stage for DrawRasters {
     type Params = DrawRastersParams;
     const NAME: &'static str = "draw-rasters";
     const VERSION: u32 = 2;
-    const PAGE: Page = Page {
-        what: "Draws rasters side by side with one colour bar, those of `rasters` in the first row and those of `beside` below: real \
-               differences over simulated ones, say. Whoever cannot tell the rows apart has a good simulation.",
-        method: "Every raster has the same colours, which diverge from zero; red is material lost. Its name is above it: that of its band, \
-                 or its items of the gathered axes. Larger mosaics are averaged to the \
-                 picture's size.",
-        frames: "Differences in metres; the bar in millimetres where the range is below half a metre. X to the right, Y up.",
-        fails: "Rasters of different grids; nothing has a value.",
-        example: "rockface: 1\nname: side-by-side\nsteps:\n  real: {stage: import-rasters, with: {path: real}}\n  \
-                  simulated: {stage: import-rasters, with: {path: simulated}}\n  \
-                  picture: {stage: draw-rasters, in: {rasters: real.raster, beside: simulated.raster}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("draw_rasters.md"));
     const INPUTS: &'static [Port] = &[
         Port::many("rasters", &[Kind::Raster], "The first row: a stack of bands, or gathered."),
         Port::many("beside", &[Kind::Raster], "The second row."),

@@ -35,24 +35,7 @@ impl Stage for DrawRockfall {
     type Params = DrawRockfallParams;
     const NAME: &'static str = "draw-rockfall";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Draws a rockfall inventory in one picture: the face in relief with its niches coloured by volume, magnitude and \
-               cumulative frequency with the power law, shapes in the triangle of Sneed and Folk, and the volume of each \
-               block against the rock it removed.",
-        method: "The law is the one of `fit-magnitude-frequency`, from the volume at which it agrees best. Shapes need the \
-                 columns `long_m`, `intermediate_m` and `short_m`, blocks the column `block_m3`; a panel without its columns \
-                 stays empty. Volumes given at `requested` are drawn as a curve of their own.",
-        frames: "Face and outlines in one frame, X to the right, Y up, metres; volumes in cubic metres on logarithmic axes.",
-        fails: "There is no column with volumes, the face has no values, or face and inventory are in different frames.",
-        example: "\
-rockface: 1
-name: rockfall-figure
-steps:
-  face:    {stage: import-mesh, with: {path: face.ply, frame: wall}}
-  found:   {stage: import-inventory, with: {path: rockfalls.geojson, frame: wall}}
-  picture: {stage: draw-rockfall, in: {face: face.mesh, truth: found.inventory}}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("draw_rockfall.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("face", &[Kind::Mesh, Kind::Surface, Kind::Raster], "The face, or its elevation."),
         Port::one("truth", &[Kind::Inventory], "The rockfalls."),

@@ -23,23 +23,7 @@ impl Stage for DrawScores {
     type Params = DrawScoresParams;
     const NAME: &'static str = "draw-scores";
     const VERSION: u32 = 2;
-    const PAGE: Page = Page {
-        what: "Draws the verdicts of `test-acceptance`: a radar of the compatibility scores, jointly and by group of descriptors; \
-               the distances of simulated rasters beside those of the real ones, with the threshold; and the mean contribution of \
-               each feature to them.",
-        method: "Paper, Figure 11. Outlines of the radar are the 5 %, 50 % and 95 % quantiles over the simulated rasters; rasters like the \
-                 real ones would have a median of 0.5 on every spoke. The distances of the real rasters are those of a model without \
-                 themselves (leave-one-out), as a new raster's are. Densities by Gaussian kernels of the logarithm of D2.",
-        frames: "Scores from 0 (farther than every real raster) to 1; distances and contributions without unit.",
-        fails: "A table without the columns of verdicts; fewer than two simulated rasters.",
-        example: "rockface: 1\nname: scores\nsteps:\n  real: {stage: import-rasters, with: {path: real}}\n  \
-                  noise: {stage: describe-noise, in: {raster: real.raster}}\n  \
-                  model: {stage: fit-acceptance, in: {features: noise.features}}\n  \
-                  simulated: {stage: import-rasters, with: {path: simulated}}\n  \
-                  found: {stage: describe-noise, in: {raster: simulated.raster}}\n  \
-                  verdict: {stage: test-acceptance, in: {model: model.model, features: found.features}}\n  \
-                  figure: {stage: draw-scores, in: {model: model.model, verdicts: verdict.verdicts}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("draw_scores.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("model", &[Kind::Acceptance], "The reference, from `fit-acceptance`."),
         Port::many("verdicts", &[Kind::Table], "Verdicts on simulated rasters, from `test-acceptance`."),

@@ -27,17 +27,7 @@ impl Stage for DrawSearch {
     type Params = DrawSearchParams;
     const NAME: &'static str = "draw-search";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Draws the points of a search: the score over each parameter with the best score reached at each of its values, and over the \
-               first two parameters together in colours. A flat floor says that a parameter is not determined by the features.",
-        method: "Every point is drawn; the line joins the lowest score at each value that was tried more than twice. Points of the \
-                 landscape are drawn from the worst to the best, in the logarithm of the score.",
-        frames: "Parameters in their own units, scores on a logarithmic axis.",
-        fails: "A column that is missing or has no numbers; fewer than two points; a score or (with `scale: log`) a parameter of 0 or less \
-                is left out.",
-        example: "rockface: 1\nname: landscape\nsteps:\n  tried: {stage: import-table, with: {path: ranking.csv}}\n  \
-                  figure: {stage: draw-search, in: {points: tried.table}, with: {parameters: [local_px, spacing_px]}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("draw_search.md"));
     const INPUTS: &'static [Port] =
         &[Port::many("points", &[Kind::Table], "Rows with parameters and score, as `ranking` of `refine-search`.")];
     const OUTPUTS: &'static [Port] = &[Port::one("figure", &[Kind::Figure], "SVG.")];

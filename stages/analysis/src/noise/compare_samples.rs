@@ -27,25 +27,7 @@ impl Stage for CompareSamples {
     type Params = CompareSamplesParams;
     const NAME: &'static str = "compare-samples";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Trains a classifier to tell simulated rasters from real ones and says how well it does on rasters it has not \
-               seen. An area under the ROC curve of 0.5 means that it cannot; 1 that the two are worlds apart. A stricter judge than \
-               `test-acceptance`, which a simulation of too narrow a spread satisfies, though a linear classifier sees \
-               only shifts, no spreads.",
-        method: "Classifier two-sample test (Lopez-Paz and Oquab 2017): logistic regression with a ridge on features standardised \
-                 within the training part, both classes of equal weight; k-fold cross-validation whose folds are runs of \
-                 neighbouring rows, so that comparisons sharing an epoch mostly stay together; area under the ROC curve of the pooled \
-                 scores with the interval of DeLong, DeLong and Clarke-Pearson (1988). `squares` adds the squared standardised features, \
-                 which sees differences of spread. The area of each feature by itself says where the difference lies: below 0.5 the \
-                 simulated values are smaller.",
-        frames: "Features in the units of their columns.",
-        fails: "A missing column or value (raster and feature are named); fewer rasters of a class than folds, or fewer than 4.",
-        example: "rockface: 1\nname: two-samples\nsteps:\n  real: {stage: import-rasters, with: {path: real}}\n  \
-                  noise: {stage: describe-noise, in: {raster: real.raster}}\n  \
-                  simulated: {stage: import-rasters, with: {path: simulated}}\n  \
-                  found: {stage: describe-noise, in: {raster: simulated.raster}}\n  \
-                  told: {stage: compare-samples, in: {reference: noise.features, simulated: found.features}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("compare_samples.md"));
     const INPUTS: &'static [Port] = &[
         Port::many("reference", &[Kind::Table], "Features of real rasters, from `describe-noise`."),
         Port::many("simulated", &[Kind::Table], "Features of simulated rasters, from `describe-noise`."),

@@ -35,40 +35,7 @@ impl Stage for DescribeNoise {
     type Params = DescribeNoiseParams;
     const NAME: &'static str = "describe-noise";
     const VERSION: u32 = 2;
-    const PAGE: Page = Page {
-        what: "Describes each band by ten features (mean, standard deviation, skewness; nugget, sill, range; spectral \
-               slope and entropy; roughness intercept and exponent), by further figures, and by the curves they are \
-               taken from. Only cells with a value count; to compare rasters, give them one mask first (`apply-mask`).",
-        method: "Marginal (paper 2.2.1): standard deviation with N - 1, skewness = sum d^3 / (N s^3).\n\
-                 Variogram (2.2.2): Matheron's estimator over all pairs of cells (by FFT, exact). The bin of a lag is its \
-                 length rounded to whole cells, 1 to K; its abscissa is the mean length weighted by pairs. Model \
-                 gamma = c0 + c f(h / a), f(x) = 1 - exp(-x) by default, weighted least squares with weights N / h^2, \
-                 c0 and c >= 0. nugget = c0 (exactly 0 at its bound), sill = c0 + c, range95 = where gamma reaches 95 % \
-                 of the whole sill (0 if the nugget alone does); range_structural = the same for c alone; gamma1 = the \
-                 first bin. The estimators of Cressie and Hawkins (1980) and Dowd (1984) are robust against outliers and taken from \
-                 4000 pairs a lag, the same for every raster of a grid; bins, lags and weights stay those of all pairs. \
-                 Models besides the exponential one: spherical, gaussian, stable (exponent fitted), nested (two exponentials).\n\
-                 Spectrum (2.2.3): mean weighted by the window removed, symmetric Hann window times the mask, \
-                 P = |F|^2 / sum w^2, radial bins centred on k df with df = 1 / shorter extent, k = 1 to the Nyquist \
-                 frequency, mean of P in each; no cut at the Nyquist circle within the last bin. Entropy: natural \
-                 logarithm over these M bins. Slope: 16 bins of equal width in ln f from 4 df to half the Nyquist \
-                 frequency, ends included; mean of P and of ln f over the radial bins in each; least squares of ln P.\n\
-                 Roughness (2.2.4): normalised convolution with a Gaussian cut at 4 sigma, rms of the rest over the \
-                 cells with a value; ln R = a + b ln sigma with sigma in metres by least squares. a is the value at \
-                 sigma = 1 m, far outside the scales, and nearly collinear with b; roughness_a_ref is the value at their \
-                 geometric mean.\n\
-                 Transforms use a scalar FFT and fixed orders of summation: results do not depend on the thread count; \
-                 between machines the last digits of sine tables may differ.",
-        frames: "Values in metres; `_m2` in square metres; frequencies in 1/m. Curves: `variogram`, `variogram_model` (x \
-                 lag m, y gamma m^2, n pairs), `spectrum` (x frequency 1/m, y power m^2, n samples), `roughness` (x \
-                 sigma m, y R m, n cells), and `variogram_45`, `spectrum_45` and the like for each direction, between 0 and 180 degrees.",
-        fails: "A scale of the roughness above half the shorter side of the raster; a band without cells or of one \
-                constant value; a raster below about 20 x 20 cells (too few frequencies \
-                and lags); infinite values. Each error names the band.",
-        example: "rockface: 1\nname: describe\nsteps:\n  real: {stage: import-rasters, with: {path: real}}\n  \
-                  clean: {stage: filter-outliers, in: {raster: real.raster}}\n  \
-                  noise: {stage: describe-noise, in: {raster: clean.raster}, with: {max_lag_cells: 100}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("describe_noise.md"));
     const INPUTS: &'static [Port] =
         &[Port::one("raster", &[Kind::Raster], "Differences without rockfall, metres, any number of bands.")];
     const OUTPUTS: &'static [Port] = &[

@@ -33,24 +33,7 @@ impl Stage for FitAcceptance {
     type Params = FitAcceptanceParams;
     const NAME: &'static str = "fit-acceptance";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Fits the Mahalanobis model of the reference rasters: all features together, and each descriptor group by \
-               itself. `test-acceptance` measures simulated rasters against it.",
-        method: "Paper 2.2.5 (equations 15 to 18): standardised features, ridge-regularised covariance, D2, thresholds as \
-                 empirical quantiles (type 7) of the distances of the reference itself. These are in-sample: no D2 can \
-                 exceed (n - 1)^2 / n, and new rasters from the very same process lie farther out. The summary therefore \
-                 says beside each threshold what a perfect simulator would reach: `perfect_acceptance_normal` for normal \
-                 features at ridge 0 (in-sample Beta, out-of-sample F distribution; it holds for large n and is 0.02 to \
-                 0.06 too high below n = 40), and `perfect_acceptance_leave_one_out`, the share of reference rasters accepted by a model fitted to all \
-                 others at the in-sample threshold. Groups have mean, covariance and threshold of their own. Features \
-                 that do not vary over the reference are set aside.",
-        frames: "Features in the units of their columns; distances have none.",
-        fails: "Fewer than p + 2 reference rasters for p features; a missing column or value (raster and feature are \
-                named); collinear features at ridge 0.",
-        example: "rockface: 1\nname: reference\nsteps:\n  real: {stage: import-rasters, with: {path: real}}\n  \
-                  noise: {stage: describe-noise, in: {raster: real.raster}}\n  \
-                  model: {stage: fit-acceptance, in: {features: noise.features}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("fit_acceptance.md"));
     const INPUTS: &'static [Port] =
         &[Port::many("features", &[Kind::Table], "Features of real rasters, as `describe-noise` makes them.")];
     const OUTPUTS: &'static [Port] = &[

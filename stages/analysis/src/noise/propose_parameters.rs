@@ -34,30 +34,7 @@ impl Stage for ProposeParameters {
     type Params = ProposeParametersParams;
     const NAME: &'static str = "propose-parameters";
     const VERSION: u32 = 2;
-    const PAGE: Page = Page {
-        what: "One step of a calibration that needs few simulations: learns from simulations at some points how the features follow the \
-               parameters, and proposes the point at which they should come nearest to those of the reference. The proposal is a \
-               table of points, so the next round takes it as an axis: `axes: {next: {from: propose.points}}`.",
-        method: "Simulated method of moments (McFadden 1989). Standardised features are regressed on the parameters (by default on \
-                 their logarithms), simulations near the reference counting more (weight 1 / (1 + D2 / d)^2, with d the D2 of simulation \
-                 number 2 (parameters + 1) in order of D2); the proposal makes the \
-                 squared Mahalanobis distance of the predicted features smallest within the trusted range. In the paper's \
-                 noise model each parameter has its own feature: sigma_local_px the nugget, sigma_regular_px the sill, spacing_px the \
-                 range; the table of sensitivities shows whether that holds here. With `count` above 1 the others follow the Halton \
-                 sequence around the proposal, within the trusted range; a larger count keeps those of a smaller one.",
-        frames: "Parameters in their own units; sensitivities in deviations of the reference for a doubling of the parameter \
-                 (`scale: log`) or for one unit of it (`scale: linear`).",
-        fails: "An unknown group; a parameter that is found nowhere, has no logarithm, or was not varied; fewer simulations \
-                than parameters + 2; a missing feature.",
-        example: "rockface: 1\nname: propose\naxes:\n  max_abs_m: {values: [0.02, 0.05, 0.1]}\nsteps:\n  \
-                  real: {stage: import-rasters, with: {path: real}}\n  noise: {stage: describe-noise, in: {raster: real.raster}}\n  \
-                  model: {stage: fit-acceptance, in: {features: noise.features}}\n  \
-                  simulated: {stage: import-rasters, with: {path: simulated}}\n  \
-                  clean: {stage: filter-outliers, in: {raster: simulated.raster}, with: {max_abs_m: \"${max_abs_m}\"}}\n  \
-                  found: {stage: describe-noise, in: {raster: clean.raster}}\n  \
-                  propose: {stage: propose-parameters, in: {model: model.model, features: {each: found.features, over: \
-                  [max_abs_m]}}, with: {parameters: [max_abs_m]}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("propose_parameters.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("model", &[Kind::Acceptance], "The reference, from `fit-acceptance`."),
         Port::many(

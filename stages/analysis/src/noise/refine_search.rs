@@ -45,28 +45,7 @@ impl Stage for RefineSearch {
     type Params = RefineSearchParams;
     const NAME: &'static str = "refine-search";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Ranks the points of a search by a score, the smaller the better, and lays new points around the best. The table \
-               of points is an axis for the finer search: `axes: {fine: {from: refine.points}}`, whose steps take `${fine.name}` \
-               for each parameter.",
-        method: "The second stage of the paper's search (section 3.1). Scores of one point are put together by median or mean; \
-                 equal scores keep the order in which their points are met. The new points go in turn to the best ones, and around each \
-                 follow the Halton sequence within `reach` times the distance to the next coarse value on either side of each \
-                 parameter, cut to the coarse range unless `beyond`. They are rounded to six digits. Nothing is drawn: a larger \
-                 `count` keeps the points of a smaller one.",
-        frames: "Parameters and scores in their own units.",
-        fails: "A parameter that is found nowhere or has no number; a score without a number (empty); with `scale: log` a \
-                parameter of 0 or less; more parameters than 12; fewer than two different points.",
-        example: "rockface: 1\nname: two-stage-search\naxes:\n  max_abs_m: {values: [0.02, 0.05, 0.1]}\nsteps:\n  \
-                  real: {stage: import-rasters, with: {path: real}}\n  noise: {stage: describe-noise, in: {raster: real.raster}}\n  \
-                  model: {stage: fit-acceptance, in: {features: noise.features}}\n  \
-                  simulated: {stage: import-rasters, with: {path: simulated}}\n  \
-                  clean: {stage: filter-outliers, in: {raster: simulated.raster}, with: {max_abs_m: \"${max_abs_m}\"}}\n  \
-                  found: {stage: describe-noise, in: {raster: clean.raster}}\n  \
-                  coarse: {stage: test-acceptance, in: {model: model.model, features: found.features}}\n  \
-                  refine: {stage: refine-search, in: {scores: {each: coarse.verdicts, over: [max_abs_m]}}, with: {parameters: \
-                  [max_abs_m], best: 1, count: 5}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("refine_search.md"));
     const INPUTS: &'static [Port] = &[
         Port::many("scores", &[Kind::Table], "Rows with the score, gathered over the axes of the search or tabulated."),
         Port::optional("points", &[Kind::Table], "Where an axis of table rows was searched: that table."),

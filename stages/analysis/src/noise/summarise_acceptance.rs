@@ -32,27 +32,7 @@ impl Stage for SummariseAcceptance {
     type Params = SummariseAcceptanceParams;
     const NAME: &'static str = "summarise-acceptance";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Tests simulated rasters against real ones at several quantiles, jointly and by descriptor group, and sets beside \
-               each rate its interval and what a perfect simulator would reach. A second table has the layout of the paper's \
-               Table A1, a third says how much hangs on each single reference raster.",
-        method: "Paper 2.2.5 and Table A1, as `fit-acceptance` and `test-acceptance`. Intervals of 95 %: Wilson, and the exact \
-                 one of Clopper and Pearson. `expected` is the share of reference rasters that a model fitted to all others \
-                 accepts at the in-sample threshold: what a perfect simulator is expected to reach; `expected_low` and `expected_high` \
-                 bound 95 % of the counts it would have (binomial, the expectation taken as known), and `in_band` says whether \
-                 the simulated count lies there: below it, the noise is not the real one; above it, its spread is narrower than the real \
-                 one. `leave_one_out_threshold` is the quantile of the leave-one-out distances, and `simulated_leave_one_out` the \
-                 acceptance there. With `held_out`, the last rasters take no part in the model and are tested like simulated ones. \
-                 The leverage of a raster is what threshold and acceptance become without it, at the middle quantile of the list.",
-        frames: "Features in the units of their columns; distances have none.",
-        fails: "Fewer than p + 2 reference rasters for p features after holding out; a missing column or value (raster and \
-                feature are named); no simulated raster. It warns of reference rasters that share an epoch by their names.",
-        example: "rockface: 1\nname: table-a1\nsteps:\n  real: {stage: import-rasters, with: {path: real}}\n  \
-                  noise: {stage: describe-noise, in: {raster: real.raster}}\n  \
-                  simulated: {stage: import-rasters, with: {path: simulated}}\n  \
-                  found: {stage: describe-noise, in: {raster: simulated.raster}}\n  \
-                  table: {stage: summarise-acceptance, in: {reference: noise.features, simulated: found.features}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("summarise_acceptance.md"));
     const INPUTS: &'static [Port] = &[
         Port::many("reference", &[Kind::Table], "Features of real rasters, from `describe-noise`."),
         Port::many("simulated", &[Kind::Table], "Features of simulated rasters, from `describe-noise`."),

@@ -27,26 +27,7 @@ impl Stage for TestAcceptance {
     type Params = TestAcceptanceParams;
     const NAME: &'static str = "test-acceptance";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Measures the distance of every raster to the reference, accepts it up to the threshold, names the features \
-               that put it there, and repeats the test at the quantiles 0.90, 0.95 and 0.99 and for each group of \
-               descriptors.",
-        method: "Paper 2.2.5 and Table A1: D2 <= quantile (type 7) of the reference's own D2. Score S = 1 - share of \
-                 reference distances <= D2, so S = 0 lies beyond all of them. Contributions z_j p_j add up to D2 and may \
-                 be negative. The summary sets beside the acceptance its 95 % interval (Wilson) and what a perfect \
-                 simulator is expected to reach, by normal theory and by leaving each reference raster out: at 39 \
-                 rasters and 10 features that is far less than 95 %, so an acceptance of 92 % speaks for a simulated \
-                 spread narrower than the real one.",
-        frames: "Features in the units of their columns; distances have none.",
-        fails: "A feature of the model that is missing from a table, or has no value (raster and feature are named); an \
-                axis named like a column.",
-        example: "rockface: 1\nname: acceptance\nsteps:\n  real: {stage: import-rasters, with: {path: real}}\n  \
-                  noise: {stage: describe-noise, in: {raster: real.raster}}\n  \
-                  model: {stage: fit-acceptance, in: {features: noise.features}}\n  \
-                  simulated: {stage: import-rasters, with: {path: simulated}}\n  \
-                  found: {stage: describe-noise, in: {raster: simulated.raster}}\n  \
-                  verdict: {stage: test-acceptance, in: {model: model.model, features: found.features}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("test_acceptance.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("model", &[Kind::Acceptance], "The reference, from `fit-acceptance`."),
         Port::many("features", &[Kind::Table], "Features of the rasters to test, from `describe-noise`."),

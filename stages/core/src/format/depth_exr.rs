@@ -152,7 +152,7 @@ fn check_header(bytes: &[u8]) -> Result<(), CodecError> {
     }
     let (w, h, found) = (header.layer_size.0, header.layer_size.1, bytes.len());
     let samples = sample_bytes(header, channels.len());
-    if !samples.is_some_and(|samples| least_bytes(header, samples) <= found) {
+    if samples.is_none_or(|samples| least_bytes(header, samples) > found) {
         return Err(CodecError(format!(
             "OpenEXR depth map: {w} x {h} pixels do not fit in {found} bytes; it is cut short or damaged"
         )));

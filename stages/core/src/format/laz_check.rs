@@ -1,6 +1,6 @@
 //! Whether a LAS or LAZ file holds the bytes it claims, checked before a library reserves memory by its counts.
 //!
-//! Layout: ASPRS LAS 1.4 R15 for headers and records; the LASzip specification (Isenburg, revision 1.4.4) for the LASzip
+//! Layout: ASPRS LAS 1.4 R15 for headers and records; the `LASzip` specification (Isenburg, revision 1.4.4) for the `LASzip`
 //! record, the chunk table, and the layers of a chunk.
 
 use las::{Header, raw};
@@ -15,7 +15,7 @@ const EXTENDED_LENGTH_AT: usize = 20;
 const LEAST_BITS_PER_POINT: u64 = 1;
 /// Memory of a point with its colour as it is read.
 const POINT_MEMORY_BYTES: u64 = 33;
-/// User and number of the LASzip record.
+/// User and number of the `LASzip` record.
 const LASZIP: (&str, u16) = ("laszip encoded", 22204);
 /// A chunk size that stands for chunks of their own sizes each, beside 0.
 const OF_ITS_OWN: u32 = u32::MAX;
@@ -85,7 +85,7 @@ fn short(bytes: &[u8], at: usize) -> Option<u16> {
     Some(u16::from_le_bytes(*bytes.get(at..)?.first_chunk()?))
 }
 
-/// A field of a point as the LASzip record lists it: type, bytes, version of its compression.
+/// A field of a point as the `LASzip` record lists it: type, bytes, version of its compression.
 struct Item {
     kind: u16,
     bytes: u16,
@@ -126,7 +126,7 @@ impl Item {
     }
 }
 
-/// How points are packed, as the LASzip record says it.
+/// How points are packed, as the `LASzip` record says it.
 struct Packing {
     compressor: u16,
     chunk_size: u32,

@@ -35,21 +35,7 @@ impl Stage for ExportCameras {
     type Params = ExportCamerasParams;
     const NAME: &'static str = "export-cameras";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Writes sensors and images in the format of another program. The run's folder has the files in a folder of the \
-               port's name; the store keeps them in one archive.",
-        method: "COLMAP: the simplest of PINHOLE, OPENCV and FULL_OPENCV that holds the sensor, t = -R C, first pixel at (0.5, \
-                 0.5), fx = f + b1, fy = f. Metashape: one chunk in a local system, camera matrices, adjusted calibrations with \
-                 its own p1 and p2 (ours exchanged), and of a covariance the blocks it can hold. Bundler: f, k1, k2, axes y up \
-                 and z backward. Every number with all its digits; import-cameras reads every file back to 1e-9 px.",
-        frames: "Coordinates stay in the frame of the input, metres; files do not say which it is (our JSON does).",
-        fails: "What a format cannot hold is refused by name: b2 and k4 in COLMAP; a principal point off the middle, b1, b2, k3, \
-                k4, p1, p2 in Bundler; names with blanks or control characters where they would be lost.",
-        example: "rockface: 1\nname: export-cameras\nseed: 1\nsteps:\n  face: {stage: synthesise-face, with: {width_m: 4, \
-                  height_m: 3}}\n  survey:\n    stage: plan-survey\n    in: {mesh: face.mesh}\n    \
-                  with: {width_px: 1900, height_px: 1600, focal_px: 4545, distance_m: 20, baseline_m: 7.3}\n  \
-                  files: {stage: export-cameras, in: {cameras: survey.cameras}, with: {format: colmap-binary}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("export_cameras.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("cameras", &[Kind::Cameras], "The block to write."),
         Port::optional("covariance", &[Kind::Covariance], "Its covariance; only Metashape's format holds some of it."),

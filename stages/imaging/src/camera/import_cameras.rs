@@ -48,28 +48,7 @@ impl Stage for ImportCameras {
     type Params = ImportCamerasParams;
     const NAME: &'static str = "import-cameras";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Reads sensors, oriented images and the joint covariance of their orientation parameters. A sensor used by \
-               exactly one image takes that image's name, any other is called sensor<id>.",
-        method: "JSON with sensors {id, width, height, f or fx and fy, cx, cy, b1, b2, k1..k4, p1, p2} and images {name, \
-                 sensor, q_wxyz, C}, or our own JSON; COLMAP text and binary models (SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, \
-                 RADIAL, OPENCV, FULL_OPENCV without denominator), C = -R^T t; Metashape's camera XML, camera -> component -> \
-                 world, its p1 our p2 and the other way round, with its covariance blocks; Bundler v0.3, whose principal point \
-                 is the middle of the image. Formats are told by content. A covariance of its own is JSON {parameters, \
-                 covariance, sigma0_applied, full_joint}; its names fit with or without file extension (paper 2.1.2: theta' = \
-                 theta + e, e from the covariance of the bundle block adjustment).",
-        frames: "Centres in metres in the frame `frame` says; X_c = R (X - C), camera x right, y down, z forward. JSON \
-                 pixels: centre of the first at (0, 0); COLMAP and Metashape pixels, first at (0.5, 0.5), are converted. \
-                 Covariance in rad (left, camera frame), m, px, 1.",
-        fails: "On camera models, distortion terms or sensor types that Brown-Conrady with k1..k4, p1, p2, b1, b2 does not hold \
-                (fisheye, denominators), aligned images whose sensor has no calibration, quaternions off unit length by more \
-                than 1e-6, unknown parameter names, a matrix that is not symmetric and positive semi-definite, frames that \
-                contradict. Images that are not aligned are left out and named. It warns when the covariance holds blocks of \
-                single images only, as Metashape's does: make the joint matrix with estimate-covariance then.",
-        example: "rockface: 1\nname: import-cameras\nseed: 1\nsteps:\n  survey:\n    stage: import-cameras\n    \
-                  with: {path: cameras.json, covariance: bba_covariance.json, frame: wall}\n  noisy:\n    \
-                  stage: perturb-cameras\n    in: {cameras: survey.cameras, covariance: survey.covariance}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("import_cameras.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[
         Port::one("cameras", &[Kind::Cameras], "Sensors and oriented images."),

@@ -89,26 +89,7 @@ impl Stage for PerturbCameras {
     type Params = PerturbCamerasParams;
     const NAME: &'static str = "perturb-cameras";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Makes the estimated orientation of an epoch from the true one: true parameters plus drawn errors. Put `over: \
-               [epoch, replicate]` on the step to draw anew for each.",
-        method: "Paper 2.1.2, theta' = theta + e with e from N(0, scale^2 Sigma) of the bundle block adjustment, or from \
-                 independent normal distributions. e = D V sqrt(L) V^T z: D standard deviations, V and L eigenvectors and \
-                 eigenvalues of the correlation matrix (the symmetric root), z one standard normal number for each \
-                 parameter, addressed by its name. R' = Exp(dtheta) R, C' = C + dC; angles are never decomposed. With \
-                 `exterior` or `interior` false the others follow their marginal distribution: nothing is conditioned on \
-                 the errors that stay out. Equal bytes for equal processors; between processor families the \
-                 decomposition may differ in the last digits.",
-        frames: "Cameras and covariance in one frame. dtheta in the camera frame (rad), dC in the frame of the block (m), \
-                 interior in pixels; given rotations in degrees.",
-        fails: "Model `covariance` without a covariance, or with one without parameters, in another frame, with unknown names, \
-                or not positive semi-definite; a drawn principal distance that is not positive. It warns of a covariance \
-                without correlations between images.",
-        example: "rockface: 1\nname: perturb-cameras\nseed: 1\naxes:\n  epoch: {items: [pre, post]}\nsteps:\n  \
-                  face: {stage: synthesise-face}\n  survey: {stage: plan-survey, in: {mesh: face.mesh}}\n  noisy:\n    \
-                  stage: perturb-cameras\n    over: [epoch]\n    in: {cameras: survey.cameras}\n    \
-                  with: {model: independent, independent: {position_m: [0.005, 0.005, 0.005]}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("perturb_cameras.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("cameras", &[Kind::Cameras], "The true orientation."),
         Port::optional("covariance", &[Kind::Covariance], "Joint covariance; needed by model `covariance`."),

@@ -86,20 +86,7 @@ impl Stage for TransformCrs {
     type Params = TransformCrsParams;
     const NAME: &'static str = "transform-crs";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Takes a face to the wall frame, with its cameras and their covariance, and gives the transform for the way \
-               back.",
-        method: "Total least squares plane of the triangles, weighted by area, trimmed at 2.5 robust sigmas and iterated \
-                 (paper, section 3.2), with `plane: robust` from a start of least median of squares (Rousseeuw 1984). Z is its normal out of the rock, Y the projection of `up`, X = Y x Z, the origin the \
-                 centroid.",
-        frames: "World to wall, metres; right-handed, X along the face, Y up the face, Z out of the rock. Covariances of \
-                 projection centres rotate along; rotation corrections live in the camera frame and stay. Epochs that are to be \
-                 compared need one wall frame: fit the first, and hand its `transform` to the others.",
-        fails: "Triangles, cameras and `outward` disagree about which side is outside; the mesh is closed, so it has no \
-                outer side; cameras or covariance are in another frame than the mesh; a given rotation is no rotation.",
-        example: "rockface: 1\nname: to-the-wall\nsteps:\n  face: {stage: import-mesh, with: {path: face.ply}}\n  \
-                  wall: {stage: transform-crs, in: {mesh: face.mesh}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("transform_crs.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("mesh", &[Kind::Mesh], "The face, triangles counter-clockwise seen from outside the rock."),
         Port::optional("cameras", &[Kind::Cameras], "Cameras in the frame of the mesh."),

@@ -25,28 +25,7 @@ impl Stage for GridDepth {
     type Params = GridDepthParams;
     const NAME: &'static str = "grid-depth";
     const VERSION: u32 = 2;
-    const PAGE: Page = Page {
-        what: "Reduces the depth map of one image to a grid of elevations over the wall, one value a cell, with its expected \
-               deviation: half the size of the map or less. What `fuse-grids` fuses.",
-        method: "Pixels go to the point on their ray; the elevation of a cell is the mean of its pixels weighted by 1 / sigma^2. \
-                 Doing this image by image, before images are compared, keeps an image with many pixels in a cell from \
-                 outvoting the others, and bounds the memory of a large block.",
-        frames: "Wall frame, metres: X right, Y up, elevation along Z. Bands `elevation` and `sigma`; sigma is that of one depth \
-                 along Z, larger by 1 / sqrt(cos) where the view stands at an angle to Z. Cells stand on whole multiples of cell_m.",
-        fails: "The depth map is not in the wall frame; it has no channel `sigma` and sigma_m is not given; the grid would have \
-                more than 1.5e8 cells. An image that sees nothing of the window is no failure, since one of a large block may: \
-                its grid is one cell without a value, with a warning, and `fuse-grids` passes over it.",
-        example: "\
-rockface: 1
-name: cells-of-an-image
-seed: 1
-steps:
-  face:   {stage: synthesise-face, with: {width_m: 4, height_m: 3}}
-  survey: {stage: plan-survey, in: {mesh: face.mesh}}
-  depth:  {stage: project-depth, in: {mesh: face.mesh, cameras: survey.cameras}, with: {image: left, downscale: 4}}
-  cells:  {stage: grid-depth, in: {depth: depth.depth}, with: {cell_m: 0.05, sigma_m: 0.01}}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("grid_depth.md"));
     const INPUTS: &'static [Port] = &[Port::one("depth", &[Kind::Depth], "The depth map.")];
     const OUTPUTS: &'static [Port] = &[Port::one("grid", &[Kind::Raster], "Bands `elevation` and `sigma`, metres.")];
 

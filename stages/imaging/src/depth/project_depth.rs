@@ -40,35 +40,7 @@ impl Stage for ProjectDepth {
     type Params = ProjectDepthParams;
     const NAME: &'static str = "project-depth";
     const VERSION: u32 = 2;
-    const PAGE: Page = Page {
-        what: "Projects a mesh into one image and keeps, at every pixel centre, the depth of the nearest triangle.",
-        method: "Collinearity with Brown-Conrady distortion (paper 2.1.2, Algorithm 2 lines 9, 11 and 12). The exact \
-                 undistorted ray of each pixel centre is intersected in f64 with the plane of the triangle it meets \
-                 first; nothing is interpolated, and depths are rounded once, to float32. With `before` and `before_mesh`, as \
-                 for the epoch after a rockfall seen from fixed stations, only the tiles that a vanished or a new triangle \
-                 reaches are drawn anew; the bytes are those of drawing everything.",
-        frames: "The mesh and the cameras share one frame (wall or world), metres; the depth map carries its camera. \
-                 Depth is z along the optical axis, metres; NaN where the ray meets nothing. A depth-map pixel stands \
-                 for downscale x downscale image pixels and its centre is theirs; surplus columns and rows are cut. \
-                 Channels: `range` (distance along the ray, metres), `triangle` (its number in the mesh, from 0), `valid` \
-                 (1 where there is a depth, else 0).",
-        fails: "The image is unknown; the frames differ; the mesh has no triangles; nothing of the mesh is visible \
-                (it lies behind the camera, beside the image or outside window_m, or shows its back: \
-                turn it or set visibility to false); `before` without `before_mesh`, or not by the same camera and parameters; \
-                channels are wanted of a mesh of more than 16777216 triangles, whose numbers a 32-bit float does not tell apart.",
-        example: "\
-rockface: 1
-name: ideal-depth
-seed: 1
-steps:
-  face:   {stage: synthesise-face}
-  survey: {stage: plan-survey, in: {mesh: face.mesh}}
-  depth:
-    stage: project-depth
-    in: {mesh: face.mesh, cameras: survey.cameras}
-    with: {image: left, downscale: 4}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("project_depth.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("mesh", &[Kind::Mesh], "The surface, counter-clockwise seen from outside the rock."),
         Port::one("cameras", &[Kind::Cameras], "The true cameras."),

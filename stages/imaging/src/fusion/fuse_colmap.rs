@@ -76,34 +76,7 @@ impl Stage for FuseColmap {
     type Params = FuseColmapParams;
     const NAME: &'static str = "fuse-colmap";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Has COLMAP fuse depth maps to a point cloud and, if asked, a mesh: the external engine beside `fuse-volume` and \
-               `fuse-grids`. COLMAP is not part of this program; it is run as pycolmap of a Python, or as its command-line program.",
-        method: "Paper 2.1.2, Algorithm 2 lines 28 to 30, with stereo_fusion of COLMAP (Schoenberger et al. 2016) in place of Metashape. \
-                 Maps are carried to a camera without distortion (exact on planes, noise of a pixel kept), normals by regression of the \
-                 inverse depth, points both images of a pair see as tracks, principal points as its dense code counts them, 0 for no \
-                 depth. One thread, so that the same input gives the same bytes. Mesh: Poisson reconstruction (Kazhdan and Hoppe 2013).",
-        frames: "Cloud and mesh in the frame of the depth maps, metres; COLMAP computes in single precision about a corner of 100 m near \
-                 the cameras. Thresholds in pixels are pixels of the depth maps.",
-        fails: "The program is not there or of another version than `version`; it ends with an error; the maps see nothing in common, or \
-                agree nowhere; the mesh is empty (trim too high); points lie where no map saw anything; a single map, maps in two frames.",
-        example: "\
-rockface: 1
-name: fused-by-colmap
-seed: 1
-axes:
-  image: {items: [left, right]}
-steps:
-  face:   {stage: import-mesh, with: {path: face.ply, frame: wall}}
-  survey: {stage: plan-survey, in: {mesh: face.mesh}}
-  depth:  {stage: project-depth, in: {mesh: face.mesh, cameras: survey.cameras}, with: {image: \"${image}\", downscale: 4}}
-  fused:
-    stage: fuse-colmap
-    with: {program: /opt/photogrammetry/bin/python, version: \"4.2.1\", poisson: {depth: 9}}
-    in: {depths: {each: depth.depth, over: [image]}}
-  dem:    {stage: rasterise-dem, in: {surface: fused.cloud}, with: {cell_m: 0.05}}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("fuse_colmap.md"));
     const INPUTS: &'static [Port] = &[Port::many("depths", &[Kind::Depth], "Depth maps of two images or more.")];
     const OUTPUTS: &'static [Port] = &[CLOUD, MESH];
     const STARTS_PROGRAMS: bool = true;

@@ -25,27 +25,7 @@ impl Stage for FuseDepth {
     type Params = FuseDepthParams;
     const NAME: &'static str = "fuse-depth";
     const VERSION: u32 = 2;
-    const PAGE: Page = Page {
-        what: "Turns a depth map into a surface: every pixel a point, neighbours joined to triangles unless the depth \
-               steps between them or the view grazes them.",
-        method: "The single-pair configuration of the paper (2.1.2, Algorithm 2 lines 28 to 30). Points lie on the \
-                 undistorted rays of the camera in the depth map; each square of four pixels is cut along the diagonal \
-                 that steps less in depth. By default a step is more than step_factor times the distance Z / f of \
-                 neighbours across the view, times downscale.",
-        frames: "The surface is in the frame of the depth map's camera, metres: 32-bit points about an origin in whole \
-                 metres, over the rectangle of the depth map that has values. Triangles are counter-clockwise seen from the camera.",
-        fails: "The depth map has fewer than 2 x 2 pixels, or no triangle is left: allow larger steps.",
-        example: "\
-rockface: 1
-name: depth-to-surface
-seed: 1
-steps:
-  face:    {stage: synthesise-face}
-  survey:  {stage: plan-survey, in: {mesh: face.mesh}}
-  depth:   {stage: project-depth, in: {mesh: face.mesh, cameras: survey.cameras}, with: {image: left, downscale: 4}}
-  surface: {stage: fuse-depth, in: {depth: depth.depth}}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("fuse_depth.md"));
     const INPUTS: &'static [Port] = &[Port::one("depth", &[Kind::Depth], "The depth map.")];
     const OUTPUTS: &'static [Port] = &[Port::one("surface", &[Kind::Surface], "The surface.")];
 

@@ -34,31 +34,7 @@ impl Stage for FuseGrids {
     type Params = FuseGridsParams;
     const NAME: &'static str = "fuse-grids";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Fuses the elevation grids of many images (`grid-depth`) to one 2.5D surface: in every cell the weighted median of \
-               the images that agree. Overhangs are not kept: `fuse-volume` does that.",
-        method: "Internal fusion of the paper (2.1.2, Algorithm 2 lines 28 to 30) for image blocks. Weights are 1 / sigma^2; what \
-                 lies too far from the weighted median is rejected and at least min_images must be left. Every image counts once a \
-                 cell, however many of its pixels fall there. Neighbouring cells are joined along the diagonal that steps less.",
-        frames: "Wall frame, metres. Outputs: `surface`, points at cell centres; `raster` with the bands `elevation`, `images` \
-                 (how many agreed) and `sigma` (expected deviation were the images independent, metres).",
-        fails: "Grids of different cells or frames, or off the common lattice; a raster without the bands `elevation` and `sigma`; \
-                no grid with a value; no cell on which min_images agree; more than \
-                1.5e8 cells.",
-        example: "\
-rockface: 1
-name: surface-of-a-block
-seed: 1
-axes:
-  image: {items: [left, right]}
-steps:
-  face:    {stage: synthesise-face, with: {width_m: 4, height_m: 3}}
-  survey:  {stage: plan-survey, in: {mesh: face.mesh}}
-  depth:   {stage: project-depth, in: {mesh: face.mesh, cameras: survey.cameras}, with: {image: \"${image}\", downscale: 4}}
-  cells:   {stage: grid-depth, in: {depth: depth.depth}, with: {cell_m: 0.05, sigma_m: 0.01}}
-  surface: {stage: fuse-grids, in: {grids: {each: cells.grid, over: [image]}}}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("fuse_grids.md"));
     const INPUTS: &'static [Port] =
         &[Port::many("grids", &[Kind::Raster], "Bands `elevation` and `sigma` of each image.")];
     const OUTPUTS: &'static [Port] = &[

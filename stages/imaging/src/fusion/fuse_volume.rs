@@ -37,29 +37,7 @@ impl Stage for FuseVolume {
     type Params = FuseVolumeParams;
     const NAME: &'static str = "fuse-volume";
     const VERSION: u32 = 2;
-    const PAGE: Page = Page {
-        what: "Fuses depth maps to one triangle mesh in space: what hangs over stays, and what one image hides another may show.",
-        method: "Truncated signed distances along the rays, averaged by weight in voxels (Curless and Levoy 1996), kept in blocks of \
-                 8 x 8 x 8 voxels near measured surfaces only (Niessner et al. 2013); the surface by marching cubes (Lorensen and \
-                 Cline 1987) with faces cut alike from both sides. Weights are 1 / sigma^2 where the depth maps have a channel \
-                 `sigma` (`match-image`), else all maps count the same. Internal fusion of the paper (2.1.2, Algorithm 2 lines 28 to 30).",
-        frames: "The frame of the depth maps' cameras, metres; triangles are counter-clockwise seen from the cameras' side. Depth maps \
-                 are added in the order of the input.",
-        fails: "Depth maps in different frames; some with a channel `sigma` and some without; none with a depth in the window; more than \
-                two million blocks (enlarge voxel_m or truncation_m is too large); no surface that min_images saw.",
-        example: "\
-rockface: 1
-name: mesh-of-a-block
-seed: 1
-axes:
-  image: {items: [left, right]}
-steps:
-  face:   {stage: synthesise-face, with: {width_m: 4, height_m: 3}}
-  survey: {stage: plan-survey, in: {mesh: face.mesh}}
-  depth:  {stage: project-depth, in: {mesh: face.mesh, cameras: survey.cameras}, with: {image: \"${image}\", downscale: 4}}
-  mesh:   {stage: fuse-volume, in: {depths: {each: depth.depth, over: [image]}}, with: {voxel_m: 0.04}}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("fuse_volume.md"));
     const INPUTS: &'static [Port] = &[Port::many("depths", &[Kind::Depth], "Depth maps, one or more.")];
     const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The fused surface.")];
 

@@ -61,26 +61,7 @@ impl Stage for RegisterIcp {
     type Params = RegisterIcpParams;
     const NAME: &'static str = "register-icp";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Finds the rigid motion that lays the source on the target. The motion is applied by whoever samples the \
-               source (`rasterise-dem`); no moved copy is made. What another program fused, a cloud or a mesh, is registered by its \
-               DEMs.",
-        method: "Iterative closest points (Besl and McKay 1992; to planes: Chen and Medioni 1992), trimmed (Chetverikov et \
-                 al. 2005), on the nearest points, in plan or in space; normals by regression over 17 x 17 neighbours, one for 4 x 4 points. \
-                 Directions the surface does not determine, as on a plane, are not moved along and reported. Stops below \
-                 1e-8 rad and 1e-6 m, or than a quarter of their standard deviations.",
-        frames: "Both surfaces in one frame, metres; `target_from_source` with its origin at the centroid of the points \
-                 used. rms and standard deviations are \
-                 those of the pairs kept, residuals taken as independent: at trim 0.9 some 1.6 times too small, and more for \
-                 correlated noise.",
-        fails: "The surfaces do not overlap within `max_distance_m`; too few points; the solution runs away.",
-        example: "rockface: 1\nname: lay-one-on-the-other\nseed: 1\naxes: {epoch: {items: [pre, post]}}\nsteps:\n  \
-            face: {stage: synthesise-face, with: {width_m: 3, height_m: 2, spacing_m: 0.03}}\n  \
-            survey: {stage: plan-survey, in: {mesh: face.mesh}}\n  \
-            depth: {stage: project-depth, over: [epoch], in: {mesh: face.mesh, cameras: survey.cameras}, with: {image: left, downscale: 16}}\n  \
-            surface: {stage: fuse-depth, in: {depth: depth.depth}}\n  \
-            motion:\n    stage: register-icp\n    in: {source: \"surface.surface[epoch=post]\", target: \"surface.surface[epoch=pre]\"}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("register_icp.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("source", &[Kind::Surface, Kind::Raster], "The surface that moves; a raster holds elevations."),
         Port::one("target", &[Kind::Surface, Kind::Raster], "The surface that stays, in the same frame."),

@@ -28,19 +28,7 @@ impl Stage for MapNoise {
     type Params = MapNoiseParams;
     const NAME: &'static str = "map-noise";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Maps how strong the noise of a site is from place to place, as a factor with median 1, from rasters without change. \
-               `match-pair` takes it at its port `strength`: ledges, cracks, vegetation and poor texture are then as noisy as they \
-               really are.",
-        method: "Root of the mean square over the rasters at each cell, after the part smoother than `detrend_cells` is taken off, \
-                 the mean squares smoothed by a Gaussian with gaps left out, divided by the median over the cells. From n rasters \
-                 the factor has a relative standard error of 1 / sqrt(2 n) and less after smoothing. Rasters that judge a simulation must not \
-                 shape it: `held_out` leaves the last ones out, the same share as in `summarise-acceptance`.",
-        frames: "The grid and frame of the rasters; a factor without unit, at most 30, NaN where fewer than `least` rasters have a value.",
-        fails: "Rasters of different grids; fewer than 3 rasters remain; no cell has `least` values, or all values are equal.",
-        example: "rockface: 1\nname: noise-map\nsteps:\n  real: {stage: import-rasters, with: {path: real}}\n  \
-                  map: {stage: map-noise, in: {raster: real.raster}, with: {held_out: 0.3333}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("map_noise.md"));
     const INPUTS: &'static [Port] = &[Port::many(
         "raster",
         &[Kind::Raster],

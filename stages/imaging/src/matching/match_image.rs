@@ -79,42 +79,7 @@ impl Stage for MatchImage {
     type Params = MatchImageParams;
     const NAME: &'static str = "match-image";
     const VERSION: u32 = 2;
-    const PAGE: Page = Page {
-        what: "Makes the depth map of an image as dense matching with all of its partners would: every pair of the image is \
-               matched as `match-pair` does it, and the depths they give a pixel are fused. The maps of single pairs exist for \
-               a few rows at a time only, so a block of many large images needs no store for them.",
-        method: "Paper 2.1.2, Algorithm 2 lines 6 to 21. The noise of a pair is that of `match-pair`, draw for draw, where both \
-                 steps have the same stream. Depths are weighted by 1 / sigma^2 with sigma the depth a pixel of disparity is \
-                 worth times sqrt(sigma_local^2 + sigma_regular^2); those far from the weighted median are rejected (`rejection`) and \
-                 the rest averaged. Both images of a pair carry the same errors only where their steps draw from one stream: take the \
-                 axis of images with `reseeds: false`, or give the step `stream: {label: match, axes: [epoch]}`. Independent errors of \
-                 K pairs average away by sqrt(K), errors of a real matcher do not, since pairs share an image: `noise_sharing`.",
-        frames: "As `match-pair`: disparities in pixels of the depth map, depth along the optical axis of the noisy camera, metres. \
-                 Channels: `sigma`, the expected standard deviation of the fused depth from matching were the pairs' errors \
-                 independent, metres; `pairs`, how many pairs the depth stands on.",
-        fails: "The image has no pair, or more than 255; a depth map of it or of a partner is missing or there twice; sizes, frames \
-                or downscales differ; no pair sees anything in common with it; the y-parallax of a pair is above max_y_parallax_px; \
-                `noise_sharing` other than `pair` beside an `image_share` of `matcher`; a map of strength in another frame, or without \
-                `matcher`.",
-        example: "\
-rockface: 1
-name: noisy-depth-of-a-block
-seed: 1
-axes:
-  image: {from: survey.cameras, reseeds: false}
-steps:
-  face:   {stage: synthesise-face, with: {width_m: 8, height_m: 5}}
-  survey: {stage: plan-survey, in: {mesh: face.mesh}, with: {block: strips, width_px: 320, height_px: 240, focal_px: 260, distance_m: 10, columns: 3, rows: 1}}
-  pairs:  {stage: select-pairs, in: {cameras: survey.cameras, mesh: face.mesh}}
-  depth:  {stage: project-depth, in: {mesh: face.mesh, cameras: survey.cameras}, with: {image: \"${image}\"}}
-  noisy:  {stage: perturb-cameras, in: {cameras: survey.cameras}, with: {model: independent, independent: {position_m: [0.001, 0.001, 0.001]}}}
-  matched:
-    stage: match-image
-    keep: false
-    in: {depths: {each: depth.depth, over: [image]}, noisy: noisy.cameras, pairs: pairs.pairs}
-    with: {image: \"${image}\", sigma_local_px: 0.6, sigma_regular_px: 0.65, spacing_px: 26}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("match_image.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
             "depths",

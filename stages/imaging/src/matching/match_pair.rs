@@ -52,53 +52,7 @@ impl Stage for MatchPair {
     type Params = MatchPairParams;
     const NAME: &'static str = "match-pair";
     const VERSION: u32 = 5;
-    const PAGE: Page = Page {
-        what: "Makes the depth map of one image of a stereo pair as dense matching would: with the errors of the \
-               orientation and of the matching in it.",
-        method: "Paper 2.1.2, Algorithm 2 lines 7 to 19, Eq. 2 and 3. True points, true projections; rectification by \
-                 the noisy cameras onto the plane along the baseline both images face best; disparity plus a white \
-                 part addressed by pixel of the first image and a smooth part interpolated from a grid of nodes over \
-                 the first rectified image; back to depth on the noisy rays of the image. Sampled at image pixels, so \
-                 nothing is resampled. The two maps of a pair carry the same error at corresponding points where both steps draw \
-                 from one stream: give both `stream: {label: match, axes: [...]}` with the axes they share. \
-                 The y-parallax is no part of the disparity: it is measured and discarded. With `sampling: rectified` the grid is that \
-                 of the rectified image, one of its own for each pair, as in the paper; noise is then addressed by the pixels of \
-                 the rectified first image. `matcher` adds what real matchers \
-                 show: a Matern correlation of the local noise over a few pixels, noise that varies with the texture of the \
-                 face, with the conditions and the quality of an acquisition and with the relief inside the matcher's window, \
-                 or as a map from rasters of the site says (heavy tails come from that variation), noise at ledges of a \
-                 kind of its own, the window's own smoothing and foreground fattening (these two and the relief see the ideal depth \
-                 map of the image that is made), blunders, holes, pixel locking, and errors shared by the pairs of an image.",
-        frames: "Disparities, sigmas and the spacing are in pixels of the depth map (image pixels times downscale). \
-                 Depth is z along the optical axis of the noisy camera, metres; the map carries that camera, or that of the \
-                 rectified image (no distortion, turned to the plane of the pair, centre of the noisy camera). \
-                 Channels: `range` (distance along the noisy ray, metres); `disparity.ideal` (true projections, noisy \
-                 rectification), `noise.local`, `noise.regular` and `disparity`, their sum; `y_parallax`; `valid` (1 where \
-                 there is a depth, else 0). With `matcher` the sum has two terms more, `noise.blunder` and \
-                 `noise.sub_pixel`, and two channels say what is in the others: `noise.strength` (the factor of acquisition, \
-                 texture and conditions on local and smooth noise) and `noise.relief` (the deviation, in pixels, that relief \
-                 gives the local noise before that factor).",
-        fails: "The pair is unknown or not named; a depth map is not of its image; sizes, frames or downscales differ; \
-                the pair has no baseline or moves along its view; the images share nothing; the y-parallax is above \
-                max_y_parallax_px (a covariance without correlations does that: give the full one); a texture outside the wall \
-                frame; a map of strength in another frame, or without `matcher`.",
-        example: "\
-rockface: 1
-name: noisy-depth
-seed: 1
-steps:
-  face:   {stage: synthesise-face}
-  survey: {stage: plan-survey, in: {mesh: face.mesh}}
-  noisy:  {stage: perturb-cameras, in: {cameras: survey.cameras}, with: {model: independent, independent: {position_m: [0.001, 0.001, 0.001]}}}
-  pairs:  {stage: select-pairs, in: {cameras: survey.cameras, mesh: face.mesh}}
-  left:   {stage: project-depth, in: {mesh: face.mesh, cameras: survey.cameras}, with: {image: left, downscale: 4}}
-  right:  {stage: project-depth, in: {mesh: face.mesh, cameras: survey.cameras}, with: {image: right, downscale: 4}}
-  matched:
-    stage: match-pair
-    in: {first: left.depth, second: right.depth, noisy: noisy.cameras, pairs: pairs.pairs}
-    with: {sigma_local_px: 0.7, sigma_regular_px: 0.6, spacing_px: 50}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("match_pair.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("first", &[Kind::Depth], "Ideal depth map of the pair's first image, with its true camera."),
         Port::one("second", &[Kind::Depth], "Ideal depth map of the pair's second image, with its true camera."),

@@ -91,25 +91,7 @@ impl Stage for EstimateCovariance {
     type Params = EstimateCovarianceParams;
     const NAME: &'static str = "estimate-covariance";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Makes the full joint covariance of exterior and interior orientation that a bundle block adjustment of this \
-               block would yield: tie points where images see the face, control points or GNSS positions, a known or an \
-               estimated lens. perturb-cameras draws from it. Logs the expected depth error and y-parallax of the pairs.",
-        method: "Gauss-Markov model of the collinearity equations (analytic derivatives), linearised at the given orientation. \
-                 N = A^T P A; the object points are eliminated (Schur complement, N = U - sum W V^-1 W^T), priors added to the \
-                 diagonal, Sigma = N^-1 for a variance of unit weight of 1 (Paper 2.1.2 and 2.5; Kraus, Photogrammetry, 2007; \
-                 Triggs et al. 2000). Visibility by depth maps of 400 pixels a side. Datum `inner`: pseudo-inverse and \
-                 S-transformation with P = I - G (G^T W G)^-1 G^T W, G the seven similarity modes, W = 1 for centres and \
-                 distance^2 for rotations. Y-parallax and depth errors by first-order propagation.",
-        frames: "Cameras and mesh in one frame. Rotations in rad (left, camera frame), centres in m, interior in px and 1.",
-        fails: "When cameras and mesh are in different frames, an image shares too few tie points, or position, orientation, \
-                scale or lens parameters are not determined: the message names the free directions and what would fix them.",
-        example: "rockface: 1\nname: estimate-covariance\nseed: 1\nsteps:\n  face: {stage: synthesise-face}\n  survey:\n    \
-                  stage: plan-survey\n    in: {mesh: face.mesh}\n    \
-                  with: {width_px: 1900, height_px: 1600, focal_px: 4545, distance_m: 20, baseline_m: 7.3}\n  adjustment:\n    \
-                  stage: estimate-covariance\n    in: {cameras: survey.cameras, mesh: face.mesh}\n  noisy:\n    \
-                  stage: perturb-cameras\n    in: {cameras: survey.cameras, covariance: adjustment.covariance}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("estimate_covariance.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("cameras", &[Kind::Cameras], "The orientation the adjustment is linearised at."),
         Port::one("mesh", &[Kind::Mesh], "The face, in the same frame."),

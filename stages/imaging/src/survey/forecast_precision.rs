@@ -49,26 +49,7 @@ impl Stage for ForecastPrecision {
     type Params = ForecastPrecisionParams;
     const NAME: &'static str = "forecast-precision";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Forecasts a survey: ground sampling distance, depth precision and LoD95, for every stereo pair and for all images \
-               together, as a table, and over the face as a raster (bands images, gsd_m, sigma_z_m, lod95_m). With `difference`, a \
-               simulated no-change DEM difference, the last row says how far the forecast was from it.",
-        method: "Rays are intersected by least squares with image noise of disparity noise / sqrt(2); for a normal pair sigma_Z = \
-                 Z^2 / (B f) sigma_d (Kraus, Photogrammetry, 2007). In a cell the white part falls with the root of its pixels, \
-                 the smooth part keeps its mean variance over the field. With a covariance, what orientation leaves after a plane \
-                 is added (first order): registration takes the plane. A difference of two epochs has sqrt(2) sigma_Z, LoD95 is \
-                 1.96 times that (paper 2.4.1: 3 cm at Hunter Valley). Occlusion is looked at in the raster. Fusion of many \
-                 pairs is taken as one intersection of all rays: correlations of matching between pairs are not known beforehand.",
-        frames: "Cameras, mesh and covariance in one frame; depth along the wall frame's Z, in the world frame along the mean \
-                 optical axis. Metres.",
-        fails: "When frames differ, no two images make a stereo pair, or the covariance names parameters the block does not have.",
-        example: "rockface: 1\nname: forecast-precision\nseed: 1\nsteps:\n  face: {stage: synthesise-face, with: {width_m: 8, \
-                  height_m: 6, spacing_m: 0.05}}\n  survey:\n    stage: plan-survey\n    in: {mesh: face.mesh}\n    \
-                  with: {width_px: 1900, height_px: 1600, focal_px: 4545, distance_m: 20, baseline_m: 7.3}\n  adjustment: {stage: \
-                  estimate-covariance, in: {cameras: survey.cameras, mesh: face.mesh}}\n  forecast:\n    \
-                  stage: forecast-precision\n    in: {cameras: survey.cameras, mesh: face.mesh, covariance: adjustment.covariance}\n  \
-                  map: {stage: draw-picture, in: {subject: forecast.raster}, with: {band: sigma_z_m}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("forecast_precision.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("cameras", &[Kind::Cameras], "The planned block."),
         Port::one("mesh", &[Kind::Mesh], "The face, in the same frame."),

@@ -98,29 +98,7 @@ impl Stage for PlanSurvey {
     type Params = PlanSurveyParams;
     const NAME: &'static str = "plan-survey";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Places the images of a survey before a face: the stereo pair of a fixed station (`left`, `right`), or strips as a \
-               UAV flies them, straight or oblique. One shared sensor `camera` without distortion. Logs ground sampling \
-               distance, base-to-distance ratio, depth of a pixel of disparity, and how many images see the face. With \
-               `position_sigma_m` or `pointing_sigma_deg` the viewpoints are drawn about the planned ones: put `over: \
-               [epoch]` on the step to have each epoch flown anew; a fixed station leaves both at zero.",
-        method: "GSD = Z / f, one pixel of disparity is Z^2 / (B f) in depth. Steps of strips are (1 - overlap) of the footprint \
-                 at right angles; targets lie in a grid around the centre of the face, and a station stands `distance_m` before \
-                 its target across the plane however oblique it looks. With `follow: terrain` the distance counts from the mean \
-                 of the rock within a quarter footprint of the target. The defaults are the station of the paper's Hunter Valley \
-                 site (two 45.4 MP cameras, 85 mm; paper 2.4.1 and Table 1); the example is its Nobbys Head block. Occlusion is \
-                 not looked at.",
-        frames: "The mesh and the cameras are in the wall frame, metres; camera x is horizontal, y down, z forward. Left \
-                 perturbation R' = Exp(d) R of the pointing, in the camera frame.",
-        fails: "When the mesh is not in the wall frame (transform-crs takes it there), a camera would stand behind or inside the \
-                face (increase distance_m), or a block would have more than 10 000 images.",
-        example: "rockface: 1\nname: plan-survey\nseed: 1\naxes:\n  epoch: {items: [pre, post]}\nsteps:\n  face: {stage: \
-                  synthesise-face, with: {width_m: 40, height_m: 22, spacing_m: 0.2}}\n  survey:\n    stage: plan-survey\n    \
-                  over: [epoch]\n    in: {mesh: face.mesh}\n    with:\n      block: strips\n      width_px: 5472\n      \
-                  height_px: 3648\n      focal_mm: 8.8\n      pixel_um: 2.41\n      gsd_m: 0.005\n      overlap: 0.8\n      \
-                  sidelap: 0.8\n      columns: 10\n      rows: 8\n      directions_deg: [[0, -15]]\n      follow: terrain\n      \
-                  position_sigma_m: [0.3, 0.3, 0.3]\n      pointing_sigma_deg: [1, 1, 1]\n",
-    };
+    const PAGE: Page = Page::new(include_str!("plan_survey.md"));
     const INPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The face, in the wall frame.")];
     const OUTPUTS: &'static [Port] = &[Port::one("cameras", &[Kind::Cameras], "The sensor and the images.")];
 

@@ -35,21 +35,7 @@ impl Stage for SelectPairs {
     type Params = SelectPairsParams;
     const NAME: &'static str = "select-pairs";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Chooses the stereo pairs to match, by overlap, ratio of baseline to distance and convergence, or takes a list \
-               by hand. The order of the two images is settled here, from the nominal cameras: image x grows towards the \
-               second image. Noisy cameras never change it.",
-        method: "Pairs of paper 2.1.2 (Algorithm 2). With b the unit baseline and x the first image's x axis the images swap \
-                 when b.x < 0 (ties keep the order of the block). Overlap and distance come from evenly strided vertices \
-                 of the face that fall into the images; occlusion is not looked at. Pairs that look along their baseline \
-                 (|m - (m.b) b| < 0.1, m the sum of the axes) cannot be rectified and are left out.",
-        frames: "Cameras and mesh in one frame, metres; convergence in degrees in, radians out.",
-        fails: "When cameras and mesh are in different frames, a pair of the list does not exist or is none, or no pair is within \
-                the limits: the message tells the figures of the best one, so that the limits can be set.",
-        example: "rockface: 1\nname: select-pairs\nseed: 1\nsteps:\n  face: {stage: synthesise-face}\n  survey: {stage: \
-                  plan-survey, in: {mesh: face.mesh}}\n  pairs:\n    stage: select-pairs\n    \
-                  in: {cameras: survey.cameras, mesh: face.mesh}\n    with: {min_overlap: 0.3}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("select_pairs.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("cameras", &[Kind::Cameras], "The true orientation."),
         Port::one("mesh", &[Kind::Mesh], "The face, in the same frame."),

@@ -49,28 +49,7 @@ impl Stage for CleanMesh {
     type Params = CleanMeshParams;
     const NAME: &'static str = "clean-mesh";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Removes from a surface the triangles with points that are not finite, those of no area, those outside a \
-               window or a mask, and pieces of few triangles; points no triangle uses go with them. A mesh (`of: mesh`) also loses \
-               repeated triangles, its vertices at one place become one, and its triangles are turned to agree, in the wall frame out \
-               of the rock.",
-        method: "Paper 2.1.2, Algorithm 2 lines 32 and 33. Causes are taken in that order, so a triangle counts under the \
-                 first; pieces of a surface connect through common points, those of a mesh through common edges. A surface has neither \
-                 doubled points nor a choice of side: its grid says both. `export-cloud` gives points their normals.",
-        frames: "Surface and mesh keep their frame, a surface its grid; window and mask are in X and Y of that frame, metres.",
-        fails: "The window is empty, the mask is in another frame, or nothing is left.",
-        example: "\
-rockface: 1
-name: clean-surface
-seed: 1
-steps:
-  face:    {stage: synthesise-face}
-  survey:  {stage: plan-survey, in: {mesh: face.mesh}}
-  depth:   {stage: project-depth, in: {mesh: face.mesh, cameras: survey.cameras}, with: {image: left, downscale: 4}}
-  surface: {stage: fuse-depth, in: {depth: depth.depth}}
-  cleaned: {stage: clean-mesh, in: {surface: surface.surface}, with: {min_component_triangles: 50}}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("clean_mesh.md"));
     const INPUTS: &'static [Port] = &[Port::one("surface", &[Kind::Surface], "The surface to clean."), MASK];
     const OUTPUTS: &'static [Port] =
         &[Port::one("surface", &[Kind::Surface], "The cleaned surface, on the same grid.")];

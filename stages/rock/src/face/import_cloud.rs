@@ -57,20 +57,7 @@ impl Stage for ImportCloud {
     type Params = ImportCloudParams;
     const NAME: &'static str = "import-cloud";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Reads a point cloud of a rock face and makes a 2.5D mesh of it whose vertices are points of the cloud, with \
-               their colours. Gaps stay open: triangles that bridge them are dropped, and so are flat ones at the border, small \
-               pieces and what hangs on the rest in a point only. Everything dropped is counted in the log.",
-        method: "Delaunay triangulation (exact predicates, crate spade) of the points seen along the normal of their best-fit \
-                 plane: total least squares trimmed at 2.5 robust sigmas, from a start of least median of squares \
-                 (Rousseeuw 1984), so plateau or talus may be nearly half the cloud. Edges are measured in the plane, so \
-                 steps of the face stay whole. Where points lie behind each other the outer one is kept: overhangs are lost.",
-        frames: "Metres; coordinates stay as they are in the file (LAS: scale x integer + offset) in double precision. Triangles \
-                 are counter-clockwise seen from outside.",
-        fails: "The file is of another format or damaged; nothing tells on which side of a vertical face the rock is \
-                (give `outward`); no triangle is left (raise `max_edge_m`, lower `min_piece_triangles`).",
-        example: "rockface: 1\nname: import-a-scan\nsteps:\n  face: {stage: import-cloud, with: {path: scan.laz, cell_m: 0.05}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("import_cloud.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The mesh, in the frame of the file.")];
 

@@ -75,22 +75,7 @@ impl Stage for ImportMesh {
     type Params = ImportMeshParams;
     const NAME: &'static str = "import-mesh";
     const VERSION: u32 = 2;
-    const PAGE: Page = Page {
-        what: "Reads a triangle mesh of a rock face, repairs what is safe, and counts in the log what it repaired and \
-               what it found: pieces, borders, holes, and vertices where surfaces meet in a point only. Holes are kept, \
-               with a warning.",
-        method: "PLY 1.0 (Turk 1994), Wavefront OBJ (shared vertices stay shared across groups) and STL (corners joined \
-                 at exactly equal places); polygons are cut into fans. Repair: vertices at one place to the bit become \
-                 one; triangles without area, repeated triangles and vertices without triangle go; in each piece the \
-                 triangles of the smaller area are turned to agree with the larger; a mesh inside out is turned where \
-                 that can be told.",
-        frames: "Metres. Coordinates are taken to be in `frame`; single-precision files cannot hold centimetres at UTM \
-                 magnitudes, so keep them shifted and give the shift as `offset_m`. Text files keep all digits.",
-        fails: "The file is of another format (point clouds: `import-cloud`), is damaged or ends too early; a coordinate is not finite; \
-                it has no triangles; an edge belongs to three or more triangles, neighbours face opposite ways or the mesh is inside \
-                out and `repair` cannot or may not help (repair it in MeshLab, or accept it with `defects: keep`).",
-        example: "rockface: 1\nname: import-a-face\nsteps:\n  face: {stage: import-mesh, with: {path: face.ply}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("import_mesh.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The mesh, in the frame of the file.")];
 

@@ -25,19 +25,7 @@ impl Stage for MaskSafeZone {
     type Params = MaskSafeZoneParams;
     const NAME: &'static str = "mask-safe-zone";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Marks where on a face a block may stand: cells with a surface that keep a distance from the outer border and from \
-               holes. The log says how large the zone is and how many holes there are.",
-        method: "The face is seen along Z: a cell belongs to it where its centre lies under a triangle. Distances are those \
-                 between centres of cells, exact (Meijster, Roerdink and Hesselink 2000), less half a cell, as the border runs \
-                 between two centres. Borders that lie behind another part of the face are not seen.",
-        frames: "Wall frame, metres. The mask is 1 where a block may stand, 0 elsewhere; its grid is the extent of the face in \
-                 whole multiples of the cell, and one cell around.",
-        fails: "The mesh is not in the wall frame (`transform-crs`); no place is left; the grid would have more than 1.5e8 \
-                cells.",
-        example: "rockface: 1\nname: where-blocks-may-stand\nseed: 1\nsteps:\n  face: {stage: synthesise-face, with: {width_m: 4, height_m: 3}}\n  \
-                  zone: {stage: mask-safe-zone, in: {mesh: face.mesh}, with: {offset_m: 0.4}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("mask_safe_zone.md"));
     const INPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The face, wall frame.")];
     const OUTPUTS: &'static [Port] =
         &[Port::one("zone", &[Kind::Raster], "Mask, band `zone`: 1 where a block may stand.")];

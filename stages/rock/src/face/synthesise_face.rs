@@ -114,26 +114,7 @@ impl Stage for SynthesiseFace {
     type Params = SynthesiseFaceParams;
     const NAME: &'static str = "synthesise-face";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Makes a rock face where none was surveyed: self-affine relief, broken by joint sets and beds into blocks that \
-               stand out by different amounts or have fallen out, with worn edges, texture and overhangs where asked. One \
-               sheet with its mean elevation at zero.",
-        method: "Sum of octaves of cubic B-spline noise with amplitude ~ wavelength^H (Musgrave 1993), without tilt and \
-                 scaled to the asked root mean square. Joints, irregularly spaced, cut along strike and open on part of \
-                 their area, bound blocks, each raised by the sum of its sets' draws or missing; the face is their outermost \
-                 rock along a direction tilted down from Z by `overhang_deg`, so steps lie on joint planes, and undersides of blocks \
-                 overhang by up to that angle. A sheet over a plane along one direction cannot meet itself.",
-        frames: "Wall frame, metres: X to the right, Y up, Z out of the rock; triangles counter-clockwise seen along that \
-                 direction. With overhangs the rim of the face follows its relief.",
-        fails: "The face would have fewer than 2 x 2 or more than 1e8 vertices, or more than 1e6 joints of a set; blocks stand \
-                out further than the joints are apart.",
-        example: "rockface: 1\nname: a-face\nseed: 2747\nsteps:\n  face:\n    stage: synthesise-face\n    \
-                  with:\n      width_m: 4\n      height_m: 3\n      spacing_m: 0.05\n      overhang_deg: 20\n      \
-                  fallen_share: 0.05\n      joints:\n        \
-                  - {dip_deg: 80, direction_deg: 40, spacing_m: 0.9, step_m: 0.3}\n        \
-                  - {dip_deg: 60, direction_deg: 170, spacing_m: 1.2, step_m: 0.2, persistence: 0.7}\n      \
-                  bedding: {thickness_m: 0.5}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("synthesise_face.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The face, wall frame.")];
 

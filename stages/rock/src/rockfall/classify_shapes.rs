@@ -25,22 +25,7 @@ impl Stage for ClassifyShapes {
     type Params = ClassifyShapesParams;
     const NAME: &'static str = "classify-shapes";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Gives each body of an inventory, a table or a file of meshes its ratios of axes and its class of shape, and counts \
-               the classes. Bodies without three axes are counted and left out.",
-        method: "Sneed and Folk (1958, Journal of Geology 66, 114-150): S/L in steps at 0.3, 0.5 and 0.7 against \
-                 (L - I)/(L - S) in steps at 0.33 and 0.67; sphericity (S^2/(L I))^(1/3). Axes of meshes are the sides of the \
-                 oriented bounding box of their convex hull.",
-        frames: "Axes in metres, or any one unit; ratios have none.",
-        fails: "There is no such column, `axes` does not name three columns, or no body has three axes.",
-        example: "\
-rockface: 1
-name: shapes
-steps:
-  found:  {stage: import-inventory, with: {path: rockfalls.geojson, frame: wall}}
-  shapes: {stage: classify-shapes, in: {bodies: found.inventory}, with: {axes: [length_m, width_m, depth_m]}}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("classify_shapes.md"));
     const INPUTS: &'static [Port] = &[Port::one(
         "bodies",
         &[Kind::Inventory, Kind::Table, Kind::Meshes],

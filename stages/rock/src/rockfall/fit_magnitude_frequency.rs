@@ -26,23 +26,7 @@ impl Stage for FitMagnitudeFrequency {
     type Params = FitMagnitudeFrequencyParams;
     const NAME: &'static str = "fit-magnitude-frequency";
     const VERSION: u32 = 2;
-    const PAGE: Page = Page {
-        what: "Fits N(>= V) = n (V / V_min)^-b to the volumes of an inventory, and tabulates how many are at least as large as \
-               each. Rows without a positive volume are counted and left out. Of fewer than `least_count` volumes, or equal ones, \
-               there is no law: its numbers are empty, with a warning, and the curve is there all the same.",
-        method: "Maximum likelihood b = n / sum ln(V / V_min), standard error b / sqrt(n); V_min by the smallest \
-                 Kolmogorov-Smirnov distance (Clauset, Shalizi and Newman 2009, SIAM Review 51, 661-703; their exponent is \
-                 b + 1). Volumes below V_min are the roll-over: what a survey misses, or what does not follow the law.",
-        frames: "Volumes in cubic metres; b and the distance have no unit.",
-        fails: "There is no such column.",
-        example: "\
-rockface: 1
-name: magnitude-and-frequency
-steps:
-  found: {stage: import-inventory, with: {path: rockfalls.geojson, frame: wall}}
-  law:   {stage: fit-magnitude-frequency, in: {volumes: found.inventory}, with: {column: volume_m3}}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("fit_magnitude_frequency.md"));
     const INPUTS: &'static [Port] =
         &[Port::one("volumes", &[Kind::Inventory, Kind::Table], "One volume a row, such as a ground truth.")];
     const OUTPUTS: &'static [Port] = &[

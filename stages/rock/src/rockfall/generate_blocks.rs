@@ -56,30 +56,7 @@ impl Stage for GenerateBlocks {
     type Params = GenerateBlocksParams;
     const NAME: &'static str = "generate-blocks";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "States an unbounded sequence of candidate blocks for `remove-blocks`. Candidate n is a pure function of this \
-               and of n: its class by the classes' probabilities, a base shape, its size, then the modifiers in their order. Every \
-               number can be drawn from a distribution. The log tells how the first 40 candidates come out.",
-        method: "Procedural generators and modifiers of the paper (section 2.1.1, Algorithm 1, lines 7 to 11). Convex hulls and \
-                 the check for self-intersection use exact predicates (Barber et al. 1996, Shewchuk 1997), joint orientations \
-                 Fisher (1953), sliding on planes and wedges the test of Markland (1972), forms Sneed and Folk (1958), \
-                 uniform over the class's field of their diagram with S / L of at least 0.05. Distributions are sampled by inversion. A \
-                 target volume is met exactly. A block that is no closed, outward solid free of self-intersections is rejected, \
-                 and counted by reason where it is used: keep roughness small against the edges.",
-        frames: "Metres, cubic metres, degrees. Blocks are in the axes of the wall frame (X along the face, Y up, Z out of the \
-                 rock), centred at their volume centroid. Joint sets are given in the world by dip and dip direction clockwise \
-                 from north, with X east, Y north, Z up; `transform` or `face` relates them to the wall.",
-        fails: "No class has a probability; joint sets without `face` or `transform`, or with both; a class of the shape \
-                `library` without such blocks; a distribution that can leave the range of its parameter; a file without the \
-                column; all of the first 40 candidates are rejected.",
-        example: "rockface: 1\nname: candidates\nseed: 1\nsteps:\n  blocks:\n    stage: generate-blocks\n    with:\n      \
-                  classes:\n        - name: slab\n          probability: 2\n          shape: prism\n          \
-                  size: {volume: {volume_m3: {power_law: {exponent: 0.6, min: 0.01, max: 1}}, depth_ratio: 0.3}}\n          \
-                  edge_m: 0.15\n        - shape: {joint_block: {sets: [{dip_deg: 60, dip_direction_deg: 190, fisher_k: 200}, \
-                  {dip_deg: 80, dip_direction_deg: 100}, {dip_deg: 10, dip_direction_deg: 0}]}}\n      \
-                  modifiers:\n        - roughness: {sigma_m: 0.01, edge_m: 0.15, correlation_m: 0.1}\n      \
-                  face: {dip_deg: 85, dip_direction_deg: 180}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("generate_blocks.md"));
     const INPUTS: &'static [Port] = &[
         Port::optional("library", &[Kind::Meshes], "Blocks for classes of the shape `library`."),
         Port::optional(

@@ -65,23 +65,7 @@ impl Stage for ImportBlocks {
     type Params = ImportBlocksParams;
     const NAME: &'static str = "import-blocks";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Reads blocks from mesh files, such as those of a kinematic analysis, a removed volume or a scanned boulder; a file is \
-               a block, or with `split` each of its pieces. Blocks keep their positions, and without modifiers their \
-               vertices to the bit. `remove-blocks` takes them one after the other; `generate-blocks` takes them as a `library`.",
-        method: "Paper, section 2.1.1, Algorithm 1, lines 12 to 18: enforce convexity, subdivide, add noise, transform to the \
-                 working frame. Repaired where that moves no surface: vertices at one place to the bit are merged, triangles without \
-                 area or repeated ones dropped, triangles turned to agree and to face outwards. Then each block must be \
-                 closed, in one piece, manifold and free of self-intersections (exact predicates, Shewchuk 1997).",
-        frames: "Metres. From `frame`; with `transform` from world to wall, by the same arithmetic as the face, so that vertices shared \
-                 with it stay shared.",
-        fails: "No file, or one that is no PLY, OBJ or STL; a block with holes, edges of three triangles, several pieces or \
-                a surface through itself (`self_intersections: smooth`, `modifiers` that end with `convex_hull`, `split`, or a repair in MeshLab help); a `transform` for \
-                blocks that are in the wall frame already.",
-        example: "rockface: 1\nname: own-blocks\nsteps:\n  blocks:\n    stage: import-blocks\n    with:\n      \
-                  path: \"blocks/*.ply\"\n      modifiers:\n        - convex_hull\n        - subdivide: {edge_m: 0.1}\n        - \
-                  noise: {sigma_m: 0.01}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("import_blocks.md"));
     const INPUTS: &'static [Port] =
         &[Port::optional("transform", &[Kind::Transform], "wall_from_world, for blocks in the world frame.")];
     const OUTPUTS: &'static [Port] =

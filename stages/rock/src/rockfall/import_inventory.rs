@@ -34,21 +34,7 @@ impl Stage for ImportInventory {
     type Params = ImportInventoryParams;
     const NAME: &'static str = "import-inventory";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Reads a rockfall inventory, such as a ground truth of an earlier run or the rockfalls found on a real face, with \
-               the outline and the properties of each.",
-        method: "GeoJSON (RFC 7946). Properties of other programs become columns in alphabetical order, empty where a feature \
-                 lacks one; lists and objects become text; heights of points are left out.",
-        frames: "Outlines in metres in the frame the file names in its member `rockface`, or the one given.",
-        fails: "The file is no GeoJSON feature collection, has other geometries than polygons, or rings that are not closed.",
-        example: "\
-rockface: 1
-name: real-rockfalls
-steps:
-  found: {stage: import-inventory, with: {path: rockfalls.geojson, frame: wall}}
-  law:   {stage: fit-magnitude-frequency, in: {volumes: found.inventory}, with: {column: volume_m3}}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("import_inventory.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[Port::one("inventory", &[Kind::Inventory], "The rockfalls.")];
 

@@ -16,25 +16,7 @@ impl Stage for JoinInventories {
     type Params = JoinInventoriesParams;
     const NAME: &'static str = "join-inventories";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Puts the rockfalls of many inventories into one, such as those of all epochs of a benchmark: for magnitude and \
-               frequency, shapes, detectability and figures of all of them. The item of each gathered axis becomes a leading column.",
-        method: "Features keep the order of the gathered list and of their inventories; columns are united in the order they are \
-                 first met, and empty where an inventory has none.",
-        frames: "All inventories in one frame.",
-        fails: "Different frames; an axis called like a column.",
-        example: "\
-rockface: 1
-name: all-epochs
-seed: 3
-axes: {epoch: {count: 3}}
-steps:
-  face:   {stage: synthesise-face, with: {width_m: 4, height_m: 3, spacing_m: 0.1}}
-  blocks: {stage: generate-blocks, over: [epoch]}
-  fallen: {stage: remove-blocks, in: {mesh: face.mesh, blocks: blocks.blocks}, with: {count: 2}}
-  all:    {stage: join-inventories, in: {inventories: {each: fallen.truth, over: [epoch]}}}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("join_inventories.md"));
     const INPUTS: &'static [Port] =
         &[Port::many("inventories", &[Kind::Inventory], "Inventories, gathered over any axes.")];
     const OUTPUTS: &'static [Port] = &[Port::one("inventory", &[Kind::Inventory], "All rockfalls.")];

@@ -37,23 +37,7 @@ impl Stage for PlaceBlocks {
     type Params = PlaceBlocksParams;
     const NAME: &'static str = "place-blocks";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Makes the density that `remove-blocks` draws positions from. Without `weights` it is uniform over the safe zone. With \
-               `weights` it is uneven: a raster with a band for each class of blocks or one band for all, whose values are \
-               relative densities; or a map of labels, such as stratigraphy or a mask, with a weight for each label in \
-               `units`. Values need no scale.",
-        method: "Paper, section 2.1.1 (uniform placement) and its announced next step (probability rasters by class). Each band \
-                 is set to 0 outside the safe zone and where its weight is missing, and scaled to an integral of 1. Weights on \
-                 another grid are taken at the centres of the zone's cells, from the cell these lie in.",
-        frames: "Wall frame; density in 1/m2 of the XY plane of the wall.",
-        fails: "The zone is empty; zone and weights are in different frames or do not overlap; a negative weight; a class of \
-                `blocks` without a band of its own where there is none for all; a band without weight anywhere in the zone; a band \
-                or unit of a class that `blocks` does not have.",
-        example: "rockface: 1\nname: where-blocks-stand\nsteps:\n  zone: {stage: import-rasters, with: {path: zone.tif, quantity: mask}}\n  \
-                  strata: {stage: import-rasters, with: {path: strata.tif, quantity: mask}}\n  \
-                  density:\n    stage: place-blocks\n    in: {zone: zone.raster, weights: strata.raster}\n    \
-                  with:\n      units:\n        - {label: 1, weight: 1}\n        - {label: 2, weight: 5, class: slab}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("place_blocks.md"));
     const INPUTS: &'static [Port] = &[
         Port::one(
             "zone",

@@ -20,19 +20,7 @@ impl Stage for RasteriseInventory {
     type Params = RasteriseInventoryParams;
     const NAME: &'static str = "rasterise-inventory";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Draws the outlines of an inventory, such as known rockfalls, into a label raster on the grid of another raster: 0 outside \
-               every outline, the label of the feature inside. `apply-mask` with `keep: zero` then leaves the events out.",
-        method: "A cell belongs to an outline where its centre does, holes by the even-odd rule; a later feature covers an \
-                 earlier one. Features without outline are passed over, and counted.",
-        frames: "Outlines are in metres, X and Y of the grid's frame.",
-        fails: "Inventory and grid are in different frames; a label that is missing, or no whole number from 1 to 65535; outlines \
-                that all miss the grid.",
-        example: "rockface: 1\nname: leave-events-out\nsteps:\n  real: {stage: import-rasters, with: {path: real}}\n  \
-                  found: {stage: import-inventory, with: {path: events.geojson, frame: wall}}\n  \
-                  events: {stage: rasterise-inventory, in: {grid: real.raster, inventory: found.inventory}}\n  \
-                  clean: {stage: apply-mask, in: {raster: real.raster, mask: events.raster}, with: {keep: zero, grow_cells: 2}}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("rasterise_inventory.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("grid", &[Kind::Raster], "Any raster on the grid wanted."),
         Port::one("inventory", &[Kind::Inventory], "The outlines."),

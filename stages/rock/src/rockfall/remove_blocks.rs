@@ -129,33 +129,7 @@ impl Stage for RemoveBlocks {
     type Params = RemoveBlocksParams;
     const NAME: &'static str = "remove-blocks";
     const VERSION: u32 = 2;
-    const PAGE: Page = Page {
-        what: "Takes blocks out of a rock face, one candidate after the other, until `count` pieces are out or \
-               `max_failed_attempts` candidates failed in a row. Where the rock inside a block falls apart, each part is a piece \
-               with a number of its own, and they share an event; the pieces of the last event may overshoot `count`, as an \
-               event is taken whole. Gives the face after and the ground truth. Every candidate is in `attempts`, with the reason \
-               for its rejection.",
-        method: "Paper, section 2.1.1, Algorithm 1, lines 5 to 40. Without `placement`, candidates of a sequence stand uniformly on \
-                 the zone (or on what faces along Z), and meshes stay where they are; with a density they are drawn from it, with \
-                 a table they take its rows in order. Blocks aligned to the normal are turned by the shortest way from Z to it. A \
-                 block is moved along `direction` to where the product of niche area and rock volume is greatest (48 columns \
-                 a side, 64 offsets, golden section). The rock under it, closed to a solid, and the block are intersected and \
-                 subtracted (exact Boolean with symbolic perturbation, Smith 2009, the Manifold library); a candidate is refused \
-                 (`boolean`) unless the volume removed is that between the surfaces before and after to 1e-9. Pieces that fall \
-                 short keep their rock. Vertices and triangles that no block touches stay as they are and in order; new ones \
-                 follow; vertices on rock that went stay in the list without a triangle. Several candidates are tried at a time \
-                 with the result of one at a time.",
-        frames: "Wall frame, metres. Rasters: `labels` holds the number of the piece a cell lost, 0 for none; `depth` metres lost \
-                 along Z, NaN where there is no face.",
-        fails: "The mesh, zone or blocks are not in the wall frame; no candidate is accepted, or with `fewer: fail` fewer than \
-                `count`; a placement without a band for a class; a table without `x_m` and `y_m`; a row asking for a class \
-                that does not come. A mesh that is no oriented manifold rejects the blocks that touch the fault \
-                (`mesh_defect`).",
-        example: "rockface: 1\nname: rockfall\nseed: 1\nsteps:\n  face: {stage: synthesise-face, with: {width_m: 6, height_m: 5, spacing_m: 0.1}}\n  \
-                  blocks: {stage: generate-blocks}\n  zone: {stage: mask-safe-zone, in: {mesh: face.mesh}}\n  \
-                  after:\n    stage: remove-blocks\n    in: {mesh: face.mesh, blocks: blocks.blocks, zone: zone.zone}\n    \
-                  with: {count: 3, min_depth_m: 0.05, min_volume_m3: 0.001}\n",
-    };
+    const PAGE: Page = Page::new(include_str!("remove_blocks.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("mesh", &[Kind::Mesh], "The face before, wall frame."),
         Port::one(

@@ -37,22 +37,7 @@ impl Stage for SelectFeatures {
     type Params = SelectFeaturesParams;
     const NAME: &'static str = "select-features";
     const VERSION: u32 = 1;
-    const PAGE: Page = Page {
-        what: "Keeps the rockfalls of an inventory whose properties lie in ranges or are among given words, and that keep a distance \
-               from the border of the survey: verified detections, for instance, before they become blocks.",
-        method: "A condition on numbers holds for no feature without a number there. Distance from the border is that of the corners of the \
-                 outlines, by cells in rows and columns (paper, section 2.3, leaves out detachments at the edges). With `count: 0` the inventory is \
-                 empty but in its frame and with its columns.",
-        frames: "As the inventory; `inside` in the same frame.",
-        fails: "There is no such column; different frames.",
-        example: "\
-rockface: 1
-name: large-ones
-steps:
-  found: {stage: import-inventory, with: {path: rockfalls.geojson, frame: wall}}
-  large: {stage: select-features, in: {inventory: found.inventory}, with: {keep: [{column: volume_m3, min: 0.1}, {column: outcome, is: [true_positive]}]}}
-",
-    };
+    const PAGE: Page = Page::new(include_str!("select_features.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("inventory", &[Kind::Inventory], "The rockfalls."),
         Port::optional("inside", &[Kind::Raster], "The raster whose border counts."),
