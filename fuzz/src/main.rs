@@ -51,11 +51,7 @@ enum Command {
     Seeds,
     /// The work of a child: damaged files from a number on.
     #[command(hide = true)]
-    Work {
-        target: String,
-        seed: u64,
-        first: u64,
-    },
+    Work { target: String, seed: u64, first: u64 },
     /// The work of a child: files.
     #[command(hide = true)]
     TryHere { target: String, files: Vec<PathBuf> },

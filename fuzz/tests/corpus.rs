@@ -6,5 +6,10 @@ use std::process::Command;
 fn corpus_and_regressions_are_stood() {
     let check = Command::new(env!("CARGO_BIN_EXE_rockface-fuzz")).args(["check", "--seconds", "0"]).output();
     let check = check.expect("the program of this package starts");
-    assert!(check.status.success(), "{}{}", String::from_utf8_lossy(&check.stdout), String::from_utf8_lossy(&check.stderr));
+    assert!(
+        check.status.success(),
+        "{}{}",
+        String::from_utf8_lossy(&check.stdout),
+        String::from_utf8_lossy(&check.stderr)
+    );
 }

@@ -188,7 +188,7 @@ impl GcArgs {
             &rows,
             &json!(null),
         )?;
-        let size = bytes(plan.blobs.iter().map(|item| item.bytes).sum());
+        let size = bytes(plan.blobs.iter().map(|item| item.bytes).fold(0, u64::saturating_add));
         let (records, kept) = (plan.records.len(), plan.kept_records);
         let kept_size = bytes(plan.kept_bytes);
         say(&format!(
@@ -270,6 +270,5 @@ fn day(unix_s: u64) -> String {
     if unix_s == 0 {
         return "never".to_owned();
     }
-    let at = std::time::UNIX_EPOCH + std::time::Duration::from_secs(unix_s);
-    humantime::format_rfc3339_seconds(at).to_string()[..10].to_owned()
+    crate::watch::moment(unix_s as f64)[..10].to_owned()
 }

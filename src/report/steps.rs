@@ -252,7 +252,7 @@ fn step(linker: &Linker, name: &str, instances: &[&StepDone]) -> StepView {
         wall: duration(wall_s),
         wall_s,
         share: 0.0,
-        size: bytes(outputs().map(|(_, _, output)| output.bytes).sum()),
+        size: bytes(outputs().map(|(_, _, output)| output.bytes).fold(0, u64::saturating_add)),
         media: Vec::new(),
         tables: Vec::new(),
         more: instances.len().saturating_sub(SHOWN),

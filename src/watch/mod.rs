@@ -140,8 +140,23 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
+/// A time as RFC 3339 writes it, to the second. One beyond its years, as damaged files may tell, is the nearest it has.
+pub fn moment(since_1970_s: f64) -> String {
+    // 9999-12-31T23:59:59Z.
+    const LAST_S: f64 = 253_402_300_799.0;
+    let since = std::time::Duration::try_from_secs_f64(since_1970_s.clamp(0.0, LAST_S)).unwrap_or_default();
+    humantime::format_rfc3339_seconds(std::time::UNIX_EPOCH + since).to_string()
+}
+
 #[cfg(test)]
 mod tests {
+    #[test]
+    fn no_time_is_too_late_to_be_written() {
+        let written = [1.7e9, -1.0, f64::NAN, u64::MAX as f64, f64::INFINITY].map(super::moment);
+        let (first, last) = ("1970-01-01T00:00:00Z", "9999-12-31T23:59:59Z");
+        assert_eq!(written, ["2023-11-14T22:13:20Z", first, first, last, last]);
+    }
+
     #[test]
     fn durations_read_well() {
         let said = [0.04, 9.96, 119.0, 200.4, 7500.0].map(super::duration);

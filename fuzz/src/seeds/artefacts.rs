@@ -69,7 +69,8 @@ pub fn hills() -> Mesh {
 pub fn whole_cloud() -> Cloud {
     let points = hills().vertices;
     let count = points.len();
-    let numbers = BTreeMap::from([("views".to_owned(), vec![2; count]), ("id".to_owned(), (0..count as u32).collect())]);
+    let numbers =
+        BTreeMap::from([("views".to_owned(), vec![2; count]), ("id".to_owned(), (0..count as u32).collect())]);
     let (normals, colours) = (vec![[0.0, 0.0, 1.0]; count], vec![[9, 8, 7]; count]);
     Cloud { frame: Frame::World, points, normals, colours, numbers }
 }
@@ -157,7 +158,8 @@ fn files() -> Files {
 }
 
 fn inventory() -> Inventory {
-    let square = |at: f64, side: f64| vec![[at, at], [at + side, at], [at + side, at + side], [at, at + side], [at, at]];
+    let square =
+        |at: f64, side: f64| vec![[at, at], [at + side, at], [at + side, at + side], [at, at + side], [at, at]];
     let mut hole = square(0.2, 0.2);
     hole.reverse();
     let outline = vec![Polygon { exterior: square(0.0, 1.0), holes: vec![hole] }];

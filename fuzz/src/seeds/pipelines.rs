@@ -46,7 +46,10 @@ const LANGUAGE: [(&str, &str); 6] = [
          synthesise-face}\n  plan: {stage: plan-survey, in: {mesh: face.mesh}}\n  depth: {stage: project-depth, with: {image: \
          \"${image}\"}, in: {mesh: face.mesh, cameras: plan.cameras}}\n",
     ),
-    ("anchors", "rockface: 1\nparams: &p {a: 1, b: [1, 2, {c: 3}], d: \"x\\ty\"}\nsteps:\n  face:\n    stage: synthesise-face\n"),
+    (
+        "anchors",
+        "rockface: 1\nparams: &p {a: 1, b: [1, 2, {c: 3}], d: \"x\\ty\"}\nsteps:\n  face:\n    stage: synthesise-face\n",
+    ),
 ];
 
 /// Seeds of pipelines, of what is given on the command line, and of the tree of a pipeline.
@@ -81,7 +84,8 @@ fn tree() -> io::Result<Vec<u8>> {
     let (path, trees) = (folder.path().join("long.yaml"), folder.path().join("trees"));
     std::fs::create_dir(&trees)?;
     std::fs::write(&path, long_text())?;
-    Pipeline::load(&path, &Overrides::default(), Some(&trees)).map_err(|faults| io::Error::other(faults.render(false)))?;
+    Pipeline::load(&path, &Overrides::default(), Some(&trees))
+        .map_err(|faults| io::Error::other(faults.render(false)))?;
     let files = crate::corpus::files(&trees)?;
     let file = files.first().ok_or_else(|| io::Error::other("no tree was kept"))?;
     let bytes = std::fs::read(file)?;

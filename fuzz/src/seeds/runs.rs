@@ -3,9 +3,7 @@
 use std::collections::BTreeMap;
 use std::io;
 
-use rockface::history::{
-    FORMAT, FileUsed, IncludedText, Manifest, Metric, Overridden, PipelineText, StepDone,
-};
+use rockface::history::{FORMAT, FileUsed, IncludedText, Manifest, Metric, Overridden, PipelineText, StepDone};
 use rockface_cache::{Cost, Digest, Gathered, OutputRecord, Recipe, RecipeInput, Record, SeedMaterial, Store};
 use rockface_stages::Entry;
 use serde_json::json;
@@ -16,7 +14,8 @@ use crate::targets::{QUESTION, sealed};
 /// Seeds of run folders and stores.
 pub fn all() -> io::Result<Vec<Seed>> {
     let segment = segment()?;
-    let answer = json!({"question": Digest::of(QUESTION), "paths": [], "segments": [], "blobs": [], "answer": {"steps": 3}});
+    let answer =
+        json!({"question": Digest::of(QUESTION), "paths": [], "segments": [], "blobs": [], "answer": {"steps": 3}});
     Ok(vec![
         seed("manifest", "two-steps", manifest().text()),
         seed("step-log", "every-kind", serde_json::to_vec(&entries())?),

@@ -51,12 +51,7 @@ pub fn run(stage: &str, with: &Value, host: &Files, inputs: &[(&str, Artefact)])
 }
 
 /// What a stage makes of parameters that are right.
-pub fn made(
-    stage: &str,
-    with: &Value,
-    host: &Files,
-    inputs: &[(&str, Artefact)],
-) -> Result<Vec<Artefact>, StageError> {
+pub fn made(stage: &str, with: &Value, host: &Files, inputs: &[(&str, Artefact)]) -> Result<Vec<Artefact>, StageError> {
     let stage = rockface_stages::find(stage).expect("a target names a stage that is there");
     let checked = stage.check(with).expect("the parameters of a target are right");
     let mut given = Inputs::default();

@@ -16,7 +16,8 @@ use crate::parts::cut;
 
 /// The second part of a case stands for the included file of this name, the third for the next.
 pub const INCLUDED: [&str; 2] = ["part1.yaml", "part2.yaml"];
-/// Plans of more instances are not expanded: what is asked for is had, and takes its time.
+/// Plans of more instances, or of axes with more points between them, are not expanded: what is asked for is had, and takes
+/// its time and memory.
 const INSTANCES: usize = 5000;
 
 /// A folder with the files that seeds name, and a store that holds nothing.
@@ -102,6 +103,9 @@ pub fn tree(bytes: &[u8]) -> Verdict {
 fn planned(pipeline: Result<Pipeline, Diagnostics>, store: &Store) -> Verdict {
     let planned = pipeline.and_then(|pipeline| {
         let graph = resolve(&pipeline, &[], rockface_stages::all())?;
+        if graph.axes.iter().fold(1, |points: usize, axis| points.saturating_mul(axis.items.len().max(1))) > INSTANCES {
+            return Ok(());
+        }
         draw(&graph);
         let told = |list| Diagnostics { sources: pipeline.sources.clone(), list };
         if counts(&graph).map_err(told)?.iter().fold(0, |sum: usize, count| sum.saturating_add(*count)) > INSTANCES {

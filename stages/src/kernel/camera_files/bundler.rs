@@ -39,7 +39,8 @@ pub fn read(text: &str, list: Option<&str>, [width, height]: [u32; 2], frame: Fr
     whole(&mut numbers, "the count of points")?;
     let names = names(list, count)?;
     let (mut sensors, mut images, mut left_out) = (Vec::new(), Vec::new(), Vec::new());
-    for (number, name) in names.into_iter().enumerate() {
+    for number in 0..count {
+        let name = names.as_ref().map_or_else(|| format!("image{number}"), |names| names[number].clone());
         let camera = values(&mut numbers, &name)?;
         if camera[0] == 0.0 {
             left_out.push(name);
@@ -60,15 +61,15 @@ fn whole<'a>(words: &mut impl Iterator<Item = &'a str>, what: &str) -> Result<us
     word.parse().map_err(|_| StageError::new(format!("{what} is not there: `{word}`")))
 }
 
-/// The first word of each line that has one.
-fn names(list: Option<&str>, count: usize) -> Result<Vec<String>, StageError> {
-    let Some(list) = list else { return Ok((0..count).map(|i| format!("image{i}")).collect()) };
+/// The first word of each line that has one; `None` without a list, however many cameras the file says it has.
+fn names(list: Option<&str>, count: usize) -> Result<Option<Vec<String>>, StageError> {
+    let Some(list) = list else { return Ok(None) };
     let names: Vec<String> =
         list.lines().filter_map(|line| line.split_whitespace().next()).map(str::to_owned).collect();
     if names.len() != count {
         fail!("list.txt names {} images, the Bundler file has {count} cameras", names.len());
     }
-    Ok(names)
+    Ok(Some(names))
 }
 
 /// f, k1, k2, the rows of R, t.
@@ -184,6 +185,7 @@ mod tests {
         says(&FILE.replace("0 -1 0\n", "0 nan 0\n"), None, "R is not a rotation");
         says("# Bundle file v0.3\n1 0\n1 2", None, "camera `image0`: number 3 of 15");
         says("# Bundle file v0.3\nx", None, "the count of cameras");
+        says(&format!("# Bundle file v0.3\n{} 0\n", usize::MAX), None, "camera `image0`: number 1 of 15");
     }
 
     #[test]
