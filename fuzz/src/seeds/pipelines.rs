@@ -18,7 +18,7 @@ const LANGUAGE: [(&str, &str); 6] = [
         "rockface: 1\nseed: 3\nparams: {cells: [0.25, 0.5], half_m: 2}\naxes:\n  epoch: {items: [pre, post]}\n  trial: {count: 4}\n  \
          sigma_px: {values: [0.4, 0.8]}\n  cell_m: {values: \"${cells}\"}\nsteps:\n  face: {stage: synthesise-face, over: [trial], \
          keep: false, log: brief, with: {width_m: \"${half_m}\", height_m: 6}}\n  dem: {stage: rasterise-dem, stream: both, \
-         in: {mesh: face.mesh}, with: {cell_m: \"${cell_m}\"}}\n  table: {stage: tabulate, in: {rows: {each: dem.dem, \
+         in: {surface: face.mesh}, with: {cell_m: \"${cell_m}\"}}\n  table: {stage: tabulate, in: {rows: {each: dem.raster, \
          over: [cell_m, trial]}}}\ntargets: [dem]\n",
     ),
     (
@@ -30,14 +30,14 @@ const LANGUAGE: [(&str, &str); 6] = [
     (
         "zip",
         "rockface: 1\naxes: {a: {values: [1, 2]}, b: {values: [3, 4]}}\nzip: [a, b]\nlog: none\nsteps:\n  face: {stage: \
-         synthesise-face, with: {width_m: \"${a}\", height_m: \"${b}\"}}\n  one: {stage: rasterise-dem, in: {mesh: \
+         synthesise-face, with: {width_m: \"${a}\", height_m: \"${b}\"}}\n  one: {stage: rasterise-dem, in: {surface: \
          \"face.mesh[a=2]\"}}\n",
     ),
     (
         "chain",
         "rockface: 1\nseed: 1\naxes: {epoch: {items: [e0, e1, e2]}}\nsteps:\n  face: {stage: synthesise-face}\n  blocks: {stage: \
          generate-blocks}\n  worn: {stage: remove-blocks, over: [epoch], in: {mesh: {from: \"worn.mesh[epoch=prev]\", first: \
-         face.mesh}, blocks: blocks.candidates}, with: {count: 2}}\n  dem: {stage: rasterise-dem, in: {mesh: {by: epoch, e0: \
+         face.mesh}, blocks: blocks.candidates}, with: {count: 2}}\n  dem: {stage: rasterise-dem, in: {surface: {by: epoch, e0: \
          face.mesh, else: worn.mesh}}}\n",
     ),
     (
@@ -68,10 +68,10 @@ pub fn all() -> io::Result<Vec<Seed>> {
     let main = "rockface: 1\nname: two\ninclude: [part1.yaml, part2.yaml]\ntargets: [dem]\n";
     let parts = [
         "rockface: 1\nparams: {width_m: 3}\nsteps: {face: {stage: synthesise-face, with: {width_m: \"${width_m}\"}}}\n",
-        "rockface: 1\ninclude: part1.yaml\nsteps: {dem: {stage: rasterise-dem, in: {mesh: face.mesh}}}\n",
+        "rockface: 1\ninclude: part1.yaml\nsteps: {dem: {stage: rasterise-dem, in: {surface: face.mesh}}}\n",
     ];
     seeds.push(seed("pipeline", "include", joined(&[main.as_bytes(), parts[0].as_bytes(), parts[1].as_bytes()])));
-    let given = "params.width_m=5\nsteps.face.with.height_m=4.5\naxes.replicate.count=2\n%params.cell_m=0.1..0.4:4\n";
+    let given = "params.width_m=5\nsteps.face.with.height_m=4.5\naxes.replicate.count=2\n%steps.face.with.relief_m=0.1..0.4:4\n";
     seeds.push(seed("overrides", "all", given));
     seeds.push(seed("overrides", "values", "steps.dem.with={cell_m: 0.25}\n%steps.face.with.relief_m=0.1,0.2\n"));
     seeds.push(seed("tree", "fixed", tree()?));

@@ -53,10 +53,10 @@ pub fn text(bytes: &[u8]) -> Verdict {
     planned(Pipeline::of_text(main, included, &main_path, &Overrides::default()), &place.store)
 }
 
-const FIXED: &str = "rockface: 1\nname: fixed\nseed: 3\nparams: {width_m: 4, cell_m: 0.5}\n\
+const FIXED: &str = "rockface: 1\nname: fixed\nseed: 3\nparams: {width_m: 4}\n\
     axes: {replicate: {count: 3}, cell: {values: [0.25, 0.5]}}\nsteps:\n  \
-    face: {stage: synthesise-face, with: {width_m: \"${width_m}\", height_m: 3}}\n  \
-    dem: {stage: rasterise-dem, in: {mesh: face.mesh}, with: {cell_m: \"${cell}\"}}\n";
+    face: {stage: synthesise-face, over: [replicate], with: {width_m: \"${width_m}\", height_m: 3}}\n  \
+    dem: {stage: rasterise-dem, in: {surface: face.mesh}, with: {cell_m: \"${cell}\"}}\n";
 
 /// A line of the case is a `--set`, one that begins with `%` a `--sweep`.
 pub fn overrides(bytes: &[u8]) -> Verdict {
