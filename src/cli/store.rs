@@ -285,6 +285,5 @@ fn day(unix_s: u64) -> String {
     if unix_s == 0 {
         return "never".to_owned();
     }
-    let at = std::time::UNIX_EPOCH + std::time::Duration::from_secs(unix_s);
-    humantime::format_rfc3339_seconds(at).to_string()[..10].to_owned()
+    crate::watch::moment(unix_s as f64)[..10].to_owned()
 }

@@ -1,7 +1,7 @@
 //! Where a report takes its contents from: the manifest, the run folder, and the store.
 
 use std::ops::Deref;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use rockface_cache::{Digest, OutputRecord};
 use rockface_core::artefact::Shown;
@@ -41,7 +41,7 @@ pub struct Preview {
 impl Source<'_> {
     /// The bytes of an output: from the run folder, else from the store; `None` where neither has it.
     pub(super) fn output(&self, done: &StepDone, port: &str, output: &OutputRecord) -> Option<Vec<u8>> {
-        let linked = done.paths.get(port).and_then(|path| std::fs::read(self.folder.join(path)).ok());
+        let linked = done.paths.get(port).and_then(|path| std::fs::read(self.file(path)?).ok());
         // A folder may come from anybody: what is shown is what the run made, and no other file that a link leads to.
         let linked = linked.filter(|bytes| Digest::of(bytes) == output.digest);
         linked.or_else(|| self.blob(&output.digest))
@@ -67,10 +67,12 @@ impl Source<'_> {
         shown.into_iter().filter_map(preview).collect()
     }
 
-    /// The path of a file of the run folder that is there.
+    /// The path of a file of the run folder that is there. A manifest made elsewhere may name files outside of it, or
+    /// devices: they are none of the run's.
     pub(super) fn file(&self, path: &Path) -> Option<PathBuf> {
+        let inside = path.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
         let full = self.folder.join(path);
-        full.is_file().then_some(full)
+        (inside && full.is_file()).then_some(full)
     }
 }
 

@@ -75,3 +75,17 @@ fn runs_side_by_side_tell_what_differs() {
     let page = comparison(&[one, other], None, rockface_core::Registry::default().look()).unwrap();
     assert!(page.contains("noise.cell_m") && page.contains("noise[trial=0].sill") && page.contains("other"));
 }
+
+#[test]
+fn files_outside_of_the_run_folder_are_none_of_the_runs() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    std::fs::create_dir(&run).unwrap();
+    std::fs::write(folder.path().join("private"), "x").unwrap();
+    std::fs::write(run.join("own"), "x").unwrap();
+    let manifest = manifest();
+    let source = Source { folder: &run, manifest: &manifest, store: None, graph: None, logs: None };
+    let has = |path: &Path| source.file(path).is_some();
+    assert!(has(Path::new("own")) && has(Path::new("./own")));
+    assert!(!has(Path::new("../private")) && !has(&folder.path().join("private")) && !has(Path::new("/dev/zero")));
+}

@@ -185,23 +185,37 @@ fn why(policy: &GcPolicy, named: bool, age_s: u64) -> Option<String> {
 /// Lets the longest unused go until the blobs of the others fit.
 fn within_budget(candidates: &mut [Candidate], max_bytes: Option<u64>) {
     let Some(max_bytes) = max_bytes else { return };
-    let mut users: BTreeMap<Digest, u32> = BTreeMap::new();
-    // What records say may be anything; sums of it are wide enough.
-    let mut bytes = 0_u128;
+    // How many name a blob, and its size as the first of them tells it: records of another store may disagree.
+    let mut users: BTreeMap<Digest, (u32, u64)> = BTreeMap::new();
     for (digest, size) in candidates.iter().filter(|one| one.why.is_none()).flat_map(|one| &one.blobs) {
-        let count = users.entry(*digest).or_default();
-        bytes += if *count == 0 { u128::from(*size) } else { 0 };
-        *count += 1;
+        users.entry(*digest).or_insert((0, *size)).0 += 1;
     }
+    let mut bytes: u128 = users.values().map(|(_, size)| u128::from(*size)).sum();
     for candidate in candidates.iter_mut().filter(|one| one.why.is_none() && !one.fixed) {
         if bytes <= u128::from(max_bytes) {
             return;
         }
         candidate.why = Some("the store is larger than its budget, and this was not used for longest".to_owned());
-        for (digest, size) in &candidate.blobs {
-            let count = users.entry(*digest).or_default();
-            *count = count.saturating_sub(1);
+        for (digest, _) in &candidate.blobs {
+            let Some((count, size)) = users.get_mut(digest) else { continue };
+            *count -= 1;
             bytes -= if *count == 0 { u128::from(*size) } else { 0 };
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_on_which_records_disagree_neither_overflow_nor_go_below_nothing() {
+        let told = |key: &[u8], bytes: u64| {
+            let blobs = vec![(Digest::of(b"shared"), bytes), (Digest::of(key), u64::MAX)];
+            Candidate { key: Digest::of(key), used_s: 0, blobs, why: None, fixed: false }
+        };
+        let mut candidates = [told(b"a", 1), told(b"b", u64::MAX)];
+        within_budget(&mut candidates, Some(0));
+        assert!(candidates.iter().all(|candidate| candidate.why.is_some()));
     }
 }

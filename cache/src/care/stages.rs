@@ -39,6 +39,7 @@ fn count(stat: &mut StageStat, seen: &mut BTreeSet<Digest>, record: &Record) {
     stat.wall_s += record.cost.wall_s;
     for output in record.outputs.values().filter(|output| output.kept && seen.insert(output.digest)) {
         stat.blobs += 1;
+        // Records of another store may tell any size.
         stat.bytes = stat.bytes.saturating_add(output.bytes);
     }
 }

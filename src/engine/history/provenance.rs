@@ -5,12 +5,13 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use rockface_cache::RecipeInput;
 use serde_json::{Value, json};
 
 use super::manifest::{Manifest, StepDone};
+use crate::watch::moment;
 
 /// Runs of more instances are described as a whole, without an action for each.
 const ACTIONS_LIMIT: usize = 2000;
@@ -65,11 +66,6 @@ fn address(path: &Path) -> String {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"/._-~,=".contains(&byte);
     let text = path.to_string_lossy();
     text.bytes().map(|byte| if plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") }).collect()
-}
-
-fn time(since_1970_s: f64) -> String {
-    let at = Duration::try_from_secs_f64(since_1970_s).unwrap_or_default();
-    humantime::format_rfc3339_seconds(UNIX_EPOCH + at).to_string()
 }
 
 impl Crate<'_> {
@@ -219,8 +215,8 @@ impl Crate<'_> {
             "actionStatus": if failed { "http://schema.org/FailedActionStatus" } else { "http://schema.org/CompletedActionStatus" },
         });
         if let Some(cost) = &done.cost {
-            action["startTime"] = time(cost.finished_unix_s as f64 - cost.wall_s).into();
-            action["endTime"] = time(cost.finished_unix_s as f64).into();
+            action["startTime"] = moment(cost.finished_unix_s as f64 - cost.wall_s).into();
+            action["endTime"] = moment(cost.finished_unix_s as f64).into();
         }
         self.add(&format!("#step-{number}"), action);
         let control = json!({
@@ -255,7 +251,7 @@ impl Crate<'_> {
         let action = json!({
             "@type": "CreateAction", "name": format!("run of {}", manifest.pipeline.name),
             "instrument": to(PIPELINE), "object": all(given), "result": all(results.iter().cloned()),
-            "startTime": time(ended_s - manifest.wall_s), "endTime": manifest.finished,
+            "startTime": moment(ended_s - manifest.wall_s), "endTime": manifest.finished,
             "actionStatus": format!("http://schema.org/{status}ActionStatus"),
         });
         self.add("#run", action);

@@ -16,6 +16,10 @@ use crate::diagnostic::{Diagnostic, Span};
 const LONG_BYTES: usize = 64 << 10;
 /// Opens every file; trees of another version are none.
 const FORMAT: &str = "rockface tree 1";
+/// Trees that are nested deeper are not believed: the text says itself whether it is nested too deep.
+const DEPTH: usize = 200;
+/// Room that is made for a list before its elements are seen.
+const LIST: usize = 1024;
 
 /// The tree of a text, from the folder if it is there; a new one is put there, if the folder is.
 ///
@@ -56,7 +60,7 @@ fn read(bytes: &[u8], digest: &Digest, text: &str, source: usize) -> Option<Node
     if told != (digest.to_string().as_str(), Digest::of(body).to_string().as_str()) {
         return None;
     }
-    let mut reader = Reader { body, text, source };
+    let mut reader = Reader { body, text, source, depth: 0 };
     let tree = reader.node()?;
     reader.body.is_empty().then_some(tree)
 }
@@ -114,6 +118,8 @@ struct Reader<'a> {
     body: &'a [u8],
     text: &'a str,
     source: usize,
+    /// Lists and maps around what is read now.
+    depth: usize,
 }
 
 impl<'a> Reader<'a> {
@@ -171,10 +177,15 @@ impl<'a> Reader<'a> {
     fn many<T>(&mut self, one: fn(&mut Self) -> Option<T>) -> Option<Vec<T>> {
         // Each takes a byte at least; a larger number is damage.
         let count = self.number().filter(|count| *count <= self.body.len())?;
-        let mut many = Vec::with_capacity(count);
+        let mut many = Vec::with_capacity(count.min(LIST));
+        self.depth += 1;
+        if self.depth > DEPTH {
+            return None;
+        }
         for _ in 0..count {
             many.push(one(self)?);
         }
+        self.depth -= 1;
         Some(many)
     }
 
@@ -206,6 +217,15 @@ mod tests {
             assert_eq!(read(&damaged, &digest, TEXT, 3), None, "{at}");
             assert_eq!(read(&bytes[..at], &digest, TEXT, 3), None, "{at}");
         }
+    }
+
+    #[test]
+    fn a_tree_without_end_is_not_believed() {
+        // Lists of one list each, all at the start of the text; written by nobody, but with the right digests.
+        let body = [b'l', 0, 0, 1].repeat(100_000);
+        let digest = Digest::of(TEXT.as_bytes());
+        let file = [format!("{FORMAT} {digest} {}\n", Digest::of(&body)).as_bytes(), &body].concat();
+        assert_eq!(read(&file, &digest, TEXT, 0), None);
     }
 
     #[test]

@@ -8,7 +8,7 @@ use rockface_cache::Outcome;
 use super::exchange::Found;
 use super::schedule::{Scheduler, Turn};
 use super::state::Status;
-use super::{RunError, };
+use super::RunError;
 use crate::plan::hit;
 
 impl Scheduler<'_> {

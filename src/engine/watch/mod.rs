@@ -153,12 +153,27 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
+/// A time as RFC 3339 writes it, to the second. One beyond its years, as damaged files may tell, is the nearest it has.
+pub fn moment(since_1970_s: f64) -> String {
+    // 9999-12-31T23:59:59Z.
+    const LAST_S: f64 = 253_402_300_799.0;
+    let since = std::time::Duration::try_from_secs_f64(since_1970_s.clamp(0.0, LAST_S)).unwrap_or_default();
+    humantime::format_rfc3339_seconds(std::time::UNIX_EPOCH + since).to_string()
+}
+
 #[cfg(test)]
 mod tests {
     #[test]
     fn nothing_is_said_that_a_terminal_takes_for_a_command() {
         assert_eq!(super::printable("a\tb\nü"), "a\tb\nü");
         assert_eq!(super::printable("\u{1b}]0;title\u{7}\rend\u{9b}2J"), "\\u{1b}]0;title\\u{7}\\rend\\u{9b}2J");
+    }
+
+    #[test]
+    fn no_time_is_too_late_to_be_written() {
+        let written = [1.7e9, -1.0, f64::NAN, u64::MAX as f64, f64::INFINITY].map(super::moment);
+        let (first, last) = ("1970-01-01T00:00:00Z", "9999-12-31T23:59:59Z");
+        assert_eq!(written, ["2023-11-14T22:13:20Z", first, first, last, last]);
     }
 
     #[test]

@@ -78,13 +78,13 @@ impl Canvas {
 
     /// The colour of a pixel, where there is one.
     pub fn pixel(&mut self, x: usize, y: usize) -> Option<&mut Colour> {
-        if x < self.width { self.pixels.get_mut(y * self.width + x) } else { None }
+        if x < self.width && y < self.height { self.pixels.get_mut(y * self.width + x) } else { None }
     }
 
-    /// Fills a box.
+    /// Fills a box, as far as it is on the canvas.
     pub fn fill(&mut self, x: usize, y: usize, width: usize, height: usize, colour: Colour) {
-        for row in y..(y + height).min(self.height) {
-            let end = (x + width).min(self.width);
+        for row in y..y.saturating_add(height).min(self.height) {
+            let end = x.saturating_add(width).min(self.width);
             self.pixels[row * self.width + x.min(end)..row * self.width + end].fill(colour);
         }
     }
@@ -92,10 +92,10 @@ impl Canvas {
     /// Draws a line of one pixel around the outside of a box.
     pub fn frame(&mut self, x: usize, y: usize, width: usize, height: usize, colour: Colour) {
         let (left, top) = (x.saturating_sub(1), y.saturating_sub(1));
-        self.fill(left, top, width + 2, 1, colour);
-        self.fill(left, y + height, width + 2, 1, colour);
-        self.fill(left, top, 1, height + 2, colour);
-        self.fill(x + width, top, 1, height + 2, colour);
+        self.fill(left, top, width.saturating_add(2), 1, colour);
+        self.fill(left, y.saturating_add(height), width.saturating_add(2), 1, colour);
+        self.fill(left, top, 1, height.saturating_add(2), colour);
+        self.fill(x.saturating_add(width), top, 1, height.saturating_add(2), colour);
     }
 
     /// Lays another canvas over this one, its upper left corner at a place [x, y].
@@ -158,6 +158,21 @@ impl Canvas {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_lies_beside_the_canvas_is_not_drawn() {
+        let mut canvas = Canvas::new(6, 3);
+        let whole = canvas.clone();
+        for [x, y] in [[usize::MAX; 2], [0, usize::MAX], [usize::MAX, 0]] {
+            canvas.fill(x, y, usize::MAX, 2, [1, 2, 3]);
+            canvas.frame(x, y, usize::MAX, usize::MAX, [1, 2, 3]);
+            assert_eq!(canvas.pixel(x, y), None);
+        }
+        canvas.fill(6, 0, 1, 1, [1, 2, 3]);
+        assert_eq!(canvas.pixels[..6], whole.pixels[..6]);
+        canvas.fill(5, 2, usize::MAX, usize::MAX, [1, 2, 3]);
+        assert_eq!(canvas.pixel(5, 2), Some(&mut [1, 2, 3]));
+    }
 
     #[test]
     fn the_file_holds_what_was_drawn() {

@@ -101,9 +101,39 @@ impl Cameras {
     }
 }
 
+/// A file of another program may name sensors that it does not have.
+fn check(cameras: &Cameras) -> Result<(), super::CodecError> {
+    let sensors = cameras.sensors.len();
+    let lost = cameras.images.iter().find(|image| image.sensor >= sensors);
+    lost.map_or(Ok(()), |image| {
+        let (name, sensor) = (&image.name, image.sensor);
+        let message = format!("image `{name}` refers to sensor number {sensor}, there are {sensors} (counted from 0)");
+        Err(super::CodecError(message))
+    })
+}
+
 super::json_noun!(
-    Cameras,
+    Cameras checked by check,
     fn items(&self) -> Option<Vec<String>> {
         Some(self.images.iter().map(|image| image.name.clone()).collect())
     }
 );
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::artefact::Noun;
+
+    #[test]
+    fn an_image_without_its_sensor_is_refused() {
+        let cameras = Cameras {
+            frame: Frame::Wall,
+            sensors: vec![crate::testing::small_sensor()],
+            images: vec![crate::testing::image_at("a", [0.0; 3], [0.0; 3])],
+        };
+        let text = String::from_utf8(cameras.encode().unwrap()).unwrap();
+        assert_eq!(Cameras::decode(text.as_bytes()).unwrap(), cameras);
+        let lost = Cameras::decode(text.replace("\"sensor\": 0", "\"sensor\": 1").as_bytes()).unwrap_err();
+        assert_eq!(lost.0, "image `a` refers to sensor number 1, there are 1 (counted from 0)");
+    }
+}

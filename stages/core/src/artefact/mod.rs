@@ -221,9 +221,9 @@ impl std::str::FromStr for Kind {
     }
 }
 
-/// Implements [`Noun`] for a type that is kept as JSON.
+/// Implements [`Noun`] for a type that is kept as JSON; `check` says what its parts have to fit each other in.
 macro_rules! json_noun {
-    ($Name:ident $(, $extra:item)*) => {
+    ($Name:ident $(checked by $check:path)? $(, $extra:item)*) => {
         impl super::Noun for $Name {
             const KIND: super::Kind = super::Kind::$Name;
             fn of(artefact: &super::Artefact) -> Option<&Self> {
@@ -233,7 +233,9 @@ macro_rules! json_noun {
                 super::to_json(self)
             }
             fn decode(bytes: &[u8]) -> Result<Self, super::CodecError> {
-                super::from_json(bytes)
+                let value: Self = super::from_json(bytes)?;
+                $( $check(&value)?; )?
+                Ok(value)
             }
             fn memory_bytes(&self) -> usize {
                 std::mem::size_of::<Self>()

@@ -215,7 +215,8 @@ pub fn draw_scale(
     pen: &Pen,
 ) -> Result<(), CodecError> {
     let length_m = round_step(width_px * pixel_m / 8.0);
-    let long = (length_m / pixel_m).round() as usize;
+    // Where a pixel is so large that a length of it is none, the quotient is no number or without bounds.
+    let long = (length_m / pixel_m).round().clamp(0.0, width_px) as usize;
     canvas.fill(x, y - 3, long, 6, INK);
     canvas.fill(x + long / 2, y - 2, long / 2, 4, [255; 3]);
     canvas.fill(x + long.saturating_sub(1), y - 3, 1, 6, INK);

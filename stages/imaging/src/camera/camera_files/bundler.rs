@@ -38,10 +38,9 @@ pub fn read(text: &str, list: Option<&str>, [width, height]: [u32; 2], frame: Fr
     let count = whole(&mut numbers, "the count of cameras")?;
     whole(&mut numbers, "the count of points")?;
     let names = names(list, count)?;
-    let name_of = |number: usize| names.get(number).cloned().unwrap_or_else(|| format!("image{number}"));
     let (mut sensors, mut images, mut left_out) = (Vec::new(), Vec::new(), Vec::new());
     for number in 0..count {
-        let name = name_of(number);
+        let name = names.as_ref().map_or_else(|| format!("image{number}"), |names| names[number].clone());
         let camera = values(&mut numbers, &name)?;
         if camera[0] == 0.0 {
             left_out.push(name);
@@ -62,15 +61,15 @@ fn whole<'a>(words: &mut impl Iterator<Item = &'a str>, what: &str) -> Result<us
     word.parse().map_err(|_| StageError::new(format!("{what} is not there: `{word}`")))
 }
 
-/// The first word of each line that has one; none without a list.
-fn names(list: Option<&str>, count: usize) -> Result<Vec<String>, StageError> {
-    let Some(list) = list else { return Ok(Vec::new()) };
+/// The first word of each line that has one; `None` without a list, however many cameras the file says it has.
+fn names(list: Option<&str>, count: usize) -> Result<Option<Vec<String>>, StageError> {
+    let Some(list) = list else { return Ok(None) };
     let names: Vec<String> =
         list.lines().filter_map(|line| line.split_whitespace().next()).map(str::to_owned).collect();
     if names.len() != count {
         fail!("list.txt names {} images, the Bundler file has {count} cameras", names.len());
     }
-    Ok(names)
+    Ok(Some(names))
 }
 
 /// f, k1, k2, the rows of R, t.
@@ -188,6 +187,7 @@ mod tests {
         says("# Bundle file v0.3\nx", None, "the count of cameras");
         let endless = FILE.replacen("2 1", "9999999999999999 1", 1);
         says(&endless, None, "camera `image2`: number 12 of 15");
+        says(&format!("# Bundle file v0.3\n{} 0\n", usize::MAX), None, "camera `image0`: number 1 of 15");
     }
 
     #[test]

@@ -30,7 +30,8 @@ pub fn covariance(
     }
     for (at, sensor) in sensors.iter().enumerate() {
         if let Some((names, elements)) = &sensor.covariance {
-            blocks.push(interior(at, &sensor.id, names, elements)?);
+            // All its parameters may be ones that cannot be held and are known exactly: no block is left then.
+            blocks.extend(Some(interior(at, &sensor.id, names, elements)?).filter(|(known, _)| !known.is_empty()));
         }
     }
     Ok((!blocks.is_empty()).then(|| united(&blocks, cameras)))

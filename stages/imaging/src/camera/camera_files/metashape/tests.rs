@@ -73,6 +73,13 @@ fn blocks_turn_into_world_units_and_our_names() {
 }
 
 #[test]
+fn a_covariance_of_nothing_that_can_be_held_is_no_block() {
+    let edited = document().replace("f p1 p2", "k5").replace("4 1 2 1 9 3 2 3 16", "0");
+    let covariance = read(&edited, Frame::World).unwrap().covariance.unwrap();
+    assert_eq!(covariance.parameters.len(), 6, "those of the image");
+}
+
+#[test]
 fn a_turn_about_its_own_axes_is_ours_with_the_sign_turned() {
     let r = Rotation3::from_euler_angles(0.3, -0.2, 1.1).into_inner();
     let turn = Vector3::new(1e-3, -2e-3, 5e-4);

@@ -1,0 +1,94 @@
+//! Pipelines: the examples of all stages, those of the repository, and texts with the rest of the language in them.
+
+use std::io;
+
+use rockface_engine::pipeline::{Overrides, Pipeline};
+
+use super::{Seed, seed};
+use crate::corpus::home;
+use crate::parts::joined;
+use crate::targets::long_text;
+
+/// Larger pipelines are left to the tests that plan them.
+const LARGEST_BYTES: usize = 6000;
+
+const LANGUAGE: [(&str, &str); 6] = [
+    (
+        "axes",
+        "rockface: 1\nseed: 3\nparams: {cells: [0.25, 0.5], half_m: 2}\naxes:\n  epoch: {items: [pre, post]}\n  trial: {count: 4}\n  \
+         sigma_px: {values: [0.4, 0.8]}\n  cell_m: {values: \"${cells}\"}\nsteps:\n  face: {stage: synthesise-face, over: [trial], \
+         keep: false, log: brief, with: {width_m: \"${half_m}\", height_m: 6}}\n  dem: {stage: rasterise-dem, stream: both, \
+         in: {surface: face.mesh}, with: {cell_m: \"${cell_m}\"}}\n  table: {stage: tabulate, in: {rows: {each: dem.raster, \
+         over: [cell_m, trial]}}}\ntargets: [dem]\n",
+    ),
+    (
+        "sample",
+        "rockface: 1\nseed: 9\naxes: {p: {sample: latin-hypercube, count: 8, over: {a_m: [1, 2], b_m: {log: [0.1, 1]}}}, \
+         q: {sample: sobol, count: 3, over: {c_m: [0.1, 2]}}}\nsteps:\n  face: {stage: synthesise-face, with: {width_m: \
+         \"${p.a_m}\", height_m: \"${q.c_m}\", relief_m: \"${p.b_m}\"}}\n",
+    ),
+    (
+        "zip",
+        "rockface: 1\naxes: {a: {values: [1, 2]}, b: {values: [3, 4]}}\nzip: [a, b]\nlog: none\nsteps:\n  face: {stage: \
+         synthesise-face, with: {width_m: \"${a}\", height_m: \"${b}\"}}\n  one: {stage: rasterise-dem, in: {surface: \
+         \"face.mesh[a=2]\"}}\n",
+    ),
+    (
+        "chain",
+        "rockface: 1\nseed: 1\naxes: {epoch: {items: [e0, e1, e2]}}\nsteps:\n  face: {stage: synthesise-face}\n  blocks: {stage: \
+         generate-blocks}\n  worn: {stage: remove-blocks, over: [epoch], in: {mesh: {from: \"worn.mesh[epoch=prev]\", first: \
+         face.mesh}, blocks: blocks.candidates}, with: {count: 2}}\n  dem: {stage: rasterise-dem, in: {surface: {by: epoch, e0: \
+         face.mesh, else: worn.mesh}}}\n",
+    ),
+    (
+        "from",
+        "rockface: 1\nseed: 1\naxes: {image: {from: plan.cameras, reseeds: false}, row: {from: dems.table}}\nsteps:\n  face: {stage: \
+         synthesise-face}\n  plan: {stage: plan-survey, in: {mesh: face.mesh}}\n  depth: {stage: project-depth, with: {image: \
+         \"${image}\"}, in: {mesh: face.mesh, cameras: plan.cameras}}\n",
+    ),
+    (
+        "anchors",
+        "rockface: 1\nparams: &p {a: 1, b: [1, 2, {c: 3}], d: \"x\\ty\"}\nsteps:\n  face:\n    stage: synthesise-face\n",
+    ),
+];
+
+/// Seeds of pipelines, of what is given on the command line, and of the tree of a pipeline.
+pub fn all() -> io::Result<Vec<Seed>> {
+    let mut seeds: Vec<Seed> = LANGUAGE.iter().map(|(name, text)| seed("pipeline", name, text)).collect();
+    for stage in rockface_stages::registry().stages() {
+        seeds.push(seed("pipeline", &format!("example-{}", stage.name()), stage.page().example));
+    }
+    let folder = home().with_file_name("pipelines");
+    for path in crate::corpus::files(&folder)?.iter().filter(|path| path.extension().is_some_and(|e| e == "yaml")) {
+        let (name, text) = (path.file_stem().unwrap_or_default().to_string_lossy(), std::fs::read(path)?);
+        if text.len() <= LARGEST_BYTES {
+            seeds.push(seed("pipeline", &format!("whole-{name}"), text));
+        }
+    }
+    let main = "rockface: 1\nname: two\ninclude: [part1.yaml, part2.yaml]\ntargets: [dem]\n";
+    let parts = [
+        "rockface: 1\nparams: {width_m: 3}\nsteps: {face: {stage: synthesise-face, with: {width_m: \"${width_m}\"}}}\n",
+        "rockface: 1\ninclude: part1.yaml\nsteps: {dem: {stage: rasterise-dem, in: {surface: face.mesh}}}\n",
+    ];
+    seeds.push(seed("pipeline", "include", joined(&[main.as_bytes(), parts[0].as_bytes(), parts[1].as_bytes()])));
+    let given = "params.width_m=5\nsteps.face.with.height_m=4.5\naxes.replicate.count=2\n%steps.face.with.relief_m=0.1..0.4:4\n";
+    seeds.push(seed("overrides", "all", given));
+    seeds.push(seed("overrides", "values", "steps.dem.with={cell_m: 0.25}\n%steps.face.with.relief_m=0.1,0.2\n"));
+    seeds.push(seed("tree", "fixed", tree()?));
+    Ok(seeds)
+}
+
+/// The tree of the long pipeline without its first line, which holds the checksums.
+fn tree() -> io::Result<Vec<u8>> {
+    let folder = tempfile::tempdir()?;
+    let (path, trees) = (folder.path().join("long.yaml"), folder.path().join("trees"));
+    std::fs::create_dir(&trees)?;
+    std::fs::write(&path, long_text())?;
+    Pipeline::load(&path, &Overrides::default(), Some(&trees))
+        .map_err(|faults| io::Error::other(faults.render(false)))?;
+    let files = crate::corpus::files(&trees)?;
+    let file = files.first().ok_or_else(|| io::Error::other("no tree was kept"))?;
+    let bytes = std::fs::read(file)?;
+    let head = bytes.iter().position(|byte| *byte == b'\n').unwrap_or(0);
+    Ok(bytes[head + 1..].to_vec())
+}
