@@ -285,5 +285,5 @@ fn day(unix_s: u64) -> String {
     if unix_s == 0 {
         return "never".to_owned();
     }
-    crate::watch::moment(unix_s as f64)[..10].to_owned()
+    rockface_engine::watch::moment(unix_s as f64)[..10].to_owned()
 }

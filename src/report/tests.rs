@@ -84,7 +84,8 @@ fn files_outside_of_the_run_folder_are_none_of_the_runs() {
     std::fs::write(folder.path().join("private"), "x").unwrap();
     std::fs::write(run.join("own"), "x").unwrap();
     let manifest = manifest();
-    let source = Source { folder: &run, manifest: &manifest, store: None, graph: None, logs: None };
+    let run = RunContents { folder: &run, manifest: &manifest, store: None, graph: None, logs: None };
+    let source = Source { run, look: rockface_core::Registry::default().look() };
     let has = |path: &Path| source.file(path).is_some();
     assert!(has(Path::new("own")) && has(Path::new("./own")));
     assert!(!has(Path::new("../private")) && !has(&folder.path().join("private")) && !has(Path::new("/dev/zero")));

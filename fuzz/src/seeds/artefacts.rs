@@ -18,7 +18,11 @@ pub fn all() -> io::Result<Vec<Seed>> {
     let mut seeds = Vec::new();
     for (target, name, artefact) in &artefacts {
         seeds.push(seed(target, name, artefact.encode().map_err(io::Error::other)?));
-        let shown = rockface_stages::registry().look().sketches(&artefact).into_iter().map(|sketch| Shown { port: "out".into(), sketch });
+        let shown = rockface_stages::registry()
+            .look()
+            .sketches(&artefact)
+            .into_iter()
+            .map(|sketch| Shown { port: "out".into(), sketch });
         let shown: Vec<Shown> = shown.collect();
         seeds.push(seed("sketches", &format!("{target}-{name}"), Shown::write_all(&shown).map_err(io::Error::other)?));
     }
@@ -27,7 +31,10 @@ pub fn all() -> io::Result<Vec<Seed>> {
 
 fn every() -> io::Result<Vec<(&'static str, &'static str, Artefact)>> {
     let raster = raster();
-    let picture = rockface_stages::registry().look().preview(&Artefact::from(raster.clone()), &[]).map(|preview| preview.to_png());
+    let picture = rockface_stages::registry()
+        .look()
+        .preview(&Artefact::from(raster.clone()), &[])
+        .map(|preview| preview.to_png());
     let png = picture.ok_or_else(|| io::Error::other("a raster has no preview"))?.map_err(io::Error::other)?;
     let mut bytes = raster.clone();
     bytes.sample = Sample::Byte;

@@ -56,7 +56,7 @@ const LANGUAGE: [(&str, &str); 6] = [
 pub fn all() -> io::Result<Vec<Seed>> {
     let mut seeds: Vec<Seed> = LANGUAGE.iter().map(|(name, text)| seed("pipeline", name, text)).collect();
     for stage in rockface_stages::registry().stages() {
-        seeds.push(seed("pipeline", &format!("example-{}", stage.name()), stage.page().example));
+        seeds.push(seed("pipeline", &format!("example-{}", stage.name()), stage.page().example()));
     }
     let folder = home().with_file_name("pipelines");
     for path in crate::corpus::files(&folder)?.iter().filter(|path| path.extension().is_some_and(|e| e == "yaml")) {

@@ -3,11 +3,11 @@
 use std::collections::BTreeMap;
 use std::io;
 
-use rockface_engine::history::{FORMAT, FileUsed, IncludedText, Manifest, Metric, Overridden, PipelineText, StepDone};
 use rockface_cache::{
     Cost, Digest, Gathered, OutputRecord, Outputs, Recipe, RecipeInput, Record, SafeName, SafePath, SeedMaterial, Store,
 };
 use rockface_core::Entry;
+use rockface_engine::history::{FORMAT, FileUsed, IncludedText, Manifest, Metric, Overridden, PipelineText, StepDone};
 use serde_json::json;
 
 use super::{Seed, seed};

@@ -32,7 +32,12 @@ fn check_place(export: &Export) {
 }
 
 fn shown(artefact: &Artefact) {
-    let shown = rockface_stages::registry().look().sketches(artefact).into_iter().map(|sketch| Shown { port: "out".into(), sketch }).collect::<Vec<_>>();
+    let shown = rockface_stages::registry()
+        .look()
+        .sketches(artefact)
+        .into_iter()
+        .map(|sketch| Shown { port: "out".into(), sketch })
+        .collect::<Vec<_>>();
     if let Ok(bytes) = Shown::write_all(&shown) {
         Shown::read_all(&bytes).expect("what was sketched can be read");
     }

@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use rockface_engine::diagnostic::Diagnostics;
 use rockface::drawing::Drawing;
+use rockface_cache::{Digest, Store};
+use rockface_engine::diagnostic::Diagnostics;
 use rockface_engine::explain::Answers;
 use rockface_engine::pipeline::{Overrides, Pipeline};
 use rockface_engine::plan::{Graph, Plan, counts, resolve};
-use rockface_cache::{Digest, Store};
 
 use super::Verdict;
 use crate::parts::cut;

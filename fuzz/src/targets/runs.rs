@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use rockface_engine::history::{PastRun, RunContents, archive, compare, crate_metadata};
 use rockface::report::{self, Links, Source};
 use rockface_cache::Store;
 use rockface_core::Entry;
+use rockface_engine::history::{PastRun, RunContents, archive, compare, crate_metadata};
 
 use super::Verdict;
 

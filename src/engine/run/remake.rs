@@ -5,10 +5,10 @@
 
 use rockface_cache::Outcome;
 
+use super::RunError;
 use super::exchange::Found;
 use super::schedule::{Scheduler, Turn};
 use super::state::Status;
-use super::RunError;
 use crate::plan::hit;
 
 impl Scheduler<'_> {

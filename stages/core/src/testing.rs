@@ -31,6 +31,7 @@ impl TestHost {
     }
 
     /// Adds files under the text that names them.
+    #[must_use]
     pub fn with(mut self, as_written: &str, files: &[(&str, &[u8])]) -> Self {
         let owned = files.iter().map(|(name, bytes)| ((*name).to_owned(), bytes.to_vec())).collect();
         self.files.insert(as_written.to_owned(), owned);
