@@ -79,7 +79,8 @@ fn check_names<'a>(names: impl Iterator<Item = &'a str>) -> Result<(), CodecErro
 
 fn check_name(name: &str) -> Result<(), CodecError> {
     let climbs = |part: &str| part.is_empty() || part == "." || part == ".." || part.len() > LONGEST_PART;
-    if name.split('/').any(climbs) || name.len() > LONGEST_NAME || name.contains(['\0', '\\']) {
+    let is_odd = |letter: char| letter.is_control() || letter == '\\';
+    if name.split('/').any(climbs) || name.len() > LONGEST_NAME || name.contains(is_odd) {
         let shown: String = name.chars().take(200).collect();
         return Err(CodecError::new(format!("`{}` cannot name a file in an archive", shown.escape_debug())));
     }

@@ -18,7 +18,7 @@ proptest! {
 
 #[test]
 fn names_stay_in_their_folder() {
-    for name in ["", "/a", "a//b", "../a", "a/..", "a\0b", &"x".repeat(256)] {
+    for name in ["", "/a", "a//b", "../a", "a/..", "a\0b", "a\nb", "a\u{9b}b", &"x".repeat(256)] {
         assert!(write(&[(name.to_owned(), Vec::new())]).is_err(), "{name}");
     }
     let twice = write(&[("a".to_owned(), Vec::new()), ("a".to_owned(), Vec::new())]);
@@ -110,6 +110,12 @@ fn entries_that_are_no_files_or_leave_the_folder_are_refused_by_name() {
     }
     let twice: [(&str, EntryType, &[u8]); 2] = [("a", EntryType::Regular, b""), ("./a", EntryType::Regular, b"")];
     assert!(read(&foreign(Header::new_ustar, &twice)).unwrap_err().0.contains("called `a`"));
+    let below: [(&str, EntryType, &[u8]); 2] = [("a/b", EntryType::Regular, b""), ("a", EntryType::Regular, b"")];
+    assert!(
+        read(&foreign(Header::new_ustar, &below)).unwrap_err().0.contains("a file of it has the name of its folder")
+    );
+    let named = message("a\u{7}", EntryType::Regular);
+    assert!(named.contains("`a\\u{7}` cannot name a file"), "{named}");
 }
 
 #[test]
