@@ -274,9 +274,12 @@ fn a_manifest_reads_and_writes_nothing_outside_its_folder() {
             assert!(code == Some(2) && err.contains("cannot name a file"), "{err}");
         }
     }
-    fs::write(&path, text.replace("\"step\":\"dem\"", "\"step\":\"../planted\"")).unwrap();
-    let (code, _, err) = house.rockface(&["export", "latest", "../planted.raster", "."]);
-    assert!(code == Some(2) && err.contains("cannot name a file"), "{err}");
+    // A dot ends the name of a step where an output is asked for: the second is not found, which is as good.
+    for (name, says) in [("up/planted", "cannot name a file"), ("../planted", "the run has no output")] {
+        fs::write(&path, text.replace("\"step\":\"dem\"", &format!("\"step\":\"{name}\""))).unwrap();
+        let (code, _, err) = house.rockface(&["export", "latest", &format!("{name}.raster"), "."]);
+        assert!(code == Some(2) && err.contains(says), "{err}");
+    }
     assert_eq!(planted(&house.path("")), Vec::<PathBuf>::new());
 }
 
