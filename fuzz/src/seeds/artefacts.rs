@@ -20,7 +20,7 @@ pub fn all() -> io::Result<Vec<Seed>> {
         seeds.push(seed(target, name, artefact.encode().map_err(io::Error::other)?));
         let shown = rockface_stages::registry()
             .look()
-            .sketches(&artefact)
+            .sketches(artefact)
             .into_iter()
             .map(|sketch| Shown { port: "out".into(), sketch });
         let shown: Vec<Shown> = shown.collect();
