@@ -28,11 +28,7 @@ fn thousands_of_similar_faults_are_counted() {
         "{}",
         &said[said.len() - 200..]
     );
-    assert!(
-        said.len() < 100_000 && said.contains("unknown step `t0`"),
-        "{}",
-        said.len()
-    );
+    assert!(said.len() < 100_000 && said.contains("unknown step `t0`"), "{}", said.len());
 }
 
 #[test]

@@ -158,10 +158,12 @@ const CRATES: &[(&str, &str, &str)] = &[
 /// The room of a module of a crate; empty for what only lists rooms.
 fn room<'a>(home: (&str, &'a str), modules: &[&'a str]) -> &'a str {
     let (name, other) = home;
-    match modules.first() {
-        Some(first) if ROOMS.contains(first) && !matches!(name, "rockface_cache" | "rockface_raster") => first,
-        _ => other,
-    }
+    let is_room = |module: &str| match name {
+        "rockface_cache" | "rockface_raster" | "rockface_stages" => false,
+        "rockface_core" => matches!(module, "numerics" | "format"),
+        _ => ROOMS.contains(&module),
+    };
+    modules.first().copied().filter(|first| is_room(first)).unwrap_or(other)
 }
 
 /// The names behind `crate::`, `super::` or the name of a crate, up to three of them, for every place where one stands.

@@ -676,7 +676,7 @@ mod tests {
             assert_eq!((free(one.clone()), f64::decode(&one).unwrap().encode()), ("1".to_owned(), json!(1.0)));
             assert_eq!(u32::decode(&one).unwrap().encode(), json!(1));
         }
-        assert_eq!(free(json!({"a": [-0.0, 0.5, 1e300, -7.0], "b": "1.0"})), r#"{"a":[0,0.5,1e300,-7],"b":"1.0"}"#);
+        assert_eq!(free(json!({"a": [-0.0, 0.5, 1e300, -7.0], "b": "1.0"})), r#"{"a":[0,0.5,1e+300,-7],"b":"1.0"}"#);
         assert_eq!(free(json!(u64::MAX)), u64::MAX.to_string());
     }
 
