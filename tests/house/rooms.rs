@@ -130,7 +130,7 @@ const ARROWS: &[(&[&str], &[&str], &str)] = &[
     ),
     (&["plan", "run", "report", "cli"], &["pipeline"], "the document as it was read"),
     (&["history", "run", "explain", "drawing", "report", "cli"], &["plan"], "instances and their recipes"),
-    (&["run", "report", "cli"], &["watch"], "events, logs and how durations are written"),
+    (&["history", "run", "report", "cli"], &["watch"], "events, logs, and how times are written"),
     (&["run", "report", "cli"], &["history"], "manifests and the names of the files of a run folder"),
     (&["report", "cli"], &["run"], "what is run; who writes the page at its end"),
     (&["run", "cli"], &["version"], "the manifest says which program it was"),
