@@ -35,10 +35,8 @@
 
 #![cfg_attr(not(test), warn(clippy::print_stdout, clippy::print_stderr))]
 
-mod answers;
 mod blobs;
 mod canonical;
-mod care;
 mod digest;
 mod error;
 mod files;
@@ -48,7 +46,9 @@ mod journal;
 mod lease;
 mod locks;
 mod looks;
+mod maintenance;
 mod materialise;
+mod memo;
 mod names;
 mod open;
 mod outputs;
@@ -63,15 +63,15 @@ mod store;
 mod syncer;
 mod values;
 
-pub use answers::{Grounds, recall};
-pub use care::{Collected, Fault, FaultKind, GcItem, GcPlan, GcPolicy, Handed, StageStat, Verified};
 pub use digest::{Digest, DigestError};
 pub use error::StoreError;
 pub use files::FileDigest;
 pub use lease::Live;
 pub use locks::{Announced, KeyLock};
 pub use looks::{Seen, State};
+pub use maintenance::{Collected, Fault, FaultKind, GcItem, GcPlan, GcPolicy, Handed, StageStat, Verified};
 pub use materialise::Materialised;
+pub use memo::{Grounds, recall};
 pub use names::{NameError, SafeName, SafePath};
 pub use open::{TREES, read_own};
 pub use outputs::Outputs;

@@ -4,7 +4,6 @@ mod completions;
 mod explain;
 mod export;
 mod graph;
-mod hand;
 mod init;
 mod inspect;
 pub mod output;
@@ -20,6 +19,7 @@ mod signals;
 mod stages;
 mod store;
 mod table;
+mod transfer;
 
 use std::path::{Path, PathBuf};
 

@@ -7,9 +7,9 @@ use clap::{Args, Subcommand};
 use rockface_cache::{Collected, Digest, Fault, FaultKind, GcPlan, GcPolicy, Store};
 use serde_json::json;
 
-use super::hand::HandArgs;
 use super::places::Places;
 use super::table::{self, Format, bytes};
+use super::transfer::HandArgs;
 use super::{CliError, complain, say};
 use rockface_engine::history::{self, HistoryError, PastRun};
 

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use super::super::places::Places;
 use super::super::{CliError, say};
 use super::{Facts, say_facts};
-use rockface_engine::run::again;
+use rockface_engine::run::rerun;
 
 /// Reads `X,Y`.
 pub fn parse(text: &str) -> Result<[usize; 2], String> {
@@ -193,7 +193,7 @@ impl<'a> Chain<'a> {
             CliError::Usage(format!("`{}` cannot be run again: {}{hint}", record.recipe.stage, error.message))
         };
         let kind_of = |digest: &Digest| self.kinds.get(digest).copied();
-        let made = again::with_channels(&record.recipe, self.registry, self.store, &kind_of).map_err(failed)?;
+        let made = rerun::with_channels(&record.recipe, self.registry, self.store, &kind_of).map_err(failed)?;
         let Some(Artefact::Depth(depth)) = made.get(port) else {
             return Err(CliError::Usage(format!("`{port}` of `{}` is no depth map", record.recipe.stage)));
         };

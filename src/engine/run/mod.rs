@@ -1,37 +1,15 @@
 //! Running a plan: the scheduler, its workers, and the folder that tells of the run.
 
-mod account;
-pub mod again;
-mod exchange;
-mod expand;
 mod folder;
-mod host;
-mod lay_out;
-mod log;
-mod made;
-mod memory;
-mod program;
-mod progress;
-mod remake;
-mod resident;
-mod schedule;
-mod settle;
-pub mod shortcut;
-mod spill;
-mod state;
-mod tell;
-pub mod tools;
-mod unfinished;
-mod work;
-mod workers;
+mod scheduler;
+mod worker;
 
 use rockface_cache::{Digest, Outcome, Recipe, Store, StoreError};
 use rockface_core::{Look, Registry};
 
-pub use folder::{Finished, Reporter, RunFolder, finish};
-pub use lay_out::LayOut;
-pub use schedule::run as execute;
-pub use tell::execute_and_tell;
+pub use folder::{Finished, LayOut, Reporter, RunFolder, execute_and_tell, finish, shortcut};
+pub use scheduler::run as execute;
+pub use worker::{rerun, tools};
 
 /// How to run.
 #[derive(Debug, Clone)]

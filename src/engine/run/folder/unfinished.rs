@@ -6,8 +6,8 @@ use std::io::ErrorKind;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
-use super::RunError;
-use super::folder::failed;
+use super::run_folder::failed;
+use crate::run::RunError;
 
 /// The file that marks a folder being written. Its writer holds a lock on it, which ends with the process.
 const MARK: &str = ".unfinished";

@@ -6,9 +6,9 @@ use std::sync::Arc;
 use rockface_cache::{Announced, Digest, KeyLock, Outcome, Recipe, SafeName};
 use rockface_core::artefact::Artefact;
 
-use super::StepFailure;
 use super::spill::Spilled;
 use crate::plan::Plan;
+use crate::run::StepFailure;
 
 /// How far an instance is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -13,11 +13,12 @@ use serde_json::json;
 use super::lay_out::{Laid, LayOut, readable_name};
 use super::log::{LOG_FILE, Telling};
 use super::made::{self, Made};
+use super::manifest_writer;
 use super::unfinished::{self, Unfinished};
-use super::{RunError, Summary, account};
 use crate::history::{Manifest, REPORT_FILE, RunContents, crate_metadata};
 use crate::pipeline::{Overrides, Pipeline};
 use crate::plan::Plan;
+use crate::run::{RunError, Summary};
 use crate::watch::step_log;
 
 /// The manifest, written last.
@@ -184,7 +185,7 @@ impl Writer<'_> {
         write_file(&folder.join(PIPELINE), self.about.pipeline.text().as_bytes())?;
         let Self { plan, summary, store, about, .. } = self;
         let told = || -> Result<String, RunError> {
-            let manifest = account::manifest(plan, summary, store, about, headlines, logs, laid)?;
+            let manifest = manifest_writer::manifest(plan, summary, store, about, headlines, logs, laid)?;
             going_on(self.stop)?;
             self.report(folder, &manifest, logs)?;
             going_on(self.stop)?;

@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 use rockface_cache::{Digest, Grounds, SafePath, Seen, Store};
 use serde::{Deserialize, Serialize};
 
-use super::folder::point_latest;
 use super::made::{self, Made};
-use super::{Finished, RunError, Summary, tools};
+use super::run_folder::point_latest;
 use crate::plan::Plan;
+use crate::run::{Finished, RunError, Summary, tools};
 
 /// How many headlines and files the end of a run names.
 pub const NAMED: usize = 20;

@@ -5,10 +5,10 @@ use std::sync::Arc;
 use rockface_cache::{Digest, Outcome, Recipe, Record};
 use rockface_core::artefact::Artefact;
 
-use super::RunError;
 use super::schedule::{Line, Scheduler, Turn};
 use super::state::{State, Status, same_outputs};
 use crate::plan::hit;
+use crate::run::RunError;
 
 impl Scheduler<'_> {
     /// Does all that is to be done without a worker.

@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use rockface_cache::{Digest, SafePath, State};
 use serde::{Deserialize, Serialize};
 
-use super::RunError;
-use super::folder::failed;
 use super::lay_out::Laid;
+use super::run_folder::failed;
 use crate::history::REPORT_FILE;
+use crate::run::RunError;
 
 /// A file of a run folder: its path in it, the state it was left in, and for another name of a large blob the digest of
 /// that, since the state of such a file changes with every name its blob is given or loses.

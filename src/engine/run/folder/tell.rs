@@ -6,8 +6,8 @@ use std::sync::atomic::AtomicBool;
 
 use rockface_cache::{Digest, Outcome, Store, StoreError};
 
-use super::{Finished, Options, RunError, RunFolder, Summary, execute, finish, tools};
 use crate::plan::Plan;
+use crate::run::{Finished, Options, RunError, RunFolder, Summary, execute, finish, tools};
 use crate::watch::{Event, Observer, Progress};
 
 /// Runs a plan to its end and writes its folder.

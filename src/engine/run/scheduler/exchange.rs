@@ -8,10 +8,10 @@ use std::time::{Duration, Instant};
 use rockface_cache::{Digest, Outcome, Room, Store, StoreError, Want};
 use rockface_core::artefact::Kind;
 
-use super::RunError;
 use super::schedule::{Scheduler, Turn};
 use super::spill::Spilled;
 use super::state::Status;
+use crate::run::RunError;
 use crate::watch::Event;
 
 /// How often it is looked at what others want while steps run here.

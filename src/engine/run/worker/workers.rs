@@ -9,7 +9,7 @@ use rayon::ThreadPool;
 use rockface_cache::Store;
 
 use super::work::{self, Done, Failure, Task};
-use super::{Options, RunError};
+use crate::run::{Options, RunError};
 
 /// What came of a task, by instance.
 pub type Result = (usize, Box<std::result::Result<Done, Failure>>);

@@ -5,11 +5,11 @@
 
 use rockface_cache::Outcome;
 
-use super::RunError;
 use super::exchange::Found;
 use super::schedule::{Scheduler, Turn};
 use super::state::Status;
 use crate::plan::hit;
+use crate::run::RunError;
 
 impl Scheduler<'_> {
     /// Calls for the inputs of an instance, for it and for others that want them, unless another process is doing without or

@@ -8,9 +8,9 @@ use rockface_cache::{Digest, Materialised, NameError, Outcome, OutputRecord, Saf
 use rockface_core::artefact::{Artefact, Kind};
 use serde::{Deserialize, Serialize};
 
-use super::folder::{failed, going_on, write_file};
-use super::{RunError, Summary};
+use super::run_folder::{failed, going_on, write_file};
 use crate::plan::Plan;
+use crate::run::{RunError, Summary};
 
 /// A run with more outputs than this lays out those of its targets only, step by step as long as there are no more, unless it
 /// is told otherwise: a folder for each of very many points costs more than the whole rerun.

@@ -12,13 +12,12 @@ use rockface_core::artefact::Kind;
 
 use super::exchange::Exchange;
 use super::progress::Timing;
-use super::resident::Resident;
+use super::rss::Resident;
 use super::state::{State, States, Status, same_outputs};
-use super::work::{Done, Failure, Feed, Task, Value};
-use super::workers::{self, Workers};
-use super::{Options, RunError, Summary};
 use crate::pipeline::LogLevel;
 use crate::plan::{Plan, makes};
+use crate::run::worker::{self, Done, Failure, Feed, Task, Value, Workers};
+use crate::run::{Options, RunError, Summary};
 use crate::watch::{Event, Observer, Reason};
 
 /// How long a stop may take before running stages are abandoned.
@@ -133,7 +132,7 @@ impl<'a> Scheduler<'a> {
         }
     }
 
-    fn run(mut self, results: &Receiver<workers::Result>, stop: &AtomicBool) -> Result<Summary, RunError> {
+    fn run(mut self, results: &Receiver<worker::Result>, stop: &AtomicBool) -> Result<Summary, RunError> {
         let begun = Instant::now();
         self.store.count_on(&[])?;
         self.tell(&Event::Planned { steps: self.plan.instances.len() });
@@ -157,7 +156,7 @@ impl<'a> Scheduler<'a> {
         Ok(self.summary(begun.elapsed()))
     }
 
-    fn work_off(&mut self, results: &Receiver<workers::Result>, stop: &AtomicBool) -> Result<(), RunError> {
+    fn work_off(&mut self, results: &Receiver<worker::Result>, stop: &AtomicBool) -> Result<(), RunError> {
         loop {
             self.take_turns()?;
             while self.running < self.options.jobs && !self.stopping(stop) {
@@ -244,7 +243,7 @@ impl<'a> Scheduler<'a> {
     fn abandon(
         mut self,
         stop: &AtomicBool,
-        results: &Receiver<workers::Result>,
+        results: &Receiver<worker::Result>,
         error: RunError,
     ) -> Result<Summary, RunError> {
         stop.store(true, Ordering::Relaxed);
@@ -325,7 +324,7 @@ impl<'a> Scheduler<'a> {
                 let step = self.plan.label(instance);
                 let help = error.hint.as_ref().map(|hint| format!("\nhelp: {hint}")).unwrap_or_default();
                 let message = format!("{}{help}", error.message);
-                self.states[instance].failure = Some(Box::new(super::StepFailure { message, log }));
+                self.states[instance].failure = Some(Box::new(crate::run::StepFailure { message, log }));
                 self.tell(&Event::Failed { step, stage, message: error.message, hint: error.hint });
                 self.fail(instance);
             }
@@ -380,7 +379,7 @@ impl<'a> Scheduler<'a> {
 
     fn summary(self, elapsed: Duration) -> Summary {
         self.workers.end();
-        let instances = self.states.into_list().into_iter().map(|state| super::InstanceResult {
+        let instances = self.states.into_list().into_iter().map(|state| crate::run::InstanceResult {
             outcome: if state.status() == Status::Done { state.outcome } else { None },
             key: state.key,
             recipe: state.recipe.map(|recipe| *recipe),

@@ -10,9 +10,9 @@ use rockface_core::Entry;
 use rockface_core::Look;
 use rockface_core::artefact::{Artefact, Kind};
 
-use super::{InstanceResult, RunError, Summary};
 use crate::pipeline::LogLevel;
 use crate::plan::Plan;
+use crate::run::{InstanceResult, RunError, Summary};
 use crate::watch::step_log::{self, Shown};
 use crate::watch::{Facts, Made, RunLog, StepNote, layout};
 
@@ -48,18 +48,18 @@ impl Telling<'_> {
     pub fn write(&self, folder: &Path) -> Result<(), RunError> {
         let path = folder.join(LOG_FILE);
         let failed = |error: mcap::McapError| {
-            super::folder::failed(&path)(match error {
+            super::run_folder::failed(&path)(match error {
                 mcap::McapError::Io(error) => error,
                 error => std::io::Error::other(error),
             })
         };
-        let file = tempfile::NamedTempFile::new_in(folder).map_err(super::folder::failed(&path))?;
+        let file = tempfile::NamedTempFile::new_in(folder).map_err(super::run_folder::failed(&path))?;
         let mut log = RunLog::new(BufWriter::new(file), &self.about).map_err(failed)?;
         let levels = self.plan.log_levels();
         let nothing = Outcome { outputs: Outputs::default(), log: None, sketches: None, cost: Cost::default() };
         let mut numbers: Vec<(String, String)> = Vec::new();
         for (instance, result) in self.summary.instances.iter().enumerate() {
-            super::folder::going_on(self.stop)?;
+            super::run_folder::going_on(self.stop)?;
             let (outcome, is_done) = match (&result.outcome, &result.failure) {
                 (Some(outcome), _) => (outcome, true),
                 (None, Some(_)) => (&nothing, false),
@@ -74,10 +74,10 @@ impl Telling<'_> {
         }
         let pipeline = ("pipeline.yaml", "application/yaml", self.pipeline_text.as_bytes());
         let (out, topics) = log.finish(&[pipeline]).map_err(failed)?;
-        let file = out.into_inner().map_err(|error| super::folder::failed(&path)(error.into_error()))?;
-        super::folder::put(file, &path)?;
+        let file = out.into_inner().map_err(|error| super::run_folder::failed(&path)(error.into_error()))?;
+        super::run_folder::put(file, &path)?;
         let text = serde_json::to_string_pretty(&layout::layout(&topics, &numbers)).unwrap_or_default();
-        super::folder::write_file(&folder.join(LAYOUT_FILE), format!("{text}\n").as_bytes())
+        super::run_folder::write_file(&folder.join(LAYOUT_FILE), format!("{text}\n").as_bytes())
     }
 
     /// Numbers of steps with several points make curves.

@@ -16,9 +16,9 @@ use rockface_core::{AnyStage, Context, Entry, Inputs, Later, Look, Point, Port, 
 
 use super::host::StepHost;
 use super::program::Used;
-use super::spill::Spilled;
 use super::tools;
 use crate::plan::{InputFile, StepParams, has_ports};
+use crate::run::scheduler::Spilled;
 
 /// An artefact that is in memory, or the blob to read it from.
 pub enum Value {

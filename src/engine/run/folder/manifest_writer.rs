@@ -7,11 +7,11 @@ use std::time::SystemTime;
 use rockface_cache::{Digest, RecipeInput, Store};
 use rockface_core::Entry;
 
-use super::folder::failed;
 use super::lay_out::{Laid, Paths};
-use super::{RunError, RunFolder, Summary};
+use super::run_folder::failed;
 use crate::history::{FORMAT, FileUsed, IncludedText, Manifest, Metric, Overridden, PipelineText, StepDone};
 use crate::plan::Plan;
+use crate::run::{RunError, RunFolder, Summary};
 
 /// The manifest of a run.
 pub fn manifest(
