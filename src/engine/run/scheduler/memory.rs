@@ -1,4 +1,4 @@
-//! Values in memory: held for their consumers, freed when nobody needs them or when room runs short.
+//! Values in memory: held for their consumers, freed when no consumer is left or when memory runs short.
 
 use std::sync::Arc;
 
@@ -17,19 +17,19 @@ const SMALL_BYTES: u64 = 1 << 20;
 impl Scheduler<'_> {
     /// Keeps a value in memory.
     pub fn hold(&mut self, instance: usize, port: &'static str, value: Arc<Artefact>) {
-        self.memory_bytes += value.memory_bytes();
+        self.budget.hold(value.memory_bytes());
         if let Some(former) = self.states[instance].values.insert(port, value) {
-            self.memory_bytes -= former.memory_bytes().min(self.memory_bytes);
+            self.budget.release(former.memory_bytes());
         }
     }
 
-    /// Lets go of all values of an instance, wherever they are held.
+    /// Drops all values of an instance, in memory and on disk.
     pub fn drop_values(&mut self, instance: usize) {
         self.forget(instance);
         self.discard_brought(instance);
         let state = &mut self.states[instance];
         state.spilled.clear();
-        // Last: others may take what is not announced any more for used up.
+        // Last: another process takes a value that is not announced any more for gone.
         state.announced.clear();
     }
 
@@ -37,10 +37,10 @@ impl Scheduler<'_> {
     fn forget(&mut self, instance: usize) {
         let values = std::mem::take(&mut self.states[instance].values);
         let freed: usize = values.values().map(|value| value.memory_bytes()).sum();
-        self.memory_bytes -= freed.min(self.memory_bytes);
+        self.budget.release(freed);
     }
 
-    /// A consumer will not ask for the values any more.
+    /// A consumer of `producer` will not ask for its values any more.
     pub fn release(&mut self, producer: usize) {
         let state = &mut self.states[producer];
         state.users = state.users.saturating_sub(1);
@@ -49,37 +49,33 @@ impl Scheduler<'_> {
         }
     }
 
-    /// Whether an instance may start beside those that run: what they and it are expected to need fits into the memory of
-    /// the run. One that may not is put in line again; alone, every one may.
-    pub fn has_room(&mut self, instance: usize, running: usize) -> bool {
+    /// Claims the memory that an instance is expected to need, if it fits beside the instances that run; otherwise queues the
+    /// instance again. Returns whether it may start.
+    pub fn claim_memory(&mut self, instance: usize) -> bool {
         let need = self.need_bytes(instance);
-        let taken = self.needs.values().copied().fold(0, u64::saturating_add);
-        let left = (self.options.memory_bytes as u64).saturating_sub(taken.saturating_add(need));
-        self.relieve_to(left as usize);
-        let fits = self.memory_bytes as u64 <= left && taken.saturating_add(need) <= self.options.memory_bytes as u64;
-        if fits || running == 0 {
-            self.estimates.remove(&instance);
-            self.needs.insert(instance, need);
+        self.relieve_to(self.budget.left_beside(need));
+        if self.budget.admits(need) {
+            self.budget.start(instance, need);
             return true;
         }
-        if !std::mem::replace(&mut self.states[instance].held, true) {
-            self.tell(&Event::Held { step: self.plan.label(instance), need_bytes: need });
+        if self.budget.is_first_wait(instance) {
+            self.report(&Event::Held { step: self.plan.label(instance), need_bytes: need });
         }
-        self.line_up(instance);
+        self.queue(instance);
         false
     }
 
-    /// What an instance is expected to need beside the inputs that are in memory; found when it is first asked for.
+    /// What an instance is expected to need beside the inputs that are in memory.
     fn need_bytes(&mut self, instance: usize) -> u64 {
-        if let Some(known) = self.estimates.get(&instance) {
-            return *known;
+        if let Some(known) = self.budget.estimate(instance) {
+            return known;
         }
         let need = self.estimate_bytes(instance).saturating_sub(self.held_bytes(instance));
-        self.estimates.insert(instance, need);
+        self.budget.set_estimate(instance, need);
         need
     }
 
-    /// The inputs that are in memory already.
+    /// What the inputs take that are in memory already.
     fn held_bytes(&self, instance: usize) -> u64 {
         let given = self.plan.instances[instance].inputs.iter().flat_map(|(_, given)| given);
         let values = given.filter_map(|given| self.states[given.instance].values.get(given.port));
@@ -87,47 +83,47 @@ impl Scheduler<'_> {
     }
 
     fn estimate_bytes(&self, instance: usize) -> u64 {
-        let own = &self.plan.instances[instance];
-        let given = own.inputs.iter().flat_map(|(port, given)| given.iter().map(move |given| (*port, given)));
+        let planned = &self.plan.instances[instance];
+        let given = planned.inputs.iter().flat_map(|(port, given)| given.iter().map(move |given| (*port, given)));
         let size = |(port, given): (&'static str, &Given)| {
-            let outcome = self.states[given.instance].outcome.as_ref();
+            let outcome = self.states[given.instance].outcome();
             let output = outcome.and_then(|outcome| outcome.outputs.get(given.port));
             let (stored_bytes, memory_bytes) = output.map_or((0, None), |output| (output.bytes, output.memory_bytes));
             InputSize { port, stored_bytes, memory_bytes }
         };
         let mut sizes: Vec<InputSize> = given.map(size).collect();
-        sizes.extend(own.params.files.values().flatten().map(|file| InputSize {
+        sizes.extend(planned.params.files.values().flatten().map(|file| InputSize {
             port: "",
             stored_bytes: std::fs::metadata(&file.path).map_or(0, |meta| meta.len()),
             memory_bytes: None,
         }));
         let small = |port: &str| self.small_input(instance, port);
-        self.plan.step(instance).stage.memory_bytes(&own.params.canonical, &InputSizes::new(sizes, &small))
+        self.plan.step(instance).stage.memory_bytes(&planned.params.canonical, &InputSizes::new(sizes, &small))
     }
 
     /// The only value at an input port, if it is in memory or small.
     fn small_input(&self, instance: usize, port: &str) -> Option<Arc<Artefact>> {
-        let (_, given) = self.plan.instances[instance].inputs.iter().find(|(own, _)| *own == port)?;
+        let (_, given) = self.plan.instances[instance].inputs.iter().find(|(name, _)| *name == port)?;
         let [given] = given.as_slice() else { return None };
         let state = &self.states[given.instance];
         if let Some(value) = state.values.get(given.port) {
             return Some(value.clone());
         }
-        let output = state.outcome.as_ref()?.outputs.get(given.port).filter(|output| output.bytes <= SMALL_BYTES)?;
+        let output = state.outcome()?.outputs.get(given.port).filter(|output| output.bytes <= SMALL_BYTES)?;
         let bytes = self.store.get(&output.digest).ok()?;
         Artefact::decode(output.kind.parse().ok()?, &bytes).ok().map(Arc::new)
     }
 
-    /// Frees memory when more is held than the run may.
+    /// Frees memory if the values take more than the run may use.
     pub fn relieve(&mut self) {
-        self.relieve_to(self.options.memory_bytes);
+        self.relieve_to(self.budget.limit());
     }
 
-    /// Frees memory until no more than this is held: of stored values first, then of transient ones after writing them.
-    fn relieve_to(&mut self, memory_bytes: usize) {
+    /// Frees memory until values take no more than `bytes`: first values that the store has, then others, which are spilled.
+    fn relieve_to(&mut self, bytes: u64) {
         for transient in [false, true] {
             for instance in 0..self.states.len() {
-                if self.memory_bytes <= memory_bytes {
+                if !self.budget.holds_more_than(bytes) {
                     return;
                 }
                 if self.states[instance].values.is_empty() {
@@ -140,7 +136,7 @@ impl Scheduler<'_> {
         }
     }
 
-    /// Writes the values of an instance to files that are gone when nobody needs them any more; not all may fit there.
+    /// Spills the values of an instance to files, which are removed with the last consumer. False if the disk refuses.
     fn spill(&mut self, instance: usize) -> bool {
         let Ok(room) = self.exchange.room(self.store) else { return false };
         let State { values, spilled, .. } = &mut self.states[instance];
@@ -155,7 +151,8 @@ impl Scheduler<'_> {
 
     /// Whether all outputs of an instance can be read from the store.
     pub fn is_stored(&self, state: &State) -> bool {
-        let outcome = state.outcome.as_ref();
-        outcome.is_some_and(|outcome| outcome.outputs.values().all(|output| self.store.contains(&output.digest)))
+        state
+            .outcome()
+            .is_some_and(|outcome| outcome.outputs.values().all(|output| self.store.contains(&output.digest)))
     }
 }

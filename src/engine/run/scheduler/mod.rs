@@ -1,10 +1,13 @@
 //! The scheduler: decides when each step instance runs, and holds the values between steps.
 
+mod budget;
+mod dispatch;
 mod exchange;
 mod expand;
 mod memory;
+mod phase;
 mod progress;
-mod remake;
+mod recompute;
 mod rss;
 mod schedule;
 mod spill;

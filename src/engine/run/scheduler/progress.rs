@@ -1,14 +1,14 @@
-//! What the scheduler tells its observer: events, how far the run is, and the time left.
+//! What the scheduler reports to its observer: events, how far the run is, and the time left.
 
 use std::time::{Duration, Instant};
 
 use super::schedule::Scheduler;
 use crate::watch::{Event, Progress};
 
-/// How often the time left is estimated anew.
+/// How long an estimate of the time left is used.
 const ESTIMATE_EVERY: Duration = Duration::from_millis(100);
 
-/// What is known of the time steps take.
+/// How long steps took so far.
 #[derive(Default)]
 pub struct Timing {
     /// Count and seconds of executed instances by step.
@@ -18,7 +18,7 @@ pub struct Timing {
 }
 
 impl Timing {
-    /// Nothing is known of so many steps.
+    /// No instance of any of these steps has run.
     pub fn new(steps: usize) -> Self {
         Self { timed: vec![(0, 0.0); steps], ..Self::default() }
     }
@@ -34,8 +34,8 @@ impl Timing {
 }
 
 impl Scheduler<'_> {
-    /// Tells of an event.
-    pub fn tell(&mut self, event: &Event) {
+    /// Reports an event.
+    pub fn report(&mut self, event: &Event) {
         if self.timing.estimate.1.is_none_or(|made| made.elapsed() > ESTIMATE_EVERY) {
             let remaining_s = self.timing.remaining_s(self.states.open(), self.options.jobs);
             self.timing.estimate = (remaining_s, Some(Instant::now()));
@@ -45,23 +45,23 @@ impl Scheduler<'_> {
         self.observer.event(event, progress);
     }
 
-    /// Tells that an instance is known already.
-    pub fn tell_cached(&mut self, instance: usize) {
+    /// Reports that the outcome of an instance was known.
+    pub fn report_cached(&mut self, instance: usize) {
         if !self.observer.ignores_cached() {
-            self.tell(&Event::Cached { step: self.plan.label(instance) });
+            self.report(&Event::Cached { step: self.plan.label(instance) });
         }
     }
 
-    /// Warns of an instance.
+    /// Reports a warning about an instance.
     pub fn warn(&mut self, instance: usize, text: String) {
-        self.tell(&Event::Warning { step: self.plan.label(instance), text });
+        self.report(&Event::Warning { step: self.plan.label(instance), text });
     }
 
-    /// Warns of blobs of an instance that were found damaged on looking for them.
-    pub fn tell_damaged(&mut self, instance: usize) {
+    /// Warns about blobs that were found damaged while the store was searched for an instance.
+    pub fn report_damaged(&mut self, instance: usize) {
         for damage in self.store.take_damaged() {
             let moved_to = damage.moved_to.display();
-            let text = format!("a stored output was damaged and is set aside as `{moved_to}`; it is made again");
+            let text = format!("a stored output was damaged; it was moved to `{moved_to}` and is recomputed");
             self.warn(instance, text);
         }
     }

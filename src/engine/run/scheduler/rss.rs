@@ -1,18 +1,18 @@
-//! The memory the process has in use while steps run, looked at every now and then.
+//! The resident memory of the process, sampled while steps run.
 
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// How often it is looked at, at most.
+/// The shortest time between two samples.
 const EVERY: Duration = Duration::from_millis(40);
 
-/// The greatest memory seen since each running instance began, bytes; shared with its worker, which puts it on record.
+/// The greatest resident memory since each running instance began, bytes; shared with its worker, which records it.
 #[derive(Default)]
 pub struct Resident {
     peaks: HashMap<usize, Arc<AtomicU64>>,
-    looked: Option<Instant>,
+    sampled: Option<Instant>,
 }
 
 impl Resident {
@@ -28,12 +28,12 @@ impl Resident {
         self.peaks.remove(&instance);
     }
 
-    /// Looks at the memory, unless that was done a moment ago.
-    pub fn look(&mut self) {
-        if self.peaks.is_empty() || self.looked.is_some_and(|at| at.elapsed() < EVERY) {
+    /// Takes a sample, unless the last one is recent.
+    pub fn sample(&mut self) {
+        if self.peaks.is_empty() || self.sampled.is_some_and(|at| at.elapsed() < EVERY) {
             return;
         }
-        self.looked = Some(Instant::now());
+        self.sampled = Some(Instant::now());
         let Some(bytes) = resident_bytes() else { return };
         for peak in self.peaks.values() {
             peak.fetch_max(bytes, Ordering::Relaxed);
@@ -41,7 +41,7 @@ impl Resident {
     }
 }
 
-/// The resident memory of this process; `None` where the system does not tell it.
+/// The resident memory of this process; `None` where the system does not report it.
 fn resident_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
@@ -56,12 +56,12 @@ mod tests {
     fn memory_in_use_is_seen_by_whoever_runs() {
         let mut resident = Resident::default();
         let peak = resident.begin(7);
-        resident.look();
+        resident.sample();
         let seen = peak.load(Ordering::Relaxed);
-        // Where the system tells nothing, nothing is seen.
+        // Where the system reports nothing, nothing is seen.
         assert!(seen > 1 << 20 || resident_bytes().is_none(), "{seen}");
         resident.end(7);
-        resident.look();
+        resident.sample();
         assert_eq!(Arc::strong_count(&peak), 1);
     }
 }

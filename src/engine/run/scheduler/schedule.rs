@@ -1,32 +1,31 @@
-//! The scheduler: one thread owns every state, workers only compute, and a step whose output did not change stops the wave.
+//! The main loop of the scheduler. One thread owns every state; workers only compute.
 
 use std::collections::{BinaryHeap, HashMap, VecDeque};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
-use rockface_cache::{Digest, Outcome, Store, StoreError};
-use rockface_core::Look;
-use rockface_core::artefact::Kind;
+use rockface_cache::{Digest, Store, StoreError};
 
+use super::budget::MemoryBudget;
 use super::exchange::Exchange;
 use super::progress::Timing;
 use super::rss::Resident;
-use super::state::{State, States, Status, same_outputs};
+use super::state::States;
 use crate::pipeline::LogLevel;
-use crate::plan::{Plan, makes};
-use crate::run::worker::{self, Done, Failure, Feed, Task, Value, Workers};
-use crate::run::{Options, RunError, Summary};
-use crate::watch::{Event, Observer, Reason};
+use crate::plan::Plan;
+use crate::run::worker::{self, Done, Failure, Workers};
+use crate::run::{InstanceResult, Options, RunError, Summary};
+use crate::watch::{Event, Observer};
 
-/// How long a stop may take before running stages are abandoned.
+/// How long running stages may take to notice a stop before they are abandoned.
 const GRACE: Duration = Duration::from_millis(700);
 
-/// Runs a plan to its end, or to its stop. The plan grows as items of axes become known; in the end its instances are
-/// in the order they would have had from the start.
+/// Runs a plan until it is done or stopped. The plan grows as items of axes become known; at the end its instances are
+/// in the order they would have if all items had been known from the start.
 ///
-/// A stage that does not notice the stop in time goes on in a thread of its own, which only the end of the process ends.
+/// A stage that does not notice a stop in time continues in its thread until the process ends.
 pub fn run(
     plan: &mut Plan,
     store: &Arc<Store>,
@@ -38,22 +37,35 @@ pub fn run(
     Scheduler::new(plan, store, options, observer, workers).run(&results, stop)
 }
 
-/// What the scheduler still has to do for an instance; done one after the other, so that no chain is too long.
+/// What the scheduler still has to do for an instance. A queue of turns replaces recursion, which long chains would overflow.
 pub enum Turn {
-    /// All producers are done: find its recipe, and with it whether there is anything to do.
+    /// All producers are done: determine the recipe, and whether the instance has to run.
     Settle(usize),
-    /// Put it in line for a worker.
+    /// Queue the instance for a worker.
     Prepare(usize),
-    /// Its record is known.
-    Finish(usize, Outcome),
+    /// The outcome is known: notify the consumers.
+    Finish(usize),
 }
 
-/// Instances of one recipe: the first computes, the others wait for it.
+/// Instances with the same recipe: the first is computed, the others wait for it.
 pub struct Line {
-    /// Who computes.
+    /// The instance that is computed.
     pub leader: usize,
-    /// Who waits.
+    /// The instances that wait for it.
     pub twins: Vec<usize>,
+}
+
+/// The place of a ready instance in the queue: the greatest is run first.
+///
+/// Instances that use up values held in memory come first, then deeper steps, so that values are used up before more are made.
+#[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Priority {
+    /// Whether it uses values that are held in memory only.
+    pub drains: bool,
+    /// Its step; later steps are deeper in the graph.
+    pub depth: usize,
+    /// The instance; of two alike the first comes first.
+    pub instance: std::cmp::Reverse<usize>,
 }
 
 /// A run in progress.
@@ -64,35 +76,32 @@ pub struct Scheduler<'a> {
     pub(super) observer: &'a mut dyn Observer,
     pub(super) states: States,
     pub(super) turns: VecDeque<Turn>,
-    /// First what uses up values that are in memory only, then deeper steps, so that those values are used up before
-    /// more are made.
-    pub(super) ready: BinaryHeap<(bool, usize, std::cmp::Reverse<usize>)>,
-    /// Instances whose inputs are on record and would have to be made again: another process may do without.
+    /// Instances that a worker may take now.
+    pub(super) ready: BinaryHeap<Priority>,
+    /// Instances whose inputs would have to be recomputed. They come last: another process may make that unnecessary.
     pub(super) costly: VecDeque<usize>,
-    /// The same by the keys of those inputs: what is made again is made for all of them.
+    /// Costly instances by the keys of those inputs: a recomputed input serves all of them.
     pub(super) wanting: HashMap<Digest, Vec<usize>>,
-    /// Recorded instances whose values are needed and not at hand; the last one called for comes first.
-    pub(super) remakes: VecDeque<usize>,
-    /// What other processes do that this one would do too, and what is handed over between them.
+    /// Instances whose values have to be recomputed; the one requested last comes first.
+    pub(super) recomputes: VecDeque<usize>,
+    /// What other processes compute meanwhile, and the values exchanged with them.
     pub(super) exchange: Exchange,
-    /// Instances were added to the plan.
+    /// Whether instances were added to the plan.
     pub(super) grown: bool,
+    /// Instances being computed or queued, by the key of their recipe.
     pub(super) computing: HashMap<Digest, Line>,
     pub(super) timing: Timing,
-    pub(super) memory_bytes: usize,
-    pub(super) failure: bool,
-    /// A step that was made again came out otherwise.
+    pub(super) budget: MemoryBudget,
+    /// Whether a step failed.
+    pub(super) failed: bool,
+    /// Whether a recomputed step gave a different output.
     pub(super) revised: bool,
-    /// How much the log shows of each instance; found when it is first asked for.
+    /// How much the log shows of each instance; `None` until it is first asked for, and when the plan has grown.
     pub(super) log_levels: Option<Vec<LogLevel>>,
-    /// What running instances are expected to need, bytes, by instance.
-    pub(super) needs: HashMap<usize, u64>,
-    /// What instances in line are expected to need, bytes, as far as that was asked for.
-    pub(super) estimates: HashMap<usize, u64>,
-    resident: Resident,
-    /// Keys that were looked up and are not told of yet.
-    pub(super) counted_on: Vec<Digest>,
-    workers: Workers,
+    pub(super) resident: Resident,
+    /// Keys that were looked up and have yet to be listed in the lease of this process.
+    pub(super) referenced: Vec<Digest>,
+    pub(super) workers: Workers,
     pub(super) running: usize,
 }
 
@@ -115,18 +124,16 @@ impl<'a> Scheduler<'a> {
             ready: BinaryHeap::new(),
             costly: VecDeque::new(),
             wanting: HashMap::new(),
-            remakes: VecDeque::new(),
+            recomputes: VecDeque::new(),
             exchange: Exchange::default(),
             grown: false,
             computing: HashMap::new(),
-            memory_bytes: 0,
-            failure: false,
+            budget: MemoryBudget::new(options.memory_bytes),
+            failed: false,
             revised: false,
             log_levels: None,
-            needs: HashMap::new(),
-            estimates: HashMap::new(),
             resident: Resident::default(),
-            counted_on: Vec::new(),
+            referenced: Vec::new(),
             workers,
             running: 0,
         }
@@ -135,10 +142,10 @@ impl<'a> Scheduler<'a> {
     fn run(mut self, results: &Receiver<worker::Result>, stop: &AtomicBool) -> Result<Summary, RunError> {
         let begun = Instant::now();
         self.store.count_on(&[])?;
-        self.tell(&Event::Planned { steps: self.plan.instances.len() });
-        let first = (0..self.states.len()).filter(|instance| self.states[*instance].unmet == 0);
+        self.report(&Event::Planned { steps: self.plan.instances.len() });
+        let first = (0..self.states.len()).filter(|instance| self.states[*instance].is_unsettled());
         self.turns = first.map(Turn::Settle).collect();
-        let outcome = self.work_off(results, stop);
+        let outcome = self.main_loop(results, stop);
         self.observer.end();
         let interrupted = stop.load(Ordering::Relaxed);
         if let Err(error) = outcome {
@@ -156,12 +163,12 @@ impl<'a> Scheduler<'a> {
         Ok(self.summary(begun.elapsed()))
     }
 
-    fn work_off(&mut self, results: &Receiver<worker::Result>, stop: &AtomicBool) -> Result<(), RunError> {
+    fn main_loop(&mut self, results: &Receiver<worker::Result>, stop: &AtomicBool) -> Result<(), RunError> {
         loop {
             self.take_turns()?;
             while self.running < self.options.jobs && !self.stopping(stop) {
                 let Some(instance) = self.next()? else { break };
-                if !self.has_room(instance, self.running) {
+                if !self.claim_memory(instance) {
                     break;
                 }
                 self.begin(instance)?;
@@ -170,40 +177,40 @@ impl<'a> Scheduler<'a> {
             if is_over || stop.load(Ordering::Relaxed) {
                 return Ok(());
             }
-            let result = results.recv_timeout(self.patience());
-            self.resident.look();
+            let result = results.recv_timeout(self.poll_interval());
+            self.resident.sample();
             match result {
                 Ok((instance, result)) => self.end(instance, *result, stop)?,
-                // Nothing came in time: there is a sender as long as there is a scheduler.
-                Err(_) => self.exchange.grow_patient(),
+                // A timeout: the scheduler has a sender, so the channel is never closed.
+                Err(_) => self.exchange.lengthen_pause(),
             }
-            self.look_around()?;
+            self.poll_others()?;
         }
     }
 
     fn end(&mut self, instance: usize, result: Result<Done, Failure>, stop: &AtomicBool) -> Result<(), RunError> {
         self.running -= 1;
-        self.needs.remove(&instance);
+        self.budget.end(instance);
         self.resident.end(instance);
-        // What gives up because it was told to stop has not failed.
+        // A stage that ends because of the stop has not failed.
         let stopped = stop.load(Ordering::Relaxed) && matches!(result, Err(Failure::Stage(..)));
         if stopped { Ok(()) } else { self.take(instance, result) }
     }
 
     fn stopping(&self, stop: &AtomicBool) -> bool {
-        stop.load(Ordering::Relaxed) || (self.failure && !self.options.keep_going)
+        stop.load(Ordering::Relaxed) || (self.failed && !self.options.keep_going)
     }
 
-    /// The next instance a worker can have: one that is ready, or becomes so when its inputs are made again.
+    /// The next instance for a worker: one that is ready, or becomes ready when its inputs are recomputed.
     fn next(&mut self) -> Result<Option<usize>, RunError> {
         loop {
             if let Some(instance) = self.next_ready()? {
                 return Ok(Some(instance));
             }
-            if let Some(instance) = self.remakes.pop_front() {
-                self.take_up(instance)?;
+            if let Some(instance) = self.recomputes.pop_front() {
+                self.obtain_values(instance)?;
             } else if let Some(instance) = self.costly.pop_front() {
-                self.call_for_inputs(instance)?;
+                self.request_inputs(instance)?;
             } else {
                 return Ok(None);
             }
@@ -212,12 +219,9 @@ impl<'a> Scheduler<'a> {
     }
 
     fn next_ready(&mut self) -> Result<Option<usize>, RunError> {
-        while let Some((_, _, std::cmp::Reverse(instance))) = self.ready.pop() {
-            let state = &self.states[instance];
-            if state.status() != Status::Due || state.missing > 0 {
-                continue;
-            }
-            if !state.again {
+        while let Some(Priority { instance: std::cmp::Reverse(instance), .. }) = self.ready.pop() {
+            let Some(due) = self.states[instance].due().filter(|due| due.missing == 0) else { continue };
+            if !due.is_stale {
                 return Ok(Some(instance));
             }
             self.turns.push_back(Turn::Prepare(instance));
@@ -226,20 +230,7 @@ impl<'a> Scheduler<'a> {
         Ok(None)
     }
 
-    fn begin(&mut self, instance: usize) -> Result<(), RunError> {
-        let levels = self.log_levels.get_or_insert_with(|| self.plan.log_levels());
-        let sketch = (levels.get(instance) == Some(&LogLevel::Full)).then_some(self.options.look);
-        let peak = self.resident.begin(instance);
-        let mut task = self.task(instance, sketch, peak);
-        task.lease = self.states[instance].lease.take();
-        self.running += 1;
-        self.states.set(instance, Status::Running);
-        let reason = if task.remake || self.states[instance].recorded { Reason::Needed } else { Reason::New };
-        self.tell(&Event::Started { step: self.plan.label(instance), reason });
-        self.workers.start(task, self.running).inspect_err(|_| self.running -= 1)
-    }
-
-    /// Lets running stages notice the stop; those that do not in time are left behind.
+    /// Gives running stages time to notice the stop; those that do not are left behind.
     fn abandon(
         mut self,
         stop: &AtomicBool,
@@ -260,136 +251,17 @@ impl<'a> Scheduler<'a> {
         Err(error)
     }
 
-    fn task(&self, instance: usize, sketch: Option<&'static dyn Look>, peak_bytes: Arc<AtomicU64>) -> Task {
-        let own = &self.plan.instances[instance];
-        let step = self.plan.step(instance);
-        let state = &self.states[instance];
-        let feeds = own.inputs.iter().flat_map(|(port, given)| {
-            given.iter().map(move |given| Feed {
-                port,
-                point: given.point.clone(),
-                from: (given.instance, given.port),
-                value: self.value(given.instance, given.port),
-            })
-        });
-        let outputs = step.ports.outputs.iter().filter(|port| makes(own, port)).map(|port| (port.name, port.kinds[0]));
-        let recipe = self.known_recipe(instance);
-        Task {
-            instance,
-            stage: step.stage,
-            key: state.key.unwrap_or_else(|| recipe.key()),
-            recipe,
-            params: own.params.clone(),
-            feeds: feeds.collect(),
-            ports: step.ports.outputs,
-            outputs: outputs.collect(),
-            keep: self.must_keep(instance),
-            remake: state.remaking,
-            lease: None,
-            timeout: step.timeout,
-            retries: step.retries,
-            sketch,
-            peak_bytes,
-        }
-    }
-
-    fn value(&self, producer: usize, port: &'static str) -> Value {
-        let state = &self.states[producer];
-        let recorded = state.outcome.as_ref().map(|outcome| &outcome.outputs[port]);
-        if let Some(spilled) = state.spilled.get(port).filter(|_| !state.values.contains_key(port)) {
-            return Value::Spilled(spilled.clone());
-        }
-        match (state.values.get(port), recorded) {
-            (Some(value), _) => Value::Ready(value.clone()),
-            (None, Some(recorded)) => Value::Stored(recorded.kind.parse().unwrap_or(Kind::Table), recorded.digest),
-            (None, None) => Value::Stored(Kind::Table, Digest::of(b"")),
-        }
-    }
-
-    fn take(&mut self, instance: usize, result: Result<Done, Failure>) -> Result<(), RunError> {
-        match result {
-            Ok(done) => self.complete(instance, done)?,
-            Err(Failure::Store(error)) => return Err(RunError::Store(error)),
-            Err(Failure::Held) => self.leave_elsewhere(instance),
-            Err(Failure::Lost(producer, why)) => {
-                self.warn(producer, format!("an output had to be made again: {why}"));
-                let State { values, spilled, announced, .. } = &mut self.states[producer];
-                spilled.clear();
-                announced.retain(|port, _| values.contains_key(port));
-                self.states.set(instance, Status::Due);
-                self.turns.push_back(Turn::Prepare(instance));
-            }
-            Err(Failure::Stage(error, log)) => {
-                let stage = self.plan.step(instance).stage.name().to_owned();
-                let step = self.plan.label(instance);
-                let help = error.hint.as_ref().map(|hint| format!("\nhelp: {hint}")).unwrap_or_default();
-                let message = format!("{}{help}", error.message);
-                self.states[instance].failure = Some(Box::new(crate::run::StepFailure { message, log }));
-                self.tell(&Event::Failed { step, stage, message: error.message, hint: error.hint });
-                self.fail(instance);
-            }
-        }
-        Ok(())
-    }
-
-    fn complete(&mut self, instance: usize, done: Done) -> Result<(), RunError> {
-        for text in &done.warnings {
-            self.warn(instance, text.clone());
-        }
-        for ((producer, port), value) in done.loaded {
-            if self.states[producer].users > 1 {
-                self.hold(producer, port, value);
-            }
-        }
-        for (port, value) in done.values {
-            self.hold(instance, port, value);
-        }
-        self.states[instance].announced.extend(done.announced);
-        self.states.set(instance, Status::Done);
-        self.states[instance].recipe = None;
-        self.tell_end(instance, done.elsewhere, done.outcome.cost.wall_s);
-        if self.states[instance].remaking {
-            let former = self.states[instance].outcome.as_ref();
-            let changed = former.is_some_and(|former| !same_outputs(former, &done.outcome));
-            if changed {
-                let text =
-                    "it was made again from the same recipe and came out otherwise: the stage is not deterministic";
-                self.warn(instance, text.to_owned());
-            }
-            self.hand_over_made(instance, &done.outcome);
-            self.remade(instance, done.outcome, changed)?;
-        } else {
-            self.hand_over_made(instance, &done.outcome);
-            self.turns.push_front(Turn::Finish(instance, done.outcome));
-        }
-        self.take_turns()?;
-        self.relieve();
-        Ok(())
-    }
-
-    fn tell_end(&mut self, instance: usize, elsewhere: bool, wall_s: f64) {
-        if elsewhere {
-            return self.tell_cached(instance);
-        }
-        self.states[instance].executed = true;
-        let timed = &mut self.timing.timed[self.plan.instances[instance].step];
-        *timed = (timed.0 + 1, timed.1 + wall_s);
-        self.tell(&Event::Finished { step: self.plan.label(instance), wall_s });
-    }
-
     fn summary(self, elapsed: Duration) -> Summary {
         self.workers.end();
-        let instances = self.states.into_list().into_iter().map(|state| crate::run::InstanceResult {
-            outcome: if state.status() == Status::Done { state.outcome } else { None },
-            key: state.key,
-            recipe: state.recipe.map(|recipe| *recipe),
-            executed: state.executed,
-            failure: state.failure.map(|failure| *failure),
+        let instances = self.states.into_list().into_iter().map(|mut state| {
+            let (key, recipe, executed) = (state.key, state.recipe.take().map(|recipe| *recipe), state.executed);
+            let (outcome, failure) = state.into_result();
+            InstanceResult { key, recipe, executed, outcome, failure }
         });
         Summary {
             instances: instances.collect(),
             wall_s: elapsed.as_secs_f64(),
-            failed: self.failure,
+            failed: self.failed,
             revised: self.revised,
         }
     }

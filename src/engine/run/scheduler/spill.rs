@@ -1,5 +1,5 @@
-//! Values that are not kept, in files that go with the last who may ask for them: those that memory has no room for, and
-//! those that another process has brought.
+//! Values on disk that the store does not keep: those spilled for want of memory, and those brought by another process. Each
+//! file is removed with its last user.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use rockface_cache::Digest;
 use rockface_core::artefact::{Artefact, Kind};
 
-/// A value in a file of its own, which is removed with it.
+/// A value in a file, which is removed when this is dropped.
 #[derive(Debug)]
 pub struct Spilled {
     path: tempfile::TempPath,
@@ -24,7 +24,7 @@ impl Spilled {
         Some(Self { path: file.into_temp_path(), kind: value.kind(), digest: Digest::of(&bytes) })
     }
 
-    /// A file that another process has written.
+    /// A file that another process has written; `None` if its path cannot be used.
     pub fn brought(path: PathBuf, kind: Kind, digest: Digest) -> Option<Self> {
         Some(Self { path: tempfile::TempPath::try_from_path(path).ok()?, kind, digest })
     }
@@ -34,7 +34,7 @@ impl Spilled {
         &self.path
     }
 
-    /// Reads it back, or says why it cannot be.
+    /// Reads the value, or says why that is impossible.
     pub fn read(&self) -> Result<Artefact, String> {
         let bytes = std::fs::read(&self.path).map_err(|error| format!("{}: {error}", self.path.display()))?;
         if Digest::of(&bytes) != self.digest {

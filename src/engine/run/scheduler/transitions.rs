@@ -1,80 +1,81 @@
-//! The turns of the scheduler: what is known already, what has to run, and what follows from a result.
+//! Transitions between phases: what is known already, what has to run, and what follows from an outcome.
 
 use std::sync::Arc;
 
 use rockface_cache::{Digest, Outcome, Recipe, Record};
 use rockface_core::artefact::Artefact;
 
-use super::schedule::{Line, Scheduler, Turn};
-use super::state::{State, Status, same_outputs};
+use super::phase::Purpose;
+use super::schedule::{Line, Priority, Scheduler, Turn};
+use super::state::{State, same_outputs};
 use crate::plan::hit;
-use crate::run::RunError;
+use crate::run::{RunError, StepFailure};
 
 impl Scheduler<'_> {
-    /// Does all that is to be done without a worker.
+    /// Takes all turns that wait; none of them needs a worker.
     pub fn take_turns(&mut self) -> Result<(), RunError> {
         while let Some(turn) = self.turns.pop_front() {
             match turn {
                 Turn::Settle(instance) => self.settle(instance),
                 Turn::Prepare(instance) => self.prepare(instance),
-                Turn::Finish(instance, outcome) => self.finish(instance, outcome)?,
+                Turn::Finish(instance) => self.finish(instance)?,
             }
         }
-        if !self.counted_on.is_empty() {
-            self.store.count_on(&std::mem::take(&mut self.counted_on))?;
+        if !self.referenced.is_empty() {
+            self.store.count_on(&std::mem::take(&mut self.referenced))?;
         }
         Ok(())
-    }
-
-    pub fn is_due(&self, instance: usize) -> bool {
-        self.states[instance].status() == Status::Due
     }
 
     /// The recipe of an instance whose producers are done.
     pub fn recipe(&self, instance: usize) -> Recipe {
         let states = &self.states;
         self.plan.recipe(instance, |producer, port| {
-            states[producer].outcome.as_ref().map_or_else(|| Digest::of(b""), |outcome| outcome.outputs[port].digest)
+            states[producer].outcome().map_or_else(|| Digest::of(b""), |outcome| outcome.outputs[port].digest)
         })
     }
 
-    /// The recipe an instance has or had when it was done: that of its record, where it is not at hand.
+    /// The recipe of an instance that has a key: the one held here, or else that of its record.
     pub fn known_recipe(&self, instance: usize) -> Recipe {
         let state = &self.states[instance];
         let recorded = || self.store.record(&state.key?).map(|record| record.recipe);
         state.recipe.as_deref().cloned().or_else(recorded).unwrap_or_else(|| self.recipe(instance))
     }
 
-    /// Finds the recipe of an instance; kept by whoever has to compute it.
-    fn set_recipe(&mut self, instance: usize) -> (Digest, Recipe) {
+    /// Determines the recipe of an instance and its key.
+    fn determine_recipe(&mut self, instance: usize) -> (Digest, Recipe) {
         let recipe = self.recipe(instance);
         let key = recipe.key();
-        self.counted_on.push(key);
-        let state = &mut self.states[instance];
-        (state.key, state.recipe, state.again, state.lease) = (Some(key), None, false, None);
+        self.referenced.push(key);
+        (self.states[instance].key, self.states[instance].recipe) = (Some(key), None);
         (key, recipe)
     }
 
+    /// All producers are done: the outcome is on record, or the instance has to run.
     fn settle(&mut self, instance: usize) {
-        if !matches!(self.states[instance].status(), Status::Waiting | Status::Due) {
+        if !self.states[instance].is_pending() {
             return;
         }
-        let (key, recipe) = self.set_recipe(instance);
-        self.states.set(instance, Status::Due);
+        let (key, recipe) = self.determine_recipe(instance);
         let known = hit(self.store, &key, self.plan.step(instance).keep, |outcome| self.plan.fits(instance, outcome));
-        self.tell_damaged(instance);
+        self.report_damaged(instance);
         if let Some(outcome) = known {
-            self.states.set(instance, Status::Done);
-            self.tell_cached(instance);
-            self.turns.push_back(Turn::Finish(instance, outcome));
+            self.close(instance, outcome);
         } else {
-            let state = &mut self.states[instance];
-            (state.recorded, state.recipe) = (self.store.has_record(&key), Some(Box::new(recipe)));
+            self.states[instance].recipe = Some(Box::new(recipe));
+            self.states.make_due(instance, Purpose::Compute { recorded: self.store.has_record(&key) });
             self.enter(instance, key);
         }
     }
 
-    /// Computes a recipe, or waits for the one that does.
+    /// The outcome of an instance is known although its stage did not run.
+    pub fn close(&mut self, instance: usize, outcome: Outcome) {
+        self.states.finish(instance, outcome);
+        self.report_cached(instance);
+        self.turns.push_back(Turn::Finish(instance));
+    }
+
+    /// Queues an instance, or lets it wait for one with the same recipe that is queued already.
     pub fn enter(&mut self, instance: usize, key: Digest) {
         if let Some(line) = self.computing.get_mut(&key) {
             line.twins.push(instance);
@@ -84,7 +85,7 @@ impl Scheduler<'_> {
         }
     }
 
-    /// Ends the line of an instance, if it leads one, and gives back who waited in it.
+    /// Removes the line that an instance leads, and returns the instances that waited in it.
     pub fn end_line(&mut self, instance: usize) -> Vec<usize> {
         let Some(key) = self.states[instance].key else { return Vec::new() };
         if self.computing.get(&key).is_none_or(|line| line.leader != instance) {
@@ -93,32 +94,31 @@ impl Scheduler<'_> {
         self.computing.remove(&key).map(|line| line.twins).unwrap_or_default()
     }
 
-    /// Whether an instance or one that waits for it keeps its outputs.
+    /// Whether the outputs of an instance are to be kept, for itself or for one that waits for it.
     pub fn must_keep(&self, instance: usize) -> bool {
         let line = self.states[instance].key.and_then(|key| self.computing.get(&key));
         let twins = line.into_iter().flat_map(|line| &line.twins).copied();
         twins.chain([instance]).any(|twin| self.plan.step(twin).keep)
     }
 
-    /// Puts an instance in line for a worker; where values it needs are neither in memory nor in the store, behind all others.
+    /// Queues an instance for a worker; if values it needs are neither in memory nor in the store, behind all others.
     fn prepare(&mut self, instance: usize) {
-        if !self.is_due(instance) {
-            return;
+        let Some(due) = self.states[instance].due() else { return };
+        let (is_recompute, has_lease) = (due.is_recompute(), due.lease.is_some());
+        if due.is_stale {
+            return self.renew_recipes(instance);
         }
-        if self.states[instance].again {
-            return self.look_again(instance);
-        }
-        if self.states[instance].remaking && self.states[instance].lease.is_none() {
-            return self.remakes.push_front(instance);
+        if is_recompute && !has_lease {
+            return self.recomputes.push_front(instance);
         }
         let absent = self.absent(instance);
-        if absent.iter().any(|producer| self.states[*producer].status() == Status::Failed) {
-            return self.fail(instance);
+        if absent.iter().any(|producer| self.states[*producer].is_failed()) {
+            return self.fail(instance, None);
         }
         if absent.is_empty() {
-            self.line_up(instance);
-        } else if self.states[instance].remaking {
-            self.remake_all(instance, &absent);
+            self.queue(instance);
+        } else if is_recompute {
+            self.recompute_all(instance, &absent);
         } else {
             self.costly.push_back(instance);
             for key in absent.iter().filter_map(|producer| self.states[*producer].key) {
@@ -127,13 +127,13 @@ impl Scheduler<'_> {
         }
     }
 
-    /// Puts an instance in line for a worker.
-    pub fn line_up(&mut self, instance: usize) {
-        let depth = self.plan.instances[instance].step;
-        self.ready.push((self.drains(instance), depth, std::cmp::Reverse(instance)));
+    /// Queues an instance whose inputs are at hand for a worker.
+    pub fn queue(&mut self, instance: usize) {
+        let (drains, depth) = (self.drains(instance), self.plan.instances[instance].step);
+        self.ready.push(Priority { drains, depth, instance: std::cmp::Reverse(instance) });
     }
 
-    /// Whether it uses values that are held in memory only, so that they can be let go.
+    /// Whether an instance uses values that no store has, so that running it may free them.
     fn drains(&self, instance: usize) -> bool {
         let transient = |producer: &usize| {
             let state = &self.states[*producer];
@@ -143,32 +143,29 @@ impl Scheduler<'_> {
         self.plan.producers(instance).iter().any(transient)
     }
 
-    /// A producer came out otherwise: the recipe of this instance, and of who waits for it, is not what it was.
-    fn look_again(&mut self, instance: usize) {
+    /// A producer gave a different output: determines the recipes of this instance, and of those that wait for it, again.
+    fn renew_recipes(&mut self, instance: usize) {
         let twins = self.end_line(instance);
-        for due in std::iter::once(instance).chain(twins) {
-            if !self.is_due(due) {
+        for instance in std::iter::once(instance).chain(twins) {
+            let Some(due) = self.states[instance].due_mut() else { continue };
+            if !due.is_recompute() {
+                self.turns.push_back(Turn::Settle(instance));
                 continue;
             }
-            if self.states[due].remaking {
-                let (key, recipe) = self.set_recipe(due);
-                self.states[due].recipe = Some(Box::new(recipe));
-                self.enter(due, key);
-            } else {
-                self.turns.push_back(Turn::Settle(due));
-            }
+            (due.is_stale, due.lease) = (false, None);
+            let (key, recipe) = self.determine_recipe(instance);
+            self.states[instance].recipe = Some(Box::new(recipe));
+            self.enter(instance, key);
         }
     }
 
-    /// The record of an instance is known: tell its consumers, and free what only it needed.
-    fn finish(&mut self, instance: usize, outcome: Outcome) -> Result<(), RunError> {
-        self.states[instance].outcome = Some(outcome);
+    /// The outcome of an instance is known: notifies its consumers, and frees what only it needed.
+    fn finish(&mut self, instance: usize) -> Result<(), RunError> {
+        self.states[instance].set_delivered();
         self.deliver_to_twins(instance)?;
-        self.let_go(instance);
+        self.release_inputs(instance);
         for dependent in self.plan.instances[instance].dependents.clone() {
-            let state = &mut self.states[dependent];
-            state.unmet -= 1;
-            if state.unmet == 0 && state.status() == Status::Waiting {
+            if self.states[dependent].meet() {
                 self.turns.push_back(Turn::Settle(dependent));
             }
         }
@@ -176,8 +173,8 @@ impl Scheduler<'_> {
         Ok(())
     }
 
-    /// Frees the values an instance needed, and its own if nobody needs them.
-    pub fn let_go(&mut self, instance: usize) {
+    /// Frees the values that an instance needed, and its own if no consumer is left.
+    pub fn release_inputs(&mut self, instance: usize) {
         for producer in self.plan.producers(instance) {
             self.release(producer);
         }
@@ -186,6 +183,7 @@ impl Scheduler<'_> {
         }
     }
 
+    /// Gives the outcome of an instance to those that waited for it.
     pub fn deliver_to_twins(&mut self, instance: usize) -> Result<(), RunError> {
         for twin in self.end_line(instance) {
             self.deliver(instance, twin)?;
@@ -193,17 +191,16 @@ impl Scheduler<'_> {
         Ok(())
     }
 
-    /// Equal recipes have equal outputs: a twin takes them, from memory where they are.
+    /// Gives the outcome of `leader` to an instance with the same recipe, with the values that are in memory or spilled.
     fn deliver(&mut self, leader: usize, twin: usize) -> Result<(), RunError> {
-        if !self.is_due(twin) {
+        let Some(due) = self.states[twin].due() else { return Ok(()) };
+        let is_recompute = due.is_recompute();
+        if due.is_stale {
+            self.renew_recipes(twin);
             return Ok(());
         }
-        if self.states[twin].again {
-            self.look_again(twin);
-            return Ok(());
-        }
-        let Some(outcome) = self.kept_as(twin, leader)? else {
-            if self.states[twin].remaking {
+        let Some(outcome) = self.outcome_for(twin, leader)? else {
+            if is_recompute {
                 self.enter_again(twin);
             } else {
                 self.turns.push_back(Turn::Settle(twin));
@@ -216,31 +213,31 @@ impl Scheduler<'_> {
             (self.states[twin].spilled, self.states[twin].announced) = (spilled, announced);
             values.into_iter().for_each(|(port, value)| self.hold(twin, port, value));
         }
-        self.states.set(twin, Status::Done);
-        self.tell_cached(twin);
-        if self.states[twin].remaking {
-            let changed = self.states[twin].outcome.as_ref().is_some_and(|former| !same_outputs(former, &outcome));
-            return self.remade(twin, outcome, changed);
+        if let Some(former) = self.states[twin].outcome().filter(|_| is_recompute) {
+            let changed = !same_outputs(former, &outcome);
+            self.states.finish(twin, outcome);
+            self.report_cached(twin);
+            return self.recomputed(twin, changed);
         }
-        self.turns.push_back(Turn::Finish(twin, outcome));
+        self.close(twin, outcome);
         Ok(())
     }
 
-    /// What came out of `leader`, with its values where its twin needs them; `None` when they are nowhere.
-    fn kept_as(&mut self, twin: usize, leader: usize) -> Result<Option<Outcome>, RunError> {
+    /// The outcome of `leader` as its twin needs it, which may have to keep the outputs; `None` when the values are nowhere.
+    fn outcome_for(&mut self, twin: usize, leader: usize) -> Result<Option<Outcome>, RunError> {
         let leading = &self.states[leader];
-        let Some(outcome) = leading.outcome.clone() else { return Ok(None) };
+        let Some(outcome) = leading.outcome().cloned() else { return Ok(None) };
         let values = leading.values.clone();
         let in_memory = outcome.outputs.keys().all(|port| values.contains_key(port.as_str()));
         if self.plan.step(twin).keep && !outcome.is_kept() {
             return if in_memory { self.store_values(leader, outcome, &values).map(Some) } else { Ok(None) };
         }
         let held = outcome.outputs.keys().all(|port| self.states[leader].holds(port));
-        let there = !self.states[twin].remaking || held || self.is_stored(&self.states[leader]);
-        Ok(there.then_some(outcome))
+        let is_there = !self.states[twin].is_recompute() || held || self.is_stored(&self.states[leader]);
+        Ok(is_there.then_some(outcome))
     }
 
-    /// Writes values that were not kept, and a record that says so.
+    /// Stores values that were not to be kept, and a record of them.
     fn store_values(&self, leader: usize, mut outcome: Outcome, values: &Values) -> Result<Outcome, RunError> {
         for (port, output) in outcome.outputs.iter_mut() {
             let encoded = values[port.as_str()].encode();
@@ -255,23 +252,21 @@ impl Scheduler<'_> {
         Ok(outcome)
     }
 
-    /// An instance failed: so does what waits for it, and nothing that is done or running.
-    pub fn fail(&mut self, instance: usize) {
-        self.failure = true;
+    /// An instance failed, with the cause if its own stage did: whatever waits for it fails too. Instances that are done or
+    /// running are not affected.
+    pub fn fail(&mut self, instance: usize, mut cause: Option<Box<StepFailure>>) {
+        self.failed = true;
         let mut failed = vec![instance];
         while let Some(instance) = failed.pop() {
-            let status = self.states[instance].status();
-            if matches!(status, Status::Failed | Status::Done) {
+            if self.states[instance].is_done() || self.states[instance].is_failed() {
                 continue;
             }
             failed.extend(self.end_line(instance));
-            self.states.set(instance, Status::Failed);
-            self.states[instance].lease = None;
+            self.states.fail(instance, cause.take());
             self.plan.producers(instance).into_iter().for_each(|producer| self.release(producer));
             let waiting = self.plan.instances[instance].dependents.iter().copied();
             let waiting = waiting.chain(std::mem::take(&mut self.states[instance].wanted_by));
-            let open = |i: &usize| matches!(self.states[*i].status(), Status::Waiting | Status::Due);
-            failed.extend(waiting.filter(open).collect::<Vec<_>>());
+            failed.extend(waiting.filter(|instance| self.states[*instance].is_pending()).collect::<Vec<_>>());
         }
     }
 }

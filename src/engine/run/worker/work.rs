@@ -63,7 +63,7 @@ pub struct Task {
     /// Whether its outputs are kept.
     pub keep: bool,
     /// It is recorded, but its values are needed.
-    pub remake: bool,
+    pub recompute: bool,
     /// The lock of its key, if it is held already.
     pub lease: Option<KeyLock>,
     /// How long one go may take.
@@ -191,7 +191,7 @@ fn done_elsewhere(task: &Task, store: &Store) -> Option<Outcome> {
     let owed = task.outputs.iter().map(|(port, _)| *port);
     let outcome = crate::plan::hit(store, &task.key, task.keep, |outcome| has_ports(outcome, task.ports, owed))?;
     let values_there = outcome.outputs.values().all(|output| store.contains(&output.digest));
-    (!task.remake || values_there).then_some(outcome)
+    (!task.recompute || values_there).then_some(outcome)
 }
 
 /// Inputs that were not in memory, by producer and port.
