@@ -1,6 +1,8 @@
-//! The memory of rockface: a content-addressed store of blobs by digest and of records by recipe.
+//! The store of rockface: blobs by the digest of their bytes, records by the key of their recipe.
 //!
-//! The crate knows bytes, digests and recipes. It knows no stage, no pipeline and no engine.
+//! The crate knows bytes, digests and recipes. It knows no stage, no pipeline and no engine. [`Store`] keeps blobs, records and the
+//! digests of files outside; [`Memory`] is what the engine remembers in the same folder to save time: former runs, notes beside
+//! records, answers to former commands, parsed texts. A store without that memory gives the same results.
 //!
 //! # Invariants
 //!
@@ -45,10 +47,9 @@ mod index;
 mod journal;
 mod lease;
 mod locks;
-mod looks;
 mod maintenance;
 mod materialise;
-mod memo;
+mod memory;
 mod names;
 mod open;
 mod outputs;
@@ -68,12 +69,10 @@ pub use error::StoreError;
 pub use files::FileDigest;
 pub use lease::Live;
 pub use locks::{Announced, KeyLock};
-pub use looks::{Seen, State};
 pub use maintenance::{Collected, Fault, FaultKind, GcItem, GcPlan, GcPolicy, Handed, StageStat, Verified};
 pub use materialise::Materialised;
-pub use memo::{Grounds, recall};
+pub use memory::{Grounds, Memory, Seen, State, read_own, recall, trees};
 pub use names::{NameError, SafeName, SafePath};
-pub use open::{TREES, read_own};
 pub use outputs::Outputs;
 pub use recipe::{Gathered, Recipe, RecipeInput, SeedMaterial, shared};
 pub use record::{Cost, Outcome, OutputRecord, Record};

@@ -4,8 +4,6 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
-use serde_json::Value;
-
 use crate::blobs::Blobs;
 use crate::error::{At, StoreError};
 use crate::frame::Kind;
@@ -278,22 +276,6 @@ impl Store {
     /// Makes everything stored so far durable now. Happens by itself within a second, and when the store is dropped.
     pub fn sync(&self) -> Result<(), StoreError> {
         self.syncer.sync()
-    }
-
-    /// Keeps a note on a run under the key of its plan; a later note replaces it.
-    pub fn remember_run(&self, plan_key: &Digest, json: &Value) -> Result<(), StoreError> {
-        self.append(Kind::Note, *plan_key, json.to_string().as_bytes())
-    }
-
-    /// The latest note under the key of this plan.
-    pub fn recalled_run(&self, plan_key: &Digest) -> Option<Value> {
-        self.journal.with_index(|index| serde_json::from_slice(index.payload(Kind::Note, plan_key)?).ok())
-    }
-
-    /// The latest notes on runs, in the order of the keys of their plans.
-    pub fn recalled_runs(&self) -> Vec<Value> {
-        let keys = self.journal.with_index(|index| index.names(Kind::Note));
-        keys.iter().filter_map(|key| self.recalled_run(key)).collect()
     }
 
     /// The keys of all records, sorted.

@@ -132,7 +132,7 @@ impl PipelineArgs {
     /// The pipeline of the text that was read.
     fn load_text(&self, registry: &Registry, text: &str) -> Result<Pipeline, CliError> {
         let (path, overrides) = (&self.pipeline, self.overrides());
-        let trees = self.store_dir().join(rockface_cache::TREES);
+        let trees = rockface_cache::trees(&self.store_dir());
         let loaded = match &self.text {
             Some(_) => Pipeline::of_text(text, self.included.clone(), path, &overrides),
             None => Pipeline::of_read(text, path, &overrides, Some(&trees)),

@@ -239,7 +239,7 @@ fn told(done: &Collected) -> String {
 fn run_folders(store: &Store, runs: &Path) -> Result<BTreeSet<PathBuf>, CliError> {
     let absolute = |folder: PathBuf| std::path::absolute(&folder).unwrap_or(folder);
     let mut folders: BTreeSet<PathBuf> = history::folders(runs)?.into_iter().map(absolute).collect();
-    for note in store.recalled_runs() {
+    for note in store.memory().recalled_runs() {
         let folder = note.get("folder").and_then(serde_json::Value::as_str).map(PathBuf::from);
         folders.extend(folder.filter(|folder| history::may_be_run(folder)));
     }

@@ -17,7 +17,8 @@ use std::collections::BTreeSet;
 use super::GcPlan;
 use crate::error::{At, StoreError};
 use crate::frame::Kind;
-use crate::open::{ANSWERS, QUARANTINE};
+use crate::memory::ANSWERS;
+use crate::open::QUARANTINE;
 use crate::rewrite::{Claimed, Leaving};
 use crate::{Digest, Record, Store};
 

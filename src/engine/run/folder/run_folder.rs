@@ -108,7 +108,7 @@ pub fn finish(
     }
     let finished = Writer { plan, summary, store, about, stop }.write(&key)?;
     if !summary.failed {
-        store.remember_run(&key, &json!(finished))?;
+        store.memory().remember_run(&key, &json!(finished))?;
         store.sync()?;
     }
     Ok(finished)
@@ -116,14 +116,14 @@ pub fn finish(
 
 /// A former run of the same key, if its folder is in `runs` and all that was left in it is what it was.
 fn former(store: &Store, key: &Digest, runs: &Path) -> Result<Option<Finished>, RunError> {
-    let former = store.recalled_run(key).and_then(|note| serde_json::from_value::<Finished>(note).ok());
+    let former = store.memory().recalled_run(key).and_then(|note| serde_json::from_value::<Finished>(note).ok());
     let Some(mut former) = former.filter(|former| made::is_in(&former.folder, runs)) else { return Ok(None) };
     let before = former.made.clone();
     if !made::is_whole(&former.folder, &mut former.made) {
         return Ok(None);
     }
     if former.made != before {
-        store.remember_run(key, &json!(former))?;
+        store.memory().remember_run(key, &json!(former))?;
     }
     Ok(Some(former))
 }

@@ -94,6 +94,6 @@ pub fn remember(
         blobs: outcomes.flat_map(rockface_cache::Outcome::blobs).collect(),
     };
     store.sync()?;
-    store.remember_answer(question, &serde_json::json!(told), &grounds)?;
+    store.memory().remember_answer(question, &serde_json::json!(told), &grounds)?;
     Ok(())
 }

@@ -60,7 +60,7 @@ pub fn state(calls: impl IntoIterator<Item = Call>, store: &Store) -> Tools {
 
 /// Keeps beside the record of a recipe what was called to make it.
 pub fn remember(store: &Store, key: &Digest, tools: &Tools) -> Result<(), rockface_cache::StoreError> {
-    if tools.is_empty() { Ok(()) } else { store.annotate(key, &serde_json::json!(tools)) }
+    if tools.is_empty() { Ok(()) } else { store.memory().annotate(key, &serde_json::json!(tools)) }
 }
 
 /// The programs behind some results.
@@ -78,7 +78,7 @@ pub fn behind(plan: &Plan, store: &Store, results: impl Iterator<Item = (usize, 
     let mut now: BTreeMap<Call, Option<(PathBuf, Digest)>> = BTreeMap::new();
     let mut changed: BTreeMap<Call, (String, usize)> = BTreeMap::new();
     for (instance, key) in results {
-        let tools = store.annotation(&key).and_then(|note| serde_json::from_value::<Tools>(note).ok());
+        let tools = store.memory().annotation(&key).and_then(|note| serde_json::from_value::<Tools>(note).ok());
         for (call, then) in tools.unwrap_or_default().into_values() {
             let found = now.entry(call.clone()).or_insert_with(|| behind.look(&call, store));
             if found.as_ref().is_some_and(|(_, digest)| *digest != then) {

@@ -14,12 +14,13 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use super::looks::{Repeatable, Seen, State, are_same, is_same};
+use super::{ANSWERS, Memory, read_own};
+use crate::Digest;
 use crate::error::{At, StoreError};
 use crate::files::Fingerprint;
-use crate::looks::{Repeatable, Seen, State, are_same, is_same};
-use crate::open::{self, ANSWERS, BLOBS, SEGMENTS};
+use crate::open::{self, BLOBS, SEGMENTS};
 use crate::seal::seal_ns;
-use crate::{Digest, Store};
 
 /// Opens every answer; what was written by another version is no answer.
 const FORMAT: &str = "rockface answer 2";
@@ -56,7 +57,7 @@ struct Kept {
 /// what this user has filed is an answer: whoever may write to a shared store could file another.
 pub fn recall(dir: &Path, question: &Digest) -> Option<Value> {
     open::is_current(dir).then_some(())?;
-    let text = open::read_own(&slot(dir, question))?;
+    let text = read_own(&slot(dir, question))?;
     let kept = decode(&text).filter(|kept| kept.question == *question)?;
     let (folder, made) = &kept.made;
     let holds = kept.looks.iter().all(is_same)
@@ -66,19 +67,20 @@ pub fn recall(dir: &Path, question: &Digest) -> Option<Value> {
     holds.then_some(kept.answer)
 }
 
-impl Store {
+impl Memory<'_> {
     /// Files what `question` came to, if all it rests on can be told to be untouched later; says whether it was filed.
     ///
     /// It is not where an input was modified too recently for its time to be trusted, or where another process has
     /// written to the store since this one looked.
     pub fn remember_answer(&self, question: &Digest, answer: &Value, grounds: &Grounds) -> Result<bool, StoreError> {
         let Some(kept) = self.kept_answer(question, answer, grounds) else { return Ok(false) };
-        let body = serde_json::to_vec(&kept).map_err(std::io::Error::from).at("remember the run in", self.dir())?;
-        let path = slot(self.dir(), question);
-        let folder = self.dir().join(ANSWERS);
+        let body =
+            serde_json::to_vec(&kept).map_err(std::io::Error::from).at("remember the run in", self.store.dir())?;
+        let path = slot(self.store.dir(), question);
+        let folder = self.store.dir().join(ANSWERS);
         fs::create_dir_all(&folder).at("make the folder", &folder)?;
         // Locked, so that nobody who opens the store meanwhile sweeps it up.
-        let mut file = self.blobs().temporary()?;
+        let mut file = self.store.blobs().temporary()?;
         let head = format!("{FORMAT} {}\n", Digest::of(&body));
         file.write_all(head.as_bytes()).and_then(|()| file.write_all(&body)).at("write", &path)?;
         file.persist(&path).map_err(|fault| fault.error).at("write", &path)?;
@@ -87,14 +89,17 @@ impl Store {
 
     fn kept_answer(&self, question: &Digest, answer: &Value, grounds: &Grounds) -> Option<Kept> {
         // Taken before anything is compared: what changes from now on will show.
-        let segments = segments(self.dir())?;
-        let looks = grounds.looks.iter().map(|(path, seen)| self.repeatable(path, seen));
+        let segments = segments(self.store.dir())?;
+        let looks = grounds.looks.iter().map(|(path, seen)| self.store.repeatable(path, seen));
         let mut looks = looks.collect::<Option<Vec<_>>>()?;
         looks.sort_unstable();
         looks.dedup();
-        self.journal().has_read(segments.iter().map(|(name, state)| (name.as_str(), state.bytes))).then_some(())?;
-        let large = grounds.blobs.iter().filter(|(digest, _)| !self.is_small(digest));
-        let sized = large.map(|(digest, bytes)| Some((*digest, bytes.or_else(|| self.size(digest))?)));
+        self.store
+            .journal()
+            .has_read(segments.iter().map(|(name, state)| (name.as_str(), state.bytes)))
+            .then_some(())?;
+        let large = grounds.blobs.iter().filter(|(digest, _)| !self.store.is_small(digest));
+        let sized = large.map(|(digest, bytes)| Some((*digest, bytes.or_else(|| self.store.size(digest))?)));
         let mut blobs = sized.collect::<Option<Vec<_>>>()?;
         blobs.sort_unstable();
         blobs.dedup();
@@ -135,6 +140,7 @@ fn is_sealed(dir: &Path, digest: &Digest, bytes: u64) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Store;
     use serde_json::json;
     use std::time::{Duration, SystemTime};
 
@@ -168,7 +174,7 @@ mod tests {
             store.put(&vec![1; 100_000]).unwrap();
             store.put(b"small").unwrap();
             store.sync().unwrap();
-            store.remember_answer(&self.question, &json!("done"), &self.grounds()).unwrap()
+            store.memory().remember_answer(&self.question, &json!("done"), &self.grounds()).unwrap()
         }
     }
 
@@ -188,7 +194,7 @@ mod tests {
         std::thread::scope(|scope| {
             let sweeping = scope.spawn(|| (0..300).for_each(|_| open::prepare(&desk.path("store")).unwrap()));
             while !sweeping.is_finished() {
-                store.remember_answer(&desk.question, &json!("done"), &desk.grounds()).unwrap();
+                store.memory().remember_answer(&desk.question, &json!("done"), &desk.grounds()).unwrap();
             }
         });
     }
@@ -290,8 +296,8 @@ mod tests {
         let other = Store::open(&desk.path("store")).unwrap();
         other.put(b"written by another process").unwrap();
         other.sync().unwrap();
-        assert!(!store.remember_answer(&desk.question, &json!(1), &desk.grounds()).unwrap());
+        assert!(!store.memory().remember_answer(&desk.question, &json!(1), &desk.grounds()).unwrap());
         store.refresh().unwrap();
-        assert!(store.remember_answer(&desk.question, &json!(1), &desk.grounds()).unwrap());
+        assert!(store.memory().remember_answer(&desk.question, &json!(1), &desk.grounds()).unwrap());
     }
 }
