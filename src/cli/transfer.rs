@@ -1,4 +1,4 @@
-//! `rockface store push` and `pull`: results from one store to another.
+//! `rockface store push` and `pull`: copies results from one store to another.
 
 use std::path::PathBuf;
 
@@ -13,10 +13,10 @@ use rockface_engine::history;
 
 /// Arguments of `rockface store push` and `pull`.
 #[derive(Debug, Args)]
-pub struct HandArgs {
+pub struct TransferArgs {
     /// The folder of the other store, such as `/shared/rockface/store`.
     other: PathBuf,
-    /// Only what this run names: a run folder, its name, a part of it, or `latest`; may be given several times.
+    /// Copy only the results of this run: a run folder, its name, a part of it, or `latest`; may be given several times.
     #[arg(long, value_name = "RUN")]
     run: Vec<String>,
     #[command(flatten)]
@@ -26,8 +26,8 @@ pub struct HandArgs {
     json: bool,
 }
 
-impl HandArgs {
-    /// Hands results on.
+impl TransferArgs {
+    /// Copies results to the other store.
     pub fn push(self) -> Result<(), CliError> {
         let own = self.places.open_store()?;
         let other = Store::open(&self.other)?;
@@ -35,7 +35,7 @@ impl HandArgs {
         self.hand((&own, &other), &keys)
     }
 
-    /// Takes results.
+    /// Copies results from the other store.
     pub fn pull(self) -> Result<(), CliError> {
         if !may_be_store(&self.other) {
             let hint = "give the folder that has the file `format` in it";
@@ -46,7 +46,7 @@ impl HandArgs {
         self.hand((&other, &own), &keys)
     }
 
-    /// The keys that are asked for: those of the runs, or all there are.
+    /// The keys to copy: those of the given runs, or all.
     fn keys(&self, from: &Store) -> Result<Vec<Digest>, CliError> {
         if self.run.is_empty() {
             return Ok(from.keys());
@@ -78,10 +78,10 @@ impl HandArgs {
 fn told(handed: &Handed, to: &Store) -> String {
     let missing = match handed.missing {
         0 => String::new(),
-        missing => format!("; {missing} are not whole where they were to come from"),
+        missing => format!("; {missing} are incomplete in the source"),
     };
     format!(
-        "{} records with {} outputs ({}) handed to {}, {} were there{missing}",
+        "copied {} records with {} outputs ({}) to {}, {} were there{missing}",
         handed.records,
         handed.blobs,
         bytes(handed.bytes),

@@ -159,7 +159,7 @@ fn check_sum(facts: &Value) {
     let terms = ["disparity.ideal", "noise.local", "noise.regular", "noise.blunder", "noise.sub_pixel"];
     let sum: f64 = terms.iter().map(|name| number(&format!("{name} (px)"))).sum();
     assert!((sum - number("disparity (px)")).abs() < 1e-4, "{facts}");
-    assert!(facts["checked"].as_str().unwrap().starts_with("made again, equal"), "{facts}");
+    assert!(facts["checked"].as_str().unwrap().starts_with("recomputed, identical"), "{facts}");
 }
 
 #[test]

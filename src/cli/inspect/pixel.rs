@@ -253,15 +253,15 @@ fn moved(before: &Facts, now: &Facts) -> Option<(String, Value)> {
     Some(("moved by (m)".into(), json!(step)))
 }
 
-/// Whether what was made again is what is on record.
+/// Whether the recomputed output is the recorded one.
 fn verdict(record: &Record, port: &str, depth: &Depth) -> String {
     let Some(output) = record.outputs.get(port) else { return "not on record".to_owned() };
     let plain = Depth { channels: BTreeMap::new(), ..depth.clone() };
     let equal =
         [depth, &plain].into_iter().any(|depth| depth.encode().is_ok_and(|bytes| Digest::of(&bytes) == output.digest));
     if equal {
-        "made again, equal to the bit to what is on record".to_owned()
+        "recomputed, identical to the record bit by bit".to_owned()
     } else {
-        format!("made again, but NOT equal to {} on record", output.digest.short())
+        format!("recomputed, but NOT equal to {} on record", output.digest.short())
     }
 }

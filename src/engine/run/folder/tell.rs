@@ -66,7 +66,7 @@ fn warn_lost(plan: &Plan, summary: &Summary, digest: &Digest, why: &str, observe
         let what = port.or((outcome.log == Some(*digest)).then_some("log"));
         let what = what.or((outcome.sketches == Some(*digest)).then_some("sketches"));
         if let Some(what) = what {
-            let text = format!("its `{what}` has to be made again: {why}");
+            let text = format!("its `{what}` has to be recomputed: {why}");
             warn(summary, plan.label(instance), text, observer);
         }
     }

@@ -66,10 +66,10 @@ fn inputs(
         for (point, digest) in elements {
             let lost = |why: String| {
                 let error =
-                    StageError::new(format!("its input `{port}` (blob {}) cannot be had: {why}", digest.short()));
+                    StageError::new(format!("its input `{port}` (blob {}) is not available: {why}", digest.short()));
                 error.hint("run the pipeline again with `keep: true` on the step that makes it")
             };
-            let kind = kind_of(&digest).ok_or_else(|| lost("no record tells what it is".to_owned()))?;
+            let kind = kind_of(&digest).ok_or_else(|| lost("no record says what it is".to_owned()))?;
             let bytes = store.get(&digest).map_err(|error| lost(error.to_string()))?;
             let value = Artefact::decode(kind, &bytes).map_err(|error| lost(error.to_string()))?;
             inputs.push(port, point, Arc::new(value));

@@ -109,8 +109,8 @@ fn told(program: &str, path: &str, count: usize) -> String {
     let place = if path == program { String::new() } else { format!(" ({path})") };
     let results = if count == 1 { "this result".to_owned() } else { format!("{count} results, this one among them") };
     format!(
-        "the program `{program}`{place} has changed since it made {results}; cached results are kept. To compute them again \
-         change `version` in the step; to have a change noticed by itself name the program under `files` and call it by \
+        "the program `{program}`{place} has changed since it made {results}; cached results are kept. To recompute them \
+         change `version` in the step; to detect changes of the program automatically, name it under `files` and call it by \
          {{file.NAME}}"
     )
 }

@@ -120,7 +120,7 @@ impl From<StoreError> for Failure {
 pub fn guarded<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failure> {
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
         let said = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
-        let error = StageError::new(format!("the stage broke down: {}", said.unwrap_or("no message")));
+        let error = StageError::new(format!("the stage panicked: {}", said.unwrap_or("no message")));
         let hint = "this is a fault of rockface; please report it with the pipeline and the run folder";
         Err(error.hint(hint).into())
     })
@@ -421,7 +421,7 @@ mod tests {
     fn a_panic_anywhere_is_a_failure_that_says_what_was_said() {
         for panic in [|| panic!("at {}", 7), || panic!("at 7")] {
             match guarded::<()>(panic) {
-                Err(Failure::Stage(error, _)) => assert_eq!(error.message, "the stage broke down: at 7"),
+                Err(Failure::Stage(error, _)) => assert_eq!(error.message, "the stage panicked: at 7"),
                 _ => panic!("it should have failed"),
             }
         }
