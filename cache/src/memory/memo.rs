@@ -87,7 +87,7 @@ impl Memory<'_> {
         Ok(true)
     }
 
-    fn kept_answer(&self, question: &Digest, answer: &Value, grounds: &Grounds) -> Option<Kept> {
+    fn kept_answer(self, question: &Digest, answer: &Value, grounds: &Grounds) -> Option<Kept> {
         // Taken before anything is compared: what changes from now on will show.
         let segments = segments(self.store.dir())?;
         let looks = grounds.looks.iter().map(|(path, seen)| self.store.repeatable(path, seen));

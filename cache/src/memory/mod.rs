@@ -5,10 +5,10 @@
 //! | runs: a note by the key of a plan | segments | [`Memory::remember_run`] |
 //! | notes beside a record, on what decides nothing of it | segments | [`Memory::annotate`] |
 //! | answers: the result of a former command and the state of all it rests on | `answers/` | [`Memory::remember_answer`] |
-//! | trees: parsed long texts | `trees/` | the engine, in [`trees`] |
+//! | trees: long texts, parsed | `trees/` | the engine, in the folder [`trees`] |
 //!
-//! The store gives these a place and takes them for opaque JSON. What is read without checking a digest of the recipe behind it
-//! decides what runs, so it is taken only from files this user wrote: [`read_own`].
+//! The store does not interpret any of this. Answers and trees decide which steps run, so they are read only from files that
+//! this user wrote: [`read_own`].
 
 mod looks;
 mod memo;
@@ -70,7 +70,7 @@ impl Memory<'_> {
         self.payload(Kind::File, key)
     }
 
-    fn payload(&self, kind: Kind, name: &Digest) -> Option<Value> {
+    fn payload(self, kind: Kind, name: &Digest) -> Option<Value> {
         self.store.journal().with_index(|index| serde_json::from_slice(index.payload(kind, name)?).ok())
     }
 }
