@@ -24,15 +24,15 @@
 //! format          the format version, one line
 //! keys.lock       empty; its bytes are locked for the keys being computed now, one of them by collections, and for the
 //!                 values that live processes have at hand though they are not kept
-//! CACHEDIR.TAG    tells backup programs to pass by
+//! CACHEDIR.TAG    marks the folder for backup programs to skip
 //! blobs/ab/abcd…  blobs of 64 KiB and more, one file each, read-only
 //! segments/*.seg  append-only frames: small blobs, records, notes, file digests; one live writer each
-//! live/           one file for each process that runs something: what it counts on
+//! live/           one file for each process that runs something: the records it references
 //! quarantine/     damaged blobs
-//! trees/          at most 16: long texts taken apart, for whoever reads them again
+//! trees/          at most 16: long texts, parsed
 //! scratch/        folders in which programs work now, and through which live processes hand values to each other
 //! tmp/            blobs being written
-//! answers/        at most 256: what a question came to, and the state of all it rests on
+//! answers/        at most 256: the result of a former command, and the state of all it rests on
 //! ```
 
 #![cfg_attr(not(test), warn(clippy::print_stdout, clippy::print_stderr))]

@@ -39,7 +39,7 @@ pub(crate) const TMP: &str = "tmp";
 /// The folder of folders in which programs work.
 pub(crate) const SCRATCH: &str = "scratch";
 
-/// The folder of what live processes count on.
+/// The folder of leases.
 pub(crate) const LIVE: &str = "live";
 
 /// Whether `dir` is a store of this format.

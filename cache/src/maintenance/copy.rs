@@ -1,9 +1,9 @@
-//! Handing records and what they name from one store to another.
+//! Copies records and the blobs they name from one store to another.
 
 use crate::error::StoreError;
 use crate::{Digest, Store};
 
-/// What was handed on.
+/// What was copied.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 pub struct Handed {
     /// Records that the other store did not have.

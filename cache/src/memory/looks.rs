@@ -1,4 +1,4 @@
-//! Looks at the file system: what was seen at a path, in a form that tells later whether the same is there still.
+//! Looks at the file system: what was seen at a path, in a form that shows later whether it has changed.
 
 use std::fs;
 use std::path::{Path, PathBuf};

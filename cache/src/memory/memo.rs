@@ -1,7 +1,7 @@
-//! Answers: what a question came to last time, believed only while everything it relied on is untouched.
+//! Answers: the result of a former command, used only while everything it rests on is untouched.
 //!
-//! A run in which nothing is to be done need not open the store to find that out. What it came to is filed under the
-//! digest of the whole question, with the state of every file, folder, segment and large blob it rests on. One look at
+//! A run that has nothing to do need not open the store to find that out. Its result is filed under the digest of the
+//! whole question, with the state of every file, folder, segment and large blob it rests on. One look at
 //! each (`stat`, no reading) shows whether it still holds; any doubt, and there is no answer, only a full look.
 //!
 //! There are at most 256 answers: a file each in `answers/`, replaced in one step; a lost one costs a full look.
@@ -51,7 +51,7 @@ struct Kept {
     answer: Value,
 }
 
-/// What `question` came to last time, if nothing has happened since to anything the answer rests on.
+/// The last result of `question`, if nothing that the answer rests on has changed since.
 ///
 /// `dir` is the folder of a store, which is not opened. Reads one small file and looks once at each thing relied on. Only
 /// what this user has filed is an answer: whoever may write to a shared store could file another.

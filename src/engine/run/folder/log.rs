@@ -31,7 +31,7 @@ pub struct Telling<'a> {
     pub store: &'a Store,
     /// What draws outputs that have no sketches yet.
     pub look: &'a dyn Look,
-    /// What each instance said.
+    /// The log of each instance.
     pub entries: &'a [Vec<Entry>],
     /// The files of each instance by port, relative to the run folder.
     pub paths: &'a [super::lay_out::Paths],

@@ -1,4 +1,4 @@
-//! The account of a run: what its manifest tells of the whole and of each instance.
+//! Writes the manifest of a run: facts about the whole and about each instance.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -59,10 +59,10 @@ fn pipeline_text(plan: &Plan, about: &RunFolder) -> Result<PipelineText, RunErro
     })
 }
 
-/// What an instance said, and the files of its outputs.
+/// The log of an instance, and the files of its outputs.
 type Said<'a> = (&'a [Entry], &'a Paths);
 
-/// What the manifest tells of one instance.
+/// The entry of one instance.
 fn step(plan: &Plan, summary: &Summary, store: &Store, instance: usize, (entries, paths): Said) -> StepDone {
     let (step, result) = (plan.step(instance), &summary.instances[instance]);
     let (params, outcome) = (&plan.instances[instance].params, result.outcome.as_ref());
@@ -99,7 +99,7 @@ fn step(plan: &Plan, summary: &Summary, store: &Store, instance: usize, (entries
     }
 }
 
-/// What each input port of an instance read. That of the plan, unless a step was made again since and came out otherwise.
+/// What each input port of an instance read: the inputs of the plan, unless a recomputed step gave a different output since.
 fn inputs(plan: &Plan, summary: &Summary, store: &Store, instance: usize) -> BTreeMap<String, RecipeInput> {
     let result = &summary.instances[instance];
     let digest = |producer: usize, port: &str| {

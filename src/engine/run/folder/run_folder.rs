@@ -28,7 +28,7 @@ const PIPELINE: &str = "pipeline.yaml";
 /// The description for programs that know nothing of rockface.
 const CRATE: &str = "ro-crate-metadata.json";
 
-/// Where a run is told of.
+/// What a run folder is written from, and where it goes.
 #[derive(Debug, Clone)]
 pub struct RunFolder<'a> {
     /// The folder that holds all runs.
@@ -71,7 +71,7 @@ pub trait Reporter: Sync + std::fmt::Debug {
     fn report(&self, run: &RunContents, to: &Path) -> std::io::Result<()>;
 }
 
-/// A run that was told of.
+/// A run whose folder is written.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Finished {
     /// The run folder.
@@ -88,8 +88,8 @@ pub struct Finished {
     pub made: Vec<Made>,
 }
 
-/// Tells of a run. One in which nothing was executed is told by its former folder, if that is still there. A stop leaves no
-/// folder: whatever was computed is in the store, and the next run tells of it.
+/// Writes the folder of a run. If nothing was executed and the former folder still exists, that folder is used. A stopped run
+/// leaves no folder: its results are in the store, and the next run writes them.
 pub fn finish(
     plan: &Plan,
     summary: &Summary,
@@ -163,7 +163,7 @@ impl Writer<'_> {
             }
         };
         unfinished.finish()?;
-        // The store is told of the folder next, and nothing it is told of may be lost.
+        // The store remembers the folder next, so the folder must be durable first.
         unfinished::sync(&folder)?;
         unfinished::sync(self.about.runs)?;
         point_latest(self.about.runs, &folder)?;
@@ -243,7 +243,7 @@ impl Writer<'_> {
         Err(failed(&runs.join(name))(std::io::ErrorKind::AlreadyExists.into()))
     }
 
-    /// What each instance said.
+    /// The log of each instance.
     fn logs(&self) -> Result<Vec<Vec<Entry>>, RunError> {
         let read = |part: &[usize]| -> Result<Vec<_>, RunError> {
             part.iter().map(|instance| going_on(self.stop).and_then(|()| self.entries(*instance))).collect()

@@ -35,7 +35,7 @@ pub struct Told {
 }
 
 impl Told {
-    /// What is to be said of a run.
+    /// The summary of a run.
     pub fn of(finished: &Finished, summary: &Summary) -> Self {
         Self {
             folder: finished.folder.clone(),

@@ -1,4 +1,4 @@
-//! Running a plan and telling of it; what turns out to be damaged while the results are laid out is made again.
+//! Runs a plan and writes its folder; results that turn out to be damaged while they are laid out are recomputed.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;

@@ -22,9 +22,9 @@ pub struct StepHost<'a> {
     deadline: Option<Instant>,
     /// What programs took.
     used: Mutex<Used>,
-    /// Where it is put down why the store could not do what a program needs; the stage is told only that it could not.
+    /// Receives the reason if the store cannot do what a program needs; the stage sees only that it failed.
     trouble: &'a Trouble,
-    /// Whether the stage said that it starts programs; who said nothing may not.
+    /// Whether the stage declares that it starts programs; others may not.
     programs: bool,
 }
 
@@ -49,7 +49,7 @@ impl<'a> StepHost<'a> {
         self.deadline.is_some_and(|deadline| Instant::now() >= deadline)
     }
 
-    /// What the stage said, and what its programs took.
+    /// The log of the stage, and the cost of its programs.
     pub fn end(self) -> (Vec<Entry>, Used) {
         let entries = self.entries.into_inner().unwrap_or_else(PoisonError::into_inner);
         (entries, self.used.into_inner().unwrap_or_else(PoisonError::into_inner))

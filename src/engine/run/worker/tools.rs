@@ -1,7 +1,7 @@
 //! Programs that steps call by a name or a path: which ones made what is on record, and whether they are the same still.
 //!
 //! A program is no part of a recipe: which file answers to its name differs from machine to machine, and its version is
-//! declared. That it has changed is therefore only told, and what it made is kept.
+//! declared. A changed program is therefore only reported, and its results are kept.
 
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
@@ -68,7 +68,7 @@ pub fn remember(store: &Store, key: &Digest, tools: &Tools) -> Result<(), rockfa
 pub struct Behind {
     /// All that was looked at to find them.
     pub looks: Vec<(PathBuf, Seen)>,
-    /// What is to be said of those that have changed: an instance each, and the words.
+    /// Warnings about those that have changed: an instance each, and the text.
     pub changed: Vec<(String, String)>,
 }
 

@@ -94,7 +94,7 @@ pub struct Done {
 
 /// Why an instance did not finish.
 pub enum Failure {
-    /// The stage gave up; what it had said by then is in the store.
+    /// The stage failed; its log up to then is in the store.
     Stage(StageError, Option<Digest>),
     /// An input blob is damaged or gone; its producer has to run again.
     Lost(usize, String),
@@ -116,7 +116,7 @@ impl From<StoreError> for Failure {
     }
 }
 
-/// Turns a panic into the failure of the step, with what it said.
+/// Turns a panic into the failure of the step, with the message of the panic.
 pub fn guarded<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failure> {
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
         let said = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
@@ -196,7 +196,7 @@ fn done_elsewhere(task: &Task, store: &Store) -> Option<Outcome> {
 
 /// Inputs that were not in memory, by producer and port.
 type Stored<'s> = Vec<((usize, &'static str), Arc<Later<'s>>)>;
-/// Why an input could not be had, or a program could not be run; a stage is told only that it could not.
+/// Why an input could not be read or a program could not be started; the stage sees only that it failed.
 pub type Trouble = Mutex<Option<Failure>>;
 
 /// The inputs of a task. Those that are in the store are read when the stage asks for them, in its thread: reading takes no
@@ -267,7 +267,7 @@ fn run_stage(task: &Task, inputs: &Inputs, host: &StepHost) -> Result<BTreeMap<&
 }
 
 type Made = BTreeMap<&'static str, Artefact>;
-/// What came of one go, what the stage said, and what its programs took.
+/// The result of one attempt, the log of the stage, and the cost of its programs.
 type Attempt = (Result<Made, StageError>, (Vec<Entry>, Used));
 /// Size, times of modification and change, inode.
 type Fingerprint = (u64, i64, i64, i64, i64, u64);
@@ -289,7 +289,7 @@ fn attempts(
         };
         said.extend(entries);
         if told.len() == task.retries as usize || stop.load(Ordering::Relaxed) {
-            // Where even that cannot be kept, the cause is told all the same.
+            // If the log cannot be stored, the cause is reported all the same.
             return Err(Failure::Stage(error, keep_log(store, &said).unwrap_or_default()));
         }
         let text = format!("attempt {} of {} failed: {error}", told.len() + 1, task.retries + 1);
@@ -298,7 +298,7 @@ fn attempts(
     }
 }
 
-/// Keeps what a step said, if it said anything.
+/// Stores the log of a step, unless it is empty.
 fn keep_log(store: &Store, said: &[Entry]) -> Result<Option<Digest>, StoreError> {
     if said.is_empty() { Ok(None) } else { store.put(serde_json::json!(said).to_string().as_bytes()).map(Some) }
 }
@@ -330,7 +330,7 @@ fn attempt(
     Ok((result, host.end()))
 }
 
-/// What tells an untouched input file, for each of them.
+/// The states of all input files.
 fn fingerprints(task: &Task) -> Result<Vec<Fingerprint>, Failure> {
     let look = |file: &InputFile| {
         let meta = std::fs::metadata(&file.path)
