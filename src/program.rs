@@ -25,7 +25,7 @@ pub fn run(registry: &Registry) -> i32 {
     }
 }
 
-/// Runs a command and says why it failed, if it did; returns the exit code.
+/// Runs a command and prints why it failed, if it did; returns the exit code.
 fn run_command(cli: Cli, registry: &Registry) -> i32 {
     let Err(error) = cli.run(registry) else { return 0 };
     let message = error.render(std::io::stderr().is_terminal());
@@ -48,11 +48,10 @@ fn print(answer: &clap::Error) -> i32 {
     })
 }
 
-/// A worker that panics is reported as the failure of its step, with what it said; not twice. Nobody else reports the main
-/// thread.
+/// Reports a panic of the main thread. A panic of a worker is reported as the failure of its step.
 fn tell_panic(panic: &std::panic::PanicHookInfo) {
     if std::thread::current().name() == Some("main") {
-        output::complain(&format!("error: rockface broke down: {panic}\nplease report it with the pipeline"));
+        output::complain(&format!("error: rockface panicked: {panic}\nplease report it with the pipeline"));
     } else {
         tracing::debug!("{panic}");
     }

@@ -32,7 +32,7 @@ pub enum StoreError {
     },
     /// A run may not write to the store.
     #[error(
-        "the store {} can only be read ({source}), and a run has to write there what it counts on: give another one with `--store DIR`",
+        "the store {} can only be read ({source}), and a run has to write there what it references: give another one with `--store DIR`",
         dir.display()
     )]
     ReadOnly {
@@ -62,7 +62,7 @@ pub enum StoreError {
         path: PathBuf,
     },
     /// No blob has this digest.
-    #[error("blob {digest} is not in the store: run the step that makes it again")]
+    #[error("blob {digest} is not in the store: run the step that recomputes it")]
     Missing {
         /// The digest asked for.
         digest: Digest,

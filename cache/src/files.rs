@@ -7,7 +7,6 @@ use std::path::Path;
 use std::time::{Duration, SystemTime};
 
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
 
 use crate::error::{At, StoreError};
 use crate::frame::Kind;
@@ -96,24 +95,14 @@ impl Store {
         self.hash_anew(&canonical, &Digest::of(canonical.as_os_str().as_bytes()))
     }
 
-    /// Keeps a note beside the record of a recipe, on what decides nothing of it; a later note replaces it.
-    pub fn annotate(&self, key: &Digest, json: &Value) -> Result<(), StoreError> {
-        // Among what is known of files: neither the name nor the payload of one can be taken for that of the other.
-        self.append(Kind::File, *key, json.to_string().as_bytes())
-    }
-
-    /// The latest note beside the record of a recipe.
-    pub fn annotation(&self, key: &Digest) -> Option<Value> {
-        self.journal().with_index(|index| serde_json::from_slice(index.payload(Kind::File, key)?).ok())
-    }
-
     /// The state and the digest that a file had when it was last read, if that is remembered.
     pub(crate) fn remembered_file(&self, path: &Path) -> Option<(Fingerprint, Digest)> {
         let canonical = fs::canonicalize(path).ok()?;
         self.remembered(&Digest::of(canonical.as_os_str().as_bytes()))
     }
 
-    fn remembered(&self, key: &Digest) -> Option<(Fingerprint, Digest)> {
+    /// [`Store::remembered_file`] by the digest of its path.
+    pub(crate) fn remembered(&self, key: &Digest) -> Option<(Fingerprint, Digest)> {
         self.journal().with_index(|index| serde_json::from_slice(index.payload(Kind::File, key)?).ok())
     }
 
@@ -182,22 +171,6 @@ mod tests {
         let other = Store::open(&dir).unwrap();
         other.hash_file(&path).unwrap();
         assert_eq!(other.stat().unwrap().files_hashed, 0, "what one process read the next remembers");
-    }
-
-    #[test]
-    fn a_note_beside_a_record_is_there_for_the_next_process_and_is_no_file() {
-        let folder = tempfile::tempdir().unwrap();
-        let dir = folder.path().join("store");
-        let key = Digest::of(b"recipe");
-        let store = Store::open(&dir).unwrap();
-        assert_eq!(store.annotation(&key), None);
-        for note in ["first", "second"] {
-            store.annotate(&key, &Value::from(note)).unwrap();
-        }
-        assert_eq!(store.annotation(&key), Some("second".into()));
-        drop(store);
-        let store = Store::open(&dir).unwrap();
-        assert_eq!((store.annotation(&key), store.remembered(&key)), (Some("second".into()), None));
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Leases: what live processes count on, so that a collection leaves it alone.
+//! Leases: the records that live processes reference, which no collection removes.
 
 use std::collections::BTreeSet;
 use std::io::{Read, Write};
@@ -16,16 +16,16 @@ const KEY_BYTES: usize = 32;
 /// Stands for the lock between collections and runs that begin, among those of keys.
 const GATE: &[u8] = b"rockface: who is live";
 
-/// What the live processes that use a store count on.
+/// The records that live processes reference.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Live {
     /// How many there are.
     pub count: usize,
     /// When the first of them began, seconds since 1970: what was written since may be named soon.
     pub since_unix_s: Option<u64>,
-    /// The keys of records they count on.
+    /// The keys of records they reference.
     pub keys: BTreeSet<Digest>,
-    /// Whether one of them has not said yet what it counts on: it is just looking.
+    /// Whether one of them has yet to list what it references.
     pub is_looking: bool,
 }
 

@@ -1,6 +1,8 @@
-//! The memory of rockface: a content-addressed store of blobs by digest and of records by recipe.
+//! The store of rockface: blobs by the digest of their bytes, records by the key of their recipe.
 //!
-//! The crate knows bytes, digests and recipes. It knows no stage, no pipeline and no engine.
+//! The crate knows bytes, digests and recipes. It knows no stage, no pipeline and no engine. [`Store`] keeps blobs, records and the
+//! digests of files outside; [`Memory`] is what the engine remembers in the same folder to save time: former runs, notes beside
+//! records, answers to former commands, parsed texts. A store without that memory gives the same results.
 //!
 //! # Invariants
 //!
@@ -22,23 +24,21 @@
 //! format          the format version, one line
 //! keys.lock       empty; its bytes are locked for the keys being computed now, one of them by collections, and for the
 //!                 values that live processes have at hand though they are not kept
-//! CACHEDIR.TAG    tells backup programs to pass by
+//! CACHEDIR.TAG    marks the folder for backup programs to skip
 //! blobs/ab/abcd…  blobs of 64 KiB and more, one file each, read-only
 //! segments/*.seg  append-only frames: small blobs, records, notes, file digests; one live writer each
-//! live/           one file for each process that runs something: what it counts on
+//! live/           one file for each process that runs something: the records it references
 //! quarantine/     damaged blobs
-//! trees/          at most 16: long texts taken apart, for whoever reads them again
+//! trees/          at most 16: long texts, parsed
 //! scratch/        folders in which programs work now, and through which live processes hand values to each other
 //! tmp/            blobs being written
-//! answers/        at most 256: what a question came to, and the state of all it rests on
+//! answers/        at most 256: the result of a former command, and the state of all it rests on
 //! ```
 
 #![cfg_attr(not(test), warn(clippy::print_stdout, clippy::print_stderr))]
 
-mod answers;
 mod blobs;
 mod canonical;
-mod care;
 mod digest;
 mod error;
 mod files;
@@ -47,8 +47,9 @@ mod index;
 mod journal;
 mod lease;
 mod locks;
-mod looks;
+mod maintenance;
 mod materialise;
+mod memory;
 mod names;
 mod open;
 mod outputs;
@@ -63,17 +64,15 @@ mod store;
 mod syncer;
 mod values;
 
-pub use answers::{Grounds, recall};
-pub use care::{Collected, Fault, FaultKind, GcItem, GcPlan, GcPolicy, Handed, StageStat, Verified};
 pub use digest::{Digest, DigestError};
 pub use error::StoreError;
 pub use files::FileDigest;
 pub use lease::Live;
 pub use locks::{Announced, KeyLock};
-pub use looks::{Seen, State};
+pub use maintenance::{Collected, Fault, FaultKind, GcItem, GcPlan, GcPolicy, Handed, StageStat, Verified};
 pub use materialise::Materialised;
+pub use memory::{Grounds, Memory, Seen, State, read_own, recall, trees};
 pub use names::{NameError, SafeName, SafePath};
-pub use open::{TREES, read_own};
 pub use outputs::Outputs;
 pub use recipe::{Gathered, Recipe, RecipeInput, SeedMaterial, shared};
 pub use record::{Cost, Outcome, OutputRecord, Record};

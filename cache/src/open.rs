@@ -8,6 +8,7 @@ use std::time::Duration;
 use crate::blobs::Blobs;
 use crate::error::{At, StoreError};
 use crate::locks::sweep;
+use crate::memory::{ANSWERS, TREES};
 use crate::plain;
 
 /// What the format file says.
@@ -38,14 +39,8 @@ pub(crate) const TMP: &str = "tmp";
 /// The folder of folders in which programs work.
 pub(crate) const SCRATCH: &str = "scratch";
 
-/// The folder of what live processes count on.
+/// The folder of leases.
 pub(crate) const LIVE: &str = "live";
-
-/// The folder of texts taken apart, for whoever reads them again.
-pub const TREES: &str = "trees";
-
-/// The folder of answers to former questions.
-pub(crate) const ANSWERS: &str = "answers";
 
 /// Whether `dir` is a store of this format.
 pub(crate) fn is_current(dir: &Path) -> bool {
@@ -123,17 +118,6 @@ fn sync_names(dir: &Path, outside: &Path) -> Result<(), StoreError> {
         }
     }
     Ok(())
-}
-
-/// The bytes of a plain file that belongs to the user of this process; nothing otherwise.
-///
-/// Whoever may write to a shared store can put files into it. What decides more than a result, such as the steps that run,
-/// is taken only from those this user has written.
-pub fn read_own(path: &Path) -> Option<Vec<u8>> {
-    let mut file = plain::open(path).ok()?;
-    let is_own = std::os::unix::fs::MetadataExt::uid(&file.metadata().ok()?) == rustix::process::geteuid().as_raw();
-    let mut bytes = Vec::new();
-    is_own.then(|| io::Read::read_to_end(&mut file, &mut bytes).ok().map(|_| bytes)).flatten()
 }
 
 fn wrong_format(dir: &Path, found: &str) -> StoreError {
@@ -243,19 +227,5 @@ mod tests {
             assert!(matches!(&fault, StoreError::Foreign { path } if *path == dir.join(name)), "{fault}");
             assert!(home.join("work.lock").exists() && home.join("work").exists(), "{name}");
         }
-    }
-
-    #[test]
-    fn only_what_this_user_wrote_is_own() {
-        let folder = tempfile::tempdir().unwrap();
-        let (own, link) = (folder.path().join("own"), folder.path().join("link"));
-        fs::write(&own, "mine").unwrap();
-        std::os::unix::fs::symlink(&own, &link).unwrap();
-        assert_eq!(read_own(&own).as_deref(), Some(b"mine".as_slice()));
-        assert_eq!((read_own(&link), read_own(&folder.path().join("none"))), (None, None));
-        let foreign = Path::new("/proc/1/cmdline");
-        let is_foreign = fs::metadata(foreign)
-            .is_ok_and(|meta| std::os::unix::fs::MetadataExt::uid(&meta) != rustix::process::geteuid().as_raw());
-        assert!(!is_foreign || read_own(foreign).is_none());
     }
 }

@@ -4,8 +4,6 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
-use serde_json::Value;
-
 use crate::blobs::Blobs;
 use crate::error::{At, StoreError};
 use crate::frame::Kind;
@@ -43,7 +41,7 @@ pub struct Store {
     syncer: Syncer,
     files_hashed: AtomicU64,
     pub(crate) locks: Arc<Bytes>,
-    /// Says what this process counts on, once it runs something.
+    /// The file that lists the records this process references, once it runs something.
     pub(crate) lease: Mutex<Option<tempfile::NamedTempFile>>,
 }
 
@@ -99,7 +97,7 @@ impl Store {
     ///
     /// What is there but was put long ago is put again: a large blob has its time set, a small one is written to the
     /// segment of this process. So a collection beside this sees that it is used, however old it is. What is there and has
-    /// another size is set aside, and told of by [`Store::take_damaged`].
+    /// another size is set aside, and reported by [`Store::take_damaged`].
     pub fn put(&self, bytes: &[u8]) -> Result<Digest, StoreError> {
         let digest = Digest::of(bytes);
         if self.renew(&digest, Some(bytes.len() as u64)) {
@@ -159,7 +157,7 @@ impl Store {
         }
         let moved_to = self.blobs.quarantine_path(digest);
         std::fs::write(&moved_to, &bytes).at("set aside a damaged blob as", &moved_to)?;
-        // Written down, so that the next process does not count on the blob again.
+        // Recorded, so that the next process does not rely on the blob.
         self.append(Kind::Gone, *digest, b"")?;
         Err(StoreError::Damaged { digest: *digest, moved_to })
     }
@@ -194,7 +192,7 @@ impl Store {
         self.journal.with_index(|index| index.payload(Kind::Record, key).is_some())
     }
 
-    /// The blobs that were found damaged and set aside while merely looking whether they are there, each told of once.
+    /// The blobs that were found damaged and set aside while the store checked whether they exist; each is reported once.
     pub fn take_damaged(&self) -> Vec<Damage> {
         self.blobs.take_damaged()
     }
@@ -278,22 +276,6 @@ impl Store {
     /// Makes everything stored so far durable now. Happens by itself within a second, and when the store is dropped.
     pub fn sync(&self) -> Result<(), StoreError> {
         self.syncer.sync()
-    }
-
-    /// Keeps a note on a run under the key of its plan; a later note replaces it.
-    pub fn remember_run(&self, plan_key: &Digest, json: &Value) -> Result<(), StoreError> {
-        self.append(Kind::Note, *plan_key, json.to_string().as_bytes())
-    }
-
-    /// The latest note under the key of this plan.
-    pub fn recalled_run(&self, plan_key: &Digest) -> Option<Value> {
-        self.journal.with_index(|index| serde_json::from_slice(index.payload(Kind::Note, plan_key)?).ok())
-    }
-
-    /// The latest notes on runs, in the order of the keys of their plans.
-    pub fn recalled_runs(&self) -> Vec<Value> {
-        let keys = self.journal.with_index(|index| index.names(Kind::Note));
-        keys.iter().filter_map(|key| self.recalled_run(key)).collect()
     }
 
     /// The keys of all records, sorted.

@@ -8,7 +8,7 @@ use super::{Cli, say};
 /// Arguments of `rockface completions`.
 #[derive(Debug, Args)]
 pub struct CompletionsArgs {
-    /// The shell that is to complete.
+    /// The shell.
     shell: Shell,
 }
 

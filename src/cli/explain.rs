@@ -13,7 +13,7 @@ use rockface_engine::explain::{Answers, Cause, Change, Explanation, Former, expl
 use rockface_engine::pipeline::{Label, Pipeline};
 use rockface_engine::plan::Plan;
 
-/// How many changes of one instance, or points of a step, are named.
+/// The number of changes of an instance, or of points of a step, that are listed.
 const NAMED: usize = 20;
 
 /// Arguments of `rockface explain`.
@@ -21,10 +21,10 @@ const NAMED: usize = 20;
 pub struct ExplainArgs {
     #[command(flatten)]
     pipeline: PipelineArgs,
-    /// The step; with more than one instance its point too: `dem[epoch=pre,replicate=3]`, in quotes for most shells.
+    /// The step, and its point if it has more than one instance: `dem[epoch=pre,replicate=3]`. Most shells need quotes.
     #[arg(value_name = "STEP[AXIS=ITEM,...]")]
     step: String,
-    /// The run folders that tell where a former record comes from; by default `.rockface/runs` beside the pipeline.
+    /// The run folders in which the origin of a former record is looked up [default: `.rockface/runs` beside the pipeline].
     #[arg(long, value_name = "DIR")]
     runs: Option<PathBuf>,
     /// Print the explanation as JSON.
@@ -60,7 +60,7 @@ impl ExplainArgs {
     }
 }
 
-/// The step and the items of an argument; a port behind them does no harm.
+/// The step and the items of an argument; a port after them is ignored.
 fn wanted(text: &str) -> Result<Label<'_>, CliError> {
     let empty = text.trim_end().strip_suffix("[]").unwrap_or(text);
     let fault = || CliError::Usage(format!("`{text}` names no step instance; write STEP or 'STEP[axis=item,...]'"));
@@ -126,7 +126,7 @@ fn listed(plan: &Plan, message: &str, instances: &[usize]) -> String {
 fn print(plan: &Plan, answers: &Answers, told: &Explanation) {
     say(&standing(plan, answers, told.asked));
     if told.explained != told.asked {
-        say("its recipe is not known before that has run; the first upstream that would run:\n");
+        say("its recipe is known only after upstream steps have run; the first of them:\n");
         say(&standing(plan, answers, told.explained));
     }
     let pretty = serde_json::to_string_pretty(&as_value(told)).unwrap_or_default();
@@ -151,10 +151,10 @@ fn standing(plan: &Plan, answers: &Answers, instance: usize) -> String {
 fn headline(plan: &Plan, cause: &Cause, first: bool) -> String {
     let (label, stage) = (plan.label(cause.instance), plan.step(cause.instance).stage.name());
     match (&cause.former, first) {
-        (None, true) => format!("{label}: nothing is on record of stage `{stage}`"),
-        (None, false) => format!("{label} made that input; no record tells what made the former one"),
+        (None, true) => format!("{label}: no record of stage `{stage}` exists"),
+        (None, false) => format!("{label} made that input; no record of what made the former input exists"),
         (Some(former), true) => {
-            format!("{label}: against {}, the most like of {} on record of `{stage}`", named(former), cause.records)
+            format!("{label}: against {}, the closest of {} on record of `{stage}`", named(former), cause.records)
         }
         (Some(former), false) => format!("{label} made that input; against {}, which made the former", named(former)),
     }

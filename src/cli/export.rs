@@ -20,8 +20,7 @@ pub struct ExportArgs {
     output: String,
     /// The file to write, or a folder to write it into.
     path: PathBuf,
-    /// Write the output without reading it first: quicker for very large ones, and what has decayed on disk is handed on
-    /// as it is.
+    /// Write the output without verifying it first. Faster for very large outputs, but damage on disk is not noticed.
     #[arg(long)]
     trust_store: bool,
     #[command(flatten)]
@@ -96,10 +95,10 @@ fn chosen<'a>(manifest: &'a Manifest, output: &'a str) -> Result<(&'a StepDone, 
 pub struct ArchiveArgs {
     /// A run folder, its name, a part of it, or `latest`.
     run: String,
-    /// The file to write; by default the name of the run with `.tar`.
+    /// The file to write [default: the name of the run with `.tar`].
     #[arg(long, short, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Put in what came out of the run, too.
+    /// Include the outputs of the run.
     #[arg(long)]
     outputs: bool,
     #[command(flatten)]

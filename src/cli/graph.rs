@@ -14,7 +14,7 @@ use rockface_engine::plan::{Graph, resolve};
 pub struct GraphArgs {
     #[command(flatten)]
     pipeline: PipelineArgs,
-    /// The language to write: `rockface graph p.yaml --format svg > p.svg` is a picture; Graphviz makes one of the first.
+    /// The output format: `rockface graph p.yaml --format svg > p.svg` writes a picture; `dot` is for Graphviz.
     #[arg(long, value_enum, default_value_t = Format::Dot)]
     format: Format,
     /// The same as `--format json`.

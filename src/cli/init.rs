@@ -13,7 +13,7 @@ pub const STARTER: &str = include_str!("starter.yaml");
 /// Arguments of `rockface init`.
 #[derive(Debug, Args)]
 pub struct InitArgs {
-    /// The folder; made if there is none.
+    /// The folder, created if it does not exist.
     dir: PathBuf,
 }
 

@@ -4,7 +4,6 @@ mod completions;
 mod explain;
 mod export;
 mod graph;
-mod hand;
 mod init;
 mod inspect;
 pub mod output;
@@ -20,6 +19,7 @@ mod signals;
 mod stages;
 mod store;
 mod table;
+mod transfer;
 
 use std::path::{Path, PathBuf};
 
@@ -35,7 +35,7 @@ use rockface_engine::pipeline::{Overrides, Pipeline};
 use rockface_engine::plan::Plan;
 use rockface_engine::run::RunError;
 
-/// Simulates photogrammetric rockfall monitoring: pipelines of stages, every output cached by what decided it.
+/// Simulates photogrammetric rockfall monitoring: runs pipelines of stages and caches every output.
 #[derive(Debug, Parser)]
 #[command(
     version,
@@ -49,31 +49,31 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Run a pipeline; what is known already is not computed again.
+    /// Run a pipeline; results that are cached are not computed again.
     Run(run::RunArgs),
     /// Show what a run would do and why, without doing it.
     Plan(plan::PlanArgs),
-    /// Show the recipe of one step instance, whether it is cached, and if not, what changed.
+    /// Show the recipe of one step instance, whether its result is cached, and if not, what changed.
     Explain(explain::ExplainArgs),
-    /// Draw the steps and what flows between them: targets with a double frame, what is not kept dashed.
+    /// Draw the steps and the data that flows between them. Targets have a double frame; outputs that are not kept are dashed.
     Graph(graph::GraphArgs),
-    /// List the stages, or show the page of one.
+    /// List the stages, or show the manual page of one.
     Stages(stages::StagesArgs),
-    /// List, show, compare, pin past runs.
+    /// List, show, compare and pin past runs.
     Runs(runs::RunsArgs),
-    /// Write the page of a past run again: what ran, pictures, tables, numbers, in one file.
+    /// Write the report of a past run again: steps, pictures, tables and metrics in one HTML file.
     Report(report::ReportArgs),
-    /// Tell what the store holds, verify it, remove what nobody needs.
+    /// Show what the store contains, verify it, remove what is not needed.
     Store(store::StoreArgs),
-    /// Say what a blob, a record or a file holds: kind, sizes, ranges, missing values.
+    /// Show what a blob, a record or a file contains: kind, size, ranges, missing values.
     Inspect(inspect::InspectArgs),
     /// Write an output of a past run to a file.
     Export(export::ExportArgs),
-    /// Put all that is needed to check a past run into one file.
+    /// Pack everything needed to check a past run into one file.
     Archive(export::ArchiveArgs),
-    /// Make a folder with a commented pipeline to begin with.
+    /// Create a folder with a commented pipeline to start from.
     Init(init::InitArgs),
-    /// Write a script that lets a shell complete commands and options.
+    /// Print a completion script for a shell.
     Completions(completions::CompletionsArgs),
 }
 
@@ -82,13 +82,13 @@ enum Command {
 struct PipelineArgs {
     /// The pipeline file (YAML), or the `run.json` of a past run to repeat it.
     pipeline: PathBuf,
-    /// The text of the pipeline where it is not to be read from the file.
+    /// The text of the pipeline, if it is not to be read from the file.
     #[arg(skip)]
     text: Option<String>,
-    /// The texts of files it includes, where they are not to be read from the files.
+    /// The texts of included files, if they are not to be read from disk.
     #[arg(skip)]
     included: std::collections::BTreeMap<PathBuf, String>,
-    /// Make only this step and what it needs; may be given several times.
+    /// Run only this step and the steps it needs; may be given several times.
     #[arg(long, value_name = "STEP")]
     target: Vec<String>,
     /// Override a value of the pipeline, such as `params.cell_m=0.02` or `steps.dem.with.method=tin`.
@@ -109,7 +109,7 @@ fn seed(text: &str) -> Result<u64, String> {
     text.parse().map_err(|_| format!("a seed is a whole number from 0 to {}", u64::MAX))
 }
 
-/// A folder, or nothing where the variable of the environment is empty.
+/// A folder; an empty environment variable counts as unset.
 fn folder_or_nothing() -> impl TypedValueParser<Value = PathBuf> {
     OsStringValueParser::new().map(PathBuf::from)
 }
@@ -132,7 +132,7 @@ impl PipelineArgs {
     /// The pipeline of the text that was read.
     fn load_text(&self, registry: &Registry, text: &str) -> Result<Pipeline, CliError> {
         let (path, overrides) = (&self.pipeline, self.overrides());
-        let trees = self.store_dir().join(rockface_cache::TREES);
+        let trees = rockface_cache::trees(&self.store_dir());
         let loaded = match &self.text {
             Some(_) => Pipeline::of_text(text, self.included.clone(), path, &overrides),
             None => Pipeline::of_read(text, path, &overrides, Some(&trees)),
@@ -249,7 +249,7 @@ fn write_own(folder: &Path, name: &str, text: &str) -> std::io::Result<()> {
     file.persist(folder.join(name)).map(drop).map_err(|error| error.error)
 }
 
-/// Why a command did not do what it was asked.
+/// Why a command failed.
 #[derive(Debug, thiserror::Error)]
 pub enum CliError {
     /// The pipeline is wrong.
@@ -258,13 +258,13 @@ pub enum CliError {
     /// The command is wrong.
     #[error("{0}")]
     Usage(String),
-    /// Steps failed; what there is to say has been said.
+    /// Steps failed; already reported.
     #[error("")]
     Failed,
-    /// Something in the store is not whole; what there is to say has been said.
+    /// Something in the store is damaged or missing; already reported.
     #[error("")]
     Damaged,
-    /// A past run cannot be had.
+    /// A past run cannot be read.
     #[error(transparent)]
     History(#[from] HistoryError),
     /// The store failed.
@@ -273,10 +273,10 @@ pub enum CliError {
     /// The run could not go on.
     #[error(transparent)]
     Run(#[from] RunError),
-    /// A page could not be made.
+    /// A page could not be written.
     #[error(transparent)]
     Report(#[from] crate::report::ReportError),
-    /// What there was to say could not be written.
+    /// The output could not be written.
     #[error("cannot write to standard output: {0}")]
     Output(std::io::Error),
 }
@@ -307,7 +307,7 @@ impl CliError {
 }
 
 impl Cli {
-    /// Does what the command says, and makes sure that what it says is written.
+    /// Runs the command, and makes sure that its output is written.
     pub fn run(self, registry: &Registry) -> Result<(), CliError> {
         rockface_core::limits::raise_memory_limit(rockface_engine::run::Options::default().memory_bytes as u64);
         match (self.command.run(registry), output::fault()) {

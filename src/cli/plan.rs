@@ -21,7 +21,7 @@ pub struct PlanArgs {
     pipeline: PipelineArgs,
     #[command(flatten)]
     programs: ProgramArgs,
-    /// Print every step instance, not only a line a step.
+    /// Print every step instance, not only one line for each step.
     #[arg(long, short)]
     verbose: bool,
     /// Print the plan as JSON.
@@ -102,7 +102,7 @@ impl Times {
         Self(times)
     }
 
-    /// The mean of those most like an instance.
+    /// The mean of the instances closest to this one.
     fn expected_s(&self, plan: &Plan, instance: usize) -> Option<f64> {
         let params = &plan.instances[instance].params.recipe;
         let mut alike = likenesses(plan.step(instance).stage.name(), params).into_iter();

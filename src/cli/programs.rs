@@ -10,7 +10,7 @@ use rockface_engine::pipeline::Pipeline;
 /// Whether steps may start programs.
 #[derive(Debug, Args)]
 pub struct ProgramArgs {
-    /// Refuse a pipeline with steps that start programs (`command`, `fuse-colmap`), also if their results are known already.
+    /// Refuse a pipeline with steps that start programs (`command`, `fuse-colmap`), even if their results are cached.
     #[arg(long, env = "ROCKFACE_NO_COMMANDS", value_parser = FalseyValueParser::new())]
     no_commands: bool,
 }

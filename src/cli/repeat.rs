@@ -58,7 +58,7 @@ pub fn verdict(manifest: &Manifest, plan: &Plan, summary: &Summary) -> Vec<Strin
                     digest.short(),
                     output.digest.short()
                 )),
-                None => others.push(format!("new      {label}.{port}: it was not made then")),
+                None => others.push(format!("new      {label}.{port}: the former run did not make it")),
             }
         }
     }
@@ -71,7 +71,7 @@ pub fn verdict(manifest: &Manifest, plan: &Plan, summary: &Summary) -> Vec<Strin
     let program = rockface_engine::version::program();
     if manifest.program != program {
         lines.push(
-            "the program is not the one that made the run; run.json tells both its version and its lock file".into(),
+            "this is not the program that made the run; run.json contains the version and the lock file of that program".into(),
         );
     }
     lines.push(format!("repeated: {same} outputs are the same, {count} are not"));

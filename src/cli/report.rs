@@ -15,7 +15,7 @@ use rockface_engine::history::{self, REPORT_FILE, RunContents};
 pub struct ReportArgs {
     /// A run folder, its name, a part of it, or `latest`.
     run: String,
-    /// The file to write; by default `report.html` in the run folder.
+    /// The file to write [default: `report.html` in the run folder].
     #[arg(long, short, value_name = "FILE")]
     output: Option<PathBuf>,
     #[command(flatten)]

@@ -18,7 +18,7 @@ use rockface_engine::run::shortcut::{self, NAMED, Told};
 use rockface_engine::run::{self, Finished, LayOut, Options, RunFolder, Summary};
 use rockface_engine::watch::{JsonLines, Observer, Plain, Silent, Terminal, duration};
 
-/// The most memory that can be asked for, GiB; more is a slip of the pen.
+/// The greatest memory that is accepted, GiB; more is a typing error.
 const MEMORY_LIMIT_GIB: f64 = 1_048_576.0;
 
 /// Arguments of `rockface run`.
@@ -28,36 +28,36 @@ pub struct RunArgs {
     pipeline: PipelineArgs,
     #[command(flatten)]
     programs: ProgramArgs,
-    /// Steps at once, and threads inside them; by default one a core.
+    /// Steps that run at once, and threads inside them [default: one for each core].
     #[arg(long, short, value_name = "N", value_parser = jobs, allow_hyphen_values = true)]
     jobs: Option<u16>,
-    /// Memory for values handed from step to step; beyond it they are written to the store. By default half of the
-    /// machine's.
+    /// Memory for values passed between steps and for running steps; values beyond it are spilled to disk [default: half of
+    /// the memory of the machine].
     #[arg(long, value_name = "GiB", value_parser = memory_bytes, allow_hyphen_values = true)]
     memory: Option<usize>,
-    /// Go on with what does not depend on a failed step.
+    /// After a failed step, continue with steps that do not depend on it.
     #[arg(long)]
     keep_going: bool,
-    /// Read every input file anew, though its size and times say that it did not change.
+    /// Hash every input file again, even if its size and times are unchanged.
     #[arg(long)]
     rehash: bool,
-    /// Where run folders go; by default `.rockface/runs` beside the pipeline.
+    /// The folder that contains the run folders [default: `.rockface/runs` beside the pipeline].
     #[arg(long, value_name = "DIR")]
     runs: Option<PathBuf>,
-    /// Which outputs get a name in the run folder; `rockface export` gives any other a name later.
+    /// Which outputs appear as files in the run folder; `rockface export` writes any other later.
     #[arg(long, value_name = "WHICH", value_enum, default_value_t)]
     outputs: LayOut,
-    /// Link results into the run folder without reading them first: quicker where many gigabytes are linked anew, and
-    /// what has decayed on disk is linked as it is.
+    /// Link outputs into the run folder without verifying them first. Faster for many gigabytes, but damage on disk is not
+    /// noticed.
     #[arg(long)]
     trust_store: bool,
-    /// Print events as lines of JSON.
+    /// Print events as JSON, one per line.
     #[arg(long)]
     json: bool,
     /// Print only the result, warnings and failures.
     #[arg(long, short)]
     quiet: bool,
-    /// Tell of every step instance.
+    /// Print every step instance.
     #[arg(long, short, conflicts_with = "quiet")]
     verbose: bool,
 }
@@ -116,7 +116,7 @@ impl RunArgs {
         }
         self.report(&summary, &finished, &told, begun.elapsed().as_secs_f64());
         let failed = summary.failed;
-        // The process ends now: taking a large plan apart piece by piece would only take time.
+        // The process ends now: dropping a large plan would only take time.
         std::mem::forget((pipeline, plan, summary));
         if failed { Err(CliError::Failed) } else { Ok(()) }
     }
@@ -140,7 +140,7 @@ impl RunArgs {
         }
     }
 
-    /// The digest of all that this command is asked and asked with; `None` where every step instance is to be told of.
+    /// The digest of everything that decides the result of this command; `None` if every step instance has to be printed.
     fn question(&self, text: &str) -> Option<Digest> {
         if self.json || self.verbose || self.rehash || self.programs.are_refused() || self.pipeline.text.is_some() {
             return None;
@@ -149,7 +149,7 @@ impl RunArgs {
         let program = rockface_engine::version::state_of_program()?;
         let place = (std::env::current_dir().ok()?, self.pipeline.store_dir(), &self.runs);
         let question = serde_json::json!([program, place, Digest::of(text.as_bytes())]).to_string();
-        // Where programs are looked for decides which ones steps run.
+        // The search path decides which programs the steps run.
         let search = std::env::var_os("PATH");
         Some(Digest::of(format!("{question} {arguments:?} {search:?}").as_bytes()))
     }
@@ -202,7 +202,7 @@ fn jobs(text: &str) -> Result<u16, String> {
     count.ok_or_else(|| "give a whole number of jobs from 1 to 1024".to_owned())
 }
 
-/// The bytes in a number of GiB; a program with none for its values would write all of them.
+/// The bytes in a number of GiB. Zero is refused: every value would be spilled.
 fn memory_bytes(text: &str) -> Result<usize, String> {
     let gib: f64 = text.parse().map_err(|_| "give a number of GiB, such as 4 or 0.5".to_owned())?;
     if gib > 0.0 && gib <= MEMORY_LIMIT_GIB {
@@ -212,7 +212,7 @@ fn memory_bytes(text: &str) -> Result<usize, String> {
     }
 }
 
-/// Says the first of many lines, and how many there are beyond.
+/// Prints the first of many lines, and how many more there are.
 fn say_some<T>(items: &[T], count: usize, line: impl Fn(&T) -> String) {
     items.iter().take(NAMED).for_each(|item| say(&line(item)));
     if count > NAMED {
@@ -220,7 +220,7 @@ fn say_some<T>(items: &[T], count: usize, line: impl Fn(&T) -> String) {
     }
 }
 
-/// Only what a quiet run should say.
+/// Reports warnings and failures only.
 struct Quiet<W: std::io::Write>(Plain<W>);
 
 impl<W: std::io::Write> Observer for Quiet<W> {

@@ -33,7 +33,7 @@ enum RunsCommand {
         #[command(flatten)]
         printed: Printed,
     },
-    /// Show one run: what was asked, what ran, the numbers it told.
+    /// Show one run: its overrides, what ran, and its metrics.
     Show {
         /// A run folder, its name, a part of it, or `latest`.
         run: String,
@@ -43,7 +43,7 @@ enum RunsCommand {
         #[arg(long)]
         json: bool,
     },
-    /// Put runs side by side: the parameters that vary between them, and the numbers they told.
+    /// Compare runs: the parameters that differ between them, and their metrics.
     Compare {
         /// Two runs or more.
         #[arg(required = true, num_args = 2.., value_name = "RUN")]
@@ -52,18 +52,18 @@ enum RunsCommand {
         places: Places,
         #[command(flatten)]
         printed: Printed,
-        /// Write them to this file as a page, with their pictures, instead.
+        /// Write the comparison to this file as an HTML page with pictures.
         #[arg(long, value_name = "FILE", conflicts_with_all = ["format", "json"])]
         html: Option<PathBuf>,
     },
-    /// Keep what a run made, whatever its age: no collection removes it.
+    /// Protect the results of a run from `rockface store gc`.
     Pin {
         /// A run folder, its name, a part of it, or `latest`.
         run: String,
         #[command(flatten)]
         places: Places,
     },
-    /// Let go of a pinned run.
+    /// Remove the protection of a pinned run.
     Unpin {
         /// A run folder, its name, a part of it, or `latest`.
         run: String,
@@ -73,7 +73,7 @@ enum RunsCommand {
 }
 
 impl RunsArgs {
-    /// Does what the subcommand says.
+    /// Runs the subcommand.
     pub fn run(self, registry: &Registry) -> Result<(), CliError> {
         match self.command {
             RunsCommand::List { places, printed } => list(&places, printed.format()),

@@ -13,12 +13,12 @@ use rockface_engine::diagnostic::nearest;
 /// Arguments of `rockface stages`.
 #[derive(Debug, Args)]
 pub struct StagesArgs {
-    /// Show the page of this stage.
+    /// Show the manual page of this stage.
     name: Option<String>,
     /// Print the JSON Schema of pipelines, for editors: `rockface stages --schema > rockface.schema.json`.
     #[arg(long, conflicts_with_all = ["name", "json"])]
     schema: bool,
-    /// Print what programs need to know of the stages, or of one: ports with their kinds, parameters with their defaults.
+    /// Print the stages, or one of them, as JSON: ports with their kinds, parameters with their defaults.
     #[arg(long)]
     json: bool,
 }

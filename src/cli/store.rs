@@ -7,13 +7,13 @@ use clap::{Args, Subcommand};
 use rockface_cache::{Collected, Digest, Fault, FaultKind, GcPlan, GcPolicy, Store};
 use serde_json::json;
 
-use super::hand::HandArgs;
 use super::places::Places;
 use super::table::{self, Format, bytes};
+use super::transfer::TransferArgs;
 use super::{CliError, complain, say};
 use rockface_engine::history::{self, HistoryError, PastRun};
 
-/// What was made or used less long ago is kept by a collection, seconds: a run that was stopped may be taken up again.
+/// Records younger than this, seconds, are never collected: a stopped run may be continued.
 const GRACE_S: u64 = 3600;
 /// Seconds of a day.
 const DAY_S: f64 = 86_400.0;
@@ -27,7 +27,7 @@ pub struct StoreArgs {
 
 #[derive(Debug, Subcommand)]
 enum StoreCommand {
-    /// Tell what the store holds, by stage.
+    /// Show what the store contains, by stage.
     Stat {
         #[command(flatten)]
         places: Places,
@@ -35,40 +35,41 @@ enum StoreCommand {
         #[arg(long)]
         json: bool,
     },
-    /// Read everything and compare it with its digest; exit code 3 if anything is damaged or missing.
+    /// Read every blob and compare it with its digest; exit code 3 if any is damaged or missing.
     Verify {
         #[command(flatten)]
         places: Places,
-        /// Set damaged outputs aside, so that the next run that needs them makes them again.
+        /// Move damaged outputs to quarantine, so that the next run that needs them recomputes them.
         #[arg(long)]
         repair: bool,
         /// Print JSON.
         #[arg(long)]
         json: bool,
     },
-    /// Remove what nobody needs. Superseded and damaged entries go always; records only by the options below, and those
-    /// of pinned runs, what is younger than an hour and what live runs count on never. Safe beside a running pipeline.
+    /// Remove what is not needed. Superseded and damaged entries are always removed; records only if an option below selects
+    /// them. Records of pinned runs, records younger than an hour and records that live runs reference are never removed. Safe
+    /// while a pipeline runs.
     Gc(GcArgs),
-    /// Hand results to another store, such as one on a shared disk, which is made if there is none.
-    Push(HandArgs),
-    /// Take results from another store.
-    Pull(HandArgs),
+    /// Copy results to another store, such as one on a shared disk. The store is created if it does not exist.
+    Push(TransferArgs),
+    /// Copy results from another store.
+    Pull(TransferArgs),
 }
 
 #[derive(Debug, Args)]
 struct GcArgs {
     #[command(flatten)]
     places: Places,
-    /// Also remove what no run that still has its folder names.
+    /// Also remove records that no existing run folder references.
     #[arg(long)]
     unnamed: bool,
-    /// Also remove what was not used for so many days.
+    /// Also remove records that were not used for this many days.
     #[arg(long, value_name = "DAYS", value_parser = non_negative, allow_hyphen_values = true)]
     max_age: Option<f64>,
-    /// Also remove the longest unused until the outputs on record fit into so many GiB.
+    /// Also remove the least recently used records until the outputs fit into this many GiB.
     #[arg(long, value_name = "GiB", value_parser = non_negative, allow_hyphen_values = true)]
     max_size: Option<f64>,
-    /// Say what each blob is that would go, and remove nothing.
+    /// List the blobs that would be removed, and remove nothing.
     #[arg(long)]
     dry_run: bool,
     /// Print JSON.
@@ -82,7 +83,7 @@ fn non_negative(text: &str) -> Result<f64, String> {
 }
 
 impl StoreArgs {
-    /// Does what the subcommand says.
+    /// Runs the subcommand.
     pub fn run(self) -> Result<(), CliError> {
         match self.command {
             StoreCommand::Stat { places, json } => stat(&places.open_store()?, json),
@@ -143,15 +144,15 @@ fn verify(store: &Store, repair: bool, as_json: bool) -> Result<(), CliError> {
     if is_well { Ok(()) } else { Err(CliError::Damaged) }
 }
 
-/// What was found, and what to do about it: only what is damaged has to be set aside before a run makes it again.
+/// The result of a verification and the remedy. Only damaged blobs have to be quarantined before a run recomputes them.
 fn verdict(faults: &[Fault], repair: bool) -> String {
     let damaged = faults.iter().filter(|fault| fault.kind == FaultKind::Damaged).count();
     let missing = faults.len() - damaged;
     let remedy = match (damaged, repair) {
         (0, _) if missing == 0 => return "all whole".to_owned(),
-        (0, _) | (_, true) => "the next `rockface run` that needs them makes them again",
+        (0, _) | (_, true) => "the next `rockface run` that needs them recomputes them",
         (_, false) => {
-            "`rockface store verify --repair` sets what is damaged aside, and the next `rockface run` that needs it makes it again"
+            "`rockface store verify --repair` moves damaged blobs to quarantine, and the next `rockface run` that needs them recomputes them"
         }
     };
     format!("{damaged} damaged, {missing} missing; {remedy}")
@@ -208,7 +209,7 @@ impl GcArgs {
         };
         let live = store.live()?;
         if let Some(since_s) = live.since_unix_s {
-            // What live runs count on stays, and so does all that was written since they began.
+            // What live runs reference stays, and so does everything written since they began.
             policy.pinned.extend(live.keys);
             policy.grace_s = policy.grace_s.max(now_s().saturating_sub(since_s) + 1);
         }
@@ -223,7 +224,7 @@ impl GcArgs {
     }
 }
 
-/// What was removed, and why not more.
+/// What was removed, and why some was not.
 fn told(done: &Collected) -> String {
     let mut told = format!("removed {} records and {} blobs, {} freed", done.records, done.blobs, bytes(done.bytes));
     if done.busy_segments > 0 {
@@ -235,11 +236,11 @@ fn told(done: &Collected) -> String {
     told
 }
 
-/// All run folders that are there: those in `runs`, and those elsewhere that the store was told of.
+/// All existing run folders: those in `runs`, and those elsewhere that the store remembers.
 fn run_folders(store: &Store, runs: &Path) -> Result<BTreeSet<PathBuf>, CliError> {
     let absolute = |folder: PathBuf| std::path::absolute(&folder).unwrap_or(folder);
     let mut folders: BTreeSet<PathBuf> = history::folders(runs)?.into_iter().map(absolute).collect();
-    for note in store.recalled_runs() {
+    for note in store.memory().recalled_runs() {
         let folder = note.get("folder").and_then(serde_json::Value::as_str).map(PathBuf::from);
         folders.extend(folder.filter(|folder| history::may_be_run(folder)));
     }
@@ -254,13 +255,13 @@ fn count(policy: &mut GcPolicy, run: &PastRun) {
     use_keys(policy, keys, used_s, run.pinned);
 }
 
-/// Counts what a manifest that cannot be read still names: its run may be one that is wanted.
+/// Marks what a damaged manifest still references as used: its run may still be wanted.
 fn count_torn(policy: &mut GcPolicy, store: &Store, folder: &Path, fault: &HistoryError) -> Result<(), CliError> {
     let (digests, written_s) = history::digests_told(folder)?;
     let keys: Vec<Digest> = digests.into_iter().filter(|digest| store.has_record(digest)).collect();
     let (count, pinned) = (keys.len(), history::is_pinned(folder));
     use_keys(policy, keys, written_s, pinned);
-    let way = "repeat its pipeline to have it told anew, or remove the folder";
+    let way = "run its pipeline again to write it anew, or remove the folder";
     let used = format!("the {count} records that can still be read in it count as used by this run");
     complain(&format!("warning: {fault}; {used}: {way}"));
     Ok(())

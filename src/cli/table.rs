@@ -19,7 +19,7 @@ pub enum Format {
 /// What the commands that print tables take.
 #[derive(Debug, Args)]
 pub struct Printed {
-    /// How to print them.
+    /// The output format.
     #[arg(long, value_enum, default_value = "table")]
     format: Format,
     /// The same as `--format json`.

@@ -197,7 +197,7 @@ pub fn ended(out: &Output, is_killed: bool, names_path: bool) -> Verdict<Ended> 
     use std::os::unix::process::ExitStatusExt;
     let err = String::from_utf8_lossy(&out.stderr);
     let fault = |why: &str| Err(format!("{why}: {}: {err}", out.status));
-    if err.contains("panicked") || err.contains("broke down") {
+    if err.contains("panicked") {
         return fault("it panicked");
     }
     match (out.status.code(), out.status.signal()) {

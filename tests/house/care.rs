@@ -155,17 +155,17 @@ fn a_collection_spares_pinned_runs_and_explains_itself() {
 }
 
 #[test]
-fn results_are_handed_from_store_to_store() {
+fn results_are_copied_from_store_to_store() {
     let house = House::new(SMALL);
     house.rockface(&["run", "p.yaml"]);
     house.rockface(&["run", "p.yaml", "--set", "steps.dem.with.cell_m=0.1"]);
     let (code, out, err) = house.rockface(&["store", "push", "shared", "--run", "latest"]);
-    assert!(code == Some(0) && out.starts_with("2 records with ") && out.contains("0 were there"), "{out}{err}");
+    assert!(code == Some(0) && out.starts_with("copied 2 records with ") && out.contains("0 were there"), "{out}{err}");
     let (_, out, _) = house.rockface(&["store", "push", "shared"]);
-    assert!(out.starts_with("1 records with ") && out.contains("2 were there"), "{out}");
+    assert!(out.starts_with("copied 1 records with ") && out.contains("2 were there"), "{out}");
     std::fs::remove_dir_all(house.path(".rockface")).unwrap();
     let (code, out, err) = house.rockface(&["store", "pull", "shared"]);
-    assert!(code == Some(0) && out.starts_with("3 records"), "{out}{err}");
+    assert!(code == Some(0) && out.starts_with("copied 3 records"), "{out}{err}");
     let (_, out, _) = house.rockface(&["run", "p.yaml"]);
     assert!(last_line(&out).contains("ran 0, cached 2"), "{out}");
     let (code, _, err) = house.rockface(&["store", "pull", "nowhere"]);

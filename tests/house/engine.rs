@@ -206,7 +206,7 @@ steps:
         .collect();
     assert_eq!(failures.len(), 2, "{failures:?}");
     assert!(failures.iter().any(|f| f == "bad: told to give up"));
-    assert!(failures.iter().any(|f| f.starts_with("broken: the stage broke down: told to")));
+    assert!(failures.iter().any(|f| f.starts_with("broken: the stage panicked: told to")));
     assert!(!ran.executed().contains(&"after".to_owned()));
     // What failed is not remembered; what was finished is.
     assert_eq!(

@@ -185,7 +185,7 @@ fn bit_rot_is_found_before_a_result_is_linked_and_made_good_in_that_run() {
     assert!(told.starts_with("done: ran 0, cached 2") && linked != whole, "{told}");
     let (told, err, linked) = run("careful", &[]);
     assert!(told.starts_with("done: ran 1, cached 1"), "{told}");
-    assert!(err.contains("face: its `mesh` has to be made again") && err.contains("quarantine"), "{err}");
+    assert!(err.contains("face: its `mesh` has to be recomputed") && err.contains("quarantine"), "{err}");
     assert!(linked == whole);
     let (told, err, linked) = run("again", &[]);
     assert!(told.starts_with("done: ran 0, cached 2") && !err.contains("damaged") && linked == whole, "{told}{err}");
@@ -226,7 +226,7 @@ fn a_result_of_the_wrong_size_is_set_aside_and_made_again() {
     let (code, out, err) = house.rockface(&["run", "p.yaml", "--runs", "other"]);
     assert_eq!(code, Some(0), "{err}");
     assert!(last_line(&out).starts_with("done: ran 1, cached 1"), "{out}");
-    assert!(err.contains("was damaged and is set aside"), "{err}");
+    assert!(err.contains("a stored output was damaged; it was moved to"), "{err}");
     let (code, out, _) = house.rockface(&["store", "verify"]);
     assert!(code == Some(0) && out.contains("all whole"), "{out}");
 }

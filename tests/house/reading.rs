@@ -55,10 +55,10 @@ fn explain_names_what_changed() {
     assert!(out.starts_with("dem (rasterise-dem): runs, no record has this recipe\n"), "{out}");
     assert!(out.ends_with("\n  params.cell_m: 0.05 -> 0.1\n"), "{out}");
     let run = std::fs::read_link(house.path(".rockface/runs/latest")).unwrap().display().to_string();
-    assert!(out.contains(&format!("… (in run {run}), the most like of 1 on record")), "{out}");
+    assert!(out.contains(&format!("… (in run {run}), the closest of 1 on record")), "{out}");
     assert_eq!(json(&house, &[&set[..], &["--json"]].concat())["causes"][0]["former_run"], run);
     let (_, out, _) = house.rockface(&[&set[..], &["--runs", "elsewhere"]].concat());
-    assert!(out.contains("… (no run folder names it), the most like"), "{out}");
+    assert!(out.contains("… (no run folder names it), the closest"), "{out}");
     let (_, plan, _) = house.rockface(&["plan", "p.yaml", "--set", "steps.dem.with.cell_m=0.1"]);
     assert!(plan.contains("no record has this recipe"), "{plan}");
 }
@@ -113,7 +113,7 @@ fn explain_follows_a_gathered_input_through_several_steps() {
 fn explain_compares_with_the_most_like_record_and_agrees_with_plan() {
     let house = House::new(SWEPT);
     let (_, out, _) = house.rockface(&["explain", "p.yaml", "face"]);
-    assert!(out.contains("nothing is on record of stage `synthesise-face`"), "{out}");
+    assert!(out.contains("no record of stage `synthesise-face` exists"), "{out}");
     house.rockface(&["run", "p.yaml"]);
     // Two components away from one point, one from the other.
     let set = ["--set", "axes.cell.values=[0.05, 0.2]", "--set", "steps.dem.with.method=mean"];
@@ -129,7 +129,7 @@ fn explain_compares_with_the_most_like_record_and_agrees_with_plan() {
     // No target needs the table; it can be explained all the same.
     let (code, out, err) = house.rockface(&["explain", "p.yaml", "table[cell=0.1]"]);
     assert_eq!(code, Some(0), "{err}");
-    assert!(out.contains("nothing is on record of stage `describe-noise`"), "{out}");
+    assert!(out.contains("no record of stage `describe-noise` exists"), "{out}");
 }
 
 #[test]

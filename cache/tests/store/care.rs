@@ -90,7 +90,7 @@ fn a_collection_writes_segments_anew_and_other_handles_go_on() {
     let (folder, store) = new_store();
     let keys: Vec<Digest> = (0..20).map(|number| finish(&store, number, &[number as u8; 3000])).collect();
     finish(&store, 30, &large(30));
-    store.remember_run(&keys[0], &serde_json::json!("note")).unwrap();
+    store.memory().remember_run(&keys[0], &serde_json::json!("note")).unwrap();
     drop(store);
     let before: u64 = segments(folder.path()).iter().map(|path| fs::metadata(path).unwrap().len()).sum();
     let bystander = Store::open(folder.path()).unwrap();
@@ -110,7 +110,7 @@ fn a_collection_writes_segments_anew_and_other_handles_go_on() {
     finish(&bystander, 50, b"written afterwards");
     drop((store, bystander));
     let store = Store::open(folder.path()).unwrap();
-    assert!(store.is_hit(&recipe(50).key()).is_some() && store.recalled_run(&keys[0]).is_some());
+    assert!(store.is_hit(&recipe(50).key()).is_some() && store.memory().recalled_run(&keys[0]).is_some());
     assert_eq!(store.keys().len(), 6);
     assert_eq!(store.verify(false).unwrap().faults, []);
 }
@@ -286,7 +286,7 @@ fn a_record_written_after_the_plan_and_runs_that_came_and_went_are_no_loss() {
     assert_eq!((collected.records, collected.spared_records), (1, 1));
     assert_eq!(open().is_hit(&keys[1]).unwrap().outputs["mesh"], output(b"latter", true));
     let plan = store.plan_gc(&at_once()).unwrap();
-    open().remember_run(&keys[0], &serde_json::json!({})).unwrap();
+    open().memory().remember_run(&keys[0], &serde_json::json!({})).unwrap();
     assert_eq!(store.collect(&plan).unwrap().records, 0, "that run may have used it");
 }
 

@@ -221,13 +221,13 @@ fn programs_that_start_meanwhile_hold_on_to_nothing() {
 fn notes_on_runs_are_recalled_latest_first() {
     let (folder, store) = new_store();
     let plan = Digest::of(b"plan");
-    assert!(store.recalled_run(&plan).is_none());
+    assert!(store.memory().recalled_run(&plan).is_none());
     for run in ["first", "second"] {
-        store.remember_run(&plan, &json!({ "run": run })).unwrap();
-        assert_eq!(store.recalled_run(&plan), Some(json!({ "run": run })));
+        store.memory().remember_run(&plan, &json!({ "run": run })).unwrap();
+        assert_eq!(store.memory().recalled_run(&plan), Some(json!({ "run": run })));
     }
     drop(store);
-    assert_eq!(Store::open(folder.path()).unwrap().recalled_run(&plan), Some(json!({ "run": "second" })));
+    assert_eq!(Store::open(folder.path()).unwrap().memory().recalled_run(&plan), Some(json!({ "run": "second" })));
 }
 
 #[test]

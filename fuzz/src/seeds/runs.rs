@@ -107,7 +107,7 @@ fn segment() -> io::Result<Vec<u8>> {
     };
     let record = Record { recipe, outputs: outputs(), log: Some(log), sketches: None, cost: Cost::default() };
     store.commit(&record).map_err(io::Error::other)?;
-    store.remember_run(&Digest::of(b"plan"), &json!({"folder": "runs/1"})).map_err(io::Error::other)?;
+    store.memory().remember_run(&Digest::of(b"plan"), &json!({"folder": "runs/1"})).map_err(io::Error::other)?;
     store.sync().map_err(io::Error::other)?;
     let files = crate::corpus::files(&folder.path().join("segments"))?;
     let file = files.first().ok_or_else(|| io::Error::other("the store has no segment"))?;

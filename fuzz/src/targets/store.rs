@@ -85,7 +85,7 @@ fn look(store: &Store) -> usize {
         assert_eq!(again, record.recipe, "a recipe comes back as it was");
         record.blobs().for_each(|(blob, _)| drop(store.get(&blob)));
     }
-    drop(store.recalled_runs());
+    drop(store.memory().recalled_runs());
     records.len()
 }
 

@@ -24,14 +24,14 @@ use rockface_engine::history::Manifest;
 /// Arguments of `rockface inspect`.
 #[derive(Debug, Args)]
 pub struct InspectArgs {
-    /// A file, a run folder, or the digest of a blob or record in the store (the first digits are enough).
+    /// A file, a run folder, or the digest of a blob or record in the store; the first digits are enough.
     what: String,
     #[command(flatten)]
     places: Places,
     /// Follow one pixel of a depth map through the steps that made it: column and row, from 0 at the upper left.
     #[arg(long, value_name = "X,Y", value_parser = pixel::parse, allow_hyphen_values = true)]
     pixel: Option<[usize; 2]>,
-    /// Show small pictures of it in the terminal.
+    /// Show small pictures in the terminal.
     #[arg(long, value_enum, default_value_t = When::Auto)]
     picture: When,
     /// Print JSON.

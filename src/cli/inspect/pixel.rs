@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use super::super::places::Places;
 use super::super::{CliError, say};
 use super::{Facts, say_facts};
-use rockface_engine::run::again;
+use rockface_engine::run::rerun;
 
 /// Reads `X,Y`.
 pub fn parse(text: &str) -> Result<[usize; 2], String> {
@@ -193,7 +193,7 @@ impl<'a> Chain<'a> {
             CliError::Usage(format!("`{}` cannot be run again: {}{hint}", record.recipe.stage, error.message))
         };
         let kind_of = |digest: &Digest| self.kinds.get(digest).copied();
-        let made = again::with_channels(&record.recipe, self.registry, self.store, &kind_of).map_err(failed)?;
+        let made = rerun::with_channels(&record.recipe, self.registry, self.store, &kind_of).map_err(failed)?;
         let Some(Artefact::Depth(depth)) = made.get(port) else {
             return Err(CliError::Usage(format!("`{port}` of `{}` is no depth map", record.recipe.stage)));
         };
@@ -253,15 +253,15 @@ fn moved(before: &Facts, now: &Facts) -> Option<(String, Value)> {
     Some(("moved by (m)".into(), json!(step)))
 }
 
-/// Whether what was made again is what is on record.
+/// Whether the recomputed output is the recorded one.
 fn verdict(record: &Record, port: &str, depth: &Depth) -> String {
     let Some(output) = record.outputs.get(port) else { return "not on record".to_owned() };
     let plain = Depth { channels: BTreeMap::new(), ..depth.clone() };
     let equal =
         [depth, &plain].into_iter().any(|depth| depth.encode().is_ok_and(|bytes| Digest::of(&bytes) == output.digest));
     if equal {
-        "made again, equal to the bit to what is on record".to_owned()
+        "recomputed, identical to the record bit by bit".to_owned()
     } else {
-        format!("made again, but NOT equal to {} on record", output.digest.short())
+        format!("recomputed, but NOT equal to {} on record", output.digest.short())
     }
 }

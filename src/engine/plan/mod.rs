@@ -1,18 +1,18 @@
 //! From pipeline to plan: resolve names, expand axes, key every step instance.
 
-mod blind;
+mod axis_propagation;
 mod dynamic;
 mod faults;
-mod feeds;
 mod graph;
 mod hit;
+mod inputs;
 mod instances;
-mod later;
+mod late_items;
 mod log_levels;
 mod parameters;
+mod partial_check;
 mod points;
 mod programs;
-mod reach;
 mod resolve;
 mod sight;
 mod values;

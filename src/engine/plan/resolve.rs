@@ -10,9 +10,9 @@ use rockface_core::artefact::Kind;
 use rockface_core::{AnyStage, Ports};
 use serde_json::Value;
 
+use super::axis_propagation::Names;
 use super::graph::{Dynamic, Graph, GraphStep};
 use super::points::too_many;
-use super::reach::Names;
 use super::{Stages, parameters, values};
 use crate::diagnostic::{Diagnostic, Diagnostics, SHOWN, listed};
 use crate::pipeline::{Axis, Document, Key, Label, Node, Pipeline, Reference, Step, Word, escape_hint, mentioned};

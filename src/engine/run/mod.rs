@@ -1,37 +1,15 @@
-//! Running a plan: the scheduler, its workers, and the folder that tells of the run.
+//! Running a plan: the scheduler, its workers, and the run folder.
 
-mod account;
-pub mod again;
-mod exchange;
-mod expand;
 mod folder;
-mod host;
-mod lay_out;
-mod log;
-mod made;
-mod memory;
-mod program;
-mod progress;
-mod remake;
-mod resident;
-mod schedule;
-mod settle;
-pub mod shortcut;
-mod spill;
-mod state;
-mod tell;
-pub mod tools;
-mod unfinished;
-mod work;
-mod workers;
+mod scheduler;
+mod worker;
 
 use rockface_cache::{Digest, Outcome, Recipe, Store, StoreError};
 use rockface_core::{Look, Registry};
 
-pub use folder::{Finished, Reporter, RunFolder, finish};
-pub use lay_out::LayOut;
-pub use schedule::run as execute;
-pub use tell::execute_and_tell;
+pub use folder::{Finished, LayOut, Reporter, RunFolder, execute_and_tell, finish, shortcut};
+pub use scheduler::run as execute;
+pub use worker::{rerun, tools};
 
 /// How to run.
 #[derive(Debug, Clone)]
@@ -53,7 +31,7 @@ impl Default for Options {
     }
 }
 
-/// Half of the machine's memory; 4 GiB where it cannot be told.
+/// Half of the machine's memory; 4 GiB if the system does not report it.
 fn half_of_memory() -> usize {
     let told = std::fs::read_to_string("/proc/meminfo").ok();
     let line = told.as_deref().and_then(|text| text.lines().find_map(|line| line.strip_prefix("MemTotal:")));
@@ -70,7 +48,7 @@ pub enum RunError {
     /// The user asked to stop.
     #[error("interrupted; everything that was finished is kept, and the next run goes on from there")]
     Interrupted,
-    /// No threads could be had.
+    /// The system gave no threads.
     #[error("cannot start worker threads: {0}")]
     Threads(String),
     /// An output that turned out to be needed on disk could not be encoded.
@@ -117,7 +95,7 @@ pub struct Summary {
     pub wall_s: f64,
     /// Whether a step failed.
     pub failed: bool,
-    /// Whether a step that was made again came out otherwise than what others had read by then.
+    /// Whether a recomputed step gave a different output after others had read the former one.
     revised: bool,
 }
 
@@ -132,21 +110,21 @@ pub struct InstanceResult {
     pub executed: bool,
     /// What came out; `None` if it failed or was not reached.
     pub outcome: Option<Outcome>,
-    /// Why its stage gave up, if it did.
+    /// Why its stage failed, if it did.
     pub failure: Option<StepFailure>,
 }
 
-/// Why a stage gave up.
+/// Why a stage failed.
 #[derive(Debug, Clone)]
 pub struct StepFailure {
     /// The cause and the way out.
     pub message: String,
-    /// What it had said by then, a blob, as [`Outcome::log`] is.
+    /// The log up to the failure, a blob, as [`Outcome::log`] is.
     pub log: Option<Digest>,
 }
 
 impl InstanceResult {
-    /// What it said, a blob.
+    /// Its log, a blob.
     pub fn log(&self) -> Option<Digest> {
         let failed = self.failure.as_ref().and_then(|failure| failure.log);
         self.outcome.as_ref().map_or(failed, |outcome| outcome.log)

@@ -1,0 +1,128 @@
+//! What the engine remembers in a store beside blobs and records. Losing any of it costs time, never a result.
+//!
+//! | what | where | written by |
+//! |---|---|---|
+//! | runs: a note by the key of a plan | segments | [`Memory::remember_run`] |
+//! | notes beside a record, on what decides nothing of it | segments | [`Memory::annotate`] |
+//! | answers: the result of a former command and the state of all it rests on | `answers/` | [`Memory::remember_answer`] |
+//! | trees: long texts, parsed | `trees/` | the engine, in the folder [`trees`] |
+//!
+//! The store does not interpret any of this. Answers and trees decide which steps run, so they are read only from files that
+//! this user wrote: [`read_own`].
+
+mod looks;
+mod memo;
+
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+
+use crate::error::StoreError;
+use crate::frame::Kind;
+use crate::{Digest, Store, plain};
+
+pub use looks::{Seen, State};
+pub use memo::{Grounds, recall};
+
+/// The folder of parsed texts.
+pub(crate) const TREES: &str = "trees";
+/// The folder of answers to former commands.
+pub(crate) const ANSWERS: &str = "answers";
+
+/// The memory of the engine in a store, from [`Store::memory`].
+#[derive(Debug, Clone, Copy)]
+pub struct Memory<'s> {
+    store: &'s Store,
+}
+
+impl Store {
+    /// What the engine remembers in this store.
+    pub fn memory(&self) -> Memory<'_> {
+        Memory { store: self }
+    }
+}
+
+impl Memory<'_> {
+    /// Keeps a note on a run under the key of its plan; a later note replaces it.
+    pub fn remember_run(&self, plan_key: &Digest, json: &Value) -> Result<(), StoreError> {
+        self.store.append(Kind::Note, *plan_key, json.to_string().as_bytes())
+    }
+
+    /// The latest note under the key of this plan.
+    pub fn recalled_run(&self, plan_key: &Digest) -> Option<Value> {
+        self.payload(Kind::Note, plan_key)
+    }
+
+    /// The latest notes on runs, in the order of the keys of their plans.
+    pub fn recalled_runs(&self) -> Vec<Value> {
+        let keys = self.store.journal().with_index(|index| index.names(Kind::Note));
+        keys.iter().filter_map(|key| self.recalled_run(key)).collect()
+    }
+
+    /// Keeps a note beside the record of a recipe, on what decides nothing of it; a later note replaces it.
+    pub fn annotate(&self, key: &Digest, json: &Value) -> Result<(), StoreError> {
+        // The frames of file digests hold notes too: neither the names nor the payloads of the two can be confused.
+        self.store.append(Kind::File, *key, json.to_string().as_bytes())
+    }
+
+    /// The latest note beside the record of a recipe.
+    pub fn annotation(&self, key: &Digest) -> Option<Value> {
+        self.payload(Kind::File, key)
+    }
+
+    fn payload(self, kind: Kind, name: &Digest) -> Option<Value> {
+        self.store.journal().with_index(|index| serde_json::from_slice(index.payload(kind, name)?).ok())
+    }
+}
+
+/// The folder of parsed texts of the store at `dir`, which need not exist.
+pub fn trees(dir: &Path) -> PathBuf {
+    dir.join(TREES)
+}
+
+/// The bytes of a plain file that belongs to the user of this process; `None` otherwise.
+///
+/// Whoever may write to a shared store can put files into it. What decides more than a result, such as the steps that run,
+/// is taken only from files this user has written.
+pub fn read_own(path: &Path) -> Option<Vec<u8>> {
+    let mut file = plain::open(path).ok()?;
+    let is_own = std::os::unix::fs::MetadataExt::uid(&file.metadata().ok()?) == rustix::process::geteuid().as_raw();
+    let mut bytes = Vec::new();
+    is_own.then(|| std::io::Read::read_to_end(&mut file, &mut bytes).ok().map(|_| bytes)).flatten()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    #[test]
+    fn a_note_beside_a_record_is_there_for_the_next_process_and_is_no_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let dir = folder.path().join("store");
+        let key = Digest::of(b"recipe");
+        let store = Store::open(&dir).unwrap();
+        assert_eq!(store.memory().annotation(&key), None);
+        for note in ["first", "second"] {
+            store.memory().annotate(&key, &Value::from(note)).unwrap();
+        }
+        assert_eq!(store.memory().annotation(&key), Some("second".into()));
+        drop(store);
+        let store = Store::open(&dir).unwrap();
+        assert_eq!((store.memory().annotation(&key), store.remembered(&key)), (Some("second".into()), None));
+    }
+
+    #[test]
+    fn only_what_this_user_wrote_is_own() {
+        let folder = tempfile::tempdir().unwrap();
+        let (own, link) = (folder.path().join("own"), folder.path().join("link"));
+        fs::write(&own, "mine").unwrap();
+        std::os::unix::fs::symlink(&own, &link).unwrap();
+        assert_eq!(read_own(&own).as_deref(), Some(b"mine".as_slice()));
+        assert_eq!((read_own(&link), read_own(&folder.path().join("none"))), (None, None));
+        let foreign = Path::new("/proc/1/cmdline");
+        let is_foreign = fs::metadata(foreign)
+            .is_ok_and(|meta| std::os::unix::fs::MetadataExt::uid(&meta) != rustix::process::geteuid().as_raw());
+        assert!(!is_foreign || read_own(foreign).is_none());
+    }
+}

@@ -1,0 +1,205 @@
+//! Outputs under names people can read: `outputs/<step>/<point>/<port>.<extension>`, and further files beside them.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+
+use rockface_cache::{Digest, Materialised, NameError, Outcome, OutputRecord, SafeName, SafePath, Store};
+use rockface_core::artefact::{Artefact, Kind};
+use serde::{Deserialize, Serialize};
+
+use super::run_folder::{failed, going_on, write_file};
+use crate::plan::Plan;
+use crate::run::{RunError, Summary};
+
+/// A run with more outputs than this lays out those of its targets only, step by step as long as there are no more, unless it
+/// is told otherwise: a folder for each of very many points costs more than the whole rerun.
+pub const OUTPUTS_LIMIT: usize = 1000;
+
+/// Which outputs get a name in the run folder. All others are in the store, and `rockface export` gives them a name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "snake_case")]
+pub enum LayOut {
+    /// Those of all steps up to 1000 outputs; beyond, those of target steps, step by step, up to 1000 in all.
+    #[default]
+    Auto,
+    /// Those of all steps.
+    All,
+    /// Those of the target steps.
+    Targets,
+    /// None.
+    None,
+}
+
+/// The files of the outputs of an instance by port, relative to the run folder.
+pub type Paths = BTreeMap<String, SafePath>;
+
+/// What was laid out; paths are relative to the run folder.
+#[derive(Debug, Default)]
+pub struct Laid {
+    /// The outputs of each instance.
+    pub paths: Vec<Paths>,
+    /// All files of the target steps.
+    pub of_targets: Vec<SafePath>,
+    /// All files; with the digest of its blob one that is but another name of that.
+    pub files: Files,
+    /// How many kept outputs have no file.
+    pub unnamed: usize,
+}
+
+impl LayOut {
+    /// Gives the outputs of a run their names.
+    pub fn lay_out(
+        self,
+        plan: &Plan,
+        summary: &Summary,
+        store: &Store,
+        folder: &Path,
+        stop: &AtomicBool,
+    ) -> Result<Laid, RunError> {
+        let counts = counts(plan, summary);
+        let is_large = counts.iter().sum::<usize>() > OUTPUTS_LIMIT;
+        let fitting = fitting_targets(plan, &counts);
+        let layer = Layer { plan, store, folder };
+        let mut laid = Laid::default();
+        for (instance, result) in summary.instances.iter().enumerate() {
+            going_on(stop)?;
+            let is_target = plan.targets.binary_search(&instance).is_ok();
+            let is_wanted = match self {
+                Self::All => true,
+                Self::Auto if !is_large => true,
+                Self::Auto => fitting[plan.instances[instance].step],
+                Self::Targets => is_target,
+                Self::None => false,
+            };
+            let outcome = result.outcome.as_ref().filter(|_| is_wanted);
+            let (named, files) =
+                outcome.map_or(Ok((Paths::new(), Vec::new())), |outcome| layer.outputs(instance, outcome))?;
+            if is_target {
+                laid.of_targets.extend(files.iter().map(|(path, _)| path.clone()));
+            }
+            laid.files.extend(files);
+            laid.paths.push(named);
+        }
+        let named: usize = laid.paths.iter().map(BTreeMap::len).sum();
+        laid.unnamed = counts.iter().sum::<usize>().saturating_sub(named);
+        Ok(laid)
+    }
+}
+
+/// How many kept outputs each step has.
+fn counts(plan: &Plan, summary: &Summary) -> Vec<usize> {
+    let mut counts = vec![0; plan.graph.steps.len()];
+    for (instance, result) in summary.instances.iter().enumerate().filter(|(instance, _)| plan.step(*instance).keep) {
+        let outputs = result.outcome.iter().flat_map(|outcome| outcome.outputs.values());
+        counts[plan.instances[instance].step] += outputs.filter(|output| output.kept).count();
+    }
+    counts
+}
+
+/// Which steps are targets whose outputs fit under the limit together with those of targets before them.
+fn fitting_targets(plan: &Plan, counts: &[usize]) -> Vec<bool> {
+    let (mut left, mut fitting) = (OUTPUTS_LIMIT, vec![false; counts.len()]);
+    for step in &plan.graph.targets {
+        fitting[*step] = counts[*step] <= left;
+        left -= if fitting[*step] { counts[*step] } else { 0 };
+    }
+    fitting
+}
+
+/// Files, and the blobs that some of them are other names of.
+type Files = Vec<(SafePath, Option<Digest>)>;
+
+struct Layer<'a> {
+    plan: &'a Plan,
+    store: &'a Store,
+    folder: &'a Path,
+}
+
+impl Layer<'_> {
+    /// Links the kept outputs of an instance and writes their further files; returns the former by port, and then all with
+    /// the blobs that some are other names of, relative to the folder.
+    fn outputs(&self, instance: usize, outcome: &Outcome) -> Result<(Paths, Files), RunError> {
+        let step = self.plan.step(instance);
+        let (mut named, mut files, mut exports) = (Paths::new(), Vec::new(), Vec::new());
+        let kept = outcome.outputs.iter().filter(|(_, output)| step.keep && output.kept);
+        let kept = kept.filter_map(|(port, output)| Some((port, output, output.kind.parse::<Kind>().ok()?)));
+        let place = self.place(instance).map_err(|error| failed(self.folder)(error.into()))?;
+        for (port, output, kind) in kept {
+            if named.is_empty() {
+                let place = self.folder.join(&place);
+                std::fs::create_dir_all(&place).map_err(failed(&place))?;
+            }
+            let file = SafeName::new(format!("{port}.{}", step.extension(port, kind)));
+            let path = place.with(&file.map_err(|error| failed(self.folder)(error.into()))?);
+            let how = self.store.materialise_new(&output.digest, &self.folder.join(&path))?;
+            files.push((path.clone(), (how == Materialised::HardLink).then_some(output.digest)));
+            if kind.has_exports() {
+                exports.extend(self.exports(&place, port, output, kind)?);
+            }
+            named.insert(port.to_string(), path);
+        }
+        files.extend(exports.into_iter().map(|path| (path, None)));
+        Ok((named, files))
+    }
+
+    /// Where the outputs of an instance go.
+    fn place(&self, instance: usize) -> Result<SafePath, NameError> {
+        let step = self.plan.step(instance);
+        let place = SafePath::new("outputs")?.with(&SafeName::new(readable_name(&step.name))?);
+        if step.axes.is_empty() {
+            return Ok(place);
+        }
+        Ok(place.with(&SafeName::new(readable_name(&self.plan.point_text(instance)))?))
+    }
+
+    /// Writes the further files of an output; returns their paths.
+    fn exports(
+        &self,
+        place: &SafePath,
+        port: &str,
+        output: &OutputRecord,
+        kind: Kind,
+    ) -> Result<Vec<SafePath>, RunError> {
+        let made = Artefact::decode(kind, &self.store.get(&output.digest)?)
+            .and_then(|value| value.exports(port))
+            .map_err(|error| failed(&self.folder.join(place).join(port))(std::io::Error::other(error)))?;
+        let write = |export: &rockface_core::artefact::Export| {
+            // The names of an archive or of parts, which were read from a stored file.
+            let path = SafePath::new(&export.path).map_err(|error| failed(&self.folder.join(place))(error.into()))?;
+            let path = place.below(&path);
+            let file = self.folder.join(&path);
+            let parent = file.parent().unwrap_or(self.folder);
+            std::fs::create_dir_all(parent).map_err(failed(parent))?;
+            write_file(&file, &export.bytes)?;
+            Ok(path)
+        };
+        made.iter().map(write).collect()
+    }
+}
+
+/// The longest name of a folder; file systems take 255 bytes, and some of the tools that read them fewer.
+const NAME_BYTES: usize = 200;
+
+/// A name that every file system takes: a long one is cut, and told from others by a digest of the whole.
+pub fn readable_name(name: &str) -> String {
+    if name.len() <= NAME_BYTES {
+        return name.to_owned();
+    }
+    let digest = Digest::of(name.as_bytes()).to_string();
+    let cut = (0..=NAME_BYTES - 17).rev().find(|end| name.is_char_boundary(*end)).unwrap_or(0);
+    format!("{}-{}", &name[..cut], &digest[..16])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn long_names_are_cut_and_stay_apart() {
+        let long = |last: char| format!("{}{last}", "ö".repeat(300));
+        assert_eq!(readable_name("epoch=pre"), "epoch=pre");
+        let (one, other) = (readable_name(&long('a')), readable_name(&long('b')));
+        assert!(one.len() <= NAME_BYTES && one.starts_with("öö") && one != other, "{one}");
+    }
+}

@@ -1,0 +1,161 @@
+//! The MCAP log of a run, put together from what the records of its steps keep.
+
+use std::collections::BTreeMap;
+use std::io::BufWriter;
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+
+use rockface_cache::{Cost, Outcome, Outputs, Record, Store};
+use rockface_core::Entry;
+use rockface_core::Look;
+use rockface_core::artefact::{Artefact, Kind};
+
+use crate::pipeline::LogLevel;
+use crate::plan::Plan;
+use crate::run::{InstanceResult, RunError, Summary};
+use crate::watch::step_log::{self, Shown};
+use crate::watch::{Facts, Made, RunLog, StepNote, layout};
+
+/// Its file in the run folder.
+pub const LOG_FILE: &str = "run.mcap";
+/// The layout that opens it.
+pub const LAYOUT_FILE: &str = "foxglove-layout.json";
+
+/// What the log is made of.
+pub struct Telling<'a> {
+    /// The plan.
+    pub plan: &'a Plan,
+    /// What became of it.
+    pub summary: &'a Summary,
+    /// Where records and blobs are.
+    pub store: &'a Store,
+    /// What draws outputs that have no sketches yet.
+    pub look: &'a dyn Look,
+    /// The log of each instance.
+    pub entries: &'a [Vec<Entry>],
+    /// The files of each instance by port, relative to the run folder.
+    pub paths: &'a [super::lay_out::Paths],
+    /// Told as metadata: seed, overrides, versions.
+    pub about: BTreeMap<String, String>,
+    /// The text of the pipeline.
+    pub pipeline_text: &'a str,
+    /// Set when the user asks for a stop.
+    pub stop: &'a AtomicBool,
+}
+
+impl Telling<'_> {
+    /// Writes log and layout into a run folder.
+    pub fn write(&self, folder: &Path) -> Result<(), RunError> {
+        let path = folder.join(LOG_FILE);
+        let failed = |error: mcap::McapError| {
+            super::run_folder::failed(&path)(match error {
+                mcap::McapError::Io(error) => error,
+                error => std::io::Error::other(error),
+            })
+        };
+        let file = tempfile::NamedTempFile::new_in(folder).map_err(super::run_folder::failed(&path))?;
+        let mut log = RunLog::new(BufWriter::new(file), &self.about).map_err(failed)?;
+        let levels = self.plan.log_levels();
+        let nothing = Outcome { outputs: Outputs::default(), log: None, sketches: None, cost: Cost::default() };
+        let mut numbers: Vec<(String, String)> = Vec::new();
+        for (instance, result) in self.summary.instances.iter().enumerate() {
+            super::run_folder::going_on(self.stop)?;
+            let (outcome, is_done) = match (&result.outcome, &result.failure) {
+                (Some(outcome), _) => (outcome, true),
+                (None, Some(_)) => (&nothing, false),
+                (None, None) => continue,
+            };
+            let is_shown = is_done && levels[instance] == LogLevel::Full;
+            let shown = if is_shown { self.shown(result, outcome)? } else { Ok(Vec::new()) };
+            let (shown, unshown) = shown.map_or_else(|why| (Vec::new(), why), |shown| (shown, String::new()));
+            let said = if levels[instance] == LogLevel::None { &[][..] } else { &self.entries[instance] };
+            log.add(&self.note(instance, result, outcome, unshown), said, &shown).map_err(failed)?;
+            self.plottable(instance, said, &mut numbers);
+        }
+        let pipeline = ("pipeline.yaml", "application/yaml", self.pipeline_text.as_bytes());
+        let (out, topics) = log.finish(&[pipeline]).map_err(failed)?;
+        let file = out.into_inner().map_err(|error| super::run_folder::failed(&path)(error.into_error()))?;
+        super::run_folder::put(file, &path)?;
+        let text = serde_json::to_string_pretty(&layout::layout(&topics, &numbers)).unwrap_or_default();
+        super::run_folder::write_file(&folder.join(LAYOUT_FILE), format!("{text}\n").as_bytes())
+    }
+
+    /// Numbers of steps with several points make curves.
+    fn plottable(&self, instance: usize, said: &[Entry], numbers: &mut Vec<(String, String)>) {
+        let step = self.plan.step(instance);
+        for entry in said.iter().filter(|_| !step.axes.is_empty()) {
+            let Entry::Metric { name, .. } = entry else { continue };
+            let curve = (format!("/{}/metrics", step.name), name.clone());
+            if !numbers.contains(&curve) {
+                numbers.push(curve);
+            }
+        }
+    }
+
+    fn note<'a>(
+        &'a self,
+        instance: usize,
+        result: &'a InstanceResult,
+        outcome: &'a Outcome,
+        unshown: String,
+    ) -> StepNote<'a> {
+        let step = self.plan.step(instance);
+        let made = outcome.outputs.iter().map(|(port, output)| {
+            let path = self.paths[instance].get(port.as_str()).map(|path| path.display().to_string());
+            (port.to_string(), Made { digest: output.digest.to_string(), path })
+        });
+        let (stage, version) = (step.stage.name(), step.stage.version());
+        StepNote {
+            step: &step.name,
+            point: self.plan.point(instance),
+            label: self.plan.label(instance),
+            facts: Facts { stage, version, key: result.key, outputs: &outcome.outputs },
+            made: made.collect(),
+            failure: result.failure.as_ref().map(|failure| failure.message.as_str()),
+            unshown,
+            recipe: result.recipe_text(self.store).unwrap_or_else(|| "null".to_owned()),
+        }
+    }
+
+    /// The sketches of an instance, made now from its outputs if none were made when it ran; otherwise why there are none.
+    fn shown(&self, result: &InstanceResult, outcome: &Outcome) -> Result<Result<Vec<Shown>, String>, RunError> {
+        match step_log::read(outcome, self.store) {
+            Ok(Some(shown)) => return Ok(Ok(shown)),
+            Ok(None) => {}
+            Err(error) => return Ok(Err(error.of_one_step()?)),
+        }
+        let kept = outcome.outputs.values().all(|output| self.store.contains(&output.digest));
+        if !kept {
+            let why =
+                "it ran without being sketched, and its outputs were not kept; `log: full` sketches the next that runs";
+            return Ok(Err(why.to_owned()));
+        }
+        match sketch_stored(outcome, self.store, self.look)? {
+            Err(why) => Ok(Err(why)),
+            Ok(bytes) => {
+                let digest = self.store.put(&bytes)?;
+                if let Some(recipe) = result.recipe(self.store) {
+                    let Outcome { outputs, log, cost, .. } = outcome.clone();
+                    let record = Record { recipe, outputs, log, sketches: Some(digest), cost };
+                    self.store.commit(&record)?;
+                }
+                Ok(Shown::read_all(&bytes).map_err(|error| error.to_string()))
+            }
+        }
+    }
+}
+
+/// Sketches of outputs that are in the store.
+fn sketch_stored(outcome: &Outcome, store: &Store, look: &dyn Look) -> Result<Result<Vec<u8>, String>, RunError> {
+    let mut shown = Vec::new();
+    for (port, output) in &outcome.outputs {
+        let Ok(kind) = output.kind.parse::<Kind>() else { continue };
+        let value = match Artefact::decode(kind, &store.get(&output.digest)?) {
+            Ok(value) => value,
+            Err(error) => return Ok(Err(format!("output `{port}` cannot be read: {error}"))),
+        };
+        let sketches = look.sketches(&value).into_iter();
+        shown.extend(sketches.map(|sketch| Shown { port: port.to_string(), sketch }));
+    }
+    Ok(Shown::write_all(&shown).map_err(|error| error.to_string()))
+}

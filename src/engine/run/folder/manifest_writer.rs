@@ -1,0 +1,113 @@
+//! Writes the manifest of a run: facts about the whole and about each instance.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::SystemTime;
+
+use rockface_cache::{Digest, RecipeInput, Store};
+use rockface_core::Entry;
+
+use super::lay_out::{Laid, Paths};
+use super::run_folder::failed;
+use crate::history::{FORMAT, FileUsed, IncludedText, Manifest, Metric, Overridden, PipelineText, StepDone};
+use crate::plan::Plan;
+use crate::run::{RunError, RunFolder, Summary};
+
+/// The manifest of a run.
+pub fn manifest(
+    plan: &Plan,
+    summary: &Summary,
+    store: &Store,
+    about: &RunFolder,
+    headlines: &[String],
+    logs: &[Vec<Entry>],
+    laid: &Laid,
+) -> Result<Manifest, RunError> {
+    let overrides = about.overrides;
+    let told = logs.iter().zip(&laid.paths).enumerate();
+    let steps = told.map(|(instance, (entries, paths))| step(plan, summary, store, instance, (entries, paths)));
+    Ok(Manifest {
+        format: FORMAT,
+        pipeline: pipeline_text(plan, about)?,
+        overrides: Overridden { sweep: overrides.sweep.clone(), set: overrides.set.clone(), seed: overrides.seed },
+        seed: plan.graph.seed,
+        targets: about.targets.to_vec(),
+        finished: humantime::format_rfc3339_millis(SystemTime::now()).to_string(),
+        wall_s: summary.wall_s,
+        jobs: about.jobs,
+        status: if summary.failed { "failed" } else { "done" }.to_owned(),
+        program: crate::version::program(),
+        headlines: headlines.to_vec(),
+        laid_out: if laid.unnamed == 0 { "all" } else { "some" }.to_owned(),
+        steps: steps.collect(),
+    })
+}
+
+fn pipeline_text(plan: &Plan, about: &RunFolder) -> Result<PipelineText, RunError> {
+    let absolute = |path: &Path| std::path::absolute(path).map_err(failed(path));
+    let included = about
+        .pipeline
+        .files()
+        .skip(1)
+        .map(|file| Ok(IncludedText { path: absolute(Path::new(&file.name))?, text: file.text.clone() }));
+    Ok(PipelineText {
+        name: plan.graph.name.clone(),
+        path: about.pipeline_path.to_owned(),
+        folder: absolute(&plan.graph.folder)?,
+        text: about.pipeline.text().to_owned(),
+        included: included.collect::<Result<_, RunError>>()?,
+    })
+}
+
+/// The log of an instance, and the files of its outputs.
+type Said<'a> = (&'a [Entry], &'a Paths);
+
+/// The entry of one instance.
+fn step(plan: &Plan, summary: &Summary, store: &Store, instance: usize, (entries, paths): Said) -> StepDone {
+    let (step, result) = (plan.step(instance), &summary.instances[instance]);
+    let (params, outcome) = (&plan.instances[instance].params, result.outcome.as_ref());
+    let metrics = entries.iter().filter_map(|entry| match entry {
+        Entry::Metric { name, value, unit } => {
+            Some(Metric { name: name.clone(), value: Some(*value).filter(|x| x.is_finite()), unit: unit.clone() })
+        }
+        _ => None,
+    });
+    let files = params.files.values().flatten();
+    let status = match outcome {
+        _ if result.executed => "executed",
+        Some(_) => "cached",
+        None if result.failure.is_some() => "failed",
+        None => "not reached",
+    };
+    StepDone {
+        step: step.name.clone(),
+        point: plan.point(instance),
+        stage: step.stage.name().to_owned(),
+        version: step.stage.version(),
+        status: status.to_owned(),
+        key: result.key,
+        outputs: outcome.map(|outcome| outcome.outputs.clone()),
+        failure: result.failure.as_ref().map(|failure| failure.message.clone()),
+        log: result.log(),
+        sketches: outcome.and_then(|outcome| outcome.sketches),
+        cost: outcome.map(|outcome| outcome.cost),
+        parameters: params.recipe.clone(),
+        metrics: metrics.collect(),
+        files: files.map(|file| FileUsed { path: file.path.clone(), blake3: file.digest }).collect(),
+        inputs: inputs(plan, summary, store, instance),
+        paths: paths.clone(),
+    }
+}
+
+/// What each input port of an instance read: the inputs of the plan, unless a recomputed step gave a different output since.
+fn inputs(plan: &Plan, summary: &Summary, store: &Store, instance: usize) -> BTreeMap<String, RecipeInput> {
+    let result = &summary.instances[instance];
+    let digest = |producer: usize, port: &str| {
+        let outcome = summary.instances[producer].outcome.as_ref();
+        outcome.map_or_else(|| Digest::of(b""), |outcome| outcome.outputs[port].digest)
+    };
+    if result.key.is_some() && !summary.revised {
+        return plan.inputs(instance, digest);
+    }
+    result.recipe(store).map(|recipe| recipe.inputs).unwrap_or_default()
+}

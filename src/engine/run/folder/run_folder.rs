@@ -1,0 +1,358 @@
+//! The folder of a run: manifest, log, and outputs under names people can read.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::SystemTime;
+
+use rockface_cache::{Digest, SafeName, SafePath, Store};
+use rockface_core::{Entry, Look};
+use serde_json::json;
+
+use super::lay_out::{Laid, LayOut, readable_name};
+use super::log::{LOG_FILE, Telling};
+use super::made::{self, Made};
+use super::manifest_writer;
+use super::unfinished::{self, Unfinished};
+use crate::history::{Manifest, REPORT_FILE, RunContents, crate_metadata};
+use crate::pipeline::{Overrides, Pipeline};
+use crate::plan::Plan;
+use crate::run::{RunError, Summary};
+use crate::watch::step_log;
+
+/// The manifest, written last.
+const MANIFEST: &str = "run.json";
+/// The text of the pipeline.
+const PIPELINE: &str = "pipeline.yaml";
+/// The description for programs that know nothing of rockface.
+const CRATE: &str = "ro-crate-metadata.json";
+
+/// What a run folder is written from, and where it goes.
+#[derive(Debug, Clone)]
+pub struct RunFolder<'a> {
+    /// The folder that holds all runs.
+    pub runs: &'a Path,
+    /// The pipeline file as it was given.
+    pub pipeline_path: &'a Path,
+    /// The pipeline: its text and those it includes.
+    pub pipeline: &'a Pipeline,
+    /// What was changed from outside.
+    pub overrides: &'a Overrides,
+    /// The target steps asked for; empty for those the pipeline names itself.
+    pub targets: &'a [String],
+    /// Steps at once.
+    pub jobs: usize,
+    /// Which outputs get a name in the folder.
+    pub lay_out: LayOut,
+    /// What draws outputs that have no sketches yet.
+    pub look: &'static dyn Look,
+    /// What writes the page of the run.
+    pub reporter: &'a dyn Reporter,
+}
+
+impl RunFolder<'_> {
+    /// Makes the folder of runs and makes sure that it can be written to, before any work is done.
+    pub fn prepare(&self) -> Result<(), RunError> {
+        std::fs::create_dir_all(self.runs).map_err(failed(self.runs))?;
+        unfinished::sweep(self.runs);
+        tempfile::tempfile_in(self.runs).map(drop).map_err(failed(self.runs))
+    }
+}
+
+/// Writes the page of a run when it ends.
+pub trait Reporter: Sync + std::fmt::Debug {
+    /// Writes the page to a file, whole or not at all. A page that cannot be filled in is logged and left out: what was computed
+    /// is worth more.
+    ///
+    /// # Errors
+    ///
+    /// Those of the disk.
+    fn report(&self, run: &RunContents, to: &Path) -> std::io::Result<()>;
+}
+
+/// A run whose folder is written.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Finished {
+    /// The run folder.
+    pub folder: PathBuf,
+    /// The results in a line each.
+    pub headlines: Vec<String>,
+    /// The files of the target steps, relative to the run folder.
+    pub files: Vec<SafePath>,
+    /// How many kept outputs have no file there.
+    #[serde(default)]
+    pub unnamed: usize,
+    /// What was left in the folder, in which state.
+    #[serde(default)]
+    pub made: Vec<Made>,
+}
+
+/// Writes the folder of a run. If nothing was executed and the former folder still exists, that folder is used. A stopped run
+/// leaves no folder: its results are in the store, and the next run writes them.
+pub fn finish(
+    plan: &Plan,
+    summary: &Summary,
+    store: &Store,
+    about: &RunFolder,
+    stop: &AtomicBool,
+) -> Result<Finished, RunError> {
+    let runs = std::path::absolute(about.runs).map_err(failed(about.runs))?;
+    let key = plan_key(plan, summary, &runs, about);
+    if summary.executed() == 0
+        && !summary.failed
+        && let Some(former) = former(store, &key, &runs)?
+    {
+        point_latest(about.runs, &former.folder)?;
+        return Ok(former);
+    }
+    let finished = Writer { plan, summary, store, about, stop }.write(&key)?;
+    if !summary.failed {
+        store.memory().remember_run(&key, &json!(finished))?;
+        store.sync()?;
+    }
+    Ok(finished)
+}
+
+/// A former run of the same key, if its folder is in `runs` and all that was left in it is what it was.
+fn former(store: &Store, key: &Digest, runs: &Path) -> Result<Option<Finished>, RunError> {
+    let former = store.memory().recalled_run(key).and_then(|note| serde_json::from_value::<Finished>(note).ok());
+    let Some(mut former) = former.filter(|former| made::is_in(&former.folder, runs)) else { return Ok(None) };
+    let before = former.made.clone();
+    if !made::is_whole(&former.folder, &mut former.made) {
+        return Ok(None);
+    }
+    if former.made != before {
+        store.memory().remember_run(key, &json!(former))?;
+    }
+    Ok(Some(former))
+}
+
+/// The same for two runs of the same text, overrides and targets with the same recipes, told of in the same place.
+fn plan_key(plan: &Plan, summary: &Summary, runs: &Path, about: &RunFolder) -> Digest {
+    let targets: Vec<&str> = plan.graph.targets.iter().map(|step| plan.graph.steps[*step].name.as_str()).collect();
+    let set = (&about.overrides.set, &about.overrides.sweep, about.overrides.seed, plan.graph.seed);
+    let texts: Vec<&str> = about.pipeline.files().map(|file| file.text.as_str()).collect();
+    let unknown = Digest::of(b"");
+    let mut text = json!([plan.graph.name, runs, targets, set, texts, about.lay_out]).to_string();
+    text.push('\n');
+    for (instance, result) in summary.instances.iter().enumerate() {
+        let key = result.key.unwrap_or(unknown);
+        let _ = writeln!(text, "{} {key}", plan.label(instance));
+    }
+    Digest::of(text.as_bytes())
+}
+
+struct Writer<'a> {
+    plan: &'a Plan,
+    summary: &'a Summary,
+    store: &'a Store,
+    about: &'a RunFolder<'a>,
+    stop: &'a AtomicBool,
+}
+
+impl Writer<'_> {
+    fn write(&self, key: &Digest) -> Result<Finished, RunError> {
+        let unfinished = self.make_folder(key)?;
+        let folder = unfinished.folder().to_owned();
+        let finished = match self.fill(&folder) {
+            Ok(finished) => finished,
+            Err(error) => {
+                unfinished.discard();
+                return Err(error);
+            }
+        };
+        unfinished.finish()?;
+        // The store remembers the folder next, so the folder must be durable first.
+        unfinished::sync(&folder)?;
+        unfinished::sync(self.about.runs)?;
+        point_latest(self.about.runs, &folder)?;
+        Ok(finished)
+    }
+
+    fn fill(&self, folder: &Path) -> Result<Finished, RunError> {
+        let laid = self.about.lay_out.lay_out(self.plan, self.summary, self.store, folder, self.stop)?;
+        let logs = self.logs()?;
+        let headlines = self.headlines(&logs);
+        self.account(folder, &headlines, &logs, &laid)?;
+        let made = made::left(folder, &[MANIFEST, LOG_FILE, PIPELINE, CRATE], &laid)?;
+        Ok(Finished { folder: folder.to_owned(), headlines, files: laid.of_targets, unnamed: laid.unnamed, made })
+    }
+
+    /// Writes the log, the page, a description of the folder as a research object for programs that know nothing of rockface,
+    /// and last of all the manifest, without which a folder is no run.
+    fn account(&self, folder: &Path, headlines: &[String], logs: &[Vec<Entry>], laid: &Laid) -> Result<(), RunError> {
+        write_file(&folder.join(PIPELINE), self.about.pipeline.text().as_bytes())?;
+        let Self { plan, summary, store, about, .. } = self;
+        let told = || -> Result<String, RunError> {
+            let manifest = manifest_writer::manifest(plan, summary, store, about, headlines, logs, laid)?;
+            going_on(self.stop)?;
+            self.report(folder, &manifest, logs)?;
+            going_on(self.stop)?;
+            let described = serde_json::to_string_pretty(&crate_metadata(folder, &manifest)).unwrap_or_default();
+            write_file(&folder.join(CRATE), format!("{described}\n").as_bytes())?;
+            Ok(manifest.text())
+        };
+        let (logged, manifest) = self.beside(|| self.log(folder, logs, laid), told)?;
+        logged?;
+        // A folder with a manifest is whole, after a power cut too.
+        let manifest = manifest?;
+        unfinished::sync_all(folder)?;
+        write_file(&folder.join(MANIFEST), manifest.as_bytes())
+    }
+
+    /// Does two things at once, the second in this thread; one after the other if there is to be one job.
+    fn beside<A: Send, B>(
+        &self,
+        other: impl FnOnce() -> A + Send,
+        own: impl FnOnce() -> B,
+    ) -> Result<(A, B), RunError> {
+        if self.about.jobs < 2 {
+            return Ok((other(), own()));
+        }
+        std::thread::scope(|scope| {
+            let other = std::thread::Builder::new().spawn_scoped(scope, other);
+            let other = other.map_err(|error| RunError::Threads(error.to_string()))?;
+            let own = own();
+            Ok((other.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)), own))
+        })
+    }
+
+    /// Writes the page of the run.
+    fn report(&self, folder: &Path, manifest: &Manifest, logs: &[Vec<Entry>]) -> Result<(), RunError> {
+        let path = folder.join(REPORT_FILE);
+        let (store, graph) = (Some(self.store), Some(&self.plan.graph));
+        let contents = RunContents { folder, manifest, store, graph, logs: Some(logs) };
+        self.about.reporter.report(&contents, &path).map_err(failed(&path))
+    }
+
+    fn make_folder(&self, key: &Digest) -> Result<Unfinished, RunError> {
+        let time = humantime::format_rfc3339_seconds(SystemTime::now()).to_string().replace(':', "");
+        let name = format!("{time}-{}-{}", readable_name(&self.plan.graph.name), &key.short()[..8]);
+        let runs = std::path::absolute(self.about.runs).map_err(failed(self.about.runs))?;
+        std::fs::create_dir_all(&runs).map_err(failed(&runs))?;
+        let name = SafeName::new(name).map_err(|error| failed(&runs)(error.into()))?;
+        let mut begun = Unfinished::begin(&runs)?;
+        for attempt in 0..1000 {
+            let suffix = if attempt == 0 { String::new() } else { format!("-{attempt}") };
+            if begun.rename(&runs.join(format!("{name}{suffix}")))? {
+                return Ok(begun);
+            }
+        }
+        begun.discard();
+        Err(failed(&runs.join(name))(std::io::ErrorKind::AlreadyExists.into()))
+    }
+
+    /// The log of each instance.
+    fn logs(&self) -> Result<Vec<Vec<Entry>>, RunError> {
+        let read = |part: &[usize]| -> Result<Vec<_>, RunError> {
+            part.iter().map(|instance| going_on(self.stop).and_then(|()| self.entries(*instance))).collect()
+        };
+        let instances: Vec<usize> = (0..self.summary.instances.len()).collect();
+        let (former, latter) = instances.split_at(instances.len() / 2);
+        let (latter, former) = self.beside(|| read(latter), || read(former))?;
+        let mut logs = former?;
+        logs.extend(latter?);
+        Ok(logs)
+    }
+
+    /// The log of an instance; one that cannot be read is no reason to lose the run folder.
+    fn entries(&self, instance: usize) -> Result<Vec<Entry>, RunError> {
+        match step_log::entries(self.summary.instances[instance].log(), self.store) {
+            Ok(entries) => Ok(entries),
+            Err(error) => {
+                let why = error.of_one_step()?;
+                let text = format!("{why}; what the step reported is missing here, its results are not affected");
+                tracing::warn!("step {}: {text}", self.plan.label(instance));
+                Ok(vec![Entry::Warning { text }])
+            }
+        }
+    }
+
+    /// The results in a line each: what the target steps have to say.
+    fn headlines(&self, logs: &[Vec<Entry>]) -> Vec<String> {
+        let entries =
+            logs.iter().enumerate().flat_map(|(instance, entries)| entries.iter().map(move |entry| (instance, entry)));
+        let headline = |(instance, entry): (usize, &Entry)| match entry {
+            Entry::Headline { text } => Some(format!("{}: {text}", self.plan.label(instance))),
+            _ => None,
+        };
+        entries.filter(|(instance, _)| self.plan.targets.binary_search(instance).is_ok()).filter_map(headline).collect()
+    }
+
+    fn log(&self, folder: &Path, logs: &[Vec<Entry>], laid: &Laid) -> Result<(), RunError> {
+        let about = BTreeMap::from([
+            ("rockface".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
+            ("pipeline".to_owned(), self.about.pipeline.text().to_owned()),
+            ("overrides".to_owned(), json!(self.about.overrides.set).to_string()),
+            ("seed".to_owned(), self.plan.graph.seed.to_string()),
+        ]);
+        let Self { plan, summary, store, .. } = self;
+        let pipeline_text = self.about.pipeline.text();
+        let paths = &laid.paths;
+        Telling {
+            plan,
+            summary,
+            store,
+            look: self.about.look,
+            entries: logs,
+            paths,
+            about,
+            pipeline_text,
+            stop: self.stop,
+        }
+        .write(folder)
+    }
+}
+
+/// Whether nobody has asked for a stop.
+pub(super) fn going_on(stop: &AtomicBool) -> Result<(), RunError> {
+    if stop.load(Ordering::Relaxed) { Err(RunError::Interrupted) } else { Ok(()) }
+}
+
+/// Writes a whole file or none, and makes its content durable.
+pub(super) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), RunError> {
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let write = || {
+        let mut file = tempfile::NamedTempFile::new_in(folder)?;
+        std::io::Write::write_all(&mut file, bytes)?;
+        file.as_file().sync_all().map(|()| file)
+    };
+    put(write().map_err(failed(path))?, path)
+}
+
+/// Gives a finished file its name.
+pub(super) fn put(file: tempfile::NamedTempFile, path: &Path) -> Result<(), RunError> {
+    // Temporary files are private; results are for whoever may read the folder.
+    let mode = std::os::unix::fs::PermissionsExt::from_mode(0o644);
+    let open = file.as_file().set_permissions(mode);
+    open.and_then(|()| file.persist(path).map(drop).map_err(|error| error.error)).map_err(failed(path))
+}
+
+pub(super) fn failed(path: &Path) -> impl FnOnce(std::io::Error) -> RunError + use<> {
+    let path = path.to_owned();
+    move |source| RunError::Folder { path, source }
+}
+
+/// Lets `latest` point at a run folder.
+pub(super) fn point_latest(runs: &Path, folder: &Path) -> Result<(), RunError> {
+    std::fs::create_dir_all(runs).map_err(failed(runs))?;
+    let latest = runs.join("latest");
+    let target = folder.file_name().map(PathBuf::from).unwrap_or_default();
+    if std::fs::read_link(&latest).is_ok_and(|now| now == target) {
+        return Ok(());
+    }
+    let staged = runs.join(format!("{}{}", unfinished::STAGED, std::process::id()));
+    loop {
+        let _ = std::fs::remove_file(&staged);
+        std::os::unix::fs::symlink(&target, &staged).map_err(failed(&staged))?;
+        match std::fs::rename(&staged, &latest) {
+            // Another process took it for one that was left by the dead.
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
+            renamed => {
+                let cleared = renamed.inspect_err(|_| drop(std::fs::remove_file(&staged)));
+                return cleared.map_err(failed(&latest));
+            }
+        }
+    }
+}

@@ -1,0 +1,202 @@
+//! Run folders that are being written: hidden until they are marked, marked until they are whole, and removed when their
+//! writer has died.
+
+use std::fs::{File, Permissions};
+use std::io::ErrorKind;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+
+use super::run_folder::failed;
+use crate::run::RunError;
+
+/// The file that marks a folder being written. Its writer holds a lock on it, which ends with the process.
+const MARK: &str = ".unfinished";
+/// Starts the names of folders that are not marked yet.
+const BEGUN: &str = ".begun-";
+/// Starts the names of links that are to become `latest`.
+pub const STAGED: &str = ".latest-";
+
+/// The right to write a run folder.
+pub struct Unfinished {
+    folder: PathBuf,
+    /// Holds the lock.
+    file: File,
+}
+
+impl Drop for Unfinished {
+    fn drop(&mut self) {
+        // A program that is being started has a copy of the file, which would hold the lock on.
+        let _ = self.file.unlock();
+    }
+}
+
+impl Unfinished {
+    /// Begins a folder in `runs`, under a name that nobody takes for a run.
+    pub fn begin(runs: &Path) -> Result<Self, RunError> {
+        loop {
+            let mut builder = tempfile::Builder::new();
+            let folder = builder.prefix(BEGUN).permissions(Permissions::from_mode(0o777)).tempdir_in(runs);
+            let folder = folder.map_err(failed(runs))?.keep();
+            let path = folder.join(MARK);
+            match File::create(&path).and_then(|file| file.lock().map(|()| file)) {
+                // Swept up before it was locked? Then begin another.
+                Ok(file) if path.exists() => {
+                    // No power cut leaves a folder of a run without it.
+                    sync(&folder)?;
+                    return Ok(Self { folder, file });
+                }
+                Ok(_) => {}
+                Err(error) if error.kind() == ErrorKind::NotFound => {}
+                Err(error) => {
+                    drop(std::fs::remove_dir_all(&folder));
+                    return Err(failed(&path)(error));
+                }
+            }
+        }
+    }
+
+    /// Gives the folder its name; false where there is something of that name.
+    pub fn rename(&mut self, to: &Path) -> Result<bool, RunError> {
+        match std::fs::rename(&self.folder, to) {
+            Ok(()) => {
+                to.clone_into(&mut self.folder);
+                Ok(true)
+            }
+            Err(error)
+                if matches!(
+                    error.kind(),
+                    ErrorKind::AlreadyExists | ErrorKind::DirectoryNotEmpty | ErrorKind::NotADirectory
+                ) =>
+            {
+                Ok(false)
+            }
+            Err(error) => Err(failed(to)(error)),
+        }
+    }
+
+    /// The folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// The folder is whole.
+    pub fn finish(self) -> Result<(), RunError> {
+        let path = self.folder.join(MARK);
+        std::fs::remove_file(&path).map_err(failed(&path))
+    }
+
+    /// A folder that tells half of a run would only mislead.
+    pub fn discard(self) {
+        // What cannot be removed now is left for the next sweep, which finds its mark.
+        let _ = std::fs::remove_dir_all(&self.folder);
+    }
+}
+
+/// Removes the folders whose writers died before they were whole, and links that never became `latest`. A folder whose
+/// manifest is there lacks nothing but the end of its mark. What cannot be removed now is left for another time.
+pub fn sweep(runs: &Path) {
+    for entry in std::fs::read_dir(runs).into_iter().flatten().flatten() {
+        let (path, name) = (entry.path(), entry.file_name());
+        let starts_with = |prefix: &str| name.as_encoded_bytes().starts_with(prefix.as_bytes());
+        let Ok(kind) = entry.file_type() else { continue };
+        if kind.is_symlink() && starts_with(STAGED) {
+            // A process that is about to rename it makes another.
+            let _ = std::fs::remove_file(&path);
+        } else if kind.is_dir() {
+            sweep_folder(&path, starts_with(BEGUN));
+        }
+    }
+}
+
+fn sweep_folder(folder: &Path, is_begun: bool) {
+    let mark = folder.join(MARK);
+    // Opened for writing: network file systems lock no other files. The lock is held until the folder is gone.
+    let held = File::options().write(true).open(&mark);
+    let abandoned = match &held {
+        Ok(file) => file.try_lock().is_ok() && mark.exists(),
+        // A process that is about to mark it begins another.
+        Err(error) => is_begun && error.kind() == ErrorKind::NotFound,
+    };
+    if abandoned {
+        let _ = match std::fs::metadata(folder.join("run.json")) {
+            Ok(_) => std::fs::remove_file(&mark),
+            Err(error) if error.kind() == ErrorKind::NotFound => std::fs::remove_dir_all(folder),
+            Err(_) => Ok(()),
+        };
+    }
+}
+
+/// Makes a folder and all that is in it durable. Links are, with the folder they are in.
+pub fn sync_all(folder: &Path) -> Result<(), RunError> {
+    for entry in std::fs::read_dir(folder).map_err(failed(folder))? {
+        let entry = entry.map_err(failed(folder))?;
+        let (path, kind) = (entry.path(), entry.file_type().map_err(failed(folder))?);
+        if kind.is_dir() {
+            sync_all(&path)?;
+        } else if kind.is_file() {
+            sync(&path)?;
+        }
+    }
+    sync(folder)
+}
+
+/// Makes a file, or the names in a folder, durable.
+pub fn sync(path: &Path) -> Result<(), RunError> {
+    File::open(path).and_then(|file| file.sync_all()).map_err(failed(path))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_nobody_writes_any_more_is_removed() {
+        let runs = tempfile::tempdir().unwrap();
+        let path = |name: &str| runs.path().join(name);
+        let begin = |name: &str| {
+            let mut begun = Unfinished::begin(runs.path()).unwrap();
+            assert!(begun.rename(&path(name)).unwrap());
+            begun
+        };
+        let writing = begin("held");
+        drop((begin("left"), begin("whole"), Unfinished::begin(runs.path()).unwrap()));
+        std::fs::write(path("whole/run.json"), "{}").unwrap();
+        for name in ["foreign", ".begun-and-died"] {
+            std::fs::create_dir(path(name)).unwrap();
+        }
+        std::os::unix::fs::symlink("whole", path(".latest-1")).unwrap();
+        sweep(runs.path());
+        let mut left: Vec<_> =
+            std::fs::read_dir(runs.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        left.sort();
+        assert_eq!(left, ["foreign", "held", "whole"]);
+        assert!(path("held").join(MARK).exists() && !path("whole").join(MARK).exists());
+        writing.finish().unwrap();
+        sweep(runs.path());
+        assert!(path("held").exists());
+    }
+
+    #[test]
+    fn no_folder_of_a_run_takes_the_place_of_another() {
+        let runs = tempfile::tempdir().unwrap();
+        let (mut one, mut other) = (Unfinished::begin(runs.path()).unwrap(), Unfinished::begin(runs.path()).unwrap());
+        assert!(one.rename(&runs.path().join("run")).unwrap());
+        assert!(!other.rename(&runs.path().join("run")).unwrap());
+        assert!(other.rename(&runs.path().join("run-1")).unwrap());
+        other.discard();
+        assert!(one.folder().join(MARK).exists() && !runs.path().join("run-1").exists());
+    }
+
+    #[test]
+    fn folders_begun_while_others_sweep_are_there() {
+        let runs = tempfile::tempdir().unwrap();
+        std::thread::scope(|scope| {
+            let sweeping = scope.spawn(|| (0..2000).for_each(|_| sweep(runs.path())));
+            while !sweeping.is_finished() {
+                let begun = Unfinished::begin(runs.path()).unwrap();
+                assert!(begun.folder().join(MARK).exists());
+                begun.discard();
+            }
+        });
+    }
+}

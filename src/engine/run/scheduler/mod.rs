@@ -1,0 +1,18 @@
+//! The scheduler: decides when each step instance runs, and holds the values between steps.
+
+mod budget;
+mod dispatch;
+mod exchange;
+mod expand;
+mod memory;
+mod phase;
+mod progress;
+mod recompute;
+mod rss;
+mod schedule;
+mod spill;
+mod state;
+mod transitions;
+
+pub use schedule::run;
+pub use spill::Spilled;

@@ -1,0 +1,68 @@
+//! What the scheduler reports to its observer: events, how far the run is, and the time left.
+
+use std::time::{Duration, Instant};
+
+use super::schedule::Scheduler;
+use crate::watch::{Event, Progress};
+
+/// How long an estimate of the time left is used.
+const ESTIMATE_EVERY: Duration = Duration::from_millis(100);
+
+/// How long steps took so far.
+#[derive(Default)]
+pub struct Timing {
+    /// Count and seconds of executed instances by step.
+    pub timed: Vec<(usize, f64)>,
+    /// The last estimate of the time left, and when it was made.
+    estimate: (Option<f64>, Option<Instant>),
+}
+
+impl Timing {
+    /// No instance of any of these steps has run.
+    pub fn new(steps: usize) -> Self {
+        Self { timed: vec![(0, 0.0); steps], ..Self::default() }
+    }
+
+    /// Time left if every instance that is not done runs as long as its step's executed ones did on average.
+    fn remaining_s(&self, open: &[usize], jobs: usize) -> Option<f64> {
+        let (count, seconds) = self.timed.iter().fold((0, 0.0), |sum, step| (sum.0 + step.0, sum.1 + step.1));
+        let overall = (count > 0).then(|| seconds / count as f64)?;
+        let each = |(count, seconds): (usize, f64)| if count > 0 { seconds / count as f64 } else { overall };
+        let left: f64 = self.timed.iter().zip(open).map(|(timed, open)| each(*timed) * *open as f64).sum();
+        Some(left / jobs as f64)
+    }
+}
+
+impl Scheduler<'_> {
+    /// Reports an event.
+    pub fn report(&mut self, event: &Event) {
+        if self.timing.estimate.1.is_none_or(|made| made.elapsed() > ESTIMATE_EVERY) {
+            let remaining_s = self.timing.remaining_s(self.states.open(), self.options.jobs);
+            self.timing.estimate = (remaining_s, Some(Instant::now()));
+        }
+        let progress =
+            Progress { done: self.states.closed(), total: self.states.len(), remaining_s: self.timing.estimate.0 };
+        self.observer.event(event, progress);
+    }
+
+    /// Reports that the outcome of an instance was known.
+    pub fn report_cached(&mut self, instance: usize) {
+        if !self.observer.ignores_cached() {
+            self.report(&Event::Cached { step: self.plan.label(instance) });
+        }
+    }
+
+    /// Reports a warning about an instance.
+    pub fn warn(&mut self, instance: usize, text: String) {
+        self.report(&Event::Warning { step: self.plan.label(instance), text });
+    }
+
+    /// Warns about blobs that were found damaged while the store was searched for an instance.
+    pub fn report_damaged(&mut self, instance: usize) {
+        for damage in self.store.take_damaged() {
+            let moved_to = damage.moved_to.display();
+            let text = format!("a stored output was damaged; it was moved to `{moved_to}` and is recomputed");
+            self.warn(instance, text);
+        }
+    }
+}

@@ -1,0 +1,11 @@
+//! The workers: threads that run one step instance each, and what they lend a stage.
+
+mod host;
+mod program;
+pub mod rerun;
+pub mod tools;
+mod work;
+mod workers;
+
+pub use work::{Done, Failure, Feed, Task, Value};
+pub use workers::{Result, Workers};

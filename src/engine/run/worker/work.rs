@@ -1,0 +1,430 @@
+//! One step instance: take its key, run the stage, which reads its inputs, store what came out, then the record.
+
+use std::collections::BTreeMap;
+use std::os::unix::fs::MetadataExt;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use rayon::ThreadPool;
+use rockface_cache::{
+    Announced, Cost, Digest, KeyLock, Outcome, OutputRecord, Outputs, Recipe, Record, SafeName, Store, StoreError,
+};
+use rockface_core::artefact::{Artefact, Kind};
+use rockface_core::{AnyStage, Context, Entry, Inputs, Later, Look, Point, Port, StageError};
+
+use super::host::StepHost;
+use super::program::Used;
+use super::tools;
+use crate::plan::{InputFile, StepParams, has_ports};
+use crate::run::scheduler::Spilled;
+
+/// An artefact that is in memory, or the blob to read it from.
+pub enum Value {
+    /// In memory.
+    Ready(Arc<Artefact>),
+    /// In the store.
+    Stored(Kind, Digest),
+    /// In a file, for want of memory.
+    Spilled(Arc<Spilled>),
+}
+
+/// One element of an input.
+pub struct Feed {
+    /// Input port.
+    pub port: &'static str,
+    /// Items of the gathered axes.
+    pub point: Point,
+    /// Producer and its port.
+    pub from: (usize, &'static str),
+    /// The value.
+    pub value: Value,
+}
+
+/// Everything a worker needs to run one instance.
+pub struct Task {
+    /// The instance.
+    pub instance: usize,
+    /// Its stage.
+    pub stage: &'static dyn AnyStage,
+    /// Its recipe.
+    pub recipe: Recipe,
+    /// The key of the recipe.
+    pub key: Digest,
+    /// Its parameters.
+    pub params: Arc<StepParams>,
+    /// Its inputs.
+    pub feeds: Vec<Feed>,
+    /// Output ports its step declares.
+    pub ports: &'static [Port],
+    /// Output ports it must make.
+    pub outputs: Vec<(&'static str, Kind)>,
+    /// Whether its outputs are kept.
+    pub keep: bool,
+    /// It is recorded, but its values are needed.
+    pub recompute: bool,
+    /// The lock of its key, if it is held already.
+    pub lease: Option<KeyLock>,
+    /// How long one go may take.
+    pub timeout: Option<Duration>,
+    /// How often it is tried again after a failure.
+    pub retries: u32,
+    /// What draws its outputs, where the log is to show them.
+    pub sketch: Option<&'static dyn Look>,
+    /// The greatest memory of the process that was seen since it began, bytes.
+    pub peak_bytes: Arc<AtomicU64>,
+}
+
+/// What a worker brings back.
+pub struct Done {
+    /// What the record says.
+    pub outcome: Outcome,
+    /// The outputs in memory; empty when another process had done the work.
+    pub values: BTreeMap<&'static str, Arc<Artefact>>,
+    /// What other processes see that it is in memory here, as it is in no store.
+    pub announced: BTreeMap<&'static str, Arc<Announced>>,
+    /// Inputs it had to read and kept, for other consumers.
+    pub loaded: Vec<((usize, &'static str), Arc<Artefact>)>,
+    /// Warnings it gave.
+    pub warnings: Vec<String>,
+    /// Another process did the work meanwhile.
+    pub elsewhere: bool,
+}
+
+/// Why an instance did not finish.
+pub enum Failure {
+    /// The stage failed; its log up to then is in the store.
+    Stage(StageError, Option<Digest>),
+    /// An input blob is damaged or gone; its producer has to run again.
+    Lost(usize, String),
+    /// Another process has its key.
+    Held,
+    /// The store cannot go on.
+    Store(StoreError),
+}
+
+impl From<StageError> for Failure {
+    fn from(error: StageError) -> Self {
+        Self::Stage(error, None)
+    }
+}
+
+impl From<StoreError> for Failure {
+    fn from(error: StoreError) -> Self {
+        Self::Store(error)
+    }
+}
+
+/// Turns a panic into the failure of the step, with the message of the panic.
+pub fn guarded<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failure> {
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
+        let said = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
+        let error = StageError::new(format!("the stage panicked: {}", said.unwrap_or("no message")));
+        let hint = "this is a fault of rockface; please report it with the pipeline and the run folder";
+        Err(error.hint(hint).into())
+    })
+}
+
+/// Runs one instance.
+///
+/// Locks are taken and the store is used on the calling thread. Only computing goes into the pool: a thread of the pool
+/// that waits for its fellows takes up other work meanwhile, and must not come upon a lock held further down its stack.
+pub fn work(task: &Task, store: &Store, pool: &ThreadPool, stop: &AtomicBool) -> Result<Done, Failure> {
+    let lock = if task.lease.is_none() { store.try_lock(&task.key)? } else { None };
+    if task.lease.is_none() && lock.is_none() {
+        return Err(Failure::Held);
+    }
+    // Whoever held the key before may have done the work since it was last looked for.
+    store.refresh()?;
+    if let Some(outcome) = done_elsewhere(task, store) {
+        let (values, announced) = (BTreeMap::new(), BTreeMap::new());
+        return Ok(Done { outcome, values, announced, loaded: Vec::new(), warnings: Vec::new(), elsewhere: true });
+    }
+    let start = Instant::now();
+    let cpu = process_cpu_s();
+    let trouble = Trouble::default();
+    let (inputs, stored) = inputs(task, store, &trouble);
+    let before = fingerprints(task)?;
+    let (outputs, entries, retried, programs) = attempts(task, (&inputs, &trouble), (store, pool), stop)?;
+    unchanged_files(task, store, &before)?;
+    let values: BTreeMap<_, _> = outputs.into_iter().map(|(port, value)| (port, Arc::new(value))).collect();
+    let mut outcome = keep(task, store, pool, &values, &entries)?;
+    let (sketches, unsketched) = sketch(task, store, pool, &values, &outcome)?;
+    outcome.sketches = sketches;
+    let kept = |(from, later): &(_, Arc<Later>)| later.kept().map(|value| (*from, value.clone()));
+    let loaded: Vec<_> = stored.iter().filter_map(kept).collect();
+    let handled = values.values().chain(loaded.iter().map(|(_, value)| value));
+    let handled_bytes: u64 = handled.map(|value| value.memory_bytes() as u64).sum();
+    let finished = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
+    outcome.cost = Cost {
+        wall_s: start.elapsed().as_secs_f64(),
+        cpu_s: process_cpu_s() - cpu + programs.cpu_s,
+        peak_bytes: handled_bytes.max(task.peak_bytes.load(Ordering::Relaxed)).max(programs.peak_bytes),
+        finished_unix_s: finished,
+    };
+    // Before anybody can see that it is done.
+    let announced = announce(task, store, &outcome)?;
+    let Outcome { outputs, log, sketches, cost } = outcome.clone();
+    let put_again =
+        || keep(task, store, pool, &values, &entries).and_then(|made| sketch(task, store, pool, &values, &made));
+    store.commit_or(&Record { recipe: task.recipe.clone(), outputs, log, sketches, cost }, || put_again().map(drop))?;
+    tools::remember(store, &task.key, &programs.tools)?;
+    let warnings =
+        entries.into_iter().filter_map(|entry| if let Entry::Warning { text } = entry { Some(text) } else { None });
+    let warnings = retried.into_iter().chain(unsketched).chain(warnings).collect();
+    Ok(Done { outcome, values, announced, loaded, warnings, elsewhere: false })
+}
+
+/// Lets other processes see what is in memory here and in no store.
+fn announce(
+    task: &Task,
+    store: &Store,
+    outcome: &Outcome,
+) -> Result<BTreeMap<&'static str, Arc<Announced>>, StoreError> {
+    let made = task.outputs.iter().filter(|_| !task.keep);
+    made.map(|(port, _)| Ok((*port, Arc::new(store.announce(&outcome.outputs[*port].digest)?)))).collect()
+}
+
+/// The outcome another process has recorded meanwhile, if it has the values this task is for.
+fn done_elsewhere(task: &Task, store: &Store) -> Option<Outcome> {
+    let owed = task.outputs.iter().map(|(port, _)| *port);
+    let outcome = crate::plan::hit(store, &task.key, task.keep, |outcome| has_ports(outcome, task.ports, owed))?;
+    let values_there = outcome.outputs.values().all(|output| store.contains(&output.digest));
+    (!task.recompute || values_there).then_some(outcome)
+}
+
+/// Inputs that were not in memory, by producer and port.
+type Stored<'s> = Vec<((usize, &'static str), Arc<Later<'s>>)>;
+/// Why an input could not be read or a program could not be started; the stage sees only that it failed.
+pub type Trouble = Mutex<Option<Failure>>;
+
+/// The inputs of a task. Those that are in the store are read when the stage asks for them, in its thread: reading takes no
+/// lock that is held while others compute.
+fn inputs<'s>(task: &'s Task, store: &'s Store, trouble: &'s Trouble) -> (Inputs<'s>, Stored<'s>) {
+    let (mut inputs, mut stored) = (Inputs::default(), Stored::new());
+    for feed in &task.feeds {
+        let known = stored.iter().find(|(from, _)| *from == feed.from).map(|(_, later)| later.clone());
+        let value = match (&feed.value, known) {
+            (Value::Ready(value), _) => Arc::new(Later::ready(value.clone())),
+            (_, Some(later)) => later,
+            (value, None) => {
+                let later = Arc::new(Later::new(move || {
+                    read(feed, value, store).map_err(|failure| {
+                        *trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(failure);
+                        StageError::new(format!("input `{}` cannot be read", feed.port))
+                    })
+                }));
+                stored.push((feed.from, later.clone()));
+                later
+            }
+        };
+        inputs.push_later(feed.port, feed.point.clone(), value);
+    }
+    (inputs, stored)
+}
+
+fn read(feed: &Feed, value: &Value, store: &Store) -> Result<Arc<Artefact>, Failure> {
+    let lost = |why: String| Failure::Lost(feed.from.0, why);
+    let (kind, digest) = match value {
+        Value::Ready(value) => return Ok(value.clone()),
+        Value::Spilled(spilled) => return spilled.read().map(Arc::new).map_err(lost),
+        Value::Stored(kind, digest) => (*kind, digest),
+    };
+    let bytes = match store.get(digest) {
+        Ok(bytes) => bytes,
+        Err(error @ StoreError::Damaged { .. }) => return Err(lost(error.to_string())),
+        Err(error) if !store.contains(digest) => return Err(lost(error.to_string())),
+        Err(error) => return Err(error.into()),
+    };
+    let decoded = Artefact::decode(kind, &bytes);
+    decoded.map(Arc::new).map_err(|error| unreadable(feed, digest, &error.to_string()))
+}
+
+/// A blob that is what was stored and yet cannot be read: making it again would not help.
+fn unreadable(feed: &Feed, digest: &Digest, why: &str) -> Failure {
+    let message = format!("input `{}` (blob {}) cannot be read back: {why}", feed.port, digest.short());
+    let hint = "the stage that made it wrote what no reader takes; please report it with the pipeline";
+    StageError::new(message).hint(hint).into()
+}
+
+fn run_stage(task: &Task, inputs: &Inputs, host: &StepHost) -> Result<BTreeMap<&'static str, Artefact>, Failure> {
+    let context = Context::new(host);
+    let run = || task.stage.run(&task.params.canonical, inputs, &context).map_err(Failure::from);
+    let outputs = guarded(run)?;
+    let outputs = outputs.into_inner();
+    for (port, kind) in &task.outputs {
+        match outputs.get(port) {
+            Some(value) if value.kind() == *kind => {}
+            found => {
+                let found = found.map_or_else(|| "nothing".to_owned(), |value| format!("a {}", value.kind()));
+                let message = format!("the stage owes a {kind} at `{port}` and made {found}");
+                return Err(StageError::new(message).into());
+            }
+        }
+    }
+    Ok(outputs)
+}
+
+type Made = BTreeMap<&'static str, Artefact>;
+/// The result of one attempt, the log of the stage, and the cost of its programs.
+type Attempt = (Result<Made, StageError>, (Vec<Entry>, Used));
+/// Size, times of modification and change, inode.
+type Fingerprint = (u64, i64, i64, i64, i64, u64);
+
+/// Runs the stage, and again as often as it may fail; also tells of the failures that were made good, and what programs took
+/// in the go that succeeded.
+fn attempts(
+    task: &Task,
+    inputs: (&Inputs, &Trouble),
+    (store, pool): (&Store, &ThreadPool),
+    stop: &AtomicBool,
+) -> Result<(Made, Vec<Entry>, Vec<String>, Used), Failure> {
+    let (mut told, mut said) = (Vec::new(), Vec::new());
+    loop {
+        let (result, (entries, used)) = attempt(task, inputs, (store, pool), stop)?;
+        let error = match result {
+            Ok(outputs) => return Ok((outputs, entries, told, used)),
+            Err(error) => error,
+        };
+        said.extend(entries);
+        if told.len() == task.retries as usize || stop.load(Ordering::Relaxed) {
+            // If the log cannot be stored, the cause is reported all the same.
+            return Err(Failure::Stage(error, keep_log(store, &said).unwrap_or_default()));
+        }
+        let text = format!("attempt {} of {} failed: {error}", told.len() + 1, task.retries + 1);
+        said.push(Entry::Warning { text: text.clone() });
+        told.push(text);
+    }
+}
+
+/// Stores the log of a step, unless it is empty.
+fn keep_log(store: &Store, said: &[Entry]) -> Result<Option<Digest>, StoreError> {
+    if said.is_empty() { Ok(None) } else { store.put(serde_json::json!(said).to_string().as_bytes()).map(Some) }
+}
+
+fn attempt(
+    task: &Task,
+    (inputs, trouble): (&Inputs, &Trouble),
+    (store, pool): (&Store, &ThreadPool),
+    stop: &AtomicBool,
+) -> Result<Attempt, Failure> {
+    let seed = task.recipe.seed.as_ref().map(rockface_cache::SeedMaterial::key);
+    let deadline = task.timeout.map(|timeout| Instant::now() + timeout);
+    let programs = task.stage.starts_programs();
+    let host = StepHost::new(seed, &task.params.files, store, stop, deadline, trouble, programs);
+    let result = pool.install(|| run_stage(task, inputs, &host));
+    if let Some(failure) = trouble.lock().unwrap_or_else(PoisonError::into_inner).take() {
+        return Err(failure);
+    }
+    let result = match (result, task.timeout) {
+        (Err(Failure::Stage(error, _)), Some(timeout)) if host.is_late() && !stop.load(Ordering::Relaxed) => {
+            let message =
+                format!("it took longer than its timeout of {}: {error}", humantime::format_duration(timeout));
+            let hint = "give it more with `timeout:` on the step, or less to do";
+            Err(StageError::new(message).hint(hint))
+        }
+        (Err(Failure::Stage(error, _)), _) => Err(error),
+        (result, _) => Ok(result?),
+    };
+    Ok((result, host.end()))
+}
+
+/// The states of all input files.
+fn fingerprints(task: &Task) -> Result<Vec<Fingerprint>, Failure> {
+    let look = |file: &InputFile| {
+        let meta = std::fs::metadata(&file.path)
+            .map_err(|error| StageError::new(format!("cannot read `{}`: {error}", file.path.display())))?;
+        Ok((meta.len(), meta.mtime(), meta.mtime_nsec(), meta.ctime(), meta.ctime_nsec(), meta.ino()))
+    };
+    task.params.files.values().flatten().map(look).collect()
+}
+
+/// An input file that changed while the stage read it must not be recorded under its former digest.
+fn unchanged_files(task: &Task, store: &Store, before: &[Fingerprint]) -> Result<(), Failure> {
+    let touched = fingerprints(task)? != before;
+    for file in task.params.files.values().flatten() {
+        let now = store.hash_file(&file.path)?.digest;
+        if touched || now != file.digest {
+            let message = format!("`{}` changed while it was read", file.path.display());
+            return Err(StageError::new(message).hint("run again once nobody writes to it").into());
+        }
+    }
+    Ok(())
+}
+
+fn keep(
+    task: &Task,
+    store: &Store,
+    pool: &ThreadPool,
+    values: &BTreeMap<&'static str, Arc<Artefact>>,
+    entries: &[Entry],
+) -> Result<Outcome, Failure> {
+    let mut outputs = Outputs::default();
+    for (port, value) in values {
+        // Writing text takes no threads; waking those of the pool would cost more.
+        let text = value.kind().extension() == "json";
+        let encoded = if text { value.encode() } else { pool.install(|| value.encode()) };
+        let encoded =
+            encoded.map_err(|error| StageError::new(format!("output `{port}` cannot be written: {error}")))?;
+        let digest = if task.keep { store.put(&encoded)? } else { Digest::of(&encoded) };
+        let record = OutputRecord {
+            kind: value.kind().word().to_owned(),
+            digest,
+            bytes: encoded.len() as u64,
+            memory_bytes: Some(value.memory_bytes() as u64),
+            kept: task.keep,
+            items: value.items(),
+        };
+        let port = SafeName::new(*port).map_err(|error| StageError::new(error.to_string()))?;
+        outputs.insert(port, record);
+    }
+    let log = keep_log(store, entries)?;
+    Ok(Outcome { outputs, log, sketches: None, cost: Cost::default() })
+}
+
+/// Stores sketches of the outputs if the log is to show them, or else keeps those of an earlier go with equal outputs.
+/// That they cannot be made is told, and is no reason to lose what the stage has made.
+fn sketch(
+    task: &Task,
+    store: &Store,
+    pool: &ThreadPool,
+    values: &BTreeMap<&'static str, Arc<Artefact>>,
+    outcome: &Outcome,
+) -> Result<(Option<Digest>, Option<String>), Failure> {
+    let Some(look) = task.sketch else {
+        let former = store.record(&task.key).filter(|former| former.outputs == outcome.outputs);
+        return Ok((former.and_then(|former| former.sketches).filter(|blob| store.contains(blob)), None));
+    };
+    let made = guarded(|| {
+        let bytes = pool.install(|| crate::watch::step_log::sketched(values, look));
+        bytes.map_err(|error| StageError::new(error.to_string()).into())
+    });
+    match made {
+        Ok(bytes) => Ok((Some(store.put(&bytes)?), None)),
+        Err(Failure::Stage(error, _)) => Ok((None, Some(format!("the log cannot show its outputs: {error}")))),
+        Err(failure) => Err(failure),
+    }
+}
+
+/// Processor seconds of this process so far, all threads.
+fn process_cpu_s() -> f64 {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_panic_anywhere_is_a_failure_that_says_what_was_said() {
+        for panic in [|| panic!("at {}", 7), || panic!("at 7")] {
+            match guarded::<()>(panic) {
+                Err(Failure::Stage(error, _)) => assert_eq!(error.message, "the stage panicked: at 7"),
+                _ => panic!("it should have failed"),
+            }
+        }
+        assert!(guarded(|| Ok(1)).is_ok_and(|one| one == 1));
+    }
+}
