@@ -1,6 +1,7 @@
 //! The memory of rockface: a content-addressed store of blobs by digest and of records by recipe.
 //!
-//! The crate knows bytes, digests and recipes. It knows no stage, no pipeline and no engine.
+//! The crate knows bytes, digests and recipes. It knows no stage, no pipeline and no engine. [`Store`] is the way in: a step whose
+//! [`Recipe`] has a [`Record`] in the store need not run.
 //!
 //! # Invariants
 //!
