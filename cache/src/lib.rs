@@ -3,6 +3,7 @@
 //! The crate knows bytes, digests and recipes. It knows no stage, no pipeline and no engine. [`Store`] keeps blobs, records and the
 //! digests of files outside; [`Memory`] is what the engine remembers in the same folder to save time: former runs, notes beside
 //! records, answers to former commands, parsed texts. A store without that memory gives the same results.
+//! A step whose [`Recipe`] has a [`Record`] in the store need not run.
 //!
 //! # Invariants
 //!

@@ -35,6 +35,15 @@ pub struct NameError {
 pub struct SafeName(String);
 
 /// A relative path of [`SafeName`]s, `/` between them: it stays below the folder it is joined to.
+///
+/// ```
+/// use rockface_cache::{SafeName, SafePath};
+///
+/// let tile = SafePath::new("tiles/train")?.with(&SafeName::new("0001.npz")?);
+/// assert_eq!(std::path::Path::new("set").join(&tile), std::path::Path::new("set/tiles/train/0001.npz"));
+/// assert_eq!(SafePath::new("tiles/../..").unwrap_err().why, "it leads to another folder");
+/// # Ok::<(), rockface_cache::NameError>(())
+/// ```
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String")]
 pub struct SafePath(PathBuf);

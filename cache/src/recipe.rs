@@ -13,6 +13,25 @@ use crate::canonical::{push_display, write_digest, write_entries, write_list, wr
 const STREAM_CONTEXT: &str = "rockface 1 random stream key";
 
 /// Everything that decides the outputs of a step. Its digest is the key under which they are remembered.
+///
+/// ```
+/// use std::collections::BTreeMap;
+/// use std::sync::Arc;
+///
+/// use rockface_cache::{Digest, Recipe, RecipeInput};
+/// use serde_json::json;
+///
+/// let recipe = Recipe {
+///     stage: "difference-dem".into(),
+///     version: 1,
+///     params: Arc::new(json!({"cell_m": 0.1})),
+///     inputs: BTreeMap::from([("reference".into(), RecipeInput::One(Digest::of(b"a raster")))]),
+///     seed: None,
+/// };
+/// assert!(recipe.text().contains(r#""params":{"cell_m":0.1}"#));
+/// assert_eq!(recipe.key(), Digest::of(recipe.text().as_bytes()));
+/// assert_ne!(recipe.key(), Recipe { version: 2, ..recipe.clone() }.key());
+/// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Recipe {

@@ -6,6 +6,35 @@ use serde::{Deserialize, Deserializer, Serialize};
 use crate::{Digest, Outputs, Recipe};
 
 /// What is remembered of a finished step under the key of its recipe.
+///
+/// ```
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use std::collections::BTreeMap;
+///
+/// use rockface_cache::{Cost, OutputRecord, Outputs, Recipe, Record, SafeName, Store};
+///
+/// let folder = tempfile::tempdir()?;
+/// let store = Store::open(&folder.path().join("store"))?;
+/// let bytes = b"ten cubic metres";
+/// let output = OutputRecord {
+///     kind: "table".into(),
+///     digest: store.put(bytes)?,
+///     bytes: bytes.len() as u64,
+///     kept: true,
+///     memory_bytes: None,
+///     items: None,
+/// };
+/// let mut outputs = Outputs::default();
+/// outputs.insert(SafeName::new("table")?, output);
+/// let recipe = Recipe { stage: "sum".into(), version: 1, params: Default::default(), inputs: BTreeMap::new(), seed: None };
+/// let record = Record { recipe, outputs, log: None, sketches: None, cost: Cost::default() };
+///
+/// let key = store.commit(&record)?;
+/// assert_eq!(key, record.recipe.key());
+/// assert_eq!(store.is_hit(&key), Some(record));
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Record {
     /// What decided the outputs.

@@ -30,6 +30,8 @@ const LARGE_BYTES: usize = 64 * 1024;
 /// let store = Store::open(&folder.path().join("store"))?;
 /// let digest = store.put(b"ten cubic metres")?;
 /// assert_eq!(store.get(&digest)?, b"ten cubic metres");
+/// assert_eq!(store.put(b"ten cubic metres")?, digest);
+/// assert_eq!(store.stat()?.small_blobs, 1);
 /// # Ok(())
 /// # }
 /// ```

@@ -1,4 +1,4 @@
-//! What a stage is given: artefacts by port, each read from the store when it is first asked for.
+//! The inputs of a stage: artefacts by port, each read from the store when the stage first asks for it.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
@@ -10,7 +10,7 @@ use crate::stage::Point;
 /// Reads an artefact.
 type Read<'s> = dyn Fn() -> Result<Arc<Artefact>, StageError> + Send + Sync + 's;
 
-/// A value that is read when it is first asked for.
+/// An artefact that is read when a stage first asks for it.
 pub struct Later<'s> {
     value: OnceLock<Arc<Artefact>>,
     read: Option<Box<Read<'s>>>,
@@ -23,17 +23,17 @@ impl std::fmt::Debug for Later<'_> {
 }
 
 impl<'s> Later<'s> {
-    /// A value that is there.
+    /// A value in memory.
     pub fn ready(value: Arc<Artefact>) -> Self {
         Self { value: OnceLock::from(value), read: None }
     }
 
-    /// A value that `read` gets.
+    /// A value that `read` loads.
     pub fn new(read: impl Fn() -> Result<Arc<Artefact>, StageError> + Send + Sync + 's) -> Self {
         Self { value: OnceLock::new(), read: Some(Box::new(read)) }
     }
 
-    /// The value, if it was read and kept here; what was there from the start does not count.
+    /// The value, if it was loaded and is still held; a value given to [`Later::ready`] does not count.
     pub fn kept(&self) -> Option<&Arc<Artefact>> {
         self.value.get().filter(|_| self.read.is_some())
     }
@@ -72,8 +72,29 @@ impl Element<'_> {
 
 /// The artefacts handed to a stage, by port.
 ///
-/// Every one is read when it is first asked for. Those asked for by reference stay in memory until the stage is done; where
-/// many large ones are gathered, [`Inputs::visit`] looks at one at a time.
+/// An artefact is read when the stage first asks for it. Those asked for by reference stay in memory until the stage is done;
+/// [`Inputs::visit`] holds one at a time, for stages that gather many large ones.
+///
+/// ```
+/// use std::sync::Arc;
+///
+/// use rockface_core::artefact::{Picture, Table};
+/// use rockface_core::{Inputs, Point};
+///
+/// let mut inputs = Inputs::default();
+/// for trial in ["0", "1"] {
+///     let point = Point::from([("trial".to_owned(), trial.to_owned())]);
+///     inputs.push("tables", point, Arc::new(Table::new(["x"]).into()));
+/// }
+/// let gathered = inputs.many::<Table>("tables")?;
+/// assert_eq!(gathered[1].0["trial"], "1");
+/// assert_eq!(inputs.optional::<Picture>("picture")?, None);
+/// assert_eq!(inputs.visit("tables", 0, |table: &Table| table.columns.len())?, 1);
+///
+/// let error = inputs.one::<Table>("tables").unwrap_err();
+/// assert_eq!(error.message, "port `tables` needs one artefact, found 2");
+/// # Ok::<(), rockface_core::StageError>(())
+/// ```
 #[derive(Debug, Clone, Default)]
 pub struct Inputs<'s>(BTreeMap<String, Vec<Element<'s>>>);
 
@@ -121,7 +142,7 @@ impl<'s> Inputs<'s> {
         typed(port, self.element(port, index)?.artefact()?)
     }
 
-    /// Looks at one artefact of a port, which is let go again where it had to be read.
+    /// Looks at one artefact of a port; an artefact read for this call is released after it.
     pub fn visit<T: Noun, R>(&self, port: &str, index: usize, look: impl FnOnce(&T) -> R) -> Result<R, StageError> {
         let artefact = self.element(port, index)?.value.read()?;
         typed(port, &artefact).map(look)

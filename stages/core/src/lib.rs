@@ -1,8 +1,24 @@
-//! What the engine and the stages of rockface share.
+//! What the engine and the stages of rockface share: the contract of a stage, artefacts, their file formats, numerics.
 //!
-//! The contract of a stage ([`Stage`], [`params`], [`Inputs`], [`Context`]), the nouns that stages hand to each other
-//! ([`artefact`]), the files they are kept in ([`format`]), and [`numerics`]. Nothing here touches disk, clock, thread
-//! count, YAML or hash function; what a stage needs of them it is lent through [`Context`].
+//! - [`Stage`] is the contract: parameters ([`params!`]), typed ports ([`Port`]), a page ([`Page`]) and `run`, which reads
+//!   [`Inputs`] and returns [`Outputs`]. Its documentation has a whole stage as an example.
+//! - [`artefact`] has the values that stages hand to each other, [`mod@format`] the files they are kept in.
+//! - [`Registry`] lists the stages a program knows, room by room.
+//! - [`numerics`] has random fields, FFT, filters and quantiles whose results are the same on every machine.
+//! - [`testing`] runs a stage without an engine.
+//!
+//! Nothing here touches disk, clock, thread count, YAML or a hash function: the engine lends a stage files, random streams and
+//! its log through [`Context`].
+//!
+//! ```
+//! use rockface_core::artefact::{Artefact, Kind, Noun, Table};
+//!
+//! let mut table = Table::new(["volume_m3"]);
+//! table.push(vec![0.25.into()]);
+//! let file = table.encode()?;
+//! assert_eq!(Artefact::decode(Kind::Table, &file)?, Artefact::Table(table));
+//! # Ok::<(), rockface_core::artefact::CodecError>(())
+//! ```
 
 mod any_number;
 pub mod artefact;

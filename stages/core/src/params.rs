@@ -1,4 +1,4 @@
-//! Typed parameters: one declaration gives the struct, its defaults, its checks and its documentation.
+//! Typed parameters: one declaration ([`crate::params!`]) gives the struct, its defaults, its checks and its documentation.
 
 use std::collections::BTreeMap;
 
@@ -31,8 +31,8 @@ pub enum Kind {
     Entries(Box<Kind>),
     /// Any value.
     Any,
-    /// A map with exactly one of these keys, which says what its value is: `{prism: {...}}`. Where everything below the
-    /// key has a default, the bare word will do.
+    /// A map with exactly one of these keys, which says what its value is: `{prism: {...}}`. The bare word is enough where
+    /// everything below the key has a default.
     Union(Vec<Field>),
     /// A number, or the kind inside: a distribution to draw it from.
     NumberOr(Box<Kind>),
@@ -71,11 +71,11 @@ impl std::fmt::Display for Kind {
 pub struct Field {
     /// Its key in `with`; the unit is part of the name.
     pub name: &'static str,
-    /// What it is.
+    /// What it does, from its doc comment.
     pub doc: String,
-    /// Its shape.
+    /// The shape of its value.
     pub kind: Kind,
-    /// The value it has when left out; `None`: it must be given.
+    /// The value it has when left out; `None` for a required parameter.
     pub default: Option<Value>,
     /// The values it may take.
     pub range: Range,
@@ -97,7 +97,7 @@ pub enum Range {
 }
 
 impl Range {
-    /// Whether a value is in it.
+    /// Whether a value lies in the range.
     pub fn holds(self, value: f64) -> bool {
         match self {
             Self::Any => true,
@@ -135,7 +135,7 @@ pub struct Fault {
 }
 
 impl Fault {
-    /// A fault of the value itself.
+    /// A fault of a value; [`Fault::below`] adds the keys that lead to it.
     pub fn new(message: impl Into<String>) -> Self {
         Self { path: Vec::new(), message: message.into(), known: Vec::new(), at_key: false }
     }
@@ -150,13 +150,13 @@ impl Fault {
 
 /// A type that a parameter can have.
 pub trait ParamType: Sized {
-    /// Its shape.
+    /// The shape that the catalogue and the JSON Schema show.
     fn kind() -> Kind;
-    /// Reads it, or says all that is wrong.
+    /// Reads a value, or returns every fault in it.
     fn decode(value: &Value) -> Result<Self, Vec<Fault>>;
-    /// Its one canonical form: `decode(encode(x)) = x`, and equal values have equal text.
+    /// The canonical form: `decode(encode(x)) = x`, and equal values have equal text.
     fn encode(&self) -> Value;
-    /// What of it may leave a range although it is no plain number: a distribution that can draw such values.
+    /// Faults of a value that is no plain number but may leave the range: a distribution that can draw such values.
     fn outside(&self, _range: Range) -> Vec<Fault> {
         Vec::new()
     }
@@ -436,8 +436,50 @@ impl<'a> MapReader<'a> {
 
 /// Declares the parameters of a stage: `name: type = default; range` with a doc comment each.
 ///
-/// Without `= default` the parameter must be given; without `; range` any value of the type is right. Parameters that several
-/// stages have in common are a part, `..part: Part,` before the others: its keys stand beside theirs and are told of last.
+/// A parameter without `= default` is required. A parameter without `; range` takes any value of its type. Parameters that
+/// several stages share are a part, `..part: Part,` before the others: the keys of the part stand beside the keys of the
+/// stage and are listed after them.
+///
+/// ```
+/// use rockface_core::params;
+/// use rockface_core::params::{ParamType, Range};
+/// use serde_json::json;
+///
+/// params! {
+///     /// Parameters of `smooth-raster`.
+///     pub struct SmoothParams {
+///         /// Standard deviation of the filter, metres.
+///         sigma_m: f64 = 0.1; Range::Positive,
+///         /// Number of passes.
+///         passes: u32 = 1,
+///     }
+/// }
+///
+/// let params = SmoothParams::decode(&json!({"passes": 3})).unwrap();
+/// assert_eq!(params, SmoothParams { passes: 3, ..SmoothParams::default() });
+/// assert_eq!(params.encode(), json!({"sigma_m": 0.1, "passes": 3}));
+///
+/// let faults = SmoothParams::decode(&json!({"sigma_m": -1})).unwrap_err();
+/// assert_eq!(faults[0].path, ["sigma_m"]);
+/// assert_eq!(faults[0].message, "-1 is out of range: must be > 0");
+/// ```
+///
+/// The struct has `Default` where every parameter has a default; it does not where one is required:
+///
+/// ```compile_fail,E0277
+/// rockface_core::params! {
+///     /// Parameters with a required one.
+///     pub struct ReadParams {
+///         /// Name of the image.
+///         image: String,
+///     }
+/// }
+///
+/// fn defaults<P: Default>() -> P {
+///     P::default()
+/// }
+/// defaults::<ReadParams>();
+/// ```
 #[macro_export]
 macro_rules! params {
     (
@@ -513,7 +555,18 @@ macro_rules! params {
                 $( $crate::params::Params::write(&self.$part, map); )*
             }
         }
+
+        $crate::params!(@all_defaults $Name [$($part: $Part),*] [$( $field [$($default)?] ),*]);
     };
+    (@all_defaults $Name:ident [$($part:ident : $Part:ty),*] [$( $field:ident [$default:expr] ),*]) => {
+        impl Default for $Name {
+            fn default() -> Self {
+                Self { $( $field: $default, )* $( $part: <$Part as Default>::default(), )* }
+            }
+        }
+    };
+    // A parameter is required.
+    (@all_defaults $($rest:tt)*) => {};
     (@default $ty:ty) => { None::<$ty> };
     (@default $ty:ty, $default:expr) => { Some::<$ty>($default) };
     (@range) => { $crate::params::Range::Any };
@@ -521,6 +574,24 @@ macro_rules! params {
 }
 
 /// Declares a parameter that is one of a few words: `Variant = "word"` with a doc comment each.
+///
+/// ```
+/// use rockface_core::choice;
+/// use rockface_core::params::ParamType;
+///
+/// choice! {
+///     /// How elevations are averaged.
+///     pub enum Average {
+///         /// Arithmetic mean.
+///         Mean = "mean",
+///         /// Middle value.
+///         Median = "median",
+///     }
+/// }
+///
+/// assert_eq!(Average::decode(&"median".into()), Ok(Average::Median));
+/// assert_eq!(Average::decode(&"mode".into()).unwrap_err()[0].known, ["mean", "median"]);
+/// ```
 #[macro_export]
 macro_rules! choice {
     (
@@ -583,7 +654,7 @@ pub fn one_key<'a>(value: &'a Value, known: &[&str]) -> Result<(&'a str, &'a Val
     Err(faults)
 }
 
-/// Declares a parameter that is one of several maps told apart by their key: `Variant(Type) = "key"` with a doc comment
+/// Declares a parameter that is a map with one key, which selects the variant: `Variant(Type) = "key"` with a doc comment
 /// each; the types are declared with [`crate::params!`].
 #[macro_export]
 macro_rules! union {
@@ -660,6 +731,13 @@ mod tests {
     }
 
     #[test]
+    fn default_is_what_an_empty_map_gives() {
+        assert_eq!(Disc::default(), Disc::decode(&json!({})).unwrap());
+        assert_eq!(Framed::default(), Framed::decode(&json!({})).unwrap());
+        assert_eq!(Framed::default().lettering, Lettering { height_mm: 2.5 });
+    }
+
+    #[test]
     fn defaults_are_filled_in_and_canonical() {
         let sample = Sample::decode(&json!({"path": "a.ply", "cell_m": 1})).unwrap();
         assert_eq!(
@@ -703,6 +781,15 @@ mod tests {
             ..lettering: Lettering,
             /// What it says.
             text: String,
+        }
+    }
+
+    params! {
+        /// A framed label.
+        pub struct Framed {
+            ..lettering: Lettering,
+            /// Corners of the frame.
+            corners: Vec<f64> = vec![0.0, 1.0],
         }
     }
 

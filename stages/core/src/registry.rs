@@ -1,4 +1,4 @@
-//! What the engine is handed: the stages it can run, by room, and what draws small pictures of their outputs.
+//! What a program hands to the engine: the stages it can run, by room, and what draws small pictures of their outputs.
 
 use crate::AnyStage;
 use crate::artefact::{Artefact, Preview, Sketch};
@@ -6,11 +6,11 @@ use crate::artefact::{Artefact, Preview, Sketch};
 /// The stages of one domain.
 #[derive(Clone, Copy)]
 pub struct Room {
-    /// Its name, such as `matching`.
+    /// The name of the domain, such as `matching`.
     pub name: &'static str,
-    /// What its stages are about, in a sentence.
+    /// What its stages are about, in a sentence for `rockface stages`.
     pub doc: &'static str,
-    /// Its stages, in the order of the catalogue.
+    /// The stages, in the order of the catalogue.
     pub stages: &'static [&'static dyn AnyStage],
 }
 
@@ -39,6 +39,39 @@ impl Look for Blank {
 }
 
 /// Every stage a program knows, room by room.
+///
+/// A program of your own clones the registry of `rockface-stages` and adds a room; see `examples/own_stage.rs`.
+///
+/// ```
+/// use rockface_core::artefact::{Kind, Picture};
+/// use rockface_core::{AnyStage, Context, Inputs, Outputs, Page, Port, Registry, Room, Row, Stage, StageError, params};
+///
+/// params! {
+///     /// `draw-nothing` has no parameters.
+///     pub struct NoParams {}
+/// }
+///
+/// struct DrawNothing;
+///
+/// impl Stage for DrawNothing {
+///     type Params = NoParams;
+///     const NAME: &'static str = "draw-nothing";
+///     const VERSION: u32 = 1;
+///     const PAGE: Page = Page::new("# draw-nothing\n\nMakes an empty picture.\n");
+///     const INPUTS: &'static [Port] = &[];
+///     const OUTPUTS: &'static [Port] = &[Port::one("picture", &[Kind::Picture], "No bytes.")];
+///
+///     fn run(_: &NoParams, _: &Inputs, _: &Context) -> Result<Outputs, StageError> {
+///         Ok(Outputs::of("picture", Picture { png: Vec::new() }))
+///     }
+/// }
+///
+/// static OWN: &[&dyn AnyStage] = &[&Row::<DrawNothing>::new()];
+///
+/// let registry = Registry::default().with(Room { name: "own", doc: "Stages of this program.", stages: OWN });
+/// assert_eq!(registry.find("draw-nothing").map(|stage| stage.version()), Some(1));
+/// assert!(registry.find("draw-all").is_none());
+/// ```
 #[derive(Clone)]
 pub struct Registry {
     rooms: Vec<Room>,
@@ -61,10 +94,10 @@ impl Default for Registry {
 }
 
 impl Registry {
-    /// Adds a room behind the others.
+    /// Adds a room after the others.
     ///
     /// # Panics
-    /// When a stage of that name is there already: two stages of one name are a mistake of the program, not of its user.
+    /// When two stages have one name: that is a mistake of the program, not of its user.
     #[must_use]
     pub fn with(mut self, room: Room) -> Self {
         for stage in room.stages {
@@ -75,7 +108,7 @@ impl Registry {
         self
     }
 
-    /// Draws artefacts by `look`.
+    /// Replaces what draws artefacts; a new registry draws nothing.
     #[must_use]
     pub fn drawn_by(mut self, look: &'static dyn Look) -> Self {
         self.look = look;

@@ -120,7 +120,14 @@ impl Port {
     }
 }
 
-/// Why a stage gave up: the cause, and the way out where there is one.
+/// Why a stage failed: the cause, and the way out where there is one.
+///
+/// ```
+/// use rockface_core::StageError;
+///
+/// let error = StageError::new("the mesh has 3 holes").hint("set `holes: close`");
+/// assert_eq!(error.to_string(), "the mesh has 3 holes");
+/// ```
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{message}")]
 pub struct StageError {
@@ -173,7 +180,7 @@ impl Outputs {
     }
 }
 
-/// What a stage has to say while it works; kept with its outputs, so a cached step still tells it.
+/// What a stage logs while it works; kept with its outputs, so a cached step has its log too.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case", tag = "type")]
 pub enum Entry {
@@ -295,7 +302,7 @@ impl<'a> Context<'a> {
         self.0.record(Entry::Metric { name: name.to_owned(), value, unit: unit.to_owned() });
     }
 
-    /// Gives up early when the run was asked to stop; call it now and then in long loops.
+    /// Fails when the run was asked to stop; call it now and then in long loops.
     pub fn check_cancelled(&self) -> Result<(), StageError> {
         if self.cancelled() { Err(StageError::new("interrupted")) } else { Ok(()) }
     }
@@ -306,25 +313,72 @@ impl<'a> Context<'a> {
     }
 }
 
-/// A kind of computation.
+/// A kind of computation: a pure function of parameters, input artefacts and random streams.
+///
+/// ```
+/// use rockface_core::artefact::{Artefact, Kind, Table};
+/// use rockface_core::params::Range;
+/// use rockface_core::testing::{TestHost, run_stage};
+/// use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, params};
+/// use serde_json::json;
+///
+/// params! {
+///     /// Parameters of `scale-table`.
+///     pub struct ScaleParams {
+///         /// Factor of every number.
+///         factor: f64 = 2.0; Range::Positive,
+///     }
+/// }
+///
+/// struct ScaleTable;
+///
+/// impl Stage for ScaleTable {
+///     type Params = ScaleParams;
+///     const NAME: &'static str = "scale-table";
+///     const VERSION: u32 = 1;
+///     const PAGE: Page = Page::new("# scale-table\n\nMultiplies every number of a table.\n");
+///     const INPUTS: &'static [Port] = &[Port::one("table", &[Kind::Table], "Any table.")];
+///     const OUTPUTS: &'static [Port] = &[Port::one("table", &[Kind::Table], "The table with scaled numbers.")];
+///
+///     fn run(params: &ScaleParams, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+///         let mut table = inputs.one::<Table>("table")?.clone();
+///         for cell in table.rows.iter_mut().flatten() {
+///             if let Some(number) = cell.number() {
+///                 *cell = (params.factor * number).into();
+///             }
+///         }
+///         context.metric("rows", table.rows.len() as f64, "1");
+///         Ok(Outputs::of("table", table))
+///     }
+/// }
+///
+/// let mut volumes = Table::new(["volume_m3"]);
+/// volumes.push(vec![1.5.into()]);
+/// let host = TestHost::default();
+/// let made = run_stage::<ScaleTable>(&host, &json!({"factor": 4}), &[("table", volumes.into())])?.into_inner();
+/// let Artefact::Table(scaled) = &made["table"] else { panic!("port `table` is a table") };
+/// assert_eq!(scaled.rows[0][0].number(), Some(6.0));
+/// assert_eq!(host.metric("rows"), Some(1.0));
+/// # Ok::<(), StageError>(())
+/// ```
 pub trait Stage: Send + Sync + 'static {
-    /// Its parameters.
+    /// The keys of `with`, declared by [`crate::params!`].
     type Params: Params;
-    /// `verb-object`.
+    /// The name in pipelines, `verb-object`.
     const NAME: &'static str;
-    /// Raised whenever the bytes it makes change for equal inputs.
+    /// Raised whenever equal inputs give other bytes: the version is part of every recipe.
     const VERSION: u32;
-    /// Its documentation.
+    /// The documentation that `rockface stages NAME` prints.
     const PAGE: Page;
-    /// What it takes.
+    /// The artefacts a step reads; [`Stage::ports`] may override them.
     const INPUTS: &'static [Port];
-    /// What it makes; every output is made at every run.
+    /// The artefacts a step makes; every run makes each of them.
     const OUTPUTS: &'static [Port];
 
-    /// Whether it has programs started ([`Context::execute`]); one that does not say so is refused when it asks for one.
+    /// Whether `run` calls [`Context::execute`]; the engine refuses a program to a stage that does not declare it.
     const STARTS_PROGRAMS: bool = false;
 
-    /// Whether it draws random numbers with these parameters; only then is its seed part of the recipe.
+    /// Whether these parameters make it draw random numbers; only then is the seed part of the recipe.
     fn draws(_params: &Self::Params) -> bool {
         false
     }
@@ -339,14 +393,13 @@ pub trait Stage: Send + Sync + 'static {
         Vec::new()
     }
 
-    /// The memory it will need, its inputs and outputs among it, bytes, going by its parameters and its inputs. A guess on
-    /// the safe side, with everything that is made while outputs are encoded and sketched: a run starts no more steps at
-    /// once than fit into its memory.
+    /// An upper estimate of the memory it needs, bytes: inputs, outputs, and what is made while outputs are encoded and
+    /// sketched. A run starts no more steps at once than fit into its memory.
     fn memory_bytes(_params: &Self::Params, inputs: &InputSizes) -> u64 {
         inputs.total().saturating_mul(4)
     }
 
-    /// Does the work.
+    /// Computes the outputs. It depends on its arguments alone: no disk, clock, thread count or global state.
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError>;
 }
 
@@ -359,7 +412,7 @@ pub struct Checked {
     pub draws: bool,
 }
 
-/// A stage whose type is forgotten, as the registry lists it.
+/// A [`Stage`] without its type, as the registry lists it; [`Row`] implements it.
 pub trait AnyStage: Sync {
     /// `verb-object`.
     fn name(&self) -> &'static str;
@@ -385,7 +438,7 @@ pub trait AnyStage: Sync {
     fn run(&self, with: &Value, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError>;
 }
 
-/// Puts a [`Stage`] into the registry.
+/// Lists a [`Stage`] in a [`crate::Room`]: `&Row::<ScaleTable>::new()` is an [`AnyStage`].
 pub struct Row<S>(PhantomData<fn() -> S>);
 
 impl<S> Row<S> {

@@ -65,7 +65,7 @@ params! {
         /// What no two parts share.
         split: SplitBy = SplitBy::Event,
         /// Shares of the parts.
-        shares: Shares = Shares { train: 0.7, validation: 0.15, test: 0.15 },
+        shares: Shares = Shares::default(),
         /// Axes whose items make an event; other gathered axes are draws of it.
         event_axes: Vec<String> = vec!["epoch".to_owned()],
         /// Axis along which events follow each other in time; null: they do not.

@@ -8,7 +8,7 @@ use crate::noise::acceptance_rate::wilson_interval;
 use rockface_core::artefact::{Cell, Kind, Table};
 use rockface_core::numerics::quantile::median;
 use rockface_core::params::Range;
-use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params, table_row};
 use rockface_raster::columns;
 
 params! {
@@ -61,30 +61,43 @@ impl Stage for DescribeDetectability {
         if known.is_empty() {
             fail!("none of the properties is a column; there are {}", columns.join(", "));
         }
-        let mut classes = Table::new(CLASSES);
-        let mut limits =
-            Table::new(["property", "count", "at_50", "at_probability", "probability", "slope", "slope_se"]);
-        for (name, at) in known {
-            scene.classes(name, at, params.classes as usize, &mut classes);
-            scene.limit(name, at, params.probability, &mut limits);
-        }
+        let of = |(name, at): &(&String, usize)| scene.classes(name, *at, params.classes as usize);
+        let classes: Table = known.iter().flat_map(of).collect();
+        let limit = |(name, at): &(&String, usize)| scene.limit(name, *at, params.probability);
+        let limits: Table = known.iter().filter_map(limit).collect();
         report(&limits, &scene, params, context);
         Ok(Outputs::of("classes", classes).and("limits", limits))
     }
 }
 
-const CLASSES: [&str; 10] = [
-    "property",
-    "class",
-    "from",
-    "to",
-    "count",
-    "found",
-    "share_found",
-    "share_low",
-    "share_high",
-    "volume_error_median",
-];
+table_row! {
+    /// The true changes of one class of a property.
+    struct ClassRow {
+        property: String,
+        class: String,
+        from: f64,
+        to: f64,
+        count: usize,
+        found: usize,
+        share_found: f64,
+        share_low: f64,
+        share_high: f64,
+        volume_error_median: Option<f64>,
+    }
+}
+
+table_row! {
+    /// From which value of a property on changes are found.
+    struct LimitRow {
+        property: String,
+        count: usize,
+        at_50: f64,
+        at_probability: f64,
+        probability: f64,
+        slope: f64,
+        slope_se: f64,
+    }
+}
 
 /// The true changes that count.
 struct Scene<'a> {
@@ -94,7 +107,7 @@ struct Scene<'a> {
 }
 
 impl Scene<'_> {
-    fn classes(&self, name: &str, at: usize, count: usize, table: &mut Table) {
+    fn classes(&self, name: &str, at: usize, count: usize) -> Vec<ClassRow> {
         let mut words: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
         for (row, cells) in self.rows.iter().enumerate() {
             if let Some(word) = cells[at].text() {
@@ -105,42 +118,45 @@ impl Scene<'_> {
         let numbers: Vec<Option<f64>> = self.rows.iter().map(|cells| cells[at].number()).collect();
         let number = |(place, class): (usize, Class)| ((place + 1).to_string(), class);
         let numbered = detectability::classes(&numbers, count).into_iter().enumerate().map(number);
-        for (label, class) in words.into_iter().map(word).chain(numbered) {
-            self.push(name, &label, &class, table);
-        }
+        words.into_iter().map(word).chain(numbered).map(|(label, class)| self.class(name, label, &class)).collect()
     }
 
-    fn push(&self, name: &str, label: &str, class: &Class, table: &mut Table) {
+    fn class(&self, property: &str, label: String, class: &Class) -> ClassRow {
         let count = class.rows.len();
         let found = class.rows.iter().filter(|row| self.found[**row]).count();
         let (low, high) = if count > 0 { wilson_interval(found, count) } else { (f64::NAN, f64::NAN) };
         let mut errors: Vec<f64> = class.rows.iter().filter_map(|row| self.errors[*row]).collect();
-        let numbers = [
-            class.from,
-            class.to,
-            count as f64,
-            found as f64,
-            found as f64 / count as f64,
-            low,
-            high,
-            median(&mut errors).unwrap_or(f64::NAN),
-        ];
-        let cells = [Cell::from(name), label.into()].into_iter().chain(numbers.map(Cell::from));
-        table.push(cells.collect());
+        ClassRow {
+            property: property.to_owned(),
+            class: label,
+            from: class.from,
+            to: class.to,
+            count,
+            found,
+            share_found: found as f64 / count as f64,
+            share_low: low,
+            share_high: high,
+            volume_error_median: median(&mut errors),
+        }
     }
 
-    fn limit(&self, name: &str, at: usize, probability: f64, table: &mut Table) {
+    fn limit(&self, property: &str, at: usize, probability: f64) -> Option<LimitRow> {
         let known = self.rows.iter().zip(&self.found).filter_map(|(cells, found)| Some((cells[at].number()?, *found)));
         let (values, found): (Vec<f64>, Vec<bool>) = known.filter(|(value, _)| *value > 0.0).unzip();
         // A property that may be negative or zero, such as a position, has no logarithm.
         if values.len() < self.rows.len() {
-            return;
+            return None;
         }
-        if let Some(curve) = detectability::logistic(&values, &found) {
-            let numbers =
-                [values.len() as f64, curve.at(0.5), curve.at(probability), probability, curve.slope, curve.slope_se];
-            table.push(std::iter::once(Cell::from(name)).chain(numbers.map(Cell::from)).collect());
-        }
+        let curve = detectability::logistic(&values, &found)?;
+        Some(LimitRow {
+            property: property.to_owned(),
+            count: values.len(),
+            at_50: curve.at(0.5),
+            at_probability: curve.at(probability),
+            probability,
+            slope: curve.slope,
+            slope_se: curve.slope_se,
+        })
     }
 }
 

@@ -68,7 +68,7 @@ params! {
         /// Which changes are looked for.
         change: Change = Change::Loss,
         /// The limit of detection: changes below it do not count.
-        lod: Limit = Limit::Fixed(FixedLimit { lod_m: 0.03 }),
+        lod: Limit = Limit::Fixed(FixedLimit::default()),
         /// Least width of a change, metres, in whole cells rounded up: side of the square of the opening; 0 leaves it out.
         min_width_m: f64 = 0.04; Range::NonNegative,
         /// Iterations of the opening: n erosions, then n dilations.

@@ -2,31 +2,34 @@
 
 use nalgebra::Vector3;
 
-use rockface_core::artefact::{Cell, Feature, Frame, Grid, Inventory, Raster, Sample};
+use rockface_core::artefact::{Feature, Frame, Grid, Inventory, Raster, Sample, TableRow};
+use rockface_core::table_row;
 use rockface_rock::rockfall::ground_truth::bounding_box::oriented_box;
 use rockface_rock::rockfall::ground_truth::{Facets, outline, sneed_folk};
 
-/// The columns of an inventory of detections, in order. Only `volume_m3` and outlines are needed to score one.
-pub const COLUMNS: [&str; 18] = [
-    "id",
-    "method",
-    "volume_m3",
-    "volume_sd_m3",
-    "area_m2",
-    "cells",
-    "depth_max_m",
-    "depth_mean_m",
-    "score",
-    "centroid_x_m",
-    "centroid_y_m",
-    "centroid_z_m",
-    "long_m",
-    "intermediate_m",
-    "short_m",
-    "shape_class",
-    "flatness",
-    "elongation",
-];
+table_row! {
+    /// The columns of an inventory of detections. Only `volume_m3` and outlines are needed to score one.
+    struct Columns<'a> {
+        id: usize,
+        method: &'a str,
+        volume_m3: f64,
+        volume_sd_m3: f64,
+        area_m2: f64,
+        cells: usize,
+        depth_max_m: f64,
+        depth_mean_m: f64,
+        score: f64,
+        centroid_x_m: f64,
+        centroid_y_m: f64,
+        centroid_z_m: f64,
+        long_m: f64,
+        intermediate_m: f64,
+        short_m: f64,
+        shape_class: Option<&'static str>,
+        flatness: Option<f64>,
+        elongation: Option<f64>,
+    }
+}
 
 /// One change that a detector found.
 #[derive(Debug, Clone, PartialEq)]
@@ -51,42 +54,39 @@ pub struct Found {
 pub fn inventory(grid: &Grid, frame: Frame, method: &str, found: &[Found]) -> Inventory {
     let feature = |(number, found): (usize, &Found)| Feature {
         outline: outline::polygons(grid, &found.cells),
-        values: values(grid, method, number, found),
+        values: columns(grid, method, number, found).cells(),
     };
     let features = found.iter().enumerate().map(feature).collect();
-    Inventory { frame, columns: COLUMNS.map(str::to_owned).to_vec(), features }
+    Inventory { frame, columns: Columns::columns(), features }
 }
 
-fn values(grid: &Grid, method: &str, number: usize, found: &Found) -> Vec<Cell> {
+fn columns<'a>(grid: &Grid, method: &'a str, number: usize, found: &Found) -> Columns<'a> {
     let count = found.points.len() as f64;
     let sum = found.points.iter().fold(Vector3::zeros(), |sum, p| sum + Vector3::from(*p));
     let centre = sum / count;
-    let sides = sides(&found.points);
-    let form = sneed_folk::form(sides);
-    let ratio = |of: fn(&sneed_folk::Form) -> f64| Cell::from(form.as_ref().map_or(f64::NAN, of));
-    let cells = found.cells.len() as f64;
-    let start = [(number + 1) as f64];
-    let numbers = [
-        found.volume_m3,
-        found.volume_sd_m3,
-        cells * grid.cell_m * grid.cell_m,
+    let [long_m, intermediate_m, short_m] = sides(&found.points);
+    let form = sneed_folk::form([long_m, intermediate_m, short_m]);
+    let cells = found.cells.len();
+    Columns {
+        id: number + 1,
+        method,
+        volume_m3: found.volume_m3,
+        volume_sd_m3: found.volume_sd_m3,
+        area_m2: cells as f64 * grid.cell_m * grid.cell_m,
         cells,
-        found.depth_max_m,
-        found.depth_mean_m,
-        found.score,
-        centre.x,
-        centre.y,
-        centre.z,
-        sides[0],
-        sides[1],
-        sides[2],
-    ];
-    let mut values: Vec<Cell> = start.map(Cell::from).to_vec();
-    values.push(method.into());
-    values.extend(numbers.map(Cell::from));
-    values.push(form.map_or(Cell::Empty(()), |form| form.class.into()));
-    values.extend([ratio(|form| form.flatness), ratio(|form| form.elongation)]);
-    values
+        depth_max_m: found.depth_max_m,
+        depth_mean_m: found.depth_mean_m,
+        score: found.score,
+        centroid_x_m: centre.x,
+        centroid_y_m: centre.y,
+        centroid_z_m: centre.z,
+        long_m,
+        intermediate_m,
+        short_m,
+        shape_class: form.as_ref().map(|form| form.class),
+        flatness: form.as_ref().map(|form| form.flatness),
+        elongation: form.as_ref().map(|form| form.elongation),
+    }
 }
 
 /// Long, intermediate and short side of the box around points, metres; NaN without points.

@@ -146,7 +146,7 @@ mod tests {
 
     #[test]
     fn differences_are_centred_on_zero_and_elevations_are_not() {
-        let params = DrawPictureParams::decode(&json!({})).unwrap();
+        let params = DrawPictureParams::default();
         let scale = |raster: Raster| scale(&Look::of_raster(&raster, None).unwrap(), &params).unwrap();
         let shifted: Vec<f32> = ramp().iter().map(|v| v + 0.01).collect();
         let difference = scale(raster("difference", shifted.clone()));

@@ -7,7 +7,7 @@ use crate::noise::mahalanobis::{bound, distance, fit, leave_one_out_quantile};
 use rockface_core::artefact::{Cell, GroupModel, Kind, Table};
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::{Fault, Range};
-use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params, table_row};
 use rockface_raster::feature_rows::{FeatureRow, feature_rows};
 
 params! {
@@ -137,71 +137,82 @@ fn group_test(
     Ok(GroupTest { name, model, simulated_d2, held_out_d2 })
 }
 
-const COLUMNS: [&str; 26] = [
-    "group",
-    "p",
-    "quantile",
-    "threshold",
-    "real_accepted",
-    "real_n",
-    "real_share",
-    "simulated_accepted",
-    "simulated_n",
-    "simulated_share",
-    "wilson_low",
-    "wilson_high",
-    "exact_low",
-    "exact_high",
-    "expected",
-    "expected_normal",
-    "expected_low",
-    "expected_high",
-    "in_band",
-    "leave_one_out_threshold",
-    "simulated_leave_one_out",
-    "simulated_median_d2",
-    "held_out_accepted",
-    "held_out_n",
-    "held_out_exact_low",
-    "held_out_exact_high",
-];
-
-fn rates(tests: &[GroupTest], levels: &[f64]) -> Table {
-    let mut table = Table::new(COLUMNS);
-    for level in levels {
-        for test in tests {
-            table.push(rate_row(test, *level));
-        }
+table_row! {
+    /// The acceptance of one group of features at one quantile.
+    struct Rate {
+        group: &'static str,
+        p: usize,
+        quantile: f64,
+        threshold: f64,
+        real_accepted: usize,
+        real_n: usize,
+        real_share: f64,
+        simulated_accepted: usize,
+        simulated_n: usize,
+        simulated_share: f64,
+        wilson_low: f64,
+        wilson_high: f64,
+        exact_low: f64,
+        exact_high: f64,
+        expected: f64,
+        expected_normal: Option<f64>,
+        expected_low: usize,
+        expected_high: usize,
+        in_band: bool,
+        leave_one_out_threshold: f64,
+        simulated_leave_one_out: f64,
+        simulated_median_d2: Option<f64>,
+        held_out_accepted: Option<usize>,
+        held_out_n: Option<usize>,
+        held_out_exact_low: Option<f64>,
+        held_out_exact_high: Option<f64>,
     }
-    table
 }
 
-fn rate_row(test: &GroupTest, level: f64) -> Vec<Cell> {
+fn rates(tests: &[GroupTest], levels: &[f64]) -> Table {
+    levels.iter().flat_map(|level| tests.iter().map(move |test| rate(test, *level))).collect()
+}
+
+fn rate(test: &GroupTest, level: f64) -> Rate {
     let (model, threshold) = (&test.model, test.threshold(level));
     let (n, p) = (model.reference_d2.len(), model.features.len());
-    let (real, simulated, total) =
-        (accepted(&model.reference_d2, threshold), accepted(&test.simulated_d2, threshold), test.simulated_d2.len());
+    let real = accepted(&model.reference_d2, threshold);
+    let (simulated, total) = (accepted(&test.simulated_d2, threshold), test.simulated_d2.len());
     let (wilson, exact) = (wilson_interval(simulated, total), exact_interval(simulated, total));
     let expected = test.expected(level);
     let band = binomial_band(expected, total);
-    let loo = leave_one_out_quantile(model, level).unwrap_or(f64::NAN);
-    let mut row: Vec<Cell> = vec![test.name.into(), (p as f64).into(), level.into(), threshold.into()];
-    row.extend([real as f64, n as f64, real as f64 / n as f64].map(Cell::from));
-    row.extend([simulated as f64, total as f64, simulated as f64 / total as f64].map(Cell::from));
-    row.extend([wilson.0, wilson.1, exact.0, exact.1, expected].map(Cell::from));
-    row.push(perfect_acceptance(n, p, level).unwrap_or(f64::NAN).into());
-    row.extend([band.0 as f64, band.1 as f64].map(Cell::from));
-    row.push((band.0 <= simulated && simulated <= band.1).into());
-    row.extend([loo, share_below(&test.simulated_d2, loo)].map(Cell::from));
-    row.push(quantile(&test.simulated_d2, 0.5).unwrap_or(f64::NAN).into());
-    if test.held_out_d2.is_empty() {
-        row.extend((0..4).map(|_| Cell::Empty(())));
-    } else {
-        let (held, of) = (accepted(&test.held_out_d2, threshold), test.held_out_d2.len());
-        let (low, high) = exact_interval(held, of);
-        row.extend([held as f64, of as f64, low, high].map(Cell::from));
+    let leave_one_out = leave_one_out_quantile(model, level).unwrap_or(f64::NAN);
+    let held_out =
+        Some(test.held_out_d2.len()).filter(|of| *of > 0).map(|of| (accepted(&test.held_out_d2, threshold), of));
+    let held_out_exact = held_out.map(|(held, of)| exact_interval(held, of));
+    Rate {
+        group: test.name,
+        p,
+        quantile: level,
+        threshold,
+        real_accepted: real,
+        real_n: n,
+        real_share: real as f64 / n as f64,
+        simulated_accepted: simulated,
+        simulated_n: total,
+        simulated_share: simulated as f64 / total as f64,
+        wilson_low: wilson.0,
+        wilson_high: wilson.1,
+        exact_low: exact.0,
+        exact_high: exact.1,
+        expected,
+        expected_normal: perfect_acceptance(n, p, level),
+        expected_low: band.0,
+        expected_high: band.1,
+        in_band: band.0 <= simulated && simulated <= band.1,
+        leave_one_out_threshold: leave_one_out,
+        simulated_leave_one_out: share_below(&test.simulated_d2, leave_one_out),
+        simulated_median_d2: quantile(&test.simulated_d2, 0.5),
+        held_out_accepted: held_out.map(|(held, _)| held),
+        held_out_n: held_out.map(|(_, of)| of),
+        held_out_exact_low: held_out_exact.map(|(low, _)| low),
+        held_out_exact_high: held_out_exact.map(|(_, high)| high),
     }
-    row
 }
 
 /// `89.7% (35/39)`, as the paper prints it.
@@ -234,41 +245,48 @@ fn middle(levels: &[f64]) -> f64 {
     levels[levels.len() / 2]
 }
 
+table_row! {
+    /// How much hangs on one reference raster.
+    struct Leverage {
+        raster: String,
+        d2: f64,
+        share_of_bound: f64,
+        leave_one_out_d2: Option<f64>,
+        threshold_without: Option<f64>,
+        simulated_share_without: Option<f64>,
+        shares_epoch_with: String,
+    }
+}
+
 fn leverage(
     params: &SummariseAcceptanceParams,
     reference: &[FeatureRow],
     simulated: &[FeatureRow],
     all: &GroupTest,
 ) -> Result<Table, StageError> {
-    let mut table = Table::new([
-        "raster",
-        "d2",
-        "share_of_bound",
-        "leave_one_out_d2",
-        "threshold_without",
-        "simulated_share_without",
-        "shares_epoch_with",
-    ]);
     let level = middle(&params.quantiles);
     let labels: Vec<String> = reference.iter().map(FeatureRow::label).collect();
     let neighbours = chain::neighbours(&labels);
     let every: Vec<usize> = (0..params.features.len()).collect();
     let enough = reference.len() > all.model.features.len() + 2;
-    for (i, label) in labels.iter().enumerate() {
+    let row = |(i, label): (usize, &String)| -> Result<Leverage, StageError> {
         let d2 = all.model.reference_d2[i];
         let mut others = reference.to_vec();
         others.remove(i);
         let without = if enough { Some(group_test("all", &every, params, [&others, simulated, &[]])?) } else { None };
-        let threshold = without.as_ref().map_or(f64::NAN, |test| test.threshold(level));
-        let share = without.as_ref().map_or(f64::NAN, |test| share_below(&test.simulated_d2, threshold));
+        let share = |test: &GroupTest| share_below(&test.simulated_d2, test.threshold(level));
         let near: Vec<&str> = neighbours[i].iter().map(|j| labels[*j].as_str()).collect();
-        let loo = Some(all.model.leave_one_out_d2[i]).filter(|d2| *d2 < 1e300).unwrap_or(f64::NAN);
-        let mut row = vec![Cell::from(label.as_str())];
-        row.extend([d2, d2 / bound(reference.len()), loo, threshold, share].map(Cell::from));
-        row.push(near.join(" ").into());
-        table.push(row);
-    }
-    Ok(table)
+        Ok(Leverage {
+            raster: label.clone(),
+            d2,
+            share_of_bound: d2 / bound(reference.len()),
+            leave_one_out_d2: Some(all.model.leave_one_out_d2[i]).filter(|d2| *d2 < 1e300),
+            threshold_without: without.as_ref().map(|test| test.threshold(level)),
+            simulated_share_without: without.as_ref().map(share),
+            shares_epoch_with: near.join(" "),
+        })
+    };
+    labels.iter().enumerate().map(row).collect()
 }
 
 fn log(all: &GroupTest, params: &SummariseAcceptanceParams, context: &Context) {

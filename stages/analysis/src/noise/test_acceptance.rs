@@ -3,10 +3,10 @@
 use crate::noise::acceptance_rate::{perfect_acceptance, score, share_below, wilson_interval};
 use crate::noise::descriptors::GROUPS;
 use crate::noise::mahalanobis::{Distance, distance, leave_one_out_quantile};
-use rockface_core::artefact::{Acceptance, Cell, GroupModel, Kind, Table};
+use rockface_core::artefact::{Acceptance, Cell, GroupModel, Kind, Table, TableRow};
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::Range;
-use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params, table_row};
 use rockface_raster::feature_rows::{FeatureRow, axes, feature_rows, item_cell};
 
 params! {
@@ -141,51 +141,62 @@ fn top_feature<'a>(model: &'a GroupModel, found: &Distance) -> &'a str {
     &model.features[top]
 }
 
+table_row! {
+    /// The joint test at one quantile; the acceptance of each group follows.
+    struct Summary {
+        quantile: f64,
+        threshold: f64,
+        real_accepted: usize,
+        real_n: usize,
+        real_acceptance: f64,
+        simulated_accepted: usize,
+        simulated_n: usize,
+        simulated_acceptance: f64,
+        simulated_low95: f64,
+        simulated_high95: f64,
+        leave_one_out_threshold: Option<f64>,
+        perfect_acceptance_normal: Option<f64>,
+        perfect_acceptance_leave_one_out: f64,
+    }
+}
+
 fn summary(tests: &[GroupTest], distances: &[Vec<Distance>], level: f64) -> Table {
-    let names = [
-        "quantile",
-        "threshold",
-        "real_accepted",
-        "real_n",
-        "real_acceptance",
-        "simulated_accepted",
-        "simulated_n",
-        "simulated_acceptance",
-        "simulated_low95",
-        "simulated_high95",
-        "leave_one_out_threshold",
-        "perfect_acceptance_normal",
-        "perfect_acceptance_leave_one_out",
-    ];
     let groups = tests[1..].iter().map(|test| format!("simulated_acceptance_{}", test.name));
-    let mut table = Table::new(names.map(str::to_owned).into_iter().chain(groups));
+    let mut table = Table::new(Summary::columns().into_iter().chain(groups));
     let mut levels = LEVELS.to_vec();
     if !levels.contains(&level) {
         levels.push(level);
         levels.sort_by(f64::total_cmp);
     }
     for level in levels {
-        table.push(summary_row(tests, distances, level));
+        let share =
+            |(test, found): (&GroupTest, &Vec<Distance>)| test.accepted(found, level) as f64 / found.len() as f64;
+        let groups = tests.iter().zip(distances).skip(1).map(share).map(Cell::from);
+        table.push(summary_row(&tests[0], &distances[0], level).cells().into_iter().chain(groups).collect());
     }
     table
 }
 
-fn summary_row(tests: &[GroupTest], distances: &[Vec<Distance>], level: f64) -> Vec<Cell> {
-    let model = tests[0].model;
-    let (real, n) = (&model.reference_d2, distances[0].len());
-    let threshold = threshold(model, level);
-    let accepted = tests[0].accepted(&distances[0], level);
+fn summary_row(all: &GroupTest, distances: &[Distance], level: f64) -> Summary {
+    let (real, n) = (&all.model.reference_d2, distances.len());
+    let threshold = threshold(all.model, level);
+    let accepted = all.accepted(distances, level);
     let (low, high) = wilson_interval(accepted, n);
-    let mut row: Vec<Cell> = vec![level.into(), threshold.into()];
-    row.push((real.iter().filter(|d2| **d2 <= threshold).count() as f64).into());
-    row.extend([real.len() as f64, share_below(real, threshold)].map(Cell::from));
-    row.extend([accepted as f64, n as f64, accepted as f64 / n as f64, low, high].map(Cell::from));
-    row.push(leave_one_out_quantile(model, level).unwrap_or(f64::NAN).into());
-    row.push(perfect_acceptance(real.len(), model.features.len(), level).unwrap_or(f64::NAN).into());
-    row.push(share_below(&model.leave_one_out_d2, threshold).into());
-    let share = |(test, found): (&GroupTest, &Vec<Distance>)| test.accepted(found, level) as f64 / n as f64;
-    row.extend(tests.iter().zip(distances).skip(1).map(|pair| Cell::from(share(pair))));
-    row
+    Summary {
+        quantile: level,
+        threshold,
+        real_accepted: real.iter().filter(|d2| **d2 <= threshold).count(),
+        real_n: real.len(),
+        real_acceptance: share_below(real, threshold),
+        simulated_accepted: accepted,
+        simulated_n: n,
+        simulated_acceptance: accepted as f64 / n as f64,
+        simulated_low95: low,
+        simulated_high95: high,
+        leave_one_out_threshold: leave_one_out_quantile(all.model, level),
+        perfect_acceptance_normal: perfect_acceptance(real.len(), all.model.features.len(), level),
+        perfect_acceptance_leave_one_out: share_below(&all.model.leave_one_out_d2, threshold),
+    }
 }
 
 fn log(all: &GroupTest, distances: &[Distance], level: f64, context: &Context) {
@@ -254,7 +265,7 @@ mod tests {
             inputs.push("features", point, Arc::new(table.into()));
         }
         let host = TestHost::default();
-        let params = TestAcceptanceParams { quantile: 0.95 };
+        let params = TestAcceptanceParams::default();
         let outputs = TestAcceptance::run(&params, &inputs, &Context::new(&host))?.into_inner();
         let [Artefact::Table(verdicts), Artefact::Table(summary)] = [&outputs["verdicts"], &outputs["summary"]] else {
             panic!("two tables come out");

@@ -1,4 +1,4 @@
-//! The nouns: typed immutable values that steps hand to each other, each kept as a file other programs open.
+//! Artefacts: typed immutable values that steps hand to each other, each kept as a file other programs open.
 //!
 //! `decode(encode(x)) = x` exactly, and equal values have equal bytes: the digest of an artefact is the digest of its file.
 
@@ -41,7 +41,7 @@ pub use preview::Preview;
 pub use raster::{Band, Grid, Raster, Sample};
 pub use sketch::{Shown, Sketch};
 pub use surface::Surface;
-pub use table::{Cell, Table};
+pub use table::{Cell, Table, TableRow};
 pub use transform::Transform;
 
 /// The frame coordinates are in.
@@ -84,7 +84,19 @@ pub struct Export {
     pub bytes: Vec<u8>,
 }
 
-/// What every artefact type can do.
+/// A type of artefact: its kind, its file, and what can be known without its type.
+///
+/// ```
+/// use rockface_core::artefact::{Artefact, Kind, Noun, Table};
+///
+/// let table = Table::new(["name", "x_m"]);
+/// assert_eq!(Table::decode(&table.encode()?)?, table);
+///
+/// let artefact = Artefact::from(table);
+/// assert_eq!((artefact.kind(), Kind::Table.extension()), (Kind::Table, "json"));
+/// assert_eq!(Table::of(&artefact).map(|table| table.columns.len()), Some(2));
+/// # Ok::<(), rockface_core::artefact::CodecError>(())
+/// ```
 pub trait Noun: Sized {
     /// Its kind.
     const KIND: Kind;
@@ -140,7 +152,7 @@ macro_rules! artefacts {
             }
         }
 
-        /// A typed immutable value.
+        /// A typed immutable value: what a step hands to another. Each kind is a [`Noun`].
         #[derive(Debug, Clone, PartialEq)]
         #[allow(missing_docs)]
         pub enum Artefact { $( $Name($Name) ),* }

@@ -17,12 +17,12 @@ pub enum Cell {
 }
 
 impl Cell {
-    /// The number, if it is one.
+    /// The number, if the cell holds one.
     pub fn number(&self) -> Option<f64> {
         if let Self::Number(x) = self { Some(*x) } else { None }
     }
 
-    /// The text, if it is text.
+    /// The text, if the cell holds one.
     pub fn text(&self) -> Option<&str> {
         if let Self::Text(x) = self { Some(x) } else { None }
     }
@@ -31,6 +31,18 @@ impl Cell {
 impl From<f64> for Cell {
     fn from(value: f64) -> Self {
         if value.is_finite() { Self::Number(value + 0.0) } else { Self::Empty(()) }
+    }
+}
+
+impl From<usize> for Cell {
+    fn from(value: usize) -> Self {
+        Self::from(value as f64)
+    }
+}
+
+impl<T: Into<Self>> From<Option<T>> for Cell {
+    fn from(value: Option<T>) -> Self {
+        value.map_or(Self::Empty(()), Into::into)
     }
 }
 
@@ -73,6 +85,72 @@ pub struct Table {
     pub rows: Vec<Vec<Cell>>,
 }
 
+/// A row whose columns are the fields of a struct; declared with [`crate::table_row!`].
+pub trait TableRow {
+    /// Names of the columns, in order.
+    const COLUMNS: &'static [&'static str];
+
+    /// The names of the columns as a [`Table`] or an [`crate::artefact::Inventory`] holds them.
+    fn columns() -> Vec<String> {
+        Self::COLUMNS.iter().map(ToString::to_string).collect()
+    }
+
+    /// One cell a column.
+    fn cells(self) -> Vec<Cell>;
+}
+
+/// Declares the rows of a table as a struct: each field names a column and holds its cell, so names and cells cannot be
+/// listed in different orders. The type of a field is any that becomes a [`Cell`](crate::artefact::Cell); `None` and numbers
+/// that are not finite become empty cells.
+///
+/// ```
+/// use rockface_core::artefact::Table;
+/// use rockface_core::table_row;
+///
+/// table_row! {
+///     /// What is known of one block.
+///     struct BlockRow<'a> {
+///         name: &'a str,
+///         faces: usize,
+///         volume_m3: Option<f64>,
+///     }
+/// }
+///
+/// let rows = [
+///     BlockRow { name: "wedge", faces: 4, volume_m3: Some(0.5) },
+///     BlockRow { name: "open", faces: 3, volume_m3: None },
+/// ];
+/// let table: Table = rows.into_iter().collect();
+/// assert_eq!(table.columns, ["name", "faces", "volume_m3"]);
+/// assert_eq!(table.to_csv().unwrap(), b"name,faces,volume_m3\nwedge,4,0.5\nopen,3,\n");
+/// ```
+#[macro_export]
+macro_rules! table_row {
+    (
+        $(#[doc = $about:literal])+
+        $seen:vis struct $Name:ident $(<$life:lifetime>)? { $( $field:ident : $ty:ty ),* $(,)? }
+    ) => {
+        $(#[doc = $about])+
+        #[derive(Debug)]
+        #[allow(clippy::struct_field_names)] // columns have their unit in the name
+        $seen struct $Name $(<$life>)? { $( $field: $ty ),* }
+
+        impl $(<$life>)? $crate::artefact::TableRow for $Name $(<$life>)? {
+            const COLUMNS: &'static [&'static str] = &[$( stringify!($field) ),*];
+
+            fn cells(self) -> Vec<$crate::artefact::Cell> {
+                vec![$( self.$field.into() ),*]
+            }
+        }
+    };
+}
+
+impl<R: TableRow> FromIterator<R> for Table {
+    fn from_iter<I: IntoIterator<Item = R>>(rows: I) -> Self {
+        Self { columns: R::columns(), rows: rows.into_iter().map(R::cells).collect() }
+    }
+}
+
 /// A table as a file holds it.
 #[derive(serde::Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -99,7 +177,7 @@ impl Table {
         Self { columns: columns.into_iter().map(Into::into).collect(), rows: Vec::new() }
     }
 
-    /// Adds a row; it must have one cell a column.
+    /// Adds a row; it must have one cell a column. Rows of known columns are safer as a [`crate::table_row!`].
     pub fn push(&mut self, row: Vec<Cell>) {
         debug_assert_eq!(row.len(), self.columns.len());
         self.rows.push(row);
@@ -136,6 +214,27 @@ super::json_noun!(
 mod tests {
     use super::*;
     use crate::artefact::Noun;
+
+    #[test]
+    crate::table_row! {
+        /// A row of every type that becomes a cell.
+        struct Every {
+            number: f64,
+            count: usize,
+            word: String,
+            flag: bool,
+            missing: Option<f64>,
+        }
+    }
+
+    #[test]
+    fn a_row_puts_each_value_under_its_name() {
+        let none: Table = std::iter::empty::<Every>().collect();
+        assert_eq!(none.columns, ["number", "count", "word", "flag", "missing"]);
+        let row = |missing| Every { number: f64::NAN, count: 3, word: "a".to_owned(), flag: true, missing };
+        let table: Table = [row(None), row(Some(0.5))].into_iter().collect();
+        assert_eq!(table.to_csv().unwrap(), b"number,count,word,flag,missing\n,3,a,true,\n,3,a,true,0.5\n");
+    }
 
     #[test]
     fn every_kind_of_cell_comes_back() {

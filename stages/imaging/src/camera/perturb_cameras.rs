@@ -36,15 +36,6 @@ params! {
     }
 }
 
-const ZERO: Offsets = Offsets {
-    rotation_deg: [0.0; 3],
-    position_m: [0.0; 3],
-    focal_px: 0.0,
-    principal_point_px: [0.0; 2],
-    k: [0.0; 4],
-    p: [0.0; 2],
-};
-
 impl Offsets {
     /// The number of a parameter, in rad, m, px or 1.
     fn of(&self, parameter: Parameter) -> f64 {
@@ -76,9 +67,9 @@ params! {
         /// Whether principal distance, principal point and distortion change; false: they stay put.
         interior: bool = true,
         /// Standard deviations of model `independent`, the same for every image and sensor.
-        independent: Offsets = ZERO,
+        independent: Offsets = Offsets::default(),
         /// Systematic error added to every image and sensor in every model; `scale` leaves it alone.
-        shift: Offsets = ZERO,
+        shift: Offsets = Offsets::default(),
     }
 }
 
@@ -115,7 +106,7 @@ impl Stage for PerturbCameras {
         if params.independent.numbers().any(|sd| sd < 0.0) {
             faults.push(fault("independent", "a standard deviation cannot be negative"));
         }
-        if params.model != Model::Independent && params.independent != ZERO {
+        if params.model != Model::Independent && params.independent != Offsets::default() {
             faults.push(fault("independent", "only model `independent` uses these standard deviations"));
         }
         faults

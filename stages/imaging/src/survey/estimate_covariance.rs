@@ -50,9 +50,6 @@ impl InteriorSigma {
     }
 }
 
-const UNKNOWN: InteriorSigma =
-    InteriorSigma { focal_px: None, principal_point_px: None, affinity_px: None, k: None, p: None };
-
 params! {
     /// Parameters of `estimate-covariance`.
     pub struct EstimateCovarianceParams {
@@ -73,7 +70,7 @@ params! {
         /// Parameters of every sensor that are estimated too, of f, cx, cy, b1, b2, k1 to k4, p1, p2; none: the lens is known.
         free_interior: Vec<String> = Vec::new(),
         /// What is known of them beforehand.
-        interior_sigma: InteriorSigma = UNKNOWN,
+        interior_sigma: InteriorSigma = InteriorSigma::default(),
         /// What fixes the block as a whole.
         datum: DatumKind = DatumKind::Priors,
     }

@@ -8,10 +8,10 @@ use crate::survey::block_adjustment::propagation::{in_all, stereo_pairs};
 use crate::survey::block_adjustment::tie_points::Visibility;
 use crate::survey::forecast::{Joint, Matching, at_point};
 use crate::survey::overlap::sample_vertices;
-use rockface_core::artefact::{Band, Cameras, Cell, Covariance, Frame, Kind, Mesh, Pairs, Raster, Sample, Table};
+use rockface_core::artefact::{Band, Cameras, Covariance, Frame, Kind, Mesh, Pairs, Raster, Sample, Table};
 use rockface_core::numerics::marginal::marginal;
 use rockface_core::params::Range;
-use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params, table_row};
 use rockface_raster::rasterise::{extent, grid_around, tin};
 use rockface_raster::shape::Shape;
 
@@ -84,39 +84,43 @@ impl Stage for ForecastPrecision {
         let points = sample_vertices(mesh, SAMPLES);
         let survey = Survey::new(params, cameras, joint);
         let pairs = chosen_pairs(params, inputs.optional("pairs")?, cameras, &points, context)?;
-        let mut table = Table::new(COLUMNS);
+        let mut rows = Vec::new();
         for pair in &pairs {
             context.check_cancelled()?;
             let name = format!("{}+{}", cameras.images[pair[0]].name, cameras.images[pair[1]].name);
             let seen: Vec<_> = in_all(cameras, pair, &points).into_iter().map(|point| (point, pair.to_vec())).collect();
             if let Some(forecast) = survey.forecast(&seen) {
-                table.push(forecast.row(name, Some(baseline_ratio(cameras, pair, &forecast)), None));
+                rows.push(forecast.row(name, Some(baseline_ratio(cameras, pair, &forecast)), None));
             }
         }
         let visibility = Visibility::new(cameras, mesh);
         let seen: Vec<_> = points.iter().map(|point| (*point, visibility.images(point))).collect();
         let all = survey.forecast(&seen).ok_or_else(|| StageError::new("no part of the face lies in two images"))?;
         let simulated = inputs.optional::<Raster>("difference")?.and_then(simulated);
-        table.push(all.row("all images".to_owned(), None, simulated));
+        rows.push(all.row("all images".to_owned(), None, simulated));
         report(&all, simulated, context);
+        let table: Table = rows.into_iter().collect();
         Ok(Outputs::of("table", table).and("raster", survey.raster(params, mesh, &visibility, all.orientation_m)?))
     }
 }
 
-const COLUMNS: [&str; 12] = [
-    "of",
-    "points",
-    "images",
-    "gsd_m",
-    "base_to_distance",
-    "sigma_matching_m",
-    "sigma_orientation_m",
-    "sigma_z_m",
-    "lod95_m",
-    "simulated_std_m",
-    "simulated_nmad_m",
-    "simulated_to_forecast",
-];
+table_row! {
+    /// The forecast of a pair, or of all images.
+    struct ForecastRow {
+        of: String,
+        points: usize,
+        images: f64,
+        gsd_m: f64,
+        base_to_distance: Option<f64>,
+        sigma_matching_m: f64,
+        sigma_orientation_m: f64,
+        sigma_z_m: f64,
+        lod95_m: f64,
+        simulated_std_m: Option<f64>,
+        simulated_nmad_m: Option<f64>,
+        simulated_to_forecast: Option<f64>,
+    }
+}
 
 /// The pairs given, else all that make a stereo pair, not more than wanted.
 fn chosen_pairs(
@@ -249,17 +253,22 @@ impl Forecast {
         (self.matching_m * self.matching_m + self.orientation_m * self.orientation_m).sqrt()
     }
 
-    fn row(&self, of: String, base_to_distance: Option<f64>, simulated: Option<[f64; 2]>) -> Vec<Cell> {
+    fn row(&self, of: String, base_to_distance: Option<f64>, simulated: Option<[f64; 2]>) -> ForecastRow {
         let sigma = self.sigma_m();
-        let number = |value: Option<f64>| value.map_or(Cell::Empty(()), Cell::from);
-        let ratio = simulated.map(|[std, _]| std / (std::f64::consts::SQRT_2 * sigma));
-        let numbers = [self.points as f64, self.images, self.gsd_m];
-        let mut row = vec![of.into()];
-        row.extend(numbers.map(Cell::from));
-        row.push(number(base_to_distance));
-        row.extend([self.matching_m, self.orientation_m, sigma, lod95(sigma)].map(Cell::from));
-        row.extend([number(simulated.map(|[std, _]| std)), number(simulated.map(|[_, nmad]| nmad)), number(ratio)]);
-        row
+        ForecastRow {
+            of,
+            points: self.points,
+            images: self.images,
+            gsd_m: self.gsd_m,
+            base_to_distance,
+            sigma_matching_m: self.matching_m,
+            sigma_orientation_m: self.orientation_m,
+            sigma_z_m: sigma,
+            lod95_m: lod95(sigma),
+            simulated_std_m: simulated.map(|[std, _]| std),
+            simulated_nmad_m: simulated.map(|[_, nmad]| nmad),
+            simulated_to_forecast: simulated.map(|[std, _]| std / (std::f64::consts::SQRT_2 * sigma)),
+        }
     }
 }
 

@@ -68,12 +68,6 @@ params! {
     }
 }
 
-fn default_joints() -> Vec<JointSetParams> {
-    let (dip_deg, direction_deg, spacing_m, spread, step_m) = (58.0, 35.0, 0.9, 0.35, 0.2);
-    let (steps, block_length_m, persistence) = (Steps::Uniform, None, 1.0);
-    vec![JointSetParams { dip_deg, direction_deg, spacing_m, spread, step_m, steps, block_length_m, persistence }]
-}
-
 params! {
     /// Parameters of `synthesise-face`.
     pub struct SynthesiseFaceParams {
@@ -88,7 +82,7 @@ params! {
         /// Hurst exponent of relief and roughness: near 0 rugged, near 1 smooth.
         hurst: f64 = 0.8; Range::Between(0.0, 1.0),
         /// Joint sets, each with its own keys; `[]` for a face without joints.
-        joints: Vec<JointSetParams> = default_joints(),
+        joints: Vec<JointSetParams> = vec![JointSetParams::default()],
         /// Beds; left out, none.
         bedding: Option<BeddingParams> = None,
         /// Share of the blocks that have fallen out, down to the joints behind them.

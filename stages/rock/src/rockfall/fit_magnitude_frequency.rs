@@ -4,7 +4,7 @@ use crate::rockfall::power_law;
 use crate::rockfall::power_law::PowerLaw;
 use rockface_core::artefact::{Cell, Kind, Table};
 use rockface_core::params::Range;
-use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, params};
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, params, table_row};
 use rockface_raster::columns;
 
 params! {
@@ -71,25 +71,45 @@ fn why_not(volumes: &[f64], params: &FitMagnitudeFrequencyParams) -> String {
     )
 }
 
-const COLUMNS: [&str; 7] =
-    ["exponent", "standard_error", "minimum_m3", "count", "count_below", "ks_distance", "density_exponent"];
-
-fn row(numbers: [f64; 7]) -> Table {
-    let mut table = Table::new(COLUMNS);
-    table.push(numbers.map(Cell::from).to_vec());
-    table
+table_row! {
+    /// The power law of some volumes; without a law only its counts are known.
+    struct Fit {
+        exponent: Option<f64>,
+        standard_error: Option<f64>,
+        minimum_m3: Option<f64>,
+        count: usize,
+        count_below: usize,
+        ks_distance: Option<f64>,
+        density_exponent: Option<f64>,
+    }
 }
 
 fn fit_table(law: &PowerLaw) -> Table {
-    let PowerLaw { exponent, standard_error, minimum, count, below, distance } = *law;
-    row([exponent, standard_error, minimum, count as f64, below as f64, distance, exponent + 1.0])
+    let fit = Fit {
+        exponent: Some(law.exponent),
+        standard_error: Some(law.standard_error),
+        minimum_m3: Some(law.minimum),
+        count: law.count,
+        count_below: law.below,
+        ks_distance: Some(law.distance),
+        density_exponent: Some(law.exponent + 1.0),
+    };
+    std::iter::once(fit).collect()
 }
 
 /// The counts that are known without a law.
 fn no_law(volumes: &[f64], params: &FitMagnitudeFrequencyParams) -> Table {
     let below = params.minimum_m3.map_or(0, |minimum| volumes.partition_point(|volume| *volume < minimum));
-    let minimum = params.minimum_m3.unwrap_or(f64::NAN);
-    row([f64::NAN, f64::NAN, minimum, (volumes.len() - below) as f64, below as f64, f64::NAN, f64::NAN])
+    let fit = Fit {
+        exponent: None,
+        standard_error: None,
+        minimum_m3: params.minimum_m3,
+        count: volumes.len() - below,
+        count_below: below,
+        ks_distance: None,
+        density_exponent: None,
+    };
+    std::iter::once(fit).collect()
 }
 
 fn curve_table(volumes: &[f64], law: Option<&PowerLaw>) -> Table {

@@ -73,7 +73,8 @@ mod tests {
             let point = [("epoch".to_owned(), item.to_owned())].into_iter().collect();
             inputs.push("inventories", point, Arc::new(inventory.into()));
         }
-        let made = JoinInventories::run(&JoinInventoriesParams {}, &inputs, &Context::new(&TestHost::default()))?;
+        let made =
+            JoinInventories::run(&JoinInventoriesParams::default(), &inputs, &Context::new(&TestHost::default()))?;
         let Artefact::Inventory(found) = made.into_inner().remove("inventory").unwrap() else { panic!("none") };
         Ok(found)
     }

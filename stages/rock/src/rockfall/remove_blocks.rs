@@ -71,18 +71,6 @@ params! {
     }
 }
 
-const ALL_CHECKS: Checks = Checks {
-    border: true,
-    zone: true,
-    overlap: true,
-    depth: true,
-    size: true,
-    non_manifold: true,
-    holes: true,
-    self_intersection: true,
-    isolated: true,
-};
-
 params! {
     /// Parameters of `remove-blocks`.
     pub struct RemoveBlocksParams {
@@ -116,7 +104,7 @@ params! {
         /// Edges of the face under a block are cut until none is longer, metres; null: the face is taken as it is.
         refine_edge_m: Option<f64> = None; Range::Positive,
         /// The validity checks.
-        checks: Checks = ALL_CHECKS,
+        checks: Checks = Checks::default(),
         /// Cell of the rasters of labels and depths, metres.
         cell_m: f64 = 0.05; Range::Positive,
     }
