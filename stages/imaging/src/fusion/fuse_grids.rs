@@ -125,8 +125,9 @@ fn part(params: &FuseGridsParams, whole: Grid) -> Result<Grid, StageError> {
         // Shrunk by a hair, so that a window of whole cells takes no row or column beyond it.
         Some([left, right, bottom, top]) => {
             let hair = 1e-6 * whole.cell_m;
-            grid_around([left + hair, right - hair, bottom + hair, top - hair], whole.cell_m)
-                .map_err(StageError::new)?
+            grid_around([left + hair, right - hair, bottom + hair, top - hair], whole.cell_m).map_err(|why| {
+                StageError::new(why).hint("choose another `window_m`: left, right, bottom, top, metres")
+            })?
         }
     };
     if grid.cells() as f64 > MAXIMUM_CELLS {
