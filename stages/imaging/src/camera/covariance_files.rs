@@ -7,7 +7,7 @@ use super::orientation_parameters::Parameter;
 use rockface_core::artefact::{Cameras, Covariance, Frame};
 use rockface_core::{StageError, fail};
 
-/// Our own artefact, or a foreign file that calls its matrix `covariance` and may say more.
+/// The artefact of rockface, or a foreign file that calls its matrix `covariance` and may have further keys.
 #[derive(serde::Deserialize)]
 struct CovarianceFile {
     frame: Option<Frame>,
@@ -21,10 +21,10 @@ struct CovarianceFile {
     other: Map<String, Value>,
 }
 
-/// Reads `{parameters, covariance, sigma0_applied, full_joint?, units?, ...}` or our own covariance.
+/// Reads `{parameters, covariance, sigma0_applied, full_joint?, units?, ...}` or the covariance artefact of rockface.
 ///
 /// Units are rad, m, px and 1; a file that states others is refused. Returns the covariance, with the full names of
-/// `cameras`, and notes on what was read over.
+/// `cameras`, and a note for each key that was ignored.
 pub fn read(bytes: &[u8], cameras: &Cameras) -> Result<(Covariance, Vec<String>), StageError> {
     let file: CovarianceFile = serde_json::from_slice(bytes).map_err(|e| {
         StageError::new(format!("not a covariance file: {e}"))
@@ -68,15 +68,15 @@ fn check_units(names: &str, unit: &Value) -> Result<(), StageError> {
 }
 
 fn resolve(names: &[String], cameras: &Cameras) -> Result<Vec<String>, StageError> {
-    let mut found: Vec<Parameter> = Vec::with_capacity(names.len());
+    let mut resolved: Vec<Parameter> = Vec::with_capacity(names.len());
     for name in names {
         let parameter = Parameter::find(cameras, name)?;
-        if found.contains(&parameter) {
+        if resolved.contains(&parameter) {
             fail!("the covariance names the parameter `{name}` twice");
         }
-        found.push(parameter);
+        resolved.push(parameter);
     }
-    Ok(found.into_iter().map(|parameter| parameter.name(cameras)).collect())
+    Ok(resolved.into_iter().map(|parameter| parameter.name(cameras)).collect())
 }
 
 #[cfg(test)]
@@ -105,10 +105,10 @@ mod tests {
         assert_eq!(covariance.parameters, ["a.png.rx", "a.png.f"]);
         assert!(covariance.full_joint);
         assert_eq!(notes, ["keys of the file that are not used: method"]);
-        let own = covariance.encode().unwrap();
-        assert_eq!(read(&own, &block()).unwrap().0, covariance);
+        let bytes = covariance.encode().unwrap();
+        assert_eq!(read(&bytes, &block()).unwrap().0, covariance);
         let world = Cameras { frame: Frame::World, ..block() };
-        assert!(read(&own, &world).unwrap_err().message.contains("wall frame"));
+        assert!(read(&bytes, &world).unwrap_err().message.contains("wall frame"));
     }
 
     #[test]

@@ -11,7 +11,7 @@ const SYMMETRY: f64 = 1e-9;
 /// A correlation matrix may have eigenvalues down to minus this share of its largest.
 const NEGATIVE: f64 = 1e-10;
 
-/// A covariance made ready for drawing: standard deviations, and eigenvectors and roots of the correlation matrix.
+/// A covariance prepared for drawing: standard deviations, and eigenvectors and roots of eigenvalues of the correlation matrix.
 #[derive(Debug, Clone)]
 pub struct JointRoot {
     deviations: Vec<f64>,
@@ -93,7 +93,7 @@ fn correlation(covariance: &Covariance, deviations: &[f64]) -> DMatrix<f64> {
     })
 }
 
-/// Says why a covariance lacks the correlations that keep images consistent; `None` where it has them.
+/// A warning about a covariance without the correlations that keep images consistent; `None` where it has them.
 ///
 /// Drawing blocks alone on a stereo pair gives some 200 times the y-parallax of the joint matrix.
 pub fn block_only(covariance: &Covariance) -> Option<String> {

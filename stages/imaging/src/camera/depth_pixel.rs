@@ -1,9 +1,9 @@
-//! What one pixel of a depth map stands for: its place in the image, its ray, its point.
+//! One pixel of a depth map: its position in the image, its ray, its point.
 
 use crate::camera::model::{Camera, full_pixel};
 use rockface_core::artefact::Depth;
 
-/// What one pixel of a depth map stands for, in the frame of its camera.
+/// One pixel of a depth map, in the frame of its camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DepthPixel {
     /// Position of its centre in the full image, pixels from the centre of the first.

@@ -1,4 +1,4 @@
-//! A depth map looked at between its pixels: the slope of the inverse depth about a pixel, and the depth at any position.
+//! Depths between the pixels of a depth map: the slope of the inverse depth about a pixel, and the depth at any position.
 //!
 //! Inverse depth is an affine function of the ray wherever the surface is plane, and so, within a pixel of a real lens and
 //! less than a micrometre, of the position in the image.
@@ -8,10 +8,10 @@ use rockface_core::numerics::fast_round::nearest;
 
 /// Share of the depth by which a neighbour may differ and still belong to the same surface.
 pub const STEP: f64 = 0.01;
-/// Half width of the windows that depths between pixels are found in.
+/// Half width of the windows of the regression for depths between pixels.
 const REACH: usize = 2;
 
-/// Depths with the windows they are looked at in.
+/// A depth map and the size of the windows of its regressions.
 #[derive(Debug, Clone, Copy)]
 pub struct DepthWindow<'a> {
     /// Depths by row, metres, NaN where there is none.
@@ -35,7 +35,7 @@ pub struct Slope {
     pub down: f64,
 }
 
-/// The pixel a position lies in, as an index; `None` outside.
+/// Index of the pixel in which a position lies; `None` outside of the map.
 pub fn pixel_at(width: usize, height: usize, [x, y]: [f64; 2]) -> Option<usize> {
     let inside = x >= -0.5 && y >= -0.5 && x < width as f64 - 0.5 && y < height as f64 - 0.5;
     inside.then(|| nearest(y).max(0) as usize * width + nearest(x).max(0) as usize).filter(|at| *at < width * height)
@@ -47,8 +47,8 @@ impl<'a> DepthWindow<'a> {
         Self { z: &depth.z, width: depth.width, height: depth.height, reach: REACH }
     }
 
-    /// Depth at a position, metres: that of its pixel, carried on by the slope about it. The noise of a pixel is neither
-    /// averaged nor mixed with that of its neighbours, and steps are not bridged.
+    /// Depth at a position, metres: the depth of its pixel, extrapolated by the slope about that pixel. The noise of a pixel is
+    /// neither averaged nor mixed with that of its neighbours, and depth steps are not interpolated.
     pub fn z_at(&self, position: [f64; 2]) -> Option<f64> {
         let index = pixel_at(self.width, self.height, position)?;
         let z_m = f64::from(self.z[index]);
@@ -69,7 +69,7 @@ impl<'a> DepthWindow<'a> {
         for r in span(row, self.height) {
             for c in span(column, self.width) {
                 let z = f64::from(self.z[r * self.width + c]);
-                // Not a number is left out here too.
+                // The negated comparison leaves out NaN too.
                 if (z - z_m).abs() <= STEP * z_m {
                     let (du, dv, inverse) = (c as f64 - column as f64, r as f64 - row as f64, 1.0 / z);
                     (n, u, v, w) = (n + 1.0, u + du, v + dv, w + inverse);

@@ -1,4 +1,4 @@
-//! `export-cameras`: writes an image block as another program's file, whole or not at all.
+//! `export-cameras`: writes an image block as another program's file, or fails where the format cannot hold it exactly.
 
 use crate::camera::camera_files::{bundler, colmap_binary, colmap_text, metashape};
 use rockface_core::artefact::{Cameras, Covariance, Files, Kind, Noun};

@@ -36,7 +36,7 @@ params! {
     }
 }
 
-/// Bytes that tell a format.
+/// Bytes at the start of a file by which its format is recognised.
 const HEAD: u64 = 256;
 /// A principal distance below this share of the width (a field of view above 118 degrees) is rarely meant.
 const LEAST_USUAL_F_PER_WIDTH: f64 = 0.3;
@@ -105,7 +105,7 @@ fn read_cameras(params: &ImportCamerasParams, context: &Context) -> Result<Camer
     }
 }
 
-/// The files that may hold an image block, whole; others (photographs beside a model) are not read further.
+/// The complete files that may hold an image block; of others (photographs beside a model) only the first bytes are read.
 fn parts(files: Vec<SourceFile>) -> Result<Vec<Part>, StageError> {
     let only_one = files.len() == 1;
     let mut parts = Vec::new();
@@ -125,30 +125,30 @@ fn parts(files: Vec<SourceFile>) -> Result<Vec<Part>, StageError> {
     Ok(parts)
 }
 
-/// The refusal of a single file, by its first bytes.
+/// The error for a single file of unknown format, by its first bytes.
 fn unknown(head: &[u8]) -> StageError {
     let start = head.trim_ascii_start();
-    let found = if start.is_empty() {
+    let content = if start.is_empty() {
         "it is empty".to_owned()
     } else {
         format!("it starts with `{}`", start[..start.len().min(24)].escape_ascii())
     };
-    StageError::new(format!("neither JSON, XML, a Bundler file nor a COLMAP model: {found}"))
+    StageError::new(format!("neither JSON, XML, a Bundler file nor a COLMAP model: {content}"))
         .hint("give one of these, or the folder that holds a COLMAP model (cameras and images, .txt or .bin)")
 }
 
-/// The covariance of the parameter, else the one in the camera file, else one without parameters.
+/// The covariance of parameter `covariance`, else that of the camera file, else one without parameters.
 fn covariance(params: &ImportCamerasParams, file: &CameraFile, context: &Context) -> Result<Covariance, StageError> {
     let covariance = match (&params.covariance, &file.covariance) {
-        (Some(path), own) => {
-            if own.is_some() {
+        (Some(path), of_file) => {
+            if of_file.is_some() {
                 context.note("the covariance blocks of the camera file are not used: `covariance` is given");
             }
             read_covariance(path, &file.cameras, context)?
         }
-        (None, Some(own)) => {
-            JointRoot::new(own)?;
-            own.clone()
+        (None, Some(of_file)) => {
+            JointRoot::new(of_file)?;
+            of_file.clone()
         }
         (None, None) => nothing(file.cameras.frame),
     };

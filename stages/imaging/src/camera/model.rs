@@ -6,14 +6,14 @@ use rockface_core::artefact::{Depth, Image, Sensor};
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::simd::{Lanes, Number, both};
 
-/// Step below which a search for undistorted coordinates ends, from a near guess and from anywhere.
+/// Step below which the search for undistorted coordinates ends if it starts from a near guess.
 const NEAR: f64 = 2e-8;
-/// See [`NEAR`].
+/// Step below which the search ends otherwise.
 const FAR: f64 = 1e-9;
 /// Most steps of such a search.
 const MOST_STEPS: usize = 20;
 
-/// A sensor and an image made ready for projecting many points.
+/// A sensor and an image prepared for the projection of many points.
 ///
 /// Pixel coordinates have the centre of the first pixel at (0, 0); the camera frame is x right, y down, z forward.
 #[derive(Debug, Clone)]
@@ -100,7 +100,7 @@ impl Camera {
         self.undistort(xd, yd, [xd, yd], FAR)
     }
 
-    /// As [`Camera::normalised`], searched from a near guess, which saves most of the work.
+    /// As [`Camera::normalised`], searched from a near guess: much faster.
     #[inline]
     pub fn normalised_near(&self, pixel: [f64; 2], guess: [f64; 2]) -> Option<[f64; 2]> {
         let [xd, yd] = self.distorted(pixel);
@@ -163,7 +163,7 @@ impl Camera {
         [along(0), along(1), along(2)]
     }
 
-    /// As [`Camera::pixel`], for several rays; none beyond the fold of the distortion.
+    /// As [`Camera::pixel`], for several rays; NaN beyond the fold of the distortion.
     #[inline(always)]
     pub fn pixel_lanes(&self, [x, y]: [Lanes; 2]) -> [Lanes; 2] {
         let bent = if self.straight { [x, y] } else { distort(&self.sensor, x, y) };
@@ -171,7 +171,7 @@ impl Camera {
         both(self.affine(bent), |p| p.where_below(radius2, self.fold2))
     }
 
-    /// As [`Camera::normalised_near`], for several pixels; none where it has none.
+    /// As [`Camera::normalised_near`], for several pixels; NaN where it is `None`.
     #[inline(always)]
     pub fn normalised_near_lanes(&self, [u, v]: [Lanes; 2], guess: [Lanes; 2]) -> [Lanes; 2] {
         let s = &self.sensor;
@@ -179,20 +179,20 @@ impl Camera {
         self.undistort_lanes([(u - s.cx - yd * s.b2) / (s.f + s.b1), yd], guess)
     }
 
-    /// As [`Camera::normalised_in_row`] from near guesses only, for several columns; none where they do not lead to it.
+    /// As [`Camera::normalised_in_row`] from near guesses only, for several columns; NaN where the search fails from there.
     #[inline(always)]
     pub fn normalised_in_row_lanes(&self, u: Lanes, yd: f64, guess: [Lanes; 2]) -> [Lanes; 2] {
         let s = &self.sensor;
         self.undistort_lanes([(u - s.cx - s.b2 * yd) / (s.f + s.b1), Lanes::all(yd)], guess)
     }
 
-    /// As [`Camera::solve_distortion`] from near guesses, for several rays: each lane goes as far as it would alone.
+    /// As [`Camera::solve_distortion`] from near guesses, for several rays: each lane takes the steps it takes alone.
     #[inline(always)]
     fn undistort_lanes(&self, distorted: [Lanes; 2], [mut x, mut y]: [Lanes; 2]) -> [Lanes; 2] {
         if self.straight {
             return distorted;
         }
-        // 1 where the search goes on.
+        // 1 in lanes where the search continues.
         let mut open = (x + y + distorted[0] + distorted[1]).map(|sum| if sum.is_nan() { 0.0 } else { 1.0 });
         for _ in 0..MOST_STEPS {
             let [dx, dy] = newton_step(&self.sensor, distorted, [x, y]);
@@ -205,7 +205,7 @@ impl Camera {
             }
         }
         let radius2 = (x * x + y * y).with(open, |radius2, open| if open > 0.0 { f64::INFINITY } else { radius2 });
-        both([x, y], |found| found.where_below(radius2, self.fold2))
+        both([x, y], |solved| solved.where_below(radius2, self.fold2))
     }
 
     /// The object point at depth `z_m` (along the optical axis) on the ray of undistorted normalised coordinates.
@@ -239,7 +239,7 @@ fn radial<T: Number>(k: &[f64; 4], r2: T) -> T {
     r2 * (r2 * (r2 * (r2 * k[3] + k[2]) + k[1]) + k[0]) + 1.0
 }
 
-/// Distorted normalised coordinates of undistorted ones, without look at the fold.
+/// Distorted normalised coordinates of undistorted ones; the fold is not checked.
 #[inline(always)]
 pub fn distort<T: Number>(s: &Sensor, x: T, y: T) -> [T; 2] {
     let (r2, [p1, p2]) = (x * x + y * y, s.p);
@@ -263,7 +263,7 @@ pub fn distortion_jacobian<T: Number>(s: &Sensor, x: T, y: T) -> [[T; 2]; 2] {
     ]
 }
 
-/// What a step of Newton's method takes off undistorted coordinates so that they distort to the given ones.
+/// The step of Newton's method that is subtracted from undistorted coordinates to make them distort to the given ones.
 #[inline(always)]
 fn newton_step<T: Number>(s: &Sensor, [xd, yd]: [T; 2], [x, y]: [T; 2]) -> [T; 2] {
     let [fx, fy] = distort(s, x, y);

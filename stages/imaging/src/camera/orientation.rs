@@ -1,13 +1,13 @@
-//! Image blocks and their covariance taken from one frame to another by a rigid transform.
+//! Rigid transformation of image blocks and their covariance from one frame to another.
 
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 use rockface_core::artefact::{Cameras, Covariance, Frame, Image, Transform};
 use rockface_core::{StageError, fail};
 
-/// Takes an image block to another frame: `C' = T(C)`, `R' = R T^T` with T the rotation of `transform`.
+/// Transforms an image block to another frame: `C' = T(C)`, `R' = R T^T` with T the rotation of `transform`.
 ///
-/// Camera coordinates, and so every pixel, stay what they were. The identity keeps every bit.
+/// Camera coordinates, and so all pixels, do not change. The identity keeps every bit.
 #[must_use]
 pub fn cameras_to_frame(cameras: &Cameras, transform: &Transform, to: Frame) -> Cameras {
     let mut moved = Cameras { frame: to, ..cameras.clone() };
@@ -28,9 +28,9 @@ pub fn quaternion(rotation: &Matrix3<f64>) -> UnitQuaternion<f64> {
     UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*rotation))
 }
 
-/// Takes a joint covariance to another frame: `J Sigma J^T` with J the rotation on each image's X, Y, Z.
+/// Transforms a joint covariance to another frame: `J Sigma J^T` with J the rotation on each image's X, Y, Z.
 ///
-/// Rotation corrections live in the camera frame and interior orientation in the image: neither changes.
+/// Corrections of rotations are in the camera frame, those of interior orientation in the image: neither changes.
 /// The identity keeps every bit.
 ///
 /// # Errors
@@ -80,8 +80,8 @@ fn position_blocks(parameters: &[String]) -> Result<Vec<[usize; 3]>, StageError>
         }
     }
     let place = |image: &str, axis: &str| parameters.iter().position(|p| *p == format!("{image}.{axis}"));
-    let whole = |image: &&str| Some([place(image, "X")?, place(image, "Y")?, place(image, "Z")?]);
-    images.iter().map(|image| whole(image).ok_or_else(|| incomplete(image))).collect()
+    let all_three = |image: &&str| Some([place(image, "X")?, place(image, "Y")?, place(image, "Z")?]);
+    images.iter().map(|image| all_three(image).ok_or_else(|| incomplete(image))).collect()
 }
 
 fn incomplete(image: &str) -> StageError {
@@ -108,7 +108,7 @@ fn rotate_columns(matrix: &mut [Vec<f64>], rotation: &Matrix3<f64>, block: [usiz
     }
 }
 
-/// Copies the upper triangle to the lower: rounding must not make the matrix asymmetric.
+/// Copies the upper triangle to the lower, so that rounding does not make the matrix asymmetric.
 fn mirror(matrix: &mut [Vec<f64>]) {
     for i in 1..matrix.len() {
         let (above, rest) = matrix.split_at_mut(i);

@@ -32,8 +32,8 @@ impl Parameter {
         }
         let names: Vec<&str> = cameras.sensors.iter().map(|sensor| sensor.name.as_str()).collect();
         let place = INTERIOR.iter().position(|e| *e == element);
-        let found = place.and_then(|place| Some(Self::Interior(find_name(owner, &names)?, place)));
-        found.ok_or_else(|| unknown(name, cameras))
+        let parameter = place.and_then(|place| Some(Self::Interior(find_name(owner, &names)?, place)));
+        parameter.ok_or_else(|| unknown(name, cameras))
     }
 
     /// Its full name, such as `cam1.rx`.
@@ -67,11 +67,11 @@ fn unknown(name: &str, cameras: &Cameras) -> StageError {
 
 /// Applies corrections: `R' = Exp(dtheta) R` (camera frame, rad), `C' = C + dC` (m), and sums for interior orientation.
 ///
-/// Angles are never decomposed. What has no correction keeps its bits.
+/// Angles are never decomposed. Parameters without a correction keep their bits.
 ///
 /// # Errors
 ///
-/// When a corrected interior orientation is not usable any more (principal distance not positive).
+/// When a corrected interior orientation is unusable (principal distance not positive).
 pub fn correct(cameras: &Cameras, corrections: &[(Parameter, f64)]) -> Result<Cameras, StageError> {
     let mut corrected = cameras.clone();
     let mut rotations = vec![Vector3::zeros(); cameras.images.len()];
@@ -126,9 +126,9 @@ mod tests {
     fn every_name_finds_its_number() {
         let block = block();
         for (place, element) in EXTERIOR.iter().enumerate() {
-            let found = Parameter::find(&block, &format!("b.{element}")).unwrap();
-            assert_eq!(found, Parameter::Exterior(1, place));
-            assert_eq!(found.name(&block), format!("b.png.{element}"));
+            let parameter = Parameter::find(&block, &format!("b.{element}")).unwrap();
+            assert_eq!(parameter, Parameter::Exterior(1, place));
+            assert_eq!(parameter.name(&block), format!("b.png.{element}"));
         }
         for (place, name) in INTERIOR.iter().enumerate() {
             assert_eq!(Parameter::find(&block, &format!("s.{name}")).unwrap(), Parameter::Interior(0, place));

@@ -139,7 +139,7 @@ fn all(cameras: &Cameras) -> impl Iterator<Item = Parameter> {
     exterior.chain((0..sensors).flat_map(|i| (0..INTERIOR.len()).map(move |place| Parameter::Interior(i, place))))
 }
 
-/// The standard normal draw of a parameter; it depends on its name, not on the other parameters there are.
+/// The standard normal draw of a parameter; it depends on its name only, not on other parameters.
 fn draw(context: &Context, name: &str) -> f64 {
     context.stream("orientation", name).field().normal(0, 0)
 }

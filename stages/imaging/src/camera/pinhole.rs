@@ -1,8 +1,8 @@
-//! Depth maps as a camera without distortion would have them, with normals: what other programs' fusion takes.
+//! Depth maps resampled to a camera without distortion, with normals: the input of other programs' fusion.
 //!
-//! Inverse depth is an affine function of the ray wherever the surface is plane, so a map is carried to the rays of another
-//! pixel grid by its nearest pixel and the slope of the inverse depth about it: exact on planes, and the noise of a pixel is
-//! neither averaged nor mixed with that of its neighbours.
+//! On a plane, inverse depth is an affine function of the ray. The depth on a ray of the new pixel grid is that of the nearest
+//! old pixel, extrapolated by the slope of the inverse depth about it: exact on planes, and the noise of a pixel is neither
+//! averaged nor mixed with that of its neighbours.
 
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -30,8 +30,8 @@ pub struct PinholeMap {
 }
 
 impl PinholeMap {
-    /// The map of an image without its distortion, of the same size; same bits at any thread count. That of a sensor
-    /// without distortion and skew keeps its depths to the bit.
+    /// The map of an image without its distortion, of the same size. A sensor without distortion and skew keeps the bits of its
+    /// depths. The bits do not depend on the number of threads.
     pub fn of(depth: &Depth) -> Self {
         let (sensor, scale) = (&depth.sensor, f64::from(depth.downscale));
         let mut map = Self {
@@ -74,7 +74,7 @@ impl PinholeMap {
     }
 
     /// Unit normals in the camera frame, towards the camera, by regression over windows of `2 reach + 1` pixels a side;
-    /// NaN where there is no depth. Where a pixel stands alone its normal looks along its ray. Same bits at any thread count.
+    /// NaN without a depth. An isolated pixel has a normal along its ray. The bits do not depend on the number of threads.
     pub fn normals(&self, reach: usize) -> Vec<[f32; 3]> {
         let window = DepthWindow { z: &self.z, width: self.width, height: self.height, reach };
         let block = if reach >= BLOCK { BLOCK } else { 1 };
@@ -170,8 +170,8 @@ mod tests {
             }
             assert!(seen * 10 > map.z.len() * 9, "{seen} of {}", map.z.len());
             for reach in [2, 8] {
-                for found in map.normals(reach).iter().filter(|n| !n[0].is_nan()) {
-                    assert!((Vector3::from(*found).map(f64::from) + normal).norm() < 5e-3);
+                for estimate in map.normals(reach).iter().filter(|n| !n[0].is_nan()) {
+                    assert!((Vector3::from(*estimate).map(f64::from) + normal).norm() < 5e-3);
                 }
             }
         }

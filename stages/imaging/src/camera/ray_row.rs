@@ -1,23 +1,23 @@
-//! Undistorted rays along one row of a depth map, found from a few of them.
+//! Undistorted rays along one row of a depth map, interpolated from a few exact ones.
 
 use crate::camera::model::{Camera, full_pixel};
 use rockface_core::numerics::simd::{LANES, Lanes, Number, Work, both, vectorised};
 
-/// Image pixels between the rays that are found from scratch.
+/// Image pixels between the rays that are computed without interpolation.
 const SPACING_PX: u32 = 32;
 /// Fewest columns between them.
 const FEWEST: usize = 4;
 
-/// Finds the rays of a row; columns may be left out. A ray depends on no other column that was asked for.
+/// Computes the rays of a row, in any columns. A ray does not depend on which other columns are computed.
 ///
-/// Rays some columns apart are found from scratch; the cubic through four of them tells those between to 1e-10 or so, and one
-/// step of Newton's method does the rest.
+/// Nodes some columns apart are solved without a guess. The cubic through four nodes gives the rays between them to about
+/// 1e-10, and one step of Newton's method refines them.
 pub struct RayRow<'a> {
     camera: &'a Camera,
     downscale: u32,
     /// Distorted normalised y of the row.
     yd: f64,
-    /// Columns from a ray found from scratch to the next.
+    /// Columns from one node to the next.
     spacing: usize,
     /// Number of the stretch of columns that `around` is for.
     stretch: Option<usize>,
@@ -53,8 +53,8 @@ impl<'a> RayRow<'a> {
     pub fn rays(&mut self, first: usize, count: usize) -> Vec<[f64; 2]> {
         let mut rays = vec![[f64::NAN; 2]; count];
         for (block, rays) in rays.chunks_mut(LANES).enumerate() {
-            let found = self.block(first + block * LANES);
-            rays.iter_mut().enumerate().for_each(|(lane, ray)| *ray = [found[0][lane], found[1][lane]]);
+            let lanes = self.block(first + block * LANES);
+            rays.iter_mut().enumerate().for_each(|(lane, ray)| *ray = [lanes[0][lane], lanes[1][lane]]);
         }
         rays
     }
@@ -69,19 +69,19 @@ impl<'a> RayRow<'a> {
             if let [Some(a), Some(b), Some(c), Some(d)] = self.around {
                 let offset = (first - start * self.spacing) as f64;
                 let stretch = Stretch { row: self, first: first as f64, offset, around: [a, b, c, d] };
-                let found = vectorised(stretch);
-                if found[0].each().iter().all(|x| !x.is_nan()) {
-                    return found;
+                let rays = vectorised(stretch);
+                if rays[0].each().iter().all(|x| !x.is_nan()) {
+                    return rays;
                 }
             }
         }
-        let mut found = [Lanes::NONE; 2];
+        let mut rays = [Lanes::NONE; 2];
         for lane in 0..LANES {
             let [x, y] = self.ray(first + lane).unwrap_or([f64::NAN; 2]);
-            found[0].set(lane, x);
-            found[1].set(lane, y);
+            rays[0].set(lane, x);
+            rays[1].set(lane, y);
         }
-        found
+        rays
     }
 
     fn enter(&mut self, stretch: usize) {

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 
 use crate::camera::model::{Camera, full_pixel};
 use crate::camera::ray_row::RayRow;
+use rockface_core::StageError;
 use rockface_core::artefact::{Depth, Grid};
 use rockface_core::numerics::fast_round::floor;
 use rockface_raster::rasterise::grid_around;
@@ -66,13 +67,19 @@ struct Sums {
 ///
 /// Weights are `1 / sigma^2`. Points are added in their own order: the same bits at any thread count. `None` where no pixel
 /// falls into the window; an error where the grid would be too large.
-pub fn reduce(depth: &Depth, sigma: Sigma, cell_m: f64, window_m: Option<[f64; 4]>) -> Result<Option<Cells>, String> {
+pub fn reduce(
+    depth: &Depth,
+    sigma: Sigma,
+    cell_m: f64,
+    window_m: Option<[f64; 4]>,
+) -> Result<Option<Cells>, StageError> {
     let camera = Camera::of_depth(depth);
     let Some(reach) = reach(depth, &camera).map(|reach| clip(reach, window_m)) else { return Ok(None) };
     if reach[0] >= reach[1] || reach[2] >= reach[3] {
         return Ok(None);
     }
-    let grid = grid_around(reach, cell_m)?;
+    let grid = grid_around(reach, cell_m)
+        .map_err(|why| StageError::new(why).hint("choose a larger `cell_m` or a smaller `window_m`"))?;
     let mut sums = vec![Sums::default(); grid.cells()];
     let mut pixels = [0; 2];
     let placer = Placer { depth, camera: &camera, sigma, grid: &grid, window_m };
@@ -235,6 +242,12 @@ mod tests {
         let mut empty = plane([0.0; 3]);
         empty.z.fill(f32::NAN);
         assert!(reduce(&empty, Sigma::Constant(0.02), 0.25, None).unwrap().is_none());
+    }
+
+    #[test]
+    fn too_many_cells_are_an_error_with_a_way_out() {
+        let error = reduce(&plane([0.0; 3]), Sigma::Constant(0.02), 1e-9, None).unwrap_err();
+        assert!(error.message.contains("a grid of") && error.hint.is_some_and(|hint| hint.contains("larger `cell_m`")));
     }
 
     #[test]

@@ -51,9 +51,7 @@ impl Stage for GridDepth {
                 return Err(error.hint("give `sigma_m`, or let `match-image` keep its channels"));
             }
         };
-        let cells = reduce(depth, sigma, params.cell_m, params.window_m)
-            .map_err(|message| StageError::new(message).hint("choose another `cell_m` or `window_m`"))?;
-        let cells = cells.unwrap_or_else(|| {
+        let cells = reduce(depth, sigma, params.cell_m, params.window_m)?.unwrap_or_else(|| {
             context.warn(format!("image `{name}` has no depth inside the window: its grid is one empty cell"));
             empty(depth, params.cell_m)
         });

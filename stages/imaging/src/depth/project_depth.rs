@@ -149,8 +149,8 @@ fn former<'a>(
         (Some(depth), Some(mesh)) => (depth, mesh),
         _ => fail!("`before` and `before_mesh` go together: the depth map to start from, and the mesh it shows"),
     };
-    let own = Image { sensor: 0, ..image.clone() };
-    if (&depth.sensor, &depth.image) != (cameras.sensor(image), &own) || depth.frame != cameras.frame {
+    let expected = Image { sensor: 0, ..image.clone() };
+    if (&depth.sensor, &depth.image) != (cameras.sensor(image), &expected) || depth.frame != cameras.frame {
         let error = StageError::new(format!("`before` is by another camera than image `{}` of `cameras`", image.name));
         return Err(error.hint("where stations are not fixed nothing can be taken over: leave `before` out"));
     }
@@ -172,13 +172,13 @@ fn redrawn(
             buffer.keep_window(camera, params.downscale, window);
         }
     };
-    let Some(found) = redraw(meshes, &depth.z, camera, drawing, cut) else {
+    let Some(redrawn) = redraw(meshes, &depth.z, camera, drawing, cut) else {
         let error = StageError::new("`before` is not what `before_mesh` looks like with the parameters of this step");
         return Err(error.hint("make both by `project-depth` with equal parameters, or leave `before` out"));
     };
-    context.metric("changed_triangles", found.changed_triangles as f64, "1");
-    context.metric("redrawn_share", found.share, "1");
-    Ok(found.buffer)
+    context.metric("changed_triangles", redrawn.changed_triangles as f64, "1");
+    context.metric("redrawn_share", redrawn.share, "1");
+    Ok(redrawn.buffer)
 }
 
 fn checked_image<'a>(params: &ProjectDepthParams, mesh: &Mesh, cameras: &'a Cameras) -> Result<&'a Image, StageError> {

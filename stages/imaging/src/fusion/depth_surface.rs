@@ -25,7 +25,7 @@ pub struct Joining {
     pub min_cosine: f64,
 }
 
-/// What was made and what was cut.
+/// Counts of triangles.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Joined {
     /// Triangles of the surface.
@@ -43,9 +43,9 @@ enum Verdict {
     Grazing,
 }
 
-/// Joins the pixels of a depth map, which must be at least 2 x 2, inside the rectangle of those that are valid; triangles are counter-clockwise from the camera.
+/// Joins the valid pixels of a depth map of at least 2 x 2 pixels to triangles, counter-clockwise seen from the camera.
 ///
-/// Each square is cut along the diagonal that steps less in depth. The same bits at any thread count.
+/// Each square is cut along the diagonal with the smaller step in depth. The bits do not depend on the number of threads.
 pub fn join(depth: &Depth, joining: &Joining) -> (Surface, Joined) {
     let camera = Camera::of_depth(depth);
     let patch = Patch::of(depth);
@@ -125,7 +125,7 @@ fn rounded_origin(depth: &Patch, camera: &Camera) -> Vector3<f64> {
     camera.unproject(ray, 0.5 * (f64::from(low) + f64::from(high))).map(f64::round)
 }
 
-/// Whether a pixel has a depth: what is not finite, or behind the camera, is none.
+/// Whether a pixel has a depth: finite and in front of the camera.
 fn is_depth(z: f32) -> bool {
     z.is_finite() && z > 0.0
 }
@@ -203,7 +203,7 @@ impl Joiner<'_> {
         if grazes { Verdict::Grazing } else { Verdict::Kept }
     }
 
-    /// Whether a normal is so near the view that no rounding could make it graze; found without roots and divisions.
+    /// Whether a normal is clearly within the limit whatever the rounding; a fast test without roots and divisions.
     #[inline]
     fn faces_clearly(&self, normal: &Vector3<f64>, view: &Vector3<f64>) -> bool {
         let along = normal.dot(view);
@@ -216,7 +216,7 @@ impl Joiner<'_> {
     fn steps(&self, square: &Square, along_ac: bool) -> [bool; 2] {
         let [a, b, c, d] = square.z.map(f64::from);
         let (low, high) = (a.min(b).min(c.min(d)), a.max(b).max(c.max(d)));
-        // No two corners differ by more than may the nearest ones: the rule of most squares. NaN is never within it.
+        // Most squares: no two corners differ by more than the limit of the nearest ones. A comparison with NaN is false.
         if !square.z.iter().any(|z| z.is_nan()) && high - low <= self.allowed_m(low) {
             return [false; 2];
         }

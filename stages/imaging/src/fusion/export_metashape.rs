@@ -28,8 +28,8 @@ impl Stage for ExportMetashape {
         let depths: Vec<&Depth> = inputs.many::<Depth>("depths")?.into_iter().map(|(_, depth)| depth).collect();
         let Some(first) = depths.first() else { fail!("there is no depth map to export") };
         if let Some(other) = depths.iter().find(|depth| depth.frame != first.frame) {
-            let (name, found, frame) = (&other.image.name, other.frame, first.frame);
-            fail!("the depth map of image `{name}` is in the {found} frame, the first one in the {frame} frame");
+            let (name, other, frame) = (&other.image.name, other.frame, first.frame);
+            fail!("the depth map of image `{name}` is in the {other} frame, the first one in the {frame} frame");
         }
         let Project { files, origin_m } = lay_out(&depths, first.frame)?;
         if origin_m.iter().any(|x| *x != 0.0) {

@@ -130,15 +130,15 @@ impl Stage for FuseColmap {
         let mean_views = views.iter().map(|views| f64::from(*views)).sum::<f64>() / views.len() as f64;
         context.metric("points", cloud.points.len() as f64, "1");
         context.metric("views_mean", mean_views, "1");
-        let mut told = format!("{} depth maps, {} points", depths.len(), cloud.points.len());
+        let mut summary = format!("{} depth maps, {} points", depths.len(), cloud.points.len());
         let mut outputs = Outputs::of("cloud", cloud);
         if params.poisson.is_some() {
             let mesh = colmap_workspace::read_mesh(made(engine::MESHED, &result)?, frame, origin_m, &bounds)?;
             context.metric("triangles", mesh.triangles.len() as f64, "1");
-            told += &format!(", {} triangles", mesh.triangles.len());
+            summary += &format!(", {} triangles", mesh.triangles.len());
             outputs = outputs.and("mesh", mesh);
         }
-        context.headline(told);
+        context.headline(summary);
         Ok(outputs)
     }
 }

@@ -1,4 +1,4 @@
-//! `fuse-grids`: the 2.5D surface that the grids of many images agree on.
+//! `fuse-grids`: fuses the grids of many images to one 2.5D surface.
 
 use crate::fusion::grid_fusion::{FusedGrid, common_grid, fuse_grids, surface_of};
 use crate::matching::map_fusion::{Averaging, Rule};
@@ -47,7 +47,7 @@ impl Stage for FuseGrids {
     }
 
     fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
-        // All grids are at hand together; the fused one, its surface and their files besides.
+        // All grids at once; the fused grid, its surface and their files.
         2 * inputs.total() + 8 * inputs.largest("grids")
     }
 
@@ -88,7 +88,7 @@ impl Stage for FuseGrids {
     }
 }
 
-/// A grid with the items it was gathered from.
+/// A grid and the axis items of the instance it comes from.
 type Given<'a> = (&'a Point, &'a Raster);
 
 fn label(point: &Point) -> String {
@@ -104,7 +104,7 @@ fn check_bands((point, raster): &Given) -> Result<(), StageError> {
     Err(StageError::new(text).hint("`grid-depth` makes such grids"))
 }
 
-/// The grids that have a value somewhere; those of images that see nothing of the window have none.
+/// The grids with at least one value; images that see nothing of the window have grids without values.
 fn with_values<'a>(mut grids: Vec<Given<'a>>, context: &Context) -> Result<Vec<Given<'a>>, StageError> {
     let all = grids.len();
     grids.retain(|(_, raster)| raster.bands[0].values.iter().any(|z| !z.is_nan()));
@@ -118,15 +118,16 @@ fn with_values<'a>(mut grids: Vec<Given<'a>>, context: &Context) -> Result<Vec<G
     Ok(grids)
 }
 
-/// The part of the common grid that is asked for, on the same lattice.
+/// The requested part of the common grid, on the same lattice.
 fn part(params: &FuseGridsParams, whole: Grid) -> Result<Grid, StageError> {
     let grid = match params.window_m {
         None => whole,
-        // Shrunk by a hair, so that a window of whole cells takes no row or column beyond it.
+        // Shrunk by 1e-6 cells, so that a window of whole cells does not include a further row or column.
         Some([left, right, bottom, top]) => {
             let hair = 1e-6 * whole.cell_m;
-            grid_around([left + hair, right - hair, bottom + hair, top - hair], whole.cell_m)
-                .map_err(StageError::new)?
+            grid_around([left + hair, right - hair, bottom + hair, top - hair], whole.cell_m).map_err(|why| {
+                StageError::new(why).hint("choose another `window_m`: left, right, bottom, top, metres")
+            })?
         }
     };
     if grid.cells() as f64 > MAXIMUM_CELLS {

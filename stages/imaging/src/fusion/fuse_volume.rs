@@ -1,4 +1,4 @@
-//! `fuse-volume`: the mesh that many depth maps agree on, overhangs and all.
+//! `fuse-volume`: fuses many depth maps to one mesh, with overhangs.
 
 use crate::fusion::volume::blocks::{Layout, VOXELS, Volume, near};
 use crate::fusion::volume::integration::integrate;
@@ -25,9 +25,9 @@ params! {
     }
 }
 
-/// Voxels a truncation may have.
+/// Most voxels of a truncation.
 const MAXIMUM_TRUNCATION: f64 = 50.0;
-/// Blocks a volume may have: 9 GB.
+/// Most blocks of a volume: 9 GB.
 const MAXIMUM_BLOCKS: usize = 2_000_000;
 
 /// The stage.
@@ -87,7 +87,7 @@ impl Stage for FuseVolume {
     }
 }
 
-/// What has to be known of all depth maps before the first is added.
+/// Figures of all depth maps that are needed before the first one is added.
 struct Facts {
     maps: usize,
     frame: Frame,
@@ -98,7 +98,7 @@ struct Facts {
 }
 
 impl Facts {
-    /// Looks at one depth map after the other; at their sigmas only if asked.
+    /// Scans one depth map after the other; their sigmas only if needed.
     fn gather(inputs: &Inputs, sigmas: bool, context: &Context) -> Result<Self, StageError> {
         let maps = inputs.elements("depths").len();
         let mut facts = Self { maps, frame: Frame::Wall, with_sigma: 0, sigma: (0.0, 0) };
@@ -118,8 +118,8 @@ impl Facts {
         if index == 0 {
             self.frame = depth.frame;
         } else if self.frame != depth.frame {
-            let (name, found, first) = (&depth.image.name, depth.frame, self.frame);
-            fail!("the depth map of image `{name}` is in the {found} frame, the first one in the {first} frame");
+            let (name, frame, first) = (&depth.image.name, depth.frame, self.frame);
+            fail!("the depth map of image `{name}` is in the {frame} frame, the first one in the {first} frame");
         }
         let Some(sigma) = depth.channels.get("sigma") else { return Ok(()) };
         self.with_sigma += 1;

@@ -1,29 +1,29 @@
-//! Elevations of many images on one lattice of cells fused to a 2.5D surface, cell by cell.
+//! Fuses the elevations of many images on one lattice of cells to a 2.5D surface, cell by cell.
 
 use rayon::prelude::*;
 
 use crate::matching::map_fusion::{Measured, Rule, fuse};
 use rockface_core::artefact::{Frame, Grid, Raster, Surface};
 
-/// What the images say together.
+/// The fused grid.
 #[derive(Debug, Clone)]
 pub struct FusedGrid {
-    /// The grid around all images, or the part of it asked for.
+    /// The grid around all images, or the requested part of it.
     pub grid: Grid,
     /// Elevation, metres; NaN where too few images agree.
     pub elevation_m: Vec<f32>,
-    /// How many images it stands on; 0 where there is none.
+    /// How many images were averaged; 0 without an elevation.
     pub images: Vec<f32>,
-    /// Expected standard deviation were the images independent, metres.
+    /// Expected standard deviation for independent images, metres.
     pub sigma_m: Vec<f32>,
-    /// Values the images gave, and how many of them were kept.
+    /// Number of values of all images, and of those that were not rejected.
     pub values: [usize; 2],
 }
 
-/// Why grids do not fit each other: the index of the first that does not, and what is wrong.
+/// Why grids do not fit: the index of the first that does not, and the reason.
 pub type Misfit = (usize, String);
 
-/// A grid of an image, and where it stands in the common one.
+/// The grid of an image, and its position in the common one.
 struct Part<'a> {
     raster: &'a Raster,
     column: i64,
@@ -60,7 +60,7 @@ fn place(grid: &Grid) -> [f64; 2] {
     [(grid.left_m / grid.cell_m).round(), (grid.top_m / grid.cell_m).round()]
 }
 
-/// Fuses rasters with the bands elevation and sigma over a grid of their lattice. The same bits at any thread count.
+/// Fuses rasters with the bands elevation and sigma over a grid of their lattice. The bits do not depend on the number of threads.
 pub fn fuse_grids(rasters: &[&Raster], grid: &Grid, rule: &Rule) -> FusedGrid {
     let origin = place(grid);
     let part = |raster: &&'_ Raster| {
@@ -97,9 +97,9 @@ pub fn fuse_grids(rasters: &[&Raster], grid: &Grid, rule: &Rule) -> FusedGrid {
     FusedGrid { grid: *grid, elevation_m, images, sigma_m, values }
 }
 
-/// What the images say about the cells of one row.
+/// The elevations of all images in the cells of one row.
 struct Scratch {
-    /// `columns x images`, the first `counts` of each cell filled.
+    /// `columns x images`, of which the first `counts` of each cell are valid.
     values: Vec<Measured>,
     counts: Vec<u32>,
     images: usize,
@@ -157,7 +157,7 @@ pub fn surface_of(grid: &Grid, elevation_m: &[f32], frame: Frame, max_step_m: Op
     let allowed_m = max_step_m.unwrap_or(f64::INFINITY);
     let step = |a: usize, b: usize| f64::from((elevation_m[a] - elevation_m[b]).abs());
     let joined = |corners: [usize; 3]| {
-        // The comparison with NaN is false: a missing corner leaves no triangle.
+        // A comparison with NaN is false: a triangle with a missing corner is left out.
         [(0, 1), (1, 2), (2, 0)].into_iter().all(|(i, j)| step(corners[i], corners[j]) <= allowed_m)
     };
     let width = grid.columns;

@@ -33,13 +33,13 @@ pub enum Method {
     PointToPoint,
 }
 
-/// Which point of the target is the partner of a point.
+/// Which point of the target is paired with a point of the source.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Pairing {
-    /// The nearest in X and Y, as a comparison of rasters has it. Noise along Z does not choose the partner.
+    /// The nearest in X and Y, as in a comparison of rasters. Noise along Z does not affect the pairing.
     InPlan,
-    /// The nearest in space. Of many noisy points the one that fits is chosen, so residuals look small and every step
-    /// falls short.
+    /// The nearest in space. Among many noisy points it picks the one that fits, so residuals are underestimated and every step
+    /// is too short.
     InSpace,
 }
 
@@ -48,17 +48,17 @@ pub enum Pairing {
 pub struct Settings {
     /// What is minimised.
     pub method: Method,
-    /// Which points are pairs.
+    /// How points are paired.
     pub pairing: Pairing,
     /// Share of the pairs kept, the closest first (Chetverikov et al. 2005).
     pub trim: f64,
-    /// Pairs further apart are no pairs, metres; automatic where left out.
+    /// Largest distance of a pair, metres; `None`: automatic.
     pub max_distance_m: Option<f64>,
-    /// Points of the source that are used, about.
+    /// Approximate number of points of the source that are used.
     pub points: usize,
     /// Iterations at most.
     pub max_iterations: usize,
-    /// Directions with a smaller eigenvalue, as a share of the largest, are not moved along.
+    /// Least eigenvalue, as a share of the largest, of a direction that the registration may move along.
     pub weak_eigenvalue: f64,
 }
 
@@ -84,7 +84,7 @@ pub struct Registration {
 /// Registers the source on the target.
 ///
 /// # Errors
-/// Too few points or pairs, no overlap within the search distance, or a solution that runs away.
+/// Too few points or pairs, no overlap within the search distance, or a solution that diverges.
 pub fn register(source: &Surface, target: &Surface, settings: &Settings) -> Result<Registration, StageError> {
     let columns = Columns::new(target, settings.pairing == Pairing::InPlan)
         .ok_or_else(|| StageError::new("the target has no points"))?;
@@ -98,7 +98,7 @@ pub fn register(source: &Surface, target: &Surface, settings: &Settings) -> Resu
     let origin = Vector3::from(source.origin_m) + centroid;
     let search_m = settings.max_distance_m.unwrap_or(AUTOMATIC_SPACINGS * columns.spacing_m());
     let fit = Fit { target, normals: Normals::new(target), columns, arms, radius_m, search_m, settings: *settings };
-    // Relative to the target's origin, so that UTM coordinates lose nothing.
+    // Relative to the target's origin, so that UTM coordinates keep their precision.
     let start = origin - Vector3::from(target.origin_m);
     fit.solve(start).map(|(pose, outcome)| {
         let translation = pose.translation + Vector3::from(target.origin_m);
@@ -121,7 +121,7 @@ struct Pose {
     translation: Vector3<f64>,
 }
 
-/// A point of the source (turned about the centroid) and what separates it from its partner.
+/// A point of the source (rotated about the centroid) and its difference from its partner.
 struct Pair {
     arm: Vector3<f64>,
     offset: Vector3<f64>,
@@ -147,7 +147,7 @@ impl Fit<'_> {
             let (step, outcome) = system.solve(self.settings.weak_eigenvalue, self.radius_m);
             let (turn, shift) = (step.fixed_rows::<3>(0) / self.radius_m, step.fixed_rows::<3>(3).into_owned());
             iterations += 1;
-            // Pairs that change to and fro would otherwise swing for ever.
+            // Without damping, pairs that alternate would make the solution oscillate for ever.
             let share = if iterations > FULL_STEPS { 0.5 } else { 1.0 };
             let (turn, shift): (Vector3<f64>, Vector3<f64>) = (turn * share, shift * share);
             let small = |k: usize, step: f64, floor: f64| step.abs() < (outcome.sd[k] * STOP_SHARE).max(floor);
@@ -166,13 +166,13 @@ impl Fit<'_> {
     }
 
     fn system(&self, pose: &Pose) -> Result<System, StageError> {
-        let found: Vec<Option<Pair>> = self.arms.par_iter().map(|arm| self.pair(pose, arm)).collect();
-        let pairs: Vec<Pair> = found.into_iter().flatten().collect();
+        let partners: Vec<Option<Pair>> = self.arms.par_iter().map(|arm| self.pair(pose, arm)).collect();
+        let pairs: Vec<Pair> = partners.into_iter().flatten().collect();
         let least = ((self.arms.len() as f64 * LEAST_OVERLAP) as usize).max(LEAST_PAIRS);
         if pairs.len() < least {
-            let (found, all, search) = (pairs.len(), self.arms.len(), self.search_m);
+            let (paired, all, search) = (pairs.len(), self.arms.len(), self.search_m);
             let message = format!(
-                "the surfaces do not overlap: {found} of {all} points have a partner within {search:.3} m, {least} are needed"
+                "the surfaces do not overlap: {paired} of {all} points have a partner within {search:.3} m, {least} are needed"
             );
             return Err(StageError::new(message).hint("check that both are in one frame, or raise `max_distance_m`"));
         }
@@ -237,7 +237,7 @@ impl System {
         self.equations += 1;
     }
 
-    /// The step, and the quality of the solution it starts from; weak directions are left where they are.
+    /// The step, and the quality of the solution it starts from; weak directions are not moved.
     fn solve(&self, weak_eigenvalue: f64, radius_m: f64) -> (Vector6<f64>, Registration) {
         let eigen = SymmetricEigen::new(self.matrix);
         let least = eigen.eigenvalues.max() * weak_eigenvalue;

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use rockface_core::artefact::Surface;
 
-/// Points a column holds on average: few enough to look at all, enough to find one in the first ring.
+/// Average number of points of a column: few enough to test all, enough to find one in the first ring.
 const POINTS_PER_COLUMN: f64 = 2.0;
 
 /// The points of a surface, sorted into columns.
@@ -18,14 +18,14 @@ pub struct Columns<'a> {
     side: f64,
     wide: usize,
     high: usize,
-    /// Where each column starts in `places`; one more than there are columns.
+    /// Start of each column in `places`, and the end of the last one.
     starts: Vec<u32>,
     /// Places of points in the surface, column by column.
     places: Vec<u32>,
 }
 
 impl<'a> Columns<'a> {
-    /// Sorts the points; `None` where the surface has none. With `in_plan`, distances are those of X and Y alone.
+    /// Sorts the points; `None` for a surface without points. With `in_plan`, distances are in X and Y only.
     pub fn new(surface: &'a Surface, in_plan: bool) -> Option<Self> {
         let empty = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2], 0u32);
         let grow = |(low, high, n): ([f32; 2], [f32; 2], u32), p: &[f32; 3]| {
@@ -80,7 +80,7 @@ impl<'a> Columns<'a> {
         (y.min(self.high - 1) * self.wide + x.min(self.wide - 1)) as u32
     }
 
-    /// Mean distance of neighbouring points, metres, were they spread evenly over X and Y.
+    /// Mean distance of neighbouring points if they were spread evenly over X and Y, metres.
     pub fn spacing_m(&self) -> f64 {
         self.side / POINTS_PER_COLUMN.sqrt()
     }

@@ -1,4 +1,4 @@
-//! Normals of an organised surface from neighbourhoods wide enough that noise does not turn them.
+//! Normals of an organised surface from neighbourhoods so wide that noise does not tilt them.
 
 use std::sync::OnceLock;
 
@@ -12,11 +12,11 @@ const BLOCK: usize = 4;
 /// Half width, in points, of the neighbourhood of a block's centre. Where matching noise is two point spacings, normals
 /// from 5 x 5 points would be off by 16 degrees, from 17 x 17 they are off by 1.4.
 const REACH: usize = 8;
-/// Share of the neighbourhood that must have points.
+/// Least share of the neighbourhood that has points.
 const LEAST_FILLED: f64 = 0.5;
 
-/// One normal for every block of 4 x 4 points, by regression over 17 x 17 points about it; worked out when first asked for,
-/// since a registration by a subset of points asks for few.
+/// One normal for every block of 4 x 4 points, by regression over 17 x 17 points about it. Normals are computed on first use, as
+/// a registration by a subset of points uses few.
 pub struct Normals<'a> {
     surface: &'a Surface,
     blocks_wide: usize,
@@ -30,7 +30,7 @@ impl<'a> Normals<'a> {
         Self { surface, blocks_wide, blocks: (0..blocks_wide * blocks_high).map(|_| OnceLock::new()).collect() }
     }
 
-    /// Unit normal of a place of the surface, of either sign; `None` where too few points are about.
+    /// Unit normal at a place of the surface, of either sign; `None` where too few points are near.
     pub fn at(&self, place: usize) -> Option<Vector3<f64>> {
         let (row, column) = (place / self.surface.width / BLOCK, place % self.surface.width / BLOCK);
         let centre = (row * BLOCK + BLOCK / 2, column * BLOCK + BLOCK / 2);

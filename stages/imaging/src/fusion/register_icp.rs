@@ -1,4 +1,4 @@
-//! `register-icp`: finds the rigid motion that lays one measured surface on another.
+//! `register-icp`: estimates the rigid motion that registers one measured surface on another.
 
 use std::borrow::Cow;
 
@@ -69,7 +69,7 @@ impl Stage for RegisterIcp {
     const OUTPUTS: &'static [Port] = &[Port::one("transform", &[Kind::Transform], "target_from_source.")];
 
     fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
-        // Both surfaces as they are read and as they are used; only samples of them are matched.
+        // Both surfaces, as read and as used; only samples of them are matched.
         2 * inputs.total()
     }
 
@@ -82,13 +82,13 @@ impl Stage for RegisterIcp {
             context.headline("not registered, as asked");
             return Ok(Outputs::of("transform", Transform::identity("source", "target")));
         };
-        let found = icp::register(&source, &target, &settings)?;
-        report(&found, context);
-        Ok(Outputs::of("transform", found.transform))
+        let registration = icp::register(&source, &target, &settings)?;
+        report(&registration, context);
+        Ok(Outputs::of("transform", registration.transform))
     }
 }
 
-/// A surface, or that of the cell centres of an elevation raster: clouds and meshes of other programs come as one.
+/// A surface, or the surface of the cell centres of an elevation raster: clouds and meshes of other programs come as rasters.
 fn surface<'a>(inputs: &'a Inputs, port: &str) -> Result<Cow<'a, Surface>, StageError> {
     match inputs.artefact(port)? {
         Artefact::Raster(raster) => raster_surface::between_cells(raster)
@@ -121,32 +121,32 @@ fn settings(params: &RegisterIcpParams, frame: Frame) -> Option<Settings> {
 }
 
 /// Whether less than a hundredth of a parameter lies in directions the surface does not determine.
-fn is_determined(found: &Registration, parameter: usize) -> bool {
-    found.unobservable.iter().map(|direction| direction[parameter] * direction[parameter]).sum::<f64>() < 0.01
+fn is_determined(registration: &Registration, parameter: usize) -> bool {
+    registration.unobservable.iter().map(|direction| direction[parameter] * direction[parameter]).sum::<f64>() < 0.01
 }
 
-fn report(found: &Registration, context: &Context) {
-    let shift = Vector3::from(found.transform.translation) - Vector3::from(found.transform.origin);
-    let axis_angle = nalgebra::Rotation3::from_matrix_unchecked(found.transform.matrix()).scaled_axis();
-    context.metric("rms", found.rms_m, "m");
-    context.metric("pairs", found.pairs as f64, "1");
-    context.metric("iterations", found.iterations as f64, "1");
+fn report(registration: &Registration, context: &Context) {
+    let shift = Vector3::from(registration.transform.translation) - Vector3::from(registration.transform.origin);
+    let axis_angle = nalgebra::Rotation3::from_matrix_unchecked(registration.transform.matrix()).scaled_axis();
+    context.metric("rms", registration.rms_m, "m");
+    context.metric("pairs", registration.pairs as f64, "1");
+    context.metric("iterations", registration.iterations as f64, "1");
     for (k, axis) in ["x", "y", "z"].iter().enumerate() {
         context.metric(&format!("shift_{axis}"), shift[k], "m");
         context.metric(&format!("rotation_{axis}"), axis_angle[k].to_degrees(), "deg");
         // What the surface does not determine has no standard deviation.
-        if is_determined(found, 3 + k) {
-            context.metric(&format!("shift_{axis}_sd"), found.sd[3 + k], "m");
+        if is_determined(registration, 3 + k) {
+            context.metric(&format!("shift_{axis}_sd"), registration.sd[3 + k], "m");
         }
-        if is_determined(found, k) {
-            context.metric(&format!("rotation_{axis}_sd"), found.sd[k].to_degrees(), "deg");
+        if is_determined(registration, k) {
+            context.metric(&format!("rotation_{axis}_sd"), registration.sd[k].to_degrees(), "deg");
         }
     }
-    if !found.converged {
-        let n = found.iterations;
+    if !registration.converged {
+        let n = registration.iterations;
         context.warn(format!("still moving after {n} iterations; the last step is kept (raise `max_iterations`)"));
     }
-    for [rx, ry, rz, x, y, z] in &found.unobservable {
+    for [rx, ry, rz, x, y, z] in &registration.unobservable {
         context.warn(format!(
             "the surface does not determine the direction shift ({x:.2}, {y:.2}, {z:.2}) with rotation about \
              ({rx:.2}, {ry:.2}, {rz:.2}): nothing is moved along it"
@@ -156,8 +156,8 @@ fn report(found: &Registration, context: &Context) {
         "moved {:.1} mm and {:.4} deg, {:.2} mm rms over {} pairs",
         1e3 * shift.norm(),
         axis_angle.norm().to_degrees(),
-        1e3 * found.rms_m,
-        found.pairs
+        1e3 * registration.rms_m,
+        registration.pairs
     ));
 }
 

@@ -1,31 +1,22 @@
-//! The depth map of an image from all of its pairs, streamed row by row: the maps of single pairs exist for one row at a time.
+//! The depth map of an image fused from all of its pairs, row by row: the map of a single pair never exists as a whole.
 
 use rayon::prelude::*;
 
-use crate::camera::model::Camera;
 use crate::matching::map_fusion::{Fused, Measured, Rule, fuse};
-use crate::matching::pair::{Matcher, Tally};
-use crate::matching::pixel_row::OwnRow;
-use rockface_core::artefact::Depth;
+use crate::matching::matched::Tally;
+use crate::matching::pair::Matcher;
+use crate::matching::pixel_row::PixelRow;
 
-/// A pair seen from one of its images.
-pub struct Side<'a> {
-    /// The pair.
-    pub matcher: Matcher<'a>,
-    /// Which of its images is the one the map is made for: 0 first, 1 second.
-    pub own: usize,
-}
-
-/// How the maps of the pairs become one.
+/// How the depths of the pairs are fused.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Fusion {
-    /// How the values of a pixel are put together.
+    /// How the depths of a pixel are averaged and rejected.
     pub rule: Rule,
-    /// Standard deviation of a disparity that gives every depth its expected one, pixels; positive.
+    /// Standard deviation of a disparity, from which the expected deviation of every depth follows, pixels; positive.
     pub sigma_px: f64,
 }
 
-/// What happened over the image, added up in the order of rows.
+/// Counts and sums over the image, added in the order of rows.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ImageTally {
     /// Matches of each pair.
@@ -34,9 +25,9 @@ pub struct ImageTally {
     pub fused: usize,
     /// Pixels that at least one pair matched.
     pub matched: usize,
-    /// Depths the fused pixels stand on.
+    /// Depths that were averaged in the fused pixels.
     pub kept: usize,
-    /// Depths pairs gave to the fused pixels.
+    /// Depths of the fused pixels before rejection.
     pub given: usize,
     /// Sum of the expected deviations of the fused depths, metres.
     pub sigma_m: f64,
@@ -60,27 +51,29 @@ impl ImageTally {
 
 /// Matches an image with all of its partners; `keep` writes a fused pixel to its row.
 ///
-/// `camera` and `noisy` are those of the image of `ideal`. Rows are worked on in parallel. The same bits at any thread count.
+/// All of `matchers` make the map of one image, whose columns are `width`, sampled at its own pixels. Rows are processed in
+/// parallel. The bits do not depend on the number of threads.
 pub fn match_image<R: Send>(
-    ideal: &Depth,
-    [camera, noisy]: [&Camera; 2],
-    sides: &[Side],
+    matchers: &[Matcher],
+    width: usize,
     fusion: &Fusion,
     rows: &mut [R],
     keep: impl Fn(&mut R, usize, &Fused) + Sync,
 ) -> ImageTally {
-    let work = |scratch: &mut Scratch, (row, out): (usize, &mut R)| {
-        let pixels = OwnRow::new(ideal, camera, noisy, row);
-        scratch.work_off(&pixels, sides, fusion, |column, fused| keep(out, column, fused))
+    let empty = ImageTally::new(matchers.len());
+    let Some(any) = matchers.first() else { return empty };
+    let match_row = |scratch: &mut Scratch, (row, out): (usize, &mut R)| {
+        let pixels = any.pixel_row(row);
+        scratch.fuse_row(&pixels, matchers, fusion, |column, fused| keep(out, column, fused))
     };
-    let scratch = || Scratch::new(ideal.width, sides.len());
-    let tallies: Vec<ImageTally> = rows.par_iter_mut().enumerate().map_init(scratch, work).collect();
-    tallies.iter().fold(ImageTally::new(sides.len()), ImageTally::plus)
+    let scratch = || Scratch::new(width, matchers.len());
+    let tallies: Vec<ImageTally> = rows.par_iter_mut().enumerate().map_init(scratch, match_row).collect();
+    tallies.iter().fold(empty, ImageTally::plus)
 }
 
-/// What the pairs say about the pixels of one row.
+/// The depths that the pairs give the pixels of one row.
 struct Scratch {
-    /// `width x pairs`, the first `counts` of each pixel filled.
+    /// `width x pairs`, of which the first `counts` of each pixel are valid.
     values: Vec<Measured>,
     counts: Vec<u8>,
 }
@@ -90,21 +83,21 @@ impl Scratch {
         Self { values: vec![Measured::new(0.0, 1.0); width * pairs], counts: vec![0; width] }
     }
 
-    fn work_off(
+    fn fuse_row(
         &mut self,
-        pixels: &OwnRow,
-        sides: &[Side],
+        pixels: &PixelRow,
+        matchers: &[Matcher],
         fusion: &Fusion,
         mut keep: impl FnMut(usize, &Fused),
     ) -> ImageTally {
-        let (n, mut tally) = (sides.len(), ImageTally::new(sides.len()));
+        let (n, mut tally) = (matchers.len(), ImageTally::new(matchers.len()));
         self.counts.fill(0);
-        for (side, pair) in sides.iter().zip(&mut tally.pairs) {
-            side.matcher.match_row(side.own, pixels, |column, found| {
-                pair.add(found);
+        for (matcher, pair) in matchers.iter().zip(&mut tally.pairs) {
+            matcher.match_row(pixels, |column, matched| {
+                pair.add(matched);
                 let count = &mut self.counts[column];
-                let sigma_m = fusion.sigma_px * found.depth_per_px_m;
-                self.values[column * n + usize::from(*count)] = Measured::new(found.depth_m, sigma_m);
+                let sigma_m = fusion.sigma_px * matched.depth_per_px_m;
+                self.values[column * n + usize::from(*count)] = Measured::new(matched.depth_m, sigma_m);
                 *count += 1;
             });
         }

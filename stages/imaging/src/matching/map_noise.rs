@@ -1,4 +1,4 @@
-//! `map-noise`: where on a site the noise is strong, from rasters without change.
+//! `map-noise`: maps the strength of the noise over a site from rasters without change.
 
 use crate::matching::noise::strength::{Estimation, strength};
 use rockface_core::artefact::{Band, Kind, Raster, Sample};

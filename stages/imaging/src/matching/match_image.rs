@@ -2,12 +2,13 @@
 
 use std::collections::BTreeMap;
 
-use crate::camera::model::Camera;
-use crate::matching::image::{Fusion, ImageTally, Side, match_image};
+use crate::matching::image::{Fusion, ImageTally, match_image};
 use crate::matching::map_fusion::{Averaging, Fused, Rule};
 use crate::matching::noise::matcher::MatcherTerms;
+use crate::matching::pair::{Matcher, Sampling};
 use crate::matching::params::Matching;
 use crate::matching::setup::{Setup, check_size, noisy_image};
+use crate::matching::side::Side;
 use rockface_core::artefact::{Cameras, Depth, Image, Kind, Pair, Pairs, Raster};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{
@@ -111,7 +112,7 @@ impl Stage for MatchImage {
         if !shared || matches!(params.noise_sharing, NoiseSharing::Pair(_)) {
             return Vec::new();
         }
-        let fault = Fault::new("`matcher` has an `image_share` already: say it in one place");
+        let fault = Fault::new("`matcher` has an `image_share` already: give one of the two");
         vec![Fault { path: vec!["noise_sharing".into()], ..fault }]
     }
 
@@ -121,41 +122,44 @@ impl Stage for MatchImage {
         let chosen = pairs_of(pairs, &params.image)?;
         let image = noisy_image(noisy, ideal)?;
         let setup = setup(params, inputs.optional::<Raster>("strength")?)?;
-        let seen = setup.terms.as_ref().and_then(|terms| terms.seen(ideal));
-        let seen = seen.as_ref().unwrap_or(ideal);
+        let windowed = setup.terms.as_ref().and_then(|terms| terms.windowed(ideal));
+        let depth = windowed.as_ref().unwrap_or(ideal);
         let keys = |purpose: &str, item: &str| context.stream(purpose, item);
-        let mut sides = Vec::with_capacity(chosen.len());
+        let mut matchers = Vec::with_capacity(chosen.len());
         for pair in &chosen {
             context.check_cancelled()?;
-            let own = usize::from(pair.second == params.image);
-            let partner = if own == 0 { &pair.second } else { &pair.first };
-            let other = depth_of(inputs, partner, Some(pair))?;
-            check_scale(ideal, other)?;
-            let both = if own == 0 { [seen, other] } else { [other, seen] };
-            sides.push(Side { matcher: setup.matcher(&pair.name, both, own, noisy, &keys)?, own });
+            let (side, partner) = side_and_partner(pair, &params.image);
+            let partner = depth_of(inputs, partner, Some(pair))?;
+            check_scale(ideal, partner)?;
+            matchers.push(setup.matcher(&pair.name, side.array(depth, partner), side, noisy, &keys)?);
         }
-        let (map, tally) = fused_map(params, seen, &sides, noisy, image);
+        let (map, tally) = fused_map(params, depth, &matchers, noisy, image);
         report(params, context, &chosen, &map, &tally)?;
         Ok(Outputs::of("depth", map))
     }
 }
 
-/// The one depth map of an image; `pair` says who asks.
+/// The side of a pair on which an image is, and the name of the other image.
+fn side_and_partner<'a>(pair: &'a Pair, image: &str) -> (Side, &'a str) {
+    if pair.second == image { (Side::Second, &pair.first) } else { (Side::First, &pair.second) }
+}
+
+/// The one depth map of an image; `pair` is the pair that needs it, for the message.
 fn depth_of<'a>(inputs: &'a Inputs, image: &str, pair: Option<&Pair>) -> Result<&'a Depth, StageError> {
     let depths = candidates(inputs, image)?;
-    let mut found = depths.iter().filter(|depth| depth.image.name == image);
-    let asked = pair.map_or(String::new(), |pair| format!(", which pair `{}` needs", pair.name));
-    let (Some(depth), None) = (found.next(), found.next()) else {
+    let mut of_image = depths.iter().filter(|depth| depth.image.name == image);
+    let needed = pair.map_or(String::new(), |pair| format!(", which pair `{}` needs", pair.name));
+    let (Some(depth), None) = (of_image.next(), of_image.next()) else {
         let count = depths.iter().filter(|depth| depth.image.name == image).count();
-        let error = StageError::new(format!("`depths` holds {count} depth maps of image `{image}`{asked}, not one"));
+        let error = StageError::new(format!("`depths` holds {count} depth maps of image `{image}`{needed}, not one"));
         return Err(error.hint("gather them over the axis of images: {each: depth.depth, over: [image]}"));
     };
     check_size(&format!("the depth map of image `{image}`"), depth)?;
     Ok(depth)
 }
 
-/// The depth maps among which that of an image is to be found: those that were gathered under its name, so that in a large
-/// block only a few are ever read; all of them where there is none.
+/// The depth maps to search for that of an image: those gathered under its name, so that few of a large block are read;
+/// all of them where no map is gathered under its name.
 fn candidates<'a>(inputs: &'a Inputs, image: &str) -> Result<Vec<&'a Depth>, StageError> {
     let named = |(_, element): &(usize, &Element)| element.point.values().any(|item| item == image);
     let elements = inputs.elements("depths").iter().enumerate().filter(named);
@@ -186,7 +190,7 @@ fn check_scale(ideal: &Depth, other: &Depth) -> Result<(), StageError> {
 }
 
 fn setup<'a>(params: &MatchImageParams, strength: Option<&'a Raster>) -> Result<Setup<'a>, StageError> {
-    let mut setup = params.matching.setup(strength)?;
+    let mut setup = params.matching.setup(Sampling::Image, strength)?;
     let share = match &params.noise_sharing {
         NoiseSharing::Pair(_) => 0.0,
         NoiseSharing::Image(_) => 1.0,
@@ -207,7 +211,7 @@ fn fusion(params: &MatchImageParams) -> Fusion {
         tolerance_m: 0.0,
         minimum: params.min_pairs as usize,
     };
-    // Without noise the weights are those of one pixel.
+    // Without noise, a deviation of one pixel weights the depths.
     Fusion { rule, sigma_px: if sigma_px > 0.0 { sigma_px } else { 1.0 } }
 }
 
@@ -242,7 +246,7 @@ impl Channel {
 fn fused_map(
     params: &MatchImageParams,
     ideal: &Depth,
-    sides: &[Side],
+    matchers: &[Matcher],
     noisy: &Cameras,
     image: &Image,
 ) -> (Depth, ImageTally) {
@@ -254,8 +258,7 @@ fn fused_map(
         let lines = rows.iter_mut().zip(values.chunks_mut(ideal.width));
         lines.for_each(|(row, line)| row.channels.push((*channel, line)));
     }
-    let cameras = [Camera::of_depth(ideal), Camera::new(noisy.sensor(image), image)];
-    let tally = match_image(ideal, [&cameras[0], &cameras[1]], sides, &fusion(params), &mut rows, Row::keep);
+    let tally = match_image(matchers, ideal.width, &fusion(params), &mut rows, Row::keep);
     let map = Depth {
         frame: noisy.frame,
         sensor: noisy.sensor(image).clone(),
@@ -283,12 +286,12 @@ fn report(
             .hint("its pairs do not overlap, every point is hidden from the partners (see `occlusion`), or `min_pairs` is too high"));
     }
     let mut worst_px = 0.0f64;
-    for (pair, found) in pairs.iter().zip(&tally.pairs) {
-        if found.count == 0 {
+    for (pair, matched) in pairs.iter().zip(&tally.pairs) {
+        if matched.count == 0 {
             context.warn(format!("pair `{}`: the two images have no point in common", pair.name));
             continue;
         }
-        let rms_px = (found.y_parallax2_px2 / found.count as f64).sqrt();
+        let rms_px = (matched.y_parallax2_px2 / matched.count as f64).sqrt();
         if let Some(warning) = params.matching.judge_y_parallax(&pair.name, rms_px)? {
             context.warn(warning);
         }

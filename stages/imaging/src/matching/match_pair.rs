@@ -2,32 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use crate::matching::pair::{Match, Matcher, Tally};
+use crate::matching::matched::{Match, Tally};
+use crate::matching::pair::{Matcher, Sampling};
 use crate::matching::params::Matching;
 use crate::matching::rectified_row::rectified_camera;
 use crate::matching::setup::{check_size, noisy_image};
+use crate::matching::side::Side;
 use rockface_core::artefact::{Cameras, Depth, Image, Kind, Pair, Pairs, Raster};
-use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
-
-choice! {
-    /// An image of a pair.
-    pub enum Side {
-        /// The first (left) image.
-        First = "first",
-        /// The second (right) image.
-        Second = "second",
-    }
-}
-
-choice! {
-    /// Where disparities are sampled.
-    pub enum Sampling {
-        /// At the pixels of the image whose depth map is made.
-        Image = "image",
-        /// At the pixels of its rectified image, as the paper has it: the depth map is that of the rectified camera.
-        Rectified = "rectified",
-    }
-}
+use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 
 params! {
     /// Parameters of `match-pair`.
@@ -84,17 +66,16 @@ impl Stage for MatchPair {
         let noisy = inputs.one::<Cameras>("noisy")?;
         let pair = choose_pair(params, inputs.one("pairs")?)?;
         check_depths(pair, ideal)?;
-        let own = usize::from(params.of == Side::Second);
-        let seen = params.matching.matcher.as_ref().and_then(|terms| terms.seen(ideal[own]));
-        let mut matched = ideal;
-        if let Some(seen) = &seen {
-            matched[own] = seen;
+        let side = params.of;
+        let windowed = params.matching.matcher.as_ref().and_then(|terms| terms.windowed(ideal[side]));
+        let mut depths = ideal;
+        if let Some(windowed) = &windowed {
+            depths[side] = windowed;
         }
-        let setup = params.matching.setup(inputs.optional::<Raster>("strength")?)?;
+        let setup = params.matching.setup(params.sampling, inputs.optional::<Raster>("strength")?)?;
         let keys = |purpose: &str, item: &str| context.stream(purpose, item);
-        let mut matcher = setup.matcher(&pair.name, matched, own, noisy, &keys)?;
-        matcher.rectified = params.sampling == Sampling::Rectified;
-        let (map, tally) = matched_map(params, &matcher, own, noisy, noisy_image(noisy, ideal[own])?);
+        let matcher = setup.matcher(&pair.name, depths, side, noisy, &keys)?;
+        let (map, tally) = matched_map(params, &matcher, noisy, noisy_image(noisy, ideal[side])?);
         report(params, context, pair, &map, &tally)?;
         Ok(Outputs::of("depth", map))
     }
@@ -114,9 +95,11 @@ fn choose_pair<'a>(params: &MatchPairParams, pairs: &'a Pairs) -> Result<&'a Pai
 
 fn check_depths(pair: &Pair, [first, second]: [&Depth; 2]) -> Result<(), StageError> {
     for (port, depth, expected) in [("first", first, &pair.first), ("second", second, &pair.second)] {
-        let found = &depth.image.name;
-        if found != expected {
-            fail!("`{port}` is a depth map of image `{found}`, pair `{}` needs `{expected}` there", pair.name);
+        let name = &depth.image.name;
+        if name != expected {
+            let text =
+                format!("`{port}` is the depth map of image `{name}`; pair `{}` needs that of `{expected}`", pair.name);
+            return Err(StageError::new(text).hint("check the two inputs, or choose another `pair`"));
         }
         check_size(&format!("`{port}`"), depth)?;
     }
@@ -128,12 +111,12 @@ fn check_depths(pair: &Pair, [first, second]: [&Depth; 2]) -> Result<(), StageEr
     Ok(())
 }
 
-/// What a channel keeps of a match.
+/// The value of a match that a channel holds.
 type Of = fn(&Match) -> f64;
-/// Name of a channel, and what is in it.
+/// Name of a channel, and its value.
 type Channel = (&'static str, Of);
 
-/// Channels of the paper's noise, then those of a matcher's further terms.
+/// Channels: first those of the paper's noise, then those of further terms.
 const CHANNELS: [Channel; 10] = [
     ("range", Match::range_m),
     ("disparity.ideal", |m| m.ideal_px),
@@ -147,7 +130,7 @@ const CHANNELS: [Channel; 10] = [
     ("noise.relief", |m| m.error.relief_px),
 ];
 
-/// Channels that the paper's noise has too.
+/// How many of them the paper's noise has.
 const PAPER_CHANNELS: usize = 6;
 
 fn channels(params: &MatchPairParams) -> &'static [Channel] {
@@ -158,14 +141,9 @@ fn channels(params: &MatchPairParams) -> &'static [Channel] {
     }
 }
 
-fn matched_map(
-    params: &MatchPairParams,
-    matcher: &Matcher,
-    own: usize,
-    noisy: &Cameras,
-    image: &Image,
-) -> (Depth, Tally) {
-    let ideal = matcher.ideal[own];
+fn matched_map(params: &MatchPairParams, matcher: &Matcher, noisy: &Cameras, image: &Image) -> (Depth, Tally) {
+    let (geometry, side) = (matcher.geometry(), params.of);
+    let ideal = geometry.ideal[side];
     let empty = || vec![f32::NAN; ideal.z.len()];
     let wanted = channels(params);
     let mut z = empty();
@@ -174,16 +152,15 @@ fn matched_map(
     for ((_, of), values) in wanted.iter().zip(&mut values) {
         rows.iter_mut().zip(values.chunks_mut(ideal.width)).for_each(|(row, values)| row.channels.push((*of, values)));
     }
-    let tally = matcher.match_image(own, &mut rows, Row::keep);
+    let tally = matcher.match_image(&mut rows, Row::keep);
     let mut channels: BTreeMap<String, Vec<f32>> =
         wanted.iter().map(|(name, _)| (*name).to_owned()).zip(values).collect();
     if params.channels {
         channels.insert("valid".to_owned(), z.iter().map(|z| f32::from(u8::from(z.is_finite()))).collect());
     }
-    let sensor = noisy.sensor(image);
     let (sensor, image) = match params.sampling {
-        Sampling::Image => (sensor.clone(), Image { sensor: 0, ..image.clone() }),
-        Sampling::Rectified => rectified_camera(&matcher.rectification, own, ideal, (sensor, image)),
+        Sampling::Image => (noisy.sensor(image).clone(), Image { sensor: 0, ..image.clone() }),
+        Sampling::Rectified => rectified_camera(geometry, side, image),
     };
     let map = Depth {
         frame: noisy.frame,

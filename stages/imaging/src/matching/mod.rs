@@ -1,15 +1,19 @@
 //! Dense matching of image pairs and its noise (paper, sections 2.2 and 2.3).
 
+pub mod correspondence;
 pub mod image;
 pub mod map_fusion;
+pub mod matched;
 pub mod noise;
 pub mod noisy_rays;
 pub mod pair;
+pub mod pair_geometry;
 pub mod params;
 pub mod pixel_row;
 pub mod rectification;
 pub mod rectified_row;
 pub mod setup;
+pub mod side;
 
 // A new stage is its file, its `mod` here and its row below.
 mod map_noise;

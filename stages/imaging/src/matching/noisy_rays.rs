@@ -1,18 +1,18 @@
-//! The rays that a camera with a wrong interior orientation takes the rays of the true one for.
+//! The rays of pixels by a wrong interior orientation, from their rays by the true one.
 
 use crate::camera::model::Camera;
 use rockface_core::numerics::simd::{LANES, Lanes, both};
 
-/// Image pixels between the places where the step from the true ray to the noisy one is known.
+/// Distance of the nodes at which the difference between noisy and true rays is tabulated, image pixels.
 const SPACING_PX: f64 = 32.0;
 
-/// Finds noisy rays of pixels whose true rays are known. The step from one to the other changes slowly over the image: a table of
-/// it tells the noisy ray to 1e-8 or so, and Newton's method the rest. A ray depends on no other.
+/// Finds noisy rays of pixels whose true rays are known. The difference of the two varies slowly over the image: a table gives the
+/// noisy ray to about 1e-8, and Newton's method refines it. No ray depends on another one.
 #[derive(Debug, Clone)]
 pub struct NoisyRays {
     columns: usize,
     rows: usize,
-    /// Noisy less true normalised coordinates at every [`SPACING_PX`] pixels from the first; NaN where there are none.
+    /// Noisy minus true normalised coordinates at the nodes; NaN where a camera has no ray.
     steps: Vec<[f64; 2]>,
 }
 
@@ -22,7 +22,7 @@ impl NoisyRays {
         let count = |pixels: u32| (f64::from(pixels) / SPACING_PX).ceil() as usize + 2;
         let (columns, rows) = (count(camera.sensor().width_px), count(camera.sensor().height_px));
         let step = |at: usize| {
-            // The first stands half a pixel or more before the image, the last beyond it.
+            // The nodes enclose the image: the first lies before it, the last beyond it.
             let place = |n: usize| (n as f64 - 0.5) * SPACING_PX;
             let pixel = [place(at % columns), place(at / columns)];
             match (camera.normalised(pixel), noisy.normalised(pixel)) {
@@ -33,13 +33,13 @@ impl NoisyRays {
         Self { columns, rows, steps: (0..columns * rows).map(step).collect() }
     }
 
-    /// Undistorts positions with the noisy interior orientation; `true_ray` is what the true one makes of them. None where there is none.
+    /// Undistorts positions with the noisy interior orientation; `true_ray` are their rays by the true one. NaN without a ray.
     #[inline(always)]
     pub fn ray_lanes(&self, noisy: &Camera, pixel: [Lanes; 2], true_ray: [Lanes; 2]) -> [Lanes; 2] {
         let [x, y] = both(pixel, |p| p / SPACING_PX + 0.5);
         let [across, down] = both([x, y], |p| p.map(f64::floor));
         let (tx, ty) = (x - across, y - down);
-        // Steps at the places above left, above right, below left and below right of each position.
+        // Differences at the nodes above left, above right, below left and below right of each position.
         let mut around = [[Lanes::NONE; 2]; 4];
         for lane in 0..LANES {
             let inside = across[lane] >= 0.0 && down[lane] >= 0.0;
@@ -57,18 +57,18 @@ impl NoisyRays {
             let bottom = below_left[i] + tx * (below_right[i] - below_left[i]);
             true_ray[i] + (top + ty * (bottom - top))
         });
-        let mut found = noisy.normalised_near_lanes(pixel, guess);
-        // What no near guess leads to is searched for from afar.
+        let mut rays = noisy.normalised_near_lanes(pixel, guess);
+        // Where Newton's method fails from the guess, search from the pixel itself.
         for lane in 0..LANES {
-            if found[0][lane].is_nan()
+            if rays[0][lane].is_nan()
                 && !pixel[0][lane].is_nan()
                 && let Some([x, y]) = noisy.normalised(pixel.map(|p| p[lane]))
             {
-                found[0].set(lane, x);
-                found[1].set(lane, y);
+                rays[0].set(lane, x);
+                rays[1].set(lane, y);
             }
         }
-        found
+        rays
     }
 }
 
@@ -117,7 +117,7 @@ mod tests {
         let camera = |sensor: &Sensor| Camera::new(sensor, &image_at("a", [0.0; 3], [0.0; 3]));
         let (camera, noisy) = (camera(&sensor), camera(&wrong));
         let rays = NoisyRays::new(&camera, &noisy);
-        // The outermost corners of the image, all of it, and what lies beyond the table.
+        // All of the image with its corners, and positions beyond the table.
         for i in 0..400 {
             let pixel = [f64::from(i % 20) * 3.15 - 0.5, f64::from(i / 20) * 2.1 - 0.5];
             let [x, y] = rays.ray(&noisy, pixel, camera.normalised(pixel).unwrap()).unwrap();
@@ -131,10 +131,10 @@ mod tests {
         let pixels = [0, 1, 2, 3, 4, 5, 6, 7].map(|lane| [u[lane], 7.5]);
         let truth = pixels.map(|pixel| camera.normalised(pixel).unwrap_or([f64::NAN; 2]));
         let lanes = [0, 1].map(|i| Lanes::of(|lane| truth[lane][i]));
-        let found = rays.ray_lanes(&noisy, [u, Lanes::all(7.5)], lanes);
+        let lanes = rays.ray_lanes(&noisy, [u, Lanes::all(7.5)], lanes);
         for lane in 0..LANES {
             let expected = rays.ray(&noisy, pixels[lane], truth[lane]).unwrap_or([f64::NAN; 2]);
-            assert_eq!(found.map(|value| value[lane].to_bits()), expected.map(f64::to_bits), "{lane}");
+            assert_eq!(lanes.map(|value| value[lane].to_bits()), expected.map(f64::to_bits), "{lane}");
         }
     }
 }

@@ -1,289 +1,193 @@
-//! The noisy depth map one image of a stereo pair would yield: true projections, noisy rectification, noisy disparity.
+//! The noisy depth map that one image of a stereo pair yields: true projections, noisy rectification, noisy disparity.
 //!
-//! For each pixel q of the image: the true point on its true ray at the ideal depth; its true projection into the other
-//! image; both positions undistorted and rectified with the noisy cameras; disparity x1 - x2 plus noise; and back to a
-//! depth on the noisy ray of q, whose own rectified row it keeps (paper 2.1.2, Algorithm 2 lines 10 to 19, Eq. 2 and 3).
-//! Rows of the two positions differ by the y-parallax that wrong orientations cause; it is reported, never averaged in.
-//! Pixels are those of the depth-map level throughout.
+//! For each pixel q of the image: the true point on the true ray of q at the ideal depth; its true projection into the
+//! partner image; both positions undistorted and rectified with the noisy cameras; disparity x1 - x2 plus noise; and back
+//! to a depth on the noisy ray of q, whose rectified row is kept (paper 2.1.2, Algorithm 2 lines 10 to 19, Eq. 2 and 3).
+//! Wrong orientations make the rows of the two positions differ; this y-parallax is reported and does not change the depth.
+//! Pixels are those of the depth map throughout.
 
 use rayon::prelude::*;
 
-use crate::camera::model::{Camera, full_pixel};
-use crate::matching::noise::paper::{FieldRecipe, LocalNoise, SmoothNoise};
-use crate::matching::noise::terms::{DisparityError, Lookups, Site, Terms};
+use crate::matching::correspondence::{Correspondence, Projected};
+use crate::matching::matched::{Match, Tally};
+use crate::matching::noise::model::NoiseModel;
+use crate::matching::noise::terms::{Lookups, Site, Terms};
 use crate::matching::noisy_rays::NoisyRays;
-use crate::matching::pixel_row::{Block, OwnRow};
-use crate::matching::rectification::{Placed, Rectification};
+use crate::matching::pair_geometry::PairGeometry;
+use crate::matching::pixel_row::{Block, PixelRow};
 use crate::matching::rectified_row::{rectified_ray, rectified_row, source_pixel};
-use rockface_core::StageError;
-use rockface_core::artefact::Depth;
-use rockface_core::fail;
+use crate::matching::side::Side;
+use rockface_core::choice;
 use rockface_core::numerics::fast_round::{floor, nearest};
-use rockface_core::numerics::random::Key;
 use rockface_core::numerics::simd::{LANES, Lanes, Number, Work, both, vectorised};
 
-/// The white part of the noise: its deviation in pixels, and its draws.
-pub type Local = (f64, LocalNoise);
-/// The smooth part of the noise: its deviation in pixels, and its field.
-pub type Smooth = (f64, SmoothNoise);
+choice! {
+    /// Where disparities are sampled.
+    pub enum Sampling {
+        /// At the pixels of the image whose depth map is made.
+        Image = "image",
+        /// At the pixels of its rectified image, as the paper has it: the depth map is that of the rectified camera.
+        Rectified = "rectified",
+    }
+}
 
-/// A pair ready to be matched. Arrays hold the first (left) image and the second.
+/// A pair ready to be matched for the depth map of one of its images.
 pub struct Matcher<'a> {
-    /// Ideal depth maps, with the true cameras.
-    pub ideal: [&'a Depth; 2],
-    /// True cameras.
-    pub cameras: [Camera; 2],
-    /// Noisy cameras.
-    pub noisy: [Camera; 2],
-    /// Whether the noisy camera has the interior orientation of the true one.
-    pub same_interior: [bool; 2],
-    /// Rays of the noisy cameras from those of the true ones.
-    pub noisy_rays: [NoisyRays; 2],
-    /// Rectification of the noisy cameras.
-    pub rectification: Rectification,
-    /// White noise; `None` without any.
-    pub local: Option<Local>,
-    /// Smooth noise; `None` without any.
-    pub smooth: Option<Smooth>,
-    /// A noise with further terms, which takes the place of `local` and `smooth`; `None`: the paper's noise.
-    pub terms: Option<Terms>,
-    /// Relative depth by which a point may lie behind what the other image sees there; `None` lets it see through.
-    pub occlusion_tolerance: Option<f64>,
-    /// Whether disparities are sampled at the pixels of the rectified image, whose depth map is then made.
-    pub rectified: bool,
+    geometry: PairGeometry<'a>,
+    /// The image whose depth map is made; the other one is its partner.
+    side: Side,
+    sampling: Sampling,
+    noise: NoiseModel,
+    /// Relative depth by which a point may lie behind the surface that the partner sees; `None`: nothing hides a point.
+    occlusion_tolerance: Option<f64>,
+    /// Rays of the partner's noisy camera from those of the true one; `None` where both have one interior orientation.
+    partner_rays: Option<NoisyRays>,
 }
 
-/// One matched pixel.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Match {
-    /// Depth on the noisy ray, metres; in the rectified image where that is sampled.
-    pub depth_m: f64,
-    /// Normalised coordinates of the noisy ray, or of that of the rectified image.
-    pub noisy_ray: [f64; 2],
-    /// Disparity without noise of the matching, pixels: that of the true projections, rectified by the noisy cameras.
-    pub ideal_px: f64,
-    /// Noise of the matching, term by term.
-    pub error: DisparityError,
-    /// What the sub-pixel step adds, pixels.
-    pub sub_pixel_px: f64,
-    /// Noisy disparity, pixels: the sum of the ideal one and all terms.
-    pub disparity_px: f64,
-    /// Row of the first rectified position less that of the second, pixels.
-    pub y_parallax_px: f64,
-    /// Depth a pixel of disparity is worth, metres.
-    pub depth_per_px_m: f64,
-}
-
-impl Match {
-    /// Distance along the noisy ray, metres.
-    pub fn range_m(&self) -> f64 {
-        let [x, y] = self.noisy_ray;
-        self.depth_m * (x * x + y * y + 1.0).sqrt()
-    }
-}
-
-/// Sums over the matched pixels of an image, added up in the order of its rows.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Tally {
-    /// Matched pixels.
-    pub count: usize,
-    /// Sum of squared y-parallaxes, square pixels.
-    pub y_parallax2_px2: f64,
-    /// Sum of the depths a pixel of disparity is worth, metres.
-    pub depth_per_px_m: f64,
-}
-
-impl Tally {
-    /// Counts a match.
-    pub fn add(&mut self, m: &Match) {
-        self.count += 1;
-        self.y_parallax2_px2 += m.y_parallax_px * m.y_parallax_px;
-        self.depth_per_px_m += m.depth_per_px_m;
+impl<'a> Matcher<'a> {
+    /// The matcher of a pair for the depth map of image `side`.
+    pub fn new(
+        geometry: PairGeometry<'a>,
+        side: Side,
+        sampling: Sampling,
+        noise: NoiseModel,
+        occlusion_tolerance: Option<f64>,
+    ) -> Self {
+        let (camera, noisy) = (&geometry.cameras[side.other()], &geometry.noisy[side.other()]);
+        let partner_rays = (!noisy.has_interior_of(camera)).then(|| NoisyRays::new(camera, noisy));
+        Self { geometry, side, sampling, noise, occlusion_tolerance, partner_rays }
     }
 
-    /// The sums of both.
-    #[must_use]
-    pub fn plus(self, other: Self) -> Self {
-        Self {
-            count: self.count + other.count,
-            y_parallax2_px2: self.y_parallax2_px2 + other.y_parallax2_px2,
-            depth_per_px_m: self.depth_per_px_m + other.depth_per_px_m,
-        }
+    /// Depth maps, cameras and rectification of the pair.
+    pub fn geometry(&self) -> &PairGeometry<'a> {
+        &self.geometry
     }
-}
 
-/// The smooth field of a pair, its nodes drawn ahead over the rectified first image.
-pub fn smooth_noise(
-    key: &Key,
-    recipe: FieldRecipe,
-    first: &Depth,
-    noisy: &Camera,
-    rectification: &Rectification,
-) -> Result<SmoothNoise, StageError> {
-    let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-    for (column, row) in outline(first.width, first.height) {
-        let Some(ray) = noisy.normalised(full_pixel(column, row, first.downscale)) else {
-            return Err(no_place(column, row, first)
-                .hint("its lens distortion cannot be inverted there: check signs and units of the coefficients"));
-        };
-        let Some(Placed { position_px: p, .. }) = rectification.place(0, ray) else {
-            return Err(no_place(column, row, first)
-                .hint("the axes of the two images diverge too much: pair images that look the same way"));
-        };
-        (low, high) = ([low[0].min(p[0]), low[1].min(p[1])], [high[0].max(p[0]), high[1].max(p[1])]);
-    }
-    let nodes = (high[0] - low[0]) * (high[1] - low[1]) / (recipe.spacing_px * recipe.spacing_px);
-    if nodes > 1e8 {
-        fail!("the rectified image would have {nodes:.0} nodes: the pair converges too strongly to be matched");
-    }
-    Ok(SmoothNoise::new(key, recipe, low, high))
-}
-
-fn no_place(column: usize, row: usize, depth: &Depth) -> StageError {
-    StageError::new(format!(
-        "pixel ({column}, {row}) of image `{}` has no place in the rectified image",
-        depth.image.name
-    ))
-}
-
-fn outline(width: usize, height: usize) -> impl Iterator<Item = (usize, usize)> {
-    let rows = (0..height).flat_map(move |row| [(0, row), (width - 1, row)]);
-    (0..width).flat_map(move |column| [(column, 0), (column, height - 1)]).chain(rows)
-}
-
-impl Matcher<'_> {
-    /// Matches every pixel of image `own` (0 first, 1 second); `keep` writes a match, or its absence, to its row.
+    /// Matches every pixel of the depth map; `keep` writes the match of a column to its row.
     ///
-    /// Rows are worked on in parallel; every one is handed to `keep` in its own slice of `rows`. Same bits at any
-    /// thread count.
-    pub fn match_image<R: Send>(
-        &self,
-        own: usize,
-        rows: &mut [R],
-        keep: impl Fn(&mut R, usize, &Match) + Sync,
-    ) -> Tally {
-        let tallies: Vec<Tally> = rows
-            .par_iter_mut()
-            .enumerate()
-            .map(|(row, out)| {
-                let mut tally = Tally::default();
-                let pixels = self.own_row(own, row);
-                self.match_row(own, &pixels, |column, found| {
-                    tally.add(found);
-                    keep(out, column, found);
-                });
-                tally
-            })
-            .collect();
+    /// Rows are processed in parallel, each with its element of `rows`. The bits do not depend on the number of threads.
+    pub fn match_image<R: Send>(&self, rows: &mut [R], keep: impl Fn(&mut R, usize, &Match) + Sync) -> Tally {
+        let match_row = |(row, out): (usize, &mut R)| {
+            let mut tally = Tally::default();
+            self.match_row(&self.pixel_row(row), |column, matched| {
+                tally.add(matched);
+                keep(out, column, matched);
+            });
+            tally
+        };
+        let tallies: Vec<Tally> = rows.par_iter_mut().enumerate().map(match_row).collect();
         tallies.into_iter().fold(Tally::default(), Tally::plus)
     }
 
-    /// The pixels of a row that show something, of image `own` or of its rectified image.
-    fn own_row(&self, own: usize, row: usize) -> OwnRow {
-        let (ideal, cameras) = (self.ideal[own], [&self.cameras[own], &self.noisy[own]]);
-        if self.rectified {
-            rectified_row(ideal, cameras, &self.rectification, own, row)
-        } else {
-            OwnRow::new(ideal, cameras[0], cameras[1], row)
+    /// The pixels with a depth in a row of the image, or of the rectified image where disparities are sampled there.
+    pub fn pixel_row(&self, row: usize) -> PixelRow {
+        let PairGeometry { ideal, cameras, noisy, .. } = &self.geometry;
+        match self.sampling {
+            Sampling::Image => PixelRow::new(ideal[self.side], &cameras[self.side], &noisy[self.side], row),
+            Sampling::Rectified => rectified_row(&self.geometry, self.side, row),
         }
     }
 
-    /// Matches the pixels of a row of image `own`, from left to right.
-    pub fn match_row(&self, own: usize, pixels: &OwnRow, mut found: impl FnMut(usize, &Match)) {
-        let mut draws = self.row_of_draws(own, pixels);
+    /// Matches the pixels of a row, from left to right; `keep` gets the column of each match.
+    pub fn match_row(&self, pixels: &PixelRow, mut keep: impl FnMut(usize, &Match)) {
+        let mut draws = self.row_draws(pixels);
         for block in pixels.blocks() {
-            let mut shown = vectorised(Show { matcher: self, side: 1 - own, block: &block });
+            let mut projected = vectorised(ProjectBlock { matcher: self, block: &block });
             let mut seen = [false; LANES];
             for (lane, seen) in seen.iter_mut().enumerate() {
-                *seen = self.is_seen(1 - own, [shown.level[0][lane], shown.level[1][lane]], shown.z_m[lane]);
+                *seen = self.partner_sees(projected.level.map(|level| level[lane]), projected.z_m[lane]);
                 if !*seen {
-                    shown.hide(lane);
+                    projected.remove(lane);
                 }
             }
             if !seen.contains(&true) {
                 continue;
             }
-            let sights =
-                vectorised(Place { matcher: self, own, row: pixels.row, block: &block, shown: &shown, draws: &draws });
+            let work =
+                MatchBlock { matcher: self, row: pixels.row, block: &block, projected: &projected, draws: &draws };
+            let correspondences = vectorised(work);
             for (lane, column) in block.columns.iter().enumerate().filter(|(lane, _)| seen[*lane]) {
-                let sight = Sight::of(&sights, lane);
-                let matched = if self.terms.is_none() {
-                    sight.matched()
-                } else {
-                    let point_m = [block.points_m[0][lane], block.points_m[1][lane]];
-                    self.match_pixel(own, pixels.row, *column, point_m, &sight, &mut draws.terms)
+                let correspondence = Correspondence::of(&correspondences, lane);
+                let matched = match &self.noise {
+                    NoiseModel::Paper { .. } => correspondence.matched(),
+                    NoiseModel::Terms(terms) => {
+                        let point_m = [block.points_m[0][lane], block.points_m[1][lane]];
+                        let pixel = [*column, pixels.row];
+                        self.match_with_terms(terms, &mut draws.terms, pixel, point_m, &correspondence)
+                    }
                 };
                 if let Some(matched) = matched {
-                    found(*column, &matched);
+                    keep(*column, &matched);
                 }
             }
         }
     }
 
-    /// The draws of a row: the first image's white ones are drawn ahead, the second looks its own up block by block.
-    fn row_of_draws(&self, own: usize, pixels: &OwnRow) -> Draws<'_> {
-        let noise = self.local.as_ref().map(|(_, noise)| noise);
-        let mut draws = Draws {
-            ahead: Vec::new(),
-            row: pixels.row as i32,
-            first: 0,
-            terms: self.terms.as_ref().map(Terms::lookups).unwrap_or_default(),
-        };
-        if let (0, Some(noise), [first, .., last]) = (own, noise, pixels.columns.as_slice()) {
-            draws.first = *first as i32;
-            draws.ahead.resize(last - first + 1, 0.0);
-            noise.fill_row(draws.first, draws.row, &mut draws.ahead);
+    /// The draws of a row. White noise is addressed by pixels of the first image: for a row of that image it is drawn
+    /// in one go; for the second image it is looked up block by block.
+    fn row_draws(&self, pixels: &PixelRow) -> RowDraws<'_> {
+        let mut draws = RowDraws { row: pixels.row as i32, ..RowDraws::default() };
+        match (&self.noise, self.side, pixels.columns.as_slice()) {
+            (NoiseModel::Terms(terms), _, _) => draws.terms = terms.lookups(),
+            (NoiseModel::Paper { local: Some(local), .. }, Side::First, [first, .., last]) => {
+                draws.first_column = *first as i32;
+                draws.white.resize(last - first + 1, 0.0);
+                local.field.fill_row(draws.first_column, draws.row, &mut draws.white);
+            }
+            _ => {}
         }
         draws
     }
 
-    /// Where an image would show the points of some pixels, whatever is before them.
+    /// Projections of the points of a block into the partner image; what may hide them is not regarded.
     #[inline(always)]
-    fn shown(&self, side: usize, block: &Block) -> Shown {
-        let [x, y, z_m] = self.cameras[side].to_camera_lanes(block.points_m);
+    fn project(&self, block: &Block) -> Projected {
+        let partner = self.side.other();
+        let camera = &self.geometry.cameras[partner];
+        let [x, y, z_m] = camera.to_camera_lanes(block.points_m);
         let inverse = Lanes::all(1.0) / z_m.where_positive(z_m);
         let ray = [x * inverse, y * inverse];
-        let pixel = self.cameras[side].pixel_lanes(ray);
-        Shown { z_m, ray, pixel, level: to_level(pixel, 1.0 / f64::from(self.ideal[side].downscale)) }
+        let pixel = camera.pixel_lanes(ray);
+        let level = to_level(pixel, 1.0 / f64::from(self.geometry.ideal[partner].downscale));
+        Projected { z_m, ray, pixel, level }
     }
 
-    /// Where some pixels and their points in the other image are placed in the rectified images.
+    /// Rectifies the pixels of a block and their projections, and adds the paper's noise to the disparities.
     #[inline(always)]
-    fn sights(&self, own: usize, row: usize, block: &Block, shown: &Shown, draws: &Draws) -> Sight<Lanes> {
-        let other = 1 - own;
-        let noisy_ray = if self.same_interior[other] {
-            shown.ray
-        } else {
-            self.noisy_rays[other].ray_lanes(&self.noisy[other], shown.pixel, shown.ray)
+    fn correspond(&self, row: usize, block: &Block, projected: &Projected, draws: &RowDraws) -> Correspondence<Lanes> {
+        let (side, partner) = (self.side, self.side.other());
+        let rectification = &self.geometry.rectification;
+        let partner_ray = match &self.partner_rays {
+            Some(rays) => rays.ray_lanes(&self.geometry.noisy[partner], projected.pixel, projected.ray),
+            None => projected.ray,
         };
-        let own_place = self.rectification.place_lanes(own, block.noisy_rays);
-        let other_place = self.rectification.place_lanes(other, noisy_ray);
-        let [first, second] = if own == 0 { [&own_place, &other_place] } else { [&other_place, &own_place] };
+        let placed = rectification.place_lanes(side, block.noisy_rays);
+        let partner_placed = rectification.place_lanes(partner, partner_ray);
+        let [first, second] = side.array(&placed, &partner_placed);
         let column = Lanes::of(|lane| block.columns.get(lane).map_or(f64::NAN, |column| *column as f64));
         let level = [column, Lanes::all(row as f64)];
-        let (first_px, second_px) = match (self.rectified, own) {
-            (true, _) => (first.position_px, second.position_px),
-            (false, 0) => (level, shown.level),
-            (false, _) => (shown.level, level),
+        // Z = f B / D across the rectified plane, and dZ = Z^2 / (f B) dD; the slant gives both along the ray.
+        let (noise_px, slant, depth_ray) = match self.sampling {
+            Sampling::Image => (side.array(level, projected.level), placed.slant, block.noisy_rays),
+            Sampling::Rectified => {
+                let positions = [first.position_px, second.position_px];
+                (positions, Lanes::all(1.0), rectified_ray(rectification, side, level))
+            }
         };
         let rectified_px = first.position_px;
         let ideal_px = rectified_px[0] - second.position_px[0];
-        let (white_px, regular_px) = (self.white_px(first_px, draws), self.regular_px(rectified_px));
+        let (white_px, regular_px) = (self.white_px(noise_px[0], draws), self.regular_px(rectified_px));
         let disparity_px = ideal_px + (white_px + regular_px);
-        // Z = f B / D across the rectified plane, and dZ = Z^2 / (f B) dD; both along the own ray by its slant.
-        let slant = if self.rectified { Lanes::all(1.0) } else { own_place.slant };
-        let parallax_px = disparity_px - self.rectification.shift_px();
+        let parallax_px = disparity_px - rectification.shift_px();
         let depth_m = Lanes::all(self.fb_px_m()) / (parallax_px * slant);
-        let noisy_ray = if self.rectified { rectified_ray(&self.rectification, own, level) } else { block.noisy_rays };
-        Sight {
-            own_ray: block.noisy_rays,
-            noisy_ray,
-            first_px,
-            second_px,
+        Correspondence {
+            image_ray: block.noisy_rays,
+            depth_ray,
+            noise_px,
             rectified_px,
             ideal_px,
             y_parallax_px: rectified_px[1] - second.position_px[1],
-            disparity_px_m: Lanes::all(self.fb_px_m()) / own_place.slant,
+            disparity_px_m: Lanes::all(self.fb_px_m()) / placed.slant,
             slant,
             white_px,
             regular_px,
@@ -296,74 +200,76 @@ impl Matcher<'_> {
     /// Principal distance times baseline, pixel metres.
     #[inline]
     fn fb_px_m(&self) -> f64 {
-        self.rectification.focal_px * self.rectification.baseline_m
+        self.geometry.rectification.focal_px * self.geometry.rectification.baseline_m
     }
 
-    /// Matches a pixel with the noise of `terms`.
-    fn match_pixel(
+    /// Matches a pixel with all terms of the noise; `None` in a hole, or where the disparity gives no depth.
+    fn match_with_terms(
         &self,
-        own: usize,
-        row: usize,
-        column: usize,
-        point_m: [f64; 2],
-        sight: &Sight<f64>,
+        terms: &Terms,
         lookups: &mut Lookups,
+        [column, row]: [usize; 2],
+        point_m: [f64; 2],
+        correspondence: &Correspondence<f64>,
     ) -> Option<Match> {
-        let Sight { first_px, second_px, rectified_px, ideal_px, noisy_ray, disparity_px_m, .. } = *sight;
-        let terms = self.terms.as_ref().filter(|_| !ideal_px.is_nan())?;
-        let pixel = if self.rectified {
-            source_pixel(self.ideal[own], &self.noisy[own], sight.own_ray)?
-        } else {
-            row * self.ideal[own].width + column
+        let Correspondence { noise_px, rectified_px, ideal_px, disparity_px_m, .. } = *correspondence;
+        if ideal_px.is_nan() {
+            return None;
+        }
+        let depth = self.geometry.ideal[self.side];
+        let pixel = match self.sampling {
+            Sampling::Image => row * depth.width + column,
+            Sampling::Rectified => source_pixel(depth, &self.geometry.noisy[self.side], correspondence.image_ray)?,
         };
+        let [first_px, second_px] = noise_px;
         let error =
             terms.error(&Site { first_px, second_px, rectified_px, point_m, pixel, disparity_px_m }, lookups)?;
         let matched_px = ideal_px + (error.local_px() + error.regular_px);
         let disparity_px = terms.sub_pixel(matched_px);
-        let parallax_px = self.rectification.parallax_px(disparity_px)?;
-        let depth_m = self.fb_px_m() / (parallax_px * sight.slant);
+        let parallax_px = self.geometry.rectification.parallax_px(disparity_px)?;
+        let depth_m = self.fb_px_m() / (parallax_px * correspondence.slant);
         Some(Match {
             depth_m,
-            noisy_ray,
+            noisy_ray: correspondence.depth_ray,
             ideal_px,
             error,
             sub_pixel_px: disparity_px - matched_px,
             disparity_px,
-            y_parallax_px: sight.y_parallax_px,
+            y_parallax_px: correspondence.y_parallax_px,
             depth_per_px_m: depth_m / parallax_px,
         })
     }
 
-    /// Smooth noise at some positions.
+    /// The paper's smooth noise at some positions.
     #[inline(always)]
     fn regular_px(&self, rectified_px: [Lanes; 2]) -> Lanes {
-        match &self.smooth {
-            Some((sigma_px, noise)) => noise.at_lanes(rectified_px) * *sigma_px,
-            None => Lanes::all(0.0),
+        match &self.noise {
+            NoiseModel::Paper { smooth: Some(smooth), .. } => smooth.field.at_lanes(rectified_px) * smooth.sigma_px,
+            _ => Lanes::all(0.0),
         }
     }
 
-    /// White noise of some pixels.
+    /// The paper's white noise of some pixels.
     #[inline(always)]
-    fn white_px(&self, first_px: [Lanes; 2], draws: &Draws) -> Lanes {
-        let Some((sigma_px, noise)) = &self.local else { return Lanes::all(0.0) };
+    fn white_px(&self, first_px: [Lanes; 2], draws: &RowDraws) -> Lanes {
+        let NoiseModel::Paper { local: Some(local), .. } = &self.noise else { return Lanes::all(0.0) };
         let (mut columns, mut rows, mut white) = ([0; LANES], [0; LANES], Lanes::all(0.0));
         let mut drawn = true;
         for (lane, (column, row)) in columns.iter_mut().zip(&mut rows).enumerate() {
             (*column, *row) = (nearest(first_px[0][lane]), nearest(first_px[1][lane]));
-            match draws.ahead.get(column.wrapping_sub(draws.first) as usize) {
+            match draws.white.get(column.wrapping_sub(draws.first_column) as usize) {
                 Some(draw) if *row == draws.row => white.set(lane, f64::from(*draw)),
                 _ => drawn = false,
             }
         }
-        (if drawn { white } else { noise.at_lanes(columns, rows) }) * *sigma_px
+        (if drawn { white } else { local.field.at_lanes(columns, rows) }) * local.sigma_px
     }
 
-    /// Whether an image sees a point at depth `z_m` that projects to `level`: it is inside, and not behind all that the
-    /// four nearest pixels show.
+    /// Whether the partner sees a point at depth `z_m` that projects to `level`: the position is inside the image, and
+    /// at one of the four nearest pixels the point is not behind the surface.
     #[inline]
-    fn is_seen(&self, side: usize, [u, v]: [f64; 2], z_m: f64) -> bool {
-        let depth = self.ideal[side];
+    fn partner_sees(&self, [u, v]: [f64; 2], z_m: f64) -> bool {
+        let depth = self.geometry.ideal[self.side.other()];
         let (width, height) = (depth.width as f64, depth.height as f64);
         if !(u >= -0.5 && v >= -0.5 && u <= width - 0.5 && v <= height - 0.5) {
             return false;
@@ -374,152 +280,61 @@ impl Matcher<'_> {
             [below.max(0) as usize, ((below + 1) as usize).min(size - 1)]
         };
         let ([left, right], [top, bottom]) = (near(u, depth.width), near(v, depth.height));
-        // The comparison with NaN is false: where nothing is shown nothing is seen.
+        // A comparison with NaN is false: the point is not seen at a pixel without depth.
         let passes = |row: usize, column: usize| {
-            let shown = depth.z.get(row * depth.width + column).copied().unwrap_or(f32::NAN);
-            z_m <= f64::from(shown) * (1.0 + tolerance)
+            let surface_m = depth.z.get(row * depth.width + column).copied().unwrap_or(f32::NAN);
+            z_m <= f64::from(surface_m) * (1.0 + tolerance)
         };
         passes(top, left) || passes(top, right) || passes(bottom, left) || passes(bottom, right)
     }
 }
 
-/// Full-image position in pixels of the depth-map level, whose pixels are `1 / scale` image pixels.
+/// Full-image position in pixels of the depth map, which are `1 / scale` image pixels wide.
 #[inline(always)]
 fn to_level<T: Number>(pixel: [T; 2], scale: f64) -> [T; 2] {
     both(pixel, |p| (p + 0.5) * scale - 0.5)
 }
 
-/// [`Matcher::shown`] of a block.
-struct Show<'a> {
+/// [`Matcher::project`] for a block, in wide registers.
+struct ProjectBlock<'a> {
     matcher: &'a Matcher<'a>,
-    side: usize,
     block: &'a Block<'a>,
 }
 
-impl Work for Show<'_> {
-    type Output = Shown;
+impl Work for ProjectBlock<'_> {
+    type Output = Projected;
 
     #[inline(always)]
-    fn run(self) -> Shown {
-        self.matcher.shown(self.side, self.block)
+    fn run(self) -> Projected {
+        self.matcher.project(self.block)
     }
 }
 
-/// [`Matcher::sights`] of a block.
-struct Place<'a> {
+/// [`Matcher::correspond`] for a block, in wide registers.
+struct MatchBlock<'a> {
     matcher: &'a Matcher<'a>,
-    own: usize,
     row: usize,
     block: &'a Block<'a>,
-    shown: &'a Shown,
-    draws: &'a Draws<'a>,
+    projected: &'a Projected,
+    draws: &'a RowDraws<'a>,
 }
 
-impl Work for Place<'_> {
-    type Output = Sight<Lanes>;
+impl Work for MatchBlock<'_> {
+    type Output = Correspondence<Lanes>;
 
     #[inline(always)]
-    fn run(self) -> Sight<Lanes> {
-        self.matcher.sights(self.own, self.row, self.block, self.shown, self.draws)
+    fn run(self) -> Correspondence<Lanes> {
+        self.matcher.correspond(self.row, self.block, self.projected, self.draws)
     }
 }
 
-/// Where an image would show points; none where it cannot.
-struct Shown {
-    /// Depths of the points in the image, metres.
-    z_m: Lanes,
-    /// Undistorted normalised coordinates of their true rays.
-    ray: [Lanes; 2],
-    /// Positions in the image, pixels.
-    pixel: [Lanes; 2],
-    /// The same, pixels of the depth map.
-    level: [Lanes; 2],
-}
-
-impl Shown {
-    /// Takes away what is not seen.
-    #[inline]
-    fn hide(&mut self, lane: usize) {
-        let Self { ray, pixel, level, .. } = self;
-        ray.iter_mut().chain(pixel).chain(level).for_each(|lanes| lanes.set(lane, f64::NAN));
-    }
-}
-
-/// Where a point that both images see is placed, and what matching makes of it with the paper's noise; none where it has no place.
-struct Sight<T> {
-    /// Noisy ray of the own pixel.
-    own_ray: [T; 2],
-    /// The ray the depth is on: that, or the one of the rectified image.
-    noisy_ray: [T; 2],
-    /// Positions in the first and the second image that tell the noise, pixels of the depth map.
-    first_px: [T; 2],
-    /// See `first_px`.
-    second_px: [T; 2],
-    /// Position in the rectified first image, pixels.
-    rectified_px: [T; 2],
-    /// Disparity without noise of the matching, pixels.
-    ideal_px: T,
-    /// Row of the first rectified position less that of the second, pixels.
-    y_parallax_px: T,
-    /// Disparity that an inverse depth of 1/m is worth, pixel metres.
-    disparity_px_m: T,
-    /// Depth across the rectified plane of the point at depth 1 on the ray.
-    slant: T,
-    /// The paper's white noise, pixels.
-    white_px: T,
-    /// The paper's smooth noise, pixels.
-    regular_px: T,
-    /// Disparity with both, pixels.
-    disparity_px: T,
-    /// Depth it gives, metres.
-    depth_m: T,
-    /// Depth a pixel of disparity is worth, metres.
-    depth_per_px_m: T,
-}
-
-impl Sight<f64> {
-    #[inline]
-    fn of(sights: &Sight<Lanes>, lane: usize) -> Self {
-        let pair = |[one, other]: &[Lanes; 2]| [one[lane], other[lane]];
-        Self {
-            own_ray: pair(&sights.own_ray),
-            noisy_ray: pair(&sights.noisy_ray),
-            first_px: pair(&sights.first_px),
-            second_px: pair(&sights.second_px),
-            rectified_px: pair(&sights.rectified_px),
-            ideal_px: sights.ideal_px[lane],
-            y_parallax_px: sights.y_parallax_px[lane],
-            disparity_px_m: sights.disparity_px_m[lane],
-            slant: sights.slant[lane],
-            white_px: sights.white_px[lane],
-            regular_px: sights.regular_px[lane],
-            disparity_px: sights.disparity_px[lane],
-            depth_m: sights.depth_m[lane],
-            depth_per_px_m: sights.depth_per_px_m[lane],
-        }
-    }
-
-    /// The match with the paper's noise.
-    #[inline]
-    fn matched(&self) -> Option<Match> {
-        let Self { white_px, regular_px, .. } = *self;
-        (!self.depth_m.is_nan()).then_some(Match {
-            depth_m: self.depth_m,
-            noisy_ray: self.noisy_ray,
-            ideal_px: self.ideal_px,
-            error: DisparityError { white_px, blunder_px: 0.0, regular_px, relief_px: 0.0, strength: 1.0 },
-            sub_pixel_px: 0.0,
-            disparity_px: self.disparity_px,
-            y_parallax_px: self.y_parallax_px,
-            depth_per_px_m: self.depth_per_px_m,
-        })
-    }
-}
-
-/// The draws of one row: a stretch of the first image's own row of white noise drawn ahead, and those of further terms.
-struct Draws<'a> {
-    ahead: Vec<f32>,
+/// Random draws of one row.
+#[derive(Default)]
+struct RowDraws<'a> {
     row: i32,
-    first: i32,
+    /// White noise of the first image in this row, from `first_column` on; empty where it is looked up instead.
+    white: Vec<f32>,
+    first_column: i32,
+    /// White fields of further terms.
     terms: Lookups<'a>,
 }

@@ -1,7 +1,8 @@
-//! The parameters that every stage which matches pairs has in common, and what they are set up to.
+//! The parameters that all stages which match pairs have in common.
 
 use crate::matching::noise::matcher::{MatcherTerms, PaperNoise};
 use crate::matching::noise::paper::{Distribution, FieldRecipe, Interpolation, Variance};
+use crate::matching::pair::Sampling;
 use crate::matching::setup::Setup;
 use rockface_core::artefact::Raster;
 use rockface_core::params::Range;
@@ -39,14 +40,14 @@ params! {
 const DOUBTFUL_Y_PARALLAX_PX: f64 = 0.5;
 
 impl Matching {
-    /// Whether random numbers are drawn.
+    /// Whether matching draws random numbers.
     pub fn draws(&self) -> bool {
         let terms = self.matcher.as_ref().is_some_and(MatcherTerms::draws);
         self.sigma_local_px > 0.0 || self.sigma_regular_px > 0.0 || terms
     }
 
     /// How pairs are matched, with a map of the strength of the noise where one is given.
-    pub fn setup<'a>(&self, strength: Option<&'a Raster>) -> Result<Setup<'a>, StageError> {
+    pub fn setup<'a>(&self, sampling: Sampling, strength: Option<&'a Raster>) -> Result<Setup<'a>, StageError> {
         if strength.is_some() && self.matcher.is_none() {
             let error = "the paper's noise is equally strong everywhere and has no use for `strength`";
             return Err(StageError::new(error).hint("add `matcher: {}` to the parameters, or leave the input out"));
@@ -64,17 +65,18 @@ impl Matching {
             recipe,
         };
         let occlusion_tolerance = self.occlusion.then_some(self.occlusion_tolerance);
-        Ok(Setup { noise, terms: self.matcher.clone(), occlusion_tolerance, strength })
+        Ok(Setup { sampling, noise, terms: self.matcher.clone(), occlusion_tolerance, strength })
     }
 
-    /// What is to be said of the rms y-parallax of a pair: a warning, or an error where no matcher would get through.
+    /// Judges the rms y-parallax of a pair: a warning where it is doubtful, an error where no matcher would succeed.
     pub fn judge_y_parallax(&self, pair: &str, rms_px: f64) -> Result<Option<String>, StageError> {
-        let (limit, found) = (self.max_y_parallax_px, format!("pair `{pair}`: the rms y-parallax is {rms_px:.2} px"));
+        let limit = self.max_y_parallax_px;
+        let finding = format!("pair `{pair}`: the rms y-parallax is {rms_px:.2} px");
         if rms_px > limit {
-            let text = format!("{found}, {limit} px are allowed: these images could not be matched");
+            let text = format!("{finding}, {limit} px are allowed: these images could not be matched");
             let hint = "perturb the cameras with the full joint covariance, or less; or raise `max_y_parallax_px`";
             return Err(StageError::new(text).hint(hint));
         }
-        Ok((rms_px > DOUBTFUL_Y_PARALLAX_PX).then(|| format!("{found}; a matcher would suffer")))
+        Ok((rms_px > DOUBTFUL_Y_PARALLAX_PX).then(|| format!("{finding}; a real matcher would lose precision")))
     }
 }

@@ -1,4 +1,4 @@
-//! What one row of an image shows, found once for all pairs of the image: true points, and the noisy rays they are taken for.
+//! The pixels of one row of an image, prepared once for all pairs of the image: true points and noisy rays.
 
 use nalgebra::Vector3;
 
@@ -7,9 +7,9 @@ use crate::camera::ray_row::RayRow;
 use rockface_core::artefact::Depth;
 use rockface_core::numerics::simd::{LANES, Lanes};
 
-/// The pixels of a row that show something, from left to right.
+/// The pixels of a row that have a depth, from left to right.
 #[derive(Debug, Clone, PartialEq)]
-pub struct OwnRow {
+pub struct PixelRow {
     /// The row in the depth map.
     pub row: usize,
     /// The column of each pixel in the depth map.
@@ -20,7 +20,7 @@ pub struct OwnRow {
     noisy_rays: [Vec<f64>; 2],
 }
 
-/// Up to [`LANES`] pixels of a row; lanes beyond the last pixel have no values.
+/// Up to [`LANES`] pixels of a row; lanes beyond the last pixel are NaN.
 #[derive(Debug, Clone, Copy)]
 pub struct Block<'a> {
     /// Their columns.
@@ -31,33 +31,33 @@ pub struct Block<'a> {
     pub noisy_rays: [Lanes; 2],
 }
 
-impl OwnRow {
-    /// A row of an ideal depth map, by its true and its noisy camera.
+impl PixelRow {
+    /// A row of an ideal depth map: points by its true camera, rays by its noisy one.
     pub fn new(depth: &Depth, camera: &Camera, noisy: &Camera, row: usize) -> Self {
         let values = &depth.z[row * depth.width..(row + 1) * depth.width];
-        let mut own = Self::empty(row, values.len());
+        let mut pixels = Self::empty(row, values.len());
         if !values.iter().any(|z| z.is_finite()) {
-            return own;
+            return pixels;
         }
         let rays = |camera: &Camera| RayRow::new(camera, row, depth.downscale).rays(0, values.len());
-        let truth = rays(camera);
-        let believed = if noisy.has_interior_of(camera) { None } else { Some(rays(noisy)) };
-        let believed = believed.as_ref().unwrap_or(&truth);
+        let true_rays = rays(camera);
+        let separate = (!noisy.has_interior_of(camera)).then(|| rays(noisy));
+        let noisy_rays = separate.as_ref().unwrap_or(&true_rays);
         for (column, z) in values.iter().enumerate().filter(|(_, z)| z.is_finite()) {
-            let (ray, noisy_ray) = (truth[column], believed[column]);
+            let (ray, noisy_ray) = (true_rays[column], noisy_rays[column]);
             if !ray[0].is_nan() && !noisy_ray[0].is_nan() {
-                own.push(column, &camera.unproject(ray, f64::from(*z)), noisy_ray);
+                pixels.push(column, &camera.unproject(ray, f64::from(*z)), noisy_ray);
             }
         }
-        own
+        pixels
     }
 
-    /// A row without pixels, with room for some.
-    pub fn empty(row: usize, room: usize) -> Self {
-        let list = || Vec::with_capacity(room);
+    /// A row without pixels, with memory for `capacity` of them.
+    pub fn empty(row: usize, capacity: usize) -> Self {
+        let list = || Vec::with_capacity(capacity);
         Self {
             row,
-            columns: Vec::with_capacity(room),
+            columns: Vec::with_capacity(capacity),
             points_m: [(); 3].map(|()| list()),
             noisy_rays: [(); 2].map(|()| list()),
         }
@@ -70,7 +70,7 @@ impl OwnRow {
         self.noisy_rays.iter_mut().zip(noisy_ray).for_each(|(list, value)| list.push(value));
     }
 
-    /// The pixels, some at a time.
+    /// The pixels, [`LANES`] at a time.
     pub fn blocks(&self) -> impl Iterator<Item = Block<'_>> {
         let starts = (0..self.columns.len()).step_by(LANES);
         starts.map(|start| {

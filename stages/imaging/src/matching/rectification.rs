@@ -8,8 +8,9 @@
 use nalgebra::{Matrix3, Vector3};
 
 use crate::camera::model::Camera;
+use crate::matching::side::Side;
+use rockface_core::StageError;
 use rockface_core::numerics::simd::Lanes;
-use rockface_core::{StageError, fail};
 
 /// The rectified geometry of a pair; positions are pixels of the depth-map level.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,7 +27,7 @@ pub struct Rectification {
     pub rectified_from_camera: [Matrix3<f64>; 2],
 }
 
-/// Where a ray of an image goes in its rectified image.
+/// A ray of an image in its rectified image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Placed<T = f64> {
     /// Rectified position, pixels.
@@ -43,24 +44,29 @@ impl Rectification {
         let base = cameras[1].centre() - cameras[0].centre();
         let baseline_m = base.norm();
         if baseline_m < 1e-9 {
-            fail!("the two projection centres coincide ({baseline_m} m apart): such a pair measures no depth");
+            return Err(StageError::new(format!("the two projection centres coincide ({baseline_m} m apart)"))
+                .hint("such a pair measures no depth: remove it from `pairs`, or check the positions of the cameras"));
         }
         let rotation = rectifying_rotation(cameras, &(base / baseline_m))?;
         let rectified_from_camera = cameras.map(|camera| rotation * camera.camera_from_object().transpose());
         let focal_px = area_keeping_focal(cameras, &rectified_from_camera)? / f64::from(downscale);
-        let mut found = Self { focal_px, centre_x_px: [0.0; 2], centre_y_px: 0.0, baseline_m, rectified_from_camera };
-        found.centre_images(cameras, f64::from(downscale))?;
-        Ok(found)
+        let mut rectification =
+            Self { focal_px, centre_x_px: [0.0; 2], centre_y_px: 0.0, baseline_m, rectified_from_camera };
+        rectification.centre_images(cameras, f64::from(downscale))?;
+        Ok(rectification)
     }
 
     /// Moves the principal points so that image centres map to image centres; rows stay common.
     fn centre_images(&mut self, cameras: [&Camera; 2], downscale: f64) -> Result<(), StageError> {
         let mut centre_y = [0.0; 2];
-        for (side, camera) in cameras.into_iter().enumerate() {
+        for side in Side::BOTH {
+            let camera = cameras[side];
             let (w, h) = (f64::from(camera.sensor().width_px), f64::from(camera.sensor().height_px));
             let centre = camera.normalised([(w - 1.0) / 2.0, (h - 1.0) / 2.0]);
             let Some(Placed { position_px: [x, y], .. }) = centre.and_then(|xy| self.place(side, xy)) else {
-                fail!("the centre of image {} of the pair cannot be rectified: check its calibration", side + 1);
+                let image = side.array("first", "second")[0];
+                return Err(StageError::new(format!("the centre of the {image} image cannot be rectified"))
+                    .hint("check focal length, principal point and distortion of its sensor"));
             };
             self.centre_x_px[side] = (w / downscale - 1.0) / 2.0 - x;
             centre_y[side] = (h / downscale - 1.0) / 2.0 - y;
@@ -69,18 +75,18 @@ impl Rectification {
         Ok(())
     }
 
-    /// Rectifies undistorted normalised coordinates of image `side` (0 first, 1 second); `None` beyond the plane's horizon.
+    /// Rectifies undistorted normalised coordinates of image `side`; `None` beyond the horizon of the rectified plane.
     #[inline]
-    pub fn place(&self, side: usize, [x, y]: [f64; 2]) -> Option<Placed> {
+    pub fn place(&self, side: Side, [x, y]: [f64; 2]) -> Option<Placed> {
         let ray = self.rectified_from_camera[side] * Vector3::new(x, y, 1.0);
         let scale = self.focal_px / ray.z;
         let position_px = [ray.x * scale + self.centre_x_px[side], ray.y * scale + self.centre_y_px];
         (ray.z > 0.0).then_some(Placed { position_px, slant: ray.z })
     }
 
-    /// As [`Rectification::place`], for several rays; none beyond the plane's horizon.
+    /// As [`Rectification::place`], for several rays; NaN beyond the horizon.
     #[inline(always)]
-    pub fn place_lanes(&self, side: usize, [x, y]: [Lanes; 2]) -> Placed<Lanes> {
+    pub fn place_lanes(&self, side: Side, [x, y]: [Lanes; 2]) -> Placed<Lanes> {
         let r = &self.rectified_from_camera[side];
         let along = |row: usize| x * r[(row, 0)] + y * r[(row, 1)] + r[(row, 2)];
         let (ray, depth) = ([along(0), along(1)], along(2));
@@ -94,7 +100,7 @@ impl Rectification {
         Some(self.focal_px * self.baseline_m / self.parallax_px(disparity_px)?)
     }
 
-    /// What is left of a disparity without the shift of the principal points, pixels; `None` at or beyond infinity.
+    /// A disparity without the shift of the principal points, pixels; `None` at or beyond infinity.
     #[inline]
     pub fn parallax_px(&self, disparity_px: f64) -> Option<f64> {
         let parallax = disparity_px - self.shift_px();
@@ -114,7 +120,10 @@ fn rectifying_rotation(cameras: [&Camera; 2], base: &Vector3<f64>) -> Result<Mat
     let across = axes - base * axes.dot(base);
     if across.norm() < 0.1 {
         let share = across.norm() / 2.0;
-        fail!("the pair moves along its view (sine of the angle between them {share:.3}): it cannot be rectified");
+        let text = format!("the baseline runs along the view (sine of the angle between them {share:.3})");
+        return Err(StageError::new(text).hint(
+            "such a pair cannot be rectified: remove it from `pairs`, or let `select-pairs` choose pairs side by side",
+        ));
     }
     let normal = across.normalize();
     let down = normal.cross(base);
@@ -127,7 +136,10 @@ fn area_keeping_focal(cameras: [&Camera; 2], rectified: &[Matrix3<f64>; 2]) -> R
     for (camera, rotation) in cameras.into_iter().zip(rectified) {
         let cosine = rotation[(2, 2)];
         if cosine < 0.1 {
-            fail!("the views of the pair diverge (cosine to the common plane {cosine:.3}): it cannot be rectified");
+            let text = format!("the views of the two images diverge (cosine to the common plane {cosine:.3})");
+            return Err(StageError::new(text).hint(
+                "such a pair cannot be rectified: remove it from `pairs`, or let `select-pairs` limit the convergence",
+            ));
         }
         sum += camera.sensor().f * cosine * cosine.sqrt();
     }
@@ -164,14 +176,15 @@ mod tests {
         );
         for point in [[0.0, 0.0, 0.0], [1.5, -2.0, 3.0], [-2.0, 1.0, -5.0]].map(Vector3::from) {
             let ray = |c: &Camera| c.normalised(c.project(&point).unwrap()).unwrap();
-            let (own, other) = (r.place(0, ray(&first)).unwrap(), r.place(1, ray(&second)).unwrap());
-            assert!((own.position_px[1] - other.position_px[1]).abs() < 1e-9);
-            let d = own.position_px[0] - other.position_px[0];
-            let h = q * Vector4::new(own.position_px[0], own.position_px[1], d, 1.0);
+            let placed = (r.place(Side::First, ray(&first)).unwrap(), r.place(Side::Second, ray(&second)).unwrap());
+            let (left, right) = placed;
+            assert!((left.position_px[1] - right.position_px[1]).abs() < 1e-9);
+            let d = left.position_px[0] - right.position_px[0];
+            let h = q * Vector4::new(left.position_px[0], left.position_px[1], d, 1.0);
             let rotation = r.rectified_from_camera[0] * first.camera_from_object();
-            let found = first.centre() + rotation.tr_mul(&(h.xyz() / h.w));
-            assert!((found - point).norm() < 1e-9);
-            let depth = r.distance_m(d).unwrap() / own.slant;
+            let reprojected = first.centre() + rotation.tr_mul(&(h.xyz() / h.w));
+            assert!((reprojected - point).norm() < 1e-9);
+            let depth = r.distance_m(d).unwrap() / left.slant;
             assert!((depth - first.to_camera(&point).z).abs() < 1e-9);
         }
     }
@@ -180,7 +193,7 @@ mod tests {
     fn image_centres_stay_centres_and_pixels_keep_their_area() {
         let [first, second] = pair();
         let r = Rectification::new([&first, &second], 1).unwrap();
-        let place = |u, v| r.place(0, first.normalised([u, v]).unwrap()).unwrap().position_px;
+        let place = |u, v| r.place(Side::First, first.normalised([u, v]).unwrap()).unwrap().position_px;
         assert!((place(29.5, 19.5)[0] - 29.5).abs() < 1e-9);
         let ([ax, ay], [bx, by], [cx, cy]) = (place(29.5, 19.5), place(30.5, 19.5), place(29.5, 20.5));
         let area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax);
@@ -193,7 +206,7 @@ mod tests {
         let error = |a: &Camera, b: &Camera| Rectification::new([a, b], 1).unwrap_err().message;
         let first = at([0.0, 0.0, 20.0], [0.0; 3]);
         assert!(error(&first, &first).contains("coincide"));
-        assert!(error(&first, &at([0.0, 0.0, 10.0], [0.0; 3])).contains("along its view"));
+        assert!(error(&first, &at([0.0, 0.0, 10.0], [0.0; 3])).contains("along the view"));
         assert!(error(&first, &at([5.0, 0.0, 20.0], [3.0, 0.0, 0.0])).contains("diverge"));
     }
 }

@@ -1,44 +1,42 @@
-//! What one row of a rectified image shows: the paper's grid of disparities, one of its own for every pair.
+//! The pixels of one row of a rectified image: the paper's grid of disparities, which differs from pair to pair.
 //!
-//! A pixel of the rectified image is a ray of the noisy camera, which is a position in the image, which is a ray of the true
-//! camera; the true point lies on that one, at the ideal depth there (SCIENCE B1; paper 2.1.2, Algorithm 2 lines 7 to 12).
+//! A pixel of the rectified image is a ray of the noisy camera; this is a position in the image, and this a ray of the true
+//! camera, on which the true point lies at the ideal depth of the position (paper 2.1.2, Algorithm 2 lines 7 to 12).
 
 use nalgebra::Vector3;
 
-use super::rectification::Rectification;
 use crate::camera::depth_window::{DepthWindow, pixel_at};
 use crate::camera::model::Camera;
 use crate::camera::orientation::quaternion;
-use crate::matching::pixel_row::OwnRow;
+use crate::matching::pair_geometry::PairGeometry;
+use crate::matching::pixel_row::PixelRow;
+use crate::matching::rectification::Rectification;
+use crate::matching::side::Side;
 use rockface_core::artefact::{Depth, Image, Sensor};
 use rockface_core::numerics::simd::Number;
 
 /// Normalised coordinates of a pixel of rectified image `side`.
 #[inline(always)]
-pub fn rectified_ray<T: Number>(rectification: &Rectification, side: usize, [column, row]: [T; 2]) -> [T; 2] {
+pub fn rectified_ray<T: Number>(rectification: &Rectification, side: Side, [column, row]: [T; 2]) -> [T; 2] {
     let f = rectification.focal_px;
     [(column - rectification.centre_x_px[side]) / f, (row - rectification.centre_y_px) / f]
 }
 
-/// Where a ray of the noisy camera lies in the depth map, pixels of the map.
+/// Position of a ray of the noisy camera in the depth map, pixels of the map.
 fn position(depth: &Depth, noisy: &Camera, noisy_ray: [f64; 2]) -> Option<[f64; 2]> {
     let scale = 1.0 / f64::from(depth.downscale);
     Some(noisy.pixel(noisy_ray)?.map(|p| (p + 0.5) * scale - 0.5))
 }
 
-/// The pixel of the depth map a ray of the noisy camera lies in, as an index.
+/// Index of the pixel of the depth map in which a ray of the noisy camera lies.
 pub fn source_pixel(depth: &Depth, noisy: &Camera, noisy_ray: [f64; 2]) -> Option<usize> {
     pixel_at(depth.width, depth.height, position(depth, noisy, noisy_ray)?)
 }
 
-/// A row of rectified image `side`, of the size of the depth map, by the true and the noisy camera.
-pub fn rectified_row(
-    depth: &Depth,
-    [camera, noisy]: [&Camera; 2],
-    rectification: &Rectification,
-    side: usize,
-    row: usize,
-) -> OwnRow {
+/// A row of rectified image `side`, which has the size of the depth map.
+pub fn rectified_row(geometry: &PairGeometry, side: Side, row: usize) -> PixelRow {
+    let (depth, camera, noisy) = (geometry.ideal[side], &geometry.cameras[side], &geometry.noisy[side]);
+    let rectification = &geometry.rectification;
     let window = DepthWindow::of(depth);
     let back = rectification.rectified_from_camera[side].transpose();
     let scale = f64::from(depth.downscale);
@@ -51,23 +49,19 @@ pub fn rectified_row(
         let true_ray = camera.normalised_near(position.map(|p| (p + 0.5) * scale - 0.5), noisy_ray)?;
         Some((camera.unproject(true_ray, z_m), noisy_ray))
     };
-    let mut own = OwnRow::empty(row, depth.width);
+    let mut pixels = PixelRow::empty(row, depth.width);
     for column in 0..depth.width {
         if let Some((point_m, noisy_ray)) = pixel(column) {
-            own.push(column, &point_m, noisy_ray);
+            pixels.push(column, &point_m, noisy_ray);
         }
     }
-    own
+    pixels
 }
 
-/// The camera of rectified image `side`: no distortion, the rotation of the pair, the centre of the noisy image.
-pub fn rectified_camera(
-    rectification: &Rectification,
-    side: usize,
-    depth: &Depth,
-    noisy: (&Sensor, &Image),
-) -> (Sensor, Image) {
-    let scale = f64::from(depth.downscale);
+/// The camera of rectified image `side`: no distortion, the rotation of the pair, the centre of the noisy image `noisy`.
+pub fn rectified_camera(geometry: &PairGeometry, side: Side, noisy: &Image) -> (Sensor, Image) {
+    let rectification = &geometry.rectification;
+    let scale = f64::from(geometry.ideal[side].downscale);
     let full = |centre_px: f64| (centre_px + 0.5) * scale - 0.5;
     let sensor = Sensor {
         f: rectification.focal_px * scale,
@@ -77,9 +71,9 @@ pub fn rectified_camera(
         b2: 0.0,
         k: [0.0; 4],
         p: [0.0; 2],
-        ..noisy.0.clone()
+        ..geometry.noisy[side].sensor().clone()
     };
-    let mut image = Image { sensor: 0, ..noisy.1.clone() };
-    image.set_rotation(&quaternion(&(rectification.rectified_from_camera[side] * noisy.1.matrix())));
+    let mut image = Image { sensor: 0, ..noisy.clone() };
+    image.set_rotation(&quaternion(&(rectification.rectified_from_camera[side] * noisy.matrix())));
     (sensor, image)
 }

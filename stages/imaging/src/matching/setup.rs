@@ -1,105 +1,95 @@
-//! A pair made ready for matching: its depth maps and cameras checked, its noise fields set up.
+//! Prepares a pair for matching: checks depth maps and cameras, and sets up the noise.
 
 use crate::camera::model::Camera;
 use crate::matching::noise::matcher::{Keys, MatcherTerms, PairScene, PaperNoise};
-use crate::matching::noise::paper::LocalNoise;
-use crate::matching::noisy_rays::NoisyRays;
-use crate::matching::pair::{Local, Matcher, Smooth, smooth_noise};
-use crate::matching::rectification::Rectification;
+use crate::matching::noise::model::{NoiseModel, Scaled};
+use crate::matching::noise::paper::{LocalNoise, SmoothNoise};
+use crate::matching::pair::{Matcher, Sampling};
+use crate::matching::pair_geometry::PairGeometry;
+use crate::matching::side::Side;
 use rockface_core::artefact::{Cameras, Depth, Image, Raster};
 use rockface_core::{StageError, fail};
 
-/// How pairs are matched; the same for all of them.
+/// How pairs are matched; the same for all pairs.
 #[derive(Debug, Clone)]
 pub struct Setup<'s> {
+    /// Where disparities are sampled.
+    pub sampling: Sampling,
     /// The paper's noise.
     pub noise: PaperNoise,
-    /// What a real matcher's noise has beyond it.
+    /// Further terms of a real matcher's noise.
     pub terms: Option<MatcherTerms>,
-    /// Share of the depth by which a point may lie behind what the other image sees; `None` lets it see through.
+    /// Share of the depth by which a point may lie behind the surface that the other image sees; `None`: nothing hides a point.
     pub occlusion_tolerance: Option<f64>,
-    /// How strong the local noise is from place to place; `None`: equally.
+    /// Factor on the local noise by place; `None`: 1 everywhere.
     pub strength: Option<&'s Raster>,
 }
 
 impl Setup<'_> {
-    /// The matcher of a pair from its ideal depth maps (first, second), for the depth map of image `own` (0 or 1).
+    /// The matcher of a pair from its ideal depth maps (first, second), for the depth map of image `side`.
     ///
-    /// Keys are asked for the purposes `match-local` and `match-regular` under the name of the pair, and for those of
-    /// [`MatcherTerms::fields`].
+    /// `keys` gives the random streams `match-local` and `match-regular` of the pair, and those of [`MatcherTerms::fields`].
     pub fn matcher<'a>(
         &self,
         pair: &str,
         ideal: [&'a Depth; 2],
-        own: usize,
+        side: Side,
         block: &Cameras,
         keys: Keys,
     ) -> Result<Matcher<'a>, StageError> {
         let images = [noisy_image(block, ideal[0])?, noisy_image(block, ideal[1])?];
         let noisy = images.map(|image| Camera::new(block.sensor(image), image));
-        let rectification = Rectification::new([&noisy[0], &noisy[1]], ideal[0].downscale)
-            .map_err(|e| StageError::new(format!("pair `{pair}`: {}", e.message)))?;
-        let cameras = ideal.map(Camera::of_depth);
-        let scene = PairScene {
-            name: pair,
-            depths: ideal,
-            own,
-            camera: &cameras[own],
-            noisy: &noisy[0],
-            rectification: &rectification,
-            strength: self.strength,
-        };
-        let (local, smooth, terms) = match &self.terms {
-            None => (self.local(&scene, keys), self.smooth(&scene, keys)?, None),
-            Some(terms) => (None, None, Some(terms.fields(&self.noise, &scene, keys)?)),
-        };
-        let same_interior = [0, 1].map(|side| noisy[side].has_interior_of(&cameras[side]));
-        let noisy_rays = [0, 1].map(|side| NoisyRays::new(&cameras[side], &noisy[side]));
-        Ok(Matcher {
-            ideal,
-            cameras,
-            noisy,
-            same_interior,
-            noisy_rays,
-            rectification,
-            local,
-            smooth,
-            terms,
-            occlusion_tolerance: self.occlusion_tolerance,
-            rectified: false,
-        })
+        let of_pair = |e: StageError| StageError { message: format!("pair `{pair}`: {}", e.message), ..e };
+        let geometry = PairGeometry::new(ideal, noisy).map_err(of_pair)?;
+        let scene = PairScene { name: pair, geometry: &geometry, side, strength: self.strength };
+        let noise = self.noise_model(&scene, keys).map_err(of_pair)?;
+        Ok(Matcher::new(geometry, side, self.sampling, noise, self.occlusion_tolerance))
     }
 
-    fn local(&self, scene: &PairScene, keys: Keys) -> Option<Local> {
+    fn noise_model(&self, scene: &PairScene, keys: Keys) -> Result<NoiseModel, StageError> {
+        if let Some(terms) = &self.terms {
+            return Ok(NoiseModel::Terms(Box::new(terms.fields(&self.noise, scene, keys)?)));
+        }
+        Ok(NoiseModel::Paper { local: self.local(scene, keys), smooth: self.smooth(scene, keys)? })
+    }
+
+    fn local(&self, scene: &PairScene, keys: Keys) -> Option<Scaled<LocalNoise>> {
         let sigma_px = self.noise.sigma_local_px;
-        let noise = || LocalNoise::new(&keys("match-local", scene.name), self.noise.local_distribution);
-        (sigma_px > 0.0).then(|| (sigma_px, noise()))
+        let field = || LocalNoise::new(&keys("match-local", scene.name), self.noise.local_distribution);
+        (sigma_px > 0.0).then(|| Scaled { sigma_px, field: field() })
     }
 
-    fn smooth(&self, scene: &PairScene, keys: Keys) -> Result<Option<Smooth>, StageError> {
-        if self.noise.sigma_regular_px <= 0.0 {
+    fn smooth(&self, scene: &PairScene, keys: Keys) -> Result<Option<Scaled<SmoothNoise>>, StageError> {
+        let sigma_px = self.noise.sigma_regular_px;
+        if sigma_px <= 0.0 {
             return Ok(None);
         }
-        let key = keys("match-regular", scene.name);
-        let field = smooth_noise(&key, self.noise.recipe, scene.depths[0], scene.noisy, scene.rectification)?;
-        Ok(Some((self.noise.sigma_regular_px, field)))
+        let field = scene.geometry.smooth_noise(&keys("match-regular", scene.name), self.noise.recipe)?;
+        Ok(Some(Scaled { sigma_px, field }))
     }
 }
 
-/// The noisy image a depth map belongs to.
+/// The image of the noisy block to which a depth map belongs.
 pub fn noisy_image<'a>(noisy: &'a Cameras, depth: &Depth) -> Result<&'a Image, StageError> {
     let name = &depth.image.name;
     let Some(image) = noisy.image(name) else {
-        fail!("`noisy` has no image `{name}`, which the pair needs");
+        return Err(StageError::new(format!("`noisy` has no image `{name}`, of which there is a depth map"))
+            .hint("make `noisy` from the cameras that the depth maps were projected with: `perturb-cameras`"));
     };
     if noisy.frame != depth.frame {
-        fail!("`noisy` is in the {} frame, the depth map of image `{name}` in the {} frame", noisy.frame, depth.frame);
+        let frames = format!("the {} frame, the depth map of image `{name}` in the {} frame", noisy.frame, depth.frame);
+        return Err(
+            StageError::new(format!("`noisy` is in {frames}")).hint("bring both into one frame with `transform-crs`")
+        );
     }
     let sensor = noisy.sensor(image);
     if (sensor.width_px, sensor.height_px) != (depth.sensor.width_px, depth.sensor.height_px) {
         let (w, h) = (sensor.width_px, sensor.height_px);
         let (v, g) = (depth.sensor.width_px, depth.sensor.height_px);
-        fail!("image `{name}` has {w} x {h} pixels in `noisy`, but {v} x {g} in its depth map");
+        return Err(StageError::new(format!(
+            "image `{name}` has {w} x {h} pixels in `noisy`, but {v} x {g} in its depth map"
+        ))
+        .hint("make `noisy` from the cameras that the depth maps were projected with: `perturb-cameras`"));
     }
     Ok(image)
 }

@@ -76,7 +76,7 @@ params! {
     }
 }
 
-/// Points an expected effect on a pair is averaged over.
+/// Points for the mean effect on a pair.
 const EFFECT_POINTS: usize = 120;
 /// Pairs whose expected effects are reported.
 const EFFECT_PAIRS: usize = 40;
@@ -139,7 +139,7 @@ impl Stage for EstimateCovariance {
     }
 
     fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
-        // The mesh with a search tree over its triangles, for what is seen from where.
+        // The mesh with a search tree over its triangles, for visibility.
         7 * inputs.of("mesh")
     }
 
@@ -271,7 +271,7 @@ fn report(inverse: &Inverse, unknowns: &Unknowns, observations: usize, points: &
     ));
 }
 
-/// Logs what the covariance does to pairs of neighbouring images: the physical check of a joint covariance.
+/// Logs the effect of the covariance on pairs of neighbouring images: the physical check of a joint covariance.
 fn report_pairs(
     cameras: &Cameras,
     unknowns: &Unknowns,
@@ -289,7 +289,7 @@ fn report_pairs(
     };
     let effects: Vec<_> = pairs.filter_map(effect).collect();
     if effects.is_empty() {
-        context.warn("no two images make a stereo pair: expected depth errors are not told");
+        context.warn("no two images make a stereo pair: expected depth errors are not reported");
         return;
     }
     let rms = |of: &dyn Fn(usize) -> f64| {

@@ -1,4 +1,4 @@
-//! What planning needs of a face in the wall frame: its extent, and how far rock stands out at a place.
+//! A face in the wall frame as planning needs it: its extent, and how far the rock protrudes at a position.
 
 use nalgebra::Vector3;
 
@@ -17,7 +17,7 @@ pub struct Face {
     pub height_m: f64,
     /// Largest Z.
     pub nearest_z: f64,
-    /// Vertices evenly strided from the list.
+    /// Vertices evenly spaced in the vertex list.
     pub samples: Vec<Vector3<f64>>,
 }
 

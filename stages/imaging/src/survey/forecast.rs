@@ -1,4 +1,4 @@
-//! How well images will measure points of a face: matching noise through the intersection of rays, orientation errors beside it.
+//! Expected precision of points of a face: matching noise propagated through the intersection of rays, and orientation errors.
 
 use nalgebra::{DMatrix, Matrix3, Vector3};
 
@@ -29,16 +29,16 @@ impl Matching {
     }
 }
 
-/// What is to be expected at a point.
+/// The expected precision at a point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Expected {
     /// Mean size of a pixel on a plane across the axes there, metres.
     pub gsd_m: f64,
-    /// Standard deviation along the direction asked for, from matching alone, metres.
+    /// Standard deviation along the given direction, from matching alone, metres.
     pub matching_m: f64,
 }
 
-/// The forecast at a point seen by some cameras; `None` with fewer than two rays, or rays that do not meet.
+/// The forecast at a point seen by some cameras; `None` with fewer than two rays, or parallel ones.
 ///
 /// Disparity noise s is image noise s / sqrt(2) in each image; all rays are intersected by least squares. For two normal
 /// images this is Z^2 / (B f) s.
@@ -63,17 +63,17 @@ pub fn at_point(
     (spread > 0.0 && spread.is_finite()).then(|| Expected { gsd_m, matching_m: sigma_px * spread.sqrt() })
 }
 
-/// A covariance in canonical order over all images, whatever order and subset it came in.
+/// A covariance in canonical order over all images, from any order and subset.
 #[derive(Debug, Clone)]
 pub struct Joint {
-    /// The unknowns of the block that the covariance speaks of.
+    /// The unknowns of the block.
     pub unknowns: Unknowns,
-    /// Its matrix; zero where it says nothing.
+    /// Its matrix; zero for parameters that the covariance does not have.
     pub matrix: DMatrix<f64>,
 }
 
 impl Joint {
-    /// Sorts a covariance.
+    /// A covariance sorted into the order of a block.
     ///
     /// # Errors
     ///

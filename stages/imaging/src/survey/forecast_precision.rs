@@ -1,4 +1,4 @@
-//! `forecast-precision`: says before flying how well a survey will measure the face, and compares it with what a simulation gave.
+//! `forecast-precision`: forecasts the precision of a survey before it is flown, and compares it with a simulation.
 
 use nalgebra::Vector3;
 
@@ -15,9 +15,9 @@ use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, Sta
 use rockface_raster::rasterise::{extent, grid_around, tin};
 use rockface_raster::shape::Shape;
 
-/// Points a pair is judged at.
+/// Points for the figures of a pair.
 const SAMPLES: usize = 2000;
-/// Points the effect of orientation errors is averaged over.
+/// Points for the mean effect of orientation errors.
 const EFFECT_POINTS: usize = 120;
 /// Quantile of the normal distribution: 95 % lie within.
 const QUANTILE95: f64 = 1.96;
@@ -122,7 +122,7 @@ table_row! {
     }
 }
 
-/// The pairs given, else all that make a stereo pair, not more than wanted.
+/// The given pairs, else all images that make a stereo pair; at most as many as requested.
 fn chosen_pairs(
     params: &ForecastPrecisionParams,
     given: Option<&Pairs>,
@@ -131,8 +131,8 @@ fn chosen_pairs(
     context: &Context,
 ) -> Result<Vec<[usize; 2]>, StageError> {
     let place = |name: &str| {
-        let found = cameras.images.iter().position(|image| image.name == name);
-        found.ok_or_else(|| StageError::new(format!("pairs: the block has no image `{name}`")))
+        let index = cameras.images.iter().position(|image| image.name == name);
+        index.ok_or_else(|| StageError::new(format!("pairs: the block has no image `{name}`")))
     };
     let mut pairs = match given {
         Some(given) => given
@@ -149,7 +149,7 @@ fn chosen_pairs(
     Ok(pairs)
 }
 
-/// A block ready for forecasts.
+/// A block prepared for forecasts.
 struct Survey<'a> {
     cameras: &'a Cameras,
     ready: Vec<Camera>,
@@ -215,7 +215,8 @@ impl<'a> Survey<'a> {
     ) -> Result<Raster, StageError> {
         let shape = Shape::Mesh(mesh);
         let Some(extent) = extent(shape, None) else { fail!("the mesh has no vertices") };
-        let grid = grid_around(extent, params.map_cell_m).map_err(StageError::new)?;
+        let grid = grid_around(extent, params.map_cell_m)
+            .map_err(|why| StageError::new(why).hint("choose a larger `map_cell_m`"))?;
         let z = tin(shape, None, &grid);
         let names = ["images", "gsd_m", "sigma_z_m", "lod95_m"];
         let mut bands = names.map(|name| Band { name: name.to_owned(), values: vec![f32::NAN; grid.cells()] });
@@ -236,7 +237,7 @@ impl<'a> Survey<'a> {
     }
 }
 
-/// Smallest change of two epochs that is told from noise at 95 %.
+/// Level of detection: the smallest change between two epochs that differs from noise at 95 %.
 fn lod95(sigma_m: f64) -> f64 {
     QUANTILE95 * std::f64::consts::SQRT_2 * sigma_m
 }
@@ -274,8 +275,8 @@ impl Forecast {
 
 /// Standard deviation and NMAD of the first band of a difference, metres.
 fn simulated(raster: &Raster) -> Option<[f64; 2]> {
-    let found = marginal(&raster.bands.first()?.values)?;
-    Some([found.deviation, found.nmad])
+    let spread = marginal(&raster.bands.first()?.values)?;
+    Some([spread.deviation, spread.nmad])
 }
 
 fn report(all: &Forecast, simulated: Option<[f64; 2]>, context: &Context) {

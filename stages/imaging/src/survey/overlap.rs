@@ -1,4 +1,4 @@
-//! What pairs of images see of a face: shared share, distance, baseline, convergence, and the order of the two images.
+//! Stereo geometry of pairs of images before a face: overlap, distance, baseline, convergence, and the order of the two images.
 
 use nalgebra::Vector3;
 
@@ -6,16 +6,16 @@ use crate::camera::model::Camera;
 use rockface_core::artefact::{Cameras, Mesh, Pair};
 use rockface_core::numerics::portable_math;
 
-/// Below this length of the viewing direction's part across the baseline a pair cannot be rectified.
+/// Least component of the viewing direction across the baseline: below it a pair cannot be rectified.
 const FORWARD: f64 = 0.1;
 
-/// Every so many vertices of a mesh, at most `limit`, as evenly spaced samples of its vertex list.
+/// At most `limit` vertices of a mesh, evenly spaced in its vertex list.
 pub fn sample_vertices(mesh: &Mesh, limit: usize) -> Vec<Vector3<f64>> {
     let stride = mesh.vertices.len().div_ceil(limit.max(1)).max(1);
     mesh.vertices.iter().step_by(stride).map(|vertex| Vector3::from(*vertex)).collect()
 }
 
-/// Depth along the optical axis, metres, of each point that lies in the image; occlusion is not looked at.
+/// Depth along the optical axis, metres, of each point that lies in the image; occlusion is ignored.
 pub fn depths_seen(camera: &Camera, points: &[Vector3<f64>]) -> Vec<Option<f64>> {
     let depth = |point: &Vector3<f64>| {
         let local = camera.to_camera(point);
@@ -25,14 +25,14 @@ pub fn depths_seen(camera: &Camera, points: &[Vector3<f64>]) -> Vec<Option<f64>>
     points.iter().map(depth).collect()
 }
 
-/// What every image of a block sees of a face, for measuring its pairs.
+/// The sampled vertices of a face in every image of a block.
 #[derive(Debug)]
 pub struct Views<'a> {
     cameras: &'a Cameras,
     depths: Vec<Vec<Option<f64>>>,
 }
 
-/// Why two images are no stereo pair at all.
+/// Why two images are no stereo pair.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NoPair {
     /// Both projection centres are the same.
@@ -61,7 +61,7 @@ impl<'a> Views<'a> {
         Self { cameras, depths }
     }
 
-    /// The pair of two images (i < j in block order), its images put in order: image x grows towards the second.
+    /// The pair of two images (i < j in block order), ordered so that the second lies in the direction of image x.
     ///
     /// With `b = (C2 - C1) / B` and `m` the sum of the optical axes, a pair with `|m - (m.b) b| < 0.1` looks along its
     /// baseline. Overlap is the share of the sampled vertices in the first image that lie in the second too.

@@ -1,4 +1,4 @@
-//! `plan-survey`: places the images of a survey before a face and says how well they will see it.
+//! `plan-survey`: places the images of a survey before a face and reports how well they cover it.
 
 use nalgebra::Vector3;
 
@@ -10,11 +10,11 @@ use rockface_core::artefact::{Cameras, Frame, Image, Kind, Mesh, Sensor};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
 
-/// Vertices looked at for what the images see.
+/// Vertices sampled for the coverage of the images.
 const SAMPLES: usize = 20_000;
-/// Images a block may have.
+/// Most images of a block.
 const MAXIMUM_IMAGES: usize = 10_000;
-/// Share of an image that neighbours have in common where nothing is said.
+/// Default overlap of neighbouring images.
 const USUAL_OVERLAP: f64 = 0.8;
 
 choice! {
@@ -162,11 +162,11 @@ impl Stage for PlanSurvey {
     }
 }
 
-/// What follows from sensor and distance.
+/// Figures that follow from sensor and distance.
 struct Plan {
     distance_m: f64,
     focal_px: f64,
-    /// What one image covers at right angles.
+    /// Size of the face in an image at right angles, metres.
     footprint_m: [f64; 2],
     /// Distance of neighbours along a strip and of strips, or the baseline of a pair.
     step_m: [f64; 2],
@@ -238,7 +238,7 @@ fn strips(params: &PlanSurveyParams, plan: &Plan, face: &Face) -> Result<Vec<Ima
 
 fn report(params: &PlanSurveyParams, plan: &Plan, face: &Face, cameras: &Cameras, context: &Context) {
     let (b, f) = (plan.step_m[0], plan.focal_px);
-    // Stations above or below the face that look at it are further away than its plane.
+    // Stations above or below the face are further away from it than from its plane.
     let looks_at_centre = params.block == Block::Pair && params.aim != Some(Aim::Parallel);
     let rise = if looks_at_centre { params.height_offset_m } else { 0.0 };
     let z = (plan.distance_m * plan.distance_m + rise * rise).sqrt();

@@ -1,4 +1,4 @@
-//! `select-pairs`: chooses the stereo pairs of an image block and settles the order of their images once.
+//! `select-pairs`: selects the stereo pairs of an image block and fixes the order of their images.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use rockface_core::artefact::{Cameras, Kind, Mesh, Pair, Pairs};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
-/// Vertices looked at for what an image sees.
+/// Vertices sampled for the overlap of images.
 const SAMPLES: usize = 20_000;
 
 params! {
@@ -150,7 +150,7 @@ fn within_limits(
     Ok(params.neighbours.map_or(chosen.clone(), |most| nearest(&chosen, most)))
 }
 
-/// The pairs that are left when no image may have more than `most`, those of the largest overlap first; order kept.
+/// At most `most` pairs of each image: those of the largest overlap are kept first; the order does not change.
 fn nearest(pairs: &[Pair], most: u32) -> Vec<Pair> {
     let mut order: Vec<usize> = (0..pairs.len()).collect();
     order.sort_by(|a, b| pairs[*b].overlap.total_cmp(&pairs[*a].overlap).then(a.cmp(b)));
@@ -167,7 +167,7 @@ fn nearest(pairs: &[Pair], most: u32) -> Vec<Pair> {
     kept.into_iter().map(|index| pairs[index].clone()).collect()
 }
 
-/// The limits that a pair breaks, by parameter name.
+/// The parameters whose limits a pair exceeds.
 fn faults(params: &SelectPairsParams, pair: &Pair) -> Vec<&'static str> {
     let ratio = pair.baseline_m / pair.distance_m;
     let limits = [

@@ -1,4 +1,4 @@
-//! Stations before a face: a stereo pair, or strips flown once for every viewing direction; and how well they are met again.
+//! Stations before a face: a stereo pair, or strips flown once for every viewing direction, and errors of repeated stations.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -31,11 +31,11 @@ pub struct Strips {
     pub counts: [usize; 2],
     /// Yaw (to +X) and pitch (up) of the optical axis from straight at the face, degrees: the strips are flown for each.
     pub directions_deg: Vec<[f64; 2]>,
-    /// Whether the distance is kept from the rock nearby instead of the mean plane.
+    /// Whether stations keep their distance from the nearby rock instead of the mean plane.
     pub follow: bool,
 }
 
-/// Steps and counts that cover a length: the outermost stand on or beyond its ends.
+/// Step and count that cover a length: the outermost positions are at its ends or beyond.
 pub fn count_to_cover(length_m: f64, step_m: f64) -> usize {
     (length_m / step_m - 1e-9).ceil().max(0.0) as usize + 1
 }
@@ -43,8 +43,8 @@ pub fn count_to_cover(length_m: f64, step_m: f64) -> usize {
 impl Strips {
     /// The images, by direction, strip from the top, and place from the left; `footprint_m` is that of one image.
     ///
-    /// Every axis meets the face in a grid of targets around its centre; a station stands `distance_m` before its target
-    /// across the plane, however oblique it looks.
+    /// The optical axes meet the face in a grid of targets around its centre. The distance of a station from the plane is
+    /// `distance_m`, whatever the angle of its view.
     pub fn images(&self, face: &Face, footprint_m: [f64; 2]) -> Vec<Image> {
         let mut images = Vec::new();
         for (at, direction) in self.directions_deg.iter().enumerate() {
@@ -76,7 +76,7 @@ impl Strips {
     }
 }
 
-/// Moves an image from where it was planned to where it is taken: six draws for position (m) and pointing (degrees).
+/// Moves an image from its planned station to the actual one: six draws for position (m) and pointing (degrees).
 pub fn scatter(image: &mut Image, position_sigma_m: [f64; 3], pointing_sigma_deg: [f64; 3], field: &Field) {
     let draw = |k: usize| field.normal(k as i32, 0);
     let turn = Vector3::from_fn(|k, _| pointing_sigma_deg[k].to_radians() * draw(k));
@@ -135,7 +135,7 @@ mod tests {
         assert!((z[0] - 10.0).abs() < 1e-12 && (z[3] - 12.0).abs() < 1e-12 && z[1] < z[2], "{z:?}");
         assert!(face.check_before(&Vector3::new(2.0, 4.0, 1.9), [1.0, 1.0], 1.9).is_err());
         assert!(face.check_before(&Vector3::new(-2.0, 4.0, 1.9), [1.0, 1.0], 1.9).is_ok());
-        // Beyond the face: the nearest rock counts.
+        // Outside of the face: the nearest rock.
         assert!((face.local_z([9.0, 4.0], [1.0, 1.0]) - 2.0).abs() < 1e-12);
     }
 

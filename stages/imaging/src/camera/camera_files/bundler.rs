@@ -1,7 +1,7 @@
 //! Cameras from and to Bundler's `.out` file: x right, y up, z backward, pixels from the middle of the image.
 //!
 //! `P = R X + t`, `p = -P / P_z`, pixel `= f (1 + k1 |p|^2 + k2 |p|^4) p`. The file holds neither image sizes nor names:
-//! the size is given by who reads it, names stand in the `list.txt` beside it.
+//! the caller gives the size, and the `list.txt` beside the file the names.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -12,7 +12,7 @@ use rockface_core::{StageError, fail};
 
 const HEADER: &str = "# Bundle file v0.3";
 
-/// Bundler's camera frame from ours: half a turn about x.
+/// Bundler's camera frame from that of rockface: half a turn about x.
 const FLIP: [f64; 3] = [1.0, -1.0, -1.0];
 
 /// Farthest that R R^T may be from the identity.
@@ -23,13 +23,13 @@ pub fn is_bundler(head: &[u8]) -> bool {
     head.starts_with(b"# Bundle file")
 }
 
-/// Reads the cameras of a `.out` file; its points are passed over. Every image has a sensor of its own.
+/// Reads the cameras of a `.out` file, and ignores its points. Every image gets its own sensor.
 ///
 /// `list` is the text of `list.txt`, one image a line (its first word); without it images are called `image0`, ...
 ///
 /// # Errors
 ///
-/// Another version than v0.3, numbers that are missing, matrices that are no rotations, a list of another length.
+/// A version other than v0.3, missing numbers, matrices that are no rotations, a list of another length.
 pub fn read(text: &str, list: Option<&str>, [width, height]: [u32; 2], frame: Frame) -> Result<CameraFile, StageError> {
     let Some(body) = text.strip_prefix(HEADER) else {
         return Err(StageError::new(format!("not a Bundler file of version 0.3: its first line is not `{HEADER}`")));
@@ -61,7 +61,7 @@ fn whole<'a>(words: &mut impl Iterator<Item = &'a str>, what: &str) -> Result<us
     word.parse().map_err(|_| StageError::new(format!("{what} is not there: `{word}`")))
 }
 
-/// The first word of each line that has one; `None` without a list, however many cameras the file says it has.
+/// The first word of each line that has one; `None` without a list.
 fn names(list: Option<&str>, count: usize) -> Result<Option<Vec<String>>, StageError> {
     let Some(list) = list else { return Ok(None) };
     let names: Vec<String> =
@@ -98,7 +98,7 @@ fn middle(width_px: u32, height_px: u32) -> [f64; 2] {
 fn image(name: &str, sensor: usize, values: &[f64; 15]) -> Result<Image, StageError> {
     let bundler = Matrix3::from_row_slice(&values[3..12]);
     let off = (bundler * bundler.transpose() - Matrix3::identity()).norm();
-    // Not a number is refused here too.
+    // The negated comparison refuses NaN too.
     if !(off < ORTHONORMAL && bundler.determinant() > 0.0) {
         fail!("camera `{name}`: R is not a rotation (R R^T is {off:.2e} off the identity)");
     }
@@ -114,7 +114,7 @@ fn image(name: &str, sensor: usize, values: &[f64; 15]) -> Result<Image, StageEr
 ///
 /// # Errors
 ///
-/// What Bundler cannot hold, named: a principal point off the middle, affinity, k3, k4, decentring, blanks in a name.
+/// Each thing that Bundler cannot hold: a principal point off the middle, affinity, k3, k4, decentring, blanks in a name.
 pub fn write(cameras: &Cameras) -> Result<Vec<(String, Vec<u8>)>, StageError> {
     let (mut bundle, mut list) = (format!("{HEADER}\n{} 0\n", cameras.images.len()), String::new());
     cameras.sensors.iter().try_for_each(check)?;

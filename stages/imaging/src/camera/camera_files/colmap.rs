@@ -1,14 +1,14 @@
 //! What COLMAP's text and binary models share: camera models by name and number, and poses as `X_c = R X + t`.
 //!
-//! COLMAP counts pixels from the corner of the first one, we from its centre. A model of its own that cannot be held here,
-//! or a sensor of ours that no model of COLMAP holds, is refused by name: nothing is approximated.
+//! COLMAP counts pixels from the corner of the first one, rockface from its centre. A COLMAP model that is not Brown-Conrady, or
+//! a sensor that no COLMAP model can hold, is an error that names it: nothing is approximated.
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use rockface_core::artefact::{Image, Sensor};
 use rockface_core::{StageError, fail};
 
-/// From our pixel coordinates to those of COLMAP.
+/// Offset from the pixel coordinates of rockface to those of COLMAP.
 const HALF_PIXEL: f64 = 0.5;
 
 const HELD: &str = "SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV with k4 = k5 = k6 = 0";
@@ -31,8 +31,8 @@ const MODELS: [(&str, usize); 12] = [
 
 /// Name and count of parameters of a model by its number.
 pub fn model(number: i32) -> Result<(&'static str, usize), StageError> {
-    let found = usize::try_from(number).ok().and_then(|at| MODELS.get(at));
-    found
+    let model = usize::try_from(number).ok().and_then(|at| MODELS.get(at));
+    model
         .copied()
         .ok_or_else(|| StageError::new(format!("camera model number {number} is not known here")).hint(way_out()))
 }

@@ -5,7 +5,7 @@ use super::{CameraFile, assemble};
 use rockface_core::artefact::{Cameras, Frame, Sensor};
 use rockface_core::{StageError, fail};
 
-/// Reads a binary model. Images come in the order of their ids; their points are passed over.
+/// Reads a binary model. Images come in the order of their ids; their points are ignored.
 pub fn read(cameras: &[u8], images: &[u8], frame: Frame) -> Result<CameraFile, StageError> {
     let within = |file: &str| {
         let file = file.to_owned();

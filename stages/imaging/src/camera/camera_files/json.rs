@@ -1,4 +1,4 @@
-//! Cameras from JSON: sensors with `f, cx, cy, k1, ...`, images with `q_wxyz` and `C`, or our own artefact.
+//! Cameras from JSON: sensors with `f, cx, cy, k1, ...`, images with `q_wxyz` and `C`, or the cameras artefact of rockface.
 
 use serde_json::{Map, Value};
 
@@ -57,7 +57,7 @@ struct ImageFile {
 /// Reads cameras from JSON; `frame` holds where the file does not name its frame.
 ///
 /// Pixels have the centre of the first pixel at (0, 0), distortion is Brown-Conrady in the `OpenCV` convention,
-/// `q_wxyz` is the quaternion of R in `X_c = R (X - C)`. A file with a key `frame` is our own artefact.
+/// `q_wxyz` is the quaternion of R in `X_c = R (X - C)`. A file with a key `frame` is the artefact.
 pub fn read(bytes: &[u8], frame: Frame) -> Result<CameraFile, StageError> {
     let json: Value = serde_json::from_slice(bytes).map_err(|e| StageError::new(format!("not valid JSON: {e}")))?;
     if json.get("frame").is_some() {

@@ -1,4 +1,4 @@
-//! What a Metashape camera XML says, as plain values: sensors, cameras, components; nothing is interpreted yet.
+//! The content of a Metashape camera XML as plain values: sensors, cameras, components, without interpretation.
 
 use nalgebra::{Matrix3, Vector3};
 use roxmltree::{Document, Node};
@@ -14,7 +14,7 @@ pub struct Chunk {
     pub cameras: Vec<CameraEntry>,
     /// Similarity of each component (a part of the block aligned by itself), by its id.
     pub components: Vec<(String, Similarity)>,
-    /// Similarity of the whole chunk, in older files.
+    /// Similarity of the chunk, in older files.
     pub transform: Option<Similarity>,
     /// Its coordinate reference system as WKT.
     pub reference: Option<String>,
@@ -117,9 +117,9 @@ fn numbers(node: Node) -> Result<Vec<f64>, StageError> {
 }
 
 fn exactly<const N: usize>(node: Node) -> Result<[f64; N], StageError> {
-    let found = numbers(node)?;
-    let count = found.len();
-    found.try_into().map_err(|_| StageError::new(format!("{}: {count} numbers, {N} are needed", place(node))))
+    let values = numbers(node)?;
+    let count = values.len();
+    values.try_into().map_err(|_| StageError::new(format!("{}: {count} numbers, {N} are needed", place(node))))
 }
 
 fn matrix(node: Node) -> Result<Matrix3<f64>, StageError> {
@@ -147,21 +147,21 @@ fn sensor(node: Node) -> Result<SensorEntry, StageError> {
 
 /// The numbers of a calibration; its resolution, else that of its sensor.
 fn calibration(sensor: Node, node: Node) -> Result<Vec<(String, f64)>, StageError> {
-    let mut found = Vec::new();
+    let mut values = Vec::new();
     let resolution = child(node, "resolution").or_else(|| child(sensor, "resolution"));
     for side in ["width", "height"] {
         let Some(text) = resolution.and_then(|node| node.attribute(side)) else {
             fail!("{}: no <resolution> says its {side}", place(node))
         };
-        found.push((side.to_owned(), number(node, text)?));
+        values.push((side.to_owned(), number(node, text)?));
     }
     for node in node.children().filter(Node::is_element) {
         let name = node.tag_name().name();
         if !["resolution", "covariance", "date"].contains(&name) {
-            found.push((name.to_owned(), number(node, node.text().unwrap_or(""))?));
+            values.push((name.to_owned(), number(node, node.text().unwrap_or(""))?));
         }
     }
-    Ok(found)
+    Ok(values)
 }
 
 fn interior_covariance(node: Node) -> Result<(Vec<String>, Vec<f64>), StageError> {

@@ -31,7 +31,7 @@ const UNIT_TOLERANCE: f64 = 1e-6;
 pub struct CameraFile {
     /// The block.
     pub cameras: Cameras,
-    /// Whether the file itself says which frame it is in.
+    /// Whether the file states its frame.
     pub states_frame: bool,
     /// What was read over, in sentences.
     pub notes: Vec<String>,
@@ -42,7 +42,7 @@ pub struct CameraFile {
 }
 
 impl CameraFile {
-    /// A block of which the file says nothing more.
+    /// A block from a file that holds nothing else.
     pub fn of(cameras: Cameras) -> Self {
         Self { cameras, states_frame: false, notes: Vec::new(), warnings: Vec::new(), covariance: None }
     }
@@ -138,8 +138,8 @@ pub fn find_name(wanted: &str, names: &[&str]) -> Option<usize> {
         return Some(exact);
     }
     let fits = |name: &str| stem(name) == wanted || name == stem(wanted);
-    let mut found = names.iter().enumerate().filter(|(_, name)| fits(name));
-    match (found.next(), found.next()) {
+    let mut fitting = names.iter().enumerate().filter(|(_, name)| fits(name));
+    match (fitting.next(), fitting.next()) {
         (Some((index, _)), None) => Some(index),
         _ => None,
     }

@@ -1,4 +1,4 @@
-//! Which of some files hold an image block, told by their names and first bytes, and the block read from them.
+//! Recognises the files that hold an image block by their names and first bytes, and reads the block.
 
 use super::{CameraFile, bundler, colmap_binary, colmap_text, json, metashape};
 use rockface_core::artefact::Frame;
@@ -25,7 +25,7 @@ pub enum Role {
     BinaryImages,
 }
 
-/// A file with a role, whole.
+/// The complete file of a role.
 #[derive(Debug)]
 pub struct Part {
     /// What it is.
@@ -62,13 +62,13 @@ pub fn role(name: &str, head: &[u8]) -> Option<Role> {
 /// No block, several, half a model, and what the format itself refuses.
 pub fn read(parts: &[Part], frame: Frame, image_size_px: Option<[u32; 2]>) -> Result<CameraFile, StageError> {
     let of = |role: Role| parts.iter().filter(move |part| part.role == role);
-    let whole = |role: Role| of(role).next();
+    let first = |role: Role| of(role).next();
     let single: Vec<&Part> =
         parts.iter().filter(|p| matches!(p.role, Role::Json | Role::Metashape | Role::Bundler)).collect();
-    let text_model = whole(Role::TextCameras).zip(whole(Role::TextImages));
-    let binary_model = whole(Role::BinaryCameras).zip(whole(Role::BinaryImages));
+    let text_model = first(Role::TextCameras).zip(first(Role::TextImages));
+    let binary_model = first(Role::BinaryCameras).zip(first(Role::BinaryImages));
     if image_size_px.is_some() && !single.iter().any(|part| part.role == Role::Bundler) {
-        fail!("`image_size_px` is for Bundler files, which do not say it; this file does");
+        fail!("`image_size_px` is for Bundler files, which have no image sizes; this file has them");
     }
     match (&single[..], text_model, binary_model) {
         ([], Some((cameras, images)), _) => colmap_text::read(text(cameras)?, text(images)?, frame),
@@ -77,7 +77,7 @@ pub fn read(parts: &[Part], frame: Frame, image_size_px: Option<[u32; 2]>) -> Re
             Role::Json => json::read(&one.bytes, frame),
             Role::Metashape => metashape::read(text(one)?, frame),
             _ => {
-                let list = whole(Role::BundlerList).map(text).transpose()?;
+                let list = first(Role::BundlerList).map(text).transpose()?;
                 let Some(size) = image_size_px else {
                     return Err(StageError::new("a Bundler file does not say how large its images are")
                         .hint("give `image_size_px: [width, height]`"));

@@ -10,7 +10,7 @@ const HALF_PIXEL: f64 = 0.5;
 /// Grey of the pictures: COLMAP wants one of every image for the colours of its points.
 const GREY: u8 = 128;
 
-/// Names are those of the numbers of the images: their own may hold blanks and slashes.
+/// Images are named by their numbers: their real names may have blanks and slashes.
 pub fn image_name(number: usize) -> String {
     format!("{number:06}.png")
 }

@@ -1,4 +1,4 @@
-//! What COLMAP made of a workspace, taken back to the frame of its depth maps and checked.
+//! The results of COLMAP for a workspace, transformed to the frame of its depth maps and checked.
 
 use nalgebra::Vector3;
 
@@ -28,14 +28,14 @@ impl Default for Bounds {
 }
 
 impl Bounds {
-    /// Makes room for a point seen at a depth.
+    /// Extends the box by a point seen at a depth.
     pub fn include(&mut self, point: &Vector3<f64>, depth_m: f64) {
         self.low = self.low.inf(point);
         self.high = self.high.sup(point);
         self.depth_m = self.depth_m.max(depth_m);
     }
 
-    /// The same box, counted from elsewhere.
+    /// The same box relative to another origin.
     #[must_use]
     pub fn from(self, origin: &Vector3<f64>) -> Self {
         Self { low: self.low + origin, high: self.high + origin, ..self }
@@ -46,7 +46,7 @@ impl Bounds {
         (0..3).all(|axis| (self.low[axis] - margin..=self.high[axis] + margin).contains(&point[axis]))
     }
 
-    /// Refuses points that are not where the depth maps saw them.
+    /// Fails where too many points lie outside of the box.
     fn check<'a>(&self, what: &str, points: impl Iterator<Item = &'a [f64; 3]>) -> Result<(), StageError> {
         let (mut count, mut stray, mut first) = (0usize, 0usize, None);
         for point in points {

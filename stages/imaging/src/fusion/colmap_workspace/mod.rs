@@ -1,7 +1,7 @@
 //! The folder that COLMAP's fusion of depth maps works on, laid out as its dense code reads it, and the cloud it makes.
 //!
-//! What its dense code expects and nowhere says: cameras without distortion only (`PINHOLE`; further terms are ignored in
-//! silence), principal points counted from the centre of the first pixel where its sparse code counts from the corner, depths
+//! Undocumented requirements of its dense code: cameras without distortion only (`PINHOLE`; further terms are silently
+//! ignored), principal points counted from the centre of the first pixel where its sparse code counts from the corner, depths
 //! of 0 where there is none, normals in the camera frame as three planes one after the other, a picture for every image, and
 //! points of the sparse model seen by both images of every pair that is to be fused, or there is nothing to fuse.
 
@@ -18,18 +18,18 @@ use rockface_core::{StageError, fail};
 
 pub use fused::{Bounds, read, read_mesh};
 
-/// Coordinates are told to COLMAP, which works in single precision, from a corner of this size, metres.
+/// Multiple to which the origin of the coordinates is rounded, metres; COLMAP works in single precision.
 const ORIGIN_STEP_M: f64 = 100.0;
 
 /// A folder for COLMAP.
 pub struct Workspace {
     /// Files by name.
     pub files: Vec<(String, Vec<u8>)>,
-    /// Where its coordinates count from, metres in the frame of the depth maps.
+    /// Origin of its coordinates in the frame of the depth maps, metres.
     pub origin_m: [f64; 3],
     /// Points of the sparse model.
     pub tie_points: usize,
-    /// Where its points must lie, in the frame of the depth maps.
+    /// Box in which its points must lie, in the frame of the depth maps.
     pub bounds: Bounds,
 }
 
@@ -52,8 +52,8 @@ pub fn frame_of(depths: &[&Depth]) -> Result<Frame, StageError> {
     };
     for other in depths {
         if other.frame != first.frame {
-            let (name, found, frame) = (&other.image.name, other.frame, first.frame);
-            fail!("the depth map of image `{name}` is in the {found} frame, the first one in the {frame} frame");
+            let (name, other, frame) = (&other.image.name, other.frame, first.frame);
+            fail!("the depth map of image `{name}` is in the {other} frame, the first one in the {frame} frame");
         }
     }
     Ok(first.frame)

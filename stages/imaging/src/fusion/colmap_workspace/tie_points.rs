@@ -1,16 +1,16 @@
-//! Points that depth maps see in common: from them COLMAP learns which images overlap.
+//! Points that several depth maps see: COLMAP takes the overlap of images from them.
 
 use nalgebra::Vector3;
 
 use super::View;
 use super::fused::Bounds;
 
-/// Pixels looked at along the longer side of a map.
+/// Probed pixels along the longer side of a map.
 const LATTICE: usize = 32;
 /// Share of the depth by which two maps may differ about a point that both see.
 const AGREEMENT: f64 = 0.02;
 
-/// A point and who sees it.
+/// A point and the images that see it.
 pub struct TiePoint {
     /// From the origin of the workspace, metres.
     pub point_m: Vector3<f64>,
@@ -21,7 +21,7 @@ pub struct TiePoint {
 /// Points of a lattice of pixels in every map that at least one other map sees, and the box around all of the lattices.
 pub fn tie_points(views: &[View]) -> (Vec<TiePoint>, Bounds) {
     let (mut ties, mut bounds) = (Vec::new(), Bounds::default());
-    for (own, view) in views.iter().enumerate() {
+    for (this, view) in views.iter().enumerate() {
         let (width, height) = (view.map.width, view.map.height);
         let step = width.max(height).div_ceil(LATTICE);
         for row in (step / 2..height).step_by(step) {
@@ -35,9 +35,9 @@ pub fn tie_points(views: &[View]) -> (Vec<TiePoint>, Bounds) {
                 let rotation = view.depth.image.matrix();
                 let point_m = view.centre_m + rotation.tr_mul(&Vector3::new(x * z_m, y * z_m, z_m));
                 bounds.include(&point_m, z_m);
-                let others = (0..views.len()).filter(|other| *other != own);
+                let others = (0..views.len()).filter(|other| *other != this);
                 let others = others.filter_map(|other| Some((other, sees(&views[other], &point_m)?)));
-                let seen: Vec<_> = std::iter::once((own, position)).chain(others).collect();
+                let seen: Vec<_> = std::iter::once((this, position)).chain(others).collect();
                 if seen.len() > 1 {
                     ties.push(TiePoint { point_m, seen });
                 }
@@ -47,7 +47,7 @@ pub fn tie_points(views: &[View]) -> (Vec<TiePoint>, Bounds) {
     (ties, bounds)
 }
 
-/// Where an image sees a point; `None` where something else is in the way, or nothing is known.
+/// Position of a point in an image; `None` where it is hidden, or the map has no depth.
 fn sees(view: &View, point_m: &Vector3<f64>) -> Option<[f64; 2]> {
     let point = view.depth.image.matrix() * (point_m - view.centre_m);
     let (index, position) = view.map.place(&point)?;

@@ -11,11 +11,11 @@ const VERSION: &str = "import pycolmap; print(pycolmap.__version__)";
 /// Fuses.
 const SCRIPT: &str = include_str!("fuse.py");
 
-/// Where the workspace lies in the folder the program runs in.
+/// Folder of the workspace in the working directory of the program.
 pub const WORKSPACE: &str = "work";
-/// What comes out of it.
+/// The fused cloud.
 pub const FUSED: &str = "out/fused.ply";
-/// Which images each point was fused from.
+/// The images from which each point was fused.
 pub const VISIBILITY: &str = "out/fused.ply.vis";
 /// The Poisson mesh.
 pub const MESHED: &str = "out/meshed.ply";
@@ -31,23 +31,23 @@ pub fn program(params: &FuseColmapParams) -> &str {
     params.program.as_deref().unwrap_or(default)
 }
 
-/// Refuses a program that is not there, or is not the version the parameters name.
+/// Fails where the program does not exist, or has another version than the parameters name.
 pub fn check_version(params: &FuseColmapParams, context: &Context) -> Result<(), StageError> {
     let args = match params.engine {
         Engine::Pycolmap => ["-c", VERSION].as_slice(),
         Engine::Colmap => &["help"],
     };
     let result = run(params, context, args, Vec::new(), &[])?;
-    let found = match params.engine {
+    let version = match params.engine {
         Engine::Pycolmap => result.stdout.trim(),
         Engine::Colmap => version_of_help(&result.stdout),
     };
-    if found == params.version.trim() {
+    if version == params.version.trim() {
         return Ok(());
     }
     let (program, stated) = (program(params), &params.version);
-    let error = StageError::new(format!("`{program}` has COLMAP {found}, but `version` says {stated}"));
-    Err(error.hint(format!("write `version: \"{found}\"`: a result is known by the version that made it")))
+    let error = StageError::new(format!("`{program}` has COLMAP {version}, but `version` says {stated}"));
+    Err(error.hint(format!("write `version: \"{version}\"`: a result is known by the version that made it")))
 }
 
 /// The word after the name: `COLMAP 3.8 -- Structure-from-Motion ...`.
@@ -70,7 +70,7 @@ pub fn fuse(params: &FuseColmapParams, workspace: Files, context: &Context) -> R
     }
 }
 
-/// The program does one thing a run.
+/// The command-line program runs once for each task.
 fn with_program(params: &FuseColmapParams, files: Files, context: &Context) -> Result<ProgramResult, StageError> {
     let mut args = words(&["stereo_fusion", "--workspace_path", WORKSPACE, "--workspace_format", "COLMAP"]);
     args.extend(words(&["--input_type", "geometric", "--output_path", FUSED]));
@@ -140,7 +140,7 @@ fn run(
     let program = Program {
         program: text(program(params)),
         args: args.iter().map(|arg| text(arg)).collect(),
-        // The program draws windows elsewhere, and must not want a screen for what it does here.
+        // Other commands of the program open windows; this one must not need a display.
         environment: [("QT_QPA_PLATFORM".to_owned(), "offscreen".to_owned())].into(),
         inherit: Vec::new(),
         inputs,
@@ -152,7 +152,7 @@ fn run(
     Ok(result)
 }
 
-/// What to do where there is no such program; a run that was stopped is left as it is.
+/// Adds how to install the program to an error; the error of a cancelled run does not change.
 fn missing(params: &FuseColmapParams, error: StageError) -> StageError {
     if error.hint.is_some() { error.hint(way_out(params)) } else { error }
 }

@@ -16,20 +16,20 @@ use crate::camera::pinhole::PinholeMap;
 use rockface_core::StageError;
 use rockface_core::artefact::{Cameras, Depth, Frame, Image, Sensor};
 
-/// The script that is put beside the files.
+/// The script beside the files.
 pub const SCRIPT: &str = include_str!("import_depth.py");
-/// Half width of the windows pictures are shaded by, pixels.
+/// Half width of the windows for the shading of the pictures, pixels.
 const SHADE_REACH: usize = 2;
-/// Coordinates up to this are left as they are, metres; larger ones would lose millimetres in single precision.
+/// Largest coordinate that is not shifted, metres; larger ones would lose millimetres in single precision.
 const FAR_M: f64 = 10_000.0;
-/// Otherwise they count from a corner of this size, metres.
+/// Multiple to which the origin of shifted coordinates is rounded, metres.
 const ORIGIN_STEP_M: f64 = 1000.0;
 
 /// The files of a project.
 pub struct Project {
     /// Files by name.
     pub files: Vec<(String, Vec<u8>)>,
-    /// Where its coordinates count from, metres in the frame of the depth maps.
+    /// Origin of its coordinates in the frame of the depth maps, metres.
     pub origin_m: [f64; 3],
 }
 
@@ -75,7 +75,7 @@ fn label(number: usize, name: &str) -> String {
     format!("{number:04}_{}", name.chars().map(plain).collect::<String>())
 }
 
-/// The number of the sensor of a map; maps alike share one.
+/// The number of the sensor of a map; maps of equal sensors share one.
 fn sensor_of(map: &PinholeMap, sensors: &mut Vec<Sensor>) -> usize {
     let sensor = |name: String| Sensor {
         name,

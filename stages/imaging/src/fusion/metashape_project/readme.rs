@@ -1,4 +1,4 @@
-//! What the folder says of itself.
+//! The README.txt of the folder.
 
 use rockface_core::artefact::Frame;
 

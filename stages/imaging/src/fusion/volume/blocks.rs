@@ -16,29 +16,29 @@ use rockface_core::artefact::Depth;
 pub const SIDE: i32 = 8;
 /// Voxels of a block.
 pub const VOXELS: usize = 512;
-/// Depth-map rows one task looks at.
+/// Rows of the depth map of one task.
 const ROWS: usize = 64;
 /// Rays this many voxels apart, and twice as much around them, leave no block out.
 const RAY_SPACING: f64 = 3.0;
 
-/// The place of a block, in blocks.
+/// The position of a block, in blocks.
 pub type Key = [i32; 3];
 
-/// How a volume is laid out.
+/// Geometry of a volume.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Layout {
     /// Side of a voxel, metres.
     pub voxel_m: f64,
     /// Distance from a surface at which distances end, metres.
     pub truncation_m: f64,
-    /// X from, to, Y from, to of the points that count, metres.
+    /// Window of the points that are fused: X from, to, Y from, to, metres.
     pub window_m: Option<[f64; 4]>,
 }
 
 /// Sums of weighted distances; the blocks are sorted by their keys.
 #[derive(Debug, Clone)]
 pub struct Volume {
-    /// How it is laid out.
+    /// Its geometry.
     pub layout: Layout,
     /// Places of the blocks, ascending.
     pub keys: Vec<Key>,
@@ -63,7 +63,7 @@ impl Volume {
     }
 }
 
-/// The blocks within the truncation of what a depth map shows.
+/// The blocks within the truncation of the surface of a depth map.
 pub fn near(depth: &Depth, layout: &Layout) -> Vec<Key> {
     let camera = Camera::of_depth(depth);
     let nearest_m = depth.z.iter().filter(|z| z.is_finite() && **z > 0.0).fold(f32::INFINITY, |a, z| a.min(*z));
@@ -75,7 +75,7 @@ pub fn near(depth: &Depth, layout: &Layout) -> Vec<Key> {
     let pixel_m = f64::from(farthest_m) / depth.sensor.f * f64::from(depth.downscale);
     let stride = ((RAY_SPACING * layout.voxel_m / pixel_m) as usize).max(1);
     let tasks = (0..depth.height).step_by(ROWS).collect::<Vec<_>>();
-    let mut found: Vec<Key> = tasks
+    let mut blocks: Vec<Key> = tasks
         .into_par_iter()
         .flat_map_iter(|first| {
             let mut keys = Vec::new();
@@ -88,9 +88,9 @@ pub fn near(depth: &Depth, layout: &Layout) -> Vec<Key> {
             keys
         })
         .collect();
-    found.par_sort_unstable();
-    found.dedup();
-    found
+    blocks.par_sort_unstable();
+    blocks.dedup();
+    blocks
 }
 
 fn walk(depth: &Depth, camera: &Camera, layout: &Layout, row: usize, stride: usize, keys: &mut Vec<Key>) {

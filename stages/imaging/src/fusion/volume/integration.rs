@@ -1,4 +1,4 @@
-//! Adds depth maps to a volume of signed distances, one after the other in their order: the same bits at any thread count.
+//! Adds depth maps to a volume of signed distances, one after the other: the bits do not depend on the number of threads.
 
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -10,7 +10,7 @@ use rockface_core::artefact::Depth;
 /// Sigma that has weight 1, metres.
 const UNIT_SIGMA_M: f64 = 0.01;
 
-/// A depth map ready to be looked up.
+/// A depth map prepared for lookups.
 struct View<'a> {
     depth: &'a Depth,
     camera: Camera,
@@ -90,7 +90,7 @@ impl View<'_> {
         }
         let pixel = row as usize * self.depth.width + column as usize;
         let z = f64::from(self.depth.z[pixel]);
-        // NaN is not near.
+        // A comparison with NaN is false.
         let behind = (at.z - z) * (1.0 + x * x + y * y).sqrt();
         if !(behind <= truncation_m && z > 0.0) {
             return None;

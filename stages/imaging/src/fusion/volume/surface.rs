@@ -18,7 +18,7 @@ type BlockVertices = Vec<(u16, [f64; 3])>;
 
 /// The surface of a volume, from voxels that at least `min_maps` depth maps saw; pieces of fewer than `min_triangles` are left out.
 ///
-/// Vertices and triangles come in the order of the blocks: the same bits at any thread count.
+/// Vertices and triangles come in the order of the blocks: the bits do not depend on the number of threads.
 pub fn extract(volume: &Volume, frame: Frame, min_maps: u8, min_triangles: usize) -> Mesh {
     let blocks = || (0..volume.keys.len()).into_par_iter().with_min_len(64);
     let vertices: Vec<BlockVertices> = blocks().map(|block| block_vertices(volume, block, min_maps)).collect();
@@ -29,9 +29,9 @@ pub fn extract(volume: &Volume, frame: Frame, min_maps: u8, min_triangles: usize
         count += block.len() as u32;
     }
     let index = Index { volume, vertices: &vertices, first: &first };
-    let found: Vec<Vec<[u32; 3]>> = blocks().map(|block| block_triangles(&index, block, min_maps)).collect();
+    let triangles: Vec<Vec<[u32; 3]>> = blocks().map(|block| block_triangles(&index, block, min_maps)).collect();
     let places: Vec<[f64; 3]> = vertices.iter().flatten().map(|(_, place)| *place).collect();
-    let all: Vec<[u32; 3]> = found.into_iter().flatten().filter(|t| !is_degenerate(&places, t)).collect();
+    let all: Vec<[u32; 3]> = triangles.into_iter().flatten().filter(|t| !is_degenerate(&places, t)).collect();
     compact(frame, &places, keep_large(places.len(), all, min_triangles))
 }
 
@@ -75,7 +75,7 @@ fn sample_of(voxel: usize) -> usize {
 
 fn block_vertices(volume: &Volume, block: usize, min_maps: u8) -> BlockVertices {
     let values = samples(volume, block, min_maps);
-    let mut found = Vec::new();
+    let mut vertices = Vec::new();
     for voxel in 0..VOXELS {
         let at = sample_of(voxel);
         for (axis, step) in STEP.into_iter().enumerate() {
@@ -86,13 +86,13 @@ fn block_vertices(volume: &Volume, block: usize, min_maps: u8) -> BlockVertices 
             let share = f64::from(a) / (f64::from(a) - f64::from(b));
             let mut place = [0, 1, 2].map(|n| f64::from(volume.keys[block][n] * SIDE) + (voxel >> (3 * n) & 7) as f64);
             place[axis] += share;
-            found.push(((3 * voxel + axis) as u16, place.map(|x| x * volume.layout.voxel_m)));
+            vertices.push(((3 * voxel + axis) as u16, place.map(|x| x * volume.layout.voxel_m)));
         }
     }
-    found
+    vertices
 }
 
-/// Where the vertex of an edge is in the mesh.
+/// Index of the vertex of an edge in the mesh.
 struct Index<'a> {
     volume: &'a Volume,
     vertices: &'a [BlockVertices],
@@ -106,14 +106,14 @@ impl Index<'_> {
         let block = if shift == [0; 3] { block } else { neighbour(self.volume, &self.volume.keys[block], shift)? };
         let voxel = (place[2] & 7) << 6 | (place[1] & 7) << 3 | (place[0] & 7);
         let wanted = (3 * voxel + edge.axis) as u16;
-        let found = self.vertices[block].binary_search_by_key(&wanted, |(edge, _)| *edge).ok()?;
-        Some(self.first[block] + found as u32)
+        let place = self.vertices[block].binary_search_by_key(&wanted, |(edge, _)| *edge).ok()?;
+        Some(self.first[block] + place as u32)
     }
 }
 
 fn block_triangles(index: &Index, block: usize, min_maps: u8) -> Vec<[u32; 3]> {
     let values = samples(index.volume, block, min_maps);
-    let mut found = Vec::new();
+    let mut all = Vec::new();
     for voxel in 0..VOXELS {
         let at = sample_of(voxel);
         let corner = |c: usize| values[at + (0..3).map(|axis| (c >> axis & 1) * STEP[axis]).sum::<usize>()];
@@ -125,11 +125,11 @@ fn block_triangles(index: &Index, block: usize, min_maps: u8) -> Vec<[u32; 3]> {
             let [a, b, c] = edges.map(|edge| index.vertex(block, voxel, edge));
             // Every corner of a whole cube has a value, so every edge that crosses has its vertex.
             if let (Some(a), Some(b), Some(c)) = (a, b, c) {
-                found.push([a, b, c]);
+                all.push([a, b, c]);
             }
         }
     }
-    found
+    all
 }
 
 /// The triangles of pieces with at least so many; pieces connect through vertices.

@@ -1,6 +1,7 @@
 //! `match-image` against `match-pair`, the sharing of noise, and refusals, on a row of small images.
 
 use super::*;
+use crate::camera::model::Camera;
 use crate::depth::depth_buffer::{Drawing, draw};
 use crate::matching::map_fusion::{Measured, fuse};
 use rockface_core::artefact::{Artefact, Frame, Mesh, Noun, Sensor};

@@ -83,11 +83,11 @@ fn silent(of: &str) -> Value {
 fn without_noise_the_truth_comes_back() {
     for downscale in [1, 2] {
         let scene = scene(convergent(sensor()), &wavy(), downscale);
-        for (own, of) in ["first", "second"].into_iter().enumerate() {
+        for (side, of) in ["first", "second"].into_iter().enumerate() {
             let host = TestHost::default();
             let map = run(&scene, &host, &silent(of)).unwrap();
             let mut seen = 0;
-            for (z, ideal) in map.z.iter().zip(&scene.depths[own].z).filter(|(z, _)| !z.is_nan()) {
+            for (z, ideal) in map.z.iter().zip(&scene.depths[side].z).filter(|(z, _)| !z.is_nan()) {
                 // One float32 step at 20 m.
                 assert!((z - ideal).abs() <= f32::EPSILON * 16.0, "{z} instead of {ideal}");
                 seen += 1;
@@ -105,11 +105,12 @@ fn the_kernel_itself_is_exact_to_a_nanometre() {
     let host = TestHost::default();
     let ideal = [&scene.depths[0], &scene.depths[1]];
     let keys = |purpose: &str, item: &str| Context::new(&host).stream(purpose, item);
-    let matcher = params.matching.setup(None).unwrap().matcher("p", ideal, 0, &scene.noisy, &keys).unwrap();
+    let setup = params.matching.setup(Sampling::Image, None).unwrap();
+    let matcher = setup.matcher("p", ideal, Side::First, &scene.noisy, &keys).unwrap();
     let mut rows: Vec<Vec<(usize, f64)>> = vec![Vec::new(); ideal[0].height];
-    matcher.match_image(0, &mut rows, |row, column, m| row.push((column, m.depth_m)));
-    for (row, found) in rows.iter().enumerate() {
-        for (column, depth_m) in found {
+    matcher.match_image(&mut rows, |row, column, m| row.push((column, m.depth_m)));
+    for (row, matches) in rows.iter().enumerate() {
+        for (column, depth_m) in matches {
             let truth = f64::from(ideal[0].z[row * ideal[0].width + column]);
             assert!((depth_m - truth).abs() < 1e-9);
             assert!((truth - scene.buffers[0][row * ideal[0].width + column]).abs() < 2e-6);
@@ -118,7 +119,7 @@ fn the_kernel_itself_is_exact_to_a_nanometre() {
 }
 
 #[test]
-fn wrong_orientations_show_as_y_parallax_and_keep_the_own_ray() {
+fn wrong_orientations_show_as_y_parallax_and_leave_the_ray_unchanged() {
     let mut scene = scene(convergent(sensor()), &wavy(), 1);
     scene.noisy.images[1] = image_at("right", [2.0, -0.098, 20.3], [-0.0208, 0.1, -0.03]);
     scene.noisy.sensors[0].k[0] += 0.001;
@@ -248,7 +249,7 @@ fn it_says_what_does_not_fit() {
     assert!(error(&base(), json!({"pair": "a+b"})).contains("no pair `a+b`"));
     let mut bad = base();
     bad.depths.swap(0, 1);
-    assert!(error(&bad, json!({})).contains("`first` is a depth map of image `right`"));
+    assert!(error(&bad, json!({})).contains("`first` is the depth map of image `right`"));
     bad = base();
     bad.depths[1] = scene(convergent(small_sensor()), &wavy(), 1).depths[1].clone();
     assert!(error(&bad, json!({})).contains("downscale"));
@@ -260,7 +261,9 @@ fn it_says_what_does_not_fit() {
     assert!(error(&bad, json!({})).contains("world frame"));
     bad = base();
     bad.noisy.images[1].centre_m = bad.noisy.images[0].centre_m;
-    assert!(error(&bad, json!({})).contains("coincide"));
+    let refusal = run(&bad, &TestHost::default(), &json!({})).unwrap_err();
+    assert!(refusal.message.contains("pair `left+right`: the two projection centres coincide"), "{refusal}");
+    assert!(refusal.hint.is_some_and(|hint| hint.contains("remove it from `pairs`")));
     bad = base();
     bad.depths[1].z.fill(f32::NAN);
     assert!(error(&bad, json!({})).contains("no point in common"));

@@ -16,7 +16,7 @@ use rockface_core::numerics::random::{Field, Key};
 /// Node distance of a B-spline field over the deviation of its (nearly) Gaussian correlation.
 pub const SPACING_OF_SCALE: f64 = 1.224_744_871_391_589;
 
-/// Octaves that are summed for the weights; beyond them nothing is left.
+/// Octaves summed for the weights; the share of further ones is negligible.
 const OCTAVES: usize = 60;
 
 /// A scale of the mixture, and its share of the variance.
@@ -52,7 +52,7 @@ pub struct CorrelatedNoise {
 }
 
 impl CorrelatedNoise {
-    /// The field whose scale k draws from `key(k)`; nodes are drawn ahead for positions within `low..high` pixels.
+    /// The field whose scale k draws from `key(k)`; the nodes for positions within `low..high` pixels are drawn at once.
     pub fn new(length_px: f64, smoothness: f64, key: impl Fn(usize) -> Key, low: [f64; 2], high: [f64; 2]) -> Self {
         let (scales, white) = scales(length_px, smoothness);
         let level = |(k, scale): (usize, Scale)| Level::new(&key(k), scale, low, high);
@@ -69,7 +69,7 @@ impl CorrelatedNoise {
     }
 }
 
-/// Normal nodes on a grid through the origin, single precision, drawn ahead over a rectangle.
+/// Normal nodes on a grid through the origin, in single precision; those within a rectangle are drawn at once.
 #[derive(Debug, Clone)]
 struct Level {
     scale: Scale,

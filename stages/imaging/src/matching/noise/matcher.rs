@@ -1,14 +1,15 @@
-//! The parameters that make matching noise more like a real matcher's, and the fields they stand for at one pair.
+//! The parameters of the terms that a real matcher's noise has beyond the paper's, and the fields of these terms for one pair.
 
 use crate::camera::model::{Camera, full_pixel};
 use crate::matching::noise::correlated::CorrelatedNoise;
+use crate::matching::noise::model::Scaled;
 use crate::matching::noise::modulation::{Blunders, Modulation, Patches, smooth_field};
 use crate::matching::noise::paper::{Distribution, FieldRecipe, LocalNoise, SmoothNoise};
 use crate::matching::noise::strength::Strength;
 use crate::matching::noise::terms::{Address, Ledges, Part, Relief, Terms, UnitField};
 use crate::matching::noise::window::{WindowEffects, relief, seen_depth};
-use crate::matching::pair::smooth_noise;
-use crate::matching::rectification::Rectification;
+use crate::matching::pair_geometry::PairGeometry;
+use crate::matching::side::Side;
 use rockface_core::StageError;
 use rockface_core::artefact::{Depth, Frame, Raster};
 use rockface_core::numerics::portable_math;
@@ -154,7 +155,7 @@ params! {
     }
 }
 
-/// The paper's noise that the terms start from.
+/// The paper's noise, to which the terms are added.
 #[derive(Debug, Clone, Copy)]
 pub struct PaperNoise {
     /// Standard deviation of the local noise, pixels.
@@ -167,29 +168,41 @@ pub struct PaperNoise {
     pub recipe: FieldRecipe,
 }
 
-/// The pair the terms are for.
+/// The pair whose noise is set up.
 pub struct PairScene<'a> {
     /// Name of the pair.
     pub name: &'a str,
-    /// Ideal depth maps of the first and second image.
-    pub depths: [&'a Depth; 2],
-    /// The image whose depth map is made: 0 or 1.
-    pub own: usize,
-    /// Its true camera.
-    pub camera: &'a Camera,
-    /// Noisy camera of the first image.
-    pub noisy: &'a Camera,
-    /// Rectification of the noisy cameras.
-    pub rectification: &'a Rectification,
-    /// How strong the noise is from place to place; `None`: equally.
+    /// Its depth maps and cameras.
+    pub geometry: &'a PairGeometry<'a>,
+    /// The image whose depth map is made.
+    pub side: Side,
+    /// Factor on the local noise by place; `None`: 1 everywhere.
     pub strength: Option<&'a Raster>,
+}
+
+impl PairScene<'_> {
+    /// Ideal depth map of the image whose depth map is made.
+    fn depth(&self) -> &Depth {
+        self.geometry.ideal[self.side]
+    }
+
+    /// Columns and rows of an image, pixels of the depth map.
+    fn extent(&self, side: Side) -> [f64; 2] {
+        let depth = self.geometry.ideal[side];
+        [depth.width as f64, depth.height as f64]
+    }
+
+    /// The item of the stream of a field: the pair, or an image.
+    fn item(&self, side: Option<Side>) -> &str {
+        side.map_or(self.name, |side| self.geometry.ideal[side].image.name.as_str())
+    }
 }
 
 /// Keys of random streams by purpose and item.
 pub type Keys<'a> = &'a dyn Fn(&str, &str) -> Key;
 
 impl MatcherTerms {
-    /// Terms of which every one is off.
+    /// All terms off.
     pub fn none() -> Self {
         Self {
             local_length_px: 0.0,
@@ -209,13 +222,13 @@ impl MatcherTerms {
         }
     }
 
-    /// Whether anything is drawn even where the paper's noise is silent.
+    /// Whether the terms draw random numbers without the paper's noise too.
     pub fn draws(&self) -> bool {
         self.relief.is_some() || self.blunders.is_some() || self.holes.is_some()
     }
 
-    /// The depth map as the window sees it; `None` without such a term.
-    pub fn seen(&self, depth: &Depth) -> Option<Depth> {
+    /// The depth map with the effects of the window; `None` without this term.
+    pub fn windowed(&self, depth: &Depth) -> Option<Depth> {
         let Window { smoothing_px, fattening_px, step_m } = self.window.clone()?;
         let effects =
             WindowEffects { smoothing_px: smoothing_px as usize, fattening_px: fattening_px as usize, step_m };
@@ -225,19 +238,22 @@ impl MatcherTerms {
     /// The fields of a pair.
     ///
     /// # Errors
-    /// A texture or a map of strength over a depth map in another frame; a rectified image of no use.
+    /// A texture or a map of strength over a depth map in another frame; a first image that cannot be rectified.
     pub fn fields(&self, noise: &PaperNoise, scene: &PairScene, keys: Keys) -> Result<Terms, StageError> {
-        let depth = scene.depths[scene.own];
-        let image = extent(scene.depths[0]);
+        let (depth, camera) = (scene.depth(), &scene.geometry.cameras[scene.side]);
+        let image = scene.extent(Side::First);
         let key = |purpose: &str| keys(purpose, scene.name);
         let field = |purpose: &str, length: f64| smooth_field(&key(purpose), length, [0.0; 2], image);
         let acquisition = self.acquisition_factors(&keys("match-acquisition", ""));
         let patches = |purpose: &str, share: f64, length_px: f64| Patches::new(share, field(purpose, length_px));
         Ok(Terms {
-            local: (noise.sigma_local_px, self.local_parts(noise, scene, keys, acquisition[1])),
-            regular: (noise.sigma_regular_px, self.regular_parts(noise, scene, keys)?),
+            local: Scaled {
+                sigma_px: noise.sigma_local_px,
+                field: self.local_parts(noise, scene, keys, acquisition[1]),
+            },
+            regular: Scaled { sigma_px: noise.sigma_regular_px, field: self.regular_parts(noise, scene, keys)? },
             acquisition: acquisition[0],
-            texture: self.texture.as_ref().map(|texture| texture.modulation(depth, scene.camera)).transpose()?,
+            texture: self.texture.as_ref().map(|texture| texture.modulation(depth, camera)).transpose()?,
             conditions: self
                 .conditions
                 .as_ref()
@@ -271,9 +287,9 @@ impl MatcherTerms {
         [strength, length]
     }
 
-    /// The strength of the noise by place; without ledges all of it is that of texture.
+    /// The strength of the noise by place; without `ledges` all of it counts as texture.
     fn map(&self, scene: &PairScene) -> Result<Option<Strength>, StageError> {
-        let (Some(raster), depth) = (scene.strength, scene.depths[scene.own]) else { return Ok(None) };
+        let (Some(raster), depth) = (scene.strength, scene.depth()) else { return Ok(None) };
         if raster.frame != depth.frame {
             let text = format!(
                 "the map of strength is in the {} frame, the depth maps in the {} frame",
@@ -284,14 +300,14 @@ impl MatcherTerms {
         Ok(Some(Strength::new(raster, self.ledges.as_ref().map_or(f64::INFINITY, |ledges| ledges.from))))
     }
 
-    /// The pair's own field and those of its images, with the square roots of their shares; the second image's error counts
-    /// against the disparity.
-    fn shared<E>(&self, mut field: impl FnMut(Option<usize>) -> Result<Part, E>) -> Result<Vec<Part>, E> {
+    /// The fields of the pair (`None`) and of its images, weighted by the square roots of their shares; the error of the second
+    /// image is subtracted, as its position is in the disparity.
+    fn shared<E>(&self, mut field: impl FnMut(Option<Side>) -> Result<Part, E>) -> Result<Vec<Part>, E> {
         let mut parts = Vec::new();
         for (share, side, sign) in [
             (1.0 - self.image_share, None, 1.0),
-            (0.5 * self.image_share, Some(0), 1.0),
-            (0.5 * self.image_share, Some(1), -1.0),
+            (0.5 * self.image_share, Some(Side::First), 1.0),
+            (0.5 * self.image_share, Some(Side::Second), -1.0),
         ] {
             if share > 0.0 {
                 parts.push(Part { weight: sign * share.sqrt(), ..field(side)? });
@@ -301,17 +317,17 @@ impl MatcherTerms {
     }
 
     fn local_parts(&self, noise: &PaperNoise, scene: &PairScene, keys: Keys, length_factor: f64) -> Vec<Part> {
-        let part = |side: Option<usize>| {
-            let item = item(scene, side);
+        let part = |side: Option<Side>| {
+            let item = scene.item(side);
             let field = if self.local_length_px > 0.0 {
                 let key = |level: usize| keys(&format!("match-local-{level}"), item);
-                let (low, high) = ([0.0; 2], extent(scene.depths[side.unwrap_or(0)]));
+                let (low, high) = ([0.0; 2], scene.extent(side.unwrap_or(Side::First)));
                 let length_px = self.local_length_px * length_factor;
                 UnitField::Correlated(CorrelatedNoise::new(length_px, self.local_smoothness, key, low, high))
             } else {
                 UnitField::White(LocalNoise::new(&keys("match-local", item), noise.local_distribution))
             };
-            let address = if side == Some(1) { Address::Second } else { Address::First };
+            let address = Address::pixel(side.unwrap_or(Side::First));
             Ok::<_, std::convert::Infallible>(Part { weight: 1.0, address, field })
         };
         let Ok(parts) = self.shared(part);
@@ -323,15 +339,12 @@ impl MatcherTerms {
             return Ok(Vec::new());
         }
         self.shared(|side| {
-            let key = keys("match-regular", item(scene, side));
+            let key = keys("match-regular", scene.item(side));
             let (address, field) = match side {
-                None => {
-                    let field = smooth_noise(&key, noise.recipe, scene.depths[0], scene.noisy, scene.rectification)?;
-                    (Address::Rectified, field)
-                }
+                None => (Address::Rectified, scene.geometry.smooth_noise(&key, noise.recipe)?),
                 Some(side) => {
-                    let field = SmoothNoise::new(&key, noise.recipe, [0.0; 2], extent(scene.depths[side]));
-                    (if side == 0 { Address::First } else { Address::Second }, field)
+                    let field = SmoothNoise::new(&key, noise.recipe, [0.0; 2], scene.extent(side));
+                    (Address::pixel(side), field)
                 }
             };
             Ok(Part { weight: 1.0, address, field: UnitField::Smooth(field) })
@@ -343,11 +356,11 @@ impl LedgeNoise {
     /// The ledges of one acquisition of a pair; `length_px` and `smoothness` are those of its local noise.
     fn drawn(&self, length_px: f64, smoothness: f64, scene: &PairScene, keys: Keys) -> Ledges {
         let key = |level: usize| keys(&format!("match-ledges-{level}"), scene.name);
-        let high = extent(scene.depths[0]);
-        let field =
+        let high = scene.extent(Side::First);
+        let along =
             CorrelatedNoise::new(length_px.max(0.5), smoothness, key, [0.0; 2], [high[0] / self.along, high[1]]);
         let common = self.common * keys("match-ledge-growth", scene.name).field().normal(0, 0);
-        Ledges { along: (self.along_share, field), along_rows: self.along, common }
+        Ledges { along_share: self.along_share, along, along_rows: self.along, common }
     }
 }
 
@@ -358,20 +371,11 @@ impl ReliefNoise {
     }
 }
 
-/// What names the stream of a field: the pair, or an image.
-fn item<'a>(scene: &'a PairScene, side: Option<usize>) -> &'a str {
-    side.map_or(scene.name, |side| scene.depths[side].image.name.as_str())
-}
-
-fn extent(depth: &Depth) -> [f64; 2] {
-    [depth.width as f64, depth.height as f64]
-}
-
-/// Every so manieth pixel along each side is looked at to find where the face lies.
+/// Step between the pixels that are probed for the extent of the face, along rows and columns.
 const PROBE_PX: usize = 16;
 
 impl Texture {
-    /// The modulation over the face a depth map shows.
+    /// The modulation over the part of the face that a depth map shows.
     fn modulation(&self, depth: &Depth, camera: &Camera) -> Result<Modulation, StageError> {
         if depth.frame != Frame::Wall {
             let text = format!("the texture lies on the face, but the depth maps are in the {} frame", depth.frame);
@@ -394,7 +398,7 @@ impl Texture {
         Ok(Modulation { log_sd: self.log_sd, field: smooth_field(&self.key(), self.length_m, low, high) })
     }
 
-    /// The texture's own stream: it depends on its number alone, so every acquisition sees the same.
+    /// The random stream of the texture. It depends on the seed alone, so every acquisition has the same texture.
     fn key(&self) -> Key {
         let mut bytes = *b"....    texture of the face     ";
         bytes[..4].copy_from_slice(&self.seed.to_le_bytes());

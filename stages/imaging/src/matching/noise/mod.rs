@@ -2,6 +2,7 @@
 
 pub mod correlated;
 pub mod matcher;
+pub mod model;
 pub mod modulation;
 pub mod paper;
 pub mod strength;

@@ -1,4 +1,4 @@
-//! Smooth random factors and patches: how strong the noise is from place to place, and where matching goes astray.
+//! Smooth random fields that modulate the noise from place to place, and patches of blunders and holes.
 
 use crate::matching::noise::correlated::SPACING_OF_SCALE;
 use crate::matching::noise::paper::{Distribution, FieldRecipe, Interpolation, SmoothNoise, Variance};
@@ -17,12 +17,12 @@ pub fn smooth_field(key: &Key, length: f64, low: [f64; 2], high: [f64; 2]) -> Sm
     SmoothNoise::new(key, recipe, low, high)
 }
 
-/// A log-normal factor with mean square 1, so that it moves noise about and adds none.
+/// A log-normal factor with mean square 1: it redistributes the variance of the noise and does not raise it.
 #[derive(Debug, Clone)]
 pub struct Modulation {
     /// Standard deviation of its logarithm.
     pub log_sd: f64,
-    /// The normal field below it.
+    /// The normal field of its logarithm, of unit deviation.
     pub field: SmoothNoise,
 }
 
@@ -68,10 +68,10 @@ pub fn upper_point(share: f64) -> f64 {
     0.5 * (low + high)
 }
 
-/// Patches in which the disparity is off by a smooth normal error: a whole neighbourhood matched to the wrong place.
+/// Patches in which the disparity has a smooth normal error: a neighbourhood matched to the wrong place.
 #[derive(Debug, Clone)]
 pub struct Blunders {
-    /// Where.
+    /// Where the blunders are.
     pub patches: Patches,
     /// Standard deviation of the error inside, pixels.
     pub sigma_px: f64,

@@ -150,7 +150,7 @@ impl LocalNoise {
         Lanes::of(|lane| f64::from(if columns[lane] & 1 == 0 { even[lane] } else { odd[lane] } as f32))
     }
 
-    /// Draws to be looked up one after the other.
+    /// Access to single draws, fast along a row.
     pub fn lookup(&self) -> Lookup<'_> {
         Lookup { noise: self, cell: [0; 2], pair: self.field.normals(0, 0) }
     }
@@ -166,7 +166,7 @@ impl LocalNoise {
     }
 }
 
-/// Draws of a noise looked up pixel by pixel: neighbours along a row share one transform, which is done once.
+/// Single draws of a noise. Two neighbours along a row come from one transform, which is kept for the second.
 #[derive(Debug, Clone, Copy)]
 pub struct Lookup<'a> {
     noise: &'a LocalNoise,
@@ -196,7 +196,7 @@ pub struct FieldRecipe {
     pub spacing_px: f64,
     /// Distribution of the nodes.
     pub distribution: Distribution,
-    /// How it goes on between them.
+    /// Interpolation between them.
     pub interpolation: Interpolation,
     /// What unit standard deviation refers to.
     pub variance: Variance,
@@ -208,14 +208,14 @@ pub struct SmoothNoise {
     recipe: FieldRecipe,
     field: Field,
     mean_deviation: f64,
-    /// First node and size (columns, rows) of what is drawn ahead.
+    /// First node and size (columns, rows) of the nodes in `nodes`.
     first: [i32; 2],
     size: [i32; 2],
     nodes: Vec<f64>,
 }
 
 impl SmoothNoise {
-    /// The field of a stream, its nodes drawn ahead for positions within `low..high` pixels.
+    /// The field of a stream; the nodes for positions within `low..high` pixels are drawn at once.
     pub fn new(key: &Key, recipe: FieldRecipe, low: [f64; 2], high: [f64; 2]) -> Self {
         let cell = |position: f64| (position / recipe.spacing_px).floor() as i32;
         let first = low.map(|p| cell(p) - 1);
@@ -240,7 +240,7 @@ impl SmoothNoise {
         self.weighted([along(0), along(1)], self.nodes_about(column, row))
     }
 
-    /// The field at several positions, pixels; none where a position has none.
+    /// The field at several positions, pixels; NaN at a position that is NaN.
     #[inline(always)]
     pub fn at_lanes(&self, position_px: [Lanes; 2]) -> Lanes {
         let [x, y] = both(position_px, |p| p / self.recipe.spacing_px);
@@ -304,7 +304,7 @@ impl SmoothNoise {
         self.drawn_nodes(column, row)
     }
 
-    /// Nodes that were not drawn ahead.
+    /// Nodes outside of `nodes`.
     #[cold]
     fn drawn_nodes(&self, column: i32, row: i32) -> [f64; 4] {
         [0, 1, 2, 3].map(|i| self.recipe.distribution.draw(&self.field, column + i, row))
@@ -385,7 +385,7 @@ mod tests {
         for (variance, kernel) in [Variance::Nodes, Variance::Mean, Variance::Pointwise].into_iter().zip(KERNELS) {
             let recipe = FieldRecipe { variance, interpolation: kernel, ..RECIPE };
             let field = SmoothNoise::new(&Key([6; 32]), recipe, [-50.0, -30.0], [40.0, 60.0]);
-            // All in one cell, over several, and beyond what was drawn ahead.
+            // All in one cell, over several cells, and outside of the nodes that `new` drew.
             for step in [0.5, 3.7, -20.0] {
                 let x = Lanes::of(|lane| 16.2 + step * lane as f64);
                 let y = Lanes::of(|lane| -5.4 + 0.1 * step * lane as f64);

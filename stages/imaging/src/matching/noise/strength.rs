@@ -1,6 +1,6 @@
-//! How strong noise is from place to place, learnt from rasters without change of the same site and survey.
+//! Strength of the noise by place, estimated from rasters without change of the same site and survey.
 //!
-//! Ledges, cracks and poor texture stay where they are from epoch to epoch, and so does the noise they cause: divided by its own
+//! Ledges, cracks and poor texture stay in place from epoch to epoch, and so does the noise they cause: divided by its
 //! deviation at each place, the noise of a matcher is close to normal. The map is the root of the mean square over rasters,
 //! relative to its median (heteroscedasticity; compare Hugonnet et al. 2022, IEEE JSTARS 15, who regress it on slope).
 
@@ -8,17 +8,17 @@ use rockface_core::artefact::{Grid, Raster};
 use rockface_core::numerics::gaussian::smoothed;
 use rockface_core::numerics::quantile::median;
 
-/// Largest factor: beyond it a place would be matched to somewhere else altogether.
+/// Largest factor: stronger noise would be a match to a wrong place.
 const LARGEST: f32 = 30.0;
 
 /// How the map is made.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Estimation {
-    /// Deviation of the Gaussian whose smooth part of each raster is taken off first, cells; 0: none.
+    /// Deviation of the Gaussian whose smooth part is subtracted from each raster first, cells; 0: none.
     pub detrend_cells: f64,
     /// Deviation of the Gaussian the mean squares are smoothed with, cells; 0: none.
     pub smoothing_cells: f64,
-    /// A place with fewer values has none in the map.
+    /// Fewest values of a cell that has a value in the map.
     pub least: usize,
 }
 
@@ -44,22 +44,22 @@ pub fn strength(bands: &[&[f32]], columns: usize, how: &Estimation) -> Option<Ve
     Some((0..cells).map(factor).collect())
 }
 
-/// A map of factors to look up by place.
+/// A map of factors by place.
 #[derive(Debug, Clone)]
 pub struct Strength {
     grid: Grid,
     values: Vec<f32>,
-    /// The factor up to which noise is that of texture; what exceeds it belongs to ledges.
+    /// The factor up to which noise counts as noise of texture; the rest is noise of ledges.
     from: f64,
 }
 
 impl Strength {
-    /// The first band of a raster; `from` parts the noise of texture from that of ledges.
+    /// The first band of a raster; factors above `from` count as noise of ledges.
     pub fn new(raster: &Raster, from: f64) -> Self {
         Self { grid: raster.grid, values: raster.bands[0].values.clone(), from }
     }
 
-    /// The factor of the cell a place lies in, 1 beyond the grid; where the map has no value, the largest in reach of two cells.
+    /// The factor of the cell of a place; 1 outside of the grid; in a hole of the map, the largest factor within two cells.
     pub fn at(&self, [x, y]: [f64; 2]) -> f64 {
         let (column, row) = ((x - self.grid.left_m) / self.grid.cell_m, (self.grid.top_m - y) / self.grid.cell_m);
         let (columns, rows) = (self.grid.columns as f64, self.grid.rows as f64);
@@ -67,11 +67,11 @@ impl Strength {
             return 1.0;
         }
         let (column, row) = (column as usize, row as usize);
-        let own = self.values[row * self.grid.columns + column];
-        if own.is_nan() { self.nearby(column, row) } else { f64::from(own) }
+        let value = self.values[row * self.grid.columns + column];
+        if value.is_nan() { self.nearby(column, row) } else { f64::from(value) }
     }
 
-    /// Holes of the map lie at the worst places.
+    /// Holes of the map lie where noise is strongest.
     fn nearby(&self, column: usize, row: usize) -> f64 {
         let reach = |at: usize, size: usize| at.saturating_sub(2)..(at + 3).min(size);
         let rows = reach(row, self.grid.rows);

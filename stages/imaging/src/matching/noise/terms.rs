@@ -1,4 +1,4 @@
-//! The error of a matched disparity with all the terms a real matcher shows, each of which may be absent.
+//! The error of a matched disparity with all terms of a real matcher, each of which may be absent.
 //!
 //! With u and v the unit local and smooth fields, M the product of all modulations and s the deviation at ledges (from the relief r
 //! within the matcher's window, `gain r^power`, and from the map of strength), the error of a pixel is
@@ -7,9 +7,11 @@
 //! what the matcher's sub-pixel step does: locking towards whole disparities, and rounding to its step.
 
 use crate::matching::noise::correlated::CorrelatedNoise;
+use crate::matching::noise::model::Scaled;
 use crate::matching::noise::modulation::{Blunders, Modulation, Patches};
 use crate::matching::noise::paper::{LocalNoise, Lookup, SmoothNoise};
 use crate::matching::noise::strength::Strength;
+use crate::matching::side::Side;
 use rockface_core::numerics::fast_round::nearest;
 use rockface_core::numerics::portable_math;
 
@@ -24,7 +26,7 @@ pub enum UnitField {
     Smooth(SmoothNoise),
 }
 
-/// Where a field is looked up.
+/// Position at which a field is evaluated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Address {
     /// At the pixel of the first image.
@@ -35,18 +37,28 @@ pub enum Address {
     Rectified,
 }
 
+impl Address {
+    /// The pixel of an image.
+    pub fn pixel(side: Side) -> Self {
+        match side {
+            Side::First => Self::First,
+            Side::Second => Self::Second,
+        }
+    }
+}
+
 /// One of the fields that make up a noise, with its weight; squared weights add up to 1.
 #[derive(Debug, Clone)]
 pub struct Part {
     /// Factor on the field.
     pub weight: f64,
-    /// Where it is looked up.
+    /// Position at which it is evaluated.
     pub address: Address,
     /// The field.
     pub field: UnitField,
 }
 
-/// Positions and size of what is matched at one pixel.
+/// Where one pixel is matched: everything on which the terms depend.
 #[derive(Debug, Clone, Copy)]
 pub struct Site {
     /// Positions in the first image, the second image and the rectified first image, pixels of the depth map.
@@ -84,15 +96,29 @@ impl Relief {
     }
 }
 
-/// What the noise at ledges has of its own.
+/// How the noise at ledges differs from all local noise.
 #[derive(Debug, Clone)]
 pub struct Ledges {
-    /// Field that is longer along the rows, and its share a of the variance.
-    pub along: (f64, CorrelatedNoise),
-    /// How many times longer than down the columns.
+    /// a: share of the variance whose correlation is longer along the rows.
+    pub along_share: f64,
+    /// w: the field of this share.
+    pub along: CorrelatedNoise,
+    /// How many times longer along the rows than down the columns.
     pub along_rows: f64,
-    /// n: what all ledges have in common in this acquisition, in deviations of their noise.
+    /// n: the error common to all ledges of this acquisition, in deviations of their noise.
     pub common: f64,
+}
+
+impl Ledges {
+    /// The part of the noise that only ledges have, in deviations of their noise: `w sqrt(a) + n`.
+    fn unit(&self, site: &Site) -> f64 {
+        let along = if self.along_share > 0.0 {
+            self.along_share.sqrt() * self.along.at([site.first_px[0] / self.along_rows, site.first_px[1]])
+        } else {
+            0.0
+        };
+        along + self.common
+    }
 }
 
 /// The error of a disparity, term by term.
@@ -100,7 +126,7 @@ pub struct Ledges {
 pub struct DisparityError {
     /// Local noise, pixels.
     pub white_px: f64,
-    /// What a match in the wrong place adds, pixels.
+    /// Error of a match in the wrong place, pixels.
     pub blunder_px: f64,
     /// Smooth noise, pixels.
     pub regular_px: f64,
@@ -117,13 +143,13 @@ impl DisparityError {
     }
 }
 
-/// Everything that makes the error of a disparity.
+/// All terms of the error of a disparity.
 #[derive(Debug, Clone)]
 pub struct Terms {
-    /// Local noise: its deviation in pixels, and its fields.
-    pub local: (f64, Vec<Part>),
-    /// Smooth noise: its deviation in pixels, and its fields.
-    pub regular: (f64, Vec<Part>),
+    /// Local noise, with the fields that make it up.
+    pub local: Scaled<Vec<Part>>,
+    /// Smooth noise, with the fields that make it up.
+    pub regular: Scaled<Vec<Part>>,
     /// Factor on all noise of this acquisition.
     pub acquisition: f64,
     /// Strength by place on the face (metres), the same in every acquisition.
@@ -134,7 +160,7 @@ pub struct Terms {
     pub relief: Option<Relief>,
     /// Strength by place from rasters of the site.
     pub map: Option<Strength>,
-    /// What the noise at ledges has of its own; `None`: it is as all local noise.
+    /// How the noise at ledges differs; `None`: it is like all local noise.
     pub ledges: Option<Ledges>,
     /// Factor by which local noise is longer along the rows of the image.
     pub stretch: f64,
@@ -149,9 +175,9 @@ pub struct Terms {
 }
 
 impl Terms {
-    /// The white fields of the local noise, to be looked up along a row.
+    /// The white fields of the local noise, for evaluation along a row.
     pub fn lookups(&self) -> Lookups<'_> {
-        Lookups(self.local.1.iter().map(Part::lookup).collect())
+        Lookups(self.local.field.iter().map(Part::lookup).collect())
     }
 
     /// The error of a disparity before the sub-pixel step; `None` in a hole.
@@ -163,27 +189,20 @@ impl Terms {
         let blunder_px = self.blunders.as_ref().map_or(0.0, |blunders| blunders.at(site.first_px));
         let [local_px, relief_px] = self.local_px(site, lookups);
         let white_px = strength * local_px;
-        let regular_px = strength * self.regular.0 * unit(&self.regular.1, site);
+        let regular_px = strength * self.regular.sigma_px * unit(&self.regular.field, site);
         Some(DisparityError { white_px, blunder_px, regular_px, relief_px, strength })
     }
 
-    /// Noise of texture and of ledges, and the deviation of that of ledges.
+    /// Local noise with that of ledges, and the deviation of the noise of ledges.
     fn local_px(&self, site: &Site, lookups: &mut Lookups) -> [f64; 2] {
         let [texture, ledge] = self.map.as_ref().map_or([1.0, 0.0], |map| map.parts(site.point_m));
         let relief_px = self.relief.as_ref().map_or(0.0, |relief| relief.sigma_px(site));
-        let (sigma_px, excess_px) = (self.local.0 * texture, self.local.0 * ledge);
+        let (sigma_px, excess_px) = (self.local.sigma_px * texture, self.local.sigma_px * ledge);
         let ledge2 = relief_px * relief_px + excess_px * excess_px;
-        let (share, own) = self.ledges.as_ref().map_or((0.0, 0.0), |ledges| {
-            let (share, field) = &ledges.along;
-            let along = if *share > 0.0 {
-                share.sqrt() * field.at([site.first_px[0] / ledges.along_rows, site.first_px[1]])
-            } else {
-                0.0
-            };
-            (*share, along + ledges.common)
-        });
+        let (share, ledge_unit) =
+            self.ledges.as_ref().map_or((0.0, 0.0), |ledges| (ledges.along_share, ledges.unit(site)));
         let common_px = (sigma_px * sigma_px + (1.0 - share) * ledge2).sqrt();
-        [common_px * lookups.unit(&self.local.1, site, self.stretch) + ledge2.sqrt() * own, ledge2.sqrt()]
+        [common_px * lookups.unit(&self.local.field, site, self.stretch) + ledge2.sqrt() * ledge_unit, ledge2.sqrt()]
     }
 
     fn strength(&self, site: &Site) -> f64 {
@@ -191,7 +210,7 @@ impl Terms {
         self.acquisition * at(&self.texture, site.point_m) * at(&self.conditions, site.first_px)
     }
 
-    /// What the matcher's sub-pixel estimate makes of a disparity, pixels.
+    /// A disparity after the matcher's sub-pixel step, pixels.
     pub fn sub_pixel(&self, disparity_px: f64) -> f64 {
         let turn = std::f64::consts::TAU * (disparity_px - disparity_px.floor());
         let pull = if self.locking_px > 0.0 { self.locking_px * portable_math::sin(turn) } else { 0.0 };
@@ -200,7 +219,7 @@ impl Terms {
     }
 }
 
-/// White draws at hand for each part of the local noise that has some.
+/// The latest draws of each white part of the local noise; `None` for the other parts.
 #[derive(Default)]
 pub struct Lookups<'a>(Vec<Option<Lookup<'a>>>);
 
@@ -272,8 +291,8 @@ pub(crate) mod tests {
     fn plain() -> Terms {
         let white = UnitField::White(LocalNoise::new(&Key([1; 32]), Distribution::Gaussian));
         Terms {
-            local: (0.5, vec![Part { weight: 1.0, address: Address::First, field: white }]),
-            regular: (0.0, Vec::new()),
+            local: Scaled { sigma_px: 0.5, field: vec![Part { weight: 1.0, address: Address::First, field: white }] },
+            regular: Scaled { sigma_px: 0.0, field: Vec::new() },
             acquisition: 1.0,
             texture: None,
             conditions: None,
@@ -306,7 +325,7 @@ pub(crate) mod tests {
         let grid = Grid { columns: 1, rows: 1, cell_m: 1.0, left_m: -0.5, top_m: 0.5 };
         let map = Strength::new(&Raster::single(grid, Frame::Wall, "strength", "", vec![5.0]), 3.0);
         let along = || CorrelatedNoise::new(2.0, 0.5, |_| Key([3; 32]), [0.0; 2], [9.0; 2]);
-        let ledges = |common: f64| Some(Ledges { along: (0.0, along()), along_rows: 1.0, common });
+        let ledges = |common: f64| Some(Ledges { along_share: 0.0, along: along(), along_rows: 1.0, common });
         let with = |common: f64| {
             let terms = Terms { map: Some(map.clone()), ledges: ledges(common), ..plain() };
             error(&terms, &SITE).unwrap().local_px()
@@ -315,7 +334,7 @@ pub(crate) mod tests {
         assert!((with(0.0) / bare - 5.0).abs() < 1e-9);
         // Four of the five are the ledge's: sqrt(25 - 9) times 0.5 px.
         assert!((with(0.25) - with(0.0) - 0.25 * 4.0 * 0.5).abs() < 1e-9);
-        let all_along = Ledges { along: (1.0, along()), along_rows: 1.0, common: 0.0 };
+        let all_along = Ledges { along_share: 1.0, along: along(), along_rows: 1.0, common: 0.0 };
         let terms = Terms { map: Some(map.clone()), ledges: Some(all_along), ..plain() };
         let expected = 3.0 * bare + 2.0 * along().at(SITE.first_px);
         assert!((error(&terms, &SITE).unwrap().local_px() - expected).abs() < 1e-9);

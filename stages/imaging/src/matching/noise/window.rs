@@ -1,7 +1,7 @@
-//! What a matcher's window does to a depth map: it takes one disparity for all of it, smooths, and favours what is near.
+//! Effects of a matcher's window on a depth map: noise on relief, smoothing, and growth of the nearer side of a step.
 //!
-//! Windows are squares of `2 half + 1` pixels; pixels without depth and beyond the edge do not count. All is done in
-//! inverse depth, which disparity is proportional to.
+//! Windows are squares of `2 half + 1` pixels; pixels without depth or beyond the edge do not count. Computations use the
+//! inverse depth, to which disparity is proportional.
 
 use rayon::prelude::*;
 
@@ -32,8 +32,8 @@ pub struct WindowEffects {
     pub step_m: f64,
 }
 
-/// Depths as the window sees them, metres: where a surface at least `step_m` nearer lies within reach, its depth; elsewhere the
-/// mean over the smoothing window.
+/// Depths after the effects of the window, metres: the depth of a surface within reach that is at least `step_m` nearer;
+/// elsewhere the mean over the smoothing window.
 pub fn seen_depth(depth: &Depth, effects: &WindowEffects) -> Vec<f32> {
     per_pixel(depth, |column, row, centre| {
         let mut nearest = centre;
@@ -50,9 +50,9 @@ pub fn seen_depth(depth: &Depth, effects: &WindowEffects) -> Vec<f32> {
 fn per_pixel(depth: &Depth, value: impl Fn(usize, usize, f64) -> f64 + Sync) -> Vec<f32> {
     let mut values = vec![f32::NAN; depth.z.len()];
     values.par_chunks_mut(depth.width.max(1)).enumerate().for_each(|(row, line)| {
-        let own = &depth.z[row * depth.width..(row + 1) * depth.width];
-        for (column, out) in line.iter_mut().enumerate().filter(|(column, _)| own[*column].is_finite()) {
-            *out = value(column, row, 1.0 / f64::from(own[column])) as f32;
+        let depths_m = &depth.z[row * depth.width..(row + 1) * depth.width];
+        for (column, out) in line.iter_mut().enumerate().filter(|(column, _)| depths_m[*column].is_finite()) {
+            *out = value(column, row, 1.0 / f64::from(depths_m[column])) as f32;
         }
     });
     values

@@ -11,12 +11,12 @@ use rockface_core::artefact::Cameras;
 /// Least determinant of a point's normal matrix, as a share of that of a point known evenly: below it rays are parallel.
 const RAYS_MEET: f64 = 1e-12;
 
-/// An object point as a block adjustment sees it.
+/// An object point of the block adjustment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ObjectPoint {
-    /// Where it is, metres.
+    /// Its position, metres.
     pub position_m: Vector3<f64>,
-    /// The images it is measured in.
+    /// The images in which it is measured.
     pub images: Vec<usize>,
     /// Standard deviation of an image coordinate, pixels.
     pub sigma_px: f64,
@@ -24,7 +24,7 @@ pub struct ObjectPoint {
     pub control_sigma_m: Option<f64>,
 }
 
-/// What else is known of every image.
+/// Further observations of every image.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Priors {
     /// Standard deviations of X, Y, Z of each projection centre (GNSS), metres.
@@ -36,17 +36,17 @@ pub struct Priors {
 pub struct Normals {
     /// The matrix, n x n in the order of the unknowns.
     pub matrix: DMatrix<f64>,
-    /// Its diagonal before object points were eliminated: what rounding is relative to.
+    /// Its diagonal before object points were eliminated: the scale of rounding errors.
     pub diagonal: Vec<f64>,
-    /// Image coordinates that went in.
+    /// Number of image coordinates.
     pub observations: usize,
 }
 
-/// Builds the reduced normal equations. Points are folded in their order: the same bits at any thread count.
+/// Builds the reduced normal equations. Points are added in their order: the bits do not depend on the number of threads.
 ///
 /// # Errors
 ///
-/// A point without pixel in an image it is said to be measured in, or one that its rays do not fix.
+/// A point without pixel in one of its images, or one that its rays do not determine.
 pub fn reduced(
     cameras: &Cameras,
     unknowns: &Unknowns,

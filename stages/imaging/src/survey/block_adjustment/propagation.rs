@@ -1,6 +1,6 @@
-//! What errors of orientation do to a stereo pair, to first order: errors of depth, their part across a plane, y-parallax.
+//! First-order effects of orientation errors on a stereo pair: errors of depth, with and without their best plane, and y-parallax.
 //!
-//! A pixel is measured where the true orientation puts it and intersected with the estimated one. With `A` and `B` the
+//! A pixel is measured with the true orientation and intersected with the estimated one. With `A` and `B` the
 //! derivatives of the four image coordinates by orientation and object point, a point moves by `-(B^T B)^-1 B^T A e` and
 //! keeps the residual `(I - B (B^T B)^-1 B^T) A e`, whose length is the y-parallax over the root of two.
 
@@ -12,7 +12,7 @@ use crate::camera::model::Camera;
 use crate::survey::overlap::Views;
 use rockface_core::artefact::Cameras;
 
-/// Smallest overlap and ratio of baseline to distance of images taken for a stereo pair.
+/// Smallest overlap and ratio of baseline to distance of a stereo pair.
 const STEREO: [f64; 2] = [0.3, 0.03];
 
 /// The combinations of images that make a stereo pair: 30 % overlap and a baseline of 3 % of the distance at least.
@@ -20,8 +20,8 @@ pub fn stereo_pairs(cameras: &Cameras, points: &[Vector3<f64>]) -> Vec<[usize; 2
     let views = Views::new(cameras, points);
     let images = cameras.images.len();
     let usable = |pair: &[usize; 2]| {
-        let found = views.pair(pair[0], pair[1]);
-        found.is_ok_and(|pair| pair.overlap >= STEREO[0] && pair.baseline_m >= STEREO[1] * pair.distance_m)
+        let stereo = views.pair(pair[0], pair[1]);
+        stereo.is_ok_and(|pair| pair.overlap >= STEREO[0] && pair.baseline_m >= STEREO[1] * pair.distance_m)
     };
     (0..images).flat_map(|i| (i + 1..images).map(move |j| [i, j])).filter(usable).collect()
 }
@@ -36,7 +36,7 @@ pub fn in_all(cameras: &Cameras, images: &[usize], points: &[Vector3<f64>]) -> V
     points.iter().filter(|point| ready.iter().all(|camera| lies(camera, point))).copied().collect()
 }
 
-/// What each unknown moves a point intersected from several images by, metres a unit; `None` without intersection.
+/// Shift of a point intersected from several images for each unknown, metres a unit; `None` without intersection.
 pub fn movement(
     cameras: &Cameras,
     unknowns: &Unknowns,
@@ -62,7 +62,7 @@ pub fn movement(
 pub struct PairEffect {
     /// Root mean square error along the mean optical axis, metres.
     pub depth_m: f64,
-    /// The same after a plane was taken off each realisation, metres: what registration leaves.
+    /// The same after the best plane of each realisation is subtracted, metres: the error that remains after registration.
     pub depth_off_plane_m: f64,
     /// Root mean square y-parallax, pixels.
     pub y_parallax_px: f64,
@@ -71,13 +71,13 @@ pub struct PairEffect {
 /// Derivatives of one point of a pair.
 #[derive(Debug, Clone)]
 pub struct PointError {
-    /// By every unknown that matters: its position, and what it moves the intersected point by, metres a unit.
+    /// For every unknown with an effect: its position, and the shift of the intersected point, metres a unit.
     pub moved: Vec<(usize, Vector3<f64>)>,
-    /// By the same unknowns: y-parallax, pixels a unit.
+    /// For the same unknowns: y-parallax, pixels a unit.
     pub y_parallax: Vec<(usize, f64)>,
 }
 
-/// How the intersection of two images follows their orientation; `None` where a point has no pixel in one of them.
+/// Derivatives of the intersection of two images by their orientation; `None` where a point has no pixel in one of them.
 pub fn intersection(
     cameras: &Cameras,
     unknowns: &Unknowns,
@@ -104,7 +104,7 @@ pub fn intersection(
         }
     }
     let solver = (b.transpose() * b).try_inverse()? * b.transpose();
-    // The direction in which the four coordinates contradict each other: the one across all columns of B.
+    // The direction of the contradiction between the four coordinates: orthogonal to all columns of B.
     let residual = |a: &Vector4<f64>| a - b * (solver * a);
     let across = (0..4)
         .map(|k| residual(&Vector4::ith(k, 1.0)))
@@ -141,7 +141,7 @@ pub fn pair_effect(
     })
 }
 
-/// Root mean square of a field with derivatives `rows`, after a plane over `axis` was taken off each realisation.
+/// Root mean square of a field with derivatives `rows`, after the best plane over `axis` of each realisation is subtracted.
 pub fn rms_off_plane(
     points: &[&Vector3<f64>],
     rows: &[Vec<(usize, f64)>],
@@ -171,7 +171,7 @@ fn sandwich(rows: &[Vec<(usize, f64)>], covariance: &DMatrix<f64>) -> DMatrix<f6
     DMatrix::from_fn(rows.len(), rows.len(), |r, c| rows[r].iter().map(|(i, a)| a * spread[c][*i]).sum())
 }
 
-/// The projector that takes a plane over the axis off values at points.
+/// The projector that subtracts the best plane over the axis from values at points.
 fn off_plane(points: &[&Vector3<f64>], axis: &Vector3<f64>) -> Option<DMatrix<f64>> {
     let helper = if axis.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() };
     let (u, v) = (axis.cross(&helper).normalize(), axis.cross(&axis.cross(&helper)).normalize());

@@ -1,4 +1,4 @@
-//! Object points on a face and the images that see them, as a feature matcher would find them; control points among them.
+//! Object points on a face and the images that see them, like those of a feature matcher; control points among them.
 
 use nalgebra::Vector3;
 use rand::seq::SliceRandom;
@@ -10,20 +10,20 @@ use crate::camera::model::Camera;
 use crate::depth::depth_buffer::{DepthBuffer, Drawing, draw};
 use rockface_core::artefact::{Cameras, Mesh};
 
-/// Columns or rows, whichever is more, of the depth maps visibility is decided on.
+/// Columns or rows, whichever is more, of the depth maps that decide visibility.
 const BUFFER_SIDE: u32 = 400;
-/// Share of its depth by which a point may lie behind what an image sees there and still be seen.
+/// Share of its depth by which a visible point may lie behind the surface in a depth map.
 const TOLERANCE: f64 = 0.01;
-/// Draws for every point wanted, before giving up: the face may lie outside the images mostly.
+/// Draws for every requested point before the search fails: most of the face may lie outside of the images.
 const TRIES: usize = 40;
 
-/// What each image of a block sees of a face.
+/// Visibility of the points of a face in the images of a block.
 pub struct Visibility {
     views: Vec<(Camera, DepthBuffer, f64)>,
 }
 
 impl Visibility {
-    /// Draws the face into coarse depth maps, one an image; the same bits at any thread count.
+    /// Draws the face into coarse depth maps, one for each image. The bits do not depend on the number of threads.
     pub fn new(cameras: &Cameras, mesh: &Mesh) -> Self {
         let view = |image| {
             let camera = Camera::new(cameras.sensor(image), image);
@@ -49,7 +49,7 @@ impl Visibility {
         let [column, row] = pixel.map(|at| ((at + 0.5) / scale).floor().max(0.0) as usize);
         let (column, row) = (column.min(buffer.width.saturating_sub(1)), row.min(buffer.height.saturating_sub(1)));
         let z = buffer.z_m.get(row * buffer.width + column).copied().unwrap_or(f64::INFINITY);
-        // Where a coarse pixel meets nothing the point lies at the edge of the face: seen.
+        // A coarse pixel without depth lies at the edge of the face: the point is visible.
         !z.is_finite() || local.z <= z * (1.0 + TOLERANCE)
     }
 }

@@ -1,4 +1,4 @@
-//! Which orientation parameters of a block are estimated, and where each stands: images first, then sensors.
+//! The estimated orientation parameters of a block and their order: images first, then sensors.
 
 use super::partials::Partials;
 use crate::camera::orientation_parameters::{EXTERIOR, Parameter};
@@ -7,9 +7,9 @@ use rockface_core::artefact::Cameras;
 /// A parameter of the interior orientation that is estimated.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FreeInterior {
-    /// Its place among the parameters of a sensor.
+    /// Its index among the parameters of a sensor.
     pub place: usize,
-    /// Standard deviation with which it is known beforehand (px, or 1 for distortion); `None`: not at all.
+    /// Its a priori standard deviation (px, or 1 for distortion); `None`: free.
     pub sigma: Option<f64>,
 }
 
@@ -29,7 +29,7 @@ impl Unknowns {
         Self { images: cameras.images.len(), sensors: cameras.sensors.len(), free }
     }
 
-    /// How many there are.
+    /// Their number.
     pub fn count(&self) -> usize {
         EXTERIOR.len() * self.images + self.free.len() * self.sensors
     }
@@ -59,13 +59,13 @@ impl Unknowns {
 
     /// Position and derivatives (of u and v) of each unknown that moves the pixel of a point in an image.
     pub fn columns(&self, image: usize, sensor: usize, partials: &Partials) -> Vec<(usize, [f64; 2])> {
-        let (first, own) = (self.of_image(image), self.of_sensor(sensor));
+        let (first, offset) = (self.of_image(image), self.of_sensor(sensor));
         let exterior = (0..EXTERIOR.len()).map(|k| (first + k, [partials.exterior[0][k], partials.exterior[1][k]]));
         let interior = self
             .free
             .iter()
             .enumerate()
-            .map(|(k, free)| (own + k, [partials.interior[0][free.place], partials.interior[1][free.place]]));
+            .map(|(k, free)| (offset + k, [partials.interior[0][free.place], partials.interior[1][free.place]]));
         exterior.chain(interior).collect()
     }
 }

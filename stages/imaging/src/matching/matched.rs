@@ -1,0 +1,62 @@
+//! What matching yields at one pixel, and the sums of it over an image.
+
+use crate::matching::noise::terms::DisparityError;
+
+/// One matched pixel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Match {
+    /// Depth on the noisy ray, metres; in the rectified image where disparities are sampled there.
+    pub depth_m: f64,
+    /// Normalised coordinates of the noisy ray, or of the ray of the rectified image.
+    pub noisy_ray: [f64; 2],
+    /// Disparity without matching noise, pixels: of the true projections, rectified by the noisy cameras.
+    pub ideal_px: f64,
+    /// Matching noise, term by term.
+    pub error: DisparityError,
+    /// What the sub-pixel step adds, pixels.
+    pub sub_pixel_px: f64,
+    /// Noisy disparity, pixels: the sum of the ideal one and all terms.
+    pub disparity_px: f64,
+    /// Row of the first rectified position minus row of the second, pixels.
+    pub y_parallax_px: f64,
+    /// Change of depth for one pixel of disparity, metres.
+    pub depth_per_px_m: f64,
+}
+
+impl Match {
+    /// Distance along the noisy ray, metres.
+    pub fn range_m(&self) -> f64 {
+        let [x, y] = self.noisy_ray;
+        self.depth_m * (x * x + y * y + 1.0).sqrt()
+    }
+}
+
+/// Sums over the matched pixels of an image, added in the order of its rows.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Tally {
+    /// Matched pixels.
+    pub count: usize,
+    /// Sum of squared y-parallaxes, square pixels.
+    pub y_parallax2_px2: f64,
+    /// Sum of the changes of depth for one pixel of disparity, metres.
+    pub depth_per_px_m: f64,
+}
+
+impl Tally {
+    /// Counts a match.
+    pub fn add(&mut self, m: &Match) {
+        self.count += 1;
+        self.y_parallax2_px2 += m.y_parallax_px * m.y_parallax_px;
+        self.depth_per_px_m += m.depth_per_px_m;
+    }
+
+    /// The sums of both.
+    #[must_use]
+    pub fn plus(self, other: Self) -> Self {
+        Self {
+            count: self.count + other.count,
+            y_parallax2_px2: self.y_parallax2_px2 + other.y_parallax2_px2,
+            depth_per_px_m: self.depth_per_px_m + other.depth_per_px_m,
+        }
+    }
+}

@@ -1,0 +1,73 @@
+//! The geometry of a stereo pair: ideal depth maps, true and noisy cameras, and the rectification of the noisy ones.
+
+use crate::camera::model::{Camera, full_pixel};
+use crate::matching::noise::paper::{FieldRecipe, SmoothNoise};
+use crate::matching::rectification::{Placed, Rectification};
+use crate::matching::side::Side;
+use rockface_core::StageError;
+use rockface_core::artefact::Depth;
+use rockface_core::numerics::random::Key;
+
+/// Most nodes of the smooth noise of a pair.
+const MOST_NODES: f64 = 1e8;
+
+/// Depth maps and cameras of a pair. Arrays hold the first (left) image and the second.
+pub struct PairGeometry<'a> {
+    /// Ideal depth maps, with the true cameras.
+    pub ideal: [&'a Depth; 2],
+    /// True cameras.
+    pub cameras: [Camera; 2],
+    /// Noisy cameras.
+    pub noisy: [Camera; 2],
+    /// Rectification of the noisy cameras, at the level of the depth maps.
+    pub rectification: Rectification,
+}
+
+impl<'a> PairGeometry<'a> {
+    /// The geometry of two depth maps of one downscale. Fails where the noisy cameras cannot be rectified.
+    pub fn new(ideal: [&'a Depth; 2], noisy: [Camera; 2]) -> Result<Self, StageError> {
+        let rectification = Rectification::new([&noisy[0], &noisy[1]], ideal[0].downscale)?;
+        Ok(Self { ideal, cameras: ideal.map(Camera::of_depth), noisy, rectification })
+    }
+
+    /// The smooth noise of the pair; its nodes over the rectified first image are drawn once, here.
+    pub fn smooth_noise(&self, key: &Key, recipe: FieldRecipe) -> Result<SmoothNoise, StageError> {
+        let [low, high] = self.rectified_extent()?;
+        let nodes = (high[0] - low[0]) * (high[1] - low[1]) / (recipe.spacing_px * recipe.spacing_px);
+        if nodes > MOST_NODES {
+            let text =
+                format!("the smooth noise has {nodes:.0} nodes over the rectified image, {MOST_NODES:.0} are allowed");
+            return Err(StageError::new(text)
+                .hint("the views of the pair converge too much, or `spacing_px` is too small for the image"));
+        }
+        Ok(SmoothNoise::new(key, recipe, low, high))
+    }
+
+    /// Lowest and highest rectified position of the outermost pixels of the first image, pixels.
+    fn rectified_extent(&self) -> Result<[[f64; 2]; 2], StageError> {
+        let (depth, noisy) = (self.ideal[Side::First], &self.noisy[Side::First]);
+        let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+        for (column, row) in outline(depth.width, depth.height) {
+            let Some(ray) = noisy.normalised(full_pixel(column, row, depth.downscale)) else {
+                return Err(not_rectified(column, row, depth)
+                    .hint("its lens distortion cannot be inverted there: check signs and units of the coefficients"));
+            };
+            let Some(Placed { position_px: p, .. }) = self.rectification.place(Side::First, ray) else {
+                return Err(not_rectified(column, row, depth)
+                    .hint("the axes of the two images diverge too much: pair images that look the same way"));
+            };
+            (low, high) = ([low[0].min(p[0]), low[1].min(p[1])], [high[0].max(p[0]), high[1].max(p[1])]);
+        }
+        Ok([low, high])
+    }
+}
+
+fn not_rectified(column: usize, row: usize, depth: &Depth) -> StageError {
+    let name = &depth.image.name;
+    StageError::new(format!("pixel ({column}, {row}) of image `{name}` has no position in the rectified image"))
+}
+
+fn outline(width: usize, height: usize) -> impl Iterator<Item = (usize, usize)> {
+    let rows = (0..height).flat_map(move |row| [(0, row), (width - 1, row)]);
+    (0..width).flat_map(move |column| [(column, 0), (column, height - 1)]).chain(rows)
+}
