@@ -215,7 +215,6 @@ mod tests {
     use super::*;
     use crate::artefact::Noun;
 
-    #[test]
     crate::table_row! {
         /// A row of every type that becomes a cell.
         struct Every {
