@@ -1,10 +1,10 @@
 //! How likely a change is found, by its size, shape and place: shares in classes, and a logistic curve.
 
-use rockface_core::numerics::portable_math;
-use rockface_core::numerics::quantile;
+use rockface_core::numerics::logistic::{self, Regression};
+use rockface_core::numerics::{portable_math, quantile};
 
-/// Steps of Newton's method after which it has settled or never will.
-const STEPS: usize = 60;
+/// Determinant of the second derivatives of the likelihood below which there is no finite optimum.
+const LEAST_INFORMATION: f64 = 1e-12;
 
 /// A class of a property.
 #[derive(Debug, Clone, PartialEq)]
@@ -64,38 +64,23 @@ impl Logistic {
     }
 }
 
-/// Fits the curve by maximum likelihood (Newton's method); `None` where all or none are found, where the property tells both
-/// apart without error, so that no finite curve is the likeliest, or where it does not matter.
+/// Fits the curve by maximum likelihood; `None` where all or none are found, where the property separates both without error,
+/// so that no finite curve is the likeliest, or where the property does not matter.
 pub fn logistic(values: &[f64], found: &[bool]) -> Option<Logistic> {
     let x: Vec<f64> = values.iter().map(|value| portable_math::log10(*value)).collect();
-    let (mut a, mut b) = (0.0, 0.0);
     let centre = quantile::quantile(&x, 0.5)?;
-    for _ in 0..STEPS {
-        let mut gradient = [0.0; 2];
-        let mut weights = [0.0; 3];
-        for (x, found) in x.iter().zip(found) {
-            let d = x - centre;
-            let p = 1.0 / (1.0 + portable_math::exp(-(a + b * d)));
-            let miss = f64::from(u8::from(*found)) - p;
-            let w = p * (1.0 - p);
-            gradient = [gradient[0] + miss, gradient[1] + miss * d];
-            weights = [weights[0] + w, weights[1] + w * d, weights[2] + w * d * d];
-        }
-        let determinant = weights[0] * weights[2] - weights[1] * weights[1];
-        if determinant.is_nan() || determinant < 1e-12 {
-            return None;
-        }
-        let step = [
-            (weights[2] * gradient[0] - weights[1] * gradient[1]) / determinant,
-            (weights[0] * gradient[1] - weights[1] * gradient[0]) / determinant,
-        ];
-        (a, b) = (a + step[0], b + step[1]);
-        if step[0].abs() + step[1].abs() < 1e-10 {
-            let slope_se = (weights[0] / determinant).sqrt();
-            return (b.abs() > 1e-9).then_some(Logistic { intercept: a - b * centre, slope: b, slope_se });
-        }
+    let design: Vec<Vec<f64>> = x.iter().map(|x| vec![1.0, x - centre]).collect();
+    let importance = vec![1.0; x.len()];
+    let regression = Regression { design: &design, happened: found, importance: &importance, ridge: 0.0, damping: 0.0 };
+    let fit = logistic::fit(&regression);
+    let information = &fit.information;
+    let determinant = information[(0, 0)] * information[(1, 1)] - information[(0, 1)] * information[(0, 1)];
+    let (a, b) = (fit.weights[0], fit.weights[1]);
+    if !fit.settled || determinant.is_nan() || determinant < LEAST_INFORMATION || b.abs() <= 1e-9 {
+        return None;
     }
-    None
+    let slope_se = (information[(0, 0)] / determinant).sqrt();
+    Some(Logistic { intercept: a - b * centre, slope: b, slope_se })
 }
 
 #[cfg(test)]

@@ -129,14 +129,6 @@ pub fn length(length_m: f64) -> String {
     format!("{value:.0$} {unit}", decimals(value))
 }
 
-/// The value below which a share of the finite values lies; `None` without any.
-pub fn quantile(values: impl Iterator<Item = f32>, share: f64) -> Option<f64> {
-    let mut finite: Vec<f32> = values.filter(|v| v.is_finite()).collect();
-    let last = finite.len().checked_sub(1)?;
-    let place = (last as f64 * share).round() as usize;
-    Some(f64::from(*finite.select_nth_unstable_by(place, f32::total_cmp).1))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -180,12 +172,5 @@ mod tests {
         let [red, _, blue] = scale.colour(-0.8);
         assert!(red > 120 && blue < 80);
         assert_eq!(scale.colour(f64::NAN), NO_DATA);
-    }
-
-    #[test]
-    fn quantiles_skip_what_is_no_number() {
-        let values = [3.0, f32::NAN, 1.0, 2.0, f32::INFINITY, 5.0, 4.0];
-        assert_eq!(quantile(values.into_iter(), 0.5), Some(3.0));
-        assert_eq!(quantile([f32::NAN].into_iter(), 0.5), None);
     }
 }

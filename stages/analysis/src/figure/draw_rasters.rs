@@ -1,9 +1,10 @@
 //! `draw-rasters`: rasters of one grid side by side in one set of colours.
 
-use crate::figure::colour_scale::{ColourScale, Palette, length, quantile};
+use crate::figure::colour_scale::{ColourScale, Palette, length};
 use crate::figure::picture::Subject;
 use crate::figure::picture::mosaic::Mosaic;
 use rockface_core::artefact::{Band, Kind, Picture, Raster};
+use rockface_core::numerics::quantile::nearest_rank;
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Point, Port, Stage, StageError, fail, params};
 use rockface_raster::grid;
@@ -74,7 +75,7 @@ fn tiles<'a>(list: &[(&Point, &'a Raster)], prefix: Option<&str>, most: usize) -
 fn draw(params: &DrawRastersParams, like: &Raster, lists: &[Vec<Tile>; 2]) -> Result<Vec<u8>, StageError> {
     let across = params.columns.unwrap_or_else(|| lists[0].len().max(lists[1].len()));
     let tiles = || lists.iter().flatten();
-    let Some(most) = quantile(tiles().flat_map(|(_, values)| values.iter().map(|v| v.abs())), WITHIN) else {
+    let Some(most) = nearest_rank(tiles().flat_map(|(_, values)| values.iter().map(|v| v.abs())), WITHIN) else {
         fail!("nothing to draw: no cell has a value")
     };
     let reach = params.range_m.unwrap_or(if most > 0.0 { most } else { 0.5 });

@@ -1,11 +1,9 @@
 //! What share of rasters an acceptance test lets through: of the reference, of others, and of a perfect simulator.
 
-use statrs::function::beta::beta_reg;
+use rockface_core::numerics::beta;
+use rockface_core::numerics::normal::NORMAL_975;
 
 use super::mahalanobis::bound;
-
-/// Upper 2.5 % point of the standard normal distribution.
-const NORMAL_975: f64 = 1.959_963_984_540_054;
 
 /// The share of values at or below a threshold.
 pub fn share_below(values: &[f64], threshold: f64) -> f64 {
@@ -29,28 +27,18 @@ pub fn wilson_interval(accepted: usize, n: usize) -> (f64, f64) {
 /// The exact 95 % interval of Clopper and Pearson (1934) for the same; never too narrow.
 pub fn exact_interval(accepted: usize, n: usize) -> (f64, f64) {
     let (k, n) = (accepted as f64, n as f64);
-    let low = if accepted == 0 { 0.0 } else { beta_quantile(k, n - k + 1.0, 0.025) };
-    let high = if k >= n { 1.0 } else { beta_quantile(k + 1.0, n - k, 0.975) };
+    let low = if accepted == 0 { 0.0 } else { beta::quantile(k, n - k + 1.0, 0.025) };
+    let high = if k >= n { 1.0 } else { beta::quantile(k + 1.0, n - k, 0.975) };
     (rounded(low), rounded(high))
 }
 
 /// The band of counts that holds at least 95 % of the outcomes of `n` trials with probability `share`, no more than 2.5 % on
 /// either side.
 pub fn binomial_band(share: f64, n: usize) -> (usize, usize) {
-    let at_most = |k: usize| if k >= n { 1.0 } else { 1.0 - beta_reg_safe(k as f64 + 1.0, (n - k) as f64, share) };
+    let at_most = |k: usize| if k >= n { 1.0 } else { 1.0 - beta::cumulative(k as f64 + 1.0, (n - k) as f64, share) };
     let low = (0..=n).find(|k| at_most(*k) > 0.025).unwrap_or(n);
     let high = (0..=n).find(|k| at_most(*k) >= 0.975).unwrap_or(n);
     (low, high)
-}
-
-fn beta_reg_safe(a: f64, b: f64, x: f64) -> f64 {
-    if x <= 0.0 {
-        0.0
-    } else if x >= 1.0 {
-        1.0
-    } else {
-        beta_reg(a, b, x)
-    }
 }
 
 /// The share of a perfect simulator's rasters that a test is expected to accept, for normal features without ridge.
@@ -63,22 +51,13 @@ pub fn perfect_acceptance(n: usize, p: usize, quantile: f64) -> Option<f64> {
         return None;
     }
     let (nf, pf) = (n as f64, p as f64);
-    let threshold = bound(n) * beta_quantile(0.5 * pf, 0.5 * (nf - pf - 1.0), quantile);
+    let threshold = bound(n) * beta::quantile(0.5 * pf, 0.5 * (nf - pf - 1.0), quantile);
     // F <= x exactly where a Beta variable is at most p x / (p x + n - p).
     let px = threshold * nf * (nf - pf) / (nf * nf - 1.0);
-    Some(rounded(beta_reg(0.5 * pf, 0.5 * (nf - pf), px / (px + nf - pf))))
+    Some(rounded(beta::cumulative(0.5 * pf, 0.5 * (nf - pf), px / (px + nf - pf))))
 }
 
-fn beta_quantile(a: f64, b: f64, level: f64) -> f64 {
-    let (mut low, mut high) = (0.0, 1.0);
-    for _ in 0..60 {
-        let middle = 0.5 * (low + high);
-        if beta_reg(a, b, middle) < level { low = middle } else { high = middle }
-    }
-    0.5 * (low + high)
-}
-
-/// Nine decimals: the library's logarithms may differ between machines in the last digits.
+/// Nine decimals, fewer than the incomplete beta function is good for.
 fn rounded(x: f64) -> f64 {
     (x * 1e9).round() / 1e9
 }
@@ -110,7 +89,7 @@ mod tests {
     #[test]
     fn the_threshold_of_39_normal_rasters_is_as_tabulated() {
         for (level, expected) in [(0.90, 14.7), (0.95, 16.2), (0.99, 19.2)] {
-            assert!((bound(39) * beta_quantile(5.0, 14.0, level) - expected).abs() < 0.06);
+            assert!((bound(39) * beta::quantile(5.0, 14.0, level) - expected).abs() < 0.06);
         }
         assert!((bound(39) - 37.026).abs() < 1e-3);
     }

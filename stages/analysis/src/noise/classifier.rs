@@ -1,9 +1,8 @@
 //! Can a classifier tell simulated rasters from real ones? Ridge logistic regression, cross-validated, and the area under
 //! its ROC curve (classifier two-sample test, Lopez-Paz and Oquab 2017).
 
-use nalgebra::{Cholesky, DMatrix, DVector};
-
-use rockface_core::numerics::portable_math;
+use rockface_core::numerics::logistic::{self, Regression};
+use rockface_core::numerics::normal::NORMAL_975;
 
 /// The area under a ROC curve and its standard error.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -17,7 +16,7 @@ pub struct Auc {
 impl Auc {
     /// 95 % interval, cut to 0..1.
     pub fn interval(&self) -> (f64, f64) {
-        let half = 1.959_963_984_540_054 * self.error;
+        let half = NORMAL_975 * self.error;
         ((self.auc - half).max(0.0), (self.auc + half).min(1.0))
     }
 }
@@ -48,45 +47,25 @@ pub struct Logistic {
     pub weights: Vec<f64>,
 }
 
-/// Newton steps at most; with a ridge a few do.
-const STEPS: usize = 50;
+/// Keeps the first step of the intercept finite.
+const DAMPING: f64 = 1e-9;
 
 impl Logistic {
-    /// Fits by iteratively reweighted least squares: both classes count the same, and `ridge / 2` times the sum of squared
-    /// weights (without the intercept) is added to the mean log-loss times the number of rows.
+    /// Fits a logistic regression: both classes count the same, and `ridge / 2` times the sum of squared weights (without the
+    /// intercept) is added to the mean log-loss times the number of rows.
     pub fn fit(classes: [&[&[f64]]; 2], ridge: f64) -> Self {
         let rows: Vec<&[f64]> = classes.iter().flat_map(|class| class.iter().copied()).collect();
-        let p = rows.first().map_or(0, |row| row.len());
-        let (mean, deviation) = moments(&rows, p);
+        let (mean, deviation) = moments(&rows, rows.first().map_or(0, |row| row.len()));
         let design: Vec<Vec<f64>> = rows.iter().map(|row| standardised(row, &mean, &deviation)).collect();
-        let n = rows.len() as f64;
         let counts = classes.map(<[_]>::len);
-        let target = |i: usize| f64::from(u8::from(i >= counts[0]));
-        let importance = |i: usize| 0.5 * n / counts[usize::from(i >= counts[0])] as f64;
-        let mut weights = DVector::zeros(p + 1);
-        for _ in 0..STEPS {
-            let mut hessian = DMatrix::from_diagonal_element(p + 1, p + 1, ridge);
-            hessian[(0, 0)] = 1e-9;
-            let mut gradient: DVector<f64> = weights.clone() * -ridge;
-            gradient[0] = 0.0;
-            for (i, x) in design.iter().enumerate() {
-                let probability = logistic(dot(x, &weights));
-                let curvature = importance(i) * (probability * (1.0 - probability)).max(1e-12);
-                let slope = importance(i) * (target(i) - probability);
-                for a in 0..=p {
-                    gradient[a] += slope * x[a];
-                    for b in 0..=p {
-                        hessian[(a, b)] += curvature * x[a] * x[b];
-                    }
-                }
-            }
-            let Some(step) = Cholesky::new(hessian).map(|c| c.solve(&gradient)) else { break };
-            weights += &step;
-            if step.amax() < 1e-10 {
-                break;
-            }
-        }
-        Self { mean, deviation, intercept: weights[0], weights: weights.iter().skip(1).copied().collect() }
+        let happened: Vec<bool> = (0..rows.len()).map(|i| i >= counts[0]).collect();
+        let importance: Vec<f64> =
+            happened.iter().map(|second| 0.5 * rows.len() as f64 / counts[usize::from(*second)] as f64).collect();
+        let regression =
+            Regression { design: &design, happened: &happened, importance: &importance, ridge, damping: DAMPING };
+        let weights = logistic::fit(&regression).weights;
+        let intercept = weights.get(0).copied().unwrap_or(0.0);
+        Self { mean, deviation, intercept, weights: weights.iter().skip(1).copied().collect() }
     }
 
     /// The score of a raster: the logarithm of its odds to be of the second class.
@@ -112,14 +91,6 @@ fn moments(rows: &[&[f64]], p: usize) -> (Vec<f64>, Vec<f64>) {
     };
     let deviation = (0..p).map(deviation).collect();
     (mean, deviation)
-}
-
-fn dot(x: &[f64], weights: &DVector<f64>) -> f64 {
-    x.iter().zip(weights.iter()).map(|(x, w)| x * w).sum()
-}
-
-fn logistic(x: f64) -> f64 {
-    1.0 / (1.0 + portable_math::exp(-x.clamp(-40.0, 40.0)))
 }
 
 /// Scores of every row of both classes by classifiers that did not see it: fold k of a class is its k-th run of rows, so that

@@ -5,7 +5,8 @@
 
 use nalgebra::{Cholesky, Matrix3, Vector3};
 
-use crate::noise::variogram_model::{Model, Shape, golden_section};
+use crate::noise::variogram_model::{Model, SECTIONS, Shape};
+use rockface_core::numerics::golden_section::{Inner, golden_section};
 use rockface_core::numerics::portable_math;
 
 /// Steps of the grid over each length.
@@ -30,8 +31,8 @@ pub fn fit(lags: &[f64], gamma: &[f64], weights: &[f64]) -> Option<Model> {
     let (mut a, mut b) = (at(i), at(j));
     let mut width = (high - low) / GRID as f64;
     for _ in 0..ROUNDS {
-        a = golden_section(|x| cost(x, b), a - width, a + width);
-        b = golden_section(|x| cost(a, x), b - width, b + width);
+        a = golden_section(|x| cost(x, b), a - width, a + width, SECTIONS, Inner::Reused);
+        b = golden_section(|x| cost(a, x), b - width, b + width, SECTIONS, Inner::Reused);
         width *= 0.7;
     }
     let (short, long) = (portable_math::exp(a.min(b)), portable_math::exp(a.max(b)));

@@ -8,6 +8,7 @@
 use super::variogram::Variogram;
 use crate::noise::nested_variogram;
 use rockface_core::choice;
+use rockface_core::numerics::golden_section::{Inner, golden_section};
 use rockface_core::numerics::portable_math;
 
 choice! {
@@ -118,8 +119,8 @@ impl Model {
 
 /// Steps of the logarithmic grid over a.
 const GRID: usize = 160;
-/// Halvings, roughly, of the bracket in golden section: down to the square root of the rounding error.
-const SECTIONS: usize = 60;
+/// Golden sections of a bracket: 60 leave less of it than the square root of the rounding error.
+pub(super) const SECTIONS: usize = 60;
 
 /// Fits a model by weighted least squares with weights pairs / h^2; `None` for fewer than three bins.
 ///
@@ -135,7 +136,7 @@ pub fn fit(lags: &[f64], empirical: &Variogram, shape: Shape) -> Option<Model> {
     }
     let problem = |exponent: f64| Problem { lags, gamma: &empirical.gamma, weights: &weights, shape, exponent };
     if shape == Shape::Stable {
-        let exponent = golden_section(|exponent| problem(exponent).best().1, 0.5, 2.0);
+        let exponent = golden_section(|exponent| problem(exponent).best().1, 0.5, 2.0, SECTIONS, Inner::Reused);
         return Some(problem(exponent).best().0);
     }
     Some(problem(1.0).best().0)
@@ -158,7 +159,8 @@ impl Problem<'_> {
         let cost = |log_length: f64| self.solve(portable_math::exp(log_length)).1;
         let costs = (0..=GRID).map(|step| (cost(at(step)), step));
         let best = costs.min_by(|a, b| a.0.total_cmp(&b.0)).map_or(0, |(_, step)| step);
-        let length = golden_section(cost, at(best.saturating_sub(1)), at((best + 1).min(GRID)));
+        let length =
+            golden_section(cost, at(best.saturating_sub(1)), at((best + 1).min(GRID)), SECTIONS, Inner::Reused);
         self.solve(portable_math::exp(length))
     }
 
@@ -191,24 +193,6 @@ impl Problem<'_> {
         });
         (Model { exponent: self.exponent, ..Model::new(self.shape, nugget, partial, length) }, cost)
     }
-}
-
-pub(super) fn golden_section(cost: impl Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
-    let ratio = 0.5 * (5f64.sqrt() - 1.0);
-    let (mut a, mut b) = (high - ratio * (high - low), low + ratio * (high - low));
-    let (mut cost_a, mut cost_b) = (cost(a), cost(b));
-    for _ in 0..SECTIONS {
-        if cost_a <= cost_b {
-            (high, b, cost_b) = (b, a, cost_a);
-            a = high - ratio * (high - low);
-            cost_a = cost(a);
-        } else {
-            (low, a, cost_a) = (a, b, cost_b);
-            b = low + ratio * (high - low);
-            cost_b = cost(b);
-        }
-    }
-    0.5 * (low + high)
 }
 
 #[cfg(test)]

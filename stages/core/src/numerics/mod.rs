@@ -1,10 +1,14 @@
-//! Numbers: random fields, transforms, quantiles, and arithmetic with the same bits on every machine.
+//! Numbers: random fields, transforms, quantiles, distributions, fits, and arithmetic with the same bits on every machine.
 
+pub mod beta;
 pub mod fast_round;
 pub mod fft;
 pub mod gaussian;
+pub mod golden_section;
 pub mod linear_fit;
+pub mod logistic;
 pub mod marginal;
+pub mod normal;
 pub mod portable_math;
 pub mod quantile;
 pub mod random;

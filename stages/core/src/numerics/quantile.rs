@@ -1,4 +1,4 @@
-//! Empirical quantiles, type 7 of Hyndman and Fan (1996): linear between the order statistics.
+//! Empirical quantiles: type 7 of Hyndman and Fan (1996), linear between the order statistics; or the nearest of the values.
 
 /// The quantile of level `q` (0 to 1) of finite values; `None` where there are none.
 pub fn quantile(values: &[f64], q: f64) -> Option<f64> {
@@ -32,6 +32,14 @@ pub fn median(values: &mut [f64]) -> Option<f64> {
     Some(0.5 * (lower + upper))
 }
 
+/// The value whose rank is nearest to a share `q` (0 to 1) of the finite values, in linear time; `None` where there are none.
+pub fn nearest_rank(values: impl Iterator<Item = f32>, q: f64) -> Option<f64> {
+    let mut finite: Vec<f32> = values.filter(|v| v.is_finite()).collect();
+    let last = finite.len().checked_sub(1)?;
+    let place = (last as f64 * q).round() as usize;
+    Some(f64::from(*finite.select_nth_unstable_by(place, f32::total_cmp).1))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -52,6 +60,13 @@ mod tests {
         let values: Vec<f64> = (0..39).map(f64::from).collect();
         let kept = |q: f64| values.iter().filter(|v| **v <= quantile(&values, q).unwrap()).count();
         assert_eq!([kept(0.90), kept(0.95), kept(0.99)], [35, 37, 38]);
+    }
+
+    #[test]
+    fn the_nearest_rank_skips_what_is_no_number() {
+        let values = [3.0, f32::NAN, 1.0, 2.0, f32::INFINITY, 5.0, 4.0];
+        assert_eq!(nearest_rank(values.into_iter(), 0.5), Some(3.0));
+        assert_eq!(nearest_rank([f32::NAN].into_iter(), 0.5), None);
     }
 
     proptest! {

@@ -2,8 +2,9 @@
 
 use std::borrow::Cow;
 
-use crate::figure::colour_scale::{ColourScale, Palette, length, quantile};
+use crate::figure::colour_scale::{ColourScale, Palette, length};
 use rockface_core::artefact::{Depth, Grid, Raster};
+use rockface_core::numerics::quantile::nearest_rank;
 use rockface_raster::shape::Shape;
 
 use super::Subject;
@@ -127,13 +128,13 @@ impl<'a> Look<'a> {
     }
 
     fn symmetric(&self, range_m: Option<f64>) -> Option<(f64, f64)> {
-        let most = quantile(self.values.iter().map(|v| v.abs()), DIFFERENCES)?;
+        let most = nearest_rank(self.values.iter().map(|v| v.abs()), DIFFERENCES)?;
         let reach = range_m.unwrap_or(most);
         Some((-reach, reach))
     }
 
     fn around_the_median(&self, range_m: Option<f64>) -> Option<(f64, f64)> {
-        let at = |share| quantile(self.values.iter().copied(), share);
+        let at = |share| nearest_rank(self.values.iter().copied(), share);
         match range_m {
             Some(reach) => at(0.5).map(|median| (median - reach, median + reach)),
             None if self.is_length() => Some((at(TAILS)?, at(1.0 - TAILS)?)),

@@ -4,9 +4,10 @@
 //! and kept between 1 and 255 otherwise, so that values can be had back from the picture to 1/254 of its range.
 
 use super::{every, left_out, stride_to};
-use crate::figure::colour_scale::{ColourScale, NO_DATA, Palette, quantile};
+use crate::figure::colour_scale::{ColourScale, NO_DATA, Palette};
 use rockface_core::artefact::sketch::{ColourKey, GridBand, GridSketch, PictureSketch, Shape, Sketch};
 use rockface_core::artefact::{Depth, Picture, Raster};
+use rockface_core::numerics::quantile::nearest_rank;
 
 /// Pixels of the longer side of a picture at most.
 const PICTURE_PX: usize = 512;
@@ -136,9 +137,9 @@ fn sampled(values: &[f32], columns: usize, stride: usize) -> (usize, Vec<f32>) {
 
 /// The colours of a quantity: all but the outermost values lie within.
 fn scale(quantity: &str, values: &[f32]) -> (&'static str, ColourScale) {
-    let at = |share| quantile(values.iter().copied(), share).unwrap_or(0.0);
+    let at = |share| nearest_rank(values.iter().copied(), share).unwrap_or(0.0);
     let (word, palette, low, high) = if diverges(quantity) {
-        let reach = quantile(values.iter().map(|v| v.abs()), 1.0 - TAILS).unwrap_or(0.0);
+        let reach = nearest_rank(values.iter().map(|v| v.abs()), 1.0 - TAILS).unwrap_or(0.0);
         ("red_blue", Palette::RedBlue, -reach, reach)
     } else if matches!(quantity, "mask" | "valid") {
         ("grey", Palette::Grey, 0.0, 1.0)

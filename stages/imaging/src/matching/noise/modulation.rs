@@ -2,6 +2,7 @@
 
 use crate::matching::noise::correlated::SPACING_OF_SCALE;
 use crate::matching::noise::paper::{Distribution, FieldRecipe, Interpolation, SmoothNoise, Variance};
+use rockface_core::numerics::normal::normal_quantile;
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::random::Key;
 
@@ -59,13 +60,7 @@ impl Patches {
 
 /// The value a standard normal draw exceeds with probability `share`.
 pub fn upper_point(share: f64) -> f64 {
-    let exceeds = |x: f64| 0.5 * portable_math::erfc(x / 2f64.sqrt());
-    let (mut low, mut high) = (-40.0, 40.0);
-    for _ in 0..80 {
-        let middle = 0.5 * (low + high);
-        if exceeds(middle) > share { low = middle } else { high = middle }
-    }
-    0.5 * (low + high)
+    -normal_quantile(share)
 }
 
 /// Patches in which the disparity has a smooth normal error: a neighbourhood matched to the wrong place.

@@ -1,7 +1,8 @@
 //! The draws of one candidate: addressed by what they are for, so no draw depends on another having been made.
 
-use super::{normal_quantile, quantile};
+use super::quantile;
 use rockface_core::artefact::candidates::Quantity;
+use rockface_core::numerics::normal::normal_quantile;
 use rockface_core::numerics::random::{Key, philox4x32};
 
 /// The draws of one candidate.

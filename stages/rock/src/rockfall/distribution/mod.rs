@@ -1,18 +1,16 @@
 //! Drawing numbers from distributions by inversion: one uniform draw gives one value, so draws can be addressed by name.
 
-mod beta;
 mod draws;
 mod files;
-mod normal;
 mod tabulated;
 
 pub use draws::Draws;
 pub use files::with_files_read;
-pub use normal::{normal_cdf, normal_quantile};
 pub use tabulated::chosen;
 
 use rockface_core::artefact::candidates::{Distribution, Exponential, LogNormal, PowerLaw, Quantity, TruncatedNormal};
-use rockface_core::numerics::portable_math;
+use rockface_core::numerics::normal::{normal_cdf, normal_quantile};
+use rockface_core::numerics::{beta, portable_math};
 
 /// The value below which a share `u` (0 to 1, both excluded) of all draws lies, in the unit of the quantity.
 ///

@@ -2,15 +2,14 @@
 
 use super::measure::Lids;
 use crate::rockfall::ground_truth::Facets;
+use rockface_core::numerics::golden_section::{Inner, golden_section};
 
 /// Columns along the longer side of a block.
 const COLUMNS: f64 = 48.0;
 /// Offsets tried before the best is refined.
 const OFFSETS: usize = 64;
-/// Steps of the golden section.
+/// Golden sections of the best offset's surroundings, and halvings of the push.
 const SECTIONS: usize = 40;
-/// Larger part of the golden section.
-const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
 /// A block over a rock face as columns along the direction it moves in.
 pub struct Columns {
@@ -122,7 +121,7 @@ impl Columns {
                 best = (score(offset), offset);
             }
         }
-        best = golden(score, best, step);
+        best = refined(score, best, step);
         (best.0 > 0.0).then(|| self.pushed(best.1, limits))
     }
 
@@ -155,26 +154,18 @@ impl Columns {
     }
 }
 
-/// Golden-section search around the best of a scan; the best of everything seen.
-fn golden(score: impl Fn(f64) -> f64, scanned: (f64, f64), step: f64) -> (f64, f64) {
-    let (mut low, mut high) = (scanned.1 - step, scanned.1 + step);
+/// Refines the best (score, offset) of a scan between its neighbours by golden section; returns the best of everything seen.
+fn refined(score: impl Fn(f64) -> f64, scanned: (f64, f64), step: f64) -> (f64, f64) {
     let mut best = scanned;
-    let mut try_at = |offset: f64| {
-        let found = score(offset);
+    // Over the depth and not the offset, so that of equals the shallower is kept: deeper down the score falls to 0 at once.
+    let cost = |depth: f64| {
+        let found = score(-depth);
         if found > best.0 {
-            best = (found, offset);
+            best = (found, -depth);
         }
-        found
+        -found
     };
-    let inner = |low: f64, high: f64| (high - GOLDEN * (high - low), low + GOLDEN * (high - low));
-    for _ in 0..SECTIONS {
-        let (left, right) = inner(low, high);
-        if try_at(left) > try_at(right) {
-            high = right;
-        } else {
-            low = left;
-        }
-    }
+    golden_section(cost, -scanned.1 - step, -scanned.1 + step, SECTIONS, Inner::Renewed);
     best
 }
 

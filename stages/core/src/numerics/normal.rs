@@ -1,6 +1,9 @@
 //! The standard normal distribution and its inverse.
 
-use rockface_core::numerics::portable_math;
+use super::portable_math;
+
+/// The value below which 97.5 % of a standard normal lies: half the width of a 95 % interval, in standard deviations.
+pub const NORMAL_975: f64 = 1.959_963_984_540_054;
 
 /// Share of a standard normal below `z`.
 pub fn normal_cdf(z: f64) -> f64 {
@@ -116,6 +119,7 @@ mod tests {
 
     #[test]
     fn published_values_come_out() {
+        assert!((normal_quantile(0.975) - NORMAL_975).abs() < 1e-15);
         assert!((normal_quantile(0.25) + 0.674_489_750_196_081_7).abs() < 1e-15);
         assert!((normal_quantile(0.001) + 3.090_232_306_167_813_5).abs() < 1e-14);
         assert!((normal_quantile(1e-20) + 9.262_340_089_798_408).abs() < 1e-13);
