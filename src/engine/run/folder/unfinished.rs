@@ -112,12 +112,14 @@ fn sweep_folder(folder: &Path, is_begun: bool) {
     let mark = folder.join(MARK);
     // Opened for writing: network file systems lock no other files. The lock is held until the folder is gone.
     let held = File::options().write(true).open(&mark);
-    let abandoned = match &held {
-        Ok(file) => file.try_lock().is_ok() && mark.exists(),
-        // A process that is about to mark it begins another.
-        Err(error) => is_begun && error.kind() == ErrorKind::NotFound,
-    };
-    if abandoned {
+    if held.as_ref().is_err_and(|error| is_begun && error.kind() == ErrorKind::NotFound) {
+        // Only if it is still empty: its process may have marked it since. One that is about to mark it begins another.
+        let _ = std::fs::remove_dir(folder);
+    }
+    if let Ok(file) = &held
+        && file.try_lock().is_ok()
+        && mark.exists()
+    {
         let _ = match std::fs::metadata(folder.join("run.json")) {
             Ok(_) => std::fs::remove_file(&mark),
             Err(error) if error.kind() == ErrorKind::NotFound => std::fs::remove_dir_all(folder),
