@@ -12,9 +12,15 @@ pub const QUESTION: &[u8] = b"question";
 /// Bytes of the header of a frame; `cache/src/frame.rs` tells what stands in it.
 const HEADER_BYTES: usize = 80;
 
-/// The payload of a record, in a segment of its own.
+/// The payload of a record, in a segment of its own, under the key of its recipe.
 pub fn record(bytes: &[u8]) -> Verdict {
-    segment(&frame(2, b"key", 1, bytes))
+    segment(&frame(2, recipe_in(bytes).unwrap_or(b"key"), 1, bytes))
+}
+
+/// The text of the recipe in the payload of a record: its length stands before it.
+fn recipe_in(payload: &[u8]) -> Option<&[u8]> {
+    let (length, rest) = payload.split_first_chunk::<4>()?;
+    rest.get(..u32::from_le_bytes(*length) as usize)
 }
 
 /// A frame with checksums.
