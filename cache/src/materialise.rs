@@ -98,7 +98,7 @@ fn reflink(source: &File, folder: &Path, to: &Path) -> Result<bool, StoreError> 
     Ok(true)
 }
 
-/// False where links are not to be had: another file system, too many links, or no permission.
+/// False where links are not available: another file system, too many links, or no permission.
 fn hard_link(blob: &Path, folder: &Path, to: &Path) -> bool {
     // Renaming one name of a file over another of the same file does nothing, so that case is told apart.
     if is_same_file(blob, to) {

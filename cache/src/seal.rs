@@ -66,7 +66,7 @@ impl Store {
 }
 
 impl Blobs {
-    /// The size of a blob, or why it is not to be had: missing, or damaged and now set aside. Where its size should be
+    /// The size of a blob, or why it is not available: missing, or damaged and now set aside. Where its size should be
     /// `bytes` and is not, the blob is read to see whose fault that is.
     pub(crate) fn check(&self, digest: &Digest, bytes: Option<u64>) -> Result<u64, StoreError> {
         self.look(digest, bytes).map(|meta| meta.len())

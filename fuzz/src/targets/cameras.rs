@@ -1,6 +1,7 @@
 //! Image blocks and their covariance, through `import-cameras`.
 
 use rockface_core::artefact::{Cameras, Frame, Image, Sensor};
+use rockface_core::testing::small_sensor;
 use serde_json::json;
 
 use super::Verdict;
@@ -9,18 +10,7 @@ use crate::parts::cut;
 
 /// The block whose covariance is read, and from which seeds are written: two images of one camera.
 pub fn image_block() -> Cameras {
-    let sensor = Sensor {
-        name: "sensor1".into(),
-        width_px: 60,
-        height_px: 40,
-        f: 100.0,
-        cx: 29.5,
-        cy: 19.5,
-        b1: 0.0,
-        b2: 0.0,
-        k: [-0.1, 0.02, 0.0, 0.0],
-        p: [0.0; 2],
-    };
+    let sensor = Sensor { name: "sensor1".into(), k: [-0.1, 0.02, 0.0, 0.0], ..small_sensor() };
     let image = |name: &str, x: f64| Image {
         name: name.into(),
         sensor: 0,

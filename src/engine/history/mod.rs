@@ -74,7 +74,7 @@ pub enum HistoryError {
         path: PathBuf,
         /// What it was.
         digest: rockface_cache::Digest,
-        /// Where the run is told of.
+        /// Where the run is reported.
         manifest: PathBuf,
     },
     /// The disk.

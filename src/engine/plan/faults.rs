@@ -1,4 +1,4 @@
-//! Faults of many instances: what is the same at several is told once, with how many it concerns.
+//! Faults of many instances: a fault that several share is reported once, with how many it concerns.
 
 use std::collections::HashMap;
 
@@ -84,9 +84,9 @@ impl Faults {
 /// A fault by its number, or the first of those that are like it.
 #[derive(Clone, Copy)]
 pub enum Counted {
-    /// It is told.
+    /// It is reported.
     Told(usize),
-    /// Another that is told stands for it.
+    /// Another fault is reported in its place.
     Alike(usize),
 }
 
