@@ -181,7 +181,7 @@ fn shape(kind: &Kind, range: Range) -> Value {
     let filled = json!({"type": "string", "pattern": "\\$\\{"});
     match kind {
         Kind::Text => json!({"type": ["string", "number"]}),
-        Kind::File | Kind::Files => json!({"type": "string"}),
+        Kind::File | Kind::GeoFile | Kind::Files => json!({"type": "string"}),
         Kind::Any => json!({}),
         other => json!({"anyOf": [plain(other, range), filled]}),
     }
@@ -193,7 +193,7 @@ fn plain(kind: &Kind, range: Range) -> Value {
         Kind::Integer => number("integer", range),
         Kind::Boolean => json!({"type": "boolean"}),
         Kind::Text => json!({"type": ["string", "number"]}),
-        Kind::File | Kind::Files => json!({"type": "string"}),
+        Kind::File | Kind::GeoFile | Kind::Files => json!({"type": "string"}),
         Kind::Choice(words) => json!({"enum": words.iter().map(|(word, _)| *word).collect::<Vec<_>>()}),
         Kind::List(inner, length) => {
             let mut list = json!({"type": "array", "items": shape(inner, range)});

@@ -163,7 +163,7 @@ fn find_files(step: &GraphStep, fields: &[Field], params: &mut StepParams, sight
 /// Whether a parameter of this shape can name files.
 fn names_files(kind: &Kind) -> bool {
     match kind {
-        Kind::File | Kind::Files => true,
+        Kind::File | Kind::GeoFile | Kind::Files => true,
         Kind::List(inner, _) | Kind::Optional(inner) | Kind::Entries(inner) | Kind::NumberOr(inner) => {
             names_files(inner)
         }
@@ -212,6 +212,17 @@ impl Finder<'_> {
                 let files = self.find(written, false);
                 files.first().map_or(Value::Null, |file| json!({ "blake3": file.digest }))
             }
+            (Kind::GeoFile, Value::String(written)) => {
+                let mut files = self.find(written, false);
+                if let Some(system) = files.first().and_then(|file| self.beside(&file.path)) {
+                    files.push(system);
+                    self.files.insert(written.clone(), files.clone());
+                }
+                match files.as_slice() {
+                    [file, system] => json!({ "blake3": file.digest, "prj": system.digest }),
+                    files => files.first().map_or(Value::Null, |file| json!({ "blake3": file.digest })),
+                }
+            }
             (Kind::Files, Value::String(written)) => self
                 .find(written, true)
                 .iter()
@@ -239,6 +250,20 @@ impl Finder<'_> {
                 let span = self.step.with.as_ref().map_or(self.step.span, |with| with.locate(&self.path, false));
                 self.faults.push(missing(span, &format!("step `{}`: {message}", self.step.name), written, &path));
                 Vec::new()
+            }
+        }
+    }
+
+    /// The `.prj` of the same name beside a file; one that cannot be read is a fault.
+    fn beside(&mut self, file: &Path) -> Option<InputFile> {
+        let paths = ["prj", "PRJ"].map(|extension| file.with_extension(extension));
+        let path = paths.into_iter().find(|path| self.sight.is_file(path))?;
+        match self.hashed(path) {
+            Ok(system) => Some(system),
+            Err(message) => {
+                let span = self.step.with.as_ref().map_or(self.step.span, |with| with.locate(&self.path, false));
+                self.faults.push(Diagnostic::at(span, format!("step `{}`: {message}", self.step.name)));
+                None
             }
         }
     }

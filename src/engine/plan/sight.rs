@@ -70,7 +70,7 @@ impl<'a> Sight<'a> {
     }
 
     /// Whether a name leads to a file; one that does not may begin to without a change of its folder, as links do.
-    fn is_file(&self, path: &Path) -> bool {
+    pub fn is_file(&self, path: &Path) -> bool {
         let is_file = path.is_file();
         if !is_file {
             self.note(path, Seen::NoFile);

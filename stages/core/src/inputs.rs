@@ -5,6 +5,7 @@ use std::sync::{Arc, OnceLock};
 
 use crate::StageError;
 use crate::artefact::{Artefact, Noun};
+use crate::georeferencing::Stated;
 use crate::stage::Point;
 
 /// Reads an artefact.
@@ -60,13 +61,20 @@ impl<'s> Later<'s> {
 pub struct Element<'s> {
     /// Item of each gathered axis.
     pub point: Point,
+    label: Arc<str>,
     value: Arc<Later<'s>>,
+    stated: Arc<Stated>,
 }
 
 impl Element<'_> {
     /// The value, kept in memory until the stage is done.
+    ///
+    /// # Errors
+    /// It cannot be read, or is in another coordinate reference system than an input that was read before.
     pub fn artefact(&self) -> Result<&Artefact, StageError> {
-        self.value.keep()
+        let artefact = self.value.keep()?;
+        self.stated.note(&self.label, artefact)?;
+        Ok(artefact)
     }
 }
 
@@ -96,7 +104,10 @@ impl Element<'_> {
 /// # Ok::<(), rockface_core::StageError>(())
 /// ```
 #[derive(Debug, Clone, Default)]
-pub struct Inputs<'s>(BTreeMap<String, Vec<Element<'s>>>);
+pub struct Inputs<'s> {
+    ports: BTreeMap<String, Vec<Element<'s>>>,
+    stated: Arc<Stated>,
+}
 
 impl<'s> Inputs<'s> {
     /// Adds an element that is there to a port.
@@ -106,12 +117,20 @@ impl<'s> Inputs<'s> {
 
     /// Adds an element that may have to be read to a port.
     pub fn push_later(&mut self, port: &str, point: Point, value: Arc<Later<'s>>) {
-        self.0.entry(port.to_owned()).or_default().push(Element { point, value });
+        let stated = self.stated.clone();
+        let items: Vec<String> = point.iter().map(|(axis, item)| format!("{axis}={item}")).collect();
+        let label = if items.is_empty() { port.to_owned() } else { format!("{port}[{}]", items.join(",")) };
+        self.ports.entry(port.to_owned()).or_default().push(Element { point, label: label.into(), value, stated });
+    }
+
+    /// What the inputs that were read state about their place on the Earth.
+    pub(crate) fn stated(&self) -> &Stated {
+        &self.stated
     }
 
     /// All elements of a port.
     pub fn elements(&self, port: &str) -> &[Element<'s>] {
-        self.0.get(port).map_or(&[], Vec::as_slice)
+        self.ports.get(port).map_or(&[], Vec::as_slice)
     }
 
     /// The only artefact of a port, of whatever kind the port takes.
@@ -144,7 +163,9 @@ impl<'s> Inputs<'s> {
 
     /// Looks at one artefact of a port; an artefact read for this call is released after it.
     pub fn visit<T: Noun, R>(&self, port: &str, index: usize, look: impl FnOnce(&T) -> R) -> Result<R, StageError> {
-        let artefact = self.element(port, index)?.value.read()?;
+        let element = self.element(port, index)?;
+        let artefact = element.value.read()?;
+        element.stated.note(&element.label, &artefact)?;
         typed(port, &artefact).map(look)
     }
 

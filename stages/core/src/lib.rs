@@ -22,7 +22,9 @@
 
 mod any_number;
 pub mod artefact;
+pub mod crs;
 pub mod format;
+mod georeferencing;
 mod inputs;
 pub mod limits;
 mod needs;

@@ -19,6 +19,8 @@ pub enum Kind {
     Choice(&'static [(&'static str, &'static str)]),
     /// The path of one file, which the engine opens and hashes.
     File,
+    /// The same for a file that may have a `.prj` of its name beside it, which is opened and hashed too.
+    GeoFile,
     /// A folder, a file or a pattern such as `dir/*.tif`: any number of files.
     Files,
     /// A list of one kind; `Some(n)` fixes its length.
@@ -49,7 +51,7 @@ impl std::fmt::Display for Kind {
                 let words: Vec<_> = words.iter().map(|(word, _)| *word).collect();
                 write!(f, "{}", words.join(" | "))
             }
-            Self::File => write!(f, "file"),
+            Self::File | Self::GeoFile => write!(f, "file"),
             Self::Files => write!(f, "files"),
             Self::List(kind, Some(length)) => write!(f, "list of {length} ({kind})"),
             Self::List(kind, None) => write!(f, "list ({kind})"),
@@ -178,6 +180,11 @@ pub trait Params: ParamType {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FileRef(pub String);
 
+/// A file named by a parameter that may state its coordinate reference system in a `.prj` beside it;
+/// [`crate::Context::read_georeferenced`] reads both.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct GeoFileRef(pub String);
+
 /// A folder, file or pattern named by a parameter; [`crate::Context::files`] hands over its readers, sorted by name.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FilesRef(pub String);
@@ -259,6 +266,7 @@ macro_rules! textual {
     };
 }
 textual!(FileRef, Kind::File, "the path of a file", |x| FileRef(x.to_owned()), |x| &x.0);
+textual!(GeoFileRef, Kind::GeoFile, "the path of a file", |x| GeoFileRef(x.to_owned()), |x| &x.0);
 textual!(FilesRef, Kind::Files, "the path of a folder or a pattern", |x| FilesRef(x.to_owned()), |x| &x.0);
 
 /// A number is text too where text is asked for: names such as `7` need no quotes.

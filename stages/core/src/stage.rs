@@ -7,9 +7,10 @@ use std::marker::PhantomData;
 use serde_json::Value;
 
 use crate::artefact::{Artefact, Kind};
+use crate::georeferencing;
 use crate::inputs::Inputs;
 use crate::needs::InputSizes;
-use crate::params::{Fault, Field, FileRef, FilesRef, ParamType, Params};
+use crate::params::{Fault, Field, FileRef, FilesRef, GeoFileRef, ParamType, Params};
 use crate::program::{Program, ProgramResult};
 
 /// The item of each axis a step instance or a gathered element stands for.
@@ -174,6 +175,16 @@ impl Outputs {
         self
     }
 
+    /// What was made.
+    pub fn values(&self) -> impl Iterator<Item = &Artefact> {
+        self.0.values()
+    }
+
+    /// The same, to be changed.
+    pub fn values_mut(&mut self) -> impl Iterator<Item = &mut Artefact> {
+        self.0.values_mut()
+    }
+
     /// Hands over what was made.
     pub fn into_inner(self) -> BTreeMap<&'static str, Artefact> {
         self.0
@@ -280,6 +291,18 @@ impl<'a> Context<'a> {
     pub fn read(&self, file: &FileRef) -> Result<Vec<u8>, StageError> {
         let read = crate::limits::read_whole(&mut self.file(file)?.reader, &|| self.cancelled());
         read.map_err(|e| StageError::new(format!("cannot read `{}`: {e}", file.0)))
+    }
+
+    /// Reads the whole of the one file a parameter names, and of the `.prj` beside it where there is one.
+    pub fn read_georeferenced(&self, file: &GeoFileRef) -> Result<(Vec<u8>, Option<Vec<u8>>), StageError> {
+        let mut files = self.files(&FilesRef(file.0.clone()))?.into_iter();
+        let mut next = || {
+            let read = |mut file: SourceFile| crate::limits::read_whole(&mut file.reader, &|| self.cancelled());
+            let bytes = files.next().map(read).transpose();
+            bytes.map_err(|e| StageError::new(format!("cannot read `{}`: {e}", file.0)))
+        };
+        let bytes = next()?.ok_or_else(|| StageError::new(format!("`{}` names no file", file.0)))?;
+        Ok((bytes, next()?))
     }
 
     /// Logs something worth reading.
@@ -438,6 +461,16 @@ pub trait AnyStage: Sync {
     fn run(&self, with: &Value, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError>;
 }
 
+/// Runs a stage, and gives the place on the Earth that its inputs state to what it makes.
+pub(crate) fn run<S: Stage>(params: &S::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+    if georeferencing::only_shows(S::OUTPUTS) {
+        inputs.stated().allow_mixed();
+    }
+    let mut outputs = S::run(params, inputs, context)?;
+    inputs.stated().carry(&mut outputs, context);
+    Ok(outputs)
+}
+
 /// Lists a [`Stage`] in a [`crate::Room`]: `&Row::<ScaleTable>::new()` is an [`AnyStage`].
 pub struct Row<S>(PhantomData<fn() -> S>);
 
@@ -494,6 +527,6 @@ impl<S: Stage> AnyStage for Row<S> {
     fn run(&self, with: &Value, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let params = S::Params::decode(with)
             .map_err(|faults| StageError::new(faults.first().map_or_else(String::new, |f| f.message.clone())))?;
-        S::run(&params, inputs, context)
+        run::<S>(&params, inputs, context)
     }
 }

@@ -107,7 +107,7 @@ pub fn run_stage<S: Stage>(
         given.push(port, Point::new(), Arc::new(artefact.clone()));
     }
     host.drew.store(false, Ordering::Relaxed);
-    let outputs = S::run(&params, &given, &Context::new(host));
+    let outputs = crate::stage::run::<S>(&params, &given, &Context::new(host));
     let drew = host.drew.load(Ordering::Relaxed);
     assert!(!drew || S::draws(&params), "{} draws random numbers although its `draws` says it does not", S::NAME);
     outputs

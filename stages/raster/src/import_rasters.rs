@@ -3,15 +3,18 @@
 use std::io::Read;
 
 use crate::grid;
-use rockface_core::artefact::{Band, Frame, Kind, Noun, Raster};
-use rockface_core::format::geotiff::DAMAGED;
+use rockface_core::artefact::{Band, CodecError, Frame, Kind, Noun, Raster, Sample};
+use rockface_core::crs::{self, CrsName, Settled, Tool, settle, wall_without_system};
+use rockface_core::format::geotiff::{self, DAMAGED, System};
 use rockface_core::numerics::marginal;
-use rockface_core::params::FilesRef;
+use rockface_core::params::{Fault, FilesRef};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, SourceFile, Stage, StageError, choice, params};
 
 choice! {
     /// The frame of imported grids.
     pub enum GridFrame {
+        /// The one the files state: world where they have a coordinate reference system, otherwise wall.
+        Automatic = "automatic",
         /// X along the face, Y up the face.
         Wall = "wall",
         /// The coordinate reference system of the files.
@@ -27,7 +30,9 @@ params! {
         /// What the values are: `difference`, `elevation`, `mask`, ...; lengths in metres.
         quantity: String = "difference".to_owned(),
         /// The frame X and Y of the files are in.
-        frame: GridFrame = GridFrame::Wall,
+        frame: GridFrame = GridFrame::Automatic,
+        /// The coordinate reference system of files that state none: `EPSG:28356`.
+        crs: Option<CrsName> = None,
     }
 }
 
@@ -48,11 +53,16 @@ impl Stage for ImportRasters {
     const OUTPUTS: &'static [Port] =
         &[Port::one("raster", &[Kind::Raster], "All files on their common grid, one band a file.")];
 
+    fn check(params: &Self::Params) -> Vec<Fault> {
+        let is_wall = params.frame == GridFrame::Wall;
+        params.crs.as_ref().and_then(|_| wall_without_system(is_wall)).into_iter().collect()
+    }
+
     fn run(params: &Self::Params, _inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let mut all: Option<(String, Raster)> = None;
         for mut file in context.files(&params.path)? {
             context.check_cancelled()?;
-            let raster = read(&mut file)?;
+            let raster = read(&mut file, params, context)?;
             match &mut all {
                 None => all = Some((file.name, raster)),
                 Some((first, together)) => append(first, together, &file.name, raster)?,
@@ -67,22 +77,54 @@ impl Stage for ImportRasters {
         if params.quantity == "difference" {
             warn_of_strange_differences(&raster, context);
         }
-        raster.frame = if params.frame == GridFrame::Wall { Frame::Wall } else { Frame::World };
         context.note(format!("{} bands on {}", raster.bands.len(), grid::describe(&raster.grid)));
         Ok(Outputs::of("raster", raster))
     }
 }
 
-/// One file, its bands named after it.
-fn read(file: &mut SourceFile) -> Result<Raster, StageError> {
+/// The fault of the bytes of a file.
+fn unreadable(name: &str, error: &CodecError) -> StageError {
+    let fault = StageError::new(format!("`{name}`: {error}"));
+    let is_damaged = error.0.starts_with(DAMAGED);
+    if is_damaged { fault } else { fault.hint("a pattern such as `folder/*.tif` leaves other files out") }
+}
+
+/// The frame of a file, and what makes metres of its numbers.
+fn settled(
+    name: &str,
+    system: System,
+    params: &ImportRastersParams,
+    context: &Context,
+) -> Result<(Frame, Settled), StageError> {
+    let has_system = params.crs.is_some()
+        || system.stated.as_ref().is_some_and(|stated| !matches!(stated.kind, crs::Kind::Local | crs::Kind::Unknown));
+    let own = system.frame.unwrap_or(if has_system { Frame::World } else { Frame::Wall });
+    let is_wall = match params.frame {
+        GridFrame::Automatic => own == Frame::Wall && params.crs.is_none(),
+        GridFrame::Wall => true,
+        GridFrame::World => false,
+    };
+    if !is_wall {
+        let about = (Tool::Gdal, system.corner);
+        let settled = settle(name, [system.stated, None], params.crs.as_ref(), about, context)?;
+        return Ok((settled.frame(), settled));
+    }
+    if let Some(stated) = system.stated.filter(|_| has_system) {
+        context.warn(format!("`{name}` states {}, but `frame: wall` is given: its system is left out", stated.name));
+    }
+    Ok((system.frame.filter(|frame| *frame == Frame::Wall).unwrap_or(Frame::Wall), Settled::metres()))
+}
+
+/// One file in metres, its bands named after it.
+fn read(file: &mut SourceFile, params: &ImportRastersParams, context: &Context) -> Result<Raster, StageError> {
     let name = file.name.clone();
     let mut bytes = Vec::new();
     file.reader.read_to_end(&mut bytes).map_err(|e| StageError::new(format!("cannot read `{name}`: {e}")))?;
-    let mut raster = Raster::decode(&bytes).map_err(|e| {
-        let error = StageError::new(format!("`{name}`: {e}"));
-        let is_damaged = e.0.starts_with(DAMAGED);
-        if is_damaged { error } else { error.hint("a pattern such as `folder/*.tif` leaves other files out") }
-    })?;
+    let system = geotiff::read_system(&bytes).map_err(|e| unreadable(&name, &e))?;
+    let (frame, settled) = settled(&name, system, params, context)?;
+    let mut raster = Raster::decode(&bytes).map_err(|e| unreadable(&name, &e))?;
+    raster.frame = frame;
+    to_metres(&mut raster, &settled, &params.quantity);
     let stem = name.rsplit_once('.').map_or(name.as_str(), |(stem, _)| stem);
     let single = raster.bands.len() == 1;
     for band in &mut raster.bands {
@@ -93,6 +135,24 @@ fn read(file: &mut SourceFile) -> Result<Raster, StageError> {
         band.name = if single { stem.to_owned() } else { format!("{stem}.{}", band.name) };
     }
     Ok(raster)
+}
+
+/// Quantities whose values are lengths along Z.
+const LENGTHS: [&str; 2] = ["elevation", "difference"];
+
+fn to_metres(raster: &mut Raster, settled: &Settled, quantity: &str) {
+    if settled.keeps_coordinates() {
+        return;
+    }
+    let grid = &mut raster.grid;
+    for length in [&mut grid.cell_m, &mut grid.left_m, &mut grid.top_m] {
+        *length *= settled.horizontal;
+    }
+    if LENGTHS.contains(&quantity) {
+        let values = raster.bands.iter_mut().flat_map(|band| &mut band.values);
+        values.for_each(|value| *value = (f64::from(*value) * settled.vertical) as f32);
+        raster.sample = Sample::Float;
+    }
 }
 
 /// Warns of what differences of a rock face in metres cannot be, or rarely are.
@@ -123,6 +183,23 @@ fn warn_of_strange_differences(raster: &Raster, context: &Context) {
 }
 
 fn append(first: &str, together: &mut Raster, name: &str, raster: Raster) -> Result<(), StageError> {
+    let system = |raster: &Raster| raster.frame.crs().cloned();
+    if raster.frame != together.frame {
+        let (a, b) = (together.frame, raster.frame);
+        return Err(StageError::new(format!("`{first}` is in the {a} frame, but `{name}` in the {b} frame"))
+            .hint("say which with `frame`, or give the files that state none their `crs` in a step of their own"));
+    }
+    if let (Some(one), Some(other)) = (system(together), system(&raster))
+        && !one.agrees_with(&other)
+    {
+        let text =
+            format!("`{first}` is in {one}, but `{name}` in {other}: two coordinate reference systems in one step");
+        return Err(StageError::new(text)
+            .hint("bring the files into one system first: `gdalwarp -t_srs EPSG:... in.tif out.tif`"));
+    }
+    if together.frame.georeference().is_none() {
+        together.frame = raster.frame;
+    }
     if !grid::same(&together.grid, &raster.grid) {
         let (a, b) = (grid::describe(&together.grid), grid::describe(&raster.grid));
         return Err(StageError::new(format!("`{first}` has {a}, but `{name}` has {b}"))

@@ -11,6 +11,7 @@ mod depth;
 mod figure;
 mod file;
 mod files;
+mod frame;
 mod inventory;
 mod mesh;
 mod meshes;
@@ -32,6 +33,7 @@ pub use depth::Depth;
 pub use figure::Figure;
 pub use file::File;
 pub use files::Files;
+pub use frame::{Frame, Georeference};
 pub use inventory::{Feature, Inventory, Polygon};
 pub use mesh::Mesh;
 pub use meshes::{Meshes, Part, file_names as part_file_names};
@@ -43,25 +45,6 @@ pub use sketch::{Shown, Sketch};
 pub use surface::Surface;
 pub use table::{Cell, Table, TableRow};
 pub use transform::Transform;
-
-/// The frame coordinates are in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Frame {
-    /// The input's coordinate reference system.
-    World,
-    /// X along the face, Y up the face, Z out of the rock towards the viewer; metres.
-    Wall,
-}
-
-impl std::fmt::Display for Frame {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::World => "world",
-            Self::Wall => "wall",
-        })
-    }
-}
 
 /// A file that could not be read as an artefact, or an artefact that could not be written.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -210,6 +193,40 @@ artefacts! {
     Files = "files" . "tar": "Files in another program's own format.",
     Inventory = "inventory" . "geojson": "Rockfalls: outline and properties of each.",
     Candidates = "candidates" . "json": "An unbounded sequence of candidate blocks.",
+}
+
+impl Artefact {
+    /// The frame of its coordinates; `None` where it has none, or several as a transform.
+    pub fn frame(&self) -> Option<Frame> {
+        match self {
+            Self::Cloud(value) => Some(value.frame),
+            Self::Mesh(value) => Some(value.frame),
+            Self::Surface(value) => Some(value.frame),
+            Self::Raster(value) => Some(value.frame),
+            Self::Depth(value) => Some(value.frame),
+            Self::Cameras(value) => Some(value.frame),
+            Self::Covariance(value) => Some(value.frame),
+            Self::Meshes(value) => Some(value.frame),
+            Self::Inventory(value) => Some(value.frame),
+            _ => None,
+        }
+    }
+
+    /// The same, to be changed.
+    pub fn frame_mut(&mut self) -> Option<&mut Frame> {
+        match self {
+            Self::Cloud(value) => Some(&mut value.frame),
+            Self::Mesh(value) => Some(&mut value.frame),
+            Self::Surface(value) => Some(&mut value.frame),
+            Self::Raster(value) => Some(&mut value.frame),
+            Self::Depth(value) => Some(&mut value.frame),
+            Self::Cameras(value) => Some(&mut value.frame),
+            Self::Covariance(value) => Some(&mut value.frame),
+            Self::Meshes(value) => Some(&mut value.frame),
+            Self::Inventory(value) => Some(&mut value.frame),
+            _ => None,
+        }
+    }
 }
 
 impl Kind {

@@ -2,6 +2,8 @@
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
+use crate::crs::Crs;
+
 /// A rigid transform: `p_to = rotation (p_from - origin) + translation`.
 ///
 /// Subtracting `origin` first keeps coordinates of UTM magnitude exact to their last digits. The identity is
@@ -19,6 +21,9 @@ pub struct Transform {
     pub origin: [f64; 3],
     /// Added last, metres in the `to` frame.
     pub translation: [f64; 3],
+    /// The coordinate reference system of the world frame, where one of the two is it and the system is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub crs: Option<Crs>,
 }
 
 impl Transform {
@@ -36,12 +41,13 @@ impl Transform {
             rotation: [row(0), row(1), row(2)],
             origin: origin.into(),
             translation: translation.into(),
+            crs: None,
         }
     }
 
     /// Whether it moves nothing at all.
     pub fn is_identity(&self) -> bool {
-        *self == Self::identity(&self.from, &self.to)
+        *self == Self { crs: self.crs.clone(), ..Self::identity(&self.from, &self.to) }
     }
 
     /// The rotation as a matrix.
@@ -70,7 +76,8 @@ impl Transform {
     #[must_use]
     pub fn inverse(&self) -> Self {
         let back = self.matrix().transpose();
-        Self::new(&self.to, &self.from, &back, self.translation.into(), self.origin.into())
+        let inverse = Self::new(&self.to, &self.from, &back, self.translation.into(), self.origin.into());
+        Self { crs: self.crs.clone(), ..inverse }
     }
 }
 

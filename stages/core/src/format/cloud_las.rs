@@ -6,7 +6,9 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use las::{Color, Header, PointDataBuilder, Reader};
 
 use super::laz_check::{check_chunks, check_header, damaged};
-use crate::artefact::CodecError;
+use crate::artefact::{CodecError, Frame};
+use crate::crs::Stated;
+use crate::crs::geo_keys::GeoKeys;
 
 /// Points, in the order of the file.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -15,8 +17,19 @@ pub struct Cloud {
     pub points: Vec<[f64; 3]>,
     /// Red, green and blue of each point; empty where the source has none.
     pub colours: Vec<[u8; 3]>,
+    /// The coordinate reference system that the file states.
+    pub stated: Option<Stated>,
+    /// The frame that our own files state.
+    pub frame: Option<Frame>,
 }
 
+/// User and numbers of the records of a coordinate reference system.
+pub(super) const PROJECTION_USER: &str = "LASF_Projection";
+/// Well-known text.
+pub(super) const WKT_RECORD: u16 = 2112;
+const KEYS_RECORD: u16 = 34735;
+const DOUBLES_RECORD: u16 = 34736;
+const ASCII_RECORD: u16 = 34737;
 /// Points read at once, at most.
 const BATCH: u64 = 1 << 16;
 /// Bytes of the points read at once.
@@ -35,10 +48,30 @@ pub fn read(bytes: Vec<u8>, cancelled: &dyn Fn() -> bool) -> Result<Cloud, Codec
     if header.point_format().is_compressed {
         check_chunks(&bytes, &header)?;
     }
+    let stated = stated(&header);
     // The decompressor panics on some damaged points.
     let points =
         catch_unwind(AssertUnwindSafe(|| read_points(Reader::new(Cursor::new(bytes)).map_err(unreadable)?, cancelled)));
-    points.unwrap_or_else(|_| Err(damaged("its points cannot be decompressed")))
+    let cloud = points.unwrap_or_else(|_| Err(damaged("its points cannot be decompressed")))?;
+    Ok(Cloud { stated, ..cloud })
+}
+
+/// The system that the records of a file state: well-known text before keys.
+fn stated(header: &Header) -> Option<Stated> {
+    let record = |number: u16| {
+        let mut all = header.all_vlrs();
+        all.find(|vlr| vlr.user_id == PROJECTION_USER && vlr.record_id == number).map(|vlr| vlr.data.as_slice())
+    };
+    let wkt = record(WKT_RECORD).map(String::from_utf8_lossy);
+    if let Some(text) = wkt.filter(|text| !text.trim_matches(['\0', ' ', '\n']).is_empty()) {
+        return Some(Stated::of_prj(text.split('\0').next().unwrap_or_default().as_bytes()));
+    }
+    let keys = record(KEYS_RECORD)?;
+    let directory: Vec<u16> = keys.as_chunks().0.iter().map(|bytes| u16::from_le_bytes(*bytes)).collect();
+    let doubles = record(DOUBLES_RECORD).unwrap_or_default();
+    let doubles: Vec<f64> = doubles.as_chunks().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect();
+    let ascii = String::from_utf8_lossy(record(ASCII_RECORD).unwrap_or_default());
+    GeoKeys { directory: &directory, doubles: &doubles, ascii: &ascii }.stated()
 }
 
 fn read_points(mut reader: Reader, cancelled: &dyn Fn() -> bool) -> Result<Cloud, CodecError> {
@@ -69,7 +102,7 @@ fn read_points(mut reader: Reader, cancelled: &dyn Fn() -> bool) -> Result<Cloud
         return Err(cut_short(promised, points.len(), "the file ends"));
     }
     let colours = if colours.len() == points.len() { to_bytes(&colours) } else { Vec::new() };
-    Ok(Cloud { points, colours })
+    Ok(Cloud { points, colours, ..Cloud::default() })
 }
 
 fn to_bytes(colours: &[Color]) -> Vec<[u8; 3]> {

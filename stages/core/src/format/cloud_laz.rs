@@ -2,13 +2,14 @@
 //!
 //! Normals are the extra dimensions `NormalX`, `NormalY`, `NormalZ` (float), the numbers of the points extra dimensions of
 //! their own names (unsigned, 32 bits), described by the extra-bytes record of the ASPRS specification (LAS 1.4 R15, section
-//! "Extra Bytes"). Colours fill 16 bits.
+//! "Extra Bytes"). Colours fill 16 bits. The coordinate reference system of the world frame is a record of well-known text.
 
 use std::io::Cursor;
 
 use las::point::Format;
 use las::{Builder, Color, Point, Transform, Vector, Version, Vlr, Writer};
 
+use super::cloud_las::{PROJECTION_USER, WKT_RECORD};
 use crate::artefact::{Cloud, CodecError};
 
 /// Metres an integer coordinate counts.
@@ -76,6 +77,15 @@ fn header(cloud: &Cloud) -> Builder {
     builder.point_format = point_format;
     if !vlr.data.is_empty() {
         builder.vlrs.push(vlr);
+    }
+    if let Some(crs) = cloud.frame.crs() {
+        builder.vlrs.push(Vlr {
+            user_id: PROJECTION_USER.to_owned(),
+            record_id: WKT_RECORD,
+            description: "OGC WKT".to_owned(),
+            data: format!("{}\0", crs.wkt()).into_bytes(),
+        });
+        builder.has_wkt_crs = true;
     }
     builder
 }

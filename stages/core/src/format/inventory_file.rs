@@ -22,10 +22,18 @@ pub fn write(inventory: &Inventory) -> Result<Vec<u8>, CodecError> {
     let about = json!({"frame": inventory.frame, "units": "metres", "columns": inventory.columns});
     let features: Vec<String> = inventory.features.iter().map(|feature| line(inventory, feature)).collect();
     let features = if features.is_empty() { String::new() } else { format!("\n{}\n", features.join(",\n")) };
-    let system = format!("LOCAL_CS[\"rockface {} frame\",UNIT[\"metre\",1]]", inventory.frame);
+    let system = system(inventory.frame);
     let crs = json!({"type": "name", "properties": {"name": system}});
     Ok(format!("{{\"type\":\"FeatureCollection\",\"crs\":{crs},\"rockface\":{about},\"features\":[{features}]}}\n")
         .into_bytes())
+}
+
+/// How the member `crs` names the system of a frame: by its EPSG code, its well-known text, or as a local one.
+fn system(frame: Frame) -> String {
+    match frame.crs() {
+        None => format!("LOCAL_CS[\"rockface {frame} frame\",UNIT[\"metre\",1]]"),
+        Some(crs) => crs.epsg().map_or_else(|| crs.horizontal().wkt(), |code| format!("urn:ogc:def:crs:EPSG::{code}")),
+    }
 }
 
 fn check(inventory: &Inventory) -> Result<(), CodecError> {

@@ -16,12 +16,13 @@ pub fn write_mesh(mesh: &Mesh) -> Vec<u8> {
     let coloured = !mesh.colours.is_empty();
     let colours = if coloured { "property uchar red\nproperty uchar green\nproperty uchar blue\n" } else { "" };
     let header = format!(
-        "ply\nformat binary_little_endian 1.0\ncomment {}{}{}\nelement vertex {}\nproperty double x\n\
+        "ply\nformat binary_little_endian 1.0\ncomment {}{}{}\n{}element vertex {}\nproperty double x\n\
          property double y\nproperty double z\n{colours}element face {}\nproperty list uchar uint vertex_indices\n\
          end_header\n",
         crate::format::ply::header::FRAME_COMMENT,
         mesh.frame,
         crate::format::ply::header::UNITS_COMMENT,
+        crate::format::ply::header::georeference_line(mesh.frame),
         mesh.vertices.len(),
         mesh.triangles.len()
     );

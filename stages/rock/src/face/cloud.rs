@@ -2,6 +2,7 @@
 
 use super::cloud_text;
 use rockface_core::artefact::CodecError;
+use rockface_core::crs::Stated;
 use rockface_core::format::{cloud_las, ply};
 
 pub use rockface_core::format::cloud_las::Cloud;
@@ -18,7 +19,9 @@ pub fn read(bytes: Vec<u8>, columns: Option<&[String]>, cancelled: &dyn Fn() -> 
     }
     if bytes.starts_with(b"ply") {
         let mesh = ply::read_mesh(&bytes)?;
-        return Ok(Cloud { points: mesh.vertices, colours: mesh.colours });
+        let georeference = mesh.frame.georeference();
+        let stated = georeference.map(|georeference| Stated::of_crs(&georeference.crs));
+        return Ok(Cloud { points: mesh.vertices, colours: mesh.colours, stated, frame: Some(mesh.frame) });
     }
     if bytes.iter().take(4096).any(|byte| *byte == 0) {
         return Err(CodecError::new("its content is not LAS, LAZ, PLY or columns of numbers"));

@@ -7,7 +7,8 @@ use crate::face::cloud::Cloud;
 use crate::face::sheet;
 use crate::face::sheet::{Made, Rules, SheetPlane};
 use rockface_core::artefact::{Frame, Kind};
-use rockface_core::params::{Fault, FileRef, Range};
+use rockface_core::crs::{CrsName, Stated, Tool, settle, wall_without_system};
+use rockface_core::params::{Fault, GeoFileRef, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
 use rockface_raster::plane_fit;
 use rockface_raster::plane_fit::Plane;
@@ -29,9 +30,11 @@ params! {
     /// Parameters of `import-cloud`.
     pub struct ImportCloudParams {
         /// The file; its format is told by its content: LAS, LAZ, PLY, or columns of numbers (XYZ, TXT, CSV, PTS).
-        path: FileRef,
+        path: GeoFileRef,
         /// The frame of the file's coordinates.
         frame: CloudFrame = CloudFrame::World,
+        /// The coordinate reference system of a file that states none, itself or in a `.prj` beside it: `EPSG:28356`.
+        crs: Option<CrsName> = None,
         /// Added to every point in double precision, metres: brings a file with shifted coordinates back.
         offset_m: [f64; 3] = [0.0; 3],
         /// Names of the columns of a text file without a header, such as `[x, y, z, intensity, red, green, blue]`; left out,
@@ -64,12 +67,15 @@ impl Stage for ImportCloud {
     fn check(params: &Self::Params) -> Vec<Fault> {
         let zero = params.outward.is_some_and(|outward| Vector3::from(outward).norm() == 0.0);
         let fault = || Fault { path: vec!["outward".into()], ..Fault::new("a direction cannot be zero") };
-        zero.then(fault).into_iter().collect()
+        let on_wall = params.crs.as_ref().and_then(|_| wall_without_system(params.frame == CloudFrame::Wall));
+        zero.then(fault).into_iter().chain(on_wall).collect()
     }
 
     fn run(params: &Self::Params, _inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let path = &params.path.0;
-        let cloud = cloud::read(context.read(&params.path)?, params.columns.as_deref(), &|| context.cancelled());
+        let (bytes, system) = context.read_georeferenced(&params.path)?;
+        let tool = if bytes.starts_with(b"LASF") { Tool::Pdal } else { Tool::Other };
+        let cloud = cloud::read(bytes, params.columns.as_deref(), &|| context.cancelled());
         let mut cloud = cloud.map_err(|e| StageError::new(format!("cannot read `{path}`: {e}")))?;
         if cloud.points.len() < 3 {
             fail!("`{path}` has {} points, a mesh needs at least three", cloud.points.len());
@@ -77,9 +83,9 @@ impl Stage for ImportCloud {
         if u32::try_from(cloud.points.len()).is_err() {
             fail!("`{path}` has {} points, more than a mesh can number; thin it first", cloud.points.len());
         }
+        let frame = framed(&mut cloud, params, (tool, system.as_deref()), context)?;
         shift(&mut cloud, params.offset_m);
         context.check_cancelled()?;
-        let frame = if params.frame == CloudFrame::Wall { Frame::Wall } else { Frame::World };
         let plane = plane_fit::fit_points_robust(&cloud.points)
             .ok_or_else(|| StageError::new(format!("the points of `{path}` do not span a plane")))?;
         let sheet = SheetPlane { origin: plane.centroid, axes: axes(outward(params, &plane)?) };
@@ -97,6 +103,26 @@ impl Stage for ImportCloud {
         report(&cloud, (mesh.vertices.len(), mesh.triangles.len()), &plane, &made, context);
         Ok(Outputs::of("mesh", mesh))
     }
+}
+
+/// The frame of the cloud, and its points in metres.
+fn framed(
+    cloud: &mut Cloud,
+    params: &ImportCloudParams,
+    (tool, prj): (Tool, Option<&[u8]>),
+    context: &Context,
+) -> Result<Frame, StageError> {
+    if params.frame == CloudFrame::Wall {
+        let own = cloud.frame.filter(|frame| *frame == Frame::Wall);
+        return Ok(own.unwrap_or(Frame::Wall));
+    }
+    let stated = [cloud.stated.take(), prj.map(Stated::of_prj)];
+    let first = cloud.points.first().copied();
+    let settled = settle(&params.path.0, stated, params.crs.as_ref(), (tool, first), context)?;
+    if !settled.keeps_coordinates() {
+        cloud.points.iter_mut().for_each(|point| *point = settled.point(*point));
+    }
+    Ok(settled.frame())
 }
 
 fn shift(cloud: &mut Cloud, offset_m: [f64; 3]) {

@@ -7,7 +7,8 @@ use crate::face::repair;
 use crate::face::repair::Repaired;
 use crate::face::{mesh_file, orient};
 use rockface_core::artefact::{Frame, Kind, Mesh};
-use rockface_core::params::{Fault, FileRef, Range};
+use rockface_core::crs::{CrsName, Stated, Tool, settle, wall_without_system};
+use rockface_core::params::{Fault, GeoFileRef, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
 use rockface_raster::mesh_check;
 
@@ -51,9 +52,11 @@ params! {
     /// Parameters of `import-mesh`.
     pub struct ImportMeshParams {
         /// The file; its format is told by its content: PLY, OBJ or STL, text or binary.
-        path: FileRef,
+        path: GeoFileRef,
         /// The frame of the file's coordinates.
         frame: FileFrame = FileFrame::World,
+        /// The coordinate reference system of a file that states none, itself or in a `.prj` beside it: `EPSG:28356`.
+        crs: Option<CrsName> = None,
         /// Added to every vertex in double precision, metres: brings a file with shifted coordinates back.
         offset_m: [f64; 3] = [0.0; 3],
         /// What to repair.
@@ -80,7 +83,8 @@ impl Stage for ImportMesh {
     const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The mesh, in the frame of the file.")];
 
     fn check(params: &Self::Params) -> Vec<Fault> {
-        let mut faults = Vec::new();
+        let on_wall = params.crs.as_ref().and_then(|_| wall_without_system(params.frame == FileFrame::Wall));
+        let mut faults: Vec<Fault> = on_wall.into_iter().collect();
         if params.outward.is_some_and(|outward| Vector3::from(outward).norm() == 0.0) {
             faults.push(Fault { path: vec!["outward".into()], ..Fault::new("a direction cannot be zero") });
         }
@@ -93,23 +97,39 @@ impl Stage for ImportMesh {
 
     fn run(params: &Self::Params, _inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let path = &params.path.0;
-        let bytes = context.read(&params.path)?;
+        let (bytes, system) = context.read_georeferenced(&params.path)?;
         let mut mesh = mesh_file::read(&bytes, &|| context.cancelled())
             .map_err(|e| StageError::new(format!("cannot read `{path}`: {e}")))?;
         if mesh.triangles.is_empty() {
             return Err(StageError::new(format!("`{path}` has {} vertices but no triangles", mesh.vertices.len()))
                 .hint("a point cloud is meshed by `import-cloud`"));
         }
-        mesh.frame = match params.frame {
-            FileFrame::World => Frame::World,
-            FileFrame::Wall => Frame::Wall,
-        };
         warn_of_single_precision(&mesh, context);
+        mesh.frame = framed(&mut mesh, params, system.as_deref(), context)?;
         shift(&mut mesh, params.offset_m);
         context.check_cancelled()?;
         tidy(&mut mesh, params, context)?;
         Ok(Outputs::of("mesh", mesh))
     }
+}
+
+/// The frame of the mesh, and its vertices in metres.
+fn framed(
+    mesh: &mut Mesh,
+    params: &ImportMeshParams,
+    prj: Option<&[u8]>,
+    context: &Context,
+) -> Result<Frame, StageError> {
+    if params.frame == FileFrame::Wall {
+        return Ok(Frame::Wall.at(mesh.frame.georeference().filter(|_| mesh.frame == Frame::Wall).cloned()));
+    }
+    let own = mesh.frame.georeference().map(|georeference| Stated::of_crs(&georeference.crs));
+    let about = (Tool::Other, mesh.vertices.first().copied());
+    let settled = settle(&params.path.0, [own, prj.map(Stated::of_prj)], params.crs.as_ref(), about, context)?;
+    if !settled.keeps_coordinates() {
+        mesh.vertices.iter_mut().for_each(|vertex| *vertex = settled.point(*vertex));
+    }
+    Ok(settled.frame())
 }
 
 fn shift(mesh: &mut Mesh, offset_m: [f64; 3]) {

@@ -219,7 +219,7 @@ mod tests {
         let places = (0..count).map(place).filter(|p| p.xy().norm() > 4.0);
         let points: Vec<[f64; 3]> = places.map(|p| (axes.transpose() * p + origin).into()).collect();
         let colours = (0..points.len()).map(|i| [(i % 251) as u8, 0, 9]).collect();
-        (Cloud { points, colours }, SheetPlane { origin, axes })
+        (Cloud { points, colours, ..Cloud::default() }, SheetPlane { origin, axes })
     }
 
     #[test]
@@ -260,7 +260,7 @@ mod tests {
         let axes = Matrix3::identity();
         let plane = SheetPlane { origin: Vector3::zeros(), axes };
         let line: Vec<[f64; 3]> = (0..9).map(|i| [f64::from(i), f64::from(i), 0.0]).collect();
-        let cloud = |points: &[[f64; 3]]| Cloud { points: points.to_vec(), colours: Vec::new() };
+        let cloud = |points: &[[f64; 3]]| Cloud { points: points.to_vec(), ..Cloud::default() };
         assert!(mesh(&cloud(&line), &plane, &RULES, Frame::World).unwrap_err().contains("span no triangle"));
         assert!(mesh(&cloud(&[]), &plane, &RULES, Frame::World).is_err());
         let grid: Vec<[f64; 3]> = (0..100).map(|i| [f64::from(i % 10), f64::from(i / 10), 0.0]).collect();

@@ -8,9 +8,10 @@ use crate::rockfall::block;
 use crate::rockfall::block::{Flaw, Solid, smoothing};
 use crate::rockfall::distribution;
 use rockface_core::artefact::candidates::Modifier;
-use rockface_core::artefact::{Frame, Kind, Mesh, Meshes, Part, Transform};
+use rockface_core::artefact::{Frame, Georeference, Kind, Mesh, Meshes, Part, Transform};
+use rockface_core::crs::{CrsName, Stated, Tool, settle, wall_without_system};
 use rockface_core::numerics::random::Key;
-use rockface_core::params::{FileRef, FilesRef, Range};
+use rockface_core::params::{Fault, FileRef, FilesRef, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, SourceFile, Stage, StageError, choice, fail, params};
 use rockface_raster::shape::Moved;
 
@@ -41,6 +42,8 @@ params! {
         path: FilesRef,
         /// The frame of the files' coordinates.
         frame: BlockFrame = BlockFrame::Wall,
+        /// The coordinate reference system of files in the world frame that state none: `EPSG:28356`.
+        crs: Option<CrsName> = None,
         /// Added to every vertex in double precision, metres, before anything else.
         offset_m: [f64; 3] = [0.0; 3],
         /// The class of all blocks; null: each is of the class called like its file.
@@ -71,13 +74,18 @@ impl Stage for ImportBlocks {
     const OUTPUTS: &'static [Port] =
         &[Port::one("blocks", &[Kind::Meshes], "The blocks, in the order of their files.")];
 
+    fn check(params: &Self::Params) -> Vec<Fault> {
+        let is_wall = params.frame == BlockFrame::Wall;
+        params.crs.as_ref().and_then(|_| wall_without_system(is_wall)).into_iter().collect()
+    }
+
     fn draws(params: &Self::Params) -> bool {
         params.modifiers.iter().any(Modifier::draws)
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let transform = inputs.optional::<Transform>("transform")?;
-        let frame = frame(params.frame, transform)?;
+        let mut frame = frame(params.frame, transform)?;
         let moved = transform.and_then(Moved::by);
         let read = |path: &str| context.read(&FileRef(path.to_owned())).map_err(|e| e.message);
         let modifiers = distribution::with_files_read(&params.modifiers, &read)
@@ -86,7 +94,11 @@ impl Stage for ImportBlocks {
         for mut file in context.files(&params.path)? {
             context.check_cancelled()?;
             let stem = file.name.rsplit_once('.').map_or(file.name.as_str(), |(stem, _)| stem).to_owned();
-            let mesh = tidied(read_mesh(&mut file, context)?, &file.name, params, moved.as_ref(), context)?;
+            let mut mesh = read_mesh(&mut file, context)?;
+            if params.frame == BlockFrame::World {
+                frame = to_metres(&mut mesh, &file.name, params, transform, context)?.unwrap_or(frame);
+            }
+            let mesh = tidied(mesh, &file.name, params, moved.as_ref(), context)?;
             let pieces = if params.split { split(&mesh) } else { vec![mesh] };
             let several = pieces.len() > 1;
             for (number, piece) in pieces.into_iter().enumerate() {
@@ -119,6 +131,31 @@ fn frame(of_files: BlockFrame, transform: Option<&Transform>) -> Result<Frame, S
                 .hint("say `frame: world` if the files are in world coordinates, or disconnect the transform"))
         }
     }
+}
+
+/// Brings a file in the world frame to metres; returns the frame of the blocks where the system is stated.
+fn to_metres(
+    mesh: &mut Mesh,
+    file: &str,
+    params: &ImportBlocksParams,
+    transform: Option<&Transform>,
+    context: &Context,
+) -> Result<Option<Frame>, StageError> {
+    let own = mesh.frame.georeference().map(|georeference| Stated::of_crs(&georeference.crs));
+    if own.is_none() && params.crs.is_none() {
+        return Ok(None);
+    }
+    let about = (Tool::Other, mesh.vertices.first().copied());
+    let settled = settle(file, [own, None], params.crs.as_ref(), about, context)?;
+    mesh.vertices.iter_mut().for_each(|vertex| *vertex = settled.point(*vertex));
+    if let (Some(crs), Some(of_transform)) = (&settled.crs, transform.and_then(|by| by.crs.as_ref()))
+        && !crs.agrees_with(of_transform)
+    {
+        fail!("`{file}` is in {crs}, but `transform` in {of_transform}: two coordinate reference systems in one step");
+    }
+    let georeference = settled.crs.map(|crs| Georeference { crs, wall_from_world: transform.cloned() });
+    let axes = if transform.is_some() { Frame::Wall } else { Frame::World };
+    Ok(georeference.map(|georeference| axes.at(Some(georeference))))
 }
 
 fn read_mesh(file: &mut SourceFile, context: &Context) -> Result<Mesh, StageError> {

@@ -2,7 +2,8 @@
 
 use crate::rockfall::inventory_foreign;
 use rockface_core::artefact::{Frame, Inventory, Kind, Noun};
-use rockface_core::params::FileRef;
+use rockface_core::crs::{CrsName, Stated, Tool, settle, wall_without_system};
+use rockface_core::params::{Fault, FileRef};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
 
 choice! {
@@ -22,8 +23,10 @@ params! {
     pub struct ImportInventoryParams {
         /// A GeoJSON file: a feature collection of polygons, multipolygons or features without geometry.
         path: FileRef,
-        /// The frame of the outlines; coordinates are metres in it, whatever the file says.
+        /// The frame of the outlines.
         frame: InventoryFrame = InventoryFrame::Automatic,
+        /// The coordinate reference system of a file that states none: `EPSG:28356`.
+        crs: Option<CrsName> = None,
     }
 }
 
@@ -38,22 +41,69 @@ impl Stage for ImportInventory {
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[Port::one("inventory", &[Kind::Inventory], "The rockfalls.")];
 
+    fn check(params: &Self::Params) -> Vec<Fault> {
+        let is_wall = params.frame == InventoryFrame::Wall;
+        params.crs.as_ref().and_then(|_| wall_without_system(is_wall)).into_iter().collect()
+    }
+
     fn run(params: &Self::Params, _inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let bytes = context.read(&params.path)?;
         let named = |e: rockface_core::artefact::CodecError| StageError::new(format!("`{}`: {e}", params.path.0));
-        let mut inventory = match Inventory::decode(&bytes) {
-            Ok(own) => own,
-            Err(_) => inventory_foreign::read(&bytes).map_err(named)?,
+        let (mut inventory, stated) = match Inventory::decode(&bytes) {
+            Ok(own) => {
+                let stated = own.frame.crs().map(Stated::of_crs);
+                (own, stated)
+            }
+            Err(_) => {
+                let read = inventory_foreign::read(&bytes).map_err(named)?;
+                let stated = inventory_foreign::stated(&bytes, &read, params.crs.is_some());
+                (read, stated)
+            }
         };
-        match params.frame {
-            InventoryFrame::Automatic => {}
-            InventoryFrame::Wall => inventory.frame = Frame::Wall,
-            InventoryFrame::World => inventory.frame = Frame::World,
+        let is_wall = match params.frame {
+            InventoryFrame::Automatic => inventory.frame == Frame::Wall && params.crs.is_none(),
+            InventoryFrame::Wall => true,
+            InventoryFrame::World => false,
+        };
+        if !is_wall {
+            bring_to_metres(&mut inventory, stated, params, context)?;
+        } else if inventory.frame != Frame::Wall {
+            inventory.frame = Frame::Wall;
         }
         let (count, columns) = (inventory.features.len(), inventory.columns.len());
         context.headline(format!("{count} rockfalls with {columns} properties, {} frame", inventory.frame));
         Ok(Outputs::of("inventory", inventory))
     }
+}
+
+fn bring_to_metres(
+    inventory: &mut Inventory,
+    stated: Option<Stated>,
+    params: &ImportInventoryParams,
+    context: &Context,
+) -> Result<(), StageError> {
+    let mut polygons = inventory.features.iter().flat_map(|feature| &feature.outline);
+    let first = polygons.find_map(|polygon| polygon.exterior.first()).map(|[x, y]| [*x, *y, 0.0]);
+    let settled = settle(&params.path.0, [stated, None], params.crs.as_ref(), (Tool::Ogr, first), context);
+    let without_crs = "a GeoJSON without member `crs` is in degrees (RFC 7946)";
+    let settled = settled.map_err(|error| StageError {
+        hint: error.hint.map(|hint| {
+            let metres = "say `crs: EPSG:...` if its numbers are metres in that system, `frame: wall` if they are metres on the wall";
+            if error.message.contains(inventory_foreign::UNSTATED) { format!("{without_crs}: {metres}; else {hint}") } else { hint }
+        }),
+        ..error
+    })?;
+    if !settled.keeps_coordinates() {
+        let polygons = inventory.features.iter_mut().flat_map(|feature| &mut feature.outline);
+        let rings = polygons.flat_map(|polygon| std::iter::once(&mut polygon.exterior).chain(&mut polygon.holes));
+        for point in rings.flatten() {
+            let [x, y, _] = settled.point([point[0], point[1], 0.0]);
+            *point = [x, y];
+        }
+        context.warn("numbers among the properties stay as they are: say in their names which unit they are in");
+    }
+    inventory.frame = settled.frame();
+    Ok(())
 }
 
 #[cfg(test)]

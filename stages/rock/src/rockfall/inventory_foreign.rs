@@ -3,6 +3,7 @@
 use serde_json::Value;
 
 use rockface_core::artefact::{Cell, CodecError, Feature, Frame, Inventory, Polygon};
+use rockface_core::crs::{Kind, Stated};
 use rockface_core::limits;
 
 /// Reads a feature collection; the frame is world. Properties become columns in alphabetical order.
@@ -33,6 +34,37 @@ pub fn read(bytes: &[u8]) -> Result<Inventory, CodecError> {
     };
     let features = features.iter().enumerate().map(read).collect::<Result<_, CodecError>>()?;
     Ok(Inventory { frame: Frame::World, columns, features })
+}
+
+/// The name of the system of a file that has no member `crs`.
+pub const UNSTATED: &str = "WGS 84 without a word";
+
+/// The system of a feature collection: that of its member `crs`, or degrees where it has none and its numbers can be such.
+/// `overruled`: a parameter says what a file without `crs` is in.
+pub fn stated(bytes: &[u8], inventory: &Inventory, overruled: bool) -> Option<Stated> {
+    let file: Value = serde_json::from_slice(bytes).ok()?;
+    if let Some(name) = file.pointer("/crs/properties/name").and_then(Value::as_str) {
+        return Some(named(name));
+    }
+    let mut points =
+        inventory.features.iter().flat_map(|feature| &feature.outline).flat_map(|polygon| &polygon.exterior);
+    let may_be_degrees = points.all(|[x, y]| x.abs() <= 180.0 && y.abs() <= 90.0);
+    let has_points = inventory.features.iter().any(|feature| !feature.outline.is_empty());
+    (may_be_degrees && has_points && !overruled)
+        .then(|| Stated { kind: Kind::Geographic, ..Stated::local(UNSTATED, None) })
+}
+
+/// `urn:ogc:def:crs:EPSG::28356`, `EPSG:28356`, `urn:ogc:def:crs:OGC:1.3:CRS84`, or well-known text.
+fn named(name: &str) -> Stated {
+    if name.contains('[') {
+        return Stated::of_prj(name.as_bytes());
+    }
+    if name.ends_with("CRS84") || name.ends_with("CRS84h") {
+        return Stated { kind: Kind::Geographic, ..Stated::local("WGS 84, OGC:CRS84", None) };
+    }
+    let code = name.rsplit(':').next().and_then(|code| code.parse().ok()).filter(|_| name.contains("EPSG"));
+    let stated = code.map(|code| Stated::from_epsg(code, None));
+    stated.unwrap_or_else(|| Err(format!("`{name}`"))).unwrap_or_else(Stated::unknown)
 }
 
 fn cell(value: Option<Value>) -> Cell {

@@ -48,10 +48,7 @@ pub fn of(artefact: &Artefact, beside: &[&Artefact]) -> Option<Preview> {
 
 /// What is up in a picture with Y upwards.
 fn up(frame: Frame) -> &'static str {
-    match frame {
-        Frame::World => "Y",
-        Frame::Wall => "up the face",
-    }
+    if frame == Frame::Wall { "up the face" } else { "Y" }
 }
 
 fn looked_at(look: &Look, up: Option<&'static str>) -> Option<Preview> {

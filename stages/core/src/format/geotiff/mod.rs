@@ -1,15 +1,16 @@
 //! GeoTIFF: bands on a square grid as a file that QGIS, GDAL and rasterio open.
 //!
 //! Files written here are classic little-endian TIFF 6.0 with 256 x 256 tiles, one plane a band, DEFLATE with the
-//! floating-point (or horizontal) predictor, `ModelPixelScale` and `ModelTiepoint` for the grid, and a local
-//! engineering system named after the frame. Foreign files may also be striped, interleaved, big-endian, BigTIFF,
+//! floating-point (or horizontal) predictor, `ModelPixelScale` and `ModelTiepoint` for the grid, and the coordinate
+//! reference system of the world frame where it is known, otherwise a local engineering system named after the frame. Where
+//! the wall frame lies in the world is the item `GEOREFERENCE` of GDAL's metadata. Foreign files may also be striped, interleaved, big-endian, BigTIFF,
 //! uncompressed, of 8- to 32-bit integers or 32- or 64-bit floats, and carry a no-data value.
 
 mod read;
 mod tags;
 mod write;
 
-pub use read::{DAMAGED, read};
+pub use read::{DAMAGED, System, read, read_system};
 pub use write::write;
 
 #[cfg(test)]

@@ -5,8 +5,10 @@ use std::io::Cursor;
 use tiff::decoder::{ChunkType, Decoder, DecodingResult, Limits};
 use tiff::tags::{PlanarConfiguration, Tag};
 
-use super::tags::{GDAL_METADATA, Georeference, Metadata};
+use super::tags::{GDAL_METADATA, Metadata, Placement};
 use crate::artefact::{Band, CodecError, Frame, Grid, Raster, Sample};
+use crate::crs::Stated;
+use crate::crs::geo_keys::GeoKeys;
 use crate::limits;
 
 type File<'a> = Decoder<Cursor<&'a [u8]>>;
@@ -29,6 +31,42 @@ const UNNAMED: &str = "value";
 /// # Errors
 /// A file that is no TIFF, is cut short or damaged, has no georeference, or cells that are not square.
 pub fn read(bytes: &[u8]) -> Result<Raster, CodecError> {
+    let mut file = opened(bytes)?;
+    let layout = Layout::of(&mut file, bytes.len())?;
+    let grid = placement(&mut file).grid(layout.columns, layout.rows)?;
+    let metadata = metadata(&mut file);
+    let nodata = ascii(&mut file, Tag::GdalNodata).and_then(|text| text.trim().parse::<f64>().ok());
+    let (planes, sample) = values(&mut file, &layout, nodata)?;
+    Ok(named(grid, &metadata, sample, planes))
+}
+
+/// What a file states about its place on the Earth, without its values.
+#[derive(Debug, Default)]
+pub struct System {
+    /// The frame that our own files state, with its georeference.
+    pub frame: Option<Frame>,
+    /// The system that its keys state.
+    pub stated: Option<Stated>,
+    /// Its upper left corner.
+    pub corner: Option<[f64; 3]>,
+}
+
+/// Reads what a file states about its place on the Earth.
+///
+/// # Errors
+/// A file that is no TIFF or is damaged.
+pub fn read_system(bytes: &[u8]) -> Result<System, CodecError> {
+    let mut file = opened(bytes)?;
+    let placement = placement(&mut file);
+    let doubles = file.get_tag_f64_vec(Tag::GeoDoubleParamsTag).unwrap_or_default();
+    let texts = ascii(&mut file, Tag::GeoAsciiParamsTag).unwrap_or_default();
+    let keys = GeoKeys { directory: &placement.keys, doubles: &doubles, ascii: &texts };
+    let stated = keys.stated();
+    let corner = placement.corner().ok().map(|[_, _, left, top]| [left, top, 0.0]);
+    Ok(System { frame: metadata(&mut file).placed(), stated, corner })
+}
+
+fn opened(bytes: &[u8]) -> Result<File<'_>, CodecError> {
     if ![b"II", b"MM"].iter().any(|order| bytes.starts_with(*order)) {
         return Err(CodecError::new("not a GeoTIFF that can be read: it does not begin like a TIFF"));
     }
@@ -38,14 +76,11 @@ pub fn read(bytes: &[u8]) -> Result<Raster, CodecError> {
     limits.decoding_buffer_size = possible.min(1 << 30);
     limits.intermediate_buffer_size = bytes.len().max(LEAST_LIMIT_BYTES);
     limits.ifd_value_size = 1 << 26;
-    let mut file = file.with_limits(limits);
-    let layout = Layout::of(&mut file, bytes.len())?;
-    let grid = georeference(&mut file).grid(layout.columns, layout.rows)?;
-    let metadata =
-        ascii(&mut file, Tag::Unknown(GDAL_METADATA)).map_or_else(Metadata::default, |xml| Metadata::parse(&xml));
-    let nodata = ascii(&mut file, Tag::GdalNodata).and_then(|text| text.trim().parse::<f64>().ok());
-    let (planes, sample) = values(&mut file, &layout, nodata)?;
-    Ok(named(grid, &metadata, sample, planes))
+    Ok(file.with_limits(limits))
+}
+
+fn metadata(file: &mut File) -> Metadata {
+    ascii(file, Tag::Unknown(GDAL_METADATA)).map_or_else(Metadata::default, |xml| Metadata::parse(&xml))
 }
 
 fn refused(error: &tiff::TiffError) -> CodecError {
@@ -67,7 +102,7 @@ fn named(grid: Grid, metadata: &Metadata, sample: Sample, planes: Vec<Vec<f32>>)
     let name = |index: usize| metadata.names.get(&index).cloned().unwrap_or_else(|| format!("band {}", index + 1));
     let bands = planes.into_iter().enumerate().map(|(index, values)| Band { name: name(index), values }).collect();
     let quantity = metadata.quantity.clone().unwrap_or_else(|| UNNAMED.to_owned());
-    Raster { grid, frame: metadata.frame.unwrap_or(Frame::Wall), quantity, sample, bands }
+    Raster { grid, frame: metadata.placed().unwrap_or(Frame::Wall), quantity, sample, bands }
 }
 
 /// How the values lie in the file.
@@ -213,10 +248,10 @@ fn ascii(file: &mut File, tag: Tag) -> Option<String> {
     file.get_tag_ascii_string(tag).ok().map(|text| text.trim_end_matches('\0').to_owned())
 }
 
-fn georeference(file: &mut File) -> Georeference {
+fn placement(file: &mut File) -> Placement {
     let mut doubles = |tag| file.get_tag_f64_vec(tag).ok();
     let scale = doubles(Tag::ModelPixelScaleTag);
     let tiepoint = doubles(Tag::ModelTiepointTag);
     let matrix = doubles(Tag::ModelTransformationTag);
-    Georeference { scale, tiepoint, matrix, keys: file.get_tag_u16_vec(Tag::GeoKeyDirectoryTag).unwrap_or_default() }
+    Placement { scale, tiepoint, matrix, keys: file.get_tag_u16_vec(Tag::GeoKeyDirectoryTag).unwrap_or_default() }
 }

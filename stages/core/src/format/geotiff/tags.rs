@@ -2,7 +2,8 @@
 
 use std::fmt::Write as _;
 
-use crate::artefact::{CodecError, Frame, Grid, Raster};
+use crate::artefact::{CodecError, Frame, Georeference, Grid, Raster};
+use crate::crs::geo_keys;
 
 /// Tag that holds GDAL's metadata as XML.
 pub const GDAL_METADATA: u16 = 42112;
@@ -28,23 +29,36 @@ pub fn tiepoint(grid: &Grid) -> [f64; 6] {
     [0.0, 0.0, 0.0, grid.left_m, grid.top_m, 0.0]
 }
 
-/// `GeoKeyDirectory` and `GeoAsciiParams` of a frame: a local engineering system in metres.
+/// `GeoKeyDirectory` and `GeoAsciiParams` of a frame: its coordinate reference system, or a local engineering system in metres.
 pub fn geo_keys(frame: Frame) -> (Vec<u16>, String) {
-    let citation = format!("rockface {frame} frame|");
-    let keys = [
-        [MODEL_TYPE, 0, 1, USER_DEFINED],
+    let name = frame.crs().map_or_else(|| format!("rockface {frame} frame"), |crs| ascii(&crs.name()));
+    let mut texts = format!("{name}|");
+    let model = frame.crs().map_or(USER_DEFINED, geo_keys::model);
+    let mut keys = vec![
+        [MODEL_TYPE, 0, 1, model],
         [RASTER_TYPE, 0, 1, PIXEL_IS_AREA],
-        [CITATION, ASCII_PARAMS, citation.len() as u16, 0],
-        [LINEAR_UNITS, 0, 1, METRE],
+        [CITATION, ASCII_PARAMS, texts.len() as u16, 0],
     ];
+    if let Some(crs) = frame.crs() {
+        let (of_system, text) = geo_keys::written(crs, texts.len());
+        keys.extend(of_system);
+        texts += &ascii(&text);
+    } else {
+        keys.push([LINEAR_UNITS, 0, 1, METRE]);
+    }
     let mut directory = vec![1, 1, 0, keys.len() as u16];
     directory.extend(keys.as_flattened());
-    (directory, citation)
+    (directory, texts)
+}
+
+/// What a TIFF text may hold.
+fn ascii(text: &str) -> String {
+    text.chars().map(|c| if (' '..='~').contains(&c) { c } else { '?' }).collect()
 }
 
 /// Georeference tags as found in a file.
 #[derive(Debug, Default)]
-pub struct Georeference {
+pub struct Placement {
     /// `ModelPixelScale`.
     pub scale: Option<Vec<f64>>,
     /// `ModelTiepoint`.
@@ -55,7 +69,7 @@ pub struct Georeference {
     pub keys: Vec<u16>,
 }
 
-impl Georeference {
+impl Placement {
     /// The grid of a file of this many columns and rows.
     pub fn grid(&self, columns: usize, rows: usize) -> Result<Grid, CodecError> {
         let [cell_x, cell_y, left, top] = self.corner()?;
@@ -71,7 +85,7 @@ impl Georeference {
     }
 
     /// Cell size along x and y, left and top.
-    fn corner(&self) -> Result<[f64; 4], CodecError> {
+    pub fn corner(&self) -> Result<[f64; 4], CodecError> {
         match (self.scale.as_deref(), self.tiepoint.as_deref(), self.matrix.as_deref()) {
             (Some([sx, sy, ..]), Some([column, row, _, x, y, ..]), _) => Ok([*sx, *sy, x - column * sx, y + row * sy]),
             (_, _, Some([a, b, _, x, d, e, _, y, ..])) if *b == 0.0 && *d == 0.0 => Ok([*a, -e, *x, *y]),
@@ -96,6 +110,9 @@ pub fn metadata(raster: &Raster) -> String {
         raster.frame,
         escape(&raster.quantity)
     );
+    if let Some(georeference) = raster.frame.georeference() {
+        let _ = writeln!(xml, "  <Item name=\"GEOREFERENCE\">{}</Item>", escape(&georeference.to_text()));
+    }
     for (index, band) in raster.bands.iter().enumerate() {
         let name = escape(&band.name);
         let _ = writeln!(xml, "  <Item name=\"DESCRIPTION\" sample=\"{index}\" role=\"description\">{name}</Item>");
@@ -108,6 +125,8 @@ pub fn metadata(raster: &Raster) -> String {
 pub struct Metadata {
     /// Frame of the grid.
     pub frame: Option<Frame>,
+    /// Where it lies on the Earth.
+    pub georeference: Option<Georeference>,
     /// What the values are.
     pub quantity: Option<String>,
     /// Names of bands by number.
@@ -115,6 +134,11 @@ pub struct Metadata {
 }
 
 impl Metadata {
+    /// The frame with its place on the Earth.
+    pub fn placed(&self) -> Option<Frame> {
+        self.frame.map(|frame| frame.at(self.georeference.clone()))
+    }
+
     /// Reads the XML; items that are not understood are passed over, as GDAL does.
     pub fn parse(xml: &str) -> Self {
         let mut found = Self::default();
@@ -132,8 +156,8 @@ impl Metadata {
             (_, Some("description"), Some(index)) => {
                 self.names.insert(index, text);
             }
-            (Some("FRAME"), ..) if text == "world" => self.frame = Some(Frame::World),
-            (Some("FRAME"), ..) if text == "wall" => self.frame = Some(Frame::Wall),
+            (Some("FRAME"), ..) => self.frame = Frame::named(&text),
+            (Some("GEOREFERENCE"), ..) => self.georeference = Georeference::from_text(&text).ok(),
             (Some("QUANTITY"), ..) => self.quantity = Some(text),
             _ => {}
         }
@@ -197,10 +221,10 @@ mod tests {
 
     #[test]
     fn the_corner_follows_the_tags() {
-        let mut tags = Georeference {
+        let mut tags = Placement {
             scale: Some(vec![0.5, 0.5, 0.0]),
             tiepoint: Some(vec![2.0, 4.0, 0.0, 100.0, 200.0, 0.0]),
-            ..Georeference::default()
+            ..Placement::default()
         };
         let grid = tags.grid(10, 20).unwrap();
         assert_eq!((grid.left_m, grid.top_m, grid.cell_m), (99.0, 202.0, 0.5));
@@ -209,7 +233,7 @@ mod tests {
         assert_eq!((point.left_m, point.top_m), (98.75, 202.25));
         tags.scale = Some(vec![0.5, 0.4, 0.0]);
         assert!(tags.grid(10, 20).unwrap_err().0.contains("square"));
-        assert!(Georeference::default().grid(1, 1).unwrap_err().0.contains("georeference"));
+        assert!(Placement::default().grid(1, 1).unwrap_err().0.contains("georeference"));
     }
 
     #[test]
@@ -217,7 +241,7 @@ mod tests {
         let matrix = |b: f64| {
             let mut m = vec![2.0, b, 0.0, 10.0, 0.0, -2.0, 0.0, 30.0];
             m.extend([0.0; 8]);
-            Georeference { matrix: Some(m), ..Georeference::default() }
+            Placement { matrix: Some(m), ..Placement::default() }
         };
         let grid = matrix(0.0).grid(1, 1).unwrap();
         assert_eq!((grid.left_m, grid.top_m, grid.cell_m), (10.0, 30.0, 2.0));

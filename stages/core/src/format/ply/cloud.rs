@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 
 use crate::artefact::{Cloud, CodecError};
-use crate::format::ply::header::{CLOUD_COMMENT, Element, Encoding, Header, Property, Type, UNITS_COMMENT};
+use crate::format::ply::header::{
+    CLOUD_COMMENT, Element, Encoding, Header, Property, Type, UNITS_COMMENT, georeference_line,
+};
 use crate::format::ply::{Ascii, Binary, Source, at, check_held, fault, read_property, skip};
 use crate::limits;
 
@@ -37,8 +39,9 @@ pub fn write(cloud: &Cloud) -> Result<Vec<u8>, CodecError> {
 
 fn header(cloud: &Cloud) -> String {
     let mut text = format!(
-        "ply\nformat binary_little_endian 1.0\ncomment {CLOUD_COMMENT}{}{UNITS_COMMENT}\nelement vertex {}\n",
+        "ply\nformat binary_little_endian 1.0\ncomment {CLOUD_COMMENT}{}{UNITS_COMMENT}\n{}element vertex {}\n",
         cloud.frame,
+        georeference_line(cloud.frame),
         cloud.points.len()
     );
     let mut add = |kind: &str, names: &[&str]| {

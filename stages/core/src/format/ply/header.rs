@@ -1,6 +1,6 @@
 //! The header of a PLY file: encoding, elements and their properties, and the frame our own files state.
 
-use crate::artefact::{CodecError, Frame};
+use crate::artefact::{CodecError, Frame, Georeference};
 
 /// Elements and properties a header may declare: a file with more is damaged.
 const MOST_DECLARATIONS: usize = 4096;
@@ -9,6 +9,8 @@ const MOST_DECLARATIONS: usize = 4096;
 pub const FRAME_COMMENT: &str = "rockface mesh, frame ";
 /// The same for a point cloud.
 pub const CLOUD_COMMENT: &str = "rockface cloud, frame ";
+/// Start of the comment that states where the frame lies on the Earth, on a line of its own.
+pub const GEOREFERENCE_COMMENT: &str = "comment rockface georeference ";
 /// End of these comments.
 pub const UNITS_COMMENT: &str = ", units metres";
 
@@ -138,6 +140,7 @@ impl Header {
             return Err(bad("the first line is not `ply`"));
         }
         let (mut encoding, mut elements, mut frame) = (None, Vec::new(), Frame::World);
+        let mut georeference = None;
         let mut declared = 0;
         loop {
             if rest.is_empty() {
@@ -150,7 +153,12 @@ impl Header {
             match words.as_slice() {
                 ["end_header"] => break,
                 ["format", word, _version] => encoding = Some(parse_encoding(word)?),
-                ["comment", ..] => frame = stated_frame(text).unwrap_or(frame),
+                ["comment", ..] => {
+                    frame = stated_frame(text).unwrap_or(frame);
+                    if let Some(stated) = text.strip_prefix(GEOREFERENCE_COMMENT) {
+                        georeference = Some(Georeference::from_text(stated)?);
+                    }
+                }
                 ["obj_info", ..] | [] => {}
                 ["element" | "property", ..] if declared == MOST_DECLARATIONS => {
                     return Err(bad(&format!(
@@ -169,7 +177,7 @@ impl Header {
             }
         }
         let encoding = encoding.ok_or_else(|| bad("the header states no `format`"))?;
-        Ok((Self { encoding, elements, frame }, rest))
+        Ok((Self { encoding, elements, frame: frame.at(georeference) }, rest))
     }
 
     /// An element by name.
@@ -198,7 +206,13 @@ fn stated_frame(comment: &str) -> Option<Frame> {
     let comment = comment.strip_prefix("comment ")?;
     let stated = comment.strip_prefix(FRAME_COMMENT).or_else(|| comment.strip_prefix(CLOUD_COMMENT))?;
     let stated = stated.strip_suffix(UNITS_COMMENT)?;
-    [Frame::World, Frame::Wall].into_iter().find(|frame| frame.to_string() == stated)
+    Frame::named(stated)
+}
+
+/// The line that states where a frame lies on the Earth; empty where that is not known.
+pub fn georeference_line(frame: Frame) -> String {
+    let line = |georeference: &Georeference| format!("{GEOREFERENCE_COMMENT}{}\n", georeference.to_text());
+    frame.georeference().map_or_else(String::new, line)
 }
 
 fn add_element(elements: &mut Vec<Element>, name: &str, count: &str) -> Result<(), CodecError> {

@@ -6,7 +6,8 @@
 
 use std::fmt::Write as _;
 
-use crate::artefact::{CodecError, Frame, Meshes, Part};
+use crate::artefact::{CodecError, Frame, Georeference, Meshes, Part};
+use crate::format::ply::header::{GEOREFERENCE_COMMENT, georeference_line};
 
 /// Bytes of a vertex: three doubles and an int.
 const VERTEX_BYTES: usize = 28;
@@ -83,6 +84,7 @@ fn write_faces(bytes: &mut Vec<u8>, number: usize, first: u32, triangles: &[[u32
 fn header(frame: Frame, labels: &[Label]) -> String {
     let (vertices, triangles) = totals(labels);
     let mut text = format!("ply\nformat binary_little_endian 1.0\n{FRAME_LINE}{frame}{UNITS}\n");
+    text += &georeference_line(frame);
     for (number, label) in labels.iter().enumerate() {
         let Label { vertices, triangles, name, class } = label;
         let words = ascii(&serde_json::json!([name, class]).to_string());
@@ -178,6 +180,8 @@ fn read_header(bytes: &[u8]) -> Result<(Frame, Vec<Label>, &[u8]), CodecError> {
     let text = std::str::from_utf8(text).map_err(|_| refused())?;
     let stated = |frame: &Frame| text.lines().any(|line| line == format!("{FRAME_LINE}{frame}{UNITS}"));
     let frame = [Frame::World, Frame::Wall].into_iter().find(stated).ok_or_else(refused)?;
+    let line = text.lines().find_map(|line| line.strip_prefix(GEOREFERENCE_COMMENT));
+    let frame = frame.at(line.map(Georeference::from_text).transpose()?);
     let lines = text.lines().filter(|line| line.starts_with(PART_LINE));
     let labels: Vec<Label> = lines.map(Label::parse).collect::<Option<_>>().ok_or_else(refused)?;
     if header(frame, &labels) == text { Ok((frame, labels, body)) } else { Err(refused()) }

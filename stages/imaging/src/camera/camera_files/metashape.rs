@@ -12,6 +12,7 @@ use super::metashape_xml::{self, CameraEntry, Chunk, SensorEntry, Similarity};
 use super::{CameraFile, assemble};
 use crate::camera::orientation::quaternion;
 use rockface_core::artefact::{Frame, Image, Sensor};
+use rockface_core::crs::{Kind, Stated};
 use rockface_core::{StageError, fail};
 
 pub use super::metashape_writer::write;
@@ -54,7 +55,16 @@ pub fn read(text: &str, frame: Frame) -> Result<CameraFile, StageError> {
         file.notes.push("covariance blocks as Metashape scaled them: nothing was multiplied".to_owned());
     }
     file.warnings.extend(of_reference(&chunk, &used));
+    file.stated = chunk.reference.as_deref().map(|text| Stated::of_prj(text.as_bytes())).map(as_written);
     Ok(file)
+}
+
+/// Centres in a system on the Earth are written as geocentric ones, whichever it is; a local system is what it says.
+fn as_written(stated: Stated) -> Stated {
+    match stated.kind {
+        Kind::Local | Kind::Unknown => Stated { node: None, ..stated },
+        _ => Stated { kind: Kind::Geocentric, node: None, ..stated },
+    }
 }
 
 fn number(sensor: &SensorEntry, position: usize) -> u64 {

@@ -21,6 +21,7 @@ pub mod recognise;
 mod round_trip_tests;
 
 use rockface_core::artefact::{Cameras, Covariance, Frame, Image, Sensor};
+use rockface_core::crs::Stated;
 use rockface_core::{StageError, fail};
 
 /// How far from 1 the length of an imported quaternion may be; closer ones are normalised.
@@ -37,6 +38,8 @@ pub struct CameraFile {
     pub notes: Vec<String>,
     /// What may be wrong, in sentences.
     pub warnings: Vec<String>,
+    /// The coordinate reference system that the file states, units included.
+    pub stated: Option<Stated>,
     /// The covariance the file itself holds; its names are those of the block.
     pub covariance: Option<Covariance>,
 }
@@ -44,7 +47,8 @@ pub struct CameraFile {
 impl CameraFile {
     /// A block from a file that holds nothing else.
     pub fn of(cameras: Cameras) -> Self {
-        Self { cameras, states_frame: false, notes: Vec::new(), warnings: Vec::new(), covariance: None }
+        let stated = cameras.frame.crs().map(Stated::of_crs);
+        Self { cameras, states_frame: false, notes: Vec::new(), warnings: Vec::new(), stated, covariance: None }
     }
 }
 

@@ -1,0 +1,239 @@
+//! What an importer makes of the systems that are stated: one in metres to carry on, factors to convert by, or a refusal.
+
+use serde_json::Value;
+
+use super::metric::in_metres;
+use super::{Crs, Kind, Stated, Unit};
+use crate::artefact::{Frame, Georeference};
+use crate::numerics::portable_math;
+use crate::params::{self, Fault, ParamType};
+use crate::{Context, StageError};
+
+/// Parameter `crs` of importers: `EPSG:28356`, `EPSG:28356+5711` with heights, or well-known text.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CrsName(pub String);
+
+impl CrsName {
+    fn stated(&self) -> Result<Stated, String> {
+        match super::codes(&self.0) {
+            Some((code, height)) => Stated::from_epsg(code, height),
+            None if self.0.contains(['[', '(']) => Stated::from_wkt(&self.0),
+            None => Err(format!("`{}` is not a code such as EPSG:28356, nor well-known text", self.0)),
+        }
+    }
+}
+
+impl ParamType for CrsName {
+    fn kind() -> params::Kind {
+        params::Kind::Text
+    }
+    fn decode(value: &Value) -> Result<Self, Vec<Fault>> {
+        let name = match value {
+            Value::Number(code) => Self(format!("EPSG:{code}")),
+            other => Self(String::decode(other)?.trim().to_owned()),
+        };
+        let stated = name.stated().map_err(|message| vec![Fault::new(message)])?;
+        match stated.kind {
+            Kind::Projected => Ok(name),
+            Kind::Geographic | Kind::Geocentric => Err(vec![Fault::new(format!(
+                "{}: a system in metres is needed, such as the UTM zone of the site; reproject the file first",
+                sort_of(&stated)
+            ))]),
+            _ => Err(vec![Fault::new(format!("`{}` is no system of map coordinates", stated.name))]),
+        }
+    }
+    fn encode(&self) -> Value {
+        Value::from(self.0.clone())
+    }
+}
+
+fn sort_of(stated: &Stated) -> String {
+    let name = &stated.name;
+    match stated.kind {
+        Kind::Geographic => format!("longitudes and latitudes in degrees ({name})"),
+        Kind::Geocentric => format!("geocentric coordinates, X, Y and Z from the centre of the Earth ({name})"),
+        _ => name.clone(),
+    }
+}
+
+/// The program that brings a file of some sort into another system.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Tool {
+    /// GDAL, for rasters.
+    Gdal,
+    /// PDAL, for LAS and LAZ.
+    Pdal,
+    /// GDAL's `ogr2ogr`, for outlines.
+    Ogr,
+    /// QGIS or CloudCompare, for meshes and text.
+    Other,
+}
+
+/// What is to be done with the coordinates of a file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Settled {
+    /// The system they are in once they are metres.
+    pub crs: Option<Crs>,
+    /// Metres of a unit of X and Y.
+    pub horizontal: f64,
+    /// Metres of a unit of Z.
+    pub vertical: f64,
+}
+
+impl Settled {
+    /// Metres in no stated system.
+    pub fn metres() -> Self {
+        Self { crs: None, horizontal: 1.0, vertical: 1.0 }
+    }
+
+    /// The world frame in that system.
+    pub fn frame(&self) -> Frame {
+        Frame::World.at(self.crs.clone().map(Georeference::world))
+    }
+
+    /// Whether the coordinates stay what they are, to the bit.
+    pub fn keeps_coordinates(&self) -> bool {
+        self.horizontal.to_bits() == 1f64.to_bits() && self.vertical.to_bits() == 1f64.to_bits()
+    }
+
+    /// A point in metres.
+    pub fn point(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+        if self.keeps_coordinates() {
+            return [x, y, z];
+        }
+        [x * self.horizontal, y * self.horizontal, z * self.vertical]
+    }
+}
+
+/// The fault of a parameter `crs` beside `frame: wall`.
+pub fn wall_without_system(is_wall: bool) -> Option<Fault> {
+    let text = "a wall frame is in no coordinate reference system; leave `crs` out, or `frame: wall`";
+    is_wall.then(|| Fault::new(text).below("crs"))
+}
+
+/// Decides by what the file states, what a `.prj` beside it states, and parameter `crs`.
+///
+/// `first` is a point of the file, by which the UTM zone of a way out is found.
+///
+/// # Errors
+/// Degrees and geocentric coordinates; two statements that contradict each other.
+pub fn settle(
+    path: &str,
+    [file, beside]: [Option<Stated>; 2],
+    given: Option<&CrsName>,
+    (tool, first): (Tool, Option<[f64; 3]>),
+    context: &Context,
+) -> Result<Settled, StageError> {
+    let given = given.map(CrsName::stated).transpose().map_err(StageError::new)?;
+    let is_local = file.as_ref().is_some_and(|stated| stated.kind == Kind::Local);
+    let statements = [
+        (
+            format!("`{path}` itself"),
+            file.filter(|stated| !is_local || stated.unit.as_ref().is_some_and(|u| !u.is_metre())),
+        ),
+        (format!("the `.prj` beside `{path}`"), beside),
+        ("parameter `crs`".to_owned(), given),
+    ];
+    let mut stated: Vec<(String, Stated)> = statements.into_iter().filter_map(|(who, s)| Some((who, s?))).collect();
+    let found = |found: Option<(usize, &(String, Stated))>| found.map(|(place, _)| place);
+    let degrees = |(_, s): &(String, Stated)| matches!(s.kind, Kind::Geographic | Kind::Geocentric);
+    if let Some(place) = found(stated.iter().enumerate().find(|(_, stated)| degrees(stated))) {
+        let (who, stated) = stated.swap_remove(place);
+        return Err(refusal(path, &who, &stated, tool, first));
+    }
+    // What cannot be read is overruled by what can.
+    let known = stated.iter().any(|(_, s)| s.kind != Kind::Unknown);
+    if let Some((who, unread)) = stated.iter().find(|(_, s)| s.kind == Kind::Unknown && !known) {
+        let text = format!("{who} states a coordinate reference system that cannot be read: {}", unread.name);
+        return Err(StageError::new(text).hint("say which one it is with `crs: EPSG:...`"));
+    }
+    stated.retain(|(_, s)| s.kind != Kind::Unknown);
+    if let [(one, a), others @ ..] = stated.as_slice()
+        && let Some((other, b)) = others.iter().find(|(_, b)| !a.agrees_with(b))
+    {
+        let text =
+            format!("two coordinate reference systems for `{path}`: {one} states {}, {other} {}", a.name, b.name);
+        return Err(StageError::new(text).hint("leave out the one that is wrong; `crs` is for files that state none"));
+    }
+    if stated.is_empty() {
+        if !is_local {
+            context.note(format!(
+                "`{path}` states no coordinate reference system: its numbers are taken for metres; `crs: EPSG:...` states one"
+            ));
+        }
+        return Ok(Settled::metres());
+    }
+    // Of those that agree the one that says most.
+    stated.sort_by_key(|(_, s)| (s.vertical_unit.is_none(), s.node.is_none()));
+    let (_, stated) = stated.swap_remove(0);
+    Ok(converted(path, &stated, context))
+}
+
+fn refusal(path: &str, who: &str, stated: &Stated, tool: Tool, first: Option<[f64; 3]>) -> StageError {
+    let zone = first.and_then(|first| utm_zone(stated.kind, first));
+    let to = zone.map_or_else(|| "EPSG:326NN".to_owned(), |code| format!("EPSG:{code}"));
+    let of_place = if zone.is_some() { "the UTM zone of its first point" } else { "its UTM zone (NN)" };
+    let name = path.rsplit('/').next().unwrap_or(path);
+    let command = match tool {
+        Tool::Gdal => format!("`gdalwarp -t_srs {to} {name} out.tif`"),
+        Tool::Pdal => format!("`pdal translate {name} out.laz reprojection --filters.reprojection.out_srs={to}`"),
+        Tool::Ogr => format!("`ogr2ogr -t_srs {to} out.geojson {name}`"),
+        Tool::Other => format!("QGIS or CloudCompare, to {to}"),
+    };
+    let text = format!("`{path}` has {}, as {who} states; lengths and angles need metres", sort_of(stated));
+    StageError::new(text).hint(format!("bring it to {of_place} first: {command}"))
+}
+
+/// The EPSG code of the UTM zone (WGS 84) of a point; `None` where it cannot be one.
+fn utm_zone(kind: Kind, [x, y, z]: [f64; 3]) -> Option<u32> {
+    let (longitude, latitude) = match kind {
+        Kind::Geocentric => {
+            let radius = (x * x + y * y).sqrt();
+            if radius < 1e5 {
+                return None;
+            }
+            let turn = portable_math::atan2(y, x).to_degrees();
+            (turn, portable_math::atan2(z, radius).to_degrees())
+        }
+        _ => (x, y),
+    };
+    if !(longitude.abs() <= 180.0 && latitude.abs() <= 84.0) {
+        return None;
+    }
+    let zone = (((longitude + 180.0) / 6.0).floor() as u32 % 60) + 1;
+    Some(if latitude < 0.0 { 32700 } else { 32600 } + zone)
+}
+
+fn converted(path: &str, stated: &Stated, context: &Context) -> Settled {
+    let unit = stated.unit.clone().unwrap_or_else(Unit::metre);
+    let height = stated.vertical_unit.clone().unwrap_or_else(|| unit.clone());
+    let crs = stated.node.as_ref().filter(|_| stated.kind == Kind::Projected);
+    let crs = crs.map(|node| Crs::of_node(&in_metres(node, unit.metres, height.metres)));
+    if !unit.is_metre() || !height.is_metre() {
+        let lengths = if unit == height {
+            format!("{} ({} m)", unit.name, unit.metres)
+        } else {
+            format!("{} ({} m), heights in {} ({} m)", unit.name, unit.metres, height.name, height.metres)
+        };
+        let assumed = if stated.vertical_unit.is_none() {
+            "; nothing states the unit of heights, so they are taken for the same"
+        } else {
+            ""
+        };
+        let carried = crs.as_ref().map_or_else(String::new, |crs| format!("; the system is now {crs}"));
+        context.warn(format!(
+            "`{path}` is in {lengths}, as {} states: converted to metres{assumed}{carried}",
+            stated.name
+        ));
+    } else if let Some(crs) = &crs {
+        context.note(format!("coordinate reference system {} ({crs})", crs.name()));
+    }
+    if crs.is_none() && stated.kind == Kind::Projected {
+        context.warn(format!(
+            "the system of `{path}`, {}, is described in a way that cannot be carried on: outputs state none; give its code with \
+             `crs: EPSG:...`",
+            stated.name
+        ));
+    }
+    Settled { crs, horizontal: unit.metres, vertical: height.metres }
+}

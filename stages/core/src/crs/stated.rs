@@ -1,0 +1,144 @@
+//! What a file, a `.prj` beside it or a parameter states about its coordinates, before anything is converted or refused.
+
+use super::unit::Unit;
+use super::wkt::Node;
+use super::{compound, definition, parts, vertical_definition};
+
+/// The sorts of systems.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// Easting and northing on a map.
+    Projected,
+    /// Longitude and latitude in degrees.
+    Geographic,
+    /// X, Y and Z from the centre of the Earth.
+    Geocentric,
+    /// Heights alone.
+    Vertical,
+    /// A system of a site, in no known place on the Earth.
+    Local,
+    /// A system that is stated in a way that cannot be read; the name says why.
+    Unknown,
+}
+
+impl Kind {
+    /// The sort of a horizontal system, or of one of heights; `None` for a node that is no system.
+    pub fn of(node: &Node) -> Option<Self> {
+        Some(match node.keyword.as_str() {
+            "PROJCS" | "PROJCRS" | "PROJECTEDCRS" | "DERIVEDPROJCRS" => Self::Projected,
+            "GEOCCS" => Self::Geocentric,
+            "GEODCRS" | "GEODETICCRS" if is_cartesian(node) => Self::Geocentric,
+            "GEOGCS" | "GEOGCRS" | "GEOGRAPHICCRS" | "GEODCRS" | "GEODETICCRS" => Self::Geographic,
+            "VERT_CS" | "VERTCS" | "VERTCRS" | "VERTICALCRS" => Self::Vertical,
+            "LOCAL_CS" | "ENGCRS" | "ENGINEERINGCRS" => Self::Local,
+            _ => return None,
+        })
+    }
+}
+
+fn is_cartesian(node: &Node) -> bool {
+    node.child(&["CS"]).is_some_and(|cs| cs.to_string().to_ascii_lowercase().starts_with("cs[cartesian"))
+}
+
+/// A coordinate reference system as it is stated.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Stated {
+    /// Its name, with its EPSG code where it has one.
+    pub name: String,
+    /// Its sort.
+    pub kind: Kind,
+    /// The unit of its horizontal coordinates, where that is stated and a length.
+    pub unit: Option<Unit>,
+    /// The unit of heights, where it is stated.
+    pub vertical_unit: Option<Unit>,
+    /// Its definition; `None` where what is stated does not define it.
+    pub node: Option<Node>,
+}
+
+impl Stated {
+    /// The system of a WKT.
+    ///
+    /// # Errors
+    /// What is wrong with the text; a system of heights alone, or of a sort that is not known.
+    pub fn from_wkt(text: &str) -> Result<Self, String> {
+        let node = Node::parse(text)?;
+        let node = match node.keyword.as_str() {
+            "BOUNDCRS" => node.child(&["SOURCECRS"]).and_then(|source| source.nodes().next()).cloned(),
+            _ => Some(node),
+        };
+        node.map_or_else(|| Err("a BOUNDCRS without its source".to_owned()), Self::from_node)
+    }
+
+    /// The system of a definition.
+    ///
+    /// # Errors
+    /// A system of heights alone, or of a sort that is not known.
+    pub fn from_node(node: Node) -> Result<Self, String> {
+        let (horizontal, vertical) = parts(&node);
+        let kind = match Kind::of(horizontal) {
+            Some(Kind::Vertical) => return Err(format!("`{}` is a system of heights alone", node.name())),
+            Some(kind) => kind,
+            None => return Err(format!("`{}` is no coordinate reference system that is known here", node.keyword)),
+        };
+        let name = match horizontal.epsg() {
+            Some(code) if vertical.is_none() => format!("{}, EPSG:{code}", node.name()),
+            _ => node.name().to_owned(),
+        };
+        let unit = if kind == Kind::Geographic { None } else { linear_unit(horizontal) };
+        let vertical_unit = vertical.and_then(linear_unit);
+        Ok(Self { name, kind, unit, vertical_unit, node: Some(node) })
+    }
+
+    /// The system of an EPSG code, and of one for heights.
+    ///
+    /// # Errors
+    /// A code that is not known.
+    pub fn from_epsg(code: u32, vertical: Option<u32>) -> Result<Self, String> {
+        let unknown = |code: u32| format!("EPSG:{code} is not among the systems that rockface knows");
+        let horizontal = definition(code).ok_or_else(|| unknown(code))?;
+        let node = match vertical {
+            None => horizontal,
+            Some(height) => compound(&horizontal, &vertical_definition(height).ok_or_else(|| unknown(height))?),
+        };
+        Self::from_node(node)
+    }
+
+    /// What a file states in a way that cannot be read.
+    pub fn unknown(why: String) -> Self {
+        Self { kind: Kind::Unknown, ..Self::local(&why, None) }
+    }
+
+    /// The system that the text of a `.prj` states.
+    pub fn of_prj(bytes: &[u8]) -> Self {
+        let text = String::from_utf8_lossy(bytes);
+        Self::from_wkt(text.trim_start_matches('\u{feff}')).unwrap_or_else(Self::unknown)
+    }
+
+    /// The system that one of our own files states.
+    pub fn of_crs(crs: &super::Crs) -> Self {
+        Self::from_node(crs.node()).unwrap_or_else(Self::unknown)
+    }
+
+    /// A system of the site: units alone.
+    pub fn local(name: &str, unit: Option<Unit>) -> Self {
+        Self { name: name.to_owned(), kind: Kind::Local, unit, vertical_unit: None, node: None }
+    }
+
+    /// Whether coordinates of the two mean the same places, as far as both say.
+    pub fn agrees_with(&self, other: &Self) -> bool {
+        let code = |stated: &Self| stated.node.as_ref().and_then(|node| parts(node).0.epsg());
+        let signature = |stated: &Self| stated.node.as_ref().and_then(|node| super::signature::of(parts(node).0));
+        match (code(self), code(other)) {
+            (Some(code), Some(other)) => code == other,
+            _ => self.kind == other.kind && signature(self).is_some() && signature(self) == signature(other),
+        }
+    }
+}
+
+/// The unit of lengths of a system: that of its `UNIT`, `LENGTHUNIT`, or of its axes.
+pub fn linear_unit(node: &Node) -> Option<Unit> {
+    let keywords = ["UNIT", "LENGTHUNIT"];
+    let own = node.nodes().filter(|child| keywords.contains(&child.keyword.as_str())).last();
+    let of_axes = || node.nodes().filter(|child| child.keyword == "AXIS").find_map(|axis| axis.child(&keywords));
+    own.or_else(of_axes).and_then(Unit::of)
+}

@@ -1,0 +1,146 @@
+//! How the place on the Earth travels through a step: what its inputs state is checked, and given to what it makes.
+
+use std::sync::{Mutex, PoisonError};
+
+use crate::artefact::{Artefact, Frame, Georeference, Kind, Transform};
+use crate::crs::Crs;
+use crate::{Context, Outputs, Port, StageError};
+
+/// What the inputs of a step have stated so far, with the port of the first that did.
+#[derive(Debug, Default)]
+pub struct Stated(Mutex<State>);
+
+#[derive(Debug, Default)]
+struct State {
+    /// A picture may show several places.
+    mixed: bool,
+    crs: Option<(String, Crs)>,
+    /// Of the wall frames of inputs.
+    wall: Option<(String, Transform)>,
+    /// A second wall frame.
+    other_wall: Option<[String; 2]>,
+    /// Transforms between world and wall that are inputs.
+    given: Option<Transform>,
+}
+
+impl Stated {
+    /// Lets inputs be of several places: what is made has none.
+    pub fn allow_mixed(&self) {
+        self.state().mixed = true;
+    }
+
+    fn state(&self) -> std::sync::MutexGuard<'_, State> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Notes what an input states.
+    ///
+    /// # Errors
+    /// A system that another input contradicts.
+    pub fn note(&self, port: &str, artefact: &Artefact) -> Result<(), StageError> {
+        let (crs, wall) = match artefact {
+            Artefact::Transform(transform) => (transform.crs.as_ref(), None),
+            other => {
+                let georeference = other.frame().and_then(Frame::georeference);
+                (georeference.map(|g| &g.crs), georeference.and_then(|g| g.wall_from_world.as_ref()))
+            }
+        };
+        let mut state = self.state();
+        if state.mixed {
+            return Ok(());
+        }
+        if let Artefact::Transform(transform) = artefact
+            && transform.from == Frame::World.name()
+            && transform.to == Frame::Wall.name()
+        {
+            state.given = Some(transform.clone());
+        }
+        if let Some(crs) = crs {
+            state.take_crs(port, crs)?;
+        }
+        if let Some(wall) = wall {
+            state.take_wall(port, wall);
+        }
+        Ok(())
+    }
+
+    /// Gives what was stated to all outputs that do not say it themselves.
+    pub fn carry(&self, outputs: &mut Outputs, context: &Context) {
+        let state = self.state();
+        let Some((_, crs)) =
+            state.crs.clone().or_else(|| outputs.values().find_map(|made| Some((String::new(), crs_of(made)?))))
+        else {
+            return;
+        };
+        if let Some([one, other]) = &state.other_wall {
+            context.warn(format!(
+                "`{one}` and `{other}` are in two wall frames of {crs}: the outputs do not say how theirs lies in it; give \
+                 both epochs one `transform`"
+            ));
+        }
+        let made =
+            outputs.values().find_map(|made| if let Artefact::Transform(t) = made { Some(t.clone()) } else { None });
+        let made = made.filter(|t| t.from == Frame::World.name() && t.to == Frame::Wall.name());
+        let of_inputs = state.wall.as_ref().map(|(_, wall)| wall.clone()).filter(|_| state.other_wall.is_none());
+        let wall_from_world = made.or(of_inputs).or_else(|| state.given.clone());
+        let georeference = Georeference { crs, wall_from_world };
+        for artefact in outputs.values_mut() {
+            place(artefact, &georeference);
+        }
+    }
+}
+
+impl State {
+    fn take_crs(&mut self, port: &str, crs: &Crs) -> Result<(), StageError> {
+        let Some((first, known)) = &self.crs else {
+            self.crs = Some((port.to_owned(), crs.clone()));
+            return Ok(());
+        };
+        if !known.agrees_with(crs) {
+            let text =
+                format!("`{first}` is in {known}, but `{port}` in {crs}: two coordinate reference systems in one step");
+            return Err(
+                StageError::new(text).hint("bring the files into one system first; nothing is reprojected here")
+            );
+        }
+        if crs.has_heights() && !known.has_heights() {
+            self.crs = Some((port.to_owned(), crs.clone()));
+        }
+        Ok(())
+    }
+
+    fn take_wall(&mut self, port: &str, wall: &Transform) {
+        match &self.wall {
+            None => self.wall = Some((port.to_owned(), wall.clone())),
+            Some((first, known)) if known != wall => self.other_wall = Some([first.clone(), port.to_owned()]),
+            Some(_) => {}
+        }
+    }
+}
+
+fn crs_of(artefact: &Artefact) -> Option<Crs> {
+    artefact.frame().and_then(Frame::georeference).map(|georeference| georeference.crs.clone())
+}
+
+fn place(artefact: &mut Artefact, georeference: &Georeference) {
+    if let Artefact::Transform(transform) = artefact {
+        let world = Frame::World.name();
+        if transform.crs.is_none() && (transform.from == world || transform.to == world) {
+            transform.crs = Some(georeference.crs.clone());
+        }
+        return;
+    }
+    let Some(frame) = artefact.frame_mut() else { return };
+    let own = frame.georeference().map(|own| own.crs.clone());
+    let has_way = *frame == Frame::World || frame.georeference().is_some_and(|own| own.wall_from_world.is_some());
+    if own.is_none() || !has_way {
+        let crs = own.unwrap_or_else(|| georeference.crs.clone());
+        *frame = frame.at(Some(Georeference { crs, ..georeference.clone() }));
+    }
+}
+
+/// Whether all that these ports hold is looked at and not measured: it may show several places.
+pub fn only_shows(outputs: &[Port]) -> bool {
+    let shows = |port: &Port| port.kinds.iter().all(|kind| matches!(kind, Kind::Picture | Kind::Figure));
+    !outputs.is_empty() && outputs.iter().all(shows)
+}
