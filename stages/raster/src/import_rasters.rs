@@ -251,7 +251,7 @@ mod tests {
     fn files_become_bands_in_their_order() {
         let raster = import(vec![file("a.tif", 0.0, vec![1.0; 4]), file("b.x.tif", 1e-8, vec![2.0; 4])]).unwrap();
         assert_eq!(raster.items().unwrap(), ["a", "b.x"]);
-        assert_eq!((raster.frame, raster.quantity.as_str()), (Frame::Wall, "difference"));
+        assert_eq!((raster.frame, raster.quantity.as_str()), (Frame::World, "difference"));
         assert_eq!(raster.bands[1].values, [2.0; 4]);
     }
 

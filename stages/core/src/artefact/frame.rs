@@ -147,7 +147,7 @@ enum Written {
     Placed {
         axes: String,
         #[serde(flatten)]
-        georeference: Georeference,
+        georeference: Box<Georeference>,
     },
 }
 
@@ -156,7 +156,7 @@ impl serde::Serialize for Frame {
         let name = self.name().to_owned();
         let written = match self.georeference {
             None => Written::Name(name),
-            Some(georeference) => Written::Placed { axes: name, georeference: georeference.clone() },
+            Some(georeference) => Written::Placed { axes: name, georeference: Box::new(georeference.clone()) },
         };
         written.serialize(serializer)
     }
@@ -166,7 +166,7 @@ impl<'de> serde::Deserialize<'de> for Frame {
     fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let (name, georeference) = match Written::deserialize(deserializer)? {
             Written::Name(name) => (name, None),
-            Written::Placed { axes, georeference } => (axes, Some(georeference)),
+            Written::Placed { axes, georeference } => (axes, Some(*georeference)),
         };
         let frame = Self::named(&name);
         let frame =

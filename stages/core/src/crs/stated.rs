@@ -105,7 +105,7 @@ impl Stated {
 
     /// What a file states in a way that cannot be read.
     pub fn unknown(why: String) -> Self {
-        Self { kind: Kind::Unknown, ..Self::local(&why, None) }
+        Self { name: why, kind: Kind::Unknown, unit: None, vertical_unit: None, node: None }
     }
 
     /// The system that the text of a `.prj` states.

@@ -1,3 +1,5 @@
+//! Systems in several dialects, units, contradictions and refusals.
+
 use super::geo_keys::{GeoKeys, written};
 use super::*;
 use crate::Entry;
