@@ -150,7 +150,10 @@ fn acceptance() -> Acceptance {
         eigenvalues: vec![1.0],
         reference_d2: vec![0.5, 1.5],
         leave_one_out_d2: vec![0.6, 2.0],
-        constant: Vec::new(),
+        constant: vec!["nugget_m2".into()],
+        constant_value: vec![0.0],
+        constant_resolution: vec![1e-7],
+        chain_correlation: vec![0.3],
     };
     let labels = vec!["a".into(), "b".into()];
     Acceptance { references: 2, ridge: 0.01, labels, groups: [("all".to_owned(), group)].into() }

@@ -32,15 +32,6 @@ pub fn exact_interval(accepted: usize, n: usize) -> (f64, f64) {
     (rounded(low), rounded(high))
 }
 
-/// The band of counts that holds at least 95 % of the outcomes of `n` trials with probability `share`, no more than 2.5 % on
-/// either side.
-pub fn binomial_band(share: f64, n: usize) -> (usize, usize) {
-    let at_most = |k: usize| if k >= n { 1.0 } else { 1.0 - beta::cumulative(k as f64 + 1.0, (n - k) as f64, share) };
-    let low = (0..=n).find(|k| at_most(*k) > 0.025).unwrap_or(n);
-    let high = (0..=n).find(|k| at_most(*k) >= 0.975).unwrap_or(n);
-    (low, high)
-}
-
 /// The share of a perfect simulator's rasters that a test is expected to accept, for normal features without ridge.
 ///
 /// The threshold is the `quantile` of the in-sample distances of `n` reference rasters with `p` features, which follow
@@ -103,13 +94,10 @@ mod tests {
     }
 
     #[test]
-    fn exact_intervals_and_bands_by_the_book() {
+    fn exact_intervals_by_the_book() {
         let (low, high) = exact_interval(46, 50);
         assert!((low - 0.807_66).abs() < 1e-4 && (high - 0.977_77).abs() < 1e-4, "{low} {high}");
         assert_eq!(exact_interval(0, 10), (0.0, 0.308_497_108));
-        // Binomial(50, 0.8): P(X <= 33) = 0.0144, P(X <= 34) = 0.0308; P(X <= 45) = 0.9815, P(X <= 44) = 0.9520.
-        assert_eq!(binomial_band(0.8, 50), (34, 45));
-        assert_eq!((binomial_band(0.0, 9), binomial_band(1.0, 9)), ((0, 0), (9, 9)));
     }
 
     #[test]

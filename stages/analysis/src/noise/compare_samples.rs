@@ -1,172 +1,259 @@
-//! `compare-samples`: whether a classifier can tell simulated rasters from real ones by their features.
+//! `compare-samples`: whether classifiers can tell simulated rasters from real ones by their features, and real from real.
+
+use rayon::prelude::*;
 
 use crate::noise::chain;
-use crate::noise::classifier::{Auc, Logistic, area, cross_validated};
+use crate::noise::classifier::{Auc, Logistic, area};
 use crate::noise::descriptors::feature_names;
+use crate::noise::two_samples::{Classifier, Control, Row, TwoSamples, control};
 use rockface_core::artefact::{Cell, Kind, Table};
-use rockface_core::params::{Fault, Range};
-use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, params};
+use rockface_core::numerics::quantile::quantile;
+use rockface_core::params::Range;
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, params, table_row};
 use rockface_raster::feature_rows::{FeatureRow, feature_rows};
 
 params! {
     /// Parameters of `compare-samples`.
     pub struct CompareSamplesParams {
-        /// Columns the classifier sees.
-        features: Vec<String> = feature_names().into_iter().map(str::to_owned).collect(),
-        /// Ridge on the weights of the standardised features.
+        /// Columns the classifiers see. Left out: the ten descriptors where the first table has them all, as from `describe-noise`; otherwise
+        /// every column of numbers, as from `describe-structure`.
+        features: Vec<String> = Vec::new(),
+        /// Ridge on the weights of the standardised features, for ten features; it grows with their number.
         ridge: f64 = 1.0; Range::Positive,
         /// Folds of the cross-validation.
         folds: usize = 5; Range::Between(2.0, 1000.0),
+        /// How many times the real rasters are split into halves that are told apart in the same way, as a control; 0: no control.
+        control_splits: usize = 20; Range::Between(0.0, 1000.0),
     }
 }
 
 /// The stage.
 pub struct CompareSamples;
 
+/// Features for which the ridge is given.
+const RIDGE_FEATURES: f64 = 10.0;
+/// How many of the features that tell the samples apart are named in the log.
+const NAMED: usize = 6;
+
 impl Stage for CompareSamples {
     type Params = CompareSamplesParams;
     const NAME: &'static str = "compare-samples";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("compare_samples.md"));
     const INPUTS: &'static [Port] = &[
-        Port::many("reference", &[Kind::Table], "Features of real rasters, from `describe-noise`."),
-        Port::many("simulated", &[Kind::Table], "Features of simulated rasters, from `describe-noise`."),
+        Port::many(
+            "reference",
+            &[Kind::Table],
+            "Features of real rasters, from `describe-noise` or `describe-structure`.",
+        ),
+        Port::many("simulated", &[Kind::Table], "Features of simulated rasters, from the same stage."),
     ];
     const OUTPUTS: &'static [Port] = &[
-        Port::one("areas", &[Kind::Table], "Area with interval: `linear`, `squares`, and each feature by itself."),
+        Port::one(
+            "areas",
+            &[Kind::Table],
+            "Area with interval of each classifier and of each feature by itself, and the areas of real against real.",
+        ),
         Port::one("scores", &[Kind::Table], "One row a raster: class, cross-validated scores."),
     ];
 
-    fn check(params: &Self::Params) -> Vec<Fault> {
-        let mut fault = Fault::new("at least one feature is needed");
-        fault.path = vec!["features".to_owned()];
-        if params.features.is_empty() { vec![fault] } else { Vec::new() }
-    }
-
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let tables = inputs.many::<Table>("reference")?;
+        let features = features(params, tables.first().map(|(_, table)| *table));
         let mut classes = [Vec::new(), Vec::new()];
         for (class, port) in classes.iter_mut().zip(["reference", "simulated"]) {
-            *class = feature_rows(&inputs.many::<Table>(port)?, &params.features).map_err(StageError::new)?;
-            let least = params.folds.max(4);
+            *class = feature_rows(&inputs.many::<Table>(port)?, &features).map_err(StageError::new)?;
+            let least = least(params);
             if class.len() < least {
                 let text =
                     format!("`{port}` has {} rasters, {least} are needed for {} folds", class.len(), params.folds);
                 return Err(StageError::new(text).hint("add rasters, or lower `folds`"));
             }
         }
-        let labels: Vec<String> = classes[0].iter().map(FeatureRow::label).collect();
-        if let Some(text) = chain::warning(&labels) {
-            context.warn(text);
+        let compared = Compared::of(params, &features, &classes, context);
+        compared.report(&features, context);
+        let areas = compared.areas(&features);
+        Ok(Outputs::of("areas", areas).and("scores", scores(&classes, &compared.scores)))
+    }
+}
+
+/// Fewest rasters of a class.
+fn least(params: &CompareSamplesParams) -> usize {
+    params.folds.max(4)
+}
+
+/// The columns asked for, or those a table has.
+fn features(params: &CompareSamplesParams, table: Option<&Table>) -> Vec<String> {
+    let descriptors: Vec<String> = feature_names().into_iter().map(str::to_owned).collect();
+    let Some(table) = table.filter(|_| params.features.is_empty()) else { return params.features.clone() };
+    if descriptors.iter().all(|name| table.column(name).is_some()) {
+        return descriptors;
+    }
+    let numbers = |j: &usize| table.rows.iter().all(|row| row[*j].number().is_some());
+    let named = (0..table.columns.len()).filter(|j| table.columns[*j] != "raster").filter(numbers);
+    named.map(|j| table.columns[j].clone()).collect()
+}
+
+/// Everything that was found.
+struct Compared {
+    /// Area of each classifier.
+    classifiers: Vec<Auc>,
+    /// Scores of each classifier, by class.
+    scores: Vec<[Vec<f64>; 2]>,
+    /// Area of each feature by itself.
+    features: Vec<Auc>,
+    /// Its weight in the linear classifier of all rasters.
+    weights: Vec<f64>,
+    /// Areas of real against real.
+    control: Vec<Control>,
+}
+
+impl Compared {
+    fn of(params: &CompareSamplesParams, names: &[String], classes: &[Vec<FeatureRow>; 2], context: &Context) -> Self {
+        let labels = classes.each_ref().map(|class| class.iter().map(FeatureRow::label).collect::<Vec<_>>());
+        if let Some(text) = chain::warning(&labels[0]) {
+            context.note(text);
         }
-        let values = classes.each_ref().map(|rows| rows.iter().map(|row| row.values.clone()).collect::<Vec<_>>());
-        let linear = cross_validated([&values[0], &values[1]], params.folds, params.ridge);
-        let squared = with_squares(&values);
-        let squares = cross_validated([&squared[0], &squared[1]], params.folds, params.ridge);
-        let table = areas(params, &values, [&linear, &squares]);
-        log(&area(&linear[0], &linear[1]), &area(&squares[0], &squares[1]), context);
-        Ok(Outputs::of("areas", table).and("scores", scores(&classes, [&linear, &squares])))
+        let links = links(&labels);
+        let row = |class: usize| {
+            let first = class * classes[0].len();
+            let rows = classes[class].iter().enumerate();
+            rows.map(|(i, row)| Row { values: &row.values, number: first + i }).collect::<Vec<_>>()
+        };
+        let samples = TwoSamples { classes: [row(0), row(1)], links: &links };
+        let ridge = params.ridge * names.len() as f64 / RIDGE_FEATURES;
+        let scores: Vec<[Vec<f64>; 2]> = Classifier::ALL
+            .par_iter()
+            .map(|classifier| samples.cross_validated(*classifier, params.folds, ridge))
+            .collect();
+        let real: Vec<Vec<f64>> = classes[0].iter().map(|row| row.values.clone()).collect();
+        // Halves differ in size by a run of three rasters at most.
+        let splits = if real.len() >= 2 * least(params) + 3 { params.control_splits } else { 0 };
+        if splits < params.control_splits {
+            context.warn(format!(
+                "{} real rasters are too few to split: there is no control of real against real",
+                real.len()
+            ));
+        }
+        let rows = samples.classes.each_ref().map(|class| class.iter().map(|row| row.values).collect::<Vec<_>>());
+        let column = |class: usize, j: usize| rows[class].iter().map(|row| row[j]).collect::<Vec<f64>>();
+        Self {
+            classifiers: scores.iter().map(|[real, simulated]| area(real, simulated)).collect(),
+            features: (0..names.len()).map(|j| area(&column(0, j), &column(1, j))).collect(),
+            weights: Logistic::fit([&rows[0], &rows[1]], ridge).weights,
+            control: control(&real, &links, splits, params.folds, ridge),
+            scores,
+        }
+    }
+
+    /// Quantiles 0.05, 0.5 and 0.95 of an area over the control splits; none without a control.
+    fn control_of(&self, area: impl Fn(&Control) -> f64) -> [Option<f64>; 3] {
+        let areas: Vec<f64> = self.control.iter().map(area).collect();
+        [0.05, 0.5, 0.95].map(|level| quantile(&areas, level))
+    }
+
+    fn areas(&self, names: &[String]) -> Table {
+        let classifiers = Classifier::ALL.iter().zip(&self.classifiers).enumerate();
+        let of_classifiers = classifiers.map(|(k, (classifier, auc))| {
+            Area::of(classifier.name(), auc, None, self.control_of(|c| c.classifiers[k]))
+        });
+        let features = names.iter().zip(&self.features).enumerate();
+        let of_features = features
+            .map(|(j, (name, auc))| Area::of(name, auc, Some(self.weights[j]), self.control_of(|c| c.features[j])));
+        of_classifiers.chain(of_features).collect()
+    }
+
+    /// Features whose area is farther from 0.5 than the control's and than chance, the farthest first.
+    fn telling<'a>(&self, names: &'a [String]) -> Vec<(&'a str, f64)> {
+        let beyond = |j: &usize| {
+            let (low, high) = self.features[*j].interval();
+            let [below, _, above] = self.control_of(|control| control.features[*j]);
+            let auc = self.features[*j].auc;
+            (low > 0.5 && above.is_none_or(|above| auc > above))
+                || (high < 0.5 && below.is_none_or(|below| auc < below))
+        };
+        let mut telling: Vec<usize> = (0..names.len()).filter(beyond).collect();
+        telling.sort_by(|a, b| (self.features[*b].auc - 0.5).abs().total_cmp(&(self.features[*a].auc - 0.5).abs()));
+        telling.into_iter().map(|j| (names[j].as_str(), self.features[j].auc)).collect()
+    }
+
+    fn report(&self, names: &[String], context: &Context) {
+        let mut texts = Vec::new();
+        for (k, (classifier, found)) in Classifier::ALL.iter().zip(&self.classifiers).enumerate() {
+            let key = if k == 0 { "auc".to_owned() } else { format!("auc_{}", classifier.name()) };
+            context.metric(&key, found.auc, "1");
+            let control = self.control_of(|control| control.classifiers[k]);
+            let beside = match control {
+                [Some(low), Some(_), Some(high)] => {
+                    context.metric(&format!("control_high_{}", classifier.name()), high, "1");
+                    format!(" (real from real {low:.2} to {high:.2})")
+                }
+                _ => String::new(),
+            };
+            texts.push(format!("{} {:.2}{beside}", classifier.name(), found.auc));
+        }
+        let telling = self.telling(names);
+        context.metric("telling_features", telling.len() as f64, "1");
+        if !telling.is_empty() {
+            let named: Vec<String> =
+                telling.iter().take(NAMED).map(|(name, auc)| format!("`{name}` ({auc:.2})")).collect();
+            context.note(format!(
+                "{} of {} features tell simulated from real by themselves, most of all {}",
+                telling.len(),
+                names.len(),
+                named.join(", ")
+            ));
+        }
+        context.headline(format!(
+            "area with which classifiers of {} features tell simulated from real, 0.5 is indistinguishable: {}",
+            names.len(),
+            texts.join(", ")
+        ));
     }
 }
 
-/// The features and the squares of their distances from the mean of all, which the classifier standardises again.
-fn with_squares(classes: &[Vec<Vec<f64>>; 2]) -> [Vec<Vec<f64>>; 2] {
-    let all = || classes.iter().flatten();
-    let n = all().count() as f64;
-    let p = classes[0][0].len();
-    let mean: Vec<f64> = (0..p).map(|j| all().map(|row| row[j]).sum::<f64>() / n).collect();
-    let extended = |row: &Vec<f64>| {
-        let squares = row.iter().zip(&mean).map(|(x, m)| (x - m) * (x - m));
-        row.iter().copied().chain(squares).collect()
+/// Rasters that share an epoch with another of their class, by number; those of the first class come first.
+fn links(labels: &[Vec<String>; 2]) -> Vec<Vec<usize>> {
+    let of_class = |class: usize| {
+        let first = class * labels[0].len();
+        chain::neighbours(&labels[class]).into_iter().map(move |linked| linked.into_iter().map(|j| first + j).collect())
     };
-    classes.each_ref().map(|rows| rows.iter().map(extended).collect())
+    of_class(0).chain(of_class(1)).collect()
 }
 
-fn areas(params: &CompareSamplesParams, values: &[Vec<Vec<f64>>; 2], scores: [&[Vec<f64>; 2]; 2]) -> Table {
-    let mut table = Table::new(["seen", "auc", "low95", "high95", "weight"]);
-    let row = |name: &str, found: &Auc, weight: Cell| {
-        let (low, high) = found.interval();
-        vec![name.into(), found.auc.into(), low.into(), high.into(), weight]
-    };
-    for (name, [real, simulated]) in ["linear", "squares"].into_iter().zip(scores) {
-        table.push(row(name, &area(real, simulated), Cell::Empty(())));
+table_row! {
+    /// The area of a classifier or of a feature.
+    struct Area {
+        seen: String,
+        auc: f64,
+        low95: f64,
+        high95: f64,
+        weight: Option<f64>,
+        control_low: Option<f64>,
+        control_median: Option<f64>,
+        control_high: Option<f64>,
     }
-    let rows = values.each_ref().map(|class| class.iter().map(Vec::as_slice).collect::<Vec<_>>());
-    let whole = Logistic::fit([&rows[0], &rows[1]], params.ridge);
-    for (j, feature) in params.features.iter().enumerate() {
-        let [real, simulated] = values.each_ref().map(|class| class.iter().map(|row| row[j]).collect::<Vec<f64>>());
-        table.push(row(feature, &area(&real, &simulated), whole.weights[j].into()));
-    }
-    table
 }
 
-fn scores(classes: &[Vec<FeatureRow>; 2], [linear, squares]: [&[Vec<f64>; 2]; 2]) -> Table {
-    let mut table = Table::new(["raster", "class", "score_linear", "score_squares"]);
+impl Area {
+    fn of(seen: &str, found: &Auc, weight: Option<f64>, control: [Option<f64>; 3]) -> Self {
+        let (low95, high95) = found.interval();
+        let [control_low, control_median, control_high] = control;
+        Self { seen: seen.to_owned(), auc: found.auc, low95, high95, weight, control_low, control_median, control_high }
+    }
+}
+
+fn scores(classes: &[Vec<FeatureRow>; 2], found: &[[Vec<f64>; 2]]) -> Table {
+    let columns = Classifier::ALL.map(|classifier| format!("score_{}", classifier.name()));
+    let mut table = Table::new(["raster", "class"].map(str::to_owned).into_iter().chain(columns));
     for (class, name) in ["real", "simulated"].into_iter().enumerate() {
         for (i, row) in classes[class].iter().enumerate() {
-            table.push(vec![row.label().into(), name.into(), linear[class][i].into(), squares[class][i].into()]);
+            let scores = found.iter().map(|scores| Cell::from(scores[class][i]));
+            table.push([row.label().into(), name.into()].into_iter().chain(scores).collect());
         }
     }
     table
-}
-
-fn log(linear: &Auc, squares: &Auc, context: &Context) {
-    context.metric("auc", linear.auc, "1");
-    context.metric("auc_squares", squares.auc, "1");
-    let text = |found: &Auc| {
-        let (low, high) = found.interval();
-        format!("{:.2} ({low:.2} to {high:.2})", found.auc)
-    };
-    context.headline(format!(
-        "a classifier tells simulated from real with an area of {}, and with squares {}; 0.5 is indistinguishable",
-        text(linear),
-        text(squares)
-    ));
 }
 
 #[cfg(test)]
-mod tests {
-    use serde_json::{Value, json};
-
-    use super::*;
-    use rockface_core::artefact::Artefact;
-    use rockface_core::numerics::random::Key;
-    use rockface_core::testing::{TestHost, run_stage};
-
-    fn features(n: i32, seed: u8, spread: f64, shift: f64) -> Table {
-        let mut table = Table::new(["raster", "std_m", "nugget_m2", "skewness"]);
-        let field = Key([seed; 32]).field();
-        for i in 0..n {
-            let value = |j: i32| Cell::from(spread * field.normal(i, j) + if j == 0 { shift } else { 0.0 });
-            table.push(vec![format!("r{i}").into(), value(0), 0.0.into(), value(2)]);
-        }
-        table
-    }
-
-    fn compared(simulated: Table, with: &Value) -> Result<(Table, TestHost), StageError> {
-        let host = TestHost::default();
-        let inputs: [(&str, Artefact); 2] =
-            [("reference", features(60, 1, 1.0, 0.0).into()), ("simulated", simulated.into())];
-        let outputs = run_stage::<CompareSamples>(&host, with, &inputs)?.into_inner();
-        let Artefact::Table(table) = &outputs["areas"] else { panic!("a table comes out") };
-        Ok((table.clone(), host))
-    }
-
-    #[test]
-    fn shifts_are_seen_linearly_and_spreads_by_squares() {
-        let with = json!({"features": ["std_m", "nugget_m2", "skewness"]});
-        let (same, _) = compared(features(60, 2, 1.0, 0.0), &with).unwrap();
-        let at = |table: &Table, row: usize, column: usize| table.rows[row][column].number().unwrap();
-        assert!(at(&same, 0, 2) < 0.5 && at(&same, 0, 1) < 0.65);
-        let (shifted, host) = compared(features(60, 2, 1.0, 3.0), &with).unwrap();
-        assert!(at(&shifted, 0, 1) > 0.95 && at(&shifted, 2, 1) > 0.95 && host.metric("auc").unwrap() > 0.95);
-        assert!((at(&shifted, 3, 1) - 0.5).abs() < 1e-12 && at(&shifted, 3, 4).abs() < 1e-12);
-        let (narrow, _) = compared(features(60, 2, 0.1, 0.0), &with).unwrap();
-        assert!(at(&narrow, 0, 1) < 0.75 && at(&narrow, 1, 1) > 0.8, "{:?}", narrow.rows);
-    }
-
-    #[test]
-    fn too_few_rasters_are_refused() {
-        let error = compared(features(3, 2, 1.0, 0.0), &json!({"features": ["std_m"]})).err().unwrap();
-        assert!(error.message.contains("`simulated` has 3 rasters"), "{error}");
-    }
-}
+mod tests;

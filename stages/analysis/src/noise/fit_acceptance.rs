@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use crate::noise::acceptance_rate::{perfect_acceptance, share_below};
 use crate::noise::chain;
 use crate::noise::descriptors::{GROUPS, feature_names, in_group};
-use crate::noise::mahalanobis::{bound, fit, leave_one_out_quantile};
+use crate::noise::mahalanobis::{bound, fit_labelled, leave_one_out_quantile};
 use rockface_core::artefact::{Acceptance, Cell, GroupModel, Kind, Table};
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::{Fault, Range};
@@ -32,7 +32,7 @@ pub struct FitAcceptance;
 impl Stage for FitAcceptance {
     type Params = FitAcceptanceParams;
     const NAME: &'static str = "fit-acceptance";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("fit_acceptance.md"));
     const INPUTS: &'static [Port] =
         &[Port::many("features", &[Kind::Table], "Features of real rasters, as `describe-noise` makes them.")];
@@ -75,7 +75,8 @@ fn fit_columns(names: &[String], params: &FitAcceptanceParams, rows: &[FeatureRo
     let columns: Vec<usize> =
         params.features.iter().enumerate().filter(|(_, f)| names.contains(f)).map(|(j, _)| j).collect();
     let values: Vec<Vec<f64>> = rows.iter().map(|row| columns.iter().map(|j| row.values[*j]).collect()).collect();
-    fit(names, &values, params.ridge).map_err(|why| {
+    let labels: Vec<String> = rows.iter().map(FeatureRow::label).collect();
+    fit_labelled(names, &labels, &values, params.ridge).map_err(|why| {
         StageError::new(format!("cannot fit the reference: {why}"))
             .hint("add real rasters, or shorten the list `features`")
     })
@@ -84,7 +85,10 @@ fn fit_columns(names: &[String], params: &FitAcceptanceParams, rows: &[FeatureRo
 fn log(model: &Acceptance, level: f64, context: &Context) {
     let all = &model.groups["all"];
     if !all.constant.is_empty() {
-        context.warn(format!("set aside, because they do not vary over the reference: {}", all.constant.join(", ")));
+        context.warn(format!(
+            "the same in all references: {}; a raster that departs from that value is punished for it",
+            all.constant.join(", ")
+        ));
     }
     warn_of_lone_references(model, all, context);
     if let Some(text) = chain::warning(&model.labels) {

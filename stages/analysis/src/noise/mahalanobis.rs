@@ -3,8 +3,15 @@
 //! Features are standardised by mean and standard deviation (N - 1) of the reference; the covariance S of the
 //! standardised features has a unit diagonal, so the ridge lambda v I of the paper has v = 1. With z the standardised
 //! features of a raster and P = (S + lambda I)^-1, D2 = z' P z, and `z_j (P z)_j` is the contribution of feature j.
+//!
+//! A feature that is the same in all n references has no spread to standardise by. A raster that departs from it by d is judged as
+//! if it was counted among the references: the variance of the feature is then s^2 + d^2 / (n + 1), with s the resolution of the
+//! feature, and the raster lies d n / (n + 1) from the mean. So the contribution is (n / (n + 1))^2 d^2 / (s^2 + d^2 / (n + 1)): about
+//! (d / s)^2 for a small departure, and n^2 / (n + 1), above every threshold, for any large one.
 
 use nalgebra::{Cholesky, DMatrix, DVector, SymmetricEigen};
+
+use super::chain;
 
 use rockface_core::artefact::GroupModel;
 use rockface_core::numerics::quantile::quantile;
@@ -15,12 +22,16 @@ pub const UNBOUNDED_D2: f64 = f64::MAX;
 /// Spread below which a feature counts as constant, relative to its size.
 const CONSTANT: f64 = 1e-12;
 
+/// The resolution of a feature that does not vary, as a share of the mean of a feature of the same unit: of the sill for a nugget.
+const RESOLUTION: f64 = 0.01;
+
 /// A squared distance and what each feature adds to it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Distance {
     /// D2.
     pub d2: f64,
-    /// `z_j (P z)_j` of each feature of the model; they add up to D2 and may be negative.
+    /// `z_j (P z)_j` of each feature that varies over the reference, then what each constant one adds. They add up to D2; the
+    /// first may be negative.
     pub contributions: Vec<f64>,
 }
 
@@ -46,6 +57,8 @@ pub fn fit(names: &[String], rows: &[Vec<f64>], ridge: f64) -> Result<GroupModel
     if n < p + 2 {
         return Err(format!("{p} features need at least {} reference rasters, found {n}", p + 2));
     }
+    let constant_value: Vec<f64> = constant.iter().map(|j| rows[0][*j]).collect();
+    let constant_resolution = constant.iter().map(|j| resolution(*j, names, &mean)).collect();
     let rows: Vec<Vec<f64>> = rows.iter().map(|row| pick(row)).collect();
     let (mean, deviation) = (pick(&mean), pick(&deviation));
     let covariance = covariance(&rows, &mean, &deviation);
@@ -64,13 +77,55 @@ pub fn fit(names: &[String], rows: &[Vec<f64>], ridge: f64) -> Result<GroupModel
         reference_d2: Vec::new(),
         leave_one_out_d2: (0..n).map(|left_out| leave_one_out(&rows, left_out, ridge)).collect(),
         constant: constant.iter().map(|j| names[*j].clone()).collect(),
+        constant_value,
+        constant_resolution,
+        chain_correlation: Vec::new(),
     };
-    model.reference_d2 = rows.iter().map(|row| distance(&model, row).d2).collect();
+    model.reference_d2 = rows.iter().map(|row| varying_distance(&model, row).d2).collect();
     Ok(model)
 }
 
-/// The distance of a raster whose `values` are in the order of the model's features.
+/// As [`fit`], of references that may share epochs: their names are read for it.
+///
+/// # Errors
+/// As [`fit`].
+pub fn fit_labelled(names: &[String], labels: &[String], rows: &[Vec<f64>], ridge: f64) -> Result<GroupModel, String> {
+    let mut model = fit(names, rows, ridge)?;
+    let columns: Vec<usize> = (0..names.len()).filter(|j| model.features.contains(&names[*j])).collect();
+    let varying: Vec<Vec<f64>> = rows.iter().map(|row| columns.iter().map(|j| row[*j]).collect()).collect();
+    model.chain_correlation = chain::correlations(labels, &varying);
+    Ok(model)
+}
+
+/// The departure of constant feature `j` that counts as one deviation: a share of the first feature of the same unit that is not 0.
+fn resolution(j: usize, names: &[String], mean: &[f64]) -> f64 {
+    let unit = |name: &str| {
+        name.rsplit_once('_').map(|(_, unit)| unit).filter(|unit| ["m", "m2"].contains(unit)).map(str::to_owned)
+    };
+    let alike =
+        (0..names.len()).filter(|k| *k != j && unit(&names[*k]).is_some() && unit(&names[*k]) == unit(&names[j]));
+    let size = alike.map(|k| mean[k].abs()).fold(mean[j].abs(), f64::max);
+    // A number without unit and without size, such as a skewness of 0, is told apart from 0.01 on.
+    RESOLUTION * if size > 0.0 { size } else { 1.0 }
+}
+
+/// The distance of a raster whose `values` are in the order of [`GroupModel::judged`].
 pub fn distance(model: &GroupModel, values: &[f64]) -> Distance {
+    let (varying, constant) = values.split_at(model.features.len());
+    let mut found = varying_distance(model, varying);
+    let n = model.reference_d2.len() as f64;
+    for ((value, usual), resolution) in constant.iter().zip(&model.constant_value).zip(&model.constant_resolution) {
+        let departure = value - usual;
+        // Divided by the departure, whose square may underflow.
+        let share = if departure.abs() > 0.0 { resolution / departure } else { f64::INFINITY };
+        let adds = (n / (n + 1.0)) * (n / (n + 1.0)) / (share * share + 1.0 / (n + 1.0));
+        found.contributions.push(adds);
+        found.d2 += adds;
+    }
+    found
+}
+
+fn varying_distance(model: &GroupModel, values: &[f64]) -> Distance {
     let z: Vec<f64> = (0..values.len()).map(|j| (values[j] - model.mean[j]) / model.deviation[j]).collect();
     let along = |row: &[f64]| row.iter().zip(&z).map(|(p, z)| p * z).sum::<f64>();
     let contributions: Vec<f64> = model.inverse.iter().zip(&z).map(|(row, z)| z * along(row)).collect();
@@ -175,6 +230,7 @@ mod tests {
         }
         let model = fit(&names(3), &rows, 0.0).unwrap();
         assert_eq!((model.features, model.constant), (vec!["f0".into(), "f2".into()], vec!["f1".to_owned()]));
+        assert_eq!((model.constant_value, model.constant_resolution), (vec![0.1], vec![1e-3]));
         for row in &mut rows {
             row[1] = 2.0 * row[0];
         }
@@ -185,6 +241,29 @@ mod tests {
             row.fill(1.0);
         }
         assert!(fit(&names(3), &rows, 0.0).unwrap_err().contains("none of f0, f1, f2"));
+    }
+
+    #[test]
+    fn a_departure_from_a_constant_feature_is_punished_at_every_quantile() {
+        let names = ["nugget_m2", "sill_m2", "skewness"].map(str::to_owned);
+        let field = Key([6; 32]).field();
+        let row = |i: i32| vec![0.0, 4e-5 * (1.0 + 0.1 * field.normal(i, 0)), field.normal(i, 1)];
+        let rows: Vec<Vec<f64>> = (0..39).map(row).collect();
+        let model = fit(&names, &rows, 1e-3).unwrap();
+        assert_eq!(model.judged(), ["sill_m2", "skewness", "nugget_m2"]);
+        let d2 = |nugget: f64| distance(&model, &[model.mean[0], model.mean[1], nugget]);
+        assert!(d2(0.0).d2 < 1e-12 && d2(-0.0).d2 < 1e-12);
+        // One resolution, a hundredth of the sill, counts as one deviation; a tenth of it is beyond every reference.
+        assert!((d2(4e-7).d2 - 0.93).abs() < 0.05, "{:?}", d2(4e-7));
+        assert!(d2(4e-6).d2 > 25.0 && d2(1e9).d2 < 39.0 * 39.0 / 40.0 + 1e-9 && d2(1e9).d2 > bound(39));
+        assert!((d2(1e-3).contributions.iter().sum::<f64>() - d2(1e-3).d2).abs() < 1e-9);
+        // Without a feature of its unit, its own size is what it is measured by.
+        let alone = fit(
+            &["skewness".to_owned(), "entropy".to_owned()],
+            &rows.iter().map(|r| vec![r[2], 3.0]).collect::<Vec<_>>(),
+            0.0,
+        );
+        assert!((alone.unwrap().constant_resolution[0] - 0.03).abs() < 1e-12);
     }
 
     #[test]

@@ -9,17 +9,22 @@ pub mod envelope;
 pub mod mahalanobis;
 pub mod moments;
 pub mod nested_variogram;
+pub mod perfect_simulator;
 pub mod points;
 pub mod robust_variogram;
 pub mod roughness;
 pub mod sector;
 pub mod spectrum;
+pub mod structure;
+pub mod stumps;
+pub mod two_samples;
 pub mod variogram;
 pub mod variogram_model;
 
 // A new stage is its file, its `mod` here and its row below.
 mod compare_samples;
 mod describe_noise;
+mod describe_structure;
 mod fit_acceptance;
 mod propose_parameters;
 mod refine_search;
@@ -32,6 +37,7 @@ use rockface_core::{AnyStage, Row};
 pub static STAGES: &[&dyn AnyStage] = &[
     &Row::<compare_samples::CompareSamples>::new(),
     &Row::<describe_noise::DescribeNoise>::new(),
+    &Row::<describe_structure::DescribeStructure>::new(),
     &Row::<fit_acceptance::FitAcceptance>::new(),
     &Row::<propose_parameters::ProposeParameters>::new(),
     &Row::<refine_search::RefineSearch>::new(),

@@ -1,9 +1,10 @@
 //! `summarise-acceptance`: how many rasters pass the test at each quantile, with intervals and with what may be expected.
 
-use crate::noise::acceptance_rate::{binomial_band, exact_interval, perfect_acceptance, share_below, wilson_interval};
+use crate::noise::acceptance_rate::{exact_interval, perfect_acceptance, share_below, wilson_interval};
 use crate::noise::chain;
 use crate::noise::descriptors::{GROUPS, feature_names, in_group};
-use crate::noise::mahalanobis::{bound, distance, fit, leave_one_out_quantile};
+use crate::noise::mahalanobis::{bound, distance, fit_labelled, leave_one_out_quantile};
+use crate::noise::perfect_simulator::{Expectation, Setting, Simulated};
 use rockface_core::artefact::{Cell, GroupModel, Kind, Table};
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::{Fault, Range};
@@ -31,7 +32,7 @@ pub struct SummariseAcceptance;
 impl Stage for SummariseAcceptance {
     type Params = SummariseAcceptanceParams;
     const NAME: &'static str = "summarise-acceptance";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("summarise_acceptance.md"));
     const INPUTS: &'static [Port] = &[
         Port::many("reference", &[Kind::Table], "Features of real rasters, from `describe-noise`."),
@@ -67,7 +68,8 @@ impl Stage for SummariseAcceptance {
         }
         let kept = reference.len() - (reference.len() as f64 * params.held_out.unwrap_or(0.0)).round() as usize;
         let held_out = reference.split_off(kept);
-        let tests = group_tests(params, &reference, &simulated, &held_out)?;
+        let mut tests = group_tests(params, &reference, &simulated, &held_out)?;
+        simulate_perfect(params, &mut tests);
         let leverage = leverage(params, &reference, &simulated, &tests[0])?;
         log(&tests[0], params, context);
         Ok(Outputs::of("rates", rates(&tests, &params.quantiles))
@@ -82,6 +84,17 @@ struct GroupTest {
     model: GroupModel,
     simulated_d2: Vec<f64>,
     held_out_d2: Vec<f64>,
+    /// Tests of a perfect simulator at the quantiles of the parameters; drawn for the groups of the rates only.
+    perfect: Option<Simulated>,
+}
+
+/// Draws what a perfect simulator would have in every group.
+fn simulate_perfect(params: &SummariseAcceptanceParams, tests: &mut [GroupTest]) {
+    let all = tests[0].model.clone();
+    for test in tests {
+        let setting = Setting::of(&test.model, &all, params.ridge, test.simulated_d2.len());
+        test.perfect = Some(setting.simulate(&params.quantiles));
+    }
 }
 
 impl GroupTest {
@@ -89,8 +102,15 @@ impl GroupTest {
         quantile(&self.model.reference_d2, level).unwrap_or(f64::NAN)
     }
 
-    fn expected(&self, level: f64) -> f64 {
+    /// The share of references that a model of all others accepts.
+    fn leave_one_out_share(&self, level: f64) -> f64 {
         share_below(&self.model.leave_one_out_d2, self.threshold(level))
+    }
+
+    /// What a perfect simulator would have at the quantile of number `at`.
+    fn expected(&self, at: usize, level: f64) -> Option<Expectation> {
+        let share = self.leave_one_out_share(level);
+        self.perfect.as_ref().map(|perfect| perfect.expectation(at, share, &self.model.reference_d2))
     }
 }
 
@@ -126,15 +146,17 @@ fn group_test(
     let names: Vec<String> = columns.iter().map(|j| params.features[*j].clone()).collect();
     let pick = |row: &FeatureRow| columns.iter().map(|j| row.values[*j]).collect::<Vec<f64>>();
     let rows: Vec<Vec<f64>> = reference.iter().map(pick).collect();
-    let model = fit(&names, &rows, params.ridge).map_err(|why| {
+    let labels: Vec<String> = reference.iter().map(FeatureRow::label).collect();
+    let model = fit_labelled(&names, &labels, &rows, params.ridge).map_err(|why| {
         StageError::new(format!("cannot fit group `{name}`: {why}"))
             .hint("add real rasters, hold fewer out, or shorten the list `features`")
     })?;
-    let varying: Vec<usize> =
-        columns.iter().copied().filter(|j| model.features.contains(&params.features[*j])).collect();
-    let d2 = |row: &FeatureRow| distance(&model, &varying.iter().map(|j| row.values[*j]).collect::<Vec<f64>>()).d2;
+    let judged = model.judged();
+    let place = |name: &String| columns.iter().copied().find(|j| params.features[*j] == *name);
+    let judged: Vec<usize> = judged.iter().filter_map(place).collect();
+    let d2 = |row: &FeatureRow| distance(&model, &judged.iter().map(|j| row.values[*j]).collect::<Vec<f64>>()).d2;
     let (simulated_d2, held_out_d2) = (simulated.iter().map(d2).collect(), held_out.iter().map(d2).collect());
-    Ok(GroupTest { name, model, simulated_d2, held_out_d2 })
+    Ok(GroupTest { name, model, simulated_d2, held_out_d2, perfect: None })
 }
 
 table_row! {
@@ -154,11 +176,12 @@ table_row! {
         wilson_high: f64,
         exact_low: f64,
         exact_high: f64,
-        expected: f64,
+        expected: Option<f64>,
+        expected_leave_one_out: f64,
         expected_normal: Option<f64>,
-        expected_low: usize,
-        expected_high: usize,
-        in_band: bool,
+        expected_low: Option<usize>,
+        expected_high: Option<usize>,
+        in_band: Option<bool>,
         leave_one_out_threshold: f64,
         simulated_leave_one_out: f64,
         simulated_median_d2: Option<f64>,
@@ -170,17 +193,17 @@ table_row! {
 }
 
 fn rates(tests: &[GroupTest], levels: &[f64]) -> Table {
-    levels.iter().flat_map(|level| tests.iter().map(move |test| rate(test, *level))).collect()
+    let levels = levels.iter().enumerate();
+    levels.flat_map(|(at, level)| tests.iter().map(move |test| rate(test, at, *level))).collect()
 }
 
-fn rate(test: &GroupTest, level: f64) -> Rate {
+fn rate(test: &GroupTest, at: usize, level: f64) -> Rate {
     let (model, threshold) = (&test.model, test.threshold(level));
     let (n, p) = (model.reference_d2.len(), model.features.len());
     let real = accepted(&model.reference_d2, threshold);
     let (simulated, total) = (accepted(&test.simulated_d2, threshold), test.simulated_d2.len());
     let (wilson, exact) = (wilson_interval(simulated, total), exact_interval(simulated, total));
-    let expected = test.expected(level);
-    let band = binomial_band(expected, total);
+    let expected = test.expected(at, level);
     let leave_one_out = leave_one_out_quantile(model, level).unwrap_or(f64::NAN);
     let held_out =
         Some(test.held_out_d2.len()).filter(|of| *of > 0).map(|of| (accepted(&test.held_out_d2, threshold), of));
@@ -200,11 +223,12 @@ fn rate(test: &GroupTest, level: f64) -> Rate {
         wilson_high: wilson.1,
         exact_low: exact.0,
         exact_high: exact.1,
-        expected,
+        expected: expected.map(|of| of.share),
+        expected_leave_one_out: test.leave_one_out_share(level),
         expected_normal: perfect_acceptance(n, p, level),
-        expected_low: band.0,
-        expected_high: band.1,
-        in_band: band.0 <= simulated && simulated <= band.1,
+        expected_low: expected.map(|of| of.low),
+        expected_high: expected.map(|of| of.high),
+        in_band: expected.map(|of| of.holds(simulated)),
         leave_one_out_threshold: leave_one_out,
         simulated_leave_one_out: share_below(&test.simulated_d2, leave_one_out),
         simulated_median_d2: quantile(&test.simulated_d2, 0.5),
@@ -291,13 +315,15 @@ fn leverage(
 
 fn log(all: &GroupTest, params: &SummariseAcceptanceParams, context: &Context) {
     if !all.model.constant.is_empty() {
-        context
-            .warn(format!("set aside, because they do not vary over the reference: {}", all.model.constant.join(", ")));
+        context.warn(format!(
+            "the same in all references: {}; a raster that departs from that value is punished for it",
+            all.model.constant.join(", ")
+        ));
     }
-    let level = middle(&params.quantiles);
+    let (at, level) = (params.quantiles.len() / 2, middle(&params.quantiles));
     let (n, threshold) = (all.simulated_d2.len(), all.threshold(level));
     let found = accepted(&all.simulated_d2, threshold);
-    let (low, high) = binomial_band(all.expected(level), n);
+    let Some(expected) = all.expected(at, level) else { return };
     context.metric("acceptance", found as f64 / n as f64, "1");
     context.metric("median_d2", quantile(&all.simulated_d2, 0.5).unwrap_or(f64::NAN), "1");
     if !all.held_out_d2.is_empty() {
@@ -305,8 +331,10 @@ fn log(all: &GroupTest, params: &SummariseAcceptanceParams, context: &Context) {
         context.metric("held_out_acceptance", share, "1");
     }
     context.headline(format!(
-        "accepted {found} of {n} at the {} % quantile (D2 <= {threshold:.1}); a perfect simulator would have {low} to {high}",
-        (level * 1000.0).round() / 10.0
+        "accepted {found} of {n} at the {} % quantile (D2 <= {threshold:.1}); a perfect simulator would have {} to {}",
+        (level * 1000.0).round() / 10.0,
+        expected.low,
+        expected.high
     ));
 }
 

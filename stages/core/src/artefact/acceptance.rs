@@ -20,8 +20,21 @@ pub struct GroupModel {
     pub reference_d2: Vec<f64>,
     /// Leave-one-out squared distance of each reference raster.
     pub leave_one_out_d2: Vec<f64>,
-    /// Features left out because they do not vary over the reference.
+    /// Features that do not vary over the reference; a raster that departs from their value is punished.
     pub constant: Vec<String>,
+    /// The value of each of these.
+    pub constant_value: Vec<f64>,
+    /// The departure from it that counts as one standard deviation.
+    pub constant_resolution: Vec<f64>,
+    /// Correlation of each of `features` between references that share an epoch by their names; empty where none do.
+    pub chain_correlation: Vec<f64>,
+}
+
+impl GroupModel {
+    /// The features that a raster is judged by: those that vary over the reference, then those that do not.
+    pub fn judged(&self) -> Vec<String> {
+        self.features.iter().chain(&self.constant).cloned().collect()
+    }
 }
 
 /// The acceptance model: all features together, and each descriptor group by itself.

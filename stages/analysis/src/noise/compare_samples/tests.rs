@@ -1,0 +1,78 @@
+//! Shifts, spreads, the control and the choice of columns of `compare-samples` on made-up features.
+
+use serde_json::{Value, json};
+
+use super::*;
+use rockface_core::artefact::Artefact;
+use rockface_core::numerics::random::Key;
+use rockface_core::testing::{TestHost, run_stage};
+
+fn features(n: i32, seed: u8, spread: f64, shift: f64) -> Table {
+    let mut table = Table::new(["raster", "std_m", "nugget_m2", "skewness"]);
+    let field = Key([seed; 32]).field();
+    for i in 0..n {
+        let value = |j: i32| Cell::from(spread * field.normal(i, j) + if j == 0 { shift } else { 0.0 });
+        table.push(vec![format!("c_{i}_{}", i + 1).into(), value(0), 0.0.into(), value(2)]);
+    }
+    table
+}
+
+fn compared(simulated: Table, with: &Value) -> Result<(Table, TestHost), StageError> {
+    let host = TestHost::default();
+    let inputs: [(&str, Artefact); 2] =
+        [("reference", features(60, 1, 1.0, 0.0).into()), ("simulated", simulated.into())];
+    let outputs = run_stage::<CompareSamples>(&host, with, &inputs)?.into_inner();
+    let Artefact::Table(table) = &outputs["areas"] else { panic!("a table comes out") };
+    Ok((table.clone(), host))
+}
+
+fn at(table: &Table, seen: &str, column: &str) -> f64 {
+    let row = table.rows.iter().find(|row| row[0].text() == Some(seen)).unwrap();
+    row[table.column(column).unwrap()].number().unwrap()
+}
+
+#[test]
+fn shifts_are_seen_linearly_and_spreads_by_squares() {
+    let (same, _) = compared(features(60, 2, 1.0, 0.0), &json!({})).unwrap();
+    assert!(at(&same, "linear", "low95") < 0.5 && at(&same, "linear", "auc") < 0.65);
+    let (shifted, host) = compared(features(60, 2, 1.0, 3.0), &json!({})).unwrap();
+    assert!(Classifier::ALL.iter().all(|classifier| at(&shifted, classifier.name(), "auc") > 0.9));
+    assert!(at(&shifted, "std_m", "auc") > 0.95 && host.metric("auc").unwrap() > 0.95);
+    assert!(
+        (at(&shifted, "nugget_m2", "auc") - 0.5).abs() < 1e-12 && at(&shifted, "nugget_m2", "weight").abs() < 1e-12
+    );
+    let (narrow, _) = compared(features(60, 2, 0.1, 0.0), &json!({})).unwrap();
+    assert!(at(&narrow, "linear", "auc") < 0.75 && at(&narrow, "squares", "auc") > 0.8, "{:?}", narrow.rows);
+}
+
+#[test]
+fn the_control_stands_beside_and_what_tells_is_named() {
+    let (found, host) = compared(features(60, 2, 1.0, 3.0), &json!({})).unwrap();
+    for classifier in Classifier::ALL {
+        let of = |column: &str| at(&found, classifier.name(), column);
+        assert!(of("control_low") < 0.5 + 0.05 && of("control_high") < 0.85 && of("control_low") < of("control_high"));
+        assert!(of("auc") > of("control_high"));
+    }
+    assert_eq!(host.metric("telling_features"), Some(1.0));
+    let (none, _) = compared(features(60, 2, 1.0, 3.0), &json!({"control_splits": 0})).unwrap();
+    assert_eq!(none.rows[0][none.column("control_low").unwrap()], Cell::Empty(()));
+    assert_eq!(at(&none, "squares", "auc").to_bits(), at(&found, "squares", "auc").to_bits());
+}
+
+#[test]
+fn columns_are_those_asked_for_or_all_numbers() {
+    let (all, _) = compared(features(20, 2, 1.0, 0.0), &json!({})).unwrap();
+    assert_eq!(all.rows.len(), 4 + 3);
+    let (one, _) = compared(features(20, 2, 1.0, 0.0), &json!({"features": ["skewness"]})).unwrap();
+    assert_eq!(one.rows.len(), 4 + 1);
+    let mut table = Table::new(std::iter::once("raster").chain(feature_names()).chain(["further"]));
+    table.push((0..12).map(|j| if j == 0 { "a".into() } else { Cell::from(f64::from(j)) }).collect());
+    let ten = super::features(&CompareSamplesParams::default(), Some(&table));
+    assert_eq!(ten, feature_names());
+}
+
+#[test]
+fn too_few_rasters_are_refused() {
+    let error = compared(features(3, 2, 1.0, 0.0), &json!({"features": ["std_m"]})).err().unwrap();
+    assert!(error.message.contains("`simulated` has 3 rasters"), "{error}");
+}
