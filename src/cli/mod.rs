@@ -1,6 +1,7 @@
 //! The command line: one file a command, and the exit codes they share.
 
 mod completions;
+mod expected_work;
 mod explain;
 mod export;
 mod graph;

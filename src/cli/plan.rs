@@ -1,18 +1,15 @@
 //! `rockface plan`.
 
-use std::collections::HashMap;
-
 use clap::Args;
-use rockface_cache::Store;
 use rockface_core::Registry;
-use serde_json::{Value, json};
+use serde_json::json;
 
+use super::expected_work::{Times, Work};
 use super::programs::ProgramArgs;
 use super::{CliError, PipelineArgs, complain, say};
 use rockface_engine::explain::{Answer, Answers};
 use rockface_engine::plan::Plan;
 use rockface_engine::run::tools;
-use rockface_engine::watch::duration;
 
 /// Arguments of `rockface plan`.
 #[derive(Debug, Args)]
@@ -39,7 +36,7 @@ impl PlanArgs {
         for (label, text) in tools::behind(&plan, &store, answers.hits()).changed {
             complain(&format!("warning: {label}: {text}"));
         }
-        let is_timed = answers.list().iter().any(|answer| answer.is_open());
+        let is_timed = answers.list().iter().any(|answer| answer.is_open()) || !unknown(&plan).is_empty();
         let times = if is_timed { Times::new(&store) } else { Times::default() };
         if self.json {
             print_json(&plan, answers.list(), &times);
@@ -67,9 +64,7 @@ impl PlanArgs {
             let why = format!("the items of axis `{axis}` are made by a step that has not run");
             say(&format!("{step:width$}  {:>9} {:>6} {:>6} {:>8}  {why}", "?", "", "", ""));
         }
-        if let Some(line) = estimate(plan, answers, times) {
-            say(&line);
-        }
+        Work::of(plan, answers, times).lines().iter().for_each(|line| say(line));
         let total = |word: &str| answers.iter().filter(|answer| answer.word() == word).count();
         say(&format!("{} hit, {} run, {} depend on what runs", total("hit"), total("runs"), total("depends")));
     }
@@ -83,61 +78,6 @@ fn unknown(plan: &Plan) -> Vec<(&str, &str)> {
     let told = deferred
         .filter_map(|(step, axis)| Some((graph.steps[step].name.as_str(), graph.axes[axis?].name.text.as_str())));
     told.collect()
-}
-
-/// Elapsed seconds of instances that were alike, and how many there were, from records.
-#[derive(Default)]
-struct Times(HashMap<String, (f64, u32)>);
-
-impl Times {
-    fn new(store: &Store) -> Self {
-        let mut times: HashMap<String, (f64, u32)> = HashMap::new();
-        for record in store.keys().iter().filter_map(|key| store.record(key)) {
-            for likeness in likenesses(&record.recipe.stage, &record.recipe.params) {
-                let (wall_s, count) = times.entry(likeness).or_default();
-                *wall_s += record.cost.wall_s;
-                *count += 1;
-            }
-        }
-        Self(times)
-    }
-
-    /// The mean of the instances closest to this one.
-    fn expected_s(&self, plan: &Plan, instance: usize) -> Option<f64> {
-        let params = &plan.instances[instance].params.recipe;
-        let mut alike = likenesses(plan.step(instance).stage.name(), params).into_iter();
-        alike.find_map(|likeness| self.0.get(&likeness)).map(|(wall_s, count)| wall_s / f64::from(*count))
-    }
-}
-
-/// What instances that take about as long have in common, the most telling first: the stage and the parameters but for
-/// their numbers, which a sweep changes; but for those in texts too, such as the arguments of a program; the stage.
-fn likenesses(stage: &str, params: &Value) -> [String; 3] {
-    let without = params_without_numbers(params).to_string();
-    let numberless: String = without.split(|letter: char| letter.is_ascii_digit()).collect();
-    [format!("{stage} {without}"), format!("{stage} {numberless}"), stage.to_owned()]
-}
-
-fn params_without_numbers(value: &Value) -> Value {
-    match value {
-        Value::Number(_) => Value::Null,
-        Value::Array(list) => list.iter().map(params_without_numbers).collect(),
-        Value::Object(map) => map.iter().map(|(key, value)| (key.clone(), params_without_numbers(value))).collect(),
-        other => other.clone(),
-    }
-}
-
-/// How long the instances that are no hits would take one after the other, going by records of such.
-fn estimate(plan: &Plan, answers: &[Answer], times: &Times) -> Option<String> {
-    let open: Vec<usize> = (0..answers.len()).filter(|i| answers[*i].is_open()).collect();
-    let known = open.iter().filter_map(|i| times.expected_s(plan, *i));
-    let (count, seconds) = known.fold((0, 0.0), |(count, sum), wall_s| (count + 1, sum + wall_s));
-    if count == 0 {
-        return None;
-    }
-    let untimed =
-        if count < open.len() { format!("; {} of stages never timed", open.len() - count) } else { String::new() };
-    Some(format!("up to about {} of work, going by {count} steps of stages on record{untimed}", duration(seconds)))
 }
 
 fn print_json(plan: &Plan, answers: &[Answer], times: &Times) {

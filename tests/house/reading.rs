@@ -256,6 +256,27 @@ fn what_is_over_items_that_are_not_known_says_who_makes_them() {
 }
 
 #[test]
+fn a_plan_says_which_times_are_not_known() {
+    let house = House::new(LISTED);
+    std::fs::write(house.path("t.csv"), "item\np1\np2\n").unwrap();
+    let plan = |set: &str| house.rockface(&["plan", "p.yaml", "--set", set]).1;
+    let out = plan("steps.pts.with.path=t.csv");
+    assert!(
+        out.contains("how long 1 steps take is not known: no step of these stages is on record (1 of import-table)"),
+        "{out}"
+    );
+    assert!(out.contains("not counted: 2 steps over axis `row`, whose items are not known yet"), "{out}");
+    assert!(out.contains("each item adds 1 steps of unknown length") && !out.contains("of work"), "{out}");
+    let (code, _, err) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    std::fs::write(house.path("u.csv"), "item\np3\n").unwrap();
+    // The same stages are on record; the items of the other list are still made by a step that has not run.
+    let out = plan("steps.pts.with.path=u.csv");
+    assert!(out.contains("of work, going by 1 steps of stages on record, and what is not known yet"), "{out}");
+    assert!(out.contains("not counted: 2 steps over axis `row`") && out.contains("each item adds about"), "{out}");
+}
+
+#[test]
 fn graph_counts_items_that_are_on_record() {
     let house = House::new(LISTED);
     std::fs::write(house.path("t.csv"), "item\np1\np2\n").unwrap();

@@ -125,7 +125,8 @@ pub fn distance(model: &GroupModel, values: &[f64]) -> Distance {
     found
 }
 
-fn varying_distance(model: &GroupModel, values: &[f64]) -> Distance {
+/// The distance by the features that vary over the reference alone.
+pub fn varying_distance(model: &GroupModel, values: &[f64]) -> Distance {
     let z: Vec<f64> = (0..values.len()).map(|j| (values[j] - model.mean[j]) / model.deviation[j]).collect();
     let along = |row: &[f64]| row.iter().zip(&z).map(|(p, z)| p * z).sum::<f64>();
     let contributions: Vec<f64> = model.inverse.iter().zip(&z).map(|(row, z)| z * along(row)).collect();

@@ -216,6 +216,14 @@ impl Simulated {
     }
 }
 
+/// The number of independent references that say as much about mean and spread: fewer than there are where they share epochs, n / (1 +
+/// 2 r^2) with the correlation r of neighbours (Bartlett 1946).
+pub fn effective_references(model: &GroupModel) -> f64 {
+    let n = model.reference_d2.len();
+    let r = pooled_correlation(&model.chain_correlation, n);
+    n as f64 / (1.0 + 2.0 * r * r)
+}
+
 /// The size of the correlation along a chain, from those of all features: their mean square, less what chance adds.
 fn pooled_correlation(correlations: &[f64], n: usize) -> f64 {
     if correlations.is_empty() {

@@ -1,13 +1,30 @@
-//! `propose-parameters`: the simulation parameters whose noise should be nearest to the real one, from a few simulations.
+//! `propose-parameters`: the simulation parameters whose noise should be nearest to the real one in mean and spread, how sure that is,
+//! and whether the model can reach the site at all.
 
 use crate::noise::mahalanobis::distance;
-use crate::noise::moments::Surrogate;
+use crate::noise::match_moments::{Found, Match};
+use crate::noise::perfect_simulator::{Setting, effective_references};
 use crate::noise::points::{ITEM, MOST_DIMENSIONS, Scale, coordinates, halton, positions, rounded};
+use crate::noise::surrogate::Surrogate;
+use reach::Reach;
 use rockface_core::artefact::{Acceptance, Cell, GroupModel, Kind, Table};
 use rockface_core::numerics::portable_math;
+use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::{Fault, Range};
-use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params, table_row};
 use rockface_raster::feature_rows::feature_rows;
+
+mod reach;
+
+choice! {
+    /// What to do where the model cannot reach the reference within the range searched.
+    pub enum Unreachable {
+        /// Propose the nearest and say so.
+        Warn = "warn",
+        /// Fail.
+        Fail = "fail",
+    }
+}
 
 params! {
     /// Parameters of `propose-parameters`.
@@ -16,7 +33,7 @@ params! {
         parameters: Vec<String>,
         /// The group of features that is matched: `all`, or `variogram` for nugget, sill and range alone.
         group: String = "all".to_owned(),
-        /// Whether features are linear in the parameters or in their logarithms.
+        /// Whether features are polynomials of the parameters or of their logarithms. The prior is flat on this scale.
         scale: Scale = Scale::Log,
         /// How far outside the range of the simulations the proposal may lie: a share of its width on either side.
         trust: f64 = 0.25; Range::NonNegative,
@@ -24,16 +41,21 @@ params! {
         count: usize = 1; Range::Between(1.0, 1e6),
         /// Reach of the others, as a share of the range of the simulations to either side.
         reach: f64 = 0.2; Range::Positive,
+        /// Whether a model that cannot reach the reference is warned of, or is an error.
+        unreachable: Unreachable = Unreachable::Warn,
     }
 }
 
 /// The stage.
 pub struct ProposeParameters;
 
+/// The quantile at which acceptance is predicted.
+const LEVEL: f64 = 0.95;
+
 impl Stage for ProposeParameters {
     type Params = ProposeParametersParams;
     const NAME: &'static str = "propose-parameters";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("propose_parameters.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("model", &[Kind::Acceptance], "The reference, from `fit-acceptance`."),
@@ -48,8 +70,15 @@ impl Stage for ProposeParameters {
         Port::one(
             "points",
             &[Kind::Table],
-            "The proposal, and others around it: `item`, parameters, predicted D2, whether the proposal is at the edge.",
+            "The proposal, and others around it: `item`, parameters, predicted D2, log-determinant ratio and acceptance, whether the \
+             proposal is at the edge.",
         ),
+        Port::one(
+            "posterior",
+            &[Kind::Table],
+            "One row a parameter: proposal, median and 90 % interval, range searched.",
+        ),
+        Port::one("reach", &[Kind::Table], "One row a feature: predicted offset and spread, what moves them."),
         Port::one("sensitivities", &[Kind::Table], "How each feature follows each parameter, with its standard error."),
     ];
 
@@ -66,33 +95,41 @@ impl Stage for ProposeParameters {
             fail!("the model has no group `{}`; it has {}", params.group, known.join(", "));
         };
         let sample = Sample::gather(params, inputs, group)?;
-        let Some(surrogate) = Surrogate::fit(&sample.positions, &sample.standardised, &sample.weights()) else {
+        let Some(surrogate) = Surrogate::fit(&sample.scaled(), &sample.standardised, &sample.weights()) else {
             return Err(StageError::new(
                 "the simulations do not vary in every parameter, or only in proportion to each other",
             )
             .hint("simulate at points that differ in each of `parameters` by itself"));
         };
-        let (low, high) = sample.box_around(params.trust);
-        let at = surrogate.nearest(&group.inverse, &low, &high);
-        let edge = at.iter().zip(low.iter().zip(&high)).any(|(x, (l, h))| (x - l).abs().min((h - x).abs()) < 1e-9);
-        let values: Vec<f64> = at.iter().map(|x| rounded(params.scale.to_value(*x))).collect();
-        let predicted = quadratic(&group.inverse, &surrogate.features(&at));
-        report(params, context, &sample, &values, predicted, edge);
-        let sensitivities = sensitivities(params, group, &surrogate);
-        let predict = |at: &[f64]| quadratic(&group.inverse, &surrogate.features(at));
-        let points = proposal(
-            params,
-            &[at.clone()].into_iter().chain(around(params, &at, &low, &high)).collect::<Vec<_>>(),
-            predict,
-            edge,
-        );
-        Ok(Outputs::of("points", points).and("sensitivities", sensitivities))
+        let chained = model.groups.get("all").unwrap_or(group);
+        let references = effective_references(chained);
+        let matching = Match::new(&surrogate, group, model.ridge, references, 1.0 + 2.0 * params.trust);
+        let found = matching.as_ref().and_then(|matching| matching.search(params.parameters.len()));
+        let (Some(matching), Some(found)) = (matching, found) else {
+            return Err(StageError::new(format!("{} simulations are too few to learn from", sample.d2.len()))
+                .hint("simulate at more points, or search fewer `parameters`"));
+        };
+        let posterior = Posterior::of(params, &sample, &found);
+        let predicted = matching.predict(&found.best);
+        let setting = Setting::of(group, chained, model.ridge, model.references);
+        let reach = Reach::of(group, &setting, &surrogate, &found.best, predicted, sample.departing());
+        report(params, context, &sample, &posterior, &reach);
+        if !reach.is_reached() {
+            let text = reach.words(&params.parameters, &posterior);
+            match params.unreachable {
+                Unreachable::Warn => context.warn(text),
+                Unreachable::Fail => {
+                    return Err(StageError::new(text).hint("widen the ranges, add a term, or set `unreachable: warn`"));
+                }
+            }
+        }
+        let places: Vec<Vec<f64>> = std::iter::once(found.best.clone()).chain(around(params, &found.best)).collect();
+        let points = proposal(params, &sample, &places, &matching, group, posterior.at_edge());
+        Ok(Outputs::of("points", points)
+            .and("posterior", posterior.table())
+            .and("reach", reach.table(&params.parameters))
+            .and("sensitivities", sensitivities(params, &sample, group, &surrogate, &found.best)))
     }
-}
-
-fn quadratic(inverse: &[Vec<f64>], z: &[f64]) -> f64 {
-    let along = |row: &Vec<f64>| row.iter().zip(z).map(|(p, z)| p * z).sum::<f64>();
-    inverse.iter().zip(z).map(|(row, z)| z * along(row)).sum()
 }
 
 /// Simulations: where they were made, on the scale of the search, and what came out.
@@ -100,20 +137,30 @@ struct Sample {
     positions: Vec<Vec<f64>>,
     standardised: Vec<Vec<f64>>,
     d2: Vec<f64>,
+    /// Whether one departs from a feature that is the same in all references.
+    departs: Vec<bool>,
 }
+
+/// What a departure adds to D2 from which on it counts as one.
+const DEPARTS: f64 = 4.0;
 
 impl Sample {
     fn gather(params: &ProposeParametersParams, inputs: &Inputs, group: &GroupModel) -> Result<Self, StageError> {
         let points = inputs.optional::<Table>("points")?;
-        let mut sample = Self { positions: Vec::new(), standardised: Vec::new(), d2: Vec::new() };
+        let (positions_, standardised) = (Vec::new(), Vec::new());
+        let mut sample = Self { positions: positions_, standardised, d2: Vec::new(), departs: Vec::new() };
+        let p = group.features.len();
         for (items, table) in inputs.many::<Table>("features")? {
-            let rows = feature_rows(&[(items, table)], &group.features).map_err(StageError::new)?;
+            let rows = feature_rows(&[(items, table)], &group.judged()).map_err(StageError::new)?;
             for (row, cells) in rows.iter().zip(&table.rows) {
                 let values = coordinates(&params.parameters, items, table, cells, points).map_err(StageError::new)?;
                 sample.positions.push(positions(params.scale, &params.parameters, &values)?);
                 let z = |j: usize| (row.values[j] - group.mean[j]) / group.deviation[j];
-                sample.standardised.push((0..row.values.len()).map(z).collect());
-                sample.d2.push(distance(group, &row.values).d2);
+                sample.standardised.push((0..p).map(z).collect());
+                let found = distance(group, &row.values);
+                let added: f64 = found.contributions[p..].iter().sum();
+                sample.d2.push(found.d2 - added);
+                sample.departs.push(added > DEPARTS);
             }
         }
         let least = params.parameters.len() + 2;
@@ -127,83 +174,180 @@ impl Sample {
         Ok(sample)
     }
 
-    /// Simulations near the reference count more: those well beyond the few nearest hardly at all, since features are not
-    /// linear over the whole range.
+    /// Simulations near the reference count more: those well beyond the nearest third, or the few nearest, hardly at all, since
+    /// features are no polynomials over the whole range.
     fn weights(&self) -> Vec<f64> {
-        let few = 2 * (self.positions[0].len() + 1);
+        let few = (2 * (self.positions[0].len() + 1)).max(self.d2.len() / 3);
         let mut sorted = self.d2.clone();
         sorted.sort_by(f64::total_cmp);
         let near = sorted[(few - 1).min(sorted.len() - 1)].max(f64::MIN_POSITIVE);
         self.d2.iter().map(|d2| 1.0 / ((1.0 + d2 / near) * (1.0 + d2 / near))).collect()
     }
 
-    /// The range of the simulations, widened on either side by a share of its width.
-    fn box_around(&self, trust: f64) -> (Vec<f64>, Vec<f64>) {
-        let range = |j: usize| {
-            let all = self.positions.iter().map(|x| x[j]);
-            let (low, high) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(x), h.max(x)));
-            (low - trust * (high - low), high + trust * (high - low))
+    /// The weighted share of simulations that depart from a feature that is the same in all references.
+    fn departing(&self) -> f64 {
+        let weights = self.weights();
+        let departing = self.departs.iter().zip(&weights).filter(|(departs, _)| **departs).map(|(_, w)| w);
+        departing.sum::<f64>() / weights.iter().sum::<f64>()
+    }
+
+    /// Ends of the simulations along a parameter.
+    fn range(&self, j: usize) -> (f64, f64) {
+        let all = self.positions.iter().map(|x| x[j]);
+        all.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(x), h.max(x)))
+    }
+
+    /// Positions of which -1 and 1 are the ends.
+    fn scaled(&self) -> Vec<Vec<f64>> {
+        let ranges: Vec<(f64, f64)> = (0..self.positions[0].len()).map(|j| self.range(j)).collect();
+        let scaled = |(x, (low, high)): (&f64, &(f64, f64))| {
+            if high > low { (2.0 * x - low - high) / (high - low) } else { 0.0 }
         };
-        (0..self.positions[0].len()).map(range).unzip()
+        self.positions.iter().map(|x| x.iter().zip(&ranges).map(scaled).collect()).collect()
+    }
+
+    /// The value of a parameter at a scaled position.
+    fn value(&self, scale: Scale, j: usize, scaled: f64) -> f64 {
+        let (low, high) = self.range(j);
+        rounded(scale.to_value(0.5 * (low + high) + 0.5 * (high - low) * scaled))
     }
 }
 
-fn report(
-    params: &ProposeParametersParams,
-    context: &Context,
-    sample: &Sample,
-    values: &[f64],
-    predicted: f64,
-    edge: bool,
-) {
-    let named: Vec<String> =
-        params.parameters.iter().zip(values).map(|(name, value)| format!("{name} {value}")).collect();
+table_row! {
+    /// What is known of one parameter.
+    struct Known {
+        parameter: String,
+        proposal: f64,
+        low90: f64,
+        median: f64,
+        high90: f64,
+        searched_from: f64,
+        searched_to: f64,
+        share_at_low_end: f64,
+        share_at_high_end: f64,
+    }
+}
+
+/// What is known of the parameters.
+struct Posterior(Vec<Known>);
+
+/// The outermost share of a range at either end, and the share of the posterior in it from which on a parameter is at the edge.
+const END: f64 = 0.05;
+const AT_END: f64 = 0.2;
+
+impl Posterior {
+    fn of(params: &ProposeParametersParams, sample: &Sample, found: &Found) -> Self {
+        let reach = 1.0 + 2.0 * params.trust;
+        let known = |(j, parameter): (usize, &String)| {
+            let chain: Vec<f64> = found.chain.iter().map(|x| x[j]).collect();
+            let at = |scaled: f64| sample.value(params.scale, j, scaled);
+            let level = |level: f64| at(quantile(&chain, level).unwrap_or(f64::NAN));
+            let share =
+                |inside: &dyn Fn(f64) -> bool| chain.iter().filter(|x| inside(**x)).count() as f64 / chain.len() as f64;
+            let end = reach * (1.0 - 2.0 * END);
+            Known {
+                parameter: parameter.clone(),
+                proposal: at(found.best[j]),
+                low90: level(0.05),
+                median: level(0.5),
+                high90: level(0.95),
+                searched_from: at(-reach),
+                searched_to: at(reach),
+                share_at_low_end: share(&|x| x < -end),
+                share_at_high_end: share(&|x| x > end),
+            }
+        };
+        Self(params.parameters.iter().enumerate().map(known).collect())
+    }
+
+    fn at_edge(&self) -> bool {
+        self.0.iter().any(|known| known.share_at_low_end.max(known.share_at_high_end) > AT_END)
+    }
+
+    /// What to do about parameters at the edge.
+    fn widen(&self) -> Vec<String> {
+        let one = |known: &Known| {
+            let name = &known.parameter;
+            if known.share_at_low_end > AT_END {
+                return Some(format!("search `{name}` below {}", known.searched_from));
+            }
+            (known.share_at_high_end > AT_END).then(|| format!("search `{name}` above {}", known.searched_to))
+        };
+        self.0.iter().filter_map(one).collect()
+    }
+
+    fn table(self) -> Table {
+        self.0.into_iter().collect()
+    }
+}
+
+fn report(params: &ProposeParametersParams, context: &Context, sample: &Sample, posterior: &Posterior, reach: &Reach) {
+    let named = |known: &Known| format!("{} {} ({} to {})", known.parameter, known.proposal, known.low90, known.high90);
+    let named: Vec<String> = posterior.0.iter().map(named).collect();
     let nearest = sample.d2.iter().copied().fold(f64::INFINITY, f64::min);
-    context.metric("predicted_d2", predicted, "1");
+    context.metric("predicted_d2", reach.predicted.d2, "1");
+    context.metric("predicted_log_determinant_ratio", reach.predicted.log_determinant_ratio, "1");
+    context.metric("predicted_acceptance", reach.share, "1");
     context.metric("nearest_d2", nearest, "1");
-    if edge {
-        context.warn("the proposal lies at the edge of the trusted range: simulate there and propose again");
+    let widen = posterior.widen();
+    if reach.is_reached() && !widen.is_empty() {
+        context.warn(format!("the proposal lies at the edge of what was searched: {}", widen.join("; ")));
     }
     context.headline(format!(
-        "proposal from {} simulations: {}; mean features at D2 {predicted:.1}",
+        "proposal from {} simulations, 90 % intervals of group `{}`: {}; {}",
         sample.d2.len(),
-        named.join(", ")
+        params.group,
+        named.join(", "),
+        reach.summary()
     ));
 }
 
 /// Further points around one, within the trusted range.
-fn around(params: &ProposeParametersParams, at: &[f64], low: &[f64], high: &[f64]) -> Vec<Vec<f64>> {
-    let coordinate = |k: usize, j: usize| {
-        let width = (high[j] - low[j]) / (1.0 + 2.0 * params.trust);
-        (at[j] + params.reach * width * (2.0 * halton(k as u64, j) - 1.0)).clamp(low[j], high[j])
-    };
+fn around(params: &ProposeParametersParams, at: &[f64]) -> Vec<Vec<f64>> {
+    let end = 1.0 + 2.0 * params.trust;
+    // The range of the simulations is 2 wide.
+    let coordinate =
+        |k: usize, j: usize| (at[j] + 2.0 * params.reach * (2.0 * halton(k as u64, j) - 1.0)).clamp(-end, end);
     (1..params.count).map(|k| (0..at.len()).map(|j| coordinate(k, j)).collect()).collect()
 }
 
 fn proposal(
     params: &ProposeParametersParams,
-    points: &[Vec<f64>],
-    predict: impl Fn(&[f64]) -> f64,
-    edge: bool,
+    sample: &Sample,
+    places: &[Vec<f64>],
+    matching: &Match,
+    group: &GroupModel,
+    at_edge: bool,
 ) -> Table {
-    let own = ["predicted_d2", "at_edge"].map(str::to_owned);
-    let mut table = Table::new(std::iter::once(ITEM.to_owned()).chain(params.parameters.iter().cloned()).chain(own));
-    for (k, at) in points.iter().enumerate() {
+    let further =
+        ["predicted_d2", "predicted_log_determinant_ratio", "predicted_acceptance", "at_edge"].map(str::to_owned);
+    let mut table =
+        Table::new(std::iter::once(ITEM.to_owned()).chain(params.parameters.iter().cloned()).chain(further));
+    for (k, at) in places.iter().enumerate() {
         let mut row = vec![if k == 0 { Cell::from("proposal") } else { Cell::from(format!("p{k}")) }];
-        row.extend(at.iter().map(|x| Cell::from(rounded(params.scale.to_value(*x)))));
-        row.extend([predict(at).into(), edge.into()]);
+        row.extend(at.iter().enumerate().map(|(j, x)| Cell::from(sample.value(params.scale, j, *x))));
+        let predicted = matching.predict(at);
+        let share = reach::accepted_share(group, &predicted.rasters);
+        row.extend([predicted.d2.into(), predicted.log_determinant_ratio.into(), share.into(), at_edge.into()]);
         table.push(row);
     }
     table
 }
 
-fn sensitivities(params: &ProposeParametersParams, group: &GroupModel, surrogate: &Surrogate) -> Table {
+fn sensitivities(
+    params: &ProposeParametersParams,
+    sample: &Sample,
+    group: &GroupModel,
+    surrogate: &Surrogate,
+    at: &[f64],
+) -> Table {
     let mut table = Table::new(["parameter", "feature", "change", "standard_error"]);
     let step = if params.scale == Scale::Log { portable_math::log(2.0) } else { 1.0 };
     for (a, parameter) in params.parameters.iter().enumerate() {
+        let (low, high) = sample.range(a);
         for (j, feature) in group.features.iter().enumerate() {
-            let numbers = [surrogate.slopes[(j, a)], surrogate.errors[(j, a)]].map(|x| Cell::from(step * x));
-            let [change, error] = numbers;
+            let (slope, error) = surrogate.slope(at, a, j);
+            let [change, error] = [slope, error].map(|x| Cell::from(2.0 * step * x / (high - low)));
             table.push(vec![parameter.as_str().into(), feature.as_str().into(), change, error]);
         }
     }
@@ -211,83 +355,4 @@ fn sensitivities(params: &ProposeParametersParams, group: &GroupModel, surrogate
 }
 
 #[cfg(test)]
-mod tests {
-    use std::collections::BTreeMap;
-    use std::sync::Arc;
-
-    use serde_json::{Value, json};
-
-    use super::*;
-    use crate::noise::mahalanobis::fit;
-    use rockface_core::artefact::Artefact;
-    use rockface_core::numerics::random::Key;
-    use rockface_core::params::ParamType;
-    use rockface_core::testing::TestHost;
-
-    const FEATURES: [&str; 3] = ["nugget_m2", "sill_m2", "range95_m"];
-
-    /// What a made-up simulator yields: each parameter has its own feature, with a little noise.
-    fn world(sigma: f64, length: f64, i: i32, seed: u8) -> [f64; 3] {
-        let noise = |j: i32| 0.05 * Key([seed; 32]).field().normal(i, j);
-        let (sigma, length) = (portable_math::log(sigma), portable_math::log(length));
-        [sigma + noise(0), 2.0 * sigma + 0.1 * length + noise(1), length + noise(2)]
-    }
-
-    fn table(rows: &[[f64; 3]]) -> Table {
-        let mut table = Table::new(std::iter::once("raster").chain(FEATURES));
-        for row in rows {
-            table.push(std::iter::once(Cell::from("x")).chain(row.map(Cell::from)).collect());
-        }
-        table
-    }
-
-    fn proposed(with: &Value) -> Result<(Table, Table), StageError> {
-        let names: Vec<String> = FEATURES.map(str::to_owned).to_vec();
-        let reference: Vec<Vec<f64>> = (0..30).map(|i| world(0.2, 30.0, i, 1).to_vec()).collect();
-        let groups = BTreeMap::from([("all".to_owned(), fit(&names, &reference, 1e-3).unwrap())]);
-        let model = Acceptance { references: 30, ridge: 1e-3, labels: vec![String::new(); 30], groups };
-        let mut inputs = Inputs::default();
-        inputs.push("model", BTreeMap::new(), Arc::new(model.into()));
-        for (k, (sigma, length)) in [(0.1, 20.0), (0.4, 20.0), (0.1, 60.0), (0.4, 60.0)].into_iter().enumerate() {
-            let point = [("sigma".to_owned(), sigma.to_string()), ("length".to_owned(), length.to_string())].into();
-            let k = k as i32 * 2;
-            let rows = [world(sigma, length, k, 9), world(sigma, length, k + 1, 9)];
-            inputs.push("features", point, Arc::new(table(&rows).into()));
-        }
-        let params = ProposeParametersParams::decode(with).unwrap();
-        let outputs = ProposeParameters::run(&params, &inputs, &Context::new(&TestHost::default()))?.into_inner();
-        let [Artefact::Table(points), Artefact::Table(found)] = [&outputs["points"], &outputs["sensitivities"]] else {
-            panic!("two tables come out");
-        };
-        Ok((points.clone(), found.clone()))
-    }
-
-    #[test]
-    fn the_parameters_of_the_reference_are_found_in_one_step() {
-        let (points, sensitivities) = proposed(&json!({"parameters": ["sigma", "length"]})).unwrap();
-        let at = |column: &str| points.rows[0][points.column(column).unwrap()].number().unwrap();
-        assert!((at("sigma") / 0.2 - 1.0).abs() < 0.05 && (at("length") / 30.0 - 1.0).abs() < 0.15, "{points:?}");
-        assert!(at("predicted_d2") < 1.0);
-        let change = |row: usize| sensitivities.rows[row][2].number().unwrap();
-        // sigma moves nugget and sill and leaves the range alone.
-        assert!(change(0) > 5.0 && change(1) > 10.0 && change(2).abs() < 2.0, "{sensitivities:?}");
-    }
-
-    #[test]
-    fn further_points_lie_around_the_proposal_and_a_larger_count_keeps_them() {
-        let points = |count: usize| proposed(&json!({"parameters": ["sigma", "length"], "count": count})).unwrap().0;
-        let (few, many) = (points(4), points(9));
-        assert_eq!((few.rows.len(), &few.rows[..]), (4, &many.rows[..4]));
-        let sigma = |row: usize| many.rows[row][1].number().unwrap();
-        // A fifth of the range from 0.1 to 0.4, in logarithms, to either side.
-        let reach = portable_math::pow(4.0, 0.2) * (1.0 + 1e-4);
-        assert!((1..9).all(|k| sigma(k) <= sigma(0) * reach && sigma(k) >= sigma(0) / reach), "{many:?}");
-    }
-
-    #[test]
-    fn what_cannot_be_proposed_is_refused() {
-        let error = |with: Value| proposed(&with).unwrap_err().message;
-        assert!(error(json!({"parameters": ["sigma"], "group": "spectrum"})).contains("it has all"));
-        assert!(error(json!({"parameters": ["focus"]})).contains("`focus` has no number"));
-    }
-}
+mod tests;

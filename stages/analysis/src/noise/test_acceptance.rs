@@ -243,7 +243,7 @@ fn log(
              decides; check the registration, or leave `mean_m` out of the features of `fit-acceptance`"
         ));
     }
-    let band = levels.iter().zip(expected).find(|(of, _)| of.total_cmp(&&level).is_eq()).map(|(_, band)| band);
+    let band = levels.iter().zip(expected).find(|(of, _)| of.total_cmp(&level).is_eq()).map(|(_, band)| band);
     let band =
         band.map_or_else(String::new, |band| format!("; a perfect simulator would have {} to {}", band.low, band.high));
     context.headline(format!(

@@ -85,3 +85,32 @@ fn a_feature_without_variance_neither_fails_nor_decides() {
     assert!((number(&found[0], 0, "p") - 9.0).abs() < 1e-12);
     assert!(host.warnings().iter().any(|text| text.contains("nugget_m2")));
 }
+
+/// Features of the real rasters of a site, by an independent implementation; `None`, with the reason printed, where they are not there.
+fn real_site(site: &str) -> Option<Table> {
+    let path = format!("{}/../../../shared/data/{site}/features.csv", env!("CARGO_MANIFEST_DIR"));
+    let Ok(csv) = std::fs::read(&path) else {
+        eprintln!("skipped: {path} is not there");
+        return None;
+    };
+    let mut reader = csv::Reader::from_reader(csv.as_slice());
+    let mut table = Table::new(std::iter::once("raster").chain(feature_names()));
+    for record in reader.records().map(Result::unwrap) {
+        let numbers = record.iter().skip(1).take(10).map(|text| Cell::from(text.parse::<f64>().unwrap()));
+        table.push(std::iter::once(Cell::from(&record[0])).chain(numbers).collect());
+    }
+    Some(table)
+}
+
+#[test]
+fn two_settings_of_a_matcher_on_one_face_are_rejected_by_each_other() {
+    let sites = ["outcrop-survey", "outcrop-half"].map(real_site);
+    let [Some(full), Some(half)] = sites else { return };
+    for (real, simulated) in [(full.clone(), half.clone()), (half, full)] {
+        let (found, _) = tables(&json!({}), real, simulated).unwrap();
+        // The joint test at the middle quantile.
+        let accepted = number(&found[0], 5, "simulated_accepted");
+        assert!(accepted <= 5.0, "{accepted}");
+        assert_eq!(found[0].rows[5][found[0].column("in_band").unwrap()], Cell::from(false));
+    }
+}
