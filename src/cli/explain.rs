@@ -34,7 +34,8 @@ pub struct ExplainArgs {
 
 impl ExplainArgs {
     /// Prints the explanation.
-    pub fn run(self, registry: &Registry) -> Result<(), CliError> {
+    pub fn run(mut self, registry: &Registry) -> Result<(), CliError> {
+        self.pipeline.take_shipped()?;
         let pipeline = self.pipeline.load(registry)?;
         let label = wanted(&self.step)?;
         let name = label.step;

@@ -37,7 +37,8 @@ enum Format {
 
 impl GraphArgs {
     /// Prints the graph.
-    pub fn run(self, registry: &Registry) -> Result<(), CliError> {
+    pub fn run(mut self, registry: &Registry) -> Result<(), CliError> {
+        self.pipeline.take_shipped()?;
         let pipeline = self.pipeline.load(registry)?;
         let graph = self.graph(registry, &pipeline)?;
         let drawing = Drawing::of(&graph)

@@ -1,9 +1,10 @@
-//! `rockface init`: a folder with a commented pipeline to begin with.
+//! `rockface init`: a folder with a commented pipeline to begin with, or with a copy of a shipped one.
 
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 
+use super::shipped::Shipped;
 use super::{CliError, say};
 use rockface_engine::history::HistoryError;
 
@@ -15,25 +16,45 @@ pub const STARTER: &str = include_str!("starter.yaml");
 pub struct InitArgs {
     /// The folder, created if it does not exist.
     dir: PathBuf,
+    /// Copy this pipeline that ships with rockface, with the files it reads, instead of the starter.
+    #[arg(long, value_name = "NAME")]
+    from: Option<String>,
 }
 
 impl InitArgs {
-    /// Writes the starter; a pipeline that is there stays.
+    /// Writes the files; those that are there stay.
     pub fn run(self) -> Result<(), CliError> {
+        let files = match &self.from {
+            Some(name) => Shipped::find(name)?.files(),
+            None => vec![("pipeline.yaml", STARTER)],
+        };
         if self.dir.exists() && !self.dir.is_dir() {
             return Err(CliError::Usage(format!("{} is a file: give a folder", self.dir.display())));
         }
-        std::fs::create_dir_all(&self.dir).map_err(failed("make the folder", &self.dir))?;
-        let path = self.dir.join("pipeline.yaml");
-        let new = std::fs::OpenOptions::new().write(true).create_new(true).open(&path);
-        match new.and_then(|mut file| std::io::Write::write_all(&mut file, STARTER.as_bytes())) {
-            Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {
-                return Err(CliError::Usage(format!("{} is there already: give another folder", path.display())));
-            }
-            other => other.map_err(failed("write", &path))?,
+        let paths = files.iter().map(|(path, _)| self.dir.join(path));
+        if let Some(there) = paths.into_iter().find(|path| std::fs::symlink_metadata(path).is_ok()) {
+            return Err(CliError::Usage(format!("{} is there already: give another folder", there.display())));
         }
+        // The pipeline itself comes last: where it is, all it reads is there too.
+        for (path, text) in files.iter().rev() {
+            write_new(&self.dir.join(path), text)?;
+        }
+        let path = self.dir.join(files[0].0);
         say(&format!("{}\ntry it: rockface run {}", path.display(), for_shell(&path)));
         Ok(())
+    }
+}
+
+/// Writes a file that is not there yet, and the folders it lies in.
+fn write_new(path: &Path, text: &str) -> Result<(), CliError> {
+    let folder = path.parent().unwrap_or(Path::new("."));
+    std::fs::create_dir_all(folder).map_err(failed("make the folder", folder))?;
+    let new = std::fs::OpenOptions::new().write(true).create_new(true).open(path);
+    match new.and_then(|mut file| std::io::Write::write_all(&mut file, text.as_bytes())) {
+        Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {
+            Err(CliError::Usage(format!("{} is there already: give another folder", path.display())))
+        }
+        other => other.map_err(failed("write", path)),
     }
 }
 

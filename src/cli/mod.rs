@@ -16,6 +16,7 @@ mod report;
 mod run;
 mod runs;
 mod schema;
+mod shipped;
 mod signals;
 mod stages;
 mod store;
@@ -81,7 +82,8 @@ enum Command {
 /// What every command that reads a pipeline takes.
 #[derive(Debug, Args)]
 struct PipelineArgs {
-    /// The pipeline file (YAML), or the `run.json` of a past run to repeat it.
+    /// The pipeline file (YAML), the name of one that ships with rockface such as `quickstart`, or the `run.json` of a past
+    /// run to repeat it.
     pipeline: PathBuf,
     /// The text of the pipeline, if it is not to be read from the file.
     #[arg(skip)]
@@ -89,6 +91,12 @@ struct PipelineArgs {
     /// The texts of included files, if they are not to be read from disk.
     #[arg(skip)]
     included: std::collections::BTreeMap<PathBuf, String>,
+    /// Whether these texts are part of the program.
+    #[arg(skip)]
+    shipped: bool,
+    /// Whether no program may be asked what is in a file.
+    #[arg(skip)]
+    no_programs: bool,
     /// Run only this step and the steps it needs; may be given several times.
     #[arg(long, value_name = "STEP")]
     target: Vec<String>,
@@ -138,7 +146,8 @@ impl PipelineArgs {
             Some(_) => Pipeline::of_text(text, self.included.clone(), path, &overrides),
             None => Pipeline::of_read(text, path, &overrides, Some(&trees)),
         };
-        let pipeline = loaded.map_err(CliError::Pipeline)?;
+        let mut pipeline = loaded.map_err(CliError::Pipeline)?;
+        rockface_engine::plan::complete(&mut pipeline, registry.stages(), self.no_programs);
         if !pipeline.faults.is_empty() {
             rockface_engine::plan::resolve(&pipeline, &self.target, registry.stages()).map_err(CliError::Pipeline)?;
         }

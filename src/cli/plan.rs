@@ -28,7 +28,9 @@ pub struct PlanArgs {
 
 impl PlanArgs {
     /// Prints the plan.
-    pub fn run(self, registry: &Registry) -> Result<(), CliError> {
+    pub fn run(mut self, registry: &Registry) -> Result<(), CliError> {
+        self.pipeline.take_shipped()?;
+        self.pipeline.no_programs = self.programs.are_refused();
         let pipeline = self.pipeline.load(registry)?;
         self.programs.check(registry, &pipeline, &self.pipeline.target)?;
         let (plan, store) = self.pipeline.look(registry, &pipeline, &self.pipeline.target)?;

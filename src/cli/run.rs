@@ -51,6 +51,9 @@ pub struct RunArgs {
     /// noticed.
     #[arg(long)]
     trust_store: bool,
+    /// Run every step that is not cached twice, and fail where the two outputs differ.
+    #[arg(long)]
+    check_determinism: bool,
     /// Print events as JSON, one per line.
     #[arg(long)]
     json: bool,
@@ -66,6 +69,8 @@ impl RunArgs {
     /// Runs the pipeline.
     pub fn run(mut self, registry: &Registry) -> Result<(), CliError> {
         let begun = std::time::Instant::now();
+        self.pipeline.take_shipped()?;
+        self.pipeline.no_programs = self.programs.are_refused();
         let former = repeat::manifest(&self.pipeline.pipeline)?;
         if let Some(former) = &former {
             repeat::take_over(&mut self.pipeline, former);
@@ -86,7 +91,8 @@ impl RunArgs {
             plan = self.pipeline.plan(registry, &pipeline, &self.pipeline.target)?.0;
         }
         store.trust(self.trust_store);
-        let mut options = Options { keep_going: self.keep_going, look: registry.look(), ..Options::default() };
+        let (keep_going, check_determinism) = (self.keep_going, self.check_determinism);
+        let mut options = Options { keep_going, check_determinism, look: registry.look(), ..Options::default() };
         options.jobs = self.jobs.map_or(options.jobs, usize::from);
         options.memory_bytes = self.memory.unwrap_or(options.memory_bytes);
         raise_memory_limit(options.memory_bytes as u64);
@@ -142,15 +148,16 @@ impl RunArgs {
 
     /// The digest of everything that decides the result of this command; `None` if every step instance has to be printed.
     fn question(&self, text: &str) -> Option<Digest> {
-        if self.json || self.verbose || self.rehash || self.programs.are_refused() || self.pipeline.text.is_some() {
+        let is_repetition = self.pipeline.text.is_some() && !self.pipeline.shipped;
+        if self.json || self.verbose || self.rehash || self.programs.are_refused() || is_repetition {
             return None;
         }
         let arguments: Vec<_> = std::env::args_os().skip(1).collect();
         let program = rockface_engine::version::state_of_program()?;
         let place = (std::env::current_dir().ok()?, self.pipeline.store_dir(), &self.runs);
         let question = serde_json::json!([program, place, Digest::of(text.as_bytes())]).to_string();
-        // The search path decides which programs the steps run.
-        let search = std::env::var_os("PATH");
+        // The search path decides which programs the steps run, this variable which Python.
+        let search = ["PATH", "ROCKFACE_PYTHON"].map(std::env::var_os);
         Some(Digest::of(format!("{question} {arguments:?} {search:?}").as_bytes()))
     }
 

@@ -28,7 +28,10 @@ fn check(text: &str, name: &str, folder: PathBuf, files: bool) -> Option<Plan> {
 }
 
 fn names_files(text: &str) -> bool {
-    text.contains("path:") || text.contains("covariance: ${") || text.contains("covariance: \"")
+    text.contains("path:")
+        || text.contains("module:")
+        || text.contains("covariance: ${")
+        || text.contains("covariance: \"")
 }
 
 #[test]

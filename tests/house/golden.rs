@@ -12,7 +12,7 @@ const SCENE: &str = include_str!("golden.yaml");
 const LIST: &str = "tests/house/golden.txt";
 
 /// Stages that need files or programs; what they read is pinned by tests of their own.
-const NEED_FILES: [&str; 9] = [
+const NEED_FILES: [&str; 10] = [
     "import-mesh",
     "import-cloud",
     "import-cameras",
@@ -22,6 +22,7 @@ const NEED_FILES: [&str; 9] = [
     "fuse-colmap",
     "import-blocks",
     "import-table",
+    "python",
 ];
 
 #[test]

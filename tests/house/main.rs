@@ -24,6 +24,7 @@ mod references;
 mod report;
 mod rework;
 mod rooms;
+mod shipped;
 mod shortcut;
 mod streams;
 mod survey;

@@ -1,6 +1,7 @@
 //! From pipeline to plan: resolve names, expand axes, key every step instance.
 
 mod axis_propagation;
+mod completion;
 mod dynamic;
 mod faults;
 mod graph;
@@ -17,6 +18,7 @@ mod resolve;
 mod sight;
 mod values;
 
+pub use completion::{complete, find};
 pub use dynamic::{Items, items_of};
 pub use graph::{Dynamic, Feed, Graph, GraphStep, Later, Source};
 pub use hit::hit;

@@ -20,6 +20,8 @@ pub struct Options {
     pub keep_going: bool,
     /// Memory for values handed from step to step, bytes; beyond it they are written to the store.
     pub memory_bytes: usize,
+    /// Run every step twice and fail where its outputs differ.
+    pub check_determinism: bool,
     /// What draws outputs for the log.
     pub look: &'static dyn Look,
 }
@@ -27,7 +29,9 @@ pub struct Options {
 impl Default for Options {
     fn default() -> Self {
         let jobs = std::thread::available_parallelism().map_or(1, usize::from);
-        Self { jobs, keep_going: false, memory_bytes: half_of_memory(), look: Registry::default().look() }
+        let (keep_going, check_determinism) = (false, false);
+        let (memory_bytes, look) = (half_of_memory(), Registry::default().look());
+        Self { jobs, keep_going, memory_bytes, check_determinism, look }
     }
 }
 

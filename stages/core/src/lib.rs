@@ -30,6 +30,7 @@ pub mod limits;
 mod needs;
 pub mod numerics;
 pub mod params;
+mod planner;
 pub mod program;
 mod registry;
 mod stage;
@@ -37,7 +38,8 @@ pub mod testing;
 
 pub use inputs::{Element, Inputs, Later};
 pub use needs::{InputSize, InputSizes, SmallInput};
-pub use program::{Piece, Program, ProgramResult};
+pub use planner::Planner;
+pub use program::{Found, Job, JobResult, Piece, Program, ProgramResult};
 pub use registry::{Look, Registry, Room};
 pub use stage::{
     AnyStage, Arity, Checked, Context, Entry, Host, Outputs, Page, Point, Port, Ports, Row, SourceFile, Stage,

@@ -4,6 +4,8 @@ pub mod ended;
 
 use std::collections::BTreeMap;
 
+use serde_json::Value;
+
 /// A part of an argument.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Piece {
@@ -11,6 +13,18 @@ pub enum Piece {
     Text(String),
     /// The absolute path of a file that a parameter names, as it was written there.
     File(String),
+    /// A program that is not part of the pipeline.
+    Found(Found),
+}
+
+/// A program that is looked for where the user has it: the one a variable of the environment names, else the one beside the
+/// file of the running program, else the first on the search path.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Found {
+    /// The variable, such as `ROCKFACE_PYTHON`.
+    pub variable: &'static str,
+    /// The name, such as `python3`.
+    pub name: &'static str,
 }
 
 /// A program with all it is given. It runs in a fresh folder of its own, which is gone afterwards.
@@ -28,6 +42,34 @@ pub struct Program {
     pub inputs: Vec<(String, Vec<u8>)>,
     /// Files it is to make, relative to its folder; their own folders are there when it starts.
     pub outputs: Vec<String>,
+}
+
+/// A job for a program that stays alive between jobs, so that it is started once for many steps.
+///
+/// The host writes a line of JSON to its standard input, `{"folder": ..., "paths": ..., "request": ...}`, and reads a line of
+/// JSON from its standard output. The files of `inputs` lie in the folder, and it puts its outputs there. What it prints
+/// meanwhile it directs to the files `stdout` and `stderr` of the folder. An answer with `"retire": true` is its last.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Job {
+    /// The program; jobs of equal programs share processes, one job at a time in each. It has no inputs and outputs itself.
+    pub program: Program,
+    /// What it is asked.
+    pub request: Value,
+    /// Files that parameters name, by what the program calls them.
+    pub paths: BTreeMap<String, Piece>,
+    /// Files that are in the folder when it is asked, relative to that.
+    pub inputs: Vec<(String, Vec<u8>)>,
+    /// Files it is to make, relative to the folder.
+    pub outputs: Vec<String>,
+}
+
+/// What came of a job.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct JobResult {
+    /// Its answer; `None` if it ended, or was no JSON.
+    pub answer: Option<Value>,
+    /// What it printed and made, and how it ended if it did.
+    pub result: ProgramResult,
 }
 
 /// What a program left behind.

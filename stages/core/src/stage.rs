@@ -11,7 +11,8 @@ use crate::georeferencing;
 use crate::inputs::Inputs;
 use crate::needs::InputSizes;
 use crate::params::{Fault, Field, FileRef, FilesRef, GeoFileRef, ParamType, Params};
-use crate::program::{Program, ProgramResult};
+use crate::planner::Planner;
+use crate::program::{Job, JobResult, Program, ProgramResult};
 
 /// The item of each axis a step instance or a gathered element stands for.
 pub type Point = BTreeMap<String, String>;
@@ -241,6 +242,11 @@ pub trait Host: Sync {
         let _ = program;
         Err(StageError::new("no program can be run here"))
     }
+    /// Gives a job to a program that stays alive between jobs; what it answers and how it ends are no errors.
+    fn employ(&self, job: &Job) -> Result<JobResult, StageError> {
+        let _ = job;
+        Err(StageError::new("no program can be run here"))
+    }
     /// Keeps an entry of the step's log.
     fn record(&self, entry: Entry);
     /// Whether the run was asked to stop.
@@ -271,6 +277,21 @@ impl<'a> Context<'a> {
     /// Runs a program.
     pub fn execute(&self, program: &Program) -> Result<ProgramResult, StageError> {
         self.0.execute(program)
+    }
+
+    /// Gives a job to a program that stays alive between jobs.
+    pub fn employ(&self, job: &Job) -> Result<JobResult, StageError> {
+        self.0.employ(job)
+    }
+
+    /// The 32 bytes of a random stream as hexadecimal digits, for programs that draw by themselves.
+    pub fn stream_digits(&self, purpose: &str, item: &str) -> String {
+        self.0.stream_key(purpose, item).iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+
+    /// Keeps an entry of the step's log.
+    pub fn record(&self, entry: Entry) {
+        self.0.record(entry);
     }
 
     /// Opens the one file a parameter names.
@@ -401,6 +422,15 @@ pub trait Stage: Send + Sync + 'static {
     /// Whether `run` calls [`Context::execute`]; the engine refuses a program to a stage that does not declare it.
     const STARTS_PROGRAMS: bool = false;
 
+    /// Whether [`Stage::complete`] has something to add.
+    const IS_COMPLETED: bool = false;
+
+    /// Keys to be added to a step's `with` before its ports are asked for: what a file says that a parameter names. They take
+    /// the place of those that are written, and may not depend on an axis.
+    fn complete(_with: &Value, _planner: &dyn Planner) -> Result<serde_json::Map<String, Value>, Vec<Fault>> {
+        Ok(serde_json::Map::new())
+    }
+
     /// Whether these parameters make it draw random numbers; only then is the seed part of the recipe.
     fn draws(_params: &Self::Params) -> bool {
         false
@@ -449,6 +479,10 @@ pub trait AnyStage: Sync {
     fn outputs(&self) -> &'static [Port];
     /// Whether it has programs started.
     fn starts_programs(&self) -> bool;
+    /// Whether it adds keys to `with` before planning.
+    fn is_completed(&self) -> bool;
+    /// The keys it adds to `with`, see [`Stage::complete`].
+    fn complete(&self, with: &Value, planner: &dyn Planner) -> Result<serde_json::Map<String, Value>, Vec<Fault>>;
     /// The ports of a step whose `with` is written like this.
     fn ports(&self, with: &Value) -> Result<Ports, Vec<Fault>>;
     /// Its parameters.
@@ -505,6 +539,12 @@ impl<S: Stage> AnyStage for Row<S> {
     }
     fn starts_programs(&self) -> bool {
         S::STARTS_PROGRAMS
+    }
+    fn is_completed(&self) -> bool {
+        S::IS_COMPLETED
+    }
+    fn complete(&self, with: &Value, planner: &dyn Planner) -> Result<serde_json::Map<String, Value>, Vec<Fault>> {
+        S::complete(with, planner)
     }
     fn ports(&self, with: &Value) -> Result<Ports, Vec<Fault>> {
         S::ports(with)

@@ -57,6 +57,7 @@ impl Scheduler<'_> {
             keep: self.must_keep(instance),
             recompute: state.is_recompute(),
             lease: None,
+            check: self.options.check_determinism,
             timeout: step.timeout,
             retries: step.retries,
             sketch,

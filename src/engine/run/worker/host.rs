@@ -6,9 +6,10 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use rockface_cache::Store;
-use rockface_core::{Entry, Host, Program, ProgramResult, SourceFile, StageError};
+use rockface_core::{Entry, Host, Job, JobResult, Program, ProgramResult, SourceFile, StageError};
 
 use super::program::{Fault, Used};
+use super::standing::Standing;
 use super::work::Trouble;
 use crate::plan::InputFile;
 
@@ -24,13 +25,13 @@ pub struct StepHost<'a> {
     used: Mutex<Used>,
     /// Receives the reason if the store cannot do what a program needs; the stage sees only that it failed.
     trouble: &'a Trouble,
-    /// Whether the stage declares that it starts programs; others may not.
-    programs: bool,
+    /// Programs that stay alive between jobs, where the stage declares that it starts programs; others may not.
+    programs: Option<&'a Standing>,
 }
 
 impl<'a> StepHost<'a> {
     /// A host; `seed` is the key of the step's seed material, if the stage draws, and `deadline` when it is to give up.
-    /// Programs run in folders of the store, where the stage has said that it starts `programs`.
+    /// Programs run in folders of the store; without `programs` the stage may start none.
     pub fn new(
         seed: Option<[u8; 32]>,
         files: &'a BTreeMap<String, Vec<InputFile>>,
@@ -38,7 +39,7 @@ impl<'a> StepHost<'a> {
         stop: &'a AtomicBool,
         deadline: Option<Instant>,
         trouble: &'a Trouble,
-        programs: bool,
+        programs: Option<&'a Standing>,
     ) -> Self {
         let (entries, used) = (Mutex::default(), Mutex::default());
         Self { seed, files, store, entries, stop, deadline, used, trouble, programs }
@@ -53,6 +54,26 @@ impl<'a> StepHost<'a> {
     pub fn end(self) -> (Vec<Entry>, Used) {
         let entries = self.entries.into_inner().unwrap_or_else(PoisonError::into_inner);
         (entries, self.used.into_inner().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    fn programs(&self) -> Result<&'a Standing, StageError> {
+        self.programs.ok_or_else(|| StageError::new("no program is started here"))
+    }
+
+    /// Adds what a program took, and puts aside what is a fault of the store.
+    fn count<T>(&self, ended: Result<(T, Used), Fault>) -> Result<T, StageError> {
+        match ended {
+            Ok((result, used)) => {
+                self.add(used);
+                Ok(result)
+            }
+            Err(Fault::Program(error)) => Err(error),
+            Err(Fault::Store(error)) => {
+                let told = StageError::new(error.to_string());
+                *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(error.into());
+                Err(told)
+            }
+        }
     }
 
     /// Programs of a step run one after the other or side by side; their memory is that of the largest.
@@ -93,21 +114,12 @@ impl Host for StepHost<'_> {
     }
 
     fn execute(&self, program: &Program) -> Result<ProgramResult, StageError> {
-        if !self.programs {
-            return Err(StageError::new("no program is started here"));
-        }
-        match super::program::execute(program, self.files, self.store, &|| self.cancelled()) {
-            Ok((result, used)) => {
-                self.add(used);
-                Ok(result)
-            }
-            Err(Fault::Program(error)) => Err(error),
-            Err(Fault::Store(error)) => {
-                let told = StageError::new(error.to_string());
-                *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(error.into());
-                Err(told)
-            }
-        }
+        self.programs()?;
+        self.count(super::program::execute(program, self.files, self.store, &|| self.cancelled()))
+    }
+
+    fn employ(&self, job: &Job) -> Result<JobResult, StageError> {
+        self.count(self.programs()?.employ(job, self.files, self.store, &|| self.cancelled()))
     }
 
     fn cancelled(&self) -> bool {

@@ -3,6 +3,7 @@
 mod host;
 mod program;
 pub mod rerun;
+mod standing;
 pub mod tools;
 mod work;
 mod workers;

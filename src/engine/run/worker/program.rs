@@ -8,7 +8,7 @@ use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::Duration;
 
-use rockface_cache::{SafePath, Store, StoreError};
+use rockface_cache::{SafePath, Scratch, Store, StoreError};
 use rockface_core::{Piece, Program, ProgramResult, StageError};
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 use wait4::Wait4;
@@ -63,6 +63,39 @@ pub fn execute(
     let folder = scratch.path();
     lay_out(program, folder)?;
     let (mut stdout, mut stderr) = (scratch_file(folder)?, scratch_file(folder)?);
+    let (name, mut command) = prepared(program, files, &scratch)?;
+    command
+        .stdin(Stdio::null())
+        .stdout(stdout.try_clone().map_err(in_folder("keep what a program prints in", folder))?)
+        .stderr(stderr.try_clone().map_err(in_folder("keep what a program prints in", folder))?);
+    let child = command.spawn().map_err(|error| {
+        let fault = StageError::new(format!("cannot run `{name}`: {error}"));
+        fault.hint("install it, or name a script under `files` and write {file.name}")
+    })?;
+    let (status, mut used) = wait(child, give_up)?;
+    used.tools = tools::state(call(program, &name), store);
+    if !status.success() && is_full(folder) {
+        return Err(StoreError::DiskFull { path: folder.to_owned() }.into());
+    }
+    let read = in_folder("read what a program left in", folder);
+    let (outputs, folders) = collected(&program.outputs, folder).map_err(&read)?;
+    let result = ProgramResult {
+        exit_code: status.code(),
+        signal: status.signal(),
+        stdout: kept(&mut stdout).map_err(&read)?,
+        stderr: kept(&mut stderr).map_err(&read)?,
+        outputs,
+        folders,
+    };
+    Ok((result, used))
+}
+
+/// The name of a program, and how it is started: in its folder, in a process group of its own, with a plain environment.
+pub fn prepared(
+    program: &Program,
+    files: &BTreeMap<String, Vec<InputFile>>,
+    scratch: &Scratch,
+) -> Result<(String, Command), StageError> {
     let name = joined(&program.program, files)?;
     let mut command = Command::new(&name);
     for arg in &program.args {
@@ -75,50 +108,30 @@ pub fn execute(
         .env("LC_ALL", "C.UTF-8")
         .env("TMPDIR", scratch.temporary())
         .envs(&program.environment)
-        .current_dir(folder)
-        .stdin(Stdio::null())
-        .stdout(stdout.try_clone().map_err(in_folder("keep what a program prints in", folder))?)
-        .stderr(stderr.try_clone().map_err(in_folder("keep what a program prints in", folder))?)
+        .current_dir(scratch.path())
         .process_group(0);
-    let child = command.spawn().map_err(|error| {
-        let fault = StageError::new(format!("cannot run `{name}`: {error}"));
-        fault.hint("install it, or name a script under `files` and write {file.name}")
-    })?;
-    let (status, mut used) = wait(child, give_up)?;
-    used.tools = tools::state(call(program, &name), store);
-    if !status.success() && is_full(folder) {
-        return Err(StoreError::DiskFull { path: folder.to_owned() }.into());
-    }
-    let read = in_folder("read what a program left in", folder);
-    let result = ProgramResult {
-        exit_code: status.code(),
-        signal: status.signal(),
-        stdout: kept(&mut stdout).map_err(&read)?,
-        stderr: kept(&mut stderr).map_err(&read)?,
-        outputs: collect(program, folder).map_err(&read)?,
-        folders: program.outputs.iter().filter(|place| folder.join(place).is_dir()).cloned().collect(),
-    };
-    Ok((result, used))
+    Ok((name, command))
 }
 
 /// How a program was called; one that a parameter names is part of the recipe.
 fn call(program: &Program, name: &str) -> Option<Call> {
-    let named = program.program.iter().any(|piece| matches!(piece, Piece::File(_)));
+    let named = program.program.iter().any(|piece| !matches!(piece, Piece::Text(_)));
     let search = program.environment.get("PATH").cloned();
     (!named).then(|| Call { program: name.to_owned(), search })
 }
 
-fn failed(what: &'static str) -> impl Fn(std::io::Error) -> StageError {
+/// An error that says what failed.
+pub fn failed(what: &'static str) -> impl Fn(std::io::Error) -> StageError {
     move |error| StageError::new(format!("cannot {what}: {error}"))
 }
 
 /// What goes wrong in a folder of the store is a fault of the store.
-fn in_folder<'a>(action: &'static str, folder: &'a Path) -> impl Fn(std::io::Error) -> StoreError + use<'a> {
+pub fn in_folder<'a>(action: &'static str, folder: &'a Path) -> impl Fn(std::io::Error) -> StoreError + use<'a> {
     move |error| StoreError::io(action, folder, error)
 }
 
 /// Whether nothing more can be written there.
-fn is_full(folder: &Path) -> bool {
+pub fn is_full(folder: &Path) -> bool {
     rustix::fs::statvfs(folder).is_ok_and(|room| room.f_bavail.saturating_mul(room.f_frsize) < FULL_BYTES)
 }
 
@@ -139,9 +152,11 @@ fn lay_out(program: &Program, folder: &Path) -> Result<(), StoreError> {
     Ok(())
 }
 
-fn joined(pieces: &[Piece], files: &BTreeMap<String, Vec<InputFile>>) -> Result<String, StageError> {
+/// The text of pieces, with the paths of files.
+pub fn joined(pieces: &[Piece], files: &BTreeMap<String, Vec<InputFile>>) -> Result<String, StageError> {
     let text = |piece: &Piece| match piece {
         Piece::Text(text) => Ok(text.clone()),
+        Piece::Found(found) => Ok(crate::plan::find(*found).display().to_string()),
         Piece::File(written) => {
             let file = files.get(written).and_then(|files| files.first());
             let file = file.ok_or_else(|| StageError::new(format!("`{written}` is not named by a file parameter")))?;
@@ -197,7 +212,22 @@ fn kept(file: &mut File) -> std::io::Result<String> {
     Ok(format!("{head}\n… {} bytes left out …\n{tail}", length - 2 * KEPT_BYTES))
 }
 
-fn collect(program: &Program, folder: &Path) -> std::io::Result<BTreeMap<String, Vec<u8>>> {
-    let found = program.outputs.iter().map(|place| (place, folder.join(place))).filter(|(_, path)| path.is_file());
-    found.map(|(place, path)| Ok((place.clone(), fs::read(path)?))).collect()
+/// What was printed to a file, if there is one.
+pub fn kept_of(path: &Path) -> std::io::Result<String> {
+    match File::open(path) {
+        Ok(mut file) => kept(&mut file),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(String::new()),
+        Err(error) => Err(error),
+    }
+}
+
+/// Files by place.
+type Collected = BTreeMap<String, Vec<u8>>;
+
+/// The wanted files that are there, and those in whose place there is a folder.
+pub fn collected(wanted: &[String], folder: &Path) -> std::io::Result<(Collected, Vec<String>)> {
+    let found = wanted.iter().map(|place| (place, folder.join(place))).filter(|(_, path)| path.is_file());
+    let outputs: std::io::Result<_> = found.map(|(place, path)| Ok((place.clone(), fs::read(path)?))).collect();
+    let folders = wanted.iter().filter(|place| folder.join(place).is_dir()).cloned().collect();
+    Ok((outputs?, folders))
 }

@@ -48,7 +48,7 @@ pub fn with_channels(
     }
     let inputs = inputs(recipe, store, kind_of)?;
     let (files, stop, trouble) = (BTreeMap::new(), AtomicBool::new(false), Trouble::default());
-    let host = StepHost::new(recipe.seed.as_ref().map(SeedMaterial::key), &files, store, &stop, None, &trouble, false);
+    let host = StepHost::new(recipe.seed.as_ref().map(SeedMaterial::key), &files, store, &stop, None, &trouble, None);
     Ok(stage.run(&with, &inputs, &Context::new(&host))?.into_inner())
 }
 

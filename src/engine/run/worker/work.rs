@@ -16,6 +16,7 @@ use rockface_core::{AnyStage, Context, Entry, Inputs, Later, Look, Point, Port, 
 
 use super::host::StepHost;
 use super::program::Used;
+use super::standing::Standing;
 use super::tools;
 use crate::plan::{InputFile, StepParams, has_ports};
 use crate::run::scheduler::Spilled;
@@ -66,6 +67,8 @@ pub struct Task {
     pub recompute: bool,
     /// The lock of its key, if it is held already.
     pub lease: Option<KeyLock>,
+    /// Whether it runs twice, to see whether its outputs are the same.
+    pub check: bool,
     /// How long one go may take.
     pub timeout: Option<Duration>,
     /// How often it is tried again after a failure.
@@ -74,6 +77,19 @@ pub struct Task {
     pub sketch: Option<&'static dyn Look>,
     /// The greatest memory of the process that was seen since it began, bytes.
     pub peak_bytes: Arc<AtomicU64>,
+}
+
+/// Where a worker works.
+#[derive(Clone, Copy)]
+pub struct Place<'a> {
+    /// Inputs, results and locks.
+    pub store: &'a Store,
+    /// Threads for computing.
+    pub pool: &'a ThreadPool,
+    /// Whether to stop.
+    pub stop: &'a AtomicBool,
+    /// Programs that stay alive between jobs.
+    pub standing: &'a Standing,
 }
 
 /// What a worker brings back.
@@ -130,7 +146,8 @@ pub fn guarded<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failur
 ///
 /// Locks are taken and the store is used on the calling thread. Only computing goes into the pool: a thread of the pool
 /// that waits for its fellows takes up other work meanwhile, and must not come upon a lock held further down its stack.
-pub fn work(task: &Task, store: &Store, pool: &ThreadPool, stop: &AtomicBool) -> Result<Done, Failure> {
+pub fn work(task: &Task, place: Place) -> Result<Done, Failure> {
+    let Place { store, pool, .. } = place;
     let lock = if task.lease.is_none() { store.try_lock(&task.key)? } else { None };
     if task.lease.is_none() && lock.is_none() {
         return Err(Failure::Held);
@@ -146,7 +163,10 @@ pub fn work(task: &Task, store: &Store, pool: &ThreadPool, stop: &AtomicBool) ->
     let trouble = Trouble::default();
     let (inputs, stored) = inputs(task, store, &trouble);
     let before = fingerprints(task)?;
-    let (outputs, entries, retried, programs) = attempts(task, (&inputs, &trouble), (store, pool), stop)?;
+    let (outputs, entries, retried, programs) = attempts(task, (&inputs, &trouble), place)?;
+    if task.check {
+        check_again(task, (&inputs, &trouble), place, &outputs)?;
+    }
     unchanged_files(task, store, &before)?;
     let values: BTreeMap<_, _> = outputs.into_iter().map(|(port, value)| (port, Arc::new(value))).collect();
     let mut outcome = keep(task, store, pool, &values, &entries)?;
@@ -277,25 +297,42 @@ type Fingerprint = (u64, i64, i64, i64, i64, u64);
 fn attempts(
     task: &Task,
     inputs: (&Inputs, &Trouble),
-    (store, pool): (&Store, &ThreadPool),
-    stop: &AtomicBool,
+    place: Place,
 ) -> Result<(Made, Vec<Entry>, Vec<String>, Used), Failure> {
     let (mut told, mut said) = (Vec::new(), Vec::new());
     loop {
-        let (result, (entries, used)) = attempt(task, inputs, (store, pool), stop)?;
+        let (result, (entries, used)) = attempt(task, inputs, place)?;
         let error = match result {
             Ok(outputs) => return Ok((outputs, entries, told, used)),
             Err(error) => error,
         };
         said.extend(entries);
-        if told.len() == task.retries as usize || stop.load(Ordering::Relaxed) {
+        if told.len() == task.retries as usize || place.stop.load(Ordering::Relaxed) {
             // If the log cannot be stored, the cause is reported all the same.
-            return Err(Failure::Stage(error, keep_log(store, &said).unwrap_or_default()));
+            return Err(Failure::Stage(error, keep_log(place.store, &said).unwrap_or_default()));
         }
         let text = format!("attempt {} of {} failed: {error}", told.len() + 1, task.retries + 1);
         said.push(Entry::Warning { text: text.clone() });
         told.push(text);
     }
+}
+
+/// Runs the stage once more and refuses outputs that differ.
+fn check_again(task: &Task, inputs: (&Inputs, &Trouble), place: Place, first: &Made) -> Result<(), Failure> {
+    let (second, _) = attempt(task, inputs, place)?;
+    let second = second?;
+    for (port, value) in first {
+        let encoded = |value: &Artefact| value.encode().map_err(|error| StageError::new(error.to_string()));
+        let again = second.get(port).map(encoded).transpose()?;
+        if again.as_ref() != Some(&encoded(value)?) {
+            let message =
+                format!("it is not deterministic: output `{port}` differs between two runs with equal inputs");
+            let hint =
+                "draw random numbers from the step's own stream only, and depend on no clock, thread or order of a set";
+            return Err(StageError::new(message).hint(hint).into());
+        }
+    }
+    Ok(())
 }
 
 /// Stores the log of a step, unless it is empty.
@@ -306,12 +343,11 @@ fn keep_log(store: &Store, said: &[Entry]) -> Result<Option<Digest>, StoreError>
 fn attempt(
     task: &Task,
     (inputs, trouble): (&Inputs, &Trouble),
-    (store, pool): (&Store, &ThreadPool),
-    stop: &AtomicBool,
+    Place { store, pool, stop, standing }: Place,
 ) -> Result<Attempt, Failure> {
     let seed = task.recipe.seed.as_ref().map(rockface_cache::SeedMaterial::key);
     let deadline = task.timeout.map(|timeout| Instant::now() + timeout);
-    let programs = task.stage.starts_programs();
+    let programs = task.stage.starts_programs().then_some(standing);
     let host = StepHost::new(seed, &task.params.files, store, stop, deadline, trouble, programs);
     let result = pool.install(|| run_stage(task, inputs, &host));
     if let Some(failure) = trouble.lock().unwrap_or_else(PoisonError::into_inner).take() {

@@ -8,7 +8,8 @@ use std::thread::JoinHandle;
 use rayon::ThreadPool;
 use rockface_cache::Store;
 
-use super::work::{self, Done, Failure, Task};
+use super::standing::Standing;
+use super::work::{self, Done, Failure, Place, Task};
 use crate::run::{Options, RunError};
 
 /// What came of a task, by instance.
@@ -28,6 +29,7 @@ struct Shared {
     store: Arc<Store>,
     pool: ThreadPool,
     stop: Arc<AtomicBool>,
+    standing: Standing,
 }
 
 impl Workers {
@@ -41,7 +43,8 @@ impl Workers {
         let pool = pool.map_err(|error| RunError::Threads(error.to_string()))?;
         let (tasks, queue) = channel();
         let (results, receiver) = channel();
-        let shared = Shared { queue: Mutex::new(queue), store: store.clone(), pool, stop: stop.clone() };
+        let (queue, standing) = (Mutex::new(queue), Standing::default());
+        let shared = Shared { queue, store: store.clone(), pool, stop: stop.clone(), standing };
         Ok((Self { tasks, results, shared: Arc::new(shared), threads: Vec::new() }, receiver))
     }
 
@@ -70,7 +73,8 @@ impl Shared {
     fn work_off(&self, results: &Sender<Result>) {
         while let Some(task) = self.next_task() {
             let instance = task.instance;
-            let result = work::guarded(|| work::work(&task, &self.store, &self.pool, &self.stop));
+            let place = Place { store: &self.store, pool: &self.pool, stop: &self.stop, standing: &self.standing };
+            let result = work::guarded(|| work::work(&task, place));
             // Its inputs are released before the scheduler hears of it, which then counts what is in memory.
             drop(task);
             // Nobody listens any more once the run was stopped.

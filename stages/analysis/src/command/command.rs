@@ -1,14 +1,13 @@
 //! `command`: runs any program over declared inputs and outputs.
 
-mod declared;
 mod fill;
 
 use std::collections::BTreeMap;
 
 use serde_json::Value;
 
-use self::declared::Declared;
 use self::fill::{Names, TEMPLATE, pieces};
+use super::declared::{self, Declared};
 use rockface_core::artefact::Artefact;
 use rockface_core::format::table_file;
 use rockface_core::params::{Fault, FileRef};
@@ -53,7 +52,7 @@ impl Stage for Command {
     const STARTS_PROGRAMS: bool = true;
 
     fn ports(with: &Value) -> Result<Ports, Vec<Fault>> {
-        declared::ports(with)
+        declared::ports(with, "no output is declared: for example outputs: {table: {kind: table, extension: csv}}")
     }
 
     fn draws(params: &CommandParams) -> bool {
@@ -116,7 +115,9 @@ fn program(params: &CommandParams, inputs: &Inputs, context: &Context) -> Result
 fn plain(pieces: &[Piece]) -> Result<String, StageError> {
     let text = |piece: &Piece| match piece {
         Piece::Text(text) => Ok(text.clone()),
-        Piece::File(_) => Err(StageError::new("{file.name} stands for a path in `args`, not in `environment`")),
+        Piece::File(_) | Piece::Found(_) => {
+            Err(StageError::new("{file.name} stands for a path in `args`, not in `environment`"))
+        }
     };
     pieces.iter().map(text).collect()
 }

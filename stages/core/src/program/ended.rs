@@ -25,13 +25,17 @@ const SIGNALS: [(i32, &str, &str); 13] = [
 
 /// Refuses any end but that with code 0.
 pub fn well(program: &str, result: &ProgramResult) -> Result<(), StageError> {
+    if result.exit_code == Some(0) { Ok(()) } else { Err(ended(program, result)) }
+}
+
+/// The error of a program that was not to end, or not like this.
+pub fn ended(program: &str, result: &ProgramResult) -> StageError {
     let how = match (result.exit_code, result.signal) {
-        (Some(0), _) => return Ok(()),
         (Some(code), _) => format!("ended with code {code}"),
         (None, Some(signal)) => format!("was ended by {}", named(signal)),
         (None, None) => "did not end by itself".to_owned(),
     };
-    Err(StageError::new(format!("`{program}` {how}{}", last_words(&result.stderr))))
+    StageError::new(format!("`{program}` {how}{}", last_words(&result.stderr)))
 }
 
 /// Keeps what a program said in the step's log.

@@ -95,7 +95,7 @@ fn the_command_line_program_runs_once_for_each_thing() {
     let (result, asked) = run("COLMAP 3.8 -- Structure-from-Motion", &makes, &with);
     let first = |program: &Program| match &program.args[0][0] {
         rockface_core::Piece::Text(text) => text.clone(),
-        rockface_core::Piece::File(_) => panic!("a file"),
+        rockface_core::Piece::File(_) | rockface_core::Piece::Found(_) => panic!("a file"),
     };
     assert_eq!(asked.iter().map(first).collect::<Vec<_>>(), ["help", "stereo_fusion", "poisson_mesher"]);
     assert!(result.unwrap_err().message.contains("without making `out/meshed.ply`"));

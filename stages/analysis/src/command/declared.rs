@@ -103,8 +103,8 @@ impl ParamType for Declared {
     }
 }
 
-/// The ports that a step's `with` declares.
-pub fn ports(with: &Value) -> Result<Ports, Vec<Fault>> {
+/// The ports that a step's `with` declares; `without` is the fault of one that declares no output.
+pub fn ports(with: &Value, without: &str) -> Result<Ports, Vec<Fault>> {
     let empty = Value::Object(serde_json::Map::new());
     let side = |key: &str| {
         let declared = BTreeMap::<String, Declared>::decode(with.get(key).unwrap_or(&empty));
@@ -117,9 +117,7 @@ pub fn ports(with: &Value) -> Result<Ports, Vec<Fault>> {
     };
     let (inputs, outputs) = (side("inputs")?, side("outputs")?);
     if outputs.is_empty() {
-        return Err(vec![Fault::new(
-            "no output is declared: for example outputs: {table: {kind: table, extension: csv}}",
-        )]);
+        return Err(vec![Fault::new(without)]);
     }
     if let Some(port) = outputs.iter().find(|(_, declared)| declared.arity != Arity::One).map(|(port, _)| port) {
         let fault = Fault::new("every output is one file that is always made; no `many` or `optional`");

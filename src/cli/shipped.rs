@@ -1,0 +1,215 @@
+//! The pipelines that ship with the program: `rockface run quickstart` needs no file, `rockface init --from` copies one.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use super::{CliError, PipelineArgs};
+use rockface_engine::diagnostic::nearest;
+
+/// Files of the folder `pipelines` by their path in it.
+macro_rules! files {
+    ($($path:literal),* $(,)?) => {
+        [$(($path, include_str!(concat!("../../pipelines/", $path)))),*]
+    };
+}
+
+/// Every file of the folder `pipelines`; a test compares the list with the folder.
+const FILES: [(&str, &str); 23] = files![
+    "benchmark-outcrop.yaml",
+    "benchmark.yaml",
+    "calibrate-outcrop.yaml",
+    "calibrate.yaml",
+    "dataset.yaml",
+    "external-fusion.yaml",
+    "hunter-valley-blocks.csv",
+    "hunter-valley-blocks.yaml",
+    "hunter-valley.yaml",
+    "nobbys-head.yaml",
+    "outcrop.yaml",
+    "own-detector.yaml",
+    "parts/detection-benchmark.yaml",
+    "parts/matching-synthetic.yaml",
+    "parts/site-outcrop.yaml",
+    "parts/site-synthetic.yaml",
+    "python-script.yaml",
+    "quickstart.yaml",
+    "replicate-event.yaml",
+    "scripts/own_detector.py",
+    "scripts/vertex_bands.py",
+    "shell-tool.yaml",
+    "trier-cliff.yaml",
+];
+
+/// What a shipped pipeline may be called by in any folder, whatever files are in it.
+const PREFIX: &str = "rockface/";
+
+/// A pipeline that ships with the program.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Shipped {
+    /// Its name, such as `quickstart`.
+    name: &'static str,
+    /// Its file.
+    file: &'static str,
+    /// Its text.
+    text: &'static str,
+}
+
+impl Shipped {
+    /// All of them, by name.
+    fn all() -> impl Iterator<Item = Self> {
+        FILES.iter().filter_map(|(file, text)| {
+            let name = file.strip_suffix(".yaml").filter(|name| !name.contains('/'))?;
+            Some(Self { name, file, text })
+        })
+    }
+
+    /// The one of this name, with or without `rockface/`.
+    ///
+    /// # Errors
+    /// There is none: the message lists those there are.
+    pub fn find(name: &str) -> Result<Self, CliError> {
+        let plain = name.strip_prefix(PREFIX).unwrap_or(name);
+        Self::all().find(|shipped| shipped.name == plain).ok_or_else(|| unknown(name, plain))
+    }
+
+    /// The files it reads besides its own: included pipelines, scripts and tables, with their texts.
+    fn others(self) -> Vec<(&'static str, &'static str)> {
+        let mut found = vec![(self.file, self.text)];
+        let mut at = 0;
+        while at < found.len() {
+            let text = found[at].1;
+            let named = FILES.iter().filter(|(path, _)| {
+                let is_other = is_pipeline(path) && !path.contains('/');
+                !is_other && text.contains(path) && !found.iter().any(|(known, _)| known == path)
+            });
+            let named: Vec<_> = named.copied().collect();
+            found.extend(named);
+            at += 1;
+        }
+        found.split_off(1)
+    }
+
+    /// What is to be written to a folder to run it from there: paths and texts, its own file first.
+    pub fn files(self) -> Vec<(&'static str, &'static str)> {
+        std::iter::once((self.file, self.text)).chain(self.others()).collect()
+    }
+
+    /// The texts of the pipelines it may include, as if they stood in this folder.
+    fn included(self, folder: &Path) -> BTreeMap<PathBuf, String> {
+        let pipelines = self.others().into_iter().filter(|(path, _)| is_pipeline(path));
+        pipelines.map(|(path, text)| (folder.join(path), text.to_owned())).collect()
+    }
+
+    /// Refuses a pipeline whose scripts or tables are not in the folder it would run in.
+    fn check(self, folder: &Path) -> Result<(), CliError> {
+        let mut missing =
+            self.others().into_iter().filter(|(path, _)| !is_pipeline(path) && !folder.join(path).is_file());
+        let Some((path, _)) = missing.next() else { return Ok(()) };
+        let name = self.name;
+        Err(CliError::Usage(format!(
+            "the shipped pipeline `{name}` reads `{path}`, which is not in this folder: `rockface init DIR --from {name}` \
+             writes the pipeline with its files"
+        )))
+    }
+}
+
+fn unknown(name: &str, plain: &str) -> CliError {
+    let names: Vec<&str> = Shipped::all().map(|shipped| shipped.name).collect();
+    let near = nearest(plain, &names).map(|near| format!("did you mean `{near}`? "));
+    let (near, listed) = (near.unwrap_or_default(), names.join(", "));
+    CliError::Usage(format!(
+        "`{name}` is no file, and no pipeline of that name ships with rockface: {near}give a YAML file or one of {listed}"
+    ))
+}
+
+impl PipelineArgs {
+    /// Takes a shipped pipeline where the argument is a bare name and no file: it runs as if it stood in the working folder.
+    ///
+    /// # Errors
+    /// No pipeline ships under that name, a file of the working folder may be meant as well, or scripts it needs are not there.
+    pub fn take_shipped(&mut self) -> Result<(), CliError> {
+        let Some(name) = self.pipeline.to_str().filter(|name| is_name(name)) else { return Ok(()) };
+        if self.text.is_some() || std::fs::symlink_metadata(&self.pipeline).is_ok() {
+            return Ok(());
+        }
+        let shipped = Shipped::find(name)?;
+        let file = Path::new(shipped.file);
+        if !name.starts_with(PREFIX) && file.exists() {
+            let (file, name) = (file.display(), shipped.name);
+            return Err(CliError::Usage(format!(
+                "`{name}` ships with rockface, and there is a `{file}` in this folder: write `{file}` for the file or \
+                 `{PREFIX}{name}` for the shipped one"
+            )));
+        }
+        let here = std::path::absolute(".").map_err(|error| {
+            CliError::Usage(format!("cannot find the working folder: {error}; go to a folder that is there"))
+        })?;
+        shipped.check(&here)?;
+        file.clone_into(&mut self.pipeline);
+        self.text = Some(shipped.text.to_owned());
+        self.included = shipped.included(&here);
+        self.shipped = true;
+        Ok(())
+    }
+}
+
+/// Whether a file is a pipeline or a part of one.
+fn is_pipeline(path: &str) -> bool {
+    Path::new(path).extension().is_some_and(|extension| extension == "yaml")
+}
+
+/// Whether an argument can name a shipped pipeline: one word of letters, digits and `-`.
+fn is_name(text: &str) -> bool {
+    let plain = text.strip_prefix(PREFIX).unwrap_or(text);
+    !plain.is_empty() && plain.chars().all(|letter| letter.is_ascii_alphanumeric() || letter == '-')
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Paths of the files below a folder, relative to it.
+    fn below(folder: &Path, prefix: &str) -> Vec<String> {
+        let mut found = Vec::new();
+        for entry in std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap()) {
+            let name = format!("{prefix}{}", entry.file_name().to_string_lossy());
+            if name.contains("/.") || name.starts_with('.') || name.contains("__pycache__") {
+                continue;
+            }
+            match entry.path() {
+                path if path.is_dir() => found.extend(below(&path, &format!("{name}/"))),
+                _ => found.push(name),
+            }
+        }
+        found
+    }
+
+    #[test]
+    fn every_file_of_the_folder_is_shipped() {
+        let mut there = below(&Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines"), "");
+        there.sort();
+        let mut shipped: Vec<&str> = FILES.iter().map(|(path, _)| *path).collect();
+        shipped.sort_unstable();
+        assert_eq!(shipped, there);
+    }
+
+    #[test]
+    fn a_pipeline_comes_with_what_it_reads() {
+        let files = |name: &str| {
+            let files = Shipped::find(name).unwrap_or_else(|error| panic!("{error}")).files();
+            files.into_iter().map(|(path, _)| path).collect::<Vec<_>>()
+        };
+        assert_eq!(files("quickstart"), ["quickstart.yaml"]);
+        assert_eq!(files("rockface/hunter-valley-blocks"), ["hunter-valley-blocks.yaml", "hunter-valley-blocks.csv"]);
+        assert_eq!(files("python-script"), ["python-script.yaml", "scripts/vertex_bands.py"]);
+        assert!(files("benchmark").contains(&"parts/site-synthetic.yaml"));
+    }
+
+    #[test]
+    fn other_names_get_the_list() {
+        let told = Shipped::find("quickstrat").unwrap_err().to_string();
+        assert!(told.contains("did you mean `quickstart`?") && told.contains("benchmark, "), "{told}");
+        assert!(is_name("nobbys-head") && is_name("rockface/quickstart"));
+        assert!(!["a.yaml", "./quickstart", "a/b", "", "rockface/"].into_iter().any(is_name));
+    }
+}

@@ -1,0 +1,42 @@
+//! Pipelines that ship with the program: called by name, and copied with what they read.
+
+use crate::cli::{House, SMALL};
+
+#[test]
+fn a_shipped_pipeline_plans_without_a_file() {
+    let house = House::new(SMALL);
+    for name in ["quickstart", "rockface/benchmark"] {
+        let (code, out, err) = house.rockface(&["plan", name]);
+        assert!(code == Some(0) && out.contains("0 hit"), "{out}{err}");
+    }
+    let (code, out, err) = house.rockface(&["graph", "quickstart", "--format", "mermaid"]);
+    assert!(code == Some(0) && out.contains("verdict"), "{err}");
+    let (code, out, err) = house.rockface(&["explain", "quickstart", "face"]);
+    assert!(code == Some(0) && out.contains("synthesise-face"), "{err}");
+}
+
+#[test]
+fn what_no_pipeline_is_called_gets_a_suggestion() {
+    let house = House::new(SMALL);
+    let (code, _, err) = house.rockface(&["run", "quickstrat"]);
+    assert!(code == Some(2) && err.contains("did you mean `quickstart`?") && err.contains("benchmark"), "{err}");
+    let (code, _, err) = house.rockface(&["init", "a", "--from", "bench"]);
+    assert!(code == Some(2) && err.contains("one of benchmark-outcrop"), "{err}");
+}
+
+#[test]
+fn a_copy_has_all_that_is_read_and_is_not_mistaken_for_the_shipped_one() {
+    let house = House::new(SMALL);
+    let (code, _, err) = house.rockface(&["plan", "python-script"]);
+    assert!(code == Some(2) && err.contains("rockface init DIR --from python-script"), "{err}");
+    let (code, out, err) = house.rockface(&["init", ".", "--from", "python-script"]);
+    assert!(code == Some(0) && out.contains("rockface run ./python-script.yaml"), "{out}{err}");
+    let (code, out, err) = house.rockface(&["plan", "python-script.yaml"]);
+    assert!(code == Some(0) && out.contains("counted"), "{err}");
+    let (code, _, err) = house.rockface(&["plan", "python-script"]);
+    assert!(code == Some(2) && err.contains("`rockface/python-script` for the shipped one"), "{err}");
+    let (code, _, err) = house.rockface(&["plan", "rockface/python-script"]);
+    assert_eq!(code, Some(0), "{err}");
+    let (code, _, err) = house.rockface(&["init", ".", "--from", "python-script"]);
+    assert!(code == Some(2) && err.contains("is there already"), "{err}");
+}
