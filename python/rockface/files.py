@@ -1,0 +1,191 @@
+"""Reads the file of any artefact by its kind."""
+
+from __future__ import annotations
+
+import io
+import json
+import mmap
+import tarfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rockface._errors import FormatError
+from rockface.artefacts import (
+    Cameras,
+    Cloud,
+    Covariance,
+    DepthMap,
+    Figure,
+    File,
+    Files,
+    Frame,
+    Image,
+    Inventory,
+    Mesh,
+    Meshes,
+    Pair,
+    Pairs,
+    Picture,
+    Raster,
+    Record,
+    Sensor,
+    Surface,
+    Table,
+    Transform,
+)
+from rockface.formats import exr, geotiff, ply
+
+__all__ = ["Artefact", "decode", "read"]
+
+Artefact = (
+    Raster | DepthMap | Mesh | Meshes | Cloud | Surface | Cameras | Pairs | Transform | Covariance | Table | Inventory
+    | Picture | Figure | File | Files | Record
+)  # fmt: skip
+"""Anything a step makes."""
+
+KINDS = {
+    ".tif": "raster", ".tiff": "raster", ".exr": "depth", ".ply": "ply", ".surface": "surface", ".png": "picture",
+    ".svg": "figure", ".geojson": "inventory", ".tar": "files", ".json": "json",
+}  # fmt: skip
+SURFACE = b"rockface surface 1\n"
+RASTER = b"rockface raster 1\n"
+
+
+def read(path: str | Path) -> Artefact:
+    """Reads a file that rockface wrote, by its extension: arrays are views of the mapped file where the format allows.
+
+    ```python
+    difference = rockface.read("outputs/change/raster.tif")
+    ```
+
+    Raises:
+        FormatError: the file is damaged, or of a kind that is not read here.
+    """
+    path = Path(path)
+    kind = KINDS.get(path.suffix.lower(), "file")
+    return decode(kind, mapped(path))
+
+
+def mapped(path: Path) -> memoryview:
+    """The bytes of a file, mapped into memory and not copied."""
+    with path.open("rb") as file:
+        if path.stat().st_size == 0:
+            return memoryview(b"")
+        return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+
+
+def decode(kind: str, data: memoryview) -> Artefact:
+    """The artefact of this kind in these bytes."""
+    reader = READERS.get(kind)
+    if reader is None:
+        raise FormatError(f"unknown kind of artefact `{kind}`")
+    try:
+        return reader(data)
+    except (KeyError, TypeError, ValueError) as error:
+        raise FormatError(f"the bytes are no {kind}: {error!r}") from error
+
+
+def _json(data: memoryview) -> dict[str, Any]:
+    value = json.loads(bytes(data))
+    if not isinstance(value, dict):
+        raise FormatError("not the JSON of an artefact")
+    return value
+
+
+def _any_json(data: memoryview) -> Artefact:
+    """JSON whose kind follows from its keys."""
+    value = _json(data)
+    marks = {"images": "cameras", "pairs": "pairs", "rotation": "transform", "matrix": "covariance", "rows": "table"}
+    kind = next((kind for key, kind in marks.items() if key in value), None)
+    return READERS[kind](data) if kind else Record("json", value)
+
+
+def _cameras(data: memoryview) -> Cameras:
+    value = _json(data)
+    sensors, images = map(Sensor.of, value["sensors"]), map(Image.of, value["images"])
+    return Cameras(Frame.of(value["frame"]), list(sensors), list(images))
+
+
+def _transform(data: memoryview) -> Transform:
+    value = _json(data)
+    arrays = (np.array(value[key], float) for key in ("rotation", "origin", "translation"))
+    return Transform(value["from"], value["to"], *arrays)
+
+
+def _covariance(data: memoryview) -> Covariance:
+    value = _json(data)
+    matrix = np.array(value["matrix"], float)
+    return Covariance(Frame.of(value["frame"]), value["parameters"], matrix, value["sigma0_applied"], value["full_joint"])
+
+
+def _table(data: memoryview) -> Table:
+    value = _json(data)
+    return Table(value["columns"], value["rows"])
+
+
+def _inventory(data: memoryview) -> Inventory:
+    value = _json(data)
+    return Inventory(Frame.of(value.get("rockface", {}).get("frame", "wall")), value)
+
+
+def _files(data: memoryview) -> Files:
+    with tarfile.open(fileobj=io.BytesIO(data)) as tar:
+        members = ((member.name, tar.extractfile(member)) for member in tar if member.isfile())
+        return Files({name: file.read() for name, file in members if file})
+
+
+def _surface(data: memoryview) -> Surface:
+    if bytes(data[: len(SURFACE)]) != SURFACE:
+        raise FormatError("not a surface of rockface (version 1)")
+    header, at = _header(data, len(SURFACE))
+    height, width = header["height"], header["width"]
+    points = np.frombuffer(data, "<f4", height * width * 3, at).reshape(height, width, 3)
+    squares = np.frombuffer(data, np.uint8, offset=at + points.nbytes).reshape(height - 1, width - 1)
+    x, y, z = header["origin_m"]
+    return Surface(Frame.of(header["frame"]), (x, y, z), points, squares)
+
+
+def _header(data: memoryview, at: int) -> tuple[dict[str, Any], int]:
+    """The line of JSON from here on, and where the next line begins."""
+    end = bytes(data[at : at + (1 << 20)]).find(b"\n")
+    if end < 0:
+        raise FormatError("damaged file: its header has no end")
+    header: dict[str, Any] = json.loads(bytes(data[at : at + end]))
+    return header, at + end + 1
+
+
+def _mesh_like(kind: type) -> Callable[[memoryview], Artefact]:
+    def reader(data: memoryview) -> Artefact:
+        value = ply.read(data)
+        if not isinstance(value, kind):
+            raise FormatError(f"the PLY file holds a {type(value).__name__}, not a {kind.__name__}")
+        return value
+
+    return reader
+
+
+READERS: dict[str, Callable[[memoryview], Artefact]] = {
+    "raster": geotiff.read,
+    "depth": exr.read,
+    "ply": ply.read,
+    "mesh": _mesh_like(Mesh),
+    "meshes": _mesh_like(Meshes),
+    "cloud": _mesh_like(Cloud),
+    "surface": _surface,
+    "cameras": _cameras,
+    "pairs": lambda data: Pairs([Pair(**pair) for pair in _json(data)["pairs"]]),
+    "transform": _transform,
+    "covariance": _covariance,
+    "table": _table,
+    "inventory": _inventory,
+    "picture": lambda data: Picture(bytes(data)),
+    "figure": lambda data: Figure(bytes(data).decode()),
+    "file": lambda data: File(bytes(data)),
+    "files": _files,
+    "acceptance": lambda data: Record("acceptance", _json(data)),
+    "candidates": lambda data: Record("candidates", _json(data)),
+    "json": _any_json,
+}

@@ -1,0 +1,1 @@
+"""Readers of the files artefacts are kept in; each needs numpy only."""

@@ -1,0 +1,380 @@
+"""Past runs: their outputs as arrays, their numbers as one tidy table."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import re
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from rockface import _program
+from rockface._errors import RockfaceError
+from rockface.artefacts import Picture, Table
+from rockface.files import Artefact, decode, mapped
+from rockface.plans import Explanation, PlannedStep, explain, plan
+
+__all__ = ["Outputs", "Run", "Step", "find"]
+
+LABEL = re.compile(r"^(?P<step>[^.\[]+)(?P<one>\[[^\]]*\])?(\.(?P<port>[^.\[]+))?(?P<two>\[[^\]]*\])?$")
+PICTURES = 3
+"""Pictures that the head of a run shows."""
+PICTURE_BYTES = 600_000
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step instance of a run."""
+
+    step: str
+    """The step."""
+    point: Mapping[str, str]
+    """The item of each axis it stands for."""
+    stage: str
+    """Its stage."""
+    status: str
+    """`executed`, `cached`, `failed` or `not reached`."""
+    failure: str | None
+    """Why it failed."""
+    metrics: Mapping[str, float | None]
+    """The numbers it reported, by name."""
+    units: Mapping[str, str]
+    """Their units."""
+    parameters: Mapping[str, Any]
+    """Its parameters with every default; files are replaced by their digests."""
+    outputs: Mapping[str, str]
+    """Kinds of its outputs by port."""
+    seconds: float | None
+    """What it took when it was computed."""
+    paths: Mapping[str, str]
+    """Files of its outputs by port, relative to the run folder, where they have names there."""
+
+    @property
+    def label(self) -> str:
+        """`step[axis=item,...]`."""
+        items = ",".join(f"{axis}={item}" for axis, item in self.point.items())
+        return f"{self.step}[{items}]" if items else self.step
+
+    @staticmethod
+    def of(record: Mapping[str, Any]) -> Step:
+        """The step of its line in the manifest."""
+        metrics = record.get("metrics", [])
+        return Step(
+            record["step"],
+            record["point"],
+            record["stage"],
+            record["status"],
+            record.get("failure"),
+            {metric["name"]: metric["value"] for metric in metrics},
+            {metric["name"]: metric["unit"] for metric in metrics},
+            record.get("parameters") or {},
+            {port: output["kind"] for port, output in (record.get("outputs") or {}).items()},
+            (record.get("cost") or {}).get("wall_s"),
+            record.get("paths", {}),
+        )
+
+
+class Outputs(Sequence[Any]):
+    """One output at all its points; each is read when it is asked for.
+
+    ```python
+    for point, raster in run["dem.raster"].items():
+        print(point["epoch"], raster.values.mean())
+    ```
+    """
+
+    def __init__(self, run: Run, port: str, steps: list[Step]) -> None:
+        self._run, self._port, self._steps = run, port, steps
+
+    @property
+    def points(self) -> list[Mapping[str, str]]:
+        """The points, in the order of the run."""
+        return [step.point for step in self._steps]
+
+    def __len__(self) -> int:
+        return len(self._steps)
+
+    def __getitem__(self, place: Any) -> Any:
+        if isinstance(place, slice):
+            return Outputs(self._run, self._port, self._steps[place])
+        return self._run.artefact(self._steps[place], self._port)
+
+    def items(self) -> Iterator[tuple[Mapping[str, str], Artefact]]:
+        """Each point with its artefact."""
+        for step in self._steps:
+            yield step.point, self._run.artefact(step, self._port)
+
+    def at(self, **items: object) -> Any:
+        """The artefact at these items of the axes, or those that are left: `run["dem.raster"].at(epoch="pre")`."""
+        wanted = {axis: str(item) for axis, item in items.items()}
+        steps = [step for step in self._steps if wanted.items() <= dict(step.point).items()]
+        if not steps:
+            raise KeyError(f"no {self._steps[0].step}.{self._port} at {wanted}; the first point is {dict(self._steps[0].point)}")
+        rest = Outputs(self._run, self._port, steps)
+        return rest[0] if len(steps) == 1 else rest
+
+    def table(self) -> Table:
+        """Tables of all points as one; the items of the axes are the first columns."""
+        records = []
+        for point, value in self.items():
+            if not isinstance(value, Table):
+                raise RockfaceError(f"`{self._port}` is a {type(value).__name__}, not a table")
+            records += [{**_items(point), **row} for row in value]
+        return Table.of(records)
+
+    def __repr__(self) -> str:
+        step = self._steps[0]
+        return f"Outputs({step.step}.{self._port}: {step.outputs[self._port]} at {len(self)} points of {', '.join(step.point)})"
+
+
+class Run:
+    """A past run: `run["step.port"]` is an output, `run.table()` its numbers."""
+
+    def __init__(self, folder: str | Path, store: str | Path | None = None) -> None:
+        """Opens a run folder; `store` is where outputs are that have no name in the folder."""
+        self.folder = Path(folder).resolve()
+        """The folder with manifest, report, log and outputs."""
+        self.store = Path(store) if store else self.folder.parent.parent / "store"
+        """The store of results."""
+        self.computed: int | None = None
+        """Steps that the call of `rockface.run` computed; a run in which nothing is new is the former one."""
+        self.cached: int | None = None
+        """Steps that were cached when `rockface.run` was called."""
+        file = self.folder / "run.json"
+        try:
+            self.manifest: dict[str, Any] = json.loads(file.read_text())
+        except (OSError, ValueError) as error:
+            raise RockfaceError(f"{self.folder} is no run folder: {error}") from error
+        if self.manifest.get("format") != 1:
+            raise RockfaceError(f"{file} has format {self.manifest.get('format')}; this version reads 1")
+
+    @cached_property
+    def steps(self) -> list[Step]:
+        """All step instances."""
+        return [Step.of(record) for record in self.manifest["steps"]]
+
+    @property
+    def name(self) -> str:
+        """The name of the pipeline."""
+        return str(self.manifest["pipeline"]["name"])
+
+    @property
+    def status(self) -> str:
+        """`done` or `failed`."""
+        return str(self.manifest["status"])
+
+    @property
+    def headlines(self) -> list[str]:
+        """The results, a line each."""
+        return list(self.manifest["headlines"])
+
+    @property
+    def report(self) -> Path:
+        """The report, one HTML file."""
+        return self.folder / "report.html"
+
+    def outputs(self) -> list[str]:
+        """Every `step.port` of the run."""
+        return list(dict.fromkeys(f"{step.step}.{port}" for step in self.steps for port in step.outputs))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.outputs())
+
+    def __contains__(self, output: object) -> bool:
+        return output in self.outputs()
+
+    def __getitem__(self, output: str) -> Any:
+        """An output: `run["dem.raster"]`, `run["dem.raster[epoch=pre]"]`, or `run["dem"]` where the step has one output.
+
+        A step at several points gives `Outputs`, a sequence that reads each when asked for.
+        """
+        match = LABEL.match(output.replace(" ", ""))
+        if match is None:
+            raise KeyError(f"`{output}` is no output: write step.port or step.port[axis=item]")
+        picks = _picks((match["one"] or "") + (match["two"] or ""))
+        steps = [step for step in self.steps if step.step == match["step"] and step.outputs]
+        ports = list(dict.fromkeys(port for step in steps for port in step.outputs))
+        port = match["port"] or (ports[0] if len(ports) == 1 else "")
+        if port not in ports:
+            raise KeyError(self._unknown(output, match["step"], ports))
+        fitting = [step for step in steps if picks.items() <= dict(step.point).items()]
+        if not fitting:
+            raise KeyError(f"`{output}`: no such point; there are {', '.join(step.label for step in steps[:5])}, …")
+        if len(fitting) > 1:
+            return Outputs(self, port, fitting)
+        return self.artefact(fitting[0], port)
+
+    def _unknown(self, output: str, step: str, ports: list[str]) -> str:
+        from difflib import get_close_matches
+
+        if ports:
+            return f"`{output}`: step `{step}` has the outputs {', '.join(ports)}"
+        near = get_close_matches(output, self.outputs(), 3, 0.4) or self.outputs()[:8]
+        return f"the run has no output `{output}`; there are {', '.join(near)}"
+
+    def path(self, output: str) -> Path:
+        """The file of an output at one point, in the run folder."""
+        match = LABEL.match(output)
+        picks = _picks((match["one"] or "") + (match["two"] or "")) if match else {}
+        for step in self.steps:
+            if match and step.step == match["step"] and picks.items() <= dict(step.point).items():
+                port = match["port"] or next(iter(step.outputs), "")
+                if port in step.paths:
+                    return self.folder / step.paths[port]
+        raise KeyError(f"`{output}` has no name in the run folder: `rockface export`, or run with outputs='all'")
+
+    def artefact(self, step: Step, port: str) -> Artefact:
+        """An output of a step instance, from the run folder or else from the store."""
+        kind = step.outputs[port]
+        if port in step.paths and (self.folder / step.paths[port]).is_file():
+            return decode(kind, mapped(self.folder / step.paths[port]))
+        label = f"{step.step}.{port}" + step.label.removeprefix(step.step)
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "output"
+            _program.call("export", str(self.folder), label, str(file), "--store", str(self.store))
+            return decode(kind, memoryview(file.read_bytes()))
+
+    def table(self, *axes: str) -> Table:
+        """The tidy table of a sweep: a row a point of these axes, the items and every metric as columns.
+
+        A column is called `step.metric`; a step that does not depend on all axes has its numbers in every row they hold
+        for, and a step that depends on further axes is left out.
+
+        Args:
+            axes: the axes; by default those of `--sweep`, else those of the one step that depends on most.
+
+        Raises:
+            RockfaceError: no axes are named, and it does not follow from the run which are meant.
+        """
+        wanted = axes or self._axes()
+        steps = [step for step in self.steps if step.metrics and set(step.point) <= set(wanted)]
+        points: dict[tuple[str, ...], None] = {}
+        for step in self.steps:
+            if set(wanted) <= set(step.point):
+                points[tuple(step.point[axis] for axis in wanted)] = None
+        if not points:
+            raise RockfaceError(f"no step depends on {', '.join(wanted)}; the axes of the run are {', '.join(self.axes())}")
+        # Metrics by the axes they depend on and the items of these.
+        numbers: dict[tuple[str, ...], dict[tuple[str, ...], dict[str, float | None]]] = {}
+        units: dict[str, str] = {}
+        for step in steps:
+            own = tuple(axis for axis in wanted if axis in step.point)
+            row = numbers.setdefault(own, {}).setdefault(tuple(step.point[axis] for axis in own), {})
+            row.update({f"{step.step}.{name}": value for name, value in step.metrics.items()})
+            units.update({f"{step.step}.{name}": unit for name, unit in step.units.items()})
+        rows: list[list[Any]] = []
+        for point in points:
+            items = dict(zip(wanted, point, strict=True))
+            known: dict[str, float | None] = {}
+            for own, values in numbers.items():
+                known.update(values.get(tuple(items[axis] for axis in own), {}))
+            rows.append([*_items(items).values(), *(known.get(name) for name in units)])
+        return Table([*wanted, *units], rows, units)
+
+    def axes(self) -> list[str]:
+        """The axes of the run."""
+        return list(dict.fromkeys(axis for step in self.steps for axis in step.point))
+
+    def _axes(self) -> tuple[str, ...]:
+        swept = tuple(text.split("=")[0].removeprefix("params.") for text in self.manifest["overrides"].get("sweep", []))
+        known = set(self.axes())
+        if swept and set(swept) <= known:
+            return swept
+        sets = list(dict.fromkeys(tuple(step.point) for step in self.steps if step.metrics))
+        largest = [one for one in sets if not any(set(one) < set(other) for other in sets)]
+        if len(largest) == 1:
+            return largest[0]
+        ways = "; ".join(", ".join(map(repr, axes)) for axes in largest)
+        raise RockfaceError(
+            f"name the axes of the table, such as `run.table({largest[0][0]!r})`: the steps of this run have {ways}"
+        )
+
+    def plan(self) -> list[PlannedStep]:
+        """What running the pipeline again, as it is now, would do."""
+        return plan(self._pipeline(), **self._changes())
+
+    def explain(self, step: str) -> Explanation:
+        """The recipe of a step instance as it would be now, and what changed since it was last computed."""
+        return explain(self._pipeline(), step, **self._changes())
+
+    def _pipeline(self) -> str:
+        text = self.manifest["pipeline"]
+        file = Path(text["folder"]) / Path(text["path"]).name
+        return str(file) if file.is_file() else f"rockface/{file.stem}"
+
+    def _changes(self) -> dict[str, Any]:
+        given = self.manifest["overrides"]
+        return {"set": given.get("set", []), "sweep": given.get("sweep", []), "seed": given.get("seed"), "store": self.store}
+
+    def __repr__(self) -> str:
+        return f"Run({self.name}: {self.status}, {len(self.steps)} steps, {self.folder})"
+
+    def _repr_html_(self) -> str:
+        count = {status: sum(step.status == status for step in self.steps) for status in ("executed", "cached", "failed")}
+        told = ", ".join(f"{number} {status}" for status, number in count.items() if number)
+        colour = "#2e7d32" if self.status == "done" else "#c62828"
+        lines = "".join(f"<li>{html.escape(line)}</li>" for line in self.headlines)
+        failed = "".join(f"<li><b>{html.escape(s.label)}</b>: {html.escape(s.failure)}</li>" for s in self.steps if s.failure)
+        return (
+            f'<div style="border-left:4px solid {colour};padding-left:1em">'
+            f"<b>{html.escape(self.name)}</b>: {html.escape(self.status)}, {told}, {self.manifest['wall_s']:.1f} s"
+            f"<ul>{lines}{failed}</ul><div>{self._pictures()}</div>"
+            f'<a href="{html.escape(self.report.as_uri())}">report</a> · <code>{html.escape(str(self.folder))}</code></div>'
+        )
+
+    def _pictures(self) -> str:
+        pictures: list[str] = []
+        for step in self.steps:
+            for port, kind in step.outputs.items():
+                if kind != "picture" or port not in step.paths or len(pictures) == PICTURES:
+                    continue
+                value = self.artefact(step, port)
+                if isinstance(value, Picture) and len(value.png) < PICTURE_BYTES:
+                    data, name = base64.b64encode(value.png).decode(), html.escape(step.label)
+                    pictures.append(f'<img src="data:image/png;base64,{data}" title="{name}" style="max-width:32%;margin:2px">')
+        return "".join(pictures)
+
+
+def _picks(text: str) -> dict[str, str]:
+    pairs = [pick.split("=", 1) for pick in re.findall(r"[^\[\],]+", text)]
+    return {pair[0]: pair[-1] for pair in pairs}
+
+
+def _items(point: Mapping[str, str]) -> dict[str, float | str]:
+    """Items of axes: numbers where they are."""
+
+    def item(text: str) -> float | str:
+        try:
+            return float(text)
+        except ValueError:
+            return text
+
+    return {axis: item(text) for axis, text in point.items()}
+
+
+def find(run: str | Path = "latest", *, runs: str | Path | None = None, store: str | Path | None = None) -> Run:
+    """Opens a past run.
+
+    Args:
+        run: a run folder, its name, a part of it that fits no other, or `latest`.
+        runs: the folder of runs, by default `.rockface/runs` in the working folder.
+        store: the store of results, by default the one beside the folder of runs.
+
+    Raises:
+        RockfaceError: there is no such run, or several.
+    """
+    folder = Path(runs) if runs else Path(".rockface/runs")
+    for path in (folder / run, Path(run), Path(run).parent):
+        if (path / "run.json").is_file():
+            return Run(path, store)
+    names = sorted(path.name for path in folder.iterdir() if (path / "run.json").is_file()) if folder.is_dir() else []
+    fitting = [name for name in names if str(run) in name and name != "latest"]
+    if len(fitting) == 1:
+        return Run(folder / fitting[0], store)
+    told = f"fits {', '.join(fitting)}" if fitting else f"is no run in {folder}; there are {', '.join(names) or 'none'}"
+    raise RockfaceError(f"`{run}` {told}")

@@ -1,0 +1,153 @@
+"""Running, planning and explaining from Python; errors are those of the program."""
+
+import os
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import rockface
+from conftest import SMALL
+
+
+@pytest.fixture
+def pipeline(folder):
+    """A quick pipeline of two steps over a swept axis."""
+    text = """
+rockface: 1
+name: quick
+seed: 1
+params: {relief_m: 0.1}
+axes: {cell_m: {values: [0.1, 0.2]}}
+steps:
+  face: {stage: synthesise-face, with: {width_m: 8, height_m: 6, spacing_m: 0.1, relief_m: "${relief_m}"}}
+  dem: {stage: rasterise-dem, in: {surface: face.mesh}, with: {cell_m: "${cell_m}", method: tin}}
+  noise: {stage: describe-noise, with: {scales_cells: [1, 2]}, in: {raster: dem.raster}}
+"""
+    (folder / "quick.yaml").write_text(text)
+    return "quick.yaml"
+
+
+def test_a_run_is_cached_and_opened(pipeline):
+    events = []
+    run = rockface.run(pipeline, progress=events.append)
+    assert {event["event"] for event in events} >= {"planned", "started", "finished", "ended"}
+    assert [step.status for step in run.steps] == ["executed"] * 5
+    again = rockface.run(pipeline, progress=False)
+    assert (run.computed, again.computed, again.cached) == (5, 0, 5)
+    assert rockface.open("latest").folder == again.folder
+    assert rockface.open(again.folder).name == "quick"
+    assert run.outputs()[:2] == ["face.mesh", "dem.raster"]
+    assert "dem.raster" in run
+
+
+def test_the_table_of_a_sweep_is_tidy(pipeline):
+    run = rockface.run(pipeline, sweep={"cell_m": np.array([0.1, 0.15, 0.2])}, set={"params.relief_m": 0.2}, progress=False)
+    table = run.table()
+    assert list(table["cell_m"]) == [0.1, 0.15, 0.2]
+    metrics = {step.label: step.metrics for step in run.steps}
+    for row in table:
+        assert row["face.relief_rms"] == metrics["face"]["relief_rms"]
+        assert row["dem.columns"] == metrics[f"dem[cell_m={row['cell_m']:g}]"]["columns"]
+    assert table.units["face.relief_rms"] == "m"
+    assert len(set(table["dem.columns"])) == 3
+
+
+def test_outputs_at_several_points(pipeline):
+    run = rockface.run(pipeline, progress=False)
+    dems = run["dem"]
+    assert [point["cell_m"] for point in dems.points] == ["0.1", "0.2"]
+    assert dems.at(cell_m=0.1).grid.cell_m == run["dem[cell_m=0.1].raster"].grid.cell_m == 0.1
+    joined = run["noise.features"].table()
+    assert list(joined["cell_m"]) == [0.1, 0.2]
+    with pytest.raises(KeyError, match="there are dem"):
+        run["dem.raster[cell_m=7]"]
+    with pytest.raises(KeyError, match="has the outputs raster"):
+        run["dem.rastr"]
+    with pytest.raises(KeyError, match=r"dem\.raster"):
+        run["dam.raster"]
+
+
+def test_plan_and_explain(pipeline):
+    assert {step.answer for step in rockface.plan(pipeline)} == {"runs", "depends"}
+    run = rockface.run(pipeline, progress=False)
+    assert {step.answer for step in run.plan()} == {"hit"}
+    told = rockface.explain(pipeline, "dem[cell_m=0.1]", set={"params.relief_m": 0.3})
+    assert "params.relief_m" in str(told)
+    assert "0.3" in str(told)
+    assert run.explain("face").answer == "hit"
+
+
+def test_a_shipped_pipeline_needs_no_file(folder):
+    assert "verdict" in {step.step for step in rockface.plan("rockface/quickstart")}
+    with pytest.raises(rockface.PipelineError, match="did you mean `quickstart`"):
+        rockface.plan("quickstrat")
+
+
+def test_a_wrong_pipeline_names_the_place(folder):
+    (folder / "bad.yaml").write_text("rockface: 1\nsteps:\n  a: {stage: synthesise-fase}\n")
+    with pytest.raises(rockface.PipelineError, match=r"(?s)bad\.yaml:3:.*synthesise-face"):
+        rockface.run("bad.yaml", progress=False)
+
+
+def test_a_failed_step_is_named_and_the_rest_is_there(folder):
+    text = """
+rockface: 1
+name: failing
+steps:
+  face: {stage: synthesise-face, with: {width_m: 4, height_m: 3, spacing_m: 0.1}}
+  tool: {stage: command, with: {program: sh, args: ["-c", "echo cannot >&2; exit 3"], outputs: {a: file}, version: "1"}}
+"""
+    (folder / "failing.yaml").write_text(text)
+    with pytest.raises(rockface.StepError, match="ended with code 3") as caught:
+        rockface.run("failing.yaml", keep_going=True, progress=False)
+    assert [failure.step for failure in caught.value.failures] == ["tool"]
+    assert len(caught.value.run["face.mesh"].vertices) > 100
+    assert "ended with code 3" in caught.value.run._repr_html_()
+
+
+def test_an_interrupt_stops_the_run_and_keeps_what_is_finished(folder):
+    text = """
+rockface: 1
+name: long
+steps:
+  face: {stage: synthesise-face, with: {width_m: 4, height_m: 3, spacing_m: 0.1}}
+  wait:
+    stage: command
+    with: {program: sleep, args: ["600"], inputs: {mesh: mesh}, outputs: {a: file}, version: "1"}
+    in: {mesh: face.mesh}
+"""
+    (folder / "long.yaml").write_text(text)
+
+    def interrupt(event):
+        if event.get("event") == "started" and event["step"] == "wait":
+            threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
+
+    begun = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        rockface.run("long.yaml", progress=interrupt)
+    assert time.monotonic() - begun < 300
+    assert next(step.answer for step in rockface.plan("long.yaml") if step.step == "face") == "hit"
+
+
+def test_the_head_of_a_run_is_html(small):
+    shown = small._repr_html_()
+    assert "small" in shown
+    assert "report.html" in shown
+    assert "data:image/png" in shown
+
+
+def test_an_output_without_a_name_comes_from_the_store(folder):
+    (folder / "small.yaml").write_text(SMALL)
+    run = rockface.run("small.yaml", targets=["table"], outputs="targets", progress=False)
+    assert not any(step.paths for step in run.steps if step.step == "left")
+    assert run["left.depth"].shape == (350, 450)
+
+
+def test_axes_have_to_be_named_where_several_are_possible(small):
+    with pytest.raises(rockface.RockfaceError, match="no step depends on"):
+        small.table("epok")
+    assert list(small.table("sigma_px")["sigma_px"]) == [0.4, 0.8]
+    assert len(small.table("epoch", "sigma_px")) == 4
