@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import signal
 import subprocess
@@ -181,18 +182,18 @@ def _notebook() -> Progress | None:
     """Shows progress in the cell of a Jupyter notebook; `None` where this is none."""
     if "ipykernel" not in sys.modules:
         return None
-    from IPython.display import HTML, display  # type: ignore[import-not-found,unused-ignore]
+    shown: Any = importlib.import_module("IPython.display")
 
     begun, state = time.monotonic(), {"written": 0.0}
-    handle = display(HTML(""), display_id=True)
+    handle = shown.display(shown.HTML(""), display_id=True)
 
     def show(event: Mapping[str, Any]) -> None:
         now = time.monotonic()
         if event.get("event") == "closed":
-            handle.update(HTML(""))
+            handle.update(shown.HTML(""))
         elif "total" in event and now - state["written"] > 0.2:
             state["written"] = now
             share = f'<progress value="{event["done"]}" max="{max(event["total"], 1)}"></progress> '
-            handle.update(HTML(share + _sentence(event, begun)))
+            handle.update(shown.HTML(share + _sentence(event, begun)))
 
     return show
