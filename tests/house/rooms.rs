@@ -89,6 +89,7 @@ const ARROWS: &[(&[&str], &[&str], &str)] = &[
     (&["survey"], &["depth"], "tie points are seen or hidden in drawn depth maps"),
     (&["survey", "fusion"], &["matching"], "a forecast uses the noise model; fusion uses parameters of matching"),
     (&["detection", "figure"], &["rockfall"], "what is found is compared with, or drawn over, ground truth"),
+    (&["noise"], &["matching"], "a noise model is learnt with the geometry and the classes it is drawn with"),
     (&["detection", "figure"], &["noise"], "intervals of proportions; figures of descriptors"),
     (&["dataset", "figure"], &["detection"], "tiles and figures show comparisons and detectability"),
     (&["look"], &["camera"], "points of a depth map"),

@@ -5,7 +5,8 @@ use std::io;
 
 use rockface_core::artefact::{
     Acceptance, Artefact, Band, Cell, Cloud, Covariance, Depth, Feature, Figure, Files, Frame, Grid, GroupModel,
-    Inventory, Mesh, Meshes, Pair, Pairs, Part, Picture, Polygon, Raster, Sample, Shown, Surface, Table, Transform,
+    Inventory, Member, Mesh, Meshes, Noise, Pair, Pairs, Part, Picture, Polygon, Raster, ReliefLaw, Sample, Shown,
+    Surface, Table, Transform,
 };
 use serde_json::json;
 
@@ -55,12 +56,40 @@ fn every() -> io::Result<Vec<(&'static str, &'static str, Artefact)>> {
         ("artefact-transform", "identity", Transform::identity("world", "wall").into()),
         ("artefact-table", "cells", table().into()),
         ("artefact-acceptance", "one", acceptance().into()),
+        ("artefact-noise", "fields", noise().into()),
         ("artefact-picture", "preview", Picture { png }.into()),
         ("artefact-figure", "rectangle", figure().into()),
         ("artefact-files", "two", files().into()),
         ("artefact-inventory", "two", inventory().into()),
         ("artefact-candidates", "shapes", candidates()?),
     ])
+}
+
+/// A noise model of six cells and two members.
+fn noise() -> Noise {
+    let member = |name: &str, bad: bool| Member {
+        name: name.into(),
+        bad,
+        log_strength: vec![0.1, -0.1],
+        log_amplitude: vec![0.2, 0.0],
+        field_log_amplitude: vec![0.0, 0.1],
+    };
+    Noise {
+        frame: Frame::Wall,
+        grid: Grid { columns: 3, rows: 2, cell_m: 0.5, left_m: -1.0, top_m: 2.0 },
+        donors: 2,
+        length_cells: 3.0,
+        common_share: 0.3,
+        bad_share: 0.25,
+        class_log_strength: vec![-1.0, 0.5],
+        jitter: vec![0.1, 0.1, 0.0, 0.2],
+        relief: ReliefLaw { flat_px: 0.2, gain_px_m: 3.0, window_cells: 2 },
+        members: vec![member("a", false), member("b", true)],
+        strength: vec![0.3; 6],
+        elevation: vec![0.0, 1.0, f32::NAN, 0.5, 0.5, 0.5],
+        fields: vec![vec![0.5, -0.5, 1.0, 0.0, 0.25, -1.0]; 2],
+        weights: vec![vec![255, 128, 1, 255, 255, 255]; 2],
+    }
 }
 
 /// A mesh of 16 points over 3 x 3 m.

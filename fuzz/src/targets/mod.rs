@@ -85,6 +85,7 @@ pub const ALL: &[Target] = &[
     target("artefact-transform", "a kept transform", "json", |bytes| artefacts::kept(Kind::Transform, bytes)),
     target("artefact-table", "a kept table", "json", |bytes| artefacts::kept(Kind::Table, bytes)),
     target("artefact-acceptance", "a kept reference model", "json", |bytes| artefacts::kept(Kind::Acceptance, bytes)),
+    target("artefact-noise", "a kept noise model", "", |bytes| artefacts::kept(Kind::Noise, bytes)),
     target("artefact-picture", "a kept picture (PNG)", "", |bytes| artefacts::kept(Kind::Picture, bytes)),
     target("artefact-figure", "a kept chart (SVG)", "xml", |bytes| artefacts::kept(Kind::Figure, bytes)),
     target("artefact-files", "kept files (tar)", "", |bytes| artefacts::kept(Kind::Files, bytes)),

@@ -67,6 +67,15 @@ pub fn of_artefact(artefact: &Artefact) -> Facts {
             facts
                 .push(("triangles".into(), meshes.parts.iter().map(|part| part.triangles.len()).sum::<usize>().into()));
         }
+        Artefact::Noise(noise) => {
+            let bad = noise.members.iter().filter(|member| member.bad).count();
+            facts.push(("frame".into(), noise.frame.to_string().into()));
+            facts.push(("size".into(), format!("{} x {}", noise.grid.columns, noise.grid.rows).into()));
+            facts.push(("acquisitions".into(), noise.members.len().into()));
+            facts.push(("bad ones".into(), bad.into()));
+            facts.push(("whitened fields".into(), noise.fields.len().into()));
+            facts.push(("strength (px)".into(), range(noise.strength.iter().copied().map(f64::from))));
+        }
         Artefact::Transform(transform) => {
             facts.push(("from".into(), transform.from.clone().into()));
             facts.push(("to".into(), transform.to.clone().into()));

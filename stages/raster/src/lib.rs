@@ -21,6 +21,7 @@ mod export_cloud;
 mod filter_outliers;
 mod import_rasters;
 mod import_table;
+mod median_rasters;
 mod rasterise_dem;
 mod tabulate;
 mod triangulate_surface;
@@ -35,6 +36,7 @@ pub static STAGES: &[&dyn AnyStage] = &[
     &Row::<filter_outliers::FilterOutliers>::new(),
     &Row::<import_rasters::ImportRasters>::new(),
     &Row::<import_table::ImportTable>::new(),
+    &Row::<median_rasters::MedianRasters>::new(),
     &Row::<rasterise_dem::RasteriseDem>::new(),
     &Row::<tabulate::Tabulate>::new(),
     &Row::<triangulate_surface::TriangulateSurface>::new(),

@@ -6,6 +6,7 @@ pub mod classifier;
 pub mod descriptors;
 pub mod detrend;
 pub mod envelope;
+pub mod learning;
 pub mod mahalanobis;
 pub mod match_moments;
 pub mod nested_variogram;
@@ -27,6 +28,7 @@ mod compare_samples;
 mod describe_noise;
 mod describe_structure;
 mod fit_acceptance;
+mod learn_noise;
 mod propose_parameters;
 mod refine_search;
 mod summarise_acceptance;
@@ -40,6 +42,7 @@ pub static STAGES: &[&dyn AnyStage] = &[
     &Row::<describe_noise::DescribeNoise>::new(),
     &Row::<describe_structure::DescribeStructure>::new(),
     &Row::<fit_acceptance::FitAcceptance>::new(),
+    &Row::<learn_noise::LearnNoise>::new(),
     &Row::<propose_parameters::ProposeParameters>::new(),
     &Row::<refine_search::RefineSearch>::new(),
     &Row::<summarise_acceptance::SummariseAcceptance>::new(),

@@ -15,6 +15,7 @@ mod frame;
 mod inventory;
 mod mesh;
 mod meshes;
+mod noise;
 mod pairs;
 mod picture;
 mod preview;
@@ -37,6 +38,7 @@ pub use frame::{Frame, Georeference};
 pub use inventory::{Feature, Inventory, Polygon};
 pub use mesh::Mesh;
 pub use meshes::{Meshes, Part, file_names as part_file_names};
+pub use noise::{Member, Noise, ReliefLaw};
 pub use pairs::{Pair, Pairs};
 pub use picture::Picture;
 pub use preview::Preview;
@@ -186,6 +188,7 @@ artefacts! {
     Transform = "transform" . "json": "Rigid transform between two frames.",
     Table = "table" . "json": "Rows and columns.",
     Acceptance = "acceptance" . "json": "Reference model of noise descriptors.",
+    Noise = "noise" . "noise": "Model of the matching noise of a site, learnt from rasters without change.",
     Picture = "picture" . "png": "A picture for people.",
     Figure = "figure" . "svg": "A chart for people.",
     Meshes = "meshes" . "ply": "Named meshes in one file: blocks, removed pieces, niches.",

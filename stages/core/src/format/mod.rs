@@ -6,6 +6,7 @@ pub mod depth_exr;
 pub mod geotiff;
 pub mod inventory_file;
 mod laz_check;
+pub mod noise_file;
 pub mod nouns;
 #[cfg(feature = "parquet")]
 pub mod parquet_file;

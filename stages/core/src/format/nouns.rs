@@ -1,7 +1,7 @@
 //! The file format of every artefact that is not plain JSON.
 
 use crate::artefact::{
-    Artefact, Cell, Cloud, CodecError, Depth, Export, Files, Inventory, Kind, Mesh, Meshes, Noun, Part, Polygon,
+    Artefact, Cell, Cloud, CodecError, Depth, Export, Files, Inventory, Kind, Mesh, Meshes, Noise, Noun, Part, Polygon,
     Raster, Surface,
 };
 
@@ -146,6 +146,22 @@ impl Noun for Meshes {
             bytes: super::ply::write_mesh(&self.mesh(part)),
         };
         Ok(self.parts.iter().zip(names).map(export).collect())
+    }
+}
+
+impl Noun for Noise {
+    const KIND: Kind = Kind::Noise;
+    fn of(artefact: &Artefact) -> Option<&Self> {
+        if let Artefact::Noise(value) = artefact { Some(value) } else { None }
+    }
+    fn encode(&self) -> Result<Vec<u8>, CodecError> {
+        super::noise_file::write(self)
+    }
+    fn decode(bytes: &[u8]) -> Result<Self, CodecError> {
+        super::noise_file::read(bytes)
+    }
+    fn memory_bytes(&self) -> usize {
+        self.grid.cells() * (8 + 5 * self.fields.len())
     }
 }
 

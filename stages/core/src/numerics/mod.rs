@@ -1,5 +1,6 @@
 //! Numbers: random fields, transforms, quantiles, distributions, fits, and arithmetic with the same bits on every machine.
 
+pub mod bands;
 pub mod beta;
 pub mod fast_round;
 pub mod fft;

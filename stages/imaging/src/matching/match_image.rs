@@ -6,10 +6,10 @@ use crate::matching::image::{Fusion, ImageTally, match_image};
 use crate::matching::map_fusion::{Averaging, Fused, Rule};
 use crate::matching::noise::matcher::MatcherTerms;
 use crate::matching::pair::{Matcher, Sampling};
-use crate::matching::params::Matching;
+use crate::matching::params::{Matching, NoisePorts, NoiseSource};
 use crate::matching::setup::{Setup, check_size, noisy_image};
 use crate::matching::side::Side;
-use rockface_core::artefact::{Cameras, Depth, Image, Kind, Pair, Pairs, Raster};
+use rockface_core::artefact::{Cameras, Depth, Image, Kind, Noise, Pair, Pairs, Raster};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{
     Context, Element, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params, union,
@@ -94,6 +94,7 @@ impl Stage for MatchImage {
             &[Kind::Raster],
             "Factor on the local noise by place, from `map-noise`; needs `matcher`.",
         ),
+        Port::optional("noise", &[Kind::Noise], "Model of all noise, from `learn-noise`; needs `noise: learnt`."),
     ];
     const OUTPUTS: &'static [Port] =
         &[Port::one("depth", &[Kind::Depth], "The fused noisy depth map, with its noisy camera.")];
@@ -104,10 +105,15 @@ impl Stage for MatchImage {
 
     fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
         // The ideal maps that are held; the map and its channels with two copies while they are written, terms of the noise.
-        inputs.total() + (3 * (1 + params.channels.len() as u64) + 3) * inputs.largest("depths")
+        inputs.total() + inputs.of("noise") + (3 * (1 + params.channels.len() as u64) + 3) * inputs.largest("depths")
     }
 
     fn check(params: &Self::Params) -> Vec<Fault> {
+        if params.matching.noise == NoiseSource::Learnt && !matches!(params.noise_sharing, NoiseSharing::Pair(_)) {
+            let fault =
+                Fault::new("a learnt model is the same for all pairs of an acquisition: leave `noise_sharing` out");
+            return vec![Fault { path: vec!["noise_sharing".into()], ..fault }];
+        }
         let shared = params.matching.matcher.as_ref().is_some_and(|matcher| matcher.image_share > 0.0);
         if !shared || matches!(params.noise_sharing, NoiseSharing::Pair(_)) {
             return Vec::new();
@@ -121,7 +127,7 @@ impl Stage for MatchImage {
         let ideal = depth_of(inputs, &params.image, None)?;
         let chosen = pairs_of(pairs, &params.image)?;
         let image = noisy_image(noisy, ideal)?;
-        let setup = setup(params, inputs.optional::<Raster>("strength")?)?;
+        let setup = setup(params, ports(inputs)?)?;
         let windowed = setup.terms.as_ref().and_then(|terms| terms.windowed(ideal));
         let depth = windowed.as_ref().unwrap_or(ideal);
         let keys = |purpose: &str, item: &str| context.stream(purpose, item);
@@ -137,6 +143,10 @@ impl Stage for MatchImage {
         report(params, context, &chosen, &map, &tally)?;
         Ok(Outputs::of("depth", map))
     }
+}
+
+fn ports<'a>(inputs: &'a Inputs) -> Result<NoisePorts<'a>, StageError> {
+    Ok(NoisePorts { strength: inputs.optional::<Raster>("strength")?, noise: inputs.optional::<Noise>("noise")? })
 }
 
 /// The side of a pair on which an image is, and the name of the other image.
@@ -189,8 +199,8 @@ fn check_scale(ideal: &Depth, other: &Depth) -> Result<(), StageError> {
     Err(StageError::new(text).hint("project all depth maps with one `downscale`"))
 }
 
-fn setup<'a>(params: &MatchImageParams, strength: Option<&'a Raster>) -> Result<Setup<'a>, StageError> {
-    let mut setup = params.matching.setup(Sampling::Image, strength)?;
+fn setup<'a>(params: &MatchImageParams, ports: NoisePorts<'a>) -> Result<Setup<'a>, StageError> {
+    let mut setup = params.matching.setup(Sampling::Image, ports)?;
     let share = match &params.noise_sharing {
         NoiseSharing::Pair(_) => 0.0,
         NoiseSharing::Image(_) => 1.0,
@@ -204,6 +214,7 @@ fn setup<'a>(params: &MatchImageParams, strength: Option<&'a Raster>) -> Result<
 
 fn fusion(params: &MatchImageParams) -> Fusion {
     let (local, regular) = (params.matching.sigma_local_px, params.matching.sigma_regular_px);
+    let paper = params.matching.noise == NoiseSource::Paper;
     let sigma_px = (local * local + regular * regular).sqrt();
     let rule = Rule {
         averaging: params.averaging,
@@ -211,8 +222,8 @@ fn fusion(params: &MatchImageParams) -> Fusion {
         tolerance_m: 0.0,
         minimum: params.min_pairs as usize,
     };
-    // Without noise, a deviation of one pixel weights the depths.
-    Fusion { rule, sigma_px: if sigma_px > 0.0 { sigma_px } else { 1.0 } }
+    // Without noise, or with that of a model, a deviation of one pixel weights the depths.
+    Fusion { rule, sigma_px: if paper && sigma_px > 0.0 { sigma_px } else { 1.0 } }
 }
 
 /// One row of the map and of its channels.

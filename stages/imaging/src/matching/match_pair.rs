@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 
 use crate::matching::matched::{Match, Tally};
 use crate::matching::pair::{Matcher, Sampling};
-use crate::matching::params::Matching;
+use crate::matching::params::{Matching, NoisePorts};
 use crate::matching::rectified_row::rectified_camera;
 use crate::matching::setup::{check_size, noisy_image};
 use crate::matching::side::Side;
-use rockface_core::artefact::{Cameras, Depth, Image, Kind, Pair, Pairs, Raster};
+use rockface_core::artefact::{Cameras, Depth, Image, Kind, Noise, Pair, Pairs, Raster};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 
 params! {
@@ -45,6 +45,7 @@ impl Stage for MatchPair {
             &[Kind::Raster],
             "Factor on the local noise by place, from `map-noise`; needs `matcher`.",
         ),
+        Port::optional("noise", &[Kind::Noise], "Model of all noise, from `learn-noise`; needs `noise: learnt`."),
     ];
     const OUTPUTS: &'static [Port] =
         &[Port::one("depth", &[Kind::Depth], "The noisy depth map, with its noisy camera.")];
@@ -58,7 +59,7 @@ impl Stage for MatchPair {
         let maps = inputs.of("first") + inputs.of("second");
         let terms = if params.matching.matcher.is_some() { 2 } else { 0 };
         let channels = if params.channels { 24 } else { 0 };
-        (4 + terms) * maps + channels * inputs.of("first")
+        (4 + terms) * maps + channels * inputs.of("first") + 2 * inputs.of("noise")
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
@@ -72,13 +73,17 @@ impl Stage for MatchPair {
         if let Some(windowed) = &windowed {
             depths[side] = windowed;
         }
-        let setup = params.matching.setup(params.sampling, inputs.optional::<Raster>("strength")?)?;
+        let setup = params.matching.setup(params.sampling, ports(inputs)?)?;
         let keys = |purpose: &str, item: &str| context.stream(purpose, item);
         let matcher = setup.matcher(&pair.name, depths, side, noisy, &keys)?;
         let (map, tally) = matched_map(params, &matcher, noisy, noisy_image(noisy, ideal[side])?);
         report(params, context, pair, &map, &tally)?;
         Ok(Outputs::of("depth", map))
     }
+}
+
+fn ports<'a>(inputs: &'a Inputs) -> Result<NoisePorts<'a>, StageError> {
+    Ok(NoisePorts { strength: inputs.optional::<Raster>("strength")?, noise: inputs.optional::<Noise>("noise")? })
 }
 
 fn choose_pair<'a>(params: &MatchPairParams, pairs: &'a Pairs) -> Result<&'a Pair, StageError> {
@@ -212,5 +217,7 @@ fn report(
     Ok(())
 }
 
+#[cfg(test)]
+mod learnt_tests;
 #[cfg(test)]
 mod tests;

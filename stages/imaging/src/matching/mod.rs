@@ -1,6 +1,7 @@
 //! Dense matching of image pairs and its noise (paper, sections 2.2 and 2.3).
 
 pub mod correspondence;
+pub mod elevation_step;
 pub mod image;
 pub mod map_fusion;
 pub mod matched;

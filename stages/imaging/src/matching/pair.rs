@@ -109,7 +109,7 @@ impl<'a> Matcher<'a> {
             for (lane, column) in block.columns.iter().enumerate().filter(|(lane, _)| seen[*lane]) {
                 let correspondence = Correspondence::of(&correspondences, lane);
                 let matched = match &self.noise {
-                    NoiseModel::Paper { .. } => correspondence.matched(),
+                    NoiseModel::Paper { .. } | NoiseModel::Learnt(_) => correspondence.matched(),
                     NoiseModel::Terms(terms) => {
                         let point_m = [block.points_m[0][lane], block.points_m[1][lane]];
                         let pixel = [*column, pixels.row];
@@ -152,7 +152,7 @@ impl<'a> Matcher<'a> {
         Projected { z_m, ray, pixel, level }
     }
 
-    /// Rectifies the pixels of a block and their projections, and adds the paper's noise to the disparities.
+    /// Rectifies the pixels of a block and their projections, and adds the paper's noise, or the learnt one, to the disparities.
     #[inline(always)]
     fn correspond(&self, row: usize, block: &Block, projected: &Projected, draws: &RowDraws) -> Correspondence<Lanes> {
         let (side, partner) = (self.side, self.side.other());
@@ -176,7 +176,7 @@ impl<'a> Matcher<'a> {
         };
         let rectified_px = first.position_px;
         let ideal_px = rectified_px[0] - second.position_px[0];
-        let (white_px, regular_px) = (self.white_px(noise_px[0], draws), self.regular_px(rectified_px));
+        let (white_px, regular_px) = (self.local_px(block, noise_px[0], draws), self.regular_px(rectified_px));
         let disparity_px = ideal_px + (white_px + regular_px);
         let parallax_px = disparity_px - rectification.shift_px();
         let depth_m = Lanes::all(self.fb_px_m()) / (parallax_px * slant);
@@ -246,6 +246,15 @@ impl<'a> Matcher<'a> {
         match &self.noise {
             NoiseModel::Paper { smooth: Some(smooth), .. } => smooth.field.at_lanes(rectified_px) * smooth.sigma_px,
             _ => Lanes::all(0.0),
+        }
+    }
+
+    /// The learnt noise of some pixels, or the paper's white noise.
+    #[inline(always)]
+    fn local_px(&self, block: &Block, first_px: [Lanes; 2], draws: &RowDraws) -> Lanes {
+        match &self.noise {
+            NoiseModel::Learnt(noise) => noise.at_lanes([block.points_m[0], block.points_m[1]]),
+            _ => self.white_px(first_px, draws),
         }
     }
 

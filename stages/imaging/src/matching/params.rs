@@ -4,13 +4,34 @@ use crate::matching::noise::matcher::{MatcherTerms, PaperNoise};
 use crate::matching::noise::paper::{Distribution, FieldRecipe, Interpolation, Variance};
 use crate::matching::pair::Sampling;
 use crate::matching::setup::Setup;
-use rockface_core::artefact::Raster;
+use rockface_core::artefact::{Noise, Raster};
 use rockface_core::params::Range;
-use rockface_core::{StageError, params};
+use rockface_core::{StageError, choice, params};
+
+choice! {
+    /// Where the noise of disparities comes from.
+    pub enum NoiseSource {
+        /// The paper's two components, with the further terms of `matcher`.
+        Paper = "paper",
+        /// The model at port `noise`, which holds all of it: the parameters of the paper's components have no effect.
+        Learnt = "learnt",
+    }
+}
+
+/// What the ports of a matching stage add to its noise.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct NoisePorts<'a> {
+    /// Factor on the local noise by place.
+    pub strength: Option<&'a Raster>,
+    /// Learnt model.
+    pub noise: Option<&'a Noise>,
+}
 
 params! {
     /// How pairs are matched, and with what noise.
     pub struct Matching {
+        /// Where the noise comes from.
+        noise: NoiseSource = NoiseSource::Paper,
         /// Standard deviation of the white disparity noise, pixels of the depth map.
         sigma_local_px: f64 = 0.7; Range::NonNegative,
         /// Standard deviation of the smooth disparity noise, pixels of the depth map.
@@ -43,15 +64,13 @@ impl Matching {
     /// Whether matching draws random numbers.
     pub fn draws(&self) -> bool {
         let terms = self.matcher.as_ref().is_some_and(MatcherTerms::draws);
-        self.sigma_local_px > 0.0 || self.sigma_regular_px > 0.0 || terms
+        self.noise == NoiseSource::Learnt || self.sigma_local_px > 0.0 || self.sigma_regular_px > 0.0 || terms
     }
 
-    /// How pairs are matched, with a map of the strength of the noise where one is given.
-    pub fn setup<'a>(&self, sampling: Sampling, strength: Option<&'a Raster>) -> Result<Setup<'a>, StageError> {
-        if strength.is_some() && self.matcher.is_none() {
-            let error = "the paper's noise is equally strong everywhere and has no use for `strength`";
-            return Err(StageError::new(error).hint("add `matcher: {}` to the parameters, or leave the input out"));
-        }
+    /// How pairs are matched, with a map of the strength of the noise or a learnt model where one is given.
+    pub fn setup<'a>(&self, sampling: Sampling, ports: NoisePorts<'a>) -> Result<Setup<'a>, StageError> {
+        self.check_ports(ports)?;
+        let strength = ports.strength;
         let recipe = FieldRecipe {
             spacing_px: self.spacing_px,
             distribution: self.regular_distribution,
@@ -65,7 +84,31 @@ impl Matching {
             recipe,
         };
         let occlusion_tolerance = self.occlusion.then_some(self.occlusion_tolerance);
-        Ok(Setup { sampling, noise, terms: self.matcher.clone(), occlusion_tolerance, strength })
+        Ok(Setup { sampling, noise, terms: self.matcher.clone(), occlusion_tolerance, strength, learnt: ports.noise })
+    }
+
+    fn check_ports(&self, ports: NoisePorts) -> Result<(), StageError> {
+        let refuse = |error: &str, hint: &str| Err(StageError::new(error).hint(hint));
+        let terms = ports.strength.is_some() || self.matcher.is_some();
+        match (self.noise, ports.noise) {
+            (NoiseSource::Learnt, None) => {
+                let error = "`noise: learnt` needs a model at port `noise`";
+                refuse(error, "make one from rasters without change with `learn-noise`, or leave `noise` out")
+            }
+            (NoiseSource::Paper, Some(_)) => {
+                let error = "a noise model is given at port `noise`, but the paper's noise is asked for";
+                refuse(error, "set `noise: learnt`, or leave the input out")
+            }
+            (NoiseSource::Learnt, Some(_)) if terms => {
+                let error = "a learnt model holds all noise; `matcher` and `strength` are terms of the paper's";
+                refuse(error, "leave out `matcher` and the input `strength`, or the model")
+            }
+            (NoiseSource::Paper, None) if ports.strength.is_some() && self.matcher.is_none() => {
+                let error = "the paper's noise is equally strong everywhere and has no use for `strength`";
+                refuse(error, "add `matcher: {}` to the parameters, or leave the input out")
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Judges the rms y-parallax of a pair: a warning where it is doubtful, an error where no matcher would succeed.

@@ -1,13 +1,14 @@
 //! Prepares a pair for matching: checks depth maps and cameras, and sets up the noise.
 
 use crate::camera::model::Camera;
+use crate::matching::noise::learnt::LearntNoise;
 use crate::matching::noise::matcher::{Keys, MatcherTerms, PairScene, PaperNoise};
 use crate::matching::noise::model::{NoiseModel, Scaled};
 use crate::matching::noise::paper::{LocalNoise, SmoothNoise};
 use crate::matching::pair::{Matcher, Sampling};
 use crate::matching::pair_geometry::PairGeometry;
 use crate::matching::side::Side;
-use rockface_core::artefact::{Cameras, Depth, Image, Raster};
+use rockface_core::artefact::{Cameras, Depth, Image, Noise, Raster};
 use rockface_core::{StageError, fail};
 
 /// How pairs are matched; the same for all pairs.
@@ -23,6 +24,8 @@ pub struct Setup<'s> {
     pub occlusion_tolerance: Option<f64>,
     /// Factor on the local noise by place; `None`: 1 everywhere.
     pub strength: Option<&'s Raster>,
+    /// The learnt model all noise is drawn from; `None`: the paper's noise and its further terms.
+    pub learnt: Option<&'s Noise>,
 }
 
 impl Setup<'_> {
@@ -47,6 +50,9 @@ impl Setup<'_> {
     }
 
     fn noise_model(&self, scene: &PairScene, keys: Keys) -> Result<NoiseModel, StageError> {
+        if let Some(noise) = self.learnt {
+            return Ok(NoiseModel::Learnt(LearntNoise::new(noise, scene, keys)?));
+        }
         if let Some(terms) = &self.terms {
             return Ok(NoiseModel::Terms(Box::new(terms.fields(&self.noise, scene, keys)?)));
         }

@@ -36,7 +36,7 @@ pub fn of(artefact: &Artefact) -> Vec<Sketch> {
         Artefact::Pairs(pairs) => of_values(pairs).into_iter().collect(),
         Artefact::Acceptance(acceptance) => of_values(acceptance).into_iter().collect(),
         Artefact::Candidates(candidates) => of_values(candidates).into_iter().collect(),
-        Artefact::Figure(_) | Artefact::File(_) | Artefact::Files(_) => Vec::new(),
+        Artefact::Figure(_) | Artefact::File(_) | Artefact::Files(_) | Artefact::Noise(_) => Vec::new(),
     };
     sketches.extend(of_look(artefact));
     sketches

@@ -7,10 +7,10 @@ use rockface_core::artefact::{Artefact, Frame, Mesh, Noun, Sensor};
 use rockface_core::testing::{TestHost, height_mesh, image_at, run_stage, small_sensor};
 use serde_json::{Value, json};
 
-struct Scene {
+pub(super) struct Scene {
     cameras: Cameras,
-    noisy: Cameras,
-    depths: [Depth; 2],
+    pub(super) noisy: Cameras,
+    pub(super) depths: [Depth; 2],
     buffers: [Vec<f64>; 2],
 }
 
@@ -18,13 +18,13 @@ fn sensor() -> Sensor {
     Sensor { k: [-0.2, 0.1, 0.0, 0.0], p: [0.002, -0.001], b1: 0.5, b2: 0.3, ..small_sensor() }
 }
 
-fn convergent(sensor: Sensor) -> Cameras {
+pub(super) fn convergent(sensor: Sensor) -> Cameras {
     let left = image_at("left", [-2.0, 0.1, 20.0], [0.01, -0.1, 0.02]);
     let right = image_at("right", [2.0, -0.1, 20.3], [-0.02, 0.1, -0.03]);
     Cameras { frame: Frame::Wall, sensors: vec![sensor], images: vec![left, right] }
 }
 
-fn scene(cameras: Cameras, mesh: &Mesh, downscale: u32) -> Scene {
+pub(super) fn scene(cameras: Cameras, mesh: &Mesh, downscale: u32) -> Scene {
     let drawing = Drawing { downscale, safe_border_px: 0.0, front_only: true };
     let project = |image: &Image| {
         let sensor = cameras.sensor(image).clone();
@@ -42,7 +42,7 @@ fn wavy() -> Mesh {
     height_mesh(60, [-12.0, 12.0, -12.0, 12.0], |x, y| 0.05 * x * y + 0.3 * x - 0.02 * y * y)
 }
 
-fn pairs() -> Pairs {
+pub(super) fn pairs() -> Pairs {
     let (first, second) = ("left".to_owned(), "right".to_owned());
     let pair = Pair {
         name: "left+right".into(),
@@ -105,7 +105,7 @@ fn the_kernel_itself_is_exact_to_a_nanometre() {
     let host = TestHost::default();
     let ideal = [&scene.depths[0], &scene.depths[1]];
     let keys = |purpose: &str, item: &str| Context::new(&host).stream(purpose, item);
-    let setup = params.matching.setup(Sampling::Image, None).unwrap();
+    let setup = params.matching.setup(Sampling::Image, NoisePorts::default()).unwrap();
     let matcher = setup.matcher("p", ideal, Side::First, &scene.noisy, &keys).unwrap();
     let mut rows: Vec<Vec<(usize, f64)>> = vec![Vec::new(); ideal[0].height];
     matcher.match_image(&mut rows, |row, column, m| row.push((column, m.depth_m)));

@@ -1,6 +1,9 @@
 //! Matching noise: the two components of the paper, and terms that real matchers have beyond them.
 
+pub mod changed_face;
 pub mod correlated;
+pub mod ensemble;
+pub mod learnt;
 pub mod matcher;
 pub mod model;
 pub mod modulation;

@@ -1,5 +1,6 @@
-//! Which noise a matched disparity gets: that of the paper, or one with further terms.
+//! Which noise a matched disparity gets: that of the paper, one with further terms, or one learnt from rasters of the site.
 
+use crate::matching::noise::learnt::LearntNoise;
 use crate::matching::noise::paper::{LocalNoise, SmoothNoise};
 use crate::matching::noise::terms::Terms;
 
@@ -24,4 +25,6 @@ pub enum NoiseModel {
     },
     /// Both components and the further terms of a real matcher, pixel by pixel.
     Terms(Box<Terms>),
+    /// An acquisition of a learnt model, by place on the face.
+    Learnt(LearntNoise),
 }

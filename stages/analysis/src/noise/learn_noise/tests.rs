@@ -1,0 +1,160 @@
+//! What the model learns from rasters whose noise is known.
+
+use std::sync::LazyLock;
+
+use serde_json::{Value, json};
+
+use super::*;
+use rockface_core::artefact::{Artefact, Frame, Grid, Noun, Pair};
+use rockface_core::numerics::gaussian::smoothed;
+use rockface_core::numerics::random::Key;
+use rockface_core::testing::{TestHost, image_at, run_stage, small_sensor};
+use rockface_imaging::matching::noise::ensemble::draw;
+
+const COLUMNS: usize = 96;
+const ROWS: usize = 80;
+
+fn grid() -> Grid {
+    Grid { columns: COLUMNS, rows: ROWS, cell_m: 0.05, left_m: -2.4, top_m: 2.0 }
+}
+
+fn survey() -> (Cameras, Pairs) {
+    let images = vec![image_at("a", [-1.0, 0.0, 20.0], [0.0; 3]), image_at("b", [1.0, 0.0, 20.0], [0.0; 3])];
+    let (first, second) = ("a".to_owned(), "b".to_owned());
+    let pair = Pair {
+        name: "a+b".into(),
+        first,
+        second,
+        baseline_m: 2.0,
+        distance_m: 20.0,
+        convergence_rad: 0.0,
+        overlap: 1.0,
+    };
+    (Cameras { frame: Frame::Wall, sensors: vec![small_sensor()], images }, Pairs { pairs: vec![pair] })
+}
+
+/// White noise smoothed by `cells`, of unit variance.
+fn unit(seed: u8, cells: f64) -> Vec<f64> {
+    let field = Key([seed; 32]).field();
+    let draw = |i: usize| field.normal((i % COLUMNS) as i32, (i / COLUMNS) as i32) as f32;
+    let white: Vec<f32> = (0..COLUMNS * ROWS).map(draw).collect();
+    let smooth = smoothed(&white, COLUMNS, cells);
+    let rms = (smooth.iter().map(|v| v * v).sum::<f64>() / smooth.len() as f64).sqrt();
+    smooth.iter().map(|v| v / rms).collect()
+}
+
+/// Differences of 2 mm rms, three times that left of the middle; those in `bad` have noise of twice the strength in addition.
+fn differences(count: u8, bad: &[u8]) -> Vec<Raster> {
+    let place = |i: usize| if i % COLUMNS < COLUMNS / 2 { 3.0 } else { 1.0 };
+    let one = |b: u8| {
+        let (usual, blur) = (unit(b, 1.5), unit(b + 100, 5.0));
+        let more = if bad.contains(&b) { 2.0 } else { 0.0 };
+        let level = 1.0 + 0.1 * (f64::from(b % 5) - 2.0);
+        let gap = |i: usize| (i / COLUMNS) % 20 == 7 && (i % COLUMNS + usize::from(b)) % 30 < 4;
+        let value =
+            |i: usize| if gap(i) { f32::NAN } else { (0.002 * place(i) * (level * usual[i] + more * blur[i])) as f32 };
+        Raster::single(grid(), Frame::Wall, "difference", &format!("n{b}"), (0..COLUMNS * ROWS).map(value).collect())
+    };
+    (0..count).map(one).collect()
+}
+
+fn learn(count: u8, bad: &[u8], with: &Value) -> Result<(Noise, TestHost), StageError> {
+    let (cameras, pairs) = survey();
+    let dem = Raster::single(grid(), Frame::Wall, "elevation", "dem", vec![0.0; COLUMNS * ROWS]);
+    let mut inputs: Vec<(&str, Artefact)> = differences(count, bad).into_iter().map(|r| ("raster", r.into())).collect();
+    inputs.extend([("dem", dem.into()), ("cameras", cameras.into()), ("pairs", pairs.into())]);
+    let host = TestHost::default();
+    let outputs = run_stage::<LearnNoise>(&host, with, &inputs)?.into_inner();
+    Ok((Noise::of(&outputs["noise"]).unwrap().clone(), host))
+}
+
+static CLEAN: LazyLock<Noise> = LazyLock::new(|| learn(16, &[], &json!({})).unwrap().0);
+
+/// Root mean squares of differences of two drawn acquisitions, right of the middle and left of it, pixels.
+fn drawn_px(noise: &Noise, count: u64) -> Vec<[f64; 2]> {
+    let acquisition = |seed: u64| {
+        let keys = |purpose: &str, item: &str| {
+            let host = TestHost::seeded(seed);
+            Context::new(&host).stream(purpose, item)
+        };
+        let drawn = draw(noise, &keys);
+        drawn
+            .field
+            .iter()
+            .zip(&noise.strength)
+            .map(|(w, s)| {
+                let log_s = rockface_core::numerics::portable_math::log(f64::from(*s));
+                let log = rockface_imaging::matching::noise::ensemble::log_strength_at(
+                    &noise.class_log_strength,
+                    &drawn.log_strength,
+                    log_s,
+                );
+                w * f64::from(*s) * rockface_core::numerics::portable_math::exp(log)
+            })
+            .collect::<Vec<f64>>()
+    };
+    let rms = |seed: u64| {
+        let (pre, post) = (acquisition(2 * seed), acquisition(2 * seed + 1));
+        [false, true].map(|left| {
+            let inside = (0..pre.len()).filter(|i| (i % COLUMNS < COLUMNS / 2) == left);
+            let squares: Vec<f64> = inside.map(|i| (post[i] - pre[i]) * (post[i] - pre[i])).collect();
+            (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+        })
+    };
+    (0..count).map(rms).collect()
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> f64 {
+    let values: Vec<f64> = values.collect();
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+#[test]
+fn differences_of_drawn_acquisitions_have_the_strength_of_the_rasters_at_each_place() {
+    let step_m = 20.0 * 20.0 / (small_sensor().f * 2.0);
+    let drawn = drawn_px(&CLEAN, 40);
+    for (side, expected) in [(0, 0.002), (1, 0.006)] {
+        let ratio = mean(drawn.iter().map(|rms| rms[side])) * step_m / expected;
+        assert!((ratio - 1.0).abs() < 0.06, "{side}: {ratio}");
+    }
+    let deviation = |values: Vec<f64>| {
+        let middle = mean(values.iter().copied());
+        mean(values.iter().map(|v| (v - middle) * (v - middle))).sqrt()
+    };
+    let spread = deviation(drawn.iter().map(|rms| rms[0].ln()).collect());
+    assert!((0.08..0.25).contains(&spread), "the rasters vary by 0.145: {spread}");
+}
+
+#[test]
+fn one_or_two_bad_rasters_do_not_widen_the_good_draws() {
+    for bad in [&[4u8][..], &[4, 11]] {
+        let (noise, host) = learn(16, bad, &json!({})).unwrap();
+        let flagged: Vec<&str> = noise.members.iter().filter(|m| m.bad).map(|m| m.name.as_str()).collect();
+        assert_eq!(flagged, bad.iter().map(|b| format!("n{b}")).collect::<Vec<_>>());
+        assert!((noise.bad_share - bad.len() as f64 / 32.0).abs() < 1e-12);
+        assert_eq!(host.metric("bad_rasters"), Some(bad.len() as f64));
+        let good = Noise { bad_share: 0.0, ..noise.clone() };
+        let rms = |noise: &Noise| mean(drawn_px(noise, 30).iter().map(|rms| rms[0]));
+        let ratio = rms(&good) / rms(&CLEAN);
+        assert!((ratio - 1.0).abs() < 0.06, "{ratio}");
+        let all_bad = Noise { bad_share: 1.0, ..noise };
+        assert!(rms(&all_bad) / rms(&CLEAN) > 2.0);
+    }
+}
+
+#[test]
+fn few_rasters_make_a_parametric_model() {
+    let (noise, _) = learn(6, &[], &json!({})).unwrap();
+    assert!(!noise.has_fields() && noise.members.len() == 6);
+    let ratio = mean(drawn_px(&noise, 40).iter().map(|rms| rms[0])) * 20.0 * 20.0 / (small_sensor().f * 2.0) / 0.002;
+    // The relief of a plane says that all places are alike, which few rasters only half contradict.
+    assert!((0.8..1.6).contains(&ratio), "{ratio}");
+    assert_eq!(Noise::decode(&noise.encode().unwrap()).unwrap(), noise);
+}
+
+#[test]
+fn what_cannot_be_learnt_from_is_refused() {
+    assert!(learn(4, &[], &json!({"held_out": 0.6})).err().unwrap().message.contains("2 of 4 rasters"));
+    let (noise, _) = learn(16, &[], &json!({"held_out": 0.25})).unwrap();
+    assert_eq!(noise.members.len(), 12);
+}

@@ -1,0 +1,128 @@
+//! Acquisitions from differences: what one epoch brings to the noise of a difference of two.
+//!
+//! The variance of a difference is the sum of those of its two epochs, so the noise of one is weaker by sqrt 2. The logarithm of the
+//! strength of a difference is close to the mean of those of its epochs, so it varies less by sqrt 2; and it lies above this mean by
+//! half the variance between epochs. Neighbours of a chain share an epoch; that leaves both factors as they are. A bad
+//! difference is a usual epoch and a bad one, whose variance is what the usual one does not explain.
+
+use crate::noise::learning::bad::robust;
+use crate::noise::learning::whitening::Whitened;
+use rockface_core::artefact::Member;
+use rockface_core::numerics::portable_math::{exp, log};
+
+/// Part of the variance of a bad difference that its bad epoch has at least.
+const LEAST_BAD_PART: f64 = 0.5;
+
+/// How acquisitions are drawn from those that are known.
+#[derive(Debug, Clone)]
+pub struct Acquisitions {
+    /// What is known.
+    pub members: Vec<Member>,
+    /// Deviation of the jitter, class by class and band by band.
+    pub jitter: Vec<f64>,
+    /// Probability that an acquisition is bad.
+    pub bad_share: f64,
+}
+
+/// Acquisitions from whitened differences; `band_shares` is the share of each band in white noise, `jitter` the deviation of the jitter as a
+/// share of that of the differences, which are drawn together accordingly, so that the variance stays.
+pub fn acquisitions(
+    names: &[String],
+    whitened: &[Whitened],
+    bad: &[bool],
+    band_shares: &[f64],
+    jitter: f64,
+) -> Acquisitions {
+    let classes = whitened[0].log_strength.len();
+    let row = |w: &Whitened| -> Vec<f64> { w.log_strength.iter().chain(&w.log_amplitude).copied().collect() };
+    let usual: Vec<Vec<f64>> = whitened.iter().zip(bad).filter(|(_, bad)| !**bad).map(|(w, _)| row(w)).collect();
+    let column = |c: usize| usual.iter().map(|row| row[c]).collect::<Vec<f64>>();
+    let columns: Vec<Vec<f64>> = (0..usual[0].len()).map(column).collect();
+    let mean: Vec<f64> = columns.iter().map(|values| values.iter().sum::<f64>() / values.len() as f64).collect();
+    let variance = |c: usize| {
+        let squares: f64 = columns[c].iter().map(|value| (value - mean[c]) * (value - mean[c])).sum();
+        squares / (columns[c].len() as f64 - 1.0).max(1.0)
+    };
+    let widening = std::f64::consts::SQRT_2 / (1.0 + jitter * jitter).sqrt();
+    let spread = |c: usize| jitter * widening * robust(&columns[c])[1];
+    let half = -0.5 * std::f64::consts::LN_2;
+    let of_usual = |row: &[f64]| -> Vec<f64> {
+        let one = |(c, value): (usize, &f64)| {
+            let level = if c < classes { half - variance(c) } else { 0.0 };
+            mean[c] + widening * (value - mean[c]) + level
+        };
+        row.iter().enumerate().map(one).collect()
+    };
+    let member = |((name, w), bad): ((&String, &Whitened), &bool)| {
+        let row = if *bad { of_bad(&row(w), &mean, classes, band_shares) } else { of_usual(&row(w)) };
+        let (log_strength, log_amplitude) = row.split_at(classes);
+        Member {
+            name: name.clone(),
+            bad: *bad,
+            log_strength: log_strength.to_vec(),
+            log_amplitude: log_amplitude.to_vec(),
+            field_log_amplitude: w.log_amplitude.clone(),
+        }
+    };
+    let members = names.iter().zip(whitened).zip(bad).map(member).collect();
+    let count = bad.iter().filter(|bad| **bad).count() as f64;
+    // A bad epoch spoils the two differences it takes part in.
+    let bad_share = 0.5 * count / bad.len() as f64;
+    Acquisitions { members, jitter: (0..mean.len()).map(spread).collect(), bad_share }
+}
+
+/// The bad epoch of a bad difference.
+fn of_bad(row: &[f64], usual: &[f64], classes: usize, band_shares: &[f64]) -> Vec<f64> {
+    let rest = |whole: f64, usual: f64| (2.0 * whole - usual).max(2.0 * LEAST_BAD_PART * whole);
+    let strength = |k: usize| 0.5 * log(0.5 * rest(exp(2.0 * row[k]), exp(2.0 * usual[k])));
+    let level = |values: &[f64]| exp(2.0 * values[..classes].iter().sum::<f64>() / classes as f64);
+    let (whole, part) = (level(row), level(usual));
+    let power = |c: usize| rest(whole * exp(2.0 * row[c]), part * exp(2.0 * usual[c]));
+    let powers: Vec<f64> = (classes..row.len()).map(power).collect();
+    let total: f64 = powers.iter().zip(band_shares).map(|(power, share)| power * share).sum();
+    (0..classes).map(strength).chain(powers.iter().map(|power| 0.5 * log(power / total))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn whitened(strength: f64, amplitudes: [f64; 2]) -> Whitened {
+        Whitened {
+            log_strength: vec![strength],
+            field: Vec::new(),
+            weights: Vec::new(),
+            log_amplitude: amplitudes.to_vec(),
+        }
+    }
+
+    fn names(count: usize) -> Vec<String> {
+        (0..count).map(|i| format!("d{i}")).collect()
+    }
+
+    #[test]
+    fn two_epochs_make_up_the_variance_of_their_difference() {
+        let rasters: Vec<Whitened> = (0..12).map(|i| whitened(if i % 2 == 0 { 0.1 } else { -0.1 }, [0.0; 2])).collect();
+        let found = acquisitions(&names(12), &rasters, &[false; 12], &[0.3, 0.7], 0.0);
+        assert!(found.bad_share == 0.0 && found.jitter.iter().all(|j| *j == 0.0));
+        let draws: Vec<f64> = found.members.iter().map(|member| member.log_strength[0]).collect();
+        let deviation = (draws[0] - draws[1]) / 2.0;
+        assert!((deviation - 0.1 * std::f64::consts::SQRT_2).abs() < 1e-12);
+        // All differences of two of them: their mean log rms is that of the rasters.
+        let pairs = draws.iter().flat_map(|a| draws.iter().map(move |b| 0.5 * log(exp(2.0 * a) + exp(2.0 * b))));
+        assert!((pairs.sum::<f64>() / 144.0).abs() < 0.005);
+    }
+
+    #[test]
+    fn a_bad_epoch_has_what_the_usual_one_does_not_explain() {
+        let mut rasters: Vec<Whitened> = (0..9).map(|_| whitened(0.0, [0.0; 2])).collect();
+        rasters.push(whitened(0.5 * log(5.0), [0.2, -0.1]));
+        let bad: Vec<bool> = (0..10).map(|i| i == 9).collect();
+        let found = acquisitions(&names(10), &rasters, &bad, &[0.3, 0.7], 0.4);
+        assert!((found.bad_share - 0.05).abs() < 1e-12);
+        let epochs = exp(2.0 * found.members[9].log_strength[0]) + exp(2.0 * found.members[0].log_strength[0]);
+        assert!((epochs - 5.0).abs() < 1e-9, "{epochs}");
+        let amplitude = &found.members[9].log_amplitude;
+        assert!((0.3 * exp(2.0 * amplitude[0]) + 0.7 * exp(2.0 * amplitude[1]) - 1.0).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,6 @@
+//! Learns a noise model from differences without change: whitening, bad acquisitions, acquisitions, strength by relief.
+
+pub mod acquisitions;
+pub mod bad;
+pub mod relief_law;
+pub mod whitening;

@@ -1,0 +1,242 @@
+//! Whitens rasters of noise: a map of strength by place, a factor for each class of place in each raster, and what is left.
+//!
+//! Classes of place are intervals of the strength: acquisitions differ in another way on flat rock than at ledges. The map is the
+//! root of the mean square over rasters that are each divided by their own level, so that a strong raster does not rule it.
+
+use rayon::prelude::*;
+use rockface_core::numerics::bands::Bands;
+use rockface_core::numerics::gaussian::smoothed;
+use rockface_core::numerics::portable_math;
+use rockface_core::numerics::quantile::{median, of_sorted};
+use rockface_imaging::matching::noise::ensemble::log_strength_at;
+
+/// Shares of the face, from the quietest place on, at which a class of place ends: fifths, and the strongest 3 %.
+const CLASS_ENDS: [f64; 5] = [0.2, 0.4, 0.6, 0.8, 0.97];
+/// Bands of frequency.
+pub const BANDS: usize = 12;
+/// Rounds in which map and levels are fitted to each other.
+const ROUNDS: usize = 3;
+/// Deviations of the Gaussians that fill gaps, cells: the first one that reaches a value.
+const FILLING_CELLS: [f64; 2] = [1.5, 6.0];
+
+/// What the strength is expected to be, and how many rasters that is worth.
+#[derive(Debug, Clone, Copy)]
+pub struct Prior<'a> {
+    /// Expected strength of each cell, of any scale.
+    pub strength: &'a [f32],
+    /// Weight, rasters.
+    pub rasters: f64,
+}
+
+/// Rasters on one grid; NaN in gaps.
+#[derive(Debug, Clone, Copy)]
+pub struct Stack<'a> {
+    /// The rasters.
+    pub rasters: &'a [Vec<f32>],
+    /// Columns of the grid.
+    pub columns: usize,
+    /// Deviation of the Gaussian that smooths the map of strength, cells.
+    pub smoothing_cells: f64,
+    /// What is known of the map beforehand.
+    pub prior: Option<Prior<'a>>,
+}
+
+/// Strength by place, and the classes of place.
+#[derive(Debug, Clone)]
+pub struct Places {
+    /// Strength of each cell.
+    pub strength: Vec<f32>,
+    /// Class of each cell.
+    class: Vec<u8>,
+    /// Logarithm of the strength at the middle of each class.
+    pub middles: Vec<f64>,
+}
+
+impl Stack<'_> {
+    /// Strength by place from the rasters that count.
+    pub fn places(&self, counts: &[bool]) -> Places {
+        let mut levels = vec![0.0; self.rasters.len()];
+        let mut strength = Vec::new();
+        for _ in 0..ROUNDS {
+            strength = self.strength(counts, &levels);
+            levels =
+                self.rasters.par_iter().map(|raster| log_rms(raster, &strength, |_| true).unwrap_or(0.0)).collect();
+        }
+        let mut logs: Vec<f64> = strength.iter().map(|s| portable_math::log(f64::from(*s))).collect();
+        let unsorted = logs.clone();
+        logs.sort_by(f64::total_cmp);
+        let ends: Vec<f64> = CLASS_ENDS.iter().filter_map(|share| of_sorted(&logs, *share)).collect();
+        let class: Vec<u8> = unsorted.iter().map(|log| ends.partition_point(|end| end < log) as u8).collect();
+        let middle = |k: usize| {
+            let mut members: Vec<f64> =
+                unsorted.iter().zip(&class).filter(|(_, c)| usize::from(**c) == k).map(|(log, _)| *log).collect();
+            median(&mut members)
+        };
+        // A class that no cell falls into (all places alike) has the middle of its neighbour.
+        let mut middles: Vec<f64> = Vec::new();
+        for k in 0..=CLASS_ENDS.len() {
+            let before = middles.last().copied();
+            middles.push(middle(k).or(before).unwrap_or(logs[0]));
+        }
+        Places { strength, class, middles }
+    }
+
+    /// Root of the smoothed mean square of the rasters that count, each divided by `exp(level)`.
+    fn strength(&self, counts: &[bool], levels: &[f64]) -> Vec<f32> {
+        let cells = self.rasters[0].len();
+        let (mut sums, mut weights) = (vec![0.0f64; cells], vec![0.0f64; cells]);
+        for ((raster, level), _) in self.rasters.iter().zip(levels).zip(counts).filter(|(_, counts)| **counts) {
+            let factor = portable_math::exp(-2.0 * level);
+            for (i, value) in raster.iter().enumerate().filter(|(_, value)| !value.is_nan()) {
+                sums[i] += factor * f64::from(*value) * f64::from(*value);
+                weights[i] += 1.0;
+            }
+        }
+        let mean = |i: usize| if weights[i] > 0.0 { (sums[i] / weights[i]) as f32 } else { f32::NAN };
+        let squares: Vec<f32> = (0..cells).map(mean).collect();
+        let mut smooth = if self.smoothing_cells > 0.0 {
+            smoothed(&squares, self.columns, self.smoothing_cells)
+        } else {
+            squares.iter().map(|s| f64::from(*s)).collect()
+        };
+        if let Some(prior) = self.prior {
+            let scale = scale_of(&smooth, prior.strength);
+            for (i, square) in smooth.iter_mut().enumerate() {
+                let expected = scale * f64::from(prior.strength[i]) * f64::from(prior.strength[i]);
+                let known = if square.is_finite() { *square * weights[i] } else { 0.0 };
+                *square = (known + expected * prior.rasters) / (weights[i] + prior.rasters);
+            }
+        }
+        // Where no raster has a value the noise was too strong to measure.
+        let highest = smooth.iter().copied().filter(|s| s.is_finite()).fold(0.0, f64::max);
+        let mut positive: Vec<f64> = smooth.iter().copied().filter(|s| *s > 0.0).collect();
+        let least = 1e-6 * median(&mut positive).unwrap_or(1.0);
+        smooth.iter().map(|s| (if *s > 0.0 { s.max(least) } else { highest }).sqrt() as f32).collect()
+    }
+}
+
+/// Ratio of the mean squares of two maps, over the cells where the first has a value.
+fn scale_of(squares: &[f64], strength: &[f32]) -> f64 {
+    let both = squares.iter().zip(strength).filter(|(square, _)| **square > 0.0);
+    let (a, b) = both.fold((0.0, 0.0), |(a, b), (square, s)| (a + square, b + f64::from(*s) * f64::from(*s)));
+    if b > 0.0 { a / b } else { 1.0 }
+}
+
+/// Logarithm of the rms of a raster divided by the strength, over some cells; `None` without values.
+fn log_rms(raster: &[f32], strength: &[f32], takes: impl Fn(usize) -> bool) -> Option<f64> {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for (i, (value, s)) in raster.iter().zip(strength).enumerate().filter(|(i, (v, _))| !v.is_nan() && takes(*i)) {
+        let _ = i;
+        let unit = f64::from(*value) / f64::from(*s);
+        (sum, count) = (sum + unit * unit, count + 1.0);
+    }
+    (sum > 0.0).then(|| 0.5 * portable_math::log(sum / count))
+}
+
+impl Places {
+    /// Logarithm of the factor of a raster on the strength, class by class; a class without values has that of the whole raster.
+    pub fn log_strength(&self, raster: &[f32]) -> Vec<f64> {
+        let whole = log_rms(raster, &self.strength, |_| true).unwrap_or(0.0);
+        let of_class = |k: usize| log_rms(raster, &self.strength, |i| usize::from(self.class[i]) == k).unwrap_or(whole);
+        (0..self.middles.len()).map(of_class).collect()
+    }
+
+    /// A raster divided by strength and factors, with gaps.
+    fn divided(&self, raster: &[f32], log_strength: &[f64]) -> Vec<f32> {
+        let factor = |s: f32| {
+            let log = portable_math::log(f64::from(s));
+            f64::from(s) * portable_math::exp(log_strength_at(&self.middles, log_strength, log))
+        };
+        raster.iter().zip(&self.strength).map(|(value, s)| (f64::from(*value) / factor(*s)) as f32).collect()
+    }
+}
+
+/// A whitened raster.
+#[derive(Debug, Clone)]
+pub struct Whitened {
+    /// Logarithm of its factor on the strength, for each class of place.
+    pub log_strength: Vec<f64>,
+    /// What is left, of unit variance, gaps filled.
+    pub field: Vec<f32>,
+    /// Weight of each value: 255 inside, falling to 0 in a gap.
+    pub weights: Vec<u8>,
+    /// Logarithm of the amplitude of what is left in each band; 0 is that of white noise.
+    pub log_amplitude: Vec<f64>,
+}
+
+/// Whitens all rasters.
+pub fn whiten(stack: &Stack, places: &Places) -> Vec<Whitened> {
+    let rows = stack.rasters[0].len() / stack.columns;
+    let bands = Bands::new(stack.columns, rows, BANDS);
+    let one = |raster: &Vec<f32>| {
+        let log_strength = places.log_strength(raster);
+        let (field, weights) = filled(&places.divided(raster, &log_strength), stack.columns);
+        let values: Vec<f64> = field.iter().map(|value| f64::from(*value)).collect();
+        let log_amplitude = bands.power(&values).iter().map(|p| 0.5 * portable_math::log(p.max(1e-12))).collect();
+        Whitened { log_strength, field, weights, log_amplitude }
+    };
+    stack.rasters.par_iter().map(one).collect()
+}
+
+/// A field without gaps, and weights that fall smoothly towards them: where one donor ends, the others must take over without a step.
+fn filled(values: &[f32], columns: usize) -> (Vec<f32>, Vec<u8>) {
+    let [near, far] = FILLING_CELLS.map(|cells| smoothed(values, columns, cells));
+    let mask: Vec<f32> = values.iter().map(|value| f32::from(u8::from(!value.is_nan()))).collect();
+    let inside = smoothed(&mask, columns, FILLING_CELLS[0]);
+    let fill = |i: usize| (if near[i] == 0.0 { far[i] } else { near[i] }) as f32;
+    let field = values.iter().enumerate().map(|(i, value)| if value.is_nan() { fill(i) } else { *value }).collect();
+    let weight = |share: &f64| ((2.0 * share - 1.0).clamp(0.0, 1.0) * 255.0).round().max(1.0) as u8;
+    (field, inside.iter().map(weight).collect())
+}
+
+/// Cells at which the mean correlation of whitened fields has fallen to one twentieth.
+pub fn range_cells(fields: &[&Whitened], columns: usize) -> usize {
+    let rows = fields[0].field.len() / columns;
+    let bands = Bands::new(columns, rows, BANDS);
+    let of_field = |whitened: &&Whitened| {
+        let values: Vec<f64> = whitened.field.iter().map(|value| f64::from(*value)).collect();
+        bands.correlation(&values)
+    };
+    let all: Vec<Vec<f64>> = fields.par_iter().map(of_field).collect();
+    let mean = |lag: usize| all.iter().map(|correlation| correlation[lag]).sum::<f64>() / all.len() as f64;
+    (0..all[0].len()).find(|lag| mean(*lag) < 0.05).unwrap_or(all[0].len()).max(1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rockface_core::numerics::random::Key;
+
+    #[test]
+    fn strength_by_place_and_levels_of_rasters_come_apart() {
+        let (columns, rows) = (60, 50);
+        let place = |i: usize| if i % columns < 20 { 3.0 } else { 1.0 };
+        let level = |b: usize| portable_math::exp(0.2 * (b as f64 - 6.0));
+        let rasters: Vec<Vec<f32>> = (0..13u8)
+            .map(|b| {
+                let field = Key([b; 32]).field();
+                let draw = |i: usize| field.normal((i % columns) as i32, (i / columns) as i32);
+                (0..columns * rows).map(|i| (0.01 * place(i) * level(usize::from(b)) * draw(i)) as f32).collect()
+            })
+            .collect();
+        let stack = Stack { rasters: &rasters, columns, smoothing_cells: 2.0, prior: None };
+        let places = stack.places(&[true; 13]);
+        let ratio = f64::from(places.strength[25 * columns + 5]) / f64::from(places.strength[25 * columns + 45]);
+        assert!((ratio - 3.0).abs() < 0.4, "{ratio}");
+        let whitened = whiten(&stack, &places);
+        let rise = whitened[12].log_strength[2] - whitened[0].log_strength[2];
+        assert!((rise - 2.4).abs() < 0.1, "{rise}");
+        let variance = whitened[3].field.iter().map(|v| f64::from(*v) * f64::from(*v)).sum::<f64>() / 3000.0;
+        assert!((variance - 1.0).abs() < 0.05, "{variance}");
+        assert!(whitened[3].log_amplitude.iter().skip(4).all(|a| a.abs() < 0.2), "{:?}", whitened[3].log_amplitude);
+    }
+
+    #[test]
+    fn weights_fall_towards_a_gap() {
+        let mut values = vec![1.0f32; 400];
+        (8..12).for_each(|row| (8..12).for_each(|column| values[row * 20 + column] = f32::NAN));
+        let (field, weights) = filled(&values, 20);
+        assert!(field.iter().all(|value| (value - 1.0).abs() < 1e-5));
+        assert!(weights[9 * 20 + 9] == 1 && weights[9 * 20 + 6] > 100 && weights[0] == 255, "{weights:?}");
+    }
+}

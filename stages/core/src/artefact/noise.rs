@@ -1,0 +1,141 @@
+//! A model of the matching noise of a site, learnt from rasters without change: what `match-pair` draws acquisitions from.
+
+use super::{CodecError, Frame, Grid};
+
+/// One acquisition the model knows: how strong and how coarse its noise is, and where its whitened field comes from.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Member {
+    /// Name of the raster it is taken from.
+    pub name: String,
+    /// Whether it is a bad acquisition (motion blur, haze), which is drawn by a class of its own.
+    pub bad: bool,
+    /// Logarithm of the factor on the map of strength, for each class of place.
+    pub log_strength: Vec<f64>,
+    /// Logarithm of the amplitude of the whitened noise in each band of frequency; 0 is the amplitude of white noise.
+    pub log_amplitude: Vec<f64>,
+    /// The same of its whitened field as it is kept; 0 where the model has no fields.
+    pub field_log_amplitude: Vec<f64>,
+}
+
+/// How the strength of the noise depends on the relief of the face, for places whose geometry has changed:
+/// `strength = sqrt(flat^2 + (gain relief)^2)`.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ReliefLaw {
+    /// Strength where the face is flat, pixels of disparity in the full image.
+    pub flat_px: f64,
+    /// Growth of the strength with the relief, pixels for a metre.
+    pub gain_px_m: f64,
+    /// Half width of the window in which the deviation of the elevations is the relief, cells.
+    pub window_cells: usize,
+}
+
+/// A noise model: errors of disparity on the cells of a grid over the face, in pixels of the full image.
+///
+/// An acquisition is `whitened field x strength x exp(log_strength)`. The whitened field is mixed from those of some members with smooth
+/// random weights, or drawn from white noise where the model has no fields; bands of frequency give it the amplitudes of one member.
+#[derive(Debug, Clone)]
+pub struct Noise {
+    /// The frame X and Y of the grid are in.
+    pub frame: Frame,
+    /// The grid.
+    pub grid: Grid,
+    /// Whitened fields mixed in one acquisition.
+    pub donors: usize,
+    /// Correlation length of the weights of the mixture, cells.
+    pub length_cells: f64,
+    /// Share of the variance of a weight that is constant over the face.
+    pub common_share: f64,
+    /// Probability that an acquisition is a bad one.
+    pub bad_share: f64,
+    /// Logarithm of the strength at the middle of each class of place, ascending.
+    pub class_log_strength: Vec<f64>,
+    /// Deviation of the jitter of `log_strength`, class by class, then of `log_amplitude`, band by band.
+    pub jitter: Vec<f64>,
+    /// Strength by relief.
+    pub relief: ReliefLaw,
+    /// The acquisitions.
+    pub members: Vec<Member>,
+    /// Strength of the noise by place, pixels of disparity in the full image, `rows x columns` from the top.
+    pub strength: Vec<f32>,
+    /// Elevation of the face the rasters were taken from, metres; NaN where unknown.
+    pub elevation: Vec<f32>,
+    /// Whitened field of each member, of unit variance over the face, gaps filled; empty: the model has none.
+    pub fields: Vec<Vec<f32>>,
+    /// Weight of each value of a field: 255 inside, falling to 0 in a gap.
+    pub weights: Vec<Vec<u8>>,
+}
+
+impl Noise {
+    /// Bands of frequency.
+    pub fn bands(&self) -> usize {
+        self.jitter.len().saturating_sub(self.class_log_strength.len())
+    }
+
+    /// Whether an acquisition mixes the fields of members; otherwise it is drawn from white noise.
+    pub fn has_fields(&self) -> bool {
+        !self.fields.is_empty()
+    }
+
+    /// Checks that the parts fit each other.
+    ///
+    /// # Errors
+    /// The part that does not fit, and what it should be.
+    pub fn check(&self) -> Result<(), CodecError> {
+        let refuse = |text: String| Err(CodecError(format!("noise model: {text}")));
+        let (classes, bands) = (self.class_log_strength.len(), self.bands());
+        if classes == 0 || bands < 2 || !self.members.iter().any(|member| !member.bad) {
+            return refuse(
+                "it needs a class of place, two bands of frequency and an acquisition that is not bad".into(),
+            );
+        }
+        for member in &self.members {
+            let lengths = [&member.log_strength, &member.log_amplitude, &member.field_log_amplitude].map(Vec::len);
+            if lengths != [classes, bands, bands] {
+                return refuse(format!(
+                    "`{}` has {lengths:?} values for {classes} classes and {bands} bands",
+                    member.name
+                ));
+            }
+        }
+        let cells = self.grid.cells();
+        let members = if self.has_fields() { self.members.len() } else { 0 };
+        if self.fields.len() != members || self.weights.len() != members {
+            let (fields, weights) = (self.fields.len(), self.weights.len());
+            return refuse(format!("{fields} fields and {weights} weights for {} acquisitions", self.members.len()));
+        }
+        let lengths = [&self.strength, &self.elevation].into_iter().chain(&self.fields).map(Vec::len);
+        if let Some(length) = lengths.chain(self.weights.iter().map(Vec::len)).find(|length| *length != cells) {
+            return refuse(format!("a raster has {length} cells, the grid {cells}"));
+        }
+        let positive = |value: f64| value.is_finite() && value > 0.0;
+        let share = |value: f64| (0.0..=1.0).contains(&value);
+        if self.donors == 0 || !positive(self.length_cells) || !share(self.common_share) || !share(self.bad_share) {
+            return refuse("donors and their length must be positive, shares between 0 and 1".into());
+        }
+        let sound = self.strength.iter().all(|value| value.is_finite() && *value >= 0.0);
+        if !sound || !self.fields.iter().flatten().all(|value| value.is_finite()) {
+            return refuse("a strength or a whitened value is not finite".into());
+        }
+        Ok(())
+    }
+}
+
+/// Equal parts and bits: NaN equals NaN.
+impl PartialEq for Noise {
+    fn eq(&self, other: &Self) -> bool {
+        let bits = |values: &[f32]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
+        let all = |noise: &Self| noise.fields.iter().map(|field| bits(field)).collect::<Vec<_>>();
+        (self.frame, self.grid, self.donors) == (other.frame, other.grid, other.donors)
+            && (self.length_cells, self.common_share, self.bad_share)
+                == (other.length_cells, other.common_share, other.bad_share)
+            && (&self.class_log_strength, &self.jitter, self.relief)
+                == (&other.class_log_strength, &other.jitter, other.relief)
+            && self.members == other.members
+            && bits(&self.strength) == bits(&other.strength)
+            && bits(&self.elevation) == bits(&other.elevation)
+            && all(self) == all(other)
+            && self.weights == other.weights
+    }
+}

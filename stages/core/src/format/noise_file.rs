@@ -1,0 +1,183 @@
+//! The file of a noise model: a line of magic, a JSON header, strength, elevation, fields and their weights.
+
+use crate::artefact::{CodecError, Frame, Grid, Member, Noise, ReliefLaw};
+
+const MAGIC: &[u8] = b"rockface noise 1\n";
+
+/// What is written into the header for whoever reads the file without us.
+const LAYOUT: &str = "rows x columns cells from the top left: strength float32 little-endian (px), elevation float32 (m, NaN = unknown); \
+                      then for each field of the members float32 (1), then their weights uint8 (255 = 1)";
+
+#[derive(serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Header {
+    frame: Frame,
+    columns: usize,
+    rows: usize,
+    cell_m: f64,
+    left_m: f64,
+    top_m: f64,
+    donors: usize,
+    length_cells: f64,
+    common_share: f64,
+    bad_share: f64,
+    class_log_strength: Vec<f64>,
+    jitter: Vec<f64>,
+    relief: ReliefLaw,
+    members: Vec<Member>,
+    fields: usize,
+    layout: String,
+}
+
+/// Writes a noise model.
+pub fn write(noise: &Noise) -> Result<Vec<u8>, CodecError> {
+    noise.check()?;
+    let grid = noise.grid;
+    let header = Header {
+        frame: noise.frame,
+        columns: grid.columns,
+        rows: grid.rows,
+        cell_m: grid.cell_m,
+        left_m: grid.left_m,
+        top_m: grid.top_m,
+        donors: noise.donors,
+        length_cells: noise.length_cells,
+        common_share: noise.common_share,
+        bad_share: noise.bad_share,
+        class_log_strength: noise.class_log_strength.clone(),
+        jitter: noise.jitter.clone(),
+        relief: noise.relief,
+        members: noise.members.clone(),
+        fields: noise.fields.len(),
+        layout: LAYOUT.to_owned(),
+    };
+    let header = serde_json::to_string(&header).map_err(|e| CodecError(e.to_string()))?;
+    // A number that is not finite would become `null` and be refused when it is read.
+    serde_json::from_str::<Header>(&header)
+        .map_err(|e| CodecError(format!("noise model: a number is not finite: {e}")))?;
+    let mut bytes =
+        Vec::with_capacity(MAGIC.len() + header.len() + 1 + size(grid.cells(), noise.fields.len()).unwrap_or(0));
+    bytes.extend_from_slice(MAGIC);
+    bytes.extend_from_slice(header.as_bytes());
+    bytes.push(b'\n');
+    for raster in [&noise.strength, &noise.elevation].into_iter().chain(&noise.fields) {
+        bytes.extend(raster.iter().flat_map(|value| value.to_le_bytes()));
+    }
+    noise.weights.iter().for_each(|weights| bytes.extend_from_slice(weights));
+    Ok(bytes)
+}
+
+/// Reads a noise model.
+pub fn read(bytes: &[u8]) -> Result<Noise, CodecError> {
+    let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| CodecError::new("not a rockface noise file (version 1)"))?;
+    let end = rest.iter().position(|b| *b == b'\n').ok_or_else(|| CodecError::new("noise file: header without end"))?;
+    let header: Header =
+        serde_json::from_slice(&rest[..end]).map_err(|e| CodecError(format!("noise file: bad header: {e}")))?;
+    let body = &rest[end + 1..];
+    let grid = Grid {
+        columns: header.columns,
+        rows: header.rows,
+        cell_m: header.cell_m,
+        left_m: header.left_m,
+        top_m: header.top_m,
+    };
+    let cells = grid.columns.checked_mul(grid.rows).filter(|cells| *cells > 0);
+    let expected = cells.and_then(|cells| size(cells, header.fields));
+    let (Some(cells), Some(expected)) = (cells, expected) else {
+        return Err(CodecError::new("noise file: impossible size"));
+    };
+    if body.len() != expected {
+        let (found, w, h, n) = (body.len(), grid.columns, grid.rows, header.fields);
+        return Err(CodecError(format!(
+            "noise file: {n} fields of {w} x {h} cells need {expected} bytes, found {found}; it is cut short or damaged"
+        )));
+    }
+    let (floats, weights) = body.split_at(4 * cells * (2 + header.fields));
+    let value = |b: &[u8]| f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
+    let mut rasters = floats.chunks_exact(4 * cells).map(|raster| raster.chunks_exact(4).map(value).collect());
+    let (strength, elevation) = (rasters.next().unwrap_or_default(), rasters.next().unwrap_or_default());
+    let noise = Noise {
+        frame: header.frame,
+        grid,
+        donors: header.donors,
+        length_cells: header.length_cells,
+        common_share: header.common_share,
+        bad_share: header.bad_share,
+        class_log_strength: header.class_log_strength,
+        jitter: header.jitter,
+        relief: header.relief,
+        members: header.members,
+        strength,
+        elevation,
+        fields: rasters.collect(),
+        weights: weights.chunks_exact(cells).map(<[u8]>::to_vec).collect(),
+    };
+    noise.check()?;
+    if header.layout != LAYOUT {
+        return Err(CodecError::new("noise file: a layout of another version"));
+    }
+    Ok(noise)
+}
+
+/// Bytes of the rasters of a file.
+fn size(cells: usize, fields: usize) -> Option<usize> {
+    let bytes_a_cell = fields.checked_mul(5)?.checked_add(8)?;
+    cells.checked_mul(bytes_a_cell)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample() -> Noise {
+        let member = |name: &str, bad: bool| Member {
+            name: name.into(),
+            bad,
+            log_strength: vec![0.1],
+            log_amplitude: vec![0.2, -0.3],
+            field_log_amplitude: vec![0.0, 0.1],
+        };
+        Noise {
+            frame: Frame::Wall,
+            grid: Grid { columns: 2, rows: 1, cell_m: 0.01, left_m: -1.0, top_m: 0.1 },
+            donors: 8,
+            length_cells: 60.0,
+            common_share: 0.3,
+            bad_share: 0.05,
+            class_log_strength: vec![-1.2],
+            jitter: vec![0.05, 0.01, 0.02],
+            relief: ReliefLaw { flat_px: 0.2, gain_px_m: 3.0, window_cells: 4 },
+            members: vec![member("a", false), member("b", true)],
+            strength: vec![0.3, 0.4],
+            elevation: vec![f32::NAN, 1.5],
+            fields: vec![vec![0.5, -0.25], vec![1.0, -0.0]],
+            weights: vec![vec![255, 0], vec![255, 128]],
+        }
+    }
+
+    #[test]
+    fn comes_back_bit_for_bit() {
+        assert_eq!(read(&write(&sample()).unwrap()).unwrap(), sample());
+        let bare = Noise { fields: Vec::new(), weights: Vec::new(), ..sample() };
+        assert_eq!(read(&write(&bare).unwrap()).unwrap(), bare);
+    }
+
+    #[test]
+    fn a_cut_file_is_refused_at_every_length() {
+        let bytes = write(&sample()).unwrap();
+        for length in 0..bytes.len() {
+            assert!(read(&bytes[..length]).is_err(), "length {length}");
+        }
+    }
+
+    #[test]
+    fn parts_that_do_not_fit_are_refused_by_name() {
+        let mut noise = sample();
+        noise.members[1].log_amplitude.pop();
+        assert!(write(&noise).unwrap_err().0.contains("`b` has [1, 1, 2] values"));
+        let noise = Noise { weights: Vec::new(), ..sample() };
+        assert!(write(&noise).unwrap_err().0.contains("2 fields and 0 weights"));
+        let noise = Noise { strength: vec![0.1, f32::NAN], ..sample() };
+        assert!(write(&noise).unwrap_err().0.contains("not finite"));
+    }
+}

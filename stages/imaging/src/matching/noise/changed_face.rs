@@ -1,0 +1,101 @@
+//! Where the face differs from the one a noise model was learnt on, and how strong the noise is there.
+
+use crate::camera::model::{Camera, full_pixel};
+use rockface_core::artefact::{Depth, Noise, ReliefLaw};
+
+/// A face has changed where its elevation lies this many cells outside of the range that the known one has nearby.
+const LEAST_CHANGE_CELLS: f64 = 2.0;
+/// Cells around a cell whose elevations count as nearby.
+const NEARBY_CELLS: usize = 2;
+
+/// Strength of the noise by place, pixels of the full image: that of the model, and where the surface of a depth map differs
+/// from the face of the model, what its relief law gives the new relief.
+pub fn strength(noise: &Noise, depth: &Depth, camera: &Camera) -> Vec<f32> {
+    let elevation = seen_elevation(noise, depth, camera);
+    let window = Window { columns: noise.grid.columns, rows: noise.grid.rows, half: NEARBY_CELLS };
+    let least_m = LEAST_CHANGE_CELLS * noise.grid.cell_m;
+    let differs = |i: usize| {
+        let z = elevation[i];
+        let (low, high) = window
+            .around(i)
+            .map(|j| noise.elevation[j])
+            .filter(|z| !z.is_nan())
+            .fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), z| (low.min(z), high.max(z)));
+        low <= high && (f64::from(z) < f64::from(low) - least_m || f64::from(z) > f64::from(high) + least_m)
+    };
+    let changed: Vec<usize> = (0..elevation.len()).filter(|i| differs(*i)).collect();
+    let mut strength = noise.strength.clone();
+    if changed.is_empty() {
+        return strength;
+    }
+    // Of the unchanged face, all that is known: the new surface meets it at the rim of the change.
+    let mut surface = noise.elevation.clone();
+    changed.iter().for_each(|i| surface[*i] = elevation[*i]);
+    let reach = Window { half: noise.relief.window_cells, ..window };
+    for i in changed {
+        for j in reach.around(i) {
+            strength[j] = law(&noise.relief, relief_m(&surface, &reach, j)) as f32;
+        }
+    }
+    strength
+}
+
+/// Strength by relief, pixels.
+pub fn law(law: &ReliefLaw, relief_m: f64) -> f64 {
+    let of_relief = law.gain_px_m * relief_m;
+    (law.flat_px * law.flat_px + of_relief * of_relief).sqrt()
+}
+
+/// Deviation of the elevations within a window around a cell, metres; 0 where none is known.
+pub fn relief_m(elevation: &[f32], window: &Window, cell: usize) -> f64 {
+    let (mut n, mut sum, mut squares) = (0.0, 0.0, 0.0);
+    let base = f64::from(elevation[cell]);
+    let base = if base.is_nan() { 0.0 } else { base };
+    for z in window.around(cell).map(|i| f64::from(elevation[i])).filter(|z| !z.is_nan()) {
+        (n, sum, squares) = (n + 1.0, sum + (z - base), squares + (z - base) * (z - base));
+    }
+    if n > 0.0 { (squares / n - (sum / n) * (sum / n)).max(0.0).sqrt() } else { 0.0 }
+}
+
+/// Square windows on a grid, cut off at its edges.
+#[derive(Debug, Clone, Copy)]
+pub struct Window {
+    /// Columns of the grid.
+    pub columns: usize,
+    /// Rows of the grid.
+    pub rows: usize,
+    /// Half width of a window without its centre, cells.
+    pub half: usize,
+}
+
+impl Window {
+    /// The cells around a cell, itself included.
+    pub fn around(self, cell: usize) -> impl Iterator<Item = usize> {
+        let reach = |at: usize, size: usize| at.saturating_sub(self.half)..(at + self.half + 1).min(size);
+        let columns = reach(cell % self.columns, self.columns);
+        reach(cell / self.columns, self.rows).flat_map(move |row| columns.clone().map(move |c| row * self.columns + c))
+    }
+}
+
+/// Mean elevation of the points of a depth map on the cells of the model; NaN where there is none.
+fn seen_elevation(noise: &Noise, depth: &Depth, camera: &Camera) -> Vec<f32> {
+    let grid = noise.grid;
+    let mut sums = vec![[0.0f64; 2]; grid.cells()];
+    for row in 0..depth.height {
+        for column in 0..depth.width {
+            let z = depth.z[row * depth.width + column];
+            let Some(ray) =
+                z.is_finite().then(|| camera.normalised(full_pixel(column, row, depth.downscale))).flatten()
+            else {
+                continue;
+            };
+            let point = camera.unproject(ray, f64::from(z));
+            let at = [(point.x - grid.left_m) / grid.cell_m, (grid.top_m - point.y) / grid.cell_m];
+            if at[0] >= 0.0 && at[1] >= 0.0 && at[0] < grid.columns as f64 && at[1] < grid.rows as f64 {
+                let sum = &mut sums[at[1] as usize * grid.columns + at[0] as usize];
+                (sum[0], sum[1]) = (sum[0] + point.z, sum[1] + 1.0);
+            }
+        }
+    }
+    sums.iter().map(|[sum, count]| if *count > 0.0 { (sum / count) as f32 } else { f32::NAN }).collect()
+}
