@@ -167,7 +167,8 @@ impl Learnt {
             members.iter_mut().for_each(|member| member.field_log_amplitude.fill(0.0));
         }
         let kept = |whitened: &Whitened| (whitened.field.clone(), whitened.weights.clone());
-        let (fields, weights) = if self.fields { self.whitened.iter().map(kept).unzip() } else { Default::default() };
+        let (fields, weights) =
+            if self.fields { self.whitened.iter().map(kept).unzip() } else { (Vec::new(), Vec::new()) };
         Noise {
             frame: dem.frame,
             grid: dem.grid,

@@ -211,6 +211,7 @@ impl Artefact {
             Self::Covariance(value) => Some(value.frame),
             Self::Meshes(value) => Some(value.frame),
             Self::Inventory(value) => Some(value.frame),
+            Self::Noise(value) => Some(value.frame),
             _ => None,
         }
     }
@@ -227,6 +228,7 @@ impl Artefact {
             Self::Covariance(value) => Some(&mut value.frame),
             Self::Meshes(value) => Some(&mut value.frame),
             Self::Inventory(value) => Some(&mut value.frame),
+            Self::Noise(value) => Some(&mut value.frame),
             _ => None,
         }
     }

@@ -7,9 +7,10 @@ use serde_json::{Value, json};
 use super::*;
 use rockface_core::artefact::{Artefact, Frame, Grid, Noun, Pair};
 use rockface_core::numerics::gaussian::smoothed;
+use rockface_core::numerics::portable_math;
 use rockface_core::numerics::random::Key;
 use rockface_core::testing::{TestHost, image_at, run_stage, small_sensor};
-use rockface_imaging::matching::noise::ensemble::draw;
+use rockface_imaging::matching::noise::ensemble::{draw, log_strength_at};
 
 const COLUMNS: usize = 96;
 const ROWS: usize = 80;
@@ -83,13 +84,9 @@ fn drawn_px(noise: &Noise, count: u64) -> Vec<[f64; 2]> {
             .iter()
             .zip(&noise.strength)
             .map(|(w, s)| {
-                let log_s = rockface_core::numerics::portable_math::log(f64::from(*s));
-                let log = rockface_imaging::matching::noise::ensemble::log_strength_at(
-                    &noise.class_log_strength,
-                    &drawn.log_strength,
-                    log_s,
-                );
-                w * f64::from(*s) * rockface_core::numerics::portable_math::exp(log)
+                let log_s = portable_math::log(f64::from(*s));
+                let log = log_strength_at(&noise.class_log_strength, &drawn.log_strength, log_s);
+                w * f64::from(*s) * portable_math::exp(log)
             })
             .collect::<Vec<f64>>()
     };
@@ -121,7 +118,7 @@ fn differences_of_drawn_acquisitions_have_the_strength_of_the_rasters_at_each_pl
         let middle = mean(values.iter().copied());
         mean(values.iter().map(|v| (v - middle) * (v - middle))).sqrt()
     };
-    let spread = deviation(drawn.iter().map(|rms| rms[0].ln()).collect());
+    let spread = deviation(drawn.iter().map(|rms| portable_math::log(rms[0])).collect());
     assert!((0.08..0.25).contains(&spread), "the rasters vary by 0.145: {spread}");
 }
 

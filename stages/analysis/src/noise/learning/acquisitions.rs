@@ -24,8 +24,8 @@ pub struct Acquisitions {
     pub bad_share: f64,
 }
 
-/// Acquisitions from whitened differences; `band_shares` is the share of each band in white noise, `jitter` the deviation of the jitter as a
-/// share of that of the differences, which are drawn together accordingly, so that the variance stays.
+/// Acquisitions from whitened differences; `band_shares` is the share of each band in white noise, `jitter` the deviation of
+/// the jitter as a share of that of the differences, which are drawn together accordingly, so that the variance stays.
 pub fn acquisitions(
     names: &[String],
     whitened: &[Whitened],

@@ -15,16 +15,16 @@ const ROUNDS: usize = 4;
 /// Places, whitened rasters, and which of them are bad. Bad ones have no say in the places.
 pub fn parted(stack: &Stack, cut: f64) -> (Places, Vec<Whitened>, Vec<bool>) {
     let mut bad = vec![false; stack.rasters.len()];
-    for round in 1.. {
+    let mut round = 1;
+    loop {
         let places = stack.places(&bad.iter().map(|bad| !bad).collect::<Vec<_>>());
         let whitened = whiten(stack, &places);
         let found = unusual(&whitened, &bad, cut);
-        if found == bad || round >= ROUNDS {
+        if found == bad || round == ROUNDS {
             return (places, whitened, bad);
         }
-        bad = found;
+        (bad, round) = (found, round + 1);
     }
-    unreachable!("the last round returns")
 }
 
 /// Which rasters are bad, judged by the median and deviation of those that were not bad before.

@@ -125,10 +125,11 @@ fn scale_of(squares: &[f64], strength: &[f32]) -> f64 {
 /// Logarithm of the rms of a raster divided by the strength, over some cells; `None` without values.
 fn log_rms(raster: &[f32], strength: &[f32], takes: impl Fn(usize) -> bool) -> Option<f64> {
     let (mut sum, mut count) = (0.0, 0.0);
-    for (i, (value, s)) in raster.iter().zip(strength).enumerate().filter(|(i, (v, _))| !v.is_nan() && takes(*i)) {
-        let _ = i;
-        let unit = f64::from(*value) / f64::from(*s);
-        (sum, count) = (sum + unit * unit, count + 1.0);
+    for (i, (value, s)) in raster.iter().zip(strength).enumerate() {
+        if !value.is_nan() && takes(i) {
+            let unit = f64::from(*value) / f64::from(*s);
+            (sum, count) = (sum + unit * unit, count + 1.0);
+        }
     }
     (sum > 0.0).then(|| 0.5 * portable_math::log(sum / count))
 }

@@ -8,7 +8,8 @@ use serde_json::{Value, json};
 
 const SIDE: usize = 60;
 
-/// A parametric model over 12 x 12 m of a plane: 0.1 px of an acquisition left of the middle, 0.3 px right of it; 2 px where a metre of relief is.
+/// A parametric model over 12 x 12 m of a plane: 0.1 px of an acquisition left of the middle, 0.3 px right of it, and 2 px
+/// where a metre of relief is.
 fn model() -> Noise {
     let grid = Grid { columns: SIDE, rows: SIDE, cell_m: 0.2, left_m: -6.0, top_m: 6.0 };
     let member = Member {

@@ -1,9 +1,10 @@
 //! Draws acquisitions from a noise model: the whitened fields of some members mixed with smooth random weights.
 //!
-//! A new field is `W(x) = sum_j g_j(x) w_j(x) W_j(x) / sqrt(sum_j (g_j w_j)^2)` over donors j, with independent normal fields g_j and weights w_j that
-//! fall to 0 in gaps: a localised ensemble, as in ensemble Kalman filters (Hamill, Whitaker and Snyder 2001). It keeps the covariance of the
-//! members wherever that differs from place to place, without a parameter for it. Bands of frequency then give it the
-//! amplitudes of one member, and classes of place its strength. Models without fields start from white noise instead.
+//! A new field is `W(x) = sum_j g_j(x) w_j(x) W_j(x) / sqrt(sum_j (g_j w_j)^2)` over donors j, with independent normal fields
+//! `g_j` and weights `w_j` that fall to 0 in gaps: a localised ensemble, as in ensemble Kalman filters (Hamill, Whitaker and
+//! Snyder 2001). It keeps the covariance of the members wherever that differs from place to place, without a parameter for it.
+//! Bands of frequency then give it the amplitudes of one member, and classes of place its strength. Models without fields
+//! start from white noise instead.
 
 use rand::{Rng, RngExt};
 

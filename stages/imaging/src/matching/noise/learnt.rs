@@ -20,7 +20,8 @@ pub struct LearntNoise {
 impl LearntNoise {
     /// Draws the noise of one acquisition of a pair.
     ///
-    /// The streams do not depend on the pair: the model holds the noise of the surface that a survey yields, so all pairs of an acquisition share it.
+    /// The streams do not depend on the pair: the model holds the noise of the surface that a survey yields, so all pairs of
+    /// an acquisition share it.
     pub fn new(noise: &Noise, scene: &PairScene, keys: Keys) -> Result<Self, StageError> {
         let depth = scene.geometry.ideal[scene.side];
         if noise.frame != depth.frame {
