@@ -48,9 +48,11 @@ Artefact = (
 
 KINDS = {
     ".tif": "raster", ".tiff": "raster", ".exr": "depth", ".ply": "ply", ".surface": "surface", ".png": "picture",
+    ".noise": "noise",
     ".svg": "figure", ".geojson": "inventory", ".tar": "files", ".json": "json",
 }  # fmt: skip
 SURFACE = b"rockface surface 1\n"
+NOISE = b"rockface noise 1\n"
 RASTER = b"rockface raster 1\n"
 
 
@@ -148,6 +150,13 @@ def _surface(data: memoryview) -> Surface:
     return Surface(Frame.of(header["frame"]), (x, y, z), points, squares)
 
 
+def _noise(data: memoryview) -> Record:
+    """What the header of a noise model says; its rasters stay in the file."""
+    if bytes(data[: len(NOISE)]) != NOISE:
+        raise FormatError("not a noise model of rockface (version 1)")
+    return Record("noise", _header(data, len(NOISE))[0])
+
+
 def _header(data: memoryview, at: int) -> tuple[dict[str, Any], int]:
     """The line of JSON from here on, and where the next line begins."""
     end = bytes(data[at : at + (1 << 20)]).find(b"\n")
@@ -187,5 +196,6 @@ READERS: dict[str, Callable[[memoryview], Artefact]] = {
     "files": _files,
     "acceptance": lambda data: Record("acceptance", _json(data)),
     "candidates": lambda data: Record("candidates", _json(data)),
+    "noise": _noise,
     "json": _any_json,
 }

@@ -14,10 +14,11 @@ macro_rules! files {
 }
 
 /// Every file of the folder `pipelines`; a test compares the list with the folder.
-const FILES: [(&str, &str); 23] = files![
+const FILES: [(&str, &str); 24] = files![
     "benchmark-outcrop.yaml",
     "benchmark.yaml",
     "calibrate-outcrop.yaml",
+    "calibrate-site.yaml",
     "calibrate.yaml",
     "dataset.yaml",
     "external-fusion.yaml",
