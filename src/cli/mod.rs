@@ -124,8 +124,8 @@ fn folder_or_nothing() -> impl TypedValueParser<Value = PathBuf> {
 }
 
 impl PipelineArgs {
-    fn overrides(&self) -> Overrides {
-        Overrides { set: self.set.clone(), sweep: self.sweep.clone(), seed: self.seed }
+    fn overrides(&self, registry: &Registry) -> Overrides {
+        Overrides { set: self.set.clone(), sweep: self.sweep.clone(), seed: self.seed, parts: registry.parts() }
     }
 
     fn load(&self, registry: &Registry) -> Result<Pipeline, CliError> {
@@ -140,7 +140,7 @@ impl PipelineArgs {
 
     /// The pipeline of the text that was read.
     fn load_text(&self, registry: &Registry, text: &str) -> Result<Pipeline, CliError> {
-        let (path, overrides) = (&self.pipeline, self.overrides());
+        let (path, overrides) = (&self.pipeline, self.overrides(registry));
         let trees = rockface_cache::trees(&self.store_dir());
         let loaded = match &self.text {
             Some(_) => Pipeline::of_text(text, self.included.clone(), path, &overrides),

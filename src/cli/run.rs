@@ -105,7 +105,7 @@ impl RunArgs {
             runs: &runs,
             pipeline_path: &self.pipeline.pipeline,
             pipeline: &pipeline,
-            overrides: &self.pipeline.overrides(),
+            overrides: &self.pipeline.overrides(registry),
             targets: &self.pipeline.target,
             jobs: options.jobs,
             lay_out: self.outputs,

@@ -1,17 +1,62 @@
 //! Messages about a pipeline that show the place, the value and the way out.
 
+use std::collections::HashSet;
 use std::fmt;
 use std::ops::Range;
+use std::path::Path;
+use std::sync::Arc;
 
-use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
+use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet, Title};
 
-/// A text that diagnostics can point into: the pipeline file, or one `--set` of the command line.
+/// A text that diagnostics can point into: a file, one `--set` of the command line, or a part as one step uses it.
 #[derive(Debug, Clone)]
 pub struct Source {
     /// What it is called in messages.
     pub name: String,
     /// Its whole text.
-    pub text: String,
+    pub text: Arc<str>,
+    /// What kind of text it is.
+    pub origin: Origin,
+}
+
+/// Where a text comes from.
+#[derive(Debug, Clone)]
+pub enum Origin {
+    /// A file in this folder; paths in its steps are relative to that.
+    File(Arc<Path>),
+    /// A part that comes with the program.
+    Shipped,
+    /// The command line.
+    Override,
+    /// The text of a part once more, for one use of it.
+    Use {
+        /// Where the use stands.
+        at: Span,
+        /// What the names of its steps begin with, such as `before/`.
+        prefix: Arc<str>,
+        /// Paths in its steps are relative to this folder.
+        folder: Arc<Path>,
+    },
+}
+
+impl Source {
+    /// A text of the command line.
+    pub fn given(option: &str, text: &str) -> Self {
+        Self { name: option.to_owned(), text: text.into(), origin: Origin::Override }
+    }
+
+    /// A file in a folder.
+    pub fn file(name: String, text: &str, folder: &Path) -> Self {
+        Self { name, text: text.into(), origin: Origin::File(folder.into()) }
+    }
+
+    /// The folder that paths in its steps are relative to.
+    pub fn folder(&self) -> Option<&Arc<Path>> {
+        match &self.origin {
+            Origin::File(folder) | Origin::Use { folder, .. } => Some(folder),
+            Origin::Shipped | Origin::Override => None,
+        }
+    }
 }
 
 /// A stretch of a source, in bytes.
@@ -36,23 +81,32 @@ pub struct Diagnostic {
     pub label: String,
     /// The way out.
     pub hint: Option<String>,
+    /// Another place that has to do with it, and why.
+    pub also: Option<(Span, String)>,
 }
 
 impl Diagnostic {
     /// A fault at a place.
     pub fn at(span: Span, message: impl Into<String>) -> Self {
-        Self { message: message.into(), span: Some(span), label: String::new(), hint: None }
+        Self { message: message.into(), span: Some(span), label: String::new(), hint: None, also: None }
     }
 
     /// A fault of the whole pipeline.
     pub fn general(message: impl Into<String>) -> Self {
-        Self { message: message.into(), span: None, label: String::new(), hint: None }
+        Self { message: message.into(), span: None, label: String::new(), hint: None, also: None }
     }
 
     /// Adds short text under the caret.
     #[must_use]
     pub fn label(mut self, label: impl Into<String>) -> Self {
         self.label = label.into();
+        self
+    }
+
+    /// Names another place that has to do with it.
+    #[must_use]
+    pub fn also(mut self, span: Span, why: impl Into<String>) -> Self {
+        self.also = Some((span, why.into()));
         self
     }
 
@@ -135,8 +189,7 @@ impl Diagnostics {
     /// Renders every fault with its source line and caret; `colour` for a terminal.
     pub fn render(&self, colour: bool) -> String {
         let renderer = if colour { Renderer::styled() } else { Renderer::plain() };
-        let mut ordered: Vec<&Diagnostic> = self.list.iter().collect();
-        ordered.sort_by_key(|d| d.span.map(|span| (span.source, span.start)));
+        let ordered = self.told_once();
         let texts: Vec<String> = ordered.iter().take(SHOWN).map(|d| self.render_one(&renderer, d)).collect();
         let count = match ordered.len() {
             1 => "1 error; nothing was run".to_owned(),
@@ -146,30 +199,64 @@ impl Diagnostics {
         format!("{}\n\n{count}", texts.join("\n\n"))
     }
 
+    /// The faults in the order of the texts. A fault in a part is told at the first use of it that shows it.
+    pub fn told_once(&self) -> Vec<&Diagnostic> {
+        let mut ordered: Vec<&Diagnostic> = self.list.iter().collect();
+        ordered.sort_by_key(|d| d.span.map(|span| (span.source, span.start)));
+        let mut seen = HashSet::new();
+        ordered.retain(|fault| self.in_part(fault).is_none_or(|known| seen.insert(known)));
+        ordered
+    }
+
+    /// What tells a fault in a part from others of it: the text, the place, and the message without the names of the use.
+    fn in_part<'d>(&'d self, fault: &'d Diagnostic) -> Option<(&'d str, usize, String)> {
+        let span = fault.span?;
+        let source = self.sources.get(span.source)?;
+        let Origin::Use { prefix, .. } = &source.origin else { return None };
+        Some((source.name.as_str(), span.start, fault.message.replace(prefix.as_ref(), "")))
+    }
+
     fn render_one(&self, renderer: &Renderer, diagnostic: &Diagnostic) -> String {
         let message = shortened(&diagnostic.message);
         let title = Level::ERROR.primary_title(message.as_ref());
-        let mut groups: Vec<Group> = Vec::new();
-        let mut group = match diagnostic.span.and_then(|span| Some((self.sources.get(span.source)?, span))) {
+        let mut notes: Vec<(Span, &str)> = Vec::new();
+        let place = diagnostic.span.and_then(|span| Some((self.sources.get(span.source)?, span)));
+        let mut group = match place {
             Some((source, span)) => {
-                let range = visible(&source.text, span.start..span.end);
-                let (line, first) = line_at(&source.text, range.start);
-                let mut annotation = AnnotationKind::Primary.span(range.start - line.start..range.end - line.start);
-                if !diagnostic.label.is_empty() {
-                    annotation = annotation.label(diagnostic.label.as_str());
+                let mut used = source;
+                while let Origin::Use { at, .. } = &used.origin {
+                    notes.push((*at, "used here"));
+                    let Some(outer) = self.sources.get(at.source) else { break };
+                    used = outer;
                 }
-                let snippet = Snippet::source(&source.text[line]).line_start(first);
-                title.element(snippet.path(source.name.as_str()).annotation(annotation))
+                snippet(title, source, span, AnnotationKind::Primary, &diagnostic.label)
             }
             None => Group::with_title(title),
         };
+        notes.extend(diagnostic.also.as_ref().map(|(span, why)| (*span, why.as_str())));
         let hint = diagnostic.hint.as_deref().map(shortened);
         if let Some(hint) = &hint {
             group = group.element(Level::HELP.message(hint.as_ref()));
         }
-        groups.push(group);
+        let noted = notes.iter().filter_map(|(span, why)| {
+            let source = self.sources.get(span.source)?;
+            Some(snippet(Level::NOTE.secondary_title(*why), source, *span, AnnotationKind::Primary, ""))
+        });
+        let groups: Vec<Group> = std::iter::once(group).chain(noted).collect();
         renderer.render(&groups)
     }
+}
+
+/// A title with the line of a place below it.
+fn snippet<'a>(title: Title<'a>, source: &'a Source, span: Span, kind: AnnotationKind, label: &'a str) -> Group<'a> {
+    let range = visible(&source.text, span.start..span.end);
+    let (line, first) = line_at(&source.text, range.start);
+    let mut annotation = kind.span(range.start - line.start..range.end - line.start);
+    if !label.is_empty() {
+        annotation = annotation.label(label);
+    }
+    let snippet = Snippet::source(&source.text[line]).line_start(first);
+    title.element(snippet.path(source.name.as_str()).annotation(annotation))
 }
 
 impl fmt::Display for Diagnostics {
@@ -216,7 +303,7 @@ mod tests {
             let start = step * 14;
             Diagnostic::at(Span { source: 0, start, end: start + 9 }, format!("fault {step}"))
         };
-        let sources = vec![Source { name: "p.yaml".into(), text }];
+        let sources = vec![Source::file("p.yaml".into(), &text, Path::new("."))];
         let shown = Diagnostics { sources, list: (0..30_000).rev().map(fault).collect() }.to_string();
         assert!(
             shown.contains("fault 99\n") && !shown.contains("fault 100\n") && shown.contains("p.yaml:100:1"),
@@ -252,7 +339,7 @@ mod tests {
     fn shows_file_line_column_caret_and_hint() {
         let text = "a: 1\nstage: rasterize-dem\n".to_owned();
         let diagnostics = Diagnostics {
-            sources: vec![Source { name: "p.yaml".into(), text }],
+            sources: vec![Source::file("p.yaml".into(), &text, Path::new("."))],
             list: vec![
                 Diagnostic::at(Span { source: 0, start: 12, end: 25 }, "unknown stage `rasterize-dem`")
                     .suggest("rasterize-dem", ["rasterise-dem", "import-mesh"]),

@@ -15,7 +15,8 @@ const STEPS: usize = 150;
 pub fn of(registry: &Registry, manifest: &Manifest) -> Option<Graph> {
     let (told, changed) = (&manifest.pipeline, &manifest.overrides);
     let path = told.folder.join(told.path.file_name()?);
-    let overrides = Overrides { set: changed.set.clone(), sweep: changed.sweep.clone(), seed: changed.seed };
+    let (set, sweep) = (changed.set.clone(), changed.sweep.clone());
+    let overrides = Overrides { set, sweep, seed: changed.seed, parts: registry.parts() };
     let included = told.included.iter().map(|file| (file.path.clone(), file.text.clone())).collect();
     let pipeline = Pipeline::of_text(&told.text, included, &path, &overrides).ok()?;
     resolve(&pipeline, &manifest.targets, registry.stages()).ok()

@@ -19,6 +19,7 @@ mod hostile;
 mod lab;
 mod language;
 mod memory;
+mod parts;
 mod reading;
 mod references;
 mod report;

@@ -124,6 +124,7 @@ const ARROWS: &[(&[&str], &[&str], &str)] = &[
         &["core"],
         "the contract of a stage; no room of the science",
     ),
+    (&["pipeline"], &["core"], "parts declare the kinds of artefact that they take"),
     (
         &["pipeline", "plan", "history", "run", "drawing", "cli"],
         &["diagnostic"],

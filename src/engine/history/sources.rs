@@ -13,12 +13,14 @@ use super::PipelineText;
 ///
 /// Where a manifest names a file that lies nowhere below such a folder.
 pub fn source_files(pipeline: &PipelineText) -> Result<Vec<(SafePath, &str)>, NameError> {
-    if pipeline.included.is_empty() {
+    // A part that comes with the program has a name and no place.
+    let included = || pipeline.included.iter().filter(|file| file.path.is_absolute());
+    if included().next().is_none() {
         return Ok(Vec::new());
     }
     let main = pipeline.folder.join(pipeline.path.file_name().unwrap_or_default());
     let own = std::iter::once((without_detours(&main), pipeline.text.as_str()));
-    let included = pipeline.included.iter().map(|file| (without_detours(&file.path), file.text.as_str()));
+    let included = included().map(|file| (without_detours(&file.path), file.text.as_str()));
     let files: Vec<(PathBuf, &str)> = own.chain(included).collect();
     let top = common_folder(files.iter().map(|(path, _)| path.as_path()));
     let below = |path: &Path| SafePath::of(path.strip_prefix(&top).unwrap_or(path));

@@ -11,8 +11,10 @@ use crate::diagnostic::Diagnostic;
 /// A named list over which steps fan out.
 #[derive(Debug, Clone)]
 pub struct Axis {
-    /// Its name.
+    /// Its name; that of an axis of a part begins with the name of the use: `before/replicate`.
     pub name: Word,
+    /// What it is called in points, tables and seed material: its name in the part that declares it.
+    pub label: String,
     /// Item names, unique, in order; empty as long as they are not known.
     pub items: Vec<String>,
     /// What `${axis}` stands for at each item; a map where an item has several values, each `${axis.name}`.
@@ -72,7 +74,8 @@ impl Reader<'_> {
             return None;
         };
         let reseeds = self.flag(node.get("reseeds"), !matches!(*form, "values" | "sample"));
-        let empty = Axis { name, items: Vec::new(), values: Vec::new(), fields: Vec::new(), reseeds, from: None };
+        let label = name.text.clone();
+        let empty = Axis { name, label, items: Vec::new(), values: Vec::new(), fields: Vec::new(), reseeds, from: None };
         match *form {
             "count" => self.count(list).map(|(items, values)| Axis { items, values, ..empty }),
             "sample" => self.sample(node, list, empty),

@@ -7,9 +7,13 @@ use std::time::Duration;
 use serde_json::Value;
 
 use super::axis::Axis;
+use super::include::Texts;
 use super::input::Input;
 use super::log_level::LogLevel;
 use super::node::{Data, Key, Node, Word};
+use super::overrides::Late;
+use super::parameter::{Declared, is_declared};
+use super::part::{Expansion, Flat, KindCheck, PartText, Used};
 use crate::diagnostic::{Diagnostic, nearest};
 
 /// A pipeline as written, after overrides; names are not yet resolved.
@@ -21,6 +25,8 @@ pub struct Document {
     pub seed: u64,
     /// Values that `${name}` refers to.
     pub params: Vec<(Key, Node)>,
+    /// Those of them that are declared with their type.
+    pub declared: Vec<Declared>,
     /// Axes in the order of declaration.
     pub axes: Vec<Axis>,
     /// Groups of axes that are walked together instead of crossed.
@@ -31,6 +37,12 @@ pub struct Document {
     pub targets: Option<Vec<Word>>,
     /// How much the log of a run shows of steps that do not say it themselves; `None`: it depends on their instances.
     pub log: Option<LogLevel>,
+    /// The uses of parts that have been written out into the steps.
+    pub uses: Vec<Used>,
+    /// What is to be held against the kinds of artefact that parts take.
+    pub checks: Vec<KindCheck>,
+    /// Names that uses of parts and axes mention.
+    pub mentions: BTreeSet<String>,
     /// What is declared and could not be read.
     pub unread: Unread,
 }
@@ -84,6 +96,13 @@ pub struct Gaps {
     pub any: bool,
 }
 
+impl Step {
+    /// Notes that none of it could be read whole.
+    pub fn mark_gaps(&mut self) {
+        self.gaps = Gaps { with: true, inputs: true, any: true };
+    }
+}
+
 /// The random stream of a step.
 #[derive(Debug, Clone)]
 pub struct Stream {
@@ -94,12 +113,24 @@ pub struct Stream {
 }
 
 /// The keys of a pipeline.
-pub const TOP: &[&str] = &["rockface", "name", "seed", "include", "params", "axes", "zip", "steps", "targets", "log"];
+pub const TOP: &[&str] =
+    &["rockface", "name", "seed", "include", "parts", "params", "axes", "zip", "steps", "targets", "log"];
+
+/// The keys of a step.
+pub const STEP: &[&str] = &["stage", "with", "in", "over", "keep", "stream", "timeout", "retries", "log"];
+
+/// What is read besides the text of a pipeline: other texts, the parts of the program, and values for what parts make.
+pub type Beside<'t> = (&'t mut Texts, &'static [PartText], Vec<Late>);
 
 /// Reads a document and collects everything that is wrong with its shape; `None` where that leaves open what names it
 /// declares. Axes and steps are taken out of the tree one by one: it may be large.
-pub fn read(root: &mut Node, file_stem: &str, faults: &mut Vec<Diagnostic>) -> Option<Document> {
-    let mut reader = Reader { faults, seed: 0, bad_numbers: false, drawn: 0 };
+pub fn read(
+    root: &mut Node,
+    file_stem: &str,
+    (texts, shipped, late): Beside,
+    faults: &mut Vec<Diagnostic>,
+) -> Option<Document> {
+    let mut reader = Reader::new(faults);
     reader.check_numbers(root);
     let names_known = tells_names(root);
     let no_steps =
@@ -107,24 +138,40 @@ pub fn read(root: &mut Node, file_stem: &str, faults: &mut Vec<Diagnostic>) -> O
     let top = reader.map(root, "the pipeline", TOP)?;
     reader.format_version(root, top);
     reader.seed = root.get("seed").map_or(0, |n| reader.seed(n));
-    let (axes, unread_axes) = reader.named(root, "axes", |reader, name, node| reader.axis(name, node));
-    let before = reader.faults.len();
-    let zips = root.get("zip").map(|n| reader.zips(n)).unwrap_or_default();
-    let unread_zips = reader.faults.len() > before;
-    let (steps, unread_steps) = reader.named(root, "steps", Reader::step);
+    let (params, declared) = reader.params(root);
+    let axes = reader.named(root, "axes");
+    let axis_names: Vec<&str> = axes.iter().map(|(key, _)| key.name.as_str()).collect();
+    let (values, _) = super::values::resolve(&params, &axis_names);
+    let steps = reader.named(root, "steps");
+    let targets = root.get("targets").map(|n| reader.some_words(n, "a step name"));
+    let mut expansion = Expansion::new(texts, shipped, late, &values);
+    let known = expansion.declare(root.take("parts"), &mut reader);
+    expansion.pipeline((axes, root.take("zip"), steps), &known, &mut reader);
+    if reader.faults.is_empty() {
+        reader.faults.extend(expansion.unused(&known, targets.as_deref()));
+    }
+    let Flat { steps, axes, zips, unread_axes, uses, checks, mentions } = expansion.flat;
     let document = Document {
         name: root
             .get("name")
             .and_then(|n| reader.identifier(n, "the name"))
             .map_or_else(|| file_stem.to_owned(), |w| w.text),
         seed: reader.seed,
-        params: root.get("params").and_then(|n| reader.any_map(n, "`params`")).map(<[_]>::to_vec).unwrap_or_default(),
+        params,
+        declared,
         axes,
         zips,
         steps,
-        targets: root.get("targets").map(|n| reader.some_words(n, "a step name")),
+        targets,
         log: root.get("log").and_then(|n| reader.log_level(n)),
-        unread: Unread { steps: unread_steps, axes: unread_axes, zips: unread_zips },
+        uses,
+        checks,
+        mentions,
+        unread: Unread {
+            steps: std::mem::take(&mut reader.unread_steps),
+            axes: unread_axes.into_iter().chain(std::mem::take(&mut reader.unread_names)).collect(),
+            zips: reader.zips_unread,
+        },
     };
     if let Some(span) = no_steps {
         reader.fault(
@@ -154,7 +201,7 @@ fn is_aside(name: &str, node: &Node) -> bool {
     matches!(node.data, Data::Scalar(_)) && near.is_none_or(|near| matches!(near, "rockface" | "name" | "seed" | "log"))
 }
 
-/// Reads one part of a document after the other.
+/// Reads one section of a document after the other.
 pub struct Reader<'f> {
     faults: &'f mut Vec<Diagnostic>,
     /// The pipeline seed.
@@ -163,9 +210,49 @@ pub struct Reader<'f> {
     bad_numbers: bool,
     /// Items and values of counted and drawn axes so far.
     pub drawn: u64,
+    /// Names of steps that could not be read.
+    unread_steps: BTreeSet<String>,
+    /// Names that could not be read of what may be an axis.
+    unread_names: BTreeSet<String>,
+    /// Whether it is open which axes are walked together.
+    pub zips_unread: bool,
+}
+
+impl<'f> Reader<'f> {
+    /// Collects faults in a list.
+    pub fn new(faults: &'f mut Vec<Diagnostic>) -> Self {
+        Self {
+            faults,
+            seed: 0,
+            bad_numbers: false,
+            drawn: 0,
+            unread_steps: BTreeSet::new(),
+            unread_names: BTreeSet::new(),
+            zips_unread: false,
+        }
+    }
 }
 
 impl Reader<'_> {
+    /// How many faults there are so far.
+    pub fn fault_count(&self) -> usize {
+        self.faults.len()
+    }
+
+    /// Notes a step that could not be read: what refers to it is not wrong for that.
+    pub fn unread_step(&mut self, name: String) {
+        self.unread_steps.insert(name);
+    }
+
+    /// Adds the fault of a name that cannot be one; says whether it is sound.
+    pub fn check_name(&mut self, key: &Key) -> bool {
+        let bad = bad_name(&key.name);
+        if let Some(bad) = bad {
+            self.fault(Diagnostic::at(key.span, format!("`{}` cannot be a name: {bad}", key.name)));
+        }
+        bad.is_none()
+    }
+
     /// Adds a fault.
     pub fn fault(&mut self, diagnostic: Diagnostic) {
         self.faults.push(diagnostic);
@@ -230,31 +317,49 @@ impl Reader<'_> {
         }
     }
 
-    /// What a section declares, and the names of what could not be read.
-    fn named<T>(
-        &mut self,
-        root: &mut Node,
-        section: &str,
-        read: fn(&mut Self, Word, &mut Node) -> Option<T>,
-    ) -> (Vec<T>, BTreeSet<String>) {
-        let Some(node) = root.take(section) else { return Default::default() };
+    /// What a section declares, each under a name that can be one.
+    fn named(&mut self, root: &mut Node, section: &str) -> Vec<(Key, Node)> {
+        let Some(node) = root.take(section) else { return Vec::new() };
         if self.any_map(&node, &format!("`{section}`")).is_none() {
-            return Default::default();
+            return Vec::new();
         }
-        let entries = node.into_entries();
-        let (mut found, mut unread) = (Vec::with_capacity(entries.len()), BTreeSet::new());
-        for (key, mut node) in entries {
-            if let Some(bad) = bad_name(&key.name) {
-                self.fault(Diagnostic::at(key.span, format!("`{}` cannot be a name: {bad}", key.name)));
-                unread.insert(key.name);
+        let mut entries = node.into_entries();
+        entries.retain(|(key, _)| {
+            let sound = self.check_name(key);
+            if !sound && section == "steps" {
+                self.unread_steps.insert(key.name.clone());
+            } else if !sound {
+                self.unread_names.insert(key.name.clone());
+            }
+            sound
+        });
+        entries
+    }
+
+    /// The values of the parameters, and the declarations of those that have one.
+    fn params(&mut self, root: &Node) -> (Vec<(Key, Node)>, Vec<Declared>) {
+        let entries = root.get("params").and_then(|n| self.any_map(n, "`params`")).unwrap_or_default();
+        let (mut params, mut all) = (Vec::with_capacity(entries.len()), Vec::new());
+        for (key, node) in entries {
+            if !is_declared(node) {
+                params.push((key.clone(), node.clone()));
                 continue;
             }
-            match read(self, Word { span: key.span, text: key.name.clone() }, &mut node) {
-                Some(one) => found.push(one),
-                None => drop(unread.insert(key.name)),
+            let Some(declared) = self.declared(key, node) else {
+                // What mentions it is not wrong for that.
+                params.push((key.clone(), Node::made(node.span, Data::Scalar(Value::Null))));
+                continue;
+            };
+            if declared.default.is_none() && node.get("default").is_none() {
+                let message = format!("parameter `{}` has no value", key.name);
+                let fault = Diagnostic::at(key.span, message);
+                self.fault(fault.hint(format!("give one by `--set params.{}=…`, or a `default`", key.name)));
             }
+            let null = || Node::made(node.span, Data::Scalar(Value::Null));
+            params.push((key.clone(), declared.default.clone().unwrap_or_else(null)));
+            all.push(declared);
         }
-        (found, unread)
+        (params, all)
     }
 
     fn identifier(&mut self, node: &Node, what: &str) -> Option<Word> {
@@ -328,10 +433,11 @@ impl Reader<'_> {
         }
     }
 
-    fn step(&mut self, name: Word, node: &mut Node) -> Option<Step> {
+    /// A step of its own.
+    pub fn step(&mut self, name: Word, node: &mut Node) -> Option<Step> {
         let before = self.faults.len();
         let what = format!("step `{}`", name.text);
-        self.map(node, &what, &["stage", "with", "in", "over", "keep", "stream", "timeout", "retries", "log"])?;
+        self.map(node, &what, STEP)?;
         let strange_key = self.faults.len() > before;
         let stage = self.stage(&name, node);
         let bad_with =
@@ -353,14 +459,14 @@ impl Reader<'_> {
     fn stage(&mut self, name: &Word, node: &Node) -> Option<Word> {
         let Some(stage) = node.get("stage") else {
             let fault = Diagnostic::at(name.span, format!("step `{}` names no `stage`", name.text));
-            self.fault(fault.hint("`rockface stages` lists them"));
+            self.fault(fault.hint("`rockface stages` lists them; a step that stands for a part says `use`"));
             return None;
         };
         self.word(stage, "the name of a stage")
     }
 
     /// The inputs of a step, and whether some could not be read.
-    fn inputs(&mut self, node: &Node) -> (Vec<(Word, Input)>, bool) {
+    pub fn inputs(&mut self, node: &Node) -> (Vec<(Word, Input)>, bool) {
         let Some(entries) = self.any_map(node, "`in`") else { return (Vec::new(), true) };
         let mut inputs = Vec::with_capacity(entries.len());
         for (key, node) in entries {

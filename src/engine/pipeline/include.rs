@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use rockface_cache::{Digest, Seen};
 
@@ -12,23 +13,28 @@ use crate::diagnostic::{Diagnostic, Source, Span};
 /// How deep included files may lie in each other.
 const INCLUDES_DEEP: usize = 100;
 
-/// The texts of a pipeline and the folders of its files.
+/// The texts of a pipeline, and what others are read from.
 #[derive(Debug, Clone, Default)]
 pub struct Texts {
-    /// The pipeline file first, then what it includes, then each override.
+    /// The pipeline file first, then what it includes, then each override, then parts.
     pub sources: Vec<Source>,
-    /// The folder of each file among the sources.
-    pub folders: Vec<PathBuf>,
     /// Texts that stand for files, by absolute path: those of a past run that is repeated.
     pub given: BTreeMap<PathBuf, String>,
     /// Where the trees of long texts are kept.
     pub trees: Option<PathBuf>,
-    /// What was read from included files.
+    /// What was read from included files and parts.
     pub looks: Vec<(PathBuf, Seen)>,
 }
 
 impl Texts {
-    fn read(&mut self, path: &Path) -> Result<String, Diagnostic> {
+    /// The folder of the file that a place stands in; that of the pipeline for what no file holds.
+    pub fn folder(&self, span: Span) -> Arc<Path> {
+        let own = self.sources.get(span.source).and_then(Source::folder);
+        own.or_else(|| self.sources.first().and_then(Source::folder)).cloned().unwrap_or_else(|| Path::new(".").into())
+    }
+
+    /// The text of a file that a pipeline names.
+    pub fn read(&mut self, path: &Path) -> Result<String, Diagnostic> {
         let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
         if let Some(given) = self.given.get(&absolute) {
             return Ok(given.clone());
@@ -62,7 +68,7 @@ fn expand_seen(
         Data::Scalar(_) | Data::Map(_) => std::slice::from_ref(&named),
     };
     for file in files {
-        let folder = texts.folders.get(root.span.source).cloned().unwrap_or_default();
+        let folder = texts.folder(root.span);
         match included(file, &folder, trail, seen, texts) {
             Ok(Some((mut tree, path))) => {
                 trail.push(path);
@@ -103,14 +109,14 @@ fn included(
     }
     seen.push(canonical.clone());
     let source = texts.sources.len();
-    texts.sources.push(Source { name: path.display().to_string(), text: text.clone() });
-    texts.folders.push(path.parent().unwrap_or(Path::new("")).to_owned());
+    texts.sources.push(Source::file(path.display().to_string(), &text, path.parent().unwrap_or(Path::new(""))));
     let tree = super::tree_file::parse(&text, source, texts.trees.as_deref())?;
     check_format(&tree)?;
     Ok(Some((tree, canonical)))
 }
 
-fn check_format(tree: &Node) -> Result<(), Diagnostic> {
+/// Whether a file that another names is of this format.
+pub fn check_format(tree: &Node) -> Result<(), Diagnostic> {
     let top = |end: usize| Span { source: tree.span.source, start: tree.span.start, end };
     match tree.get("rockface").map(|node| (node.to_value().as_u64(), node.span)) {
         Some((Some(1), _)) => Ok(()),
@@ -128,7 +134,7 @@ fn merge(root: &mut Node, tree: Node, own: &[String], texts: &Texts, faults: &mu
         match (key.name.as_str(), known) {
             ("rockface" | "include", _) => {}
             (_, None) => entries.push((key, value)),
-            ("params" | "axes" | "steps", Some((known, section))) => {
+            ("params" | "axes" | "steps" | "parts", Some((known, section))) => {
                 merge_section(&known.name, section, value, texts, faults);
             }
             ("zip", Some((_, groups))) => append_groups(groups, &value),

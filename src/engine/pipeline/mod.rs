@@ -8,11 +8,14 @@ mod input;
 mod log_level;
 mod node;
 mod overrides;
+mod parameter;
+mod part;
 mod reference;
 mod sobol;
 mod substitute;
 mod sweep;
 mod tree_file;
+mod values;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -22,34 +25,35 @@ pub use document::{Document, Gaps, Step, Stream, Unread};
 pub use input::Input;
 pub use log_level::{IN_FULL, LogLevel};
 pub use node::{Data, Key, Node, Word};
+pub use parameter::{Declared, ValueKind};
+pub use part::{Interface, KindCheck, PartInput, PartText, Used};
 pub use reference::{Label, Reference};
 pub use substitute::{escape_hint, filled, mentioned, value_bytes};
 pub use sweep::is_same_axis;
+pub use values::resolve as resolve_values;
 
 use rockface_cache::Seen;
 
-use crate::diagnostic::{Diagnostic, Diagnostics, Source};
+use crate::diagnostic::{Diagnostic, Diagnostics, Origin, Source};
 use include::Texts;
 
 /// A pipeline that was read, with the texts its places point into.
 #[derive(Debug, Clone)]
 pub struct Pipeline {
-    /// The pipeline file first, then what it includes, then each override.
+    /// The pipeline file first, then what it includes, then each override, then parts, as files and use by use.
     pub sources: Vec<Source>,
     /// The folder of the pipeline file.
     pub folder: PathBuf,
-    /// The folder of each file among the sources: paths in a step are relative to that of the file that declares it.
-    pub folders: Vec<PathBuf>,
     /// The typed document.
     pub document: Document,
-    /// What was read from included files: the bytes that were parsed.
+    /// What was read from included files and parts: the bytes that were parsed.
     pub looks: Vec<(PathBuf, Seen)>,
     /// What is wrong with the shape of the document, where that leaves its names readable; [`crate::plan::resolve`] tells
     /// it together with what else is wrong, and makes no graph.
     pub faults: Vec<Diagnostic>,
 }
 
-/// Values given on the command line.
+/// What a pipeline gets from outside: values given on the command line, and the parts that come with the program.
 #[derive(Debug, Clone, Default)]
 pub struct Overrides {
     /// `PATH=VALUE` texts, applied in order.
@@ -58,6 +62,8 @@ pub struct Overrides {
     pub sweep: Vec<String>,
     /// Takes the place of the pipeline's seed.
     pub seed: Option<u64>,
+    /// Parts that come with the program, which any pipeline may use by name.
+    pub parts: &'static [PartText],
 }
 
 impl Pipeline {
@@ -92,18 +98,18 @@ impl Pipeline {
     fn of_texts(text: &str, texts: Texts, path: &Path, overrides: &Overrides) -> Result<Self, Diagnostics> {
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_owned();
         let stem = path.file_stem().map_or_else(|| "pipeline".into(), |stem| stem.to_string_lossy().into_owned());
-        let source = Source { name: path.display().to_string(), text: text.to_owned() };
-        Self::read(Texts { sources: vec![source], folders: vec![folder], ..texts }, &stem, overrides)
+        let source = Source::file(path.display().to_string(), text, &folder);
+        Self::read(Texts { sources: vec![source], ..texts }, &stem, overrides)
     }
 
     /// The text of the pipeline file.
     pub fn text(&self) -> &str {
-        self.sources.first().map_or("", |source| &source.text)
+        self.sources.first().map_or("", |source| &*source.text)
     }
 
-    /// The pipeline file and those it includes.
+    /// The pipeline file, those it includes, and the parts it uses, those that come with the program among them.
     pub fn files(&self) -> impl Iterator<Item = &Source> {
-        self.sources.iter().take(self.folders.len())
+        self.sources.iter().filter(|source| matches!(source.origin, Origin::File(_) | Origin::Shipped))
     }
 
     /// Reads a pipeline text; `name` is what messages call it, `stem` its name if the text gives none.
@@ -114,34 +120,42 @@ impl Pipeline {
         folder: PathBuf,
         overrides: &Overrides,
     ) -> Result<Self, Diagnostics> {
-        let source = Source { name: name.to_owned(), text: text.to_owned() };
-        Self::read(Texts { sources: vec![source], folders: vec![folder], ..Texts::default() }, stem, overrides)
+        let source = Source::file(name.to_owned(), text, &folder);
+        Self::read(Texts { sources: vec![source], ..Texts::default() }, stem, overrides)
     }
 
     fn read(mut texts: Texts, stem: &str, overrides: &Overrides) -> Result<Self, Diagnostics> {
-        let folder = texts.folders[0].clone();
+        let main = &texts.sources[0];
+        let folder = main.folder().map_or_else(PathBuf::new, |folder| folder.to_path_buf());
         let mut faults = Vec::new();
         let (mut document, mut whole) = (None, false);
-        match tree_file::parse(&texts.sources[0].text, 0, texts.trees.as_deref()) {
+        match tree_file::parse(&main.text.clone(), 0, texts.trees.as_deref()) {
             Ok(mut root) => {
                 let own = folder.join(Path::new(&texts.sources[0].name).file_name().unwrap_or_default());
                 include::expand(&mut root, &mut vec![own.canonicalize().unwrap_or(own)], &mut texts, &mut faults);
                 let seed = overrides.seed.map(|seed| format!("seed={seed}"));
+                let mut late = Vec::new();
                 for set in overrides.set.iter().chain(&seed) {
-                    faults.extend(overrides::apply(&mut root, set, &mut texts.sources).err());
+                    match overrides::apply(&mut root, set, &mut texts.sources) {
+                        Ok(later) => late.extend(later),
+                        Err(fault) => faults.push(fault),
+                    }
                 }
                 for sweep in &overrides.sweep {
-                    faults.extend(sweep::apply(&mut root, sweep, &mut texts.sources).err());
+                    match sweep::apply(&mut root, sweep, &mut texts.sources) {
+                        Ok(later) => late.extend(later),
+                        Err(fault) => faults.push(fault),
+                    }
                 }
                 whole = faults.is_empty();
-                document = document::read(&mut root, stem, &mut faults);
+                document = document::read(&mut root, stem, (&mut texts, overrides.parts, late), &mut faults);
             }
             Err(fault) => faults.push(fault),
         }
         match document {
             Some(document) if whole => {
-                let Texts { sources, folders, looks, .. } = texts;
-                Ok(Self { sources, folder, folders, document, looks, faults })
+                let Texts { sources, looks, .. } = texts;
+                Ok(Self { sources, folder, document, looks, faults })
             }
             _ => Err(Diagnostics { sources: texts.sources, list: faults }),
         }

@@ -67,6 +67,19 @@ impl Node {
         Self { span, data, written: String::new() }
     }
 
+    /// A value that stands at a place without being written there.
+    pub fn of_value(value: &Value, span: Span) -> Self {
+        let data = match value {
+            Value::Array(items) => Data::List(items.iter().map(|item| Self::of_value(item, span)).collect()),
+            Value::Object(map) => {
+                let entry = |(name, item): (&String, &Value)| (Key { span, name: name.clone() }, Self::of_value(item, span));
+                Data::Map(map.iter().map(entry).collect())
+            }
+            scalar => Data::Scalar(scalar.clone()),
+        };
+        Self::made(span, data)
+    }
+
     /// Whether it is a number with a zero before its first digit, which one reader drops and another keeps.
     pub fn has_leading_zero(&self) -> bool {
         let digits = self.written.trim_start_matches(['+', '-']);

@@ -1,15 +1,50 @@
 //! `--set PATH=VALUE`: values given from outside, merged into the tree before anything is read from it.
 
 use super::node::{Data, Key, Node};
+use super::parameter::is_declared;
 use crate::diagnostic::{Diagnostic, Source, Span};
 
 /// The most keys of a path: nothing in a pipeline lies deeper.
 const KEYS_LIMIT: usize = 64;
 
-/// Merges one override into the tree; `source` is the index its text gets in `sources`.
-pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<(), Diagnostic> {
+/// A value for a step or an axis that a part makes: it is put there once the part has been written out.
+#[derive(Debug, Clone)]
+pub struct Late {
+    /// The path of keys that was given.
+    pub keys: Vec<String>,
+    /// The value.
+    pub value: Node,
+    /// Where the path stands.
+    pub span: Span,
+}
+
+impl Late {
+    /// The value, if its path leads into a step or axis that a part makes: such names have a `/`.
+    fn of(keys: &[&str], value: Node, span: Span) -> Result<Self, Node> {
+        match keys {
+            ["steps" | "axes", name, _, ..] if name.contains('/') => {
+                Ok(Self { keys: keys.iter().map(ToString::to_string).collect(), value, span })
+            }
+            _ => Err(value),
+        }
+    }
+
+    /// Puts it into a section's entry of a name, if it is meant for that; says whether it is.
+    pub fn put_into(&self, section: &str, name: &str, entry: &mut Node) -> Result<bool, Diagnostic> {
+        let [own_section, own_name, rest @ ..] = self.keys.as_slice() else { return Ok(false) };
+        if own_section != section || own_name != name {
+            return Ok(false);
+        }
+        let rest: Vec<&str> = rest.iter().map(String::as_str).collect();
+        put(entry, &rest, self.value.clone(), self.span).map(|()| true)
+    }
+}
+
+/// Merges one override into the tree, or hands it back where it is for what a part makes; its text becomes one of the
+/// `sources`.
+pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<Option<Late>, Diagnostic> {
     let source = sources.len();
-    sources.push(Source { name: "--set".into(), text: text.to_owned() });
+    sources.push(Source::given("--set", text));
     let here = |from: usize, to: usize| Span { source, start: from, end: to };
     let Some((path, value)) = text.split_once('=') else {
         return Err(Diagnostic::at(here(0, text.len()), "expected PATH=VALUE").hint("for example --set seed=7"));
@@ -26,8 +61,23 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<(
         return Err(Diagnostic::at(here(0, path.len()), format!("`{path}` is not a path of keys")));
     }
     check_depth(&keys, here(0, path.len()))?;
-    check_exists(root, &keys, here(0, path.len()))?;
-    put(root, &keys, node, here(0, path.len()))
+    place(root, &keys, node, here(0, path.len()))
+}
+
+/// Puts a value where it belongs: at its path, as the default of a parameter that is declared with its type, or, as it is
+/// handed back, into what a part makes.
+pub fn place(root: &mut Node, keys: &[&str], value: Node, span: Span) -> Result<Option<Late>, Diagnostic> {
+    let value = match Late::of(keys, value, span) {
+        Ok(late) => return Ok(Some(late)),
+        Err(value) => value,
+    };
+    check_exists(root, keys, span)?;
+    if let ["params", name] = keys
+        && root.get("params").and_then(|params| params.get(name)).is_some_and(is_declared)
+    {
+        return put(root, &["params", name, "default"], value, span).map(|()| None);
+    }
+    put(root, keys, value, span).map(|()| None)
 }
 
 /// A path that is longer than anything lies deep would only build a tree too deep to be walked.
@@ -110,7 +160,7 @@ mod tests {
     use super::*;
 
     fn check(yaml: &str, set: &str, expected: &str) {
-        let mut sources = vec![Source { name: "p".into(), text: yaml.into() }];
+        let mut sources = vec![Source::given("p", yaml)];
         let mut root = Node::parse(yaml, 0).unwrap();
         apply(&mut root, set, &mut sources).unwrap();
         assert_eq!(root.to_value().to_string(), expected);

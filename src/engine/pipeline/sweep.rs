@@ -4,7 +4,7 @@ use serde_json::Value;
 
 use super::design::tidy;
 use super::node::{Data, Key, Node};
-use super::overrides::{check_depth, check_exists, put};
+use super::overrides::{Late, check_depth, check_exists, place, put};
 use crate::diagnostic::{Diagnostic, Source, Span};
 
 /// The most values of a range.
@@ -13,9 +13,9 @@ const VALUES_LIMIT: usize = 1_000_000;
 /// Adds or replaces one axis. `sigma=0.6,0.7` is an axis; `params.cell_m=0.01,0.02` makes an axis of the parameter's name
 /// out of it; `steps.dem.with.cell_m=…` lets that one value follow an axis called like its last key. Values are listed
 /// with commas, or `lowest..highest:count`.
-pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<(), Diagnostic> {
+pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<Option<Late>, Diagnostic> {
     let source = sources.len();
-    sources.push(Source { name: "--sweep".into(), text: text.to_owned() });
+    sources.push(Source::given("--sweep", text));
     let here = |from: usize, to: usize| Span { source, start: from, end: to };
     let hint = "for example --sweep sigma_px=0.6,0.7,0.8 or --sweep params.cell_m=0.01..0.05:5";
     let Some((path, values)) = text.split_once('=') else {
@@ -27,7 +27,10 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<(
     let values = listed(values, values_span).map_err(|message| Diagnostic::at(values_span, message).hint(hint))?;
     let keys: Vec<&str> = path.split('.').map(str::trim).collect();
     check_depth(&keys, path_span)?;
-    check_exists(root, &keys, path_span)?;
+    let mut late = None;
+    if !matches!(keys[..], ["steps", name, ..] if name.contains('/')) {
+        check_exists(root, &keys, path_span)?;
+    }
     let name = match keys[..] {
         [name] | ["axes", name] => name,
         ["params", name] => {
@@ -36,7 +39,7 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<(
         }
         ["steps", _, "with", .., name] => {
             let reference = Node::made(path_span, Data::Scalar(Value::from(format!("${{{name}}}"))));
-            put(root, &keys, reference, path_span)?;
+            late = place(root, &keys, reference, path_span)?;
             name
         }
         _ => {
@@ -47,7 +50,8 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<(
     let key = |name: &str| Key { span: path_span, name: name.to_owned() };
     let list = Node::made(values_span, Data::List(values));
     let axis = Node::made(path_span, Data::Map(vec![(key("values"), list)]));
-    put(root, &["axes", name], axis, path_span)
+    put(root, &["axes", name], axis, path_span)?;
+    Ok(late)
 }
 
 /// The path and the values of a sweep.
@@ -147,8 +151,8 @@ mod tests {
 
     fn swept(yaml: &str, sweep: &str) -> String {
         let mut root = Node::parse(yaml, 0).unwrap();
-        match apply(&mut root, sweep, &mut vec![Source { name: "p".into(), text: yaml.into() }]) {
-            Ok(()) => root.to_value().to_string(),
+        match apply(&mut root, sweep, &mut vec![Source::given("p", yaml)]) {
+            Ok(_) => root.to_value().to_string(),
             Err(fault) => fault.message,
         }
     }

@@ -248,8 +248,34 @@ impl Resolver<'_> {
         }
     }
 
+    /// Holds what is fed into parts against the kinds of artefact that they take.
+    pub fn check_part_inputs(&mut self) {
+        for check in &self.names.document.checks {
+            for reference in &check.given {
+                let Some(old) = self.names.steps.get(reference.step.as_str()) else { continue };
+                let ports = self.ports[*old].map_or(&[][..], |ports| ports.outputs);
+                let Some(made) = ports.iter().find(|port| port.name == reference.port) else { continue };
+                if made.kinds.iter().any(|kind| check.input.kinds.contains(kind)) {
+                    continue;
+                }
+                let (name, takes) = (&check.input.name.text, check.input.kind_words());
+                let given = format!("`{}.{}` is a {}", reference.step, reference.port, made.kinds[0]);
+                let message = format!("part `{}` takes a {takes} as `{name}`, but {given}", check.part);
+                let fault = Diagnostic::at(reference.span, message).also(check.input.name.span, "it is declared here");
+                self.misfed.insert(reference.span);
+                self.faults.push(fault);
+            }
+        }
+    }
+
     fn check_kinds(&mut self, port: &Port, input: &Input, feed: &Feed) {
-        for (source, reference) in feed.sources().into_iter().zip(self.references(input)) {
+        let references = self.references(input);
+        // What does not fit a part does not fit its steps either.
+        let told = |reference: &&Reference| self.misfed.contains(&reference.span);
+        if references.iter().any(told) {
+            return;
+        }
+        for (source, reference) in feed.sources().into_iter().zip(references) {
             if let Some(kind) = source.port.kinds.first().filter(|kind| !port.kinds.contains(kind)) {
                 let name = &reference.step;
                 let (takes, made) = (kinds(port), source.port.name);

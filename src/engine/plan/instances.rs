@@ -10,7 +10,7 @@ use rockface_core::{Arity, Point, Port};
 use super::faults::{Counted, Faults};
 use super::graph::{Feed, Graph, GraphStep};
 use super::parameters::{self, StepParams};
-use super::points::{elements, named, needed_points, points, too_many};
+use super::points::{elements, labels, named, needed_points, points, too_many};
 use super::sight::{HashFile, Looks, Sight};
 use crate::diagnostic::Diagnostic;
 use crate::pipeline::value_bytes;
@@ -171,11 +171,9 @@ impl Plan {
     /// `axis=item,...` in the order of the axes' declaration.
     pub fn point_text(&self, instance: usize) -> String {
         let axes = &self.step(instance).axes;
-        let items = &self.instances[instance].items;
-        let parts = axes.iter().zip(items).map(|(axis, item)| {
-            let axis = &self.graph.axes[*axis];
-            format!("{}={}", axis.name.text, axis.items[*item])
-        });
+        let items = axes.iter().zip(&self.instances[instance].items);
+        let items = items.map(|(axis, item)| &self.graph.axes[*axis].items[*item]);
+        let parts = labels(&self.graph, axes).into_iter().zip(items).map(|(axis, item)| format!("{axis}={item}"));
         parts.collect::<Vec<_>>().join(",")
     }
 
@@ -211,9 +209,10 @@ impl Plan {
 
     fn seed(&self, instance: usize) -> SeedMaterial {
         let step = self.step(instance);
-        let items = self.point(instance);
-        let counted = |axis: &usize| self.graph.axes[*axis].name.text.clone();
-        let items = step.stream_axes.iter().map(counted).map(|axis| (axis.clone(), items[&axis].clone())).collect();
+        let own = &self.instances[instance].items;
+        let item = |axis: &usize| step.axes.iter().position(|known| known == axis).map_or(0, |place| own[place]);
+        let items: Vec<usize> = step.stream_axes.iter().map(item).collect();
+        let items = named(&self.graph, &step.stream_axes, &items);
         SeedMaterial { seed: self.graph.seed, stream: step.stream.clone(), items }
     }
 }

@@ -16,7 +16,6 @@ mod points;
 mod programs;
 mod resolve;
 mod sight;
-mod values;
 
 pub use completion::{complete, find};
 pub use dynamic::{Items, items_of};

@@ -53,13 +53,17 @@ fn gathered_by(graph: &Graph, step: &GraphStep) -> u64 {
     each.fold(0, u64::saturating_add).saturating_mul(count(graph, &step.axes))
 }
 
+/// What some axes are called where they stand together: an axis of a part by its short name, unless two have the same.
+pub fn labels<'g>(graph: &'g Graph, axes: &[usize]) -> Vec<&'g str> {
+    let label = |axis: &usize| graph.axes[*axis].label.as_str();
+    let is_double = |axis: &usize| axes.iter().any(|other| other != axis && label(other) == label(axis));
+    axes.iter().map(|axis| if is_double(axis) { graph.axes[*axis].name.text.as_str() } else { label(axis) }).collect()
+}
+
 /// The name of each item of some axes.
 pub fn named(graph: &Graph, axes: &[usize], items: &[usize]) -> Point {
-    let name = |(axis, item): (&usize, &usize)| {
-        let axis = &graph.axes[*axis];
-        (axis.name.text.clone(), axis.items[*item].clone())
-    };
-    axes.iter().zip(items).map(name).collect()
+    let items = axes.iter().zip(items).map(|(axis, item)| graph.axes[*axis].items[*item].clone());
+    labels(graph, axes).into_iter().map(str::to_owned).zip(items).collect()
 }
 
 /// Every point of some axes, the last axis fastest; an axis walked with an earlier one has the same item.

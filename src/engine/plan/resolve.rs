@@ -1,6 +1,6 @@
 //! From document to graph: names, ports, cycles and axes, with all faults reported together.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -13,15 +13,18 @@ use serde_json::Value;
 use super::axis_propagation::Names;
 use super::graph::{Dynamic, Graph, GraphStep};
 use super::points::too_many;
-use super::{Stages, parameters, values};
-use crate::diagnostic::{Diagnostic, Diagnostics, SHOWN, listed};
-use crate::pipeline::{Axis, Document, Key, Label, Node, Pipeline, Reference, Step, Word, escape_hint, mentioned};
+use super::{Stages, parameters};
+use crate::diagnostic::{Diagnostic, Diagnostics, SHOWN, Source, Span, listed};
+use crate::pipeline::{
+    Axis, Document, Key, Label, Node, Pipeline, Reference, Step, Used, Word, escape_hint, mentioned, resolve_values,
+};
 
 /// Resolves a pipeline; `targets` on the command line take the place of the document's.
 pub fn resolve(pipeline: &Pipeline, targets: &[String], stages: &Stages) -> Result<Graph, Diagnostics> {
     let mut resolver = Resolver::new(pipeline, stages);
     resolver.check_names();
     resolver.check_zips();
+    resolver.check_part_inputs();
     let order = resolver.order();
     let graph = resolver.build(&order, pipeline, targets);
     if resolver.faults.is_empty() {
@@ -47,8 +50,10 @@ pub struct Resolver<'d> {
     /// What is wrong.
     pub faults: Vec<Diagnostic>,
     available: &'d Stages,
-    /// The folder of each file of the pipeline, and then that of the pipeline itself.
-    folders: Vec<Arc<Path>>,
+    /// The folder of the pipeline.
+    folder: Arc<Path>,
+    /// The texts of the pipeline, of which each file has a folder.
+    sources: &'d [Source],
     /// By number in the graph: the axes of the step.
     reach: Vec<BTreeSet<usize>>,
     /// Faults that are none where it is not sure which axes a step has: the step, and the fault.
@@ -57,6 +62,8 @@ pub struct Resolver<'d> {
     pub circling: Vec<bool>,
     /// By step: whether a name in its parameters stands for nothing.
     pub unfilled: Vec<bool>,
+    /// Where something is fed into a part that does not take it.
+    pub misfed: HashSet<Span>,
 }
 
 impl<'d> Resolver<'d> {
@@ -72,16 +79,13 @@ impl<'d> Resolver<'d> {
             place: vec![0; document.steps.len()],
             faults: pipeline.faults.clone(),
             available,
-            folders: pipeline
-                .folders
-                .iter()
-                .chain([&pipeline.folder])
-                .map(|folder| Arc::from(folder.as_path()))
-                .collect(),
+            folder: Arc::from(pipeline.folder.as_path()),
+            sources: &pipeline.sources,
             reach: Vec::new(),
             unsure: Vec::new(),
             circling: vec![false; document.steps.len()],
             unfilled: vec![false; document.steps.len()],
+            misfed: HashSet::new(),
         };
         for (own, step) in document.steps.iter().enumerate() {
             let ports = resolver.stages[own].and_then(|stage| resolver.ports_of(step, stage));
@@ -102,6 +106,11 @@ impl<'d> Resolver<'d> {
                 None
             }
         }
+    }
+
+    /// The folder that paths written at a place are relative to.
+    fn folder_of(&self, span: Span) -> Arc<Path> {
+        self.sources.get(span.source).and_then(Source::folder).unwrap_or(&self.folder).clone()
     }
 
     fn document(&self) -> &'d Document {
@@ -259,9 +268,10 @@ impl<'d> Resolver<'d> {
         let reach = self.names.reach(order);
         self.reach = order.iter().map(|old| reach[*old].clone()).collect();
         let dynamic = self.dynamic();
+        self.check_part_outputs();
         let steps: Vec<GraphStep> = order.iter().filter_map(|old| self.step(&document.steps[*old], *old)).collect();
         let targets = self.targets(&steps, &dynamic, targets);
-        let (params, faults) = values::resolve(&document.params, &self.axis_names());
+        let (params, faults) = resolve_values(&document.params, &self.axis_names());
         if faults.is_empty() {
             let unused: Vec<Diagnostic> = self.unused_axes().into_iter().chain(self.unused_params()).collect();
             self.faults.extend(self.if_all_is_read(unused));
@@ -338,7 +348,8 @@ impl<'d> Resolver<'d> {
         let mut used = Vec::new();
         document.steps.iter().filter_map(|step| step.with.as_ref()).for_each(|with| mentioned(with, &mut used));
         document.params.iter().for_each(|(_, node)| mentioned(node, &mut used));
-        let used: BTreeSet<&str> = used.iter().map(|(name, _)| name.as_str()).collect();
+        let used = used.iter().map(|(name, _)| name.as_str());
+        let used: BTreeSet<&str> = used.chain(document.mentions.iter().map(String::as_str)).collect();
         let unused = document.params.iter().filter(|(key, _)| !used.contains(key.name.as_str()));
         let told = |(key, _): &(Key, Node)| {
             let fault = Diagnostic::at(key.span, format!("nothing mentions parameter `{}`", key.name));
@@ -363,7 +374,7 @@ impl<'d> Resolver<'d> {
             span: step.name.span,
             stage,
             ports,
-            folder: self.folders[step.name.span.source.min(self.folders.len() - 1)].clone(),
+            folder: self.folder_of(step.name.span),
             with: step.with.clone(),
             inputs,
             axes,
@@ -451,13 +462,41 @@ impl<'d> Resolver<'d> {
             Some(words) => words.iter().map(|word| word.text.as_str()).collect(),
             None => return unread(steps, dynamic),
         };
+        let names: Vec<&str> = names.into_iter().flat_map(|name| self.steps_of_target(name)).collect();
         let numbers: BTreeMap<&str, usize> =
             steps.iter().enumerate().map(|(number, step)| (step.name.as_str(), number)).collect();
         names.iter().filter_map(|name| numbers.get(name).copied()).collect()
     }
 
+    fn used(&self, name: &str) -> Option<&'d Used> {
+        self.document().uses.iter().find(|used| used.name == name)
+    }
+
+    /// The step that a target names; of a part that is used, the steps that make its outputs.
+    fn steps_of_target<'n>(&self, name: &'n str) -> Vec<&'n str>
+    where
+        'd: 'n,
+    {
+        let makers = self.used(name).map(|used| used.outputs.values().map(|to| to.step.as_str()).collect());
+        makers.unwrap_or_else(|| vec![name])
+    }
+
+    /// Outputs of parts that no step reads are looked at too.
+    fn check_part_outputs(&mut self) {
+        let document = self.document();
+        let inputs = document.steps.iter().flat_map(|step| step.inputs.iter().flat_map(|(_, input)| input.references()));
+        let read: BTreeSet<(&str, &str)> = inputs.map(|to| (to.step.as_str(), to.port.as_str())).collect();
+        for to in document.uses.iter().flat_map(|used| used.outputs.values()) {
+            if !read.contains(&(to.step.as_str(), to.port.as_str())) {
+                self.source(to);
+            }
+        }
+    }
+
     fn check_target(&mut self, name: &str, place: Option<&Word>) {
-        if !self.names.steps.contains_key(name) && !self.document().unread.steps.contains(name) {
+        if self.used(name).is_none()
+            && !self.names.steps.contains_key(name)
+            && !self.document().unread.steps.contains(name) {
             let message = format!("unknown target step `{name}`");
             let fault = place.map_or_else(
                 || Diagnostic::general(message.clone()),

@@ -40,7 +40,7 @@ pub use inputs::{Element, Inputs, Later};
 pub use needs::{InputSize, InputSizes, SmallInput};
 pub use planner::Planner;
 pub use program::{Found, Job, JobResult, Piece, Program, ProgramResult};
-pub use registry::{Look, Registry, Room};
+pub use registry::{Look, PartText, Registry, Room};
 pub use stage::{
     AnyStage, Arity, Checked, Context, Entry, Host, Outputs, Page, Point, Port, Ports, Row, SourceFile, Stage,
     StageError,

@@ -14,6 +14,15 @@ pub struct Room {
     pub stages: &'static [&'static dyn AnyStage],
 }
 
+/// A chain of steps that comes with the program, in the pipeline language.
+#[derive(Debug, Clone, Copy)]
+pub struct PartText {
+    /// The name it is used by, such as `rockface/stereo-survey`.
+    pub name: &'static str,
+    /// Its text: a file that says `part:`.
+    pub text: &'static str,
+}
+
 /// Draws artefacts for logs and reports.
 pub trait Look: Sync + std::fmt::Debug {
     /// Small likenesses of an artefact; none of what cannot be seen.
@@ -76,6 +85,7 @@ impl Look for Blank {
 pub struct Registry {
     rooms: Vec<Room>,
     stages: Vec<&'static dyn AnyStage>,
+    parts: &'static [PartText],
     look: &'static dyn Look,
 }
 
@@ -89,7 +99,7 @@ impl std::fmt::Debug for Registry {
 
 impl Default for Registry {
     fn default() -> Self {
-        Self { rooms: Vec::new(), stages: Vec::new(), look: &Blank }
+        Self { rooms: Vec::new(), stages: Vec::new(), parts: &[], look: &Blank }
     }
 }
 
@@ -105,6 +115,13 @@ impl Registry {
             self.stages.push(*stage);
         }
         self.rooms.push(room);
+        self
+    }
+
+    /// Replaces the parts that pipelines may use by name; a new registry has none.
+    #[must_use]
+    pub fn with_parts(mut self, parts: &'static [PartText]) -> Self {
+        self.parts = parts;
         self
     }
 
@@ -128,6 +145,11 @@ impl Registry {
     /// The stage of a name.
     pub fn find(&self, name: &str) -> Option<&'static dyn AnyStage> {
         self.stages.iter().copied().find(|stage| stage.name() == name)
+    }
+
+    /// The parts that pipelines may use by name.
+    pub fn parts(&self) -> &'static [PartText] {
+        self.parts
     }
 
     /// What draws artefacts for logs and reports.

@@ -1,7 +1,7 @@
 //! Writes the manifest of a run: facts about the whole and about each instance.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use rockface_cache::{Digest, RecipeInput, Store};
@@ -9,6 +9,7 @@ use rockface_core::Entry;
 
 use super::lay_out::{Laid, Paths};
 use super::run_folder::failed;
+use crate::diagnostic::{Origin, Source};
 use crate::history::{FORMAT, FileUsed, IncludedText, Manifest, Metric, Overridden, PipelineText, StepDone};
 use crate::plan::Plan;
 use crate::run::{RunError, RunFolder, Summary};
@@ -45,11 +46,13 @@ pub fn manifest(
 
 fn pipeline_text(plan: &Plan, about: &RunFolder) -> Result<PipelineText, RunError> {
     let absolute = |path: &Path| std::path::absolute(path).map_err(failed(path));
-    let included = about
-        .pipeline
-        .files()
-        .skip(1)
-        .map(|file| Ok(IncludedText { path: absolute(Path::new(&file.name))?, text: file.text.clone() }));
+    let path = |file: &Source| match file.origin {
+        // What comes with the program has a name and no place.
+        Origin::Shipped => Ok(PathBuf::from(&file.name)),
+        _ => absolute(Path::new(&file.name)),
+    };
+    let others = about.pipeline.files().skip(1);
+    let included = others.map(|file| Ok(IncludedText { path: path(file)?, text: file.text.to_string() }));
     Ok(PipelineText {
         name: plan.graph.name.clone(),
         path: about.pipeline_path.to_owned(),

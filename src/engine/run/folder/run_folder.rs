@@ -132,7 +132,7 @@ fn former(store: &Store, key: &Digest, runs: &Path) -> Result<Option<Finished>, 
 fn plan_key(plan: &Plan, summary: &Summary, runs: &Path, about: &RunFolder) -> Digest {
     let targets: Vec<&str> = plan.graph.targets.iter().map(|step| plan.graph.steps[*step].name.as_str()).collect();
     let set = (&about.overrides.set, &about.overrides.sweep, about.overrides.seed, plan.graph.seed);
-    let texts: Vec<&str> = about.pipeline.files().map(|file| file.text.as_str()).collect();
+    let texts: Vec<&str> = about.pipeline.files().map(|file| &*file.text).collect();
     let unknown = Digest::of(b"");
     let mut text = json!([plan.graph.name, runs, targets, set, texts, about.lay_out]).to_string();
     text.push('\n');

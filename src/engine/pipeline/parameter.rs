@@ -1,0 +1,252 @@
+//! Parameters that are declared with their type: what may stand for them, in which unit, and what they are if nobody says.
+
+use std::fmt;
+
+use serde_json::Value;
+
+use super::document::Reader;
+use super::node::{Data, Key, Node, Word};
+use super::substitute::mentioned;
+use crate::diagnostic::{Diagnostic, Span, listed};
+
+/// A parameter with its type.
+#[derive(Debug, Clone)]
+pub struct Declared {
+    /// Its name.
+    pub name: Word,
+    /// What may stand for it.
+    pub kind: ValueKind,
+    /// The unit of the value, for people.
+    pub unit: Option<String>,
+    /// The lowest number it may be.
+    pub min: Option<f64>,
+    /// The highest number it may be.
+    pub max: Option<f64>,
+    /// The values it may have; empty: any.
+    pub choices: Vec<Value>,
+    /// What it is if nobody says.
+    pub default: Option<Node>,
+    /// What it is about.
+    pub doc: String,
+}
+
+/// What may stand for a parameter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ValueKind {
+    /// A number.
+    Number,
+    /// A whole number.
+    Integer,
+    /// `true` or `false`.
+    Boolean,
+    /// Text.
+    Text,
+    /// The path of a file or folder, or a pattern for several; relative to the file in which it is written.
+    Path,
+    /// A list.
+    List,
+    /// A map.
+    Map,
+    /// Anything.
+    Any,
+}
+
+impl ValueKind {
+    /// Every kind with the word for it.
+    pub const WORDS: [(Self, &'static str); 8] = [
+        (Self::Number, "number"),
+        (Self::Integer, "integer"),
+        (Self::Boolean, "boolean"),
+        (Self::Text, "text"),
+        (Self::Path, "path"),
+        (Self::List, "list"),
+        (Self::Map, "map"),
+        (Self::Any, "any"),
+    ];
+
+    /// The word that a declaration says.
+    pub fn word(self) -> &'static str {
+        Self::WORDS.iter().find(|(kind, _)| *kind == self).map_or("any", |(_, word)| *word)
+    }
+
+    fn of_word(word: &str) -> Option<Self> {
+        Self::WORDS.iter().find(|(_, own)| *own == word).map(|(kind, _)| *kind)
+    }
+
+    fn fits(self, value: &Value) -> bool {
+        match self {
+            Self::Number => value.is_number(),
+            Self::Integer => value.as_f64().is_some_and(|x| x.fract() == 0.0 && x.abs() < 9e15),
+            Self::Boolean => value.is_boolean(),
+            Self::Text => value.is_string() || value.is_number(),
+            Self::Path => value.is_string(),
+            Self::List => value.is_array(),
+            Self::Map => value.is_object(),
+            Self::Any => true,
+        }
+    }
+}
+
+impl fmt::Display for ValueKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Number => "a number",
+            Self::Integer => "a whole number",
+            Self::Boolean => "true or false",
+            Self::Text => "text",
+            Self::Path => "the path of a file or folder",
+            Self::List => "a list",
+            Self::Map => "a map",
+            Self::Any => "any value",
+        })
+    }
+}
+
+/// The keys of a declaration.
+pub const KEYS: &[&str] = &["type", "unit", "min", "max", "choices", "default", "doc"];
+
+/// Whether a value under `params` declares a parameter: it is a map that says its `type`.
+pub fn is_declared(node: &Node) -> bool {
+    node.get("type").and_then(Node::text).is_some()
+}
+
+impl Declared {
+    /// What is wrong with a value for it; one that depends on an axis is not known yet.
+    pub fn fault(&self, node: &Node) -> Option<Diagnostic> {
+        let mut names = Vec::new();
+        mentioned(node, &mut names);
+        if names.is_empty() && node.bad_number().is_none() { self.value_fault(&node.to_value(), node.span) } else { None }
+    }
+
+    /// What is wrong with a value for it that stands at a place.
+    pub fn value_fault(&self, value: &Value, span: Span) -> Option<Diagnostic> {
+        let name = &self.name.text;
+        let shown = if value.is_null() { "nothing".to_owned() } else { format!("`{value}`") };
+        let message = if !self.kind.fits(value) {
+            format!("parameter `{name}` is {}, found {shown}", self.kind)
+        } else if !self.choices.is_empty() && !self.choices.contains(value) {
+            format!("parameter `{name}` cannot be {shown}")
+        } else {
+            let stray = self.stray_number(value)?;
+            format!("parameter `{name}` cannot be {stray}: {}", self.range())
+        };
+        let fault = Diagnostic::at(span, message).also(self.name.span, format!("`{name}` is declared here"));
+        Some(if self.choices.is_empty() { fault } else { fault.hint(format!("one of: {}", self.choice_words())) })
+    }
+
+    /// The first number of a value that is out of the range.
+    fn stray_number(&self, value: &Value) -> Option<f64> {
+        match value {
+            Value::Number(number) => {
+                number.as_f64().filter(|x| self.min.is_some_and(|min| *x < min) || self.max.is_some_and(|max| *x > max))
+            }
+            Value::Array(items) => items.iter().find_map(|item| self.stray_number(item)),
+            _ => None,
+        }
+    }
+
+    /// The range in words.
+    pub fn range(&self) -> String {
+        match (self.min, self.max) {
+            (Some(min), Some(max)) => format!("from {min} to {max}"),
+            (Some(min), None) => format!("at least {min}"),
+            (None, Some(max)) => format!("at most {max}"),
+            (None, None) => String::new(),
+        }
+    }
+
+    /// The choices, with commas between them.
+    pub fn choice_words(&self) -> String {
+        let words: Vec<String> =
+            self.choices.iter().map(|one| one.as_str().map_or_else(|| one.to_string(), str::to_owned)).collect();
+        listed(words.iter().map(String::as_str))
+    }
+}
+
+impl Reader<'_> {
+    /// A declaration of a parameter.
+    pub fn declared(&mut self, key: &Key, node: &Node) -> Option<Declared> {
+        let what = format!("parameter `{}`", key.name);
+        self.map(node, &what, KEYS)?;
+        let name = Word { span: key.span, text: key.name.clone() };
+        let word = self.word(node.get("type")?, "a type")?;
+        let Some(kind) = ValueKind::of_word(&word.text) else {
+            let fault = Diagnostic::at(word.span, format!("{what} has the unknown type `{}`", word.text));
+            self.fault(fault.suggest(&word.text, ValueKind::WORDS.map(|(_, word)| word)));
+            return None;
+        };
+        let unit = node.get("unit").and_then(|n| self.word(n, "a unit")).map(|word| word.text);
+        let doc = node.get("doc").and_then(|n| self.word(n, "a text")).map(|word| word.text).unwrap_or_default();
+        let mut bound = |side: &str| {
+            let node = node.get(side)?;
+            let number = node.to_value().as_f64();
+            if number.is_none() {
+                self.expected(node, "a number");
+            }
+            number
+        };
+        let (min, max) = (bound("min"), bound("max"));
+        let choices = match node.get("choices").map(|n| (&n.data, n)) {
+            None => Vec::new(),
+            Some((Data::List(list), _)) if !list.is_empty() => list.iter().map(Node::to_value).collect(),
+            Some((_, n)) => {
+                self.expected(n, "a list of values");
+                Vec::new()
+            }
+        };
+        let declared = Declared { name, kind, unit, min, max, choices, default: None, doc };
+        let default = node.get("default").filter(|n| n.bad_number().is_none()).cloned();
+        if let Some(fault) = default.as_ref().and_then(|default| declared.fault(default)) {
+            self.fault(fault);
+        }
+        Some(Declared { default, ..declared })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn declared(yaml: &str) -> Result<Declared, String> {
+        let node = Node::parse(yaml, 0).unwrap();
+        let mut faults = Vec::new();
+        let key = Key { span: Span::default(), name: "x".into() };
+        let found = Reader::new(&mut faults).declared(&key, &node);
+        faults.first().map_or_else(|| found.ok_or_else(String::new), |fault| Err(fault.message.clone()))
+    }
+
+    #[test]
+    fn values_are_held_against_type_range_and_choices() {
+        for (declaration, good, bad) in [
+            ("{type: number, min: 0, max: 2}", "1.5", "[-1, 3, word, null]"),
+            ("{type: integer, min: 1}", "3.0", "[0, 1.5, word]"),
+            ("{type: boolean}", "true", "[1, word]"),
+            ("{type: text, choices: [a, b]}", "a", "[c, 1]"),
+            ("{type: list, max: 1}", "[0, 1]", "[[2], word]"),
+            ("{type: map}", "{a: 1}", "[1, word]"),
+            ("{type: path}", "a/b.ply", "[1]"),
+        ] {
+            let declared = declared(declaration).unwrap();
+            assert_eq!(declared.fault(&Node::parse(good, 0).unwrap()), None, "{declaration} {good}");
+            let Data::List(bad) = Node::parse(bad, 0).unwrap().data else { panic!("a list") };
+            for node in bad {
+                assert!(declared.fault(&node).is_some(), "{declaration} {:?}", node.data);
+            }
+        }
+        let open = declared("{type: number, min: 0}").unwrap();
+        assert_eq!(open.fault(&Node::parse("'${axis}'", 0).unwrap()), None);
+    }
+
+    #[test]
+    fn declarations_that_cannot_be_are_told() {
+        for (declaration, said) in [
+            ("{type: numbr}", "unknown type `numbr`"),
+            ("{type: number, mni: 0}", "unknown key `mni`"),
+            ("{type: number, min: low}", "expected a number"),
+            ("{type: number, max: 1, default: 2}", "cannot be 2: at most 1"),
+            ("{type: text, choices: a}", "a list of values"),
+        ] {
+            assert!(declared(declaration).unwrap_err().contains(said), "{declaration}");
+        }
+    }
+}

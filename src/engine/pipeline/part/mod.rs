@@ -1,0 +1,167 @@
+//! Parts: a chain of steps that is written once and used many times.
+//!
+//! A part is declared under `parts:`, in a file of its own, or comes with the program. A step that says `use:` stands for the
+//! steps of the part, whose names begin with its own: `before/noisy`. [`expand`] writes them out before anything else looks at
+//! the pipeline, so that plans, keys and runs know only steps.
+
+mod check;
+mod compose;
+mod declare;
+mod expand;
+mod substitution;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::rc::Rc;
+
+use rockface_core::artefact::Kind;
+pub use rockface_core::PartText;
+
+use super::document::Reader;
+use super::input::Input;
+use super::node::{Key, Node, Word};
+use super::parameter::Declared;
+use super::reference::Reference;
+use crate::diagnostic::{Diagnostic, Span};
+
+pub use expand::{Expansion, Flat};
+
+/// What the inputs of a part are called inside it: `in.name`.
+pub const IN: &str = "in";
+
+/// Between the name of a use and the name of a step inside.
+pub const INSIDE: char = '/';
+
+/// A part as it is declared.
+#[derive(Debug)]
+pub struct Part {
+    /// What messages call it.
+    pub name: String,
+    /// What a user has to know of it.
+    pub interface: Interface,
+    /// Its outputs: by name, what they are inside.
+    pub outputs: Vec<(Word, Reference)>,
+    /// Axes of its own.
+    pub axes: Vec<(Key, Node)>,
+    /// Axes that are walked together.
+    pub zip: Option<Node>,
+    /// Its steps.
+    pub steps: Vec<(Key, Node)>,
+    /// The parts it may use by name.
+    pub known: Rc<Known>,
+    /// Where its name stands; its text is the whole one of this place.
+    pub place: Span,
+}
+
+/// What a user has to know of a part.
+#[derive(Debug, Clone, Default)]
+pub struct Interface {
+    /// What it is about.
+    pub doc: String,
+    /// Its parameters.
+    pub params: Vec<Declared>,
+    /// Its inputs.
+    pub inputs: Vec<PartInput>,
+    /// The names of its outputs.
+    pub outputs: Vec<String>,
+}
+
+/// An input of a part.
+#[derive(Debug, Clone)]
+pub struct PartInput {
+    /// Its name.
+    pub name: Word,
+    /// The kinds of artefact it takes.
+    pub kinds: Vec<Kind>,
+    /// Whether a use may leave it out.
+    pub optional: bool,
+    /// What it is about.
+    pub doc: String,
+}
+
+/// The parts of a file or pipeline by name, each with its number.
+pub type Known = BTreeMap<String, usize>;
+
+/// A step that stands for the steps of a part.
+#[derive(Debug, Clone)]
+pub struct Use {
+    /// Its name.
+    pub name: Word,
+    /// The part: its name, or the path of its file.
+    pub part: Word,
+    /// Values for its parameters.
+    pub with: Vec<(Key, Node)>,
+    /// What its inputs are fed with.
+    pub inputs: Vec<(Word, Input)>,
+    /// Axes that all its steps depend on.
+    pub over: Vec<Word>,
+}
+
+/// A use that has been written out, for drawings and lists.
+#[derive(Debug, Clone)]
+pub struct Used {
+    /// The name of the step that uses it, with those of the uses around it.
+    pub name: String,
+    /// The part.
+    pub part: String,
+    /// What the part is about.
+    pub doc: String,
+    /// Its outputs: by name, what stands behind them under full names.
+    pub outputs: BTreeMap<String, Reference>,
+}
+
+/// Something fed into a part, to be held against the kinds of artefact that it takes.
+#[derive(Debug, Clone)]
+pub struct KindCheck {
+    /// The part.
+    pub part: String,
+    /// The input.
+    pub input: PartInput,
+    /// What it is fed with.
+    pub given: Vec<Reference>,
+}
+
+/// The keys of a step that uses a part.
+pub const USE_KEYS: &[&str] = &["use", "with", "in", "over"];
+
+impl Reader<'_> {
+    /// A step that uses a part.
+    pub fn used(&mut self, name: Word, node: &Node) -> Option<Use> {
+        let what = format!("step `{}`", name.text);
+        if node.get("stage").is_some() {
+            let message = format!("{what} says both `use` and `stage`");
+            self.fault(Diagnostic::at(name.span, message).hint("it is a use of a part, or a step of its own"));
+            return None;
+        }
+        let known = [USE_KEYS, &["title", "doc"]].concat();
+        self.map(node, &what, &known)?;
+        let part = self.word(node.get("use")?, "the name of a part or the path of its file");
+        let with = node.get("with").and_then(|n| self.any_map(n, "`with`")).map(<[_]>::to_vec).unwrap_or_default();
+        let (inputs, _) = node.get("in").map_or((Vec::new(), false), |n| self.inputs(n));
+        let over = node.get("over").map(|n| self.words(n, "an axis")).unwrap_or_default();
+        Some(Use { name, part: part?, with, inputs, over })
+    }
+}
+
+impl PartInput {
+    /// The kinds it takes, for messages.
+    pub fn kind_words(&self) -> String {
+        self.kinds.iter().map(|kind| kind.word()).collect::<Vec<_>>().join(" or ")
+    }
+}
+
+/// All texts anywhere in a value, with their places.
+fn texts<'n>(node: &'n Node, found: &mut Vec<(&'n str, Span)>) {
+    if let Some(text) = node.text() {
+        found.push((text, node.span));
+    }
+    match &node.data {
+        super::node::Data::Scalar(_) => {}
+        super::node::Data::List(items) => items.iter().for_each(|item| texts(item, found)),
+        super::node::Data::Map(entries) => entries.iter().for_each(|(_, item)| texts(item, found)),
+    }
+}
+
+/// The names that a part gives to its own steps and axes.
+fn own_names(entries: &[(Key, Node)]) -> BTreeSet<&str> {
+    entries.iter().map(|(key, _)| key.name.as_str()).collect()
+}
