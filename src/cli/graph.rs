@@ -17,6 +17,9 @@ pub struct GraphArgs {
     /// The output format: `rockface graph p.yaml --format svg > p.svg` writes a picture; `dot` is for Graphviz.
     #[arg(long, value_enum, default_value_t = Format::Dot)]
     format: Format,
+    /// Draw every use of a part as one box instead of a frame with its steps.
+    #[arg(long)]
+    fold: bool,
     /// The same as `--format json`.
     #[arg(long, conflicts_with = "format")]
     json: bool,
@@ -44,6 +47,7 @@ impl GraphArgs {
         let drawing = Drawing::of(&graph)
             .map_err(|list| CliError::Pipeline(Diagnostics { sources: pipeline.sources.clone(), list }))?;
         let drawing = if self.pipeline.target.is_empty() { drawing } else { drawing.only_needed() };
+        let drawing = if self.fold { drawing.folded() } else { drawing };
         let format = if self.json { Format::Json } else { self.format };
         say(match format {
             Format::Dot => drawing.dot(),

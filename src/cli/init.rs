@@ -2,14 +2,43 @@
 
 use std::path::{Path, PathBuf};
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 
 use super::shipped::Shipped;
 use super::{CliError, say};
 use rockface_engine::history::HistoryError;
 
-/// The pipeline everybody begins with.
-pub const STARTER: &str = include_str!("starter.yaml");
+/// What a folder may begin with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
+pub enum Template {
+    /// Three steps: a face, its raster, a picture.
+    #[default]
+    Starter,
+    /// A rockfall surveyed by a stereo pair before and after it.
+    Stereo,
+    /// Two flights of a UAV along an unchanged cliff.
+    Uav,
+    /// Simulated noise of a site of your own, judged by its references.
+    Calibrate,
+    /// Three detectors against exact ground truth.
+    Benchmark,
+    /// Noise over a swept parameter.
+    Sweep,
+}
+
+impl Template {
+    /// The text of the pipeline.
+    pub const fn text(self) -> &'static str {
+        match self {
+            Self::Starter => include_str!("templates/starter.yaml"),
+            Self::Stereo => include_str!("templates/stereo.yaml"),
+            Self::Uav => include_str!("templates/uav.yaml"),
+            Self::Calibrate => include_str!("templates/calibrate.yaml"),
+            Self::Benchmark => include_str!("templates/benchmark.yaml"),
+            Self::Sweep => include_str!("templates/sweep.yaml"),
+        }
+    }
+}
 
 /// Arguments of `rockface init`.
 #[derive(Debug, Args)]
@@ -19,6 +48,9 @@ pub struct InitArgs {
     /// Copy this pipeline that ships with rockface, with the files it reads, instead of the starter.
     #[arg(long, value_name = "NAME")]
     from: Option<String>,
+    /// What to begin with.
+    #[arg(long, value_enum, default_value_t, conflicts_with = "from")]
+    template: Template,
 }
 
 impl InitArgs {
@@ -26,7 +58,7 @@ impl InitArgs {
     pub fn run(self) -> Result<(), CliError> {
         let files = match &self.from {
             Some(name) => Shipped::find(name)?.files(),
-            None => vec![("pipeline.yaml", STARTER)],
+            None => vec![("pipeline.yaml", self.template.text())],
         };
         if self.dir.exists() && !self.dir.is_dir() {
             return Err(CliError::Usage(format!("{} is a file: give a folder", self.dir.display())));

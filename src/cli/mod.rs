@@ -8,6 +8,8 @@ mod graph;
 mod init;
 mod inspect;
 pub mod output;
+mod params;
+mod parts;
 mod places;
 mod plan;
 mod programs;
@@ -61,6 +63,10 @@ enum Command {
     Graph(graph::GraphArgs),
     /// List the stages, or show the manual page of one.
     Stages(stages::StagesArgs),
+    /// List the parts that come with the program, or show how one is used.
+    Parts(parts::PartsArgs),
+    /// List the parameters of a pipeline with their values, units and ranges.
+    Params(params::ParamsArgs),
     /// List, show, compare and pin past runs.
     Runs(runs::RunsArgs),
     /// Write the report of a past run again: steps, pictures, tables and metrics in one HTML file.
@@ -336,6 +342,8 @@ impl Command {
             Self::Explain(args) => args.run(registry),
             Self::Graph(args) => args.run(registry),
             Self::Stages(args) => args.run(registry),
+            Self::Parts(args) => args.run(registry),
+            Self::Params(args) => args.run(registry),
             Self::Runs(args) => args.run(registry),
             Self::Report(args) => args.run(registry),
             Self::Store(args) => args.run(),

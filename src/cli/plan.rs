@@ -53,7 +53,18 @@ impl PlanArgs {
         say(&format!("{:width$}  {:>9} {:>6} {:>6} {:>8}  why", "step", "instances", "hit", "runs", "depends"));
         let mut instances: Vec<Vec<usize>> = vec![Vec::new(); plan.graph.steps.len()];
         plan.instances.iter().enumerate().for_each(|(number, instance)| instances[instance.step].push(number));
-        for (step, own) in plan.graph.steps.iter().zip(instances).filter(|(_, own)| !own.is_empty()) {
+        let mut used = "";
+        for number in plan.graph.by_use() {
+            let (step, own) = (&plan.graph.steps[number], &instances[number]);
+            if own.is_empty() {
+                continue;
+            }
+            let outer = plan.graph.use_of(&step.name);
+            let name = outer.map_or("", |outer| outer.name.as_str());
+            if name != used {
+                outer.iter().for_each(|outer| say(&format!("{name} ({})", outer.part)));
+                used = name;
+            }
             let count = |word: &str| own.iter().filter(|i| answers[**i].word() == word).count();
             let why = own.iter().find_map(|i| answers[*i].why(plan)).unwrap_or_default();
             let (hit, runs, depends) = (count("hit"), count("runs"), count("depends"));

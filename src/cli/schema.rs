@@ -4,7 +4,8 @@ use rockface_core::params::{Field, Kind, Range};
 use rockface_core::{AnyStage, Arity, Port};
 use serde_json::{Map, Value, json};
 
-use rockface_engine::pipeline::LogLevel;
+use rockface_core::artefact::Kind as ArtefactKind;
+use rockface_engine::pipeline::{LogLevel, ValueKind};
 
 /// The schema of a pipeline file over these stages.
 pub fn schema(stages: &[&'static dyn AnyStage]) -> Value {
@@ -21,7 +22,10 @@ pub fn schema(stages: &[&'static dyn AnyStage]) -> Value {
             "name": {"type": ["string", "number"], "description": "Used for run folders; by default the file's name."},
             "seed": {"type": "integer", "minimum": 0, "description": "From it every random number is drawn."},
             "include": one_or_many(&json!({"type": "string"}), "Pipelines whose parameters, axes and steps are added."),
-            "params": {"type": "object", "description": "Values that `${name}` refers to."},
+            "params": {"type": "object", "additionalProperties": {"anyOf": [{"$ref": "#/$defs/parameter"}, {}]},
+                       "description": "Values that `${name}` refers to; {type: number, default: 1, …} declares one with its type."},
+            "parts": {"type": "object", "additionalProperties": {"anyOf": [{"$ref": "#/$defs/part"}, {"type": "string"}]},
+                      "description": "Chains of steps that steps use by name; a text names the file of one."},
             "axes": {"type": "object", "additionalProperties": {"$ref": "#/$defs/axis"}, "description": "What steps fan out over."},
             "zip": {"type": "array", "items": {"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]},
                     "description": "Axes that are walked together instead of crossed: [a, b], or a list of such lists."},
@@ -34,14 +38,54 @@ pub fn schema(stages: &[&'static dyn AnyStage]) -> Value {
             "axis": axis(),
             "reference": {"type": "string", "pattern": "^[^.\\[]+\\.[^.\\[]+(\\[.+\\])?$", "description": "step.port, or step.port[axis=item]."},
             "input": input(),
+            "parameter": parameter(),
+            "part": part(),
             "step": {
                 "type": "object",
-                "required": ["stage"],
-                "properties": {"stage": {"enum": names}},
-                "allOf": steps,
+                "if": {"required": ["use"]},
+                "then": used(),
+                "else": {"required": ["stage"], "properties": {"stage": {"enum": names}}, "allOf": steps},
             },
         },
     })
+}
+
+/// A parameter that is declared with its type.
+fn parameter() -> Value {
+    let words: Vec<&str> = ValueKind::WORDS.iter().map(|(_, word)| *word).collect();
+    json!({"type": "object", "required": ["type"], "additionalProperties": false, "properties": {
+        "type": {"enum": words}, "unit": {"type": "string"}, "min": {"type": "number"}, "max": {"type": "number"},
+        "choices": {"type": "array", "minItems": 1}, "default": {}, "doc": {"type": "string"},
+    }})
+}
+
+/// A part under `parts`.
+fn part() -> Value {
+    let kinds: Vec<&str> = ArtefactKind::ALL.iter().map(|kind| kind.word()).collect();
+    let kind = one_or_many(&json!({"enum": kinds}), "The kind of artefact it takes.");
+    json!({"type": "object", "required": ["out", "steps"], "additionalProperties": false, "properties": {
+        "doc": {"type": "string", "description": "What it is about."},
+        "params": {"type": "object", "additionalProperties": {"$ref": "#/$defs/parameter"}},
+        "in": {"type": "object", "additionalProperties": {"anyOf": [kind, {"type": "object", "required": ["kind"],
+            "additionalProperties": false,
+            "properties": {"kind": kind, "optional": {"type": "boolean"}, "doc": {"type": "string"}}}]},
+            "description": "What its steps read as `in.name`."},
+        "out": {"type": "object", "minProperties": 1, "additionalProperties": {"$ref": "#/$defs/reference"},
+                "description": "What others may read of it."},
+        "axes": {"type": "object", "additionalProperties": {"$ref": "#/$defs/axis"}},
+        "zip": {"type": "array"},
+        "steps": {"type": "object", "minProperties": 1},
+    }})
+}
+
+/// A step that stands for a part.
+fn used() -> Value {
+    json!({"required": ["use"], "additionalProperties": false, "properties": {
+        "use": {"type": "string", "description": "A part: its name, the path of its file, or one that `rockface parts` lists."},
+        "with": {"type": "object", "description": "Values for its parameters."},
+        "in": {"type": "object", "additionalProperties": {"$ref": "#/$defs/input"}, "description": "What its inputs are fed with."},
+        "over": one_or_many(&json!({"type": "string"}), "Axes that all its steps depend on."),
+    }})
 }
 
 fn log_level(description: &str) -> Value {

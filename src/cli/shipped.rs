@@ -14,7 +14,7 @@ macro_rules! files {
 }
 
 /// Every file of the folder `pipelines`; a test compares the list with the folder.
-const FILES: [(&str, &str); 24] = files![
+const FILES: [(&str, &str); 32] = files![
     "benchmark-outcrop.yaml",
     "benchmark.yaml",
     "calibrate-outcrop.yaml",
@@ -28,10 +28,18 @@ const FILES: [(&str, &str); 24] = files![
     "nobbys-head.yaml",
     "outcrop.yaml",
     "own-detector.yaml",
+    "parts/calibrated-replicate.yaml",
     "parts/detection-benchmark.yaml",
-    "parts/matching-synthetic.yaml",
-    "parts/site-outcrop.yaml",
-    "parts/site-synthetic.yaml",
+    "parts/filtered-no-change.yaml",
+    "parts/multi-image-survey.yaml",
+    "parts/no-change.yaml",
+    "parts/paper-replicate.yaml",
+    "parts/references.yaml",
+    "parts/registered-difference.yaml",
+    "parts/stereo-site.yaml",
+    "parts/stereo-survey.yaml",
+    "parts/synthetic-site.yaml",
+    "parts/verdict.yaml",
     "python-script.yaml",
     "quickstart.yaml",
     "replicate-event.yaml",
@@ -39,7 +47,6 @@ const FILES: [(&str, &str); 24] = files![
     "scripts/vertex_bands.py",
     "shell-tool.yaml",
     "trier-cliff.yaml",
-];
 
 /// What a shipped pipeline may be called by in any folder, whatever files are in it.
 const PREFIX: &str = "rockface/";

@@ -9,9 +9,11 @@ mod svg;
 use std::collections::BTreeMap;
 
 use petgraph::graph::{DiGraph, NodeIndex};
+use petgraph::visit::EdgeRef;
 use serde_json::Value;
 
 use rockface_engine::diagnostic::Diagnostic;
+use rockface_engine::pipeline::INSIDE;
 use rockface_engine::plan::{Feed, Graph, GraphStep, Later, Source, counts};
 
 /// A pipeline as it is drawn.
@@ -19,6 +21,8 @@ pub struct Drawing {
     /// One node a step, in topological order; one edge for each output that an input reads.
     graph: DiGraph<Drawn, Arrow>,
     notes: BTreeMap<String, Note>,
+    /// The uses of parts, by name: what they use.
+    uses: Vec<(String, String)>,
 }
 
 /// A step as it is drawn.
@@ -114,7 +118,47 @@ impl Drawing {
                 drawing.add_edge(nodes[source.step], nodes[consumer], arrow);
             }
         }
-        Ok(Self { graph: drawing, notes: BTreeMap::new() })
+        let uses = graph.uses.iter().map(|used| (used.name.clone(), used.part.clone())).collect();
+        Ok(Self { graph: drawing, notes: BTreeMap::new(), uses })
+    }
+
+    /// With one box for every use of a part, in place of the steps inside.
+    #[must_use]
+    pub fn folded(self) -> Self {
+        let mut graph: DiGraph<Drawn, Arrow> = DiGraph::new();
+        let mut boxes: BTreeMap<String, NodeIndex> = BTreeMap::new();
+        let mut place = Vec::with_capacity(self.graph.node_count());
+        for drawn in self.graph.node_weights() {
+            let outer = drawn.name.split_once(INSIDE).map(|(outer, _)| outer.to_owned());
+            let Some(outer) = outer else {
+                place.push(graph.add_node(drawn.clone()));
+                continue;
+            };
+            let node = *boxes.entry(outer.clone()).or_insert_with(|| {
+                let part = self.uses.iter().find(|(name, _)| *name == outer).map_or("", |(_, part)| part.as_str());
+                let blank = Drawn { stage: part.to_owned(), name: outer, over: None, ..drawn.clone() };
+                graph.add_node(Drawn { target: false, keep: false, needed: false, ..blank })
+            });
+            let folded = &mut graph[node];
+            folded.target |= drawn.target;
+            folded.keep |= drawn.keep;
+            folded.needed |= drawn.needed;
+            // The box says of its steps what the largest of them does.
+            let count = |over: &Option<(Option<usize>, String)>| over.as_ref().and_then(|over| over.0).unwrap_or(0);
+            if count(&drawn.over) > count(&folded.over) || folded.over.is_none() {
+                folded.over.clone_from(&drawn.over);
+            }
+            place.push(node);
+        }
+        for edge in self.graph.edge_references() {
+            let (from, to) = (place[edge.source().index()], place[edge.target().index()]);
+            let is_known =
+                || graph.edges_connecting(from, to).any(|known| known.weight().output == edge.weight().output);
+            if from != to && !is_known() {
+                graph.add_edge(from, to, edge.weight().clone());
+            }
+        }
+        Self { graph, uses: Vec::new(), ..self }
     }
 
     /// Without the steps that no target needs.
@@ -142,12 +186,12 @@ impl Drawing {
 
     /// In the language of Graphviz.
     pub fn dot(&self) -> String {
-        languages::dot(&self.graph)
+        languages::dot(&self.graph, &self.uses)
     }
 
     /// In the language of Mermaid, which Markdown viewers draw.
     pub fn mermaid(&self) -> String {
-        languages::mermaid(&self.graph)
+        languages::mermaid(&self.graph, &self.uses)
     }
 
     /// For programs: its steps and arrows.

@@ -1,5 +1,7 @@
 //! The registry of the stages of rockface, room by room.
 
+mod parts;
+
 use std::sync::LazyLock;
 
 use rockface_core::{Registry, Room};
@@ -27,5 +29,6 @@ fn shipped() -> Registry {
         .with(room("dataset", "Labelled data for training.", rockface_analysis::dataset::STAGES))
         .with(room("figure", "Figures and pictures.", rockface_analysis::figure::STAGES))
         .with(room("command", "Programs of your own.", rockface_analysis::command::STAGES))
+        .with_parts(parts::PARTS)
         .drawn_by(&rockface_analysis::look::Drawn)
 }

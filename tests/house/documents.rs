@@ -16,8 +16,7 @@ fn root() -> &'static Path {
 
 /// Plans a text as if it were a file of `folder`; with `files`, the files it names must be there.
 fn check(text: &str, name: &str, folder: PathBuf, files: bool) -> Option<Plan> {
-    let pipeline =
-        Pipeline::parse(text, name, "example", folder, &Overrides::default()).unwrap_or_else(|f| panic!("{f}"));
+    let pipeline = Pipeline::parse(text, name, "example", folder, &overrides()).unwrap_or_else(|f| panic!("{f}"));
     if !files {
         resolve(&pipeline, &[], rockface_stages::registry().stages()).unwrap_or_else(|faults| panic!("{faults}"));
         return None;
@@ -25,6 +24,11 @@ fn check(text: &str, name: &str, folder: PathBuf, files: bool) -> Option<Plan> {
     let place = tempfile::tempdir().unwrap();
     let store = Store::open(&place.path().join("store")).unwrap();
     Some(plan(&pipeline, &[], rockface_stages::registry().stages(), &store).unwrap_or_else(|faults| panic!("{faults}")))
+}
+
+/// With the parts that come with the program.
+fn overrides() -> Overrides {
+    Overrides { parts: rockface_stages::registry().parts(), ..Overrides::default() }
 }
 
 fn names_files(text: &str) -> bool {
@@ -83,7 +87,7 @@ fn the_examples_that_need_no_file_run() {
 #[test]
 fn the_yaml_of_the_documentation_plans() {
     let mut seen = 0;
-    for document in ["README.md", "ARCHITECTURE.md", "CHANGELOG.md"] {
+    for document in ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "docs/language.md"] {
         let text = std::fs::read_to_string(root().join(document)).unwrap();
         for block in text.split("```yaml\n").skip(1).filter_map(|rest| rest.split("```").next()) {
             seen += 1;
@@ -136,5 +140,56 @@ fn every_page_is_complete() {
         for field in stage.fields() {
             assert!(field.doc.len() > 3, "`{name}`: parameter `{}` has no doc", field.name);
         }
+    }
+}
+
+/// The page of the language names every key the reader knows, in the table of its section.
+#[test]
+fn the_page_of_the_language_has_every_key() {
+    use rockface_engine::pipeline::keys;
+    let page = std::fs::read_to_string(root().join("docs/language.md")).unwrap();
+    let section = |title: &str| {
+        let start = page.find(&format!("\n## {title}\n")).unwrap_or_else(|| panic!("no section {title}"));
+        let rest = &page[start + 4..];
+        rest[..rest.find("\n## ").unwrap_or(rest.len())].to_owned()
+    };
+    for (title, keys) in [
+        ("The file", keys::TOP),
+        ("Steps", keys::STEP),
+        ("Axes", keys::AXIS),
+        ("Parameters", keys::PARAMETER),
+        ("Parts", keys::USE),
+        ("Parts", keys::PART),
+    ] {
+        let text = section(title);
+        for key in keys {
+            let named = [format!("`{key}`"), format!("{{{key}: "), format!("`{key}: "), format!(", {key}: ")];
+            assert!(named.iter().any(|form| text.contains(form)), "docs/language.md, {title}: nothing of `{key}`");
+        }
+    }
+    for (_, word) in rockface_engine::pipeline::ValueKind::WORDS {
+        assert!(section("Parameters").contains(&format!("`{word}`")), "{word}");
+    }
+}
+
+#[test]
+fn every_part_that_ships_reads_and_is_used_somewhere() {
+    let parts = rockface_stages::registry().parts();
+    let folders = ["pipelines", "pipelines/parts", "src/cli/templates"];
+    let files = folders.iter().flat_map(|folder| std::fs::read_dir(root().join(folder)).unwrap().flatten());
+    let texts: Vec<String> = files.filter_map(|file| std::fs::read_to_string(file.path()).ok()).collect();
+    for part in parts {
+        let about = Pipeline::part(part.name, parts).unwrap_or_else(|faults| panic!("{faults}"));
+        assert!(!about.doc.is_empty() && about.params.iter().all(|param| !param.doc.is_empty()), "{}", part.name);
+        assert!(texts.iter().any(|text| text.contains(&format!("use: {}", part.name))), "nothing uses {}", part.name);
+    }
+    assert!(parts.len() >= 8);
+}
+
+#[test]
+fn the_templates_plan() {
+    for file in std::fs::read_dir(root().join("src/cli/templates")).unwrap().flatten() {
+        let text = std::fs::read_to_string(file.path()).unwrap();
+        check(&text, &file.path().display().to_string(), root().to_owned(), !text.contains("${data}"));
     }
 }

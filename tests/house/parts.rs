@@ -87,7 +87,8 @@ fn two_uses_draw_their_own_numbers_and_labels_share_them() {
     let ran = bench.run(&two, &[]);
     let drawn = |name: &str| ran.number(&bench.store, name);
     assert!(drawn("one/drawn") != drawn("many/drawn[k=0]") && drawn("many/drawn[k=0]") != drawn("many/drawn[k=1]"));
-    let shared = two.replace("with: {sigma: '${sigma}'}", "with: {sigma: '${sigma}'}, stream: {label: noise, axes: []}");
+    let shared =
+        two.replace("with: {sigma: '${sigma}'}", "with: {sigma: '${sigma}'}, stream: {label: noise, axes: []}");
     let ran = bench.run(&shared, &[]);
     assert_eq!(ran.number(&bench.store, "one/drawn"), ran.number(&bench.store, "many/drawn[k=2]"));
 }
@@ -209,14 +210,20 @@ fn parts_stand_in_files_and_come_with_the_program() {
     };
     let yaml = "rockface: 1\nsteps:\n  e: {stage: emit}\n  p: {use: rockface/plus, in: {start: e.out}, with: {path: four.txt}}\n";
     let fault = planned(yaml).err().unwrap();
-    assert!(fault.contains("rockface/plus:8") && fault.contains("has no axis `x`") && fault.contains("used here"), "{fault}");
+    assert!(
+        fault.contains("rockface/plus:8") && fault.contains("has no axis `x`") && fault.contains("used here"),
+        "{fault}"
+    );
     let unknown = planned(&yaml.replace("rockface/plus", "rockface/pluss")).err().unwrap();
     assert!(unknown.contains("did you mean `rockface/plus`?"), "{unknown}");
     let absent = planned("rockface: 1\nsteps: {p: {use: parts/non.yaml}}\n").err().unwrap();
     assert!(absent.contains("test.yaml:2") && absent.contains("non.yaml"), "{absent}");
     let no_part = planned("rockface: 1\nsteps: {p: {use: main.yaml}}\n");
     write("main.yaml", "rockface: 1\nsteps: {}\n");
-    assert!(no_part.is_err() && planned("rockface: 1\nsteps: {p: {use: main.yaml}}\n").err().unwrap().contains("holds no part"));
+    assert!(
+        no_part.is_err()
+            && planned("rockface: 1\nsteps: {p: {use: main.yaml}}\n").err().unwrap().contains("holds no part")
+    );
 }
 
 /// Two lines each: a part with its use, and what is said of it.
@@ -251,11 +258,17 @@ fn what_is_wrong_with_a_part_or_its_use_names_both_places() {
         (part("'${x}'", "1"), &["nothing in part `p` mentions its parameter `x`"]),
         (part("terms: in.a", "terms: in.b"), &["no step of part `p` reads its input `a`"]),
         (part("in: {a: table}", "in: {a: tabel}"), &["unknown kind of artefact `tabel`", "did you mean `table`?"]),
-        (part("in: {a: table}", "in: {a: mesh}"), &["takes a mesh as `a`, but `e.out` is a table", "it is declared here"]),
+        (
+            part("in: {a: table}", "in: {a: mesh}"),
+            &["takes a mesh as `a`, but `e.out` is a table", "it is declared here"],
+        ),
         (part("{o: s.out}", "{o: t.out}"), &["part `p` has no step `t`"]),
         (part("{o: s.out}", "{o: in.a}"), &["only hands on the input `a`"]),
         (part("{o: s.out}", "{}"), &["part `p` has no `out`"]),
-        (part("steps: {s:", "steps: {idle: {stage: emit}, s:"), &["step `idle` of part `p` leads to none of its outputs"]),
+        (
+            part("steps: {s:", "steps: {idle: {stage: emit}, s:"),
+            &["step `idle` of part `p` leads to none of its outputs"],
+        ),
         (part("steps: {s:", "steps: {in: {stage: emit}, s:"), &["no step of a part can be called `in`"]),
         (part("{type: number, max: 3}", "3"), &["parameter `x` of a part does not say its type"]),
         (part("{type: number, max: 3}", "{type: nmber}"), &["unknown type `nmber`"]),
@@ -263,21 +276,28 @@ fn what_is_wrong_with_a_part_or_its_use_names_both_places() {
         (part("with: {plus: '${x}'}", "with: {plus: '${x}', mnus: 1}"), &["unknown parameter `mnus`", "used here"]),
         (part("in: {terms: in.a}", "over: [k], in: {terms: in.a}"), &["part `p` has no axis `k`", "used here"]),
         (part("{o: s.out}", "{o: s.outt}"), &["no output `outt`"]),
-        (part("doc", "doc").replace("  u: {use: p", "  v: {stage: add, in: {terms: u.oo}}\n  u: {use: p"), &["no output `oo`", "did you mean `o`?"]),
+        (
+            part("doc", "doc").replace("  u: {use: p", "  v: {stage: add, in: {terms: u.oo}}\n  u: {use: p"),
+            &["no output `oo`", "did you mean `o`?"],
+        ),
         (whole(fine, using).replace("use: p,", "use: q,"), &["unknown part `q`", "`parts/name.yaml`"]),
-        (whole(fine, using).replace("{use: p, in: {a: e.out}, with: {x: 1}}", "{stage: emit}"), &["nothing uses part `p`"]),
+        (
+            whole(fine, using).replace("{use: p, in: {a: e.out}, with: {x: 1}}", "{stage: emit}"),
+            &["nothing uses part `p`"],
+        ),
         (whole("{out: {o: s.o}, steps: {s: {use: p}}}", ""), &["part `p` uses itself"]),
     ] {
         let said = said(&yaml);
         assert!(pieces.iter().all(|piece| said.contains(piece)), "{yaml}\n{said}");
     }
     // What is wrong inside is told once, however many use it.
-    let two = part("stage: add", "stage: ad").replace("  u: {use: p", "  v: {use: p, in: {a: e.out}, with: {x: 2}}\n  u: {use: p");
+    let two = part("stage: add", "stage: ad")
+        .replace("  u: {use: p", "  v: {use: p, in: {a: e.out}, with: {x: 2}}\n  u: {use: p");
     assert_eq!(said(&two).matches("unknown stage").count(), 1, "{}", said(&two));
-    let unread = whole(fine, using).replace("out: {o: s.out}", "out: {o: s.out, r: t.out}").replace(
-        "steps: {s:",
-        "steps: {t: {stage: emit}, s:",
-    ) + "  end: {stage: add, in: {terms: u.o}}\ntargets: [end]\n";
+    let unread = whole(fine, using)
+        .replace("out: {o: s.out}", "out: {o: s.out, r: t.out}")
+        .replace("steps: {s:", "steps: {t: {stage: emit}, s:")
+        + "  end: {stage: add, in: {terms: u.o}}\ntargets: [end]\n";
     assert!(said(&unread).contains("nothing reads the output `r` of part `p`"), "{}", said(&unread));
 }
 
@@ -302,7 +322,9 @@ fn parts_that_multiply_end_in_a_fault() {
     let mut yaml = String::from("rockface: 1\nparts:\n  p0: {out: {o: s.out}, steps: {s: {stage: emit}}}\n");
     for level in 1..30 {
         let below = level - 1;
-        yaml += &format!("  p{level}: {{out: {{a: a.o, o: b.o}}, steps: {{a: {{use: p{below}}}, b: {{use: p{below}}}}}}}\n");
+        yaml += &format!(
+            "  p{level}: {{out: {{a: a.o, o: b.o}}, steps: {{a: {{use: p{below}}}, b: {{use: p{below}}}}}}}\n"
+        );
     }
     yaml = yaml.replace("p1: {out: {a: a.o, o: b.o}", "p1: {out: {a: a.o, o: b.o}");
     yaml += "steps: {x: {use: p29}}\n";

@@ -130,7 +130,7 @@ const ARROWS: &[(&[&str], &[&str], &str)] = &[
         &["diagnostic"],
         "messages with place, caret and way out",
     ),
-    (&["plan", "run", "report", "cli"], &["pipeline"], "the document as it was read"),
+    (&["plan", "run", "drawing", "report", "cli"], &["pipeline"], "the document as it was read"),
     (&["history", "run", "explain", "drawing", "report", "cli"], &["plan"], "instances and their recipes"),
     (&["history", "run", "report", "cli"], &["watch"], "events, logs, and how times are written"),
     (&["run", "report", "cli"], &["history"], "manifests and the names of the files of a run folder"),

@@ -12,7 +12,7 @@ use crate::targets::long_text;
 /// Larger pipelines are left to the tests that plan them.
 const LARGEST_BYTES: usize = 6000;
 
-const LANGUAGE: [(&str, &str); 6] = [
+const LANGUAGE: [(&str, &str); 8] = [
     (
         "axes",
         "rockface: 1\nseed: 3\nparams: {cells: [0.25, 0.5], half_m: 2}\naxes:\n  epoch: {items: [pre, post]}\n  trial: {count: 4}\n  \
@@ -47,6 +47,21 @@ const LANGUAGE: [(&str, &str); 6] = [
          \"${image}\"}, in: {mesh: face.mesh, cameras: plan.cameras}}\n",
     ),
     (
+        "parts",
+        "rockface: 1\nseed: 2\nparams: {n: {type: integer, min: 1, max: 9, default: 2, unit: m, doc: d}}\nparts:\n  inner:\n    doc: d\n    params: {c: \
+         {type: number, min: 0.1, default: 1, choices: [1, 2]}}\n    in: {face: mesh, more: {kind: [mesh, surface], optional: true}}\n    out: {dem: \
+         dem.raster}\n    steps:\n      dem: {stage: rasterise-dem, in: {surface: in.face}, with: {cell_m: \"${c}\"}}\n  outer:\n    params: {t: {type: list, \
+         default: [1, 2]}}\n    in: {face: mesh}\n    out: {rows: all.table, dem: \"one.dem[k=1]\"}\n    axes: {k: {values: \"${t}\"}}\n    steps:\n      \
+         one: {use: inner, over: [k], in: {face: in.face}, with: {c: \"${k}\"}}\n      all: {stage: tabulate, in: {rows: {each: one.dem, over: [k]}}}\naxes: \
+         {r: {count: \"${n}\"}}\nsteps:\n  face: {stage: synthesise-face, over: [r]}\n  u: {use: outer, in: {face: {by: r, \"0\": face.mesh, else: \
+         \"face.mesh[r=0]\"}}}\n  v: {use: outer, over: [r], in: {face: \"face.mesh[r=1]\"}, with: {t: [1]}}\ntargets: [u, v]\n",
+    ),
+    (
+        "shipped",
+        "rockface: 1\nparts: {s: rockface/synthetic-site}\nsteps:\n  site: {use: s}\n  bench: {use: rockface/detection-benchmark, with: {first: left, second: \
+         right, window_m: [-5, 5, -4, 4], epochs: 2, thresholds_m: [0.03, 0.05], voxels_m: [0.02, 0.03]}, in: {mesh: site.mesh, cameras: site.cameras}}\n",
+    ),
+    (
         "anchors",
         "rockface: 1\nparams: &p {a: 1, b: [1, 2, {c: 3}], d: \"x\\ty\"}\nsteps:\n  face:\n    stage: synthesise-face\n",
     ),
@@ -71,7 +86,13 @@ pub fn all() -> io::Result<Vec<Seed>> {
         "rockface: 1\ninclude: part1.yaml\nsteps: {dem: {stage: rasterise-dem, in: {surface: face.mesh}}}\n",
     ];
     seeds.push(seed("pipeline", "include", joined(&[main.as_bytes(), parts[0].as_bytes(), parts[1].as_bytes()])));
-    let given = "params.width_m=5\nsteps.face.with.height_m=4.5\naxes.replicate.count=2\n%steps.face.with.relief_m=0.1..0.4:4\n";
+    let main = "rockface: 1\nsteps:\n  face: {stage: synthesise-face}\n  u: {use: part1.yaml, in: {face: face.mesh}, with: {c: 1}}\n";
+    let parts = [
+        "rockface: 1\npart: one\nparams: {c: {type: number}}\nin: {face: mesh}\nout: {dem: x.dem}\nsteps: {x: {use: part2.yaml, in: {face: in.face}, with: {c: \"${c}\"}}}\n",
+        "rockface: 1\npart: two\nparams: {c: {type: number}}\nin: {face: mesh}\nout: {dem: d.raster}\nsteps: {d: {stage: rasterise-dem, in: {surface: in.face}, with: {cell_m: \"${c}\"}}}\n",
+    ];
+    seeds.push(seed("pipeline", "files", joined(&[main.as_bytes(), parts[0].as_bytes(), parts[1].as_bytes()])));
+    let given = "steps.twice/o.with.cell_m=2\nparams.width_m=5\nsteps.face.with.height_m=4.5\naxes.replicate.count=2\n%steps.face.with.relief_m=0.1..0.4:4\n";
     seeds.push(seed("overrides", "all", given));
     seeds.push(seed("overrides", "values", "steps.dem.with={cell_m: 0.25}\n%steps.face.with.relief_m=0.1,0.2\n"));
     seeds.push(seed("tree", "fixed", tree()?));

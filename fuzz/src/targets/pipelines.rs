@@ -41,7 +41,12 @@ fn place() -> Option<&'static Place> {
     PLACE.get_or_init(make).as_ref()
 }
 
-/// A pipeline and the files it includes.
+/// Nothing from outside but the parts that come with the program.
+fn with_parts() -> Overrides {
+    Overrides { parts: rockface_stages::registry().parts(), ..Overrides::default() }
+}
+
+/// A pipeline and the files it includes or uses.
 pub fn text(bytes: &[u8]) -> Verdict {
     let Some(place) = place() else { return Verdict::Refused };
     let parts: Option<Vec<&str>> = cut(bytes).into_iter().map(|part| std::str::from_utf8(part).ok()).collect();
@@ -50,13 +55,15 @@ pub fn text(bytes: &[u8]) -> Verdict {
     let included: BTreeMap<PathBuf, String> =
         INCLUDED.iter().map(path).zip(others.iter().map(|text| (*text).to_owned())).collect();
     let main_path = place.folder.path().join("main.yaml");
-    planned(Pipeline::of_text(main, included, &main_path, &Overrides::default()), &place.store)
+    planned(Pipeline::of_text(main, included, &main_path, &with_parts()), &place.store)
 }
 
 const FIXED: &str = "rockface: 1\nname: fixed\nseed: 3\nparams: {width_m: 4}\n\
     axes: {replicate: {count: 3}, cell: {values: [0.25, 0.5]}}\nsteps:\n  \
     face: {stage: synthesise-face, over: [replicate], with: {width_m: \"${width_m}\", height_m: 3}}\n  \
-    dem: {stage: rasterise-dem, in: {surface: face.mesh}, with: {cell_m: \"${cell}\"}}\n";
+    dem: {stage: rasterise-dem, in: {surface: face.mesh}, with: {cell_m: \"${cell}\"}}\n  \
+    twice: {use: p, in: {face: face.mesh}}\nparts:\n  \
+    p: {in: {face: mesh}, params: {c: {type: number, default: 1}}, out: {o: o.raster}, steps: {o: {stage: rasterise-dem, in: {surface: in.face}, with: {cell_m: \"${c}\"}}}}\n";
 
 /// A line of the case is a `--set`, one that begins with `%` a `--sweep`.
 pub fn overrides(bytes: &[u8]) -> Verdict {
@@ -64,7 +71,7 @@ pub fn overrides(bytes: &[u8]) -> Verdict {
     let (sweep, set): (Vec<&str>, Vec<&str>) = text.lines().take(20).partition(|line| line.starts_with('%'));
     let set = set.into_iter().map(str::to_owned).collect();
     let sweep = sweep.into_iter().map(|line| line[1..].to_owned()).collect();
-    let overrides = Overrides { set, sweep, seed: Some(7) };
+    let overrides = Overrides { set, sweep, seed: Some(7), ..with_parts() };
     let pipeline = Pipeline::of_text(FIXED, BTreeMap::new(), &place.folder.path().join("main.yaml"), &overrides);
     planned(pipeline, &place.store)
 }
@@ -94,7 +101,7 @@ pub fn tree(bytes: &[u8]) -> Verdict {
     if put.is_err() {
         return Verdict::Refused;
     }
-    let verdict = planned(Pipeline::load(&path, &Overrides::default(), Some(&trees)), &place.store);
+    let verdict = planned(Pipeline::load(&path, &with_parts(), Some(&trees)), &place.store);
     // A tree that was believed is left as it is; any other is replaced by the true one.
     if std::fs::read(&slot).is_ok_and(|now| now == file) { verdict } else { Verdict::Refused }
 }

@@ -30,6 +30,9 @@ pub struct Axis {
 /// The item that no axis can have: `[axis=prev]` is the item before.
 pub const PREV: &str = "prev";
 
+/// The keys of an axis.
+pub const KEYS: &[&str] = &["items", "count", "values", "sample", "over", "from", "reseeds"];
+
 /// The most items of a counted or drawn axis.
 const ITEMS_LIMIT: u64 = 1_000_000;
 
@@ -75,7 +78,8 @@ impl Reader<'_> {
         };
         let reseeds = self.flag(node.get("reseeds"), !matches!(*form, "values" | "sample"));
         let label = name.text.clone();
-        let empty = Axis { name, label, items: Vec::new(), values: Vec::new(), fields: Vec::new(), reseeds, from: None };
+        let empty =
+            Axis { name, label, items: Vec::new(), values: Vec::new(), fields: Vec::new(), reseeds, from: None };
         match *form {
             "count" => self.count(list).map(|(items, values)| Axis { items, values, ..empty }),
             "sample" => self.sample(node, list, empty),

@@ -503,8 +503,9 @@ impl Reader<'_> {
 
     fn stream(&mut self, node: &Node) -> Option<Stream> {
         self.map(node, "`stream`", &["label", "axes"])?;
-        let label = node.get("label").and_then(|n| self.word(n, "a label"));
-        let axes = node.get("axes").map(|n| self.words(n, "an axis"));
+        let said = |key| node.get(key).filter(|n| !matches!(n.data, Data::Scalar(Value::Null)));
+        let label = said("label").and_then(|n| self.word(n, "a label"));
+        let axes = said("axes").map(|n| self.words(n, "an axis"));
         Some(Stream { label, axes })
     }
 }

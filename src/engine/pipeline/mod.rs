@@ -17,6 +17,14 @@ mod sweep;
 mod tree_file;
 mod values;
 
+/// The keys of the language, place by place.
+pub mod keys {
+    pub use super::axis::KEYS as AXIS;
+    pub use super::document::{STEP, TOP};
+    pub use super::parameter::KEYS as PARAMETER;
+    pub use super::part::{PART_KEYS as PART, USE_KEYS as USE};
+}
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -26,7 +34,7 @@ pub use input::Input;
 pub use log_level::{IN_FULL, LogLevel};
 pub use node::{Data, Key, Node, Word};
 pub use parameter::{Declared, ValueKind};
-pub use part::{Interface, KindCheck, PartInput, PartText, Used};
+pub use part::{INSIDE, Interface, KindCheck, PartInput, PartText, Used};
 pub use reference::{Label, Reference};
 pub use substitute::{escape_hint, filled, mentioned, value_bytes};
 pub use sweep::is_same_axis;
@@ -122,6 +130,14 @@ impl Pipeline {
     ) -> Result<Self, Diagnostics> {
         let source = Source::file(name.to_owned(), text, &folder);
         Self::read(Texts { sources: vec![source], ..Texts::default() }, stem, overrides)
+    }
+
+    /// What has to be known to use a part: one that comes with the program, or that of a file.
+    pub fn part(name: &str, parts: &'static [PartText]) -> Result<Interface, Diagnostics> {
+        let mut texts = Texts { sources: vec![Source::given("the name of the part", name)], ..Texts::default() };
+        let mut faults = Vec::new();
+        let interface = part::interface(name, &mut texts, parts, &mut faults);
+        interface.filter(|_| faults.is_empty()).ok_or(Diagnostics { sources: texts.sources, list: faults })
     }
 
     fn read(mut texts: Texts, stem: &str, overrides: &Overrides) -> Result<Self, Diagnostics> {

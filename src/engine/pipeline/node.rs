@@ -72,7 +72,8 @@ impl Node {
         let data = match value {
             Value::Array(items) => Data::List(items.iter().map(|item| Self::of_value(item, span)).collect()),
             Value::Object(map) => {
-                let entry = |(name, item): (&String, &Value)| (Key { span, name: name.clone() }, Self::of_value(item, span));
+                let entry =
+                    |(name, item): (&String, &Value)| (Key { span, name: name.clone() }, Self::of_value(item, span));
                 Data::Map(map.iter().map(entry).collect())
             }
             scalar => Data::Scalar(scalar.clone()),

@@ -115,7 +115,16 @@ impl Declared {
     pub fn fault(&self, node: &Node) -> Option<Diagnostic> {
         let mut names = Vec::new();
         mentioned(node, &mut names);
-        if names.is_empty() && node.bad_number().is_none() { self.value_fault(&node.to_value(), node.span) } else { None }
+        // Where nobody need say anything, `null` says nothing.
+        let is_null = |node: &Node| node.to_value().is_null();
+        if is_null(node) && self.default.as_ref().is_some_and(is_null) {
+            return None;
+        }
+        if names.is_empty() && node.bad_number().is_none() {
+            self.value_fault(&node.to_value(), node.span)
+        } else {
+            None
+        }
     }
 
     /// What is wrong with a value for it that stands at a place.
@@ -196,10 +205,11 @@ impl Reader<'_> {
         };
         let declared = Declared { name, kind, unit, min, max, choices, default: None, doc };
         let default = node.get("default").filter(|n| n.bad_number().is_none()).cloned();
-        if let Some(fault) = default.as_ref().and_then(|default| declared.fault(default)) {
+        let declared = Declared { default, ..declared };
+        if let Some(fault) = declared.default.as_ref().and_then(|default| declared.fault(default)) {
             self.fault(fault);
         }
-        Some(Declared { default, ..declared })
+        Some(declared)
     }
 }
 
@@ -225,6 +235,7 @@ mod tests {
             ("{type: list, max: 1}", "[0, 1]", "[[2], word]"),
             ("{type: map}", "{a: 1}", "[1, word]"),
             ("{type: path}", "a/b.ply", "[1]"),
+            ("{type: text, default: null}", "null", "[true]"),
         ] {
             let declared = declared(declaration).unwrap();
             assert_eq!(declared.fault(&Node::parse(good, 0).unwrap()), None, "{declaration} {good}");

@@ -4,9 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::Value;
 
-use crate::diagnostic::{Diagnostic, SHOWN, Span, listed};
 use super::node::{Key, Node};
 use super::substitute::{escape_hint, filled, mentioned, value_bytes};
+use crate::diagnostic::{Diagnostic, SHOWN, Span, listed};
 
 /// The most bytes that all parameters together may take once they are filled in.
 const PARAMETERS_BYTES: usize = 64 << 20;

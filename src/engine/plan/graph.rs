@@ -10,7 +10,7 @@ use rockface_core::{AnyStage, Port, Ports};
 use serde_json::Value;
 
 use crate::diagnostic::Span;
-use crate::pipeline::{Axis, LogLevel, Node, Word};
+use crate::pipeline::{Axis, INSIDE, LogLevel, Node, Used, Word};
 
 /// A pipeline whose every name is resolved; steps are in topological order.
 pub struct Graph {
@@ -32,6 +32,28 @@ pub struct Graph {
     pub steps: Vec<GraphStep>,
     /// Indices of the steps to make.
     pub targets: Vec<usize>,
+    /// The uses of parts that some of the steps come from.
+    pub uses: Vec<Used>,
+}
+
+impl Graph {
+    /// The outermost use that a step comes from.
+    pub fn use_of(&self, step: &str) -> Option<&Used> {
+        let (name, _) = step.split_once(INSIDE)?;
+        self.uses.iter().find(|used| used.name == name)
+    }
+
+    /// The steps in this order, but those of one use together, where the first of them stands.
+    pub fn by_use(&self) -> Vec<usize> {
+        let outer = |step: &usize| self.steps[*step].name.split_once(INSIDE).map(|(name, _)| name);
+        let mut first: BTreeMap<&str, usize> = BTreeMap::new();
+        let mut order: Vec<usize> = (0..self.steps.len()).collect();
+        for (name, step) in order.iter().filter_map(|step| Some((outer(step)?, *step))) {
+            first.entry(name).or_insert(step);
+        }
+        order.sort_by_key(|step| outer(step).map_or(*step, |name| first[name]));
+        order
+    }
 }
 
 /// Where the items of an axis come from.

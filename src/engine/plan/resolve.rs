@@ -289,6 +289,7 @@ impl<'d> Resolver<'d> {
             dynamic,
             steps,
             targets,
+            uses: document.uses.clone(),
         }
     }
 
@@ -484,10 +485,12 @@ impl<'d> Resolver<'d> {
     /// Outputs of parts that no step reads are looked at too.
     fn check_part_outputs(&mut self) {
         let document = self.document();
-        let inputs = document.steps.iter().flat_map(|step| step.inputs.iter().flat_map(|(_, input)| input.references()));
+        let inputs =
+            document.steps.iter().flat_map(|step| step.inputs.iter().flat_map(|(_, input)| input.references()));
         let read: BTreeSet<(&str, &str)> = inputs.map(|to| (to.step.as_str(), to.port.as_str())).collect();
         for to in document.uses.iter().flat_map(|used| used.outputs.values()) {
-            if !read.contains(&(to.step.as_str(), to.port.as_str())) {
+            let is_there = self.names.steps.contains_key(to.step.as_str());
+            if is_there && !read.contains(&(to.step.as_str(), to.port.as_str())) {
                 self.source(to);
             }
         }
@@ -496,7 +499,8 @@ impl<'d> Resolver<'d> {
     fn check_target(&mut self, name: &str, place: Option<&Word>) {
         if self.used(name).is_none()
             && !self.names.steps.contains_key(name)
-            && !self.document().unread.steps.contains(name) {
+            && !self.document().unread.steps.contains(name)
+        {
             let message = format!("unknown target step `{name}`");
             let fault = place.map_or_else(
                 || Diagnostic::general(message.clone()),

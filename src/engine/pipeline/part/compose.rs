@@ -78,7 +78,8 @@ impl Scope<'_> {
     fn picked(&self, given: Input, reference: &Reference, reader: &mut Reader) -> Option<Input> {
         let picks: Vec<_> =
             reference.picks.iter().map(|(axis, item)| (self.axis(axis.clone(), reader), item.clone())).collect();
-        let add = |to: Reference| Reference { picks: to.picks.into_iter().chain(picks.iter().cloned()).collect(), ..to };
+        let add =
+            |to: Reference| Reference { picks: to.picks.into_iter().chain(picks.iter().cloned()).collect(), ..to };
         Some(match given {
             given if picks.is_empty() => given,
             Input::Plain(to) => Input::Plain(add(to)),
@@ -114,7 +115,8 @@ impl Scope<'_> {
             Input::Chain { .. } => "an output at the item before",
             Input::Plain(_) => "one output",
         };
-        let message = format!("part `{}` chooses or gathers from `{IN}.{}`, which is {form} here", self.part, reference.port);
+        let message =
+            format!("part `{}` chooses or gathers from `{IN}.{}`, which is {form} here", self.part, reference.port);
         let fault = Diagnostic::at(reference.span, message);
         let fault = fault.hint("give one output there: let a step before the use choose or gather");
         reader.fault(match given.references().first().map(|given| given.span) {
@@ -163,7 +165,9 @@ impl Scope<'_> {
         }
         let message = format!("part `{}` has no axis `{}`", self.part, word.text);
         let fault = Diagnostic::at(word.span, message).suggest(&word.text, self.axes.iter().map(String::as_str));
-        reader.fault(fault.or_hint("axes of the pipeline come in by `in`, `with` and `over` of the use, and need no name here"));
+        reader.fault(
+            fault.or_hint("axes of the pipeline come in by `in`, `with` and `over` of the use, and need no name here"),
+        );
         word
     }
 

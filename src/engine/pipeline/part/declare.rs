@@ -14,8 +14,7 @@ use crate::diagnostic::Diagnostic;
 /// The keys of a part.
 pub const KEYS: &[&str] = &["doc", "params", "in", "out", "axes", "zip", "steps"];
 /// The keys of a file that holds a part.
-pub const FILE_KEYS: &[&str] =
-    &["rockface", "part", "parts", "doc", "params", "in", "out", "axes", "zip", "steps"];
+pub const FILE_KEYS: &[&str] = &["rockface", "part", "parts", "doc", "params", "in", "out", "axes", "zip", "steps"];
 
 /// Whether the name of a part is the path of its file.
 pub fn is_path(name: &str) -> bool {

@@ -19,8 +19,8 @@ use super::super::substitute::{filled, mentioned};
 use super::compose::{Output, Scope};
 use super::declare::{FILE_KEYS, KEYS, is_path};
 use super::substitution::{Substitution, inside};
-use super::{INSIDE, KindCheck, Known, Part, PartText, Use, Used};
-use crate::diagnostic::{Diagnostic, Origin, Source};
+use super::{INSIDE, Interface, KindCheck, Known, Part, PartText, Use, Used};
+use crate::diagnostic::{Diagnostic, Origin, Source, Span};
 
 /// The most steps that parts may make: a part that uses others twice, and they others, grows without end.
 const STEPS_LIMIT: usize = 100_000;
@@ -123,6 +123,13 @@ impl<'e> Expansion<'e> {
         known
     }
 
+    /// What has to be known to use a part.
+    pub fn interface(&mut self, name: &str, reader: &mut Reader) -> Option<Interface> {
+        let word = Word { span: Span { source: 0, start: 0, end: name.len() }, text: name.to_owned() };
+        let number = self.find(&word, &Known::new(), reader)?;
+        self.parts[number].as_ref().map(|part| part.interface.clone())
+    }
+
     fn reserve(&mut self) -> usize {
         self.parts.push(None);
         self.outs.push(None);
@@ -144,7 +151,8 @@ impl<'e> Expansion<'e> {
             None => {
                 let fault = Diagnostic::at(word.span, format!("unknown part `{}`", word.text));
                 let names = known.keys().map(String::as_str).chain(self.shipped.iter().map(|part| part.name));
-                reader.fault(fault.suggest(&word.text, names).or_hint("a file is named by its path, `parts/name.yaml`"));
+                reader
+                    .fault(fault.suggest(&word.text, names).or_hint("a file is named by its path, `parts/name.yaml`"));
                 return None;
             }
         };
@@ -209,7 +217,8 @@ impl<'e> Expansion<'e> {
         let mut outs = BTreeMap::new();
         for (name, to) in &part.outputs {
             let inner = part.steps.iter().find(|(key, _)| key.name == to.step).and_then(|(_, node)| node.get("use"));
-            let Some(word) = inner.and_then(|node| Some(Word { span: node.span, text: node.text()?.to_owned() })) else {
+            let Some(word) = inner.and_then(|node| Some(Word { span: node.span, text: node.text()?.to_owned() }))
+            else {
                 outs.insert(name.text.clone(), to.clone());
                 continue;
             };
@@ -471,7 +480,8 @@ impl<'e> Expansion<'e> {
                 args.insert(param.name.text.clone(), default);
             } else {
                 let name = &param.name.text;
-                let message = format!("step `{}` does not say `{name}`, which part `{}` needs", used.name.text, part.name);
+                let message =
+                    format!("step `{}` does not say `{name}`, which part `{}` needs", used.name.text, part.name);
                 let fault = Diagnostic::at(used.part.span, message).also(param.name.span, "it is declared here");
                 reader.fault(if param.doc.is_empty() { fault } else { fault.hint(format!("`{name}`: {}", param.doc)) });
             }
@@ -517,14 +527,17 @@ impl<'e> Expansion<'e> {
         }
         let mut fed = BTreeMap::new();
         for input in declared {
-            let given = used.inputs.iter().find(|(port, _)| port.text == input.name.text).map(|(_, given)| given.clone());
+            let given =
+                used.inputs.iter().find(|(port, _)| port.text == input.name.text).map(|(_, given)| given.clone());
             if let Some(given) = &given {
                 let given = given.references().into_iter().cloned().collect();
                 self.flat.checks.push(KindCheck { part: part.name.clone(), input: input.clone(), given });
             } else if !input.optional {
                 let (name, kinds) = (&input.name.text, input.kind_words());
-                let message =
-                    format!("step `{}` does not feed `{name}` ({kinds}), which part `{}` reads", used.name.text, part.name);
+                let message = format!(
+                    "step `{}` does not feed `{name}` ({kinds}), which part `{}` reads",
+                    used.name.text, part.name
+                );
                 let fault = Diagnostic::at(used.part.span, message).also(input.name.span, "it is declared here");
                 reader.fault(if input.doc.is_empty() { fault } else { fault.hint(input.doc.clone()) });
             }

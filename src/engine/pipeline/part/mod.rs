@@ -13,16 +13,18 @@ mod substitution;
 use std::collections::{BTreeMap, BTreeSet};
 use std::rc::Rc;
 
-use rockface_core::artefact::Kind;
 pub use rockface_core::PartText;
+use rockface_core::artefact::Kind;
 
 use super::document::Reader;
+use super::include::Texts;
 use super::input::Input;
 use super::node::{Key, Node, Word};
 use super::parameter::Declared;
 use super::reference::Reference;
 use crate::diagnostic::{Diagnostic, Span};
 
+pub use declare::KEYS as PART_KEYS;
 pub use expand::{Expansion, Flat};
 
 /// What the inputs of a part are called inside it: `in.name`.
@@ -147,6 +149,19 @@ impl PartInput {
     pub fn kind_words(&self) -> String {
         self.kinds.iter().map(|kind| kind.word()).collect::<Vec<_>>().join(" or ")
     }
+}
+
+/// What has to be known to use a part; `texts` begins with the one that names it.
+pub fn interface(
+    name: &str,
+    texts: &mut Texts,
+    shipped: &'static [PartText],
+    faults: &mut Vec<Diagnostic>,
+) -> Option<Interface> {
+    let mut reader = Reader::new(faults);
+    let values = BTreeMap::new();
+    let mut expansion = Expansion::new(texts, shipped, Vec::new(), &values);
+    expansion.interface(name, &mut reader)
 }
 
 /// All texts anywhere in a value, with their places.

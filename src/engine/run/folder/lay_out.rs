@@ -9,6 +9,7 @@ use rockface_core::artefact::{Artefact, Kind};
 use serde::{Deserialize, Serialize};
 
 use super::run_folder::{failed, going_on, write_file};
+use crate::pipeline::INSIDE;
 use crate::plan::Plan;
 use crate::run::{RunError, Summary};
 
@@ -146,7 +147,10 @@ impl Layer<'_> {
     /// Where the outputs of an instance go.
     fn place(&self, instance: usize) -> Result<SafePath, NameError> {
         let step = self.plan.step(instance);
-        let place = SafePath::new("outputs")?.with(&SafeName::new(readable_name(&step.name))?);
+        let mut place = SafePath::new("outputs")?;
+        for name in step.name.split(INSIDE) {
+            place = place.with(&SafeName::new(readable_name(name))?);
+        }
         if step.axes.is_empty() {
             return Ok(place);
         }
