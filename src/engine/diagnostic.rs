@@ -46,7 +46,7 @@ impl Source {
     }
 
     /// A file in a folder.
-    pub fn file(name: String, text: &str, folder: &Path) -> Self {
+    pub fn file(name: String, text: &str, folder: impl Into<Arc<Path>>) -> Self {
         Self { name, text: text.into(), origin: Origin::File(folder.into()) }
     }
 
@@ -82,7 +82,7 @@ pub struct Diagnostic {
     /// The way out.
     pub hint: Option<String>,
     /// Another place that has to do with it, and why.
-    pub also: Option<(Span, String)>,
+    pub also: Option<Box<(Span, String)>>,
 }
 
 impl Diagnostic {
@@ -106,7 +106,7 @@ impl Diagnostic {
     /// Names another place that has to do with it.
     #[must_use]
     pub fn also(mut self, span: Span, why: impl Into<String>) -> Self {
-        self.also = Some((span, why.into()));
+        self.also = Some(Box::new((span, why.into())));
         self
     }
 
@@ -233,7 +233,7 @@ impl Diagnostics {
             }
             None => Group::with_title(title),
         };
-        notes.extend(diagnostic.also.as_ref().map(|(span, why)| (*span, why.as_str())));
+        notes.extend(diagnostic.also.as_deref().map(|(span, why)| (*span, why.as_str())));
         let hint = diagnostic.hint.as_deref().map(shortened);
         if let Some(hint) = &hint {
             group = group.element(Level::HELP.message(hint.as_ref()));

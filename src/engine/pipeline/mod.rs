@@ -106,7 +106,7 @@ impl Pipeline {
     fn of_texts(text: &str, texts: Texts, path: &Path, overrides: &Overrides) -> Result<Self, Diagnostics> {
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_owned();
         let stem = path.file_stem().map_or_else(|| "pipeline".into(), |stem| stem.to_string_lossy().into_owned());
-        let source = Source::file(path.display().to_string(), text, &folder);
+        let source = Source::file(path.display().to_string(), text, folder);
         Self::read(Texts { sources: vec![source], ..texts }, &stem, overrides)
     }
 
@@ -128,7 +128,7 @@ impl Pipeline {
         folder: PathBuf,
         overrides: &Overrides,
     ) -> Result<Self, Diagnostics> {
-        let source = Source::file(name.to_owned(), text, &folder);
+        let source = Source::file(name.to_owned(), text, folder);
         Self::read(Texts { sources: vec![source], ..Texts::default() }, stem, overrides)
     }
 

@@ -86,5 +86,5 @@ pub fn reads(node: &Node, step: &str) -> bool {
 fn labels(node: &Node, mut found: impl FnMut(Label)) {
     let mut all = Vec::new();
     texts(node, &mut all);
-    all.iter().filter_map(|(text, _)| Label::parse(text)).for_each(|label| found(label));
+    all.iter().filter_map(|(text, _)| Label::parse(text)).for_each(&mut found);
 }

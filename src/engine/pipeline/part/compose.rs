@@ -48,7 +48,7 @@ impl Scope<'_> {
         match input {
             Input::Plain(reference) => match self.fed(&reference) {
                 None => Some(Input::Plain(self.reference(reference, reader))),
-                Some(given) => self.picked(given?.clone(), &reference, reader),
+                Some(given) => self.picked(given.clone()?, &reference, reader),
             },
             Input::By { axis, cases } => {
                 let axis = self.axis(axis, reader);
@@ -68,10 +68,9 @@ impl Scope<'_> {
         }
     }
 
-    /// What a use feeds where a reference is `in.name`.
-    fn fed(&self, reference: &Reference) -> Option<Option<&Input>> {
-        let inputs = self.inputs.filter(|_| reference.step == IN)?;
-        inputs.get(&reference.port).map(Option::as_ref)
+    /// What a use feeds where a reference is `in.name`: nothing in it where that is optional and left out.
+    fn fed(&self, reference: &Reference) -> Option<&Option<Input>> {
+        self.inputs.filter(|_| reference.step == IN)?.get(&reference.port)
     }
 
     /// What is fed, at the items that the part picks of it.
@@ -137,9 +136,8 @@ impl Scope<'_> {
             reference.picks.into_iter().map(|(axis, item)| (self.axis(axis, reader), item)).collect();
         let Reference { span, step, port, .. } = reference;
         match (self.output)(&step, &port) {
-            Output::Step => Reference { span, step: format!("{}{step}", self.prefix), port, picks },
             // Nothing is said of what reads from a step that could not be read.
-            Output::Unread => Reference { span, step: format!("{}{step}", self.prefix), port, picks },
+            Output::Step | Output::Unread => Reference { span, step: format!("{}{step}", self.prefix), port, picks },
             Output::Of(to) => {
                 let inner = to.picks.into_iter().map(|(axis, item)| (Word { span, ..axis }, item));
                 Reference { span, step: to.step, port: to.port, picks: inner.chain(picks).collect() }

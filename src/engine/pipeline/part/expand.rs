@@ -50,6 +50,9 @@ pub struct Flat {
 /// The outputs of a part by name, with steps and axes as they are called inside it.
 type Outs = Rc<BTreeMap<String, Reference>>;
 
+/// The entries of a section as they are written.
+type Entries = Vec<(Key, Node)>;
+
 /// Writes out the parts of one pipeline.
 pub struct Expansion<'e> {
     texts: &'e mut Texts,
@@ -170,17 +173,14 @@ impl<'e> Expansion<'e> {
 
     /// The tree of a part that stands in a text of its own, and the number of that text.
     fn read(&mut self, word: &Word, shipped: Option<&PartText>) -> Result<(Node, usize), Diagnostic> {
-        let source = match shipped {
-            Some(part) => {
-                let recorded = self.texts.given.get(Path::new(part.name));
-                let text = recorded.map_or(part.text, String::as_str);
-                Source { name: part.name.to_owned(), text: text.into(), origin: Origin::Shipped }
-            }
-            None => {
-                let path = self.texts.folder(word.span).join(&word.text);
-                let text = self.texts.read(&path).map_err(|fault| Diagnostic { span: Some(word.span), ..fault })?;
-                Source::file(path.display().to_string(), &text, path.parent().unwrap_or(Path::new("")))
-            }
+        let source = if let Some(part) = shipped {
+            let recorded = self.texts.given.get(Path::new(part.name));
+            let text = recorded.map_or(part.text, String::as_str);
+            Source { name: part.name.to_owned(), text: text.into(), origin: Origin::Shipped }
+        } else {
+            let path = self.texts.folder(word.span).join(&word.text);
+            let text = self.texts.read(&path).map_err(|fault| Diagnostic { span: Some(word.span), ..fault })?;
+            Source::file(path.display().to_string(), &text, path.parent().unwrap_or(Path::new("")))
         };
         let (text, number) = (source.text.clone(), self.texts.sources.len());
         self.texts.sources.push(source);
@@ -266,7 +266,7 @@ impl<'e> Expansion<'e> {
     /// Writes out a pipeline: its axes, groups of axes and steps.
     pub fn pipeline(
         &mut self,
-        (axes, zips, steps): (Vec<(Key, Node)>, Option<Node>, Vec<(Key, Node)>),
+        (axes, zips, steps): (Entries, Option<Node>, Entries),
         known: &Rc<Known>,
         reader: &mut Reader,
     ) {
@@ -338,7 +338,7 @@ impl<'e> Expansion<'e> {
         let over = scope.over(one.over, reader);
         let inputs = one.inputs.into_iter();
         let inputs = inputs.filter_map(|(port, input)| Some((port, scope.input(input, reader)?))).collect();
-        Use { over, inputs, ..one }
+        Use { inputs, over, ..one }
     }
 
     /// A step with full names.
