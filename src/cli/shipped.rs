@@ -47,6 +47,7 @@ const FILES: [(&str, &str); 32] = files![
     "scripts/vertex_bands.py",
     "shell-tool.yaml",
     "trier-cliff.yaml",
+];
 
 /// What a shipped pipeline may be called by in any folder, whatever files are in it.
 const PREFIX: &str = "rockface/";

@@ -15,7 +15,7 @@ use serde_json::Value;
 
 use super::Stages;
 use super::parameters::{Place, told};
-use crate::diagnostic::Span;
+use crate::diagnostic::{Source, Span};
 use crate::pipeline::{Data, Key, Node, Pipeline, Step};
 
 /// How long a program may think about a question.
@@ -37,7 +37,8 @@ pub fn complete(pipeline: &mut Pipeline, stages: &Stages, no_programs: bool) {
     for step in &mut pipeline.document.steps {
         let stage = stages.iter().find(|stage| stage.name() == step.stage.text && stage.is_completed());
         let Some(stage) = stage else { continue };
-        let folder = pipeline.folders.get(step.name.span.source).unwrap_or(&pipeline.folder);
+        let own = pipeline.sources.get(step.name.span.source).and_then(Source::folder);
+        let folder = own.map_or(pipeline.folder.as_path(), |folder| folder.as_ref());
         let with = step.with.as_ref().map_or(Value::Null, |with| with.to_value());
         let asker = Asker { folder, answers: &answers, looks: &looks };
         let added = if no_programs { Err(vec![refused(*stage)]) } else { stage.complete(&with, &asker) };
