@@ -115,7 +115,7 @@ impl Stage for ProposeParameters {
         let reach = Reach::of(group, &setting, &surrogate, &found.best, predicted, sample.departing());
         report(params, context, &sample, &posterior, &reach);
         if !reach.is_reached() {
-            let text = reach.words(&params.parameters, &posterior);
+            let text = reach.words(sample.d2.len(), &params.parameters, &posterior);
             match params.unreachable {
                 Unreachable::Warn => context.warn(text),
                 Unreachable::Fail => {

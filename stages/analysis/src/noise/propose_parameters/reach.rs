@@ -135,7 +135,7 @@ impl Reach {
     }
 
     /// What cannot be reached, which features say so, and what to do.
-    pub fn words(&self, parameters: &[String], posterior: &Posterior) -> String {
+    pub fn words(&self, simulations: usize, parameters: &[String], posterior: &Posterior) -> String {
         let mut says: Vec<String> = Vec::new();
         for j in self.off() {
             let (name, offset) = (&self.features[j].name, self.predicted.offset[j]);
@@ -166,15 +166,11 @@ impl Reach {
                 unmoved.join(", ")
             ));
         }
-        if remedies.is_empty() {
-            remedies.push(
-                "simulate at points around the proposal and propose again; if this stays, add a term of the noise"
-                    .to_owned(),
-            );
-        }
+        // Few simulations over a wide range make means uncertain and spreads look wider than they are.
+        remedies.push("simulate at points around the proposal and propose again, before a term is added".to_owned());
         format!(
-            "the model cannot reach this site within the ranges searched: {} of {} simulations are predicted to pass, a perfect simulator \
-             would have {} to {}. What says so: {}. What to do: {}",
+            "as far as {simulations} simulations tell, the model cannot reach this site within the ranges searched: {} of {} are predicted to \
+             pass, a perfect simulator would have {} to {}. What says so: {}. What to do: {}",
             self.accepted(),
             self.references,
             self.band.low,
