@@ -4,7 +4,7 @@
 import rockface
 
 run = rockface.run("quickstart")        # a pipeline that ships with rockface, or a YAML file
-run["change_e.raster"].plot()           # a DEM difference with its grid
+run["change/change.raster"].plot()           # a DEM difference with its grid
 run.table("trial")                      # one row a point: axes and metrics
 ```
 """

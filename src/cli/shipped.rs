@@ -14,7 +14,7 @@ macro_rules! files {
 }
 
 /// Every file of the folder `pipelines`; a test compares the list with the folder.
-const FILES: [(&str, &str); 32] = files![
+const FILES: [(&str, &str); 33] = files![
     "benchmark-outcrop.yaml",
     "benchmark.yaml",
     "calibrate-outcrop.yaml",
@@ -29,6 +29,7 @@ const FILES: [(&str, &str); 32] = files![
     "outcrop.yaml",
     "own-detector.yaml",
     "parts/calibrated-replicate.yaml",
+    "parts/calibrated-site.yaml",
     "parts/detection-benchmark.yaml",
     "parts/filtered-no-change.yaml",
     "parts/multi-image-survey.yaml",

@@ -24,5 +24,6 @@ parts![
     "no-change",
     "filtered-no-change",
     "verdict",
+    "calibrated-site",
     "detection-benchmark",
 ];
