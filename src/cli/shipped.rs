@@ -212,7 +212,7 @@ mod tests {
         assert_eq!(files("quickstart"), ["quickstart.yaml"]);
         assert_eq!(files("rockface/hunter-valley-blocks"), ["hunter-valley-blocks.yaml", "hunter-valley-blocks.csv"]);
         assert_eq!(files("python-script"), ["python-script.yaml", "scripts/vertex_bands.py"]);
-        assert!(files("benchmark").contains(&"parts/site-synthetic.yaml"));
+        assert_eq!(files("calibrate"), ["calibrate.yaml", "parts/paper-replicate.yaml"]);
     }
 
     #[test]

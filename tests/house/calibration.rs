@@ -7,6 +7,15 @@ use serde_json::Value;
 use crate::cli::House;
 
 const PIPELINE: &str = include_str!("../../pipelines/calibrate.yaml");
+const PART: &str = include_str!("../../pipelines/parts/paper-replicate.yaml");
+
+/// A folder with the pipeline and the part it uses.
+fn house() -> House {
+    let house = House::new(PIPELINE);
+    std::fs::create_dir(house.path("parts")).unwrap();
+    std::fs::write(house.path("parts/paper-replicate.yaml"), PART).unwrap();
+    house
+}
 
 /// Images of 160 pixels and cells of 9 cm; four coarse points, six fine ones, 14 references.
 const SMALL: [&str; 11] = [
@@ -49,12 +58,12 @@ fn ranking(house: &House) -> String {
 
 #[test]
 fn a_search_killed_half_way_ends_with_the_same_table_and_a_wider_one_reuses_it() {
-    let whole = House::new(PIPELINE);
+    let whole = house();
     let all = run(&whole, &[]).len();
     let table = ranking(&whole);
     assert_eq!(table.lines().count(), 1 + 4 + 6, "{table}");
 
-    let house = House::new(PIPELINE);
+    let house = house();
     let mut child = house.command(&arguments(&[])).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
     let mut told = 0;
     let mut lines = std::io::BufRead::lines(std::io::BufReader::new(child.stdout.take().unwrap()));
@@ -70,7 +79,7 @@ fn a_search_killed_half_way_ends_with_the_same_table_and_a_wider_one_reuses_it()
     assert_eq!(ranking(&house), table);
 
     let more = run(&whole, &["axes.spacing_px.values=[10, 20, 40]", "steps.refine.with.count=2"]);
-    let described: Vec<&String> = more.iter().filter(|step| step.starts_with("noise_")).collect();
-    assert!(described.iter().all(|step| !step.starts_with("noise_r")), "{described:?}");
-    assert_eq!(described.iter().filter(|step| step.starts_with("noise_c")).count(), 2, "{described:?}");
+    let described: Vec<&String> = more.iter().filter(|step| step.contains("/one/noise")).collect();
+    assert!(described.iter().all(|step| !step.starts_with("references/")), "{described:?}");
+    assert_eq!(described.iter().filter(|step| step.starts_with("gridded/")).count(), 2, "{described:?}");
 }
