@@ -33,6 +33,7 @@ fn overrides() -> Overrides {
 
 fn names_files(text: &str) -> bool {
     text.contains("path:")
+        || text.contains("${data}")
         || text.contains("module:")
         || text.contains("covariance: ${")
         || text.contains("covariance: \"")
