@@ -2,6 +2,25 @@
 
 use std::process::Command;
 
+/// ` (commit 1a2b3c4d5e6f)` of a release build in a checkout; development builds are made between commits. Packagers say it
+/// by `ROCKFACE_COMMIT`.
+fn commit() -> String {
+    println!("cargo::rerun-if-env-changed=ROCKFACE_COMMIT");
+    let git = |arguments: &[&str]| {
+        let output = Command::new("git").args(arguments).output().ok().filter(|output| output.status.success())?;
+        Some(String::from_utf8(output.stdout).ok()?.trim().to_owned())
+    };
+    let given = std::env::var("ROCKFACE_COMMIT").ok().filter(|given| !given.is_empty());
+    let is_release = std::env::var("PROFILE").is_ok_and(|profile| profile == "release");
+    let found = given.or_else(|| {
+        let head = git(&["rev-parse", "--git-path", "logs/HEAD"]).filter(|_| is_release)?;
+        println!("cargo::rerun-if-changed={head}");
+        let changed = git(&["status", "--porcelain", "--untracked-files=no"]).is_some_and(|text| !text.is_empty());
+        Some(format!("{}{}", git(&["rev-parse", "--short=12", "HEAD"])?, if changed { ", changed" } else { "" }))
+    });
+    found.map_or_else(String::new, |commit| format!(" (commit {commit})"))
+}
+
 fn main() {
     let compiler = std::env::var("RUSTC").unwrap_or_else(|_| "rustc".into());
     let version = Command::new(compiler).arg("--version").output().ok();
@@ -9,5 +28,10 @@ fn main() {
     println!("cargo::rustc-env=ROCKFACE_COMPILER={}", version.trim());
     let target = std::env::var("TARGET").unwrap_or_default();
     println!("cargo::rustc-env=ROCKFACE_TARGET={target}");
+    println!(
+        "cargo::rustc-env=ROCKFACE_VERSION={}{}",
+        std::env::var("CARGO_PKG_VERSION").unwrap_or_default(),
+        commit()
+    );
     println!("cargo::rerun-if-changed=build.rs");
 }

@@ -28,7 +28,9 @@ pub fn run(registry: &Registry) -> i32 {
 /// Runs a command and prints why it failed, if it did; returns the exit code.
 fn run_command(cli: Cli, registry: &Registry) -> i32 {
     let Err(error) = cli.run(registry) else { return 0 };
-    let message = error.render(std::io::stderr().is_terminal());
+    // See <https://no-color.org>: any text but an empty one.
+    let is_plain = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+    let message = error.render(std::io::stderr().is_terminal() && !is_plain);
     if !message.is_empty() {
         output::complain(&message);
     }

@@ -14,7 +14,7 @@ use rockface_engine::pipeline::Label;
 /// Arguments of `rockface export`.
 #[derive(Debug, Args)]
 pub struct ExportArgs {
-    /// A run folder, its name, a part of it, or `latest`.
+    /// A run folder, its name or a part of it, `latest`, or a pipeline (its file or its name) for its last run.
     run: String,
     /// The output, such as `dem.raster`, `dem[epoch=pre].raster` or `dem.raster[epoch=pre]`.
     output: String,
@@ -30,7 +30,7 @@ pub struct ExportArgs {
 impl ExportArgs {
     /// Writes the output.
     pub fn run(self) -> Result<(), CliError> {
-        let run = history::find(&self.places.runs, &self.run)?;
+        let run = self.places.find(&self.run)?;
         let (done, port) = chosen(&run.manifest, &self.output)?;
         let output = &done.outputs.as_ref().map(|outputs| &outputs[port]);
         let Some(output) = output else {
@@ -44,7 +44,7 @@ impl ExportArgs {
         } else {
             self.path.clone()
         };
-        let store = self.places.open_store()?;
+        let store = self.places.store_of(&run)?;
         store.trust(self.trust_store);
         let how = store.materialise(&output.digest, &to).map_err(|error| unkept(error, &run.folder))?;
         let how = match how {
@@ -93,7 +93,7 @@ fn chosen<'a>(manifest: &'a Manifest, output: &'a str) -> Result<(&'a StepDone, 
 /// Arguments of `rockface archive`.
 #[derive(Debug, Args)]
 pub struct ArchiveArgs {
-    /// A run folder, its name, a part of it, or `latest`.
+    /// A run folder, its name or a part of it, `latest`, or a pipeline (its file or its name) for its last run.
     run: String,
     /// The file to write [default: the name of the run with `.tar`].
     #[arg(long, short, value_name = "FILE")]
@@ -108,9 +108,9 @@ pub struct ArchiveArgs {
 impl ArchiveArgs {
     /// Writes the archive.
     pub fn run(self) -> Result<(), CliError> {
-        let run = history::find(&self.places.runs, &self.run)?;
+        let run = self.places.find(&self.run)?;
         let to = self.output.unwrap_or_else(|| PathBuf::from(format!("{}.tar", run.name)));
-        let done = history::archive(&run, &self.places.open_store()?, self.outputs, &to)?;
+        let done = history::archive(&run, &self.places.store_of(&run)?, self.outputs, &to)?;
         if done.missing > 0 {
             let missing = done.missing;
             complain(&format!("warning: {missing} records or logs of this run are not in the store any more"));

@@ -42,7 +42,7 @@ use rockface_engine::run::RunError;
 /// Simulates photogrammetric rockfall monitoring: runs pipelines of stages and caches every output.
 #[derive(Debug, Parser)]
 #[command(
-    version,
+    version = rockface_engine::version::TEXT,
     about,
     after_help = "Exit codes: 0 done, 1 a step failed, 2 the command or pipeline is wrong, 3 the store or disk failed, 130 interrupted."
 )]

@@ -1,63 +1,201 @@
-//! Where the commands that take no pipeline find the store and the runs.
+//! Where the commands that take no pipeline find runs and the store: one rule for all of them.
 
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 use clap::Args;
 use clap::builder::{OsStringValueParser, TypedValueParser};
 use rockface_cache::Store;
 
-use super::CliError;
+use super::{CliError, beside};
+use rockface_engine::diagnostic::listed;
+use rockface_engine::history::{self, HistoryError, PastRun};
 
-/// The folder of runs that is looked at if none is given.
-const RUNS: &str = ".rockface/runs";
-
-/// The store of a pipeline in the working folder.
-const STORE: &str = ".rockface/store";
+/// The folder beside a pipeline.
+const OWN: &str = ".rockface";
 
 /// A folder; where the variable of the environment is empty, as if it were not set.
-fn store_or_default() -> impl TypedValueParser<Value = PathBuf> {
-    OsStringValueParser::new().map(|folder| PathBuf::from(if folder.is_empty() { STORE.into() } else { folder }))
+fn folder() -> impl TypedValueParser<Value = PathBuf> {
+    OsStringValueParser::new().map(PathBuf::from)
 }
 
-/// The store and the folder of runs; by default those of a pipeline in the working folder.
+/// The store and the folder of runs.
 #[derive(Debug, Args)]
 pub struct Places {
-    /// The store of results.
-    #[arg(long, value_name = "DIR", env = "ROCKFACE_STORE", default_value = STORE, value_parser = store_or_default())]
-    store: PathBuf,
-    /// The folder of runs.
-    #[arg(long, value_name = "DIR", default_value = RUNS)]
-    pub runs: PathBuf,
+    /// The store of results [default: the one beside the folder of runs].
+    #[arg(long, value_name = "DIR", env = "ROCKFACE_STORE", value_parser = folder())]
+    store: Option<PathBuf>,
+    /// The folder of runs [default: `.rockface/runs` of the working folder, and of the folders in it].
+    #[arg(long, value_name = "DIR")]
+    runs: Option<PathBuf>,
 }
 
 impl Places {
-    /// Whether the folder of runs is there, or is the one that the first run makes.
-    pub fn are_runs_there(&self) -> bool {
-        self.runs == Path::new(RUNS) || self.runs.is_dir()
+    /// The folders that runs are looked for in: the one that was given; otherwise that of the working folder, and those of
+    /// pipelines in the folders below it.
+    fn runs_folders(&self) -> Vec<PathBuf> {
+        if let Some(runs) = &self.runs {
+            return vec![runs.clone()];
+        }
+        let mut found: Vec<PathBuf> = own_folders().into_iter().map(|own| own.join("runs")).collect();
+        found.retain(|runs| runs.is_dir());
+        if found.is_empty() { vec![Path::new(OWN).join("runs")] } else { found }
+    }
+
+    /// The run that `name` means: a run folder or its `run.json`; a pipeline, by its file or its name, for its last run;
+    /// `latest`; or a part of the name of a run.
+    pub fn find(&self, name: &str) -> Result<PastRun, CliError> {
+        let path = Path::new(name);
+        if path.is_file() && !path.ends_with("run.json") {
+            return self.last_of_pipeline(path);
+        }
+        let folders = self.runs_folders();
+        if name == "latest" {
+            let named = |runs: &PathBuf| runs.join("latest").symlink_metadata().and_then(|link| link.modified()).ok();
+            let latest = folders.iter().filter_map(|runs| Some((named(runs)?, runs))).max();
+            let runs = latest.map_or(&folders[0], |(_, runs)| runs);
+            return Ok(history::find(runs, name)?);
+        }
+        let mut fault = None;
+        let mut fitting = Vec::new();
+        for runs in &folders {
+            match history::find(runs, name) {
+                Ok(run) => fitting.push(run),
+                Err(error) => fault = fault.or(Some(error)),
+            }
+        }
+        fitting.sort_by(|one, other| one.folder.cmp(&other.folder));
+        fitting.dedup_by(|one, other| one.folder == other.folder);
+        match (fitting.len(), fault) {
+            (1, None | Some(HistoryError::Unknown { .. })) => Ok(fitting.swap_remove(0)),
+            // The name of a pipeline is part of the names of all its runs.
+            (_, fault) => match (self.last_of(|run| run.manifest.pipeline.name == name)?, fault) {
+                (Some(run), _) => Ok(run),
+                (None, Some(fault)) if fitting.is_empty() => Err(fault.into()),
+                (None, _) => {
+                    let folders = listed(fitting.iter().map(|run| run.folder.to_str().unwrap_or_default()));
+                    Err(CliError::Usage(format!("`{name}` fits several runs: {folders}; name the folder of one")))
+                }
+            },
+        }
+    }
+
+    fn last_of_pipeline(&self, file: &Path) -> Result<PastRun, CliError> {
+        let same = |path: &Path| path.file_name() == file.file_name();
+        let beside_it = beside(file).join("runs");
+        let folders = if self.runs.is_some() { self.runs_folders() } else { vec![beside_it] };
+        let last = last(&folders, |run| same(&run.manifest.pipeline.path))?;
+        last.ok_or_else(|| {
+            let (file, folder) = (file.display(), folders[0].display());
+            CliError::Usage(format!("{file} has no run in {folder}: `rockface run {file}` makes one"))
+        })
+    }
+
+    fn last_of(&self, is_meant: impl Fn(&PastRun) -> bool) -> Result<Option<PastRun>, CliError> {
+        last(&self.runs_folders(), is_meant)
+    }
+
+    /// All runs, oldest first, and what is wrong with folders that cannot be read.
+    pub fn list(&self) -> Result<(Vec<PastRun>, Vec<HistoryError>), CliError> {
+        if let Some(runs) = self.runs.as_ref().filter(|runs| !runs.is_dir()) {
+            let hint = "give the folder of runs with --runs, or go to the folder of the pipeline";
+            return Err(CliError::Usage(format!("there is no folder {}: {hint}", runs.display())));
+        }
+        let (mut runs, mut faults) = (Vec::new(), Vec::new());
+        for folder in self.runs_folders() {
+            let (found, torn) = history::list(&folder)?;
+            runs.extend(found);
+            faults.extend(torn);
+        }
+        runs.sort_by(|one, other| (&one.manifest.finished, &one.name).cmp(&(&other.manifest.finished, &other.name)));
+        Ok((runs, faults))
+    }
+
+    /// The store that was given, or else the one of the working folder.
+    fn store_or_default(&self) -> PathBuf {
+        let given = self.store.clone().filter(|folder| !folder.as_os_str().is_empty());
+        given.unwrap_or_else(|| Path::new(OWN).join("store"))
+    }
+
+    fn is_store_given(&self) -> bool {
+        self.store.as_ref().is_some_and(|folder| !folder.as_os_str().is_empty())
     }
 
     /// Opens the store, making it if there is none.
     pub fn make_store(&self) -> Result<Store, CliError> {
-        Ok(Store::open(&self.store)?)
+        Ok(Store::open(&self.store_or_default())?)
     }
 
-    /// Opens the store given, or the one beside a run folder; `None` where there is neither.
+    /// Opens the store given, or the one beside a run folder, or that of the working folder; `None` where there is none.
     pub fn store_beside(&self, run: &Path) -> Result<Option<Store>, CliError> {
         let beside = run.parent().and_then(Path::parent).map(|folder| folder.join("store"));
-        let places = [Some(self.store.clone()), beside];
+        let (own, given) = (self.store_or_default(), self.is_store_given());
+        let places = if given { [Some(own), beside] } else { [beside, Some(own)] };
         let found = places.into_iter().flatten().find(|store| may_be_store(store));
         Ok(found.map(|store| Store::open(&store)).transpose()?)
     }
 
-    /// Opens the store, which must be there: what only looks makes nothing.
-    pub fn open_store(&self) -> Result<Store, CliError> {
-        if may_be_store(&self.store) {
-            return Ok(Store::open(&self.store)?);
+    /// The same, which must be there.
+    pub fn store_of(&self, run: &PastRun) -> Result<Store, CliError> {
+        if self.is_store_given() {
+            return self.open_store();
         }
-        let shown = self.store.display();
-        let hint = "give its folder with --store, or go to the folder of the pipeline";
-        Err(CliError::Usage(format!("there is no store in {shown}: {hint}")))
+        self.store_beside(&run.folder)?.map_or_else(|| self.open_store(), Ok)
     }
+
+    /// Opens the store, which must be there: what only looks makes nothing. Where none is given, it is that of the working
+    /// folder, or of the one folder in it that has one.
+    pub fn open_store(&self) -> Result<Store, CliError> {
+        let own = self.store_or_default();
+        if may_be_store(&own) {
+            return Ok(Store::open(&own)?);
+        }
+        let hint = "give its folder with --store, or go to the folder of the pipeline";
+        if !self.is_store_given() {
+            let below: Vec<PathBuf> = own_folders().into_iter().map(|own| own.join("store")).collect();
+            let below: Vec<PathBuf> = below.into_iter().filter(|store| may_be_store(store)).collect();
+            match below.as_slice() {
+                [only] => return Ok(Store::open(only)?),
+                [] => {}
+                several => {
+                    let names = listed(several.iter().filter_map(|store| store.to_str()));
+                    return Err(CliError::Usage(format!("there are several stores here, {names}: {hint}")));
+                }
+            }
+        }
+        Err(CliError::Usage(format!("there is no store in {}: {hint}", own.display())))
+    }
+
+    /// The folders of runs that belong to a store, and those that were given.
+    pub fn runs_of(&self, store: &Store) -> Vec<PathBuf> {
+        let mut folders = self.runs_folders();
+        folders.extend(store.dir().parent().map(|own| own.join("runs")));
+        folders
+    }
+}
+
+/// The last of the runs in some folders that are meant.
+fn last(folders: &[PathBuf], is_meant: impl Fn(&PastRun) -> bool) -> Result<Option<PastRun>, CliError> {
+    let mut best: Option<(SystemTime, PastRun)> = None;
+    for runs in folders {
+        for run in history::list(runs)?.0 {
+            let finished = humantime::parse_rfc3339(&run.manifest.finished).unwrap_or(SystemTime::UNIX_EPOCH);
+            if is_meant(&run) && best.as_ref().is_none_or(|(known, _)| finished >= *known) {
+                best = Some((finished, run));
+            }
+        }
+    }
+    Ok(best.map(|(_, run)| run))
+}
+
+/// The `.rockface` folders of the working folder and of the folders in it, the former first, the others by name.
+fn own_folders() -> Vec<PathBuf> {
+    let mut below: Vec<PathBuf> = std::fs::read_dir(".")
+        .map(|entries| entries.flatten().map(|entry| PathBuf::from(entry.file_name()).join(OWN)).collect())
+        .unwrap_or_default();
+    below.retain(|own| own.is_dir());
+    below.sort();
+    std::iter::once(PathBuf::from(OWN)).filter(|own| own.is_dir()).chain(below).collect()
 }
 
 /// Whether a folder is a store, or cannot be looked into: opening it then says why.

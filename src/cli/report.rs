@@ -1,6 +1,6 @@
 //! `rockface report`: the page of a past run, made anew.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
@@ -8,16 +8,19 @@ use super::places::Places;
 use super::{CliError, complain, say};
 use crate::report::{self, Source};
 use rockface_core::Registry;
-use rockface_engine::history::{self, REPORT_FILE, RunContents};
+use rockface_engine::history::{REPORT_FILE, RunContents};
 
 /// Arguments of `rockface report`.
 #[derive(Debug, Args)]
 pub struct ReportArgs {
-    /// A run folder, its name, a part of it, or `latest`.
+    /// A run folder, its name or a part of it, `latest`, or a pipeline (its file or its name) for its last run.
     run: String,
     /// The file to write [default: `report.html` in the run folder].
     #[arg(long, short, value_name = "FILE")]
     output: Option<PathBuf>,
+    /// Show it in the browser.
+    #[arg(long)]
+    open: bool,
     #[command(flatten)]
     places: Places,
 }
@@ -25,7 +28,7 @@ pub struct ReportArgs {
 impl ReportArgs {
     /// Writes the report.
     pub fn run(self, registry: &Registry) -> Result<(), CliError> {
-        let run = history::find(&self.places.runs, &self.run)?;
+        let run = self.places.find(&self.run)?;
         let store = self.places.store_beside(&run.folder)?;
         if store.is_none() {
             complain("warning: there is no store here; what is not in the run folder is missing from the report");
@@ -37,6 +40,21 @@ impl ReportArgs {
         let to = self.output.unwrap_or_else(|| run.folder.join(REPORT_FILE));
         report::write(&source, &to)?;
         say(&to.display().to_string());
-        Ok(())
+        if self.open { show(&to) } else { Ok(()) }
+    }
+}
+
+/// Hands a page to the browser of the desktop.
+fn show(page: &Path) -> Result<(), CliError> {
+    let program = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
+    let quiet = || std::process::Stdio::null();
+    let started = std::process::Command::new(program).arg(page).stdin(quiet()).stdout(quiet()).stderr(quiet()).status();
+    match started {
+        Ok(status) if status.success() => Ok(()),
+        Ok(status) => Err(CliError::Usage(format!("{program} could not show {}: {status}", page.display()))),
+        Err(error) => {
+            let page = page.display();
+            Err(CliError::Usage(format!("cannot start {program}: {error}; open {page} in a browser yourself")))
+        }
     }
 }

@@ -14,10 +14,13 @@ use rockface_core::limits::raise_memory_limit;
 use super::programs::ProgramArgs;
 use super::{CliError, PipelineArgs, beside, own_folder, repeat, say, signals};
 use crate::report::Pages;
-use rockface_engine::run::shortcut::{self, NAMED, Told};
+use rockface_engine::history::REPORT_FILE;
+use rockface_engine::run::shortcut::{self, Told};
 use rockface_engine::run::{self, Finished, LayOut, Options, RunFolder, Summary};
 use rockface_engine::watch::{JsonLines, Observer, Plain, Silent, Terminal, duration};
 
+/// Files of the result that are named at the end.
+const FILES_NAMED: usize = 5;
 /// The greatest memory that is accepted, GiB; more is a typing error.
 const MEMORY_LIMIT_GIB: f64 = 1_048_576.0;
 
@@ -185,8 +188,13 @@ impl RunArgs {
             let ways = "`rockface export RUN STEP.PORT FILE` writes one, `--outputs all` names them all";
             say(&format!("  {} outputs are in the store only: {ways}", told.unnamed));
         }
+        let report = folder.join(REPORT_FILE);
+        if !self.quiet && report.is_file() {
+            say(&format!("  {}", report.display()));
+        }
         if !told.files.is_empty() && !self.quiet {
-            say_some(&told.files, told.file_count, |file| format!("  {}", folder.join(file).display()));
+            let shown = &told.files[..told.files.len().min(FILES_NAMED)];
+            say_some(shown, told.file_count, |file| format!("  {}", folder.join(file).display()));
             say("");
         }
         say_some(&told.headlines, told.headline_count, String::clone);
@@ -221,9 +229,9 @@ fn memory_bytes(text: &str) -> Result<usize, String> {
 
 /// Prints the first of many lines, and how many more there are.
 fn say_some<T>(items: &[T], count: usize, line: impl Fn(&T) -> String) {
-    items.iter().take(NAMED).for_each(|item| say(&line(item)));
-    if count > NAMED {
-        say(&format!("  … and {} more", count - NAMED));
+    items.iter().for_each(|item| say(&line(item)));
+    if count > items.len() {
+        say(&format!("  … and {} more", count - items.len()));
     }
 }
 

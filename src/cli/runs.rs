@@ -35,7 +35,7 @@ enum RunsCommand {
     },
     /// Show one run: its overrides, what ran, and its metrics.
     Show {
-        /// A run folder, its name, a part of it, or `latest`.
+        /// A run folder, its name or a part of it, `latest`, or a pipeline (its file or its name) for its last run.
         run: String,
         #[command(flatten)]
         places: Places,
@@ -58,14 +58,14 @@ enum RunsCommand {
     },
     /// Protect the results of a run from `rockface store gc`.
     Pin {
-        /// A run folder, its name, a part of it, or `latest`.
+        /// A run folder, its name or a part of it, `latest`, or a pipeline (its file or its name) for its last run.
         run: String,
         #[command(flatten)]
         places: Places,
     },
     /// Remove the protection of a pinned run.
     Unpin {
-        /// A run folder, its name, a part of it, or `latest`.
+        /// A run folder, its name or a part of it, `latest`, or a pipeline (its file or its name) for its last run.
         run: String,
         #[command(flatten)]
         places: Places,
@@ -77,10 +77,9 @@ impl RunsArgs {
     pub fn run(self, registry: &Registry) -> Result<(), CliError> {
         match self.command {
             RunsCommand::List { places, printed } => list(&places, printed.format()),
-            RunsCommand::Show { run, places, json } => show(&history::find(&places.runs, &run)?, json),
+            RunsCommand::Show { run, places, json } => show(&places.find(&run)?, json),
             RunsCommand::Compare { compared, places, printed, html } => {
-                let found =
-                    compared.iter().map(|run| history::find(&places.runs, run)).collect::<Result<Vec<_>, _>>()?;
+                let found = compared.iter().map(|run| places.find(run)).collect::<Result<Vec<_>, _>>()?;
                 match html {
                     Some(to) => page(registry, &places, &found, &to),
                     None => compare(&found, printed.format()),
@@ -93,11 +92,7 @@ impl RunsArgs {
 }
 
 fn list(places: &Places, format: Format) -> Result<(), CliError> {
-    if !places.are_runs_there() {
-        let hint = "give the folder of runs with --runs, or go to the folder of the pipeline";
-        return Err(CliError::Usage(format!("there is no folder {}: {hint}", places.runs.display())));
-    }
-    let (runs, faults) = history::list(&places.runs)?;
+    let (runs, faults) = places.list()?;
     for fault in faults {
         complain(&format!("warning: {fault}"));
     }
@@ -181,18 +176,41 @@ fn show(run: &PastRun, as_json: bool) -> Result<(), CliError> {
 }
 
 fn number(value: Option<f64>) -> String {
-    value.map_or_else(|| "NaN".to_owned(), |value| value.to_string())
+    value.map_or_else(|| "NaN".to_owned(), short)
+}
+
+/// The power of ten of a number's first digit.
+fn exponent(value: f64) -> i32 {
+    format!("{value:e}").split('e').nth(1).and_then(|digits| digits.parse().ok()).unwrap_or(0)
+}
+
+/// A number to four digits; whole ones as they are.
+fn short(value: f64) -> String {
+    if value.fract() == 0.0 && value.abs() < 1e9 {
+        return value.to_string();
+    }
+    if !(1e-4..1e9).contains(&value.abs()) {
+        return format!("{value:.3e}");
+    }
+    let digits = (3 - exponent(value)).clamp(0, 7) as usize;
+    format!("{value:.digits$}")
 }
 
 fn compare(runs: &[PastRun], format: Format) -> Result<(), CliError> {
     let found = history::compare(runs);
+    // For programs every digit, for people four.
+    let as_shown = format == Format::Table;
     let mut head = vec![if format == Format::Csv { "kind" } else { "" }, "name"];
     head.extend(found.runs.iter().map(String::as_str));
     head.extend(["last - first", "unit"]);
     let row = |what: &str, row: &Row| {
         let mut cells = vec![what.to_owned(), row.name.clone()];
-        cells.extend(row.values.iter().map(|value| shown(value.as_ref())));
-        let difference = row.difference().map_or_else(String::new, |difference| difference.to_string());
+        cells.extend(row.values.iter().map(|value| match value.as_ref() {
+            Some(Value::Number(number)) if as_shown => number.as_f64().map_or_else(String::new, short),
+            other => shown(other),
+        }));
+        let difference =
+            row.difference().map_or_else(String::new, |found| if as_shown { short(found) } else { found.to_string() });
         cells.extend([difference, row.unit.clone().unwrap_or_default()]);
         cells
     };
@@ -222,7 +240,7 @@ fn shown(value: Option<&Value>) -> String {
 }
 
 fn pin(places: &Places, name: &str, pinned: bool) -> Result<(), CliError> {
-    let run = history::find(&places.runs, name)?;
+    let run = places.find(name)?;
     run.pin(pinned)?;
     let done = if pinned { "is pinned: what it made is not collected" } else { "is no longer pinned" };
     say(&format!("{} {done}", run.name));

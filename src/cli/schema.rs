@@ -160,6 +160,8 @@ fn step(stage: &dyn AnyStage) -> Value {
                 }},
                 "timeout": {"type": "string", "description": "How long one go may take, such as 90s or 2h."},
                 "retries": {"type": "integer", "minimum": 0, "maximum": 100},
+                "title": {"type": "string", "description": "Its heading in reports."},
+                "doc": {"type": "string", "description": "What reports say of it."},
                 "log": log_level("How much the log of a run shows of it; by default the first four instances in full, the others in brief."),
             },
         },

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::schema::map_of;
 use super::{CliError, say};
-use rockface_engine::diagnostic::nearest;
+use rockface_engine::diagnostic::{listed, nearest};
 
 /// Arguments of `rockface stages`.
 #[derive(Debug, Args)]
@@ -42,8 +42,12 @@ impl StagesArgs {
 
 fn unknown(registry: &Registry, name: &str) -> CliError {
     let known: Vec<&str> = registry.stages().iter().map(|stage| stage.name()).collect();
-    let hint = nearest(name, &known)
-        .map_or_else(|| "`rockface stages` lists them".to_owned(), |near| format!("did you mean `{near}`?"));
+    let with_it: Vec<&str> = known.iter().copied().filter(|known| known.contains(name)).collect();
+    let hint = match nearest(name, &known) {
+        _ if !with_it.is_empty() && !name.is_empty() => format!("stages with it in their name: {}", listed(with_it)),
+        Some(near) => format!("did you mean `{near}`?"),
+        None => "`rockface stages` lists them".to_owned(),
+    };
     CliError::Usage(format!("there is no stage `{name}`; {hint}"))
 }
 

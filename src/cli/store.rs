@@ -213,7 +213,7 @@ impl GcArgs {
             policy.pinned.extend(live.keys);
             policy.grace_s = policy.grace_s.max(now_s().saturating_sub(since_s) + 1);
         }
-        for folder in run_folders(store, &self.places.runs)? {
+        for folder in run_folders(store, &self.places.runs_of(store))? {
             match PastRun::open(&folder) {
                 Ok(run) => count(&mut policy, &run),
                 Err(fault @ HistoryError::Manifest { .. }) => count_torn(&mut policy, store, &folder, &fault)?,
@@ -236,10 +236,13 @@ fn told(done: &Collected) -> String {
     told
 }
 
-/// All existing run folders: those in `runs`, and those elsewhere that the store remembers.
-fn run_folders(store: &Store, runs: &Path) -> Result<BTreeSet<PathBuf>, CliError> {
+/// All existing run folders: those in `places`, and those elsewhere that the store remembers.
+fn run_folders(store: &Store, places: &[PathBuf]) -> Result<BTreeSet<PathBuf>, CliError> {
     let absolute = |folder: PathBuf| std::path::absolute(&folder).unwrap_or(folder);
-    let mut folders: BTreeSet<PathBuf> = history::folders(runs)?.into_iter().map(absolute).collect();
+    let mut folders = BTreeSet::new();
+    for runs in places {
+        folders.extend(history::folders(runs)?.into_iter().map(absolute));
+    }
     for note in store.memory().recalled_runs() {
         let folder = note.get("folder").and_then(serde_json::Value::as_str).map(PathBuf::from);
         folders.extend(folder.filter(|folder| history::may_be_run(folder)));

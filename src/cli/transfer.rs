@@ -9,14 +9,13 @@ use serde_json::json;
 use super::places::{Places, may_be_store};
 use super::table::bytes;
 use super::{CliError, say};
-use rockface_engine::history;
 
 /// Arguments of `rockface store push` and `pull`.
 #[derive(Debug, Args)]
 pub struct TransferArgs {
     /// The folder of the other store, such as `/shared/rockface/store`.
     other: PathBuf,
-    /// Copy only the results of this run: a run folder, its name, a part of it, or `latest`; may be given several times.
+    /// Copy only the results of this run: a run folder, its name or a part of it, `latest`, or a pipeline; may be given several times.
     #[arg(long, value_name = "RUN")]
     run: Vec<String>,
     #[command(flatten)]
@@ -53,7 +52,7 @@ impl TransferArgs {
         }
         let mut keys = Vec::new();
         for name in &self.run {
-            let run = history::find(&self.places.runs, name)?;
+            let run = self.places.find(name)?;
             keys.extend(run.manifest.steps.iter().filter_map(|done| done.key));
         }
         keys.sort_unstable();

@@ -8,10 +8,14 @@ use serde_json::{Value, json};
 /// The lock file this program was built with.
 const LOCK: &str = include_str!("../../Cargo.lock");
 
+/// The version, with the commit of the sources where the build knew it.
+pub const TEXT: &str = env!("ROCKFACE_VERSION");
+
 /// Version, compiler, target and lock file of this program, and the features of the processor it runs on.
 pub fn program() -> Value {
     json!({
         "rockface": env!("CARGO_PKG_VERSION"),
+        "source": TEXT,
         "compiler": env!("ROCKFACE_COMPILER"),
         "target": env!("ROCKFACE_TARGET"),
         "cargo_lock_blake3": Digest::of(LOCK.as_bytes()),

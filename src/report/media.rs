@@ -26,6 +26,8 @@ pub struct Medium {
     pub caption: String,
     /// The instance and output it comes from.
     pub from: String,
+    /// The stage that made it, and the beginning of the digest of the output it shows.
+    pub made: String,
     /// The text of a figure, which may stand in the page as it is.
     pub svg: Option<String>,
     /// The address of an image, which holds the image itself.
@@ -106,6 +108,7 @@ pub fn of(source: &Source, done: &StepDone, linker: &Linker, budget: &mut Budget
         *count += 1;
         found.push(Medium {
             caption: preview.caption,
+            made: made(done, done.outputs.iter().flatten().find(|(port, _)| port.as_str() == preview.port)),
             from,
             svg: None,
             image: Some(data("image/png", &preview.png)),
@@ -120,6 +123,12 @@ pub fn of(source: &Source, done: &StepDone, linker: &Linker, budget: &mut Budget
         });
     }
     found
+}
+
+/// What leads from a picture to its making: `rockface inspect` takes the digest.
+fn made<T>(done: &StepDone, output: Option<(T, &OutputRecord)>) -> String {
+    let digest = output.map_or_else(String::new, |(_, output)| format!(" · {}", output.digest.short()));
+    format!("{} {}{digest}", done.stage, done.version)
 }
 
 /// The pictures and figures that one instance made.
@@ -145,6 +154,7 @@ fn finished(
     let mut medium = Medium {
         caption: String::new(),
         from: format!("{}.{port}", done.label()),
+        made: made(done, Some((port, output))),
         svg: None,
         image: None,
         link: linker.output(done, port),

@@ -4,6 +4,7 @@
 //! run, one made months later by `rockface report`, and `run.json` say the same.
 
 mod compared;
+mod curves;
 mod graph;
 mod media;
 mod number;

@@ -5,13 +5,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use rockface_cache::{Digest, RecipeInput};
 use serde::Serialize;
 
+use super::curves::{self, Curve};
 use super::media::{Budget, Medium};
 use super::number::Shown;
 use super::source::Source;
 use super::steps::{self, Linker, Said, StepView};
 use super::tables::TableView;
 use super::{Links, graph};
-use rockface_engine::history::StepDone;
+use rockface_engine::history::{POINTS_FILE, StepDone};
 use rockface_engine::watch::duration;
 
 /// Headlines and warnings that are shown.
@@ -34,8 +35,10 @@ pub struct Page {
     seed: u64,
     jobs: usize,
     command: String,
-    headlines: Vec<Said>,
-    more_headlines: usize,
+    headlines: Vec<Headlines>,
+    curves: Vec<Curve>,
+    more_curves: usize,
+    points: Option<String>,
     failures: Vec<Warning>,
     more_failures: usize,
     warnings: Vec<Warning>,
@@ -55,10 +58,20 @@ pub struct Page {
     changed: Vec<String>,
 }
 
+/// The headlines of a step: one a line, or folded into a table where it is expanded over many points.
+#[derive(Debug, Serialize)]
+struct Headlines {
+    title: String,
+    folded: bool,
+    lines: Vec<Said>,
+    more: usize,
+}
+
 /// The tables of a target step.
 #[derive(Debug, Serialize)]
 struct Result {
     step: String,
+    title: String,
     tables: Vec<TableView>,
     more: usize,
 }
@@ -86,7 +99,9 @@ pub fn of(source: &Source, links: Links) -> Page {
     let warnings = folded(gathered.warnings);
     let failures = folded(gathered.failures);
     let [executed, cached, missing] = manifest.counts();
-    let headlines: Vec<Said> = manifest.headlines.iter().map(|line| said(line)).collect();
+    let headlines = grouped(&manifest.headlines, &gathered.steps);
+    let (curves, more_curves) =
+        source.graph.map_or_else(Default::default, |graph| curves::of(manifest, graph, &targets));
     let changed = manifest.overrides.set.iter().map(|set| format!("--set {set}"));
     let swept = manifest.overrides.sweep.iter().map(|sweep| format!("--sweep {sweep}"));
     let reseeded = manifest.overrides.seed.map(|seed| format!("--seed {seed}"));
@@ -102,8 +117,10 @@ pub fn of(source: &Source, links: Links) -> Page {
         seed: manifest.seed,
         jobs: manifest.jobs,
         command: "rockface run run.json".to_owned(),
-        more_headlines: headlines.len().saturating_sub(LINES),
-        headlines: headlines.into_iter().take(LINES).collect(),
+        headlines,
+        curves,
+        more_curves,
+        points: manifest.steps.iter().any(|done| !done.metrics.is_empty()).then(|| linker.certain(POINTS_FILE)),
         more_failures: failures.len().saturating_sub(LINES),
         failures: failures.into_iter().take(LINES).collect(),
         more_warnings: warnings.len().saturating_sub(LINES),
@@ -157,10 +174,33 @@ fn results(steps: &mut [StepView]) -> Vec<Result> {
     let wanted = steps.iter_mut().filter(|step| step.target && !step.tables.is_empty());
     let result = |step: &mut StepView| Result {
         step: step.name.clone(),
+        title: step.title.clone(),
         tables: std::mem::take(&mut step.tables),
         more: step.more,
     };
     wanted.map(result).collect()
+}
+
+/// Headlines above which those of one step are folded.
+const UNFOLDED: usize = 4;
+
+/// Headlines by step, those of many points folded.
+fn grouped(lines: &[String], steps: &[StepView]) -> Vec<Headlines> {
+    let mut groups: Vec<(String, Vec<Said>)> = Vec::new();
+    for line in lines.iter().map(|line| said(line)) {
+        let step = line.label.split('[').next().unwrap_or_default().to_owned();
+        match groups.iter_mut().find(|(known, _)| *known == step) {
+            Some((_, lines)) => lines.push(line),
+            None => groups.push((step, vec![line])),
+        }
+    }
+    let group = |(step, lines): (String, Vec<Said>)| Headlines {
+        title: steps.iter().find(|view| view.name == step).map_or(step, |view| view.title.clone()),
+        folded: lines.len() > UNFOLDED,
+        more: lines.len().saturating_sub(LINES),
+        lines: lines.into_iter().take(LINES).collect(),
+    };
+    groups.into_iter().map(group).collect()
 }
 
 /// Those of one step that differ in numbers only are told once, with how many there are.

@@ -33,6 +33,10 @@ const FILES: usize = 24;
 pub struct StepView {
     /// Its name.
     pub name: String,
+    /// Its heading: what the pipeline calls it, or its name.
+    pub title: String,
+    /// What the pipeline says of it.
+    pub doc: String,
     /// Its stage and version.
     pub stage: String,
     /// The version of the stage.
@@ -203,6 +207,11 @@ pub fn gather(linker: &Linker, targets: &[String], budget: &mut Budget) -> Gathe
         });
         order.truncate(STEPS);
     }
+    if let Some(graph) = linker.source.graph {
+        order.sort_by_key(|(name, _)| {
+            graph.steps.iter().find(|step| step.name == *name).map(|step| (step.span.source, step.span.start))
+        });
+    }
     for (name, places) in &order {
         let mut view = step(linker, name, &places.iter().map(|place| &all[*place]).collect::<Vec<_>>());
         view.target = is_target(name);
@@ -239,8 +248,12 @@ fn step(linker: &Linker, name: &str, instances: &[&StepDone]) -> StepView {
         digest: output.digest.short(),
         link: linker.output(done, port),
     };
+    let graph = linker.source.graph;
+    let written = graph.and_then(|graph| graph.steps.iter().find(|step| step.name == name));
     StepView {
         name: name.to_owned(),
+        title: written.and_then(|step| step.title.clone()).unwrap_or_else(|| name.to_owned()),
+        doc: written.and_then(|step| step.doc.clone()).unwrap_or_default(),
         stage: instances[0].stage.clone(),
         version: instances[0].version,
         target: false,

@@ -49,8 +49,11 @@ fn runs_are_listed_shown_and_compared_by_what_varies() {
     assert!(out.starts_with("kind,name,") && out.contains("parameter,dem.cell_m,0.05,0.1,0.05,"), "{out}");
     let (code, _, err) = house.rockface(&["runs", "show", "latst"]);
     assert!(code == Some(2) && err.contains("runs list"), "{err}");
-    let (code, _, err) = house.rockface(&["runs", "show", "small"]);
+    let (code, _, err) = house.rockface(&["runs", "show", "smal"]);
     assert!(code == Some(2) && err.contains("fits several runs"), "{err}");
+    // The name of a pipeline means its last run.
+    let (code, out, _) = house.rockface(&["runs", "show", "small"]);
+    assert!(code == Some(0) && out.contains("set       steps.dem.with.cell_m=0.1"), "{out}");
 }
 
 #[test]

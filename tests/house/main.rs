@@ -12,6 +12,7 @@ mod detection;
 mod documents;
 mod dynamic;
 mod engine;
+mod finding;
 mod folders;
 mod golden;
 mod history;

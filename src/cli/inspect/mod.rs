@@ -2,6 +2,7 @@
 //! picture; and one pixel followed through the steps that made it.
 
 mod facts;
+mod origin;
 mod picture;
 mod pixel;
 mod run;
@@ -61,7 +62,7 @@ impl InspectArgs {
         if let Some(pixel) = self.pixel {
             return pixel::follow(registry, &self.what, pixel, &self.places, self.json);
         }
-        let found = if path.is_file() { of_file(&path)? } else { self.of_digest()? };
+        let found = if path.is_file() { of_file(&path, &self.places)? } else { self.of_digest()? };
         if self.json {
             let map: Map<String, Value> = found.facts.into_iter().collect();
             say(&serde_json::to_string_pretty(&map).unwrap_or_default());
@@ -180,13 +181,14 @@ fn of_sketches(bytes: &[u8]) -> Value {
     }
 }
 
-fn of_file(path: &Path) -> Result<Found, CliError> {
+fn of_file(path: &Path, places: &Places) -> Result<Found, CliError> {
     let bytes =
         std::fs::read(path).map_err(|error| CliError::Usage(format!("cannot read `{}`: {error}", path.display())))?;
+    let digest = Digest::of(&bytes);
     let mut facts: Facts = vec![
         ("file".into(), path.display().to_string().into()),
         ("bytes".into(), bytes.len().into()),
-        ("blake3".into(), Digest::of(&bytes).to_string().into()),
+        ("blake3".into(), digest.to_string().into()),
     ];
     if mcap::Summary::read(&bytes).is_ok_and(|summary| summary.is_some()) {
         facts.extend(of_log(&bytes));
@@ -196,6 +198,7 @@ fn of_file(path: &Path) -> Result<Found, CliError> {
         facts.extend(run::of_manifest(&Manifest::read(path)?));
         return Ok(facts.into());
     }
+    facts.extend(origin::of(path, &digest, places));
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase()).unwrap_or_default();
     let kinds = Kind::ALL.iter().filter(|kind| kind.extension() == extension);
     let mut faults = Vec::new();

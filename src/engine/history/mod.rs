@@ -4,6 +4,7 @@ mod archive;
 mod compare;
 mod contents;
 mod manifest;
+mod points;
 mod provenance;
 mod sources;
 mod torn;
@@ -14,6 +15,7 @@ pub use archive::{Archived, archive};
 pub use compare::{Comparison, Row, compare};
 pub use contents::{REPORT_FILE, RunContents};
 pub use manifest::{FORMAT, FileUsed, IncludedText, Manifest, Metric, Overridden, PipelineText, StepDone};
+pub use points::{POINTS_FILE, table as points_table};
 pub use provenance::crate_metadata;
 pub use torn::digests_told;
 

@@ -119,9 +119,10 @@ impl Crate<'_> {
             (MANIFEST, "application/json", "manifest: everything needed to repeat the run"),
             ("run.mcap", "application/octet-stream", "log of the run, MCAP"),
             ("report.html", "text/html", "the run on one page, for people"),
+            (super::POINTS_FILE, "text/csv", "numbers of all steps, a row a point of the axes"),
         ] {
             // Manifest and log are always written, the report where its template can be filled in.
-            if name != super::REPORT_FILE || folder.join(name).is_file() {
+            if ![super::REPORT_FILE, super::POINTS_FILE].contains(&name) || folder.join(name).is_file() {
                 self.add(name, json!({"@type": "File", "name": name, "description": what, "encodingFormat": format}));
                 self.parts.insert(name.to_owned());
             }

@@ -64,6 +64,12 @@ impl Reader<'_> {
         } else {
             &["items", "count", "values", "sample", "from", "reseeds"]
         };
+        if let Data::List(_) = node.data {
+            let message = format!("{what} is a list; a key says what the list is");
+            let hint = format!("write `{}: {{items: [...]}}`, or `values:` for numbers to sweep", name.text);
+            self.fault(Diagnostic::at(node.span, message).hint(hint));
+            return None;
+        }
         self.map(node, &what, known)?;
         let given: Vec<_> = FORMS.iter().filter_map(|form| node.get(form).map(|n| (*form, n))).collect();
         let [(form, list)] = given.iter().filter(|(form, _)| !sampled || *form == "sample").collect::<Vec<_>>()[..]

@@ -81,6 +81,10 @@ pub struct Step {
     pub retries: u32,
     /// How much the log of a run shows of it.
     pub log: Option<LogLevel>,
+    /// Its heading in reports.
+    pub title: Option<String>,
+    /// What is said of it there.
+    pub doc: Option<String>,
     /// What could not be read of it.
     pub gaps: Gaps,
 }
@@ -117,7 +121,8 @@ pub const TOP: &[&str] =
     &["rockface", "name", "seed", "include", "parts", "params", "axes", "zip", "steps", "targets", "log"];
 
 /// The keys of a step.
-pub const STEP: &[&str] = &["stage", "with", "in", "over", "keep", "stream", "timeout", "retries", "log"];
+pub const STEP: &[&str] =
+    &["stage", "with", "in", "over", "keep", "stream", "timeout", "retries", "log", "title", "doc"];
 
 /// What is read besides the text of a pipeline: other texts, the parts of the program, and values for what parts make.
 pub type Beside<'t> = (&'t mut Texts, &'static [PartText], Vec<Late>);
@@ -135,6 +140,13 @@ pub fn read(
     let names_known = tells_names(root);
     let no_steps =
         root.get("steps").map_or(Some(root.span), |n| n.entries().is_some_and(<[_]>::is_empty).then_some(n.span));
+    let unknown = |(key, _): &(Key, Node)| (!TOP.contains(&key.name.as_str())).then(|| key.name.clone());
+    let top_keys: Vec<String> = root.entries().unwrap_or_default().iter().filter_map(unknown).collect();
+    if matches!(root.data, Data::Scalar(Value::Null)) {
+        let hint = "begin it with `rockface: 1`; `rockface init` makes a pipeline to start from";
+        reader.fault(Diagnostic::at(root.span, "the pipeline is empty").hint(hint));
+        return None;
+    }
     let top = reader.map(root, "the pipeline", TOP)?;
     reader.format_version(root, top);
     reader.seed = root.get("seed").map_or(0, |n| reader.seed(n));
@@ -173,7 +185,9 @@ pub fn read(
             zips: reader.zips_unread,
         },
     };
-    if let Some(span) = no_steps {
+    // A misspelt `steps` is one fault.
+    let is_misspelt = top_keys.iter().any(|key| crate::diagnostic::nearest(key, TOP) == Some("steps"));
+    if let Some(span) = no_steps.filter(|_| !is_misspelt) {
         reader.fault(
             Diagnostic::at(span, "the pipeline has no `steps`")
                 .hint("a small complete one is pipelines/quickstart.yaml"),
@@ -450,10 +464,21 @@ impl Reader<'_> {
         let timeout = node.get("timeout").and_then(|n| self.duration(n));
         let retries = node.get("retries").map_or(0, |n| self.retries(n));
         let log = node.get("log").and_then(|n| self.log_level(n));
+        let title = node.get("title").and_then(|n| self.sentence(n, "title"));
+        let doc = node.get("doc").and_then(|n| self.sentence(n, "doc"));
         let with = node.take("with").filter(|with| with.entries().is_some()).map(Arc::new);
         let any = gap_in_with || gap_in_inputs || self.faults.len() > before;
         let gaps = Gaps { with: gap_in_with, inputs: gap_in_inputs, any };
-        Some(Step { name, stage: stage?, with, inputs, over, keep, stream, timeout, retries, log, gaps })
+        Some(Step { name, stage: stage?, with, inputs, over, keep, stream, timeout, retries, log, title, doc, gaps })
+    }
+
+    /// Text for people.
+    fn sentence(&mut self, node: &Node, what: &str) -> Option<String> {
+        if let Data::Scalar(Value::String(text)) = &node.data {
+            return Some(text.trim().to_owned()).filter(|text| !text.is_empty());
+        }
+        self.fault(Diagnostic::at(node.span, format!("`{what}` is text for people, in quotes where it is a number")));
+        None
     }
 
     fn stage(&mut self, name: &Word, node: &Node) -> Option<Word> {

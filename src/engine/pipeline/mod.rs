@@ -3,6 +3,7 @@
 mod axis;
 mod design;
 mod document;
+mod first_words;
 mod include;
 mod input;
 mod log_level;

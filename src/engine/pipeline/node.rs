@@ -7,6 +7,7 @@ use serde_json::{Number, Value};
 use serde_saphyr::Spanned;
 use serde_saphyr::options::NonFiniteFloatPolicy;
 
+use super::first_words;
 use crate::diagnostic::{Diagnostic, Span};
 
 /// A value with its place.
@@ -287,6 +288,10 @@ fn syntax_error(text: &str, source: usize, error: &serde_saphyr::Error) -> Diagn
                 let message = format!("`{mention}` without quotes cannot stand between braces or brackets");
                 let span = Span { source, start: start - 1, end: start - 1 + mention.len() };
                 return Diagnostic::at(span, message).hint(format!("put quotes around it: \"{mention}\""));
+            }
+            if let Some(slip) = first_words::slip(text, start, &message) {
+                let span = Span { source, start: slip.bytes.start, end: slip.bytes.end };
+                return Diagnostic::at(span, slip.message).hint(slip.hint);
             }
             Diagnostic::at(Span { source, start, end: start + 1 }, message)
         }

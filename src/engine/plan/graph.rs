@@ -97,6 +97,10 @@ pub struct GraphStep {
     pub retries: u32,
     /// How much the log of a run shows of it; `None`: it depends on the number of its instances.
     pub log: Option<LogLevel>,
+    /// Its heading in reports.
+    pub title: Option<String>,
+    /// What is said of it there.
+    pub doc: Option<String>,
 }
 
 impl GraphStep {

@@ -333,15 +333,37 @@ impl<'d> Resolver<'d> {
     }
 
     fn unused_axes(&self) -> Vec<Diagnostic> {
+        // An input that is missing would bring axes with it.
+        if self.faults.iter().any(|fault| fault.message.contains("is not given its input")) {
+            return Vec::new();
+        }
         let used: BTreeSet<usize> = self.reach.iter().flatten().copied().collect();
         let unused = self.document().axes.iter().enumerate().filter(|(index, _)| !used.contains(index));
         let told = |(_, axis): (usize, &Axis)| {
             let name = &axis.name.text;
-            Diagnostic::at(axis.name.span, format!("no step depends on axis `{name}`")).hint(format!(
+            let fault = Diagnostic::at(axis.name.span, format!("no step depends on axis `{name}`")).hint(format!(
                 "say `over: [{name}]` on the step where it begins, mention ${{{name}}} in a `with`, or remove it"
-            ))
+            ));
+            let near = self.parameter_like(name).map(|path| format!("did you mean `{path}`?"));
+            near.into_iter().fold(fault, Diagnostic::hint)
         };
         unused.map(told).collect()
+    }
+
+    /// The path of a value that an axis of this name may be meant to sweep.
+    fn parameter_like(&self, name: &str) -> Option<String> {
+        let document = self.document();
+        let own = document.params.iter().map(|(key, _)| (key.name.clone(), format!("params.{}", key.name)));
+        let steps = document.steps.iter().zip(&self.stages).filter_map(|(step, stage)| Some((step, (*stage)?)));
+        let fields = steps.flat_map(|(step, stage)| {
+            let path = move |field: &str| format!("steps.{}.with.{field}", step.name.text);
+            stage.fields().into_iter().map(move |field| (field.name.to_owned(), path(field.name)))
+        });
+        let known: Vec<(String, String)> = own.chain(fields).collect();
+        let names: Vec<&str> = known.iter().map(|(name, _)| name.as_str()).collect();
+        let begins = names.iter().find(|known| known.starts_with(&format!("{name}_"))).copied();
+        let near = begins.or_else(|| crate::diagnostic::nearest(name, &names))?;
+        known.iter().find(|(name, _)| name == near).map(|(_, path)| path.clone())
     }
 
     fn unused_params(&self) -> Vec<Diagnostic> {
@@ -386,6 +408,8 @@ impl<'d> Resolver<'d> {
             timeout: step.timeout,
             retries: step.retries,
             log: step.log.or(self.document().log),
+            title: step.title.clone(),
+            doc: step.doc.clone(),
         })
     }
 

@@ -15,7 +15,7 @@ use super::log::{LOG_FILE, Telling};
 use super::made::{self, Made};
 use super::manifest_writer;
 use super::unfinished::{self, Unfinished};
-use crate::history::{Manifest, REPORT_FILE, RunContents, crate_metadata};
+use crate::history::{Manifest, POINTS_FILE, REPORT_FILE, RunContents, crate_metadata, points_table};
 use crate::pipeline::{Overrides, Pipeline};
 use crate::plan::Plan;
 use crate::run::{RunError, Summary};
@@ -175,7 +175,9 @@ impl Writer<'_> {
         let logs = self.logs()?;
         let headlines = self.headlines(&logs);
         self.account(folder, &headlines, &logs, &laid)?;
-        let made = made::left(folder, &[MANIFEST, LOG_FILE, PIPELINE, CRATE], &laid)?;
+        let mut own = vec![MANIFEST, LOG_FILE, PIPELINE, CRATE];
+        own.extend(folder.join(POINTS_FILE).exists().then_some(POINTS_FILE));
+        let made = made::left(folder, &own, &laid)?;
         Ok(Finished { folder: folder.to_owned(), headlines, files: laid.of_targets, unnamed: laid.unnamed, made })
     }
 
@@ -189,6 +191,9 @@ impl Writer<'_> {
             going_on(self.stop)?;
             self.report(folder, &manifest, logs)?;
             going_on(self.stop)?;
+            if let Some(table) = points_table(&manifest) {
+                write_file(&folder.join(POINTS_FILE), table.as_bytes())?;
+            }
             let described = serde_json::to_string_pretty(&crate_metadata(folder, &manifest)).unwrap_or_default();
             write_file(&folder.join(CRATE), format!("{described}\n").as_bytes())?;
             Ok(manifest.text())

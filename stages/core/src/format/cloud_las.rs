@@ -21,6 +21,8 @@ pub struct Cloud {
     pub stated: Option<Stated>,
     /// The frame that our own files state.
     pub frame: Option<Frame>,
+    /// What was wrong with the file and could be read all the same, in sentences.
+    pub warnings: Vec<String>,
 }
 
 /// User and numbers of the records of a coordinate reference system.
@@ -41,7 +43,8 @@ const BATCH_BYTES: u64 = 1 << 23;
 ///
 /// # Errors
 /// What is damaged, or how many points of those promised are there; `cancelled` became true.
-pub fn read(bytes: Vec<u8>, cancelled: &dyn Fn() -> bool) -> Result<Cloud, CodecError> {
+pub fn read(mut bytes: Vec<u8>, cancelled: &dyn Fn() -> bool) -> Result<Cloud, CodecError> {
+    let warnings: Vec<String> = mend_record_count(&mut bytes).into_iter().collect();
     check_header(&bytes)?;
     let unreadable = |e: las::Error| damaged(&format!("its header cannot be read ({e})"));
     let header = Header::new(Cursor::new(bytes.as_slice())).map_err(unreadable)?;
@@ -53,7 +56,31 @@ pub fn read(bytes: Vec<u8>, cancelled: &dyn Fn() -> bool) -> Result<Cloud, Codec
     let points =
         catch_unwind(AssertUnwindSafe(|| read_points(Reader::new(Cursor::new(bytes)).map_err(unreadable)?, cancelled)));
     let cloud = points.unwrap_or_else(|_| Err(damaged("its points cannot be decompressed")))?;
-    Ok(Cloud { stated, ..cloud })
+    Ok(Cloud { stated, warnings, ..cloud })
+}
+
+/// Bytes of the head of a record.
+const RECORD_HEAD: usize = 54;
+
+/// Some programs count more records than they write: the number is brought down to those that fit before the points.
+fn mend_record_count(bytes: &mut [u8]) -> Option<String> {
+    let short = |bytes: &[u8], at: usize| Some(usize::from(u16::from_le_bytes(*bytes.get(at..)?.first_chunk()?)));
+    let long = |bytes: &[u8], at: usize| Some(u32::from_le_bytes(*bytes.get(at..)?.first_chunk()?));
+    let (mut at, points) = (short(bytes, 94)?, long(bytes, 96)? as usize);
+    let promised = long(bytes, 100)?;
+    let mut held = 0;
+    while held < promised && at + RECORD_HEAD <= points {
+        at += RECORD_HEAD + short(bytes, at + 20)?;
+        held += u32::from(at <= points);
+        if at > points {
+            break;
+        }
+    }
+    if held == promised || !bytes.starts_with(b"LASF") {
+        return None;
+    }
+    bytes.get_mut(100..104)?.copy_from_slice(&held.to_le_bytes());
+    Some(format!("its header counts {promised} records, but only {held} fit before its points: it is read with {held}"))
 }
 
 /// The system that the records of a file state: well-known text before keys.

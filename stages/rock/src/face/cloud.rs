@@ -21,7 +21,13 @@ pub fn read(bytes: Vec<u8>, columns: Option<&[String]>, cancelled: &dyn Fn() -> 
         let mesh = ply::read_mesh(&bytes)?;
         let georeference = mesh.frame.georeference();
         let stated = georeference.map(|georeference| Stated::of_crs(&georeference.crs));
-        return Ok(Cloud { points: mesh.vertices, colours: mesh.colours, stated, frame: Some(mesh.frame) });
+        return Ok(Cloud {
+            points: mesh.vertices,
+            colours: mesh.colours,
+            stated,
+            frame: Some(mesh.frame),
+            warnings: Vec::new(),
+        });
     }
     if bytes.iter().take(4096).any(|byte| *byte == 0) {
         return Err(CodecError::new("its content is not LAS, LAZ, PLY or columns of numbers"));

@@ -83,6 +83,9 @@ impl Stage for ImportCloud {
         if u32::try_from(cloud.points.len()).is_err() {
             fail!("`{path}` has {} points, more than a mesh can number; thin it first", cloud.points.len());
         }
+        for warning in &cloud.warnings {
+            context.warn(format!("`{path}`: {warning}"));
+        }
         let frame = framed(&mut cloud, params, (tool, system.as_deref()), context)?;
         shift(&mut cloud, params.offset_m);
         context.check_cancelled()?;

@@ -49,16 +49,13 @@ impl Stage for ImportInventory {
     fn run(params: &Self::Params, _inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let bytes = context.read(&params.path)?;
         let named = |e: rockface_core::artefact::CodecError| StageError::new(format!("`{}`: {e}", params.path.0));
-        let (mut inventory, stated) = match Inventory::decode(&bytes) {
-            Ok(own) => {
-                let stated = own.frame.crs().map(Stated::of_crs);
-                (own, stated)
-            }
-            Err(_) => {
-                let read = inventory_foreign::read(&bytes).map_err(named)?;
-                let stated = inventory_foreign::stated(&bytes, &read, params.crs.is_some());
-                (read, stated)
-            }
+        let (mut inventory, stated) = if let Ok(own) = Inventory::decode(&bytes) {
+            let stated = own.frame.crs().map(Stated::of_crs);
+            (own, stated)
+        } else {
+            let read = inventory_foreign::read(&bytes).map_err(named)?;
+            let stated = inventory_foreign::stated(&bytes, &read, params.crs.is_some());
+            (read, stated)
         };
         let is_wall = match params.frame {
             InventoryFrame::Automatic => inventory.frame == Frame::Wall && params.crs.is_none(),

@@ -49,11 +49,17 @@ pub fn read(text: &str, list: Option<&str>, [width, height]: [u32; 2], frame: Fr
         images.push(image(&name, sensors.len(), &camera)?);
         sensors.push((number as u64, sensor(&camera, width, height)));
     }
-    let mut notes = vec![format!("{width} x {height} pixels, as given: a Bundler file does not say it")];
-    if !left_out.is_empty() {
-        notes.push(format!("images without orientation (f = 0), left out: {}", left_out.join(", ")));
+    if images.is_empty() && count > 0 {
+        return Err(StageError::new(format!("none of the {count} images is oriented (f = 0 for all)"))
+            .hint("the reconstruction has registered no image: repeat it, or export one that has"));
     }
-    assemble(frame, sensors, images, notes)
+    let notes = vec![format!("{width} x {height} pixels, as given: a Bundler file does not say it")];
+    let mut file = assemble(frame, sensors, images, notes)?;
+    if !left_out.is_empty() {
+        let (some, names) = (left_out.len(), left_out.join(", "));
+        file.warnings.push(format!("{some} of {count} images have no orientation (f = 0) and are left out: {names}"));
+    }
+    Ok(file)
 }
 
 fn whole<'a>(words: &mut impl Iterator<Item = &'a str>, what: &str) -> Result<usize, StageError> {
@@ -162,7 +168,7 @@ mod tests {
     fn a_point_falls_where_bundlers_formula_puts_it() {
         let file = read(FILE, Some("a.jpg 0 100\nb.jpg\n"), [60, 40], Frame::World).unwrap();
         assert_eq!(file.notes.len(), 2);
-        assert!(file.notes[1].ends_with("left out: b.jpg"));
+        assert!(file.warnings[0].ends_with("left out: b.jpg"), "{:?}", file.warnings);
         let block = &file.cameras;
         assert_eq!((block.images.len(), block.images[0].name.as_str()), (1, "a.jpg"));
         // P = R X + t of X = (0.2, 0.3, -1) is (0.2, -0.05, -4), so p = (0.05, -0.0125).

@@ -40,6 +40,12 @@ pub fn read(text: &str, frame: Frame) -> Result<CameraFile, StageError> {
     let mut notes = Vec::new();
     let (used, idle): (Vec<&CameraEntry>, Vec<_>) =
         chunk.cameras.iter().partition(|c| c.enabled && c.transform.is_some());
+    if used.is_empty() && !idle.is_empty() {
+        let aligned = idle.iter().filter(|camera| camera.transform.is_some()).count();
+        let what = if aligned == 0 { "aligned" } else { "both aligned and enabled" };
+        return Err(StageError::new(format!("none of the {} images of the chunk is {what}", idle.len()))
+            .hint("in Metashape: Workflow > Align Photos (and enable the photos), then export the cameras again"));
+    }
     if !idle.is_empty() {
         let names: Vec<&str> = idle.iter().map(|camera| camera.label.as_str()).collect();
         notes.push(format!("images that are not aligned or not enabled, left out: {}", names.join(", ")));

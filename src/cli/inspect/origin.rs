@@ -1,0 +1,85 @@
+//! From a file to its making: step, stage, parameters and record, the runs that have it, and the command that makes it again.
+
+use std::path::{Path, PathBuf};
+
+use rockface_cache::Digest;
+use serde_json::{Value, json};
+
+use super::super::places::Places;
+use super::Facts;
+use rockface_engine::history::{PastRun, StepDone};
+
+/// How many runs that have the same output are named.
+const RUNS_NAMED: usize = 5;
+
+/// An output in a run, or a further file made of it.
+struct Found<'a> {
+    run: &'a PastRun,
+    done: &'a StepDone,
+    port: &'a str,
+}
+
+/// What the runs here tell of the file with this digest; nothing where none of them has it.
+pub fn of(path: &Path, digest: &Digest, places: &Places) -> Facts {
+    let runs = runs(path, places);
+    let by_digest = runs.iter().rev().filter_map(|run| by_digest(run, digest)).collect::<Vec<_>>();
+    let beside = || runs.iter().find_map(|run| beside(run, path));
+    match (by_digest.first(), by_digest.len()) {
+        (Some(found), count) => {
+            let names = by_digest.iter().take(RUNS_NAMED).map(|found| found.run.name.clone()).collect::<Vec<_>>();
+            let more =
+                if count > RUNS_NAMED { format!(", … and {} more", count - RUNS_NAMED) } else { String::new() };
+            facts(found, "made by", format!("{}{more}", names.join(", ")))
+        }
+        (None, _) => beside().map_or_else(Facts::new, |found| {
+            let name = found.run.name.clone();
+            facts(&found, "made of the output of", name)
+        }),
+    }
+}
+
+/// The run whose folder the file is in, or else all runs that are found here, oldest first.
+fn runs(path: &Path, places: &Places) -> Vec<PastRun> {
+    let absolute = std::path::absolute(path).unwrap_or_else(|_| PathBuf::from(path));
+    let absolute = absolute.canonicalize().unwrap_or(absolute);
+    let own = absolute.ancestors().find(|folder| folder.join("run.json").is_file());
+    let own = own.and_then(|folder| PastRun::open(folder).ok());
+    own.map_or_else(|| places.list().map(|(runs, _)| runs).unwrap_or_default(), |run| vec![run])
+}
+
+fn by_digest<'a>(run: &'a PastRun, digest: &Digest) -> Option<Found<'a>> {
+    run.manifest.steps.iter().find_map(|done| {
+        let (port, _) = done.outputs.iter().flatten().find(|(_, output)| output.digest == *digest)?;
+        Some(Found { run, done, port: port.as_str() })
+    })
+}
+
+/// The output that a further file lies beside: `cloud.laz` beside `cloud.ply`, `pieces/7.ply` beside `pieces.ply`.
+fn beside<'a>(run: &'a PastRun, path: &Path) -> Option<Found<'a>> {
+    let path = path.canonicalize().ok()?;
+    let relative = path.strip_prefix(run.folder.canonicalize().ok()?).ok()?.to_path_buf();
+    run.manifest.steps.iter().find_map(|done| {
+        let (port, _) = done.paths.iter().find(|(_, file)| {
+            let stem = file.to_path_buf().with_extension("");
+            relative.with_extension("") == stem || relative.starts_with(&stem)
+        })?;
+        Some(Found { run, done, port })
+    })
+}
+
+fn facts(found: &Found, how: &str, runs: String) -> Facts {
+    let Found { run, done, port } = found;
+    let manifest = run.folder.join("run.json");
+    let here = std::env::current_dir().ok();
+    let manifest = here.and_then(|here| manifest.strip_prefix(here).ok().map(Path::to_path_buf)).unwrap_or(manifest);
+    let key = done.key.map_or(Value::Null, |key| key.to_string().into());
+    vec![
+        (how.into(), format!("step `{}`, port `{port}`", done.label()).into()),
+        ("stage".into(), format!("{} {}", done.stage, done.version).into()),
+        ("parameters".into(), json!(*done.parameters)),
+        ("record".into(), key),
+        ("pipeline".into(), run.manifest.pipeline.name.clone().into()),
+        ("runs".into(), runs.into()),
+        ("make again".into(), format!("rockface run {} --target {}", manifest.display(), done.step).into()),
+    ]
+}

@@ -1,0 +1,175 @@
+//! Sweeps as curves: a number of a target step against a swept axis, median and spread over everything else.
+
+use std::fmt::Write as _;
+
+use rockface_engine::history::Manifest;
+use rockface_engine::plan::Graph;
+use serde::Serialize;
+
+/// Curves of a page at most.
+const CURVES: usize = 24;
+/// Size of a drawing, and the room for its labels, pixels.
+const SIZE: [f64; 2] = [300.0, 190.0];
+const LEFT: f64 = 52.0;
+const RIGHT: f64 = 10.0;
+const TOP: f64 = 10.0;
+const BOTTOM: f64 = 36.0;
+
+/// A curve.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Curve {
+    /// The number, its unit and the axis.
+    pub caption: String,
+    /// The drawing.
+    pub svg: String,
+}
+
+/// The values of a number at one item of the axis.
+struct At {
+    x: f64,
+    values: Vec<f64>,
+}
+
+/// The curves of the target steps over axes of numbers that are swept, and how many more there are.
+///
+/// Axes whose items reseed random streams are replicates: their spread is the band.
+pub fn of(manifest: &Manifest, graph: &Graph, targets: &[String]) -> (Vec<Curve>, usize) {
+    let swept = graph.axes.iter().filter(|axis| !axis.reseeds).map(|axis| axis.name.text.as_str());
+    let swept: Vec<&str> = swept.collect();
+    let (mut curves, mut more) = (Vec::new(), 0);
+    for target in targets {
+        let instances: Vec<_> = manifest.steps.iter().filter(|done| done.step == *target).collect();
+        let mut names: Vec<(&str, &str)> = Vec::new();
+        for metric in instances.iter().flat_map(|done| &done.metrics) {
+            if !names.iter().any(|(name, _)| *name == metric.name) {
+                names.push((&metric.name, &metric.unit));
+            }
+        }
+        for axis in &swept {
+            for (name, unit) in &names {
+                let told = instances.iter().filter_map(|done| {
+                    let x = done.point.get(*axis)?.parse::<f64>().ok()?;
+                    let metric = done.metrics.iter().find(|metric| metric.name == *name)?;
+                    Some((x, metric.value.filter(|value| value.is_finite())?))
+                });
+                let Some(curve) = gathered(told.collect()) else { continue };
+                if curves.len() == CURVES {
+                    more += 1;
+                    continue;
+                }
+                let unit = if *unit == "1" { String::new() } else { format!(" [{unit}]") };
+                let caption = format!("{target}.{name}{unit} over {axis}");
+                curves.push(Curve { svg: drawn(&curve, &caption, axis), caption });
+            }
+        }
+    }
+    (curves, more)
+}
+
+/// Values by place on the axis, ascending; `None` for fewer than two places, or one value everywhere.
+fn gathered(mut told: Vec<(f64, f64)>) -> Option<Vec<At>> {
+    told.retain(|(x, _)| x.is_finite());
+    told.sort_by(|one, other| one.0.total_cmp(&other.0).then(one.1.total_cmp(&other.1)));
+    let mut curve: Vec<At> = Vec::new();
+    for (x, value) in told {
+        match curve.last_mut() {
+            Some(last) if last.x.to_bits() == x.to_bits() => last.values.push(value),
+            _ => curve.push(At { x, values: vec![value] }),
+        }
+    }
+    let first = curve.first()?.values[0].to_bits();
+    let varies = curve.iter().flat_map(|at| &at.values).any(|value| value.to_bits() != first);
+    (curve.len() > 1 && varies).then_some(curve)
+}
+
+fn median(values: &[f64]) -> f64 {
+    let half = values.len() / 2;
+    if values.len() % 2 == 1 { values[half] } else { 0.5 * (values[half - 1] + values[half]) }
+}
+
+/// The power of ten of a number's first digit.
+fn exponent(value: f64) -> i32 {
+    format!("{value:e}").split('e').nth(1).and_then(|digits| digits.parse().ok()).unwrap_or(0)
+}
+
+/// A number in few digits.
+fn short(value: f64) -> String {
+    if value == 0.0 {
+        return "0".to_owned();
+    }
+    if (1e-3..1e5).contains(&value.abs()) {
+        let digits = (3 - exponent(value)).clamp(0, 6) as usize;
+        let text = format!("{value:.digits$}");
+        return if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text };
+    }
+    format!("{value:.2e}")
+}
+
+fn drawn(curve: &[At], caption: &str, axis: &str) -> String {
+    let low = |values: &[f64]| values.iter().copied().fold(f64::INFINITY, f64::min);
+    let high = |values: &[f64]| values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let (x0, x1) = (curve[0].x, curve[curve.len() - 1].x);
+    let y0 = curve.iter().map(|at| low(&at.values)).fold(f64::INFINITY, f64::min);
+    let y1 = curve.iter().map(|at| high(&at.values)).fold(f64::NEG_INFINITY, f64::max);
+    let [width, height] = SIZE;
+    let across = |x: f64| LEFT + (x - x0) / (x1 - x0) * (width - LEFT - RIGHT);
+    let down = |y: f64| height - BOTTOM - (y - y0) / (y1 - y0) * (height - TOP - BOTTOM);
+    let point = |x: f64, y: f64| format!("{:.1},{:.1}", across(x), down(y));
+    let line: Vec<String> = curve.iter().map(|at| point(at.x, median(&at.values))).collect();
+    let upper = curve.iter().map(|at| point(at.x, high(&at.values)));
+    let lower = curve.iter().rev().map(|at| point(at.x, low(&at.values)));
+    let band: Vec<String> = upper.chain(lower).collect();
+    let mut svg = format!(
+        "<svg viewBox=\"0 0 {width} {height}\" width=\"{width}\" height=\"{height}\" role=\"img\" aria-label=\"{}\" \
+         font-size=\"12\" fill=\"currentColor\">",
+        escaped(caption)
+    );
+    let _ = write!(svg, "<polygon points=\"{}\" fill=\"#4477aa\" fill-opacity=\"0.25\"/>", band.join(" "));
+    let _ =
+        write!(svg, "<polyline points=\"{}\" fill=\"none\" stroke=\"#4477aa\" stroke-width=\"2\"/>", line.join(" "));
+    for at in curve {
+        let (x, y) = (across(at.x), down(median(&at.values)));
+        let _ = write!(svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3\" fill=\"#4477aa\"/>");
+    }
+    let (bottom, right) = (height - BOTTOM, width - RIGHT);
+    let _ = write!(svg, "<path d=\"M{LEFT} {TOP}V{bottom}H{right}\" fill=\"none\" stroke=\"currentColor\"/>");
+    for (y, value) in [(bottom, y0), (TOP + 8.0, y1)] {
+        let _ = write!(svg, "<text x=\"{}\" y=\"{y:.0}\" text-anchor=\"end\">{}</text>", LEFT - 5.0, short(value));
+    }
+    for (x, anchor, value) in [(LEFT, "start", x0), (right, "end", x1)] {
+        let _ = write!(svg, "<text x=\"{x}\" y=\"{}\" text-anchor=\"{anchor}\">{}</text>", bottom + 15.0, short(value));
+    }
+    let middle = 0.5 * (LEFT + right);
+    let _ = write!(
+        svg,
+        "<text x=\"{middle}\" y=\"{}\" text-anchor=\"middle\">{}</text></svg>",
+        height - 6.0,
+        escaped(axis)
+    );
+    svg
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_curve_has_the_medians_and_the_spread() {
+        let told = vec![(0.5, 3.0), (0.5, 1.0), (0.5, 2.0), (1.0, 4.0), (1.0, 6.0)];
+        let curve = gathered(told).unwrap();
+        assert_eq!(curve.iter().map(|at| (at.x, median(&at.values))).collect::<Vec<_>>(), [(0.5, 2.0), (1.0, 5.0)]);
+        let svg = drawn(&curve, "a \"<b>\"", "sigma");
+        assert!(svg.contains("&quot;&lt;b&gt;") && svg.contains(">6</text>") && !svg.contains("NaN"), "{svg}");
+        assert!(gathered(vec![(1.0, 1.0), (2.0, 1.0)]).is_none() && gathered(vec![(1.0, 1.0), (1.0, 2.0)]).is_none());
+    }
+
+    #[test]
+    fn numbers_are_short() {
+        let shown = [0.0, 0.012_345_6, 1.0, 12.5, 123_456.0, -0.5, 1e-7].map(short);
+        assert_eq!(shown, ["0", "0.01235", "1", "12.5", "1.23e5", "-0.5", "1.00e-7"]);
+    }
+}

@@ -1,0 +1,68 @@
+//! Runs, their files and their making are found from where the user stands.
+
+use crate::cli::{House, SMALL, last_line};
+
+#[test]
+fn runs_of_a_pipeline_below_are_found_by_every_command() {
+    let house = House::new("rockface: 1\n");
+    for folder in ["pipelines", "other"] {
+        std::fs::create_dir(house.path(folder)).unwrap();
+        std::fs::write(house.path(&format!("{folder}/x.yaml")), SMALL).unwrap();
+    }
+    let (code, out, err) = house.rockface(&["run", "pipelines/x.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert!(out.contains("/report.html\n") && last_line(&out).starts_with("done"), "{out}");
+    for command in [
+        &["runs", "list"][..],
+        &["runs", "show", "latest"],
+        &["runs", "show", "pipelines/x.yaml"],
+        &["runs", "show", "small"],
+        &["report", "latest"],
+        &["export", "latest", "dem.raster", "dem.tif"],
+        &["archive", "latest", "-o", "run.tar"],
+        &["store", "stat"],
+    ] {
+        let (code, out, err) = house.rockface(command);
+        assert_eq!(code, Some(0), "{command:?}: {out}{err}");
+    }
+    let (_, out, _) = house.rockface(&["run", "other/x.yaml", "--set", "steps.dem.with.cell_m=0.1"]);
+    assert!(last_line(&out).starts_with("done"), "{out}");
+    let (_, out, _) = house.rockface(&["runs", "list"]);
+    assert_eq!(out.lines().count(), 3, "{out}");
+    let shown = |name: &str| house.rockface(&["runs", "show", name]).1;
+    assert!(shown("latest").contains("cell_m=0.1") && shown("other/x.yaml").contains("cell_m=0.1"));
+    assert!(!shown("pipelines/x.yaml").contains("cell_m=0.1"));
+    let (code, _, err) = house.rockface(&["runs", "show", "p.yaml"]);
+    assert!(code == Some(2) && err.contains("p.yaml has no run in"), "{err}");
+}
+
+#[test]
+fn a_file_leads_to_step_parameters_and_command() {
+    let house = House::new(SMALL);
+    house.rockface(&["run", "p.yaml"]);
+    house.rockface(&["export", "latest", "dem.raster", "copy.tif"]);
+    for file in ["copy.tif", ".rockface/runs/latest/outputs/dem/raster.tif"] {
+        let (_, out, err) = house.rockface(&["inspect", file, "--json"]);
+        let told: serde_json::Value = serde_json::from_str(&out).unwrap_or_else(|_| panic!("{out}{err}"));
+        assert_eq!(told["made by"], "step `dem`, port `raster`", "{file}");
+        assert_eq!(told["parameters"]["cell_m"], 0.05);
+        let again = told["make again"].as_str().unwrap();
+        assert!(again.starts_with("rockface run ") && again.ends_with("run.json --target dem"), "{again}");
+    }
+    std::fs::write(house.path("foreign.tif"), "no raster").unwrap();
+    assert!(!house.rockface(&["inspect", "foreign.tif"]).1.contains("made by"));
+}
+
+#[test]
+fn a_run_has_one_table_of_all_points_and_steps_have_titles() {
+    let titled = "dem: {title: \"Elevations <of the face>\", doc: As one sees it., ";
+    let house = House::new(&SMALL.replace("dem: {", titled));
+    let (code, out, err) = house.rockface(&["run", "p.yaml", "--sweep", "steps.dem.with.cell_m=0.05,0.1,0.2"]);
+    assert_eq!(code, Some(0), "{out}{err}");
+    let table = std::fs::read_to_string(house.path(".rockface/runs/latest/points.csv")).unwrap();
+    let head = table.lines().next().unwrap();
+    assert!(head.contains("dem.") && table.lines().count() >= 4, "{table}");
+    let page = std::fs::read_to_string(house.path(".rockface/runs/latest/report.html")).unwrap();
+    assert!(page.contains("Elevations &lt;of the face&gt;") && page.contains("As one sees it."));
+    assert!(page.contains("id=\"curves\"") && page.contains("points.csv"));
+}
