@@ -167,7 +167,7 @@ mod tests {
     #[test]
     fn a_point_falls_where_bundlers_formula_puts_it() {
         let file = read(FILE, Some("a.jpg 0 100\nb.jpg\n"), [60, 40], Frame::World).unwrap();
-        assert_eq!(file.notes.len(), 2);
+        assert_eq!(file.notes.len(), 1);
         assert!(file.warnings[0].ends_with("left out: b.jpg"), "{:?}", file.warnings);
         let block = &file.cameras;
         assert_eq!((block.images.len(), block.images[0].name.as_str()), (1, "a.jpg"));
