@@ -70,6 +70,6 @@ fn too_few_constant_empty_and_shifted_rasters_are_refused_by_name() {
 }
 
 #[test]
-fn a_nugget_that_is_zero_everywhere_is_set_aside() {
-    check(&fit(14, smooth, |_| 0.0), 0, &["set aside", "nugget_m2"]);
+fn a_nugget_that_is_zero_everywhere_punishes_a_simulation_that_has_one() {
+    check(&fit(14, smooth, |_| 0.0), 0, &["the same in all references: nugget_m2", "is punished for it"]);
 }
