@@ -1,5 +1,6 @@
 //! Parts written out: every use becomes the steps of its part, under full names.
 
+use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::rc::Rc;
@@ -267,7 +268,7 @@ impl<'e> Expansion<'e> {
     pub fn pipeline(
         &mut self,
         (axes, zips, steps): (Entries, Option<Node>, Entries),
-        known: &Rc<Known>,
+        known: &Known,
         reader: &mut Reader,
     ) {
         let nodes = axes.iter().map(|(_, node)| node);
@@ -276,7 +277,7 @@ impl<'e> Expansion<'e> {
         nodes.chain(with).for_each(|node| mentioned(node, &mut names));
         self.flat.mentions = names.into_iter().map(|(name, _)| name).collect();
         let uses = self.uses(&steps, known, reader);
-        let asked = std::cell::RefCell::new(Vec::new());
+        let asked = RefCell::new(Vec::new());
         let output = |step: &str, port: &str| told_output(&uses, "", step, port, &asked);
         let own = BTreeSet::new();
         let scope = Scope { prefix: "", inputs: None, axes: &own, over: &[], part: "", output: &output };
@@ -286,9 +287,8 @@ impl<'e> Expansion<'e> {
         let before = reader.fault_count();
         self.flat.zips = zips.map(|node| reader.zips(&node)).unwrap_or_default();
         reader.zips_unread = reader.fault_count() > before;
-        self.steps(steps, &uses, (&scope, known), &mut Vec::new(), reader);
-        let asked = asked.take();
-        self.note_read(asked);
+        self.steps(steps, &uses, &scope, &mut Vec::new(), reader);
+        self.note_read(asked.into_inner());
         self.check_late(reader);
     }
 
@@ -303,11 +303,10 @@ impl<'e> Expansion<'e> {
         &mut self,
         steps: Vec<(Key, Node)>,
         uses: &Uses,
-        (scope, known): (&Scope, &Rc<Known>),
+        scope: &Scope,
         stack: &mut Vec<usize>,
         reader: &mut Reader,
     ) {
-        let _ = known;
         for (key, mut node) in steps {
             let name = Word { span: key.span, text: inside(scope.prefix, &key.name) };
             self.put_late("steps", &name.text, &mut node, reader);
@@ -379,7 +378,7 @@ impl<'e> Expansion<'e> {
             return;
         }
         let uses = self.uses(&part.steps, &part.known, reader);
-        let asked = std::cell::RefCell::new(Vec::new());
+        let asked = RefCell::new(Vec::new());
         let output = |step: &str, port: &str| told_output(&uses, &prefix, step, port, &asked);
         let scope = Scope {
             prefix: &prefix,
@@ -407,13 +406,12 @@ impl<'e> Expansion<'e> {
         let made = self.flat.steps.len();
         let unfilled = reader.fault_count() > before;
         stack.push(number);
-        self.steps(steps, &uses, (&scope, &part.known), stack, reader);
+        self.steps(steps, &uses, &scope, stack, reader);
         stack.pop();
         if unfilled {
             self.flat.steps[made..].iter_mut().for_each(Step::mark_gaps);
         }
-        let asked = asked.take();
-        self.note_read(asked);
+        self.note_read(asked.into_inner());
     }
 
     fn too_deep(&self, used: &Use, number: usize, stack: &[usize]) -> Option<Diagnostic> {
@@ -648,13 +646,7 @@ fn under(prefix: &str, axis: &Word) -> Word {
 }
 
 /// What stands behind `step.port` where these uses are known; notes which outputs are asked for.
-fn told_output(
-    uses: &Uses,
-    prefix: &str,
-    step: &str,
-    port: &str,
-    asked: &std::cell::RefCell<Vec<(usize, String)>>,
-) -> Output {
+fn told_output(uses: &Uses, prefix: &str, step: &str, port: &str, asked: &RefCell<Vec<(usize, String)>>) -> Output {
     let Some(used) = uses.get(step) else { return Output::Step };
     let Some((number, part, outs)) = used else { return Output::Unread };
     let Some(to) = outs.get(port) else {
