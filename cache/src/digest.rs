@@ -28,6 +28,15 @@ impl Digest {
         Self(*blake3::hash(bytes).as_bytes())
     }
 
+    /// The digest of the pieces that `give` hands over, and how many bytes they were; what `give` returns comes back.
+    pub fn of_pieces<T>(give: impl FnOnce(&mut dyn FnMut(&[u8])) -> T) -> (Self, u64, T) {
+        let mut hasher = blake3::Hasher::new();
+        let given = give(&mut |piece| {
+            hasher.update(piece);
+        });
+        (Self(*hasher.finalize().as_bytes()), hasher.count(), given)
+    }
+
     /// The digest of everything `reader` yields, and how many bytes that was; memory stays bounded.
     pub fn of_reader(mut reader: impl Read) -> io::Result<(Self, u64)> {
         let mut hasher = blake3::Hasher::new();

@@ -7,6 +7,7 @@ pub mod frame_change;
 pub mod grid;
 pub mod mesh_check;
 pub mod plane_fit;
+pub mod point_rows;
 pub mod raster_surface;
 pub mod rasterise;
 pub mod rasterise_points;

@@ -6,10 +6,14 @@ use rockface_core::artefact::Grid;
 
 use super::shape::{Moved, Shape};
 
+mod squares;
+
 /// Points whose cells are looked up in parallel before they are added in order.
 const BATCH: usize = 1 << 18;
-/// Grid rows one thread fills from the triangles.
+/// Fewest grid rows that a thread fills from the triangles at a time.
 const BAND_ROWS: usize = 64;
+/// Bands a thread has to fill, where the grid is high enough: the more, the more strips lie in two bands.
+const BANDS_PER_THREAD: usize = 8;
 /// Weight below zero, in units of a triangle's area, at which a cell centre still counts as inside: closes the seam
 /// between two triangles against rounding.
 const SEAM: f64 = -1e-9;
@@ -91,18 +95,43 @@ pub(super) fn place(grid: &Grid, [x, y, z]: [f64; 3]) -> (u32, f64) {
 /// Z at the cell centres interpolated in the triangles, metres, by row from the top; the highest where several lie over
 /// each other, NaN where there is none.
 pub fn tin(shape: Shape, moved: Option<&Moved>, grid: &Grid) -> Vec<f32> {
+    let mut values = vec![f32::NEG_INFINITY; grid.cells()];
+    match shape {
+        Shape::Surface(surface) if surface.width > 1 && surface.height > 1 => {
+            squares::fill_grid(surface, moved, grid, &mut values);
+        }
+        _ => fill_grid(shape, moved, grid, &mut values),
+    }
+    values.par_iter_mut().filter(|z| **z == f32::NEG_INFINITY).for_each(|z| *z = f32::NAN);
+    values
+}
+
+/// Raises the cells of a grid to the triangles of any shape.
+fn fill_grid(shape: Shape, moved: Option<&Moved>, grid: &Grid, values: &mut [f32]) {
     let points: Vec<[f64; 3]> =
         (0..shape.places()).into_par_iter().map(|i| to_cells(grid, shape.point(i, moved))).collect();
     let ranges: Vec<[f64; 2]> = (0..shape.strips()).into_par_iter().map(|s| row_range(shape, s, &points)).collect();
-    let mut values = vec![f32::NEG_INFINITY; grid.cells()];
-    values.par_chunks_mut(BAND_ROWS * grid.columns).enumerate().for_each(|(band, cells)| {
-        let first = band * BAND_ROWS;
-        let rows = [first as f64, (first + cells.len() / grid.columns) as f64];
-        let met = (0..ranges.len()).filter(|s| ranges[*s][0] < rows[1] && ranges[*s][1] >= rows[0]);
-        met.for_each(|s| shape.for_each_triangle(s, |t| fill(t.map(|i| points[i]), rows, grid.columns, cells)));
-        cells.iter_mut().filter(|z| **z == f32::NEG_INFINITY).for_each(|z| *z = f32::NAN);
+    for_each_band(&ranges, grid, values, |rows, cells, strips| {
+        strips.for_each(|s| {
+            shape.for_each_triangle(s, |t| raise(t.map(|i| points[i]), rows, grid.columns, cells));
+        });
     });
-    values
+}
+
+/// Hands over each band of grid rows with its cells and the strips of triangles that may reach it, in their order.
+fn for_each_band(
+    ranges: &[[f64; 2]],
+    grid: &Grid,
+    values: &mut [f32],
+    fill: impl Fn([f64; 2], &mut [f32], &mut dyn Iterator<Item = usize>) + Sync,
+) {
+    let band_rows = BAND_ROWS.max(grid.rows.div_ceil(BANDS_PER_THREAD * rayon::current_num_threads()));
+    values.par_chunks_mut(band_rows * grid.columns).enumerate().for_each(|(band, cells)| {
+        let first = band * band_rows;
+        let rows = [first as f64, (first + cells.len() / grid.columns) as f64];
+        let mut met = (0..ranges.len()).filter(|s| ranges[*s][0] < rows[1] && ranges[*s][1] >= rows[0]);
+        fill(rows, cells, &mut met);
+    });
 }
 
 /// Columns and rows from the centre of the first cell, Z in metres.
@@ -122,28 +151,48 @@ fn row_range(shape: Shape, strip: usize, points: &[[f64; 3]]) -> [f64; 2] {
 
 /// Raises the cells of some rows to one triangle.
 #[inline]
-fn fill([a, b, c]: [[f64; 3]; 3], rows: [f64; 2], columns: usize, cells: &mut [f32]) {
-    let (low, high) = (a[1].min(b[1]).min(c[1]), a[1].max(b[1]).max(c[1]));
-    let (top, bottom) = (low.ceil().max(rows[0]), high.floor().min(rows[1] - 1.0));
-    let left = a[0].min(b[0]).min(c[0]).ceil().max(0.0);
-    let right = a[0].max(b[0]).max(c[0]).floor().min(columns as f64 - 1.0);
-    if !(top <= bottom && left <= right) {
-        return;
+fn raise(corners: [[f64; 3]; 3], rows: [f64; 2], columns: usize, cells: &mut [f32]) {
+    let [down, across] = [1, 0].map(|axis: usize| {
+        let [a, b, c] = corners.map(|corner| corner[axis]);
+        [a.min(b).min(c).ceil(), a.max(b).max(c).floor()]
+    });
+    let (top, bottom) = (down[0].max(rows[0]), down[1].min(rows[1] - 1.0));
+    let (left, right) = (across[0].max(0.0), across[1].min(columns as f64 - 1.0));
+    if top <= bottom && left <= right {
+        let within = [[left as usize, right as usize], [top as usize, bottom as usize]];
+        raise_within(corners, within, rows[0] as usize, columns, cells);
     }
-    let area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]);
+}
+
+/// Raises the cells of some columns and rows, which lie in the grid, to one triangle; `first` is the row of the first cell.
+#[inline]
+fn raise_within(
+    [a, b, c]: [[f64; 3]; 3],
+    [[left, right], [top, bottom]]: [[usize; 2]; 2],
+    first: usize,
+    columns: usize,
+    cells: &mut [f32],
+) {
+    let (ab, ac) = ([b[0] - a[0], b[1] - a[1]], [c[0] - a[0], c[1] - a[1]]);
+    let area = ab[0] * ac[1] - ac[0] * ab[1];
     // A triangle seen edge-on covers no cell centre; NaN corners end here too.
     if area == 0.0 || area.is_nan() {
         return;
     }
-    for row in top as usize..=bottom as usize {
+    // Further out than any rounding, with the sign of the area taken away.
+    let outside = 2.0 * SEAM * area.abs();
+    for row in top..=bottom {
         let y = row as f64 - a[1];
-        for column in left as usize..=right as usize {
+        for column in left..=right {
             let x = column as f64 - a[0];
-            let toward_b = (x * (c[1] - a[1]) - y * (c[0] - a[0])) / area;
-            let toward_c = (y * (b[0] - a[0]) - x * (b[1] - a[1])) / area;
+            let (toward_b, toward_c) = (x * ac[1] - y * ac[0], y * ab[0] - x * ab[1]);
+            if toward_b * area.signum() < outside || toward_c * area.signum() < outside {
+                continue;
+            }
+            let (toward_b, toward_c) = (toward_b / area, toward_c / area);
             if toward_b >= SEAM && toward_c >= SEAM && 1.0 - toward_b - toward_c >= SEAM {
                 let z = a[2] + toward_b * (b[2] - a[2]) + toward_c * (c[2] - a[2]);
-                let cell = &mut cells[(row - rows[0] as usize) * columns + column];
+                let cell = &mut cells[(row - first) * columns + column];
                 *cell = cell.max(z as f32);
             }
         }

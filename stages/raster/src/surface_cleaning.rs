@@ -4,7 +4,11 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use rockface_core::artefact::{Raster, Surface};
-use rockface_core::numerics::union_find::UnionFind;
+use rockface_core::numerics::simd::{Work, vectorised};
+
+use crate::point_rows::PointRows;
+
+mod pieces;
 
 /// What a triangle must be to stay.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -56,22 +60,28 @@ pub struct Removed {
     pub kept: usize,
 }
 
+impl Removed {
+    fn and(self, other: Self) -> Self {
+        Self {
+            not_finite: self.not_finite + other.not_finite,
+            degenerate: self.degenerate + other.degenerate,
+            outside: self.outside + other.outside,
+            masked: self.masked + other.masked,
+            small_pieces: self.small_pieces + other.small_pieces,
+            points: self.points + other.points,
+            kept: self.kept + other.kept,
+        }
+    }
+}
+
 /// Cleans a surface; the same bits at any thread count.
 pub fn clean(surface: &mut Surface, rules: &Rules<'_>) -> Removed {
-    let not_finite =
-        retain(surface, |s, corners| corners.iter().all(|i| s.points[*i].iter().all(|value| value.is_finite())));
-    let degenerate = retain(surface, |s, corners| area_m2(s, corners) >= rules.min_area_m2);
-    let all = |s: &Surface, corners: &[usize; 3], holds: &dyn Fn([f64; 2]) -> bool| {
-        corners.iter().all(|i| holds(plan_m(s, *i)))
-    };
-    let outside =
-        rules.window_m.map_or(0, |_| retain(surface, |s, corners| all(s, corners, &|at| rules.in_window(at))));
-    let masked = rules.mask.map_or(0, |_| retain(surface, |s, corners| all(s, corners, &|at| rules.in_mask(at))));
-    let small_pieces = remove_small_pieces(surface, rules.min_component_triangles);
-    let points = remove_unused_points(surface);
+    let mut removed = remove_bad_triangles(surface, rules);
+    removed.small_pieces = pieces::remove_small(surface, rules.min_component_triangles);
+    removed.points = remove_unused_points(surface);
     let kept = surface.squares.par_iter().map(|byte| (byte & (Surface::FIRST | Surface::SECOND)).count_ones() as usize);
-    let kept = kept.sum();
-    Removed { not_finite, degenerate, outside, masked, small_pieces, points, kept }
+    removed.kept = kept.sum();
+    removed
 }
 
 fn area_m2(surface: &Surface, corners: &[usize; 3]) -> f64 {
@@ -84,58 +94,127 @@ fn plan_m(surface: &Surface, point: usize) -> [f64; 2] {
     [0, 1].map(|axis| surface.origin_m[axis] + f64::from(surface.points[point][axis]))
 }
 
-/// Keeps the triangles a test holds for; returns how many went.
-fn retain(surface: &mut Surface, holds: impl Fn(&Surface, &[usize; 3]) -> bool + Sync) -> usize {
+/// Takes away the triangles that one of the rules about single triangles forbids.
+fn remove_bad_triangles(surface: &mut Surface, rules: &Rules<'_>) -> Removed {
     let mut squares = std::mem::take(&mut surface.squares);
     let (width, shared) = (surface.width, &*surface);
-    let keep_row = |(row, squares): (usize, &mut [u8])| {
-        let mut removed = 0;
-        for (column, byte) in squares.iter_mut().enumerate() {
+    let everywhere = rules.window_m.is_none() && rules.mask.is_none();
+    let clean_row = |judging: &mut Judging, (row, squares): (usize, &mut [u8])| {
+        judging.judge(shared, row, squares, rules.min_area_m2);
+        let mut removed = Removed::default();
+        for (column, byte) in
+            squares.iter_mut().enumerate().filter(|(column, _)| !everywhere || !judging.is_fine[*column])
+        {
             let corners = Surface::corners(width, row, column, *byte);
             for (corners, bit) in corners.iter().zip([Surface::FIRST, Surface::SECOND]) {
-                if *byte & bit != 0 && !holds(shared, corners) {
+                if *byte & bit != 0 && is_bad(shared, corners, rules, &mut removed) {
                     *byte &= !bit;
-                    removed += 1;
                 }
             }
         }
         removed
     };
-    let removed = squares.par_chunks_mut((width - 1).max(1)).enumerate().map(keep_row).sum();
+    let rows = squares.par_chunks_mut((width - 1).max(1)).enumerate();
+    let removed = rows.map_init(Judging::default, clean_row).reduce(Removed::default, Removed::and);
     surface.squares = squares;
     removed
 }
 
-fn for_each_triangle(surface: &Surface, mut act: impl FnMut([usize; 3])) {
-    for row in 0..surface.height - 1 {
-        for column in 0..surface.width - 1 {
-            surface.triangles(row, column).for_each(&mut act);
+/// Whether a triangle must go; the first cause counts.
+fn is_bad(surface: &Surface, corners: &[usize; 3], rules: &Rules<'_>, removed: &mut Removed) -> bool {
+    let all = |holds: &dyn Fn([f64; 2]) -> bool| corners.iter().all(|i| holds(plan_m(surface, *i)));
+    let count = if !corners.iter().all(|i| surface.points[*i].iter().all(|value| value.is_finite())) {
+        &mut removed.not_finite
+    } else if area_m2(surface, corners) < rules.min_area_m2 {
+        &mut removed.degenerate
+    } else if !all(&|at| rules.in_window(at)) {
+        &mut removed.outside
+    } else if !all(&|at| rules.in_mask(at)) {
+        &mut removed.masked
+    } else {
+        return false;
+    };
+    *count += 1;
+    true
+}
+
+/// What one thread needs to find the squares of a row that need no closer look.
+#[derive(Default)]
+struct Judging {
+    rows: PointRows,
+    /// Whether both triangles of a square are surely finite and large enough.
+    is_fine: Vec<bool>,
+}
+
+impl Judging {
+    fn judge(&mut self, surface: &Surface, row: usize, squares: &[u8], min_area_m2: f64) {
+        self.rows.enter(&surface.points, surface.width, row);
+        self.is_fine.resize(squares.len(), false);
+        // Larger than what rounding can do to a square of an area.
+        let least = 4.0 * min_area_m2 * min_area_m2 * (1.0 + 1e-9);
+        vectorised(Judge { rows: &self.rows, squares, least, is_fine: &mut self.is_fine });
+    }
+}
+
+struct Judge<'a> {
+    rows: &'a PointRows,
+    squares: &'a [u8],
+    /// Square of twice the least area.
+    least: f64,
+    is_fine: &'a mut [bool],
+}
+
+impl Work for Judge<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let count = self.squares.len();
+        let [[ax, ay, az], [bx, by, bz], [cx, cy, cz], [dx, dy, dz]] =
+            self.rows.corners().map(|corner| corner.map(|values| &values[..count]));
+        let (squares, is_fine) = (&self.squares[..count], &mut self.is_fine[..count]);
+        for i in 0..count {
+            let (a, b) = ([ax[i], ay[i], az[i]], [bx[i], by[i], bz[i]]);
+            let (c, d) = ([cx[i], cy[i], cz[i]], [dx[i], dy[i], dz[i]]);
+            let other = squares[i] & Surface::OTHER_DIAGONAL != 0;
+            // Twice the area does not depend on the corner it is measured from but for rounding.
+            let first = doubled_area_squared(if other { b } else { c }, a, d);
+            let second = doubled_area_squared(if other { d } else { a }, b, c);
+            // What is not a number is not above; what is not finite has no finite area.
+            is_fine[i] = first > self.least && second > self.least && first + second < f64::INFINITY;
         }
     }
 }
 
-fn remove_small_pieces(surface: &mut Surface, min_triangles: usize) -> usize {
-    if min_triangles <= 1 {
-        return 0;
-    }
-    let mut pieces = UnionFind::new(surface.points.len());
-    for_each_triangle(surface, |[a, b, c]| {
-        let root = pieces.join(a, b);
-        pieces.join(root, c);
-    });
-    let mut sizes = vec![0u32; surface.points.len()];
-    for_each_triangle(surface, |[a, ..]| sizes[pieces.root(a)] += 1);
-    let roots = pieces.into_roots();
-    retain(surface, |_, corners| sizes[roots[corners[0]] as usize] as usize >= min_triangles)
+/// Square of the doubled area of a triangle, m4; infinite or no number where a corner is not finite.
+#[inline(always)]
+fn doubled_area_squared(p: [f64; 3], q: [f64; 3], r: [f64; 3]) -> f64 {
+    let (u, v) = ([q[0] - p[0], q[1] - p[1], q[2] - p[2]], [r[0] - p[0], r[1] - p[1], r[2] - p[2]]);
+    let cross = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+    cross[0] * cross[0] + cross[1] * cross[1] + cross[2] * cross[2]
 }
 
+/// Makes the points that no triangle uses NaN; returns how many had been points.
 fn remove_unused_points(surface: &mut Surface) -> usize {
-    let mut used = vec![false; surface.points.len()];
-    for_each_triangle(surface, |corners| corners.iter().for_each(|i| used[*i] = true));
-    let mut removed = 0;
-    for (point, _) in surface.points.iter_mut().zip(used).filter(|(_, used)| !used) {
-        removed += usize::from(!point.iter().all(|value| value.is_nan()));
-        *point = [f32::NAN; 3];
-    }
-    removed
+    let (width, height, squares) = (surface.width, surface.height, &surface.squares);
+    let line = |row: usize| &squares[row * (width - 1)..(row + 1) * (width - 1)];
+    let clean_row = |(row, points): (usize, &mut [[f32; 3]])| {
+        let above = if row > 0 { line(row - 1) } else { &[] };
+        let below = if row + 1 < height { line(row) } else { &[] };
+        let corner = |line: &[u8], column: usize, corner: u8| {
+            line.get(column).is_some_and(|byte| pieces::used(*byte) & corner != 0)
+        };
+        let mut removed = 0;
+        for (column, point) in points.iter_mut().enumerate() {
+            let used = corner(below, column, pieces::A)
+                || corner(above, column, pieces::D)
+                || column > 0 && (corner(below, column - 1, pieces::B) || corner(above, column - 1, pieces::C));
+            if !used {
+                removed += usize::from(!point.iter().all(|value| value.is_nan()));
+                *point = [f32::NAN; 3];
+            }
+        }
+        removed
+    };
+    surface.points.par_chunks_mut(width).enumerate().map(clean_row).sum()
 }

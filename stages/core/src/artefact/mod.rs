@@ -89,6 +89,14 @@ pub trait Noun: Sized {
     fn of(artefact: &Artefact) -> Option<&Self>;
     /// The file that is kept and hashed.
     fn encode(&self) -> Result<Vec<u8>, CodecError>;
+    /// Hands over the same file piece by piece, to those who need not hold it whole.
+    ///
+    /// # Errors
+    /// As [`Noun::encode`].
+    fn stream(&self, take: &mut dyn FnMut(&[u8])) -> Result<(), CodecError> {
+        take(&self.encode()?);
+        Ok(())
+    }
     /// Reads the file that [`Noun::encode`] wrote.
     fn decode(bytes: &[u8]) -> Result<Self, CodecError>;
     /// Bytes it takes in memory, roughly.
@@ -150,6 +158,10 @@ macro_rules! artefacts {
             /// The file that is kept and hashed.
             pub fn encode(&self) -> Result<Vec<u8>, CodecError> {
                 match self { $( Self::$Name(value) => value.encode() ),* }
+            }
+            /// Hands over the same file piece by piece; see [`Noun::stream`].
+            pub fn stream(&self, take: &mut dyn FnMut(&[u8])) -> Result<(), CodecError> {
+                match self { $( Self::$Name(value) => value.stream(take) ),* }
             }
             /// Reads a file of this kind.
             pub fn decode(kind: Kind, bytes: &[u8]) -> Result<Self, CodecError> {

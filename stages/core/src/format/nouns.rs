@@ -192,6 +192,9 @@ impl Noun for Surface {
     fn encode(&self) -> Result<Vec<u8>, CodecError> {
         super::surface_file::write(self)
     }
+    fn stream(&self, take: &mut dyn FnMut(&[u8])) -> Result<(), CodecError> {
+        super::surface_file::stream(self, take)
+    }
     fn decode(bytes: &[u8]) -> Result<Self, CodecError> {
         super::surface_file::read(bytes)
     }

@@ -19,23 +19,26 @@ const LAYOUT: &str = "points: height x width x 3 float32 little-endian, metres f
 
 /// Writes a surface.
 pub fn write(surface: &Surface) -> Result<Vec<u8>, CodecError> {
+    let mut bytes = Vec::with_capacity(surface.points.len() * 12 + surface.squares.len() + 1024);
+    stream(surface, &mut |piece| bytes.extend_from_slice(piece))?;
+    Ok(bytes)
+}
+
+/// Hands over the file of a surface piece by piece, without a copy of its points.
+pub fn stream(surface: &Surface, take: &mut dyn FnMut(&[u8])) -> Result<(), CodecError> {
     let (width, height) = (surface.width, surface.height);
     let header = Header { frame: surface.frame, width, height, origin_m: surface.origin_m, layout: LAYOUT.to_owned() };
     let header = serde_json::to_string(&header).map_err(|e| CodecError(e.to_string()))?;
-    let mut bytes =
-        Vec::with_capacity(MAGIC.len() + header.len() + 1 + surface.points.len() * 12 + surface.squares.len());
-    bytes.extend_from_slice(MAGIC);
-    bytes.extend_from_slice(header.as_bytes());
-    bytes.push(b'\n');
-    let start = bytes.len();
-    bytes.resize(start + surface.points.len() * 12, 0);
-    for (place, [x, y, z]) in bytes[start..].chunks_exact_mut(12).zip(&surface.points) {
-        place[..4].copy_from_slice(&x.to_le_bytes());
-        place[4..8].copy_from_slice(&y.to_le_bytes());
-        place[8..].copy_from_slice(&z.to_le_bytes());
+    take(MAGIC);
+    take(header.as_bytes());
+    take(b"\n");
+    if cfg!(target_endian = "little") {
+        take(bytemuck::cast_slice(&surface.points));
+    } else {
+        surface.points.as_flattened().iter().for_each(|value| take(&value.to_le_bytes()));
     }
-    bytes.extend_from_slice(&surface.squares);
-    Ok(bytes)
+    take(&surface.squares);
+    Ok(())
 }
 
 /// Reads a surface.
@@ -58,8 +61,11 @@ pub fn read(bytes: &[u8]) -> Result<Surface, CodecError> {
             "surface file: {w} x {h} points need {expected} bytes, found {found}; it is cut short or damaged"
         )));
     }
-    let value = |b: &[u8]| f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
-    let points = body[..points * 12].chunks_exact(12).map(|b| [value(b), value(&b[4..]), value(&b[8..])]).collect();
+    let mut points = vec![[0.0f32; 3]; points];
+    bytemuck::cast_slice_mut(&mut points).copy_from_slice(&body[..body.len() - squares]);
+    if cfg!(target_endian = "big") {
+        points.as_flattened_mut().iter_mut().for_each(|value| *value = f32::from_bits(value.to_bits().swap_bytes()));
+    }
     Ok(Surface {
         frame: header.frame,
         width: header.width,

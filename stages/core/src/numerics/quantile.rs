@@ -33,16 +33,47 @@ pub fn median(values: &mut [f64]) -> Option<f64> {
 }
 
 /// The value whose rank is nearest to a share `q` (0 to 1) of the finite values, in linear time; `None` where there are none.
-pub fn nearest_rank(values: impl Iterator<Item = f32>, q: f64) -> Option<f64> {
-    let mut finite: Vec<f32> = values.filter(|v| v.is_finite()).collect();
-    let last = finite.len().checked_sub(1)?;
-    let place = (last as f64 * q).round() as usize;
-    Some(f64::from(*finite.select_nth_unstable_by(place, f32::total_cmp).1))
+pub fn nearest_rank(values: impl Iterator<Item = f32> + Clone, q: f64) -> Option<f64> {
+    let finite = values.filter(|value| value.is_finite()).map(f64::from);
+    Some(select(finite, |count| ((count - 1) as f64 * q).round() as usize)?.0)
+}
+
+/// The greater of the middle values, and how many values there are; `None` where there are none.
+pub fn upper_median(values: impl Iterator<Item = f64> + Clone) -> Option<(f64, usize)> {
+    select(values, |count| count / 2)
+}
+
+/// The value of a rank (from 0) that depends on how many there are, and that number; goes through the values twice and copies
+/// only those that are about as large as the one looked for.
+fn select(values: impl Iterator<Item = f64> + Clone, rank: impl Fn(usize) -> usize) -> Option<(f64, usize)> {
+    const BUCKETS: usize = 1 << 16;
+    // Bits in ascending order of the values: negative ones turned round, positive ones above them.
+    let bucket = |value: f64| {
+        let bits = value.to_bits();
+        let ordered = if bits >> 63 == 1 { !bits } else { bits | (1 << 63) };
+        (ordered >> 48) as usize
+    };
+    let mut counts = vec![0usize; BUCKETS];
+    values.clone().for_each(|value| counts[bucket(value)] += 1);
+    let count = counts.iter().sum();
+    if count == 0 {
+        return None;
+    }
+    let (rank, mut below) = (rank(count), 0);
+    let found = counts.iter().position(|count| {
+        below += count;
+        below > rank
+    })?;
+    let mut alike: Vec<f64> = Vec::with_capacity(counts[found]);
+    alike.extend(values.filter(|value| bucket(*value) == found));
+    let place = rank - (below - counts[found]);
+    Some((*alike.select_nth_unstable_by(place, f64::total_cmp).1, count))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::numerics::portable_math;
     use proptest::prelude::*;
 
     #[test]
@@ -76,5 +107,21 @@ mod tests {
             let found = median(&mut values.clone()).unwrap();
             prop_assert!((half - found).abs() <= 1e-12 * half.abs().max(1.0));
         }
+    }
+
+    proptest! {
+        #[test]
+        fn buckets_find_what_sorting_finds(values in prop::collection::vec(-3.0f64..3.0, 1..60), scale in -20i32..20) {
+            let values: Vec<f64> = values.iter().map(|value| value * portable_math::exp(f64::from(scale))).collect();
+            let mut sorted = values.clone();
+            sorted.sort_by(f64::total_cmp);
+            prop_assert_eq!(upper_median(values.iter().copied()), Some((sorted[sorted.len() / 2], sorted.len())));
+        }
+    }
+
+    #[test]
+    fn no_values_have_no_rank() {
+        assert_eq!(upper_median(std::iter::empty()), None);
+        assert_eq!(nearest_rank([f32::NAN, 2.0, 1.0, f32::INFINITY].into_iter(), 1.0), Some(2.0));
     }
 }

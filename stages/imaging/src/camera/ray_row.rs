@@ -59,6 +59,15 @@ impl<'a> RayRow<'a> {
         rays
     }
 
+    /// The same rays, X and Y in slices of their own, which are equally long.
+    pub fn fill(&mut self, first: usize, x: &mut [f64], y: &mut [f64]) {
+        for (block, (x, y)) in x.chunks_mut(LANES).zip(y.chunks_mut(LANES)).enumerate() {
+            let lanes = self.block(first + block * LANES).map(Lanes::each);
+            x.copy_from_slice(&lanes[0][..x.len()]);
+            y.copy_from_slice(&lanes[1][..y.len()]);
+        }
+    }
+
     /// The rays of the [`LANES`] columns from one on, NaN where there is none.
     fn block(&mut self, first: usize) -> [Lanes; 2] {
         let (start, end) = (first / self.spacing, (first + LANES - 1) / self.spacing);
@@ -148,6 +157,10 @@ mod tests {
         }
         for first in [0, 13] {
             assert_eq!(RayRow::new(&camera, 5, 1).rays(first, 350), all[first..first + 350]);
+            let [mut x, mut y] = [[0.0; 350]; 2];
+            RayRow::new(&camera, 5, 1).fill(first, &mut x, &mut y);
+            let filled: Vec<_> = x.into_iter().zip(y).map(|(x, y)| [x, y]).collect();
+            assert_eq!(filled, all[first..first + 350]);
         }
     }
 

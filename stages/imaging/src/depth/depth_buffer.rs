@@ -5,8 +5,6 @@
 //! by two triangles is the same number with opposite sign, and edges are inclusive, so no ray slips between them. The
 //! depth is N . A / N . r with N = (B - A) x (C - A), all in f64 (paper 2.1.2, Algorithm 2 lines 9, 11 and 12).
 
-use std::ops::RangeInclusive;
-
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
@@ -14,6 +12,7 @@ use crate::camera::model::{Camera, full_pixel};
 use crate::camera::ray_row::RayRow;
 use crate::depth::triangle_reach::{Bend, NEAR_M, Projected, Reach, reach_of_projected};
 use rockface_core::artefact::Mesh;
+use rockface_core::numerics::simd::{LANES, Work, vectorised};
 
 /// Rows a task works on.
 pub(super) const BAND: usize = 16;
@@ -47,22 +46,74 @@ struct Facet {
     offset: f64,
 }
 
+// Without branches several rays are tested at a time.
+#[allow(clippy::needless_bitwise_bool)]
 impl Facet {
     fn new(a: &Vector3<f64>, b: &Vector3<f64>, c: &Vector3<f64>) -> Self {
         let normal = (b - a).cross(&(c - a));
         Self { edges: [a.cross(b), b.cross(c), c.cross(a)], offset: normal.dot(a), normal }
     }
 
-    /// Depth at which the ray (x, y, 1) meets the triangle, edges included; infinite where it does not.
-    fn depth(&self, ray: &Vector3<f64>) -> f64 {
-        let [e0, e1, e2] = [self.edges[0].dot(ray), self.edges[1].dot(ray), self.edges[2].dot(ray)];
-        let inside = (e0 >= 0.0 && e1 >= 0.0 && e2 >= 0.0) || (e0 <= 0.0 && e1 <= 0.0 && e2 <= 0.0);
-        if !inside {
-            return f64::INFINITY;
-        }
-        let z = self.offset / self.normal.dot(ray);
-        if z >= NEAR_M { z } else { f64::INFINITY }
+    /// Whether the ray (x, y, 1) lies within the three edges, these included.
+    #[inline(always)]
+    fn is_met(&self, x: f64, y: f64) -> bool {
+        let [e0, e1, e2] = [along(&self.edges[0], x, y), along(&self.edges[1], x, y), along(&self.edges[2], x, y)];
+        ((e0 >= 0.0) & (e1 >= 0.0) & (e2 >= 0.0)) | ((e0 <= 0.0) & (e1 <= 0.0) & (e2 <= 0.0))
     }
+
+    /// Depth at which the ray (x, y, 1) meets the triangle, edges included; infinite where it does not.
+    #[inline(always)]
+    fn depth(&self, x: f64, y: f64) -> f64 {
+        let z = self.offset / along(&self.normal, x, y);
+        if self.is_met(x, y) & (z >= NEAR_M) { z } else { f64::INFINITY }
+    }
+
+    /// Keeps the smaller depth at every ray of some columns of a row.
+    #[inline(always)]
+    fn keep_nearest(&self, [x, y]: [&[f64]; 2], z: &mut [f64], [first, last]: [usize; 2]) {
+        let mut start = first;
+        while start <= last {
+            let count = (last + 1 - start).min(LANES);
+            let (Some(x), Some(y), Some(z)) = (block(x, start), block(y, start), block_mut(z, start)) else {
+                return self.keep_nearest_one_by_one([x, y], z, [start, last]);
+            };
+            let mut met = [false; LANES];
+            for lane in 0..LANES {
+                met[lane] = (lane < count) & self.is_met(x[lane], y[lane]);
+            }
+            if met.contains(&true) {
+                for lane in 0..LANES {
+                    let depth = self.offset / along(&self.normal, x[lane], y[lane]);
+                    z[lane] = if met[lane] & (depth >= NEAR_M) & (depth < z[lane]) { depth } else { z[lane] };
+                }
+            }
+            start += count;
+        }
+    }
+
+    /// The same where the row ends within a block.
+    #[inline(always)]
+    fn keep_nearest_one_by_one(&self, [x, y]: [&[f64]; 2], z: &mut [f64], [first, last]: [usize; 2]) {
+        for column in first..=last {
+            z[column] = z[column].min(self.depth(x[column], y[column]));
+        }
+    }
+}
+
+/// Product of a vector and the ray (x, y, 1).
+#[inline(always)]
+fn along(vector: &Vector3<f64>, x: f64, y: f64) -> f64 {
+    vector.x * x + vector.y * y + vector.z
+}
+
+#[inline(always)]
+fn block(values: &[f64], start: usize) -> Option<&[f64; LANES]> {
+    values.get(start..start + LANES)?.try_into().ok()
+}
+
+#[inline(always)]
+fn block_mut(values: &mut [f64], start: usize) -> Option<&mut [f64; LANES]> {
+    values.get_mut(start..start + LANES)?.try_into().ok()
 }
 
 /// Draws a mesh; its vertices must be in the frame of the camera. The same bits at any thread count.
@@ -91,14 +142,18 @@ pub fn triangles(mesh: &Mesh, camera: &Camera, drawing: &Drawing, buffer: &Depth
     let scene = Scene::of(mesh, camera, drawing);
     numbers.par_chunks_mut(BAND * width).zip(buffer.z_m.par_chunks(BAND * width)).enumerate().for_each(
         |(band, (numbers, z))| {
+            let rays = scene.rays(band * BAND, z.len() / width);
             scene.visit_band(
                 band,
-                z.len() / width,
+                &rays,
                 |_| true,
-                |triangle, facet, rays, span| {
-                    for ((ray, z), number) in rays.iter().zip(&z[span.clone()]).zip(&mut numbers[span]) {
+                |triangle, facet, row, [first, last]| {
+                    let [x, y] = rays.row(row);
+                    let start = row * width;
+                    for column in first..=last {
+                        let (z, number) = (z[start + column], &mut numbers[start + column]);
                         let free = *number == NO_TRIANGLE && z.is_finite();
-                        if free && facet.depth(&Vector3::new(ray[0], ray[1], 1.0)).to_bits() == z.to_bits() {
+                        if free && facet.depth(x[column], y[column]).to_bits() == z.to_bits() {
                             *number = triangle;
                         }
                     }
@@ -124,6 +179,9 @@ impl DepthBuffer {
     }
 }
 
+/// Triangles whose reach is found by one task.
+const CHUNK: usize = 1 << 16;
+
 /// A mesh in the camera frame, its triangles sorted into bands of rows.
 pub(super) struct Scene<'a> {
     camera: &'a Camera,
@@ -134,8 +192,8 @@ pub(super) struct Scene<'a> {
     pub(super) height: usize,
     triangles: &'a [[u32; 3]],
     points: Vec<Vector3<f64>>,
-    reaches: Vec<Reach>,
-    bands: Vec<Vec<u32>>,
+    /// Of every chunk of triangles, by band, those that may cover a pixel of it.
+    chunks: Vec<Vec<Vec<(u32, Reach)>>>,
 }
 
 impl<'a> Scene<'a> {
@@ -155,31 +213,42 @@ impl<'a> Scene<'a> {
             let projected = triangle.map(|i| projected[i as usize]);
             reach_of_projected(&projected, &bend, &corners, f64::from(drawing.downscale), (width, height))
         };
-        let reaches: Vec<_> = mesh.triangles.par_iter().map(find).collect();
-        let bands = sort_into_bands(&reaches, height);
-        Self { camera, drawing, width, height, triangles: &mesh.triangles, points, reaches, bands }
+        let sort = |(chunk, triangles): (usize, &[[u32; 3]])| {
+            let mut bands = vec![Vec::new(); height.div_ceil(BAND)];
+            for (i, triangle) in triangles.iter().enumerate() {
+                let reach = find(triangle);
+                let range = match reach {
+                    Reach::Nothing => continue,
+                    Reach::Pixels { rows: [first, last], .. } => first as usize / BAND..last as usize / BAND + 1,
+                    Reach::Wide { .. } => 0..bands.len(),
+                };
+                bands[range].iter_mut().for_each(|band| band.push(((chunk * CHUNK + i) as u32, reach)));
+            }
+            bands
+        };
+        let chunks = mesh.triangles.par_chunks(CHUNK).enumerate().map(sort).collect();
+        Self { camera, drawing, width, height, triangles: &mesh.triangles, points, chunks }
     }
 
     /// Draws the triangles of a band for whose first and last column `wanted` holds; those that reach far are all drawn.
     pub(super) fn draw_band_where(&self, band: usize, z: &mut [f64], wanted: impl Fn([usize; 2]) -> bool) {
-        let rows = z.len() / self.width;
-        self.visit_band(band, rows, wanted, |_, facet, rays, span| keep_nearest(facet, rays, &mut z[span]));
+        let rays = self.rays(band * BAND, z.len() / self.width);
+        vectorised(DrawBand { scene: self, band, rays: &rays, z, wanted });
     }
 
     /// Calls `visit` for every triangle that may cover pixels of a band and for whose first and last column `wanted` holds, with
-    /// the rays of a stretch of a row and where in the band that stretch is.
+    /// a row of the band, and the first and last of its columns in reach.
+    #[inline(always)]
     fn visit_band(
         &self,
         band: usize,
-        rows: usize,
+        rays: &Rays,
         wanted: impl Fn([usize; 2]) -> bool,
-        mut visit: impl FnMut(u32, &Facet, &[[f64; 2]], RangeInclusive<usize>),
+        mut visit: impl FnMut(u32, &Facet, usize, [usize; 2]),
     ) {
-        let first_row = band * BAND;
-        let rays = self.rays(first_row, rows);
-        let extents: Vec<_> = rays.chunks(self.width).map(Extent::of).collect();
-        for triangle in &self.bands[band] {
-            let reach = &self.reaches[*triangle as usize];
+        let (first_row, rows) = (band * BAND, rays.rows());
+        let mut extents = Vec::new();
+        for (triangle, reach) in self.chunks.iter().flat_map(|bands| &bands[band]) {
             if let Reach::Pixels { columns, .. } = reach
                 && !wanted(columns.map(|column| column as usize))
             {
@@ -189,61 +258,83 @@ impl<'a> Scene<'a> {
             let facet = Facet::new(&a, &b, &c);
             match reach {
                 Reach::Nothing => {}
-                Reach::Pixels { columns: [c0, c1], rows: [r0, r1] } => {
+                Reach::Pixels { columns, rows: [r0, r1] } => {
                     let last = (*r1 as usize + 1 - first_row).min(rows);
                     for row in (*r0 as usize).saturating_sub(first_row)..last {
-                        let span = row * self.width + *c0 as usize..=row * self.width + *c1 as usize;
-                        visit(*triangle, &facet, &rays[span.clone()], span);
+                        visit(*triangle, &facet, row, [columns[0] as usize, columns[1] as usize]);
                     }
                 }
                 Reach::Wide { x, y } => {
+                    if extents.is_empty() {
+                        extents = (0..rows).map(|row| Extent::of(rays.row(row))).collect();
+                    }
                     for row in (0..rows).filter(|row| extents[*row].meets(*x, *y)) {
-                        let span = row * self.width..=(row + 1) * self.width - 1;
-                        visit(*triangle, &facet, &rays[span.clone()], span);
+                        visit(*triangle, &facet, row, [0, self.width - 1]);
                     }
                 }
             }
         }
     }
 
-    /// Undistorted normalised coordinates of every pixel of some rows; NaN where no depth is wanted.
-    fn rays(&self, first_row: usize, rows: usize) -> Vec<[f64; 2]> {
+    /// The rays of every pixel of some rows.
+    fn rays(&self, first_row: usize, rows: usize) -> Rays {
         let Drawing { downscale, safe_border_px, .. } = *self.drawing;
-        let row_of_rays = |row: usize| {
-            let mut rays = RayRow::new(self.camera, row, downscale).rays(0, self.width);
-            for (column, ray) in rays.iter_mut().enumerate() {
-                if !self.camera.inside(full_pixel(column, row, downscale), safe_border_px) {
-                    *ray = [f64::NAN; 2];
-                }
+        let width = self.width;
+        let [mut x, mut y] = [0; 2].map(|_| vec![f64::NAN; rows * width]);
+        for (row, (x, y)) in x.chunks_mut(width).zip(y.chunks_mut(width)).enumerate() {
+            let is_inside =
+                |column: &usize| self.camera.inside(full_pixel(*column, first_row + row, downscale), safe_border_px);
+            // The pixels within the border follow each other.
+            if let Some(first) = (0..width).find(is_inside) {
+                let last = (first..width).rfind(is_inside).unwrap_or(first);
+                let mut rays = RayRow::new(self.camera, first_row + row, downscale);
+                rays.fill(first, &mut x[first..=last], &mut y[first..=last]);
             }
-            rays
-        };
-        (first_row..first_row + rows).flat_map(row_of_rays).collect()
-    }
-}
-
-/// Keeps the smaller depth at every ray of a span.
-fn keep_nearest(facet: &Facet, rays: &[[f64; 2]], z: &mut [f64]) {
-    for (ray, z) in rays.iter().zip(z) {
-        let depth = facet.depth(&Vector3::new(ray[0], ray[1], 1.0));
-        if depth < *z {
-            *z = depth;
         }
+        Rays { width, x, y }
     }
 }
 
-/// The triangles that may cover a pixel of each band, in the order of the mesh.
-fn sort_into_bands(reaches: &[Reach], height: usize) -> Vec<Vec<u32>> {
-    let mut bands = vec![Vec::new(); height.div_ceil(BAND)];
-    for (triangle, reach) in reaches.iter().enumerate() {
-        let range = match reach {
-            Reach::Nothing => continue,
-            Reach::Pixels { rows: [first, last], .. } => *first as usize / BAND..*last as usize / BAND + 1,
-            Reach::Wide { .. } => 0..bands.len(),
-        };
-        bands[range].iter_mut().for_each(|band| band.push(triangle as u32));
+/// Undistorted normalised coordinates of the pixels of some rows; NaN where no depth is wanted.
+struct Rays {
+    width: usize,
+    x: Vec<f64>,
+    y: Vec<f64>,
+}
+
+impl Rays {
+    fn rows(&self) -> usize {
+        self.x.len() / self.width
     }
-    bands
+
+    /// X and Y of the rays of a row.
+    #[inline(always)]
+    fn row(&self, row: usize) -> [&[f64]; 2] {
+        let span = row * self.width..(row + 1) * self.width;
+        [&self.x[span.clone()], &self.y[span]]
+    }
+}
+
+/// Draws one band.
+struct DrawBand<'a, W> {
+    scene: &'a Scene<'a>,
+    band: usize,
+    rays: &'a Rays,
+    z: &'a mut [f64],
+    wanted: W,
+}
+
+impl<W: Fn([usize; 2]) -> bool> Work for DrawBand<'_, W> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { scene, band, rays, z, wanted } = self;
+        scene.visit_band(band, rays, wanted, |_, facet, row, columns| {
+            let span = row * scene.width..(row + 1) * scene.width;
+            facet.keep_nearest(rays.row(row), &mut z[span], columns);
+        });
+    }
 }
 
 /// Bounding rectangle of the rays of one row, normalised coordinates.
@@ -253,11 +344,11 @@ struct Extent {
 }
 
 impl Extent {
-    fn of(rays: &[[f64; 2]]) -> Self {
-        let empty = Self { x: [f64::INFINITY, f64::NEG_INFINITY], y: [f64::INFINITY, f64::NEG_INFINITY] };
+    fn of([x, y]: [&[f64]; 2]) -> Self {
         // min and max pass over NaN.
-        rays.iter()
-            .fold(empty, |e, [x, y]| Self { x: [e.x[0].min(*x), e.x[1].max(*x)], y: [e.y[0].min(*y), e.y[1].max(*y)] })
+        let join = |[low, high]: [f64; 2], value: &f64| [low.min(*value), high.max(*value)];
+        let range = |values: &[f64]| values.iter().fold([f64::INFINITY, f64::NEG_INFINITY], join);
+        Self { x: range(x), y: range(y) }
     }
 
     fn meets(&self, x: [f64; 2], y: [f64; 2]) -> bool {

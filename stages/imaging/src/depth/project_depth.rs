@@ -1,10 +1,13 @@
 //! `project-depth`: the ideal depth map of one image, exact at every pixel centre.
 
+use rayon::prelude::*;
+
 use crate::camera::model::Camera;
 use crate::camera::ray_row::RayRow;
 use crate::depth::depth_buffer::{DepthBuffer, Drawing, NO_TRIANGLE, draw, triangles};
 use crate::depth::depth_update::redraw;
 use rockface_core::artefact::{Cameras, Depth, Image, Kind, Mesh};
+use rockface_core::numerics::quantile::upper_median;
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 use rockface_raster::window;
@@ -96,13 +99,11 @@ impl Stage for ProjectDepth {
                 );
             }
         }
-        let mut seen: Vec<f64> = buffer.z_m.iter().copied().filter(|z| z.is_finite()).collect();
-        if seen.is_empty() {
+        let seen = buffer.z_m.iter().copied().filter(|z| z.is_finite());
+        let Some((median_m, seen)) = upper_median(seen) else {
             return Err(nothing_visible(mesh, &camera, &drawing, image));
-        }
-        let middle = seen.len() / 2;
-        let median_m = *seen.select_nth_unstable_by(middle, f64::total_cmp).1;
-        context.metric("valid_share", seen.len() as f64 / buffer.z_m.len() as f64, "1");
+        };
+        context.metric("valid_share", seen as f64 / buffer.z_m.len() as f64, "1");
         context.metric("median_depth", median_m, "m");
         context.metric("pixel_footprint", median_m / camera.sensor().f * f64::from(params.downscale), "m");
         let mut map = depth_map(&buffer, params, cameras, image);
@@ -244,7 +245,7 @@ fn depth_map(buffer: &DepthBuffer, params: &ProjectDepthParams, cameras: &Camera
         downscale: params.downscale,
         width: buffer.width,
         height: buffer.height,
-        z: buffer.z_m.iter().map(rounded).collect(),
+        z: buffer.z_m.par_iter().map(rounded).collect(),
         channels: std::collections::BTreeMap::new(),
     }
 }

@@ -6,6 +6,8 @@ use rayon::prelude::*;
 use crate::camera::model::{Camera, full_pixel};
 use crate::camera::ray_row::RayRow;
 use rockface_core::artefact::{Depth, Surface};
+use rockface_core::numerics::simd::{Work, vectorised};
+use rockface_raster::point_rows::PointRows;
 
 /// Where neighbouring pixels are not joined.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -50,7 +52,7 @@ pub fn join(depth: &Depth, joining: &Joining) -> (Surface, Joined) {
     let camera = Camera::of_depth(depth);
     let patch = Patch::of(depth);
     let origin = rounded_origin(&patch, &camera);
-    let mut points = vec![[f32::NAN; 3]; patch.z.len()];
+    let mut points = vec![[f32::NAN; 3]; patch.width * patch.height];
     points.par_chunks_mut(patch.width).enumerate().for_each(|(row, points)| {
         place_row(&patch, &camera, &origin, row, points);
     });
@@ -62,31 +64,29 @@ pub fn join(depth: &Depth, joining: &Joining) -> (Surface, Joined) {
         points,
         squares: Vec::new(),
     };
-    let joiner = Joiner { depth: &patch, surface: &surface, viewpoint: camera.centre() - origin, joining };
+    let joiner = Joiner { patch: &patch, surface: &surface, viewpoint: camera.centre() - origin, joining };
     let mut squares = vec![0; (patch.width - 1) * (patch.height - 1)];
     let rows = squares.par_chunks_mut(patch.width - 1).enumerate();
-    let counts: Vec<Joined> = rows.map(|(row, squares)| joiner.join_row(row, squares)).collect();
+    let join_row = |judging: &mut Judging, (row, squares): (usize, &mut [u8])| joiner.join_row(judging, row, squares);
+    let counts: Vec<Joined> = rows.map_init(Judging::default, join_row).collect();
     surface.squares = squares;
     let sum = |get: fn(&Joined) -> usize| counts.iter().map(get).sum();
     (surface, Joined { triangles: sum(|j| j.triangles), steps: sum(|j| j.steps), grazing: sum(|j| j.grazing) })
 }
 
 /// The rectangle of a depth map that holds its valid pixels, at least 2 x 2.
-struct Patch {
-    /// Principal distance, pixels of the full image.
-    f: f64,
-    downscale: u32,
+struct Patch<'a> {
+    depth: &'a Depth,
     /// Its first column in the depth map.
     column: usize,
     /// Its first row in the depth map.
     row: usize,
     width: usize,
     height: usize,
-    z: Vec<f32>,
 }
 
-impl Patch {
-    fn of(depth: &Depth) -> Self {
+impl<'a> Patch<'a> {
+    fn of(depth: &'a Depth) -> Self {
         let (width, height) = (depth.width, depth.height);
         let (mut columns, mut rows) = ([width, 0], [height, 0]);
         for (row, values) in depth.z.chunks(width).enumerate() {
@@ -98,9 +98,14 @@ impl Patch {
         }
         let (column, width) = span(columns, width);
         let (row, height) = span(rows, height);
-        let lines = depth.z.chunks(depth.width).skip(row).take(height);
-        let z = lines.flat_map(|line| &line[column..column + width]).copied().collect();
-        Self { f: depth.sensor.f, downscale: depth.downscale, column, row, width, height, z }
+        Self { depth, column, row, width, height }
+    }
+
+    /// The depths of one of its rows, metres.
+    #[inline]
+    fn line(&self, row: usize) -> &'a [f32] {
+        let start = (self.row + row) * self.depth.width + self.column;
+        &self.depth.z[start..start + self.width]
     }
 }
 
@@ -111,16 +116,13 @@ fn span([first, last]: [usize; 2], size: usize) -> (usize, usize) {
 }
 
 /// A point in the middle of the view, in whole metres, so that 32-bit differences from it stay exact to micrometres.
-fn rounded_origin(depth: &Patch, camera: &Camera) -> Vector3<f64> {
-    let (low, high) = depth
-        .z
-        .iter()
-        .filter(|z| is_depth(**z))
-        .fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), z| (l.min(*z), h.max(*z)));
+fn rounded_origin(patch: &Patch, camera: &Camera) -> Vector3<f64> {
+    let depths = (0..patch.height).flat_map(|row| patch.line(row)).filter(|z| is_depth(**z));
+    let (low, high) = depths.fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), z| (l.min(*z), h.max(*z)));
     if low > high {
         return camera.centre().map(f64::round);
     }
-    let middle = full_pixel(depth.column + depth.width / 2, depth.row + depth.height / 2, depth.downscale);
+    let middle = full_pixel(patch.column + patch.width / 2, patch.row + patch.height / 2, patch.depth.downscale);
     let ray = camera.normalised(middle).unwrap_or([0.0; 2]);
     camera.unproject(ray, 0.5 * (f64::from(low) + f64::from(high))).map(f64::round)
 }
@@ -130,10 +132,9 @@ fn is_depth(z: f32) -> bool {
     z.is_finite() && z > 0.0
 }
 
-fn place_row(depth: &Patch, camera: &Camera, origin: &Vector3<f64>, row: usize, points: &mut [[f32; 3]]) {
-    let rays = RayRow::new(camera, depth.row + row, depth.downscale).rays(depth.column, depth.width);
-    for ((column, point), ray) in points.iter_mut().enumerate().zip(rays) {
-        let z = depth.z[row * depth.width + column];
+fn place_row(patch: &Patch, camera: &Camera, origin: &Vector3<f64>, row: usize, points: &mut [[f32; 3]]) {
+    let rays = RayRow::new(camera, patch.row + row, patch.depth.downscale).rays(patch.column, patch.width);
+    for ((z, point), ray) in patch.line(row).iter().copied().zip(points).zip(rays) {
         if is_depth(z) && !ray[0].is_nan() {
             let local = camera.unproject(ray, f64::from(z)) - origin;
             *point = [local.x as f32, local.y as f32, local.z as f32];
@@ -142,7 +143,7 @@ fn place_row(depth: &Patch, camera: &Camera, origin: &Vector3<f64>, row: usize, 
 }
 
 struct Joiner<'a> {
-    depth: &'a Patch,
+    patch: &'a Patch<'a>,
     surface: &'a Surface,
     /// Projection centre relative to the origin of the points.
     viewpoint: Vector3<f64>,
@@ -150,9 +151,14 @@ struct Joiner<'a> {
 }
 
 impl Joiner<'_> {
-    fn join_row(&self, row: usize, squares: &mut [u8]) -> Joined {
+    fn join_row(&self, judging: &mut Judging, row: usize, squares: &mut [u8]) -> Joined {
+        judging.judge(self, row, squares);
         let mut joined = Joined::default();
         for (column, byte) in squares.iter_mut().enumerate() {
+            if *byte != 0 {
+                joined.triangles += 2;
+                continue;
+            }
             let square = self.square(row, column);
             *byte = square.diagonal();
             let (triangles, steps) = (square.triangles(*byte == 0), self.steps(&square, *byte == 0));
@@ -173,10 +179,10 @@ impl Joiner<'_> {
 
     #[inline]
     fn square(&self, row: usize, column: usize) -> Square {
-        let width = self.depth.width;
+        let width = self.patch.width;
         let (upper, lower) = (row * width + column, (row + 1) * width + column);
-        let (z, points) = (&self.depth.z, &self.surface.points);
-        let (z_above, z_below) = (&z[upper..upper + 2], &z[lower..lower + 2]);
+        let points = &self.surface.points;
+        let [z_above, z_below] = [row, row + 1].map(|row| &self.patch.line(row)[column..column + 2]);
         let (above, below) = (&points[upper..upper + 2], &points[lower..lower + 2]);
         let point = |p: &[f32; 3]| Vector3::from(*p).map(f64::from);
         Square {
@@ -195,20 +201,9 @@ impl Joiner<'_> {
         }
         let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
         let sum = corners[0] + corners[1] + corners[2];
-        if self.faces_clearly(&normal, &(self.viewpoint * 3.0 - sum)) {
-            return Verdict::Kept;
-        }
         let view = self.viewpoint - sum / 3.0;
         let grazes = normal.dot(&view) < self.joining.min_cosine * normal.norm() * view.norm();
         if grazes { Verdict::Grazing } else { Verdict::Kept }
-    }
-
-    /// Whether a normal is clearly within the limit whatever the rounding; a fast test without roots and divisions.
-    #[inline]
-    fn faces_clearly(&self, normal: &Vector3<f64>, view: &Vector3<f64>) -> bool {
-        let along = normal.dot(view);
-        let least = self.joining.min_cosine * self.joining.min_cosine * (1.0 + 1e-9);
-        along > 0.0 && along * along > least * normal.norm_squared() * view.norm_squared()
     }
 
     /// Whether an edge steps, of the two triangles in their order.
@@ -238,9 +233,85 @@ impl Joiner<'_> {
     fn allowed_m(&self, z_m: f64) -> f64 {
         match self.joining.step {
             Step::Metres(metres) => metres,
-            Step::Factor(factor) => factor * z_m / self.depth.f * f64::from(self.depth.downscale),
+            Step::Factor(factor) => {
+                let depth = self.patch.depth;
+                factor * z_m / depth.sensor.f * f64::from(depth.downscale)
+            }
         }
     }
+}
+
+/// What one thread needs to find the squares of a row that are clearly whole.
+#[derive(Default)]
+struct Judging {
+    rows: PointRows,
+}
+
+impl Judging {
+    /// Sets the byte of each square with two triangles that no limit comes near, and 0 for all others.
+    fn judge(&mut self, joiner: &Joiner, row: usize, squares: &mut [u8]) {
+        self.rows.enter(&joiner.surface.points, joiner.patch.width, row);
+        // The limit grows with depth: slope and value at depth 0. The margin is larger than any rounding.
+        let allowed_m =
+            [joiner.allowed_m(1.0) - joiner.allowed_m(0.0), joiner.allowed_m(0.0)].map(|m| m * (1.0 - 1e-9));
+        let least = joiner.joining.min_cosine * joiner.joining.min_cosine * (1.0 + 1e-9);
+        let z = [row, row + 1].map(|row| joiner.patch.line(row));
+        let viewpoint = (joiner.viewpoint * 3.0).into();
+        vectorised(Judge { rows: &self.rows, z, viewpoint, allowed_m, least, squares });
+    }
+}
+
+struct Judge<'a> {
+    rows: &'a PointRows,
+    /// Depths above and below.
+    z: [&'a [f32]; 2],
+    /// Three times the projection centre, relative to the origin of the points.
+    viewpoint: [f64; 3],
+    /// How much the allowed step grows with depth, and what it is at depth 0.
+    allowed_m: [f64; 2],
+    /// Square of the least cosine between normal and view.
+    least: f64,
+    squares: &'a mut [u8],
+}
+
+impl Work for Judge<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let count = self.squares.len();
+        let squares = &mut self.squares[..count];
+        let [[ax, ay, az], [bx, by, bz], [cx, cy, cz], [dx, dy, dz]] =
+            self.rows.corners().map(|corner| corner.map(|values| &values[..count]));
+        let [za, zb] = [&self.z[0][..count], &self.z[0][1..=count]];
+        let [zd, zc] = [&self.z[1][..count], &self.z[1][1..=count]];
+        for i in 0..count {
+            let (a, b) = ([ax[i], ay[i], az[i]], [bx[i], by[i], bz[i]]);
+            let (c, d) = ([cx[i], cy[i], cz[i]], [dx[i], dy[i], dz[i]]);
+            let other = (zb[i] - zd[i]).abs() < (za[i] - zc[i]).abs();
+            let low = f64::from(za[i].min(zb[i]).min(zc[i].min(zd[i])));
+            let high = f64::from(za[i].max(zb[i]).max(zc[i].max(zd[i])));
+            // Minimum and maximum skip what is no number, but no point is there then, and no angle is clear.
+            let steady = high - low <= self.allowed_m[0] * low + self.allowed_m[1] && low > 0.0;
+            let first = faces_clearly([a, d, if other { b } else { c }], self.viewpoint, self.least);
+            let second = faces_clearly([if other { d } else { a }, c, b], self.viewpoint, self.least);
+            let cut = if other { Surface::OTHER_DIAGONAL } else { 0 };
+            let whole = Surface::FIRST | Surface::SECOND | cut;
+            squares[i] = if steady & first & second { whole } else { 0 };
+        }
+    }
+}
+
+/// Whether the normal of a triangle is clearly within the limit; `viewpoint` is three times that place.
+#[inline(always)]
+fn faces_clearly([p, q, r]: [[f64; 3]; 3], viewpoint: [f64; 3], least: f64) -> bool {
+    let (u, v) = ([q[0] - p[0], q[1] - p[1], q[2] - p[2]], [r[0] - p[0], r[1] - p[1], r[2] - p[2]]);
+    let normal = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+    let view = [0, 1, 2].map(|i: usize| viewpoint[i] - (p[i] + q[i] + r[i]));
+    let along = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2];
+    let normal = normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2];
+    let view = view[0] * view[0] + view[1] * view[1] + view[2] * view[2];
+    along > 0.0 && along * along > least * normal * view
 }
 
 /// Four neighbours: corners a, b, c and d in the order of [`Surface`].
