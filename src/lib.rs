@@ -7,3 +7,4 @@ pub mod cli;
 pub mod drawing;
 pub mod program;
 pub mod report;
+pub mod trace;

@@ -5,8 +5,11 @@ use std::io::IsTerminal;
 use clap::Parser;
 use rockface_core::Registry;
 use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::filter_fn;
+use tracing_subscriber::prelude::*;
 
-use crate::cli::{Cli, output};
+use crate::cli::{Cli, CliError, output};
+use crate::trace::{Trace, is_phase};
 
 /// Runs the command line of this process with these stages; returns the exit code.
 ///
@@ -15,9 +18,6 @@ use crate::cli::{Cli, output};
 /// std::process::exit(rockface::program::run(registry));
 /// ```
 pub fn run(registry: &Registry) -> i32 {
-    let filter = EnvFilter::try_from_env("ROCKFACE_LOG").unwrap_or_else(|_| EnvFilter::new("warn"));
-    // Where standard error cannot be written to, saying so there would be a panic.
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).log_internal_errors(false).init();
     std::panic::set_hook(Box::new(tell_panic));
     match Cli::try_parse() {
         Ok(cli) => run_command(cli, registry),
@@ -25,9 +25,24 @@ pub fn run(registry: &Registry) -> i32 {
     }
 }
 
+/// Says on standard error what is worth a warning, or what `ROCKFACE_LOG` asks for; records spans where they are wanted.
+fn listen(trace: Option<Trace>) {
+    let filter = EnvFilter::try_from_env("ROCKFACE_LOG").unwrap_or_else(|_| EnvFilter::new("warn"));
+    // Where standard error cannot be written to, saying so there would be a panic.
+    let said = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).log_internal_errors(false);
+    let recorded = trace.map(|trace| trace.with_filter(filter_fn(is_phase)));
+    tracing_subscriber::registry().with(said.with_filter(filter)).with(recorded).init();
+}
+
 /// Runs a command and prints why it failed, if it did; returns the exit code.
 fn run_command(cli: Cli, registry: &Registry) -> i32 {
-    let Err(error) = cli.run(registry) else { return 0 };
+    let trace = cli.trace_file().map(|file| (Trace::begin(), file.to_owned()));
+    listen(trace.as_ref().map(|(trace, _)| trace.clone()));
+    let result = cli.run(registry);
+    let written =
+        trace.map_or(Ok(()), |(trace, path)| trace.write(&path).map_err(|source| CliError::Trace { path, source }));
+    let result = result.and(written);
+    let Err(error) = result else { return 0 };
     // See <https://no-color.org>: any text but an empty one.
     let is_plain = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
     let message = error.render(std::io::stderr().is_terminal() && !is_plain);

@@ -33,6 +33,7 @@ use rockface_cache::{Store, StoreError};
 use rockface_core::Registry;
 
 use output::{complain, say};
+use rockface_engine::PHASE;
 use rockface_engine::diagnostic::Diagnostics;
 use rockface_engine::history::HistoryError;
 use rockface_engine::pipeline::{Overrides, Pipeline};
@@ -148,6 +149,7 @@ impl PipelineArgs {
     fn load_text(&self, registry: &Registry, text: &str) -> Result<Pipeline, CliError> {
         let (path, overrides) = (&self.pipeline, self.overrides(registry));
         let trees = rockface_cache::trees(&self.store_dir());
+        let _read = tracing::trace_span!(target: PHASE, "read").entered();
         let loaded = match &self.text {
             Some(_) => Pipeline::of_text(text, self.included.clone(), path, &overrides),
             None => Pipeline::of_read(text, path, &overrides, Some(&trees)),
@@ -162,6 +164,7 @@ impl PipelineArgs {
 
     /// Plans for these targets; faults of the pipeline come before anything is made on disk.
     fn plan(&self, registry: &Registry, pipeline: &Pipeline, targets: &[String]) -> Result<(Plan, Store), CliError> {
+        let _plan = tracing::trace_span!(target: PHASE, "plan").entered();
         let graph = rockface_engine::plan::resolve(pipeline, targets, registry.stages()).map_err(CliError::Pipeline)?;
         let store = self.open_store()?;
         let plan = rockface_engine::plan::expand(graph, pipeline, &store).map_err(CliError::Pipeline)?;
@@ -292,6 +295,14 @@ pub enum CliError {
     /// A page could not be written.
     #[error(transparent)]
     Report(#[from] crate::report::ReportError),
+    /// The trace could not be written; the command itself went well.
+    #[error("cannot write the trace to `{}`: {source}", path.display())]
+    Trace {
+        /// Where it was to go.
+        path: PathBuf,
+        /// Why that failed.
+        source: std::io::Error,
+    },
     /// The output could not be written.
     #[error("cannot write to standard output: {0}")]
     Output(std::io::Error),
@@ -306,6 +317,7 @@ impl CliError {
             | Self::Store(_)
             | Self::Damaged
             | Self::Report(_)
+            | Self::Trace { .. }
             | Self::Output(_) => 3,
             Self::Pipeline(_) | Self::Usage(_) | Self::History(_) => 2,
             Self::Run(error) => error.exit_code(),
@@ -323,6 +335,11 @@ impl CliError {
 }
 
 impl Cli {
+    /// The file that shows where the time of the command went, if one is asked for.
+    pub fn trace_file(&self) -> Option<&Path> {
+        if let Command::Run(args) = &self.command { args.trace() } else { None }
+    }
+
     /// Runs the command, and makes sure that its output is written.
     pub fn run(self, registry: &Registry) -> Result<(), CliError> {
         rockface_core::limits::raise_memory_limit(rockface_engine::run::Options::default().memory_bytes as u64);

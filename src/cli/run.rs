@@ -57,6 +57,10 @@ pub struct RunArgs {
     /// Run every step that is not cached twice, and fail where the two outputs differ.
     #[arg(long)]
     check_determinism: bool,
+    /// Write where the time went: a trace for Perfetto (ui.perfetto.dev) or Chrome, with a row for each thread and a span for
+    /// each phase of each step.
+    #[arg(long, value_name = "FILE")]
+    trace: Option<PathBuf>,
     /// Print events as JSON, one per line.
     #[arg(long)]
     json: bool,
@@ -69,6 +73,11 @@ pub struct RunArgs {
 }
 
 impl RunArgs {
+    /// The file that shows where the time went, if one is asked for.
+    pub fn trace(&self) -> Option<&std::path::Path> {
+        self.trace.as_deref()
+    }
+
     /// Runs the pipeline.
     pub fn run(mut self, registry: &Registry) -> Result<(), CliError> {
         let begun = std::time::Instant::now();
@@ -152,7 +161,13 @@ impl RunArgs {
     /// The digest of everything that decides the result of this command; `None` if every step instance has to be printed.
     fn question(&self, text: &str) -> Option<Digest> {
         let is_repetition = self.pipeline.text.is_some() && !self.pipeline.shipped;
-        if self.json || self.verbose || self.rehash || self.programs.are_refused() || is_repetition {
+        if self.json
+            || self.verbose
+            || self.rehash
+            || self.trace.is_some()
+            || self.programs.are_refused()
+            || is_repetition
+        {
             return None;
         }
         let arguments: Vec<_> = std::env::args_os().skip(1).collect();

@@ -2,6 +2,16 @@
 //!
 //! What it can compute is handed to it as a [`rockface_core::Registry`].
 
+/// Target of the spans that say where the time of a run goes, at level TRACE.
+pub const PHASE: &str = "rockface::phase";
+
+/// Does some work as a phase that a trace of the run shows.
+macro_rules! phase {
+    ($name:literal, $work:expr) => {
+        tracing::trace_span!(target: $crate::PHASE, $name).in_scope(|| $work)
+    };
+}
+
 pub mod diagnostic;
 pub mod explain;
 pub mod history;

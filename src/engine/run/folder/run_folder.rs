@@ -171,7 +171,8 @@ impl Writer<'_> {
     }
 
     fn fill(&self, folder: &Path) -> Result<Finished, RunError> {
-        let laid = self.about.lay_out.lay_out(self.plan, self.summary, self.store, folder, self.stop)?;
+        let lay_out = || self.about.lay_out.lay_out(self.plan, self.summary, self.store, folder, self.stop);
+        let laid = phase!("lay out", lay_out())?;
         let logs = self.logs()?;
         let headlines = self.headlines(&logs);
         self.account(folder, &headlines, &logs, &laid)?;
@@ -187,9 +188,10 @@ impl Writer<'_> {
         write_file(&folder.join(PIPELINE), self.about.pipeline.text().as_bytes())?;
         let Self { plan, summary, store, about, .. } = self;
         let told = || -> Result<String, RunError> {
-            let manifest = manifest_writer::manifest(plan, summary, store, about, headlines, logs, laid)?;
+            let describe = || manifest_writer::manifest(plan, summary, store, about, headlines, logs, laid);
+            let manifest = phase!("manifest", describe())?;
             going_on(self.stop)?;
-            self.report(folder, &manifest, logs)?;
+            phase!("report", self.report(folder, &manifest, logs))?;
             going_on(self.stop)?;
             if let Some(table) = points_table(&manifest) {
                 write_file(&folder.join(POINTS_FILE), table.as_bytes())?;
@@ -198,7 +200,7 @@ impl Writer<'_> {
             write_file(&folder.join(CRATE), format!("{described}\n").as_bytes())?;
             Ok(manifest.text())
         };
-        let (logged, manifest) = self.beside(|| self.log(folder, logs, laid), told)?;
+        let (logged, manifest) = self.beside(|| phase!("log", self.log(folder, logs, laid)), told)?;
         logged?;
         // A folder with a manifest is whole, after a power cut too.
         let manifest = manifest?;

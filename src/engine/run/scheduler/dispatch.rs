@@ -9,6 +9,7 @@ use rockface_core::artefact::Kind;
 
 use super::schedule::{Scheduler, Turn};
 use super::state::{State, same_outputs};
+use crate::PHASE;
 use crate::pipeline::LogLevel;
 use crate::plan::makes;
 use crate::run::worker::{Done, Failure, Feed, Task, Value};
@@ -46,6 +47,7 @@ impl Scheduler<'_> {
         let outputs = outputs.map(|port| (port.name, port.kinds[0]));
         let recipe = self.known_recipe(instance);
         Task {
+            span: tracing::trace_span!(target: PHASE, "step", step = self.plan.label(instance), stage = step.stage.name()),
             instance,
             stage: step.stage,
             key: state.key.unwrap_or_else(|| recipe.key()),

@@ -18,6 +18,7 @@ use super::host::StepHost;
 use super::program::Used;
 use super::standing::Standing;
 use super::tools;
+use crate::PHASE;
 use crate::plan::{InputFile, StepParams, has_ports};
 use crate::run::scheduler::Spilled;
 
@@ -45,6 +46,8 @@ pub struct Feed {
 
 /// Everything a worker needs to run one instance.
 pub struct Task {
+    /// What its work is shown as in a trace.
+    pub span: tracing::Span,
     /// The instance.
     pub instance: usize,
     /// Its stage.
@@ -148,12 +151,13 @@ pub fn guarded<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failur
 /// that waits for its fellows takes up other work meanwhile, and must not come upon a lock held further down its stack.
 pub fn work(task: &Task, place: Place) -> Result<Done, Failure> {
     let Place { store, pool, .. } = place;
-    let lock = if task.lease.is_none() { store.try_lock(&task.key)? } else { None };
+    let _step = task.span.enter();
+    let lock = if task.lease.is_none() { phase!("lock", store.try_lock(&task.key))? } else { None };
     if task.lease.is_none() && lock.is_none() {
         return Err(Failure::Held);
     }
     // Whoever held the key before may have done the work since it was last looked for.
-    store.refresh()?;
+    phase!("refresh", store.refresh())?;
     if let Some(outcome) = done_elsewhere(task, store) {
         let (values, announced) = (BTreeMap::new(), BTreeMap::new());
         return Ok(Done { outcome, values, announced, loaded: Vec::new(), warnings: Vec::new(), elsewhere: true });
@@ -163,14 +167,14 @@ pub fn work(task: &Task, place: Place) -> Result<Done, Failure> {
     let trouble = Trouble::default();
     let (inputs, stored) = inputs(task, store, &trouble);
     let before = fingerprints(task)?;
-    let (outputs, entries, retried, programs) = attempts(task, (&inputs, &trouble), place)?;
+    let (outputs, entries, retried, programs) = phase!("stage", attempts(task, (&inputs, &trouble), place))?;
     if task.check {
         check_again(task, (&inputs, &trouble), place, &outputs)?;
     }
     unchanged_files(task, store, &before)?;
     let values: BTreeMap<_, _> = outputs.into_iter().map(|(port, value)| (port, Arc::new(value))).collect();
     let mut outcome = keep(task, store, pool, &values, &entries)?;
-    let (sketches, unsketched) = sketch(task, store, pool, &values, &outcome)?;
+    let (sketches, unsketched) = phase!("sketch", sketch(task, store, pool, &values, &outcome))?;
     outcome.sketches = sketches;
     let kept = |(from, later): &(_, Arc<Later>)| later.kept().map(|value| (*from, value.clone()));
     let loaded: Vec<_> = stored.iter().filter_map(kept).collect();
@@ -188,7 +192,8 @@ pub fn work(task: &Task, place: Place) -> Result<Done, Failure> {
     let Outcome { outputs, log, sketches, cost } = outcome.clone();
     let put_again =
         || keep(task, store, pool, &values, &entries).and_then(|made| sketch(task, store, pool, &values, &made));
-    store.commit_or(&Record { recipe: task.recipe.clone(), outputs, log, sketches, cost }, || put_again().map(drop))?;
+    let record = Record { recipe: task.recipe.clone(), outputs, log, sketches, cost };
+    phase!("commit", store.commit_or(&record, || put_again().map(drop)))?;
     tools::remember(store, &task.key, &programs.tools)?;
     let warnings =
         entries.into_iter().filter_map(|entry| if let Entry::Warning { text } = entry { Some(text) } else { None });
@@ -245,6 +250,7 @@ fn inputs<'s>(task: &'s Task, store: &'s Store, trouble: &'s Trouble) -> (Inputs
 }
 
 fn read(feed: &Feed, value: &Value, store: &Store) -> Result<Arc<Artefact>, Failure> {
+    let _input = tracing::trace_span!(target: PHASE, "input", port = feed.port).entered();
     let lost = |why: String| Failure::Lost(feed.from.0, why);
     let (kind, digest) = match value {
         Value::Ready(value) => return Ok(value.clone()),
@@ -398,16 +404,23 @@ fn keep(
 ) -> Result<Outcome, Failure> {
     let mut outputs = Outputs::default();
     for (port, value) in values {
+        let unwritable = |error| StageError::new(format!("output `{port}` cannot be written: {error}"));
         // Writing text takes no threads; waking those of the pool would cost more.
         let text = value.kind().extension() == "json";
-        let encoded = if text { value.encode() } else { pool.install(|| value.encode()) };
-        let encoded =
-            encoded.map_err(|error| StageError::new(format!("output `{port}` cannot be written: {error}")))?;
-        let digest = if task.keep { store.put(&encoded)? } else { Digest::of(&encoded) };
+        let (digest, bytes) = if task.keep {
+            let encode = || if text { value.encode() } else { pool.install(|| value.encode()) };
+            let encoded = phase!("encode", encode()).map_err(unwritable)?;
+            (phase!("put", store.put(&encoded))?, encoded.len() as u64)
+        } else {
+            let hash = || Digest::of_pieces(|take| value.stream(take));
+            let (digest, bytes, given) = phase!("hash", if text { hash() } else { pool.install(hash) });
+            given.map_err(unwritable)?;
+            (digest, bytes)
+        };
         let record = OutputRecord {
             kind: value.kind().word().to_owned(),
             digest,
-            bytes: encoded.len() as u64,
+            bytes,
             memory_bytes: Some(value.memory_bytes() as u64),
             kept: task.keep,
             items: value.items(),
