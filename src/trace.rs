@@ -142,7 +142,7 @@ mod tests {
         let subscriber = tracing_subscriber::registry().with(trace.clone().with_filter(filter_fn(is_phase)));
         tracing::subscriber::with_default(subscriber, || {
             tracing::trace_span!(target: PHASE, "outer", step = "dem").in_scope(|| {
-                tracing::trace_span!(target: PHASE, "inner", bytes = 7).in_scope(|| ());
+                tracing::trace_span!(target: PHASE, "inner", bytes = 7u64).in_scope(|| ());
                 tracing::trace_span!("elsewhere").in_scope(|| ());
             });
         });
