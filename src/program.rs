@@ -19,6 +19,9 @@ use crate::trace::{Trace, is_phase};
 /// ```
 pub fn run(registry: &Registry) -> i32 {
     std::panic::set_hook(Box::new(tell_panic));
+    if crate::cli::answer(registry) {
+        return 0;
+    }
     match Cli::try_parse() {
         Ok(cli) => run_command(cli, registry),
         Err(answer) => print(&answer),

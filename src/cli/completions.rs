@@ -1,22 +1,22 @@
 //! `rockface completions`.
 
-use clap::{Args, CommandFactory};
-use clap_complete::Shell;
+use clap::Args;
+use clap::builder::PossibleValuesParser;
 
-use super::{Cli, say};
+use super::{candidates, say};
 
 /// Arguments of `rockface completions`.
 #[derive(Debug, Args)]
 pub struct CompletionsArgs {
     /// The shell.
-    shell: Shell,
+    #[arg(value_parser = PossibleValuesParser::new(["bash", "elvish", "fish", "powershell", "zsh"]))]
+    shell: String,
 }
 
 impl CompletionsArgs {
-    /// Prints a script for the shell.
+    /// Prints a script for the shell, by which it asks the program for pipelines, steps, stages, parts, runs and outputs.
     pub fn run(self) {
-        let mut script = Vec::new();
-        clap_complete::generate(self.shell, &mut Cli::command(), "rockface", &mut script);
+        let script = candidates::script(&self.shell).unwrap_or_default();
         say(String::from_utf8_lossy(&script).trim_end());
     }
 }

@@ -22,7 +22,7 @@ pub struct ExplainArgs {
     #[command(flatten)]
     pipeline: PipelineArgs,
     /// The step, and its point if it has more than one instance: `dem[epoch=pre,replicate=3]`. Most shells need quotes.
-    #[arg(value_name = "STEP[AXIS=ITEM,...]")]
+    #[arg(value_name = "STEP[AXIS=ITEM,...]", add = super::candidates::steps())]
     step: String,
     /// The run folders in which the origin of a former record is looked up [default: `.rockface/runs` beside the pipeline].
     #[arg(long, value_name = "DIR")]

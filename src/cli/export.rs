@@ -14,9 +14,12 @@ use rockface_engine::pipeline::Label;
 /// Arguments of `rockface export`.
 #[derive(Debug, Args)]
 pub struct ExportArgs {
-    /// A run folder, its name or a part of it, `latest`, or a pipeline (its file or its name) for its last run.
+    /// A run folder, its name or a part of it, `latest`, or a pipeline (its file or its name) for its last run; `~1` after it
+    /// means the one before.
+    #[arg(add = super::candidates::runs())]
     run: String,
     /// The output, such as `dem.raster`, `dem[epoch=pre].raster` or `dem.raster[epoch=pre]`.
+    #[arg(add = super::candidates::outputs())]
     output: String,
     /// The file to write, or a folder to write it into.
     path: PathBuf,
@@ -93,7 +96,9 @@ fn chosen<'a>(manifest: &'a Manifest, output: &'a str) -> Result<(&'a StepDone, 
 /// Arguments of `rockface archive`.
 #[derive(Debug, Args)]
 pub struct ArchiveArgs {
-    /// A run folder, its name or a part of it, `latest`, or a pipeline (its file or its name) for its last run.
+    /// A run folder, its name or a part of it, `latest`, or a pipeline (its file or its name) for its last run; `~1` after it
+    /// means the one before.
+    #[arg(add = super::candidates::runs())]
     run: String,
     /// The file to write [default: the name of the run with `.tar`].
     #[arg(long, short, value_name = "FILE")]

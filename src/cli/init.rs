@@ -14,6 +14,8 @@ pub enum Template {
     /// Three steps: a face, its raster, a picture.
     #[default]
     Starter,
+    /// A rockfall on a mesh of your own, surveyed before and after it, and a verdict on the noise.
+    Mesh,
     /// A rockfall surveyed by a stereo pair before and after it.
     Stereo,
     /// Two flights of a UAV along an unchanged cliff.
@@ -31,6 +33,7 @@ impl Template {
     pub const fn text(self) -> &'static str {
         match self {
             Self::Starter => include_str!("templates/starter.yaml"),
+            Self::Mesh => include_str!("templates/mesh.yaml"),
             Self::Stereo => include_str!("templates/stereo.yaml"),
             Self::Uav => include_str!("templates/uav.yaml"),
             Self::Calibrate => include_str!("templates/calibrate.yaml"),
@@ -46,7 +49,7 @@ pub struct InitArgs {
     /// The folder, created if it does not exist.
     dir: PathBuf,
     /// Copy this pipeline that ships with rockface, with the files it reads, instead of the starter.
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", add = super::candidates::shipped())]
     from: Option<String>,
     /// What to begin with.
     #[arg(long, value_enum, default_value_t, conflicts_with = "from")]

@@ -1,5 +1,6 @@
 //! The command line: one file a command, and the exit codes they share.
 
+mod candidates;
 mod completions;
 mod expected_work;
 mod explain;
@@ -7,6 +8,7 @@ mod export;
 mod graph;
 mod init;
 mod inspect;
+mod manual;
 pub mod output;
 mod params;
 mod parts;
@@ -32,6 +34,7 @@ use clap::{Args, Parser, Subcommand};
 use rockface_cache::{Store, StoreError};
 use rockface_core::Registry;
 
+pub use candidates::answer;
 use output::{complain, say};
 use rockface_engine::PHASE;
 use rockface_engine::diagnostic::Diagnostics;
@@ -82,6 +85,8 @@ enum Command {
     Archive(export::ArchiveArgs),
     /// Create a folder with a commented pipeline to start from.
     Init(init::InitArgs),
+    /// Write the manual: pages for `man`, the chapters of the reference, the schema of events.
+    Manual(manual::ManualArgs),
     /// Print a completion script for a shell.
     Completions(completions::CompletionsArgs),
 }
@@ -91,6 +96,7 @@ enum Command {
 struct PipelineArgs {
     /// The pipeline file (YAML), the name of one that ships with rockface such as `quickstart`, or the `run.json` of a past
     /// run to repeat it.
+    #[arg(add = candidates::pipelines())]
     pipeline: PathBuf,
     /// The text of the pipeline, if it is not to be read from the file.
     #[arg(skip)]
@@ -105,7 +111,7 @@ struct PipelineArgs {
     #[arg(skip)]
     no_programs: bool,
     /// Run only this step and the steps it needs; may be given several times.
-    #[arg(long, value_name = "STEP")]
+    #[arg(long, value_name = "STEP", add = candidates::steps())]
     target: Vec<String>,
     /// Override a value of the pipeline, such as `params.cell_m=0.02` or `steps.dem.with.method=tin`.
     #[arg(long, value_name = "PATH=VALUE")]
@@ -368,6 +374,7 @@ impl Command {
             Self::Export(args) => args.run(),
             Self::Archive(args) => args.run(),
             Self::Init(args) => args.run(),
+            Self::Manual(args) => args.run(registry),
             Self::Completions(args) => {
                 args.run();
                 Ok(())

@@ -19,7 +19,8 @@ pub struct ParamsArgs {
 
 impl ParamsArgs {
     /// Prints the parameters with their values, units, ranges and what they are about.
-    pub fn run(self, registry: &Registry) -> Result<(), CliError> {
+    pub fn run(mut self, registry: &Registry) -> Result<(), CliError> {
+        self.pipeline.take_shipped()?;
         let pipeline = self.pipeline.load(registry)?;
         if self.json {
             say(&serde_json::to_string_pretty(&list(&pipeline)).unwrap_or_default());

@@ -11,6 +11,7 @@ use super::{CliError, say};
 #[derive(Debug, Args)]
 pub struct PartsArgs {
     /// Show this part: its name, or the path of its file.
+    #[arg(add = super::candidates::parts())]
     name: Option<String>,
     /// Print the text of the part, to begin one of your own from.
     #[arg(long, requires = "name")]
@@ -86,7 +87,8 @@ pub fn line(param: &Declared, value: Option<&Value>) -> String {
     format!("- `{}`{value} ({}){doc}", param.name.text, facts.join(", "))
 }
 
-fn page(name: &str, part: &Interface) -> String {
+/// The page of a part, as Markdown.
+pub fn page(name: &str, part: &Interface) -> String {
     let mut lines = vec![format!("# {name}\n"), part.doc.clone()];
     let mut section = |title: &str, list: Vec<String>| {
         if !list.is_empty() {

@@ -20,7 +20,7 @@ fn folder() -> impl TypedValueParser<Value = PathBuf> {
 }
 
 /// The store and the folder of runs.
-#[derive(Debug, Args)]
+#[derive(Debug, Default, Args)]
 pub struct Places {
     /// The store of results [default: the one beside the folder of runs].
     #[arg(long, value_name = "DIR", env = "ROCKFACE_STORE", value_parser = folder())]
@@ -43,9 +43,12 @@ impl Places {
     }
 
     /// The run that `name` means: a run folder or its `run.json`; a pipeline, by its file or its name, for its last run;
-    /// `latest`; or a part of the name of a run.
+    /// `latest`; or a part of the name of a run. `~2` after a pipeline or `latest` means the second before that.
     pub fn find(&self, name: &str) -> Result<PastRun, CliError> {
         let path = Path::new(name);
+        if let Some((of, back)) = back(name).filter(|_| !path.exists()) {
+            return self.before(of, back);
+        }
         if path.is_file() && !path.ends_with("run.json") {
             return self.last_of_pipeline(path);
         }
@@ -78,6 +81,19 @@ impl Places {
                 }
             },
         }
+    }
+
+    /// The run so many before the last one of a pipeline, or of all.
+    fn before(&self, of: &str, back: usize) -> Result<PastRun, CliError> {
+        let last = self.find(of)?;
+        let all = of == "latest";
+        // A pipeline named by its file has its runs beside it, wherever one stands.
+        let own = Self { store: None, runs: last.folder.parent().map(Path::to_path_buf) };
+        let mut runs = if all { self.list()?.0 } else { own.list()?.0 };
+        runs.retain(|run| all || run.manifest.pipeline.name == last.manifest.pipeline.name);
+        let count = runs.len();
+        let found = count.checked_sub(back + 1).map(|place| runs.swap_remove(place));
+        found.ok_or_else(|| CliError::Usage(format!("`{of}` has {count} runs here: none is {back} before the last")))
     }
 
     fn last_of_pipeline(&self, file: &Path) -> Result<PastRun, CliError> {
@@ -172,6 +188,12 @@ impl Places {
         folders.extend(store.dir().parent().map(|own| own.join("runs")));
         folders
     }
+}
+
+/// `quickstart~2`: what stands before the sign, and the number after it.
+fn back(name: &str) -> Option<(&str, usize)> {
+    let (of, back) = name.rsplit_once('~')?;
+    Some((of, back.parse().ok()?))
 }
 
 /// The last of the runs in some folders that are meant.

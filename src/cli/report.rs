@@ -13,7 +13,9 @@ use rockface_engine::history::{REPORT_FILE, RunContents};
 /// Arguments of `rockface report`.
 #[derive(Debug, Args)]
 pub struct ReportArgs {
-    /// A run folder, its name or a part of it, `latest`, or a pipeline (its file or its name) for its last run.
+    /// A run folder, its name or a part of it, `latest`, or a pipeline (its file or its name) for its last run; `~1` after it
+    /// means the one before.
+    #[arg(add = super::candidates::runs())]
     run: String,
     /// The file to write [default: `report.html` in the run folder].
     #[arg(long, short, value_name = "FILE")]

@@ -35,7 +35,9 @@ enum RunsCommand {
     },
     /// Show one run: its overrides, what ran, and its metrics.
     Show {
-        /// A run folder, its name or a part of it, `latest`, or a pipeline (its file or its name) for its last run.
+        /// A run folder, its name or a part of it, `latest`, or a pipeline (its file or its name) for its last run; `~1` after it
+        /// means the one before.
+        #[arg(add = super::candidates::runs())]
         run: String,
         #[command(flatten)]
         places: Places,
@@ -45,8 +47,8 @@ enum RunsCommand {
     },
     /// Compare runs: the parameters that differ between them, and their metrics.
     Compare {
-        /// Two runs or more.
-        #[arg(required = true, num_args = 2.., value_name = "RUN")]
+        /// Two runs or more, such as `quickstart~1 quickstart`.
+        #[arg(required = true, num_args = 2.., value_name = "RUN", add = super::candidates::runs())]
         compared: Vec<String>,
         #[command(flatten)]
         places: Places,
@@ -58,14 +60,18 @@ enum RunsCommand {
     },
     /// Protect the results of a run from `rockface store gc`.
     Pin {
-        /// A run folder, its name or a part of it, `latest`, or a pipeline (its file or its name) for its last run.
+        /// A run folder, its name or a part of it, `latest`, or a pipeline (its file or its name) for its last run; `~1` after it
+        /// means the one before.
+        #[arg(add = super::candidates::runs())]
         run: String,
         #[command(flatten)]
         places: Places,
     },
     /// Remove the protection of a pinned run.
     Unpin {
-        /// A run folder, its name or a part of it, `latest`, or a pipeline (its file or its name) for its last run.
+        /// A run folder, its name or a part of it, `latest`, or a pipeline (its file or its name) for its last run; `~1` after it
+        /// means the one before.
+        #[arg(add = super::candidates::runs())]
         run: String,
         #[command(flatten)]
         places: Places,

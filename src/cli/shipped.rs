@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::{CliError, PipelineArgs};
-use rockface_engine::diagnostic::nearest;
+use rockface_engine::diagnostic::{Diagnostics, nearest};
+use rockface_engine::pipeline::{Overrides, Pipeline};
 
 /// Files of the folder `pipelines` by their path in it.
 macro_rules! files {
@@ -14,13 +15,14 @@ macro_rules! files {
 }
 
 /// Every file of the folder `pipelines`; a test compares the list with the folder.
-const FILES: [(&str, &str); 33] = files![
+const FILES: [(&str, &str); 35] = files![
     "benchmark-outcrop.yaml",
     "benchmark.yaml",
     "calibrate-outcrop.yaml",
     "calibrate-site.yaml",
     "calibrate.yaml",
     "dataset.yaml",
+    "example-site.yaml",
     "external-fusion.yaml",
     "hunter-valley-blocks.csv",
     "hunter-valley-blocks.yaml",
@@ -44,6 +46,7 @@ const FILES: [(&str, &str); 33] = files![
     "python-script.yaml",
     "quickstart.yaml",
     "replicate-event.yaml",
+    "scripts/example_site.sh",
     "scripts/own_detector.py",
     "scripts/vertex_bands.py",
     "shell-tool.yaml",
@@ -65,6 +68,17 @@ pub struct Shipped {
 }
 
 impl Shipped {
+    /// Their names.
+    pub fn names() -> impl Iterator<Item = &'static str> {
+        Self::all().map(|shipped| shipped.name)
+    }
+
+    /// Its document, as if its file stood in the working folder.
+    pub fn pipeline(self, overrides: &Overrides) -> Result<Pipeline, Diagnostics> {
+        let folder = std::path::absolute(".").unwrap_or_default();
+        Pipeline::of_text(self.text, self.included(&folder), Path::new(self.file), overrides)
+    }
+
     /// All of them, by name.
     fn all() -> impl Iterator<Item = Self> {
         FILES.iter().filter_map(|(file, text)| {

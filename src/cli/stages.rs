@@ -14,6 +14,7 @@ use rockface_engine::diagnostic::{listed, nearest};
 #[derive(Debug, Args)]
 pub struct StagesArgs {
     /// Show the manual page of this stage.
+    #[arg(add = super::candidates::stages())]
     name: Option<String>,
     /// Print the JSON Schema of pipelines, for editors: `rockface stages --schema > rockface.schema.json`.
     #[arg(long, conflicts_with_all = ["name", "json"])]
@@ -54,11 +55,7 @@ fn unknown(registry: &Registry, name: &str) -> CliError {
 /// One line a stage, by room.
 fn catalogue(registry: &Registry) -> String {
     let width = registry.stages().iter().map(|stage| stage.name().len()).max().unwrap_or(0);
-    let line = |stage: &&dyn AnyStage| {
-        let what = stage.page().what();
-        let first = what.split_inclusive(". ").next().unwrap_or(what).trim();
-        format!("  {:width$}  {first}", stage.name())
-    };
+    let line = |stage: &&dyn AnyStage| format!("  {:width$}  {}", stage.name(), first_sentence(*stage));
     let mut lines = Vec::new();
     for room in registry.rooms() {
         lines.push(format!("{}: {}", room.name, room.doc));
@@ -67,6 +64,12 @@ fn catalogue(registry: &Registry) -> String {
     }
     lines.push("`rockface stages NAME` shows ports, parameters, units, method and an example.".into());
     lines.join("\n")
+}
+
+/// What a stage does, in a sentence.
+pub fn first_sentence(stage: &dyn AnyStage) -> &'static str {
+    let what = stage.page().what();
+    what.split_inclusive(". ").next().unwrap_or(what).trim()
 }
 
 /// What a program needs to know of a stage; its parameters as a JSON Schema.

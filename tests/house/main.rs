@@ -1,5 +1,6 @@
 //! Proofs of the whole house, in one binary.
 
+mod book;
 mod bounds;
 mod broken;
 mod calibration;
@@ -20,6 +21,7 @@ mod hostile;
 mod lab;
 mod language;
 mod memory;
+mod mistakes;
 mod parts;
 mod reading;
 mod references;

@@ -451,6 +451,9 @@ impl Reader<'_> {
     pub fn step(&mut self, name: Word, node: &mut Node) -> Option<Step> {
         let before = self.faults.len();
         let what = format!("step `{}`", name.text);
+        if self.lacks_colon(&what, node) {
+            return None;
+        }
         self.map(node, &what, STEP)?;
         let strange_key = self.faults.len() > before;
         let stage = self.stage(&name, node);
@@ -470,6 +473,20 @@ impl Reader<'_> {
         let any = gap_in_with || gap_in_inputs || self.faults.len() > before;
         let gaps = Gaps { with: gap_in_with, inputs: gap_in_inputs, any };
         Some(Step { name, stage: stage?, with, inputs, over, keep, stream, timeout, retries, log, title, doc, gaps })
+    }
+
+    /// Reports a key such as `stage rasterise-dem`, which is `stage: rasterise-dem` without its colon.
+    fn lacks_colon(&mut self, what: &str, node: &Node) -> bool {
+        let split = |(key, _): &(Key, Node)| {
+            let (word, rest) = key.name.split_once(' ')?;
+            STEP.contains(&word).then(|| (key.span, word.to_owned(), rest.trim().to_owned()))
+        };
+        let Some((span, word, rest)) = node.entries().and_then(|entries| entries.iter().find_map(split)) else {
+            return false;
+        };
+        let fault = Diagnostic::at(span, format!("a colon is missing after `{word}` in {what}"));
+        self.fault(fault.hint(format!("write `{word}: {rest}`")));
+        true
     }
 
     /// Text for people.

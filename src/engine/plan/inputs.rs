@@ -6,7 +6,7 @@ use rockface_core::{Arity, Port};
 
 use super::graph::{Feed, Later, Source};
 use super::resolve::Resolver;
-use crate::diagnostic::{Diagnostic, listed};
+use crate::diagnostic::{Diagnostic, listed, nearest};
 use crate::pipeline::{Input, Reference, Step, Word};
 
 /// Stands for all items a choice does not name.
@@ -233,16 +233,34 @@ impl Resolver<'_> {
         if found.is_none() {
             let message = format!("stage `{}` (step `{}`) has no input `{}`", stage.name(), step.name.text, port.text);
             let known = ports.inputs.iter().map(|port| port.name);
-            self.faults.push(self.suggest(Diagnostic::at(port.span, message), &port.text, || known));
+            let mut missing = self.missing_ports(own, step);
+            let fault = match (missing.next(), missing.next()) {
+                (Some(only), None) if nearest(&port.text, &[only.name]).is_none() => {
+                    let hint = format!("its input `{}` ({}) is not given: is that meant?", only.name, kinds(only));
+                    Diagnostic::at(port.span, message).hint(hint)
+                }
+                _ => self.suggest(Diagnostic::at(port.span, message), &port.text, || known),
+            };
+            self.faults.push(fault);
         }
         found
     }
 
-    fn check_missing_ports(&mut self, own: usize, step: &Step) {
-        let Some(ports) = self.ports[own] else { return };
+    /// Inputs that a step needs and is not given.
+    pub fn missing_ports<'s>(&self, own: usize, step: &'s Step) -> impl Iterator<Item = &'static Port> + use<'s> {
+        let ports = self.ports[own].map_or(&[][..], |ports| ports.inputs);
         let given = |port: &Port| step.inputs.iter().any(|(word, _)| word.text == port.name);
         let needed = |port: &&Port| port.arity != Arity::Optional && !step.gaps.inputs;
-        for port in ports.inputs.iter().filter(needed).filter(|port| !given(port)) {
+        ports.iter().filter(needed).filter(move |port| !given(port))
+    }
+
+    fn check_missing_ports(&mut self, own: usize, step: &Step) {
+        let Some(ports) = self.ports[own] else { return };
+        // An input under another name is reported where it stands.
+        if step.inputs.iter().any(|(word, _)| !ports.inputs.iter().any(|port| port.name == word.text)) {
+            return;
+        }
+        for port in self.missing_ports(own, step).collect::<Vec<_>>() {
             let message = format!("step `{}` is not given its input `{}` ({})", step.name.text, port.name, kinds(port));
             self.faults.push(Diagnostic::at(step.stage.span, message).hint(port.doc));
         }

@@ -38,7 +38,9 @@ impl Resolver<'_> {
     /// By step: whether it may have other axes than it seems, by something that is not known of it or of what it reads from.
     fn unsure_steps(&self) -> Vec<bool> {
         let steps = &self.names.document.steps;
-        let own = |(index, step): (usize, &Step)| self.circling[index] || self.is_unsure(step);
+        let own = |(index, step): (usize, &Step)| {
+            self.circling[index] || self.missing_ports(index, step).next().is_some() || self.is_unsure(step)
+        };
         let mut unsure: Vec<bool> = steps.iter().enumerate().map(own).collect();
         let mut readers: Vec<Vec<usize>> = vec![Vec::new(); steps.len()];
         for (reader, step) in steps.iter().enumerate() {

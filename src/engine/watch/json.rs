@@ -31,12 +31,15 @@ impl<W: Write> Observer for JsonLines<W> {
     fn event(&mut self, event: &Event, progress: Progress) {
         #[derive(serde::Serialize)]
         struct Line<'a> {
+            #[serde(skip_serializing_if = "Option::is_none")]
+            version: Option<u32>,
             #[serde(flatten)]
             event: &'a Event,
             done: usize,
             total: usize,
         }
-        let line = Line { event, done: progress.done, total: progress.total };
+        let version = matches!(event, Event::Planned { .. }).then_some(super::events::VERSION);
+        let line = Line { version, event, done: progress.done, total: progress.total };
         if serde_json::to_writer(&mut self.pending, &line).is_ok() {
             self.pending.push(b'\n');
         }

@@ -1,5 +1,6 @@
 //! What a run tells those who watch it: one list of events, several ways to show them.
 
+pub mod events;
 mod foxglove;
 mod json;
 mod mcap_log;
