@@ -201,15 +201,14 @@ fn argument(arg: &clap::Arg) -> String {
                 | clap::ArgAction::Version
         );
     let value = if takes { format!("<{}>", values.join("> <")) } else { String::new() };
-    let mut name = match (arg.get_short(), arg.get_long()) {
+    let flag = match (arg.get_short(), arg.get_long()) {
         (Some(short), Some(long)) => format!("-{short}, --{long}"),
         (Some(short), None) => format!("-{short}"),
         (None, Some(long)) => format!("--{long}"),
         (None, None) => String::new(),
     };
-    if takes {
-        name = format!("{name} {value}").trim().to_owned();
-    }
+    let name = format!("{flag} {value}");
+    let name = name.trim();
     let mut text = format!("- `{name}`: {}", described(arg.get_long_help().or_else(|| arg.get_help())));
     let defaults: Vec<_> = arg.get_default_values().iter().map(|value| value.to_string_lossy().into_owned()).collect();
     if takes && !defaults.is_empty() {
