@@ -54,6 +54,11 @@ pub(crate) fn is_folder(path: &Path) -> bool {
     fs::symlink_metadata(path).is_ok_and(|meta| meta.is_dir())
 }
 
+/// Whether nothing is at `path`; false where that cannot be found out.
+pub(crate) fn is_absent(path: &Path) -> bool {
+    fs::symlink_metadata(path).is_err_and(|fault| fault.kind() == ErrorKind::NotFound)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -56,7 +56,7 @@ impl Drop for Scratch {
     fn drop(&mut self) {
         clear(&self.folder, self.for_programs);
         let lock = self.lock.take();
-        if self.folder.exists()
+        if !plain::is_absent(&self.folder)
             && let Some(Ok((file, _))) = lock.map(NamedTempFile::keep)
         {
             // What cannot be removed now is swept up when the store is next opened; until then its lock tells whose it is.
@@ -99,7 +99,7 @@ pub(crate) fn sweep(root: &Path) -> Result<(), StoreError> {
         }
         if name.ends_with(LOCK) {
             sweep_locked(&path, for_programs);
-        } else if plain::is_folder(&path) && !lock_of(&path).exists() {
+        } else if plain::is_folder(&path) && plain::is_absent(&lock_of(&path)) {
             // A folder is made after its lock and removed before it: without one, it is left from a sweep that failed.
             clear(&path, for_programs);
         }
@@ -112,7 +112,7 @@ fn sweep_locked(lock: &Path, for_programs: bool) {
     let folder = lock.with_extension("");
     clear(&folder, for_programs);
     // What is left of the folder would be nobody's without its lock.
-    if !folder.exists() {
+    if plain::is_absent(&folder) {
         let _ = fs::remove_file(lock);
     }
 }

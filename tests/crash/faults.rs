@@ -45,6 +45,8 @@ struct Scene {
     /// What must hold afterwards.
     after: fn(&Place, &Digests) -> Verdict,
     expected: Digests,
+    /// What it prints without a fault; only of commands that change nothing.
+    prints: Option<String>,
 }
 
 fn scenes() -> Vec<Scene> {
@@ -64,6 +66,7 @@ fn scenes() -> Vec<Scene> {
         done: Place::has_run,
         after: |place, expected| place.goes_on(&RUN, expected).map(drop),
         expected: expected.clone(),
+        prints: None,
     };
     let nothing: fn(&Place, &Digests) -> Verdict = |_, _| Ok(());
     vec![
@@ -83,6 +86,38 @@ fn scenes() -> Vec<Scene> {
         Scene { done: nothing, after: pulled, ..scene("pull", &to_pull(&whole), &["store", "pull", OTHER], &first) },
         Scene { done: nothing, ..scene("verify", &whole, &["store", "verify"], &first) },
     ]
+}
+
+/// The commands that change nothing, after a run.
+fn reading_scenes() -> Vec<Scene> {
+    let whole = Place::new();
+    whole.succeed(&RUN).unwrap();
+    let commands: [(&'static str, &'static [&'static str]); 9] = [
+        ("verify", &["store", "verify"]),
+        ("stat", &["store", "stat"]),
+        ("gc --dry-run", &["store", "gc", "--unnamed", "--dry-run"]),
+        ("runs list", &["runs", "list"]),
+        ("runs show", &["runs", "show", "latest"]),
+        ("plan", &["plan", "p.yaml"]),
+        ("explain", &["explain", "p.yaml", "large"]),
+        ("export", &["export", "latest", "large.mesh", "large.ply"]),
+        ("archive", &["archive", "latest", "run.tar", "--outputs"]),
+    ];
+    let scene = |(name, command): (&'static str, &'static [&'static str])| {
+        let out = whole.copy().command(command).output().unwrap();
+        assert!(out.status.success(), "{name}: {}", String::from_utf8_lossy(&out.stderr));
+        Scene {
+            name,
+            ready: whole.copy(),
+            command,
+            later_s: 0,
+            done: |_, _| Ok(()),
+            after: |_, _| Ok(()),
+            expected: Digests::new(),
+            prints: Some(String::from_utf8_lossy(&out.stdout).into_owned()),
+        }
+    };
+    commands.into_iter().map(scene).collect()
 }
 
 /// What is then named by no run: the records of the first.
@@ -156,7 +191,14 @@ impl Scene {
         let out = command.output().map_err(|error| error.to_string())?;
         let told = std::fs::read_to_string(&report).unwrap_or_default();
         let is_killed = matches!(fault.what, "kill" | "tear");
-        Ok((ended(&out, is_killed, fault.what != "threads")?, told))
+        let ended = ended(&out, is_killed, fault.what != "threads").map_err(|why| at_call(&told, &why))?;
+        let printed = String::from_utf8_lossy(&out.stdout);
+        match &self.prints {
+            Some(prints) if ended == Ended::Done && *prints != printed => {
+                Err(at_call(&told, &format!("it printed {printed}")))
+            }
+            _ => Ok((ended, told)),
+        }
     }
 
     /// How many calls the fault can befall.
@@ -172,13 +214,18 @@ impl Scene {
         let place = self.ready.copy();
         let (ended, told) = self.run(&place, fault, at)?;
         let call = told.lines().next().filter(|line| !line.starts_with("of ")).unwrap_or_default().to_owned();
-        let at_call = |why: String| format!("at `{call}`, {ended:?}: {why}");
+        let fault = |why: String| at_call(&told, &format!("{ended:?}: {why}"));
         if ended == Ended::Done {
-            (self.done)(&place, &self.expected).map_err(at_call)?;
+            (self.done)(&place, &self.expected).map_err(fault)?;
         }
-        (self.after)(&place, &self.expected).map_err(at_call)?;
+        (self.after)(&place, &self.expected).map_err(fault)?;
         Ok((!call.is_empty()).then_some((ended, call)))
     }
+}
+
+/// A verdict with the call that the fault befell, which is the first line of what the library reported.
+fn at_call(told: &str, why: &str) -> String {
+    format!("at `{}`: {why}", told.lines().next().unwrap_or_default())
 }
 
 /// One fault: scene, way and number of the call.
@@ -197,7 +244,26 @@ fn whatever_call_fails_or_is_the_last_the_next_run_gives_the_same_bytes() {
         return;
     }
     let scenes = scenes();
-    let jobs = jobs(&scenes);
+    let asked = std::env::var("CRASH_FAULTS").ok().map(|count| count.parse().expect("CRASH_FAULTS is a number"));
+    survive(&match (only(&scenes), asked.or((!slow()).then_some(SAMPLE))) {
+        (Some(jobs), _) => jobs,
+        (None, Some(count)) => drawn(&scenes, count),
+        (None, None) => all(&scenes, &WAYS),
+    });
+}
+
+#[test]
+fn whatever_call_fails_a_command_that_reads_prints_the_same_or_what_is_wrong() {
+    if shim().is_none() {
+        return;
+    }
+    let scenes = reading_scenes();
+    let ways = if slow() { &WAYS[..] } else { &[("EIO", false)] };
+    survive(&only(&scenes).unwrap_or_else(|| all(&scenes, ways)));
+}
+
+/// Lets all these faults happen, as many at once as there are processors.
+fn survive(jobs: &[Job]) {
     let (next, tally) = (AtomicUsize::new(0), Mutex::new(Tally::default()));
     let worker = || {
         while let Some((scene, fault, at)) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) {
@@ -208,12 +274,7 @@ fn whatever_call_fails_or_is_the_last_the_next_run_gives_the_same_bytes() {
                     *tally.ended.entry((scene.name, fault.to_string())).or_default().entry(ended).or_default() += 1;
                 }
                 Ok(None) => {}
-                Err(why) => tally.faults.push(format!(
-                    "{}/{}{}/{at}: {why}",
-                    scene.name,
-                    fault.what,
-                    if fault.lasts { "+" } else { "" }
-                )),
+                Err(why) => tally.faults.push(format!("{}/{at}: {why}", name(scene, fault))),
             }
         }
     };
@@ -226,35 +287,53 @@ fn whatever_call_fails_or_is_the_last_the_next_run_gives_the_same_bytes() {
     assert!(count == 0, "{count} of {} faults were not survived:\n{}", jobs.len(), first.join("\n"));
 }
 
-/// All faults there are, a sample of them, or the one that is asked for.
-fn jobs(scenes: &[Scene]) -> Vec<Job<'_>> {
-    let only = std::env::var("CRASH_ONLY").ok();
-    let mut jobs = Vec::new();
-    for scene in scenes {
-        for (what, lasts) in WAYS {
-            let fault = Fault { what, lasts };
-            let name = format!("{}/{what}{}", scene.name, if lasts { "+" } else { "" });
-            if only.as_ref().is_some_and(|only| {
-                !format!("{name}/").starts_with(&format!("{only}/")) && !only.starts_with(&format!("{name}/"))
-            }) {
-                continue;
-            }
-            jobs.extend((1..=scene.count(&fault)).map(|at| (scene, fault.clone(), at)));
-        }
-    }
-    if let Some(at) = only.as_ref().and_then(|only| only.split('/').nth(2)?.parse::<u64>().ok()) {
-        jobs.retain(|job| job.2 == at);
-    } else if let Some(sample) = sample().filter(|_| only.is_none()) {
-        let (mut draws, all) = (Draws(11), jobs.len() as u64);
-        return (0..sample).map(|_| jobs[draws.below(all) as usize].clone()).collect();
-    }
-    jobs
+/// Scene and fault, as `CRASH_ONLY` names them.
+fn name(scene: &Scene, fault: &Fault) -> String {
+    format!("{}/{}{}", scene.name, fault.what, if fault.lasts { "+" } else { "" })
 }
 
-/// How many faults to draw; `None` for all there are.
-fn sample() -> Option<usize> {
-    let asked = std::env::var("CRASH_FAULTS").ok().map(|count| count.parse().expect("CRASH_FAULTS is a number"));
-    asked.or((!slow()).then_some(SAMPLE))
+/// The faults that `CRASH_ONLY` asks for: those of a scene, of one of its ways to fail, or one.
+fn only(scenes: &[Scene]) -> Option<Vec<Job<'_>>> {
+    let only = std::env::var("CRASH_ONLY").ok()?;
+    let mut parts = only.splitn(3, '/');
+    let (asked, way, at) = (parts.next()?, parts.next(), parts.next().map(|at| at.parse::<u64>().expect("a number")));
+    let ways: Vec<(&'static str, bool)> = WAYS
+        .into_iter()
+        .filter(|(what, lasts)| {
+            way.is_none_or(|way| way.strip_suffix('+').unwrap_or(way) == *what && way.ends_with('+') == *lasts)
+        })
+        .collect();
+    let scenes = scenes.iter().filter(|scene| scene.name == asked);
+    let mut jobs: Vec<Job> = scenes.flat_map(|scene| all(std::slice::from_ref(scene), &ways)).collect();
+    jobs.retain(|job| at.is_none_or(|at| job.2 == at));
+    Some(jobs)
+}
+
+/// Every call of every scene, failing in each of these ways.
+fn all<'a>(scenes: &'a [Scene], ways: &[(&'static str, bool)]) -> Vec<Job<'a>> {
+    let faults = ways.iter().map(|&(what, lasts)| Fault { what, lasts });
+    let of_scene = |scene: &'a Scene| {
+        let calls = faults.clone().map(move |fault| (scene.count(&fault), fault));
+        calls.flat_map(move |(count, fault)| (1..=count).map(move |at| (scene, fault.clone(), at)))
+    };
+    scenes.iter().flat_map(of_scene).collect()
+}
+
+/// Some faults, the same every time: a call is drawn by its place in the run, so that a command that makes a call more or
+/// less moves this one fault by a call, and no other.
+fn drawn(scenes: &[Scene], count: usize) -> Vec<Job<'_>> {
+    const PLACES: u64 = 1 << 20;
+    let mut draws = Draws(11);
+    let mut counts = BTreeMap::new();
+    let mut draw = || {
+        let scene = &scenes[draws.below(scenes.len() as u64) as usize];
+        let (what, lasts) = WAYS[draws.below(WAYS.len() as u64) as usize];
+        let fault = Fault { what, lasts };
+        let calls = *counts.entry(name(scene, &fault)).or_insert_with(|| scene.count(&fault));
+        let at = 1 + draws.below(PLACES) * calls / PLACES;
+        (scene, fault, at)
+    };
+    (0..count).map(|_| draw()).collect()
 }
 
 fn print(tally: &Tally) {
@@ -288,6 +367,7 @@ fn a_system_that_starts_no_threads_is_reported() {
         done: Place::has_run,
         after: |place, expected| place.goes_on(&RUN, expected).map(drop),
         expected,
+        prints: None,
     };
     let (ended, _) = scene.run(&scene.ready, &Fault { what: "threads", lasts: false }, 0).unwrap();
     assert_eq!(ended, Ended::DiskFailed);

@@ -1,6 +1,6 @@
 //! Verification: every blob is read and compared with its digest, every record with the blobs it promises.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use crate::error::{At, StoreError};
 use crate::frame::Kind;
@@ -65,17 +65,21 @@ impl Store {
             let read = Digest::of_reader(file).at("read", &self.blobs().path(&digest))?;
             self.verify_one(&digest, read, &named, repair, &mut found)?;
         }
-        let missing = named.iter().filter(|(digest, _)| !self.is_small(digest) && !self.blobs().path(digest).exists());
-        let fault = |(digest, outputs): (&Digest, &Vec<String>)| Fault {
-            kind: FaultKind::Missing,
-            digest: *digest,
-            outputs: outputs.clone(),
-            set_aside: false,
-        };
-        let told: Vec<Digest> = found.faults.iter().map(|fault| fault.digest).collect();
-        found.faults.extend(missing.filter(|(digest, _)| !told.contains(digest)).map(fault));
+        let damaged: BTreeSet<Digest> = found.faults.iter().map(|fault| fault.digest).collect();
+        for (digest, outputs) in named.iter().filter(|(digest, _)| !damaged.contains(digest)) {
+            if !self.is_there(digest)? {
+                let (kind, outputs) = (FaultKind::Missing, outputs.clone());
+                found.faults.push(Fault { kind, digest: *digest, outputs, set_aside: false });
+            }
+        }
         found.faults.sort_by_key(|fault| fault.digest);
         Ok(found)
+    }
+
+    /// Whether a blob is in the store. One that cannot be looked at is an error, not missing.
+    fn is_there(&self, digest: &Digest) -> Result<bool, StoreError> {
+        let path = self.blobs().path(digest);
+        Ok(self.is_small(digest) || path.try_exists().at("look at", &path)?)
     }
 
     fn read_small(&self, digest: &Digest) -> Result<(Digest, u64), StoreError> {

@@ -102,7 +102,8 @@ fn files_of(run: &PastRun, outputs: bool) -> Result<Vec<PathBuf>, HistoryError> 
     let (mut found, mut folders) = (Vec::new(), vec![PathBuf::new()]);
     while let Some(folder) = folders.pop() {
         let path = run.folder.join(&folder);
-        for entry in std::fs::read_dir(&path).map_err(HistoryError::io("list", &path))?.flatten() {
+        for entry in std::fs::read_dir(&path).map_err(HistoryError::io("list", &path))? {
+            let entry = entry.map_err(HistoryError::io("list", &path))?;
             let relative = folder.join(entry.file_name());
             let kind = entry.file_type().map_err(HistoryError::io("look at", &entry.path()))?;
             if kind.is_dir() && (outputs || relative != Path::new("outputs")) {
