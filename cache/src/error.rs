@@ -104,6 +104,15 @@ pub enum StoreError {
         /// The greatest size.
         limit: u64,
     },
+    /// An entry is stamped so late that none can follow it.
+    #[error(
+        "an entry in {} is stamped with the last moment that entries can have, in the year 2116, so that nothing can be written there any more: `rockface store push NEW` copies what is whole to a new store",
+        dir.display()
+    )]
+    Clock {
+        /// The folder of the segments.
+        dir: PathBuf,
+    },
     /// Anything else the operating system refused.
     #[error("cannot {action} {}: {source}; check that the path exists and that you may use it", path.display())]
     Io {

@@ -23,6 +23,10 @@ pub(crate) const MAGIC: [u8; 4] = *b"RFS1";
 /// The largest payload; a length beyond it is damage.
 pub(crate) const PAYLOAD_LIMIT: u64 = 1 << 29;
 
+/// Later stamps are damage (this is the year 2116): every stamp is later than those before it, so that behind one at the
+/// end of all numbers nothing could be written any more.
+pub(crate) const STAMP_LIMIT: u64 = 1 << 62;
+
 /// What a frame holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Kind {
@@ -108,11 +112,11 @@ impl Header {
         if !body.starts_with(&MAGIC) || blake3::hash(body).as_bytes()[..8] != *check {
             return None;
         }
-        let length = u32::from_le_bytes(array(body, 8));
-        (u64::from(length) <= PAYLOAD_LIMIT).then(|| Self {
+        let (length, stamp) = (u32::from_le_bytes(array(body, 8)), u64::from_le_bytes(array(body, 16)));
+        (u64::from(length) <= PAYLOAD_LIMIT && stamp < STAMP_LIMIT).then(|| Self {
             kind: Kind::from_number(body[4]),
             length,
-            stamp: u64::from_le_bytes(array(body, 16)),
+            stamp,
             name: Digest::from_bytes(array(body, 24)),
             check: array(body, 56),
         })
@@ -134,9 +138,16 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    #[test]
+    fn a_stamp_after_which_none_can_follow_is_damage() {
+        let frame = |stamp| Header::of(Kind::Gone, Digest::of(b"key"), stamp, b"").encode(b"");
+        assert!(Header::decode(&frame(STAMP_LIMIT - 1)).is_some());
+        assert!(Header::decode(&frame(STAMP_LIMIT)).is_none() && Header::decode(&frame(u64::MAX)).is_none());
+    }
+
     proptest! {
         #[test]
-        fn decoding_gives_the_header_back(number in 1u8..=6, name: [u8; 32], stamp: u64, payload: Vec<u8>) {
+        fn decoding_gives_the_header_back(number in 1u8..=6, name: [u8; 32], stamp in 0..STAMP_LIMIT, payload: Vec<u8>) {
             let header = Header::of(Kind::from_number(number), Digest::from_bytes(name), stamp, &payload);
             let frame = header.encode(&payload);
             prop_assert_eq!(Header::decode(&frame), Some(header));

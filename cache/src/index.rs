@@ -7,7 +7,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::Digest;
 use crate::blobs::is_recent;
-use crate::frame::{Header, Kind, payload_check};
+use crate::frame::{Header, Kind, STAMP_LIMIT, payload_check};
 use crate::segment::Frame;
 
 /// A map by digest; digests are as good as random, so that some of their bytes do for a hash.
@@ -186,11 +186,11 @@ impl Index {
         self.segments[segment as usize].is_torn = true;
     }
 
-    /// A stamp later than every one in the store as far as it has been read.
-    pub(crate) fn tick(&mut self) -> u64 {
+    /// A stamp later than every one in the store as far as it has been read; `None` where there is none.
+    pub(crate) fn tick(&mut self) -> Option<u64> {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64);
-        self.clock = now.max(self.clock.saturating_add(1));
-        self.clock
+        self.clock = Some(now.max(self.clock + 1)).filter(|stamp| *stamp < STAMP_LIMIT)?;
+        Some(self.clock)
     }
 
     /// Where a small blob lies.
@@ -282,10 +282,11 @@ mod tests {
     #[test]
     fn stamps_grow_even_past_a_clock_that_is_ahead() {
         let mut index = Index::default();
-        let ahead = u64::MAX - 10;
+        let ahead = STAMP_LIMIT - 3;
         let segment = index.segment("a");
         index.enter(segment, vec![frame(Kind::Note, b"n", ahead, b"")], 1);
-        assert_eq!(index.tick(), ahead + 1);
-        assert_eq!(index.tick(), ahead + 2);
+        assert_eq!(index.tick(), Some(ahead + 1));
+        assert_eq!(index.tick(), Some(ahead + 2));
+        assert_eq!(index.tick(), None, "none follows the last one");
     }
 }

@@ -139,7 +139,7 @@ impl Journal {
             Some(writer) => writer,
             None => slot.insert(self.claim_segment()?),
         };
-        let header = Header::of(kind, name, self.edit_index(Index::tick), payload);
+        let header = Header::of(kind, name, self.tick()?, payload);
         let at = writer.append(&header, payload);
         let (segment, end) = (writer.segment, writer.end);
         let at = at.inspect_err(|_| drop(slot.take()))?;
@@ -147,6 +147,10 @@ impl Journal {
         let frames = vec![Frame { header, at, payload }];
         self.edit_index(|index| index.enter(segment, frames, end));
         Ok(())
+    }
+
+    fn tick(&self) -> Result<u64, StoreError> {
+        self.edit_index(Index::tick).ok_or_else(|| StoreError::Clock { dir: self.dir.clone() })
     }
 
     fn writer(&self) -> MutexGuard<'_, Option<Writer>> {
@@ -166,7 +170,7 @@ impl Journal {
     /// Starts a segment.
     fn begin_segment(&self) -> Result<Writer, StoreError> {
         loop {
-            let stamp = self.edit_index(Index::tick);
+            let stamp = self.tick()?;
             let name = format!("{stamp:016x}-{:x}{SUFFIX}", std::process::id());
             if let Some(writer) = self.claim_named(&name)? {
                 self.owe(&self.dir);

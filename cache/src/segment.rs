@@ -6,6 +6,9 @@ use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use rustix::fs::SeekFrom;
+use rustix::io::Errno;
+
 use crate::error::{At, StoreError};
 use crate::frame::{HEADER_BYTES, Header, Kind, MAGIC};
 use crate::locks::Locked;
@@ -13,6 +16,8 @@ use crate::plain;
 
 /// A segment that has grown beyond this is not continued.
 pub(crate) const FULL_BYTES: u64 = 256 << 20;
+/// A payload above this size is not read before it is known to have no hole.
+const LARGE_BYTES: u64 = 1 << 20;
 /// Bytes read at a time; small, so that the payloads of blobs are mostly skipped.
 const WINDOW_BYTES: usize = 32 * 1024;
 
@@ -164,12 +169,33 @@ impl Window<'_> {
         while at + HEADER_BYTES as u64 <= self.size {
             let size = self.size;
             let bytes = self.read(at, HEADER_BYTES)?;
-            if let Some(header) = Header::decode(bytes).filter(|header| at + header.frame_bytes() <= size) {
+            let header = Header::decode(bytes).filter(|header| at + header.frame_bytes() <= size);
+            if let Some(header) = header.filter(|header| !self.is_hollow(at, header)) {
                 return Ok(Some((at, header)));
             }
             at = self.find_magic(at + 1)?;
         }
         Ok(None)
+    }
+
+    /// Whether a large payload has a hole: nobody has written it, and read into memory it takes what it does not take on
+    /// disk.
+    fn is_hollow(&self, at: u64, header: &Header) -> bool {
+        let payload = at + HEADER_BYTES as u64;
+        u64::from(header.length) > LARGE_BYTES
+            && self.seek(SeekFrom::Hole(payload)) < payload + u64::from(header.length)
+    }
+
+    /// Where the next hole or the next data begins, the end of the file where there is none; `at` on file systems that
+    /// cannot say.
+    fn seek(&self, from: SeekFrom) -> u64 {
+        let is_end = |fault: &Errno| *fault == Errno::NXIO;
+        match (rustix::fs::seek(self.file, from), from) {
+            (Ok(found), _) => found,
+            (Err(fault), _) if is_end(&fault) => self.size,
+            (Err(_), SeekFrom::Data(at)) => at,
+            (Err(_), _) => self.size,
+        }
     }
 
     /// The offset of the next magic at or after `at`, or the end of the file.
@@ -180,6 +206,8 @@ impl Window<'_> {
                 return Ok(at + offset as u64);
             }
             at += bytes.len().saturating_sub(MAGIC.len() - 1).max(1) as u64;
+            // A hole of terabytes takes no time.
+            at = self.seek(SeekFrom::Data(at)).max(at);
         }
         Ok(self.size)
     }
@@ -262,6 +290,27 @@ mod tests {
         let (file, ends) = sample(true);
         file.as_file().write_all_at(b"!", ends[1] - 1).unwrap();
         assert_eq!(scan(file.as_file(), 0).unwrap().frames.len(), ends.len() + 1);
+    }
+
+    #[test]
+    fn a_large_payload_with_a_hole_takes_no_memory_and_what_follows_it_is_found() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let (hollow, hole) = (Header { length: 1 << 29, ..header(b"") }, 1 << 40);
+        file.as_file().write_all_at(&hollow.encode(b""), 0).unwrap();
+        file.as_file().write_all_at(&hollow.encode(b""), hole).unwrap();
+        let last = hole + hollow.frame_bytes();
+        file.as_file().write_all_at(&header(b"whole").encode(b"whole"), last).unwrap();
+        let frames = scan(file.as_file(), 0).unwrap().frames;
+        let found: Vec<_> = frames.iter().map(|frame| (frame.at - HEADER_BYTES as u64, frame.payload.len())).collect();
+        if rustix::fs::seek(file.as_file(), SeekFrom::Hole(0)).unwrap() > hole {
+            println!("skipped: this file system knows no holes");
+        } else {
+            assert_eq!(found, [(last, 5)]);
+        }
+    }
+
+    fn header(payload: &[u8]) -> Header {
+        Header::of(Kind::Record, Digest::of(b"key"), 1, payload)
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Looks at the file system: what was seen at a path, in a form that shows later whether it has changed.
 
 use std::fs;
+use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
@@ -60,6 +61,9 @@ impl Seen {
 /// A look that can be repeated without reading: the state that was found, or that there was no file.
 pub(crate) type Repeatable = (PathBuf, Option<State>);
 
+/// A thread is worth starting for so many files: looking at one takes a microsecond or two.
+const FILES_A_THREAD: usize = 300;
+
 /// Whether the same is seen again.
 pub(crate) fn is_same((path, then): &Repeatable) -> bool {
     match then {
@@ -70,7 +74,8 @@ pub(crate) fn is_same((path, then): &Repeatable) -> bool {
 
 /// Whether all of these files in a folder are in these states.
 ///
-/// There may be thousands: each is looked up from the folder, and not along all the folders above it.
+/// There may be thousands: each is looked up from the folder, and not along all the folders above it, and several threads
+/// share them.
 pub(crate) fn are_same(folder: &Path, files: &[(PathBuf, State)]) -> bool {
     if files.is_empty() {
         return true;
@@ -78,7 +83,27 @@ pub(crate) fn are_same(folder: &Path, files: &[(PathBuf, State)]) -> bool {
     let Ok(folder) = open(folder, OFlags::PATH | OFlags::DIRECTORY | OFlags::CLOEXEC, Mode::empty()) else {
         return false;
     };
-    let now = |file| statat(&folder, file, AtFlags::empty()).map(|stat| State::from(&Fingerprint::of_stat(&stat)));
+    let processors = std::thread::available_parallelism().map_or(1, usize::from);
+    let share = files.len().div_ceil(processors).max(FILES_A_THREAD);
+    let (mine, others) = files.split_at(share.min(files.len()));
+    std::thread::scope(|scope| {
+        let folder = &folder;
+        let start = |files| {
+            let thread = std::thread::Builder::new();
+            thread.spawn_scoped(scope, move || all_same(folder, files)).map_err(|_| files)
+        };
+        // Where no thread can be started, this one looks at all of them.
+        let started: Vec<_> = others.chunks(share).map(start).collect();
+        let ended = |thread| match thread {
+            Ok(thread) => std::thread::ScopedJoinHandle::join(thread).unwrap_or(false),
+            Err(files) => all_same(folder, files),
+        };
+        all_same(folder, mine) & started.into_iter().all(ended)
+    })
+}
+
+fn all_same(folder: &OwnedFd, files: &[(PathBuf, State)]) -> bool {
+    let now = |file| statat(folder, file, AtFlags::empty()).map(|stat| State::from(&Fingerprint::of_stat(&stat)));
     files.iter().all(|(file, then)| now(file).is_ok_and(|now| now == *then))
 }
 
