@@ -84,7 +84,12 @@ fn chosen<'a>(manifest: &'a Manifest, output: &'a str) -> Result<(&'a StepDone, 
             return Ok(found);
         }
     }
-    let names: Vec<String> = all().map(|(done, port)| format!("{}.{port}", done.label())).collect();
+    let name = |(done, port): (&StepDone, &str)| format!("{}.{port}", done.label());
+    // The name of a port may have a dot in it, which a label cannot.
+    if let Some(found) = all().find(|found| name(*found) == output) {
+        return Ok(found);
+    }
+    let names: Vec<String> = all().map(name).collect();
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
     let hint = match nearest(output, &names) {
         Some(near) => format!("did you mean `{near}`?"),

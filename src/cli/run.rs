@@ -15,7 +15,7 @@ use super::programs::ProgramArgs;
 use super::{CliError, PipelineArgs, beside, own_folder, repeat, say, signals};
 use crate::report::Pages;
 use rockface_engine::history::REPORT_FILE;
-use rockface_engine::run::shortcut::{self, Told};
+use rockface_engine::run::shortcut::{self, Ended, Told};
 use rockface_engine::run::{self, Finished, LayOut, Options, RunFolder, Summary};
 use rockface_engine::watch::{JsonLines, Observer, Plain, Silent, Terminal, duration};
 
@@ -127,7 +127,8 @@ impl RunArgs {
         let (summary, finished) = run::execute_and_tell(&mut plan, &store, &options, &stop, observer.as_mut(), &about)?;
         let told = Told::of(&finished, &summary);
         if let Some(question) = question {
-            shortcut::remember(&store, &question, &plan, (&summary, &told, &finished), &pipeline.looks)?;
+            let ended = Ended { summary: &summary, told: &told, finished: &finished };
+            shortcut::remember(&store, &question, &plan, &ended, &pipeline.looks)?;
         }
         if let Some(former) = former.filter(|_| !self.json) {
             repeat::verdict(&former, &plan, &summary).iter().for_each(|line| say(line));

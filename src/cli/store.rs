@@ -264,9 +264,11 @@ fn count_torn(policy: &mut GcPolicy, store: &Store, folder: &Path, fault: &Histo
     let keys: Vec<Digest> = digests.into_iter().filter(|digest| store.has_record(digest)).collect();
     let (count, pinned) = (keys.len(), history::is_pinned(folder));
     use_keys(policy, keys, written_s, pinned);
+    policy.torn_s = policy.torn_s.max(written_s);
     let way = "run its pipeline again to write it anew, or remove the folder";
     let used = format!("the {count} records that can still be read in it count as used by this run");
-    complain(&format!("warning: {fault}; {used}: {way}"));
+    let rest = "any other that was made before it may be, so `--unnamed` does not remove it";
+    complain(&format!("warning: {fault}; {used}; {rest}: {way}"));
     Ok(())
 }
 

@@ -2,6 +2,7 @@
 
 use std::fmt::Write as _;
 
+use rockface_core::numerics::quantile;
 use rockface_engine::history::Manifest;
 use rockface_engine::plan::Graph;
 use serde::Serialize;
@@ -82,9 +83,8 @@ fn gathered(mut told: Vec<(f64, f64)>) -> Option<Vec<At>> {
     (curve.len() > 1 && varies).then_some(curve)
 }
 
-fn median(values: &[f64]) -> f64 {
-    let half = values.len() / 2;
-    if values.len() % 2 == 1 { values[half] } else { 0.5 * (values[half - 1] + values[half]) }
+fn median(sorted: &[f64]) -> f64 {
+    quantile::of_sorted(sorted, 0.5).unwrap_or(f64::NAN)
 }
 
 /// The power of ten of a number's first digit.

@@ -139,6 +139,7 @@ const ARROWS: &[(&[&str], &[&str], &str)] = &[
     (&["cli"], &["explain"], "`rockface explain`"),
     (&["report", "cli"], &["drawing"], "the graph of a run, `rockface graph`"),
     (&["cli"], &["report"], "`rockface report`"),
+    (&["report"], &["numerics"], "the median of a curve"),
     (&["cli"], &["camera"], "`inspect --pixel` follows a ray"),
     (&["program"], &["registry"], "the program is handed the stages that ship with it"),
     (&["program"], &["cli"], "the program parses and runs a command"),

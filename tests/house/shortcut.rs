@@ -12,7 +12,7 @@ use rockface_cache::{Digest, Store};
 use rockface_engine::diagnostic::Diagnostics;
 use rockface_engine::pipeline::{Overrides, Pipeline};
 use rockface_engine::plan::plan;
-use rockface_engine::run::shortcut::{Told, recall, remember};
+use rockface_engine::run::shortcut::{Ended, Told, recall, remember};
 use rockface_engine::run::{Finished, LayOut, Options, RunFolder, Summary, execute_and_tell};
 use rockface_engine::watch::Events;
 
@@ -140,7 +140,8 @@ impl Site {
         let done = execute_and_tell(&mut plan, &store, &options, &stop, &mut Events::default(), &about);
         let (summary, finished) = done.unwrap();
         let told = Told::of(&finished, &summary);
-        remember(&store, &self.question(), &plan, (&summary, &told, &finished), &pipeline.looks).unwrap();
+        let ended = Ended { summary: &summary, told: &told, finished: &finished };
+        remember(&store, &self.question(), &plan, &ended, &pipeline.looks).unwrap();
         Ok((summary, finished))
     }
 

@@ -36,8 +36,8 @@ pub fn table(manifest: &Manifest) -> Option<String> {
     }
     // The sets of axes that steps lie at: a row takes what each of its subsets has.
     let sets: BTreeSet<BTreeSet<&str>> = at.keys().map(|point| point.keys().map(String::as_str).collect()).collect();
-    let mut text = String::new();
-    line(&mut text, axes.iter().copied().chain(columns.iter().map(String::as_str)));
+    let mut text = csv::Writer::from_writer(Vec::new());
+    text.write_record(axes.iter().copied().chain(columns.iter().map(String::as_str))).ok()?;
     for point in at.keys() {
         let mut cells = vec![String::new(); columns.len()];
         for set in &sets {
@@ -48,23 +48,9 @@ pub fn table(manifest: &Manifest) -> Option<String> {
             }
         }
         let items = axes.iter().map(|axis| point.get(*axis).map_or("", String::as_str));
-        line(&mut text, items.chain(cells.iter().map(String::as_str)));
+        text.write_record(items.chain(cells.iter().map(String::as_str))).ok()?;
     }
-    Some(text)
-}
-
-fn line<'a>(text: &mut String, cells: impl Iterator<Item = &'a str>) {
-    for (number, cell) in cells.enumerate() {
-        if number > 0 {
-            text.push(',');
-        }
-        if cell.contains([',', '"', '\n', '\r']) {
-            *text += &format!("\"{}\"", cell.replace('"', "\"\""));
-        } else {
-            *text += cell;
-        }
-    }
-    text.push('\n');
+    String::from_utf8(text.into_inner().ok()?).ok()
 }
 
 #[cfg(test)]

@@ -1,10 +1,12 @@
 //! Axes as they are declared: listed items, a count, swept values, a drawn sample, or the items of an artefact.
 
+use std::sync::Arc;
+
 use serde_json::{Map, Value};
 
 use super::design::{Design, Scale, Spread, points};
-use super::document::Reader;
 use super::node::{Data, Key, Node, Word};
+use super::reader::Reader;
 use super::reference::Reference;
 use crate::diagnostic::Diagnostic;
 
@@ -18,7 +20,7 @@ pub struct Axis {
     /// Item names, unique, in order; empty as long as they are not known.
     pub items: Vec<String>,
     /// What `${axis}` stands for at each item; a map where an item has several values, each `${axis.name}`.
-    pub values: Vec<Value>,
+    pub values: Arc<[Value]>,
     /// The names of the values of an item, where it has several and they are declared.
     pub fields: Vec<String>,
     /// Whether its items enter the seed of a random stream.
@@ -85,12 +87,12 @@ impl Reader<'_> {
         let reseeds = self.flag(node.get("reseeds"), !matches!(*form, "values" | "sample"));
         let label = name.text.clone();
         let empty =
-            Axis { name, label, items: Vec::new(), values: Vec::new(), fields: Vec::new(), reseeds, from: None };
+            Axis { name, label, items: Vec::new(), values: Arc::default(), fields: Vec::new(), reseeds, from: None };
         match *form {
-            "count" => self.count(list).map(|(items, values)| Axis { items, values, ..empty }),
+            "count" => self.count(list).map(|(items, values)| Axis { items, values: values.into(), ..empty }),
             "sample" => self.sample(node, list, empty),
             "from" => Some(Axis { from: Some(self.reference(list)?), ..empty }),
-            _ => self.items(list, &empty.name).map(|(items, values)| Axis { items, values, ..empty }),
+            _ => self.items(list, &empty.name).map(|(items, values)| Axis { items, values: values.into(), ..empty }),
         }
     }
 
@@ -203,11 +205,11 @@ impl Reader<'_> {
         match points(design, &counts, &spreads, self.seed, &empty.name.text) {
             Ok(drawn) => {
                 let fields: Vec<String> = spreads.iter().map(|spread| spread.name.clone()).collect();
-                let value = |point: &Vec<Value>| {
-                    Value::Object(fields.iter().cloned().zip(point.iter().cloned()).collect::<Map<_, _>>())
-                };
-                let values = drawn.iter().map(|(_, point)| value(point)).collect();
-                Some(Axis { items: drawn.into_iter().map(|(item, _)| item).collect(), values, fields, ..empty })
+                let value = |point: Vec<Value>| Value::Object(fields.iter().cloned().zip(point).collect::<Map<_, _>>());
+                // A point is released as soon as its map is made: there may be millions.
+                let (items, values): (Vec<String>, Vec<Value>) =
+                    drawn.into_iter().map(|(item, point)| (item, value(point))).unzip();
+                Some(Axis { items, values: values.into(), fields, ..empty })
             }
             Err(message) => {
                 self.fault(Diagnostic::at(node.get("count")?.span, message));

@@ -3,8 +3,8 @@
 use serde_json::Value;
 
 use super::axis::PREV;
-use super::document::Reader;
 use super::node::{Data, Key, Node, Word};
+use super::reader::Reader;
 use super::reference::{Reference, parse_reference};
 use crate::diagnostic::Diagnostic;
 

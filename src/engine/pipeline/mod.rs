@@ -11,8 +11,10 @@ mod node;
 mod overrides;
 mod parameter;
 mod part;
+mod reader;
 mod reference;
 mod sobol;
+mod step;
 mod substitute;
 mod sweep;
 mod tree_file;
@@ -21,25 +23,26 @@ mod values;
 /// The keys of the language, place by place.
 pub mod keys {
     pub use super::axis::KEYS as AXIS;
-    pub use super::document::{STEP, TOP};
+    pub use super::document::TOP;
     pub use super::parameter::KEYS as PARAMETER;
     pub use super::part::{PART_KEYS as PART, USE_KEYS as USE};
+    pub use super::step::STEP;
 }
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 pub use axis::{Axis, bad_item};
-pub use document::{Document, Gaps, Step, Stream, Unread};
+pub use document::{Document, Unread};
 pub use input::Input;
 pub use log_level::{IN_FULL, LogLevel};
 pub use node::{Data, Key, Node, Word};
 pub use parameter::{Declared, ValueKind};
 pub use part::{INSIDE, Interface, KindCheck, PartInput, PartText, Used};
 pub use reference::{Label, Reference};
+pub use step::{Gaps, Step, Stream};
 pub use substitute::{escape_hint, filled, mentioned, value_bytes};
 pub use sweep::is_same_axis;
-pub use values::resolve as resolve_values;
 
 use rockface_cache::Seen;
 

@@ -4,8 +4,8 @@ use std::fmt;
 
 use serde_json::Value;
 
-use super::document::Reader;
 use super::node::{Data, Key, Node, Word};
+use super::reader::Reader;
 use super::substitute::mentioned;
 use crate::diagnostic::{Diagnostic, Span, listed};
 
@@ -185,7 +185,7 @@ impl Reader<'_> {
             return None;
         };
         let unit = node.get("unit").and_then(|n| self.word(n, "a unit")).map(|word| word.text);
-        let doc = node.get("doc").and_then(|n| self.word(n, "a text")).map(|word| word.text).unwrap_or_default();
+        let doc = node.get("doc").and_then(|n| self.sentence(n, "doc")).unwrap_or_default();
         let mut bound = |side: &str| {
             let node = node.get(side)?;
             let number = node.to_value().as_f64();

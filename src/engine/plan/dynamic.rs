@@ -106,7 +106,7 @@ impl Plan {
 
     fn replace_items(&mut self, axis: usize, items: Items, known: bool) {
         let own = &mut self.graph.axes[axis];
-        (own.items, own.values) = (items.names, items.values);
+        (own.items, own.values) = (items.names, items.values.into());
         if let Some(dynamic) = &mut self.graph.dynamic[axis] {
             dynamic.known = known;
         }

@@ -16,6 +16,8 @@ mod points;
 mod programs;
 mod resolve;
 mod sight;
+mod targets;
+mod unused;
 
 pub use completion::{complete, find};
 pub use dynamic::{Items, items_of};

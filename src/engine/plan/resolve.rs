@@ -15,13 +15,28 @@ use super::graph::{Dynamic, Graph, GraphStep};
 use super::points::too_many;
 use super::{Stages, parameters};
 use crate::diagnostic::{Diagnostic, Diagnostics, SHOWN, Source, Span, listed};
-use crate::pipeline::{
-    Axis, Document, Key, Label, Node, Pipeline, Reference, Step, Used, Word, escape_hint, mentioned, resolve_values,
-};
+use crate::pipeline::{Document, Node, Pipeline, Reference, Step, Word, escape_hint, mentioned};
 
 /// Resolves a pipeline; `targets` on the command line take the place of the document's.
+///
+/// Where there are faults, it is resolved once more with suggestions for those that are shown: to look for a suggestion
+/// takes time, and which faults are shown is known only when all are.
 pub fn resolve(pipeline: &Pipeline, targets: &[String], stages: &Stages) -> Result<Graph, Diagnostics> {
-    let mut resolver = Resolver::new(pipeline, stages);
+    let faults = match attempt(pipeline, targets, stages, HashSet::new()) {
+        Ok(graph) => return Ok(graph),
+        Err(faults) => faults,
+    };
+    let shown = faults.told_once().into_iter().take(SHOWN).filter_map(|fault| fault.span).collect();
+    attempt(pipeline, targets, stages, shown)
+}
+
+fn attempt(
+    pipeline: &Pipeline,
+    targets: &[String],
+    stages: &Stages,
+    shown: HashSet<Span>,
+) -> Result<Graph, Diagnostics> {
+    let mut resolver = Resolver::new(pipeline, stages, shown);
     resolver.check_names();
     resolver.check_zips();
     resolver.check_part_inputs();
@@ -55,7 +70,7 @@ pub struct Resolver<'d> {
     /// The texts of the pipeline, of which each file has a folder.
     sources: &'d [Source],
     /// By number in the graph: the axes of the step.
-    reach: Vec<BTreeSet<usize>>,
+    pub reach: Vec<BTreeSet<usize>>,
     /// Faults that are none where it is not sure which axes a step has: the step, and the fault.
     unsure: Vec<(usize, Diagnostic)>,
     /// By step: whether it waits for itself.
@@ -64,10 +79,12 @@ pub struct Resolver<'d> {
     pub unfilled: Vec<bool>,
     /// Where something is fed into a part that does not take it.
     pub misfed: HashSet<Span>,
+    /// Where the faults are that are shown, once that is known.
+    shown: HashSet<Span>,
 }
 
 impl<'d> Resolver<'d> {
-    fn new(pipeline: &'d Pipeline, available: &'d Stages) -> Self {
+    fn new(pipeline: &'d Pipeline, available: &'d Stages, shown: HashSet<Span>) -> Self {
         let document = &pipeline.document;
         let known: BTreeMap<&str, &'static dyn AnyStage> =
             available.iter().map(|stage| (stage.name(), *stage)).collect();
@@ -86,6 +103,7 @@ impl<'d> Resolver<'d> {
             circling: vec![false; document.steps.len()],
             unfilled: vec![false; document.steps.len()],
             misfed: HashSet::new(),
+            shown,
         };
         for (own, step) in document.steps.iter().enumerate() {
             let ports = resolver.stages[own].and_then(|stage| resolver.ports_of(step, stage));
@@ -113,15 +131,18 @@ impl<'d> Resolver<'d> {
         self.sources.get(span.source).and_then(Source::folder).unwrap_or(&self.folder).clone()
     }
 
-    fn document(&self) -> &'d Document {
+    /// The document.
+    pub fn document(&self) -> &'d Document {
         self.names.document
     }
 
-    fn step_names(&self) -> Vec<&'d str> {
+    /// The names of all steps.
+    pub fn step_names(&self) -> Vec<&'d str> {
         self.document().steps.iter().map(|step| step.name.text.as_str()).collect()
     }
 
-    fn axis_names(&self) -> Vec<&'d str> {
+    /// The names of all axes.
+    pub fn axis_names(&self) -> Vec<&'d str> {
         self.document().axes.iter().map(|axis| axis.name.text.as_str()).collect()
     }
 
@@ -197,14 +218,15 @@ impl<'d> Resolver<'d> {
         found
     }
 
-    /// Adds a suggestion as long as the faults are few: to look for one takes time, and of many only the first are shown.
+    /// Adds a suggestion to a fault that is shown.
     pub fn suggest<'a, I: IntoIterator<Item = &'a str>>(
         &self,
         fault: Diagnostic,
         given: &str,
         known: impl FnOnce() -> I,
     ) -> Diagnostic {
-        if self.faults.len() < SHOWN { fault.suggest(given, known()) } else { fault }
+        let is_shown = fault.span.is_none_or(|span| self.shown.contains(&span));
+        if is_shown { fault.suggest(given, known()) } else { fault }
     }
 
     /// Adds a fault that follows from the axes of a step, if it turns out that those are sure.
@@ -271,19 +293,18 @@ impl<'d> Resolver<'d> {
         self.check_part_outputs();
         let steps: Vec<GraphStep> = order.iter().filter_map(|old| self.step(&document.steps[*old], *old)).collect();
         let targets = self.targets(&steps, &dynamic, targets);
-        let (params, faults) = resolve_values(&document.params, &self.axis_names());
-        if faults.is_empty() {
+        if document.value_faults.is_empty() {
             let unused: Vec<Diagnostic> = self.unused_axes().into_iter().chain(self.unused_params()).collect();
             self.faults.extend(self.if_all_is_read(unused));
         }
-        self.faults.extend(faults);
+        self.faults.extend(document.value_faults.iter().cloned());
         let unsure = std::mem::take(&mut self.unsure);
         self.faults.extend(self.where_sure(unsure));
         Graph {
             name: document.name.clone(),
             seed: document.seed,
             folder: pipeline.folder.clone(),
-            params,
+            params: document.values.clone(),
             axes: document.axes.clone(),
             zips: self.names.zips.clone(),
             dynamic,
@@ -330,55 +351,6 @@ impl<'d> Resolver<'d> {
             }
             None => Some(Dynamic { source, known: false }),
         }
-    }
-
-    fn unused_axes(&self) -> Vec<Diagnostic> {
-        // An input that is missing would bring axes with it.
-        if self.faults.iter().any(|fault| fault.message.contains("is not given its input")) {
-            return Vec::new();
-        }
-        let used: BTreeSet<usize> = self.reach.iter().flatten().copied().collect();
-        let unused = self.document().axes.iter().enumerate().filter(|(index, _)| !used.contains(index));
-        let told = |(_, axis): (usize, &Axis)| {
-            let name = &axis.name.text;
-            let fault = Diagnostic::at(axis.name.span, format!("no step depends on axis `{name}`")).hint(format!(
-                "say `over: [{name}]` on the step where it begins, mention ${{{name}}} in a `with`, or remove it"
-            ));
-            let near = self.parameter_like(name).map(|path| format!("did you mean `{path}`?"));
-            near.into_iter().fold(fault, Diagnostic::hint)
-        };
-        unused.map(told).collect()
-    }
-
-    /// The path of a value that an axis of this name may be meant to sweep.
-    fn parameter_like(&self, name: &str) -> Option<String> {
-        let document = self.document();
-        let own = document.params.iter().map(|(key, _)| (key.name.clone(), format!("params.{}", key.name)));
-        let steps = document.steps.iter().zip(&self.stages).filter_map(|(step, stage)| Some((step, (*stage)?)));
-        let fields = steps.flat_map(|(step, stage)| {
-            let path = move |field: &str| format!("steps.{}.with.{field}", step.name.text);
-            stage.fields().into_iter().map(move |field| (field.name.to_owned(), path(field.name)))
-        });
-        let known: Vec<(String, String)> = own.chain(fields).collect();
-        let names: Vec<&str> = known.iter().map(|(name, _)| name.as_str()).collect();
-        let begins = names.iter().find(|known| known.starts_with(&format!("{name}_"))).copied();
-        let near = begins.or_else(|| crate::diagnostic::nearest(name, &names))?;
-        known.iter().find(|(name, _)| name == near).map(|(_, path)| path.clone())
-    }
-
-    fn unused_params(&self) -> Vec<Diagnostic> {
-        let document = self.document();
-        let mut used = Vec::new();
-        document.steps.iter().filter_map(|step| step.with.as_ref()).for_each(|with| mentioned(with, &mut used));
-        document.params.iter().for_each(|(_, node)| mentioned(node, &mut used));
-        let used = used.iter().map(|(name, _)| name.as_str());
-        let used: BTreeSet<&str> = used.chain(document.mentions.iter().map(String::as_str)).collect();
-        let unused = document.params.iter().filter(|(key, _)| !used.contains(key.name.as_str()));
-        let told = |(key, _): &(Key, Node)| {
-            let fault = Diagnostic::at(key.span, format!("nothing mentions parameter `{}`", key.name));
-            fault.hint(format!("write ${{{}}} in a `with`, or remove it", key.name))
-        };
-        unused.map(told).collect()
     }
 
     fn step(&mut self, step: &Step, old: usize) -> Option<GraphStep> {
@@ -475,74 +447,4 @@ impl<'d> Resolver<'d> {
         }
         (label.text.clone(), narrowed.into_iter().collect())
     }
-
-    fn targets(&mut self, steps: &[GraphStep], dynamic: &[Option<Dynamic>], given: &[String]) -> Vec<usize> {
-        let declared = self.document().targets.as_deref();
-        for word in declared.unwrap_or_default() {
-            self.check_target(&word.text, Some(word));
-        }
-        given.iter().for_each(|name| self.check_target(name, None));
-        let names: Vec<&str> = match declared {
-            _ if !given.is_empty() => given.iter().map(String::as_str).collect(),
-            Some(words) => words.iter().map(|word| word.text.as_str()).collect(),
-            None => return unread(steps, dynamic),
-        };
-        let names: Vec<&str> = names.into_iter().flat_map(|name| self.steps_of_target(name)).collect();
-        let numbers: BTreeMap<&str, usize> =
-            steps.iter().enumerate().map(|(number, step)| (step.name.as_str(), number)).collect();
-        names.iter().filter_map(|name| numbers.get(name).copied()).collect()
-    }
-
-    fn used(&self, name: &str) -> Option<&'d Used> {
-        self.document().uses.iter().find(|used| used.name == name)
-    }
-
-    /// The step that a target names; of a part that is used, the steps that make its outputs.
-    fn steps_of_target<'n>(&self, name: &'n str) -> Vec<&'n str>
-    where
-        'd: 'n,
-    {
-        let makers = self.used(name).map(|used| used.outputs.values().map(|to| to.step.as_str()).collect());
-        makers.unwrap_or_else(|| vec![name])
-    }
-
-    /// Outputs of parts that no step reads are looked at too.
-    fn check_part_outputs(&mut self) {
-        let document = self.document();
-        let inputs =
-            document.steps.iter().flat_map(|step| step.inputs.iter().flat_map(|(_, input)| input.references()));
-        let read: BTreeSet<(&str, &str)> = inputs.map(|to| (to.step.as_str(), to.port.as_str())).collect();
-        for to in document.uses.iter().flat_map(|used| used.outputs.values()) {
-            let is_there = self.names.steps.contains_key(to.step.as_str());
-            if is_there && !read.contains(&(to.step.as_str(), to.port.as_str())) {
-                self.source(to);
-            }
-        }
-    }
-
-    fn check_target(&mut self, name: &str, place: Option<&Word>) {
-        if self.used(name).is_none()
-            && !self.names.steps.contains_key(name)
-            && !self.document().unread.steps.contains(name)
-        {
-            let message = format!("unknown target step `{name}`");
-            let fault = place.map_or_else(
-                || Diagnostic::general(message.clone()),
-                |word| Diagnostic::at(word.span, message.clone()),
-            );
-            let step = Label::parse(name).map(|label| label.step).filter(|step| self.names.steps.contains_key(step));
-            self.faults.push(match step {
-                Some(step) => fault.hint(format!("a target is a whole step: write `{step}`")),
-                None => self.suggest(fault, name, || self.step_names()),
-            });
-        }
-    }
-}
-
-/// Steps that no other reads, but for those that go back along an axis, and that tell the items of none.
-fn unread(steps: &[GraphStep], dynamic: &[Option<Dynamic>]) -> Vec<usize> {
-    let feeds = steps.iter().flat_map(|step| step.inputs.iter().flat_map(|(_, feed)| feed.forward_sources()));
-    let lists = dynamic.iter().flatten().map(|dynamic| &dynamic.source);
-    let read: BTreeSet<usize> = feeds.chain(lists).map(|source| source.step).collect();
-    (0..steps.len()).filter(|index| !read.contains(index)).collect()
 }

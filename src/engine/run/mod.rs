@@ -2,6 +2,7 @@
 
 mod folder;
 mod scheduler;
+mod spill;
 mod worker;
 
 use rockface_cache::{Digest, Outcome, Recipe, Store, StoreError};

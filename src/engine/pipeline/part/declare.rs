@@ -27,7 +27,7 @@ impl Reader<'_> {
         let before = self.fault_count();
         let what = format!("part `{}`", name.text);
         self.map(node, &what, keys)?;
-        let doc = node.get("doc").and_then(|n| self.word(n, "a text")).map(|word| word.text).unwrap_or_default();
+        let doc = node.get("doc").and_then(|n| self.sentence(n, "doc")).unwrap_or_default();
         let params = self.part_params(node);
         let inputs = self.part_inputs(node);
         let outputs = self.part_outputs(node, name, &what);
@@ -87,7 +87,7 @@ impl Reader<'_> {
                 self.fault(fault.hint("for example {kind: mesh, optional: true}"));
                 return None;
             };
-            let doc = node.get("doc").and_then(|n| self.word(n, "a text")).map(|word| word.text);
+            let doc = node.get("doc").and_then(|n| self.sentence(n, "doc"));
             (self.some_words(kind, "a kind of artefact"), self.flag(node.get("optional"), false), doc)
         } else {
             (self.some_words(node, "a kind of artefact"), false, None)

@@ -65,6 +65,16 @@ pub fn recall(store: &Path, question: &Digest, runs: &Path) -> Result<Option<Tol
     Ok(Some(told))
 }
 
+/// A run that has ended.
+pub struct Ended<'a> {
+    /// How each instance ended.
+    pub summary: &'a Summary,
+    /// What the end of the run says.
+    pub told: &'a Told,
+    /// What it left in its folder.
+    pub finished: &'a Finished,
+}
+
 /// Keeps what `question` came to, for [`recall`]; a run that failed is not kept. It rests on the files that were `included`
 /// too, each of which must still be what was read.
 ///
@@ -75,9 +85,10 @@ pub fn remember(
     store: &Store,
     question: &Digest,
     plan: &Plan,
-    (summary, told, finished): (&Summary, &Told, &Finished),
+    ended: &Ended,
     included: &[(PathBuf, Seen)],
 ) -> Result<(), RunError> {
+    let Ended { summary, told, finished } = ended;
     if summary.failed || summary.instances.iter().any(|instance| instance.outcome.is_none()) {
         return Ok(());
     }

@@ -10,8 +10,8 @@ use rockface_core::artefact::Kind;
 
 use super::phase::Due;
 use super::schedule::{Scheduler, Turn};
-use super::spill::Spilled;
 use crate::run::RunError;
+use crate::run::spill::Spilled;
 use crate::watch::Event;
 
 /// The time between two looks for requests of other processes while steps run here.

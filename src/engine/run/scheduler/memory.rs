@@ -6,9 +6,9 @@ use rockface_core::artefact::Artefact;
 use rockface_core::{InputSize, InputSizes};
 
 use super::schedule::Scheduler;
-use super::spill::Spilled;
 use super::state::State;
 use crate::plan::Given;
+use crate::run::spill::Spilled;
 use crate::watch::Event;
 
 /// Inputs up to this size are read to estimate what a step needs.

@@ -10,9 +10,7 @@ mod progress;
 mod recompute;
 mod rss;
 mod schedule;
-mod spill;
 mod state;
 mod transitions;
 
 pub use schedule::run;
-pub use spill::Spilled;

@@ -7,9 +7,9 @@ use rockface_cache::{Announced, Digest, KeyLock, Outcome, Recipe, SafeName};
 use rockface_core::artefact::Artefact;
 
 use super::phase::{Due, Phase, Purpose};
-use super::spill::Spilled;
 use crate::plan::Plan;
 use crate::run::StepFailure;
+use crate::run::spill::Spilled;
 
 /// One instance.
 pub struct State {

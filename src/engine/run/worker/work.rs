@@ -20,7 +20,7 @@ use super::standing::Standing;
 use super::tools;
 use crate::PHASE;
 use crate::plan::{InputFile, StepParams, has_ports};
-use crate::run::scheduler::Spilled;
+use crate::run::spill::Spilled;
 
 /// An artefact that is in memory, or the blob to read it from.
 pub enum Value {
@@ -167,9 +167,10 @@ pub fn work(task: &Task, place: Place) -> Result<Done, Failure> {
     let trouble = Trouble::default();
     let (inputs, stored) = inputs(task, store, &trouble);
     let before = fingerprints(task)?;
-    let (outputs, entries, retried, programs) = phase!("stage", attempts(task, (&inputs, &trouble), place))?;
+    let given = Given { inputs: &inputs, trouble: &trouble };
+    let (outputs, entries, retried, programs) = phase!("stage", attempts(task, given, place))?;
     if task.check {
-        check_again(task, (&inputs, &trouble), place, &outputs)?;
+        check_again(task, given, place, &outputs)?;
     }
     unchanged_files(task, store, &before)?;
     let values: BTreeMap<_, _> = outputs.into_iter().map(|(port, value)| (port, Arc::new(value))).collect();
@@ -292,6 +293,13 @@ fn run_stage(task: &Task, inputs: &Inputs, host: &StepHost) -> Result<BTreeMap<&
     Ok(outputs)
 }
 
+/// What a stage is given, and where a failure outside of it is noted.
+#[derive(Clone, Copy)]
+struct Given<'a> {
+    inputs: &'a Inputs<'a>,
+    trouble: &'a Trouble,
+}
+
 type Made = BTreeMap<&'static str, Artefact>;
 /// The result of one attempt, the log of the stage, and the cost of its programs.
 type Attempt = (Result<Made, StageError>, (Vec<Entry>, Used));
@@ -300,14 +308,10 @@ type Fingerprint = (u64, i64, i64, i64, i64, u64);
 
 /// Runs the stage, and again as often as it may fail; also tells of the failures that were made good, and what programs took
 /// in the go that succeeded.
-fn attempts(
-    task: &Task,
-    inputs: (&Inputs, &Trouble),
-    place: Place,
-) -> Result<(Made, Vec<Entry>, Vec<String>, Used), Failure> {
+fn attempts(task: &Task, given: Given, place: Place) -> Result<(Made, Vec<Entry>, Vec<String>, Used), Failure> {
     let (mut told, mut said) = (Vec::new(), Vec::new());
     loop {
-        let (result, (entries, used)) = attempt(task, inputs, place)?;
+        let (result, (entries, used)) = attempt(task, given, place)?;
         let error = match result {
             Ok(outputs) => return Ok((outputs, entries, told, used)),
             Err(error) => error,
@@ -324,8 +328,8 @@ fn attempts(
 }
 
 /// Runs the stage once more and refuses outputs that differ.
-fn check_again(task: &Task, inputs: (&Inputs, &Trouble), place: Place, first: &Made) -> Result<(), Failure> {
-    let (second, _) = attempt(task, inputs, place)?;
+fn check_again(task: &Task, given: Given, place: Place, first: &Made) -> Result<(), Failure> {
+    let (second, _) = attempt(task, given, place)?;
     let second = second?;
     for (port, value) in first {
         let encoded = |value: &Artefact| value.encode().map_err(|error| StageError::new(error.to_string()));
@@ -348,7 +352,7 @@ fn keep_log(store: &Store, said: &[Entry]) -> Result<Option<Digest>, StoreError>
 
 fn attempt(
     task: &Task,
-    (inputs, trouble): (&Inputs, &Trouble),
+    Given { inputs, trouble }: Given,
     Place { store, pool, stop, standing }: Place,
 ) -> Result<Attempt, Failure> {
     let seed = task.recipe.seed.as_ref().map(rockface_cache::SeedMaterial::key);

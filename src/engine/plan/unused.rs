@@ -1,0 +1,60 @@
+//! Axes and parameters that nothing uses.
+
+use std::collections::BTreeSet;
+
+use super::resolve::Resolver;
+use crate::diagnostic::{Diagnostic, nearest};
+use crate::pipeline::{Axis, Key, Node, mentioned};
+
+impl Resolver<'_> {
+    /// Axes that no step depends on.
+    pub fn unused_axes(&self) -> Vec<Diagnostic> {
+        // An input that is missing would bring axes with it.
+        if self.faults.iter().any(|fault| fault.message.contains("is not given its input")) {
+            return Vec::new();
+        }
+        let used: BTreeSet<usize> = self.reach.iter().flatten().copied().collect();
+        let unused = self.document().axes.iter().enumerate().filter(|(index, _)| !used.contains(index));
+        let told = |(_, axis): (usize, &Axis)| {
+            let name = &axis.name.text;
+            let fault = Diagnostic::at(axis.name.span, format!("no step depends on axis `{name}`")).hint(format!(
+                "say `over: [{name}]` on the step where it begins, mention ${{{name}}} in a `with`, or remove it"
+            ));
+            let near = self.parameter_like(name).map(|path| format!("did you mean `{path}`?"));
+            near.into_iter().fold(fault, Diagnostic::hint)
+        };
+        unused.map(told).collect()
+    }
+
+    /// The path of a value that an axis of this name may be meant to sweep.
+    fn parameter_like(&self, name: &str) -> Option<String> {
+        let document = self.document();
+        let own = document.params.iter().map(|(key, _)| (key.name.clone(), format!("params.{}", key.name)));
+        let steps = document.steps.iter().zip(&self.stages).filter_map(|(step, stage)| Some((step, (*stage)?)));
+        let fields = steps.flat_map(|(step, stage)| {
+            let path = move |field: &str| format!("steps.{}.with.{field}", step.name.text);
+            stage.fields().into_iter().map(move |field| (field.name.to_owned(), path(field.name)))
+        });
+        let known: Vec<(String, String)> = own.chain(fields).collect();
+        let names: Vec<&str> = known.iter().map(|(name, _)| name.as_str()).collect();
+        let begins = names.iter().find(|known| known.starts_with(&format!("{name}_"))).copied();
+        let near = begins.or_else(|| nearest(name, &names))?;
+        known.iter().find(|(name, _)| name == near).map(|(_, path)| path.clone())
+    }
+
+    /// Parameters that nothing mentions.
+    pub fn unused_params(&self) -> Vec<Diagnostic> {
+        let document = self.document();
+        let mut used = Vec::new();
+        document.steps.iter().filter_map(|step| step.with.as_ref()).for_each(|with| mentioned(with, &mut used));
+        document.params.iter().for_each(|(_, node)| mentioned(node, &mut used));
+        let used = used.iter().map(|(name, _)| name.as_str());
+        let used: BTreeSet<&str> = used.chain(document.mentions.iter().map(String::as_str)).collect();
+        let unused = document.params.iter().filter(|(key, _)| !used.contains(key.name.as_str()));
+        let told = |(key, _): &(Key, Node)| {
+            let fault = Diagnostic::at(key.span, format!("nothing mentions parameter `{}`", key.name));
+            fault.hint(format!("write ${{{}}} in a `with`, or remove it", key.name))
+        };
+        unused.map(told).collect()
+    }
+}
