@@ -151,6 +151,25 @@ impl StageError {
         self.hint = Some(hint.into());
         self
     }
+
+    /// Says where it happened: the message becomes `place: message`.
+    #[must_use]
+    pub fn within(mut self, place: impl std::fmt::Display) -> Self {
+        self.message = format!("{place}: {}", self.message);
+        self
+    }
+}
+
+impl From<String> for StageError {
+    fn from(message: String) -> Self {
+        Self::new(message)
+    }
+}
+
+impl From<&str> for StageError {
+    fn from(message: &str) -> Self {
+        Self::new(message)
+    }
 }
 
 /// Returns a [`StageError`] with a formatted message.

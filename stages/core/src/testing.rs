@@ -153,3 +153,13 @@ pub fn height_mesh(n: u32, [x0, x1, y0, y1]: [f64; 4], z: impl Fn(f64, f64) -> f
     let triangles = (0..n).flat_map(|row| (0..n).flat_map(move |column| square(row, column))).collect();
     Mesh { frame: Frame::Wall, vertices, triangles, colours: Vec::new() }
 }
+
+/// Reads every beginning of a file, which must be refused: a file that was cut short is no other file.
+///
+/// # Panics
+/// Where a beginning is read.
+pub fn refuses_every_beginning<T, E>(bytes: &[u8], read: impl Fn(&[u8]) -> Result<T, E>) {
+    for length in 0..bytes.len() {
+        assert!(read(&bytes[..length]).is_err(), "the first {length} of {} bytes are read", bytes.len());
+    }
+}

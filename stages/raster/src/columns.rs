@@ -1,6 +1,7 @@
 //! Columns of numbers out of what has rows: inventories and tables.
 
-use rockface_core::artefact::{Artefact, Cell};
+use rockface_core::StageError;
+use rockface_core::artefact::{Artefact, Cell, Inventory};
 
 /// The names of the columns and the cells of each row; `None` for artefacts without rows.
 pub fn rows(artefact: &Artefact) -> Option<(&[String], Vec<&[Cell]>)> {
@@ -13,14 +14,31 @@ pub fn rows(artefact: &Artefact) -> Option<(&[String], Vec<&[Cell]>)> {
     }
 }
 
+/// The place of a column.
+///
+/// # Errors
+/// There is none of that name: the message names those there are.
+pub fn place(columns: &[String], name: &str) -> Result<usize, StageError> {
+    let place = columns.iter().position(|column| column == name);
+    place.ok_or_else(|| StageError::new(format!("there is no column `{name}`; there are {}", columns.join(", "))))
+}
+
+/// The numbers of an inventory's column, `None` where a feature has none there.
+///
+/// # Errors
+/// As [`place`].
+pub fn numbers_of(inventory: &Inventory, name: &str) -> Result<Vec<Option<f64>>, StageError> {
+    let place = place(&inventory.columns, name)?;
+    Ok(inventory.features.iter().map(|feature| feature.values[place].number()).collect())
+}
+
 /// The numbers of a column, `None` where a row has none there.
 ///
 /// # Errors
 /// An artefact without rows, or without such a column: the message names those there are.
-pub fn numbers(artefact: &Artefact, column: &str) -> Result<Vec<Option<f64>>, String> {
+pub fn numbers(artefact: &Artefact, column: &str) -> Result<Vec<Option<f64>>, StageError> {
     let (columns, rows) = rows(artefact).ok_or_else(|| format!("a {} has no columns", artefact.kind()))?;
-    let place = columns.iter().position(|name| name == column);
-    let place = place.ok_or_else(|| format!("there is no column `{column}`; there are {}", columns.join(", ")))?;
+    let place = place(columns, column)?;
     Ok(rows.iter().map(|row| row.get(place).and_then(Cell::number)).collect())
 }
 
@@ -28,7 +46,7 @@ pub fn numbers(artefact: &Artefact, column: &str) -> Result<Vec<Option<f64>>, St
 ///
 /// # Errors
 /// As [`numbers`].
-pub fn magnitudes(artefact: &Artefact, column: &str) -> Result<(Vec<f64>, usize), String> {
+pub fn magnitudes(artefact: &Artefact, column: &str) -> Result<(Vec<f64>, usize), StageError> {
     let numbers = numbers(artefact, column)?;
     let mut positive: Vec<f64> = numbers.iter().flatten().copied().filter(|number| *number > 0.0).collect();
     positive.sort_by(f64::total_cmp);
@@ -49,7 +67,7 @@ mod tests {
         }
         let table = Artefact::from(table);
         assert_eq!(magnitudes(&table, "v").unwrap(), (vec![0.5, 3.0], 3));
-        assert!(magnitudes(&table, "u").unwrap_err().contains("there are v, w"));
-        assert!(numbers(&Artefact::from(Picture { png: Vec::new() }), "v").unwrap_err().contains("picture"));
+        assert!(magnitudes(&table, "u").unwrap_err().message.contains("there are v, w"));
+        assert!(numbers(&Artefact::from(Picture { png: Vec::new() }), "v").unwrap_err().message.contains("picture"));
     }
 }

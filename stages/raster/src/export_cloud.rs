@@ -45,9 +45,7 @@ impl Stage for ExportCloud {
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let artefact = inputs.artefact("points")?;
         let made = match artefact {
-            Artefact::Raster(raster) => Some(
-                raster_surface::between_cells(raster).map_err(|text| StageError::new(format!("`points` {text}")))?,
-            ),
+            Artefact::Raster(raster) => Some(raster_surface::between_cells(raster).map_err(|e| e.within("`points`"))?),
             _ => None,
         };
         let shape = made.as_ref().map(Shape::Surface).or_else(|| Shape::of(artefact));

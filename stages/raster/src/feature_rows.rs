@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use super::columns;
+use rockface_core::StageError;
 use rockface_core::artefact::{Cell, Table};
 
 /// Item of each axis that a table was gathered from.
@@ -30,15 +32,16 @@ impl FeatureRow {
 ///
 /// # Errors
 /// A column that is missing, or a cell without a number, with the raster and the feature in the message.
-pub fn feature_rows(tables: &[(&Items, &Table)], features: &[String]) -> Result<Vec<FeatureRow>, String> {
+pub fn feature_rows(tables: &[(&Items, &Table)], features: &[String]) -> Result<Vec<FeatureRow>, StageError> {
     let mut rows = Vec::new();
     for (items, table) in tables {
-        let columns: Vec<usize> = features.iter().map(|name| column(table, name)).collect::<Result<_, _>>()?;
+        let places: Vec<usize> =
+            features.iter().map(|name| columns::place(&table.columns, name)).collect::<Result<_, _>>()?;
         let name = table.column("raster");
         for (index, cells) in table.rows.iter().enumerate() {
             let raster = name.map_or_else(|| format!("row {}", index + 1), |column| cells[column].to_string());
             let mut row = FeatureRow { items: (*items).clone(), raster, values: Vec::new() };
-            for (feature, at) in features.iter().zip(&columns) {
+            for (feature, at) in features.iter().zip(&places) {
                 let value = cells[*at].number().filter(|x| x.is_finite());
                 row.values.push(value.ok_or_else(|| format!("`{}` has no number for `{feature}`", row.label()))?);
             }
@@ -46,10 +49,6 @@ pub fn feature_rows(tables: &[(&Items, &Table)], features: &[String]) -> Result<
         }
     }
     Ok(rows)
-}
-
-fn column(table: &Table, name: &str) -> Result<usize, String> {
-    table.column(name).ok_or_else(|| format!("there is no column `{name}`; the table has {}", table.columns.join(", ")))
 }
 
 /// The axes of all elements, in alphabetical order.
@@ -95,12 +94,12 @@ mod tests {
         table.push(vec!["d".into(), 1.0.into()]);
         table.push(vec!["e".into(), f64::NAN.into()]);
         let point = items("replicate", "3");
-        let error = feature_rows(&[(&point, &table)], &["x".into()]).unwrap_err();
+        let error = feature_rows(&[(&point, &table)], &["x".into()]).unwrap_err().message;
         assert!(error.contains("`replicate=3 e`") && error.contains("`x`"), "{error}");
         table.rows.pop();
         let rows = feature_rows(&[(&point, &table)], &["x".into()]).unwrap();
         assert_eq!((rows[0].label().as_str(), rows[0].values.as_slice()), ("replicate=3 d", [1.0].as_slice()));
-        assert!(feature_rows(&[(&point, &table)], &["y".into()]).unwrap_err().contains("raster, x"));
+        assert!(feature_rows(&[(&point, &table)], &["y".into()]).unwrap_err().message.contains("raster, x"));
         assert_eq!(axes([&point, &items("epoch", "pre")]), ["epoch", "replicate"]);
     }
 }

@@ -5,7 +5,7 @@ use nalgebra::Point3;
 use rockface_core::artefact::{Cell, Kind, Table, Transform};
 use rockface_core::format::table_file;
 use rockface_core::params::FileRef;
-use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, params};
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
 /// The columns a transform moves.
 const POSITION: [&str; 3] = ["x_m", "y_m", "z_m"];
@@ -44,9 +44,9 @@ impl Stage for ImportTable {
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let path = &params.path.0;
-        let failed = |e: String| StageError::new(format!("cannot read `{path}`: {e}"));
+        let failed = |e: StageError| e.within(format!("cannot read `{path}`"));
         let mut table =
-            table_file::read(&context.read(&params.path)?, &|| context.cancelled()).map_err(|e| failed(e.0))?;
+            table_file::read(&context.read(&params.path)?, &|| context.cancelled()).map_err(|e| failed(e.0.into()))?;
         rename(&mut table, &params.rename).map_err(failed)?;
         if let Some(transform) = inputs.optional::<Transform>("transform")? {
             move_positions(&mut table, transform).map_err(failed)?;
@@ -57,19 +57,19 @@ impl Stage for ImportTable {
     }
 }
 
-fn rename(table: &mut Table, renamed: &[Renamed]) -> Result<(), String> {
+fn rename(table: &mut Table, renamed: &[Renamed]) -> Result<(), StageError> {
     for Renamed { from, to } in renamed {
         let missing = || format!("it has no column `{from}` to rename, only {}", table_file::listed(table));
         let at = table.column(from).ok_or_else(missing)?;
         if table.column(to).is_some() {
-            return Err(format!("`{from}` cannot be called `{to}`: another column is called so already"));
+            fail!("`{from}` cannot be called `{to}`: another column is called so already");
         }
         table.columns[at].clone_from(to);
     }
     Ok(())
 }
 
-fn move_positions(table: &mut Table, transform: &Transform) -> Result<(), String> {
+fn move_positions(table: &mut Table, transform: &Transform) -> Result<(), StageError> {
     let missing = |name: &str| format!("a transform moves positions, but there is no column `{name}`");
     let mut at = [0; 3];
     for (at, name) in at.iter_mut().zip(POSITION) {

@@ -1,35 +1,8 @@
-//! Finds what is wrong with a mesh from elsewhere, drops what is safe to drop, and counts the rest.
+//! Triangles without area, vertices that no triangle uses, vertices at one place: dropped or counted.
 
 use rayon::prelude::*;
 
 use rockface_core::artefact::Mesh;
-
-/// What [`tidy`] dropped.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Tidied {
-    /// Triangles without area: a repeated corner, or three corners on one line.
-    pub degenerate_triangles: usize,
-    /// Vertices no remaining triangle uses.
-    pub unreferenced_vertices: usize,
-}
-
-/// Edges of a mesh by what is wrong with them.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct EdgeReport {
-    /// Edges of one triangle: the rim of an open surface and of its holes.
-    pub boundary: usize,
-    /// Edges of three or more triangles, and one of them as vertex indices.
-    pub non_manifold: usize,
-    /// Edges whose two triangles run through them in the same direction.
-    pub inconsistent: usize,
-    /// The vertices of the first faulty edge.
-    pub first_fault: Option<[u32; 2]>,
-}
-
-/// Drops triangles without area, then vertices without triangle; the order of the rest is kept.
-pub fn tidy(mesh: &mut Mesh) -> Tidied {
-    Tidied { degenerate_triangles: drop_degenerate(mesh), unreferenced_vertices: drop_unreferenced(mesh) }
-}
 
 /// Drops triangles without area; returns how many.
 pub fn drop_degenerate(mesh: &mut Mesh) -> usize {
@@ -82,36 +55,6 @@ pub fn duplicate_vertices(mesh: &Mesh) -> usize {
     keys.windows(2).filter(|pair| pair[0] == pair[1]).count()
 }
 
-/// Counts boundary, non-manifold and inconsistently oriented edges.
-pub fn check_edges(mesh: &Mesh) -> EdgeReport {
-    // Key: smaller index, larger index, then whether the triangle runs from larger to smaller.
-    let edges = |t: &[u32; 3]| [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])];
-    let key = |(a, b): (u32, u32)| (a.min(b), a.max(b), a > b);
-    let mut keys: Vec<(u32, u32, bool)> = mesh.triangles.par_iter().flat_map_iter(|t| edges(t).map(key)).collect();
-    keys.par_sort_unstable();
-    let mut report = EdgeReport::default();
-    for edge in keys.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
-        let faulty = match edge {
-            [_] => {
-                report.boundary += 1;
-                false
-            }
-            [one, other] => {
-                report.inconsistent += usize::from(one.2 == other.2);
-                one.2 == other.2
-            }
-            _ => {
-                report.non_manifold += 1;
-                true
-            }
-        };
-        if faulty && report.first_fault.is_none() {
-            report.first_fault = Some([edge[0].0, edge[0].1]);
-        }
-    }
-    report
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -130,22 +73,10 @@ mod tests {
             &[[1, 2, 4], [1, 3, 2], [4, 4, 5], [1, 4, 5]],
         );
         dirty.colours = (0..6).map(|i| [i; 3]).collect();
-        let tidied = tidy(&mut dirty);
-        assert_eq!(tidied, Tidied { degenerate_triangles: 2, unreferenced_vertices: 2 });
+        assert_eq!((drop_degenerate(&mut dirty), drop_unreferenced(&mut dirty)), (2, 2));
         assert_eq!(dirty.vertices, SQUARE);
         assert_eq!(dirty.triangles, [[0, 1, 2], [0, 2, 3]]);
         assert_eq!(dirty.colours, [[1; 3], [2; 3], [4; 3], [5; 3]]);
-    }
-
-    #[test]
-    fn edges_are_counted_by_fault() {
-        let good = check_edges(&mesh(&SQUARE, &[[0, 1, 2], [0, 2, 3]]));
-        assert_eq!(good, EdgeReport { boundary: 4, ..EdgeReport::default() });
-        let flipped = check_edges(&mesh(&SQUARE, &[[0, 1, 2], [0, 3, 2]]));
-        assert_eq!((flipped.inconsistent, flipped.first_fault), (1, Some([0, 2])));
-        let five = [&SQUARE[..], &[[0.5, 0.5, 1.0]]].concat();
-        let fin = check_edges(&mesh(&five, &[[0, 1, 2], [0, 2, 3], [2, 0, 4]]));
-        assert_eq!((fin.non_manifold, fin.first_fault), (1, Some([0, 2])));
     }
 
     #[test]

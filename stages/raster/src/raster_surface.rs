@@ -1,14 +1,15 @@
 //! The surface an elevation raster stands for: a point at every cell centre, triangles between neighbours.
 
 use rockface_core::artefact::{Grid, Raster, Surface};
+use rockface_core::{StageError, fail};
 
 /// The triangles between the cell centres of an elevation raster of one band; cells without a value have no point.
 ///
 /// # Errors
 /// The raster has several bands: which of them is the elevation?
-pub fn between_cells(raster: &Raster) -> Result<Surface, String> {
+pub fn between_cells(raster: &Raster) -> Result<Surface, StageError> {
     let [band] = raster.bands.as_slice() else {
-        return Err(format!("has {} bands, one is needed", raster.bands.len()));
+        fail!("an elevation raster of one band is needed, this one has {}", raster.bands.len());
     };
     let Grid { columns: width, rows: height, left_m, top_m, .. } = raster.grid;
     let z_m = band.values.iter().find(|z| !z.is_nan()).map_or(0.0, |z| f64::from(*z));

@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use rockface_core::artefact::Grid;
+use rockface_core::{StageError, fail};
 
 use super::shape::{Moved, Shape};
 
@@ -32,23 +33,23 @@ pub fn extent(shape: Shape, moved: Option<&Moved>) -> Option<[f64; 4]> {
 }
 
 /// The grid of whole multiples of the cell that covers an extent (left, right, bottom, top), metres.
-pub fn grid_around([left, right, bottom, top]: [f64; 4], cell_m: f64) -> Result<Grid, String> {
+pub fn grid_around([left, right, bottom, top]: [f64; 4], cell_m: f64) -> Result<Grid, StageError> {
     let (first, last) = ((left / cell_m).floor(), (right / cell_m).floor());
     let (lowest, highest) = ((bottom / cell_m).floor(), (top / cell_m).floor());
     sized(last - first + 1.0, highest - lowest + 1.0, cell_m, first * cell_m, (highest + 1.0) * cell_m)
 }
 
 /// The grid of a window (left, right, bottom, top), metres: its size rounded to whole cells.
-pub fn grid_of_window([left, right, bottom, top]: [f64; 4], cell_m: f64) -> Result<Grid, String> {
+pub fn grid_of_window([left, right, bottom, top]: [f64; 4], cell_m: f64) -> Result<Grid, StageError> {
     sized(((right - left) / cell_m).round(), ((top - bottom) / cell_m).round(), cell_m, left, top)
 }
 
-fn sized(columns: f64, rows: f64, cell_m: f64, left_m: f64, top_m: f64) -> Result<Grid, String> {
+fn sized(columns: f64, rows: f64, cell_m: f64, left_m: f64, top_m: f64) -> Result<Grid, StageError> {
     if !(columns >= 1.0 && rows >= 1.0 && columns * rows <= MAXIMUM_CELLS) {
-        return Err(format!(
+        fail!(
             "a grid of {columns:.3e} columns and {rows:.3e} rows of {cell_m:.3e} m has none or more than {MAXIMUM_CELLS:.1e} cells; is \
              the surface in metres?"
-        ));
+        );
     }
     Ok(Grid { columns: columns as usize, rows: rows as usize, cell_m, left_m, top_m })
 }

@@ -117,7 +117,7 @@ fn make_grid(params: &RasteriseDemParams, shape: Shape, moved: Option<&Moved>) -
         let extent = extent.ok_or_else(|| StageError::new("the surface has no points, so it has no extent"))?;
         rasterise::grid_around(extent, params.cell_m)
     };
-    grid.map_err(|message| StageError::new(message).hint("choose another `cell_m` or `window_m`"))
+    grid.map_err(|e| e.hint("choose another `cell_m` or `window_m`"))
 }
 
 fn usable(grid: Grid) -> Result<Grid, StageError> {

@@ -2,6 +2,7 @@
 
 use std::io::{Cursor, Write};
 
+use rockface_core::StageError;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
@@ -22,7 +23,7 @@ pub enum Array {
 ///
 /// # Errors
 /// What the ZIP library refuses.
-pub fn write(arrays: &[(&str, &[usize], Array)]) -> Result<Vec<u8>, String> {
+pub fn write(arrays: &[(&str, &[usize], Array)]) -> Result<Vec<u8>, StageError> {
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
     let options = SimpleFileOptions::default().compression_method(CompressionMethod::Deflated);
     for (name, shape, array) in arrays {

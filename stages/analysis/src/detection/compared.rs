@@ -2,6 +2,7 @@
 
 use rockface_core::artefact::{Cell, Feature, Grid, Inventory, Raster};
 use rockface_core::numerics::portable_math;
+use rockface_core::{StageError, fail};
 use rockface_rock::rockfall::inventory_labels;
 
 use super::score::{Object, Score};
@@ -46,14 +47,14 @@ fn window(feature: &Feature, grid: &Grid) -> Option<(Grid, usize)> {
 ///
 /// # Errors
 /// A label that is no whole number of 0 or more.
-pub fn labelled(labels: &Raster, seen: &[bool]) -> Result<Vec<(u32, Vec<usize>)>, String> {
+pub fn labelled(labels: &Raster, seen: &[bool]) -> Result<Vec<(u32, Vec<usize>)>, StageError> {
     let mut objects: std::collections::BTreeMap<u32, Vec<usize>> = std::collections::BTreeMap::new();
     for (cell, value) in labels.bands.first().map_or(&[][..], |band| &band.values).iter().enumerate() {
         if value.is_nan() || value.to_bits() == 0 {
             continue;
         }
         if value.fract() != 0.0 || *value < 0.0 {
-            return Err(format!("cell {cell} of the labels is {value}, which is no whole number"));
+            fail!("cell {cell} of the labels is {value}, which is no whole number");
         }
         let cells = objects.entry(*value as u32).or_default();
         if seen[cell] {
@@ -163,6 +164,6 @@ mod tests {
         let labels = |values: Vec<f32>| Raster::single(grid, Frame::Wall, "label", "l", values);
         let found = labelled(&labels(vec![7.0, 0.0, 7.0]), &[true, true, false]).unwrap();
         assert_eq!(found, [(7, vec![0])]);
-        assert!(labelled(&labels(vec![0.5, 0.0, f32::NAN]), &[true; 3]).unwrap_err().contains("cell 0"));
+        assert!(labelled(&labels(vec![0.5, 0.0, f32::NAN]), &[true; 3]).unwrap_err().message.contains("cell 0"));
     }
 }

@@ -43,10 +43,8 @@ impl Stage for DescribeDetectability {
         let truth = inputs.artefact("truth")?;
         let Some((columns, rows)) = columns::rows(truth) else { fail!("a {} has no columns", truth.kind()) };
         let place = |name: &str| columns.iter().position(|column| column == name);
-        let outcome = place("outcome").ok_or_else(|| {
-            let message = format!("there is no column `outcome`; there are {}", columns.join(", "));
-            StageError::new(message).hint("connect the port `truth` of `score-detections`")
-        })?;
+        let hinted = |missing: StageError| missing.hint("connect the port `truth` of `score-detections`");
+        let outcome = columns::place(columns, "outcome").map_err(hinted)?;
         let counted = |row: &&&[Cell]| ["found", "missed"].contains(&row[outcome].text().unwrap_or_default());
         let rows: Vec<&[Cell]> = rows.iter().filter(counted).copied().collect();
         if rows.is_empty() {

@@ -86,7 +86,7 @@ impl Stage for DetectM3c2 {
         let distances = m3c2::distances([&clouds[0], &clouds[1]], &cores, &scales(params));
         let found = detect(params, &grid, &distances);
         report(&found, &distances, params, context)?;
-        let labels = found::labels(&grid, frame, &found).map_err(StageError::new)?;
+        let labels = found::labels(&grid, frame, &found)?;
         let detections = found::inventory(&grid, frame, "m3c2", &found);
         let distances = bands(&grid, frame, &distances);
         Ok(Outputs::of("detections", detections).and("labels", labels).and("distances", distances))
@@ -110,7 +110,7 @@ fn grid(params: &DetectM3c2Params, reference: Shape, inputs: &Inputs) -> Result<
         let extent = extent.ok_or_else(|| StageError::new("the reference has no points"))?;
         rasterise::grid_around(extent, params.core_spacing_m)
     };
-    grid.map_err(|e| StageError::new(e).hint("choose another `core_spacing_m`"))
+    grid.map_err(|e| e.hint("choose another `core_spacing_m`"))
 }
 
 fn scales(params: &DetectM3c2Params) -> Scales {

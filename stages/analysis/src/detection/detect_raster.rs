@@ -115,7 +115,7 @@ impl Stage for DetectRaster {
         let limits = limits(&params.lod, &band.values, [reference, comparison], difference.grid.columns)?;
         let found = detect(params, difference, &lost, &limits, reference);
         report(&found, &limits, &lost, context)?;
-        let labels = found::labels(&difference.grid, difference.frame, &found).map_err(StageError::new)?;
+        let labels = found::labels(&difference.grid, difference.frame, &found)?;
         let detections = found::inventory(&difference.grid, difference.frame, "raster", &found);
         Ok(Outputs::of("detections", detections).and("labels", labels))
     }

@@ -65,7 +65,7 @@ impl Stage for DetectVoxels {
         }
         let moved = inputs.optional::<Transform>("transform")?.and_then(Moved::by);
         let voxels = Voxels::new([reference, comparison], moved.as_ref(), params.voxel_m)
-            .map_err(|e| StageError::new(e).hint("choose a larger `voxel_m`; are both surfaces in metres?"))?;
+            .map_err(|e| e.hint("choose a larger `voxel_m`; are both surfaces in metres?"))?;
         let grid = plan(&voxels);
         let low = voxels.low;
         let occupied = voxels.occupied();
@@ -74,7 +74,7 @@ impl Stage for DetectVoxels {
         let found: Vec<Found> =
             clusters.iter().filter(|c| counts(c, params)).map(|c| body(c, &grid, low, params.voxel_m)).collect();
         report(&found, all, occupied, context);
-        let labels = found::labels(&grid, frame, &found).map_err(StageError::new)?;
+        let labels = found::labels(&grid, frame, &found)?;
         let detections = found::inventory(&grid, frame, "voxels", &found);
         Ok(Outputs::of("detections", detections).and("labels", labels))
     }
@@ -88,7 +88,7 @@ fn shape<'a>(port: &str, inputs: &'a Inputs) -> Result<Shape<'a>, StageError> {
 /// The triangles between the cell centres of an elevation raster; `None` for what has triangles of its own.
 fn triangles(port: &str, artefact: &Artefact) -> Result<Option<Surface>, StageError> {
     let Artefact::Raster(raster) = artefact else { return Ok(None) };
-    raster_surface::between_cells(raster).map(Some).map_err(|text| StageError::new(format!("`{port}` {text}")))
+    raster_surface::between_cells(raster).map(Some).map_err(|e| e.within(format!("`{port}`")))
 }
 
 /// The columns of voxels as a grid.

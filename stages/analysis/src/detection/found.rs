@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 
 use rockface_core::artefact::{Feature, Frame, Grid, Inventory, Raster, Sample, TableRow};
 use rockface_core::table_row;
+use rockface_core::{StageError, fail};
 use rockface_rock::rockfall::ground_truth::bounding_box::oriented_box;
 use rockface_rock::rockfall::ground_truth::{Facets, outline, sneed_folk};
 
@@ -100,10 +101,10 @@ fn sides(points: &[[f64; 3]]) -> [f64; 3] {
 ///
 /// # Errors
 /// More than 65535 of them.
-pub fn labels(grid: &Grid, frame: Frame, found: &[Found]) -> Result<Raster, String> {
+pub fn labels(grid: &Grid, frame: Frame, found: &[Found]) -> Result<Raster, StageError> {
     let largest = usize::from(u16::MAX);
     if found.len() > largest {
-        return Err(format!("{} changes were found, a label raster holds {largest}", found.len()));
+        fail!("{} changes were found, a label raster holds {largest}", found.len());
     }
     let mut values = vec![0.0f32; grid.cells()];
     for (number, found) in found.iter().enumerate() {

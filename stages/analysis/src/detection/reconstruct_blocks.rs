@@ -4,7 +4,7 @@ use crate::detection::{compared, solid};
 use rockface_core::artefact::{Frame, Inventory, Kind, Meshes, Part, Raster};
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
-use rockface_raster::grid;
+use rockface_raster::{columns, grid};
 use rockface_rock::rockfall::block::Solid;
 
 params! {
@@ -36,12 +36,7 @@ impl Stage for ReconstructBlocks {
         let detections = inputs.one::<Inventory>("detections")?;
         let (before, after) = (inputs.one::<Raster>("reference")?, inputs.one::<Raster>("comparison")?);
         check(detections, before, after)?;
-        let classes = params.class.as_ref().map(|name| {
-            let columns = || detections.columns.join(", ");
-            detections
-                .column(name)
-                .ok_or_else(|| StageError::new(format!("there is no column `{name}`; there are {}", columns())))
-        });
+        let classes = params.class.as_ref().map(|name| columns::place(&detections.columns, name));
         let classes = classes.transpose()?;
         let grid = &before.grid;
         let (top, bottom) = (&before.bands[0].values, &after.bands[0].values);

@@ -102,7 +102,7 @@ fn detections(given: &Artefact, searched: &Raster, seen: &[bool]) -> Result<Inve
         let values = [f64::from(label), volume, cells.len() as f64].map(Cell::from).to_vec();
         Feature { outline: outline::polygons(grid, &places), values }
     };
-    let features = compared::labelled(labels, seen).map_err(StageError::new)?.into_iter().map(feature).collect();
+    let features = compared::labelled(labels, seen)?.into_iter().map(feature).collect();
     let columns = ["id", "volume_m3", "cells"].map(str::to_owned).to_vec();
     Ok(Inventory { frame: labels.frame, columns, features })
 }

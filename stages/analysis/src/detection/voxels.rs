@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicU8, Ordering};
 
 use rayon::prelude::*;
 
+use rockface_core::{StageError, fail};
 use rockface_raster::shape::{Moved, Shape};
 
 /// Voxels a grid may have.
@@ -42,7 +43,7 @@ impl Voxels {
     ///
     /// # Errors
     /// Surfaces without points, or too many voxels.
-    pub fn new(shapes: [Shape; 2], moved: Option<&Moved>, edge_m: f64) -> Result<Self, String> {
+    pub fn new(shapes: [Shape; 2], moved: Option<&Moved>, edge_m: f64) -> Result<Self, StageError> {
         let motions = [None, moved];
         let mut bounds = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
         for (shape, motion) in shapes.into_iter().zip(motions) {
@@ -55,13 +56,13 @@ impl Voxels {
             }
         }
         if bounds[0][0] > bounds[1][0] {
-            return Err("neither surface has points".to_owned());
+            return Err(StageError::new("neither surface has points"));
         }
         let first = bounds[0].map(|low| (low / edge_m).floor() - 1.0);
         let size: [f64; 3] = std::array::from_fn(|axis| (bounds[1][axis] / edge_m).floor() + 2.0 - first[axis]);
         let total = size.iter().product::<f64>();
         if total > MAXIMUM {
-            return Err(format!("{total:.2e} voxels of {edge_m} m are more than {MAXIMUM:.0e}"));
+            fail!("{total:.2e} voxels of {edge_m} m are more than {MAXIMUM:.0e}");
         }
         let count = size.map(|length| length as usize);
         let low = first.map(|index| index * edge_m);
@@ -311,7 +312,7 @@ mod tests {
     fn too_many_voxels_and_no_points_are_refused() {
         let plane = niche(0.0);
         let shape = Shape::Mesh(&plane);
-        assert!(Voxels::new([shape, shape], None, 1e-5).err().unwrap().contains("voxels of 0.00001 m"));
+        assert!(Voxels::new([shape, shape], None, 1e-5).err().unwrap().message.contains("voxels of 0.00001 m"));
         let empty = Mesh { vertices: Vec::new(), triangles: Vec::new(), ..plane.clone() };
         assert!(Voxels::new([Shape::Mesh(&empty), Shape::Mesh(&empty)], None, 0.1).is_err());
     }

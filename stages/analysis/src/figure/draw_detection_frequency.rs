@@ -4,6 +4,7 @@ use crate::figure::chart::{Axes, Axis, Ink, Layer, Panel, Sheet, Ternary, draw};
 use rockface_core::artefact::{Inventory, Kind};
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_raster::columns;
 use rockface_rock::rockfall::power_law;
 
 params! {
@@ -74,12 +75,9 @@ fn volumes(inventory: &Inventory, column: &str, outcomes: &[&str]) -> Result<Vec
     if inventory.features.is_empty() {
         return Ok(Vec::new());
     }
-    let missing = |name: &str| {
-        StageError::new(format!("there is no column `{name}`; there are {}", inventory.columns.join(", ")))
-            .hint("connect what `score-detections` made")
-    };
-    let numbers = inventory.numbers(column).ok_or_else(|| missing(column))?;
-    let at = inventory.column("outcome").ok_or_else(|| missing("outcome"))?;
+    let hinted = |missing: StageError| missing.hint("connect what `score-detections` made");
+    let numbers = columns::numbers_of(inventory, column).map_err(hinted)?;
+    let at = columns::place(&inventory.columns, "outcome").map_err(hinted)?;
     let rows = numbers.into_iter().zip(&inventory.features);
     let kept = rows.filter(|(_, f)| outcomes.contains(&f.values[at].text().unwrap_or_default()));
     let mut volumes: Vec<f64> = kept.filter_map(|(volume, _)| volume.filter(|v| *v > 0.0)).collect();

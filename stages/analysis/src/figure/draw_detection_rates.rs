@@ -3,6 +3,7 @@
 use crate::figure::chart::{Axes, Axis, Ink, Layer, Mark, Panel, Sheet, draw};
 use rockface_core::artefact::{Cell, Kind, Table};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
+use rockface_raster::columns;
 
 choice! {
     /// Which rates are drawn.
@@ -44,17 +45,13 @@ impl Stage for DrawDetectionRates {
         if rates.rows.is_empty() {
             fail!("the table has no row");
         }
-        let place = |name: &str| {
-            rates.column(name).ok_or_else(|| {
-                StageError::new(format!("there is no column `{name}`; there are {}", rates.columns.join(", ")))
-            })
-        };
+        let place = |name: &str| columns::place(&rates.columns, name);
         let series = params.series.as_deref().map(place).transpose()?;
         let kind = if params.rates == Rates::Pooled { "pooled" } else { "macro" };
         let column = |name: &str| place(&format!("{kind}_{name}"));
         let (precision, recall, f1) = (column("precision")?, column("recall")?, column("f1")?);
-        let ends =
-            ["precision", "f1"].map(|name| Ok([column(&format!("{name}_low"))?, column(&format!("{name}_high"))?]));
+        let ends = ["precision", "f1"]
+            .map(|name| Ok::<_, StageError>([column(&format!("{name}_low"))?, column(&format!("{name}_high"))?]));
         let [precision_ends, f1_ends] = ends;
         let (precision_ends, f1_ends): ([usize; 2], [usize; 2]) = (precision_ends?, f1_ends?);
         let (along, error) = (place(&params.along)?, place("volume_error_median")?);

@@ -6,6 +6,7 @@ use crate::noise::acceptance_rate::wilson_interval;
 use rockface_core::artefact::{Inventory, Kind};
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_raster::columns;
 
 params! {
     /// Parameters of `draw-detection-volumes`.
@@ -71,14 +72,10 @@ struct Change {
 }
 
 fn changes(truth: &Inventory, column: &str) -> Result<Vec<Change>, StageError> {
-    let numbers = |name: &str| {
-        truth.numbers(name).ok_or_else(|| {
-            StageError::new(format!("there is no column `{name}`; there are {}", truth.columns.join(", ")))
-                .hint("connect the port `truth` of `score-detections`")
-        })
-    };
+    let hinted = |missing: StageError| missing.hint("connect the port `truth` of `score-detections`");
+    let numbers = |name: &str| columns::numbers_of(truth, name).map_err(hinted);
     let (volumes, detected, ious) = (numbers(column)?, numbers("detected_m3")?, numbers("iou")?);
-    let outcome = truth.column("outcome").ok_or_else(|| StageError::new("there is no column `outcome`"))?;
+    let outcome = columns::place(&truth.columns, "outcome").map_err(hinted)?;
     let change = |place: usize| {
         let word = truth.features[place].values[outcome].text()?;
         let volume_m3 = volumes[place].filter(|volume| *volume > 0.0)?;

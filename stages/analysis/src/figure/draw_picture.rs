@@ -63,8 +63,8 @@ impl Stage for DrawPicture {
         let subject = inputs.artefact("subject")?;
         let band = params.band.as_deref();
         let look = match subject {
-            Artefact::Raster(raster) => Look::of_raster(raster, band).map_err(|names| no_band(params, &names))?,
-            Artefact::Depth(depth) => Look::of_depth(depth, band).map_err(|names| no_band(params, &names))?,
+            Artefact::Raster(raster) => Look::of_raster(raster, band)?,
+            Artefact::Depth(depth) => Look::of_depth(depth, band)?,
             other => of_shape(other, params)?,
         };
         let scale = scale(&look, params)?;
@@ -96,14 +96,9 @@ fn of_shape(artefact: &Artefact, params: &DrawPictureParams) -> Result<Look<'sta
     // One cell a pixel; the grid may get one cell more than the extent has.
     let fitting = longest / (picture::FULL.room(params.max_width_px as usize) - 1) as f64;
     let cell_m = if fitting > 0.0 { fitting } else { 1.0 };
-    let grid = rasterise::grid_around(extent, cell_m).map_err(StageError::new)?;
+    let grid = rasterise::grid_around(extent, cell_m)?;
     let size_m = [extent[1] - extent[0], extent[3] - extent[2]];
     Ok(Look::of_shape(shape, artefact.kind().word(), rasterise::tin(shape, None, &grid), &grid, size_m))
-}
-
-fn no_band(params: &DrawPictureParams, names: &str) -> StageError {
-    let wanted = params.band.as_deref().unwrap_or("(first)");
-    StageError::new(format!("there is no band `{wanted}`")).hint(format!("the bands are: {names}"))
 }
 
 #[cfg(test)]

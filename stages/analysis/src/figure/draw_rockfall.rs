@@ -61,7 +61,7 @@ impl Stage for DrawRockfall {
         volumes.sort_by(f64::total_cmp);
         let requested = inputs.elements("requested").first().map(Element::artefact).transpose()?;
         let requested = requested.map(|rows| columns::magnitudes(rows, &params.requested_column));
-        let requested_m3 = requested.transpose().map_err(StageError::new)?.map_or_else(Vec::new, |found| found.0);
+        let requested_m3 = requested.transpose()?.map_or_else(Vec::new, |found| found.0);
         let law = power_law::fit(&volumes, None, params.least_count as usize);
         let title = params.title.clone();
         let figure = Figure { title, face: &face, grid, rockfalls, law, requested_m3 };
@@ -79,14 +79,12 @@ fn elevations(face: &Artefact) -> Result<(Frame, Grid, Vec<f32>), StageError> {
     let shape = Shape::of(face).ok_or_else(|| StageError::new("port `face` needs a mesh, a surface or a raster"))?;
     let extent = rasterise::extent(shape, None).ok_or_else(|| StageError::new("the face has no points"))?;
     let cell_m = (extent[1] - extent[0]).max(extent[3] - extent[2]) / CELLS;
-    let grid = rasterise::grid_around(extent, cell_m).map_err(StageError::new)?;
+    let grid = rasterise::grid_around(extent, cell_m)?;
     Ok((shape.frame(), grid, rasterise::tin(shape, None, &grid)))
 }
 
 fn rockfalls<'a>(inventory: &'a Inventory, column: &str) -> Result<Vec<Rockfall<'a>>, StageError> {
-    let removed = inventory.numbers(column).ok_or_else(|| {
-        StageError::new(format!("there is no column `{column}`; there are {}", inventory.columns.join(", ")))
-    })?;
+    let removed = columns::numbers_of(inventory, column)?;
     let numbers = |name| inventory.numbers(name).unwrap_or_else(|| vec![None; removed.len()]);
     let (blocks, [long, intermediate, short]) =
         (numbers("block_m3"), ["long_m", "intermediate_m", "short_m"].map(numbers));

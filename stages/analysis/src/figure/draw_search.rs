@@ -5,6 +5,7 @@ use crate::noise::points::Scale;
 use rockface_core::artefact::{Kind, Table};
 use rockface_core::params::Fault;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_raster::columns;
 
 params! {
     /// Parameters of `draw-search`.
@@ -63,15 +64,11 @@ impl Stage for DrawSearch {
 fn gathered(params: &DrawSearchParams, tables: &[&Table]) -> Result<Vec<(Vec<f64>, f64)>, StageError> {
     let mut points = Vec::new();
     for table in tables {
-        let column = |name: &String| {
-            table.column(name).ok_or_else(|| {
-                StageError::new(format!("there is no column `{name}`; the table has {}", table.columns.join(", ")))
-            })
-        };
-        let (score, columns) =
+        let column = |name: &String| columns::place(&table.columns, name);
+        let (score, places) =
             (column(&params.objective)?, params.parameters.iter().map(column).collect::<Result<Vec<_>, _>>()?);
         for row in &table.rows {
-            let values: Option<Vec<f64>> = columns.iter().map(|j| row[*j].number()).collect();
+            let values: Option<Vec<f64>> = places.iter().map(|j| row[*j].number()).collect();
             let shown = |x: &f64| params.scale == Scale::Linear || *x > 0.0;
             if let (Some(values), Some(score)) = (values, row[score].number().filter(|score| *score > 0.0))
                 && values.iter().all(shown)

@@ -5,6 +5,7 @@ pub mod chart;
 pub mod colour_scale;
 pub mod picture;
 pub mod rockfall_figure;
+pub mod shape_triangle;
 
 // A new stage is its file, its `mod` here and its row below.
 mod draw_descriptors;

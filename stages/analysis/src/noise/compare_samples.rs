@@ -62,7 +62,7 @@ impl Stage for CompareSamples {
         let features = features(params, tables.first().map(|(_, table)| *table));
         let mut classes = [Vec::new(), Vec::new()];
         for (class, port) in classes.iter_mut().zip(["reference", "simulated"]) {
-            *class = feature_rows(&inputs.many::<Table>(port)?, &features).map_err(StageError::new)?;
+            *class = feature_rows(&inputs.many::<Table>(port)?, &features)?;
             let least = least(params);
             if class.len() < least {
                 let text =

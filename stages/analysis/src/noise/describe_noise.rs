@@ -69,7 +69,7 @@ impl Stage for DescribeNoise {
         };
         let one = |band: &Band| -> Result<Description, StageError> {
             context.check_cancelled()?;
-            describe(&band.values, &raster.grid, &settings).map_err(|why| refused(&band.name, &why))
+            describe(&band.values, &raster.grid, &settings).map_err(|e| refused(&band.name, e))
         };
         let found: Vec<Result<Description, StageError>> = raster.bands.par_iter().map(one).collect();
         let found: Vec<Description> = found.into_iter().collect::<Result<_, _>>()?;
@@ -90,8 +90,8 @@ fn check_scales(scales_cells: &[f64], raster: &Raster) -> Result<(), StageError>
     .hint(format!("list only `scales_cells` up to {largest_cells}, the same for all rasters that are compared")))
 }
 
-fn refused(band: &str, why: &str) -> StageError {
-    StageError::new(format!("band `{band}` cannot be described: {why}"))
+fn refused(band: &str, why: StageError) -> StageError {
+    why.within(format!("band `{band}` cannot be described"))
         .hint("look at it with `draw-picture`; leave it out, or widen filters and masks before this step")
 }
 

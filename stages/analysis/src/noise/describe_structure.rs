@@ -49,8 +49,8 @@ impl Stage for DescribeStructure {
         check_size(&settings, raster)?;
         let one = |band: &Band| -> Result<Vec<f64>, StageError> {
             context.check_cancelled()?;
-            structure(&band.values, raster.grid.columns, &settings).map_err(|why| {
-                StageError::new(format!("band `{}` cannot be described: {why}", band.name)).hint(
+            structure(&band.values, raster.grid.columns, &settings).map_err(|e| {
+                e.within(format!("band `{}` cannot be described", band.name)).hint(
                     "look at it with `draw-picture`; leave it out, or ask for fewer `levels` or shorter `lags_cells`",
                 )
             })

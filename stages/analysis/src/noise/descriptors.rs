@@ -9,6 +9,7 @@ use crate::noise::robust_variogram::Estimator;
 use rockface_core::artefact::Grid;
 use rockface_core::numerics::marginal::{Marginal, marginal};
 use rockface_core::numerics::portable_math;
+use rockface_core::{StageError, fail};
 
 /// Groups of the feature vector, each with its features in the order of the vector.
 pub const GROUPS: [(&str, &[&str]); 4] = [
@@ -100,13 +101,13 @@ pub struct Description {
 /// # Errors
 /// A sentence that says which descriptor cannot be had and why: too few cells, constant values, infinite values, too
 /// small a raster.
-pub fn describe(values: &[f32], grid: &Grid, settings: &Settings) -> Result<Description, String> {
+pub fn describe(values: &[f32], grid: &Grid, settings: &Settings) -> Result<Description, StageError> {
     let marginal = checked_marginal(values)?;
     let (columns, cell_m) = (grid.columns, grid.cell_m);
     let max_lag = settings.max_lag_cells.unwrap_or_else(|| (columns.min(grid.rows) / 2).min(LARGEST_LAG_CELLS));
     let longer = columns.max(grid.rows);
     if max_lag >= longer {
-        return Err(format!("a longest lag of {max_lag} cells does not fit into its {longer} cells (`max_lag_cells`)"));
+        fail!("a longest lag of {max_lag} cells does not fit into its {longer} cells (`max_lag_cells`)");
     }
     let detrended = settings.detrend.applied(values, columns);
     let values = detrended.as_deref().unwrap_or(values);
@@ -145,7 +146,7 @@ pub fn describe(values: &[f32], grid: &Grid, settings: &Settings) -> Result<Desc
         1.0 - marginal.count as f64 / cells,
     ];
     match feature_names().iter().zip(&features).find(|(_, value)| !value.is_finite()) {
-        Some((name, value)) => Err(format!("its {name} is {value}")),
+        Some((name, value)) => Err(StageError::new(format!("its {name} is {value}"))),
         None => Ok(Description {
             marginal,
             variogram,
@@ -160,14 +161,14 @@ pub fn describe(values: &[f32], grid: &Grid, settings: &Settings) -> Result<Desc
     }
 }
 
-fn checked_marginal(values: &[f32]) -> Result<Marginal, String> {
+fn checked_marginal(values: &[f32]) -> Result<Marginal, StageError> {
     if let Some(bad) = values.iter().find(|v| v.is_infinite()) {
-        return Err(format!("it holds the value {bad}"));
+        fail!("it holds the value {bad}");
     }
     let found = marginal(values).ok_or("it has fewer than two cells with a value")?;
     // What rounding makes of equal values is no spread.
     if found.deviation <= 1e-12 * found.mean.abs().max(f64::MIN_POSITIVE) {
-        return Err(format!("all its values are {}", precise_text(found.mean)));
+        fail!("all its values are {}", precise_text(found.mean));
     }
     Ok(found)
 }
@@ -213,13 +214,13 @@ mod tests {
     #[test]
     fn what_cannot_be_described_says_why() {
         let fails = |values: &[f32], columns| {
-            describe(values, &grid(columns, values.len() / columns), &settings()).unwrap_err()
+            describe(values, &grid(columns, values.len() / columns), &settings()).unwrap_err().message
         };
         assert!(fails(&[f32::NAN; 100], 10).contains("fewer than two"));
         assert!(fails(&[0.1; 400], 20).contains("all its values are 0.1"));
         assert!(fails(&[1.0, f32::INFINITY], 2).contains("inf"));
         let far = Settings { max_lag_cells: Some(1_000_000_000), ..settings() };
-        assert!(describe(&[1.0, 2.0, 3.0, 5.0], &grid(2, 2), &far).unwrap_err().contains("longest lag"));
+        assert!(describe(&[1.0, 2.0, 3.0, 5.0], &grid(2, 2), &far).unwrap_err().message.contains("longest lag"));
         let tiny: Vec<f32> = (0..16).map(|i| i as f32).collect();
         assert!(fails(&tiny, 4).contains("lags"));
         let small: Vec<f32> = (0..64).map(|i| (i * i % 7) as f32).collect();

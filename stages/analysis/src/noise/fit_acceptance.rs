@@ -53,7 +53,7 @@ impl Stage for FitAcceptance {
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let tables = inputs.many::<Table>("features")?;
-        let mut rows = feature_rows(&tables, &params.features).map_err(StageError::new)?;
+        let mut rows = feature_rows(&tables, &params.features)?;
         rows.truncate(rows.len() - (rows.len() as f64 * params.held_out).round() as usize);
         let mut groups = BTreeMap::from([("all".to_owned(), fit_columns(&params.features, params, &rows)?)]);
         for (group, _) in GROUPS {
@@ -76,10 +76,8 @@ fn fit_columns(names: &[String], params: &FitAcceptanceParams, rows: &[FeatureRo
         params.features.iter().enumerate().filter(|(_, f)| names.contains(f)).map(|(j, _)| j).collect();
     let values: Vec<Vec<f64>> = rows.iter().map(|row| columns.iter().map(|j| row.values[*j]).collect()).collect();
     let labels: Vec<String> = rows.iter().map(FeatureRow::label).collect();
-    fit_labelled(names, &labels, &values, params.ridge).map_err(|why| {
-        StageError::new(format!("cannot fit the reference: {why}"))
-            .hint("add real rasters, or shorten the list `features`")
-    })
+    fit_labelled(names, &labels, &values, params.ridge)
+        .map_err(|e| e.within("cannot fit the reference").hint("add real rasters, or shorten the list `features`"))
 }
 
 fn log(model: &Acceptance, level: f64, context: &Context) {

@@ -15,6 +15,7 @@ use super::chain;
 
 use rockface_core::artefact::GroupModel;
 use rockface_core::numerics::quantile::quantile;
+use rockface_core::{StageError, fail};
 
 /// Distance of a raster whose leave-one-out reference does not vary in a direction it differs in; JSON has no infinity.
 pub const UNBOUNDED_D2: f64 = f64::MAX;
@@ -45,17 +46,17 @@ pub fn bound(n: usize) -> f64 {
 ///
 /// # Errors
 /// No feature varies, fewer than p + 2 rasters, or features so nearly collinear that the covariance has no inverse.
-pub fn fit(names: &[String], rows: &[Vec<f64>], ridge: f64) -> Result<GroupModel, String> {
+pub fn fit(names: &[String], rows: &[Vec<f64>], ridge: f64) -> Result<GroupModel, StageError> {
     let (mean, deviation) = moments(rows, names.len());
     let varies = |j: usize| deviation[j] > CONSTANT * rows.iter().map(|row| row[j].abs()).fold(0.0, f64::max);
     let (varying, constant): (Vec<usize>, Vec<usize>) = (0..names.len()).partition(|j| varies(*j));
     let pick = |values: &[f64]| varying.iter().map(|j| values[*j]).collect::<Vec<f64>>();
     let (p, n) = (varying.len(), rows.len());
     if p == 0 {
-        return Err(format!("none of {} varies over the {n} reference rasters", names.join(", ")));
+        fail!("none of {} varies over the {n} reference rasters", names.join(", "));
     }
     if n < p + 2 {
-        return Err(format!("{p} features need at least {} reference rasters, found {n}", p + 2));
+        fail!("{p} features need at least {} reference rasters, found {n}", p + 2);
     }
     let constant_value: Vec<f64> = constant.iter().map(|j| rows[0][*j]).collect();
     let constant_resolution = constant.iter().map(|j| resolution(*j, names, &mean)).collect();
@@ -89,7 +90,12 @@ pub fn fit(names: &[String], rows: &[Vec<f64>], ridge: f64) -> Result<GroupModel
 ///
 /// # Errors
 /// As [`fit`].
-pub fn fit_labelled(names: &[String], labels: &[String], rows: &[Vec<f64>], ridge: f64) -> Result<GroupModel, String> {
+pub fn fit_labelled(
+    names: &[String],
+    labels: &[String],
+    rows: &[Vec<f64>],
+    ridge: f64,
+) -> Result<GroupModel, StageError> {
     let mut model = fit(names, rows, ridge)?;
     let columns: Vec<usize> = (0..names.len()).filter(|j| model.features.contains(&names[*j])).collect();
     let varying: Vec<Vec<f64>> = rows.iter().map(|row| columns.iter().map(|j| row[*j]).collect()).collect();
@@ -235,13 +241,13 @@ mod tests {
         for row in &mut rows {
             row[1] = 2.0 * row[0];
         }
-        assert!(fit(&names(3), &rows, 0.0).unwrap_err().contains("collinear"));
+        assert!(fit(&names(3), &rows, 0.0).unwrap_err().message.contains("collinear"));
         assert!(fit(&names(3), &rows, 1e-3).is_ok());
-        assert!(fit(&names(3), &rows[..4], 1e-3).unwrap_err().contains("at least 5"));
+        assert!(fit(&names(3), &rows[..4], 1e-3).unwrap_err().message.contains("at least 5"));
         for row in &mut rows {
             row.fill(1.0);
         }
-        assert!(fit(&names(3), &rows, 0.0).unwrap_err().contains("none of f0, f1, f2"));
+        assert!(fit(&names(3), &rows, 0.0).unwrap_err().message.contains("none of f0, f1, f2"));
     }
 
     #[test]

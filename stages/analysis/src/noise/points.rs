@@ -62,17 +62,17 @@ pub fn coordinates(
     table: &Table,
     row: &[Cell],
     points: Option<&Table>,
-) -> Result<Vec<f64>, String> {
+) -> Result<Vec<f64>, StageError> {
     let of_row = |name: &str| table.column(name).and_then(|at| row[at].number());
     let of_axis = |name: &str| items.get(name).and_then(|item| item.parse::<f64>().ok());
     let of_points = |name: &str| points.and_then(|points| point_value(points, name, items, row));
     let value = |name: &String| {
         of_row(name).or_else(|| of_axis(name)).or_else(|| of_points(name)).filter(|x| x.is_finite()).ok_or_else(|| {
             let place: Vec<String> = items.iter().map(|(axis, item)| format!("{axis}={item}")).collect();
-            format!(
+            StageError::new(format!(
                 "`{name}` has no number at `{}`: it is neither a column, nor an axis of numbers, nor a column of `points`",
                 place.join(" ")
-            )
+            ))
         })
     };
     parameters.iter().map(value).collect()
@@ -154,7 +154,7 @@ mod tests {
             coordinates(&names, &items, &table, &table.rows[0], Some(&points))
         };
         assert_eq!(found(&["a", "b", "c"]).unwrap(), [0.5, 7.0, 2.0]);
-        assert!(found(&["e"]).unwrap_err().contains("`e` has no number at `a=0.5 point=p1`"));
+        assert!(found(&["e"]).unwrap_err().message.contains("`e` has no number at `a=0.5 point=p1`"));
         let mut tabulated = Table::new(["fine", "d2"]);
         tabulated.push(vec!["p0".into(), 3.0.into()]);
         let row = coordinates(&["c".to_owned()], &BTreeMap::new(), &tabulated, &tabulated.rows[0], Some(&points));

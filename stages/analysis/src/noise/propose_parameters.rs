@@ -151,9 +151,9 @@ impl Sample {
         let mut sample = Self { positions: positions_, standardised, d2: Vec::new(), departs: Vec::new() };
         let p = group.features.len();
         for (items, table) in inputs.many::<Table>("features")? {
-            let rows = feature_rows(&[(items, table)], &group.judged()).map_err(StageError::new)?;
+            let rows = feature_rows(&[(items, table)], &group.judged())?;
             for (row, cells) in rows.iter().zip(&table.rows) {
-                let values = coordinates(&params.parameters, items, table, cells, points).map_err(StageError::new)?;
+                let values = coordinates(&params.parameters, items, table, cells, points)?;
                 sample.positions.push(positions(params.scale, &params.parameters, &values)?);
                 let z = |j: usize| (row.values[j] - group.mean[j]) / group.deviation[j];
                 sample.standardised.push((0..p).map(z).collect());

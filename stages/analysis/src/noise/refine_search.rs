@@ -111,7 +111,7 @@ fn gathered_points(params: &RefineSearchParams, inputs: &Inputs) -> Result<Vec<S
             fail!("`scores` has no column `{}`; it has {columns}", params.objective);
         };
         for row in &table.rows {
-            let values = coordinates(&params.parameters, items, table, row, points).map_err(StageError::new)?;
+            let values = coordinates(&params.parameters, items, table, row, points)?;
             let Some(score) = row[objective].number() else {
                 fail!("`{}` has no number at {}", params.objective, place(params, &values));
             };

@@ -9,6 +9,7 @@
 //!
 //! All are natural logarithms, and all but the last of the marginal figures are relative to the rms of the raster. NaN cells take no part.
 
+use rockface_core::StageError;
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::quantile::nearest_rank;
 
@@ -65,7 +66,7 @@ pub fn names(settings: &Settings) -> Vec<String> {
 ///
 /// # Errors
 /// Cells without any difference between them, or too few of them, at some lag or level.
-pub fn structure(values: &[f32], columns: usize, settings: &Settings) -> Result<Vec<f64>, String> {
+pub fn structure(values: &[f32], columns: usize, settings: &Settings) -> Result<Vec<f64>, StageError> {
     let field = Field::centred(values, columns);
     let total = Moments::of(field.values.iter().copied());
     let log_rms = total.log_rms("the raster")?;
@@ -95,7 +96,7 @@ pub fn structure(values: &[f32], columns: usize, settings: &Settings) -> Result<
     let size = |q: f64| nearest_rank(field.values.iter().map(|z| z.abs() as f32), q).unwrap_or(f64::NAN);
     let middle = size(0.5);
     if middle <= 0.0 {
-        return Err("more than half of its cells have the same value".to_owned());
+        return Err(StageError::new("more than half of its cells have the same value"));
     }
     found.extend(TAILS.map(|(_, q)| portable_math::log(size(q) / middle)));
     found.extend([total.log_flatness(), log_rms]);
@@ -128,11 +129,11 @@ impl Moments {
     }
 
     /// Half the logarithm of the mean square.
-    fn log_rms(&self, what: &str) -> Result<f64, String> {
+    fn log_rms(&self, what: &str) -> Result<f64, StageError> {
         if self.second > 0.0 {
             Ok(0.5 * portable_math::log(self.second / self.count))
         } else {
-            Err(format!("{what} are all 0 or missing"))
+            Err(StageError::new(format!("{what} are all 0 or missing")))
         }
     }
 
@@ -222,7 +223,7 @@ fn modulus(details: &[Field; 3]) -> Field {
 }
 
 /// The rms of the details of a modulus at each coarser level, relative to the rms of the modulus.
-fn cascade(modulus: Field, levels: usize, fine: usize) -> Result<Vec<f64>, String> {
+fn cascade(modulus: Field, levels: usize, fine: usize) -> Result<Vec<f64>, StageError> {
     let whole = Moments::of(modulus.values.iter().copied()).log_rms(&format!("the details of level {fine}"))?;
     let mut found = Vec::new();
     let mut smooth = modulus;
@@ -290,7 +291,7 @@ mod tests {
         let field = Key([3; 32]).field();
         let of = found(|x, y| if (7 * x + 3 * y) % 31 == 0 { f64::NAN } else { field.normal(x, y) });
         assert!(of("increment_down_1_rms").is_finite() && of("haar_y_1_rms").abs() < 0.05);
-        let error = structure(&[0.5; 64 * 64], 64, &settings()).unwrap_err();
+        let error = structure(&[0.5; 64 * 64], 64, &settings()).unwrap_err().message;
         assert!(error.contains("are all 0 or missing"), "{error}");
     }
 }

@@ -56,7 +56,7 @@ impl Stage for SummariseAcceptance {
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let rows = |port: &str| -> Result<Vec<FeatureRow>, StageError> {
-            feature_rows(&inputs.many::<Table>(port)?, &params.features).map_err(StageError::new)
+            feature_rows(&inputs.many::<Table>(port)?, &params.features)
         };
         let (mut reference, simulated) = (rows("reference")?, rows("simulated")?);
         if simulated.is_empty() {
@@ -147,8 +147,8 @@ fn group_test(
     let pick = |row: &FeatureRow| columns.iter().map(|j| row.values[*j]).collect::<Vec<f64>>();
     let rows: Vec<Vec<f64>> = reference.iter().map(pick).collect();
     let labels: Vec<String> = reference.iter().map(FeatureRow::label).collect();
-    let model = fit_labelled(&names, &labels, &rows, params.ridge).map_err(|why| {
-        StageError::new(format!("cannot fit group `{name}`: {why}"))
+    let model = fit_labelled(&names, &labels, &rows, params.ridge).map_err(|e| {
+        e.within(format!("cannot fit group `{name}`"))
             .hint("add real rasters, hold fewer out, or shorten the list `features`")
     })?;
     let judged = model.judged();

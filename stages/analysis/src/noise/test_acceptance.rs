@@ -43,7 +43,7 @@ impl Stage for TestAcceptance {
         let tables = inputs.many::<Table>("features")?;
         let tests = group_tests(model, params.quantile)?;
         let all = &tests[0];
-        let rows = feature_rows(&tables, &all.judged).map_err(StageError::new)?;
+        let rows = feature_rows(&tables, &all.judged)?;
         if rows.is_empty() {
             fail!("the feature tables have no rows: there is nothing to test");
         }

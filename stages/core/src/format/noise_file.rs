@@ -164,10 +164,7 @@ mod tests {
 
     #[test]
     fn a_cut_file_is_refused_at_every_length() {
-        let bytes = write(&sample()).unwrap();
-        for length in 0..bytes.len() {
-            assert!(read(&bytes[..length]).is_err(), "length {length}");
-        }
+        crate::testing::refuses_every_beginning(&write(&sample()).unwrap(), read);
     }
 
     #[test]

@@ -78,8 +78,7 @@ pub fn reduce(
     if reach[0] >= reach[1] || reach[2] >= reach[3] {
         return Ok(None);
     }
-    let grid = grid_around(reach, cell_m)
-        .map_err(|why| StageError::new(why).hint("choose a larger `cell_m` or a smaller `window_m`"))?;
+    let grid = grid_around(reach, cell_m).map_err(|e| e.hint("choose a larger `cell_m` or a smaller `window_m`"))?;
     let mut sums = vec![Sums::default(); grid.cells()];
     let mut pixels = [0; 2];
     let placer = Placer { depth, camera: &camera, sigma, grid: &grid, window_m };

@@ -125,9 +125,8 @@ fn part(params: &FuseGridsParams, whole: Grid) -> Result<Grid, StageError> {
         // Shrunk by 1e-6 cells, so that a window of whole cells does not include a further row or column.
         Some([left, right, bottom, top]) => {
             let hair = 1e-6 * whole.cell_m;
-            grid_around([left + hair, right - hair, bottom + hair, top - hair], whole.cell_m).map_err(|why| {
-                StageError::new(why).hint("choose another `window_m`: left, right, bottom, top, metres")
-            })?
+            grid_around([left + hair, right - hair, bottom + hair, top - hair], whole.cell_m)
+                .map_err(|e| e.hint("choose another `window_m`: left, right, bottom, top, metres"))?
         }
     };
     if grid.cells() as f64 > MAXIMUM_CELLS {

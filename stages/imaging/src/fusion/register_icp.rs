@@ -91,9 +91,9 @@ impl Stage for RegisterIcp {
 /// A surface, or the surface of the cell centres of an elevation raster: clouds and meshes of other programs come as rasters.
 fn surface<'a>(inputs: &'a Inputs, port: &str) -> Result<Cow<'a, Surface>, StageError> {
     match inputs.artefact(port)? {
-        Artefact::Raster(raster) => raster_surface::between_cells(raster)
-            .map(Cow::Owned)
-            .map_err(|text| StageError::new(format!("`{port}` {text}"))),
+        Artefact::Raster(raster) => {
+            raster_surface::between_cells(raster).map(Cow::Owned).map_err(|e| e.within(format!("`{port}`")))
+        }
         _ => inputs.one(port).map(Cow::Borrowed),
     }
 }

@@ -215,8 +215,7 @@ impl<'a> Survey<'a> {
     ) -> Result<Raster, StageError> {
         let shape = Shape::Mesh(mesh);
         let Some(extent) = extent(shape, None) else { fail!("the mesh has no vertices") };
-        let grid = grid_around(extent, params.map_cell_m)
-            .map_err(|why| StageError::new(why).hint("choose a larger `map_cell_m`"))?;
+        let grid = grid_around(extent, params.map_cell_m).map_err(|e| e.hint("choose a larger `map_cell_m`"))?;
         let z = tin(shape, None, &grid);
         let names = ["images", "gsd_m", "sigma_z_m", "lod95_m"];
         let mut bands = names.map(|name| Band { name: name.to_owned(), values: vec![f32::NAN; grid.cells()] });

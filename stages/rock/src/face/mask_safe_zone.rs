@@ -40,7 +40,7 @@ impl Stage for MaskSafeZone {
             .hint("take it to the wall frame with `transform-crs`"));
         }
         let rules = Rules { cell_m: params.cell_m, offset_m: params.offset_m, hole_m: params.hole_m };
-        let zone = safe_zone::zone(mesh, &rules).map_err(|e| StageError::new(e).hint("choose another `cell_m`"))?;
+        let zone = safe_zone::zone(mesh, &rules).map_err(|e| e.hint("choose another `cell_m`"))?;
         report(&zone, context);
         if zone.safe_cells == 0 {
             return Err(nothing_left(&zone, params));

@@ -15,6 +15,7 @@ pub mod repair;
 pub mod safe_zone;
 pub mod sheet;
 pub mod stl;
+pub mod tetrahedra;
 
 // A new stage is its file, its `mod` here and its row below.
 mod clean_mesh;

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::distance;
+use rockface_core::StageError;
 use rockface_core::artefact::{Grid, Mesh};
 use rockface_core::numerics::union_find::UnionFind;
 use rockface_raster::rasterise;
@@ -43,7 +44,7 @@ pub struct Zone {
 ///
 /// # Errors
 /// A mesh without points, or a grid too large.
-pub fn zone(mesh: &Mesh, rules: &Rules) -> Result<Zone, String> {
+pub fn zone(mesh: &Mesh, rules: &Rules) -> Result<Zone, StageError> {
     let shape = Shape::Mesh(mesh);
     let [left, right, bottom, top] = rasterise::extent(shape, None).ok_or("the mesh has no points")?;
     let margin = rules.cell_m;

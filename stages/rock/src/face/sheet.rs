@@ -9,6 +9,7 @@ use super::half_edges::{BORDER, HalfEdges};
 use super::{orient, repair};
 use rockface_core::artefact::{Frame, Mesh};
 use rockface_core::numerics::quantile;
+use rockface_core::{StageError, fail};
 use rockface_raster::mesh_check;
 
 /// Coordinates nearer to zero than this are zero: the triangulation's exact arithmetic needs room below.
@@ -76,7 +77,7 @@ impl HasPosition for Node {
 ///
 /// # Errors
 /// Fewer than three points, points the triangulation cannot hold, or no triangle left.
-pub fn mesh(cloud: &Cloud, plane: &SheetPlane, rules: &Rules, frame: Frame) -> Result<(Mesh, Made), String> {
+pub fn mesh(cloud: &Cloud, plane: &SheetPlane, rules: &Rules, frame: Frame) -> Result<(Mesh, Made), StageError> {
     let flat: Vec<Vector3<f64>> =
         cloud.points.par_iter().map(|p| (plane.axes * (Vector3::from(*p) - plane.origin)).map(snap)).collect();
     let mut made = Made::default();
@@ -105,10 +106,14 @@ pub fn mesh(cloud: &Cloud, plane: &SheetPlane, rules: &Rules, frame: Frame) -> R
     made.loose_triangles -= mesh.triangles.len();
     made.unused_points = mesh_check::drop_unreferenced(&mut mesh) - made.thinned_points - made.covered_points;
     if mesh.triangles.is_empty() {
-        return Err(format!(
+        fail!(
             "of {all} triangles {} have an edge longer than {:.3e} m, {} are flat and {} lie in pieces of fewer than {} triangles: none is left",
-            made.long_triangles, made.max_edge_m, made.flat_triangles, made.loose_triangles, rules.min_piece_triangles
-        ));
+            made.long_triangles,
+            made.max_edge_m,
+            made.flat_triangles,
+            made.loose_triangles,
+            rules.min_piece_triangles
+        );
     }
     Ok((mesh, made))
 }
@@ -147,7 +152,7 @@ fn foremost(flat: &[Vector3<f64>], mut kept: Vec<u32>) -> Vec<u32> {
 }
 
 /// Delaunay triangles of some points, counter-clockwise, by their numbers in the cloud.
-fn delaunay(flat: &[Vector3<f64>], kept: &[u32]) -> Result<Vec<[u32; 3]>, String> {
+fn delaunay(flat: &[Vector3<f64>], kept: &[u32]) -> Result<Vec<[u32; 3]>, StageError> {
     let node = |number: &u32| {
         let p = &flat[*number as usize];
         Node { at: Point2::new(p.x, p.y), number: *number }
@@ -158,7 +163,7 @@ fn delaunay(flat: &[Vector3<f64>], kept: &[u32]) -> Result<Vec<[u32; 3]>, String
     let triangles: Vec<[u32; 3]> =
         triangulation.inner_faces().map(|face| face.vertices().map(|vertex| vertex.data().number)).collect();
     if triangles.is_empty() {
-        return Err(format!("{} different points in the plane, or all on one line, span no triangle", kept.len()));
+        fail!("{} different points in the plane, or all on one line, span no triangle", kept.len());
     }
     Ok(triangles)
 }
@@ -261,7 +266,7 @@ mod tests {
         let plane = SheetPlane { origin: Vector3::zeros(), axes };
         let line: Vec<[f64; 3]> = (0..9).map(|i| [f64::from(i), f64::from(i), 0.0]).collect();
         let cloud = |points: &[[f64; 3]]| Cloud { points: points.to_vec(), ..Cloud::default() };
-        assert!(mesh(&cloud(&line), &plane, &RULES, Frame::World).unwrap_err().contains("span no triangle"));
+        assert!(mesh(&cloud(&line), &plane, &RULES, Frame::World).unwrap_err().message.contains("span no triangle"));
         assert!(mesh(&cloud(&[]), &plane, &RULES, Frame::World).is_err());
         let grid: Vec<[f64; 3]> = (0..100).map(|i| [f64::from(i % 10), f64::from(i / 10), 0.0]).collect();
         let twice: Vec<[f64; 3]> =
@@ -270,6 +275,6 @@ mod tests {
         assert_eq!((made.covered_points, flat.triangles.len()), (100, 162));
         assert!(flat.vertices.iter().all(|p| (p[2] - 1.0).abs() < 1e-12), "the foremost are kept");
         let strict = Rules { max_edge_m: Some(0.5), ..RULES };
-        assert!(mesh(&cloud(&grid), &plane, &strict, Frame::World).unwrap_err().contains("none is left"));
+        assert!(mesh(&cloud(&grid), &plane, &strict, Frame::World).unwrap_err().message.contains("none is left"));
     }
 }

@@ -99,7 +99,7 @@ fn listed(rows: &Artefact, params: &ClassifyShapesParams) -> Result<Vec<(String,
     let [a, b, c] = params.axes.as_slice() else {
         return Err(StageError::new(format!("`axes` names {} columns, three are needed", params.axes.len())));
     };
-    let numbers = |column: &String| columns::numbers(rows, column).map_err(StageError::new);
+    let numbers = |column: &String| columns::numbers(rows, column);
     let (a, b, c) = (numbers(a)?, numbers(b)?, numbers(c)?);
     let names = names(rows, params.name.as_deref(), a.len())?;
     let or_none = |number: &Option<f64>| number.unwrap_or(f64::NAN);
@@ -110,9 +110,7 @@ fn listed(rows: &Artefact, params: &ClassifyShapesParams) -> Result<Vec<(String,
 fn names(rows: &Artefact, column: Option<&str>, count: usize) -> Result<Vec<String>, StageError> {
     let Some(column) = column else { return Ok((1..=count).map(|number| number.to_string()).collect()) };
     let (columns, rows) = columns::rows(rows).ok_or_else(|| StageError::new("there are no rows"))?;
-    let place = columns.iter().position(|name| name == column);
-    let place = place
-        .ok_or_else(|| StageError::new(format!("there is no column `{column}`; there are {}", columns.join(", "))))?;
+    let place = columns::place(columns, column)?;
     Ok(rows.iter().map(|row| row.get(place).map_or_else(String::new, ToString::to_string)).collect())
 }
 

@@ -35,8 +35,7 @@ impl Stage for FitMagnitudeFrequency {
     ];
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
-        let (volumes, without) =
-            columns::magnitudes(inputs.artefact("volumes")?, &params.column).map_err(StageError::new)?;
+        let (volumes, without) = columns::magnitudes(inputs.artefact("volumes")?, &params.column)?;
         if without > 0 {
             context.note(format!("{without} rows have no positive number in `{}`", params.column));
         }

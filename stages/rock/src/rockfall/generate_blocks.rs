@@ -124,8 +124,8 @@ fn class_faults(class: &Class) -> Vec<Fault> {
 
 /// The same parameters with every distribution of a file replaced by its values, and checked again with them.
 fn with_files_read<T: ParamType>(params: &T, name: &str, context: &Context) -> Result<T, StageError> {
-    let read = |path: &str| context.read(&FileRef(path.to_owned())).map_err(|e| e.message);
-    distribution::with_files_read(params, &read).map_err(|e| StageError::new(format!("`{name}`: {e}")))
+    let read = |path: &str| context.read(&FileRef(path.to_owned()));
+    distribution::with_files_read(params, &read).map_err(|e| e.within(format!("`{name}`")))
 }
 
 /// The axes of the wall in east, north, up, where any class needs them.

@@ -87,9 +87,8 @@ impl Stage for ImportBlocks {
         let transform = inputs.optional::<Transform>("transform")?;
         let mut frame = frame(params.frame, transform)?;
         let moved = transform.and_then(Moved::by);
-        let read = |path: &str| context.read(&FileRef(path.to_owned())).map_err(|e| e.message);
-        let modifiers = distribution::with_files_read(&params.modifiers, &read)
-            .map_err(|e| StageError::new(format!("`modifiers`: {e}")))?;
+        let read = |path: &str| context.read(&FileRef(path.to_owned()));
+        let modifiers = distribution::with_files_read(&params.modifiers, &read).map_err(|e| e.within("`modifiers`"))?;
         let mut parts = Vec::new();
         for mut file in context.files(&params.path)? {
             context.check_cancelled()?;

@@ -1,5 +1,6 @@
 //! `place-blocks`: says how likely a block stands at each place of a face, for all classes of blocks or for each.
 
+use super::removal::zone::zone_band;
 use crate::rockfall::block::placement;
 use crate::rockfall::block::placement::Weights;
 use rockface_core::artefact::{Band, Candidates, Grid, Kind, Raster, Sample};
@@ -87,14 +88,6 @@ impl Stage for PlaceBlocks {
         report(mask, &zone.grid, &bands, context);
         let (grid, frame, quantity) = (zone.grid, zone.frame, "placement_density".to_owned());
         Ok(Outputs::of("density", Raster { grid, frame, quantity, sample: Sample::Float, bands }))
-    }
-}
-
-fn zone_band(zone: &Raster) -> Result<&Band, StageError> {
-    let named = zone.bands.iter().find(|band| band.name == "zone");
-    match (named, zone.bands.as_slice()) {
-        (Some(band), _) | (None, [band]) => Ok(band),
-        (None, bands) => fail!("the zone has {} bands, and none is called `zone`", bands.len()),
     }
 }
 

@@ -4,6 +4,7 @@ use crate::rockfall::inventory_labels::burn;
 use rockface_core::artefact::Sample;
 use rockface_core::artefact::{Feature, Inventory, Kind, Raster};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_raster::columns;
 
 params! {
     /// Parameters of `rasterise-inventory`.
@@ -56,12 +57,7 @@ impl Stage for RasteriseInventory {
 
 /// Each feature with its label.
 fn labelled<'a>(inventory: &'a Inventory, column: Option<&str>) -> Result<Vec<(u32, &'a Feature)>, StageError> {
-    let place = column.map(|name| {
-        inventory.column(name).ok_or_else(|| {
-            StageError::new(format!("there is no column `{name}`; there are {}", inventory.columns.join(", ")))
-        })
-    });
-    let place = place.transpose()?;
+    let place = column.map(|name| columns::place(&inventory.columns, name)).transpose()?;
     let label = |(number, feature): (usize, &'a Feature)| {
         let label = place.map_or(Some(number as f64 + 1.0), |place| feature.values[place].number());
         let whole = label.filter(|l| l.fract() == 0.0 && (1.0..=f64::from(u16::MAX)).contains(l));

@@ -183,8 +183,7 @@ impl Stage for RemoveBlocks {
         let rules = rules(params, zone)?;
         let face = Face::new(mesh.vertices.clone(), mesh.triangles.clone());
         let cancelled = || context.check_cancelled().is_err();
-        let outcome = attempts::run(face, mesh.colours.clone(), &rules, &plan, || source.take(), cancelled);
-        let outcome = outcome.map_err(StageError::new)?;
+        let outcome = attempts::run(face, mesh.colours.clone(), &rules, &plan, || source.take(), cancelled)?;
         if outcome.end == End::Cancelled {
             context.check_cancelled()?;
         }
@@ -236,7 +235,7 @@ fn source<'a>(
         (None, Blocks::Drawn(_), Some(zone)) => Some(Sites::in_zone(zone)),
         (None, Blocks::Drawn(_), None) => Some(Sites::on_face(mesh)),
     };
-    let sites = sites.transpose().map_err(StageError::new)?;
+    let sites = sites.transpose()?;
     if let (Some(sites), Blocks::Drawn(candidates)) = (&sites, blocks)
         && let Some(class) = sites.missing_class(&candidates.class_names())
     {
@@ -258,7 +257,7 @@ fn plan(params: &RemoveBlocksParams, available: Option<u64>) -> Plan {
 fn rules<'a>(params: &RemoveBlocksParams, zone: Option<&'a Raster>) -> Result<Rules<'a>, StageError> {
     let checks = &params.checks;
     let when = |on: bool, value: f64| if on { value } else { 0.0 };
-    let zone = zone.filter(|_| checks.zone).map(Zone::new).transpose().map_err(StageError::new)?;
+    let zone = zone.filter(|_| checks.zone).map(Zone::new).transpose()?;
     Ok(Rules {
         direction: match params.direction {
             Along::LocalNormal => Direction::LocalNormal,
@@ -342,7 +341,7 @@ fn finish(
     let (vertices, triangles) = outcome.face.into_mesh();
     let after = Mesh { frame: Frame::Wall, vertices, triangles, colours: outcome.colours };
     let transform = inputs.optional::<Transform>("transform")?;
-    let truth = ground_truth::assemble(before, &after, &pieces, params.cell_m, transform).map_err(StageError::new)?;
+    let truth = ground_truth::assemble(before, &after, &pieces, params.cell_m, transform)?;
     Ok(Outputs::of("mesh", after)
         .and("truth", truth.inventory)
         .and("labels", truth.labels)

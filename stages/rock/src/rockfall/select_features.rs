@@ -3,6 +3,7 @@
 use rockface_core::artefact::{Cell, Feature, Inventory, Kind};
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_raster::columns;
 
 params! {
     /// What a property must be.
@@ -52,11 +53,9 @@ impl Stage for SelectFeatures {
         }
         let mut places = Vec::new();
         for condition in &params.keep {
-            let columns = || inventory.columns.join(", ");
-            let column = inventory.column(&condition.column).or(inventory.features.is_empty().then_some(0));
-            let message =
-                || StageError::new(format!("there is no column `{}`; there are {}", condition.column, columns()));
-            places.push(column.ok_or_else(message)?);
+            // An inventory without features may have no columns either.
+            let is_empty = inventory.features.is_empty();
+            places.push(if is_empty { 0 } else { columns::place(&inventory.columns, &condition.column)? });
         }
         let holds = |feature: &&Feature| {
             let all = params.keep.iter().zip(&places).all(|(condition, at)| fits(&feature.values[*at], condition));

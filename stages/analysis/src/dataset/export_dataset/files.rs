@@ -143,7 +143,7 @@ pub(super) fn arrays(
         list.push(("mask", &shape, Array::Bytes(mask.clone())));
         list.push(("instances", &shape, Array::Words(instances.clone())));
         list.push(("transform", &[6], Array::Doubles(transform)));
-        let bytes = npz::write(&list).map_err(StageError::new)?;
+        let bytes = npz::write(&list)?;
         made.push(("npz", "application/x-npz", format!("{stem}.npz"), bytes));
     }
     if params.formats.contains(&Format::Geotiff) {

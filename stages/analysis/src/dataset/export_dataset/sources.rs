@@ -63,8 +63,7 @@ pub(super) fn samples<'a>(params: &ExportDatasetParams, inputs: &'a Inputs) -> R
                 difference.frame
             );
         }
-        let instances =
-            instances(truth, difference).map_err(|e| StageError::new(format!("truth{}: {e}", place(point))))?;
+        let instances = instances(truth, difference).map_err(|e| e.within(format!("truth{}", place(point))))?;
         Ok(Scored { point, difference, reference, comparison, truth, instances })
     };
     differences.iter().map(sample).collect()
@@ -84,13 +83,13 @@ pub(super) fn matching<'a, T>(port: &str, point: &Point, elements: &[(&Point, &'
     }
 }
 
-pub(super) fn instances(truth: &Inventory, difference: &Raster) -> Result<Vec<u16>, String> {
+pub(super) fn instances(truth: &Inventory, difference: &Raster) -> Result<Vec<u16>, StageError> {
     let grid = &difference.grid;
     let mut instances = vec![0u16; grid.cells()];
     let cells = compared::cells(truth, grid, &vec![true; grid.cells()]);
     for (cells, id) in cells.into_iter().zip(compared::numbers(truth)) {
         if id.fract() != 0.0 || !(1.0..=f64::from(u16::MAX)).contains(&id) {
-            return Err(format!("`id` {id} is no whole number from 1 to {}", u16::MAX));
+            fail!("`id` {id} is no whole number from 1 to {}", u16::MAX);
         }
         cells.into_iter().for_each(|cell| instances[cell] = id as u16);
     }

@@ -5,11 +5,9 @@ use plotters::element::Circle;
 use super::colour_key::{self, ColourKey};
 use super::theme::{Anchor, Face, Ink, UNIT, stroke, words};
 use super::{Area, Inset, failed};
+use crate::figure::shape_triangle::{HEIGHT, ShapeTriangle};
 use rockface_core::artefact::CodecError;
 use rockface_rock::rockfall::ground_truth::sneed_folk::{ELONGATION_LIMITS, FLATNESS_LIMITS, form};
-
-/// Height of an equilateral triangle to its side.
-const HEIGHT: f64 = 0.866_025_403_784_438_6;
 
 /// Shapes in the triangle of Sneed and Folk (1958).
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -22,18 +20,8 @@ pub struct Ternary {
     pub values: Option<(Vec<f64>, ColourKey)>,
 }
 
-struct Triangle {
-    left: [f64; 2],
-    side: f64,
-}
-
-impl Triangle {
-    /// Where a shape lies: S/L upwards, (L - I)/(L - S) from left to right at that height.
-    fn place(&self, flatness: f64, elongation: f64) -> (i32, i32) {
-        let x = 0.5 * flatness + elongation * (1.0 - flatness);
-        let (x, y) = (self.left[0] + x * self.side, self.left[1] - flatness * HEIGHT * self.side);
-        (x.round() as i32, y.round() as i32)
-    }
+fn pixel([x, y]: [f64; 2]) -> (i32, i32) {
+    (x.round() as i32, y.round() as i32)
 }
 
 pub(super) fn draw(area: &Area, ternary: &Ternary, insets: &mut Vec<Inset>) -> Result<(), CodecError> {
@@ -43,7 +31,7 @@ pub(super) fn draw(area: &Area, ternary: &Ternary, insets: &mut Vec<Inset>) -> R
     let head = 24.0 * f64::from(UNIT);
     let side = ((f64::from(height) - 2.8 * head) / HEIGHT).min(width - 40.0 * f64::from(UNIT));
     let left = 0.5 * (width - side);
-    let triangle = Triangle { left: [left, head + side * HEIGHT], side };
+    let triangle = ShapeTriangle { left: [left, head + side * HEIGHT], side };
     grid(area, &triangle)?;
     if let Some(key) = key {
         let (x0, y0) = area.get_base_pixel();
@@ -54,28 +42,28 @@ pub(super) fn draw(area: &Area, ternary: &Ternary, insets: &mut Vec<Inset>) -> R
         let Some(form) = form(*sides) else { continue };
         let value = ternary.values.as_ref().and_then(|(values, key)| Some(key.scale.colour(*values.get(body)?)));
         let ink = value.map_or(ternary.ink.unwrap_or(Ink::Series(0)), Ink::Fixed);
-        let place = triangle.place(form.flatness, form.elongation);
+        let place = pixel(triangle.place(form.flatness, form.elongation));
         area.draw(&Circle::new(place, 3 * UNIT, ink.area(0.85))).map_err(failed)?;
     }
     Ok(())
 }
 
-fn grid(area: &Area, triangle: &Triangle) -> Result<(), CodecError> {
-    for flatness in FLATNESS_LIMITS {
-        let ends = vec![triangle.place(flatness, 0.0), triangle.place(flatness, 1.0)];
-        stroke(area, ends, Ink::Hair.line(10))?;
-        let (x, y) = triangle.place(flatness, 0.0);
+fn grid(area: &Area, triangle: &ShapeTriangle) -> Result<(), CodecError> {
+    for (flatness, ends) in FLATNESS_LIMITS.iter().zip(triangle.flatness_lines()) {
+        let ends = ends.map(pixel);
+        stroke(area, ends.to_vec(), Ink::Hair.line(10))?;
+        let (x, y) = ends[0];
         words(area, &flatness.to_string(), Face::Tick, [x - 5 * UNIT, y - 55], Anchor::End)?;
     }
-    for elongation in ELONGATION_LIMITS {
-        let ends = vec![triangle.place(0.0, elongation), triangle.place(FLATNESS_LIMITS[0], elongation)];
-        stroke(area, ends, Ink::Hair.line(10))?;
-        let (x, y) = triangle.place(0.0, elongation);
+    for (elongation, ends) in ELONGATION_LIMITS.iter().zip(triangle.elongation_lines()) {
+        let ends = ends.map(pixel);
+        stroke(area, ends.to_vec(), Ink::Hair.line(10))?;
+        let (x, y) = ends[0];
         words(area, &elongation.to_string(), Face::Tick, [x, y + 4 * UNIT], Anchor::Middle)?;
     }
-    let corners = [(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (0.0, 0.0)].map(|(f, e)| triangle.place(f, e));
-    stroke(area, corners.to_vec(), Ink::Faint.line(10))?;
-    let [(left, base), (right, _), (top, peak), _] = corners;
+    let corners = triangle.corners().map(pixel);
+    stroke(area, [corners[0], corners[1], corners[2], corners[0]].to_vec(), Ink::Faint.line(10))?;
+    let [(left, base), (right, _), (top, peak)] = corners;
     words(area, "compact, S/L = 1", Face::Label, [top, peak - 16 * UNIT], Anchor::Middle)?;
     words(area, "platy", Face::Label, [left, base + 18 * UNIT], Anchor::Start)?;
     words(area, "elongate", Face::Label, [right, base + 18 * UNIT], Anchor::End)?;

@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 
 use crate::figure::colour_scale::{ColourScale, Palette, length};
+use rockface_core::StageError;
 use rockface_core::artefact::{Depth, Grid, Raster};
 use rockface_core::numerics::quantile::nearest_rank;
 use rockface_raster::shape::Shape;
@@ -31,15 +32,19 @@ pub struct Look<'a> {
     pub grid: String,
 }
 
+fn no_band(wanted: &str, names: &[&str]) -> StageError {
+    StageError::new(format!("there is no band `{wanted}`")).hint(format!("the bands are: {}", names.join(", ")))
+}
+
 impl<'a> Look<'a> {
-    /// A band of a raster by name, or its first; the names there are if there is no such band.
-    pub fn of_raster(raster: &'a Raster, band: Option<&str>) -> Result<Self, String> {
+    /// A band of a raster by name, or its first.
+    pub fn of_raster(raster: &'a Raster, band: Option<&str>) -> Result<Self, StageError> {
         let found = match band {
             None => raster.bands.first(),
             Some(name) => raster.bands.iter().find(|band| band.name == name),
         };
-        let names = || raster.bands.iter().map(|b| b.name.as_str()).collect::<Vec<_>>().join(", ");
-        let band = found.ok_or_else(names)?;
+        let names = || raster.bands.iter().map(|b| b.name.as_str()).collect::<Vec<_>>();
+        let band = found.ok_or_else(|| no_band(band.unwrap_or("(first)"), &names()))?;
         let suffix = if raster.bands.len() > 1 { format!(": {}", band.name) } else { String::new() };
         Ok(Self {
             columns: raster.grid.columns,
@@ -51,12 +56,12 @@ impl<'a> Look<'a> {
         })
     }
 
-    /// A channel of a depth map by name, or the depth; the names there are if there is no such channel.
-    pub fn of_depth(depth: &'a Depth, channel: Option<&str>) -> Result<Self, String> {
+    /// A channel of a depth map by name, or the depth.
+    pub fn of_depth(depth: &'a Depth, channel: Option<&str>) -> Result<Self, StageError> {
         let channel = channel.unwrap_or("depth");
         let values = if channel == "depth" { Some(&depth.z) } else { depth.channels.get(channel) };
         let names = || std::iter::once("depth").chain(depth.channels.keys().map(String::as_str)).collect::<Vec<_>>();
-        let values = values.ok_or_else(|| names().join(", "))?;
+        let values = values.ok_or_else(|| no_band(channel, &names()))?;
         let scale =
             if depth.downscale > 1 { format!(", 1 pixel for {0} x {0}", depth.downscale) } else { String::new() };
         Ok(Self {

@@ -2,43 +2,22 @@
 
 use crate::figure::canvas::{Align, Canvas, Pen};
 use crate::figure::colour_scale::ColourScale;
+use crate::figure::shape_triangle::{HEIGHT, ShapeTriangle};
 use rockface_core::artefact::CodecError;
 use rockface_core::numerics::portable_math;
 use rockface_rock::rockfall::ground_truth::sneed_folk;
-use rockface_rock::rockfall::ground_truth::sneed_folk::{CLASSES, ELONGATION_LIMITS, FLATNESS_LIMITS};
+use rockface_rock::rockfall::ground_truth::sneed_folk::{CLASSES, FLATNESS_LIMITS};
 
 use super::strokes::{self, Place};
 use super::{FAINT, Figure, Frame, HAIR, INK, heading};
 
-/// Height of an equilateral triangle to its side.
-const HEIGHT: f64 = 0.866_025_403_784_438_6;
-
-/// The triangle in the picture.
-struct Triangle {
-    /// Left end of the base.
-    left: Place,
-    side: f64,
-}
-
-impl Triangle {
-    /// Where a shape lies: S/L upwards, (L - I)/(L - S) from left to right at that height.
-    fn place(&self, flatness: f64, elongation: f64) -> Place {
-        let x = 0.5 * flatness + elongation * (1.0 - flatness);
-        [self.left[0] + x * self.side, self.left[1] - flatness * HEIGHT * self.side]
+fn grid(canvas: &mut Canvas, triangle: &ShapeTriangle) {
+    for [from, to] in triangle.flatness_lines().into_iter().chain(triangle.elongation_lines()) {
+        strokes::line(canvas, from, to, 1.2, HAIR);
     }
-
-    fn grid(&self, canvas: &mut Canvas) {
-        for flatness in FLATNESS_LIMITS {
-            strokes::line(canvas, self.place(flatness, 0.0), self.place(flatness, 1.0), 1.2, HAIR);
-        }
-        for elongation in ELONGATION_LIMITS {
-            let top = self.place(FLATNESS_LIMITS[0], elongation);
-            strokes::line(canvas, self.place(0.0, elongation), top, 1.2, HAIR);
-        }
-        let corners = [self.place(0.0, 0.0), self.place(0.0, 1.0), self.place(1.0, 0.0)];
-        for (from, to) in corners.iter().zip(corners.iter().cycle().skip(1)) {
-            strokes::line(canvas, *from, *to, 1.4, FAINT);
-        }
+    let corners = triangle.corners();
+    for (from, to) in corners.iter().zip(corners.iter().cycle().skip(1)) {
+        strokes::line(canvas, *from, *to, 1.4, FAINT);
     }
 }
 
@@ -48,8 +27,8 @@ pub fn draw(canvas: &mut Canvas, figure: &Figure, scale: &ColourScale, panel: Fr
     let room = (panel.height as f64 - 132.0) / HEIGHT;
     let side = room.min(panel.width as f64 - 40.0);
     let left = panel.left as f64 + 0.5 * (panel.width as f64 - side);
-    let triangle = Triangle { left: [left, (panel.top + panel.height - 56) as f64], side };
-    triangle.grid(canvas);
+    let triangle = ShapeTriangle { left: [left, (panel.top + panel.height - 56) as f64], side };
+    grid(canvas, &triangle);
     names(canvas, &triangle)?;
     for fall in &figure.rockfalls {
         if let Some(form) = fall.sides_m.and_then(sneed_folk::form) {
@@ -60,7 +39,7 @@ pub fn draw(canvas: &mut Canvas, figure: &Figure, scale: &ColourScale, panel: Fr
     Ok(())
 }
 
-fn names(canvas: &mut Canvas, triangle: &Triangle) -> Result<(), CodecError> {
+fn names(canvas: &mut Canvas, triangle: &ShapeTriangle) -> Result<(), CodecError> {
     let pen = Pen::plain(15.0, INK)?;
     let mut write = |[x, y]: Place, align, text: &str| canvas.text(&pen, x as f32, y as f32, align, text);
     let [x, y] = triangle.place(1.0, 0.5);

@@ -180,7 +180,7 @@ fn camera(node: Node) -> Result<CameraEntry, StageError> {
     let pose = |node: Node| {
         let m = exactly::<16>(node)?;
         let rotation = Matrix3::from_rows(&[0, 4, 8].map(|row| nalgebra::RowVector3::from_row_slice(&m[row..row + 3])));
-        Ok((rotation, Vector3::new(m[3], m[7], m[11])))
+        Ok::<_, StageError>((rotation, Vector3::new(m[3], m[7], m[11])))
     };
     Ok(CameraEntry {
         label: required(node, "label")?,

@@ -4,10 +4,10 @@ use nalgebra::Vector3;
 use serde_json::json;
 
 use super::*;
+use crate::face::inspection::Inspection;
 use rockface_core::artefact::Artefact;
 use rockface_core::params::ParamType;
 use rockface_core::testing::TestHost;
-use rockface_raster::mesh_check::{EdgeReport, check_edges};
 
 fn face(with: &serde_json::Value) -> Mesh {
     let params = SynthesiseFaceParams::decode(with).unwrap();
@@ -21,7 +21,7 @@ fn face(with: &serde_json::Value) -> Mesh {
 fn the_mesh_is_a_proper_sheet_facing_the_viewer() {
     let mesh = face(&json!({"width_m": 2, "height_m": 1.5, "spacing_m": 0.05}));
     assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (41 * 31, 2 * 40 * 30));
-    assert_eq!(check_edges(&mesh), EdgeReport { boundary: 140, ..EdgeReport::default() });
+    assert_eq!(Inspection::of(&mesh).border_edges, 140);
     let at = |i: u32| nalgebra::Vector3::from(mesh.vertices[i as usize]);
     let up = |t: &[u32; 3]| (at(t[1]) - at(t[0])).cross(&(at(t[2]) - at(t[0]))).z > 0.0;
     assert!(mesh.triangles.iter().all(up));
@@ -61,7 +61,7 @@ fn pierces(p: Vector3<f64>, q: Vector3<f64>, [a, b, c]: [Vector3<f64>; 3]) -> bo
 #[test]
 fn overhangs_are_real_and_no_triangle_meets_another() {
     let mesh = face(&believable());
-    assert_eq!(check_edges(&mesh), EdgeReport { boundary: 2 * (32 + 26), ..EdgeReport::default() });
+    assert_eq!(Inspection::of(&mesh).border_edges, 2 * (32 + 26));
     let corners: Vec<[Vector3<f64>; 3]> =
         mesh.triangles.iter().map(|t| t.map(|i| Vector3::from(mesh.vertices[i as usize]))).collect();
     let back = corners.iter().filter(|[a, b, c]| (b - a).cross(&(c - a)).z < 0.0).count();

@@ -3,7 +3,7 @@
 use robust::{Coord, Coord3D, orient2d, orient3d};
 
 use super::Solid;
-use super::vector::V;
+use super::V;
 
 /// Positive where a point lies beyond a triangle seen counter-clockwise, negative before it, zero in its plane: the sign is
 /// exact (Shewchuk 1997), the size is six times the volume between them to rounding.

@@ -2,9 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use super::Solid;
+use nalgebra::Vector3;
+
 use super::crossing::above;
-use super::vector::{V, cross, distance_squared, dot, sub};
+use super::{Solid, V, squared_distance};
 
 /// The convex hull of points, metres; `None` where all lie in one plane.
 ///
@@ -50,12 +51,10 @@ fn simplex(points: &[V]) -> Option<Vec<Facet>> {
         (value > 0.0).then_some(index)
     };
     let a = *points.first()?;
-    let second = farthest(&|p| distance_squared(p, a))?;
+    let second = farthest(&|p| squared_distance(p, a))?;
     let b = points[second];
-    let third = farthest(&|p| {
-        let across = cross(sub(b, a), sub(p, a));
-        dot(across, across)
-    })?;
+    let from_a = |p: V| Vector3::from(p) - Vector3::from(a);
+    let third = farthest(&|p| from_a(b).cross(&from_a(p)).norm_squared())?;
     let c = points[third];
     let fourth = farthest(&|p| above([a, b, c], p).abs())?;
     let (mut corners, top) = ([0, second as u32, third as u32], fourth as u32);

@@ -2,8 +2,8 @@
 
 use super::draw::Drawing;
 use super::hull::hull;
-use super::vector::{V, cross, distance_squared, dot, product, scaled, sub};
 use super::{BlockError, Solid};
+use nalgebra::{Matrix3, Vector3};
 use rockface_core::artefact::Candidates;
 use rockface_core::artefact::candidates::{JointBlock, JointSet, JointWedge, Kinematics, Quantity};
 use rockface_core::numerics::portable_math;
@@ -16,29 +16,29 @@ const SAME_POINT: f64 = 1e-9;
 /// All x with `normal . x <= offset`, metres.
 #[derive(Debug, Clone, Copy)]
 struct HalfSpace {
-    normal: V,
+    normal: Vector3<f64>,
     offset: f64,
 }
 
 /// The rows X, Y, Z of the wall frame in east, north, up, for a face by its dip and dip direction in degrees.
 ///
 /// Z is out of the face, Y up its line of dip. A face steeper than vertical (an overhang) has a dip above 90.
-pub fn wall_from_enu(dip_deg: f64, dip_direction_deg: f64) -> [V; 3] {
+pub fn wall_from_enu(dip_deg: f64, dip_direction_deg: f64) -> [[f64; 3]; 3] {
     let z = upward_normal(dip_deg, dip_direction_deg);
-    let y = scaled(down_dip(dip_deg, dip_direction_deg), -1.0);
-    [cross(y, z), y, z]
+    let y = -down_dip(dip_deg, dip_direction_deg);
+    [y.cross(&z), y, z].map(Into::into)
 }
 
 /// The unit normal of a plane, upwards: east, north, up.
-fn upward_normal(dip_deg: f64, dip_direction_deg: f64) -> V {
+fn upward_normal(dip_deg: f64, dip_direction_deg: f64) -> Vector3<f64> {
     let ((sd, cd), (sa, ca)) = (turn(dip_deg), turn(dip_direction_deg));
-    [sd * sa, sd * ca, cd]
+    Vector3::new(sd * sa, sd * ca, cd)
 }
 
 /// The unit vector down the line of dip: east, north, up.
-fn down_dip(dip_deg: f64, dip_direction_deg: f64) -> V {
+fn down_dip(dip_deg: f64, dip_direction_deg: f64) -> Vector3<f64> {
     let ((sd, cd), (sa, ca)) = (turn(dip_deg), turn(dip_direction_deg));
-    [cd * sa, cd * ca, -sd]
+    Vector3::new(cd * sa, cd * ca, -sd)
 }
 
 fn turn(angle_deg: f64) -> (f64, f64) {
@@ -53,16 +53,16 @@ pub fn block(block: &JointBlock, candidates: &Candidates, drawing: &mut Drawing)
     for (i, set) in block.sets.iter().enumerate() {
         let normal = plane_of(set, i, drawing);
         let spacing = drawing.value(&format!("shape.set_{}.spacing_m", i + 1), &set.spacing_m)?;
-        let inwall = product(face, normal);
+        let inwall = face * normal;
         planes.push(HalfSpace { normal: inwall, offset: 0.5 * spacing });
-        planes.push(HalfSpace { normal: scaled(inwall, -1.0), offset: 0.5 * spacing });
+        planes.push(HalfSpace { normal: -inwall, offset: 0.5 * spacing });
         normals.push(normal);
     }
-    if !any_three(&normals).any(|[a, b, c]| dot(a, cross(b, c)).abs() >= LEAST_SPAN) {
+    if !any_three(&normals).any(|[a, b, c]| a.dot(&b.cross(&c)).abs() >= LEAST_SPAN) {
         return Err(BlockError::Unbounded);
     }
     let rule = Rule { friction: &block.friction_deg, lateral_deg: block.lateral_deg, wanted: block.kinematics };
-    admit(&normals, face, &rule, drawing)?;
+    admit(&normals, &face, &rule, drawing)?;
     hull(&corners(&planes)).ok_or(BlockError::Unbounded)
 }
 
@@ -70,21 +70,20 @@ pub fn block(block: &JointBlock, candidates: &Candidates, drawing: &mut Drawing)
 /// metres. The planes must daylight: their line of intersection comes out of the face below the upper plane.
 pub fn wedge(wedge: &JointWedge, candidates: &Candidates, drawing: &mut Drawing) -> Result<Solid, BlockError> {
     let face = face(candidates)?;
-    let normals: Vec<V> = wedge.sets.iter().enumerate().map(|(i, set)| plane_of(set, i, drawing)).collect();
+    let normals: Vec<Vector3<f64>> = wedge.sets.iter().enumerate().map(|(i, set)| plane_of(set, i, drawing)).collect();
     let height_m = drawing.value("shape.height_m", &wedge.height_m)?;
     let rule = Rule { friction: &wedge.friction_deg, lateral_deg: wedge.lateral_deg, wanted: wedge.kinematics };
-    admit(&normals, face, &rule, drawing)?;
+    admit(&normals, &face, &rule, drawing)?;
     // The rock lies above a plane; before it where the plane is vertical.
-    let under = |normal: &V| {
-        let [_, _, up] = *normal;
-        let outward = if up.abs() > 1e-9 { up } else { dot(*normal, face[2]) };
-        HalfSpace { normal: scaled(product(face, *normal), if outward > 0.0 { -1.0 } else { 1.0 }), offset: 0.0 }
+    let under = |normal: &Vector3<f64>| {
+        let outward = if normal.z.abs() > 1e-9 { normal.z } else { normal.dot(&out_of(&face)) };
+        HalfSpace { normal: face * normal * if outward > 0.0 { -1.0 } else { 1.0 }, offset: 0.0 }
     };
-    let upper = product(face, upward_normal(wedge.upper_dip_deg, wedge.upper_dip_direction_deg));
+    let upper = face * upward_normal(wedge.upper_dip_deg, wedge.upper_dip_direction_deg);
     let planes = [
         under(&normals[0]),
         under(&normals[1]),
-        HalfSpace { normal: [0.0, 0.0, 1.0], offset: 0.0 },
+        HalfSpace { normal: Vector3::z(), offset: 0.0 },
         HalfSpace { normal: upper, offset: height_m },
     ];
     let corners = corners(&planes);
@@ -92,13 +91,20 @@ pub fn wedge(wedge: &JointWedge, candidates: &Candidates, drawing: &mut Drawing)
     if corners.len() == 4 { hull(&corners).ok_or(BlockError::Unbounded) } else { Err(BlockError::Unbounded) }
 }
 
-fn face(candidates: &Candidates) -> Result<&[V; 3], BlockError> {
+/// The rotation from east, north, up to the wall frame.
+fn face(candidates: &Candidates) -> Result<Matrix3<f64>, BlockError> {
     let missing = || BlockError::Specification("joint sets need the orientation of the face".into());
-    candidates.wall_from_enu.as_ref().ok_or_else(missing)
+    let rows = candidates.wall_from_enu.ok_or_else(missing)?;
+    Ok(Matrix3::from_rows(&rows.map(|row| Vector3::from(row).transpose())))
+}
+
+/// The unit vector out of the face: east, north, up.
+fn out_of(face: &Matrix3<f64>) -> Vector3<f64> {
+    face.row(2).transpose()
 }
 
 /// The upward unit normal of one plane of a set (east, north, up), dispersed after Fisher (1953); its orientation is noted.
-fn plane_of(set: &JointSet, index: usize, drawing: &mut Drawing) -> V {
+fn plane_of(set: &JointSet, index: usize, drawing: &mut Drawing) -> Vector3<f64> {
     let mean = upward_normal(set.dip_deg, set.dip_direction_deg);
     let name = format!("shape.set_{}", index + 1);
     let normal = match set.fisher_k {
@@ -109,30 +115,27 @@ fn plane_of(set: &JointSet, index: usize, drawing: &mut Drawing) -> V {
             around(mean, cos, std::f64::consts::TAU * drawing.uniform(&format!("{name}.turn")))
         }
     };
-    let normal = if normal[2] < 0.0 { scaled(normal, -1.0) } else { normal };
-    drawing.note(&format!("{name}.dip_deg"), portable_math::acos(normal[2].clamp(-1.0, 1.0)).to_degrees());
-    drawing.note(&format!("{name}.dip_direction_deg"), azimuth_deg(normal));
+    let normal = if normal.z < 0.0 { -normal } else { normal };
+    drawing.note(&format!("{name}.dip_deg"), portable_math::acos(normal.z.clamp(-1.0, 1.0)).to_degrees());
+    drawing.note(&format!("{name}.dip_direction_deg"), azimuth_deg(&normal));
     normal
 }
 
 /// Azimuth of the horizontal part of a vector, degrees clockwise from north, 0 to 360.
-fn azimuth_deg(v: V) -> f64 {
-    let degrees = portable_math::atan2(v[0], v[1]).to_degrees();
+fn azimuth_deg(v: &Vector3<f64>) -> f64 {
+    let degrees = portable_math::atan2(v.x, v.y).to_degrees();
     if degrees < 0.0 { degrees + 360.0 } else { degrees }
 }
 
 /// The unit vector at an angle (by its cosine) from a mean, turned about it.
-fn around(mean: V, cos: f64, turn_rad: f64) -> V {
-    let helper = if mean[2].abs() < 0.9 { [0.0, 0.0, 1.0] } else { [1.0, 0.0, 0.0] };
-    let u = unit(cross(helper, mean));
-    let v = cross(mean, u);
+fn around(mean: Vector3<f64>, cos: f64, turn_rad: f64) -> Vector3<f64> {
+    let helper = if mean.z.abs() < 0.9 { Vector3::z() } else { Vector3::x() };
+    let across = helper.cross(&mean);
+    let u = across * (1.0 / across.norm());
+    let v = mean.cross(&u);
     let (s, c) = portable_math::sincos(turn_rad);
     let sin = (1.0 - cos * cos).max(0.0).sqrt();
-    std::array::from_fn(|i| cos * mean[i] + sin * (c * u[i] + s * v[i]))
-}
-
-fn unit(v: V) -> V {
-    scaled(v, 1.0 / dot(v, v).sqrt())
+    mean * cos + (u * c + v * s) * sin
 }
 
 fn any_three<T: Copy>(items: &[T]) -> impl Iterator<Item = [T; 3]> {
@@ -142,31 +145,31 @@ fn any_three<T: Copy>(items: &[T]) -> impl Iterator<Item = [T; 3]> {
 }
 
 /// The corners of the polyhedron common to half spaces: every meeting point of three planes that no other cuts off.
-fn corners(planes: &[HalfSpace]) -> Vec<V> {
-    let met: Vec<V> = any_three(planes).filter_map(meeting).collect();
+fn corners(planes: &[HalfSpace]) -> Vec<[f64; 3]> {
+    let met: Vec<Vector3<f64>> = any_three(planes).filter_map(meeting).collect();
     let size = planes.iter().fold(0.0, |size: f64, plane| size.max(plane.offset.abs()));
-    let inside = |p: &V| {
-        let slack = SAME_POINT * (size + dot(*p, *p).sqrt());
-        planes.iter().all(|plane| dot(plane.normal, *p) <= plane.offset + slack)
+    let inside = |p: &Vector3<f64>| {
+        let slack = SAME_POINT * (size + p.norm());
+        planes.iter().all(|plane| plane.normal.dot(p) <= plane.offset + slack)
     };
-    let mut corners: Vec<V> = Vec::new();
+    let mut corners: Vec<Vector3<f64>> = Vec::new();
     for p in met.into_iter().filter(inside) {
-        let near = SAME_POINT * (size + dot(p, p).sqrt());
-        if corners.iter().all(|q| distance_squared(p, *q) > near * near) {
+        let near = SAME_POINT * (size + p.norm());
+        if corners.iter().all(|q| (p - q).norm_squared() > near * near) {
             corners.push(p);
         }
     }
-    corners
+    corners.into_iter().map(Into::into).collect()
 }
 
 /// Where three planes meet; `None` where they are too nearly parallel.
-fn meeting([a, b, c]: [HalfSpace; 3]) -> Option<V> {
-    let (bc, ca, ab) = (cross(b.normal, c.normal), cross(c.normal, a.normal), cross(a.normal, b.normal));
-    let span = dot(a.normal, bc);
+fn meeting([a, b, c]: [HalfSpace; 3]) -> Option<Vector3<f64>> {
+    let (bc, ca, ab) = (b.normal.cross(&c.normal), c.normal.cross(&a.normal), a.normal.cross(&b.normal));
+    let span = a.normal.dot(&bc);
     if span.abs() < 1e-9 {
         return None;
     }
-    Some(std::array::from_fn(|i| (a.offset * bc[i] + b.offset * ca[i] + c.offset * ab[i]) / span))
+    Some((bc * a.offset + ca * b.offset + ab * c.offset) / span)
 }
 
 struct Rule<'a> {
@@ -179,19 +182,19 @@ struct Rule<'a> {
 ///
 /// A plane slides where it dips more steeply than the friction angle, out of the face, and within the lateral limit of the
 /// face's own direction; a pair where its line of intersection plunges more steeply than that and out of the face.
-fn admit(normals: &[V], face: &[V; 3], rule: &Rule, drawing: &mut Drawing) -> Result<(), BlockError> {
+fn admit(normals: &[Vector3<f64>], face: &Matrix3<f64>, rule: &Rule, drawing: &mut Drawing) -> Result<(), BlockError> {
     let friction_deg = drawing.value("shape.friction_deg", rule.friction)?;
     let steep = turn(friction_deg).0;
-    let out = face[2];
-    let facing = azimuth_deg(out);
-    let slides = |down: V| -down[2] > steep && dot(down, out) > 0.0;
-    let planar = |normal: &V| {
-        let flat = (normal[0] * normal[0] + normal[1] * normal[1]).sqrt();
+    let out = out_of(face);
+    let facing = azimuth_deg(&out);
+    let slides = |down: Vector3<f64>| -down.z > steep && down.dot(&out) > 0.0;
+    let planar = |normal: &Vector3<f64>| {
+        let flat = (normal.x * normal.x + normal.y * normal.y).sqrt();
         if flat == 0.0 {
             return false;
         }
-        let down = [normal[2] * normal[0] / flat, normal[2] * normal[1] / flat, -flat];
-        let off = (azimuth_deg(*normal) - facing + 540.0) % 360.0 - 180.0;
+        let down = Vector3::new(normal.z * normal.x / flat, normal.z * normal.y / flat, -flat);
+        let off = (azimuth_deg(normal) - facing + 540.0) % 360.0 - 180.0;
         slides(down) && off.abs() <= rule.lateral_deg
     };
     let planes = normals.iter().filter(|normal| planar(normal)).count();
@@ -203,11 +206,11 @@ fn admit(normals: &[V], face: &[V; 3], rule: &Rule, drawing: &mut Drawing) -> Re
 }
 
 /// The downward unit vector along the intersection of two planes; `None` where they are parallel.
-fn line(a: V, b: V) -> Option<V> {
-    let along = cross(a, b);
-    let length = dot(along, along).sqrt();
-    let down = if along[2] > 0.0 { sub([0.0; 3], along) } else { along };
-    (length > 1e-9).then(|| scaled(down, 1.0 / length))
+fn line(a: Vector3<f64>, b: Vector3<f64>) -> Option<Vector3<f64>> {
+    let along = a.cross(&b);
+    let length = along.norm();
+    let down = if along.z > 0.0 { -along } else { along };
+    (length > 1e-9).then(|| down * (1.0 / length))
 }
 
 #[cfg(test)]
@@ -248,11 +251,11 @@ mod tests {
     #[test]
     fn the_wall_frame_is_right_handed_and_looks_where_the_face_does() {
         let rows = wall_from_enu(90.0, 180.0);
-        let near = |a: V, b: V| distance_squared(a, b) < 1e-30;
+        let near = |a: [f64; 3], b: [f64; 3]| (Vector3::from(a) - Vector3::from(b)).norm_squared() < 1e-30;
         // Looking south, X runs to the east.
         assert!(near(rows[0], [1.0, 0.0, 0.0]) && near(rows[1], [0.0, 0.0, 1.0]) && near(rows[2], [0.0, -1.0, 0.0]));
         let [x, y, z] = wall_from_enu(70.0, 33.0);
-        assert!(near(cross(x, y), z) && y[2] > 0.0 && x[2].abs() < 1e-15);
+        assert!(near(Vector3::from(x).cross(&Vector3::from(y)).into(), z) && y[2] > 0.0 && x[2].abs() < 1e-15);
     }
 
     #[test]
@@ -279,7 +282,7 @@ mod tests {
                     noted(&list, &format!("shape.set_{i}.dip_direction_deg")),
                 )
             };
-            let span = dot(normal(1), cross(normal(2), normal(3))).abs();
+            let span = normal(1).dot(&normal(2).cross(&normal(3))).abs();
             let solid = solid.unwrap();
             assert!((solid.volume() * span / 0.064 - 1.0).abs() < 1e-9);
             assert_eq!((solid.check(), solid.vertices.len()), (Ok(()), 8));

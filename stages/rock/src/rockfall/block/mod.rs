@@ -12,16 +12,31 @@ mod sizing;
 pub mod smoothing;
 pub mod solid;
 pub mod subdivide;
-mod vector;
 
 pub use solid::{Flaw, Solid};
+
+use nalgebra::Vector3;
 
 use crate::rockfall::distribution::{Draws, chosen};
 use draw::Drawing;
 use rockface_core::artefact::Candidates;
 use rockface_core::artefact::candidates::{Align, Class, Modifier, Shape};
 use rockface_core::numerics::random::Key;
-use vector::sub;
+
+/// A point of a mesh: x, y, z, metres.
+type V = [f64; 3];
+
+/// The square of the distance of two points, square metres.
+fn squared_distance(a: V, b: V) -> f64 {
+    (Vector3::from(a) - Vector3::from(b)).norm_squared()
+}
+
+/// Moves a solid so that its volume centroid is the origin; its volume, cubic metres.
+fn centre(solid: &mut Solid) -> f64 {
+    let (volume_m3, centroid) = solid.volume_and_centroid();
+    solid.map(|v| (Vector3::from(v) - Vector3::from(centroid)).into());
+    volume_m3
+}
 
 /// One candidate block: closed, outward, centred at its volume centroid.
 #[derive(Debug, Clone, PartialEq)]
@@ -93,9 +108,7 @@ pub fn candidate(candidates: &Candidates, number: u64) -> Result<Block, BlockErr
     let class = &candidates.classes[at];
     let mut drawing = Drawing::new(draws, at);
     let mut solid = finished(class, candidates, &mut drawing)?;
-    let (volume_m3, centroid) = solid.volume_and_centroid();
-    solid.map(|v| sub(v, centroid));
-    drawing.note("block_volume_m3", volume_m3);
+    drawing.note("block_volume_m3", centre(&mut solid));
     Ok(Block {
         class: class.label().to_owned(),
         vertices: solid.vertices,
@@ -107,8 +120,7 @@ pub fn candidate(candidates: &Candidates, number: u64) -> Result<Block, BlockErr
 
 fn finished(class: &Class, candidates: &Candidates, drawing: &mut Drawing) -> Result<Solid, BlockError> {
     let mut solid = shapes::base(&class.shape, candidates, drawing)?;
-    let (_, centroid) = solid.volume_and_centroid();
-    solid.map(|v| sub(v, centroid));
+    centre(&mut solid);
     let target = class.size.as_ref().map(|size| sizing::apply(&mut solid, size, drawing)).transpose()?.flatten();
     if let Some(edge_m) = class.edge_m {
         modifiers::refine(&mut solid, edge_m)?;

@@ -2,8 +2,8 @@
 
 use super::draw::Drawing;
 use super::hull::hull;
-use super::vector::{V, add, cross, distance_squared, dot, product, scaled};
-use super::{BlockError, Solid, remesh, subdivide};
+use super::{BlockError, Solid, V, remesh, squared_distance, subdivide};
+use nalgebra::{Matrix3, Vector3};
 use rockface_core::artefact::candidates::{Modifier, Noise, Rotate, Roughness, Scale, Skew};
 use rockface_core::numerics::portable_math;
 
@@ -13,8 +13,8 @@ pub fn apply(solid: &mut Solid, modifier: &Modifier, name: &str, drawing: &mut D
         Modifier::Scale(scale) => scale_by(solid, scale, name, drawing),
         Modifier::Rotate(rotate) => rotate_by(solid, rotate, name, drawing),
         Modifier::Tumble(_) => {
-            let rows = any_rotation(name, drawing);
-            solid.map(|v| product(&rows, v));
+            let turn = any_rotation(name, drawing);
+            solid.map(|v| (turn * Vector3::from(v)).into());
             Ok(())
         }
         Modifier::Roughness(roughness) => roughen(solid, roughness, name, drawing),
@@ -54,33 +54,34 @@ fn rotate_by(solid: &mut Solid, rotate: &Rotate, name: &str, drawing: &mut Drawi
     let y = drawing.value(&format!("{name}.y_deg"), &rotate.y_deg)?;
     let z = drawing.value(&format!("{name}.z_deg"), &rotate.z_deg)?;
     let turns = [(0, x), (1, y), (2, z)].map(|(axis, degrees)| about(axis, degrees));
-    solid.map(|v| turns.iter().fold(v, |v, rows| product(rows, v)));
+    solid.map(|v| turns.iter().fold(Vector3::from(v), |v, turn| turn * v).into());
     Ok(())
 }
 
 /// The rotation about one axis.
-fn about(axis: usize, angle_deg: f64) -> [V; 3] {
+fn about(axis: usize, angle_deg: f64) -> Matrix3<f64> {
     let (sin, cos) = portable_math::sincos(angle_deg.to_radians());
     let (j, k) = ((axis + 1) % 3, (axis + 2) % 3);
-    let mut rows = [[0.0; 3]; 3];
-    rows[axis][axis] = 1.0;
-    (rows[j][j], rows[j][k], rows[k][j], rows[k][k]) = (cos, -sin, sin, cos);
-    rows
+    let mut turn = Matrix3::identity();
+    (turn[(j, j)], turn[(j, k)], turn[(k, j)], turn[(k, k)]) = (cos, -sin, sin, cos);
+    turn
 }
 
 /// A rotation of uniformly distributed orientation: a unit quaternion of four normal draws.
-fn any_rotation(name: &str, drawing: &mut Drawing) -> [V; 3] {
+fn any_rotation(name: &str, drawing: &mut Drawing) -> Matrix3<f64> {
     let four = [0, 1, 2, 3].map(|i| drawing.normal(&format!("{name}.{i}")));
     let length = four.iter().map(|q| q * q).sum::<f64>().sqrt();
     let [w, x, y, z] = four.map(|q| q / length);
     for (part, value) in ["w", "x", "y", "z"].iter().zip([w, x, y, z]) {
         drawing.note(&format!("{name}.{part}"), value);
     }
-    [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-        [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
-        [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
-    ]
+    #[rustfmt::skip]
+    let turn = Matrix3::new(
+        1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w),
+        2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w),
+        2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y),
+    );
+    turn
 }
 
 fn roughen(solid: &mut Solid, rough: &Roughness, name: &str, drawing: &mut Drawing) -> Result<(), BlockError> {
@@ -94,7 +95,7 @@ fn roughen(solid: &mut Solid, rough: &Roughness, name: &str, drawing: &mut Drawi
         if rough.correlation_m > 0.0 { correlated(&solid.vertices, &white, rough.correlation_m) } else { white };
     let normals = solid.vertex_normals();
     for ((vertex, normal), z) in solid.vertices.iter_mut().zip(normals).zip(moves) {
-        *vertex = add(*vertex, scaled(normal, sigma_m * z));
+        *vertex = (Vector3::from(*vertex) + normal * (sigma_m * z)).into();
     }
     Ok(())
 }
@@ -107,7 +108,7 @@ fn correlated(vertices: &[V], white: &[f64], length_m: f64) -> Vec<f64> {
     let average = |at: &V| {
         let (mut sum, mut squares) = (0.0, 0.0);
         for (other, z) in vertices.iter().zip(white) {
-            let apart = distance_squared(*at, *other);
+            let apart = squared_distance(*at, *other);
             if apart < reach {
                 let weight = portable_math::exp(-0.5 * apart / (width * width));
                 (sum, squares) = (sum + weight * z, squares + weight * weight);
@@ -129,15 +130,16 @@ fn shake(solid: &mut Solid, noise: &Noise, name: &str, drawing: &mut Drawing) ->
 
 fn shear(solid: &mut Solid, skew: &Skew, name: &str, drawing: &mut Drawing) -> Result<(), BlockError> {
     let mut share = |part: &str, quantity| drawing.value(&format!("{name}.{part}"), quantity);
-    let rows = [
-        [1.0, share("xy", &skew.xy)?, share("xz", &skew.xz)?],
-        [share("yx", &skew.yx)?, 1.0, share("yz", &skew.yz)?],
-        [share("zx", &skew.zx)?, share("zy", &skew.zy)?, 1.0],
-    ];
+    #[rustfmt::skip]
+    let shear = Matrix3::new(
+        1.0, share("xy", &skew.xy)?, share("xz", &skew.xz)?,
+        share("yx", &skew.yx)?, 1.0, share("yz", &skew.yz)?,
+        share("zx", &skew.zx)?, share("zy", &skew.zy)?, 1.0,
+    );
     // A shear that turns the block inside out is none.
-    if dot(rows[0], cross(rows[1], rows[2])) <= 0.0 {
+    if shear.determinant() <= 0.0 {
         return Err(BlockError::Inverted);
     }
-    solid.map(|v| product(&rows, v));
+    solid.map(|v| (shear * Vector3::from(v)).into());
     Ok(())
 }

@@ -2,9 +2,10 @@
 
 use std::collections::BTreeSet;
 
-use super::Solid;
+use nalgebra::Vector3;
+
 use super::subdivide;
-use super::vector::{V, cross, distance_squared, dot, scaled, sub};
+use super::{Solid, V, squared_distance};
 
 /// Cosine by which a triangle may turn when an edge collapses: 45 degrees.
 const LEAST_COSINE: f64 = 0.707;
@@ -68,7 +69,7 @@ impl Net<'_> {
     /// Moves a vertex onto its nearest neighbour where that is near and harms nothing; whether it did.
     fn collapse_one(&mut self, vertex: u32, short: f64, long: f64) -> bool {
         let neighbours = self.neighbours(vertex);
-        let apart = |other: &u32| distance_squared(self.at(vertex), self.at(*other));
+        let apart = |other: &u32| squared_distance(self.at(vertex), self.at(*other));
         let mut near: Vec<u32> = neighbours.iter().copied().filter(|other| apart(other) < short * short).collect();
         near.sort_by(|a, b| apart(a).total_cmp(&apart(b)).then(a.cmp(b)));
         let Some(onto) = near.into_iter().find(|onto| self.may_move(vertex, *onto, &neighbours, long)) else {
@@ -90,7 +91,7 @@ impl Net<'_> {
     /// The mesh stays a manifold (the link condition), no triangle turns far or becomes long.
     fn may_move(&self, vertex: u32, onto: u32, neighbours: &BTreeSet<u32>, long: f64) -> bool {
         let common = self.neighbours(onto).intersection(neighbours).count();
-        let far = |other: &&u32| distance_squared(self.at(onto), self.at(**other)) > long * long;
+        let far = |other: &&u32| squared_distance(self.at(onto), self.at(**other)) > long * long;
         // A tetrahedron has nothing to lose.
         if common != 2 || neighbours.len() < 4 || neighbours.iter().any(|other| far(&other)) {
             return false;
@@ -102,8 +103,8 @@ impl Net<'_> {
         staying.filter(|corners| !corners.contains(&onto)).all(|corners| {
             let before = self.normal(corners);
             let after = self.normal(corners.map(|v| if v == vertex { onto } else { v }));
-            let lengths = (dot(before, before) * dot(after, after)).sqrt();
-            lengths > 0.0 && dot(before, after) > LEAST_COSINE * lengths
+            let lengths = (before.norm_squared() * after.norm_squared()).sqrt();
+            lengths > 0.0 && before.dot(&after) > LEAST_COSINE * lengths
         })
     }
 
@@ -111,16 +112,17 @@ impl Net<'_> {
     fn stays_near(&self, vertex: u32, onto: u32, edge_m: f64) -> bool {
         let unit = |t: &u32| {
             let normal = self.normal(self.triangles[*t as usize]);
-            scaled(normal, 1.0 / dot(normal, normal).sqrt())
+            normal * (1.0 / normal.norm())
         };
-        let normals: Vec<V> = self.around[vertex as usize].iter().map(unit).collect();
-        let sharp = normals.iter().enumerate().any(|(i, a)| normals[..i].iter().any(|b| dot(*a, *b) < SHARP_COSINE));
-        let step = sub(self.at(onto), self.at(vertex));
-        normals.iter().all(|normal| dot(*normal, step).abs() <= OFF[usize::from(!sharp)] * edge_m)
+        let normals: Vec<Vector3<f64>> = self.around[vertex as usize].iter().map(unit).collect();
+        let sharp = normals.iter().enumerate().any(|(i, a)| normals[..i].iter().any(|b| a.dot(b) < SHARP_COSINE));
+        let step = Vector3::from(self.at(onto)) - Vector3::from(self.at(vertex));
+        normals.iter().all(|normal| normal.dot(&step).abs() <= OFF[usize::from(!sharp)] * edge_m)
     }
 
-    fn normal(&self, [a, b, c]: [u32; 3]) -> V {
-        cross(sub(self.at(b), self.at(a)), sub(self.at(c), self.at(a)))
+    fn normal(&self, corners: [u32; 3]) -> Vector3<f64> {
+        let [a, b, c] = corners.map(|v| Vector3::from(self.at(v)));
+        (b - a).cross(&(c - a))
     }
 }
 
@@ -138,7 +140,7 @@ mod tests {
     fn lengths(solid: &Solid) -> Vec<f64> {
         let edges = |t: usize| {
             let [a, b, c] = solid.corners(t);
-            [(a, b), (b, c), (c, a)].map(|(p, q)| distance_squared(p, q).sqrt())
+            [(a, b), (b, c), (c, a)].map(|(p, q)| squared_distance(p, q).sqrt())
         };
         (0..solid.triangles.len()).flat_map(edges).collect()
     }

@@ -2,8 +2,8 @@
 
 use super::draw::Drawing;
 use super::hull::hull;
-use super::vector::{V, dot, scaled};
-use super::{BlockError, Solid, joints, subdivide};
+use super::{BlockError, Solid, V, joints, subdivide};
+use nalgebra::Vector3;
 use rockface_core::artefact::Candidates;
 use rockface_core::artefact::candidates::{Ellipsoid, Polyhedron, Shape, Trapezoid, Wedge};
 use rockface_core::numerics::portable_math;
@@ -54,7 +54,7 @@ fn sphere(ellipsoid: &Ellipsoid) -> Result<Solid, BlockError> {
     let mut solid = hull(&corners.collect::<Vec<_>>()).ok_or(BlockError::Flat)?;
     for _ in 0..ellipsoid.subdivisions {
         subdivide::quarter(&mut solid);
-        solid.map(|v| scaled(v, 1.0 / dot(v, v).sqrt()));
+        solid.map(|v| (Vector3::from(v) * (1.0 / Vector3::from(v).norm())).into());
     }
     let extent = solid.extent();
     solid.map(|v| std::array::from_fn(|i| v[i] / extent[i]));
@@ -82,7 +82,7 @@ fn irregular(polyhedron: &Polyhedron, drawing: &mut Drawing) -> Result<Solid, Bl
         let (sin, cos) =
             portable_math::sincos(std::f64::consts::TAU * drawing.uniform(&format!("shape.point.{i}.turn")));
         let across = (1.0 - z * z).sqrt();
-        points.push(scaled([across * cos, across * sin, z], radius));
+        points.push([across * cos, across * sin, z].map(|x| x * radius));
     }
     boxed(&points)
 }

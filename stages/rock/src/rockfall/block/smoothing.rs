@@ -2,9 +2,10 @@
 
 use std::collections::BTreeSet;
 
-use super::Solid;
+use nalgebra::Vector3;
+
 use super::crossing;
-use super::vector::{V, add, distance_squared, scaled};
+use super::{Solid, squared_distance};
 
 /// Rounds after which it is given up.
 const ROUNDS: usize = 50;
@@ -34,25 +35,26 @@ pub fn untangle(solid: &mut Solid) -> Untangled {
         relax(solid, &corners);
         left = crossing::all(solid);
     }
-    let moves = before.iter().zip(&solid.vertices).map(|(a, b)| distance_squared(*a, *b));
+    let moves = before.iter().zip(&solid.vertices).map(|(a, b)| squared_distance(*a, *b));
     let (vertices, farthest) =
         moves.fold((0, 0.0f64), |(count, far), moved| (count + usize::from(moved > 0.0), far.max(moved)));
     Untangled { vertices, farthest_m: farthest.sqrt(), left: left.len() }
 }
 
 fn relax(solid: &mut Solid, which: &BTreeSet<u32>) {
-    let mut sums: Vec<(V, f64)> = vec![([0.0; 3], 0.0); solid.vertices.len()];
+    let mut sums = vec![(Vector3::zeros(), 0.0); solid.vertices.len()];
     for t in &solid.triangles {
         for i in (0..3).filter(|i| which.contains(&t[*i])) {
             let (sum, count) = &mut sums[t[i] as usize];
             // Around a closed fan each neighbour follows exactly one other.
-            *sum = add(*sum, solid.vertices[t[(i + 1) % 3] as usize]);
+            *sum += Vector3::from(solid.vertices[t[(i + 1) % 3] as usize]);
             *count += 1.0;
         }
     }
     for vertex in which.iter().map(|v| *v as usize) {
         let (sum, count) = sums[vertex];
-        solid.vertices[vertex] = scaled(add(solid.vertices[vertex], scaled(sum, 1.0 / count)), 0.5);
+        let mean = sum * (1.0 / count);
+        solid.vertices[vertex] = ((Vector3::from(solid.vertices[vertex]) + mean) * 0.5).into();
     }
 }
 
@@ -64,7 +66,7 @@ mod tests {
 
     #[test]
     fn a_vertex_pushed_through_the_far_side_comes_back() {
-        let cube: Vec<V> = (0..8).map(|i| [i & 1, i >> 1 & 1, i >> 2].map(f64::from)).collect();
+        let cube: Vec<[f64; 3]> = (0..8).map(|i| [i & 1, i >> 1 & 1, i >> 2].map(f64::from)).collect();
         let mut solid = hull(&cube).unwrap();
         subdivide::to_edge(&mut solid, 0.2);
         assert_eq!(untangle(&mut solid.clone()), Untangled::default());

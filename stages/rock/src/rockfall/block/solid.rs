@@ -1,8 +1,11 @@
 //! A closed triangle mesh as a solid: its extent, volume and centroid, and whether it is one.
 
+use nalgebra::Vector3;
+
 use super::crossing;
+use super::{V, squared_distance};
 use crate::face::inspection::Inspection;
-use crate::rockfall::block::vector::{V, add, cross, dot, scaled, sub};
+use crate::face::tetrahedra::tetrahedra;
 use rockface_core::artefact::{Frame, Mesh};
 
 /// A closed triangle mesh; metres, triangles counter-clockwise seen from outside.
@@ -63,6 +66,11 @@ impl Solid {
         [0, 1, 2].map(|corner| self.corner(triangle, corner))
     }
 
+    /// The square of the distance of two vertices, square metres.
+    pub fn squared_distance(&self, a: u32, b: u32) -> f64 {
+        squared_distance(self.vertices[a as usize], self.vertices[b as usize])
+    }
+
     /// Least and greatest coordinates, metres.
     pub fn bounds(&self) -> [V; 2] {
         let start = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
@@ -74,21 +82,19 @@ impl Solid {
     /// Sides of the axis-aligned box, metres.
     pub fn extent(&self) -> V {
         let [low, high] = self.bounds();
-        sub(high, low)
+        [0, 1, 2].map(|axis| high[axis] - low[axis])
     }
 
     /// Enclosed volume in cubic metres and its centroid, by the divergence theorem about the centre of the box.
     pub fn volume_and_centroid(&self) -> (f64, V) {
         let [low, high] = self.bounds();
-        let origin = scaled(add(low, high), 0.5);
-        let (mut six, mut moment) = (0.0, [0.0; 3]);
-        for triangle in 0..self.triangles.len() {
-            let [a, b, c] = self.corners(triangle).map(|corner| sub(corner, origin));
-            let part = dot(a, cross(b, c));
+        let origin = (Vector3::from(low) + Vector3::from(high)) * 0.5;
+        let (mut six, mut moment) = (0.0, Vector3::zeros());
+        for ([a, b, c], part) in tetrahedra(&self.vertices, &self.triangles, origin.into()) {
             six += part;
-            moment = add(moment, scaled(add(a, add(b, c)), part));
+            moment += (a + (b + c)) * part;
         }
-        (six / 6.0, add(origin, scaled(moment, 0.25 / six)))
+        (six / 6.0, (origin + moment * (0.25 / six)).into())
     }
 
     /// Enclosed volume, cubic metres; negative where the triangles face inwards.
@@ -107,16 +113,16 @@ impl Solid {
     }
 
     /// Unit normals of the vertices, weighted by the area of their triangles; zero where these cancel.
-    pub fn vertex_normals(&self) -> Vec<V> {
-        let mut normals = vec![[0.0; 3]; self.vertices.len()];
+    pub fn vertex_normals(&self) -> Vec<Vector3<f64>> {
+        let mut normals = vec![Vector3::zeros(); self.vertices.len()];
         for (index, triangle) in self.triangles.iter().enumerate() {
-            let [a, b, c] = self.corners(index);
-            let normal = cross(sub(b, a), sub(c, a));
-            triangle.iter().for_each(|&v| normals[v as usize] = add(normals[v as usize], normal));
+            let [a, b, c] = self.corners(index).map(Vector3::from);
+            let normal = (b - a).cross(&(c - a));
+            triangle.iter().for_each(|&v| normals[v as usize] += normal);
         }
-        let unit = |normal: V| {
-            let length = dot(normal, normal).sqrt();
-            if length > 0.0 { scaled(normal, 1.0 / length) } else { normal }
+        let unit = |normal: Vector3<f64>| {
+            let length = normal.norm();
+            if length > 0.0 { normal * (1.0 / length) } else { normal }
         };
         normals.into_iter().map(unit).collect()
     }

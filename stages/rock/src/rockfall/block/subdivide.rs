@@ -2,8 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::Solid;
-use super::vector::{add, distance_squared, scaled};
+use super::{Solid, squared_distance};
 
 /// Triangles a block may have.
 pub const MOST_TRIANGLES: usize = 1_000_000;
@@ -13,9 +12,7 @@ pub const MOST_TRIANGLES: usize = 1_000_000;
 pub fn to_edge(solid: &mut Solid, edge_m: f64) -> bool {
     let limit = edge_m * edge_m;
     while solid.triangles.len() <= MOST_TRIANGLES {
-        let long = |solid: &Solid, a: u32, b: u32| {
-            distance_squared(solid.vertices[a as usize], solid.vertices[b as usize]) > limit
-        };
+        let long = |solid: &Solid, a: u32, b: u32| solid.squared_distance(a, b) > limit;
         if !cut(solid, long) {
             return true;
         }
@@ -36,8 +33,8 @@ fn cut(solid: &mut Solid, pick: impl Fn(&Solid, u32, u32) -> bool) -> bool {
         for (a, b) in runs(solid.triangles[triangle]) {
             if a < b && pick(solid, a, b) {
                 middles.insert((a, b), before + middles.len() as u32);
-                let middle = scaled(add(solid.vertices[a as usize], solid.vertices[b as usize]), 0.5);
-                solid.vertices.push(middle);
+                let (from, to) = (solid.vertices[a as usize], solid.vertices[b as usize]);
+                solid.vertices.push([0, 1, 2].map(|axis| (from[axis] + to[axis]) * 0.5));
             }
         }
     }
@@ -76,7 +73,7 @@ fn halves([a, b, c]: [u32; 3], middle: u32) -> Vec<[u32; 3]> {
 
 /// The corner between two cut edges, and the quadrilateral left over along its shorter diagonal.
 fn thirds([a, b, c]: [u32; 3], p: u32, q: u32, vertices: &[[f64; 3]]) -> Vec<[u32; 3]> {
-    let length = |i: u32, j: u32| distance_squared(vertices[i as usize], vertices[j as usize]);
+    let length = |i: u32, j: u32| squared_distance(vertices[i as usize], vertices[j as usize]);
     let rest = if length(a, q) <= length(p, c) { [[a, p, q], [a, q, c]] } else { [[a, p, c], [p, q, c]] };
     vec![[p, b, q], rest[0], rest[1]]
 }
@@ -99,7 +96,7 @@ mod tests {
             prop_assert_eq!(cut.check_closed(), Ok(()));
             prop_assert!((cut.volume() - whole.volume()).abs() < 1e-12);
             let longest = cut.triangles.iter().flat_map(|t| runs(*t));
-            let longest = longest.map(|(a, b)| distance_squared(cut.vertices[a as usize], cut.vertices[b as usize]));
+            let longest = longest.map(|(a, b)| cut.squared_distance(a, b));
             prop_assert!(longest.fold(0.0, f64::max) <= edge_m * edge_m);
         }
     }

@@ -2,24 +2,25 @@
 
 use serde_json::{Map, Value, json};
 
+use rockface_core::StageError;
 use rockface_core::format::table_file;
 use rockface_core::params::ParamType;
 
 /// How the content of a file is had by the path that names it.
-pub type ReadFile<'a> = dyn Fn(&str) -> Result<Vec<u8>, String> + 'a;
+pub type ReadFile<'a> = dyn Fn(&str) -> Result<Vec<u8>, StageError> + 'a;
 
 /// The same parameters with `{file: {path, column, smooth}}`, wherever it stands, replaced by
 /// `{samples: {values, smooth}}`, the values in ascending order; and checked again, now that the values are known.
-pub fn with_files_read<T: ParamType>(params: &T, read: &ReadFile) -> Result<T, String> {
+pub fn with_files_read<T: ParamType>(params: &T, read: &ReadFile) -> Result<T, StageError> {
     let mut value = params.encode();
     replace(&mut value, read)?;
     T::decode(&value).map_err(|faults| {
         let text = |fault: &rockface_core::params::Fault| format!("{}: {}", fault.path.join("."), fault.message);
-        faults.iter().map(text).collect::<Vec<_>>().join("; ")
+        StageError::new(faults.iter().map(text).collect::<Vec<_>>().join("; "))
     })
 }
 
-fn replace(value: &mut Value, read: &ReadFile) -> Result<(), String> {
+fn replace(value: &mut Value, read: &ReadFile) -> Result<(), StageError> {
     match value {
         Value::Array(items) => items.iter_mut().try_for_each(|item| replace(item, read)),
         Value::Object(map) => {
@@ -32,7 +33,7 @@ fn replace(value: &mut Value, read: &ReadFile) -> Result<(), String> {
     }
 }
 
-fn samples(file: &Value, read: &ReadFile) -> Result<Map<String, Value>, String> {
+fn samples(file: &Value, read: &ReadFile) -> Result<Map<String, Value>, StageError> {
     let text = |key: &str| file[key].as_str().unwrap_or_default();
     let path = text("path");
     let table = table_file::read(&read(path)?, &|| false);

@@ -2,6 +2,8 @@
 
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
+use crate::face::tetrahedra::tetrahedra;
+
 /// Vertices and the triangles between them, open or closed; closed ones are counter-clockwise seen from outside.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Facets {
@@ -40,27 +42,25 @@ impl Facets {
         Some(self.vertices.iter().fold([first, first], grow))
     }
 
-    /// The corners of each triangle relative to the first vertex, metres.
-    fn local(&self) -> impl Iterator<Item = [Vector3<f64>; 3]> + '_ {
-        let origin = self.vertices.first().copied().unwrap_or_default();
-        let corner = move |index: u32| Vector3::from(self.vertices[index as usize]) - Vector3::from(origin);
-        self.triangles.iter().map(move |triangle| triangle.map(corner))
+    /// The corners of each triangle relative to the first vertex, metres, and six times the volume they span with it.
+    fn local(&self) -> impl Iterator<Item = ([Vector3<f64>; 3], f64)> + '_ {
+        tetrahedra(&self.vertices, &self.triangles, self.vertices.first().copied().unwrap_or_default())
     }
 
     /// Sum of the areas of the triangles, square metres.
     pub fn area_m2(&self) -> f64 {
-        self.local().fold(0.0, |sum, [a, b, c]| sum + 0.5 * (b - a).cross(&(c - a)).norm())
+        self.local().fold(0.0, |sum, ([a, b, c], _)| sum + 0.5 * (b - a).cross(&(c - a)).norm())
     }
 
     /// Sum of the areas of the triangles as vectors along their normals, square metres: the component along a direction
     /// is the area the rim encloses seen from there; zero for a closed body.
     pub fn vector_area_m2(&self) -> Vector3<f64> {
-        self.local().fold(Vector3::zeros(), |sum, [a, b, c]| sum + 0.5 * (b - a).cross(&(c - a)))
+        self.local().fold(Vector3::zeros(), |sum, ([a, b, c], _)| sum + 0.5 * (b - a).cross(&(c - a)))
     }
 
     /// Volume enclosed, cubic metres, by the divergence theorem about the first vertex; negative when inside out.
     pub fn volume_m3(&self) -> f64 {
-        self.local().fold(0.0, |sum, [a, b, c]| sum + a.dot(&b.cross(&c)) / 6.0)
+        self.local().fold(0.0, |sum, (_, six)| sum + six / 6.0)
     }
 
     /// Volume, centroid and covariance of a closed body; `None` without a positive volume.
@@ -68,8 +68,8 @@ impl Facets {
     /// Tetrahedra from the first vertex to each triangle, with the second moments of a tetrahedron.
     pub fn body(&self) -> Option<Body> {
         let (mut volume, mut first, mut second) = (0.0, Vector3::zeros(), Matrix3::zeros());
-        for [a, b, c] in self.local() {
-            let part = a.dot(&b.cross(&c)) / 6.0;
+        for ([a, b, c], six) in self.local() {
+            let part = six / 6.0;
             let sum = a + b + c;
             let squares = sum * sum.transpose() + a * a.transpose() + b * b.transpose() + c * c.transpose();
             volume += part;

@@ -13,6 +13,7 @@ pub mod sneed_folk;
 pub mod thickness;
 
 use rockface_core::artefact::{Frame, Inventory, Mesh, Meshes, Part, Raster, Transform};
+use rockface_core::{StageError, fail};
 
 pub use facets::Facets;
 
@@ -78,10 +79,10 @@ pub fn assemble(
     pieces: &[RemovedPiece],
     cell_m: f64,
     transform: Option<&Transform>,
-) -> Result<Truth, String> {
+) -> Result<Truth, StageError> {
     for (mesh, name) in [(pre, "before"), (post, "after")] {
         if mesh.frame != Frame::Wall {
-            return Err(format!("the face {name} is in the {} frame; ground truth needs the wall frame", mesh.frame));
+            fail!("the face {name} is in the {} frame; ground truth needs the wall frame", mesh.frame);
         }
     }
     check_numbers(pieces)?;
@@ -102,14 +103,14 @@ pub fn assemble(
     })
 }
 
-fn check_numbers(pieces: &[RemovedPiece]) -> Result<(), String> {
+fn check_numbers(pieces: &[RemovedPiece]) -> Result<(), StageError> {
     let mut taken = std::collections::BTreeSet::new();
     for piece in pieces {
         if piece.id == 0 || piece.id > u32::from(u16::MAX) {
-            return Err(format!("piece {} has a number that is not from 1 to {}", piece.id, u16::MAX));
+            fail!("piece {} has a number that is not from 1 to {}", piece.id, u16::MAX);
         }
         if !taken.insert(piece.id) {
-            return Err(format!("two pieces have the number {}", piece.id));
+            fail!("two pieces have the number {}", piece.id);
         }
     }
     Ok(())

@@ -1,6 +1,7 @@
 //! What a grid of elevations sees of removed rock: which piece each cell lost, and how deep.
 
 use rockface_core::artefact::{Frame, Grid, Mesh, Raster, Sample};
+use rockface_core::{StageError, fail};
 use rockface_raster::rasterise;
 use rockface_raster::shape::Shape;
 
@@ -56,9 +57,9 @@ struct Window {
 ///
 /// # Errors
 /// A face without points, or a cell that gives a grid with none or too many cells.
-pub fn compare(pre: &Mesh, post: &Mesh, pieces: &[(u32, &Facets)], cell_m: f64) -> Result<Seen, String> {
+pub fn compare(pre: &Mesh, post: &Mesh, pieces: &[(u32, &Facets)], cell_m: f64) -> Result<Seen, StageError> {
     if !(cell_m > 0.0 && cell_m.is_finite()) {
-        return Err(format!("a cell of {cell_m} m makes no grid"));
+        fail!("a cell of {cell_m} m makes no grid");
     }
     let extent = rasterise::extent(Shape::Mesh(pre), None).ok_or("the face before has no points")?;
     let grid = rasterise::grid_around(extent, cell_m)?;
@@ -187,6 +188,6 @@ mod tests {
         let beside = Facets::cuboid(1.0, 1.0, 1.0).moved(|p| p + nalgebra::Vector3::new(50.0, 50.0, 1.0));
         let seen = compare(&plane(2.0), &plane(2.0), &[(1, &small), (2, &beside)], 0.1).unwrap();
         assert!(seen.pieces.iter().all(|trace| trace.cells.is_empty() && trace.visible_fraction().to_bits() == 0));
-        assert!(compare(&plane(2.0), &plane(2.0), &[], 0.0).unwrap_err().contains("0 m"));
+        assert!(compare(&plane(2.0), &plane(2.0), &[], 0.0).unwrap_err().message.contains("0 m"));
     }
 }

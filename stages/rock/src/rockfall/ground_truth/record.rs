@@ -2,6 +2,7 @@
 
 use nalgebra::{Point3, Vector3};
 
+use rockface_core::StageError;
 use rockface_core::artefact::{Cell, Feature, Frame, Inventory, Transform};
 
 use super::bounding_box::oriented_box;
@@ -15,9 +16,9 @@ type Row = Vec<(String, Cell)>;
 ///
 /// # Errors
 /// The piece that is no closed body, or whose depth or box cannot be taken.
-pub fn inventory(pieces: &[RemovedPiece], seen: &Seen, world: Option<&Transform>) -> Result<Inventory, String> {
+pub fn inventory(pieces: &[RemovedPiece], seen: &Seen, world: Option<&Transform>) -> Result<Inventory, StageError> {
     let rows = pieces.iter().zip(&seen.pieces).map(|(piece, trace)| {
-        row(piece, trace, world).map_err(|e| format!("piece {} of event {}: {e}", piece.id, piece.event))
+        row(piece, trace, world).map_err(|e| e.within(format!("piece {} of event {}", piece.id, piece.event)))
     });
     let rows = rows.collect::<Result<Vec<Row>, _>>()?;
     let mut columns: Vec<String> = Vec::new();
@@ -41,15 +42,17 @@ pub fn inventory(pieces: &[RemovedPiece], seen: &Seen, world: Option<&Transform>
 ///
 /// # Errors
 /// A transform between other frames.
-pub fn world_from_wall(transform: &Transform) -> Result<Transform, String> {
+pub fn world_from_wall(transform: &Transform) -> Result<Transform, StageError> {
     match (transform.from.as_str(), transform.to.as_str()) {
         ("world", "wall") => Ok(transform.inverse()),
         ("wall", "world") => Ok(transform.clone()),
-        (from, to) => Err(format!("the transform leads from {from} to {to}, not between world and wall")),
+        (from, to) => {
+            Err(StageError::new(format!("the transform leads from {from} to {to}, not between world and wall")))
+        }
     }
 }
 
-fn row(piece: &RemovedPiece, trace: &Trace, world: Option<&Transform>) -> Result<Row, String> {
+fn row(piece: &RemovedPiece, trace: &Trace, world: Option<&Transform>) -> Result<Row, StageError> {
     let mut row = Row::new();
     identity(piece, &mut row);
     let body = piece.removed.body().ok_or("its rock has no positive volume; is it closed and outward?")?;
@@ -97,7 +100,7 @@ fn shape(sides_m: [f64; 3], row: &mut Row) {
     push(row, "sphericity", ratio(|form| form.sphericity));
 }
 
-fn surfaces(piece: &RemovedPiece, trace: &Trace, row: &mut Row) -> Result<(), String> {
+fn surfaces(piece: &RemovedPiece, trace: &Trace, row: &mut Row) -> Result<(), StageError> {
     let depth = thickness::along(&piece.removed, piece.normal.into())?;
     push(row, "depth_max_m", depth.greatest_m);
     push(row, "depth_mean_m", depth.mean_m);

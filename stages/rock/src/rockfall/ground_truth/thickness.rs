@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use rockface_core::StageError;
 use rockface_core::artefact::{Frame, Mesh};
 use rockface_raster::rasterise;
 use rockface_raster::shape::Shape;
@@ -24,7 +25,7 @@ pub struct Thickness {
 ///
 /// # Errors
 /// A direction that is none, or a body without extent across it.
-pub fn along(body: &Facets, direction: Vector3<f64>) -> Result<Thickness, String> {
+pub fn along(body: &Facets, direction: Vector3<f64>) -> Result<Thickness, StageError> {
     let axes = axes(direction).ok_or_else(|| format!("the direction {direction:?} has no length"))?;
     let origin = body.vertices.first().map_or_else(Vector3::zeros, |v| Vector3::from(*v));
     let turned = body.moved(|p| axes * (p - origin));
@@ -42,7 +43,7 @@ pub fn along(body: &Facets, direction: Vector3<f64>) -> Result<Thickness, String
         greatest_m = greatest_m.max(thickness);
     }
     if count == 0 {
-        return Err("a body so thin that no line meets it".to_owned());
+        return Err(StageError::new("a body so thin that no line meets it"));
     }
     Ok(Thickness { greatest_m, mean_m: sum / count as f64 })
 }

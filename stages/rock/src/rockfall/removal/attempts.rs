@@ -9,6 +9,7 @@ use super::evaluate::{Evaluation, NEW, Proposal, Rules, Trial, evaluate};
 use super::face::{Face, Rect};
 use super::measure;
 use super::reason::{Reason, Rejection};
+use crate::face::tetrahedra::volume_m3;
 use crate::rockfall::ground_truth::Facets;
 
 /// Candidates tried at a time.
@@ -147,7 +148,7 @@ fn taken(event: u32, proposal: &Proposal) -> Taken {
 /// The volume inside a block, cubic metres.
 fn volume_of(block: &Facets) -> f64 {
     let about = measure::centroid(&block.vertices, &block.triangles);
-    measure::volume_m3(&block.vertices, &block.triangles, about)
+    volume_m3(&block.vertices, &block.triangles, about)
 }
 
 impl Outcome {

@@ -9,6 +9,7 @@ use super::boolean::{BooleanError, Origin, Shell, Solid};
 use super::measure;
 use super::patch::{Patch, less, more};
 use super::weld::{Weld, Welded};
+use crate::face::tetrahedra::volume_m3;
 use crate::rockfall::ground_truth::Facets;
 
 /// The removed volume and that between the surfaces before and after may differ by this share.
@@ -124,7 +125,7 @@ pub fn cut(patch: &Patch, block: &Facets, frame: &Matrix3<f64>, manner: &Manner)
 
 /// The rock inside the block and the rock without it.
 fn combine(patch: &Patch, block: &Facets, manner: &Manner) -> Result<(Shell, Shell, bool), Failure> {
-    let volume = measure::volume_m3(&block.vertices, &block.triangles, [0.0; 3]);
+    let volume = volume_m3(&block.vertices, &block.triangles, [0.0; 3]);
     if volume.is_nan() || volume <= 0.0 {
         return Err(Failure::Block(format!("its volume is {volume} m3: it is open or inside out")));
     }
@@ -182,7 +183,7 @@ impl Split {
         let mut pieces: Vec<Raw> = pieces.into_values().collect();
         for piece in &mut pieces {
             let all = [&piece.rock[..], &piece.block, &piece.closing].concat();
-            piece.volume_m3 = measure::volume_m3(places, &all, places[all[0][0] as usize]);
+            piece.volume_m3 = volume_m3(places, &all, places[all[0][0] as usize]);
         }
         pieces.sort_by(|a, b| b.volume_m3.total_cmp(&a.volume_m3));
         let owner = |(number, piece): (usize, &Raw)| {
@@ -304,7 +305,7 @@ fn check_volume(patch: &Patch, cut: &Cut) -> Result<(), Failure> {
     let Some(about) = gone.first().map(|t| cut.places[t[0] as usize]) else {
         return Err(Failure::Boolean("rock is removed and no triangle of the face with it".into()));
     };
-    let [before, after] = [gone, come].map(|triangles| measure::volume_m3(&cut.places, &triangles, about));
+    let [before, after] = [gone, come].map(|triangles| volume_m3(&cut.places, &triangles, about));
     let removed = cut.pieces.iter().fold(0.0, |sum, piece| sum + piece.volume_m3);
     let rounding = 1e-15 * (before.abs() + after.abs() + 1.0);
     if (before - after - removed).abs() <= VOLUME_TOLERANCE * removed + rounding {

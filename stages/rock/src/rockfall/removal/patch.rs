@@ -186,6 +186,7 @@ pub fn more(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::face::tetrahedra::volume_m3;
     use rockface_core::testing::height_mesh;
 
     fn patch(keep: impl Fn(f64, f64) -> bool) -> Patch {
@@ -203,7 +204,7 @@ mod tests {
     }
 
     fn volume(places: &[[f64; 3]], triangles: &[[u32; 3]]) -> f64 {
-        crate::rockfall::removal::measure::volume_m3(places, triangles, [0.0; 3])
+        volume_m3(places, triangles, [0.0; 3])
     }
 
     #[test]

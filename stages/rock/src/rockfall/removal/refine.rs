@@ -73,6 +73,7 @@ fn halve(patch: &mut Patch, pick: impl Fn(&Patch, u32, u32) -> bool) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::face::tetrahedra::volume_m3;
     use crate::rockfall::removal::face::Face;
     use crate::rockfall::removal::measure;
     use rockface_core::testing::height_mesh;
@@ -87,7 +88,7 @@ mod tests {
         assert!(refine(&mut fine, &rect, 0.1));
         assert_eq!(fine.border(), whole.border());
         let area = |patch: &Patch| measure::area_m2(&patch.places, &patch.triangles);
-        let volume = |patch: &Patch| measure::volume_m3(&patch.places, &patch.triangles, [0.0; 3]);
+        let volume = |patch: &Patch| volume_m3(&patch.places, &patch.triangles, [0.0; 3]);
         assert!((area(&fine) - area(&whole)).abs() < 1e-12 && (volume(&fine) - volume(&whole)).abs() < 1e-12);
         assert!(fine.triangles.len() > 10 * whole.triangles.len());
         let kept = fine.sources.iter().flatten().count();

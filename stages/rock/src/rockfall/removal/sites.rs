@@ -6,6 +6,7 @@ use super::evaluate::Stand;
 use super::zone::zone_band;
 use crate::rockfall::distribution::Draws;
 use rockface_core::artefact::{Band, Cell, Grid, Mesh, Raster, Table};
+use rockface_core::{StageError, fail};
 
 /// A source of places.
 pub enum Sites {
@@ -31,7 +32,7 @@ const ALL: &str = "all";
 
 impl Sites {
     /// Uniform over a face.
-    pub fn on_face(mesh: &Mesh) -> Result<Self, String> {
+    pub fn on_face(mesh: &Mesh) -> Result<Self, StageError> {
         let plan = |t: &[u32; 3]| {
             let [a, b, c] = t.map(|v| mesh.vertices[v as usize]);
             (0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))).max(0.0)
@@ -40,27 +41,27 @@ impl Sites {
         if sums.last().is_some_and(|sum| *sum > 0.0) {
             Ok(Self::Face(sums))
         } else {
-            Err("no triangle of the mesh faces along +Z, out of the rock".into())
+            Err(StageError::new("no triangle of the mesh faces along +Z, out of the rock"))
         }
     }
 
     /// Uniform over the cells of a zone that are not 0.
-    pub fn in_zone(zone: &Raster) -> Result<Self, String> {
+    pub fn in_zone(zone: &Raster) -> Result<Self, StageError> {
         let band = zone_band(zone)?;
         let sums = running(band.values.iter().map(|value| if *value > 0.0 { 1.0 } else { 0.0 }));
         if sums.last().is_none_or(|sum| *sum <= 0.0) {
-            return Err("every cell of the zone is 0: there is no place for a block".into());
+            return Err(StageError::new("every cell of the zone is 0: there is no place for a block"));
         }
         Ok(Self::Cells(zone.grid, BTreeMap::from([(None, sums)])))
     }
 
     /// By a density with one band for all classes, or a band a class.
-    pub fn by_density(density: &Raster) -> Result<Self, String> {
+    pub fn by_density(density: &Raster) -> Result<Self, StageError> {
         let mut sums = BTreeMap::new();
         for Band { name, values } in &density.bands {
             let weights = running(values.iter().map(|v| f64::from(*v).max(0.0)));
             if weights.last().is_none_or(|sum| *sum <= 0.0) {
-                return Err(format!("band `{name}` of the density is 0 everywhere"));
+                fail!("band `{name}` of the density is 0 everywhere");
             }
             sums.insert((name != ALL).then(|| name.clone()), weights);
         }
@@ -68,7 +69,7 @@ impl Sites {
     }
 
     /// The rows of a table with the columns `x_m` and `y_m`, and optionally `z_m`, `class` and `spin_deg`.
-    pub fn from_table(table: &Table) -> Result<Self, String> {
+    pub fn from_table(table: &Table) -> Result<Self, StageError> {
         let needed =
             |name: &str| table.column(name).ok_or_else(|| format!("the table of positions has no column `{name}`"));
         let (x, y) = (needed("x_m")?, needed("y_m")?);
@@ -77,11 +78,12 @@ impl Sites {
             let numeric = |column: usize| match &cells[column] {
                 Cell::Number(value) => Ok(Some(*value)),
                 Cell::Empty(()) => Ok(None),
-                other => Err(format!("row {} of the positions: `{other}` is no number", number + 1)),
+                other => Err(StageError::new(format!("row {} of the positions: `{other}` is no number", number + 1))),
             };
             let optional = |column: Option<usize>| column.map_or(Ok(None), numeric);
             let must = |column: usize| {
-                numeric(column)?.ok_or_else(|| format!("row {} of the positions has no x_m or y_m", number + 1))
+                let missing = || StageError::new(format!("row {} of the positions has no x_m or y_m", number + 1));
+                numeric(column)?.ok_or_else(missing)
             };
             let xy = [must(x)?, must(y)?];
             let spin_rad = optional(spin)?.unwrap_or(0.0).to_radians();
@@ -92,7 +94,7 @@ impl Sites {
             let class = class.map(|column| cells[column].to_string()).filter(|name| !name.is_empty());
             Ok(Row { stand, class })
         };
-        Ok(Self::Rows(table.rows.iter().enumerate().map(row).collect::<Result<_, String>>()?))
+        Ok(Self::Rows(table.rows.iter().enumerate().map(row).collect::<Result<_, StageError>>()?))
     }
 
     /// The classes a density has bands for, where none holds for all.
@@ -196,7 +198,7 @@ mod tests {
         assert_eq!(rows[0], Row { stand: Stand::On { xy: [1.0, 2.0], spin_rad: 0.0 }, class });
         assert_eq!(rows[1].stand, Stand::At { place: [1.0, 2.0, 0.5], spin_rad: 0.0 });
         table.push(vec!["left".into(), 1.0.into(), "prism".into(), Cell::Empty(())]);
-        assert!(Sites::from_table(&table).err().unwrap().contains("row 3"));
-        assert!(Sites::from_table(&Table::new(["x_m"])).err().unwrap().contains("`y_m`"));
+        assert!(Sites::from_table(&table).err().unwrap().message.contains("row 3"));
+        assert!(Sites::from_table(&Table::new(["x_m"])).err().unwrap().message.contains("`y_m`"));
     }
 }

@@ -14,6 +14,7 @@ use rockface_core::artefact;
 use rockface_core::artefact::candidates::Align;
 use rockface_core::artefact::{Candidates, Mesh};
 use rockface_core::numerics::random::Key;
+use rockface_core::{StageError, fail};
 
 /// Candidates looked through for one of the class a row asks for.
 const MOST_SKIPPED: u64 = 10_000;
@@ -54,7 +55,7 @@ impl<'a> Source<'a> {
     }
 
     /// The next candidates; none at the end. A fault of the specification itself is an error.
-    pub fn take(&mut self) -> Result<Vec<Candidate>, String> {
+    pub fn take(&mut self) -> Result<Vec<Candidate>, StageError> {
         if let Some(Sites::Rows(rows)) = &self.sites {
             let rows: Vec<Row> = rows.iter().skip(self.row).take(BATCH).cloned().collect();
             self.row += rows.len();
@@ -67,7 +68,7 @@ impl<'a> Source<'a> {
         numbers.into_par_iter().map(|number| shared.number(number)).collect::<Vec<_>>().into_iter().collect()
     }
 
-    fn number(&self, number: u64) -> Result<Candidate, String> {
+    fn number(&self, number: u64) -> Result<Candidate, StageError> {
         let block = match self.block(number) {
             Ok(block) => block,
             Err(fault) => return no_block(number, &fault),
@@ -77,16 +78,13 @@ impl<'a> Source<'a> {
             Some(sites) => sites.draw(self.mesh, &Draws::new(self.key, number), &block.class),
         };
         let Some(stand) = stand else {
-            return Err(format!(
-                "the placement has no band for the blocks of class `{}`, and none for all",
-                block.class
-            ));
+            fail!("the placement has no band for the blocks of class `{}`, and none for all", block.class);
         };
         Ok(ready(number, block, stand))
     }
 
     /// The next block of the class a row asks for; blocks that cannot be made are skipped.
-    fn for_row(&mut self, row: &Row) -> Result<Candidate, String> {
+    fn for_row(&mut self, row: &Row) -> Result<Candidate, StageError> {
         for _ in 0..MOST_SKIPPED {
             let number = self.next;
             self.next += 1;
@@ -99,9 +97,9 @@ impl<'a> Source<'a> {
             }
         }
         let wanted = row.class.as_deref().unwrap_or("any");
-        Err(format!(
+        Err(StageError::new(format!(
             "none of {MOST_SKIPPED} candidates in a row is a block of class `{wanted}`, which a position asks for"
-        ))
+        )))
     }
 
     fn block(&self, number: u64) -> Result<Block, BlockError> {
@@ -130,7 +128,7 @@ fn ready(number: u64, block: Block, stand: Stand) -> Candidate {
     Candidate { number, class: block.class, parameters: block.parameters, trial }
 }
 
-fn no_block(number: u64, fault: &BlockError) -> Result<Candidate, String> {
+fn no_block(number: u64, fault: &BlockError) -> Result<Candidate, StageError> {
     let word = fault.reason().ok_or_else(|| fault.to_string())?;
     let rejection = Rejection { reason: Reason::NoBlock, detail: word.to_owned() };
     Ok(Candidate { number, class: String::new(), parameters: Vec::new(), trial: Err(rejection) })

@@ -3,14 +3,15 @@
 use super::face::Rect;
 use super::measure::height_in;
 use crate::rockfall::ground_truth::Facets;
+use rockface_core::StageError;
 use rockface_core::artefact::{Band, Grid, Raster};
 
 /// The band of a zone: the one called `zone`, or the only one.
-pub fn zone_band(raster: &Raster) -> Result<&Band, String> {
+pub fn zone_band(raster: &Raster) -> Result<&Band, StageError> {
     let named = raster.bands.iter().find(|band| band.name == "zone");
     match (named, raster.bands.as_slice()) {
         (Some(band), _) | (None, [band]) => Ok(band),
-        (None, bands) => Err(format!("the zone has {} bands, and none is called `zone`", bands.len())),
+        (None, bands) => Err(StageError::new(format!("the zone has {} bands, and none is called `zone`", bands.len()))),
     }
 }
 
@@ -23,7 +24,7 @@ pub struct Zone<'a> {
 
 impl<'a> Zone<'a> {
     /// The zone of a raster.
-    pub fn new(raster: &'a Raster) -> Result<Self, String> {
+    pub fn new(raster: &'a Raster) -> Result<Self, StageError> {
         Ok(Self { grid: raster.grid, values: &zone_band(raster)?.values })
     }
 

@@ -3,15 +3,15 @@
 use serde_json::{Value, json};
 
 use super::*;
+use crate::face::inspection::Inspection;
+use crate::face::tetrahedra::volume_m3;
 use crate::rockfall::block::hull::hull;
 use crate::rockfall::generate_blocks::GenerateBlocks;
-use crate::rockfall::removal::measure::volume_m3;
 use rockface_core::Entry;
 use rockface_core::artefact::Table;
 use rockface_core::artefact::{Cell, Inventory, Part};
 use rockface_core::format::ply;
 use rockface_core::testing::{TestHost, height_mesh, run_stage, shared};
-use rockface_raster::mesh_check::check_edges;
 
 fn rough(x: f64, y: f64) -> f64 {
     let wave = |t: f64| 1.0 - 2.0 * ((t - t.floor()) - 0.5).abs();
@@ -70,8 +70,7 @@ fn check_sound(before: &Mesh, removed: &Removed) {
     let kept = after.triangles.iter().take_while(|t| old.any(|o| o == *t)).count();
     let base = before.vertices.len() as u32;
     assert!(kept > 0 && after.triangles[kept..].iter().flatten().any(|v| *v >= base));
-    let (edges, edges_before) = (check_edges(after), check_edges(before));
-    assert_eq!((edges.boundary, edges.non_manifold, edges.inconsistent), (edges_before.boundary, 0, 0));
+    assert_eq!(edges(after), [edges(before)[0], 0, 0]);
     let about = before.vertices[0];
     let between =
         volume_m3(&before.vertices, &before.triangles, about) - volume_m3(&after.vertices, &after.triangles, about);
@@ -79,9 +78,14 @@ fn check_sound(before: &Mesh, removed: &Removed) {
     assert!((between - sum).abs() <= 1e-8 * sum, "between the surfaces {between}, removed {sum}");
     for part in &removed.pieces.parts {
         let mesh = Mesh { triangles: part.triangles.clone(), ..before.clone() };
-        let edges = check_edges(&mesh);
-        assert_eq!((edges.boundary, edges.non_manifold, edges.inconsistent), (0, 0, 0), "piece {}", part.name);
+        assert_eq!(edges(&mesh), [0; 3], "piece {}", part.name);
     }
+}
+
+/// Edges of one triangle, of more than two, and of two that are oriented against each other.
+fn edges(mesh: &Mesh) -> [usize; 3] {
+    let found = Inspection::of(mesh);
+    [found.border_edges, found.crowded_edges.count, found.opposed_edges.count]
 }
 
 #[test]
