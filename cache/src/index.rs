@@ -186,7 +186,7 @@ impl Index {
         self.segments[segment as usize].is_torn = true;
     }
 
-    /// A stamp later than every one in the store as far as it has been read; `None` where there is none.
+    /// A stamp later than every one that was read from the store; `None` where there is none.
     pub(crate) fn tick(&mut self) -> Option<u64> {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64);
         self.clock = Some(now.max(self.clock + 1)).filter(|stamp| *stamp < STAMP_LIMIT)?;

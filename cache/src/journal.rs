@@ -184,7 +184,7 @@ impl Journal {
         self.dir.join(name)
     }
 
-    /// Makes the segment of this process durable and lets go of it; what is appended next goes to whichever has room.
+    /// Makes the segment of this process durable and releases it; the next entry goes to whichever segment has room.
     pub(crate) fn rest(&self) -> Result<(), StoreError> {
         self.sync()?;
         drop(self.writer().take());
@@ -241,16 +241,24 @@ impl Journal {
     /// Makes everything appended so far durable: first the folders owed, then the segment. Appending goes on meanwhile.
     pub(crate) fn sync(&self) -> Result<(), StoreError> {
         // The end is taken before the folders: what a record before it counts on is already owed.
-        let pending = self.writer().as_ref().filter(|writer| writer.appended > writer.durable).map(pending_of);
+        let pending = self.pending();
         self.sync_folders()?;
-        let Some((file, path, segment, end)) = pending else {
-            return Ok(());
-        };
-        file.sync_data().at("sync", &path)?;
+        pending.map_or(Ok(()), |pending| self.settle(&pending))
+    }
+
+    /// What has been appended and is not known to be on disk.
+    fn pending(&self) -> Option<Pending> {
+        self.writer().as_ref().filter(|writer| writer.appended > writer.durable).map(Pending::of)
+    }
+
+    /// Makes it durable and marks it so, unless another thread has done that meanwhile.
+    fn settle(&self, pending: &Pending) -> Result<(), StoreError> {
+        pending.file.sync_data().at("sync", &pending.path)?;
         let mut slot = self.writer();
-        match slot.as_mut() {
-            Some(writer) if writer.segment == segment => self.mark(writer, end).inspect_err(|_| drop(slot.take())),
-            _ => Ok(()),
+        let is_open = |writer: &&mut Writer| writer.segment == pending.segment && writer.durable < pending.end;
+        match slot.as_mut().filter(is_open) {
+            Some(writer) => self.mark(writer, pending.end).inspect_err(|_| drop(slot.take())),
+            None => Ok(()),
         }
     }
 
@@ -313,6 +321,36 @@ impl Journal {
 }
 
 /// What a sync needs to know of the writer once its lock is released.
-fn pending_of(writer: &Writer) -> (Arc<Locked>, PathBuf, u32, u64) {
-    (Arc::clone(&writer.file), writer.path.clone(), writer.segment, writer.end)
+struct Pending {
+    file: Arc<Locked>,
+    path: PathBuf,
+    segment: u32,
+    /// Where the last frame ends.
+    end: u64,
+}
+
+impl Pending {
+    fn of(writer: &Writer) -> Self {
+        let Writer { file, path, segment, end, .. } = writer;
+        Self { file: Arc::clone(file), path: path.clone(), segment: *segment, end: *end }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_syncs_at_once_leave_one_mark() {
+        let folder = tempfile::tempdir().unwrap();
+        let journal = Journal::open(folder.path()).unwrap();
+        journal.append(Kind::Note, Digest::of(b"name"), b"note").unwrap();
+        let (one, other) = (journal.pending().unwrap(), journal.pending().unwrap());
+        journal.settle(&one).unwrap();
+        let size = || std::fs::metadata(&one.path).unwrap().len();
+        let marked = size();
+        assert!(marked > one.end);
+        journal.settle(&other).unwrap();
+        assert_eq!(size(), marked);
+    }
 }

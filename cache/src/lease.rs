@@ -33,7 +33,7 @@ impl Store {
     /// Says that this process counts on these records until the store is dropped: no collection removes them.
     ///
     /// The first call says that the process is live, and reads what the store holds from then on: without keys, before
-    /// anything is looked up, it makes collections spare all records until the keys of some are told.
+    /// anything is looked up, it makes collections spare all records until some keys are registered.
     pub fn count_on(&self, keys: &[Digest]) -> Result<(), StoreError> {
         let mut lease = self.lease.lock().unwrap_or_else(PoisonError::into_inner);
         let file = if let Some(file) = &mut *lease {

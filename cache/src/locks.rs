@@ -176,7 +176,7 @@ impl Bytes {
     fn fcntl(&self, mut call: FcntlArg) -> Result<bool, StoreError> {
         let file = self.file()?;
         loop {
-            // Taken apart and put together: a call that was interrupted is made again.
+            // Taken apart and put together: an interrupted call is repeated.
             let done = match &mut call {
                 FcntlArg::F_OFD_GETLK(lock) => fcntl(file, FcntlArg::F_OFD_GETLK(lock)),
                 FcntlArg::F_OFD_SETLK(lock) => fcntl(file, FcntlArg::F_OFD_SETLK(lock)),

@@ -100,7 +100,7 @@ fn reflink(source: &File, folder: &Path, to: &Path) -> Result<bool, StoreError> 
 
 /// False where links are not available: another file system, too many links, or no permission.
 fn hard_link(blob: &Path, folder: &Path, to: &Path) -> bool {
-    // Renaming one name of a file over another of the same file does nothing, so that case is told apart.
+    // Renaming one name of a file over another of the same file does nothing, so that case is handled separately.
     if is_same_file(blob, to) {
         return true;
     }

@@ -106,7 +106,7 @@ fn nearest_that_is_there(dir: &Path) -> Result<PathBuf, StoreError> {
     Ok(dir.ancestors().find(|folder| folder.exists()).unwrap_or(&dir).to_owned())
 }
 
-/// Makes the names in a new store durable, and its own in the folders around it as far as `outside`: what is synced inside
+/// Makes the names in a new store durable, and its own in the folders around it up to `outside`: what is synced inside
 /// is lost with any of them.
 fn sync_names(dir: &Path, outside: &Path) -> Result<(), StoreError> {
     let dir = std::path::absolute(dir).at("find", dir)?;

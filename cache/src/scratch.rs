@@ -121,7 +121,7 @@ fn lock_of(folder: &Path) -> PathBuf {
     folder.with_extension(&LOCK[1..])
 }
 
-/// Removes a folder, as far as that can be done, and before that ends its programs if it may have some.
+/// Removes what can be removed of a folder, after ending its programs if it may have some.
 fn clear(folder: &Path, for_programs: bool) {
     if for_programs {
         std::path::absolute(folder).iter().for_each(|folder| end_programs(folder));
@@ -133,7 +133,7 @@ fn clear(folder: &Path, for_programs: bool) {
     }
 }
 
-/// Lets this user write to a folder and all folders in it, as far as they are this user's.
+/// Lets this user write to a folder and to all folders in it that belong to this user.
 fn open_up(folder: &Path) {
     let _ = fs::set_permissions(folder, Permissions::from_mode(0o700));
     let entries = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());

@@ -134,7 +134,7 @@ impl Blobs {
         }
     }
 
-    /// The damage found by looking, each told of once.
+    /// The damage found so far, each reported once.
     pub(crate) fn take_damaged(&self) -> Vec<Damage> {
         std::mem::take(&mut self.known.found.lock().unwrap_or_else(PoisonError::into_inner))
     }

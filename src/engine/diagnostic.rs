@@ -199,7 +199,7 @@ impl Diagnostics {
         format!("{}\n\n{count}", texts.join("\n\n"))
     }
 
-    /// The faults in the order of the texts. A fault in a part is told at the first use of it that shows it.
+    /// The faults in the order of the texts. A fault in a part is reported at its first use that shows it.
     pub fn told_once(&self) -> Vec<&Diagnostic> {
         let mut ordered: Vec<&Diagnostic> = self.list.iter().collect();
         ordered.sort_by_key(|d| d.span.map(|span| (span.source, span.start)));

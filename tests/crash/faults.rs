@@ -101,7 +101,7 @@ fn reading_scenes() -> Vec<Scene> {
         ("plan", &["plan", "p.yaml"]),
         ("explain", &["explain", "p.yaml", "large"]),
         ("export", &["export", "latest", "large.mesh", "large.ply"]),
-        ("archive", &["archive", "latest", "run.tar", "--outputs"]),
+        ("archive", &["archive", "latest", "--output", "run.tar", "--outputs"]),
     ];
     let scene = |(name, command): (&'static str, &'static [&'static str])| {
         let out = whole.copy().command(command).output().unwrap();

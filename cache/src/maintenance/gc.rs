@@ -13,7 +13,7 @@ use crate::{Digest, Store};
 pub struct GcPolicy {
     /// Keys that are kept whatever their age: those of pinned runs.
     pub pinned: BTreeSet<Digest>,
-    /// When each key was last used by a run that is still told of, seconds since 1970.
+    /// When each key was last used by a run whose folder still exists, seconds since 1970.
     pub used: BTreeMap<Digest, u64>,
     /// Remove the records that no run names.
     pub unnamed: bool,
@@ -66,7 +66,7 @@ pub struct GcPlan {
     pub(super) noted: u64,
 }
 
-/// One record, as far as it matters here.
+/// What a collection needs to know of a record.
 struct Candidate {
     key: Digest,
     used_s: u64,

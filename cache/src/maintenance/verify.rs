@@ -25,7 +25,7 @@ pub struct Fault {
     pub digest: Digest,
     /// The outputs that it is, as `kind of stage`; empty where no record names it.
     pub outputs: Vec<String>,
-    /// Whether it was set aside, so that the next run that needs it makes it again.
+    /// Whether it was set aside, so that the next run that needs it recomputes it.
     pub set_aside: bool,
 }
 
@@ -53,7 +53,7 @@ impl Store {
         }
         for digest in self.blobs().list()? {
             let file = match self.blobs().open(&digest) {
-                // Removed since it was listed; where a record names it, that is told below.
+                // Removed since it was listed; reported below if a record names it.
                 Err(StoreError::Missing { .. }) => continue,
                 // No plain file: nothing to read, and set aside by the opening.
                 Err(StoreError::Damaged { .. }) => {

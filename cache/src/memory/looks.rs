@@ -83,9 +83,12 @@ pub(crate) fn are_same(folder: &Path, files: &[(PathBuf, State)]) -> bool {
     let Ok(folder) = open(folder, OFlags::PATH | OFlags::DIRECTORY | OFlags::CLOEXEC, Mode::empty()) else {
         return false;
     };
+    if files.len() <= FILES_A_THREAD {
+        return all_same(&folder, files);
+    }
     let processors = std::thread::available_parallelism().map_or(1, usize::from);
     let share = files.len().div_ceil(processors).max(FILES_A_THREAD);
-    let (mine, others) = files.split_at(share.min(files.len()));
+    let (mine, others) = files.split_at(share);
     std::thread::scope(|scope| {
         let folder = &folder;
         let start = |files| {

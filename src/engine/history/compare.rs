@@ -73,7 +73,7 @@ fn side_by_side(runs: impl Iterator<Item = Named>) -> Vec<Row> {
     names.into_iter().map(row).collect()
 }
 
-/// Seed, stage versions and parameters. What is the same at every point of a step is told once; what is not, as the
+/// Seed, stage versions and parameters. What is the same at every point of a step is listed once; what is not, as the
 /// sorted list of its values.
 fn parameters(manifest: &Manifest) -> Named {
     let mut found: BTreeMap<String, Vec<Value>> = BTreeMap::new();

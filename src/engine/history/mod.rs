@@ -37,7 +37,7 @@ pub struct PastRun {
     pub pinned: bool,
 }
 
-/// Why a past run cannot be had.
+/// Why a past run is not available.
 #[derive(Debug, thiserror::Error)]
 pub enum HistoryError {
     /// Nothing of this name.
@@ -113,7 +113,7 @@ impl PastRun {
         Ok(Self { name, folder, manifest, pinned })
     }
 
-    /// Pins the run, or lets go of it: what it made stays in the store while it is pinned.
+    /// Pins the run or removes its pin: its results stay in the store while it is pinned.
     ///
     /// # Errors
     ///

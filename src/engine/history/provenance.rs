@@ -184,7 +184,7 @@ impl Crate<'_> {
         id
     }
 
-    /// What has no file in the folder is told by its digest.
+    /// What has no file in the folder is named by its digest.
     fn digest(&mut self, digest: &str, name: &str) -> String {
         let id = format!("#blake3-{digest}");
         if !self.graph.contains_key(&id) {

@@ -50,7 +50,7 @@ pub struct Document {
     pub unread: Unread,
 }
 
-/// Declarations that could not be read, which is told of: what refers to one of them is not wrong for that.
+/// Declarations that failed to parse; already reported, so references to them are not reported again.
 #[derive(Debug, Clone, Default)]
 pub struct Unread {
     /// Names of steps.

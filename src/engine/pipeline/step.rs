@@ -46,7 +46,7 @@ pub struct Step {
     pub gaps: Gaps,
 }
 
-/// The parts of a step that could not be read whole, which is told of: that something is lacking there is no other fault.
+/// The parts of a step that failed to parse; already reported, so missing keys are not reported again.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Gaps {
     /// Its parameters.

@@ -22,7 +22,7 @@ pub struct Names<'d> {
 }
 
 impl<'d> Names<'d> {
-    /// The names of a document; zips are as far as their axes are known.
+    /// The names of a document; a zip has those of its axes that are known.
     pub fn new(document: &'d Document) -> Self {
         let steps = document.steps.iter().enumerate().map(|(i, step)| (step.name.text.as_str(), i)).collect();
         let axes: BTreeMap<&str, usize> =

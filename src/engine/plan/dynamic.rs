@@ -126,7 +126,7 @@ impl Plan {
             for instance in tellers {
                 let Some(outcome) = self.recorded(store, instance) else { continue };
                 for (axis, port) in self.waiting_axes(instance) {
-                    // What cannot be read now is told when the run comes to it.
+                    // What cannot be read now is reported when the run reaches it.
                     if let Ok(items) = items_of(&outcome, port, store) {
                         self.set_items(axis, items)?;
                         grown = true;

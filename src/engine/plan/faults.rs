@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use crate::diagnostic::{Diagnostic, Span};
 
-/// Differing values at one place whose faults are told one by one.
+/// Differing values at one place whose faults are reported one by one.
 const EACH: usize = 5;
 
 /// One place in the text and what is said about it.

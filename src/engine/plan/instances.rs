@@ -52,7 +52,7 @@ pub struct Given {
 }
 
 impl Plan {
-    /// Expands a graph as far as the items of its axes are known; faults of parameters and files are reported together.
+    /// Expands the steps of a graph whose axes have known items; faults of parameters and files are reported together.
     pub fn new(graph: Graph, hash: &HashFile) -> Result<Self, Vec<Diagnostic>> {
         let mut plan = Self { graph, instances: Vec::new(), targets: Vec::new(), looks: Looks::new() };
         plan.grow(hash)?;

@@ -39,13 +39,13 @@ use crate::pipeline::Pipeline;
 /// The stages a pipeline may use.
 pub type Stages = [&'static dyn AnyStage];
 
-/// Resolves and expands a pipeline, as far as the items of its axes are on record; input files are hashed through the
+/// Resolves a pipeline and expands the steps whose axes have items on record; input files are hashed through the
 /// store, which remembers what did not change.
 pub fn plan(pipeline: &Pipeline, targets: &[String], stages: &Stages, store: &Store) -> Result<Plan, Diagnostics> {
     expand(resolve(pipeline, targets, stages)?, pipeline, store)
 }
 
-/// Expands the resolved graph of a pipeline, as far as the items of its axes are on record.
+/// Expands the steps of a resolved pipeline whose axes have items on record.
 pub fn expand(graph: Graph, pipeline: &Pipeline, store: &Store) -> Result<Plan, Diagnostics> {
     let hash = file_hash(store);
     let told = |list| Diagnostics { sources: pipeline.sources.clone(), list };

@@ -1,5 +1,5 @@
 //! What can still be checked of a pipeline that is wrong, without telling one fault twice: where the axes of a step are
-//! not sure, what follows from them is left out, and parameters are checked as far as they can be filled in.
+//! not sure, what follows from them is left out, and only parameters that can be filled in are checked.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;

@@ -6,7 +6,7 @@ use crate::pipeline::Pipeline;
 
 /// Refuses a graph in which a step that is wanted would start a program; each such step is named.
 ///
-/// Whether its result is known already does not count: what is damaged or not kept is made again.
+/// Whether its result is known already does not count: what is damaged or not kept is recomputed.
 ///
 /// # Errors
 ///

@@ -234,7 +234,7 @@ impl<'d> Resolver<'d> {
         self.unsure.extend(self.names.steps.get(step).map(|step| (*step, fault)));
     }
 
-    /// Document indices of the steps, producers first as far as there is no cycle.
+    /// Document indices of the steps, producers first, except within a cycle.
     fn order(&mut self) -> Vec<usize> {
         let mut arrows = DiGraph::<usize, ()>::new();
         let document = self.document();

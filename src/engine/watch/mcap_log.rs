@@ -70,7 +70,7 @@ pub struct Topic {
 pub struct RunLog<W: Write + Seek> {
     writer: mcap::Writer<W>,
     schemas: BTreeMap<&'static str, u16>,
-    /// By topic; one that is told of in two schemas has two.
+    /// By topic; a topic that is logged in two schemas has two.
     channels: HashMap<String, Vec<(&'static str, u16)>>,
     topics: Vec<Topic>,
     /// The list of recipes, JSON, without its end.

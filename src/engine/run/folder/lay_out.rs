@@ -14,7 +14,7 @@ use crate::plan::Plan;
 use crate::run::{RunError, Summary};
 
 /// A run with more outputs than this lays out those of its targets only, step by step as long as there are no more, unless it
-/// is told otherwise: a folder for each of very many points costs more than the whole rerun.
+/// says otherwise: a folder for each of very many points costs more than the whole rerun.
 pub const OUTPUTS_LIMIT: usize = 1000;
 
 /// Which outputs get a name in the run folder. All others are in the store, and `rockface export` gives them a name.

@@ -56,7 +56,7 @@ pub fn is_in(folder: &Path, runs: &Path) -> bool {
     folder.parent() == Some(runs) && folder.file_name().is_some() && folder.join(REPORT_FILE).is_file()
 }
 
-/// Whether all that was left in a folder is what it was, as far as that is known.
+/// Whether every file that was left in a folder and is known here is unchanged.
 pub fn is_whole(folder: &Path, made: &mut [Made]) -> bool {
     !made.is_empty() && made.iter_mut().all(|file| file.holds(folder))
 }

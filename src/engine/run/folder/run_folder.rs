@@ -128,7 +128,7 @@ fn former(store: &Store, key: &Digest, runs: &Path) -> Result<Option<Finished>, 
     Ok(Some(former))
 }
 
-/// The same for two runs of the same text, overrides and targets with the same recipes, told of in the same place.
+/// The same for two runs of the same text, overrides and targets with the same recipes, reported in the same place.
 fn plan_key(plan: &Plan, summary: &Summary, runs: &Path, about: &RunFolder) -> Digest {
     let targets: Vec<&str> = plan.graph.targets.iter().map(|step| plan.graph.steps[*step].name.as_str()).collect();
     let set = (&about.overrides.set, &about.overrides.sweep, about.overrides.seed, plan.graph.seed);

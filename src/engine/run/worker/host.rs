@@ -30,7 +30,7 @@ pub struct StepHost<'a> {
 }
 
 impl<'a> StepHost<'a> {
-    /// A host; `seed` is the key of the step's seed material, if the stage draws, and `deadline` when it is to give up.
+    /// A host; `seed` is the key of the step's seed material, if the stage draws, and `deadline` when it fails as late.
     /// Programs run in folders of the store; without `programs` the stage may start none.
     pub fn new(
         seed: Option<[u8; 32]>,

@@ -177,7 +177,7 @@ fn wait(mut child: Child, give_up: &dyn Fn() -> bool) -> Result<(ExitStatus, Use
     };
     let look = WaitIdOptions::EXITED | WaitIdOptions::NOWAIT | WaitIdOptions::NOHANG;
     loop {
-        // Only looked at: what it took is told once, to whoever lets it go.
+        // Only looked at: its cost is reported once, when it is released.
         let ended = pid.map_or(Ok(true), |pid| waitid(WaitId::Pid(pid), look).map(|status| status.is_some()));
         if ended.map_err(|errno| failed("wait for it")(errno.into()))? {
             let ended = child.wait4().map_err(failed("wait for it"))?;

@@ -437,7 +437,7 @@ fn keep(
 }
 
 /// Stores sketches of the outputs if the log is to show them, or else keeps those of an earlier go with equal outputs.
-/// That they cannot be made is told, and is no reason to lose what the stage has made.
+/// A failure to draw them is reported; the outputs of the stage are kept.
 fn sketch(
     task: &Task,
     store: &Store,

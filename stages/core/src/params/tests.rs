@@ -1,3 +1,5 @@
+//! Declared parameters are read, checked and written back; faults name their place.
+
 use serde_json::{Value, json};
 
 use super::*;
