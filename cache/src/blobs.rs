@@ -8,7 +8,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::error::{At, StoreError};
 use crate::locks::{Locked, abandoned};
-use crate::open::{BLOBS, TEMPORARY_BLOB, TMP, set_mode};
+use crate::open::{BLOBS, TEMPORARY_BLOB, set_mode};
 use crate::seal::{Knowledge, seal};
 use crate::{Digest, plain};
 
@@ -24,13 +24,15 @@ const RECENT_S: u64 = 900;
 #[derive(Debug)]
 pub(crate) struct Blobs {
     pub(crate) root: PathBuf,
+    /// Where blobs are written before they get their names.
+    tmp: PathBuf,
     pub(crate) known: Knowledge,
 }
 
 impl Blobs {
     /// The large blobs of the store at `root`.
-    pub(crate) fn new(root: &Path) -> Self {
-        Self { root: root.to_owned(), known: Knowledge::default() }
+    pub(crate) fn new(root: &Path, tmp: &Path) -> Self {
+        Self { root: root.to_owned(), tmp: tmp.to_owned(), known: Knowledge::default() }
     }
 
     /// The folder under which all large blobs are.
@@ -73,12 +75,12 @@ impl Blobs {
 
     /// A new file in `tmp/`, locked so that nobody takes it for one whose writer died.
     pub(crate) fn temporary(&self) -> Result<tempfile::NamedTempFile, StoreError> {
-        let tmp = self.root.join(TMP);
+        let tmp = &self.tmp;
         loop {
-            let file = tempfile::Builder::new().prefix(TEMPORARY_BLOB).tempfile_in(&tmp).at("write into", &tmp)?;
-            file.as_file().lock().at("lock a file in", &tmp)?;
+            let file = tempfile::Builder::new().prefix(TEMPORARY_BLOB).tempfile_in(tmp).at("write into", tmp)?;
+            file.as_file().lock().at("lock a file in", tmp)?;
             // Swept up between its making and its locking? Then make another.
-            if file.as_file().metadata().at("look at a file in", &tmp)?.nlink() > 0 {
+            if file.as_file().metadata().at("look at a file in", tmp)?.nlink() > 0 {
                 return Ok(file);
             }
         }
@@ -141,7 +143,7 @@ impl Blobs {
         if self.written(digest).is_none_or(|(_, put_s)| put_s > since_s) || locked.is_none() {
             return Ok(false);
         }
-        let away = self.root.join(TMP).join(format!("{TEMPORARY_BLOB}{digest}"));
+        let away = self.tmp.join(format!("{TEMPORARY_BLOB}{digest}"));
         match fs::rename(&path, &away) {
             Err(fault) if fault.kind() == ErrorKind::NotFound => return Ok(false),
             moved => moved.at("remove", &path)?,
@@ -155,9 +157,9 @@ impl Blobs {
     /// Moves blobs back that a collection which died had moved away: it may have been about to do so itself. The next
     /// collection removes the others.
     pub(crate) fn take_back(&self) -> Result<(), StoreError> {
-        let tmp = self.root.join(TMP);
-        for entry in fs::read_dir(&tmp).at("list", &tmp)? {
-            let away = entry.at("list", &tmp)?.path();
+        let tmp = &self.tmp;
+        for entry in fs::read_dir(tmp).at("list", tmp)? {
+            let away = entry.at("list", tmp)?.path();
             let name = away.file_name().and_then(|name| name.to_str()?.strip_prefix(TEMPORARY_BLOB));
             let Some(digest) = name.and_then(|name| name.parse::<Digest>().ok()) else { continue };
             // The lock is held until it is back. What cannot be moved now is left for another time.
@@ -191,7 +193,7 @@ pub(crate) fn unreadable(digest: &Digest, path: &Path, fault: std::io::Error) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::open::QUARANTINE;
+    use crate::open::{QUARANTINE, TMP};
     use crate::seal::seal_ns;
     use std::time::Duration;
 
@@ -201,7 +203,7 @@ mod tests {
     fn aged() -> (tempfile::TempDir, Blobs, Digest) {
         let folder = tempfile::tempdir().unwrap();
         [BLOBS, TMP, QUARANTINE].iter().for_each(|name| fs::create_dir(folder.path().join(name)).unwrap());
-        let (blobs, digest) = (Blobs::new(folder.path()), Digest::of(b"blob"));
+        let (blobs, digest) = (Blobs::new(folder.path(), &folder.path().join(TMP)), Digest::of(b"blob"));
         blobs.put(&digest, b"blob").unwrap();
         let file = blobs.open(&digest).unwrap();
         let then = file.metadata().unwrap().modified().unwrap() - Duration::from_secs(2 * HOUR_S);

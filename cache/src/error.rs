@@ -113,6 +113,16 @@ pub enum StoreError {
         /// The folder of the segments.
         dir: PathBuf,
     },
+    /// A remote place for results cannot be used.
+    #[error("cannot {action} the remote {url}: {why}")]
+    Remote {
+        /// What was tried, a verb phrase.
+        action: &'static str,
+        /// Where the place is.
+        url: String,
+        /// Why not, and the way out.
+        why: String,
+    },
     /// Anything else the operating system refused.
     #[error("cannot {action} {}: {source}; check that the path exists and that you may use it", path.display())]
     Io {

@@ -20,6 +20,8 @@ const SUFFIX: &str = ".seg";
 #[derive(Debug)]
 pub(crate) struct Journal {
     dir: PathBuf,
+    /// Ends the names of the segments that this machine may append to; `None` for all.
+    own: Option<String>,
     index: RwLock<Index>,
     writer: Mutex<Option<Writer>>,
     /// Segments that were read from, opened once; one that is removed meanwhile can still be read.
@@ -30,9 +32,10 @@ pub(crate) struct Journal {
 
 impl Journal {
     /// Reads every segment in `dir`.
-    pub(crate) fn open(dir: &Path) -> Result<Self, StoreError> {
+    pub(crate) fn open(dir: &Path, own: Option<String>) -> Result<Self, StoreError> {
         let journal = Self {
             dir: dir.to_owned(),
+            own,
             index: RwLock::default(),
             writer: Mutex::default(),
             readers: Mutex::default(),
@@ -159,7 +162,8 @@ impl Journal {
 
     /// Continues the first segment that has room and no live writer, or starts a new one.
     fn claim_segment(&self) -> Result<Writer, StoreError> {
-        for name in self.names()? {
+        let names = self.names()?.into_iter();
+        for name in names.filter(|name| self.own.as_ref().is_none_or(|own| name.ends_with(own.as_str()))) {
             if let Some(writer) = self.claim_named(&name)? {
                 return Ok(writer);
             }
@@ -171,7 +175,8 @@ impl Journal {
     fn begin_segment(&self) -> Result<Writer, StoreError> {
         loop {
             let stamp = self.tick()?;
-            let name = format!("{stamp:016x}-{:x}{SUFFIX}", std::process::id());
+            let suffix = self.own.as_deref().unwrap_or(SUFFIX);
+            let name = format!("{stamp:016x}-{:x}{suffix}", std::process::id());
             if let Some(writer) = self.claim_named(&name)? {
                 self.owe(&self.dir);
                 return Ok(writer);

@@ -8,6 +8,7 @@ use std::time::UNIX_EPOCH;
 
 use crate::error::{At, StoreError};
 use crate::locks::{KeyLock, abandoned};
+use crate::machine::Machine;
 use crate::open::LIVE;
 use crate::{Digest, Store, plain};
 
@@ -49,7 +50,9 @@ impl Store {
 
     fn begin_lease(&self) -> Result<tempfile::NamedTempFile, StoreError> {
         let _gate = self.gate()?;
-        begin(&self.dir().join(LIVE))
+        // From now on others see this process.
+        self.machine().worker()?;
+        begin(&self.machine().folder(LIVE))
     }
 
     /// Held by a collection from its last look at who is live until what leaves has left, and for a moment by each run
@@ -60,10 +63,22 @@ impl Store {
 
     /// What other live processes, and this one, count on.
     pub fn live(&self) -> Result<Live, StoreError> {
-        let folder = self.dir().join(LIVE);
         let mut live = Live::default();
-        for entry in std::fs::read_dir(&folder).at("list", &folder)? {
-            let path = entry.at("list", &folder)?.path();
+        for folder in self.machine().folders(LIVE) {
+            self.live_in(&folder, &mut live)?;
+        }
+        Ok(live)
+    }
+
+    fn live_in(&self, folder: &Path, live: &mut Live) -> Result<(), StoreError> {
+        // The locks of another machine may not be seen here, but its signs of life are.
+        let is_alive_elsewhere = Machine::of_folder(folder)
+            .is_some_and(|machine| machine != self.machine().name() && self.machine().is_alive(machine));
+        for entry in std::fs::read_dir(folder).at("list", folder)? {
+            let path = entry.at("list", folder)?.path();
+            if plain::is_folder(&path) {
+                continue;
+            }
             let mut file = match plain::open(&path) {
                 // Its process has ended since it was listed, or it is nothing that a process made.
                 Err(fault) if fault.kind() == std::io::ErrorKind::NotFound || plain::is_foreign(&fault) => continue,
@@ -73,7 +88,7 @@ impl Store {
                 |fault| fault.kind() == std::io::ErrorKind::NotFound,
                 |file| abandoned(file, &path).is_some(),
             );
-            if is_dead {
+            if is_dead && !is_alive_elsewhere {
                 continue;
             }
             live.count += 1;
@@ -86,7 +101,7 @@ impl Store {
             let began = began.ok().and_then(|at| at.duration_since(UNIX_EPOCH).ok()).map_or(0, |since| since.as_secs());
             live.since_unix_s = Some(live.since_unix_s.map_or(began, |first| first.min(began)));
         }
-        Ok(live)
+        Ok(())
     }
 }
 

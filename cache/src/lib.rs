@@ -33,7 +33,10 @@
 //! trees/          at most 16: long texts, parsed
 //! scratch/        folders in which programs work now, and through which live processes hand values to each other
 //! tmp/            blobs being written
+//! workers/        one file for each process that runs something: who it is, and what it last reported
+//! leases/         on a store that several machines use: further names of these files, one for each step being computed
 //! answers/        at most 256: the result of a former command, and the state of all it rests on
+//! remotes/        records of remote places, as they were fetched
 //! ```
 
 #![cfg_attr(not(test), warn(clippy::print_stdout, clippy::print_stderr))]
@@ -47,7 +50,9 @@ mod frame;
 mod index;
 mod journal;
 mod lease;
+mod leases;
 mod locks;
+mod machine;
 mod maintenance;
 mod materialise;
 mod memory;
@@ -57,6 +62,7 @@ mod outputs;
 mod plain;
 mod recipe;
 mod record;
+pub mod remote;
 mod rewrite;
 mod scratch;
 mod seal;
@@ -64,6 +70,7 @@ mod segment;
 mod store;
 mod syncer;
 mod values;
+mod workers;
 
 pub use digest::{Digest, DigestError};
 pub use error::StoreError;
@@ -81,3 +88,4 @@ pub use scratch::Scratch;
 pub use seal::Damage;
 pub use store::{Store, StoreStat};
 pub use values::{Room, Want};
+pub use workers::WorkerReport;

@@ -9,14 +9,19 @@ use std::io;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::time::Duration;
 
 use nix::errno::Errno;
 use nix::fcntl::{FcntlArg, fcntl};
 use nix::libc;
 
 use crate::error::{At, StoreError};
+use crate::leases::Leases;
 use crate::segment::is_at;
 use crate::{Digest, plain};
+
+/// How often a lease is asked for that another machine has.
+const LEASE_POLL: Duration = Duration::from_millis(20);
 
 /// A file that is locked until this is dropped.
 #[derive(Debug)]
@@ -78,17 +83,28 @@ pub struct Announced {
 #[derive(Debug)]
 pub(crate) struct Bytes {
     path: PathBuf,
+    /// On a store that several machines use: what keeps the others off.
+    leases: Option<Leases>,
     /// Opened when the first lock is asked for: a store that is only read may not be writable.
     file: OnceLock<File>,
-    /// Bytes that this process has, and how many times: a right once, an announcement any number of times.
-    held: Mutex<HashMap<i64, u32>>,
+    /// Bytes that this process has.
+    held: Mutex<HashMap<i64, Held>>,
     released: Condvar,
 }
 
+/// What this process has a byte for.
+#[derive(Debug, Clone, Copy)]
+enum Held {
+    /// The right to compute a key.
+    Key,
+    /// Announcements, so many.
+    Announced(u32),
+}
+
 impl Bytes {
-    /// The bytes of the file `path`.
-    pub(crate) fn new(path: PathBuf) -> Arc<Self> {
-        Arc::new(Self { path, file: OnceLock::new(), held: Mutex::default(), released: Condvar::new() })
+    /// The bytes of the file `path`, which decide among the processes of this machine, and leases that decide among machines.
+    pub(crate) fn new(path: PathBuf, leases: Option<Leases>) -> Arc<Self> {
+        Arc::new(Self { path, leases, file: OnceLock::new(), held: Mutex::default(), released: Condvar::new() })
     }
 
     /// Takes the lock of `key`, calling `on_wait` once before waiting if it is held elsewhere.
@@ -105,7 +121,7 @@ impl Bytes {
                 held = self.released.wait(held).unwrap_or_else(PoisonError::into_inner);
             }
         }
-        held.insert(byte, 1);
+        held.insert(byte, Held::Key);
         drop(held);
         // From here on the byte is this lock's within the process; if the system refuses it, dropping gives it back.
         let lock = KeyLock { bytes: Arc::clone(self), byte };
@@ -113,7 +129,16 @@ impl Bytes {
             wait();
             self.wait_for(byte)?;
         }
+        while !self.lease(byte)? {
+            wait();
+            std::thread::sleep(LEASE_POLL);
+        }
         Ok(lock)
+    }
+
+    /// Takes the lease of a byte that is locked on this machine; where one machine uses the store there is none to take.
+    fn lease(&self, byte: i64) -> Result<bool, StoreError> {
+        self.leases.as_ref().map_or(Ok(true), |leases| leases.take(byte))
     }
 
     /// Takes the lock of `key` unless it is held elsewhere.
@@ -123,42 +148,54 @@ impl Bytes {
         if held.contains_key(&byte) || !self.set(&flock(byte, libc::F_WRLCK))? {
             return Ok(None);
         }
-        held.insert(byte, 1);
-        Ok(Some(KeyLock { bytes: Arc::clone(self), byte }))
+        held.insert(byte, Held::Key);
+        drop(held);
+        let lock = KeyLock { bytes: Arc::clone(self), byte };
+        // Dropping it gives the byte back.
+        Ok(self.lease(byte)?.then_some(lock))
     }
 
     /// Lets other processes see `name`; any number of them may announce the same.
     pub(crate) fn announce(self: &Arc<Self>, name: &Digest) -> Result<Announced, StoreError> {
         let byte = byte_of(name);
         let mut held = self.held();
-        let count = held.entry(byte).or_default();
-        if *count == 0 {
-            // Nobody locks the byte of a name against announcements of it.
-            self.set(&flock(byte, libc::F_RDLCK))?;
-        }
-        *count += 1;
+        let count = match held.get(&byte) {
+            Some(Held::Announced(count)) => *count,
+            _ => {
+                // Nobody locks the byte of a name against announcements of it.
+                self.set(&flock(byte, libc::F_RDLCK))?;
+                self.leases.as_ref().map_or(Ok(()), |leases| leases.announce(byte))?;
+                0
+            }
+        };
+        held.insert(byte, Held::Announced(count + 1));
         Ok(Announced { _byte: KeyLock { bytes: Arc::clone(self), byte } })
     }
 
     /// Whether another process, or another handle in this one, announces `name`.
     pub(crate) fn is_announced_elsewhere(&self, name: &Digest) -> Result<bool, StoreError> {
-        let mut asked = flock(byte_of(name), libc::F_WRLCK);
+        let byte = byte_of(name);
+        let mut asked = flock(byte, libc::F_WRLCK);
         self.fcntl(FcntlArg::F_OFD_GETLK(&mut asked))?;
-        Ok(i32::from(asked.l_type) != i32::from(libc::F_UNLCK as libc::c_short))
+        let is_here = i32::from(asked.l_type) != i32::from(libc::F_UNLCK as libc::c_short);
+        let elsewhere = || self.leases.as_ref().map_or(Ok(false), |leases| leases.is_announced_elsewhere(byte));
+        if is_here { Ok(true) } else { elsewhere() }
     }
 
-    fn held(&self) -> MutexGuard<'_, HashMap<i64, u32>> {
+    fn held(&self) -> MutexGuard<'_, HashMap<i64, Held>> {
         self.held.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn release(&self, byte: i64) {
         let mut held = self.held();
-        let left = held.get(&byte).map_or(0, |count| count - 1);
-        if left > 0 {
-            held.insert(byte, left);
-            return;
+        match held.remove(&byte) {
+            Some(Held::Announced(count)) if count > 1 => {
+                held.insert(byte, Held::Announced(count - 1));
+                return;
+            }
+            Some(Held::Announced(_)) => self.leases.iter().for_each(|leases| leases.withdraw(byte)),
+            _ => self.leases.iter().for_each(|leases| leases.release(byte)),
         }
-        held.remove(&byte);
         // It cannot fail for a byte that is locked; the end of the process releases it in any case.
         let _ = self.set(&flock(byte, libc::F_UNLCK));
         self.released.notify_all();
@@ -256,7 +293,7 @@ mod tests {
     use std::sync::atomic::{AtomicU32, Ordering};
 
     fn bytes(folder: &tempfile::TempDir) -> Arc<Bytes> {
-        Bytes::new(folder.path().join("keys"))
+        Bytes::new(folder.path().join("keys"), None)
     }
 
     #[test]

@@ -41,6 +41,7 @@ impl Store {
             _ => Path::new("."),
         };
         fs::create_dir_all(folder).at("make the folder", folder)?;
+        self.bring([*digest])?;
         if self.is_small(digest) {
             return copy_bytes(&self.get(digest)?, folder, to);
         }
@@ -61,6 +62,7 @@ impl Store {
     /// Puts the blob at `to`, where nothing is yet, in a folder that is there: quicker than [`Store::materialise`], but a
     /// failure may leave half a file. For folders that count only once they are whole.
     pub fn materialise_new(&self, digest: &Digest, to: &Path) -> Result<Materialised, StoreError> {
+        self.bring([*digest])?;
         if self.is_small(digest) {
             fs::write(to, self.get(digest)?).at("write", to)?;
             return Ok(Materialised::Copy);

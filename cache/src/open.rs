@@ -8,6 +8,7 @@ use std::time::Duration;
 use crate::blobs::Blobs;
 use crate::error::{At, StoreError};
 use crate::locks::sweep;
+use crate::machine::Machine;
 use crate::memory::{ANSWERS, TREES};
 use crate::plain;
 
@@ -39,8 +40,14 @@ pub(crate) const TMP: &str = "tmp";
 /// The folder of folders in which programs work.
 pub(crate) const SCRATCH: &str = "scratch";
 
-/// The folder of leases.
+/// The folder of what live processes reference.
 pub(crate) const LIVE: &str = "live";
+
+/// The folder of the processes that run something.
+pub(crate) const WORKERS: &str = "workers";
+
+/// The folder of the leases between machines.
+pub(crate) const LEASES: &str = "leases";
 
 /// Whether `dir` is a store of this format.
 pub(crate) fn is_current(dir: &Path) -> bool {
@@ -48,7 +55,7 @@ pub(crate) fn is_current(dir: &Path) -> bool {
 }
 
 /// Makes `dir` a store, or makes sure that it is one of this format.
-pub(crate) fn prepare(dir: &Path) -> Result<(), StoreError> {
+pub(crate) fn prepare(dir: &Path, machine: &Machine) -> Result<(), StoreError> {
     let outside = nearest_that_is_there(dir)?;
     fs::create_dir_all(dir).at("make the folder", dir)?;
     // Listed before the format is read: another process may be making the store now, and writes its format first.
@@ -67,9 +74,13 @@ pub(crate) fn prepare(dir: &Path) -> Result<(), StoreError> {
         },
         Err(fault) => return Err(StoreError::io("read", &format, fault)),
     }
-    for folder in [BLOBS, SEGMENTS, QUARANTINE, TMP, SCRATCH, LIVE, TREES, ANSWERS] {
+    for folder in [BLOBS, SEGMENTS, QUARANTINE, TMP, SCRATCH, LIVE, TREES, ANSWERS, WORKERS] {
         // What lies there may be swept up or written over, so it must not be another folder.
         plain::folder(&dir.join(folder))?;
+    }
+    if machine.is_shared {
+        plain::folder(&dir.join(LEASES))?;
+        [TMP, SCRATCH, LIVE].iter().try_for_each(|folder| plain::folder(&machine.folder(folder)))?;
     }
     if !dir.join("CACHEDIR.TAG").exists() {
         write_whole(dir, "CACHEDIR.TAG", CACHE_TAG)?;
@@ -78,12 +89,16 @@ pub(crate) fn prepare(dir: &Path) -> Result<(), StoreError> {
         sync_names(dir, &outside)?;
     }
     // Before the sweep, which would remove them.
-    Blobs::new(dir).take_back()?;
-    sweep(&dir.join(TMP), TEMPORARY_BLOB)?;
-    crate::scratch::sweep(&dir.join(SCRATCH))?;
+    Blobs::new(dir, &machine.folder(TMP)).take_back()?;
+    sweep(&machine.folder(TMP), TEMPORARY_BLOB)?;
+    crate::scratch::sweep(&machine.folder(SCRATCH))?;
     sweep_aged(dir, HALF_WRITTEN)?;
     sweep_aged(&dir.join(TREES), HALF_WRITTEN_TREE)?;
-    sweep(&dir.join(LIVE), "")
+    crate::workers::sweep(dir, machine.name(), machine.is_shared);
+    if machine.is_shared {
+        crate::leases::sweep(dir, machine.name());
+    }
+    sweep(&machine.folder(LIVE), "")
 }
 
 /// Removes the files in `dir` that start with `prefix` and are so old that whoever was writing them has died.
@@ -155,6 +170,10 @@ pub(crate) fn set_mode(file: &fs::File, mode: u32) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn prepare(dir: &Path) -> Result<(), StoreError> {
+        super::prepare(dir, &Machine::on(dir))
+    }
 
     #[test]
     fn a_store_is_made_once_and_found_again() {

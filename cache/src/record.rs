@@ -249,7 +249,7 @@ pub(crate) mod tests {
     }
 
     prop_compose! {
-        fn any_record()(
+        pub(crate) fn any_record()(
             recipe in any_recipe(), outputs in proptest::collection::vec(("[a-z_0-9-]{1,9}", any_output()), 0..3),
             log in proptest::option::of(any::<[u8; 32]>()), sketches in proptest::option::of(any::<[u8; 32]>()), wall_s in 0.0..1e6, cpu_s in 0.0..1e6, peak_bytes in 0..=SIZE_LIMIT,
         ) -> Record {

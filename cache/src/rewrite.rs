@@ -48,15 +48,15 @@ impl Claimed {
 }
 
 impl Journal {
-    /// Takes hold of every segment nobody is writing to, and reads all of them to their ends.
-    pub(crate) fn claim_all(&self) -> Result<Claimed, StoreError> {
+    /// Takes hold of every segment nobody is writing to, nor may be where the locks of this machine do not tell (`is_busy`), and reads all of them to their ends.
+    pub(crate) fn claim_all(&self, is_busy: impl Fn(&str) -> bool) -> Result<Claimed, StoreError> {
         // This process may continue a segment; from now on it writes to a new one.
         self.rest()?;
         let mut claimed = Claimed { free: Vec::new(), busy: Vec::new() };
         for name in self.names()? {
             match claim(&self.path(&name))? {
-                Some(file) => claimed.free.push((name, file)),
-                None => claimed.busy.push(name),
+                Some(file) if !is_busy(&name) => claimed.free.push((name, file)),
+                _ => claimed.busy.push(name),
             }
         }
         // Not before: what was written to one of them until it was claimed counts too.

@@ -73,7 +73,7 @@ impl Store {
 
     /// An empty folder that is known by how its name begins.
     pub(crate) fn scratch_named(&self, prefix: &str, for_programs: bool) -> Result<Scratch, StoreError> {
-        let root = self.dir().join(SCRATCH);
+        let root = self.machine().folder(SCRATCH);
         loop {
             let mut builder = tempfile::Builder::new();
             let lock = builder.prefix(prefix).suffix(LOCK).tempfile_in(&root).at("write into", &root)?;

@@ -2,15 +2,18 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 
 use crate::blobs::Blobs;
 use crate::error::{At, StoreError};
 use crate::frame::Kind;
 use crate::index::Place;
 use crate::journal::Journal;
+use crate::leases::Leases;
 use crate::locks::{Bytes, KeyLock};
-use crate::open::{self, LOCKS, QUARANTINE, SEGMENTS};
+use crate::machine::Machine;
+use crate::open::{self, LOCKS, QUARANTINE, SEGMENTS, TMP};
+use crate::remote::Remote;
 use crate::seal::Damage;
 use crate::syncer::Syncer;
 use crate::{Digest, Outcome, Record};
@@ -43,8 +46,11 @@ pub struct Store {
     syncer: Syncer,
     files_hashed: AtomicU64,
     pub(crate) locks: Arc<Bytes>,
+    machine: Arc<Machine>,
     /// The file that lists the records this process references, once it runs something.
     pub(crate) lease: Mutex<Option<tempfile::NamedTempFile>>,
+    /// What is not here is looked for there.
+    pub(crate) remote: OnceLock<Box<Remote>>,
 }
 
 /// What is in a store.
@@ -75,18 +81,24 @@ pub struct StoreStat {
 impl Store {
     /// Opens the store at `dir`, making it if there is none. Refuses another format and a folder of other things.
     pub fn open(dir: &Path) -> Result<Self, StoreError> {
-        open::prepare(dir)?;
         // Made absolute, so that the store stays where it is when the process changes its folder.
         let root = std::path::absolute(dir).at("find", dir)?;
-        let journal = Arc::new(Journal::open(&root.join(SEGMENTS))?);
+        let machine = Arc::new(Machine::on(&root));
+        open::prepare(dir, &machine)?;
+        let journal = Arc::new(Journal::open(&root.join(SEGMENTS), machine.own_segments())?);
+        let leases = machine.is_shared.then(|| Leases::new(&root, Arc::clone(&machine)));
+        let locks =
+            if machine.is_shared { root.join(format!("keys-{}.lock", machine.name())) } else { root.join(LOCKS) };
         Ok(Self {
-            blobs: Blobs::new(&root),
+            blobs: Blobs::new(&root, &machine.folder(TMP)),
             syncer: Syncer::new(Arc::clone(&journal)),
             journal,
-            locks: Bytes::new(root.join(LOCKS)),
+            locks: Bytes::new(locks, leases),
+            machine,
             root,
             files_hashed: AtomicU64::new(0),
             lease: Mutex::default(),
+            remote: OnceLock::new(),
         })
     }
 
@@ -121,13 +133,18 @@ impl Store {
         self.place(digest).map_or_else(|| self.blobs.renew(digest, bytes), Place::is_recent)
     }
 
-    /// Whether a blob is there.
+    /// Whether a blob is there, or in the remote place under this store.
     pub fn contains(&self, digest: &Digest) -> bool {
         self.size(digest).is_some()
     }
 
     /// The size of a blob, if it is there. A large one that was written to by others is verified first.
     pub fn size(&self, digest: &Digest) -> Option<u64> {
+        self.size_here(digest).or_else(|| self.size_below(digest))
+    }
+
+    /// [`Store::size`] of a blob in this very store.
+    pub(crate) fn size_here(&self, digest: &Digest) -> Option<u64> {
         self.size_if(digest, None)
     }
 
@@ -142,6 +159,11 @@ impl Store {
     /// The bytes of a blob, verified. A damaged one is set aside, is not there any more for any process from now on, and
     /// can be put anew.
     pub fn get(&self, digest: &Digest) -> Result<Vec<u8>, StoreError> {
+        self.bring([*digest])?;
+        self.get_here(digest)
+    }
+
+    fn get_here(&self, digest: &Digest) -> Result<Vec<u8>, StoreError> {
         let Some(place) = self.place(digest) else {
             return self.blobs.get(digest);
         };
@@ -151,7 +173,7 @@ impl Store {
             return if self.place(digest) == Some(place) {
                 Err(StoreError::Missing { digest: *digest })
             } else {
-                self.get(digest)
+                self.get_here(digest)
             };
         };
         if Digest::of(&bytes) == *digest {
@@ -167,6 +189,11 @@ impl Store {
     /// The latest record under this key, if its recipe is the one of that key. Those of other live processes are seen after
     /// [`Store::refresh`].
     pub fn record(&self, key: &Digest) -> Option<Record> {
+        // Those of a remote place were verified when they were read.
+        self.record_here(key).or_else(|| Record::decode(&self.record_below(key)?))
+    }
+
+    fn record_here(&self, key: &Digest) -> Option<Record> {
         self.journal.with_index(|index| {
             let payload = index.payload(Kind::Record, key)?;
             own_recipe(payload, key).and_then(|_| Record::decode(payload))
@@ -175,23 +202,32 @@ impl Store {
 
     /// The text of the recipe whose key this is, if it is on record.
     pub fn recipe_text(&self, key: &Digest) -> Option<String> {
-        self.journal.with_index(|index| own_recipe(index.payload(Kind::Record, key)?, key).map(str::to_owned))
+        let here =
+            self.journal.with_index(|index| own_recipe(index.payload(Kind::Record, key)?, key).map(str::to_owned));
+        here.or_else(|| own_recipe(&self.record_below(key)?, key).map(str::to_owned))
     }
 
     /// The latest record under this key, if every blob it names is there.
     pub fn is_hit(&self, key: &Digest) -> Option<Record> {
-        self.record(key).filter(|record| self.has_all(record.blobs()))
+        let is_whole = |record: &Record| self.has_all(record.blobs());
+        let here = self.record_here(key).filter(is_whole);
+        here.or_else(|| Record::decode(&self.record_below(key)?).filter(is_whole))
     }
 
     /// [`Store::is_hit`] without reading the recipe, which the caller has just hashed: what planning needs.
     pub fn hit_outcome(&self, key: &Digest) -> Option<Outcome> {
-        let outcome = self.journal.with_index(|index| Outcome::decode(index.payload(Kind::Record, key)?));
-        outcome.filter(|outcome| self.has_all(outcome.blobs()))
+        let is_whole = |outcome: &Outcome| self.has_all(outcome.blobs());
+        let here = self.journal.with_index(|index| Outcome::decode(index.payload(Kind::Record, key)?));
+        let Some(here) = here.filter(is_whole) else {
+            return Outcome::decode(&self.record_below(key)?).filter(is_whole);
+        };
+        self.offer_again(key);
+        Some(here)
     }
 
     /// Whether there is a record under this key, be its blobs there or not.
     pub fn has_record(&self, key: &Digest) -> bool {
-        self.journal.with_index(|index| index.payload(Kind::Record, key).is_some())
+        self.journal.with_index(|index| index.payload(Kind::Record, key).is_some()) || self.has_record_below(key)
     }
 
     /// The blobs that were found damaged and set aside while the store checked whether they exist; each is reported once.
@@ -230,17 +266,19 @@ impl Store {
         }
         let text = record.recipe.text();
         let key = Digest::of(text.as_bytes());
-        if self.record(&key).is_some_and(|first| first.same_outcome(record)) {
+        if self.record_here(&key).is_some_and(|first| first.same_outcome(record)) {
+            self.offer_again(&key);
             return Ok(key);
         }
         let payload = record.encode(&text).map_err(|fault| bad_record(record, fault.to_string()))?;
         self.append(Kind::Record, key, &payload)?;
+        self.offer(&key, &payload);
         Ok(key)
     }
 
     /// A blob the record names that is not there.
     fn lacking(&self, record: &Record) -> Option<Digest> {
-        record.blobs().find(|(digest, bytes)| !self.has(digest, *bytes)).map(|(digest, _)| digest)
+        record.blobs().find(|(digest, bytes)| !self.has_here(digest, *bytes)).map(|(digest, _)| digest)
     }
 
     /// Refuses a record that could never be a hit.
@@ -254,7 +292,14 @@ impl Store {
         Err(bad_record(record, reason))
     }
 
+    /// Whether a blob is there, or in the remote place under this store, with this size if one is given.
     fn has(&self, digest: &Digest, bytes: Option<u64>) -> bool {
+        let is_that = |size: u64| bytes.is_none_or(|bytes| bytes == size);
+        self.has_here(digest, bytes) || self.size_below(digest).is_some_and(is_that)
+    }
+
+    /// Whether a blob is in this very store, with this size if one is given.
+    pub(crate) fn has_here(&self, digest: &Digest, bytes: Option<u64>) -> bool {
         self.size_if(digest, bytes).is_some_and(|size| bytes.is_none_or(|bytes| bytes == size))
     }
 
@@ -272,6 +317,9 @@ impl Store {
 
     /// Picks up what other processes have stored meanwhile.
     pub fn refresh(&self) -> Result<(), StoreError> {
+        if self.machine.is_shared {
+            self.machine.renew_listing(&self.root.join(SEGMENTS))?;
+        }
         self.journal.refresh()
     }
 
@@ -313,6 +361,14 @@ impl Store {
     }
 
     pub(crate) fn journal(&self) -> &Journal {
+        &self.journal
+    }
+
+    pub(crate) fn machine(&self) -> &Machine {
+        &self.machine
+    }
+
+    pub(crate) fn shared_journal(&self) -> &Arc<Journal> {
         &self.journal
     }
 

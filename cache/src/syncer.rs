@@ -121,7 +121,7 @@ mod tests {
     #[test]
     fn what_went_wrong_in_the_background_is_reported_by_the_next_sync() {
         let folder = tempfile::tempdir().unwrap();
-        let syncer = Syncer::new(Arc::new(Journal::open(folder.path()).unwrap()));
+        let syncer = Syncer::new(Arc::new(Journal::open(folder.path(), None).unwrap()));
         syncer.pulse.state().fault = Some(StoreError::DiskFull { path: "a segment".into() });
         assert!(matches!(syncer.sync(), Err(StoreError::DiskFull { .. })));
         syncer.sync().unwrap();

@@ -52,10 +52,8 @@ impl Store {
 
     /// Whether there are rooms of other processes, and what is wanted in them.
     pub fn wanted_elsewhere(&self, own: Option<&Room>) -> Result<(bool, Vec<Want>), StoreError> {
-        let root = self.dir().join(SCRATCH);
         let (mut are_others, mut wanted) = (false, Vec::new());
-        for entry in fs::read_dir(&root).at("list", &root)? {
-            let room = entry.at("list", &root)?.path();
+        for room in self.in_scratch()? {
             let is_room = room.file_name().and_then(|name| name.to_str()).is_some_and(|name| name.starts_with(ROOM));
             if is_room && plain::is_folder(&room) && own.is_none_or(|own| own.path() != room) {
                 are_others = true;
@@ -63,6 +61,19 @@ impl Store {
             }
         }
         Ok((are_others, wanted))
+    }
+}
+
+impl Store {
+    /// What is in the folders of scratch of all machines.
+    fn in_scratch(&self) -> Result<Vec<PathBuf>, StoreError> {
+        let mut found = Vec::new();
+        for root in self.machine().folders(SCRATCH) {
+            for entry in fs::read_dir(&root).at("list", &root)? {
+                found.push(entry.at("list", &root)?.path());
+            }
+        }
+        Ok(found)
     }
 }
 

@@ -1,6 +1,7 @@
 //! The command line: one file a command, and the exit codes they share.
 
 mod candidates;
+mod capacity;
 mod completions;
 mod expected_work;
 mod explain;
@@ -15,6 +16,7 @@ mod parts;
 mod places;
 mod plan;
 mod programs;
+mod remote;
 mod repeat;
 mod report;
 mod run;
@@ -24,8 +26,11 @@ mod shipped;
 mod signals;
 mod stages;
 mod store;
+mod submit;
 mod table;
 mod transfer;
+mod watch;
+mod work;
 
 use std::path::{Path, PathBuf};
 
@@ -59,6 +64,12 @@ pub struct Cli {
 enum Command {
     /// Run a pipeline; results that are cached are not computed again.
     Run(run::RunArgs),
+    /// Help other processes with a run: take steps that are ready and that nobody has, until all are done.
+    Work(work::WorkArgs),
+    /// Start workers through the queue of a cluster: Slurm or HyperQueue.
+    Submit(submit::SubmitArgs),
+    /// Show how far a run is that other processes work on.
+    Watch(watch::WatchArgs),
     /// Show what a run would do and why, without doing it.
     Plan(plan::PlanArgs),
     /// Show the recipe of one step instance, whether its result is cached, and if not, what changed.
@@ -125,6 +136,8 @@ struct PipelineArgs {
     /// The store of results; by default `.rockface/store` beside the pipeline.
     #[arg(long, value_name = "DIR", env = "ROCKFACE_STORE", value_parser = folder_or_nothing())]
     store: Option<PathBuf>,
+    #[command(flatten)]
+    remote: remote::RemoteArgs,
 }
 
 fn seed(text: &str) -> Result<u64, String> {
@@ -173,6 +186,7 @@ impl PipelineArgs {
         let _plan = tracing::trace_span!(target: PHASE, "plan").entered();
         let graph = rockface_engine::plan::resolve(pipeline, targets, registry.stages()).map_err(CliError::Pipeline)?;
         let store = self.open_store()?;
+        self.remote.attach(&store, false)?;
         let plan = rockface_engine::plan::expand(graph, pipeline, &store).map_err(CliError::Pipeline)?;
         Ok((plan, store))
     }
@@ -181,6 +195,7 @@ impl PipelineArgs {
     fn look(&self, registry: &Registry, pipeline: &Pipeline, targets: &[String]) -> Result<(Plan, Looked), CliError> {
         let graph = rockface_engine::plan::resolve(pipeline, targets, registry.stages()).map_err(CliError::Pipeline)?;
         let store = Looked::open(&self.store_dir())?;
+        self.remote.attach(&store, true)?;
         let plan = rockface_engine::plan::expand(graph, pipeline, &store).map_err(CliError::Pipeline)?;
         Ok((plan, store))
     }
@@ -361,6 +376,9 @@ impl Command {
     fn run(self, registry: &Registry) -> Result<(), CliError> {
         match self {
             Self::Run(args) => args.run(registry),
+            Self::Work(args) => args.run(registry),
+            Self::Submit(args) => args.run(registry),
+            Self::Watch(args) => args.run(),
             Self::Plan(args) => args.run(registry),
             Self::Explain(args) => args.run(registry),
             Self::Graph(args) => args.run(registry),

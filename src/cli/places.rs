@@ -133,6 +133,11 @@ impl Places {
         given.unwrap_or_else(|| Path::new(OWN).join("store"))
     }
 
+    /// The store that was given.
+    pub fn given_store(&self) -> Option<PathBuf> {
+        self.store.clone().filter(|folder| !folder.as_os_str().is_empty())
+    }
+
     fn is_store_given(&self) -> bool {
         self.store.as_ref().is_some_and(|folder| !folder.as_os_str().is_empty())
     }

@@ -8,21 +8,21 @@ use std::sync::atomic::AtomicBool;
 use clap::Args;
 use rockface_core::Registry;
 
-use rockface_cache::Digest;
-use rockface_core::limits::raise_memory_limit;
+use rockface_cache::remote::Remote;
+use rockface_cache::{Digest, Store};
 
+use super::capacity::CapacityArgs;
 use super::programs::ProgramArgs;
-use super::{CliError, PipelineArgs, beside, own_folder, repeat, say, signals};
+use super::table::bytes;
+use super::{CliError, PipelineArgs, beside, complain, own_folder, repeat, say, signals};
 use crate::report::Pages;
 use rockface_engine::history::REPORT_FILE;
 use rockface_engine::run::shortcut::{self, Ended, Told};
 use rockface_engine::run::{self, Finished, LayOut, Options, RunFolder, Summary};
-use rockface_engine::watch::{JsonLines, Observer, Plain, Silent, Terminal, duration};
+use rockface_engine::watch::{JsonLines, Observer, Plain, Reported, Role, Silent, Terminal, duration};
 
 /// Files of the result that are named at the end.
 const FILES_NAMED: usize = 5;
-/// The greatest memory that is accepted, GiB; more is a typing error.
-const MEMORY_LIMIT_GIB: f64 = 1_048_576.0;
 
 /// Arguments of `rockface run`.
 #[derive(Debug, Args)]
@@ -31,13 +31,8 @@ pub struct RunArgs {
     pipeline: PipelineArgs,
     #[command(flatten)]
     programs: ProgramArgs,
-    /// Steps that run at once, and threads inside them [default: one for each core].
-    #[arg(long, short, value_name = "N", value_parser = jobs, allow_hyphen_values = true)]
-    jobs: Option<u16>,
-    /// Memory for values passed between steps and for running steps; values beyond it are spilled to disk [default: half of
-    /// the memory of the machine].
-    #[arg(long, value_name = "GiB", value_parser = memory_bytes, allow_hyphen_values = true)]
-    memory: Option<usize>,
+    #[command(flatten)]
+    capacity: CapacityArgs,
     /// After a failed step, continue with steps that do not depend on it.
     #[arg(long)]
     keep_going: bool,
@@ -105,13 +100,12 @@ impl RunArgs {
         store.trust(self.trust_store);
         let (keep_going, check_determinism) = (self.keep_going, self.check_determinism);
         let mut options = Options { keep_going, check_determinism, look: registry.look(), ..Options::default() };
-        options.jobs = self.jobs.map_or(options.jobs, usize::from);
-        options.memory_bytes = self.memory.unwrap_or(options.memory_bytes);
-        raise_memory_limit(options.memory_bytes as u64);
+        self.capacity.apply(&mut options);
         let stop = Arc::new(AtomicBool::new(false));
         signals::stop_on_signal(&stop);
         let store = Arc::new(store);
-        let mut observer = self.observer();
+        let given = &self.pipeline.pipeline;
+        let mut observer = Reported::new(self.observer(), &store, Role::Run, given, &pipeline.document.name);
         let runs = self.runs_folder()?;
         let about = RunFolder {
             runs: &runs,
@@ -124,16 +118,17 @@ impl RunArgs {
             look: registry.look(),
             reporter: &Pages(registry.look()),
         };
-        let (summary, finished) = run::execute_and_tell(&mut plan, &store, &options, &stop, observer.as_mut(), &about)?;
+        let (summary, finished) = run::execute_and_tell(&mut plan, &store, &options, &stop, &mut observer, &about)?;
         let told = Told::of(&finished, &summary);
-        if let Some(question) = question {
+        let is_uploaded = upload(&store, &stop);
+        if let Some(question) = question.filter(|_| is_uploaded) {
             let ended = Ended { summary: &summary, told: &told, finished: &finished };
             shortcut::remember(&store, &question, &plan, &ended, &pipeline.looks)?;
         }
         if let Some(former) = former.filter(|_| !self.json) {
             repeat::verdict(&former, &plan, &summary).iter().for_each(|line| say(line));
         }
-        self.report(&summary, &finished, &told, begun.elapsed().as_secs_f64());
+        self.report((&store, &summary, &finished, &told), begun.elapsed().as_secs_f64());
         let failed = summary.failed;
         // The process ends now: dropping a large plan would only take time.
         std::mem::forget((pipeline, plan, summary));
@@ -153,7 +148,7 @@ impl RunArgs {
         } else if std::io::stderr().is_terminal() && !self.quiet {
             Box::new(Terminal::new(self.verbose))
         } else if self.quiet {
-            Box::new(Quiet(Plain::new(std::io::stderr(), false)))
+            quiet_observer()
         } else {
             Box::new(Plain::new(std::io::stderr(), self.verbose))
         }
@@ -173,7 +168,7 @@ impl RunArgs {
         }
         let arguments: Vec<_> = std::env::args_os().skip(1).collect();
         let program = rockface_engine::version::state_of_program()?;
-        let place = (std::env::current_dir().ok()?, self.pipeline.store_dir(), &self.runs);
+        let place = (std::env::current_dir().ok()?, self.pipeline.store_dir(), &self.runs, self.pipeline.remote.url());
         let question = serde_json::json!([program, place, Digest::of(text.as_bytes())]).to_string();
         // The search path decides which programs the steps run, this variable which Python.
         let search = ["PATH", "ROCKFACE_PYTHON"].map(std::env::var_os);
@@ -186,14 +181,21 @@ impl RunArgs {
         Ok(shortcut::recall(&self.pipeline.store_dir(), question, &runs)?)
     }
 
-    fn report(&self, summary: &Summary, finished: &Finished, told: &Told, wall_s: f64) {
+    fn report(&self, (store, summary, finished, told): (&Store, &Summary, &Finished, &Told), wall_s: f64) {
         let (ran, cached) = (summary.executed(), summary.cached());
+        let traffic = store.remote().map(Remote::traffic);
         if self.json {
             let event = serde_json::json!({
                 "event": "ended", "failed": summary.failed, "executed": ran, "cached": cached,
                 "wall_s": wall_s, "folder": finished.folder, "headlines": finished.headlines, "files": finished.files,
+                "remote": traffic,
             });
             return say(&event.to_string());
+        }
+        if let Some((remote, traffic)) = store.remote().zip(traffic).filter(|_| !self.quiet) {
+            let requests = traffic.reads + traffic.writes + traffic.lists + traffic.deletes;
+            let (down, up) = (bytes(traffic.bytes_read), bytes(traffic.bytes_written));
+            say(&format!("  {requests} requests to {}: {down} fetched, {up} uploaded", remote.url()));
         }
         self.say_end(told, (ran, cached), summary.failed, wall_s);
     }
@@ -228,19 +230,20 @@ impl RunArgs {
     }
 }
 
-fn jobs(text: &str) -> Result<u16, String> {
-    let count = text.parse().ok().filter(|count| (1..=1024).contains(count));
-    count.ok_or_else(|| "give a whole number of jobs from 1 to 1024".to_owned())
+/// Tells of warnings and failures only.
+pub fn quiet_observer() -> Box<dyn Observer> {
+    Box::new(Quiet(Plain::new(std::io::stderr(), false)))
 }
 
-/// The bytes in a number of GiB. Zero is refused: every value would be spilled.
-fn memory_bytes(text: &str) -> Result<usize, String> {
-    let gib: f64 = text.parse().map_err(|_| "give a number of GiB, such as 4 or 0.5".to_owned())?;
-    if gib > 0.0 && gib <= MEMORY_LIMIT_GIB {
-        Ok((gib * f64::from(1 << 30)) as usize)
-    } else {
-        Err(format!("give a number of GiB above 0 and up to {MEMORY_LIMIT_GIB}"))
+/// Waits until all is uploaded; says whether it was.
+pub fn upload(store: &Store, stop: &AtomicBool) -> bool {
+    let done = store.finish_uploads(stop);
+    let Some(remote) = store.remote() else { return true };
+    if done.failed > 0 {
+        let way = format!("`rockface store push {}` uploads them later", remote.url());
+        complain(&format!("warning: {} results were not uploaded: {way}", done.failed));
     }
+    done.failed == 0 && !remote.is_off()
 }
 
 /// Prints the first of many lines, and how many more there are.

@@ -4,10 +4,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
+use rockface_cache::remote::{RemoteGcPolicy, RemoteStat};
 use rockface_cache::{Collected, Digest, Fault, FaultKind, GcPlan, GcPolicy, Store};
 use serde_json::json;
 
 use super::places::Places;
+use super::remote::{self, is_url};
 use super::table::{self, Format, bytes};
 use super::transfer::TransferArgs;
 use super::{CliError, complain, say};
@@ -29,6 +31,9 @@ pub struct StoreArgs {
 enum StoreCommand {
     /// Show what the store contains, by stage.
     Stat {
+        /// A remote place to look at instead, such as `s3://bucket/prefix`.
+        #[arg(value_name = "URL", value_parser = url)]
+        remote: Option<PathBuf>,
         #[command(flatten)]
         places: Places,
         /// Print JSON.
@@ -58,6 +63,9 @@ enum StoreCommand {
 
 #[derive(Debug, Args)]
 struct GcArgs {
+    /// A remote place to clear instead, such as `s3://bucket/prefix`. It knows no runs, so records go by when their steps ended.
+    #[arg(value_name = "URL", value_parser = url, conflicts_with = "unnamed")]
+    remote: Option<PathBuf>,
     #[command(flatten)]
     places: Places,
     /// Also remove records that no existing run folder references.
@@ -77,6 +85,11 @@ struct GcArgs {
     json: bool,
 }
 
+fn url(text: &str) -> Result<PathBuf, String> {
+    let way = "give a remote place such as s3://bucket/prefix; a folder is given with --store";
+    if is_url(Path::new(text)) { Ok(PathBuf::from(text)) } else { Err(way.to_owned()) }
+}
+
 fn non_negative(text: &str) -> Result<f64, String> {
     let number: f64 = text.parse().map_err(|_| "give a number, such as 30 or 0.5".to_owned())?;
     if (0.0..=1e9).contains(&number) { Ok(number) } else { Err("give a number from 0 to 1e9".to_owned()) }
@@ -86,13 +99,33 @@ impl StoreArgs {
     /// Runs the subcommand.
     pub fn run(self) -> Result<(), CliError> {
         match self.command {
-            StoreCommand::Stat { places, json } => stat(&places.open_store()?, json),
+            StoreCommand::Stat { remote: Some(url), json, .. } => stat_remote(&url, json),
+            StoreCommand::Stat { places, json, .. } => stat(&places.open_store()?, json),
             StoreCommand::Verify { places, repair, json } => verify(&places.open_store()?, repair, json),
             StoreCommand::Gc(args) => args.run(),
             StoreCommand::Push(args) => args.push(),
             StoreCommand::Pull(args) => args.pull(),
         }
     }
+}
+
+fn stat_remote(url: &Path, as_json: bool) -> Result<(), CliError> {
+    let remote = remote::open(url, None)?;
+    let stat = remote.stat()?;
+    if as_json {
+        say(&json!({"url": remote.url(), "remote": stat}).to_string());
+        return Ok(());
+    }
+    let RemoteStat { records, batches, batch_bytes, packs, pack_bytes, large_blobs, large_blob_bytes, incomplete } =
+        stat;
+    say(&format!("{records} records in {batches} objects ({})", bytes(batch_bytes)));
+    say(&format!("{packs} packs of small outputs ({})", bytes(pack_bytes)));
+    say(&format!("{large_blobs} large outputs ({})", bytes(large_blob_bytes)));
+    if incomplete > 0 {
+        say(&format!("{incomplete} records name outputs that are not there: their steps run again"));
+    }
+    say(&format!("in {}", remote.url()));
+    Ok(())
 }
 
 fn stat(store: &Store, as_json: bool) -> Result<(), CliError> {
@@ -160,6 +193,9 @@ fn verdict(faults: &[Fault], repair: bool) -> String {
 
 impl GcArgs {
     fn run(self) -> Result<(), CliError> {
+        if let Some(url) = &self.remote {
+            return self.run_remote(url);
+        }
         let store = self.places.open_store()?;
         let plan = store.plan_gc(&self.policy(&store)?)?;
         if self.dry_run {
@@ -171,6 +207,30 @@ impl GcArgs {
             return Ok(());
         }
         say(&told(&done));
+        Ok(())
+    }
+
+    fn run_remote(&self, url: &Path) -> Result<(), CliError> {
+        let remote = remote::open(url, None)?;
+        let policy = RemoteGcPolicy {
+            max_age_s: self.max_age.map(|days| (days * DAY_S) as u64),
+            max_bytes: self.max_size.map(|gib| (gib * f64::from(1 << 30)) as u64),
+            dry_run: self.dry_run,
+        };
+        let done = remote.collect(&policy, now_s())?;
+        if self.json {
+            say(&json!(done).to_string());
+            return Ok(());
+        }
+        let verb = if self.dry_run { "would remove" } else { "removed" };
+        let (before, after) = done.batches;
+        say(&format!(
+            "{verb} {} records and {} objects ({}), {} records stay; {before} objects with records, {after} afterwards",
+            done.records,
+            done.objects,
+            bytes(done.bytes),
+            done.kept_records
+        ));
         Ok(())
     }
 

@@ -32,7 +32,8 @@ impl House {
 
     pub fn command(&self, arguments: &[&str]) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_rockface"));
-        command.current_dir(self.0.path()).args(arguments).env_remove("ROCKFACE_STORE").env("RUST_BACKTRACE", "0");
+        command.env_remove("ROCKFACE_STORE").env_remove("ROCKFACE_REMOTE");
+        command.current_dir(self.0.path()).args(arguments).env("RUST_BACKTRACE", "0");
         command
     }
 }

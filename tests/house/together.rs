@@ -7,18 +7,18 @@ use std::time::{Duration, Instant};
 use crate::cli::House;
 
 /// A pipeline of programs each of which writes its name into a file when it starts.
-struct Counted {
-    house: House,
-    steps: String,
+pub struct Counted {
+    pub house: House,
+    pub steps: String,
 }
 
 impl Counted {
-    fn new() -> Self {
+    pub fn new() -> Self {
         Self { house: House::new(""), steps: String::new() }
     }
 
     /// Adds a step: `more` stands beside its stage, `with` among its parameters, and `script` writes `{out.f}`.
-    fn step(mut self, name: &str, more: &str, with: &str, script: &str) -> Self {
+    pub fn step(mut self, name: &str, more: &str, with: &str, script: &str) -> Self {
         let count = self.house.path("count").display().to_string();
         self.steps.push_str(&format!(
             "  {name}:\n    stage: command\n{more}    with:\n{with}      program: sh\n      version: POSIX sh\n      \
@@ -27,20 +27,20 @@ impl Counted {
         self
     }
 
-    fn write(self, head: &str) -> House {
+    pub fn write(self, head: &str) -> House {
         std::fs::write(self.house.path("p.yaml"), format!("rockface: 1\n{head}steps:\n{}", self.steps)).unwrap();
         self.house
     }
 }
 
 /// A step over `i` that takes a moment and is not kept.
-const OVER_I: (&str, &str) = ("    over: [i]\n    keep: false\n", "      params: {i: '${i}'}\n");
+pub const OVER_I: (&str, &str) = ("    over: [i]\n    keep: false\n", "      params: {i: '${i}'}\n");
 /// The parameter of a step that reads one file.
-const READS: &str = "      inputs: {f: {kind: file, extension: txt}}\n";
+pub const READS: &str = "      inputs: {f: {kind: file, extension: txt}}\n";
 /// That of a step that gathers them.
-const GATHERS: &str = "      inputs: {f: {kind: file, extension: txt, many: true}}\n";
+pub const GATHERS: &str = "      inputs: {f: {kind: file, extension: txt, many: true}}\n";
 
-fn axis(count: usize) -> String {
+pub fn axis(count: usize) -> String {
     format!("axes: {{i: {{count: {count}}}}}\n")
 }
 
@@ -49,7 +49,7 @@ fn start(house: &House, more: &[&str]) -> Child {
     house.command(&arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
 }
 
-fn succeed(children: Vec<Child>) {
+pub fn succeed(children: Vec<Child>) {
     for child in children {
         let out = child.wait_with_output().unwrap();
         assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
@@ -62,7 +62,7 @@ fn run_together(house: &House, processes: usize) {
 }
 
 /// How often each step was started since this was last asked.
-fn starts(house: &House) -> BTreeMap<String, usize> {
+pub fn starts(house: &House) -> BTreeMap<String, usize> {
     let text = std::fs::read_to_string(house.path("count")).unwrap_or_default();
     let _ = std::fs::remove_file(house.path("count"));
     let mut counts = BTreeMap::new();
@@ -70,13 +70,13 @@ fn starts(house: &House) -> BTreeMap<String, usize> {
     counts
 }
 
-fn expect(house: &House, expected: &[(&str, usize)]) {
+pub fn expect(house: &House, expected: &[(&str, usize)]) {
     let expected: BTreeMap<String, usize> = expected.iter().map(|(name, count)| ((*name).to_owned(), *count)).collect();
     assert_eq!(starts(house), expected);
 }
 
 /// Values that are not kept, each used by one step.
-fn chains() -> House {
+pub fn chains() -> House {
     let second = format!("{READS}      params: {{i: '${{i}}'}}\n");
     Counted::new()
         .step("a", OVER_I.0, OVER_I.1, "sleep 0.05; echo {param.i} > {out.f}")
@@ -86,7 +86,7 @@ fn chains() -> House {
 }
 
 /// Values that are not kept, all used by one step.
-fn gather() -> House {
+pub fn gather() -> House {
     Counted::new()
         .step("a", OVER_I.0, OVER_I.1, "sleep 0.05; echo {param.i} > {out.f}")
         .step("b", "    in: {f: {each: a.f, over: [i]}}\n", GATHERS, "cat {in.f}/*.txt > {out.f}")
@@ -129,8 +129,8 @@ fn values_that_are_needed_again_are_made_again_once_over_all_processes() {
     }
 }
 
-#[test]
-fn points_that_become_known_on_the_way_run_once_over_all_processes() {
+/// Points that become known on the way.
+pub fn dynamic() -> House {
     let rows = "      params: {i: '${row.value}'}\n";
     let mut counted = Counted::new().step("s", "", "", "sleep 0.05; echo 1 > {out.f}");
     counted.steps.push_str(&format!(
@@ -138,10 +138,15 @@ fn points_that_become_known_on_the_way_run_once_over_all_processes() {
          outputs: {{t: {{kind: table, extension: csv}}}}\n      args: ['-c', 'echo list >> {}; printf \"value\\n3\\n4\\n5\\n6\\n\" > {{out.t}}']\n",
         counted.house.path("count").display()
     ));
-    let house = counted
+    counted
         .step("a", "    keep: false\n", rows, "sleep 0.05; echo {param.i} > {out.f}")
         .step("b", "    in: {f: {each: a.f, over: [row]}}\n", GATHERS, "cat {in.f}/*.txt > {out.f}")
-        .write("axes: {row: {from: list.t, reseeds: false}}\n");
+        .write("axes: {row: {from: list.t, reseeds: false}}\n")
+}
+
+#[test]
+fn points_that_become_known_on_the_way_run_once_over_all_processes() {
+    let house = dynamic();
     run_together(&house, 3);
     expect(&house, &[("s", 1), ("list", 1), ("a", 4), ("b", 1)]);
 }

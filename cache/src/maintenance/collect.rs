@@ -45,7 +45,7 @@ impl Store {
         for folder in [QUARANTINE, ANSWERS] {
             self.empty(folder)?;
         }
-        let claimed = self.journal().claim_all()?;
+        let claimed = self.journal().claim_all(|segment| self.machine().may_be_written_elsewhere(segment))?;
         let busy_segments = claimed.busy();
         let (left, named) = self.leave_segments(plan, claimed)?;
         // Records first: none may name a blob that has left.

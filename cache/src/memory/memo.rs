@@ -192,7 +192,11 @@ mod tests {
         let desk = desk();
         let store = Store::open(&desk.path("store")).unwrap();
         std::thread::scope(|scope| {
-            let sweeping = scope.spawn(|| (0..300).for_each(|_| open::prepare(&desk.path("store")).unwrap()));
+            let sweeping = scope.spawn(|| {
+                (0..300).for_each(|_| {
+                    open::prepare(&desk.path("store"), &crate::machine::Machine::on(&desk.path("store"))).unwrap()
+                })
+            });
             while !sweeping.is_finished() {
                 store.memory().remember_answer(&desk.question, &json!("done"), &desk.grounds()).unwrap();
             }

@@ -48,6 +48,7 @@ const EVENTS: &[(&str, &str, &[Member])] = &[
         "An instance could start and waits for memory.",
         &[STEP, member("need_bytes", "integer", "what it is expected to need")],
     ),
+    ("elsewhere", "Another process has the instance, or has had it: it is not run here for now.", &[STEP]),
     ("waiting", "Another process computes the same; this one waits for it.", &[STEP]),
     ("warning", "Something may be wrong.", &[STEP, member("text", "string", "the sentence")]),
     (
@@ -71,6 +72,7 @@ const EVENTS: &[(&str, &str, &[Member])] = &[
             member("folder", "string", "the run folder"),
             member("headlines", "strings", "the results in a sentence each"),
             member("files", "strings", "outputs of the target steps, by their paths in the run folder"),
+            member("remote", "object|null", "requests to the remote place and bytes, by kind"),
         ],
     ),
 ];
@@ -89,6 +91,7 @@ fn members(name: &str, own: &'static [Member]) -> impl Iterator<Item = &'static 
 fn kind(kind: &str) -> Value {
     match kind {
         "new|needed" => json!({"enum": ["new", "needed"]}),
+        "object|null" => json!({"type": ["object", "null"]}),
         "string|null" => json!({"type": ["string", "null"]}),
         "strings" => json!({"type": "array", "items": {"type": "string"}}),
         "integer" => json!({"type": "integer", "minimum": 0}),
@@ -135,6 +138,7 @@ pub fn chapter() -> String {
         for member in members(name, own) {
             let kind = match member.kind {
                 "new|needed" => "`new` or `needed`",
+                "object|null" => "object or null",
                 "string|null" => "text or null",
                 "strings" => "list of texts",
                 "string" => "text",
@@ -162,6 +166,7 @@ mod tests {
             Event::Started { step: step(), reason: Reason::New },
             Event::Finished { step: step(), wall_s: 0.5 },
             Event::Held { step: step(), need_bytes: 7 },
+            Event::Elsewhere { step: step() },
             Event::Waiting { step: step() },
             Event::Warning { step: step(), text: step() },
             Event::Failed { step: step(), stage: step(), message: step(), hint: None },
@@ -173,6 +178,7 @@ mod tests {
                 | Event::Started { .. }
                 | Event::Finished { .. }
                 | Event::Held { .. }
+                | Event::Elsewhere { .. }
                 | Event::Waiting { .. }
                 | Event::Warning { .. }
                 | Event::Failed { .. } => {}

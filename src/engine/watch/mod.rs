@@ -5,6 +5,7 @@ mod foxglove;
 mod json;
 mod mcap_log;
 mod plain;
+mod reported;
 pub mod step_log;
 mod terminal;
 
@@ -12,6 +13,7 @@ pub use foxglove::layout;
 pub use json::JsonLines;
 pub use mcap_log::{Facts, Made, RunLog, StepNote, Topic};
 pub use plain::Plain;
+pub use reported::{Report, Reported, Role};
 pub use terminal::Terminal;
 
 use std::borrow::Cow;
@@ -53,6 +55,11 @@ pub enum Event {
         step: String,
         /// What it is expected to need, bytes.
         need_bytes: u64,
+    },
+    /// Another process has the instance, or has had it: it is not run here for now.
+    Elsewhere {
+        /// The instance.
+        step: String,
     },
     /// Another process computes the same; this one waits for it.
     Waiting {

@@ -47,7 +47,7 @@ fn words(event: &Event, verbose: bool) -> Option<String> {
         Event::Finished { step, wall_s } if verbose || *wall_s >= LONG_S => {
             Some(format!("done     {step} ({})", duration(*wall_s)))
         }
-        Event::Finished { .. } => None,
+        Event::Finished { .. } | Event::Elsewhere { .. } => None,
         Event::Waiting { step } => Some(format!("waiting  {step}: another run is computing it")),
         Event::Warning { step, text } => Some(format!("warning  {step}: {text}")),
         Event::Failed { step, stage, message, hint } => {

@@ -59,21 +59,13 @@ impl LayOut {
         stop: &AtomicBool,
     ) -> Result<Laid, RunError> {
         let counts = counts(plan, summary);
-        let is_large = counts.iter().sum::<usize>() > OUTPUTS_LIMIT;
-        let fitting = fitting_targets(plan, &counts);
+        let wanted = self.wanted(plan, &counts);
         let layer = Layer { plan, store, folder };
         let mut laid = Laid::default();
         for (instance, result) in summary.instances.iter().enumerate() {
             going_on(stop)?;
             let is_target = plan.targets.binary_search(&instance).is_ok();
-            let is_wanted = match self {
-                Self::All => true,
-                Self::Auto if !is_large => true,
-                Self::Auto => fitting[plan.instances[instance].step],
-                Self::Targets => is_target,
-                Self::None => false,
-            };
-            let outcome = result.outcome.as_ref().filter(|_| is_wanted);
+            let outcome = result.outcome.as_ref().filter(|_| wanted[instance]);
             let (named, files) =
                 outcome.map_or(Ok((Paths::new(), Vec::new())), |outcome| layer.outputs(instance, outcome))?;
             if is_target {
@@ -85,6 +77,30 @@ impl LayOut {
         let named: usize = laid.paths.iter().map(BTreeMap::len).sum();
         laid.unnamed = counts.iter().sum::<usize>().saturating_sub(named);
         Ok(laid)
+    }
+
+    /// Whether the outputs of each instance get names; `counts` has the number of kept outputs of each step.
+    fn wanted(self, plan: &Plan, counts: &[usize]) -> Vec<bool> {
+        let is_large = counts.iter().sum::<usize>() > OUTPUTS_LIMIT;
+        let fitting = fitting_targets(plan, counts);
+        let is_wanted = |instance: usize| match self {
+            Self::All => true,
+            Self::Auto if !is_large => true,
+            Self::Auto => fitting[plan.instances[instance].step],
+            Self::Targets => plan.targets.binary_search(&instance).is_ok(),
+            Self::None => false,
+        };
+        (0..plan.instances.len()).map(is_wanted).collect()
+    }
+
+    /// The outputs that get names.
+    pub fn blobs(self, plan: &Plan, summary: &Summary) -> Vec<Digest> {
+        let wanted = self.wanted(plan, &counts(plan, summary));
+        let named = summary.instances.iter().enumerate().filter(|(instance, _)| wanted[*instance]);
+        let outcomes =
+            named.filter(|(instance, _)| plan.step(*instance).keep).filter_map(|(_, one)| one.outcome.as_ref());
+        let outputs = outcomes.flat_map(|outcome| outcome.outputs.values());
+        outputs.filter(|output| output.kept).map(|output| output.digest).collect()
     }
 }
 

@@ -16,7 +16,7 @@ use super::made::{self, Made};
 use super::manifest_writer;
 use super::unfinished::{self, Unfinished};
 use crate::history::{Manifest, POINTS_FILE, REPORT_FILE, RunContents, crate_metadata, points_table};
-use crate::pipeline::{Overrides, Pipeline};
+use crate::pipeline::{LogLevel, Overrides, Pipeline};
 use crate::plan::Plan;
 use crate::run::{RunError, Summary};
 use crate::watch::step_log;
@@ -171,6 +171,7 @@ impl Writer<'_> {
     }
 
     fn fill(&self, folder: &Path) -> Result<Finished, RunError> {
+        phase!("fetch", self.bring())?;
         let lay_out = || self.about.lay_out.lay_out(self.plan, self.summary, self.store, folder, self.stop);
         let laid = phase!("lay out", lay_out())?;
         let logs = self.logs()?;
@@ -180,6 +181,17 @@ impl Writer<'_> {
         own.extend(folder.join(POINTS_FILE).exists().then_some(POINTS_FILE));
         let made = made::left(folder, &own, &laid)?;
         Ok(Finished { folder: folder.to_owned(), headlines, files: laid.of_targets, unnamed: laid.unnamed, made })
+    }
+
+    /// Fetches what the folder is made of and is in a remote place only, all at once.
+    fn bring(&self) -> Result<(), RunError> {
+        let levels = self.plan.log_levels();
+        let of_logs = self.summary.instances.iter().enumerate().flat_map(|(instance, result)| {
+            let sketches = result.outcome.as_ref().and_then(|outcome| outcome.sketches);
+            [result.log(), sketches.filter(|_| levels[instance] == LogLevel::Full)]
+        });
+        let outputs = self.about.lay_out.blobs(self.plan, self.summary);
+        Ok(self.store.bring(of_logs.flatten().chain(outputs))?)
     }
 
     /// Writes the log, the page, a description of the folder as a research object for programs that know nothing of rockface,

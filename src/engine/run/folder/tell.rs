@@ -30,7 +30,10 @@ pub fn execute_and_tell(
     let mut lost = BTreeSet::new();
     loop {
         let error = match finish(plan, &summary, store, about, stop) {
-            Ok(finished) => return Ok((summary, finished)),
+            Ok(finished) => {
+                store.adopt(summary.keys().map(|(_, key)| key))?;
+                return Ok((summary, finished));
+            }
             Err(error) => error,
         };
         let Some(digest) = lost_blob(&error).filter(|digest| lost.insert(*digest)) else { return Err(error) };

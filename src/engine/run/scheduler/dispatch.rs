@@ -86,7 +86,10 @@ impl Scheduler<'_> {
         match result {
             Ok(done) => self.complete(instance, done)?,
             Err(Failure::Store(error)) => return Err(RunError::Store(error)),
-            Err(Failure::Held) => self.leave_elsewhere(instance),
+            Err(Failure::Held) => {
+                self.report(&Event::Elsewhere { step: self.plan.label(instance) });
+                self.leave_elsewhere(instance);
+            }
             Err(Failure::Lost(producer, why)) => {
                 self.warn(producer, format!("an output has to be recomputed: {why}"));
                 let State { values, spilled, announced, .. } = &mut self.states[producer];
@@ -146,6 +149,7 @@ impl Scheduler<'_> {
 
     fn report_end(&mut self, instance: usize, elsewhere: bool, wall_s: f64) {
         if elsewhere {
+            self.report(&Event::Elsewhere { step: self.plan.label(instance) });
             return self.report_cached(instance);
         }
         self.states[instance].executed = true;

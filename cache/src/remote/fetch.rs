@@ -1,0 +1,89 @@
+//! Fetching blobs: verified, several at a time, and a whole pack at once.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::PoisonError;
+
+use super::backend::{Backend, BackendError};
+use super::batch::Place;
+use super::open::Shared;
+use super::{AT_ONCE, OBJECT_LIMIT, blob_name, each_at_once, pack_name};
+use crate::Digest;
+
+/// Takes a blob that was fetched and verified.
+pub(crate) type Take<'a> = &'a (dyn Fn(&[u8]) + Sync);
+
+impl Shared {
+    /// Fetches these blobs, as far as they are there, and hands over each. Whoever misses one afterwards computes it.
+    pub fn fetch(&self, wanted: impl IntoIterator<Item = Digest>, take: Take) {
+        let mut packs: BTreeMap<Digest, BTreeSet<Digest>> = BTreeMap::new();
+        let mut single = BTreeMap::new();
+        for digest in wanted {
+            match self.read(|contents| contents.place(&digest)) {
+                Some(Place { pack: Some(pack), .. }) => {
+                    packs.entry(pack).or_default().insert(digest);
+                }
+                Some(place) => {
+                    single.insert(digest, place);
+                }
+                None => {}
+            }
+        }
+        let packs = packs.into_iter().map(|(pack, wanted)| Object::Pack(pack, wanted));
+        let objects = single.into_iter().map(|(digest, place)| Object::Single(digest, place)).chain(packs).collect();
+        each_at_once(objects, AT_ONCE, |object| match object {
+            Object::Single(digest, place) => self.fetch_single(&digest, place, take),
+            Object::Pack(pack, wanted) => self.fetch_pack(&pack, &wanted, take),
+        });
+    }
+
+    fn fetch_single(&self, digest: &Digest, place: Place, take: Take) {
+        match self.breaker.attempt(|| self.backend.get(&blob_name(digest), place.bytes)) {
+            Ok(bytes) if Digest::of(&bytes) == *digest => take(&bytes),
+            Err(BackendError::Missing) => self.lose([*digest], "has lost a blob"),
+            Ok(_) | Err(BackendError::TooLarge { .. }) => self.lose([*digest], "has a damaged blob"),
+            // The breaker takes note of it; this blob is computed.
+            Err(_) => self.edit(|contents| contents.lose(*digest)),
+        }
+    }
+
+    /// Fetches a pack and hands over all blobs in it: those of one run are mostly wanted together.
+    fn fetch_pack(&self, pack: &Digest, wanted: &BTreeSet<Digest>, take: Take) {
+        let found = self.breaker.attempt(|| self.backend.get(&pack_name(pack), OBJECT_LIMIT));
+        let lost = |what| self.lose(wanted.iter().copied(), what);
+        let bytes = match found {
+            Ok(bytes) => bytes,
+            Err(BackendError::Missing) => return lost("has lost a pack of blobs"),
+            Err(BackendError::TooLarge { .. }) => return lost("has a damaged pack of blobs"),
+            Err(_) => return self.edit(|contents| wanted.iter().for_each(|digest| contents.lose(*digest))),
+        };
+        let mut damaged = Vec::new();
+        for (digest, place) in self.read(|contents| contents.in_pack(pack)) {
+            let end = place.at.checked_add(place.bytes).and_then(|end| usize::try_from(end).ok());
+            let blob: Option<&[u8]> = end.and_then(|end| bytes.get(place.at as usize..end));
+            match blob.filter(|blob| Digest::of(blob) == digest) {
+                Some(blob) => take(blob),
+                None => damaged.push(digest),
+            }
+        }
+        if !damaged.is_empty() {
+            self.lose(damaged, "has a damaged pack of blobs");
+        }
+    }
+
+    /// Blobs are gone or damaged: they are computed when they are needed.
+    fn lose(&self, digests: impl IntoIterator<Item = Digest>, what: &str) {
+        self.breaker.warn_once(&format!("{what}; whatever is missing there is computed again when it is needed"));
+        self.edit(|contents| digests.into_iter().for_each(|digest| contents.lose(digest)));
+    }
+
+    /// One pack at a time: see [`Shared::packs`].
+    pub fn one_pack(&self) -> std::sync::MutexGuard<'_, ()> {
+        self.packs.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// What is fetched with one request.
+enum Object {
+    Single(Digest, Place),
+    Pack(Digest, BTreeSet<Digest>),
+}

@@ -1,0 +1,44 @@
+//! How much of the machine a command may use.
+
+use clap::Args;
+use rockface_core::limits::raise_memory_limit;
+use rockface_engine::run::Options;
+
+/// The greatest memory that is accepted, GiB; more is a typing error.
+const MEMORY_LIMIT_GIB: f64 = 1_048_576.0;
+
+/// Cores and memory of one process.
+#[derive(Debug, Args)]
+pub struct CapacityArgs {
+    /// Steps that run at once, and threads inside them [default: one for each core].
+    #[arg(long, short, value_name = "N", value_parser = jobs, allow_hyphen_values = true)]
+    jobs: Option<u16>,
+    /// Memory for values passed between steps and for running steps; values beyond it are spilled to disk [default: half of
+    /// the memory of the machine].
+    #[arg(long, value_name = "GiB", value_parser = memory_bytes, allow_hyphen_values = true)]
+    memory: Option<usize>,
+}
+
+impl CapacityArgs {
+    /// Enters what was given.
+    pub fn apply(&self, options: &mut Options) {
+        options.jobs = self.jobs.map_or(options.jobs, usize::from);
+        options.memory_bytes = self.memory.unwrap_or(options.memory_bytes);
+        raise_memory_limit(options.memory_bytes as u64);
+    }
+}
+
+fn jobs(text: &str) -> Result<u16, String> {
+    let count = text.parse().ok().filter(|count| (1..=1024).contains(count));
+    count.ok_or_else(|| "give a whole number of jobs from 1 to 1024".to_owned())
+}
+
+/// The bytes in a number of GiB. Zero is refused: every value would be spilled.
+fn memory_bytes(text: &str) -> Result<usize, String> {
+    let gib: f64 = text.parse().map_err(|_| "give a number of GiB, such as 4 or 0.5".to_owned())?;
+    if gib > 0.0 && gib <= MEMORY_LIMIT_GIB {
+        Ok((gib * f64::from(1 << 30)) as usize)
+    } else {
+        Err(format!("give a number of GiB above 0 and up to {MEMORY_LIMIT_GIB}"))
+    }
+}

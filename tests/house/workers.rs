@@ -1,0 +1,185 @@
+//! Workers beside the run that they help, on one machine and on several: no step runs twice, whatever is kept and whoever dies.
+
+use std::process::{Child, Stdio};
+use std::time::{Duration, Instant, SystemTime};
+
+use crate::cli::{House, SMALL, last_line};
+use crate::together::{Counted, GATHERS, OVER_I, axis, chains, dynamic, expect, gather, starts, succeed};
+
+/// Starts a process; one with a machine trusts no lock of another.
+fn start(house: &House, verb: &str, machine: Option<usize>) -> Child {
+    let mut command = house.command(&[verb, "p.yaml", "--jobs", "2"]);
+    if let Some(machine) = machine {
+        command.env("ROCKFACE_SHARED_STORE", "yes").env("ROCKFACE_MACHINE", format!("m{machine}"));
+    }
+    command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
+}
+
+/// One process that runs and others that work, each on a machine of its own if `machines`.
+fn together(house: &House, count: usize, machines: bool) {
+    let verb = |number: usize| if number == 0 { "run" } else { "work" };
+    succeed((0..count).map(|number| start(house, verb(number), machines.then_some(number))).collect());
+    for folder in ["workers", "leases"] {
+        let left = std::fs::read_dir(house.path(".rockface/store").join(folder)).into_iter().flatten().flatten();
+        let left: Vec<_> = left.map(|entry| entry.file_name()).collect();
+        assert!(left.is_empty(), "{folder}: {left:?}");
+    }
+}
+
+fn outputs(house: &House, name: &str) -> String {
+    std::fs::read_to_string(house.path(".rockface/runs/latest/outputs").join(name)).unwrap()
+}
+
+#[test]
+fn workers_and_the_run_they_help_do_every_step_once() {
+    for count in [2, 4, 8] {
+        let house = chains();
+        together(&house, count, false);
+        expect(&house, &[("a", 6), ("b", 6), ("c", 6)]);
+    }
+    let house = gather();
+    together(&house, 3, false);
+    expect(&house, &[("a", 6), ("b", 1)]);
+    assert_eq!(outputs(&house, "b/f.txt"), "0\n1\n2\n3\n4\n5\n");
+}
+
+#[test]
+fn machines_that_do_not_see_each_others_locks_do_every_step_once() {
+    for count in [2, 4, 8] {
+        let house = chains();
+        together(&house, count, true);
+        expect(&house, &[("a", 6), ("b", 6), ("c", 6)]);
+    }
+    let house = gather();
+    together(&house, 3, true);
+    expect(&house, &[("a", 6), ("b", 1)]);
+    assert_eq!(outputs(&house, "b/f.txt"), "0\n1\n2\n3\n4\n5\n");
+    let house = dynamic();
+    together(&house, 3, true);
+    expect(&house, &[("s", 1), ("list", 1), ("a", 4), ("b", 1)]);
+}
+
+#[test]
+fn what_a_machine_that_died_had_is_done_again_and_nothing_else() {
+    let counted = Counted::new();
+    let go = counted.house.path("go").display().to_string();
+    let script = format!("while test ! -e {go}{{param.i}}; do sleep 0.02; done; echo {{param.i}} > {{out.f}}");
+    let house = counted
+        .step("a", OVER_I.0, OVER_I.1, &script)
+        .step("b", "    in: {f: {each: a.f, over: [i]}}\n", GATHERS, "cat {in.f}/*.txt > {out.f}")
+        .write(&axis(4));
+    let wait_until = |what: &dyn Fn() -> bool| {
+        let begun = Instant::now();
+        while !what() {
+            assert!(begun.elapsed() < Duration::from_mins(2));
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    };
+    let started = || std::fs::read_to_string(house.path("count")).unwrap_or_default().lines().count();
+    let mut dead = start(&house, "work", Some(1));
+    wait_until(&|| started() == 2);
+    let other = start(&house, "run", Some(2));
+    wait_until(&|| started() == 4);
+    dead.kill().unwrap();
+    dead.wait().unwrap();
+    (0..4).for_each(|number| std::fs::write(house.path(&format!("go{number}")), "").unwrap());
+    // No sign of life for two minutes, as the file system tells it.
+    for entry in std::fs::read_dir(house.path(".rockface/store/workers")).unwrap().flatten() {
+        if entry.file_name().to_string_lossy().starts_with("m1-") {
+            let file = std::fs::File::options().write(true).open(entry.path()).unwrap();
+            file.set_modified(SystemTime::now() - Duration::from_mins(2)).unwrap();
+        }
+    }
+    succeed(vec![other]);
+    expect(&house, &[("a", 4 + 2), ("b", 1)]);
+    assert_eq!(outputs(&house, "b/f.txt"), "0\n1\n2\n3\n");
+}
+
+#[test]
+fn several_machines_and_one_process_make_the_same_bytes() {
+    let (one, many) = (House::new(SMALL), House::new(SMALL));
+    together(&one, 1, false);
+    together(&many, 3, true);
+    for file in ["run.mcap", "outputs/dem/raster.tif", "outputs/face/mesh.ply"] {
+        let read = |house: &House| std::fs::read(house.path(".rockface/runs/latest").join(file)).unwrap();
+        assert!(read(&one) == read(&many), "{file}");
+    }
+    // What several machines have left is a store like any other.
+    let (code, out, err) = many.rockface(&["store", "verify"]);
+    assert_eq!(code, Some(0), "{out}{err}");
+    let (code, out, err) = many.rockface(&["store", "gc"]);
+    assert_eq!(code, Some(0), "{out}{err}");
+    let (_, out, _) = many.rockface(&["run", "p.yaml"]);
+    assert!(last_line(&out).starts_with("done: ran 0, cached 2"), "{out}");
+}
+
+#[test]
+fn a_run_is_watched_from_its_files_and_nothing_is_changed() {
+    let counted = Counted::new();
+    let go = counted.house.path("go").display().to_string();
+    let script = format!("while test ! -e {go}; do sleep 0.02; done; echo {{param.i}} > {{out.f}}");
+    let house = counted.step("a", OVER_I.0, OVER_I.1, &script).write(&axis(4));
+    let watch = |more: &[&str]| house.rockface(&[["watch", "p.yaml"].as_slice(), more].concat());
+    let (code, out, _) = watch(&["--once"]);
+    assert_eq!((code, out.as_str()), (Some(0), "nobody works on it\n"));
+    assert!(!house.path(".rockface").exists(), "who watches makes nothing");
+    let children = vec![start(&house, "run", None), start(&house, "work", None)];
+    let begun = Instant::now();
+    let seen = loop {
+        let (_, out, err) = watch(&["--once", "--json"]);
+        let seen: serde_json::Value = serde_json::from_str(&out).unwrap_or_else(|_| panic!("{out}{err}"));
+        let running: usize =
+            seen["workers"].as_array().unwrap().iter().map(|worker| worker["running"].as_array().unwrap().len()).sum();
+        if running == 4 {
+            break seen;
+        }
+        assert!(begun.elapsed() < Duration::from_mins(1), "{seen}");
+    };
+    assert_eq!((&seen["done"], &seen["total"]), (&0.into(), &4.into()));
+    let (_, out, _) = watch(&["--once"]);
+    assert!(out.starts_with("0 of 4 steps done") && out.contains("2 processes") && out.contains("runs a[i="), "{out}");
+    std::fs::write(house.path("go"), "").unwrap();
+    let (code, out, _) = watch(&["--interval", "0.1"]);
+    assert!(code == Some(0) && last_line(&out).contains("nobody works on it any more"), "{out}");
+    succeed(children);
+    let (code, out, _) = house.rockface(&["watch", "latest"]);
+    assert!(code == Some(0) && out.starts_with("ended ") && out.contains("failed 0"), "{out}");
+    assert_eq!(starts(&house).values().sum::<usize>(), 4);
+}
+
+#[test]
+fn what_is_submitted_is_printed_first() {
+    let house = House::new(SMALL);
+    let submit = |more: &[&str]| house.rockface(&[["submit", "p.yaml", "--dry-run"].as_slice(), more].concat());
+    let (code, out, err) =
+        submit(&["--slurm", "--array=0-7 --cpus-per-task=4", "--set", "steps.dem.with.cell_m=0.1", "--seed", "3"]);
+    assert_eq!(code, Some(0), "{err}");
+    for part in [
+        "#!/bin/sh\n",
+        "#SBATCH --job-name=rockface-small\n",
+        "#SBATCH --array=0-7 --cpus-per-task=4\n",
+        " run /",
+        " work /",
+        "/p.yaml --store /",
+        "--set steps.dem.with.cell_m=0.1 --seed 3 --jobs \"$jobs\"",
+    ] {
+        assert!(out.contains(part), "{part}: {out}");
+    }
+    let (_, out, _) = submit(&["--hyperqueue", "--array=0-7 --cpus=4"]);
+    assert!(out.starts_with("hq submit --name rockface-small --array=0-7 --cpus=4 -- /bin/sh -c "), "{out}");
+    assert!(!house.path(".rockface").exists(), "nothing is made");
+    let (code, _, err) = house.rockface(&["submit", "p.yaml"]);
+    assert!(code == Some(2) && err.contains("--slurm") && err.contains("--hyperqueue"), "{err}");
+    let (code, _, err) = house.rockface(&["submit", "p.yaml", "--slurm", "", "--set", "steps.dem.with.cell=1"]);
+    assert!(code == Some(2) && err.contains("unknown parameter `cell`"), "{err}");
+    // The script is one that a shell runs: as the only task of an array, it runs the pipeline.
+    let (_, script, _) = submit(&["--slurm", "--array=0-0"]);
+    let mut shell = std::process::Command::new("sh");
+    let out = shell.args(["-c", &script]).current_dir(house.path("")).output().unwrap();
+    assert!(String::from_utf8_lossy(&out.stdout).contains("done: ran 2"), "{out:?}");
+    let (_, script, _) = submit(&["--slurm", "--array=0-1"]);
+    let mut shell = std::process::Command::new("sh");
+    shell.env("SLURM_ARRAY_TASK_ID", "1").env("SLURM_ARRAY_TASK_MIN", "0");
+    let out = shell.args(["-c", &script]).current_dir(house.path("")).output().unwrap();
+    assert!(String::from_utf8_lossy(&out.stdout).starts_with("done: ran 0 of 2 steps"), "{out:?}");
+}
