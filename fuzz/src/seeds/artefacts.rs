@@ -5,7 +5,7 @@ use std::io;
 
 use rockface_core::artefact::{
     Acceptance, Artefact, Band, Cell, Cloud, Covariance, Depth, Feature, Figure, Files, Frame, Grid, GroupModel,
-    Inventory, Member, Mesh, Meshes, Noise, Pair, Pairs, Part, Picture, Polygon, Raster, ReliefLaw, Sample, Shown,
+    Contrast, Inventory, Member, Mesh, Meshes, Noise, Pair, Pairs, Part, Picture, Polygon, Raster, ReliefLaw, Sample, Shown,
     Surface, Table, Transform,
 };
 use serde_json::json;
@@ -82,13 +82,16 @@ fn noise() -> Noise {
         common_share: 0.3,
         bad_share: 0.25,
         class_log_strength: vec![-1.0, 0.5],
-        jitter: vec![0.1, 0.1, 0.0, 0.2],
+        jitter: 0.2,
+        sharpness: 4,
+        contrast: vec![Contrast { cells: 1.5, power: 0.5 }],
+        log_gain: vec![0.0, 0.1],
         relief: ReliefLaw { flat_px: 0.2, gain_px_m: 3.0, window_cells: 2 },
         members: vec![member("a", false), member("b", true)],
         strength: vec![0.3; 6],
         elevation: vec![0.0, 1.0, f32::NAN, 0.5, 0.5, 0.5],
         fields: vec![vec![0.5, -0.5, 1.0, 0.0, 0.25, -1.0]; 2],
-        weights: vec![vec![255, 128, 1, 255, 255, 255]; 2],
+        weights: vec![vec![127, 192, 1, 127, 127, 127]; 2],
     }
 }
 

@@ -1,17 +1,17 @@
 //! `learn-noise`: a model of the matching noise of a site, from differences without change and the geometry of the survey.
 
-use crate::noise::learning::acquisitions::{Acquisitions, acquisitions};
+use crate::noise::learning::acquisitions::{Acquisitions, Variety, acquisitions};
 use crate::noise::learning::bad::parted;
+use crate::noise::learning::differences::{check, differences, disparities};
 use crate::noise::learning::relief_law;
-use crate::noise::learning::whitening::{BANDS, Places, Prior, Stack, Whitened, range_cells};
-use rockface_core::artefact::{Band, Cameras, Kind, Noise, Pairs, Raster, ReliefLaw};
+use crate::noise::learning::whitening::{BANDS, Places, Prior, Stack, Whitened, range_cells, whiten};
+use rockface_core::artefact::{Band, Cameras, Contrast, Kind, Noise, Pairs, Raster, ReliefLaw};
 use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::Range;
-use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 use rockface_imaging::matching::elevation_step::elevation_step_m;
 use rockface_imaging::matching::noise::changed_face::{Window, law};
-use rockface_raster::grid;
 
 params! {
     /// Parameters of `learn-noise`.
@@ -28,13 +28,20 @@ params! {
         bad_cut: f64 = 3.0; Range::Positive,
         /// Whitened fields mixed in one acquisition: fewer copy them, many make the noise too regular.
         donors: usize = 8; Range::AtLeast(1.0),
+        /// Power of the weights of the mixture: 1 mixes all donors everywhere, with more each place has the structure of fewer of them.
+        sharpness: u32 = 4; Range::Between(1.0, 16.0),
+        /// How much the mixture's energy is made to vary again: power of the rms within 1.5 cells; within 10 cells 0.4 of it.
+        contrast: f64 = 0.3; Range::Between(0.0, 2.0),
         /// Correlation length of the weights of the mixture, cells; left out: the geometric mean of the range of the noise and
         /// the shorter side of the rasters.
         length_cells: Option<f64> = None; Range::AtLeast(1.0),
         /// Share of the variance of a weight that is constant over the face.
         common_share: f64 = 0.3; Range::Between(0.0, 1.0),
-        /// Deviation of the jitter of strengths and amplitudes, as a share of their robust deviation over rasters.
-        jitter: f64 = 0.4; Range::NonNegative,
+        /// Deviation of the jitter of strengths and amplitudes, as a share of their deviation over rasters.
+        jitter: f64 = 0.2; Range::NonNegative,
+        /// Differences drawn from the model to find how much of the variety of the rasters is chance of single fields, which every draw has
+        /// anew; 0: none of it.
+        draws: usize = 24; Range::Between(0.0, 1000.0),
         /// Half width of the window in which the deviation of elevations is the relief, cells.
         relief_cells: usize = 4; Range::Between(1.0, 50.0),
     }
@@ -46,7 +53,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -67,9 +74,13 @@ impl Stage for LearnNoise {
         ),
     ];
 
+    fn draws(params: &Self::Params) -> bool {
+        params.draws >= 2
+    }
+
     fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
         // The rasters in disparity, their whitened fields with weights, and transforms of a few at a time.
-        4 * inputs.of("raster") + 40 * inputs.of("dem")
+        5 * inputs.of("raster") + 150 * inputs.of("dem")
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
@@ -87,49 +98,13 @@ impl Stage for LearnNoise {
         let disparities = disparities(&all[..kept], &step_m)?;
         let names: Vec<String> = all[..kept].iter().map(|band| band.name.clone()).collect();
         let learnt = Learnt::new(params, &disparities, dem);
-        let noise = learnt.model(params, &names, dem);
+        context.check_cancelled()?;
+        let noise = learnt.varied(params, &names, dem, context);
         report(&noise, &learnt, &step_m, context);
         let bands = vec![Band { name: "strength".to_owned(), values: noise.strength.clone() }];
         let strength = Raster { bands, quantity: "strength".to_owned(), ..dem.clone() };
         Ok(Outputs::of("noise", noise).and("strength", strength))
     }
-}
-
-fn check(rasters: &[&Raster], dem: &Raster, block: &Cameras) -> Result<(), StageError> {
-    if let Some(other) = rasters.iter().find(|other| !grid::same(&other.grid, &dem.grid)) {
-        let (a, b) = (grid::describe(&dem.grid), grid::describe(&other.grid));
-        return Err(StageError::new(format!("`dem` has {a}, a raster {b}"))
-            .hint("rasterise the face on the grid of the rasters: port `grid` of `rasterise-dem`"));
-    }
-    if let Some(other) = rasters.iter().find(|other| other.frame != dem.frame) {
-        fail!("`dem` is in the {} frame, a raster in the {} frame", dem.frame, other.frame);
-    }
-    if block.frame != dem.frame {
-        let text = format!("`dem` is in the {} frame, the cameras in the {} frame", dem.frame, block.frame);
-        return Err(StageError::new(text).hint("bring mesh and cameras into one frame with `transform-crs`"));
-    }
-    Ok(())
-}
-
-/// Differences as errors of disparity, pixels of the full image, each without its mean.
-fn disparities(bands: &[&Band], step_m: &[f32]) -> Result<Vec<Vec<f32>>, StageError> {
-    let one = |band: &&Band| {
-        let values: Vec<f32> = band.values.iter().zip(step_m).map(|(value, step)| value / step).collect();
-        let known = values.iter().filter(|value| !value.is_nan()).map(|value| f64::from(*value));
-        let (sum, count) = known.fold((0.0, 0usize), |(sum, count), value| (sum + value, count + 1));
-        if count < values.len() / 10 {
-            let text =
-                format!("raster `{}` has values on {count} of {} cells that a pair shows", band.name, values.len());
-            return Err(StageError::new(text)
-                .hint("a tenth is needed: check window, frame and cameras, or leave the raster out"));
-        }
-        let mean = sum / count as f64;
-        if values.iter().all(|value| value.is_nan() || (f64::from(*value) - mean).abs() < 1e-12) {
-            fail!("raster `{}` has one value everywhere: there is no noise to learn", band.name);
-        }
-        Ok(values.iter().map(|value| (f64::from(*value) - mean) as f32).collect())
-    };
-    bands.iter().map(one).collect()
 }
 
 /// What the rasters say.
@@ -159,10 +134,31 @@ impl Learnt {
         Self { columns, places, whitened, bad, relief, fields }
     }
 
-    fn model(&self, params: &LearnNoiseParams, names: &[String], dem: &Raster) -> Noise {
+    /// The model, whose draws vary as the rasters do.
+    fn varied(&self, params: &LearnNoiseParams, names: &[String], dem: &Raster, context: &Context) -> Noise {
+        let figures = self.places.middles.len() + BANDS;
+        let first = self.model(params, names, dem, &vec![1.0; figures]);
+        if params.draws < 2 {
+            return first;
+        }
+        let usual = Noise { bad_share: 0.0, ..first };
+        let drawn = whiten(&differences(&usual, params.draws, |_, _| true, context), self.columns, &self.places);
+        let real: Vec<&Whitened> = self.usual();
+        let own = own_shares(&real, &drawn.iter().collect::<Vec<_>>());
+        drop(usual);
+        self.model(params, names, dem, &own)
+    }
+
+    fn usual(&self) -> Vec<&Whitened> {
+        self.whitened.iter().zip(&self.bad).filter(|(_, bad)| !**bad).map(|(w, _)| w).collect()
+    }
+
+    /// The model; `own` is the part of the deviation of each figure that acquisitions differ by.
+    fn model(&self, params: &LearnNoiseParams, names: &[String], dem: &Raster, own: &[f64]) -> Noise {
         let shares = Bands::new(self.columns, dem.grid.rows, BANDS).shares();
-        let Acquisitions { mut members, jitter, bad_share } =
-            acquisitions(names, &self.whitened, &self.bad, &shares, params.jitter);
+        let variety = Variety { jitter: params.jitter, own };
+        let Acquisitions { mut members, bad_share } =
+            acquisitions(names, &self.whitened, &self.bad, &shares, variety);
         if !self.fields {
             members.iter_mut().for_each(|member| member.field_log_amplitude.fill(0.0));
         }
@@ -177,7 +173,10 @@ impl Learnt {
             common_share: params.common_share,
             bad_share,
             class_log_strength: self.places.middles.clone(),
-            jitter,
+            jitter: params.jitter,
+            sharpness: params.sharpness,
+            contrast: contrast(params.contrast),
+            log_gain: vec![0.0; BANDS],
             relief: self.relief,
             members,
             strength: self.places.strength.clone(),
@@ -190,11 +189,41 @@ impl Learnt {
     /// Geometric mean of the range of the noise and the shorter side of the rasters: much longer than the noise, so that
     /// a mixture keeps its correlation, and much shorter than the face, so that it is no copy.
     fn length_cells(&self, dem: &Raster) -> f64 {
-        let usual: Vec<&Whitened> =
-            self.whitened.iter().zip(&self.bad).filter(|(_, bad)| !**bad).map(|(w, _)| w).collect();
         let side = self.columns.min(dem.grid.rows);
-        ((range_cells(&usual, self.columns) * side) as f64).sqrt()
+        ((range_cells(&self.usual(), self.columns) * side) as f64).sqrt()
     }
+}
+
+/// Part of the deviation of each figure that acquisitions differ by: draws of a model that varies by the whole deviation of the rasters
+/// vary more, by the chance of single fields. One part for all classes of place, and one for each band with its neighbours.
+fn own_shares(real: &[&Whitened], drawn: &[&Whitened]) -> Vec<f64> {
+    let variance = |rows: &[&Whitened], of: fn(&Whitened) -> &[f64], k: usize| {
+        let n = rows.len() as f64;
+        let mean = rows.iter().map(|row| of(row)[k]).sum::<f64>() / n;
+        rows.iter().map(|row| (of(row)[k] - mean) * (of(row)[k] - mean)).sum::<f64>() / (n - 1.0).max(1.0)
+    };
+    let share = |of: fn(&Whitened) -> &[f64], k: usize| {
+        let (real, drawn) = (variance(real, of, k), variance(drawn, of, k));
+        if real > 0.0 { 2.0 - drawn / real } else { 1.0 }
+    };
+    let root = |share: f64| share.clamp(LEAST_OWN, 1.0).sqrt();
+    let classes = real[0].log_strength.len();
+    let strength = (0..classes).map(|k| share(|w| &w.log_strength, k).clamp(LEAST_OWN, 1.0)).sum::<f64>() / classes as f64;
+    let bands: Vec<f64> =
+        (0..real[0].log_amplitude.len()).map(|k| share(|w| &w.log_amplitude, k).clamp(LEAST_OWN, 1.0)).collect();
+    let near = |k: usize| 0.25 * (bands[k.saturating_sub(1)] + 2.0 * bands[k] + bands[(k + 1).min(bands.len() - 1)]);
+    (0..classes).map(|_| root(strength)).chain((0..bands.len()).map(|k| root(near(k)))).collect()
+}
+
+/// Least part of the variance of a figure that acquisitions differ by.
+const LEAST_OWN: f64 = 0.1;
+
+/// Deviations within which the energy of a mixture is averaged, cells, with their share of the power.
+const CONTRAST: [(f64, f64); 2] = [(1.5, 1.0), (10.0, 0.4)];
+
+fn contrast(power: f64) -> Vec<Contrast> {
+    let of = |(cells, share): (f64, f64)| Contrast { cells, power: share * power };
+    if power > 0.0 { CONTRAST.map(of).to_vec() } else { Vec::new() }
 }
 
 fn report(noise: &Noise, learnt: &Learnt, step_m: &[f32], context: &Context) {
@@ -227,4 +256,4 @@ fn report(noise: &Noise, learnt: &Learnt, step_m: &[f32], context: &Context) {
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

@@ -24,6 +24,7 @@ pub mod variogram;
 pub mod variogram_model;
 
 // A new stage is its file, its `mod` here and its row below.
+mod adjust_noise;
 mod compare_samples;
 mod describe_noise;
 mod describe_structure;
@@ -38,6 +39,7 @@ use rockface_core::{AnyStage, Row};
 
 /// The stages of this room, in the order of the catalogue.
 pub static STAGES: &[&dyn AnyStage] = &[
+    &Row::<adjust_noise::AdjustNoise>::new(),
     &Row::<compare_samples::CompareSamples>::new(),
     &Row::<describe_noise::DescribeNoise>::new(),
     &Row::<describe_structure::DescribeStructure>::new(),

@@ -31,6 +31,19 @@ pub struct ReliefLaw {
     pub window_cells: usize,
 }
 
+/// Contrast that a mixture is given back: mixing evens out how the energy of the noise varies over some cells.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Contrast {
+    /// Deviation of the Gaussian within which energy is averaged, cells.
+    pub cells: f64,
+    /// Power of the local rms (over that of the whole field) a value is multiplied by.
+    pub power: f64,
+}
+
+/// The bit of a weight that says that the raster had no value there.
+pub const GAP: u8 = 0x80;
+
 /// A noise model: errors of disparity on the cells of a grid over the face, in pixels of the full image.
 ///
 /// An acquisition is `whitened field x strength x exp(log_strength)`. The whitened field is mixed from those of some members with smooth
@@ -43,6 +56,10 @@ pub struct Noise {
     pub grid: Grid,
     /// Whitened fields mixed in one acquisition.
     pub donors: usize,
+    /// Power the weights of the mixture are raised to: with more of it each place has the structure of fewer members.
+    pub sharpness: u32,
+    /// Contrast the mixture is given back, one after the other.
+    pub contrast: Vec<Contrast>,
     /// Correlation length of the weights of the mixture, cells.
     pub length_cells: f64,
     /// Share of the variance of a weight that is constant over the face.
@@ -51,8 +68,10 @@ pub struct Noise {
     pub bad_share: f64,
     /// Logarithm of the strength at the middle of each class of place, ascending.
     pub class_log_strength: Vec<f64>,
-    /// Deviation of the jitter of `log_strength`, class by class, then of `log_amplitude`, band by band.
-    pub jitter: Vec<f64>,
+    /// Deviation of the jitter of `log_strength` and `log_amplitude` as a share of that of the members, drawn with their covariance.
+    pub jitter: f64,
+    /// Logarithm of the gain that makes up for what a survey loses, band by band: interpolation smooths the finest noise.
+    pub log_gain: Vec<f64>,
     /// Strength by relief.
     pub relief: ReliefLaw,
     /// The acquisitions.
@@ -63,14 +82,21 @@ pub struct Noise {
     pub elevation: Vec<f32>,
     /// Whitened field of each member, of unit variance over the face, gaps filled; empty: the model has none.
     pub fields: Vec<Vec<f32>>,
-    /// Weight of each value of a field: 255 inside, falling to 0 in a gap.
+    /// Weight of each value of a field: 127 inside, falling to 0 in a gap; [`GAP`] is added where the raster had no value.
     pub weights: Vec<Vec<u8>>,
 }
+
+/// Highest power of weights.
+const MOST_SHARPNESS: u32 = 16;
+/// Largest deviation within which energy is averaged, cells.
+const MOST_CONTRAST_CELLS: f64 = 100.0;
+/// Largest logarithm of a gain.
+const MOST_LOG_GAIN: f64 = 5.0;
 
 impl Noise {
     /// Bands of frequency.
     pub fn bands(&self) -> usize {
-        self.jitter.len().saturating_sub(self.class_log_strength.len())
+        self.log_gain.len()
     }
 
     /// Whether an acquisition mixes the fields of members; otherwise it is drawn from white noise.
@@ -114,6 +140,13 @@ impl Noise {
         if self.donors == 0 || !positive(self.length_cells) || !share(self.common_share) || !share(self.bad_share) {
             return refuse("donors and their length must be positive, shares between 0 and 1".into());
         }
+        if !(1..=MOST_SHARPNESS).contains(&self.sharpness) || !(self.jitter.is_finite() && self.jitter >= 0.0) {
+            return refuse(format!("sharpness must be from 1 to {MOST_SHARPNESS}, jitter not negative"));
+        }
+        let usable = |c: &Contrast| positive(c.cells) && c.cells <= MOST_CONTRAST_CELLS && c.power.abs() <= 4.0;
+        if !self.contrast.iter().all(usable) || !self.log_gain.iter().all(|gain| gain.abs() <= MOST_LOG_GAIN) {
+            return refuse("a contrast or a gain is out of range".into());
+        }
         let sound = self.strength.iter().all(|value| value.is_finite() && *value >= 0.0);
         if !sound || !self.fields.iter().flatten().all(|value| value.is_finite()) {
             return refuse("a strength or a whitened value is not finite".into());
@@ -130,8 +163,9 @@ impl PartialEq for Noise {
         (self.frame, self.grid, self.donors) == (other.frame, other.grid, other.donors)
             && (self.length_cells, self.common_share, self.bad_share)
                 == (other.length_cells, other.common_share, other.bad_share)
-            && (&self.class_log_strength, &self.jitter, self.relief)
-                == (&other.class_log_strength, &other.jitter, other.relief)
+            && (&self.class_log_strength, self.jitter, self.relief)
+                == (&other.class_log_strength, other.jitter, other.relief)
+            && (self.sharpness, &self.contrast, &self.log_gain) == (other.sharpness, &other.contrast, &other.log_gain)
             && self.members == other.members
             && bits(&self.strength) == bits(&other.strength)
             && bits(&self.elevation) == bits(&other.elevation)

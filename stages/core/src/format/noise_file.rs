@@ -1,12 +1,12 @@
 //! The file of a noise model: a line of magic, a JSON header, strength, elevation, fields and their weights.
 
-use crate::artefact::{CodecError, Frame, Grid, Member, Noise, ReliefLaw};
+use crate::artefact::{CodecError, Contrast, Frame, Grid, Member, Noise, ReliefLaw};
 
-const MAGIC: &[u8] = b"rockface noise 1\n";
+const MAGIC: &[u8] = b"rockface noise 2\n";
 
 /// What is written into the header for whoever reads the file without us.
 const LAYOUT: &str = "rows x columns cells from the top left: strength float32 little-endian (px), elevation float32 (m, NaN = unknown); \
-                      then for each field of the members float32 (1), then their weights uint8 (255 = 1)";
+                      then for each field of the members float32 (1), then their weights uint8 (127 = 1; 128 is added in a gap)";
 
 #[derive(serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -22,7 +22,10 @@ struct Header {
     common_share: f64,
     bad_share: f64,
     class_log_strength: Vec<f64>,
-    jitter: Vec<f64>,
+    jitter: f64,
+    sharpness: u32,
+    contrast: Vec<Contrast>,
+    log_gain: Vec<f64>,
     relief: ReliefLaw,
     members: Vec<Member>,
     fields: usize,
@@ -45,7 +48,10 @@ pub fn write(noise: &Noise) -> Result<Vec<u8>, CodecError> {
         common_share: noise.common_share,
         bad_share: noise.bad_share,
         class_log_strength: noise.class_log_strength.clone(),
-        jitter: noise.jitter.clone(),
+        jitter: noise.jitter,
+        sharpness: noise.sharpness,
+        contrast: noise.contrast.clone(),
+        log_gain: noise.log_gain.clone(),
         relief: noise.relief,
         members: noise.members.clone(),
         fields: noise.fields.len(),
@@ -69,7 +75,7 @@ pub fn write(noise: &Noise) -> Result<Vec<u8>, CodecError> {
 
 /// Reads a noise model.
 pub fn read(bytes: &[u8]) -> Result<Noise, CodecError> {
-    let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| CodecError::new("not a rockface noise file (version 1)"))?;
+    let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| CodecError::new("not a rockface noise file (version 2)"))?;
     let end = rest.iter().position(|b| *b == b'\n').ok_or_else(|| CodecError::new("noise file: header without end"))?;
     let header: Header =
         serde_json::from_slice(&rest[..end]).map_err(|e| CodecError(format!("noise file: bad header: {e}")))?;
@@ -105,6 +111,9 @@ pub fn read(bytes: &[u8]) -> Result<Noise, CodecError> {
         bad_share: header.bad_share,
         class_log_strength: header.class_log_strength,
         jitter: header.jitter,
+        sharpness: header.sharpness,
+        contrast: header.contrast,
+        log_gain: header.log_gain,
         relief: header.relief,
         members: header.members,
         strength,
@@ -145,13 +154,16 @@ mod tests {
             common_share: 0.3,
             bad_share: 0.05,
             class_log_strength: vec![-1.2],
-            jitter: vec![0.05, 0.01, 0.02],
+            jitter: 0.2,
+            sharpness: 4,
+            contrast: vec![Contrast { cells: 1.5, power: 0.5 }],
+            log_gain: vec![0.0, 0.1],
             relief: ReliefLaw { flat_px: 0.2, gain_px_m: 3.0, window_cells: 4 },
             members: vec![member("a", false), member("b", true)],
             strength: vec![0.3, 0.4],
             elevation: vec![f32::NAN, 1.5],
             fields: vec![vec![0.5, -0.25], vec![1.0, -0.0]],
-            weights: vec![vec![255, 0], vec![255, 128]],
+            weights: vec![vec![127, 0], vec![127, 192]],
         }
     }
 
@@ -174,6 +186,10 @@ mod tests {
         assert!(write(&noise).unwrap_err().0.contains("`b` has [1, 1, 2] values"));
         let noise = Noise { weights: Vec::new(), ..sample() };
         assert!(write(&noise).unwrap_err().0.contains("2 fields and 0 weights"));
+        let noise = Noise { sharpness: 0, ..sample() };
+        assert!(write(&noise).unwrap_err().0.contains("sharpness must be"));
+        let noise = Noise { log_gain: vec![0.0, 9.0], ..sample() };
+        assert!(write(&noise).unwrap_err().0.contains("out of range"));
         let noise = Noise { strength: vec![0.1, f32::NAN], ..sample() };
         assert!(write(&noise).unwrap_err().0.contains("not finite"));
     }

@@ -176,7 +176,9 @@ impl<'a> Matcher<'a> {
         };
         let rectified_px = first.position_px;
         let ideal_px = rectified_px[0] - second.position_px[0];
-        let (white_px, regular_px) = (self.local_px(block, noise_px[0], draws), self.regular_px(rectified_px));
+        let ideal_parallax_px = ideal_px - rectification.shift_px();
+        let white_px = self.local_px(block, noise_px[0], ideal_parallax_px, draws);
+        let regular_px = self.regular_px(rectified_px);
         let disparity_px = ideal_px + (white_px + regular_px);
         let parallax_px = disparity_px - rectification.shift_px();
         let depth_m = Lanes::all(self.fb_px_m()) / (parallax_px * slant);
@@ -251,9 +253,12 @@ impl<'a> Matcher<'a> {
 
     /// The learnt noise of some pixels, or the paper's white noise.
     #[inline(always)]
-    fn local_px(&self, block: &Block, first_px: [Lanes; 2], draws: &RowDraws) -> Lanes {
+    fn local_px(&self, block: &Block, first_px: [Lanes; 2], parallax_px: Lanes, draws: &RowDraws) -> Lanes {
         match &self.noise {
-            NoiseModel::Learnt(noise) => noise.at_lanes([block.points_m[0], block.points_m[1]]),
+            NoiseModel::Learnt(noise) => {
+                let centre = self.geometry.cameras[self.side].centre();
+                noise.landing_lanes([block.points_m[0], block.points_m[1]], [centre.x, centre.y], parallax_px)
+            }
             _ => self.white_px(first_px, draws),
         }
     }

@@ -5,7 +5,6 @@
 //! half the variance between epochs. Neighbours of a chain share an epoch; that leaves both factors as they are. A bad
 //! difference is a usual epoch and a bad one, whose variance is what the usual one does not explain.
 
-use crate::noise::learning::bad::robust;
 use crate::noise::learning::whitening::Whitened;
 use rockface_core::artefact::Member;
 use rockface_core::numerics::portable_math::{exp, log};
@@ -18,20 +17,27 @@ const LEAST_BAD_PART: f64 = 0.5;
 pub struct Acquisitions {
     /// What is known.
     pub members: Vec<Member>,
-    /// Deviation of the jitter, class by class and band by band.
-    pub jitter: Vec<f64>,
     /// Probability that an acquisition is bad.
     pub bad_share: f64,
 }
 
-/// Acquisitions from whitened differences; `band_shares` is the share of each band in white noise, `jitter` the deviation of
-/// the jitter as a share of that of the differences, which are drawn together accordingly, so that the variance stays.
+/// How the variety of acquisitions follows from that of differences.
+#[derive(Debug, Clone, Copy)]
+pub struct Variety<'a> {
+    /// Deviation of the jitter as a share of that of the members, which are drawn together accordingly, so that the variance stays.
+    pub jitter: f64,
+    /// Part of the deviation of each figure of the differences that is not chance of single fields, which every draw has anew: classes of
+    /// place, then bands.
+    pub own: &'a [f64],
+}
+
+/// Acquisitions from whitened differences; `band_shares` is the share of each band in white noise.
 pub fn acquisitions(
     names: &[String],
     whitened: &[Whitened],
     bad: &[bool],
     band_shares: &[f64],
-    jitter: f64,
+    variety: Variety,
 ) -> Acquisitions {
     let classes = whitened[0].log_strength.len();
     let row = |w: &Whitened| -> Vec<f64> { w.log_strength.iter().chain(&w.log_amplitude).copied().collect() };
@@ -43,13 +49,13 @@ pub fn acquisitions(
         let squares: f64 = columns[c].iter().map(|value| (value - mean[c]) * (value - mean[c])).sum();
         squares / (columns[c].len() as f64 - 1.0).max(1.0)
     };
-    let widening = std::f64::consts::SQRT_2 / (1.0 + jitter * jitter).sqrt();
-    let spread = |c: usize| jitter * widening * robust(&columns[c])[1];
+    let between = |c: usize| std::f64::consts::SQRT_2 * variety.own[c];
+    let narrowing = 1.0 / (1.0 + variety.jitter * variety.jitter).sqrt();
     let half = -0.5 * std::f64::consts::LN_2;
     let of_usual = |row: &[f64]| -> Vec<f64> {
         let one = |(c, value): (usize, &f64)| {
-            let level = if c < classes { half - variance(c) } else { 0.0 };
-            mean[c] + widening * (value - mean[c]) + level
+            let level = if c < classes { half - 0.5 * between(c) * between(c) * variance(c) } else { 0.0 };
+            mean[c] + between(c) * narrowing * (value - mean[c]) + level
         };
         row.iter().enumerate().map(one).collect()
     };
@@ -68,7 +74,7 @@ pub fn acquisitions(
     let count = bad.iter().filter(|bad| **bad).count() as f64;
     // A bad epoch spoils the two differences it takes part in.
     let bad_share = 0.5 * count / bad.len() as f64;
-    Acquisitions { members, jitter: (0..mean.len()).map(spread).collect(), bad_share }
+    Acquisitions { members, bad_share }
 }
 
 /// The bad epoch of a bad difference.
@@ -103,8 +109,8 @@ mod tests {
     #[test]
     fn two_epochs_make_up_the_variance_of_their_difference() {
         let rasters: Vec<Whitened> = (0..12).map(|i| whitened(if i % 2 == 0 { 0.1 } else { -0.1 }, [0.0; 2])).collect();
-        let found = acquisitions(&names(12), &rasters, &[false; 12], &[0.3, 0.7], 0.0);
-        assert!(found.bad_share == 0.0 && found.jitter.iter().all(|j| *j == 0.0));
+        let found = acquisitions(&names(12), &rasters, &[false; 12], &[0.3, 0.7], Variety { jitter: 0.0, own: &[1.0; 3] });
+        assert!(found.bad_share == 0.0);
         let draws: Vec<f64> = found.members.iter().map(|member| member.log_strength[0]).collect();
         let deviation = (draws[0] - draws[1]) / 2.0;
         assert!((deviation - 0.1 * std::f64::consts::SQRT_2).abs() < 1e-12);
@@ -118,7 +124,7 @@ mod tests {
         let mut rasters: Vec<Whitened> = (0..9).map(|_| whitened(0.0, [0.0; 2])).collect();
         rasters.push(whitened(0.5 * log(5.0), [0.2, -0.1]));
         let bad: Vec<bool> = (0..10).map(|i| i == 9).collect();
-        let found = acquisitions(&names(10), &rasters, &bad, &[0.3, 0.7], 0.4);
+        let found = acquisitions(&names(10), &rasters, &bad, &[0.3, 0.7], Variety { jitter: 0.4, own: &[0.9; 3] });
         assert!((found.bad_share - 0.05).abs() < 1e-12);
         let epochs = exp(2.0 * found.members[9].log_strength[0]) + exp(2.0 * found.members[0].log_strength[0]);
         assert!((epochs - 5.0).abs() < 1e-9, "{epochs}");

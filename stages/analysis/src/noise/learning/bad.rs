@@ -18,7 +18,7 @@ pub fn parted(stack: &Stack, cut: f64) -> (Places, Vec<Whitened>, Vec<bool>) {
     let mut round = 1;
     loop {
         let places = stack.places(&bad.iter().map(|bad| !bad).collect::<Vec<_>>());
-        let whitened = whiten(stack, &places);
+        let whitened = whiten(stack.rasters, stack.columns, &places);
         let found = unusual(&whitened, &bad, cut);
         if found == bad || round == ROUNDS {
             return (places, whitened, bad);

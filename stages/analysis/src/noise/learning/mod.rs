@@ -2,5 +2,6 @@
 
 pub mod acquisitions;
 pub mod bad;
+pub mod differences;
 pub mod relief_law;
 pub mod whitening;

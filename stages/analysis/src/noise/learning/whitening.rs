@@ -4,6 +4,7 @@
 //! root of the mean square over rasters that are each divided by their own level, so that a strong raster does not rule it.
 
 use rayon::prelude::*;
+use rockface_core::artefact::GAP;
 use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::gaussian::smoothed;
 use rockface_core::numerics::portable_math;
@@ -62,23 +63,7 @@ impl Stack<'_> {
             levels =
                 self.rasters.par_iter().map(|raster| log_rms(raster, &strength, |_| true).unwrap_or(0.0)).collect();
         }
-        let mut logs: Vec<f64> = strength.iter().map(|s| portable_math::log(f64::from(*s))).collect();
-        let unsorted = logs.clone();
-        logs.sort_by(f64::total_cmp);
-        let ends: Vec<f64> = CLASS_ENDS.iter().filter_map(|share| of_sorted(&logs, *share)).collect();
-        let class: Vec<u8> = unsorted.iter().map(|log| ends.partition_point(|end| end < log) as u8).collect();
-        let middle = |k: usize| {
-            let mut members: Vec<f64> =
-                unsorted.iter().zip(&class).filter(|(_, c)| usize::from(**c) == k).map(|(log, _)| *log).collect();
-            median(&mut members)
-        };
-        // A class that no cell falls into (all places alike) has the middle of its neighbour.
-        let mut middles: Vec<f64> = Vec::new();
-        for k in 0..=CLASS_ENDS.len() {
-            let before = middles.last().copied();
-            middles.push(middle(k).or(before).unwrap_or(logs[0]));
-        }
-        Places { strength, class, middles }
+        Places::of(strength)
     }
 
     /// Root of the smoothed mean square of the rasters that count, each divided by `exp(level)`.
@@ -135,6 +120,27 @@ fn log_rms(raster: &[f32], strength: &[f32], takes: impl Fn(usize) -> bool) -> O
 }
 
 impl Places {
+    /// Classes of place of a map of strength.
+    pub fn of(strength: Vec<f32>) -> Self {
+        let unsorted: Vec<f64> = strength.iter().map(|s| portable_math::log(f64::from(*s))).collect();
+        let mut logs = unsorted.clone();
+        logs.sort_by(f64::total_cmp);
+        let ends: Vec<f64> = CLASS_ENDS.iter().filter_map(|share| of_sorted(&logs, *share)).collect();
+        let class: Vec<u8> = unsorted.iter().map(|log| ends.partition_point(|end| end < log) as u8).collect();
+        let middle = |k: usize| {
+            let mut members: Vec<f64> =
+                unsorted.iter().zip(&class).filter(|(_, c)| usize::from(**c) == k).map(|(log, _)| *log).collect();
+            median(&mut members)
+        };
+        // A class that no cell falls into (all places alike) has the middle of its neighbour.
+        let mut middles: Vec<f64> = Vec::new();
+        for k in 0..=CLASS_ENDS.len() {
+            let before = middles.last().copied();
+            middles.push(middle(k).or(before).unwrap_or(logs[0]));
+        }
+        Self { strength, class, middles }
+    }
+
     /// Logarithm of the factor of a raster on the strength, class by class; a class without values has that of the whole raster.
     pub fn log_strength(&self, raster: &[f32]) -> Vec<f64> {
         let whole = log_rms(raster, &self.strength, |_| true).unwrap_or(0.0);
@@ -159,24 +165,26 @@ pub struct Whitened {
     pub log_strength: Vec<f64>,
     /// What is left, of unit variance, gaps filled.
     pub field: Vec<f32>,
-    /// Weight of each value: 255 inside, falling to 0 in a gap.
+    /// Weight of each value: 127 inside, falling to 0 in a gap; `GAP` is added where there was no value.
     pub weights: Vec<u8>,
     /// Logarithm of the amplitude of what is left in each band; 0 is that of white noise.
     pub log_amplitude: Vec<f64>,
 }
 
-/// Whitens all rasters.
-pub fn whiten(stack: &Stack, places: &Places) -> Vec<Whitened> {
-    let rows = stack.rasters[0].len() / stack.columns;
-    let bands = Bands::new(stack.columns, rows, BANDS);
-    let one = |raster: &Vec<f32>| {
-        let log_strength = places.log_strength(raster);
-        let (field, weights) = filled(&places.divided(raster, &log_strength), stack.columns);
-        let values: Vec<f64> = field.iter().map(|value| f64::from(*value)).collect();
-        let log_amplitude = bands.power(&values).iter().map(|p| 0.5 * portable_math::log(p.max(1e-12))).collect();
-        Whitened { log_strength, field, weights, log_amplitude }
-    };
-    stack.rasters.par_iter().map(one).collect()
+/// Whitens all rasters of `columns` columns.
+pub fn whiten(rasters: &[Vec<f32>], columns: usize, places: &Places) -> Vec<Whitened> {
+    let rows = places.strength.len() / columns;
+    let bands = Bands::new(columns, rows, BANDS);
+    rasters.par_iter().map(|raster| whitened(raster, &bands, columns, places)).collect()
+}
+
+/// Whitens a raster.
+pub fn whitened(raster: &[f32], bands: &Bands, columns: usize, places: &Places) -> Whitened {
+    let log_strength = places.log_strength(raster);
+    let (field, weights) = filled(&places.divided(raster, &log_strength), columns);
+    let values: Vec<f64> = field.iter().map(|value| f64::from(*value)).collect();
+    let log_amplitude = bands.power(&values).iter().map(|p| 0.5 * portable_math::log(p.max(1e-12))).collect();
+    Whitened { log_strength, field, weights, log_amplitude }
 }
 
 /// A field without gaps, and weights that fall smoothly towards them: where one donor ends, the others must take over without a step.
@@ -186,8 +194,11 @@ fn filled(values: &[f32], columns: usize) -> (Vec<f32>, Vec<u8>) {
     let inside = smoothed(&mask, columns, FILLING_CELLS[0]);
     let fill = |i: usize| (if near[i] == 0.0 { far[i] } else { near[i] }) as f32;
     let field = values.iter().enumerate().map(|(i, value)| if value.is_nan() { fill(i) } else { *value }).collect();
-    let weight = |share: &f64| ((2.0 * share - 1.0).clamp(0.0, 1.0) * 255.0).round().max(1.0) as u8;
-    (field, inside.iter().map(weight).collect())
+    let weight = |(share, value): (&f64, &f32)| {
+        let weight = ((2.0 * share - 1.0).clamp(0.0, 1.0) * f64::from(!GAP)).round().max(1.0) as u8;
+        if value.is_nan() { weight | GAP } else { weight }
+    };
+    (field, inside.iter().zip(values).map(weight).collect())
 }
 
 /// Cells at which the mean correlation of whitened fields has fallen to one twentieth.
@@ -224,7 +235,7 @@ mod tests {
         let places = stack.places(&[true; 13]);
         let ratio = f64::from(places.strength[25 * columns + 5]) / f64::from(places.strength[25 * columns + 45]);
         assert!((ratio - 3.0).abs() < 0.4, "{ratio}");
-        let whitened = whiten(&stack, &places);
+        let whitened = whiten(&rasters, columns, &places);
         let rise = whitened[12].log_strength[2] - whitened[0].log_strength[2];
         assert!((rise - 2.4).abs() < 0.1, "{rise}");
         let variance = whitened[3].field.iter().map(|v| f64::from(*v) * f64::from(*v)).sum::<f64>() / 3000.0;
@@ -238,6 +249,6 @@ mod tests {
         (8..12).for_each(|row| (8..12).for_each(|column| values[row * 20 + column] = f32::NAN));
         let (field, weights) = filled(&values, 20);
         assert!(field.iter().all(|value| (value - 1.0).abs() < 1e-5));
-        assert!(weights[9 * 20 + 9] == 1 && weights[9 * 20 + 6] > 100 && weights[0] == 255, "{weights:?}");
+        assert!(weights[9 * 20 + 9] == 1 | GAP && weights[9 * 20 + 6] > 50 && weights[0] == 127, "{weights:?}");
     }
 }

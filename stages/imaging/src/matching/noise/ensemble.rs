@@ -1,17 +1,20 @@
 //! Draws acquisitions from a noise model: the whitened fields of some members mixed with smooth random weights.
 //!
 //! A new field is `W(x) = sum_j g_j(x) w_j(x) W_j(x) / sqrt(sum_j (g_j w_j)^2)` over donors j, with independent normal fields
-//! `g_j` and weights `w_j` that fall to 0 in gaps: a localised ensemble, as in ensemble Kalman filters (Hamill, Whitaker and
-//! Snyder 2001). It keeps the covariance of the members wherever that differs from place to place, without a parameter for it.
-//! Bands of frequency then give it the amplitudes of one member, and classes of place its strength. Models without fields
-//! start from white noise instead.
+//! `g_j`, raised to a power with their sign, and weights `w_j` that fall to 0 in gaps: a localised ensemble, as in ensemble Kalman filters
+//! (Hamill, Whitaker and Snyder 2001). It keeps the covariance of the members wherever that differs from place to place, without a
+//! parameter for it. A sum of fields is more even than each of them: contrast gives energy its variation back. Where the strongest
+//! donor of a place has a gap, the acquisition has one with the probability that makes the gaps of a difference as frequent as they were.
+//! Bands of frequency then give it the amplitudes of one member, and classes of place its strength. Models without fields start from
+//! white noise instead.
 
 use rand::{Rng, RngExt};
 
 use crate::matching::noise::matcher::Keys;
 use crate::matching::noise::modulation::smooth_field;
-use rockface_core::artefact::{Member, Noise};
+use rockface_core::artefact::{Contrast, GAP, Member, Noise};
 use rockface_core::numerics::bands::Bands;
+use rockface_core::numerics::gaussian::smoothed;
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::random::Field;
 
@@ -29,7 +32,7 @@ pub fn log_strength_at(middles: &[f64], values: &[f64], log_strength: f64) -> f6
 /// An acquisition that was drawn.
 #[derive(Debug, Clone)]
 pub struct Drawn {
-    /// Whitened field, `rows x columns` from the top.
+    /// Whitened field, `rows x columns` from the top; NaN in gaps.
     pub field: Vec<f64>,
     /// Logarithm of the factor on the strength, for each class of place.
     pub log_strength: Vec<f64>,
@@ -37,7 +40,23 @@ pub struct Drawn {
     pub bad: bool,
 }
 
-/// Draws an acquisition of a model from the streams `noise-acquisition`, `noise-weights-<donor>` and `noise-white` of `keys`.
+impl Drawn {
+    /// Errors of disparity for a map of strength (pixels of the full image), pixels of the full image; NaN in gaps.
+    pub fn errors_px(&self, noise: &Noise, strength: &[f32]) -> Vec<f32> {
+        let value = |(unit, strength_px): (&f64, &f32)| {
+            let strength_px = f64::from(*strength_px);
+            if strength_px <= 0.0 {
+                return 0.0;
+            }
+            let log = log_strength_at(&noise.class_log_strength, &self.log_strength, portable_math::log(strength_px));
+            (unit * strength_px * portable_math::exp(log)) as f32
+        };
+        self.field.iter().zip(strength).map(value).collect()
+    }
+}
+
+/// Draws an acquisition of a model from the streams `noise-acquisition`, `noise-jitter`, `noise-weights`, `noise-weights-common` and
+/// `noise-white` of `keys`.
 pub fn draw(noise: &Noise, keys: Keys) -> Drawn {
     let mut generator = keys("noise-acquisition", "").generator();
     let (bad, good): (Vec<usize>, Vec<usize>) = (0..noise.members.len()).partition(|i| noise.members[*i].bad);
@@ -51,21 +70,49 @@ pub fn draw(noise: &Noise, keys: Keys) -> Drawn {
     } else {
         some(&good, noise.donors, &mut generator)
     };
-    let jitter = keys("noise-jitter", "").field();
-    let jittered = |values: &[f64], first: usize| -> Vec<f64> {
-        let with = |(i, value): (usize, &f64)| value + noise.jitter[first + i] * jitter.normal((first + i) as i32, 0);
-        values.iter().enumerate().map(with).collect()
-    };
-    let log_strength = jittered(&member.log_strength, 0);
-    let wanted = jittered(&member.log_amplitude, noise.class_log_strength.len());
-    let (mixed, present) = if noise.has_fields() {
-        (mixture(noise, &donors, keys), mean_log_amplitude(noise, &donors))
+    let [log_strength, wanted] = jittered(noise, member, &good, &keys("noise-jitter", "").field());
+    let mixed = if noise.has_fields() {
+        let coins: Vec<f64> = donors.iter().map(|_| generator.random()).collect();
+        mixture(noise, &donors, &coins, keys)
     } else {
-        (white(noise, &keys("noise-white", "").field()), vec![0.0; wanted.len()])
+        Mixed { field: white(noise, &keys("noise-white", "").field()), gaps: Vec::new() }
     };
-    let log_gain: Vec<f64> = wanted.iter().zip(&present).map(|(wanted, present)| wanted - present).collect();
-    let field = Bands::new(noise.grid.columns, noise.grid.rows, noise.bands()).filter(&mixed, &log_gain);
+    let columns = noise.grid.columns;
+    let mixed_field = noise.contrast.iter().fold(mixed.field, |field, contrast| contrasted(field, columns, contrast));
+    let bands = Bands::new(columns, noise.grid.rows, noise.bands());
+    let present = bands.power(&mixed_field);
+    let gain = |band: usize| wanted[band] - 0.5 * portable_math::log(present[band].max(1e-12)) + noise.log_gain[band];
+    let mut field = bands.filter(&mixed_field, &(0..noise.bands()).map(gain).collect::<Vec<f64>>());
+    mixed.gaps.into_iter().for_each(|cell| field[cell] = f64::NAN);
     Drawn { field, log_strength, bad: of_bad }
+}
+
+/// Strengths and amplitudes of a member with jitter: a random sum of the departures of all usual members, which has their covariance.
+fn jittered(noise: &Noise, member: &Member, usual: &[usize], random: &Field) -> [Vec<f64>; 2] {
+    let count = usual.len() as f64;
+    let scale = noise.jitter / (count - 1.0).max(1.0).sqrt();
+    let weights: Vec<f64> = (0..usual.len()).map(|i| scale * random.normal(i as i32, 0)).collect();
+    let with = |values: fn(&Member) -> &[f64]| {
+        let at = |(k, value): (usize, &f64)| {
+            let mean = usual.iter().map(|i| values(&noise.members[*i])[k]).sum::<f64>() / count;
+            let departure = |(i, weight): (&usize, &f64)| weight * (values(&noise.members[*i])[k] - mean);
+            value + usual.iter().zip(&weights).map(departure).sum::<f64>()
+        };
+        values(member).iter().enumerate().map(at).collect()
+    };
+    [with(|member| &member.log_strength), with(|member| &member.log_amplitude)]
+}
+
+/// A field with the local rms raised: values times `(local rms / rms)^power`.
+fn contrasted(field: Vec<f64>, columns: usize, contrast: &Contrast) -> Vec<f64> {
+    let squares: Vec<f32> = field.iter().map(|value| (value * value) as f32).collect();
+    let mean = squares.iter().map(|square| f64::from(*square)).sum::<f64>() / squares.len() as f64;
+    if mean <= 0.0 {
+        return field;
+    }
+    let local = smoothed(&squares, columns, contrast.cells);
+    let factor = |local: f64| portable_math::pow((local / mean).max(1e-12), 0.5 * contrast.power);
+    field.iter().zip(local).map(|(value, local)| value * factor(local)).collect()
 }
 
 /// Some of a list, each at most once (the beginning of a Fisher-Yates shuffle); all where there are no more.
@@ -80,37 +127,93 @@ fn some(list: &[usize], count: usize, generator: &mut impl Rng) -> Vec<usize> {
     list
 }
 
-/// Logarithm of the root of the mean power of some members in each band.
-fn mean_log_amplitude(noise: &Noise, donors: &[usize]) -> Vec<f64> {
-    let members: Vec<&Member> = donors.iter().map(|donor| &noise.members[*donor]).collect();
-    let power = |band: usize, member: &&Member| portable_math::exp(2.0 * member.field_log_amplitude[band]);
-    let mean = |band: usize| members.iter().map(|member| power(band, member)).sum::<f64>() / members.len() as f64;
-    (0..noise.bands()).map(|band| 0.5 * portable_math::log(mean(band))).collect()
+/// A mixture of whitened fields.
+struct Mixed {
+    field: Vec<f64>,
+    /// Cells without a value.
+    gaps: Vec<usize>,
 }
 
-/// The whitened fields of the donors, mixed.
-fn mixture(noise: &Noise, donors: &[usize], keys: Keys) -> Vec<f64> {
+/// The whitened fields of the donors, mixed; `coins` decide, donor by donor, whether its gaps count.
+fn mixture(noise: &Noise, donors: &[usize], coins: &[f64], keys: Keys) -> Mixed {
     let (columns, cells) = (noise.grid.columns, noise.grid.cells());
     let extent = [columns as f64, noise.grid.rows as f64];
     let (common, local) = (noise.common_share.sqrt(), (1.0 - noise.common_share).sqrt());
+    let counts = gap_probability(noise);
     let (mut sums, mut squares) = (vec![0.0; cells], vec![0.0; cells]);
-    for donor in donors {
+    let mut strongest = vec![(0.0f64, false); cells];
+    for (donor, coin) in donors.iter().zip(coins) {
         let name = &noise.members[*donor].name;
         let key = keys("noise-weights", name);
         let smooth = smooth_field(&key, noise.length_cells, [0.0; 2], extent);
         let constant = common * keys("noise-weights-common", name).field().normal(0, 0);
         let (values, weights) = (&noise.fields[*donor], &noise.weights[*donor]);
-        for (i, (value, weight)) in values.iter().zip(weights).enumerate().filter(|(_, (_, weight))| **weight > 0) {
+        for (i, (value, weight)) in values.iter().zip(weights).enumerate() {
             let position = [(i % columns) as f64, (i / columns) as f64];
-            let g = (constant + local * smooth.at(position)) * f64::from(*weight) / 255.0;
+            let g = raised(constant + local * smooth.at(position), noise.sharpness);
+            if g.abs() > strongest[i].0 {
+                strongest[i] = (g.abs(), weight & GAP != 0 && *coin < counts[i]);
+            }
+            let g = g * f64::from(weight & !GAP) / f64::from(!GAP);
             sums[i] += g * f64::from(*value);
             squares[i] += g * g;
         }
     }
-    sums.iter().zip(&squares).map(|(sum, square)| if *square > 0.0 { sum / square.sqrt() } else { 0.0 }).collect()
+    let field = sums.iter().zip(&squares).map(|(sum, square)| if *square > 0.0 { sum / square.sqrt() } else { 0.0 });
+    let gaps = (0..cells).filter(|i| strongest[*i].1).collect();
+    Mixed { field: field.collect(), gaps }
+}
+
+/// Probability with which a gap of a difference was one of the acquisition asked for, cell by cell: with a share p of gaps in the differences
+/// an acquisition has `1 - sqrt(1 - p)`.
+fn gap_probability(noise: &Noise) -> Vec<f64> {
+    let mut counts = vec![0u32; noise.grid.cells()];
+    for weights in &noise.weights {
+        counts.iter_mut().zip(weights).for_each(|(count, weight)| *count += u32::from(*weight >> 7));
+    }
+    let of = |count: u32| {
+        let share = f64::from(count) / noise.weights.len() as f64;
+        if share > 0.0 { (1.0 - (1.0 - share).sqrt()) / share } else { 0.0 }
+    };
+    let by_count: Vec<f64> = (0..=noise.weights.len() as u32).map(of).collect();
+    counts.into_iter().map(|count| by_count[count as usize]).collect()
+}
+
+/// `|g|^power` with the sign of g.
+fn raised(g: f64, power: u32) -> f64 {
+    (1..power).fold(g, |product, _| product * g.abs())
 }
 
 fn white(noise: &Noise, field: &Field) -> Vec<f64> {
     let columns = noise.grid.columns;
     (0..noise.grid.cells()).map(|i| field.normal((i % columns) as i32, (i / columns) as i32)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rockface_core::numerics::random::Key;
+
+    #[test]
+    fn powers_keep_the_sign() {
+        assert_eq!([raised(-2.0, 1), raised(-2.0, 4), raised(3.0, 2)], [-2.0, -16.0, 9.0]);
+    }
+
+    #[test]
+    fn contrast_sets_strong_and_weak_places_apart() {
+        let (columns, rows) = (80, 60);
+        let random = Key([5; 32]).field();
+        let place = |i: usize| if i % columns < columns / 2 { 2.0 } else { 1.0 };
+        let value = |i: usize| place(i) * random.normal((i % columns) as i32, (i / columns) as i32);
+        let field: Vec<f64> = (0..columns * rows).map(value).collect();
+        let rms = |field: &[f64], left: bool| {
+            let inside = field.iter().enumerate().filter(|(i, _)| (i % columns < columns / 2) == left);
+            let squares: Vec<f64> = inside.map(|(_, v)| v * v).collect();
+            (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+        };
+        let with = contrasted(field.clone(), columns, &Contrast { cells: 6.0, power: 1.0 });
+        let ratio = |field: &[f64]| rms(field, true) / rms(field, false);
+        assert!((ratio(&field) - 2.0).abs() < 0.1 && (3.2..4.2).contains(&ratio(&with)), "{}", ratio(&with));
+        assert_eq!(contrasted(vec![0.0; 16], 4, &Contrast { cells: 1.0, power: 1.0 }), vec![0.0; 16]);
+    }
 }

@@ -1,0 +1,68 @@
+//! A survey that smooths the noise is made up for; one that loses nothing leaves the model as it is.
+
+use serde_json::json;
+
+use super::*;
+use crate::noise::learn_noise::tests::{CLEAN, COLUMNS, ROWS, grid, mean, survey};
+use rockface_core::artefact::{Artefact, Frame, Noun};
+use rockface_core::numerics::gaussian::smoothed;
+use rockface_core::testing::{TestHost, run_stage, small_sensor};
+use rockface_imaging::matching::noise::ensemble::draw;
+
+/// Differences of two acquisitions of the model, metres, smoothed by some cells.
+fn differences(count: u64, cells: f64) -> Vec<Raster> {
+    let step_m = (20.0 * 20.0 / (small_sensor().f * 2.0)) as f32;
+    let epoch = |seed: u64| {
+        let keys = |purpose: &str, item: &str| {
+            let host = TestHost::seeded(seed);
+            Context::new(&host).stream(purpose, item)
+        };
+        draw(&CLEAN, &keys).errors_px(&CLEAN, &CLEAN.strength)
+    };
+    let one = |number: u64| {
+        let (pre, post) = (epoch(1000 + 2 * number), epoch(1001 + 2 * number));
+        let values: Vec<f32> = pre.iter().zip(post).map(|(pre, post)| (post - pre) * step_m).collect();
+        let smooth = if cells > 0.0 {
+            let smooth = smoothed(&values, COLUMNS, cells);
+            values.iter().zip(smooth).map(|(v, s)| if v.is_nan() { f32::NAN } else { s as f32 }).collect()
+        } else {
+            values
+        };
+        Raster::single(grid(), Frame::Wall, "difference", &format!("s{number}"), smooth)
+    };
+    (0..count).map(one).collect()
+}
+
+fn adjust(simulated: Vec<Raster>, noise: Noise) -> Result<Noise, StageError> {
+    let (cameras, pairs) = survey();
+    let dem = Raster::single(grid(), Frame::Wall, "elevation", "dem", vec![0.0; COLUMNS * ROWS]);
+    let mut inputs: Vec<(&str, Artefact)> = simulated.into_iter().map(|r| ("simulated", r.into())).collect();
+    inputs.extend([
+        ("noise", Artefact::Noise(noise)),
+        ("dem", dem.into()),
+        ("cameras", cameras.into()),
+        ("pairs", pairs.into()),
+    ]);
+    let outputs = run_stage::<AdjustNoise>(&TestHost::default(), &json!({}), &inputs)?.into_inner();
+    Ok(Noise::of(&outputs["noise"]).unwrap().clone())
+}
+
+#[test]
+fn what_is_smoothed_away_is_added_and_nothing_else() {
+    let same = adjust(differences(12, 0.0), CLEAN.clone()).unwrap();
+    assert!(same.log_gain.iter().skip(4).all(|gain| gain.abs() < 0.06), "{:?}", same.log_gain);
+    let more = adjust(differences(12, 0.7), CLEAN.clone()).unwrap();
+    // What is left is whitened to unit variance, so the amplitudes fall beside each other: the finest most.
+    let gains = &more.log_gain;
+    assert!(gains[BANDS - 1] > gains[BANDS - 3] + 0.1 && gains[BANDS - 1] > 0.2, "{gains:?}");
+    let raised = mean(more.members.iter().zip(&CLEAN.members).map(|(a, b)| a.log_strength[2] - b.log_strength[2]));
+    assert!(raised > 0.02, "{raised}");
+}
+
+#[test]
+fn a_model_of_another_grid_and_a_single_raster_are_refused() {
+    assert!(adjust(differences(1, 0.0), CLEAN.clone()).unwrap_err().message.contains("1 simulated raster"));
+    let mut other = CLEAN.clone();
+    other.grid.left_m += 1.0;
+    assert!(adjust(differences(2, 0.0), other).unwrap_err().message.contains("not those of `dem`"));
+}

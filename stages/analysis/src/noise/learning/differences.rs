@@ -1,0 +1,72 @@
+//! Differences as errors of disparity on the grid of a model: of rasters, and of acquisitions drawn from it.
+
+use rayon::prelude::*;
+
+use rockface_core::artefact::{Band, Cameras, Noise, Raster};
+use rockface_core::{Context, StageError, fail};
+use rockface_imaging::matching::noise::ensemble::draw;
+use rockface_raster::grid;
+
+/// Checks that rasters, DEM and cameras are of one grid and frame.
+///
+/// # Errors
+/// What differs.
+pub fn check(rasters: &[&Raster], dem: &Raster, block: &Cameras) -> Result<(), StageError> {
+    if let Some(other) = rasters.iter().find(|other| !grid::same(&other.grid, &dem.grid)) {
+        let (a, b) = (grid::describe(&dem.grid), grid::describe(&other.grid));
+        return Err(StageError::new(format!("`dem` has {a}, a raster {b}"))
+            .hint("rasterise the face on the grid of the rasters: port `grid` of `rasterise-dem`"));
+    }
+    if let Some(other) = rasters.iter().find(|other| other.frame != dem.frame) {
+        fail!("`dem` is in the {} frame, a raster in the {} frame", dem.frame, other.frame);
+    }
+    if block.frame != dem.frame {
+        let text = format!("`dem` is in the {} frame, the cameras in the {} frame", dem.frame, block.frame);
+        return Err(StageError::new(text).hint("bring mesh and cameras into one frame with `transform-crs`"));
+    }
+    Ok(())
+}
+
+/// Differences as errors of disparity, pixels of the full image, each without its mean.
+///
+/// # Errors
+/// A raster with too few values, or with one value everywhere.
+pub fn disparities(bands: &[&Band], step_m: &[f32]) -> Result<Vec<Vec<f32>>, StageError> {
+    let one = |band: &&Band| {
+        let values: Vec<f32> = band.values.iter().zip(step_m).map(|(value, step)| value / step).collect();
+        let known = values.iter().filter(|value| !value.is_nan()).map(|value| f64::from(*value));
+        let (sum, count) = known.fold((0.0, 0usize), |(sum, count), value| (sum + value, count + 1));
+        if count < values.len() / 10 {
+            let text =
+                format!("raster `{}` has values on {count} of {} cells that a pair shows", band.name, values.len());
+            return Err(StageError::new(text)
+                .hint("a tenth is needed: check window, frame and cameras, or leave the raster out"));
+        }
+        let mean = sum / count as f64;
+        if values.iter().all(|value| value.is_nan() || (f64::from(*value) - mean).abs() < 1e-12) {
+            fail!("raster `{}` has one value everywhere: there is no noise to learn", band.name);
+        }
+        Ok(values.iter().map(|value| (f64::from(*value) - mean) as f32).collect())
+    };
+    bands.iter().map(one).collect()
+}
+
+/// Differences of two acquisitions each, drawn from a model without a survey, pixels of the full image; a value for which `keeps` (cell,
+/// pixels) says no is left out.
+pub fn differences(
+    noise: &Noise,
+    count: usize,
+    keeps: impl Fn(usize, f32) -> bool + Sync,
+    context: &Context,
+) -> Vec<Vec<f32>> {
+    let epoch = |number: usize| {
+        let keys = |purpose: &str, item: &str| context.stream(purpose, &format!("{number}/{item}"));
+        draw(noise, &keys).errors_px(noise, &noise.strength)
+    };
+    let difference = |number: usize| {
+        let (pre, post) = (epoch(2 * number), epoch(2 * number + 1));
+        let values = pre.iter().zip(post).map(|(pre, post)| post - pre).enumerate();
+        values.map(|(cell, px)| if keeps(cell, px) { px } else { f32::NAN }).collect()
+    };
+    (0..count).into_par_iter().map(difference).collect()
+}
