@@ -15,7 +15,7 @@ macro_rules! files {
 }
 
 /// Every file of the folder `pipelines`; a test compares the list with the folder.
-const FILES: [(&str, &str); 35] = files![
+const FILES: [(&str, &str); 43] = files![
     "benchmark-outcrop.yaml",
     "benchmark.yaml",
     "calibrate-outcrop.yaml",
@@ -30,13 +30,22 @@ const FILES: [(&str, &str); 35] = files![
     "nobbys-head.yaml",
     "outcrop.yaml",
     "own-detector.yaml",
+    "paper/README.md",
+    "paper/hunter-valley.yaml",
+    "paper/nobbys-head.yaml",
+    "paper/replicate.yaml",
+    "paper/small-volumes.yaml",
+    "paper/ten-epochs.yaml",
     "parts/calibrated-replicate.yaml",
     "parts/calibrated-site.yaml",
     "parts/detection-benchmark.yaml",
+    "parts/event-replica.yaml",
     "parts/filtered-no-change.yaml",
+    "parts/hunter-valley-site.yaml",
     "parts/multi-image-survey.yaml",
     "parts/no-change.yaml",
     "parts/paper-replicate.yaml",
+    "parts/paper-search.yaml",
     "parts/references.yaml",
     "parts/registered-difference.yaml",
     "parts/stereo-site.yaml",
@@ -55,6 +64,8 @@ const FILES: [(&str, &str); 35] = files![
 
 /// What a shipped pipeline may be called by in any folder, whatever files are in it.
 const PREFIX: &str = "rockface/";
+/// The folder of the paper's experiments.
+const PAPER: &str = "paper/";
 
 /// A pipeline that ships with the program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -82,7 +93,7 @@ impl Shipped {
     /// All of them, by name.
     fn all() -> impl Iterator<Item = Self> {
         FILES.iter().filter_map(|(file, text)| {
-            let name = file.strip_suffix(".yaml").filter(|name| !name.contains('/'))?;
+            let name = file.strip_suffix(".yaml").filter(|name| is_name(name))?;
             Some(Self { name, file, text })
         })
     }
@@ -103,7 +114,7 @@ impl Shipped {
         while at < found.len() {
             let text = found[at].1;
             let named = FILES.iter().filter(|(path, _)| {
-                let is_other = is_pipeline(path) && !path.contains('/');
+                let is_other = path.strip_suffix(".yaml").is_some_and(is_name);
                 !is_other && text.contains(path) && !found.iter().any(|(known, _)| known == path)
             });
             let named: Vec<_> = named.copied().collect();
@@ -182,9 +193,10 @@ fn is_pipeline(path: &str) -> bool {
     Path::new(path).extension().is_some_and(|extension| extension == "yaml")
 }
 
-/// Whether an argument can name a shipped pipeline: one word of letters, digits and `-`.
+/// Whether an argument can name a shipped pipeline: one word of letters, digits and `-`, perhaps in the folder of the paper's experiments.
 fn is_name(text: &str) -> bool {
     let plain = text.strip_prefix(PREFIX).unwrap_or(text);
+    let plain = plain.strip_prefix(PAPER).unwrap_or(plain);
     !plain.is_empty() && plain.chars().all(|letter| letter.is_ascii_alphanumeric() || letter == '-')
 }
 
@@ -227,13 +239,14 @@ mod tests {
         assert_eq!(files("rockface/hunter-valley-blocks"), ["hunter-valley-blocks.yaml", "hunter-valley-blocks.csv"]);
         assert_eq!(files("python-script"), ["python-script.yaml", "scripts/vertex_bands.py"]);
         assert_eq!(files("calibrate"), ["calibrate.yaml", "parts/paper-replicate.yaml"]);
+        assert_eq!(files("paper/ten-epochs"), ["paper/ten-epochs.yaml", "hunter-valley-blocks.csv"]);
     }
 
     #[test]
     fn other_names_get_the_list() {
         let told = Shipped::find("quickstrat").unwrap_err().to_string();
         assert!(told.contains("did you mean `quickstart`?") && told.contains("benchmark, "), "{told}");
-        assert!(is_name("nobbys-head") && is_name("rockface/quickstart"));
+        assert!(is_name("nobbys-head") && is_name("rockface/quickstart") && is_name("rockface/paper/ten-epochs"));
         assert!(!["a.yaml", "./quickstart", "a/b", "", "rockface/"].into_iter().any(is_name));
     }
 }

@@ -26,4 +26,8 @@ parts![
     "verdict",
     "calibrated-site",
     "detection-benchmark",
+    "hunter-valley-site",
+    "paper-replicate",
+    "paper-search",
+    "event-replica",
 ];

@@ -44,7 +44,8 @@ fn names_files(text: &str) -> bool {
 fn the_pipelines_plan() {
     let shared = root().join("../shared/data/outcrop-survey");
     let mut seen = 0;
-    for entry in std::fs::read_dir(root().join("pipelines")).unwrap().flatten() {
+    let folders = ["pipelines", "pipelines/paper"].map(|folder| root().join(folder));
+    for entry in folders.iter().flat_map(|folder| std::fs::read_dir(folder).unwrap().flatten()) {
         let path = entry.path();
         if path.extension().is_none_or(|extension| extension != "yaml") {
             continue;
@@ -56,7 +57,7 @@ fn the_pipelines_plan() {
         if !there {
             println!("{}: names checked, files not: the shared data is not here", path.display());
         }
-        check(&text, &path.display().to_string(), root().join("pipelines"), there);
+        check(&text, &path.display().to_string(), path.parent().unwrap().to_owned(), there);
     }
     assert!(seen >= 2);
 }
@@ -181,7 +182,7 @@ fn the_page_of_the_language_has_every_key() {
 #[test]
 fn every_part_that_ships_reads_and_is_used_somewhere() {
     let parts = rockface_stages::registry().parts();
-    let folders = ["pipelines", "pipelines/parts", "src/cli/templates"];
+    let folders = ["pipelines", "pipelines/paper", "pipelines/parts", "src/cli/templates"];
     let files = folders.iter().flat_map(|folder| std::fs::read_dir(root().join(folder)).unwrap().flatten());
     let texts: Vec<String> = files.filter_map(|file| std::fs::read_to_string(file.path()).ok()).collect();
     for part in parts {

@@ -7,6 +7,7 @@ mod calibration;
 mod campaign;
 mod care;
 mod chain;
+mod citations;
 mod cli;
 mod commands;
 mod detection;

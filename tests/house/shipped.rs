@@ -5,7 +5,7 @@ use crate::cli::{House, SMALL};
 #[test]
 fn a_shipped_pipeline_plans_without_a_file() {
     let house = House::new(SMALL);
-    for name in ["quickstart", "rockface/benchmark"] {
+    for name in ["quickstart", "rockface/benchmark", "paper/hunter-valley", "rockface/paper/nobbys-head"] {
         let (code, out, err) = house.rockface(&["plan", name]);
         assert!(code == Some(0) && out.contains("0 hit"), "{out}{err}");
     }
@@ -13,6 +13,31 @@ fn a_shipped_pipeline_plans_without_a_file() {
     assert!(code == Some(0) && out.contains("verdict"), "{err}");
     let (code, out, err) = house.rockface(&["explain", "quickstart", "face"]);
     assert!(code == Some(0) && out.contains("synthesise-face"), "{err}");
+}
+
+#[test]
+fn the_experiments_of_the_paper_plan_and_end_in_a_table_of_agreement() {
+    let house = House::new(SMALL);
+    for name in ["hunter-valley", "nobbys-head", "replicate", "small-volumes", "ten-epochs"] {
+        let name = format!("paper/{name}");
+        let (code, _, err) = house.rockface(&["init", "copy", "--from", &name]);
+        assert_eq!(code, Some(0), "{err}");
+        let path = format!("copy/{name}.yaml");
+        let (code, out, err) = house.rockface(&["plan", &path, "--target", "agreement"]);
+        assert!(code == Some(0) && out.lines().any(|line| line.starts_with("agreement")), "{out}{err}");
+        // At a quarter of the resolution, as the README of the folder has it.
+        let (code, _, err) =
+            house.rockface(&["plan", &path, "--set", "params.downscale=4", "--set", "params.cell_m=0.04"]);
+        assert_eq!(code, Some(0), "{err}");
+        std::fs::remove_dir_all(house.path("copy")).unwrap();
+    }
+}
+
+#[test]
+fn references_of_the_paper_s_sites_can_be_a_folder_of_one_s_own() {
+    let house = House::new(SMALL);
+    let (code, _, err) = house.rockface(&["plan", "paper/hunter-valley", "--set", "params.references=gone/*.tif"]);
+    assert!(code == Some(2) && err.contains("gone"), "{err}");
 }
 
 #[test]

@@ -5,7 +5,7 @@ mod scheduler;
 mod spill;
 mod worker;
 
-use rockface_cache::{Digest, Outcome, Recipe, Store, StoreError};
+use rockface_cache::{Digest, Outcome, Outputs, Recipe, Store, StoreError};
 use rockface_core::{Look, Registry};
 
 pub use folder::{Finished, LayOut, Reporter, RunFolder, execute_and_tell, finish, shortcut};
@@ -120,12 +120,14 @@ pub struct InstanceResult {
 }
 
 /// Why a stage failed.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct StepFailure {
     /// The cause and the way out.
     pub message: String,
     /// The log up to the failure, a blob, as [`Outcome::log`] is.
     pub log: Option<Digest>,
+    /// Outputs that explain it, blobs too; they lie in the run folder and no other step can use them.
+    pub outputs: Outputs,
 }
 
 impl InstanceResult {

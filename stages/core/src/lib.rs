@@ -23,6 +23,7 @@
 mod any_number;
 pub mod artefact;
 pub mod crs;
+pub mod distribution;
 pub mod format;
 mod georeferencing;
 mod inputs;

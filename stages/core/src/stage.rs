@@ -137,12 +137,14 @@ pub struct StageError {
     pub message: String,
     /// What to do about it.
     pub hint: Option<String>,
+    /// Outputs that explain the failure; they are kept with the run, though no other step can use them.
+    pub evidence: Option<Box<Outputs>>,
 }
 
 impl StageError {
     /// An error without a hint.
     pub fn new(message: impl Into<String>) -> Self {
-        Self { message: message.into(), hint: None }
+        Self { message: message.into(), hint: None, evidence: None }
     }
 
     /// Adds the way out.
@@ -156,6 +158,13 @@ impl StageError {
     #[must_use]
     pub fn within(mut self, place: impl std::fmt::Display) -> Self {
         self.message = format!("{place}: {}", self.message);
+        self
+    }
+
+    /// Adds outputs that explain the failure, such as a table of all that was tried.
+    #[must_use]
+    pub fn evidence(mut self, outputs: Outputs) -> Self {
+        self.evidence = Some(Box::new(outputs));
         self
     }
 }
@@ -179,7 +188,7 @@ macro_rules! fail {
 }
 
 /// The artefacts a stage made, by port.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Outputs(BTreeMap<&'static str, Artefact>);
 
 impl Outputs {
@@ -198,6 +207,11 @@ impl Outputs {
     /// What was made.
     pub fn values(&self) -> impl Iterator<Item = &Artefact> {
         self.0.values()
+    }
+
+    /// What was made, by port.
+    pub fn by_port(&self) -> impl Iterator<Item = (&'static str, &Artefact)> {
+        self.0.iter().map(|(port, value)| (*port, value))
     }
 
     /// The same, to be changed.

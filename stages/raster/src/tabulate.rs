@@ -1,11 +1,13 @@
 //! `tabulate`: puts the rows of many gathered tables under each other, with the items they belong to.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use serde_json::Value;
 
+use crate::columns;
 use crate::feature_rows::{axes, item_cell};
-use rockface_core::artefact::{Cell, Kind, Table};
+use rockface_core::artefact::{Artefact, Cell, Kind, Table};
 use rockface_core::params::Fault;
 use rockface_core::{Context, Inputs, Outputs, Page, Point, Port, Stage, StageError, params};
 
@@ -36,7 +38,11 @@ impl Stage for Tabulate {
     const NAME: &'static str = "tabulate";
     const VERSION: u32 = 1;
     const PAGE: Page = Page::new(include_str!("tabulate.md"));
-    const INPUTS: &'static [Port] = &[Port::many("rows", &[Kind::Table], "Tables, gathered over any axes.")];
+    const INPUTS: &'static [Port] = &[Port::many(
+        "rows",
+        &[Kind::Table, Kind::Inventory],
+        "Tables, or inventories for their properties, gathered over any axes.",
+    )];
     const OUTPUTS: &'static [Port] = &[Port::one("table", &[Kind::Table], "All rows.")];
 
     fn check(params: &Self::Params) -> Vec<Fault> {
@@ -48,7 +54,10 @@ impl Stage for Tabulate {
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
-        let tables = inputs.many::<Table>("rows")?;
+        let elements = inputs.elements("rows").iter();
+        let tables =
+            elements.map(|e| Ok((&e.point, as_table(e.artefact()?)))).collect::<Result<Vec<_>, StageError>>()?;
+        let tables: Vec<(&Point, &Table)> = tables.iter().map(|(items, table)| (*items, &**table)).collect();
         let axes = axes(tables.iter().map(|(items, _)| *items));
         let columns = united_columns(&tables, &axes)?;
         if let Some(name) = params.constants.keys().find(|name| axes.contains(name) || columns.contains(name)) {
@@ -67,6 +76,19 @@ impl Stage for Tabulate {
         }
         context.note(format!("{} rows of {} tables", all.rows.len(), tables.len()));
         Ok(Outputs::of("table", all))
+    }
+}
+
+/// A table, or that of the properties of an inventory.
+fn as_table(artefact: &Artefact) -> Cow<'_, Table> {
+    match artefact {
+        Artefact::Table(table) => Cow::Borrowed(table),
+        other => {
+            let (columns, rows) = columns::rows(other).unwrap_or_default();
+            let mut table = Table::new(columns.iter().cloned());
+            rows.into_iter().for_each(|row| table.push(row.to_vec()));
+            Cow::Owned(table)
+        }
     }
 }
 
@@ -97,7 +119,6 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use rockface_core::artefact::Artefact;
     use rockface_core::testing::TestHost;
 
     fn table(columns: &[&str], row: Vec<Cell>) -> Table {

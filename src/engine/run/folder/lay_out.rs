@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
-use rockface_cache::{Digest, Materialised, NameError, Outcome, OutputRecord, SafeName, SafePath, Store};
+use rockface_cache::{Digest, Materialised, NameError, OutputRecord, Outputs, SafeName, SafePath, Store};
 use rockface_core::artefact::{Artefact, Kind};
 use serde::{Deserialize, Serialize};
 
@@ -65,9 +65,15 @@ impl LayOut {
         for (instance, result) in summary.instances.iter().enumerate() {
             going_on(stop)?;
             let is_target = plan.targets.binary_search(&instance).is_ok();
-            let outcome = result.outcome.as_ref().filter(|_| wanted[instance]);
-            let (named, files) =
-                outcome.map_or(Ok((Paths::new(), Vec::new())), |outcome| layer.outputs(instance, outcome))?;
+            let outputs = match (&result.outcome, &result.failure) {
+                (Some(outcome), _) if wanted[instance] => {
+                    layer.outputs(instance, &outcome.outputs, plan.step(instance).keep)?
+                }
+                // What explains a failure is always wanted.
+                (None, Some(failure)) => layer.outputs(instance, &failure.outputs, true)?,
+                _ => (Paths::new(), Vec::new()),
+            };
+            let (named, files) = outputs;
             if is_target {
                 laid.of_targets.extend(files.iter().map(|(path, _)| path.clone()));
             }
@@ -136,10 +142,10 @@ struct Layer<'a> {
 impl Layer<'_> {
     /// Links the kept outputs of an instance and writes their further files; returns the former by port, and then all with
     /// the blobs that some are other names of, relative to the folder.
-    fn outputs(&self, instance: usize, outcome: &Outcome) -> Result<(Paths, Files), RunError> {
+    fn outputs(&self, instance: usize, outputs: &Outputs, is_kept: bool) -> Result<(Paths, Files), RunError> {
         let step = self.plan.step(instance);
         let (mut named, mut files, mut exports) = (Paths::new(), Vec::new(), Vec::new());
-        let kept = outcome.outputs.iter().filter(|(_, output)| step.keep && output.kept);
+        let kept = outputs.iter().filter(|(_, output)| is_kept && output.kept);
         let kept = kept.filter_map(|(port, output)| Some((port, output, output.kind.parse::<Kind>().ok()?)));
         let place = self.place(instance).map_err(|error| failed(self.folder)(error.into()))?;
         for (port, output, kind) in kept {

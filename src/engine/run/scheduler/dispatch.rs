@@ -98,12 +98,12 @@ impl Scheduler<'_> {
                 self.states.give_back(instance);
                 self.turns.push_back(Turn::Prepare(instance));
             }
-            Err(Failure::Stage(error, log)) => {
+            Err(Failure::Stage(error, left)) => {
                 let stage = self.plan.step(instance).stage.name().to_owned();
                 let step = self.plan.label(instance);
                 let help = error.hint.as_ref().map(|hint| format!("\nhelp: {hint}")).unwrap_or_default();
                 let message = format!("{}{help}", error.message);
-                let cause = Box::new(StepFailure { message, log });
+                let cause = Box::new(StepFailure { message, log: left.log, outputs: left.outputs });
                 self.report(&Event::Failed { step, stage, message: error.message, hint: error.hint });
                 self.fail(instance, Some(cause));
             }

@@ -353,7 +353,7 @@ mod tests {
         let mut states = one();
         states.finish(0, outcome(b"1"));
         states.reopen(0);
-        states.fail(0, Some(Box::new(StepFailure { message: "no rock".to_owned(), log: None })));
+        states.fail(0, Some(Box::new(StepFailure { message: "no rock".to_owned(), ..StepFailure::default() })));
         assert!(states[0].is_failed() && states[0].outcome().is_none() && !states.reopen(0) && states.closed() == 1);
         let (outcome, failure) = states.into_list().remove(0).into_result();
         assert!(outcome.is_none() && failure.is_some_and(|failure| failure.message == "no rock"));

@@ -113,8 +113,8 @@ pub struct Done {
 
 /// Why an instance did not finish.
 pub enum Failure {
-    /// The stage failed; its log up to then is in the store.
-    Stage(StageError, Option<Digest>),
+    /// The stage failed; what it left is in the store.
+    Stage(StageError, Left),
     /// An input blob is damaged or gone; its producer has to run again.
     Lost(usize, String),
     /// Another process has its key.
@@ -123,9 +123,18 @@ pub enum Failure {
     Store(StoreError),
 }
 
+/// What a stage that failed left: blobs of the store, which no record names.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Left {
+    /// Its log up to the failure.
+    pub log: Option<Digest>,
+    /// The outputs that explain the failure.
+    pub outputs: Outputs,
+}
+
 impl From<StageError> for Failure {
     fn from(error: StageError) -> Self {
-        Self::Stage(error, None)
+        Self::Stage(error, Left::default())
     }
 }
 
@@ -318,8 +327,10 @@ fn attempts(task: &Task, given: Given, place: Place) -> Result<(Made, Vec<Entry>
         };
         said.extend(entries);
         if told.len() == task.retries as usize || place.stop.load(Ordering::Relaxed) {
-            // If the log cannot be stored, the cause is reported all the same.
-            return Err(Failure::Stage(error, keep_log(place.store, &said).unwrap_or_default()));
+            // If log and evidence cannot be stored, the cause is reported all the same.
+            let log = keep_log(place.store, &said).unwrap_or_default();
+            let outputs = evidence(&error, place.store).unwrap_or_default();
+            return Err(Failure::Stage(error, Left { log, outputs }));
         }
         let text = format!("attempt {} of {} failed: {error}", told.len() + 1, task.retries + 1);
         said.push(Entry::Warning { text: text.clone() });
@@ -343,6 +354,32 @@ fn check_again(task: &Task, given: Given, place: Place, first: &Made) -> Result<
         }
     }
     Ok(())
+}
+
+/// Stores the outputs that explain a failure.
+fn evidence(error: &StageError, store: &Store) -> Result<Outputs, Failure> {
+    let mut outputs = Outputs::default();
+    for (port, value) in error.evidence.iter().flat_map(|evidence| evidence.by_port()) {
+        let encoded = value.encode().map_err(|error| StageError::new(error.to_string()))?;
+        let digest = store.put(&encoded)?;
+        outputs.insert(port_name(port)?, record_of(value, digest, encoded.len() as u64, true));
+    }
+    Ok(outputs)
+}
+
+fn port_name(port: &str) -> Result<SafeName, Failure> {
+    SafeName::new(port).map_err(|error| StageError::new(error.to_string()).into())
+}
+
+fn record_of(value: &Artefact, digest: Digest, bytes: u64, kept: bool) -> OutputRecord {
+    OutputRecord {
+        kind: value.kind().word().to_owned(),
+        digest,
+        bytes,
+        memory_bytes: Some(value.memory_bytes() as u64),
+        kept,
+        items: value.items(),
+    }
 }
 
 /// Stores the log of a step, unless it is empty.
@@ -421,16 +458,7 @@ fn keep(
             given.map_err(unwritable)?;
             (digest, bytes)
         };
-        let record = OutputRecord {
-            kind: value.kind().word().to_owned(),
-            digest,
-            bytes,
-            memory_bytes: Some(value.memory_bytes() as u64),
-            kept: task.keep,
-            items: value.items(),
-        };
-        let port = SafeName::new(*port).map_err(|error| StageError::new(error.to_string()))?;
-        outputs.insert(port, record);
+        outputs.insert(port_name(port)?, record_of(value, digest, bytes, task.keep));
     }
     let log = keep_log(store, entries)?;
     Ok(Outcome { outputs, log, sketches: None, cost: Cost::default() })

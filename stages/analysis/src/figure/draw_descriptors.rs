@@ -1,8 +1,9 @@
 //! `draw-descriptors`: variogram, roughness and spectrum of simulated rasters over the envelopes of the real ones.
 
 use crate::figure::chart::{Axes, Axis, Ink, Layer, Panel, Sheet, draw};
-use crate::noise::envelope::{Step, envelope, rasters};
+use crate::noise::envelope::{Step, curves_of, envelope, rasters};
 use rockface_core::artefact::{Kind, Table};
+use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
 params! {
@@ -12,6 +13,8 @@ params! {
         title: Option<String> = None,
         /// The curves that are drawn, a panel each.
         curves: Vec<String> = vec!["variogram".to_owned(), "roughness".to_owned(), "spectrum".to_owned()],
+        /// How many real rasters are drawn with a line each, the first ones.
+        examples: usize = 0; Range::Between(0.0, 6.0),
     }
 }
 
@@ -21,7 +24,7 @@ pub struct DrawDescriptors;
 impl Stage for DrawDescriptors {
     type Params = DrawDescriptorsParams;
     const NAME: &'static str = "draw-descriptors";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("draw_descriptors.md"));
     const INPUTS: &'static [Port] = &[
         Port::many("reference", &[Kind::Table], "Curves of real rasters, from `describe-noise`."),
@@ -35,8 +38,9 @@ impl Stage for DrawDescriptors {
         };
         let (real, simulated) = (tables("reference")?, tables("simulated")?);
         let panels =
-            params.curves.iter().map(|curve| panel(curve, &real, &simulated)).collect::<Result<Vec<_>, _>>()?;
-        let counts = format!("{} real rasters, {} simulated; bands of 90 %", rasters(&real), rasters(&simulated));
+            params.curves.iter().map(|curve| panel(params, curve, &real, &simulated)).collect::<Result<Vec<_>, _>>()?;
+        let counts =
+            format!("{} real rasters, {} simulated; bands of 90 and 50 %", rasters(&real), rasters(&simulated));
         let title = params.title.clone().unwrap_or_else(|| "Descriptors of real and simulated noise".to_owned());
         let columns = panels.len().min(3);
         let sheet = Sheet::of(panels).title(title).subtitle(counts).columns(columns).size(340 * columns as u32, 320);
@@ -54,7 +58,12 @@ fn axes_of(curve: &str) -> (&'static str, &'static str, f64) {
     }
 }
 
-fn panel(curve: &str, real: &[&Table], simulated: &[&Table]) -> Result<Panel, StageError> {
+fn panel(
+    params: &DrawDescriptorsParams,
+    curve: &str,
+    real: &[&Table],
+    simulated: &[&Table],
+) -> Result<Panel, StageError> {
     let (x, y, factor) = axes_of(curve);
     let mut axes = Axes::new(Axis::log(x), Axis::log(y));
     for (name, tables, ink) in [("real", real, Ink::Muted), ("simulated", simulated, Ink::Series(0))] {
@@ -66,10 +75,17 @@ fn panel(curve: &str, real: &[&Table], simulated: &[&Table]) -> Result<Panel, St
             fail!("no {name} raster has a curve `{curve}`");
         }
         let scaled = |step: &Step| step.y.map(|y| y * factor);
-        let band = found.iter().map(|step| [step.x, scaled(step)[0], scaled(step)[2]]).collect();
-        let line = found.iter().map(|step| [step.x, scaled(step)[1]]).collect();
+        let band = |low: usize, high: usize| {
+            Layer::band("", found.iter().map(|step| [step.x, scaled(step)[low], scaled(step)[high]]).collect()).ink(ink)
+        };
+        let line = found.iter().map(|step| [step.x, scaled(step)[2]]).collect();
         let line_ink = if ink == Ink::Muted { Ink::Text } else { ink };
-        axes = axes.with(Layer::band("", band).ink(ink)).with(Layer::line(name, line).ink(line_ink));
+        axes = axes.with(band(0, 4)).with(band(1, 3)).with(Layer::line(name, line).ink(line_ink));
+    }
+    let examples = curves_of(real, curve).unwrap_or_default().into_iter().take(params.examples);
+    for (number, (name, points)) in examples.enumerate() {
+        let scaled = points.into_iter().map(|[x, y]| [x, y * factor]).collect();
+        axes = axes.with(Layer::line(name, scaled).ink(Ink::Series(1 + number)));
     }
     let mut letters = curve.chars();
     let heading = letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect());
@@ -110,6 +126,7 @@ mod tests {
         for text in ["Variogram", "Roughness", "Spectrum", "5 real rasters, 5 simulated"] {
             assert!(svg.contains(text), "{text}");
         }
+        assert!(!svg.contains("r0") && drawn(&json!({"examples": 1})).unwrap().contains("r0"));
         assert!(!drawn(&json!({"curves": ["roughness"]})).unwrap().contains("Variogram"));
         assert!(drawn(&json!({"curves": ["variogram_45"]})).unwrap_err().message.contains("`variogram_45`"));
     }

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use crate::figure::chart::{Axes, Axis, Ink, Layer, Mark, Panel, Radar, Sheet, density, draw};
 use crate::noise::descriptors::GROUPS;
+use crate::noise::perfect_score::median_of_a_perfect_simulator;
 use rockface_core::artefact::{Acceptance, Kind, Table};
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
@@ -16,13 +17,18 @@ params! {
     }
 }
 
+/// The score of the threshold: one at the 95th percentile of the references leaves a twentieth of them beyond.
+const LIMIT: f64 = 0.05;
+/// The group of all features.
+const JOINT: &str = "all";
+
 /// The stage.
 pub struct DrawScores;
 
 impl Stage for DrawScores {
     type Params = DrawScoresParams;
     const NAME: &'static str = "draw-scores";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("draw_scores.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("model", &[Kind::Acceptance], "The reference, from `fit-acceptance`."),
@@ -37,7 +43,7 @@ impl Stage for DrawScores {
         if d2.len() < 2 {
             fail!("{} simulated rasters can be drawn, 2 are needed", d2.len());
         }
-        let panels = [radar(&columns)?, distances(model, &columns, d2)?, contributions(&columns)];
+        let panels = [radar(model, &columns)?, distances(model, &columns, d2)?, contributions(&columns)];
         let title = params.title.clone().unwrap_or_else(|| "Simulated rasters against real ones".to_owned());
         let counts = format!("{} real rasters, {} simulated", model.references, d2.len());
         let sheet = Sheet::of(panels).title(title).subtitle(counts).columns(3).size(1080, 330);
@@ -64,24 +70,34 @@ fn of<'a>(columns: &'a BTreeMap<String, Vec<f64>>, name: &str) -> Result<&'a [f6
     })
 }
 
-fn radar(columns: &BTreeMap<String, Vec<f64>>) -> Result<Panel, StageError> {
+fn radar(model: &Acceptance, columns: &BTreeMap<String, Vec<f64>>) -> Result<Panel, StageError> {
     let mut spokes = vec![("jointly".to_owned(), of(columns, "score")?)];
+    let mut groups = vec![JOINT];
     for (group, _) in GROUPS {
         if let Some(scores) = columns.get(&format!("score_{group}")) {
             spokes.push((group.to_owned(), scores));
+            groups.push(group);
         }
     }
-    let outline = |name: &str, ink: Ink, level: f64| {
-        let values = spokes.iter().map(|(_, scores)| quantile(scores, level).unwrap_or(f64::NAN)).collect();
-        (name.to_owned(), ink, values)
+    let at = |scores: &[f64], level: f64| quantile(scores, level).unwrap_or(f64::NAN);
+    let band = |name: &str, opacity: f64, share: f64| {
+        let ends = [0.5 - 0.5 * share, 0.5 + 0.5 * share];
+        let ends = spokes.iter().map(|(_, scores)| ends.map(|level| at(scores, level))).collect();
+        (name.to_owned(), Ink::Series(0), opacity, ends)
+    };
+    let perfect = |group: &&str| {
+        let model_of = model.groups.get(*group);
+        let median = model_of.and_then(|of| median_of_a_perfect_simulator(model.references as f64, of.features.len()));
+        median.unwrap_or(f64::NAN)
     };
     let outlines = vec![
-        outline("95 %", Ink::Muted, 0.95),
-        outline("median", Ink::Series(0), 0.5),
-        outline("5 %", Ink::Series(1), 0.05),
+        ("median".to_owned(), Ink::Series(0), spokes.iter().map(|(_, scores)| at(scores, 0.5)).collect()),
+        ("median of a perfect simulator".to_owned(), Ink::Text, groups.iter().map(perfect).collect()),
+        (format!("S = {LIMIT}"), Ink::Series(1), vec![LIMIT; spokes.len()]),
     ];
+    let bands = vec![band("95 %", 0.15, 0.95), band("75 %", 0.3, 0.75)];
     let spokes = spokes.iter().map(|(name, _)| name.clone()).collect();
-    Ok(Panel::new("Compatibility scores", Radar { spokes, range: [0.0, 1.0], outlines }))
+    Ok(Panel::new("Compatibility scores", Radar { spokes, range: [0.0, 1.0], outlines, bands }))
 }
 
 fn distances(model: &Acceptance, columns: &BTreeMap<String, Vec<f64>>, d2: &[f64]) -> Result<Panel, StageError> {
@@ -89,7 +105,7 @@ fn distances(model: &Acceptance, columns: &BTreeMap<String, Vec<f64>>, d2: &[f64
         let positive = values.iter().filter(|d2| **d2 > 0.0 && **d2 < 1e12);
         positive.map(|d2| rockface_core::numerics::portable_math::log10(*d2)).collect()
     };
-    let Some(all) = model.groups.get("all") else { fail!("the acceptance model has no group `all`") };
+    let Some(all) = model.groups.get(JOINT) else { fail!("the acceptance model has no group `all`") };
     let threshold = of(columns, "threshold")?[0];
     let axes = Axes::new(Axis::linear("log10 of D²"), Axis::linear("density"))
         .with(density("real, leave-one-out", &log(&all.leave_one_out_d2)).ink(Ink::Text))
@@ -146,7 +162,15 @@ mod tests {
         };
         let outputs = draw(verdicts).unwrap().into_inner();
         let Artefact::Figure(figure) = &outputs["figure"] else { panic!("a figure comes out") };
-        for text in ["jointly", "variogram", "30 real rasters, 8 simulated", "sill", "threshold"] {
+        for text in [
+            "jointly",
+            "variogram",
+            "30 real rasters, 8 simulated",
+            "sill",
+            "threshold",
+            "S = 0.05",
+            "perfect simulator",
+        ] {
             assert!(figure.svg.contains(text), "{text}");
         }
         assert_eq!([plain("sill_m2"), plain("spectral_slope")], ["sill", "spectral slope"]);

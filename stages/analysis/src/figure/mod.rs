@@ -8,6 +8,7 @@ pub mod rockfall_figure;
 pub mod shape_triangle;
 
 // A new stage is its file, its `mod` here and its row below.
+mod compare_figures;
 mod draw_descriptors;
 mod draw_detection_frequency;
 mod draw_detection_rates;
@@ -23,6 +24,7 @@ use rockface_core::{AnyStage, Row};
 
 /// The stages of this room, in the order of the catalogue.
 pub static STAGES: &[&dyn AnyStage] = &[
+    &Row::<compare_figures::CompareFigures>::new(),
     &Row::<draw_descriptors::DrawDescriptors>::new(),
     &Row::<draw_detection_frequency::DrawDetectionFrequency>::new(),
     &Row::<draw_detection_rates::DrawDetectionRates>::new(),

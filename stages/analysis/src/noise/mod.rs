@@ -1,4 +1,4 @@
-//! Noise descriptors of rasters, and the acceptance of simulations against references (paper, section 2.4).
+//! Noise descriptors of rasters, and the acceptance of simulations against references (paper, section 2.2).
 
 pub mod acceptance_rate;
 pub mod chain;
@@ -10,6 +10,7 @@ pub mod learning;
 pub mod mahalanobis;
 pub mod match_moments;
 pub mod nested_variogram;
+pub mod perfect_score;
 pub mod perfect_simulator;
 pub mod points;
 pub mod robust_variogram;

@@ -3,6 +3,7 @@
 pub mod cloud_las;
 pub mod cloud_laz;
 pub mod depth_exr;
+pub mod distribution_file;
 pub mod geotiff;
 pub mod inventory_file;
 mod laz_check;

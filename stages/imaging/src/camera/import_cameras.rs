@@ -135,7 +135,7 @@ fn read_cameras(params: &ImportCamerasParams, context: &Context) -> Result<Camer
     let path = &params.path.0;
     let file = parts(context.files(&params.path)?)
         .and_then(|parts| recognise::read(&parts, frame.unwrap_or(Frame::World), params.image_size_px))
-        .map_err(|e| StageError { message: format!("`{path}`: {}", e.message), hint: e.hint })?;
+        .map_err(|e| StageError { message: format!("`{path}`: {}", e.message), ..e })?;
     match frame {
         Some(frame) if file.states_frame && frame != file.cameras.frame => {
             Err(StageError::new(format!("`{path}` is in the {} frame, not the {frame} frame", file.cameras.frame))
@@ -200,7 +200,7 @@ fn covariance(params: &ImportCamerasParams, file: &CameraFile, context: &Context
 
 fn read_covariance(path: &FileRef, cameras: &Cameras, context: &Context) -> Result<Covariance, StageError> {
     let (covariance, notes) = covariance_files::read(&context.read(path)?, cameras)
-        .map_err(|e| StageError { message: format!("`{}`: {}", path.0, e.message), hint: e.hint })?;
+        .map_err(|e| StageError { message: format!("`{}`: {}", path.0, e.message), ..e })?;
     for note in notes {
         context.note(note);
     }

@@ -1,10 +1,16 @@
 //! `perturb-cameras`: draws the orientation errors of one epoch, jointly from a bundle block covariance or one by one.
 
+mod rules;
+
 use crate::camera::covariance_sampling::{JointRoot, block_only};
 use crate::camera::orientation_parameters::{EXTERIOR, INTERIOR, Parameter, correct};
+use rockface_core::artefact::candidates::Quantity;
 use rockface_core::artefact::{Cameras, Covariance, Kind};
-use rockface_core::params::{Fault, Range};
+use rockface_core::distribution::Draws;
+use rockface_core::format::distribution_file::with_files_read;
+use rockface_core::params::{Fault, FileRef, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
+use rules::Rules;
 
 choice! {
     /// Where the errors come from.
@@ -29,6 +35,8 @@ params! {
         focal_px: f64 = 0.0,
         /// Principal point in x, y, pixels.
         principal_point_px: [f64; 2] = [0.0; 2],
+        /// Affinity b1 and skew b2, pixels.
+        affinity_px: [f64; 2] = [0.0; 2],
         /// Radial distortion k1 to k4.
         k: [f64; 4] = [0.0; 4],
         /// Decentring distortion p1, p2.
@@ -40,11 +48,11 @@ impl Offsets {
     /// The number of a parameter, in rad, m, px or 1.
     fn of(&self, parameter: Parameter) -> f64 {
         let [rx, ry, rz] = self.rotation_deg.map(f64::to_radians);
-        let ([x, y, z], [cx, cy]) = (self.position_m, self.principal_point_px);
+        let ([x, y, z], [cx, cy], [b1, b2]) = (self.position_m, self.principal_point_px, self.affinity_px);
         let ([k1, k2, k3, k4], [p1, p2]) = (self.k, self.p);
         match parameter {
             Parameter::Exterior(_, place) => [rx, ry, rz, x, y, z][place],
-            Parameter::Interior(_, place) => [self.focal_px, cx, cy, 0.0, 0.0, k1, k2, k3, k4, p1, p2][place],
+            Parameter::Interior(_, place) => [self.focal_px, cx, cy, b1, b2, k1, k2, k3, k4, p1, p2][place],
         }
     }
 
@@ -52,6 +60,18 @@ impl Offsets {
         let exterior = (0..EXTERIOR.len()).map(|place| Parameter::Exterior(0, place));
         let interior = (0..INTERIOR.len()).map(|place| Parameter::Interior(0, place));
         exterior.chain(interior).map(|parameter| self.of(parameter))
+    }
+}
+
+params! {
+    /// Errors of some parameters of some images or sensors, drawn from any distribution.
+    pub struct ErrorOf {
+        /// The parameters, each drawn by itself: rx, ry, rz (degrees), X, Y, Z (metres), f, cx, cy, b1, b2 (pixels), k1 to k4, p1, p2.
+        of: Vec<String>,
+        /// The images (rx to Z) or sensors (f to p2) by name; null: all.
+        at: Option<Vec<String>> = None,
+        /// The error in their unit: a number, or a distribution it is drawn from.
+        error: Quantity,
     }
 }
 
@@ -68,6 +88,11 @@ params! {
         interior: bool = true,
         /// Standard deviations of model `independent`, the same for every image and sensor.
         independent: Offsets = Offsets::default(),
+        /// Errors of model `independent` from other distributions, or for single images and sensors. Where several are for one
+        /// parameter the last one counts, and all of them instead of `independent`.
+        errors: Vec<ErrorOf> = Vec::new(),
+        /// Whether a covariance without the covariances between images is drawn from all the same. It tears the images apart.
+        allow_blocks: bool = false,
         /// Systematic error added to every image and sensor in every model; `scale` leaves it alone.
         shift: Offsets = Offsets::default(),
     }
@@ -90,7 +115,7 @@ impl Stage for PerturbCameras {
     fn draws(params: &Self::Params) -> bool {
         let something = match params.model {
             Model::Covariance => true,
-            Model::Independent => params.independent.numbers().any(|sd| sd != 0.0),
+            Model::Independent => params.independent.numbers().any(|sd| sd != 0.0) || !params.errors.is_empty(),
             Model::None => false,
         };
         something && params.scale > 0.0 && (params.exterior || params.interior)
@@ -109,6 +134,10 @@ impl Stage for PerturbCameras {
         if params.model != Model::Independent && params.independent != Offsets::default() {
             faults.push(fault("independent", "only model `independent` uses these standard deviations"));
         }
+        if params.model != Model::Independent && !params.errors.is_empty() {
+            faults.push(fault("errors", "only model `independent` uses these distributions"));
+        }
+        faults.extend(params.errors.iter().enumerate().flat_map(|(at, rule)| rule.faults(at)));
         faults
     }
 
@@ -117,7 +146,7 @@ impl Stage for PerturbCameras {
         let covariance: Option<&Covariance> = inputs.optional("covariance")?;
         let mut errors = match params.model {
             Model::Covariance => joint(params, cameras, covariance, context)?,
-            Model::Independent => independent(params, cameras, context),
+            Model::Independent => independent(params, cameras, context)?,
             Model::None => Vec::new(),
         };
         if params.model != Model::Covariance && covariance.is_some() {
@@ -144,12 +173,32 @@ fn draw(context: &Context, name: &str) -> f64 {
     context.stream("orientation", name).field().normal(0, 0)
 }
 
-fn independent(params: &PerturbCamerasParams, cameras: &Cameras, context: &Context) -> Vec<(Parameter, f64)> {
-    let error = |parameter: Parameter| {
-        let sd = params.scale * params.independent.of(parameter);
-        (sd != 0.0).then(|| (parameter, sd * draw(context, &parameter.name(cameras))))
-    };
-    all(cameras).filter_map(error).collect()
+fn independent(
+    params: &PerturbCamerasParams,
+    cameras: &Cameras,
+    context: &Context,
+) -> Result<Vec<(Parameter, f64)>, StageError> {
+    let read = |path: &str| context.read(&FileRef(path.to_owned())).map_err(|error| error.message);
+    let rules = with_files_read(&params.errors, &read).map_err(|e| StageError::new(format!("`errors`: {e}")))?;
+    let rules = Rules::of(&rules, cameras)?;
+    let mut errors = Vec::new();
+    for parameter in all(cameras) {
+        let name = parameter.name(cameras);
+        let sd = params.independent.of(parameter);
+        let error = match rules.of_parameter(parameter) {
+            Some(quantity) => {
+                let draws = Draws::new(context.stream("orientation-error", &name), 0);
+                let drawn = draws.value("error", quantity).unwrap_or_default();
+                if matches!(parameter, Parameter::Exterior(_, 0..3)) { drawn.to_radians() } else { drawn }
+            }
+            None if sd != 0.0 => sd * draw(context, &name),
+            None => 0.0,
+        };
+        if error != 0.0 {
+            errors.push((parameter, params.scale * error));
+        }
+    }
+    Ok(errors)
 }
 
 fn joint(
@@ -165,8 +214,12 @@ fn joint(
     if covariance.frame != cameras.frame {
         fail!("the covariance is in the {} frame, the cameras in the {} frame", covariance.frame, cameras.frame);
     }
-    if let Some(warning) = block_only(covariance) {
-        context.warn(warning);
+    if let Some(finding) = block_only(covariance) {
+        if !params.allow_blocks {
+            let hint = "`estimate-covariance` computes the joint covariance of a block; `allow_blocks: true` draws from this one";
+            return Err(StageError::new(finding).hint(hint));
+        }
+        context.warn(finding);
     }
     let find = |name: &String| Parameter::find(cameras, name);
     let parameters = covariance.parameters.iter().map(find).collect::<Result<Vec<_>, _>>()?;

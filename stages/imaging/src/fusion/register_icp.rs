@@ -146,12 +146,21 @@ fn report(registration: &Registration, context: &Context) {
         let n = registration.iterations;
         context.warn(format!("still moving after {n} iterations; the last step is kept (raise `max_iterations`)"));
     }
-    for [rx, ry, rz, x, y, z] in &registration.unobservable {
+    for ([rx, ry, rz, x, y, z], [full_m, cost_m]) in registration.unobservable.iter().zip(&registration.left_alone_m) {
+        let (full_mm, cost_mm) = (1e3 * full_m, 1e3 * cost_m);
         context.warn(format!(
             "the surface does not determine the direction shift ({x:.2}, {y:.2}, {z:.2}) with rotation about \
-             ({rx:.2}, {ry:.2}, {rz:.2}): nothing is moved along it"
+             ({rx:.2}, {ry:.2}, {rz:.2}): nothing is moved along it. Least squares would move {full_mm:.1} mm; leaving that out \
+             adds {cost_mm:.2} mm rms to the differences (lower `weak_eigenvalue` to move)"
         ));
     }
+    let cost = |left: &[[f64; 2]]| left.iter().map(|[_, cost]| cost * cost).sum::<f64>().sqrt();
+    context.metric(
+        "left_alone",
+        registration.left_alone_m.iter().map(|[full, _]| full * full).sum::<f64>().sqrt(),
+        "m",
+    );
+    context.metric("left_alone_in_difference_rms", cost(&registration.left_alone_m), "m");
     context.headline(format!(
         "moved {:.1} mm and {:.4} deg, {:.2} mm rms over {} pairs",
         1e3 * shift.norm(),

@@ -6,7 +6,7 @@ use crate::matching::image::{Fusion, ImageTally, match_image};
 use crate::matching::map_fusion::{Averaging, Fused, Rule};
 use crate::matching::noise::matcher::MatcherTerms;
 use crate::matching::pair::{Matcher, Sampling};
-use crate::matching::params::{Matching, NoisePorts, NoiseSource};
+use crate::matching::params::{Matching, NoisePorts, NoiseSource, Pixels};
 use crate::matching::setup::{Setup, check_size, noisy_image};
 use crate::matching::side::Side;
 use rockface_core::artefact::{Cameras, Depth, Image, Kind, Noise, Pair, Pairs, Raster};
@@ -212,10 +212,11 @@ fn setup<'a>(params: &MatchImageParams, ports: NoisePorts<'a>) -> Result<Setup<'
     Ok(setup)
 }
 
-fn fusion(params: &MatchImageParams) -> Fusion {
+fn fusion(params: &MatchImageParams, downscale: u32) -> Fusion {
     let (local, regular) = (params.matching.sigma_local_px, params.matching.sigma_regular_px);
     let paper = params.matching.noise == NoiseSource::Paper;
-    let sigma_px = (local * local + regular * regular).sqrt();
+    let scale = if params.matching.pixels == Pixels::Image { f64::from(downscale).recip() } else { 1.0 };
+    let sigma_px = scale * (local * local + regular * regular).sqrt();
     let rule = Rule {
         averaging: params.averaging,
         rejection: params.rejection,
@@ -269,7 +270,7 @@ fn fused_map(
         let lines = rows.iter_mut().zip(values.chunks_mut(ideal.width));
         lines.for_each(|(row, line)| row.channels.push((*channel, line)));
     }
-    let tally = match_image(matchers, ideal.width, &fusion(params), &mut rows, Row::keep);
+    let tally = match_image(matchers, ideal.width, &fusion(params, ideal.downscale), &mut rows, Row::keep);
     let map = Depth {
         frame: noisy.frame,
         sensor: noisy.sensor(image).clone(),
@@ -302,7 +303,8 @@ fn report(
             context.warn(format!("pair `{}`: the two images have no point in common", pair.name));
             continue;
         }
-        let rms_px = (matched.y_parallax2_px2 / matched.count as f64).sqrt();
+        // Of the images, not of a coarser depth map.
+        let rms_px = f64::from(map.downscale) * (matched.y_parallax2_px2 / matched.count as f64).sqrt();
         if let Some(warning) = params.matching.judge_y_parallax(&pair.name, rms_px)? {
             context.warn(warning);
         }

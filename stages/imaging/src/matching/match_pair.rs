@@ -207,7 +207,8 @@ fn report(
             .hint("its images do not overlap, or every point is hidden from the other (see `occlusion`)"));
     }
     let count = tally.count as f64;
-    let rms_px = (tally.y_parallax2_px2 / count).sqrt();
+    // Of the images, not of a coarser depth map.
+    let rms_px = f64::from(map.downscale) * (tally.y_parallax2_px2 / count).sqrt();
     context.metric("valid_share", count / map.z.len() as f64, "1");
     context.metric("y_parallax_rms", rms_px, "px");
     context.metric("depth_per_disparity", tally.depth_per_px_m / count, "m/px");

@@ -1,4 +1,4 @@
-//! Dense matching of image pairs and its noise (paper, sections 2.2 and 2.3).
+//! Dense matching of image pairs and its noise (paper, section 2.1.2).
 
 pub mod correspondence;
 pub mod elevation_step;

@@ -18,6 +18,16 @@ choice! {
     }
 }
 
+choice! {
+    /// What the pixels of `sigma_local_px`, `sigma_regular_px`, `spacing_px` and `matcher` are.
+    pub enum Pixels {
+        /// Those of the depth map: a coarser one has more noise on the face, as that of a real matcher has.
+        DepthMap = "depth_map",
+        /// Those of the images: the noise on the face is the same at any downscale.
+        Image = "image",
+    }
+}
+
 /// What the ports of a matching stage add to its noise.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct NoisePorts<'a> {
@@ -32,6 +42,8 @@ params! {
     pub struct Matching {
         /// Where the noise comes from.
         noise: NoiseSource = NoiseSource::Paper,
+        /// What the pixels of the parameters of the noise are.
+        pixels: Pixels = Pixels::DepthMap,
         /// Standard deviation of the white disparity noise, pixels of the depth map.
         sigma_local_px: f64 = 0.7; Range::NonNegative,
         /// Standard deviation of the smooth disparity noise, pixels of the depth map.
@@ -52,7 +64,7 @@ params! {
         occlusion: bool = true,
         /// Share of the depth by which a point may lie behind what the other image sees and still be seen.
         occlusion_tolerance: f64 = 0.001; Range::NonNegative,
-        /// Largest rms y-parallax between rectified images, pixels of the depth map; beyond it matching would fail.
+        /// Largest rms y-parallax between rectified images, pixels of the images at any downscale; beyond it matching would fail.
         max_y_parallax_px: f64 = 2.0; Range::Positive,
     }
 }
@@ -84,7 +96,9 @@ impl Matching {
             recipe,
         };
         let occlusion_tolerance = self.occlusion.then_some(self.occlusion_tolerance);
-        Ok(Setup { sampling, noise, terms: self.matcher.clone(), occlusion_tolerance, strength, learnt: ports.noise })
+        let image_pixels = self.pixels == Pixels::Image;
+        let terms = self.matcher.clone();
+        Ok(Setup { sampling, image_pixels, noise, terms, occlusion_tolerance, strength, learnt: ports.noise })
     }
 
     fn check_ports(&self, ports: NoisePorts) -> Result<(), StageError> {
@@ -111,7 +125,8 @@ impl Matching {
         }
     }
 
-    /// Judges the rms y-parallax of a pair: a warning where it is doubtful, an error where no matcher would succeed.
+    /// Judges the rms y-parallax of a pair in pixels of its images: a warning where it is doubtful, an error where no matcher would
+    /// succeed. What orientation tears apart does not shrink because a depth map is coarser.
     pub fn judge_y_parallax(&self, pair: &str, rms_px: f64) -> Result<Option<String>, StageError> {
         let limit = self.max_y_parallax_px;
         let finding = format!("pair `{pair}`: the rms y-parallax is {rms_px:.2} px");

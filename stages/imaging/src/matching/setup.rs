@@ -11,11 +11,16 @@ use crate::matching::side::Side;
 use rockface_core::artefact::{Cameras, Depth, Image, Noise, Raster};
 use rockface_core::{StageError, fail};
 
+/// Least distance of the nodes of the smooth noise, pixels of the depth map.
+const LEAST_SPACING_PX: f64 = 1.0;
+
 /// How pairs are matched; the same for all pairs.
 #[derive(Debug, Clone)]
 pub struct Setup<'s> {
     /// Where disparities are sampled.
     pub sampling: Sampling,
+    /// Whether the pixels of the noise are those of the images, and not of the depth maps.
+    pub image_pixels: bool,
     /// The paper's noise.
     pub noise: PaperNoise,
     /// Further terms of a real matcher's noise.
@@ -45,8 +50,28 @@ impl Setup<'_> {
         let of_pair = |e: StageError| StageError { message: format!("pair `{pair}`: {}", e.message), ..e };
         let geometry = PairGeometry::new(ideal, noisy).map_err(of_pair)?;
         let scene = PairScene { name: pair, geometry: &geometry, side, strength: self.strength };
-        let noise = self.noise_model(&scene, keys).map_err(of_pair)?;
+        let own =
+            if self.image_pixels { self.in_image_pixels(ideal[0].downscale).map_err(of_pair)? } else { self.clone() };
+        let noise = own.noise_model(&scene, keys).map_err(of_pair)?;
         Ok(Matcher::new(geometry, side, self.sampling, noise, self.occlusion_tolerance))
+    }
+
+    /// The same noise on the face for depth maps that are coarser than the images.
+    fn in_image_pixels(&self, downscale: u32) -> Result<Self, StageError> {
+        let scale = f64::from(downscale).recip();
+        let mut own = self.clone();
+        own.noise.sigma_local_px *= scale;
+        own.noise.sigma_regular_px *= scale;
+        own.noise.recipe.spacing_px *= scale;
+        if own.noise.recipe.spacing_px < LEAST_SPACING_PX {
+            let spacing = self.noise.recipe.spacing_px;
+            return Err(StageError::new(format!(
+                "nodes {spacing} pixels of the images apart are nearer than pixels of the depth maps at downscale {downscale}"
+            ))
+            .hint("a smaller downscale, or a larger `spacing_px`"));
+        }
+        own.terms = self.terms.as_ref().map(|terms| terms.scaled(scale)).transpose()?;
+        Ok(own)
     }
 
     fn noise_model(&self, scene: &PairScene, keys: Keys) -> Result<NoiseModel, StageError> {

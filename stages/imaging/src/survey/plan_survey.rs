@@ -47,11 +47,23 @@ choice! {
     }
 }
 
+choice! {
+    /// How many camera bodies take the images; each has an interior orientation of its own.
+    pub enum Bodies {
+        /// One takes all images: one sensor, `camera`.
+        One = "one",
+        /// One for each image, as at a fixed station: sensors with the names of the images.
+        Each = "each",
+    }
+}
+
 params! {
     /// Parameters of `plan-survey`.
     pub struct PlanSurveyParams {
         /// How images are arranged.
         block: Block = Block::Pair,
+        /// How many camera bodies take the images; null: one for each image of a pair, one for all of strips.
+        bodies: Option<Bodies> = None,
         /// Columns of the sensor.
         width_px: u32 = 8256; Range::AtLeast(1.0),
         /// Rows of the sensor.
@@ -97,10 +109,10 @@ pub struct PlanSurvey;
 impl Stage for PlanSurvey {
     type Params = PlanSurveyParams;
     const NAME: &'static str = "plan-survey";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("plan_survey.md"));
     const INPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The face, in the wall frame.")];
-    const OUTPUTS: &'static [Port] = &[Port::one("cameras", &[Kind::Cameras], "The sensor and the images.")];
+    const OUTPUTS: &'static [Port] = &[Port::one("cameras", &[Kind::Cameras], "The sensors and the images.")];
 
     fn draws(params: &Self::Params) -> bool {
         params.position_sigma_m.iter().chain(&params.pointing_sigma_deg).any(|sigma| *sigma > 0.0)
@@ -156,10 +168,23 @@ impl Stage for PlanSurvey {
             }
             face.check_before(&image.centre(), plan.footprint_m.map(|side| 0.25 * side), plan.distance_m)?;
         }
-        let cameras = Cameras { frame: Frame::Wall, sensors: vec![sensor], images };
+        let cameras = with_bodies(params, sensor, images);
         report(params, &plan, &face, &cameras, context);
         Ok(Outputs::of("cameras", cameras))
     }
+}
+
+/// The block: all images by one sensor, or each by one of its own.
+fn with_bodies(params: &PlanSurveyParams, sensor: Sensor, mut images: Vec<Image>) -> Cameras {
+    let usual = if params.block == Block::Pair { Bodies::Each } else { Bodies::One };
+    let sensors = match params.bodies.unwrap_or(usual) {
+        Bodies::One => vec![sensor],
+        Bodies::Each => {
+            images.iter_mut().enumerate().for_each(|(number, image)| image.sensor = number);
+            images.iter().map(|image| Sensor { name: image.name.clone(), ..sensor.clone() }).collect()
+        }
+    };
+    Cameras { frame: Frame::Wall, sensors, images }
 }
 
 /// Figures that follow from sensor and distance.

@@ -4,9 +4,9 @@ use serde_json::{Value, json};
 
 use crate::rockfall::block;
 use crate::rockfall::block::joints;
-use crate::rockfall::distribution;
 use rockface_core::artefact::candidates::{Class, HexKey, Modifier, Shape, Size};
 use rockface_core::artefact::{Candidates, Kind, Meshes, Transform};
+use rockface_core::format::distribution_file;
 use rockface_core::params::{Fault, FileRef, ParamType, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
@@ -125,7 +125,7 @@ fn class_faults(class: &Class) -> Vec<Fault> {
 /// The same parameters with every distribution of a file replaced by its values, and checked again with them.
 fn with_files_read<T: ParamType>(params: &T, name: &str, context: &Context) -> Result<T, StageError> {
     let read = |path: &str| context.read(&FileRef(path.to_owned()));
-    distribution::with_files_read(params, &read).map_err(|e| e.within(format!("`{name}`")))
+    distribution_file::with_files_read(params, &read).map_err(|e| e.within(format!("`{name}`")))
 }
 
 /// The axes of the wall in east, north, up, where any class needs them.

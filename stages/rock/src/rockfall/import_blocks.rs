@@ -6,10 +6,10 @@ use crate::face::half_edges::HalfEdges;
 use crate::face::{mesh_file, orient, repair};
 use crate::rockfall::block;
 use crate::rockfall::block::{Flaw, Solid, smoothing};
-use crate::rockfall::distribution;
 use rockface_core::artefact::candidates::Modifier;
 use rockface_core::artefact::{Frame, Georeference, Kind, Mesh, Meshes, Part, Transform};
 use rockface_core::crs::{CrsName, Stated, Tool, settle, wall_without_system};
+use rockface_core::format::distribution_file;
 use rockface_core::numerics::random::Key;
 use rockface_core::params::{Fault, FileRef, FilesRef, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, SourceFile, Stage, StageError, choice, fail, params};
@@ -88,7 +88,7 @@ impl Stage for ImportBlocks {
         let mut frame = frame(params.frame, transform)?;
         let moved = transform.and_then(Moved::by);
         let read = |path: &str| context.read(&FileRef(path.to_owned()));
-        let modifiers = distribution::with_files_read(&params.modifiers, &read).map_err(|e| e.within("`modifiers`"))?;
+        let modifiers = distribution_file::with_files_read(&params.modifiers, &read).map_err(|e| e.within("`modifiers`"))?;
         let mut parts = Vec::new();
         for mut file in context.files(&params.path)? {
             context.check_cancelled()?;

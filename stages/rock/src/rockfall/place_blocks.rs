@@ -110,8 +110,9 @@ fn on_zone(
         context.note(format!("{outside} cells of the zone lie beside the raster of weights: no block stands there"));
     }
     if params.units.is_empty() {
-        let one = bands.len() == 1 && classes.is_none_or(|classes| !classes.contains(&bands[0].name));
-        let class = |band: &Band| if one { ALL.to_owned() } else { band.name.clone() };
+        let name = |band: &Band| placement::class_of_band(&band.name).to_owned();
+        let one = bands.len() == 1 && classes.is_none_or(|classes| !classes.contains(&name(&bands[0])));
+        let class = |band: &Band| if one { ALL.to_owned() } else { name(band) };
         return Ok(bands.into_iter().map(|band| Weights { class: class(&band), values: band.values }).collect());
     }
     let [labels] = bands.as_slice() else {

@@ -9,6 +9,7 @@ use crate::rockfall::removal::attempts::{End, Event, Outcome, Plan};
 use crate::rockfall::removal::cut::Least;
 use crate::rockfall::removal::evaluate::{Direction, Rules};
 use crate::rockfall::removal::face::{Face, Rect};
+use crate::rockfall::removal::search;
 use crate::rockfall::removal::sites::Sites;
 use crate::rockfall::removal::source::{Blocks, Source};
 use crate::rockfall::removal::tables;
@@ -24,6 +25,16 @@ choice! {
         LocalNormal = "local_normal",
         /// Z of the wall frame.
         Z = "z",
+    }
+}
+
+choice! {
+    /// Which area of a niche is maximised, with its volume, by the depth of a block.
+    pub enum NicheArea {
+        /// That of its opening, seen along the direction of placement: part of the block stays outside.
+        Projected = "projected",
+        /// That of the surface it leaves in the rock: it grows with the depth, and blocks sink to `max_rock_share`.
+        True = "true_area",
     }
 }
 
@@ -62,7 +73,7 @@ params! {
         size: bool = true,
         /// No edge of three triangles, no vertex where the surface touches itself.
         non_manifold: bool = true,
-        /// The border of the mesh stays as it is: no new hole.
+        /// The border of the mesh stays as it is: no new hole. Where `border` is off it may be bitten, but not fall into more loops.
         holes: bool = true,
         /// The surface of the removed rock does not pass through itself.
         self_intersection: bool = true,
@@ -82,6 +93,8 @@ params! {
         fewer: Fewer = Fewer::Warn,
         /// The direction a block is moved along to its place, and depth is measured along.
         direction: Along = Along::LocalNormal,
+        /// Which area of the niche counts where the depth is sought that maximises its area times its volume.
+        niche_area: NicheArea = NicheArea::Projected,
         /// Largest share of a placed block's volume that may be rock: the rest stands out of the face. Blocks at their own
         /// position, or with a given `z_m`, are not moved.
         max_rock_share: f64 = 0.98; Range::Between(0.01, 1.0),
@@ -116,7 +129,7 @@ pub struct RemoveBlocks;
 impl Stage for RemoveBlocks {
     type Params = RemoveBlocksParams;
     const NAME: &'static str = "remove-blocks";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("remove_blocks.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("mesh", &[Kind::Mesh], "The face before, wall frame."),
@@ -276,6 +289,10 @@ fn rules<'a>(params: &RemoveBlocksParams, zone: Option<&'a Raster>) -> Result<Ru
             depth_m: when(checks.depth, params.min_depth_m),
             whole_block: params.small_pieces == SmallPieces::Reject,
         },
+        niche_area: match params.niche_area {
+            NicheArea::Projected => search::NicheArea::Projected,
+            NicheArea::True => search::NicheArea::True,
+        },
         most_volume: params.max_rock_share,
         most_shift_m: params.max_shift_m.unwrap_or(params.min_depth_m),
         refine_edge_m: params.refine_edge_m,
@@ -318,9 +335,11 @@ fn judge(
     };
     let text = format!("{pieces} of {wanted} pieces are out: {why}; {tried} were tried, rejected for: {told}");
     if events == 0 || params.fewer == Fewer::Fail {
-        let hint =
-            "`rockface stages remove-blocks` says what the reasons mean; blocks and face must be in the same place";
-        return Err(StageError::new(text).hint(hint));
+        let hint = "the tables `attempts` and `volumes` of this step, in the folder of the run, have every candidate; \
+                    `rockface stages remove-blocks` says what the reasons mean; blocks and face must be in the same place";
+        let attempts = tables::candidates(&outcome.attempts);
+        let tried = Outputs::of("attempts", attempts).and("volumes", tables::by_volume(&outcome.attempts));
+        return Err(StageError::new(text).hint(hint).evidence(tried));
     }
     context.warn(text);
     Ok(())

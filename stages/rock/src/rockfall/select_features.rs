@@ -1,9 +1,19 @@
 //! `select-features`: keeps the rockfalls of an inventory whose properties say so.
 
-use rockface_core::artefact::{Cell, Feature, Inventory, Kind};
+use rockface_core::artefact::{Cell, Feature, Inventory, Kind, Raster};
 use rockface_core::params::Range;
-use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
 use rockface_raster::columns;
+
+choice! {
+    /// Where the survey ends.
+    pub enum Border {
+        /// At the edge of the raster, and at cells without a value that are connected to it.
+        Outer = "outer",
+        /// At every cell without a value: gaps inside the survey too.
+        Gaps = "gaps",
+    }
+}
 
 params! {
     /// What a property must be.
@@ -24,8 +34,10 @@ params! {
     pub struct SelectFeaturesParams {
         /// What must hold of a rockfall, all of it.
         keep: Vec<Condition> = Vec::new(),
-        /// Rockfalls nearer than this to the border of the raster at `inside`, or to a cell without a value there, are dropped, metres.
+        /// Rockfalls nearer than this to the border of the survey at `inside` are dropped, metres.
         margin_m: f64 = 0.0; Range::NonNegative,
+        /// Where the survey at `inside` ends.
+        border: Border = Border::Outer,
         /// How many at most, in their order; null: all; 0: an empty inventory, the truth of a survey in which nothing happened.
         count: Option<u32> = None,
     }
@@ -37,17 +49,17 @@ pub struct SelectFeatures;
 impl Stage for SelectFeatures {
     type Params = SelectFeaturesParams;
     const NAME: &'static str = "select-features";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("select_features.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("inventory", &[Kind::Inventory], "The rockfalls."),
-        Port::optional("inside", &[Kind::Raster], "The raster whose border counts."),
+        Port::optional("inside", &[Kind::Raster], "The survey whose border counts; its first band."),
     ];
     const OUTPUTS: &'static [Port] = &[Port::one("inventory", &[Kind::Inventory], "Those that are kept.")];
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let inventory = inputs.one::<Inventory>("inventory")?;
-        let inside = inputs.optional::<rockface_core::artefact::Raster>("inside")?;
+        let inside = inputs.optional::<Raster>("inside")?;
         if let Some(raster) = inside.filter(|raster| raster.frame != inventory.frame) {
             fail!("the inventory is in the {} frame, the raster in the {} frame", inventory.frame, raster.frame);
         }
@@ -57,13 +69,22 @@ impl Stage for SelectFeatures {
             let is_empty = inventory.features.is_empty();
             places.push(if is_empty { 0 } else { columns::place(&inventory.columns, &condition.column)? });
         }
-        let holds = |feature: &&Feature| {
-            let all = params.keep.iter().zip(&places).all(|(condition, at)| fits(&feature.values[*at], condition));
-            all && inside.is_none_or(|raster| is_inside(feature, raster, params.margin_m))
+        let fitting = |feature: &&Feature| {
+            params.keep.iter().zip(&places).all(|(condition, at)| fits(&feature.values[*at], condition))
         };
-        let most = params.count.map_or(usize::MAX, |count| count as usize);
-        let features: Vec<Feature> = inventory.features.iter().filter(holds).take(most).cloned().collect();
+        let survey = inside.map(|raster| Survey::new(raster, params.border));
+        let (mut features, mut at_border) = (Vec::new(), 0);
+        for feature in inventory.features.iter().filter(fitting) {
+            match &survey {
+                Some(survey) if !survey.holds(feature, params.margin_m) => at_border += 1,
+                _ => features.push(feature.clone()),
+            }
+        }
+        features.truncate(params.count.map_or(usize::MAX, |count| count as usize));
         context.metric("kept", features.len() as f64, "1");
+        if survey.is_some() {
+            context.metric("at_border", f64::from(at_border), "1");
+        }
         context.headline(format!("{} of {} rockfalls kept", features.len(), inventory.features.len()));
         Ok(Outputs::of("inventory", Inventory { features, ..inventory.clone() }))
     }
@@ -77,20 +98,63 @@ fn fits(cell: &Cell, condition: &Condition) -> bool {
     among && from && max.is_none_or(|most| number.is_some_and(|x| x <= most))
 }
 
-fn is_inside(feature: &Feature, raster: &rockface_core::artefact::Raster, margin_m: f64) -> bool {
-    let grid = &raster.grid;
-    // A corner lies between cells: without a margin, those around it count.
-    let reach = ((margin_m / grid.cell_m).ceil() as i64).max(1);
-    let value = |row: i64, column: i64| {
-        let within = (0..grid.rows as i64).contains(&row) && (0..grid.columns as i64).contains(&column);
-        within && !raster.bands[0].values[row as usize * grid.columns + column as usize].is_nan()
+/// The cells of a raster that lie inside a survey.
+struct Survey<'a> {
+    raster: &'a Raster,
+    inside: Vec<bool>,
+}
+
+impl<'a> Survey<'a> {
+    fn new(raster: &'a Raster, border: Border) -> Self {
+        let has_value = raster.bands[0].values.iter().map(|value| !value.is_nan());
+        let inside = match border {
+            Border::Gaps => has_value.collect(),
+            Border::Outer => enclosed(&has_value.collect::<Vec<_>>(), raster.grid.columns),
+        };
+        Self { raster, inside }
+    }
+
+    /// Whether every corner of an outline lies inside, and all cells within a distance in rows and columns of it.
+    fn holds(&self, feature: &Feature, margin_m: f64) -> bool {
+        let grid = &self.raster.grid;
+        // A corner lies between cells: without a margin, those around it count.
+        let reach = ((margin_m / grid.cell_m).ceil() as i64).max(1);
+        let is_inside = |row: i64, column: i64| {
+            let within = (0..grid.rows as i64).contains(&row) && (0..grid.columns as i64).contains(&column);
+            within && self.inside[row as usize * grid.columns + column as usize]
+        };
+        let mut corners = feature.outline.iter().flat_map(|polygon| &polygon.exterior);
+        corners.all(|[x, y]| {
+            let column = ((x - grid.left_m) / grid.cell_m).round() as i64;
+            let row = ((grid.top_m - y) / grid.cell_m).round() as i64;
+            (row - reach..row + reach).all(|r| (column - reach..column + reach).all(|c| is_inside(r, c)))
+        })
+    }
+}
+
+/// All cells but those without a value that are connected to the edge of the grid, over edges or corners of cells.
+fn enclosed(has_value: &[bool], columns: usize) -> Vec<bool> {
+    let rows = has_value.len() / columns;
+    let mut inside = vec![true; has_value.len()];
+    let at_edge = |cell: &usize| {
+        let (row, column) = (cell / columns, cell % columns);
+        row == 0 || row + 1 == rows || column == 0 || column + 1 == columns
     };
-    let mut corners = feature.outline.iter().flat_map(|polygon| &polygon.exterior);
-    corners.all(|[x, y]| {
-        let column = ((x - grid.left_m) / grid.cell_m).round() as i64;
-        let row = ((grid.top_m - y) / grid.cell_m).round() as i64;
-        (row - reach..row + reach).all(|r| (column - reach..column + reach).all(|c| value(r, c)))
-    })
+    let mut open: Vec<usize> = (0..has_value.len()).filter(|cell| at_edge(cell) && !has_value[*cell]).collect();
+    open.iter().for_each(|cell| inside[*cell] = false);
+    while let Some(cell) = open.pop() {
+        let (row, column) = (cell / columns, cell % columns);
+        for r in row.saturating_sub(1)..(row + 2).min(rows) {
+            for c in column.saturating_sub(1)..(column + 2).min(columns) {
+                let next = r * columns + c;
+                if inside[next] && !has_value[next] {
+                    inside[next] = false;
+                    open.push(next);
+                }
+            }
+        }
+    }
+    inside
 }
 
 #[cfg(test)]
@@ -98,7 +162,7 @@ mod tests {
     use serde_json::{Value, json};
 
     use super::*;
-    use rockface_core::artefact::{Artefact, Frame, Grid, Polygon, Raster};
+    use rockface_core::artefact::{Artefact, Frame, Grid, Polygon};
     use rockface_core::testing::{TestHost, run_stage};
 
     fn kept(with: &Value, inside: Option<Raster>) -> Result<Vec<f64>, StageError> {
@@ -139,7 +203,14 @@ mod tests {
         let mut raster = Raster::single(grid, Frame::Wall, "difference", "d", vec![0.0; 100]);
         assert_eq!(kept(&json!({"margin_m": 0.1}), Some(raster.clone())).unwrap(), [0.1, 0.4, 0.7]);
         assert_eq!(kept(&json!({"margin_m": 0.2}), Some(raster.clone())).unwrap(), [0.4]);
+        // A gap inside the survey is no border: the greatest detachments have gaps behind their ledges.
         raster.bands[0].values[55] = f32::NAN;
+        assert_eq!(kept(&json!({}), Some(raster.clone())).unwrap(), [0.1, 0.4, 0.7]);
+        assert_eq!(kept(&json!({"border": "gaps"}), Some(raster.clone())).unwrap(), [0.1, 0.7]);
+        // One that is open to the edge is.
+        for cell in [65, 75, 85, 95] {
+            raster.bands[0].values[cell] = f32::NAN;
+        }
         assert_eq!(kept(&json!({}), Some(raster)).unwrap(), [0.1, 0.7]);
     }
 }

@@ -18,6 +18,8 @@ pub struct Radar {
     /// Name, colour and values of each outline, one value a spoke; values beyond the range are drawn at its ends, NaN in
     /// the centre.
     pub outlines: Vec<(String, Ink, Vec<f64>)>,
+    /// Name, colour, opacity and ends of each band under the outlines, one pair of ends a spoke.
+    pub bands: Vec<(String, Ink, f64, Vec<[f64; 2]>)>,
 }
 
 struct Wheel {
@@ -43,12 +45,14 @@ pub(super) fn draw(area: &Area, radar: &Radar) -> Result<(), CodecError> {
     let [low, high] = radar.range;
     let count = radar.spokes.len();
     let uneven = radar.outlines.iter().find(|outline| outline.2.len() != count);
-    if count < 3 || uneven.is_some() || !low.is_finite() || !high.is_finite() || low >= high {
+    let uneven_band = radar.bands.iter().find(|band| band.3.len() != count);
+    if count < 3 || uneven.is_some() || uneven_band.is_some() || !low.is_finite() || !high.is_finite() || low >= high {
         let why = "a radar has at least three spokes, one value of each outline on each, and an ascending range";
         return Err(CodecError::new(why));
     }
-    let layers: Vec<(Layer, Ink)> =
-        radar.outlines.iter().map(|(name, ink, _)| (Layer::new(name.as_str(), Mark::Line(Vec::new())), *ink)).collect();
+    let bands = radar.bands.iter().map(|(name, ink, ..)| (Layer::new(name.as_str(), Mark::Band(Vec::new())), *ink));
+    let lines = radar.outlines.iter().map(|(name, ink, _)| (Layer::new(name.as_str(), Mark::Line(Vec::new())), *ink));
+    let layers: Vec<(Layer, Ink)> = bands.chain(lines).collect();
     let top = legend::draw(area, layers.iter().map(|(layer, ink)| (layer, ink)))?;
     let (width, height) = area.dim_in_pixel();
     let widest = radar.spokes.iter().map(|name| Face::Tick.width(name)).max().unwrap_or(0);
@@ -57,11 +61,19 @@ pub(super) fn draw(area: &Area, radar: &Radar) -> Result<(), CodecError> {
     let middle = f64::from(top) + (f64::from(height) - f64::from(top)) / 2.0;
     let wheel = Wheel { centre: [f64::from(width) / 2.0, middle], radius: radius.max(200.0), count };
     grid(area, radar, &wheel)?;
+    let share = |value: f64| if value.is_nan() { 0.0 } else { ((value - low) / (high - low)).clamp(0.0, 1.0) };
+    for (_, ink, opacity, ends) in &radar.bands {
+        // One part a sector: a band round the whole wheel would have a hole, which a polygon has not.
+        for spoke in 0..count {
+            let next = (spoke + 1) % count;
+            let corner = |spoke: usize, end: usize| wheel.place(spoke, share(ends[spoke][end]));
+            let part = vec![corner(spoke, 0), corner(spoke, 1), corner(next, 1), corner(next, 0)];
+            area.draw(&Polygon::new(part, ink.area(*opacity))).map_err(failed)?;
+        }
+    }
     for (_, ink, values) in &radar.outlines {
-        let share = |value: &f64| if value.is_nan() { 0.0 } else { ((value - low) / (high - low)).clamp(0.0, 1.0) };
-        let outline = |spoke: usize| wheel.place(spoke % count, share(&values[spoke % count]));
+        let outline = |spoke: usize| wheel.place(spoke % count, share(values[spoke % count]));
         let places: Vec<(i32, i32)> = (0..=count).map(outline).collect();
-        area.draw(&Polygon::new(places.clone(), ink.area(0.12))).map_err(failed)?;
         stroke(area, places, ink.line(18))?;
     }
     Ok(())

@@ -39,7 +39,12 @@ fn every_kind() -> Sheet {
     let spokes = ["recall", "precision", "F1", "IoU", "volume"].map(str::to_owned).to_vec();
     let outlines =
         vec![outline(Ink::Muted, [0.9, 0.8, 0.7, 0.6, f64::NAN]), outline(Ink::Series(0), [0.4, 0.9, 0.6, 0.5, 0.8])];
-    let radar = Radar { spokes, range: [0.0, 1.0], outlines };
+    let radar = Radar {
+        spokes,
+        range: [0.0, 1.0],
+        outlines,
+        bands: vec![("band".into(), Ink::Muted, 0.2, vec![[0.2, 0.6]; 5])],
+    };
     let sides_m: Vec<[f64; 3]> =
         (1..60).map(|i| [1.0, 0.3 + 0.01 * f64::from(i), 0.1 + 0.005 * f64::from(i)]).collect();
     let values: Vec<f64> = sides_m.iter().map(|sides| sides[1]).collect();

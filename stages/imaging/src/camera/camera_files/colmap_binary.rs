@@ -9,7 +9,7 @@ use rockface_core::{StageError, fail};
 pub fn read(cameras: &[u8], images: &[u8], frame: Frame) -> Result<CameraFile, StageError> {
     let within = |file: &str| {
         let file = file.to_owned();
-        move |e: StageError| StageError { message: format!("{file}: {}", e.message), hint: e.hint }
+        move |e: StageError| StageError { message: format!("{file}: {}", e.message), ..e }
     };
     let sensors = records(cameras, sensor).map_err(within("cameras.bin"))?;
     let mut poses = records(images, pose).map_err(within("images.bin"))?;
@@ -26,10 +26,7 @@ fn records<T>(bytes: &[u8], read: fn(&mut Bytes) -> Result<T, StageError>) -> Re
     for number in 1..=count {
         let record = read(&mut bytes);
         records.push(
-            record.map_err(|e| StageError {
-                message: format!("record {number} of {count}: {}", e.message),
-                hint: e.hint,
-            })?,
+            record.map_err(|e| StageError { message: format!("record {number} of {count}: {}", e.message), ..e })?,
         );
     }
     match bytes.all.len() - bytes.at {

@@ -53,7 +53,7 @@ fn words(numbers: &[f64]) -> String {
 }
 
 fn at(file: &str, number: usize, error: &StageError) -> StageError {
-    StageError { message: format!("{file}, line {number}: {}", error.message), hint: error.hint.clone() }
+    StageError { message: format!("{file}, line {number}: {}", error.message), ..error.clone() }
 }
 
 /// Lines that say something, numbered from 1.

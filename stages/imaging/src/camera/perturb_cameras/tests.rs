@@ -73,7 +73,8 @@ fn parallaxes(truth: &Cameras, noisy: &Cameras, points: &[Vector3<f64>]) -> Vec<
 }
 
 fn rms_parallax(truth: &Cameras, covariance: &Covariance, points: &[Vector3<f64>]) -> f64 {
-    let draw = |seed| perturb(&TestHost::seeded(seed), truth, Some(covariance), &json!({})).unwrap();
+    let draw =
+        |seed| perturb(&TestHost::seeded(seed), truth, Some(covariance), &json!({"allow_blocks": true})).unwrap();
     let all: Vec<f64> = (0..40).flat_map(|seed| parallaxes(truth, &draw(seed), points)).collect();
     (all.iter().map(|dy| dy * dy).sum::<f64>() / all.len() as f64).sqrt()
 }
@@ -169,7 +170,57 @@ fn bad_input_is_refused() {
     let mut indefinite = covariance(&["a.X", "b.X"]);
     (indefinite.matrix[0][1], indefinite.matrix[1][0]) = (2e-6, 2e-6);
     says(Some(indefinite), "positive semi-definite");
+    // The covariance of the blocks of single images, as Metashape exports it.
+    let mut blocks = covariance(&["a.X", "b.X"]);
+    (blocks.matrix[0][1], blocks.matrix[1][0]) = (0.0, 0.0);
+    says(Some(blocks.clone()), "between different images are zero");
+    says(Some(Covariance { full_joint: false, ..covariance(&["a.X", "b.X"]) }), "not a full joint");
+    assert!(perturb(&host, &pair(), Some(&blocks), &json!({"allow_blocks": true})).is_ok());
     let faults = |with: Value| PerturbCameras::check(&PerturbCamerasParams::decode(&with).unwrap());
     assert_eq!(faults(json!({"independent": {"focal_px": 1}})).len(), 1);
     assert_eq!(faults(json!({"model": "independent", "independent": {"focal_px": -1}})).len(), 1);
+}
+
+#[test]
+fn errors_of_any_distribution_go_to_the_images_and_sensors_they_name() {
+    let errors = |seed: u64, rules: Value| {
+        let with = json!({"model": "independent", "independent": {"position_m": [0.01, 0, 0], "affinity_px": [0, 0.3]}, "errors": rules});
+        perturb(&TestHost::seeded(seed), &pair(), None, &with).unwrap()
+    };
+    let uniform = json!({"of": ["X", "Y"], "at": ["a"], "error": {"uniform": {"min": 0.02, "max": 0.03}}});
+    let fixed = json!({"of": ["b1", "k4"], "error": 0.25});
+    let turned = json!({"of": ["rz"], "at": ["b"], "error": 1.0});
+    let rules = json!([uniform, fixed, turned]);
+    for seed in 0..20 {
+        let noisy = errors(seed, rules.clone());
+        let moved = |i: usize, k: usize| noisy.images[i].centre_m[k] - pair().images[i].centre_m[k];
+        assert!((0.02..0.03).contains(&moved(0, 0)) && (0.02..0.03).contains(&moved(0, 1)), "{noisy:?}");
+        assert!(moved(1, 1) == 0.0 && moved(1, 0) != 0.0 && moved(1, 0).abs() < 0.06);
+        for (sensor, before) in noisy.sensors.iter().zip(pair().sensors) {
+            assert_eq!((sensor.b1, sensor.k[3]), (0.25, 0.25));
+            assert!(sensor.b2 != before.b2 && sensor.b2.abs() < 1.8);
+        }
+        let turn = noisy.images[1].matrix() * pair().images[1].matrix().transpose();
+        assert!((nalgebra::Rotation3::from_matrix_unchecked(turn).angle().to_degrees() - 1.0).abs() < 1e-9);
+        assert_eq!(noisy.images[0].camera_from_object, pair().images[0].camera_from_object);
+    }
+    // The last rule for a parameter counts.
+    let last = errors(1, json!([uniform, {"of": ["X"], "error": 0.5}]));
+    assert_eq!(
+        last.images.iter().zip(pair().images).map(|(a, b)| a.centre_m[0] - b.centre_m[0]).collect::<Vec<_>>(),
+        [0.5, 0.5]
+    );
+    let unknown = json!({"model": "independent", "errors": [{"of": ["X"], "at": ["c"], "error": 1}]});
+    let error = perturb(&TestHost::default(), &pair(), None, &unknown).unwrap_err();
+    assert!(error.message.contains("image `c`") && error.hint.unwrap().contains("a, b"));
+    let paths = |with: Value| {
+        let faults = PerturbCameras::check(&PerturbCamerasParams::decode(&with).unwrap());
+        faults.iter().map(|fault| fault.path.join(".")).collect::<Vec<_>>()
+    };
+    assert_eq!(paths(json!({"model": "independent", "errors": [{"of": ["X", "k9"], "error": 1}]})), ["errors.0.of.1"]);
+    assert_eq!(
+        paths(json!({"model": "independent", "errors": [{"of": ["X", "f"], "at": ["a"], "error": 1}]})),
+        ["errors.0.at"]
+    );
+    assert_eq!(paths(json!({"errors": [{"of": ["X"], "error": 1}]})), ["errors"]);
 }

@@ -83,6 +83,27 @@ fn a_plane_leaves_two_shifts_and_a_rotation_alone() {
 }
 
 #[test]
+fn what_is_left_alone_says_what_it_costs_in_the_difference() {
+    // Slopes of 4 %: along X and Y, noise would hold such a surface in place.
+    let gentle = |x: f64, y: f64| {
+        0.04 * rockface_core::numerics::portable_math::sin(1.5 * x)
+            + 0.03 * rockface_core::numerics::portable_math::cos(1.3 * y)
+    };
+    let mut shifted = still();
+    shifted.translation[0] += 0.05;
+    let settings = Settings { trim: 1.0, weak_eigenvalue: 0.01, ..SETTINGS };
+    let found = register(&surface(gentle, &shifted), &surface(gentle, &still()), &settings).unwrap();
+    assert!(found.unobservable.len() >= 2 && found.unobservable.len() == found.left_alone_m.len());
+    let whole = |k: usize| found.left_alone_m.iter().map(|left| left[k] * left[k]).sum::<f64>().sqrt();
+    assert!((whole(0) - 0.05).abs() < 0.005, "{:?}", found.left_alone_m);
+    // All that is left of the difference is that.
+    assert!((whole(1) / found.rms_m - 1.0).abs() < 0.05 && (0.001..0.003).contains(&found.rms_m), "{found:?}");
+    let free = Settings { weak_eigenvalue: 1e-6, ..settings };
+    let found = register(&surface(gentle, &shifted), &surface(gentle, &still()), &free).unwrap();
+    assert!(found.unobservable.is_empty() && found.rms_m < 1e-4, "{found:?}");
+}
+
+#[test]
 fn a_change_is_trimmed_away() {
     let fallen = |x: f64, y: f64| {
         let niche = (4.0..6.0).contains(&x) && (3.0..5.0).contains(&y);

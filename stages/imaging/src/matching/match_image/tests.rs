@@ -177,7 +177,7 @@ fn several_pairs_are_the_fusion_of_their_maps() {
             (single(&block, pair, &with), f64::from(pair.second.as_bytes()[0] - pair.first.as_bytes()[0]))
         })
         .collect();
-    let rule = fusion(&MatchImageParams::decode(&with).unwrap()).rule;
+    let rule = fusion(&MatchImageParams::decode(&with).unwrap(), 1).rule;
     let mut compared = 0;
     for (i, z) in map.z.iter().enumerate() {
         // Sigma goes by the baseline: half of it, half the precision.

@@ -139,6 +139,34 @@ fn wrong_orientations_show_as_y_parallax_and_leave_the_ray_unchanged() {
 }
 
 #[test]
+fn y_parallax_counts_pixels_of_the_images_at_any_downscale() {
+    let rms = |downscale: u32| {
+        let mut scene = scene(convergent(sensor()), &wavy(), downscale);
+        scene.noisy.images[1] = image_at("right", [2.0, -0.1, 20.3], [-0.028, 0.1, -0.03]);
+        let host = TestHost::default();
+        run(&scene, &host, &silent("first")).unwrap();
+        host.metric("y_parallax_rms").unwrap()
+    };
+    assert!((rms(2) / rms(1) - 1.0).abs() < 0.05 && rms(1) > 0.5, "{} {}", rms(2), rms(1));
+    let mut scene = scene(convergent(sensor()), &wavy(), 4);
+    scene.noisy.images[1] = image_at("right", [2.0, -0.1, 20.3], [-0.1, 0.1, -0.03]);
+    assert!(run(&scene, &TestHost::default(), &silent("first")).unwrap_err().message.contains("could not be matched"));
+}
+
+#[test]
+fn noise_in_pixels_of_the_images_is_the_same_on_the_face() {
+    let scene = scene(convergent(sensor()), &wavy(), 2);
+    let image = json!({"pixels": "image", "sigma_local_px": 0.4, "sigma_regular_px": 0.6, "spacing_px": 18, "matcher": {"local_length_px": 4}});
+    let map =
+        json!({"sigma_local_px": 0.2, "sigma_regular_px": 0.3, "spacing_px": 9, "matcher": {"local_length_px": 2}});
+    assert_eq!(matched(&scene, &image).z.len(), matched(&scene, &map).z.len());
+    let bits = |with: &Value| matched(&scene, with).z.iter().map(|z| z.to_bits()).collect::<Vec<_>>();
+    assert_eq!(bits(&image), bits(&map));
+    let error = |with: Value| run(&scene, &TestHost::default(), &with).unwrap_err().message;
+    assert!(error(json!({"pixels": "image", "matcher": {"relief": {}}})).contains("whole pixels"));
+}
+
+#[test]
 fn both_maps_of_a_pair_carry_the_same_error() {
     let scene = scene(convergent(sensor()), &wavy(), 1);
     let with = |of: &str| json!({"of": of, "channels": true, "spacing_px": 9, "sigma_local_px": 0.1});

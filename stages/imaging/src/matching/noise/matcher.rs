@@ -202,6 +202,32 @@ impl PairScene<'_> {
 pub type Keys<'a> = &'a dyn Fn(&str, &str) -> Key;
 
 impl MatcherTerms {
+    /// The same terms with all lengths and disparities multiplied.
+    ///
+    /// # Errors
+    /// Terms with a window of whole pixels, which cannot be multiplied.
+    pub fn scaled(&self, scale: f64) -> Result<Self, StageError> {
+        if self.relief.is_some() || self.window.is_some() {
+            return Err(StageError::new("`relief` and `window` of `matcher` have whole pixels of the depth map")
+                .hint("leave them out, or set `pixels: depth_map`"));
+        }
+        let mut terms = self.clone();
+        terms.local_length_px *= scale;
+        terms.pixel_locking_px *= scale;
+        terms.disparity_step_px *= scale;
+        if let Some(conditions) = &mut terms.conditions {
+            conditions.length_px = (conditions.length_px * scale).max(1.0);
+        }
+        if let Some(blunders) = &mut terms.blunders {
+            blunders.length_px = (blunders.length_px * scale).max(1.0);
+            blunders.sigma_px *= scale;
+        }
+        if let Some(holes) = &mut terms.holes {
+            holes.length_px = (holes.length_px * scale).max(1.0);
+        }
+        Ok(terms)
+    }
+
     /// All terms off.
     pub fn none() -> Self {
         Self {

@@ -65,6 +65,21 @@ fn impossible_stations_are_refused() {
     assert_eq!(PlanSurvey::check(&both)[0].path, ["focal_px"]);
 }
 
+#[test]
+fn a_station_has_two_bodies_and_a_flight_one() {
+    let sensors = |mesh: Mesh, with: &Value| {
+        let cameras = plan(&TestHost::default(), mesh, with).unwrap();
+        let names: Vec<String> = cameras.sensors.iter().map(|sensor| sensor.name.clone()).collect();
+        assert!(cameras.images.iter().all(|image| image.sensor < names.len()));
+        (names, cameras.images[1].sensor)
+    };
+    let face = || face(Frame::Wall);
+    assert_eq!(sensors(face(), &json!({})), (vec!["left".to_owned(), "right".to_owned()], 1));
+    assert_eq!(sensors(face(), &json!({"bodies": "one"})), (vec!["camera".to_owned()], 0));
+    assert_eq!(sensors(headland(), &nobbys(&json!({}))), (vec!["camera".to_owned()], 0));
+    assert_eq!(sensors(headland(), &nobbys(&json!({"bodies": "each"}))).0.len(), 80);
+}
+
 fn nobbys(more: &Value) -> Value {
     let mut with = json!({"block": "strips", "width_px": 5472, "height_px": 3648, "focal_mm": 8.8, "pixel_um": 2.41,
         "gsd_m": 0.005, "columns": 10, "rows": 8, "directions_deg": [[0, -15]]});

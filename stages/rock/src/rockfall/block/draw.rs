@@ -1,8 +1,8 @@
 //! The numbers drawn for one candidate, each noted under its name.
 
 use super::BlockError;
-use crate::rockfall::distribution::Draws;
 use rockface_core::artefact::candidates::Quantity;
+use rockface_core::distribution::Draws;
 use rockface_core::numerics::random::Key;
 
 /// Draws for one candidate of one class; what is drawn is kept as a list of names and values.

@@ -216,8 +216,8 @@ fn line(a: Vector3<f64>, b: Vector3<f64>) -> Option<Vector3<f64>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rockfall::distribution::Draws;
     use rockface_core::artefact::candidates::{Class, HexKey};
+    use rockface_core::distribution::Draws;
     use rockface_core::numerics::random::Key;
     use rockface_core::params::ParamType;
     use serde_json::{Value, json};

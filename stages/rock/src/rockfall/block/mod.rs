@@ -17,10 +17,10 @@ pub use solid::{Flaw, Solid};
 
 use nalgebra::Vector3;
 
-use crate::rockfall::distribution::{Draws, chosen};
 use draw::Drawing;
 use rockface_core::artefact::Candidates;
 use rockface_core::artefact::candidates::{Align, Class, Modifier, Shape};
+use rockface_core::distribution::{Draws, chosen};
 use rockface_core::numerics::random::Key;
 
 /// A point of a mesh: x, y, z, metres.
@@ -102,9 +102,7 @@ impl BlockError {
 /// The class is drawn by the classes' probabilities, then shape, size and modifiers by theirs.
 pub fn candidate(candidates: &Candidates, number: u64) -> Result<Block, BlockError> {
     let draws = Draws::new(candidates.key.0, number);
-    let weights: Vec<f64> = candidates.classes.iter().map(|class| class.probability).collect();
-    let nothing = || BlockError::Specification("no class of blocks has a probability above zero".into());
-    let at = chosen(&weights, draws.uniform("class")).ok_or_else(nothing)?;
+    let at = chosen_class(candidates, &draws)?;
     let class = &candidates.classes[at];
     let mut drawing = Drawing::new(draws, at);
     let mut solid = finished(class, candidates, &mut drawing)?;
@@ -118,10 +116,32 @@ pub fn candidate(candidates: &Candidates, number: u64) -> Result<Block, BlockErr
     })
 }
 
-fn finished(class: &Class, candidates: &Candidates, drawing: &mut Drawing) -> Result<Solid, BlockError> {
+/// What candidate `number` was to be: its class, and its volume in cubic metres before any modifier. For candidates that give no
+/// block, so that they are counted with others of their size; `None` where no shape comes about at all.
+pub fn requested(candidates: &Candidates, number: u64) -> Option<(String, f64)> {
+    let draws = Draws::new(candidates.key.0, number);
+    let at = chosen_class(candidates, &draws).ok()?;
+    let class = &candidates.classes[at];
+    let (solid, target) = sized(class, candidates, &mut Drawing::new(draws, at)).ok()?;
+    Some((class.label().to_owned(), target.unwrap_or_else(|| solid.volume_and_centroid().0)))
+}
+
+fn chosen_class(candidates: &Candidates, draws: &Draws) -> Result<usize, BlockError> {
+    let weights: Vec<f64> = candidates.classes.iter().map(|class| class.probability).collect();
+    let nothing = || BlockError::Specification("no class of blocks has a probability above zero".into());
+    chosen(&weights, draws.uniform("class")).ok_or_else(nothing)
+}
+
+/// A shape of its size about its centroid, and the volume that modifiers have to leave it, where one is asked for.
+fn sized(class: &Class, candidates: &Candidates, drawing: &mut Drawing) -> Result<(Solid, Option<f64>), BlockError> {
     let mut solid = shapes::base(&class.shape, candidates, drawing)?;
     centre(&mut solid);
     let target = class.size.as_ref().map(|size| sizing::apply(&mut solid, size, drawing)).transpose()?.flatten();
+    Ok((solid, target))
+}
+
+fn finished(class: &Class, candidates: &Candidates, drawing: &mut Drawing) -> Result<Solid, BlockError> {
+    let (mut solid, target) = sized(class, candidates, drawing)?;
     if let Some(edge_m) = class.edge_m {
         modifiers::refine(&mut solid, edge_m)?;
     }

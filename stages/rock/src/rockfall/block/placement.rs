@@ -2,6 +2,11 @@
 
 use rockface_core::artefact::{Band, Grid, Raster};
 
+/// The class a band of weights or of probabilities is for: its name, less `prob.`, which probabilities of other programs begin with.
+pub fn class_of_band(name: &str) -> &str {
+    name.strip_prefix("prob.").unwrap_or(name)
+}
+
 /// The weights of a class of blocks at the cells of a zone; NaN where there is none.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Weights {

@@ -37,6 +37,8 @@ pub struct Candidate {
     pub class: String,
     /// What was drawn for it.
     pub parameters: Vec<(String, f64)>,
+    /// Volume a candidate that gives no block was to have, cubic metres.
+    pub requested_m3: Option<f64>,
     /// What to try, or why there is nothing.
     pub trial: Result<Trial, Rejection>,
 }
@@ -63,7 +65,7 @@ pub struct Attempt {
     pub class: String,
     /// Where it was tried, metres.
     pub position: Option<[f64; 3]>,
-    /// Volume of its block, cubic metres; `None` where there is no block.
+    /// Volume of its block, or the one it was to have where there is no block, cubic metres; `None` where no shape came about.
     pub block_m3: Option<f64>,
     /// What it became, or why it was rejected.
     pub outcome: Result<Taken, Rejection>,
@@ -194,7 +196,7 @@ impl Outcome {
         let number = self.events.len() as u32 + 1;
         let outcome = result.as_ref().map(|proposal| taken(number, proposal)).map_err(Clone::clone);
         let class = candidate.class.clone();
-        let block_m3 = candidate.trial.as_ref().ok().map(|trial| volume_of(&trial.block));
+        let block_m3 = candidate.trial.as_ref().ok().map(|trial| volume_of(&trial.block)).or(candidate.requested_m3);
         self.attempts.push(Attempt { candidate: candidate.number, class, position, block_m3, outcome });
         let proposal = result.ok()?;
         let first_piece = self.pieces() as u32 + 1;

@@ -6,6 +6,7 @@ use super::patch::{Patch, more};
 use super::place::{Placed, place};
 use super::reason::{Reason, Rejection};
 use super::refine::refine;
+use super::search::NicheArea;
 use super::topology::Change;
 use super::zone::Zone;
 use crate::rockfall::ground_truth::Facets;
@@ -74,6 +75,8 @@ pub struct Rules<'a> {
     pub isolated: bool,
     /// What a piece must measure.
     pub least: Least,
+    /// Which area of the niche is maximised with its volume.
+    pub niche_area: NicheArea,
     /// Largest share of a placed block's volume that may be rock.
     pub most_volume: f64,
     /// Farthest push inward to reach the least depth, metres.
@@ -203,7 +206,7 @@ fn check_topology(
     let faults = change.faults();
     let found = [
         (rules.non_manifold && faults.non_manifold, Reason::NonManifold),
-        (rules.holes && faults.border_changed && !at_border, Reason::Holes),
+        (rules.holes && faults.holes(at_border), Reason::Holes),
         (rules.isolated && faults.isolated, Reason::Isolated),
     ];
     found.into_iter().find(|(fault, _)| *fault).map_or(Ok(()), |(_, reason)| Err(reason.into()))

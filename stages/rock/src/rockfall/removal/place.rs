@@ -7,7 +7,7 @@ use super::face::{Face, Rect};
 use super::frame::{local_normal, turn_to};
 use super::measure::{self, Lids};
 use super::reason::{Reason, Rejection};
-use super::search::{Columns, Limits, Offset};
+use super::search::{Columns, Limits, NicheArea, Offset};
 use crate::rockfall::ground_truth::Facets;
 use rockface_core::numerics::portable_math;
 
@@ -102,7 +102,14 @@ fn offset(
     let over = |t: &[u32; 3]| Rect::around(t.iter().map(|v| &places[*v as usize])).overlaps(&outline);
     let triangles: Vec<[u32; 3]> =
         (0..found.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).filter(over).collect();
-    let limits =
-        Limits { most_volume: rules.most_volume, depth_m: rules.least.depth_m, most_shift_m: rules.most_shift_m };
-    Columns::new(&local, &Lids::new(&places, &triangles)).best(&limits)
+    let limits = Limits {
+        area: rules.niche_area,
+        most_volume: rules.most_volume,
+        depth_m: rules.least.depth_m,
+        most_shift_m: rules.most_shift_m,
+    };
+    let rock = Lids::new(&places, &triangles);
+    let columns = Columns::new(&local, &rock);
+    let columns = if rules.niche_area == NicheArea::True { columns.with_surface(&local, &rock) } else { columns };
+    columns.best(&limits)
 }

@@ -1,11 +1,13 @@
 //! Finds how deep a block should sit: the offset along its direction that gives the largest niche of the most rock.
 
-use super::measure::Lids;
+use super::measure::{self, Lids};
 use crate::rockfall::ground_truth::Facets;
 use rockface_core::numerics::golden_section::{Inner, golden_section};
 
 /// Columns along the longer side of a block.
 const COLUMNS: f64 = 48.0;
+/// Parts of an edge of a triangle of the block where its surface is summed.
+const PARTS: f64 = 8.0;
 /// Offsets tried before the best is refined.
 const OFFSETS: usize = 64;
 /// Golden sections of the best offset's surroundings, and halvings of the push.
@@ -19,6 +21,19 @@ pub struct Columns {
     count: usize,
     /// Sum of the lengths of all intervals, metres.
     length: f64,
+    /// Small parts of the block's surface: height at offset 0, height of the rock there, area. Empty unless asked for.
+    surface: Vec<[f64; 3]>,
+    /// Area of all of the block's surface.
+    surface_m2: f64,
+}
+
+/// Which area of the niche counts (Algorithm 1, line 24: the niche's area and volume are maximised).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum NicheArea {
+    /// That of its opening, along the direction of placement.
+    Projected,
+    /// That of the surface it leaves in the rock.
+    True,
 }
 
 /// What a block takes at one offset.
@@ -26,6 +41,8 @@ pub struct Columns {
 pub struct Take {
     /// Share of the block's columns in which the rock face comes away.
     pub area: f64,
+    /// Area of the block's surface inside the rock, as a share of all of it.
+    pub inside: f64,
     /// Share of the block's volume that is rock.
     pub volume: f64,
     /// Greatest thickness of rock taken, metres.
@@ -44,6 +61,8 @@ pub struct Offset {
 /// What a place has to fulfil.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limits {
+    /// Which area of the niche is maximised with its volume.
+    pub area: NicheArea,
     /// Largest share of the block's volume that may be rock: something must stay outside, or the block's top would lie in
     /// the rock face.
     pub most_volume: f64,
@@ -61,7 +80,7 @@ impl Columns {
             ([l[0].min(v[0]), l[1].min(v[1])], [h[0].max(v[0]), h[1].max(v[1])])
         });
         let side = (high[0] - low[0]).max(high[1] - low[1]) / COLUMNS;
-        let mut made = Self { over_rock: Vec::new(), count: 0, length: 0.0 };
+        let mut made = Self { over_rock: Vec::new(), count: 0, length: 0.0, surface: Vec::new(), surface_m2: 0.0 };
         if side.is_nan() || side <= 0.0 {
             return made;
         }
@@ -74,6 +93,20 @@ impl Columns {
             }
         }
         made
+    }
+
+    /// The same with the parts of the block's surface, which the true area of the niche is summed over.
+    #[must_use]
+    pub fn with_surface(mut self, block: &Facets, rock: &Lids) -> Self {
+        for triangle in &block.triangles {
+            let corners = triangle.map(|v| block.vertices[v as usize]);
+            let parts = parts_of(corners);
+            let area = measure::area_m2(&corners, &[[0, 1, 2]]) / parts.len() as f64;
+            self.surface_m2 += area * parts.len() as f64;
+            let over = |[x, y, z]: [f64; 3]| nearest(rock, x, y).map(|rock| [z, rock, area]);
+            self.surface.extend(parts.into_iter().filter_map(over));
+        }
+        self
     }
 
     fn add(&mut self, intervals: Vec<[f64; 2]>, rock: Option<f64>) {
@@ -101,7 +134,14 @@ impl Columns {
             length += thickness;
             depth_m = depth_m.max(thickness);
         }
-        Take { area: exposed as f64 / self.count.max(1) as f64, volume: length / self.length.max(1e-300), depth_m }
+        let under =
+            self.surface.iter().filter(|[z, rock, _]| z + offset < *rock).fold(0.0, |sum, [.., area]| sum + area);
+        Take {
+            area: exposed as f64 / self.count.max(1) as f64,
+            inside: under / self.surface_m2.max(1e-300),
+            volume: length / self.length.max(1e-300),
+            depth_m,
+        }
     }
 
     /// The offset that maximises niche area times volume, pushed inward where the block would be too shallow; `None` where
@@ -110,7 +150,8 @@ impl Columns {
         let (low, high) = self.range()?;
         let score = |offset: f64| {
             let take = self.take(offset);
-            if take.volume > limits.most_volume { 0.0 } else { take.area * take.volume }
+            let area = if limits.area == NicheArea::True { take.inside } else { take.area };
+            if take.volume > limits.most_volume { 0.0 } else { area * take.volume }
         };
         let step = (high - low) / OFFSETS as f64;
         let mut best = (0.0, high);
@@ -169,6 +210,25 @@ fn refined(score: impl Fn(f64) -> f64, scanned: (f64, f64), step: f64) -> (f64, 
     best
 }
 
+/// Centres of the equal parts a triangle is cut into: as many as make them small against the block.
+fn parts_of(corners: [[f64; 3]; 3]) -> Vec<[f64; 3]> {
+    let along = |i: f64, j: f64| {
+        let (u, v) = (i / PARTS, j / PARTS);
+        [0, 1, 2].map(|k| corners[0][k] + u * (corners[1][k] - corners[0][k]) + v * (corners[2][k] - corners[0][k]))
+    };
+    let mut parts = Vec::new();
+    for i in 0..PARTS as u32 {
+        for j in 0..PARTS as u32 - i {
+            let (i, j) = (f64::from(i), f64::from(j));
+            parts.push(along(i + 1.0 / 3.0, j + 1.0 / 3.0));
+            if i + j + 1.0 < PARTS {
+                parts.push(along(i + 2.0 / 3.0, j + 2.0 / 3.0));
+            }
+        }
+    }
+    parts
+}
+
 /// The parts of a line that lie inside a closed mesh.
 fn intervals(lids: &Lids, x: f64, y: f64) -> Vec<[f64; 2]> {
     let mut heights: Vec<f64> = lids.heights(x, y).collect();
@@ -192,13 +252,14 @@ mod tests {
     use rockface_core::numerics::portable_math;
     use rockface_core::testing::height_mesh;
 
-    const LIMITS: Limits = Limits { most_volume: 0.98, depth_m: 0.0, most_shift_m: 0.0 };
+    const LIMITS: Limits = Limits { area: NicheArea::Projected, most_volume: 0.98, depth_m: 0.0, most_shift_m: 0.0 };
 
     fn columns(points: &[[f64; 3]]) -> Columns {
         let mesh = height_mesh(4, [-5.0, 5.0, -5.0, 5.0], |_, _| 0.0);
         let solid = hull(points).unwrap();
         let block = Facets { vertices: solid.vertices, triangles: solid.triangles };
-        Columns::new(&block, &Lids::new(&mesh.vertices, &mesh.triangles))
+        let lids = Lids::new(&mesh.vertices, &mesh.triangles);
+        Columns::new(&block, &lids).with_surface(&block, &lids)
     }
 
     #[test]
@@ -215,6 +276,11 @@ mod tests {
         assert!((found.offset_m + 0.3675).abs() < 0.02, "{found:?}");
         let take = sphere.take(found.offset_m);
         assert!((take.volume - 0.763).abs() < 0.01 && (take.area - 0.865).abs() < 0.01, "{take:?}");
+        // The area of the niche itself, 2 pi r t of a cap of height t, grows to the last: the sphere sinks to the limit of its volume.
+        let deep = sphere.best(&Limits { area: NicheArea::True, ..LIMITS }).unwrap();
+        let take = sphere.take(deep.offset_m);
+        assert!((take.volume - 0.98).abs() < 0.002, "{deep:?} {take:?}");
+        assert!((take.inside - 0.5 * (1.0 - deep.offset_m)).abs() < 0.01, "{deep:?} {take:?}");
     }
 
     #[test]

@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 
 use super::evaluate::Stand;
 use super::zone::zone_band;
-use crate::rockfall::distribution::Draws;
+use crate::rockfall::block::placement::class_of_band;
 use rockface_core::artefact::{Band, Cell, Grid, Mesh, Raster, Table};
+use rockface_core::distribution::Draws;
 use rockface_core::{StageError, fail};
 
 /// A source of places.
@@ -63,7 +64,10 @@ impl Sites {
             if weights.last().is_none_or(|sum| *sum <= 0.0) {
                 fail!("band `{name}` of the density is 0 everywhere");
             }
-            sums.insert((name != ALL).then(|| name.clone()), weights);
+            let class = class_of_band(name);
+            if sums.insert((class != ALL).then(|| class.to_owned()), weights).is_some() {
+                fail!("two bands of the density are for class `{class}`");
+            }
         }
         Ok(Self::Cells(density.grid, sums))
     }
@@ -186,6 +190,13 @@ mod tests {
         assert!(stands(&sites, &mesh, "prism").iter().all(|p| p[0] < 1.0));
         assert!(stands(&sites, &mesh, "wedge").iter().all(|p| p[0] > 1.0));
         assert_eq!(sites.missing_class(&["wedge".into(), "cone".into()]), Some("cone"));
+        // A band of probabilities of another program names its class behind `prob.`.
+        density.bands.iter_mut().for_each(|band| band.name = format!("prob.{}", band.name));
+        let named = Sites::by_density(&density).unwrap();
+        assert_eq!(stands(&named, &mesh, "wedge"), stands(&sites, &mesh, "wedge"));
+        assert_eq!(named.missing_class(&["wedge".into(), "cone".into()]), Some("cone"));
+        density.bands[0].name = "wedge".into();
+        assert!(Sites::by_density(&density).err().unwrap().contains("two bands"));
     }
 
     #[test]

@@ -7,12 +7,12 @@ use super::evaluate::{Stand, Trial};
 use super::measure;
 use super::reason::{Reason, Rejection};
 use super::sites::{Row, Sites};
-use crate::rockfall::block::{Block, BlockError, candidate};
-use crate::rockfall::distribution::Draws;
+use crate::rockfall::block::{Block, BlockError, candidate, requested};
 use crate::rockfall::ground_truth::Facets;
 use rockface_core::artefact;
 use rockface_core::artefact::candidates::Align;
 use rockface_core::artefact::{Candidates, Mesh};
+use rockface_core::distribution::Draws;
 use rockface_core::numerics::random::Key;
 use rockface_core::{StageError, fail};
 
@@ -71,7 +71,7 @@ impl<'a> Source<'a> {
     fn number(&self, number: u64) -> Result<Candidate, StageError> {
         let block = match self.block(number) {
             Ok(block) => block,
-            Err(fault) => return no_block(number, &fault),
+            Err(fault) => return self.no_block(number, &fault),
         };
         let stand = match &self.sites {
             None => Some(Stand::Own),
@@ -93,7 +93,7 @@ impl<'a> Source<'a> {
                     return Ok(ready(number, block, row.stand));
                 }
                 Ok(_) => {}
-                Err(fault) => drop(no_block(number, &fault)?),
+                Err(fault) => drop(self.no_block(number, &fault)?),
             }
         }
         let wanted = row.class.as_deref().unwrap_or("any");
@@ -121,15 +121,23 @@ impl<'a> Source<'a> {
     }
 }
 
+impl Source<'_> {
+    /// A candidate that is no block, of the class and the volume it was to have.
+    fn no_block(&self, number: u64, fault: &BlockError) -> Result<Candidate, String> {
+        let word = fault.reason().ok_or_else(|| fault.to_string())?;
+        let wanted = match self.blocks {
+            Blocks::Drawn(candidates) => requested(candidates, number),
+            Blocks::Given(_) => None,
+        };
+        let (class, requested_m3) = wanted.map_or((String::new(), None), |(class, volume)| (class, Some(volume)));
+        let rejection = Rejection { reason: Reason::NoBlock, detail: word.to_owned() };
+        Ok(Candidate { number, class, parameters: Vec::new(), requested_m3, trial: Err(rejection) })
+    }
+}
+
 fn ready(number: u64, block: Block, stand: Stand) -> Candidate {
     let align_to_normal = block.align == Align::Normal;
     let part = Facets { vertices: block.vertices, triangles: block.triangles };
     let trial = Ok(Trial { block: part, align_to_normal, stand });
-    Candidate { number, class: block.class, parameters: block.parameters, trial }
-}
-
-fn no_block(number: u64, fault: &BlockError) -> Result<Candidate, StageError> {
-    let word = fault.reason().ok_or_else(|| fault.to_string())?;
-    let rejection = Rejection { reason: Reason::NoBlock, detail: word.to_owned() };
-    Ok(Candidate { number, class: String::new(), parameters: Vec::new(), trial: Err(rejection) })
+    Candidate { number, class: block.class, parameters: block.parameters, requested_m3: None, trial }
 }

@@ -67,7 +67,8 @@ table_row! {
 
 /// One row a class of block volume that has candidates, from small to large: how many were requested (tried), how many realised
 /// (taken out), quartiles of the volume removed over that of the block, how many were pushed in beyond their best place. Two
-/// classes are a factor of ten. Candidates that gave no block have no volume; a last row without bounds counts them.
+/// classes are a factor of ten. Candidates that gave no block count with the volume they were to
+/// have; a last row without bounds counts those of which no shape came about.
 pub fn by_volume(attempts: &[Attempt]) -> Table {
     let mut classed: Vec<(Option<i64>, &Attempt)> = attempts.iter().map(|a| (a.block_m3.map(class), a)).collect();
     classed.sort_by_key(|(class, _)| (class.is_none(), *class));

@@ -11,8 +11,17 @@ pub struct Faults {
     pub non_manifold: bool,
     /// The border is not the one it was: a hole, or a bitten border.
     pub border_changed: bool,
+    /// The border falls into more loops than before: a hole, or a border that was cut through.
+    pub more_loops: bool,
     /// A part of the surface hangs on nothing.
     pub isolated: bool,
+}
+
+impl Faults {
+    /// Whether there is a hole that was not there. Where the block may bite the border, only a new loop counts.
+    pub fn holes(self, at_border: bool) -> bool {
+        if at_border { self.more_loops } else { self.border_changed }
+    }
 }
 
 /// A patch before and after, in one numbering of vertices.
@@ -36,9 +45,22 @@ impl Change<'_> {
         let border = open_edges(&after);
         Faults {
             non_manifold: border.is_err() || self.pinches(&after),
+            more_loops: border.as_ref().is_ok_and(|border| self.loops(border) > self.loops(self.border)),
             border_changed: border.is_ok_and(|border| border != self.border),
             isolated: self.islands(&after, self.new) > self.islands(self.before, &self.gone()),
         }
+    }
+
+    /// Loops of border edges; those that touch in a vertex are one.
+    fn loops(&self, border: &[[u32; 2]]) -> usize {
+        let mut groups = UnionFind::new(self.vertices);
+        for [a, b] in border {
+            groups.join(*a as usize, *b as usize);
+        }
+        let mut roots: Vec<usize> = border.iter().map(|edge| groups.root(edge[0] as usize)).collect();
+        roots.sort_unstable();
+        roots.dedup();
+        roots.len()
     }
 
     /// Triangles that went; `kept` is in the order of `before`.

@@ -169,6 +169,65 @@ fn each_check_rejects_what_it_is_for() {
     assert_eq!(reasons(&own(&[good, [3.0, 1.0, 0.0]]), &zone, &json!({})), ["", "zone"]);
     let nothing = remove(&face, &own(&[[2.0, 2.0, 9.0]]), &[], &json!({})).unwrap_err();
     assert!(nothing.message.contains("0 of 1 pieces") && nothing.message.contains("empty 1"), "{nothing}");
+    // What was tried is not lost with the failure.
+    let evidence = nothing.evidence.unwrap().into_inner();
+    let Artefact::Table(attempts) = &evidence["attempts"] else { panic!("no table") };
+    assert_eq!((attempts.rows.len(), attempts.rows[0][7].to_string().as_str()), (1, "empty"));
+}
+
+#[test]
+fn topology_checks_reject_what_they_are_for() {
+    let face = height_mesh(40, [0.0, 4.0, 0.0, 4.0], |_, _| 0.0);
+    let joined = |solids: &[Part]| {
+        let mut all = Part { name: "a".into(), class: "a".into(), vertices: Vec::new(), triangles: Vec::new() };
+        for solid in solids {
+            let base = all.vertices.len() as u32;
+            all.vertices.extend(&solid.vertices);
+            all.triangles.extend(solid.triangles.iter().map(|t| t.map(|v| v + base)));
+        }
+        all
+    };
+    let outcome = |face: &Mesh, block: Part, checks: Value| {
+        let good = cube(0.3, [3.47, 3.51, 0.01]);
+        let blocks = Artefact::Meshes(Meshes { frame: Frame::Wall, parts: vec![good, block] });
+        remove(face, &blocks, &[], &json!({"checks": checks})).unwrap().attempts.rows[1][7].to_string()
+    };
+    // Two blocks that touch in a corner below the face leave a surface that touches itself there.
+    let corner = [2.01, 2.02, -0.11];
+    let tetrahedron = |side: f64| {
+        let base = [[0.5, -0.3, 0.3], [0.5, 0.3, 0.3], [0.6, 0.02, -0.2]];
+        let points = base.map(|p| [corner[0] + side * p[0], corner[1] + p[1], corner[2] + p[2]]);
+        let solid = hull(&[&points[..], &[corner]].concat()).unwrap();
+        Part { name: "t".into(), class: "t".into(), vertices: solid.vertices, triangles: solid.triangles }
+    };
+    let pinched = joined(&[tetrahedron(1.0), tetrahedron(-1.0)]);
+    assert_eq!(outcome(&face, pinched.clone(), json!({})), "non_manifold");
+    assert_eq!(outcome(&face, pinched, json!({"non_manifold": false})), "");
+    // Two blocks in one mesh that run through each other.
+    let through = joined(&[cube(0.5, [2.0, 2.0, 0.03]), cube(0.5, [2.21, 2.17, 0.05])]);
+    assert_eq!(outcome(&face, through, json!({})), "self_intersection");
+    // A block that widens inward reaches out of the side of the rock, below the border of the face: its niche has a hole there.
+    let ring = |z: f64, half: f64| {
+        [[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]].map(|[x, y]| [0.41 + half * x, 2.02 + half * y, z])
+    };
+    let solid = hull(&[ring(0.2, 0.1), ring(-0.4, 0.5)].concat()).unwrap();
+    let wide = Part { name: "w".into(), class: "w".into(), vertices: solid.vertices, triangles: solid.triangles };
+    assert_eq!(outcome(&face, wide.clone(), json!({})), "border");
+    assert_eq!(outcome(&face, wide.clone(), json!({"border": false})), "holes");
+    assert_eq!(outcome(&face, wide, json!({"border": false, "holes": false})), "");
+}
+
+#[test]
+fn candidates_that_are_no_block_count_with_their_size() {
+    let face = height_mesh(40, [0.0, 4.0, 0.0, 4.0], |_, _| 0.0);
+    let rough = json!({"classes": [{"name": "slab", "shape": "prism", "size": {"volume": {"volume_m3": 0.002}},
+        "modifiers": [{"roughness": {"sigma_m": 0.01, "edge_m": 0.04}}]}]});
+    let removed = remove(&face, &candidates(&rough, 3), &[], &json!({"count": 4, "max_failed_attempts": 100})).unwrap();
+    let failed: Vec<_> = removed.attempts.rows.iter().filter(|row| row[7].to_string() == "no_block").collect();
+    assert!(!failed.is_empty() && failed.len() < removed.attempts.rows.len(), "{:?}", removed.metrics);
+    // The volume before the roughness, to its class of a factor of three.
+    let sized = |row: &&Vec<Cell>| row[1].to_string() == "slab" && (row[5].number().unwrap() - 0.002).abs() < 1e-9;
+    assert!(failed.iter().all(sized), "{failed:?}");
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use rockface_core::numerics::quantile::of_sorted;
+use crate::numerics::quantile::of_sorted;
 
 /// One of a few values, by weights; `None` where there is none.
 pub fn discrete(values: &[f64], weights: Option<&[f64]>, u: f64) -> Option<f64> {

@@ -2,9 +2,9 @@
 
 use serde_json::{Map, Value, json};
 
-use rockface_core::StageError;
-use rockface_core::format::table_file;
-use rockface_core::params::ParamType;
+use crate::StageError;
+use crate::format::table_file;
+use crate::params::ParamType;
 
 /// How the content of a file is had by the path that names it.
 pub type ReadFile<'a> = dyn Fn(&str) -> Result<Vec<u8>, StageError> + 'a;
@@ -15,7 +15,7 @@ pub fn with_files_read<T: ParamType>(params: &T, read: &ReadFile) -> Result<T, S
     let mut value = params.encode();
     replace(&mut value, read)?;
     T::decode(&value).map_err(|faults| {
-        let text = |fault: &rockface_core::params::Fault| format!("{}: {}", fault.path.join("."), fault.message);
+        let text = |fault: &crate::params::Fault| format!("{}: {}", fault.path.join("."), fault.message);
         StageError::new(faults.iter().map(text).collect::<Vec<_>>().join("; "))
     })
 }

@@ -1,9 +1,9 @@
 //! The draws of one candidate: addressed by what they are for, so no draw depends on another having been made.
 
 use super::quantile;
-use rockface_core::artefact::candidates::Quantity;
-use rockface_core::numerics::normal::normal_quantile;
-use rockface_core::numerics::random::{Key, philox4x32};
+use crate::artefact::candidates::Quantity;
+use crate::numerics::normal::normal_quantile;
+use crate::numerics::random::{Key, philox4x32};
 
 /// The draws of one candidate.
 #[derive(Debug, Clone)]

@@ -1,16 +1,14 @@
 //! Drawing numbers from distributions by inversion: one uniform draw gives one value, so draws can be addressed by name.
 
 mod draws;
-mod files;
 mod tabulated;
 
 pub use draws::Draws;
-pub use files::with_files_read;
 pub use tabulated::chosen;
 
-use rockface_core::artefact::candidates::{Distribution, Exponential, LogNormal, PowerLaw, Quantity, TruncatedNormal};
-use rockface_core::numerics::normal::{normal_cdf, normal_quantile};
-use rockface_core::numerics::{beta, portable_math};
+use crate::artefact::candidates::{Distribution, Exponential, LogNormal, PowerLaw, Quantity, TruncatedNormal};
+use crate::numerics::normal::{normal_cdf, normal_quantile};
+use crate::numerics::{beta, portable_math};
 
 /// The value below which a share `u` (0 to 1, both excluded) of all draws lies, in the unit of the quantity.
 ///
@@ -76,7 +74,7 @@ fn power_law(d: &PowerLaw, u: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rockface_core::params::ParamType;
+    use crate::params::ParamType;
     use serde_json::{Value, json};
 
     fn quantity(value: &Value) -> Quantity {
