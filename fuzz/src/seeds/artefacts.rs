@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::io;
 
 use rockface_core::artefact::{
-    Acceptance, Artefact, Band, Cell, Cloud, Covariance, Depth, Feature, Figure, Files, Frame, Grid, GroupModel,
-    Contrast, Inventory, Member, Mesh, Meshes, Noise, Pair, Pairs, Part, Picture, Polygon, Raster, ReliefLaw, Sample, Shown,
-    Surface, Table, Transform,
+    Acceptance, Artefact, Band, Cell, Cloud, Contrast, Covariance, Depth, Feature, Figure, Files, Frame, Grid,
+    GroupModel, Inventory, Member, Mesh, Meshes, Noise, Pair, Pairs, Part, Picture, Polygon, Raster, ReliefLaw, Sample,
+    Shown, Surface, Table, Transform,
 };
 use serde_json::json;
 

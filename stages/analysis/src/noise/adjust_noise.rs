@@ -75,13 +75,18 @@ impl Stage for AdjustNoise {
 
 fn check_model(noise: &Noise, dem: &Raster) -> Result<(), StageError> {
     if noise.grid != dem.grid || noise.frame != dem.frame {
-        let text = format!("the model has {} x {} cells in the {} frame", noise.grid.columns, noise.grid.rows, noise.frame);
+        let text =
+            format!("the model has {} x {} cells in the {} frame", noise.grid.columns, noise.grid.rows, noise.frame);
         return Err(StageError::new(format!("{text}, which are not those of `dem`"))
             .hint("give the DEM the model was learnt with"));
     }
     let classes = Places::of(noise.strength.clone()).middles.len();
     if noise.bands() != BANDS || noise.class_log_strength.len() != classes {
-        fail!("the model has {} bands and {} classes of place, not {BANDS} and {classes}", noise.bands(), noise.class_log_strength.len());
+        fail!(
+            "the model has {} bands and {} classes of place, not {BANDS} and {classes}",
+            noise.bands(),
+            noise.class_log_strength.len()
+        );
     }
     Ok(())
 }
@@ -128,7 +133,9 @@ fn adjusted(noise: &Noise, losses: &[Loss]) -> Noise {
 fn report(losses: &[Loss], noise: &Noise, context: &Context) {
     let (classes, bands) = losses.split_at(noise.class_log_strength.len());
     let percent = |losses: &[Loss]| {
-        let one = |loss: &Loss| format!("{:+.0}", 100.0 * (rockface_core::numerics::portable_math::exp(loss.certain()) - 1.0));
+        let one = |loss: &Loss| {
+            format!("{:+.0}", 100.0 * (rockface_core::numerics::portable_math::exp(loss.certain()) - 1.0))
+        };
         losses.iter().map(one).collect::<Vec<_>>().join(" ")
     };
     context.metric("finest_band", bands.last().map_or(0.0, |loss| loss.difference), "1");

@@ -157,8 +157,7 @@ impl Learnt {
     fn model(&self, params: &LearnNoiseParams, names: &[String], dem: &Raster, own: &[f64]) -> Noise {
         let shares = Bands::new(self.columns, dem.grid.rows, BANDS).shares();
         let variety = Variety { jitter: params.jitter, own };
-        let Acquisitions { mut members, bad_share } =
-            acquisitions(names, &self.whitened, &self.bad, &shares, variety);
+        let Acquisitions { mut members, bad_share } = acquisitions(names, &self.whitened, &self.bad, &shares, variety);
         if !self.fields {
             members.iter_mut().for_each(|member| member.field_log_amplitude.fill(0.0));
         }
@@ -208,7 +207,8 @@ fn own_shares(real: &[&Whitened], drawn: &[&Whitened]) -> Vec<f64> {
     };
     let root = |share: f64| share.clamp(LEAST_OWN, 1.0).sqrt();
     let classes = real[0].log_strength.len();
-    let strength = (0..classes).map(|k| share(|w| &w.log_strength, k).clamp(LEAST_OWN, 1.0)).sum::<f64>() / classes as f64;
+    let strength =
+        (0..classes).map(|k| share(|w| &w.log_strength, k).clamp(LEAST_OWN, 1.0)).sum::<f64>() / classes as f64;
     let bands: Vec<f64> =
         (0..real[0].log_amplitude.len()).map(|k| share(|w| &w.log_amplitude, k).clamp(LEAST_OWN, 1.0)).collect();
     let near = |k: usize| 0.25 * (bands[k.saturating_sub(1)] + 2.0 * bands[k] + bands[(k + 1).min(bands.len() - 1)]);

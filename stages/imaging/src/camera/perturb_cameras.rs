@@ -178,8 +178,8 @@ fn independent(
     cameras: &Cameras,
     context: &Context,
 ) -> Result<Vec<(Parameter, f64)>, StageError> {
-    let read = |path: &str| context.read(&FileRef(path.to_owned())).map_err(|error| error.message);
-    let rules = with_files_read(&params.errors, &read).map_err(|e| StageError::new(format!("`errors`: {e}")))?;
+    let read = |path: &str| context.read(&FileRef(path.to_owned()));
+    let rules = with_files_read(&params.errors, &read).map_err(|e| e.within("`errors`"))?;
     let rules = Rules::of(&rules, cameras)?;
     let mut errors = Vec::new();
     for parameter in all(cameras) {

@@ -88,7 +88,8 @@ impl Stage for ImportBlocks {
         let mut frame = frame(params.frame, transform)?;
         let moved = transform.and_then(Moved::by);
         let read = |path: &str| context.read(&FileRef(path.to_owned()));
-        let modifiers = distribution_file::with_files_read(&params.modifiers, &read).map_err(|e| e.within("`modifiers`"))?;
+        let modifiers =
+            distribution_file::with_files_read(&params.modifiers, &read).map_err(|e| e.within("`modifiers`"))?;
         let mut parts = Vec::new();
         for mut file in context.files(&params.path)? {
             context.check_cancelled()?;

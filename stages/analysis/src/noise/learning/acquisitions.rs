@@ -109,7 +109,8 @@ mod tests {
     #[test]
     fn two_epochs_make_up_the_variance_of_their_difference() {
         let rasters: Vec<Whitened> = (0..12).map(|i| whitened(if i % 2 == 0 { 0.1 } else { -0.1 }, [0.0; 2])).collect();
-        let found = acquisitions(&names(12), &rasters, &[false; 12], &[0.3, 0.7], Variety { jitter: 0.0, own: &[1.0; 3] });
+        let found =
+            acquisitions(&names(12), &rasters, &[false; 12], &[0.3, 0.7], Variety { jitter: 0.0, own: &[1.0; 3] });
         assert!(found.bad_share == 0.0);
         let draws: Vec<f64> = found.members.iter().map(|member| member.log_strength[0]).collect();
         let deviation = (draws[0] - draws[1]) / 2.0;

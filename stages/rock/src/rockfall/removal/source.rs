@@ -123,7 +123,7 @@ impl<'a> Source<'a> {
 
 impl Source<'_> {
     /// A candidate that is no block, of the class and the volume it was to have.
-    fn no_block(&self, number: u64, fault: &BlockError) -> Result<Candidate, String> {
+    fn no_block(&self, number: u64, fault: &BlockError) -> Result<Candidate, StageError> {
         let word = fault.reason().ok_or_else(|| fault.to_string())?;
         let wanted = match self.blocks {
             Blocks::Drawn(candidates) => requested(candidates, number),
