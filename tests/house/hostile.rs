@@ -274,11 +274,10 @@ fn a_manifest_reads_and_writes_nothing_outside_its_folder() {
             assert!(code == Some(2) && err.contains("cannot name a file"), "{err}");
         }
     }
-    // A dot ends the name of a step where an output is asked for: the second is not found, which is as good.
-    for (name, says) in [("up/planted", "cannot name a file"), ("../planted", "the run has no output")] {
+    for name in ["up/planted", "../planted"] {
         fs::write(&path, text.replace("\"step\":\"dem\"", &format!("\"step\":\"{name}\""))).unwrap();
         let (code, _, err) = house.rockface(&["export", "latest", &format!("{name}.raster"), "."]);
-        assert!(code == Some(2) && err.contains(says), "{err}");
+        assert!(code == Some(2) && err.contains("cannot name a file"), "{err}");
     }
     assert_eq!(planted(&house.path("")), Vec::<PathBuf>::new());
 }

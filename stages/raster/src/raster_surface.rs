@@ -9,7 +9,7 @@ use rockface_core::{StageError, fail};
 /// The raster has several bands: which of them is the elevation?
 pub fn between_cells(raster: &Raster) -> Result<Surface, StageError> {
     let [band] = raster.bands.as_slice() else {
-        fail!("an elevation raster of one band is needed, this one has {}", raster.bands.len());
+        fail!("it has {} bands, one is needed", raster.bands.len());
     };
     let Grid { columns: width, rows: height, left_m, top_m, .. } = raster.grid;
     let z_m = band.values.iter().find(|z| !z.is_nan()).map_or(0.0, |z| f64::from(*z));
