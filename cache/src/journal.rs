@@ -348,7 +348,7 @@ mod tests {
     #[test]
     fn two_syncs_at_once_leave_one_mark() {
         let folder = tempfile::tempdir().unwrap();
-        let journal = Journal::open(folder.path()).unwrap();
+        let journal = Journal::open(folder.path(), None).unwrap();
         journal.append(Kind::Note, Digest::of(b"name"), b"note").unwrap();
         let (one, other) = (journal.pending().unwrap(), journal.pending().unwrap());
         journal.settle(&one).unwrap();

@@ -159,14 +159,13 @@ impl Bytes {
     pub(crate) fn announce(self: &Arc<Self>, name: &Digest) -> Result<Announced, StoreError> {
         let byte = byte_of(name);
         let mut held = self.held();
-        let count = match held.get(&byte) {
-            Some(Held::Announced(count)) => *count,
-            _ => {
-                // Nobody locks the byte of a name against announcements of it.
-                self.set(&flock(byte, libc::F_RDLCK))?;
-                self.leases.as_ref().map_or(Ok(()), |leases| leases.announce(byte))?;
-                0
-            }
+        let count = if let Some(Held::Announced(count)) = held.get(&byte) {
+            *count
+        } else {
+            // Nobody locks the byte of a name against announcements of it.
+            self.set(&flock(byte, libc::F_RDLCK))?;
+            self.leases.as_ref().map_or(Ok(()), |leases| leases.announce(byte))?;
+            0
         };
         held.insert(byte, Held::Announced(count + 1));
         Ok(Announced { _byte: KeyLock { bytes: Arc::clone(self), byte } })

@@ -17,7 +17,7 @@ const NAME_VARIABLE: &str = "ROCKFACE_MACHINE";
 const SHARED_VARIABLE: &str = "ROCKFACE_SHARED_STORE";
 /// Starts the names of the folders of machines.
 const OWN: &str = "machine-";
-/// File systems that other machines can reach: NFS, SMB, CIFS, FUSE, Lustre, GPFS, Ceph, 9P, AFS, BeeGFS, PanFS, OrangeFS, GFS2,
+/// File systems that other machines can reach: NFS, SMB, CIFS, FUSE, Lustre, GPFS, Ceph, 9P, AFS, `BeeGFS`, `PanFS`, `OrangeFS`, GFS2,
 /// OCFS2, as `statfs` numbers them.
 const NETWORK: [u32; 15] = [
     0x6969,

@@ -18,7 +18,7 @@ use crate::{Store, plain};
 /// How often a worker gives a sign of life on a store that several machines use.
 const BEAT: Duration = Duration::from_secs(5);
 /// A worker of another machine that gave none for so long is taken for dead.
-pub(crate) const EXPIRY: Duration = Duration::from_secs(60);
+pub(crate) const EXPIRY: Duration = Duration::from_mins(1);
 /// Starts every file of a worker, before its machine.
 const HEAD: &str = "rockface worker ";
 /// No report is longer, bytes.
@@ -204,7 +204,7 @@ pub(crate) fn sweep(root: &Path, machine: &str, is_shared: bool) {
     const LONG_AGO: Duration = Duration::from_hours(24);
     for worker in list(root) {
         let is_ours = worker.machine == machine || !is_shared;
-        if (is_ours && !worker.is_live) || (!worker.is_live && worker.silent > LONG_AGO) {
+        if !worker.is_live && (is_ours || worker.silent > LONG_AGO) {
             let path: PathBuf = root.join(WORKERS).join(&worker.name);
             let held = plain::open(&path).ok().and_then(|file| abandoned(file, &path));
             if held.is_some() {

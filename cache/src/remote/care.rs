@@ -206,14 +206,14 @@ impl Remote {
 
 /// One batch in parts of a size that is read at once.
 fn divided(whole: &Batch) -> Vec<Batch> {
-    let records: Vec<_> = whole.records.iter().collect();
-    let part = |records: &[(&Digest, &Box<[u8]>)]| {
+    let records: Vec<(&Digest, &[u8])> = whole.records.iter().map(|(key, payload)| (key, &**payload)).collect();
+    let part = |records: &[(&Digest, &[u8])]| {
         let blobs = records.iter().filter_map(|(_, payload)| Outcome::decode(payload));
         let named: BTreeMap<Digest, Place> = blobs
             .flat_map(|outcome| outcome.blobs().map(|(digest, _)| digest).collect::<Vec<_>>())
             .filter_map(|digest| Some((digest, *whole.blobs.get(&digest)?)))
             .collect();
-        let records = records.iter().map(|(key, payload)| (**key, (*payload).clone())).collect();
+        let records = records.iter().map(|(key, payload)| (**key, Box::from(*payload))).collect();
         Batch { records, blobs: named.into_iter().collect() }
     };
     records.chunks(BATCH_RECORDS).map(part).collect()

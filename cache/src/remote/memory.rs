@@ -15,13 +15,16 @@ pub struct InMemory {
     pub is_down: AtomicBool,
 }
 
+/// Objects by name, with the time of their writing, in seconds since 1970.
+type Objects = BTreeMap<String, (Vec<u8>, u64)>;
+
 impl InMemory {
     /// All objects by name, with the time of their writing, to be changed as a fault would.
-    pub fn objects(&self) -> MutexGuard<'_, BTreeMap<String, (Vec<u8>, u64)>> {
+    pub fn objects(&self) -> MutexGuard<'_, Objects> {
         self.objects.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn reach(&self) -> Result<MutexGuard<'_, BTreeMap<String, (Vec<u8>, u64)>>, BackendError> {
+    fn reach(&self) -> Result<MutexGuard<'_, Objects>, BackendError> {
         if self.is_down.load(Ordering::Relaxed) {
             return Err(BackendError::Unavailable("it is down".to_owned()));
         }

@@ -102,7 +102,7 @@ impl Uploader {
         let own = Arc::clone(&queue);
         let work = move || {
             while let Some(records) = own.next() {
-                upload_all(&shared, &read, records, &own);
+                upload_all(&shared, &read, &records, &own);
             }
             own.state().has_ended = true;
             own.changed.notify_all();
@@ -149,14 +149,14 @@ impl Drop for Uploader {
 }
 
 /// Uploads records with their blobs, in several batches where they are many.
-fn upload_all(shared: &Shared, read: &ReadBlob, records: Vec<(Digest, Box<[u8]>)>, queue: &Queue) {
+fn upload_all(shared: &Shared, read: &ReadBlob, records: &[(Digest, Box<[u8]>)], queue: &Queue) {
     let count = records.len() as u64;
     let mut result = Err(BackendError::Missing);
     for _ in 0..ATTEMPTS {
         if queue.is_abandoned.load(Relaxed) {
             return;
         }
-        result = upload(shared, read, &records);
+        result = upload(shared, read, records);
         if result.is_ok() || shared.breaker.is_off() {
             break;
         }

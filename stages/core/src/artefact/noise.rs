@@ -140,7 +140,7 @@ impl Noise {
         if self.donors == 0 || !positive(self.length_cells) || !share(self.common_share) || !share(self.bad_share) {
             return refuse("donors and their length must be positive, shares between 0 and 1".into());
         }
-        if !(1..=MOST_SHARPNESS).contains(&self.sharpness) || !(self.jitter.is_finite() && self.jitter >= 0.0) {
+        if !((1..=MOST_SHARPNESS).contains(&self.sharpness) && self.jitter.is_finite() && self.jitter >= 0.0) {
             return refuse(format!("sharpness must be from 1 to {MOST_SHARPNESS}, jitter not negative"));
         }
         let usable = |c: &Contrast| positive(c.cells) && c.cells <= MOST_CONTRAST_CELLS && c.power.abs() <= 4.0;

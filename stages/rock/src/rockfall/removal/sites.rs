@@ -196,7 +196,7 @@ mod tests {
         assert_eq!(stands(&named, &mesh, "wedge"), stands(&sites, &mesh, "wedge"));
         assert_eq!(named.missing_class(&["wedge".into(), "cone".into()]), Some("cone"));
         density.bands[0].name = "wedge".into();
-        assert!(Sites::by_density(&density).err().unwrap().contains("two bands"));
+        assert!(Sites::by_density(&density).err().unwrap().message.contains("two bands"));
     }
 
     #[test]
