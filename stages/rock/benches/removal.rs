@@ -12,6 +12,7 @@ use rockface_rock::rockfall::removal::attempts::{Plan, run};
 use rockface_rock::rockfall::removal::cut::Least;
 use rockface_rock::rockfall::removal::evaluate::{Direction, Rules};
 use rockface_rock::rockfall::removal::face::Face;
+use rockface_rock::rockfall::removal::search::NicheArea;
 use rockface_rock::rockfall::removal::sites::Sites;
 use rockface_rock::rockfall::removal::source::{Blocks, Source};
 
@@ -58,6 +59,7 @@ fn rules() -> Rules<'static> {
         most_volume: 0.98,
         most_shift_m: 0.02,
         refine_edge_m: None,
+        niche_area: NicheArea::Projected,
     }
 }
 
