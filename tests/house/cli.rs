@@ -387,3 +387,19 @@ fn an_empty_variable_for_the_store_is_as_good_as_none() {
     }
     assert!(house.path(".rockface/store/CACHEDIR.TAG").is_file());
 }
+
+#[test]
+fn a_step_that_fails_leaves_what_explains_it() {
+    let house = House::new(
+        "rockface: 1\nname: deep\nseed: 1\nsteps:\n  \
+         face: {stage: synthesise-face, with: {width_m: 2, height_m: 1.5, spacing_m: 0.05}}\n  \
+         blocks: {stage: generate-blocks}\n  \
+         after: {stage: remove-blocks, in: {mesh: face.mesh, blocks: blocks.blocks}, with: {min_depth_m: 50, max_failed_attempts: 5}}\n",
+    );
+    let (code, _, err) = house.rockface(&["run", "p.yaml"]);
+    assert!(code == Some(1) && err.contains("`attempts`"), "{err}");
+    let folder = house.path(".rockface/runs/latest/outputs/after");
+    let attempts = std::fs::read_to_string(folder.join("attempts.csv")).unwrap();
+    assert_eq!(attempts.lines().count(), 1 + 5, "{attempts}");
+    assert!(folder.join("volumes.csv").exists() && !folder.join("mesh.ply").exists());
+}
