@@ -86,7 +86,7 @@ fn whatever_the_remote_place_does_the_run_ends_with_the_same_bytes() {
         (Faults { truncate: true, ..Faults::default() }, true),
         (Faults { damage: true, ..Faults::default() }, true),
         (Faults { hang_up: true, ..Faults::default() }, true),
-        (Faults { delay: Duration::from_secs(60), ..Faults::default() }, true),
+        (Faults { delay: Duration::from_mins(1), ..Faults::default() }, true),
     ] {
         let (server, first) = warm();
         server.set(faults);

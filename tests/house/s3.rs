@@ -85,11 +85,6 @@ impl Server {
     pub fn objects(&self) -> MutexGuard<'_, BTreeMap<String, Vec<u8>>> {
         self.shared.objects.lock().unwrap()
     }
-
-    /// Requests so far.
-    pub fn requests(&self) -> u64 {
-        self.shared.requests.load(Relaxed)
-    }
 }
 
 impl Shared {
@@ -105,13 +100,13 @@ impl Shared {
             let is_write = request.method != "GET" && request.method != "HEAD";
             let (status, body) = if faults.forbid || (faults.forbid_writes && is_write) {
                 ("403 Forbidden", b"<Error><Code>AccessDenied</Code></Error>".to_vec())
-            } else if faults.fail_one_in > 0 && number % faults.fail_one_in == 0 {
-                let status = if number % 2 == 0 { "500 Internal Server Error" } else { "503 Slow Down" };
+            } else if faults.fail_one_in > 0 && number.is_multiple_of(faults.fail_one_in) {
+                let status = if number.is_multiple_of(2) { "500 Internal Server Error" } else { "503 Slow Down" };
                 (status, b"<Error><Code>InternalError</Code></Error>".to_vec())
             } else {
                 self.answer(&request, faults)
             };
-            if answer(stream, &request, status, body, faults).is_none() {
+            if answer(stream, &request, status, &body, faults).is_none() {
                 return;
             }
         }
@@ -204,7 +199,7 @@ fn read(reader: &mut BufReader<&TcpStream>) -> Option<Request> {
 }
 
 /// `None` where the connection is closed.
-fn answer(mut stream: &TcpStream, request: &Request, status: &str, body: Vec<u8>, faults: Faults) -> Option<()> {
+fn answer(mut stream: &TcpStream, request: &Request, status: &str, body: &[u8], faults: Faults) -> Option<()> {
     let length = body.len();
     let head = format!(
         "HTTP/1.1 {status}\r\nContent-Length: {length}\r\nETag: \"1\"\r\nLast-Modified: Thu, 01 Jan 2026 00:00:00 GMT\r\n\r\n"
@@ -218,5 +213,5 @@ fn answer(mut stream: &TcpStream, request: &Request, status: &str, body: Vec<u8>
         let _ = stream.shutdown(std::net::Shutdown::Both);
         return None;
     }
-    stream.write_all(&body).ok()
+    stream.write_all(body).ok()
 }

@@ -287,7 +287,7 @@ pub fn is_collected(open: Open) {
 pub fn run(new_place: &dyn Fn() -> Box<dyn Fn() -> Box<dyn Backend> + Sync>) {
     for part in
         [moves_bytes, has_one_winner, is_a_layer, survives_loss, takes_many_writers, is_collected, |open: Open| {
-            carries_results(&open)
+            carries_results(&open);
         }]
     {
         let place = new_place();

@@ -237,7 +237,7 @@ mod tests {
         table
     }
 
-    fn compared(figures: Value) -> Result<(Table, String), StageError> {
+    fn compared(figures: &Value) -> Result<(Table, String), StageError> {
         let inputs: [(&str, Artefact); 1] = [("measured", table().into())];
         let made = run_stage::<CompareFigures>(&TestHost::default(), &json!({"figures": figures}), &inputs)?;
         let mut made = made.into_inner();
@@ -254,7 +254,7 @@ mod tests {
         let one = |more: Value| {
             let mut figure = json!({"figure": "D2 threshold", "column": "threshold", "published": 24.9});
             figure.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
-            compared(json!([figure]))
+            compared(&json!([figure]))
         };
         let number = |more: Value, column: usize| one(more).unwrap().0.rows[0][column].number();
         assert_eq!(number(json!({"rows": {"quantile": 0.95}}), 1), Some(25.0));
@@ -274,7 +274,7 @@ mod tests {
     #[test]
     fn what_is_not_there_or_not_one_is_refused() {
         let says = |figure: Value, text: &str| {
-            let message = compared(json!([figure])).unwrap_err().message;
+            let message = compared(&json!([figure])).unwrap_err().message;
             assert!(message.contains(text), "{message}");
         };
         says(json!({"figure": "a", "column": "d2"}), "no column `d2`");
