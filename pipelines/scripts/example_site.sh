@@ -9,7 +9,7 @@ rockface run "$pipeline" --quiet
 
 take() { # output, file
   rm -f "$2"
-  rockface export "$pipeline" "$1" "$2" > /dev/null
+  rockface export "$pipeline" "$1" "$2" --plain > /dev/null
 }
 take face.mesh "$to/face.ply"
 # The images of the pipelines are called cam1 and cam2.
@@ -19,7 +19,7 @@ take errors.covariance "$to/covariance.tmp"
 sed -e 's/"left\./"cam1./' -e 's/"right\./"cam2./' "$to/covariance.tmp" > "$to/bba_covariance.json"
 rm "$to/cameras.tmp" "$to/covariance.tmp"
 number=0
-while rockface export "$pipeline" "quiet[reference=$number].raster" "$to/real/$(printf %02d $number).tif" > /dev/null 2>&1; do
+while rockface export "$pipeline" "quiet[reference=$number].raster" "$to/real/$(printf %02d $number).tif" --plain > /dev/null 2>&1; do
   number=$((number + 1))
 done
 take cliff.mesh "$to/trier/cliff_trier_wall_pre.ply"

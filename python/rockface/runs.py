@@ -236,7 +236,7 @@ class Run:
         label = f"{step.step}.{port}" + step.label.removeprefix(step.step)
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "output"
-            _program.call("export", str(self.folder), label, str(file), "--store", str(self.store))
+            _program.call("export", str(self.folder), label, str(file), "--plain", "--store", str(self.store))
             return decode(kind, memoryview(file.read_bytes()))
 
     def table(self, *axes: str) -> Table:

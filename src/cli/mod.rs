@@ -265,7 +265,7 @@ fn own_folder(pipeline: &Path) -> Result<PathBuf, CliError> {
     std::fs::create_dir_all(&folder).map_err(failed)?;
     for (name, text) in [(".gitignore", "*\n"), ("CACHEDIR.TAG", CACHE_TAG)] {
         if !folder.join(name).exists() {
-            write_own(&folder, name, text).map_err(failed)?;
+            write_own(&folder, name, text.as_bytes()).map_err(failed)?;
         }
     }
     if is_new {
@@ -280,11 +280,11 @@ fn own_folder(pipeline: &Path) -> Result<PathBuf, CliError> {
 }
 
 /// Writes a file whole or not at all: half of one would never be completed.
-fn write_own(folder: &Path, name: &str, text: &str) -> std::io::Result<()> {
+fn write_own(folder: &Path, name: &str, bytes: &[u8]) -> std::io::Result<()> {
     let mut file = tempfile::Builder::new()
         .permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666))
         .tempfile_in(folder)?;
-    std::io::Write::write_all(&mut file, text.as_bytes())?;
+    std::io::Write::write_all(&mut file, bytes)?;
     file.as_file().sync_all()?;
     file.persist(folder.join(name)).map(drop).map_err(|error| error.error)
 }

@@ -38,7 +38,8 @@ fn runs_of_a_pipeline_below_are_found_by_every_command() {
 
 #[test]
 fn a_file_leads_to_step_parameters_and_command() {
-    let house = House::new(SMALL);
+    let more = "  picture: {stage: draw-picture, in: {subject: dem.raster}}\n  spread: {stage: describe-noise, in: {raster: dem.raster}}\n";
+    let house = House::new(&format!("{SMALL}{}", more.replace("spread: {stage: describe-noise, in: {raster: dem.raster}}", "noise: {stage: describe-noise, with: {scales_cells: [1, 2, 4]}, in: {raster: dem.raster}}\n  spread: {stage: tabulate, in: {rows: noise.features}}")));
     house.rockface(&["run", "p.yaml"]);
     house.rockface(&["export", "latest", "dem.raster", "copy.tif"]);
     for file in ["copy.tif", ".rockface/runs/latest/outputs/dem/raster.tif"] {
@@ -48,6 +49,25 @@ fn a_file_leads_to_step_parameters_and_command() {
         assert_eq!(told["parameters"]["cell_m"], 0.05);
         let again = told["make again"].as_str().unwrap();
         assert!(again.starts_with("rockface run ") && again.ends_with("run.json --target dem"), "{again}");
+    }
+    // Alone in a folder without runs, the file says it itself.
+    let elsewhere = House::new(SMALL);
+    for (output, file) in
+        [("dem.raster", "a.tif"), ("face.mesh", "a.ply"), ("picture.picture", "a.png"), ("spread.table", "a.json")]
+    {
+        let (code, out, err) = house.rockface(&["export", "latest", output, file]);
+        assert_eq!(code, Some(0), "{out}{err}");
+        std::fs::copy(house.path(file), elsewhere.path(file)).unwrap();
+        let _ = std::fs::copy(
+            house.path(&format!("{file}.provenance.json")),
+            elsewhere.path(&format!("{file}.provenance.json")),
+        );
+        let (_, out, err) = elsewhere.rockface(&["inspect", file, "--json"]);
+        let told: serde_json::Value = serde_json::from_str(&out).unwrap_or_else(|_| panic!("{out}{err}"));
+        let (step, port) = output.split_once('.').unwrap();
+        assert_eq!(told["made by"], format!("step `{step}`, port `{port}`, as the file says"));
+        assert_eq!(told["kind"], if file == "a.json" { "table" } else { told["kind"].as_str().unwrap() });
+        assert!(told["make again"].as_str().unwrap().starts_with("rockface run "), "{out}");
     }
     std::fs::write(house.path("foreign.tif"), "no raster").unwrap();
     assert!(!house.rockface(&["inspect", "foreign.tif"]).1.contains("made by"));

@@ -118,7 +118,7 @@ fn a_manifest_repeats_its_run_and_says_whether_it_came_out_the_same() {
 #[test]
 fn outputs_are_exported_by_either_name_and_inspected() {
     let house = two_runs();
-    let (code, out, err) = house.rockface(&["export", "latest", "dem.raster", "out/dem.tif"]);
+    let (code, out, err) = house.rockface(&["export", "latest", "dem.raster", "out/dem.tif", "--plain"]);
     assert_eq!(code, Some(0), "{err}");
     assert!(out.contains("raster"), "{out}");
     let linked = house.path(".rockface/runs/latest/outputs/dem/raster.tif");

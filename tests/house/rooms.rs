@@ -47,6 +47,7 @@ const ARROWS: &[(&[&str], &[&str], &str)] = &[
     (&["cli"], &["remote"], "`--remote` names an object store"),
     (&["core"], &["numerics"], "a stage is lent the key of a random stream"),
     (&["format"], &["core"], "a format writes and reads artefacts"),
+    (&["cli"], &["format"], "an exported raster gets overviews and says where it comes from"),
     (&["format"], &["numerics"], "quantisation rounds alike everywhere"),
     (
         &[

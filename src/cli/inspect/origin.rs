@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use rockface_cache::Digest;
 use serde_json::{Value, json};
 
+use super::super::export::provenance;
 use super::super::places::Places;
 use super::Facts;
 use rockface_engine::history::{PastRun, StepDone};
@@ -20,7 +21,10 @@ struct Found<'a> {
 }
 
 /// What the runs here tell of the file with this digest; nothing where none of them has it.
-pub fn of(path: &Path, digest: &Digest, places: &Places) -> Facts {
+pub fn of(path: &Path, (digest, bytes): (&Digest, &[u8]), places: &Places) -> Facts {
+    let stated = provenance::read(path, bytes);
+    let original = stated.as_ref().and_then(|facts| facts["digest"].as_str()?.parse().ok());
+    let digest = original.as_ref().unwrap_or(digest);
     let runs = runs(path, places);
     let by_digest = runs.iter().rev().filter_map(|run| by_digest(run, digest)).collect::<Vec<_>>();
     let beside = || runs.iter().find_map(|run| beside(run, path));
@@ -31,11 +35,31 @@ pub fn of(path: &Path, digest: &Digest, places: &Places) -> Facts {
                 if count > RUNS_NAMED { format!(", … and {} more", count - RUNS_NAMED) } else { String::new() };
             facts(found, "made by", format!("{}{more}", names.join(", ")))
         }
-        (None, _) => beside().map_or_else(Facts::new, |found| {
-            let name = found.run.name.clone();
-            facts(&found, "made of the output of", name)
-        }),
+        (None, _) => match (beside(), stated) {
+            (Some(found), _) => {
+                let name = found.run.name.clone();
+                facts(&found, "made of the output of", name)
+            }
+            (None, Some(stated)) => as_stated(&stated),
+            (None, None) => Facts::new(),
+        },
     }
+}
+
+/// What a file says itself where no run here has it.
+fn as_stated(stated: &Value) -> Facts {
+    let word = |name: &str| stated[name].as_str().unwrap_or_default().to_owned();
+    vec![
+        ("made by".into(), format!("step `{}`, port `{}`, as the file says", word("step"), word("port")).into()),
+        ("stage".into(), stated["stage"].clone()),
+        ("parameters".into(), stated["parameters"].clone()),
+        ("digest".into(), stated["digest"].clone()),
+        ("record".into(), stated["record"].clone()),
+        ("pipeline".into(), stated["pipeline"].clone()),
+        ("run".into(), stated["run"].clone()),
+        ("program".into(), stated["program"].clone()),
+        ("make again".into(), stated["command"].clone()),
+    ]
 }
 
 /// The run whose folder the file is in, or else all runs that are found here, oldest first.

@@ -45,6 +45,8 @@ choice! {
         Refuse = "refuse",
         /// Keep it as it is, with a warning: enough for survey and rasters, not for removing blocks near the defects.
         Keep = "keep",
+        /// Cut the surface open along edges of three or more triangles, with a warning: the sides lie beside each other there and are not joined.
+        Repair = "repair",
     }
 }
 
@@ -91,6 +93,10 @@ impl Stage for ImportMesh {
         if params.repair == Repair::Nothing && params.min_piece_triangles > 1 {
             let text = "dropping pieces is a repair, and `repair` is `none`";
             faults.push(Fault { path: vec!["min_piece_triangles".into()], ..Fault::new(text) });
+        }
+        if params.repair == Repair::Nothing && params.defects == Defects::Repair {
+            let text = "`defects: repair` is a repair, and `repair` is `none`";
+            faults.push(Fault { path: vec!["defects".into()], ..Fault::new(text) });
         }
         faults
     }
@@ -165,6 +171,15 @@ fn tidy(mesh: &mut Mesh, params: &ImportMeshParams, context: &Context) -> Result
             let text = format!("none of the {before} triangles of `{path}` is left: {}", describe(&repaired));
             return Err(StageError::new(text).hint("a mesh needs triangles with an area; lower `min_piece_triangles`"));
         }
+        if params.defects == Defects::Repair {
+            let cut = repair::cut_open(mesh);
+            context.metric("cut_edges", cut as f64, "1");
+            if cut > 0 {
+                context.warn(format!(
+                    "cut open along {cut} edges of three or more triangles; no block can be removed across them"
+                ));
+            }
+        }
         match orient::make_coherent(mesh) {
             Ok(count) => turned = count,
             Err(one_sided) => {
@@ -189,8 +204,8 @@ fn tidy(mesh: &mut Mesh, params: &ImportMeshParams, context: &Context) -> Result
         return Ok(());
     }
     Err(StageError::new(message).hint(
-        "repair the mesh first: in MeshLab `Repair Non Manifold Edges`, then `Re-Orient All Faces Coherently`; or keep \
-         it as it is with `defects: keep`, which is enough where no blocks are removed",
+        "`defects: repair` cuts it open at such edges; or repair it in MeshLab (`Repair Non Manifold Edges`, then `Re-Orient All \
+         Faces Coherently`); or keep it as it is with `defects: keep`, which is enough where no blocks are removed",
     ))
 }
 

@@ -6,6 +6,7 @@ use rayon::prelude::*;
 
 use super::half_edges::HalfEdges;
 use rockface_core::artefact::Mesh;
+use rockface_core::numerics::union_find::UnionFind;
 use rockface_raster::mesh_check;
 
 /// How often each repair was done.
@@ -38,6 +39,58 @@ pub fn repair(mesh: &mut Mesh, min_piece_triangles: usize) -> Repaired {
         duplicate_triangles,
         small_piece_triangles,
         unreferenced_vertices,
+    }
+}
+
+/// Cuts the surface open along edges of three or more triangles: each side gets vertices of its own there, and so do surfaces that meet in a
+/// point. Returns how many edges were cut; a mesh without such edges stays as it is.
+pub fn cut_open(mesh: &mut Mesh) -> usize {
+    let mut edges: Vec<([u32; 2], [u32; 2])> = Vec::with_capacity(3 * mesh.triangles.len());
+    for (triangle, corners) in mesh.triangles.iter().enumerate() {
+        for side in 0..3 {
+            let next = (side + 1) % 3;
+            let (a, b) = (corners[side], corners[next]);
+            let (at_a, at_b) = ((3 * triangle + side) as u32, (3 * triangle + next) as u32);
+            edges.push(if a < b { ([a, b], [at_a, at_b]) } else { ([b, a], [at_b, at_a]) });
+        }
+    }
+    edges.par_sort_unstable();
+    // Corners of triangles that meet along an edge of two belong to one vertex.
+    let mut sets = UnionFind::new(3 * mesh.triangles.len());
+    let mut crowded = 0;
+    for group in edges.chunk_by(|one, other| one.0 == other.0) {
+        match group {
+            [(_, one), (_, other)] => (0..2).for_each(|end| {
+                sets.join(one[end] as usize, other[end] as usize);
+            }),
+            [_] => {}
+            _ => crowded += 1,
+        }
+    }
+    if crowded > 0 {
+        give_vertices(mesh, &sets.into_roots());
+    }
+    crowded
+}
+
+/// Gives each set of corners a vertex: the first set of a vertex keeps it, the others get copies.
+fn give_vertices(mesh: &mut Mesh, roots: &[u32]) {
+    let mut own: Vec<Option<u32>> = vec![None; roots.len()];
+    let mut is_taken = vec![false; mesh.vertices.len()];
+    for corner in 0..roots.len() {
+        let (root, old) = (roots[corner] as usize, mesh.triangles[corner / 3][corner % 3] as usize);
+        let vertex = own[root].unwrap_or_else(|| {
+            if !std::mem::replace(&mut is_taken[old], true) {
+                return old as u32;
+            }
+            mesh.vertices.push(mesh.vertices[old]);
+            if !mesh.colours.is_empty() {
+                mesh.colours.push(mesh.colours[old]);
+            }
+            (mesh.vertices.len() - 1) as u32
+        });
+        own[root] = Some(vertex);
+        mesh.triangles[corner / 3][corner % 3] = vertex;
     }
 }
 

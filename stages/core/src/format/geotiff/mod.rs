@@ -6,11 +6,14 @@
 //! the wall frame lies in the world is the item `GEOREFERENCE` of GDAL's metadata. Foreign files may also be striped, interleaved, big-endian, BigTIFF,
 //! uncompressed, of 8- to 32-bit integers or 32- or 64-bit floats, and carry a no-data value.
 
+mod cog;
 mod read;
 mod tags;
 mod write;
 
+pub use cog::write_optimised;
 pub use read::{DAMAGED, System, read, read_system};
+pub use tags::item;
 pub use write::write;
 
 #[cfg(test)]

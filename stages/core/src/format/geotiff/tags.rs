@@ -105,6 +105,11 @@ impl Placement {
 
 /// GDAL's metadata of a raster: frame, quantity and the name of each band.
 pub fn metadata(raster: &Raster) -> String {
+    metadata_with(raster, &[])
+}
+
+/// The same with further items.
+pub fn metadata_with(raster: &Raster, items: &[(&str, &str)]) -> String {
     let mut xml = format!(
         "<GDALMetadata>\n  <Item name=\"FRAME\">{}</Item>\n  <Item name=\"QUANTITY\">{}</Item>\n",
         raster.frame,
@@ -117,7 +122,18 @@ pub fn metadata(raster: &Raster) -> String {
         let name = escape(&band.name);
         let _ = writeln!(xml, "  <Item name=\"DESCRIPTION\" sample=\"{index}\" role=\"description\">{name}</Item>");
     }
+    for (name, text) in items {
+        let _ = writeln!(xml, "  <Item name=\"{name}\">{}</Item>", escape(text));
+    }
     xml + "</GDALMetadata>\n"
+}
+
+/// An item of GDAL's metadata in the bytes of a file, without reading the rest of it.
+pub fn item(file: &[u8], name: &str) -> Option<String> {
+    let start = format!("<Item name=\"{name}\">");
+    let at = file.windows(start.len()).position(|window| window == start.as_bytes())? + start.len();
+    let length = file[at..].windows(7).position(|window| window == b"</Item>")?;
+    Some(unescape(std::str::from_utf8(&file[at..at + length]).ok()?))
 }
 
 /// The items of GDAL's metadata that are understood here.

@@ -11,17 +11,17 @@ use super::tags;
 use crate::artefact::{CodecError, Raster, Sample};
 
 /// Side of a tile, cells; TIFF wants a multiple of 16.
-const TILE: usize = 256;
+pub const TILE: usize = 256;
 
 /// Classic TIFF addresses 4 GiB; what DEFLATE may add to data it cannot shrink stays far below the difference.
-const LARGEST: usize = 4_000_000_000;
+pub const LARGEST: usize = 4_000_000_000;
 
-const DEFLATE: u16 = 8;
+pub const DEFLATE: u16 = 8;
 const HORIZONTAL: u16 = 2;
 const FLOATING_POINT: u16 = 3;
-const PLANAR: u16 = 2;
-const BLACK_IS_ZERO: u16 = 1;
-const UNSPECIFIED: u16 = 0;
+pub const PLANAR: u16 = 2;
+pub const BLACK_IS_ZERO: u16 = 1;
+pub const UNSPECIFIED: u16 = 0;
 
 /// Writes a raster.
 ///
@@ -30,15 +30,7 @@ const UNSPECIFIED: u16 = 0;
 /// are too large for its sample, a cell size that is not positive, or more than 4 GB of values.
 pub fn write(raster: &Raster) -> Result<Vec<u8>, CodecError> {
     check(raster)?;
-    let (across, down) = (raster.grid.columns.div_ceil(TILE), raster.grid.rows.div_ceil(TILE));
-    let count = across * down * raster.bands.len();
-    let tiles: Vec<Vec<u8>> = (0..count)
-        .into_par_iter()
-        .map(|index| {
-            let (band, tile) = (index / (across * down), index % (across * down));
-            compress(&tile_bytes(raster, band, tile / across, tile % across))
-        })
-        .collect::<Result<_, _>>()?;
+    let tiles = tiles(raster)?;
     let size: usize = tiles.iter().map(Vec::len).sum();
     if size > LARGEST {
         return Err(CodecError(format!("{size} bytes are too many for one GeoTIFF; split the bands over several")));
@@ -46,7 +38,19 @@ pub fn write(raster: &Raster) -> Result<Vec<u8>, CodecError> {
     assemble(raster, &tiles).map_err(|e| CodecError(format!("cannot write GeoTIFF: {e}")))
 }
 
-fn check(raster: &Raster) -> Result<(), CodecError> {
+/// The compressed tiles, band by band, from the upper left.
+pub fn tiles(raster: &Raster) -> Result<Vec<Vec<u8>>, CodecError> {
+    let (across, down) = (raster.grid.columns.div_ceil(TILE), raster.grid.rows.div_ceil(TILE));
+    let count = across * down * raster.bands.len();
+    let tile = |index: usize| {
+        let (band, tile) = (index / (across * down), index % (across * down));
+        compress(&tile_bytes(raster, band, tile / across, tile % across))
+    };
+    (0..count).into_par_iter().map(tile).collect()
+}
+
+/// Refuses what no GeoTIFF can hold.
+pub fn check(raster: &Raster) -> Result<(), CodecError> {
     let (columns, rows) = (raster.grid.columns, raster.grid.rows);
     if columns == 0 || rows == 0 || raster.bands.is_empty() || raster.bands.len() > usize::from(u16::MAX) {
         let bands = raster.bands.len();
@@ -138,12 +142,17 @@ fn compress(bytes: &[u8]) -> Result<Vec<u8>, CodecError> {
 }
 
 /// Bits of a value.
-fn bits(sample: Sample) -> u16 {
+pub fn bits(sample: Sample) -> u16 {
     match sample {
         Sample::Float => 32,
         Sample::Byte => 8,
         Sample::Word => 16,
     }
+}
+
+/// `SampleFormat` and predictor.
+pub fn coding(sample: Sample) -> (u16, u16) {
+    if sample == Sample::Float { (3, FLOATING_POINT) } else { (1, HORIZONTAL) }
 }
 
 type Directory<'a, 'b> = DirectoryEncoder<'a, &'b mut Cursor<Vec<u8>>, TiffKindStandard>;
@@ -167,7 +176,7 @@ fn assemble(raster: &Raster, tiles: &[Vec<u8>]) -> tiff::TiffResult<Vec<u8>> {
 
 fn write_layout(raster: &Raster, directory: &mut Directory) -> tiff::TiffResult<()> {
     let bands = raster.bands.len();
-    let (format, predictor) = if raster.sample == Sample::Float { (3u16, FLOATING_POINT) } else { (1, HORIZONTAL) };
+    let (format, predictor) = coding(raster.sample);
     directory.write_tag(Tag::ImageWidth, raster.grid.columns as u32)?;
     directory.write_tag(Tag::ImageLength, raster.grid.rows as u32)?;
     directory.write_tag(Tag::TileWidth, TILE as u32)?;

@@ -46,6 +46,21 @@ fn with(bytes: &[u8], extra: &Value) -> (Result<Mesh, StageError>, TestHost) {
     (mesh, host)
 }
 
+#[test]
+fn a_surface_is_cut_open_where_three_triangles_share_an_edge() {
+    let crowded = square(&[[0, 1, 2], [0, 2, 3], [2, 0, 4]]);
+    let refused = with(&crowded, &json!({})).0.unwrap_err();
+    assert!(refused.message.contains("1 edges of three or more triangles"), "{}", refused.message);
+    assert!(refused.hint.unwrap().starts_with("`defects: repair`"));
+    let (mesh, host) = with(&crowded, &json!({"defects": "repair"}));
+    let mesh = mesh.unwrap();
+    assert_eq!((mesh.triangles.len(), mesh.vertices.len()), (3, 9));
+    assert_eq!((host.metric("cut_edges"), host.metric("non_manifold_edges")), (Some(1.0), Some(0.0)));
+    // Two triangles that share an edge stay together; nothing else is touched.
+    let (mesh, host) = with(&square(&[[0, 1, 2], [0, 2, 3]]), &json!({"defects": "repair"}));
+    assert_eq!((mesh.unwrap().vertices.len(), host.metric("cut_edges")), (4, Some(0.0)));
+}
+
 /// A face of 6 x 6 squares in the XY plane, turned to face `-Y` (a cliff), as OBJ text.
 fn cliff_obj() -> String {
     let mesh = height_mesh(6, [0.0, 6.0, 0.0, 6.0], |x, y| 0.1 * x * y);

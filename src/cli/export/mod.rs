@@ -1,5 +1,7 @@
 //! `rockface export` and `rockface archive`: results of past runs, to wherever they are wanted.
 
+pub mod provenance;
+
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -8,7 +10,7 @@ use rockface_cache::SafeName;
 use super::places::Places;
 use super::{CliError, complain, say};
 use rockface_engine::diagnostic::{listed, nearest};
-use rockface_engine::history::{self, Manifest, StepDone};
+use rockface_engine::history::{self, HistoryError, Manifest, StepDone};
 use rockface_engine::pipeline::Label;
 
 /// Arguments of `rockface export`.
@@ -26,6 +28,9 @@ pub struct ExportArgs {
     /// Write the output without verifying it first. Faster for very large outputs, but damage on disk is not noticed.
     #[arg(long)]
     trust_store: bool,
+    /// Write the bytes of the store as they are: no provenance in the file or beside it, no overviews in rasters.
+    #[arg(long)]
+    plain: bool,
     #[command(flatten)]
     places: Places,
 }
@@ -55,7 +60,24 @@ impl ExportArgs {
             rockface_cache::Materialised::Copy => "a copy",
             rockface_cache::Materialised::HardLink => "a read-only link into the store",
         };
-        say(&format!("{} ({}, {} bytes): {how}", to.display(), output.kind, output.bytes));
+        if self.plain {
+            say(&format!("{} ({}, {} bytes): {how}", to.display(), output.kind, output.bytes));
+            return Ok(());
+        }
+        let facts = provenance::of(&run, done, port, &output.digest);
+        let failed = |action| {
+            let path = to.clone();
+            move |source| CliError::History(HistoryError::Io { action, path, source })
+        };
+        let bytes = std::fs::read(&to).map_err(failed("read"))?;
+        let (at, bytes, where_to) = match provenance::written(kind, &bytes, &facts) {
+            Some(bytes) => (to.clone(), bytes, "in it"),
+            None => (provenance::beside(&to), format!("{facts:#}\n").into_bytes(), "in a file beside it"),
+        };
+        let folder = at.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        super::write_own(folder, &at.file_name().unwrap_or_default().to_string_lossy(), &bytes)
+            .map_err(failed("write"))?;
+        say(&format!("{} ({}), where it comes from {where_to}", to.display(), output.kind));
         Ok(())
     }
 }
