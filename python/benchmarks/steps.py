@@ -1,6 +1,7 @@
-"""What a step costs besides its work: a trivial function as `stage: python`, as `command`, and under joblib.Memory.
+"""What a step costs besides its work: a trivial function as `stage: python`, as `command`, under joblib.Memory, and with DVC.
 
-Usage: python benchmarks/steps.py [STEPS]; ROCKFACE_BIN names the program. Prints milliseconds a step, cold and cached.
+Usage: python benchmarks/steps.py [STEPS]; ROCKFACE_BIN names the program. Prints milliseconds a step, cold and cached. What is not
+installed (joblib; dvc, as a package of this Python or a program named by DVC) is left out, and said so.
 """
 
 from __future__ import annotations
@@ -72,7 +73,11 @@ def measure(name: str, step: str, count: int) -> None:
 
 def joblib_memory(count: int) -> None:
     """The same under joblib.Memory."""
-    import joblib
+    try:
+        import joblib
+    except ImportError:
+        print("joblib is not installed")
+        return
 
     with tempfile.TemporaryDirectory() as folder:
         memory = joblib.Memory(folder, verbose=0)
@@ -84,12 +89,37 @@ def joblib_memory(count: int) -> None:
             print(f"{'joblib.Memory ' + word:32} {count:6} calls  {(time.perf_counter() - begun) / count * 1e3:8.3f} ms a call")
 
 
+def dvc(count: int) -> None:
+    """Stages of DVC that write a line with a shell: no Python starts for their work."""
+    program = os.environ.get("DVC") or str(Path(sys.executable).with_name("dvc"))
+    if not Path(program).is_file():
+        print("dvc is not installed")
+        return
+    times = {}
+    for steps in (1, count):
+        with tempfile.TemporaryDirectory() as folder:
+            place = Path(folder)
+            seconds([program, "init", "--no-scm", "--quiet"], place)
+            (place / "seed.csv").write_text("a\n1\n")
+            stages = "".join(
+                f"  own{n}:\n    cmd: printf 'n\\n{n}\\n' > own{n}.csv\n    deps: [seed.csv]\n    outs: [own{n}.csv]\n"
+                for n in range(steps)
+            )
+            (place / "dvc.yaml").write_text("stages:\n" + stages)
+            cold = seconds([program, "repro", "--quiet"], place)
+            times[steps] = (cold, seconds([program, "repro", "--quiet"], place))
+    cold, cached = ((times[count][place] - times[1][place]) / (count - 1) * 1e3 for place in (0, 1))
+    first = times[1][0] * 1e3
+    print(f"{'dvc repro, printf':32} {count:6} steps  {cold:8.3f} ms a step cold  {cached:8.3f} ms cached; first step {first:.0f} ms")
+
+
 def main() -> None:
     """Measures all."""
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
     measure("stage: python", STEPS["stage: python"], count)
     measure("command, python3 with numpy", STEPS["command, python3 with numpy"], max(count // 20, 2))
     joblib_memory(count)
+    dvc(max(count // 20, 2))
 
 
 if __name__ == "__main__":

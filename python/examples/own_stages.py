@@ -22,6 +22,20 @@ def fractal(
     return dem.like(dem.values + noise, "elevation")
 
 
+@rockface.stage(output="errors")
+def matching_errors(
+    depth: rockface.DepthMap, random: rockface.Random, sigma_px: float = 0.3, exponent: float = 2.0, longest_px: float = 200.0
+) -> rockface.DepthMap:
+    """Errors of disparity for port `errors` of match-pair: fractal, and twice as strong at the edges of what the image sees."""
+    rows, columns = depth.shape
+    k = np.maximum(np.hypot(np.fft.fftfreq(rows)[:, None], np.fft.rfftfreq(columns)[None, :]), 1 / longest_px)
+    white = np.fft.rfft2(random.generator("errors").normal(size=depth.shape))
+    field = np.fft.irfft2(white * k ** (-exponent / 2), s=depth.shape)
+    steps = np.hypot(*np.gradient(np.nan_to_num(depth.z)))
+    strength = np.where(steps > 20 * np.median(steps), 2.0, 1.0)
+    return depth.with_channels(error_px=sigma_px * strength * field / field.std())
+
+
 @rockface.stage(output="labels")
 def connected_losses(
     difference: rockface.Raster, sigmas: float = 3.0, smooth_cells: float = 1.0, min_cells: int = 12, keep_open: bool = False

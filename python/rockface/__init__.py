@@ -4,7 +4,7 @@
 import rockface
 
 run = rockface.run("quickstart")        # a pipeline that ships with rockface, or a YAML file
-run["change/change.raster"].plot()           # a DEM difference with its grid
+run["event.change"].plot()           # a DEM difference with its grid
 run.table("trial")                      # one row a point: axes and metrics
 ```
 """
@@ -29,6 +29,7 @@ from rockface.artefacts import (
     File,
     Files,
     Frame,
+    Georeference,
     Grid,
     Image,
     Inventory,
@@ -70,6 +71,7 @@ __all__ = [
     "FormatError",
     "Frame",
     "Gathered",
+    "Georeference",
     "Grid",
     "Image",
     "Inventory",

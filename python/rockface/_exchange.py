@@ -20,6 +20,7 @@ from rockface.artefacts import (
     File,
     Files,
     Frame,
+    Georeference,
     Grid,
     Inventory,
     Mesh,
@@ -59,7 +60,7 @@ def _raster(data: memoryview) -> Raster:
     values = np.frombuffer(data, header["dtype"], offset=at).reshape(shape)
     grid = Grid(header["columns"], header["rows"], header["cell_m"], header["left_m"], header["top_m"])
     bands = dict(zip(header["bands"], values, strict=True))
-    return Raster(grid, Frame.of(header["frame"]), header["quantity"], bands)
+    return Raster(grid, Frame.of(header["frame"]), header["quantity"], bands, Georeference.of(header["frame"]))
 
 
 def write(kind: str, value: Any) -> bytes:
@@ -95,7 +96,7 @@ def _written_raster(raster: Raster) -> bytes:
         "cell_m": float(grid.cell_m),
         "left_m": float(grid.left_m),
         "top_m": float(grid.top_m),
-        "frame": str(raster.frame),
+        "frame": raster.written_frame(),
         "quantity": raster.quantity,
         "dtype": common.str,
         "bands": list(arrays),
@@ -133,11 +134,12 @@ def _written_mesh(mesh: Mesh) -> bytes:
     triangles = _floats("triangles", mesh.triangles, 3, "<i8")
     if len(triangles) and (triangles.min() < 0 or triangles.max() >= len(vertices)):
         raise WrongOutputError(f"`triangles` name vertices from {triangles.min()} to {triangles.max()}; there are {len(vertices)}")
-    return ply.write_mesh(Mesh(mesh.frame, vertices, triangles.astype("<u4"), mesh.colours))
+    return ply.write_mesh(Mesh(mesh.frame, vertices, triangles.astype("<u4"), mesh.colours, mesh.georeference))
 
 
 def _written_meshes(meshes: Meshes) -> bytes:
     lines = ["ply", "format binary_little_endian 1.0", f"comment rockface meshes, frame {meshes.frame}, units metres"]
+    lines += ply.georeference_lines(meshes)
     vertices, faces, first = [], [], 0
     vertex = np.dtype([("xyz", "<f8", (3,)), ("part", "<i4")])
     face = np.dtype([("count", "u1"), ("corners", "<u4", (3,)), ("part", "<i4")])
@@ -169,7 +171,7 @@ def _written_cloud(cloud: Cloud) -> bytes:
     for name, values in lists.items():
         if len(values) not in ((0, count) if name in ("normals", "colours") else (count,)):
             raise WrongOutputError(f"`{name}` has {len(values)} values for {count} points")
-    return ply.write_cloud(Cloud(cloud.frame, points, cloud.normals, cloud.colours, cloud.numbers))
+    return ply.write_cloud(Cloud(cloud.frame, points, cloud.normals, cloud.colours, cloud.numbers, cloud.georeference))
 
 
 def _written_surface(surface: Surface) -> bytes:
@@ -178,7 +180,7 @@ def _written_surface(surface: Surface) -> bytes:
         raise WrongOutputError(f"points of the shape {points.shape} and squares of {squares.shape} make no surface")
     layout = "float32 points by row from origin_m, uint8 squares"
     header = {
-        "frame": str(surface.frame), "width": points.shape[1], "height": points.shape[0],
+        "frame": surface.written_frame(), "width": points.shape[1], "height": points.shape[0],
         "origin_m": list(map(float, surface.origin_m)), "layout": layout,
     }  # fmt: skip
     return SURFACE + json.dumps(header).encode() + b"\n" + points.astype("<f4").tobytes() + squares.astype("u1").tobytes()

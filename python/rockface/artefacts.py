@@ -6,7 +6,7 @@ import html
 import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from enum import Enum
 from typing import Any
 
@@ -24,6 +24,7 @@ __all__ = [
     "File",
     "Files",
     "Frame",
+    "Georeference",
     "Grid",
     "Image",
     "Inventory",
@@ -60,6 +61,50 @@ class Frame(str, Enum):
     def of(written: Any) -> Frame:
         """The frame of its JSON: a name, or a map that also says where it lies on the Earth."""
         return Frame(written["axes"] if isinstance(written, dict) else written)
+
+
+@dataclass(frozen=True)
+class Georeference:
+    """Where a frame lies on the Earth."""
+
+    crs: str
+    """The coordinate reference system of the world frame, such as `EPSG:28356`; or its well-known text."""
+    wall_from_world: Mapping[str, Any] | None = None
+    """How the wall frame lies in the world frame: `rotation`, `origin` and `translation`; nothing for the world frame itself."""
+
+    @staticmethod
+    def of(written: Any) -> Georeference | None:
+        """What the JSON of a frame, or of a georeference, says; a name alone says nothing."""
+        return Georeference(written["crs"], written.get("wall_from_world")) if isinstance(written, dict) else None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Its JSON."""
+        way = {} if self.wall_from_world is None else {"wall_from_world": dict(self.wall_from_world)}
+        return {"crs": self.crs, **way}
+
+
+class Placed:
+    """Something in a frame that may say where it lies on the Earth."""
+
+    frame: Frame
+    georeference: Georeference | None
+
+    @property
+    def crs(self) -> str | None:
+        """The coordinate reference system of its coordinates; nothing in the wall frame, and where none is known."""
+        return self.georeference.crs if self.georeference and self.frame is Frame.WORLD else None
+
+    def written_frame(self) -> str | dict[str, Any]:
+        """Its frame as JSON."""
+        return {"axes": str(self.frame), **self.georeference.as_dict()} if self.georeference else str(self.frame)
+
+    def _where(self) -> str:
+        """The frame, and what it lies in, for people."""
+        if self.georeference is None:
+            return f"{self.frame} frame"
+        crs = self.georeference.crs
+        shown = crs if len(crs) <= 40 else crs[:40] + "…"
+        return f"{self.frame} frame, {shown}" if self.frame is Frame.WORLD else f"{self.frame} frame of {shown}"
 
 
 def _needed(package: str, purpose: str) -> Any:
@@ -108,7 +153,7 @@ class Grid:
 
 
 @dataclass(frozen=True, eq=False)
-class Raster:
+class Raster(Placed):
     """One or more bands on a grid. NaN stands for no value in bands of floats."""
 
     grid: Grid
@@ -117,6 +162,8 @@ class Raster:
     """What the values are, such as `difference_m`."""
     bands: dict[str, Array]
     """Bands by name, rows x columns each: float32, uint8 or uint16."""
+    georeference: Georeference | None = None
+    """Where its frame lies on the Earth, as far as it is known."""
 
     @staticmethod
     def single(grid: Grid, values: Array, name: str = "value", *, quantity: str = "value", frame: Frame = Frame.WALL) -> Raster:
@@ -125,7 +172,7 @@ class Raster:
 
     def like(self, values: Array, name: str = "value", *, quantity: str | None = None) -> Raster:
         """A raster of one band on the same grid and in the same frame."""
-        return Raster(self.grid, self.frame, quantity or name, {name: np.asarray(values)})
+        return Raster(self.grid, self.frame, quantity or name, {name: np.asarray(values)}, self.georeference)
 
     @property
     def values(self) -> Array:
@@ -148,6 +195,7 @@ class Raster:
         xarray = _needed("xarray", "Raster.to_xarray")
         coords = {"y": self.grid.y_m, "x": self.grid.x_m}
         attributes = {"frame": str(self.frame), "quantity": self.quantity, "cell_m": self.grid.cell_m}
+        attributes |= {"crs": self.crs} if self.crs else {}
         arrays = {
             name: xarray.DataArray(band, coords, ("y", "x"), name=name, attrs=attributes) for name, band in self.bands.items()
         }
@@ -178,7 +226,7 @@ class Raster:
     def __repr__(self) -> str:
         rows, columns = self.shape
         names = ", ".join(self.bands)
-        return f"Raster({self.quantity}: {names}; {rows} x {columns} cells of {self.grid.cell_m:g} m, {self.frame} frame)"
+        return f"Raster({self.quantity}: {names}; {rows} x {columns} cells of {self.grid.cell_m:g} m, {self._where()})"
 
 
 @dataclass(frozen=True)
@@ -295,6 +343,14 @@ class DepthMap:
     def __getitem__(self, channel: str) -> NDArray[np.float32]:
         return self.z if channel == "Z" else self.channels[channel]
 
+    def with_channels(self, **channels: Array) -> DepthMap:
+        """The same map with further channels, each rows x columns: `depth.with_channels(error_px=errors)`."""
+        for name, values in channels.items():
+            if np.shape(values) != self.shape:
+                raise ValueError(f"channel `{name}` has the shape {np.shape(values)}, the depth map {self.shape}")
+        added = {name: np.asarray(values, np.float32) for name, values in channels.items()}
+        return replace(self, channels={**self.channels, **added})
+
     def points(self) -> NDArray[np.float64]:
         """The point of each pixel in the map's frame, rows x columns x 3, metres; NaN where there is no depth."""
         rows, columns = np.indices(self.shape)
@@ -310,7 +366,7 @@ class DepthMap:
 
 
 @dataclass(frozen=True, eq=False)
-class Mesh:
+class Mesh(Placed):
     """A triangle mesh."""
 
     frame: Frame
@@ -320,6 +376,8 @@ class Mesh:
     """m x 3 places in `vertices`, counter-clockwise seen from outside."""
     colours: NDArray[np.uint8] = field(default_factory=lambda: np.empty((0, 3), np.uint8))
     """n x 3, or 0 x 3 where the mesh has none."""
+    georeference: Georeference | None = None
+    """Where its frame lies on the Earth, as far as it is known."""
 
     def to_trimesh(self) -> Any:
         """A `trimesh.Trimesh` with the same vertices. Needs trimesh."""
@@ -328,7 +386,7 @@ class Mesh:
         return trimesh.Trimesh(self.vertices, self.triangles, vertex_colors=colours, process=False)
 
     def __repr__(self) -> str:
-        return f"Mesh({len(self.vertices)} vertices, {len(self.triangles)} triangles, {self.frame} frame)"
+        return f"Mesh({len(self.vertices)} vertices, {len(self.triangles)} triangles, {self._where()})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,11 +401,13 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Meshes:
+class Meshes(Placed):
     """Named meshes: blocks, removed pieces, niches."""
 
     frame: Frame
     parts: list[Part]
+    georeference: Georeference | None = None
+    """Where its frame lies on the Earth, as far as it is known."""
 
     def __len__(self) -> int:
         return len(self.parts)
@@ -358,15 +418,15 @@ class Meshes:
     def __getitem__(self, name: str) -> Mesh:
         for part in self.parts:
             if part.name == name:
-                return Mesh(self.frame, part.vertices, part.triangles)
+                return Mesh(self.frame, part.vertices, part.triangles, georeference=self.georeference)
         raise KeyError(name)
 
     def __repr__(self) -> str:
-        return f"Meshes({len(self.parts)} meshes, {self.frame} frame)"
+        return f"Meshes({len(self.parts)} meshes, {self._where()})"
 
 
 @dataclass(frozen=True, eq=False)
-class Cloud:
+class Cloud(Placed):
     """Points with normals, colours and whole numbers."""
 
     frame: Frame
@@ -378,16 +438,18 @@ class Cloud:
     """n x 3, or 0 x 3 where there are none."""
     numbers: dict[str, NDArray[np.uint32]] = field(default_factory=dict)
     """Whole numbers of each point by name, such as `label`."""
+    georeference: Georeference | None = None
+    """Where its frame lies on the Earth, as far as it is known."""
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
         return np.array(self.points, dtype=dtype) if copy else np.asarray(self.points, dtype=dtype)
 
     def __repr__(self) -> str:
-        return f"Cloud({len(self.points)} points, {self.frame} frame)"
+        return f"Cloud({len(self.points)} points, {self._where()})"
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class Surface(Placed):
     """An organised grid of points whose triangles are implicit."""
 
     frame: Frame
@@ -397,6 +459,8 @@ class Surface:
     """Points relative to the origin, rows x columns x 3, metres; NaN where there is none."""
     squares: NDArray[np.uint8]
     """Bits of the triangles of each square, (rows - 1) x (columns - 1): 1 first, 2 second, 4 the other diagonal."""
+    georeference: Georeference | None = None
+    """Where its frame lies on the Earth, as far as it is known."""
 
     def xyz(self) -> NDArray[np.float64]:
         """The points in their frame, rows x columns x 3, metres."""
@@ -412,11 +476,12 @@ class Surface:
         first = np.where(other[..., None], np.stack([a, d, b], -1), np.stack([a, d, c], -1))[(self.squares & 1) != 0]
         second = np.where(other[..., None], np.stack([b, d, c], -1), np.stack([a, c, b], -1))[(self.squares & 2) != 0]
         used, triangles = np.unique(np.concatenate([first, second]), return_inverse=True)
-        return Mesh(self.frame, self.xyz().reshape(-1, 3)[used], triangles.reshape(-1, 3).astype(np.uint32))
+        vertices, own = self.xyz().reshape(-1, 3)[used], triangles.reshape(-1, 3).astype(np.uint32)
+        return Mesh(self.frame, vertices, own, georeference=self.georeference)
 
     def __repr__(self) -> str:
         rows, columns = self.points.shape[:2]
-        return f"Surface({rows} x {columns} points, {self.frame} frame)"
+        return f"Surface({rows} x {columns} points, {self._where()})"
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from rockface.artefacts import (
     File,
     Files,
     Frame,
+    Georeference,
     Image,
     Inventory,
     Mesh,
@@ -147,7 +148,7 @@ def _surface(data: memoryview) -> Surface:
     points = np.frombuffer(data, "<f4", height * width * 3, at).reshape(height, width, 3)
     squares = np.frombuffer(data, np.uint8, offset=at + points.nbytes).reshape(height - 1, width - 1)
     x, y, z = header["origin_m"]
-    return Surface(Frame.of(header["frame"]), (x, y, z), points, squares)
+    return Surface(Frame.of(header["frame"]), (x, y, z), points, squares, Georeference.of(header["frame"]))
 
 
 def _noise(data: memoryview) -> Record:

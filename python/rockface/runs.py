@@ -182,32 +182,52 @@ class Run:
         """Every `step.port` of the run."""
         return list(dict.fromkeys(f"{step.step}.{port}" for step in self.steps for port in step.outputs))
 
+    def part_outputs(self) -> list[str]:
+        """Every `use.output` of the parts that the pipeline uses."""
+        return [f"{used['name']}.{port}" for used in self.manifest.get("parts", []) for port in used["outputs"]]
+
     def __iter__(self) -> Iterator[str]:
         return iter(self.outputs())
 
     def __contains__(self, output: object) -> bool:
-        return output in self.outputs()
+        return output in self.outputs() or output in self.part_outputs()
 
     def __getitem__(self, output: str) -> Any:
         """An output: `run["dem.raster"]`, `run["dem.raster[epoch=pre]"]`, or `run["dem"]` where the step has one output.
+
+        What a part makes is named as in the pipeline, `run["before.dem"]`, or by the step inside, `run["before/dem.raster"]`.
 
         A step at several points gives `Outputs`, a sequence that reads each when asked for.
         """
         match = LABEL.match(output.replace(" ", ""))
         if match is None:
             raise KeyError(f"`{output}` is no output: write step.port or step.port[axis=item]")
-        picks = _picks((match["one"] or "") + (match["two"] or ""))
-        steps = [step for step in self.steps if step.step == match["step"] and step.outputs]
+        name, named, picks = self._behind(match)
+        steps = [step for step in self.steps if step.step == name and step.outputs]
         ports = list(dict.fromkeys(port for step in steps for port in step.outputs))
-        port = match["port"] or (ports[0] if len(ports) == 1 else "")
+        port = named or (ports[0] if len(ports) == 1 else "")
         if port not in ports:
-            raise KeyError(self._unknown(output, match["step"], ports))
+            raise KeyError(self._unknown(output, name, ports))
         fitting = [step for step in steps if picks.items() <= dict(step.point).items()]
         if not fitting:
             raise KeyError(f"`{output}`: no such point; there are {', '.join(step.label for step in steps[:5])}, …")
         if len(fitting) > 1:
             return Outputs(self, port, fitting)
         return self.artefact(fitting[0], port)
+
+    def _behind(self, match: re.Match[str]) -> tuple[str, str | None, dict[str, str]]:
+        """The step, port and items that a label names; of an output of a part that is used, those inside it."""
+        picks = _picks((match["one"] or "") + (match["two"] or ""))
+        used = next((used for used in self.manifest.get("parts", []) if used["name"] == match["step"]), None)
+        if used is None:
+            return match["step"], match["port"], picks
+        outputs = used["outputs"]
+        port = match["port"] or (next(iter(outputs)) if len(outputs) == 1 else None)
+        inner = LABEL.match(outputs.get(port, ""))
+        if inner is None:
+            names = ", ".join(f"{match['step']}.{name}" for name in outputs)
+            raise KeyError(f"`{match[0]}`: `{match['step']}` uses part {used['part']}, whose outputs are {names}")
+        return inner["step"], inner["port"], {**_picks((inner["one"] or "") + (inner["two"] or "")), **picks}
 
     def _unknown(self, output: str, step: str, ports: list[str]) -> str:
         from difflib import get_close_matches
@@ -220,10 +240,10 @@ class Run:
     def path(self, output: str) -> Path:
         """The file of an output at one point, in the run folder."""
         match = LABEL.match(output)
-        picks = _picks((match["one"] or "") + (match["two"] or "")) if match else {}
+        name, named, picks = self._behind(match) if match else ("", None, {})
         for step in self.steps:
-            if match and step.step == match["step"] and picks.items() <= dict(step.point).items():
-                port = match["port"] or next(iter(step.outputs), "")
+            if step.step == name and picks.items() <= dict(step.point).items():
+                port = named or next(iter(step.outputs), "")
                 if port in step.paths:
                     return self.folder / step.paths[port]
         raise KeyError(f"`{output}` has no name in the run folder: `rockface export`, or run with outputs='all'")
@@ -342,7 +362,8 @@ class Run:
 
 def _picks(text: str) -> dict[str, str]:
     pairs = [pick.split("=", 1) for pick in re.findall(r"[^\[\],]+", text)]
-    return {pair[0]: pair[-1] for pair in pairs}
+    # Points call an axis of a part by its short name.
+    return {pair[0].rpartition("/")[2]: pair[-1] for pair in pairs}
 
 
 def _items(point: Mapping[str, str]) -> dict[str, float | str]:

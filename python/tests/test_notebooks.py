@@ -37,3 +37,18 @@ def test_the_examples_run(folder):
     assert all(row["pooled_precision"] > 0.9 and row["found"] == row["truths"] for row in own)
     noise = run.table("sigma_m", "epoch", "time")
     assert list(noise["noisy.std"]) == pytest.approx(list(noise["sigma_m"]), rel=0.01)
+
+
+def test_a_noise_of_ones_own_goes_into_the_survey(folder):
+    import rockface
+
+    example = Path(__file__).resolve().parents[1] / "examples" / "own-noise.yaml"
+    for name in ("own-noise.yaml", "own_stages.py"):
+        (folder / name).write_text((example.parent / name).read_text())
+    run = rockface.run("own-noise.yaml", progress=False)
+    table = run.table("sigma_px")
+    none, some, more = table["change/change.std_m"]
+    # Without errors of its own the difference has the white noise and the orientation alone.
+    assert list(table["sigma_px"]) == [0, 0.3, 0.6] and none * 1.5 < some and some * 1.5 < more
+    errors = run["errors.errors[epoch=pre,sigma_px=0.3]"]
+    assert "error_px" in errors.channels and errors["error_px"].std() > 0.29

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import struct
 import zlib
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rockface._errors import FormatError
-from rockface.artefacts import Frame, Grid, Raster
+from rockface.artefacts import Frame, Georeference, Grid, Raster
 
 __all__ = ["read"]
 
@@ -23,6 +24,7 @@ STRIP_BYTES, PLANAR, PREDICTOR, TILE_WIDTH, TILE_HEIGHT = 279, 284, 317, 322, 32
 TILES, TILE_BYTES, FORMAT, SCALE, TIEPOINT, KEYS = 324, 325, 339, 33550, 33922, 34735
 METADATA, NODATA = 42112, 42113
 PIXEL_IS_POINT = (1025, 0, 1, 2)
+PROJECTED, VERTICAL, USER_DEFINED = 3072, 4096, 32767
 
 TYPES = {1: "B", 2: "s", 3: "H", 4: "I", 5: "II", 6: "b", 8: "h", 9: "i", 11: "f", 12: "d", 13: "I"}
 FORMATS = {1: "u", 2: "i", 3: "f"}
@@ -174,8 +176,19 @@ def _raster(directory: _Directory, bands: Array) -> Raster:
         for number, name in re.findall(r'<Item[^>]*sample="(\d+)"[^>]*role="description"[^>]*>([^<]*)</Item>', metadata)
     }
     named = {names.get(number, f"band {number + 1}"): band for number, band in enumerate(_without(bands, directory.text(NODATA)))}
-    frame = Frame(_item(metadata, "FRAME") or "wall")
-    return Raster(grid, frame, _item(metadata, "QUANTITY") or "value", named)
+    place = _georeference(metadata, keys)
+    frame = Frame(_item(metadata, "FRAME") or ("world" if place else "wall"))
+    return Raster(grid, frame, _item(metadata, "QUANTITY") or "value", named, place)
+
+
+def _georeference(metadata: str, keys: tuple[Any, ...]) -> Georeference | None:
+    """Where the frame lies: as our own files state it, else by the codes of the projected and the vertical system."""
+    stated = _item(metadata, "GEOREFERENCE")
+    if stated:
+        return Georeference.of(json.loads(stated))
+    codes = {keys[at]: keys[at + 3] for at in range(4, len(keys) - 3, 4) if keys[at + 1] == 0}
+    known = [str(codes[key]) for key in (PROJECTED, VERTICAL) if codes.get(key, USER_DEFINED) != USER_DEFINED]
+    return Georeference("EPSG:" + "+".join(known)) if PROJECTED in codes and known else None
 
 
 def _without(bands: Array, nodata: str) -> Array:

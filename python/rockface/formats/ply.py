@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rockface._errors import FormatError
-from rockface.artefacts import Cloud, Frame, Mesh, Meshes, Part
+from rockface.artefacts import Cloud, Frame, Georeference, Mesh, Meshes, Part, Placed
 
-__all__ = ["read", "write_cloud", "write_mesh"]
+__all__ = ["georeference_lines", "read", "write_cloud", "write_mesh"]
 
 TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "<i2", "int16": "<i2", "ushort": "<u2",
@@ -22,6 +22,7 @@ TYPES = {
 }  # fmt: skip
 COLOURS = ("red", "green", "blue")
 NORMALS = ("nx", "ny", "nz")
+GEOREFERENCE = "comment rockface georeference "
 OTHER = "open it with trimesh, or let `rockface inspect` describe it"
 
 Array = NDArray[Any]
@@ -55,9 +56,11 @@ def read(data: memoryview) -> Mesh | Meshes | Cloud:
         return _meshes(lines, rows)
     vertices, frame = rows["vertex"], _frame(lines)
     if "face" in rows and len(rows["face"]):
-        return Mesh(frame, _columns(vertices, ("x", "y", "z")), _triangles(rows["face"]), _columns(vertices, COLOURS))
+        triangles, colours = _triangles(rows["face"]), _columns(vertices, COLOURS)
+        return Mesh(frame, _columns(vertices, ("x", "y", "z")), triangles, colours, _georeference(lines))
     numbers = {name: vertices[name] for name in vertices.dtype.names or () if vertices.dtype[name] == np.dtype("<u4")}
-    return Cloud(frame, _columns(vertices, ("x", "y", "z")), _columns(vertices, NORMALS), _columns(vertices, COLOURS), numbers)
+    points, normals, colours = (_columns(vertices, names) for names in (("x", "y", "z"), NORMALS, COLOURS))
+    return Cloud(frame, points, normals, colours, numbers, _georeference(lines))
 
 
 def _elements(lines: list[str]) -> list[_Element]:
@@ -94,6 +97,17 @@ def _frame(lines: list[str]) -> Frame:
     return Frame(stated[0]) if stated else Frame.WORLD
 
 
+def _georeference(lines: list[str]) -> Georeference | None:
+    stated = [line.removeprefix(GEOREFERENCE) for line in lines if line.startswith(GEOREFERENCE)]
+    return Georeference.of(json.loads(stated[0])) if stated else None
+
+
+def georeference_lines(placed: Placed) -> list[str]:
+    """The line of a header that says where the frame lies on the Earth."""
+    own = placed.georeference
+    return [GEOREFERENCE + json.dumps(own.as_dict(), separators=(",", ":"))] if own else []
+
+
 def _columns(rows: Array, names: tuple[str, ...]) -> Array:
     """Neighbouring columns as an array n x 3 without a copy; 0 x 3 where the file has none."""
     known: Mapping[str, Any] = rows.dtype.fields or {}
@@ -123,14 +137,14 @@ def _meshes(lines: list[str], rows: dict[str, Array]) -> Meshes:
         own = (own.astype(np.int64) - first_vertex).astype(np.uint32)
         parts.append(Part(name, kind, vertices[first_vertex : first_vertex + int(v)], own))
         first_vertex, first_face = first_vertex + int(v), first_face + int(f)
-    return Meshes(_frame(lines), parts)
+    return Meshes(_frame(lines), parts, _georeference(lines))
 
 
 def write_mesh(mesh: Mesh) -> bytes:
     """The file of a mesh: double vertices, triangles, colours where there are any."""
     fields: list[Any] = [("xyz", "<f8", (3,))]
     header = ["ply", "format binary_little_endian 1.0", f"comment rockface mesh, frame {mesh.frame}, units metres"]
-    header += [f"element vertex {len(mesh.vertices)}", *(f"property double {axis}" for axis in "xyz")]
+    header += [*georeference_lines(mesh), f"element vertex {len(mesh.vertices)}", *(f"property double {axis}" for axis in "xyz")]
     if len(mesh.colours):
         fields.append(("rgb", "u1", (3,)))
         header += [f"property uchar {colour}" for colour in COLOURS]
@@ -148,7 +162,7 @@ def write_cloud(cloud: Cloud) -> bytes:
     """The file of a cloud: double points, float normals and colours where there are any, its numbers."""
     fields: list[Any] = [("xyz", "<f8", (3,))]
     header = ["ply", "format binary_little_endian 1.0", f"comment rockface cloud, frame {cloud.frame}, units metres"]
-    header += [f"element vertex {len(cloud.points)}", *(f"property double {axis}" for axis in "xyz")]
+    header += [*georeference_lines(cloud), f"element vertex {len(cloud.points)}", *(f"property double {axis}" for axis in "xyz")]
     if len(cloud.normals):
         fields.append(("normal", "<f4", (3,)))
         header += [f"property float {axis}" for axis in NORMALS]

@@ -95,6 +95,11 @@ impl Stage for MatchImage {
             "Factor on the local noise by place, from `map-noise`; needs `matcher`.",
         ),
         Port::optional("noise", &[Kind::Noise], "Model of all noise, from `learn-noise`; needs `noise: learnt`."),
+        Port::optional(
+            "errors",
+            &[Kind::Depth],
+            "Errors of your own, added to all others: a map of the image with channel `error_px`.",
+        ),
     ];
     const OUTPUTS: &'static [Port] =
         &[Port::one("depth", &[Kind::Depth], "The fused noisy depth map, with its noisy camera.")];
@@ -146,7 +151,11 @@ impl Stage for MatchImage {
 }
 
 fn ports<'a>(inputs: &'a Inputs) -> Result<NoisePorts<'a>, StageError> {
-    Ok(NoisePorts { strength: inputs.optional::<Raster>("strength")?, noise: inputs.optional::<Noise>("noise")? })
+    Ok(NoisePorts {
+        strength: inputs.optional::<Raster>("strength")?,
+        noise: inputs.optional::<Noise>("noise")?,
+        errors: inputs.optional::<Depth>("errors")?,
+    })
 }
 
 /// The side of a pair on which an image is, and the name of the other image.

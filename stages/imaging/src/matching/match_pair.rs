@@ -46,6 +46,11 @@ impl Stage for MatchPair {
             "Factor on the local noise by place, from `map-noise`; needs `matcher`.",
         ),
         Port::optional("noise", &[Kind::Noise], "Model of all noise, from `learn-noise`; needs `noise: learnt`."),
+        Port::optional(
+            "errors",
+            &[Kind::Depth],
+            "Errors of your own, added to all others: a map of the image with channel `error_px`.",
+        ),
     ];
     const OUTPUTS: &'static [Port] =
         &[Port::one("depth", &[Kind::Depth], "The noisy depth map, with its noisy camera.")];
@@ -59,7 +64,7 @@ impl Stage for MatchPair {
         let maps = inputs.of("first") + inputs.of("second");
         let terms = if params.matching.matcher.is_some() { 2 } else { 0 };
         let channels = if params.channels { 24 } else { 0 };
-        (4 + terms) * maps + channels * inputs.of("first") + 2 * inputs.of("noise")
+        (4 + terms) * maps + channels * inputs.of("first") + 2 * inputs.of("noise") + inputs.of("errors")
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
@@ -83,7 +88,11 @@ impl Stage for MatchPair {
 }
 
 fn ports<'a>(inputs: &'a Inputs) -> Result<NoisePorts<'a>, StageError> {
-    Ok(NoisePorts { strength: inputs.optional::<Raster>("strength")?, noise: inputs.optional::<Noise>("noise")? })
+    Ok(NoisePorts {
+        strength: inputs.optional::<Raster>("strength")?,
+        noise: inputs.optional::<Noise>("noise")?,
+        errors: inputs.optional::<Depth>("errors")?,
+    })
 }
 
 fn choose_pair<'a>(params: &MatchPairParams, pairs: &'a Pairs) -> Result<&'a Pair, StageError> {
@@ -220,5 +229,7 @@ fn report(
 
 #[cfg(test)]
 mod learnt_tests;
+#[cfg(test)]
+mod own_errors_tests;
 #[cfg(test)]
 mod tests;

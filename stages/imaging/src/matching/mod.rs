@@ -7,6 +7,7 @@ pub mod map_fusion;
 pub mod matched;
 pub mod noise;
 pub mod noisy_rays;
+pub mod own_errors;
 pub mod pair;
 pub mod pair_geometry;
 pub mod params;

@@ -42,6 +42,8 @@ pub struct Matcher<'a> {
     occlusion_tolerance: Option<f64>,
     /// Rays of the partner's noisy camera from those of the true one; `None` where both have one interior orientation.
     partner_rays: Option<NoisyRays>,
+    /// Errors of the user's own by pixel of the depth map, pixels.
+    errors: Option<&'a [f32]>,
 }
 
 impl<'a> Matcher<'a> {
@@ -55,7 +57,20 @@ impl<'a> Matcher<'a> {
     ) -> Self {
         let (camera, noisy) = (&geometry.cameras[side.other()], &geometry.noisy[side.other()]);
         let partner_rays = (!noisy.has_interior_of(camera)).then(|| NoisyRays::new(camera, noisy));
-        Self { geometry, side, sampling, noise, occlusion_tolerance, partner_rays }
+        Self { geometry, side, sampling, noise, occlusion_tolerance, partner_rays, errors: None }
+    }
+
+    /// The same with errors of the user's own, one for each pixel of the depth map, added to the disparities.
+    #[must_use]
+    pub fn with_errors(self, errors: Option<&'a [f32]>) -> Self {
+        Self { errors, ..self }
+    }
+
+    /// The user's own error at a pixel of the depth map; 0 where there are none.
+    #[inline]
+    fn own_error_px(&self, row: usize, column: usize) -> f64 {
+        let width = self.geometry.ideal[self.side].width;
+        self.errors.map_or(0.0, |errors| f64::from(errors[row * width + column]))
     }
 
     /// Depth maps, cameras and rectification of the pair.
@@ -179,7 +194,11 @@ impl<'a> Matcher<'a> {
         let ideal_parallax_px = ideal_px - rectification.shift_px();
         let white_px = self.local_px(block, noise_px[0], ideal_parallax_px, draws);
         let regular_px = self.regular_px(rectified_px);
-        let disparity_px = ideal_px + (white_px + regular_px);
+        let mut disparity_px = ideal_px + (white_px + regular_px);
+        if self.errors.is_some() {
+            let own = |lane| block.columns.get(lane).map_or(f64::NAN, |column| self.own_error_px(row, *column));
+            disparity_px = disparity_px + Lanes::of(own);
+        }
         let parallax_px = disparity_px - rectification.shift_px();
         let depth_m = Lanes::all(self.fb_px_m()) / (parallax_px * slant);
         Correspondence {
@@ -226,7 +245,10 @@ impl<'a> Matcher<'a> {
         let [first_px, second_px] = noise_px;
         let error =
             terms.error(&Site { first_px, second_px, rectified_px, point_m, pixel, disparity_px_m }, lookups)?;
-        let matched_px = ideal_px + (error.local_px() + error.regular_px);
+        let mut matched_px = ideal_px + (error.local_px() + error.regular_px);
+        if self.errors.is_some() {
+            matched_px += self.own_error_px(row, column);
+        }
         let disparity_px = terms.sub_pixel(matched_px);
         let parallax_px = self.geometry.rectification.parallax_px(disparity_px)?;
         let depth_m = self.fb_px_m() / (parallax_px * correspondence.slant);

@@ -4,7 +4,7 @@ use crate::matching::noise::matcher::{MatcherTerms, PaperNoise};
 use crate::matching::noise::paper::{Distribution, FieldRecipe, Interpolation, Variance};
 use crate::matching::pair::Sampling;
 use crate::matching::setup::Setup;
-use rockface_core::artefact::{Noise, Raster};
+use rockface_core::artefact::{Depth, Noise, Raster};
 use rockface_core::params::Range;
 use rockface_core::{StageError, choice, params};
 
@@ -35,6 +35,8 @@ pub struct NoisePorts<'a> {
     pub strength: Option<&'a Raster>,
     /// Learnt model.
     pub noise: Option<&'a Noise>,
+    /// Errors of the user's own.
+    pub errors: Option<&'a Depth>,
 }
 
 params! {
@@ -96,9 +98,15 @@ impl Matching {
             recipe,
         };
         let occlusion_tolerance = self.occlusion.then_some(self.occlusion_tolerance);
+        if ports.errors.is_some() && sampling == Sampling::Rectified {
+            let error = StageError::new(
+                "`errors` are of the pixels of an image, and disparities are sampled at rectified ones",
+            );
+            return Err(error.hint("leave `sampling: rectified` out, or the input"));
+        }
         let image_pixels = self.pixels == Pixels::Image;
-        let terms = self.matcher.clone();
-        Ok(Setup { sampling, image_pixels, noise, terms, occlusion_tolerance, strength, learnt: ports.noise })
+        let (terms, learnt, errors) = (self.matcher.clone(), ports.noise, ports.errors);
+        Ok(Setup { sampling, image_pixels, noise, terms, occlusion_tolerance, strength, learnt, errors })
     }
 
     fn check_ports(&self, ports: NoisePorts) -> Result<(), StageError> {

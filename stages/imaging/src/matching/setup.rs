@@ -5,6 +5,7 @@ use crate::matching::noise::learnt::LearntNoise;
 use crate::matching::noise::matcher::{Keys, MatcherTerms, PairScene, PaperNoise};
 use crate::matching::noise::model::{NoiseModel, Scaled};
 use crate::matching::noise::paper::{LocalNoise, SmoothNoise};
+use crate::matching::own_errors::errors_of;
 use crate::matching::pair::{Matcher, Sampling};
 use crate::matching::pair_geometry::PairGeometry;
 use crate::matching::side::Side;
@@ -31,9 +32,11 @@ pub struct Setup<'s> {
     pub strength: Option<&'s Raster>,
     /// The learnt model all noise is drawn from; `None`: the paper's noise and its further terms.
     pub learnt: Option<&'s Noise>,
+    /// Errors of the user's own, added to the others.
+    pub errors: Option<&'s Depth>,
 }
 
-impl Setup<'_> {
+impl<'s> Setup<'s> {
     /// The matcher of a pair from its ideal depth maps (first, second), for the depth map of image `side`.
     ///
     /// `keys` gives the random streams `match-local` and `match-regular` of the pair, and those of [`MatcherTerms::fields`].
@@ -44,7 +47,10 @@ impl Setup<'_> {
         side: Side,
         block: &Cameras,
         keys: Keys,
-    ) -> Result<Matcher<'a>, StageError> {
+    ) -> Result<Matcher<'a>, StageError>
+    where
+        's: 'a,
+    {
         let images = [noisy_image(block, ideal[0])?, noisy_image(block, ideal[1])?];
         let noisy = images.map(|image| Camera::new(block.sensor(image), image));
         let of_pair = |e: StageError| StageError { message: format!("pair `{pair}`: {}", e.message), ..e };
@@ -53,7 +59,8 @@ impl Setup<'_> {
         let own =
             if self.image_pixels { self.in_image_pixels(ideal[0].downscale).map_err(of_pair)? } else { self.clone() };
         let noise = own.noise_model(&scene, keys).map_err(of_pair)?;
-        Ok(Matcher::new(geometry, side, self.sampling, noise, self.occlusion_tolerance))
+        let errors = self.errors.map(|map| errors_of(map, pair, ideal[side])).transpose()?;
+        Ok(Matcher::new(geometry, side, self.sampling, noise, self.occlusion_tolerance).with_errors(errors))
     }
 
     /// The same noise on the face for depth maps that are coarser than the images.
