@@ -162,7 +162,9 @@ pub fn outputs() -> ArgValueCompleter {
         let names = steps.flat_map(|done| {
             done.outputs.iter().flatten().map(move |(port, _)| format!("{}.{port}", done.label())).collect::<Vec<_>>()
         });
-        plain(current, &names.collect::<Vec<_>>())
+        let parts = run.manifest.parts.iter();
+        let parts = parts.flat_map(|used| used.outputs.keys().map(|output| format!("{}.{output}", used.name)));
+        plain(current, &names.chain(parts).collect::<Vec<_>>())
     };
     ArgValueCompleter::new(outputs)
 }

@@ -38,6 +38,8 @@ impl ExplainArgs {
         self.pipeline.take_shipped()?;
         let pipeline = self.pipeline.load(registry)?;
         let label = wanted(&self.step)?;
+        let inner = behind(&pipeline, &label)?;
+        let label = inner.as_ref().and_then(|inner| label.of_inner(inner)).unwrap_or(label);
         let name = label.step;
         check_step(&pipeline, name)?;
         let (mut plan, store) = self.pipeline.look(registry, &pipeline, &self.pipeline.target)?;
@@ -61,11 +63,23 @@ impl ExplainArgs {
     }
 }
 
-/// The step and the items of an argument; a port after them is ignored.
+/// The step and the items of an argument; a port counts where the step is a use of a part.
 fn wanted(text: &str) -> Result<Label<'_>, CliError> {
     let empty = text.trim_end().strip_suffix("[]").unwrap_or(text);
     let fault = || CliError::Usage(format!("`{text}` names no step instance; write STEP or 'STEP[axis=item,...]'"));
     Label::parse(empty).ok_or_else(fault)
+}
+
+/// What stands behind an output of a use: `use/step.port`.
+fn behind(pipeline: &Pipeline, label: &Label) -> Result<Option<String>, CliError> {
+    let Some(used) = pipeline.document.uses.iter().find(|used| used.name == label.step) else { return Ok(None) };
+    let inner = label.port.and_then(|port| used.behind(port));
+    inner.map(Some).ok_or_else(|| {
+        let (name, part) = (&used.name, &used.part);
+        let outputs: Vec<String> = used.outputs.keys().map(|output| format!("{name}.{output}")).collect();
+        let named = diagnostic::listed(outputs.iter().map(String::as_str));
+        CliError::Usage(format!("`{name}` uses part `{part}`: name one of its outputs ({named}), or a step inside"))
+    })
 }
 
 fn check_step(pipeline: &Pipeline, name: &str) -> Result<(), CliError> {

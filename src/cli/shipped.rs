@@ -15,7 +15,7 @@ macro_rules! files {
 }
 
 /// Every file of the folder `pipelines`; a test compares the list with the folder.
-const FILES: [(&str, &str); 44] = files![
+const FILES: [(&str, &str); 49] = files![
     "benchmark-outcrop.yaml",
     "benchmark.yaml",
     "calibrate-outcrop.yaml",
@@ -42,14 +42,19 @@ const FILES: [(&str, &str); 44] = files![
     "parts/event-replica.yaml",
     "parts/filtered-no-change.yaml",
     "parts/hunter-valley-site.yaml",
+    "parts/judged-noise.yaml",
+    "parts/matcher-search.yaml",
     "parts/multi-image-survey.yaml",
     "parts/no-change.yaml",
+    "parts/outcrop-noise.yaml",
     "parts/paper-replicate.yaml",
     "parts/paper-search.yaml",
+    "parts/planned-pair.yaml",
     "parts/references.yaml",
     "parts/registered-difference.yaml",
     "parts/stereo-site.yaml",
     "parts/stereo-survey.yaml",
+    "parts/surveyed-rockfall.yaml",
     "parts/synthetic-site.yaml",
     "parts/verdict.yaml",
     "python-script.yaml",
@@ -238,7 +243,8 @@ mod tests {
         assert_eq!(files("quickstart"), ["quickstart.yaml"]);
         assert_eq!(files("rockface/hunter-valley-blocks"), ["hunter-valley-blocks.yaml", "hunter-valley-blocks.csv"]);
         assert_eq!(files("python-script"), ["python-script.yaml", "scripts/vertex_bands.py"]);
-        assert_eq!(files("calibrate"), ["calibrate.yaml", "parts/paper-replicate.yaml"]);
+        assert_eq!(files("calibrate"), ["calibrate.yaml"]);
+        assert_eq!(files("outcrop"), ["outcrop.yaml", "parts/outcrop-noise.yaml"]);
         assert_eq!(files("paper/ten-epochs"), ["paper/ten-epochs.yaml", "hunter-valley-blocks.csv"]);
     }
 

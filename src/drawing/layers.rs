@@ -21,10 +21,19 @@ pub struct Layers {
     pub trails: Vec<Vec<usize>>,
 }
 
+/// How many of the first nodes stand in the first row, and how many of the last ones in the last.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Doors {
+    /// In the first row.
+    pub entries: usize,
+    /// In the last row.
+    pub exits: usize,
+}
+
 impl Layers {
     /// Rows for `count` nodes with these arrows, each from a lower number to a higher one.
-    pub fn new(count: usize, arrows: &[(usize, usize)]) -> Self {
-        let row_of = rows_of(count, arrows);
+    pub fn new(count: usize, arrows: &[(usize, usize)], doors: Doors) -> Self {
+        let row_of = rows_of(count, arrows, doors);
         let mut layers = Self {
             rows: vec![Vec::new(); row_of.iter().max().map_or(0, |last| last + 1)],
             row_of: Vec::new(),
@@ -57,7 +66,7 @@ impl Layers {
 }
 
 /// As far up as the arrows allow; what nothing leads to stands just above the first that reads from it.
-fn rows_of(count: usize, arrows: &[(usize, usize)]) -> Vec<usize> {
+fn rows_of(count: usize, arrows: &[(usize, usize)], doors: Doors) -> Vec<usize> {
     let mut rows = vec![0; count];
     let mut sorted = arrows.to_vec();
     sorted.sort_unstable();
@@ -71,9 +80,11 @@ fn rows_of(count: usize, arrows: &[(usize, usize)]) -> Vec<usize> {
         let row = first_reader[*from].map_or(rows[*to], |row| row.min(rows[*to]));
         first_reader[*from] = Some(row);
     }
-    for node in (0..count).filter(|node| is_source[*node]) {
+    for node in (doors.entries..count).filter(|node| is_source[*node]) {
         rows[node] = first_reader[node].map_or(0, |row| row - 1);
     }
+    let last = rows.iter().copied().max().unwrap_or(0);
+    rows[count - doors.exits..].fill(last);
     rows
 }
 
@@ -83,7 +94,7 @@ mod tests {
 
     #[test]
     fn every_arrow_leads_down_by_one_row_at_a_time() {
-        let layers = Layers::new(5, &[(0, 1), (1, 2), (0, 2), (2, 4), (3, 4)]);
+        let layers = Layers::new(5, &[(0, 1), (1, 2), (0, 2), (2, 4), (3, 4)], Doors::default());
         assert_eq!(layers.row_of[..5], [0, 1, 2, 2, 3]);
         assert_eq!(layers.trails[2].len(), 3);
         for trail in &layers.trails {

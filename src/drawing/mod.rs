@@ -4,6 +4,7 @@ mod languages;
 mod layers;
 mod order;
 mod place;
+mod sheet;
 mod svg;
 
 use std::collections::BTreeMap;
@@ -202,7 +203,7 @@ impl Drawing {
     /// As a picture that any browser shows, from top to bottom, readable on light and dark pages; it may be embedded in
     /// HTML as it is.
     pub fn svg(&self) -> String {
-        svg::svg(&self.graph, &self.notes)
+        svg::svg(&self.graph, &self.uses, &self.notes)
     }
 }
 

@@ -94,12 +94,13 @@ fn crossings(layers: &Layers, places: &[usize]) -> usize {
 
 #[cfg(test)]
 mod tests {
+    use super::super::layers::Doors;
     use super::*;
 
     #[test]
     fn what_can_be_drawn_without_crossings_is() {
         // Two chains side by side, given crosswise.
-        let mut layers = Layers::new(6, &[(0, 3), (1, 2), (2, 5), (3, 4)]);
+        let mut layers = Layers::new(6, &[(0, 3), (1, 2), (2, 5), (3, 4)], Doors::default());
         untangle(&mut layers);
         let mut places = vec![0; 6];
         (0..3).for_each(|row| note_places(&layers, row, &mut places));

@@ -78,6 +78,7 @@ fn ascending(wishes: &[(f64, f64)]) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::layers::Doors;
     use super::*;
 
     #[test]
@@ -89,7 +90,7 @@ mod tests {
 
     #[test]
     fn nodes_of_a_row_keep_their_distance_and_a_chain_is_straight() {
-        let layers = Layers::new(5, &[(0, 1), (0, 2), (0, 3), (2, 4)]);
+        let layers = Layers::new(5, &[(0, 1), (0, 2), (0, 3), (2, 4)], Doors::default());
         let widths = [100.0, 80.0, 60.0, 80.0, 50.0];
         let places = places_px(&layers, &widths);
         for row in &layers.rows {

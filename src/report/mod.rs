@@ -6,6 +6,7 @@
 mod compared;
 mod curves;
 mod graph;
+mod groups;
 mod media;
 mod number;
 mod page;

@@ -6,6 +6,7 @@ use rockface_cache::{Digest, RecipeInput};
 use serde::Serialize;
 
 use super::curves::{self, Curve};
+use super::groups::{self, Group, PartView};
 use super::media::{Budget, Medium};
 use super::number::Shown;
 use super::source::Source;
@@ -47,12 +48,13 @@ pub struct Page {
     results: Vec<Result>,
     refused: usize,
     graph: Option<String>,
-    steps: Vec<StepView>,
+    groups: Vec<Group>,
     more_steps: usize,
     folder: String,
     manifest: String,
     log: String,
     program: Vec<(String, Shown)>,
+    parts: Vec<PartView>,
     pipeline_path: String,
     pipeline_text: String,
     changed: Vec<String>,
@@ -130,11 +132,12 @@ pub fn of(source: &Source, links: Links) -> Page {
         refused: budget.refused,
         graph: source.graph.and_then(|graph| graph::svg(graph, &gathered.steps)),
         more_steps: gathered.more_steps,
-        steps: gathered.steps,
+        groups: groups::of(gathered.steps, &manifest.parts, source.graph),
         folder: source.folder.display().to_string(),
         manifest: linker.certain("run.json"),
         log: linker.certain("run.mcap"),
         program: program(&manifest.program),
+        parts: groups::parts(&manifest.parts),
         pipeline_path: manifest.pipeline.path.display().to_string(),
         pipeline_text: beginning(&manifest.pipeline.text),
         changed: changed.chain(swept).chain(reseeded).collect(),

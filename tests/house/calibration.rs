@@ -7,15 +7,6 @@ use serde_json::Value;
 use crate::cli::House;
 
 const PIPELINE: &str = include_str!("../../pipelines/calibrate.yaml");
-const PART: &str = include_str!("../../pipelines/parts/paper-replicate.yaml");
-
-/// A folder with the pipeline and the part it uses.
-fn house() -> House {
-    let house = House::new(PIPELINE);
-    std::fs::create_dir(house.path("parts")).unwrap();
-    std::fs::write(house.path("parts/paper-replicate.yaml"), PART).unwrap();
-    house
-}
 
 /// Images of 160 pixels and cells of 9 cm; four coarse points, six fine ones, 14 references.
 const SMALL: [&str; 12] = [
@@ -24,13 +15,13 @@ const SMALL: [&str; 12] = [
     "params.cell_m=0.09",
     "params.lag_cells=30",
     "axes.reference.count=14",
-    "axes.theta.values=[1]",
-    "axes.local_px.values=[0.5, 0.8]",
-    "axes.regular_px.values=[0.5]",
-    "axes.spacing_px.values=[10, 40]",
-    "axes.repeat.count=2",
-    "steps.refine.with.count=6",
-    "steps.refine.with.best=2",
+    "axes.two_stage/theta.values=[1]",
+    "axes.two_stage/local_px.values=[0.5, 0.8]",
+    "axes.two_stage/regular_px.values=[0.5]",
+    "axes.two_stage/spacing_px.values=[10, 40]",
+    "steps.two_stage.with.repeats=2",
+    "steps.two_stage.with.fine=6",
+    "steps.two_stage.with.best=2",
 ];
 
 fn arguments<'a>(more: &[&'a str]) -> Vec<&'a str> {
@@ -54,17 +45,17 @@ fn run(house: &House, more: &[&str]) -> Vec<String> {
 }
 
 fn ranking(house: &House) -> String {
-    std::fs::read_to_string(house.path(".rockface/runs/latest/outputs/two_stage/ranking.csv")).unwrap()
+    std::fs::read_to_string(house.path(".rockface/runs/latest/outputs/two_stage/ranked/ranking.csv")).unwrap()
 }
 
 #[test]
 fn a_search_killed_half_way_ends_with_the_same_table_and_a_wider_one_reuses_it() {
-    let whole = house();
+    let whole = House::new(PIPELINE);
     let all = run(&whole, &[]).len();
     let table = ranking(&whole);
     assert_eq!(table.lines().count(), 1 + 6, "{table}");
 
-    let house = house();
+    let house = House::new(PIPELINE);
     let mut child = house.command(&arguments(&[])).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
     let mut told = 0;
     let mut lines = std::io::BufRead::lines(std::io::BufReader::new(child.stdout.take().unwrap()));
@@ -79,8 +70,8 @@ fn a_search_killed_half_way_ends_with_the_same_table_and_a_wider_one_reuses_it()
     assert!(resumed.len() < all - told / 2, "{told} of {all} were done, then {}", resumed.len());
     assert_eq!(ranking(&house), table);
 
-    let more = run(&whole, &["axes.spacing_px.values=[10, 20, 40]", "steps.refine.with.count=2"]);
+    let more = run(&whole, &["axes.two_stage/spacing_px.values=[10, 20, 40]", "steps.two_stage.with.fine=2"]);
     let described: Vec<&String> = more.iter().filter(|step| step.contains("/one/noise")).collect();
     assert!(described.iter().all(|step| !step.starts_with("references/")), "{described:?}");
-    assert_eq!(described.iter().filter(|step| step.starts_with("gridded/")).count(), 2, "{described:?}");
+    assert_eq!(described.iter().filter(|step| step.starts_with("two_stage/gridded/")).count(), 2, "{described:?}");
 }

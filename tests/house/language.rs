@@ -102,8 +102,11 @@ fn a_drawn_design_is_extended_without_running_what_was_drawn() {
     assert_eq!(more.executed(), ["all", "x[p=8]", "y[p=8]"]);
     let stranger = said(&SAMPLED.replace("${p.a}", "${p.c}"));
     assert!(stranger.contains("axis `p` has no value `c`") && stranger.contains("${p.a}"), "{stranger}");
+    // The values of an item together are a map.
     let whole = said(&SAMPLED.replace("${p.a}", "${p}"));
-    assert!(whole.contains("several values"), "{whole}");
+    assert!(whole.contains("expected a number") && whole.contains("`value`"), "{whole}");
+    let text = said(&SAMPLED.replace("'${p.a}'", "'x${p}'"));
+    assert!(text.contains("is a list or map and cannot stand inside a text"), "{text}");
 }
 
 #[test]

@@ -175,6 +175,73 @@ steps:
     assert_eq!(bench.run(yaml, &["axes.o/i.count=4"]).number(&bench.store, "both"), 20.0);
 }
 
+/// A part that takes a map and mentions a value of it.
+const AT: &str = "
+rockface: 1
+parts:
+  at:
+    params: {point: {type: map}}
+    out: {o: s.out}
+    steps: {s: {stage: emit, with: {value: '${point.a}'}}}
+params: {m: {a: 3, n: {x: 4}}, both: '${m.a}'}
+axes: {d: {sample: sobol, count: 2, over: {a: [10, 20], b: [0, 1]}}}
+steps:
+  given: {use: at, with: {point: {a: 2}}}
+  named: {use: at, with: {point: '${m}'}}
+  drawn: {use: at, over: [d], with: {point: '${d}'}}
+  own: {stage: add, in: {terms: given.o}, with: {plus: '${m.a}'}}
+  third: {stage: add, in: {terms: given.o}, with: {plus: '${both}'}}
+";
+
+#[test]
+fn values_inside_maps_are_mentioned() {
+    let bench = Bench::new();
+    let ran = bench.run(AT, &[]);
+    let number = |step: &str| ran.number(&bench.store, step);
+    assert_eq!((number("given/s"), number("named/s"), number("own"), number("third")), (2.0, 3.0, 5.0, 5.0));
+    assert!((10.0..20.0).contains(&number("drawn/s[d=1]")) && number("drawn/s[d=0]") != number("drawn/s[d=1]"));
+    assert_eq!(bench.run(AT, &["params.m.a=7"]).number(&bench.store, "own"), 9.0);
+    for (from, to, pieces) in [
+        ("${point.a}", "${point.aa}", &["parameter `point` has no value `aa`", "did you mean `a`?", "given here"][..]),
+        ("point: {a: 2}", "point: {b: 2}", &["parameter `point` has no value `a`", "test.yaml:7", "test.yaml:11"]),
+        ("point: '${d}'", "point: '${d.a}'", &["parameter `point` has no value `a`"]),
+        ("plus: '${m.a}'", "plus: '${m.n.x}'", &["`m` has no value `n.x`"]),
+        ("plus: '${m.a}'", "plus: '${m.z}'", &["`m` has no value `z`", "test.yaml:14"]),
+        ("both: '${m.a}'", "both: '${m.z}'", &["`m` has no value `z`"]),
+        ("${point.a}", "${point.b}", &["parameter `point` has no value `b`"]),
+    ] {
+        let said = said(&AT.replace(from, to));
+        assert!(pieces.iter().all(|piece| said.contains(piece)), "{to}\n{said}");
+    }
+    let drawn = AT.replace("point: {a: 2}", "point: '${d}'").replace("  named: {use: at, with: {point: '${m}'}}\n", "");
+    let strange = said(&drawn.replace("${point.a}", "${point.c}"));
+    assert!(strange.contains("axis `d` has no value `c`"), "{strange}");
+}
+
+#[test]
+fn without_targets_a_use_that_nothing_reads_is_made_and_no_more() {
+    const PICK: &str = "
+rockface: 1
+parts:
+  two:
+    out: {a: a.out, b: b.out}
+    steps: {zero: {stage: emit}, a: {stage: add, in: {terms: zero.out}}, b: {stage: add, in: {terms: zero.out}}}
+  outer:
+    out: {o: own.out}
+    steps: {inner: {use: two}, own: {stage: add, in: {terms: inner.a}}}
+steps:
+  s: {use: two}
+  t: {use: two}
+  o: {use: outer}
+  end: {stage: add, in: {terms: t.a}}
+";
+    let bench = Bench::new();
+    let ran = bench.run(PICK, &[]);
+    let mut made: Vec<String> = (0..ran.plan.instances.len()).map(|instance| ran.plan.label(instance)).collect();
+    made.sort();
+    assert_eq!(made, ["end", "o/inner/a", "o/inner/zero", "o/own", "s/a", "s/b", "s/zero", "t/a", "t/zero"]);
+}
+
 #[test]
 fn parts_stand_in_files_and_come_with_the_program() {
     const SHIPPED: &[PartText] = &[PartText {

@@ -135,6 +135,7 @@ const ARROWS: &[(&[&str], &[&str], &str)] = &[
         "messages with place, caret and way out",
     ),
     (&["plan", "run", "drawing", "report", "cli"], &["pipeline"], "the document as it was read"),
+    (&["history"], &["pipeline"], "outputs of past runs are named as pipelines name them"),
     (&["history", "run", "explain", "drawing", "report", "cli"], &["plan"], "instances and their recipes"),
     (&["history", "run", "report", "cli"], &["watch"], "events, logs, and how times are written"),
     (&["run", "report", "cli"], &["history"], "manifests and the names of the files of a run folder"),

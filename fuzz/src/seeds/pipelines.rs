@@ -12,7 +12,7 @@ use crate::targets::long_text;
 /// Larger pipelines are left to the tests that plan them.
 const LARGEST_BYTES: usize = 6000;
 
-const LANGUAGE: [(&str, &str); 8] = [
+const LANGUAGE: [(&str, &str); 9] = [
     (
         "axes",
         "rockface: 1\nseed: 3\nparams: {cells: [0.25, 0.5], half_m: 2}\naxes:\n  epoch: {items: [pre, post]}\n  trial: {count: 4}\n  \
@@ -55,6 +55,15 @@ const LANGUAGE: [(&str, &str); 8] = [
          one: {use: inner, over: [k], in: {face: in.face}, with: {c: \"${k}\"}}\n      all: {stage: tabulate, in: {rows: {each: one.dem, over: [k]}}}\naxes: \
          {r: {count: \"${n}\"}}\nsteps:\n  face: {stage: synthesise-face, over: [r]}\n  u: {use: outer, in: {face: {by: r, \"0\": face.mesh, else: \
          \"face.mesh[r=0]\"}}}\n  v: {use: outer, over: [r], in: {face: \"face.mesh[r=1]\"}, with: {t: [1]}}\ntargets: [u, v]\n",
+    ),
+    (
+        "points",
+        "rockface: 1\nseed: 5\nparams: {size: {width_m: 3, height_m: 2, deep: {cell_m: 0.5}}, cell_m: \"${size.deep}\"}\nparts:\n  at:\n    params: {point: {type: \
+         map}, n: {type: map, default: {count: 2}}}\n    in: {face: mesh}\n    out: {dem: dem.raster, all: all.table}\n    axes: {k: {count: \"${n.count}\"}}\n    steps:\n      \
+         dem: {stage: rasterise-dem, over: [k], in: {surface: in.face}, with: {cell_m: \"${point.c}\"}}\n      all: {stage: tabulate, with: {constants: \"${point}\"}, in: {rows: \
+         {each: dem.raster, over: [k]}}}\naxes: {p: {sample: sobol, count: 3, over: {c: [0.2, 0.5], d: [1, 2]}}, q: {from: u.all}}\nsteps:\n  face: {stage: synthesise-face, \
+         with: {width_m: \"${size.width_m}\", height_m: \"${size.height_m}\"}}\n  u: {use: at, with: &w {point: {c: 0.5}}, in: &i {face: face.mesh}}\n  v: {use: at, \
+         over: [p], with: {<<: *w, point: \"${p}\"}, in: *i}\n  x: {use: at, with: {point: \"${q}\", n: {count: 1}}, in: {<<: *i}}\ntargets: [u, v]\n",
     ),
     (
         "shipped",

@@ -20,7 +20,8 @@ pub struct ExportArgs {
     /// means the one before.
     #[arg(add = super::candidates::runs())]
     run: String,
-    /// The output, such as `dem.raster`, `dem[epoch=pre].raster` or `dem.raster[epoch=pre]`.
+    /// The output, such as `dem.raster`, `dem[epoch=pre].raster` or `dem.raster[epoch=pre]`; of a part that is used,
+    /// `before.dem` or `before/dem.raster`.
     #[arg(add = super::candidates::outputs())]
     output: String,
     /// The file to write, or a folder to write it into.
@@ -95,10 +96,11 @@ fn unkept(error: rockface_cache::StoreError, folder: &Path) -> CliError {
 }
 
 /// The instance and the port that `output` names, its axes in any order.
-fn chosen<'a>(manifest: &'a Manifest, output: &'a str) -> Result<(&'a StepDone, &'a str), CliError> {
+pub fn chosen<'a>(manifest: &'a Manifest, output: &'a str) -> Result<(&'a StepDone, &'a str), CliError> {
     let ports = |done: &'a StepDone| done.outputs.iter().flatten().map(move |(port, _)| (done, port.as_str()));
     let all = || manifest.steps.iter().flat_map(ports);
     if let Some(label) = Label::parse(output) {
+        let label = manifest.behind(&label).unwrap_or(label);
         let is_meant = |done: &StepDone| {
             done.step == label.step && done.point.len() == label.picks.len() && label.fits(&done.point)
         };
@@ -111,7 +113,8 @@ fn chosen<'a>(manifest: &'a Manifest, output: &'a str) -> Result<(&'a StepDone, 
     if let Some(found) = all().find(|found| name(*found) == output) {
         return Ok(found);
     }
-    let names: Vec<String> = all().map(name).collect();
+    let parts = manifest.parts.iter().flat_map(|used| used.outputs.keys().map(|port| format!("{}.{port}", used.name)));
+    let names: Vec<String> = all().map(name).chain(parts).collect();
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
     let hint = match nearest(output, &names) {
         Some(near) => format!("did you mean `{near}`?"),

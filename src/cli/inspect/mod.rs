@@ -18,6 +18,7 @@ use serde_json::{Map, Value, json};
 
 use self::facts::{of_artefact, of_log};
 use self::picture::When;
+use super::export::chosen;
 use super::places::Places;
 use super::{CliError, say};
 use rockface_engine::history::Manifest;
@@ -27,6 +28,8 @@ use rockface_engine::history::Manifest;
 pub struct InspectArgs {
     /// A file, a run folder, or the digest of a blob or record in the store; the first digits are enough.
     what: String,
+    /// An output of the run, such as `dem.raster[epoch=pre]`; WHAT is then a run as `rockface export` names it.
+    output: Option<String>,
     #[command(flatten)]
     places: Places,
     /// Follow one pixel of a depth map through the steps that made it: column and row, from 0 at the upper left.
@@ -59,10 +62,16 @@ impl InspectArgs {
     /// Prints what it is.
     pub fn run(self, registry: &Registry) -> Result<(), CliError> {
         let path = run::file_meant(Path::new(&self.what));
+        let output = self.output.as_ref().map(|output| OfRun::find(&self.places, &self.what, output)).transpose()?;
         if let Some(pixel) = self.pixel {
-            return pixel::follow(registry, &self.what, pixel, &self.places, self.json);
+            let what = output.map_or_else(|| self.what.clone(), |output| output.digest.to_string());
+            return pixel::follow(registry, &what, pixel, &self.places, self.json);
         }
-        let found = if path.is_file() { of_file(&path, &self.places)? } else { self.of_digest()? };
+        let found = match output {
+            Some(output) => output.found()?,
+            None if path.is_file() => of_file(&path, &self.places)?,
+            None => self.of_digest()?,
+        };
         if self.json {
             let map: Map<String, Value> = found.facts.into_iter().collect();
             say(&serde_json::to_string_pretty(&map).unwrap_or_default());
@@ -115,6 +124,33 @@ impl InspectArgs {
         CliError::Usage(format!(
             "`{what}` is neither a file nor the start of a digest on record: `rockface runs show RUN --json` names digests"
         ))
+    }
+}
+
+/// An output of a past run.
+struct OfRun {
+    label: String,
+    kind: String,
+    digest: Digest,
+    store: Store,
+}
+
+impl OfRun {
+    fn find(places: &Places, run: &str, output: &str) -> Result<Self, CliError> {
+        let run = places.find(run)?;
+        let (done, port) = chosen(&run.manifest, output)?;
+        let made = done.outputs.as_ref().and_then(|outputs| outputs.get(port));
+        let unmade = || CliError::Usage(format!("`{}` was not made in this run", done.label()));
+        let made = made.ok_or_else(unmade)?;
+        let store = places.store_of(&run)?;
+        Ok(Self { label: format!("{}.{port}", done.label()), kind: made.kind.clone(), digest: made.digest, store })
+    }
+
+    fn found(&self) -> Result<Found, CliError> {
+        let Found { mut facts, artefact } = of_blob(&self.store, &self.digest, &self.kind, &[])?;
+        facts.retain(|(name, _)| name != "made as");
+        facts.insert(0, ("output".into(), self.label.clone().into()));
+        Ok(Found { facts, artefact })
     }
 }
 

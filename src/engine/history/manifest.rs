@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::HistoryError;
+use crate::pipeline::Label;
 
 /// The version of manifests this program writes and reads.
 pub const FORMAT: u32 = 1;
@@ -42,6 +43,9 @@ pub struct Manifest {
     /// Whether `outputs/` has `all` kept outputs or `some`; `rockface export` gives any other a name.
     #[serde(default)]
     pub laid_out: String,
+    /// The parts that steps come from, a use each.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub parts: Vec<PartUsed>,
     /// What became of each step instance. The last field: see [`Manifest::text`].
     pub steps: Vec<StepDone>,
 }
@@ -70,6 +74,20 @@ pub struct IncludedText {
     pub path: PathBuf,
     /// Its text.
     pub text: String,
+}
+
+/// A use of a part.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PartUsed {
+    /// The step that uses it, with those around it: the names of its steps begin with this and `/`.
+    pub name: String,
+    /// The part.
+    pub part: String,
+    /// The BLAKE3 of its text, where it has one of its own: it stands in a file, or comes with the program.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub blake3: Option<Digest>,
+    /// Its outputs: by name, what stands behind them: `use/step.port`.
+    pub outputs: BTreeMap<String, String>,
 }
 
 /// Values given on the command line.
@@ -171,6 +189,12 @@ impl Manifest {
             }
             None => Err("it says no format".to_owned()),
         }
+    }
+
+    /// What a label names where it is an output of a use: the step, port and items behind it.
+    pub fn behind<'t>(&'t self, label: &Label<'t>) -> Option<Label<'t>> {
+        let used = self.parts.iter().find(|used| used.name == label.step)?;
+        label.of_inner(used.outputs.get(label.port?)?)
     }
 
     /// How many step instances were executed, how many were cached, and how many were not made.

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 pub use archive::{Archived, archive};
 pub use compare::{Comparison, Row, compare};
 pub use contents::{REPORT_FILE, RunContents};
-pub use manifest::{FORMAT, FileUsed, IncludedText, Manifest, Metric, Overridden, PipelineText, StepDone};
+pub use manifest::{FORMAT, FileUsed, IncludedText, Manifest, Metric, Overridden, PartUsed, PipelineText, StepDone};
 pub use points::{POINTS_FILE, table as points_table};
 pub use provenance::crate_metadata;
 pub use torn::digests_told;

@@ -105,6 +105,7 @@ mod tests {
             program: serde_json::Value::Null,
             headlines: Vec::new(),
             laid_out: String::new(),
+            parts: Vec::new(),
             steps,
         }
     }

@@ -41,7 +41,7 @@ pub use parameter::{Declared, ValueKind};
 pub use part::{INSIDE, Interface, KindCheck, PartInput, PartText, Used};
 pub use reference::{Label, Reference};
 pub use step::{Gaps, Step, Stream};
-pub use substitute::{escape_hint, filled, mentioned, value_bytes};
+pub use substitute::{escape_hint, filled, mentioned, parted, value_bytes, value_of};
 pub use sweep::is_same_axis;
 
 use rockface_cache::Seen;

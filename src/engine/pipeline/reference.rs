@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::node::Word;
+use super::part::INSIDE;
 use crate::diagnostic::Span;
 
 /// Names one output of a step, perhaps at one item of some axes.
@@ -51,9 +52,17 @@ impl<'t> Label<'t> {
         (is_name(step) && port.is_none_or(is_name)).then_some(Self { step, port, picks })
     }
 
-    /// Whether a point has every item that is picked.
+    /// Whether a point has every item that is picked. An axis of a part is called as in points, or by its full name.
     pub fn fits(&self, point: &BTreeMap<String, String>) -> bool {
-        self.picks.iter().all(|(axis, item)| point.get(*axis).is_some_and(|own| own == item))
+        let short = |axis: &'t str| axis.rsplit(INSIDE).next().unwrap_or_default();
+        let own = |axis: &'t str| point.get(axis).or_else(|| point.get(short(axis)));
+        self.picks.iter().all(|(axis, item)| own(axis).is_some_and(|own| own == item))
+    }
+
+    /// The same points of what stands behind an output of a use.
+    pub fn of_inner(&self, inner: &'t str) -> Option<Self> {
+        let inner = Self::parse(inner)?;
+        Some(Self { picks: inner.picks.into_iter().chain(self.picks.iter().copied()).collect(), ..inner })
     }
 }
 

@@ -1,6 +1,7 @@
 //! `${name}`: parameters and axis items put into the values of a step. `$${name}` stands for the text `${name}`.
 
 use std::cell::Cell;
+use std::collections::BTreeMap;
 
 use serde_json::Value;
 
@@ -15,6 +16,18 @@ pub fn mentioned(node: &Node, found: &mut Vec<(String, Span)>) {
         Data::List(items) => items.iter().for_each(|item| mentioned(item, found)),
         Data::Map(entries) => entries.iter().for_each(|(_, item)| mentioned(item, found)),
     }
+}
+
+/// A mentioned name: what it names, and which of its values behind the dot.
+pub fn parted(name: &str) -> (&str, Option<&str>) {
+    name.split_once('.').map_or((name, None), |(base, field)| (base, Some(field)))
+}
+
+/// What a mentioned name stands for among some values: one of them, or a value of one that is a map.
+pub fn value_of(values: &BTreeMap<String, Value>, name: &str) -> Option<Value> {
+    let (base, field) = parted(name);
+    let value = values.get(base)?;
+    field.map_or(Some(value), |field| value.get(field)).cloned()
 }
 
 /// How a text that looks like a mention is written.
@@ -60,8 +73,10 @@ impl Filler<'_> {
 
     /// What a name stands for.
     fn named(&self, name: &str) -> Result<Value, String> {
-        let value =
-            (self.lookup)(name).ok_or_else(|| format!("`${{{name}}}` names neither a parameter nor an axis"))?;
+        let value = (self.lookup)(name).ok_or_else(|| match parted(name) {
+            (base, Some(field)) => format!("`${{{name}}}`: `{base}` has no value `{field}`"),
+            (_, None) => format!("`${{{name}}}` names neither a parameter nor an axis"),
+        })?;
         let left = self.room.get().checked_sub(value_bytes(&value));
         self.room.set(left.ok_or_else(|| {
             let mib = FILLED_BYTES >> 20;

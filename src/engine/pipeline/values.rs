@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde_json::Value;
 
 use super::node::{Key, Node};
-use super::substitute::{escape_hint, filled, mentioned, value_bytes};
+use super::substitute::{escape_hint, filled, mentioned, parted, value_bytes, value_of};
 use crate::diagnostic::{Diagnostic, SHOWN, Span, listed};
 
 /// The most bytes that all parameters together may take once they are filled in.
@@ -17,7 +17,9 @@ type Open<'n> = (&'n Key, &'n Node, BTreeSet<String>);
 /// Puts the values of parameters into each other until no `${name}` is left; says what stands in the way. Parameters that
 /// cannot be told, and those that need them, are left out.
 pub fn resolve(params: &[(Key, Node)], axes: &[&str]) -> (BTreeMap<String, Value>, Vec<Diagnostic>) {
-    let mut known: BTreeMap<String, Option<Value>> = BTreeMap::new();
+    // Whether a parameter has got its value.
+    let mut known: BTreeMap<String, bool> = BTreeMap::new();
+    let mut values: BTreeMap<String, Value> = BTreeMap::new();
     let mut faults = Vec::new();
     let names: BTreeSet<&str> = params.iter().map(|(key, _)| key.name.as_str()).collect();
     let mut open: Vec<Open> = Vec::new();
@@ -28,23 +30,24 @@ pub fn resolve(params: &[(Key, Node)], axes: &[&str]) -> (BTreeMap<String, Value
         let strange = |(name, span): &(String, Span)| stranger(name, *span, (&names, axes), few);
         let strangers: Vec<_> = needs.iter().filter_map(strange).collect();
         if strangers.is_empty() && !node.holds_bad_number() {
-            open.push((key, node, needs.into_iter().map(|(name, _)| name).collect()));
+            open.push((key, node, needs.into_iter().map(|(name, _)| parted(&name).0.to_owned()).collect()));
         } else {
-            known.insert(key.name.clone(), None);
+            known.insert(key.name.clone(), false);
         }
         faults.extend(strangers);
     }
     let mut room = PARAMETERS_BYTES;
     for (key, node, needs) in ordered(open, &known, &mut faults) {
-        let able = needs.iter().all(|name| known.get(name).is_some_and(Option::is_some));
-        let value = able.then(|| filled(node, &|name| known.get(name).cloned().flatten()));
+        let able = needs.iter().all(|name| known.get(name) == Some(&true));
+        let value = able.then(|| filled(node, &|name| value_of(&values, name)));
         let value = value.transpose().and_then(|value| within(value, &mut room, node)).unwrap_or_else(|fault| {
             faults.push(fault);
             None
         });
-        known.insert(key.name.clone(), value);
+        known.insert(key.name.clone(), value.is_some());
+        values.extend(value.map(|value| (key.name.clone(), value)));
     }
-    (known.into_iter().filter_map(|(name, value)| Some((name, value?))).collect(), faults)
+    (values, faults)
 }
 
 /// Takes the bytes of a value off those that are left.
@@ -58,11 +61,7 @@ fn within(value: Option<Value>, room: &mut usize, node: &Node) -> Result<Option<
 }
 
 /// Parameters after those they need; the fault of a circle where there is one, and its parameters are left out.
-fn ordered<'n>(
-    open: Vec<Open<'n>>,
-    known: &BTreeMap<String, Option<Value>>,
-    faults: &mut Vec<Diagnostic>,
-) -> Vec<Open<'n>> {
+fn ordered<'n>(open: Vec<Open<'n>>, known: &BTreeMap<String, bool>, faults: &mut Vec<Diagnostic>) -> Vec<Open<'n>> {
     let mut needed_by: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
     let mut unmet = vec![0_usize; open.len()];
     for (number, (_, _, needs)) in open.iter().enumerate() {
@@ -93,9 +92,10 @@ fn ordered<'n>(
 
 /// The fault of a name that is no parameter, with a suggestion while the faults are few.
 fn stranger(name: &str, span: Span, (params, axes): (&BTreeSet<&str>, &[&str]), few: bool) -> Option<Diagnostic> {
-    if params.contains(name) {
+    let base = parted(name).0;
+    if params.contains(base) {
         None
-    } else if axes.contains(&name) {
+    } else if axes.contains(&base) {
         let message = format!("a parameter cannot depend on axis `{name}`");
         Some(Diagnostic::at(span, message).hint(format!("mention ${{{name}}} in the `with` of a step")))
     } else {

@@ -3,7 +3,7 @@
 use std::cell::OnceCell;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
-use crate::pipeline::{Document, Input, Reference, Step, mentioned};
+use crate::pipeline::{Document, Input, Reference, Step, mentioned, parted};
 
 /// Names of a pipeline by their position in the document.
 pub struct Names<'d> {
@@ -49,19 +49,17 @@ impl<'d> Names<'d> {
 
     /// The axis a `${name}` or `${name.value}` stands for.
     pub fn mentioned_axis(&self, name: &str) -> Option<usize> {
-        let base = name.split_once('.').map_or(name, |(base, _)| base);
-        self.axes.get(base).copied().filter(|_| !self.is_param(name))
+        self.axes.get(parted(name).0).copied().filter(|_| !self.is_param(name))
     }
 
     /// Whether a `${name}` stands for an axis that could not be read.
     pub fn is_unread_axis(&self, name: &str) -> bool {
-        let base = name.split_once('.').map_or(name, |(base, _)| base);
-        self.document.unread.axes.contains(base)
+        self.document.unread.axes.contains(parted(name).0)
     }
 
     /// Whether a parameter has this name.
     pub fn is_param(&self, name: &str) -> bool {
-        self.params.contains(name)
+        self.params.contains(parted(name).0)
     }
 
     /// Axes a step names itself.

@@ -21,7 +21,7 @@ pub struct Items {
 }
 
 /// The column of a table that names its rows; without it they are numbered.
-const NAME_COLUMN: &str = "item";
+pub const NAME_COLUMN: &str = "item";
 
 /// The items of a recorded output: from its record, or for the rows of a table from the table itself.
 pub fn items_of(outcome: &Outcome, port: &str, store: &Store) -> Result<Items, String> {

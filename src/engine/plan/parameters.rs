@@ -9,10 +9,11 @@ use rockface_core::AnyStage;
 use rockface_core::params::{Fault, Field, Kind};
 use serde_json::{Value, json};
 
+use super::dynamic::NAME_COLUMN;
 use super::graph::{Graph, GraphStep};
 use super::sight::{Sight, one_file};
 use crate::diagnostic::{Diagnostic, Span, nearest};
-use crate::pipeline::{Node, filled, mentioned};
+use crate::pipeline::{Node, filled, mentioned, parted, value_of};
 
 /// Parameters that are ready for the recipe and for the stage.
 #[derive(Debug, Clone, PartialEq)]
@@ -48,13 +49,22 @@ pub struct InputFile {
 
 /// What a `${name}` stands for at the items of some axes.
 pub fn lookup(graph: &Graph, items: &BTreeMap<usize, usize>, name: &str) -> Option<Value> {
-    let known = graph.params.get(name).cloned();
-    known.or_else(|| {
-        let (base, field) = name.split_once('.').map_or((name, None), |(base, field)| (base, Some(field)));
+    value_of(&graph.params, name).or_else(|| {
+        let (base, field) = parted(name);
         let axis = graph.axes.iter().position(|axis| axis.name.text == base)?;
         let value = graph.axes[axis].values.get(*items.get(&axis)?)?;
-        field.map_or_else(|| Some(value.clone()), |field| value.get(field).cloned())
+        match field {
+            Some(field) => value.get(field).cloned(),
+            None => Some(without_name(value)),
+        }
     })
+}
+
+/// The values of an item; the column that names it is none of them.
+fn without_name(value: &Value) -> Value {
+    let mut value = value.clone();
+    value.as_object_mut().and_then(|columns| columns.remove(NAME_COLUMN));
+    value
 }
 
 /// Fills in and checks the parameters of a step at the items of the axes its `with` mentions.

@@ -15,7 +15,7 @@ use super::graph::{Dynamic, Graph, GraphStep};
 use super::points::too_many;
 use super::{Stages, parameters};
 use crate::diagnostic::{Diagnostic, Diagnostics, SHOWN, Source, Span, listed};
-use crate::pipeline::{Document, Node, Pipeline, Reference, Step, Word, escape_hint, mentioned};
+use crate::pipeline::{Document, Node, Pipeline, Reference, Step, Word, escape_hint, mentioned, parted};
 
 /// Resolves a pipeline; `targets` on the command line take the place of the document's.
 ///
@@ -407,7 +407,7 @@ impl<'d> Resolver<'d> {
     /// What is wrong with the part of a mentioned name behind its dot.
     fn field_fault(&self, axis: usize, name: &str) -> Option<(String, String)> {
         let axis = &self.document().axes[axis];
-        let field = name.split_once('.').map(|(_, field)| field);
+        let field = parted(name).1;
         let own = &axis.name.text;
         let choices = || axis.fields.iter().map(|field| format!("${{{own}.{field}}}")).collect::<Vec<_>>().join(", ");
         match field {
@@ -417,9 +417,6 @@ impl<'d> Resolver<'d> {
             }
             Some(field) if !axis.fields.iter().any(|known| known == field) => {
                 Some((format!("axis `{own}` has no value `{field}`"), format!("there are {}", choices())))
-            }
-            None if !axis.fields.is_empty() => {
-                Some((format!("an item of axis `{own}` has several values"), format!("name one: {}", choices())))
             }
             _ => None,
         }

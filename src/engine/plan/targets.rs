@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::graph::{Dynamic, GraphStep};
 use super::resolve::Resolver;
 use crate::diagnostic::Diagnostic;
-use crate::pipeline::{Label, Used, Word};
+use crate::pipeline::{INSIDE, Label, Used, Word};
 
 impl<'d> Resolver<'d> {
     /// The numbers of the steps to make.
@@ -18,12 +18,31 @@ impl<'d> Resolver<'d> {
         let names: Vec<&str> = match declared {
             _ if !given.is_empty() => given.iter().map(String::as_str).collect(),
             Some(words) => words.iter().map(|word| word.text.as_str()).collect(),
-            None => return unread(steps, dynamic),
+            None => self.unread(steps, dynamic),
         };
         let names: Vec<&str> = names.into_iter().flat_map(|name| self.steps_of_target(name)).collect();
         let numbers: BTreeMap<&str, usize> =
             steps.iter().enumerate().map(|(number, step)| (step.name.as_str(), number)).collect();
         names.iter().filter_map(|name| numbers.get(name).copied()).collect()
+    }
+
+    /// Steps and uses of parts that nothing else reads, but for what goes back along an axis, and that tell the items of no
+    /// axis of another.
+    fn unread<'n>(&self, steps: &'n [GraphStep], dynamic: &[Option<Dynamic>]) -> Vec<&'n str> {
+        let feeds = steps.iter().flat_map(|step| {
+            let sources = step.inputs.iter().flat_map(|(_, feed)| feed.forward_sources());
+            sources.map(|source| (Some(whole(&step.name)), source.step))
+        });
+        let lists = self.document().axes.iter().zip(dynamic).filter_map(|(axis, dynamic)| {
+            let used = axis.name.text.split_once(INSIDE).map(|(used, _)| used);
+            Some((used, dynamic.as_ref()?.source.step))
+        });
+        let links = feeds.chain(lists).map(|(reader, source)| (reader, whole(&steps[source].name)));
+        let read: BTreeSet<&str> =
+            links.filter(|(reader, source)| *reader != Some(*source)).map(|(_, source)| source).collect();
+        let mut seen = BTreeSet::new();
+        let names = steps.iter().map(|step| whole(&step.name));
+        names.filter(|name| !read.contains(name) && seen.insert(*name)).collect()
     }
 
     fn used(&self, name: &str) -> Option<&'d Used> {
@@ -72,10 +91,7 @@ impl<'d> Resolver<'d> {
     }
 }
 
-/// Steps that no other reads, but for those that go back along an axis, and that tell the items of none.
-fn unread(steps: &[GraphStep], dynamic: &[Option<Dynamic>]) -> Vec<usize> {
-    let feeds = steps.iter().flat_map(|step| step.inputs.iter().flat_map(|(_, feed)| feed.forward_sources()));
-    let lists = dynamic.iter().flatten().map(|dynamic| &dynamic.source);
-    let read: BTreeSet<usize> = feeds.chain(lists).map(|source| source.step).collect();
-    (0..steps.len()).filter(|index| !read.contains(index)).collect()
+/// The outermost use of a part that a step belongs to, or the step itself.
+fn whole(name: &str) -> &str {
+    name.split_once(INSIDE).map_or(name, |(used, _)| used)
 }

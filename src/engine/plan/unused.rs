@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use super::resolve::Resolver;
 use crate::diagnostic::{Diagnostic, nearest};
-use crate::pipeline::{Axis, Key, Node, mentioned};
+use crate::pipeline::{Axis, Key, Node, mentioned, parted};
 
 impl Resolver<'_> {
     /// Axes that no step depends on.
@@ -48,8 +48,8 @@ impl Resolver<'_> {
         let mut used = Vec::new();
         document.steps.iter().filter_map(|step| step.with.as_ref()).for_each(|with| mentioned(with, &mut used));
         document.params.iter().for_each(|(_, node)| mentioned(node, &mut used));
-        let used = used.iter().map(|(name, _)| name.as_str());
-        let used: BTreeSet<&str> = used.chain(document.mentions.iter().map(String::as_str)).collect();
+        let used = used.iter().map(|(name, _)| parted(name).0);
+        let used: BTreeSet<&str> = used.chain(document.mentions.iter().map(|name| parted(name).0)).collect();
         let unused = document.params.iter().filter(|(key, _)| !used.contains(key.name.as_str()));
         let told = |(key, _): &(Key, Node)| {
             let fault = Diagnostic::at(key.span, format!("nothing mentions parameter `{}`", key.name));

@@ -26,7 +26,9 @@ for (const table of document.querySelectorAll('table.sortable')) {
 }
 const unfold = () => {
   const target = location.hash && document.getElementById(decodeURIComponent(location.hash.slice(1)));
-  if (target instanceof HTMLDetailsElement) { target.open = true; target.scrollIntoView(); }
+  if (!(target instanceof HTMLDetailsElement)) return;
+  for (let fold = target; fold; fold = fold.parentElement.closest('details')) fold.open = true;
+  target.scrollIntoView();
 };
 addEventListener('hashchange', unfold);
 unfold();

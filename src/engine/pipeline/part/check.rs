@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::super::node::Node;
 use super::super::reference::Label;
-use super::super::substitute::mentioned;
+use super::super::substitute::{mentioned, parted};
 use super::{IN, Part, own_names, texts};
 use crate::diagnostic::Diagnostic;
 
@@ -18,7 +18,7 @@ impl Part {
         nodes.for_each(|node| mentioned(node, &mut mentions));
         let defaults = self.interface.params.iter().filter_map(|param| param.default.as_ref());
         defaults.for_each(|node| mentioned(node, &mut mentions));
-        let mentions: BTreeSet<&str> = mentions.iter().map(|(name, _)| name.as_str()).collect();
+        let mentions: BTreeSet<&str> = mentions.iter().map(|(name, _)| parted(name).0).collect();
         for param in self.interface.params.iter().filter(|param| !mentions.contains(param.name.text.as_str())) {
             let own = &param.name.text;
             let message = format!("nothing in part `{name}` mentions its parameter `{own}`");

@@ -49,7 +49,8 @@ impl Reader<'_> {
         }
         let names = outputs.iter().map(|(word, _)| word.text.clone()).collect();
         let interface = Interface { doc, params, inputs, outputs: names };
-        let part = Part { name: name.text.clone(), interface, outputs, axes, zip, steps, known, place: name.span };
+        let (place, name) = (name.span, name.text.clone());
+        let part = Part { name, interface, outputs, axes, zip, steps, known, place, digest: None };
         if self.fault_count() > before {
             return None;
         }

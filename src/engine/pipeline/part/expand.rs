@@ -6,6 +6,7 @@ use std::path::Path;
 use std::rc::Rc;
 use std::sync::Arc;
 
+use rockface_cache::Digest;
 use serde_json::Value;
 
 use super::super::axis::Axis;
@@ -16,7 +17,7 @@ use super::super::node::{Data, Key, Node, Word};
 use super::super::overrides::Late;
 use super::super::parameter::ValueKind;
 use super::super::reference::Reference;
-use super::super::substitute::{filled, mentioned};
+use super::super::substitute::{filled, mentioned, value_of};
 use super::compose::{Output, Scope};
 use super::declare::{FILE_KEYS, KEYS, is_path};
 use super::substitution::{Substitution, inside};
@@ -202,9 +203,11 @@ impl<'e> Expansion<'e> {
         let section = tree.take("parts");
         let known = self.declare(section, reader);
         let part = reader.part(&name, tree, FILE_KEYS, known)?;
+        let digest = Some(Digest::of(self.texts.sources[source].text.as_bytes()));
         // A part of the program is called as it is used.
         let is_shipped = matches!(self.texts.sources[source].origin, Origin::Shipped);
-        Some(if is_shipped { Part { name: used.text.clone(), ..part } } else { part })
+        let name = if is_shipped { used.text.clone() } else { part.name };
+        Some(Part { name, digest, ..part })
     }
 
     /// The outputs of a part, by way of the parts inside it.
@@ -369,6 +372,7 @@ impl<'e> Expansion<'e> {
             name: used.name.text.clone(),
             part: part.name.clone(),
             doc: part.interface.doc.clone(),
+            digest: part.digest,
             outputs: outs.iter().map(|(name, to)| (name.clone(), outside(&prefix, to))).collect(),
         });
         if !(whole && fed) {
@@ -491,10 +495,10 @@ impl<'e> Expansion<'e> {
     fn known_values(&self, node: &Node) -> Node {
         let mut names = Vec::new();
         mentioned(node, &mut names);
-        if names.is_empty() || names.iter().any(|(name, _)| !self.values.contains_key(name)) {
+        if names.is_empty() || names.iter().any(|(name, _)| value_of(self.values, name).is_none()) {
             return node.clone();
         }
-        match filled(node, &|name| self.values.get(name).cloned()) {
+        match filled(node, &|name| value_of(self.values, name)) {
             // What it mentions may hold a `${…}` that is text.
             Ok(value) if !value.to_string().contains("${") => Node::of_value(&value, node.span),
             _ => node.clone(),
@@ -563,7 +567,7 @@ impl<'e> Expansion<'e> {
     fn with_values(&self, node: Node, reader: &mut Reader) -> Node {
         match node.data {
             Data::Scalar(Value::String(ref text)) if text.contains("${") => {
-                match filled(&node, &|name| self.values.get(name).cloned()) {
+                match filled(&node, &|name| value_of(self.values, name)) {
                     Ok(value) => Node::of_value(&value, node.span),
                     Err(fault) => {
                         reader.fault(fault.hint("an axis can mention parameters, and no other axis"));

@@ -13,6 +13,7 @@ mod substitution;
 use std::collections::{BTreeMap, BTreeSet};
 use std::rc::Rc;
 
+use rockface_cache::Digest;
 pub use rockface_core::PartText;
 use rockface_core::artefact::Kind;
 
@@ -52,6 +53,8 @@ pub struct Part {
     pub known: Rc<Known>,
     /// Where its name stands; its text is the whole one of this place.
     pub place: Span,
+    /// The BLAKE3 of its text, where it has one of its own: it stands in a file, or comes with the program.
+    pub digest: Option<Digest>,
 }
 
 /// What a user has to know of a part.
@@ -107,6 +110,8 @@ pub struct Used {
     pub part: String,
     /// What the part is about.
     pub doc: String,
+    /// The BLAKE3 of the part's text, where it has one of its own.
+    pub digest: Option<Digest>,
     /// Its outputs: by name, what stands behind them under full names.
     pub outputs: BTreeMap<String, Reference>,
 }
@@ -141,6 +146,17 @@ impl Reader<'_> {
         let (inputs, _) = node.get("in").map_or((Vec::new(), false), |n| self.inputs(n));
         let over = node.get("over").map(|n| self.words(n, "an axis")).unwrap_or_default();
         Some(Use { name, part: part?, with, inputs, over })
+    }
+}
+
+impl Used {
+    /// What stands behind an output, as points and messages write it: `use/step.port[axis=item]`.
+    pub fn behind(&self, output: &str) -> Option<String> {
+        let Reference { step, port, picks, .. } = self.outputs.get(output)?;
+        let label = |axis: &str| axis.rsplit(INSIDE).next().unwrap_or_default().to_owned();
+        let picks: Vec<String> = picks.iter().map(|(axis, item)| format!("{}={item}", label(&axis.text))).collect();
+        let picks = if picks.is_empty() { String::new() } else { format!("[{}]", picks.join(",")) };
+        Some(format!("{step}.{port}{picks}"))
     }
 }
 

@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::super::document::Reader;
 use super::super::node::{Data, Key, Node};
-use super::super::substitute::{FILLED_BYTES, escape_hint};
+use super::super::substitute::{FILLED_BYTES, escape_hint, parted};
 use super::INSIDE;
 use crate::diagnostic::{Diagnostic, Span};
 
@@ -48,21 +48,28 @@ impl Substitution<'_> {
         Span { source: self.source, ..span }
     }
 
-    /// What a name stands for: the value of a parameter, or an axis under its full name.
+    /// What a name stands for: the value of a parameter or a value inside it, or an axis under its full name.
     fn named(&self, name: &str) -> Option<Node> {
-        if let Some(given) = self.args.get(name) {
-            return Some(given.clone());
+        let (base, field) = parted(name);
+        if let Some(given) = self.args.get(base) {
+            return field.map_or_else(|| Some(given.clone()), |field| Self::inner(given, field));
         }
-        let base = name.split_once('.').map_or(name, |(base, _)| base);
         let mention = || Value::String(format!("${{{}{name}}}", self.prefix));
         self.axes.contains(base).then(|| Node::made(Span::default(), Data::Scalar(mention())))
     }
 
+    /// A value inside of what is given for a parameter: an entry of a map, or a value of what `${name}` will stand for.
+    fn inner(given: &Node, field: &str) -> Option<Node> {
+        if let Data::Map(_) = given.data {
+            return given.get(field).cloned();
+        }
+        let text = mention_alone(given.text()?).filter(|name| parted(name).1.is_none())?;
+        Some(Node::made(given.span, Data::Scalar(Value::String(format!("${{{text}.{field}}}")))))
+    }
+
     fn text(&self, text: &str, node: &Node, reader: &mut Reader) -> Node {
         let span = self.moved(node.span);
-        let whole = text.strip_prefix("${").and_then(|rest| rest.strip_suffix('}')).filter(|name| !name.contains('}'));
-        if let Some(name) = whole {
-            let name = name.trim();
+        if let Some(name) = mention_alone(text) {
             return match self.named(name) {
                 // An axis has no place of its own.
                 Some(given) if given.span == Span::default() => Node { span, ..given },
@@ -103,11 +110,31 @@ impl Substitution<'_> {
 
     fn unknown(&self, name: &str, node: &Node, reader: &mut Reader) -> Node {
         let span = self.moved(node.span);
-        let message = format!("part `{}` has neither a parameter nor an axis `{name}`", self.part);
-        let known = self.args.keys().chain(self.axes).map(String::as_str);
-        let fault = Diagnostic::at(span, message).suggest(name, known);
-        reader.fault(fault.or_hint(escape_hint(name)));
+        let (base, field) = parted(name);
+        let inside = self.args.get(base).zip(field).map(|(given, field)| strange_field(given, (base, field), span));
+        reader.fault(inside.unwrap_or_else(|| {
+            let message = format!("part `{}` has neither a parameter nor an axis `{name}`", self.part);
+            let known = self.args.keys().chain(self.axes).map(String::as_str);
+            Diagnostic::at(span, message).suggest(name, known).or_hint(escape_hint(name))
+        }));
         Node::made(span, Data::Scalar(Value::Null))
+    }
+}
+
+/// The name in a text that is nothing but `${name}`.
+fn mention_alone(text: &str) -> Option<&str> {
+    text.strip_prefix("${")?.strip_suffix('}').filter(|name| !name.contains('}')).map(str::trim)
+}
+
+/// The fault of a value that a parameter does not have as it is given.
+fn strange_field(given: &Node, (name, field): (&str, &str), span: Span) -> Diagnostic {
+    let message = format!("parameter `{name}` has no value `{field}`");
+    let fault = Diagnostic::at(span, message).also(given.span, "it is given here");
+    match &given.data {
+        Data::Map(entries) => fault.suggest(field, entries.iter().map(|(key, _)| key.name.as_str())),
+        Data::Scalar(_) | Data::List(_) => {
+            fault.hint("give a map, or `${axis}` of an axis whose items have several values")
+        }
     }
 }
 

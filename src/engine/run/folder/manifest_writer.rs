@@ -10,7 +10,8 @@ use rockface_core::Entry;
 use super::lay_out::{Laid, Paths};
 use super::run_folder::failed;
 use crate::diagnostic::{Origin, Source};
-use crate::history::{FORMAT, FileUsed, IncludedText, Manifest, Metric, Overridden, PipelineText, StepDone};
+use crate::history::{FORMAT, FileUsed, IncludedText, Manifest, Metric, Overridden, PartUsed, PipelineText, StepDone};
+use crate::pipeline::Used;
 use crate::plan::Plan;
 use crate::run::{RunError, RunFolder, Summary};
 
@@ -40,8 +41,15 @@ pub fn manifest(
         program: crate::version::program(),
         headlines: headlines.to_vec(),
         laid_out: if laid.unnamed == 0 { "all" } else { "some" }.to_owned(),
+        parts: plan.graph.uses.iter().map(part_used).collect(),
         steps: steps.collect(),
     })
+}
+
+fn part_used(used: &Used) -> PartUsed {
+    let outputs = used.outputs.keys().filter_map(|output| Some((output.clone(), used.behind(output)?)));
+    let (name, part) = (used.name.clone(), used.part.clone());
+    PartUsed { name, part, blake3: used.digest, outputs: outputs.collect() }
 }
 
 fn pipeline_text(plan: &Plan, about: &RunFolder) -> Result<PipelineText, RunError> {
