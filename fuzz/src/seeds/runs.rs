@@ -59,6 +59,7 @@ fn manifest() -> Manifest {
         program: json!({"version": "0.1.0", "target": "x86_64"}),
         headlines: vec!["done".into()],
         laid_out: "some".into(),
+        parts: Vec::new(),
         steps: vec![done("face", "executed", None), done("dem", "failed", Some("no triangle".into()))],
     }
 }
