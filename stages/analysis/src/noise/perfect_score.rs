@@ -14,7 +14,9 @@ pub fn median_of_a_perfect_simulator(references: f64, features: usize) -> Option
     let x = beta::quantile(0.5 * p, 0.5 * (n - p), 0.5);
     let d2 = (n * n - 1.0) / n * x / (1.0 - x);
     let share = (d2 * n / ((n - 1.0) * (n - 1.0))).min(1.0);
-    Some(1.0 - beta::cumulative(0.5 * p, 0.5 * (n - p - 1.0), share))
+    let beyond = 1.0 - beta::cumulative(0.5 * p, 0.5 * (n - p - 1.0), share);
+    // Scores are counts of n references: of two neighbouring ones the larger is the median.
+    Some((beyond * n).ceil() / n)
 }
 
 #[cfg(test)]
