@@ -32,6 +32,20 @@ fn thousands_of_similar_faults_are_counted() {
 }
 
 #[test]
+fn of_many_faults_those_that_are_shown_have_their_suggestions() {
+    // Two hundred unknown steps are found before the unknown port above them.
+    let mut yaml =
+        "rockface: 1\nsteps:\n  b: {stage: emit, with: {value: 1}}\n  a: {stage: add, in: {tems: b.out}}\n".to_owned();
+    for step in 0..200 {
+        writeln!(yaml, "  s{step}: {{stage: add, in: {{terms: bb.out}}}}").unwrap();
+    }
+    let said = said(&yaml);
+    let count = |text: &str| said.matches(text).count();
+    assert!(said.contains("of which the first 100 are shown"), "{said}");
+    assert!(count("did you mean `terms`?") == 1 && count("did you mean `b`?") >= 98, "{said}");
+}
+
+#[test]
 fn a_fault_of_many_instances_is_told_once() {
     let of = |value: &str| {
         said(&format!(

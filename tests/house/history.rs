@@ -145,6 +145,17 @@ fn outputs_are_exported_by_either_name_and_inspected() {
 }
 
 #[test]
+fn an_output_whose_port_has_a_dot_is_exported_by_its_name() {
+    let house = House::new(SMALL);
+    assert_eq!(house.rockface(&["run", "p.yaml"]).0, Some(0));
+    let manifest = house.path(".rockface/runs/latest/run.json");
+    let text = std::fs::read_to_string(&manifest).unwrap();
+    std::fs::write(&manifest, text.replace("\"raster\":", "\"v1.raster\":")).unwrap();
+    let (code, _, err) = house.rockface(&["export", "latest", "dem.v1.raster", "dem.tif"]);
+    assert!(code == Some(0) && house.path("dem.tif").is_file(), "{err}");
+}
+
+#[test]
 fn an_archive_holds_what_is_needed_to_check_a_run() {
     let house = two_runs();
     for (name, extra) in [("a.tar", vec![]), ("b.tar", vec!["--outputs"])] {
