@@ -110,7 +110,9 @@ def dvc(count: int) -> None:
             times[steps] = (cold, seconds([program, "repro", "--quiet"], place))
     cold, cached = ((times[count][place] - times[1][place]) / (count - 1) * 1e3 for place in (0, 1))
     first = times[1][0] * 1e3
-    print(f"{'dvc repro, printf':32} {count:6} steps  {cold:8.3f} ms a step cold  {cached:8.3f} ms cached; first step {first:.0f} ms")
+    print(
+        f"{'dvc repro, printf':32} {count:6} steps  {cold:8.3f} ms a step cold  {cached:8.3f} ms cached; first step {first:.0f} ms"
+    )
 
 
 def main() -> None:
