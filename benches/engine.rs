@@ -18,7 +18,7 @@ use rockface_core::artefact::{Kind, Table};
 use rockface_core::{AnyStage, Context, Inputs, Outputs, Page, Port, Row, Stage, StageError, params};
 use rockface_engine::pipeline::{Overrides, Pipeline};
 use rockface_engine::plan::plan;
-use rockface_engine::run::shortcut::{self, Told};
+use rockface_engine::run::shortcut::{self, Ended, Told};
 use rockface_engine::run::{Finished, Options, execute};
 use rockface_engine::watch::Silent;
 
@@ -153,7 +153,14 @@ fn run(folder: &Path, set: &[String]) -> (f64, usize) {
     let told = Told::of(&finished, &summary);
     let question = Digest::of(text.as_bytes());
     if set.is_empty() {
-        shortcut::remember(&store, &question, &plan, (&summary, &told, &finished), &[]).expect("an answer");
+        shortcut::remember(
+            &store,
+            &question,
+            &plan,
+            &Ended { summary: &summary, told: &told, finished: &finished },
+            &[],
+        )
+        .expect("an answer");
     }
     drop(store);
     (begun.elapsed().as_secs_f64() * 1e3, summary.executed())
