@@ -44,6 +44,8 @@ pub(crate) struct Machine {
     name: String,
     /// Whether other machines may use the store.
     pub is_shared: bool,
+    /// Whether this process gives signs of life.
+    beats: bool,
     /// This process, once it runs something.
     worker: Mutex<Option<Arc<Worker>>>,
 }
@@ -60,13 +62,13 @@ impl Machine {
             Some("no" | "0" | "false") => false,
             _ => is_on_network(root),
         };
-        Self { root: root.to_owned(), name, is_shared, worker: Mutex::default() }
+        Self { root: root.to_owned(), name, is_shared, beats: is_shared, worker: Mutex::default() }
     }
 
-    /// A machine of this name on a store that several use.
+    /// A machine of this name on a store that several use; its processes give no signs of life.
     #[cfg(test)]
     pub fn named(root: &Path, name: &str) -> Self {
-        Self { root: root.to_owned(), name: name.to_owned(), is_shared: true, worker: Mutex::default() }
+        Self { root: root.to_owned(), name: name.to_owned(), is_shared: true, beats: false, worker: Mutex::default() }
     }
 
     /// Its name: letters and digits.
@@ -132,7 +134,7 @@ impl Machine {
         if let Some(worker) = &*slot {
             return Ok(Arc::clone(worker));
         }
-        let begun = Arc::new(Worker::begin(&self.root, &self.name, self.is_shared)?);
+        let begun = Arc::new(Worker::begin(&self.root, &self.name, self.beats)?);
         *slot = Some(Arc::clone(&begun));
         Ok(begun)
     }

@@ -55,9 +55,11 @@ pub struct WorkerReport {
 }
 
 impl Worker {
-    /// Makes this process one.
-    pub fn begin(root: &Path, machine: &str, is_shared: bool) -> Result<Self, StoreError> {
+    /// Makes this process one, with signs of life if it `beats`.
+    pub fn begin(root: &Path, machine: &str, beats: bool) -> Result<Self, StoreError> {
+        // Made here and not when the store is opened: one of a former version that can only be read has none.
         let folder = root.join(WORKERS);
+        plain::folder(&folder)?;
         let file = loop {
             let mut builder = tempfile::Builder::new();
             builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o644));
@@ -71,7 +73,7 @@ impl Worker {
         };
         let head = format!("{HEAD}{machine}\n");
         file.as_file().write_all_at(head.as_bytes()).at("write", file.path())?;
-        let beat = is_shared.then(|| Beat::start(file.as_file())).transpose().at("use", file.path())?;
+        let beat = beats.then(|| Beat::start(file.as_file())).transpose().at("use", file.path())?;
         Ok(Self { file, head, beat })
     }
 
@@ -203,8 +205,9 @@ pub(crate) fn content(file: &mut File) -> Option<(String, String)> {
 pub(crate) fn sweep(root: &Path, machine: &str, is_shared: bool) {
     const LONG_AGO: Duration = Duration::from_hours(24);
     for worker in list(root) {
+        // The lock tells of those of this machine, and of all where one machine uses the store.
         let is_ours = worker.machine == machine || !is_shared;
-        if !worker.is_live && (is_ours || worker.silent > LONG_AGO) {
+        if is_ours || (!worker.is_live && worker.silent > LONG_AGO) {
             let path: PathBuf = root.join(WORKERS).join(&worker.name);
             let held = plain::open(&path).ok().and_then(|file| abandoned(file, &path));
             if held.is_some() {
