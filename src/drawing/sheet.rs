@@ -1,7 +1,7 @@
 //! Where everything of a drawing stands: boxes in rows, and around the steps of every use of a part a frame with rows of its
 //! own. What leads into a frame or out of it passes a door in its edge.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use petgraph::graph::{DiGraph, NodeIndex};
 use petgraph::visit::EdgeRef;
@@ -106,6 +106,7 @@ impl Sheet {
     fn new(prefix: &str, steps: &[usize], flows: &[Flow], (drawing, sizes): (&DiGraph<Drawn, Arrow>, &Sizes)) -> Self {
         let mut plan = Rows::of(prefix, steps, flows, drawing);
         let links = plan.links(flows);
+        let links = plan.put_in_order(links);
         let cell = |content| match content {
             Content::Cell(cell) => cell,
             Content::Use(name, steps, flows) => {
@@ -317,6 +318,42 @@ impl<'d> Rows<'d> {
         links.into_values().collect()
     }
 
+    /// Numbers the nodes anew so that links lead from lower numbers to higher ones, as far as they go in no circle: a use stands
+    /// where its inputs are there, and not where the first of its steps is. Exits stay the last.
+    fn put_in_order(&mut self, mut links: Vec<Link>) -> Vec<Link> {
+        let count = self.cells.len();
+        let (mut open, mut below) = (vec![0_usize; count], vec![Vec::new(); count]);
+        for link in links.iter().filter(|link| link.from != link.to) {
+            open[link.to] += 1;
+            below[link.from].push(link.to);
+        }
+        let first_exit = count - self.exits.len();
+        let mut left: BTreeSet<usize> = (0..first_exit).collect();
+        let mut ready: BTreeSet<usize> = left.iter().copied().filter(|node| open[*node] == 0).collect();
+        let mut order = Vec::with_capacity(count);
+        // In a circle the first that is left comes next.
+        while let Some(node) = ready.first().or_else(|| left.first()).copied() {
+            ready.remove(&node);
+            left.remove(&node);
+            order.push(node);
+            for to in std::mem::take(&mut below[node]) {
+                open[to] -= 1;
+                if open[to] == 0 && left.contains(&to) {
+                    ready.insert(to);
+                }
+            }
+        }
+        order.extend(first_exit..count);
+        let mut number = vec![0; count];
+        order.iter().enumerate().for_each(|(new, old)| number[*old] = new);
+        for link in &mut links {
+            (link.from, link.to) = (number[link.from], number[link.to]);
+        }
+        let mut cells: Vec<Option<Content>> = std::mem::take(&mut self.cells).into_iter().map(Some).collect();
+        self.cells = order.iter().filter_map(|old| cells[*old].take()).collect();
+        links
+    }
+
     fn hand_on(&mut self, node: usize, flow: Flow<'d>) {
         if let Content::Use(_, _, flows) = &mut self.cells[node] {
             flows.push(flow);
@@ -388,6 +425,16 @@ mod tests {
             }
         }
         assert!(sheet.links.iter().all(|link| !link.labels.is_empty()));
+    }
+
+    #[test]
+    fn a_use_stands_below_what_feeds_it() {
+        // The first step of the use needs nothing; another reads from outside.
+        let drawing = drawing(&["u/x", "face", "u/y"], &[(1, 2), (0, 2)]);
+        let sheet = Sheet::of(&drawing, &SMALL);
+        assert!(matches!(sheet.cells[0], Cell::Step(1)) && matches!(sheet.cells[1], Cell::Frame(..)));
+        let points = sheet.way_px(0).unwrap();
+        assert!(points[0].1 < points[points.len() - 1].1);
     }
 
     #[test]
