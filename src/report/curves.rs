@@ -1,4 +1,4 @@
-//! Sweeps as curves: a number of a target step against a swept axis, median and spread over everything else.
+//! Sweeps as curves: a number of a step against a swept axis, median and spread over everything else.
 
 use std::fmt::Write as _;
 
@@ -31,22 +31,37 @@ struct At {
     values: Vec<f64>,
 }
 
-/// The curves of the target steps over axes of numbers that are swept, and how many more there are.
+/// The curves of the target steps over axes of numbers that are swept, and how many more there are. Targets that only gather, such as a table
+/// of all points, have none: then those of all other steps are drawn, the last first.
 ///
 /// Axes whose items reseed random streams are replicates: their spread is the band.
 pub fn of(manifest: &Manifest, graph: &Graph, targets: &[String]) -> (Vec<Curve>, usize) {
     let swept = graph.axes.iter().filter(|axis| !axis.reseeds).map(|axis| axis.name.text.as_str());
     let swept: Vec<&str> = swept.collect();
+    let of_targets = of_steps(manifest, targets.iter().map(String::as_str), &swept);
+    if !of_targets.0.is_empty() {
+        return of_targets;
+    }
+    let mut others: Vec<&str> = Vec::new();
+    for done in manifest.steps.iter().rev() {
+        if !others.contains(&done.step.as_str()) {
+            others.push(&done.step);
+        }
+    }
+    of_steps(manifest, others.into_iter(), &swept)
+}
+
+fn of_steps<'a>(manifest: &Manifest, steps: impl Iterator<Item = &'a str>, swept: &[&str]) -> (Vec<Curve>, usize) {
     let (mut curves, mut more) = (Vec::new(), 0);
-    for target in targets {
-        let instances: Vec<_> = manifest.steps.iter().filter(|done| done.step == *target).collect();
+    for target in steps {
+        let instances: Vec<_> = manifest.steps.iter().filter(|done| done.step == target).collect();
         let mut names: Vec<(&str, &str)> = Vec::new();
         for metric in instances.iter().flat_map(|done| &done.metrics) {
             if !names.iter().any(|(name, _)| *name == metric.name) {
                 names.push((&metric.name, &metric.unit));
             }
         }
-        for axis in &swept {
+        for axis in swept {
             for (name, unit) in &names {
                 let told = instances.iter().filter_map(|done| {
                     let x = done.point.get(*axis)?.parse::<f64>().ok()?;

@@ -86,3 +86,15 @@ fn a_run_has_one_table_of_all_points_and_steps_have_titles() {
     assert!(page.contains("Elevations &lt;of the face&gt;") && page.contains("As one sees it."));
     assert!(page.contains("id=\"curves\"") && page.contains("points.csv"));
 }
+
+#[test]
+fn a_sweep_whose_target_gathers_is_drawn_too() {
+    let swept = SMALL.replace("seed: 1\n", "seed: 1\naxes: {cell_m: {values: [0.05, 0.1]}}\n").replace("cell_m: 0.05", "cell_m: '${cell_m}'");
+    let more = "  noise: {stage: describe-noise, with: {scales_cells: [1, 2]}, in: {raster: dem.raster}}\n  \
+                table: {stage: tabulate, in: {rows: {each: noise.features, over: [cell_m]}}}\n";
+    let house = House::new(&format!("{swept}{more}"));
+    let (code, out, err) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0), "{out}{err}");
+    let page = std::fs::read_to_string(house.path(".rockface/runs/latest/report.html")).unwrap();
+    assert!(page.contains("id=\"curves\"") && page.contains("over cell_m"), "no curves");
+}
