@@ -110,7 +110,12 @@ impl Blobs {
         let all = self.folder();
         for folder in fs::read_dir(&all).at("list", &all)? {
             let folder = folder.at("list", &all)?.path();
-            if !plain::is_folder(&folder) {
+            // Taken for none, a folder that cannot be looked at would have its blobs go unread.
+            let meta = match fs::symlink_metadata(&folder) {
+                Err(fault) if fault.kind() == ErrorKind::NotFound => continue,
+                meta => meta.at("look at", &folder)?,
+            };
+            if !meta.is_dir() {
                 continue;
             }
             for blob in fs::read_dir(&folder).at("list", &folder)? {

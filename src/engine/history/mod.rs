@@ -206,7 +206,7 @@ pub fn find(runs: &Path, name: &str) -> Result<PastRun, HistoryError> {
         given.to_owned()
     };
     for folder in [runs.join(name), given] {
-        if folder.join("run.json").is_file() {
+        if may_be_run(&folder) {
             return PastRun::open(&folder.canonicalize().map_err(HistoryError::io("find", &folder))?);
         }
     }
