@@ -244,7 +244,7 @@ mod tests {
         assert_eq!(files("rockface/hunter-valley-blocks"), ["hunter-valley-blocks.yaml", "hunter-valley-blocks.csv"]);
         assert_eq!(files("python-script"), ["python-script.yaml", "scripts/vertex_bands.py"]);
         assert_eq!(files("calibrate"), ["calibrate.yaml"]);
-        assert_eq!(files("outcrop"), ["outcrop.yaml", "parts/outcrop-noise.yaml"]);
+        assert_eq!(files("outcrop"), ["outcrop.yaml", "parts/outcrop-noise.yaml", "scripts/example_site.sh"]);
         assert_eq!(files("paper/ten-epochs"), ["paper/ten-epochs.yaml", "hunter-valley-blocks.csv"]);
     }
 

@@ -267,7 +267,7 @@ fn shells_are_told_steps_stages_parts_and_runs() {
     for (words, offered) in [
         (&["run", "p.yaml", "--target", "d"][..], "dem"),
         (&["explain", "p.yaml", "fa"], "face"),
-        (&["explain", "quickstart", "rockf"], "rockfall"),
+        (&["explain", "quickstart", "surv"], "survey"),
         (&["stages", "rasterise-d"], "rasterise-dem"),
         (&["parts", "rockface/ste"], "rockface/stereo-survey"),
         (&["run", "quick"], "quickstart"),

@@ -15,12 +15,12 @@ const SMALL: [&str; 12] = [
     "params.cell_m=0.09",
     "params.lag_cells=30",
     "axes.reference.count=14",
-    "axes.two_stage/theta.values=[1]",
-    "axes.two_stage/local_px.values=[0.5, 0.8]",
-    "axes.two_stage/regular_px.values=[0.5]",
-    "axes.two_stage/spacing_px.values=[10, 40]",
+    "steps.two_stage.with.thetas=[1]",
+    "steps.two_stage.with.locals_px=[0.5, 0.8]",
+    "steps.two_stage.with.regulars_px=[0.5]",
+    "steps.two_stage.with.spacings_px=[10, 40]",
     "steps.two_stage.with.repeats=2",
-    "steps.two_stage.with.fine=6",
+    "steps.two_stage.with.fine_points=6",
     "steps.two_stage.with.best=2",
 ];
 
@@ -70,7 +70,7 @@ fn a_search_killed_half_way_ends_with_the_same_table_and_a_wider_one_reuses_it()
     assert!(resumed.len() < all - told / 2, "{told} of {all} were done, then {}", resumed.len());
     assert_eq!(ranking(&house), table);
 
-    let more = run(&whole, &["axes.two_stage/spacing_px.values=[10, 20, 40]", "steps.two_stage.with.fine=2"]);
+    let more = run(&whole, &["steps.two_stage.with.spacings_px=[10, 20, 40]", "steps.two_stage.with.fine_points=2"]);
     let described: Vec<&String> = more.iter().filter(|step| step.contains("/one/noise")).collect();
     assert!(described.iter().all(|step| !step.starts_with("references/")), "{described:?}");
     assert_eq!(described.iter().filter(|step| step.starts_with("two_stage/gridded/")).count(), 2, "{described:?}");

@@ -77,8 +77,8 @@ pub fn cut_open(mesh: &mut Mesh) -> usize {
 fn give_vertices(mesh: &mut Mesh, roots: &[u32]) {
     let mut own: Vec<Option<u32>> = vec![None; roots.len()];
     let mut is_taken = vec![false; mesh.vertices.len()];
-    for corner in 0..roots.len() {
-        let (root, old) = (roots[corner] as usize, mesh.triangles[corner / 3][corner % 3] as usize);
+    for (corner, root) in roots.iter().enumerate() {
+        let (root, old) = (*root as usize, mesh.triangles[corner / 3][corner % 3] as usize);
         let vertex = own[root].unwrap_or_else(|| {
             if !std::mem::replace(&mut is_taken[old], true) {
                 return old as u32;
