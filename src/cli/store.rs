@@ -324,7 +324,7 @@ fn count_torn(policy: &mut GcPolicy, store: &Store, folder: &Path, fault: &Histo
     let keys: Vec<Digest> = digests.into_iter().filter(|digest| store.has_record(digest)).collect();
     let (count, pinned) = (keys.len(), history::is_pinned(folder));
     use_keys(policy, keys, written_s, pinned);
-    policy.torn_s = policy.torn_s.max(written_s);
+    policy.torn_s = policy.torn_s.max(Some(written_s));
     let way = "run its pipeline again to write it anew, or remove the folder";
     let used = format!("the {count} records that can still be read in it count as used by this run");
     let rest = "any other that was made before it may be, so `--unnamed` does not remove it";

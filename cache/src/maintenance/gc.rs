@@ -19,7 +19,7 @@ pub struct GcPolicy {
     pub unnamed: bool,
     /// Until when runs were made whose manifest can only be read in part, seconds since 1970: what was made until then may
     /// be named in the rest, and does not count as unnamed.
-    pub torn_s: u64,
+    pub torn_s: Option<u64>,
     /// Remove what was not used for longer, seconds.
     pub max_age_s: Option<u64>,
     /// Remove the longest unused until the blobs of records take no more bytes.
@@ -127,7 +127,8 @@ impl Store {
                 let age_s = now_s.saturating_sub(used_s);
                 let blobs = record.blobs().map(|(digest, bytes)| (digest, bytes.or(self.size(&digest)).unwrap_or(0)));
                 let fixed = policy.pinned.contains(&key) || age_s < policy.grace_s;
-                let may_be_named = used.is_some() || record.cost.finished_unix_s <= policy.torn_s;
+                let may_be_named =
+                    used.is_some() || policy.torn_s.is_some_and(|torn_s| record.cost.finished_unix_s <= torn_s);
                 let why = if fixed { None } else { why(policy, may_be_named, age_s) };
                 Some(Candidate { key, used_s, blobs: blobs.collect(), why, fixed })
             })

@@ -64,7 +64,7 @@ fn a_collection_keeps_what_is_pinned_named_or_young_and_says_what_goes() {
     assert_eq!(told.iter().filter(|item| item.1 == "no record names it").count(), 1, "{told:?}");
     assert_eq!((plan.kept_records, plan.kept_bytes), (2, 200_001));
     assert_eq!(store.plan_gc(&GcPolicy::default()).unwrap().records, [], "without a reason no record goes");
-    let torn = GcPolicy { torn_s: 1 << 40, ..at_once() };
+    let torn = GcPolicy { torn_s: Some(1 << 40), ..at_once() };
     assert_eq!(store.plan_gc(&torn).unwrap().records, [], "the torn part of a manifest may name them");
     let aged = GcPolicy { max_age_s: Some(100), pinned: [keys[0]].into(), ..GcPolicy::default() };
     assert_eq!(store.plan_gc(&aged).unwrap().records.len(), 3, "the test's records say they are from 1970");

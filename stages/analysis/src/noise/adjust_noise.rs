@@ -66,7 +66,12 @@ impl Stage for AdjustNoise {
         let simulated = rows(&disparities(&bands, &step_m)?);
         context.check_cancelled()?;
         let limit_m = params.outlier_m.map_or(f32::INFINITY, |limit| limit as f32);
-        let drawn = rows(&differences(noise, params.draws, |cell, px| (px * step_m[cell]).abs() <= limit_m, context));
+        let drawn = rows(&differences(
+            noise,
+            params.draws,
+            |cell, px| (px * step_m[cell]).abs() <= limit_m,
+            &|purpose, item| context.stream(purpose, item),
+        ));
         let losses: Vec<Loss> = (0..simulated[0].len()).map(|k| Loss::of(&simulated, &drawn, k)).collect();
         report(&losses, noise, context);
         Ok(Outputs::of("noise", adjusted(noise, &losses)))

@@ -142,7 +142,11 @@ impl Learnt {
             return first;
         }
         let usual = Noise { bad_share: 0.0, ..first };
-        let drawn = whiten(&differences(&usual, params.draws, |_, _| true, context), self.columns, &self.places);
+        let drawn = whiten(
+            &differences(&usual, params.draws, |_, _| true, &|purpose, item| context.stream(purpose, item)),
+            self.columns,
+            &self.places,
+        );
         let real: Vec<&Whitened> = self.usual();
         let own = own_shares(&real, &drawn.iter().collect::<Vec<_>>());
         drop(usual);

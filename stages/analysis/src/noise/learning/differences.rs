@@ -3,7 +3,8 @@
 use rayon::prelude::*;
 
 use rockface_core::artefact::{Band, Cameras, Noise, Raster};
-use rockface_core::{Context, StageError, fail};
+use rockface_core::numerics::random::Key;
+use rockface_core::{StageError, fail};
 use rockface_imaging::matching::noise::ensemble::draw;
 use rockface_raster::grid;
 
@@ -57,10 +58,10 @@ pub fn differences(
     noise: &Noise,
     count: usize,
     keeps: impl Fn(usize, f32) -> bool + Sync,
-    context: &Context,
+    stream: &(impl Fn(&str, &str) -> Key + Sync),
 ) -> Vec<Vec<f32>> {
     let epoch = |number: usize| {
-        let keys = |purpose: &str, item: &str| context.stream(purpose, &format!("{number}/{item}"));
+        let keys = |purpose: &str, item: &str| stream(purpose, &format!("{number}/{item}"));
         draw(noise, &keys).errors_px(noise, &noise.strength)
     };
     let difference = |number: usize| {
