@@ -9,12 +9,13 @@ use crate::cli::House;
 const PIPELINE: &str = include_str!("../../pipelines/calibrate.yaml");
 
 /// Images of 160 pixels and cells of 9 cm; four coarse points, six fine ones, 14 references.
-const SMALL: [&str; 12] = [
+const SMALL: [&str; 13] = [
     "params.image_px=160",
     "params.focal_px=1954",
     "params.cell_m=0.09",
     "params.lag_cells=30",
     "axes.reference.count=14",
+    "steps.covariance.with={}",
     "steps.two_stage.with.thetas=[1]",
     "steps.two_stage.with.locals_px=[0.5, 0.8]",
     "steps.two_stage.with.regulars_px=[0.5]",

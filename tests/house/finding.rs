@@ -90,7 +90,7 @@ fn a_run_has_one_table_of_all_points_and_steps_have_titles() {
 #[test]
 fn a_sweep_whose_target_gathers_is_drawn_too() {
     let swept = SMALL
-        .replace("seed: 1\n", "seed: 1\naxes: {cell_m: {values: [0.05, 0.1]}}\n")
+        .replace("seed: 1\n", "seed: 1\naxes: {cell_m: {values: [0.05, 0.04]}}\n")
         .replace("cell_m: 0.05", "cell_m: '${cell_m}'");
     let more = "  noise: {stage: describe-noise, with: {scales_cells: [1, 2]}, in: {raster: dem.raster}}\n  \
                 table: {stage: tabulate, in: {rows: {each: noise.features, over: [cell_m]}}}\n";
