@@ -223,7 +223,7 @@ mod tests {
         assert!(dead.take(BYTE).unwrap());
         let others: Vec<_> = (0..8).map(|number| process(place.path(), &format!("m{number}"))).collect();
         assert!(others.iter().all(|(_, other)| !other.take(BYTE).unwrap()));
-        age(&dead_machine, Duration::from_secs(120));
+        age(&dead_machine, Duration::from_mins(2));
         let won = std::sync::atomic::AtomicU32::new(0);
         std::thread::scope(|scope| {
             for (_, other) in &others {
@@ -256,7 +256,7 @@ mod tests {
         let (_other_machine, other) = process(place.path(), "other");
         one.announce(BYTE).unwrap();
         assert!(other.is_announced_elsewhere(BYTE).unwrap() && !one.is_announced_elsewhere(BYTE).unwrap());
-        age(&one_machine, Duration::from_secs(120));
+        age(&one_machine, Duration::from_mins(2));
         assert!(!other.is_announced_elsewhere(BYTE).unwrap());
         one_machine.worker().unwrap().clock().unwrap();
         assert!(other.is_announced_elsewhere(BYTE).unwrap());

@@ -96,7 +96,7 @@ pub struct Sizes<'b> {
 impl Sheet {
     /// The sheet of a drawing.
     pub fn of(drawing: &DiGraph<Drawn, Arrow>, sizes: &Sizes) -> Self {
-        let steps: Vec<usize> = drawing.node_indices().map(|node| node.index()).collect();
+        let steps: Vec<usize> = drawing.node_indices().map(NodeIndex::index).collect();
         let flow = |from: usize, to: usize, arrow| Flow { from: Some(from), to: Some(to), maker: from, arrow };
         let flows =
             drawing.edge_references().map(|edge| flow(edge.source().index(), edge.target().index(), edge.weight()));

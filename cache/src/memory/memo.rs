@@ -194,8 +194,8 @@ mod tests {
         std::thread::scope(|scope| {
             let sweeping = scope.spawn(|| {
                 (0..300).for_each(|_| {
-                    open::prepare(&desk.path("store"), &crate::machine::Machine::on(&desk.path("store"))).unwrap()
-                })
+                    open::prepare(&desk.path("store"), &crate::machine::Machine::on(&desk.path("store"))).unwrap();
+                });
             });
             while !sweeping.is_finished() {
                 store.memory().remember_answer(&desk.question, &json!("done"), &desk.grounds()).unwrap();

@@ -11,6 +11,8 @@ pub(crate) struct Contents {
     batches: BTreeSet<Digest>,
     records: HashMap<Digest, Box<[u8]>>,
     blobs: HashMap<Digest, Place>,
+    /// Further places of blobs that several batches name, in packs of their own.
+    elsewhere: HashMap<Digest, Vec<Place>>,
     /// Blobs that turned out to be gone or damaged there.
     lost: HashSet<Digest>,
 }
@@ -27,7 +29,10 @@ impl Contents {
             }
         }
         for (digest, place) in batch.blobs {
-            self.blobs.entry(digest).or_insert(place);
+            let known = *self.blobs.entry(digest).or_insert(place);
+            if known != place {
+                self.elsewhere.entry(digest).or_default().push(place);
+            }
         }
     }
 
@@ -66,9 +71,14 @@ impl Contents {
         self.blobs.get(digest).copied().filter(|_| !self.lost.contains(digest))
     }
 
-    /// A blob is gone or damaged.
-    pub fn lose(&mut self, digest: Digest) {
-        self.lost.insert(digest);
+    /// A blob is gone or damaged where it was looked for. Whether it is in another place too, which then is its place.
+    pub fn lose(&mut self, digest: Digest) -> bool {
+        let other = self.elsewhere.get_mut(&digest).and_then(Vec::pop);
+        match other {
+            Some(place) => _ = self.blobs.insert(digest, place),
+            None => _ = self.lost.insert(digest),
+        }
+        other.is_some()
     }
 
     /// All blobs of a pack.

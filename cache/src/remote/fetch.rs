@@ -15,17 +15,27 @@ pub(crate) type Take<'a> = &'a (dyn Fn(&[u8]) + Sync);
 impl Shared {
     /// Fetches these blobs, as far as they are there, and hands over each. Whoever misses one afterwards computes it.
     pub fn fetch(&self, wanted: impl IntoIterator<Item = Digest>, take: Take) {
+        let place = |digest: &Digest| self.read(|contents| contents.place(digest));
+        let mut tried: BTreeMap<Digest, Place> =
+            wanted.into_iter().filter_map(|digest| Some((digest, place(&digest)?))).collect();
+        while !tried.is_empty() {
+            self.fetch_from(&tried, take);
+            // Those that were lost where they were looked for, and are in another place too.
+            tried = tried
+                .into_iter()
+                .filter_map(|(digest, before)| Some((digest, place(&digest).filter(|now| *now != before)?)))
+                .collect();
+        }
+    }
+
+    /// Fetches blobs from these places.
+    fn fetch_from(&self, wanted: &BTreeMap<Digest, Place>, take: Take) {
         let mut packs: BTreeMap<Digest, BTreeSet<Digest>> = BTreeMap::new();
         let mut single = BTreeMap::new();
-        for digest in wanted {
-            match self.read(|contents| contents.place(&digest)) {
-                Some(Place { pack: Some(pack), .. }) => {
-                    packs.entry(pack).or_default().insert(digest);
-                }
-                Some(place) => {
-                    single.insert(digest, place);
-                }
-                None => {}
+        for (digest, place) in wanted {
+            match place.pack {
+                Some(pack) => _ = packs.entry(pack).or_default().insert(*digest),
+                None => _ = single.insert(*digest, *place),
             }
         }
         let packs = packs.into_iter().map(|(pack, wanted)| Object::Pack(pack, wanted));
@@ -42,7 +52,7 @@ impl Shared {
             Err(BackendError::Missing) => self.lose([*digest], "has lost a blob"),
             Ok(_) | Err(BackendError::TooLarge { .. }) => self.lose([*digest], "has a damaged blob"),
             // The breaker takes note of it; this blob is computed.
-            Err(_) => self.edit(|contents| contents.lose(*digest)),
+            Err(_) => _ = self.edit(|contents| contents.lose(*digest)),
         }
     }
 
@@ -54,7 +64,7 @@ impl Shared {
             Ok(bytes) => bytes,
             Err(BackendError::Missing) => return lost("has lost a pack of blobs"),
             Err(BackendError::TooLarge { .. }) => return lost("has a damaged pack of blobs"),
-            Err(_) => return self.edit(|contents| wanted.iter().for_each(|digest| contents.lose(*digest))),
+            Err(_) => return self.edit(|contents| wanted.iter().for_each(|digest| _ = contents.lose(*digest))),
         };
         let mut damaged = Vec::new();
         for (digest, place) in self.read(|contents| contents.in_pack(pack)) {
@@ -72,8 +82,10 @@ impl Shared {
 
     /// Blobs are gone or damaged: they are computed when they are needed.
     fn lose(&self, digests: impl IntoIterator<Item = Digest>, what: &str) {
-        self.breaker.warn_once(&format!("{what}; whatever is missing there is computed again when it is needed"));
-        self.edit(|contents| digests.into_iter().for_each(|digest| contents.lose(digest)));
+        let gone = self.edit(|contents| digests.into_iter().filter(|digest| !contents.lose(*digest)).count());
+        if gone > 0 {
+            self.breaker.warn_once(&format!("{what}; whatever is missing there is computed again when it is needed"));
+        }
     }
 
     /// One pack at a time: see [`Shared::packs`].
