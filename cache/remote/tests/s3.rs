@@ -65,7 +65,7 @@ fn whatever_a_server_does_no_byte_is_wrong_and_nothing_hangs() {
         (Faults { truncate: true, ..Faults::default() }, false),
         (Faults { damage: true, ..Faults::default() }, false),
         (Faults { hang_up: true, ..Faults::default() }, false),
-        (Faults { delay: Duration::from_secs(60), ..Faults::default() }, false),
+        (Faults { delay: Duration::from_mins(1), ..Faults::default() }, false),
     ] {
         let (server, keys) = filled();
         server.set(faults);

@@ -190,6 +190,7 @@ fn white(noise: &Noise, field: &Field) -> Vec<f64> {
 }
 
 #[cfg(test)]
+#[allow(clippy::float_cmp)] // values that are exact
 mod tests {
     use super::*;
     use rockface_core::numerics::random::Key;

@@ -80,6 +80,7 @@ fn mirrored(position: f64, size: usize) -> usize {
 }
 
 #[cfg(test)]
+#[allow(clippy::float_cmp)] // values that are exact
 mod tests {
     use super::*;
 
