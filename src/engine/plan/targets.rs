@@ -29,6 +29,10 @@ impl<'d> Resolver<'d> {
     /// Steps and uses of parts that nothing else reads, but for what goes back along an axis, and that tell the items of no
     /// axis of another.
     fn unread<'n>(&self, steps: &'n [GraphStep], dynamic: &[Option<Dynamic>]) -> Vec<&'n str> {
+        if steps.len() < self.document().steps.len() {
+            // A wrong step is left out, and the numbers of sources count it; its fault ends the planning.
+            return Vec::new();
+        }
         let feeds = steps.iter().flat_map(|step| {
             let sources = step.inputs.iter().flat_map(|(_, feed)| feed.forward_sources());
             sources.map(|source| (Some(whole(&step.name)), source.step))
