@@ -68,7 +68,7 @@ table_row! {
     /// One figure beside the published one.
     struct Row {
         figure: String,
-        ours: f64,
+        ours: Option<f64>,
         published: Option<f64>,
         unit: String,
         difference: Option<f64>,
@@ -119,9 +119,15 @@ impl Stage for CompareFigures {
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let measured = inputs.one::<Table>("measured")?;
         let rows = params.figures.iter().map(|figure| compare(figure, measured)).collect::<Result<Vec<_>, _>>()?;
+        if rows.iter().all(|row| row.ours.is_none()) {
+            fail!("none of the {} rows of the table is of a kind that `figures` names", measured.rows.len());
+        }
         for row in &rows {
             let published = row.published.map_or_else(|| "none published".to_owned(), |x| format!("{x} published"));
-            context.note(format!("{}: {} {}, {published}", row.figure, significant(row.ours), row.unit));
+            match row.ours {
+                Some(ours) => context.note(format!("{}: {} {}, {published}", row.figure, significant(ours), row.unit)),
+                None => context.warn(format!("{}: nothing measured, as no row of the table is of this kind", row.figure)),
+            }
         }
         let ratios: Vec<(String, f64)> = rows.iter().filter_map(|row| Some((row.figure.clone(), row.ratio?))).collect();
         let near = ratios.iter().filter(|(_, ratio)| (0.8..=1.25).contains(ratio)).count();
@@ -138,20 +144,22 @@ impl Stage for CompareFigures {
 }
 
 fn compare(figure: &Compared, table: &Table) -> Result<Row, StageError> {
-    let ours = measured(figure, table)? * figure.times / figure.over;
-    let ratio = figure.published.filter(|published| *published != 0.0).map(|published| ours / published);
+    let ours = measured(figure, table)?.map(|ours| ours * figure.times / figure.over);
+    let published = figure.published.filter(|published| *published != 0.0);
+    let ratio = ours.zip(published).map(|(ours, published)| ours / published);
     Ok(Row {
         figure: figure.figure.clone(),
         ours,
         published: figure.published,
         unit: figure.unit.clone(),
-        difference: figure.published.map(|published| ours - published),
+        difference: ours.zip(figure.published).map(|(ours, published)| ours - published),
         ratio: ratio.filter(|ratio| ratio.is_finite()),
         reason: figure.reason.clone(),
     })
 }
 
-fn measured(figure: &Compared, table: &Table) -> Result<f64, StageError> {
+/// What the table says; nothing where no row is of the kind, as when no block was found.
+fn measured(figure: &Compared, table: &Table) -> Result<Option<f64>, StageError> {
     let name = &figure.figure;
     let place = |column: &String| {
         table.column(column).ok_or_else(|| {
@@ -165,14 +173,14 @@ fn measured(figure: &Compared, table: &Table) -> Result<f64, StageError> {
     let rows: Vec<&Vec<Cell>> =
         table.rows.iter().filter(|row| wanted.iter().all(|(at, value)| holds(&row[*at], value))).collect();
     if figure.take == Take::Count {
-        return Ok(rows.len() as f64);
+        return Ok(Some(rows.len() as f64));
     }
     let numbers: Vec<f64> = rows.iter().filter_map(|row| number(&row[column])).collect();
     let where_ = || serde_json::json!(figure.rows).to_string();
     if numbers.is_empty() {
-        fail!("figure `{name}`: no row of {} has a number in `{}` where {}", table.rows.len(), figure.column, where_());
+        return Ok(None);
     }
-    Ok(match figure.take {
+    Ok(Some(match figure.take {
         Take::Only if numbers.len() > 1 => {
             fail!("figure `{name}`: {} rows hold where {}: say which, or `take` a mean", numbers.len(), where_());
         }
@@ -182,7 +190,7 @@ fn measured(figure: &Compared, table: &Table) -> Result<f64, StageError> {
         Take::Min => numbers.iter().copied().fold(f64::INFINITY, f64::min),
         Take::Max => numbers.iter().copied().fold(f64::NEG_INFINITY, f64::max),
         Take::Sum | Take::Count => numbers.iter().sum(),
-    })
+    }))
 }
 
 /// A number, or 1 and 0 for true and false.
@@ -279,7 +287,11 @@ mod tests {
         };
         says(json!({"figure": "a", "column": "d2"}), "no column `d2`");
         says(json!({"figure": "a", "column": "threshold"}), "3 rows hold");
-        says(json!({"figure": "a", "column": "threshold", "rows": {"quantile": 0.5}}), "no row of 3");
+        let none = json!({"figure": "a", "column": "threshold", "rows": {"quantile": 0.5}, "published": 1});
+        says(none.clone(), "none of the 3 rows");
+        let (table, _) = compared(&json!([none, {"figure": "b", "column": "threshold", "take": "sum"}])).unwrap();
+        assert!([1, 4, 5].iter().all(|at| table.rows[0][*at] == Cell::Empty(())), "nothing was measured of it");
+        assert_eq!(table.rows[1][1].number(), Some(45.0));
         let faults = |with: Value| CompareFigures::check(&CompareFiguresParams::decode(&with).unwrap()).len();
         assert_eq!(faults(json!({"figures": []})), 1);
         assert_eq!(faults(json!({"figures": [{"figure": "a", "column": "b", "over": 0, "rows": {"c": [1]}}]})), 2);
