@@ -126,7 +126,9 @@ impl Stage for CompareFigures {
             let published = row.published.map_or_else(|| "none published".to_owned(), |x| format!("{x} published"));
             match row.ours {
                 Some(ours) => context.note(format!("{}: {} {}, {published}", row.figure, significant(ours), row.unit)),
-                None => context.warn(format!("{}: nothing measured, as no row of the table is of this kind", row.figure)),
+                None => {
+                    context.warn(format!("{}: nothing measured, as no row of the table is of this kind", row.figure))
+                }
             }
         }
         let ratios: Vec<(String, f64)> = rows.iter().filter_map(|row| Some((row.figure.clone(), row.ratio?))).collect();

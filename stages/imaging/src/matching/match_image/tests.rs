@@ -102,6 +102,61 @@ fn one_pair_is_what_match_pair_makes_bit_for_bit() {
 }
 
 #[test]
+fn errors_of_ones_own_are_those_of_match_pair_and_may_differ_by_pair() {
+    let block = block(3, &lens(), &wavy());
+    let with = |image: &str| json!({"image": image, "sigma_local_px": 0.3, "sigma_regular_px": 0.4, "spacing_px": 9, "channels": []});
+    let errors = |image: usize, channels: &[(&str, f32)]| {
+        let mut map = block.depths[image].clone();
+        let values = |scale: f32| (0..map.z.len()).map(|pixel| scale * (pixel % 7) as f32).collect();
+        map.channels = channels.iter().map(|(name, scale)| ((*name).to_owned(), values(*scale))).collect();
+        map
+    };
+    let run = |pairs: &[Pair], image: &str, errors: Option<Depth>| {
+        let pairs = Pairs { pairs: pairs.to_vec() };
+        let mut inputs: Vec<(&str, Artefact)> = vec![("noisy", block.noisy.clone().into()), ("pairs", pairs.into())];
+        inputs.extend(block.depths.iter().map(|depth| ("depths", Artefact::Depth(depth.clone()))));
+        inputs.extend(errors.map(|map| ("errors", Artefact::Depth(map))));
+        let outputs = run_stage::<MatchImage>(&TestHost::default(), &with(image), &inputs)?.into_inner();
+        Ok::<_, StageError>(Depth::of(&outputs["depth"]).unwrap().clone())
+    };
+    let pair = |name: &str| block.pairs.pairs.iter().find(|pair| pair.name == name).unwrap().clone();
+    let (first, second) = (pair("a+b"), pair("b+c"));
+
+    // One pair: what `match-pair` makes of the same errors.
+    let of_pair = |pair: &Pair, map: Depth| {
+        let depth = |name: &str| block.depths.iter().find(|depth| depth.image.name == name).unwrap().clone();
+        let inputs: [(&str, Artefact); 5] = [
+            ("first", depth(&pair.first).into()),
+            ("second", depth(&pair.second).into()),
+            ("noisy", block.noisy.clone().into()),
+            ("pairs", Pairs { pairs: vec![pair.clone()] }.into()),
+            ("errors", map.into()),
+        ];
+        let stage = rockface_core::testing::stage(crate::matching::STAGES, "match-pair");
+        let with = json!({"sigma_local_px": 0.3, "sigma_regular_px": 0.4, "spacing_px": 9});
+        let mut ports = Inputs::default();
+        inputs.into_iter().for_each(|(port, value)| ports.push(port, Point::new(), Arc::new(value)));
+        let outputs = stage.run(&with, &ports, &Context::new(&TestHost::default())).unwrap().into_inner();
+        Depth::of(&outputs["depth"]).unwrap().clone()
+    };
+    let own = || errors(0, &[("error_px", 0.05)]);
+    assert_eq!(run(&[first.clone()], "a", Some(own())).unwrap(), of_pair(&first, own()));
+    assert_ne!(run(&[first.clone()], "a", Some(own())).unwrap(), run(&[first.clone()], "a", None).unwrap());
+
+    // Two pairs of `b`, each with a channel of its own: alone each is what its channel makes of it.
+    let two = || errors(1, &[("error_px.a+b", 0.05), ("error_px.b+c", -0.04)]);
+    for (pair, scale) in [(&first, 0.05), (&second, -0.04)] {
+        let alone = run(&[pair.clone()], "b", Some(errors(1, &[("error_px", scale)]))).unwrap();
+        assert_eq!(run(&[pair.clone()], "b", Some(two())).unwrap(), alone);
+    }
+    let both = run(&[first.clone(), second.clone()], "b", Some(two())).unwrap();
+    assert_ne!(both, run(&[first.clone(), second], "b", None).unwrap());
+
+    let said = run(&[first], "b", Some(own())).unwrap_err().message;
+    assert!(said.contains("`errors` is of image `a`"), "{said}");
+}
+
+#[test]
 fn only_the_image_and_its_partners_are_read() {
     let mut block = block(4, &lens(), &wavy());
     block.pairs.pairs.retain(|pair| ["a+b", "b+c", "c+d"].contains(&pair.name.as_str()));
