@@ -47,7 +47,7 @@ pub enum StoreError {
         dir.display()
     )]
     NotAStore {
-        /// The folder.
+        /// The path of the folder.
         dir: PathBuf,
         /// One of the things in it.
         entry: String,
@@ -58,7 +58,7 @@ pub enum StoreError {
         path.display()
     )]
     Foreign {
-        /// Where it stands.
+        /// Its path.
         path: PathBuf,
     },
     /// No blob has this digest.
@@ -81,7 +81,7 @@ pub enum StoreError {
     /// A file kept changing while it was read.
     #[error("{} changed while it was being read: let whatever writes it finish, then run again", path.display())]
     Changing {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
     },
     /// A record cannot be written as it is.
@@ -99,9 +99,9 @@ pub enum StoreError {
     TooLarge {
         /// What was to be written.
         what: &'static str,
-        /// Its size.
+        /// Its size in bytes.
         bytes: u64,
-        /// The greatest size.
+        /// The greatest size that fits, in bytes.
         limit: u64,
     },
     /// An entry is stamped so late that none can follow it.
@@ -128,7 +128,7 @@ pub enum StoreError {
     Io {
         /// What was tried, a verb phrase.
         action: &'static str,
-        /// On what.
+        /// The path that it was tried on.
         path: PathBuf,
         /// What the system said.
         source: io::Error,

@@ -25,14 +25,14 @@ const ATTEMPTS: usize = 3;
 pub struct FileDigest {
     /// The digest of its bytes.
     pub digest: Digest,
-    /// Its size.
+    /// Its size in bytes.
     pub bytes: u64,
 }
 
 /// What tells an untouched file without reading it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Fingerprint {
-    /// The size.
+    /// The size in bytes.
     pub bytes: u64,
     mtime_ns: i128,
     ctime_ns: i128,

@@ -32,7 +32,7 @@ impl Hasher for DigestHasher {
     }
 }
 
-/// Where a small blob lies.
+/// The place of a small blob.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Place {
     /// The number of the segment.
@@ -64,7 +64,7 @@ pub(crate) struct Seen {
     pub name: String,
     /// Everything before is in the index.
     pub end: u64,
-    /// Whether a torn frame lies before: see [`crate::segment::Scan::is_torn`].
+    /// Whether there is a torn frame before: see [`crate::segment::Scan::is_torn`].
     pub is_torn: bool,
 }
 
@@ -181,7 +181,7 @@ impl Index {
         }
     }
 
-    /// Notes that a torn frame lies in what was read of a segment.
+    /// Notes that the part of a segment that was read has a torn frame.
     pub(crate) fn note_torn(&mut self, segment: u32) {
         self.segments[segment as usize].is_torn = true;
     }
@@ -193,7 +193,7 @@ impl Index {
         Some(self.clock)
     }
 
-    /// Where a small blob lies.
+    /// The place of a small blob.
     pub(crate) fn blob(&self, digest: &Digest) -> Option<Place> {
         self.blobs.get(digest).copied()
     }

@@ -26,7 +26,7 @@ pub(crate) struct Journal {
     writer: Mutex<Option<Writer>>,
     /// Segments that were read from, opened once; one that is removed meanwhile can still be read.
     readers: Mutex<BTreeMap<u32, Arc<File>>>,
-    /// Folders whose new entries must be on disk before the records that count on them.
+    /// Folders whose new entries must be on disk before the records that reference them.
     owed: Mutex<BTreeSet<PathBuf>>,
 }
 
@@ -245,7 +245,7 @@ impl Journal {
 
     /// Makes everything appended so far durable: first the folders owed, then the segment. Appending goes on meanwhile.
     pub(crate) fn sync(&self) -> Result<(), StoreError> {
-        // The end is taken before the folders: what a record before it counts on is already owed.
+        // The end is read before the folders: the folders that earlier records reference are listed already.
         let pending = self.pending();
         self.sync_folders()?;
         pending.map_or(Ok(()), |pending| self.settle(&pending))

@@ -31,7 +31,7 @@ pub struct Live {
 }
 
 impl Store {
-    /// Says that this process counts on these records until the store is dropped: no collection removes them.
+    /// Notes that this process references these records until the store is dropped: no collection removes them.
     ///
     /// The first call says that the process is live, and reads what the store holds from then on: without keys, before
     /// anything is looked up, it makes collections spare all records until some keys are registered.
@@ -61,7 +61,7 @@ impl Store {
         self.lock(&Digest::of(GATE), || ())
     }
 
-    /// What other live processes, and this one, count on.
+    /// The records that other live processes, and this one, reference.
     pub fn live(&self) -> Result<Live, StoreError> {
         let mut live = Live::default();
         for folder in self.machine().folders(LIVE) {

@@ -122,7 +122,7 @@ impl Leases {
         self.folder.join(format!("{HAVE}{byte:016x}.{worker}"))
     }
 
-    /// Lets other machines see that this process has something.
+    /// Lets other machines see that this process has the value of a byte of `keys.lock`.
     pub fn announce(&self, byte: i64) -> Result<(), StoreError> {
         let worker = self.machine.worker()?;
         let path = self.announcement(byte, &worker.name());
@@ -132,7 +132,7 @@ impl Leases {
         }
     }
 
-    /// Takes that back.
+    /// Withdraws the announcement of a byte.
     pub fn withdraw(&self, byte: i64) {
         if let Some(worker) = self.machine.worker_if_begun() {
             let _ = fs::remove_file(self.announcement(byte, &worker.name()));

@@ -99,7 +99,7 @@ impl SafePath {
         Self(self.0.join(&name.0))
     }
 
-    /// Something further down.
+    /// A path below this one.
     #[must_use]
     pub fn below(&self, path: &Self) -> Self {
         Self(self.0.join(&path.0))

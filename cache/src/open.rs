@@ -75,7 +75,7 @@ pub(crate) fn prepare(dir: &Path, machine: &Machine) -> Result<(), StoreError> {
         Err(fault) => return Err(StoreError::io("read", &format, fault)),
     }
     for folder in [BLOBS, SEGMENTS, QUARANTINE, TMP, SCRATCH, LIVE, TREES, ANSWERS] {
-        // What lies there may be swept up or written over, so it must not be another folder.
+        // Files there may be removed or overwritten, so it must not be another folder.
         plain::folder(&dir.join(folder))?;
     }
     if machine.is_shared {

@@ -1,4 +1,4 @@
-//! What came out of a step, by port: a short sorted list, since a map by tree takes ten times the room for one or two.
+//! The outputs of a step, by port: a short sorted list, since a tree map takes ten times the memory for one or two.
 
 use std::fmt;
 
@@ -10,12 +10,12 @@ use crate::{OutputRecord, SafeName};
 
 type Entry = (SafeName, OutputRecord);
 
-/// What came out of each output port, sorted by port. A port may become part of a path, so it is a name and nothing else.
+/// The output at each port, sorted by port. A port may become part of a path, so it is a safe name.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Outputs(Vec<Entry>);
 
 impl Outputs {
-    /// What came out of a port.
+    /// The output at a port.
     pub fn get(&self, port: &str) -> Option<&OutputRecord> {
         self.place(port).ok().map(|at| &self.0[at].1)
     }
@@ -25,7 +25,7 @@ impl Outputs {
         self.place(port).ok().map(|at| &mut self.0[at].1)
     }
 
-    /// Sets what came out of a port.
+    /// Sets the output at a port.
     pub fn insert(&mut self, port: SafeName, output: OutputRecord) {
         match self.place(&port) {
             Ok(at) => self.0[at].1 = output,
@@ -37,22 +37,22 @@ impl Outputs {
         self.0.binary_search_by(|(own, _)| own.as_str().cmp(port))
     }
 
-    /// Ports and what came out of them.
+    /// Ports and their outputs.
     pub fn iter(&self) -> Iter<'_> {
         self.0.iter().map(|(port, output)| (port, output))
     }
 
-    /// The ports.
+    /// The ports, sorted.
     pub fn keys(&self) -> impl Iterator<Item = &SafeName> {
         self.0.iter().map(|(port, _)| port)
     }
 
-    /// What came out.
+    /// The outputs, by port.
     pub fn values(&self) -> impl Iterator<Item = &OutputRecord> {
         self.0.iter().map(|(_, output)| output)
     }
 
-    /// What came out, to be changed.
+    /// The outputs, mutable.
     pub fn iter_mut(&mut self) -> impl Iterator<Item = (&SafeName, &mut OutputRecord)> {
         self.0.iter_mut().map(|(port, output)| (&*port, output))
     }
@@ -91,7 +91,7 @@ impl<const N: usize> TryFrom<[(&str, OutputRecord); N]> for Outputs {
 
 impl std::ops::Index<&str> for Outputs {
     type Output = OutputRecord;
-    /// What came out of a port that is there.
+    /// The output at a port that exists.
     fn index(&self, port: &str) -> &OutputRecord {
         self.get(port).expect("an output of this port")
     }
@@ -109,7 +109,7 @@ impl<'de> Deserialize<'de> for Outputs {
         impl<'de> Visitor<'de> for Reader {
             type Value = Outputs;
             fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
-                f.write_str("a map of ports to what came out of them")
+                f.write_str("a map of ports to their outputs")
             }
             fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Outputs, A::Error> {
                 let mut entries = Vec::with_capacity(1);

@@ -1,4 +1,4 @@
-//! Opening what lies in a store: plain files and true folders only.
+//! Opens the files of a store: regular files and real folders only, no links.
 //!
 //! Whoever may write to a shared store may put a link to somebody else's file in the place of a segment, or a pipe that
 //! nobody ever writes to. Neither is followed or waited for.

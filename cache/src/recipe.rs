@@ -65,7 +65,7 @@ pub enum RecipeInput {
 pub struct Gathered {
     /// The item of each gathered axis this element belongs to.
     pub point: BTreeMap<String, String>,
-    /// The artefact.
+    /// The digest of the artefact.
     pub digest: Digest,
 }
 

@@ -1,4 +1,4 @@
-//! The record of a finished step: its recipe, what came out, and what it cost.
+//! The record of a finished step: its recipe, its outputs, and its cost.
 
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -39,17 +39,17 @@ use crate::{Digest, Outputs, Recipe};
 pub struct Record {
     /// What decided the outputs.
     pub recipe: Recipe,
-    /// What came out of each output port.
+    /// The output at each port.
     pub outputs: Outputs,
     /// The log of the step, a blob.
     pub log: Option<Digest>,
     /// Sketches of the outputs for the log of a run, a blob; `None` where none were made.
     pub sketches: Option<Digest>,
-    /// What it took.
+    /// Time, processor time and memory that it took.
     pub cost: Cost,
 }
 
-/// What came out of one output port.
+/// The output at one port.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OutputRecord {
     /// The kind of artefact, such as `mesh`.
@@ -122,14 +122,14 @@ fn moment<'de, D: Deserializer<'de>>(from: D) -> Result<u64, D::Error> {
 /// What a record says apart from its recipe; quicker to read than the whole.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct Outcome {
-    /// What came out of each output port.
+    /// The output at each port.
     pub outputs: Outputs,
     /// The log of the step, a blob.
     pub log: Option<Digest>,
     /// Sketches of the outputs for the log of a run, a blob; `None` where none were made.
     #[serde(default)]
     pub sketches: Option<Digest>,
-    /// What it took.
+    /// Time, processor time and memory that it took.
     pub cost: Cost,
 }
 

@@ -24,7 +24,7 @@ const WINDOW_BYTES: usize = 32 * 1024;
 /// A frame found in a segment.
 #[derive(Debug)]
 pub(crate) struct Frame {
-    /// Its header.
+    /// Kind, length, time, name and checksum of the payload.
     pub header: Header,
     /// Where its payload starts in the segment.
     pub at: u64,
@@ -48,7 +48,7 @@ pub(crate) struct Scan {
 pub(crate) struct Writer {
     /// The file. Whoever syncs it may outlive this; its lock does not.
     pub file: Arc<Locked>,
-    /// Its path.
+    /// The path of the segment.
     pub path: PathBuf,
     /// Its number in the index.
     pub segment: u32,

@@ -58,11 +58,11 @@ pub struct Store {
 pub struct StoreStat {
     /// Blobs inside segments.
     pub small_blobs: u64,
-    /// Their bytes.
+    /// Total size of the blobs inside segments.
     pub small_blob_bytes: u64,
     /// Blobs with a file of their own.
     pub large_blobs: u64,
-    /// Their bytes.
+    /// Total size of the blobs in files of their own.
     pub large_blob_bytes: u64,
     /// Keys that have a record.
     pub records: u64,
@@ -70,7 +70,7 @@ pub struct StoreStat {
     pub notes: u64,
     /// Segment files.
     pub segments: u64,
-    /// Their bytes.
+    /// Total size of the segment files.
     pub segment_bytes: u64,
     /// Damaged blobs set aside.
     pub quarantined: u64,

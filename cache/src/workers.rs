@@ -205,7 +205,7 @@ pub(crate) fn content(file: &mut File) -> Option<(String, String)> {
 pub(crate) fn sweep(root: &Path, machine: &str, is_shared: bool) {
     const LONG_AGO: Duration = Duration::from_hours(24);
     for worker in list(root) {
-        // The lock tells of those of this machine, and of all where one machine uses the store.
+        // The lock shows which workers of this machine live, and all where one machine uses the store.
         let is_ours = worker.machine == machine || !is_shared;
         if is_ours || (!worker.is_live && worker.silent > LONG_AGO) {
             let path: PathBuf = root.join(WORKERS).join(&worker.name);

@@ -13,7 +13,7 @@ use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet, Title};
 pub struct Source {
     /// What it is called in messages.
     pub name: String,
-    /// Its whole text.
+    /// The whole text, which places point into.
     pub text: Arc<str>,
     /// What kind of text it is.
     pub origin: Origin,
@@ -79,7 +79,7 @@ pub struct Diagnostic {
     pub span: Option<Span>,
     /// Short text under the caret.
     pub label: String,
-    /// The way out.
+    /// What the user can do about it.
     pub hint: Option<String>,
     /// Another place that has to do with it, and why.
     pub also: Option<Box<(Span, String)>>,
@@ -166,7 +166,7 @@ fn shortened(text: &str) -> std::borrow::Cow<'_, str> {
     format!("{}… ({} bytes)", &text[..end], text.len()).into()
 }
 
-/// The known word most like the given one, if any is close.
+/// The closest known word, if any is close.
 pub fn nearest<'a>(given: &str, known: &[&'a str]) -> Option<&'a str> {
     let furthest = 1 + given.chars().count() / 3;
     let may_be_near =

@@ -120,7 +120,7 @@ fn files_that_include_each_other_without_end_are_refused() {
         std::fs::write(bench.folder.path().join(format!("f{n}.yaml")), text).unwrap();
     }
     let text = said_of(bench.plan("rockface: 1\ninclude: f0.yaml\n", &[]).map_err(|faults| faults.to_string()));
-    assert!(text.contains("f100.yaml") && text.contains("at most 100 may lie in each other"), "{text}");
+    assert!(text.contains("f100.yaml") && text.contains("at most 100 files may be nested"), "{text}");
 }
 
 #[test]

@@ -23,6 +23,7 @@ mod lab;
 mod language;
 mod memory;
 mod mistakes;
+mod part_rules;
 mod parts;
 mod reading;
 mod references;

@@ -119,3 +119,37 @@ fn every_stage_is_a_file_of_its_name() {
         assert_eq!(count, 1, "stage `{module}` has one file of its own");
     }
 }
+
+/// Phrases that a reader has to guess, and what to say instead.
+const RIDDLES: [(&str, &str); 17] = [
+    ("told of", "reported"),
+    ("tells of", "reports"),
+    ("counts on", "references"),
+    ("count on", "reference"),
+    ("came out", "the output"),
+    ("comes out", "the output"),
+    ("come out", "the output"),
+    ("came to", "the result"),
+    ("as far as", "the condition"),
+    ("slip of the pen", "a mistake"),
+    ("one go", "one attempt"),
+    ("most like", "closest"),
+    ("lets go", "releases"),
+    ("let go", "release"),
+    ("be had", "be available"),
+    ("made again", "recomputed"),
+    ("lies", "is in, is at"),
+];
+
+#[test]
+fn comments_of_engine_and_store_say_it_plainly() {
+    let files = ["cache/src", "cache/remote/src", "src/engine"].iter().flat_map(|folder| sources(folder));
+    for (path, text) in files {
+        for (number, line) in text.lines().enumerate().filter(|(_, line)| line.trim_start().starts_with("//")) {
+            let words = format!(" {} ", line.trim().replace(|c: char| !c.is_alphanumeric(), " "));
+            if let Some((riddle, plain)) = RIDDLES.iter().find(|(riddle, _)| words.contains(&format!(" {riddle} "))) {
+                panic!("{}:{}: `{riddle}`: say {plain} (see CONTRIBUTING.md)", path.display(), number + 1);
+            }
+        }
+    }
+}

@@ -6,10 +6,10 @@
 //!
 //! # Runs beside it
 //!
-//! What a plan says is looked at again right before it leaves. A record stays if a live run counts on it by then, if it
-//! was written again, and if a run has just begun or has come and gone since, of which nobody knows what it counts on;
+//! What a plan says is looked at again right before it leaves. A record stays if a live run references it by then, if it
+//! was written again, and if a run has just begun or has come and gone since, whose references are not known;
 //! runs that begin later see what is left. A blob stays if a record that stays names it, or if it was put again: a
-//! [`Store::put`] of what is there marks it. A run that counts on a record in the very moment in which it leaves makes
+//! [`Store::put`] of what is there marks it. A run that references a record at the moment of its removal makes
 //! it again.
 
 use std::collections::BTreeSet;
@@ -22,18 +22,18 @@ use crate::open::QUARANTINE;
 use crate::rewrite::{Claimed, Leaving};
 use crate::{Digest, Record, Store};
 
-/// What was removed.
+/// Number and size of what a collection removed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 pub struct Collected {
-    /// Blobs that left.
+    /// Blobs that were removed.
     pub blobs: u64,
-    /// Records that left.
+    /// Records that were removed.
     pub records: u64,
     /// Bytes by which the store is smaller on disk.
     pub bytes: u64,
     /// Segments that could not be written anew because a process is writing to them.
     pub busy_segments: u64,
-    /// Records that were to leave and stay, since a run may count on them or is writing to their segment.
+    /// Records that were to be removed and stay, since a run may reference them or is writing to their segment.
     pub spared_records: u64,
 }
 
@@ -79,7 +79,7 @@ impl Store {
         Ok((leaving, named))
     }
 
-    /// Spares the records that runs count on by now, and all where that is not known.
+    /// Spares the records that runs reference by now, and all where that is not known.
     fn spare_used(&self, plan: &GcPlan, leaving: &mut Leaving) -> Result<(), StoreError> {
         let live = self.live()?;
         let is_unknown = live.is_looking || self.noted() > plan.noted;

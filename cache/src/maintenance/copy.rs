@@ -3,7 +3,7 @@
 use crate::error::StoreError;
 use crate::{Digest, Store};
 
-/// What was copied.
+/// Number and size of what was copied.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 pub struct Handed {
     /// Records that the other store did not have.
@@ -14,7 +14,7 @@ pub struct Handed {
     pub missing: u64,
     /// Blobs that were written.
     pub blobs: u64,
-    /// Their bytes.
+    /// Size of these blobs in bytes.
     pub bytes: u64,
 }
 

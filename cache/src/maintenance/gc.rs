@@ -32,15 +32,15 @@ pub struct GcPolicy {
 /// A blob that would be removed.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct GcItem {
-    /// The blob.
+    /// The digest of the blob.
     pub digest: Digest,
-    /// Its bytes.
+    /// Its size in bytes.
     pub bytes: u64,
     /// What it is, such as `mesh of import-mesh`.
     pub what: String,
     /// When it was last used, seconds since 1970; 0 where no record tells.
     pub used_unix_s: u64,
-    /// Why it goes.
+    /// Why it is removed, for people.
     pub why: String,
 }
 
@@ -51,7 +51,7 @@ pub struct GcPlan {
     pub blobs: Vec<GcItem>,
     /// The keys of records.
     pub records: Vec<Digest>,
-    /// Records that stay.
+    /// Records that are kept.
     pub kept_records: u64,
     /// Bytes of the blobs of records that stay.
     pub kept_bytes: u64,

@@ -9,11 +9,11 @@ use crate::{Digest, Record, Store};
 pub struct StageStat {
     /// The name of the stage.
     pub stage: String,
-    /// Its records.
+    /// Records of steps of this stage.
     pub records: u64,
     /// Distinct outputs that are kept.
     pub blobs: u64,
-    /// Their bytes.
+    /// Size of their blobs in bytes.
     pub bytes: u64,
     /// What making them took, seconds of elapsed time.
     pub wall_s: f64,

@@ -19,9 +19,9 @@ pub enum FaultKind {
 /// A blob that is not as it should be.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Fault {
-    /// What is wrong.
+    /// Whether it is damaged or missing.
     pub kind: FaultKind,
-    /// The blob.
+    /// The digest of the blob.
     pub digest: Digest,
     /// The outputs that it is, as `kind of stage`; empty where no record names it.
     pub outputs: Vec<String>,
@@ -34,7 +34,7 @@ pub struct Fault {
 pub struct Verified {
     /// Blobs read.
     pub blobs: u64,
-    /// Their bytes.
+    /// Size of the blobs that were read.
     pub bytes: u64,
     /// Records looked at.
     pub records: u64,

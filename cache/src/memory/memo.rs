@@ -68,7 +68,7 @@ pub fn recall(dir: &Path, question: &Digest) -> Option<Value> {
 }
 
 impl Memory<'_> {
-    /// Files what `question` came to, if all it rests on can be told to be untouched later; says whether it was filed.
+    /// Keeps the result of `question`, if later changes of all it depends on can be recognised; returns whether it was kept.
     ///
     /// It is not where an input was modified too recently for its time to be trusted, or where another process has
     /// written to the store since this one looked.

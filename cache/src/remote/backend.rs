@@ -31,7 +31,7 @@ pub enum BackendError {
     /// The object is larger than it may be.
     #[error("it has more than {limit} bytes")]
     TooLarge {
-        /// The greatest size.
+        /// The greatest size that fits, in bytes.
         limit: u64,
     },
 }

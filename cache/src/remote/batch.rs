@@ -29,7 +29,7 @@ pub(crate) struct Place {
     pub pack: Option<Digest>,
     /// Where it starts in the pack.
     pub at: u64,
-    /// Its size.
+    /// Its size in bytes.
     pub bytes: u64,
 }
 

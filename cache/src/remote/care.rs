@@ -25,41 +25,41 @@ pub struct RemoteStat {
     pub records: u64,
     /// Objects with records.
     pub batches: u64,
-    /// Their bytes.
+    /// Total size of the objects with records.
     pub batch_bytes: u64,
     /// Objects with small blobs.
     pub packs: u64,
-    /// Their bytes.
+    /// Total size of the packs.
     pub pack_bytes: u64,
     /// Objects with one large blob.
     pub large_blobs: u64,
-    /// Their bytes.
+    /// Total size of the blobs in files of their own.
     pub large_blob_bytes: u64,
     /// Records that name blobs which are not there: their steps run again.
     pub incomplete: u64,
 }
 
-/// What of a remote place is to be kept. It has no runs and keeps no times of use, so records go by when they were made.
+/// What of a remote place is kept. It has no runs and keeps no times of use, so the age of a record decides.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct RemoteGcPolicy {
     /// Remove the records of steps that ended longer ago, seconds.
     pub max_age_s: Option<u64>,
     /// Remove the oldest records until the blobs of the others take no more bytes.
     pub max_bytes: Option<u64>,
-    /// Only count.
+    /// Only count, remove nothing.
     pub dry_run: bool,
 }
 
 /// What a collection removed, or would remove.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 pub struct RemoteGc {
-    /// Records.
+    /// Number of records.
     pub records: u64,
     /// Packs and large blobs.
     pub objects: u64,
-    /// Their bytes.
+    /// Their total size in bytes.
     pub bytes: u64,
-    /// Records that stay.
+    /// Records that are kept.
     pub kept_records: u64,
     /// Batches before and after: many small ones are put together.
     pub batches: (u64, u64),

@@ -1,4 +1,4 @@
-//! What is in a remote place, as far as this process knows: its records, and where their blobs are.
+//! What this process knows of a remote place: its records, and where their blobs are.
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 

@@ -13,7 +13,7 @@ use crate::Digest;
 pub(crate) type Take<'a> = &'a (dyn Fn(&[u8]) + Sync);
 
 impl Shared {
-    /// Fetches these blobs, as far as they are there, and hands over each. Whoever misses one afterwards computes it.
+    /// Fetches those of these blobs that the remote place has, and hands over each. A step that needs one of the others computes it.
     pub fn fetch(&self, wanted: impl IntoIterator<Item = Digest>, take: Take) {
         let place = |digest: &Digest| self.read(|contents| contents.place(digest));
         let mut tried: BTreeMap<Digest, Place> =

@@ -58,7 +58,7 @@ impl Store {
         self.below()?.shared.read(|contents| contents.place(digest)).map(|place| place.bytes)
     }
 
-    /// Fetches blobs that are not here from the remote place, several at a time. One that cannot be had is missing from then
+    /// Fetches blobs that are not here from the remote place, several at a time. One that is not available is missing from then
     /// on. Without a remote place this does nothing.
     pub fn bring(&self, blobs: impl IntoIterator<Item = Digest>) -> Result<(), StoreError> {
         let Some(remote) = self.below() else { return Ok(()) };
@@ -109,7 +109,7 @@ impl Store {
         }
     }
 
-    /// Keeps the records of the remote place under these keys, as far as all their blobs are here by now.
+    /// Keeps those records of the remote place under these keys whose blobs are all here by now.
     pub fn adopt(&self, keys: impl IntoIterator<Item = Digest>) -> Result<(), StoreError> {
         if self.remote.get().is_none() {
             return Ok(());

@@ -7,13 +7,13 @@ use super::backend::{Backend, BackendError, Object};
 /// Requests and bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 pub struct Traffic {
-    /// Objects read.
+    /// Requests that read an object.
     pub reads: u64,
-    /// Objects written.
+    /// Requests that wrote an object.
     pub writes: u64,
     /// Listings; one of more than 1000 objects takes several requests.
     pub lists: u64,
-    /// Objects removed.
+    /// Requests that removed an object.
     pub deletes: u64,
     /// Requests that failed after all attempts.
     pub failures: u64,

@@ -25,14 +25,14 @@ const ATTEMPTS: u32 = 2;
 /// Reads a blob of the local store, verified; `None` where it is not there any more.
 pub(crate) type ReadBlob = Box<dyn Fn(&Digest) -> Option<Vec<u8>> + Send + Sync>;
 
-/// What was uploaded.
+/// Number and size of what was uploaded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 pub struct Uploaded {
-    /// Records.
+    /// Number of records.
     pub records: u64,
     /// Blobs that were not there.
     pub blobs: u64,
-    /// Their bytes.
+    /// Their total size in bytes.
     pub bytes: u64,
     /// Records that could not be uploaded, or whose blobs were gone.
     pub failed: u64,

@@ -12,68 +12,18 @@ use crate::targets::long_text;
 /// Larger pipelines are left to the tests that plan them.
 const LARGEST_BYTES: usize = 6000;
 
-const LANGUAGE: [(&str, &str); 9] = [
-    (
-        "axes",
-        "rockface: 1\nseed: 3\nparams: {cells: [0.25, 0.5], half_m: 2}\naxes:\n  epoch: {items: [pre, post]}\n  trial: {count: 4}\n  \
-         sigma_px: {values: [0.4, 0.8]}\n  cell_m: {values: \"${cells}\"}\nsteps:\n  face: {stage: synthesise-face, over: [trial], \
-         keep: false, log: brief, with: {width_m: \"${half_m}\", height_m: 6}}\n  dem: {stage: rasterise-dem, stream: both, \
-         in: {surface: face.mesh}, with: {cell_m: \"${cell_m}\"}}\n  table: {stage: tabulate, in: {rows: {each: dem.raster, \
-         over: [cell_m, trial]}}}\ntargets: [dem]\n",
-    ),
-    (
-        "sample",
-        "rockface: 1\nseed: 9\naxes: {p: {sample: latin-hypercube, count: 8, over: {a_m: [1, 2], b_m: {log: [0.1, 1]}}}, \
-         q: {sample: sobol, count: 3, over: {c_m: [0.1, 2]}}}\nsteps:\n  face: {stage: synthesise-face, with: {width_m: \
-         \"${p.a_m}\", height_m: \"${q.c_m}\", relief_m: \"${p.b_m}\"}}\n",
-    ),
-    (
-        "zip",
-        "rockface: 1\naxes: {a: {values: [1, 2]}, b: {values: [3, 4]}}\nzip: [a, b]\nlog: none\nsteps:\n  face: {stage: \
-         synthesise-face, with: {width_m: \"${a}\", height_m: \"${b}\"}}\n  one: {stage: rasterise-dem, in: {surface: \
-         \"face.mesh[a=2]\"}}\n",
-    ),
-    (
-        "chain",
-        "rockface: 1\nseed: 1\naxes: {epoch: {items: [e0, e1, e2]}}\nsteps:\n  face: {stage: synthesise-face}\n  blocks: {stage: \
-         generate-blocks}\n  worn: {stage: remove-blocks, over: [epoch], in: {mesh: {from: \"worn.mesh[epoch=prev]\", first: \
-         face.mesh}, blocks: blocks.candidates}, with: {count: 2}}\n  dem: {stage: rasterise-dem, in: {surface: {by: epoch, e0: \
-         face.mesh, else: worn.mesh}}}\n",
-    ),
-    (
-        "from",
-        "rockface: 1\nseed: 1\naxes: {image: {from: plan.cameras, reseeds: false}, row: {from: dems.table}}\nsteps:\n  face: {stage: \
-         synthesise-face}\n  plan: {stage: plan-survey, in: {mesh: face.mesh}}\n  depth: {stage: project-depth, with: {image: \
-         \"${image}\"}, in: {mesh: face.mesh, cameras: plan.cameras}}\n",
-    ),
-    (
-        "parts",
-        "rockface: 1\nseed: 2\nparams: {n: {type: integer, min: 1, max: 9, default: 2, unit: m, doc: d}}\nparts:\n  inner:\n    doc: d\n    params: {c: \
-         {type: number, min: 0.1, default: 1, choices: [1, 2]}}\n    in: {face: mesh, more: {kind: [mesh, surface], optional: true}}\n    out: {dem: \
-         dem.raster}\n    steps:\n      dem: {stage: rasterise-dem, in: {surface: in.face}, with: {cell_m: \"${c}\"}}\n  outer:\n    params: {t: {type: list, \
-         default: [1, 2]}}\n    in: {face: mesh}\n    out: {rows: all.table, dem: \"one.dem[k=1]\"}\n    axes: {k: {values: \"${t}\"}}\n    steps:\n      \
-         one: {use: inner, over: [k], in: {face: in.face}, with: {c: \"${k}\"}}\n      all: {stage: tabulate, in: {rows: {each: one.dem, over: [k]}}}\naxes: \
-         {r: {count: \"${n}\"}}\nsteps:\n  face: {stage: synthesise-face, over: [r]}\n  u: {use: outer, in: {face: {by: r, \"0\": face.mesh, else: \
-         \"face.mesh[r=0]\"}}}\n  v: {use: outer, over: [r], in: {face: \"face.mesh[r=1]\"}, with: {t: [1]}}\ntargets: [u, v]\n",
-    ),
-    (
-        "points",
-        "rockface: 1\nseed: 5\nparams: {size: {width_m: 3, height_m: 2, deep: {cell_m: 0.5}}, cell_m: \"${size.deep}\"}\nparts:\n  at:\n    params: {point: {type: \
-         map}, n: {type: map, default: {count: 2}}}\n    in: {face: mesh}\n    out: {dem: dem.raster, all: all.table}\n    axes: {k: {count: \"${n.count}\"}}\n    steps:\n      \
-         dem: {stage: rasterise-dem, over: [k], in: {surface: in.face}, with: {cell_m: \"${point.c}\"}}\n      all: {stage: tabulate, with: {constants: \"${point}\"}, in: {rows: \
-         {each: dem.raster, over: [k]}}}\naxes: {p: {sample: sobol, count: 3, over: {c: [0.2, 0.5], d: [1, 2]}}, q: {from: u.all}}\nsteps:\n  face: {stage: synthesise-face, \
-         with: {width_m: \"${size.width_m}\", height_m: \"${size.height_m}\"}}\n  u: {use: at, with: &w {point: {c: 0.5}}, in: &i {face: face.mesh}}\n  v: {use: at, \
-         over: [p], with: {<<: *w, point: \"${p}\"}, in: *i}\n  x: {use: at, with: {point: \"${q}\", n: {count: 1}}, in: {<<: *i}}\ntargets: [u, v]\n",
-    ),
-    (
-        "shipped",
-        "rockface: 1\nparts: {s: rockface/synthetic-site}\nsteps:\n  site: {use: s}\n  bench: {use: rockface/detection-benchmark, with: {first: left, second: \
-         right, window_m: [-5, 5, -4, 4], epochs: 2, thresholds_m: [0.03, 0.05], voxels_m: [0.02, 0.03]}, in: {mesh: site.mesh, cameras: site.cameras}}\n",
-    ),
-    (
-        "anchors",
-        "rockface: 1\nparams: &p {a: 1, b: [1, 2, {c: 3}], d: \"x\\ty\"}\nsteps:\n  face:\n    stage: synthesise-face\n",
-    ),
+/// Texts with the rest of the language in them; each of them plans.
+pub const LANGUAGE: [(&str, &str); 10] = [
+    ("anchors", include_str!("language/anchors.yaml")),
+    ("axes", include_str!("language/axes.yaml")),
+    ("chain", include_str!("language/chain.yaml")),
+    ("from", include_str!("language/from.yaml")),
+    ("part-inputs", include_str!("language/part-inputs.yaml")),
+    ("parts", include_str!("language/parts.yaml")),
+    ("points", include_str!("language/points.yaml")),
+    ("sample", include_str!("language/sample.yaml")),
+    ("shipped", include_str!("language/shipped.yaml")),
+    ("zip", include_str!("language/zip.yaml")),
 ];
 
 /// Seeds of pipelines, of what is given on the command line, and of the tree of a pipeline.
@@ -103,7 +53,10 @@ pub fn all() -> io::Result<Vec<Seed>> {
     seeds.push(seed("pipeline", "files", joined(&[main.as_bytes(), parts[0].as_bytes(), parts[1].as_bytes()])));
     let given = "steps.twice/o.with.cell_m=2\nparams.width_m=5\nsteps.face.with.height_m=4.5\naxes.replicate.count=2\n%steps.face.with.relief_m=0.1..0.4:4\n";
     seeds.push(seed("overrides", "all", given));
-    seeds.push(seed("overrides", "values", "steps.dem.with={cell_m: 0.25}\n%steps.face.with.relief_m=0.1,0.2\n"));
+    let values = "steps.dem.with={cell_m: \"${cell}\"}\n%steps.face.with.relief_m=0.1,0.2\n";
+    seeds.push(seed("overrides", "values", values));
+    seeds.push(seed("overrides", "part", "steps.twice.with={c: 3}\naxes.cell.values=[1, 2]\n"));
+    seeds.push(seed("overrides", "part-sweep", "%steps.twice.with.c=0.5..2:3\nseed=9\n"));
     seeds.push(seed("tree", "fixed", tree()?));
     Ok(seeds)
 }
@@ -121,4 +74,18 @@ fn tree() -> io::Result<Vec<u8>> {
     let bytes = std::fs::read(file)?;
     let head = bytes.iter().position(|byte| *byte == b'\n').unwrap_or(0);
     Ok(bytes[head + 1..].to_vec())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::LANGUAGE;
+    use crate::{Verdict, find};
+
+    #[test]
+    fn texts_of_the_language_plan() {
+        let target = find("pipeline").expect("a target");
+        for (name, yaml) in LANGUAGE {
+            assert_eq!((target.run)(yaml.as_bytes()), Verdict::Accepted, "{name}");
+        }
+    }
 }

@@ -1,4 +1,4 @@
-//! What a run would do with every step instance, and why; told from records, without reading a blob.
+//! What a run would do with every step instance, and why; from records, without reading a blob.
 
 use std::collections::HashMap;
 

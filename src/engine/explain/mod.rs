@@ -14,7 +14,7 @@ use rockface_cache::{Digest, Recipe, Record, Store};
 
 use crate::plan::Plan;
 
-/// What there is to say of one instance.
+/// The answer of `explain` for one instance.
 pub struct Explanation {
     /// The instance asked for.
     pub asked: usize,
@@ -32,7 +32,7 @@ pub struct Cause {
     pub instance: usize,
     /// The records of its stage that were looked at: all, or for a producer those that made the former input.
     pub records: usize,
-    /// The most like of these; `None` when there is none.
+    /// The closest of these; `None` when there is none.
     pub former: Option<Former>,
 }
 

@@ -1,4 +1,4 @@
-//! How runs differ: the parameters that vary between them and the numbers they told, side by side.
+//! How runs differ: the parameters that vary between them and their metrics, side by side.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -25,7 +25,7 @@ pub struct Comparison {
     pub runs: Vec<String>,
     /// The parameters that are not the same in all.
     pub parameters: Vec<Row>,
-    /// The numbers that were told.
+    /// The metrics.
     pub metrics: Vec<Row>,
     /// How many parameters are the same in all.
     pub equal_parameters: usize,

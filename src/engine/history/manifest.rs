@@ -14,12 +14,12 @@ use crate::pipeline::Label;
 /// The version of manifests this program writes and reads.
 pub const FORMAT: u32 = 1;
 
-/// Everything a run folder tells of its run, and everything needed to repeat it.
+/// Everything that is needed to check and to repeat a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
     /// The version of this format.
     pub format: u32,
-    /// The pipeline.
+    /// The texts of the pipeline.
     pub pipeline: PipelineText,
     /// What was changed from outside.
     pub overrides: Overridden,
@@ -30,9 +30,9 @@ pub struct Manifest {
     pub targets: Vec<String>,
     /// When it ended, RFC 3339.
     pub finished: String,
-    /// Elapsed seconds.
+    /// Wall time in seconds.
     pub wall_s: f64,
-    /// Steps at once.
+    /// How many threads the steps had together.
     pub jobs: usize,
     /// `done` or `failed`.
     pub status: String,
@@ -81,7 +81,7 @@ pub struct IncludedText {
 pub struct PartUsed {
     /// The step that uses it, with those around it: the names of its steps begin with this and `/`.
     pub name: String,
-    /// The part.
+    /// The part: its name, or the path of its file.
     pub part: String,
     /// The BLAKE3 of its text, where it has one of its own: it stands in a file, or comes with the program.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -105,11 +105,11 @@ pub struct Overridden {
 /// A step instance of a past run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StepDone {
-    /// The step.
+    /// The name of the step.
     pub step: String,
-    /// Its point.
+    /// Its items by axis.
     pub point: BTreeMap<String, String>,
-    /// Its stage.
+    /// The stage it uses.
     pub stage: String,
     /// The version of the stage.
     pub version: u32,
@@ -120,7 +120,7 @@ pub struct StepDone {
     pub failure: Option<String>,
     /// The key of its recipe.
     pub key: Option<Digest>,
-    /// What came out, by port.
+    /// Its outputs, by port.
     pub outputs: Option<Outputs>,
     /// Its log, a blob.
     #[serde(default)]
@@ -133,7 +133,7 @@ pub struct StepDone {
     /// Its parameters, files replaced by their digests.
     #[serde(with = "rockface_cache::shared")]
     pub parameters: Arc<Value>,
-    /// The numbers it told.
+    /// Its metrics.
     #[serde(default)]
     pub metrics: Vec<Metric>,
     /// The files its parameters name.
@@ -147,21 +147,21 @@ pub struct StepDone {
     pub paths: BTreeMap<String, SafePath>,
 }
 
-/// A number a step told.
+/// A number that a step logged.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Metric {
     /// Its name.
     pub name: String,
     /// Its value; `None` where it was no finite number.
     pub value: Option<f64>,
-    /// Its unit.
+    /// The unit of the value.
     pub unit: String,
 }
 
 /// An input file of a step.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FileUsed {
-    /// Where it was.
+    /// Its path when it was read.
     pub path: PathBuf,
     /// The BLAKE3 of its content.
     pub blake3: Digest,

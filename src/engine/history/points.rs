@@ -12,7 +12,7 @@ type Point = BTreeMap<String, String>;
 /// The table as CSV; `None` where no step has logged a number.
 ///
 /// Axes come first, in alphabetical order, then `step.metric [unit]`, in the order of the run. A row also has the numbers of steps
-/// that lie at fewer axes: those of the items it has in common with them. A cell is empty where a step does not lie at the point.
+/// that depend on fewer axes: those of the items it has in common with them. A cell is empty where a step has no instance at the point.
 pub fn table(manifest: &Manifest) -> Option<String> {
     let told: Vec<&StepDone> = manifest.steps.iter().filter(|done| !done.metrics.is_empty()).collect();
     let axes: BTreeSet<&str> = told.iter().flat_map(|done| done.point.keys().map(String::as_str)).collect();
@@ -34,7 +34,7 @@ pub fn table(manifest: &Manifest) -> Option<String> {
     if columns.is_empty() {
         return None;
     }
-    // The sets of axes that steps lie at: a row takes what each of its subsets has.
+    // The sets of axes that steps depend on: a row takes the values of each of its subsets.
     let sets: BTreeSet<BTreeSet<&str>> = at.keys().map(|point| point.keys().map(String::as_str).collect()).collect();
     let mut text = csv::Writer::from_writer(Vec::new());
     text.write_record(axes.iter().copied().chain(columns.iter().map(String::as_str))).ok()?;

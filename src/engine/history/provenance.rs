@@ -1,5 +1,5 @@
 //! The description of a run folder as a Workflow Run RO-Crate, so that programs which know nothing of rockface find out
-//! what was run, from what, and what came out.
+//! what was run, its inputs and its outputs.
 //!
 //! It follows the Provenance Run Crate profile 0.5: <https://w3id.org/ro/wfrun/provenance/0.5>.
 
@@ -15,9 +15,9 @@ use crate::watch::moment;
 
 /// Runs of more instances are described as a whole, without an action for each.
 const ACTIONS_LIMIT: usize = 2000;
-/// The manifest, as it lies in the folder.
+/// The manifest: its name in the run folder.
 const MANIFEST: &str = "run.json";
-/// The pipeline, as it lies in the folder.
+/// The pipeline: its name in the run folder.
 const PIPELINE: &str = "pipeline.yaml";
 /// The profiles the crate conforms to: address, name, version.
 const PROFILES: [(&str, &str, &str); 4] = [

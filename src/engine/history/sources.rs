@@ -1,4 +1,4 @@
-//! The files of a pipeline as they lay to each other: what an archive keeps of one that includes others.
+//! Relative layout of a pipeline's files: what an archive keeps of a pipeline that includes others.
 
 use std::path::{Component, Path, PathBuf};
 
@@ -11,7 +11,7 @@ use super::PipelineText;
 ///
 /// # Errors
 ///
-/// Where a manifest names a file that lies nowhere below such a folder.
+/// The folder for files of a manifest that are in none of those folders.
 pub fn source_files(pipeline: &PipelineText) -> Result<Vec<(SafePath, &str)>, NameError> {
     // A part that comes with the program has a name and no place.
     let included = || pipeline.included.iter().filter(|file| file.path.is_absolute());

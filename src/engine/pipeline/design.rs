@@ -51,9 +51,9 @@ pub struct Spread {
     pub name: String,
     /// How it is spread.
     pub scale: Scale,
-    /// The lowest value.
+    /// The lower end of the range.
     pub lo: f64,
-    /// The highest value.
+    /// The upper end of the range.
     pub hi: f64,
 }
 

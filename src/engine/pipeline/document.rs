@@ -10,7 +10,7 @@ use super::log_level::LogLevel;
 use super::node::{Data, Key, Node, Word};
 use super::overrides::Late;
 use super::parameter::{Declared, is_declared};
-use super::part::{Expansion, Flat, KindCheck, PartText, Used};
+use super::part::{Expansion, Flat, KindCheck, PartText, Sections, Used};
 pub use super::reader::Reader;
 pub use super::step::Step;
 use crate::diagnostic::{Diagnostic, nearest};
@@ -20,7 +20,7 @@ use crate::diagnostic::{Diagnostic, nearest};
 pub struct Document {
     /// Its name, used for run folders.
     pub name: String,
-    /// The pipeline seed.
+    /// The seed of the pipeline, from which random streams follow.
     pub seed: u64,
     /// Values that `${name}` refers to.
     pub params: Vec<(Key, Node)>,
@@ -53,9 +53,9 @@ pub struct Document {
 /// Declarations that failed to parse; already reported, so references to them are not reported again.
 #[derive(Debug, Clone, Default)]
 pub struct Unread {
-    /// Names of steps.
+    /// Steps that could not be read.
     pub steps: BTreeSet<String>,
-    /// Names of axes.
+    /// Axes that could not be read.
     pub axes: BTreeSet<String>,
     /// Whether it is open which axes are walked together.
     pub zips: bool,
@@ -65,17 +65,19 @@ pub struct Unread {
 pub const TOP: &[&str] =
     &["rockface", "name", "seed", "include", "parts", "params", "axes", "zip", "steps", "targets", "log"];
 
-/// What is read besides the text of a pipeline: other texts, the parts of the program, and values for what parts make.
-pub type Beside<'t> = (&'t mut Texts, &'static [PartText], Vec<Late>);
+/// What is read besides the text of a pipeline.
+pub struct Beside<'t> {
+    /// Files that it includes or uses.
+    pub texts: &'t mut Texts,
+    /// The parts that come with the program.
+    pub shipped: &'static [PartText],
+    /// Values of the command line for what parts make.
+    pub late: Vec<Late>,
+}
 
 /// Reads a document and collects everything that is wrong with its shape; `None` where that leaves open what names it
 /// declares. Axes and steps are taken out of the tree one by one: it may be large.
-pub fn read(
-    root: &mut Node,
-    file_stem: &str,
-    (texts, shipped, late): Beside,
-    faults: &mut Vec<Diagnostic>,
-) -> Option<Document> {
+pub fn read(root: &mut Node, file_stem: &str, beside: Beside, faults: &mut Vec<Diagnostic>) -> Option<Document> {
     let mut reader = Reader::new(faults);
     reader.check_numbers(root);
     let names_known = tells_names(root);
@@ -91,15 +93,16 @@ pub fn read(
     let top = reader.map(root, "the pipeline", TOP)?;
     reader.format_version(root, top);
     reader.seed = root.get("seed").map_or(0, |n| reader.seed(n));
-    let (params, declared) = reader.params(root);
+    let Params { written: params, declared, unread } = reader.params(root);
     let axes = reader.named(root, "axes");
     let axis_names: Vec<&str> = axes.iter().map(|(key, _)| key.name.as_str()).collect();
-    let (values, value_faults) = super::values::resolve(&params, &axis_names);
+    let (values, value_faults) = super::values::resolve(&params, &axis_names, &unread);
     let steps = reader.named(root, "steps");
     let targets = root.get("targets").map(|n| reader.some_words(n, "a step name"));
-    let mut expansion = Expansion::new(texts, shipped, late, &values);
-    let known = expansion.declare(root.take("parts"), &mut reader);
-    expansion.pipeline((axes, root.take("zip"), steps), &known, &mut reader);
+    let names = params.iter().map(|(key, _)| key.name.as_str());
+    let mut expansion = Expansion::new(beside.texts, beside.shipped, &values).late(beside.late).unknown(names);
+    let known = expansion.library.declare(root.take("parts"), &mut reader);
+    expansion.pipeline(Sections { axes, zip: root.take("zip"), steps }, &known, &mut reader);
     if reader.faults.is_empty() {
         reader.faults.extend(expansion.unused(&known, targets.as_deref()));
     }
@@ -139,7 +142,7 @@ pub fn read(
     names_known.then_some(document)
 }
 
-/// Whether it can be told what names a pipeline declares: it is of this format, and no section of names is unreadable or
+/// Whether the names that a pipeline declares are known: it is of this format, and no section of names is unreadable or
 /// behind an unknown key.
 fn tells_names(root: &Node) -> bool {
     const SECTIONS: [&str; 3] = ["params", "axes", "steps"];
@@ -156,6 +159,17 @@ fn tells_names(root: &Node) -> bool {
 fn is_aside(name: &str, node: &Node) -> bool {
     let near = nearest(name, TOP);
     matches!(node.data, Data::Scalar(_)) && near.is_none_or(|near| matches!(near, "rockface" | "name" | "seed" | "log"))
+}
+
+/// The parameters of a pipeline.
+#[derive(Default)]
+struct Params {
+    /// Each with its value as written.
+    written: Vec<(Key, Node)>,
+    /// The declarations of those that have one.
+    declared: Vec<Declared>,
+    /// Names of those whose declaration or value is wrong, which has been reported.
+    unread: BTreeSet<String>,
 }
 
 impl Reader<'_> {
@@ -194,18 +208,21 @@ impl Reader<'_> {
         entries
     }
 
-    /// The values of the parameters, and the declarations of those that have one.
-    fn params(&mut self, root: &Node) -> (Vec<(Key, Node)>, Vec<Declared>) {
+    /// The parameters of the pipeline.
+    fn params(&mut self, root: &Node) -> Params {
         let entries = root.get("params").and_then(|n| self.any_map(n, "`params`")).unwrap_or_default();
-        let (mut params, mut all) = (Vec::with_capacity(entries.len()), Vec::new());
+        let mut all = Params::default();
         for (key, node) in entries {
             if !is_declared(node) {
-                params.push((key.clone(), node.clone()));
+                all.written.push((key.clone(), node.clone()));
                 continue;
             }
+            let before = self.faults.len();
+            let null = Node::made(node.span, Data::Scalar(Value::Null));
             let Some(declared) = self.declared(key, node) else {
                 // What mentions it is not wrong for that.
-                params.push((key.clone(), Node::made(node.span, Data::Scalar(Value::Null))));
+                all.unread.insert(key.name.clone());
+                all.written.push((key.clone(), null));
                 continue;
             };
             if declared.default.is_none() && node.get("default").is_none() {
@@ -213,11 +230,13 @@ impl Reader<'_> {
                 let fault = Diagnostic::at(key.span, message);
                 self.fault(fault.hint(format!("give one by `--set params.{}=…`, or a `default`", key.name)));
             }
-            let null = || Node::made(node.span, Data::Scalar(Value::Null));
-            params.push((key.clone(), declared.default.clone().unwrap_or_else(null)));
-            all.push(declared);
+            if self.faults.len() > before {
+                all.unread.insert(key.name.clone());
+            }
+            all.written.push((key.clone(), declared.default.clone().unwrap_or(null)));
+            all.declared.push(declared);
         }
-        (params, all)
+        all
     }
 
     fn seed(&mut self, node: &Node) -> u64 {

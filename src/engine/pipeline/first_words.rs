@@ -9,7 +9,7 @@ pub struct Slip {
     pub bytes: Range<usize>,
     /// What is wrong.
     pub message: String,
-    /// The way out.
+    /// What the user can do about it.
     pub hint: String,
 }
 

@@ -10,7 +10,7 @@ use super::document::TOP;
 use super::node::{Data, Key, Node};
 use crate::diagnostic::{Diagnostic, Source, Span};
 
-/// How deep included files may lie in each other.
+/// How deep included files may be nested.
 const INCLUDES_DEEP: usize = 100;
 
 /// The texts of a pipeline, and what others are read from.
@@ -102,7 +102,7 @@ fn included(
     }
     if trail.len() > INCLUDES_DEEP {
         let message = format!("`{written}` is included by way of {} files, one in the other", trail.len());
-        return Err(Diagnostic::at(node.span, message).hint(format!("at most {INCLUDES_DEEP} may lie in each other")));
+        return Err(Diagnostic::at(node.span, message).hint(format!("at most {INCLUDES_DEEP} files may be nested")));
     }
     if seen.contains(&canonical) {
         return Ok(None);

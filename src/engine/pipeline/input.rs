@@ -15,14 +15,14 @@ pub enum Input {
     Plain(Reference),
     /// One output, chosen by the item of an axis.
     By {
-        /// The axis.
+        /// The axis whose item chooses.
         axis: Word,
         /// The output for each item.
         cases: Vec<(Word, Reference)>,
     },
     /// The outputs at all items of some axes.
     Each {
-        /// The output.
+        /// The output that is read.
         reference: Reference,
         /// The axes gathered over, outermost first.
         over: Vec<Word>,

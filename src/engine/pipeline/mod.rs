@@ -168,7 +168,12 @@ impl Pipeline {
                     }
                 }
                 whole = faults.is_empty();
-                document = document::read(&mut root, stem, (&mut texts, overrides.parts, late), &mut faults);
+                document = document::read(
+                    &mut root,
+                    stem,
+                    document::Beside { texts: &mut texts, shipped: overrides.parts, late },
+                    &mut faults,
+                );
             }
             Err(fault) => faults.push(fault),
         }

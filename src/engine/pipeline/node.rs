@@ -13,9 +13,9 @@ use crate::diagnostic::{Diagnostic, Span};
 /// A value with its place.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Node {
-    /// Where it stands.
+    /// Its place in the text.
     pub span: Span,
-    /// What it is.
+    /// The scalar, list or map.
     pub data: Data,
     /// A number as it is written; empty for anything else. One that is not finite has no value besides.
     pub written: String,
@@ -35,16 +35,16 @@ pub enum Data {
 /// A word with its place.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Word {
-    /// Where it stands.
+    /// Its place in the text.
     pub span: Span,
-    /// The word.
+    /// The word itself.
     pub text: String,
 }
 
 /// A key with its place.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Key {
-    /// Where it stands.
+    /// Its place in the text.
     pub span: Span,
     /// Its text.
     pub name: String,

@@ -4,7 +4,7 @@ use super::node::{Data, Key, Node};
 use super::parameter::is_declared;
 use crate::diagnostic::{Diagnostic, Source, Span};
 
-/// The most keys of a path: nothing in a pipeline lies deeper.
+/// The most keys of a path: nothing in a pipeline is nested deeper.
 const KEYS_LIMIT: usize = 64;
 
 /// A value for a step or an axis that a part makes: it is put there once the part has been written out.
@@ -12,7 +12,7 @@ const KEYS_LIMIT: usize = 64;
 pub struct Late {
     /// The path of keys that was given.
     pub keys: Vec<String>,
-    /// The value.
+    /// The value to put there.
     pub value: Node,
     /// Where the path stands.
     pub span: Span,
@@ -80,7 +80,7 @@ pub fn place(root: &mut Node, keys: &[&str], value: Node, span: Span) -> Result<
     put(root, keys, value, span).map(|()| None)
 }
 
-/// A path that is longer than anything lies deep would only build a tree too deep to be walked.
+/// A path with more keys than any value has would only build a tree that is too deep for recursion.
 pub fn check_depth(keys: &[&str], span: Span) -> Result<(), Diagnostic> {
     if keys.len() <= KEYS_LIMIT {
         return Ok(());
@@ -88,7 +88,7 @@ pub fn check_depth(keys: &[&str], span: Span) -> Result<(), Diagnostic> {
     Err(Diagnostic::at(span, format!("this path has {} keys, and a path has at most {KEYS_LIMIT}", keys.len())))
 }
 
-/// A path into a parameter, step or axis that is not there is a slip of the pen: nothing would ever read it.
+/// A path into a parameter, step or axis that does not exist is a mistake: nothing would ever read it.
 pub fn check_exists(root: &Node, keys: &[&str], span: Span) -> Result<(), Diagnostic> {
     let [section, name, rest @ ..] = keys else { return Ok(()) };
     let what = match (*section, rest.is_empty()) {
@@ -130,7 +130,7 @@ pub fn put(node: &mut Node, keys: &[&str], value: Node, span: Span) -> Result<()
         node.data = Data::Map(Vec::new());
     }
     let Data::Map(entries) = &mut node.data else {
-        return Err(Diagnostic::at(span, format!("`{first}` lies below {}, which has no keys", node.describe())));
+        return Err(Diagnostic::at(span, format!("`{first}` is below {}, which has no keys", node.describe())));
     };
     let position = entries.iter().position(|(key, _)| key.name == *first).unwrap_or_else(|| {
         let empty = Node::made(span, Data::Map(Vec::new()));

@@ -11,7 +11,7 @@ use crate::diagnostic::Diagnostic;
 pub struct Reader<'f> {
     /// What is wrong so far.
     pub(super) faults: &'f mut Vec<Diagnostic>,
-    /// The pipeline seed.
+    /// The seed of the pipeline, from which random streams follow.
     pub seed: u64,
     /// Whether there is a number that cannot be taken.
     pub(super) bad_numbers: bool,
@@ -82,7 +82,7 @@ impl Reader<'_> {
     /// Adds the fault of a value that is of another kind than it should be.
     pub fn expected(&mut self, node: &Node, what: &str) {
         if node.bad_number().is_some() {
-            return; // Told of already.
+            return; // Already reported.
         }
         self.fault(Diagnostic::at(node.span, format!("expected {what}, found {}", node.describe())));
     }

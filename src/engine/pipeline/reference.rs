@@ -9,11 +9,11 @@ use crate::diagnostic::Span;
 /// Names one output of a step, perhaps at one item of some axes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reference {
-    /// Where it stands.
+    /// Its place in the text.
     pub span: Span,
-    /// The step.
+    /// The name of the step.
     pub step: String,
-    /// Its output port.
+    /// The output port that is read.
     pub port: String,
     /// The items picked, by axis.
     pub picks: Vec<(Word, String)>,
@@ -23,9 +23,9 @@ pub struct Reference {
 /// `step[axis=item,…].port` and `step.port[axis=item,…]`, the axes in any order.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Label<'t> {
-    /// The step.
+    /// The name of the step.
     pub step: &'t str,
-    /// Its output port.
+    /// The output port that is read.
     pub port: Option<&'t str>,
     /// The items picked, by axis.
     pub picks: Vec<(&'t str, &'t str)>,

@@ -38,7 +38,7 @@ pub fn column(dimension: usize, count: usize, shift: u32) -> Result<Vec<f64>, St
             // Points in the order of the Gray code differ in one direction from the one before.
             state ^= directions[(index - 1).trailing_ones() as usize];
         }
-        // The middle of the cell, so that no point lies on a border.
+        // The middle of the cell, so that no point is on a border.
         (f64::from(state ^ shift) + 0.5) / (1_u64 << BITS) as f64
     };
     Ok((0..count).map(point).collect())

@@ -32,7 +32,7 @@ pub struct Step {
     pub keep: bool,
     /// Narrows or shares its random stream.
     pub stream: Option<Stream>,
-    /// How long one go may take.
+    /// How long one attempt may take.
     pub timeout: Option<Duration>,
     /// How often it is tried again after a failure.
     pub retries: u32,
@@ -40,7 +40,7 @@ pub struct Step {
     pub log: Option<LogLevel>,
     /// Its heading in reports.
     pub title: Option<String>,
-    /// What is said of it there.
+    /// The sentence below its heading.
     pub doc: Option<String>,
     /// What could not be read of it.
     pub gaps: Gaps,

@@ -5,6 +5,8 @@ use serde_json::Value;
 use super::design::tidy;
 use super::node::{Data, Key, Node};
 use super::overrides::{Late, check_depth, check_exists, place, put};
+use super::parameter::is_declared;
+use super::reader::Reader;
 use crate::diagnostic::{Diagnostic, Source, Span};
 
 /// The most values of a range.
@@ -23,7 +25,7 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<O
     };
     let path_span = here(0, path.len());
     let values_span = here(path.len() + 1, text.len());
-    check_once((path, values), &sources[..source], path_span)?;
+    check_once(path, values, &sources[..source], path_span)?;
     let values = listed(values, values_span).map_err(|message| Diagnostic::at(values_span, message).hint(hint))?;
     let keys: Vec<&str> = path.split('.').map(str::trim).collect();
     check_depth(&keys, path_span)?;
@@ -34,6 +36,7 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<O
     let name = match keys[..] {
         [name] | ["axes", name] => name,
         ["params", name] => {
+            check_declared(root, name, &values)?;
             remove(root, "params", name);
             name
         }
@@ -70,7 +73,7 @@ pub fn is_same_axis(one: &str, other: &str) -> bool {
 }
 
 /// A second sweep of an axis would silently take the place of the first; two values may follow one axis.
-fn check_once((path, values): (&str, &str), earlier: &[Source], span: Span) -> Result<(), Diagnostic> {
+fn check_once(path: &str, values: &str, earlier: &[Source], span: Span) -> Result<(), Diagnostic> {
     let (path, values) = (path.trim(), values.trim());
     let name = axis_of(path);
     let former = earlier.iter().filter(|source| source.name == "--sweep").filter_map(|source| parts(&source.text));
@@ -87,6 +90,19 @@ fn check_once((path, values): (&str, &str), earlier: &[Source], span: Span) -> R
     } else {
         fault.hint(format!("give all its values at once: --sweep {path}={first},{values}"))
     })
+}
+
+/// What is swept of a typed parameter is held against its type, range and choices.
+fn check_declared(root: &Node, name: &str, values: &[Node]) -> Result<(), Diagnostic> {
+    let entries = root.get("params").and_then(Node::entries).unwrap_or_default();
+    let Some((key, node)) = entries.iter().find(|(key, node)| key.name == name && is_declared(node)) else {
+        return Ok(());
+    };
+    let mut faults = Vec::new();
+    if let Some(declared) = Reader::new(&mut faults).declared(key, node) {
+        faults.extend(values.iter().filter_map(|value| declared.fault(value)));
+    }
+    faults.into_iter().next().map_or(Ok(()), Err)
 }
 
 fn remove(root: &mut Node, section: &str, name: &str) {

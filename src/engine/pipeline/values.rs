@@ -11,12 +11,21 @@ use crate::diagnostic::{Diagnostic, SHOWN, Span, listed};
 /// The most bytes that all parameters together may take once they are filled in.
 const PARAMETERS_BYTES: usize = 64 << 20;
 
-/// A parameter and the names it needs.
-type Open<'n> = (&'n Key, &'n Node, BTreeSet<String>);
+/// A parameter that has no value yet.
+struct Open<'n> {
+    key: &'n Key,
+    node: &'n Node,
+    /// The names it needs.
+    needs: BTreeSet<String>,
+}
 
-/// Puts the values of parameters into each other until no `${name}` is left; says what stands in the way. Parameters that
-/// cannot be told, and those that need them, are left out.
-pub fn resolve(params: &[(Key, Node)], axes: &[&str]) -> (BTreeMap<String, Value>, Vec<Diagnostic>) {
+/// Fills the values of parameters into each other until no `${name}` is left, and reports what prevents that. Parameters that
+/// cannot be filled in, and those that need them, are left out; `unread` ones have been reported already.
+pub fn resolve(
+    params: &[(Key, Node)],
+    axes: &[&str],
+    unread: &BTreeSet<String>,
+) -> (BTreeMap<String, Value>, Vec<Diagnostic>) {
     // Whether a parameter has got its value.
     let mut known: BTreeMap<String, bool> = BTreeMap::new();
     let mut values: BTreeMap<String, Value> = BTreeMap::new();
@@ -27,17 +36,18 @@ pub fn resolve(params: &[(Key, Node)], axes: &[&str]) -> (BTreeMap<String, Value
         let mut needs = Vec::new();
         mentioned(node, &mut needs);
         let few = faults.len() < SHOWN;
-        let strange = |(name, span): &(String, Span)| stranger(name, *span, (&names, axes), few);
+        let strange = |(name, span): &(String, Span)| stranger(name, *span, &names, axes, few);
         let strangers: Vec<_> = needs.iter().filter_map(strange).collect();
-        if strangers.is_empty() && !node.holds_bad_number() {
-            open.push((key, node, needs.into_iter().map(|(name, _)| parted(&name).0.to_owned()).collect()));
+        if strangers.is_empty() && !node.holds_bad_number() && !unread.contains(&key.name) {
+            let needs = needs.into_iter().map(|(name, _)| parted(&name).0.to_owned()).collect();
+            open.push(Open { key, node, needs });
         } else {
             known.insert(key.name.clone(), false);
         }
         faults.extend(strangers);
     }
     let mut room = PARAMETERS_BYTES;
-    for (key, node, needs) in ordered(open, &known, &mut faults) {
+    for Open { key, node, needs } in ordered(open, &known, &mut faults) {
         let able = needs.iter().all(|name| known.get(name) == Some(&true));
         let value = able.then(|| filled(node, &|name| value_of(&values, name)));
         let value = value.transpose().and_then(|value| within(value, &mut room, node)).unwrap_or_else(|fault| {
@@ -64,8 +74,8 @@ fn within(value: Option<Value>, room: &mut usize, node: &Node) -> Result<Option<
 fn ordered<'n>(open: Vec<Open<'n>>, known: &BTreeMap<String, bool>, faults: &mut Vec<Diagnostic>) -> Vec<Open<'n>> {
     let mut needed_by: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
     let mut unmet = vec![0_usize; open.len()];
-    for (number, (_, _, needs)) in open.iter().enumerate() {
-        for name in needs.iter().filter(|name| !known.contains_key(*name)) {
+    for (number, one) in open.iter().enumerate() {
+        for name in one.needs.iter().filter(|name| !known.contains_key(*name)) {
             needed_by.entry(name).or_default().push(number);
             unmet[number] += 1;
         }
@@ -73,7 +83,7 @@ fn ordered<'n>(open: Vec<Open<'n>>, known: &BTreeMap<String, bool>, faults: &mut
     let mut order: Vec<usize> = (0..open.len()).filter(|number| unmet[*number] == 0).collect();
     let mut done = 0;
     while let Some(number) = order.get(done) {
-        for later in needed_by.get(open[*number].0.name.as_str()).into_iter().flatten() {
+        for later in needed_by.get(open[*number].key.name.as_str()).into_iter().flatten() {
             unmet[*later] -= 1;
             if unmet[*later] == 0 {
                 order.push(*later);
@@ -91,7 +101,7 @@ fn ordered<'n>(open: Vec<Open<'n>>, known: &BTreeMap<String, bool>, faults: &mut
 }
 
 /// The fault of a name that is no parameter, with a suggestion while the faults are few.
-fn stranger(name: &str, span: Span, (params, axes): (&BTreeSet<&str>, &[&str]), few: bool) -> Option<Diagnostic> {
+fn stranger(name: &str, span: Span, params: &BTreeSet<&str>, axes: &[&str], few: bool) -> Option<Diagnostic> {
     let base = parted(name).0;
     if params.contains(base) {
         None
@@ -106,8 +116,8 @@ fn stranger(name: &str, span: Span, (params, axes): (&BTreeSet<&str>, &[&str]), 
 }
 
 fn circle(open: &[&Open]) -> Option<Diagnostic> {
-    let names = open.iter().map(|(key, _, _)| key.name.as_str());
+    let names = open.iter().map(|one| one.key.name.as_str());
     let message = format!("these parameters wait for each other in a circle: {}", listed(names));
-    let first = open.first().map(|(_, node, _)| Diagnostic::at(node.span, message));
+    let first = open.first().map(|one| Diagnostic::at(one.node.span, message));
     first.map(|fault| fault.hint("give one of them a value of its own"))
 }

@@ -7,15 +7,15 @@ use crate::pipeline::{Document, Input, Reference, Step, mentioned, parted};
 
 /// Names of a pipeline by their position in the document.
 pub struct Names<'d> {
-    /// The document.
+    /// The pipeline as read.
     pub document: &'d Document,
-    /// Steps.
+    /// Numbers of steps by name.
     pub steps: BTreeMap<&'d str, usize>,
-    /// Axes.
+    /// Numbers of axes by name.
     pub axes: BTreeMap<&'d str, usize>,
     /// By axis: the first of those it is walked together with; itself where it is alone.
     pub zips: Vec<usize>,
-    /// Parameters.
+    /// Names of parameters.
     params: BTreeSet<&'d str>,
     /// By axis: the numbers of its items, once one is asked for.
     items: Vec<OnceCell<HashMap<&'d str, usize>>>,

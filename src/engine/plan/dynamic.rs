@@ -1,4 +1,4 @@
-//! Axes whose items are made by a step: taken from records when a plan is made, or from what came out while it runs.
+//! Axes whose items are made by a step: read from records at planning time, or from the output of the step during the run.
 
 use std::collections::BTreeSet;
 
@@ -112,7 +112,7 @@ impl Plan {
         }
     }
 
-    /// Forgets the items of an axis that came to nothing.
+    /// Removes the items of an axis whose step failed.
     pub fn unset_items(&mut self, axis: usize) {
         self.replace_items(axis, Items { names: Vec::new(), values: Vec::new() }, false);
     }

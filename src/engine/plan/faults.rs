@@ -14,7 +14,7 @@ type Said = (Option<Span>, String);
 #[derive(Default)]
 pub struct Faults {
     list: Vec<Told>,
-    /// Their numbers.
+    /// The number of each fault by place and message.
     known: HashMap<Said, usize>,
     /// Of what is said alike at one place: the number of the first, and how many there are.
     alike: HashMap<Said, (usize, usize)>,
@@ -25,7 +25,7 @@ struct Told {
     fault: Diagnostic,
     /// Instances that have this very fault.
     instances: usize,
-    /// Further instances that have one like it, which is not told.
+    /// Further instances with a similar fault, which is not reported.
     alike: usize,
 }
 
@@ -84,7 +84,7 @@ impl Faults {
 /// A fault by its number, or the first of those that are like it.
 #[derive(Clone, Copy)]
 pub enum Counted {
-    /// It is reported.
+    /// It is reported under this number.
     Told(usize),
     /// Another fault is reported in its place.
     Alike(usize),

@@ -16,7 +16,7 @@ use crate::pipeline::{Axis, INSIDE, LogLevel, Node, Used, Word};
 pub struct Graph {
     /// Name of the pipeline.
     pub name: String,
-    /// Pipeline seed.
+    /// The seed of the pipeline, from which random streams follow.
     pub seed: u64,
     /// The folder of the pipeline file.
     pub folder: PathBuf,
@@ -59,7 +59,7 @@ impl Graph {
 /// Where the items of an axis come from.
 #[derive(Debug, Clone)]
 pub struct Dynamic {
-    /// The output.
+    /// The output that is read.
     pub source: Source,
     /// Whether the items are known.
     pub known: bool,
@@ -71,7 +71,7 @@ pub struct GraphStep {
     pub name: String,
     /// Where its name stands.
     pub span: Span,
-    /// Its stage.
+    /// The stage it uses.
     pub stage: &'static dyn AnyStage,
     /// Its ports.
     pub ports: Ports,
@@ -91,7 +91,7 @@ pub struct GraphStep {
     pub stream: String,
     /// The reseeding axes whose items are part of the seed material, ascending.
     pub stream_axes: Vec<usize>,
-    /// How long one go may take.
+    /// How long one attempt may take.
     pub timeout: Option<Duration>,
     /// How often it is tried again after a failure.
     pub retries: u32,
@@ -99,7 +99,7 @@ pub struct GraphStep {
     pub log: Option<LogLevel>,
     /// Its heading in reports.
     pub title: Option<String>,
-    /// What is said of it there.
+    /// The sentence below its heading.
     pub doc: Option<String>,
 }
 
@@ -129,14 +129,14 @@ pub enum Feed {
     },
     /// The outputs at all items of some axes.
     Each {
-        /// The output.
+        /// The output that is read.
         source: Source,
         /// Indices of the axes gathered over, outermost first.
         over: Vec<usize>,
     },
     /// The output at the item before.
     Chain {
-        /// The output.
+        /// The output that is read.
         source: Source,
         /// Index of the axis it goes back on.
         axis: usize,
@@ -150,7 +150,7 @@ pub enum Feed {
 pub struct Source {
     /// Index of the step.
     pub step: usize,
-    /// Its output port.
+    /// The output port that is read.
     pub port: &'static Port,
     /// Picked items: (axis, item).
     pub picks: Vec<(usize, usize)>,
@@ -163,7 +163,7 @@ pub struct Source {
 pub struct Later {
     /// Index of the axis.
     pub axis: usize,
-    /// The item.
+    /// The item and its place in the text.
     pub item: Word,
     /// Axes walked with it that the output depends on too.
     pub mates: Vec<usize>,
@@ -236,7 +236,7 @@ impl Graph {
         wanted
     }
 
-    /// The steps whose instances cannot be told before some list of items is known, each with the axis it waits for.
+    /// The steps whose instances are deferred until a list of items is known, each with the axis it waits for.
     pub fn deferred(&self) -> Vec<Option<usize>> {
         let mut deferred: Vec<Option<usize>> = vec![None; self.steps.len()];
         if !(0..self.axes.len()).any(|axis| self.is_pending(axis)) {

@@ -1,4 +1,4 @@
-//! What feeds each input port: references found, kinds checked, picks and gathered axes told from free ones.
+//! What feeds each input port: finds references, checks kinds, and separates picked and gathered axes from free ones.
 
 use std::collections::BTreeMap;
 

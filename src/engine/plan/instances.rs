@@ -33,7 +33,7 @@ pub struct Instance {
     pub step: usize,
     /// The item of each axis of the step.
     pub items: Vec<usize>,
-    /// Its parameters.
+    /// Its parameters, filled in and checked.
     pub params: Arc<StepParams>,
     /// Where each given port is fed from, in the stage's order of ports.
     pub inputs: Vec<(&'static str, Vec<Given>)>,
@@ -43,9 +43,9 @@ pub struct Instance {
 
 /// One element of an input.
 pub struct Given {
-    /// The producer.
+    /// The number of the instance that makes it.
     pub instance: usize,
-    /// Its output port.
+    /// The output port that is read.
     pub port: &'static str,
     /// Items of the gathered axes.
     pub point: Point,
@@ -60,7 +60,7 @@ impl Plan {
         Ok(plan)
     }
 
-    /// Adds the instances that could not be told before. Those there are keep their numbers, and producers come before
+    /// Adds the instances that were deferred. Those there are keep their numbers, and producers come before
     /// consumers; returns the number of the first new one.
     pub fn grow(&mut self, hash: &HashFile) -> Result<usize, Vec<Diagnostic>> {
         let faults = too_many(&self.graph);

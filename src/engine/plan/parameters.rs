@@ -13,7 +13,7 @@ use super::dynamic::NAME_COLUMN;
 use super::graph::{Graph, GraphStep};
 use super::sight::{Sight, one_file};
 use crate::diagnostic::{Diagnostic, Span, nearest};
-use crate::pipeline::{Node, filled, mentioned, parted, value_of};
+use crate::pipeline::{INSIDE, Node, filled, mentioned, parted, value_of};
 
 /// Parameters that are ready for the recipe and for the stage.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,7 +41,7 @@ impl StepParams {
 pub struct InputFile {
     /// Its name without the folder.
     pub name: String,
-    /// Where it is.
+    /// The path of the file.
     pub path: PathBuf,
     /// Its digest when the plan was made.
     pub digest: Digest,
@@ -138,9 +138,9 @@ fn check_filled(step: &GraphStep, with: &Value) -> Result<StepParams, Vec<Diagno
 
 /// Where the parameters of a step stand.
 pub struct Place<'a> {
-    /// The step.
+    /// The name of the step.
     pub step: &'a str,
-    /// Its stage.
+    /// The stage it uses.
     pub stage: &'a dyn AnyStage,
     /// Its parameters as written.
     pub with: Option<&'a Node>,
@@ -156,7 +156,10 @@ pub fn told(place: &Place, with: &Value, fault: &Fault) -> Diagnostic {
     let message = format!("step `{}` ({}): {about}{}", place.step, place.stage.name(), fault.message);
     let written = fault.path.last().map_or_else(String::new, Clone::clone);
     let given = if fault.at_key { written } else { value_at(with, &fault.path) };
-    Diagnostic::at(at, message).suggest(&given, fault.known.iter().map(String::as_str))
+    let fault = Diagnostic::at(at, message).suggest(&given, fault.known.iter().map(String::as_str));
+    // What a use gives stands beside the use; the step that it does not fit stands in the part.
+    let is_given = place.step.contains(INSIDE) && at.source != place.span.source;
+    if is_given { fault.also(place.span, format!("step `{}` stands here", place.step)) } else { fault }
 }
 
 /// Finds and hashes every file the parameters name, and puts the digests into the recipe's parameters; `fields` are those of

@@ -83,11 +83,11 @@ pub fn points(graph: &Graph, axes: &[usize]) -> Vec<Vec<usize>> {
 
 /// One element of an input before instances have numbers.
 pub struct Element {
-    /// The producer.
+    /// The number of the step that makes it.
     pub step: usize,
     /// Its items.
     pub items: Vec<usize>,
-    /// Its output port.
+    /// The output port that is read.
     pub port: &'static str,
     /// Items of the gathered axes.
     pub point: Point,

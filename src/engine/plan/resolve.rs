@@ -411,7 +411,7 @@ impl<'d> Resolver<'d> {
         let own = &axis.name.text;
         let choices = || axis.fields.iter().map(|field| format!("${{{own}.{field}}}")).collect::<Vec<_>>().join(", ");
         match field {
-            _ if axis.from.is_some() => None, // Told when the items are known.
+            _ if axis.from.is_some() => None, // Reported once the items are known.
             Some(_) if axis.fields.is_empty() => {
                 Some((format!("an item of axis `{own}` is a single value"), format!("write ${{{own}}}")))
             }

@@ -87,9 +87,10 @@ impl<'d> Resolver<'d> {
                 |word| Diagnostic::at(word.span, message.clone()),
             );
             let step = Label::parse(name).map(|label| label.step).filter(|step| self.names.steps.contains_key(step));
+            let uses = self.document().uses.iter().map(|used| used.name.as_str());
             self.faults.push(match step {
                 Some(step) => fault.hint(format!("a target is a whole step: write `{step}`")),
-                None => self.suggest(fault, name, || self.step_names()),
+                None => self.suggest(fault, name, || self.step_names().into_iter().chain(uses)),
             });
         }
     }

@@ -96,7 +96,7 @@ impl RunError {
 pub struct Summary {
     /// By instance, in the order of the plan.
     pub instances: Vec<InstanceResult>,
-    /// Elapsed seconds.
+    /// Wall time in seconds.
     pub wall_s: f64,
     /// Whether a step failed.
     pub failed: bool,
@@ -113,7 +113,7 @@ pub struct InstanceResult {
     recipe: Option<Recipe>,
     /// Whether its stage ran in this run.
     pub executed: bool,
-    /// What came out; `None` if it failed or was not reached.
+    /// Its outcome; `None` if it failed or was not reached.
     pub outcome: Option<Outcome>,
     /// Why its stage failed, if it did.
     pub failure: Option<StepFailure>,
@@ -126,7 +126,7 @@ pub struct StepFailure {
     pub message: String,
     /// The log up to the failure, a blob, as [`Outcome::log`] is.
     pub log: Option<Digest>,
-    /// Outputs that explain it, blobs too; they lie in the run folder and no other step can use them.
+    /// Outputs that explain it, blobs too; they are in the run folder and no other step can use them.
     pub outputs: Outputs,
 }
 

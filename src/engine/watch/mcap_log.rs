@@ -44,7 +44,7 @@ pub struct Facts<'a> {
     pub version: u32,
     /// The key of its recipe.
     pub key: Option<Digest>,
-    /// What came out, by port.
+    /// Its outputs, by port.
     pub outputs: &'a Outputs,
 }
 

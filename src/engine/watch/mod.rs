@@ -32,56 +32,56 @@ pub enum Event {
     },
     /// An instance is known already.
     Cached {
-        /// The instance.
+        /// The step instance, as `step[axis=item]`.
         step: String,
     },
     /// An instance starts.
     Started {
-        /// The instance.
+        /// The step instance, as `step[axis=item]`.
         step: String,
         /// Why it runs.
         reason: Reason,
     },
     /// An instance is done.
     Finished {
-        /// The instance.
+        /// The step instance, as `step[axis=item]`.
         step: String,
-        /// Elapsed seconds.
+        /// Wall time in seconds.
         wall_s: f64,
     },
     /// An instance could start and waits until there is memory for it.
     Held {
-        /// The instance.
+        /// The step instance, as `step[axis=item]`.
         step: String,
         /// What it is expected to need, bytes.
         need_bytes: u64,
     },
     /// Another process has the instance, or has had it: it is not run here for now.
     Elsewhere {
-        /// The instance.
+        /// The step instance, as `step[axis=item]`.
         step: String,
     },
     /// Another process computes the same; this one waits for it.
     Waiting {
-        /// The instance.
+        /// The step instance, as `step[axis=item]`.
         step: String,
     },
     /// Something may be wrong.
     Warning {
-        /// The instance.
+        /// The step instance, as `step[axis=item]`.
         step: String,
-        /// The sentence.
+        /// What is wrong, one sentence.
         text: String,
     },
     /// An instance failed.
     Failed {
-        /// The instance.
+        /// The step instance, as `step[axis=item]`.
         step: String,
-        /// Its stage.
+        /// The stage it uses.
         stage: String,
-        /// The cause.
+        /// What went wrong.
         message: String,
-        /// The way out.
+        /// What the user can do about it.
         hint: Option<String>,
     },
 }
@@ -101,7 +101,7 @@ pub enum Reason {
 pub struct Progress {
     /// Instances that are done, cached ones included.
     pub done: usize,
-    /// All instances.
+    /// All step instances that are known.
     pub total: usize,
     /// Estimated seconds to the end, once something has been timed.
     pub remaining_s: Option<f64>,

@@ -14,7 +14,7 @@ use super::{Event, Observer, Progress};
 
 /// How often a report is written while something happens.
 const EVERY: Duration = Duration::from_millis(500);
-/// Failures that are told of.
+/// The number of failures that are reported.
 const FAILURES_TOLD: usize = 20;
 
 /// What a process is there for.
@@ -23,7 +23,7 @@ const FAILURES_TOLD: usize = 20;
 pub enum Role {
     /// It writes a run folder at the end.
     Run,
-    /// It helps.
+    /// It takes steps of a run that another process has begun.
     Work,
 }
 
@@ -106,7 +106,7 @@ impl Shared {
 }
 
 impl Reported {
-    /// Reports what `inner` is told of.
+    /// Reports every event that `inner` gets.
     pub fn new(inner: Box<dyn Observer>, store: &Arc<Store>, role: Role, pipeline: &Path, name: &str) -> Self {
         let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default().trim().to_owned();

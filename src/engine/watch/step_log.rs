@@ -1,7 +1,7 @@
 //! The log of a step: what it said and measured, and sketches of its outputs; both are blobs that its record names.
 //!
-//! `Outcome::log` is the list of [`Entry`] as JSON, `Outcome::sketches` the list of [`Shown`]. Whoever tells of a run
-//! (its MCAP log, a report) reads these and opens no artefact; so the log of a cached run is that of the first.
+//! `Outcome::log` is the list of [`Entry`] as JSON, `Outcome::sketches` the list of [`Shown`]. The MCAP log and the report of a run
+//! read these and open no artefact; so the log of a cached run is that of the first.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -1,11 +1,12 @@
-//! What a part declares and does not use: each is a slip of the pen.
+//! What a part declares and does not use: most likely a mistake, so it is reported.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::super::node::Node;
+use super::super::node::{Node, Word};
 use super::super::reference::Label;
 use super::super::substitute::{mentioned, parted};
-use super::{IN, Part, own_names, texts};
+use super::expand::Expansion;
+use super::{IN, INSIDE, Known, Part, Used, own_names, texts};
 use crate::diagnostic::Diagnostic;
 
 impl Part {
@@ -75,8 +76,40 @@ impl Part {
     }
 }
 
+impl Expansion<'_> {
+    /// Parts that nothing uses, and outputs that nothing reads and no target makes, of those declared in the pipeline.
+    pub fn unused(&self, known: &Known, targets: Option<&[Word]>) -> Vec<Diagnostic> {
+        let mut faults = Vec::new();
+        for (name, part) in known.iter().filter_map(|(name, number)| Some((name, self.library.part(*number)?))) {
+            let uses: Vec<&Used> = self.flat.uses.iter().filter(|used| used.part == part.name).collect();
+            if uses.is_empty() {
+                let span = part.place;
+                let fault = Diagnostic::at(span, format!("nothing uses part `{name}`"));
+                faults.push(fault.hint(format!("write `use: {name}` on a step, or remove it")));
+                continue;
+            }
+            let read = self.read.get(&known[name]);
+            for (output, to) in &part.outputs {
+                let is_read = read.is_some_and(|read| read.contains(&output.text));
+                let inner = || part.steps.iter().filter_map(|(_, node)| node.get("in"));
+                let is_end = || !inner().any(|node| reads(node, &to.step));
+                let is_target = |used: &&&Used| {
+                    let full = format!("{}{INSIDE}{}", used.name, to.step);
+                    targets.is_some_and(|words| words.iter().any(|word| word.text == used.name || word.text == full))
+                };
+                if !is_read && !uses.iter().any(|used| is_target(&used)) && (targets.is_some() || !is_end()) {
+                    let message = format!("nothing reads the output `{}` of part `{name}`", output.text);
+                    let hint = "read it, name the use under `targets`, or remove it";
+                    faults.push(Diagnostic::at(output.span, message).hint(hint));
+                }
+            }
+        }
+        faults
+    }
+}
+
 /// Whether what a step is fed with names another.
-pub fn reads(node: &Node, step: &str) -> bool {
+fn reads(node: &Node, step: &str) -> bool {
     let mut found = false;
     labels(node, |label| found |= label.step == step);
     found

@@ -1,11 +1,14 @@
 //! Inputs of a part's steps, in the names of the pipeline: what a use feeds takes the place of `in.name`.
 
+use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::super::document::Reader;
 use super::super::input::Input;
 use super::super::node::Word;
 use super::super::reference::Reference;
+use super::library::Uses;
+use super::substitution::inside;
 use super::{IN, INSIDE};
 use crate::diagnostic::Diagnostic;
 
@@ -35,6 +38,28 @@ pub enum Output {
     Of(Reference),
     /// The part has no such output: its name, and those it has.
     Missing(String, Vec<String>),
+}
+
+/// Outputs that somebody has asked for: the number of the part, and their names.
+#[derive(Default)]
+pub struct Asked(RefCell<Vec<(usize, String)>>);
+
+impl Asked {
+    /// What stands behind `step.port` where these uses are known; notes that it was asked for.
+    pub fn output(&self, uses: &Uses, prefix: &str, step: &str, port: &str) -> Output {
+        let Some(used) = uses.get(step) else { return Output::Step };
+        let Some(part) = used else { return Output::Unread };
+        let Some(to) = part.outs.get(port) else {
+            return Output::Missing(part.name.clone(), part.outs.keys().cloned().collect());
+        };
+        self.0.borrow_mut().push((part.number, port.to_owned()));
+        Output::Of(outside(&format!("{prefix}{step}{INSIDE}"), to))
+    }
+
+    /// All that were asked for.
+    pub fn into_inner(self) -> Vec<(usize, String)> {
+        self.0.into_inner()
+    }
 }
 
 impl Scope<'_> {
@@ -136,7 +161,7 @@ impl Scope<'_> {
             reference.picks.into_iter().map(|(axis, item)| (self.axis(axis, reader), item)).collect();
         let Reference { span, step, port, .. } = reference;
         match (self.output)(&step, &port) {
-            // Nothing is said of what reads from a step that could not be read.
+            // The step could not be read, which has been reported; its readers are not reported.
             Output::Step | Output::Unread => Reference { span, step: format!("{}{step}", self.prefix), port, picks },
             Output::Of(to) => {
                 let inner = to.picks.into_iter().map(|(axis, item)| (Word { span, ..axis }, item));
@@ -179,4 +204,15 @@ impl Scope<'_> {
         }
         over
     }
+}
+
+/// An axis of something inside, as it is called outside.
+fn under(prefix: &str, axis: &Word) -> Word {
+    Word { span: axis.span, text: inside(prefix, &axis.text) }
+}
+
+/// What an output is, as it is called outside.
+pub fn outside(prefix: &str, to: &Reference) -> Reference {
+    let picks = to.picks.iter().map(|(axis, item)| (under(prefix, axis), item.clone())).collect();
+    Reference { span: to.span, step: inside(prefix, &to.step), port: to.port.clone(), picks }
 }

@@ -114,9 +114,11 @@ impl Reader<'_> {
             self.fault(fault.hint("name what others may read of it: `out: {dem: dem.raster}`"));
         }
         let mut outputs = Vec::with_capacity(entries.len());
+        // A step that is called so is a fault of its own.
+        let is_step = node.get("steps").is_some_and(|steps| steps.get(IN).is_some());
         for (key, node) in entries {
             let reference = self.reference(node);
-            if let Some(of_input) = reference.as_ref().filter(|reference| reference.step == IN) {
+            if let Some(of_input) = reference.as_ref().filter(|reference| reference.step == IN && !is_step) {
                 let message = format!("output `{}` only hands on the input `{}`", key.name, of_input.port);
                 self.fault(Diagnostic::at(node.span, message).hint("an output is what a step of the part makes"));
             }

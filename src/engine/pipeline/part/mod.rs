@@ -8,6 +8,9 @@ mod check;
 mod compose;
 mod declare;
 mod expand;
+mod given;
+mod late;
+mod library;
 mod substitution;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -26,7 +29,7 @@ use super::reference::Reference;
 use crate::diagnostic::{Diagnostic, Span};
 
 pub use declare::KEYS as PART_KEYS;
-pub use expand::{Expansion, Flat};
+pub use expand::{Expansion, Flat, Sections};
 
 /// What the inputs of a part are called inside it: `in.name`.
 pub const IN: &str = "in";
@@ -62,7 +65,7 @@ pub struct Part {
 pub struct Interface {
     /// What it is about.
     pub doc: String,
-    /// Its parameters.
+    /// Its parameters, filled in and checked.
     pub params: Vec<Declared>,
     /// Its inputs.
     pub inputs: Vec<PartInput>,
@@ -97,6 +100,8 @@ pub struct Use {
     pub with: Vec<(Key, Node)>,
     /// What its inputs are fed with.
     pub inputs: Vec<(Word, Input)>,
+    /// Inputs that could not be read, which has been reported.
+    pub unread_inputs: BTreeSet<String>,
     /// Axes that all its steps depend on.
     pub over: Vec<Word>,
 }
@@ -106,7 +111,7 @@ pub struct Use {
 pub struct Used {
     /// The name of the step that uses it, with those of the uses around it.
     pub name: String,
-    /// The part.
+    /// The name of the part.
     pub part: String,
     /// What the part is about.
     pub doc: String,
@@ -119,9 +124,9 @@ pub struct Used {
 /// Something fed into a part, to be held against the kinds of artefact that it takes.
 #[derive(Debug, Clone)]
 pub struct KindCheck {
-    /// The part.
+    /// The name of the part.
     pub part: String,
-    /// The input.
+    /// The input of the part.
     pub input: PartInput,
     /// What it is fed with.
     pub given: Vec<Reference>,
@@ -144,8 +149,11 @@ impl Reader<'_> {
         let part = self.word(node.get("use")?, "the name of a part or the path of its file");
         let with = node.get("with").and_then(|n| self.any_map(n, "`with`")).map(<[_]>::to_vec).unwrap_or_default();
         let (inputs, _) = node.get("in").map_or((Vec::new(), false), |n| self.inputs(n));
+        let written = node.get("in").and_then(Node::entries).unwrap_or_default().iter().map(|(key, _)| &key.name);
+        let unread_inputs =
+            written.filter(|name| inputs.iter().all(|(port, _)| port.text != **name)).cloned().collect();
         let over = node.get("over").map(|n| self.words(n, "an axis")).unwrap_or_default();
-        Some(Use { name, part: part?, with, inputs, over })
+        Some(Use { name, part: part?, with, inputs, unread_inputs, over })
     }
 }
 
@@ -176,8 +184,7 @@ pub fn interface(
 ) -> Option<Interface> {
     let mut reader = Reader::new(faults);
     let values = BTreeMap::new();
-    let mut expansion = Expansion::new(texts, shipped, Vec::new(), &values);
-    expansion.interface(name, &mut reader)
+    Expansion::new(texts, shipped, &values).library.interface(name, &mut reader)
 }
 
 /// All texts anywhere in a value, with their places.

@@ -13,7 +13,7 @@ use crate::diagnostic::{Diagnostic, Span};
 /// Replaces `${name}` by what a use gives for it, and moves places into the text of the use.
 pub struct Substitution<'s> {
     /// Values by the names of parameters.
-    pub args: &'s BTreeMap<String, Node>,
+    pub args: BTreeMap<String, Node>,
     /// Axes of the part's own.
     pub axes: &'s BTreeSet<String>,
     /// The name of the use, with `/` at its end.
@@ -111,7 +111,7 @@ impl Substitution<'_> {
     fn unknown(&self, name: &str, node: &Node, reader: &mut Reader) -> Node {
         let span = self.moved(node.span);
         let (base, field) = parted(name);
-        let inside = self.args.get(base).zip(field).map(|(given, field)| strange_field(given, (base, field), span));
+        let inside = self.args.get(base).zip(field).map(|(given, field)| strange_field(given, base, field, span));
         reader.fault(inside.unwrap_or_else(|| {
             let message = format!("part `{}` has neither a parameter nor an axis `{name}`", self.part);
             let known = self.args.keys().chain(self.axes).map(String::as_str);
@@ -127,7 +127,7 @@ fn mention_alone(text: &str) -> Option<&str> {
 }
 
 /// The fault of a value that a parameter does not have as it is given.
-fn strange_field(given: &Node, (name, field): (&str, &str), span: Span) -> Diagnostic {
+fn strange_field(given: &Node, name: &str, field: &str, span: Span) -> Diagnostic {
     let message = format!("parameter `{name}` has no value `{field}`");
     let fault = Diagnostic::at(span, message).also(given.span, "it is given here");
     match &given.data {

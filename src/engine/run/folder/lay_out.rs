@@ -207,7 +207,7 @@ impl Layer<'_> {
 /// The longest name of a folder; file systems take 255 bytes, and some of the tools that read them fewer.
 const NAME_BYTES: usize = 200;
 
-/// A name that every file system takes: a long one is cut, and told from others by a digest of the whole.
+/// A name that every file system takes: a long one is cut and ends in a digest of the whole, so that it differs from others.
 pub fn readable_name(name: &str) -> String {
     if name.len() <= NAME_BYTES {
         return name.to_owned();

@@ -35,7 +35,7 @@ pub struct Telling<'a> {
     pub entries: &'a [Vec<Entry>],
     /// The files of each instance by port, relative to the run folder.
     pub paths: &'a [super::lay_out::Paths],
-    /// Told as metadata: seed, overrides, versions.
+    /// Metadata of the log: seed, overrides, versions.
     pub about: BTreeMap<String, String>,
     /// The text of the pipeline.
     pub pipeline_text: &'a str,

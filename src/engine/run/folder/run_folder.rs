@@ -41,7 +41,7 @@ pub struct RunFolder<'a> {
     pub overrides: &'a Overrides,
     /// The target steps asked for; empty for those the pipeline names itself.
     pub targets: &'a [String],
-    /// Steps at once.
+    /// How many threads the steps had together.
     pub jobs: usize,
     /// Which outputs get a name in the folder.
     pub lay_out: LayOut,

@@ -1,4 +1,4 @@
-//! The way around a run in which nothing is to be done: what the same command came to last time, if nothing it rests on
+//! The way around a run in which nothing is to be done: the result of the same command last time, if nothing it depends on
 //! has changed since.
 
 use std::path::{Path, PathBuf};
@@ -75,7 +75,7 @@ pub struct Ended<'a> {
     pub finished: &'a Finished,
 }
 
-/// Keeps what `question` came to, for [`recall`]; a run that failed is not kept. It rests on the files that were `included`
+/// Keeps the result of `question`, for [`recall`]; a run that failed is not kept. It depends on the files that were `included`
 /// too, each of which must still be what was read.
 ///
 /// # Errors
@@ -96,7 +96,7 @@ pub fn remember(
     included.iter().for_each(|(path, _)| drop(store.hash_file(path)));
     let tools = tools::behind(plan, store, summary.keys());
     if !tools.changed.is_empty() {
-        return Ok(()); // To be told again.
+        return Ok(()); // Reported again by the next run.
     }
     let outcomes = summary.instances.iter().filter_map(|instance| instance.outcome.as_ref());
     let grounds = Grounds {

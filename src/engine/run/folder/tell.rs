@@ -44,7 +44,7 @@ pub fn execute_and_tell(
             let told = StoreError::Damaged { digest: damage.digest, moved_to: damage.moved_to }.to_string();
             warn_lost(plan, &summary, &damage.digest, &told, observer);
         }
-        // Told of here, with the name of the step.
+        // Reported here, with the name of the step.
         drop(store.take_damaged());
         summary = after(&summary, execute(plan, store, options, stop, observer)?);
     }

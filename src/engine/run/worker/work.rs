@@ -1,4 +1,4 @@
-//! One step instance: take its key, run the stage, which reads its inputs, store what came out, then the record.
+//! One step instance: lock its key, run the stage, which reads its inputs, store the outputs, then the record.
 
 use std::collections::BTreeMap;
 use std::os::unix::fs::MetadataExt;
@@ -40,7 +40,7 @@ pub struct Feed {
     pub point: Point,
     /// Producer and its port.
     pub from: (usize, &'static str),
-    /// The value.
+    /// The value to put there.
     pub value: Value,
 }
 
@@ -50,13 +50,13 @@ pub struct Task {
     pub span: tracing::Span,
     /// The instance.
     pub instance: usize,
-    /// Its stage.
+    /// The stage it uses.
     pub stage: &'static dyn AnyStage,
     /// Its recipe.
     pub recipe: Recipe,
     /// The key of the recipe.
     pub key: Digest,
-    /// Its parameters.
+    /// Its parameters, filled in and checked.
     pub params: Arc<StepParams>,
     /// Its inputs.
     pub feeds: Vec<Feed>,
@@ -72,7 +72,7 @@ pub struct Task {
     pub lease: Option<KeyLock>,
     /// Whether it runs twice, to see whether its outputs are the same.
     pub check: bool,
-    /// How long one go may take.
+    /// How long one attempt may take.
     pub timeout: Option<Duration>,
     /// How often it is tried again after a failure.
     pub retries: u32,
@@ -315,7 +315,7 @@ type Attempt = (Result<Made, StageError>, (Vec<Entry>, Used));
 /// Size, times of modification and change, inode.
 type Fingerprint = (u64, i64, i64, i64, i64, u64);
 
-/// Runs the stage, and again as often as it may fail; also tells of the failures that were made good, and what programs took
+/// Runs the stage, and repeats it as often as it may fail; also returns the failures that a retry has overcome, and what programs took
 /// in the go that succeeded.
 fn attempts(task: &Task, given: Given, place: Place) -> Result<(Made, Vec<Entry>, Vec<String>, Used), Failure> {
     let (mut told, mut said) = (Vec::new(), Vec::new());

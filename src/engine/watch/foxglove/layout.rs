@@ -42,7 +42,7 @@ pub fn layout(topics: &[Topic], metrics: &[(String, String)]) -> Value {
 }
 
 /// Everything that can be drawn: the first face and all bodies at once, other faces, clouds and grids on demand, since they
-/// lie over each other.
+/// cover each other.
 fn scene(topics: &[Topic]) -> Value {
     let drawn = topics.iter().filter(|topic| DRAWN.contains(&topic.schema.as_str()));
     let first_mesh = topics.iter().find(|topic| topic.schema == "foxglove.SceneUpdate");

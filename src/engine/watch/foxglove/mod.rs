@@ -40,7 +40,7 @@ pub struct Schema {
 /// Where a message belongs.
 #[derive(Clone, Copy)]
 pub struct Place<'a> {
-    /// The step.
+    /// The name of the step.
     pub step: &'a str,
     /// The second of its instance on the timeline.
     pub second: u32,

@@ -7,7 +7,7 @@ use super::super::mcap_log::Made;
 use super::super::step_log::sketch::{BodiesSketch, Body, CloudSketch, GridSketch};
 use super::{Message, Place, at, float_fields, message};
 
-/// Colours of bodies in turn, told apart by colour-blind readers too (Okabe and Ito); red, green, blue from 0 to 1.
+/// Colours of bodies in turn, which colour-blind readers can distinguish (Okabe and Ito); red, green, blue from 0 to 1.
 const COLOURS: [[f64; 3]; 6] = [
     [0.90, 0.62, 0.0],
     [0.34, 0.71, 0.91],
@@ -105,7 +105,7 @@ pub fn grid(place: &Place, topic: String, grid: &GridSketch) -> Message {
     message("foxglove.Grid", topic, &value)
 }
 
-/// The frame a transform takes points from, as it lies in the one it takes them to. Only world and wall are the same in all
+/// The pose of the frame that a transform takes points from, in the frame that it takes them to. Only world and wall are the same in all
 /// steps; other frames are named after theirs.
 pub fn transform(place: &Place, port: &str, topic: String, transform: &Transform) -> Vec<Message> {
     let frame = |name: &str| match name {

@@ -64,7 +64,7 @@ pub fn log(place: &Place, label: &str, entries: &[Entry], failure: Option<&str>)
     entries.iter().filter_map(said).chain(failure).map(line).collect()
 }
 
-/// All numbers an instance told, in one message; none if it told none.
+/// All metrics that an instance logged, in one message; none if it logged none.
 pub fn metrics(place: &Place, point: &Point, entries: &[Entry]) -> Vec<Message> {
     let (mut values, mut units) = (Map::new(), Map::new());
     for entry in entries {
