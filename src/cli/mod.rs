@@ -174,7 +174,8 @@ impl PipelineArgs {
             None => Pipeline::of_read(text, path, &overrides, Some(&trees)),
         };
         let mut pipeline = loaded.map_err(CliError::Pipeline)?;
-        rockface_engine::plan::complete(&mut pipeline, registry.stages(), self.no_programs);
+        let no_programs = self.no_programs || programs::are_refused_by_environment();
+        rockface_engine::plan::complete(&mut pipeline, registry.stages(), no_programs);
         if !pipeline.faults.is_empty() {
             rockface_engine::plan::resolve(&pipeline, &self.target, registry.stages()).map_err(CliError::Pipeline)?;
         }
@@ -334,7 +335,7 @@ impl CliError {
     pub fn exit_code(&self) -> i32 {
         match self {
             Self::Failed => 1,
-            Self::History(HistoryError::Io { .. } | HistoryError::Changed { .. })
+            Self::History(HistoryError::Io { .. } | HistoryError::Changed { .. } | HistoryError::Store(_))
             | Self::Store(_)
             | Self::Damaged
             | Self::Report(_)

@@ -7,11 +7,20 @@ use rockface_core::Registry;
 use super::CliError;
 use rockface_engine::pipeline::Pipeline;
 
+/// The variable that says `--no-commands`.
+const VARIABLE: &str = "ROCKFACE_NO_COMMANDS";
+
+/// Whether the environment refuses programs: for commands without the option too, some of which ask Python what is in a module.
+pub fn are_refused_by_environment() -> bool {
+    const FALSEY: [&str; 7] = ["", "n", "no", "f", "false", "off", "0"];
+    std::env::var_os(VARIABLE).is_some_and(|value| !FALSEY.contains(&value.to_string_lossy().to_lowercase().as_str()))
+}
+
 /// Whether steps may start programs.
 #[derive(Debug, Args)]
 pub struct ProgramArgs {
-    /// Refuse a pipeline with steps that start programs (`command`, `fuse-colmap`), even if their results are cached.
-    #[arg(long, env = "ROCKFACE_NO_COMMANDS", value_parser = FalseyValueParser::new())]
+    /// Refuse a pipeline with steps that start programs (`command`, `python`, `fuse-colmap`), even if their results are cached.
+    #[arg(long, env = VARIABLE, value_parser = FalseyValueParser::new())]
     no_commands: bool,
 }
 

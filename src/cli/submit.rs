@@ -7,6 +7,7 @@ use std::process::{Command, Stdio};
 use clap::Args;
 use rockface_core::Registry;
 
+use super::programs::ProgramArgs;
 use super::{CliError, PipelineArgs, say};
 
 /// Arguments of `rockface submit`.
@@ -15,6 +16,8 @@ use super::{CliError, PipelineArgs, say};
 pub struct SubmitArgs {
     #[command(flatten)]
     pipeline: PipelineArgs,
+    #[command(flatten)]
+    programs: ProgramArgs,
     /// Submit to Slurm with these options, such as `--array=0-7 --cpus-per-task=4 --time=2:00:00`: one worker for each task.
     #[arg(long, value_name = "OPTIONS", allow_hyphen_values = true)]
     slurm: Option<String>,
@@ -34,8 +37,10 @@ impl SubmitArgs {
     pub fn run(mut self, registry: &Registry) -> Result<(), CliError> {
         let name = self.pipeline.pipeline.clone();
         self.pipeline.take_shipped()?;
+        self.pipeline.no_programs = self.programs.are_refused();
         // Faults show now, and not when the queue comes to it.
         let pipeline = self.pipeline.load(registry)?;
+        self.programs.check(registry, &pipeline, &self.pipeline.target)?;
         drop(self.pipeline.look(registry, &pipeline, &self.pipeline.target)?);
         let arguments = self.arguments(&name)?;
         match (&self.slurm, &self.hyperqueue) {
@@ -62,6 +67,7 @@ impl SubmitArgs {
         told.extend(given.seed.iter().flat_map(|seed| ["--seed".to_owned(), seed.to_string()]));
         told.extend(given.remote.url().iter().flat_map(|url| ["--remote".to_owned(), (*url).to_owned()]));
         told.extend(self.keep_going.then(|| "--keep-going".to_owned()));
+        told.extend(self.programs.are_refused().then(|| "--no-commands".to_owned()));
         Ok(told)
     }
 

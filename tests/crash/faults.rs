@@ -34,7 +34,7 @@ const WAYS: [(&str, bool); 14] = [
 ];
 
 /// Commands that print what they print without a fault, or fail.
-const SAYS_THE_SAME: [&str; 2] = ["verify", "runs show"];
+const SAYS_THE_SAME: [&str; 3] = ["verify", "runs show", "archive"];
 
 /// A command that something happens to.
 struct Scene {
@@ -118,7 +118,7 @@ fn reading_scenes() -> Vec<Scene> {
             done: |_, _| Ok(()),
             after: |_, _| Ok(()),
             expected: Digests::new(),
-            // The others count, plan, copy and pack what can be looked at.
+            // The others count, plan and copy what can be looked at.
             prints: (slow() && SAYS_THE_SAME.contains(&name)).then(|| printed(&out, &place)),
         }
     };

@@ -325,3 +325,39 @@ fn no_program_is_started_where_none_is_wanted() {
     let (code, _, err) = house.rockface(&["run", ".rockface/runs/latest/run.json", "--no-commands"]);
     assert!(code == Some(2) && err.contains("step `sizes`"), "{err}");
 }
+
+/// A part of somebody else's, in a file of its own.
+const PART: &str = "rockface: 1
+part: sizes
+out: {list: sizes.list}
+steps:
+  sizes: {stage: command, with: {program: touch, args: [\"{out.list}\"], outputs: {list: file}, version: \"1\"}}
+";
+
+#[test]
+fn no_program_is_started_by_a_part_nor_to_look_at_a_pipeline() {
+    let house = House::new("rockface: 1\nsteps: {u: {use: part.yaml}}\n");
+    std::fs::write(house.path("part.yaml"), PART).unwrap();
+    for command in ["run", "plan"] {
+        let (code, _, err) = house.rockface(&[command, "p.yaml", "--no-commands"]);
+        assert!(
+            code == Some(2) && err.contains("step `u/sizes` starts a program") && err.contains("part.yaml:5"),
+            "{err}"
+        );
+    }
+    let (code, out, err) =
+        house.rockface(&["submit", "p.yaml", "--dry-run", "--slurm", "--array=0-1", "--no-commands"]);
+    assert!(code == Some(2) && err.contains("`u/sizes` starts a program"), "{out}{err}");
+    let (_, out, _) = house.rockface(&["submit", "p.yaml", "--dry-run", "--slurm", "--array=0-1"]);
+    assert!(out.contains("rockface") && !out.contains("--no-commands"), "{out}");
+    // What the ports of a Python step are, Python is asked for, by every command that reads the pipeline.
+    let python = "rockface: 1\nsteps: {t: {stage: python, with: {module: m.py, function: f}}}\n";
+    let house = House::new(python);
+    std::fs::write(house.path("m.py"), "def f() -> 'table': ...\n").unwrap();
+    for arguments in [&["plan", "p.yaml"][..], &["graph", "p.yaml"], &["explain", "p.yaml", "t"]] {
+        let output = house.command(arguments).env("ROCKFACE_NO_COMMANDS", "1").output().unwrap();
+        let err = String::from_utf8_lossy(&output.stderr).into_owned();
+        let is_refused = output.status.code() == Some(2) && err.contains("starts a program (stage `python`)");
+        assert!(is_refused, "{arguments:?}: {err}");
+    }
+}

@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use rockface_cache::{Digest, Store};
+use rockface_cache::{Digest, Store, StoreError};
 
 use super::sources::source_files;
 use super::{HistoryError, Manifest, PastRun};
@@ -15,12 +15,12 @@ const README: &str = "This archive holds one run of rockface.
 
 run.json                 the manifest: pipeline, overrides, seed, program, and every step with its key and digests
 pipeline.yaml            the pipeline as it was run
-pipeline/                the same with the files it includes, where they lay to each other; only where it includes any
+pipeline/                the same with the files it includes, in their relative layout; only where it includes any
 run.mcap                 the log
 ro-crate-metadata.json   the same for programs that know nothing of rockface (Workflow Run RO-Crate)
 records/KEY.recipe.json  the recipe of every step: the BLAKE3 of these very bytes is KEY
 logs/DIGEST.json         what steps said; the BLAKE3 of these very bytes is DIGEST
-outputs/                 what came out, where the archive was made with --outputs
+outputs/                 the outputs, where the archive was made with --outputs
 B3SUMS                   the BLAKE3 of every file: `b3sum --check B3SUMS` checks them all
 
 To repeat the run, put the input files that run.json names (with their BLAKE3) where it names them, and
@@ -30,13 +30,13 @@ To repeat the run, put the input files that run.json names (with their BLAKE3) w
 /// What went into an archive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 pub struct Archived {
-    /// Files.
+    /// Number of files in the archive.
     pub files: usize,
     /// Records and logs the run names and the store does not have any more.
     pub missing: usize,
 }
 
-/// Writes the archive (tar) of a run; with `outputs`, what came out of it too. Equal runs give equal bytes.
+/// Writes the archive (tar) of a run; with `outputs`, its outputs too. Equal runs give equal bytes.
 ///
 /// # Errors
 ///
@@ -92,9 +92,19 @@ fn as_made(
     if Digest::of(&bytes) == *digest {
         return Ok(bytes);
     }
-    let changed =
-        |_| HistoryError::Changed { path: file.to_owned(), digest: *digest, manifest: run.folder.join("run.json") };
-    store.get(digest).map_err(changed)
+    in_store(store, digest)?.ok_or_else(|| {
+        let manifest = run.folder.join("run.json");
+        HistoryError::Changed { path: file.to_owned(), digest: *digest, manifest }
+    })
+}
+
+/// A blob of the store; `None` if the store does not have it or finds it damaged. A store that cannot be read is an error: what it has is not missing.
+fn in_store(store: &Store, digest: &Digest) -> Result<Option<Vec<u8>>, StoreError> {
+    match store.get(digest) {
+        Ok(bytes) => Ok(Some(bytes)),
+        Err(StoreError::Missing { .. } | StoreError::Damaged { .. }) => Ok(None),
+        Err(fault) => Err(fault),
+    }
 }
 
 /// The files of a run folder, relative to it, sorted.
@@ -154,9 +164,9 @@ impl Packing<'_> {
             }
         }
         for (log, extension) in logs {
-            match store.get(&log) {
-                Ok(bytes) => self.add(&PathBuf::from(format!("logs/{log}.{extension}")), &bytes)?,
-                Err(_) => missing += 1,
+            match in_store(store, &log)? {
+                Some(bytes) => self.add(&PathBuf::from(format!("logs/{log}.{extension}")), &bytes)?,
+                None => missing += 1,
             }
         }
         Ok(missing)

@@ -29,9 +29,9 @@ const PIN: &str = "pinned";
 pub struct PastRun {
     /// The name of the folder.
     pub name: String,
-    /// The folder.
+    /// The path of the folder.
     pub folder: PathBuf,
-    /// What it tells.
+    /// What was run, from which files, and the outputs.
     pub manifest: Manifest,
     /// Whether it is pinned.
     pub pinned: bool,
@@ -43,27 +43,27 @@ pub enum HistoryError {
     /// Nothing of this name.
     #[error("there is no run `{name}` in {}{hint}", runs.display())]
     Unknown {
-        /// As asked for.
+        /// The name that was asked for.
         name: String,
         /// Where it was looked for.
         runs: PathBuf,
-        /// The way out.
+        /// What the user can do about it.
         hint: String,
     },
     /// More than one fits.
     #[error("`{name}` fits several runs: {}; give more of the name", fitting.join(", "))]
     Ambiguous {
-        /// As asked for.
+        /// The name that was asked for.
         name: String,
-        /// Those that fit.
+        /// Names of the runs that fit.
         fitting: Vec<String>,
     },
     /// The manifest is not one.
     #[error("{} is not a manifest this version reads: {why}", path.display())]
     Manifest {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
-        /// What is wrong.
+        /// Why it cannot be read.
         why: String,
     },
     /// A file of a run folder is not what the run made.
@@ -72,19 +72,22 @@ pub enum HistoryError {
         path.display(), digest.short(), manifest.display()
     )]
     Changed {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
-        /// What it was.
+        /// The digest of what the run made.
         digest: rockface_cache::Digest,
         /// Where the run is reported.
         manifest: PathBuf,
     },
+    /// The store cannot be read.
+    #[error(transparent)]
+    Store(#[from] rockface_cache::StoreError),
     /// The disk.
     #[error("cannot {action} {}: {source}", path.display())]
     Io {
-        /// What was tried.
+        /// What was tried, a verb phrase.
         action: &'static str,
-        /// On what.
+        /// The path that it was tried on.
         path: PathBuf,
         /// What the system said.
         source: std::io::Error,
@@ -121,7 +124,7 @@ impl PastRun {
     pub fn pin(&self, pinned: bool) -> Result<(), HistoryError> {
         let path = self.folder.join(PIN);
         if pinned {
-            let text = "What this run made is not collected. `rockface runs unpin` lets go of it.\n";
+            let text = "What this run made is not collected. `rockface runs unpin` removes this pin.\n";
             return std::fs::write(&path, text).map_err(HistoryError::io("write", &path));
         }
         match std::fs::remove_file(&path) {
