@@ -24,7 +24,7 @@ pub struct DrawDescriptors;
 impl Stage for DrawDescriptors {
     type Params = DrawDescriptorsParams;
     const NAME: &'static str = "draw-descriptors";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("draw_descriptors.md"));
     const INPUTS: &'static [Port] = &[
         Port::many("reference", &[Kind::Table], "Curves of real rasters, from `describe-noise`."),
@@ -42,7 +42,7 @@ impl Stage for DrawDescriptors {
         let counts =
             format!("{} real rasters, {} simulated; bands of 90 and 50 %", rasters(&real), rasters(&simulated));
         let title = params.title.clone().unwrap_or_else(|| "Descriptors of real and simulated noise".to_owned());
-        let columns = panels.len().min(3);
+        let columns = panels.len().min(2);
         let sheet = Sheet::of(panels).title(title).subtitle(counts).columns(columns).size(340 * columns as u32, 320);
         let figure = draw(&sheet).map_err(|e| StageError::new(e.to_string()))?;
         Ok(Outputs::of("figure", figure))

@@ -27,7 +27,7 @@ pub struct DrawDetectionFrequency;
 impl Stage for DrawDetectionFrequency {
     type Params = DrawDetectionFrequencyParams;
     const NAME: &'static str = "draw-detection-frequency";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("draw_detection_frequency.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("truth", &[Kind::Inventory], "The `truth` of `score-detections`, or many joined."),
@@ -65,7 +65,7 @@ impl Stage for DrawDetectionFrequency {
             Panel::new("Shapes found", shapes("found", Ink::Series(0))),
             Panel::new("Shapes missed", shapes("missed", Ink::Series(1))),
         ];
-        let sheet = Sheet::of(panels).title(params.title.clone()).columns(3).size(1080, 360);
+        let sheet = Sheet::of(panels).title(params.title.clone()).columns(2).size(720, 360);
         Ok(Outputs::of("figure", draw(&sheet).map_err(|e| StageError::new(e.to_string()))?))
     }
 }

@@ -35,7 +35,7 @@ pub struct DrawDetectionRates;
 impl Stage for DrawDetectionRates {
     type Params = DrawDetectionRatesParams;
     const NAME: &'static str = "draw-detection-rates";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("draw_detection_rates.md"));
     const INPUTS: &'static [Port] = &[Port::one("rates", &[Kind::Table], "The table of `summarise-detections`.")];
     const OUTPUTS: &'static [Port] = &[Port::one("figure", &[Kind::Figure], "Three charts.")];
@@ -83,7 +83,7 @@ impl Stage for DrawDetectionRates {
             Panel::new("F1", quality),
             Panel::new("Volume error", volume.with(Layer::new("", Mark::AtY(0.0)).ink(Ink::Rule))),
         ];
-        let sheet = Sheet::of(panels).title(params.title.clone()).columns(3).size(1080, 340);
+        let sheet = Sheet::of(panels).title(params.title.clone()).columns(2).size(720, 340);
         Ok(Outputs::of("figure", draw(&sheet).map_err(|e| StageError::new(e.to_string()))?))
     }
 }

@@ -1,7 +1,8 @@
 //! `draw-detections`: maps what was found, what was missed and what is false over the face.
 
+use crate::figure::canvas::Colour;
 use crate::figure::rockfall_figure::outcomes;
-use crate::figure::rockfall_figure::outcomes::{Map, Outcome};
+use crate::figure::rockfall_figure::outcomes::{Map, Mark, Outcome};
 use rockface_core::artefact::{Inventory, Kind, Picture, Polygon, Raster};
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
@@ -12,7 +13,7 @@ params! {
         /// Title.
         title: String = "Detections against the truth".to_owned(),
         /// Width of the picture, pixels.
-        width_px: u32 = 1400; Range::Between(600.0, 8000.0),
+        width_px: u32 = 1000; Range::Between(600.0, 8000.0),
     }
 }
 
@@ -22,7 +23,7 @@ pub struct DrawDetections;
 impl Stage for DrawDetections {
     type Params = DrawDetectionsParams;
     const NAME: &'static str = "draw-detections";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("draw_detections.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("face", &[Kind::Raster], "Elevations of the face."),
@@ -46,16 +47,18 @@ impl Stage for DrawDetections {
         }
         let mut outcomes = Vec::new();
         if detections.column("outcome").is_some() {
-            outcomes.push(outcome("true positive", detections, &["true_positive"], [0, 158, 115], true)?);
-            outcomes.push(outcome("false positive", detections, &["false_positive"], [230, 159, 0], true)?);
+            outcomes.push(outcome("true positive", detections, "true_positive", TRUE, Mark::None)?);
+            outcomes.push(outcome("false positive", detections, "false_positive", FALSE, Mark::Ring)?);
         } else {
             let all = detections.features.iter().map(|feature| feature.outline.as_slice()).collect();
-            outcomes.push(Outcome { name: "detected".into(), colour: [0, 158, 115], filled: true, outlines: all });
+            let detected =
+                Outcome { name: "detected".into(), colour: TRUE, filled: true, mark: Mark::None, outlines: all };
+            outcomes.push(detected);
         }
         if let Some(truth) = truth {
-            outcomes.push(outcome("found", truth, &["found"], [0, 60, 120], false)?);
-            outcomes.push(outcome("missed", truth, &["missed"], [204, 60, 140], true)?);
-            outcomes.push(outcome("hidden", truth, &["hidden"], [110, 110, 110], false)?);
+            outcomes.push(Outcome { filled: false, ..outcome("found", truth, "found", FOUND, Mark::None)? });
+            outcomes.push(outcome("missed", truth, "missed", MISSED, Mark::Cross)?);
+            outcomes.push(Outcome { filled: false, ..outcome("hidden", truth, "hidden", HIDDEN, Mark::None)? });
         }
         let subtitle = format!("{} detections", detections.features.len());
         let map = Map { title: params.title.clone(), subtitle, face: &band.values, grid: face.grid, outcomes };
@@ -64,22 +67,28 @@ impl Stage for DrawDetections {
     }
 }
 
+/// Of the colours of Okabe and Ito (2008), which readers with any colour vision tell apart; what is wrong has a mark too.
+const TRUE: Colour = [0, 114, 178];
+const FALSE: Colour = [230, 159, 0];
+const MISSED: Colour = [204, 60, 120];
+const FOUND: Colour = [0, 30, 70];
+const HIDDEN: Colour = [110, 110, 110];
+
 fn outcome<'a>(
     name: &str,
     inventory: &'a Inventory,
-    words: &[&str],
-    colour: [u8; 3],
-    filled: bool,
+    word: &str,
+    colour: Colour,
+    mark: Mark,
 ) -> Result<Outcome<'a>, StageError> {
     let Some(at) = inventory.column("outcome") else {
         return Err(
             StageError::new("the truth has no column `outcome`").hint("connect the port `truth` of `score-detections`")
         );
     };
-    let is =
-        |feature: &&rockface_core::artefact::Feature| words.contains(&feature.values[at].text().unwrap_or_default());
+    let is = |feature: &&rockface_core::artefact::Feature| feature.values[at].text() == Some(word);
     let outlines: Vec<&[Polygon]> = inventory.features.iter().filter(is).map(|f| f.outline.as_slice()).collect();
-    Ok(Outcome { name: name.to_owned(), colour, filled, outlines })
+    Ok(Outcome { name: name.to_owned(), colour, filled: true, mark, outlines })
 }
 
 #[cfg(test)]

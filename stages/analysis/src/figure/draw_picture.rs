@@ -50,7 +50,7 @@ pub struct DrawPicture;
 impl Stage for DrawPicture {
     type Params = DrawPictureParams;
     const NAME: &'static str = "draw-picture";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("draw_picture.md"));
     const INPUTS: &'static [Port] = &[Port::one(
         "subject",
@@ -94,7 +94,7 @@ fn of_shape(artefact: &Artefact, params: &DrawPictureParams) -> Result<Look<'sta
     let extent = rasterise::extent(shape, None).ok_or_else(empty)?;
     let longest = (extent[1] - extent[0]).max(extent[3] - extent[2]);
     // One cell a pixel; the grid may get one cell more than the extent has.
-    let fitting = longest / (picture::FULL.room(params.max_width_px as usize) - 1) as f64;
+    let fitting = longest / (picture::full(params.max_width_px as usize).room(params.max_width_px as usize) - 1) as f64;
     let cell_m = if fitting > 0.0 { fitting } else { 1.0 };
     let grid = rasterise::grid_around(extent, cell_m)?;
     let size_m = [extent[1] - extent[0], extent[3] - extent[2]];

@@ -24,7 +24,7 @@ params! {
         /// Volumes the power law needs at least.
         least_count: u32 = 10; Range::AtLeast(2.0),
         /// Width of the picture, pixels.
-        width_px: u32 = 1800; Range::Between(1000.0, 8000.0),
+        width_px: u32 = 1000; Range::Between(1000.0, 8000.0),
     }
 }
 
@@ -34,7 +34,7 @@ pub struct DrawRockfall;
 impl Stage for DrawRockfall {
     type Params = DrawRockfallParams;
     const NAME: &'static str = "draw-rockfall";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("draw_rockfall.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("face", &[Kind::Mesh, Kind::Surface, Kind::Raster], "The face, or its elevation."),

@@ -28,7 +28,7 @@ pub struct DrawScores;
 impl Stage for DrawScores {
     type Params = DrawScoresParams;
     const NAME: &'static str = "draw-scores";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("draw_scores.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("model", &[Kind::Acceptance], "The reference, from `fit-acceptance`."),
@@ -46,7 +46,7 @@ impl Stage for DrawScores {
         let panels = [radar(model, &columns)?, distances(model, &columns, d2)?, contributions(&columns)];
         let title = params.title.clone().unwrap_or_else(|| "Simulated rasters against real ones".to_owned());
         let counts = format!("{} real rasters, {} simulated", model.references, d2.len());
-        let sheet = Sheet::of(panels).title(title).subtitle(counts).columns(3).size(1080, 330);
+        let sheet = Sheet::of(panels).title(title).subtitle(counts).columns(2).size(720, 330);
         let figure = draw(&sheet).map_err(|e| StageError::new(e.to_string()))?;
         Ok(Outputs::of("figure", figure))
     }

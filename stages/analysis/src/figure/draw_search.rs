@@ -27,7 +27,7 @@ pub struct DrawSearch;
 impl Stage for DrawSearch {
     type Params = DrawSearchParams;
     const NAME: &'static str = "draw-search";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("draw_search.md"));
     const INPUTS: &'static [Port] =
         &[Port::many("points", &[Kind::Table], "Rows with parameters and score, as `ranking` of `refine-search`.")];
@@ -54,7 +54,7 @@ impl Stage for DrawSearch {
         let best = &points[points.len() - 1];
         let named: Vec<String> = params.parameters.iter().zip(&best.0).map(|(name, x)| format!("{name} {x}")).collect();
         let subtitle = format!("{} points; best {:.3} at {}", points.len(), best.1, named.join(", "));
-        let sheet = Sheet::of(panels).title(title).subtitle(subtitle).columns(3).size(1020, 300);
+        let sheet = Sheet::of(panels).title(title).subtitle(subtitle).columns(2).size(700, 300);
         let figure = draw(&sheet).map_err(|e| StageError::new(e.to_string()))?;
         Ok(Outputs::of("figure", figure))
     }

@@ -34,22 +34,59 @@ pub struct Layout {
     title_px: Option<f32>,
     subtitle_px: f32,
     text_px: f32,
+    /// Pixels that one of the small distances between text and lines takes.
+    unit: f32,
+    /// Pixels there are for the values at most.
+    most: usize,
 }
 
-/// A picture to be looked at by itself.
-pub const FULL: Layout = Layout {
-    margin: 28,
-    head: 64,
-    foot: 52,
-    bar_gap: 26,
-    bar_width: 22,
-    labels: 92,
+/// Width of a picture whose text has the sizes of `FULL`, pixels; that of wider ones grows with them, so that it can be read when a picture
+/// is shown on half a page.
+const FULL_WIDTH: f32 = 700.0;
+
+const FULL: Layout = Layout {
+    margin: 20,
+    head: 56,
+    foot: 44,
+    bar_gap: 18,
+    bar_width: 16,
+    labels: 74,
     least_width: 320,
     least_bar: 160,
-    title_px: Some(24.0),
-    subtitle_px: 16.0,
-    text_px: 15.0,
+    title_px: Some(21.0),
+    subtitle_px: 14.0,
+    text_px: 14.0,
+    unit: 1.0,
+    most: usize::MAX,
 };
+
+/// The layout of a picture to be looked at by itself, at most this wide, pixels.
+pub fn full(max_width_px: usize) -> Layout {
+    let unit = (max_width_px as f32 / FULL_WIDTH).max(1.0);
+    let whole = |pixels: usize| (pixels as f32 * unit).round() as usize;
+    Layout {
+        margin: whole(FULL.margin),
+        head: whole(FULL.head),
+        foot: whole(FULL.foot),
+        bar_gap: whole(FULL.bar_gap),
+        bar_width: whole(FULL.bar_width),
+        labels: whole(FULL.labels),
+        least_bar: whole(FULL.least_bar),
+        title_px: FULL.title_px.map(|size| size * unit),
+        subtitle_px: FULL.subtitle_px * unit,
+        text_px: FULL.text_px * unit,
+        unit,
+        ..FULL
+    }
+}
+
+/// The same for values of so many columns and rows, which may not need all of that width.
+fn fitted([columns, rows]: [usize; 2], max_width_px: usize) -> Layout {
+    let widest = full(max_width_px);
+    let most = widest.room(max_width_px);
+    let width = pixels_of(columns, cells_per_pixel([columns, rows], most)).max(widest.least_width);
+    Layout { most, ..full(width + max_width_px.saturating_sub(most)) }
+}
 
 /// A small picture beside others, whose title stands elsewhere.
 pub const SMALL: Layout = Layout {
@@ -64,13 +101,15 @@ pub const SMALL: Layout = Layout {
     title_px: None,
     subtitle_px: 12.5,
     text_px: 12.5,
+    unit: 1.0,
+    most: usize::MAX,
 };
 
 impl Layout {
     /// Pixels there are for the values along their longer side.
     pub fn room(&self, max_width_px: usize) -> usize {
         let around = 2 * self.margin + self.bar_gap + self.bar_width + self.labels;
-        max_width_px.saturating_sub(around).max(self.least_width)
+        max_width_px.saturating_sub(around).max(self.least_width).min(self.most)
     }
 
     /// The upper left corner of the values [x, y], pixels.
@@ -103,7 +142,9 @@ pub struct Subject<'a> {
 
 /// Draws a grid as PNG; the whole picture is at most `max_width_px` wide (at least about 500) and its values as high.
 pub fn draw(subject: &Subject, max_width_px: usize) -> Result<Vec<u8>, CodecError> {
-    paint(subject, max_width_px, &FULL)?.to_png()
+    let columns = subject.columns.max(1);
+    let layout = fitted([columns, (subject.values.len() / columns).max(1)], max_width_px);
+    paint(subject, max_width_px, &layout)?.to_png()
 }
 
 /// Draws a grid in a layout; the whole picture is at most `max_width_px` wide, where the layout lets it, and its values as high.
@@ -145,10 +186,10 @@ fn write_titles(canvas: &mut Canvas, subject: &Subject, layout: &Layout, box_wid
         .flatten()
         .collect();
     let beside = layout.bar_gap + layout.bar_width + layout.labels;
-    let (mut lines, mut room, mut y) = (Vec::new(), box_width, x + 4.0);
+    let (mut lines, mut room, mut y) = (Vec::new(), box_width, x + 4.0 * layout.unit);
     if let Some(title_px) = layout.title_px {
-        lines.push((Pen::bold(title_px, INK)?, x + 10.0, subject.title.clone()));
-        (room, y) = (box_width + beside, x + 40.0);
+        lines.push((Pen::bold(title_px, INK)?, x + 6.0 * layout.unit, subject.title.clone()));
+        (room, y) = (box_width + beside, x + 31.0 * layout.unit);
     }
     lines.push((Pen::plain(layout.subtitle_px, FAINT)?, y, below.join(", ")));
     for (pen, y, text) in lines {
@@ -192,16 +233,24 @@ fn draw_bar(
     }
     canvas.frame(x, top, bar_width, height, FAINT);
     let pen = Pen::plain(layout.text_px, INK)?;
-    // Ticks round in the unit that is shown.
+    // Ticks round in the unit that is shown, and the ends of the colours as they are.
     let shown = ColourScale { low: scale.low * per_one, high: scale.high * per_one, ..*scale };
-    let ticks = shown.ticks((height as f64 / 70.0).clamp(3.0, 9.0));
-    for (tick, label) in ticks.iter().zip(labels(&ticks, 1.0)) {
-        let y = top as f64 + (shown.high - tick) / (shown.high - shown.low) * height as f64;
-        canvas.fill(x + bar_width + 1, y.round() as usize, 6, 1, FAINT);
-        canvas.text(&pen, (x + bar_width + 12) as f32, y as f32, Align::Left, &label);
+    let ticks = shown.ticks((height as f64 / (4.6 * f64::from(layout.text_px))).clamp(3.0, 9.0));
+    let step = ticks.windows(2).map(|pair| pair[1] - pair[0]).next().unwrap_or(1.0);
+    let down = |value: f64| top as f64 + (shown.high - value) / (shown.high - shown.low) * height as f64;
+    let is_clear = |tick: f64| {
+        [shown.low, shown.high].iter().all(|end| (down(tick) - down(*end)).abs() >= 1.3 * f64::from(layout.text_px))
+    };
+    let between = ticks.iter().copied().zip(labels(&ticks, 1.0)).filter(|(tick, _)| is_clear(*tick));
+    let ends = [shown.low, shown.high].map(|end| (end, rounded(end, round_step(0.1 * step))));
+    for (tick, label) in between.chain(ends) {
+        let y = down(tick);
+        canvas.fill(x + bar_width + 1, y.round() as usize, (5.0 * layout.unit) as usize, 1, FAINT);
+        let left = (x + bar_width) as f32 + 9.0 * layout.unit;
+        canvas.text(&pen, left, y as f32, Align::Left, &label);
     }
     let middle = (x + bar_width / 2) as f32;
-    canvas.text(&pen, middle, top as f32 - 16.0, Align::Middle, unit);
+    canvas.text(&pen, middle, top as f32 - 15.0 * layout.unit, Align::Middle, unit);
     Ok(())
 }
 

@@ -1,12 +1,11 @@
 //! Grids of one size side by side: one set of colours, one colour bar, and above each its name.
 
-use super::{Align, CodecError, FAINT, FULL, INK, Pen, Subject, cells_per_pixel, paint, pixels_of};
+use super::{Align, CodecError, FAINT, INK, Pen, Subject, cells_per_pixel, full, paint, pixels_of};
 
 /// Gap between neighbours, as a share of the width of one.
 const GAP: f64 = 0.03;
-/// Height of a name, and of the strip above each grid that it is written in, pixels.
-const NAME_PX: f32 = 14.0;
-const STRIP_PX: f64 = 22.0;
+/// Height of the strip above each grid that its name is written in, heights of text.
+const STRIP: f64 = 1.6;
 const PAPER: [u8; 3] = [255; 3];
 
 /// Grids laid out on a larger one, NaN between them.
@@ -31,10 +30,11 @@ impl Mosaic {
         let lines: usize = lists.iter().map(|list| list.len().div_ceil(across)).sum();
         let gap = ((size[0] as f64 * GAP) as usize).max(1);
         let columns = across * (size[0] + gap) - gap;
-        let room = FULL.room(max_width_px);
+        let layout = full(max_width_px);
+        let (room, strip_px) = (layout.room(max_width_px), STRIP * f64::from(layout.text_px));
         let whole = |strip: usize| [columns, lines * (size[1] + strip)];
         // The strip has a height in pixels, and how many cells that is depends on the size of the whole.
-        let strip_of = |strip| (STRIP_PX * cells_per_pixel(whole(strip), room)).ceil() as usize;
+        let strip_of = |strip| (strip_px * cells_per_pixel(whole(strip), room)).ceil() as usize;
         let strip = (0..4).fold(0, |strip, _| strip_of(strip));
         let mut values = vec![f32::NAN; columns * whole(strip)[1]];
         let (mut places, mut first) = (Vec::new(), 0);
@@ -55,8 +55,9 @@ impl Mosaic {
 
     /// Draws it as PNG; `subject` holds its columns and values, `names` one for each grid.
     pub fn draw(&self, subject: &Subject, names: &[String], max_width_px: usize) -> Result<Vec<u8>, CodecError> {
-        let mut canvas = paint(subject, max_width_px, &FULL)?;
-        let [left, top] = FULL.corner();
+        let layout = full(max_width_px);
+        let mut canvas = paint(subject, max_width_px, &layout)?;
+        let [left, top] = layout.corner();
         let pixels = |cells: usize| pixels_of(cells, self.cells_per_pixel);
         let (width, height) = (pixels(self.columns), pixels(self.values.len() / self.columns));
         canvas.frame(left, top, width, height, PAPER);
@@ -69,11 +70,11 @@ impl Mosaic {
                 }
             }
         }
-        let pen = Pen::plain(NAME_PX, INK)?;
+        let pen = Pen::plain(layout.text_px, INK)?;
         for ([l, t, r, b], name) in boxes.into_iter().zip(names) {
             canvas.frame(left + l, top + t, r - l, b - t, FAINT);
             let name = pen.fitted(name, (r - l) as f32);
-            canvas.text(&pen, (left + l) as f32, (top + t) as f32 - 0.75 * NAME_PX, Align::Left, &name);
+            canvas.text(&pen, (left + l) as f32, (top + t) as f32 - 0.75 * layout.text_px, Align::Left, &name);
         }
         canvas.to_png()
     }
@@ -98,7 +99,7 @@ mod tests {
         assert_eq!((mosaic.columns, lefts), (81, vec![0, 41, 0, 0, 41]));
         let tops: Vec<usize> = mosaic.places.iter().map(|place| place[1]).collect();
         assert!(tops[0] == tops[1] && tops[3] == tops[4] && tops[2] < tops[3] && tops[0] > 0);
-        assert!((tops[0] as f64 / mosaic.cells_per_pixel) >= STRIP_PX);
+        assert!((tops[0] as f64 / mosaic.cells_per_pixel) >= STRIP * f64::from(full(600).text_px));
         assert_eq!(mosaic.values.iter().filter(|v| !v.is_nan()).count(), 5 * 400);
         assert_eq!(mosaic.values.len() / 81, tops[4] + 10);
     }

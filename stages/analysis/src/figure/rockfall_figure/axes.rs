@@ -49,7 +49,7 @@ impl Decades {
         };
         let axes = Self { frame, x, y };
         axes.grid(canvas)?;
-        let pen = Pen::plain(15.0, INK)?;
+        let pen = Pen::plain(18.0, INK)?;
         let middle = (frame.left + frame.width / 2) as f32;
         canvas.text(&pen, middle, (panel.top + panel.height - 10) as f32, Align::Middle, x_label);
         canvas.text(&pen, panel.left as f32, (panel.top + ABOVE + 4) as f32, Align::Left, y_label);
@@ -58,7 +58,7 @@ impl Decades {
     }
 
     fn grid(&self, canvas: &mut Canvas) -> Result<(), CodecError> {
-        let pen = Pen::plain(14.0, INK)?;
+        let pen = Pen::plain(17.0, INK)?;
         let (left, top) = (self.frame.left as f64, self.frame.top as f64);
         let (right, bottom) = (left + self.frame.width as f64, top + self.frame.height as f64);
         for power in self.x[0]..=self.x[1] {

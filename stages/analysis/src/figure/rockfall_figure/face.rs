@@ -11,7 +11,7 @@ use rockface_core::numerics::portable_math;
 use super::{FAINT, Figure, INK, strokes, volume};
 
 /// Room for the colour bar to the right, pixels.
-pub const BAR: usize = 130;
+pub const BAR: usize = 160;
 /// Room for the scale bar below, pixels.
 pub const FOOT: usize = 40;
 const BAR_WIDTH: usize = 22;
@@ -58,7 +58,7 @@ pub fn draw(
     }
     canvas.frame(left, top, view.width, view.height, FAINT);
     draw_bar(canvas, scale, [left + view.width + 30, top], view.height.min(420), figure)?;
-    let pen = Pen::plain(15.0, INK)?;
+    let pen = Pen::plain(18.0, INK)?;
     draw_scale(canvas, view.width as f64, view.pixel_m, [left, top + view.height + 24], &pen)
 }
 
@@ -147,7 +147,7 @@ fn draw_bar(
     if figure.rockfalls.is_empty() {
         return Ok(());
     }
-    let pen = Pen::plain(15.0, INK)?;
+    let pen = Pen::plain(18.0, INK)?;
     canvas.text(&pen, x as f32, top as f32 + 8.0, Align::Left, "volume");
     let (top, height) = (top + 30, height.saturating_sub(30).max(60));
     for row in 0..height {

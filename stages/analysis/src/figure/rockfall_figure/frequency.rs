@@ -25,7 +25,7 @@ pub fn draw(canvas: &mut Canvas, figure: &Figure, panel: Frame) -> Result<(), Co
     for (volume, number) in power_law::curve(&volumes) {
         strokes::dot(canvas, axes.place(volume, number as f64), 3.2, [150, 152, 160]);
     }
-    let plain = |colour| Pen::plain(15.0, colour);
+    let plain = |colour| Pen::plain(18.0, colour);
     if let (Some(law), Some(last)) = (figure.law, volumes.last()) {
         let end = axes.place(*last, law.number_from(*last).max(1.0));
         let largest = law.minimum * rockface_core::numerics::portable_math::pow(law.count as f64, 1.0 / law.exponent);

@@ -18,12 +18,12 @@ use super::colour_scale::{ColourScale, Palette};
 use rockface_core::numerics::portable_math;
 use rockface_rock::rockfall::power_law::PowerLaw;
 
-const MARGIN: usize = 40;
+const MARGIN: usize = 30;
 const TITLE: usize = 78;
-const GAP: usize = 46;
-const PANEL_HEIGHT: usize = 470;
+const GAP: usize = 40;
+const PANEL_HEIGHT: usize = 400;
 const INK: Colour = [32, 32, 36];
-const FAINT: Colour = [120, 122, 130];
+const FAINT: Colour = [96, 98, 106];
 const HAIR: Colour = [226, 227, 231];
 const ACCENT: Colour = [178, 34, 52];
 
@@ -105,11 +105,11 @@ fn colours(figure: &Figure) -> ColourScale {
 
 fn titles(canvas: &mut Canvas, figure: &Figure) -> Result<(), CodecError> {
     let (x, y) = (MARGIN as f32, MARGIN as f32);
-    canvas.text(&Pen::bold(28.0, INK)?, x, y + 10.0, Align::Left, &figure.title);
+    canvas.text(&Pen::bold(30.0, INK)?, x, y + 10.0, Align::Left, &figure.title);
     let sum = figure.rockfalls.iter().fold(0.0, |sum, fall| sum + fall.removed_m3);
     let count = figure.rockfalls.len();
     let text = format!("{count} pieces, {} of rock", volume(sum));
-    canvas.text(&Pen::plain(18.0, FAINT)?, x, y + 44.0, Align::Left, &text);
+    canvas.text(&Pen::plain(20.0, FAINT)?, x, y + 44.0, Align::Left, &text);
     Ok(())
 }
 
@@ -122,7 +122,7 @@ fn volume(volume_m3: f64) -> String {
 
 /// Title of a panel.
 fn heading(canvas: &mut Canvas, frame: Frame, text: &str) -> Result<(), CodecError> {
-    canvas.text(&Pen::bold(17.0, INK)?, frame.left as f32, frame.top as f32 + 8.0, Align::Left, text);
+    canvas.text(&Pen::bold(18.0, INK)?, frame.left as f32, frame.top as f32 + 8.0, Align::Left, text);
     Ok(())
 }
 

@@ -16,8 +16,21 @@ pub struct Outcome<'a> {
     pub colour: Colour,
     /// Whether outlines are filled.
     pub filled: bool,
+    /// What is drawn over each outline, so that outcomes are told apart without their colours, and small ones are found.
+    pub mark: Mark,
     /// The outlines in the frame of the face.
     pub outlines: Vec<&'a [Polygon]>,
+}
+
+/// A mark over an outline.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Mark {
+    /// None.
+    None,
+    /// A cross.
+    Cross,
+    /// A ring.
+    Ring,
 }
 
 /// A map of outcomes.
@@ -35,8 +48,10 @@ pub struct Map<'a> {
     pub outcomes: Vec<Outcome<'a>>,
 }
 
-/// Height of the legend, pixels.
-const LEGEND: usize = 46;
+/// Height of a line of the legend, pixels.
+const LEGEND: usize = 34;
+/// Distance from the middle to the end of a mark over a small outline, pixels.
+const MARK: f64 = 11.0;
 
 /// Draws the map as a PNG of this width, at least 600 pixels.
 ///
@@ -46,11 +61,12 @@ pub fn draw(map: &Map, width_px: usize) -> Result<Vec<u8>, CodecError> {
     let width = width_px.max(600);
     let inside = width - 2 * MARGIN;
     let view = View::of(&map.grid, inside, inside);
-    let top = MARGIN + TITLE + LEGEND;
+    let legend = Legend::of(map, inside)?;
+    let top = MARGIN + TITLE + LEGEND * legend.lines + 8;
     let mut canvas = Canvas::new(width, top + view.height + face::FOOT + MARGIN);
-    canvas.text(&Pen::bold(28.0, INK)?, MARGIN as f32, MARGIN as f32 + 10.0, Align::Left, &map.title);
-    canvas.text(&Pen::plain(18.0, FAINT)?, MARGIN as f32, MARGIN as f32 + 44.0, Align::Left, &map.subtitle);
-    legend(&mut canvas, map)?;
+    canvas.text(&Pen::bold(30.0, INK)?, MARGIN as f32, MARGIN as f32 + 10.0, Align::Left, &map.title);
+    canvas.text(&Pen::plain(20.0, FAINT)?, MARGIN as f32, MARGIN as f32 + 44.0, Align::Left, &map.subtitle);
+    legend.draw(&mut canvas, map);
     let mut sheet = Canvas::new(view.width, view.height);
     for (place, shade) in face::shades(map.face, &map.grid, &view).iter().enumerate() {
         if let Some(pixel) = sheet.pixel(place % view.width, place / view.width) {
@@ -66,6 +82,12 @@ pub fn draw(map: &Map, width_px: usize) -> Result<Vec<u8>, CodecError> {
             strokes::outline(&mut sheet, &polygon, 2.0, outcome.colour);
         }
     }
+    // Over all outlines, so that none hides a mark.
+    for outcome in &map.outcomes {
+        for polygon in outcome.outlines.iter().copied().flatten() {
+            draw_mark(&mut sheet, outcome.mark, reach(&face::in_pixels(polygon, &map.grid, &view)), outcome.colour);
+        }
+    }
     for place in 0..view.width * view.height {
         let (x, y) = (place % view.width, place / view.width);
         if let Some((to, from)) = canvas.pixel(MARGIN + x, top + y).zip(sheet.pixel(x, y)) {
@@ -73,26 +95,89 @@ pub fn draw(map: &Map, width_px: usize) -> Result<Vec<u8>, CodecError> {
         }
     }
     canvas.frame(MARGIN, top, view.width, view.height, FAINT);
-    let pen = Pen::plain(16.0, INK)?;
+    let pen = Pen::plain(20.0, INK)?;
     draw_scale(&mut canvas, view.width as f64, view.pixel_m, [MARGIN, top + view.height + 24], &pen)?;
     canvas.to_png()
 }
 
-fn legend(canvas: &mut Canvas, map: &Map) -> Result<(), CodecError> {
-    let pen = Pen::plain(17.0, INK)?;
-    let (mut x, y) = (MARGIN, MARGIN + TITLE + 4);
-    for outcome in &map.outcomes {
-        let text = format!("{} ({})", outcome.name, outcome.outlines.len());
-        if outcome.filled {
-            canvas.fill(x, y, 22, 16, outcome.colour);
-        } else {
-            canvas.frame(x, y, 22, 16, outcome.colour);
-            canvas.frame(x + 1, y + 1, 20, 14, outcome.colour);
+/// The middle of a polygon, and how far a mark over it reaches, pixels.
+fn reach(polygon: &Polygon) -> ([f64; 2], f64) {
+    let ends = |axis: usize| {
+        let places = polygon.exterior.iter().map(|place| place[axis]);
+        places.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], at| [low.min(at), high.max(at)])
+    };
+    let [[left, right], [top, bottom]] = [ends(0), ends(1)];
+    let half = 0.5 * (right - left).max(bottom - top);
+    ([0.5 * (left + right), 0.5 * (top + bottom)], (half + 4.0).max(MARK))
+}
+
+/// Draws a mark with a light rim, which shows on any ground.
+fn draw_mark(sheet: &mut Canvas, mark: Mark, ([x, y], reach): ([f64; 2], f64), colour: Colour) {
+    let lines: Vec<[[f64; 2]; 2]> = match mark {
+        Mark::None => Vec::new(),
+        Mark::Cross => [-1.0, 1.0].map(|s| [[x - reach, y - s * reach], [x + reach, y + s * reach]]).to_vec(),
+        Mark::Ring => {
+            let round = |step: usize| {
+                // A sixteenth of a turn at a time, by the half-angle values of a regular polygon of 16 corners.
+                let (cosine, sine) = SIXTEENTHS[step % 4];
+                let [u, v] = [[cosine, sine], [-sine, cosine], [-cosine, -sine], [sine, -cosine]][step / 4 % 4];
+                [x + reach * u, y + reach * v]
+            };
+            (0..16).map(|step| [round(step), round(step + 1)]).collect()
         }
-        canvas.text(&pen, (x + 30) as f32, y as f32 + 8.0, Align::Left, &text);
-        x += 30 + pen.width(&text) as usize + 34;
+    };
+    for (width, ink) in [(6.0, [255; 3]), (3.0, colour)] {
+        lines.iter().for_each(|[from, to]| strokes::line(sheet, *from, *to, width, ink));
     }
-    Ok(())
+}
+
+/// Cosine and sine of the first four sixteenths of a turn.
+const SIXTEENTHS: [(f64, f64); 4] = [
+    (1.0, 0.0),
+    (0.923_879_532_511_286_7, 0.382_683_432_365_089_8),
+    (std::f64::consts::FRAC_1_SQRT_2, std::f64::consts::FRAC_1_SQRT_2),
+    (0.382_683_432_365_089_8, 0.923_879_532_511_286_7),
+];
+
+/// What the colours and marks stand for, in as many lines as it takes.
+struct Legend {
+    pen: Pen,
+    /// By outcome: its text, and where it begins.
+    entries: Vec<(String, [usize; 2])>,
+    lines: usize,
+}
+
+impl Legend {
+    fn of(map: &Map, width: usize) -> Result<Self, CodecError> {
+        let pen = Pen::plain(20.0, INK)?;
+        let (mut x, mut line, mut entries) = (0, 0, Vec::new());
+        for outcome in &map.outcomes {
+            let text = format!("{} ({})", outcome.name, outcome.outlines.len());
+            let room = 36 + pen.width(&text) as usize;
+            if x > 0 && x + room > width {
+                (x, line) = (0, line + 1);
+            }
+            entries.push((text, [MARGIN + x, MARGIN + TITLE + LEGEND * line]));
+            x += room + 30;
+        }
+        Ok(Self { pen, lines: if entries.is_empty() { 0 } else { line + 1 }, entries })
+    }
+
+    fn draw(&self, canvas: &mut Canvas, map: &Map) {
+        for (outcome, (text, [x, y])) in map.outcomes.iter().zip(&self.entries) {
+            let (x, y) = (*x, *y);
+            if outcome.filled && outcome.mark != Mark::None {
+                canvas.fill(x + 8, y + 5, 10, 10, outcome.colour);
+            } else if outcome.filled {
+                canvas.fill(x, y, 26, 20, outcome.colour);
+            } else {
+                canvas.frame(x, y, 26, 20, outcome.colour);
+                canvas.frame(x + 1, y + 1, 24, 18, outcome.colour);
+            }
+            draw_mark(canvas, outcome.mark, ([x as f64 + 13.0, y as f64 + 10.0], MARK), outcome.colour);
+            canvas.text(&self.pen, (x + 36) as f32, y as f32 + 10.0, Align::Left, text);
+        }
+    }
 }
 
 #[cfg(test)]
@@ -105,10 +190,21 @@ mod tests {
         let face = vec![1.0; 2400];
         let exterior = vec![[2.0, 1.0], [4.0, 1.0], [4.0, 3.0], [2.0, 3.0]];
         let outline = [Polygon { exterior, holes: Vec::new() }];
-        let outcome = Outcome { name: "found".into(), colour: [0, 90, 200], filled: true, outlines: vec![&outline] };
-        let map = Map { title: "T".into(), subtitle: "s".into(), face: &face, grid, outcomes: vec![outcome] };
+        let outcome = Outcome {
+            name: "found".into(),
+            colour: [0, 90, 200],
+            filled: true,
+            mark: Mark::None,
+            outlines: vec![&outline],
+        };
+        let map = Map { title: "T".into(), subtitle: "s".into(), face: &face, grid, outcomes: vec![outcome.clone()] };
         let with = draw(&map, 600).unwrap();
-        let without = draw(&Map { outcomes: Vec::new(), ..map }, 600).unwrap();
+        let without = draw(&Map { outcomes: Vec::new(), ..map.clone() }, 600).unwrap();
         assert!(with.starts_with(b"\x89PNG") && with != without);
+        let marked = |mark: Mark| {
+            draw(&Map { outcomes: vec![Outcome { mark, ..outcome.clone() }], ..map.clone() }, 600).unwrap()
+        };
+        let marks = [Mark::None, Mark::Cross, Mark::Ring].map(marked);
+        assert!(marks[0] == with && marks[1] != with && marks[2] != with && marks[1] != marks[2]);
     }
 }

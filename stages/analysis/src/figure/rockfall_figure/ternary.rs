@@ -40,7 +40,7 @@ pub fn draw(canvas: &mut Canvas, figure: &Figure, scale: &ColourScale, panel: Fr
 }
 
 fn names(canvas: &mut Canvas, triangle: &ShapeTriangle) -> Result<(), CodecError> {
-    let pen = Pen::plain(15.0, INK)?;
+    let pen = Pen::plain(18.0, INK)?;
     let mut write = |[x, y]: Place, align, text: &str| canvas.text(&pen, x as f32, y as f32, align, text);
     let [x, y] = triangle.place(1.0, 0.5);
     write([x, y - 16.0], Align::Middle, "compact, S/L = 1");
@@ -51,7 +51,7 @@ fn names(canvas: &mut Canvas, triangle: &ShapeTriangle) -> Result<(), CodecError
     write([x, y + 46.0], Align::Middle, "(L \u{2212} I)/(L \u{2212} S) \u{2192}");
     let [x, y] = triangle.place(0.0, 1.0);
     write([x + 12.0, y + 22.0], Align::Right, "elongate");
-    let faint = Pen::plain(13.0, FAINT)?;
+    let faint = Pen::plain(15.0, FAINT)?;
     for (row, flatness) in [0.85, 0.6, 0.4, 0.15].into_iter().enumerate() {
         let columns: &[f64] = if row == 0 { &[0.5] } else { &[0.165, 0.5, 0.835] };
         for (column, elongation) in columns.iter().enumerate() {

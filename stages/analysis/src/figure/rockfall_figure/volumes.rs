@@ -21,7 +21,7 @@ pub fn draw(canvas: &mut Canvas, figure: &Figure, scale: &ColourScale, panel: Fr
         strokes::dot(canvas, axes.place(*block, *removed), 4.0, scale.colour(portable_math::log10(*removed)));
     }
     if pairs.is_empty() {
-        axes.note(canvas, &Pen::plain(15.0, FAINT)?, 0, "no blocks are known");
+        axes.note(canvas, &Pen::plain(18.0, FAINT)?, 0, "no blocks are known");
     }
     Ok(())
 }

@@ -4,7 +4,7 @@
 //! and kept between 1 and 255 otherwise, so that values can be had back from the picture to 1/254 of its range.
 
 use super::{every, left_out, stride_to};
-use crate::figure::colour_scale::{ColourScale, NO_DATA, Palette};
+use crate::figure::colour_scale::{ColourScale, NO_DATA, Palette, round_step, rounded};
 use rockface_core::artefact::sketch::{ColourKey, GridBand, GridSketch, PictureSketch, Shape, Sketch};
 use rockface_core::artefact::{Depth, Picture, Raster};
 use rockface_core::numerics::quantile::nearest_rank;
@@ -123,7 +123,8 @@ fn false_colours(field: &Field) -> Option<Sketch> {
         image: field.image.clone(),
         png,
     };
-    let reduced = every(stride, "column and row");
+    let parts = [every(stride, "column and row"), beyond(&values, &scale, field.unit)];
+    let reduced = parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("; ");
     Some(Sketch { part: field.part.to_owned(), reduced, shape: Shape::Picture(shape) })
 }
 
@@ -144,11 +145,27 @@ fn scale(quantity: &str, values: &[f32]) -> (&'static str, ColourScale) {
     } else if matches!(quantity, "mask" | "valid") {
         ("grey", Palette::Grey, 0.0, 1.0)
     } else {
-        ("viridis", Palette::Viridis, at(TAILS), at(1.0 - TAILS))
+        // Labels and counts have no outliers: every one of them is to have its colour.
+        let tails = if unit(quantity).is_empty() { 0.0 } else { TAILS };
+        ("viridis", Palette::Viridis, at(tails), at(1.0 - tails))
     };
     // Constant values still get a scale.
     let (low, high) = if high > low { (low, high) } else { (low - 0.5, low + 0.5) };
     (word, ColourScale { palette, low, high })
+}
+
+/// The farthest values beyond the colours; empty where all lie within.
+fn beyond(values: &[f32], scale: &ColourScale, unit: &str) -> String {
+    let finite = || values.iter().copied().filter(|value| value.is_finite()).map(f64::from);
+    let (low, high) = (finite().fold(f64::INFINITY, f64::min), finite().fold(f64::NEG_INFINITY, f64::max));
+    let step = round_step((scale.high - scale.low) / 100.0);
+    let ends = [(low < scale.low - step, low), (high > scale.high + step, high)];
+    let told: Vec<String> = ends.into_iter().filter(|(is, _)| *is).map(|(_, value)| rounded(value, step)).collect();
+    if told.is_empty() {
+        String::new()
+    } else {
+        format!("values reach {} {unit}", told.join(" and ")).trim_end().to_owned()
+    }
 }
 
 /// The number of a value in the palette.
