@@ -54,7 +54,7 @@ impl PlanArgs {
         let mut instances: Vec<Vec<usize>> = vec![Vec::new(); plan.graph.steps.len()];
         plan.instances.iter().enumerate().for_each(|(number, instance)| instances[instance.step].push(number));
         let mut used = "";
-        for number in plan.graph.by_use() {
+        for number in plan.graph.as_written() {
             let (step, own) = (&plan.graph.steps[number], &instances[number]);
             if own.is_empty() {
                 continue;

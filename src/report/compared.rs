@@ -71,7 +71,7 @@ pub fn comparison(runs: &[PastRun], store: Option<&Store>, look: &'static dyn Lo
 fn run(run: &PastRun, look: &'static dyn Look) -> RunView {
     let run_files = RunContents { folder: &run.folder, manifest: &run.manifest, store: None, graph: None, logs: None };
     let source = Source { run: run_files, look };
-    let linker = Linker { source: &source, links: Links::Absolute };
+    let linker = Linker::new(&source, Links::Absolute);
     RunView {
         name: run.name.clone(),
         link: linker.to(REPORT_FILE.as_ref()),
@@ -99,7 +99,7 @@ fn pictures(runs: &[PastRun], store: Option<&Store>, look: &'static dyn Look) ->
     for (place, run) in runs.iter().enumerate() {
         let run_files = RunContents { folder: &run.folder, manifest: &run.manifest, store, graph: None, logs: None };
         let source = Source { run: run_files, look };
-        let linker = Linker { source: &source, links: Links::Absolute };
+        let linker = Linker::new(&source, Links::Absolute);
         for done in &run.manifest.steps {
             for medium in media::finished_of(&source, done, &linker, &mut budget) {
                 let images = found.entry(medium.from.clone()).or_insert_with(|| runs.iter().map(|_| None).collect());

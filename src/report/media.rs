@@ -36,6 +36,10 @@ pub struct Medium {
     pub link: Option<String>,
     /// Whether it deserves the whole width.
     pub wide: bool,
+    /// Whether a step made it to be looked at; otherwise it is a look at what a step made.
+    pub finished: bool,
+    /// Whether a picture of another step shows the same.
+    pub shown_elsewhere: bool,
     /// What its colours stand for, where it does not say so itself.
     pub colours: Option<Colours>,
 }
@@ -55,7 +59,7 @@ pub struct Colours {
 
 /// Pixels from which on a picture or figure gets the whole width.
 const WIDE_PX: u32 = 1500;
-const WIDE_FIGURE_PX: u32 = 600;
+const WIDE_FIGURE_PX: u32 = 760;
 
 /// The width of a PNG file, pixels.
 fn width_px(png: &[u8]) -> u32 {
@@ -106,14 +110,17 @@ pub fn of(source: &Source, done: &StepDone, linker: &Linker, budget: &mut Budget
             continue;
         }
         *count += 1;
+        let output = done.outputs.iter().flatten().find(|(port, _)| port.as_str() == preview.port);
         found.push(Medium {
             caption: preview.caption,
-            made: made(done, done.outputs.iter().flatten().find(|(port, _)| port.as_str() == preview.port)),
+            made: made(done, output),
             from,
             svg: None,
             image: Some(data("image/png", &preview.png)),
             link: linker.output(done, &preview.port),
             wide: false,
+            finished: false,
+            shown_elsewhere: output.is_some_and(|(_, output)| linker.drawn.contains(&output.digest)),
             colours: preview.colours.map(|key| Colours {
                 palette: key.palette,
                 low: Shown::of_json(&key.low.into()),
@@ -159,6 +166,8 @@ fn finished(
         image: None,
         link: linker.output(done, port),
         wide: true,
+        finished: true,
+        shown_elsewhere: false,
         colours: None,
     };
     if kind == Kind::Figure {

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use rockface_cache::{Digest, RecipeInput};
+use rockface_cache::Digest;
 use serde::Serialize;
 
 use super::curves::{self, Curve};
@@ -45,6 +45,7 @@ pub struct Page {
     warnings: Vec<Warning>,
     more_warnings: usize,
     pictures: Vec<Medium>,
+    looks: Vec<Medium>,
     results: Vec<Result>,
     refused: usize,
     graph: Option<String>,
@@ -64,6 +65,7 @@ pub struct Page {
 #[derive(Debug, Serialize)]
 struct Headlines {
     title: String,
+    step: String,
     folded: bool,
     lines: Vec<Said>,
     more: usize,
@@ -75,6 +77,7 @@ struct Result {
     step: String,
     title: String,
     tables: Vec<TableView>,
+    folded: Vec<TableView>,
     more: usize,
 }
 
@@ -90,13 +93,13 @@ struct Warning {
 /// Gathers the page.
 pub fn of(source: &Source, links: Links) -> Page {
     let manifest = source.manifest;
-    let linker = Linker { source, links };
+    let linker = Linker::new(source, links);
     let mut budget = Budget::new();
     let targets = targets(source);
     let mut gathered = steps::gather(&linker, &targets, &mut budget);
-    let pictures =
-        gathered.steps.iter_mut().filter(|step| step.target).flat_map(|step| std::mem::take(&mut step.media));
-    let pictures: Vec<Medium> = pictures.collect();
+    let of_targets = gathered.steps.iter_mut().filter(|step| step.target);
+    let (pictures, looks): (Vec<Medium>, Vec<Medium>) =
+        of_targets.flat_map(StepView::shown_above).partition(|medium| medium.finished);
     let results = results(&mut gathered.steps);
     let warnings = folded(gathered.warnings);
     let failures = folded(gathered.failures);
@@ -128,6 +131,7 @@ pub fn of(source: &Source, links: Links) -> Page {
         more_warnings: warnings.len().saturating_sub(LINES),
         warnings: warnings.into_iter().take(LINES).collect(),
         pictures,
+        looks,
         results,
         refused: budget.refused,
         graph: source.graph.and_then(|graph| graph::svg(graph, &gathered.steps)),
@@ -154,7 +158,7 @@ fn targets(source: &Source) -> Vec<String> {
         return manifest.targets.clone();
     }
     let inputs = manifest.steps.iter().flat_map(|done| done.inputs.values());
-    let read: BTreeSet<Digest> = inputs.flat_map(digests).collect();
+    let read: BTreeSet<Digest> = inputs.flat_map(steps::digests).collect();
     let is_read = |done: &StepDone| done.outputs.iter().flatten().any(|(_, output)| read.contains(&output.digest));
     let read_steps: BTreeSet<&str> =
         manifest.steps.iter().filter(|done| is_read(done)).map(|done| done.step.as_str()).collect();
@@ -164,24 +168,19 @@ fn targets(source: &Source) -> Vec<String> {
     names
 }
 
-/// The digests an input reads.
-fn digests(input: &RecipeInput) -> Vec<Digest> {
-    match input {
-        RecipeInput::One(digest) => vec![*digest],
-        RecipeInput::Many(elements) => elements.iter().map(|element| element.digest).collect(),
-    }
-}
-
-/// Takes the tables of target steps to the top of the page.
+/// Takes the tables of target steps to the top of the page, those of steps that nothing reads first. Where a step has many instances, the
+/// tables of the first stand there and the others are folded.
 fn results(steps: &mut [StepView]) -> Vec<Result> {
     let wanted = steps.iter_mut().filter(|step| step.target && !step.tables.is_empty());
-    let result = |step: &mut StepView| Result {
-        step: step.name.clone(),
-        title: step.title.clone(),
-        tables: std::mem::take(&mut step.tables),
-        more: step.more,
+    let result = |step: &mut StepView| {
+        let mut tables = std::mem::take(&mut step.tables);
+        let first = tables.iter().take_while(|table| table.instance == tables[0].instance).count();
+        let folded = tables.split_off(first);
+        (!step.end, Result { step: step.name.clone(), title: step.title.clone(), tables, folded, more: step.more })
     };
-    wanted.map(result).collect()
+    let mut results: Vec<(bool, Result)> = wanted.map(result).collect();
+    results.sort_by_key(|(is_read, _)| *is_read);
+    results.into_iter().map(|(_, result)| result).collect()
 }
 
 /// Headlines above which those of one step are folded.
@@ -198,7 +197,8 @@ fn grouped(lines: &[String], steps: &[StepView]) -> Vec<Headlines> {
         }
     }
     let group = |(step, lines): (String, Vec<Said>)| Headlines {
-        title: steps.iter().find(|view| view.name == step).map_or(step, |view| view.title.clone()),
+        title: steps.iter().find(|view| view.name == step).map_or_else(|| step.clone(), |view| view.title.clone()),
+        step,
         folded: lines.len() > UNFOLDED,
         more: lines.len().saturating_sub(LINES),
         lines: lines.into_iter().take(LINES).collect(),

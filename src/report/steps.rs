@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use rockface_cache::{Digest, RecipeInput};
 use rockface_core::Entry;
 use serde::Serialize;
 use serde_json::Value;
@@ -43,6 +44,8 @@ pub struct StepView {
     pub version: u32,
     /// Whether it is what was asked for.
     pub target: bool,
+    /// Whether no other step reads what it makes, but to draw it.
+    pub end: bool,
     /// How many instances it has, ran, had cached, and did not finish.
     pub instances: usize,
     /// How many ran.
@@ -139,9 +142,27 @@ pub struct Linker<'a> {
     pub source: &'a Source<'a>,
     /// How.
     pub links: Links,
+    /// The steps whose outputs no other reads, but to draw them.
+    pub ends: BTreeSet<String>,
+    /// The outputs that pictures show: they need no second one.
+    pub drawn: BTreeSet<Digest>,
 }
 
-impl Linker<'_> {
+impl<'a> Linker<'a> {
+    /// Links of a run's page.
+    pub fn new(source: &'a Source<'a>, links: Links) -> Self {
+        let ends = source.graph.map(|graph| {
+            let ends = graph.ends();
+            graph.steps.iter().zip(ends).filter(|(_, end)| *end).map(|(step, _)| step.name.clone()).collect()
+        });
+        let draws = |done: &&StepDone| {
+            let kinds = || done.outputs.iter().flatten().map(|(_, output)| output.kind.as_str());
+            kinds().count() > 0 && kinds().all(|kind| matches!(kind, "picture" | "figure"))
+        };
+        let drawn = source.manifest.steps.iter().filter(draws).flat_map(|done| done.inputs.values());
+        Self { source, links, ends: ends.unwrap_or_default(), drawn: drawn.flat_map(digests).collect() }
+    }
+
     /// The address of an output's file, where there is one.
     pub fn output(&self, done: &StepDone, port: &str) -> Option<String> {
         done.paths.get(port).and_then(|path| self.to(path))
@@ -168,6 +189,14 @@ impl Linker<'_> {
         let letter = |byte: u8| if plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") };
         let address: String = path.to_string_lossy().bytes().map(letter).collect();
         if self.links == Links::Relative { address } else { format!("file://{address}") }
+    }
+}
+
+/// The digests an input reads.
+pub fn digests(input: &RecipeInput) -> Vec<Digest> {
+    match input {
+        RecipeInput::One(digest) => vec![*digest],
+        RecipeInput::Many(elements) => elements.iter().map(|element| element.digest).collect(),
     }
 }
 
@@ -208,9 +237,7 @@ pub fn gather(linker: &Linker, targets: &[String], budget: &mut Budget) -> Gathe
         order.truncate(STEPS);
     }
     if let Some(graph) = linker.source.graph {
-        order.sort_by_key(|(name, _)| {
-            graph.steps.iter().find(|step| step.name == *name).map(|step| (step.span.source, step.span.start))
-        });
+        order.sort_by_key(|(name, _)| graph.steps.iter().find(|step| step.name == *name).map(|step| step.written));
     }
     for (name, places) in &order {
         let mut view = step(linker, name, &places.iter().map(|place| &all[*place]).collect::<Vec<_>>());
@@ -257,6 +284,7 @@ fn step(linker: &Linker, name: &str, instances: &[&StepDone]) -> StepView {
         stage: instances[0].stage.clone(),
         version: instances[0].version,
         target: false,
+        end: written.is_none() || linker.ends.contains(name),
         instances: instances.len(),
         executed,
         cached,
@@ -280,6 +308,14 @@ fn step(linker: &Linker, name: &str, instances: &[&StepDone]) -> StepView {
 }
 
 impl StepView {
+    /// Takes what is shown at the top of the page: all but looks at what a picture there shows already.
+    pub fn shown_above(&mut self) -> Vec<Medium> {
+        let media = std::mem::take(&mut self.media);
+        let (kept, shown) = media.into_iter().partition(|medium| medium.shown_elsewhere);
+        self.media = kept;
+        shown
+    }
+
     /// Takes in what its instances said; warnings go to the list of all.
     fn say(&mut self, source: &Source, places: &[usize], warnings: &mut Vec<Said>) {
         for place in places.iter().take(READ) {

@@ -21,6 +21,8 @@ const BYTES: u64 = 20_000_000;
 pub struct TableView {
     /// The instance and output it comes from.
     pub from: String,
+    /// The instance.
+    pub instance: String,
     /// Names of the columns; those of an upright table are its first column.
     pub columns: Vec<String>,
     /// Which columns hold numbers and nothing else.
@@ -33,9 +35,14 @@ pub struct TableView {
     pub row_count: usize,
     /// How many are not shown.
     pub hidden: usize,
+    /// Columns that do not fit on paper.
+    pub beyond_paper: usize,
     /// The CSV file.
     pub link: Option<String>,
 }
+
+/// Columns that fit on paper.
+const ON_PAPER: usize = 10;
 
 /// The tables one instance made.
 pub fn of(source: &Source, done: &StepDone, linker: &Linker) -> Vec<TableView> {
@@ -54,7 +61,8 @@ fn view(source: &Source, done: &StepDone, port: &str, output: &OutputRecord, lin
         _ => return None,
     };
     let mut view = head(&table);
-    view.from = format!("{}.{port}", done.label());
+    view.instance = done.label();
+    view.from = format!("{}.{port}", view.instance);
     view.link = linker.beside(done, port, "csv");
     Some(view)
 }
@@ -76,12 +84,14 @@ pub fn head(table: &Table) -> TableView {
     };
     TableView {
         from: String::new(),
+        instance: String::new(),
         columns: table.columns.clone(),
         numeric,
         rows,
         upright,
         row_count: table.rows.len(),
         hidden: table.rows.len().saturating_sub(ROWS),
+        beyond_paper: if upright { 0 } else { table.columns.len().saturating_sub(ON_PAPER) },
         link: None,
     }
 }

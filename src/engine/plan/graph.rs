@@ -12,7 +12,7 @@ use serde_json::Value;
 use crate::diagnostic::Span;
 use crate::pipeline::{Axis, INSIDE, LogLevel, Node, Used, Word};
 
-/// A pipeline whose every name is resolved; steps are in topological order.
+/// A pipeline whose every name is resolved; steps are in topological order, and as they are written wherever that allows it.
 pub struct Graph {
     /// Name of the pipeline.
     pub name: String,
@@ -43,15 +43,21 @@ impl Graph {
         self.uses.iter().find(|used| used.name == name)
     }
 
-    /// The steps in this order, but those of one use together, where the first of them stands.
-    pub fn by_use(&self) -> Vec<usize> {
-        let outer = |step: &usize| self.steps[*step].name.split_once(INSIDE).map(|(name, _)| name);
-        let mut first: BTreeMap<&str, usize> = BTreeMap::new();
-        let mut order: Vec<usize> = (0..self.steps.len()).collect();
-        for (name, step) in order.iter().filter_map(|step| Some((outer(step)?, *step))) {
-            first.entry(name).or_insert(step);
+    /// By step: whether nothing that is wanted reads what it makes, but to draw it.
+    pub fn ends(&self) -> Vec<bool> {
+        let wanted = self.wanted();
+        let mut ends = vec![true; self.steps.len()];
+        for (number, step) in self.steps.iter().enumerate().filter(|(number, step)| wanted[*number] && !step.draws()) {
+            let sources = step.inputs.iter().flat_map(|(_, feed)| feed.sources());
+            sources.filter(|source| source.step != number).for_each(|source| ends[source.step] = false);
         }
-        order.sort_by_key(|step| outer(step).map_or(*step, |name| first[name]));
+        ends
+    }
+
+    /// The steps as they are written, those of a part where it is used.
+    pub fn as_written(&self) -> Vec<usize> {
+        let mut order: Vec<usize> = (0..self.steps.len()).collect();
+        order.sort_by_key(|step| self.steps[*step].written);
         order
     }
 }
@@ -71,6 +77,8 @@ pub struct GraphStep {
     pub name: String,
     /// Where its name stands.
     pub span: Span,
+    /// How many steps are written before it, those of parts where they are used.
+    pub written: usize,
     /// The stage it uses.
     pub stage: &'static dyn AnyStage,
     /// Its ports.
@@ -104,6 +112,12 @@ pub struct GraphStep {
 }
 
 impl GraphStep {
+    /// Whether all it makes are pictures.
+    pub fn draws(&self) -> bool {
+        let kinds = || self.ports.outputs.iter().flat_map(|port| port.kinds);
+        kinds().count() > 0 && kinds().all(|kind| matches!(kind, Kind::Picture | Kind::Figure))
+    }
+
     /// The file extension of an output of this kind at a port, without the dot.
     pub fn extension(&self, port: &str, kind: Kind) -> &'static str {
         let declared = self.ports.outputs.iter().find(|declared| declared.name == port);

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::path::Path;
 use std::sync::Arc;
 
-use petgraph::algo::{kosaraju_scc, toposort};
+use petgraph::algo::kosaraju_scc;
 use petgraph::graph::DiGraph;
 use rockface_core::artefact::Kind;
 use rockface_core::{AnyStage, Ports};
@@ -234,26 +234,24 @@ impl<'d> Resolver<'d> {
         self.unsure.extend(self.names.steps.get(step).map(|step| (*step, fault)));
     }
 
-    /// Document indices of the steps, producers first, except within a cycle.
+    /// Document indices of the steps, producers first, except within a cycle; otherwise as they are written.
     fn order(&mut self) -> Vec<usize> {
-        let mut arrows = DiGraph::<usize, ()>::new();
         let document = self.document();
-        let nodes: Vec<_> = (0..document.steps.len()).map(|i| arrows.add_node(i)).collect();
-        for (consumer, step) in document.steps.iter().enumerate() {
+        let mut producers: Vec<BTreeSet<usize>> = Vec::with_capacity(document.steps.len());
+        for step in &document.steps {
             let references = step.inputs.iter().flat_map(|(_, input)| input.forward_references());
             let axes = self.names.met_axes(step);
             let lists = axes.iter().filter_map(|axis| document.axes[*axis].from.as_ref());
-            // One arrow for each producer; asking the graph whether it has it would go through all arrows of the producer.
-            let mut producers: Vec<usize> = Vec::new();
-            for producer in references.chain(lists).filter_map(|to| self.names.steps.get(to.step.as_str())) {
-                if !producers.contains(producer) {
-                    producers.push(*producer);
-                    arrows.add_edge(nodes[*producer], nodes[consumer], ());
-                }
-            }
+            let named = references.chain(lists).filter_map(|to| self.names.steps.get(to.step.as_str()));
+            producers.push(named.copied().collect());
         }
-        if let Ok(order) = toposort(&arrows, None) {
-            return order.into_iter().map(|node| arrows[node]).collect();
+        if let Some(order) = producers_first(&producers) {
+            return order;
+        }
+        let mut arrows = DiGraph::<usize, ()>::new();
+        let nodes: Vec<_> = (0..document.steps.len()).map(|i| arrows.add_node(i)).collect();
+        for (consumer, producers) in producers.iter().enumerate() {
+            producers.iter().for_each(|producer| _ = arrows.add_edge(nodes[*producer], nodes[consumer], ()));
         }
         let components = kosaraju_scc(&arrows);
         for component in &components {
@@ -367,6 +365,7 @@ impl<'d> Resolver<'d> {
         Some(GraphStep {
             name: step.name.text.clone(),
             span: step.name.span,
+            written: old,
             stage,
             ports,
             folder: self.folder_of(step.name.span),
@@ -443,5 +442,42 @@ impl<'d> Resolver<'d> {
             }
         }
         (label.text.clone(), narrowed.into_iter().collect())
+    }
+}
+
+/// The numbers of a list of producers with producers before consumers, otherwise ascending; `None` where some wait for each other.
+fn producers_first(producers: &[BTreeSet<usize>]) -> Option<Vec<usize>> {
+    let mut consumers: Vec<Vec<usize>> = vec![Vec::new(); producers.len()];
+    for (consumer, producers) in producers.iter().enumerate() {
+        producers.iter().for_each(|producer| consumers[*producer].push(consumer));
+    }
+    let mut unmet: Vec<usize> = producers.iter().map(BTreeSet::len).collect();
+    let mut ready: BTreeSet<usize> = (0..unmet.len()).filter(|node| unmet[*node] == 0).collect();
+    let mut order = Vec::with_capacity(unmet.len());
+    while let Some(node) = ready.pop_first() {
+        order.push(node);
+        for consumer in &consumers[node] {
+            unmet[*consumer] -= 1;
+            if unmet[*consumer] == 0 {
+                ready.insert(*consumer);
+            }
+        }
+    }
+    (order.len() == producers.len()).then_some(order)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_stand_as_written_but_for_producers() {
+        let order = |producers: &[&[usize]]| {
+            producers_first(&producers.iter().map(|list| list.iter().copied().collect()).collect::<Vec<_>>())
+        };
+        assert_eq!(order(&[&[], &[], &[0], &[1], &[]]), Some(vec![0, 1, 2, 3, 4]));
+        assert_eq!(order(&[&[2], &[], &[1], &[0]]), Some(vec![1, 2, 0, 3]));
+        assert_eq!(order(&[&[1], &[0]]), None);
+        assert_eq!(order(&[&[0]]), None);
     }
 }

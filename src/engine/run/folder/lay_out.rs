@@ -40,12 +40,24 @@ pub type Paths = BTreeMap<String, SafePath>;
 pub struct Laid {
     /// The outputs of each instance.
     pub paths: Vec<Paths>,
-    /// All files of the target steps.
-    pub of_targets: Vec<SafePath>,
+    /// All files of the target steps, each with the step.
+    of_targets: Vec<(usize, SafePath)>,
     /// All files; with the digest of its blob one that is but another name of that.
     pub files: Files,
     /// How many kept outputs have no file.
     pub unnamed: usize,
+}
+
+impl Laid {
+    /// The files of the target steps: first pictures, then those that no other step reads, otherwise as written.
+    pub fn of_targets(&self, plan: &Plan) -> Vec<SafePath> {
+        let (steps, ends) = (&plan.graph.steps, plan.graph.ends());
+        let mut files: Vec<&(usize, SafePath)> = self.of_targets.iter().collect();
+        files.sort_by_key(|(step, _)| {
+            (!steps[*step].draws(), !ends[*step], steps[*step].axes.len(), steps[*step].written)
+        });
+        files.into_iter().map(|(_, path)| path.clone()).collect()
+    }
 }
 
 impl LayOut {
@@ -75,7 +87,8 @@ impl LayOut {
             };
             let (named, files) = outputs;
             if is_target {
-                laid.of_targets.extend(files.iter().map(|(path, _)| path.clone()));
+                let step = plan.instances[instance].step;
+                laid.of_targets.extend(files.iter().map(|(path, _)| (step, path.clone())));
             }
             laid.files.extend(files);
             laid.paths.push(named);

@@ -180,7 +180,13 @@ impl Writer<'_> {
         let mut own = vec![MANIFEST, LOG_FILE, PIPELINE, CRATE];
         own.extend(folder.join(POINTS_FILE).exists().then_some(POINTS_FILE));
         let made = made::left(folder, &own, &laid)?;
-        Ok(Finished { folder: folder.to_owned(), headlines, files: laid.of_targets, unnamed: laid.unnamed, made })
+        Ok(Finished {
+            folder: folder.to_owned(),
+            headlines,
+            files: laid.of_targets(self.plan),
+            unnamed: laid.unnamed,
+            made,
+        })
     }
 
     /// Fetches what the folder is made of and is in a remote place only, all at once.
@@ -288,15 +294,34 @@ impl Writer<'_> {
         }
     }
 
-    /// The results in a line each: what the target steps have to say.
+    /// The results in a line each: what the target steps have to say, first those that nothing reads and that are expanded over the
+    /// fewest axes, otherwise as written. What all instances of a step say alike is said once.
     fn headlines(&self, logs: &[Vec<Entry>]) -> Vec<String> {
-        let entries =
-            logs.iter().enumerate().flat_map(|(instance, entries)| entries.iter().map(move |entry| (instance, entry)));
-        let headline = |(instance, entry): (usize, &Entry)| match entry {
-            Entry::Headline { text } => Some(format!("{}: {text}", self.plan.label(instance))),
-            _ => None,
-        };
-        entries.filter(|(instance, _)| self.plan.targets.binary_search(instance).is_ok()).filter_map(headline).collect()
+        let (graph, ends) = (&self.plan.graph, self.plan.graph.ends());
+        let mut found: Vec<(usize, usize, &str)> = Vec::new();
+        for (instance, entries) in logs.iter().enumerate() {
+            if self.plan.targets.binary_search(&instance).is_err() {
+                continue;
+            }
+            let step = self.plan.instances[instance].step;
+            for entry in entries {
+                if let Entry::Headline { text } = entry {
+                    found.push((step, instance, text));
+                }
+            }
+        }
+        found.sort_by_key(|(step, _, _)| (!ends[*step], graph.steps[*step].axes.len(), graph.steps[*step].written));
+        let mut lines = Vec::new();
+        for group in found.chunk_by(|one, other| one.0 == other.0) {
+            let label = |instance: usize| self.plan.label(instance);
+            match group {
+                [(_, first, text), rest @ ..] if !rest.is_empty() && rest.iter().all(|(_, _, other)| other == text) => {
+                    lines.push(format!("{} and {} more: {text}", label(*first), rest.len()));
+                }
+                _ => lines.extend(group.iter().map(|(_, instance, text)| format!("{}: {text}", label(*instance)))),
+            }
+        }
+        lines
     }
 
     fn log(&self, folder: &Path, logs: &[Vec<Entry>], laid: &Laid) -> Result<(), RunError> {
