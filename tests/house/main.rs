@@ -16,6 +16,7 @@ mod dynamic;
 mod engine;
 mod finding;
 mod folders;
+mod foreign;
 mod golden;
 mod history;
 mod hostile;
