@@ -1,6 +1,6 @@
 //! What there is to say of an artefact or a log: sizes, ranges, missing values.
 
-use rockface_core::artefact::{Artefact, Cloud, Mesh, Raster, Table};
+use rockface_core::artefact::{Artefact, Cloud, Frame, Mesh, Raster, Table, Transform};
 #[cfg(test)]
 use serde_json::Map;
 use serde_json::{Value, json};
@@ -82,10 +82,29 @@ pub fn of_artefact(artefact: &Artefact) -> Facts {
         }
         _ => {}
     }
+    if let Artefact::Inventory(inventory) = artefact {
+        facts.push(("frame".into(), inventory.frame.to_string().into()));
+        facts.push(("outlines".into(), inventory.features.len().into()));
+        facts.push(("columns".into(), inventory.columns.len().into()));
+    }
+    if let Some(georeference) = artefact.frame().and_then(Frame::georeference) {
+        facts.push(("crs of the world".into(), json!(georeference.crs)));
+        facts.extend(georeference.wall_from_world.as_ref().map(|way| ("to the map (PROJ)".into(), to_map(way).into())));
+    }
     if let Some(items) = artefact.items() {
         facts.push(("items".into(), items.len().into()));
     }
     facts
+}
+
+/// The way from the wall to the world as an operation of PROJ, which `ogr2ogr -ct` and `cct` take: `world = R^T (wall - translation) + origin`.
+fn to_map(wall_from_world: &Transform) -> String {
+    let Transform { rotation, origin, translation, .. } = wall_from_world;
+    let turned = |axis: usize| (0..3).map(|i| rotation[i][axis] * translation[i]).sum::<f64>();
+    let offsets = (0..3).map(|axis| format!("+{}off={}", ["x", "y", "z"][axis], origin[axis] - turned(axis)));
+    let matrix = (0..9).map(|k| format!("+s{}{}={}", k / 3 + 1, k % 3 + 1, rotation[k % 3][k / 3]));
+    let words: Vec<String> = std::iter::once("+proj=affine".to_owned()).chain(offsets).chain(matrix).collect();
+    words.join(" ")
 }
 
 fn of_mesh(mesh: &Mesh) -> Facts {

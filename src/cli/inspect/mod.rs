@@ -85,6 +85,9 @@ impl InspectArgs {
     }
 
     fn of_digest(&self) -> Result<Found, CliError> {
+        if !self.what.bytes().all(|byte| byte.is_ascii_hexdigit()) {
+            return Err(self.unknown());
+        }
         let store = self.places.open_store()?;
         let records: Vec<(Digest, Record)> =
             store.keys().into_iter().filter_map(|key| Some((key, store.record(&key)?))).collect();
@@ -247,9 +250,22 @@ fn of_file(path: &Path, places: &Places) -> Result<Found, CliError> {
             Err(error) => faults.push(format!("as {kind}: {error}")),
         }
     }
-    let why =
-        if faults.is_empty() { format!("no artefact has the extension `{extension}`") } else { faults.join("; ") };
+    let why = match importer(&extension) {
+        Some(stage) => format!("files of other programs are read by a step: `stage: {stage}`"),
+        None if faults.is_empty() => format!("no artefact has the extension `{extension}`"),
+        None => faults.join("; "),
+    };
     facts.push(("kind".into(), "not an artefact".into()));
     facts.push(("why".into(), why.into()));
     Ok(facts.into())
+}
+
+/// The stage that reads files of other programs with this extension.
+fn importer(extension: &str) -> Option<&'static str> {
+    match extension {
+        "las" | "laz" | "xyz" | "pts" | "txt" => Some("import-cloud"),
+        "obj" | "stl" => Some("import-mesh"),
+        "xml" | "out" => Some("import-cameras"),
+        _ => None,
+    }
 }
