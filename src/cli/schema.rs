@@ -101,18 +101,20 @@ fn axis() -> Value {
     let range = json!({"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2});
     let spread = json!({"anyOf": [range, {"type": "object", "minProperties": 1, "maxProperties": 1,
         "additionalProperties": false, "properties": {"log": range, "whole": range}}]});
+    let mention = json!({"type": "string", "pattern": "^\\$\\{.+\\}$", "description": "A parameter."});
+    let or_mention = |shape: &Value| json!({"anyOf": [shape, mention]});
     let form = |name: &str, shape: &Value, what: &str| {
         json!({"type": "object", "required": [name], "additionalProperties": false,
                "properties": {name: shape, "reseeds": {"type": "boolean"}}, "description": what})
     };
     json!({"oneOf": [
-        form("items", &json!({"type": "array", "items": scalar, "minItems": 1}), "Named items."),
-        form("count", &json!({"type": "integer", "minimum": 1}), "Items 0, 1, 2, …"),
-        form("values", &json!({"type": "array", "items": scalar, "minItems": 1}), "A swept value; does not reseed."),
+        form("items", &or_mention(&json!({"type": "array", "items": scalar, "minItems": 1})), "Named items."),
+        form("count", &or_mention(&json!({"type": "integer", "minimum": 1})), "Items 0, 1, 2, …"),
+        form("values", &or_mention(&json!({"type": "array", "items": scalar, "minItems": 1})), "A swept value; does not reseed."),
         form("from", &json!({"$ref": "#/$defs/reference"}), "The items of a list another step makes."),
         {"type": "object", "required": ["sample", "count", "over"], "additionalProperties": false, "properties": {
             "sample": {"enum": ["grid", "random", "latin-hypercube", "sobol"]},
-            "count": {"anyOf": [{"type": "integer", "minimum": 1}, {"type": "array", "items": {"type": "integer", "minimum": 1}}]},
+            "count": {"anyOf": [{"type": "integer", "minimum": 1}, {"type": "array", "items": {"type": "integer", "minimum": 1}}, mention]},
             "over": {"type": "object", "additionalProperties": spread, "minProperties": 1},
             "reseeds": {"type": "boolean"},
         }, "description": "Points of a drawn design, each value ${axis.name}."},
