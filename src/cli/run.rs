@@ -85,7 +85,7 @@ impl RunArgs {
         let text = self.pipeline.read()?;
         let question = self.question(&text);
         if let Some(told) = self.recall(question.as_ref())? {
-            self.say_end(&told, (0, told.instances), false, begun.elapsed().as_secs_f64());
+            self.say_end(&told, 0, told.instances, false, begun.elapsed().as_secs_f64());
             return Ok(());
         }
         let pipeline = self.pipeline.load_text(registry, &text)?;
@@ -128,7 +128,7 @@ impl RunArgs {
         if let Some(former) = former.filter(|_| !self.json) {
             repeat::verdict(&former, &plan, &summary).iter().for_each(|line| say(line));
         }
-        self.report((&store, &summary, &finished, &told), begun.elapsed().as_secs_f64());
+        self.report(&store, &summary, &finished, &told, begun.elapsed().as_secs_f64());
         let failed = summary.failed;
         // The process ends now: dropping a large plan would only take time.
         std::mem::forget((pipeline, plan, summary));
@@ -181,7 +181,7 @@ impl RunArgs {
         Ok(shortcut::recall(&self.pipeline.store_dir(), question, &runs)?)
     }
 
-    fn report(&self, (store, summary, finished, told): (&Store, &Summary, &Finished, &Told), wall_s: f64) {
+    fn report(&self, store: &Store, summary: &Summary, finished: &Finished, told: &Told, wall_s: f64) {
         let (ran, cached) = (summary.executed(), summary.cached());
         let traffic = store.remote().map(Remote::traffic);
         if self.json {
@@ -197,10 +197,10 @@ impl RunArgs {
             let (down, up) = (bytes(traffic.bytes_read), bytes(traffic.bytes_written));
             say(&format!("  {requests} requests to {}: {down} fetched, {up} uploaded", remote.url()));
         }
-        self.say_end(told, (ran, cached), summary.failed, wall_s);
+        self.say_end(told, ran, cached, summary.failed, wall_s);
     }
 
-    fn say_end(&self, told: &Told, (ran, cached): (usize, usize), failed: bool, wall_s: f64) {
+    fn say_end(&self, told: &Told, ran: usize, cached: usize, failed: bool, wall_s: f64) {
         let folder = readable(&told.folder);
         if told.unnamed > 0 && self.outputs == LayOut::Auto && !self.quiet {
             let ways = "`rockface export RUN STEP.PORT FILE` writes one, `--outputs all` names them all";

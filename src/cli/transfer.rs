@@ -45,7 +45,7 @@ impl TransferArgs {
         }
         let other = Store::open(&self.other)?;
         let keys = self.keys(own.keys())?;
-        self.hand((&own, &other), &keys)
+        self.hand(&own, &other, &keys)
     }
 
     /// Copies results from the other store.
@@ -64,7 +64,7 @@ impl TransferArgs {
         }
         let (own, other) = (self.places.make_store()?, Store::open(&self.other)?);
         let keys = self.keys(other.keys())?;
-        self.hand((&other, &own), &keys)
+        self.hand(&other, &own, &keys)
     }
 
     /// The keys to copy: those of the given runs, or all.
@@ -82,7 +82,7 @@ impl TransferArgs {
         Ok(keys)
     }
 
-    fn hand(&self, (from, to): (&Store, &Store), keys: &[Digest]) -> Result<(), CliError> {
+    fn hand(&self, from: &Store, to: &Store, keys: &[Digest]) -> Result<(), CliError> {
         if from.dir() == to.dir() {
             return Err(CliError::Usage(format!("{} is both stores", from.dir().display())));
         }

@@ -100,10 +100,10 @@ impl Sheet {
         let flow = |from: usize, to: usize, arrow| Flow { from: Some(from), to: Some(to), maker: from, arrow };
         let flows =
             drawing.edge_references().map(|edge| flow(edge.source().index(), edge.target().index(), edge.weight()));
-        Self::new("", &steps, &flows.collect::<Vec<_>>(), (drawing, sizes))
+        Self::new("", &steps, &flows.collect::<Vec<_>>(), drawing, sizes)
     }
 
-    fn new(prefix: &str, steps: &[usize], flows: &[Flow], (drawing, sizes): (&DiGraph<Drawn, Arrow>, &Sizes)) -> Self {
+    fn new(prefix: &str, steps: &[usize], flows: &[Flow], drawing: &DiGraph<Drawn, Arrow>, sizes: &Sizes) -> Self {
         let mut plan = Rows::of(prefix, steps, flows, drawing);
         let links = plan.links(flows);
         let links = plan.put_in_order(links);
@@ -111,7 +111,7 @@ impl Sheet {
             Content::Cell(cell) => cell,
             Content::Use(name, steps, flows) => {
                 let prefix = format!("{name}{INSIDE}");
-                Cell::Frame(name, Box::new(Self::new(&prefix, &steps, &flows, (drawing, sizes))))
+                Cell::Frame(name, Box::new(Self::new(&prefix, &steps, &flows, drawing, sizes)))
             }
         };
         let cells: Vec<Cell> = plan.cells.into_iter().map(cell).collect();

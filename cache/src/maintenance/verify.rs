@@ -49,7 +49,8 @@ impl Store {
         let named = self.named_blobs();
         let mut found = Verified { records: self.keys().len() as u64, ..Verified::default() };
         for digest in self.small_blobs() {
-            self.verify_one(&digest, self.read_small(&digest)?, &named, repair, &mut found)?;
+            let (read, bytes) = self.read_small(&digest)?;
+            self.verify_one(&digest, read, bytes, &named, repair, &mut found)?;
         }
         for digest in self.blobs().list()? {
             let file = match self.blobs().open(&digest) {
@@ -62,8 +63,8 @@ impl Store {
                 }
                 file => file?,
             };
-            let read = Digest::of_reader(file).at("read", &self.blobs().path(&digest))?;
-            self.verify_one(&digest, read, &named, repair, &mut found)?;
+            let (read, bytes) = Digest::of_reader(file).at("read", &self.blobs().path(&digest))?;
+            self.verify_one(&digest, read, bytes, &named, repair, &mut found)?;
         }
         let damaged: BTreeSet<Digest> = found.faults.iter().map(|fault| fault.digest).collect();
         for (digest, outputs) in named.iter().filter(|(digest, _)| !damaged.contains(digest)) {
@@ -90,7 +91,8 @@ impl Store {
     fn verify_one(
         &self,
         digest: &Digest,
-        (read, bytes): (Digest, u64),
+        read: Digest,
+        bytes: u64,
         named: &BTreeMap<Digest, Vec<String>>,
         repair: bool,
         found: &mut Verified,

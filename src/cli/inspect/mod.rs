@@ -237,7 +237,7 @@ fn of_file(path: &Path, places: &Places) -> Result<Found, CliError> {
         facts.extend(run::of_manifest(&Manifest::read(path)?));
         return Ok(facts.into());
     }
-    facts.extend(origin::of(path, (&digest, &bytes), places));
+    facts.extend(origin::of(path, &digest, &bytes, places));
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase()).unwrap_or_default();
     let kinds = Kind::ALL.iter().filter(|kind| kind.extension() == extension);
     let mut faults = Vec::new();

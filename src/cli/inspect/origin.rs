@@ -21,7 +21,7 @@ struct Found<'a> {
 }
 
 /// What the runs here tell of the file with this digest; nothing where none of them has it.
-pub fn of(path: &Path, (digest, bytes): (&Digest, &[u8]), places: &Places) -> Facts {
+pub fn of(path: &Path, digest: &Digest, bytes: &[u8], places: &Places) -> Facts {
     let stated = provenance::read(path, bytes);
     let original = stated.as_ref().and_then(|facts| facts["digest"].as_str()?.parse().ok());
     let digest = original.as_ref().unwrap_or(digest);

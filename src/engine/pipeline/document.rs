@@ -11,8 +11,8 @@ use super::node::{Data, Key, Node, Word};
 use super::overrides::Late;
 use super::parameter::{Declared, is_declared};
 use super::part::{Expansion, Flat, KindCheck, PartText, Sections, Used};
-pub use super::reader::Reader;
-pub use super::step::Step;
+use super::reader::{Reader, TOP};
+use super::step::Step;
 use crate::diagnostic::{Diagnostic, nearest};
 
 /// A pipeline as written, after overrides; names are not yet resolved.
@@ -60,10 +60,6 @@ pub struct Unread {
     /// Whether it is open which axes are walked together.
     pub zips: bool,
 }
-
-/// The keys of a pipeline.
-pub const TOP: &[&str] =
-    &["rockface", "name", "seed", "include", "parts", "params", "axes", "zip", "steps", "targets", "log"];
 
 /// What is read besides the text of a pipeline.
 pub struct Beside<'t> {

@@ -6,8 +6,9 @@ use std::sync::Arc;
 
 use rockface_cache::{Digest, Seen};
 
-use super::document::TOP;
+use super::file_text::read_text;
 use super::node::{Data, Key, Node};
+use super::reader::TOP;
 use crate::diagnostic::{Diagnostic, Source, Span};
 
 /// How deep included files may be nested.
@@ -39,7 +40,7 @@ impl Texts {
         if let Some(given) = self.given.get(&absolute) {
             return Ok(given.clone());
         }
-        let text = super::read_text(path)?;
+        let text = read_text(path)?;
         self.looks.push((path.to_owned(), Seen::File(Digest::of(text.as_bytes()))));
         Ok(text)
     }

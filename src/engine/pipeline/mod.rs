@@ -3,6 +3,7 @@
 mod axis;
 mod design;
 mod document;
+mod file_text;
 mod first_words;
 mod include;
 mod input;
@@ -23,9 +24,9 @@ mod values;
 /// The keys of the language, place by place.
 pub mod keys {
     pub use super::axis::KEYS as AXIS;
-    pub use super::document::TOP;
     pub use super::parameter::KEYS as PARAMETER;
     pub use super::part::{PART_KEYS as PART, USE_KEYS as USE};
+    pub use super::reader::TOP;
     pub use super::step::STEP;
 }
 
@@ -34,6 +35,7 @@ use std::path::{Path, PathBuf};
 
 pub use axis::{Axis, bad_item};
 pub use document::{Document, Unread};
+pub use file_text::is_stream;
 pub use input::Input;
 pub use log_level::{IN_FULL, LogLevel};
 pub use node::{Data, Key, Node, Word};
@@ -47,6 +49,7 @@ pub use sweep::is_same_axis;
 use rockface_cache::Seen;
 
 use crate::diagnostic::{Diagnostic, Diagnostics, Origin, Source};
+use file_text::read_text;
 use include::Texts;
 
 /// A pipeline that was read, with the texts its places point into.
@@ -185,58 +188,4 @@ impl Pipeline {
             _ => Err(Diagnostics { sources: texts.sources, list: faults }),
         }
     }
-}
-
-fn read_text(path: &Path) -> Result<String, Diagnostic> {
-    let shown = path.display();
-    if path.is_dir() {
-        let fault = Diagnostic::general(format!("`{shown}` is a folder; a pipeline is a file"));
-        return Err(name_one_of(fault, &pipelines_in(path)));
-    }
-    if is_stream(path) {
-        let fault = Diagnostic::general(format!("`{shown}` is no regular file; a pipeline is one"));
-        let hint = "write it to a file: the paths in it are relative to that, and its results are kept beside it";
-        return Err(fault.hint(hint));
-    }
-    let bytes = std::fs::read(path).map_err(|error| unreadable(path, &error))?;
-    String::from_utf8(bytes).map_err(|error| {
-        let at = error.utf8_error().valid_up_to();
-        Diagnostic::general(format!("`{shown}` is not a text in UTF-8: its byte {at} fits nowhere"))
-            .hint("a pipeline is a YAML text; save it as UTF-8")
-    })
-}
-
-/// Whether a path leads to what can be read only once, or has no folder of its own: a pipe, a device, the standard input.
-pub fn is_stream(path: &Path) -> bool {
-    let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
-    let lent = ["/dev/stdin", "/dev/fd", "/proc"].iter().any(|place| absolute.starts_with(place));
-    lent || path.metadata().is_ok_and(|metadata| !metadata.is_file() && !metadata.is_dir())
-}
-
-fn unreadable(path: &Path, error: &std::io::Error) -> Diagnostic {
-    let fault = Diagnostic::general(format!("cannot read the pipeline `{}`: {error}", path.display()));
-    if error.kind() != std::io::ErrorKind::NotFound {
-        return fault;
-    }
-    let files = pipelines_in(path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")));
-    let given = path.display().to_string();
-    let near = crate::diagnostic::nearest(&given, &files.iter().map(String::as_str).collect::<Vec<_>>());
-    match near {
-        Some(near) if near != given => fault.hint(format!("did you mean `{near}`?")),
-        _ => name_one_of(fault, &files),
-    }
-}
-
-fn name_one_of(fault: Diagnostic, files: &[String]) -> Diagnostic {
-    if files.is_empty() { fault } else { fault.hint(format!("YAML files there: {}", files.join(", "))) }
-}
-
-/// The YAML files of a folder, sorted, as one would name them.
-fn pipelines_in(folder: &Path) -> Vec<String> {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
-    let yaml = entries.filter(|path| path.is_file() && path.extension().is_some_and(|e| e == "yaml" || e == "yml"));
-    let mut files: Vec<String> =
-        yaml.map(|path| path.strip_prefix(".").unwrap_or(&path).display().to_string()).collect();
-    files.sort();
-    files
 }

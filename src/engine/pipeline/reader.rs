@@ -7,6 +7,10 @@ use serde_json::Value;
 use super::node::{Data, Key, Node, Word};
 use crate::diagnostic::Diagnostic;
 
+/// The keys of a pipeline.
+pub const TOP: &[&str] =
+    &["rockface", "name", "seed", "include", "parts", "params", "axes", "zip", "steps", "targets", "log"];
+
 /// Reads one section of a document after the other.
 pub struct Reader<'f> {
     /// What is wrong so far.

@@ -3,8 +3,10 @@
 use std::collections::BTreeMap;
 
 use super::node::Word;
-use super::part::INSIDE;
 use crate::diagnostic::Span;
+
+/// Between the name of a use and the name of a step inside.
+pub const INSIDE: char = '/';
 
 /// Names one output of a step, perhaps at one item of some axes.
 #[derive(Debug, Clone, PartialEq)]

@@ -7,6 +7,7 @@ use rockface_core::artefact::{Artefact, Cell, Kind, Table};
 use serde_json::{Map, Value};
 
 use super::instances::Plan;
+use super::parameters::NAME_COLUMN;
 use super::sight::HashFile;
 use crate::diagnostic::Diagnostic;
 use crate::pipeline::bad_item;
@@ -19,9 +20,6 @@ pub struct Items {
     /// A text each, or a map of the columns of a row.
     pub values: Vec<Value>,
 }
-
-/// The column of a table that names its rows; without it they are numbered.
-pub const NAME_COLUMN: &str = "item";
 
 /// The items of a recorded output: from its record, or for the rows of a table from the table itself.
 pub fn items_of(outcome: &Outcome, port: &str, store: &Store) -> Result<Items, String> {

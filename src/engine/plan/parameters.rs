@@ -9,11 +9,13 @@ use rockface_core::AnyStage;
 use rockface_core::params::{Fault, Field, Kind};
 use serde_json::{Value, json};
 
-use super::dynamic::NAME_COLUMN;
 use super::graph::{Graph, GraphStep};
 use super::sight::{Sight, one_file};
 use crate::diagnostic::{Diagnostic, Span, nearest};
 use crate::pipeline::{INSIDE, Node, filled, mentioned, parted, value_of};
+
+/// The column of a table that names its rows; without it they are numbered.
+pub const NAME_COLUMN: &str = "item";
 
 /// Parameters that are ready for the recipe and for the stage.
 #[derive(Debug, Clone, PartialEq)]

@@ -14,6 +14,7 @@ use rockface_core::Point;
 use super::foxglove::{self, Message, Place};
 use super::step_log::sketch::{ColourKey, Shape};
 use super::step_log::{Entry, Shown};
+use super::topic::{Made, Topic};
 
 /// What one step instance is, for the log.
 pub struct StepNote<'a> {
@@ -46,24 +47,6 @@ pub struct Facts<'a> {
     pub key: Option<Digest>,
     /// Its outputs, by port.
     pub outputs: &'a Outputs,
-}
-
-/// An output that a sketch stands for.
-#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
-pub struct Made {
-    /// BLAKE3 of the file.
-    pub digest: String,
-    /// The file, relative to the run folder; `None` where it was not kept.
-    pub path: Option<String>,
-}
-
-/// A topic of the log.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Topic {
-    /// Its name, such as `/wall/mesh`.
-    pub name: String,
-    /// The name of its schema, such as `foxglove.SceneUpdate`.
-    pub schema: String,
 }
 
 /// The log while it is written.

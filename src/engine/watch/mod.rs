@@ -8,13 +8,15 @@ mod plain;
 mod reported;
 pub mod step_log;
 mod terminal;
+mod topic;
 
 pub use foxglove::layout;
 pub use json::JsonLines;
-pub use mcap_log::{Facts, Made, RunLog, StepNote, Topic};
+pub use mcap_log::{Facts, RunLog, StepNote};
 pub use plain::Plain;
 pub use reported::{Report, Reported, Role};
 pub use terminal::Terminal;
+pub use topic::{Made, Topic};
 
 use std::borrow::Cow;
 

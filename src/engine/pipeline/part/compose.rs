@@ -3,12 +3,12 @@
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::super::document::Reader;
 use super::super::input::Input;
 use super::super::node::Word;
+use super::super::reader::Reader;
 use super::super::reference::Reference;
 use super::library::Uses;
-use super::substitution::inside;
+use super::substitution::outside;
 use super::{IN, INSIDE};
 use crate::diagnostic::Diagnostic;
 
@@ -204,15 +204,4 @@ impl Scope<'_> {
         }
         over
     }
-}
-
-/// An axis of something inside, as it is called outside.
-fn under(prefix: &str, axis: &Word) -> Word {
-    Word { span: axis.span, text: inside(prefix, &axis.text) }
-}
-
-/// What an output is, as it is called outside.
-pub fn outside(prefix: &str, to: &Reference) -> Reference {
-    let picks = to.picks.iter().map(|(axis, item)| (under(prefix, axis), item.clone())).collect();
-    Reference { span: to.span, step: inside(prefix, &to.step), port: to.port.clone(), picks }
 }

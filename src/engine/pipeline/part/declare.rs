@@ -5,9 +5,9 @@ use std::rc::Rc;
 
 use rockface_core::artefact::Kind;
 
-use super::super::document::Reader;
 use super::super::node::{Data, Key, Node, Word};
 use super::super::parameter::is_declared;
+use super::super::reader::Reader;
 use super::{IN, Interface, Known, Part, PartInput};
 use crate::diagnostic::Diagnostic;
 

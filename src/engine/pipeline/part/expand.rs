@@ -6,15 +6,16 @@ use std::sync::Arc;
 use serde_json::Value;
 
 use super::super::axis::Axis;
-use super::super::document::{Reader, Step};
 use super::super::include::Texts;
 use super::super::node::{Data, Key, Node, Word};
 use super::super::overrides::Late;
+use super::super::reader::Reader;
+use super::super::step::Step;
 use super::super::substitute::{filled, mentioned, parted, value_of};
-use super::compose::{Asked, Scope, outside};
+use super::compose::{Asked, Scope};
 use super::late::LateValues;
 use super::library::{Library, Uses};
-use super::substitution::{Substitution, inside};
+use super::substitution::{Substitution, inside, outside};
 use super::{INSIDE, KindCheck, Known, Part, PartText, Use, Used};
 use crate::diagnostic::{Diagnostic, Origin, Source};
 
@@ -115,7 +116,9 @@ impl<'e> Expansion<'e> {
         reader.zips_unread = reader.fault_count() > before;
         self.steps(steps, &uses, &scope, &mut Vec::new(), reader);
         self.note_read(asked);
-        self.late.check(&self.flat, reader);
+        let steps: Vec<&str> = self.flat.steps.iter().map(|step| step.name.text.as_str()).collect();
+        let axes: Vec<&str> = self.flat.axes.iter().map(|axis| axis.name.text.as_str()).collect();
+        self.late.check(&steps, &axes, reader);
     }
 
     fn note_read(&mut self, asked: Asked) {

@@ -5,10 +5,10 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::super::document::Reader;
 use super::super::input::Input;
 use super::super::node::{Data, Node};
 use super::super::parameter::ValueKind;
+use super::super::reader::Reader;
 use super::super::substitute::{filled, mentioned, value_of};
 use super::expand::Expansion;
 use super::substitution::Substitution;

@@ -1,10 +1,9 @@
 //! Values of the command line for what parts make, such as `steps.before/noisy.with.x=1`.
 
-use super::super::document::Reader;
 use super::super::node::Node;
 use super::super::overrides::Late;
+use super::super::reader::Reader;
 use super::INSIDE;
-use super::expand::Flat;
 use crate::diagnostic::Diagnostic;
 
 /// Values, and whether each fits a step or axis.
@@ -30,15 +29,13 @@ impl LateValues {
     }
 
     /// Reports values for steps and axes that no part makes.
-    pub fn check(&self, flat: &Flat, reader: &mut Reader) {
+    pub fn check(&self, steps: &[&str], axes: &[&str], reader: &mut Reader) {
         for (late, _) in self.0.iter().filter(|(_, found)| !found) {
             let (section, name) = (late.keys[0].as_str(), late.keys[1].as_str());
             let what = if section == "steps" { "step" } else { "axis" };
-            let steps = flat.steps.iter().map(|step| step.name.text.as_str());
-            let axes = flat.axes.iter().map(|axis| axis.name.text.as_str());
-            let known: Vec<&str> = if section == "steps" { steps.collect() } else { axes.collect() };
+            let known = if section == "steps" { steps } else { axes };
             let fault = Diagnostic::at(late.span, format!("the pipeline has no {what} `{name}`"));
-            reader.fault(fault.suggest(name, known.into_iter().filter(|known| known.contains(INSIDE))));
+            reader.fault(fault.suggest(name, known.iter().copied().filter(|known| known.contains(INSIDE))));
         }
     }
 }

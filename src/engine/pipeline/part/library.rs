@@ -6,11 +6,11 @@ use std::rc::Rc;
 
 use rockface_cache::Digest;
 
-use super::super::document::Reader;
 use super::super::include::{Texts, check_format};
 use super::super::node::{Key, Node, Word};
+use super::super::reader::Reader;
 use super::super::reference::Reference;
-use super::compose::outside;
+use super::substitution::outside;
 use super::declare::{FILE_KEYS, KEYS, is_path};
 use super::{INSIDE, Interface, Known, Part, PartText};
 use crate::diagnostic::{Diagnostic, Origin, Source, Span};

@@ -20,11 +20,12 @@ use rockface_cache::Digest;
 pub use rockface_core::PartText;
 use rockface_core::artefact::Kind;
 
-use super::document::Reader;
 use super::include::Texts;
 use super::input::Input;
 use super::node::{Key, Node, Word};
 use super::parameter::Declared;
+use super::reader::Reader;
+pub use super::reference::INSIDE;
 use super::reference::Reference;
 use crate::diagnostic::{Diagnostic, Span};
 
@@ -33,9 +34,6 @@ pub use expand::{Expansion, Flat, Sections};
 
 /// What the inputs of a part are called inside it: `in.name`.
 pub const IN: &str = "in";
-
-/// Between the name of a use and the name of a step inside.
-pub const INSIDE: char = '/';
 
 /// A part as it is declared.
 #[derive(Debug)]

@@ -4,8 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::Value;
 
-use super::super::document::Reader;
-use super::super::node::{Data, Key, Node};
+use super::super::node::{Data, Key, Node, Word};
+use super::super::reference::Reference;
+use super::super::reader::Reader;
 use super::super::substitute::{FILLED_BYTES, escape_hint, parted};
 use super::INSIDE;
 use crate::diagnostic::{Diagnostic, Span};
@@ -142,4 +143,15 @@ fn strange_field(given: &Node, name: &str, field: &str, span: Span) -> Diagnosti
 pub fn inside(prefix: &str, name: &str) -> String {
     debug_assert!(prefix.is_empty() || prefix.ends_with(INSIDE));
     format!("{prefix}{name}")
+}
+
+/// An axis of something inside, as it is called outside.
+fn under(prefix: &str, axis: &Word) -> Word {
+    Word { span: axis.span, text: inside(prefix, &axis.text) }
+}
+
+/// What an output is, as it is called outside.
+pub fn outside(prefix: &str, to: &Reference) -> Reference {
+    let picks = to.picks.iter().map(|(axis, item)| (under(prefix, axis), item.clone())).collect();
+    Reference { span: to.span, step: inside(prefix, &to.step), port: to.port.clone(), picks }
 }

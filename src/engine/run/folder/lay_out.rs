@@ -8,7 +8,7 @@ use rockface_cache::{Digest, Materialised, NameError, OutputRecord, Outputs, Saf
 use rockface_core::artefact::{Artefact, Kind};
 use serde::{Deserialize, Serialize};
 
-use super::run_folder::{failed, going_on, write_file};
+use super::files::{failed, going_on, write_file};
 use crate::pipeline::INSIDE;
 use crate::plan::Plan;
 use crate::run::{RunError, Summary};

@@ -10,6 +10,7 @@ use rockface_core::Entry;
 use rockface_core::Look;
 use rockface_core::artefact::{Artefact, Kind};
 
+use super::files::{failed, going_on, put, write_file};
 use crate::pipeline::LogLevel;
 use crate::plan::Plan;
 use crate::run::{InstanceResult, RunError, Summary};
@@ -47,19 +48,19 @@ impl Telling<'_> {
     /// Writes log and layout into a run folder.
     pub fn write(&self, folder: &Path) -> Result<(), RunError> {
         let path = folder.join(LOG_FILE);
-        let failed = |error: mcap::McapError| {
-            super::run_folder::failed(&path)(match error {
+        let unwritten = |error: mcap::McapError| {
+            failed(&path)(match error {
                 mcap::McapError::Io(error) => error,
                 error => std::io::Error::other(error),
             })
         };
-        let file = tempfile::NamedTempFile::new_in(folder).map_err(super::run_folder::failed(&path))?;
-        let mut log = RunLog::new(BufWriter::new(file), &self.about).map_err(failed)?;
+        let file = tempfile::NamedTempFile::new_in(folder).map_err(failed(&path))?;
+        let mut log = RunLog::new(BufWriter::new(file), &self.about).map_err(unwritten)?;
         let levels = self.plan.log_levels();
         let nothing = Outcome { outputs: Outputs::default(), log: None, sketches: None, cost: Cost::default() };
         let mut numbers: Vec<(String, String)> = Vec::new();
         for (instance, result) in self.summary.instances.iter().enumerate() {
-            super::run_folder::going_on(self.stop)?;
+            going_on(self.stop)?;
             let (outcome, is_done) = match (&result.outcome, &result.failure) {
                 (Some(outcome), _) => (outcome, true),
                 (None, Some(_)) => (&nothing, false),
@@ -69,15 +70,15 @@ impl Telling<'_> {
             let shown = if is_shown { self.shown(result, outcome)? } else { Ok(Vec::new()) };
             let (shown, unshown) = shown.map_or_else(|why| (Vec::new(), why), |shown| (shown, String::new()));
             let said = if levels[instance] == LogLevel::None { &[][..] } else { &self.entries[instance] };
-            log.add(&self.note(instance, result, outcome, unshown), said, &shown).map_err(failed)?;
+            log.add(&self.note(instance, result, outcome, unshown), said, &shown).map_err(unwritten)?;
             self.plottable(instance, said, &mut numbers);
         }
         let pipeline = ("pipeline.yaml", "application/yaml", self.pipeline_text.as_bytes());
-        let (out, topics) = log.finish(&[pipeline]).map_err(failed)?;
-        let file = out.into_inner().map_err(|error| super::run_folder::failed(&path)(error.into_error()))?;
-        super::run_folder::put(file, &path)?;
+        let (out, topics) = log.finish(&[pipeline]).map_err(unwritten)?;
+        let file = out.into_inner().map_err(|error| failed(&path)(error.into_error()))?;
+        put(file, &path)?;
         let text = serde_json::to_string_pretty(&layout::layout(&topics, &numbers)).unwrap_or_default();
-        super::run_folder::write_file(&folder.join(LAYOUT_FILE), format!("{text}\n").as_bytes())
+        write_file(&folder.join(LAYOUT_FILE), format!("{text}\n").as_bytes())
     }
 
     /// Numbers of steps with several points make curves.

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use rockface_cache::{Digest, SafePath, State};
 use serde::{Deserialize, Serialize};
 
+use super::files::failed;
 use super::lay_out::Laid;
-use super::run_folder::failed;
 use crate::history::REPORT_FILE;
 use crate::run::RunError;
 

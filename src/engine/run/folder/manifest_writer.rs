@@ -7,8 +7,8 @@ use std::time::SystemTime;
 use rockface_cache::{Digest, RecipeInput, Store};
 use rockface_core::Entry;
 
+use super::files::failed;
 use super::lay_out::{Laid, Paths};
-use super::run_folder::failed;
 use crate::diagnostic::{Origin, Source};
 use crate::history::{FORMAT, FileUsed, IncludedText, Manifest, Metric, Overridden, PartUsed, PipelineText, StepDone};
 use crate::pipeline::Used;
@@ -27,7 +27,7 @@ pub fn manifest(
 ) -> Result<Manifest, RunError> {
     let overrides = about.overrides;
     let told = logs.iter().zip(&laid.paths).enumerate();
-    let steps = told.map(|(instance, (entries, paths))| step(plan, summary, store, instance, (entries, paths)));
+    let steps = told.map(|(instance, (entries, paths))| step(plan, summary, store, instance, entries, paths));
     Ok(Manifest {
         format: FORMAT,
         pipeline: pipeline_text(plan, about)?,
@@ -70,11 +70,8 @@ fn pipeline_text(plan: &Plan, about: &RunFolder) -> Result<PipelineText, RunErro
     })
 }
 
-/// The log of an instance, and the files of its outputs.
-type Said<'a> = (&'a [Entry], &'a Paths);
-
-/// The entry of one instance.
-fn step(plan: &Plan, summary: &Summary, store: &Store, instance: usize, (entries, paths): Said) -> StepDone {
+/// The entry of one instance, with its log and the files of its outputs.
+fn step(plan: &Plan, summary: &Summary, store: &Store, instance: usize, entries: &[Entry], paths: &Paths) -> StepDone {
     let (step, result) = (plan.step(instance), &summary.instances[instance]);
     let (params, outcome) = (&plan.instances[instance].params, result.outcome.as_ref());
     let metrics = entries.iter().filter_map(|entry| match entry {

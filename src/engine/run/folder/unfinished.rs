@@ -6,7 +6,7 @@ use std::io::ErrorKind;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
-use super::run_folder::failed;
+use super::files::failed;
 use crate::run::RunError;
 
 /// The file that marks a folder being written. Its writer holds a lock on it, which ends with the process.

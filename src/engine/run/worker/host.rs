@@ -8,9 +8,9 @@ use std::time::Instant;
 use rockface_cache::Store;
 use rockface_core::{Entry, Host, Job, JobResult, Program, ProgramResult, SourceFile, StageError};
 
+use super::failure::Trouble;
 use super::program::{Fault, Used};
 use super::standing::Standing;
-use super::work::Trouble;
 use crate::plan::InputFile;
 
 /// The host of one step instance.

@@ -1,5 +1,6 @@
 //! The workers: threads that run one step instance each, and what they lend a stage.
 
+mod failure;
 mod host;
 mod program;
 pub mod rerun;
@@ -8,5 +9,6 @@ pub mod tools;
 mod work;
 mod workers;
 
-pub use work::{Done, Failure, Feed, Task, Value};
+pub use failure::Failure;
+pub use work::{Done, Feed, Task, Value};
 pub use workers::{Result, Workers};

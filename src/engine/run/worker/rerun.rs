@@ -9,8 +9,8 @@ use rockface_core::artefact::{Artefact, Kind};
 use rockface_core::{Context, Inputs, Point, Registry, StageError};
 use serde_json::Value;
 
+use super::failure::Trouble;
 use super::host::StepHost;
-use super::work::Trouble;
 
 /// The parameter of stages that can keep more of what they know.
 const SWITCH: &str = "channels";

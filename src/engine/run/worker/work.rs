@@ -2,9 +2,8 @@
 
 use std::collections::BTreeMap;
 use std::os::unix::fs::MetadataExt;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use rayon::ThreadPool;
@@ -14,6 +13,7 @@ use rockface_cache::{
 use rockface_core::artefact::{Artefact, Kind};
 use rockface_core::{AnyStage, Context, Entry, Inputs, Later, Look, Point, Port, StageError};
 
+use super::failure::{Failure, Left, Trouble, guarded};
 use super::host::StepHost;
 use super::program::Used;
 use super::standing::Standing;
@@ -40,7 +40,7 @@ pub struct Feed {
     pub point: Point,
     /// Producer and its port.
     pub from: (usize, &'static str),
-    /// The value to put there.
+    /// The artefact.
     pub value: Value,
 }
 
@@ -109,49 +109,6 @@ pub struct Done {
     pub warnings: Vec<String>,
     /// Another process did the work meanwhile.
     pub elsewhere: bool,
-}
-
-/// Why an instance did not finish.
-pub enum Failure {
-    /// The stage failed; what it left is in the store.
-    Stage(StageError, Left),
-    /// An input blob is damaged or gone; its producer has to run again.
-    Lost(usize, String),
-    /// Another process has its key.
-    Held,
-    /// The store cannot go on.
-    Store(StoreError),
-}
-
-/// What a stage that failed left: blobs of the store, which no record names.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Left {
-    /// Its log up to the failure.
-    pub log: Option<Digest>,
-    /// The outputs that explain the failure.
-    pub outputs: Outputs,
-}
-
-impl From<StageError> for Failure {
-    fn from(error: StageError) -> Self {
-        Self::Stage(error, Left::default())
-    }
-}
-
-impl From<StoreError> for Failure {
-    fn from(error: StoreError) -> Self {
-        Self::Store(error)
-    }
-}
-
-/// Turns a panic into the failure of the step, with the message of the panic.
-pub fn guarded<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failure> {
-    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
-        let said = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
-        let error = StageError::new(format!("the stage panicked: {}", said.unwrap_or("no message")));
-        let hint = "this is a fault of rockface; please report it with the pipeline and the run folder";
-        Err(error.hint(hint).into())
-    })
 }
 
 /// Runs one instance.
@@ -231,9 +188,6 @@ fn done_elsewhere(task: &Task, store: &Store) -> Option<Outcome> {
 
 /// Inputs that were not in memory, by producer and port.
 type Stored<'s> = Vec<((usize, &'static str), Arc<Later<'s>>)>;
-/// Why an input could not be read or a program could not be started; the stage sees only that it failed.
-pub type Trouble = Mutex<Option<Failure>>;
-
 /// The inputs of a task. Those that are in the store are read when the stage asks for them, in its thread: reading takes no
 /// lock that is held while others compute.
 fn inputs<'s>(task: &'s Task, store: &'s Store, trouble: &'s Trouble) -> (Inputs<'s>, Stored<'s>) {

@@ -8,8 +8,9 @@ use std::thread::JoinHandle;
 use rayon::ThreadPool;
 use rockface_cache::Store;
 
+use super::failure::{Failure, guarded};
 use super::standing::Standing;
-use super::work::{self, Done, Failure, Place, Task};
+use super::work::{self, Done, Place, Task};
 use crate::run::{Options, RunError};
 
 /// What came of a task, by instance.
@@ -74,7 +75,7 @@ impl Shared {
         while let Some(task) = self.next_task() {
             let instance = task.instance;
             let place = Place { store: &self.store, pool: &self.pool, stop: &self.stop, standing: &self.standing };
-            let result = work::guarded(|| work::work(&task, place));
+            let result = guarded(|| work::work(&task, place));
             // Its inputs are released before the scheduler hears of it, which then counts what is in memory.
             drop(task);
             // Nobody listens any more once the run was stopped.

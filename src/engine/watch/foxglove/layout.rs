@@ -2,7 +2,7 @@
 
 use serde_json::{Map, Value, json};
 
-use super::super::mcap_log::Topic;
+use super::super::topic::Topic;
 
 /// Topics that can be drawn in three dimensions.
 const DRAWN: [&str; 3] = ["foxglove.SceneUpdate", "foxglove.PointCloud", "foxglove.Grid"];

@@ -10,9 +10,9 @@ use std::borrow::Cow;
 use ::foxglove::Encode;
 use ::foxglove::messages::{self as proto, Timestamp};
 
-use super::mcap_log::Made;
 use super::step_log::Shown;
 use super::step_log::sketch::Shape;
+use super::topic::Made;
 
 pub use words::{log, metrics, step};
 

@@ -3,8 +3,8 @@
 use ::foxglove::messages as proto;
 use rockface_core::artefact::Transform;
 
-use super::super::mcap_log::Made;
 use super::super::step_log::sketch::{BodiesSketch, Body, CloudSketch, GridSketch};
+use super::super::topic::Made;
 use super::{Message, Place, at, float_fields, message};
 
 /// Colours of bodies in turn, which colour-blind readers can distinguish (Okabe and Ito); red, green, blue from 0 to 1.

@@ -1,0 +1,36 @@
+//! Files of a run folder: written whole or not at all.
+
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use crate::run::RunError;
+
+/// Whether nobody has asked for a stop.
+pub(super) fn going_on(stop: &AtomicBool) -> Result<(), RunError> {
+    if stop.load(Ordering::Relaxed) { Err(RunError::Interrupted) } else { Ok(()) }
+}
+
+/// Writes a whole file or none, and makes its content durable.
+pub(super) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), RunError> {
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let write = || {
+        let mut file = tempfile::NamedTempFile::new_in(folder)?;
+        std::io::Write::write_all(&mut file, bytes)?;
+        file.as_file().sync_all().map(|()| file)
+    };
+    put(write().map_err(failed(path))?, path)
+}
+
+/// Gives a finished file its name.
+pub(super) fn put(file: tempfile::NamedTempFile, path: &Path) -> Result<(), RunError> {
+    // Temporary files are private; results are for whoever may read the folder.
+    let mode = std::os::unix::fs::PermissionsExt::from_mode(0o644);
+    let open = file.as_file().set_permissions(mode);
+    open.and_then(|()| file.persist(path).map(drop).map_err(|error| error.error)).map_err(failed(path))
+}
+
+/// The error of a file or folder that cannot be used.
+pub(super) fn failed(path: &Path) -> impl FnOnce(std::io::Error) -> RunError + use<> {
+    let path = path.to_owned();
+    move |source| RunError::Folder { path, source }
+}
