@@ -10,8 +10,8 @@ use super::super::include::{Texts, check_format};
 use super::super::node::{Key, Node, Word};
 use super::super::reader::Reader;
 use super::super::reference::Reference;
-use super::substitution::outside;
 use super::declare::{FILE_KEYS, KEYS, is_path};
+use super::substitution::outside;
 use super::{INSIDE, Interface, Known, Part, PartText};
 use crate::diagnostic::{Diagnostic, Origin, Source, Span};
 

@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde_json::Value;
 
 use super::super::node::{Data, Key, Node, Word};
-use super::super::reference::Reference;
 use super::super::reader::Reader;
+use super::super::reference::Reference;
 use super::super::substitute::{FILLED_BYTES, escape_hint, parted};
 use super::INSIDE;
 use crate::diagnostic::{Diagnostic, Span};

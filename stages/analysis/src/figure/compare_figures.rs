@@ -127,7 +127,7 @@ impl Stage for CompareFigures {
             match row.ours {
                 Some(ours) => context.note(format!("{}: {} {}, {published}", row.figure, significant(ours), row.unit)),
                 None => {
-                    context.warn(format!("{}: nothing measured, as no row of the table is of this kind", row.figure))
+                    context.warn(format!("{}: nothing measured, as no row of the table is of this kind", row.figure));
                 }
             }
         }

@@ -111,8 +111,8 @@ fn errors_of_ones_own_are_those_of_match_pair_and_may_differ_by_pair() {
         map.channels = channels.iter().map(|(name, scale)| ((*name).to_owned(), values(*scale))).collect();
         map
     };
-    let run = |pairs: &[Pair], image: &str, errors: Option<Depth>| {
-        let pairs = Pairs { pairs: pairs.to_vec() };
+    let run = |pairs: &[&Pair], image: &str, errors: Option<Depth>| {
+        let pairs = Pairs { pairs: pairs.iter().map(|pair| (*pair).clone()).collect() };
         let mut inputs: Vec<(&str, Artefact)> = vec![("noisy", block.noisy.clone().into()), ("pairs", pairs.into())];
         inputs.extend(block.depths.iter().map(|depth| ("depths", Artefact::Depth(depth.clone()))));
         inputs.extend(errors.map(|map| ("errors", Artefact::Depth(map))));
@@ -140,19 +140,19 @@ fn errors_of_ones_own_are_those_of_match_pair_and_may_differ_by_pair() {
         Depth::of(&outputs["depth"]).unwrap().clone()
     };
     let own = || errors(0, &[("error_px", 0.05)]);
-    assert_eq!(run(&[first.clone()], "a", Some(own())).unwrap(), of_pair(&first, own()));
-    assert_ne!(run(&[first.clone()], "a", Some(own())).unwrap(), run(&[first.clone()], "a", None).unwrap());
+    assert_eq!(run(&[&first], "a", Some(own())).unwrap(), of_pair(&first, own()));
+    assert_ne!(run(&[&first], "a", Some(own())).unwrap(), run(&[&first], "a", None).unwrap());
 
     // Two pairs of `b`, each with a channel of its own: alone each is what its channel makes of it.
     let two = || errors(1, &[("error_px.a+b", 0.05), ("error_px.b+c", -0.04)]);
     for (pair, scale) in [(&first, 0.05), (&second, -0.04)] {
-        let alone = run(&[pair.clone()], "b", Some(errors(1, &[("error_px", scale)]))).unwrap();
-        assert_eq!(run(&[pair.clone()], "b", Some(two())).unwrap(), alone);
+        let alone = run(&[pair], "b", Some(errors(1, &[("error_px", scale)]))).unwrap();
+        assert_eq!(run(&[pair], "b", Some(two())).unwrap(), alone);
     }
-    let both = run(&[first.clone(), second.clone()], "b", Some(two())).unwrap();
-    assert_ne!(both, run(&[first.clone(), second], "b", None).unwrap());
+    let both = run(&[&first, &second], "b", Some(two())).unwrap();
+    assert_ne!(both, run(&[&first, &second], "b", None).unwrap());
 
-    let said = run(&[first], "b", Some(own())).unwrap_err().message;
+    let said = run(&[&first], "b", Some(own())).unwrap_err().message;
     assert!(said.contains("`errors` is of image `a`"), "{said}");
 }
 
