@@ -41,7 +41,7 @@ pub struct Laid {
     /// The outputs of each instance.
     pub paths: Vec<Paths>,
     /// All files of the target steps, each with the step.
-    of_targets: Vec<(usize, SafePath)>,
+    pub of_targets: Vec<(usize, SafePath)>,
     /// All files; with the digest of its blob one that is but another name of that.
     pub files: Files,
     /// How many kept outputs have no file.
