@@ -126,6 +126,37 @@ def test_a_wall_raster_leads_back_to_the_map_by_its_own_tag(run):
     assert np.quantile(np.abs(depth), 0.95) < 0.2
 
 
+def test_inspect_says_the_way_to_the_map_as_proj_reads_it(binary, run):
+    command = [binary, "inspect", run.output("dem", "raster.tif"), "--json"]
+    facts = json.loads(subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout)
+    assert (facts["frame"], facts["crs of the world"]) == ("wall", "EPSG:32633")
+    way = pyproj.Transformer.from_pipeline(facts["to the map (PROJ)"])
+    wall = np.random.default_rng(3).uniform(-4, 4, (50, 3))
+    np.testing.assert_allclose(np.stack(way.transform(*wall.T), axis=1), to_world(run)(wall), atol=1e-6)
+
+
+def test_rockfalls_have_their_places_on_the_map(run):
+    table = geopandas.read_file(run.output("fallen", "truth.csv"))
+    names = [f"centroid{frame}_{axis}_m" for frame in ("_world", "") for axis in "xyz"]
+    places = table[names].astype(float).to_numpy()
+    np.testing.assert_allclose(places[:, :3], to_world(run)(places[:, 3:]), atol=1e-3)
+    depth = (places[:, :3] - UTM) @ [0.6, -0.8, 0]
+    assert len(places) == 3 and np.abs(depth).max() < 0.8
+
+
+def test_an_exported_raster_is_cloud_optimised_and_keeps_its_place(binary, run, tmp_path):
+    cogeo = pytest.importorskip("rio_cogeo", reason="rio_cogeo cannot be imported")
+    for step, is_on_map in [("map", True), ("dem", False)]:
+        file = tmp_path / f"{step}.tif"
+        command = [binary, "export", run.folder, f"{step}.raster", file]
+        subprocess.run(command, capture_output=True, check=True, timeout=120)
+        is_valid, errors, _ = cogeo.cog_validate(file, strict=True, quiet=True)
+        assert is_valid, errors
+        with rasterio.open(file) as ours, rasterio.open(run.output(step, "raster.tif")) as kept:
+            assert ours.transform == kept.transform and (ours.crs.to_epsg() == 32633) == is_on_map
+            np.testing.assert_array_equal(ours.read(), kept.read())
+
+
 def told(binary, work, text, code=1):
     pipeline = work / "one.yaml"
     pipeline.write_text(f"rockface: 1\nname: one\nseed: 1\nsteps:\n{text}\n")
