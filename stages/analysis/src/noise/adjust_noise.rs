@@ -1,5 +1,6 @@
 //! `adjust-noise`: makes up for what a survey loses of the noise of a model, by comparing surveys simulated with it to draws of it.
 
+use crate::noise::learning::departure::{Departure, Mean, figures};
 use crate::noise::learning::differences::{check, differences, disparities};
 use crate::noise::learning::whitening::{BANDS, Places, whiten};
 use rockface_core::artefact::{Band, Cameras, Kind, Noise, Pairs, Raster};
@@ -20,13 +21,16 @@ params! {
 /// The stage.
 pub struct AdjustNoise;
 
+/// Standard errors within which a difference counts as chance. Acquisitions differ from each other far more than what a survey loses: a few
+/// simulated ones say little of the coarsest noise and of the level, but much of the finest.
+const CHANCE_ERRORS: f64 = 2.0;
 /// Fewest simulated rasters.
 const LEAST: usize = 2;
 
 impl Stage for AdjustNoise {
     type Params = AdjustNoiseParams;
     const NAME: &'static str = "adjust-noise";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("adjust_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("noise", &[Kind::Noise], "The model."),
@@ -61,7 +65,7 @@ impl Stage for AdjustNoise {
         let places = Places::of(noise.strength.clone());
         let rows = |differences: &[Vec<f32>]| -> Vec<Vec<f64>> {
             let whitened = whiten(differences, noise.grid.columns, &places);
-            whitened.into_iter().map(|w| [w.log_strength, w.log_amplitude].concat()).collect()
+            whitened.iter().map(figures).collect()
         };
         let simulated = rows(&disparities(&bands, &step_m)?);
         context.check_cancelled()?;
@@ -72,7 +76,8 @@ impl Stage for AdjustNoise {
             |cell, px| (px * step_m[cell]).abs() <= limit_m,
             &|purpose, item| context.stream(purpose, item),
         ));
-        let losses: Vec<Loss> = (0..simulated[0].len()).map(|k| Loss::of(&simulated, &drawn, k)).collect();
+        let loss = |k: usize| Departure::of(Mean::of(&simulated, k), Mean::of(&drawn, k));
+        let losses: Vec<Departure> = (0..simulated[0].len()).map(loss).collect();
         report(&losses, noise, context);
         Ok(Outputs::of("noise", adjusted(noise, &losses)))
     }
@@ -96,50 +101,22 @@ fn check_model(noise: &Noise, dem: &Raster) -> Result<(), StageError> {
     Ok(())
 }
 
-/// What a survey does to one figure of the noise.
-#[derive(Debug, Clone, Copy)]
-struct Loss {
-    /// Mean of the simulated rasters less that of the draws.
-    difference: f64,
-    /// Its standard error.
-    error: f64,
-}
-
-impl Loss {
-    fn of(simulated: &[Vec<f64>], drawn: &[Vec<f64>], figure: usize) -> Self {
-        let moments = |rows: &[Vec<f64>]| {
-            let n = rows.len() as f64;
-            let mean = rows.iter().map(|row| row[figure]).sum::<f64>() / n;
-            let squares = rows.iter().map(|row| (row[figure] - mean) * (row[figure] - mean)).sum::<f64>();
-            [mean, squares / (n - 1.0) / n]
-        };
-        let ([a, of_a], [b, of_b]) = (moments(simulated), moments(drawn));
-        Self { difference: a - b, error: (of_a + of_b).sqrt() }
-    }
-
-    /// The part of the difference that is not chance: it is shrunk by its variance (James and Stein 1961).
-    fn certain(self) -> f64 {
-        let squared = self.difference * self.difference;
-        if squared > 0.0 { self.difference * (1.0 - self.error * self.error / squared).max(0.0) } else { 0.0 }
-    }
-}
-
 /// The model with what is lost added: first the classes of place, then the bands.
-fn adjusted(noise: &Noise, losses: &[Loss]) -> Noise {
+fn adjusted(noise: &Noise, losses: &[Departure]) -> Noise {
     let (classes, bands) = losses.split_at(noise.class_log_strength.len());
     let mut adjusted = noise.clone();
     for member in &mut adjusted.members {
-        member.log_strength.iter_mut().zip(classes).for_each(|(value, loss)| *value -= loss.certain());
+        member.log_strength.iter_mut().zip(classes).for_each(|(value, loss)| *value -= loss.certain(CHANCE_ERRORS));
     }
-    adjusted.log_gain.iter_mut().zip(bands).for_each(|(gain, loss)| *gain -= loss.certain());
+    adjusted.log_gain.iter_mut().zip(bands).for_each(|(gain, loss)| *gain -= loss.certain(CHANCE_ERRORS));
     adjusted
 }
 
-fn report(losses: &[Loss], noise: &Noise, context: &Context) {
+fn report(losses: &[Departure], noise: &Noise, context: &Context) {
     let (classes, bands) = losses.split_at(noise.class_log_strength.len());
-    let percent = |losses: &[Loss]| {
-        let one = |loss: &Loss| {
-            format!("{:+.0}", 100.0 * (rockface_core::numerics::portable_math::exp(loss.certain()) - 1.0))
+    let percent = |losses: &[Departure]| {
+        let one = |loss: &Departure| {
+            format!("{:+.0}", 100.0 * (rockface_core::numerics::portable_math::exp(loss.certain(CHANCE_ERRORS)) - 1.0))
         };
         losses.iter().map(one).collect::<Vec<_>>().join(" ")
     };

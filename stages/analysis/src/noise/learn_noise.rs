@@ -2,10 +2,11 @@
 
 use crate::noise::learning::acquisitions::{Acquisitions, Variety, acquisitions};
 use crate::noise::learning::bad::parted;
+use crate::noise::learning::departure::{Departure, Mean, figures};
 use crate::noise::learning::differences::{check, differences, disparities};
 use crate::noise::learning::relief_law;
 use crate::noise::learning::whitening::{BANDS, Places, Prior, Stack, Whitened, range_cells, whiten};
-use rockface_core::artefact::{Band, Cameras, Contrast, Kind, Noise, Pairs, Raster, ReliefLaw};
+use rockface_core::artefact::{Band, Cameras, Contrast, Kind, Member, Noise, Pairs, Raster, ReliefLaw};
 use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::Range;
@@ -40,8 +41,10 @@ params! {
         /// Deviation of the jitter of strengths and amplitudes, as a share of their deviation over rasters.
         jitter: f64 = 0.2; Range::NonNegative,
         /// Differences drawn from the model to find how much of the variety of the rasters is chance of single fields, which every draw has
-        /// anew; 0: none of it.
+        /// anew, and by how much the mean of the draws is off; 0: none of it.
         draws: usize = 24; Range::Between(0.0, 1000.0),
+        /// Larger differences were filtered out of the rasters, metres; left out: none were.
+        outlier_m: Option<f64> = None; Range::Positive,
         /// Half width of the window in which the deviation of elevations is the relief, cells.
         relief_cells: usize = 4; Range::Between(1.0, 50.0),
     }
@@ -53,7 +56,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -99,7 +102,7 @@ impl Stage for LearnNoise {
         let names: Vec<String> = all[..kept].iter().map(|band| band.name.clone()).collect();
         let learnt = Learnt::new(params, &disparities, dem);
         context.check_cancelled()?;
-        let noise = learnt.varied(params, &names, dem, context);
+        let noise = learnt.varied(params, &names, dem, &step_m, context);
         report(&noise, &learnt, &step_m, context);
         let bands = vec![Band { name: "strength".to_owned(), values: noise.strength.clone() }];
         let strength = Raster { bands, quantity: "strength".to_owned(), ..dem.clone() };
@@ -134,34 +137,43 @@ impl Learnt {
         Self { columns, places, whitened, bad, relief, fields }
     }
 
-    /// The model, whose draws vary as the rasters do.
-    fn varied(&self, params: &LearnNoiseParams, names: &[String], dem: &Raster, context: &Context) -> Noise {
+    /// The model, whose draws vary as the rasters do and have their mean figures.
+    fn varied(
+        &self,
+        params: &LearnNoiseParams,
+        names: &[String],
+        dem: &Raster,
+        step_m: &[f32],
+        context: &Context,
+    ) -> Noise {
         let figures = self.places.middles.len() + BANDS;
-        let first = self.model(params, names, dem, &vec![1.0; figures]);
+        let first = self.model(params, names, dem, &Correction::none(figures));
         if params.draws < 2 {
             return first;
         }
         let usual = Noise { bad_share: 0.0, ..first };
-        let drawn = whiten(
-            &differences(&usual, params.draws, |_, _| true, &|purpose, item| context.stream(purpose, item)),
-            self.columns,
-            &self.places,
+        let limit_m = params.outlier_m.map_or(f32::INFINITY, |limit| limit as f32);
+        let drawn = differences(
+            &usual,
+            params.draws,
+            |cell, px| (px * step_m[cell]).abs() <= limit_m || step_m[cell].is_nan(),
+            &|purpose, item| context.stream(purpose, item),
         );
-        let real: Vec<&Whitened> = self.usual();
-        let own = own_shares(&real, &drawn.iter().collect::<Vec<_>>());
         drop(usual);
-        self.model(params, names, dem, &own)
+        let correction = Correction::of(&self.usual(), &whiten(&drawn, self.columns, &self.places));
+        self.model(params, names, dem, &correction)
     }
 
     fn usual(&self) -> Vec<&Whitened> {
         self.whitened.iter().zip(&self.bad).filter(|(_, bad)| !**bad).map(|(w, _)| w).collect()
     }
 
-    /// The model; `own` is the part of the deviation of each figure that acquisitions differ by.
-    fn model(&self, params: &LearnNoiseParams, names: &[String], dem: &Raster, own: &[f64]) -> Noise {
+    /// The model with a correction of its draws.
+    fn model(&self, params: &LearnNoiseParams, names: &[String], dem: &Raster, correction: &Correction) -> Noise {
         let shares = Bands::new(self.columns, dem.grid.rows, BANDS).shares();
-        let variety = Variety { jitter: params.jitter, own };
+        let variety = Variety { jitter: params.jitter, own: &correction.own };
         let Acquisitions { mut members, bad_share } = acquisitions(names, &self.whitened, &self.bad, &shares, variety);
+        members.iter_mut().filter(|member| !member.bad).for_each(|member| correction.shift(member));
         if !self.fields {
             members.iter_mut().for_each(|member| member.field_log_amplitude.fill(0.0));
         }
@@ -194,6 +206,36 @@ impl Learnt {
     fn length_cells(&self, dem: &Raster) -> f64 {
         let side = self.columns.min(dem.grid.rows);
         ((range_cells(&self.usual(), self.columns) * side) as f64).sqrt()
+    }
+}
+
+/// What the draws of a model say that it should have otherwise.
+struct Correction {
+    /// Part of the deviation of each figure that acquisitions differ by.
+    own: Vec<f64>,
+    /// How much the mean of the draws lies above that of the rasters, figure by figure, as far as that is not chance.
+    excess: Vec<f64>,
+}
+
+impl Correction {
+    fn none(figures: usize) -> Self {
+        Self { own: vec![1.0; figures], excess: vec![0.0; figures] }
+    }
+
+    /// From the usual rasters and draws of a model without correction.
+    fn of(real: &[&Whitened], drawn: &[Whitened]) -> Self {
+        let rows = |whitened: &mut dyn Iterator<Item = &Whitened>| whitened.map(figures).collect::<Vec<_>>();
+        let [real_rows, drawn_rows] = [rows(&mut real.iter().copied()), rows(&mut drawn.iter())];
+        // The mean of the rasters is what the draws should have: it is no estimate.
+        let departure = |k: usize| Departure::of(Mean::of(&drawn_rows, k), Mean::of(&real_rows, k).exact());
+        let excess = (0..real_rows[0].len()).map(|k| departure(k).certain(1.0)).collect();
+        Self { own: own_shares(real, &drawn.iter().collect::<Vec<_>>()), excess }
+    }
+
+    /// Takes the excess off a member.
+    fn shift(&self, member: &mut Member) {
+        let values = member.log_strength.iter_mut().chain(&mut member.log_amplitude);
+        values.zip(&self.excess).for_each(|(value, excess)| *value -= excess);
     }
 }
 

@@ -1,0 +1,73 @@
+//! How the mean figures of rasters (strength by class of place, amplitude by band of frequency) depart from what they should be, and which part of
+//! that is not chance.
+
+use crate::noise::learning::whitening::Whitened;
+
+/// The figures of a whitened raster: logarithms of its strengths by class of place, then of its amplitudes by band.
+pub fn figures(whitened: &Whitened) -> Vec<f64> {
+    whitened.log_strength.iter().chain(&whitened.log_amplitude).copied().collect()
+}
+
+/// Mean of one figure over some rasters.
+#[derive(Debug, Clone, Copy)]
+pub struct Mean {
+    /// The mean.
+    pub value: f64,
+    /// Its squared standard error.
+    pub squared_error: f64,
+}
+
+impl Mean {
+    /// Mean of figure `k` over rows, of which there are at least two.
+    pub fn of(rows: &[Vec<f64>], k: usize) -> Self {
+        let n = rows.len() as f64;
+        let value = rows.iter().map(|row| row[k]).sum::<f64>() / n;
+        let squares = rows.iter().map(|row| (row[k] - value) * (row[k] - value)).sum::<f64>();
+        Self { value, squared_error: squares / (n - 1.0) / n }
+    }
+
+    /// The same mean as a number that is known.
+    pub fn exact(self) -> Self {
+        Self { squared_error: 0.0, ..self }
+    }
+}
+
+/// Departure of one mean from another.
+#[derive(Debug, Clone, Copy)]
+pub struct Departure {
+    /// The difference.
+    pub difference: f64,
+    /// Its standard error.
+    pub error: f64,
+}
+
+impl Departure {
+    /// How much `mean` lies above `wanted`.
+    pub fn of(mean: Mean, wanted: Mean) -> Self {
+        let error = (mean.squared_error + wanted.squared_error).sqrt();
+        Self { difference: mean.value - wanted.value, error }
+    }
+
+    /// The part of the difference that is not chance: it is shrunk by the square of `errors` standard errors (James and Stein 1961), and
+    /// is 0 within them.
+    pub fn certain(self, errors: f64) -> f64 {
+        let (squared, chance) = (self.difference * self.difference, errors * self.error);
+        if squared > 0.0 { self.difference * (1.0 - chance * chance / squared).max(0.0) } else { 0.0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_lies_within_its_error_is_chance() {
+        let rows = [vec![0.1], vec![0.3], vec![0.2], vec![0.4]];
+        let mean = Mean::of(&rows, 0);
+        let error = (0.05f64 / 3.0 / 4.0).sqrt();
+        assert!((mean.value - 0.25).abs() < 1e-12 && (mean.squared_error.sqrt() - error).abs() < 1e-12);
+        let departure = Departure::of(mean, Mean { value: 0.15, squared_error: 0.0 });
+        assert!((departure.certain(1.0) - 0.1 * (1.0 - error * error / 0.01)).abs() < 1e-12);
+        assert!(departure.certain(2.0) == 0.0 && Departure::of(mean, mean.exact()).certain(1.0) == 0.0);
+    }
+}
