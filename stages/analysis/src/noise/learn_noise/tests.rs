@@ -60,9 +60,13 @@ fn differences(count: u8, bad: &[u8]) -> Vec<Raster> {
 }
 
 fn learn(count: u8, bad: &[u8], with: &Value) -> Result<(Noise, TestHost), StageError> {
+    learn_from(differences(count, bad), with)
+}
+
+fn learn_from(rasters: Vec<Raster>, with: &Value) -> Result<(Noise, TestHost), StageError> {
     let (cameras, pairs) = survey();
     let dem = Raster::single(grid(), Frame::Wall, "elevation", "dem", vec![0.0; COLUMNS * ROWS]);
-    let mut inputs: Vec<(&str, Artefact)> = differences(count, bad).into_iter().map(|r| ("raster", r.into())).collect();
+    let mut inputs: Vec<(&str, Artefact)> = rasters.into_iter().map(|r| ("raster", r.into())).collect();
     inputs.extend([("dem", dem.into()), ("cameras", cameras.into()), ("pairs", pairs.into())]);
     let host = TestHost::default();
     let outputs = run_stage::<LearnNoise>(&host, with, &inputs)?.into_inner();
@@ -73,6 +77,11 @@ pub(in crate::noise) static CLEAN: LazyLock<Noise> = LazyLock::new(|| learn(16, 
 
 /// Root mean squares of differences of two drawn acquisitions, right of the middle and left of it, pixels.
 fn drawn_px(noise: &Noise, count: u64) -> Vec<[f64; 2]> {
+    drawn_within_px(noise, count, f64::INFINITY)
+}
+
+/// The same of differences without values beyond a limit, pixels.
+fn drawn_within_px(noise: &Noise, count: u64, limit_px: f64) -> Vec<[f64; 2]> {
     let acquisition = |seed: u64| {
         let keys = |purpose: &str, item: &str| {
             let host = TestHost::seeded(seed);
@@ -84,7 +93,7 @@ fn drawn_px(noise: &Noise, count: u64) -> Vec<[f64; 2]> {
         let (pre, post) = (acquisition(2 * seed), acquisition(2 * seed + 1));
         [false, true].map(|left| {
             let inside = (0..pre.len()).filter(|i| (i % COLUMNS < COLUMNS / 2) == left);
-            let differences = inside.map(|i| post[i] - pre[i]).filter(|d| !d.is_nan());
+            let differences = inside.map(|i| post[i] - pre[i]).filter(|d| d.abs() <= limit_px);
             let squares: Vec<f64> = differences.map(|d| d * d).collect();
             (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
         })
@@ -111,6 +120,26 @@ fn differences_of_drawn_acquisitions_have_the_strength_of_the_rasters_at_each_pl
     };
     let spread = deviation(drawn.iter().map(|rms| portable_math::log(rms[0])).collect());
     assert!((0.08..0.25).contains(&spread), "the rasters vary by 0.145: {spread}");
+}
+
+#[test]
+fn draws_are_as_strong_as_rasters_whose_largest_values_were_filtered_out() {
+    let (limit_m, step_m) = (0.012f32, 20.0 * 20.0 / (small_sensor().f * 2.0));
+    let mut rasters = differences(16, &[]);
+    let values = rasters.iter_mut().flat_map(|raster| &mut raster.bands[0].values);
+    values.filter(|value| value.abs() > limit_m).for_each(|value| *value = f32::NAN);
+    let left = |raster: &Raster| {
+        let cells = raster.bands[0].values.iter().enumerate();
+        let inside = cells.filter(|(i, value)| i % COLUMNS < COLUMNS / 2 && !value.is_nan());
+        mean(inside.map(|(_, value)| f64::from(*value) * f64::from(*value))).sqrt()
+    };
+    let expected_px = mean(rasters.iter().map(left)) / step_m;
+    let ratio = |with: &Value| {
+        let (noise, _) = learn_from(rasters.clone(), with).unwrap();
+        mean(drawn_within_px(&noise, 60, f64::from(limit_m) / step_m).iter().map(|rms| rms[1])) / expected_px
+    };
+    let (known, unknown) = (ratio(&json!({"outlier_m": 0.012})), ratio(&json!({})));
+    assert!((known - 1.0).abs() < 0.08 && unknown < known - 0.01, "{known} {unknown}");
 }
 
 #[test]
