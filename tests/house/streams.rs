@@ -83,7 +83,9 @@ fn napping(house: &House, prefix: &str) -> (std::process::Child, impl Iterator<I
         "rockface: 1\nsteps:\n  first: {{stage: synthesise-face, with: {{width_m: 2, height_m: 1.5, spacing_m: 0.05}}}}\n  nap:\n    stage: command\n    in: {{f: first.mesh}}\n    with: {{program: sh, args: ['-c', '{script}'], inputs: {{f: {{kind: mesh, extension: ply}}}}, outputs: {{f: {{kind: file, extension: txt}}}}, version: any}}\n"
     );
     std::fs::write(house.path("p.yaml"), yaml).unwrap();
-    let command = format!("{prefix} exec {} run p.yaml --verbose", env!("CARGO_BIN_EXE_rockface"));
+    // These tests may themselves run without a terminal to lose (`nohup cargo test`), and a signal ignored is inherited.
+    let heard = if prefix.is_empty() { "env --default-signal=HUP" } else { "" };
+    let command = format!("{prefix} exec {heard} {} run p.yaml --verbose", env!("CARGO_BIN_EXE_rockface"));
     let mut shell = Command::new("sh");
     let mut child = shell
         .current_dir(house.path(""))

@@ -27,6 +27,7 @@ impl Mean {
     }
 
     /// The same mean as a number that is known.
+    #[must_use]
     pub fn exact(self) -> Self {
         Self { squared_error: 0.0, ..self }
     }
