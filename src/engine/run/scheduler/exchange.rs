@@ -1,13 +1,14 @@
 //! Other processes on the same store: the scheduler waits for what they compute, and exchanges values that are not kept.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use rockface_cache::{Digest, Room, Store, StoreError, Want};
+use rockface_cache::{Digest, Want};
 use rockface_core::artefact::Kind;
 
+use super::others::PAUSES;
 use super::phase::Due;
 use super::schedule::{Scheduler, Turn};
 use crate::run::RunError;
@@ -18,9 +19,6 @@ use crate::watch::Event;
 const POLL_EVERY: Duration = Duration::from_millis(50);
 /// The same if the last look found other processes.
 const POLL_EVERY_BESIDE_OTHERS: Duration = Duration::from_millis(10);
-/// The first and the longest pause while this process can only wait for others.
-const PAUSES: (Duration, Duration) = (Duration::from_millis(1), Duration::from_millis(16));
-
 /// Where the values of an instance are.
 pub enum Found {
     /// In this process.
@@ -29,48 +27,6 @@ pub enum Found {
     Elsewhere,
     /// In no live process.
     Nowhere,
-}
-
-/// What this process waits for from others, and what it has asked them for.
-#[derive(Default)]
-pub struct Exchange {
-    /// Instances whose keys other processes have locked.
-    elsewhere: Vec<usize>,
-    /// Instances whose values are being fetched from other processes.
-    pub fetching: Vec<usize>,
-    /// Instances whose values were requested from other processes at some time: files may arrive for them.
-    requested: HashSet<usize>,
-    /// Instances whose wait for another process has been reported.
-    reported: HashSet<usize>,
-    /// The folder that receives values and spilled values, once there are any.
-    room: Option<Room>,
-    /// Whether other processes have such folders too.
-    are_others: bool,
-    polled: Option<Instant>,
-    pause: Duration,
-}
-
-impl Exchange {
-    /// The folder that receives values for this process; made when it is first asked for.
-    pub fn room(&mut self, store: &Store) -> Result<&Room, StoreError> {
-        match &mut self.room {
-            Some(room) => Ok(room),
-            none => Ok(none.insert(store.room()?)),
-        }
-    }
-
-    /// Nothing happened: the next pause is longer.
-    pub fn lengthen_pause(&mut self) {
-        self.pause = (self.pause * 2).clamp(PAUSES.0, PAUSES.1);
-    }
-
-    fn reset_pause(&mut self) {
-        self.pause = PAUSES.0;
-    }
-
-    fn waits(&self) -> bool {
-        !self.elsewhere.is_empty() || !self.fetching.is_empty()
-    }
 }
 
 impl Scheduler<'_> {

@@ -5,12 +5,14 @@ mod dispatch;
 mod exchange;
 mod expand;
 mod memory;
+mod others;
 mod phase;
 mod progress;
 mod recompute;
 mod rss;
 mod schedule;
 mod state;
+mod timing;
 mod transitions;
 
 pub use schedule::run;

@@ -9,10 +9,10 @@ use std::time::{Duration, Instant};
 use rockface_cache::{Digest, Store, StoreError};
 
 use super::budget::MemoryBudget;
-use super::exchange::Exchange;
-use super::progress::Timing;
+use super::others::Exchange;
 use super::rss::Resident;
 use super::state::States;
+use super::timing::Timing;
 use crate::pipeline::LogLevel;
 use crate::plan::Plan;
 use crate::run::worker::{self, Done, Failure, Workers};
