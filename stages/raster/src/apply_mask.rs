@@ -54,7 +54,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Sets cells to NaN where a mask excludes them, in every band of the raster.
 pub struct ApplyMask;
 
 impl Stage for ApplyMask {

@@ -10,7 +10,7 @@ params! {
     pub struct DifferenceDemParams {}
 }
 
-/// The stage.
+/// Subtracts two elevation rasters: comparison - reference.
 pub struct DifferenceDem;
 
 impl Stage for DifferenceDem {

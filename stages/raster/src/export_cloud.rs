@@ -15,7 +15,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Makes a point cloud of a surface, a mesh or an elevation raster.
 pub struct ExportCloud;
 
 impl Stage for ExportCloud {

@@ -12,7 +12,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Sets every cell with |value| > `max_abs_m` to NaN, in each band.
 pub struct FilterOutliers;
 
 impl Stage for FilterOutliers {

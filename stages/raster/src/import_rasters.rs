@@ -41,7 +41,7 @@ const LEAST_IMPOSSIBLE_M: f32 = 100.0;
 /// Differences of one survey rarely scatter by more than this, metres.
 const LARGEST_USUAL_DEVIATION_M: f64 = 1.0;
 
-/// The stage.
+/// Reads GeoTIFF files, such as the difference rasters of real surveys without rockfall, into one raster.
 pub struct ImportRasters;
 
 impl Stage for ImportRasters {

@@ -30,7 +30,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Reads a table from a CSV file.
 pub struct ImportTable;
 
 impl Stage for ImportTable {

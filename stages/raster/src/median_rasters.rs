@@ -16,7 +16,8 @@ params! {
     }
 }
 
-/// The stage.
+/// Takes the median of several rasters at each cell: the fusion of a block that rasterises every pair by itself, or
+/// the quiet background of a series.
 pub struct MedianRasters;
 
 impl Stage for MedianRasters {

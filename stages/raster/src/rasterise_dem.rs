@@ -42,7 +42,7 @@ const RASTER: Port = Port::one("raster", &[Kind::Raster], "Elevation, metres, on
 const COVERAGE: Port =
     Port::one("coverage", &[Kind::Raster], "Number of points in each cell; with `coverage: true` only.");
 
-/// The stage.
+/// Turns a surface or mesh into a grid of elevations (Z) over X and Y.
 pub struct RasteriseDem;
 
 impl Stage for RasteriseDem {

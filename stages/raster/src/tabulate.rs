@@ -30,7 +30,7 @@ fn constant(value: &Value) -> Option<Cell> {
     }
 }
 
-/// The stage.
+/// Concatenates tables into one; of an inventory, the properties of its features are the rows.
 pub struct Tabulate;
 
 impl Stage for Tabulate {

@@ -12,7 +12,8 @@ params! {
     }
 }
 
-/// The stage.
+/// Writes the points and triangles of an organised surface as a mesh (PLY), for other programs and for stages that
+/// take meshes.
 pub struct TriangulateSurface;
 
 impl Stage for TriangulateSurface {

@@ -39,7 +39,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Runs a program over declared inputs and outputs: a script, a compiled tool, another photogrammetry package.
 pub struct Command;
 
 impl Stage for Command {

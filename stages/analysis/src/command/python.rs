@@ -50,7 +50,8 @@ const INTERPRETER: Found = Found { variable: "ROCKFACE_PYTHON", name: "python3" 
 /// Variables that decide which packages an interpreter finds.
 const VARIABLES: [&str; 3] = ["PYTHONPATH", "VIRTUAL_ENV", "CONDA_PREFIX"];
 
-/// The stage.
+/// Calls a function of a Python file over typed inputs and outputs: your own noise, detector or figure as a cached
+/// step.
 pub struct Python;
 
 impl Stage for Python {

@@ -85,7 +85,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Cuts comparisons into labelled tiles for training change detection.
 pub struct ExportDataset;
 
 impl Stage for ExportDataset {

@@ -24,7 +24,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Computes which true changes are found.
 pub struct DescribeDetectability;
 
 impl Stage for DescribeDetectability {

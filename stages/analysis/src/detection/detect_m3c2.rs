@@ -41,7 +41,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Finds detachments by M3C2, the distance of two clouds along local normals.
 pub struct DetectM3c2;
 
 impl Stage for DetectM3c2 {

@@ -82,7 +82,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Finds detachments in a difference of elevations.
 pub struct DetectRaster;
 
 impl Stage for DetectRaster {

@@ -26,7 +26,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Finds detachments as clusters of voxels enclosed between two surfaces.
 pub struct DetectVoxels;
 
 impl Stage for DetectVoxels {

@@ -17,7 +17,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Makes a closed block of each detection, between the elevations before and after, at its place.
 pub struct ReconstructBlocks;
 
 impl Stage for ReconstructBlocks {

@@ -25,7 +25,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Compares detections with the ground truth.
 pub struct ScoreDetections;
 
 impl Stage for ScoreDetections {

@@ -20,7 +20,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Pools the scores of many epochs into rates with 95 % intervals.
 pub struct SummariseDetections;
 
 impl Stage for SummariseDetections {

@@ -77,7 +77,7 @@ table_row! {
     }
 }
 
-/// The stage.
+/// Sets measured figures beside published ones.
 pub struct CompareFigures;
 
 impl Stage for CompareFigures {

@@ -18,7 +18,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Draws the curves of `describe-noise` for real and simulated rasters, one over the other.
 pub struct DrawDescriptors;
 
 impl Stage for DrawDescriptors {

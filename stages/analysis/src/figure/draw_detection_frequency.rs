@@ -21,7 +21,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Draws the cumulative frequency of true, found and detected volumes with their power laws.
 pub struct DrawDetectionFrequency;
 
 impl Stage for DrawDetectionFrequency {

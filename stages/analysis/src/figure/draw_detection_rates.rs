@@ -29,7 +29,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Draws precision against recall, and F1 and volume error against the threshold.
 pub struct DrawDetectionRates;
 
 impl Stage for DrawDetectionRates {

@@ -20,7 +20,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Draws detected against true volumes.
 pub struct DrawDetectionVolumes;
 
 impl Stage for DrawDetectionVolumes {

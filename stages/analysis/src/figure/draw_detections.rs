@@ -17,7 +17,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Maps detections over the face.
 pub struct DrawDetections;
 
 impl Stage for DrawDetections {

@@ -44,7 +44,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Draws a raster, depth map, mesh or surface in false colours with a colour bar, a scale bar and a title.
 pub struct DrawPicture;
 
 impl Stage for DrawPicture {

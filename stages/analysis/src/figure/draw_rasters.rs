@@ -30,7 +30,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Draws rasters side by side with one colour bar.
 pub struct DrawRasters;
 
 impl Stage for DrawRasters {

@@ -28,7 +28,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Draws a rockfall inventory in one picture.
 pub struct DrawRockfall;
 
 impl Stage for DrawRockfall {

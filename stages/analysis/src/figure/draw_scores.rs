@@ -22,7 +22,7 @@ const LIMIT: f64 = 0.05;
 /// The group of all features.
 const JOINT: &str = "all";
 
-/// The stage.
+/// Draws the verdicts of `test-acceptance`.
 pub struct DrawScores;
 
 impl Stage for DrawScores {

@@ -21,7 +21,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Draws the score of a search over its parameters.
 pub struct DrawSearch;
 
 impl Stage for DrawSearch {

@@ -18,7 +18,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Makes up for what a survey loses of the noise of a model.
 pub struct AdjustNoise;
 
 /// Standard errors within which a difference counts as chance. Acquisitions differ from each other far more than what a survey loses: a few

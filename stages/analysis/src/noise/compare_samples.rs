@@ -27,7 +27,8 @@ params! {
     }
 }
 
-/// The stage.
+/// Trains classifiers to tell simulated rasters from real ones, and measures how well they do on rasters they have
+/// not seen.
 pub struct CompareSamples;
 
 /// Features for which the ridge is given.

@@ -28,7 +28,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Describes the noise of each band by ten features, by further figures, and by the curves they are taken from.
 pub struct DescribeNoise;
 
 impl Stage for DescribeNoise {

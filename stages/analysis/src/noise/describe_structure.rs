@@ -21,7 +21,9 @@ params! {
     }
 }
 
-/// The stage.
+/// Turns difference rasters into about a hundred figures of their fine structure: increments in four directions,
+/// details of a Haar pyramid, how they alternate between strong and weak, tails, and where on the face the noise is
+/// strong.
 pub struct DescribeStructure;
 
 impl Stage for DescribeStructure {

@@ -26,7 +26,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Fits the Mahalanobis model of the reference rasters, for all features together and for each descriptor group.
 pub struct FitAcceptance;
 
 impl Stage for FitAcceptance {

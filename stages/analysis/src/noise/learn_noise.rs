@@ -50,7 +50,8 @@ params! {
     }
 }
 
-/// The stage.
+/// Learns a model of the matching noise of a site from rasters of difference without change, such as the
+/// comparisons of quiet months.
 pub struct LearnNoise;
 
 impl Stage for LearnNoise {

@@ -46,7 +46,9 @@ params! {
     }
 }
 
-/// The stage.
+/// Proposes the parameters at which simulated features have the mean and the spread of those of the reference, says
+/// how sure that is, and says in words where the model cannot reach the reference at all, which features show it,
+/// and what to widen.
 pub struct ProposeParameters;
 
 /// The quantile at which acceptance is predicted.

@@ -38,7 +38,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Ranks the points of a search by a score, the smaller the better, and lays new points around the best.
 pub struct RefineSearch;
 
 impl Stage for RefineSearch {

@@ -26,7 +26,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Tests simulated rasters against real ones at several quantiles, jointly and by descriptor group.
 pub struct SummariseAcceptance;
 
 impl Stage for SummariseAcceptance {

@@ -18,7 +18,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Accepts or rejects each raster by its distance to the reference.
 pub struct TestAcceptance;
 
 /// Quantiles of the sensitivity table (paper, Table A1).

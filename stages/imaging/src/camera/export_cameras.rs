@@ -28,7 +28,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Writes sensors and images in the format of another program.
 pub struct ExportCameras;
 
 impl Stage for ExportCameras {

@@ -44,7 +44,7 @@ const HEAD: u64 = 256;
 /// A principal distance below this share of the width (a field of view above 118 degrees) is rarely meant.
 const LEAST_USUAL_F_PER_WIDTH: f64 = 0.3;
 
-/// The stage.
+/// Reads sensors, oriented images and the joint covariance of their orientation parameters.
 pub struct ImportCameras;
 
 impl Stage for ImportCameras {

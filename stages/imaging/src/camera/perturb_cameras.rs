@@ -98,7 +98,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Draws the estimated orientation of an epoch: the true orientation plus random errors.
 pub struct PerturbCameras;
 
 impl Stage for PerturbCameras {

@@ -67,7 +67,8 @@ params! {
     }
 }
 
-/// The stage.
+/// Moves a face into the wall frame, with its cameras and their covariance, and gives the transform for the way
+/// back.
 pub struct TransformCrs;
 
 /// The transform of another epoch, where it fits the mesh.

@@ -18,7 +18,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Reduces the depth map of one image to a grid of elevations over the wall.
 pub struct GridDepth;
 
 impl Stage for GridDepth {

@@ -36,7 +36,7 @@ const MAXIMUM_PIXELS: f64 = 3e8;
 /// Whole numbers a 32-bit float holds without a gap.
 const MAXIMUM_TRIANGLES: usize = 1 << 24;
 
-/// The stage.
+/// Projects a mesh into one image and keeps, at every pixel centre, the depth of the nearest triangle.
 pub struct ProjectDepth;
 
 impl Stage for ProjectDepth {

@@ -9,7 +9,7 @@ params! {
     pub struct ExportMetashapeParams {}
 }
 
-/// The stage.
+/// Writes depth maps as a folder that Agisoft Metashape Professional can import.
 pub struct ExportMetashape;
 
 impl Stage for ExportMetashape {

@@ -65,7 +65,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Fuses depth maps to a point cloud and, on request, a mesh by the external program COLMAP.
 pub struct FuseColmap;
 
 const CLOUD: Port =

@@ -18,7 +18,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Turns a depth map into a surface.
 pub struct FuseDepth;
 
 impl Stage for FuseDepth {

@@ -27,7 +27,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Fuses the elevation grids of many images (`grid-depth`) to one 2.5D surface.
 pub struct FuseGrids;
 
 impl Stage for FuseGrids {

@@ -30,7 +30,7 @@ const MAXIMUM_TRUNCATION: f64 = 50.0;
 /// Most blocks of a volume: 9 GB.
 const MAXIMUM_BLOCKS: usize = 2_000_000;
 
-/// The stage.
+/// Fuses depth maps to one triangle mesh in space.
 pub struct FuseVolume;
 
 impl Stage for FuseVolume {

@@ -54,7 +54,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Finds the rigid motion that lays the source on the target.
 pub struct RegisterIcp;
 
 impl Stage for RegisterIcp {

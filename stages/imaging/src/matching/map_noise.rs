@@ -21,7 +21,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Maps how strong the noise of a site is from place to place, from rasters without change.
 pub struct MapNoise;
 
 impl Stage for MapNoise {

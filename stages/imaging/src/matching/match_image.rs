@@ -73,7 +73,7 @@ params! {
 /// Pairs an image may have.
 const MAXIMUM_PAIRS: usize = 255;
 
-/// The stage.
+/// Makes the depth map of an image as dense matching with all of its partners would.
 pub struct MatchImage;
 
 impl Stage for MatchImage {

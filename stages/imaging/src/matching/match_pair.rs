@@ -27,7 +27,8 @@ params! {
     }
 }
 
-/// The stage.
+/// Makes the depth map of one image of a stereo pair as dense matching would, with the errors of orientation and
+/// matching in it.
 pub struct MatchPair;
 
 impl Stage for MatchPair {

@@ -81,7 +81,8 @@ const EFFECT_POINTS: usize = 120;
 /// Pairs whose expected effects are reported.
 const EFFECT_PAIRS: usize = 40;
 
-/// The stage.
+/// Computes the joint covariance of exterior and interior orientation that a bundle adjustment of this block would
+/// yield.
 pub struct EstimateCovariance;
 
 impl Stage for EstimateCovariance {

@@ -42,7 +42,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Forecasts ground sampling distance, depth precision and level of detection of a survey.
 pub struct ForecastPrecision;
 
 impl Stage for ForecastPrecision {

@@ -103,7 +103,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Places the images of a survey before a face.
 pub struct PlanSurvey;
 
 impl Stage for PlanSurvey {

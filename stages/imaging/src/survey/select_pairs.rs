@@ -28,7 +28,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Chooses the stereo pairs to match by overlap, ratio of baseline to distance and convergence, or takes a list.
 pub struct SelectPairs;
 
 impl Stage for SelectPairs {

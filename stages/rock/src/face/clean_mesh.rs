@@ -34,7 +34,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Removes unusable triangles from a surface or mesh.
 pub struct CleanMesh;
 
 const MASK: Port = Port::optional(

@@ -53,7 +53,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Reads a point cloud of a rock face and makes a 2.5D mesh of it.
 pub struct ImportCloud;
 
 impl Stage for ImportCloud {

@@ -73,7 +73,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Reads a triangle mesh of a rock face and makes safe repairs.
 pub struct ImportMesh;
 
 impl Stage for ImportMesh {

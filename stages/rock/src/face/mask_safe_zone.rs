@@ -18,7 +18,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Marks where on a face a block may stand.
 pub struct MaskSafeZone;
 
 impl Stage for MaskSafeZone {

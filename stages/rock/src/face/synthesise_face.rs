@@ -101,7 +101,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Makes a synthetic rock face.
 pub struct SynthesiseFace;
 
 impl Stage for SynthesiseFace {

@@ -18,7 +18,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Classifies the shapes of the bodies of an inventory, a table or a file of meshes.
 pub struct ClassifyShapes;
 
 impl Stage for ClassifyShapes {

@@ -19,7 +19,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Fits a power law N(>= V) = n (V / V_min)^-b to the volumes of an inventory.
 pub struct FitMagnitudeFrequency;
 
 impl Stage for FitMagnitudeFrequency {

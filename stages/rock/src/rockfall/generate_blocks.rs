@@ -49,7 +49,7 @@ fn default_classes() -> Vec<Class> {
     Vec::<Class>::decode(&classes).unwrap_or_default()
 }
 
-/// The stage.
+/// Defines an unbounded sequence of candidate blocks for `remove-blocks`.
 pub struct GenerateBlocks;
 
 impl Stage for GenerateBlocks {

@@ -61,7 +61,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Reads blocks from mesh files, such as those of a kinematic analysis, a removed volume or a scanned boulder.
 pub struct ImportBlocks;
 
 impl Stage for ImportBlocks {

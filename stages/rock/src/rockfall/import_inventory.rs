@@ -30,7 +30,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Reads a rockfall inventory with the outline and the properties of each rockfall.
 pub struct ImportInventory;
 
 impl Stage for ImportInventory {

@@ -9,7 +9,7 @@ params! {
     pub struct JoinInventoriesParams {}
 }
 
-/// The stage.
+/// Joins the rockfalls of many inventories into one, such as those of all epochs of a benchmark.
 pub struct JoinInventories;
 
 impl Stage for JoinInventories {

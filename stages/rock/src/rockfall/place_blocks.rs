@@ -31,7 +31,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Makes the density that `remove-blocks` draws positions from.
 pub struct PlaceBlocks;
 
 impl Stage for PlaceBlocks {

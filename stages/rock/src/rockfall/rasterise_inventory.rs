@@ -14,7 +14,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Draws the outlines of an inventory into a label raster on the grid of another raster.
 pub struct RasteriseInventory;
 
 impl Stage for RasteriseInventory {

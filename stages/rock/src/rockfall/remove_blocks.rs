@@ -123,7 +123,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Takes blocks out of a rock face and gives the face after and the exact ground truth.
 pub struct RemoveBlocks;
 
 impl Stage for RemoveBlocks {

@@ -43,7 +43,7 @@ params! {
     }
 }
 
-/// The stage.
+/// Keeps the rockfalls of an inventory whose properties lie in ranges or are among given words.
 pub struct SelectFeatures;
 
 impl Stage for SelectFeatures {
