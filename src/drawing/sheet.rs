@@ -318,7 +318,7 @@ impl<'d> Rows<'d> {
         links.into_values().collect()
     }
 
-    /// Numbers the nodes anew so that links lead from lower numbers to higher ones, as far as they go in no circle: a use stands
+    /// Numbers the nodes anew so that links lead from lower numbers to higher ones, unless they go in a circle: a use stands
     /// where its inputs are there, and not where the first of its steps is. Exits stay the last.
     fn put_in_order(&mut self, mut links: Vec<Link>) -> Vec<Link> {
         let count = self.cells.len();

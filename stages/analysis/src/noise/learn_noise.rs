@@ -214,7 +214,7 @@ impl Learnt {
 struct Correction {
     /// Part of the deviation of each figure that acquisitions differ by.
     own: Vec<f64>,
-    /// How much the mean of the draws lies above that of the rasters, figure by figure, as far as that is not chance.
+    /// How much the mean of the draws exceeds that of the rasters, figure by figure, without what may be chance.
     excess: Vec<f64>,
 }
 
