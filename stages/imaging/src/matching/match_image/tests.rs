@@ -56,9 +56,14 @@ fn lens() -> Sensor {
 }
 
 fn run(block: &Block, host: &TestHost, with: &Value) -> Result<Depth, StageError> {
+    run_with_errors(block, host, with, None)
+}
+
+fn run_with_errors(block: &Block, host: &TestHost, with: &Value, errors: Option<Depth>) -> Result<Depth, StageError> {
     let mut inputs: Vec<(&str, Artefact)> =
         vec![("noisy", Artefact::Cameras(block.noisy.clone())), ("pairs", Artefact::Pairs(block.pairs.clone()))];
     inputs.extend(block.depths.iter().map(|depth| ("depths", Artefact::Depth(depth.clone()))));
+    inputs.extend(errors.map(|map| ("errors", Artefact::Depth(map))));
     let outputs = run_stage::<MatchImage>(host, with, &inputs)?.into_inner();
     Ok(Depth::of(&outputs["depth"]).unwrap().clone())
 }
@@ -69,6 +74,10 @@ fn matched(block: &Block, with: &Value) -> Depth {
 
 /// What `match-pair` makes of a pair of the block.
 fn single(block: &Block, pair: &Pair, with: &Value) -> Depth {
+    single_with_errors(block, pair, with, None)
+}
+
+fn single_with_errors(block: &Block, pair: &Pair, with: &Value, errors: Option<Depth>) -> Depth {
     let mut inputs = Inputs::default();
     let depth = |name: &str| block.depths.iter().find(|depth| depth.image.name == name).unwrap().clone();
     for (port, artefact) in [
@@ -79,6 +88,7 @@ fn single(block: &Block, pair: &Pair, with: &Value) -> Depth {
     ] {
         inputs.push(port, Point::new(), Arc::new(artefact));
     }
+    errors.into_iter().for_each(|map| inputs.push("errors", Point::new(), Arc::new(Artefact::Depth(map))));
     let stage = rockface_core::testing::stage(crate::matching::STAGES, "match-pair");
     let outputs = stage.run(with, &inputs, &Context::new(&TestHost::default())).unwrap().into_inner();
     Depth::of(&outputs["depth"]).unwrap().clone()
@@ -113,32 +123,15 @@ fn errors_of_ones_own_are_those_of_match_pair_and_may_differ_by_pair() {
     };
     let run = |pairs: &[&Pair], image: &str, errors: Option<Depth>| {
         let pairs = Pairs { pairs: pairs.iter().map(|pair| (*pair).clone()).collect() };
-        let mut inputs: Vec<(&str, Artefact)> = vec![("noisy", block.noisy.clone().into()), ("pairs", pairs.into())];
-        inputs.extend(block.depths.iter().map(|depth| ("depths", Artefact::Depth(depth.clone()))));
-        inputs.extend(errors.map(|map| ("errors", Artefact::Depth(map))));
-        let outputs = run_stage::<MatchImage>(&TestHost::default(), &with(image), &inputs)?.into_inner();
-        Ok::<_, StageError>(Depth::of(&outputs["depth"]).unwrap().clone())
+        let block = Block { noisy: block.noisy.clone(), depths: block.depths.clone(), pairs };
+        run_with_errors(&block, &TestHost::default(), &with(image), errors)
     };
     let pair = |name: &str| block.pairs.pairs.iter().find(|pair| pair.name == name).unwrap().clone();
     let (first, second) = (pair("a+b"), pair("b+c"));
 
     // One pair: what `match-pair` makes of the same errors.
-    let of_pair = |pair: &Pair, map: Depth| {
-        let depth = |name: &str| block.depths.iter().find(|depth| depth.image.name == name).unwrap().clone();
-        let inputs: [(&str, Artefact); 5] = [
-            ("first", depth(&pair.first).into()),
-            ("second", depth(&pair.second).into()),
-            ("noisy", block.noisy.clone().into()),
-            ("pairs", Pairs { pairs: vec![pair.clone()] }.into()),
-            ("errors", map.into()),
-        ];
-        let stage = rockface_core::testing::stage(crate::matching::STAGES, "match-pair");
-        let with = json!({"sigma_local_px": 0.3, "sigma_regular_px": 0.4, "spacing_px": 9});
-        let mut ports = Inputs::default();
-        inputs.into_iter().for_each(|(port, value)| ports.push(port, Point::new(), Arc::new(value)));
-        let outputs = stage.run(&with, &ports, &Context::new(&TestHost::default())).unwrap().into_inner();
-        Depth::of(&outputs["depth"]).unwrap().clone()
-    };
+    let noise = json!({"sigma_local_px": 0.3, "sigma_regular_px": 0.4, "spacing_px": 9});
+    let of_pair = |pair: &Pair, map: Depth| single_with_errors(&block, pair, &noise, Some(map));
     let own = || errors(0, &[("error_px", 0.05)]);
     assert_eq!(run(&[&first], "a", Some(own())).unwrap(), of_pair(&first, own()));
     assert_ne!(run(&[&first], "a", Some(own())).unwrap(), run(&[&first], "a", None).unwrap());
