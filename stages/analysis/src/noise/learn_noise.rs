@@ -27,12 +27,13 @@ params! {
         prior_rasters: f64 = 4.0; Range::NonNegative,
         /// Robust deviations by which a bad acquisition is stronger than the others, or stronger and of another spectrum.
         bad_cut: f64 = 3.0; Range::Positive,
-        /// Whitened fields mixed in one acquisition: fewer copy them, many make the noise too regular.
-        donors: usize = 8; Range::AtLeast(1.0),
+        /// Whitened fields mixed in one acquisition, of the rasters most like the one whose strength it has: fewer copy them, many make the
+        /// noise too regular.
+        donors: usize = 4; Range::AtLeast(1.0),
         /// Power of the weights of the mixture: 1 mixes all donors everywhere, with more each place has the structure of fewer of them.
         sharpness: u32 = 4; Range::Between(1.0, 16.0),
-        /// How much the mixture's energy is made to vary again: power of the rms within 1.5 cells; within 10 cells 0.4 of it.
-        contrast: f64 = 0.3; Range::Between(0.0, 2.0),
+        /// How much the mixture's energy is made to vary again: power of the rms within 1.5 cells.
+        contrast: f64 = 0.35; Range::Between(0.0, 2.0),
         /// Correlation length of the weights of the mixture, cells; left out: the geometric mean of the range of the noise and
         /// the shorter side of the rasters.
         length_cells: Option<f64> = None; Range::AtLeast(1.0),
@@ -57,7 +58,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -147,12 +148,13 @@ impl Learnt {
         step_m: &[f32],
         context: &Context,
     ) -> Noise {
-        let figures = self.places.middles.len() + BANDS;
-        let first = self.model(params, names, dem, &Correction::none(figures));
+        let none = Correction::none(self.places.middles.len() + BANDS);
         if params.draws < 2 {
-            return first;
+            return self.model(params, names, dem, &none);
         }
-        let usual = Noise { bad_share: 0.0, ..first };
+        // What draws of acquisitions differ by that are all alike is chance. They choose their donors by the little that is left.
+        let alike = Correction { own: vec![ALIKE; none.own.len()], ..none };
+        let usual = Noise { bad_share: 0.0, ..self.model(params, names, dem, &alike) };
         let limit_m = params.outlier_m.map_or(f32::INFINITY, |limit| limit as f32);
         let drawn = differences(
             &usual,
@@ -223,7 +225,7 @@ impl Correction {
         Self { own: vec![1.0; figures], excess: vec![0.0; figures] }
     }
 
-    /// From the usual rasters and draws of a model without correction.
+    /// From the usual rasters and draws of a model whose acquisitions are all alike.
     fn of(real: &[&Whitened], drawn: &[Whitened]) -> Self {
         let rows = |whitened: &mut dyn Iterator<Item = &Whitened>| whitened.map(figures).collect::<Vec<_>>();
         let [real_rows, drawn_rows] = [rows(&mut real.iter().copied()), rows(&mut drawn.iter())];
@@ -240,17 +242,17 @@ impl Correction {
     }
 }
 
-/// Part of the deviation of each figure that acquisitions differ by: draws of a model that varies by the whole deviation of the rasters
-/// vary more, by the chance of single fields. One part for all classes of place, and one for each band with its neighbours.
-fn own_shares(real: &[&Whitened], drawn: &[&Whitened]) -> Vec<f64> {
+/// Part of the deviation of each figure that acquisitions differ by: what draws of acquisitions that are all alike vary is the chance of single
+/// fields, which every draw has anew. One part for all classes of place, and one for each band with its neighbours.
+fn own_shares(real: &[&Whitened], alike: &[&Whitened]) -> Vec<f64> {
     let variance = |rows: &[&Whitened], of: fn(&Whitened) -> &[f64], k: usize| {
         let n = rows.len() as f64;
         let mean = rows.iter().map(|row| of(row)[k]).sum::<f64>() / n;
         rows.iter().map(|row| (of(row)[k] - mean) * (of(row)[k] - mean)).sum::<f64>() / (n - 1.0).max(1.0)
     };
     let share = |of: fn(&Whitened) -> &[f64], k: usize| {
-        let (real, drawn) = (variance(real, of, k), variance(drawn, of, k));
-        if real > 0.0 { 2.0 - drawn / real } else { 1.0 }
+        let (real, chance) = (variance(real, of, k), variance(alike, of, k));
+        if real > 0.0 { 1.0 - chance / real } else { 1.0 }
     };
     let root = |share: f64| share.clamp(LEAST_OWN, 1.0).sqrt();
     let classes = real[0].log_strength.len();
@@ -262,15 +264,16 @@ fn own_shares(real: &[&Whitened], drawn: &[&Whitened]) -> Vec<f64> {
     (0..classes).map(|_| root(strength)).chain((0..bands.len()).map(|k| root(near(k)))).collect()
 }
 
+/// Part of the deviation of figures that acquisitions have which are all alike.
+const ALIKE: f64 = 1e-6;
 /// Least part of the variance of a figure that acquisitions differ by.
 const LEAST_OWN: f64 = 0.1;
 
-/// Deviations within which the energy of a mixture is averaged, cells, with their share of the power.
-const CONTRAST: [(f64, f64); 2] = [(1.5, 1.0), (10.0, 0.4)];
+/// Deviation within which the energy of a mixture is averaged, cells.
+const CONTRAST_CELLS: f64 = 1.5;
 
 fn contrast(power: f64) -> Vec<Contrast> {
-    let of = |(cells, share): (f64, f64)| Contrast { cells, power: share * power };
-    if power > 0.0 { CONTRAST.map(of).to_vec() } else { Vec::new() }
+    if power > 0.0 { vec![Contrast { cells: CONTRAST_CELLS, power }] } else { Vec::new() }
 }
 
 fn report(noise: &Noise, learnt: &Learnt, step_m: &[f32], context: &Context) {

@@ -29,6 +29,7 @@ mod adjust_noise;
 mod compare_samples;
 mod describe_noise;
 mod describe_structure;
+mod draw_noise;
 mod fit_acceptance;
 mod learn_noise;
 mod propose_parameters;
@@ -44,6 +45,7 @@ pub static STAGES: &[&dyn AnyStage] = &[
     &Row::<compare_samples::CompareSamples>::new(),
     &Row::<describe_noise::DescribeNoise>::new(),
     &Row::<describe_structure::DescribeStructure>::new(),
+    &Row::<draw_noise::DrawNoise>::new(),
     &Row::<fit_acceptance::FitAcceptance>::new(),
     &Row::<learn_noise::LearnNoise>::new(),
     &Row::<propose_parameters::ProposeParameters>::new(),

@@ -4,6 +4,7 @@ use serde_json::json;
 
 use super::*;
 use crate::noise::learn_noise::tests::{CLEAN, COLUMNS, ROWS, grid, mean, survey};
+use crate::noise::learning::whitening::BANDS;
 use rockface_core::artefact::{Artefact, Frame, Noun};
 use rockface_core::numerics::gaussian::smoothed;
 use rockface_core::testing::{TestHost, run_stage, small_sensor};
@@ -33,10 +34,11 @@ fn differences(count: u64, cells: f64) -> Vec<Raster> {
     (0..count).map(one).collect()
 }
 
-fn adjust(simulated: Vec<Raster>, noise: Noise) -> Result<Noise, StageError> {
+fn adjust(simulated: Vec<Raster>, drawn: Vec<Raster>, noise: Noise) -> Result<Noise, StageError> {
     let (cameras, pairs) = survey();
     let dem = Raster::single(grid(), Frame::Wall, "elevation", "dem", vec![0.0; COLUMNS * ROWS]);
     let mut inputs: Vec<(&str, Artefact)> = simulated.into_iter().map(|r| ("simulated", r.into())).collect();
+    inputs.extend(drawn.into_iter().map(|r| ("drawn", r.into())));
     inputs.extend([
         ("noise", Artefact::Noise(noise)),
         ("dem", dem.into()),
@@ -49,9 +51,10 @@ fn adjust(simulated: Vec<Raster>, noise: Noise) -> Result<Noise, StageError> {
 
 #[test]
 fn what_is_smoothed_away_is_added_and_nothing_else() {
-    let same = adjust(differences(12, 0.0), CLEAN.clone()).unwrap();
-    assert!(same.log_gain.iter().skip(4).all(|gain| gain.abs() < 0.06), "{:?}", same.log_gain);
-    let more = adjust(differences(12, 0.7), CLEAN.clone()).unwrap();
+    let drawn = differences(6, 0.0);
+    let same = adjust(drawn.clone(), drawn.clone(), CLEAN.clone()).unwrap();
+    assert_eq!(same, CLEAN.clone());
+    let more = adjust(differences(6, 0.7), drawn, CLEAN.clone()).unwrap();
     // What is left is whitened to unit variance: the fine third gains against the rest.
     let gains = &more.log_gain;
     let (coarse, fine) = gains.split_at(BANDS - 4);
@@ -62,9 +65,13 @@ fn what_is_smoothed_away_is_added_and_nothing_else() {
 }
 
 #[test]
-fn a_model_of_another_grid_and_a_single_raster_are_refused() {
-    assert!(adjust(differences(1, 0.0), CLEAN.clone()).unwrap_err().message.contains("1 simulated raster"));
+fn rasters_that_are_no_pairs_too_few_or_of_another_model_are_refused() {
+    let refused = |simulated: u64, drawn: u64, noise: Noise| {
+        adjust(differences(simulated, 0.0), differences(drawn, 0.0), noise).unwrap_err().message
+    };
+    assert!(refused(3, 2, CLEAN.clone()).contains("3 simulated rasters and 2 drawn ones"));
+    assert!(refused(1, 1, CLEAN.clone()).contains("1 simulated raster,"));
     let mut other = CLEAN.clone();
     other.grid.left_m += 1.0;
-    assert!(adjust(differences(2, 0.0), other).unwrap_err().message.contains("not those of `dem`"));
+    assert!(refused(2, 2, other).contains("not those of `dem`"));
 }

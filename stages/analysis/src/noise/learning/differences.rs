@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use crate::noise::learning::whitening::{BANDS, Places};
 use rockface_core::artefact::{Band, Cameras, Noise, Raster};
 use rockface_core::numerics::random::Key;
 use rockface_core::{StageError, fail};
@@ -24,6 +25,28 @@ pub fn check(rasters: &[&Raster], dem: &Raster, block: &Cameras) -> Result<(), S
     if block.frame != dem.frame {
         let text = format!("`dem` is in the {} frame, the cameras in the {} frame", dem.frame, block.frame);
         return Err(StageError::new(text).hint("bring mesh and cameras into one frame with `transform-crs`"));
+    }
+    Ok(())
+}
+
+/// Checks that a model is of the grid and frame of a DEM, and made as [`whiten`](super::whitening::whiten) takes rasters apart.
+///
+/// # Errors
+/// What differs.
+pub fn check_model(noise: &Noise, dem: &Raster) -> Result<(), StageError> {
+    if noise.grid != dem.grid || noise.frame != dem.frame {
+        let text =
+            format!("the model has {} x {} cells in the {} frame", noise.grid.columns, noise.grid.rows, noise.frame);
+        return Err(StageError::new(format!("{text}, which are not those of `dem`"))
+            .hint("give the DEM the model was learnt with"));
+    }
+    let classes = Places::of(noise.strength.clone()).middles.len();
+    if noise.bands() != BANDS || noise.class_log_strength.len() != classes {
+        fail!(
+            "the model has {} bands and {} classes of place, not {BANDS} and {classes}",
+            noise.bands(),
+            noise.class_log_strength.len()
+        );
     }
     Ok(())
 }

@@ -68,7 +68,7 @@ pub fn draw(noise: &Noise, keys: Keys) -> Drawn {
         let rest = some(&good, noise.donors.saturating_sub(bad.len()), &mut generator);
         some(&bad, noise.donors, &mut generator).into_iter().chain(rest).collect()
     } else {
-        some(&good, noise.donors, &mut generator)
+        nearest(&noise.members, member, &good, noise.donors)
     };
     let [log_strength, wanted] = jittered(noise, member, &good, &keys("noise-jitter", "").field());
     let mixed = if noise.has_fields() {
@@ -85,6 +85,27 @@ pub fn draw(noise: &Noise, keys: Keys) -> Drawn {
     let mut field = bands.filter(&mixed_field, &(0..noise.bands()).map(gain).collect::<Vec<f64>>());
     mixed.gaps.into_iter().for_each(|cell| field[cell] = f64::NAN);
     Drawn { field, log_strength, bad: of_bad }
+}
+
+/// The members of a class that are most like one of them, that one first: by the distance between their strengths and amplitudes, each over its
+/// deviation within the class.
+fn nearest(members: &[Member], member: &Member, class: &[usize], count: usize) -> Vec<usize> {
+    let figures =
+        |member: &Member| -> Vec<f64> { member.log_strength.iter().chain(&member.log_amplitude).copied().collect() };
+    let rows: Vec<Vec<f64>> = class.iter().map(|i| figures(&members[*i])).collect();
+    let wanted = figures(member);
+    let variance = |k: usize| {
+        let mean = rows.iter().map(|row| row[k]).sum::<f64>() / rows.len() as f64;
+        rows.iter().map(|row| (row[k] - mean) * (row[k] - mean)).sum::<f64>() / rows.len() as f64
+    };
+    let variances: Vec<f64> = (0..wanted.len()).map(variance).collect();
+    let squared = |row: &[f64], k: usize| {
+        if variances[k] > 0.0 { (row[k] - wanted[k]) * (row[k] - wanted[k]) / variances[k] } else { 0.0 }
+    };
+    let distance = |row: &Vec<f64>| (0..wanted.len()).map(|k| squared(row, k)).sum::<f64>();
+    let mut order: Vec<(f64, usize)> = rows.iter().map(distance).zip(class.iter().copied()).collect();
+    order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    order.into_iter().take(count).map(|(_, i)| i).collect()
 }
 
 /// Strengths and amplitudes of a member with jitter: a random sum of the departures of all usual members, which has their covariance.
@@ -194,6 +215,24 @@ fn white(noise: &Noise, field: &Field) -> Vec<f64> {
 mod tests {
     use super::*;
     use rockface_core::numerics::random::Key;
+
+    #[test]
+    fn donors_are_those_that_are_most_like_the_member_chosen() {
+        let member = |strength: f64, amplitude: f64| Member {
+            name: String::new(),
+            bad: false,
+            log_strength: vec![strength],
+            log_amplitude: vec![amplitude, 0.0],
+            field_log_amplitude: vec![0.0; 2],
+        };
+        // Amplitudes vary ten times as much as strengths: each counts over its own deviation.
+        let members =
+            [(0.0, 0.0), (0.1, 1.0), (0.02, 0.1), (0.09, 0.2), (0.1, 0.9), (5.0, 5.0)].map(|(s, a)| member(s, a));
+        let class = [0, 1, 2, 3, 4];
+        assert_eq!(nearest(&members, &members[1], &class, 2), [1, 4]);
+        assert_eq!(nearest(&members, &members[0], &class, 3), [0, 2, 3]);
+        assert_eq!(nearest(&members, &members[0], &class, 9).len(), 5);
+    }
 
     #[test]
     fn powers_keep_the_sign() {

@@ -1,0 +1,56 @@
+//! `draw-noise`: a DEM with the noise of one acquisition of a learnt model, without a survey.
+
+use crate::noise::learning::differences::{check, check_model};
+use rockface_core::artefact::{Band, Cameras, Kind, Noise, Pairs, Raster};
+use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
+use rockface_imaging::matching::elevation_step::elevation_step_m;
+use rockface_imaging::matching::noise::ensemble::draw;
+
+params! {
+    /// Parameters of `draw-noise`: there are none.
+    pub struct DrawNoiseParams {}
+}
+
+/// Adds the noise of one acquisition of a learnt model to a DEM.
+pub struct DrawNoise;
+
+impl Stage for DrawNoise {
+    type Params = DrawNoiseParams;
+    const NAME: &'static str = "draw-noise";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page::new(include_str!("draw_noise.md"));
+    const INPUTS: &'static [Port] = &[
+        Port::one("noise", &[Kind::Noise], "The model."),
+        Port::one("dem", &[Kind::Raster], "Elevation of the face on the grid of the model, metres."),
+        Port::one("cameras", &[Kind::Cameras], "Cameras of the survey."),
+        Port::one("pairs", &[Kind::Pairs], "Its pairs."),
+    ];
+    const OUTPUTS: &'static [Port] =
+        &[Port::one("raster", &[Kind::Raster], "The DEM with the noise, metres; NaN in gaps of the acquisition.")];
+
+    fn draws(_: &Self::Params) -> bool {
+        true
+    }
+
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        2 * inputs.of("noise") + 60 * inputs.of("dem")
+    }
+
+    fn run(_: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let noise = inputs.one::<Noise>("noise")?;
+        let (dem, block, pairs) =
+            (inputs.one::<Raster>("dem")?, inputs.one::<Cameras>("cameras")?, inputs.one::<Pairs>("pairs")?);
+        check(&[dem], dem, block)?;
+        check_model(noise, dem)?;
+        let step_m = elevation_step_m(dem, block, pairs)?;
+        let drawn = draw(noise, &|purpose: &str, item: &str| context.stream(purpose, item));
+        let errors_px = drawn.errors_px(noise, &noise.strength);
+        let elevations = &dem.bands[0].values;
+        let values = elevations.iter().zip(errors_px).zip(step_m).map(|((z, px), step)| z + px * step).collect();
+        let bands = vec![Band { name: dem.bands[0].name.clone(), values }];
+        Ok(Outputs::of("raster", Raster { bands, ..dem.clone() }))
+    }
+}
+
+#[cfg(test)]
+mod tests;
