@@ -13,8 +13,8 @@ use crate::diagnostic::{Diagnostic, Source, Span};
 const VALUES_LIMIT: usize = 1_000_000;
 
 /// Adds or replaces one axis. `sigma=0.6,0.7` is an axis; `params.cell_m=0.01,0.02` makes an axis of the parameter's name
-/// out of it; `steps.dem.with.cell_m=…` lets that one value follow an axis called like its last key. Values are listed
-/// with commas, or `lowest..highest:count`.
+/// out of it; `steps.dem.with.cell_m=…` lets that one value follow an axis called like its last key, or `swept_cell_m` where a
+/// parameter has that name already. Values are listed with commas, or `lowest..highest:count`.
 pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<Option<Late>, Diagnostic> {
     let source = sources.len();
     sources.push(Source::given("--sweep", text));
@@ -34,16 +34,18 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<O
         check_exists(root, &keys, path_span)?;
     }
     let name = match keys[..] {
-        [name] | ["axes", name] => name,
+        [name] | ["axes", name] => name.to_owned(),
         ["params", name] => {
             check_declared(root, name, &values)?;
             remove(root, "params", name);
-            name
+            name.to_owned()
         }
         ["steps", _, "with", .., name] => {
-            let reference = Node::made(path_span, Data::Scalar(Value::from(format!("${{{name}}}"))));
+            let taken = root.get("params").is_some_and(|params| params.get(name).is_some());
+            let axis = if taken { format!("swept_{name}") } else { name.to_owned() };
+            let reference = Node::made(path_span, Data::Scalar(Value::from(format!("${{{axis}}}"))));
             late = place(root, &keys, reference, path_span)?;
-            name
+            axis
         }
         _ => {
             let message = format!("`{path}` is neither an axis nor a parameter nor a value of a step's `with`");
@@ -53,7 +55,7 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<O
     let key = |name: &str| Key { span: path_span, name: name.to_owned() };
     let list = Node::made(values_span, Data::List(values));
     let axis = Node::made(path_span, Data::Map(vec![(key("values"), list)]));
-    put(root, &["axes", name], axis, path_span)?;
+    put(root, &["axes", &name], axis, path_span)?;
     Ok(late)
 }
 
@@ -188,6 +190,11 @@ mod tests {
         assert_eq!(
             swept("steps: {a: {stage: b}}", "steps.a.with.c=0..1:3"),
             r#"{"axes":{"c":{"values":[0.0,0.5,1.0]}},"steps":{"a":{"stage":"b","with":{"c":"${c}"}}}}"#
+        );
+        // A parameter of that name stays what it is.
+        assert_eq!(
+            swept("{params: {c: 9}, steps: {a: {stage: b}}}", "steps.a.with.c=1,2"),
+            r#"{"axes":{"swept_c":{"values":[1,2]}},"params":{"c":9},"steps":{"a":{"stage":"b","with":{"c":"${swept_c}"}}}}"#
         );
     }
 
