@@ -177,7 +177,7 @@ fn the_readme_is_short() {
 #[test]
 fn the_tutorial_plays() {
     if std::env::var_os("ROCKFACE_SLOW").is_none() {
-        println!("not played: it takes a minute; ROCKFACE_SLOW=1 plays it");
+        println!("not played: it takes a minute of a release build, ten of a debug build; ROCKFACE_SLOW=1 plays it");
         return;
     }
     let text = std::fs::read_to_string(root().join("docs/tutorial.md")).unwrap();
