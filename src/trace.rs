@@ -61,7 +61,7 @@ impl Visit for Fields {
 }
 
 impl Trace {
-    /// Begins to record.
+    /// A new trace; times in it count from now.
     pub fn begin() -> Self {
         Self { begun: Instant::now(), shared: Arc::default() }
     }

@@ -71,7 +71,7 @@ fn words() -> Vec<String> {
     words
 }
 
-/// Stages.
+/// Names of stages.
 pub fn stages() -> ArgValueCompleter {
     let stages = |current: &OsStr| {
         let known = KNOWN.get().map(|known| known.stages.as_slice()).unwrap_or_default();

@@ -33,7 +33,7 @@ pub struct ExplainArgs {
 }
 
 impl ExplainArgs {
-    /// Prints the explanation.
+    /// Prints why the instance would run, for people or as JSON.
     pub fn run(mut self, registry: &Registry) -> Result<(), CliError> {
         self.pipeline.take_shipped()?;
         let pipeline = self.pipeline.load(registry)?;

@@ -39,7 +39,7 @@ enum Format {
 }
 
 impl GraphArgs {
-    /// Prints the graph.
+    /// Prints the drawing in the language asked for.
     pub fn run(mut self, registry: &Registry) -> Result<(), CliError> {
         self.pipeline.take_shipped()?;
         let pipeline = self.pipeline.load(registry)?;

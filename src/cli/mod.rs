@@ -308,7 +308,7 @@ pub enum CliError {
     /// A past run cannot be read.
     #[error(transparent)]
     History(#[from] HistoryError),
-    /// The store failed.
+    /// The store could not be opened, read or written.
     #[error(transparent)]
     Store(#[from] StoreError),
     /// The run could not go on.
@@ -322,7 +322,7 @@ pub enum CliError {
     Trace {
         /// Where it was to go.
         path: PathBuf,
-        /// Why that failed.
+        /// What the system said.
         source: std::io::Error,
     },
     /// The output could not be written.

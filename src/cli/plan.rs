@@ -27,7 +27,7 @@ pub struct PlanArgs {
 }
 
 impl PlanArgs {
-    /// Prints the plan.
+    /// Prints what a run would do with each step and why, for people or as JSON.
     pub fn run(mut self, registry: &Registry) -> Result<(), CliError> {
         self.pipeline.take_shipped()?;
         self.pipeline.no_programs = self.programs.are_refused();

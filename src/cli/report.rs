@@ -28,7 +28,7 @@ pub struct ReportArgs {
 }
 
 impl ReportArgs {
-    /// Writes the report.
+    /// Writes the page of the run anew, and shows it in the browser where that is asked for.
     pub fn run(self, registry: &Registry) -> Result<(), CliError> {
         let run = self.places.find(&self.run)?;
         let store = self.places.store_beside(&run.folder)?;

@@ -73,7 +73,7 @@ impl RunArgs {
         self.trace.as_deref()
     }
 
-    /// Runs the pipeline.
+    /// Runs the pipeline, or tells the result of the same command last time if nothing it depends on has changed.
     pub fn run(mut self, registry: &Registry) -> Result<(), CliError> {
         let begun = std::time::Instant::now();
         self.pipeline.take_shipped()?;

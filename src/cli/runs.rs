@@ -79,7 +79,7 @@ enum RunsCommand {
 }
 
 impl RunsArgs {
-    /// Runs the subcommand.
+    /// Lists, shows, compares or pins runs, as the subcommand says.
     pub fn run(self, registry: &Registry) -> Result<(), CliError> {
         match self.command {
             RunsCommand::List { places, printed } => list(&places, printed.format()),

@@ -77,14 +77,14 @@ const PAPER: &str = "paper/";
 pub struct Shipped {
     /// Its name, such as `quickstart`.
     name: &'static str,
-    /// Its file.
+    /// Its path below the folder of pipelines, such as `quickstart.yaml`.
     file: &'static str,
-    /// Its text.
+    /// The YAML text, which is part of the program.
     text: &'static str,
 }
 
 impl Shipped {
-    /// Their names.
+    /// The names of all shipped pipelines, without `rockface/` before them.
     pub fn names() -> impl Iterator<Item = &'static str> {
         Self::all().map(|shipped| shipped.name)
     }

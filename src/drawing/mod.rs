@@ -29,9 +29,9 @@ pub struct Drawing {
 /// A step as it is drawn.
 #[derive(Clone)]
 pub(crate) struct Drawn {
-    /// Its name.
+    /// The name of the step; in a folded drawing, that of a use of a part.
     pub name: String,
-    /// Its stage.
+    /// The name of its stage; in a folded drawing, that of the part used.
     pub stage: String,
     /// For a sweep, the count of instances, where it is known, and the axes.
     pub over: Option<(Option<usize>, String)>,
@@ -77,12 +77,12 @@ pub struct Note {
 /// A colour that means something.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Tint {
-    /// Nothing is said.
+    /// No state to show, as in a drawing of a pipeline that has not run.
     #[default]
     Plain,
     /// Computed in this run, or would be.
     Ran,
-    /// Known already.
+    /// Its outputs are in the store already.
     Cached,
     /// It failed, or something it needs did.
     Failed,
@@ -285,7 +285,7 @@ fn same(one: &Source, other: &Source) -> bool {
     place(one) == place(other)
 }
 
-/// `port`, or `port[axis=item,...]`.
+/// How an arrow names an output: `port`, or `port[axis=item,...]` where items are picked.
 fn output(graph: &Graph, source: &Source) -> String {
     let pick = |(axis, item): &(usize, usize)| {
         let axis = &graph.axes[*axis];

@@ -64,7 +64,7 @@ pub struct Link {
     pub to: usize,
     /// The step that makes it, by its number in the drawing.
     maker: usize,
-    /// What it is.
+    /// The labels of the arrows it stands for, each once.
     pub labels: Vec<String>,
     /// Whether items come together.
     pub gathers: bool,

@@ -26,7 +26,7 @@ pub enum Origin {
     File(Arc<Path>),
     /// A part that comes with the program.
     Shipped,
-    /// The command line.
+    /// An option of the command line, such as `--set`.
     Override,
     /// The text of a part once more, for one use of it.
     Use {
@@ -64,7 +64,7 @@ impl Source {
 pub struct Span {
     /// Index of the source.
     pub source: usize,
-    /// First byte.
+    /// The first byte of the stretch, counted from the start of the text.
     pub start: usize,
     /// Byte after the last.
     pub end: usize,
@@ -179,7 +179,7 @@ pub fn nearest<'a>(given: &str, known: &[&'a str]) -> Option<&'a str> {
 /// All that is wrong with a pipeline, with the texts it points into.
 #[derive(Debug, Clone)]
 pub struct Diagnostics {
-    /// The texts.
+    /// Every text of the pipeline; the `source` of a [`Span`] is an index into this list.
     pub sources: Vec<Source>,
     /// The faults, in the order of the text.
     pub list: Vec<Diagnostic>,

@@ -16,12 +16,12 @@ const RIGHT: f64 = 10.0;
 const TOP: f64 = 10.0;
 const BOTTOM: f64 = 36.0;
 
-/// A curve.
+/// A metric drawn against a swept axis.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Curve {
     /// The number, its unit and the axis.
     pub caption: String,
-    /// The drawing.
+    /// The drawing: the text of an SVG element that stands in the page as it is.
     pub svg: String,
 }
 

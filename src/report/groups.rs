@@ -29,14 +29,14 @@ pub struct Group {
     missing: usize,
     /// What all of it took when it was computed.
     wall: String,
-    /// Its steps.
+    /// The steps of the use in the order of the run; of a step by itself, only that one.
     steps: Vec<StepView>,
 }
 
 /// A part that steps of the run come from, for the section on provenance.
 #[derive(Debug, Clone, Serialize)]
 pub struct PartView {
-    /// The part.
+    /// The name of the part, or the path of its file.
     name: String,
     /// The BLAKE3 of its text, where it has one of its own.
     blake3: String,

@@ -22,7 +22,7 @@ const CHANNELS: usize = 3;
 /// A picture or figure.
 #[derive(Debug, Clone, Serialize)]
 pub struct Medium {
-    /// What is seen.
+    /// The quantity that is shown, and what was left out; empty for a picture that a step made to be looked at.
     pub caption: String,
     /// The instance and output it comes from.
     pub from: String,
@@ -44,7 +44,7 @@ pub struct Medium {
     pub colours: Option<Colours>,
 }
 
-/// A colour bar.
+/// What the two ends of a colour bar stand for.
 #[derive(Debug, Clone, Serialize)]
 pub struct Colours {
     /// `viridis`, `red_blue` or `grey`.
@@ -53,7 +53,7 @@ pub struct Colours {
     pub low: Shown,
     /// Values at its ends.
     pub high: Shown,
-    /// Their unit.
+    /// The unit of both values.
     pub unit: String,
 }
 

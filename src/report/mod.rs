@@ -33,10 +33,10 @@ pub enum ReportError {
     /// The template does not fit what it is given: a fault of this program.
     #[error("cannot fill in the report: {0}")]
     Template(#[from] minijinja::Error),
-    /// The disk.
+    /// The page could not be written to disk.
     #[error("cannot write the report {}: {source}", path.display())]
     Io {
-        /// The file.
+        /// Where the page was to go.
         path: PathBuf,
         /// What the system said.
         source: std::io::Error,

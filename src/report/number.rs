@@ -10,7 +10,7 @@ const SUPERSCRIPT: [char; 10] =
 /// A text of a table or list; where it is a number, its exact digits stand behind the short ones.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Shown {
-    /// What is read.
+    /// What the page shows; a number is rounded.
     pub text: String,
     /// All digits, as they are in `run.json` or CSV; only for numbers.
     pub exact: Option<String>,

@@ -90,7 +90,7 @@ struct Warning {
     alike: usize,
 }
 
-/// Gathers the page.
+/// Gathers all that the template is filled with.
 pub fn of(source: &Source, links: Links) -> Page {
     let manifest = source.manifest;
     let linker = Linker::new(source, links);

@@ -12,7 +12,7 @@ use rockface_engine::history::{RunContents, StepDone};
 
 /// A run and what draws its pictures.
 pub struct Source<'a> {
-    /// The run.
+    /// What is known of the run: its folder, manifest, store, graph and logs.
     pub run: RunContents<'a>,
     /// What makes large pictures small.
     pub look: &'static dyn Look,
@@ -28,13 +28,13 @@ impl<'a> Deref for Source<'a> {
 
 /// A picture of an output that was made when the step ran.
 pub struct Preview {
-    /// The output.
+    /// The name of the output port.
     pub port: String,
     /// The part of it that is shown, and what was left out.
     pub caption: String,
     /// What its colours stand for, where it does not say so itself.
     pub colours: Option<ColourKey>,
-    /// The PNG file.
+    /// The bytes of the PNG file.
     pub png: Vec<u8>,
 }
 

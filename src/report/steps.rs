@@ -32,7 +32,7 @@ const FILES: usize = 24;
 /// A step as the page shows it.
 #[derive(Debug, Clone, Serialize)]
 pub struct StepView {
-    /// Its name.
+    /// The name of the step; of a part, with that of its use before it.
     pub name: String,
     /// Its heading: what the pipeline calls it, or its name.
     pub title: String,
@@ -48,7 +48,7 @@ pub struct StepView {
     pub end: bool,
     /// How many instances it has, ran, had cached, and did not finish.
     pub instances: usize,
-    /// How many ran.
+    /// How many instances ran in this run.
     pub executed: usize,
     /// How many were cached.
     pub cached: usize,
@@ -70,15 +70,15 @@ pub struct StepView {
     pub tables: Vec<TableView>,
     /// Instances whose pictures and tables are not shown.
     pub more: usize,
-    /// Numbers it told.
+    /// The metrics it logged, in the order they were first met.
     pub metrics: Vec<MetricView>,
-    /// What it noted.
+    /// The notes and headlines it logged, the first few.
     pub notes: Vec<Said>,
     /// Notes that are not shown.
     pub more_notes: usize,
-    /// Its parameters.
+    /// Its parameters with their values in this run.
     pub parameters: Vec<ParameterView>,
-    /// Its files.
+    /// The outputs of its instances, the first few.
     pub files: Vec<FileView>,
     /// Files that are not listed.
     pub more_files: usize,
@@ -89,18 +89,18 @@ pub struct StepView {
 /// A sentence of an instance.
 #[derive(Debug, Clone, Serialize)]
 pub struct Said {
-    /// The instance.
+    /// The instance that said it, as `step[axis=item]`.
     pub label: String,
-    /// The sentence.
+    /// The text as it was logged.
     pub text: String,
 }
 
 /// A number over the instances that told it.
 #[derive(Debug, Clone, Serialize)]
 pub struct MetricView {
-    /// Its name.
+    /// The name the stage gave the metric.
     pub name: String,
-    /// Its unit.
+    /// The unit of the values; empty where they have none.
     pub unit: String,
     /// How many instances told it.
     pub count: usize,
@@ -113,9 +113,9 @@ pub struct MetricView {
 /// A parameter with its value, or the first of its values where they differ between instances.
 #[derive(Debug, Clone, Serialize)]
 pub struct ParameterView {
-    /// Its name.
+    /// The keys that lead to the parameter, with dots between them.
     pub name: String,
-    /// Its first values.
+    /// The first different values, in the order they were met.
     pub values: Vec<Shown>,
     /// How many different ones there are.
     pub count: usize,
@@ -124,23 +124,23 @@ pub struct ParameterView {
 /// A file of the run folder.
 #[derive(Debug, Clone, Serialize)]
 pub struct FileView {
-    /// The output.
+    /// The instance and the port, as `step[axis=item].port`.
     pub name: String,
-    /// Its kind.
+    /// The kind of artefact, such as `raster`.
     pub kind: String,
-    /// Its size.
+    /// Its size in units for people, or `not kept`.
     pub size: String,
     /// The beginning of its digest.
     pub digest: String,
-    /// Where it is.
+    /// The address of the file; `None` where the run folder has no file of it.
     pub link: Option<String>,
 }
 
 /// Writes links to the files of a run folder.
 pub struct Linker<'a> {
-    /// The run.
+    /// The run whose files are linked to.
     pub source: &'a Source<'a>,
-    /// How.
+    /// Whether addresses are relative to the run folder or absolute.
     pub links: Links,
     /// The steps whose outputs no other reads, but to draw them.
     pub ends: BTreeSet<String>,
@@ -205,9 +205,9 @@ pub fn digests(input: &RecipeInput) -> Vec<Digest> {
 pub struct Gathered {
     /// By step, in the order of the run.
     pub steps: Vec<StepView>,
-    /// Why instances failed.
+    /// The errors of failed instances, each with the instance.
     pub failures: Vec<Said>,
-    /// All warnings.
+    /// The warnings that instances logged, each with the instance.
     pub warnings: Vec<Said>,
     /// Steps that are not shown.
     pub more_steps: usize,

@@ -21,13 +21,13 @@ const BYTES: u64 = 20_000_000;
 pub struct TableView {
     /// The instance and output it comes from.
     pub from: String,
-    /// The instance.
+    /// The instance that made it, as `step[axis=item]`.
     pub instance: String,
     /// Names of the columns; those of an upright table are its first column.
     pub columns: Vec<String>,
     /// Which columns hold numbers and nothing else.
     pub numeric: Vec<bool>,
-    /// Rows of cells.
+    /// The rows that are shown, a cell for each column.
     pub rows: Vec<Vec<Shown>>,
     /// Whether rows and columns are swapped.
     pub upright: bool,
@@ -37,7 +37,7 @@ pub struct TableView {
     pub hidden: usize,
     /// Columns that do not fit on paper.
     pub beyond_paper: usize,
-    /// The CSV file.
+    /// The address of the whole table as CSV; `None` where the run folder has none.
     pub link: Option<String>,
 }
 

@@ -37,7 +37,7 @@ pub struct ExportArgs {
 }
 
 impl ExportArgs {
-    /// Writes the output.
+    /// Writes the output to a file, with where it comes from in that file or beside it.
     pub fn run(self) -> Result<(), CliError> {
         let run = self.places.find(&self.run)?;
         let (done, port) = chosen(&run.manifest, &self.output)?;
@@ -141,7 +141,7 @@ pub struct ArchiveArgs {
 }
 
 impl ArchiveArgs {
-    /// Writes the archive.
+    /// Writes the run and its records into a tar file, with its outputs where they are asked for.
     pub fn run(self) -> Result<(), CliError> {
         let run = self.places.find(&self.run)?;
         let to = self.output.unwrap_or_else(|| PathBuf::from(format!("{}.tar", run.name)));

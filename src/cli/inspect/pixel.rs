@@ -14,7 +14,7 @@ use super::super::{CliError, say};
 use super::{Facts, say_facts};
 use rockface_engine::run::rerun;
 
-/// Reads `X,Y`.
+/// Reads `X,Y`, column and row, from the command line.
 pub fn parse(text: &str) -> Result<[usize; 2], String> {
     let (x, y) = text.split_once(',').ok_or("give column and row, such as 812,430")?;
     let wrong = |text: &str| format!("`{text}` is no column or row: whole numbers from 0, such as 812,430");

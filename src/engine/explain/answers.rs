@@ -13,7 +13,7 @@ pub enum Answer {
     Hit,
     /// It has the recipe of this instance, which would run: the record will be there.
     Same(usize),
-    /// It would run.
+    /// It would run, for this reason.
     Runs(Why),
     /// It depends on this instance, which would run or depends on another.
     Depends(usize),

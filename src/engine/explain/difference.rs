@@ -9,7 +9,7 @@ use serde_json::Value;
 /// The place of an artefact among the inputs of a recipe.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct InputPlace {
-    /// The input port.
+    /// The input port that the artefact was read at, by the name the stage gives it.
     pub port: String,
     /// The items of the gathered axes; empty for an input that is not gathered.
     pub point: Point,

@@ -20,7 +20,7 @@ pub struct Explanation {
     pub asked: usize,
     /// The instance explained: the one asked for, or the first upstream that would run before it.
     pub explained: usize,
-    /// Its recipe now.
+    /// The recipe of the explained instance, as the pipeline stands now.
     pub recipe: Recipe,
     /// From the explained instance up to the root cause; empty where the recipe is on record.
     pub causes: Vec<Cause>,
@@ -28,7 +28,7 @@ pub struct Explanation {
 
 /// What changed at one instance.
 pub struct Cause {
-    /// The instance.
+    /// The instance whose recipe changed, by its number in the plan.
     pub instance: usize,
     /// The records of its stage that were looked at: all, or for a producer those that made the former input.
     pub records: usize,
@@ -38,11 +38,11 @@ pub struct Cause {
 
 /// The record an instance is compared with.
 pub struct Former {
-    /// Its key.
+    /// The key under which the store has this record.
     pub key: Digest,
     /// The latest run whose folder names it; `None` where none does any more.
     pub run: Option<String>,
-    /// What changed since.
+    /// The components in which the recipe differs now from the one on record.
     pub changes: Vec<Change>,
 }
 

@@ -25,7 +25,7 @@ pub struct Comparison {
     pub runs: Vec<String>,
     /// The parameters that are not the same in all.
     pub parameters: Vec<Row>,
-    /// The metrics.
+    /// The metrics of all runs, sorted by name, whether they differ or not.
     pub metrics: Vec<Row>,
     /// How many parameters are the same in all.
     pub equal_parameters: usize,

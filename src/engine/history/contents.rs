@@ -14,7 +14,7 @@ pub const REPORT_FILE: &str = "report.html";
 /// A run and where its files are.
 #[derive(Clone, Copy)]
 pub struct RunContents<'a> {
-    /// The run folder.
+    /// The folder of the run; the paths in the manifest are relative to it.
     pub folder: &'a Path,
     /// What is known of the run.
     pub manifest: &'a Manifest,

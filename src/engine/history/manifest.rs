@@ -34,7 +34,7 @@ pub struct Manifest {
     pub wall_s: f64,
     /// How many threads the steps had together.
     pub jobs: usize,
-    /// `done` or `failed`.
+    /// `done`, or `failed` where a step failed.
     pub status: String,
     /// Version, compiler, target, lock file and processor of the program.
     pub program: Value,
@@ -53,14 +53,14 @@ pub struct Manifest {
 /// The pipeline of a run.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PipelineText {
-    /// Its name.
+    /// The name of the pipeline, which its run folders are named after.
     pub name: String,
     /// The file as it was given.
     pub path: PathBuf,
     /// The folder its paths are relative to, absolute.
     #[serde(default)]
     pub folder: PathBuf,
-    /// Its text.
+    /// The YAML text of the pipeline file, without what it includes.
     pub text: String,
     /// The files it includes, in the order they were met.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -72,7 +72,7 @@ pub struct PipelineText {
 pub struct IncludedText {
     /// Where it was, absolute.
     pub path: PathBuf,
-    /// Its text.
+    /// The YAML text of the file as it was then.
     pub text: String,
 }
 
@@ -96,7 +96,7 @@ pub struct Overridden {
     /// `AXIS=VALUES` texts of `--sweep`.
     #[serde(default)]
     pub sweep: Vec<String>,
-    /// `PATH=VALUE` texts.
+    /// `PATH=VALUE` texts of `--set`, in the order they were given.
     pub set: Vec<String>,
     /// In place of the pipeline's seed.
     pub seed: Option<u64>,
@@ -133,7 +133,7 @@ pub struct StepDone {
     /// Its parameters, files replaced by their digests.
     #[serde(with = "rockface_cache::shared")]
     pub parameters: Arc<Value>,
-    /// Its metrics.
+    /// The numbers it logged.
     #[serde(default)]
     pub metrics: Vec<Metric>,
     /// The files its parameters name.
@@ -150,7 +150,7 @@ pub struct StepDone {
 /// A number that a step logged.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Metric {
-    /// Its name.
+    /// The name the stage gave it, such as `holes_m2`.
     pub name: String,
     /// Its value; `None` where it was no finite number.
     pub value: Option<f64>,
@@ -233,7 +233,7 @@ struct Head {
 }
 
 impl StepDone {
-    /// `step[axis=item,...]`.
+    /// The instance as messages call it: `step[axis=item,...]`, or only `step` where it depends on no axis.
     pub fn label(&self) -> String {
         if self.point.is_empty() {
             return self.step.clone();

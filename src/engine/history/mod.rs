@@ -82,7 +82,7 @@ pub enum HistoryError {
     /// The store cannot be read.
     #[error(transparent)]
     Store(#[from] rockface_cache::StoreError),
-    /// The disk.
+    /// A file or folder could not be read or written.
     #[error("cannot {action} {}: {source}", path.display())]
     Io {
         /// What was tried, a verb phrase.

@@ -56,7 +56,7 @@ pub fn bad_item(item: &str) -> Option<String> {
 }
 
 impl Reader<'_> {
-    /// One axis.
+    /// Reads the declaration of one axis; `None` where it is at fault, which is reported.
     pub fn axis(&mut self, name: Word, node: &Node) -> Option<Axis> {
         const FORMS: [&str; 5] = ["items", "count", "values", "sample", "from"];
         let what = format!("axis `{}`", name.text);

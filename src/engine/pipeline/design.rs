@@ -36,7 +36,7 @@ impl Design {
 /// How a value is spread between its ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Scale {
-    /// Evenly.
+    /// Every value between the ends is as likely.
     Linear,
     /// Evenly in the logarithm.
     Log,

@@ -7,7 +7,7 @@ use std::ops::Range;
 pub struct Slip {
     /// The bytes at fault.
     pub bytes: Range<usize>,
-    /// What is wrong.
+    /// What is wrong, in words that need no knowledge of YAML.
     pub message: String,
     /// What the user can do about it.
     pub hint: String,

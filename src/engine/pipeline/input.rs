@@ -11,7 +11,7 @@ use crate::diagnostic::Diagnostic;
 /// What a port is fed with.
 #[derive(Debug, Clone)]
 pub enum Input {
-    /// One output.
+    /// One output, at the items of the step itself except where the reference picks others.
     Plain(Reference),
     /// One output, chosen by the item of an axis.
     By {
@@ -141,7 +141,7 @@ impl Reader<'_> {
         Some(reference)
     }
 
-    /// Any reference.
+    /// Reads `step.port` with its picks; `None` where it cannot be parsed, which is reported.
     pub fn reference(&mut self, node: &Node) -> Option<Reference> {
         let parsed = node.text().ok_or_else(|| format!("expected step.port, found {}", node.describe()));
         match parsed.and_then(|text| parse_reference(text, node.span)) {

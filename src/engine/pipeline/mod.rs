@@ -59,7 +59,7 @@ pub struct Pipeline {
     pub sources: Vec<Source>,
     /// The folder of the pipeline file.
     pub folder: PathBuf,
-    /// The typed document.
+    /// The pipeline as types: axes, steps, parameters and targets, with parts written out.
     pub document: Document,
     /// What was read from included files and parts: the bytes that were parsed.
     pub looks: Vec<(PathBuf, Seen)>,

@@ -26,7 +26,7 @@ pub struct Node {
 pub enum Data {
     /// `null`, a boolean, a number or text.
     Scalar(Value),
-    /// A list.
+    /// A list, in the order of the text.
     List(Vec<Node>),
     /// A map, in the order of the text; keys are unique.
     Map(Vec<(Key, Node)>),
@@ -37,7 +37,7 @@ pub enum Data {
 pub struct Word {
     /// Its place in the text.
     pub span: Span,
-    /// The word itself.
+    /// The word as it was written, without quotes.
     pub text: String,
 }
 
@@ -46,7 +46,7 @@ pub struct Word {
 pub struct Key {
     /// Its place in the text.
     pub span: Span,
-    /// Its text.
+    /// The key as it was written, without quotes.
     pub name: String,
 }
 

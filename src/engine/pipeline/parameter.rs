@@ -12,7 +12,7 @@ use crate::diagnostic::{Diagnostic, Span, listed};
 /// A parameter with its type.
 #[derive(Debug, Clone)]
 pub struct Declared {
-    /// Its name.
+    /// Its name, as `${name}` refers to it.
     pub name: Word,
     /// What may stand for it.
     pub kind: ValueKind,
@@ -33,21 +33,21 @@ pub struct Declared {
 /// What may stand for a parameter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ValueKind {
-    /// A number.
+    /// Any number, whole ones included.
     Number,
-    /// A whole number.
+    /// A number without a fraction; `3.0` counts.
     Integer,
     /// `true` or `false`.
     Boolean,
-    /// Text.
+    /// Text; a number is taken for the text of it.
     Text,
     /// The path of a file or folder, or a pattern for several; relative to the file in which it is written.
     Path,
-    /// A list.
+    /// A list of anything.
     List,
-    /// A map.
+    /// A map of anything.
     Map,
-    /// Anything.
+    /// Any value, which is not checked.
     Any,
 }
 

@@ -64,7 +64,7 @@ impl Reader<'_> {
         bad.is_none()
     }
 
-    /// Adds a fault.
+    /// Notes a fault and reads on, so that all faults are reported together.
     pub fn fault(&mut self, diagnostic: Diagnostic) {
         self.faults.push(diagnostic);
     }
@@ -164,7 +164,7 @@ impl Reader<'_> {
         self.words(node, what)
     }
 
-    /// `true` or `false`.
+    /// Reads `true` or `false`; `default` where nothing is given, or something else, which is reported.
     pub fn flag(&mut self, node: Option<&Node>, default: bool) -> bool {
         match node.map(|n| (&n.data, n)) {
             None => default,
@@ -176,7 +176,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Text for people.
+    /// Reads a text for people, without the space around it; `None` where it is empty or no text.
     pub fn sentence(&mut self, node: &Node, what: &str) -> Option<String> {
         if let Data::Scalar(Value::String(text)) = &node.data {
             return Some(text.trim().to_owned()).filter(|text| !text.is_empty());

@@ -18,11 +18,11 @@ pub const STEP: &[&str] =
 /// A named use of a stage.
 #[derive(Debug, Clone)]
 pub struct Step {
-    /// Its name.
+    /// The name of the step, by which references and targets call it.
     pub name: Word,
     /// The stage it uses.
     pub stage: Word,
-    /// Its parameters.
+    /// Its parameters as written; `None` where it gives none.
     pub with: Option<Arc<Node>>,
     /// Where its inputs come from, by port.
     pub inputs: Vec<(Word, Input)>,
@@ -49,9 +49,9 @@ pub struct Step {
 /// The parts of a step that failed to parse; already reported, so missing keys are not reported again.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Gaps {
-    /// Its parameters.
+    /// Whether its parameters could not be read.
     pub with: bool,
-    /// Its inputs.
+    /// Whether its inputs could not be read.
     pub inputs: bool,
     /// Any part of it.
     pub any: bool,

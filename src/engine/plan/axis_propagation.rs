@@ -15,7 +15,7 @@ pub struct Names<'d> {
     pub axes: BTreeMap<&'d str, usize>,
     /// By axis: the first of those it is walked together with; itself where it is alone.
     pub zips: Vec<usize>,
-    /// Names of parameters.
+    /// Names of the parameters of the pipeline, which `${name}` may stand for besides axes.
     params: BTreeSet<&'d str>,
     /// By axis: the numbers of its items, once one is asked for.
     items: Vec<OnceCell<HashMap<&'d str, usize>>>,

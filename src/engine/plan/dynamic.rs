@@ -15,7 +15,7 @@ use crate::pipeline::bad_item;
 /// The items of a list, each with what `${axis}` stands for.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Items {
-    /// Names, unique.
+    /// The names of the items, no two alike, in the order of the list.
     pub names: Vec<String>,
     /// A text each, or a map of the columns of a row.
     pub values: Vec<Value>,

@@ -71,9 +71,9 @@ pub struct Dynamic {
     pub known: bool,
 }
 
-/// One resolved step.
+/// A step whose stage, inputs and axes have been found.
 pub struct GraphStep {
-    /// Its name.
+    /// Its name; of a step of a part, that of the use and its own with `/` between.
     pub name: String,
     /// Where its name stands.
     pub span: Span,
@@ -81,7 +81,7 @@ pub struct GraphStep {
     pub written: usize,
     /// The stage it uses.
     pub stage: &'static dyn AnyStage,
-    /// Its ports.
+    /// The ports it has with the parameters that are written.
     pub ports: Ports,
     /// Paths in its parameters are relative to this folder.
     pub folder: Arc<Path>,
@@ -128,7 +128,7 @@ impl GraphStep {
 /// Where an input comes from.
 #[derive(Debug, Clone)]
 pub enum Feed {
-    /// One output.
+    /// One output, at the items of the step itself except where it picks others.
     Plain(Source),
     /// The output chosen by the item of an axis: one source an item.
     By {

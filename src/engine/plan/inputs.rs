@@ -12,7 +12,7 @@ use crate::pipeline::{Input, Reference, Step, Word};
 /// Stands for all items a choice does not name.
 const ELSE: &str = "else";
 
-/// A picked item.
+/// An item that a reference picks: one that is known, by axis and number, or one of an axis whose items a step makes.
 enum Pick {
     Item(usize, usize),
     Later(Later),

@@ -19,7 +19,7 @@ use crate::pipeline::value_bytes;
 pub struct Plan {
     /// The graph they belong to.
     pub graph: Graph,
-    /// The instances.
+    /// The instances. Other places call one by its number in this list, which stays the same when more are added.
     pub instances: Vec<Instance>,
     /// Instances of the target steps.
     pub targets: Vec<usize>,

@@ -85,7 +85,7 @@ pub fn points(graph: &Graph, axes: &[usize]) -> Vec<Vec<usize>> {
 pub struct Element {
     /// The number of the step that makes it.
     pub step: usize,
-    /// Its items.
+    /// The item of each axis of that step.
     pub items: Vec<usize>,
     /// The output port that is read.
     pub port: &'static str,

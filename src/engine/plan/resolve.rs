@@ -62,7 +62,7 @@ pub struct Resolver<'d> {
     pub ports: Vec<Option<Ports>>,
     /// By step: its number in the graph.
     pub place: Vec<usize>,
-    /// What is wrong.
+    /// The faults found so far, which are reported together.
     pub faults: Vec<Diagnostic>,
     available: &'d Stages,
     /// The folder of the pipeline.
@@ -131,7 +131,7 @@ impl<'d> Resolver<'d> {
         self.sources.get(span.source).and_then(Source::folder).unwrap_or(&self.folder).clone()
     }
 
-    /// The document.
+    /// The document that is being resolved.
     pub fn document(&self) -> &'d Document {
         self.names.document
     }

@@ -12,7 +12,7 @@ pub use folder::{Finished, LayOut, Reporter, RunFolder, execute_and_tell, finish
 pub use scheduler::run as execute;
 pub use worker::{rerun, tools};
 
-/// How to run.
+/// How a plan is run: threads, memory, checks, and whether a failure ends the run.
 #[derive(Debug, Clone)]
 pub struct Options {
     /// Steps at once, and threads inside them.
@@ -64,7 +64,7 @@ pub enum RunError {
     Folder {
         /// What was to be written.
         path: std::path::PathBuf,
-        /// Why not.
+        /// What the system said.
         source: std::io::Error,
     },
 }

@@ -29,7 +29,7 @@ impl Spilled {
         Some(Self { path: tempfile::TempPath::try_from_path(path).ok()?, kind, digest })
     }
 
-    /// The file.
+    /// Where the file is; it is gone once this is dropped.
     pub fn path(&self) -> &Path {
         &self.path
     }

@@ -15,7 +15,7 @@ pub struct JsonLines<W: Write> {
 }
 
 impl<W: Write> JsonLines<W> {
-    /// Writes to `out`.
+    /// A watcher that writes one line for each event to `out`.
     pub fn new(out: W) -> Self {
         Self { out, pending: Vec::new() }
     }

@@ -41,7 +41,7 @@ pub struct StepNote<'a> {
 pub struct Facts<'a> {
     /// Name of the stage.
     pub stage: &'a str,
-    /// Its version.
+    /// The version of the stage that made the outputs.
     pub version: u32,
     /// The key of its recipe.
     pub key: Option<Digest>,

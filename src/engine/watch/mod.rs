@@ -27,7 +27,7 @@ use serde::Serialize;
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "event")]
 pub enum Event {
-    /// The run begins.
+    /// The plan is made and the run begins.
     Planned {
         /// Number of step instances.
         steps: usize,
@@ -37,11 +37,11 @@ pub enum Event {
         /// The step instance, as `step[axis=item]`.
         step: String,
     },
-    /// An instance starts.
+    /// A worker took up an instance.
     Started {
         /// The step instance, as `step[axis=item]`.
         step: String,
-        /// Why it runs.
+        /// Why it is not taken from the store.
         reason: Reason,
     },
     /// An instance is done.
@@ -75,13 +75,13 @@ pub enum Event {
         /// What is wrong, one sentence.
         text: String,
     },
-    /// An instance failed.
+    /// A stage gave an error, or its output cannot be the items of an axis.
     Failed {
         /// The step instance, as `step[axis=item]`.
         step: String,
         /// The stage it uses.
         stage: String,
-        /// What went wrong.
+        /// What went wrong, without the way out.
         message: String,
         /// What the user can do about it.
         hint: Option<String>,
@@ -122,7 +122,7 @@ pub fn printable(text: &str) -> Cow<'_, str> {
 
 /// Someone who watches a run.
 pub trait Observer {
-    /// Something happened.
+    /// Called for each event of the run, with how far the run is.
     fn event(&mut self, event: &Event, progress: Progress);
     /// Whether it has no use for [`Event::Cached`], of which there may be very many.
     fn ignores_cached(&self) -> bool {
@@ -132,7 +132,7 @@ pub trait Observer {
     fn end(&mut self) {}
 }
 
-/// Watches in silence.
+/// Shows nothing, for callers that only want the result.
 pub struct Silent;
 
 impl Observer for Silent {

@@ -19,7 +19,7 @@ pub struct Plain<W> {
 }
 
 impl<W: Write> Plain<W> {
-    /// Writes to `out`.
+    /// A watcher that writes lines to `out`; `verbose` adds those of cached, started and quickly done instances.
     pub fn new(out: W, verbose: bool) -> Self {
         Self { out, verbose, last: Instant::now() }
     }

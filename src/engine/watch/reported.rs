@@ -32,7 +32,7 @@ pub enum Role {
 pub struct Report {
     /// What it is there for.
     pub role: Role,
-    /// Its process number.
+    /// The number of the process on its machine.
     pub pid: u32,
     /// Its machine, by name.
     pub host: String,
@@ -48,7 +48,7 @@ pub struct Report {
     pub total: usize,
     /// Expected seconds to the end, were it alone.
     pub remaining_s: Option<f64>,
-    /// Instances it ran.
+    /// How many instances this process ran to their end.
     pub executed: usize,
     /// Instances it ran by step.
     pub steps: BTreeMap<String, usize>,

@@ -48,7 +48,7 @@ pub struct Part {
     pub axes: Vec<(Key, Node)>,
     /// Axes that are walked together.
     pub zip: Option<Node>,
-    /// Its steps.
+    /// The steps inside as they are written, not read yet: what they mean depends on the parameters of a use.
     pub steps: Vec<(Key, Node)>,
     /// The parts it may use by name.
     pub known: Rc<Known>,
@@ -65,7 +65,7 @@ pub struct Interface {
     pub doc: String,
     /// Its parameters, filled in and checked.
     pub params: Vec<Declared>,
-    /// Its inputs.
+    /// What has to be fed into it from outside.
     pub inputs: Vec<PartInput>,
     /// The names of its outputs.
     pub outputs: Vec<String>,
@@ -74,7 +74,7 @@ pub struct Interface {
 /// An input of a part.
 #[derive(Debug, Clone)]
 pub struct PartInput {
-    /// Its name.
+    /// The name that a use feeds under `in`, and that steps inside read as `in.name`.
     pub name: Word,
     /// The kinds of artefact it takes.
     pub kinds: Vec<Kind>,
@@ -90,7 +90,7 @@ pub type Known = BTreeMap<String, usize>;
 /// A step that stands for the steps of a part.
 #[derive(Debug, Clone)]
 pub struct Use {
-    /// Its name.
+    /// The name of the step, which stands before the names of the steps inside.
     pub name: Word,
     /// The part: its name, or the path of its file.
     pub part: Word,

@@ -24,7 +24,7 @@ pub const LAYOUT_FILE: &str = "foxglove-layout.json";
 
 /// What the log is made of.
 pub struct Telling<'a> {
-    /// The plan.
+    /// The plan that was run, for the names of its instances.
     pub plan: &'a Plan,
     /// What became of it.
     pub summary: &'a Summary,

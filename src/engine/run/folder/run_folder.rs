@@ -75,7 +75,7 @@ pub trait Reporter: Sync + std::fmt::Debug {
 /// A run whose folder is written.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Finished {
-    /// The run folder.
+    /// Where the run folder is, under its final name.
     pub folder: PathBuf,
     /// The results in a line each.
     pub headlines: Vec<String>,

@@ -17,7 +17,7 @@ pub const NAMED: usize = 20;
 /// What the end of a run says: the first of its headlines and files, and how many there are.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Told {
-    /// The run folder.
+    /// The run folder of the run that this is the end of.
     pub folder: PathBuf,
     /// The first results, a line each.
     pub headlines: Vec<String>,

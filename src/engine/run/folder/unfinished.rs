@@ -19,7 +19,7 @@ pub const STAGED: &str = ".latest-";
 /// The right to write a run folder.
 pub struct Unfinished {
     folder: PathBuf,
-    /// Holds the lock.
+    /// The mark, open: it holds the lock.
     file: File,
 }
 
@@ -74,7 +74,7 @@ impl Unfinished {
         }
     }
 
-    /// The folder.
+    /// Where the folder is now: its hidden name at first, then the one it was given.
     pub fn folder(&self) -> &Path {
         &self.folder
     }

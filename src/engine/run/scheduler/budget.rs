@@ -37,7 +37,7 @@ impl MemoryBudget {
         self.held > bytes
     }
 
-    /// All of it.
+    /// The whole budget, bytes, whether used or not.
     pub fn limit(&self) -> u64 {
         self.limit
     }

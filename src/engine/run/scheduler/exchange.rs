@@ -21,7 +21,7 @@ const POLL_EVERY: Duration = Duration::from_millis(50);
 const POLL_EVERY_BESIDE_OTHERS: Duration = Duration::from_millis(10);
 /// Where the values of an instance are.
 pub enum Found {
-    /// In this process.
+    /// All that was wanted has arrived: this process holds it.
     Here,
     /// In another process, which was asked for them.
     Elsewhere,

@@ -25,7 +25,7 @@ pub struct Exchange {
     pub are_others: bool,
     /// When requests of other processes were last looked for.
     pub polled: Option<Instant>,
-    /// The next pause.
+    /// How long to wait before the next look; doubled, up to the longest of [`PAUSES`], while nothing happens.
     pub pause: Duration,
 }
 

@@ -9,7 +9,7 @@ use crate::watch::{Event, Progress};
 const ESTIMATE_EVERY: Duration = Duration::from_millis(100);
 
 impl Scheduler<'_> {
-    /// Reports an event.
+    /// Tells the observer of an event, with the progress of the run and an estimate of the time left.
     pub fn report(&mut self, event: &Event) {
         if self.timing.estimate.1.is_none_or(|made| made.elapsed() > ESTIMATE_EVERY) {
             let remaining_s = self.timing.remaining_s(self.states.open(), self.options.jobs);

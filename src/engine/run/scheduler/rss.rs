@@ -16,7 +16,7 @@ pub struct Resident {
 }
 
 impl Resident {
-    /// An instance begins.
+    /// Starts to watch an instance; what is returned holds its peak so far, bytes.
     pub fn begin(&mut self, instance: usize) -> Arc<AtomicU64> {
         let peak = Arc::new(AtomicU64::new(0));
         self.peaks.insert(instance, peak.clone());

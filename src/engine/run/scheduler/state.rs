@@ -11,7 +11,7 @@ use crate::plan::Plan;
 use crate::run::StepFailure;
 use crate::run::spill::Spilled;
 
-/// One instance.
+/// How far one step instance is, and what is known of its result.
 pub struct State {
     phase: Phase,
     /// The key of its recipe, once all producers are done.

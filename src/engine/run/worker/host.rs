@@ -21,7 +21,7 @@ pub struct StepHost<'a> {
     entries: Mutex<Vec<Entry>>,
     stop: &'a AtomicBool,
     deadline: Option<Instant>,
-    /// What programs took.
+    /// What the programs that the stage started took, summed up so far.
     used: Mutex<Used>,
     /// Receives the reason if the store cannot do what a program needs; the stage sees only that it failed.
     trouble: &'a Trouble,

@@ -31,7 +31,7 @@ const FULL_BYTES: u64 = 64 << 10;
 /// What a program took, with all it started and waited for.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Used {
-    /// Processor seconds.
+    /// Processor time, seconds, of all of them together.
     pub cpu_s: f64,
     /// The greatest resident memory of any one of them, bytes.
     pub peak_bytes: u64,
@@ -221,7 +221,7 @@ pub fn kept_of(path: &Path) -> std::io::Result<String> {
     }
 }
 
-/// Files by place.
+/// The bytes of files by their place in the folder of the program.
 type Collected = BTreeMap<String, Vec<u8>>;
 
 /// The wanted files that are there, and those in whose place there is a folder.

@@ -24,9 +24,9 @@ use crate::run::spill::Spilled;
 
 /// An artefact that is in memory, or the blob to read it from.
 pub enum Value {
-    /// In memory.
+    /// The artefact itself, in memory.
     Ready(Arc<Artefact>),
-    /// In the store.
+    /// A blob of this kind in the store, which is read when the stage asks for it.
     Stored(Kind, Digest),
     /// In a file, for want of memory.
     Spilled(Arc<Spilled>),
@@ -34,13 +34,13 @@ pub enum Value {
 
 /// One element of an input.
 pub struct Feed {
-    /// Input port.
+    /// The input port that it feeds.
     pub port: &'static str,
     /// Items of the gathered axes.
     pub point: Point,
     /// Producer and its port.
     pub from: (usize, &'static str),
-    /// The artefact.
+    /// The artefact, or where to read it.
     pub value: Value,
 }
 
@@ -48,17 +48,17 @@ pub struct Feed {
 pub struct Task {
     /// What its work is shown as in a trace.
     pub span: tracing::Span,
-    /// The instance.
+    /// The number of the instance in the plan.
     pub instance: usize,
     /// The stage it uses.
     pub stage: &'static dyn AnyStage,
-    /// Its recipe.
+    /// What its result is determined by: stage, version, parameters, seed and inputs.
     pub recipe: Recipe,
     /// The key of the recipe.
     pub key: Digest,
     /// Its parameters, filled in and checked.
     pub params: Arc<StepParams>,
-    /// Its inputs.
+    /// The artefacts it reads, an element for each.
     pub feeds: Vec<Feed>,
     /// Output ports its step declares.
     pub ports: &'static [Port],
@@ -87,9 +87,9 @@ pub struct Task {
 pub struct Place<'a> {
     /// Inputs, results and locks.
     pub store: &'a Store,
-    /// Threads for computing.
+    /// The threads that stages compute on, shared by all workers.
     pub pool: &'a ThreadPool,
-    /// Whether to stop.
+    /// Set once the user asked to stop; stages and waits look at it.
     pub stop: &'a AtomicBool,
     /// Programs that stay alive between jobs.
     pub standing: &'a Standing,
@@ -105,7 +105,7 @@ pub struct Done {
     pub announced: BTreeMap<&'static str, Arc<Announced>>,
     /// Inputs it had to read and kept, for other consumers.
     pub loaded: Vec<((usize, &'static str), Arc<Artefact>)>,
-    /// Warnings it gave.
+    /// Warnings for people: of failed attempts, of missing sketches, and those the stage logged.
     pub warnings: Vec<String>,
     /// Another process did the work meanwhile.
     pub elsewhere: bool,

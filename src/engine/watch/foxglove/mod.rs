@@ -16,24 +16,24 @@ use super::topic::Made;
 
 pub use words::{log, metrics, step};
 
-/// A message, encoded.
+/// A message of the log: encoded, with its topic and schema.
 pub struct Message {
-    /// Its topic.
+    /// Where it is shown, such as `/step/port`.
     pub topic: String,
     /// The schema of the topic.
     pub schema: Schema,
-    /// Its bytes.
+    /// The value, encoded as the schema says.
     pub data: Vec<u8>,
 }
 
 /// A schema as MCAP keeps it.
 #[derive(Clone)]
 pub struct Schema {
-    /// Its name.
+    /// Its name, such as `foxglove.PointCloud`; readers know a schema by it.
     pub name: &'static str,
     /// `protobuf` or `jsonschema`.
     pub encoding: &'static str,
-    /// The schema itself.
+    /// The schema itself: a Protobuf descriptor set, or the text of a JSON schema.
     pub text: Cow<'static, [u8]>,
 }
 

@@ -19,7 +19,7 @@ const COLOURS: [[f64; 3]; 6] = [
 /// Colour of a body without a name: rock.
 const ROCK: [f64; 3] = [0.72, 0.70, 0.67];
 
-/// Points.
+/// A cloud of points as `foxglove.PointCloud`, 32-bit floats relative to its pose.
 pub fn cloud(place: &Place, topic: String, cloud: &CloudSketch) -> Message {
     let value = proto::PointCloud {
         timestamp: Some(place.time()),

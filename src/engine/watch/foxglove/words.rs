@@ -89,7 +89,7 @@ pub fn table(topic: String, table: &Table) -> Message {
     of_json("rockface.Table", TABLE, topic, value.to_string().into_bytes())
 }
 
-/// Anything else.
+/// A value with no schema of its own, as JSON.
 pub fn values(topic: String, value: &Value) -> Message {
     of_json("rockface.Values", VALUES, topic, json!({"value": value}).to_string().into_bytes())
 }
