@@ -56,7 +56,7 @@ impl Digest {
         Self(bytes)
     }
 
-    /// The 32 bytes.
+    /// The 32 bytes of the hash, as BLAKE3 gives them.
     pub const fn as_bytes(&self) -> &[u8; 32] {
         &self.0
     }

@@ -58,7 +58,7 @@ pub enum StoreError {
         path.display()
     )]
     Foreign {
-        /// Its path.
+        /// The path that is a link or a file and should be a folder.
         path: PathBuf,
     },
     /// No blob has this digest.

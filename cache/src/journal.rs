@@ -171,7 +171,7 @@ impl Journal {
         self.begin_segment()
     }
 
-    /// Starts a segment.
+    /// Starts a new segment of this process, named after the stamp and the process so that names ascend in time.
     fn begin_segment(&self) -> Result<Writer, StoreError> {
         loop {
             let stamp = self.tick()?;

@@ -97,7 +97,7 @@ pub(crate) struct Bytes {
 enum Held {
     /// The right to compute a key.
     Key,
-    /// Announcements, so many.
+    /// Values that this process has and others may ask for; how many announcements share the byte.
     Announced(u32),
 }
 

@@ -58,7 +58,7 @@ impl SafeName {
         }
     }
 
-    /// The text.
+    /// The name as text, without any `/`.
     pub fn as_str(&self) -> &str {
         &self.0
     }

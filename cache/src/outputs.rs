@@ -42,7 +42,7 @@ impl Outputs {
         self.0.iter().map(|(port, output)| (port, output))
     }
 
-    /// The ports, sorted.
+    /// The names of the ports, sorted.
     pub fn keys(&self) -> impl Iterator<Item = &SafeName> {
         self.0.iter().map(|(port, _)| port)
     }
@@ -52,13 +52,13 @@ impl Outputs {
         self.0.iter().map(|(_, output)| output)
     }
 
-    /// The outputs, mutable.
+    /// Ports and their outputs, which may be changed in place.
     pub fn iter_mut(&mut self) -> impl Iterator<Item = (&SafeName, &mut OutputRecord)> {
         self.0.iter_mut().map(|(port, output)| (&*port, output))
     }
 }
 
-/// Goes over [`Outputs`].
+/// The iterator of [`Outputs::iter`]: a port and its output at a time, sorted by port.
 pub type Iter<'a> = std::iter::Map<std::slice::Iter<'a, Entry>, fn(&'a Entry) -> (&'a SafeName, &'a OutputRecord)>;
 
 impl<'a> IntoIterator for &'a Outputs {

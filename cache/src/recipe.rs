@@ -53,7 +53,7 @@ pub struct Recipe {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum RecipeInput {
-    /// One artefact.
+    /// One artefact that is not gathered, by the digest of its blob.
     One(Digest),
     /// Artefacts gathered over axes, in the order of the points.
     Many(Vec<Gathered>),
@@ -129,7 +129,7 @@ pub mod shared {
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
     use serde_json::Value;
 
-    /// Writes the value.
+    /// Writes the value itself; that it is shared does not show.
     pub fn serialize<S: Serializer>(value: &Arc<Value>, serializer: S) -> Result<S::Ok, S::Error> {
         value.as_ref().serialize(serializer)
     }

@@ -15,9 +15,9 @@ use crate::{Digest, plain};
 /// Records and small blobs that leave, each with the stamp it had when that was decided: one written since stays.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Leaving {
-    /// Records by key.
+    /// The stamps of records by key.
     pub records: BTreeMap<Digest, u64>,
-    /// Small blobs.
+    /// The stamps of small blobs by digest.
     pub blobs: BTreeMap<Digest, u64>,
 }
 

@@ -34,7 +34,7 @@ pub struct Scratch {
 }
 
 impl Scratch {
-    /// The folder, absolute.
+    /// The absolute path of the folder.
     pub fn path(&self) -> &Path {
         &self.folder
     }

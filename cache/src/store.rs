@@ -56,7 +56,7 @@ pub struct Store {
 /// What is in a store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 pub struct StoreStat {
-    /// Blobs inside segments.
+    /// Number of blobs inside segments.
     pub small_blobs: u64,
     /// Total size of the blobs inside segments.
     pub small_blob_bytes: u64,
@@ -68,7 +68,7 @@ pub struct StoreStat {
     pub records: u64,
     /// Notes on former runs.
     pub notes: u64,
-    /// Segment files.
+    /// Number of segment files.
     pub segments: u64,
     /// Total size of the segment files.
     pub segment_bytes: u64,

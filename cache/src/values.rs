@@ -89,7 +89,7 @@ fn names(room: &Path, prefix: &str) -> impl Iterator<Item = Digest> {
 }
 
 impl Room {
-    /// The folder, absolute.
+    /// The absolute path of the folder that receives values.
     pub fn path(&self) -> &Path {
         self.0.path()
     }

@@ -24,7 +24,7 @@ const HEAD: &str = "rockface worker ";
 /// No report is longer, bytes.
 const REPORT_LIMIT: u64 = 1 << 20;
 
-/// This process.
+/// The entry of this process among the workers; gone when it is dropped.
 #[derive(Debug)]
 pub(crate) struct Worker {
     file: tempfile::NamedTempFile,
@@ -44,7 +44,7 @@ struct Beat {
 pub struct WorkerReport {
     /// The name of its file.
     pub name: String,
-    /// Its machine.
+    /// The name of the machine it runs on.
     pub machine: String,
     /// What it last reported.
     pub text: String,

@@ -24,7 +24,7 @@ use url::Url;
 /// The time a request may take, with all its repetitions, before anything is transferred, seconds; the variable of the
 /// environment changes it.
 pub const TIMEOUT_S: f64 = 20.0;
-/// Its name.
+/// The environment variable that replaces [`TIMEOUT_S`].
 pub const TIMEOUT_VARIABLE: &str = "ROCKFACE_REMOTE_TIMEOUT";
 /// The least speed of a transfer, bytes a second: the time it may take beyond that of the request.
 const LEAST_SPEED: u64 = 256 * 1024;

@@ -32,11 +32,11 @@ pub struct Fault {
 /// What a verification found.
 #[derive(Debug, Clone, PartialEq, Eq, Default, serde::Serialize)]
 pub struct Verified {
-    /// Blobs read.
+    /// Number of blobs that were read.
     pub blobs: u64,
     /// Size of the blobs that were read.
     pub bytes: u64,
-    /// Records looked at.
+    /// Number of records whose blobs were looked for.
     pub records: u64,
     /// What is not as it should be, by digest.
     pub faults: Vec<Fault>,

@@ -47,7 +47,7 @@ pub enum Seen {
     /// A folder, in this state just before its entries were listed; `None` if it had changed so lately that a further
     /// change might not show.
     Folder(Option<State>),
-    /// No regular file.
+    /// Nothing, or something else than a regular file, such as a folder.
     NoFile,
 }
 

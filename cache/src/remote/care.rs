@@ -23,7 +23,7 @@ const BATCH_RECORDS: usize = 4096;
 pub struct RemoteStat {
     /// Keys that have a record.
     pub records: u64,
-    /// Objects with records.
+    /// Number of objects that hold records, many in each.
     pub batches: u64,
     /// Total size of the objects with records.
     pub batch_bytes: u64,
@@ -53,7 +53,7 @@ pub struct RemoteGcPolicy {
 /// What a collection removed, or would remove.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 pub struct RemoteGc {
-    /// Number of records.
+    /// Number of records that were removed, or would be.
     pub records: u64,
     /// Packs and large blobs.
     pub objects: u64,

@@ -18,7 +18,7 @@ pub(crate) struct Contents {
 }
 
 impl Contents {
-    /// Enters a batch.
+    /// Takes in what a batch says; of two records of a key the one that [`replaces`] the other stays.
     pub fn enter(&mut self, name: Digest, batch: Batch) {
         if !self.batches.insert(name) {
             return;

@@ -7,7 +7,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::backend::{Backend, BackendError, Object};
 
-/// Objects in memory.
+/// A remote place whose objects are kept in memory.
 #[derive(Debug, Default)]
 pub struct InMemory {
     objects: Mutex<BTreeMap<String, (Vec<u8>, u64)>>,

@@ -84,7 +84,7 @@ impl Remote {
         Ok(Self { shared: Arc::new(shared), uploader: Mutex::default() })
     }
 
-    /// Where it is.
+    /// The address of the place, such as `s3://bucket/prefix`.
     pub fn url(&self) -> &str {
         self.shared.backend.url()
     }

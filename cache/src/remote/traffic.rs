@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 use super::backend::{Backend, BackendError, Object};
 
-/// Requests and bytes.
+/// How many requests were sent, by kind, and how many bytes went each way.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 pub struct Traffic {
     /// Requests that read an object.
@@ -17,9 +17,9 @@ pub struct Traffic {
     pub deletes: u64,
     /// Requests that failed after all attempts.
     pub failures: u64,
-    /// Bytes read.
+    /// Bytes of the objects that were read.
     pub bytes_read: u64,
-    /// Bytes written.
+    /// Bytes of the objects that were written.
     pub bytes_written: u64,
 }
 

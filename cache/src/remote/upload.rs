@@ -28,7 +28,7 @@ pub(crate) type ReadBlob = Box<dyn Fn(&Digest) -> Option<Vec<u8>> + Send + Sync>
 /// Number and size of what was uploaded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 pub struct Uploaded {
-    /// Number of records.
+    /// Number of records that were uploaded.
     pub records: u64,
     /// Blobs that were not there.
     pub blobs: u64,
@@ -55,7 +55,7 @@ struct Queue {
 
 #[derive(Debug, Default)]
 struct State {
-    /// Records by key.
+    /// Records that are not uploaded yet, with their keys, in the order they were offered.
     waiting: Vec<(Digest, Box<[u8]>)>,
     /// Keys that were offered.
     offered: HashSet<Digest>,
