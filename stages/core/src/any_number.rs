@@ -11,13 +11,13 @@ enum Written {
     Nothing(()),
 }
 
-/// Writes it.
+/// Writes a finite number as a number, and others as the strings `NaN`, `inf` and `-inf`.
 #[allow(clippy::trivially_copy_pass_by_ref)] // as serde calls it
 pub fn serialize<S: Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
     if value.is_finite() { serializer.serialize_f64(*value) } else { serializer.collect_str(value) }
 }
 
-/// Reads it.
+/// Reads what [`serialize`] writes; `null` is NaN.
 pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     match Written::deserialize(deserializer)? {
         Written::Number(value) => Ok(value),

@@ -8,7 +8,7 @@ use crate::artefact::{Artefact, Noun};
 use crate::georeferencing::Stated;
 use crate::stage::Point;
 
-/// Reads an artefact.
+/// Loads an artefact that is not in memory yet.
 type Read<'s> = dyn Fn() -> Result<Arc<Artefact>, StageError> + Send + Sync + 's;
 
 /// An artefact that is read when a stage first asks for it.

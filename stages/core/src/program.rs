@@ -32,7 +32,7 @@ pub struct Found {
 pub struct Program {
     /// The program: a name to be found on the search path, or a path.
     pub program: Vec<Piece>,
-    /// Its arguments.
+    /// Its arguments, each joined from pieces such as texts and paths.
     pub args: Vec<Vec<Piece>>,
     /// Environment variables it is given.
     pub environment: BTreeMap<String, String>,

@@ -73,9 +73,9 @@ impl Page {
 /// How many artefacts a port takes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Arity {
-    /// Exactly one.
+    /// Exactly one artefact.
     One,
-    /// One or none.
+    /// One artefact or none.
     Optional,
     /// A gathered list of at least one; a single reference counts as a list of one.
     Many,
@@ -88,9 +88,9 @@ pub struct Port {
     pub name: &'static str,
     /// The kinds of artefact it takes; an output has exactly one.
     pub kinds: &'static [Kind],
-    /// How many.
+    /// How many artefacts it takes; an output makes one.
     pub arity: Arity,
-    /// What it is.
+    /// What the artefact is and in which frame, for the catalogue.
     pub doc: &'static str,
     /// The extension of its file where that is not the one of its kind, without the dot.
     pub extension: Option<&'static str>,
@@ -99,9 +99,9 @@ pub struct Port {
 /// The ports of a step.
 #[derive(Debug, Clone, Copy)]
 pub struct Ports {
-    /// What it takes.
+    /// The ports it reads artefacts from.
     pub inputs: &'static [Port],
-    /// What it makes.
+    /// The ports it makes artefacts at.
     pub outputs: &'static [Port],
 }
 
@@ -192,19 +192,19 @@ macro_rules! fail {
 pub struct Outputs(BTreeMap<&'static str, Artefact>);
 
 impl Outputs {
-    /// A single output.
+    /// One output at a port; [`Outputs::and`] adds further ones.
     pub fn of(port: &'static str, artefact: impl Into<Artefact>) -> Self {
         Self::default().and(port, artefact)
     }
 
-    /// Adds another output.
+    /// Adds the output of another port; one of the same port is replaced.
     #[must_use]
     pub fn and(mut self, port: &'static str, artefact: impl Into<Artefact>) -> Self {
         self.0.insert(port, artefact.into());
         self
     }
 
-    /// What was made.
+    /// The artefacts that were made, in the order of their ports' names.
     pub fn values(&self) -> impl Iterator<Item = &Artefact> {
         self.0.values()
     }
@@ -229,19 +229,19 @@ impl Outputs {
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case", tag = "type")]
 pub enum Entry {
-    /// Something worth reading.
+    /// Something worth reading that is neither the result nor a fault.
     Note {
-        /// The sentence.
+        /// The note, one sentence.
         text: String,
     },
     /// Something that may be wrong.
     Warning {
-        /// The sentence.
+        /// The warning, one sentence.
         text: String,
     },
     /// The result in one line, shown at the end of a run.
     Headline {
-        /// The sentence.
+        /// The result, one sentence.
         text: String,
     },
     /// A number with its unit.
@@ -260,7 +260,7 @@ pub enum Entry {
 pub struct SourceFile {
     /// File name without its folder.
     pub name: String,
-    /// Its content.
+    /// Its content, to be read from the beginning.
     pub reader: Box<dyn Read + Send>,
 }
 
@@ -307,7 +307,7 @@ impl<'a> Context<'a> {
         u32::from_le_bytes([key[0], key[1], key[2], key[3]]) >> 1
     }
 
-    /// Runs a program.
+    /// Runs a program and waits for its end; its failure to start is an error, its exit code is not.
     pub fn execute(&self, program: &Program) -> Result<ProgramResult, StageError> {
         self.0.execute(program)
     }
@@ -374,7 +374,7 @@ impl<'a> Context<'a> {
         self.0.record(Entry::Headline { text: text.into() });
     }
 
-    /// Logs a number.
+    /// Logs a number with its unit, which is `1` where it has none.
     pub fn metric(&self, name: &str, value: f64, unit: &str) {
         self.0.record(Entry::Metric { name: name.to_owned(), value, unit: unit.to_owned() });
     }
@@ -500,15 +500,15 @@ pub struct Checked {
 
 /// A [`Stage`] without its type, as the registry lists it; [`Row`] implements it.
 pub trait AnyStage: Sync {
-    /// `verb-object`.
+    /// [`Stage::NAME`]: the name in pipelines, `verb-object`.
     fn name(&self) -> &'static str;
-    /// Its version.
+    /// [`Stage::VERSION`]: part of every recipe.
     fn version(&self) -> u32;
-    /// Its page.
+    /// [`Stage::PAGE`]: its documentation.
     fn page(&self) -> &'static Page;
-    /// What it takes.
+    /// [`Stage::INPUTS`]: the ports it reads from, unless its parameters say otherwise.
     fn inputs(&self) -> &'static [Port];
-    /// What it makes.
+    /// [`Stage::OUTPUTS`]: the ports it makes artefacts at, unless its parameters say otherwise.
     fn outputs(&self) -> &'static [Port];
     /// Whether it has programs started.
     fn starts_programs(&self) -> bool;
@@ -518,7 +518,7 @@ pub trait AnyStage: Sync {
     fn complete(&self, with: &Value, planner: &dyn Planner) -> Result<serde_json::Map<String, Value>, Vec<Fault>>;
     /// The ports of a step whose `with` is written like this.
     fn ports(&self, with: &Value) -> Result<Ports, Vec<Fault>>;
-    /// Its parameters.
+    /// Its parameters with their kinds, defaults and ranges.
     fn fields(&self) -> Vec<Field>;
     /// Reads and checks a step's `with`.
     fn check(&self, with: &Value) -> Result<Checked, Vec<Fault>>;

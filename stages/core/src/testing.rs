@@ -47,7 +47,7 @@ impl TestHost {
         })
     }
 
-    /// The warnings logged.
+    /// The warnings logged so far, in order.
     pub fn warnings(&self) -> Vec<String> {
         let entries = self.entries.lock().expect("no test panics while it logs");
         let warning = |entry: &Entry| if let Entry::Warning { text } = entry { Some(text.clone()) } else { None };

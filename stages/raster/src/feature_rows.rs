@@ -9,7 +9,7 @@ use rockface_core::artefact::{Cell, Table};
 /// Item of each axis that a table was gathered from.
 pub type Items = BTreeMap<String, String>;
 
-/// One raster's features.
+/// The features of one raster, and which raster it is.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FeatureRow {
     /// Items of the gathered axes.

@@ -12,7 +12,7 @@ pub fn drop_degenerate(mesh: &mut Mesh) -> usize {
     before - mesh.triangles.len()
 }
 
-/// Triangles without area.
+/// How many triangles of a mesh have no area.
 pub fn degenerate_triangles(mesh: &Mesh) -> usize {
     mesh.triangles.par_iter().filter(|triangle| !has_area(&mesh.vertices, triangle)).count()
 }

@@ -10,7 +10,7 @@ const STRIP_TRIANGLES: usize = 1024;
 /// Anything made of points, and triangles where it has some.
 #[derive(Debug, Clone, Copy)]
 pub enum Shape<'a> {
-    /// A triangle mesh.
+    /// A mesh, whose triangles are listed.
     Mesh(&'a Mesh),
     /// An organised grid of points.
     Surface(&'a Surface),

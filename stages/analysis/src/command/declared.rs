@@ -10,12 +10,12 @@ use rockface_core::params;
 use rockface_core::params::{Fault, ParamType};
 use rockface_core::{Arity, Port, Ports, StageError};
 
-/// One declared port.
+/// A port as the parameters of a step declare it, without its name.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Declared {
     /// The kind of artefact.
     pub kind: Kind,
-    /// How many.
+    /// How many artefacts it takes.
     pub arity: Arity,
     /// The extension of the file, where it is not that of the kind.
     extension: Option<String>,

@@ -162,7 +162,7 @@ struct Answer {
     /// What the function logged.
     #[serde(default)]
     log: Vec<Entry>,
-    /// Why it failed.
+    /// Why the function failed; `None` where it is done.
     error: Option<Failure>,
 }
 

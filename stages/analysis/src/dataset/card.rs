@@ -6,9 +6,9 @@ use super::split::PARTS;
 
 /// What the card tells beyond its counts.
 pub struct Facts<'a> {
-    /// Title.
+    /// The title of the data set.
     pub title: &'a str,
-    /// Licence.
+    /// The licence, as hubs write it in the front matter.
     pub licence: &'a str,
     /// Cells along the side of a tile.
     pub side: usize,
@@ -18,7 +18,7 @@ pub struct Facts<'a> {
     pub split: String,
     /// How empty tiles were chosen, in words.
     pub negatives: String,
-    /// Formats, in words.
+    /// In which formats the tiles are there, in words.
     pub formats: String,
 }
 

@@ -12,13 +12,13 @@ use super::checksums;
 pub struct Item<'a> {
     /// Its name, unique in the catalogue.
     pub id: &'a str,
-    /// Its grid.
+    /// The grid of the tile.
     pub grid: Grid,
     /// The frame of its grid.
     pub frame: Frame,
     /// Date and time it stands for, RFC 3339.
     pub datetime: &'a str,
-    /// Further properties.
+    /// Properties besides time and projection, which are added.
     pub properties: Map<String, Value>,
     /// Its files: role, place in the data set, media type, content.
     pub assets: Vec<(&'a str, &'a str, &'a str, &'a [u8])>,
@@ -35,7 +35,7 @@ pub fn root(title: &str, description: &str, items: &[String]) -> Vec<u8> {
     }))
 }
 
-/// One item.
+/// The JSON of the item of one tile.
 pub fn item(item: &Item) -> Vec<u8> {
     let Grid { columns, rows, cell_m, left_m, top_m } = item.grid;
     let bounds = [left_m, top_m - rows as f64 * cell_m, left_m + columns as f64 * cell_m, top_m];

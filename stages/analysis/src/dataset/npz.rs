@@ -9,13 +9,13 @@ use zip::{CompressionMethod, ZipWriter};
 /// An array of an archive, by row.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Array {
-    /// 32-bit floats.
+    /// 32-bit floats, `<f4`.
     Floats(Vec<f32>),
-    /// 64-bit floats.
+    /// 64-bit floats, `<f8`.
     Doubles(Vec<f64>),
-    /// Bytes.
+    /// Whole numbers from 0 to 255.
     Bytes(Vec<u8>),
-    /// 16-bit numbers.
+    /// Whole numbers from 0 to 65535.
     Words(Vec<u16>),
 }
 

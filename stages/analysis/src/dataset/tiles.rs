@@ -17,7 +17,7 @@ pub struct Scene<'a> {
     pub instances: &'a [u16],
 }
 
-/// One tile.
+/// A square of cells that becomes one sample, and what it holds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tile {
     /// Row and column of its first cell.
@@ -79,7 +79,7 @@ fn cells(grid: &Grid, [row, column]: [usize; 2], side: usize) -> impl Iterator<I
 }
 
 impl Tile {
-    /// Its grid.
+    /// The grid of its cells within the whole one.
     pub fn grid(&self, whole: &Grid) -> Grid {
         Grid {
             columns: self.side,

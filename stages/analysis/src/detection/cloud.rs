@@ -127,9 +127,9 @@ impl Cloud {
 /// Values summed up: number, mean, sum of squares about the mean (Welford 1962).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Stack {
-    /// How many.
+    /// Number of values.
     pub count: f64,
-    /// Their mean.
+    /// Mean of the values; 0 without any.
     pub mean: f64,
     squares: f64,
 }

@@ -79,9 +79,9 @@ pub const DETECTION_COLUMNS: [&str; 7] =
 
 /// One side of a comparison.
 pub struct Side<'a> {
-    /// Its inventory.
+    /// The true changes or the detections, with their properties.
     pub inventory: &'a Inventory,
-    /// Its objects.
+    /// The cells of each of them on the common grid.
     pub objects: &'a [Object],
 }
 

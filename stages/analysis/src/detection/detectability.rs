@@ -48,9 +48,9 @@ pub fn classes(values: &[Option<f64>], count: usize) -> Vec<Class> {
 /// A logistic curve of the decimal logarithm of a property: p = 1 / (1 + exp(-(a + b log10 x))).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Logistic {
-    /// a.
+    /// a: logarithm of the odds where the property is 1.
     pub intercept: f64,
-    /// b.
+    /// b: how much that grows where the property is ten times as large.
     pub slope: f64,
     /// Standard error of b.
     pub slope_se: f64,

@@ -4,7 +4,7 @@ use ab_glyph::{Font, FontRef, PxScale, ScaleFont, point};
 
 use rockface_core::artefact::CodecError;
 
-/// Red, green, blue.
+/// Red, green and blue, 0 to 255 each.
 pub type Colour = [u8; 3];
 
 /// Where a text lies about its place.
@@ -31,7 +31,7 @@ impl Pen {
         Self::new(dejavu::sans::regular(), size_px, colour)
     }
 
-    /// The bold typeface.
+    /// The bold typeface at a height of `size_px` pixels from descender to ascender.
     pub fn bold(size_px: f32, colour: Colour) -> Result<Self, CodecError> {
         Self::new(dejavu::sans::bold(), size_px, colour)
     }
@@ -71,7 +71,7 @@ pub struct Canvas {
 }
 
 impl Canvas {
-    /// A white canvas.
+    /// A white canvas of so many pixels.
     pub fn new(width: usize, height: usize) -> Self {
         Self { width, height, pixels: vec![[255; 3]; width * height] }
     }
@@ -144,7 +144,7 @@ impl Canvas {
         }
     }
 
-    /// The PNG file.
+    /// The canvas as a PNG file.
     pub fn to_png(&self) -> Result<Vec<u8>, CodecError> {
         rockface_core::format::png::write(self.width, self.height, self.pixels.as_flattened())
     }

@@ -15,14 +15,14 @@ pub enum Palette {
     Cividis,
     /// Red for negative, white for zero, blue for positive values.
     RedBlue,
-    /// Black to white.
+    /// Black for the smallest, white for the largest value.
     Grey,
 }
 
 /// A palette over a range of values.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ColourScale {
-    /// The colours.
+    /// The sequence of colours that is spread over the range.
     pub palette: Palette,
     /// Value of the first colour.
     pub low: f64,

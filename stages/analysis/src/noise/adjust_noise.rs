@@ -17,7 +17,7 @@ pub struct AdjustNoise;
 
 /// Standard errors within which a difference counts as chance.
 const CHANCE_ERRORS: f64 = 2.0;
-/// Fewest simulated rasters.
+/// Fewest simulated rasters from which chance can be told.
 const LEAST: usize = 2;
 
 impl Stage for AdjustNoise {

@@ -40,7 +40,7 @@ pub fn area(negative: &[f64], positive: &[f64]) -> Auc {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Logistic {
     standard: Standard,
-    /// Intercept.
+    /// Score of a row whose features are all at their means.
     pub intercept: f64,
     /// Weight of each standardised feature; 0 where it does not vary.
     pub weights: Vec<f64>,

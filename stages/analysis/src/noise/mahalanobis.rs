@@ -29,7 +29,7 @@ const RESOLUTION: f64 = 0.01;
 /// A squared distance and what each feature adds to it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Distance {
-    /// D2.
+    /// D2, the squared distance.
     pub d2: f64,
     /// `z_j (P z)_j` of each feature that varies over the reference, then what each constant one adds. They add up to D2; the
     /// first may be negative.

@@ -46,7 +46,7 @@ pub struct Match<'a> {
     reach: f64,
 }
 
-/// What was found.
+/// What a search over scaled parameters found.
 #[derive(Debug, Clone)]
 pub struct Found {
     /// Scaled parameters of the smallest J.

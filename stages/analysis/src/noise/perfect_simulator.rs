@@ -39,7 +39,7 @@ pub struct Setting {
 /// How many rasters of a perfect simulator are to be expected.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Expectation {
-    /// Expected share.
+    /// Expected share of rasters that pass.
     pub share: f64,
     /// Smallest count of the 95 % band.
     pub low: usize,

@@ -13,7 +13,7 @@ use rockface_core::StageError;
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::quantile::nearest_rank;
 
-/// What is described.
+/// How fine the description is: lags, levels and blocks.
 #[derive(Debug, Clone)]
 pub struct Settings {
     /// Lags of the increments, cells along each axis.

@@ -167,7 +167,7 @@ fn weighted_products(design: &[Vec<f64>], weights: &[f64]) -> DMatrix<f64> {
     DMatrix::from_fn(count, count, |i, j| sum(i.min(j), i.max(j)))
 }
 
-/// x' A x.
+/// The quadratic form x' A x.
 fn quadratic_form(a: &DMatrix<f64>, x: &[f64]) -> f64 {
     let row = |i: usize| x.iter().enumerate().map(|(j, x)| a[(i, j)] * x).sum::<f64>();
     x.iter().enumerate().map(|(i, x)| x * row(i)).sum()

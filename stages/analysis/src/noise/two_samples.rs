@@ -11,7 +11,7 @@ use rockface_core::numerics::random::Key;
 use super::classifier::{Logistic, Standard, area};
 use super::stumps::Stumps;
 
-/// Kinds of classifier.
+/// Kinds of classifier, each of which sees other differences.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Classifier {
     /// Logistic regression: sees shifts.
@@ -92,7 +92,7 @@ fn nearness(class: &[Vec<f64>], row: &[f64]) -> f64 {
 /// A row of a sample.
 #[derive(Debug, Clone, Copy)]
 pub struct Row<'a> {
-    /// Its features.
+    /// The values of its features, in one order for all rows.
     pub values: &'a [f64],
     /// Its number in the list of links.
     pub number: usize,

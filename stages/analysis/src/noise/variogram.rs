@@ -14,7 +14,7 @@ pub struct Variogram {
     pub lag_cells: Vec<f64>,
     /// Half the mean squared difference, square of the unit of the values.
     pub gamma: Vec<f64>,
-    /// Pairs of cells.
+    /// Number of pairs of cells in the bin.
     pub pairs: Vec<f64>,
 }
 

@@ -53,7 +53,7 @@ impl Shape {
 /// A fitted variogram model; lengths in the unit of the lags, variances in that of gamma.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Model {
-    /// Shape.
+    /// The function f that the correlated part follows.
     pub shape: Shape,
     /// c0: variance at vanishing distance, exactly 0 at its bound.
     pub nugget: f64,
@@ -83,7 +83,7 @@ impl Model {
         self.nugget + self.partial_sill * self.shape.value(h / self.length, self.exponent) + second
     }
 
-    /// c0 + c.
+    /// The whole sill: c0 + c, and the variance of the second structure.
     pub fn sill(&self) -> f64 {
         self.nugget + self.partial_sill + self.second[0]
     }

@@ -14,9 +14,9 @@ use super::Frame;
 pub struct Sensor {
     /// Its name, as covariance parameters refer to it (`<name>.f`).
     pub name: String,
-    /// Columns.
+    /// Number of pixel columns of an image.
     pub width_px: u32,
-    /// Rows.
+    /// Number of pixel rows of an image.
     pub height_px: u32,
     /// Principal distance, pixels.
     pub f: f64,
@@ -70,7 +70,7 @@ impl Image {
         self.matrix().row(2).transpose()
     }
 
-    /// Replaces R.
+    /// Replaces R, which takes object coordinates to the camera frame.
     pub fn set_rotation(&mut self, camera_from_object: &UnitQuaternion<f64>) {
         let q = camera_from_object.quaternion();
         self.camera_from_object = [q.w, q.i, q.j, q.k];
@@ -83,7 +83,7 @@ impl Image {
 pub struct Cameras {
     /// The frame of the projection centres and rotations.
     pub frame: Frame,
-    /// Interior orientations.
+    /// Interior orientations; an image names its own by the place in this list.
     pub sensors: Vec<Sensor>,
     /// Exterior orientations, in project order.
     pub images: Vec<Image>,

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::Frame;
 
-/// A point cloud.
+/// Points without triangles, with normals, colours and numbers where they are known.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cloud {
     /// The frame of points and normals.

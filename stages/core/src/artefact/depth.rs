@@ -18,9 +18,9 @@ pub struct Depth {
     pub image: Image,
     /// Image pixels a depth-map pixel, along each side.
     pub downscale: u32,
-    /// Columns.
+    /// Number of columns of the map, not of the image.
     pub width: usize,
-    /// Rows.
+    /// Number of rows of the map, not of the image.
     pub height: usize,
     /// Depth along the optical axis in metres, by row from the top, NaN where there is none.
     pub z: Vec<f32>,

@@ -5,7 +5,7 @@ use super::{Artefact, CodecError, Kind, Noun};
 /// A finished SVG file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Figure {
-    /// The whole file.
+    /// The text of the SVG file.
     pub svg: String,
 }
 

@@ -5,7 +5,7 @@ use super::{Artefact, CodecError, Kind, Noun};
 /// The bytes of a file; what they mean is between those who write and read it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct File {
-    /// The whole file.
+    /// The content of the file, as it was read or as a program wrote it.
     pub bytes: Vec<u8>,
 }
 

@@ -86,7 +86,7 @@ impl Frame {
         [Self::World, Self::Wall].into_iter().find(|frame| frame.name() == name)
     }
 
-    /// `world` or `wall`.
+    /// The name that files and messages have for the frame: `world` or `wall`.
     pub const fn name(self) -> &'static str {
         match self.axes {
             Axes::World => "world",

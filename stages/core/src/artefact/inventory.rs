@@ -11,7 +11,7 @@ pub struct Polygon {
     pub holes: Vec<Vec<[f64; 2]>>,
 }
 
-/// One rockfall.
+/// One rockfall or piece of it, with its outline and properties.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Feature {
     /// Its outline in the X and Y of the inventory's frame; several polygons where it has several pieces, none where it
@@ -28,7 +28,7 @@ pub struct Inventory {
     pub frame: Frame,
     /// Names of the properties, unit in the name where there is one.
     pub columns: Vec<String>,
-    /// The rockfalls.
+    /// The rockfalls, each with as many values as there are columns.
     pub features: Vec<Feature>,
 }
 

@@ -2,7 +2,7 @@
 
 use super::Frame;
 
-/// A triangle mesh.
+/// Vertices and the triangles between them, which may be open or closed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mesh {
     /// The frame of the vertices.

@@ -65,7 +65,7 @@ impl CodecError {
 pub struct Export {
     /// Where it goes, relative to the file of the artefact, with `/` between folders.
     pub path: String,
-    /// The whole file.
+    /// The content of the file.
     pub bytes: Vec<u8>,
 }
 
@@ -83,7 +83,7 @@ pub struct Export {
 /// # Ok::<(), rockface_core::artefact::CodecError>(())
 /// ```
 pub trait Noun: Sized {
-    /// Its kind.
+    /// The kind that artefacts of this type have.
     const KIND: Kind;
     /// The value inside an artefact of this kind.
     fn of(artefact: &Artefact) -> Option<&Self>;
@@ -126,7 +126,7 @@ macro_rules! artefacts {
         pub enum Kind { $( #[doc = $doc] $Name ),* }
 
         impl Kind {
-            /// All kinds.
+            /// All kinds, in the order of their declaration.
             pub const ALL: &'static [Kind] = &[$(Kind::$Name),*];
 
             /// Its name in records and messages.
@@ -151,7 +151,7 @@ macro_rules! artefacts {
         pub enum Artefact { $( $Name($Name) ),* }
 
         impl Artefact {
-            /// Its kind.
+            /// The kind of the value inside.
             pub fn kind(&self) -> Kind {
                 match self { $( Self::$Name(_) => Kind::$Name ),* }
             }

@@ -52,7 +52,7 @@ pub const GAP: u8 = 0x80;
 pub struct Noise {
     /// The frame X and Y of the grid are in.
     pub frame: Frame,
-    /// The grid.
+    /// The cells over the face at which strength, elevation and fields have a value.
     pub grid: Grid,
     /// Whitened fields mixed in one acquisition.
     pub donors: usize,
@@ -72,9 +72,9 @@ pub struct Noise {
     pub jitter: f64,
     /// Logarithm of the gain that makes up for what a survey loses, band by band: interpolation smooths the finest noise.
     pub log_gain: Vec<f64>,
-    /// Strength by relief.
+    /// How strength follows from relief where the geometry has changed.
     pub relief: ReliefLaw,
-    /// The acquisitions.
+    /// What is known of each acquisition the model was learnt from.
     pub members: Vec<Member>,
     /// Strength of the noise by place, pixels of disparity in the full image, `rows x columns` from the top.
     pub strength: Vec<f32>,
@@ -94,7 +94,7 @@ const MOST_CONTRAST_CELLS: f64 = 100.0;
 const MOST_LOG_GAIN: f64 = 5.0;
 
 impl Noise {
-    /// Bands of frequency.
+    /// Number of bands of frequency.
     pub fn bands(&self) -> usize {
         self.log_gain.len()
     }

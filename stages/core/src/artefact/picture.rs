@@ -5,7 +5,7 @@ use super::{Artefact, CodecError, Kind, Noun};
 /// A finished PNG file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Picture {
-    /// The whole file.
+    /// The content of the PNG file.
     pub png: Vec<u8>,
 }
 

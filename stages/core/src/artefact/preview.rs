@@ -5,9 +5,9 @@
 pub struct Preview {
     /// What is seen, in a few words.
     pub caption: String,
-    /// Columns.
+    /// Number of pixel columns.
     pub width: usize,
-    /// Rows.
+    /// Number of pixel rows.
     pub height: usize,
     /// Red, green and blue by row from the top.
     pub rgb: Vec<u8>,

@@ -6,9 +6,9 @@ use super::Frame;
 /// `left + column cell .. left + (column + 1) cell` by `top - (row + 1) cell .. top - row cell`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Grid {
-    /// Columns.
+    /// Number of columns, along X.
     pub columns: usize,
-    /// Rows.
+    /// Number of rows, from the top down.
     pub rows: usize,
     /// Side of a cell, metres.
     pub cell_m: f64,
@@ -19,7 +19,7 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// Number of cells.
+    /// Number of cells: columns times rows.
     pub fn cells(&self) -> usize {
         self.columns * self.rows
     }
@@ -62,10 +62,10 @@ impl Sample {
     }
 }
 
-/// One band.
+/// One layer of values on the grid of a raster.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Band {
-    /// Its name.
+    /// Its name, such as `elevation`; stages find a band by it.
     pub name: String,
     /// Values by row from the top, `rows x columns`.
     pub values: Vec<f32>,

@@ -14,7 +14,7 @@ pub struct Sketch {
     pub part: String,
     /// What was left out, such as `every 4th column and row`; empty where it shows all there is.
     pub reduced: String,
-    /// What is shown.
+    /// The likeness itself.
     pub shape: Shape,
 }
 
@@ -28,9 +28,9 @@ impl Sketch {
 /// A sketch of the output of a port.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Shown {
-    /// The output port.
+    /// The output port whose artefact it shows.
     pub port: String,
-    /// Its likeness.
+    /// A likeness of that artefact or of a part of it.
     pub sketch: Sketch,
 }
 
@@ -38,19 +38,19 @@ pub struct Shown {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Shape {
-    /// A picture.
+    /// Pixels: a channel or band in false colours, or a picture made for people.
     Picture(PictureSketch),
-    /// Points.
+    /// Points that no triangles connect.
     Cloud(CloudSketch),
-    /// Triangles.
+    /// Triangle meshes, one or several.
     Bodies(BodiesSketch),
     /// Values on a grid.
     Grid(GridSketch),
     /// Interior and exterior orientations.
     Cameras(Cameras),
-    /// A rigid transform.
+    /// A rigid transform between two frames.
     Transform(Transform),
-    /// Rows and columns.
+    /// The first rows of a table, with the names of its columns.
     Table(Table),
     /// Anything else, as JSON.
     Values(serde_json::Value),
@@ -59,15 +59,15 @@ pub enum Shape {
 /// A picture of at most 512 pixels a side; one made for people is as large as it was made.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PictureSketch {
-    /// Pixels across.
+    /// Number of pixel columns.
     pub width: u32,
-    /// Pixels down.
+    /// Number of pixel rows.
     pub height: u32,
     /// What its colours stand for; `None` for a picture made for people, which says so itself.
     pub colours: Option<ColourKey>,
     /// The image of the survey whose pixels these are.
     pub image: Option<String>,
-    /// The file, PNG.
+    /// The content of the PNG file, which the JSON leaves out.
     #[serde(skip)]
     pub png: Vec<u8>,
 }
@@ -77,7 +77,7 @@ pub struct PictureSketch {
 pub struct ColourKey {
     /// The quantity, such as `depth`, `noise.local` or `difference`.
     pub quantity: String,
-    /// Its unit.
+    /// The unit of `low` and `high`.
     pub unit: String,
     /// `viridis`, `red_blue` (red negative, white zero) or `grey`.
     pub palette: String,
@@ -87,7 +87,7 @@ pub struct ColourKey {
     pub high: f64,
 }
 
-/// Points.
+/// Points of a cloud, as 32-bit numbers about an origin.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CloudSketch {
     /// Frame of the points.
@@ -99,18 +99,18 @@ pub struct CloudSketch {
     pub points: Vec<[f32; 3]>,
 }
 
-/// Triangle meshes.
+/// Triangle meshes about one origin, in one frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BodiesSketch {
     /// Frame of the vertices.
     pub frame: String,
     /// Added to every vertex, metres.
     pub origin_m: [f64; 3],
-    /// The meshes.
+    /// The meshes, in the order of the artefact.
     pub bodies: Vec<Body>,
 }
 
-/// One triangle mesh.
+/// One of the meshes, with 32-bit vertices.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Body {
     /// Its name; empty for the only one.
@@ -132,9 +132,9 @@ pub struct GridSketch {
     pub frame: String,
     /// What the values are.
     pub quantity: String,
-    /// Columns.
+    /// Number of columns of the sketch.
     pub columns: usize,
-    /// Rows.
+    /// Number of rows of the sketch.
     pub rows: usize,
     /// Side of a cell of the sketch, metres.
     pub cell_m: f64,
@@ -142,14 +142,14 @@ pub struct GridSketch {
     pub left_m: f64,
     /// Y of the top edge, metres.
     pub top_m: f64,
-    /// The bands.
+    /// The bands that are shown, all on this grid.
     pub bands: Vec<GridBand>,
 }
 
 /// Values of one band.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GridBand {
-    /// Its name.
+    /// The name the band has in the raster.
     pub name: String,
     /// Values by row from the top, NaN where there is none.
     #[serde(skip)]

@@ -13,9 +13,9 @@ use super::Frame;
 pub struct Surface {
     /// The frame of the points.
     pub frame: Frame,
-    /// Columns of points.
+    /// Number of columns of points; of squares there is one less.
     pub width: usize,
-    /// Rows of points.
+    /// Number of rows of points; of squares there is one less.
     pub height: usize,
     /// Added to every point, metres; keeps 32-bit points exact to micrometres.
     pub origin_m: [f64; 3],

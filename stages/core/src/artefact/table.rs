@@ -8,11 +8,11 @@ use super::{CodecError, Export};
 pub enum Cell {
     /// A finite number. What is not finite is [`Cell::Empty`].
     Number(f64),
-    /// Text.
+    /// A word or any other text.
     Text(String),
-    /// `true` or `false`.
+    /// A yes or no: `true` or `false`.
     Flag(bool),
-    /// No value.
+    /// No value: `null` in JSON, nothing between the commas of CSV.
     Empty(()),
 }
 
@@ -81,7 +81,7 @@ impl std::fmt::Display for Cell {
 pub struct Table {
     /// Column names, unit in the name where there is one.
     pub columns: Vec<String>,
-    /// Rows.
+    /// The rows, with one cell for each column.
     pub rows: Vec<Vec<Cell>>,
 }
 

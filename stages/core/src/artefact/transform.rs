@@ -72,7 +72,7 @@ impl Transform {
         Point3::from(self.matrix() * local + Vector3::from(self.translation))
     }
 
-    /// The way back.
+    /// The transform from the second frame back to the first.
     #[must_use]
     pub fn inverse(&self) -> Self {
         let back = self.matrix().transpose();

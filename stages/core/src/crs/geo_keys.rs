@@ -70,9 +70,9 @@ const PROJECTIONS: &[Projection] = &[
 pub struct GeoKeys<'a> {
     /// The directory: four numbers a key, after four of its own.
     pub directory: &'a [u16],
-    /// Numbers.
+    /// Numbers that keys refer to by their place.
     pub doubles: &'a [f64],
-    /// Texts.
+    /// Texts that keys refer to by place and length.
     pub ascii: &'a str,
 }
 

@@ -78,12 +78,12 @@ impl Crs {
         parts(&self.node()).1.is_some()
     }
 
-    /// Its name.
+    /// The name its definition states, such as that of a UTM zone.
     pub fn name(&self) -> String {
         self.node().name().to_owned()
     }
 
-    /// Its well-known text.
+    /// The well-known text that defines it.
     pub fn wkt(&self) -> String {
         self.node().to_string()
     }
@@ -137,7 +137,7 @@ impl std::fmt::Display for Crs {
     }
 }
 
-/// What [`Crs::as_str`] gives.
+/// Reads the text that [`Crs::as_str`] gives; only projected systems in metres are accepted.
 impl std::str::FromStr for Crs {
     type Err = String;
     fn from_str(text: &str) -> Result<Self, String> {

@@ -45,7 +45,7 @@ fn is_cartesian(node: &Node) -> bool {
 pub struct Stated {
     /// Its name, with its EPSG code where it has one.
     pub name: String,
-    /// Its sort.
+    /// What its coordinates are, which decides whether it can be carried on.
     pub kind: Kind,
     /// The unit of its horizontal coordinates, where that is stated and a length.
     pub unit: Option<Unit>,

@@ -7,7 +7,7 @@ use super::wkt::Node;
 pub struct Unit {
     /// Its name in messages, in the plural.
     pub name: String,
-    /// Metres of one.
+    /// How many metres one of it is.
     pub metres: f64,
 }
 
@@ -33,7 +33,7 @@ const BY_CODE: &[(u32, &str, f64)] = &[
 const SAME: f64 = 1e-8;
 
 impl Unit {
-    /// The metre.
+    /// The metre itself, with a factor of one.
     pub fn metre() -> Self {
         Self { name: "metres".to_owned(), metres: 1.0 }
     }

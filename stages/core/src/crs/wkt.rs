@@ -7,23 +7,23 @@ const LONGEST: usize = 1 << 16;
 /// How deep nodes may stand in each other.
 const DEEPEST: usize = 32;
 
-/// `KEYWORD[arguments]`.
+/// A node of the tree, written `KEYWORD[arguments]`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Node {
-    /// In capitals.
+    /// The word before the bracket, in capitals.
     pub keyword: String,
-    /// In their order.
+    /// What stands between the brackets, in the order of the text.
     pub arguments: Vec<Argument>,
 }
 
 /// One argument of a node.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Argument {
-    /// Text in quotes.
+    /// Text in quotes, here without them.
     Text(String),
     /// A number or a bare word such as `NORTH`, as it was written.
     Word(String),
-    /// A node.
+    /// A node inside this one.
     Node(Node),
 }
 

@@ -27,7 +27,7 @@ pub struct Cloud {
 
 /// User and numbers of the records of a coordinate reference system.
 pub(super) const PROJECTION_USER: &str = "LASF_Projection";
-/// Well-known text.
+/// Number of the record that holds well-known text.
 pub(super) const WKT_RECORD: u16 = 2112;
 const KEYS_RECORD: u16 = 34735;
 const DOUBLES_RECORD: u16 = 34736;

@@ -68,7 +68,7 @@ pub fn check_chunks(bytes: &[u8], header: &Header) -> Result<(), CodecError> {
     if packing.is_layered() { packing.walk(bytes, start, table, header.number_of_points()) } else { Ok(()) }
 }
 
-/// `offset_to_point_data`.
+/// Where the points begin: `offset_to_point_data` of the header.
 fn header_offset(bytes: &[u8]) -> usize {
     number(bytes, 96).unwrap_or(0) as usize
 }

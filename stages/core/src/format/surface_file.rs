@@ -17,7 +17,7 @@ struct Header {
 const LAYOUT: &str = "points: height x width x 3 float32 little-endian, metres from origin_m, NaN = none; \
                       squares: (height - 1) x (width - 1) uint8, bit 1 first, bit 2 second triangle, bit 4 other diagonal";
 
-/// Writes a surface.
+/// Gives the whole file of a surface at once.
 pub fn write(surface: &Surface) -> Result<Vec<u8>, CodecError> {
     let mut bytes = Vec::with_capacity(surface.points.len() * 12 + surface.squares.len() + 1024);
     stream(surface, &mut |piece| bytes.extend_from_slice(piece))?;
@@ -41,7 +41,7 @@ pub fn stream(surface: &Surface, take: &mut dyn FnMut(&[u8])) -> Result<(), Code
     Ok(())
 }
 
-/// Reads a surface.
+/// Reads the file of a surface; its length must be what its header says.
 pub fn read(bytes: &[u8]) -> Result<Surface, CodecError> {
     let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| CodecError::new("not a rockface surface file (version 1)"))?;
     let end =

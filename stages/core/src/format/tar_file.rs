@@ -14,7 +14,7 @@ const LONGEST_PART: usize = 255;
 /// Fields of a header that differ between files: name, length, checksum, and the start of a long name.
 const VARYING: [std::ops::Range<usize>; 4] = [0..100, 124..136, 148..156, 345..500];
 
-/// Files by name.
+/// Name and content of each file.
 type Named = Vec<(String, Vec<u8>)>;
 
 /// Writes an archive; equal files give equal bytes. A name that has no room in a header comes before it, as GNU tar does it.

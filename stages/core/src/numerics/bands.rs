@@ -8,7 +8,7 @@ use crate::numerics::portable_math;
 
 /// The bands of rasters of one size.
 pub struct Bands {
-    /// How many.
+    /// Number of bands, at least 2.
     pub count: usize,
     forward: Fft2,
     backward: Fft2,

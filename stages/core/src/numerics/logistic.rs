@@ -26,7 +26,7 @@ pub struct Regression<'a> {
     pub damping: f64,
 }
 
-/// A fitted regression.
+/// The weights of a regression, and how well they are known.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fit {
     /// Weight of each feature.
@@ -37,7 +37,7 @@ pub struct Fit {
     pub settled: bool,
 }
 
-/// Fits the weights.
+/// Finds the weights of least log-loss, with the ridge added.
 pub fn fit(regression: &Regression) -> Fit {
     let count = regression.design.first().map_or(0, Vec::len);
     let mut fit = Fit { weights: DVector::zeros(count), information: DMatrix::zeros(count, count), settled: false };

@@ -10,10 +10,10 @@ pub const LANES: usize = 8;
 
 /// Work that gains from wide registers. No closure, since those cannot say `#[inline(always)]`, as [`Work::run`] must.
 pub trait Work {
-    /// What comes out.
+    /// What [`Work::run`] returns.
     type Output;
 
-    /// Does it.
+    /// Does the work. Implementations say `#[inline(always)]`, so that wide registers are used.
     fn run(self) -> Self::Output;
 }
 
@@ -54,7 +54,7 @@ pub trait Number:
     + Mul<f64, Output = Self>
     + Div<f64, Output = Self>
 {
-    /// The square root.
+    /// The square root; of several numbers, that of each.
     #[must_use]
     fn sqrt(self) -> Self;
 }
@@ -66,7 +66,7 @@ impl Number for f64 {
     }
 }
 
-/// `N` numbers.
+/// `N` numbers that go through a formula together.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[repr(align(16))]
 pub struct Lanes<const N: usize = LANES>([f64; N]);
@@ -140,13 +140,13 @@ impl<const N: usize> Lanes<N> {
         self.with(measure, |value, measure| if measure > 0.0 { value } else { f64::NAN })
     }
 
-    /// Sets a lane.
+    /// Replaces the number in one lane.
     #[inline(always)]
     pub fn set(&mut self, lane: usize, value: f64) {
         self.0[lane] = value;
     }
 
-    /// The numbers.
+    /// The numbers in the order of the lanes.
     #[inline(always)]
     pub fn each(self) -> [f64; N] {
         self.0

@@ -17,11 +17,11 @@ pub use reader::MapReader;
 pub enum Kind {
     /// A finite number.
     Number,
-    /// A whole number.
+    /// A whole number that its Rust type can hold; `3.0` counts.
     Integer,
     /// `true` or `false`.
     Boolean,
-    /// Text.
+    /// Text; a number is taken for the text of it.
     Text,
     /// One of a few words, each with what it means.
     Choice(&'static [(&'static str, &'static str)]),
@@ -35,11 +35,11 @@ pub enum Kind {
     List(Box<Kind>, Option<usize>),
     /// `null`, or the kind inside.
     Optional(Box<Kind>),
-    /// Named parameters.
+    /// A map with these keys, each a parameter of its own.
     Map(Vec<Field>),
     /// A map of any keys to one kind.
     Entries(Box<Kind>),
-    /// Any value.
+    /// Any value of YAML.
     Any,
     /// A map with exactly one of these keys, which says what its value is: `{prism: {...}}`. The bare word is enough where
     /// everything below the key has a default.
@@ -136,7 +136,7 @@ impl std::fmt::Display for Range {
 pub struct Fault {
     /// Keys and list positions that lead to the value.
     pub path: Vec<String>,
-    /// What is wrong.
+    /// What is wrong, in words for people; the place is told apart.
     pub message: String,
     /// The keys or words that would have been right, for a suggestion.
     pub known: Vec<String>,

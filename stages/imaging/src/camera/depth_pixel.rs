@@ -14,7 +14,7 @@ pub struct DepthPixel {
     pub z_m: f64,
     /// Distance along the ray, metres.
     pub range_m: f64,
-    /// The point, metres.
+    /// The object point in the frame of the depth map, metres.
     pub point_m: [f64; 3],
 }
 

@@ -16,9 +16,9 @@ const REACH: usize = 2;
 pub struct DepthWindow<'a> {
     /// Depths by row, metres, NaN where there is none.
     pub z: &'a [f32],
-    /// Columns.
+    /// Number of columns of the map.
     pub width: usize,
-    /// Rows.
+    /// Number of rows of the map.
     pub height: usize,
     /// Half width of a window: it has `2 reach + 1` pixels a side.
     pub reach: usize,
@@ -29,9 +29,9 @@ pub struct DepthWindow<'a> {
 pub struct Slope {
     /// At the pixel, by the regression.
     pub inverse: f64,
-    /// A column further.
+    /// How much it grows from one column to the next.
     pub across: f64,
-    /// A row further.
+    /// How much it grows from one row to the next.
     pub down: f64,
 }
 

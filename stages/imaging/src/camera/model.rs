@@ -40,7 +40,7 @@ impl Camera {
         Self::new(&depth.sensor, &depth.image)
     }
 
-    /// The interior orientation.
+    /// The interior orientation it was made with.
     pub fn sensor(&self) -> &Sensor {
         &self.sensor
     }

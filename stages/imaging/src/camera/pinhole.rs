@@ -17,9 +17,9 @@ const BLOCK: usize = 4;
 /// A depth map on the pixels of a camera without distortion. Pixel centres are whole numbers, the first is (0, 0).
 #[derive(Debug, Clone, PartialEq)]
 pub struct PinholeMap {
-    /// Columns.
+    /// Number of columns of the resampled map.
     pub width: usize,
-    /// Rows.
+    /// Number of rows of the resampled map.
     pub height: usize,
     /// Principal distances along x and y, pixels of the map.
     pub focal_px: [f64; 2],

@@ -33,7 +33,7 @@ pub struct Drawing {
 pub struct DepthBuffer {
     /// Columns: those of the image divided by the downscale, rounded down.
     pub width: usize,
-    /// Rows, likewise.
+    /// Rows: those of the image divided by the downscale, rounded down.
     pub height: usize,
     /// Depth along the optical axis by row from the top, metres; infinite where there is none.
     pub z_m: Vec<f64>,
@@ -315,7 +315,7 @@ impl Rays {
     }
 }
 
-/// Draws one band.
+/// Draws the triangles of one band of rows into its depths.
 struct DrawBand<'a, W> {
     scene: &'a Scene<'a>,
     band: usize,

@@ -14,7 +14,7 @@ use rockface_raster::rasterise::grid_around;
 
 /// Rows whose points are found in parallel before they are added in order.
 const BATCH_ROWS: usize = 256;
-/// No cell.
+/// Stands for the number of a cell where a pixel lies in none.
 const NOWHERE: u32 = u32::MAX;
 
 /// Where the expected deviation of a depth comes from.
@@ -22,7 +22,7 @@ const NOWHERE: u32 = u32::MAX;
 pub enum Sigma<'a> {
     /// One for every pixel, metres.
     Constant(f64),
-    /// By pixel, metres.
+    /// One for each pixel of the depth map, metres.
     Map(&'a [f32]),
 }
 

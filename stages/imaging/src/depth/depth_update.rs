@@ -16,7 +16,7 @@ const TILE: usize = 64;
 /// Bands that are drawn whole, to see that the buffer taken over is one of the mesh before.
 const PROBES: usize = 8;
 
-/// What redrawing took.
+/// A buffer drawn again in part, and how much of it was drawn.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Redrawn {
     /// The buffer; the same bits as drawing the mesh whole, once rounded to 32 bits.

@@ -12,7 +12,7 @@ pub const NEAR_M: f64 = 1e-3;
 /// The pixels a triangle may cover.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Reach {
-    /// None.
+    /// None: the triangle is not seen.
     Nothing,
     /// Those of a rectangle of the buffer, bounds included.
     Pixels {

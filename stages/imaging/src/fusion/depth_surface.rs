@@ -27,7 +27,7 @@ pub struct Joining {
     pub min_cosine: f64,
 }
 
-/// Counts of triangles.
+/// How many triangles a depth map gave, and why others were left out.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Joined {
     /// Triangles of the surface.
@@ -316,7 +316,7 @@ fn faces_clearly([p, q, r]: [[f64; 3]; 3], viewpoint: [f64; 3], least: f64) -> b
 
 /// Four neighbours: corners a, b, c and d in the order of [`Surface`].
 struct Square {
-    /// Depths, metres.
+    /// Depths at the corners, metres.
     z: [f32; 4],
     /// Points relative to the origin of the surface, metres.
     points: [Vector3<f64>; 4],

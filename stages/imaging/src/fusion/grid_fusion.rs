@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use crate::matching::map_fusion::{Measured, Rule, fuse};
 use rockface_core::artefact::{Frame, Grid, Raster, Surface};
 
-/// The fused grid.
+/// The fused elevations of a grid, with how many images each comes from and how exact it is.
 #[derive(Debug, Clone)]
 pub struct FusedGrid {
     /// The grid around all images, or the requested part of it.

@@ -24,7 +24,7 @@ const STOP_SHIFT_M: f64 = 1e-6;
 /// ... or both smaller than this share of their own standard deviations: what is left is noise of the pairing.
 const STOP_SHARE: f64 = 0.25;
 
-/// What is minimised.
+/// Which distances between paired points are minimised.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Method {
     /// Distances to the tangent plane of the nearest point (Chen and Medioni 1992).
@@ -43,10 +43,10 @@ pub enum Pairing {
     InSpace,
 }
 
-/// How to register.
+/// Method and limits of a registration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
-    /// What is minimised.
+    /// The distances that are minimised.
     pub method: Method,
     /// How points are paired.
     pub pairing: Pairing,
@@ -56,22 +56,22 @@ pub struct Settings {
     pub max_distance_m: Option<f64>,
     /// Approximate number of points of the source that are used.
     pub points: usize,
-    /// Iterations at most.
+    /// Number of iterations after which it stops without having converged.
     pub max_iterations: usize,
     /// Least eigenvalue, as a share of the largest, of a direction that the registration may move along.
     pub weak_eigenvalue: f64,
 }
 
-/// The outcome.
+/// The transform that was found, how well it fits, and how certain it is.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Registration {
     /// `target_from_source`, with its origin at the centroid of the points used.
     pub transform: Transform,
     /// Root mean square residual of the pairs kept, metres.
     pub rms_m: f64,
-    /// Pairs kept.
+    /// Number of pairs kept in the last iteration.
     pub pairs: usize,
-    /// Iterations made.
+    /// Number of iterations made.
     pub iterations: usize,
     /// Whether the last step was smaller than the limits.
     pub converged: bool,

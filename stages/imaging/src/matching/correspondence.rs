@@ -58,7 +58,7 @@ pub struct Correspondence<T> {
 }
 
 impl Correspondence<f64> {
-    /// One of several.
+    /// The correspondence in one lane of several.
     #[inline]
     pub fn of(all: &Correspondence<Lanes>, lane: usize) -> Self {
         let at = |[x, y]: &[Lanes; 2]| [x[lane], y[lane]];

@@ -24,7 +24,7 @@ pub struct Measured {
     pub value_m: f64,
     /// Its expected standard deviation, metres; positive.
     pub sigma_m: f64,
-    /// `1 / sigma_m^2`.
+    /// Weight in an average: `1 / sigma_m^2`.
     weight: f64,
 }
 

@@ -2,7 +2,7 @@
 
 use crate::matching::noise::terms::DisparityError;
 
-/// One matched pixel.
+/// Everything that the matching of one pixel yields: disparity and its errors, ray and depth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Match {
     /// Depth on the noisy ray, metres; in the rectified image where disparities are sampled there.
@@ -34,7 +34,7 @@ impl Match {
 /// Sums over the matched pixels of an image, added in the order of its rows.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Tally {
-    /// Matched pixels.
+    /// Number of matched pixels.
     pub count: usize,
     /// Sum of squared y-parallaxes, square pixels.
     pub y_parallax2_px2: f64,
@@ -43,7 +43,7 @@ pub struct Tally {
 }
 
 impl Tally {
-    /// Counts a match.
+    /// Adds a match to the sums.
     pub fn add(&mut self, m: &Match) {
         self.count += 1;
         self.y_parallax2_px2 += m.y_parallax_px * m.y_parallax_px;

@@ -15,9 +15,9 @@ const MOST_NODES: f64 = 1e8;
 pub struct PairGeometry<'a> {
     /// Ideal depth maps, with the true cameras.
     pub ideal: [&'a Depth; 2],
-    /// True cameras.
+    /// Cameras of the true orientation, from which the ideal depths are seen.
     pub cameras: [Camera; 2],
-    /// Noisy cameras.
+    /// Cameras of the orientation that matching assumes.
     pub noisy: [Camera; 2],
     /// Rectification of the noisy cameras, at the level of the depth maps.
     pub rectification: Rectification,

@@ -33,7 +33,7 @@ choice! {
 pub struct NoisePorts<'a> {
     /// Factor on the local noise by place.
     pub strength: Option<&'a Raster>,
-    /// Learnt model.
+    /// Learnt model that all noise is drawn from, in place of the paper's.
     pub noise: Option<&'a Noise>,
     /// Errors of the user's own.
     pub errors: Option<&'a Depth>,

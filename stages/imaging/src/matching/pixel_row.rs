@@ -23,11 +23,11 @@ pub struct PixelRow {
 /// Up to [`LANES`] pixels of a row; lanes beyond the last pixel are NaN.
 #[derive(Debug, Clone, Copy)]
 pub struct Block<'a> {
-    /// Their columns.
+    /// Columns of the pixels in the depth map.
     pub columns: &'a [usize],
-    /// Their points, metres.
+    /// X, Y and Z of their true points in the frame of the cameras, metres.
     pub points_m: [Lanes; 3],
-    /// Their noisy rays.
+    /// Undistorted normalised coordinates of the pixels in the noisy camera.
     pub noisy_rays: [Lanes; 2],
 }
 

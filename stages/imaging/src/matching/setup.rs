@@ -22,7 +22,7 @@ pub struct Setup<'s> {
     pub sampling: Sampling,
     /// Whether the pixels of the noise are those of the images, and not of the depth maps.
     pub image_pixels: bool,
-    /// The paper's noise.
+    /// White and smooth noise as the paper has them.
     pub noise: PaperNoise,
     /// Further terms of a real matcher's noise.
     pub terms: Option<MatcherTerms>,

@@ -11,11 +11,11 @@ use rockface_core::{StageError, fail};
 pub struct Face {
     /// Centre of the bounding box in X and Y, mean of the vertices in Z.
     pub centre: Vector3<f64>,
-    /// Width along X.
+    /// Extent of the vertices along X, metres.
     pub width_m: f64,
-    /// Height along Y.
+    /// Extent of the vertices along Y, metres.
     pub height_m: f64,
-    /// Largest Z.
+    /// Largest Z of the vertices, metres: the rock nearest to the viewer.
     pub nearest_z: f64,
     /// Vertices evenly spaced in the vertex list.
     pub samples: Vec<Vector3<f64>>,

@@ -25,7 +25,7 @@ struct Run {
     triangles: u32,
 }
 
-/// No run.
+/// Stands for the number of a run where there is none.
 const NONE: u32 = u32::MAX;
 
 /// Takes away the pieces of fewer triangles than some; pieces connect through points. Returns how many triangles went.

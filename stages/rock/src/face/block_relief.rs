@@ -54,7 +54,7 @@ pub struct Fallen {
     pub share: f64,
     /// How far behind the relief the rock ends at most, metres.
     pub depth_m: f64,
-    /// Draws which.
+    /// Decides which blocks have fallen.
     pub noise: Field,
 }
 

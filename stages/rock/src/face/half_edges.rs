@@ -72,7 +72,7 @@ impl<'a> HalfEdges<'a> {
         self.twin(half).is_some_and(|twin| self.origin(twin) == self.origin(half))
     }
 
-    /// All half-edges.
+    /// The numbers of all half-edges, three for each triangle.
     pub fn all(&self) -> std::ops::Range<u32> {
         0..self.twins.len() as u32
     }

@@ -8,7 +8,7 @@ use rockface_core::artefact::Mesh;
 /// How often a fault occurs, and where first.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Found {
-    /// How often.
+    /// How often it occurs; 0 where the mesh does not have the fault.
     pub count: usize,
     /// A place of the first, metres, in the frame of the mesh.
     pub place: Option<[f64; 3]>,
@@ -24,7 +24,7 @@ impl Found {
 /// A connected piece of a mesh.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Piece {
-    /// Triangles.
+    /// Number of triangles.
     pub triangles: usize,
     /// Half-edges on its border or on edges of three or more triangles; 0: it is closed.
     pub open_edges: usize,
@@ -39,9 +39,9 @@ pub struct Piece {
 /// A closed line of border edges.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Border {
-    /// Its piece.
+    /// The piece it belongs to, by its place in [`Inspection::pieces`].
     pub piece: usize,
-    /// Edges.
+    /// Number of edges.
     pub edges: usize,
     /// Length, metres.
     pub length_m: f64,
@@ -49,7 +49,7 @@ pub struct Border {
     pub place: [f64; 3],
 }
 
-/// What was found.
+/// Everything that is wrong with a mesh, its pieces and its holes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Inspection {
     /// Edges of one triangle.

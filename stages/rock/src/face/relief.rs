@@ -12,9 +12,9 @@ const OCTAVE_RATIO: f64 = 1.932_851;
 /// A regular grid of vertices around the origin; row 0 has the largest Y.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lattice {
-    /// Columns of vertices.
+    /// Number of columns of vertices, along X.
     pub columns: usize,
-    /// Rows of vertices.
+    /// Number of rows of vertices, from the largest Y down.
     pub rows: usize,
     /// Distance of neighbours, metres.
     pub spacing_m: f64,

@@ -161,7 +161,7 @@ pub fn drop_small_pieces(mesh: &mut Mesh, min_triangles: usize) -> usize {
 #[derive(Debug, Default)]
 pub struct Places {
     numbers: HashMap<[u64; 3], u32>,
-    /// The places, metres.
+    /// The places in the order of their numbers, metres.
     pub vertices: Vec<[f64; 3]>,
 }
 

@@ -31,7 +31,7 @@ pub struct Zone {
     pub footprint_cells: usize,
     /// Cells a block may stand in.
     pub safe_cells: usize,
-    /// Holes that count.
+    /// Number of holes large enough to keep blocks away.
     pub holes: usize,
     /// Holes too small to count.
     pub small_holes: usize,

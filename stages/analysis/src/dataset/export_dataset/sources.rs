@@ -7,7 +7,7 @@ use rockface_core::artefact::{Inventory, Raster};
 use rockface_core::{Inputs, Point, StageError, fail};
 use rockface_raster::grid;
 
-/// One comparison.
+/// The rasters and the truth of one comparison, and at which point of the axes it stands.
 pub(super) struct Scored<'a> {
     pub(super) point: &'a Point,
     pub(super) difference: &'a Raster,

@@ -43,7 +43,7 @@ fn inputs(events: usize, quiet: usize) -> Inputs<'static> {
     inputs
 }
 
-/// Path and content.
+/// Path in the data set and content of a file.
 type File = (String, Vec<u8>);
 
 fn run(with: &serde_json::Value, inputs: &Inputs) -> Result<(Vec<File>, Table), StageError> {

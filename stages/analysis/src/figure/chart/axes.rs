@@ -18,7 +18,7 @@ use rockface_core::artefact::CodecError;
 /// A chart over two axes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Axes {
-    /// The horizontal axis.
+    /// The horizontal axis, with its label below.
     pub x: Axis,
     /// The vertical axis; its label stands over the chart.
     pub y: Axis,
@@ -29,7 +29,7 @@ pub struct Axes {
 }
 
 impl Axes {
-    /// Axes without layers.
+    /// Axes on which nothing is drawn yet.
     pub fn new(x: Axis, y: Axis) -> Self {
         Self { x, y, layers: Vec::new(), colours: None }
     }

@@ -9,7 +9,7 @@ use rockface_core::artefact::CodecError;
 /// Colours of values and what the values are.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ColourKey {
-    /// The colours.
+    /// The palette and the values at its ends.
     pub scale: ColourScale,
     /// What they show, with its unit.
     pub label: String,
@@ -35,7 +35,7 @@ impl ColourKey {
         Self { scale: ColourScale { palette: Palette::Viridis, low, high }, label: label.into() }
     }
 
-    /// Sets the palette.
+    /// Replaces the palette; the range of values stays.
     #[must_use]
     pub fn palette(mut self, palette: Palette) -> Self {
         self.scale.palette = palette;

@@ -9,7 +9,7 @@ pub struct Layer {
     pub name: String,
     /// What it is drawn with; `None` for the next series colour.
     pub ink: Option<Ink>,
-    /// What it is.
+    /// What is drawn: a line, points, bars and so on, with its data.
     pub mark: Mark,
 }
 
@@ -20,7 +20,7 @@ pub enum Mark {
     Line(Vec<[f64; 2]>),
     /// An area between two lines: (x, low, high).
     Band(Vec<[f64; 3]>),
-    /// Points (x, y).
+    /// Separate points (x, y).
     Points(Vec<[f64; 2]>),
     /// Points (x, y) coloured by a third value; the axes need a [`super::ColourKey`].
     Valued(Vec<[f64; 3]>),
@@ -30,7 +30,7 @@ pub enum Mark {
     Columns {
         /// Edges of the columns, ascending.
         edges: Vec<f64>,
-        /// Heights.
+        /// Heights of the columns, from left to right.
         heights: Vec<f64>,
     },
     /// Lying bars from zero, one for each name of the vertical axis; negative ones in another colour.
@@ -58,7 +58,7 @@ pub enum Mark {
 }
 
 impl Layer {
-    /// A layer.
+    /// A layer in the ink that is usual for what it draws.
     pub fn new(name: impl Into<String>, mark: Mark) -> Self {
         Self { name: name.into(), ink: None, mark }
     }
@@ -73,12 +73,12 @@ impl Layer {
         Self::new(name, Mark::Band(points))
     }
 
-    /// Points (x, y).
+    /// A layer of separate points (x, y).
     pub fn points(name: impl Into<String>, points: Vec<[f64; 2]>) -> Self {
         Self::new(name, Mark::Points(points))
     }
 
-    /// Sets the ink.
+    /// Draws the layer with this ink instead of a series colour.
     #[must_use]
     pub fn ink(self, ink: Ink) -> Self {
         Self { ink: Some(ink), ..self }

@@ -84,7 +84,7 @@ impl Sheet {
         Self { title: String::new(), subtitle: String::new(), width_px: 720, panel_height_px, columns, panels }
     }
 
-    /// Sets the title.
+    /// Sets the title over the whole sheet.
     #[must_use]
     pub fn title(self, title: impl Into<String>) -> Self {
         Self { title: title.into(), ..self }
@@ -114,12 +114,12 @@ impl Sheet {
 pub struct Panel {
     /// Over the chart; may be empty.
     pub title: String,
-    /// The chart.
+    /// What is drawn in the panel.
     pub plot: Plot,
 }
 
 impl Panel {
-    /// A panel.
+    /// A panel with a title, which may be empty, and a chart.
     pub fn new(title: impl Into<String>, plot: impl Into<Plot>) -> Self {
         Self { title: title.into(), plot: plot.into() }
     }

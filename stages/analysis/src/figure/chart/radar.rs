@@ -8,7 +8,7 @@ use crate::figure::colour_scale::{ColourScale, Palette, labels};
 use rockface_core::artefact::CodecError;
 use rockface_core::numerics::portable_math;
 
-/// A radar.
+/// Values of several quantities for each thing that is compared, as outlines over spokes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Radar {
     /// Names of the spokes, at least three, the first upwards and the others clockwise.

@@ -21,7 +21,7 @@ pub struct Axis {
 /// How values are laid out on an axis.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum AxisKind {
-    /// Evenly.
+    /// In proportion to their differences.
     Linear,
     /// By their logarithm; values that are not positive are not drawn.
     Log,
@@ -30,12 +30,12 @@ pub enum AxisKind {
 }
 
 impl Axis {
-    /// A linear axis.
+    /// A linear axis whose range is what the layers need.
     pub fn linear(label: impl Into<String>) -> Self {
         Self { label: label.into(), kind: AxisKind::Linear, range: None }
     }
 
-    /// A logarithmic axis.
+    /// A logarithmic axis whose range is what the layers need.
     pub fn log(label: impl Into<String>) -> Self {
         Self { label: label.into(), kind: AxisKind::Log, range: None }
     }

@@ -63,9 +63,9 @@ pub enum Ink {
     Muted,
     /// The colour of text.
     Text,
-    /// Axes and labels.
+    /// The paler colour of axes and their labels.
     Faint,
-    /// Grid lines.
+    /// The palest colour, of grid lines.
     Hair,
     /// A dashed line: thresholds, means, lines of equality.
     Rule,
@@ -101,9 +101,9 @@ impl Ink {
 /// The sizes and weights of text.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Face {
-    /// Of the sheet.
+    /// The title of the sheet.
     Title,
-    /// Of a panel.
+    /// The title of a panel.
     Heading,
     /// Of axes, series, rows.
     Label,

@@ -18,7 +18,7 @@ const DIFFERENCES: f64 = 0.98;
 /// A grid of values and what they are.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Look<'a> {
-    /// Columns of values.
+    /// Number of columns of `values`.
     pub columns: usize,
     /// Values by row from the top, NaN where there is none.
     pub values: Cow<'a, [f32]>,
@@ -26,7 +26,7 @@ pub struct Look<'a> {
     pub cell_m: Option<f64>,
     /// `elevation`, `difference`, `depth`, ...
     pub quantity: String,
-    /// What is seen.
+    /// What is seen, as a title: the quantity with the band or image.
     pub title: String,
     /// The size of what is seen.
     pub grid: String,

@@ -19,9 +19,9 @@ const MAXIMUM_ENLARGEMENT: usize = 40;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Layout {
     margin: usize,
-    /// Over the values.
+    /// Room over the values.
     head: usize,
-    /// Under them.
+    /// Room under the values.
     foot: usize,
     bar_gap: usize,
     bar_width: usize,
@@ -118,9 +118,9 @@ impl Layout {
     }
 }
 
-/// What is drawn.
+/// A grid of values to be drawn, and how.
 pub struct Subject<'a> {
-    /// Columns of values.
+    /// Number of columns of `values`.
     pub columns: usize,
     /// Values by row from the top, NaN where there is none.
     pub values: &'a [f32],
@@ -128,9 +128,9 @@ pub struct Subject<'a> {
     pub cell_m: Option<f64>,
     /// Whether values are heights in metres to be shaded by a light from the upper left.
     pub shaded: bool,
-    /// Colours.
+    /// The palette and the values at its ends.
     pub scale: ColourScale,
-    /// Over the picture.
+    /// The title over the picture.
     pub title: String,
     /// Under the title; the share of the values beyond the colours is added.
     pub subtitle: String,

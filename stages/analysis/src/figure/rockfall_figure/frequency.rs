@@ -9,7 +9,7 @@ use super::{ACCENT, FAINT, Figure, Frame, INK, strokes};
 
 const REQUESTED: [u8; 3] = [70, 120, 180];
 
-/// Draws the panel.
+/// Draws the panel of magnitude and frequency.
 pub fn draw(canvas: &mut Canvas, figure: &Figure, panel: Frame) -> Result<(), CodecError> {
     let mut volumes: Vec<f64> = figure.rockfalls.iter().map(|fall| fall.removed_m3).collect();
     volumes.sort_by(f64::total_cmp);

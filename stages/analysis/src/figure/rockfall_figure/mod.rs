@@ -43,7 +43,7 @@ pub struct Rockfall<'a> {
 /// What the figure shows.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Figure<'a> {
-    /// Over the figure.
+    /// The title over the figure.
     pub title: String,
     /// Elevation of the face by row from the top, NaN where there is none.
     pub face: &'a [f32],

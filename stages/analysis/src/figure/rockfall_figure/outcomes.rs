@@ -12,7 +12,7 @@ use super::{FAINT, INK, MARGIN, TITLE, strokes};
 pub struct Outcome<'a> {
     /// What it is called in the legend.
     pub name: String,
-    /// Its colour.
+    /// The colour of its outlines and marks.
     pub colour: Colour,
     /// Whether outlines are filled.
     pub filled: bool,
@@ -25,20 +25,20 @@ pub struct Outcome<'a> {
 /// A mark over an outline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Mark {
-    /// None.
+    /// No mark: the outline is enough.
     None,
-    /// A cross.
+    /// A cross over the outline.
     Cross,
-    /// A ring.
+    /// A ring around the outline.
     Ring,
 }
 
 /// A map of outcomes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Map<'a> {
-    /// Over the map.
+    /// The title over the map.
     pub title: String,
-    /// Under the title.
+    /// A line under the title.
     pub subtitle: String,
     /// Elevation of the face by row from the top, NaN where there is none.
     pub face: &'a [f32],

@@ -11,7 +11,7 @@ const PARTS: usize = 400;
 /// Cubes of the grid at most: beyond it cubes are enlarged.
 const CUBES: f64 = 4e6;
 
-/// A mesh.
+/// A sketch of one mesh, thinned where it has too many triangles.
 pub fn of_mesh(mesh: &Mesh) -> Sketch {
     let origin_m = origin(mesh.vertices.iter());
     let (body, joined) = body("", "", &mesh.vertices, &mesh.triangles, TRIANGLES, origin_m);

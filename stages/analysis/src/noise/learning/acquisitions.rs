@@ -15,7 +15,7 @@ const LEAST_BAD_PART: f64 = 0.5;
 /// How acquisitions are drawn from those that are known.
 #[derive(Debug, Clone)]
 pub struct Acquisitions {
-    /// What is known.
+    /// The acquisitions that are known.
     pub members: Vec<Member>,
     /// Probability that an acquisition is bad.
     pub bad_share: f64,

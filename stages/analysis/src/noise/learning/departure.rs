@@ -11,7 +11,7 @@ pub fn figures(whitened: &Whitened) -> Vec<f64> {
 /// Mean of one figure over some rasters.
 #[derive(Debug, Clone, Copy)]
 pub struct Mean {
-    /// The mean.
+    /// The mean, in the unit of the figure.
     pub value: f64,
     /// Its squared standard error.
     pub squared_error: f64,
@@ -36,9 +36,9 @@ impl Mean {
 /// Departure of one mean from another.
 #[derive(Debug, Clone, Copy)]
 pub struct Departure {
-    /// The difference.
+    /// How much the first mean lies above the second.
     pub difference: f64,
-    /// Its standard error.
+    /// The standard error of the difference.
     pub error: f64,
 }
 

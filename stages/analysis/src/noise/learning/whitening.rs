@@ -13,7 +13,7 @@ use rockface_imaging::matching::noise::ensemble::log_strength_at;
 
 /// Shares of the face, from the quietest place on, at which a class of place ends: fifths, and the strongest 3 %.
 const CLASS_ENDS: [f64; 5] = [0.2, 0.4, 0.6, 0.8, 0.97];
-/// Bands of frequency.
+/// Number of bands of frequency.
 pub const BANDS: usize = 12;
 /// Rounds in which map and levels are fitted to each other.
 const ROUNDS: usize = 3;
@@ -25,14 +25,14 @@ const FILLING_CELLS: [f64; 2] = [1.5, 6.0];
 pub struct Prior<'a> {
     /// Expected strength of each cell, of any scale.
     pub strength: &'a [f32],
-    /// Weight, rasters.
+    /// How many rasters the expectation counts as.
     pub rasters: f64,
 }
 
 /// Rasters on one grid; NaN in gaps.
 #[derive(Debug, Clone, Copy)]
 pub struct Stack<'a> {
-    /// The rasters.
+    /// The values of each raster by row from the top.
     pub rasters: &'a [Vec<f32>],
     /// Columns of the grid.
     pub columns: usize,
@@ -158,7 +158,7 @@ impl Places {
     }
 }
 
-/// A whitened raster.
+/// A raster divided by its strength: what is left, and how strong it was.
 #[derive(Debug, Clone)]
 pub struct Whitened {
     /// Logarithm of its factor on the strength, for each class of place.
@@ -178,7 +178,7 @@ pub fn whiten(rasters: &[Vec<f32>], columns: usize, places: &Places) -> Vec<Whit
     rasters.par_iter().map(|raster| whitened(raster, &bands, columns, places)).collect()
 }
 
-/// Whitens a raster.
+/// Whitens one raster: divides it by the strength at each place and fills its gaps.
 pub fn whitened(raster: &[f32], bands: &Bands, columns: usize, places: &Places) -> Whitened {
     let log_strength = places.log_strength(raster);
     let (field, weights) = filled(&places.divided(raster, &log_strength), columns);

@@ -258,7 +258,7 @@ fn density_faults(density: &Density) -> Vec<Fault> {
 pub enum Quantity {
     /// The same for all.
     Fixed(f64),
-    /// Drawn for each.
+    /// Drawn for each candidate from this distribution.
     Drawn(Distribution),
 }
 

@@ -59,13 +59,13 @@ fn ascii(text: &str) -> String {
 /// Georeference tags as found in a file.
 #[derive(Debug, Default)]
 pub struct Placement {
-    /// `ModelPixelScale`.
+    /// Tag `ModelPixelScale`: side of a cell along each axis.
     pub scale: Option<Vec<f64>>,
-    /// `ModelTiepoint`.
+    /// Tag `ModelTiepoint`: column, row and level of a place, then X, Y and Z of it.
     pub tiepoint: Option<Vec<f64>>,
     /// `ModelTransformation`, 4 x 4 by row.
     pub matrix: Option<Vec<f64>>,
-    /// `GeoKeyDirectory`.
+    /// Tag `GeoKeyDirectory`: the keys of the coordinate reference system; empty where there is none.
     pub keys: Vec<u16>,
 }
 

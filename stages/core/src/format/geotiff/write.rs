@@ -150,7 +150,7 @@ pub fn bits(sample: Sample) -> u16 {
     }
 }
 
-/// `SampleFormat` and predictor.
+/// The values of the tags `SampleFormat` and `Predictor`.
 pub fn coding(sample: Sample) -> (u16, u16) {
     if sample == Sample::Float { (3, FLOATING_POINT) } else { (1, HORIZONTAL) }
 }

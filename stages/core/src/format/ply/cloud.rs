@@ -118,11 +118,11 @@ fn read_body<S: Source>(header: &Header, mut source: S) -> Result<Cloud, CodecEr
 
 /// Where a property goes.
 enum Role {
-    /// One of [`KNOWN`].
+    /// A property every cloud may have, by its place in [`KNOWN`].
     Known(usize),
-    /// A number.
+    /// A further whole number of each point, by its place among these.
     Number(usize),
-    /// Nowhere.
+    /// It is read and dropped.
     Other,
 }
 

@@ -17,7 +17,7 @@ pub const UNITS_COMMENT: &str = ", units metres";
 /// How numbers are written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Encoding {
-    /// Text.
+    /// Decimal numbers in lines of text.
     Ascii,
     /// Binary, least significant byte first.
     LittleEndian,
@@ -67,7 +67,7 @@ impl Type {
 /// A property of an element: a number, or a list where `count` is given.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Property {
-    /// Its name.
+    /// Its name, such as `x` or `vertex_indices`.
     pub name: String,
     /// Type of the list's length.
     pub count: Option<Type>,
@@ -89,9 +89,9 @@ impl Property {
 /// An element: so many rows of the same properties.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Element {
-    /// Its name.
+    /// Its name, such as `vertex` or `face`.
     pub name: String,
-    /// Number of rows.
+    /// How many rows the file has of it.
     pub count: usize,
     /// Properties in the order of the file.
     pub properties: Vec<Property>,
@@ -121,7 +121,7 @@ impl Element {
     }
 }
 
-/// A whole header.
+/// What a PLY file says before its rows.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Header {
     /// How numbers are written.

@@ -8,7 +8,7 @@ use rockface_core::{StageError, fail};
 /// One chunk of a file.
 #[derive(Debug, Default)]
 pub struct Chunk {
-    /// Its sensors.
+    /// Its sensors, in the order of the file.
     pub sensors: Vec<SensorEntry>,
     /// Its cameras, in the order of the file.
     pub cameras: Vec<CameraEntry>,
@@ -20,12 +20,12 @@ pub struct Chunk {
     pub reference: Option<String>,
 }
 
-/// A sensor.
+/// A sensor as the file has it, before it becomes an interior orientation.
 #[derive(Debug)]
 pub struct SensorEntry {
-    /// Its id.
+    /// The number cameras refer to it by, as text.
     pub id: String,
-    /// `frame`, `fisheye`, ...
+    /// The model of its lens: `frame`, `fisheye` and others.
     pub kind: String,
     /// Elements of its calibration by name, image size among them as `width` and `height`; the adjusted one where there are two.
     pub calibration: Option<Vec<(String, f64)>>,
@@ -36,7 +36,7 @@ pub struct SensorEntry {
 /// A camera: an image.
 #[derive(Debug)]
 pub struct CameraEntry {
-    /// Its label.
+    /// Its label, which is the name of the image.
     pub label: String,
     /// Id of its sensor.
     pub sensor: String,
@@ -55,9 +55,9 @@ pub struct CameraEntry {
 /// `X_world = scale rotation X_chunk + translation`.
 #[derive(Debug, Clone, Copy)]
 pub struct Similarity {
-    /// Rotation.
+    /// The rotation from the chunk to the world.
     pub rotation: Matrix3<f64>,
-    /// Translation.
+    /// The translation in the world, in its unit.
     pub translation: Vector3<f64>,
     /// Scale, greater than zero.
     pub scale: f64,

@@ -30,7 +30,7 @@ const UNIT_TOLERANCE: f64 = 1e-6;
 /// An image block read from files.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CameraFile {
-    /// The block.
+    /// The sensors and oriented images that were read.
     pub cameras: Cameras,
     /// Whether the file states its frame.
     pub states_frame: bool,

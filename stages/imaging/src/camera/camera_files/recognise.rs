@@ -9,30 +9,30 @@ use rockface_core::{StageError, fail};
 pub enum Role {
     /// JSON with sensors and images.
     Json,
-    /// Metashape's camera XML.
+    /// A camera XML of Metashape.
     Metashape,
-    /// Bundler's `.out`.
+    /// A bundle file `.out` of Bundler.
     Bundler,
     /// `list.txt`, the image names of a Bundler file.
     BundlerList,
-    /// `cameras.txt` of COLMAP.
+    /// The interior orientations of COLMAP as text, `cameras.txt`.
     TextCameras,
-    /// `images.txt` of COLMAP.
+    /// The exterior orientations of COLMAP as text, `images.txt`.
     TextImages,
-    /// `cameras.bin` of COLMAP.
+    /// The interior orientations of COLMAP as bytes, `cameras.bin`.
     BinaryCameras,
-    /// `images.bin` of COLMAP.
+    /// The exterior orientations of COLMAP as bytes, `images.bin`.
     BinaryImages,
 }
 
 /// The complete file of a role.
 #[derive(Debug)]
 pub struct Part {
-    /// What it is.
+    /// What the file is to the block.
     pub role: Role,
     /// Its name without folder.
     pub name: String,
-    /// Its content.
+    /// The bytes of the whole file.
     pub bytes: Vec<u8>,
 }
 

@@ -65,7 +65,7 @@ fn array(map: &PinholeMap, channels: usize, values: impl Iterator<Item = f32>) -
     bytes
 }
 
-/// An even grey.
+/// A PNG in one even grey: COLMAP asks for a picture of each image.
 fn picture(width: usize, height: usize) -> Result<Vec<u8>, StageError> {
     let fault =
         |error: png::EncodingError| StageError::new(format!("the picture for COLMAP cannot be written: {error}"));

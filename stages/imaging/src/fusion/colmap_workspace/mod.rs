@@ -23,7 +23,7 @@ const ORIGIN_STEP_M: f64 = 100.0;
 
 /// A folder for COLMAP.
 pub struct Workspace {
-    /// Files by name.
+    /// Path in the folder and content of each file.
     pub files: Vec<(String, Vec<u8>)>,
     /// Origin of its coordinates in the frame of the depth maps, metres.
     pub origin_m: [f64; 3],

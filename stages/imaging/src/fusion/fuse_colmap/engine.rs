@@ -8,16 +8,16 @@ use rockface_core::{Context, StageError};
 
 /// Prints the version of pycolmap.
 const VERSION: &str = "import pycolmap; print(pycolmap.__version__)";
-/// Fuses.
+/// The Python program that fuses a workspace through pycolmap.
 const SCRIPT: &str = include_str!("fuse.py");
 
 /// Folder of the workspace in the working directory of the program.
 pub const WORKSPACE: &str = "work";
-/// The fused cloud.
+/// Where the program puts the fused cloud.
 pub const FUSED: &str = "out/fused.ply";
 /// The images from which each point was fused.
 pub const VISIBILITY: &str = "out/fused.ply.vis";
-/// The Poisson mesh.
+/// Where the program puts the mesh of the Poisson reconstruction.
 pub const MESHED: &str = "out/meshed.ply";
 
 type Files = Vec<(String, Vec<u8>)>;

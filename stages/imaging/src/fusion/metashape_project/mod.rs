@@ -27,7 +27,7 @@ const ORIGIN_STEP_M: f64 = 1000.0;
 
 /// The files of a project.
 pub struct Project {
-    /// Files by name.
+    /// Path in the folder and content of each file.
     pub files: Vec<(String, Vec<u8>)>,
     /// Origin of its coordinates in the frame of the depth maps, metres.
     pub origin_m: [f64; 3],

@@ -38,7 +38,7 @@ pub struct Layout {
 /// Sums of weighted distances; the blocks are sorted by their keys.
 #[derive(Debug, Clone)]
 pub struct Volume {
-    /// Its geometry.
+    /// Size of the voxels, truncation and window.
     pub layout: Layout,
     /// Places of the blocks, ascending.
     pub keys: Vec<Key>,
@@ -46,7 +46,7 @@ pub struct Volume {
     pub numbers: HashMap<Key, u32>,
     /// Sum of weight times distance (in truncations, -1 to 1, positive before the surface), [`VOXELS`] a block.
     pub distance: Vec<f32>,
-    /// Sum of weights.
+    /// Sum of the weights of each voxel, in the order of `distance`.
     pub weight: Vec<f32>,
     /// Maps that contributed, 255 at most.
     pub maps: Vec<u8>,

@@ -228,7 +228,7 @@ impl MatcherTerms {
         Ok(terms)
     }
 
-    /// All terms off.
+    /// Terms that are all off: only the paper's noise is left.
     pub fn none() -> Self {
         Self {
             local_length_px: 0.0,

@@ -196,7 +196,7 @@ pub struct FieldRecipe {
     pub spacing_px: f64,
     /// Distribution of the nodes.
     pub distribution: Distribution,
-    /// Interpolation between them.
+    /// How values between the nodes are interpolated.
     pub interpolation: Interpolation,
     /// What unit standard deviation refers to.
     pub variance: Variance,

@@ -15,14 +15,14 @@ use crate::matching::side::Side;
 use rockface_core::numerics::fast_round::nearest;
 use rockface_core::numerics::portable_math;
 
-/// A unit field.
+/// A random field of unit variance, of one of the kinds that noise is made of.
 #[derive(Debug, Clone)]
 pub enum UnitField {
     /// Independent from pixel to pixel.
     White(LocalNoise),
     /// With a short-range correlation.
     Correlated(CorrelatedNoise),
-    /// Interpolated between nodes.
+    /// Drawn at nodes and interpolated between them.
     Smooth(SmoothNoise),
 }
 
@@ -54,7 +54,7 @@ pub struct Part {
     pub weight: f64,
     /// Position at which it is evaluated.
     pub address: Address,
-    /// The field.
+    /// The field of unit variance that is weighted.
     pub field: UnitField,
 }
 

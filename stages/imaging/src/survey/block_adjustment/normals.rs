@@ -14,7 +14,7 @@ const RAYS_MEET: f64 = 1e-12;
 /// An object point of the block adjustment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ObjectPoint {
-    /// Its position, metres.
+    /// Its position in the frame of the block, metres.
     pub position_m: Vector3<f64>,
     /// The images in which it is measured.
     pub images: Vec<usize>,
@@ -31,7 +31,7 @@ pub struct Priors {
     pub position_sigma_m: Option<[f64; 3]>,
 }
 
-/// Reduced normal equations.
+/// Normal equations of the orientation parameters alone, object points eliminated.
 #[derive(Debug, Clone)]
 pub struct Normals {
     /// The matrix, n x n in the order of the unknowns.

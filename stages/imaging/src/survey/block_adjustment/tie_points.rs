@@ -57,7 +57,7 @@ impl Visibility {
 /// How tie points are made.
 #[derive(Debug, Clone, Copy)]
 pub struct Wanted {
-    /// How many.
+    /// Number of tie points on the face.
     pub count: usize,
     /// In how many images a point is measured at most; a random choice of those that see it.
     pub most_images: usize,

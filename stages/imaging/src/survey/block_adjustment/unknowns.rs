@@ -29,7 +29,7 @@ impl Unknowns {
         Self { images: cameras.images.len(), sensors: cameras.sensors.len(), free }
     }
 
-    /// Their number.
+    /// Number of all unknowns, which is the size of the normal matrix.
     pub fn count(&self) -> usize {
         EXTERIOR.len() * self.images + self.free.len() * self.sensors
     }

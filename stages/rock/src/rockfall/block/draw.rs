@@ -14,7 +14,7 @@ pub struct Drawing {
 }
 
 impl Drawing {
-    /// Starts a list.
+    /// Draws for a candidate of this class; nothing is noted yet.
     pub fn new(draws: Draws, class: usize) -> Self {
         Self { draws, class, noted: Vec::new() }
     }
@@ -49,7 +49,7 @@ impl Drawing {
         self.draws.key(&self.purpose(name))
     }
 
-    /// Notes a number.
+    /// Notes a number that was not drawn here.
     pub fn note(&mut self, name: &str, value: f64) {
         self.noted.push((name.to_owned(), value));
     }

@@ -10,7 +10,7 @@ pub fn class_of_band(name: &str) -> &str {
 /// The weights of a class of blocks at the cells of a zone; NaN where there is none.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Weights {
-    /// The class.
+    /// The name of the class.
     pub class: String,
     /// One weight a cell, by row from the top.
     pub values: Vec<f32>,

@@ -10,7 +10,7 @@ use super::{Solid, squared_distance};
 /// Rounds after which it is given up.
 const ROUNDS: usize = 50;
 
-/// What untangling did.
+/// How far the vertices of a block were moved, and what is still tangled.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Untangled {
     /// Vertices that were moved.

@@ -102,7 +102,7 @@ impl Solid {
         self.volume_and_centroid().0
     }
 
-    /// Moves every vertex.
+    /// Moves every vertex to the place that `to` gives for it.
     pub fn map(&mut self, to: impl Fn(V) -> V) {
         self.vertices.iter_mut().for_each(|vertex| *vertex = to(*vertex));
     }

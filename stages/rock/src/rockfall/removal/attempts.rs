@@ -18,7 +18,7 @@ pub const BATCH: usize = 8;
 /// When to stop, and how far apart to stay.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Plan {
-    /// Pieces wanted.
+    /// Number of pieces after which the loop ends.
     pub count: u64,
     /// Candidates that may fail in a row.
     pub most_failures: u64,
@@ -33,7 +33,7 @@ pub struct Plan {
 pub struct Candidate {
     /// Its number in its sequence.
     pub number: u64,
-    /// Its class.
+    /// The name of its class of blocks.
     pub class: String,
     /// What was drawn for it.
     pub parameters: Vec<(String, f64)>,
@@ -50,9 +50,9 @@ pub struct Event {
     pub number: u32,
     /// The number of its first piece; the others follow.
     pub first_piece: u32,
-    /// The candidate.
+    /// The candidate as it was drawn.
     pub candidate: Candidate,
-    /// What was done.
+    /// What it took out of the face.
     pub proposal: Proposal,
 }
 
@@ -61,7 +61,7 @@ pub struct Event {
 pub struct Attempt {
     /// Number of the candidate.
     pub candidate: u64,
-    /// Its class.
+    /// The name of its class of blocks.
     pub class: String,
     /// Where it was tried, metres.
     pub position: Option<[f64; 3]>,
@@ -97,7 +97,7 @@ pub enum End {
 
 /// What the loop came to.
 pub struct Outcome {
-    /// The face after.
+    /// The face without the pieces.
     pub face: Face,
     /// Colours of its vertices; empty where it had none.
     pub colours: Vec<[u8; 3]>,
@@ -110,7 +110,7 @@ pub struct Outcome {
 }
 
 impl Outcome {
-    /// Pieces taken out.
+    /// How many pieces all events took out together.
     pub fn pieces(&self) -> u64 {
         self.events.iter().map(|event| event.proposal.pieces.len() as u64).sum()
     }

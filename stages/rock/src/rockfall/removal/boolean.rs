@@ -52,7 +52,7 @@ impl Solid {
         import(places, &[patch, closing].concat(), runs)
     }
 
-    /// A block.
+    /// A block, whose triangles results name by their place in this list.
     pub fn block(places: &[[f64; 3]], triangles: &[[u32; 3]]) -> Result<Self, BooleanError> {
         import(places, triangles, (vec![0, 3 * triangles.len() as u32], vec![BLOCK]))
     }
@@ -84,7 +84,7 @@ impl Solid {
         })
     }
 
-    /// Its surface.
+    /// Its surface, each triangle with where it comes from.
     pub fn shell(&self) -> Shell {
         let mesh: MeshGLP<f64, u32> = self.0.get_mesh_glp(-1);
         let width = mesh.num_prop as usize;

@@ -71,7 +71,7 @@ pub enum Failure {
 /// The thresholds of one piece.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Threshold {
-    /// Its depth.
+    /// Its depth along the direction of placement.
     Depth,
     /// Its volume or size.
     Size,

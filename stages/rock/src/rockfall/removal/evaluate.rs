@@ -51,13 +51,13 @@ pub struct Trial {
     pub block: Facets,
     /// Whether its Z is to be turned to the local normal.
     pub align_to_normal: bool,
-    /// Where it stands.
+    /// Where on the face it is to stand.
     pub stand: Stand,
 }
 
 /// What a candidate has to fulfil.
 pub struct Rules<'a> {
-    /// Direction of placement.
+    /// The direction that blocks are placed along.
     pub direction: Direction,
     /// Whether the border of the mesh must stay out of reach.
     pub border: bool,
@@ -119,7 +119,7 @@ pub struct Evaluation {
     pub result: Result<Proposal, Rejection>,
 }
 
-/// Tries a candidate.
+/// Places a candidate, cuts, and checks the outcome; the face stays as it is.
 pub fn evaluate(face: &Face, trial: &Trial, rules: &Rules) -> Evaluation {
     let mut evaluation = Evaluation { read: Rect::EMPTY, position: None, result: Err(Reason::OffFace.into()) };
     evaluation.result = place(face, trial, rules, &mut evaluation.read).and_then(|placed| {

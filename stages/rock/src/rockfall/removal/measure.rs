@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::face::Rect;
 use crate::face::tetrahedra::tetrahedra;
 
-/// Area of triangles.
+/// The sum of the areas of triangles, square metres.
 pub fn area_m2(vertices: &[[f64; 3]], triangles: &[[u32; 3]]) -> f64 {
     let at = |v: u32| Vector3::from(vertices[v as usize]);
     triangles.iter().fold(0.0, |sum, [a, b, c]| sum + (at(*b) - at(*a)).cross(&(at(*c) - at(*a))).norm()) / 2.0
@@ -49,7 +49,7 @@ pub struct Lids<'a> {
 }
 
 impl<'a> Lids<'a> {
-    /// Sorts triangles in.
+    /// Sorts triangles into cells, about as many as there are triangles.
     pub fn new(places: &'a [[f64; 3]], triangles: &[[u32; 3]]) -> Self {
         let rect = Rect::around(triangles.iter().flatten().map(|v| &places[*v as usize]));
         let size = [0, 1].map(|k| (rect.high[k] - rect.low[k]).max(0.0));

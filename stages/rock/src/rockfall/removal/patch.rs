@@ -33,7 +33,7 @@ pub struct Patch {
 pub struct Closed {
     /// The places of the patch, then those added.
     pub places: Vec<[f64; 3]>,
-    /// The triangles added.
+    /// The triangles that were added, by index into `places`.
     pub triangles: Vec<[u32; 3]>,
 }
 

@@ -13,7 +13,7 @@ use rockface_core::numerics::portable_math;
 
 /// A block where it is to be taken out.
 pub struct Placed {
-    /// The block, metres.
+    /// The block where it is to be taken out, metres in the frame of the face.
     pub block: Facets,
     /// Where its centroid is, metres.
     pub position: [f64; 3],

@@ -69,7 +69,7 @@ impl Reason {
 /// A rejection with what there is to say about it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rejection {
-    /// Why.
+    /// The check that was not passed.
     pub reason: Reason,
     /// Particulars; may be empty.
     pub detail: String,

@@ -22,7 +22,7 @@ const MOST_SKIPPED: u64 = 10_000;
 /// Where the blocks come from.
 #[derive(Clone, Copy)]
 pub enum Blocks<'a> {
-    /// An unbounded sequence.
+    /// Blocks drawn one after the other, without an end.
     Drawn(&'a Candidates),
     /// Meshes, one after the other.
     Given(&'a [artefact::Part]),

@@ -26,20 +26,20 @@ impl Faults {
 
 /// A patch before and after, in one numbering of vertices.
 pub struct Change<'a> {
-    /// Number of vertices.
+    /// How many vertices the numbering has.
     pub vertices: usize,
-    /// Triangles before.
+    /// Triangles of the patch before the removal.
     pub before: &'a [[u32; 3]],
-    /// Triangles that stay.
+    /// Those of them that stay.
     pub kept: &'a [[u32; 3]],
-    /// Triangles that come.
+    /// Triangles that take the place of the others.
     pub new: &'a [[u32; 3]],
     /// The border before, ascending.
     pub border: &'a [[u32; 2]],
 }
 
 impl Change<'_> {
-    /// Compares the two.
+    /// What is wrong with the patch after the removal and was not before.
     pub fn faults(&self) -> Faults {
         let after = [self.kept, self.new].concat();
         let border = open_edges(&after);

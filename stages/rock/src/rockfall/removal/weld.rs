@@ -8,7 +8,7 @@ use super::patch::{Patch, less, more};
 
 /// A shell in the numbering of the patch.
 pub struct Welded {
-    /// Triangles by vertex.
+    /// Numbers of the corners of each triangle.
     pub triangles: Vec<[u32; 3]>,
     /// Where each comes from.
     pub origins: Vec<Origin>,
