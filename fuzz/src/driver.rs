@@ -18,7 +18,7 @@ const WAITS: u32 = 12;
 /// A case that a target did not stand.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Finding {
-    /// The case.
+    /// The bytes of the case.
     pub bytes: Vec<u8>,
     /// What happened, in a line: equal for equal faults.
     pub what: String,

@@ -50,7 +50,7 @@ pub struct Worker {
 pub enum Heard {
     /// It wrote a line.
     Line(String),
-    /// It ended.
+    /// It ended, or closed its output.
     Ended,
     /// It was silent for too long.
     Silent,

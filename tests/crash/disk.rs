@@ -15,7 +15,7 @@ use crate::Draws;
 /// Storage loses or keeps whole sectors of this size.
 const SECTOR_BYTES: usize = 512;
 
-/// One recorded call.
+/// A system call of the recorded run that changed a file or folder.
 pub struct Call {
     name: String,
     inode: u64,
@@ -68,7 +68,7 @@ pub fn read_log(file: &Path) -> Vec<Call> {
 pub enum Names {
     /// In the order of the calls.
     Journal,
-    /// Folder by folder.
+    /// In the order of the calls within each folder, whatever becomes of the names in other folders.
     Strict,
 }
 
@@ -112,13 +112,13 @@ pub struct Disk {
 }
 
 impl Disk {
-    /// An empty folder.
+    /// A disk that holds an empty folder at `root`.
     pub fn new(root: &Path, names: Names) -> Self {
         let tree = Tree::from([(root.to_owned(), Node::Folder)]);
         Self { root: root.to_owned(), names, files: Vec::new(), by_inode: HashMap::new(), tree, changes: Vec::new() }
     }
 
-    /// Plays one call.
+    /// Does on this disk what one call did.
     pub fn play(&mut self, call: &Call) {
         match call.name.as_str() {
             "create" => {

@@ -39,7 +39,7 @@ const SAYS_THE_SAME: [&str; 3] = ["verify", "runs show", "archive"];
 /// A command that something happens to.
 struct Scene {
     name: &'static str,
-    /// Where it happens.
+    /// The folder it starts from; each fault is tried in a copy.
     ready: Place,
     command: &'static [&'static str],
     /// Seconds by which its clock is ahead.

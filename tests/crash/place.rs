@@ -21,7 +21,7 @@ targets: [large, dem]
 ";
 /// Runs the pipeline with a parameter changed: one step is the same.
 pub const CHANGED: [&str; 6] = ["run", "p.yaml", "--jobs", "2", "--set", "steps.dem.with.cell_m=0.2"];
-/// Runs the pipeline.
+/// Runs the pipeline as it is.
 pub const RUN: [&str; 4] = ["run", "p.yaml", "--jobs", "2"];
 
 /// What holds, or what does not.
@@ -36,7 +36,7 @@ pub struct Place {
 }
 
 impl Place {
-    /// A new folder.
+    /// A new folder of its own, with the pipeline in it.
     pub fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let place = Self { root: folder.path().canonicalize().unwrap(), _folder: Some(folder) };
@@ -69,7 +69,7 @@ impl Place {
         &self.root
     }
 
-    /// Something in it.
+    /// The path of something in the folder.
     pub fn path(&self, name: &str) -> PathBuf {
         self.root.join(name)
     }
@@ -182,11 +182,11 @@ pub fn is_whole(store: &Path) -> Verdict {
 /// How a process ended that something happened to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Ended {
-    /// Exit code 0.
+    /// It did its work: exit code 0.
     Done,
-    /// Exit code 1.
+    /// A step failed: exit code 1.
     StepFailed,
-    /// Exit code 3.
+    /// The disk failed it: exit code 3.
     DiskFailed,
     /// By the signal it was to get.
     Killed,

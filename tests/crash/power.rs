@@ -13,7 +13,7 @@ use crate::place::{CHANGED, Digests, PIPELINE, Place, RUN, Verdict, is_whole};
 use crate::shim::{Watched, shim};
 use crate::{Draws, slow};
 
-/// Two recorded runs.
+/// Two runs that were recorded, one after the other, and what they made.
 struct Scene {
     place: Place,
     calls: Vec<Call>,

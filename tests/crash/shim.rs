@@ -57,7 +57,7 @@ fn load(command: &mut Command, shim: &Path, under: &Path) {
 pub struct Watched<'a>(pub &'a mut Command);
 
 impl Watched<'_> {
-    /// Loads the library.
+    /// Loads the library into a command, to watch the files under a folder.
     pub fn new<'a>(command: &'a mut Command, shim: &Path, under: &Path) -> Watched<'a> {
         load(command, shim, under);
         Watched(command)

@@ -38,7 +38,7 @@ params! {
     }
 }
 
-/// Makes a number.
+/// Makes the number that its parameters name.
 pub struct Emit;
 impl Stage for Emit {
     type Params = EmitParams;
@@ -66,7 +66,7 @@ params! {
     }
 }
 
-/// Sums its inputs.
+/// Sums its inputs, or fails where it is told to.
 pub struct Add;
 impl Stage for Add {
     type Params = AddParams;
@@ -118,7 +118,7 @@ params! {
     }
 }
 
-/// Reads a number.
+/// Reads a number from a file.
 pub struct Read;
 impl Stage for Read {
     type Params = ReadParams;

@@ -32,7 +32,7 @@ pub fn json(bytes: &[u8]) -> Verdict {
     block(&["cameras.json"], bytes, false)
 }
 
-/// Metashape's XML.
+/// The camera XML of Metashape.
 pub fn metashape(bytes: &[u8]) -> Verdict {
     block(&["cameras.xml"], bytes, false)
 }

@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use super::{Verdict, artefacts};
 
-/// Files by name.
+/// Name and content of each file.
 type Named<'a> = Vec<(&'a str, &'a [u8])>;
 
 /// Lends files from memory: each parameter names a list of them.

@@ -31,12 +31,12 @@ impl Verdict {
     }
 }
 
-/// One format.
+/// A format that is read, and how a case of it is tried.
 #[derive(Debug, Clone, Copy)]
 pub struct Target {
     /// Its name, that of its folder of files.
     pub name: &'static str,
-    /// What is read.
+    /// What is read, for the list of targets.
     pub about: &'static str,
     /// The dictionary of its words; empty for none.
     pub dictionary: &'static str,
@@ -53,7 +53,7 @@ const fn target(
     Target { name, about, dictionary, run }
 }
 
-/// Every target.
+/// Every target, in the order of the list.
 pub const ALL: &[Target] = &[
     target("pipeline", "the YAML of a pipeline and of what it includes, up to its plan", "pipeline", pipelines::text),
     target("overrides", "`--set` and `--sweep` texts on a fixed pipeline", "pipeline", pipelines::overrides),
