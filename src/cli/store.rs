@@ -96,7 +96,7 @@ fn non_negative(text: &str) -> Result<f64, String> {
 }
 
 impl StoreArgs {
-    /// Tells of the store, checks it, cleans it, or copies from and to another, as the subcommand says.
+    /// Reports on the store, checks it, cleans it, or copies from and to another, as the subcommand says.
     pub fn run(self) -> Result<(), CliError> {
         match self.command {
             StoreCommand::Stat { remote: Some(url), json, .. } => stat_remote(&url, json),

@@ -136,7 +136,7 @@ impl std::fmt::Display for Range {
 pub struct Fault {
     /// Keys and list positions that lead to the value.
     pub path: Vec<String>,
-    /// What is wrong, in words for people; the place is told apart.
+    /// What is wrong, in words for people. `path` says where.
     pub message: String,
     /// The keys or words that would have been right, for a suggestion.
     pub known: Vec<String>,
