@@ -66,7 +66,7 @@ params! {
     }
 }
 
-/// Sums its inputs, or fails where it is told to.
+/// Sums its inputs, or fails where its parameters ask for it.
 pub struct Add;
 impl Stage for Add {
     type Params = AddParams;

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::noise::learning::whitening::{BANDS, Places};
+use crate::noise::learning::whitening::{BANDS, CLASSES};
 use rockface_core::artefact::{Band, Cameras, Noise, Raster};
 use rockface_core::numerics::random::Key;
 use rockface_core::{StageError, fail};
@@ -40,10 +40,9 @@ pub fn check_model(noise: &Noise, dem: &Raster) -> Result<(), StageError> {
         return Err(StageError::new(format!("{text}, which are not those of `dem`"))
             .hint("give the DEM the model was learnt with"));
     }
-    let classes = Places::of(noise.strength.clone()).middles.len();
-    if noise.bands() != BANDS || noise.class_log_strength.len() != classes {
+    if noise.bands() != BANDS || noise.class_log_strength.len() != CLASSES {
         fail!(
-            "the model has {} bands and {} classes of place, not {BANDS} and {classes}",
+            "the model has {} bands and {} classes of place, not {BANDS} and {CLASSES}",
             noise.bands(),
             noise.class_log_strength.len()
         );

@@ -13,6 +13,8 @@ use rockface_imaging::matching::noise::ensemble::log_strength_at;
 
 /// Shares of the face, from the quietest place on, at which a class of place ends: fifths, and the strongest 3 %.
 const CLASS_ENDS: [f64; 5] = [0.2, 0.4, 0.6, 0.8, 0.97];
+/// Number of classes of place.
+pub const CLASSES: usize = CLASS_ENDS.len() + 1;
 /// Number of bands of frequency.
 pub const BANDS: usize = 12;
 /// Rounds in which map and levels are fitted to each other.
@@ -134,7 +136,7 @@ impl Places {
         };
         // A class that no cell falls into (all places alike) has the middle of its neighbour.
         let mut middles: Vec<f64> = Vec::new();
-        for k in 0..=CLASS_ENDS.len() {
+        for k in 0..CLASSES {
             let before = middles.last().copied();
             middles.push(middle(k).or(before).unwrap_or(logs[0]));
         }
