@@ -15,7 +15,7 @@ macro_rules! files {
 }
 
 /// Every file of the folder `pipelines`; a test compares the list with the folder.
-const FILES: [(&str, &str); 49] = files![
+const FILES: [(&str, &str); 50] = files![
     "benchmark-outcrop.yaml",
     "benchmark.yaml",
     "calibrate-outcrop.yaml",
@@ -44,6 +44,7 @@ const FILES: [(&str, &str); 49] = files![
     "parts/hunter-valley-site.yaml",
     "parts/judged-noise.yaml",
     "parts/matcher-search.yaml",
+    "parts/multi-image-no-change.yaml",
     "parts/multi-image-survey.yaml",
     "parts/no-change.yaml",
     "parts/outcrop-noise.yaml",

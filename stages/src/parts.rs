@@ -21,6 +21,7 @@ parts![
     "planned-pair",
     "stereo-survey",
     "surveyed-rockfall",
+    "multi-image-no-change",
     "multi-image-survey",
     "registered-difference",
     "no-change",

@@ -79,7 +79,7 @@ pub struct MatchImage;
 impl Stage for MatchImage {
     type Params = MatchImageParams;
     const NAME: &'static str = "match-image";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: Page = Page::new(include_str!("match_image.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -136,13 +136,15 @@ impl Stage for MatchImage {
         let windowed = setup.terms.as_ref().and_then(|terms| terms.windowed(ideal));
         let depth = windowed.as_ref().unwrap_or(ideal);
         let keys = |purpose: &str, item: &str| context.stream(purpose, item);
+        let acquisition = setup.acquisition(depth, noisy, pairs, &keys)?;
         let mut matchers = Vec::with_capacity(chosen.len());
         for pair in &chosen {
             context.check_cancelled()?;
             let (side, partner) = side_and_partner(pair, &params.image);
             let partner = depth_of(inputs, partner, Some(pair))?;
             check_scale(ideal, partner)?;
-            matchers.push(setup.matcher(&pair.name, side.array(depth, partner), side, noisy, &keys)?);
+            let depths = side.array(depth, partner);
+            matchers.push(setup.matcher(&pair.name, depths, side, noisy, acquisition.as_ref(), &keys)?);
         }
         let (map, tally) = fused_map(params, depth, &matchers, noisy, image);
         report(params, context, &chosen, &map, &tally)?;

@@ -34,7 +34,7 @@ pub struct MatchPair;
 impl Stage for MatchPair {
     type Params = MatchPairParams;
     const NAME: &'static str = "match-pair";
-    const VERSION: u32 = 7;
+    const VERSION: u32 = 8;
     const PAGE: Page = Page::new(include_str!("match_pair.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("first", &[Kind::Depth], "Ideal depth map of the pair's first image, with its true camera."),
@@ -71,7 +71,8 @@ impl Stage for MatchPair {
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let ideal = [inputs.one::<Depth>("first")?, inputs.one::<Depth>("second")?];
         let noisy = inputs.one::<Cameras>("noisy")?;
-        let pair = choose_pair(params, inputs.one("pairs")?)?;
+        let pairs = inputs.one::<Pairs>("pairs")?;
+        let pair = choose_pair(params, pairs)?;
         check_depths(pair, ideal)?;
         let side = params.of;
         let windowed = params.matching.matcher.as_ref().and_then(|terms| terms.windowed(ideal[side]));
@@ -81,7 +82,8 @@ impl Stage for MatchPair {
         }
         let setup = params.matching.setup(params.sampling, ports(inputs)?)?;
         let keys = |purpose: &str, item: &str| context.stream(purpose, item);
-        let matcher = setup.matcher(&pair.name, depths, side, noisy, &keys)?;
+        let acquisition = setup.acquisition(depths[side], noisy, pairs, &keys)?;
+        let matcher = setup.matcher(&pair.name, depths, side, noisy, acquisition.as_ref(), &keys)?;
         let (map, tally) = matched_map(params, &matcher, noisy, noisy_image(noisy, ideal[side])?);
         report(params, context, pair, &map, &tally)?;
         Ok(Outputs::of("depth", map))

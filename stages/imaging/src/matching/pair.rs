@@ -279,7 +279,7 @@ impl<'a> Matcher<'a> {
         match &self.noise {
             NoiseModel::Learnt(noise) => {
                 let centre = self.geometry.cameras[self.side].centre();
-                noise.landing_lanes([block.points_m[0], block.points_m[1]], [centre.x, centre.y], parallax_px)
+                noise.landing_lanes(block.points_m, [centre.x, centre.y, centre.z], parallax_px)
             }
             _ => self.white_px(first_px, draws),
         }

@@ -1,7 +1,7 @@
 //! Prepares a pair for matching: checks depth maps and cameras, and sets up the noise.
 
 use crate::camera::model::Camera;
-use crate::matching::noise::learnt::LearntNoise;
+use crate::matching::noise::learnt::Acquisition;
 use crate::matching::noise::matcher::{Keys, MatcherTerms, PairScene, PaperNoise};
 use crate::matching::noise::model::{NoiseModel, Scaled};
 use crate::matching::noise::paper::{LocalNoise, SmoothNoise};
@@ -9,7 +9,7 @@ use crate::matching::own_errors::errors_of;
 use crate::matching::pair::{Matcher, Sampling};
 use crate::matching::pair_geometry::PairGeometry;
 use crate::matching::side::Side;
-use rockface_core::artefact::{Cameras, Depth, Image, Noise, Raster};
+use rockface_core::artefact::{Cameras, Depth, Image, Noise, Pairs, Raster};
 use rockface_core::{StageError, fail};
 
 /// Least distance of the nodes of the smooth noise, pixels of the depth map.
@@ -37,15 +37,30 @@ pub struct Setup<'s> {
 }
 
 impl<'s> Setup<'s> {
+    /// The noise that a learnt model gives to all pairs of an image; `None` without a model.
+    ///
+    /// # Errors
+    /// A model or cameras that do not fit the depth map.
+    pub fn acquisition(
+        &self,
+        ideal: &Depth,
+        block: &Cameras,
+        pairs: &Pairs,
+        keys: Keys,
+    ) -> Result<Option<Acquisition<'s>>, StageError> {
+        self.learnt.map(|noise| Acquisition::new(noise, ideal, block, pairs, keys)).transpose()
+    }
+
     /// The matcher of a pair from its ideal depth maps (first, second), for the depth map of image `side`.
     ///
-    /// `keys` gives the random streams `match-local` and `match-regular` of the pair, and those of [`MatcherTerms::fields`].
+    /// `acquisition` is that of the image, see [`Self::acquisition`]; `keys` gives the random streams `match-local` and `match-regular` of the pair, and those of [`MatcherTerms::fields`].
     pub fn matcher<'a>(
         &self,
         pair: &str,
         ideal: [&'a Depth; 2],
         side: Side,
         block: &Cameras,
+        acquisition: Option<&Acquisition>,
         keys: Keys,
     ) -> Result<Matcher<'a>, StageError>
     where
@@ -58,7 +73,10 @@ impl<'s> Setup<'s> {
         let scene = PairScene { name: pair, geometry: &geometry, side, strength: self.strength };
         let own =
             if self.image_pixels { self.in_image_pixels(ideal[0].downscale).map_err(of_pair)? } else { self.clone() };
-        let noise = own.noise_model(&scene, keys).map_err(of_pair)?;
+        let noise = match acquisition {
+            Some(acquisition) => NoiseModel::Learnt(acquisition.of_pair(pair, side)),
+            None => own.noise_model(&scene, keys).map_err(of_pair)?,
+        };
         let errors = self.errors.map(|map| errors_of(map, pair, ideal[side])).transpose()?;
         Ok(Matcher::new(geometry, side, self.sampling, noise, self.occlusion_tolerance).with_errors(errors))
     }
@@ -82,9 +100,6 @@ impl<'s> Setup<'s> {
     }
 
     fn noise_model(&self, scene: &PairScene, keys: Keys) -> Result<NoiseModel, StageError> {
-        if let Some(noise) = self.learnt {
-            return Ok(NoiseModel::Learnt(LearntNoise::new(noise, scene, keys)?));
-        }
         if let Some(terms) = &self.terms {
             return Ok(NoiseModel::Terms(Box::new(terms.fields(&self.noise, scene, keys)?)));
         }

@@ -106,7 +106,7 @@ fn the_kernel_itself_is_exact_to_a_nanometre() {
     let ideal = [&scene.depths[0], &scene.depths[1]];
     let keys = |purpose: &str, item: &str| Context::new(&host).stream(purpose, item);
     let setup = params.matching.setup(Sampling::Image, NoisePorts::default()).unwrap();
-    let matcher = setup.matcher("p", ideal, Side::First, &scene.noisy, &keys).unwrap();
+    let matcher = setup.matcher("p", ideal, Side::First, &scene.noisy, None, &keys).unwrap();
     let mut rows: Vec<Vec<(usize, f64)>> = vec![Vec::new(); ideal[0].height];
     matcher.match_image(&mut rows, |row, column, m| row.push((column, m.depth_m)));
     for (row, matches) in rows.iter().enumerate() {

@@ -8,9 +8,18 @@ const LEAST_CHANGE_CELLS: f64 = 2.0;
 /// Cells around a cell whose elevations count as nearby.
 const NEARBY_CELLS: usize = 2;
 
-/// Strength of the noise by place, pixels of the full image: that of the model, and where the surface of a depth map differs
-/// from the face of the model, what its relief law gives the new relief.
-pub fn strength(noise: &Noise, depth: &Depth, camera: &Camera) -> Vec<f32> {
+/// The face of a survey on the cells of a model.
+#[derive(Debug, Clone)]
+pub struct Face {
+    /// Strength of the noise by place, pixels of the full image: that of the model, and where the surface of the depth map differs
+    /// from the face of the model, what its relief law gives the new relief.
+    pub strength: Vec<f32>,
+    /// Elevation, metres: that of the model, or of the depth map where it differs; NaN where unknown.
+    pub elevation: Vec<f32>,
+}
+
+/// The face that a depth map shows.
+pub fn seen(noise: &Noise, depth: &Depth, camera: &Camera) -> Face {
     let elevation = seen_elevation(noise, depth, camera);
     let window = Window { columns: noise.grid.columns, rows: noise.grid.rows, half: NEARBY_CELLS };
     let least_m = LEAST_CHANGE_CELLS * noise.grid.cell_m;
@@ -25,9 +34,6 @@ pub fn strength(noise: &Noise, depth: &Depth, camera: &Camera) -> Vec<f32> {
     };
     let changed: Vec<usize> = (0..elevation.len()).filter(|i| differs(*i)).collect();
     let mut strength = noise.strength.clone();
-    if changed.is_empty() {
-        return strength;
-    }
     // Of the unchanged face, all that is known: the new surface meets it at the rim of the change.
     let mut surface = noise.elevation.clone();
     changed.iter().for_each(|i| surface[*i] = elevation[*i]);
@@ -37,7 +43,7 @@ pub fn strength(noise: &Noise, depth: &Depth, camera: &Camera) -> Vec<f32> {
             strength[j] = law(&noise.relief, relief_m(&surface, &reach, j)) as f32;
         }
     }
-    strength
+    Face { strength, elevation: surface }
 }
 
 /// Strength by relief, pixels.

@@ -1,82 +1,239 @@
 //! The noise of one acquisition drawn from a learnt model, as errors of disparity by place on the face.
 
+use std::sync::Arc;
+
+use nalgebra::Vector3;
+
 use crate::camera::model::Camera;
+use crate::matching::elevation_step::SurveySteps;
 use crate::matching::noise::changed_face;
 use crate::matching::noise::ensemble::draw;
-use crate::matching::noise::matcher::{Keys, PairScene};
+use crate::matching::noise::matcher::Keys;
+use crate::matching::noise::spline::{Spline, mirrored};
+use crate::matching::side::Side;
 use rockface_core::StageError;
-use rockface_core::artefact::{Grid, Noise};
+use rockface_core::artefact::{Cameras, Depth, Grid, Noise, Pairs};
+use rockface_core::numerics::quantile::median;
 use rockface_core::numerics::simd::Lanes;
 
-/// Times that the place where a point lands is looked up anew.
-const LANDINGS: usize = 2;
+/// Nodes along the longer side of the grid at which the geometry of pairs is looked at.
+const NODES: usize = 32;
 
-/// Errors of disparity on the cells of a grid; beyond its edges they go on mirrored.
+/// One acquisition of a learnt model as an image sees it: the same error of elevation for all of its pairs.
+///
+/// A model holds the noise of the surface that a survey yields, in pixels of disparity that are worth as much as in the median pair. A pair with
+/// a shorter base has fewer of these pixels for the same error of elevation.
 #[derive(Debug, Clone)]
-pub struct LearntNoise {
-    grid: Grid,
-    /// Errors, pixels of the depth map; NaN in gaps.
-    values_px: Vec<f32>,
+pub struct Acquisition<'a> {
+    noise: &'a Noise,
+    survey: SurveySteps,
+    /// Errors, pixels of the full image as in the median pair; 0 in gaps.
+    errors_px: Vec<f32>,
+    gaps: Arc<Vec<bool>>,
+    slopes: Arc<Vec<[f32; 2]>>,
+    downscale: u32,
 }
 
-impl LearntNoise {
-    /// Draws the noise of one acquisition of a pair.
+impl<'a> Acquisition<'a> {
+    /// Draws an acquisition for the ideal depth map of an image, which `block` and `pairs` survey with others.
     ///
-    /// The streams do not depend on the pair: the model holds the noise of the surface that a survey yields, so all pairs of
-    /// an acquisition share it.
-    pub fn new(noise: &Noise, scene: &PairScene, keys: Keys) -> Result<Self, StageError> {
-        let depth = scene.geometry.ideal[scene.side];
+    /// The streams depend neither on the image nor on its pairs: all of a survey share what is drawn.
+    pub fn new(
+        noise: &'a Noise,
+        depth: &Depth,
+        block: &Cameras,
+        pairs: &Pairs,
+        keys: Keys,
+    ) -> Result<Self, StageError> {
         if noise.frame != depth.frame {
             let text =
                 format!("the noise model is in the {} frame, the depth maps in the {} frame", noise.frame, depth.frame);
             return Err(StageError::new(text).hint("learn the model from rasters in the frame of the survey"));
         }
-        let drawn = draw(noise, keys);
-        let camera: &Camera = &scene.geometry.cameras[scene.side];
-        let strength = changed_face::strength(noise, depth, camera);
-        let scale = 1.0 / depth.downscale as f32;
-        let values_px = drawn.errors_px(noise, &strength).into_iter().map(|error_px| error_px * scale).collect();
-        Ok(Self { grid: noise.grid, values_px })
+        let survey = SurveySteps::new(block, pairs)?;
+        let face = changed_face::seen(noise, depth, &Camera::of_depth(depth));
+        let mut errors_px = draw(noise, keys).errors_px(noise, &face.strength);
+        let gaps = Arc::new(errors_px.iter().map(|px| px.is_nan()).collect());
+        errors_px.iter_mut().filter(|px| px.is_nan()).for_each(|px| *px = 0.0);
+        let slopes = Arc::new(slopes(&face.elevation, noise.grid.columns));
+        Ok(Self { noise, survey, errors_px, gaps, slopes, downscale: depth.downscale })
     }
 
-    /// The error at a place on the face, pixels of the depth map: that of its cell; NaN in a gap, where nothing is matched.
-    pub fn at(&self, [x, y]: [f64; 2]) -> f64 {
-        let column = mirrored((x - self.grid.left_m) / self.grid.cell_m, self.grid.columns);
-        let row = mirrored((self.grid.top_m - y) / self.grid.cell_m, self.grid.rows);
-        f64::from(self.values_px[row * self.grid.columns + column])
+    /// Its errors in the disparity of a pair, for the depth map of the image on one side.
+    pub fn of_pair(&self, pair: &str, side: Side) -> LearntNoise {
+        let shares = Lattice::new(
+            self.noise.grid,
+            |point| Some(self.survey.nearly_at(point)? / self.survey.of_pair(pair, side, point)?),
+            &self.noise.elevation,
+        );
+        let columns = self.noise.grid.columns;
+        let scale = 1.0 / self.downscale as f32;
+        let value = |(cell, error_px): (usize, &f32)| error_px * scale * shares.at(cell % columns, cell / columns);
+        let values_px: Vec<f32> = self.errors_px.iter().enumerate().map(value).collect();
+        let range_px =
+            values_px.iter().fold([0.0, 0.0], |[low, high]: [f32; 2], v| [low.min(*v), high.max(*v)]).map(f64::from);
+        LearntNoise {
+            grid: self.noise.grid,
+            errors_px: Spline::new(values_px, columns),
+            // Between cells a surface may lie beyond their values.
+            range_px: range_px.map(|px| 1.5 * px),
+            gaps: Arc::clone(&self.gaps),
+            slopes: Arc::clone(&self.slopes),
+        }
+    }
+}
+
+/// Slopes of elevations from a cell's neighbours, to the right and downwards, cell by cell in metres a cell; 0 where one is unknown.
+fn slopes(elevation: &[f32], columns: usize) -> Vec<[f32; 2]> {
+    let rows = elevation.len() / columns;
+    let between = |low: usize, high: usize, cells: usize| {
+        let slope = (elevation[high] - elevation[low]) / cells.max(1) as f32;
+        if slope.is_nan() { 0.0 } else { slope }
+    };
+    let at = |i: usize| {
+        let (column, row) = (i % columns, i / columns);
+        let (left, right) = (column.saturating_sub(1), (column + 1).min(columns - 1));
+        let (above, below) = (row.saturating_sub(1), (row + 1).min(rows - 1));
+        let to_the_right = between(row * columns + left, row * columns + right, right - left);
+        [to_the_right, between(above * columns + column, below * columns + column, below - above)]
+    };
+    (0..elevation.len()).map(at).collect()
+}
+
+/// A factor that varies little over the face, between nodes some cells apart.
+struct Lattice {
+    spacing: usize,
+    columns: usize,
+    values: Vec<f32>,
+}
+
+impl Lattice {
+    /// From its value at points of the face, whose elevation (metres) is known cell by cell; 1 where there is none.
+    fn new(grid: Grid, of: impl Fn(&Vector3<f64>) -> Option<f64>, elevation: &[f32]) -> Self {
+        let mut known: Vec<f64> = elevation.iter().filter(|z| !z.is_nan()).map(|z| f64::from(*z)).collect();
+        let middle = median(&mut known).unwrap_or(0.0);
+        let spacing = grid.columns.max(grid.rows).div_ceil(NODES);
+        let nodes = |size: usize| (size - 1).div_ceil(spacing) + 1;
+        let [columns, rows] = [grid.columns, grid.rows].map(nodes);
+        let value = |node: usize| {
+            let cell = |node: usize, size: usize| (node * spacing).min(size - 1);
+            let (column, row) = (cell(node % columns, grid.columns), cell(node / columns, grid.rows));
+            let (x, y) = grid.centre(row, column);
+            let z = f64::from(elevation[row * grid.columns + column]);
+            of(&Vector3::new(x, y, if z.is_nan() { middle } else { z })).map_or(1.0, |value| value as f32)
+        };
+        Self { spacing, columns, values: (0..columns * rows).map(value).collect() }
     }
 
-    /// The errors of some points, each that of the cell in which its point comes to lie: an error moves a point along its ray,
-    /// and it is there that a raster of the surface meets it.
+    /// Bilinear between the four nodes around a cell.
+    fn at(&self, column: usize, row: usize) -> f32 {
+        let rows = self.values.len() / self.columns;
+        let part = |at: usize, nodes: usize| {
+            let low = (at / self.spacing).min(nodes - 1);
+            (low, (low + 1).min(nodes - 1), (at % self.spacing) as f32 / self.spacing as f32)
+        };
+        let ((left, right, u), (top, bottom, v)) = (part(column, self.columns), part(row, rows));
+        let between = |row: usize| {
+            let value = |column: usize| self.values[row * self.columns + column];
+            value(left) + u * (value(right) - value(left))
+        };
+        between(top) + v * (between(bottom) - between(top))
+    }
+}
+
+/// Errors of disparity of a pair by place on the face; beyond the edges of the grid they go on mirrored.
+#[derive(Debug, Clone)]
+pub struct LearntNoise {
+    grid: Grid,
+    /// Errors, pixels of the depth map: smooth between the middles of the cells, so that they are the same for pixels of any size and for
+    /// a surface that registration moves by a part of a cell.
+    errors_px: Spline,
+    /// Range of the errors.
+    range_px: [f64; 2],
+    /// Whether a cell is a gap.
+    gaps: Arc<Vec<bool>>,
+    /// Slopes of the face, metres a cell, to the right and downwards.
+    slopes: Arc<Vec<[f32; 2]>>,
+}
+
+/// Range of the factor by which a slope makes a ray meet an error earlier or later; at ledges slopes say little.
+const SLOPE_FACTOR: [f64; 2] = [0.5, 2.0];
+/// Guesses of where a ray meets the surface, before it is followed step by step.
+const GUESSES: usize = 6;
+/// Change of a guess that is none, cells.
+const SAME_CELLS: f64 = 0.01;
+/// Step along a ray that is followed, cells.
+const STEP_CELLS: f64 = 0.25;
+/// Steps along a ray.
+const MOST_STEPS: usize = 256;
+
+impl LearntNoise {
+    /// The errors of some points of the face: those with which they come to lie where their rays meet the surface that the errors make of it. Of several such places it is the one
+    /// that guesses from the point's own error settle at, or else the first on the way from the camera.
     ///
-    /// `points` and `centre` (of the camera) are X and Y on the face, metres; `parallax_px` is the disparity beyond that of infinity without noise.
-    pub fn landing_lanes(&self, [x, y]: [Lanes; 2], centre: [f64; 2], parallax_px: Lanes) -> Lanes {
+    /// `points` and `centre` (of the camera) are metres; `parallax_px` is the disparity beyond that of infinity without noise. NaN in a gap,
+    /// where nothing is matched.
+    pub fn landing_lanes(&self, points: [Lanes; 3], centre: [f64; 3], parallax_px: Lanes) -> Lanes {
         Lanes::of(|lane| {
-            let (point, parallax_px) = ([x[lane], y[lane]], parallax_px[lane]);
+            let (point, parallax_px) = (points.map(|axis| axis[lane]), parallax_px[lane]);
             if point[0].is_nan() || parallax_px.is_nan() { 0.0 } else { self.landing(point, centre, parallax_px) }
         })
     }
 
-    /// See [`Self::landing_lanes`].
-    fn landing(&self, point: [f64; 2], centre: [f64; 2], parallax_px: f64) -> f64 {
-        let mut error_px = self.at(point);
-        for _ in 0..LANDINGS {
-            let share = parallax_px / (parallax_px + error_px);
-            if !(0.5..2.0).contains(&share) {
+    /// Along the ray u is the part of the way back from the point to the camera. There an error e lifts the face to `e / (parallax + e)`,
+    /// divided by what the slope of the face gains on the ray.
+    fn landing(&self, point: [f64; 3], centre: [f64; 3], parallax_px: f64) -> f64 {
+        let start = [(point[0] - self.grid.left_m) / self.grid.cell_m, (self.grid.top_m - point[1]) / self.grid.cell_m];
+        let back = [(centre[0] - point[0]) / self.grid.cell_m, (point[1] - centre[1]) / self.grid.cell_m];
+        let gain = self.gain(start, back, centre[2] - point[2]);
+        let part = |error_px: f64| error_px / (parallax_px + error_px).max(0.25 * parallax_px) / gain;
+        let place = |u: f64| [start[0] + back[0] * u, start[1] + back[1] * u];
+        let surface = |u: f64| part(self.errors_px.at(place(u)));
+        let cells = back[0].hypot(back[1]);
+        let mut u = surface(0.0);
+        let mut found = false;
+        for _ in 0..GUESSES {
+            let next = surface(u);
+            found = (next - u).abs() * cells < SAME_CELLS;
+            u = next;
+            if found {
                 break;
             }
-            error_px = self.at([0, 1].map(|axis| centre[axis] + (point[axis] - centre[axis]) * share));
         }
-        error_px
+        if !found {
+            let [lowest, highest] = self.range_px.map(part);
+            u = first_meeting(surface, highest, lowest, STEP_CELLS / cells);
+        }
+        if self.gaps[self.cell(place(u))] { f64::NAN } else { parallax_px * u / (1.0 - u) }
+    }
+
+    /// How much higher a ray rises above the face than above a level one: the face falls away from it, or rises with it.
+    fn gain(&self, start: [f64; 2], back: [f64; 2], rise_m: f64) -> f64 {
+        let [right, down] = self.slopes[self.cell(start)].map(f64::from);
+        let gain = 1.0 - (right * back[0] + down * back[1]) / rise_m;
+        if gain.is_nan() { 1.0 } else { gain.clamp(SLOPE_FACTOR[0], SLOPE_FACTOR[1]) }
+    }
+
+    /// The index of the cell at a position.
+    fn cell(&self, [column, row]: [f64; 2]) -> usize {
+        mirrored(row.floor(), self.grid.rows) * self.grid.columns + mirrored(column.floor(), self.grid.columns)
     }
 }
 
-/// The cell of a position along one side of a grid of `size` cells, which is mirrored at its ends.
-fn mirrored(position: f64, size: usize) -> usize {
-    let period = 2.0 * size as f64;
-    let within = position.rem_euclid(period);
-    let folded = if within < size as f64 { within } else { period - within };
-    (folded as usize).min(size - 1)
+/// Where a ray that comes from above first meets a surface that it may meet more than once.
+fn first_meeting(surface: impl Fn(f64) -> f64, highest: f64, lowest: f64, step: f64) -> f64 {
+    let step = step.max((highest - lowest) / MOST_STEPS as f64);
+    let mut above = highest;
+    let mut below = above - step;
+    while surface(below) < below && below > lowest {
+        (above, below) = (below, below - step);
+    }
+    // Twelve halvings of a quarter of a cell are less than any point is known to.
+    for _ in 0..12 {
+        let middle = 0.5 * (above + below);
+        if surface(middle) < middle { above = middle } else { below = middle }
+    }
+    0.5 * (above + below)
 }
 
 #[cfg(test)]
@@ -84,22 +241,81 @@ fn mirrored(position: f64, size: usize) -> usize {
 mod tests {
     use super::*;
 
-    #[test]
-    fn a_point_has_the_error_of_the_cell_it_lands_in() {
-        // The camera is at 0: an error of a third of the parallax brings a point to three quarters of its distance.
-        let grid = Grid { columns: 20, rows: 1, cell_m: 1.0, left_m: 0.0, top_m: 1.0 };
-        let noise = LearntNoise { grid, values_px: (0..20).map(|i| if i < 5 { 5.0 } else { 1.0 }).collect() };
-        assert_eq!((noise.landing([8.0, 0.5], [0.0; 2], 15.0), noise.landing([4.0, 0.5], [0.0; 2], 15.0)), (1.0, 5.0));
-        assert_eq!(noise.landing([5.2, 0.5], [0.0; 2], 15.0), 5.0);
-        let x = Lanes::of(|lane| if lane == 0 { 5.2 } else { f64::NAN });
-        let all = noise.landing_lanes([x, x], [0.0; 2], Lanes::all(15.0));
-        assert_eq!((all[0], all[1]), (5.0, 0.0));
+    /// Cells of a metre with one error for each column, and a slope of the face to the right.
+    fn noise(values_px: &[f32], slope: f32) -> LearntNoise {
+        let columns = values_px.len();
+        let grid = Grid { columns, rows: 1, cell_m: 1.0, left_m: 0.0, top_m: 1.0 };
+        let values = values_px.iter().map(|px| if px.is_nan() { 0.0 } else { *px }).collect();
+        LearntNoise {
+            grid,
+            errors_px: Spline::new(values, columns),
+            range_px: [0.0, 60.0],
+            gaps: Arc::new(values_px.iter().map(|px| px.is_nan()).collect()),
+            slopes: Arc::new(vec![[slope, 0.0]; columns]),
+        }
+    }
+
+    /// Pixels of 100 that bring a point nearer by so many of 10 m, and back.
+    fn px(metres: f64) -> f32 {
+        (100.0 * metres / (10.0 - metres)) as f32
+    }
+
+    fn metres(error_px: f64) -> f64 {
+        10.0 * error_px / (100.0 + error_px)
+    }
+
+    /// The rise of a point, seen by a camera that is 10 m to the left of it and 10 m before the face.
+    fn rise_m(noise: &LearntNoise, x: f64) -> f64 {
+        metres(noise.landing([x, 0.5, 0.0], [x - 10.0, 0.5, 10.0], 100.0))
     }
 
     #[test]
-    fn beyond_its_edges_the_field_goes_on_mirrored() {
-        for (position, cell) in [(0.0, 0), (2.9, 2), (3.1, 2), (5.5, 0), (-0.5, 0), (-2.5, 2), (6.2, 0), (60.1, 0)] {
-            assert_eq!(mirrored(position, 3), cell, "{position}");
+    fn a_point_comes_to_lie_on_the_surface_of_the_errors() {
+        // A hill of 0.8 m around 20.5, 8 m wide.
+        let hill = |x: f64| 0.8 * (-0.5 * ((x - 20.5) / 2.0).powi(2)).exp();
+        let noise = noise(&(0..40).map(|i| px(hill(f64::from(i) + 0.5))).collect::<Vec<_>>(), 0.0);
+        for x in [10.0, 18.2, 20.5, 21.3, 23.9, 30.0] {
+            let rise_m = rise_m(&noise, x);
+            // The ray rises by 1 a metre to the left.
+            assert!((rise_m - hill(x - rise_m)).abs() < 0.006, "{x}: {rise_m}");
         }
+        let x = Lanes::of(|lane| if lane == 0 { 20.5 } else { f64::NAN });
+        let all = noise.landing_lanes([x, Lanes::all(0.5), Lanes::all(0.0)], [10.5, 0.5, 10.0], Lanes::all(100.0));
+        assert!((metres(all[0]) - rise_m(&noise, 20.5)).abs() < 1e-12 && all[1] == 0.0);
+    }
+
+    #[test]
+    fn where_guesses_do_not_settle_a_ray_is_followed_and_gaps_match_nothing() {
+        // A wall of 3 m at 20.5, steeper than the rays: those to points just behind it end on its side towards the camera.
+        let wall = |x: f64| 3.0 * (-0.5 * ((x - 20.5) / 0.7).powi(2)).exp();
+        let noise = noise(&(0..40).map(|i| px(wall(f64::from(i) + 0.5))).collect::<Vec<_>>(), 0.0);
+        for x in [20.5, 21.0, 21.5] {
+            let rise_m = rise_m(&noise, x);
+            let first = (0..4000).map(|i| 4.0 - 0.001 * f64::from(i)).find(|h| wall(x - h) >= *h).unwrap();
+            assert!((rise_m - first).abs() < 0.1, "{x}: {rise_m} {first}");
+        }
+        let gap = self::noise(&(0..20).map(|i| if i == 8 { f32::NAN } else { 0.0 }).collect::<Vec<_>>(), 0.0);
+        assert!(rise_m(&gap, 8.5).is_nan() && rise_m(&gap, 9.5) == 0.0);
+    }
+
+    #[test]
+    fn on_a_slope_the_error_of_elevation_is_that_of_the_place_where_the_point_lands() {
+        // Towards the camera the face rises by 0.3 a metre and the ray by 1: an error of a metre is met 1 / 0.7 m above the foot of the ray.
+        let rise_m = rise_m(&noise(&[px(1.0); 40], -0.3), 20.5);
+        assert!((rise_m - 1.0 / 0.7).abs() < 1e-5, "{rise_m}");
+    }
+
+    #[test]
+    fn a_lattice_is_exact_where_its_factor_is_linear_and_one_where_it_is_unknown() {
+        let grid = Grid { columns: 97, rows: 41, cell_m: 0.1, left_m: 0.0, top_m: 4.1 };
+        let elevation: Vec<f32> = (0..97 * 41).map(|i| if i % 3 == 0 { f32::NAN } else { 2.0 }).collect();
+        let lattice = Lattice::new(grid, |point| Some(point.x + 2.0 * point.y + point.z), &elevation);
+        for (column, row) in [(0, 0), (13, 7), (95, 39), (96, 40)] {
+            let (x, y) = grid.centre(row, column);
+            // The last node stands at the last cell, nearer than the others: a cell before it is between them all the same.
+            assert!((f64::from(lattice.at(column, row)) - (x + 2.0 * y + 2.0)).abs() < 0.3, "{column} {row}");
+        }
+        assert!((f64::from(lattice.at(13, 7)) - (1.35 + 2.0 * 3.35 + 2.0)).abs() < 1e-5);
+        assert_eq!(Lattice::new(grid, |_| None, &elevation).at(50, 20), 1.0);
     }
 }

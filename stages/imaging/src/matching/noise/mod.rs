@@ -8,6 +8,7 @@ pub mod matcher;
 pub mod model;
 pub mod modulation;
 pub mod paper;
+pub mod spline;
 pub mod strength;
 pub mod student;
 pub mod terms;
