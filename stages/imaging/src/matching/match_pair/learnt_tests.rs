@@ -92,7 +92,8 @@ fn the_noise_has_the_strength_of_its_place_and_is_one_for_both_images() {
     let first = errors(&scene, Side::First, &noise);
     for (left, expected) in [(true, 0.1), (false, 0.3)] {
         let found = rms(&first, |[x, y]| (x < 0.0) == left && x.abs() < 6.0 && y.abs() < 6.0);
-        assert!((found / expected - 1.0).abs() < 0.15, "{left}: {found}");
+        // White noise loses some of its strength between the cells.
+        assert!((0.8..1.1).contains(&(found / expected)), "{left}: {found}");
     }
     // Where points of both images are near the middle of a cell, they have much the same error; draws of their own would not be correlated.
     let cell = |[x, y]: [f64; 2]| ((x / 0.2).floor() as i32, (y / 0.2).floor() as i32);

@@ -160,6 +160,8 @@ pub struct LearntNoise {
 const SLOPE_FACTOR: [f64; 2] = [0.5, 2.0];
 /// Guesses of where a ray meets the surface, before it is followed step by step.
 const GUESSES: usize = 6;
+/// Least fall of the height above a ray, for each part of its way, that guesses are made with.
+const LEAST_SLOPE: f64 = 0.2;
 /// Change of a guess that is none, cells.
 const SAME_CELLS: f64 = 0.01;
 /// Step along a ray that is followed, cells.
@@ -189,21 +191,11 @@ impl LearntNoise {
         let part = |error_px: f64| error_px / (parallax_px + error_px).max(0.25 * parallax_px) / gain;
         let place = |u: f64| [start[0] + back[0] * u, start[1] + back[1] * u];
         let surface = |u: f64| part(self.errors_px.at(place(u)));
-        let cells = back[0].hypot(back[1]);
-        let mut u = surface(0.0);
-        let mut found = false;
-        for _ in 0..GUESSES {
-            let next = surface(u);
-            found = (next - u).abs() * cells < SAME_CELLS;
-            u = next;
-            if found {
-                break;
-            }
-        }
-        if !found {
+        let cells = (back[0] * back[0] + back[1] * back[1]).sqrt();
+        let u = settled(surface, SAME_CELLS / cells).unwrap_or_else(|| {
             let [lowest, highest] = self.range_px.map(part);
-            u = first_meeting(surface, highest, lowest, STEP_CELLS / cells);
-        }
+            first_meeting(surface, highest, lowest, STEP_CELLS / cells)
+        });
         if self.gaps[self.cell(place(u))] { f64::NAN } else { parallax_px * u / (1.0 - u) }
     }
 
@@ -218,6 +210,23 @@ impl LearntNoise {
     fn cell(&self, [column, row]: [f64; 2]) -> usize {
         mirrored(row.floor(), self.grid.rows) * self.grid.columns + mirrored(column.floor(), self.grid.columns)
     }
+}
+
+/// Where a ray meets a surface, by secants from the height above its foot; `None` where they do not settle.
+fn settled(surface: impl Fn(f64) -> f64, same: f64) -> Option<f64> {
+    let mut last = [0.0, surface(0.0)];
+    let mut u = last[1];
+    for _ in 0..GUESSES {
+        let above = surface(u) - u;
+        if above.abs() < same {
+            return Some(u + above);
+        }
+        let slope = (above - last[1]) / (u - last[0]);
+        last = [u, above];
+        // A ray rises faster than the surface where it comes out of it.
+        u -= if slope < -LEAST_SLOPE { above / slope } else { -above };
+    }
+    None
 }
 
 /// Where a ray that comes from above first meets a surface that it may meet more than once.
@@ -240,6 +249,7 @@ fn first_meeting(surface: impl Fn(f64) -> f64, highest: f64, lowest: f64, step: 
 #[allow(clippy::float_cmp)] // values that are exact
 mod tests {
     use super::*;
+    use rockface_core::numerics::portable_math;
 
     /// Cells of a metre with one error for each column, and a slope of the face to the right.
     fn noise(values_px: &[f32], slope: f32) -> LearntNoise {
@@ -272,7 +282,7 @@ mod tests {
     #[test]
     fn a_point_comes_to_lie_on_the_surface_of_the_errors() {
         // A hill of 0.8 m around 20.5, 8 m wide.
-        let hill = |x: f64| 0.8 * (-0.5 * ((x - 20.5) / 2.0).powi(2)).exp();
+        let hill = |x: f64| 0.8 * portable_math::exp(-0.125 * (x - 20.5) * (x - 20.5));
         let noise = noise(&(0..40).map(|i| px(hill(f64::from(i) + 0.5))).collect::<Vec<_>>(), 0.0);
         for x in [10.0, 18.2, 20.5, 21.3, 23.9, 30.0] {
             let rise_m = rise_m(&noise, x);
@@ -287,7 +297,7 @@ mod tests {
     #[test]
     fn where_guesses_do_not_settle_a_ray_is_followed_and_gaps_match_nothing() {
         // A wall of 3 m at 20.5, steeper than the rays: those to points just behind it end on its side towards the camera.
-        let wall = |x: f64| 3.0 * (-0.5 * ((x - 20.5) / 0.7).powi(2)).exp();
+        let wall = |x: f64| 3.0 * portable_math::exp(-(x - 20.5) * (x - 20.5));
         let noise = noise(&(0..40).map(|i| px(wall(f64::from(i) + 0.5))).collect::<Vec<_>>(), 0.0);
         for x in [20.5, 21.0, 21.5] {
             let rise_m = rise_m(&noise, x);
