@@ -158,6 +158,8 @@ pub struct LearntNoise {
 
 /// Range of the factor by which a slope makes a ray meet an error earlier or later; at ledges slopes say little.
 const SLOPE_FACTOR: [f64; 2] = [0.5, 2.0];
+/// Largest part of the way back to the camera that an error brings a point: stronger noise is no noise of matching.
+const MOST_OF_THE_WAY: f64 = 0.9;
 /// Guesses of where a ray meets the surface, before it is followed step by step.
 const GUESSES: usize = 6;
 /// Least fall of the height above a ray, for each part of its way, that guesses are made with.
@@ -188,7 +190,8 @@ impl LearntNoise {
         let start = [(point[0] - self.grid.left_m) / self.grid.cell_m, (self.grid.top_m - point[1]) / self.grid.cell_m];
         let back = [(centre[0] - point[0]) / self.grid.cell_m, (point[1] - centre[1]) / self.grid.cell_m];
         let gain = self.gain(start, back, centre[2] - point[2]);
-        let part = |error_px: f64| error_px / (parallax_px + error_px).max(0.25 * parallax_px) / gain;
+        let part =
+            |error_px: f64| (error_px / (parallax_px + error_px).max(0.25 * parallax_px) / gain).min(MOST_OF_THE_WAY);
         let place = |u: f64| [start[0] + back[0] * u, start[1] + back[1] * u];
         let surface = |u: f64| part(self.errors_px.at(place(u)));
         let cells = (back[0] * back[0] + back[1] * back[1]).sqrt();
