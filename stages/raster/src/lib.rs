@@ -17,6 +17,7 @@ pub mod window;
 
 // A new stage is its file, its `mod` here and its row below.
 mod apply_mask;
+mod crop_raster;
 mod difference_dem;
 mod export_cloud;
 mod filter_outliers;
@@ -32,6 +33,7 @@ use rockface_core::{AnyStage, Row};
 /// The stages of this room, in the order of the catalogue.
 pub static STAGES: &[&dyn AnyStage] = &[
     &Row::<apply_mask::ApplyMask>::new(),
+    &Row::<crop_raster::CropRaster>::new(),
     &Row::<difference_dem::DifferenceDem>::new(),
     &Row::<export_cloud::ExportCloud>::new(),
     &Row::<filter_outliers::FilterOutliers>::new(),
