@@ -1,5 +1,7 @@
 //! `learn-noise`: a model of the matching noise of a site, from differences without change and the geometry of the survey.
 
+use std::borrow::Cow;
+
 use crate::noise::learning::acquisitions::{Acquisitions, Variety, acquisitions};
 use crate::noise::learning::bad::parted;
 use crate::noise::learning::departure::{Departure, Mean, figures};
@@ -9,10 +11,11 @@ use crate::noise::learning::whitening::{BANDS, Places, Prior, Stack, Whitened, r
 use rockface_core::artefact::{Band, Cameras, Contrast, Kind, Member, Noise, Pairs, Raster, ReliefLaw};
 use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::quantile::quantile;
-use rockface_core::params::Range;
+use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 use rockface_imaging::matching::elevation_step::elevation_step_m;
 use rockface_imaging::matching::noise::changed_face::{Window, law};
+use rockface_raster::window;
 
 params! {
     /// Parameters of `learn-noise`.
@@ -48,6 +51,9 @@ params! {
         outlier_m: Option<f64> = None; Range::Positive,
         /// Half width of the window in which the deviation of elevations is the relief, cells.
         relief_cells: usize = 4; Range::Between(1.0, 50.0),
+        /// Window (left, right, bottom, top) in metres: only the cells that lie in it whole are learnt from, and the model is one of
+        /// these cells. Left out: all.
+        window_m: Option<[f64; 4]> = None,
     }
 }
 
@@ -58,7 +64,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -79,6 +85,10 @@ impl Stage for LearnNoise {
         ),
     ];
 
+    fn check(params: &Self::Params) -> Vec<Fault> {
+        window::faults(params.window_m)
+    }
+
     fn draws(params: &Self::Params) -> bool {
         params.draws >= 2
     }
@@ -91,9 +101,11 @@ impl Stage for LearnNoise {
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let (dem, block, pairs) =
             (inputs.one::<Raster>("dem")?, inputs.one::<Cameras>("cameras")?, inputs.one::<Pairs>("pairs")?);
-        let rasters = inputs.many::<Raster>("raster")?;
-        check(&rasters.iter().map(|(_, raster)| *raster).collect::<Vec<_>>(), dem, block)?;
-        let all: Vec<&Band> = rasters.iter().flat_map(|(_, raster)| &raster.bands).collect();
+        let rasters: Vec<&Raster> = inputs.many::<Raster>("raster")?.into_iter().map(|(_, raster)| raster).collect();
+        check(&rasters, dem, block)?;
+        let (rasters, dem) = (in_window(rasters, params.window_m)?, one_in_window(dem, params.window_m)?);
+        let dem = dem.as_ref();
+        let all: Vec<&Band> = rasters.iter().flat_map(|raster| &raster.bands).collect();
         let kept = all.len() - (all.len() as f64 * params.held_out).round() as usize;
         if kept < 3 {
             let text = format!("{kept} of {} rasters are left to learn from, 3 are needed", all.len());
@@ -110,6 +122,22 @@ impl Stage for LearnNoise {
         let strength = Raster { bands, quantity: "strength".to_owned(), ..dem.clone() };
         Ok(Outputs::of("noise", noise).and("strength", strength))
     }
+}
+
+/// Rasters in a window; all of them without one.
+fn in_window(rasters: Vec<&Raster>, window_m: Option<[f64; 4]>) -> Result<Vec<Cow<'_, Raster>>, StageError> {
+    rasters.into_iter().map(|raster| one_in_window(raster, window_m)).collect()
+}
+
+fn one_in_window(raster: &Raster, window_m: Option<[f64; 4]>) -> Result<Cow<'_, Raster>, StageError> {
+    let Some(window_m) = window_m else { return Ok(Cow::Borrowed(raster)) };
+    let part = window::cropped(raster, window_m)?;
+    if part.grid.columns.min(part.grid.rows) < LEAST_SIDE_CELLS {
+        let (columns, rows) = (part.grid.columns, part.grid.rows);
+        let text = format!("`window_m` holds {columns} x {rows} cells, {LEAST_SIDE_CELLS} are needed on each side");
+        return Err(StageError::new(text).hint("widen `window_m`; it is left, right, bottom, top in metres"));
+    }
+    Ok(Cow::Owned(part))
 }
 
 /// What the rasters say.
@@ -268,6 +296,9 @@ fn own_shares(real: &[&Whitened], alike: &[&Whitened]) -> Vec<f64> {
 const ALIKE: f64 = 1e-6;
 /// Least part of the variance of a figure that acquisitions differ by.
 const LEAST_OWN: f64 = 0.1;
+
+/// Fewest cells along a side of a window: fewer have no bands of frequency.
+const LEAST_SIDE_CELLS: usize = 8;
 
 /// Deviation within which the energy of a mixture is averaged, cells.
 const CONTRAST_CELLS: f64 = 1.5;

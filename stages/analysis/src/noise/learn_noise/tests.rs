@@ -9,6 +9,7 @@ use rockface_core::artefact::{Artefact, Frame, Grid, Noun, Pair};
 use rockface_core::numerics::gaussian::smoothed;
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::random::Key;
+use rockface_core::params::ParamType;
 use rockface_core::testing::{TestHost, image_at, run_stage, small_sensor};
 use rockface_imaging::matching::noise::ensemble::draw;
 
@@ -193,4 +194,33 @@ fn what_cannot_be_learnt_from_is_refused() {
     assert!(learn(4, &[], &json!({"held_out": 0.6})).err().unwrap().message.contains("2 of 4 rasters"));
     let (noise, _) = learn(16, &[], &json!({"held_out": 0.25})).unwrap();
     assert_eq!(noise.members.len(), 12);
+}
+
+/// The model learnt in a window of rasters whose cells from column 60 on are multiplied.
+fn learnt_in(window_m: [f64; 4], beyond: f32) -> Result<Noise, StageError> {
+    let mut rasters = differences(13, &[]);
+    let values = rasters.iter_mut().flat_map(|raster| raster.bands[0].values.iter_mut().enumerate());
+    values.filter(|(i, _)| i % COLUMNS >= 60).for_each(|(_, value)| *value *= beyond);
+    learn_from(rasters, &json!({"window_m": window_m, "draws": 4})).map(|(noise, _)| noise)
+}
+
+#[test]
+fn cells_outside_of_the_window_do_not_change_a_bit_of_the_model() {
+    // Half a cell beyond column 59: whole cells alone count.
+    let window_m = [-1e6, -2.4 + 60.5 * 0.05, -1.0, 1e6];
+    let noise = learnt_in(window_m, 1.0).unwrap();
+    assert_eq!((noise.grid.columns, noise.grid.rows), (60, 60));
+    assert_eq!((noise.grid.left_m, noise.grid.top_m), (grid().left_m, grid().top_m));
+    assert_eq!((noise.strength.len(), noise.fields[0].len(), noise.weights[12].len()), (3600, 3600, 3600));
+    assert_eq!(learnt_in(window_m, 7.0).unwrap(), noise);
+    assert_ne!(learnt_in([-1e6, 1e6, -1.0, 1e6], 7.0).unwrap(), learnt_in([-1e6, 1e6, -1.0, 1e6], 1.0).unwrap());
+}
+
+#[test]
+fn windows_that_are_empty_beside_the_face_or_tiny_are_refused() {
+    let params = LearnNoiseParams::decode(&json!({"window_m": [0, 1, 2, 1]})).unwrap();
+    assert_eq!(LearnNoise::check(&params)[0].path, ["window_m"]);
+    let refused = |window_m: [f64; 4]| learnt_in(window_m, 1.0).unwrap_err().message;
+    assert!(refused([5.0, 6.0, -1.0, 1.0]).contains("96 x 80 cells"));
+    assert!(refused([0.0, 0.2, -1.0, 1.0]).contains("4 x 40 cells"));
 }
