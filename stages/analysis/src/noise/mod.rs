@@ -20,6 +20,7 @@ pub mod spectrum;
 pub mod structure;
 pub mod stumps;
 pub mod surrogate;
+pub mod transfer;
 pub mod two_samples;
 pub mod variogram;
 pub mod variogram_model;
@@ -36,6 +37,7 @@ mod propose_parameters;
 mod refine_search;
 mod summarise_acceptance;
 mod test_acceptance;
+mod transfer_noise;
 
 use rockface_core::{AnyStage, Row};
 
@@ -52,4 +54,5 @@ pub static STAGES: &[&dyn AnyStage] = &[
     &Row::<refine_search::RefineSearch>::new(),
     &Row::<summarise_acceptance::SummariseAcceptance>::new(),
     &Row::<test_acceptance::TestAcceptance>::new(),
+    &Row::<transfer_noise::TransferNoise>::new(),
 ];

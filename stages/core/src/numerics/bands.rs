@@ -109,6 +109,21 @@ impl Bands {
     }
 }
 
+/// Values at the bands of rasters whose shorter side has `from` cells, at the bands of rasters with `to` cells: linear in ln f, constant
+/// beyond the outermost bands. A cell of the former is worth `scale` cells of the latter.
+pub fn at_other_bands(values: &[f64], from: usize, to: usize, scale: f64) -> Vec<f64> {
+    let count = values.len() as f64;
+    let [width, other_width] = [from, to].map(|side| portable_math::log(0.5 * side as f64) / count);
+    let value = |band: usize| {
+        // ln f above the lowest frequency of the raster with `from` cells.
+        let above = (band as f64 + 0.5) * other_width + portable_math::log(scale * from as f64 / to as f64);
+        let at = (above / width - 0.5).clamp(0.0, count - 1.0);
+        let below = (at as usize).min(values.len() - 2);
+        values[below] + (at - below as f64) * (values[below + 1] - values[below])
+    };
+    (0..values.len()).map(value).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -143,5 +158,23 @@ mod tests {
         let low = bands.filter(&noise, &[1.0, 1.0, 0.0, -3.0, -6.0]);
         assert!(bands.correlation(&low)[2] > 0.4 && bands.correlation(&noise)[2].abs() < 0.05);
         assert!((bands.correlation(&low)[0] - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn values_are_found_at_the_same_frequency_in_bands_of_another_size() {
+        let ln_f = |side: usize| -> Vec<f64> {
+            let lowest = 1.0 / side as f64;
+            let of = |b: usize| portable_math::log(lowest) + (b as f64 + 0.5) / 9.0 * portable_math::log(0.5 / lowest);
+            (0..9).map(of).collect()
+        };
+        let (from, to) = (ln_f(200), ln_f(80));
+        let same = at_other_bands(&from, 200, 200, 1.0);
+        assert!(same.iter().zip(&from).all(|(a, b)| (a - b).abs() < 1e-12));
+        let found = at_other_bands(&from, 200, 80, 1.0);
+        assert!(found[..8].iter().zip(&to).all(|(a, b)| (a - b).abs() < 1e-12), "{found:?} {to:?}");
+        assert!((found[8] - from[8].min(to[8])).abs() < 1e-12);
+        // Where a cell was worth two, a wave of the same number of new cells was one of half as many old ones.
+        let wider = at_other_bands(&from, 200, 80, 2.0);
+        assert!((wider[3] - to[3] - std::f64::consts::LN_2).abs() < 1e-12);
     }
 }

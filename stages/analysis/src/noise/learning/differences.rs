@@ -38,8 +38,16 @@ pub fn check_model(noise: &Noise, dem: &Raster) -> Result<(), StageError> {
         let text =
             format!("the model has {} x {} cells in the {} frame", noise.grid.columns, noise.grid.rows, noise.frame);
         return Err(StageError::new(format!("{text}, which are not those of `dem`"))
-            .hint("give the DEM the model was learnt with"));
+            .hint("give the DEM the model was learnt with, or bring the model to this one with `transfer-noise`"));
     }
+    check_parts(noise)
+}
+
+/// Checks that a model is made as [`whiten`](super::whitening::whiten) takes rasters apart.
+///
+/// # Errors
+/// Another number of bands or classes.
+pub fn check_parts(noise: &Noise) -> Result<(), StageError> {
     if noise.bands() != BANDS || noise.class_log_strength.len() != CLASSES {
         fail!(
             "the model has {} bands and {} classes of place, not {BANDS} and {CLASSES}",

@@ -21,29 +21,35 @@ pub struct Face {
 /// The face that a depth map shows.
 pub fn seen(noise: &Noise, depth: &Depth, camera: &Camera) -> Face {
     let elevation = seen_elevation(noise, depth, camera);
-    let window = Window { columns: noise.grid.columns, rows: noise.grid.rows, half: NEARBY_CELLS };
-    let least_m = LEAST_CHANGE_CELLS * noise.grid.cell_m;
     let differs = |i: usize| {
-        let z = elevation[i];
-        let (low, high) = window
-            .around(i)
-            .map(|j| noise.elevation[j])
-            .filter(|z| !z.is_nan())
-            .fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), z| (low.min(z), high.max(z)));
-        low <= high && (f64::from(z) < f64::from(low) - least_m || f64::from(z) > f64::from(high) + least_m)
+        known_range_m(noise, i)
+            .is_some_and(|[lowest, highest]| f64::from(elevation[i]) < lowest || f64::from(elevation[i]) > highest)
     };
     let changed: Vec<usize> = (0..elevation.len()).filter(|i| differs(*i)).collect();
     let mut strength = noise.strength.clone();
     // Of the unchanged face, all that is known: the new surface meets it at the rim of the change.
     let mut surface = noise.elevation.clone();
     changed.iter().for_each(|i| surface[*i] = elevation[*i]);
-    let reach = Window { half: noise.relief.window_cells, ..window };
+    let reach = Window { columns: noise.grid.columns, rows: noise.grid.rows, half: noise.relief.window_cells };
     for i in changed {
         for j in reach.around(i) {
             strength[j] = law(&noise.relief, relief_m(&surface, &reach, j)) as f32;
         }
     }
     Face { strength, elevation: surface }
+}
+
+/// Range of elevations that count as those of the face of a model at one of its cells, metres: two cells beyond what is known nearby;
+/// `None` where nothing is.
+pub fn known_range_m(noise: &Noise, cell: usize) -> Option<[f64; 2]> {
+    let window = Window { columns: noise.grid.columns, rows: noise.grid.rows, half: NEARBY_CELLS };
+    let least_m = LEAST_CHANGE_CELLS * noise.grid.cell_m;
+    let (low, high) = window
+        .around(cell)
+        .map(|j| noise.elevation[j])
+        .filter(|z| !z.is_nan())
+        .fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), z| (low.min(z), high.max(z)));
+    (low <= high).then(|| [f64::from(low) - least_m, f64::from(high) + least_m])
 }
 
 /// Strength by relief, pixels.
