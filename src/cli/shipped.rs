@@ -15,9 +15,10 @@ macro_rules! files {
 }
 
 /// Every file of the folder `pipelines`; a test compares the list with the folder.
-const FILES: [(&str, &str); 50] = files![
+const FILES: [(&str, &str); 55] = files![
     "benchmark-outcrop.yaml",
     "benchmark.yaml",
+    "calibrate-levels.yaml",
     "calibrate-outcrop.yaml",
     "calibrate-site.yaml",
     "calibrate.yaml",
@@ -36,17 +37,21 @@ const FILES: [(&str, &str); 50] = files![
     "paper/replicate.yaml",
     "paper/small-volumes.yaml",
     "paper/ten-epochs.yaml",
+    "parts/adjusted-noise.yaml",
     "parts/calibrated-replicate.yaml",
     "parts/calibrated-site.yaml",
     "parts/detection-benchmark.yaml",
     "parts/event-replica.yaml",
     "parts/filtered-no-change.yaml",
     "parts/hunter-valley-site.yaml",
+    "parts/judged-model.yaml",
     "parts/judged-noise.yaml",
     "parts/matcher-search.yaml",
     "parts/multi-image-no-change.yaml",
     "parts/multi-image-survey.yaml",
+    "parts/no-change-site.yaml",
     "parts/no-change.yaml",
+    "parts/noise-verdict.yaml",
     "parts/outcrop-noise.yaml",
     "parts/paper-replicate.yaml",
     "parts/paper-search.yaml",
