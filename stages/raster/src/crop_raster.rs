@@ -52,7 +52,7 @@ mod tests {
     use serde_json::{Value, json};
 
     use super::*;
-    use rockface_core::artefact::{Artefact, Band, Frame, Grid};
+    use rockface_core::artefact::{Artefact, Band, Frame, Grid, Noun};
     use rockface_core::params::ParamType;
     use rockface_core::testing::{TestHost, run_stage};
 

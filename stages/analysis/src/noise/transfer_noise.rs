@@ -113,4 +113,5 @@ fn report(found: &Transferred, dem: &Raster, step_m: &[f32], params: &TransferNo
 }
 
 #[cfg(test)]
+#[allow(clippy::float_cmp)] // values that are exact
 mod tests;
