@@ -36,8 +36,17 @@ fn the_experiments_of_the_paper_plan_and_end_in_a_table_of_agreement() {
 #[test]
 fn references_of_the_paper_s_sites_can_be_a_folder_of_one_s_own() {
     let house = House::new(SMALL);
-    let (code, _, err) = house.rockface(&["plan", "paper/hunter-valley", "--set", "params.references=gone/*.tif"]);
-    assert!(code == Some(2) && err.contains("gone"), "{err}");
+    let own = ["--set", "params.references=own", "--set"];
+    for name in ["paper/hunter-valley", "paper/nobbys-head"] {
+        let (code, _, err) = house.rockface(&[&["plan", name][..], &own, &["params.rasters=gone/*.tif"]].concat());
+        assert!(code == Some(2) && err.contains("gone") && !err.contains("item"), "{err}");
+        std::fs::write(house.path("a.tif"), "a raster").unwrap();
+        let raster = format!("params.rasters={}", house.path("*.tif").display());
+        let (code, out, err) =
+            house.rockface(&[&["plan", name, "--target", "features"][..], &own, &[raster.as_str()]].concat());
+        let simulated = out.lines().any(|line| line.starts_with("flown"));
+        assert!(code == Some(0) && out.contains("imported") && !simulated, "{out}{err}");
+    }
 }
 
 #[test]

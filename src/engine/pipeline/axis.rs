@@ -27,6 +27,8 @@ pub struct Axis {
     pub reseeds: bool,
     /// The output its items are taken from.
     pub from: Option<Reference>,
+    /// Whether parameters say its items: choosing by it may name items that it has for other values of theirs.
+    pub by_parameters: bool,
 }
 
 /// The item that no axis can have: `[axis=prev]` is the item before.
@@ -86,8 +88,16 @@ impl Reader<'_> {
         };
         let reseeds = self.flag(node.get("reseeds"), !matches!(*form, "values" | "sample"));
         let label = name.text.clone();
-        let empty =
-            Axis { name, label, items: Vec::new(), values: Arc::default(), fields: Vec::new(), reseeds, from: None };
+        let empty = Axis {
+            name,
+            label,
+            items: Vec::new(),
+            values: Arc::default(),
+            fields: Vec::new(),
+            reseeds,
+            from: None,
+            by_parameters: false,
+        };
         match *form {
             "count" => self.count(list).map(|(items, values)| Axis { items, values: values.into(), ..empty }),
             "sample" => self.sample(node, list, empty),

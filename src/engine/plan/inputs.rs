@@ -107,7 +107,12 @@ impl Resolver<'_> {
         other: Option<&Source>,
     ) -> Option<Vec<Source>> {
         let mut sources = BTreeMap::new();
+        let by_parameters = self.names.document.axes[index].by_parameters;
         for (word, source) in named {
+            // What the axis has for another value of a parameter is chosen then.
+            if by_parameters && self.names.item(index, &word.text).is_none() {
+                continue;
+            }
             if let Some(item) = self.item(index, word, &word.text) {
                 sources.insert(item, source);
             }

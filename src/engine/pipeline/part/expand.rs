@@ -269,9 +269,12 @@ impl<'e> Expansion<'e> {
             self.flat.unread_axes.insert(name.text);
             return;
         }
+        let mut parameters = Vec::new();
+        mentioned(&node, &mut parameters);
         let node = self.with_values(node, reader);
         match reader.axis(name.clone(), &node) {
             Some(mut axis) => {
+                axis.by_parameters = !parameters.is_empty();
                 axis.label.clone_from(&key.name);
                 axis.from = axis.from.and_then(|from| scope.single(from, reader));
                 self.flat.axes.push(axis);

@@ -37,6 +37,8 @@ params! {
         figure: String,
         /// The column of the measured one.
         column: String,
+        /// Row by row, its number is divided by that of this column; left out: it is not.
+        divided_by: Option<String> = None,
         /// What other columns must hold in its rows, a value or a range: `{quantile: 0.95, removed_m3: {max: 0.001}}`.
         rows: BTreeMap<String, Value> = BTreeMap::new(),
         /// What is made of the numbers of these rows.
@@ -170,6 +172,7 @@ fn measured(figure: &Compared, table: &Table) -> Result<Option<f64>, StageError>
         })
     };
     let column = place(&figure.column)?;
+    let divisor = figure.divided_by.as_ref().map(place).transpose()?;
     let wanted = figure.rows.iter().map(|(name, value)| Ok((place(name)?, value)));
     let wanted = wanted.collect::<Result<Vec<_>, StageError>>()?;
     let rows: Vec<&Vec<Cell>> =
@@ -177,7 +180,11 @@ fn measured(figure: &Compared, table: &Table) -> Result<Option<f64>, StageError>
     if figure.take == Take::Count {
         return Ok(Some(rows.len() as f64));
     }
-    let numbers: Vec<f64> = rows.iter().filter_map(|row| number(&row[column])).collect();
+    let of_row = |row: &&Vec<Cell>| {
+        let divided = |at: usize| Some(number(&row[column])? / number(&row[at]).filter(|by| *by != 0.0)?);
+        divisor.map_or_else(|| number(&row[column]), divided)
+    };
+    let numbers: Vec<f64> = rows.iter().filter_map(of_row).collect();
     let where_ = || serde_json::json!(figure.rows).to_string();
     if numbers.is_empty() {
         return Ok(None);

@@ -48,7 +48,7 @@ params! {
         pixels: Pixels = Pixels::DepthMap,
         /// Standard deviation of the white disparity noise, pixels of the depth map.
         sigma_local_px: f64 = 0.7; Range::NonNegative,
-        /// Standard deviation of the smooth disparity noise, pixels of the depth map.
+        /// Standard deviation of the smooth disparity noise, pixels of the depth map; in Table 1 0.7 (Hunter Valley) and 0.65 (Nobbys Head).
         sigma_regular_px: f64 = 0.6; Range::NonNegative,
         /// Distance of the nodes of the smooth noise, pixels of the depth map.
         spacing_px: f64 = 50.0; Range::AtLeast(2.0),
