@@ -7,7 +7,7 @@ use crate::noise::learning::bad::parted;
 use crate::noise::learning::departure::{Departure, Mean, figures};
 use crate::noise::learning::differences::{check, differences, disparities};
 use crate::noise::learning::relief_law;
-use crate::noise::learning::whitening::{BANDS, Places, Prior, Stack, Whitened, range_cells, whiten};
+use crate::noise::learning::whitening::{BANDS, LEAST_SIDE_CELLS, Places, Prior, Stack, Whitened, range_cells, whiten};
 use rockface_core::artefact::{Band, Cameras, Contrast, Kind, Member, Noise, Pairs, Raster, ReliefLaw};
 use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::quantile::quantile;
@@ -296,9 +296,6 @@ fn own_shares(real: &[&Whitened], alike: &[&Whitened]) -> Vec<f64> {
 const ALIKE: f64 = 1e-6;
 /// Least part of the variance of a figure that acquisitions differ by.
 const LEAST_OWN: f64 = 0.1;
-
-/// Fewest cells along a side of a window: fewer have no bands of frequency.
-const LEAST_SIDE_CELLS: usize = 8;
 
 /// Deviation within which the energy of a mixture is averaged, cells.
 const CONTRAST_CELLS: f64 = 1.5;

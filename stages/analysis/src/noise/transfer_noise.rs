@@ -1,6 +1,7 @@
 //! `transfer-noise`: brings a noise model to another face, or to a part of its own that it was not learnt on.
 
 use crate::noise::learning::differences::{check, check_parts};
+use crate::noise::learning::whitening::LEAST_SIDE_CELLS;
 use crate::noise::transfer::{Setting, Transferred, transferred};
 use rockface_core::artefact::{Cameras, Kind, Noise, Pairs, Raster};
 use rockface_core::numerics::quantile::median;
@@ -22,9 +23,6 @@ params! {
 
 /// Brings a noise model to the grid and the geometry of another face.
 pub struct TransferNoise;
-
-/// Fewest cells along a side of a face: fewer have no bands of frequency.
-const LEAST_SIDE_CELLS: usize = 8;
 
 impl Stage for TransferNoise {
     type Params = TransferNoiseParams;

@@ -74,8 +74,9 @@ impl SurveySteps {
 
     /// What a pixel of disparity is worth in the depth map of an image of one pair, shown or not; `None` for points behind the image, and
     /// for a pair that the survey does not have.
-    pub fn of_pair(&self, pair: &str, side: Side, point: &Vector3<f64>) -> Option<f64> {
-        self.views.iter().find(|view| view.pair == pair)?.step_m(point, side)
+    pub fn of_pair(&self, pair: &str, side: Side) -> impl Fn(&Vector3<f64>) -> Option<f64> {
+        let view = self.views.iter().find(|view| view.pair == pair);
+        move |point| view?.step_m(point, side)
     }
 }
 
@@ -139,12 +140,12 @@ mod tests {
         let point = Vector3::new(1.0, 0.0, 0.0);
         let of = |base: f64| 20.0 * 20.0 / (small_sensor().f * base);
         let near = |found: Option<f64>, expected: f64| (found.unwrap() - expected).abs() < 1e-9;
-        assert!(near(steps.at(&point), of(2.0)) && near(steps.of_pair("a+c", Side::Second, &point), of(4.0)));
+        assert!(near(steps.at(&point), of(2.0)) && near(steps.of_pair("a+c", Side::Second)(&point), of(4.0)));
         let outside = Vector3::new(500.0, 0.0, 0.0);
         assert!(steps.at(&outside).is_none() && near(steps.nearly_at(&outside), of(2.0)));
         let behind = Vector3::new(0.0, 0.0, 30.0);
         assert!(
-            steps.of_pair("a+b", Side::First, &behind).is_none() && steps.of_pair("x", Side::First, &point).is_none()
+            steps.of_pair("a+b", Side::First)(&behind).is_none() && steps.of_pair("x", Side::First)(&point).is_none()
         );
     }
 }

@@ -17,6 +17,8 @@ const CLASS_ENDS: [f64; 5] = [0.2, 0.4, 0.6, 0.8, 0.97];
 pub const CLASSES: usize = CLASS_ENDS.len() + 1;
 /// Number of bands of frequency.
 pub const BANDS: usize = 12;
+/// Fewest cells along a side of rasters: fewer have no bands of frequency.
+pub const LEAST_SIDE_CELLS: usize = 8;
 /// Rounds in which map and levels are fitted to each other.
 const ROUNDS: usize = 3;
 /// Deviations of the Gaussians that fill gaps, cells: the first one that reaches a value.

@@ -27,6 +27,9 @@ const NODES: usize = 32;
 pub struct Acquisition<'a> {
     noise: &'a Noise,
     survey: SurveySteps,
+    nodes: Nodes,
+    /// What a pixel is worth in the survey at each node, metres.
+    step_m: Vec<Option<f64>>,
     /// Errors, pixels of the full image as in the median pair; 0 in gaps.
     errors_px: Vec<f32>,
     gaps: Arc<Vec<bool>>,
@@ -56,19 +59,21 @@ impl<'a> Acquisition<'a> {
         let gaps = Arc::new(errors_px.iter().map(|px| px.is_nan()).collect());
         errors_px.iter_mut().filter(|px| px.is_nan()).for_each(|px| *px = 0.0);
         let slopes = Arc::new(slopes(&face.elevation, noise.grid.columns));
-        Ok(Self { noise, survey, errors_px, gaps, slopes, downscale: depth.downscale })
+        let nodes = Nodes::new(noise.grid, &noise.elevation);
+        let step_m = nodes.points.iter().map(|point| survey.nearly_at(point)).collect();
+        Ok(Self { noise, survey, nodes, step_m, errors_px, gaps, slopes, downscale: depth.downscale })
     }
 
     /// Its errors in the disparity of a pair, for the depth map of the image on one side.
     pub fn of_pair(&self, pair: &str, side: Side) -> LearntNoise {
-        let shares = Lattice::new(
-            self.noise.grid,
-            |point| Some(self.survey.nearly_at(point)? / self.survey.of_pair(pair, side, point)?),
-            &self.noise.elevation,
-        );
+        let own_m = self.survey.of_pair(pair, side);
+        let shares: Vec<f32> =
+            self.step_m.iter().zip(&self.nodes.points).map(|(step_m, point)| share(*step_m, own_m(point))).collect();
         let columns = self.noise.grid.columns;
         let scale = 1.0 / self.downscale as f32;
-        let value = |(cell, error_px): (usize, &f32)| error_px * scale * shares.at(cell % columns, cell / columns);
+        let value = |(cell, error_px): (usize, &f32)| {
+            error_px * scale * self.nodes.between(&shares, cell % columns, cell / columns)
+        };
         let values_px: Vec<f32> = self.errors_px.iter().enumerate().map(value).collect();
         let range_px =
             values_px.iter().fold([0.0, 0.0], |[low, high]: [f32; 2], v| [low.min(*v), high.max(*v)]).map(f64::from);
@@ -100,44 +105,49 @@ fn slopes(elevation: &[f32], columns: usize) -> Vec<[f32; 2]> {
     (0..elevation.len()).map(at).collect()
 }
 
-/// A factor that varies little over the face, between nodes some cells apart.
-struct Lattice {
-    spacing: usize,
-    columns: usize,
-    values: Vec<f32>,
+/// What a pixel is worth in the survey over what it is worth in one pair; 1 where one of them is not known.
+fn share(survey_m: Option<f64>, pair_m: Option<f64>) -> f32 {
+    survey_m.zip(pair_m).map_or(1.0, |(survey_m, pair_m)| (survey_m / pair_m) as f32)
 }
 
-impl Lattice {
-    /// From its value at points of the face, whose elevation (metres) is known cell by cell; 1 where there is none.
-    fn new(grid: Grid, of: impl Fn(&Vector3<f64>) -> Option<f64>, elevation: &[f32]) -> Self {
+/// Points of the face some cells apart, between which the geometry of pairs varies little.
+#[derive(Debug, Clone)]
+struct Nodes {
+    spacing: usize,
+    columns: usize,
+    points: Vec<Vector3<f64>>,
+}
+
+impl Nodes {
+    /// On the cells of a grid over a face, whose elevation (metres) is the middle one where it is unknown.
+    fn new(grid: Grid, elevation: &[f32]) -> Self {
         let mut known: Vec<f64> = elevation.iter().filter(|z| !z.is_nan()).map(|z| f64::from(*z)).collect();
         let middle = median(&mut known).unwrap_or(0.0);
         let spacing = grid.columns.max(grid.rows).div_ceil(NODES);
-        let nodes = |size: usize| (size - 1).div_ceil(spacing) + 1;
-        let [columns, rows] = [grid.columns, grid.rows].map(nodes);
-        let value = |node: usize| {
+        let [columns, rows] = [grid.columns, grid.rows].map(|size| (size - 1).div_ceil(spacing) + 1);
+        let point = |node: usize| {
             let cell = |node: usize, size: usize| (node * spacing).min(size - 1);
             let (column, row) = (cell(node % columns, grid.columns), cell(node / columns, grid.rows));
             let (x, y) = grid.centre(row, column);
             let z = f64::from(elevation[row * grid.columns + column]);
-            of(&Vector3::new(x, y, if z.is_nan() { middle } else { z })).map_or(1.0, |value| value as f32)
+            Vector3::new(x, y, if z.is_nan() { middle } else { z })
         };
-        Self { spacing, columns, values: (0..columns * rows).map(value).collect() }
+        Self { spacing, columns, points: (0..columns * rows).map(point).collect() }
     }
 
-    /// Bilinear between the four nodes around a cell.
-    fn at(&self, column: usize, row: usize) -> f32 {
-        let rows = self.values.len() / self.columns;
+    /// Bilinear between the values of the four nodes around a cell.
+    fn between(&self, values: &[f32], column: usize, row: usize) -> f32 {
         let part = |at: usize, nodes: usize| {
             let low = (at / self.spacing).min(nodes - 1);
             (low, (low + 1).min(nodes - 1), (at % self.spacing) as f32 / self.spacing as f32)
         };
+        let rows = self.points.len() / self.columns;
         let ((left, right, u), (top, bottom, v)) = (part(column, self.columns), part(row, rows));
-        let between = |row: usize| {
-            let value = |column: usize| self.values[row * self.columns + column];
+        let along = |row: usize| {
+            let value = |column: usize| values[row * self.columns + column];
             value(left) + u * (value(right) - value(left))
         };
-        between(top) + v * (between(bottom) - between(top))
+        along(top) + v * (along(bottom) - along(top))
     }
 }
 
@@ -172,8 +182,8 @@ const STEP_CELLS: f64 = 0.25;
 const MOST_STEPS: usize = 256;
 
 impl LearntNoise {
-    /// The errors of some points of the face: those with which they come to lie where their rays meet the surface that the errors make of it. Of several such places it is the one
-    /// that guesses from the point's own error settle at, or else the first on the way from the camera.
+    /// The errors of some points of the face: those with which they come to lie where their rays meet the surface that the errors make of
+    /// it. Of several such places it is the one that guesses from the point's own error settle at, or else the first on the way from the camera.
     ///
     /// `points` and `centre` (of the camera) are metres; `parallax_px` is the disparity beyond that of infinity without noise. NaN in a gap,
     /// where nothing is matched.
@@ -319,16 +329,20 @@ mod tests {
     }
 
     #[test]
-    fn a_lattice_is_exact_where_its_factor_is_linear_and_one_where_it_is_unknown() {
+    fn between_nodes_a_factor_is_exact_where_it_is_linear_and_one_where_it_is_unknown() {
         let grid = Grid { columns: 97, rows: 41, cell_m: 0.1, left_m: 0.0, top_m: 4.1 };
         let elevation: Vec<f32> = (0..97 * 41).map(|i| if i % 3 == 0 { f32::NAN } else { 2.0 }).collect();
-        let lattice = Lattice::new(grid, |point| Some(point.x + 2.0 * point.y + point.z), &elevation);
+        let nodes = Nodes::new(grid, &elevation);
+        let factors: Vec<f32> =
+            nodes.points.iter().map(|point| share(Some(point.x + 2.0 * point.y + point.z), Some(1.0))).collect();
+        let at = |column: usize, row: usize| nodes.between(&factors, column, row);
         for (column, row) in [(0, 0), (13, 7), (95, 39), (96, 40)] {
             let (x, y) = grid.centre(row, column);
             // The last node stands at the last cell, nearer than the others: a cell before it is between them all the same.
-            assert!((f64::from(lattice.at(column, row)) - (x + 2.0 * y + 2.0)).abs() < 0.3, "{column} {row}");
+            assert!((f64::from(at(column, row)) - (x + 2.0 * y + 2.0)).abs() < 0.3, "{column} {row}");
         }
-        assert!((f64::from(lattice.at(13, 7)) - (1.35 + 2.0 * 3.35 + 2.0)).abs() < 1e-5);
-        assert_eq!(Lattice::new(grid, |_| None, &elevation).at(50, 20), 1.0);
+        assert!((f64::from(at(13, 7)) - (1.35 + 2.0 * 3.35 + 2.0)).abs() < 1e-5);
+        let unknown = vec![share(None, Some(2.0)); nodes.points.len()];
+        assert_eq!((nodes.between(&unknown, 50, 20), share(Some(2.0), None)), (1.0, 1.0));
     }
 }
