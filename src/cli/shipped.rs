@@ -15,11 +15,12 @@ macro_rules! files {
 }
 
 /// Every file of the folder `pipelines`; a test compares the list with the folder.
-const FILES: [(&str, &str); 55] = files![
+const FILES: [(&str, &str); 57] = files![
     "benchmark-outcrop.yaml",
     "benchmark.yaml",
     "calibrate-levels.yaml",
     "calibrate-outcrop.yaml",
+    "calibrate-paper.yaml",
     "calibrate-site.yaml",
     "calibrate.yaml",
     "dataset.yaml",
@@ -70,6 +71,7 @@ const FILES: [(&str, &str); 55] = files![
     "scripts/own_detector.py",
     "scripts/vertex_bands.py",
     "shell-tool.yaml",
+    "site-rockfall.yaml",
     "trier-cliff.yaml",
 ];
 

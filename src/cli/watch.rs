@@ -53,27 +53,42 @@ struct State {
 }
 
 impl WatchArgs {
-    /// Prints how far the run is until nobody works on it any more.
+    /// Prints how far the run is until nobody works on it any more, and how it ended.
     pub fn run(self) -> Result<(), CliError> {
         let pipeline = Path::new(&self.what);
         let store = self.places.given_store().unwrap_or_else(|| beside(pipeline).join("store"));
-        let is_file = pipeline.is_file() && !pipeline.ends_with("run.json");
-        if !is_file && State::of(&store, pipeline).is_over() {
-            return self.past();
+        let before = self.places.find(&self.what).map(|run| run.folder).ok();
+        let mut state = State::of(&store, pipeline);
+        if state.is_over() {
+            return self.nobody(&state);
         }
-        let mut lines = 0;
-        let mut seen = None;
-        loop {
-            let state = State::of(&store, pipeline);
-            if state.is_over() && seen.is_some() {
-                return self.end(seen.as_ref());
-            }
-            lines = self.show(&state, seen.as_ref(), lines);
-            if self.once || state.is_over() {
-                return Ok(());
-            }
-            seen = Some(state);
+        let mut lines = self.show(&state, None, 0);
+        while !self.once {
             std::thread::sleep(Duration::from_secs_f64(self.interval));
+            let next = State::of(&store, pipeline);
+            if next.is_over() {
+                return self.end(&state, before.as_deref());
+            }
+            lines = self.show(&next, Some(&state), lines);
+            state = next;
+        }
+        Ok(())
+    }
+
+    /// Nobody works on it: says how the last run of it ended, if there was one.
+    fn nobody(&self, state: &State) -> Result<(), CliError> {
+        let is_file = Path::new(&self.what).is_file();
+        match self.places.find(&self.what) {
+            Ok(run) => self.past(&run),
+            Err(_) if is_file && self.json => {
+                say(&state.json().to_string());
+                Ok(())
+            }
+            Err(_) if is_file => {
+                say("nobody works on it, and no run of it has ended yet");
+                Ok(())
+            }
+            Err(error) => Err(error),
         }
     }
 
@@ -95,22 +110,26 @@ impl WatchArgs {
         text.lines().count()
     }
 
-    /// Nobody works on it any more: says what was last known, and fails if steps failed.
-    fn end(&self, last: Option<&State>) -> Result<(), CliError> {
-        let failures: Vec<_> = last.iter().flat_map(|state| state.failures()).collect();
-        let (done, total) = last.map_or((0, 0), State::progress);
+    /// Nobody works on it any more: says how it ended, or where no run folder was written since the watch began, what was last known; fails if
+    /// steps failed.
+    fn end(&self, last: &State, before: Option<&Path>) -> Result<(), CliError> {
+        if let Ok(run) = self.places.find(&self.what)
+            && before != Some(&run.folder)
+        {
+            return self.past(&run);
+        }
         if !self.json {
+            let (done, total) = last.progress();
             let way = format!("`rockface run {}` writes the run folder if none was written", self.what);
             say(&format!(
                 "nobody works on it any more; {done} of {total} steps were done when it was last seen; {way}"
             ));
         }
-        if failures.is_empty() { Ok(()) } else { Err(CliError::Failed) }
+        if last.failures().is_empty() { Ok(()) } else { Err(CliError::Failed) }
     }
 
     /// The end of a past run.
-    fn past(&self) -> Result<(), CliError> {
-        let run: PastRun = self.places.find(&self.what)?;
+    fn past(&self, run: &PastRun) -> Result<(), CliError> {
         let status = |wanted: &str| run.manifest.steps.iter().filter(|step| step.status == wanted).count();
         let (executed, cached, failed) = (status("executed"), status("cached"), status("failed"));
         if self.json {
@@ -118,7 +137,7 @@ impl WatchArgs {
             say(&json!({"folder": folder, "executed": executed, "cached": cached, "failed": failed}).to_string());
         } else {
             let (folder, finished) = (run.folder.display(), &run.manifest.finished);
-            say(&format!("ended {finished}: ran {executed}, cached {cached}, failed {failed}; results in {folder}"));
+            say(&format!("nobody works on it; the last run ended {finished}: ran {executed}, cached {cached}, failed {failed}; results in {folder}"));
         }
         if failed == 0 { Ok(()) } else { Err(CliError::Failed) }
     }
@@ -172,9 +191,6 @@ impl State {
     }
 
     fn text(&self) -> String {
-        if self.is_over() {
-            return "nobody works on it".to_owned();
-        }
         let (done, total) = self.progress();
         let left = self.remaining_s().map(|left| format!(", about {} left", duration(left))).unwrap_or_default();
         let count = self.live().count();

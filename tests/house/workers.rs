@@ -121,7 +121,7 @@ fn a_run_is_watched_from_its_files_and_nothing_is_changed() {
     let house = counted.step("a", OVER_I.0, OVER_I.1, &script).write(&axis(4));
     let watch = |more: &[&str]| house.rockface(&[["watch", "p.yaml"].as_slice(), more].concat());
     let (code, out, _) = watch(&["--once"]);
-    assert_eq!((code, out.as_str()), (Some(0), "nobody works on it\n"));
+    assert_eq!((code, out.as_str()), (Some(0), "nobody works on it, and no run of it has ended yet\n"));
     assert!(!house.path(".rockface").exists(), "who watches makes nothing");
     let children = vec![start(&house, "run", None), start(&house, "work", None)];
     let begun = Instant::now();
@@ -140,10 +140,12 @@ fn a_run_is_watched_from_its_files_and_nothing_is_changed() {
     assert!(out.starts_with("0 of 4 steps done") && out.contains("2 processes") && out.contains("runs a[i="), "{out}");
     std::fs::write(house.path("go"), "").unwrap();
     let (code, out, _) = watch(&["--interval", "0.1"]);
-    assert!(code == Some(0) && last_line(&out).contains("nobody works on it any more"), "{out}");
+    assert!(code == Some(0) && last_line(&out).starts_with("nobody works on it; the last run ended "), "{out}");
     succeed(children);
-    let (code, out, _) = house.rockface(&["watch", "latest"]);
-    assert!(code == Some(0) && out.starts_with("ended ") && out.contains("failed 0"), "{out}");
+    for what in ["latest", "p.yaml"] {
+        let (code, out, _) = house.rockface(&["watch", what]);
+        assert!(code == Some(0) && out.contains("ended ") && out.contains("failed 0; results in "), "{out}");
+    }
     assert_eq!(starts(&house).values().sum::<usize>(), 4);
 }
 

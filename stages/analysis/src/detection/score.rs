@@ -108,6 +108,12 @@ impl Counts {
         f1(self.precision(), self.recall())
     }
 
+    /// Share of all decisions that are right, those included that rightly found nothing; `None` where nothing was decided. Objects have no
+    /// true negatives: theirs is the critical success index.
+    pub fn accuracy(&self, true_negatives: usize) -> Option<f64> {
+        share(self.true_positives + true_negatives, self.false_positives + self.missed)
+    }
+
     /// The counts of both.
     #[must_use]
     pub fn plus(&self, other: &Self) -> Self {
@@ -206,7 +212,9 @@ mod tests {
     #[test]
     fn rates_without_anything_to_count() {
         let none = Counts::default();
-        assert_eq!((none.precision(), none.recall(), none.f1()), (None, None, None));
+        assert_eq!((none.precision(), none.recall(), none.f1(), none.accuracy(0)), (None, None, None, None));
+        let some = Counts { true_positives: 3, false_positives: 1, found: 3, missed: 2 };
+        assert_eq!((some.accuracy(0), some.accuracy(4)), (Some(0.5), Some(0.7)));
         let silent = Counts { missed: 3, ..none };
         assert_eq!((silent.precision(), silent.recall(), silent.f1()), (None, Some(0.0), Some(0.0)));
         let alarm = Counts { false_positives: 1, ..none };

@@ -31,7 +31,7 @@ pub struct ScoreDetections;
 impl Stage for ScoreDetections {
     type Params = ScoreDetectionsParams;
     const NAME: &'static str = "score-detections";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("score_detections.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("truth", &[Kind::Inventory], "What is true, such as the ground truth of `remove-blocks`."),
@@ -181,6 +181,7 @@ fn summary(
         ("precision", any.precision()),
         ("recall", any.recall()),
         ("f1", any.f1()),
+        ("accuracy", any.accuracy(0)),
         ("pairs", number(score.pairs.len())),
         ("true_positives_1to1", number(strict.true_positives)),
         ("false_positives_1to1", number(strict.false_positives)),
@@ -189,6 +190,7 @@ fn summary(
         ("precision_1to1", strict.precision()),
         ("recall_1to1", strict.recall()),
         ("f1_1to1", strict.f1()),
+        ("accuracy_1to1", strict.accuracy(0)),
         ("cells_true_positive", number(both)),
         ("cells_false_positive", number(found)),
         ("cells_false_negative", number(missed)),
@@ -196,6 +198,7 @@ fn summary(
         ("cell_precision", by_cell.precision()),
         ("cell_recall", by_cell.recall()),
         ("cell_f1", by_cell.f1()),
+        ("cell_accuracy", by_cell.accuracy(none)),
         ("cell_iou", cell_iou),
         ("truth_m3", Some(volume(truth, &|_| true))),
         ("found_truth_m3", Some(volume(truth, &|number| score.of_truth(number) > 0))),

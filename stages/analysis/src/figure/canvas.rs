@@ -63,17 +63,36 @@ impl Pen {
 const ELLIPSIS: &str = "\u{2026}";
 
 /// Pixels by row from the top, white at first.
-#[derive(Debug, Clone, PartialEq, Eq)]
+///
+/// Places and sizes of boxes and texts are in units of one pixel or more, so that a picture can be made finer as it is.
+#[derive(Debug, Clone, PartialEq)]
 pub struct Canvas {
     width: usize,
     height: usize,
+    unit_px: f64,
     pixels: Vec<Colour>,
 }
 
 impl Canvas {
-    /// A white canvas of so many pixels.
+    /// A white canvas of so many pixels, which are its units.
     pub fn new(width: usize, height: usize) -> Self {
-        Self { width, height, pixels: vec![[255; 3]; width * height] }
+        Self::in_units(width, height, 1.0)
+    }
+
+    /// A white canvas of so many units, each `unit_px` pixels long.
+    pub fn in_units(width: usize, height: usize, unit_px: f64) -> Self {
+        let [width, height] = [width, height].map(|side| (side as f64 * unit_px).round() as usize);
+        Self { width, height, unit_px, pixels: vec![[255; 3]; width * height] }
+    }
+
+    /// Pixels of a unit.
+    pub fn unit_px(&self) -> f64 {
+        self.unit_px
+    }
+
+    /// Columns and rows of pixels.
+    pub fn size_px(&self) -> [usize; 2] {
+        [self.width, self.height]
     }
 
     /// The colour of a pixel, where there is one.
@@ -83,13 +102,19 @@ impl Canvas {
 
     /// Fills a box, as far as it is on the canvas.
     pub fn fill(&mut self, x: usize, y: usize, width: usize, height: usize, colour: Colour) {
-        for row in y..y.saturating_add(height).min(self.height) {
-            let end = x.saturating_add(width).min(self.width);
-            self.pixels[row * self.width + x.min(end)..row * self.width + end].fill(colour);
+        let [left, right] = [x, x.saturating_add(width)].map(|at| self.pixels_of(at).min(self.width));
+        let [top, bottom] = [y, y.saturating_add(height)].map(|at| self.pixels_of(at).min(self.height));
+        for row in top..bottom {
+            self.pixels[row * self.width + left..row * self.width + right].fill(colour);
         }
     }
 
-    /// Draws a line of one pixel around the outside of a box.
+    /// Pixels that so many units take.
+    fn pixels_of(&self, units: usize) -> usize {
+        (units as f64 * self.unit_px).round() as usize
+    }
+
+    /// Draws a line one unit wide around the outside of a box.
     pub fn frame(&mut self, x: usize, y: usize, width: usize, height: usize, colour: Colour) {
         let (left, top) = (x.saturating_sub(1), y.saturating_sub(1));
         self.fill(left, top, width.saturating_add(2), 1, colour);
@@ -98,8 +123,9 @@ impl Canvas {
         self.fill(x.saturating_add(width), top, 1, height.saturating_add(2), colour);
     }
 
-    /// Lays another canvas over this one, its upper left corner at a place [x, y].
-    pub fn lay(&mut self, other: &Self, [left, top]: [usize; 2]) {
+    /// Lays another canvas over this one, pixel by pixel, its upper left corner at a place [x, y].
+    pub fn lay(&mut self, other: &Self, corner: [usize; 2]) {
+        let [left, top] = corner.map(|at| self.pixels_of(at));
         for (place, colour) in other.pixels.iter().enumerate() {
             if let Some(pixel) = self.pixel(left + place % other.width, top + place / other.width) {
                 *pixel = *colour;
@@ -114,11 +140,12 @@ impl Canvas {
             Align::Middle => 0.5,
             Align::Right => 1.0,
         };
-        let scale = PxScale::from(pen.size_px);
+        let unit = self.unit_px as f32;
+        let scale = PxScale::from(unit * pen.size_px);
         let font = pen.font.as_scaled(scale);
-        let mut pen_x = (x - share * pen.width(text)).round();
+        let mut pen_x = (unit * (x - share * pen.width(text))).round();
         // Figures and capitals reach about 0.62 of the size above the baseline.
-        let baseline = (y + 0.31 * pen.size_px).round();
+        let baseline = (unit * (y + 0.31 * pen.size_px)).round();
         for letter in text.chars() {
             let id = font.glyph_id(letter);
             if let Some(outline) = pen.font.outline_glyph(id.with_scale_and_position(scale, point(pen_x, baseline))) {
@@ -187,6 +214,22 @@ mod tests {
         assert_eq!(canvas.pixel(59, 29), Some(&mut [1, 2, 3]));
         let dark = canvas.pixels.iter().filter(|p| p[0] < 64 && p[1] == p[0]).count();
         assert!((20..200).contains(&dark), "{dark} dark pixels of text");
+    }
+
+    #[test]
+    fn a_finer_canvas_shows_the_same_in_more_pixels() {
+        let mut canvas = Canvas::in_units(8, 4, 2.5);
+        canvas.fill(2, 1, 2, 2, [1, 2, 3]);
+        assert_eq!(canvas.size_px(), [20, 10]);
+        let filled = |p: usize| (5..10).contains(&(p % 20)) && (3..8).contains(&(p / 20));
+        assert!((0..200).all(|p| (canvas.pixels[p] == [1, 2, 3]) == filled(p)));
+        let dark = |unit_px: f64| {
+            let mut canvas = Canvas::in_units(40, 20, unit_px);
+            canvas.text(&Pen::plain(16.0, [0; 3]).unwrap(), 5.0, 10.0, Align::Left, "Mm");
+            canvas.pixels.iter().map(|p| 255.0 - f64::from(p[0])).sum::<f64>()
+        };
+        let ratio = dark(3.0) / dark(1.0);
+        assert!((ratio - 9.0).abs() < 0.5, "{ratio}");
     }
 
     #[test]

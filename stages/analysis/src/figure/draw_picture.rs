@@ -50,7 +50,7 @@ pub struct DrawPicture;
 impl Stage for DrawPicture {
     type Params = DrawPictureParams;
     const NAME: &'static str = "draw-picture";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("draw_picture.md"));
     const INPUTS: &'static [Port] = &[Port::one(
         "subject",

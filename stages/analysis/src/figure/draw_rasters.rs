@@ -36,7 +36,7 @@ pub struct DrawRasters;
 impl Stage for DrawRasters {
     type Params = DrawRastersParams;
     const NAME: &'static str = "draw-rasters";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("draw_rasters.md"));
     const INPUTS: &'static [Port] = &[
         Port::many("rasters", &[Kind::Raster], "The first row: a stack of bands, or gathered."),

@@ -23,7 +23,7 @@ params! {
         requested_column: String = "block_m3".to_owned(),
         /// Volumes the power law needs at least.
         least_count: u32 = 10; Range::AtLeast(2.0),
-        /// Width of the picture, pixels.
+        /// Width of the picture, pixels; text and lines grow with it.
         width_px: u32 = 1000; Range::Between(1000.0, 8000.0),
     }
 }
@@ -34,7 +34,7 @@ pub struct DrawRockfall;
 impl Stage for DrawRockfall {
     type Params = DrawRockfallParams;
     const NAME: &'static str = "draw-rockfall";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("draw_rockfall.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("face", &[Kind::Mesh, Kind::Surface, Kind::Raster], "The face, or its elevation."),

@@ -250,7 +250,7 @@ fn draw_bar(
         canvas.text(&pen, left, y as f32, Align::Left, &label);
     }
     let middle = (x + bar_width / 2) as f32;
-    canvas.text(&pen, middle, top as f32 - 15.0 * layout.unit, Align::Middle, unit);
+    canvas.text(&pen, middle, top as f32 - 11.0 * layout.unit, Align::Middle, unit);
     Ok(())
 }
 

@@ -8,7 +8,7 @@ use rockface_core::numerics::portable_math;
 use super::strokes::{self, Place};
 use super::{FAINT, Frame, HAIR, INK, heading};
 
-/// Room for labels left of, below and above the axes, pixels.
+/// Room for labels left of, below and above the axes, units.
 const LEFT: usize = 66;
 const BELOW: usize = 56;
 const ABOVE: usize = 34;
@@ -78,7 +78,7 @@ impl Decades {
         Ok(())
     }
 
-    /// Where positive values lie, pixels.
+    /// Where positive values lie, units.
     pub fn place(&self, x: f64, y: f64) -> Place {
         let share = |value: f64, [first, last]: [i32; 2]| {
             (portable_math::log10(value) - f64::from(first)) / f64::from(last - first)

@@ -10,9 +10,9 @@ use rockface_core::numerics::portable_math;
 
 use super::{FAINT, Figure, INK, strokes, volume};
 
-/// Room for the colour bar to the right, pixels.
+/// Room for the colour bar to the right, units.
 pub const BAR: usize = 160;
-/// Room for the scale bar below, pixels.
+/// Room for the scale bar below, units.
 pub const FOOT: usize = 40;
 const BAR_WIDTH: usize = 22;
 /// Grey of level rock.
@@ -21,21 +21,34 @@ const ROCK: f64 = 205.0;
 /// The face at the size of the picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct View {
-    /// Width, pixels.
+    /// Width, units.
     pub width: usize,
-    /// Height, pixels.
+    /// Height, units.
     pub height: usize,
-    /// Side of a pixel, metres.
-    pub pixel_m: f64,
+    /// Side of a unit, metres.
+    pub unit_m: f64,
 }
 
 impl View {
-    /// The largest view of a grid within so many pixels.
+    /// The largest view of a grid within so many units.
     pub fn of(grid: &Grid, width: usize, height: usize) -> Self {
         let (wide, high) = (grid.columns as f64 * grid.cell_m, grid.rows as f64 * grid.cell_m);
-        let pixel_m = (wide / width as f64).max(high / height as f64);
-        let pixels = |metres: f64| ((metres / pixel_m).round() as usize).max(1);
-        Self { width: pixels(wide), height: pixels(high), pixel_m }
+        let unit_m = (wide / width as f64).max(high / height as f64);
+        let units = |metres: f64| ((metres / unit_m).round() as usize).max(1);
+        Self { width: units(wide), height: units(high), unit_m }
+    }
+
+    /// The grey relief of elevations by row from the top, as a sheet of its own: outlines that reach beyond the face end at its frame.
+    pub fn relief(&self, face: &[f32], grid: &Grid, unit_px: f64) -> Canvas {
+        let mut sheet = Canvas::in_units(self.width, self.height, unit_px);
+        let [width, height] = sheet.size_px();
+        let pixels = Self { width, height, unit_m: self.unit_m / unit_px };
+        for (place, shade) in shades(face, grid, &pixels).iter().enumerate() {
+            if let Some(pixel) = sheet.pixel(place % width, place / width) {
+                *pixel = *shade;
+            }
+        }
+        sheet
     }
 }
 
@@ -47,34 +60,23 @@ pub fn draw(
     scale: &ColourScale,
     [left, top]: [usize; 2],
 ) -> Result<(), CodecError> {
-    // On a sheet of its own: outlines that reach beyond the face end at its frame.
-    let mut sheet = Canvas::new(view.width, view.height);
+    let mut sheet = view.relief(figure.face, &figure.grid, canvas.unit_px());
     paint(&mut sheet, figure, view, scale);
-    for place in 0..view.width * view.height {
-        let (x, y) = (place % view.width, place / view.width);
-        if let Some((to, from)) = canvas.pixel(left + x, top + y).zip(sheet.pixel(x, y)) {
-            *to = *from;
-        }
-    }
+    canvas.lay(&sheet, [left, top]);
     canvas.frame(left, top, view.width, view.height, FAINT);
     draw_bar(canvas, scale, [left + view.width + 30, top], view.height.min(420), figure)?;
     let pen = Pen::plain(18.0, INK)?;
-    draw_scale(canvas, view.width as f64, view.pixel_m, [left, top + view.height + 24], &pen)
+    draw_scale(canvas, view.width as f64, view.unit_m, [left, top + view.height + 24], &pen)
 }
 
-/// The relief with the niches over it, small ones over large ones.
+/// Draws the niches, small ones over large ones.
 fn paint(sheet: &mut Canvas, figure: &Figure, view: &View, scale: &ColourScale) {
-    for (place, shade) in shades(figure.face, &figure.grid, view).iter().enumerate() {
-        if let Some(pixel) = sheet.pixel(place % view.width, place / view.width) {
-            *pixel = *shade;
-        }
-    }
     let mut order: Vec<_> = figure.rockfalls.iter().collect();
     order.sort_by(|a, b| b.removed_m3.total_cmp(&a.removed_m3));
     for fall in order {
         let colour = scale.colour(portable_math::log10(fall.removed_m3));
         for polygon in fall.outline {
-            let polygon = in_pixels(polygon, &figure.grid, view);
+            let polygon = in_units(polygon, &figure.grid, view);
             strokes::fill(sheet, &polygon, colour, 0.62);
             strokes::outline(sheet, &polygon, 1.6, darker(colour));
         }
@@ -85,15 +87,15 @@ fn darker(colour: Colour) -> Colour {
     colour.map(|value| value / 2)
 }
 
-/// A polygon in metres as one in pixels of a view.
-pub fn in_pixels(polygon: &Polygon, grid: &Grid, view: &View) -> Polygon {
-    let place = |[x, y]: &[f64; 2]| [(x - grid.left_m) / view.pixel_m, (grid.top_m - y) / view.pixel_m];
+/// A polygon in metres as one in units of a view.
+pub fn in_units(polygon: &Polygon, grid: &Grid, view: &View) -> Polygon {
+    let place = |[x, y]: &[f64; 2]| [(x - grid.left_m) / view.unit_m, (grid.top_m - y) / view.unit_m];
     let ring = |ring: &Vec<[f64; 2]>| ring.iter().map(place).collect();
     Polygon { exterior: ring(&polygon.exterior), holes: polygon.holes.iter().map(ring).collect() }
 }
 
-/// Grey relief of elevations by row from the top.
-pub fn shades(face: &[f32], grid: &Grid, view: &View) -> Vec<Colour> {
+/// Grey of elevations by row from the top, in a view whose units are pixels.
+fn shades(face: &[f32], grid: &Grid, view: &View) -> Vec<Colour> {
     let heights: Vec<f64> =
         (0..view.width * view.height).into_par_iter().map(|i| height(face, grid, view, i)).collect();
     let at = |x: usize, y: usize| heights[y * view.width + x];
@@ -104,8 +106,8 @@ pub fn shades(face: &[f32], grid: &Grid, view: &View) -> Vec<Colour> {
         }
         let (left, right) = (x.saturating_sub(1), (x + 1).min(view.width - 1));
         let (above, below) = (y.saturating_sub(1), (y + 1).min(view.height - 1));
-        let slope_x = (at(right, y) - at(left, y)) / ((right - left).max(1) as f64 * view.pixel_m);
-        let slope_y = (at(x, above) - at(x, below)) / ((below - above).max(1) as f64 * view.pixel_m);
+        let slope_x = (at(right, y) - at(left, y)) / ((right - left).max(1) as f64 * view.unit_m);
+        let slope_y = (at(x, above) - at(x, below)) / ((below - above).max(1) as f64 * view.unit_m);
         let light = if slope_x.is_nan() || slope_y.is_nan() { 1.0 } else { brightness(slope_x, slope_y) };
         [(ROCK * light).round().clamp(0.0, 250.0) as u8; 3]
     };
@@ -114,7 +116,7 @@ pub fn shades(face: &[f32], grid: &Grid, view: &View) -> Vec<Colour> {
 
 /// Elevation under a pixel: between the four cells around it, the mean of the cells it covers when they are smaller.
 fn height(face: &[f32], grid: &Grid, view: &View, place: usize) -> f64 {
-    let cells = view.pixel_m / grid.cell_m;
+    let cells = view.unit_m / grid.cell_m;
     let centre = |pixel: usize| (pixel as f64 + 0.5) * cells - 0.5;
     let (column, row) = (centre(place % view.width), centre(place / view.width));
     let reach = (0.5 * cells).max(1.0);

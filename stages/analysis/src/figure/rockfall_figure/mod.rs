@@ -18,6 +18,8 @@ use super::colour_scale::{ColourScale, Palette};
 use rockface_core::numerics::portable_math;
 use rockface_rock::rockfall::power_law::PowerLaw;
 
+/// Width of a picture whose unit is a pixel; wider ones show the same, finer.
+const WIDTH: usize = 1000;
 const MARGIN: usize = 30;
 const TITLE: usize = 78;
 const GAP: usize = 40;
@@ -57,7 +59,7 @@ pub struct Figure<'a> {
     pub requested_m3: Vec<f64>,
 }
 
-/// A box in the picture, pixels.
+/// A box in the picture, units.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Frame {
     left: usize,
@@ -71,12 +73,12 @@ struct Frame {
 /// # Errors
 /// A picture that cannot be written.
 pub fn draw(figure: &Figure, width_px: usize) -> Result<Vec<u8>, CodecError> {
-    let width = width_px.max(1000);
-    let inside = width - 2 * MARGIN;
+    let unit_px = (width_px as f64 / WIDTH as f64).max(1.0);
+    let inside = WIDTH - 2 * MARGIN;
     let scale = colours(figure);
     let view = face::View::of(&figure.grid, inside - face::BAR, inside * 11 / 20);
     let panels_top = MARGIN + TITLE + view.height + face::FOOT + GAP;
-    let mut canvas = Canvas::new(width, panels_top + PANEL_HEIGHT + MARGIN);
+    let mut canvas = Canvas::in_units(WIDTH, panels_top + PANEL_HEIGHT + MARGIN, unit_px);
     titles(&mut canvas, figure)?;
     face::draw(&mut canvas, figure, &view, &scale, [MARGIN, MARGIN + TITLE])?;
     let panel = (inside - 2 * GAP) / 3;
@@ -144,10 +146,11 @@ mod tests {
         let mut figure =
             Figure { title: "T".into(), face: &face, grid, rockfalls: vec![fall], law: None, requested_m3: Vec::new() };
         let with = draw(&figure, 1000).unwrap();
+        let fine = draw(&figure, 2600).unwrap();
         figure.rockfalls.clear();
         let without = draw(&figure, 1000).unwrap();
         let info = |file: &[u8]| png::Decoder::new(std::io::Cursor::new(file)).read_info().unwrap().info().width;
-        assert_eq!((info(&with), info(&without)), (1000, 1000));
+        assert_eq!((info(&with), info(&without), info(&fine)), (1000, 1000, 2600));
         assert_ne!(with, without);
     }
 

@@ -5,7 +5,7 @@ use crate::figure::picture::draw_scale;
 use rockface_core::artefact::{CodecError, Grid, Polygon};
 
 use super::face::{self, View};
-use super::{FAINT, INK, MARGIN, TITLE, strokes};
+use super::{FAINT, INK, MARGIN, TITLE, WIDTH, strokes};
 
 /// Outlines of one outcome.
 #[derive(Debug, Clone, PartialEq)]
@@ -48,9 +48,9 @@ pub struct Map<'a> {
     pub outcomes: Vec<Outcome<'a>>,
 }
 
-/// Height of a line of the legend, pixels.
+/// Height of a line of the legend, units.
 const LEGEND: usize = 34;
-/// Distance from the middle to the end of a mark over a small outline, pixels.
+/// Distance from the middle to the end of a mark over a small outline, units.
 const MARK: f64 = 11.0;
 
 /// Draws the map as a PNG of this width, at least 600 pixels.
@@ -58,24 +58,21 @@ const MARK: f64 = 11.0;
 /// # Errors
 /// A picture that cannot be written.
 pub fn draw(map: &Map, width_px: usize) -> Result<Vec<u8>, CodecError> {
-    let width = width_px.max(600);
+    // Text and lines grow with the picture where it is wider than this.
+    let unit_px = (width_px as f64 / WIDTH as f64).max(1.0);
+    let width = ((width_px as f64 / unit_px).round() as usize).max(600);
     let inside = width - 2 * MARGIN;
     let view = View::of(&map.grid, inside, inside);
     let legend = Legend::of(map, inside)?;
     let top = MARGIN + TITLE + LEGEND * legend.lines + 8;
-    let mut canvas = Canvas::new(width, top + view.height + face::FOOT + MARGIN);
+    let mut canvas = Canvas::in_units(width, top + view.height + face::FOOT + MARGIN, unit_px);
     canvas.text(&Pen::bold(30.0, INK)?, MARGIN as f32, MARGIN as f32 + 10.0, Align::Left, &map.title);
     canvas.text(&Pen::plain(20.0, FAINT)?, MARGIN as f32, MARGIN as f32 + 44.0, Align::Left, &map.subtitle);
     legend.draw(&mut canvas, map);
-    let mut sheet = Canvas::new(view.width, view.height);
-    for (place, shade) in face::shades(map.face, &map.grid, &view).iter().enumerate() {
-        if let Some(pixel) = sheet.pixel(place % view.width, place / view.width) {
-            *pixel = *shade;
-        }
-    }
+    let mut sheet = view.relief(map.face, &map.grid, unit_px);
     for outcome in &map.outcomes {
         for polygon in outcome.outlines.iter().copied().flatten() {
-            let polygon = face::in_pixels(polygon, &map.grid, &view);
+            let polygon = face::in_units(polygon, &map.grid, &view);
             if outcome.filled {
                 strokes::fill(&mut sheet, &polygon, outcome.colour, 0.55);
             }
@@ -85,22 +82,17 @@ pub fn draw(map: &Map, width_px: usize) -> Result<Vec<u8>, CodecError> {
     // Over all outlines, so that none hides a mark.
     for outcome in &map.outcomes {
         for polygon in outcome.outlines.iter().copied().flatten() {
-            draw_mark(&mut sheet, outcome.mark, reach(&face::in_pixels(polygon, &map.grid, &view)), outcome.colour);
+            draw_mark(&mut sheet, outcome.mark, reach(&face::in_units(polygon, &map.grid, &view)), outcome.colour);
         }
     }
-    for place in 0..view.width * view.height {
-        let (x, y) = (place % view.width, place / view.width);
-        if let Some((to, from)) = canvas.pixel(MARGIN + x, top + y).zip(sheet.pixel(x, y)) {
-            *to = *from;
-        }
-    }
+    canvas.lay(&sheet, [MARGIN, top]);
     canvas.frame(MARGIN, top, view.width, view.height, FAINT);
     let pen = Pen::plain(20.0, INK)?;
-    draw_scale(&mut canvas, view.width as f64, view.pixel_m, [MARGIN, top + view.height + 24], &pen)?;
+    draw_scale(&mut canvas, view.width as f64, view.unit_m, [MARGIN, top + view.height + 24], &pen)?;
     canvas.to_png()
 }
 
-/// The middle of a polygon, and how far a mark over it reaches, pixels.
+/// The middle of a polygon, and how far a mark over it reaches, units.
 fn reach(polygon: &Polygon) -> ([f64; 2], f64) {
     let ends = |axis: usize| {
         let places = polygon.exterior.iter().map(|place| place[axis]);

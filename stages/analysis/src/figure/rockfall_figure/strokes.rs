@@ -3,21 +3,23 @@
 use crate::figure::canvas::{Canvas, Colour};
 use rockface_core::artefact::Polygon;
 
-/// A place in the picture, pixels from the left and top edges.
+/// A place in the picture, units of its canvas from the left and top edges.
 pub type Place = [f64; 2];
 
-/// Beyond this no picture has pixels.
-const FARTHEST: f64 = 20_000.0;
-
 /// Fills every pixel within `reach` of the box around two places by how much `cover` says it is covered.
+///
+/// `cover` takes the middle of a pixel in units and gives in pixels how far within the shape it lies.
 fn blend(canvas: &mut Canvas, corners: [Place; 2], reach: f64, colour: Colour, cover: impl Fn(Place) -> f64) {
+    let (unit, size) = (canvas.unit_px(), canvas.size_px());
     let range = |axis: usize| {
         let (low, high) = (corners[0][axis].min(corners[1][axis]), corners[0][axis].max(corners[1][axis]));
-        ((low - reach).floor().clamp(0.0, FARTHEST) as usize)..=((high + reach).ceil().clamp(0.0, FARTHEST) as usize)
+        let end = size[axis] as f64;
+        ((unit * (low - reach)).floor().clamp(0.0, end) as usize)
+            ..((unit * (high + reach)).ceil() + 1.0).clamp(0.0, end) as usize
     };
     for y in range(1) {
         for x in range(0) {
-            let share = cover([x as f64 + 0.5, y as f64 + 0.5]).clamp(0.0, 1.0);
+            let share = cover([(x as f64 + 0.5) / unit, (y as f64 + 0.5) / unit]).clamp(0.0, 1.0);
             if share > 0.0 {
                 canvas.blend(x as f32, y as f32, colour, share as f32);
             }
@@ -25,19 +27,19 @@ fn blend(canvas: &mut Canvas, corners: [Place; 2], reach: f64, colour: Colour, c
     }
 }
 
-/// A line of a width in pixels.
+/// A line of a width in units.
 pub fn line(canvas: &mut Canvas, from: Place, to: Place, width: f64, colour: Colour) {
     let along = [to[0] - from[0], to[1] - from[1]];
-    let squared = along[0] * along[0] + along[1] * along[1];
+    let (squared, unit) = (along[0] * along[0] + along[1] * along[1], canvas.unit_px());
     blend(canvas, [from, to], width, colour, |[x, y]| {
         let at = [x - from[0], y - from[1]];
         let share = if squared > 0.0 { ((at[0] * along[0] + at[1] * along[1]) / squared).clamp(0.0, 1.0) } else { 0.0 };
         let off = [at[0] - share * along[0], at[1] - share * along[1]];
-        0.5 * width + 0.5 - (off[0] * off[0] + off[1] * off[1]).sqrt()
+        unit * (0.5 * width - (off[0] * off[0] + off[1] * off[1]).sqrt()) + 0.5
     });
 }
 
-/// A line of dashes of 7 pixels and gaps of 5.
+/// A line of dashes of 7 units and gaps of 5.
 pub fn dashes(canvas: &mut Canvas, from: Place, to: Place, width: f64, colour: Colour) {
     let along = [to[0] - from[0], to[1] - from[1]];
     let length = (along[0] * along[0] + along[1] * along[1]).sqrt();
@@ -54,11 +56,12 @@ pub fn dashes(canvas: &mut Canvas, from: Place, to: Place, width: f64, colour: C
 /// A dot with a thin rim.
 pub fn dot(canvas: &mut Canvas, at: Place, radius: f64, colour: Colour) {
     let distance = |[x, y]: Place| ((x - at[0]) * (x - at[0]) + (y - at[1]) * (y - at[1])).sqrt();
-    blend(canvas, [at, at], radius + 2.0, super::INK, |place| 0.8 * (radius + 1.3 - distance(place)));
-    blend(canvas, [at, at], radius + 2.0, colour, |place| radius + 0.5 - distance(place));
+    let unit = canvas.unit_px();
+    blend(canvas, [at, at], radius + 2.0, super::INK, |place| 0.8 * (unit * (radius + 0.8 - distance(place)) + 0.5));
+    blend(canvas, [at, at], radius + 2.0, colour, |place| unit * (radius - distance(place)) + 0.5);
 }
 
-/// Fills a polygon by the even-odd rule of its rings, given in pixels, with so much of the colour.
+/// Fills a polygon by the even-odd rule of its rings, given in units, with so much of the colour.
 pub fn fill(canvas: &mut Canvas, polygon: &Polygon, colour: Colour, strength: f64) {
     let rings: Vec<&Vec<Place>> = std::iter::once(&polygon.exterior).chain(&polygon.holes).collect();
     let points = || polygon.exterior.iter();
@@ -79,7 +82,7 @@ fn rings_hold(rings: &[&Vec<Place>], [x, y]: Place) -> bool {
     rings.iter().map(count).sum::<usize>() % 2 == 1
 }
 
-/// Draws the rings of a polygon given in pixels.
+/// Draws the rings of a polygon given in units.
 pub fn outline(canvas: &mut Canvas, polygon: &Polygon, width: f64, colour: Colour) {
     for ring in std::iter::once(&polygon.exterior).chain(&polygon.holes) {
         for (from, to) in ring.iter().zip(ring.iter().cycle().skip(1)) {
