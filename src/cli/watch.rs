@@ -137,7 +137,9 @@ impl WatchArgs {
             say(&json!({"folder": folder, "executed": executed, "cached": cached, "failed": failed}).to_string());
         } else {
             let (folder, finished) = (run.folder.display(), &run.manifest.finished);
-            say(&format!("nobody works on it; the last run ended {finished}: ran {executed}, cached {cached}, failed {failed}; results in {folder}"));
+            say(&format!(
+                "nobody works on it; the last run ended {finished}: ran {executed}, cached {cached}, failed {failed}; results in {folder}"
+            ));
         }
         if failed == 0 { Ok(()) } else { Err(CliError::Failed) }
     }

@@ -86,6 +86,21 @@ pub const GIVEN: &[Rule] = &[
         ],
     },
     Rule {
+        text: "choosing by an axis whose items parameters say may name items it has for other values of theirs",
+        keeps: (
+            "p: {in: {a: table}, out: {o: s.out}, params: {w: {type: text}}, axes: {i: {values: ['${w}']}}, steps: {s: {stage: add, in: {terms: {by: i, x: in.a, y: in.a}}}}}",
+            "u: {use: p, in: {a: e.out}, with: {w: y}}",
+        ),
+        plans: "u/s[i=y]",
+        breaks: (
+            "p: {in: {a: table}, out: {o: s.out}, params: {w: {type: text}}, axes: {i: {values: ['${w}']}}, steps: {s: {stage: add, in: {terms: {by: i, x: in.a, y: in.a}}}}}",
+            "u: {use: p, in: {a: e.out}, with: {w: z}}",
+        ),
+        says: &[
+            "choosing by `u/i` leaves out z @4:145; = say where the input comes from at every item, or add `else: step.port`; used here @5:27",
+        ],
+    },
+    Rule {
         text: "a parameter of a part says its type",
         keeps: (ONE, USED),
         plans: "u/s",

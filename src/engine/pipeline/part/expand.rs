@@ -109,7 +109,8 @@ impl<'e> Expansion<'e> {
         let own = BTreeSet::new();
         let scope = Scope { prefix: "", inputs: None, axes: &own, over: &[], part: "", output: &output };
         for (key, node) in axes {
-            self.axis(&key, node, &scope, reader);
+            let by_parameters = mentions_any(&node);
+            self.axis(&key, node, by_parameters, &scope, reader);
         }
         let before = reader.fault_count();
         self.flat.zips = zip.map(|node| reader.zips(&node)).unwrap_or_default();
@@ -204,8 +205,9 @@ impl<'e> Expansion<'e> {
             output: &output,
         };
         for (key, node) in &part.axes {
+            let by_parameters = mentions_any(node);
             let node = filling.node(node, reader);
-            self.axis(&filling.key(key), node, &scope, reader);
+            self.axis(&filling.key(key), node, by_parameters, &scope, reader);
         }
         if let Some(zip) = &part.zip {
             let node = filling.node(zip, reader);
@@ -261,20 +263,18 @@ impl<'e> Expansion<'e> {
         self.library.texts.sources.len() - 1
     }
 
-    /// An axis of the pipeline or of a part, under its full name.
-    fn axis(&mut self, key: &Key, mut node: Node, scope: &Scope, reader: &mut Reader) {
+    /// An axis of the pipeline or of a part, under its full name; `by_parameters`: whether parameters say its items.
+    fn axis(&mut self, key: &Key, mut node: Node, by_parameters: bool, scope: &Scope, reader: &mut Reader) {
         let name = Word { span: key.span, text: inside(scope.prefix, &key.name) };
         self.late.put_into("axes", &name.text, &mut node, reader);
         if self.mentions_unknown(&node) {
             self.flat.unread_axes.insert(name.text);
             return;
         }
-        let mut parameters = Vec::new();
-        mentioned(&node, &mut parameters);
         let node = self.with_values(node, reader);
         match reader.axis(name.clone(), &node) {
             Some(mut axis) => {
-                axis.by_parameters = !parameters.is_empty();
+                axis.by_parameters = by_parameters;
                 axis.label.clone_from(&key.name);
                 axis.from = axis.from.and_then(|from| scope.single(from, reader));
                 self.flat.axes.push(axis);
@@ -313,6 +313,13 @@ impl<'e> Expansion<'e> {
             }
         }
     }
+}
+
+/// Whether a declaration mentions a parameter.
+fn mentions_any(node: &Node) -> bool {
+    let mut names = Vec::new();
+    mentioned(node, &mut names);
+    !names.is_empty()
 }
 
 /// A use with full names.
