@@ -2,6 +2,7 @@
 
 use crate::figure::colour_scale::{ColourScale, Palette, length};
 use crate::figure::picture::Subject;
+use crate::figure::picture::look;
 use crate::figure::picture::mosaic::Mosaic;
 use rockface_core::artefact::{Band, Kind, Picture, Raster};
 use rockface_core::numerics::quantile::nearest_rank;
@@ -23,7 +24,8 @@ params! {
         most: usize = 6; Range::Between(1.0, 100.0),
         /// Rasters in a row; left out, those of one input.
         columns: Option<usize> = None; Range::Between(1.0, 100.0),
-        /// The colours reach from minus to plus this, metres (or the values' own unit); left out, they hold 98 % of the values.
+        /// The colours reach from minus to plus this, metres (or the values' own unit), from 0 where nothing is negative; left out, they hold 98 %
+        /// of the values.
         range_m: Option<f64> = None; Range::Positive,
         /// Width of the picture at most, pixels.
         max_width_px: u32 = 1800; Range::Between(520.0, 16_384.0),
@@ -36,7 +38,7 @@ pub struct DrawRasters;
 impl Stage for DrawRasters {
     type Params = DrawRastersParams;
     const NAME: &'static str = "draw-rasters";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: Page = Page::new(include_str!("draw_rasters.md"));
     const INPUTS: &'static [Port] = &[
         Port::many("rasters", &[Kind::Raster], "The first row: a stack of bands, or gathered."),
@@ -79,6 +81,13 @@ fn draw(params: &DrawRastersParams, like: &Raster, lists: &[Vec<Tile>; 2]) -> Re
         fail!("nothing to draw: no cell has a value")
     };
     let reach = params.range_m.unwrap_or(if most > 0.0 { most } else { 0.5 });
+    // What is never negative needs one half of the colours only.
+    let is_signed = like.quantity == "difference" || tiles().any(|(_, values)| values.iter().any(|v| *v < 0.0));
+    let scale = if is_signed {
+        ColourScale { palette: Palette::RedBlue, low: -reach, high: reach }
+    } else {
+        ColourScale { palette: Palette::Viridis, low: 0.0, high: reach }
+    };
     let values = lists.each_ref().map(|list| list.iter().map(|(_, values)| *values).collect());
     let max_width_px = params.max_width_px as usize;
     let mosaic = Mosaic::new([like.grid.columns, like.grid.rows], &values, across, max_width_px);
@@ -87,10 +96,10 @@ fn draw(params: &DrawRastersParams, like: &Raster, lists: &[Vec<Tile>; 2]) -> Re
         values: &mosaic.values,
         cell_m: Some(like.grid.cell_m),
         shaded: false,
-        scale: ColourScale { palette: Palette::RedBlue, low: -reach, high: reach },
+        unit: look::unit(&like.quantity, &scale),
+        scale,
         title: params.title.clone().unwrap_or_else(|| format!("{} rasters", tiles().count())),
         subtitle: format!("each {} x {} cells of {}", like.grid.columns, like.grid.rows, length(like.grid.cell_m)),
-        unit: if reach < 0.25 { ("mm", 1e3) } else { ("m", 1.0) },
         up: None,
     };
     let names: Vec<String> = tiles().map(|(name, _)| name.clone()).collect();
@@ -132,6 +141,8 @@ mod tests {
         assert_eq!(of_stack, ["a", "a"]);
         assert_eq!(of_axis, ["simulated, replicate 3", "simulated, replicate 3, a"]);
         assert!(drawn(raster(40, 5), raster(40, 2)).unwrap().png.starts_with(b"\x89PNG"));
+        let strength = || Raster { quantity: "strength".into(), ..raster(40, 1) };
+        assert!(drawn(strength(), strength()).unwrap() != drawn(raster(40, 1), raster(40, 1)).unwrap());
         assert!(drawn(raster(40, 5), raster(30, 2)).unwrap_err().message.contains("another"));
     }
 }

@@ -100,7 +100,7 @@ impl<'a> Look<'a> {
             values: &self.values,
             cell_m: self.cell_m,
             shaded: shaded && self.quantity == "elevation",
-            unit: self.unit(&scale),
+            unit: unit(&self.quantity, &scale),
             scale,
             title,
             subtitle: format!("{}{missing}", self.grid),
@@ -120,18 +120,6 @@ impl<'a> Look<'a> {
         Some(ColourScale { palette: palette.unwrap_or(suiting), low, high })
     }
 
-    fn is_length(&self) -> bool {
-        matches!(self.quantity.as_str(), "elevation" | "difference" | "depth")
-    }
-
-    fn unit(&self, scale: &ColourScale) -> (&'static str, f64) {
-        match (self.is_length(), scale.high - scale.low < 0.5) {
-            (true, true) => ("mm", 1e3),
-            (true, false) => ("m", 1.0),
-            (false, _) => ("", 1.0),
-        }
-    }
-
     fn symmetric(&self, range_m: Option<f64>) -> Option<(f64, f64)> {
         let most = nearest_rank(self.values.iter().map(|v| v.abs()), DIFFERENCES)?;
         let reach = range_m.unwrap_or(most);
@@ -142,9 +130,22 @@ impl<'a> Look<'a> {
         let at = |share| nearest_rank(self.values.iter().copied(), share);
         match range_m {
             Some(reach) => at(0.5).map(|median| (median - reach, median + reach)),
-            None if self.is_length() => Some((at(TAILS)?, at(1.0 - TAILS)?)),
+            None if is_length(&self.quantity) => Some((at(TAILS)?, at(1.0 - TAILS)?)),
             None => Some((at(0.0)?, at(1.0)?)),
         }
+    }
+}
+
+fn is_length(quantity: &str) -> bool {
+    matches!(quantity, "elevation" | "difference" | "depth")
+}
+
+/// The unit that values of a quantity are shown in, and how many of it make one of their own.
+pub fn unit(quantity: &str, scale: &ColourScale) -> (&'static str, f64) {
+    match (is_length(quantity), scale.high - scale.low < 0.5) {
+        (true, true) => ("mm", 1e3),
+        (true, false) => ("m", 1.0),
+        (false, _) => ("", 1.0),
     }
 }
 
