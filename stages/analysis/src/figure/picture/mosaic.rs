@@ -1,6 +1,6 @@
 //! Grids of one size side by side: one set of colours, one colour bar, and above each its name.
 
-use super::{Align, CodecError, FAINT, INK, Pen, Subject, cells_per_pixel, full, paint, pixels_of};
+use super::{Align, CodecError, FAINT, INK, Layout, Pen, Subject, cells_per_pixel, fitted, paint, pixels_of};
 
 /// Gap between neighbours, as a share of the width of one.
 const GAP: f64 = 0.03;
@@ -20,6 +20,7 @@ pub struct Mosaic {
     /// First column and row of each grid, in the order of the lists.
     places: Vec<[usize; 2]>,
     cells_per_pixel: f64,
+    layout: Layout,
 }
 
 impl Mosaic {
@@ -30,12 +31,15 @@ impl Mosaic {
         let lines: usize = lists.iter().map(|list| list.len().div_ceil(across)).sum();
         let gap = ((size[0] as f64 * GAP) as usize).max(1);
         let columns = across * (size[0] + gap) - gap;
-        let layout = full(max_width_px);
-        let (room, strip_px) = (layout.room(max_width_px), STRIP * f64::from(layout.text_px));
         let whole = |strip: usize| [columns, lines * (size[1] + strip)];
-        // The strip has a height in pixels, and how many cells that is depends on the size of the whole.
-        let strip_of = |strip| (strip_px * cells_per_pixel(whole(strip), room)).ceil() as usize;
-        let strip = (0..4).fold(0, |strip, _| strip_of(strip));
+        // The strip has a height in pixels, and how many cells that is depends on the size of the whole, as the text does.
+        let (mut layout, mut strip) = (fitted(whole(0), max_width_px), 0);
+        for _ in 0..4 {
+            layout = fitted(whole(strip), max_width_px);
+            let cells = cells_per_pixel(whole(strip), layout.room(max_width_px));
+            strip = (STRIP * f64::from(layout.text_px) * cells).ceil() as usize;
+        }
+        let cells_per_pixel = cells_per_pixel(whole(strip), layout.room(max_width_px));
         let mut values = vec![f32::NAN; columns * whole(strip)[1]];
         let (mut places, mut first) = (Vec::new(), 0);
         for list in lists {
@@ -50,13 +54,13 @@ impl Mosaic {
             }
             first += list.len().div_ceil(across);
         }
-        Self { columns, values, size, places, cells_per_pixel: cells_per_pixel(whole(strip), room) }
+        Self { columns, values, size, places, cells_per_pixel, layout }
     }
 
     /// Draws it as PNG; `subject` holds its columns and values, `names` one for each grid.
     pub fn draw(&self, subject: &Subject, names: &[String], max_width_px: usize) -> Result<Vec<u8>, CodecError> {
-        let layout = full(max_width_px);
-        let mut canvas = paint(subject, max_width_px, &layout)?;
+        let layout = &self.layout;
+        let mut canvas = paint(subject, max_width_px, layout)?;
         let [left, top] = layout.corner();
         let pixels = |cells: usize| pixels_of(cells, self.cells_per_pixel);
         let (width, height) = (pixels(self.columns), pixels(self.values.len() / self.columns));
@@ -99,8 +103,12 @@ mod tests {
         assert_eq!((mosaic.columns, lefts), (81, vec![0, 41, 0, 0, 41]));
         let tops: Vec<usize> = mosaic.places.iter().map(|place| place[1]).collect();
         assert!(tops[0] == tops[1] && tops[3] == tops[4] && tops[2] < tops[3] && tops[0] > 0);
-        assert!((tops[0] as f64 / mosaic.cells_per_pixel) >= STRIP * f64::from(full(600).text_px));
+        assert!((tops[0] as f64 / mosaic.cells_per_pixel) >= STRIP * f64::from(mosaic.layout.text_px));
         assert_eq!(mosaic.values.iter().filter(|v| !v.is_nan()).count(), 5 * 400);
         assert_eq!(mosaic.values.len() / 81, tops[4] + 10);
+        // A picture that is high and narrow has smaller text than a wide one.
+        let tall = vec![1.0f32; 4000];
+        let high = Mosaic::new([40, 100], &[vec![tall.as_slice(); 2]], 1, 1800);
+        assert!(high.layout.text_px < Mosaic::new([40, 10], &lists, 3, 1800).layout.text_px);
     }
 }
