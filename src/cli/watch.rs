@@ -63,7 +63,10 @@ impl WatchArgs {
             return self.nobody(&state);
         }
         let mut lines = self.show(&state, None, 0);
-        while !self.once {
+        if self.once {
+            return Ok(());
+        }
+        loop {
             std::thread::sleep(Duration::from_secs_f64(self.interval));
             let next = State::of(&store, pipeline);
             if next.is_over() {
@@ -72,7 +75,6 @@ impl WatchArgs {
             lines = self.show(&next, Some(&state), lines);
             state = next;
         }
-        Ok(())
     }
 
     /// Nobody works on it: says how the last run of it ended, if there was one.
