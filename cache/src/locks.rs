@@ -17,6 +17,7 @@ use nix::libc;
 
 use crate::error::{At, StoreError};
 use crate::leases::Leases;
+use crate::remote::{Claim, Having};
 use crate::segment::is_at;
 use crate::{Digest, plain};
 
@@ -59,10 +60,21 @@ impl Drop for Locked {
 pub struct KeyLock {
     bytes: Arc<Bytes>,
     byte: i64,
+    /// The right among those that share only a remote place.
+    claim: Option<Claim>,
+}
+
+impl KeyLock {
+    /// This lock together with the right among those that share a remote place.
+    pub(crate) fn with(mut self, claim: Claim) -> Self {
+        self.claim = Some(claim);
+        self
+    }
 }
 
 impl Drop for KeyLock {
     fn drop(&mut self) {
+        self.claim = None;
         self.bytes.release(self.byte);
     }
 }
@@ -72,6 +84,15 @@ impl Drop for KeyLock {
 #[must_use = "others do not see it any more once this is dropped"]
 pub struct Announced {
     _byte: KeyLock,
+    /// The same for those that share only a remote place.
+    _below: Option<Having>,
+}
+
+impl Announced {
+    /// Announced to those that share a remote place, too.
+    pub(crate) fn with(self, below: Option<Having>) -> Self {
+        Self { _below: below, ..self }
+    }
 }
 
 /// The bytes of an empty file, each of which stands for what hashes to its number.
@@ -124,7 +145,7 @@ impl Bytes {
         held.insert(byte, Held::Key);
         drop(held);
         // From here on the byte is this lock's within the process; if the system refuses it, dropping gives it back.
-        let lock = KeyLock { bytes: Arc::clone(self), byte };
+        let lock = KeyLock { bytes: Arc::clone(self), byte, claim: None };
         if !self.set(&flock(byte, libc::F_WRLCK))? {
             wait();
             self.wait_for(byte)?;
@@ -150,7 +171,7 @@ impl Bytes {
         }
         held.insert(byte, Held::Key);
         drop(held);
-        let lock = KeyLock { bytes: Arc::clone(self), byte };
+        let lock = KeyLock { bytes: Arc::clone(self), byte, claim: None };
         // Dropping it gives the byte back.
         Ok(self.lease(byte)?.then_some(lock))
     }
@@ -168,7 +189,8 @@ impl Bytes {
             0
         };
         held.insert(byte, Held::Announced(count + 1));
-        Ok(Announced { _byte: KeyLock { bytes: Arc::clone(self), byte } })
+        let byte = KeyLock { bytes: Arc::clone(self), byte, claim: None };
+        Ok(Announced { _byte: byte, _below: None })
     }
 
     /// Whether another process, or another handle in this one, announces `name`.

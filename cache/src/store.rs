@@ -310,9 +310,12 @@ impl Store {
         self.locks.lock(key, on_wait)
     }
 
-    /// Takes the right to compute `key` unless another holds it.
+    /// Takes the right to compute `key` unless another holds it, of those that share this store or a remote place under it. What such
+    /// another process has uploaded meanwhile is seen at once.
     pub fn try_lock(&self, key: &Digest) -> Result<Option<KeyLock>, StoreError> {
-        self.locks.try_lock(key)
+        let Some(lock) = self.locks.try_lock(key)? else { return Ok(None) };
+        let Some(claims) = self.claims() else { return Ok(Some(lock)) };
+        Ok(claims.take(key).map(|claim| lock.with(claim)))
     }
 
     /// Picks up what other processes have stored meanwhile.

@@ -8,10 +8,12 @@
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use crate::error::{At, StoreError};
 use crate::locks::Announced;
 use crate::open::SCRATCH;
+use crate::remote::Claims;
 use crate::scratch::Scratch;
 use crate::{Digest, Store, plain};
 
@@ -24,41 +26,61 @@ const HALF_WRITTEN: &str = "new-";
 
 /// The folder through which a process gets values from others; removed with all that is in it when this is dropped.
 #[derive(Debug)]
-pub struct Room(Scratch);
+pub struct Room {
+    folder: Scratch,
+    /// Those that share only a remote place.
+    claims: Option<Arc<Claims>>,
+}
 
 /// What another live process wants.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone)]
 pub struct Want {
     /// The digest of a value, or the key of the recipe that makes it.
     pub name: Digest,
-    room: PathBuf,
+    place: WantedIn,
+}
+
+/// Where a value is wanted.
+#[derive(Debug, Clone)]
+enum WantedIn {
+    /// In the room of a process on this store.
+    Room(PathBuf),
+    /// By a process that shares a remote place with this one.
+    Remote(Arc<Claims>),
 }
 
 impl Store {
     /// Lets other processes see that this one has these bytes at hand, until what is returned is dropped.
     pub fn announce(&self, digest: &Digest) -> Result<Announced, StoreError> {
-        self.locks.announce(&announced_as(digest))
+        let announced = self.locks.announce(&announced_as(digest))?;
+        Ok(announced.with(self.claims().map(|claims| claims.announce(digest))))
     }
 
     /// Whether a live process other than this one has these bytes at hand.
     pub fn is_at_hand_elsewhere(&self, digest: &Digest) -> Result<bool, StoreError> {
-        self.locks.is_announced_elsewhere(&announced_as(digest))
+        let is_here = self.locks.is_announced_elsewhere(&announced_as(digest))?;
+        Ok(is_here || self.claims().is_some_and(|claims| claims.is_elsewhere(digest)))
     }
 
     /// A room of its own for this process.
     pub fn room(&self) -> Result<Room, StoreError> {
-        self.scratch_named(ROOM, false).map(Room)
+        Ok(Room { folder: self.scratch_named(ROOM, false)?, claims: self.claims().cloned() })
     }
 
-    /// Whether there are rooms of other processes, and what is wanted in them.
+    /// Whether there are other processes with rooms, or at the remote place, and what they want.
     pub fn wanted_elsewhere(&self, own: Option<&Room>) -> Result<(bool, Vec<Want>), StoreError> {
         let (mut are_others, mut wanted) = (false, Vec::new());
         for room in self.in_scratch()? {
             let is_room = room.file_name().and_then(|name| name.to_str()).is_some_and(|name| name.starts_with(ROOM));
             if is_room && plain::is_folder(&room) && own.is_none_or(|own| own.path() != room) {
                 are_others = true;
-                wanted.extend(names(&room, WANTED).map(|name| Want { name, room: room.clone() }));
+                wanted.extend(names(&room, WANTED).map(|name| Want { name, place: WantedIn::Room(room.clone()) }));
             }
+        }
+        if let Some(claims) = self.claims() {
+            are_others |= claims.are_others();
+            let remote = |name| Want { name, place: WantedIn::Remote(Arc::clone(claims)) };
+            wanted.extend(claims.wanted().into_iter().map(remote));
         }
         Ok((are_others, wanted))
     }
@@ -91,19 +113,22 @@ fn names(room: &Path, prefix: &str) -> impl Iterator<Item = Digest> {
 impl Room {
     /// The absolute path of the folder that receives values.
     pub fn path(&self) -> &Path {
-        self.0.path()
+        self.folder.path()
     }
 
     /// Says that a value is wanted, by its digest or by the key of the recipe that makes it.
     pub fn want(&self, name: &Digest) -> Result<(), StoreError> {
         let path = self.wanted(name);
-        fs::File::create(&path).map(drop).at("write", &path)
+        fs::File::create(&path).map(drop).at("write", &path)?;
+        self.claims.iter().for_each(|claims| claims.want(name, self.path()));
+        Ok(())
     }
 
     /// Says that it is not wanted any more.
     pub fn unwant(&self, name: &Digest) {
         // It is not there once it was answered.
         let _ = fs::remove_file(self.wanted(name));
+        self.claims.iter().for_each(|claims| claims.unwant(name));
     }
 
     /// The file with the bytes of this digest, unverified, if somebody has brought them. It is the caller's from now on.
@@ -121,35 +146,48 @@ impl Room {
 
 impl Want {
     /// Brings the bytes of a digest to who wants them: a further name of a file that has them where there is one, or else the
-    /// bytes themselves. Returns the file.
+    /// bytes themselves.
     pub fn bring(
         &self,
         digest: &Digest,
         file: Option<&Path>,
         bytes: impl FnOnce() -> io::Result<Vec<u8>>,
-    ) -> io::Result<PathBuf> {
-        let to = self.room.join(digest.to_string());
+    ) -> io::Result<()> {
+        let room = match &self.place {
+            WantedIn::Room(room) => room,
+            WantedIn::Remote(claims) => {
+                claims.give(&self.name, digest, bytes()?);
+                return Ok(());
+            }
+        };
+        let to = room.join(digest.to_string());
         let linked = file.is_some_and(|file| match fs::hard_link(file, &to) {
             Err(fault) => fault.kind() == io::ErrorKind::AlreadyExists,
             Ok(()) => true,
         });
         if !linked {
-            let mut new = tempfile::Builder::new().prefix(HALF_WRITTEN).tempfile_in(&self.room)?;
+            let mut new = tempfile::Builder::new().prefix(HALF_WRITTEN).tempfile_in(room)?;
             new.write_all(&bytes()?)?;
             new.persist(&to)?;
         }
-        Ok(to)
+        Ok(())
     }
 
     /// What was wanted has been brought.
     pub fn answered(&self) {
-        // It is not there any more where another was quicker, or who wanted it is gone.
-        let _ = fs::remove_file(self.room.join(format!("{WANTED}{}", self.name)));
+        match &self.place {
+            // It is not there any more where another was quicker, or who wanted it is gone.
+            WantedIn::Room(room) => drop(fs::remove_file(room.join(format!("{WANTED}{}", self.name)))),
+            WantedIn::Remote(claims) => claims.answer(&self.name),
+        }
     }
 
     /// Whether who wanted it is gone.
     pub fn is_moot(&self) -> bool {
-        !self.room.exists()
+        match &self.place {
+            WantedIn::Room(room) => !room.exists(),
+            WantedIn::Remote(_) => false,
+        }
     }
 }
 
@@ -166,17 +204,22 @@ mod tests {
         let has = one.announce(&value).unwrap();
         assert!(other.is_at_hand_elsewhere(&value).unwrap() && !one.is_at_hand_elsewhere(&value).unwrap());
         assert!(!other.is_at_hand_elsewhere(&second).unwrap());
-        assert_eq!(one.wanted_elsewhere(None).unwrap(), (false, vec![]));
+        let wanted = |store: &Store, own: Option<&Room>| {
+            let (are_others, wanted) = store.wanted_elsewhere(own).unwrap();
+            (are_others, wanted.into_iter().map(|want| want.name).collect::<Vec<_>>())
+        };
+        assert_eq!(wanted(&one, None), (false, vec![]));
         let room = other.room().unwrap();
         room.want(&value).unwrap();
         assert!(room.take(&value).is_none());
-        assert_eq!(other.wanted_elsewhere(Some(&room)).unwrap(), (false, vec![]), "nobody asks itself");
-        let (true, wanted) = one.wanted_elsewhere(None).unwrap() else { panic!("there is a room") };
-        assert_eq!(wanted.iter().map(|want| want.name).collect::<Vec<_>>(), [value]);
-        let file = wanted[0].bring(&value, None, || Ok(b"value".to_vec())).unwrap();
-        wanted[0].bring(&second, Some(&file), || unreachable!("it has a file")).unwrap();
-        wanted[0].answered();
-        assert_eq!(one.wanted_elsewhere(None).unwrap(), (true, vec![]));
+        assert_eq!(wanted(&other, Some(&room)), (false, vec![]), "nobody asks itself");
+        assert_eq!(wanted(&one, None), (true, vec![value]));
+        let want = one.wanted_elsewhere(None).unwrap().1.remove(0);
+        want.bring(&value, None, || Ok(b"value".to_vec())).unwrap();
+        let file = room.path().join(value.to_string());
+        want.bring(&second, Some(&file), || unreachable!("it has a file")).unwrap();
+        want.answered();
+        assert_eq!(wanted(&one, None), (true, vec![]));
         for digest in [value, second] {
             assert_eq!(fs::read(room.take(&digest).unwrap()).unwrap(), b"value");
             assert!(room.take(&digest).is_none(), "it is there once");
@@ -184,7 +227,7 @@ mod tests {
         drop(has);
         assert!(!other.is_at_hand_elsewhere(&value).unwrap());
         drop(room);
-        assert!(wanted[0].is_moot() && wanted[0].bring(&value, None, || Ok(Vec::new())).is_err());
+        assert!(want.is_moot() && want.bring(&value, None, || Ok(Vec::new())).is_err());
         assert_eq!(fs::read_dir(one.dir().join(SCRATCH)).unwrap().count(), 0);
     }
 
@@ -195,9 +238,10 @@ mod tests {
         let store = open();
         let (live, dead) = (store.room().unwrap(), store.room().unwrap());
         dead.want(&Digest::of(b"value")).unwrap();
-        dead.0.abandon();
+        dead.folder.abandon();
         open();
         assert!(live.path().exists());
-        assert_eq!(store.wanted_elsewhere(Some(&live)).unwrap(), (false, vec![]));
+        let (are_others, wanted) = store.wanted_elsewhere(Some(&live)).unwrap();
+        assert!(!are_others && wanted.is_empty());
     }
 }

@@ -4,6 +4,7 @@ use std::process::{Child, Stdio};
 use std::time::{Duration, Instant, SystemTime};
 
 use crate::cli::{House, SMALL, last_line};
+use crate::s3::{Faults, Server};
 use crate::together::{Counted, GATHERS, OVER_I, axis, chains, dynamic, expect, gather, starts, succeed};
 
 /// Starts a process; one with a machine trusts no lock of another.
@@ -23,6 +24,95 @@ fn together(house: &House, count: usize, machines: bool) {
         let left = std::fs::read_dir(house.path(".rockface/store").join(folder)).into_iter().flatten().flatten();
         let left: Vec<_> = left.map(|entry| entry.file_name()).collect();
         assert!(left.is_empty(), "{folder}: {left:?}");
+    }
+}
+
+/// The same where each process has a store of its own, and all share a remote place. Returns what they said.
+fn apart(house: &House, count: usize, remote: &str, environment: &[(&str, String)]) -> String {
+    let child = |number: usize| {
+        let store = format!("store-{number}");
+        let verb = if number == 0 { "run" } else { "work" };
+        let arguments = [verb, "p.yaml", "--jobs", "2", "--store", &store, "--remote", remote];
+        let mut command = house.command(&arguments);
+        command.envs(environment.iter().map(|(name, value)| (*name, value)));
+        command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
+    };
+    let children: Vec<Child> = (0..count).map(child).collect();
+    let ends = children.into_iter().map(|child| child.wait_with_output().unwrap());
+    let said = ends.map(|end| {
+        let text = String::from_utf8_lossy(&end.stderr).into_owned();
+        assert!(end.status.success(), "{text}");
+        text
+    });
+    said.collect()
+}
+
+#[test]
+fn processes_that_share_only_a_remote_place_do_every_step_once() {
+    let folder = |house: &House| format!("file://{}", house.path("place").display());
+    for count in [2, 4, 8] {
+        let house = chains();
+        apart(&house, count, &folder(&house), &[]);
+        expect(&house, &[("a", 6), ("b", 6), ("c", 6)]);
+    }
+    let house = gather();
+    apart(&house, 3, &folder(&house), &[]);
+    expect(&house, &[("a", 6), ("b", 1)]);
+    assert_eq!(outputs(&house, "b/f.txt"), "0\n1\n2\n3\n4\n5\n");
+    let house = dynamic();
+    apart(&house, 3, &folder(&house), &[]);
+    expect(&house, &[("s", 1), ("list", 1), ("a", 4), ("b", 1)]);
+    let left = |name: &str| std::fs::read_dir(house.path("place").join(name)).into_iter().flatten().count();
+    assert_eq!((left("workers"), left("handed")), (0, 0));
+}
+
+#[test]
+fn processes_that_share_only_a_bucket_do_every_step_once() {
+    let server = Server::start();
+    let house = chains();
+    let said = apart(&house, 3, "s3://bucket/lab", &server.environment());
+    expect(&house, &[("a", 6), ("b", 6), ("c", 6)]);
+    assert!(!said.contains("warning"), "{said}");
+    // A server that does not keep to conditions serves as well, but for what is done twice.
+    server.set(Faults { ignore_conditions: true, ..Faults::default() });
+    let house = gather();
+    let said = apart(&house, 2, "s3://bucket/other", &server.environment());
+    assert_eq!(outputs(&house, "b/f.txt"), "0\n1\n2\n3\n4\n5\n");
+    assert!(said.contains("may do a step twice"), "{said}");
+}
+
+#[test]
+fn what_a_process_that_was_killed_had_taken_at_a_remote_place_is_done_by_another() {
+    let counted = Counted::new();
+    let go = counted.house.path("go").display().to_string();
+    let script = format!("while test ! -e {go}{{param.i}}; do sleep 0.02; done; echo {{param.i}} > {{out.f}}");
+    let house = counted
+        .step("a", OVER_I.0, OVER_I.1, &script)
+        .step("b", "    in: {f: {each: a.f, over: [i]}}\n", GATHERS, "cat {in.f}/*.txt > {out.f}")
+        .write(&axis(4));
+    let place = format!("file://{}", house.path("place").display());
+    let begin = |verb: &str, store: &str| {
+        let mut command = house.command(&[verb, "p.yaml", "--jobs", "2", "--store", store, "--remote", &place]);
+        command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
+    };
+    let started = || std::fs::read_to_string(house.path("count")).unwrap_or_default().lines().count();
+    let mut dead = begin("work", "one");
+    wait_until(&|| started() == 2);
+    let other = begin("run", "other");
+    wait_until(&|| started() == 4);
+    dead.kill().unwrap();
+    dead.wait().unwrap();
+    (0..4).for_each(|number| std::fs::write(house.path(&format!("go{number}")), "").unwrap());
+    succeed(vec![other]);
+    expect(&house, &[("a", 4 + 2), ("b", 1)]);
+    assert_eq!(outputs(&house, "b/f.txt"), "0\n1\n2\n3\n");
+}
+
+fn wait_until(what: &dyn Fn() -> bool) {
+    let begun = Instant::now();
+    while !what() {
+        assert!(begun.elapsed() < Duration::from_mins(2));
+        std::thread::sleep(Duration::from_millis(5));
     }
 }
 
@@ -68,13 +158,6 @@ fn what_a_machine_that_died_had_is_done_again_and_nothing_else() {
         .step("a", OVER_I.0, OVER_I.1, &script)
         .step("b", "    in: {f: {each: a.f, over: [i]}}\n", GATHERS, "cat {in.f}/*.txt > {out.f}")
         .write(&axis(4));
-    let wait_until = |what: &dyn Fn() -> bool| {
-        let begun = Instant::now();
-        while !what() {
-            assert!(begun.elapsed() < Duration::from_mins(2));
-            std::thread::sleep(Duration::from_millis(5));
-        }
-    };
     let started = || std::fs::read_to_string(house.path("count")).unwrap_or_default().lines().count();
     let mut dead = start(&house, "work", Some(1));
     wait_until(&|| started() == 2);

@@ -6,6 +6,7 @@ use std::sync::atomic::AtomicBool;
 
 use super::backend::{Backend, Object};
 use super::batch::{Batch, Place};
+use super::claims::{CLAIMS, HANDED, WORKERS, entry_number};
 use super::open::{Remote, Shared};
 use super::{AT_ONCE, BLOBS, PACKS, RECORDS, batch_name, digest_of, each_at_once};
 use crate::error::StoreError;
@@ -137,7 +138,24 @@ impl Remote {
             self.rewrite(new, &batches)?;
         }
         self.delete_all(unused.into_iter().map(|object| object.name).collect())?;
+        self.delete_all(self.left_over(clock_s)?)?;
         Ok(done)
+    }
+
+    /// What processes that were killed have left: old entries of claims but the last, old objects of workers, values on their way.
+    fn left_over(&self, clock_s: u64) -> Result<Vec<String>, StoreError> {
+        let mut old = Vec::new();
+        for prefix in [CLAIMS, WORKERS, HANDED] {
+            let listed = self.shared.backend.list(prefix).map_err(|fault| fault.at("list", &self.shared.backend))?;
+            let newest = listed.iter().filter_map(|object| entry_number(&object.name)).max();
+            // The numbers go on from the last.
+            let is_last = |object: &Object| newest.is_some() && entry_number(&object.name) == newest;
+            let is_old = |object: &&Object| clock_s.saturating_sub(object.modified_unix_s) > GRACE_S;
+            old.extend(
+                listed.iter().filter(is_old).filter(|object| !is_last(object)).map(|object| object.name.clone()),
+            );
+        }
+        Ok(old)
     }
 
     /// Writes these batches and then removes the former ones.

@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, PoisonError};
 
+use super::claims::{Claims, Times};
 use super::open::Remote;
 use super::upload::{Uploaded, Uploader};
 use crate::error::StoreError;
@@ -15,8 +16,10 @@ impl Store {
     /// only read. There is one such place for a store; a second is refused, and given back.
     pub fn attach(&self, remote: Remote) -> Result<(), Box<Remote>> {
         if !remote.shared.is_read_only {
+            let claims = Claims::new(Arc::clone(&remote.shared), self.machine().name(), Times::default());
+            let claims = remote.claims.get_or_init(|| Arc::new(claims));
             *remote.uploader.lock().unwrap_or_else(PoisonError::into_inner) =
-                Uploader::start(Arc::clone(&remote.shared), Box::new(self.reader()));
+                Uploader::start(Arc::clone(&remote.shared), Arc::clone(claims), Box::new(self.reader()));
         }
         self.remote.set(Box::new(remote))
     }
@@ -29,6 +32,24 @@ impl Store {
     /// What is in the remote place, unless it is left alone.
     fn below(&self) -> Option<&Remote> {
         self.remote().filter(|remote| !remote.is_off())
+    }
+
+    /// Who computes what among those that share the remote place.
+    pub(crate) fn claims(&self) -> Option<&Arc<Claims>> {
+        self.remote()?.claims.get()
+    }
+
+    /// How many of so many steps that are ready should be taken along with this one, which is to be locked next: a remote place
+    /// under this store takes long to answer.
+    pub fn worth_ahead(&self, key: &Digest, ready: usize) -> usize {
+        self.claims().map_or(0, |claims| claims.worth_ahead(key, ready))
+    }
+
+    /// Takes these steps along with the next that is locked.
+    pub fn take_ahead(&self, keys: Vec<Digest>) {
+        if let Some(claims) = self.claims() {
+            claims.take_ahead(keys);
+        }
     }
 
     /// Reads the bytes of blobs that are here.
@@ -93,8 +114,8 @@ impl Store {
                     && known.blobs().all(|(digest, _)| contents.place(&digest).is_some())
             })
         });
-        if !is_there {
-            uploader.offer(*key, payload);
+        if !is_there && uploader.offer(*key, payload) {
+            self.claims().iter().for_each(|claims| claims.uploads(key));
         }
     }
 
@@ -126,11 +147,12 @@ impl Store {
         Ok(())
     }
 
-    /// Waits until all is uploaded, or `stop` is set; nothing is uploaded any more after that.
+    /// Waits until all is uploaded, or `stop` is set; nothing is uploaded any more after that, and no step is taken.
     pub fn finish_uploads(&self, stop: &AtomicBool) -> Uploaded {
         let Some(remote) = self.remote() else { return Uploaded::default() };
         let uploader = remote.uploader.lock().unwrap_or_else(PoisonError::into_inner).take();
         let done = uploader.map(|uploader| uploader.finish(stop)).unwrap_or_default();
+        remote.claims.get().iter().for_each(|claims| claims.leave());
         if done.records > 0 && !remote.is_off() {
             // Only places that cannot be listed are read by it.
             drop(remote.shared.breaker.attempt(|| remote.shared.write_index()));

@@ -8,11 +8,14 @@
 //! packs/abcd…       small blobs one after another, named by the BLAKE3 of the whole
 //! records/abcd…     batches of records, and where the blobs are that they name; named by the BLAKE3 of the whole
 //! index             the names of all batches, for places that cannot be listed; written last
+//! claims/000…17     who computes what, by entries in order; written on condition that there is none of the number
+//! workers/…         what a live process holds of that; written again every five seconds
+//! handed/abcd…      a value that is not kept, on its way from one process to another
 //! ```
 //!
 //! # Invariants
 //!
-//! - **Nothing is ever edited**: every object but `index` is named by the digest of its bytes.
+//! - **Nothing is ever edited**: every object that holds results is named by the digest of its bytes.
 //! - **Blobs before records**: a batch is written after the blobs it names.
 //! - **Everything is verified**: objects by their names, blobs by their digests, records by the keys of their recipes.
 //! - **A place that fails costs time, never results**: what cannot be fetched is computed, and after a few failures in
@@ -22,6 +25,7 @@ mod backend;
 mod batch;
 mod breaker;
 mod care;
+mod claims;
 mod contents;
 mod fetch;
 mod folder;
@@ -39,6 +43,8 @@ pub use memory::InMemory;
 pub use open::{Remote, Use};
 pub use traffic::Traffic;
 pub use upload::Uploaded;
+
+pub(crate) use claims::{Claim, Claims, Having};
 
 use crate::Digest;
 

@@ -2,11 +2,12 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, RwLock};
+use std::sync::{Arc, Mutex, OnceLock, RwLock};
 
 use super::backend::{Backend, BackendError};
 use super::batch::Batch;
 use super::breaker::{Breaker, Warn};
+use super::claims::Claims;
 use super::contents::Contents;
 use super::traffic::{Counted, Traffic};
 use super::upload::Uploader;
@@ -37,6 +38,8 @@ pub enum Use {
 pub struct Remote {
     pub(super) shared: Arc<Shared>,
     pub(super) uploader: Mutex<Option<Uploader>>,
+    /// Who computes what; begun when the place is put under a store that also writes to it.
+    pub(super) claims: OnceLock<Arc<Claims>>,
 }
 
 /// What the threads that read and write share.
@@ -48,7 +51,7 @@ pub(super) struct Shared {
     /// Batches that were fetched before; `None` where they are not kept.
     cache: Option<PathBuf>,
     pub is_read_only: bool,
-    pub honours_create: Mutex<Option<bool>>,
+    honours_create: Mutex<Option<bool>>,
     /// One at a time fetches a pack: whoever waits finds its blobs in the store.
     pub packs: Mutex<()>,
 }
@@ -81,7 +84,7 @@ impl Remote {
             Err((_, BackendError::Unavailable(why))) if what_for != Use::Itself => shared.breaker.turn_off(&why),
             Err((action, fault)) => return Err(fault.at(action, &shared.backend)),
         }
-        Ok(Self { shared: Arc::new(shared), uploader: Mutex::default() })
+        Ok(Self { shared: Arc::new(shared), uploader: Mutex::default(), claims: OnceLock::new() })
     }
 
     /// The address of the place, such as `s3://bucket/prefix`.
@@ -102,13 +105,7 @@ impl Remote {
     /// Whether the place refuses to write an object that is there, as conditional puts ask; some ignore that. Found out by
     /// writing one twice.
     pub fn honours_create(&self) -> Result<bool, StoreError> {
-        let mut known = self.shared.honours_create.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        if let Some(known) = *known {
-            return Ok(known);
-        }
-        let found = self.shared.probe().map_err(|fault| fault.at(WRITE, &self.shared.backend))?;
-        *known = Some(found);
-        Ok(found)
+        self.shared.honours().map_err(|fault| fault.at(WRITE, &self.shared.backend))
     }
 }
 
@@ -144,6 +141,17 @@ impl Shared {
         Err((READ, BackendError::Forbidden(why)))
     }
 
+    /// [`Remote::honours_create`].
+    pub fn honours(&self) -> Result<bool, BackendError> {
+        let mut known = self.honours_create.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        if let Some(known) = *known {
+            return Ok(known);
+        }
+        let found = self.probe()?;
+        *known = Some(found);
+        Ok(found)
+    }
+
     /// Whether an object that is there is not written a second time.
     fn probe(&self) -> Result<bool, BackendError> {
         let clock = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
@@ -173,6 +181,19 @@ impl Shared {
             Err(why) => *fault.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(why),
         });
         fault.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner).map_or(Ok(()), Err)
+    }
+
+    /// Reads a batch that another has just written; one that is gone or damaged counts as empty.
+    pub fn read_batch(&self, name: &Digest) -> Result<(), BackendError> {
+        if self.read(|contents| contents.has_batch(name)) {
+            return Ok(());
+        }
+        match self.breaker.attempt(|| self.batch(name)) {
+            Ok(batch) => self.edit(|contents| contents.enter(*name, batch)),
+            Err(BackendError::Missing) => {}
+            Err(fault) => return Err(fault),
+        }
+        Ok(())
     }
 
     /// The batches that the index names.

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use super::backend::{Backend, BackendError};
 use super::batch::{Batch, Place};
+use super::claims::Claims;
 use super::open::Shared;
 use super::{AT_ONCE, batch_name, blob_name, each_at_once, pack_name};
 use crate::{Digest, Outcome};
@@ -19,6 +20,8 @@ const PACK_BYTES: usize = 8 << 20;
 const BATCH_RECORDS: usize = 4096;
 /// How long a batch waits for further records.
 const BATCH_WAIT: Duration = Duration::from_secs(2);
+/// The same while others may wait for it.
+const BATCH_WAIT_BESIDE_OTHERS: Duration = Duration::from_millis(50);
 /// How often a batch is tried.
 const ATTEMPTS: u32 = 2;
 
@@ -70,7 +73,8 @@ impl Queue {
     }
 
     /// The next records to upload together; `None` at the end.
-    fn next(&self) -> Option<Vec<(Digest, Box<[u8]>)>> {
+    fn next(&self, claims: &Claims) -> Option<Vec<(Digest, Box<[u8]>)>> {
+        let batch_wait = if claims.are_others() { BATCH_WAIT_BESIDE_OTHERS } else { BATCH_WAIT };
         let mut state = self.state();
         let mut first: Option<Instant> = None;
         loop {
@@ -79,7 +83,7 @@ impl Queue {
             }
             let is_due = state.is_closing || state.waiting.len() >= BATCH_RECORDS;
             let waited = first.map(|first| first.elapsed()).unwrap_or_default();
-            if !state.waiting.is_empty() && (is_due || waited >= BATCH_WAIT) {
+            if !state.waiting.is_empty() && (is_due || waited >= batch_wait) {
                 let count = state.waiting.len().min(BATCH_RECORDS);
                 return Some(state.waiting.drain(..count).collect());
             }
@@ -89,7 +93,7 @@ impl Queue {
             if !state.waiting.is_empty() {
                 first.get_or_insert_with(Instant::now);
             }
-            let pause = if first.is_some() { BATCH_WAIT.saturating_sub(waited) } else { Duration::from_mins(1) };
+            let pause = if first.is_some() { batch_wait.saturating_sub(waited) } else { Duration::from_mins(1) };
             state = self.changed.wait_timeout(state, pause).unwrap_or_else(PoisonError::into_inner).0;
         }
     }
@@ -97,12 +101,14 @@ impl Queue {
 
 impl Uploader {
     /// Starts the thread; `None` where the system gives none.
-    pub fn start(shared: Arc<Shared>, read: ReadBlob) -> Option<Self> {
+    pub fn start(shared: Arc<Shared>, claims: Arc<Claims>, read: ReadBlob) -> Option<Self> {
         let queue = Arc::new(Queue::default());
         let own = Arc::clone(&queue);
         let work = move || {
-            while let Some(records) = own.next() {
-                upload_all(&shared, &read, &records, &own);
+            while let Some(records) = own.next(&claims) {
+                let batch = upload_all(&shared, &read, &records, &own);
+                let keys: Vec<Digest> = records.iter().map(|(key, _)| *key).collect();
+                claims.uploaded(&keys, batch);
             }
             own.state().has_ended = true;
             own.changed.notify_all();
@@ -111,15 +117,17 @@ impl Uploader {
         Some(Self { queue, thread: Some(thread) })
     }
 
-    /// Takes a record, unless it has it already.
-    pub fn offer(&self, key: Digest, payload: &[u8]) {
+    /// Takes a record, unless it has it already; says whether it did.
+    pub fn offer(&self, key: Digest, payload: &[u8]) -> bool {
         let mut state = self.queue.state();
-        if state.offered.insert(key) {
+        let is_new = state.offered.insert(key);
+        if is_new {
             state.waiting.push((key, payload.into()));
             if state.waiting.len() == 1 || state.waiting.len() >= BATCH_RECORDS {
                 self.queue.changed.notify_all();
             }
         }
+        is_new
     }
 
     /// Waits until all is uploaded, or `stop` is set.
@@ -149,12 +157,13 @@ impl Drop for Uploader {
 }
 
 /// Uploads records with their blobs, in several batches where they are many.
-fn upload_all(shared: &Shared, read: &ReadBlob, records: &[(Digest, Box<[u8]>)], queue: &Queue) {
+/// The name of the batch.
+fn upload_all(shared: &Shared, read: &ReadBlob, records: &[(Digest, Box<[u8]>)], queue: &Queue) -> Option<Digest> {
     let count = records.len() as u64;
     let mut result = Err(BackendError::Missing);
     for _ in 0..ATTEMPTS {
         if queue.is_abandoned.load(Relaxed) {
-            return;
+            return None;
         }
         result = upload(shared, read, records);
         if result.is_ok() || shared.breaker.is_off() {
@@ -163,16 +172,18 @@ fn upload_all(shared: &Shared, read: &ReadBlob, records: &[(Digest, Box<[u8]>)],
     }
     let mut state = queue.state();
     match result {
-        Ok(done) => {
+        Ok((done, batch)) => {
             state.done.records += done.records;
             state.done.blobs += done.blobs;
             state.done.bytes += done.bytes;
             state.done.failed += done.failed;
+            batch
         }
         Err(fault) => {
             state.done.failed += count;
             drop(state);
             shared.breaker.warn_once(&format!("did not take all results: {fault}"));
+            None
         }
     }
 }
@@ -188,8 +199,12 @@ struct Going {
     fault: Option<BackendError>,
 }
 
-/// Uploads the blobs of some records that are not there, and then the records.
-fn upload(shared: &Shared, read: &ReadBlob, records: &[(Digest, Box<[u8]>)]) -> Result<Uploaded, BackendError> {
+/// Uploads the blobs of some records that are not there, and then the records; also returns the name of their batch.
+fn upload(
+    shared: &Shared,
+    read: &ReadBlob,
+    records: &[(Digest, Box<[u8]>)],
+) -> Result<(Uploaded, Option<Digest>), BackendError> {
     let mut sizes: HashMap<Digest, Option<u64>> = HashMap::new();
     let mut named: Vec<(Digest, &[u8], Vec<Digest>)> = Vec::new();
     for (key, payload) in records {
@@ -235,13 +250,14 @@ fn upload(shared: &Shared, read: &ReadBlob, records: &[(Digest, Box<[u8]>)]) -> 
     }
     done.records = batch.records.len() as u64;
     done.failed = records.len() as u64 - done.records;
-    if done.records > 0 {
-        let (name, bytes) = batch.encode();
-        shared.breaker.attempt(|| shared.backend.put(&batch_name(&name), &bytes))?;
-        shared.keep(&name, &bytes);
-        shared.edit(|contents| contents.enter_own(name, batch));
+    if done.records == 0 {
+        return Ok((done, None));
     }
-    Ok(done)
+    let (name, bytes) = batch.encode();
+    shared.breaker.attempt(|| shared.backend.put(&batch_name(&name), &bytes))?;
+    shared.keep(&name, &bytes);
+    shared.edit(|contents| contents.enter_own(name, batch));
+    Ok((done, Some(name)))
 }
 
 /// Uploads a large blob; a small one goes into the pack, which is uploaded when it is full.

@@ -254,6 +254,38 @@ pub fn takes_many_writers(open: Open) {
     reader.bring((0..70).map(|number| Digest::of(&small(number)))).unwrap();
 }
 
+/// Stores that share nothing but the place do each step once, and find what the others did.
+pub fn shares_steps(open: Open) {
+    const STEPS: u64 = 24;
+    let done: Vec<AtomicU32> = (0..STEPS).map(|_| AtomicU32::new(0)).collect();
+    let (_reference, reference) = new_store();
+    let keys = fill(&reference, 0..STEPS);
+    std::thread::scope(|scope| {
+        for worker in 0..3 {
+            let (done, keys) = (&done, &keys);
+            scope.spawn(move || {
+                let (_folder, store) = over(open);
+                let mut open: Vec<u64> = (0..STEPS).map(|number| (number + worker * 8) % STEPS).collect();
+                while !open.is_empty() {
+                    open.retain(|number| {
+                        let key = &keys[*number as usize];
+                        let Some(_lock) = store.try_lock(key).unwrap() else { return true };
+                        if store.hit_outcome(key).is_none() {
+                            done[*number as usize].fetch_add(1, Ordering::Relaxed);
+                            assert_eq!(fill(&store, *number..*number + 1), [*key]);
+                        }
+                        false
+                    });
+                    std::thread::sleep(std::time::Duration::from_millis(5));
+                }
+                assert_eq!(store.finish_uploads(&never()).failed, 0);
+            });
+        }
+    });
+    assert!(done.iter().all(|count| count.load(Ordering::Relaxed) == 1), "{done:?}");
+    assert_eq!(open().list("workers/").unwrap(), [], "who has ended left nothing behind");
+}
+
 /// A collection removes what is old, puts batches together, and leaves the rest whole.
 pub fn is_collected(open: Open) {
     for part in 0..3 {
@@ -285,11 +317,18 @@ pub fn is_collected(open: Open) {
 
 /// The whole suite; every part has a place of its own.
 pub fn run(new_place: &dyn Fn() -> Box<dyn Fn() -> Box<dyn Backend> + Sync>) {
-    for part in
-        [moves_bytes, has_one_winner, is_a_layer, survives_loss, takes_many_writers, is_collected, |open: Open| {
+    for part in [
+        moves_bytes,
+        has_one_winner,
+        is_a_layer,
+        survives_loss,
+        takes_many_writers,
+        shares_steps,
+        is_collected,
+        |open: Open| {
             carries_results(&open);
-        }]
-    {
+        },
+    ] {
         let place = new_place();
         part(&*place);
     }

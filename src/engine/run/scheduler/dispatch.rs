@@ -7,7 +7,7 @@ use rockface_cache::Digest;
 use rockface_core::Look;
 use rockface_core::artefact::Kind;
 
-use super::schedule::{Scheduler, Turn};
+use super::schedule::{Priority, Scheduler, Turn};
 use super::state::{State, same_outputs};
 use crate::PHASE;
 use crate::pipeline::LogLevel;
@@ -23,11 +23,23 @@ impl Scheduler<'_> {
         let sketch = (levels.get(instance) == Some(&LogLevel::Full)).then_some(self.options.look);
         let peak = self.resident.begin(instance);
         let mut task = self.task(instance, sketch, peak);
+        self.take_ahead(&task.key);
         let reason = if self.states[instance].is_recorded() { Reason::Needed } else { Reason::New };
         task.lease = self.states.start(instance);
         self.running += 1;
         self.report(&Event::Started { step: self.plan.label(instance), reason });
         self.workers.start(task, self.running).inspect_err(|_| self.running -= 1)
+    }
+
+    /// Takes the steps that will run next along with this one, where taking them one by one would take long.
+    fn take_ahead(&mut self, key: &Digest) {
+        let count = self.store.worth_ahead(key, self.ready.len());
+        let next: Vec<Priority> = (0..count).filter_map(|_| self.ready.pop()).collect();
+        if !next.is_empty() {
+            let keys = next.iter().filter_map(|next| self.states[next.instance.0].key);
+            self.store.take_ahead(keys.collect());
+            self.ready.extend(next);
+        }
     }
 
     /// What a worker needs to run an instance.
