@@ -45,6 +45,11 @@ impl Store {
         self.claims().map_or(0, |claims| claims.worth_ahead(key, ready))
     }
 
+    /// Whether a step could be taken along: no other process has it, and no record of it has come.
+    pub fn is_open(&self, key: &Digest) -> bool {
+        !self.has_record_below(key) && self.claims().is_none_or(|claims| claims.is_free(key))
+    }
+
     /// Takes these steps along with the next that is locked.
     pub fn take_ahead(&self, keys: Vec<Digest>) {
         if let Some(claims) = self.claims() {

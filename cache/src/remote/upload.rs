@@ -20,8 +20,8 @@ const PACK_BYTES: usize = 8 << 20;
 const BATCH_RECORDS: usize = 4096;
 /// How long a batch waits for further records.
 const BATCH_WAIT: Duration = Duration::from_secs(2);
-/// The same while others may wait for it.
-const BATCH_WAIT_BESIDE_OTHERS: Duration = Duration::from_millis(50);
+/// The same while others wait for it.
+const BATCH_WAIT_AWAITED: Duration = Duration::from_millis(50);
 /// How often a batch is tried.
 const ATTEMPTS: u32 = 2;
 
@@ -74,13 +74,13 @@ impl Queue {
 
     /// The next records to upload together; `None` at the end.
     fn next(&self, claims: &Claims) -> Option<Vec<(Digest, Box<[u8]>)>> {
-        let batch_wait = if claims.are_others() { BATCH_WAIT_BESIDE_OTHERS } else { BATCH_WAIT };
         let mut state = self.state();
         let mut first: Option<Instant> = None;
         loop {
             if self.is_abandoned.load(Relaxed) {
                 return None;
             }
+            let batch_wait = if claims.are_awaited() { BATCH_WAIT_AWAITED } else { BATCH_WAIT };
             let is_due = state.is_closing || state.waiting.len() >= BATCH_RECORDS;
             let waited = first.map(|first| first.elapsed()).unwrap_or_default();
             if !state.waiting.is_empty() && (is_due || waited >= batch_wait) {
@@ -93,7 +93,7 @@ impl Queue {
             if !state.waiting.is_empty() {
                 first.get_or_insert_with(Instant::now);
             }
-            let pause = if first.is_some() { batch_wait.saturating_sub(waited) } else { Duration::from_mins(1) };
+            let pause = if first.is_some() { BATCH_WAIT_AWAITED } else { Duration::from_mins(1) };
             state = self.changed.wait_timeout(state, pause).unwrap_or_else(PoisonError::into_inner).0;
         }
     }

@@ -20,6 +20,9 @@ pub(super) struct Entry {
     /// Whether it takes all steps from now on.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub all: Option<bool>,
+    /// Whether it has nothing to do but to wait for others.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub waits: Option<bool>,
     /// Steps that it takes, all of them free before this entry.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub takes: Vec<Digest>,
@@ -58,6 +61,8 @@ pub(super) struct Entry {
 pub(super) struct Holdings {
     /// All steps.
     pub all: bool,
+    /// Nothing to do: it waits for others.
+    pub waits: bool,
     /// These steps.
     pub steps: BTreeSet<Digest>,
     /// Values that are not kept.

@@ -45,7 +45,7 @@ pub(super) const WORKERS: &str = "workers/";
 /// Starts the names of values on their way.
 pub(super) const HANDED: &str = "handed/";
 /// Steps that are taken ahead suffice for about so long.
-const AHEAD: Duration = Duration::from_millis(250);
+const AHEAD: Duration = Duration::from_millis(500);
 /// No more steps are taken ahead.
 const MOST_AHEAD: usize = 256;
 /// A value that could not be fetched so often is computed.
@@ -73,7 +73,7 @@ impl Default for Times {
         Self {
             beat: Duration::from_secs(5),
             expiry: Duration::from_mins(1),
-            poll_waiting: Duration::from_millis(50),
+            poll_waiting: Duration::from_millis(100),
             poll_beside: Duration::from_millis(500),
             poll_alone: Duration::from_secs(1),
         }
@@ -214,7 +214,16 @@ impl State {
     fn holdings(&self) -> Holdings {
         let steps = self.ahead.iter().chain(&self.locked).chain(&self.uploading).copied().collect();
         let wants = self.wants.keys().copied().collect();
-        Holdings { all: self.view.own(&self.name).all, steps, has: self.has.keys().copied().collect(), wants }
+        let has = self.has.keys().copied().collect();
+        Holdings { all: self.view.own(&self.name).all, waits: self.is_waiting(), steps, has, wants }
+    }
+
+    /// Whether this process has nothing to do but to wait for others.
+    fn is_waiting(&self) -> bool {
+        const LATELY: Duration = Duration::from_millis(200);
+        let worked_lately = self.taken.is_some_and(|at| at.elapsed() < LATELY);
+        let is_idle = self.locked.is_empty() && self.asked.is_empty() && !worked_lately;
+        is_idle && self.waited.is_some_and(|at| at.elapsed() < LATELY)
     }
 
     /// What this process would write now as the next entry; `None` if it has nothing to say.
@@ -231,6 +240,7 @@ impl State {
             worker: self.name.clone(),
             // With nobody else there, one word for all steps is enough.
             all: if are_others { told.all.then_some(false) } else { Some(true) },
+            waits: (truth.waits != told.waits).then_some(truth.waits),
             takes: asked.filter(is_free).copied().collect(),
             ends: told.steps.difference(&truth.steps).copied().collect(),
             has: truth.has.difference(&told.has).copied().collect(),
@@ -329,6 +339,16 @@ impl Claims {
         ((AHEAD.as_secs_f64() / pace) as usize).min(ready / (2 * (others + 1)))
     }
 
+    /// Whether no other process has this step.
+    pub fn is_free(&self, key: &Digest) -> bool {
+        let mut state = self.common.state();
+        let is_free = state.view.holder(key, &state.name).is_none();
+        if !is_free {
+            state.waited = Some(Instant::now());
+        }
+        is_free
+    }
+
     /// Steps to take along with the next that is asked for.
     pub fn take_ahead(&self, keys: Vec<Digest>) {
         self.common.state().next = keys;
@@ -357,6 +377,12 @@ impl Claims {
     pub fn are_others(&self) -> bool {
         let state = self.common.state();
         state.phase == Phase::Joined && state.view.others(&state.name).next().is_some()
+    }
+
+    /// Whether one of the others has nothing to do but to wait.
+    pub fn are_awaited(&self) -> bool {
+        let state = self.common.state();
+        state.view.others(&state.name).any(|(_, holds)| holds.waits)
     }
 
     /// Lets others see that this process has a value.

@@ -24,7 +24,7 @@ struct Known {
 }
 
 const NOTHING: &Holdings =
-    &Holdings { all: false, steps: BTreeSet::new(), has: BTreeSet::new(), wants: BTreeSet::new() };
+    &Holdings { all: false, waits: false, steps: BTreeSet::new(), has: BTreeSet::new(), wants: BTreeSet::new() };
 
 impl View {
     /// The view of one who begins: what the objects of workers say, to be followed by the entries after `read`.
@@ -45,6 +45,7 @@ impl View {
         if number > known.since {
             let holds = &mut known.holds;
             holds.all = entry.all.unwrap_or(holds.all);
+            holds.waits = entry.waits.unwrap_or(holds.waits);
             entry.ends.iter().for_each(|key| _ = holds.steps.remove(key));
             holds.steps.extend(&entry.takes);
             entry.lacks.iter().for_each(|digest| _ = holds.has.remove(digest));

@@ -33,11 +33,13 @@ impl Scheduler<'_> {
 
     /// Takes the steps that will run next along with this one, where taking them one by one would take long.
     fn take_ahead(&mut self, key: &Digest) {
+        /// So many are looked at for one that can be taken.
+        const LOOKED_AT: usize = 8;
         let count = self.store.worth_ahead(key, self.ready.len());
-        let next: Vec<Priority> = (0..count).filter_map(|_| self.ready.pop()).collect();
+        let next: Vec<Priority> = (0..count * LOOKED_AT).map_while(|_| self.ready.pop()).collect();
         if !next.is_empty() {
             let keys = next.iter().filter_map(|next| self.states[next.instance.0].key);
-            self.store.take_ahead(keys.collect());
+            self.store.take_ahead(keys.filter(|key| self.store.is_open(key)).take(count).collect());
             self.ready.extend(next);
         }
     }

@@ -117,7 +117,7 @@ impl Scheduler<'_> {
         let Some(key) = state.key.filter(|_| state.is_due()) else { return Ok(()) };
         if !state.is_recompute() && self.close_if_recorded(instance) {
             self.exchange.reset_pause();
-        } else if self.store.try_lock(&key)?.is_none() {
+        } else if !self.store.is_free(&key)? {
             self.exchange.elsewhere.push(instance);
         } else {
             self.exchange.reset_pause();

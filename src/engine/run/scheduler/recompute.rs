@@ -31,7 +31,7 @@ impl Scheduler<'_> {
         if self.close_if_recorded(instance) {
             return Ok(Vec::new());
         }
-        if self.store.try_lock(&key)?.is_none() {
+        if !self.store.is_free(&key)? {
             self.leave_elsewhere(instance);
             return Ok(Vec::new());
         }

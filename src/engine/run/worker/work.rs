@@ -111,6 +111,14 @@ pub struct Done {
     pub elsewhere: bool,
 }
 
+impl Done {
+    /// Another process has done the work.
+    fn elsewhere(outcome: Outcome) -> Self {
+        let (values, announced) = (BTreeMap::new(), BTreeMap::new());
+        Self { outcome, values, announced, loaded: Vec::new(), warnings: Vec::new(), elsewhere: true }
+    }
+}
+
 /// Runs one instance.
 ///
 /// Locks are taken and the store is used on the calling thread. Only computing goes into the pool: a thread of the pool
@@ -118,6 +126,13 @@ pub struct Done {
 pub fn work(task: &Task, place: Place) -> Result<Done, Failure> {
     let Place { store, pool, .. } = place;
     let _step = task.span.enter();
+    // What has come from a remote place since it was settled need not be locked, which takes a request there.
+    if task.lease.is_none()
+        && store.remote().is_some()
+        && let Some(outcome) = done_elsewhere(task, store)
+    {
+        return Ok(Done::elsewhere(outcome));
+    }
     let lock = if task.lease.is_none() { phase!("lock", store.try_lock(&task.key))? } else { None };
     if task.lease.is_none() && lock.is_none() {
         return Err(Failure::Held);
@@ -125,8 +140,7 @@ pub fn work(task: &Task, place: Place) -> Result<Done, Failure> {
     // Whoever held the key before may have done the work since it was last looked for.
     phase!("refresh", store.refresh())?;
     if let Some(outcome) = done_elsewhere(task, store) {
-        let (values, announced) = (BTreeMap::new(), BTreeMap::new());
-        return Ok(Done { outcome, values, announced, loaded: Vec::new(), warnings: Vec::new(), elsewhere: true });
+        return Ok(Done::elsewhere(outcome));
     }
     let start = Instant::now();
     let cpu = process_cpu_s();
