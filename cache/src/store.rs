@@ -318,7 +318,7 @@ impl Store {
         Ok(claims.take(key).map(|claim| lock.with(claim)))
     }
 
-    /// Whether no other process has the right to compute `key`, as far as is known here: whoever takes it may be told otherwise.
+    /// Whether no other process is known to have the right to compute `key`; another may still be quicker.
     pub fn is_free(&self, key: &Digest) -> Result<bool, StoreError> {
         Ok(self.locks.try_lock(key)?.is_some() && self.claims().is_none_or(|claims| claims.is_free(key)))
     }
