@@ -17,7 +17,7 @@ const SIDE: usize = 1414;
 pub fn measure_export() {
     let surface = Arc::new(Artefact::Surface(surface()));
     let peer = Peer::new();
-    let (_, cost) = measure::measure(|| {
+    let ((), cost) = measure::measure(|| {
         let cloud = stages::run("export-cloud", &json!({}), &[("points", &surface)]);
         let Artefact::Cloud(cloud) = &*cloud else { panic!("a cloud") };
         std::fs::write(peer.path("cloud.ply"), cloud.encode().expect("a sound cloud")).expect("a file");
@@ -45,7 +45,7 @@ pub fn measure() {
 
     let path = peer.path("ours.surface");
     let write = || std::fs::write(&path, surface.encode().expect("a sound surface")).expect("a file");
-    let (_, cost) = measure::measure(write);
+    let ((), cost) = measure::measure(write);
     Row { what: "surface of 2.0 M points written", cost, peer: None, check: "" }.print();
     let read = || Surface::decode(&std::fs::read(&path).expect("our file")).expect("our file");
     let (found, cost) = measure::measure(read);
@@ -83,7 +83,7 @@ impl Format {
         let name = self.extension.to_uppercase();
         let [ours, theirs] = ["ours", "theirs"].map(|stem| peer.path(&format!("{stem}.{}", self.extension)));
         let write = || std::fs::write(&ours, (self.write)(cloud)).expect("a file");
-        let (_, cost) = measure::measure(write);
+        let ((), cost) = measure::measure(write);
         let answer = peer.work(writes, &[]);
         let read_theirs = || (self.read)(std::fs::read(&theirs).expect("the file of the peer"));
         let apart = checked(&answer, || greatest_m(&cloud.points, &read_theirs()));

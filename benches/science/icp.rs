@@ -1,4 +1,4 @@
-//! ICP of two surfaces of 211,600 points each, to planes, paired in plan and in space; Open3D pairs in space.
+//! ICP of two surfaces of 211,600 points each, to planes, paired in plan and in space; the peer pairs in space.
 
 use nalgebra::{Matrix4, Point3, Rotation3, Vector3};
 use rockface_core::artefact::{Surface, Transform};

@@ -29,7 +29,7 @@ pub fn measure() {
     let sorted = |cloud| Cloud::new(Shape::Cloud(cloud), None, scales.projection_radius_m).expect("points");
     let extent_m = SPACING_M * SIDE as f64;
     let grid = Grid { columns: CORES, rows: CORES, cell_m: extent_m / CORES as f64, left_m: 0.0, top_m: extent_m };
-    let cores: Vec<_> = cores(&sorted(&clouds[0]), &grid).into_iter().filter(Option::is_some).collect();
+    let cores: Vec<_> = cores(&sorted(&clouds[0]), &grid).into_iter().flatten().map(Some).collect();
     let (found, cost) = measure::measure(|| {
         let sorted = [&clouds[0], &clouds[1]].map(sorted);
         distances([&sorted[0], &sorted[1]], &cores, &scales)
