@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use crate::measure::threads;
 
 /// Share of the processors that other programs may take without a word.
-const QUIET: f64 = 0.05;
+pub const QUIET: f64 = 0.05;
 
 /// When a work began, and how busy the processors had been until then, seconds, without programs of low priority.
 pub struct Busy {
@@ -25,11 +25,16 @@ impl Busy {
         Self { begun: Instant::now(), cpu_s }
     }
 
-    /// Says what other programs took since, `ours` being what the work took.
-    pub fn warn(&self, name: &str, ours: Duration) {
-        let (Some(before), Some(after)) = (self.cpu_s, Self::now().cpu_s) else { return };
+    /// The share of the processors that other programs took since, `ours` being what the work took.
+    pub fn others(&self, ours: Duration) -> f64 {
+        let (Some(before), Some(after)) = (self.cpu_s, Self::now().cpu_s) else { return 0.0 };
         let all_s = self.begun.elapsed().as_secs_f64() * threads() as f64;
-        let others = (after - before - ours.as_secs_f64()) / all_s;
+        (after - before - ours.as_secs_f64()) / all_s
+    }
+
+    /// Says so where that is much.
+    pub fn warn(&self, name: &str, ours: Duration) {
+        let others = self.others(ours);
         if others > QUIET {
             eprintln!("{name}: other programs took {:.0} % of the processors", 100.0 * others);
         }

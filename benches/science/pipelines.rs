@@ -2,10 +2,11 @@
 
 use std::path::Path;
 use std::process::{Command, Stdio};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use wait4::Wait4;
 
+use crate::busy::{Busy, QUIET};
 use crate::measure::{Cost, median, threads};
 use crate::row::{Row, digits};
 
@@ -20,13 +21,20 @@ pub fn measure_hunter_valley() {
 }
 
 fn measure(what: &str, words: &[&str]) {
-    let (one, result) = on_cores(1, words);
+    let (one, result, others_then) = on_cores(1, words);
     Row { what: &format!("{what}, 1 core"), cost: one, peer: None, check: "" }.print();
     if threads() < 2 {
         return;
     }
-    let (two, again) = on_cores(2, words);
-    let check = if result == again { scaling(one.wall_s / two.wall_s) } else { "DIFFERS from one core".to_owned() };
+    let (two, again, others) = on_cores(2, words);
+    let others = others.max(others_then);
+    let check = if result != again {
+        "DIFFERS from one core".to_owned()
+    } else if others > QUIET {
+        format!("same files; no scaling, as other programs took {:.0} % of the processors", 100.0 * others)
+    } else {
+        scaling(one.wall_s / two.wall_s)
+    };
     Row { what: &format!("{what}, 2 cores"), cost: two, peer: None, check: &check }.print();
 }
 
@@ -38,16 +46,18 @@ fn scaling(gain: f64) -> String {
     format!("same files; x {gain:.2} from 1 core to 2: serial share {percent} %, so x {many} by 64 cores (Amdahl)")
 }
 
-/// What a cold run costs on so many cores, and a digest of the files it made.
-fn on_cores(cores: usize, words: &[&str]) -> (Cost, blake3::Hash) {
-    let mut result = None;
+/// What a cold run costs on so many cores, a digest of the files it made, and the share of other programs meanwhile.
+fn on_cores(cores: usize, words: &[&str]) -> (Cost, blake3::Hash, f64) {
+    let (mut result, mut others) = (None, 0.0f64);
     let cost = median(|| {
         let folder = tempfile::tempdir().expect("a temporary folder");
+        let busy = Busy::now();
         let cost = run(cores, words, folder.path());
+        others = others.max(busy.others(Duration::from_secs_f64(cost.cpu_s)));
         result = Some(digest(&folder.path().join("runs")));
         cost
     });
-    (cost, result.expect("it ran"))
+    (cost, result.expect("it ran"), others)
 }
 
 fn run(cores: usize, words: &[&str], folder: &Path) -> Cost {
