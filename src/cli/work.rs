@@ -27,6 +27,12 @@ pub struct WorkArgs {
     keep_going: bool,
 }
 
+/// Where a process begins: multiples of the golden ratio lie far apart, also those of successive numbers.
+fn start(process: u32) -> f64 {
+    const GOLDEN: f64 = 0.618_033_988_749_895;
+    (f64::from(process) * GOLDEN).fract()
+}
+
 impl WorkArgs {
     /// Takes steps that are ready and that no other process has, until all are done.
     pub fn run(mut self, registry: &Registry) -> Result<(), CliError> {
@@ -35,7 +41,8 @@ impl WorkArgs {
         let pipeline = self.pipeline.load(registry)?;
         self.programs.check(registry, &pipeline, &self.pipeline.target)?;
         let (mut plan, store) = self.pipeline.plan(registry, &pipeline, &self.pipeline.target)?;
-        let mut options = Options { keep_going: self.keep_going, look: registry.look(), ..Options::default() };
+        let start = start(std::process::id());
+        let mut options = Options { keep_going: self.keep_going, look: registry.look(), start, ..Options::default() };
         self.capacity.apply(&mut options);
         let stop = Arc::new(AtomicBool::new(false));
         signals::stop_on_signal(&stop);

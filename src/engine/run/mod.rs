@@ -25,6 +25,9 @@ pub struct Options {
     pub check_determinism: bool,
     /// What draws outputs for the log.
     pub look: &'static dyn Look,
+    /// Where among the instances of each step this process begins, as a share of them, 0 to 1. Processes that share a run and begin
+    /// at different places rarely take parts of one chain.
+    pub start: f64,
 }
 
 impl Default for Options {
@@ -32,7 +35,7 @@ impl Default for Options {
         let jobs = std::thread::available_parallelism().map_or(1, usize::from);
         let (keep_going, check_determinism) = (false, false);
         let (memory_bytes, look) = (half_of_memory(), Registry::default().look());
-        Self { jobs, keep_going, memory_bytes, check_determinism, look }
+        Self { jobs, keep_going, memory_bytes, check_determinism, look, start: 0.0 }
     }
 }
 

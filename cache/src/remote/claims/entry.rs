@@ -9,6 +9,13 @@ use crate::Digest;
 /// No entry and no object of a worker is longer, bytes.
 pub(super) const LIMIT: u64 = 64 << 20;
 
+/// Whether this can be the name of a worker: it becomes part of the name of an object.
+pub(super) fn is_name(text: &str) -> bool {
+    const LENGTH: usize = 128;
+    let is_plain = text.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'-');
+    (1..=LENGTH).contains(&text.len()) && is_plain
+}
+
 /// What one worker says with one entry.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(default)]
@@ -94,7 +101,8 @@ impl Entry {
 
     /// What an object says; nothing if it is no entry, which anybody may have put there.
     pub fn decode(bytes: &[u8]) -> Self {
-        serde_json::from_slice(bytes).unwrap_or_default()
+        let decoded: Option<Self> = serde_json::from_slice(bytes).ok();
+        decoded.filter(|entry| is_name(&entry.worker)).unwrap_or_default()
     }
 }
 

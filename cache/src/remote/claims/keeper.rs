@@ -18,7 +18,7 @@ use crate::remote::{AT_ONCE, OBJECT_LIMIT, each_at_once};
 /// A pause after a request that failed.
 const PAUSE: Duration = Duration::from_millis(200);
 /// Values on their way are no larger, bytes.
-const VALUE_LIMIT: u64 = 64 * OBJECT_LIMIT;
+const VALUE_LIMIT: u64 = 16 * OBJECT_LIMIT;
 
 /// The threads of a process that takes part.
 #[derive(Debug)]

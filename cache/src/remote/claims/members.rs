@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::Duration;
 
-use super::entry::{LIMIT, Member};
+use super::entry::{Entry, LIMIT, Member, is_name};
 use super::view::View;
 use super::{CLAIMS, Common, WORKERS};
 use crate::remote::backend::{Backend, BackendError, Object};
@@ -16,6 +16,8 @@ use crate::{Digest, plain};
 const CLEARED: usize = 1000;
 /// Digits of the number of an entry.
 const DIGITS: usize = 20;
+/// No entry has this number.
+const LAST: u64 = u64::MAX / 2;
 
 /// The name of an entry.
 pub(super) fn entry_name(number: u64) -> String {
@@ -24,7 +26,8 @@ pub(super) fn entry_name(number: u64) -> String {
 
 /// The number of an entry, from the name of its object.
 pub(in crate::remote) fn entry_number(name: &str) -> Option<u64> {
-    name.strip_prefix(CLAIMS).filter(|digits| digits.len() == DIGITS)?.parse().ok()
+    // A number that leaves none after it was not written by this program.
+    name.strip_prefix(CLAIMS).filter(|digits| digits.len() == DIGITS)?.parse().ok().filter(|number| *number < LAST)
 }
 
 /// The name of the object of a worker.
@@ -79,6 +82,7 @@ impl Common {
         let named = |object: &'_ Object| object.name.strip_prefix(WORKERS).map(str::to_owned);
         let now = listed.iter().find(|object| named(object).as_deref() == Some(own)).map(|own| own.modified_unix_s);
         let others = listed.iter().filter_map(|object| Some((named(object)?, object.modified_unix_s)));
+        let others = others.filter(|(worker, _)| is_name(worker));
         let is_dead = |worker: &str, at: u64| {
             let silent = now.map_or(0, |now| now.saturating_sub(at));
             has_ended(worker, &self.process) || Duration::from_secs(silent) > self.times.expiry
@@ -116,15 +120,17 @@ impl Common {
         let name = new_name(&self.process);
         // In this order: who begins later than this listing writes its entries after those that are listed.
         let entries = shared.backend.list(CLAIMS)?;
-        let numbers = entries.iter().filter_map(|object| entry_number(&object.name));
-        let newest = numbers.max().unwrap_or(0);
+        let mut numbers: Vec<u64> = entries.iter().filter_map(|object| entry_number(&object.name)).collect();
+        numbers.sort_unstable();
+        let newest = numbers.last().copied().unwrap_or(0);
         let sent = super::keeper::clock();
         let own = Member { read: newest, ..Member::default() };
         shared.backend.put(&object_name(&name), &own.encode())?;
         let listed = shared.backend.list(WORKERS)?;
         let mut members = BTreeMap::new();
         for object in &listed {
-            let Some(worker) = object.name.strip_prefix(WORKERS).filter(|worker| *worker != name) else { continue };
+            let is_other = |worker: &&str| *worker != name && is_name(worker);
+            let Some(worker) = object.name.strip_prefix(WORKERS).filter(is_other) else { continue };
             match shared.backend.get(&object.name, LIMIT) {
                 Ok(bytes) => members.extend(Member::decode(&bytes).map(|member| (worker.to_owned(), member))),
                 // It has left meanwhile.
@@ -132,19 +138,24 @@ impl Common {
                 Err(fault) => return Err(fault),
             }
         }
-        let dead = self.silent(&name, &listed);
+        let mut dead = self.silent(&name, &listed);
+        // What this process held under its former name is free for it too.
+        dead.extend(Some(self.state().name.clone()).filter(|former| !former.is_empty()));
         // What the dead have read does not matter: their entries may be gone.
         let live = members.iter().filter(|(worker, _)| !dead.contains(*worker)).map(|(_, member)| member.read);
         let oldest = live.min().unwrap_or(newest).min(newest);
         members.values_mut().for_each(|member| member.read = member.read.max(oldest));
         let mut view = View::of_members(members, newest);
-        for number in view.read + 1..=newest {
+        let start = view.read;
+        for number in numbers.into_iter().filter(|number| *number > start) {
             match shared.backend.get(&entry_name(number), LIMIT) {
-                Ok(bytes) => view.apply(number, &super::entry::Entry::decode(&bytes)),
-                Err(BackendError::Missing) => view.read = number,
+                Ok(bytes) => view.apply(number, &Entry::decode(&bytes)),
+                // Nobody who lives needs it any more.
+                Err(BackendError::Missing | BackendError::TooLarge { .. }) => {}
                 Err(fault) => return Err(fault),
             }
         }
+        view.read = newest;
         shared.refresh()?;
         self.clear_old(&entries, newest, oldest, &listed, &name);
         let mut state = self.state();

@@ -283,8 +283,14 @@ fn what_strangers_write_is_read_past() {
     place.put(&format!("{WORKERS}nobody"), b"no object of a worker").unwrap();
     place.put("claims/00000000000000000005", b"no entry").unwrap();
     place.put("claims/x", b"no entry").unwrap();
+    place.put("claims/18446744073709551615", b"{}").unwrap();
+    // Names that would lead out of a folder; the dead of them are not removed.
+    place.put("claims/00000000000000000006", br#"{"worker": "../../x", "all": true}"#).unwrap();
+    place.put("claims/00000000000000000007", br#"{"worker": "far-1", "dead": ["../../x"]}"#).unwrap();
+    place.put(&format!("{WORKERS}far-1"), br#"{"read": 6}"#).unwrap();
+    place.put("x", b"kept").unwrap();
     let one = worker(&place, "one");
     let _claim = one.take(&key(1)).unwrap();
     let names: BTreeMap<String, _> = place.objects().clone();
-    assert!(names.contains_key("claims/00000000000000000006"), "{:?}", names.keys());
+    assert!(names.contains_key("claims/00000000000000000008") && names.contains_key("x"), "{:?}", names.keys());
 }

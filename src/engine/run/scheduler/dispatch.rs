@@ -38,7 +38,7 @@ impl Scheduler<'_> {
         let count = self.store.worth_ahead(key, self.ready.len());
         let next: Vec<Priority> = (0..count * LOOKED_AT).map_while(|_| self.ready.pop()).collect();
         if !next.is_empty() {
-            let keys = next.iter().filter_map(|next| self.states[next.instance.0].key);
+            let keys = next.iter().filter_map(|next| self.states[next.instance].key);
             self.store.take_ahead(keys.filter(|key| self.store.is_open(key)).take(count).collect());
             self.ready.extend(next);
         }

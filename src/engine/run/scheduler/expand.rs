@@ -43,6 +43,7 @@ impl Scheduler<'_> {
         self.grown = true;
         self.log_levels = None;
         self.states.grow(self.plan, first);
+        self.spans = super::schedule::spans(self.plan);
         for instance in first..self.plan.instances.len() {
             let failed = |producer: &usize| self.states[*producer].is_failed();
             if self.plan.producers(instance).iter().any(failed) {

@@ -64,8 +64,10 @@ pub struct Priority {
     pub drains: bool,
     /// Its step; later steps are deeper in the graph.
     pub depth: usize,
-    /// The instance; of two alike the first comes first.
-    pub instance: std::cmp::Reverse<usize>,
+    /// Its place among those of its step, counted from where this process begins; the first comes first.
+    pub place: std::cmp::Reverse<usize>,
+    /// The instance.
+    pub instance: usize,
 }
 
 /// A run in progress.
@@ -80,6 +82,10 @@ pub struct Scheduler<'a> {
     pub(super) ready: BinaryHeap<Priority>,
     /// Instances whose inputs would have to be recomputed. They come last: another process may make that unnecessary.
     pub(super) costly: VecDeque<usize>,
+    /// The first and the last instance of each step.
+    pub(super) spans: Vec<(usize, usize)>,
+    /// Instances that lack only inputs that many others need too. They come first.
+    pub(super) shared: VecDeque<usize>,
     /// Costly instances by the keys of those inputs: a recomputed input serves all of them.
     pub(super) wanting: HashMap<Digest, Vec<usize>>,
     /// Instances whose values have to be recomputed; the one requested last comes first.
@@ -116,6 +122,7 @@ impl<'a> Scheduler<'a> {
         Self {
             states: States::new(plan),
             timing: Timing::new(plan.graph.steps.len()),
+            spans: spans(plan),
             plan,
             store,
             options,
@@ -123,6 +130,7 @@ impl<'a> Scheduler<'a> {
             turns: VecDeque::new(),
             ready: BinaryHeap::new(),
             costly: VecDeque::new(),
+            shared: VecDeque::new(),
             wanting: HashMap::new(),
             recomputes: VecDeque::new(),
             exchange: Exchange::default(),
@@ -203,6 +211,10 @@ impl<'a> Scheduler<'a> {
 
     /// The next instance for a worker: one that is ready, or becomes ready when its inputs are recomputed.
     fn next(&mut self) -> Result<Option<usize>, RunError> {
+        while let Some(instance) = self.shared.pop_front() {
+            self.request_inputs(instance)?;
+            self.take_turns()?;
+        }
         loop {
             if let Some(instance) = self.next_ready()? {
                 return Ok(Some(instance));
@@ -219,7 +231,7 @@ impl<'a> Scheduler<'a> {
     }
 
     fn next_ready(&mut self) -> Result<Option<usize>, RunError> {
-        while let Some(Priority { instance: std::cmp::Reverse(instance), .. }) = self.ready.pop() {
+        while let Some(Priority { instance, .. }) = self.ready.pop() {
             let Some(due) = self.states[instance].due().filter(|due| due.missing == 0) else { continue };
             if !due.is_stale {
                 return Ok(Some(instance));
@@ -265,6 +277,16 @@ impl<'a> Scheduler<'a> {
             revised: self.revised,
         }
     }
+}
+
+/// The first and the last instance of each step.
+pub fn spans(plan: &Plan) -> Vec<(usize, usize)> {
+    let mut spans = vec![(usize::MAX, 0); plan.graph.steps.len()];
+    for (number, instance) in plan.instances.iter().enumerate() {
+        let (first, last) = &mut spans[instance.step];
+        (*first, *last) = ((*first).min(number), (*last).max(number));
+    }
+    spans
 }
 
 impl From<StoreError> for RunError {

@@ -11,6 +11,9 @@ use super::state::{State, same_outputs};
 use crate::plan::hit;
 use crate::run::{RunError, StepFailure};
 
+/// Values that so many instances wait for are fetched or recomputed before anything else.
+const SHARED_BY: usize = 4;
+
 impl Scheduler<'_> {
     /// Takes all turns that wait; none of them needs a worker.
     pub fn take_turns(&mut self) -> Result<(), RunError> {
@@ -120,7 +123,10 @@ impl Scheduler<'_> {
         } else if is_recompute {
             self.recompute_all(instance, &absent);
         } else {
-            self.costly.push_back(instance);
+            // A value that many wait for is worth fetching at once: their chains go on here then.
+            let is_shared = absent.iter().all(|producer| self.states[*producer].users >= SHARED_BY);
+            let queue = if is_shared { &mut self.shared } else { &mut self.costly };
+            queue.push_back(instance);
             for key in absent.iter().filter_map(|producer| self.states[*producer].key) {
                 self.wanting.entry(key).or_default().push(instance);
             }
@@ -130,7 +136,11 @@ impl Scheduler<'_> {
     /// Queues an instance whose inputs are at hand for a worker.
     pub fn queue(&mut self, instance: usize) {
         let (drains, depth) = (self.drains(instance), self.plan.instances[instance].step);
-        self.ready.push(Priority { drains, depth, instance: std::cmp::Reverse(instance) });
+        let (first, last) = self.spans[depth];
+        let count = last - first + 1;
+        let start = (self.options.start * count as f64) as usize;
+        let place = std::cmp::Reverse((instance - first + count - start.min(count - 1)) % count);
+        self.ready.push(Priority { drains, depth, place, instance });
     }
 
     /// Whether an instance uses values that no store has, so that running it may free them.

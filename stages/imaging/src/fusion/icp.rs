@@ -145,8 +145,9 @@ impl Fit<'_> {
     fn solve(&self, start: Vector3<f64>) -> Result<(Pose, Registration), StageError> {
         let mut pose = Pose { rotation: Matrix3::identity(), translation: start };
         let mut iterations = 0;
+        let mut partners = vec![None; self.arms.len()];
         loop {
-            let system = self.system(&pose)?;
+            let system = self.system(&pose, &mut partners)?;
             let (step, outcome) = system.solve(self.settings.weak_eigenvalue, self.radius_m);
             let (turn, shift) = (step.fixed_rows::<3>(0) / self.radius_m, step.fixed_rows::<3>(3).into_owned());
             iterations += 1;
@@ -168,9 +169,11 @@ impl Fit<'_> {
         }
     }
 
-    fn system(&self, pose: &Pose) -> Result<System, StageError> {
-        let partners: Vec<Option<Pair>> = self.arms.par_iter().map(|arm| self.pair(pose, arm)).collect();
-        let pairs: Vec<Pair> = partners.into_iter().flatten().collect();
+    /// The equations at a pose. `partners` are the places the points were paired with before, and are now.
+    fn system(&self, pose: &Pose, partners: &mut [Option<usize>]) -> Result<System, StageError> {
+        let points = self.arms.par_iter().zip(partners);
+        let pairs: Vec<Option<Pair>> = points.map(|(arm, partner)| self.pair(pose, arm, partner)).collect();
+        let pairs: Vec<Pair> = pairs.into_iter().flatten().collect();
         let least = ((self.arms.len() as f64 * LEAST_OVERLAP) as usize).max(LEAST_PAIRS);
         if pairs.len() < least {
             let (paired, all, search) = (pairs.len(), self.arms.len(), self.search_m);
@@ -188,10 +191,11 @@ impl Fit<'_> {
         Ok(system)
     }
 
-    fn pair(&self, pose: &Pose, arm: &Vector3<f64>) -> Option<Pair> {
+    fn pair(&self, pose: &Pose, arm: &Vector3<f64>, partner: &mut Option<usize>) -> Option<Pair> {
         let arm = pose.rotation * arm;
         let point = arm + pose.translation;
-        let place = self.columns.nearest(&point, self.search_m)?;
+        *partner = self.columns.nearest_near(&point, self.search_m, *partner);
+        let place = (*partner)?;
         let normal = self.normals.at(place)?;
         let offset = point - local(self.target, place);
         (offset.norm_squared() <= self.search_m * self.search_m).then_some(Pair { arm, offset, normal })

@@ -110,6 +110,46 @@ impl<'a> Columns<'a> {
         best.1
     }
 
+    /// [`Columns::nearest`], faster where a place is known that is nearly as near.
+    pub fn nearest_near(&self, point: &Vector3<f64>, radius_m: f64, near: Option<usize>) -> Option<usize> {
+        let bound = near.map(|place| self.square(point, place)).filter(|bound| *bound <= radius_m * radius_m);
+        let found = bound.and_then(|bound| self.only_within(point, bound));
+        found.or_else(|| self.nearest(point, radius_m))
+    }
+
+    /// The nearest place, if it is the only one at its distance and no further than a bound, square metres, that a point is known
+    /// to keep.
+    fn only_within(&self, point: &Vector3<f64>, bound: f64) -> Option<usize> {
+        /// Columns along each side of what is searched; where there are more, rings are faster.
+        const WIDEST: usize = 4;
+        // A little more, as columns are found by a division.
+        let reach = bound.sqrt() + self.side * 1e-6;
+        let span = |at: f64, start: f64, count: usize| {
+            let index = |x: f64| (((x - start) / self.side).max(0.0) as usize).min(count - 1);
+            (index(at - reach), index(at + reach))
+        };
+        let (left, right) = span(point.x, self.left, self.wide);
+        let (low, high) = span(point.y, self.bottom, self.high);
+        if right - left >= WIDEST || high - low >= WIDEST {
+            return None;
+        }
+        let (mut best, mut found) = (f64::INFINITY, None);
+        for row in low..=high {
+            let first = row * self.wide;
+            let places = self.starts[first + left] as usize..self.starts[first + right + 1] as usize;
+            for place in &self.places[places] {
+                let square = self.square(point, *place as usize);
+                if square < best {
+                    (best, found) = (square, Some(*place as usize));
+                } else if square <= best {
+                    // Which of them it is depends on the order of the rings.
+                    found = None;
+                }
+            }
+        }
+        found
+    }
+
     fn search_ring(&self, [x, y]: [i64; 2], ring: i64, point: &Vector3<f64>, best: &mut (f64, Option<usize>)) {
         let (wide, high) = (self.wide as i64, self.high as i64);
         for row in (y - ring).max(0)..=(y + ring).min(high - 1) {
@@ -125,11 +165,17 @@ impl<'a> Columns<'a> {
         }
     }
 
+    /// Square of the distance of a point from a place, square metres.
+    #[inline]
+    fn square(&self, point: &Vector3<f64>, place: usize) -> f64 {
+        let d = local(self.surface, place) - point;
+        d.x * d.x + d.y * d.y + self.z_weight * d.z * d.z
+    }
+
     #[inline]
     fn search(&self, column: usize, point: &Vector3<f64>, best: &mut (f64, Option<usize>)) {
         for place in &self.places[self.starts[column] as usize..self.starts[column + 1] as usize] {
-            let d = local(self.surface, *place as usize) - point;
-            let square = d.x * d.x + d.y * d.y + self.z_weight * d.z * d.z;
+            let square = self.square(point, *place as usize);
             if square < best.0 {
                 *best = (square, Some(*place as usize));
             }
@@ -179,6 +225,9 @@ mod tests {
             let within = everywhere.filter(|place| distance(*place) < 1.5);
             assert_eq!(columns.nearest(&query, 1.5), within, "query {i}");
             assert_eq!(columns.nearest(&query, 1e6), everywhere, "query {i}, far");
+            let near = Some((i as usize * 3 + 1) % 900).filter(|place| *place != 17);
+            assert_eq!(columns.nearest_near(&query, 1e6, near), everywhere, "query {i}, with a place known");
+            assert_eq!(columns.nearest_near(&query, 1e6, everywhere), everywhere, "query {i}, with the answer known");
         }
     }
 }
