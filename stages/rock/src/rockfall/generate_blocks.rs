@@ -2,8 +2,8 @@
 
 use serde_json::{Value, json};
 
-use crate::rockfall::block;
 use crate::rockfall::block::joints;
+use crate::rockfall::block::{self, BlockError};
 use rockface_core::artefact::candidates::{Class, HexKey, Modifier, Shape, Size};
 use rockface_core::artefact::{Candidates, Kind, Meshes, Transform};
 use rockface_core::format::distribution_file;
@@ -12,6 +12,8 @@ use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fai
 
 /// Candidates looked at before any is asked for.
 const TRIALS: u64 = 40;
+/// After so many rejected candidates and no block, one that is too fine ends the trial.
+const TOO_FINE: usize = 2;
 
 params! {
     /// The orientation of a face in the world.
@@ -175,13 +177,17 @@ fn try_out(candidates: &Candidates, context: &Context) -> Result<(), StageError>
                 triangles += block.triangles.len();
             }
             Err(error) if error.reason().is_none() => fail!("candidate {number}: {error}"),
+            // Each takes long to find out; where the first are all too fine, so is the specification.
+            Err(error @ BlockError::TooFine { .. }) if volumes.is_empty() && rejected.len() >= TOO_FINE => {
+                fail!("candidates 0 to {number}: {error}")
+            }
             Err(error) => rejected.push(error.to_string()),
         }
     }
     context.metric("tried_candidates_rejected", rejected.len() as f64, "1");
     if let (Some(first), true) = (rejected.first(), volumes.is_empty()) {
         return Err(StageError::new(format!("none of the first {TRIALS} candidates is a block; the first: {first}"))
-            .hint("lower roughness or skew against the edges of the blocks, or end the modifiers with `convex_hull`"));
+            .hint("raise `edge_m`, lower roughness or skew against the edges of the blocks, or end the modifiers with `convex_hull`"));
     }
     if let Some(first) = rejected.first() {
         context.warn(format!("{} of the first {TRIALS} candidates are rejected; the first: {first}", rejected.len()));

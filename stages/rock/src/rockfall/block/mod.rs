@@ -92,7 +92,9 @@ impl BlockError {
             Self::Inverted => "block_inverted",
             Self::Unbounded => "joints_enclose_nothing",
             Self::Stable => "kinematically_stable",
-            Self::TooFine { .. } | Self::Specification(_) => return None,
+            // Joints that nearly meet in a line make blocks of any length.
+            Self::TooFine { .. } => "block_too_fine",
+            Self::Specification(_) => return None,
         })
     }
 }

@@ -169,25 +169,43 @@ fn scanned_blocks_serve_as_a_class() {
     assert!(block.vertices.iter().all(|v| v.iter().all(|x| x.abs() < 0.5)));
 }
 
+/// A class of rough, sheared blocks of any size, by shape.
+fn rough(shape: usize) -> Value {
+    let set = |dip: f64, direction: f64| {
+        let spacing = json!({"exponential": {"mean": 0.5, "min": 0.1, "max": 3}});
+        json!({"dip_deg": dip, "dip_direction_deg": direction, "fisher_k": 40, "spacing_m": spacing})
+    };
+    let sets = [set(70.0, 170.0), set(80.0, 260.0), set(30.0, 10.0)];
+    let shapes = [
+        json!({"prism": {"sides": 5}}),
+        json!("ellipsoid"),
+        json!("trapezoid"),
+        json!("pyramid"),
+        json!("wedge"),
+        json!({"polyhedron": {"points": 9, "radius": {"uniform": {"min": 0.5, "max": 1}}}}),
+        json!({"joint_block": {"sets": sets}}),
+        json!({"joint_wedge": {"sets": [set(60.0, 140.0), set(60.0, 220.0)]}}),
+        json!("prism"),
+    ];
+    let angle = json!({"uniform": {"min": 0, "max": 360}});
+    json!({"shape": shapes[shape], "modifiers": [
+        {"scale": {"factor": {"log_normal": {"median": 1, "sigma": 0.5}}, "z": {"beta": {"a": 2, "b": 2, "min": 0.5, "max": 1.5}}}},
+        {"rotate": {"x_deg": angle, "y_deg": angle, "z_deg": angle}},
+        {"skew": {"xy": {"normal": {"mean": 0, "sd": 0.2}}, "zx": 0.1}},
+        {"roughness": {"sigma_m": 0.01, "edge_m": 0.3}},
+    ]})
+}
+
+#[test]
+fn a_wedge_of_nearly_parallel_joints_is_rejected_and_ends_no_run() {
+    let error = candidate(&candidates(&json!([rough(7)])), 59507).unwrap_err();
+    assert_eq!(error.reason(), Some("block_too_fine"));
+}
+
 proptest::proptest! {
     #[test]
     fn every_candidate_is_closed_and_outward_or_says_why(number in 0u64..1_000_000, shape in 0usize..9) {
-        let set = |dip: f64, direction: f64| json!({"dip_deg": dip, "dip_direction_deg": direction, "fisher_k": 40, "spacing_m": {"exponential": {"mean": 0.5, "min": 0.1, "max": 3}}});
-        let sets = [set(70.0, 170.0), set(80.0, 260.0), set(30.0, 10.0)];
-        let shapes = [
-            json!({"prism": {"sides": 5}}), json!("ellipsoid"), json!("trapezoid"), json!("pyramid"), json!("wedge"),
-            json!({"polyhedron": {"points": 9, "radius": {"uniform": {"min": 0.5, "max": 1}}}}),
-            json!({"joint_block": {"sets": sets}}), json!({"joint_wedge": {"sets": [set(60.0, 140.0), set(60.0, 220.0)]}}),
-            json!("prism"),
-        ];
-        let angle = json!({"uniform": {"min": 0, "max": 360}});
-        let class = json!({"shape": shapes[shape], "modifiers": [
-            {"scale": {"factor": {"log_normal": {"median": 1, "sigma": 0.5}}, "z": {"beta": {"a": 2, "b": 2, "min": 0.5, "max": 1.5}}}},
-            {"rotate": {"x_deg": angle, "y_deg": angle, "z_deg": angle}},
-            {"skew": {"xy": {"normal": {"mean": 0, "sd": 0.2}}, "zx": 0.1}},
-            {"roughness": {"sigma_m": 0.01, "edge_m": 0.3}},
-        ]});
-        match candidate(&candidates(&json!([class])), number) {
+        match candidate(&candidates(&json!([rough(shape)])), number) {
             Ok(block) => proptest::prop_assert_eq!(solid(&block).check(), Ok(())),
             Err(error) => proptest::prop_assert!(error.reason().is_some(), "{}", error),
         }
