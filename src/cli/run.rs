@@ -118,7 +118,8 @@ impl RunArgs {
             look: registry.look(),
             reporter: &Pages(registry.look()),
         };
-        let (summary, finished) = run::execute_and_tell(&mut plan, &store, &options, &stop, &mut observer, &about)?;
+        let (summary, finished) = run::execute_and_tell(&mut plan, &store, &options, &stop, &mut observer, &about)
+            .inspect_err(|_| store.leave())?;
         let told = Told::of(&finished, &summary);
         let is_uploaded = upload(&store, &stop);
         if let Some(question) = question.filter(|_| is_uploaded) {

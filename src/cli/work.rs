@@ -49,7 +49,7 @@ impl WorkArgs {
         let store = Arc::new(store);
         let mut observer =
             Reported::new(quiet_observer(), &store, Role::Work, &self.pipeline.pipeline, &pipeline.document.name);
-        let summary = run::execute(&mut plan, &store, &options, &stop, &mut observer)?;
+        let summary = run::execute(&mut plan, &store, &options, &stop, &mut observer).inspect_err(|_| store.leave())?;
         store.adopt(summary.keys().map(|(_, key)| key))?;
         upload(&store, &stop);
         let (ran, all) = (summary.executed(), summary.instances.len());

@@ -108,6 +108,21 @@ fn what_a_process_that_was_killed_had_taken_at_a_remote_place_is_done_by_another
     assert_eq!(outputs(&house, "b/f.txt"), "0\n1\n2\n3\n");
 }
 
+#[test]
+fn an_interrupted_process_gives_back_what_it_had_taken_at_a_remote_place() {
+    let counted = Counted::new();
+    let script = "while true; do sleep 0.02; done";
+    let house = counted.step("a", OVER_I.0, OVER_I.1, script).write(&axis(2));
+    let place = format!("file://{}", house.path("place").display());
+    let child = house.command(&["run", "p.yaml", "--remote", &place]).stderr(Stdio::piped()).spawn().unwrap();
+    let workers = || std::fs::read_dir(house.path("place/workers")).into_iter().flatten().count();
+    wait_until(&|| workers() == 1 && house.path("count").exists());
+    let process = rustix::process::Pid::from_raw(child.id() as i32).unwrap();
+    rustix::process::kill_process(process, rustix::process::Signal::INT).unwrap();
+    assert_eq!(child.wait_with_output().unwrap().status.code(), Some(130));
+    assert_eq!(workers(), 0);
+}
+
 fn wait_until(what: &dyn Fn() -> bool) {
     let begun = Instant::now();
     while !what() {

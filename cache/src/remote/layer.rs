@@ -152,6 +152,11 @@ impl Store {
         Ok(())
     }
 
+    /// Gives back what this process has taken at the remote place, within a few seconds: so nobody waits for one that was interrupted.
+    pub fn leave(&self) {
+        self.claims().iter().for_each(|claims| claims.leave());
+    }
+
     /// Waits until all is uploaded, or `stop` is set; nothing is uploaded any more after that, and no step is taken.
     pub fn finish_uploads(&self, stop: &AtomicBool) -> Uploaded {
         let Some(remote) = self.remote() else { return Uploaded::default() };
