@@ -144,6 +144,14 @@ impl Room {
     }
 }
 
+/// Puts the bytes of a digest into a room, whole or not at all.
+pub(crate) fn put_into(room: &Path, digest: &Digest, bytes: &[u8]) -> io::Result<()> {
+    let mut new = tempfile::Builder::new().prefix(HALF_WRITTEN).tempfile_in(room)?;
+    new.write_all(bytes)?;
+    new.persist(room.join(digest.to_string()))?;
+    Ok(())
+}
+
 impl Want {
     /// Brings the bytes of a digest to who wants them: a further name of a file that has them where there is one, or else the
     /// bytes themselves.
@@ -166,9 +174,7 @@ impl Want {
             Ok(()) => true,
         });
         if !linked {
-            let mut new = tempfile::Builder::new().prefix(HALF_WRITTEN).tempfile_in(room)?;
-            new.write_all(&bytes()?)?;
-            new.persist(&to)?;
+            put_into(room, digest, &bytes()?)?;
         }
         Ok(())
     }

@@ -83,26 +83,20 @@ fn processes_that_share_only_a_bucket_do_every_step_once() {
 
 #[test]
 fn what_a_process_that_was_killed_had_taken_at_a_remote_place_is_done_by_another() {
-    let counted = Counted::new();
-    let go = counted.house.path("go").display().to_string();
-    let script = format!("while test ! -e {go}{{param.i}}; do sleep 0.02; done; echo {{param.i}} > {{out.f}}");
-    let house = counted
-        .step("a", OVER_I.0, OVER_I.1, &script)
-        .step("b", "    in: {f: {each: a.f, over: [i]}}\n", GATHERS, "cat {in.f}/*.txt > {out.f}")
-        .write(&axis(4));
+    let house = held_up();
     let place = format!("file://{}", house.path("place").display());
     let begin = |verb: &str, store: &str| {
         let mut command = house.command(&[verb, "p.yaml", "--jobs", "2", "--store", store, "--remote", &place]);
         command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
     };
-    let started = || std::fs::read_to_string(house.path("count")).unwrap_or_default().lines().count();
+    let started = || started(&house);
     let mut dead = begin("work", "one");
     wait_until(&|| started() == 2);
     let other = begin("run", "other");
     wait_until(&|| started() == 4);
     dead.kill().unwrap();
     dead.wait().unwrap();
-    (0..4).for_each(|number| std::fs::write(house.path(&format!("go{number}")), "").unwrap());
+    go_on(&house);
     succeed(vec![other]);
     expect(&house, &[("a", 4 + 2), ("b", 1)]);
     assert_eq!(outputs(&house, "b/f.txt"), "0\n1\n2\n3\n");
@@ -121,6 +115,26 @@ fn an_interrupted_process_gives_back_what_it_had_taken_at_a_remote_place() {
     rustix::process::kill_process(process, rustix::process::Signal::INT).unwrap();
     assert_eq!(child.wait_with_output().unwrap().status.code(), Some(130));
     assert_eq!(workers(), 0);
+}
+
+/// Values that are not kept and are gathered by one step; each waits for [`go_on`].
+fn held_up() -> House {
+    let counted = Counted::new();
+    let go = counted.house.path("go").display().to_string();
+    let script = format!("while test ! -e {go}{{param.i}}; do sleep 0.02; done; echo {{param.i}} > {{out.f}}");
+    counted
+        .step("a", OVER_I.0, OVER_I.1, &script)
+        .step("b", "    in: {f: {each: a.f, over: [i]}}\n", GATHERS, "cat {in.f}/*.txt > {out.f}")
+        .write(&axis(4))
+}
+
+fn go_on(house: &House) {
+    (0..4).for_each(|number| std::fs::write(house.path(&format!("go{number}")), "").unwrap());
+}
+
+/// How many steps were started.
+fn started(house: &House) -> usize {
+    std::fs::read_to_string(house.path("count")).unwrap_or_default().lines().count()
 }
 
 fn wait_until(what: &dyn Fn() -> bool) {
@@ -166,21 +180,15 @@ fn machines_that_do_not_see_each_others_locks_do_every_step_once() {
 
 #[test]
 fn what_a_machine_that_died_had_is_done_again_and_nothing_else() {
-    let counted = Counted::new();
-    let go = counted.house.path("go").display().to_string();
-    let script = format!("while test ! -e {go}{{param.i}}; do sleep 0.02; done; echo {{param.i}} > {{out.f}}");
-    let house = counted
-        .step("a", OVER_I.0, OVER_I.1, &script)
-        .step("b", "    in: {f: {each: a.f, over: [i]}}\n", GATHERS, "cat {in.f}/*.txt > {out.f}")
-        .write(&axis(4));
-    let started = || std::fs::read_to_string(house.path("count")).unwrap_or_default().lines().count();
+    let house = held_up();
+    let started = || started(&house);
     let mut dead = start(&house, "work", Some(1));
     wait_until(&|| started() == 2);
     let other = start(&house, "run", Some(2));
     wait_until(&|| started() == 4);
     dead.kill().unwrap();
     dead.wait().unwrap();
-    (0..4).for_each(|number| std::fs::write(house.path(&format!("go{number}")), "").unwrap());
+    go_on(&house);
     // No sign of life for two minutes, as the file system tells it.
     for entry in std::fs::read_dir(house.path(".rockface/store/workers")).unwrap().flatten() {
         if entry.file_name().to_string_lossy().starts_with("m1-") {

@@ -1,7 +1,6 @@
 //! The threads of claims: one writes and reads entries, the other gives signs of life.
 
 use std::collections::VecDeque;
-use std::io::Write;
 use std::path::Path;
 use std::sync::Arc;
 use std::thread::JoinHandle;
@@ -10,7 +9,7 @@ use std::time::{Duration, Instant};
 use super::entry::{Entry, LIMIT};
 use super::members::{entry_name, object_name};
 use super::view::View;
-use super::{Common, HANDED, Phase};
+use super::{Common, EFFECT, HANDED, Phase};
 use crate::Digest;
 use crate::remote::backend::{Backend, BackendError};
 use crate::remote::{AT_ONCE, OBJECT_LIMIT, each_at_once};
@@ -83,8 +82,7 @@ impl Common {
         if let Err(fault) = result
             && !self.shared.breaker.is_off()
         {
-            let effect = "processes that share nothing else may do a step twice";
-            self.shared.breaker.warn_once(&format!("takes no claims ({fault}): {effect}"));
+            self.shared.breaker.warn_once(&format!("takes no claims ({fault}): {EFFECT}"));
         }
         self.end(Phase::Off);
     }
@@ -114,7 +112,7 @@ impl Common {
         let mut state = self.state();
         let begun = Instant::now();
         loop {
-            let are_others = state.view.others(&state.name).next().is_some();
+            let are_others = state.are_others();
             let is_waiting = state.waited.is_some_and(|at| at.elapsed() < 4 * self.times.poll_beside);
             let every = match (are_others, is_waiting) {
                 (false, _) => self.times.poll_alone,
@@ -229,11 +227,7 @@ impl Common {
             Err(fault @ BackendError::Unavailable(_)) => return Err(fault),
             found => found.ok().filter(|bytes| Digest::of(bytes) == *digest),
         };
-        let put = |bytes: Vec<u8>| {
-            let mut file = tempfile::Builder::new().prefix("new-").tempfile_in(folder).ok()?;
-            file.write_all(&bytes).ok()?;
-            file.persist(folder.join(digest.to_string())).ok()
-        };
+        let put = |bytes: Vec<u8>| crate::values::put_into(folder, digest, &bytes).ok();
         if bytes.and_then(put).is_none() {
             *self.state().lost.entry(*digest).or_default() += 1;
         }
@@ -274,8 +268,7 @@ impl Common {
                 state = self.wait(state, rest);
             }
             last = Instant::now();
-            let (is_joined, are_others) =
-                (state.phase == Phase::Joined, state.view.others(&state.name).next().is_some());
+            let (is_joined, are_others) = (state.phase == Phase::Joined, state.are_others());
             let old = state.old_entries(2 * self.times.expiry);
             drop(state);
             // What fails now is done with the next sign; the breaker takes note of it.

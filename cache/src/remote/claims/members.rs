@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use super::entry::{Entry, LIMIT, Member, is_name};
 use super::view::View;
-use super::{CLAIMS, Common, WORKERS};
+use super::{CLAIMS, Common, EFFECT, WORKERS};
 use crate::remote::backend::{Backend, BackendError, Object};
 use crate::remote::{AT_ONCE, each_at_once};
 use crate::{Digest, plain};
@@ -111,10 +111,9 @@ impl Common {
     pub fn join(&self) -> Result<bool, BackendError> {
         let shared = &self.shared;
         if !shared.honours()? {
-            let effect = "processes that share nothing else may do a step twice";
             shared
                 .breaker
-                .warn_once(&format!("writes objects that are there already, whatever is asked of it: {effect}"));
+                .warn_once(&format!("writes objects that are there already, whatever is asked of it: {EFFECT}"));
             return Ok(false);
         }
         let name = new_name(&self.process);

@@ -50,6 +50,8 @@ const AHEAD: Duration = Duration::from_millis(500);
 const MOST_AHEAD: usize = 256;
 /// A value that could not be fetched so often is computed.
 const FETCHES: u32 = 3;
+/// What a place without claims means.
+const EFFECT: &str = "processes that share nothing else may do a step twice";
 /// How long the end of a process waits for its last entry.
 const FAREWELL: Duration = Duration::from_secs(3);
 
@@ -210,6 +212,11 @@ impl Common {
 }
 
 impl State {
+    /// Whether other workers take part.
+    fn are_others(&self) -> bool {
+        self.view.others(&self.name).next().is_some()
+    }
+
     /// What this process holds in truth, whatever its entries say.
     fn holdings(&self) -> Holdings {
         let steps = self.ahead.iter().chain(&self.locked).chain(&self.uploading).copied().collect();
@@ -229,7 +236,7 @@ impl State {
     /// What this process would write now as the next entry; `None` if it has nothing to say.
     fn entry(&self) -> Option<Entry> {
         let told = self.view.own(&self.name);
-        let are_others = self.view.others(&self.name).next().is_some();
+        let are_others = self.are_others();
         if told.all && !are_others {
             return None;
         }
@@ -260,7 +267,7 @@ impl State {
     /// Whether an entry should be written at once, rather than with the next look.
     fn is_urgent(&self) -> bool {
         let told = self.view.own(&self.name);
-        if told.all && self.view.others(&self.name).next().is_none() {
+        if told.all && !self.are_others() {
             return false;
         }
         let wants = self.wants.keys().any(|name| !told.wants.contains(name));
@@ -376,7 +383,7 @@ impl Claims {
     /// Whether others take part, so that what is made here should reach them soon.
     pub fn are_others(&self) -> bool {
         let state = self.common.state();
-        state.phase == Phase::Joined && state.view.others(&state.name).next().is_some()
+        state.phase == Phase::Joined && state.are_others()
     }
 
     /// Whether one of the others has nothing to do but to wait.
