@@ -84,7 +84,7 @@ fn noise() -> Noise {
         class_log_strength: vec![-1.0, 0.5],
         jitter: 0.2,
         sharpness: 4,
-        contrast: vec![Contrast { cells: 1.5, power: 0.5 }],
+        contrast: vec![Contrast { cells: 1.5, powers: vec![0.5, 0.0], growth: vec![1.0, 0.0] }],
         log_gain: vec![0.0, 0.1],
         relief: ReliefLaw { flat_px: 0.2, gain_px_m: 3.0, window_cells: 2 },
         members: vec![member("a", false), member("b", true)],

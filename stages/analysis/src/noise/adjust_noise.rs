@@ -1,8 +1,9 @@
 //! `adjust-noise`: makes up for what a survey loses of the noise of a model, by comparing surveys simulated with it to draws of it.
 
+use crate::noise::learning::contrast;
 use crate::noise::learning::departure::{Departure, Mean, figures};
 use crate::noise::learning::differences::{check, check_model, disparities};
-use crate::noise::learning::whitening::{Places, whiten};
+use crate::noise::learning::whitening::{CLASSES, Places, Whitened, whiten};
 use rockface_core::artefact::{Band, Cameras, Kind, Noise, Pairs, Raster};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 use rockface_imaging::matching::elevation_step::elevation_step_m;
@@ -17,13 +18,15 @@ pub struct AdjustNoise;
 
 /// Standard errors within which a difference counts as chance.
 const CHANCE_ERRORS: f64 = 2.0;
+/// The same for the variation of details: classes of few cells show little of it, and a power that is a little too high does no harm.
+const VARIATION_ERRORS: f64 = 1.0;
 /// Fewest simulated rasters from which chance can be told.
 const LEAST: usize = 2;
 
 impl Stage for AdjustNoise {
     type Params = AdjustNoiseParams;
     const NAME: &'static str = "adjust-noise";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("adjust_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("noise", &[Kind::Noise], "The model."),
@@ -50,13 +53,15 @@ impl Stage for AdjustNoise {
         check_model(noise, dem)?;
         let step_m = elevation_step_m(dem, block, pairs)?;
         let places = Places::of(noise.strength.clone());
+        let columns = noise.grid.columns;
         let rows = |port: &str| -> Result<Vec<Vec<f64>>, StageError> {
             let rasters: Vec<&Raster> = inputs.many::<Raster>(port)?.into_iter().map(|(_, raster)| raster).collect();
             check(&rasters, dem, block)?;
             let bands: Vec<&Band> = rasters.iter().flat_map(|raster| &raster.bands).collect();
-            let whitened = whiten(&disparities(&bands, &step_m)?, noise.grid.columns, &places);
+            let whitened = whiten(&disparities(&bands, &step_m)?, columns, &places);
             context.check_cancelled()?;
-            Ok(whitened.iter().map(figures).collect())
+            let variation = |w: &Whitened| contrast::variation(&[w], columns, &places).into_iter().flatten();
+            Ok(whitened.iter().map(|w| figures(w).into_iter().chain(variation(w)).collect()).collect())
         };
         let (simulated, drawn) = (rows("simulated")?, rows("drawn")?);
         if simulated.len() != drawn.len() {
@@ -79,31 +84,42 @@ impl Stage for AdjustNoise {
     }
 }
 
-/// The model with what is lost added: first the classes of place, then the bands.
+/// The model with what is lost added: first the classes of place, then the bands, then the variation of details by level and class.
 fn adjusted(noise: &Noise, losses: &[Departure]) -> Noise {
-    let (classes, bands) = losses.split_at(noise.class_log_strength.len());
+    let (classes, bands, variation) = parts(losses, noise);
     let mut adjusted = noise.clone();
     for member in &mut adjusted.members {
         member.log_strength.iter_mut().zip(classes).for_each(|(value, loss)| *value -= loss.certain(CHANCE_ERRORS));
     }
     adjusted.log_gain.iter_mut().zip(bands).for_each(|(gain, loss)| *gain -= loss.certain(CHANCE_ERRORS));
+    let lost = |level: usize, class: usize| -variation[level * CLASSES + class].certain(VARIATION_ERRORS);
+    contrast::make_up(&mut adjusted.contrast, lost);
     adjusted
 }
 
+/// Losses of classes of place, of bands, and of the variation of details.
+fn parts<'a>(losses: &'a [Departure], noise: &Noise) -> (&'a [Departure], &'a [Departure], &'a [Departure]) {
+    let (classes, rest) = losses.split_at(noise.class_log_strength.len());
+    let (bands, variation) = rest.split_at(noise.bands());
+    (classes, bands, variation)
+}
+
 fn report(losses: &[Departure], noise: &Noise, context: &Context) {
-    let (classes, bands) = losses.split_at(noise.class_log_strength.len());
-    let percent = |losses: &[Departure]| {
+    let (classes, bands, variation) = parts(losses, noise);
+    let percent = |losses: &[Departure], errors: f64| {
         let one = |loss: &Departure| {
-            format!("{:+.0}", 100.0 * (rockface_core::numerics::portable_math::exp(loss.certain(CHANCE_ERRORS)) - 1.0))
+            format!("{:+.0}", 100.0 * (rockface_core::numerics::portable_math::exp(loss.certain(errors)) - 1.0))
         };
         losses.iter().map(one).collect::<Vec<_>>().join(" ")
     };
     context.metric("finest_band", bands.last().map_or(0.0, |loss| loss.difference), "1");
     context.metric("strongest_class", classes.last().map_or(0.0, |loss| loss.difference), "1");
     context.note(format!(
-        "amplitudes of the simulated rasters beside those of the model, per cent: {} by class of place, {} by band, coarsest first",
-        percent(classes),
-        percent(bands)
+        "amplitudes of the simulated rasters beside those of the model, per cent: {} by class of place, {} by band, coarsest first; \
+         variation of details, finest first: {}",
+        percent(classes, CHANCE_ERRORS),
+        percent(bands, CHANCE_ERRORS),
+        variation.chunks(CLASSES).map(|level| percent(level, VARIATION_ERRORS)).collect::<Vec<_>>().join(", ")
     ));
 }
 

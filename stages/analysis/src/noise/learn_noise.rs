@@ -4,11 +4,12 @@ use std::borrow::Cow;
 
 use crate::noise::learning::acquisitions::{Acquisitions, Variety, acquisitions};
 use crate::noise::learning::bad::parted;
+use crate::noise::learning::contrast::{self, Powers};
 use crate::noise::learning::departure::{Departure, Mean, figures};
 use crate::noise::learning::differences::{check, differences, disparities};
 use crate::noise::learning::relief_law;
 use crate::noise::learning::whitening::{BANDS, LEAST_SIDE_CELLS, Places, Prior, Stack, Whitened, range_cells, whiten};
-use rockface_core::artefact::{Band, Cameras, Contrast, Kind, Member, Noise, Pairs, Raster, ReliefLaw};
+use rockface_core::artefact::{Band, Cameras, Kind, Member, Noise, Pairs, Raster, ReliefLaw};
 use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::{Fault, Range};
@@ -30,13 +31,14 @@ params! {
         prior_rasters: f64 = 4.0; Range::NonNegative,
         /// Robust deviations by which a bad acquisition is stronger than the others, or stronger and of another spectrum.
         bad_cut: f64 = 3.0; Range::Positive,
-        /// Whitened fields mixed in one acquisition, of the rasters most like the one whose strength it has: fewer copy them, many make the
-        /// noise too regular.
-        donors: usize = 4; Range::AtLeast(1.0),
+        /// Whitened fields mixed in one acquisition, of the rasters most like the one whose strength it has: fewer copy them, with many all
+        /// acquisitions have the same structure.
+        donors: usize = 8; Range::AtLeast(1.0),
         /// Power of the weights of the mixture: 1 mixes all donors everywhere, with more each place has the structure of fewer of them.
-        sharpness: u32 = 4; Range::Between(1.0, 16.0),
-        /// How much the mixture's energy is made to vary again: power of the rms within 1.5 cells.
-        contrast: f64 = 0.35; Range::Between(0.0, 2.0),
+        sharpness: u32 = 1; Range::Between(1.0, 16.0),
+        /// How much the energy of a mixture's details is made to vary again: power of their local rms, the same for all levels; left out: for
+        /// each level what makes draws vary as the rasters do.
+        contrast: Option<f64> = None; Range::Between(0.0, 2.0),
         /// Correlation length of the weights of the mixture, cells; left out: the geometric mean of the range of the noise and
         /// the shorter side of the rasters.
         length_cells: Option<f64> = None; Range::AtLeast(1.0),
@@ -64,7 +66,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -177,22 +179,31 @@ impl Learnt {
         context: &Context,
     ) -> Noise {
         let none = Correction::none(self.places.middles.len() + BANDS);
+        let given = Powers::even(params.contrast.unwrap_or(0.0));
         if params.draws < 2 {
-            return self.model(params, names, dem, &none);
+            return self.model(params, names, dem, &none, &given);
         }
         // What draws of acquisitions differ by that are all alike is chance. They choose their donors by the little that is left.
         let alike = Correction { own: vec![ALIKE; none.own.len()], ..none };
-        let usual = Noise { bad_share: 0.0, ..self.model(params, names, dem, &alike) };
+        let mut usual = Noise { bad_share: 0.0, ..self.model(params, names, dem, &alike, &given) };
         let limit_m = params.outlier_m.map_or(f32::INFINITY, |limit| limit as f32);
-        let drawn = differences(
-            &usual,
-            params.draws,
-            |cell, px| (px * step_m[cell]).abs() <= limit_m || step_m[cell].is_nan(),
-            &|purpose, item| context.stream(purpose, item),
-        );
+        let drawn = |noise: &Noise, count: usize| {
+            let keeps = |cell: usize, px: f32| (px * step_m[cell]).abs() <= limit_m || step_m[cell].is_nan();
+            let rasters = differences(noise, count, keeps, &|purpose, item| context.stream(purpose, item));
+            whiten(&rasters, self.columns, &self.places)
+        };
+        let powers = match params.contrast {
+            Some(_) => given,
+            None => contrast::fitted(&contrast::variation(&self.usual(), self.columns, &self.places), |powers| {
+                usual.contrast = powers.contrast();
+                let trial = drawn(&usual, params.draws.min(CONTRAST_DRAWS));
+                contrast::variation(&trial.iter().collect::<Vec<_>>(), self.columns, &self.places)
+            }),
+        };
+        usual.contrast = powers.contrast();
+        let correction = Correction::of(&self.usual(), &drawn(&usual, params.draws));
         drop(usual);
-        let correction = Correction::of(&self.usual(), &whiten(&drawn, self.columns, &self.places));
-        self.model(params, names, dem, &correction)
+        self.model(params, names, dem, &correction, &powers)
     }
 
     fn usual(&self) -> Vec<&Whitened> {
@@ -200,7 +211,14 @@ impl Learnt {
     }
 
     /// The model with a correction of its draws.
-    fn model(&self, params: &LearnNoiseParams, names: &[String], dem: &Raster, correction: &Correction) -> Noise {
+    fn model(
+        &self,
+        params: &LearnNoiseParams,
+        names: &[String],
+        dem: &Raster,
+        correction: &Correction,
+        powers: &Powers,
+    ) -> Noise {
         let shares = Bands::new(self.columns, dem.grid.rows, BANDS).shares();
         let variety = Variety { jitter: params.jitter, own: &correction.own };
         let Acquisitions { mut members, bad_share } = acquisitions(names, &self.whitened, &self.bad, &shares, variety);
@@ -221,7 +239,7 @@ impl Learnt {
             class_log_strength: self.places.middles.clone(),
             jitter: params.jitter,
             sharpness: params.sharpness,
-            contrast: contrast(params.contrast),
+            contrast: powers.contrast(),
             log_gain: vec![0.0; BANDS],
             relief: self.relief,
             members,
@@ -292,17 +310,12 @@ fn own_shares(real: &[&Whitened], alike: &[&Whitened]) -> Vec<f64> {
     (0..classes).map(|_| root(strength)).chain((0..bands.len()).map(|k| root(near(k)))).collect()
 }
 
+/// Differences drawn for each trial of a contrast.
+const CONTRAST_DRAWS: usize = 8;
 /// Part of the deviation of figures that acquisitions have which are all alike.
 const ALIKE: f64 = 1e-6;
 /// Least part of the variance of a figure that acquisitions differ by.
 const LEAST_OWN: f64 = 0.1;
-
-/// Deviation within which the energy of a mixture is averaged, cells.
-const CONTRAST_CELLS: f64 = 1.5;
-
-fn contrast(power: f64) -> Vec<Contrast> {
-    if power > 0.0 { vec![Contrast { cells: CONTRAST_CELLS, power }] } else { Vec::new() }
-}
 
 fn report(noise: &Noise, learnt: &Learnt, step_m: &[f32], context: &Context) {
     let known: Vec<f64> = step_m.iter().filter(|step| !step.is_nan()).map(|step| f64::from(*step)).collect();
@@ -314,6 +327,13 @@ fn report(noise: &Noise, learnt: &Learnt, step_m: &[f32], context: &Context) {
     context.metric("strength_median", strength, "px");
     context.metric("bad_rasters", bad.len() as f64, "1");
     context.metric("length", noise.length_cells, "cells");
+    for (level, contrast) in noise.contrast.iter().enumerate() {
+        context.metric(
+            &format!("contrast_{}", level + 1),
+            contrast.powers.iter().sum::<f64>() / contrast.powers.len() as f64,
+            "1",
+        );
+    }
     context.note(format!(
         "from {} rasters; a pixel of disparity is worth {:.1} mm, a difference has {strength:.2} px of noise at the median place; \
          strength over relief: {:.2} px on flat rock, {:.1} px for a metre",

@@ -47,7 +47,11 @@ pub fn transferred(noise: &Noise, dem: &Raster, setting: Setting) -> Transferred
         frame: dem.frame,
         grid: dem.grid,
         length_cells: setting.field_scale * noise.length_cells,
-        contrast: noise.contrast.iter().map(|c| Contrast { cells: setting.field_scale * c.cells, ..*c }).collect(),
+        contrast: noise
+            .contrast
+            .iter()
+            .map(|c| Contrast { cells: setting.field_scale * c.cells, ..c.clone() })
+            .collect(),
         relief,
         class_log_strength: noise.class_log_strength.clone(),
         log_gain: noise.log_gain.clone(),
@@ -144,10 +148,13 @@ fn place_classes(noise: &mut Noise, old_strength: &[f32]) {
         return;
     }
     let middles = Places::of(noise.strength.clone()).middles;
-    for member in &mut noise.members {
-        let factor = |middle: &f64| log_strength_at(&noise.class_log_strength, &member.log_strength, *middle);
-        member.log_strength = middles.iter().map(factor).collect();
-    }
+    let old = &noise.class_log_strength;
+    let moved = |values: &[f64]| middles.iter().map(|middle| log_strength_at(old, values, *middle)).collect();
+    noise.members.iter_mut().for_each(|member| member.log_strength = moved(&member.log_strength));
+    noise.contrast.iter_mut().for_each(|contrast| {
+        contrast.powers = moved(&contrast.powers);
+        contrast.growth = moved(&contrast.growth);
+    });
     noise.class_log_strength = middles;
 }
 

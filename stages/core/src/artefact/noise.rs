@@ -31,14 +31,17 @@ pub struct ReliefLaw {
     pub window_cells: usize,
 }
 
-/// Contrast that a mixture is given back: mixing evens out how the energy of the noise varies over some cells.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+/// Contrast that a mixture is given back: mixing evens out how the energy of the noise varies. The levels of a model, finest first, part a
+/// field into details: what the Gaussian of a level takes away from what those before it left.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Contrast {
-    /// Deviation of the Gaussian within which energy is averaged, cells.
+    /// Deviation of the Gaussian that ends the level, cells. Energy is averaged within three quarters of it.
     pub cells: f64,
-    /// Power of the local rms (over that of the whole field) a value is multiplied by.
-    pub power: f64,
+    /// Power of their local rms that details are multiplied by, for each class of place.
+    pub powers: Vec<f64>,
+    /// How the logarithm of the variation of their local rms grows with the power, for each class of place; 0: not known.
+    pub growth: Vec<f64>,
 }
 
 /// The bit of a weight that says that the raster had no value there.
@@ -58,7 +61,7 @@ pub struct Noise {
     pub donors: usize,
     /// Power the weights of the mixture are raised to: with more of it each place has the structure of fewer members.
     pub sharpness: u32,
-    /// Contrast the mixture is given back, one after the other.
+    /// Contrast the mixture is given back, level by level, finest first.
     pub contrast: Vec<Contrast>,
     /// Correlation length of the weights of the mixture, cells.
     pub length_cells: f64,
@@ -88,8 +91,10 @@ pub struct Noise {
 
 /// Highest power of weights.
 const MOST_SHARPNESS: u32 = 16;
-/// Largest deviation within which energy is averaged, cells.
+/// Largest deviation that ends a level, cells.
 const MOST_CONTRAST_CELLS: f64 = 100.0;
+/// Largest power of a local rms.
+const MOST_POWER: f64 = 4.0;
 /// Largest logarithm of a gain.
 const MOST_LOG_GAIN: f64 = 5.0;
 
@@ -143,7 +148,13 @@ impl Noise {
         if !((1..=MOST_SHARPNESS).contains(&self.sharpness) && self.jitter.is_finite() && self.jitter >= 0.0) {
             return refuse(format!("sharpness must be from 1 to {MOST_SHARPNESS}, jitter not negative"));
         }
-        let usable = |c: &Contrast| positive(c.cells) && c.cells <= MOST_CONTRAST_CELLS && c.power.abs() <= 4.0;
+        let usable = |c: &Contrast| {
+            [c.powers.len(), c.growth.len()] == [classes; 2]
+                && positive(c.cells)
+                && c.cells <= MOST_CONTRAST_CELLS
+                && c.powers.iter().all(|power| power.abs() <= MOST_POWER)
+                && c.growth.iter().all(|growth| growth.is_finite())
+        };
         if !self.contrast.iter().all(usable) || !self.log_gain.iter().all(|gain| gain.abs() <= MOST_LOG_GAIN) {
             return refuse("a contrast or a gain is out of range".into());
         }

@@ -2,7 +2,7 @@
 
 use crate::artefact::{CodecError, Contrast, Frame, Grid, Member, Noise, ReliefLaw};
 
-const MAGIC: &[u8] = b"rockface noise 2\n";
+const MAGIC: &[u8] = b"rockface noise 3\n";
 
 /// What is written into the header for whoever reads the file without us.
 const LAYOUT: &str = "rows x columns cells from the top left: strength float32 little-endian (px), elevation float32 (m, NaN = unknown); \
@@ -75,7 +75,7 @@ pub fn write(noise: &Noise) -> Result<Vec<u8>, CodecError> {
 
 /// Reads a noise model.
 pub fn read(bytes: &[u8]) -> Result<Noise, CodecError> {
-    let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| CodecError::new("not a rockface noise file (version 2)"))?;
+    let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| CodecError::new("not a rockface noise file (version 3)"))?;
     let end = rest.iter().position(|b| *b == b'\n').ok_or_else(|| CodecError::new("noise file: header without end"))?;
     let header: Header =
         serde_json::from_slice(&rest[..end]).map_err(|e| CodecError(format!("noise file: bad header: {e}")))?;
@@ -156,7 +156,7 @@ mod tests {
             class_log_strength: vec![-1.2],
             jitter: 0.2,
             sharpness: 4,
-            contrast: vec![Contrast { cells: 1.5, power: 0.5 }],
+            contrast: vec![Contrast { cells: 1.5, powers: vec![0.5], growth: vec![1.2] }],
             log_gain: vec![0.0, 0.1],
             relief: ReliefLaw { flat_px: 0.2, gain_px_m: 3.0, window_cells: 4 },
             members: vec![member("a", false), member("b", true)],

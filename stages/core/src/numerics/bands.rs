@@ -1,7 +1,8 @@
 //! Bands of frequency of a raster: amplitudes in bands of equal width in ln f, and a filter that multiplies them.
 //!
-//! Band b of n is centred on `f0 (0.5 / f0)^((b + 0.5) / n)` cycles a cell, where f0 is one cycle over the shorter side; between
-//! centres weights are linear in ln f, beyond the outermost ones constant. White noise of unit variance has power 1 in all.
+//! Band b of n is centred on `f0 (0.5 / f0)^((b + 0.5) / (n - 1))` cycles a cell, where f0 is one cycle over the shorter side, so that the
+//! last one lies beyond 0.5, where only waves across both axes are; between centres weights are linear in ln f, beyond the outermost ones
+//! constant. White noise of unit variance has power 1 in all.
 
 use crate::numerics::fft::{C64, Fft2};
 use crate::numerics::portable_math;
@@ -32,7 +33,7 @@ impl Bands {
         let lowest = 1.0 / self.forward.columns.min(self.forward.rows) as f64;
         let share =
             portable_math::log((fx * fx + fy * fy).sqrt().max(lowest) / lowest) / portable_math::log(0.5 / lowest);
-        let at = (share * self.count as f64 - 0.5).clamp(0.0, (self.count - 1) as f64);
+        let at = (share * (self.count - 1) as f64 - 0.5).clamp(0.0, (self.count - 1) as f64);
         let below = (at as usize).min(self.count - 2);
         (below, at - below as f64)
     }
@@ -112,12 +113,12 @@ impl Bands {
 /// Values at the bands of rasters whose shorter side has `from` cells, at the bands of rasters with `to` cells: linear in ln f, constant
 /// beyond the outermost bands. A cell of the former is worth `scale` cells of the latter.
 pub fn at_other_bands(values: &[f64], from: usize, to: usize, scale: f64) -> Vec<f64> {
-    let count = values.len() as f64;
-    let [width, other_width] = [from, to].map(|side| portable_math::log(0.5 * side as f64) / count);
+    let last = (values.len() - 1) as f64;
+    let [width, other_width] = [from, to].map(|side| portable_math::log(0.5 * side as f64) / last);
     let value = |band: usize| {
         // ln f above the lowest frequency of the raster with `from` cells.
         let above = (band as f64 + 0.5) * other_width + portable_math::log(scale * from as f64 / to as f64);
-        let at = (above / width - 0.5).clamp(0.0, count - 1.0);
+        let at = (above / width - 0.5).clamp(0.0, last);
         let below = (at as usize).min(values.len() - 2);
         values[below] + (at - below as f64) * (values[below + 1] - values[below])
     };
@@ -164,7 +165,7 @@ mod tests {
     fn values_are_found_at_the_same_frequency_in_bands_of_another_size() {
         let ln_f = |side: usize| -> Vec<f64> {
             let lowest = 1.0 / side as f64;
-            let of = |b: usize| portable_math::log(lowest) + (b as f64 + 0.5) / 9.0 * portable_math::log(0.5 / lowest);
+            let of = |b: usize| portable_math::log(lowest) + (b as f64 + 0.5) / 8.0 * portable_math::log(0.5 / lowest);
             (0..9).map(of).collect()
         };
         let (from, to) = (ln_f(200), ln_f(80));

@@ -4,6 +4,7 @@ use serde_json::json;
 
 use super::*;
 use crate::noise::learn_noise::tests::{CLEAN, COLUMNS, ROWS, grid, mean, survey};
+use crate::noise::learning::contrast::LEVELS;
 use crate::noise::learning::whitening::BANDS;
 use rockface_core::artefact::{Artefact, Frame, Noun};
 use rockface_core::numerics::gaussian::smoothed;
@@ -62,6 +63,20 @@ fn what_is_smoothed_away_is_added_and_nothing_else() {
     assert!(mean_of(fine) > 0.1 && mean_of(fine) > mean_of(coarse) + 0.1, "{gains:?}");
     let raised = mean(more.members.iter().zip(&CLEAN.members).map(|(a, b)| a.log_strength[2] - b.log_strength[2]));
     assert!(raised > 0.02, "{raised}");
+}
+
+#[test]
+fn variation_of_details_that_is_lost_is_made_up_for_where_its_growth_is_known() {
+    let losses: Vec<Departure> = (0..CLASSES + BANDS + LEVELS * CLASSES)
+        .map(|k| Departure { difference: if k == CLASSES + BANDS { -0.12 } else { 0.0 }, error: 0.0 })
+        .collect();
+    let mut noise = CLEAN.clone();
+    noise.contrast[0].growth[0] = 1.2;
+    let before = noise.contrast[0].powers[0];
+    let power = |noise: &Noise| adjusted(noise, &losses).contrast[0].powers[0];
+    assert!((power(&noise) - before - 0.1).abs() < 1e-12 && adjusted(&noise, &losses).contrast[1] == noise.contrast[1]);
+    noise.contrast[0].growth[0] = 0.0;
+    assert!((power(&noise) - before).abs() < 1e-12);
 }
 
 #[test]

@@ -5,6 +5,7 @@ use std::sync::LazyLock;
 use serde_json::{Value, json};
 
 use super::*;
+use crate::noise::learning;
 use rockface_core::artefact::{Artefact, Frame, Grid, Noun, Pair};
 use rockface_core::numerics::gaussian::smoothed;
 use rockface_core::numerics::portable_math;
@@ -160,6 +161,52 @@ fn gaps_are_as_frequent_as_in_the_rasters() {
     };
     let found = mean((0..30).map(share));
     assert!(expected > 0.003 && (found / expected - 1.0).abs() < 0.4, "{found} {expected}");
+}
+
+/// Differences of two acquisitions, pixels.
+fn drawn_differences(noise: &Noise, count: usize) -> Vec<Vec<f32>> {
+    let host = TestHost::seeded(11);
+    let context = Context::new(&host);
+    learning::differences::differences(noise, count, |_, _| true, &|purpose, item| context.stream(purpose, item))
+}
+
+#[test]
+fn nowhere_does_the_noise_of_two_acquisitions_cancel() {
+    let side = 16;
+    let strengths = |difference: &Vec<f32>| -> Vec<f64> {
+        let block = |b: usize| {
+            let (top, left) = (b / (COLUMNS / side) * side, b % (COLUMNS / side) * side);
+            let cells = (0..side * side).map(|i| (top + i / side) * COLUMNS + left + i % side);
+            let unit = cells.map(|i| f64::from(difference[i] / CLEAN.strength[i])).filter(|value| !value.is_nan());
+            mean(unit.map(|value| value * value)).sqrt()
+        };
+        (0..COLUMNS / side * (ROWS / side)).map(block).collect()
+    };
+    let all: Vec<f64> = drawn_differences(&CLEAN, 40).iter().flat_map(strengths).collect();
+    let weakest = all.iter().copied().fold(f64::INFINITY, f64::min);
+    assert!(weakest > 0.3 * mean(all.iter().copied()), "{weakest}");
+}
+
+#[test]
+fn fine_details_of_draws_come_in_bursts_as_those_of_the_rasters() {
+    let one = |b: u8| {
+        let (fine, where_from, coarse) = (unit(b, 0.6), unit(b + 60, 2.5), unit(b + 120, 4.0));
+        let value = |i: usize| (0.002 * (fine[i] * portable_math::exp(0.8 * where_from[i]) + coarse[i])) as f32;
+        Raster::single(grid(), Frame::Wall, "difference", &format!("n{b}"), (0..COLUMNS * ROWS).map(value).collect())
+    };
+    let rasters: Vec<Raster> = (0..16).map(one).collect();
+    let real: Vec<Vec<f32>> = rasters.iter().map(|raster| raster.bands[0].values.clone()).collect();
+    let finest = |noise: &Noise, rasters: &[Vec<f32>]| {
+        let places = Places::of(noise.strength.clone());
+        let whitened = whiten(rasters, COLUMNS, &places);
+        mean(contrast::variation(&whitened.iter().collect::<Vec<_>>(), COLUMNS, &places)[0].into_iter())
+    };
+    let lacks = |with: &Value| {
+        let (noise, _) = learn_from(rasters.clone(), with).unwrap();
+        finest(&noise, &real) - finest(&noise, &drawn_differences(&noise, 24))
+    };
+    let (fitted, none) = (lacks(&json!({})), lacks(&json!({"contrast": 0.0})));
+    assert!(fitted.abs() < 0.12 && none > 2.0 * fitted.abs() + 0.1, "{fitted} {none}");
 }
 
 #[test]

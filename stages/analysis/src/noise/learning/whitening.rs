@@ -16,7 +16,7 @@ const CLASS_ENDS: [f64; 5] = [0.2, 0.4, 0.6, 0.8, 0.97];
 /// Number of classes of place.
 pub const CLASSES: usize = CLASS_ENDS.len() + 1;
 /// Number of bands of frequency.
-pub const BANDS: usize = 12;
+pub const BANDS: usize = 13;
 /// Fewest cells along a side of rasters: fewer have no bands of frequency.
 pub const LEAST_SIDE_CELLS: usize = 8;
 /// Rounds in which map and levels are fitted to each other.
@@ -52,7 +52,7 @@ pub struct Places {
     /// Strength of each cell.
     pub strength: Vec<f32>,
     /// Class of each cell.
-    class: Vec<u8>,
+    pub class: Vec<u8>,
     /// Logarithm of the strength at the middle of each class.
     pub middles: Vec<f64>,
 }

@@ -4,6 +4,7 @@ use serde_json::{Value, json};
 
 use super::*;
 use crate::noise::learn_noise::tests::{CLEAN, COLUMNS, ROWS, grid, mean, survey};
+use crate::noise::learning::whitening::BANDS;
 use rockface_core::artefact::{Artefact, Frame, Grid, Noun, ReliefLaw};
 use rockface_core::numerics::bands::Bands;
 use rockface_core::testing::{TestHost, run_stage};
@@ -52,7 +53,7 @@ fn drawn(noise: &Noise, count: u64) -> Vec<Vec<f64>> {
 
 /// Mean correlation of draws at lags of 1, 2, ... cells.
 fn correlation(noise: &Noise) -> Vec<f64> {
-    let bands = Bands::new(noise.grid.columns, noise.grid.rows, 12);
+    let bands = Bands::new(noise.grid.columns, noise.grid.rows, BANDS);
     let all: Vec<Vec<f64>> = drawn(noise, 12).iter().map(|field| bands.correlation(field)).collect();
     (1..12).map(|lag| mean(all.iter().map(|correlation| correlation[lag]))).collect()
 }

@@ -10,11 +10,11 @@
 
 use rand::{Rng, RngExt};
 
+use crate::matching::noise::contrast::{Classes, contrasted};
 use crate::matching::noise::matcher::Keys;
 use crate::matching::noise::modulation::smooth_field;
-use rockface_core::artefact::{Contrast, GAP, Member, Noise};
+use rockface_core::artefact::{GAP, Member, Noise};
 use rockface_core::numerics::bands::Bands;
-use rockface_core::numerics::gaussian::smoothed;
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::random::Field;
 
@@ -78,7 +78,7 @@ pub fn draw(noise: &Noise, keys: Keys) -> Drawn {
         Mixed { field: white(noise, &keys("noise-white", "").field()), gaps: Vec::new() }
     };
     let columns = noise.grid.columns;
-    let mixed_field = noise.contrast.iter().fold(mixed.field, |field, contrast| contrasted(field, columns, contrast));
+    let mixed_field = contrasted(mixed.field, columns, &noise.contrast, &Classes::of(noise));
     let bands = Bands::new(columns, noise.grid.rows, noise.bands());
     let present = bands.power(&mixed_field);
     let gain = |band: usize| wanted[band] - 0.5 * portable_math::log(present[band].max(1e-12)) + noise.log_gain[band];
@@ -122,18 +122,6 @@ fn jittered(noise: &Noise, member: &Member, usual: &[usize], random: &Field) -> 
         values(member).iter().enumerate().map(at).collect()
     };
     [with(|member| &member.log_strength), with(|member| &member.log_amplitude)]
-}
-
-/// A field with the local rms raised: values times `(local rms / rms)^power`.
-fn contrasted(field: Vec<f64>, columns: usize, contrast: &Contrast) -> Vec<f64> {
-    let squares: Vec<f32> = field.iter().map(|value| (value * value) as f32).collect();
-    let mean = squares.iter().map(|square| f64::from(*square)).sum::<f64>() / squares.len() as f64;
-    if mean <= 0.0 {
-        return field;
-    }
-    let local = smoothed(&squares, columns, contrast.cells);
-    let factor = |local: f64| portable_math::pow((local / mean).max(1e-12), 0.5 * contrast.power);
-    field.iter().zip(local).map(|(value, local)| value * factor(local)).collect()
 }
 
 /// Some of a list, each at most once (the beginning of a Fisher-Yates shuffle); all where there are no more.
@@ -214,7 +202,6 @@ fn white(noise: &Noise, field: &Field) -> Vec<f64> {
 #[allow(clippy::float_cmp)] // values that are exact
 mod tests {
     use super::*;
-    use rockface_core::numerics::random::Key;
 
     #[test]
     fn donors_are_those_that_are_most_like_the_member_chosen() {
@@ -237,23 +224,5 @@ mod tests {
     #[test]
     fn powers_keep_the_sign() {
         assert_eq!([raised(-2.0, 1), raised(-2.0, 4), raised(3.0, 2)], [-2.0, -16.0, 9.0]);
-    }
-
-    #[test]
-    fn contrast_sets_strong_and_weak_places_apart() {
-        let (columns, rows) = (80, 60);
-        let random = Key([5; 32]).field();
-        let place = |i: usize| if i % columns < columns / 2 { 2.0 } else { 1.0 };
-        let value = |i: usize| place(i) * random.normal((i % columns) as i32, (i / columns) as i32);
-        let field: Vec<f64> = (0..columns * rows).map(value).collect();
-        let rms = |field: &[f64], left: bool| {
-            let inside = field.iter().enumerate().filter(|(i, _)| (i % columns < columns / 2) == left);
-            let squares: Vec<f64> = inside.map(|(_, v)| v * v).collect();
-            (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
-        };
-        let with = contrasted(field.clone(), columns, &Contrast { cells: 6.0, power: 1.0 });
-        let ratio = |field: &[f64]| rms(field, true) / rms(field, false);
-        assert!((ratio(&field) - 2.0).abs() < 0.1 && (3.2..4.2).contains(&ratio(&with)), "{}", ratio(&with));
-        assert_eq!(contrasted(vec![0.0; 16], 4, &Contrast { cells: 1.0, power: 1.0 }), vec![0.0; 16]);
     }
 }
