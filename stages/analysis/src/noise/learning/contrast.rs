@@ -56,7 +56,7 @@ impl Powers {
     }
 }
 
-/// Makes up for what a survey loses of the variation (its logarithm, 0 where nothing is lost), as far as a power may go.
+/// Makes up for what a survey loses of the variation (its logarithm, 0 where nothing is lost), within the range of powers.
 pub fn make_up(contrast: &mut [Contrast], lost: impl Fn(usize, usize) -> f64) {
     for (level, contrast) in contrast.iter_mut().enumerate() {
         for (class, (power, growth)) in contrast.powers.iter_mut().zip(&contrast.growth).enumerate() {

@@ -100,7 +100,7 @@ pub fn contrasted(field: Vec<f64>, columns: usize, contrast: &[Contrast], classe
 }
 
 /// How much the local rms of a field's details varies within each class of place, level by level: the logarithm of its variance over its mean
-/// square. Gaps are NaN. 0 is the highest; details that are the same everywhere have the lowest that is told apart.
+/// square. Gaps are NaN. 0 is the highest; details of the same strength everywhere have the lowest, ln(1e-12).
 pub fn variation(field: &[f64], columns: usize, levels_cells: &[f64], class: &[u8], classes: usize) -> Vec<Vec<f64>> {
     let mut rest = field.to_vec();
     let one = |cells: &f64| {
