@@ -1,17 +1,23 @@
 //! Points sorted into square columns over X and Y, to find those in a sphere or a cylinder in a fixed order.
 
-use nalgebra::{Matrix3, Point3, SymmetricEigen, Vector3};
+use std::ops::Range;
+
+use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 use rayon::prelude::*;
 
 use rockface_raster::shape::{Moved, Shape};
 
 /// Columns there may be; sides grow beyond.
 const MAXIMUM_COLUMNS: f64 = 5e7;
+/// Points that are looked at together. Sums have one part for each, so this number is part of their rounding.
+const WIDE: usize = 4;
+/// What rounding may take from a length, as a share of the side of a column.
+const SLACK: f64 = 1e-9;
 
 /// A point cloud in columns.
 pub struct Cloud {
-    /// Points, metres, column by column.
-    points: Vec<Vector3<f64>>,
+    /// X, Y and Z of the points, metres, column by column.
+    coordinates: [Vec<f64>; 3],
     /// Where each column starts; one more than there are columns.
     starts: Vec<u32>,
     left: f64,
@@ -34,25 +40,33 @@ impl Cloud {
         let size = high - low;
         let side = side_m.max((size.x * size.y / MAXIMUM_COLUMNS).sqrt()).max(size.x.max(size.y) / 1e6);
         let [wide, tall] = [size.x, size.y].map(|length| (length / side) as usize + 1);
-        let mut cloud =
-            Self { points: Vec::new(), starts: Vec::new(), left: low.x, bottom: low.y, side, wide, high: tall };
-        cloud.sort(points);
+        let mut cloud = Self {
+            coordinates: Default::default(),
+            starts: Vec::new(),
+            left: low.x,
+            bottom: low.y,
+            side,
+            wide,
+            high: tall,
+        };
+        cloud.sort(&points);
         Some(cloud)
     }
 
     /// Counting sort, in the order of the points.
-    fn sort(&mut self, points: Vec<Vector3<f64>>) {
+    fn sort(&mut self, points: &[Vector3<f64>]) {
         let columns: Vec<u32> = points.par_iter().map(|p| self.column(p) as u32).collect();
         let mut next = vec![0u32; self.wide * self.high + 1];
         columns.iter().for_each(|column| next[*column as usize + 1] += 1);
         (1..next.len()).for_each(|i| next[i] += next[i - 1]);
         self.starts.clone_from(&next);
-        self.points = vec![Vector3::zeros(); points.len()];
-        for (point, column) in points.into_iter().zip(columns) {
+        let mut coordinates = [0; 3].map(|_| vec![0.0; points.len()]);
+        for (point, column) in points.iter().zip(columns) {
             let slot = &mut next[column as usize];
-            self.points[*slot as usize] = point;
+            coordinates.iter_mut().zip(point.iter()).for_each(|(values, value)| values[*slot as usize] = *value);
             *slot += 1;
         }
+        self.coordinates = coordinates;
     }
 
     fn column(&self, p: &Vector3<f64>) -> usize {
@@ -62,44 +76,179 @@ impl Cloud {
     }
 
     /// All points, in the fixed order of the columns.
-    pub fn points(&self) -> &[Vector3<f64>] {
-        &self.points
+    pub fn points(&self) -> impl Iterator<Item = Vector3<f64>> {
+        let [x, y, z] = &self.coordinates;
+        x.iter().zip(y).zip(z).map(|((x, y), z)| Vector3::new(*x, *y, *z))
     }
 
-    /// Hands over the points whose columns meet a box of half sides `reach` around `centre` in X and Y.
-    pub fn near(&self, centre: &Vector3<f64>, reach: [f64; 2], mut visit: impl FnMut(&Vector3<f64>)) {
-        let range = |middle: f64, reach: f64, start: f64, count: usize| {
-            let place = |value: f64| (value - start) / self.side;
-            let (from, to) = (place(middle - reach), place(middle + reach));
-            let first = from.max(0.0) as usize;
-            if to < 0.0 || first >= count { 0..0 } else { first..(to as usize + 1).min(count) }
-        };
-        let across = range(centre.x, reach[0], self.left, self.wide);
-        for row in range(centre.y, reach[1], self.bottom, self.high) {
-            let columns = row * self.wide + across.start..row * self.wide + across.end;
-            if !columns.is_empty() {
-                let places = self.starts[columns.start] as usize..self.starts[columns.end] as usize;
-                self.points[places].iter().for_each(&mut visit);
-            }
-        }
+    /// The columns, of those in a line, that meet a span of coordinates, metres.
+    #[inline(always)]
+    fn columns(&self, [from, to]: [f64; 2], start: f64, count: usize) -> Range<usize> {
+        let place = |value: f64| (value - start) / self.side;
+        let (from, to) = (place(from) - SLACK, place(to) + SLACK);
+        let first = from.max(0.0) as usize;
+        if to < 0.0 || first >= count { 0..0 } else { first..(to as usize + 1).min(count) }
+    }
+
+    /// The rows of columns that meet a span of Y, metres.
+    #[inline(always)]
+    fn rows(&self, span: [f64; 2]) -> Range<usize> {
+        self.columns(span, self.bottom, self.high)
+    }
+
+    /// The least and greatest Y in a row of columns relative to a point, metres.
+    #[inline(always)]
+    fn band(&self, row: usize, y: f64) -> [f64; 2] {
+        let low = self.bottom + row as f64 * self.side - y;
+        [low - SLACK * self.side, low + self.side * (1.0 + SLACK)]
+    }
+
+    /// Places of the points of a row of columns that meet a span of X, metres.
+    #[inline(always)]
+    fn places(&self, row: usize, span: [f64; 2]) -> Range<usize> {
+        let columns = self.columns(span, self.left, self.wide);
+        let [first, end] = [columns.start, columns.end].map(|column| row * self.wide + column);
+        if first < end { self.starts[first] as usize..self.starts[end] as usize } else { 0..0 }
     }
 
     /// The normal of the plane through the points within a radius, towards positive Z, and how planar they are,
     /// (l2 - l3) / l1 of the eigenvalues of their covariance; `None` for fewer than 3 points.
-    pub fn normal(&self, centre: &Vector3<f64>, radius_m: f64) -> Option<(Vector3<f64>, f64)> {
-        let (mut count, mut sum, mut squares) = (0.0, Vector3::zeros(), Matrix3::zeros());
-        self.near(centre, [radius_m; 2], |point| {
-            let arm = point - centre;
-            if arm.norm_squared() <= radius_m * radius_m {
-                count += 1.0;
-                sum += arm;
-                squares += arm * arm.transpose();
+    #[inline(always)]
+    pub fn normal(&self, centre: &[f64; 3], radius_m: f64, room: &mut Room) -> Option<(Vector3<f64>, f64)> {
+        let square_m2 = radius_m * radius_m;
+        let mut sums = Moments::default();
+        for row in self.rows([centre[1] - radius_m, centre[1] + radius_m]) {
+            let [low, high] = self.band(row, centre[1]);
+            let off = low.max(-high).max(0.0);
+            let half = (square_m2 - off * off).max(0.0).sqrt();
+            let places = self.places(row, [centre[0] - half, centre[0] + half]);
+            let count = places.len();
+            let Lists { x, y, z, inside } = room.of(count);
+            let [px, py, pz] = [0, 1, 2].map(|k| &self.coordinates[k][places.clone()]);
+            for i in 0..count {
+                let (dx, dy, dz) = (px[i] - centre[0], py[i] - centre[1], pz[i] - centre[2]);
+                let one = if dx * dx + dy * dy + dz * dz <= square_m2 { 1.0 } else { 0.0 };
+                (x[i], y[i], z[i], inside[i]) = (one * dx, one * dy, one * dz, one);
             }
-        });
-        if count < 3.0 {
+            sums.add(x, y, z, inside);
+        }
+        sums.plane()
+    }
+
+    /// Number, mean and variance (n - 1) along the axis of the points in a cylinder, relative to its centre.
+    #[inline(always)]
+    pub fn along(&self, cylinder: &Cylinder, room: &mut Room, values: &mut Vec<f64>) -> Stack {
+        let Cylinder { centre, axis, radius_m, half_m } = cylinder;
+        let square_m2 = radius_m * radius_m;
+        // A point is `t` axes and an arm across from the centre. What the arm reaches in X and Y, a disc of the radius turned:
+        let disc = [
+            radius_m * (1.0 - axis[0] * axis[0]).max(0.0).sqrt(),
+            radius_m * (1.0 - axis[1] * axis[1]).max(0.0).sqrt(),
+        ];
+        let reach = disc[1] + half_m * axis[1].abs();
+        let mut found = 0;
+        for row in self.rows([centre[1] - reach, centre[1] + reach]) {
+            let [low, high] = self.band(row, centre[1]);
+            // The part of the axis whose discs meet this row.
+            let at = |y: f64| if axis[1] == 0.0 { y * f64::INFINITY } else { y / axis[1] };
+            let ends = [at(low - disc[1]), at(high + disc[1])];
+            let [from, to] = [ends[0].min(ends[1]).max(-half_m), ends[0].max(ends[1]).min(*half_m)];
+            if from > to {
+                continue;
+            }
+            let (one, other) = (centre[0] + from * axis[0], centre[0] + to * axis[0]);
+            let places = self.places(row, [one.min(other) - disc[0], one.max(other) + disc[0]]);
+            let count = places.len();
+            let Lists { x: along, y: square, .. } = room.of(count);
+            let [px, py, pz] = [0, 1, 2].map(|k| &self.coordinates[k][places.clone()]);
+            for i in 0..count {
+                let (dx, dy, dz) = (px[i] - centre[0], py[i] - centre[1], pz[i] - centre[2]);
+                let t = dx * axis[0] + dy * axis[1] + dz * axis[2];
+                let (dx, dy, dz) = (dx - t * axis[0], dy - t * axis[1], dz - t * axis[2]);
+                (along[i], square[i]) = (t, dx * dx + dy * dy + dz * dz);
+            }
+            values.resize(values.len().max(found + count + 1), 0.0);
+            for (t, square) in along.iter().zip(&*square).take(count) {
+                values[found] = *t;
+                found += usize::from(t.abs() < *half_m && *square <= square_m2);
+            }
+        }
+        Stack::of(&values[..found])
+    }
+}
+
+/// Room for one number of each point of a row of columns, rounded up to whole lanes.
+#[derive(Default)]
+pub struct Room {
+    x: Vec<f64>,
+    y: Vec<f64>,
+    z: Vec<f64>,
+    inside: Vec<f64>,
+}
+
+/// Slices of [`Room`].
+struct Lists<'a> {
+    x: &'a mut [f64],
+    y: &'a mut [f64],
+    z: &'a mut [f64],
+    inside: &'a mut [f64],
+}
+
+impl Room {
+    /// Room for so many points; what lies beyond them in the last lanes is not inside.
+    #[inline(always)]
+    fn of(&mut self, count: usize) -> Lists<'_> {
+        let length = count.next_multiple_of(WIDE);
+        if self.x.len() < length {
+            for list in [&mut self.x, &mut self.y, &mut self.z, &mut self.inside] {
+                list.resize(length, 0.0);
+            }
+        }
+        let Self { x, y, z, inside } = self;
+        let [x, y, z, inside] = [&mut x[..length], &mut y[..length], &mut z[..length], &mut inside[..length]];
+        for i in count..length {
+            (x[i], y[i], z[i], inside[i]) = (0.0, 0.0, 0.0, 0.0);
+        }
+        Lists { x, y, z, inside }
+    }
+}
+
+/// Number, sums, and sums of products xx, xy, xz, yy, yz, zz of points, by lane.
+#[derive(Default)]
+struct Moments([[f64; WIDE]; 10]);
+
+impl Moments {
+    /// Adds points; of those that are not inside all numbers are 0.
+    #[inline(always)]
+    fn add(&mut self, x: &[f64], y: &[f64], z: &[f64], inside: &[f64]) {
+        let [mut n, mut sx, mut sy, mut sz, mut xx, mut xy, mut xz, mut yy, mut yz, mut zz] = self.0;
+        let points =
+            x.chunks_exact(WIDE).zip(y.chunks_exact(WIDE)).zip(z.chunks_exact(WIDE)).zip(inside.chunks_exact(WIDE));
+        for (((x, y), z), one) in points {
+            for i in 0..WIDE {
+                n[i] += one[i];
+                sx[i] += x[i];
+                sy[i] += y[i];
+                sz[i] += z[i];
+                xx[i] += x[i] * x[i];
+                xy[i] += x[i] * y[i];
+                xz[i] += x[i] * z[i];
+                yy[i] += y[i] * y[i];
+                yz[i] += y[i] * z[i];
+                zz[i] += z[i] * z[i];
+            }
+        }
+        self.0 = [n, sx, sy, sz, xx, xy, xz, yy, yz, zz];
+    }
+
+    /// Normal and planarity; `None` for fewer than 3 points.
+    fn plane(&self) -> Option<(Vector3<f64>, f64)> {
+        let [n, x, y, z, xx, xy, xz, yy, yz, zz] = self.0.map(|lanes| lanes.iter().sum::<f64>());
+        if n < 3.0 {
             return None;
         }
-        let eigen = SymmetricEigen::new((squares - sum * sum.transpose() / count) / (count - 1.0));
+        let (sum, squares) = (Vector3::new(x, y, z), Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz));
+        let eigen = SymmetricEigen::new((squares - sum * sum.transpose() / n) / (n - 1.0));
         let mut order = [0, 1, 2];
         order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
         let [l1, l2, l3] = order.map(|place| eigen.eigenvalues[place]);
@@ -107,24 +256,21 @@ impl Cloud {
         let planarity = if l1 > 0.0 { (l2 - l3) / l1 } else { 0.0 };
         Some((if normal.z < 0.0 { -normal } else { normal }, planarity))
     }
-
-    /// Number, mean and variance (n - 1) along the axis of the points in a cylinder, relative to its centre.
-    pub fn along(&self, centre: &Point3<f64>, axis: &Vector3<f64>, radius_m: f64, half_m: f64) -> Stack {
-        // The box around the cylinder: a disc of the radius turned, and the axis.
-        let reach = [0, 1].map(|k| radius_m * (1.0 - axis[k] * axis[k]).max(0.0).sqrt() + half_m * axis[k].abs());
-        let mut stack = Stack::default();
-        self.near(&centre.coords, reach, |point| {
-            let arm = point - centre.coords;
-            let along = arm.dot(axis);
-            if along.abs() < half_m && (arm - axis * along).norm_squared() <= radius_m * radius_m {
-                stack.add(along);
-            }
-        });
-        stack
-    }
 }
 
-/// Values summed up: number, mean, sum of squares about the mean (Welford 1962).
+/// A cylinder: its middle, the unit vector of its axis, its radius, and half its length, metres.
+pub struct Cylinder {
+    /// The middle, metres.
+    pub centre: [f64; 3],
+    /// Unit vector.
+    pub axis: [f64; 3],
+    /// Radius, metres.
+    pub radius_m: f64,
+    /// Half the length, metres.
+    pub half_m: f64,
+}
+
+/// Values summed up: number, mean, sum of squares about the mean.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Stack {
     /// Number of values.
@@ -135,11 +281,10 @@ pub struct Stack {
 }
 
 impl Stack {
-    fn add(&mut self, value: f64) {
-        self.count += 1.0;
-        let before = value - self.mean;
-        self.mean += before / self.count;
-        self.squares += before * (value - self.mean);
+    fn of(values: &[f64]) -> Self {
+        let count = values.len() as f64;
+        let mean = values.iter().sum::<f64>() / count.max(1.0);
+        Self { count, mean, squares: values.iter().map(|value| (value - mean) * (value - mean)).sum() }
     }
 
     /// Variance with n - 1; NaN for fewer than two values.
@@ -151,6 +296,7 @@ impl Stack {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Point3;
     use rockface_core::testing::height_mesh;
 
     #[test]
@@ -159,7 +305,8 @@ mod tests {
         let cloud = Cloud::new(Shape::Mesh(&mesh), None, 0.13).unwrap();
         let axis = Vector3::new(0.3, -0.2, 0.9).normalize();
         for centre in [Point3::new(0.1, 0.2, 0.0), Point3::new(-2.3, 1.1, 0.1), Point3::new(9.0, 0.0, 0.0)] {
-            let found = cloud.along(&centre, &axis, 0.3, 0.4);
+            let cylinder = Cylinder { centre: centre.into(), axis: axis.into(), radius_m: 0.3, half_m: 0.4 };
+            let found = cloud.along(&cylinder, &mut Room::default(), &mut Vec::new());
             let arms = mesh.vertices.iter().map(|v| Vector3::from(*v) - centre.coords);
             let inside = |arm: &Vector3<f64>| {
                 let along = arm.dot(&axis);
@@ -170,16 +317,15 @@ mod tests {
             let mean = expected.iter().sum::<f64>() / expected.len().max(1) as f64;
             assert!((found.mean - mean).abs() < 1e-12);
         }
-        let (normal, planarity) = cloud.normal(&Vector3::zeros(), 0.5).unwrap();
+        let (normal, planarity) = cloud.normal(&[0.0; 3], 0.5, &mut Room::default()).unwrap();
         assert!((normal - Vector3::new(-0.2, 0.1, 1.0).normalize()).norm() < 1e-9 && planarity > 0.5);
-        assert!(cloud.normal(&Vector3::new(50.0, 0.0, 0.0), 0.5).is_none());
+        assert!(cloud.normal(&[50.0, 0.0, 0.0], 0.5, &mut Room::default()).is_none());
     }
 
     #[test]
     fn mean_and_variance_by_hand() {
-        let mut stack = Stack::default();
-        [1.0, 2.0, 4.0].into_iter().for_each(|value| stack.add(value));
+        let stack = Stack::of(&[1.0, 2.0, 4.0]);
         assert!((stack.mean - 7.0 / 3.0).abs() < 1e-14 && (stack.variance() - 7.0 / 3.0).abs() < 1e-12);
-        assert!(Stack::default().variance().is_nan());
+        assert!(Stack::of(&[]).variance().is_nan() && Stack::of(&[]) == Stack::default());
     }
 }

@@ -1,12 +1,16 @@
 //! Distances between two clouds along local normals (M3C2), each with its limit of detection.
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use rockface_core::artefact::Grid;
+use rockface_core::numerics::simd::{Work, vectorised};
 
-use super::cloud::Cloud;
+use super::cloud::{Cloud, Cylinder, Room, Stack};
 use super::limit::NORMAL_95;
+
+/// Core points that are one task.
+const CORES_AT_A_TIME: usize = 256;
 
 /// The scales of a comparison.
 #[derive(Debug, Clone, PartialEq)]
@@ -55,7 +59,7 @@ pub fn cores(reference: &Cloud, grid: &Grid) -> Vec<Option<[f64; 3]>> {
         let square = (point.x - x) * (point.x - x) + (point.y - y) * (point.y - y);
         let best = &mut nearest[row * grid.columns + column];
         if best.is_none_or(|(least, _)| square < least) {
-            *best = Some((square, *point));
+            *best = Some((square, point));
         }
     }
     let rounded = |(_, p): (f64, Vector3<f64>)| [p.x, p.y, p.z].map(|value| f64::from(value as f32));
@@ -71,26 +75,63 @@ pub fn cores(reference: &Cloud, grid: &Grid) -> Vec<Option<[f64; 3]>> {
 /// Lague, D., Brodu, N., Leroux, J. (2013), Accurate 3D comparison of complex topography with terrestrial laser scanner,
 /// ISPRS Journal of Photogrammetry and Remote Sensing 82, 10-26, equation 1.
 pub fn distances(clouds: [&Cloud; 2], cores: &[Option<[f64; 3]>], scales: &Scales) -> Vec<Option<Distance>> {
-    cores.par_iter().with_min_len(64).map(|core| distance(clouds, core.as_ref()?, scales)).collect()
+    let work = |cores| vectorised(Distances { clouds, cores, scales });
+    cores.par_chunks(CORES_AT_A_TIME).flat_map_iter(work).collect()
 }
 
-fn distance(clouds: [&Cloud; 2], core: &[f64; 3], scales: &Scales) -> Option<Distance> {
-    let centre = Point3::from(*core);
-    let normals = scales.normal_radii_m.iter().filter_map(|radius| clouds[0].normal(&centre.coords, *radius));
-    let (normal, _) = normals.reduce(|best, next| if next.1 > best.1 { next } else { best })?;
-    let stacks = clouds.map(|cloud| cloud.along(&centre, &normal, scales.projection_radius_m, scales.depth_m));
-    let least = f64::from(scales.least_points);
-    let enough = stacks.iter().all(|stack| stack.count >= least);
-    let share = |place: usize| stacks[place].variance() / stacks[place].count;
-    let known = |value: f64| if enough { value } else { f64::NAN };
-    Some(Distance {
-        core: *core,
-        normal: normal.into(),
-        distance_m: known(stacks[1].mean - stacks[0].mean),
-        limit_m: known(NORMAL_95 * ((share(0) + share(1)).sqrt() + scales.registration_m)),
-        spreads_m: stacks.map(|stack| stack.variance().sqrt()),
-        points: stacks.map(|stack| stack.count),
-    })
+/// The distances at some core points.
+struct Distances<'a> {
+    clouds: [&'a Cloud; 2],
+    cores: &'a [Option<[f64; 3]>],
+    scales: &'a Scales,
+}
+
+impl Work for Distances<'_> {
+    type Output = Vec<Option<Distance>>;
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let (mut room, mut values) = (Room::default(), Vec::new());
+        let mut found = Vec::with_capacity(self.cores.len());
+        for core in self.cores {
+            let mut best: Option<(Vector3<f64>, f64)> = None;
+            if let Some(core) = core {
+                for radius_m in &self.scales.normal_radii_m {
+                    let next = self.clouds[0].normal(core, *radius_m, &mut room);
+                    best = if best.is_none_or(|best| next.is_some_and(|next| next.1 > best.1)) { next } else { best };
+                }
+            }
+            let normal = best.map(|(normal, _)| <[f64; 3]>::from(normal));
+            let Some((core, normal)) = core.zip(normal) else {
+                found.push(None);
+                continue;
+            };
+            let Scales { projection_radius_m: radius_m, depth_m: half_m, .. } = *self.scales;
+            let cylinder = Cylinder { centre: core, axis: normal, radius_m, half_m };
+            let reference = self.clouds[0].along(&cylinder, &mut room, &mut values);
+            let comparison = self.clouds[1].along(&cylinder, &mut room, &mut values);
+            found.push(Some(Distance::of(&cylinder, [reference, comparison], self.scales)));
+        }
+        found
+    }
+}
+
+impl Distance {
+    /// What the points in a cylinder of either cloud say.
+    fn of(cylinder: &Cylinder, stacks: [Stack; 2], scales: &Scales) -> Self {
+        let least = f64::from(scales.least_points);
+        let enough = stacks.iter().all(|stack| stack.count >= least);
+        let share = |place: usize| stacks[place].variance() / stacks[place].count;
+        let known = |value: f64| if enough { value } else { f64::NAN };
+        Self {
+            core: cylinder.centre,
+            normal: cylinder.axis,
+            distance_m: known(stacks[1].mean - stacks[0].mean),
+            limit_m: known(NORMAL_95 * ((share(0) + share(1)).sqrt() + scales.registration_m)),
+            spreads_m: stacks.map(|stack| stack.variance().sqrt()),
+            points: stacks.map(|stack| stack.count),
+        }
+    }
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use rockface_core::numerics::gaussian::{BLOCK, Weighted, filter_columns, filter_rows, half_kernel};
+use rockface_core::numerics::gaussian::{BLOCK, FilteredRows, Weighted, half_kernel};
 use rockface_core::numerics::linear_fit::{Line, fit_line};
 use rockface_core::numerics::portable_math;
 
@@ -33,18 +33,18 @@ impl Roughness {
 /// Roughness of `columns` columns of values by row (NaN = none), for filters of `scales_cells` cells; `cell` is the side
 /// of a cell. Gaps and what lies beyond the edge have no weight (normalised convolution). `mean` only centres the values.
 pub fn roughness(values: &[f32], columns: usize, cell: f64, scales_cells: &[f64], mean: f64) -> Roughness {
-    let mut along = vec![[0.0; 2]; values.len()];
+    let mut along = FilteredRows::new(values.len() / columns, columns);
     let rms = scales_cells.iter().map(|scale| residual(values, columns, mean, *scale, &mut along)).collect();
     Roughness { sigma: scales_cells.iter().map(|scale| scale * cell).collect(), rms }
 }
 
 /// Root mean square of what a Gaussian of `scale` cells takes away; `along` is room for the rows filtered.
-fn residual(values: &[f32], columns: usize, mean: f64, scale: f64, along: &mut [Weighted]) -> f64 {
+fn residual(values: &[f32], columns: usize, mean: f64, scale: f64, along: &mut FilteredRows) -> f64 {
     let kernel = half_kernel(scale);
-    filter_rows(values, columns, mean, &kernel, along);
+    along.filter(values, mean, &kernel);
     let of_block = |strip: &mut Vec<Weighted>, block: usize| {
         let mut total = Squares::default();
-        filter_columns(along, columns, &kernel, block, strip, |row, sums| {
+        along.filter_columns(&kernel, block, strip, |row, sums| {
             let end = (row + 1) * columns;
             let cells = &values[row * columns + block * BLOCK..end.min(row * columns + (block + 1) * BLOCK)];
             total.add(cells, mean, &sums);

@@ -72,6 +72,27 @@ pub(super) trait Source {
     /// How many rows of at least so many numbers, or bytes in a binary file, the rest may hold, so that no header alone
     /// makes us allocate.
     fn held(&self, least_row: (usize, usize)) -> usize;
+    /// Reads the next rows of an element, at least one and at most so many, into one column for each property; returns how many.
+    /// A list leaves a zero.
+    fn columns(&mut self, element: &Element, most: usize, columns: &mut [Vec<f64>]) -> Result<usize, String>;
+    /// The next polygon, where it is a triangle of existing vertices that is read in one go; otherwise nothing is read.
+    fn triangle(&mut self, _count: Type, _kind: Type, _vertices: usize) -> Option<[u32; 3]> {
+        None
+    }
+}
+
+/// Rows that are read at a time where all are of one length: their columns stay in the cache of the processor.
+pub(super) const ROWS_AT_A_TIME: usize = 512;
+
+/// Reads one row, whatever it holds.
+fn read_row<S: Source>(source: &mut S, element: &Element, columns: &mut [Vec<f64>]) -> Result<usize, String> {
+    for (property, column) in element.properties.iter().zip(columns) {
+        let mut value = 0.0;
+        read_property(property, source, &mut value)?;
+        column.clear();
+        column.push(value);
+    }
+    Ok(1)
 }
 
 /// The numbers of a text file.
@@ -93,6 +114,9 @@ impl Source for Ascii<'_> {
         // A number and the space after it take two bytes; the last may lack the space.
         (self.rest.len() + 1).checked_div(2 * numbers).unwrap_or(usize::MAX)
     }
+    fn columns(&mut self, element: &Element, _most: usize, columns: &mut [Vec<f64>]) -> Result<usize, String> {
+        read_row(self, element, columns)
+    }
 }
 
 /// The numbers of a binary file.
@@ -105,11 +129,14 @@ impl<const LITTLE: bool> Binary<'_, LITTLE> {
     fn take<const N: usize>(&mut self) -> Result<[u8; N], String> {
         let (head, rest) = self.rest.split_first_chunk::<N>().ok_or("the file ends here")?;
         self.rest = rest;
-        let mut value = *head;
+        Ok(Self::little_endian(*head))
+    }
+
+    fn little_endian<const N: usize>(mut value: [u8; N]) -> [u8; N] {
         if !LITTLE {
             value.reverse();
         }
-        Ok(value)
+        value
     }
 }
 
@@ -129,6 +156,60 @@ impl<const LITTLE: bool> Source for Binary<'_, LITTLE> {
     }
     fn held(&self, (_, bytes): (usize, usize)) -> usize {
         self.rest.len().checked_div(bytes).unwrap_or(usize::MAX)
+    }
+    fn columns(&mut self, element: &Element, most: usize, columns: &mut [Vec<f64>]) -> Result<usize, String> {
+        let (_, stride) = element.least_row();
+        if element.properties.iter().any(|property| property.count.is_some()) || stride == 0 {
+            return read_row(self, element, columns);
+        }
+        let (rows, rest) = self.rest.split_at_checked(most * stride).ok_or("the file ends here")?;
+        self.rest = rest;
+        let mut start = 0;
+        for (property, column) in element.properties.iter().zip(columns) {
+            column.clear();
+            let cells = Cells::<LITTLE> { rows, stride, start };
+            match property.kind {
+                Type::I8 => cells.append(column, |bytes| i8::from_le_bytes(bytes).into()),
+                Type::U8 => cells.append(column, |bytes| u8::from_le_bytes(bytes).into()),
+                Type::I16 => cells.append(column, |bytes| i16::from_le_bytes(bytes).into()),
+                Type::U16 => cells.append(column, |bytes| u16::from_le_bytes(bytes).into()),
+                Type::I32 => cells.append(column, |bytes| i32::from_le_bytes(bytes).into()),
+                Type::U32 => cells.append(column, |bytes| u32::from_le_bytes(bytes).into()),
+                Type::F32 => cells.append(column, |bytes| f32::from_le_bytes(bytes).into()),
+                Type::F64 => cells.append(column, f64::from_le_bytes),
+            }
+            start += property.kind.bytes();
+        }
+        Ok(most)
+    }
+    #[inline]
+    fn triangle(&mut self, count: Type, kind: Type, vertices: usize) -> Option<[u32; 3]> {
+        const BYTES: usize = 13;
+        let row = self.rest.first_chunk::<BYTES>().filter(|row| row[0] == 3)?;
+        if count != Type::U8 || !matches!(kind, Type::U32 | Type::I32) {
+            return None;
+        }
+        let corner = |at| Some(u32::from_le_bytes(Self::little_endian(*row[at..].first_chunk()?)));
+        let corners = [corner(1)?, corner(5)?, corner(9)?];
+        // A negative number of 32 bits is taken for one above all of these.
+        let least = vertices.min(i32::MAX as usize);
+        let existing = corners.iter().all(|corner| (*corner as usize) < least);
+        self.rest = if existing { &self.rest[BYTES..] } else { self.rest };
+        existing.then_some(corners)
+    }
+}
+
+/// The bytes of one property in rows of one length.
+struct Cells<'a, const LITTLE: bool> {
+    rows: &'a [u8],
+    stride: usize,
+    start: usize,
+}
+
+impl<const LITTLE: bool> Cells<'_, LITTLE> {
+    fn append<const N: usize>(&self, column: &mut Vec<f64>, value: impl Fn([u8; N]) -> f64) {
+        let cells = self.rows.chunks_exact(self.stride).filter_map(|row| row[self.start..].first_chunk());
+        column.extend(cells.map(|cell| value(Binary::<LITTLE>::little_endian(*cell))));
     }
 }
 
@@ -162,30 +243,34 @@ fn read_vertices<S: Source>(element: &Element, source: &mut S, mesh: &mut Mesh) 
         }
     }
     let coloured = ["red", "green", "blue"].iter().all(|name| element.scalar(name) == Some(Type::U8));
-    // Where each property goes: 0..3 coordinates, 3..6 colours, 6 nowhere.
-    let role = |name: &str| ["x", "y", "z", "red", "green", "blue"].iter().position(|r| *r == name).unwrap_or(6);
-    let roles: Vec<usize> = element.properties.iter().map(|p| role(&p.name)).collect();
+    let named = |property: &Property, name: &str| property.name == name && property.count.is_none();
+    let column = |name: &str| element.properties.iter().rposition(|p| named(p, name)).unwrap_or_default();
+    let [xyz, rgb] = [["x", "y", "z"], ["red", "green", "blue"]].map(|names| names.map(column));
     mesh.vertices = limits::list("vertices", element.count)?;
     mesh.colours = limits::list("colours", if coloured { element.count } else { 0 })?;
-    for number in 0..element.count {
-        let mut row = [0.0; 7];
-        for (property, role) in element.properties.iter().zip(&roles) {
-            read_property(property, source, &mut row[*role]).map_err(|e| at(element, number, &e))?;
-        }
-        let vertex = [row[0], row[1], row[2]];
-        if !vertex.iter().all(|value| value.is_finite()) {
-            return Err(at(
-                element,
-                number,
-                &format!("the coordinates ({}, {}, {}) are not finite", row[0], row[1], row[2]),
-            ));
-        }
-        mesh.vertices.push(vertex);
-        if coloured {
-            mesh.colours.push([row[3] as u8, row[4] as u8, row[5] as u8]);
+    let mut columns = vec![Vec::new(); element.properties.len()];
+    while mesh.vertices.len() < element.count {
+        let first = mesh.vertices.len();
+        let rows = source.columns(element, ROWS_AT_A_TIME.min(element.count - first), &mut columns);
+        for row in 0..rows.map_err(|e| at(element, first, &e))? {
+            mesh.vertices.push(finite(xyz.map(|k| columns[k][row])).map_err(|e| at(element, first + row, &e))?);
+            if coloured {
+                mesh.colours.push(rgb.map(|k| columns[k][row] as u8));
+            }
         }
     }
     Ok(())
+}
+
+/// The coordinates of a point, if they are finite.
+#[inline]
+pub(super) fn finite(point: [f64; 3]) -> Result<[f64; 3], String> {
+    let [x, y, z] = point;
+    if point.iter().all(|value| value.is_finite()) {
+        Ok(point)
+    } else {
+        Err(format!("the coordinates ({x}, {y}, {z}) are not finite"))
+    }
 }
 
 /// Reads a number, or steps over a list.
@@ -231,6 +316,10 @@ fn read_polygon<S: Source>(
     vertices: usize,
     mesh: &mut Mesh,
 ) -> Result<(), String> {
+    if let Some(triangle) = source.triangle(count, kind, vertices) {
+        mesh.triangles.push(triangle);
+        return Ok(());
+    }
     let corners = list_length(source, count)?;
     if corners < 3 {
         return Err(format!("{corners} corners are too few for a polygon"));

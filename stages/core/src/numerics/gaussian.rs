@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use crate::numerics::portable_math;
+use crate::numerics::simd::{Work, vectorised};
 
 /// Where the filter is cut off, in standard deviations.
 const TRUNCATION: f64 = 4.0;
@@ -12,18 +13,20 @@ pub type Weighted = [f64; 2];
 
 /// Cells filtered together, so that their sums stay in registers.
 pub const BLOCK: usize = 8;
+/// Rows that are kept together, block by block, so that a column of blocks is read in long pieces.
+const BAND: usize = 16;
 /// Numbers in a block.
 const LANES: usize = 2 * BLOCK;
 
 /// The values under a Gaussian of `scale` cells, gaps without weight; 0 where nothing is in reach.
 pub fn smoothed(values: &[f32], columns: usize, scale: f64) -> Vec<f64> {
     let kernel = half_kernel(scale);
-    let mut along = vec![[0.0; 2]; values.len()];
-    filter_rows(values, columns, 0.0, &kernel, &mut along);
+    let mut along = FilteredRows::new(values.len() / columns, columns);
+    along.filter(values, 0.0, &kernel);
     let mean = |[sum, weight]: Weighted| if weight > 0.0 { sum / weight } else { 0.0 };
     let of_block = |strip: &mut Vec<Weighted>, block: usize| {
         let mut means = Vec::with_capacity(values.len() / columns * BLOCK);
-        filter_columns(&along, columns, &kernel, block, strip, |_, sums| means.extend(sums.map(mean)));
+        along.filter_columns(&kernel, block, strip, |_, sums| means.extend(sums.map(mean)));
         means
     };
     let blocks: Vec<Vec<f64>> = (0..columns.div_ceil(BLOCK)).into_par_iter().map_init(Vec::new, of_block).collect();
@@ -45,43 +48,103 @@ pub fn half_kernel(scale: f64) -> Vec<f64> {
     kernel.iter().map(|w| w / total).collect()
 }
 
-/// Filters each row, with nothing beyond its ends.
-pub fn filter_rows(values: &[f32], columns: usize, mean: f64, kernel: &[f64], along: &mut [Weighted]) {
-    let radius = kernel.len() - 1;
-    along.par_chunks_mut(columns).zip(values.par_chunks(columns)).for_each(|(out, line)| {
-        let mut padded = vec![[0.0; 2]; columns + 2 * radius + BLOCK];
-        for (cell, value) in padded[radius..].iter_mut().zip(line).filter(|(_, value)| !value.is_nan()) {
-            *cell = [f64::from(*value) - mean, 1.0];
-        }
-        for (block, out) in out.chunks_mut(BLOCK).enumerate() {
-            out.copy_from_slice(&convolve(&padded[block * BLOCK..], 1, kernel)[..out.len()]);
-        }
-    });
+/// Rows of a grid under a kernel, to be filtered along its columns.
+pub struct FilteredRows {
+    /// Bands of rows; in each, its blocks of columns one after the other, row by row.
+    cells: Vec<Weighted>,
+    rows: usize,
+    columns: usize,
 }
 
-/// Filters a block of columns, with nothing beyond their ends, and hands over its cells row by row; `strip` is room for it.
-pub fn filter_columns(
-    along: &[Weighted],
-    columns: usize,
-    kernel: &[f64],
-    block: usize,
-    strip: &mut Vec<Weighted>,
-    mut take: impl FnMut(usize, [Weighted; BLOCK]),
-) {
-    let (rows, radius) = (along.len() / columns, kernel.len() - 1);
-    let wide = BLOCK.min(columns - block * BLOCK);
-    strip.clear();
-    strip.resize((rows + 2 * radius) * BLOCK, [0.0; 2]);
-    for (cells, line) in strip[radius * BLOCK..].chunks_exact_mut(BLOCK).zip(along.chunks_exact(columns)) {
-        cells[..wide].copy_from_slice(&line[block * BLOCK..][..wide]);
+impl FilteredRows {
+    /// Room for a grid.
+    pub fn new(rows: usize, columns: usize) -> Self {
+        Self { cells: vec![[0.0; 2]; rows * columns.next_multiple_of(BLOCK)], rows, columns }
     }
-    for row in 0..rows {
-        take(row, convolve(&strip[row * BLOCK..], BLOCK, kernel));
+
+    /// Filters each row of values, of which `mean` is taken off, with nothing beyond its ends.
+    pub fn filter(&mut self, values: &[f32], mean: f64, kernel: &[f64]) {
+        let (columns, radius) = (self.columns, kernel.len() - 1);
+        let wide = columns.next_multiple_of(BLOCK);
+        let bands = self.cells.par_chunks_mut(BAND * wide).zip(values.par_chunks(BAND * columns));
+        bands.for_each(|(band, values)| {
+            let rows = values.len() / columns;
+            let mut padded = vec![[0.0; 2]; wide + 2 * radius];
+            for (row, line) in values.chunks_exact(columns).enumerate() {
+                for (cell, value) in padded[radius..].iter_mut().zip(line) {
+                    *cell = if value.is_nan() { [0.0; 2] } else { [f64::from(*value) - mean, 1.0] };
+                }
+                vectorised(Row { padded: &padded, kernel, band, row, rows });
+            }
+        });
+    }
+
+    /// Filters a block of columns, with nothing beyond their ends, and hands over its cells row by row; `strip` is room for it.
+    pub fn filter_columns(
+        &self,
+        kernel: &[f64],
+        block: usize,
+        strip: &mut Vec<Weighted>,
+        mut take: impl FnMut(usize, [Weighted; BLOCK]),
+    ) {
+        let (wide, border) = (self.columns.next_multiple_of(BLOCK), (kernel.len() - 1) * BLOCK);
+        strip.clear();
+        strip.resize(border, [0.0; 2]);
+        for band in self.cells.chunks(BAND * wide) {
+            let cells = band.len() / wide * BLOCK;
+            strip.extend_from_slice(&band[block * cells..][..cells]);
+        }
+        strip.resize(strip.len() + border, [0.0; 2]);
+        vectorised(Columns { strip, rows: self.rows, kernel, take: &mut take });
+    }
+}
+
+/// A row that is filtered into a band of rows.
+struct Row<'a> {
+    padded: &'a [Weighted],
+    kernel: &'a [f64],
+    band: &'a mut [Weighted],
+    row: usize,
+    rows: usize,
+}
+
+impl Work for Row<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for (block, cells) in self.band.chunks_exact_mut(self.rows * BLOCK).enumerate() {
+            cells[self.row * BLOCK..][..BLOCK].copy_from_slice(&convolve(
+                &self.padded[block * BLOCK..],
+                1,
+                self.kernel,
+            ));
+        }
+    }
+}
+
+/// A block of columns that is filtered.
+struct Columns<'a, T> {
+    strip: &'a [Weighted],
+    rows: usize,
+    kernel: &'a [f64],
+    take: &'a mut T,
+}
+
+impl<T: FnMut(usize, [Weighted; BLOCK])> Work for Columns<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for row in 0..self.rows {
+            (self.take)(row, convolve(&self.strip[row * BLOCK..], BLOCK, self.kernel));
+        }
     }
 }
 
 /// A block of neighbours under the kernel, whose steps are `stride` cells of the input apart; the first one's centre is
 /// `input[(kernel.len() - 1) * stride]`.
+#[inline(always)]
 fn convolve(input: &[Weighted], stride: usize, kernel: &[f64]) -> [Weighted; BLOCK] {
     let (input, centre) = (input.as_flattened(), 2 * (kernel.len() - 1) * stride);
     let mut sums = [0.0; LANES];

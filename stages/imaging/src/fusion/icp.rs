@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use rockface_core::artefact::{Surface, Transform};
 use rockface_core::{StageError, fail};
 
-use super::nearest::{Columns, local};
+use super::nearest::{Columns, Partner, local};
 use super::normals::Normals;
 
 /// Automatic search distance, in point spacings of the target.
@@ -15,6 +15,8 @@ const AUTOMATIC_SPACINGS: f64 = 20.0;
 const LEAST_PAIRS: usize = 50;
 /// Share of the points that must find a partner.
 const LEAST_OVERLAP: f64 = 0.1;
+/// Points whose equations are summed up together; the sums are then added in the order of the points.
+const POINTS_AT_A_TIME: usize = 2048;
 /// Iterations after which steps are halved.
 const FULL_STEPS: usize = 12;
 /// The iteration stops when the rotation is smaller than this, radians ...
@@ -100,10 +102,11 @@ pub fn register(source: &Surface, target: &Surface, settings: &Settings) -> Resu
     let radius_m = (arms.iter().fold(0.0, |sum, a| sum + a.norm_squared()) / arms.len() as f64).sqrt();
     let origin = Vector3::from(source.origin_m) + centroid;
     let search_m = settings.max_distance_m.unwrap_or(AUTOMATIC_SPACINGS * columns.spacing_m());
-    let fit = Fit { target, normals: Normals::new(target), columns, arms, radius_m, search_m, settings: *settings };
+    let normals = Normals::new(target, arms.len());
+    let fit = Fit { target, normals, columns, radius_m, search_m, settings: *settings };
     // Relative to the target's origin, so that UTM coordinates keep their precision.
-    let start = origin - Vector3::from(target.origin_m);
-    fit.solve(start).map(|(pose, outcome)| {
+    let start = Pose { rotation: Matrix3::identity(), translation: origin - Vector3::from(target.origin_m) };
+    fit.solve(&arms, start).map(|(pose, outcome)| {
         let translation = pose.translation + Vector3::from(target.origin_m);
         Registration { transform: Transform::new("source", "target", &pose.rotation, origin, translation), ..outcome }
     })
@@ -124,6 +127,15 @@ struct Pose {
     translation: Vector3<f64>,
 }
 
+/// A point of the source about the centroid, and its partner where it was last.
+#[derive(Clone, Default)]
+struct Moving {
+    arm: Vector3<f64>,
+    partner: Partner,
+    target: Vector3<f64>,
+    normal: Option<Vector3<f64>>,
+}
+
 /// A point of the source (rotated about the centroid) and its difference from its partner.
 struct Pair {
     arm: Vector3<f64>,
@@ -135,19 +147,18 @@ struct Fit<'a> {
     target: &'a Surface,
     normals: Normals<'a>,
     columns: Columns<'a>,
-    arms: Vec<Vector3<f64>>,
     radius_m: f64,
     search_m: f64,
     settings: Settings,
 }
 
 impl Fit<'_> {
-    fn solve(&self, start: Vector3<f64>) -> Result<(Pose, Registration), StageError> {
-        let mut pose = Pose { rotation: Matrix3::identity(), translation: start };
-        let mut iterations = 0;
-        let mut partners = vec![None; self.arms.len()];
+    /// The pose of points about their centroid, from a pose near it.
+    fn solve(&self, arms: &[Vector3<f64>], start: Pose) -> Result<(Pose, Registration), StageError> {
+        let (mut pose, mut iterations) = (start, 0);
+        let mut points: Vec<Moving> = arms.iter().map(|arm| Moving { arm: *arm, ..Moving::default() }).collect();
         loop {
-            let system = self.system(&pose, &mut partners)?;
+            let system = self.system(&pose, &mut points)?;
             let (step, outcome) = system.solve(self.settings.weak_eigenvalue, self.radius_m);
             let (turn, shift) = (step.fixed_rows::<3>(0) / self.radius_m, step.fixed_rows::<3>(3).into_owned());
             iterations += 1;
@@ -159,7 +170,7 @@ impl Fit<'_> {
                 (0..3).all(|k| small(k, turn[k], STOP_ROTATION_RAD) && small(3 + k, shift[k], STOP_SHIFT_M));
             pose.rotation = Rotation3::new(turn).into_inner() * pose.rotation;
             pose.translation += shift;
-            let moved = (pose.translation - start).norm();
+            let moved = (pose.translation - start.translation).norm();
             if !moved.is_finite() || moved > 10.0 * (self.search_m + self.radius_m) {
                 fail!("the registration ran away after {iterations} iterations: it has moved {moved} m");
             }
@@ -169,35 +180,59 @@ impl Fit<'_> {
         }
     }
 
-    /// The equations at a pose. `partners` are the places the points were paired with before, and are now.
-    fn system(&self, pose: &Pose, partners: &mut [Option<usize>]) -> Result<System, StageError> {
-        let points = self.arms.par_iter().zip(partners);
-        let pairs: Vec<Option<Pair>> = points.map(|(arm, partner)| self.pair(pose, arm, partner)).collect();
-        let pairs: Vec<Pair> = pairs.into_iter().flatten().collect();
-        let least = ((self.arms.len() as f64 * LEAST_OVERLAP) as usize).max(LEAST_PAIRS);
-        if pairs.len() < least {
-            let (paired, all, search) = (pairs.len(), self.arms.len(), self.search_m);
+    /// The equations at a pose.
+    fn system(&self, pose: &Pose, points: &mut [Moving]) -> Result<System, StageError> {
+        let (all, method) = (points.len(), self.settings.method);
+        let mut sizes = vec![f64::NAN; all];
+        sizes.par_chunks_mut(POINTS_AT_A_TIME).zip(points.par_chunks_mut(POINTS_AT_A_TIME)).for_each(
+            |(sizes, points)| {
+                for (size, point) in sizes.iter_mut().zip(points) {
+                    self.pair_up(pose, point);
+                    *size = self.pair(pose, point).map_or(f64::NAN, |pair| pair.size(method));
+                }
+            },
+        );
+        let mut sorted: Vec<f64> = sizes.iter().copied().filter(|size| !size.is_nan()).collect();
+        let count = sorted.len();
+        let least = ((all as f64 * LEAST_OVERLAP) as usize).max(LEAST_PAIRS);
+        if count < least {
+            let (paired, search) = (count, self.search_m);
             let message = format!(
                 "the surfaces do not overlap: {paired} of {all} points have a partner within {search:.3} m, {least} are needed"
             );
             return Err(StageError::new(message).hint("check that both are in one frame, or raise `max_distance_m`"));
         }
-        let method = self.settings.method;
-        let mut sizes: Vec<f64> = pairs.iter().map(|pair| pair.size(method)).collect();
-        let kept = ((pairs.len() as f64 * self.settings.trim).ceil() as usize).clamp(1, pairs.len());
-        let limit = *sizes.select_nth_unstable_by(kept - 1, f64::total_cmp).1;
-        let mut system = System::default();
-        pairs.iter().filter(|p| p.size(method) <= limit).for_each(|p| system.add(p, method, self.radius_m));
-        Ok(system)
+        let kept = ((count as f64 * self.settings.trim).ceil() as usize).clamp(1, count);
+        let limit = *sorted.select_nth_unstable_by(kept - 1, f64::total_cmp).1;
+        let sum = |(sizes, points): (&[f64], &[Moving])| {
+            let mut system = System::default();
+            let kept = sizes.iter().zip(points).filter(|(size, _)| **size <= limit);
+            let pairs = kept.filter_map(|(_, point)| self.pair(pose, point));
+            pairs.for_each(|pair| system.add(&pair, method, self.radius_m));
+            system
+        };
+        let parts = sizes.par_chunks(POINTS_AT_A_TIME).zip(points.par_chunks(POINTS_AT_A_TIME));
+        let systems: Vec<System> = parts.map(sum).collect();
+        Ok(systems.into_iter().fold(System::default(), System::and))
     }
 
-    fn pair(&self, pose: &Pose, arm: &Vector3<f64>, partner: &mut Option<usize>) -> Option<Pair> {
-        let arm = pose.rotation * arm;
-        let point = arm + pose.translation;
-        *partner = self.columns.nearest_near(&point, self.search_m, *partner);
-        let place = (*partner)?;
-        let normal = self.normals.at(place)?;
-        let offset = point - local(self.target, place);
+    /// Finds the partner of a point at a pose.
+    fn pair_up(&self, pose: &Pose, moving: &mut Moving) {
+        let point = pose.rotation * moving.arm + pose.translation;
+        let before = moving.partner.place();
+        if let Some(place) = self.columns.follow(&point, self.search_m, &mut moving.partner)
+            && before != Some(place)
+        {
+            moving.normal = self.normals.at(place);
+            moving.target = local(self.target, place);
+        }
+    }
+
+    /// A point at a pose and its partner, where it has one with a normal within the search distance.
+    fn pair(&self, pose: &Pose, moving: &Moving) -> Option<Pair> {
+        moving.partner.place()?;
+        let arm = pose.rotation * moving.arm;
+        let (normal, offset) = (moving.normal?, arm + pose.translation - moving.target);
         (offset.norm_squared() <= self.search_m * self.search_m).then_some(Pair { arm, offset, normal })
     }
 }
@@ -214,6 +249,7 @@ impl Pair {
 /// Normal equations for a small rotation (times the radius of the points) and a shift.
 #[derive(Default)]
 struct System {
+    /// Its upper triangle; the lower one stays zero.
     matrix: Matrix6<f64>,
     right: Vector6<f64>,
     squares: f64,
@@ -238,15 +274,31 @@ impl System {
         let residual = pair.offset.dot(direction);
         let turn = pair.arm.cross(direction) / radius_m;
         let row = Vector6::new(turn.x, turn.y, turn.z, direction.x, direction.y, direction.z);
-        self.matrix += row * row.transpose();
+        for i in 0..6 {
+            for j in i..6 {
+                self.matrix[(i, j)] += row[i] * row[j];
+            }
+        }
         self.right -= row * residual;
         self.squares += residual * residual;
         self.equations += 1;
     }
 
+    fn and(self, other: Self) -> Self {
+        Self {
+            matrix: self.matrix + other.matrix,
+            right: self.right + other.right,
+            squares: self.squares + other.squares,
+            equations: self.equations + other.equations,
+            pairs: self.pairs + other.pairs,
+        }
+    }
+
     /// The step, and the quality of the solution it starts from; weak directions are not moved.
     fn solve(&self, weak_eigenvalue: f64, radius_m: f64) -> (Vector6<f64>, Registration) {
-        let eigen = SymmetricEigen::new(self.matrix);
+        let mut matrix = self.matrix;
+        matrix.fill_lower_triangle_with_upper_triangle();
+        let eigen = SymmetricEigen::new(matrix);
         let least = eigen.eigenvalues.max() * weak_eigenvalue;
         let (mut step, mut cofactors) = (Vector6::zeros(), Matrix6::zeros());
         let (mut unobservable, mut left_alone_m) = (Vec::new(), Vec::new());

@@ -8,6 +8,26 @@ use rockface_core::artefact::Surface;
 /// Average number of points of a column: few enough to test all, enough to find one in the first ring.
 const POINTS_PER_COLUMN: f64 = 2.0;
 
+/// What rounding may take from a distance, as a share of the side of a column.
+const ROUNDING: f64 = 1e-6;
+
+/// The place that is nearest to a point, and how far the point may move before another could be.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Partner {
+    place: Option<usize>,
+    /// Where the point was when it was looked for.
+    asked: Vector3<f64>,
+    /// As long as the point is nearer to there than this, metres, the place stays the nearest.
+    free_m: f64,
+}
+
+impl Partner {
+    /// The place.
+    pub fn place(&self) -> Option<usize> {
+        self.place
+    }
+}
+
 /// The points of a surface, sorted into columns.
 pub struct Columns<'a> {
     surface: &'a Surface,
@@ -110,20 +130,31 @@ impl<'a> Columns<'a> {
         best.1
     }
 
-    /// [`Columns::nearest`], faster where a place is known that is nearly as near.
-    pub fn nearest_near(&self, point: &Vector3<f64>, radius_m: f64, near: Option<usize>) -> Option<usize> {
-        let bound = near.map(|place| self.square(point, place)).filter(|bound| *bound <= radius_m * radius_m);
-        let found = bound.and_then(|bound| self.only_within(point, bound));
-        found.or_else(|| self.nearest(point, radius_m))
+    /// [`Columns::nearest`] of a point that moves little by little, from what was found where it was before. A place that was within
+    /// the radius may be found although it no longer is.
+    pub fn follow(&self, point: &Vector3<f64>, radius_m: f64, partner: &mut Partner) -> Option<usize> {
+        if self.square_between(point, &partner.asked) < partner.free_m * partner.free_m {
+            return partner.place;
+        }
+        let within = |bound: &f64| *bound <= radius_m * radius_m;
+        let bound = partner.place.map(|place| self.square(point, place)).filter(within);
+        let Some(bound) = bound else {
+            *partner = Partner { place: self.nearest(point, radius_m), ..Partner::default() };
+            return partner.place;
+        };
+        *partner = self
+            .only_within(point, bound)
+            .unwrap_or_else(|| Partner { place: self.nearest(point, radius_m), ..Partner::default() });
+        partner.place
     }
 
     /// The nearest place, if it is the only one at its distance and no further than a bound, square metres, that a point is known
     /// to keep.
-    fn only_within(&self, point: &Vector3<f64>, bound: f64) -> Option<usize> {
+    fn only_within(&self, point: &Vector3<f64>, bound: f64) -> Option<Partner> {
         /// Columns along each side of what is searched; where there are more, rings are faster.
         const WIDEST: usize = 4;
         // A little more, as columns are found by a division.
-        let reach = bound.sqrt() + self.side * 1e-6;
+        let reach = bound.sqrt() + self.side * ROUNDING;
         let span = |at: f64, start: f64, count: usize| {
             let index = |x: f64| (((x - start) / self.side).max(0.0) as usize).min(count - 1);
             (index(at - reach), index(at + reach))
@@ -133,21 +164,34 @@ impl<'a> Columns<'a> {
         if right - left >= WIDEST || high - low >= WIDEST {
             return None;
         }
-        let (mut best, mut found) = (f64::INFINITY, None);
+        let (mut best, mut second, mut found) = (f64::INFINITY, f64::INFINITY, None);
         for row in low..=high {
             let first = row * self.wide;
             let places = self.starts[first + left] as usize..self.starts[first + right + 1] as usize;
             for place in &self.places[places] {
                 let square = self.square(point, *place as usize);
                 if square < best {
-                    (best, found) = (square, Some(*place as usize));
-                } else if square <= best {
-                    // Which of them it is depends on the order of the rings.
-                    found = None;
+                    (second, best, found) = (best, square, Some(*place as usize));
+                } else {
+                    second = second.min(square);
                 }
             }
         }
-        found
+        // Which of two at one distance it is depends on the order of the rings.
+        let place = found.filter(|_| best < second);
+        // Beyond the columns that were searched there may be others.
+        let beyond = |at: f64, start: f64, [first, last]: [usize; 2], count: usize| {
+            let edge = |column: usize| start + column as f64 * self.side;
+            let before = if first == 0 { f64::INFINITY } else { at - edge(first) };
+            let after = if last + 1 == count { f64::INFINITY } else { edge(last + 1) - at };
+            before.min(after)
+        };
+        let [across, up] = [
+            beyond(point.x, self.left, [left, right], self.wide),
+            beyond(point.y, self.bottom, [low, high], self.high),
+        ];
+        let free_m = 0.5 * (second.sqrt().min(across).min(up) - best.sqrt()) - self.side * ROUNDING;
+        place.map(|place| Partner { place: Some(place), asked: *point, free_m: free_m.max(0.0) })
     }
 
     fn search_ring(&self, [x, y]: [i64; 2], ring: i64, point: &Vector3<f64>, best: &mut (f64, Option<usize>)) {
@@ -168,7 +212,12 @@ impl<'a> Columns<'a> {
     /// Square of the distance of a point from a place, square metres.
     #[inline]
     fn square(&self, point: &Vector3<f64>, place: usize) -> f64 {
-        let d = local(self.surface, place) - point;
+        self.square_between(&local(self.surface, place), point)
+    }
+
+    #[inline]
+    fn square_between(&self, one: &Vector3<f64>, other: &Vector3<f64>) -> f64 {
+        let d = one - other;
         d.x * d.x + d.y * d.y + self.z_weight * d.z * d.z
     }
 
@@ -226,8 +275,33 @@ mod tests {
             assert_eq!(columns.nearest(&query, 1.5), within, "query {i}");
             assert_eq!(columns.nearest(&query, 1e6), everywhere, "query {i}, far");
             let near = Some((i as usize * 3 + 1) % 900).filter(|place| *place != 17);
-            assert_eq!(columns.nearest_near(&query, 1e6, near), everywhere, "query {i}, with a place known");
-            assert_eq!(columns.nearest_near(&query, 1e6, everywhere), everywhere, "query {i}, with the answer known");
+            for place in [near, everywhere] {
+                let mut partner = Partner { place, ..Partner::default() };
+                assert_eq!(columns.follow(&query, 1e6, &mut partner), everywhere, "query {i}, from {place:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_point_that_moves_is_followed() {
+        let noise = Key([4; 32]).field();
+        let points: Vec<[f32; 3]> =
+            (0..900).map(|i| [0, 1, 2].map(|k| (noise.normal(i, k) * [2.0, 1.0, 0.3][k as usize]) as f32)).collect();
+        let (frame, squares) = (Frame::Wall, vec![0; 29 * 29]);
+        let surface = Surface { frame, width: 30, height: 30, origin_m: [0.0; 3], points, squares };
+        for in_plan in [false, true] {
+            let columns = Columns::new(&surface, in_plan).unwrap();
+            for i in 0..60 {
+                let start = Vector3::new(noise.normal(i, 7), noise.normal(i, 8), noise.normal(i, 9));
+                let (mut partner, mut kept) = (Partner::default(), 0);
+                for step in 0..40 {
+                    let point = start + Vector3::new(0.004, -0.003, 0.002) * f64::from(step);
+                    let asked = partner.asked;
+                    assert_eq!(columns.follow(&point, 3.0, &mut partner), columns.nearest(&point, 3.0), "{i}, {step}");
+                    kept += i32::from(step > 0 && partner.asked == asked);
+                }
+                assert!(kept > 0, "point {i} was looked for in every step");
+            }
         }
     }
 }

@@ -6,7 +6,7 @@ use crate::artefact::{Cloud, CodecError};
 use crate::format::ply::header::{
     CLOUD_COMMENT, Element, Encoding, Header, Property, Type, UNITS_COMMENT, georeference_line,
 };
-use crate::format::ply::{Ascii, Binary, Source, at, check_held, fault, read_property, skip};
+use crate::format::ply::{Ascii, Binary, ROWS_AT_A_TIME, Source, at, check_held, fault, finite, skip};
 use crate::limits;
 
 /// Properties with a meaning of their own: no number may have such a name.
@@ -156,27 +156,29 @@ fn read_points<S: Source>(element: &Element, source: &mut S, cloud: &mut Cloud) 
     let lists = names.iter().map(|_| limits::list("numbers", element.count));
     let mut numbers: Vec<Vec<u32>> = lists.collect::<Result<_, _>>()?;
     cloud.points = limits::list("points", element.count)?;
-    for row in 0..element.count {
-        let mut known = [0.0f64; 9];
-        for (property, role) in element.properties.iter().zip(&roles) {
-            let mut value = 0.0;
-            read_property(property, source, &mut value).map_err(|e| at(element, row, &e))?;
+    let mut columns = vec![Vec::new(); element.properties.len()];
+    while cloud.points.len() < element.count {
+        let first = cloud.points.len();
+        let rows = source.columns(element, ROWS_AT_A_TIME.min(element.count - first), &mut columns);
+        let rows = rows.map_err(|e| at(element, first, &e))?;
+        let mut known: [&[f64]; 9] = [&[]; 9];
+        for (column, role) in columns.iter().zip(&roles) {
             match role {
-                Role::Known(place) => known[*place] = value,
-                Role::Number(place) => numbers[*place].push(value as u32),
+                Role::Known(place) => known[*place] = column,
+                Role::Number(place) => numbers[*place].extend(column.iter().map(|value| *value as u32)),
                 Role::Other => {}
             }
         }
         let [x, y, z, nx, ny, nz, red, green, blue] = known;
-        if ![x, y, z].iter().all(|value| value.is_finite()) {
-            return Err(at(element, row, &format!("the coordinates ({x}, {y}, {z}) are not finite")));
+        for row in 0..rows {
+            cloud.points.push(finite([x[row], y[row], z[row]]).map_err(|e| at(element, first + row, &e))?);
         }
-        cloud.points.push([x, y, z]);
         if normals {
-            cloud.normals.push([nx, ny, nz].map(|value| if value.is_finite() { value as f32 } else { 0.0 }));
+            let zero_for_none = |value: f64| if value.is_finite() { value as f32 } else { 0.0 };
+            cloud.normals.extend((0..rows).map(|row| [nx[row], ny[row], nz[row]].map(zero_for_none)));
         }
         if colours {
-            cloud.colours.push([red, green, blue].map(|value| value as u8));
+            cloud.colours.extend((0..rows).map(|row| [red[row], green[row], blue[row]].map(|value| value as u8)));
         }
     }
     cloud.numbers = names.into_iter().zip(numbers).collect::<BTreeMap<_, _>>();

@@ -54,7 +54,8 @@ impl Type {
         })
     }
 
-    fn bytes(self) -> usize {
+    /// How many bytes it takes in a binary file.
+    pub fn bytes(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
             Self::I16 | Self::U16 => 2,
