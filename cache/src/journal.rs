@@ -2,9 +2,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
-use std::os::unix::fs::FileExt;
+use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::error::{At, StoreError};
 use crate::frame::{Header, Kind, PAYLOAD_LIMIT};
@@ -16,6 +17,12 @@ use crate::{Digest, plain};
 /// Ends the name of every segment.
 const SUFFIX: &str = ".seg";
 
+/// What a file system may be behind the clock with its times.
+const COARSEST_TICK_NS: i128 = 100_000_000;
+
+/// When a folder last changed, nanoseconds since 1970, and which folder it is.
+type Stamp = (i128, u64);
+
 /// Every segment of a store, and the one this process appends to once it has something to say.
 #[derive(Debug)]
 pub(crate) struct Journal {
@@ -26,6 +33,8 @@ pub(crate) struct Journal {
     writer: Mutex<Option<Writer>>,
     /// Segments that were read from, opened once; one that is removed meanwhile can still be read.
     readers: Mutex<BTreeMap<u32, Arc<File>>>,
+    /// The names of the segments when the folder was last listed, and its stamp then, where a change since would show.
+    listed: Mutex<Option<(Stamp, Vec<String>)>>,
     /// Folders whose new entries must be on disk before the records that reference them.
     owed: Mutex<BTreeSet<PathBuf>>,
 }
@@ -39,6 +48,7 @@ impl Journal {
             index: RwLock::default(),
             writer: Mutex::default(),
             readers: Mutex::default(),
+            listed: Mutex::default(),
             owed: Mutex::default(),
         };
         journal.refresh()?;
@@ -60,20 +70,25 @@ impl Journal {
     pub(crate) fn refresh(&self) -> Result<(), StoreError> {
         // Taken before the folder is listed: a segment that is begun and read meanwhile is not among those removed.
         let read = self.with_index(Index::read_names);
-        let names = self.names()?;
+        let names = self.listing()?;
         if read.iter().any(|name| !names.contains(name)) {
             // Nothing may be appended between the clearing and the reading: it would be entered twice or lost.
             let _writer = self.writer();
             self.edit_index(Index::clear);
-            return self.read_all(self.names()?);
+            return self.read_all(self.names()?, None);
         }
-        self.read_all(names)
+        let own = self.writer().as_ref().map(|writer| writer.segment);
+        self.read_all(names, own)
     }
 
-    fn read_all(&self, names: Vec<String>) -> Result<(), StoreError> {
+    /// Reads what these segments have gained; not the one that only this process may append to.
+    fn read_all(&self, names: Vec<String>, own: Option<u32>) -> Result<(), StoreError> {
         for name in names {
-            let path = self.dir.join(&name);
             let number = self.edit_index(|index| index.segment(&name));
+            if own == Some(number) {
+                continue;
+            }
+            let path = self.dir.join(&name);
             let seen = self.with_index(|index| index.seen(number)).end;
             match plain::open(&path) {
                 Ok(file) if file.metadata().at("look at", &path)?.len() > seen => {
@@ -104,6 +119,24 @@ impl Journal {
     /// Whether these are all the segments this handle knows of, each read to its very end.
     pub(crate) fn has_read<'a>(&self, segments: impl Iterator<Item = (&'a str, u64)>) -> bool {
         self.with_index(|index| index.is_read(segments))
+    }
+
+    /// The names of the segments, from the last time they were listed if the folder has not changed since.
+    fn listing(&self) -> Result<Vec<String>, StoreError> {
+        // The times of a network file system are another machine's, and may be old.
+        if self.own.is_some() {
+            return self.names();
+        }
+        let folder = std::fs::metadata(&self.dir).at("look at", &self.dir)?;
+        let stamp = (i128::from(folder.ctime()) * 1_000_000_000 + i128::from(folder.ctime_nsec()), folder.ino());
+        let mut listed = self.listed.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, names)) = listed.as_ref().filter(|(then, _)| *then == stamp) {
+            return Ok(names.clone());
+        }
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as i128);
+        let names = self.names()?;
+        *listed = (stamp.0 + COARSEST_TICK_NS < now).then(|| (stamp, names.clone()));
+        Ok(names)
     }
 
     /// The names of the segments, sorted.
@@ -357,5 +390,24 @@ mod tests {
         assert!(marked > one.end);
         journal.settle(&other).unwrap();
         assert_eq!(size(), marked);
+    }
+
+    #[test]
+    fn a_segment_that_another_process_begins_is_seen_at_once_and_later() {
+        let folder = tempfile::tempdir().unwrap();
+        let (one, other) = (Journal::open(folder.path(), None).unwrap(), Journal::open(folder.path(), None).unwrap());
+        let has = |note: &[u8]| one.with_index(|index| index.payload(Kind::Note, &Digest::of(note)).is_some());
+        for (note, pause_ms) in [(b"first", 0), (b"later", 0), (b"again", 150)] {
+            std::thread::sleep(std::time::Duration::from_millis(pause_ms));
+            one.refresh().unwrap();
+            assert_eq!(one.listed.lock().unwrap().is_some(), pause_ms > 0);
+            other.append(Kind::Note, Digest::of(note), note).unwrap();
+            // The next one goes to a segment of its own.
+            let taken = other.writer().take();
+            std::mem::forget(taken);
+            one.refresh().unwrap();
+            assert!(has(note), "{}", String::from_utf8_lossy(note));
+        }
+        assert_eq!(one.names().unwrap().len(), 3);
     }
 }

@@ -27,6 +27,9 @@ impl Scheduler<'_> {
         let reason = if self.states[instance].is_recorded() { Reason::Needed } else { Reason::New };
         task.lease = self.states.start(instance);
         self.running += 1;
+        if !self.is_short(instance) {
+            self.long.insert(instance);
+        }
         self.report(&Event::Started { step: self.plan.label(instance), reason });
         self.workers.start(task, self.running).inspect_err(|_| self.running -= 1)
     }

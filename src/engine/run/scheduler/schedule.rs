@@ -1,6 +1,6 @@
 //! The main loop of the scheduler. One thread owns every state; workers only compute.
 
-use std::collections::{BinaryHeap, HashMap, VecDeque};
+use std::collections::{BinaryHeap, HashMap, HashSet, VecDeque};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
@@ -19,6 +19,8 @@ use crate::run::worker::{self, Done, Failure, Workers};
 use crate::run::{InstanceResult, Options, RunError, Summary};
 use crate::watch::{Event, Observer};
 
+/// Tasks for each worker that may wait for it, where all are short: it then goes from one to the next without a pause.
+const AHEAD: usize = 4;
 /// How long running stages may take to notice a stop before they are abandoned.
 const GRACE: Duration = Duration::from_millis(700);
 
@@ -108,7 +110,10 @@ pub struct Scheduler<'a> {
     /// Keys that were looked up and have yet to be listed in the lease of this process.
     pub(super) referenced: Vec<Digest>,
     pub(super) workers: Workers,
+    /// Instances handed to workers and not done.
     pub(super) running: usize,
+    /// Those of them whose stages take long, or may.
+    pub(super) long: HashSet<usize>,
 }
 
 impl<'a> Scheduler<'a> {
@@ -144,6 +149,7 @@ impl<'a> Scheduler<'a> {
             referenced: Vec::new(),
             workers,
             running: 0,
+            long: HashSet::new(),
         }
     }
 
@@ -174,7 +180,7 @@ impl<'a> Scheduler<'a> {
     fn main_loop(&mut self, results: &Receiver<worker::Result>, stop: &AtomicBool) -> Result<(), RunError> {
         loop {
             self.take_turns()?;
-            while self.running < self.options.jobs && !self.stopping(stop) {
+            while self.may_begin() && !self.stopping(stop) {
                 let Some(instance) = self.next()? else { break };
                 if !self.claim_memory(instance) {
                     break;
@@ -196,8 +202,21 @@ impl<'a> Scheduler<'a> {
         }
     }
 
+    /// Whether a worker is free, or soon will be.
+    fn may_begin(&self) -> bool {
+        let jobs = self.options.jobs;
+        let next = || self.ready.peek().is_some_and(|next| self.is_short(next.instance));
+        self.running < jobs || (self.long.is_empty() && self.running < jobs * AHEAD && next())
+    }
+
+    /// Whether an instance is of a stage that has been short in this run.
+    pub fn is_short(&self, instance: usize) -> bool {
+        self.workers.is_short(self.plan.step(instance).stage.name())
+    }
+
     fn end(&mut self, instance: usize, result: Result<Done, Failure>, stop: &AtomicBool) -> Result<(), RunError> {
         self.running -= 1;
+        self.long.remove(&instance);
         self.budget.end(instance);
         self.resident.end(instance);
         // A stage that ends because of the stop has not failed.

@@ -5,6 +5,7 @@ mod host;
 mod program;
 pub mod rerun;
 mod standing;
+mod threads;
 pub mod tools;
 mod work;
 mod workers;

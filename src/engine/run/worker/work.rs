@@ -6,7 +6,6 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use rayon::ThreadPool;
 use rockface_cache::{
     Announced, Cost, Digest, KeyLock, Outcome, OutputRecord, Outputs, Recipe, Record, SafeName, Store, StoreError,
 };
@@ -17,6 +16,7 @@ use super::failure::{Failure, Left, Trouble, guarded};
 use super::host::StepHost;
 use super::program::Used;
 use super::standing::Standing;
+use super::threads::Threads;
 use super::tools;
 use crate::PHASE;
 use crate::plan::{InputFile, StepParams, has_ports};
@@ -82,13 +82,24 @@ pub struct Task {
     pub peak_bytes: Arc<AtomicU64>,
 }
 
+impl Task {
+    /// The bytes of its inputs in memory; `None` where some have yet to be read.
+    fn bytes(&self) -> Option<usize> {
+        let of_feed = |feed: &Feed| match &feed.value {
+            Value::Ready(value) => Some(value.memory_bytes()),
+            Value::Stored(..) | Value::Spilled(_) => None,
+        };
+        self.feeds.iter().map(of_feed).sum()
+    }
+}
+
 /// Where a worker works.
 #[derive(Clone, Copy)]
 pub struct Place<'a> {
     /// Inputs, results and locks.
     pub store: &'a Store,
     /// The threads that stages compute on, shared by all workers.
-    pub pool: &'a ThreadPool,
+    pub threads: &'a Threads,
     /// Set once the user asked to stop; stages and waits look at it.
     pub stop: &'a AtomicBool,
     /// Programs that stay alive between jobs.
@@ -124,7 +135,7 @@ impl Done {
 /// Locks are taken and the store is used on the calling thread. Only computing goes into the pool: a thread of the pool
 /// that waits for its fellows takes up other work meanwhile, and must not come upon a lock held further down its stack.
 pub fn work(task: &Task, place: Place) -> Result<Done, Failure> {
-    let Place { store, pool, .. } = place;
+    let Place { store, threads, .. } = place;
     let _step = task.span.enter();
     // What has come from a remote place since it was settled need not be locked, which takes a request there.
     if task.lease.is_none()
@@ -154,8 +165,8 @@ pub fn work(task: &Task, place: Place) -> Result<Done, Failure> {
     }
     unchanged_files(task, store, &before)?;
     let values: BTreeMap<_, _> = outputs.into_iter().map(|(port, value)| (port, Arc::new(value))).collect();
-    let mut outcome = keep(task, store, pool, &values, &entries)?;
-    let (sketches, unsketched) = phase!("sketch", sketch(task, store, pool, &values, &outcome))?;
+    let mut outcome = keep(task, store, threads, &values, &entries)?;
+    let (sketches, unsketched) = phase!("sketch", sketch(task, store, threads, &values, &outcome))?;
     outcome.sketches = sketches;
     let kept = |(from, later): &(_, Arc<Later>)| later.kept().map(|value| (*from, value.clone()));
     let loaded: Vec<_> = stored.iter().filter_map(kept).collect();
@@ -172,7 +183,7 @@ pub fn work(task: &Task, place: Place) -> Result<Done, Failure> {
     let announced = announce(task, store, &outcome)?;
     let Outcome { outputs, log, sketches, cost } = outcome.clone();
     let put_again =
-        || keep(task, store, pool, &values, &entries).and_then(|made| sketch(task, store, pool, &values, &made));
+        || keep(task, store, threads, &values, &entries).and_then(|made| sketch(task, store, threads, &values, &made));
     let record = Record { recipe: task.recipe.clone(), outputs, log, sketches, cost };
     phase!("commit", store.commit_or(&record, || put_again().map(drop)))?;
     tools::remember(store, &task.key, &programs.tools)?;
@@ -358,13 +369,13 @@ fn keep_log(store: &Store, said: &[Entry]) -> Result<Option<Digest>, StoreError>
 fn attempt(
     task: &Task,
     Given { inputs, trouble }: Given,
-    Place { store, pool, stop, standing }: Place,
+    Place { store, threads, stop, standing }: Place,
 ) -> Result<Attempt, Failure> {
     let seed = task.recipe.seed.as_ref().map(rockface_cache::SeedMaterial::key);
     let deadline = task.timeout.map(|timeout| Instant::now() + timeout);
     let programs = task.stage.starts_programs().then_some(standing);
     let host = StepHost::new(seed, &task.params.files, store, stop, deadline, trouble, programs);
-    let result = pool.install(|| run_stage(task, inputs, &host));
+    let result = threads.run(task.stage.name(), task.bytes(), || run_stage(task, inputs, &host));
     if let Some(failure) = trouble.lock().unwrap_or_else(PoisonError::into_inner).take() {
         return Err(failure);
     }
@@ -407,22 +418,22 @@ fn unchanged_files(task: &Task, store: &Store, before: &[Fingerprint]) -> Result
 fn keep(
     task: &Task,
     store: &Store,
-    pool: &ThreadPool,
+    threads: &Threads,
     values: &BTreeMap<&'static str, Arc<Artefact>>,
     entries: &[Entry],
 ) -> Result<Outcome, Failure> {
     let mut outputs = Outputs::default();
     for (port, value) in values {
         let unwritable = |error| StageError::new(format!("output `{port}` cannot be written: {error}"));
-        // Writing text takes no threads; waking those of the pool would cost more.
+        // Writing text takes no threads.
         let text = value.kind().extension() == "json";
+        let bytes = if text { 0 } else { value.memory_bytes() };
         let (digest, bytes) = if task.keep {
-            let encode = || if text { value.encode() } else { pool.install(|| value.encode()) };
-            let encoded = phase!("encode", encode()).map_err(unwritable)?;
+            let encoded = phase!("encode", threads.compute(bytes, || value.encode())).map_err(unwritable)?;
             (phase!("put", store.put(&encoded))?, encoded.len() as u64)
         } else {
             let hash = || Digest::of_pieces(|take| value.stream(take));
-            let (digest, bytes, given) = phase!("hash", if text { hash() } else { pool.install(hash) });
+            let (digest, bytes, given) = phase!("hash", threads.compute(bytes, hash));
             given.map_err(unwritable)?;
             (digest, bytes)
         };
@@ -437,7 +448,7 @@ fn keep(
 fn sketch(
     task: &Task,
     store: &Store,
-    pool: &ThreadPool,
+    threads: &Threads,
     values: &BTreeMap<&'static str, Arc<Artefact>>,
     outcome: &Outcome,
 ) -> Result<(Option<Digest>, Option<String>), Failure> {
@@ -446,7 +457,8 @@ fn sketch(
         return Ok((former.and_then(|former| former.sketches).filter(|blob| store.contains(blob)), None));
     };
     let made = guarded(|| {
-        let bytes = pool.install(|| crate::watch::step_log::sketched(values, look));
+        let bytes = values.values().map(|value| value.memory_bytes()).sum();
+        let bytes = threads.compute(bytes, || crate::watch::step_log::sketched(values, look));
         bytes.map_err(|error| StageError::new(error.to_string()).into())
     });
     match made {
