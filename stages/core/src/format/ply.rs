@@ -252,11 +252,15 @@ fn read_vertices<S: Source>(element: &Element, source: &mut S, mesh: &mut Mesh) 
     while mesh.vertices.len() < element.count {
         let first = mesh.vertices.len();
         let rows = source.columns(element, ROWS_AT_A_TIME.min(element.count - first), &mut columns);
-        for row in 0..rows.map_err(|e| at(element, first, &e))? {
-            mesh.vertices.push(finite(xyz.map(|k| columns[k][row])).map_err(|e| at(element, first + row, &e))?);
-            if coloured {
-                mesh.colours.push(rgb.map(|k| columns[k][row] as u8));
-            }
+        let rows = rows.map_err(|e| at(element, first, &e))?;
+        let [x, y, z] = xyz.map(|k| &columns[k][..rows]);
+        for (row, ((x, y), z)) in x.iter().zip(y).zip(z).enumerate() {
+            mesh.vertices.push(finite([*x, *y, *z]).map_err(|e| at(element, first + row, &e))?);
+        }
+        if coloured {
+            let [red, green, blue] = rgb.map(|k| &columns[k][..rows]);
+            let colours = red.iter().zip(green).zip(blue);
+            mesh.colours.extend(colours.map(|((red, green), blue)| [*red, *green, *blue].map(|value| value as u8)));
         }
     }
     Ok(())

@@ -74,7 +74,7 @@ impl FilteredRows {
                 for (cell, value) in padded[radius..].iter_mut().zip(line) {
                     *cell = if value.is_nan() { [0.0; 2] } else { [f64::from(*value) - mean, 1.0] };
                 }
-                vectorised(Row { padded: &padded, kernel, band, row, rows });
+                vectorised(Row { padded: &padded, kernel, band, place: row, rows });
             }
         });
     }
@@ -104,7 +104,8 @@ struct Row<'a> {
     padded: &'a [Weighted],
     kernel: &'a [f64],
     band: &'a mut [Weighted],
-    row: usize,
+    /// Which row of the band it is, and how many there are.
+    place: usize,
     rows: usize,
 }
 
@@ -114,7 +115,7 @@ impl Work for Row<'_> {
     #[inline(always)]
     fn run(self) {
         for (block, cells) in self.band.chunks_exact_mut(self.rows * BLOCK).enumerate() {
-            cells[self.row * BLOCK..][..BLOCK].copy_from_slice(&convolve(
+            cells[self.place * BLOCK..][..BLOCK].copy_from_slice(&convolve(
                 &self.padded[block * BLOCK..],
                 1,
                 self.kernel,

@@ -213,7 +213,7 @@ impl Fit<'_> {
         };
         let parts = sizes.par_chunks(POINTS_AT_A_TIME).zip(points.par_chunks(POINTS_AT_A_TIME));
         let systems: Vec<System> = parts.map(sum).collect();
-        Ok(systems.into_iter().fold(System::default(), System::and))
+        Ok(systems.iter().fold(System::default(), System::and))
     }
 
     /// Finds the partner of a point at a pose.
@@ -284,7 +284,7 @@ impl System {
         self.equations += 1;
     }
 
-    fn and(self, other: Self) -> Self {
+    fn and(self, other: &Self) -> Self {
         Self {
             matrix: self.matrix + other.matrix,
             right: self.right + other.right,

@@ -95,11 +95,9 @@ impl RowSums {
             sums.count += 1.0;
             sums.u += u;
             sums.uu += u * u;
-            for k in 0..3 {
-                let p = f64::from(point[k]);
-                sums.p[k] += p;
-                sums.up[k] += p * u;
-            }
+            let [x, y, z] = point.map(f64::from);
+            sums.p = [sums.p[0] + x, sums.p[1] + y, sums.p[2] + z];
+            sums.up = [sums.up[0] + x * u, sums.up[1] + y * u, sums.up[2] + z * u];
         }
         sums
     }
