@@ -132,7 +132,7 @@ impl Done {
 
 /// Runs one instance.
 ///
-/// Locks are taken and the store is used on the calling thread. Only computing goes into the pool: a thread of the pool
+/// Locks are taken and the store is used on the calling thread. Only computing goes into the pool, unless it is short: a thread of the pool
 /// that waits for its fellows takes up other work meanwhile, and must not come upon a lock held further down its stack.
 pub fn work(task: &Task, place: Place) -> Result<Done, Failure> {
     let Place { store, threads, .. } = place;
