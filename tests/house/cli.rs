@@ -204,8 +204,13 @@ fn an_interrupt_stops_with_its_own_code_and_the_next_run_goes_on() {
     let house = House::new(
         &SMALL.replace("seed: 1\n", "seed: 1\naxes: {k: {count: 400}}\n").replace("face: {", "face: {over: [k], "),
     );
-    let child = house.command(&["run", "p.yaml", "--quiet"]).stdout(std::process::Stdio::null()).spawn().unwrap();
-    std::thread::sleep(std::time::Duration::from_millis(150));
+    let mut child = house.command(&["run", "p.yaml", "--quiet"]).stdout(std::process::Stdio::null()).spawn().unwrap();
+    // Once something is stored it is at work.
+    let segments = house.path(".rockface/store/segments");
+    while !std::fs::read_dir(&segments).is_ok_and(|mut files| files.next().is_some()) {
+        assert!(child.try_wait().unwrap().is_none(), "it ended before it had stored anything");
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
     let kill = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     assert!(kill.success());
     let status = child.wait_with_output().unwrap().status;
