@@ -199,7 +199,8 @@ impl Remote {
             contents.keys().filter_map(outcome).map(|(key, one)| (one.cost.finished_unix_s, key, one)).collect()
         });
         all.sort_unstable_by_key(|(finished, key, _)| (std::cmp::Reverse(*finished), *key));
-        let since_s = policy.max_age_s.map_or(0, |age_s| now_unix_s.saturating_sub(age_s));
+        // Times are whole seconds: with an age of 0 what was finished in this very second goes too.
+        let until_s = policy.max_age_s.map(|age_s| now_unix_s.saturating_sub(age_s));
         let mut batch = Batch::default();
         let mut sum: u64 = 0;
         self.shared.read(|contents| {
@@ -210,7 +211,9 @@ impl Remote {
                 let (Some(places), Some(payload)) = (places, contents.record(&key)) else { continue };
                 let new = places.iter().filter(|(digest, _)| !batch.blobs.contains_key(digest));
                 let more = new.map(|(_, place)| place.bytes).fold(sum, u64::saturating_add);
-                if finished < since_s || policy.max_bytes.is_some_and(|most| more > most) {
+                if until_s.is_some_and(|until_s| finished <= until_s)
+                    || policy.max_bytes.is_some_and(|most| more > most)
+                {
                     continue;
                 }
                 sum = more;
