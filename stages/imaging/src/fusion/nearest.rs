@@ -138,13 +138,8 @@ impl<'a> Columns<'a> {
         }
         let within = |bound: &f64| *bound <= radius_m * radius_m;
         let bound = partner.place.map(|place| self.square(point, place)).filter(within);
-        let Some(bound) = bound else {
-            *partner = Partner { place: self.nearest(point, radius_m), ..Partner::default() };
-            return partner.place;
-        };
-        *partner = self
-            .only_within(point, bound)
-            .unwrap_or_else(|| Partner { place: self.nearest(point, radius_m), ..Partner::default() });
+        let found = bound.and_then(|bound| self.only_within(point, bound));
+        *partner = found.unwrap_or_else(|| Partner { place: self.nearest(point, radius_m), ..Partner::default() });
         partner.place
     }
 
