@@ -20,7 +20,7 @@ pub struct GcPolicy {
     /// Until when runs were made whose manifest can only be read in part, seconds since 1970: what was made until then may
     /// be named in the rest, and does not count as unnamed.
     pub torn_s: Option<u64>,
-    /// Remove what was not used for longer, seconds.
+    /// Remove what was not used for that long, whole seconds: 0 takes what was used in this very second too.
     pub max_age_s: Option<u64>,
     /// Remove the longest unused until the blobs of records take no more bytes.
     pub max_bytes: Option<u64>,
@@ -181,7 +181,7 @@ impl Store {
 }
 
 fn why(policy: &GcPolicy, named: bool, age_s: u64) -> Option<String> {
-    if policy.max_age_s.is_some_and(|max_age_s| age_s > max_age_s) {
+    if policy.max_age_s.is_some_and(|max_age_s| age_s >= max_age_s) {
         return Some(format!("not used for {} days", age_s / 86_400));
     }
     (policy.unnamed && !named).then(|| "no run names it".to_owned())

@@ -43,7 +43,7 @@ pub struct RemoteStat {
 /// What of a remote place is kept. It has no runs and keeps no times of use, so the age of a record decides.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct RemoteGcPolicy {
-    /// Remove the records of steps that ended longer ago, seconds.
+    /// Remove the records of steps that ended that long ago, whole seconds: 0 takes those of this very second too.
     pub max_age_s: Option<u64>,
     /// Remove the oldest records until the blobs of the others take no more bytes.
     pub max_bytes: Option<u64>,
@@ -199,7 +199,6 @@ impl Remote {
             contents.keys().filter_map(outcome).map(|(key, one)| (one.cost.finished_unix_s, key, one)).collect()
         });
         all.sort_unstable_by_key(|(finished, key, _)| (std::cmp::Reverse(*finished), *key));
-        // Times are whole seconds: with an age of 0 what was finished in this very second goes too.
         let until_s = policy.max_age_s.map(|age_s| now_unix_s.saturating_sub(age_s));
         let mut batch = Batch::default();
         let mut sum: u64 = 0;

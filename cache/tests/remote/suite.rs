@@ -296,7 +296,7 @@ pub fn is_collected(open: Open) {
     let stat = itself(open).stat().unwrap();
     assert_eq!((stat.records, stat.batches, stat.packs, stat.large_blobs, stat.incomplete), (30, 3, 3, 15, 0));
     let now = 1_000_000 + 100_000_000;
-    let policy = RemoteGcPolicy { max_age_s: Some(now - 1_000_015), ..RemoteGcPolicy::default() };
+    let policy = RemoteGcPolicy { max_age_s: Some(now - 1_000_014), ..RemoteGcPolicy::default() };
     let planned = itself(open).collect(&RemoteGcPolicy { dry_run: true, ..policy }, now).unwrap();
     assert_eq!((planned.records, planned.kept_records), (15, 15));
     assert_eq!(itself(open).stat().unwrap(), stat, "nothing was touched");

@@ -68,6 +68,12 @@ fn a_collection_keeps_what_is_pinned_named_or_young_and_says_what_goes() {
     assert_eq!(store.plan_gc(&torn).unwrap().records, [], "the torn part of a manifest may name them");
     let aged = GcPolicy { max_age_s: Some(100), pinned: [keys[0]].into(), ..GcPolicy::default() };
     assert_eq!(store.plan_gc(&aged).unwrap().records.len(), 3, "the test's records say they are from 1970");
+    let (_folder, store) = new_store();
+    let one = finish(&store, 0, &large(0));
+    let now =
+        [(one, std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_secs() + 60)].into();
+    let all = GcPolicy { max_age_s: Some(0), used: now, ..GcPolicy::default() };
+    assert_eq!(store.plan_gc(&all).unwrap().records, [one], "an age of 0 spares nothing, not even by the second");
 }
 
 #[test]
