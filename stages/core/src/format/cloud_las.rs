@@ -3,9 +3,10 @@
 use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use las::{Color, Header, PointDataBuilder, Reader};
+use las::{Header, PointData, PointDataBuilder, Reader};
+use laz::{DecompressionSelection, LasZipDecompressor};
 
-use super::laz_check::{check_chunks, check_header, damaged};
+use super::laz_check::{check_chunks, check_header, damaged, points_at};
 use crate::artefact::{CodecError, Frame};
 use crate::crs::Stated;
 use crate::crs::geo_keys::GeoKeys;
@@ -53,8 +54,15 @@ pub fn read(mut bytes: Vec<u8>, cancelled: &dyn Fn() -> bool) -> Result<Cloud, C
     }
     let stated = stated(&header);
     // The decompressor panics on some damaged points.
-    let points =
-        catch_unwind(AssertUnwindSafe(|| read_points(Reader::new(Cursor::new(bytes)).map_err(unreadable)?, cancelled)));
+    let points = catch_unwind(AssertUnwindSafe(|| {
+        if header.point_format().is_compressed {
+            read_points(&header, unpacked(bytes, &header)?, cancelled)
+        } else {
+            let mut reader = Reader::new(Cursor::new(bytes)).map_err(unreadable)?;
+            let fill = |count, batch: &mut PointData| reader.fill_points(count, batch).map_err(|e| e.to_string());
+            read_points(&header, fill, cancelled)
+        }
+    }));
     let cloud = points.unwrap_or_else(|_| Err(damaged("its points cannot be decompressed")))?;
     Ok(Cloud { stated, warnings, ..cloud })
 }
@@ -101,29 +109,51 @@ fn stated(header: &Header) -> Option<Stated> {
     GeoKeys { directory: &directory, doubles: &doubles, ascii: &ascii }.stated()
 }
 
-fn read_points(mut reader: Reader, cancelled: &dyn Fn() -> bool) -> Result<Cloud, CodecError> {
-    let promised = reader.header().number_of_points();
-    let at_once = (BATCH_BYTES / u64::from(reader.header().point_format().len()).max(1)).clamp(1, BATCH);
-    let mut batch = PointDataBuilder::new().for_header(reader.header()).build();
+/// Fills batches with compressed points. Where fields are compressed apart, only those that are read are decompressed.
+fn unpacked(
+    bytes: Vec<u8>,
+    header: &Header,
+) -> Result<impl FnMut(u64, &mut PointData) -> Result<u64, String>, CodecError> {
+    let fields = DecompressionSelection::base().decompress_z().decompress_rgb();
+    let record = header.laz_vlr().map_err(|e| damaged(&format!("its LASzip record cannot be read ({e})")))?;
+    let mut source = Cursor::new(bytes);
+    source.set_position(points_at(source.get_ref()) as u64);
+    let mut points = LasZipDecompressor::selective(source, record, fields)
+        .map_err(|e| damaged(&format!("its points cannot be decompressed ({e})")))?;
+    let mut left = header.number_of_points();
+    Ok(move |count: u64, batch: &mut PointData| {
+        let count = count.min(left);
+        left -= count;
+        points.decompress_many(batch.resize_for(count as usize)).map_err(|e| e.to_string())?;
+        Ok(count)
+    })
+}
+
+fn read_points(
+    header: &Header,
+    mut fill: impl FnMut(u64, &mut PointData) -> Result<u64, String>,
+    cancelled: &dyn Fn() -> bool,
+) -> Result<Cloud, CodecError> {
+    let promised = header.number_of_points();
+    let at_once = (BATCH_BYTES / u64::from(header.point_format().len()).max(1)).clamp(1, BATCH);
+    let mut batch = PointDataBuilder::new().for_header(header).build();
     let (mut points, mut colours) = (Vec::new(), Vec::new());
     loop {
         if cancelled() {
             return Err(CodecError::new("interrupted"));
         }
-        let number = points.len();
-        let read = reader.fill_points(at_once, &mut batch).map_err(|e| cut_short(promised, number, &e.to_string()))?;
+        let read = fill(at_once, &mut batch).map_err(|why| cut_short(promised, points.len(), &why))?;
         if read == 0 {
             break;
         }
-        for point in batch.points() {
-            let point = point.map_err(|e| fault(&format!("point {} (counted from 0): {e}", points.len())))?;
-            let place = [point.x, point.y, point.z];
+        for ((x, y), z) in batch.x().zip(batch.y()).zip(batch.z()) {
+            let place = [x, y, z];
             if !place.iter().all(|x| x.is_finite()) {
                 return Err(fault(&format!("point {} (counted from 0): {place:?} is not finite", points.len())));
             }
             points.push(place);
-            colours.extend(point.color);
         }
+        colours.extend(batch.rgb().into_iter().flatten().map(<[u16; 3]>::from));
     }
     if (points.len() as u64) < promised {
         return Err(cut_short(promised, points.len(), "the file ends"));
@@ -132,10 +162,9 @@ fn read_points(mut reader: Reader, cancelled: &dyn Fn() -> bool) -> Result<Cloud
     Ok(Cloud { points, colours, ..Cloud::default() })
 }
 
-fn to_bytes(colours: &[Color]) -> Vec<[u8; 3]> {
-    let channels = |c: &Color| [c.red, c.green, c.blue];
-    let shift = if colours.iter().flat_map(channels).all(|value| value <= 255) { 0 } else { 8 };
-    colours.iter().map(|c| channels(c).map(|value| (value >> shift) as u8)).collect()
+fn to_bytes(colours: &[[u16; 3]]) -> Vec<[u8; 3]> {
+    let shift = if colours.iter().flatten().all(|value| *value <= 255) { 0 } else { 8 };
+    colours.iter().map(|colour| colour.map(|value| (value >> shift) as u8)).collect()
 }
 
 fn cut_short(promised: u64, read: usize, why: &str) -> CodecError {
@@ -152,15 +181,18 @@ fn fault(message: &str) -> CodecError {
 #[allow(clippy::float_cmp)] // to the bit
 mod tests {
     use super::*;
-    use las::{Builder, Point, Transform, Vector, Writer};
+    use las::{Builder, Color, Point, Transform, Vector, Writer};
 
     fn read(bytes: Vec<u8>) -> Result<Cloud, CodecError> {
         super::read(bytes, &|| false)
     }
 
-    fn written(compressed: bool) -> Vec<u8> {
+    /// Formats of points whose fields are compressed together, and apart.
+    const FORMATS: [u8; 2] = [3, 7];
+
+    fn written(format: u8, compressed: bool) -> Vec<u8> {
         let mut header = Builder::from((1, 4));
-        header.point_format = las::point::Format::new(7).unwrap();
+        header.point_format = las::point::Format::new(format).unwrap();
         header.point_format.is_compressed = compressed;
         let axis = |offset| Transform { scale: 0.001, offset };
         header.transforms = Vector { x: axis(451_000.0), y: axis(5_512_000.0), z: axis(0.0) };
@@ -177,8 +209,8 @@ mod tests {
 
     #[test]
     fn integers_times_scale_plus_offset_are_read_to_the_bit() {
-        for compressed in [false, true] {
-            let cloud = read(written(compressed)).unwrap();
+        for (format, compressed) in FORMATS.into_iter().flat_map(|format| [(format, false), (format, true)]) {
+            let cloud = read(written(format, compressed)).unwrap();
             assert_eq!((cloud.points.len(), cloud.colours.len()), (2000, 2000));
             for (i, [x, y, z]) in cloud.points.iter().enumerate() {
                 let i = i as f64;
@@ -192,8 +224,8 @@ mod tests {
 
     #[test]
     fn damaged_files_are_errors_and_no_panics() {
-        for compressed in [false, true] {
-            let bytes = written(compressed);
+        for (format, compressed) in FORMATS.into_iter().flat_map(|format| [(format, false), (format, true)]) {
+            let bytes = written(format, compressed);
             let message = read(bytes[..bytes.len() * 2 / 3].to_vec()).unwrap_err().0;
             assert!(message.contains("cut short"), "{message}");
             let key = crate::numerics::random::Key([3; 32]).field();

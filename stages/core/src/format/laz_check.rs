@@ -61,7 +61,7 @@ fn check_extended(bytes: &[u8], start: u64) -> Result<(), CodecError> {
 pub fn check_chunks(bytes: &[u8], header: &Header) -> Result<(), CodecError> {
     let record = header.vlrs().iter().find(|vlr| (vlr.user_id.as_str(), vlr.record_id) == LASZIP);
     let record = record.ok_or_else(|| damaged("it has no LASzip record"))?;
-    let start = header_offset(bytes);
+    let start = points_at(bytes);
     let packing = Packing::read(&record.data).ok_or_else(|| damaged("its LASzip record is cut short"))?;
     packing.check(usize::from(header.point_format().len()))?;
     let table = packing.table(bytes, start)?;
@@ -69,7 +69,7 @@ pub fn check_chunks(bytes: &[u8], header: &Header) -> Result<(), CodecError> {
 }
 
 /// Where the points begin: `offset_to_point_data` of the header.
-fn header_offset(bytes: &[u8]) -> usize {
+pub(super) fn points_at(bytes: &[u8]) -> usize {
     number(bytes, 96).unwrap_or(0) as usize
 }
 
