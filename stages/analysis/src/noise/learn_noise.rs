@@ -2,7 +2,8 @@
 
 use std::borrow::Cow;
 
-use crate::noise::learning::acquisitions::{Acquisitions, Variety, acquisitions};
+use crate::noise::detrend::plane;
+use crate::noise::learning::acquisitions::{Acquisitions, Source, Variety, acquisitions};
 use crate::noise::learning::bad::parted;
 use crate::noise::learning::contrast::{self, Powers};
 use crate::noise::learning::departure::{Departure, Mean, figures};
@@ -66,7 +67,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 6;
+    const VERSION: u32 = 7;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -115,10 +116,14 @@ impl Stage for LearnNoise {
         }
         let step_m = elevation_step_m(dem, block, pairs)?;
         let disparities = disparities(&all[..kept], &step_m)?;
-        let names: Vec<String> = all[..kept].iter().map(|band| band.name.clone()).collect();
+        let source = |band: &&Band| {
+            let plane_m = plane(&band.values, dem.grid.columns).unwrap_or_default();
+            Source { name: band.name.clone(), plane_m }
+        };
+        let sources: Vec<Source> = all[..kept].iter().map(source).collect();
         let learnt = Learnt::new(params, &disparities, dem);
         context.check_cancelled()?;
-        let noise = learnt.varied(params, &names, dem, &step_m, context);
+        let noise = learnt.varied(params, &sources, dem, &step_m, context);
         report(&noise, &learnt, &step_m, context);
         let bands = vec![Band { name: "strength".to_owned(), values: noise.strength.clone() }];
         let strength = Raster { bands, quantity: "strength".to_owned(), ..dem.clone() };
@@ -173,7 +178,7 @@ impl Learnt {
     fn varied(
         &self,
         params: &LearnNoiseParams,
-        names: &[String],
+        sources: &[Source],
         dem: &Raster,
         step_m: &[f32],
         context: &Context,
@@ -181,11 +186,11 @@ impl Learnt {
         let none = Correction::none(self.places.middles.len() + BANDS);
         let given = Powers::even(params.contrast.unwrap_or(0.0));
         if params.draws < 2 {
-            return self.model(params, names, dem, &none, &given);
+            return self.model(params, sources, dem, &none, &given);
         }
         // What draws of acquisitions differ by that are all alike is chance. They choose their donors by the little that is left.
         let alike = Correction { own: vec![ALIKE; none.own.len()], ..none };
-        let mut usual = Noise { bad_share: 0.0, ..self.model(params, names, dem, &alike, &given) };
+        let mut usual = Noise { bad_share: 0.0, ..self.model(params, sources, dem, &alike, &given) };
         let limit_m = params.outlier_m.map_or(f32::INFINITY, |limit| limit as f32);
         let drawn = |noise: &Noise, count: usize| {
             let keeps = |cell: usize, px: f32| (px * step_m[cell]).abs() <= limit_m || step_m[cell].is_nan();
@@ -203,7 +208,7 @@ impl Learnt {
         usual.contrast = powers.contrast();
         let correction = Correction::of(&self.usual(), &drawn(&usual, params.draws));
         drop(usual);
-        self.model(params, names, dem, &correction, &powers)
+        self.model(params, sources, dem, &correction, &powers)
     }
 
     fn usual(&self) -> Vec<&Whitened> {
@@ -214,14 +219,15 @@ impl Learnt {
     fn model(
         &self,
         params: &LearnNoiseParams,
-        names: &[String],
+        sources: &[Source],
         dem: &Raster,
         correction: &Correction,
         powers: &Powers,
     ) -> Noise {
         let shares = Bands::new(self.columns, dem.grid.rows, BANDS).shares();
         let variety = Variety { jitter: params.jitter, own: &correction.own };
-        let Acquisitions { mut members, bad_share } = acquisitions(names, &self.whitened, &self.bad, &shares, variety);
+        let Acquisitions { mut members, bad_share } =
+            acquisitions(sources, &self.whitened, &self.bad, &shares, variety);
         members.iter_mut().filter(|member| !member.bad).for_each(|member| correction.shift(member));
         if !self.fields {
             members.iter_mut().for_each(|member| member.field_log_amplitude.fill(0.0));

@@ -31,6 +31,7 @@ mod compare_samples;
 mod describe_noise;
 mod describe_structure;
 mod draw_noise;
+mod draw_registration;
 mod fit_acceptance;
 mod learn_noise;
 mod propose_parameters;
@@ -48,6 +49,7 @@ pub static STAGES: &[&dyn AnyStage] = &[
     &Row::<describe_noise::DescribeNoise>::new(),
     &Row::<describe_structure::DescribeStructure>::new(),
     &Row::<draw_noise::DrawNoise>::new(),
+    &Row::<draw_registration::DrawRegistration>::new(),
     &Row::<fit_acceptance::FitAcceptance>::new(),
     &Row::<learn_noise::LearnNoise>::new(),
     &Row::<propose_parameters::ProposeParameters>::new(),

@@ -10,6 +10,9 @@ pub struct Member {
     pub name: String,
     /// Whether it is a bad acquisition (motion blur, haze), which is drawn by a class of its own.
     pub bad: bool,
+    /// The plane through its raster, which is what registration left: offset in the middle of the grid, growth from there to the right edge and
+    /// to the lower edge, metres.
+    pub plane_m: [f64; 3],
     /// Logarithm of the factor on the map of strength, for each class of place.
     pub log_strength: Vec<f64>,
     /// Logarithm of the amplitude of the whitened noise in each band of frequency; 0 is the amplitude of white noise.

@@ -21,6 +21,15 @@ pub struct Acquisitions {
     pub bad_share: f64,
 }
 
+/// The difference an acquisition is taken from.
+#[derive(Debug, Clone)]
+pub struct Source {
+    /// Its name.
+    pub name: String,
+    /// The plane that registration left in it, metres, as a member has it.
+    pub plane_m: [f64; 3],
+}
+
 /// How the variety of acquisitions follows from that of differences.
 #[derive(Debug, Clone, Copy)]
 pub struct Variety<'a> {
@@ -33,7 +42,7 @@ pub struct Variety<'a> {
 
 /// Acquisitions from whitened differences; `band_shares` is the share of each band in white noise.
 pub fn acquisitions(
-    names: &[String],
+    sources: &[Source],
     whitened: &[Whitened],
     bad: &[bool],
     band_shares: &[f64],
@@ -59,18 +68,19 @@ pub fn acquisitions(
         };
         row.iter().enumerate().map(one).collect()
     };
-    let member = |((name, w), bad): ((&String, &Whitened), &bool)| {
+    let member = |((source, w), bad): ((&Source, &Whitened), &bool)| {
         let row = if *bad { of_bad(&row(w), &mean, classes, band_shares) } else { of_usual(&row(w)) };
         let (log_strength, log_amplitude) = row.split_at(classes);
         Member {
-            name: name.clone(),
+            name: source.name.clone(),
             bad: *bad,
+            plane_m: source.plane_m,
             log_strength: log_strength.to_vec(),
             log_amplitude: log_amplitude.to_vec(),
             field_log_amplitude: w.log_amplitude.clone(),
         }
     };
-    let members = names.iter().zip(whitened).zip(bad).map(member).collect();
+    let members = sources.iter().zip(whitened).zip(bad).map(member).collect();
     let count = bad.iter().filter(|bad| **bad).count() as f64;
     // A bad epoch spoils the two differences it takes part in.
     let bad_share = 0.5 * count / bad.len() as f64;
@@ -102,15 +112,15 @@ mod tests {
         }
     }
 
-    fn names(count: usize) -> Vec<String> {
-        (0..count).map(|i| format!("d{i}")).collect()
+    fn sources(count: usize) -> Vec<Source> {
+        (0..count).map(|i| Source { name: format!("d{i}"), plane_m: [0.0; 3] }).collect()
     }
 
     #[test]
     fn two_epochs_make_up_the_variance_of_their_difference() {
         let rasters: Vec<Whitened> = (0..12).map(|i| whitened(if i % 2 == 0 { 0.1 } else { -0.1 }, [0.0; 2])).collect();
         let found =
-            acquisitions(&names(12), &rasters, &[false; 12], &[0.3, 0.7], Variety { jitter: 0.0, own: &[1.0; 3] });
+            acquisitions(&sources(12), &rasters, &[false; 12], &[0.3, 0.7], Variety { jitter: 0.0, own: &[1.0; 3] });
         assert!(found.bad_share == 0.0);
         let draws: Vec<f64> = found.members.iter().map(|member| member.log_strength[0]).collect();
         let deviation = (draws[0] - draws[1]) / 2.0;
@@ -125,7 +135,7 @@ mod tests {
         let mut rasters: Vec<Whitened> = (0..9).map(|_| whitened(0.0, [0.0; 2])).collect();
         rasters.push(whitened(0.5 * log(5.0), [0.2, -0.1]));
         let bad: Vec<bool> = (0..10).map(|i| i == 9).collect();
-        let found = acquisitions(&names(10), &rasters, &bad, &[0.3, 0.7], Variety { jitter: 0.4, own: &[0.9; 3] });
+        let found = acquisitions(&sources(10), &rasters, &bad, &[0.3, 0.7], Variety { jitter: 0.4, own: &[0.9; 3] });
         assert!((found.bad_share - 0.05).abs() < 1e-12);
         let epochs = exp(2.0 * found.members[9].log_strength[0]) + exp(2.0 * found.members[0].log_strength[0]);
         assert!((epochs - 5.0).abs() < 1e-9, "{epochs}");

@@ -16,6 +16,7 @@ fn model() -> Noise {
         name: "a".into(),
         bad: false,
         log_strength: vec![0.0; 2],
+        plane_m: [0.0; 3],
         log_amplitude: vec![0.0; 4],
         field_log_amplitude: vec![0.0; 4],
     };

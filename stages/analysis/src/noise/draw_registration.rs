@@ -1,0 +1,86 @@
+//! `draw-registration`: what registration leaves in a difference, drawn from a learnt model.
+
+use rand::RngExt;
+
+use crate::noise::detrend::plane;
+use rockface_core::artefact::{Grid, Kind, Noise, Raster};
+use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
+
+params! {
+    /// Parameters of `draw-registration`: there are none.
+    pub struct DrawRegistrationParams {}
+}
+
+/// Gives a difference the offset and tilt that registration left in a raster the model was learnt from, in place of its own.
+pub struct DrawRegistration;
+
+impl Stage for DrawRegistration {
+    type Params = DrawRegistrationParams;
+    const NAME: &'static str = "draw-registration";
+    const VERSION: u32 = 1;
+    const PAGE: Page = Page::new(include_str!("draw_registration.md"));
+    const INPUTS: &'static [Port] = &[
+        Port::one("raster", &[Kind::Raster], "Difference of two registered surveys, metres."),
+        Port::one("noise", &[Kind::Noise], "The model."),
+    ];
+    const OUTPUTS: &'static [Port] =
+        &[Port::one("raster", &[Kind::Raster], "The difference with another offset and tilt, metres.")];
+
+    fn draws(_: &Self::Params) -> bool {
+        true
+    }
+
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        inputs.of("noise") + 3 * inputs.of("raster")
+    }
+
+    fn run(_: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let (raster, noise) = (inputs.one::<Raster>("raster")?, inputs.one::<Noise>("noise")?);
+        if noise.frame != raster.frame {
+            let text = format!("the model is in the {} frame, `raster` in the {} frame", noise.frame, raster.frame);
+            return Err(StageError::new(text).hint("learn the model from rasters in the frame of the difference"));
+        }
+        let mut changed = raster.clone();
+        for band in &mut changed.bands {
+            let Some(own_m) = plane(&band.values, raster.grid.columns) else {
+                let text = format!("the values of band `{}` lie on a line, or there are none", band.name);
+                return Err(
+                    StageError::new(text).hint("a plane needs an area: check window and gaps of the difference")
+                );
+            };
+            let wanted_m = drawn(noise, context, &band.name);
+            for (cell, z) in band.values.iter_mut().enumerate() {
+                let height_m = |plane_m, of| height_m(plane_m, of, raster.grid, cell);
+                *z += (height_m(wanted_m, noise.grid) - height_m(own_m, raster.grid)) as f32;
+            }
+        }
+        Ok(Outputs::of("raster", changed))
+    }
+}
+
+/// Height of a plane of the grid `of` at a cell of another grid in its frame.
+fn height_m(plane_m: [f64; 3], of: Grid, grid: Grid, cell: usize) -> f64 {
+    let [right_m, down_m] = [cell % grid.columns, cell / grid.columns].map(|index| index as f64 * grid.cell_m);
+    let [half_x_m, half_y_m] = [of.columns, of.rows].map(|count| 0.5 * count as f64 * of.cell_m);
+    let x = (grid.left_m + right_m - of.left_m) / half_x_m - 1.0;
+    let y = (of.top_m - grid.top_m + down_m) / half_y_m - 1.0;
+    plane_m[0] + plane_m[1] * x + plane_m[2] * y
+}
+
+/// The plane of a member with jitter, which keeps mean and covariance of the members' planes (smoothed bootstrap, Silverman 1986, 6.4).
+fn drawn(noise: &Noise, context: &Context, band: &str) -> [f64; 3] {
+    let count = noise.members.len();
+    let chosen = context.stream("registration", band).generator().random_range(0..count);
+    let random = context.stream("registration-jitter", band).field();
+    let scale = noise.jitter / (count as f64 - 1.0).max(1.0).sqrt();
+    let narrowing = 1.0 / (1.0 + noise.jitter * noise.jitter).sqrt();
+    std::array::from_fn(|k| {
+        let mean = noise.members.iter().map(|member| member.plane_m[k]).sum::<f64>() / count as f64;
+        let departure = |i: usize| noise.members[i].plane_m[k] - mean;
+        let jitter = (0..count).map(|i| scale * random.normal(i as i32, 0) * departure(i)).sum::<f64>();
+        mean + narrowing * (departure(chosen) + jitter)
+    })
+}
+
+#[cfg(test)]
+mod tests;

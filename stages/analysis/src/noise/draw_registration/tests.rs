@@ -1,0 +1,76 @@
+//! Planes have the distribution of the members', and their place on the face.
+
+use serde_json::json;
+
+use super::*;
+use crate::noise::learn_noise::tests::{CLEAN, COLUMNS, ROWS, grid};
+use rockface_core::artefact::{Artefact, Band, Frame, Noun};
+use rockface_core::testing::{TestHost, run_stage};
+
+/// A model whose planes have a mean and a spread, and the planes.
+fn model() -> (Noise, Vec<[f64; 3]>) {
+    let mut noise = CLEAN.clone();
+    for (number, member) in noise.members.iter_mut().enumerate() {
+        let sign = if number % 2 == 0 { 1.0 } else { -1.0 };
+        member.plane_m = [0.002 + 0.001 * sign, 0.003 * sign, -0.001 * sign];
+    }
+    let planes = noise.members.iter().map(|member| member.plane_m).collect();
+    (noise, planes)
+}
+
+fn settled(seed: u64, raster: &Raster) -> Result<Raster, StageError> {
+    let inputs = [("raster", raster.clone().into()), ("noise", Artefact::Noise(model().0))];
+    let outputs = run_stage::<DrawRegistration>(&TestHost::seeded(seed), &json!({}), &inputs)?.into_inner();
+    Ok(Raster::of(&outputs["raster"]).unwrap().clone())
+}
+
+fn tilted() -> Raster {
+    let value = |i: usize| if i % 11 == 3 { f32::NAN } else { 0.02 - 0.001 * (i % COLUMNS) as f32 };
+    Raster::single(grid(), Frame::Wall, "difference", "change", (0..COLUMNS * ROWS).map(value).collect())
+}
+
+#[test]
+fn the_plane_of_a_difference_becomes_one_like_those_of_the_members() {
+    let planes = model().1;
+    let drawn: Vec<[f64; 3]> =
+        (0..400).map(|seed| plane(&settled(seed, &tilted()).unwrap().bands[0].values, COLUMNS).unwrap()).collect();
+    let moments = |planes: &[[f64; 3]], k: usize| {
+        let mean = planes.iter().map(|plane| plane[k]).sum::<f64>() / planes.len() as f64;
+        let variance = planes.iter().map(|plane| (plane[k] - mean) * (plane[k] - mean)).sum::<f64>();
+        (mean, (variance / planes.len() as f64).sqrt())
+    };
+    for k in 0..3 {
+        let ((mean, deviation), (wanted, spread)) = (moments(&drawn, k), moments(&planes, k));
+        assert!((mean - wanted).abs() < 0.15 * spread, "{k}: {mean} {wanted}");
+        assert!((0.9..1.1).contains(&(deviation / spread)), "{k}: {deviation} {spread}");
+    }
+    let copies = drawn.iter().filter(|drawn| planes.iter().any(|plane| (plane[0] - drawn[0]).abs() < 1e-7)).count();
+    assert!(copies < 20, "{copies}");
+}
+
+#[test]
+fn gaps_and_details_stay_and_a_part_of_the_face_has_its_part_of_the_plane() {
+    let whole = settled(1, &tilted()).unwrap();
+    let gaps = |raster: &Raster| raster.bands[0].values.iter().map(|z| z.is_nan()).collect::<Vec<_>>();
+    assert_eq!(gaps(&whole), gaps(&tilted()));
+    // The right half of the columns.
+    let half = COLUMNS / 2;
+    let part = |raster: &Raster| {
+        let values = raster.bands[0].values.chunks(COLUMNS).flat_map(|row| row[half..].to_vec()).collect();
+        let grid = Grid { columns: half, left_m: 0.0, ..grid() };
+        Raster { grid, bands: vec![Band { values, ..raster.bands[0].clone() }], ..raster.clone() }
+    };
+    let (found, wanted) = (settled(1, &part(&tilted())).unwrap(), part(&whole));
+    for (found, wanted) in found.bands[0].values.iter().zip(&wanted.bands[0].values).filter(|(z, _)| !z.is_nan()) {
+        assert!((found - wanted).abs() < 1e-7, "{found} {wanted}");
+    }
+}
+
+#[test]
+fn differences_without_an_area_and_of_another_frame_are_refused() {
+    let mut line = tilted();
+    line.bands[0].values.iter_mut().skip(COLUMNS).for_each(|z| *z = f32::NAN);
+    assert!(settled(1, &line).unwrap_err().message.contains("lie on a line"));
+    let world = Raster { frame: Frame::World, ..tilted() };
+    assert!(settled(1, &world).unwrap_err().message.contains("the world frame"));
+}
