@@ -1,9 +1,10 @@
 //! Sweeps as curves: a number of a step against a swept axis, median and spread over everything else.
 
+use std::collections::{HashMap, HashSet};
 use std::fmt::Write as _;
 
 use rockface_core::numerics::quantile;
-use rockface_engine::history::Manifest;
+use rockface_engine::history::{Manifest, StepDone};
 use rockface_engine::plan::Graph;
 use serde::Serialize;
 
@@ -38,23 +39,30 @@ struct At {
 pub fn of(manifest: &Manifest, graph: &Graph, targets: &[String]) -> (Vec<Curve>, usize) {
     let swept = graph.axes.iter().filter(|axis| !axis.reseeds).map(|axis| axis.name.text.as_str());
     let swept: Vec<&str> = swept.collect();
-    let of_targets = of_steps(manifest, targets.iter().map(String::as_str), &swept);
+    if swept.is_empty() {
+        return (Vec::new(), 0);
+    }
+    let mut instances: HashMap<&str, Vec<&StepDone>> = HashMap::new();
+    for done in &manifest.steps {
+        instances.entry(&done.step).or_default().push(done);
+    }
+    let of_targets = of_steps(&instances, targets.iter().map(String::as_str), &swept);
     if !of_targets.0.is_empty() {
         return of_targets;
     }
-    let mut others: Vec<&str> = Vec::new();
-    for done in manifest.steps.iter().rev() {
-        if !others.contains(&done.step.as_str()) {
-            others.push(&done.step);
-        }
-    }
-    of_steps(manifest, others.into_iter(), &swept)
+    let mut seen: HashSet<&str> = HashSet::new();
+    let others = manifest.steps.iter().rev().map(|done| done.step.as_str()).filter(|step| seen.insert(step));
+    of_steps(&instances, others, &swept)
 }
 
-fn of_steps<'a>(manifest: &Manifest, steps: impl Iterator<Item = &'a str>, swept: &[&str]) -> (Vec<Curve>, usize) {
+fn of_steps<'a>(
+    instances: &HashMap<&str, Vec<&StepDone>>,
+    steps: impl Iterator<Item = &'a str>,
+    swept: &[&str],
+) -> (Vec<Curve>, usize) {
     let (mut curves, mut more) = (Vec::new(), 0);
     for target in steps {
-        let instances: Vec<_> = manifest.steps.iter().filter(|done| done.step == target).collect();
+        let Some(instances) = instances.get(target) else { continue };
         let mut names: Vec<(&str, &str)> = Vec::new();
         for metric in instances.iter().flat_map(|done| &done.metrics) {
             if !names.iter().any(|(name, _)| *name == metric.name) {

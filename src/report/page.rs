@@ -189,9 +189,11 @@ const UNFOLDED: usize = 4;
 /// Headlines by step, those of many points folded.
 fn grouped(lines: &[String], steps: &[StepView]) -> Vec<Headlines> {
     let mut groups: Vec<(String, Vec<Said>)> = Vec::new();
+    let mut places: BTreeMap<String, usize> = BTreeMap::new();
     for line in lines.iter().map(|line| said(line)) {
         let step = line.label.split('[').next().unwrap_or_default().to_owned();
-        match groups.iter_mut().find(|(known, _)| *known == step) {
+        let place = *places.entry(step.clone()).or_insert(groups.len());
+        match groups.get_mut(place) {
             Some((_, lines)) => lines.push(line),
             None => groups.push((step, vec![line])),
         }

@@ -1,6 +1,6 @@
 //! The steps of a run, each with its instances folded into one.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::path::Path;
 
 use rockface_cache::{Digest, RecipeInput};
@@ -14,6 +14,7 @@ use super::number::{Shown, bytes};
 use super::source::Source;
 use super::tables::{self, TableView};
 use rockface_engine::history::StepDone;
+use rockface_engine::plan::GraphStep;
 use rockface_engine::watch::duration;
 
 /// Instances of a step whose pictures, tables and files are shown.
@@ -142,6 +143,8 @@ pub struct Linker<'a> {
     pub source: &'a Source<'a>,
     /// Whether addresses are relative to the run folder or absolute.
     pub links: Links,
+    /// The steps as they are written, by name.
+    written: HashMap<&'a str, &'a GraphStep>,
     /// The steps whose outputs no other reads, but to draw them.
     pub ends: BTreeSet<String>,
     /// The outputs that pictures show: they need no second one.
@@ -160,7 +163,9 @@ impl<'a> Linker<'a> {
             kinds().count() > 0 && kinds().all(|kind| matches!(kind, "picture" | "figure"))
         };
         let drawn = source.manifest.steps.iter().filter(draws).flat_map(|done| done.inputs.values());
-        Self { source, links, ends: ends.unwrap_or_default(), drawn: drawn.flat_map(digests).collect() }
+        let written =
+            source.graph.iter().flat_map(|graph| &graph.steps).map(|step| (step.name.as_str(), step)).collect();
+        Self { source, links, written, ends: ends.unwrap_or_default(), drawn: drawn.flat_map(digests).collect() }
     }
 
     /// The address of an output's file, where there is one.
@@ -225,7 +230,8 @@ pub fn gather(linker: &Linker, targets: &[String], budget: &mut Budget) -> Gathe
         });
         order[row].1.push(place);
     }
-    let is_target = |name: &str| targets.iter().any(|target| target == name);
+    let targeted: HashSet<&str> = targets.iter().map(String::as_str).collect();
+    let is_target = |name: &str| targeted.contains(name);
     let mut gathered = Gathered { more_steps: order.len().saturating_sub(STEPS), ..Gathered::default() };
     if gathered.more_steps > 0 {
         let mut others = STEPS.saturating_sub(targets.len());
@@ -236,9 +242,7 @@ pub fn gather(linker: &Linker, targets: &[String], budget: &mut Budget) -> Gathe
         });
         order.truncate(STEPS);
     }
-    if let Some(graph) = linker.source.graph {
-        order.sort_by_key(|(name, _)| graph.steps.iter().find(|step| step.name == *name).map(|step| step.written));
-    }
+    order.sort_by_key(|(name, _)| linker.written.get(name).map(|step| step.written));
     for (name, places) in &order {
         let mut view = step(linker, name, &places.iter().map(|place| &all[*place]).collect::<Vec<_>>());
         view.target = is_target(name);
@@ -275,8 +279,7 @@ fn step(linker: &Linker, name: &str, instances: &[&StepDone]) -> StepView {
         digest: output.digest.short(),
         link: linker.output(done, port),
     };
-    let graph = linker.source.graph;
-    let written = graph.and_then(|graph| graph.steps.iter().find(|step| step.name == name));
+    let written = linker.written.get(name);
     StepView {
         name: name.to_owned(),
         title: written.and_then(|step| step.title.clone()).unwrap_or_else(|| name.to_owned()),

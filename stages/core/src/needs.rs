@@ -53,6 +53,11 @@ impl<'a> InputSizes<'a> {
         self.at(port).map(InputSize::in_memory).max().unwrap_or(0)
     }
 
+    /// So many times the bytes of all inputs at one port in memory.
+    pub fn times(&self, factor: f64, port: &str) -> u64 {
+        (factor * self.of(port) as f64) as u64
+    }
+
     /// How many inputs there are at a port.
     pub fn count(&self, port: &str) -> u64 {
         self.at(port).count() as u64
@@ -91,6 +96,7 @@ mod tests {
             (inputs.total(), inputs.of("depth"), inputs.largest("depth"), inputs.count("depth")),
             (154, 140, 100, 2)
         );
+        assert_eq!(inputs.times(1.5, "depth"), 210);
         assert_eq!(inputs.small("table", |table: &Table| table.columns.len()), Some(1));
         assert_eq!(inputs.small("depth", |table: &Table| table.columns.len()), None);
     }

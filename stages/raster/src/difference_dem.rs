@@ -3,7 +3,7 @@
 use crate::grid;
 use rockface_core::artefact::{Band, Kind, Raster};
 use rockface_core::numerics::marginal;
-use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
 params! {
     /// Parameters of `difference-dem`: there are none.
@@ -24,6 +24,11 @@ impl Stage for DifferenceDem {
     ];
     const OUTPUTS: &'static [Port] =
         &[Port::one("raster", &[Kind::Raster], "Quantity `difference`, metres; NaN where either has no value.")];
+
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        // The difference, its file and its sketch.
+        inputs.total() + inputs.total() * 22 / 10
+    }
 
     fn run(_params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let (reference, comparison) = (inputs.one::<Raster>("reference")?, inputs.one::<Raster>("comparison")?);

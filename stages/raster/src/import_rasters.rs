@@ -8,7 +8,7 @@ use rockface_core::crs::{self, CrsName, Settled, Tool, settle, wall_without_syst
 use rockface_core::format::geotiff::{self, DAMAGED, System};
 use rockface_core::numerics::marginal;
 use rockface_core::params::{Fault, FilesRef};
-use rockface_core::{Context, Inputs, Outputs, Page, Port, SourceFile, Stage, StageError, choice, params};
+use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, SourceFile, Stage, StageError, choice, params};
 
 choice! {
     /// The frame of imported grids.
@@ -56,6 +56,11 @@ impl Stage for ImportRasters {
     fn check(params: &Self::Params) -> Vec<Fault> {
         let is_wall = params.frame == GridFrame::Wall;
         params.crs.as_ref().and_then(|_| wall_without_system(is_wall)).into_iter().collect()
+    }
+
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        // The bands, as they are read, as they are kept, and their file.
+        inputs.total() * 26 / 10
     }
 
     fn run(params: &Self::Params, _inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

@@ -71,9 +71,21 @@ impl Stage for RasteriseDem {
         window::faults(params.window_m)
     }
 
-    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
-        // The surface, as it is read and as it is used, and sums and counts of the cells.
-        5 * inputs.of("surface") + 3 * inputs.of("grid")
+    fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
+        // The cells, their raster and its file, and for a median the heights in them; of a surface without a window a cell a point.
+        let cells_of = |window_m| window::cells(window_m, params.cell_m);
+        let band = match (inputs.of("grid"), params.window_m) {
+            (0, None) => inputs.times(0.33, "surface"),
+            (0, Some(window_m)) => 4 * cells_of(window_m),
+            (grid, _) => grid / inputs.small("grid", |grid: &Raster| grid.bands.len().max(1) as u64).unwrap_or(1),
+        };
+        let lists = match params.method {
+            DemMethod::Median => inputs.times(2.5, "surface"),
+            DemMethod::Nearest => 6 * band,
+            DemMethod::Mean | DemMethod::Tin => 0,
+        };
+        let coverage = if params.coverage { 2 * band } else { 0 };
+        inputs.total() + lists + 23 * band / 10 + coverage + (6 << 20)
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

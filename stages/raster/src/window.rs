@@ -19,6 +19,12 @@ pub fn faults(window_m: Option<[f64; 4]>) -> Vec<Fault> {
     }
 }
 
+/// About how many cells a window holds, for an estimate of memory; at most a number no memory has room for.
+pub fn cells([left, right, bottom, top]: [f64; 4], cell_m: f64) -> u64 {
+    const NO_ROOM: f64 = 1e15;
+    ((right - left) / cell_m * ((top - bottom) / cell_m)).clamp(0.0, NO_ROOM) as u64
+}
+
 /// The part of a raster in a window (left, right, bottom, top), metres: the cells that lie in it whole, all bands in their order.
 ///
 /// # Errors

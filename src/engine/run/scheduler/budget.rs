@@ -68,6 +68,11 @@ impl MemoryBudget {
         self.running.remove(&instance);
     }
 
+    /// What a running instance is expected to need.
+    pub fn claim(&self, instance: usize) -> u64 {
+        self.running.get(&instance).copied().unwrap_or(0)
+    }
+
     /// What a ready instance is expected to need, if that is known.
     pub fn estimate(&self, instance: usize) -> Option<u64> {
         self.estimates.get(&instance).copied()

@@ -5,7 +5,7 @@ use crate::figure::picture;
 use crate::figure::picture::look::Look;
 use rockface_core::artefact::{Artefact, Kind, Picture};
 use rockface_core::params::Range;
-use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
+use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
 use rockface_raster::rasterise;
 use rockface_raster::shape::Shape;
 
@@ -58,6 +58,11 @@ impl Stage for DrawPicture {
         "What is drawn; meshes and surfaces are seen along Z.",
     )];
     const OUTPUTS: &'static [Port] = &[Port::one("picture", &[Kind::Picture], "PNG.")];
+
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        // The picture, and the triangles of a mesh as they are drawn.
+        inputs.total() + inputs.total() * 6 / 10 + (4 << 20)
+    }
 
     fn run(params: &Self::Params, inputs: &Inputs, _context: &Context) -> Result<Outputs, StageError> {
         let subject = inputs.artefact("subject")?;

@@ -4,7 +4,7 @@ use crate::figure::rockfall_figure;
 use crate::figure::rockfall_figure::{Figure, Rockfall};
 use rockface_core::artefact::{Artefact, Frame, Grid, Inventory, Kind, Picture};
 use rockface_core::params::Range;
-use rockface_core::{Context, Element, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_core::{Context, Element, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 use rockface_raster::shape::Shape;
 use rockface_raster::{columns, rasterise};
 use rockface_rock::rockfall::power_law;
@@ -42,6 +42,11 @@ impl Stage for DrawRockfall {
         Port::optional("requested", &[Kind::Table, Kind::Inventory], "Volumes that were asked for, one a row."),
     ];
     const OUTPUTS: &'static [Port] = &[Port::one("picture", &[Kind::Picture], "PNG.")];
+
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        // The picture, and the triangles as they are drawn.
+        inputs.total() + inputs.total() / 2 + (10 << 20)
+    }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let inventory = inputs.one::<Inventory>("truth")?;

@@ -43,7 +43,7 @@ impl Stage for AdjustNoise {
     const OUTPUTS: &'static [Port] = &[Port::one("noise", &[Kind::Noise], "The model, adjusted.")];
 
     fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
-        6 * (inputs.of("simulated") + inputs.of("drawn")) + 2 * inputs.of("noise") + 80 * inputs.of("dem")
+        3 * (inputs.of("simulated") + inputs.of("drawn")) + inputs.of("noise") + 60 * inputs.of("dem")
     }
 
     fn run(_: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

@@ -33,7 +33,7 @@ impl Stage for DrawNoise {
     }
 
     fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
-        2 * inputs.of("noise") + 60 * inputs.of("dem")
+        inputs.total() + 22 * inputs.of("dem")
     }
 
     fn run(_: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

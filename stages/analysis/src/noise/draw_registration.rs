@@ -69,16 +69,14 @@ fn height_m(plane_m: [f64; 3], of: Grid, grid: Grid, cell: usize) -> f64 {
 
 /// The plane of a member with jitter, which keeps mean and covariance of the members' planes (smoothed bootstrap, Silverman 1986, 6.4).
 fn drawn(noise: &Noise, context: &Context, band: &str) -> [f64; 3] {
-    let count = noise.members.len();
-    let chosen = context.stream("registration", band).generator().random_range(0..count);
-    let random = context.stream("registration-jitter", band).field();
-    let scale = noise.jitter / (count as f64 - 1.0).max(1.0).sqrt();
+    let members: Vec<usize> = (0..noise.members.len()).collect();
+    let chosen = &noise.members[context.stream("registration", band).generator().random_range(0..members.len())];
+    let jitter =
+        noise.departure(&members, &context.stream("registration-jitter", band).field(), |member| &member.plane_m);
     let narrowing = 1.0 / (1.0 + noise.jitter * noise.jitter).sqrt();
     std::array::from_fn(|k| {
-        let mean = noise.members.iter().map(|member| member.plane_m[k]).sum::<f64>() / count as f64;
-        let departure = |i: usize| noise.members[i].plane_m[k] - mean;
-        let jitter = (0..count).map(|i| scale * random.normal(i as i32, 0) * departure(i)).sum::<f64>();
-        mean + narrowing * (departure(chosen) + jitter)
+        let mean = noise.members.iter().map(|member| member.plane_m[k]).sum::<f64>() / members.len() as f64;
+        mean + narrowing * (chosen.plane_m[k] - mean + jitter[k])
     })
 }
 

@@ -98,7 +98,7 @@ impl Stage for LearnNoise {
 
     fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
         // The rasters in disparity, their whitened fields with weights, and transforms of a few at a time.
-        5 * inputs.of("raster") + 150 * inputs.of("dem")
+        3 * inputs.of("raster") + 95 * inputs.of("dem")
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

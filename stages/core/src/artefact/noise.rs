@@ -1,6 +1,7 @@
 //! A model of the matching noise of a site, learnt from rasters without change: what `match-pair` draws acquisitions from.
 
 use super::{CodecError, Frame, Grid};
+use crate::numerics::random::Field;
 
 /// One acquisition the model knows: how strong and how coarse its noise is, and where its whitened field comes from.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -110,6 +111,25 @@ impl Noise {
     /// Whether an acquisition mixes the fields of members; otherwise it is drawn from white noise.
     pub fn has_fields(&self) -> bool {
         !self.fields.is_empty()
+    }
+
+    /// What a draw adds to values that every member has: a random sum of the departures of some members from their mean, which has
+    /// their covariance times the square of [`Noise::jitter`]. The same field of random numbers goes with the same sum whatever the values.
+    pub fn departure<'a>(
+        &'a self,
+        members: &[usize],
+        random: &Field,
+        values: impl Fn(&'a Member) -> &'a [f64],
+    ) -> Vec<f64> {
+        let count = members.len() as f64;
+        let scale = self.jitter / (count - 1.0).max(1.0).sqrt();
+        let weights: Vec<f64> = (0..members.len()).map(|i| scale * random.normal(i as i32, 0)).collect();
+        let rows: Vec<&[f64]> = members.iter().map(|i| values(&self.members[*i])).collect();
+        let sum = |k: usize| {
+            let mean = rows.iter().map(|row| row[k]).sum::<f64>() / count;
+            rows.iter().zip(&weights).map(|(row, weight)| weight * (row[k] - mean)).sum::<f64>()
+        };
+        (0..rows.first().map_or(0, |row| row.len())).map(sum).collect()
     }
 
     /// Checks that the parts fit each other.

@@ -3,7 +3,7 @@
 use crate::depth::depth_cells::{Cells, Sigma, reduce};
 use rockface_core::artefact::{Band, Depth, Frame, Grid, Kind, Raster, Sample};
 use rockface_core::params::{Fault, Range};
-use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, params};
+use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 use rockface_raster::window;
 
 params! {
@@ -31,6 +31,13 @@ impl Stage for GridDepth {
 
     fn check(params: &Self::Params) -> Vec<Fault> {
         window::faults(params.window_m)
+    }
+
+    fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
+        // Sums of the cells, both bands and their file; a cell a pixel, or those of the window.
+        let pixels = inputs.of("depth") / 8;
+        let cells = params.window_m.map_or(pixels, |window_m| window::cells(window_m, params.cell_m).min(pixels));
+        inputs.total() + 48 * cells
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

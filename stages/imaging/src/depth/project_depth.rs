@@ -61,14 +61,16 @@ impl Stage for ProjectDepth {
     }
 
     fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
-        // Depths in double precision, once more for their median, and the map; with `before` the triangles that changed.
+        // Depths in double precision with the numbers of the triangles and these by bands, or with the map and its file; with
+        // `before` the triangles that changed.
         let pixels = inputs.small("cameras", |cameras: &Cameras| {
             let sensor = cameras.image(&params.image).map(|image| cameras.sensor(image));
             let side = |pixels: u32| u64::from(pixels / params.downscale.max(1));
             sensor.map_or(0, |sensor| side(sensor.width_px) * side(sensor.height_px))
         });
-        let meshes = inputs.of("mesh") + inputs.of("before_mesh");
-        2 * meshes + 3 * inputs.of("before_mesh") + 2 * inputs.of("before") + 30 * pixels.unwrap_or(0)
+        let pixels = pixels.unwrap_or(0);
+        let drawing = 25 * pixels / 2 + inputs.times(1.9, "mesh");
+        inputs.total() + drawing.max(17 * pixels) + inputs.times(2.2, "before_mesh")
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

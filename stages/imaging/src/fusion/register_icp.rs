@@ -69,8 +69,8 @@ impl Stage for RegisterIcp {
     const OUTPUTS: &'static [Port] = &[Port::one("transform", &[Kind::Transform], "target_from_source.")];
 
     fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
-        // Both surfaces, as read and as used; only samples of them are matched.
-        2 * inputs.total()
+        // Normals and the search tree of one surface; only samples of the other are matched.
+        inputs.total() + inputs.total() / 2
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

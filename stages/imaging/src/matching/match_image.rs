@@ -109,8 +109,10 @@ impl Stage for MatchImage {
     }
 
     fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
-        // The ideal maps that are held; the map and its channels with two copies while they are written, terms of the noise.
-        inputs.total() + inputs.of("noise") + (3 * (1 + params.channels.len() as u64) + 3) * inputs.largest("depths")
+        // The ideal maps that are held; the map and its channels, with two copies while they are written; terms of the noise.
+        let maps = 1 + params.channels.len() as u64;
+        let terms = if params.matching.matcher.is_some() { 3 } else { 0 };
+        inputs.total() + (33 * maps / 10 + terms) * inputs.largest("depths")
     }
 
     fn check(params: &Self::Params) -> Vec<Fault> {

@@ -61,11 +61,11 @@ impl Stage for MatchPair {
     }
 
     fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
-        // Both maps, the noisy one and its file; further terms of the noise and channels are maps too.
-        let maps = inputs.of("first") + inputs.of("second");
-        let terms = if params.matching.matcher.is_some() { 2 } else { 0 };
+        // The noisy map, its file and its rows as they are made; further terms of the noise and channels are maps too.
+        let map = inputs.of("first").max(inputs.of("second"));
+        let terms = if params.matching.matcher.is_some() { 4 } else { 0 };
         let channels = if params.channels { 24 } else { 0 };
-        (4 + terms) * maps + channels * inputs.of("first") + 2 * inputs.of("noise") + inputs.of("errors")
+        inputs.total() + inputs.of("noise") + map * 33 / 10 + (terms + channels) * map
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

@@ -139,9 +139,9 @@ impl Stage for EstimateCovariance {
         faults
     }
 
-    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
-        // The mesh with a search tree over its triangles, for visibility.
-        7 * inputs.of("mesh")
+    fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
+        // The mesh with a search tree over its triangles, for visibility; what is known of each tie point.
+        inputs.times(2.3, "mesh") + (params.tie_points as u64) * (16 << 10)
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

@@ -68,7 +68,7 @@ impl Stage for ForecastPrecision {
 
     fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
         // The mesh with a search tree over its triangles, and the raster of its cells.
-        7 * inputs.of("mesh") + 4 * inputs.of("difference")
+        inputs.times(2.3, "mesh") + 2 * inputs.of("difference")
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

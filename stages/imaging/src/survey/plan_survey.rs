@@ -8,7 +8,7 @@ use crate::survey::overlap::{Views, depths_seen};
 use crate::survey::stations::{Strips, count_to_cover, looking, scatter};
 use rockface_core::artefact::{Cameras, Frame, Image, Kind, Mesh, Sensor};
 use rockface_core::params::{Fault, Range};
-use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
+use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
 
 /// Vertices sampled for the coverage of the images.
 const SAMPLES: usize = 20_000;
@@ -151,6 +151,11 @@ impl Stage for PlanSurvey {
             fault("directions_deg", "one direction at least is needed: [[0, 0]] looks straight at the face");
         }
         faults
+    }
+
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        // A plane through the mesh, and a camera after the other.
+        inputs.total() + (4 << 20)
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use crate::survey::overlap::{NoPair, Views, sample_vertices};
 use rockface_core::artefact::{Cameras, Kind, Mesh, Pair, Pairs};
 use rockface_core::params::{Fault, Range};
-use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
 /// Vertices sampled for the overlap of images.
 const SAMPLES: usize = 20_000;
@@ -49,6 +49,11 @@ impl Stage for SelectPairs {
         let mut fault = Fault::new("greater than `max_base_to_distance`: no pair can be within the limits");
         fault.path = vec!["min_base_to_distance".to_owned()];
         vec![fault]
+    }
+
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        // Samples of the mesh.
+        inputs.total() + (4 << 20)
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

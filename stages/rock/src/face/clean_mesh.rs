@@ -6,7 +6,7 @@ use crate::face::mesh_cleaning;
 use crate::face::mesh_cleaning::Mended;
 use rockface_core::artefact::{Frame, Kind, Mesh, Raster, Surface};
 use rockface_core::params::{Fault, Range};
-use rockface_core::{Context, Inputs, Outputs, Page, Port, Ports, Stage, StageError, choice, fail, params};
+use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Ports, Stage, StageError, choice, fail, params};
 use rockface_raster::surface_cleaning::{Removed, Rules, clean};
 use rockface_raster::window;
 
@@ -62,6 +62,15 @@ impl Stage for CleanMesh {
 
     fn check(params: &Self::Params) -> Vec<Fault> {
         window::faults(params.window_m)
+    }
+
+    fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
+        // What is left of it, and its file; of a mesh its edges too.
+        let copies = match params.of {
+            Subject::Surface => inputs.times(1.1, "surface"),
+            Subject::Mesh => 3 * inputs.of("mesh"),
+        };
+        inputs.total() + copies
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

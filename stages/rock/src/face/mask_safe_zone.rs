@@ -4,7 +4,7 @@ use crate::face::safe_zone;
 use crate::face::safe_zone::{Rules, Zone};
 use rockface_core::artefact::{Band, Frame, Kind, Mesh, Raster, Sample};
 use rockface_core::params::Range;
-use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, params};
+use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 
 params! {
     /// Parameters of `mask-safe-zone`.
@@ -29,6 +29,11 @@ impl Stage for MaskSafeZone {
     const INPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The face, wall frame.")];
     const OUTPUTS: &'static [Port] =
         &[Port::one("zone", &[Kind::Raster], "Mask, band `zone`: 1 where a block may stand.")];
+
+    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
+        // The neighbours of the triangles on the border.
+        inputs.total() + inputs.times(0.65, "mesh")
+    }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let mesh: &Mesh = inputs.one("mesh")?;

@@ -180,7 +180,7 @@ impl Stage for RemoveBlocks {
 
     fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
         // The face with its search tree and neighbours, and the face after.
-        5 * inputs.of("mesh") + 2 * inputs.total()
+        inputs.total() + inputs.times(3.2, "mesh")
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

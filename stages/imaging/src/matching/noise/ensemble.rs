@@ -70,7 +70,12 @@ pub fn draw(noise: &Noise, keys: Keys) -> Drawn {
     } else {
         nearest(&noise.members, member, &good, noise.donors)
     };
-    let [log_strength, wanted] = jittered(noise, member, &good, &keys("noise-jitter", "").field());
+    let random = keys("noise-jitter", "").field();
+    let jittered = |values: fn(&Member) -> &[f64]| -> Vec<f64> {
+        let departure = noise.departure(&good, &random, values);
+        values(member).iter().zip(departure).map(|(value, departure)| value + departure).collect()
+    };
+    let (log_strength, wanted) = (jittered(|member| &member.log_strength), jittered(|member| &member.log_amplitude));
     let mixed = if noise.has_fields() {
         let coins: Vec<f64> = donors.iter().map(|_| generator.random()).collect();
         mixture(noise, &donors, &coins, keys)
@@ -106,22 +111,6 @@ fn nearest(members: &[Member], member: &Member, class: &[usize], count: usize) -
     let mut order: Vec<(f64, usize)> = rows.iter().map(distance).zip(class.iter().copied()).collect();
     order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     order.into_iter().take(count).map(|(_, i)| i).collect()
-}
-
-/// Strengths and amplitudes of a member with jitter: a random sum of the departures of all usual members, which has their covariance.
-fn jittered(noise: &Noise, member: &Member, usual: &[usize], random: &Field) -> [Vec<f64>; 2] {
-    let count = usual.len() as f64;
-    let scale = noise.jitter / (count - 1.0).max(1.0).sqrt();
-    let weights: Vec<f64> = (0..usual.len()).map(|i| scale * random.normal(i as i32, 0)).collect();
-    let with = |values: fn(&Member) -> &[f64]| {
-        let at = |(k, value): (usize, &f64)| {
-            let mean = usual.iter().map(|i| values(&noise.members[*i])[k]).sum::<f64>() / count;
-            let departure = |(i, weight): (&usize, &f64)| weight * (values(&noise.members[*i])[k] - mean);
-            value + usual.iter().zip(&weights).map(departure).sum::<f64>()
-        };
-        values(member).iter().enumerate().map(at).collect()
-    };
-    [with(|member| &member.log_strength), with(|member| &member.log_amplitude)]
 }
 
 /// Some of a list, each at most once (the beginning of a Fisher-Yates shuffle); all where there are no more.
