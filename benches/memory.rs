@@ -33,11 +33,12 @@ const SITE: &str = "ROCKFACE_BENCH_SITE";
 const OF_SITE: &str = "calibrate-site";
 
 /// Pipelines, what they are to make, and what is set in them.
-const RUNS: [(&str, &[&str], &[&str]); 5] = [
+const RUNS: [(&str, &[&str], &[&str]); 6] = [
     ("quickstart", &[], &[]),
     ("calibrate", &["references"], &["axes.reference.count=2"]),
     ("hunter-valley", &[], &[]),
     ("nobbys-head", &[], &["params.downscale=2"]),
+    ("benchmark", &[], &["params.count=20"]),
     (OF_SITE, &[], &["params.replicates=8"]),
 ];
 

@@ -30,12 +30,24 @@ pub type SmallInput<'a> = dyn Fn(&str) -> Option<Arc<Artefact>> + 'a;
 pub struct InputSizes<'a> {
     sizes: Vec<InputSize>,
     small: &'a SmallInput<'a>,
+    kept: bool,
 }
 
 impl<'a> InputSizes<'a> {
     /// Inputs of these sizes.
     pub fn new(sizes: Vec<InputSize>, small: &'a SmallInput<'a>) -> Self {
-        Self { sizes, small }
+        Self { sizes, small, kept: false }
+    }
+
+    /// The same for a step whose outputs are kept or not.
+    #[must_use]
+    pub fn kept(self, kept: bool) -> Self {
+        Self { kept, ..self }
+    }
+
+    /// So many bytes if the outputs are kept, else 0: those of the file of an output, which is made whole before it is written.
+    pub fn of_file(&self, bytes: u64) -> u64 {
+        if self.kept { bytes } else { 0 }
     }
 
     /// Bytes of all inputs in memory.
@@ -67,9 +79,14 @@ impl<'a> InputSizes<'a> {
         self.sizes.iter().filter(move |size| size.port == port)
     }
 
+    /// The only input at a port; `None` where it is large and not at hand.
+    pub fn value(&self, port: &str) -> Option<Arc<Artefact>> {
+        (self.small)(port)
+    }
+
     /// Does something with the only input at a port, such as cameras; `None` where it is large and not at hand.
     pub fn small<T: Noun, R>(&self, port: &str, look: impl FnOnce(&T) -> R) -> Option<R> {
-        let value = (self.small)(port)?;
+        let value = self.value(port)?;
         T::of(&value).map(look)
     }
 }
@@ -97,7 +114,9 @@ mod tests {
             (154, 140, 100, 2)
         );
         assert_eq!(inputs.times(1.5, "depth"), 210);
+        assert!(inputs.value("table").is_some() && inputs.value("depth").is_none());
         assert_eq!(inputs.small("table", |table: &Table| table.columns.len()), Some(1));
         assert_eq!(inputs.small("depth", |table: &Table| table.columns.len()), None);
+        assert_eq!((inputs.of_file(9), inputs.kept(true).of_file(9)), (0, 9));
     }
 }

@@ -98,7 +98,8 @@ impl Scheduler<'_> {
             memory_bytes: None,
         }));
         let small = |port: &str| self.small_input(instance, port);
-        self.plan.step(instance).stage.memory_bytes(&planned.params.canonical, &InputSizes::new(sizes, &small))
+        let sizes = InputSizes::new(sizes, &small).kept(self.must_keep(instance));
+        self.plan.step(instance).stage.memory_bytes(&planned.params.canonical, &sizes)
     }
 
     /// The only value at an input port, if it is in memory or small.

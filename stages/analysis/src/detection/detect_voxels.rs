@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use crate::detection::change::Change;
 use crate::detection::found;
 use crate::detection::found::Found;
-use crate::detection::voxels::{Cluster, Voxels};
+use crate::detection::voxels::{self, Cluster, Voxels};
 use rockface_core::artefact::{Artefact, Grid, Kind, Surface, Transform};
 use rockface_core::params::Range;
-use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 use rockface_raster::raster_surface;
 use rockface_raster::shape::{Moved, Shape};
 
@@ -47,6 +47,14 @@ impl Stage for DetectVoxels {
         Port::one("detections", &[Kind::Inventory], "One feature a cluster: outline, volume, area, depth, box, score."),
         Port::one("labels", &[Kind::Raster], "Number of the cluster of each column of voxels, 0 for none."),
     ];
+
+    fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
+        // What is known of each voxel of the box around both, and triangles between the cells of rasters.
+        let boxes = ["reference", "comparison"].map(|port| inputs.value(port).as_deref().and_then(voxels::size_m));
+        let voxels = |size_m: [f64; 3]| size_m.map(|side_m| side_m / params.voxel_m + 3.0).iter().product::<f64>();
+        let most = boxes.into_iter().flatten().map(voxels).fold(0.0, f64::max).min(voxels::MAXIMUM);
+        4 * inputs.total() + (3.0 * most) as u64
+    }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let mut made = Vec::new();

@@ -4,17 +4,38 @@ use std::sync::atomic::{AtomicU8, Ordering};
 
 use rayon::prelude::*;
 
+use rockface_core::artefact::Artefact;
 use rockface_core::{StageError, fail};
 use rockface_raster::shape::{Moved, Shape};
 
-/// Voxels a grid may have.
-const MAXIMUM: f64 = 6e8;
+/// Voxels a grid may have; their places fit into 32 bits.
+pub const MAXIMUM: f64 = 6e8;
 /// The reference occupies a voxel.
 const REFERENCE: u8 = 1;
 /// The comparison occupies a voxel.
 const COMPARISON: u8 = 2;
 /// A voxel is reached from outside, or was taken.
 const DONE: u8 = 4;
+
+/// The sides of the box around a surface, metres; `None` without points.
+pub fn size_m(artefact: &Artefact) -> Option<[f64; 3]> {
+    let range = |values: &mut dyn Iterator<Item = f64>| {
+        let ends = |[low, high]: [f64; 2], value: f64| [low.min(value), high.max(value)];
+        let [low, high] = values.fold([f64::INFINITY, f64::NEG_INFINITY], ends);
+        (low <= high).then_some(high - low)
+    };
+    if let Artefact::Raster(raster) = artefact {
+        let height_m = range(&mut raster.bands.first()?.values.iter().map(|z| f64::from(*z)))?;
+        return Some([
+            raster.grid.columns as f64 * raster.grid.cell_m,
+            raster.grid.rows as f64 * raster.grid.cell_m,
+            height_m,
+        ]);
+    }
+    let shape = Shape::of(artefact)?;
+    let side = |axis: usize| range(&mut (0..shape.places()).map(|place| shape.point(place, None)[axis]));
+    Some([side(0)?, side(1)?, side(2)?])
+}
 
 /// A cubic lattice around two surfaces, with a layer of empty voxels on every side.
 pub struct Voxels {
@@ -77,6 +98,12 @@ impl Voxels {
         Ok(voxels)
     }
 
+    /// The voxel at a place.
+    fn position(&self, place: usize) -> [usize; 3] {
+        let cells = self.count[0] * self.count[1];
+        [place % self.count[0], place % cells / self.count[0], place / cells]
+    }
+
     fn place(&self, [x, y, z]: [usize; 3]) -> usize {
         (z * self.count[1] + y) * self.count[0] + x
     }
@@ -113,12 +140,10 @@ impl Voxels {
     pub fn enclosed(mut self) -> Vec<Cluster> {
         self.flood();
         let mut clusters = Vec::new();
-        let cells = self.count[0] * self.count[1];
         for first in 0..self.flags.len() {
             if self.flags[first] == 0 {
                 self.flags[first] = DONE;
-                let start = [first % self.count[0], first % cells / self.count[0], first / cells];
-                clusters.push(self.cluster(start));
+                clusters.push(self.cluster(self.position(first)));
             }
         }
         clusters
@@ -126,9 +151,11 @@ impl Voxels {
 
     /// Marks what is reached from the lower corner, which is outside as every border voxel is.
     fn flood(&mut self) {
-        let mut open = vec![[0usize; 3]];
+        // Places instead of positions: in a large box a quarter of all voxels can be open at a time.
+        let mut open = vec![0u32];
         self.flags[0] |= DONE;
-        while let Some(at) = open.pop() {
+        while let Some(place) = open.pop() {
+            let at = self.position(place as usize);
             for axis in 0..3 {
                 for step in [-1, 1] {
                     let moved = at[axis] as i64 + step;
@@ -140,7 +167,7 @@ impl Voxels {
                     let place = self.place(next);
                     if self.flags[place] == 0 {
                         self.flags[place] = DONE;
-                        open.push(next);
+                        open.push(place as u32);
                     }
                 }
             }

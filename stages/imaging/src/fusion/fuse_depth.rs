@@ -30,8 +30,9 @@ impl Stage for FuseDepth {
     const OUTPUTS: &'static [Port] = &[Port::one("surface", &[Kind::Surface], "The surface.")];
 
     fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
-        // Normals and points of the surface beside the map; measured at 2 and 45 megapixels.
-        inputs.times(4.4, "depth")
+        // Points and normals of the surface; measured at 2 and 45 megapixels.
+        let surface = inputs.times(3.3, "depth");
+        inputs.total() + surface + inputs.of_file(surface)
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

@@ -48,7 +48,7 @@ impl Stage for FuseGrids {
 
     fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
         // All grids at once; the fused grid, its surface and their files.
-        inputs.total() + 14 * inputs.largest("grids")
+        inputs.total() + 7 * inputs.largest("grids")
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

@@ -65,9 +65,9 @@ impl Stage for CleanMesh {
     }
 
     fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
-        // What is left of it, and its file; of a mesh its edges too.
+        // What is left of it; of a mesh its edges too.
         let copies = match params.of {
-            Subject::Surface => inputs.times(1.1, "surface"),
+            Subject::Surface => inputs.times(1.1, "surface") + inputs.of_file(inputs.of("surface")),
             Subject::Mesh => 3 * inputs.of("mesh"),
         };
         inputs.total() + copies
