@@ -31,18 +31,30 @@ pub struct InputSizes<'a> {
     sizes: Vec<InputSize>,
     small: &'a SmallInput<'a>,
     kept: bool,
+    threads: u64,
 }
 
 impl<'a> InputSizes<'a> {
     /// Inputs of these sizes.
     pub fn new(sizes: Vec<InputSize>, small: &'a SmallInput<'a>) -> Self {
-        Self { sizes, small, kept: false }
+        Self { sizes, small, kept: false, threads: 1 }
     }
 
     /// The same for a step whose outputs are kept or not.
     #[must_use]
     pub fn kept(self, kept: bool) -> Self {
         Self { kept, ..self }
+    }
+
+    /// The same for a step that has so many threads.
+    #[must_use]
+    pub fn on_threads(self, threads: usize) -> Self {
+        Self { threads: threads.max(1) as u64, ..self }
+    }
+
+    /// How many of so many parts are worked on at a time.
+    pub fn at_once(&self, parts: u64) -> u64 {
+        self.threads.min(parts)
     }
 
     /// So many bytes if the outputs are kept, else 0: those of the file of an output, which is made whole before it is written.
@@ -117,6 +129,8 @@ mod tests {
         assert!(inputs.value("table").is_some() && inputs.value("depth").is_none());
         assert_eq!(inputs.small("table", |table: &Table| table.columns.len()), Some(1));
         assert_eq!(inputs.small("depth", |table: &Table| table.columns.len()), None);
-        assert_eq!((inputs.of_file(9), inputs.kept(true).of_file(9)), (0, 9));
+        assert_eq!((inputs.of_file(9), inputs.at_once(7)), (0, 1));
+        let inputs = inputs.kept(true).on_threads(4);
+        assert_eq!((inputs.of_file(9), inputs.at_once(7), inputs.at_once(3)), (9, 4, 3));
     }
 }

@@ -98,7 +98,7 @@ impl Scheduler<'_> {
             memory_bytes: None,
         }));
         let small = |port: &str| self.small_input(instance, port);
-        let sizes = InputSizes::new(sizes, &small).kept(self.must_keep(instance));
+        let sizes = InputSizes::new(sizes, &small).kept(self.must_keep(instance)).on_threads(self.options.jobs);
         self.plan.step(instance).stage.memory_bytes(&planned.params.canonical, &sizes)
     }
 

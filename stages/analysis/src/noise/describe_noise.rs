@@ -52,11 +52,9 @@ impl Stage for DescribeNoise {
     }
 
     fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
-        // Complex spectra beyond the sides for the exact variogram, of as many bands at a time as there are processors.
+        // Complex spectra beyond the sides for the exact variogram, of as many bands at a time as there are threads.
         let bands = inputs.small("raster", |raster: &Raster| raster.bands.len() as u64).unwrap_or(1).max(1);
-        let at_once = std::thread::available_parallelism().map_or(1, |n| n.get() as u64).min(bands);
-        let band = inputs.of("raster") / bands;
-        inputs.total() + 13 * at_once * band
+        inputs.total() + 13 * inputs.at_once(bands) * (inputs.of("raster") / bands)
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
