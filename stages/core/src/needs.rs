@@ -5,6 +5,9 @@ use std::sync::Arc;
 
 use crate::artefact::{Artefact, Noun};
 
+/// More than any machine has: what a record says beyond it counts as this much, so that an estimate may multiply it, bytes.
+const MOST_BYTES: u64 = 1 << 50;
+
 /// The size of one input of a step instance, or of one file that its parameters name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct InputSize {
@@ -64,17 +67,17 @@ impl<'a> InputSizes<'a> {
 
     /// Bytes of all inputs in memory.
     pub fn total(&self) -> u64 {
-        self.sizes.iter().fold(0, |sum, size| sum.saturating_add(size.in_memory()))
+        self.sizes.iter().map(InputSize::in_memory).fold(0, u64::saturating_add).min(MOST_BYTES)
     }
 
     /// Bytes of the inputs at one port in memory.
     pub fn of(&self, port: &str) -> u64 {
-        self.at(port).fold(0, |sum, size| sum.saturating_add(size.in_memory()))
+        self.at(port).map(InputSize::in_memory).fold(0, u64::saturating_add).min(MOST_BYTES)
     }
 
     /// Bytes of the largest input at one port in memory: what a stage needs that takes them one by one.
     pub fn largest(&self, port: &str) -> u64 {
-        self.at(port).map(InputSize::in_memory).max().unwrap_or(0)
+        self.at(port).map(InputSize::in_memory).max().unwrap_or(0).min(MOST_BYTES)
     }
 
     /// So many times the bytes of all inputs at one port in memory.
@@ -113,6 +116,15 @@ impl fmt::Debug for InputSizes<'_> {
 mod tests {
     use super::*;
     use crate::artefact::Table;
+
+    #[test]
+    fn a_record_that_says_too_much_can_still_be_multiplied() {
+        let sizes =
+            [u64::MAX, 7].map(|bytes| InputSize { port: "mesh", stored_bytes: bytes, memory_bytes: Some(bytes) });
+        let inputs = InputSizes::new(sizes.to_vec(), &|_| None);
+        assert_eq!([inputs.total(), inputs.of("mesh"), inputs.largest("mesh")], [MOST_BYTES; 3]);
+        assert!(inputs.total().checked_mul(4096).is_some());
+    }
 
     #[test]
     fn sizes_go_by_what_is_on_record() {

@@ -19,22 +19,27 @@ const DONE: u8 = 4;
 
 /// The sides of the box around a surface, metres; `None` without points.
 pub fn size_m(artefact: &Artefact) -> Option<[f64; 3]> {
-    let range = |values: &mut dyn Iterator<Item = f64>| {
-        let ends = |[low, high]: [f64; 2], value: f64| [low.min(value), high.max(value)];
-        let [low, high] = values.fold([f64::INFINITY, f64::NEG_INFINITY], ends);
-        (low <= high).then_some(high - low)
+    let [low, high] = match artefact {
+        Artefact::Raster(raster) => {
+            let (grid, heights) = (raster.grid, &raster.bands.first()?.values);
+            let [width_m, height_m] = [grid.columns, grid.rows].map(|count| count as f64 * grid.cell_m);
+            let corners = |z: &f32| [[0.0, 0.0, f64::from(*z)], [width_m, height_m, f64::from(*z)]];
+            bounds(heights.iter().filter(|z| !z.is_nan()).flat_map(corners))
+        }
+        other => {
+            let shape = Shape::of(other)?;
+            bounds((0..shape.places()).map(|place| shape.point(place, None)))
+        }
     };
-    if let Artefact::Raster(raster) = artefact {
-        let height_m = range(&mut raster.bands.first()?.values.iter().map(|z| f64::from(*z)))?;
-        return Some([
-            raster.grid.columns as f64 * raster.grid.cell_m,
-            raster.grid.rows as f64 * raster.grid.cell_m,
-            height_m,
-        ]);
-    }
-    let shape = Shape::of(artefact)?;
-    let side = |axis: usize| range(&mut (0..shape.places()).map(|place| shape.point(place, None)[axis]));
-    Some([side(0)?, side(1)?, side(2)?])
+    (low[0] <= high[0]).then(|| std::array::from_fn(|axis| high[axis] - low[axis]))
+}
+
+/// The least and the greatest coordinates of points; those without a value (NaN) do not count.
+fn bounds(points: impl Iterator<Item = [f64; 3]>) -> [[f64; 3]; 2] {
+    let wider = |[low, high]: [[f64; 3]; 2], point: [f64; 3]| {
+        [std::array::from_fn(|i| low[i].min(point[i])), std::array::from_fn(|i| high[i].max(point[i]))]
+    };
+    points.filter(|point| !point[0].is_nan()).fold([[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]], wider)
 }
 
 /// A cubic lattice around two surfaces, with a layer of empty voxels on every side.
@@ -66,21 +71,16 @@ impl Voxels {
     /// Surfaces without points, or too many voxels.
     pub fn new(shapes: [Shape; 2], moved: Option<&Moved>, edge_m: f64) -> Result<Self, StageError> {
         let motions = [None, moved];
-        let mut bounds = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
-        for (shape, motion) in shapes.into_iter().zip(motions) {
-            let points = (0..shape.places()).map(|place| shape.point(place, motion)).filter(|p| !p[0].is_nan());
-            for point in points {
-                for axis in 0..3 {
-                    bounds[0][axis] = bounds[0][axis].min(point[axis]);
-                    bounds[1][axis] = bounds[1][axis].max(point[axis]);
-                }
-            }
-        }
-        if bounds[0][0] > bounds[1][0] {
+        let points = shapes
+            .into_iter()
+            .zip(motions)
+            .flat_map(|(shape, motion)| (0..shape.places()).map(move |place| shape.point(place, motion)));
+        let [low_m, high_m] = bounds(points);
+        if low_m[0] > high_m[0] {
             return Err(StageError::new("neither surface has points"));
         }
-        let first = bounds[0].map(|low| (low / edge_m).floor() - 1.0);
-        let size: [f64; 3] = std::array::from_fn(|axis| (bounds[1][axis] / edge_m).floor() + 2.0 - first[axis]);
+        let first = low_m.map(|low| (low / edge_m).floor() - 1.0);
+        let size: [f64; 3] = std::array::from_fn(|axis| (high_m[axis] / edge_m).floor() + 2.0 - first[axis]);
         let total = size.iter().product::<f64>();
         if total > MAXIMUM {
             fail!("{total:.2e} voxels of {edge_m} m are more than {MAXIMUM:.0e}");

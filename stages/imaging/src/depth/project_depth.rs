@@ -68,7 +68,7 @@ impl Stage for ProjectDepth {
             let side = |pixels: u32| u64::from(pixels / params.downscale.max(1));
             sensor.map_or(0, |sensor| side(sensor.width_px) * side(sensor.height_px))
         });
-        let pixels = pixels.unwrap_or(0);
+        let pixels = pixels.unwrap_or(0).min(1 << 50);
         let drawing = 25 * pixels / 2 + inputs.times(1.9, "mesh");
         inputs.total() + drawing.max(17 * pixels) + inputs.times(2.2, "before_mesh")
     }

@@ -141,7 +141,7 @@ impl Stage for EstimateCovariance {
 
     fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
         // The mesh with a search tree over its triangles, for visibility; what is known of each tie point.
-        inputs.times(2.3, "mesh") + (params.tie_points as u64) * (16 << 10)
+        inputs.times(2.3, "mesh") + (params.tie_points as u64).min(1 << 40) * (16 << 10)
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
