@@ -4,6 +4,8 @@
 //! more than some ten megabytes: that of its most demanding step. `ROCKFACE_BENCH_SITE` names the folder of a site for `calibrate-site`,
 //! which is left out without it. Linux alone tells the memory of a process as it is needed here.
 
+mod resident;
+
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::AtomicBool;
@@ -24,6 +26,8 @@ use tracing_subscriber::registry::LookupSpan;
 
 /// Set in the process that runs a pipeline: its name.
 const PIPELINE: &str = "ROCKFACE_BENCH_PIPELINE";
+/// What the bench needs.
+const LINUX: &str = "Linux, which tells the memory of a process";
 /// Less is not worth a row, MB.
 const LITTLE_MB: f64 = 30.0;
 
@@ -144,26 +148,15 @@ impl<S: tracing::Subscriber + for<'a> LookupSpan<'a>> Layer<S> for Steps {
 
     fn on_enter(&self, id: &Id, context: Context<'_, S>) {
         if let Some(step) = context.span(id).expect("a span").extensions_mut().get_mut::<Step>() {
-            forget_peak();
-            step.begun_bytes = resident_bytes("VmRSS:");
+            resident::forget_peak().expect(LINUX);
+            step.begun_bytes = resident::bytes("VmRSS").expect(LINUX);
         }
     }
 
     fn on_exit(&self, id: &Id, context: Context<'_, S>) {
         if let Some(mut step) = context.span(id).expect("a span").extensions_mut().remove::<Step>() {
-            step.took_bytes = resident_bytes("VmHWM:").saturating_sub(step.begun_bytes);
+            step.took_bytes = resident::bytes("VmHWM").expect(LINUX).saturating_sub(step.begun_bytes);
             self.0.lock().unwrap_or_else(PoisonError::into_inner).push(step);
         }
     }
-}
-
-/// Linux then counts the greatest resident memory from here on.
-fn forget_peak() {
-    std::fs::write("/proc/self/clear_refs", "5").expect("Linux, which tells the memory of a process");
-}
-
-fn resident_bytes(name: &str) -> u64 {
-    let status = std::fs::read_to_string("/proc/self/status").expect("Linux, which tells the memory of a process");
-    let line = status.lines().find_map(|line| line.strip_prefix(name)).expect("a line of it");
-    line.trim().trim_end_matches(" kB").parse::<u64>().expect("a number") * 1024
 }

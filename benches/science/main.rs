@@ -16,6 +16,8 @@ mod peer;
 mod pipelines;
 mod relief;
 mod removal;
+#[path = "../resident/mod.rs"]
+mod resident;
 mod row;
 mod stages;
 

@@ -4,6 +4,8 @@ use std::time::Instant;
 
 use rustix::time::{ClockId, clock_gettime};
 
+use crate::resident;
+
 /// Runs of a work, of which the median is taken.
 const REPEATS: usize = 3;
 /// A work whose first run takes as long runs once, seconds.
@@ -31,7 +33,8 @@ pub fn measure<T>(mut work: impl FnMut() -> T) -> (T, Cost) {
     let cost = median(|| {
         // The result of the run before is no memory of this one.
         last = None;
-        forget_peak();
+        // Without it the peak is that of the process.
+        let _ = resident::forget_peak();
         let (wall, cpu) = (Instant::now(), cpu_s());
         last = Some(work());
         Cost { wall_s: wall.elapsed().as_secs_f64(), cpu_s: cpu_s() - cpu, memory_mb: peak_mb() }
@@ -59,14 +62,7 @@ fn cpu_s() -> f64 {
     time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
 }
 
-/// Linux then counts the greatest memory from here on.
-fn forget_peak() {
-    let _ = std::fs::write("/proc/self/clear_refs", "5");
-}
-
+/// MB; 0 where it is not known.
 fn peak_mb() -> f64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
-    let kib: Option<f64> = peak.and_then(|peak| peak.trim().trim_end_matches(" kB").parse().ok());
-    kib.unwrap_or(0.0) * 1024.0 / 1e6
+    resident::bytes("VmHWM").map_or(0.0, |bytes| bytes as f64 / 1e6)
 }

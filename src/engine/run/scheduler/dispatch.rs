@@ -63,9 +63,16 @@ impl Scheduler<'_> {
         let outputs = step.ports.outputs.iter().filter(|port| makes(planned, port));
         let outputs = outputs.map(|port| (port.name, port.kinds[0]));
         let recipe = self.known_recipe(instance);
-        let (label, stage, need_bytes) = (self.plan.label(instance), step.stage.name(), self.budget.claim(instance));
+        // What the span says is made only where a trace is written.
+        let span = tracing::trace_span!(
+            target: PHASE,
+            "step",
+            step = self.plan.label(instance),
+            stage = step.stage.name(),
+            need_bytes = self.budget.claim(instance)
+        );
         Task {
-            span: tracing::trace_span!(target: PHASE, "step", step = label, stage, need_bytes),
+            span,
             instance,
             stage: step.stage,
             key: state.key.unwrap_or_else(|| recipe.key()),

@@ -51,8 +51,8 @@ impl Stage for DetectVoxels {
     fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
         // What is known of each voxel of the box around both, and triangles between the cells of rasters.
         let boxes = ["reference", "comparison"].map(|port| inputs.value(port).as_deref().and_then(voxels::size_m));
-        let voxels = |size_m: [f64; 3]| size_m.map(|side_m| side_m / params.voxel_m + 3.0).iter().product::<f64>();
-        let most = boxes.into_iter().flatten().map(voxels).fold(0.0, f64::max).min(voxels::MAXIMUM);
+        let count = |size_m: [f64; 3]| size_m.map(|side_m| side_m / params.voxel_m + 3.0).iter().product::<f64>();
+        let most = boxes.into_iter().flatten().map(count).fold(0.0, f64::max).min(voxels::MAXIMUM);
         4 * inputs.total() + (3.0 * most) as u64
     }
 
