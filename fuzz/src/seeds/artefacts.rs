@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::io;
 
 use rockface_core::artefact::{
-    Acceptance, Artefact, Band, Cell, Cloud, Contrast, Covariance, Depth, Feature, Figure, Files, Frame, Grid,
+    Acceptance, Artefact, Band, Bursts, Cell, Cloud, Covariance, Depth, Feature, Figure, Files, Frame, Grid,
     GroupModel, Inventory, Member, Mesh, Meshes, Noise, Pair, Pairs, Part, Picture, Polygon, Raster, ReliefLaw, Sample,
     Shown, Surface, Table, Transform,
 };
@@ -85,7 +85,7 @@ fn noise() -> Noise {
         class_log_strength: vec![-1.0, 0.5],
         jitter: 0.2,
         sharpness: 4,
-        contrast: vec![Contrast { cells: 1.5, powers: vec![0.5, 0.0], growth: vec![1.0, 0.0] }],
+        bursts: Bursts { log_variance: vec![0.2, 0.0], growth: vec![1.0, 0.0], ..Bursts::none(2) },
         log_gain: vec![0.0, 0.1],
         relief: ReliefLaw { flat_px: 0.2, gain_px_m: 3.0, window_cells: 2 },
         members: vec![member("a", false), member("b", true)],

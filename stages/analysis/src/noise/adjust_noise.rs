@@ -1,9 +1,9 @@
 //! `adjust-noise`: makes up for what a survey loses of the noise of a model, by comparing surveys simulated with it to draws of it.
 
-use crate::noise::learning::contrast;
+use crate::noise::learning::bursts;
 use crate::noise::learning::departure::{Departure, Mean, figures};
 use crate::noise::learning::differences::{check, check_model, disparities};
-use crate::noise::learning::whitening::{CLASSES, Places, Whitened, whiten};
+use crate::noise::learning::whitening::{Places, Whitened, whiten};
 use rockface_core::artefact::{Band, Cameras, Kind, Noise, Pairs, Raster};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 use rockface_imaging::matching::elevation_step::elevation_step_m;
@@ -18,7 +18,7 @@ pub struct AdjustNoise;
 
 /// Standard errors within which a difference counts as chance.
 const CHANCE_ERRORS: f64 = 2.0;
-/// The same for the variation of details: classes of few cells show little of it, and a power that is a little too high does no harm.
+/// The same for the variation of details: classes of few cells show little of it, and bursts that are a little too strong do no harm.
 const VARIATION_ERRORS: f64 = 1.0;
 /// Fewest simulated rasters from which chance can be told.
 const LEAST: usize = 2;
@@ -26,7 +26,7 @@ const LEAST: usize = 2;
 impl Stage for AdjustNoise {
     type Params = AdjustNoiseParams;
     const NAME: &'static str = "adjust-noise";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: Page = Page::new(include_str!("adjust_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("noise", &[Kind::Noise], "The model."),
@@ -60,7 +60,7 @@ impl Stage for AdjustNoise {
             let bands: Vec<&Band> = rasters.iter().flat_map(|raster| &raster.bands).collect();
             let whitened = whiten(&disparities(&bands, &step_m)?, columns, &places);
             context.check_cancelled()?;
-            let variation = |w: &Whitened| contrast::variation(&[w], columns, &places).into_iter().flatten();
+            let variation = |w: &Whitened| bursts::variation(&[w], columns, &places);
             Ok(whitened.iter().map(|w| figures(w).into_iter().chain(variation(w)).collect()).collect())
         };
         let (simulated, drawn) = (rows("simulated")?, rows("drawn")?);
@@ -72,9 +72,10 @@ impl Stage for AdjustNoise {
             let text = format!("{} simulated raster, {LEAST} are needed to know what is chance", simulated.len());
             return Err(StageError::new(text).hint("simulate more surveys with the model"));
         }
-        // Acquisitions differ far more than what a survey loses, but both rasters of a pair have the same one.
+        // Acquisitions differ far more than what a survey loses, but both rasters of a pair have the same one. Nothing is lost of what is in gaps.
         let lost = |(simulated, drawn): (&Vec<f64>, &Vec<f64>)| -> Vec<f64> {
-            simulated.iter().zip(drawn).map(|(simulated, drawn)| simulated - drawn).collect()
+            let lost = |(simulated, drawn): (&f64, &f64)| Some(simulated - drawn).filter(|lost| !lost.is_nan());
+            simulated.iter().zip(drawn).map(|both| lost(both).unwrap_or(0.0)).collect()
         };
         let lost: Vec<Vec<f64>> = simulated.iter().zip(&drawn).map(lost).collect();
         let nothing = Mean { value: 0.0, squared_error: 0.0 };
@@ -84,7 +85,7 @@ impl Stage for AdjustNoise {
     }
 }
 
-/// The model with what is lost added: first the classes of place, then the bands, then the variation of details by level and class.
+/// The model with what is lost added: first the classes of place, then the bands, then the variation of details by class.
 fn adjusted(noise: &Noise, losses: &[Departure]) -> Noise {
     let (classes, bands, variation) = parts(losses, noise);
     let mut adjusted = noise.clone();
@@ -92,8 +93,7 @@ fn adjusted(noise: &Noise, losses: &[Departure]) -> Noise {
         member.log_strength.iter_mut().zip(classes).for_each(|(value, loss)| *value -= loss.certain(CHANCE_ERRORS));
     }
     adjusted.log_gain.iter_mut().zip(bands).for_each(|(gain, loss)| *gain -= loss.certain(CHANCE_ERRORS));
-    let lost = |level: usize, class: usize| -variation[level * CLASSES + class].certain(VARIATION_ERRORS);
-    contrast::make_up(&mut adjusted.contrast, lost);
+    bursts::make_up(&mut adjusted.bursts, |class| -variation[class].certain(VARIATION_ERRORS));
     adjusted
 }
 
@@ -116,10 +116,10 @@ fn report(losses: &[Departure], noise: &Noise, context: &Context) {
     context.metric("strongest_class", classes.last().map_or(0.0, |loss| loss.difference), "1");
     context.note(format!(
         "amplitudes of the simulated rasters beside those of the model, per cent: {} by class of place, {} by band, coarsest first; \
-         variation of details, finest first: {}",
+         variation of fine details: {} by class of place",
         percent(classes, CHANCE_ERRORS),
         percent(bands, CHANCE_ERRORS),
-        variation.chunks(CLASSES).map(|level| percent(level, VARIATION_ERRORS)).collect::<Vec<_>>().join(", ")
+        percent(variation, VARIATION_ERRORS)
     ));
 }
 

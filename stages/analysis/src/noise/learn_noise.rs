@@ -5,12 +5,12 @@ use std::borrow::Cow;
 use crate::noise::detrend::plane;
 use crate::noise::learning::acquisitions::{Acquisitions, Source, Variety, acquisitions};
 use crate::noise::learning::bad::parted;
-use crate::noise::learning::contrast::{self, Powers};
+use crate::noise::learning::bursts;
 use crate::noise::learning::departure::{Departure, Mean, figures};
 use crate::noise::learning::differences::{check, differences, disparities};
 use crate::noise::learning::relief_law;
 use crate::noise::learning::whitening::{BANDS, LEAST_SIDE_CELLS, Places, Prior, Stack, Whitened, range_cells, whiten};
-use rockface_core::artefact::{Band, Cameras, Kind, Member, Noise, Pairs, Raster, ReliefLaw};
+use rockface_core::artefact::{Band, Bursts, Cameras, Kind, Member, Noise, Pairs, Raster, ReliefLaw};
 use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::{Fault, Range};
@@ -37,9 +37,9 @@ params! {
         donors: usize = 8; Range::AtLeast(1.0),
         /// Power of the weights of the mixture: 1 mixes all donors everywhere, with more each place has the structure of fewer of them.
         sharpness: u32 = 1; Range::Between(1.0, 16.0),
-        /// How much the energy of a mixture's details is made to vary again: power of their local rms, the same for all levels; left out: for
-        /// each level what makes draws vary as the rasters do.
-        contrast: Option<f64> = None; Range::Between(0.0, 2.0),
+        /// Variance of the logarithm of the bursts that fine details of a mixture are given, in all classes of place; left out: for each class
+        /// what makes draws vary from cell to cell as the rasters do.
+        bursts: Option<f64> = None; Range::Between(0.0, 1.0),
         /// Correlation length of the weights of the mixture, cells; left out: the geometric mean of the range of the noise and
         /// the shorter side of the rasters.
         length_cells: Option<f64> = None; Range::AtLeast(1.0),
@@ -67,7 +67,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 7;
+    const VERSION: u32 = 8;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -184,7 +184,7 @@ impl Learnt {
         context: &Context,
     ) -> Noise {
         let none = Correction::none(self.places.middles.len() + BANDS);
-        let given = Powers::even(params.contrast.unwrap_or(0.0));
+        let given = bursts::even(params.bursts.unwrap_or(0.0));
         if params.draws < 2 {
             return self.model(params, sources, dem, &none, &given);
         }
@@ -197,18 +197,18 @@ impl Learnt {
             let rasters = differences(noise, count, keeps, &|purpose, item| context.stream(purpose, item));
             whiten(&rasters, self.columns, &self.places)
         };
-        let powers = match params.contrast {
+        usual.bursts = match params.bursts {
             Some(_) => given,
-            None => contrast::fitted(&contrast::variation(&self.usual(), self.columns, &self.places), |powers| {
-                usual.contrast = powers.contrast();
-                let trial = drawn(&usual, params.draws.min(CONTRAST_DRAWS));
-                contrast::variation(&trial.iter().collect::<Vec<_>>(), self.columns, &self.places)
+            None => bursts::fitted(&bursts::variation(&self.usual(), self.columns, &self.places), |bursts| {
+                usual.bursts = bursts.clone();
+                let trial = drawn(&usual, params.draws.min(BURST_DRAWS));
+                bursts::variation(&trial.iter().collect::<Vec<_>>(), self.columns, &self.places)
             }),
         };
-        usual.contrast = powers.contrast();
         let correction = Correction::of(&self.usual(), &drawn(&usual, params.draws));
+        let bursts = usual.bursts.clone();
         drop(usual);
-        self.model(params, sources, dem, &correction, &powers)
+        self.model(params, sources, dem, &correction, &bursts)
     }
 
     fn usual(&self) -> Vec<&Whitened> {
@@ -222,7 +222,7 @@ impl Learnt {
         sources: &[Source],
         dem: &Raster,
         correction: &Correction,
-        powers: &Powers,
+        bursts: &Bursts,
     ) -> Noise {
         let shares = Bands::new(self.columns, dem.grid.rows, BANDS).shares();
         let variety = Variety { jitter: params.jitter, own: &correction.own };
@@ -245,7 +245,7 @@ impl Learnt {
             class_log_strength: self.places.middles.clone(),
             jitter: params.jitter,
             sharpness: params.sharpness,
-            contrast: powers.contrast(),
+            bursts: bursts.clone(),
             log_gain: vec![0.0; BANDS],
             relief: self.relief,
             members,
@@ -295,7 +295,8 @@ impl Correction {
 }
 
 /// Part of the deviation of each figure that acquisitions differ by: what draws of acquisitions that are all alike vary is the chance of single
-/// fields, which every draw has anew. One part for all classes of place, and one for each band with its neighbours.
+/// fields, which every draw has anew. The part of each class of place is drawn halfway towards the mean of all, that of each band towards its
+/// neighbours, since few rasters say little of a variance.
 fn own_shares(real: &[&Whitened], alike: &[&Whitened]) -> Vec<f64> {
     let variance = |rows: &[&Whitened], of: fn(&Whitened) -> &[f64], k: usize| {
         let n = rows.len() as f64;
@@ -304,20 +305,18 @@ fn own_shares(real: &[&Whitened], alike: &[&Whitened]) -> Vec<f64> {
     };
     let share = |of: fn(&Whitened) -> &[f64], k: usize| {
         let (real, chance) = (variance(real, of, k), variance(alike, of, k));
-        if real > 0.0 { 1.0 - chance / real } else { 1.0 }
+        if real > 0.0 { (1.0 - chance / real).clamp(LEAST_OWN, 1.0) } else { 1.0 }
     };
-    let root = |share: f64| share.clamp(LEAST_OWN, 1.0).sqrt();
-    let classes = real[0].log_strength.len();
-    let strength =
-        (0..classes).map(|k| share(|w| &w.log_strength, k).clamp(LEAST_OWN, 1.0)).sum::<f64>() / classes as f64;
-    let bands: Vec<f64> =
-        (0..real[0].log_amplitude.len()).map(|k| share(|w| &w.log_amplitude, k).clamp(LEAST_OWN, 1.0)).collect();
+    let classes: Vec<f64> = (0..real[0].log_strength.len()).map(|k| share(|w| &w.log_strength, k)).collect();
+    let bands: Vec<f64> = (0..real[0].log_amplitude.len()).map(|k| share(|w| &w.log_amplitude, k)).collect();
+    let mean = classes.iter().sum::<f64>() / classes.len() as f64;
     let near = |k: usize| 0.25 * (bands[k.saturating_sub(1)] + 2.0 * bands[k] + bands[(k + 1).min(bands.len() - 1)]);
-    (0..classes).map(|_| root(strength)).chain((0..bands.len()).map(|k| root(near(k)))).collect()
+    let strengths = classes.iter().map(|share| 0.5 * (share + mean));
+    strengths.chain((0..bands.len()).map(near)).map(f64::sqrt).collect()
 }
 
-/// Differences drawn for each trial of a contrast.
-const CONTRAST_DRAWS: usize = 8;
+/// Differences drawn for each trial of bursts.
+const BURST_DRAWS: usize = 8;
 /// Part of the deviation of figures that acquisitions have which are all alike.
 const ALIKE: f64 = 1e-6;
 /// Least part of the variance of a figure that acquisitions differ by.
@@ -333,13 +332,8 @@ fn report(noise: &Noise, learnt: &Learnt, step_m: &[f32], context: &Context) {
     context.metric("strength_median", strength, "px");
     context.metric("bad_rasters", bad.len() as f64, "1");
     context.metric("length", noise.length_cells, "cells");
-    for (level, contrast) in noise.contrast.iter().enumerate() {
-        context.metric(
-            &format!("contrast_{}", level + 1),
-            contrast.powers.iter().sum::<f64>() / contrast.powers.len() as f64,
-            "1",
-        );
-    }
+    let variances = &noise.bursts.log_variance;
+    context.metric("bursts", variances.iter().sum::<f64>() / variances.len() as f64, "1");
     context.note(format!(
         "from {} rasters; a pixel of disparity is worth {:.1} mm, a difference has {strength:.2} px of noise at the median place; \
          strength over relief: {:.2} px on flat rock, {:.1} px for a metre",

@@ -104,6 +104,30 @@ pub fn structure(values: &[f32], columns: usize, settings: &Settings) -> Result<
     Ok(found)
 }
 
+/// How much the modulus of the finest details varies from block to block of 2 x 2 cells, within each class of place: the logarithm of the mean
+/// square of its own details over its mean square, which is twice the first figure of the cascade; ln(1e-12) where it does not vary, NaN where
+/// a class has no values. Gaps of the field are NaN, a class is a number below `classes`.
+pub fn variation(field: &[f64], columns: usize, class: &[u8], classes: usize) -> Vec<f64> {
+    let field = Field { columns, rows: field.len() / columns, values: field.to_vec() };
+    let modulus = modulus(&field.haar().0);
+    let mut by_class = vec![[Moments::default(); 2]; classes];
+    // A value stands for a block of cells, and has the class of the middle one.
+    let mut add = |values: &Field, cells: usize, kind: usize| {
+        for (i, value) in values.values.iter().enumerate() {
+            let (row, column) = (i / values.columns * cells + cells / 2, i % values.columns * cells + cells / 2);
+            by_class[usize::from(class[row * columns + column])][kind].add(*value);
+        }
+    };
+    add(&modulus, 2, 0);
+    modulus.haar().0.iter().for_each(|change| add(change, 4, 1));
+    let share = |[modulus, changes]: [Moments; 2]| {
+        let share = changes.second / changes.count / (modulus.second / modulus.count).max(f64::MIN_POSITIVE);
+        // `max` would make a number of NaN.
+        if share < 1e-12 { 1e-12 } else { share }
+    };
+    by_class.into_iter().map(|moments| portable_math::log(share(moments))).collect()
+}
+
 /// Sums of squares and fourth powers.
 #[derive(Debug, Clone, Copy, Default)]
 struct Moments {
@@ -284,6 +308,29 @@ mod tests {
         assert!(of("increment_x_1_flatness") > even("increment_x_1_flatness") + 0.3);
         let of = found(|x, y| field.normal(x, y) * if (x / 8 + y / 8) % 2 == 0 { 4.0 } else { 1.0 });
         assert!(of("cascade_1_4") > even("cascade_1_4") + 0.5);
+    }
+
+    #[test]
+    fn details_vary_where_strong_and_weak_places_alternate_and_gaps_have_no_say() {
+        let random = Key([7; 32]).field();
+        let field = |of: &dyn Fn(usize, usize) -> f64| -> Vec<f64> {
+            (0..96 * 160).map(|i| of(i % 160, i / 160) * random.normal((i % 160) as i32, (i / 160) as i32)).collect()
+        };
+        // Class 1 is the right half.
+        let class: Vec<u8> = (0..96 * 160).map(|i| u8::from(i % 160 >= 80)).collect();
+        let of = |field: &[f64]| variation(field, 160, &class, 2);
+        let even = field(&|_, _| 1.0);
+        let bursts = field(&|x, y| if x >= 80 && (x / 2 + y / 2).is_multiple_of(2) { 4.0 } else { 1.0 });
+        let (even, bursts, gappy) = (
+            of(&even),
+            of(&bursts),
+            of(&even.iter().enumerate().map(|(i, z)| if i % 160 < 40 { f64::NAN } else { *z }).collect::<Vec<_>>()),
+        );
+        assert!(bursts[1] > even[1] + 0.5 && (bursts[0] - even[0]).abs() < 1e-12, "{even:?} {bursts:?}");
+        assert!((even[0] - gappy[0]).abs() < 0.2 && (even[1] - gappy[1]).abs() < 1e-12);
+        // The modulus of three equal normal details has the mean square 3 and the variance 3 - 8 / pi.
+        assert!((even[1] - log(1.0 - 8.0 / (3.0 * std::f64::consts::PI))).abs() < 0.1, "{even:?}");
+        assert!(of(&vec![0.0; 96 * 160])[0] < -27.0 && of(&vec![f64::NAN; 96 * 160])[0].is_nan());
     }
 
     #[test]

@@ -35,17 +35,26 @@ pub struct ReliefLaw {
     pub window_cells: usize,
 }
 
-/// Contrast that a mixture is given back: mixing evens out how the energy of the noise varies. The levels of a model, finest first, part a
-/// field into details: what the Gaussian of a level takes away from what those before it left.
+/// Bursts that the fine details of a mixture are given, since mixing evens them out: details are multiplied by a log-normal random factor of
+/// mean square 1.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Contrast {
-    /// Deviation of the Gaussian that ends the level, cells. Energy is averaged within three quarters of it.
-    pub cells: f64,
-    /// Power of their local rms that details are multiplied by, for each class of place.
-    pub powers: Vec<f64>,
-    /// How the logarithm of the variation of their local rms grows with the power, for each class of place; 0: not known.
+pub struct Bursts {
+    /// Deviation of the Gaussian that takes the details away, cells.
+    pub details_cells: f64,
+    /// Deviation of the Gaussian under which white noise is the logarithm of the factor, cells.
+    pub length_cells: f64,
+    /// Variance of the logarithm of the factor, for each class of place; 0: no bursts.
+    pub log_variance: Vec<f64>,
+    /// How the logarithm of the variation of details grows with this variance, for each class of place; 0: not known.
     pub growth: Vec<f64>,
+}
+
+impl Bursts {
+    /// No bursts for some classes of place, with the lengths that fit what matchers do (found on two sites).
+    pub fn none(classes: usize) -> Self {
+        Self { details_cells: 1.4, length_cells: 1.0, log_variance: vec![0.0; classes], growth: vec![0.0; classes] }
+    }
 }
 
 /// The bit of a weight that says that the raster had no value there.
@@ -65,8 +74,8 @@ pub struct Noise {
     pub donors: usize,
     /// Power the weights of the mixture are raised to: with more of it each place has the structure of fewer members.
     pub sharpness: u32,
-    /// Contrast the mixture is given back, level by level, finest first.
-    pub contrast: Vec<Contrast>,
+    /// Bursts of the fine details of the mixture.
+    pub bursts: Bursts,
     /// Correlation length of the weights of the mixture, cells.
     pub length_cells: f64,
     /// Share of the variance of a weight that is constant over the face.
@@ -95,10 +104,10 @@ pub struct Noise {
 
 /// Highest power of weights.
 const MOST_SHARPNESS: u32 = 16;
-/// Largest deviation that ends a level, cells.
-const MOST_CONTRAST_CELLS: f64 = 100.0;
-/// Largest power of a local rms.
-const MOST_POWER: f64 = 4.0;
+/// Largest length of bursts, cells.
+const MOST_BURST_CELLS: f64 = 100.0;
+/// Largest variance of the logarithm of a burst.
+const MOST_LOG_VARIANCE: f64 = 4.0;
 /// Largest logarithm of a gain.
 const MOST_LOG_GAIN: f64 = 5.0;
 
@@ -171,15 +180,15 @@ impl Noise {
         if !((1..=MOST_SHARPNESS).contains(&self.sharpness) && self.jitter.is_finite() && self.jitter >= 0.0) {
             return refuse(format!("sharpness must be from 1 to {MOST_SHARPNESS}, jitter not negative"));
         }
-        let usable = |c: &Contrast| {
-            [c.powers.len(), c.growth.len()] == [classes; 2]
-                && positive(c.cells)
-                && c.cells <= MOST_CONTRAST_CELLS
-                && c.powers.iter().all(|power| power.abs() <= MOST_POWER)
-                && c.growth.iter().all(|growth| growth.is_finite())
-        };
-        if !self.contrast.iter().all(usable) || !self.log_gain.iter().all(|gain| gain.abs() <= MOST_LOG_GAIN) {
-            return refuse("a contrast or a gain is out of range".into());
+        let bursts = &self.bursts;
+        let lengths = [bursts.log_variance.len(), bursts.growth.len()];
+        let usable = [bursts.details_cells, bursts.length_cells]
+            .iter()
+            .all(|cells| *cells <= MOST_BURST_CELLS && positive(*cells))
+            && bursts.log_variance.iter().all(|variance| (0.0..=MOST_LOG_VARIANCE).contains(variance))
+            && bursts.growth.iter().all(|growth| growth.is_finite());
+        if lengths != [classes; 2] || !usable || !self.log_gain.iter().all(|gain| gain.abs() <= MOST_LOG_GAIN) {
+            return refuse("a burst or a gain is out of range".into());
         }
         let sound = self.strength.iter().all(|value| value.is_finite() && *value >= 0.0);
         if !sound || !self.fields.iter().flatten().all(|value| value.is_finite()) {
@@ -199,7 +208,7 @@ impl PartialEq for Noise {
                 == (other.length_cells, other.common_share, other.bad_share)
             && (&self.class_log_strength, self.jitter, self.relief)
                 == (&other.class_log_strength, other.jitter, other.relief)
-            && (self.sharpness, &self.contrast, &self.log_gain) == (other.sharpness, &other.contrast, &other.log_gain)
+            && (self.sharpness, &self.bursts, &self.log_gain) == (other.sharpness, &other.bursts, &other.log_gain)
             && self.members == other.members
             && bits(&self.strength) == bits(&other.strength)
             && bits(&self.elevation) == bits(&other.elevation)

@@ -13,12 +13,23 @@ pub struct Bands {
     pub count: usize,
     forward: Fft2,
     backward: Fft2,
+    /// Place of each frequency among the bands: those of the first half of the columns, for the first half of the rows each.
+    places: Vec<f64>,
 }
 
 impl Bands {
     /// Bands of rasters of `columns` x `rows` cells, each at least 4; `count` is at least 2.
     pub fn new(columns: usize, rows: usize, count: usize) -> Self {
-        Self { count, forward: Fft2::new(columns, rows), backward: Fft2::new(rows, columns) }
+        let lowest = 1.0 / columns.min(rows) as f64;
+        let width = portable_math::log(0.5 / lowest);
+        let place = |kx: usize, ky: usize| {
+            let (fx, fy) = (kx as f64 / columns as f64, ky as f64 / rows as f64);
+            let share = portable_math::log((fx * fx + fy * fy).sqrt().max(lowest) / lowest) / width;
+            (share * (count - 1) as f64 - 0.5).clamp(0.0, (count - 1) as f64)
+        };
+        let places = (0..=columns / 2).flat_map(|kx| (0..=rows / 2).map(move |ky| (kx, ky)));
+        let places = places.map(|(kx, ky)| place(kx, ky)).collect();
+        Self { count, forward: Fft2::new(columns, rows), backward: Fft2::new(rows, columns), places }
     }
 
     /// Cells of a raster.
@@ -28,12 +39,8 @@ impl Bands {
 
     /// The band below a frequency, and the weight of the one above it.
     fn place(&self, kx: usize, ky: usize) -> (usize, f64) {
-        let cycles = |k: usize, n: usize| k.min(n - k) as f64 / n as f64;
-        let (fx, fy) = (cycles(kx, self.forward.columns), cycles(ky, self.forward.rows));
-        let lowest = 1.0 / self.forward.columns.min(self.forward.rows) as f64;
-        let share =
-            portable_math::log((fx * fx + fy * fy).sqrt().max(lowest) / lowest) / portable_math::log(0.5 / lowest);
-        let at = (share * (self.count - 1) as f64 - 0.5).clamp(0.0, (self.count - 1) as f64);
+        let (columns, rows) = (self.forward.columns, self.forward.rows);
+        let at = self.places[kx.min(columns - kx) * (rows / 2 + 1) + ky.min(rows - ky)];
         let below = (at as usize).min(self.count - 2);
         (below, at - below as f64)
     }

@@ -4,9 +4,8 @@ use serde_json::json;
 
 use super::*;
 use crate::noise::learn_noise::tests::{CLEAN, COLUMNS, ROWS, grid, mean, survey};
-use crate::noise::learning::contrast::LEVELS;
-use crate::noise::learning::whitening::BANDS;
-use rockface_core::artefact::{Artefact, Frame, Noun};
+use crate::noise::learning::whitening::{BANDS, CLASSES};
+use rockface_core::artefact::{Artefact, Bursts, Frame, Noun};
 use rockface_core::numerics::gaussian::smoothed;
 use rockface_core::testing::{TestHost, run_stage, small_sensor};
 use rockface_imaging::matching::noise::ensemble::draw;
@@ -67,16 +66,15 @@ fn what_is_smoothed_away_is_added_and_nothing_else() {
 
 #[test]
 fn variation_of_details_that_is_lost_is_made_up_for_where_its_growth_is_known() {
-    let losses: Vec<Departure> = (0..CLASSES + BANDS + LEVELS * CLASSES)
+    let losses: Vec<Departure> = (0..2 * CLASSES + BANDS)
         .map(|k| Departure { difference: if k == CLASSES + BANDS { -0.12 } else { 0.0 }, error: 0.0 })
         .collect();
     let mut noise = CLEAN.clone();
-    noise.contrast[0].growth[0] = 1.2;
-    let before = noise.contrast[0].powers[0];
-    let power = |noise: &Noise| adjusted(noise, &losses).contrast[0].powers[0];
-    assert!((power(&noise) - before - 0.1).abs() < 1e-12 && adjusted(&noise, &losses).contrast[1] == noise.contrast[1]);
-    noise.contrast[0].growth[0] = 0.0;
-    assert!((power(&noise) - before).abs() < 1e-12);
+    noise.bursts = Bursts { log_variance: vec![0.2; CLASSES], growth: vec![1.2; CLASSES], ..noise.bursts };
+    let variances = |noise: &Noise| adjusted(noise, &losses).bursts.log_variance;
+    assert!((variances(&noise)[0] - 0.3).abs() < 1e-12 && variances(&noise)[1..] == noise.bursts.log_variance[1..]);
+    noise.bursts.growth[0] = 0.0;
+    assert_eq!(variances(&noise), noise.bursts.log_variance);
 }
 
 #[test]

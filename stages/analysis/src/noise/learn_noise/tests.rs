@@ -199,13 +199,13 @@ fn fine_details_of_draws_come_in_bursts_as_those_of_the_rasters() {
     let finest = |noise: &Noise, rasters: &[Vec<f32>]| {
         let places = Places::of(noise.strength.clone());
         let whitened = whiten(rasters, COLUMNS, &places);
-        mean(contrast::variation(&whitened.iter().collect::<Vec<_>>(), COLUMNS, &places)[0].into_iter())
+        mean(bursts::variation(&whitened.iter().collect::<Vec<_>>(), COLUMNS, &places).into_iter())
     };
     let lacks = |with: &Value| {
         let (noise, _) = learn_from(rasters.clone(), with).unwrap();
         finest(&noise, &real) - finest(&noise, &drawn_differences(&noise, 24))
     };
-    let (fitted, none) = (lacks(&json!({})), lacks(&json!({"contrast": 0.0})));
+    let (fitted, none) = (lacks(&json!({})), lacks(&json!({"bursts": 0.0})));
     assert!(fitted.abs() < 0.12 && none > 2.0 * fitted.abs() + 0.1, "{fitted} {none}");
 }
 

@@ -2,7 +2,6 @@
 
 use rayon::prelude::*;
 
-use crate::noise::learning::contrast::LEVELS;
 use crate::noise::learning::whitening::{BANDS, CLASSES};
 use rockface_core::artefact::{Band, Cameras, Noise, Raster};
 use rockface_core::numerics::random::Key;
@@ -47,7 +46,7 @@ pub fn check_model(noise: &Noise, dem: &Raster) -> Result<(), StageError> {
 /// Checks that a model is made as [`whiten`](super::whitening::whiten) takes rasters apart.
 ///
 /// # Errors
-/// Another number of bands or classes, or too many levels of details.
+/// Another number of bands or classes.
 pub fn check_parts(noise: &Noise) -> Result<(), StageError> {
     if noise.bands() != BANDS || noise.class_log_strength.len() != CLASSES {
         fail!(
@@ -55,9 +54,6 @@ pub fn check_parts(noise: &Noise) -> Result<(), StageError> {
             noise.bands(),
             noise.class_log_strength.len()
         );
-    }
-    if noise.contrast.len() > LEVELS {
-        fail!("the model has a contrast of {} levels of details, {LEVELS} at most", noise.contrast.len());
     }
     Ok(())
 }

@@ -2,7 +2,7 @@
 
 pub mod acquisitions;
 pub mod bad;
-pub mod contrast;
+pub mod bursts;
 pub mod departure;
 pub mod differences;
 pub mod relief_law;

@@ -1,18 +1,21 @@
 //! Draws acquisitions from a noise model: the whitened fields of some members mixed with smooth random weights.
 //!
-//! A new field is `W(x) = sum_j g_j(x) w_j(x) W_j(x) / sqrt(sum_j (g_j w_j)^2)` over donors j, with independent normal fields
-//! `g_j`, raised to a power with their sign, and weights `w_j` that fall to 0 in gaps: a localised ensemble, as in ensemble Kalman filters
-//! (Hamill, Whitaker and Snyder 2001). It keeps the covariance of the members wherever that differs from place to place, without a
-//! parameter for it. A sum of fields is more even than each of them: contrast gives energy its variation back. Where the strongest
+//! A new field is `W(x) = sum_j a_j(x) W_j(x) / sqrt(sum_ij a_i c_ij a_j)` over donors j, with `a_j = g_j w_j`, independent normal fields
+//! `g_j`, raised to a power with their sign, weights `w_j` that fall to 0 in gaps, and the correlation `c_ij` of the fields of two donors, which
+//! may share an epoch: a localised ensemble, as in ensemble Kalman filters (Hamill, Whitaker and Snyder 2001). It keeps the covariance of the
+//! members wherever that differs from place to place, without a parameter for it. A sum of fields is more even than each of them: fine
+//! details are given bursts. Where the strongest
 //! donor of a place has a gap, the acquisition has one with the probability that makes the gaps of a difference as frequent as they were.
 //! Bands of frequency then give it the amplitudes of one member, and classes of place its strength. Models without fields start from
 //! white noise instead.
 
 use rand::{Rng, RngExt};
+use rayon::prelude::*;
 
-use crate::matching::noise::contrast::{Classes, contrasted};
+use crate::matching::noise::bursts::with_bursts;
 use crate::matching::noise::matcher::Keys;
 use crate::matching::noise::modulation::smooth_field;
+use crate::matching::noise::paper::SmoothNoise;
 use rockface_core::artefact::{GAP, Member, Noise};
 use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::portable_math;
@@ -75,7 +78,7 @@ pub fn draw(noise: &Noise, keys: Keys) -> Drawn {
         let departure = noise.departure(&good, &random, values);
         values(member).iter().zip(departure).map(|(value, departure)| value + departure).collect()
     };
-    let (log_strength, wanted) = (jittered(|member| &member.log_strength), jittered(|member| &member.log_amplitude));
+    let log_strength = jittered(|member| &member.log_strength);
     let mixed = if noise.has_fields() {
         let coins: Vec<f64> = donors.iter().map(|_| generator.random()).collect();
         mixture(noise, &donors, &coins, keys)
@@ -83,13 +86,27 @@ pub fn draw(noise: &Noise, keys: Keys) -> Drawn {
         Mixed { field: white(noise, &keys("noise-white", "").field()), gaps: Vec::new() }
     };
     let columns = noise.grid.columns;
-    let mixed_field = contrasted(mixed.field, columns, &noise.contrast, &Classes::of(noise));
+    let log_variance = |cell: usize| {
+        let log_strength = portable_math::log(f64::from(noise.strength[cell]).max(1e-12));
+        log_strength_at(&noise.class_log_strength, &noise.bursts.log_variance, log_strength)
+    };
+    let bursts = keys("noise-bursts", "").field();
+    let uneven = with_bursts(mixed.field, columns, &noise.bursts, log_variance, &bursts);
     let bands = Bands::new(columns, noise.grid.rows, noise.bands());
-    let present = bands.power(&mixed_field);
+    let wanted = of_unit_variance(jittered(|member| &member.log_amplitude), &bands.shares());
+    let present = bands.power(&uneven);
     let gain = |band: usize| wanted[band] - 0.5 * portable_math::log(present[band].max(1e-12)) + noise.log_gain[band];
-    let mut field = bands.filter(&mixed_field, &(0..noise.bands()).map(gain).collect::<Vec<f64>>());
+    let mut field = bands.filter(&uneven, &(0..noise.bands()).map(gain).collect::<Vec<f64>>());
     mixed.gaps.into_iter().for_each(|cell| field[cell] = f64::NAN);
     Drawn { field, log_strength, bad: of_bad }
+}
+
+/// Logarithms of the amplitudes of bands, shifted alike so that the noise has unit variance: how strong an acquisition is say its strengths alone.
+fn of_unit_variance(mut log_amplitude: Vec<f64>, shares: &[f64]) -> Vec<f64> {
+    let powers = log_amplitude.iter().zip(shares).map(|(log, share)| share * portable_math::exp(2.0 * log));
+    let level = 0.5 * portable_math::log(powers.sum::<f64>().max(1e-12));
+    log_amplitude.iter_mut().for_each(|log| *log -= level);
+    log_amplitude
 }
 
 /// The members of a class that are most like one of them, that one first: by the distance between their strengths and amplitudes, each over its
@@ -137,29 +154,80 @@ fn mixture(noise: &Noise, donors: &[usize], coins: &[f64], keys: Keys) -> Mixed 
     let (columns, cells) = (noise.grid.columns, noise.grid.cells());
     let extent = [columns as f64, noise.grid.rows as f64];
     let (common, local) = (noise.common_share.sqrt(), (1.0 - noise.common_share).sqrt());
-    let counts = gap_probability(noise);
-    let (mut sums, mut squares) = (vec![0.0; cells], vec![0.0; cells]);
-    let mut strongest = vec![(0.0f64, false); cells];
-    for (donor, coin) in donors.iter().zip(coins) {
+    let donor = |(donor, coin): (&usize, &f64)| {
         let name = &noise.members[*donor].name;
-        let key = keys("noise-weights", name);
-        let smooth = smooth_field(&key, noise.length_cells, [0.0; 2], extent);
-        let constant = common * keys("noise-weights-common", name).field().normal(0, 0);
-        let (values, weights) = (&noise.fields[*donor], &noise.weights[*donor]);
-        for (i, (value, weight)) in values.iter().zip(weights).enumerate() {
-            let position = [(i % columns) as f64, (i / columns) as f64];
-            let g = raised(constant + local * smooth.at(position), noise.sharpness);
-            if g.abs() > strongest[i].0 {
-                strongest[i] = (g.abs(), weight & GAP != 0 && *coin < counts[i]);
-            }
-            let g = g * f64::from(weight & !GAP) / f64::from(!GAP);
-            sums[i] += g * f64::from(*value);
-            squares[i] += g * g;
+        Donor {
+            values: &noise.fields[*donor],
+            weights: &noise.weights[*donor],
+            coin: *coin,
+            constant: common * keys("noise-weights-common", name).field().normal(0, 0),
+            smooth: smooth_field(&keys("noise-weights", name), noise.length_cells, [0.0; 2], extent),
         }
-    }
-    let field = sums.iter().zip(&squares).map(|(sum, square)| if *square > 0.0 { sum / square.sqrt() } else { 0.0 });
-    let gaps = (0..cells).filter(|i| strongest[*i].1).collect();
-    Mixed { field: field.collect(), gaps }
+    };
+    let donors: Vec<Donor> = donors.iter().zip(coins).map(donor).collect();
+    let correlations = correlations(&donors);
+    let counts = gap_probability(noise);
+    let mut field = vec![0.0; cells];
+    let mut gaps = vec![false; cells];
+    let rows = field.par_chunks_mut(columns).zip(gaps.par_chunks_mut(columns)).enumerate();
+    rows.for_each_init(Vec::new, |shares: &mut Vec<f64>, (row, (field, gaps))| {
+        for (column, (value, gap)) in field.iter_mut().zip(gaps).enumerate() {
+            let cell = row * columns + column;
+            let mut strongest = (0.0f64, false);
+            shares.clear();
+            for donor in &donors {
+                let weight = donor.weights[cell];
+                let g = donor.constant + local * donor.smooth.at([column as f64, row as f64]);
+                let g = raised(g, noise.sharpness);
+                if g.abs() > strongest.0 {
+                    strongest = (g.abs(), weight & GAP != 0 && donor.coin < counts[cell]);
+                }
+                shares.push(g * f64::from(weight & !GAP) / f64::from(!GAP));
+            }
+            let sum: f64 = shares.iter().zip(&donors).map(|(g, donor)| g * f64::from(donor.values[cell])).sum();
+            let variance = variance(shares, &correlations);
+            *value = if variance > 0.0 { sum / variance.sqrt() } else { 0.0 };
+            *gap = strongest.1;
+        }
+    });
+    let gaps = (0..cells).filter(|cell| gaps[*cell]).collect();
+    Mixed { field, gaps }
+}
+
+/// A member whose field is mixed into an acquisition.
+struct Donor<'a> {
+    values: &'a [f32],
+    weights: &'a [u8],
+    /// Even draw that decides whether its gaps count.
+    coin: f64,
+    /// Part of its weight that is the same over the face.
+    constant: f64,
+    /// Part that varies.
+    smooth: SmoothNoise,
+}
+
+/// Correlations of the fields of each donor with those before it.
+fn correlations(donors: &[Donor]) -> Vec<Vec<f64>> {
+    let product = |a: &Donor, b: &Donor| -> f64 {
+        let rows = a.values.chunks(CHUNK).zip(b.values.chunks(CHUNK));
+        rows.map(|(a, b)| a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>()).sum()
+    };
+    let squares: Vec<f64> = donors.iter().map(|donor| product(donor, donor).max(f64::MIN_POSITIVE)).collect();
+    let of = |j: usize| (0..j).map(|i| product(&donors[i], &donors[j]) / (squares[i] * squares[j]).sqrt()).collect();
+    (0..donors.len()).into_par_iter().map(of).collect()
+}
+
+/// Cells whose products are added up by themselves.
+const CHUNK: usize = 4096;
+/// Least variance of a mixture as a part of what it is without correlation.
+const LEAST_VARIANCE: f64 = 0.1;
+
+/// Variance of a sum of fields of unit variance with these weights.
+fn variance(weights: &[f64], correlations: &[Vec<f64>]) -> f64 {
+    let alone: f64 = weights.iter().map(|g| g * g).sum();
+    let common = |(g, row): (&f64, &Vec<f64>)| g * row.iter().zip(weights).map(|(c, other)| c * other).sum::<f64>();
+    let together: f64 = weights.iter().zip(correlations).map(common).sum();
+    (alone + 2.0 * together).max(LEAST_VARIANCE * alone)
 }
 
 /// Probability with which a gap of a difference was one of the acquisition asked for, cell by cell: with a share p of gaps in the differences
@@ -209,6 +277,22 @@ mod tests {
         assert_eq!(nearest(&members, &members[1], &class, 2), [1, 4]);
         assert_eq!(nearest(&members, &members[0], &class, 3), [0, 2, 3]);
         assert_eq!(nearest(&members, &members[0], &class, 9).len(), 5);
+    }
+
+    #[test]
+    fn donors_that_are_alike_or_opposite_leave_the_variance_of_a_mixture_as_it_is() {
+        let correlations = [vec![], vec![-0.5], vec![0.25, 0.0]];
+        assert!((variance(&[1.0, 1.0, 2.0], &correlations) - (6.0 - 1.0 + 1.0)).abs() < 1e-12);
+        assert!((variance(&[1.0, -1.0, 0.0], &correlations) - 3.0).abs() < 1e-12);
+        // Fields that nearly cancel are not blown up.
+        assert!((variance(&[1.0, 1.0], &[vec![], vec![-1.0]]) - 0.2).abs() < 1e-12);
+    }
+
+    #[test]
+    fn amplitudes_say_how_coarse_noise_is_and_not_how_strong() {
+        let found = of_unit_variance(vec![0.5, -0.3], &[0.25, 0.75]);
+        let power = 0.25 * portable_math::exp(2.0 * found[0]) + 0.75 * portable_math::exp(2.0 * found[1]);
+        assert!((power - 1.0).abs() < 1e-12 && (found[0] - found[1] - 0.8).abs() < 1e-12);
     }
 
     #[test]
