@@ -8,6 +8,7 @@ use std::fs::{File, OpenOptions, TryLockError};
 use std::io;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
@@ -111,6 +112,8 @@ pub(crate) struct Bytes {
     /// Bytes that this process has.
     held: Mutex<HashMap<i64, Held>>,
     released: Condvar,
+    /// How many threads wait for `released`; changed while `held` is locked.
+    waiting: AtomicUsize,
 }
 
 /// What this process has a byte for.
@@ -125,7 +128,8 @@ enum Held {
 impl Bytes {
     /// The bytes of the file `path`, which decide among the processes of this machine, and leases that decide among machines.
     pub(crate) fn new(path: PathBuf, leases: Option<Leases>) -> Arc<Self> {
-        Arc::new(Self { path, leases, file: OnceLock::new(), held: Mutex::default(), released: Condvar::new() })
+        let (file, held, released, waiting) = (OnceLock::new(), Mutex::default(), Condvar::new(), AtomicUsize::new(0));
+        Arc::new(Self { path, leases, file, held, released, waiting })
     }
 
     /// Takes the lock of `key`, calling `on_wait` once before waiting if it is held elsewhere.
@@ -139,7 +143,9 @@ impl Bytes {
             wait();
             held = self.held();
             if held.contains_key(&byte) {
+                self.waiting.fetch_add(1, Ordering::Relaxed);
                 held = self.released.wait(held).unwrap_or_else(PoisonError::into_inner);
+                self.waiting.fetch_sub(1, Ordering::Relaxed);
             }
         }
         held.insert(byte, Held::Key);
@@ -219,7 +225,9 @@ impl Bytes {
         }
         // It cannot fail for a byte that is locked; the end of the process releases it in any case.
         let _ = self.set(&flock(byte, libc::F_UNLCK));
-        self.released.notify_all();
+        if self.waiting.load(Ordering::Relaxed) > 0 {
+            self.released.notify_all();
+        }
     }
 
     /// Sets a lock; false where another process is in the way.
@@ -311,7 +319,7 @@ pub(crate) fn abandoned(file: File, path: &Path) -> Option<Locked> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::sync::atomic::{AtomicU32, Ordering};
+    use std::sync::atomic::AtomicU32;
 
     fn bytes(folder: &tempfile::TempDir) -> Arc<Bytes> {
         Bytes::new(folder.path().join("keys"), None)

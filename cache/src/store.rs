@@ -102,6 +102,11 @@ impl Store {
         })
     }
 
+    /// Whether there is a store of this format at `dir`.
+    pub fn is_at(dir: &Path) -> bool {
+        open::is_current(dir)
+    }
+
     /// The folder of the store, absolute.
     pub fn dir(&self) -> &Path {
         &self.root
@@ -114,11 +119,14 @@ impl Store {
     /// another size is set aside, and reported by [`Store::take_damaged`].
     pub fn put(&self, bytes: &[u8]) -> Result<Digest, StoreError> {
         let digest = Digest::of(bytes);
-        if self.renew(&digest, Some(bytes.len() as u64)) {
+        if bytes.len() < LARGE_BYTES {
+            // No file has its name: only large ones have.
+            if !self.place(&digest).is_some_and(Place::is_recent) {
+                self.append(Kind::Blob, digest, bytes)?;
+            }
             return Ok(digest);
         }
-        if bytes.len() < LARGE_BYTES {
-            self.append(Kind::Blob, digest, bytes)?;
+        if self.renew(&digest, Some(bytes.len() as u64)) {
             return Ok(digest);
         }
         self.blobs.put(&digest, bytes)?;
@@ -216,9 +224,19 @@ impl Store {
 
     /// [`Store::is_hit`] without reading the recipe, which the caller has just hashed: what planning needs.
     pub fn hit_outcome(&self, key: &Digest) -> Option<Outcome> {
+        self.hit_of(key, self.told_outcome(key))
+    }
+
+    /// What the latest record under this key in this very store says, whether its blobs are there or not: the part of
+    /// [`Store::hit_outcome`] that any number of threads may do at once for many keys. [`Store::hit_of`] is the rest.
+    pub fn told_outcome(&self, key: &Digest) -> Option<Outcome> {
+        self.journal.with_index(|index| Outcome::decode(index.payload(Kind::Record, key)?))
+    }
+
+    /// [`Store::hit_outcome`] where [`Store::told_outcome`] has been asked already.
+    pub fn hit_of(&self, key: &Digest, told: Option<Outcome>) -> Option<Outcome> {
         let is_whole = |outcome: &Outcome| self.has_all(outcome.blobs());
-        let here = self.journal.with_index(|index| Outcome::decode(index.payload(Kind::Record, key)?));
-        let Some(here) = here.filter(is_whole) else {
+        let Some(here) = told.filter(is_whole) else {
             return Outcome::decode(&self.record_below(key)?).filter(is_whole);
         };
         self.offer_again(key);
