@@ -11,7 +11,7 @@ use crate::error::{At, StoreError};
 use crate::frame::{Header, Kind, PAYLOAD_LIMIT};
 use crate::index::{Index, Place};
 use crate::locks::Locked;
-use crate::segment::{FULL_BYTES, Frame, Writer, claim, scan};
+use crate::segment::{FULL_BYTES, Frame, Payload, Writer, claim, scan};
 use crate::{Digest, plain};
 
 /// Ends the name of every segment.
@@ -179,7 +179,7 @@ impl Journal {
         let at = writer.append(&header, payload);
         let (segment, end) = (writer.segment, writer.end);
         let at = at.inspect_err(|_| drop(slot.take()))?;
-        let payload = if kind == Kind::Blob { Box::default() } else { payload.into() };
+        let payload = if kind == Kind::Blob { Payload::default() } else { payload.into() };
         let frames = vec![Frame { header, at, payload }];
         self.edit_index(|index| index.enter(segment, frames, end));
         Ok(())

@@ -4,6 +4,7 @@
 //! open file: one that is merely closed is held on by that copy. So every lock here is released in so many words.
 
 use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io;
 use std::ops::Deref;
@@ -171,15 +172,13 @@ impl Bytes {
     /// Takes the lock of `key` unless it is held elsewhere.
     pub(crate) fn try_lock(self: &Arc<Self>, key: &Digest) -> Result<Option<KeyLock>, StoreError> {
         let byte = byte_of(key);
-        let mut held = self.held();
-        if held.contains_key(&byte) || !self.set(&flock(byte, libc::F_WRLCK))? {
-            return Ok(None);
-        }
-        held.insert(byte, Held::Key);
-        drop(held);
+        match self.held().entry(byte) {
+            Entry::Occupied(_) => return Ok(None),
+            Entry::Vacant(free) => free.insert(Held::Key),
+        };
+        // From here on the byte is this lock's within the process; dropping it gives the byte back.
         let lock = KeyLock { bytes: Arc::clone(self), byte, claim: None };
-        // Dropping it gives the byte back.
-        Ok(self.lease(byte)?.then_some(lock))
+        Ok((self.set(&flock(byte, libc::F_WRLCK))? && self.lease(byte)?).then_some(lock))
     }
 
     /// Lets other processes see `name`; any number of them may announce the same.
@@ -214,17 +213,27 @@ impl Bytes {
     }
 
     fn release(&self, byte: i64) {
+        // It cannot fail for a byte that is locked; the end of the process releases it in any case.
+        let unlock = || drop(self.set(&flock(byte, libc::F_UNLCK)));
         let mut held = self.held();
-        match held.remove(&byte) {
-            Some(Held::Announced(count)) if count > 1 => {
-                held.insert(byte, Held::Announced(count - 1));
+        match held.get_mut(&byte) {
+            Some(Held::Announced(count)) if *count > 1 => {
+                *count -= 1;
                 return;
             }
-            Some(Held::Announced(_)) => self.leases.iter().for_each(|leases| leases.withdraw(byte)),
-            _ => self.leases.iter().for_each(|leases| leases.release(byte)),
+            Some(Held::Announced(_)) => {
+                self.leases.iter().for_each(|leases| leases.withdraw(byte));
+                unlock();
+            }
+            _ => {
+                // Others need not wait for the system: until it is unlocked the byte is held.
+                drop(held);
+                self.leases.iter().for_each(|leases| leases.release(byte));
+                unlock();
+                held = self.held();
+            }
         }
-        // It cannot fail for a byte that is locked; the end of the process releases it in any case.
-        let _ = self.set(&flock(byte, libc::F_UNLCK));
+        held.remove(&byte);
         if self.waiting.load(Ordering::Relaxed) > 0 {
             self.released.notify_all();
         }

@@ -224,19 +224,9 @@ impl Store {
 
     /// [`Store::is_hit`] without reading the recipe, which the caller has just hashed: what planning needs.
     pub fn hit_outcome(&self, key: &Digest) -> Option<Outcome> {
-        self.hit_of(key, self.told_outcome(key))
-    }
-
-    /// What the latest record under this key in this very store says, whether its blobs are there or not: the part of
-    /// [`Store::hit_outcome`] that any number of threads may do at once for many keys. [`Store::hit_of`] is the rest.
-    pub fn told_outcome(&self, key: &Digest) -> Option<Outcome> {
-        self.journal.with_index(|index| Outcome::decode(index.payload(Kind::Record, key)?))
-    }
-
-    /// [`Store::hit_outcome`] where [`Store::told_outcome`] has been asked already.
-    pub fn hit_of(&self, key: &Digest, told: Option<Outcome>) -> Option<Outcome> {
         let is_whole = |outcome: &Outcome| self.has_all(outcome.blobs());
-        let Some(here) = told.filter(is_whole) else {
+        let here = self.journal.with_index(|index| Outcome::decode(index.payload(Kind::Record, key)?));
+        let Some(here) = here.filter(is_whole) else {
             return Outcome::decode(&self.record_below(key)?).filter(is_whole);
         };
         self.offer_again(key);

@@ -182,8 +182,9 @@ impl PipelineArgs {
         Ok(pipeline)
     }
 
-    /// Plans for these targets; faults of the pipeline come before anything is made on disk.
-    fn plan(&self, registry: &Registry, pipeline: &Pipeline, targets: &[String]) -> Result<(Plan, Store), CliError> {
+    /// Plans for these targets; faults of the pipeline come before anything is made on disk. The steps of the document go: they
+    /// are in the plan then.
+    fn plan(&self, registry: &Registry, pipeline: &mut Pipeline, targets: &[String]) -> Result<(Plan, Store), CliError> {
         let _plan = tracing::trace_span!(target: PHASE, "plan").entered();
         let resolve = || rockface_engine::plan::resolve(pipeline, targets, registry.stages());
         // A store that is there is read meanwhile.
@@ -196,6 +197,7 @@ impl PipelineArgs {
             (resolve(), None)
         };
         let graph = graph.map_err(CliError::Pipeline)?;
+        pipeline.document.steps = Vec::new();
         let store = opened.unwrap_or_else(|| self.open_store())?;
         self.remote.attach(&store, false)?;
         let plan = rockface_engine::plan::expand(graph, pipeline, &store).map_err(CliError::Pipeline)?;

@@ -1,5 +1,6 @@
 //! The manifest of a run, `run.json`, as it is read back.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -110,11 +111,11 @@ pub struct StepDone {
     /// Its items by axis.
     pub point: BTreeMap<String, String>,
     /// The stage it uses.
-    pub stage: String,
+    pub stage: Cow<'static, str>,
     /// The version of the stage.
     pub version: u32,
     /// `executed`, `cached`, `failed`, or `not reached` because something before it failed.
-    pub status: String,
+    pub status: Cow<'static, str>,
     /// Why it failed, if it did.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub failure: Option<String>,

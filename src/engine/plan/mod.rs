@@ -22,7 +22,7 @@ mod unused;
 pub use completion::{complete, find};
 pub use dynamic::{Items, items_of};
 pub use graph::{Dynamic, Feed, Graph, GraphStep, Later, Source};
-pub use hit::{fitting, hit};
+pub use hit::hit;
 pub use instances::{Given, Instance, Plan, has_ports, makes};
 pub use parameters::{InputFile, StepParams};
 pub use points::counts;

@@ -293,7 +293,10 @@ impl<'d> Resolver<'d> {
         self.reach = order.iter().map(|old| reach[*old].clone()).collect();
         let dynamic = self.dynamic();
         self.check_part_outputs();
-        let steps: Vec<GraphStep> = order.iter().filter_map(|old| self.step(&document.steps[*old], *old)).collect();
+        let mut steps: Vec<GraphStep> = Vec::with_capacity(order.len());
+        for old in order {
+            steps.extend(self.step(&document.steps[*old], *old));
+        }
         let targets = self.targets(&steps, &dynamic, targets);
         if document.value_faults.is_empty() {
             let unused: Vec<Diagnostic> = self.unused_axes().into_iter().chain(self.unused_params()).collect();

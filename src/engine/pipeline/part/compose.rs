@@ -86,9 +86,9 @@ impl Scope<'_> {
             }
             Input::Chain { reference, axis, first } => {
                 let axis = self.axis(axis, reader);
-                let first = first.map(|first| self.single(first, reader));
-                let first = if let Some(first) = first { Some(first?) } else { None };
-                Some(Input::Chain { reference: self.single(reference, reader)?, axis, first })
+                let first = first.map(|first| self.single(*first, reader));
+                let first = if let Some(first) = first { Some(Box::new(first?)) } else { None };
+                Some(Input::Chain { reference: Box::new(self.single(*reference, reader)?), axis, first })
             }
         }
     }

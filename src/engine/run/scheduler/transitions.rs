@@ -2,43 +2,23 @@
 
 use std::sync::Arc;
 
-use rayon::prelude::*;
-use rockface_cache::{Digest, Outcome, Recipe, Record, Store};
+use rockface_cache::{Digest, Outcome, Recipe, Record};
 use rockface_core::artefact::Artefact;
 
 use super::phase::Purpose;
 use super::schedule::{Line, Priority, Scheduler, Turn};
-use super::state::{State, States, same_outputs};
-use crate::plan::{Plan, fitting};
+use super::state::{State, same_outputs};
+use crate::plan::hit;
 use crate::run::{RunError, StepFailure};
 
 /// Values that so many instances wait for are fetched or recomputed before anything else.
 const SHARED_BY: usize = 4;
-
-/// Instances that are settled together by several threads: at least and at most so many.
-const SETTLED_TOGETHER: std::ops::Range<usize> = 32..4096;
-
-/// What is found out of an instance whose producers are done.
-struct LookedUp {
-    recipe: Recipe,
-    key: Digest,
-    /// What its record says, if it has one.
-    told: Option<Outcome>,
-}
-
-/// The recipe of an instance whose producers are done.
-fn recipe(plan: &Plan, states: &States, instance: usize) -> Recipe {
-    plan.recipe(instance, |producer, port| {
-        states[producer].outcome().map_or_else(|| Digest::of(b""), |outcome| outcome.outputs[port].digest)
-    })
-}
 
 impl Scheduler<'_> {
     /// Takes all turns that wait; none of them needs a worker.
     pub fn take_turns(&mut self) -> Result<(), RunError> {
         while let Some(turn) = self.turns.pop_front() {
             match turn {
-                Turn::Settle(instance) if self.options.jobs > 1 => self.settle_many(instance),
                 Turn::Settle(instance) => self.settle(instance),
                 Turn::Prepare(instance) => self.prepare(instance),
                 Turn::Finish(instance) => self.finish(instance)?,
@@ -52,7 +32,10 @@ impl Scheduler<'_> {
 
     /// The recipe of an instance whose producers are done.
     pub fn recipe(&self, instance: usize) -> Recipe {
-        recipe(self.plan, &self.states, instance)
+        let states = &self.states;
+        self.plan.recipe(instance, |producer, port| {
+            states[producer].outcome().map_or_else(|| Digest::of(b""), |outcome| outcome.outputs[port].digest)
+        })
     }
 
     /// The recipe of an instance that has a key: the one held here, or else that of its record.
@@ -62,55 +45,22 @@ impl Scheduler<'_> {
         state.recipe.as_deref().cloned().or_else(recorded).unwrap_or_else(|| self.recipe(instance))
     }
 
-    /// Notes the key of an instance.
-    fn enter_key(&mut self, instance: usize, key: Digest) {
+    /// Determines the recipe of an instance and its key.
+    fn determine_recipe(&mut self, instance: usize) -> (Digest, Recipe) {
+        let recipe = self.recipe(instance);
+        let key = recipe.key();
         self.referenced.push(key);
         (self.states[instance].key, self.states[instance].recipe) = (Some(key), None);
-    }
-
-    /// What is found out of an instance without changing anything.
-    fn look_up(plan: &Plan, states: &States, store: &Store, instance: usize) -> LookedUp {
-        let recipe = recipe(plan, states, instance);
-        let key = recipe.key();
-        LookedUp { told: store.told_outcome(&key), recipe, key }
-    }
-
-    /// Settles an instance, and with it those whose turn it is next: with several threads, where they are many.
-    fn settle_many(&mut self, first: usize) {
-        let settles = |turn: &&Turn| matches!(turn, Turn::Settle(_));
-        let more = self.turns.iter().take(SETTLED_TOGETHER.end).take_while(settles).count();
-        if more < SETTLED_TOGETHER.start {
-            return self.settle(first);
-        }
-        let next = self.turns.drain(..more).filter_map(|turn| match turn {
-            Turn::Settle(instance) => Some(instance),
-            _ => None,
-        });
-        let all: Vec<usize> = std::iter::once(first).chain(next).collect();
-        let (plan, states, store) = (&*self.plan, &self.states, self.store);
-        let look = |instance: &usize| {
-            states[*instance].is_pending().then(|| Self::look_up(plan, states, store, *instance))
-        };
-        let found: Vec<Option<LookedUp>> = self.workers.many(|| all.par_iter().map(look).collect());
-        for (instance, found) in all.into_iter().zip(found) {
-            if let Some(found) = found {
-                self.settle_by(instance, found);
-            }
-        }
+        (key, recipe)
     }
 
     /// All producers are done: the outcome is on record, or the instance has to run.
     fn settle(&mut self, instance: usize) {
-        if self.states[instance].is_pending() {
-            let found = Self::look_up(self.plan, &self.states, self.store, instance);
-            self.settle_by(instance, found);
+        if !self.states[instance].is_pending() {
+            return;
         }
-    }
-
-    fn settle_by(&mut self, instance: usize, LookedUp { recipe, key, told }: LookedUp) {
-        self.enter_key(instance, key);
-        let known = self.store.hit_of(&key, told);
-        let known = fitting(known, self.plan.step(instance).keep, |outcome| self.plan.fits(instance, outcome));
+        let (key, recipe) = self.determine_recipe(instance);
+        let known = hit(self.store, &key, self.plan.step(instance).keep, |outcome| self.plan.fits(instance, outcome));
         self.report_damaged(instance);
         if let Some(outcome) = known {
             self.close(instance, outcome);
@@ -213,9 +163,7 @@ impl Scheduler<'_> {
                 continue;
             }
             (due.is_stale, due.lease) = (false, None);
-            let recipe = self.recipe(instance);
-            let key = recipe.key();
-            self.enter_key(instance, key);
+            let (key, recipe) = self.determine_recipe(instance);
             self.states[instance].recipe = Some(Box::new(recipe));
             self.enter(instance, key);
         }

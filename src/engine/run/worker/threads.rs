@@ -45,11 +45,6 @@ impl Threads {
         made
     }
 
-    /// Does something that shares itself out among the threads.
-    pub fn together<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
-        self.pool.install(work)
-    }
-
     fn note(&self, stage: &'static str, took: Duration) {
         let mut times = self.times.lock().unwrap_or_else(PoisonError::into_inner);
         let (count, total) = times.entry(stage).or_default();

@@ -54,11 +54,6 @@ impl Workers {
         self.shared.threads.is_short(stage)
     }
 
-    /// Does something for many instances with the threads that stages compute on.
-    pub fn many<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
-        self.shared.threads.together(work)
-    }
-
     /// Hands a task to one of them; so many are handed over and not done, with this one.
     pub fn start(&mut self, task: Task, running: usize) -> std::result::Result<(), RunError> {
         if self.threads.len() < running.min(self.jobs) {
