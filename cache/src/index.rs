@@ -94,11 +94,15 @@ pub(crate) struct Index {
 impl Index {
     /// The number of the segment of this name, new ones being entered as unread.
     pub(crate) fn segment(&mut self, name: &str) -> u32 {
-        let known = self.segments.iter().position(|seen| seen.name == name);
-        known.unwrap_or_else(|| {
+        self.known_segment(name).unwrap_or_else(|| {
             self.segments.push(Seen { name: name.to_owned(), end: 0, is_torn: false });
-            self.segments.len() - 1
-        }) as u32
+            self.segments.len() as u32 - 1
+        })
+    }
+
+    /// The number of the segment of this name, if it has been entered.
+    pub(crate) fn known_segment(&self, name: &str) -> Option<u32> {
+        self.segments.iter().position(|seen| seen.name == name).map(|number| number as u32)
     }
 
     /// How far segment `number` has been read.

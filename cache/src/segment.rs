@@ -89,13 +89,22 @@ impl Writer {
     ///
     /// After an error the end of the file is not known: drop the writer, and whoever claims the segment next cuts the torn tail.
     pub(crate) fn append(&mut self, header: &Header, payload: &[u8]) -> Result<u64, StoreError> {
-        (&**self.file).write_all(&header.encode(payload)).at("append to", &self.path)?;
-        let at = self.end + HEADER_BYTES as u64;
-        self.end += header.frame_bytes();
-        if header.kind != Kind::Mark {
-            self.appended = self.end;
+        self.append_all(&[(*header, payload)]).map(|places| places[0])
+    }
+
+    /// [`Writer::append`] of several frames with one write; returns where each payload starts.
+    pub(crate) fn append_all(&mut self, frames: &[(Header, &[u8])]) -> Result<Vec<u64>, StoreError> {
+        let bytes: Vec<u8> = frames.iter().flat_map(|(header, payload)| header.encode(payload)).collect();
+        (&**self.file).write_all(&bytes).at("append to", &self.path)?;
+        let mut places = Vec::with_capacity(frames.len());
+        for (header, _) in frames {
+            places.push(self.end + HEADER_BYTES as u64);
+            self.end += header.frame_bytes();
+            if header.kind != Kind::Mark {
+                self.appended = self.end;
+            }
         }
-        Ok(at)
+        Ok(places)
     }
 }
 

@@ -184,7 +184,12 @@ impl PipelineArgs {
 
     /// Plans for these targets; faults of the pipeline come before anything is made on disk. The steps of the document go: they
     /// are in the plan then.
-    fn plan(&self, registry: &Registry, pipeline: &mut Pipeline, targets: &[String]) -> Result<(Plan, Store), CliError> {
+    fn plan(
+        &self,
+        registry: &Registry,
+        pipeline: &mut Pipeline,
+        targets: &[String],
+    ) -> Result<(Plan, Store), CliError> {
         let _plan = tracing::trace_span!(target: PHASE, "plan").entered();
         let resolve = || rockface_engine::plan::resolve(pipeline, targets, registry.stages());
         // A store that is there is read meanwhile.

@@ -12,6 +12,9 @@ use serde_json::Value;
 use super::HistoryError;
 use crate::pipeline::Label;
 
+/// What the entry of a step instance mostly takes, bytes.
+const STEP_BYTES: usize = 640;
+
 /// The version of manifests this program writes and reads.
 pub const FORMAT: u32 = 1;
 
@@ -216,6 +219,7 @@ impl Manifest {
         let mut text = serde_json::to_vec_pretty(&self).unwrap_or_default();
         // `steps` is the last field; its list is empty now.
         text.truncate(text.trim_ascii_end().strip_suffix(b"]\n}").map_or(0, <[u8]>::len));
+        text.reserve(steps.len() * STEP_BYTES);
         for (number, done) in steps.iter().enumerate() {
             text.extend_from_slice(if number == 0 { b"\n    " } else { b",\n    " });
             // Into memory, and of nothing that JSON cannot hold.

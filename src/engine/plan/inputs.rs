@@ -87,7 +87,12 @@ impl Resolver<'_> {
         };
         if self.names.document.axes[index].from.is_some() {
             let named = named.into_iter().map(|(word, source)| Some((word.clone(), source?)));
-            return Some(Feed::By { axis: index, cases: Vec::new(), named: named.collect::<Option<_>>()?, other: other.map(Box::new) });
+            return Some(Feed::By {
+                axis: index,
+                cases: Vec::new(),
+                named: named.collect::<Option<_>>()?,
+                other: other.map(Box::new),
+            });
         }
         let cases = self.cases(axis, index, named, other.as_ref())?;
         Some(Feed::By { axis: index, cases, named: Vec::new(), other: None })

@@ -305,14 +305,18 @@ impl<'a> Expansion<'a> {
     }
 
     fn params(&mut self, index: usize, step: &GraphStep, items: &[usize]) -> Option<Arc<StepParams>> {
-        let own: BTreeMap<usize, usize> = step.axes.iter().copied().zip(items.iter().copied()).collect();
-        let mentioned: BTreeMap<usize, usize> = step.with_axes.iter().map(|axis| (*axis, own[axis])).collect();
-        let key = (index, mentioned.values().copied().collect::<Vec<_>>());
-        if !self.params.contains_key(&key) {
-            let checked = self.check(step, &mentioned).map_err(|faults| self.faults.enter(faults));
-            self.params.insert(key.clone(), checked);
-        }
-        match &self.params[&key] {
+        let item =
+            |axis: &usize| step.axes.iter().zip(items).find(|(own, _)| *own == axis).map_or(0, |(_, item)| *item);
+        let key = (index, step.with_axes.iter().map(item).collect::<Vec<_>>());
+        let checked = match self.params.get(&key) {
+            Some(checked) => checked,
+            None => {
+                let mentioned = step.with_axes.iter().copied().zip(key.1.iter().copied()).collect();
+                let checked = self.check(step, &mentioned).map_err(|faults| self.faults.enter(faults));
+                self.params.entry(key).or_insert(checked)
+            }
+        };
+        match checked {
             Ok(params) => Some(params.clone()),
             Err(faults) => {
                 self.faults.count(faults);

@@ -459,7 +459,8 @@ fn producers_first(producers: &[Vec<usize>]) -> Option<Vec<usize>> {
         producers.iter().for_each(|producer| consumers[*producer].push(consumer));
     }
     let mut unmet: Vec<usize> = producers.iter().map(Vec::len).collect();
-    let mut ready: BinaryHeap<Reverse<usize>> = (0..unmet.len()).filter(|node| unmet[*node] == 0).map(Reverse).collect();
+    let mut ready: BinaryHeap<Reverse<usize>> =
+        (0..unmet.len()).filter(|node| unmet[*node] == 0).map(Reverse).collect();
     let mut order = Vec::with_capacity(unmet.len());
     while let Some(Reverse(node)) = ready.pop() {
         order.push(node);
@@ -479,9 +480,8 @@ mod tests {
 
     #[test]
     fn steps_stand_as_written_but_for_producers() {
-        let order = |producers: &[&[usize]]| {
-            producers_first(&producers.iter().map(|list| list.to_vec()).collect::<Vec<_>>())
-        };
+        let order =
+            |producers: &[&[usize]]| producers_first(&producers.iter().map(|list| list.to_vec()).collect::<Vec<_>>());
         assert_eq!(order(&[&[], &[], &[0], &[1], &[]]), Some(vec![0, 1, 2, 3, 4]));
         assert_eq!(order(&[&[2], &[], &[1], &[0]]), Some(vec![1, 2, 0, 3]));
         assert_eq!(order(&[&[1], &[0]]), None);
