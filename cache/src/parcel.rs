@@ -1,4 +1,4 @@
-//! What a step leaves in the store, written in one go: its small blobs, and behind them its record.
+//! What a step leaves in the store, with one write: its small blobs, and behind them its record.
 
 use crate::store::LARGE_BYTES;
 use crate::{Digest, Record, Store, StoreError};
@@ -59,8 +59,13 @@ mod tests {
         assert!(!store.contains(&digest));
         let output =
             OutputRecord { kind: "table".into(), digest, bytes: length, kept: true, memory_bytes: None, items: None };
-        let recipe =
-            Recipe { stage: "sum".into(), version: 1, params: Default::default(), inputs: [].into(), seed: None };
+        let recipe = Recipe {
+            stage: "sum".into(),
+            version: 1,
+            params: std::sync::Arc::default(),
+            inputs: [].into(),
+            seed: None,
+        };
         let outputs = Outputs::from_iter([(SafeName::new("table").unwrap(), output)]);
         let record = Record { recipe, outputs, log: None, sketches: None, cost: Cost::default() };
         assert!(store.commit(&record).is_err(), "the blob is in the parcel only");

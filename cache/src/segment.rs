@@ -94,7 +94,8 @@ impl Writer {
 
     /// [`Writer::append`] of several frames with one write; returns where each payload starts.
     pub(crate) fn append_all(&mut self, frames: &[(Header, &[u8])]) -> Result<Vec<u64>, StoreError> {
-        let bytes: Vec<u8> = frames.iter().flat_map(|(header, payload)| header.encode(payload)).collect();
+        let mut bytes = Vec::with_capacity(frames.iter().map(|(header, _)| header.frame_bytes() as usize).sum());
+        frames.iter().for_each(|(header, payload)| header.encode_to(payload, &mut bytes));
         (&**self.file).write_all(&bytes).at("append to", &self.path)?;
         let mut places = Vec::with_capacity(frames.len());
         for (header, _) in frames {

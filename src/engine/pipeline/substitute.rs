@@ -12,7 +12,7 @@ use crate::diagnostic::{Diagnostic, Span};
 pub fn mentioned(node: &Node, found: &mut Vec<(String, Span)>) {
     match &node.data {
         Data::Scalar(Value::String(text)) if text.contains('$') => {
-            found.extend(names(text).map(|name| (name.to_owned(), node.span)))
+            found.extend(names(text).map(|name| (name.to_owned(), node.span)));
         }
         Data::Scalar(_) => {}
         Data::List(items) => items.iter().for_each(|item| mentioned(item, found)),

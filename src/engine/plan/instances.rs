@@ -308,13 +308,12 @@ impl<'a> Expansion<'a> {
         let item =
             |axis: &usize| step.axes.iter().zip(items).find(|(own, _)| *own == axis).map_or(0, |(_, item)| *item);
         let key = (index, step.with_axes.iter().map(item).collect::<Vec<_>>());
-        let checked = match self.params.get(&key) {
-            Some(checked) => checked,
-            None => {
-                let mentioned = step.with_axes.iter().copied().zip(key.1.iter().copied()).collect();
-                let checked = self.check(step, &mentioned).map_err(|faults| self.faults.enter(faults));
-                self.params.entry(key).or_insert(checked)
-            }
+        let checked = if let Some(checked) = self.params.get(&key) {
+            checked
+        } else {
+            let mentioned = step.with_axes.iter().copied().zip(key.1.iter().copied()).collect();
+            let checked = self.check(step, &mentioned).map_err(|faults| self.faults.enter(faults));
+            self.params.entry(key).or_insert(checked)
         };
         match checked {
             Ok(params) => Some(params.clone()),
