@@ -23,6 +23,11 @@ pub(crate) fn write_value(out: &mut String, value: &Value) {
 /// Appends `text` as a JSON string: quotes, backslashes and control characters escaped, everything else as it is.
 pub(crate) fn write_str(out: &mut String, text: &str) {
     out.push('"');
+    if text.bytes().all(|byte| byte >= 0x20 && byte != b'"' && byte != b'\\') {
+        out.push_str(text);
+        out.push('"');
+        return;
+    }
     for letter in text.chars() {
         match letter {
             '"' => out.push_str("\\\""),

@@ -90,9 +90,9 @@ impl Header {
         HEADER_BYTES as u64 + u64::from(self.length)
     }
 
-    /// The header followed by its payload.
-    pub(crate) fn encode(&self, payload: &[u8]) -> Vec<u8> {
-        let mut out = Vec::with_capacity(HEADER_BYTES + payload.len());
+    /// Appends the header followed by its payload.
+    pub(crate) fn encode_to(&self, payload: &[u8], out: &mut Vec<u8>) {
+        let start = out.len();
         out.extend(MAGIC);
         out.extend([self.kind.number(), 0, 0, 0]);
         out.extend(self.length.to_le_bytes());
@@ -100,8 +100,15 @@ impl Header {
         out.extend(self.stamp.to_le_bytes());
         out.extend(self.name.as_bytes());
         out.extend(self.check);
-        out.extend(&blake3::hash(&out).as_bytes()[..8]);
+        let check = blake3::hash(&out[start..]);
+        out.extend(&check.as_bytes()[..8]);
         out.extend(payload);
+    }
+
+    /// The header followed by its payload.
+    pub(crate) fn encode(&self, payload: &[u8]) -> Vec<u8> {
+        let mut out = Vec::with_capacity(HEADER_BYTES + payload.len());
+        self.encode_to(payload, &mut out);
         out
     }
 

@@ -8,7 +8,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use crate::Digest;
 use crate::blobs::is_recent;
 use crate::frame::{Header, Kind, STAMP_LIMIT, payload_check};
-use crate::segment::Frame;
+use crate::segment::{Frame, Payload};
 
 /// A map by digest; digests are as good as random, so that some of their bytes do for a hash.
 type ByDigest<T> = HashMap<Digest, T, BuildHasherDefault<DigestHasher>>;
@@ -73,7 +73,7 @@ pub(crate) struct Seen {
 struct Entry {
     stamp: u64,
     check: [u8; 16],
-    payload: Box<[u8]>,
+    payload: Payload,
     /// Whether the payload is what was written, once somebody has asked.
     is_whole: OnceLock<bool>,
 }
@@ -94,11 +94,15 @@ pub(crate) struct Index {
 impl Index {
     /// The number of the segment of this name, new ones being entered as unread.
     pub(crate) fn segment(&mut self, name: &str) -> u32 {
-        let known = self.segments.iter().position(|seen| seen.name == name);
-        known.unwrap_or_else(|| {
+        self.known_segment(name).unwrap_or_else(|| {
             self.segments.push(Seen { name: name.to_owned(), end: 0, is_torn: false });
-            self.segments.len() - 1
-        }) as u32
+            self.segments.len() as u32 - 1
+        })
+    }
+
+    /// The number of the segment of this name, if it has been entered.
+    pub(crate) fn known_segment(&self, name: &str) -> Option<u32> {
+        self.segments.iter().position(|seen| seen.name == name).map(|number| number as u32)
     }
 
     /// How far segment `number` has been read.
@@ -142,7 +146,7 @@ impl Index {
         *seen = end.max(*seen);
     }
 
-    fn enter_one(&mut self, segment: u32, header: &Header, at: u64, payload: Box<[u8]>) {
+    fn enter_one(&mut self, segment: u32, header: &Header, at: u64, payload: Payload) {
         let map = match header.kind {
             Kind::Record => &mut self.records,
             Kind::Note => &mut self.notes,
@@ -271,7 +275,7 @@ mod tests {
             let segment = index.segment("a");
             let header = |i: usize| frames[i].header;
             for (read, i) in order.into_iter().enumerate() {
-                index.enter_one(segment, &header(i), 0, Box::default());
+                index.enter_one(segment, &header(i), 0, Payload::default());
                 let newest = order[..=read].contains(&2);
                 let only_old = order[..=read] == [0];
                 assert_eq!(index.blob(&Digest::of(b"b")).is_some(), newest || only_old, "{order:?}");

@@ -11,7 +11,7 @@ use crate::error::{At, StoreError};
 use crate::frame::{Header, Kind, PAYLOAD_LIMIT};
 use crate::index::{Index, Place};
 use crate::locks::Locked;
-use crate::segment::{FULL_BYTES, Frame, Writer, claim, scan};
+use crate::segment::{FULL_BYTES, Frame, Payload, Writer, claim, scan};
 use crate::{Digest, plain};
 
 /// Ends the name of every segment.
@@ -84,7 +84,8 @@ impl Journal {
     /// Reads what these segments have gained; not the one that only this process may append to.
     fn read_all(&self, names: Vec<String>, own: Option<u32>) -> Result<(), StoreError> {
         for name in names {
-            let number = self.edit_index(|index| index.segment(&name));
+            let known = self.with_index(|index| index.known_segment(&name));
+            let number = known.unwrap_or_else(|| self.edit_index(|index| index.segment(&name)));
             if own == Some(number) {
                 continue;
             }
@@ -150,20 +151,21 @@ impl Journal {
         Ok(names)
     }
 
-    /// Appends a payload under `name` to this process's segment.
-    pub(crate) fn append(&self, kind: Kind, name: Digest, payload: &[u8]) -> Result<(), StoreError> {
+    /// Appends payloads under their names to the segment of this process, in this order and with one write.
+    pub(crate) fn append_all(&self, entries: &[(Kind, Digest, &[u8])]) -> Result<(), StoreError> {
         let mut slot = self.writer();
         // Another thread may have stored the same blob while this one waited. A segment that is written to stays.
         let own = slot.as_ref().map(|writer| writer.segment);
         let is_safe = |place: Place| place.is_recent() || own == Some(place.segment);
-        if kind == Kind::Blob && self.with_index(|index| index.blob(&name)).is_some_and(is_safe) {
-            return Ok(());
-        }
-        self.append_to(&mut slot, kind, name, payload)
+        let is_new = |(kind, name, _): &&(Kind, Digest, &[u8])| {
+            *kind != Kind::Blob || !self.with_index(|index| index.blob(name)).is_some_and(is_safe)
+        };
+        let new: Vec<_> = entries.iter().filter(is_new).collect();
+        if new.is_empty() { Ok(()) } else { self.append_to(&mut slot, &new) }
     }
 
-    fn append_to(&self, slot: &mut Option<Writer>, kind: Kind, name: Digest, payload: &[u8]) -> Result<(), StoreError> {
-        if payload.len() as u64 > PAYLOAD_LIMIT {
+    fn append_to(&self, slot: &mut Option<Writer>, entries: &[&(Kind, Digest, &[u8])]) -> Result<(), StoreError> {
+        if let Some((_, _, payload)) = entries.iter().find(|(_, _, payload)| payload.len() as u64 > PAYLOAD_LIMIT) {
             let bytes = payload.len() as u64;
             return Err(StoreError::TooLarge { what: "an entry", bytes, limit: PAYLOAD_LIMIT });
         }
@@ -175,12 +177,17 @@ impl Journal {
             Some(writer) => writer,
             None => slot.insert(self.claim_segment()?),
         };
-        let header = Header::of(kind, name, self.tick()?, payload);
-        let at = writer.append(&header, payload);
+        let framed =
+            entries.iter().map(|(kind, name, payload)| Ok((Header::of(*kind, *name, self.tick()?, payload), *payload)));
+        let framed = framed.collect::<Result<Vec<_>, StoreError>>()?;
+        let places = writer.append_all(&framed);
         let (segment, end) = (writer.segment, writer.end);
-        let at = at.inspect_err(|_| drop(slot.take()))?;
-        let payload = if kind == Kind::Blob { Box::default() } else { payload.into() };
-        let frames = vec![Frame { header, at, payload }];
+        let places = places.inspect_err(|_| drop(slot.take()))?;
+        let frame = |((header, payload), at): ((Header, &[u8]), u64)| {
+            let payload = if header.kind == Kind::Blob { Payload::default() } else { payload.into() };
+            Frame { header, at, payload }
+        };
+        let frames = framed.into_iter().zip(places).map(frame).collect();
         self.edit_index(|index| index.enter(segment, frames, end));
         Ok(())
     }
@@ -382,7 +389,7 @@ mod tests {
     fn two_syncs_at_once_leave_one_mark() {
         let folder = tempfile::tempdir().unwrap();
         let journal = Journal::open(folder.path(), None).unwrap();
-        journal.append(Kind::Note, Digest::of(b"name"), b"note").unwrap();
+        journal.append_all(&[(Kind::Note, Digest::of(b"name"), b"note")]).unwrap();
         let (one, other) = (journal.pending().unwrap(), journal.pending().unwrap());
         journal.settle(&one).unwrap();
         let size = || std::fs::metadata(&one.path).unwrap().len();
@@ -401,7 +408,7 @@ mod tests {
             std::thread::sleep(std::time::Duration::from_millis(pause_ms));
             one.refresh().unwrap();
             assert!(pause_ms == 0 || one.listed.lock().unwrap().is_some());
-            other.append(Kind::Note, Digest::of(note), note).unwrap();
+            other.append_all(&[(Kind::Note, Digest::of(note), note)]).unwrap();
             // The next one goes to a segment of its own.
             let taken = other.writer().take();
             std::mem::forget(taken);

@@ -4,10 +4,12 @@
 //! open file: one that is merely closed is held on by that copy. So every lock here is released in so many words.
 
 use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
@@ -111,6 +113,8 @@ pub(crate) struct Bytes {
     /// Bytes that this process has.
     held: Mutex<HashMap<i64, Held>>,
     released: Condvar,
+    /// How many threads wait for `released`; changed while `held` is locked.
+    waiting: AtomicUsize,
 }
 
 /// What this process has a byte for.
@@ -125,7 +129,8 @@ enum Held {
 impl Bytes {
     /// The bytes of the file `path`, which decide among the processes of this machine, and leases that decide among machines.
     pub(crate) fn new(path: PathBuf, leases: Option<Leases>) -> Arc<Self> {
-        Arc::new(Self { path, leases, file: OnceLock::new(), held: Mutex::default(), released: Condvar::new() })
+        let (file, held, released, waiting) = (OnceLock::new(), Mutex::default(), Condvar::new(), AtomicUsize::new(0));
+        Arc::new(Self { path, leases, file, held, released, waiting })
     }
 
     /// Takes the lock of `key`, calling `on_wait` once before waiting if it is held elsewhere.
@@ -139,7 +144,9 @@ impl Bytes {
             wait();
             held = self.held();
             if held.contains_key(&byte) {
+                self.waiting.fetch_add(1, Ordering::Relaxed);
                 held = self.released.wait(held).unwrap_or_else(PoisonError::into_inner);
+                self.waiting.fetch_sub(1, Ordering::Relaxed);
             }
         }
         held.insert(byte, Held::Key);
@@ -165,15 +172,13 @@ impl Bytes {
     /// Takes the lock of `key` unless it is held elsewhere.
     pub(crate) fn try_lock(self: &Arc<Self>, key: &Digest) -> Result<Option<KeyLock>, StoreError> {
         let byte = byte_of(key);
-        let mut held = self.held();
-        if held.contains_key(&byte) || !self.set(&flock(byte, libc::F_WRLCK))? {
-            return Ok(None);
-        }
-        held.insert(byte, Held::Key);
-        drop(held);
+        match self.held().entry(byte) {
+            Entry::Occupied(_) => return Ok(None),
+            Entry::Vacant(free) => free.insert(Held::Key),
+        };
+        // From here on the byte is this lock's within the process; dropping it gives the byte back.
         let lock = KeyLock { bytes: Arc::clone(self), byte, claim: None };
-        // Dropping it gives the byte back.
-        Ok(self.lease(byte)?.then_some(lock))
+        Ok((self.set(&flock(byte, libc::F_WRLCK))? && self.lease(byte)?).then_some(lock))
     }
 
     /// Lets other processes see `name`; any number of them may announce the same.
@@ -208,18 +213,30 @@ impl Bytes {
     }
 
     fn release(&self, byte: i64) {
+        // It cannot fail for a byte that is locked; the end of the process releases it in any case.
+        let unlock = || drop(self.set(&flock(byte, libc::F_UNLCK)));
         let mut held = self.held();
-        match held.remove(&byte) {
-            Some(Held::Announced(count)) if count > 1 => {
-                held.insert(byte, Held::Announced(count - 1));
+        match held.get_mut(&byte) {
+            Some(Held::Announced(count)) if *count > 1 => {
+                *count -= 1;
                 return;
             }
-            Some(Held::Announced(_)) => self.leases.iter().for_each(|leases| leases.withdraw(byte)),
-            _ => self.leases.iter().for_each(|leases| leases.release(byte)),
+            Some(Held::Announced(_)) => {
+                self.leases.iter().for_each(|leases| leases.withdraw(byte));
+                unlock();
+            }
+            _ => {
+                // Others need not wait for the system: until it is unlocked the byte is held.
+                drop(held);
+                self.leases.iter().for_each(|leases| leases.release(byte));
+                unlock();
+                held = self.held();
+            }
         }
-        // It cannot fail for a byte that is locked; the end of the process releases it in any case.
-        let _ = self.set(&flock(byte, libc::F_UNLCK));
-        self.released.notify_all();
+        held.remove(&byte);
+        if self.waiting.load(Ordering::Relaxed) > 0 {
+            self.released.notify_all();
+        }
     }
 
     /// Sets a lock; false where another process is in the way.
@@ -311,7 +328,7 @@ pub(crate) fn abandoned(file: File, path: &Path) -> Option<Locked> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::sync::atomic::{AtomicU32, Ordering};
+    use std::sync::atomic::AtomicU32;
 
     fn bytes(folder: &tempfile::TempDir) -> Arc<Bytes> {
         Bytes::new(folder.path().join("keys"), None)

@@ -146,7 +146,8 @@ impl Outcome {
 
     /// The outcome in the bytes of a record; `None` when another program wrote them.
     pub(crate) fn decode(bytes: &[u8]) -> Option<Self> {
-        serde_json::from_slice(split(bytes)?.1).ok()
+        // As one text: its letters are looked at once, not string by string.
+        serde_json::from_str(std::str::from_utf8(split(bytes)?.1).ok()?).ok()
     }
 }
 

@@ -2,6 +2,7 @@
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
+use std::ops::Deref;
 use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -29,7 +30,30 @@ pub(crate) struct Frame {
     /// Where its payload starts in the segment.
     pub at: u64,
     /// The payload, except that of a blob, which stays on disk.
-    pub payload: Box<[u8]>,
+    pub payload: Payload,
+}
+
+/// A payload in memory that it shares with those it was read with: a piece of memory of its own for each of very many takes longer
+/// than reading them.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Payload {
+    shared: Arc<Vec<u8>>,
+    start: usize,
+    length: u32,
+}
+
+impl Deref for Payload {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        &self.shared[self.start..self.start + self.length as usize]
+    }
+}
+
+impl From<&[u8]> for Payload {
+    fn from(bytes: &[u8]) -> Self {
+        Self { shared: Arc::new(bytes.to_vec()), start: 0, length: bytes.len() as u32 }
+    }
 }
 
 /// What a segment holds from some offset on.
@@ -65,13 +89,23 @@ impl Writer {
     ///
     /// After an error the end of the file is not known: drop the writer, and whoever claims the segment next cuts the torn tail.
     pub(crate) fn append(&mut self, header: &Header, payload: &[u8]) -> Result<u64, StoreError> {
-        (&**self.file).write_all(&header.encode(payload)).at("append to", &self.path)?;
-        let at = self.end + HEADER_BYTES as u64;
-        self.end += header.frame_bytes();
-        if header.kind != Kind::Mark {
-            self.appended = self.end;
+        self.append_all(&[(*header, payload)]).map(|places| places[0])
+    }
+
+    /// [`Writer::append`] of several frames with one write; returns where each payload starts.
+    pub(crate) fn append_all(&mut self, frames: &[(Header, &[u8])]) -> Result<Vec<u64>, StoreError> {
+        let mut bytes = Vec::with_capacity(frames.iter().map(|(header, _)| header.frame_bytes() as usize).sum());
+        frames.iter().for_each(|(header, payload)| header.encode_to(payload, &mut bytes));
+        (&**self.file).write_all(&bytes).at("append to", &self.path)?;
+        let mut places = Vec::with_capacity(frames.len());
+        for (header, _) in frames {
+            places.push(self.end + HEADER_BYTES as u64);
+            self.end += header.frame_bytes();
+            if header.kind != Kind::Mark {
+                self.appended = self.end;
+            }
         }
-        Ok(at)
+        Ok(places)
     }
 }
 
@@ -103,21 +137,25 @@ pub(crate) fn is_at(file: &File, path: &Path) -> bool {
 /// are verified now, since a power cut may have torn them. What is damaged is stepped over, at worst to the next header.
 pub(crate) fn scan(file: &File, from: u64) -> io::Result<Scan> {
     let mut window = Window { file, size: file.metadata()?.len(), start: 0, bytes: Vec::new() };
-    let mut frames = Vec::new();
+    let (mut found, mut payloads) = (Vec::new(), Vec::new());
     let mut durable = from;
     let mut next = window.find_header(from)?;
     while let Some((start, header)) = next {
         let at = start + HEADER_BYTES as u64;
         let length = if header.kind == Kind::Blob { 0 } else { header.length as usize };
-        let payload = window.read(at, length)?.into();
+        let start = payloads.len();
+        payloads.extend_from_slice(window.read(at, length)?);
         if header.kind == Kind::Mark {
             durable = durable.max(header.stamp);
         }
-        frames.push(Frame { header, at, payload });
-        next = window.find_header(start + header.frame_bytes())?;
+        found.push((header, at, start, (payloads.len() - start) as u32));
+        next = window.find_header(at + u64::from(header.length))?;
     }
-    let (mut whole, mut first_torn) = (Vec::with_capacity(frames.len()), u64::MAX);
-    for frame in frames {
+    payloads.shrink_to_fit();
+    let shared = Arc::new(payloads);
+    let (mut whole, mut first_torn) = (Vec::with_capacity(found.len()), u64::MAX);
+    for (header, at, start, length) in found {
+        let frame = Frame { header, at, payload: Payload { shared: Arc::clone(&shared), start, length } };
         if frame.at < durable || window.is_whole(&frame)? {
             whole.push(frame);
         } else {

@@ -19,7 +19,7 @@ use crate::syncer::Syncer;
 use crate::{Digest, Outcome, Record};
 
 /// Blobs of this size and more have a file of their own.
-const LARGE_BYTES: usize = 64 * 1024;
+pub(crate) const LARGE_BYTES: usize = 64 * 1024;
 
 /// A store, opened once a process and shared by reference.
 ///
@@ -102,6 +102,11 @@ impl Store {
         })
     }
 
+    /// Whether there is a store of this format at `dir`.
+    pub fn is_at(dir: &Path) -> bool {
+        open::is_current(dir)
+    }
+
     /// The folder of the store, absolute.
     pub fn dir(&self) -> &Path {
         &self.root
@@ -114,11 +119,14 @@ impl Store {
     /// another size is set aside, and reported by [`Store::take_damaged`].
     pub fn put(&self, bytes: &[u8]) -> Result<Digest, StoreError> {
         let digest = Digest::of(bytes);
-        if self.renew(&digest, Some(bytes.len() as u64)) {
+        if bytes.len() < LARGE_BYTES {
+            // No file has its name: only large ones have.
+            if !self.place(&digest).is_some_and(Place::is_recent) {
+                self.append(Kind::Blob, digest, bytes)?;
+            }
             return Ok(digest);
         }
-        if bytes.len() < LARGE_BYTES {
-            self.append(Kind::Blob, digest, bytes)?;
+        if self.renew(&digest, Some(bytes.len() as u64)) {
             return Ok(digest);
         }
         self.blobs.put(&digest, bytes)?;
@@ -244,46 +252,56 @@ impl Store {
     /// A record that says the same of all but the cost as the one that is there is not written again; one that says
     /// otherwise supersedes it.
     pub fn commit(&self, record: &Record) -> Result<Digest, StoreError> {
-        self.commit_or(record, || Ok(()))
+        self.commit_with(record, &[], || Ok(()))
     }
 
-    /// [`Store::commit`]; should a blob have left again since it was put, `put_again` is called, which puts them all.
-    pub fn commit_or<E: From<StoreError>>(
+    /// [`Store::commit`] together with small blobs, see [`crate::Parcel`].
+    pub(crate) fn commit_with<E: From<StoreError>>(
         &self,
         record: &Record,
+        blobs: &[(Digest, Vec<u8>)],
         put_again: impl FnOnce() -> Result<(), E>,
     ) -> Result<Digest, E> {
-        if self.lacking(record).is_some() {
+        if self.lacking(record, blobs).is_some() {
             put_again()?;
-            self.check(record)?;
+            self.check(record, blobs)?;
         }
-        Ok(self.append_record(record)?)
+        Ok(self.append_record(record, blobs)?)
     }
 
-    fn append_record(&self, record: &Record) -> Result<Digest, StoreError> {
+    fn append_record(&self, record: &Record, blobs: &[(Digest, Vec<u8>)]) -> Result<Digest, StoreError> {
         if !record.cost.is_sound() {
             return Err(bad_record(record, "its cost is negative, or no finite number of seconds".to_owned()));
         }
         let text = record.recipe.text();
         let key = Digest::of(text.as_bytes());
+        let old = blobs.iter().filter(|(digest, _)| !self.place(digest).is_some_and(Place::is_recent));
+        let mut entries: Vec<_> = old.map(|(digest, bytes)| (Kind::Blob, *digest, bytes.as_slice())).collect();
         if self.record_here(&key).is_some_and(|first| first.same_outcome(record)) {
+            self.append_all(&entries)?;
             self.offer_again(&key);
             return Ok(key);
         }
         let payload = record.encode(&text).map_err(|fault| bad_record(record, fault.to_string()))?;
-        self.append(Kind::Record, key, &payload)?;
+        entries.push((Kind::Record, key, &payload));
+        self.append_all(&entries)?;
         self.offer(&key, &payload);
         Ok(key)
     }
 
-    /// A blob the record names that is not there.
-    fn lacking(&self, record: &Record) -> Option<Digest> {
-        record.blobs().find(|(digest, bytes)| !self.has_here(digest, *bytes)).map(|(digest, _)| digest)
+    /// A blob the record names that is neither here nor among these.
+    fn lacking(&self, record: &Record, among: &[(Digest, Vec<u8>)]) -> Option<Digest> {
+        let is_among = |digest: &Digest, size: Option<u64>| {
+            among.iter().any(|(own, bytes)| own == digest && size.is_none_or(|size| size == bytes.len() as u64))
+        };
+        let is_lacking =
+            |(digest, size): &(Digest, Option<u64>)| !is_among(digest, *size) && !self.has_here(digest, *size);
+        record.blobs().find(is_lacking).map(|(digest, _)| digest)
     }
 
     /// Refuses a record that could never be a hit.
-    fn check(&self, record: &Record) -> Result<(), StoreError> {
-        let Some(digest) = self.lacking(record) else { return Ok(()) };
+    fn check(&self, record: &Record, among: &[(Digest, Vec<u8>)]) -> Result<(), StoreError> {
+        let Some(digest) = self.lacking(record, among) else { return Ok(()) };
         // It may be there, and the system refuses to say.
         if let Err(fault @ StoreError::Io { .. }) = self.blobs.check(&digest, None) {
             return Err(fault);
@@ -364,7 +382,11 @@ impl Store {
 
     /// Appends to the journal and sees to its being synced.
     pub(crate) fn append(&self, kind: Kind, name: Digest, payload: &[u8]) -> Result<(), StoreError> {
-        self.journal.append(kind, name, payload)?;
+        self.append_all(&[(kind, name, payload)])
+    }
+
+    fn append_all(&self, entries: &[(Kind, Digest, &[u8])]) -> Result<(), StoreError> {
+        self.journal.append_all(entries)?;
         self.syncer.wake()
     }
 

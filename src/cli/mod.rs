@@ -182,11 +182,28 @@ impl PipelineArgs {
         Ok(pipeline)
     }
 
-    /// Plans for these targets; faults of the pipeline come before anything is made on disk.
-    fn plan(&self, registry: &Registry, pipeline: &Pipeline, targets: &[String]) -> Result<(Plan, Store), CliError> {
+    /// Plans for these targets; faults of the pipeline come before anything is made on disk. The steps of the document go: they
+    /// are in the plan then.
+    fn plan(
+        &self,
+        registry: &Registry,
+        pipeline: &mut Pipeline,
+        targets: &[String],
+    ) -> Result<(Plan, Store), CliError> {
         let _plan = tracing::trace_span!(target: PHASE, "plan").entered();
-        let graph = rockface_engine::plan::resolve(pipeline, targets, registry.stages()).map_err(CliError::Pipeline)?;
-        let store = self.open_store()?;
+        let resolve = || rockface_engine::plan::resolve(pipeline, targets, registry.stages());
+        // A store that is there is read meanwhile.
+        let (graph, opened) = if Store::is_at(&self.store_dir()) {
+            std::thread::scope(|scope| {
+                let opened = std::thread::Builder::new().spawn_scoped(scope, || self.open_store()).ok();
+                (resolve(), opened.and_then(|opened| opened.join().ok()))
+            })
+        } else {
+            (resolve(), None)
+        };
+        let graph = graph.map_err(CliError::Pipeline)?;
+        pipeline.document.steps = Vec::new();
+        let store = opened.unwrap_or_else(|| self.open_store())?;
         self.remote.attach(&store, false)?;
         let plan = rockface_engine::plan::expand(graph, pipeline, &store).map_err(CliError::Pipeline)?;
         Ok((plan, store))

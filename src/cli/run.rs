@@ -88,14 +88,14 @@ impl RunArgs {
             self.say_end(&told, 0, told.instances, false, begun.elapsed().as_secs_f64());
             return Ok(());
         }
-        let pipeline = self.pipeline.load_text(registry, &text)?;
+        let mut pipeline = self.pipeline.load_text(registry, &text)?;
         self.programs.check(registry, &pipeline, &self.pipeline.target)?;
-        let (mut plan, store) = self.pipeline.plan(registry, &pipeline, &self.pipeline.target)?;
+        let (mut plan, store) = self.pipeline.plan(registry, &mut pipeline, &self.pipeline.target)?;
         if self.rehash {
             for file in plan.instances.iter().flat_map(|instance| instance.params.files.values().flatten()) {
                 store.rehash_file(&file.path)?;
             }
-            plan = self.pipeline.plan(registry, &pipeline, &self.pipeline.target)?.0;
+            plan = rockface_engine::plan::expand(plan.graph, &pipeline, &store).map_err(CliError::Pipeline)?;
         }
         store.trust(self.trust_store);
         let (keep_going, check_determinism) = (self.keep_going, self.check_determinism);

@@ -38,9 +38,9 @@ impl WorkArgs {
     pub fn run(mut self, registry: &Registry) -> Result<(), CliError> {
         self.pipeline.take_shipped()?;
         self.pipeline.no_programs = self.programs.are_refused();
-        let pipeline = self.pipeline.load(registry)?;
+        let mut pipeline = self.pipeline.load(registry)?;
         self.programs.check(registry, &pipeline, &self.pipeline.target)?;
-        let (mut plan, store) = self.pipeline.plan(registry, &pipeline, &self.pipeline.target)?;
+        let (mut plan, store) = self.pipeline.plan(registry, &mut pipeline, &self.pipeline.target)?;
         let start = start(std::process::id());
         let mut options = Options { keep_going: self.keep_going, look: registry.look(), start, ..Options::default() };
         self.capacity.apply(&mut options);

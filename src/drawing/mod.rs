@@ -252,7 +252,7 @@ fn distinct<'g>(graph: &Graph, feed: &'g Feed) -> Vec<(&'g Source, String)> {
         Feed::Plain(source) => vec![(source, String::new())],
         Feed::Chain { source, axis, first } => {
             let axis = &graph.axes[*axis].name.text;
-            let start = first.iter().map(|first| (first, format!(" (first {axis})")));
+            let start = first.iter().map(|first| (&**first, format!(" (first {axis})")));
             std::iter::once((source, format!(" ({axis} before)"))).chain(start).collect()
         }
         Feed::Each { source, over } => {
@@ -262,7 +262,7 @@ fn distinct<'g>(graph: &Graph, feed: &'g Feed) -> Vec<(&'g Source, String)> {
         Feed::By { axis, cases, named, other } if cases.is_empty() => {
             let axis = &graph.axes[*axis].name.text;
             let named = named.iter().map(|(item, source)| (source, format!(" ({axis}={})", item.text)));
-            named.chain(other.iter().map(|source| (source, format!(" (other {axis})")))).collect()
+            named.chain(other.iter().map(|source| (&**source, format!(" (other {axis})")))).collect()
         }
         Feed::By { axis, cases, .. } => {
             let axis = &graph.axes[*axis];

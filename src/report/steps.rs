@@ -284,7 +284,7 @@ fn step(linker: &Linker, name: &str, instances: &[&StepDone]) -> StepView {
         name: name.to_owned(),
         title: written.and_then(|step| step.title.clone()).unwrap_or_else(|| name.to_owned()),
         doc: written.and_then(|step| step.doc.clone()).unwrap_or_default(),
-        stage: instances[0].stage.clone(),
+        stage: instances[0].stage.to_string(),
         version: instances[0].version,
         target: false,
         end: written.is_none() || linker.ends.contains(name),

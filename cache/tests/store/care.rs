@@ -315,8 +315,8 @@ fn a_blob_that_left_after_it_was_put_is_put_again() {
     fs::remove_file(blob_path(folder.path(), &digest)).unwrap();
     let record = record(1, &large(1), true);
     assert!(store.commit(&record).unwrap_err().to_string().contains("put it first"));
-    let key = store.commit_or(&record, || store.put(&large(1)).map(drop)).unwrap();
+    let key = store.parcel().commit_or(&record, || store.put(&large(1)).map(drop)).unwrap();
     assert!(store.is_hit(&key).is_some());
-    let never = store.commit_or(&record, || -> Result<(), StoreError> { panic!("all is there") });
+    let never = store.parcel().commit_or(&record, || -> Result<(), StoreError> { panic!("all is there") });
     assert_eq!(never.unwrap(), key);
 }

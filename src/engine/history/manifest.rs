@@ -1,5 +1,6 @@
 //! The manifest of a run, `run.json`, as it is read back.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -10,6 +11,9 @@ use serde_json::Value;
 
 use super::HistoryError;
 use crate::pipeline::Label;
+
+/// What the entry of a step instance mostly takes, bytes.
+const STEP_BYTES: usize = 640;
 
 /// The version of manifests this program writes and reads.
 pub const FORMAT: u32 = 1;
@@ -110,11 +114,11 @@ pub struct StepDone {
     /// Its items by axis.
     pub point: BTreeMap<String, String>,
     /// The stage it uses.
-    pub stage: String,
+    pub stage: Cow<'static, str>,
     /// The version of the stage.
     pub version: u32,
     /// `executed`, `cached`, `failed`, or `not reached` because something before it failed.
-    pub status: String,
+    pub status: Cow<'static, str>,
     /// Why it failed, if it did.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub failure: Option<String>,
@@ -215,6 +219,7 @@ impl Manifest {
         let mut text = serde_json::to_vec_pretty(&self).unwrap_or_default();
         // `steps` is the last field; its list is empty now.
         text.truncate(text.trim_ascii_end().strip_suffix(b"]\n}").map_or(0, <[u8]>::len));
+        text.reserve(steps.len() * STEP_BYTES);
         for (number, done) in steps.iter().enumerate() {
             text.extend_from_slice(if number == 0 { b"\n    " } else { b",\n    " });
             // Into memory, and of nothing that JSON cannot hold.

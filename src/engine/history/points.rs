@@ -67,9 +67,9 @@ mod tests {
         StepDone {
             step: step.to_owned(),
             point: point.iter().map(|(axis, item)| ((*axis).to_owned(), (*item).to_owned())).collect(),
-            stage: "x".to_owned(),
+            stage: "x".into(),
             version: 1,
-            status: "executed".to_owned(),
+            status: "executed".into(),
             failure: None,
             key: None,
             outputs: None,

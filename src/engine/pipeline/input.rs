@@ -29,12 +29,12 @@ pub enum Input {
     },
     /// The output at the item before, and something else at the first item.
     Chain {
-        /// The output; its pick of `prev` is taken out.
-        reference: Reference,
+        /// The output; its pick of `prev` is taken out. Boxed, as most inputs are plain.
+        reference: Box<Reference>,
         /// The axis it goes back on.
         axis: Word,
         /// What the first item gets; `None`: nothing.
-        first: Option<Reference>,
+        first: Option<Box<Reference>>,
     },
 }
 
@@ -44,14 +44,14 @@ impl Input {
         match self {
             Self::Plain(reference) | Self::Each { reference, .. } => vec![reference],
             Self::By { cases, .. } => cases.iter().map(|(_, reference)| reference).collect(),
-            Self::Chain { reference, first, .. } => std::iter::once(reference).chain(first).collect(),
+            Self::Chain { reference, first, .. } => std::iter::once(&**reference).chain(first.as_deref()).collect(),
         }
     }
 
     /// The references whose steps must be known before: all but the one that goes back along an axis.
     pub fn forward_references(&self) -> Vec<&Reference> {
         match self {
-            Self::Chain { first, .. } => first.iter().collect(),
+            Self::Chain { first, .. } => first.as_deref().into_iter().collect(),
             _ => self.references(),
         }
     }
@@ -124,9 +124,9 @@ impl Reader<'_> {
                 return None;
             }
             Some(Node { data: Data::Scalar(Value::Null), .. }) => None,
-            Some(first) => Some(self.forward(first)?),
+            Some(first) => Some(Box::new(self.forward(first)?)),
         };
-        Some(Input::Chain { reference, axis, first })
+        Some(Input::Chain { reference: Box::new(reference), axis, first })
     }
 
     /// A reference that does not go back along an axis.

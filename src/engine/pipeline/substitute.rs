@@ -11,7 +11,9 @@ use crate::diagnostic::{Diagnostic, Span};
 /// The names mentioned anywhere in a value, with their places.
 pub fn mentioned(node: &Node, found: &mut Vec<(String, Span)>) {
     match &node.data {
-        Data::Scalar(Value::String(text)) => found.extend(names(text).map(|name| (name.to_owned(), node.span))),
+        Data::Scalar(Value::String(text)) if text.contains('$') => {
+            found.extend(names(text).map(|name| (name.to_owned(), node.span)));
+        }
         Data::Scalar(_) => {}
         Data::List(items) => items.iter().for_each(|item| mentioned(item, found)),
         Data::Map(entries) => entries.iter().for_each(|(_, item)| mentioned(item, found)),

@@ -162,7 +162,9 @@ impl<'a> Reader<'a> {
         let data = match kind {
             b's' => Data::Scalar(Value::String(self.text()?.to_owned())),
             b'j' => {
-                let value = serde_json::from_str(self.text()?).ok()?;
+                let text = self.text()?;
+                let whole = text.parse::<u64>().ok().map(Value::from);
+                let value = whole.or_else(|| serde_json::from_str(text).ok())?;
                 self.text()?.clone_into(&mut written);
                 Data::Scalar(value)
             }

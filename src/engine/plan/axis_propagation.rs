@@ -10,7 +10,7 @@ pub struct Names<'d> {
     /// The pipeline as read.
     pub document: &'d Document,
     /// Numbers of steps by name.
-    pub steps: BTreeMap<&'d str, usize>,
+    pub steps: HashMap<&'d str, usize>,
     /// Numbers of axes by name.
     pub axes: BTreeMap<&'d str, usize>,
     /// By axis: the first of those it is walked together with; itself where it is alone.
@@ -64,6 +64,9 @@ impl<'d> Names<'d> {
 
     /// Axes a step names itself.
     pub fn named_axes(&self, step: &Step) -> BTreeSet<usize> {
+        if self.axes.is_empty() {
+            return BTreeSet::new();
+        }
         let mut names = Vec::new();
         step.with.iter().for_each(|with| mentioned(with, &mut names));
         let mut axes: BTreeSet<usize> = names.iter().filter_map(|(name, _)| self.mentioned_axis(name)).collect();
@@ -94,6 +97,9 @@ impl<'d> Names<'d> {
     /// The axes every step depends on; `order` has producers first, but for arrows that go back along an axis.
     pub fn reach(&self, order: &[usize]) -> Vec<BTreeSet<usize>> {
         let mut reached: Vec<BTreeSet<usize>> = self.document.steps.iter().map(|step| self.named_axes(step)).collect();
+        if self.axes.is_empty() {
+            return reached;
+        }
         loop {
             let mut grown = false;
             for step in order {

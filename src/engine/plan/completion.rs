@@ -34,8 +34,9 @@ pub fn complete(pipeline: &mut Pipeline, stages: &Stages, no_programs: bool) {
     let answers = RefCell::default();
     let looks = RefCell::default();
     let mut faults = Vec::new();
+    let completed: Vec<_> = stages.iter().filter(|stage| stage.is_completed()).collect();
     for step in &mut pipeline.document.steps {
-        let stage = stages.iter().find(|stage| stage.name() == step.stage.text && stage.is_completed());
+        let stage = completed.iter().copied().find(|stage| stage.name() == step.stage.text);
         let Some(stage) = stage else { continue };
         let own = pipeline.sources.get(step.name.span.source).and_then(Source::folder);
         let folder = own.map_or(pipeline.folder.as_path(), |folder| folder.as_ref());

@@ -139,7 +139,7 @@ pub enum Feed {
         /// Where the items are not known beforehand: the sources of those that are named.
         named: Vec<(Word, Source)>,
         /// And of all others.
-        other: Option<Source>,
+        other: Option<Box<Source>>,
     },
     /// The outputs at all items of some axes.
     Each {
@@ -155,7 +155,7 @@ pub enum Feed {
         /// Index of the axis it goes back on.
         axis: usize,
         /// What the first item gets.
-        first: Option<Source>,
+        first: Option<Box<Source>>,
     },
 }
 
@@ -187,7 +187,7 @@ impl Feed {
     /// Every source but one at the item before.
     pub fn forward_sources(&self) -> Vec<&Source> {
         match self {
-            Self::Chain { first, .. } => first.iter().collect(),
+            Self::Chain { first, .. } => first.as_deref().into_iter().collect(),
             _ => self.sources(),
         }
     }
@@ -197,10 +197,10 @@ impl Feed {
         match self {
             Self::Plain(source) | Self::Each { source, .. } => vec![source],
             Self::By { cases, named, other, .. } if cases.is_empty() => {
-                named.iter().map(|(_, source)| source).chain(other).collect()
+                named.iter().map(|(_, source)| source).chain(other.as_deref()).collect()
             }
             Self::By { cases, .. } => cases.iter().collect(),
-            Self::Chain { source, first, .. } => std::iter::once(source).chain(first).collect(),
+            Self::Chain { source, first, .. } => std::iter::once(source).chain(first.as_deref()).collect(),
         }
     }
 }

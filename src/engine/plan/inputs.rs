@@ -48,7 +48,7 @@ impl Resolver<'_> {
                 })
             }
             Input::By { axis, cases } => self.choice(axis, cases),
-            Input::Chain { reference, axis, first } => self.chain(reference, axis, first.as_ref()),
+            Input::Chain { reference, axis, first } => self.chain(reference, axis, first.as_deref()),
         }
     }
 
@@ -66,7 +66,7 @@ impl Resolver<'_> {
         }
         let first = match first {
             Some(None) => return None,
-            Some(Some(first)) => Some(first),
+            Some(Some(first)) => Some(Box::new(first)),
             None => None,
         };
         Some(Feed::Chain { source, axis, first })
@@ -87,7 +87,12 @@ impl Resolver<'_> {
         };
         if self.names.document.axes[index].from.is_some() {
             let named = named.into_iter().map(|(word, source)| Some((word.clone(), source?)));
-            return Some(Feed::By { axis: index, cases: Vec::new(), named: named.collect::<Option<_>>()?, other });
+            return Some(Feed::By {
+                axis: index,
+                cases: Vec::new(),
+                named: named.collect::<Option<_>>()?,
+                other: other.map(Box::new),
+            });
         }
         let cases = self.cases(axis, index, named, other.as_ref())?;
         Some(Feed::By { axis: index, cases, named: Vec::new(), other: None })

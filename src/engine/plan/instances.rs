@@ -250,18 +250,23 @@ impl<'a> Expansion<'a> {
     fn run(mut self, needed: &[BTreeSet<Vec<usize>>], there: &[Instance]) -> Result<Vec<Instance>, Vec<Diagnostic>> {
         let graph = self.graph;
         let deferred = graph.deferred();
-        let mut numbers: Vec<HashMap<&Vec<usize>, usize>> = vec![HashMap::new(); graph.steps.len()];
+        // By step: its points, sorted, each with the number of its instance.
+        let mut numbers: Vec<Vec<(&[usize], usize)>> = vec![Vec::new(); graph.steps.len()];
         for (number, instance) in there.iter().enumerate() {
-            numbers[instance.step].insert(&instance.items, number);
+            numbers[instance.step].push((&instance.items, number));
         }
         let mut new: Vec<(usize, &Vec<usize>)> = Vec::new();
         for (index, points) in needed.iter().enumerate() {
+            let own = &mut numbers[index];
+            own.sort_unstable();
+            let known = own.len();
             for items in points {
-                if !numbers[index].contains_key(items) {
-                    numbers[index].insert(items, there.len() + new.len());
+                if number_at(&own[..known], items).is_none() {
+                    own.push((items, there.len() + new.len()));
                     new.push((index, items));
                 }
             }
+            own.sort_unstable();
         }
         let mut instances: Vec<Instance> = Vec::with_capacity(new.len());
         for (index, items) in new {
@@ -269,13 +274,14 @@ impl<'a> Expansion<'a> {
             let Some(params) = self.params(index, step, items) else { continue };
             let mut inputs = Vec::with_capacity(step.inputs.len());
             for (port, feed) in &step.inputs {
-                let elements = elements(graph, step, items, feed);
-                let mut given = Vec::with_capacity(elements.len());
-                given.extend(elements.into_iter().filter_map(|element| {
-                    let instance = *numbers[element.step].get(&element.items)?;
-                    Some(Given { instance, port: element.port, point: element.point })
-                }));
+                let mut given = Vec::new();
+                elements(graph, step, items, feed, &mut |element| {
+                    if let Some(instance) = number_at(&numbers[element.step], &element.items) {
+                        given.push(Given { instance, port: element.port, point: element.point });
+                    }
+                });
                 if !given.is_empty() {
+                    given.shrink_to_fit();
                     inputs.push((port.name, given));
                 }
             }
@@ -299,14 +305,17 @@ impl<'a> Expansion<'a> {
     }
 
     fn params(&mut self, index: usize, step: &GraphStep, items: &[usize]) -> Option<Arc<StepParams>> {
-        let own: BTreeMap<usize, usize> = step.axes.iter().copied().zip(items.iter().copied()).collect();
-        let mentioned: BTreeMap<usize, usize> = step.with_axes.iter().map(|axis| (*axis, own[axis])).collect();
-        let key = (index, mentioned.values().copied().collect::<Vec<_>>());
-        if !self.params.contains_key(&key) {
+        let item =
+            |axis: &usize| step.axes.iter().zip(items).find(|(own, _)| *own == axis).map_or(0, |(_, item)| *item);
+        let key = (index, step.with_axes.iter().map(item).collect::<Vec<_>>());
+        let checked = if let Some(checked) = self.params.get(&key) {
+            checked
+        } else {
+            let mentioned = step.with_axes.iter().copied().zip(key.1.iter().copied()).collect();
             let checked = self.check(step, &mentioned).map_err(|faults| self.faults.enter(faults));
-            self.params.insert(key.clone(), checked);
-        }
-        match &self.params[&key] {
+            self.params.entry(key).or_insert(checked)
+        };
+        match checked {
             Ok(params) => Some(params.clone()),
             Err(faults) => {
                 self.faults.count(faults);
@@ -331,6 +340,11 @@ impl<'a> Expansion<'a> {
         let entered = self.faults.enter(faults);
         self.faults.count(&entered);
     }
+}
+
+/// The number of the instance at a point, among sorted points.
+fn number_at(numbers: &[(&[usize], usize)], items: &[usize]) -> Option<usize> {
+    numbers.binary_search_by(|(own, _)| (*own).cmp(items)).ok().map(|place| numbers[place].1)
 }
 
 /// Tells producers of their consumers from a number on.

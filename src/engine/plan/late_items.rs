@@ -37,13 +37,15 @@ fn settle_feed(feed: &mut Feed, axis: usize, own: &Axis, faults: &mut Vec<Diagno
     match feed {
         Feed::Plain(source) | Feed::Each { source, .. } => settle_source(source, axis, own, faults),
         Feed::Chain { source, first, .. } => {
-            std::iter::once(source).chain(first).for_each(|source| settle_source(source, axis, own, faults));
+            std::iter::once(source)
+                .chain(first.as_deref_mut())
+                .for_each(|source| settle_source(source, axis, own, faults));
         }
         Feed::By { axis: by, cases, named, other } => {
-            let written = named.iter_mut().map(|(_, source)| source).chain(&mut *other);
+            let written = named.iter_mut().map(|(_, source)| source).chain(other.as_deref_mut());
             written.chain(&mut *cases).for_each(|source| settle_source(source, axis, own, faults));
             if *by == axis && cases.is_empty() {
-                *cases = chosen(named, other.as_ref(), own, faults);
+                *cases = chosen(named, other.as_deref(), own, faults);
             }
         }
     }

@@ -12,6 +12,9 @@ const INSTANCES_LIMIT: u64 = 10_000_000;
 
 /// How many points some axes have: those walked together count once.
 pub fn count(graph: &Graph, axes: &[usize]) -> u64 {
+    if axes.is_empty() {
+        return 1;
+    }
     let leads: BTreeMap<usize, usize> = axes.iter().map(|axis| (graph.zips[*axis], *axis)).collect();
     leads.values().map(|axis| graph.axes[*axis].items.len() as u64).fold(1, u64::saturating_mul)
 }
@@ -50,7 +53,8 @@ fn gathered_by(graph: &Graph, step: &GraphStep) -> u64 {
         Feed::Each { over, .. } => count(graph, over),
         _ => 0,
     });
-    each.fold(0, u64::saturating_add).saturating_mul(count(graph, &step.axes))
+    let each = each.fold(0, u64::saturating_add);
+    if each == 0 { 0 } else { each.saturating_mul(count(graph, &step.axes)) }
 }
 
 /// What some axes are called where they stand together: an axis of a part by its short name, unless two have the same.
@@ -93,8 +97,8 @@ pub struct Element {
     pub point: Point,
 }
 
-/// What an input of a step reads at one point.
-pub fn elements(graph: &Graph, step: &GraphStep, items: &[usize], feed: &Feed) -> Vec<Element> {
+/// Takes what an input of a step reads at one point, element by element.
+pub fn elements(graph: &Graph, step: &GraphStep, items: &[usize], feed: &Feed, take: &mut dyn FnMut(Element)) {
     let own = |axis: usize| step.axes.iter().position(|own| *own == axis).map(|place| items[place]).unwrap_or_default();
     let element = |source: &Source, extra: &[(usize, usize)]| {
         let item = |axis: &usize| {
@@ -106,19 +110,20 @@ pub fn elements(graph: &Graph, step: &GraphStep, items: &[usize], feed: &Feed) -
         Element { step: source.step, items, port: source.port.name, point: Point::new() }
     };
     match feed {
-        Feed::Plain(source) => vec![element(source, &[])],
-        Feed::By { axis, cases, .. } => vec![element(&cases[own(*axis)], &[])],
+        Feed::Plain(source) => take(element(source, &[])),
+        Feed::By { axis, cases, .. } => take(element(&cases[own(*axis)], &[])),
         Feed::Each { source, over } => {
-            let gathered = points(graph, over).into_iter().map(|items| {
+            for items in points(graph, over) {
                 let extra: Vec<_> = over.iter().copied().zip(items.iter().copied()).collect();
-                Element { point: named(graph, over, &items), ..element(source, &extra) }
-            });
-            gathered.collect()
+                take(Element { point: named(graph, over, &items), ..element(source, &extra) });
+            }
         }
-        Feed::Chain { axis, first, .. } if own(*axis) == 0 => first.iter().map(|first| element(first, &[])).collect(),
+        Feed::Chain { axis, first, .. } if own(*axis) == 0 => {
+            first.iter().for_each(|first| take(element(first, &[])));
+        }
         Feed::Chain { source, axis, .. } => {
             let before: Vec<_> = graph.mates(*axis).map(|mate| (mate, own(*axis) - 1)).collect();
-            vec![element(source, &before)]
+            take(element(source, &before));
         }
     }
 }
@@ -147,9 +152,7 @@ pub fn needed_points(graph: &Graph) -> Vec<BTreeSet<Vec<usize>>> {
     while let Some((index, items)) = open.pop() {
         let step = &graph.steps[index];
         for (_, feed) in &step.inputs {
-            for element in elements(graph, step, &items, feed) {
-                need(element.step, element.items, &mut open);
-            }
+            elements(graph, step, &items, feed, &mut |element| need(element.step, element.items, &mut open));
         }
     }
     needed

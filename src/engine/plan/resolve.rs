@@ -1,6 +1,7 @@
 //! From document to graph: names, ports, cycles and axes, with all faults reported together.
 
-use std::collections::{BTreeMap, BTreeSet, HashSet};
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap, HashSet};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -237,13 +238,16 @@ impl<'d> Resolver<'d> {
     /// Document indices of the steps, producers first, except within a cycle; otherwise as they are written.
     fn order(&mut self) -> Vec<usize> {
         let document = self.document();
-        let mut producers: Vec<BTreeSet<usize>> = Vec::with_capacity(document.steps.len());
+        let mut producers: Vec<Vec<usize>> = Vec::with_capacity(document.steps.len());
         for step in &document.steps {
             let references = step.inputs.iter().flat_map(|(_, input)| input.forward_references());
             let axes = self.names.met_axes(step);
             let lists = axes.iter().filter_map(|axis| document.axes[*axis].from.as_ref());
             let named = references.chain(lists).filter_map(|to| self.names.steps.get(to.step.as_str()));
-            producers.push(named.copied().collect());
+            let mut named: Vec<usize> = named.copied().collect();
+            named.sort_unstable();
+            named.dedup();
+            producers.push(named);
         }
         if let Some(order) = producers_first(&producers) {
             return order;
@@ -289,7 +293,10 @@ impl<'d> Resolver<'d> {
         self.reach = order.iter().map(|old| reach[*old].clone()).collect();
         let dynamic = self.dynamic();
         self.check_part_outputs();
-        let steps: Vec<GraphStep> = order.iter().filter_map(|old| self.step(&document.steps[*old], *old)).collect();
+        let mut steps: Vec<GraphStep> = Vec::with_capacity(order.len());
+        for old in order {
+            steps.extend(self.step(&document.steps[*old], *old));
+        }
         let targets = self.targets(&steps, &dynamic, targets);
         if document.value_faults.is_empty() {
             let unused: Vec<Diagnostic> = self.unused_axes().into_iter().chain(self.unused_params()).collect();
@@ -446,20 +453,21 @@ impl<'d> Resolver<'d> {
 }
 
 /// The numbers of a list of producers with producers before consumers, otherwise ascending; `None` where some wait for each other.
-fn producers_first(producers: &[BTreeSet<usize>]) -> Option<Vec<usize>> {
+fn producers_first(producers: &[Vec<usize>]) -> Option<Vec<usize>> {
     let mut consumers: Vec<Vec<usize>> = vec![Vec::new(); producers.len()];
     for (consumer, producers) in producers.iter().enumerate() {
         producers.iter().for_each(|producer| consumers[*producer].push(consumer));
     }
-    let mut unmet: Vec<usize> = producers.iter().map(BTreeSet::len).collect();
-    let mut ready: BTreeSet<usize> = (0..unmet.len()).filter(|node| unmet[*node] == 0).collect();
+    let mut unmet: Vec<usize> = producers.iter().map(Vec::len).collect();
+    let mut ready: BinaryHeap<Reverse<usize>> =
+        (0..unmet.len()).filter(|node| unmet[*node] == 0).map(Reverse).collect();
     let mut order = Vec::with_capacity(unmet.len());
-    while let Some(node) = ready.pop_first() {
+    while let Some(Reverse(node)) = ready.pop() {
         order.push(node);
         for consumer in &consumers[node] {
             unmet[*consumer] -= 1;
             if unmet[*consumer] == 0 {
-                ready.insert(*consumer);
+                ready.push(Reverse(*consumer));
             }
         }
     }
@@ -472,9 +480,8 @@ mod tests {
 
     #[test]
     fn steps_stand_as_written_but_for_producers() {
-        let order = |producers: &[&[usize]]| {
-            producers_first(&producers.iter().map(|list| list.iter().copied().collect()).collect::<Vec<_>>())
-        };
+        let order =
+            |producers: &[&[usize]]| producers_first(&producers.iter().map(|list| list.to_vec()).collect::<Vec<_>>());
         assert_eq!(order(&[&[], &[], &[0], &[1], &[]]), Some(vec![0, 1, 2, 3, 4]));
         assert_eq!(order(&[&[2], &[], &[1], &[0]]), Some(vec![1, 2, 0, 3]));
         assert_eq!(order(&[&[1], &[0]]), None);

@@ -1,6 +1,6 @@
 //! What a run is to make: the targets of the pipeline or of the command line, and what parts give.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{HashMap, HashSet};
 
 use super::graph::{Dynamic, GraphStep};
 use super::resolve::Resolver;
@@ -21,7 +21,7 @@ impl<'d> Resolver<'d> {
             None => self.unread(steps, dynamic),
         };
         let names: Vec<&str> = names.into_iter().flat_map(|name| self.steps_of_target(name)).collect();
-        let numbers: BTreeMap<&str, usize> =
+        let numbers: HashMap<&str, usize> =
             steps.iter().enumerate().map(|(number, step)| (step.name.as_str(), number)).collect();
         names.iter().filter_map(|name| numbers.get(name).copied()).collect()
     }
@@ -42,9 +42,9 @@ impl<'d> Resolver<'d> {
             Some((used, dynamic.as_ref()?.source.step))
         });
         let links = feeds.chain(lists).map(|(reader, source)| (reader, whole(&steps[source].name)));
-        let read: BTreeSet<&str> =
+        let read: HashSet<&str> =
             links.filter(|(reader, source)| *reader != Some(*source)).map(|(_, source)| source).collect();
-        let mut seen = BTreeSet::new();
+        let mut seen = HashSet::new();
         let names = steps.iter().map(|step| whole(&step.name));
         names.filter(|name| !read.contains(name) && seen.insert(*name)).collect()
     }
@@ -65,9 +65,12 @@ impl<'d> Resolver<'d> {
     /// Outputs of parts that no step reads are looked at too.
     pub fn check_part_outputs(&mut self) {
         let document = self.document();
+        if document.uses.is_empty() {
+            return;
+        }
         let inputs =
             document.steps.iter().flat_map(|step| step.inputs.iter().flat_map(|(_, input)| input.references()));
-        let read: BTreeSet<(&str, &str)> = inputs.map(|to| (to.step.as_str(), to.port.as_str())).collect();
+        let read: HashSet<(&str, &str)> = inputs.map(|to| (to.step.as_str(), to.port.as_str())).collect();
         for to in document.uses.iter().flat_map(|used| used.outputs.values()) {
             let is_there = self.names.steps.contains_key(to.step.as_str());
             if is_there && !read.contains(&(to.step.as_str(), to.port.as_str())) {

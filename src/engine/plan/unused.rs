@@ -45,6 +45,9 @@ impl Resolver<'_> {
     /// Parameters that nothing mentions.
     pub fn unused_params(&self) -> Vec<Diagnostic> {
         let document = self.document();
+        if document.params.is_empty() {
+            return Vec::new();
+        }
         let mut used = Vec::new();
         document.steps.iter().filter_map(|step| step.with.as_ref()).for_each(|with| mentioned(with, &mut used));
         document.params.iter().for_each(|(_, node)| mentioned(node, &mut used));

@@ -123,8 +123,8 @@ impl<W: Write + Seek> RunLog<W> {
     /// Ends the log with attachments (name, media type, content) and the recipe of each instance; gives back the
     /// topics, in the order of their first messages.
     pub fn finish(mut self, attachments: &[(&str, &str, &[u8])]) -> Result<(W, Vec<Topic>), McapError> {
-        let recipes = format!("{}]", if self.recipes.is_empty() { "[" } else { &self.recipes });
-        let recipes = ("recipes.json", "application/json", recipes.as_bytes());
+        self.recipes.push_str(if self.recipes.is_empty() { "[]" } else { "]" });
+        let recipes = ("recipes.json", "application/json", self.recipes.as_bytes());
         for (name, media_type, data) in attachments.iter().chain([&recipes]) {
             self.writer.attach(&mcap::Attachment {
                 log_time: 0,

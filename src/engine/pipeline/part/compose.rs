@@ -86,9 +86,9 @@ impl Scope<'_> {
             }
             Input::Chain { reference, axis, first } => {
                 let axis = self.axis(axis, reader);
-                let first = first.map(|first| self.single(first, reader));
-                let first = if let Some(first) = first { Some(first?) } else { None };
-                Some(Input::Chain { reference: self.single(reference, reader)?, axis, first })
+                let first = first.map(|first| self.single(*first, reader));
+                let first = if let Some(first) = first { Some(Box::new(first?)) } else { None };
+                Some(Input::Chain { reference: Box::new(self.single(*reference, reader)?), axis, first })
             }
         }
     }
@@ -157,10 +157,14 @@ impl Scope<'_> {
             reader.fault(Diagnostic::at(reference.span, message).suggest(&reference.port, known));
             return reference;
         }
+        let output = (self.output)(&reference.step, &reference.port);
+        if self.is_top() && matches!(output, Output::Step | Output::Unread) {
+            return reference; // Names at the top are full ones.
+        }
         let picks: Vec<(Word, String)> =
             reference.picks.into_iter().map(|(axis, item)| (self.axis(axis, reader), item)).collect();
         let Reference { span, step, port, .. } = reference;
-        match (self.output)(&step, &port) {
+        match output {
             // The step could not be read, which has been reported; its readers are not reported.
             Output::Step | Output::Unread => Reference { span, step: format!("{}{step}", self.prefix), port, picks },
             Output::Of(to) => {

@@ -137,6 +137,7 @@ impl<'e> Expansion<'e> {
         stack: &mut Vec<usize>,
         reader: &mut Reader,
     ) {
+        self.flat.steps.reserve_exact(steps.len());
         for (key, mut node) in steps {
             let name = Word { span: key.span, text: inside(scope.prefix, &key.name) };
             self.late.put_into("steps", &name.text, &mut node, reader);

@@ -1,7 +1,7 @@
 //! The MCAP log of a run, put together from what the records of its steps keep.
 
 use std::collections::BTreeMap;
-use std::io::BufWriter;
+use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
@@ -21,6 +21,41 @@ use crate::watch::{Facts, Made, RunLog, StepNote, layout};
 pub const LOG_FILE: &str = "run.mcap";
 /// The layout that opens it.
 pub const LAYOUT_FILE: &str = "foxglove-layout.json";
+
+/// A buffered file that knows where it is: to ask it does not write out what is in the buffer.
+struct Buffered<W: Write> {
+    inner: BufWriter<W>,
+    at: u64,
+}
+
+impl<W: Write> Buffered<W> {
+    const BYTES: usize = 64 << 10;
+
+    fn new(file: W) -> Self {
+        Self { inner: BufWriter::with_capacity(Self::BYTES, file), at: 0 }
+    }
+}
+
+impl<W: Write> Write for Buffered<W> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let count = self.inner.write(bytes)?;
+        self.at += count as u64;
+        Ok(count)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.inner.flush()
+    }
+}
+
+impl<W: Write + Seek> Seek for Buffered<W> {
+    fn seek(&mut self, to: SeekFrom) -> std::io::Result<u64> {
+        if to != SeekFrom::Current(0) {
+            self.at = self.inner.seek(to)?;
+        }
+        Ok(self.at)
+    }
+}
 
 /// What the log is made of.
 pub struct Telling<'a> {
@@ -55,7 +90,7 @@ impl Telling<'_> {
             })
         };
         let file = tempfile::NamedTempFile::new_in(folder).map_err(failed(&path))?;
-        let mut log = RunLog::new(BufWriter::new(file), &self.about).map_err(unwritten)?;
+        let mut log = RunLog::new(Buffered::new(file), &self.about).map_err(unwritten)?;
         let levels = self.plan.log_levels();
         let nothing = Outcome { outputs: Outputs::default(), log: None, sketches: None, cost: Cost::default() };
         let mut numbers: Vec<(String, String)> = Vec::new();
@@ -75,7 +110,7 @@ impl Telling<'_> {
         }
         let pipeline = ("pipeline.yaml", "application/yaml", self.pipeline_text.as_bytes());
         let (out, topics) = log.finish(&[pipeline]).map_err(unwritten)?;
-        let file = out.into_inner().map_err(|error| failed(&path)(error.into_error()))?;
+        let file = out.inner.into_inner().map_err(|error| failed(&path)(error.into_error()))?;
         put(file, &path)?;
         let text = serde_json::to_string_pretty(&layout::layout(&topics, &numbers)).unwrap_or_default();
         write_file(&folder.join(LAYOUT_FILE), format!("{text}\n").as_bytes())

@@ -90,9 +90,9 @@ fn step(plan: &Plan, summary: &Summary, store: &Store, instance: usize, entries:
     StepDone {
         step: step.name.clone(),
         point: plan.point(instance),
-        stage: step.stage.name().to_owned(),
+        stage: step.stage.name().into(),
         version: step.stage.version(),
-        status: status.to_owned(),
+        status: status.into(),
         key: result.key,
         outputs: outcome.map(|outcome| outcome.outputs.clone()),
         failure: result.failure.as_ref().map(|failure| failure.message.clone()),

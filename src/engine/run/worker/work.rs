@@ -7,7 +7,8 @@ use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use rockface_cache::{
-    Announced, Cost, Digest, KeyLock, Outcome, OutputRecord, Outputs, Recipe, Record, SafeName, Store, StoreError,
+    Announced, Cost, Digest, KeyLock, Outcome, OutputRecord, Outputs, Parcel, Recipe, Record, SafeName, Store,
+    StoreError,
 };
 use rockface_core::artefact::{Artefact, Kind};
 use rockface_core::{AnyStage, Context, Entry, Inputs, Later, Look, Point, Port, StageError};
@@ -165,8 +166,9 @@ pub fn work(task: &Task, place: Place) -> Result<Done, Failure> {
     }
     unchanged_files(task, store, &before)?;
     let values: BTreeMap<_, _> = outputs.into_iter().map(|(port, value)| (port, Arc::new(value))).collect();
-    let mut outcome = keep(task, store, threads, &values, &entries)?;
-    let (sketches, unsketched) = phase!("sketch", sketch(task, store, threads, &values, &outcome))?;
+    let mut parcel = store.parcel();
+    let mut outcome = keep(task, &mut parcel, threads, &values, &entries)?;
+    let (sketches, unsketched) = phase!("sketch", sketch(task, (store, &mut parcel), threads, &values, &outcome))?;
     outcome.sketches = sketches;
     let kept = |(from, later): &(_, Arc<Later>)| later.kept().map(|value| (*from, value.clone()));
     let loaded: Vec<_> = stored.iter().filter_map(kept).collect();
@@ -182,10 +184,14 @@ pub fn work(task: &Task, place: Place) -> Result<Done, Failure> {
     // Before anybody can see that it is done.
     let announced = announce(task, store, &outcome)?;
     let Outcome { outputs, log, sketches, cost } = outcome.clone();
-    let put_again =
-        || keep(task, store, threads, &values, &entries).and_then(|made| sketch(task, store, threads, &values, &made));
+    let put_again = || {
+        // The small ones are in the first parcel.
+        let mut again = store.parcel();
+        let made = keep(task, &mut again, threads, &values, &entries)?;
+        sketch(task, (store, &mut again), threads, &values, &made)
+    };
     let record = Record { recipe: task.recipe.clone(), outputs, log, sketches, cost };
-    phase!("commit", store.commit_or(&record, || put_again().map(drop)))?;
+    phase!("commit", parcel.commit_or(&record, || put_again().map(drop)))?;
     tools::remember(store, &task.key, &programs.tools)?;
     let warnings =
         entries.into_iter().filter_map(|entry| if let Entry::Warning { text } = entry { Some(text) } else { None });
@@ -363,7 +369,12 @@ fn record_of(value: &Artefact, digest: Digest, bytes: u64, kept: bool) -> Output
 
 /// Stores the log of a step, unless it is empty.
 fn keep_log(store: &Store, said: &[Entry]) -> Result<Option<Digest>, StoreError> {
-    if said.is_empty() { Ok(None) } else { store.put(serde_json::json!(said).to_string().as_bytes()).map(Some) }
+    log_text(said).map(|text| store.put(&text)).transpose()
+}
+
+/// The bytes of a log; `None` of an empty one.
+fn log_text(said: &[Entry]) -> Option<Vec<u8>> {
+    (!said.is_empty()).then(|| serde_json::json!(said).to_string().into_bytes())
 }
 
 fn attempt(
@@ -417,7 +428,7 @@ fn unchanged_files(task: &Task, store: &Store, before: &[Fingerprint]) -> Result
 
 fn keep(
     task: &Task,
-    store: &Store,
+    parcel: &mut Parcel,
     threads: &Threads,
     values: &BTreeMap<&'static str, Arc<Artefact>>,
     entries: &[Entry],
@@ -430,7 +441,8 @@ fn keep(
         let bytes = if text { 0 } else { value.memory_bytes() };
         let (digest, bytes) = if task.keep {
             let encoded = phase!("encode", threads.compute(bytes, || value.encode())).map_err(unwritable)?;
-            (phase!("put", store.put(&encoded))?, encoded.len() as u64)
+            let bytes = encoded.len() as u64;
+            (phase!("put", parcel.put(encoded))?, bytes)
         } else {
             let hash = || Digest::of_pieces(|take| value.stream(take));
             let (digest, bytes, given) = phase!("hash", threads.compute(bytes, hash));
@@ -439,7 +451,7 @@ fn keep(
         };
         outputs.insert(port_name(port)?, record_of(value, digest, bytes, task.keep));
     }
-    let log = keep_log(store, entries)?;
+    let log = log_text(entries).map(|text| parcel.put(text)).transpose()?;
     Ok(Outcome { outputs, log, sketches: None, cost: Cost::default() })
 }
 
@@ -447,7 +459,7 @@ fn keep(
 /// A failure to draw them is reported; the outputs of the stage are kept.
 fn sketch(
     task: &Task,
-    store: &Store,
+    (store, parcel): (&Store, &mut Parcel),
     threads: &Threads,
     values: &BTreeMap<&'static str, Arc<Artefact>>,
     outcome: &Outcome,
@@ -462,7 +474,7 @@ fn sketch(
         bytes.map_err(|error| StageError::new(error.to_string()).into())
     });
     match made {
-        Ok(bytes) => Ok((Some(store.put(&bytes)?), None)),
+        Ok(bytes) => Ok((Some(parcel.put(bytes)?), None)),
         Err(Failure::Stage(error, _)) => Ok((None, Some(format!("the log cannot show its outputs: {error}")))),
         Err(failure) => Err(failure),
     }
