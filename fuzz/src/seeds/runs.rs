@@ -64,7 +64,7 @@ fn manifest() -> Manifest {
     }
 }
 
-fn done(step: &str, status: &str, failure: Option<String>) -> StepDone {
+fn done(step: &str, status: &'static str, failure: Option<String>) -> StepDone {
     let gathered = Gathered { point: [("epoch".to_owned(), "pre".to_owned())].into(), digest: Digest::of(b"row") };
     StepDone {
         step: step.into(),
