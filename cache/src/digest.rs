@@ -9,6 +9,8 @@ use serde::{Serialize, Serializer};
 
 /// Bytes read at a time when a stream is hashed.
 const CHUNK_BYTES: usize = 256 * 1024;
+/// Pieces of fewer bytes are hashed by one thread.
+const PARALLEL_BYTES: usize = 1 << 20;
 
 /// A 256-bit BLAKE3 digest, written as 64 lower-case hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -28,11 +30,16 @@ impl Digest {
         Self(*blake3::hash(bytes).as_bytes())
     }
 
-    /// The digest of the pieces that `give` hands over, and how many bytes they were; what `give` returns comes back.
+    /// The digest of the pieces that `give` hands over, and how many bytes they were; what `give` returns comes back. Large pieces are hashed by
+    /// all threads of the pool it is called in.
     pub fn of_pieces<T>(give: impl FnOnce(&mut dyn FnMut(&[u8])) -> T) -> (Self, u64, T) {
         let mut hasher = blake3::Hasher::new();
         let given = give(&mut |piece| {
-            hasher.update(piece);
+            if piece.len() < PARALLEL_BYTES {
+                hasher.update(piece)
+            } else {
+                hasher.update_rayon(piece)
+            };
         });
         (Self(*hasher.finalize().as_bytes()), hasher.count(), given)
     }
@@ -155,6 +162,16 @@ mod tests {
         let expected = "af1349b9f5f9a1a6a0404dea36dcc9499bcb25c9adc112b7cc9a93cae41f3262";
         assert_eq!(Digest::of(b"").to_string(), expected);
         assert_eq!(Digest::of(b"").short(), "af1349b9f5f9");
+    }
+
+    #[test]
+    fn pieces_of_any_size_give_the_digest_of_the_whole() {
+        let bytes: Vec<u8> = (0..3 * PARALLEL_BYTES + 7).map(|i| (i * i >> 8) as u8).collect();
+        for at in [0, 1, PARALLEL_BYTES - 1, PARALLEL_BYTES, 2 * PARALLEL_BYTES + 3] {
+            let (one, other) = bytes.split_at(at);
+            let (digest, count, ()) = Digest::of_pieces(|take| [one, other].into_iter().for_each(take));
+            assert_eq!((digest, count), (Digest::of(&bytes), bytes.len() as u64));
+        }
     }
 
     #[test]
