@@ -166,7 +166,7 @@ mod tests {
 
     #[test]
     fn pieces_of_any_size_give_the_digest_of_the_whole() {
-        let bytes: Vec<u8> = (0..3 * PARALLEL_BYTES + 7).map(|i| (i * i >> 8) as u8).collect();
+        let bytes: Vec<u8> = (0..3 * PARALLEL_BYTES + 7).map(|i| ((i * i) >> 8) as u8).collect();
         for at in [0, 1, PARALLEL_BYTES - 1, PARALLEL_BYTES, 2 * PARALLEL_BYTES + 3] {
             let (one, other) = bytes.split_at(at);
             let (digest, count, ()) = Digest::of_pieces(|take| [one, other].into_iter().for_each(take));
