@@ -12,8 +12,8 @@ const MOST: f64 = 0.6;
 const FIRST_TRIAL: f64 = 0.2;
 /// Rounds in which the line through the last two trials gives the next variance.
 const ROUNDS: usize = 3;
-/// Least growth of the variation of details with the variance that is counted on: usual is 0.5 to 0.9, and a class of few cells, where chance makes it
-/// less, would get far too strong bursts.
+/// Smallest growth of the variation that a correction assumes. Usual growths are 0.5 to 0.9; chance makes them smaller in a class of few cells, which
+/// would get bursts that are far too strong.
 const LEAST_GROWTH: f64 = 0.4;
 /// Least change of a variance that says how the variation grows.
 const LEAST_CHANGE: f64 = 0.02;
