@@ -170,7 +170,13 @@ mod tests {
         let store = Store::open(&dir).unwrap();
         let sleep = |scratch: &Scratch| {
             let mut command = std::process::Command::new("sleep");
-            command.arg("60").env("TMPDIR", scratch.temporary()).spawn().unwrap()
+            let started = command.arg("60").env("TMPDIR", scratch.temporary()).spawn().unwrap();
+            // For a moment after its start a program has no environment that others see.
+            let environment = format!("/proc/{}/environ", started.id());
+            while fs::read(&environment).is_ok_and(|variables| variables.is_empty()) {
+                std::thread::sleep(std::time::Duration::from_millis(1));
+            }
+            started
         };
         let (done, dead, used) = (store.scratch().unwrap(), store.scratch().unwrap(), store.scratch().unwrap());
         let [mut of_done, mut of_dead, mut of_used] = [&done, &dead, &used].map(sleep);
