@@ -33,25 +33,26 @@ impl Roughness {
 /// Roughness of `columns` columns of values by row (NaN = none), for filters of `scales_cells` cells; `cell` is the side
 /// of a cell. Gaps and what lies beyond the edge have no weight (normalised convolution). `mean` only centres the values.
 pub fn roughness(values: &[f32], columns: usize, cell: f64, scales_cells: &[f64], mean: f64) -> Roughness {
-    let mut along = FilteredRows::new(values.len() / columns, columns);
-    let rms = scales_cells.iter().map(|scale| residual(values, columns, mean, *scale, &mut along)).collect();
+    let kernels: Vec<Vec<f64>> = scales_cells.iter().map(|scale| half_kernel(*scale)).collect();
+    let longest = kernels.iter().map(Vec::len).max().unwrap_or(0);
+    let mut along = FilteredRows::new(values.len() / columns, columns, longest);
+    let rms = kernels.iter().map(|kernel| residual(values, columns, mean, kernel, &mut along)).collect();
     Roughness { sigma: scales_cells.iter().map(|scale| scale * cell).collect(), rms }
 }
 
-/// Root mean square of what a Gaussian of `scale` cells takes away; `along` is room for the rows filtered.
-fn residual(values: &[f32], columns: usize, mean: f64, scale: f64, along: &mut FilteredRows) -> f64 {
-    let kernel = half_kernel(scale);
-    along.filter(values, mean, &kernel);
-    let of_block = |strip: &mut Vec<Weighted>, block: usize| {
+/// Root mean square of what a kernel takes away; `along` is room for the rows filtered.
+fn residual(values: &[f32], columns: usize, mean: f64, kernel: &[f64], along: &mut FilteredRows) -> f64 {
+    along.filter(values, mean, kernel);
+    let of_block = |block: usize| {
         let mut total = Squares::default();
-        along.filter_columns(&kernel, block, strip, |row, sums| {
+        along.filter_columns(kernel, block, |row, sums| {
             let end = (row + 1) * columns;
             let cells = &values[row * columns + block * BLOCK..end.min(row * columns + (block + 1) * BLOCK)];
             total.add(cells, mean, &sums);
         });
         total.sums()
     };
-    let blocks: Vec<[f64; 2]> = (0..columns.div_ceil(BLOCK)).into_par_iter().map_init(Vec::new, of_block).collect();
+    let blocks: Vec<[f64; 2]> = (0..columns.div_ceil(BLOCK)).into_par_iter().map(of_block).collect();
     let [squares, count] = blocks.iter().fold([0.0, 0.0], |sum, block| [sum[0] + block[0], sum[1] + block[1]]);
     (squares / count).sqrt()
 }

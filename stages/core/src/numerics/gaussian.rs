@@ -13,7 +13,7 @@ pub type Weighted = [f64; 2];
 
 /// Cells filtered together, so that their sums stay in registers.
 pub const BLOCK: usize = 8;
-/// Rows that are kept together, block by block, so that a column of blocks is read in long pieces.
+/// Rows that one thread filters one after the other, so that it writes long pieces of each block.
 const BAND: usize = 16;
 /// Numbers in a block.
 const LANES: usize = 2 * BLOCK;
@@ -21,15 +21,15 @@ const LANES: usize = 2 * BLOCK;
 /// The values under a Gaussian of `scale` cells, gaps without weight; 0 where nothing is in reach.
 pub fn smoothed(values: &[f32], columns: usize, scale: f64) -> Vec<f64> {
     let kernel = half_kernel(scale);
-    let mut along = FilteredRows::new(values.len() / columns, columns);
+    let mut along = FilteredRows::new(values.len() / columns, columns, kernel.len());
     along.filter(values, 0.0, &kernel);
     let mean = |[sum, weight]: Weighted| if weight > 0.0 { sum / weight } else { 0.0 };
-    let of_block = |strip: &mut Vec<Weighted>, block: usize| {
+    let of_block = |block: usize| {
         let mut means = Vec::with_capacity(values.len() / columns * BLOCK);
-        along.filter_columns(&kernel, block, strip, |_, sums| means.extend(sums.map(mean)));
+        along.filter_columns(&kernel, block, |_, sums| means.extend(sums.map(mean)));
         means
     };
-    let blocks: Vec<Vec<f64>> = (0..columns.div_ceil(BLOCK)).into_par_iter().map_init(Vec::new, of_block).collect();
+    let blocks: Vec<Vec<f64>> = (0..columns.div_ceil(BLOCK)).into_par_iter().map(of_block).collect();
     let mut smooth = vec![0.0; values.len()];
     smooth.par_chunks_mut(columns).enumerate().for_each(|(row, line)| {
         for (out, means) in line.chunks_mut(BLOCK).zip(&blocks) {
@@ -50,71 +50,72 @@ pub fn half_kernel(scale: f64) -> Vec<f64> {
 
 /// Rows of a grid under a kernel, to be filtered along its columns.
 pub struct FilteredRows {
-    /// Bands of rows; in each, its blocks of columns one after the other, row by row.
+    /// Blocks of columns, one after the other, each row by row, with zeros before its first row and after its last one.
     cells: Vec<Weighted>,
     rows: usize,
     columns: usize,
+    /// Cells of a block before its first row, and after its last one.
+    border: usize,
 }
 
 impl FilteredRows {
-    /// Room for a grid.
-    pub fn new(rows: usize, columns: usize) -> Self {
-        Self { cells: vec![[0.0; 2]; rows * columns.next_multiple_of(BLOCK)], rows, columns }
+    /// Room for a grid under kernels of up to `longest` weights.
+    pub fn new(rows: usize, columns: usize, longest: usize) -> Self {
+        let border = longest.saturating_sub(1) * BLOCK;
+        let cells = columns.div_ceil(BLOCK) * (rows * BLOCK + 2 * border);
+        Self { cells: vec![[0.0; 2]; cells], rows, columns, border }
+    }
+
+    /// Cells of a block, with both borders.
+    fn block(&self) -> usize {
+        self.rows * BLOCK + 2 * self.border
     }
 
     /// Filters each row of values, of which `mean` is taken off, with nothing beyond its ends.
     pub fn filter(&mut self, values: &[f32], mean: f64, kernel: &[f64]) {
-        let (columns, radius) = (self.columns, kernel.len() - 1);
+        let (columns, radius, block, border) = (self.columns, kernel.len() - 1, self.block(), self.border);
         let wide = columns.next_multiple_of(BLOCK);
-        let bands = self.cells.par_chunks_mut(BAND * wide).zip(values.par_chunks(BAND * columns));
-        bands.for_each(|(band, values)| {
-            let rows = values.len() / columns;
+        let mut bands: Vec<Vec<&mut [Weighted]>> = Vec::new();
+        bands.resize_with(self.rows.div_ceil(BAND), Vec::new);
+        for cells in self.cells.chunks_exact_mut(block) {
+            let pieces = cells[border..block - border].chunks_mut(BAND * BLOCK);
+            bands.iter_mut().zip(pieces).for_each(|(band, piece)| band.push(piece));
+        }
+        bands.into_par_iter().zip(values.par_chunks(BAND * columns)).for_each(|(mut band, values)| {
             let mut padded = vec![[0.0; 2]; wide + 2 * radius];
             for (row, line) in values.chunks_exact(columns).enumerate() {
                 for (cell, value) in padded[radius..].iter_mut().zip(line) {
                     *cell = if value.is_nan() { [0.0; 2] } else { [f64::from(*value) - mean, 1.0] };
                 }
-                vectorised(Row { padded: &padded, kernel, band, place: row, rows });
+                vectorised(Row { padded: &padded, kernel, band: &mut band, place: row });
             }
         });
     }
 
-    /// Filters a block of columns, with nothing beyond their ends, and hands over its cells row by row; `strip` is room for it.
-    pub fn filter_columns(
-        &self,
-        kernel: &[f64],
-        block: usize,
-        strip: &mut Vec<Weighted>,
-        mut take: impl FnMut(usize, [Weighted; BLOCK]),
-    ) {
-        let (wide, border) = (self.columns.next_multiple_of(BLOCK), (kernel.len() - 1) * BLOCK);
-        strip.clear();
-        strip.resize(border, [0.0; 2]);
-        for band in self.cells.chunks(BAND * wide) {
-            let cells = band.len() / wide * BLOCK;
-            strip.extend_from_slice(&band[block * cells..][..cells]);
-        }
-        strip.resize(strip.len() + border, [0.0; 2]);
+    /// Filters a block of columns, with nothing beyond their ends, and hands over its cells row by row.
+    pub fn filter_columns(&self, kernel: &[f64], block: usize, mut take: impl FnMut(usize, [Weighted; BLOCK])) {
+        let cells = &self.cells[block * self.block()..][..self.block()];
+        let strip = &cells[self.border - (kernel.len() - 1) * BLOCK..];
         vectorised(Columns { strip, rows: self.rows, kernel, take: &mut take });
     }
 }
 
 /// A row that is filtered into a band of rows.
-struct Row<'a> {
+struct Row<'a, 'b> {
     padded: &'a [Weighted],
     kernel: &'a [f64],
-    band: &'a mut [Weighted],
-    /// Which row of the band it is, and how many there are.
+    /// The band's piece of each block.
+    band: &'a mut [&'b mut [Weighted]],
+    /// Which row of the band it is.
     place: usize,
-    rows: usize,
 }
 
-impl Work for Row<'_> {
+impl Work for Row<'_, '_> {
     type Output = ();
 
     #[inline(always)]
     fn run(self) {
-        for (block, cells) in self.band.chunks_exact_mut(self.rows * BLOCK).enumerate() {
+        for (block, cells) in self.band.iter_mut().enumerate() {
             cells[self.place * BLOCK..][..BLOCK].copy_from_slice(&convolve(
                 &self.padded[block * BLOCK..],
                 1,
