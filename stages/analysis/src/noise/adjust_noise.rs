@@ -74,8 +74,8 @@ impl Stage for AdjustNoise {
         }
         // Acquisitions differ far more than what a survey loses, but both rasters of a pair have the same one. Nothing is lost of what is in gaps.
         let lost = |(simulated, drawn): (&Vec<f64>, &Vec<f64>)| -> Vec<f64> {
-            let lost = |(simulated, drawn): (&f64, &f64)| Some(simulated - drawn).filter(|lost| !lost.is_nan());
-            simulated.iter().zip(drawn).map(|both| lost(both).unwrap_or(0.0)).collect()
+            let differences = simulated.iter().zip(drawn).map(|(simulated, drawn)| simulated - drawn);
+            differences.map(|lost| if lost.is_nan() { 0.0 } else { lost }).collect()
         };
         let lost: Vec<Vec<f64>> = simulated.iter().zip(&drawn).map(lost).collect();
         let nothing = Mean { value: 0.0, squared_error: 0.0 };

@@ -7,8 +7,13 @@ use rockface_imaging::matching::elevation_step::elevation_step_m;
 use rockface_imaging::matching::noise::ensemble::draw;
 
 params! {
-    /// Parameters of `draw-noise`: there are none.
-    pub struct DrawNoiseParams {}
+    /// Parameters of `draw-noise`.
+    pub struct DrawNoiseParams {
+        /// Number of the acquisition in the order of surveys, such as 0 before and 1 after: those with an even number draw from the fields of the first half
+        /// of the rasters that the model was made of, those with an odd one from the second half. Two that are compared should have an even
+        /// and an odd one: where both had the same field, their noise would cancel or double. Left out: all fields.
+        acquisition: Option<u32> = None,
+    }
 }
 
 /// Adds the noise of one acquisition of a learnt model to a DEM.
@@ -36,14 +41,14 @@ impl Stage for DrawNoise {
         inputs.total() + 22 * inputs.of("dem")
     }
 
-    fn run(_: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let noise = inputs.one::<Noise>("noise")?;
         let (dem, block, pairs) =
             (inputs.one::<Raster>("dem")?, inputs.one::<Cameras>("cameras")?, inputs.one::<Pairs>("pairs")?);
         check(&[dem], dem, block)?;
         check_model(noise, dem)?;
         let step_m = elevation_step_m(dem, block, pairs)?;
-        let drawn = draw(noise, &|purpose: &str, item: &str| context.stream(purpose, item));
+        let drawn = draw(noise, params.acquisition, &|purpose: &str, item: &str| context.stream(purpose, item));
         let errors_px = drawn.errors_px(noise, &noise.strength);
         let elevations = &dem.bands[0].values;
         let values = elevations.iter().zip(errors_px).zip(step_m).map(|((z, px), step)| z + px * step).collect();

@@ -9,7 +9,9 @@ use crate::noise::learning::bursts;
 use crate::noise::learning::departure::{Departure, Mean, figures};
 use crate::noise::learning::differences::{check, differences, disparities};
 use crate::noise::learning::relief_law;
-use crate::noise::learning::whitening::{BANDS, LEAST_SIDE_CELLS, Places, Prior, Stack, Whitened, range_cells, whiten};
+use crate::noise::learning::whitening::{
+    BANDS, LEAST_SIDE_CELLS, Places, Prior, Stack, Whitened, range_cells, restore_outliers, whiten,
+};
 use rockface_core::artefact::{Band, Bursts, Cameras, Kind, Member, Noise, Pairs, Raster, ReliefLaw};
 use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::quantile::quantile;
@@ -35,8 +37,9 @@ params! {
         /// Whitened fields mixed in one acquisition, of the rasters most like the one whose strength it has: fewer copy them, with many all
         /// acquisitions have the same structure.
         donors: usize = 8; Range::AtLeast(1.0),
-        /// Power of the weights of the mixture: 1 mixes all donors everywhere, with more each place has the structure of fewer of them.
-        sharpness: u32 = 1; Range::Between(1.0, 16.0),
+        /// Power of the weights of the donors: 1 mixes all of them everywhere, which makes noise even; with more each place has the structure of
+        /// fewer of them.
+        sharpness: u32 = 2; Range::Between(1.0, 16.0),
         /// Variance of the logarithm of the bursts that fine details of a mixture are given, in all classes of place; left out: for each class
         /// what makes draws vary from cell to cell as the rasters do.
         bursts: Option<f64> = None; Range::Between(0.0, 1.0),
@@ -44,7 +47,7 @@ params! {
         /// the shorter side of the rasters.
         length_cells: Option<f64> = None; Range::AtLeast(1.0),
         /// Share of the variance of a weight that is constant over the face.
-        common_share: f64 = 0.3; Range::Between(0.0, 1.0),
+        common_share: f64 = 0.0; Range::Between(0.0, 1.0),
         /// Deviation of the jitter of strengths and amplitudes, as a share of their deviation over rasters.
         jitter: f64 = 0.2; Range::NonNegative,
         /// Differences drawn from the model to find how much of the variety of the rasters is chance of single fields, which every draw has
@@ -67,7 +70,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 8;
+    const VERSION: u32 = 9;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -121,7 +124,9 @@ impl Stage for LearnNoise {
             Source { name: band.name.clone(), plane_m }
         };
         let sources: Vec<Source> = all[..kept].iter().map(source).collect();
-        let learnt = Learnt::new(params, &disparities, dem);
+        let limit_px =
+            |cell: usize| params.outlier_m.map_or(f64::INFINITY, |limit| limit / f64::from(step_m[cell].abs()));
+        let learnt = Learnt::new(params, &disparities, dem, limit_px);
         context.check_cancelled()?;
         let noise = learnt.varied(params, &sources, dem, &step_m, context);
         report(&noise, &learnt, &step_m, context);
@@ -155,10 +160,12 @@ struct Learnt {
     bad: Vec<bool>,
     relief: ReliefLaw,
     fields: bool,
+    /// Range of the correlation of the noise, cells.
+    range_cells: usize,
 }
 
 impl Learnt {
-    fn new(params: &LearnNoiseParams, disparities: &[Vec<f32>], dem: &Raster) -> Self {
+    fn new(params: &LearnNoiseParams, disparities: &[Vec<f32>], dem: &Raster, limit_px: impl Fn(usize) -> f64) -> Self {
         let columns = dem.grid.columns;
         let stack = Stack { rasters: disparities, columns, smoothing_cells: params.smoothing_cells, prior: None };
         let (mut places, mut whitened, mut bad) = parted(&stack, params.bad_cut);
@@ -171,7 +178,9 @@ impl Learnt {
             let prior = Some(Prior { strength: &expected, rasters: params.prior_rasters });
             (places, whitened, bad) = parted(&Stack { prior, ..stack }, params.bad_cut);
         }
-        Self { columns, places, whitened, bad, relief, fields }
+        let range_cells = range_cells(&usual(&whitened, &bad), columns);
+        whitened.iter_mut().for_each(|whitened| restore_outliers(whitened, &places, &limit_px));
+        Self { columns, places, whitened, bad, relief, fields, range_cells }
     }
 
     /// The model, whose draws vary as the rasters do and have their mean figures.
@@ -212,7 +221,7 @@ impl Learnt {
     }
 
     fn usual(&self) -> Vec<&Whitened> {
-        self.whitened.iter().zip(&self.bad).filter(|(_, bad)| !**bad).map(|(w, _)| w).collect()
+        usual(&self.whitened, &self.bad)
     }
 
     /// The model with a correction of its draws.
@@ -260,8 +269,13 @@ impl Learnt {
     /// a mixture keeps its correlation, and much shorter than the face, so that it is no copy.
     fn length_cells(&self, dem: &Raster) -> f64 {
         let side = self.columns.min(dem.grid.rows);
-        ((range_cells(&self.usual(), self.columns) * side) as f64).sqrt()
+        ((self.range_cells * side) as f64).sqrt()
     }
+}
+
+/// The rasters that are not bad.
+fn usual<'a>(whitened: &'a [Whitened], bad: &[bool]) -> Vec<&'a Whitened> {
+    whitened.iter().zip(bad).filter(|(_, bad)| !**bad).map(|(w, _)| w).collect()
 }
 
 /// What the draws of a model say that it should have otherwise.

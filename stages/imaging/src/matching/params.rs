@@ -44,6 +44,10 @@ params! {
     pub struct Matching {
         /// Where the noise comes from.
         noise: NoiseSource = NoiseSource::Paper,
+        /// Number of the acquisition in the order of surveys, such as 0 before and 1 after: those with an even number draw from the fields of the first half
+        /// of the rasters that a learnt model was made of, those with an odd one from the second half. Two that are compared should have an even
+        /// and an odd one: where both had the same field, their noise would cancel or double. Left out: all fields.
+        acquisition: Option<u32> = None,
         /// What the pixels of the parameters of the noise are.
         pixels: Pixels = Pixels::DepthMap,
         /// Standard deviation of the white disparity noise, pixels of the depth map.
@@ -106,12 +110,17 @@ impl Matching {
         }
         let image_pixels = self.pixels == Pixels::Image;
         let (terms, learnt, errors) = (self.matcher.clone(), ports.noise, ports.errors);
-        Ok(Setup { sampling, image_pixels, noise, terms, occlusion_tolerance, strength, learnt, errors })
+        let number = self.acquisition;
+        Ok(Setup { sampling, image_pixels, noise, terms, occlusion_tolerance, strength, learnt, number, errors })
     }
 
     fn check_ports(&self, ports: NoisePorts) -> Result<(), StageError> {
         let refuse = |error: &str, hint: &str| Err(StageError::new(error).hint(hint));
         let terms = ports.strength.is_some() || self.matcher.is_some();
+        if self.acquisition.is_some() && self.noise == NoiseSource::Paper {
+            let error = "`acquisition` numbers the draws of a learnt model, but the paper's noise is asked for";
+            return refuse(error, "set `noise: learnt`, or leave `acquisition` out");
+        }
         match (self.noise, ports.noise) {
             (NoiseSource::Learnt, None) => {
                 let error = "`noise: learnt` needs a model at port `noise`";

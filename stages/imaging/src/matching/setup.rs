@@ -32,6 +32,8 @@ pub struct Setup<'s> {
     pub strength: Option<&'s Raster>,
     /// The learnt model all noise is drawn from; `None`: the paper's noise and its further terms.
     pub learnt: Option<&'s Noise>,
+    /// Number of the acquisition that is drawn from it.
+    pub number: Option<u32>,
     /// Errors of the user's own, added to the others.
     pub errors: Option<&'s Depth>,
 }
@@ -48,7 +50,7 @@ impl<'s> Setup<'s> {
         pairs: &Pairs,
         keys: Keys,
     ) -> Result<Option<Acquisition<'s>>, StageError> {
-        self.learnt.map(|noise| Acquisition::new(noise, ideal, block, pairs, keys)).transpose()
+        self.learnt.map(|noise| Acquisition::new(noise, self.number, ideal, block, pairs, keys)).transpose()
     }
 
     /// The matcher of a pair from its ideal depth maps (first, second), for the depth map of image `side`.

@@ -2,7 +2,7 @@
 //!
 //! The variance of a difference is the sum of those of its two epochs, so the noise of one is weaker by sqrt 2. The logarithm of the
 //! strength of a difference is close to the mean of those of its epochs, so it varies less by sqrt 2; and it lies above this mean by
-//! half the variance between epochs. Neighbours of a chain share an epoch; that leaves both factors as they are. A bad
+//! half the variance between epochs. The same holds for its amplitude in each band. Neighbours of a chain share an epoch; that leaves both factors as they are. A bad
 //! difference is a usual epoch and a bad one, whose variance is what the usual one does not explain.
 
 use crate::noise::learning::whitening::Whitened;
@@ -63,8 +63,9 @@ pub fn acquisitions(
     let half = -0.5 * std::f64::consts::LN_2;
     let of_usual = |row: &[f64]| -> Vec<f64> {
         let one = |(c, value): (usize, &f64)| {
-            let level = if c < classes { half - 0.5 * between(c) * between(c) * variance(c) } else { 0.0 };
-            mean[c] + between(c) * narrowing * (value - mean[c]) + level
+            let level = if c < classes { half } else { 0.0 };
+            let excess = 0.5 * between(c) * between(c) * variance(c);
+            mean[c] + between(c) * narrowing * (value - mean[c]) + level - excess
         };
         row.iter().enumerate().map(one).collect()
     };

@@ -82,7 +82,7 @@ pub fn disparities(bands: &[&Band], step_m: &[f32]) -> Result<Vec<Vec<f32>>, Sta
     bands.iter().map(one).collect()
 }
 
-/// Differences of two acquisitions each, drawn from a model without a survey, pixels of the full image; a value for which `keeps` (cell,
+/// Differences of two acquisitions each, an even and an odd one, drawn from a model without a survey, pixels of the full image; a value for which `keeps` (cell,
 /// pixels) says no is left out.
 pub fn differences(
     noise: &Noise,
@@ -90,14 +90,14 @@ pub fn differences(
     keeps: impl Fn(usize, f32) -> bool + Sync,
     stream: &(impl Fn(&str, &str) -> Key + Sync),
 ) -> Vec<Vec<f32>> {
-    let epoch = |number: usize| {
+    let epoch = |number: u32| {
         let keys = |purpose: &str, item: &str| stream(purpose, &format!("{number}/{item}"));
-        draw(noise, &keys).errors_px(noise, &noise.strength)
+        draw(noise, Some(number), &keys).errors_px(noise, &noise.strength)
     };
-    let difference = |number: usize| {
+    let difference = |number: u32| {
         let (pre, post) = (epoch(2 * number), epoch(2 * number + 1));
         let values = pre.iter().zip(post).map(|(pre, post)| post - pre).enumerate();
         values.map(|(cell, px)| if keeps(cell, px) { px } else { f32::NAN }).collect()
     };
-    (0..count).into_par_iter().map(difference).collect()
+    (0..count as u32).into_par_iter().map(difference).collect()
 }

@@ -154,11 +154,14 @@ impl Places {
 
     /// A raster divided by strength and factors, with gaps.
     fn divided(&self, raster: &[f32], log_strength: &[f64]) -> Vec<f32> {
-        let factor = |s: f32| {
-            let log = portable_math::log(f64::from(s));
-            f64::from(s) * portable_math::exp(log_strength_at(&self.middles, log_strength, log))
-        };
-        raster.iter().zip(&self.strength).map(|(value, s)| (f64::from(*value) / factor(*s)) as f32).collect()
+        let values = raster.iter().zip(&self.strength);
+        values.map(|(value, s)| (f64::from(*value) / self.factor(log_strength, *s)) as f32).collect()
+    }
+
+    /// Deviation of the noise of a raster with these factors where the map has the strength `s`.
+    fn factor(&self, log_strength: &[f64], s: f32) -> f64 {
+        let log = portable_math::log(f64::from(s));
+        f64::from(s) * portable_math::exp(log_strength_at(&self.middles, log_strength, log))
     }
 }
 
@@ -205,6 +208,25 @@ fn filled(values: &[f32], columns: usize) -> (Vec<f32>, Vec<u8>) {
     (field, inside.iter().zip(values).map(weight).collect())
 }
 
+/// A gap whose filling is at least this part of the largest error that rasters hold was an outlier.
+const OUTLIER_FROM: f64 = 0.3;
+/// How large an outlier is, as a part of the largest error that rasters hold: beyond it errors fall off by a factor e in a quarter of it.
+const OUTLIER: f64 = 1.25;
+
+/// Gives the gaps of a field that errors of more than `limit_px` (cell by cell) have left in its raster such errors, with the sign of what is around
+/// them. Other gaps, where nothing was matched, stay filled as they are.
+pub fn restore_outliers(whitened: &mut Whitened, places: &Places, limit_px: impl Fn(usize) -> f64) {
+    for (cell, (value, weight)) in whitened.field.iter_mut().zip(&whitened.weights).enumerate() {
+        if weight & GAP == 0 {
+            continue;
+        }
+        let limit = limit_px(cell) / places.factor(&whitened.log_strength, places.strength[cell]);
+        if limit.is_finite() && f64::from(value.abs()) > OUTLIER_FROM * limit {
+            *value = (OUTLIER * limit).copysign(f64::from(*value)) as f32;
+        }
+    }
+}
+
 /// Cells at which the mean correlation of whitened fields has fallen to one twentieth.
 pub fn range_cells(fields: &[&Whitened], columns: usize) -> usize {
     let rows = fields[0].field.len() / columns;
@@ -245,6 +267,30 @@ mod tests {
         let variance = whitened[3].field.iter().map(|v| f64::from(*v) * f64::from(*v)).sum::<f64>() / 3000.0;
         assert!((variance - 1.0).abs() < 0.05, "{variance}");
         assert!(whitened[3].log_amplitude.iter().skip(4).all(|a| a.abs() < 0.2), "{:?}", whitened[3].log_amplitude);
+    }
+
+    #[test]
+    fn gaps_beside_large_errors_were_outliers() {
+        let columns = 40;
+        let noise = Key([1; 32]).field();
+        let mut raster: Vec<f32> = (0..1600).map(|i| noise.normal(i % 40, i / 40) as f32 * 0.1).collect();
+        for (row, column) in (9..14).flat_map(|row| (9..14).map(move |column| (row, column))) {
+            raster[row * columns + column] = if row == 11 && column == 11 { f32::NAN } else { -0.9 };
+        }
+        raster[25 * columns + 25] = f32::NAN;
+        let places = Places::of(vec![1.0; 1600]);
+        let mut whitened = whiten(std::slice::from_ref(&raster), columns, &places).remove(0);
+        let before = whitened.clone();
+        restore_outliers(&mut whitened, &places, |_| 1.0);
+        let factor = portable_math::exp(whitened.log_strength[0]);
+        assert!((f64::from(whitened.field[11 * columns + 11]) * factor + OUTLIER).abs() < 1e-5);
+        let changed =
+            whitened.field.iter().zip(&before.field).filter(|(now, then)| now.to_bits() != then.to_bits()).count();
+        assert!(changed == 1 && whitened.weights == before.weights);
+        // Where rasters were not filtered nothing is known of outliers.
+        let mut other = before.clone();
+        restore_outliers(&mut other, &places, |_| f64::INFINITY);
+        assert!(other.field == before.field);
     }
 
     #[test]

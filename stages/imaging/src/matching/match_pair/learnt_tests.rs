@@ -174,6 +174,7 @@ fn model_and_parameters_must_fit() {
     assert!(refused(None, json!({"noise": "learnt"})).contains("needs a model at port `noise`"));
     assert!(refused(Some(model()), json!({})).contains("the paper's noise is asked for"));
     assert!(refused(Some(model()), json!({"noise": "learnt", "matcher": {}})).contains("holds all noise"));
+    assert!(refused(None, json!({"acquisition": 1})).contains("`acquisition` numbers the draws of a learnt model"));
     let world = Noise { frame: Frame::World, ..model() };
     assert!(refused(Some(world), json!({"noise": "learnt"})).contains("in the world frame"));
 }

@@ -59,7 +59,10 @@ impl Drawn {
 
 /// Draws an acquisition of a model from the streams `noise-acquisition`, `noise-jitter`, `noise-weights`, `noise-weights-common` and
 /// `noise-white` of `keys`.
-pub fn draw(noise: &Noise, keys: Keys) -> Drawn {
+///
+/// One with an even `number` mixes only fields of the first half of the members, one with an odd number those of the second half, so that two
+/// acquisitions that are compared have none in common: where both had the same one their noise would cancel, or double.
+pub fn draw(noise: &Noise, number: Option<u32>, keys: Keys) -> Drawn {
     let mut generator = keys("noise-acquisition", "").generator();
     let (bad, good): (Vec<usize>, Vec<usize>) = (0..noise.members.len()).partition(|i| noise.members[*i].bad);
     let of_bad = generator.random::<f64>() < noise.bad_share && !bad.is_empty();
@@ -67,10 +70,10 @@ pub fn draw(noise: &Noise, keys: Keys) -> Drawn {
     let member = &noise.members[class[generator.random_range(0..class.len())]];
     // A bad acquisition takes all bad donors and, where those are few, good ones in addition.
     let donors = if of_bad {
-        let rest = some(&good, noise.donors.saturating_sub(bad.len()), &mut generator);
+        let rest = some(own_half(&good, number), noise.donors.saturating_sub(bad.len()), &mut generator);
         some(&bad, noise.donors, &mut generator).into_iter().chain(rest).collect()
     } else {
-        nearest(&noise.members, member, &good, noise.donors)
+        nearest(&noise.members, member, own_half(&good, number), noise.donors)
     };
     let random = keys("noise-jitter", "").field();
     let jittered = |values: fn(&Member) -> &[f64]| -> Vec<f64> {
@@ -108,7 +111,21 @@ fn of_unit_variance(mut log_amplitude: Vec<f64>, shares: &[f64]) -> Vec<f64> {
     log_amplitude
 }
 
-/// The members of a class that are most like one of them, that one first: by the distance between their strengths and amplitudes, each over its
+/// The members whose fields an acquisition of this number may have: the first half for even numbers, the second for odd ones, all without a
+/// number. Halves and not every other member, since neighbours of a chain share an epoch.
+fn own_half(members: &[usize], number: Option<u32>) -> &[usize] {
+    if members.len() < 2 {
+        return members;
+    }
+    let (first, second) = members.split_at(members.len() / 2);
+    match number {
+        None => members,
+        Some(number) if number % 2 == 0 => first,
+        Some(_) => second,
+    }
+}
+
+/// The members of a class that are most like one, the nearest first: by the distance between their strengths and amplitudes, each over its
 /// deviation within the class.
 fn nearest(members: &[Member], member: &Member, class: &[usize], count: usize) -> Vec<usize> {
     let figures =
@@ -276,6 +293,14 @@ mod tests {
         assert_eq!(nearest(&members, &members[1], &class, 2), [1, 4]);
         assert_eq!(nearest(&members, &members[0], &class, 3), [0, 2, 3]);
         assert_eq!(nearest(&members, &members[0], &class, 9).len(), 5);
+    }
+
+    #[test]
+    fn acquisitions_that_are_compared_have_no_donor_in_common() {
+        let members = [0, 1, 3, 4, 7];
+        assert_eq!(own_half(&members, None), members);
+        assert_eq!((own_half(&members, Some(0)), own_half(&members, Some(3))), (&members[..2], &members[2..]));
+        assert_eq!([Some(0), Some(1)].map(|number| own_half(&members[..1], number)), [&[0], &[0]]);
     }
 
     #[test]

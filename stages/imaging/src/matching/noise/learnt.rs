@@ -40,9 +40,10 @@ pub struct Acquisition<'a> {
 impl<'a> Acquisition<'a> {
     /// Draws an acquisition for the ideal depth map of an image, which `block` and `pairs` survey with others.
     ///
-    /// The streams depend neither on the image nor on its pairs: all of a survey share what is drawn.
+    /// The streams depend neither on the image nor on its pairs: all of a survey share what is drawn. `number` is that of [`draw`].
     pub fn new(
         noise: &'a Noise,
+        number: Option<u32>,
         depth: &Depth,
         block: &Cameras,
         pairs: &Pairs,
@@ -55,7 +56,7 @@ impl<'a> Acquisition<'a> {
         }
         let survey = SurveySteps::new(block, pairs)?;
         let face = changed_face::seen(noise, depth, &Camera::of_depth(depth));
-        let mut errors_px = draw(noise, keys).errors_px(noise, &face.strength);
+        let mut errors_px = draw(noise, number, keys).errors_px(noise, &face.strength);
         let gaps = Arc::new(errors_px.iter().map(|px| px.is_nan()).collect());
         errors_px.iter_mut().filter(|px| px.is_nan()).for_each(|px| *px = 0.0);
         let slopes = Arc::new(slopes(&face.elevation, noise.grid.columns));
