@@ -2,8 +2,8 @@
 //!
 //! The variance of a difference is the sum of those of its two epochs, so the noise of one is weaker by sqrt 2. The logarithm of the
 //! strength of a difference is close to the mean of those of its epochs, so it varies less by sqrt 2; and it lies above this mean by
-//! half the variance between epochs. The same holds for its amplitude in each band. Neighbours of a chain share an epoch; that leaves both factors as they are. A bad
-//! difference is a usual epoch and a bad one, whose variance is what the usual one does not explain.
+//! half the variance between epochs. The same holds for its amplitude in each band. Neighbours of a chain share an epoch; that leaves
+//! both factors as they are. A bad difference is a usual epoch and a bad one, whose variance is what the usual one does not explain.
 
 use crate::noise::learning::whitening::Whitened;
 use rockface_core::artefact::Member;

@@ -82,8 +82,8 @@ pub fn disparities(bands: &[&Band], step_m: &[f32]) -> Result<Vec<Vec<f32>>, Sta
     bands.iter().map(one).collect()
 }
 
-/// Differences of two acquisitions each, an even and an odd one, drawn from a model without a survey, pixels of the full image; a value for which `keeps` (cell,
-/// pixels) says no is left out.
+/// Differences of two acquisitions each, an even and an odd one, drawn from a model without a survey, pixels of the full image; a value for
+/// which `keeps` (cell, pixels) says no is left out.
 pub fn differences(
     noise: &Noise,
     count: usize,
