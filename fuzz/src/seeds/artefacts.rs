@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::io;
 
 use rockface_core::artefact::{
-    Acceptance, Artefact, Band, Bursts, Cell, Cloud, Covariance, Depth, Feature, Figure, Files, Frame, Grid,
-    GroupModel, Inventory, Member, Mesh, Meshes, Noise, Pair, Pairs, Part, Picture, Polygon, Raster, ReliefLaw, Sample,
-    Shown, Surface, Table, Transform,
+    Acceptance, Artefact, Band, Cell, Cloud, Contrast, Covariance, Depth, Feature, Figure, Files, Frame, Grid,
+    GroupModel, Inventory, LevelContrast, Member, Mesh, Meshes, Noise, Pair, Pairs, Part, Picture, Polygon, Raster,
+    ReliefLaw, Sample, Shown, Surface, Table, Transform,
 };
 use serde_json::json;
 
@@ -85,7 +85,16 @@ fn noise() -> Noise {
         class_log_strength: vec![-1.0, 0.5],
         jitter: 0.2,
         sharpness: 4,
-        bursts: Bursts { log_variance: vec![0.2, 0.0], growth: vec![1.0, 0.0], ..Bursts::none(2) },
+        contrast: Contrast {
+            finest_cells: 0.7,
+            levels: vec![LevelContrast {
+                own_power: [0.2, 0.1, 0.0],
+                local_power: -0.1,
+                log_gain: [0.01, -0.02, 0.0],
+                growth: [[0.3, 0.0, 0.0, 0.1]; 4],
+                deviation: [0.01, 0.02, 0.03, 0.04],
+            }],
+        },
         log_gain: vec![0.0, 0.1],
         relief: ReliefLaw { flat_px: 0.2, gain_px_m: 3.0, window_cells: 2 },
         members: vec![member("a", false), member("b", true)],

@@ -1,9 +1,10 @@
 //! `adjust-noise`: makes up for what a survey loses of the noise of a model, by comparing surveys simulated with it to draws of it.
 
-use crate::noise::learning::bursts;
+use crate::noise::learning::contrast;
 use crate::noise::learning::departure::{Departure, Mean, figures};
 use crate::noise::learning::differences::{check, check_model, disparities};
-use crate::noise::learning::whitening::{Places, Whitened, whiten};
+use crate::noise::learning::whitening::{Places, whiten};
+use crate::noise::structure;
 use rockface_core::artefact::{Band, Cameras, Kind, Noise, Pairs, Raster};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 use rockface_imaging::matching::elevation_step::elevation_step_m;
@@ -18,15 +19,15 @@ pub struct AdjustNoise;
 
 /// Standard errors within which a difference counts as chance.
 const CHANCE_ERRORS: f64 = 2.0;
-/// The same for the variation of details: classes of few cells show little of it, and bursts that are a little too strong do no harm.
-const VARIATION_ERRORS: f64 = 1.0;
+/// The same for the unevenness of details: coarse levels show little of it, and contrast that is a little too strong does no harm.
+const UNEVENNESS_ERRORS: f64 = 1.0;
 /// Fewest simulated rasters from which chance can be told.
 const LEAST: usize = 2;
 
 impl Stage for AdjustNoise {
     type Params = AdjustNoiseParams;
     const NAME: &'static str = "adjust-noise";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: Page = Page::new(include_str!("adjust_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("noise", &[Kind::Noise], "The model."),
@@ -58,10 +59,15 @@ impl Stage for AdjustNoise {
             let rasters: Vec<&Raster> = inputs.many::<Raster>(port)?.into_iter().map(|(_, raster)| raster).collect();
             check(&rasters, dem, block)?;
             let bands: Vec<&Band> = rasters.iter().flat_map(|raster| &raster.bands).collect();
-            let whitened = whiten(&disparities(&bands, &step_m)?, columns, &places);
+            let disparities = disparities(&bands, &step_m)?;
+            let whitened = whiten(&disparities, columns, &places);
             context.check_cancelled()?;
-            let variation = |w: &Whitened| bursts::variation(&[w], columns, &places);
-            Ok(whitened.iter().map(|w| figures(w).into_iter().chain(variation(w)).collect()).collect())
+            let uneven = |raster: &Vec<f32>| {
+                let levels = structure::levels(raster, columns, noise.contrast.levels.len());
+                levels.into_iter().flat_map(|level| level.unevenness)
+            };
+            let row = |(w, raster)| figures(w).into_iter().chain(uneven(raster)).collect();
+            Ok(whitened.iter().zip(&disparities).map(row).collect())
         };
         let (simulated, drawn) = (rows("simulated")?, rows("drawn")?);
         if simulated.len() != drawn.len() {
@@ -72,7 +78,7 @@ impl Stage for AdjustNoise {
             let text = format!("{} simulated raster, {LEAST} are needed to know what is chance", simulated.len());
             return Err(StageError::new(text).hint("simulate more surveys with the model"));
         }
-        // Acquisitions differ far more than what a survey loses, but both rasters of a pair have the same one. Nothing is lost of what is in gaps.
+        // Acquisitions differ far more than what a survey loses, but both rasters of a pair have the same one. Nothing is lost of levels that have no details.
         let lost = |(simulated, drawn): (&Vec<f64>, &Vec<f64>)| -> Vec<f64> {
             let differences = simulated.iter().zip(drawn).map(|(simulated, drawn)| simulated - drawn);
             differences.map(|lost| if lost.is_nan() { 0.0 } else { lost }).collect()
@@ -85,27 +91,28 @@ impl Stage for AdjustNoise {
     }
 }
 
-/// The model with what is lost added: first the classes of place, then the bands, then the variation of details by class.
+/// The model with what is lost added: first the classes of place, then the bands, then the unevenness of details by level.
 fn adjusted(noise: &Noise, losses: &[Departure]) -> Noise {
-    let (classes, bands, variation) = parts(losses, noise);
+    let (classes, bands, unevenness) = parts(losses, noise);
     let mut adjusted = noise.clone();
     for member in &mut adjusted.members {
         member.log_strength.iter_mut().zip(classes).for_each(|(value, loss)| *value -= loss.certain(CHANCE_ERRORS));
     }
     adjusted.log_gain.iter_mut().zip(bands).for_each(|(gain, loss)| *gain -= loss.certain(CHANCE_ERRORS));
-    bursts::make_up(&mut adjusted.bursts, |class| -variation[class].certain(VARIATION_ERRORS));
+    let certain = |k: usize| -unevenness[k].certain(UNEVENNESS_ERRORS);
+    contrast::make_up(&mut adjusted.contrast, |level| std::array::from_fn(|figure| certain(4 * level + figure)));
     adjusted
 }
 
-/// Losses of classes of place, of bands, and of the variation of details.
+/// Losses of classes of place, of bands, and of the unevenness of details.
 fn parts<'a>(losses: &'a [Departure], noise: &Noise) -> (&'a [Departure], &'a [Departure], &'a [Departure]) {
     let (classes, rest) = losses.split_at(noise.class_log_strength.len());
-    let (bands, variation) = rest.split_at(noise.bands());
-    (classes, bands, variation)
+    let (bands, unevenness) = rest.split_at(noise.bands());
+    (classes, bands, unevenness)
 }
 
 fn report(losses: &[Departure], noise: &Noise, context: &Context) {
-    let (classes, bands, variation) = parts(losses, noise);
+    let (classes, bands, unevenness) = parts(losses, noise);
     let percent = |losses: &[Departure], errors: f64| {
         let one = |loss: &Departure| {
             format!("{:+.0}", 100.0 * (rockface_core::numerics::portable_math::exp(loss.certain(errors)) - 1.0))
@@ -116,10 +123,10 @@ fn report(losses: &[Departure], noise: &Noise, context: &Context) {
     context.metric("strongest_class", classes.last().map_or(0.0, |loss| loss.difference), "1");
     context.note(format!(
         "amplitudes of the simulated rasters beside those of the model, per cent: {} by class of place, {} by band, coarsest first; \
-         variation of fine details: {} by class of place",
+         flatness (along x, along y, diagonal) and cascade of details: {} by level, finest first",
         percent(classes, CHANCE_ERRORS),
         percent(bands, CHANCE_ERRORS),
-        percent(variation, VARIATION_ERRORS)
+        percent(unevenness, UNEVENNESS_ERRORS)
     ));
 }
 

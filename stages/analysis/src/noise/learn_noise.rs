@@ -5,14 +5,15 @@ use std::borrow::Cow;
 use crate::noise::detrend::plane;
 use crate::noise::learning::acquisitions::{Acquisitions, Source, Variety, acquisitions};
 use crate::noise::learning::bad::parted;
-use crate::noise::learning::bursts;
+use crate::noise::learning::by_place;
+use crate::noise::learning::contrast::{self, Figures};
 use crate::noise::learning::departure::{Departure, Mean, figures};
 use crate::noise::learning::differences::{check, differences, disparities};
 use crate::noise::learning::relief_law;
 use crate::noise::learning::whitening::{
     BANDS, LEAST_SIDE_CELLS, Places, Prior, Stack, Whitened, range_cells, restore_outliers, whiten,
 };
-use rockface_core::artefact::{Band, Bursts, Cameras, Kind, Member, Noise, Pairs, Raster, ReliefLaw};
+use rockface_core::artefact::{Band, Cameras, Contrast, Kind, Member, Noise, Pairs, Raster, ReliefLaw};
 use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::{Fault, Range};
@@ -35,14 +36,14 @@ params! {
         /// Robust deviations by which a bad acquisition is stronger than the others, or stronger and of another spectrum.
         bad_cut: f64 = 3.0; Range::Positive,
         /// Whitened fields mixed in one acquisition, of the rasters most like the one whose strength it has: fewer copy them, with many all
-        /// acquisitions have the same structure.
-        donors: usize = 8; Range::AtLeast(1.0),
+        /// acquisitions have the same structure. Left out: the square root of half the number of rasters.
+        donors: Option<usize> = None; Range::AtLeast(1.0),
         /// Power of the weights of the donors: 1 mixes all of them everywhere, which makes noise even; with more each place has the structure of
         /// fewer of them.
-        sharpness: u32 = 2; Range::Between(1.0, 16.0),
-        /// Variance of the logarithm of the bursts that fine details of a mixture are given, in all classes of place; left out: for each class
-        /// what makes draws vary from cell to cell as the rasters do.
-        bursts: Option<f64> = None; Range::Between(0.0, 1.0),
+        sharpness: u32 = 6; Range::Between(1.0, 16.0),
+        /// Power of their own strength that the details of a mixture are multiplied by, at all levels; left out: for each level what makes the
+        /// details of draws as uneven as those of the rasters.
+        contrast: Option<f64> = None; Range::Between(0.0, 2.0),
         /// Correlation length of the weights of the mixture, cells; left out: the geometric mean of the range of the noise and
         /// the shorter side of the rasters.
         length_cells: Option<f64> = None; Range::AtLeast(1.0),
@@ -70,7 +71,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 9;
+    const VERSION: u32 = 10;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -128,7 +129,7 @@ impl Stage for LearnNoise {
             |cell: usize| params.outlier_m.map_or(f64::INFINITY, |limit| limit / f64::from(step_m[cell].abs()));
         let learnt = Learnt::new(params, &disparities, dem, limit_px);
         context.check_cancelled()?;
-        let noise = learnt.varied(params, &sources, dem, &step_m, context);
+        let noise = learnt.varied(params, &sources, &disparities, dem, &step_m, context);
         report(&noise, &learnt, &step_m, context);
         let bands = vec![Band { name: "strength".to_owned(), values: noise.strength.clone() }];
         let strength = Raster { bands, quantity: "strength".to_owned(), ..dem.clone() };
@@ -188,12 +189,13 @@ impl Learnt {
         &self,
         params: &LearnNoiseParams,
         sources: &[Source],
+        disparities: &[Vec<f32>],
         dem: &Raster,
         step_m: &[f32],
         context: &Context,
     ) -> Noise {
         let none = Correction::none(self.places.middles.len() + BANDS);
-        let given = bursts::even(params.bursts.unwrap_or(0.0));
+        let given = contrast::even(params.contrast.unwrap_or(0.0));
         if params.draws < 2 {
             return self.model(params, sources, dem, &none, &given);
         }
@@ -203,21 +205,29 @@ impl Learnt {
         let limit_m = params.outlier_m.map_or(f32::INFINITY, |limit| limit as f32);
         let drawn = |noise: &Noise, count: usize| {
             let keeps = |cell: usize, px: f32| (px * step_m[cell]).abs() <= limit_m || step_m[cell].is_nan();
-            let rasters = differences(noise, count, keeps, &|purpose, item| context.stream(purpose, item));
-            whiten(&rasters, self.columns, &self.places)
+            differences(noise, count, keeps, &|purpose, item| context.stream(purpose, item))
         };
-        usual.bursts = match params.bursts {
+        let real: Vec<&[f32]> =
+            disparities.iter().zip(&self.bad).filter(|(_, bad)| !**bad).map(|(raster, _)| raster.as_slice()).collect();
+        usual.contrast = match params.contrast {
             Some(_) => given,
-            None => bursts::fitted(&bursts::variation(&self.usual(), self.columns, &self.places), |bursts| {
-                usual.bursts = bursts.clone();
-                let trial = drawn(&usual, params.draws.min(BURST_DRAWS));
-                bursts::variation(&trial.iter().collect::<Vec<_>>(), self.columns, &self.places)
+            None => contrast::fitted(&Figures::of(&real, self.columns), |contrast| {
+                usual.contrast = contrast.clone();
+                let trial = drawn(&usual, params.draws.min(CONTRAST_DRAWS));
+                Figures::of(&trial.iter().map(Vec::as_slice).collect::<Vec<_>>(), self.columns).mean
             }),
         };
-        let correction = Correction::of(&self.usual(), &drawn(&usual, params.draws));
-        let bursts = usual.bursts.clone();
-        drop(usual);
-        self.model(params, sources, dem, &correction, &bursts)
+        let mut trial = drawn(&usual, params.draws);
+        let factors = by_place::factors(&real, &trial, self.columns);
+        for raster in &mut trial {
+            raster.iter_mut().zip(&factors).for_each(|(px, factor)| *px = (f64::from(*px) * factor) as f32);
+        }
+        let correction = Correction::of(&self.usual(), &whiten(&trial, self.columns, &self.places));
+        let contrast = usual.contrast.clone();
+        drop((usual, trial));
+        let mut noise = self.model(params, sources, dem, &correction, &contrast);
+        noise.strength.iter_mut().zip(factors).for_each(|(px, factor)| *px = (f64::from(*px) * factor) as f32);
+        noise
     }
 
     fn usual(&self) -> Vec<&Whitened> {
@@ -231,7 +241,7 @@ impl Learnt {
         sources: &[Source],
         dem: &Raster,
         correction: &Correction,
-        bursts: &Bursts,
+        contrast: &Contrast,
     ) -> Noise {
         let shares = Bands::new(self.columns, dem.grid.rows, BANDS).shares();
         let variety = Variety { jitter: params.jitter, own: &correction.own };
@@ -247,14 +257,14 @@ impl Learnt {
         Noise {
             frame: dem.frame,
             grid: dem.grid,
-            donors: params.donors,
+            donors: params.donors.unwrap_or_else(|| usual_donors(self.whitened.len())),
             length_cells: params.length_cells.unwrap_or_else(|| self.length_cells(dem)),
             common_share: params.common_share,
             bad_share,
             class_log_strength: self.places.middles.clone(),
             jitter: params.jitter,
             sharpness: params.sharpness,
-            bursts: bursts.clone(),
+            contrast: contrast.clone(),
             log_gain: vec![0.0; BANDS],
             relief: self.relief,
             members,
@@ -271,6 +281,11 @@ impl Learnt {
         let side = self.columns.min(dem.grid.rows);
         ((self.range_cells * side) as f64).sqrt()
     }
+}
+
+/// Donors of an acquisition for a number of rasters, half of which it may take them from.
+fn usual_donors(rasters: usize) -> usize {
+    ((0.5 * rasters as f64).sqrt().round() as usize).max(2)
 }
 
 /// The rasters that are not bad.
@@ -329,8 +344,8 @@ fn own_shares(real: &[&Whitened], alike: &[&Whitened]) -> Vec<f64> {
     strengths.chain((0..bands.len()).map(near)).map(f64::sqrt).collect()
 }
 
-/// Differences drawn for each trial of bursts.
-const BURST_DRAWS: usize = 8;
+/// Differences drawn for each trial of contrast.
+const CONTRAST_DRAWS: usize = 12;
 /// Part of the deviation of figures that acquisitions have which are all alike.
 const ALIKE: f64 = 1e-6;
 /// Least part of the variance of a figure that acquisitions differ by.
@@ -346,8 +361,8 @@ fn report(noise: &Noise, learnt: &Learnt, step_m: &[f32], context: &Context) {
     context.metric("strength_median", strength, "px");
     context.metric("bad_rasters", bad.len() as f64, "1");
     context.metric("length", noise.length_cells, "cells");
-    let variances = &noise.bursts.log_variance;
-    context.metric("bursts", variances.iter().sum::<f64>() / variances.len() as f64, "1");
+    let contrast = noise.contrast.levels.first().map_or(0.0, |level| level.local_power);
+    context.metric("local_contrast", contrast, "1");
     context.note(format!(
         "from {} rasters; a pixel of disparity is worth {:.1} mm, a difference has {strength:.2} px of noise at the median place; \
          strength over relief: {:.2} px on flat rock, {:.1} px for a metre",

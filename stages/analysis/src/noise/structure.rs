@@ -104,28 +104,29 @@ pub fn structure(values: &[f32], columns: usize, settings: &Settings) -> Result<
     Ok(found)
 }
 
-/// How much the modulus of the finest details varies from block to block of 2 x 2 cells, within each class of place: the logarithm of the mean
-/// square of its own details over its mean square, which is twice the first figure of the cascade; ln(1e-12) where it does not vary, NaN where
-/// a class has no values. Gaps of the field are NaN, a class is a number below `classes`.
-pub fn variation(field: &[f64], columns: usize, class: &[u8], classes: usize) -> Vec<f64> {
-    let field = Field { columns, rows: field.len() / columns, values: field.to_vec() };
-    let modulus = modulus(&field.haar().0);
-    let mut by_class = vec![[Moments::default(); 2]; classes];
-    // A value stands for a block of cells, and has the class of the middle one.
-    let mut add = |values: &Field, cells: usize, kind: usize| {
-        for (i, value) in values.values.iter().enumerate() {
-            let (row, column) = (i / values.columns * cells + cells / 2, i % values.columns * cells + cells / 2);
-            by_class[usize::from(class[row * columns + column])][kind].add(*value);
-        }
+/// Figures of the details of a level of the Haar pyramid.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LevelFigures {
+    /// Logarithm of their rms along x, along y and diagonal, relative to that of the raster.
+    pub log_rms: [f64; 3],
+    /// Logarithm of their flatness in these orientations, and the figure of the cascade from this level to the next one.
+    pub unevenness: [f64; 4],
+}
+
+/// Figures of the details of each level, the finest first; NaN where a level has no values.
+pub fn levels(values: &[f32], columns: usize, count: usize) -> Vec<LevelFigures> {
+    let mut smooth = Field::centred(values, columns);
+    let whole = Moments::of(smooth.values.iter().copied()).log_rms("").unwrap_or(f64::NAN);
+    let one = |level: usize| {
+        let (details, next) = smooth.haar();
+        smooth = next;
+        let moments = details.each_ref().map(|detail| Moments::of(detail.values.iter().copied()));
+        let [x, y, diagonal] = moments.each_ref().map(Moments::log_flatness);
+        let cascade = cascade(modulus(&details), 1, level).map_or(f64::NAN, |found| found[0]);
+        let log_rms = moments.map(|moments| moments.log_rms("").map_or(f64::NAN, |log| log - whole));
+        LevelFigures { log_rms, unevenness: [x, y, diagonal, cascade] }
     };
-    add(&modulus, 2, 0);
-    modulus.haar().0.iter().for_each(|change| add(change, 4, 1));
-    let share = |[modulus, changes]: [Moments; 2]| {
-        let share = changes.second / changes.count / (modulus.second / modulus.count).max(f64::MIN_POSITIVE);
-        // `max` would make a number of NaN.
-        if share < 1e-12 { 1e-12 } else { share }
-    };
-    by_class.into_iter().map(|moments| portable_math::log(share(moments))).collect()
+    (1..=count).map(one).collect()
 }
 
 /// Sums of squares and fourth powers.
@@ -311,26 +312,31 @@ mod tests {
     }
 
     #[test]
-    fn details_vary_where_strong_and_weak_places_alternate_and_gaps_have_no_say() {
+    fn details_are_uneven_where_strong_and_weak_places_alternate_and_gaps_have_no_say() {
         let random = Key([7; 32]).field();
-        let field = |of: &dyn Fn(usize, usize) -> f64| -> Vec<f64> {
-            (0..96 * 160).map(|i| of(i % 160, i / 160) * random.normal((i % 160) as i32, (i / 160) as i32)).collect()
+        let field = |of: &dyn Fn(usize, usize) -> f64| -> Vec<f32> {
+            let value = |(x, y): (usize, usize)| of(x, y) * random.normal(x as i32, y as i32);
+            (0..96 * 160).map(|i| value((i % 160, i / 160)) as f32).collect()
         };
-        // Class 1 is the right half.
-        let class: Vec<u8> = (0..96 * 160).map(|i| u8::from(i % 160 >= 80)).collect();
-        let of = |field: &[f64]| variation(field, 160, &class, 2);
+        let of = |field: &[f32]| levels(field, 160, 3);
         let even = field(&|_, _| 1.0);
-        let bursts = field(&|x, y| if x >= 80 && (x / 2 + y / 2).is_multiple_of(2) { 4.0 } else { 1.0 });
-        let (even, bursts, gappy) = (
-            of(&even),
-            of(&bursts),
-            of(&even.iter().enumerate().map(|(i, z)| if i % 160 < 40 { f64::NAN } else { *z }).collect::<Vec<_>>()),
-        );
-        assert!(bursts[1] > even[1] + 0.5 && (bursts[0] - even[0]).abs() < 1e-12, "{even:?} {bursts:?}");
-        assert!((even[0] - gappy[0]).abs() < 0.2 && (even[1] - gappy[1]).abs() < 1e-12);
-        // The modulus of three equal normal details has the mean square 3 and the variance 3 - 8 / pi.
-        assert!((even[1] - log(1.0 - 8.0 / (3.0 * std::f64::consts::PI))).abs() < 0.1, "{even:?}");
-        assert!(of(&vec![0.0; 96 * 160])[0] < -27.0 && of(&vec![f64::NAN; 96 * 160])[0].is_nan());
+        let bursts = field(&|x, y| if (x / 2 + y / 2).is_multiple_of(2) { 4.0 } else { 1.0 });
+        let gappy: Vec<f32> = even.iter().enumerate().map(|(i, z)| if i % 160 < 40 { f32::NAN } else { *z }).collect();
+        let (even, bursts, gappy) = (of(&even), of(&bursts), of(&gappy));
+        let raised = |k: usize| bursts[0].unevenness[k] - even[0].unevenness[k];
+        assert!(raised(0) > 0.5 && raised(2) > 0.5 && raised(3) > 0.1, "{even:?} {bursts:?}");
+        let all = |level: &LevelFigures| level.log_rms.into_iter().chain(level.unevenness).collect::<Vec<f64>>();
+        for (even, gappy) in even.iter().zip(&gappy) {
+            assert!(all(even).iter().zip(all(gappy)).all(|(a, b)| (a - b).abs() < 0.25), "{even:?} {gappy:?}");
+        }
+        // The modulus of three equal normal details has the mean square 3 and the variance 3 - 8 / pi, of which its details have three quarters.
+        let normal = 0.5 * log(1.0 - 8.0 / (3.0 * std::f64::consts::PI));
+        let [x, _, _, cascade] = even[0].unevenness;
+        assert!((cascade - normal).abs() < 0.05 && (x - log(3.0)).abs() < 0.1, "{even:?} {normal}");
+        assert!(even[0].log_rms.iter().all(|log_rms| log_rms.abs() < 0.03));
+        assert!(of(&vec![f32::NAN; 96 * 160]).iter().flat_map(all).all(f64::is_nan));
+        // A raster that is too small for a level has no figure there.
+        assert!(all(&levels(&[1.0, 2.0, 3.0, 5.0].repeat(16), 8, 4)[3]).iter().all(|figure| figure.is_nan()));
     }
 
     #[test]

@@ -6,7 +6,7 @@
 use rayon::prelude::*;
 
 use crate::noise::learning::whitening::Places;
-use rockface_core::artefact::{Bursts, Grid, Member, Noise, Raster, ReliefLaw};
+use rockface_core::artefact::{Contrast, Grid, Member, Noise, Raster, ReliefLaw};
 use rockface_core::numerics::bands::{Bands, at_other_bands};
 use rockface_core::numerics::portable_math::{exp, log};
 use rockface_imaging::matching::noise::changed_face::{Window, known_range_m, law, relief_m};
@@ -47,7 +47,7 @@ pub fn transferred(noise: &Noise, dem: &Raster, setting: Setting) -> Transferred
         frame: dem.frame,
         grid: dem.grid,
         length_cells: setting.field_scale * noise.length_cells,
-        bursts: wider_bursts(&noise.bursts, setting.field_scale),
+        contrast: wider_contrast(&noise.contrast, setting.field_scale),
         relief,
         class_log_strength: noise.class_log_strength.clone(),
         log_gain: noise.log_gain.clone(),
@@ -86,10 +86,9 @@ fn wider(relief: ReliefLaw, scale: f64) -> ReliefLaw {
     ReliefLaw { window_cells: ((relief.window_cells as f64 * scale).round() as usize).max(1), ..relief }
 }
 
-/// Bursts with their lengths in new cells.
-fn wider_bursts(bursts: &Bursts, scale: f64) -> Bursts {
-    let (details_cells, length_cells) = (scale * bursts.details_cells, scale * bursts.length_cells);
-    Bursts { details_cells, length_cells, ..bursts.clone() }
+/// Contrast with its lengths in new cells.
+fn wider_contrast(contrast: &Contrast, scale: f64) -> Contrast {
+    Contrast { finest_cells: scale * contrast.finest_cells, ..contrast.clone() }
 }
 
 /// Change of the scale of a field that is none.
@@ -153,8 +152,6 @@ fn place_classes(noise: &mut Noise, old_strength: &[f32]) {
     let old = &noise.class_log_strength;
     let moved = |values: &[f64]| middles.iter().map(|middle| log_strength_at(old, values, *middle)).collect();
     noise.members.iter_mut().for_each(|member| member.log_strength = moved(&member.log_strength));
-    noise.bursts.log_variance = moved(&noise.bursts.log_variance);
-    noise.bursts.growth = moved(&noise.bursts.growth);
     noise.class_log_strength = middles;
 }
 

@@ -35,25 +35,37 @@ pub struct ReliefLaw {
     pub window_cells: usize,
 }
 
-/// Bursts that the fine details of a mixture are given, since mixing evens them out: details are multiplied by a log-normal random factor of
-/// mean square 1.
+/// Contrast that the details of a mixture get back, since mixing evens them out. A pyramid of Gaussians takes the mixture apart into levels of details.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Bursts {
-    /// Deviation of the Gaussian that takes the details away, cells.
-    pub details_cells: f64,
-    /// Deviation of the Gaussian under which white noise is the logarithm of the factor, cells.
-    pub length_cells: f64,
-    /// Variance of the logarithm of the factor, for each class of place; 0: no bursts.
-    pub log_variance: Vec<f64>,
-    /// How the logarithm of the variation of details grows with this variance, for each class of place; 0: not known.
-    pub growth: Vec<f64>,
+pub struct Contrast {
+    /// Deviation of the Gaussian that takes the finest details away, cells; it doubles from level to level.
+    pub finest_cells: f64,
+    /// The levels, the finest first.
+    pub levels: Vec<LevelContrast>,
 }
 
-impl Bursts {
-    /// No bursts for some classes of place, with the lengths that fit what matchers do (found on two sites).
-    pub fn none(classes: usize) -> Self {
-        Self { details_cells: 1.4, length_cells: 1.0, log_variance: vec![0.0; classes], growth: vec![0.0; classes] }
+/// Contrast of the details of one level, along x, along y and diagonal: they are multiplied by powers of their own size and of the root mean square of
+/// the details around.
+#[derive(Debug, Clone, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LevelContrast {
+    /// Power of their own size for each orientation: makes tails.
+    pub own_power: [f64; 3],
+    /// Power of the strength of the details around, of all orientations: makes strong and weak places.
+    pub local_power: f64,
+    /// Logarithm of a gain for each orientation, after the bands of frequency, which know no direction.
+    pub log_gain: [f64; 3],
+    /// How the flatness of the three orientations and the cascade (rows) grow with the three own powers and the local one (columns); 0: not known.
+    pub growth: [[f64; 4]; 4],
+    /// Deviation of these four figures from raster to raster.
+    pub deviation: [f64; 4],
+}
+
+impl Contrast {
+    /// No contrast, at four levels with the lengths of those of a Haar pyramid.
+    pub fn none() -> Self {
+        Self { finest_cells: 0.7, levels: vec![LevelContrast::default(); 4] }
     }
 }
 
@@ -74,8 +86,8 @@ pub struct Noise {
     pub donors: usize,
     /// Power the weights of the mixture are raised to: with more of it each place has the structure of fewer members.
     pub sharpness: u32,
-    /// Bursts of the fine details of the mixture.
-    pub bursts: Bursts,
+    /// Contrast of the details of the mixture.
+    pub contrast: Contrast,
     /// Correlation length of the weights of the mixture, cells.
     pub length_cells: f64,
     /// Share of the variance of a weight that is constant over the face.
@@ -104,10 +116,12 @@ pub struct Noise {
 
 /// Highest power of weights.
 const MOST_SHARPNESS: u32 = 16;
-/// Largest length of bursts, cells.
-const MOST_BURST_CELLS: f64 = 100.0;
-/// Largest variance of the logarithm of a burst.
-const MOST_LOG_VARIANCE: f64 = 4.0;
+/// Largest length of the finest details, cells.
+const MOST_FINEST_CELLS: f64 = 100.0;
+/// Most levels of details.
+const MOST_LEVELS: usize = 12;
+/// Largest power of details.
+const MOST_POWER: f64 = 4.0;
 /// Largest logarithm of a gain.
 const MOST_LOG_GAIN: f64 = 5.0;
 
@@ -180,15 +194,18 @@ impl Noise {
         if !((1..=MOST_SHARPNESS).contains(&self.sharpness) && self.jitter.is_finite() && self.jitter >= 0.0) {
             return refuse(format!("sharpness must be from 1 to {MOST_SHARPNESS}, jitter not negative"));
         }
-        let bursts = &self.bursts;
-        let lengths = [bursts.log_variance.len(), bursts.growth.len()];
-        let usable = [bursts.details_cells, bursts.length_cells]
-            .iter()
-            .all(|cells| *cells <= MOST_BURST_CELLS && positive(*cells))
-            && bursts.log_variance.iter().all(|variance| (0.0..=MOST_LOG_VARIANCE).contains(variance))
-            && bursts.growth.iter().all(|growth| growth.is_finite());
-        if lengths != [classes; 2] || !usable || !self.log_gain.iter().all(|gain| gain.abs() <= MOST_LOG_GAIN) {
-            return refuse("a burst or a gain is out of range".into());
+        let Contrast { finest_cells, levels } = &self.contrast;
+        let sound = |level: &LevelContrast| {
+            level.own_power.iter().chain([&level.local_power]).all(|power| power.abs() <= MOST_POWER)
+                && level.log_gain.iter().all(|gain| gain.abs() <= MOST_LOG_GAIN)
+                && level.growth.iter().flatten().chain(&level.deviation).all(|figure| figure.is_finite())
+        };
+        let usable = positive(*finest_cells)
+            && *finest_cells <= MOST_FINEST_CELLS
+            && levels.len() <= MOST_LEVELS
+            && levels.iter().all(sound);
+        if !usable || !self.log_gain.iter().all(|gain| gain.abs() <= MOST_LOG_GAIN) {
+            return refuse("contrast or a gain is out of range".into());
         }
         let sound = self.strength.iter().all(|value| value.is_finite() && *value >= 0.0);
         if !sound || !self.fields.iter().flatten().all(|value| value.is_finite()) {
@@ -208,7 +225,7 @@ impl PartialEq for Noise {
                 == (other.length_cells, other.common_share, other.bad_share)
             && (&self.class_log_strength, self.jitter, self.relief)
                 == (&other.class_log_strength, other.jitter, other.relief)
-            && (self.sharpness, &self.bursts, &self.log_gain) == (other.sharpness, &other.bursts, &other.log_gain)
+            && (self.sharpness, &self.contrast, &self.log_gain) == (other.sharpness, &other.contrast, &other.log_gain)
             && self.members == other.members
             && bits(&self.strength) == bits(&other.strength)
             && bits(&self.elevation) == bits(&other.elevation)

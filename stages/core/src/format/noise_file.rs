@@ -1,8 +1,8 @@
 //! The file of a noise model: a line of magic, a JSON header, strength, elevation, fields and their weights.
 
-use crate::artefact::{Bursts, CodecError, Frame, Grid, Member, Noise, ReliefLaw};
+use crate::artefact::{CodecError, Contrast, Frame, Grid, Member, Noise, ReliefLaw};
 
-const MAGIC: &[u8] = b"rockface noise 5\n";
+const MAGIC: &[u8] = b"rockface noise 6\n";
 
 /// What is written into the header for whoever reads the file without us.
 const LAYOUT: &str = "rows x columns cells from the top left: strength float32 little-endian (px), elevation float32 (m, NaN = unknown); \
@@ -24,7 +24,7 @@ struct Header {
     class_log_strength: Vec<f64>,
     jitter: f64,
     sharpness: u32,
-    bursts: Bursts,
+    contrast: Contrast,
     log_gain: Vec<f64>,
     relief: ReliefLaw,
     members: Vec<Member>,
@@ -50,7 +50,7 @@ pub fn write(noise: &Noise) -> Result<Vec<u8>, CodecError> {
         class_log_strength: noise.class_log_strength.clone(),
         jitter: noise.jitter,
         sharpness: noise.sharpness,
-        bursts: noise.bursts.clone(),
+        contrast: noise.contrast.clone(),
         log_gain: noise.log_gain.clone(),
         relief: noise.relief,
         members: noise.members.clone(),
@@ -75,7 +75,7 @@ pub fn write(noise: &Noise) -> Result<Vec<u8>, CodecError> {
 
 /// Reads a noise model.
 pub fn read(bytes: &[u8]) -> Result<Noise, CodecError> {
-    let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| CodecError::new("not a rockface noise file (version 5)"))?;
+    let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| CodecError::new("not a rockface noise file (version 6)"))?;
     let end = rest.iter().position(|b| *b == b'\n').ok_or_else(|| CodecError::new("noise file: header without end"))?;
     let header: Header =
         serde_json::from_slice(&rest[..end]).map_err(|e| CodecError(format!("noise file: bad header: {e}")))?;
@@ -112,7 +112,7 @@ pub fn read(bytes: &[u8]) -> Result<Noise, CodecError> {
         class_log_strength: header.class_log_strength,
         jitter: header.jitter,
         sharpness: header.sharpness,
-        bursts: header.bursts,
+        contrast: header.contrast,
         log_gain: header.log_gain,
         relief: header.relief,
         members: header.members,
@@ -137,6 +137,7 @@ fn size(cells: usize, fields: usize) -> Option<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::artefact::LevelContrast;
 
     fn sample() -> Noise {
         let member = |name: &str, bad: bool| Member {
@@ -157,7 +158,16 @@ mod tests {
             class_log_strength: vec![-1.2],
             jitter: 0.2,
             sharpness: 4,
-            bursts: Bursts { details_cells: 1.5, length_cells: 0.8, log_variance: vec![0.2], growth: vec![1.2] },
+            contrast: Contrast {
+                finest_cells: 0.8,
+                levels: vec![LevelContrast {
+                    own_power: [0.2, 0.1, 0.0],
+                    local_power: -0.1,
+                    log_gain: [0.01, -0.02, 0.0],
+                    growth: [[0.3, 0.0, 0.0, 0.1]; 4],
+                    deviation: [0.01, 0.02, 0.03, 0.04],
+                }],
+            },
             log_gain: vec![0.0, 0.1],
             relief: ReliefLaw { flat_px: 0.2, gain_px_m: 3.0, window_cells: 4 },
             members: vec![member("a", false), member("b", true)],
@@ -191,8 +201,8 @@ mod tests {
         assert!(write(&noise).unwrap_err().0.contains("sharpness must be"));
         let noise = Noise { log_gain: vec![0.0, 9.0], ..sample() };
         assert!(write(&noise).unwrap_err().0.contains("out of range"));
-        let noise = Noise { bursts: Bursts { log_variance: vec![-0.1], ..sample().bursts }, ..sample() };
-        assert!(write(&noise).unwrap_err().0.contains("a burst or a gain"));
+        let noise = Noise { contrast: Contrast { finest_cells: -1.0, ..sample().contrast }, ..sample() };
+        assert!(write(&noise).unwrap_err().0.contains("contrast or a gain"));
         let noise = Noise { strength: vec![0.1, f32::NAN], ..sample() };
         assert!(write(&noise).unwrap_err().0.contains("not finite"));
     }

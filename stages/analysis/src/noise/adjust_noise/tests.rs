@@ -5,7 +5,7 @@ use serde_json::json;
 use super::*;
 use crate::noise::learn_noise::tests::{CLEAN, COLUMNS, ROWS, grid, mean, survey};
 use crate::noise::learning::whitening::{BANDS, CLASSES};
-use rockface_core::artefact::{Artefact, Bursts, Frame, Noun};
+use rockface_core::artefact::{Artefact, Contrast, Frame, Noun};
 use rockface_core::numerics::gaussian::smoothed;
 use rockface_core::testing::{TestHost, run_stage, small_sensor};
 use rockface_imaging::matching::noise::ensemble::draw;
@@ -65,16 +65,19 @@ fn what_is_smoothed_away_is_added_and_nothing_else() {
 }
 
 #[test]
-fn variation_of_details_that_is_lost_is_made_up_for_where_its_growth_is_known() {
-    let losses: Vec<Departure> = (0..2 * CLASSES + BANDS)
-        .map(|k| Departure { difference: if k == CLASSES + BANDS { -0.12 } else { 0.0 }, error: 0.0 })
+fn unevenness_of_details_that_is_lost_is_made_up_for() {
+    let mut contrast = Contrast::none();
+    let levels = contrast.levels.len();
+    for level in &mut contrast.levels {
+        level.growth = std::array::from_fn(|row| std::array::from_fn(|column| if row == column { 0.2 } else { 0.0 }));
+        level.deviation = [0.003; 4];
+    }
+    let losses: Vec<Departure> = (0..CLASSES + BANDS + 4 * levels)
+        .map(|k| Departure { difference: if k == CLASSES + BANDS + 3 { -0.03 } else { 0.0 }, error: 0.0 })
         .collect();
-    let mut noise = CLEAN.clone();
-    noise.bursts = Bursts { log_variance: vec![0.2; CLASSES], growth: vec![1.2; CLASSES], ..noise.bursts };
-    let variances = |noise: &Noise| adjusted(noise, &losses).bursts.log_variance;
-    assert!((variances(&noise)[0] - 0.3).abs() < 1e-12 && variances(&noise)[1..] == noise.bursts.log_variance[1..]);
-    noise.bursts.growth[0] = 0.0;
-    assert_eq!(variances(&noise), noise.bursts.log_variance);
+    let found = adjusted(&Noise { contrast: contrast.clone(), ..CLEAN.clone() }, &losses).contrast;
+    let grown = 0.2 * found.levels[0].local_power;
+    assert!((grown - 0.03).abs() < 0.002 && found.levels[1..] == contrast.levels[1..], "{found:?}");
 }
 
 #[test]

@@ -192,25 +192,26 @@ fn nowhere_does_the_noise_of_two_acquisitions_cancel() {
 }
 
 #[test]
-fn fine_details_of_draws_come_in_bursts_as_those_of_the_rasters() {
+fn details_of_draws_are_as_uneven_as_those_of_the_rasters() {
     let one = |b: u8| {
         let (fine, where_from, coarse) = (unit(b, 0.6), unit(b + 60, 2.5), unit(b + 120, 4.0));
-        let value = |i: usize| (0.002 * (fine[i] * portable_math::exp(0.8 * where_from[i]) + coarse[i])) as f32;
+        let value = |i: usize| (0.002 * (fine[i] * portable_math::exp(1.2 * where_from[i]) + coarse[i])) as f32;
         Raster::single(grid(), Frame::Wall, "difference", &format!("n{b}"), (0..COLUMNS * ROWS).map(value).collect())
     };
     let rasters: Vec<Raster> = (0..16).map(one).collect();
-    let real: Vec<Vec<f32>> = rasters.iter().map(|raster| raster.bands[0].values.clone()).collect();
-    let finest = |noise: &Noise, rasters: &[Vec<f32>]| {
-        let places = Places::of(noise.strength.clone());
-        let whitened = whiten(rasters, COLUMNS, &places);
-        mean(bursts::variation(&whitened.iter().collect::<Vec<_>>(), COLUMNS, &places).into_iter())
-    };
+    let real =
+        Figures::of(&rasters.iter().map(|raster| raster.bands[0].values.as_slice()).collect::<Vec<_>>(), COLUMNS);
+    // In deviations from raster to raster: flatness of the finest details, and their cascade.
     let lacks = |with: &Value| {
         let (noise, _) = learn_from(rasters.clone(), with).unwrap();
-        finest(&noise, &real) - finest(&noise, &drawn_differences(&noise, 24))
+        let drawn = drawn_differences(&noise, 24);
+        let drawn = Figures::of(&drawn.iter().map(Vec::as_slice).collect::<Vec<_>>(), COLUMNS);
+        let lack = |k: usize| (real.mean[0].unevenness[k] - drawn.mean[0].unevenness[k]) / real.deviation[0][k];
+        [mean((0..3).map(lack)), lack(3)]
     };
-    let (fitted, none) = (lacks(&json!({})), lacks(&json!({"bursts": 0.0})));
-    assert!(fitted.abs() < 0.12 && none > 2.0 * fitted.abs() + 0.05, "{fitted} {none}");
+    let (fitted, none) = (lacks(&json!({})), lacks(&json!({"contrast": 0.0})));
+    let missed = |lack: [f64; 2]| lack[0] * lack[0] + lack[1] * lack[1];
+    assert!(none[0] > 0.5 && missed(fitted) < 0.6 * missed(none), "{fitted:?} {none:?}");
 }
 
 #[test]

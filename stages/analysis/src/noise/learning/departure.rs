@@ -19,10 +19,11 @@ pub struct Mean {
 
 impl Mean {
     /// Mean of figure `k` over rows, of which there are at least two.
-    pub fn of(rows: &[Vec<f64>], k: usize) -> Self {
+    pub fn of(rows: &[impl AsRef<[f64]>], k: usize) -> Self {
         let n = rows.len() as f64;
-        let value = rows.iter().map(|row| row[k]).sum::<f64>() / n;
-        let squares = rows.iter().map(|row| (row[k] - value) * (row[k] - value)).sum::<f64>();
+        let column = || rows.iter().map(|row| row.as_ref()[k]);
+        let value = column().sum::<f64>() / n;
+        let squares = column().map(|figure| (figure - value) * (figure - value)).sum::<f64>();
         Self { value, squared_error: squares / (n - 1.0) / n }
     }
 

@@ -2,7 +2,8 @@
 
 pub mod acquisitions;
 pub mod bad;
-pub mod bursts;
+pub mod by_place;
+pub mod contrast;
 pub mod departure;
 pub mod differences;
 pub mod relief_law;

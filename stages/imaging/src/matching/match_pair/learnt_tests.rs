@@ -2,7 +2,7 @@
 
 use super::tests::{Scene, convergent, pairs, scene};
 use super::*;
-use rockface_core::artefact::{Artefact, Bursts, Frame, Grid, Member, Mesh, Noun, Pair, ReliefLaw};
+use rockface_core::artefact::{Artefact, Contrast, Frame, Grid, Member, Mesh, Noun, Pair, ReliefLaw};
 use rockface_core::testing::{TestHost, height_mesh, image_at, run_stage, small_sensor};
 use serde_json::{Value, json};
 
@@ -30,7 +30,7 @@ fn model() -> Noise {
         class_log_strength: vec![-2.3, -1.2],
         jitter: 0.0,
         sharpness: 1,
-        bursts: Bursts::none(2),
+        contrast: Contrast::none(),
         log_gain: vec![0.0; 4],
         relief: ReliefLaw { flat_px: 0.1, gain_px_m: 2.0, window_cells: 2 },
         members: vec![member],

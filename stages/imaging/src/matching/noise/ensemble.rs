@@ -3,15 +3,15 @@
 //! A new field is `W(x) = sum_j a_j(x) W_j(x) / sqrt(sum_ij a_i c_ij a_j)` over donors j, with `a_j = g_j w_j`, independent normal fields
 //! `g_j`, raised to a power with their sign, weights `w_j` that fall to 0 in gaps, and the correlation `c_ij` of the fields of two donors, which
 //! may share an epoch: a localised ensemble, as in ensemble Kalman filters (Hamill, Whitaker and Snyder 2001). It keeps the covariance of the
-//! members wherever that differs from place to place, without a parameter for it. A sum of fields is more even than each of them: fine details are
-//! given bursts. Where the strongest donor of a place has a gap, the acquisition has one with the probability that makes the gaps of a difference as
+//! members wherever that differs from place to place, without a parameter for it. A sum of fields is more even than each of them: its
+//! details are given contrast. Where the strongest donor of a place has a gap, the acquisition has one with the probability that makes the gaps of a difference as
 //! frequent as they were. Bands of frequency then give it the amplitudes of one member, and classes of place its strength. Models without fields
 //! start from white noise instead.
 
 use rand::{Rng, RngExt};
 use rayon::prelude::*;
 
-use crate::matching::noise::bursts::with_bursts;
+use crate::matching::noise::contrast::{with_contrast, with_gains};
 use crate::matching::noise::matcher::Keys;
 use crate::matching::noise::modulation::smooth_field;
 use crate::matching::noise::paper::SmoothNoise;
@@ -88,17 +88,13 @@ pub fn draw(noise: &Noise, number: Option<u32>, keys: Keys) -> Drawn {
         Mixed { field: white(noise, &keys("noise-white", "").field()), gaps: Vec::new() }
     };
     let columns = noise.grid.columns;
-    let log_variance = |cell: usize| {
-        let log_strength = portable_math::log(f64::from(noise.strength[cell]).max(1e-12));
-        log_strength_at(&noise.class_log_strength, &noise.bursts.log_variance, log_strength)
-    };
-    let bursts = keys("noise-bursts", "").field();
-    let uneven = with_bursts(mixed.field, columns, &noise.bursts, log_variance, &bursts);
+    let uneven = with_contrast(mixed.field, columns, &noise.contrast);
     let bands = Bands::new(columns, noise.grid.rows, noise.bands());
     let wanted = of_unit_variance(jittered(|member| &member.log_amplitude), &bands.shares());
     let present = bands.power(&uneven);
     let gain = |band: usize| wanted[band] - 0.5 * portable_math::log(present[band].max(1e-12)) + noise.log_gain[band];
-    let mut field = bands.filter(&uneven, &(0..noise.bands()).map(gain).collect::<Vec<f64>>());
+    let filtered = bands.filter(&uneven, &(0..noise.bands()).map(gain).collect::<Vec<f64>>());
+    let mut field = with_gains(filtered, columns, &noise.contrast);
     mixed.gaps.into_iter().for_each(|cell| field[cell] = f64::NAN);
     Drawn { field, log_strength, bad: of_bad }
 }

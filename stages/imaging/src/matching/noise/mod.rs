@@ -1,7 +1,7 @@
 //! Matching noise: the two components of the paper, and terms that real matchers have beyond them.
 
-pub mod bursts;
 pub mod changed_face;
+pub mod contrast;
 pub mod correlated;
 pub mod ensemble;
 pub mod learnt;

@@ -1,0 +1,248 @@
+//! The contrast with which details of draws of a model are as uneven, and as strong in each direction, as those of the rasters.
+
+use nalgebra::{Matrix4, Vector4};
+use rayon::prelude::*;
+
+use crate::noise::structure::{self, LevelFigures};
+use rockface_core::artefact::{Contrast, LevelContrast};
+
+/// Smallest and largest power of details.
+const POWERS: [f64; 2] = [-0.5, 1.5];
+/// The power that is tried first, of details by themselves and then of those around too.
+const FIRST_TRIAL: f64 = 0.25;
+/// Rounds after the first trials (Broyden 1965).
+const ROUNDS: usize = 3;
+/// Largest change of a power in one round.
+const MOST_STEP: f64 = 0.6;
+/// Deviations over rasters by which the unevenness may miss what is wanted for a change of a power by 1: smaller ones are chance.
+const WORTH: f64 = 1.0;
+/// Smallest deviation of a figure over rasters that counts.
+const LEAST_DEVIATION: f64 = 0.003;
+/// Largest logarithm of a gain.
+const MOST_LOG_GAIN: f64 = 0.5;
+/// Part of a departure of the strength of details that a round takes off: levels and orientations overlap.
+const GAIN_STEP: f64 = 0.8;
+
+/// Mean figures of the details of rasters, level by level, and the deviations of the unevenness from raster to raster.
+#[derive(Debug, Clone)]
+pub struct Figures {
+    /// The means; NaN where no raster has details.
+    pub mean: Vec<LevelFigures>,
+    /// The deviations.
+    pub deviation: Vec<[f64; 4]>,
+}
+
+impl Figures {
+    /// Figures of rasters with NaN in gaps.
+    pub fn of(rasters: &[&[f32]], columns: usize) -> Self {
+        let count = Contrast::none().levels.len();
+        let all: Vec<Vec<LevelFigures>> =
+            rasters.par_iter().map(|raster| structure::levels(raster, columns, count)).collect();
+        let mean_of = |figure: &dyn Fn(&[LevelFigures]) -> f64| {
+            let known: Vec<f64> = all.iter().map(|levels| figure(levels)).filter(|value| value.is_finite()).collect();
+            let mean = known.iter().sum::<f64>() / known.len() as f64;
+            let squares: f64 = known.iter().map(|value| (value - mean) * (value - mean)).sum();
+            (mean, (squares / (known.len() as f64 - 1.0).max(1.0)).sqrt().max(LEAST_DEVIATION))
+        };
+        let one = |level: usize| {
+            let log_rms = std::array::from_fn(|k| mean_of(&|levels| levels[level].log_rms[k]).0);
+            let both: [(f64, f64); 4] = std::array::from_fn(|k| mean_of(&|levels| levels[level].unevenness[k]));
+            (LevelFigures { log_rms, unevenness: both.map(|both| both.0) }, both.map(|both| both.1))
+        };
+        let (mean, deviation) = (0..count).map(one).unzip();
+        Self { mean, deviation }
+    }
+}
+
+/// Makes up for what a survey loses of the unevenness of each level.
+pub fn make_up(contrast: &mut Contrast, lost: impl Fn(usize) -> [f64; 4]) {
+    for (level, one) in contrast.levels.iter_mut().enumerate() {
+        raise(one, lost(level));
+    }
+}
+
+/// The same power of details by themselves at all levels.
+pub fn even(own_power: f64) -> Contrast {
+    let mut contrast = Contrast::none();
+    contrast.levels.iter_mut().for_each(|level| level.own_power = [own_power; 3]);
+    contrast
+}
+
+/// Raises the powers of a level so that its unevenness grows by `wanted`, as far as its growth is known (damped least squares).
+fn raise(level: &mut LevelContrast, wanted: [f64; 4]) {
+    let per_deviation =
+        Matrix4::from_diagonal(&Vector4::from(level.deviation.map(|deviation| 1.0 / deviation.max(LEAST_DEVIATION))));
+    let growth = per_deviation * matrix(&level.growth);
+    let normal = growth.transpose() * growth + Matrix4::identity() * (WORTH * WORTH);
+    let Some(inverse) = normal.try_inverse() else { return };
+    let step = inverse * growth.transpose() * per_deviation * Vector4::from(wanted);
+    if step.iter().all(|change| change.is_finite()) {
+        let powers = level.own_power.iter_mut().chain([&mut level.local_power]);
+        for (power, change) in powers.zip(step.iter()) {
+            *power = (*power + change.clamp(-MOST_STEP, MOST_STEP)).clamp(POWERS[0], POWERS[1]);
+        }
+    }
+}
+
+fn matrix(growth: &[[f64; 4]; 4]) -> Matrix4<f64> {
+    Matrix4::from_fn(|row, column| growth[row][column])
+}
+
+fn powers(level: &LevelContrast) -> Vector4<f64> {
+    let [x, y, diagonal] = level.own_power;
+    Vector4::new(x, y, diagonal, level.local_power)
+}
+
+/// The contrast for which `trial` comes to the figures that are wanted, as far as their deviation from raster to raster asks for it, all levels at once.
+pub fn fitted(wanted: &Figures, mut trial: impl FnMut(&Contrast) -> Vec<LevelFigures>) -> Contrast {
+    let none = trial(&Contrast::none());
+    let mut now = even(FIRST_TRIAL);
+    take_off_gains(&mut now, &none, &wanted.mean);
+    let own = trial(&now);
+    now.levels.iter_mut().for_each(|level| level.local_power = FIRST_TRIAL);
+    let mut found = trial(&now);
+    for (k, level) in now.levels.iter_mut().enumerate() {
+        let slope = |from: &[LevelFigures], to: &[LevelFigures], figure: usize| {
+            (to[k].unevenness[figure] - from[k].unevenness[figure]) / FIRST_TRIAL
+        };
+        // Each orientation has its own flatness, and they share the cascade.
+        for figure in 0..3 {
+            level.growth[figure][figure] = slope(&none, &own, figure);
+            level.growth[3][figure] = slope(&none, &own, 3) / 3.0;
+        }
+        (0..4).for_each(|figure| level.growth[figure][3] = slope(&own, &found, figure));
+        level.deviation = wanted.deviation[k];
+    }
+    let mut best: Vec<(f64, LevelContrast)> = now.levels.iter().map(|level| (f64::INFINITY, level.clone())).collect();
+    for _ in 0..ROUNDS {
+        let mut next = now.clone();
+        for (k, level) in next.levels.iter_mut().enumerate() {
+            raise(level, std::array::from_fn(|i| wanted.mean[k].unevenness[i] - found[k].unevenness[i]));
+        }
+        take_off_gains(&mut next, &found, &wanted.mean);
+        let came = trial(&next);
+        for (k, level) in next.levels.iter_mut().enumerate() {
+            let grown = Vector4::from(std::array::from_fn(|i| came[k].unevenness[i] - found[k].unevenness[i]));
+            level.growth = corrected(&level.growth, powers(level) - powers(&now.levels[k]), grown);
+            let missed = missed(&came[k], &wanted.mean[k], &wanted.deviation[k]);
+            if missed < best[k].0 {
+                best[k] = (missed, level.clone());
+            }
+        }
+        (now, found) = (next, came);
+    }
+    // Few draws say little: of the rounds the one counts that came nearest, and none of them where details were as uneven before.
+    for (k, (level, (least, best))) in now.levels.iter_mut().zip(best).enumerate() {
+        let LevelContrast { log_gain, growth, deviation, .. } = best;
+        let without = missed(&none[k], &wanted.mean[k], &wanted.deviation[k]);
+        *level = if without < least {
+            LevelContrast { log_gain, growth, deviation, ..LevelContrast::default() }
+        } else {
+            best
+        };
+        // Where nothing is known of the details there is no contrast to fit.
+        let figures = level.growth.iter().flatten().chain(&wanted.mean[k].unevenness).chain(&level.log_gain);
+        if !figures.copied().all(f64::is_finite) {
+            *level = LevelContrast::default();
+        }
+    }
+    now
+}
+
+/// Mean square of what the unevenness misses, in deviations over rasters; the cascade counts as much as the three orientations.
+fn missed(found: &LevelFigures, wanted: &LevelFigures, deviation: &[f64; 4]) -> f64 {
+    let squared = |k: usize| {
+        let miss = (found.unevenness[k] - wanted.unevenness[k]) / deviation[k];
+        miss * miss
+    };
+    (squared(0) + squared(1) + squared(2)) / 3.0 + squared(3)
+}
+
+/// Changes the gains by what details are stronger than is wanted.
+fn take_off_gains(contrast: &mut Contrast, found: &[LevelFigures], wanted: &[LevelFigures]) {
+    for ((level, found), wanted) in contrast.levels.iter_mut().zip(found).zip(wanted) {
+        for (k, gain) in level.log_gain.iter_mut().enumerate() {
+            let excess = found.log_rms[k] - wanted.log_rms[k];
+            *gain = (*gain - GAIN_STEP * excess).clamp(-MOST_LOG_GAIN, MOST_LOG_GAIN);
+        }
+    }
+}
+
+/// The growth that agrees with what a step made of the unevenness, and is otherwise as it was.
+fn corrected(growth: &[[f64; 4]; 4], step: Vector4<f64>, grown: Vector4<f64>) -> [[f64; 4]; 4] {
+    let length = step.norm_squared();
+    if length < 1e-4 {
+        return *growth;
+    }
+    let known = matrix(growth);
+    let better = known + (grown - known * step) * step.transpose() / length;
+    std::array::from_fn(|row| std::array::from_fn(|column| better[(row, column)]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const DEVIATION: [f64; 4] = [0.16, 0.2, 0.16, 0.012];
+
+    /// Unevenness that grows more slowly with more contrast, and strengths that follow their gains.
+    fn law(contrast: &Contrast) -> Vec<LevelFigures> {
+        let bent = |x: f64| x / (1.0 + 0.2 * x);
+        let one = |level: &LevelContrast| {
+            let own = level.own_power.map(bent);
+            let local = bent(level.local_power);
+            let [x, y, diagonal] = own.map(|own| 2.0 * own + 0.8 * local + 1.2);
+            let log_rms = std::array::from_fn(|k| 0.9 * level.log_gain[k] + [0.05, -0.03, 0.0][k]);
+            let cascade = 0.05 * own.iter().sum::<f64>() + 0.25 * local - 0.7;
+            LevelFigures { log_rms, unevenness: [x, y, diagonal, cascade] }
+        };
+        contrast.levels.iter().map(one).collect()
+    }
+
+    fn fitted_to(mean: Vec<LevelFigures>, deviation: [f64; 4]) -> Contrast {
+        let deviation = vec![deviation; mean.len()];
+        fitted(&Figures { mean, deviation }, law)
+    }
+
+    #[test]
+    fn powers_are_found_where_the_unevenness_grows_with_them() {
+        let mut truth = Contrast::none();
+        let powers = [([0.4, 0.2, 0.3], 0.1), ([0.0; 3], 0.3), ([-0.1, 0.1, 0.0], 0.4), ([0.5; 3], 0.5)];
+        for (level, (own_power, local_power)) in truth.levels.iter_mut().zip(powers) {
+            *level =
+                LevelContrast { own_power, local_power, log_gain: [-0.05, 0.03, 0.02], ..LevelContrast::default() };
+        }
+        let wanted = law(&truth);
+        for (found, wanted) in law(&fitted_to(wanted.clone(), DEVIATION)).iter().zip(&wanted) {
+            let missed = |k: usize| (found.unevenness[k] - wanted.unevenness[k]) / DEVIATION[k];
+            assert!((0..4).all(|k| missed(k).abs() < 0.5), "{found:?} {wanted:?}");
+            assert!((0..3).all(|k| (found.log_rms[k] - wanted.log_rms[k]).abs() < 0.003), "{found:?} {wanted:?}");
+        }
+        let unknown = LevelFigures { log_rms: [f64::NAN; 3], unevenness: [f64::NAN; 4] };
+        assert!(fitted_to(vec![unknown; 4], DEVIATION) == Contrast::none());
+        // Noise that is far too even gets the most.
+        let uneven = LevelFigures { log_rms: [0.0; 3], unevenness: [9.0, 9.0, 9.0, 1.0] };
+        let most = fitted_to(vec![uneven; 4], DEVIATION).levels[0].clone();
+        assert!(most.own_power[1] >= POWERS[1] && most.local_power >= POWERS[1], "{most:?}");
+        // What rasters differ by a hundred times is not made up for.
+        let loose = fitted_to(wanted, DEVIATION.map(|deviation| 100.0 * deviation));
+        assert!(loose.levels.iter().all(|level| powers_near(level, 0.3)), "{loose:?}");
+    }
+
+    fn powers_near(level: &LevelContrast, most: f64) -> bool {
+        powers(level).iter().all(|power| power.abs() < most)
+    }
+
+    #[test]
+    fn what_a_survey_loses_is_made_up_for_where_its_growth_is_known() {
+        let mut contrast = fitted_to(law(&even(0.3)), DEVIATION);
+        let before = law(&contrast);
+        contrast.levels[1].growth = [[0.0; 4]; 4];
+        let lost = [0.2, 0.2, 0.2, 0.03];
+        make_up(&mut contrast, |_| lost);
+        let after = law(&contrast);
+        let grown = |k: usize| after[0].unevenness[k] - before[0].unevenness[k];
+        assert!((0..4).all(|k| (grown(k) - lost[k]).abs() < 0.5 * DEVIATION[k]), "{:?}", [0, 1, 2, 3].map(grown));
+        assert!(after[1] == before[1]);
+    }
+}

@@ -1,0 +1,186 @@
+//! Contrast of the details of a field of noise, which mixing evens out.
+//!
+//! Gaussians of growing deviation take the field apart into levels of details along x, along y and diagonal, as a Haar pyramid does without leaving
+//! out cells. The details of a level are multiplied by powers of their own size and of the strength of those around, so that strong places become
+//! stronger and weak ones weaker: the joint statistics of coefficients at neighbouring places and levels are what makes a texture (Portilla and
+//! Simoncelli 2000).
+
+use rayon::prelude::*;
+
+use rockface_core::artefact::{Contrast, LevelContrast};
+use rockface_core::numerics::gaussian::{half_kernel, smoothed};
+use rockface_core::numerics::portable_math;
+
+/// Deviation of the Gaussian under which the squares of details are the strength around, in deviations of that of the level.
+const LOCAL: f64 = 1.5;
+/// Least part of the mean square that a square counts as.
+const LEAST_SQUARE: f64 = 1e-3;
+/// Largest factor on a detail.
+const MOST_FACTOR: f64 = 6.0;
+
+/// Details of one level: along x, along y and diagonal.
+type Details = [Vec<f64>; 3];
+
+/// A field without gaps whose details have contrast; the mean square of each level and orientation stays.
+pub fn with_contrast(field: Vec<f64>, columns: usize, contrast: &Contrast) -> Vec<f64> {
+    let is_none = |level: &LevelContrast| level.own_power.iter().chain([&level.local_power]).all(|p| p.abs() <= 0.0);
+    changed(field, columns, contrast, is_none, |details, level, cells| {
+        raise(details, level, columns, LOCAL * cells);
+    })
+}
+
+/// A field without gaps whose details have the gains of their orientation.
+pub fn with_gains(field: Vec<f64>, columns: usize, contrast: &Contrast) -> Vec<f64> {
+    let is_none = |level: &LevelContrast| level.log_gain.iter().all(|gain| gain.abs() <= 0.0);
+    changed(field, columns, contrast, is_none, |details, level, _| {
+        for (details, log_gain) in details.iter_mut().zip(level.log_gain) {
+            let gain = portable_math::exp(log_gain);
+            details.iter_mut().for_each(|detail| *detail *= gain);
+        }
+    })
+}
+
+/// A field whose details `change` has changed, level by level.
+fn changed(
+    field: Vec<f64>,
+    columns: usize,
+    contrast: &Contrast,
+    is_none: impl Fn(&LevelContrast) -> bool,
+    change: impl Fn(&mut Details, &LevelContrast, f64),
+) -> Vec<f64> {
+    if contrast.levels.iter().all(&is_none) {
+        return field;
+    }
+    let mut coarse = field;
+    let mut sum = vec![0.0; coarse.len()];
+    for (k, level) in contrast.levels.iter().enumerate() {
+        let cells = contrast.finest_cells * f64::from(1u32 << k);
+        let (mut details, coarser) = apart(&coarse, columns, &half_kernel(cells));
+        if !is_none(level) {
+            change(&mut details, level, cells);
+        }
+        details.iter().for_each(|details| sum.iter_mut().zip(details).for_each(|(sum, detail)| *sum += detail));
+        coarse = coarser;
+    }
+    sum.iter().zip(coarse).map(|(details, rest)| details + rest).collect()
+}
+
+/// The details of a field, and what is left of it; they add up to the field.
+fn apart(field: &[f64], columns: usize, kernel: &[f64]) -> (Details, Vec<f64>) {
+    let (along_x, along_y) = (smooth_rows(field, columns, kernel), smooth_columns(field, columns, kernel));
+    let rest = smooth_columns(&along_x, columns, kernel);
+    let minus = |a: &[f64]| a.iter().zip(&rest).map(|(a, rest)| a - rest).collect::<Vec<f64>>();
+    let (x, y) = (minus(&along_y), minus(&along_x));
+    let diagonal = |i: usize| field[i] - rest[i] - x[i] - y[i];
+    let diagonal = (0..field.len()).map(diagonal).collect();
+    ([x, y, diagonal], rest)
+}
+
+/// A field under a Gaussian along its rows; beyond its edges it goes on as it ends.
+fn smooth_rows(field: &[f64], columns: usize, kernel: &[f64]) -> Vec<f64> {
+    let mut smooth = vec![0.0; field.len()];
+    smooth.par_chunks_mut(columns).zip(field.par_chunks(columns)).for_each(|(out, row)| {
+        let padded: Vec<f64> = (0..columns + 2 * (kernel.len() - 1))
+            .map(|i| row[i.saturating_sub(kernel.len() - 1).min(columns - 1)])
+            .collect();
+        for (k, weight) in kernel.iter().enumerate() {
+            let (left, right) = (&padded[kernel.len() - 1 - k..], &padded[kernel.len() - 1 + k..]);
+            let weight = if k == 0 { 0.5 * weight } else { *weight };
+            out.iter_mut().zip(left.iter().zip(right)).for_each(|(out, (a, b))| *out += weight * (a + b));
+        }
+    });
+    smooth
+}
+
+/// The same along its columns.
+fn smooth_columns(field: &[f64], columns: usize, kernel: &[f64]) -> Vec<f64> {
+    let rows = field.len() / columns;
+    let mut smooth = vec![0.0; field.len()];
+    smooth.par_chunks_mut(columns).enumerate().for_each(|(row, out)| {
+        let line = |row: usize| &field[row * columns..(row + 1) * columns];
+        for (k, weight) in kernel.iter().enumerate() {
+            let (above, below) = (line(row.saturating_sub(k)), line((row + k).min(rows - 1)));
+            let weight = if k == 0 { 0.5 * weight } else { *weight };
+            out.iter_mut().zip(above.iter().zip(below)).for_each(|(out, (a, b))| *out += weight * (a + b));
+        }
+    });
+    smooth
+}
+
+/// Multiplies details by powers of their own size and of the strength around.
+fn raise(details: &mut Details, powers: &LevelContrast, columns: usize, local_cells: f64) {
+    let mean_square = |details: &[f64]| details.iter().map(|d| d * d).sum::<f64>() / details.len() as f64;
+    let before = details.each_ref().map(|details| mean_square(details).max(f64::MIN_POSITIVE));
+    let square = |i: usize| (0..3).map(|o| details[o][i] * details[o][i] / before[o]).sum::<f64>() / 3.0;
+    let squares: Vec<f32> = (0..details[0].len()).map(|i| square(i) as f32).collect();
+    let log = |square: f64| portable_math::log(square.max(LEAST_SQUARE));
+    let local: Vec<f64> = smoothed(&squares, columns, local_cells)
+        .into_par_iter()
+        .map(|around| powers.local_power * log(around))
+        .collect();
+    for ((details, before), own_power) in details.iter_mut().zip(before).zip(powers.own_power) {
+        details.par_iter_mut().zip(&local).for_each(|(detail, local)| {
+            let own = own_power * log(*detail * *detail / before);
+            *detail *= portable_math::exp(0.5 * (own + local)).min(MOST_FACTOR);
+        });
+        let level = (before / mean_square(details).max(f64::MIN_POSITIVE)).sqrt();
+        details.iter_mut().for_each(|detail| *detail *= level);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rockface_core::numerics::random::Key;
+
+    #[test]
+    #[allow(clippy::float_cmp)] // to the bit
+    fn strong_details_become_stronger_and_coarse_waves_stay() {
+        let (columns, rows) = (160, 120);
+        let random = Key([7; 32]).field();
+        let fine: Vec<f64> =
+            (0..columns * rows).map(|i| random.normal((i % columns) as i32, (i / columns) as i32)).collect();
+        let of = |field: Vec<f64>, own_power: f64| {
+            let level = LevelContrast { own_power: [own_power; 3], ..LevelContrast::default() };
+            with_contrast(field, columns, &Contrast { levels: vec![level], ..Contrast::none() })
+        };
+        let moments = |field: &[f64]| {
+            let mean = |of: fn(f64) -> f64| field.iter().map(|v| of(v * v)).sum::<f64>() / field.len() as f64;
+            let (second, fourth) = (mean(|square| square), mean(|square| square * square));
+            (second, fourth / (second * second))
+        };
+        assert_eq!(of(fine.clone(), 0.0), fine);
+        let (before, _) = moments(&fine);
+        let (after, kurtosis) = moments(&of(fine.clone(), 0.5));
+        let (_, even) = moments(&of(fine.clone(), -0.3));
+        assert!(
+            (after / before - 1.0).abs() < 0.1 && kurtosis > 4.0 && even < 2.9,
+            "{after} {before} {kurtosis} {even}"
+        );
+        let coarse =
+            |field: &[f64]| smoothed(&field.iter().map(|value| *value as f32).collect::<Vec<_>>(), columns, 6.0);
+        let wave = |i: usize| portable_math::sin((i % columns) as f64 / 20.0);
+        let both: Vec<f64> = fine.iter().enumerate().map(|(i, fine)| wave(i) + 0.1 * fine).collect();
+        let changes = coarse(&both).into_iter().zip(coarse(&of(both, 0.5))).map(|(a, b)| (a - b).abs());
+        assert!(changes.fold(0.0, f64::max) < 0.02);
+    }
+
+    #[test]
+    fn parts_add_up_and_gains_change_their_orientation_alone() {
+        let (columns, rows) = (60, 50);
+        let random = Key([9; 32]).field();
+        let field: Vec<f64> =
+            (0..columns * rows).map(|i| random.normal((i % columns) as i32, (i / columns) as i32)).collect();
+        let (details, rest) = apart(&field, columns, &half_kernel(0.7));
+        let sum = |i: usize| details.iter().map(|details| details[i]).sum::<f64>() + rest[i];
+        assert!((0..field.len()).all(|i| (sum(i) - field[i]).abs() < 1e-12));
+        let level = LevelContrast { log_gain: [0.2, 0.0, 0.0], ..LevelContrast::default() };
+        let found = with_gains(field.clone(), columns, &Contrast { levels: vec![level], ..Contrast::none() });
+        let gain = portable_math::exp(0.2) - 1.0;
+        assert!((0..field.len()).all(|i| (found[i] - field[i] - gain * details[0][i]).abs() < 1e-12));
+        // Stripes that alternate from column to column are details along x.
+        let stripes: Vec<f64> = (0..columns * rows).map(|i| if i % 2 == 0 { 1.0 } else { -1.0 }).collect();
+        let (details, _) = apart(&stripes, columns, &half_kernel(0.7));
+        assert!(details[0][columns * 20 + 20] > 0.8 && details[1][columns * 20 + 20].abs() < 1e-12);
+    }
+}
