@@ -100,9 +100,9 @@ impl Stage for LearnNoise {
         params.draws >= 2
     }
 
-    fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
-        // The rasters in disparity, their whitened fields with weights, and transforms of a few at a time.
-        3 * inputs.of("raster") + 95 * inputs.of("dem")
+    fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
+        // The rasters in disparity, their whitened fields with weights, transforms of a few at a time, and the strength by place of rasters and draws.
+        5 * inputs.of("raster") + (95 + 3 * params.draws as u64) * inputs.of("dem")
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
