@@ -78,7 +78,8 @@ impl Stage for AdjustNoise {
             let text = format!("{} simulated raster, {LEAST} are needed to know what is chance", simulated.len());
             return Err(StageError::new(text).hint("simulate more surveys with the model"));
         }
-        // Acquisitions differ far more than what a survey loses, but both rasters of a pair have the same one. Nothing is lost of levels that have no details.
+        // Acquisitions differ far more than what a survey loses, but both rasters of a pair have the same one.
+        // Nothing is lost of levels that have no details.
         let lost = |(simulated, drawn): (&Vec<f64>, &Vec<f64>)| -> Vec<f64> {
             let differences = simulated.iter().zip(drawn).map(|(simulated, drawn)| simulated - drawn);
             differences.map(|lost| if lost.is_nan() { 0.0 } else { lost }).collect()

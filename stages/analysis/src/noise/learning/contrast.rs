@@ -68,7 +68,7 @@ pub fn even(own_power: f64) -> Contrast {
     contrast
 }
 
-/// Raises the powers of a level so that its unevenness grows by `wanted`, as far as its growth is known (damped least squares).
+/// Raises the powers of a level so that its unevenness grows by `wanted`, by damped least squares; not at all where its growth is not known.
 fn raise(level: &mut LevelContrast, wanted: [f64; 4]) {
     let per_deviation =
         Matrix4::from_diagonal(&Vector4::from(level.deviation.map(|deviation| 1.0 / deviation.max(LEAST_DEVIATION))));
@@ -93,7 +93,8 @@ fn powers(level: &LevelContrast) -> Vector4<f64> {
     Vector4::new(x, y, diagonal, level.local_power)
 }
 
-/// The contrast for which `trial` comes to the figures that are wanted, as far as their deviation from raster to raster asks for it, all levels at once.
+/// The contrast for which `trial` comes to the figures that are wanted, all levels at once. Differences small beside the deviation from raster to
+/// raster change little.
 pub fn fitted(wanted: &Figures, mut trial: impl FnMut(&Contrast) -> Vec<LevelFigures>) -> Contrast {
     let none = trial(&Contrast::none());
     let mut now = even(FIRST_TRIAL);

@@ -4,9 +4,9 @@
 //! `g_j`, raised to a power with their sign, weights `w_j` that fall to 0 in gaps, and the correlation `c_ij` of the fields of two donors, which
 //! may share an epoch: a localised ensemble, as in ensemble Kalman filters (Hamill, Whitaker and Snyder 2001). It keeps the covariance of the
 //! members wherever that differs from place to place, without a parameter for it. A sum of fields is more even than each of them: its
-//! details are given contrast. Where the strongest donor of a place has a gap, the acquisition has one with the probability that makes the gaps of a difference as
-//! frequent as they were. Bands of frequency then give it the amplitudes of one member, and classes of place its strength. Models without fields
-//! start from white noise instead.
+//! details are given contrast. Where the strongest donor of a place has a gap, the acquisition has one with the probability that makes the gaps of
+//! a difference as frequent as they were. Bands of frequency then give it the amplitudes of one member, and classes of place its strength. Models
+//! without fields start from white noise instead.
 
 use rand::{Rng, RngExt};
 use rayon::prelude::*;
