@@ -34,12 +34,57 @@ impl Detrend {
 /// The least-squares plane through the known cells of a raster: offset in its middle, growth from there to its right edge and to its
 /// lower edge; `None` where the cells lie on a line.
 pub fn plane(values: &[f32], columns: usize) -> Option<[f64; 3]> {
+    weighted_plane(values, columns, 1, |_, _| 1.0)
+}
+
+/// Rounds of reweighting.
+const ROUNDS: usize = 30;
+/// Departure, as a part of the deviation, below which all count alike.
+const LEAST_DEPARTURE: f64 = 0.02;
+/// Cells that a plane of least absolute deviations is fitted to, about.
+const ROBUST_CELLS: usize = 30_000;
+
+/// Asymmetry of a raster: its least-squares plane less its plane of least absolute deviations (reweighted least squares: Schlossmacher
+/// 1973), which goes with what most cells agree on; in the numbers of [`plane`].
+pub fn asymmetry(values: &[f32], columns: usize) -> Option<[f64; 3]> {
+    let known = values.iter().filter(|value| !value.is_nan()).count();
+    // A step that has no factor in common with the columns meets all of them.
+    let step = (known / ROBUST_CELLS).max(1);
+    let step = (step..=step + columns).find(|step| gcd(*step, columns) == 1)?;
+    let least_squares = weighted_plane(values, columns, step, |_, _| 1.0)?;
+    let rows = values.len() / columns;
+    let height = |plane: [f64; 3], i: usize| Vector3::from(plane).dot(&terms(columns, rows, i % columns, i / columns));
+    let squares = values.iter().enumerate().step_by(step).filter(|(_, value)| !value.is_nan()).map(|(i, value)| {
+        let departure = f64::from(*value) - height(least_squares, i);
+        departure * departure
+    });
+    let (sum, count) = squares.fold((0.0, 0.0), |(sum, count), square| (sum + square, count + 1.0));
+    let least = LEAST_DEPARTURE * (sum / count).sqrt();
+    // In a plane there is nothing to weigh.
+    if least <= 0.0 {
+        return Some([0.0; 3]);
+    }
+    let mut robust = least_squares;
+    for _ in 0..ROUNDS {
+        let weight = |i: usize, value: f64| 1.0 / (value - height(robust, i)).abs().max(least);
+        robust = weighted_plane(values, columns, step, weight)?;
+    }
+    Some(std::array::from_fn(|k| least_squares[k] - robust[k]))
+}
+
+fn gcd(a: usize, b: usize) -> usize {
+    if b == 0 { a } else { gcd(b, a % b) }
+}
+
+/// The plane of least squares with weights, through every known cell of number 0, `step`, 2 `step`, ...
+fn weighted_plane(values: &[f32], columns: usize, step: usize, weight: impl Fn(usize, f64) -> f64) -> Option<[f64; 3]> {
     let rows = values.len() / columns;
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
-    for (i, value) in values.iter().enumerate().filter(|(_, value)| !value.is_nan()) {
-        let x = terms(columns, rows, i % columns, i / columns);
-        normal += x * x.transpose();
-        right += x * f64::from(*value);
+    for (i, value) in values.iter().enumerate().step_by(step).filter(|(_, value)| !value.is_nan()) {
+        let (x, value) = (terms(columns, rows, i % columns, i / columns), f64::from(*value));
+        let weight = weight(i, value);
+        normal += x * x.transpose() * weight;
+        right += x * (value * weight);
     }
     // On a line the determinant is 0 but for rounding.
     let on_line = normal.determinant() <= LEAST_AREA * normal.diagonal().product();
@@ -68,5 +113,31 @@ mod tests {
         let found = plane(&(0..300).map(tilted).collect::<Vec<f32>>(), 20).unwrap();
         assert!(found.iter().zip([1.0, 2.0, -3.0]).all(|(found, truth)| (found - truth).abs() < 1e-6), "{found:?}");
         assert!(Detrend::Mean.applied(&values, 20).is_none() && Detrend::Plane.applied(&values[..20], 20).is_none());
+    }
+
+    #[test]
+    fn what_few_cells_add_is_asymmetry_and_what_all_have_is_not() {
+        let columns = 40;
+        let noise = rockface_core::numerics::random::Key([5; 32]).field();
+        let rock = |i: usize| {
+            0.3 + 0.02 * (i % columns) as f64 + 0.01 * noise.normal((i % columns) as i32, (i / columns) as i32)
+        };
+        // A tenth of the cells, all on the right, lie 0.2 higher.
+        let high = |i: usize| if i % columns >= 36 { 0.2 } else { 0.0 };
+        let of = |value: &dyn Fn(usize) -> f64| {
+            let values: Vec<f32> = (0..1600).map(|i| if i % 13 == 5 { f32::NAN } else { value(i) as f32 }).collect();
+            asymmetry(&values, columns).unwrap()
+        };
+        let even = of(&rock);
+        assert!(even.iter().all(|a| a.abs() < 0.002), "{even:?}");
+        let found = of(&|i| rock(i) + high(i));
+        let added: Vec<f32> = (0..1600).map(|i| high(i) as f32).collect();
+        let wanted = plane(&added, columns).unwrap();
+        assert!(
+            (0..2).all(|k| (found[k] - wanted[k]).abs() < 0.15 * wanted[k]) && found[2].abs() < 0.004,
+            "{found:?} {wanted:?}"
+        );
+        assert!(of(&|_| 0.5).iter().all(|a| a.abs() <= 0.0));
+        assert!(asymmetry(&[f32::NAN; 1600], columns).is_none());
     }
 }

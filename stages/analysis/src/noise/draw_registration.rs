@@ -2,7 +2,7 @@
 
 use rand::RngExt;
 
-use crate::noise::detrend::plane;
+use crate::noise::detrend::{asymmetry, plane};
 use rockface_core::artefact::{Grid, Kind, Noise, Raster};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 
@@ -17,7 +17,7 @@ pub struct DrawRegistration;
 impl Stage for DrawRegistration {
     type Params = DrawRegistrationParams;
     const NAME: &'static str = "draw-registration";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("draw_registration.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("raster", &[Kind::Raster], "Difference of two registered surveys, metres."),
@@ -42,16 +42,19 @@ impl Stage for DrawRegistration {
         }
         let mut changed = raster.clone();
         for band in &mut changed.bands {
-            let Some(own_m) = plane(&band.values, raster.grid.columns) else {
+            let columns = raster.grid.columns;
+            let (Some(own_m), Some(asymmetry_m)) = (plane(&band.values, columns), asymmetry(&band.values, columns))
+            else {
                 let text = format!("the values of band `{}` lie on a line, or there are none", band.name);
                 return Err(
                     StageError::new(text).hint("a plane needs an area: check window and gaps of the difference")
                 );
             };
             let wanted_m = drawn(noise, context, &band.name);
+            let kept_m: [f64; 3] = std::array::from_fn(|k| noise.asymmetry_gain[k] * asymmetry_m[k] - own_m[k]);
             for (cell, z) in band.values.iter_mut().enumerate() {
                 let height_m = |plane_m, of| height_m(plane_m, of, raster.grid, cell);
-                *z += (height_m(wanted_m, noise.grid) - height_m(own_m, raster.grid)) as f32;
+                *z += (height_m(wanted_m, noise.grid) + height_m(kept_m, raster.grid)) as f32;
             }
         }
         Ok(Outputs::of("raster", changed))

@@ -2,17 +2,19 @@
 
 use std::borrow::Cow;
 
-use crate::noise::detrend::plane;
+use rayon::prelude::*;
+
+use crate::noise::detrend::{asymmetry, plane};
 use crate::noise::learning::acquisitions::{Acquisitions, Source, Variety, acquisitions};
 use crate::noise::learning::bad::parted;
 use crate::noise::learning::by_place;
 use crate::noise::learning::contrast::{self, Figures};
 use crate::noise::learning::departure::{Departure, Mean, figures};
 use crate::noise::learning::differences::{check, differences, disparities};
-use crate::noise::learning::relief_law;
 use crate::noise::learning::whitening::{
     BANDS, LEAST_SIDE_CELLS, Places, Prior, Stack, Whitened, range_cells, restore_outliers, whiten,
 };
+use crate::noise::learning::{registration, relief_law};
 use rockface_core::artefact::{Band, Cameras, Contrast, Kind, Member, Noise, Pairs, Raster, ReliefLaw};
 use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::quantile::quantile;
@@ -71,7 +73,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 10;
+    const VERSION: u32 = 11;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -121,15 +123,15 @@ impl Stage for LearnNoise {
         let step_m = elevation_step_m(dem, block, pairs)?;
         let disparities = disparities(&all[..kept], &step_m)?;
         let source = |band: &&Band| {
-            let plane_m = plane(&band.values, dem.grid.columns).unwrap_or_default();
-            Source { name: band.name.clone(), plane_m }
+            let of = |of: fn(&[f32], usize) -> Option<[f64; 3]>| of(&band.values, dem.grid.columns).unwrap_or_default();
+            Source { name: band.name.clone(), plane_m: of(plane), asymmetry_m: of(asymmetry) }
         };
         let sources: Vec<Source> = all[..kept].iter().map(source).collect();
         let limit_px =
             |cell: usize| params.outlier_m.map_or(f64::INFINITY, |limit| limit / f64::from(step_m[cell].abs()));
         let learnt = Learnt::new(params, &disparities, dem, limit_px);
         context.check_cancelled()?;
-        let noise = learnt.varied(params, &sources, &disparities, dem, &step_m, context);
+        let noise = learnt.varied(params, sources, &disparities, dem, &step_m, context);
         report(&noise, &learnt, &step_m, context);
         let bands = vec![Band { name: "strength".to_owned(), values: noise.strength.clone() }];
         let strength = Raster { bands, quantity: "strength".to_owned(), ..dem.clone() };
@@ -188,7 +190,7 @@ impl Learnt {
     fn varied(
         &self,
         params: &LearnNoiseParams,
-        sources: &[Source],
+        mut sources: Vec<Source>,
         disparities: &[Vec<f32>],
         dem: &Raster,
         step_m: &[f32],
@@ -197,11 +199,12 @@ impl Learnt {
         let none = Correction::none(self.places.middles.len() + BANDS);
         let given = contrast::even(params.contrast.unwrap_or(0.0));
         if params.draws < 2 {
-            return self.model(params, sources, dem, &none, &given);
+            let asymmetry_gain = registration::part(&mut sources, &self.bad, &[]);
+            return Noise { asymmetry_gain, ..self.model(params, &sources, dem, &none, &given) };
         }
         // What draws of acquisitions differ by that are all alike is chance. They choose their donors by the little that is left.
         let alike = Correction { own: vec![ALIKE; none.own.len()], ..none };
-        let mut usual = Noise { bad_share: 0.0, ..self.model(params, sources, dem, &alike, &given) };
+        let mut usual = Noise { bad_share: 0.0, ..self.model(params, &sources, dem, &alike, &given) };
         let limit_m = params.outlier_m.map_or(f32::INFINITY, |limit| limit as f32);
         let drawn = |noise: &Noise, count: usize| {
             let keeps = |cell: usize, px: f32| (px * step_m[cell]).abs() <= limit_m || step_m[cell].is_nan();
@@ -222,10 +225,16 @@ impl Learnt {
         for raster in &mut trial {
             raster.iter_mut().zip(&factors).for_each(|(px, factor)| *px = (f64::from(*px) * factor) as f32);
         }
+        let asymmetries = |raster: &Vec<f32>| {
+            let change: Vec<f32> = raster.iter().zip(step_m).map(|(px, step_m)| px * step_m).collect();
+            asymmetry(&change, self.columns)
+        };
+        let asymmetries: Vec<[f64; 3]> = trial.par_iter().filter_map(asymmetries).collect();
         let correction = Correction::of(&self.usual(), &whiten(&trial, self.columns, &self.places));
         let contrast = usual.contrast.clone();
         drop((usual, trial));
-        let mut noise = self.model(params, sources, dem, &correction, &contrast);
+        let asymmetry_gain = registration::part(&mut sources, &self.bad, &asymmetries);
+        let mut noise = Noise { asymmetry_gain, ..self.model(params, &sources, dem, &correction, &contrast) };
         noise.strength.iter_mut().zip(factors).for_each(|(px, factor)| *px = (f64::from(*px) * factor) as f32);
         noise
     }
@@ -267,6 +276,7 @@ impl Learnt {
             contrast: contrast.clone(),
             log_gain: vec![0.0; BANDS],
             relief: self.relief,
+            asymmetry_gain: [0.0; 3],
             members,
             strength: self.places.strength.clone(),
             elevation: dem.bands[0].values.clone(),
@@ -365,11 +375,15 @@ fn report(noise: &Noise, learnt: &Learnt, step_m: &[f32], context: &Context) {
     context.metric("local_contrast", contrast, "1");
     context.note(format!(
         "from {} rasters; a pixel of disparity is worth {:.1} mm, a difference has {strength:.2} px of noise at the median place; \
-         strength over relief: {:.2} px on flat rock, {:.1} px for a metre",
+         strength over relief: {:.2} px on flat rock, {:.1} px for a metre; of its asymmetry registration leaves {:.1} times the offset, {:.1} and \
+         {:.1} times the tilts",
         noise.members.len(),
         1e3 * step,
         noise.relief.flat_px,
-        noise.relief.gain_px_m
+        noise.relief.gain_px_m,
+        noise.asymmetry_gain[0],
+        noise.asymmetry_gain[1],
+        noise.asymmetry_gain[2]
     ));
     if !bad.is_empty() {
         context.note(format!("bad acquisitions, a class of their own: {}", bad.join(", ")));

@@ -7,7 +7,8 @@
 //! and of 3 degrees of freedom, and normal with 8 % of rasters three times as far. Which of them the references come from is
 //! read off two figures of theirs: their leave-one-out share and their kurtosis (mean squared D2, Mardia 1970). The tests drawn whose
 //! references have nearly the same two figures are the predictive distribution (approximate Bayesian computation: Beaumont,
-//! Zhang and Balding 2002, Genetics 162). References that share epochs are drawn as a chain, moving averages of two epochs.
+//! Zhang and Balding 2002, Genetics 162). References that share epochs are drawn as a chain, moving averages of two epochs, and the
+//! rasters tested as averages of two epochs of their own.
 //!
 //! The draws have a fixed key: they are a way to integrate, and the same test gives the same band.
 
@@ -117,8 +118,8 @@ impl Setting {
         let p = self.eigenvalues.len();
         let mut draws = Draws { field: KEY.field(), test: test as i32, next: 0, spare: None };
         let family = FAMILIES[test % FAMILIES.len()];
-        let mut references = self.chain(family, &mut draws);
-        let mut trials: Vec<Vec<f64>> = (0..self.trials).map(|_| self.raster(family, &mut draws)).collect();
+        let mut references = self.references(family, &mut draws);
+        let mut trials: Vec<Vec<f64>> = (0..self.trials).map(|_| self.trial(family, &mut draws)).collect();
         let n = references.len() as f64;
         let mean: Vec<f64> = (0..p).map(|j| references.iter().map(|row| row[j]).sum::<f64>() / n).collect();
         for row in references.iter_mut().chain(&mut trials) {
@@ -137,24 +138,34 @@ impl Setting {
         Some(Drawn { log_kurtosis: log_kurtosis(&reference_d2), levels: quantiles.iter().map(level).collect() })
     }
 
-    /// References in a chain, each the weighted sum of two epochs.
-    fn chain(&self, family: Family, draws: &mut Draws) -> Vec<Vec<f64>> {
-        let r = self.chain_correlation;
-        if r <= 0.0 {
+    /// References; those of a chain share their epochs with their neighbours.
+    fn references(&self, family: Family, draws: &mut Draws) -> Vec<Vec<f64>> {
+        if self.chain_correlation <= 0.0 {
             return (0..self.references).map(|_| self.raster(family, draws)).collect();
         }
-        let first = (0.5 * (1.0 + (1.0 - 4.0 * r * r).max(0.0).sqrt())).sqrt();
-        let second = (1.0 - first * first).sqrt();
-        let sign = |j: usize| if j < self.opposed { -1.0 } else { 1.0 };
         let epochs: Vec<Vec<f64>> = (0..=self.references).map(|_| self.raster(family, draws)).collect();
-        let sum = |pair: &[Vec<f64>]| {
-            let both = pair[0].iter().zip(&pair[1]).enumerate();
-            both.map(|(j, (a, b))| first * a + sign(j) * second * b).collect()
-        };
-        epochs.windows(2).map(sum).collect()
+        epochs.windows(2).map(|pair| self.comparison(&pair[0], &pair[1])).collect()
     }
 
-    /// Features of one raster along the principal axes of the references.
+    /// A raster like the references, and with nothing that they have.
+    fn trial(&self, family: Family, draws: &mut Draws) -> Vec<f64> {
+        if self.chain_correlation <= 0.0 {
+            return self.raster(family, draws);
+        }
+        let (first, second) = (self.raster(family, draws), self.raster(family, draws));
+        self.comparison(&first, &second)
+    }
+
+    /// The comparison of two epochs of a chain: their weighted sum, so that neighbours have the correlation of the chain.
+    fn comparison(&self, first: &[f64], second: &[f64]) -> Vec<f64> {
+        let r = self.chain_correlation;
+        let weight = (0.5 * (1.0 + (1.0 - 4.0 * r * r).max(0.0).sqrt())).sqrt();
+        let other = (1.0 - weight * weight).sqrt();
+        let sign = |j: usize| if j < self.opposed { -1.0 } else { 1.0 };
+        first.iter().zip(second).enumerate().map(|(j, (a, b))| weight * a + sign(j) * other * b).collect()
+    }
+
+    /// Features of one raster, or of one epoch of a chain, along the principal axes of the references.
     fn raster(&self, family: Family, draws: &mut Draws) -> Vec<f64> {
         let mut z: Vec<f64> = self.eigenvalues.iter().map(|_| draws.normal()).collect();
         let factor = match family {

@@ -11,8 +11,8 @@ pub struct Member {
     pub name: String,
     /// Whether it is a bad acquisition (motion blur, haze), which is drawn by a class of its own.
     pub bad: bool,
-    /// The plane through its raster, which is what registration left: offset in the middle of the grid, growth from there to the right edge and
-    /// to the lower edge, metres.
+    /// The plane through its raster, which is what registration left, without what follows from the asymmetry of its noise: offset in the middle of
+    /// the grid, growth from there to the right edge and to the lower edge, metres.
     pub plane_m: [f64; 3],
     /// Logarithm of the factor on the map of strength, for each class of place.
     pub log_strength: Vec<f64>,
@@ -102,6 +102,9 @@ pub struct Noise {
     pub log_gain: Vec<f64>,
     /// How strength follows from relief where the geometry has changed.
     pub relief: ReliefLaw,
+    /// How many times its asymmetry (least-squares plane less plane of least absolute deviations) registration leaves in a difference, for the three
+    /// numbers of a plane: it aligns what most cells agree on.
+    pub asymmetry_gain: [f64; 3],
     /// What is known of each acquisition the model was learnt from.
     pub members: Vec<Member>,
     /// Strength of the noise by place, pixels of disparity in the full image, `rows x columns` from the top.
@@ -124,6 +127,8 @@ const MOST_LEVELS: usize = 12;
 const MOST_POWER: f64 = 4.0;
 /// Largest logarithm of a gain.
 const MOST_LOG_GAIN: f64 = 5.0;
+/// Largest gain of asymmetry.
+const MOST_ASYMMETRY_GAIN: f64 = 20.0;
 
 impl Noise {
     /// Number of bands of frequency.
@@ -207,6 +212,9 @@ impl Noise {
         if !usable || !self.log_gain.iter().all(|gain| gain.abs() <= MOST_LOG_GAIN) {
             return refuse("contrast or a gain is out of range".into());
         }
+        if !self.asymmetry_gain.iter().all(|gain| gain.abs() <= MOST_ASYMMETRY_GAIN) {
+            return refuse(format!("a gain of asymmetry is beyond {MOST_ASYMMETRY_GAIN}"));
+        }
         let sound = self.strength.iter().all(|value| value.is_finite() && *value >= 0.0);
         if !sound || !self.fields.iter().flatten().all(|value| value.is_finite()) {
             return refuse("a strength or a whitened value is not finite".into());
@@ -225,6 +233,7 @@ impl PartialEq for Noise {
                 == (other.length_cells, other.common_share, other.bad_share)
             && (&self.class_log_strength, self.jitter, self.relief)
                 == (&other.class_log_strength, other.jitter, other.relief)
+            && self.asymmetry_gain == other.asymmetry_gain
             && (self.sharpness, &self.contrast, &self.log_gain) == (other.sharpness, &other.contrast, &other.log_gain)
             && self.members == other.members
             && bits(&self.strength) == bits(&other.strength)

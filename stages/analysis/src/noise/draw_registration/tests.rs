@@ -9,7 +9,7 @@ use rockface_core::testing::{TestHost, run_stage};
 
 /// A model whose planes have a mean and a spread, and the planes.
 fn model() -> (Noise, Vec<[f64; 3]>) {
-    let mut noise = CLEAN.clone();
+    let mut noise = Noise { asymmetry_gain: [0.0; 3], ..CLEAN.clone() };
     for (number, member) in noise.members.iter_mut().enumerate() {
         let sign = if number % 2 == 0 { 1.0 } else { -1.0 };
         member.plane_m = [0.002 + 0.001 * sign, 0.003 * sign, -0.001 * sign];
@@ -19,7 +19,11 @@ fn model() -> (Noise, Vec<[f64; 3]>) {
 }
 
 fn settled(seed: u64, raster: &Raster) -> Result<Raster, StageError> {
-    let inputs = [("raster", raster.clone().into()), ("noise", Artefact::Noise(model().0))];
+    settled_by(model().0, seed, raster)
+}
+
+fn settled_by(noise: Noise, seed: u64, raster: &Raster) -> Result<Raster, StageError> {
+    let inputs = [("raster", raster.clone().into()), ("noise", Artefact::Noise(noise))];
     let outputs = run_stage::<DrawRegistration>(&TestHost::seeded(seed), &json!({}), &inputs)?.into_inner();
     Ok(Raster::of(&outputs["raster"]).unwrap().clone())
 }
@@ -64,6 +68,21 @@ fn gaps_and_details_stay_and_a_part_of_the_face_has_its_part_of_the_plane() {
     for (found, wanted) in found.bands[0].values.iter().zip(&wanted.bands[0].values).filter(|(z, _)| !z.is_nan()) {
         assert!((found - wanted).abs() < 1e-7, "{found} {wanted}");
     }
+}
+
+#[test]
+fn noise_that_is_stronger_on_one_side_leaves_an_offset() {
+    let mut raster = tilted();
+    raster.bands[0].values.iter_mut().skip(5).step_by(10).for_each(|z| *z += 0.01);
+    let asymmetry_m = asymmetry(&raster.bands[0].values, COLUMNS).unwrap();
+    assert!((asymmetry_m[0] - 0.001).abs() < 0.0002, "{asymmetry_m:?}");
+    let left = |asymmetry_gain: [f64; 3]| {
+        let found = settled_by(Noise { asymmetry_gain, ..model().0 }, 1, &raster).unwrap();
+        plane(&found.bands[0].values, COLUMNS).unwrap()
+    };
+    let (with, without) = (left([1.5, 0.0, 0.0]), left([0.0; 3]));
+    let wanted = [without[0] + 1.5 * asymmetry_m[0], without[1], without[2]];
+    assert!(with.iter().zip(wanted).all(|(with, wanted)| (with - wanted).abs() < 1e-6), "{with:?} {wanted:?}");
 }
 
 #[test]

@@ -113,6 +113,26 @@ pub(in crate::noise) fn mean(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 #[test]
+fn registration_that_aligns_what_most_cells_agree_on_is_known_by_its_offsets() {
+    let mut rasters = differences(16, &[]);
+    for raster in &mut rasters {
+        let values = &mut raster.bands[0].values;
+        let (all, few) = (plane(values, COLUMNS).unwrap(), asymmetry(values, COLUMNS).unwrap());
+        let height = |i: usize, k: usize| {
+            let half = [0.5 * COLUMNS as f64, 0.5 * ROWS as f64];
+            let at = [1.0, (i % COLUMNS) as f64 / half[0] - 1.0, (i / COLUMNS) as f64 / half[1] - 1.0];
+            (all[k] - few[k]) * at[k]
+        };
+        values.iter_mut().enumerate().for_each(|(i, z)| *z -= (0..3).map(|k| height(i, k)).sum::<f64>() as f32);
+    }
+    let with = json!({"draws": 0});
+    let (noise, _) = learn_from(rasters, &with).unwrap();
+    assert!(noise.asymmetry_gain.iter().all(|gain| (gain - 1.0).abs() < 0.02), "{:?}", noise.asymmetry_gain);
+    let rest = noise.members.iter().flat_map(|member| member.plane_m).map(f64::abs).fold(0.0, f64::max);
+    assert!(rest < 1e-5, "{rest}");
+}
+
+#[test]
 fn differences_of_drawn_acquisitions_have_the_strength_of_the_rasters_at_each_place() {
     let step_m = 20.0 * 20.0 / (small_sensor().f * 2.0);
     let drawn = drawn_px(&CLEAN, 80);

@@ -28,6 +28,8 @@ pub struct Source {
     pub name: String,
     /// The plane that registration left in it, metres, as a member has it.
     pub plane_m: [f64; 3],
+    /// Its asymmetry, in the numbers of a plane.
+    pub asymmetry_m: [f64; 3],
 }
 
 /// How the variety of acquisitions follows from that of differences.
@@ -114,7 +116,7 @@ mod tests {
     }
 
     fn sources(count: usize) -> Vec<Source> {
-        (0..count).map(|i| Source { name: format!("d{i}"), plane_m: [0.0; 3] }).collect()
+        (0..count).map(|i| Source { name: format!("d{i}"), plane_m: [0.0; 3], asymmetry_m: [0.0; 3] }).collect()
     }
 
     #[test]

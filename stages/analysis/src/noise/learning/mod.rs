@@ -6,5 +6,6 @@ pub mod by_place;
 pub mod contrast;
 pub mod departure;
 pub mod differences;
+pub mod registration;
 pub mod relief_law;
 pub mod whitening;

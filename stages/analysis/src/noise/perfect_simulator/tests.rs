@@ -125,10 +125,15 @@ fn the_band_allows_for_a_chain() {
         println!("skipped: set ROCKFACE_SLOW=1 for the coverage of bands of chained references");
         return;
     }
-    for n in [26, 39] {
-        let covered = coverage(&normal, [n, 9, 39], 300, true);
-        println!("chained references, n = {n}, p = 9, m = 39: {covered:.3}");
-        assert!((0.90..=0.985).contains(&covered), "{covered}");
+    // Features of heavy tails are less so in comparisons, which have noise of two epochs: references and trials alike.
+    let simulators: [(&str, Simulator); 2] = [("normal", &normal), ("t of 4", &heavy)];
+    for (name, simulator) in simulators {
+        for n in [26, 39] {
+            let covered = coverage(simulator, [n, 9, 39], 400, true);
+            println!("{name}, chained references, n = {n}, p = 9, m = 39: {covered:.3}");
+            // 400 tests: a standard error of 0.011.
+            assert!((0.92..=0.98).contains(&covered), "{name} {n}: {covered}");
+        }
     }
 }
 
