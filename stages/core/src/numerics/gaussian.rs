@@ -1,4 +1,4 @@
-//! Gaussian filters of grids with gaps: what has no value has no weight (normalised convolution).
+//! Gaussian filters of grids. What has no value has no weight (normalised convolution); grids without gaps are filtered in one direction at a time.
 
 use rayon::prelude::*;
 
@@ -46,6 +46,37 @@ pub fn half_kernel(scale: f64) -> Vec<f64> {
     let kernel: Vec<f64> = (0..=radius).map(weight).collect();
     let total = kernel[0] + 2.0 * kernel[1..].iter().sum::<f64>();
     kernel.iter().map(|w| w / total).collect()
+}
+
+/// Values without gaps under a kernel of [`half_kernel`] along their rows; beyond their ends they go on as they end.
+pub fn smooth_rows(field: &[f64], columns: usize, kernel: &[f64]) -> Vec<f64> {
+    let mut smooth = vec![0.0; field.len()];
+    smooth.par_chunks_mut(columns).zip(field.par_chunks(columns)).for_each(|(out, row)| {
+        let padded: Vec<f64> = (0..columns + 2 * (kernel.len() - 1))
+            .map(|i| row[i.saturating_sub(kernel.len() - 1).min(columns - 1)])
+            .collect();
+        for (k, weight) in kernel.iter().enumerate() {
+            let (left, right) = (&padded[kernel.len() - 1 - k..], &padded[kernel.len() - 1 + k..]);
+            let weight = if k == 0 { 0.5 * weight } else { *weight };
+            out.iter_mut().zip(left.iter().zip(right)).for_each(|(out, (a, b))| *out += weight * (a + b));
+        }
+    });
+    smooth
+}
+
+/// The same along its columns.
+pub fn smooth_columns(field: &[f64], columns: usize, kernel: &[f64]) -> Vec<f64> {
+    let rows = field.len() / columns;
+    let mut smooth = vec![0.0; field.len()];
+    smooth.par_chunks_mut(columns).enumerate().for_each(|(row, out)| {
+        let line = |row: usize| &field[row * columns..(row + 1) * columns];
+        for (k, weight) in kernel.iter().enumerate() {
+            let (above, below) = (line(row.saturating_sub(k)), line((row + k).min(rows - 1)));
+            let weight = if k == 0 { 0.5 * weight } else { *weight };
+            out.iter_mut().zip(above.iter().zip(below)).for_each(|(out, (a, b))| *out += weight * (a + b));
+        }
+    });
+    smooth
 }
 
 /// Rows of a grid under a kernel, to be filtered along its columns.
@@ -161,4 +192,28 @@ fn convolve(input: &[Weighted], stride: usize, kernel: &[f64]) -> [Weighted; BLO
         }
     }
     std::array::from_fn(|cell| [sums[2 * cell], sums[2 * cell + 1]])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn grids_without_gaps_go_on_as_they_end() {
+        let (columns, rows) = (7, 9);
+        let kernel = half_kernel(1.3);
+        let field: Vec<f64> = (0..columns * rows).map(|i| ((i * i) % 17) as f64).collect();
+        let turned = |field: &[f64], columns: usize| -> Vec<f64> {
+            (0..columns).flat_map(|c| field.iter().skip(c).step_by(columns).copied().collect::<Vec<f64>>()).collect()
+        };
+        let near = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-12);
+        let down = smooth_columns(&field, columns, &kernel);
+        assert!(near(&turned(&down, columns), &smooth_rows(&turned(&field, columns), rows, &kernel)));
+        assert!(near(&smooth_rows(&[2.5; 63], columns, &kernel), &[2.5; 63]));
+        // Within a row: the sum over the kernel, with the ends repeated.
+        let at = |column: i32| field[column.clamp(0, 6) as usize];
+        let weight = |k: i32| kernel.get(k.unsigned_abs() as usize).copied().unwrap_or(0.0);
+        let wanted: Vec<f64> = (0..7).map(|c| (-6..=6).map(|k| weight(k) * at(c + k)).sum()).collect();
+        assert!(near(&smooth_rows(&field[..7], columns, &kernel), &wanted));
+    }
 }

@@ -5,6 +5,8 @@
 
 use crate::noise::learning::acquisitions::Source;
 
+/// Most times its asymmetry that registration leaves.
+const MOST_SLOPE: f64 = 6.0;
 /// Most that a gain is raised because draws are less asymmetric than the rasters.
 const MOST_RATIO: f64 = 3.0;
 
@@ -15,7 +17,7 @@ pub fn part(sources: &mut [Source], bad: &[bool], drawn: &[[f64; 3]]) -> [f64; 3
     std::array::from_fn(|k| {
         let usual = sources.iter().zip(bad).filter(|(_, bad)| !**bad);
         let usual: Vec<(f64, f64)> = usual.map(|(source, _)| (source.asymmetry_m[k], source.plane_m[k])).collect();
-        let gain = slope(&usual);
+        let gain = slope(&usual).clamp(-MOST_SLOPE, MOST_SLOPE);
         sources.iter_mut().for_each(|source| source.plane_m[k] -= gain * source.asymmetry_m[k]);
         let of_draws: Vec<f64> = drawn.iter().map(|asymmetry| asymmetry[k]).collect();
         let of_rasters: Vec<f64> = usual.iter().map(|(asymmetry, _)| *asymmetry).collect();

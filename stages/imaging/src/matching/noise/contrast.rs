@@ -8,7 +8,7 @@
 use rayon::prelude::*;
 
 use rockface_core::artefact::{Contrast, LevelContrast};
-use rockface_core::numerics::gaussian::{half_kernel, smoothed};
+use rockface_core::numerics::gaussian::{half_kernel, smooth_columns, smooth_rows, smoothed};
 use rockface_core::numerics::portable_math;
 
 /// Deviation of the Gaussian under which the squares of details are the strength around, in deviations of that of the level.
@@ -74,37 +74,6 @@ fn apart(field: &[f64], columns: usize, kernel: &[f64]) -> (Details, Vec<f64>) {
     let diagonal = |i: usize| field[i] - rest[i] - x[i] - y[i];
     let diagonal = (0..field.len()).map(diagonal).collect();
     ([x, y, diagonal], rest)
-}
-
-/// A field under a Gaussian along its rows; beyond its edges it goes on as it ends.
-fn smooth_rows(field: &[f64], columns: usize, kernel: &[f64]) -> Vec<f64> {
-    let mut smooth = vec![0.0; field.len()];
-    smooth.par_chunks_mut(columns).zip(field.par_chunks(columns)).for_each(|(out, row)| {
-        let padded: Vec<f64> = (0..columns + 2 * (kernel.len() - 1))
-            .map(|i| row[i.saturating_sub(kernel.len() - 1).min(columns - 1)])
-            .collect();
-        for (k, weight) in kernel.iter().enumerate() {
-            let (left, right) = (&padded[kernel.len() - 1 - k..], &padded[kernel.len() - 1 + k..]);
-            let weight = if k == 0 { 0.5 * weight } else { *weight };
-            out.iter_mut().zip(left.iter().zip(right)).for_each(|(out, (a, b))| *out += weight * (a + b));
-        }
-    });
-    smooth
-}
-
-/// The same along its columns.
-fn smooth_columns(field: &[f64], columns: usize, kernel: &[f64]) -> Vec<f64> {
-    let rows = field.len() / columns;
-    let mut smooth = vec![0.0; field.len()];
-    smooth.par_chunks_mut(columns).enumerate().for_each(|(row, out)| {
-        let line = |row: usize| &field[row * columns..(row + 1) * columns];
-        for (k, weight) in kernel.iter().enumerate() {
-            let (above, below) = (line(row.saturating_sub(k)), line((row + k).min(rows - 1)));
-            let weight = if k == 0 { 0.5 * weight } else { *weight };
-            out.iter_mut().zip(above.iter().zip(below)).for_each(|(out, (a, b))| *out += weight * (a + b));
-        }
-    });
-    smooth
 }
 
 /// Multiplies details by powers of their own size and of the strength around.
