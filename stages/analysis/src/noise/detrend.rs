@@ -53,9 +53,9 @@ pub fn asymmetry(values: &[f32], columns: usize) -> Option<[f64; 3]> {
     let step = (step..=step + columns).find(|step| gcd(*step, columns) == 1)?;
     let least_squares = weighted_plane(values, columns, step, |_, _| 1.0)?;
     let rows = values.len() / columns;
-    let height = |plane: [f64; 3], i: usize| Vector3::from(plane).dot(&terms(columns, rows, i % columns, i / columns));
     let squares = values.iter().enumerate().step_by(step).filter(|(_, value)| !value.is_nan()).map(|(i, value)| {
-        let departure = f64::from(*value) - height(least_squares, i);
+        let height = Vector3::from(least_squares).dot(&terms(columns, rows, i % columns, i / columns));
+        let departure = f64::from(*value) - height;
         departure * departure
     });
     let (sum, count) = squares.fold((0.0, 0.0), |(sum, count), square| (sum + square, count + 1.0));
@@ -66,7 +66,8 @@ pub fn asymmetry(values: &[f32], columns: usize) -> Option<[f64; 3]> {
     }
     let mut robust = least_squares;
     for _ in 0..ROUNDS {
-        let weight = |i: usize, value: f64| 1.0 / (value - height(robust, i)).abs().max(least);
+        let before = Vector3::from(robust);
+        let weight = |x: &Vector3<f64>, value: f64| 1.0 / (value - before.dot(x)).abs().max(least);
         robust = weighted_plane(values, columns, step, weight)?;
     }
     Some(std::array::from_fn(|k| least_squares[k] - robust[k]))
@@ -76,13 +77,19 @@ fn gcd(a: usize, b: usize) -> usize {
     if b == 0 { a } else { gcd(b, a % b) }
 }
 
-/// The plane of least squares with weights, through every known cell of number 0, `step`, 2 `step`, ...
-fn weighted_plane(values: &[f32], columns: usize, step: usize, weight: impl Fn(usize, f64) -> f64) -> Option<[f64; 3]> {
+/// The plane of least squares with weights of what a plane is made of at a cell and of the value there, through every known cell of number 0,
+/// `step`, 2 `step`, ...
+fn weighted_plane(
+    values: &[f32],
+    columns: usize,
+    step: usize,
+    weight: impl Fn(&Vector3<f64>, f64) -> f64,
+) -> Option<[f64; 3]> {
     let rows = values.len() / columns;
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
     for (i, value) in values.iter().enumerate().step_by(step).filter(|(_, value)| !value.is_nan()) {
         let (x, value) = (terms(columns, rows, i % columns, i / columns), f64::from(*value));
-        let weight = weight(i, value);
+        let weight = weight(&x, value);
         normal += x * x.transpose() * weight;
         right += x * (value * weight);
     }

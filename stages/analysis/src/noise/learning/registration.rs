@@ -4,6 +4,8 @@
 //! other then leaves an offset, and a tilt where it does so in one part of the face more than in another.
 
 use crate::noise::learning::acquisitions::Source;
+use crate::noise::learning::departure::{Departure, Mean};
+use rockface_core::numerics::linear_fit::fit_line;
 
 /// Most times its asymmetry that registration leaves.
 const MOST_SLOPE: f64 = 6.0;
@@ -15,35 +17,27 @@ const MOST_RATIO: f64 = 3.0;
 /// `drawn` are the asymmetries of draws, in the numbers of a plane, metres.
 pub fn part(sources: &mut [Source], bad: &[bool], drawn: &[[f64; 3]]) -> [f64; 3] {
     std::array::from_fn(|k| {
-        let usual = sources.iter().zip(bad).filter(|(_, bad)| !**bad);
-        let usual: Vec<(f64, f64)> = usual.map(|(source, _)| (source.asymmetry_m[k], source.plane_m[k])).collect();
-        let gain = slope(&usual).clamp(-MOST_SLOPE, MOST_SLOPE);
+        let usual = || sources.iter().zip(bad).filter(|(_, bad)| !**bad).map(|(source, _)| source);
+        let points: Vec<(f64, f64)> = usual().map(|source| (source.asymmetry_m[k], source.plane_m[k])).collect();
+        let of_rasters: Vec<[f64; 3]> = usual().map(|source| source.asymmetry_m).collect();
+        let gain = slope(&points).clamp(-MOST_SLOPE, MOST_SLOPE);
         sources.iter_mut().for_each(|source| source.plane_m[k] -= gain * source.asymmetry_m[k]);
-        let of_draws: Vec<f64> = drawn.iter().map(|asymmetry| asymmetry[k]).collect();
-        let of_rasters: Vec<f64> = usual.iter().map(|(asymmetry, _)| *asymmetry).collect();
-        let ratio = deviation(&of_rasters) / deviation(&of_draws);
+        let ratio = deviation(&of_rasters, k) / deviation(drawn, k);
         if ratio.is_finite() { gain * ratio.clamp(1.0 / MOST_RATIO, MOST_RATIO) } else { gain }
     })
 }
 
-/// Slope of a line, shrunk by its chance (after James and Stein 1961): 0 within its standard error.
+/// Slope of a line, without what may be chance: 0 within its standard error.
 fn slope(points: &[(f64, f64)]) -> f64 {
-    let n = points.len() as f64;
-    let (mean_x, mean_y) = points.iter().fold((0.0, 0.0), |(x, y), point| (x + point.0 / n, y + point.1 / n));
-    let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
-    for (x, y) in points.iter().map(|(x, y)| (x - mean_x, y - mean_y)) {
-        (xx, xy, yy) = (xx + x * x, xy + x * y, yy + y * y);
-    }
-    let slope = xy / xx;
-    let squared_error = (yy - slope * xy).max(0.0) / (n - 2.0) / xx;
-    let shrunk = slope * (1.0 - squared_error / (slope * slope)).max(0.0);
-    if shrunk.is_finite() { shrunk } else { 0.0 }
+    let Some(line) = fit_line(points) else { return 0.0 };
+    let squared_error = line.slope * line.slope * (1.0 - line.r2) / line.r2 / (points.len() as f64 - 2.0);
+    let certain = Departure { difference: line.slope, error: squared_error.sqrt() }.certain(1.0);
+    if certain.is_finite() { certain } else { 0.0 }
 }
 
-fn deviation(values: &[f64]) -> f64 {
-    let n = values.len() as f64;
-    let mean = values.iter().sum::<f64>() / n;
-    (values.iter().map(|value| (value - mean) * (value - mean)).sum::<f64>() / (n - 1.0)).sqrt()
+/// Deviation of number `k` of some planes.
+fn deviation(planes: &[[f64; 3]], k: usize) -> f64 {
+    (Mean::of(planes, k).squared_error * planes.len() as f64).sqrt()
 }
 
 #[cfg(test)]
@@ -67,9 +61,9 @@ mod tests {
         let drawn: Vec<[f64; 3]> = asymmetries.iter().map(|asymmetry| asymmetry.map(|a| 0.5 * a)).collect();
         let gain = part(&mut sources, &bad, &drawn);
         assert!((gain[0] - 2.8).abs() < 0.4 && gain[1].abs() < 0.15 && (gain[2] + 2.0).abs() < 0.4, "{gain:?}");
-        let left: Vec<f64> =
-            sources.iter().zip(bad).filter(|(_, bad)| !bad).map(|(source, _)| source.plane_m[0]).collect();
-        assert!(deviation(&left) < 0.4, "{}", deviation(&left));
+        let left: Vec<[f64; 3]> =
+            sources.iter().zip(bad).filter(|(_, bad)| !bad).map(|(source, _)| source.plane_m).collect();
+        assert!(deviation(&left, 0) < 0.4, "{}", deviation(&left, 0));
         // Three rasters on no line say nothing.
         assert!(slope(&[(0.0, 0.0), (1.0, 5.0), (2.0, 0.1)]).abs() < 1e-12);
     }
