@@ -27,7 +27,7 @@ const LEAST: usize = 2;
 impl Stage for AdjustNoise {
     type Params = AdjustNoiseParams;
     const NAME: &'static str = "adjust-noise";
-    const VERSION: u32 = 6;
+    const VERSION: u32 = 7;
     const PAGE: Page = Page::new(include_str!("adjust_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("noise", &[Kind::Noise], "The model."),
@@ -59,7 +59,7 @@ impl Stage for AdjustNoise {
             let rasters: Vec<&Raster> = inputs.many::<Raster>(port)?.into_iter().map(|(_, raster)| raster).collect();
             check(&rasters, dem, block)?;
             let bands: Vec<&Band> = rasters.iter().flat_map(|raster| &raster.bands).collect();
-            let disparities = disparities(&bands, &step_m)?;
+            let disparities = disparities(&bands, columns, &step_m)?;
             let whitened = whiten(&disparities, columns, &places);
             context.check_cancelled()?;
             let uneven = |raster: &Vec<f32>| {

@@ -73,7 +73,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 12;
+    const VERSION: u32 = 13;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -121,7 +121,7 @@ impl Stage for LearnNoise {
             return Err(StageError::new(text).hint("add rasters, or lower `held_out`"));
         }
         let step_m = elevation_step_m(dem, block, pairs)?;
-        let disparities = disparities(&all[..kept], &step_m)?;
+        let disparities = disparities(&all[..kept], dem.grid.columns, &step_m)?;
         let source = |band: &&Band| {
             let of = |of: fn(&[f32], usize) -> Option<[f64; 3]>| of(&band.values, dem.grid.columns).unwrap_or_default();
             Source { name: band.name.clone(), plane_m: of(plane), asymmetry_m: of(asymmetry) }
@@ -207,8 +207,7 @@ impl Learnt {
         let mut usual = Noise { bad_share: 0.0, ..self.model(params, &sources, dem, &alike, &given) };
         let limit_m = params.outlier_m.map_or(f32::INFINITY, |limit| limit as f32);
         let drawn = |noise: &Noise, count: usize| {
-            let keeps = |cell: usize, px: f32| (px * step_m[cell]).abs() <= limit_m || step_m[cell].is_nan();
-            differences(noise, count, keeps, &|purpose, item| context.stream(purpose, item))
+            differences(noise, count, step_m, limit_m, &|purpose, item| context.stream(purpose, item))
         };
         let real: Vec<&[f32]> =
             disparities.iter().zip(&self.bad).filter(|(_, bad)| !**bad).map(|(raster, _)| raster.as_slice()).collect();

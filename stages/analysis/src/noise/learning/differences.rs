@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use crate::noise::detrend::Detrend;
 use crate::noise::learning::whitening::{BANDS, CLASSES};
 use rockface_core::artefact::{Band, Cameras, Noise, Raster};
 use rockface_core::numerics::random::Key;
@@ -58,36 +59,38 @@ pub fn check_parts(noise: &Noise) -> Result<(), StageError> {
     Ok(())
 }
 
-/// Differences as errors of disparity, pixels of the full image, each without its mean.
+/// Differences as errors of disparity, pixels of the full image, each without the plane through it, which is what registration left.
 ///
 /// # Errors
 /// A raster with too few values, or with one value everywhere.
-pub fn disparities(bands: &[&Band], step_m: &[f32]) -> Result<Vec<Vec<f32>>, StageError> {
+pub fn disparities(bands: &[&Band], columns: usize, step_m: &[f32]) -> Result<Vec<Vec<f32>>, StageError> {
     let one = |band: &&Band| {
-        let values: Vec<f32> = band.values.iter().zip(step_m).map(|(value, step)| value / step).collect();
-        let known = values.iter().filter(|value| !value.is_nan()).map(|value| f64::from(*value));
-        let (sum, count) = known.fold((0.0, 0usize), |(sum, count), value| (sum + value, count + 1));
-        if count < values.len() / 10 {
-            let text =
-                format!("raster `{}` has values on {count} of {} cells that a pair shows", band.name, values.len());
+        let known = band.values.iter().zip(step_m).filter(|(value, step)| !(value.is_nan() || step.is_nan()));
+        let known: Vec<f64> = known.map(|(value, _)| f64::from(*value)).collect();
+        let count = known.len();
+        if count < band.values.len() / 10 {
+            let cells = band.values.len();
+            let text = format!("raster `{}` has values on {count} of {cells} cells that a pair shows", band.name);
             return Err(StageError::new(text)
                 .hint("a tenth is needed: check window, frame and cameras, or leave the raster out"));
         }
-        let mean = sum / count as f64;
-        if values.iter().all(|value| value.is_nan() || (f64::from(*value) - mean).abs() < 1e-12) {
+        if known.iter().all(|value| (value - known[0]).abs() < 1e-12) {
             fail!("raster `{}` has one value everywhere: there is no noise to learn", band.name);
         }
-        Ok(values.iter().map(|value| (f64::from(*value) - mean) as f32).collect())
+        let flat = Detrend::Plane.applied(&band.values, columns);
+        let flat = flat.ok_or_else(|| StageError::new(format!("the values of raster `{}` lie on a line", band.name)))?;
+        Ok(flat.iter().zip(step_m).map(|(value, step)| value / step).collect())
     };
     bands.iter().map(one).collect()
 }
 
-/// Differences of two acquisitions each, an even and an odd one, drawn from a model without a survey, pixels of the full image; a value for
-/// which `keeps` (cell, pixels) says no is left out.
+/// Differences of two acquisitions each, an even and an odd one, drawn from a model without a survey: errors of disparity, pixels of the full image,
+/// each without the plane through it. Cells whose difference is larger than `limit_m` or whose elevation step is unknown are left out.
 pub fn differences(
     noise: &Noise,
     count: usize,
-    keeps: impl Fn(usize, f32) -> bool + Sync,
+    step_m: &[f32],
+    limit_m: f32,
     stream: &(impl Fn(&str, &str) -> Key + Sync),
 ) -> Vec<Vec<f32>> {
     let epoch = |number: u32| {
@@ -96,8 +99,10 @@ pub fn differences(
     };
     let difference = |number: u32| {
         let (pre, post) = (epoch(2 * number), epoch(2 * number + 1));
-        let values = pre.iter().zip(post).map(|(pre, post)| post - pre).enumerate();
-        values.map(|(cell, px)| if keeps(cell, px) { px } else { f32::NAN }).collect()
+        let difference_m = pre.iter().zip(post).zip(step_m).map(|((pre, post), step_m)| (post - pre) * step_m);
+        let kept: Vec<f32> = difference_m.map(|m| if m.abs() <= limit_m { m } else { f32::NAN }).collect();
+        let level = Detrend::Plane.applied(&kept, noise.grid.columns).unwrap_or(kept);
+        level.iter().zip(step_m).map(|(m, step_m)| m / step_m).collect()
     };
     (0..count as u32).into_par_iter().map(difference).collect()
 }
