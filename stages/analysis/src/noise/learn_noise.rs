@@ -55,7 +55,7 @@ params! {
         jitter: f64 = 0.2; Range::NonNegative,
         /// Differences drawn from the model to find how much of the variety of the rasters is chance of single fields, which every draw has
         /// anew, and by how much the mean of the draws is off; 0: none of it.
-        draws: usize = 24; Range::Between(0.0, 1000.0),
+        draws: usize = 32; Range::Between(0.0, 1000.0),
         /// Larger differences were filtered out of the rasters, metres; left out: none were.
         outlier_m: Option<f64> = None; Range::Positive,
         /// Half width of the window in which the deviation of elevations is the relief, cells.
@@ -224,18 +224,31 @@ impl Learnt {
         for raster in &mut trial {
             raster.iter_mut().zip(&factors).for_each(|(px, factor)| *px = (f64::from(*px) * factor) as f32);
         }
+        let mut correction = Correction::of(&self.usual(), &whiten(&trial, self.columns, &self.places));
+        let mut contrast = usual.contrast.clone();
+        drop(usual);
+        let corrected = |sources: &[Source], correction: &Correction, contrast: &Contrast| {
+            let mut noise = self.model(params, sources, dem, correction, contrast);
+            noise.strength.iter_mut().zip(&factors).for_each(|(px, factor)| *px = (f64::from(*px) * factor) as f32);
+            noise
+        };
+        // Now acquisitions differ, and mixtures of what differs are more uneven: what draws miss then comes off in rounds.
+        let wanted = Figures::of(&real, self.columns);
+        for _ in 0..ROUNDS {
+            trial = drawn(&Noise { bad_share: 0.0, ..corrected(&sources, &correction, &contrast) }, params.draws);
+            correction.refine(&self.usual(), &whiten(&trial, self.columns, &self.places));
+            if params.contrast.is_none() {
+                let found = Figures::of(&trial.iter().map(Vec::as_slice).collect::<Vec<_>>(), self.columns);
+                contrast::refine(&mut contrast, &wanted, &found.mean);
+            }
+        }
         let asymmetries = |raster: &Vec<f32>| {
             let change: Vec<f32> = raster.iter().zip(step_m).map(|(px, step_m)| px * step_m).collect();
             asymmetry(&change, self.columns)
         };
         let asymmetries: Vec<[f64; 3]> = trial.par_iter().filter_map(asymmetries).collect();
-        let correction = Correction::of(&self.usual(), &whiten(&trial, self.columns, &self.places));
-        let contrast = usual.contrast.clone();
-        drop((usual, trial));
         let asymmetry_gain = registration::part(&mut sources, &self.bad, &asymmetries);
-        let mut noise = Noise { asymmetry_gain, ..self.model(params, &sources, dem, &correction, &contrast) };
-        noise.strength.iter_mut().zip(factors).for_each(|(px, factor)| *px = (f64::from(*px) * factor) as f32);
-        noise
+        Noise { asymmetry_gain, ..corrected(&sources, &correction, &contrast) }
     }
 
     fn usual(&self) -> Vec<&Whitened> {
@@ -317,12 +330,25 @@ impl Correction {
 
     /// From the usual rasters and draws of a model whose acquisitions are all alike.
     fn of(real: &[&Whitened], drawn: &[Whitened]) -> Self {
-        let rows = |whitened: &mut dyn Iterator<Item = &Whitened>| whitened.map(figures).collect::<Vec<_>>();
-        let [real_rows, drawn_rows] = [rows(&mut real.iter().copied()), rows(&mut drawn.iter())];
-        // The mean of the rasters is what the draws should have: it is no estimate.
-        let departure = |k: usize| Departure::of(Mean::of(&drawn_rows, k), Mean::of(&real_rows, k).exact());
-        let excess = (0..real_rows[0].len()).map(|k| departure(k).certain(1.0)).collect();
-        Self { own: own_shares(real, &drawn.iter().collect::<Vec<_>>()), excess }
+        let drawn: Vec<&Whitened> = drawn.iter().collect();
+        Self { own: own_shares(real, &drawn), excess: excess(real, &drawn) }
+    }
+
+    /// Takes off what draws with this correction still miss of the mean and of the variety of the usual rasters.
+    fn refine(&mut self, real: &[&Whitened], drawn: &[Whitened]) {
+        let drawn: Vec<&Whitened> = drawn.iter().collect();
+        let excess = excess(real, &drawn);
+        self.excess.iter_mut().zip(excess).for_each(|(all, more)| *all += more);
+        let lacking = |of: fn(&Whitened) -> &[f64]| -> Vec<f64> {
+            let one = |(real, drawn): (f64, f64)| if real > 0.0 { (1.0 - drawn / real).max(-1.0) } else { 0.0 };
+            variances(real, of).into_iter().zip(variances(&drawn, of)).map(one).collect()
+        };
+        let strengths = lacking(|w| &w.log_strength);
+        let mean = strengths.iter().sum::<f64>() / strengths.len() as f64;
+        let changes = strengths.iter().map(|_| mean).chain(near(&lacking(|w| &w.log_amplitude)));
+        for (own, change) in self.own.iter_mut().zip(changes) {
+            *own = (*own * *own + change).clamp(LEAST_OWN, MOST_OWN).sqrt();
+        }
     }
 
     /// Takes the excess off a member.
@@ -332,33 +358,52 @@ impl Correction {
     }
 }
 
+/// How much the mean of draws exceeds that of rasters, figure by figure, without what may be chance.
+fn excess(real: &[&Whitened], drawn: &[&Whitened]) -> Vec<f64> {
+    let [real, drawn] = [real, drawn].map(|all| all.iter().map(|w| figures(w)).collect::<Vec<_>>());
+    // The mean of the rasters is what the draws should have: it is no estimate.
+    let departure = |k: usize| Departure::of(Mean::of(&drawn, k), Mean::of(&real, k).exact());
+    (0..real[0].len()).map(|k| departure(k).certain(1.0)).collect()
+}
+
 /// Part of the deviation of each figure that acquisitions differ by: what draws of acquisitions that are all alike vary is the chance of single
 /// fields, which every draw has anew. The part of each class of place is drawn halfway towards the mean of all, that of each band towards its
 /// neighbours, since few rasters say little of a variance.
 fn own_shares(real: &[&Whitened], alike: &[&Whitened]) -> Vec<f64> {
-    let variance = |rows: &[&Whitened], of: fn(&Whitened) -> &[f64], k: usize| {
-        let n = rows.len() as f64;
-        let mean = rows.iter().map(|row| of(row)[k]).sum::<f64>() / n;
-        rows.iter().map(|row| (of(row)[k] - mean) * (of(row)[k] - mean)).sum::<f64>() / (n - 1.0).max(1.0)
+    let shares = |of: fn(&Whitened) -> &[f64]| -> Vec<f64> {
+        let one = |(real, chance): (f64, f64)| {
+            if real > 0.0 { (1.0 - chance / real).clamp(LEAST_OWN, 1.0) } else { 1.0 }
+        };
+        variances(real, of).into_iter().zip(variances(alike, of)).map(one).collect()
     };
-    let share = |of: fn(&Whitened) -> &[f64], k: usize| {
-        let (real, chance) = (variance(real, of, k), variance(alike, of, k));
-        if real > 0.0 { (1.0 - chance / real).clamp(LEAST_OWN, 1.0) } else { 1.0 }
-    };
-    let classes: Vec<f64> = (0..real[0].log_strength.len()).map(|k| share(|w| &w.log_strength, k)).collect();
-    let bands: Vec<f64> = (0..real[0].log_amplitude.len()).map(|k| share(|w| &w.log_amplitude, k)).collect();
+    let classes = shares(|w| &w.log_strength);
     let mean = classes.iter().sum::<f64>() / classes.len() as f64;
-    let near = |k: usize| 0.25 * (bands[k.saturating_sub(1)] + 2.0 * bands[k] + bands[(k + 1).min(bands.len() - 1)]);
     let strengths = classes.iter().map(|share| 0.5 * (share + mean));
-    strengths.chain((0..bands.len()).map(near)).map(f64::sqrt).collect()
+    strengths.chain(near(&shares(|w| &w.log_amplitude))).map(f64::sqrt).collect()
 }
 
+/// Variance of each of some figures over rasters.
+fn variances(rasters: &[&Whitened], of: fn(&Whitened) -> &[f64]) -> Vec<f64> {
+    let rows: Vec<&[f64]> = rasters.iter().map(|raster| of(raster)).collect();
+    (0..rows[0].len()).map(|k| Mean::of(&rows, k).squared_error * rows.len() as f64).collect()
+}
+
+/// Values of bands, each with half the weight and its neighbours with the rest.
+fn near(bands: &[f64]) -> Vec<f64> {
+    let last = bands.len() - 1;
+    let one = |k: usize| 0.25 * (bands[k.saturating_sub(1)] + 2.0 * bands[k] + bands[(k + 1).min(last)]);
+    (0..bands.len()).map(one).collect()
+}
+
+/// Rounds in which what draws still miss is taken off.
+const ROUNDS: usize = 2;
 /// Differences drawn for each trial of contrast.
 const CONTRAST_DRAWS: usize = 12;
 /// Part of the deviation of figures that acquisitions have which are all alike.
 const ALIKE: f64 = 1e-6;
-/// Least part of the variance of a figure that acquisitions differ by.
+/// Least and most of the variance of a figure over rasters that acquisitions differ by.
 const LEAST_OWN: f64 = 0.1;
+const MOST_OWN: f64 = 2.0;
 
 fn report(noise: &Noise, learnt: &Learnt, step_m: &[f32], context: &Context) {
     let known: Vec<f64> = step_m.iter().filter(|step| !step.is_nan()).map(|step| f64::from(*step)).collect();

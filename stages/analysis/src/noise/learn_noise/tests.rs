@@ -191,7 +191,53 @@ fn gaps_are_as_frequent_as_in_the_rasters() {
 fn drawn_differences(noise: &Noise, count: usize) -> Vec<Vec<f32>> {
     let host = TestHost::seeded(11);
     let context = Context::new(&host);
-    learning::differences::differences(noise, count, |_, _| true, &|purpose, item| context.stream(purpose, item))
+    let step_m = vec![1.0; noise.grid.cells()];
+    learning::differences::differences(noise, count, &step_m, f32::INFINITY, &|purpose, item| {
+        context.stream(purpose, item)
+    })
+}
+
+#[test]
+fn planes_of_the_rasters_are_not_part_of_the_noise() {
+    let mut rasters = differences(16, &[]);
+    let with = json!({"draws": 0});
+    let (level, _) = learn_from(rasters.clone(), &with).unwrap();
+    for (b, raster) in rasters.iter_mut().enumerate() {
+        let tilt = 0.004 * (b as f64 - 7.5);
+        let height = |i: usize| tilt * ((i % COLUMNS) as f64 / 48.0 - 1.0) + 0.01;
+        raster.bands[0].values.iter_mut().enumerate().for_each(|(i, z)| *z += height(i) as f32);
+    }
+    let (tilted, _) = learn_from(rasters, &with).unwrap();
+    let apart = level.strength.iter().zip(&tilted.strength).map(|(a, b)| (b / a - 1.0).abs()).fold(0.0, f32::max);
+    assert!(apart < 1e-3, "{apart}");
+    let figures = |noise: &Noise| noise.members.iter().flat_map(|m| m.log_amplitude.clone()).collect::<Vec<f64>>();
+    assert!(figures(&level).iter().zip(figures(&tilted)).all(|(a, b)| (a - b).abs() < 1e-3));
+}
+
+#[test]
+fn draws_differ_from_each_other_as_much_as_the_rasters_do() {
+    // Fine and coarse noise in a proportion that differs from raster to raster.
+    let one = |b: u8| {
+        let (fine, coarse) = (unit(b, 0.8), unit(b + 100, 5.0));
+        let part = portable_math::exp(0.3 * Key([200; 32]).field().normal(i32::from(b), 0));
+        let value = |i: usize| (0.002 * (fine[i] + part * coarse[i])) as f32;
+        Raster::single(grid(), Frame::Wall, "difference", &format!("n{b}"), (0..COLUMNS * ROWS).map(value).collect())
+    };
+    let rasters: Vec<Raster> = (0..24).map(one).collect();
+    let (noise, _) = learn_from(rasters.clone(), &json!({})).unwrap();
+    let bands: Vec<&Band> = rasters.iter().flat_map(|raster| &raster.bands).collect();
+    let real = learning::differences::disparities(&bands, COLUMNS, &[1.0; COLUMNS * ROWS]).unwrap();
+    let places = Places::of(noise.strength.clone());
+    let deviations = |rasters: &[Vec<f32>]| {
+        let whitened = whiten(rasters, COLUMNS, &places);
+        variances(&whitened.iter().collect::<Vec<_>>(), |w| &w.log_amplitude)
+    };
+    // Beyond the coarsest bands, in which a raster has a few waves only.
+    let ratio = |(drawn, real): (f64, f64)| 0.5 * portable_math::log(drawn / real);
+    let ratios: Vec<f64> =
+        deviations(&drawn_differences(&noise, 60)).into_iter().zip(deviations(&real)).map(ratio).skip(3).collect();
+    let mean = mean(ratios.iter().copied());
+    assert!(mean.abs() < 0.2, "{mean} {ratios:?}");
 }
 
 #[test]

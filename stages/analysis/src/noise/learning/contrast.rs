@@ -61,6 +61,12 @@ pub fn make_up(contrast: &mut Contrast, lost: impl Fn(usize) -> [f64; 4]) {
     }
 }
 
+/// Takes off what draws with a contrast still miss of the figures that are wanted.
+pub fn refine(contrast: &mut Contrast, wanted: &Figures, found: &[LevelFigures]) {
+    make_up(contrast, |level| std::array::from_fn(|k| wanted.mean[level].unevenness[k] - found[level].unevenness[k]));
+    take_off_gains(contrast, found, &wanted.mean);
+}
+
 /// The same power of details by themselves at all levels.
 pub fn even(own_power: f64) -> Contrast {
     let mut contrast = Contrast::none();
@@ -164,7 +170,9 @@ fn take_off_gains(contrast: &mut Contrast, found: &[LevelFigures], wanted: &[Lev
     for ((level, found), wanted) in contrast.levels.iter_mut().zip(found).zip(wanted) {
         for (k, gain) in level.log_gain.iter_mut().enumerate() {
             let excess = found.log_rms[k] - wanted.log_rms[k];
-            *gain = (*gain - GAIN_STEP * excess).clamp(-MOST_LOG_GAIN, MOST_LOG_GAIN);
+            if excess.is_finite() {
+                *gain = (*gain - GAIN_STEP * excess).clamp(-MOST_LOG_GAIN, MOST_LOG_GAIN);
+            }
         }
     }
 }

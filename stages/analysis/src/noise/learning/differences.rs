@@ -78,7 +78,8 @@ pub fn disparities(bands: &[&Band], columns: usize, step_m: &[f32]) -> Result<Ve
             fail!("raster `{}` has one value everywhere: there is no noise to learn", band.name);
         }
         let flat = Detrend::Plane.applied(&band.values, columns);
-        let flat = flat.ok_or_else(|| StageError::new(format!("the values of raster `{}` lie on a line", band.name)))?;
+        let flat =
+            flat.ok_or_else(|| StageError::new(format!("the values of raster `{}` lie on a line", band.name)))?;
         Ok(flat.iter().zip(step_m).map(|(value, step)| value / step).collect())
     };
     bands.iter().map(one).collect()
