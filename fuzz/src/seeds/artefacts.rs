@@ -89,10 +89,10 @@ fn noise() -> Noise {
             finest_cells: 0.7,
             levels: vec![LevelContrast {
                 own_power: [0.2, 0.1, 0.0],
-                local_power: -0.1,
+                local_power: [-0.1, 0.2],
                 log_gain: [0.01, -0.02, 0.0],
-                growth: [[0.3, 0.0, 0.0, 0.1]; 4],
-                deviation: [0.01, 0.02, 0.03, 0.04],
+                growth: [[0.3, 0.0, 0.0, 0.1, 0.2]; 5],
+                deviation: [0.01, 0.02, 0.03, 0.04, 0.05],
             }],
         },
         log_gain: vec![0.0, 0.1],

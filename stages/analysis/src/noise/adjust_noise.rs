@@ -5,7 +5,7 @@ use crate::noise::learning::departure::{Departure, Mean, figures};
 use crate::noise::learning::differences::{check, check_model, disparities};
 use crate::noise::learning::whitening::{Places, whiten};
 use crate::noise::structure;
-use rockface_core::artefact::{Band, Cameras, Kind, Noise, Pairs, Raster};
+use rockface_core::artefact::{Band, Cameras, Kind, Noise, Pairs, Raster, UNEVENNESS};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 use rockface_imaging::matching::elevation_step::elevation_step_m;
 
@@ -101,7 +101,9 @@ fn adjusted(noise: &Noise, losses: &[Departure]) -> Noise {
     }
     adjusted.log_gain.iter_mut().zip(bands).for_each(|(gain, loss)| *gain -= loss.certain(CHANCE_ERRORS));
     let certain = |k: usize| -unevenness[k].certain(UNEVENNESS_ERRORS);
-    contrast::make_up(&mut adjusted.contrast, |level| std::array::from_fn(|figure| certain(4 * level + figure)));
+    contrast::make_up(&mut adjusted.contrast, |level| {
+        std::array::from_fn(|figure| certain(UNEVENNESS * level + figure))
+    });
     adjusted
 }
 

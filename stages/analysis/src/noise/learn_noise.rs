@@ -334,7 +334,7 @@ impl Correction {
         Self { own: own_shares(real, &drawn), excess: excess(real, &drawn) }
     }
 
-    /// Takes off what draws with this correction still miss of the mean and of the variety of the usual rasters.
+    /// Takes off what draws with this correction still miss of the mean and of the variety of the usual rasters, without what may be chance.
     fn refine(&mut self, real: &[&Whitened], drawn: &[Whitened]) {
         let drawn: Vec<&Whitened> = drawn.iter().collect();
         let excess = excess(real, &drawn);
@@ -346,7 +346,10 @@ impl Correction {
         let strengths = lacking(|w| &w.log_strength);
         let mean = strengths.iter().sum::<f64>() / strengths.len() as f64;
         let changes = strengths.iter().map(|_| mean).chain(near(&lacking(|w| &w.log_amplitude)));
-        for (own, change) in self.own.iter_mut().zip(changes) {
+        // Relative standard error of a variance of normal figures.
+        let relative = (2.0 / (drawn.len() as f64 - 1.0)).sqrt();
+        for (own, lacking) in self.own.iter_mut().zip(changes) {
+            let change = Departure { difference: lacking, error: relative * (1.0 - lacking) }.certain(1.0);
             *own = (*own * *own + change).clamp(LEAST_OWN, MOST_OWN).sqrt();
         }
     }
@@ -415,7 +418,7 @@ fn report(noise: &Noise, learnt: &Learnt, step_m: &[f32], context: &Context) {
     context.metric("strength_median", strength, "px");
     context.metric("bad_rasters", bad.len() as f64, "1");
     context.metric("length", noise.length_cells, "cells");
-    let contrast = noise.contrast.levels.first().map_or(0.0, |level| level.local_power);
+    let contrast = noise.contrast.levels.first().map_or(0.0, |level| level.local_power[0]);
     context.metric("local_contrast", contrast, "1");
     context.note(format!(
         "from {} rasters; a pixel of disparity is worth {:.1} mm, a difference has {strength:.2} px of noise at the median place; \

@@ -10,6 +10,7 @@
 //! All are natural logarithms, and all but the last of the marginal figures are relative to the rms of the raster. NaN cells take no part.
 
 use rockface_core::StageError;
+use rockface_core::artefact::UNEVENNESS;
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::quantile::nearest_rank;
 
@@ -109,8 +110,9 @@ pub fn structure(values: &[f32], columns: usize, settings: &Settings) -> Result<
 pub struct LevelFigures {
     /// Logarithm of their rms along x, along y and diagonal, relative to that of the raster.
     pub log_rms: [f64; 3],
-    /// Logarithm of their flatness in these orientations, and the figure of the cascade from this level to the next one.
-    pub unevenness: [f64; 4],
+    /// Logarithm of their flatness in these orientations, and the figures of the cascade from this level to the next one and to the one after it, which is
+    /// 0 where the raster is too small for it.
+    pub unevenness: [f64; UNEVENNESS],
 }
 
 /// Figures of the details of each level, the finest first; NaN where a level has no values.
@@ -122,9 +124,11 @@ pub fn levels(values: &[f32], columns: usize, count: usize) -> Vec<LevelFigures>
         smooth = next;
         let moments = details.each_ref().map(|detail| Moments::of(detail.values.iter().copied()));
         let [x, y, diagonal] = moments.each_ref().map(Moments::log_flatness);
-        let cascade = cascade(modulus(&details), 1, level).map_or(f64::NAN, |found| found[0]);
+        let modulus = modulus(&details);
+        let near = cascade(modulus.clone(), 1, level).map_or(f64::NAN, |found| found[0]);
+        let far = cascade(modulus, 2, level).map_or(if near.is_nan() { near } else { 0.0 }, |found| found[1]);
         let log_rms = moments.map(|moments| moments.log_rms("").map_or(f64::NAN, |log| log - whole));
-        LevelFigures { log_rms, unevenness: [x, y, diagonal, cascade] }
+        LevelFigures { log_rms, unevenness: [x, y, diagonal, near, far] }
     };
     (1..=count).map(one).collect()
 }
@@ -331,7 +335,7 @@ mod tests {
         }
         // The modulus of three equal normal details has the mean square 3 and the variance 3 - 8 / pi, of which its details have three quarters.
         let normal = 0.5 * log(1.0 - 8.0 / (3.0 * std::f64::consts::PI));
-        let [x, _, _, cascade] = even[0].unevenness;
+        let [x, _, _, cascade, _] = even[0].unevenness;
         assert!((cascade - normal).abs() < 0.05 && (x - log(3.0)).abs() < 0.1, "{even:?} {normal}");
         assert!(even[0].log_rms.iter().all(|log_rms| log_rms.abs() < 0.03));
         assert!(of(&vec![f32::NAN; 96 * 160]).iter().flat_map(all).all(f64::is_nan));

@@ -45,21 +45,25 @@ pub struct Contrast {
     pub levels: Vec<LevelContrast>,
 }
 
+/// Powers of details, and figures of their unevenness, of one level: those of the three orientations, and two for what is around.
+pub const UNEVENNESS: usize = 5;
+
 /// Contrast of the details of one level, along x, along y and diagonal: they are multiplied by powers of their own size and of the root mean square of
-/// the details around.
+/// the details near them and within a farther distance.
 #[derive(Debug, Clone, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LevelContrast {
     /// Power of their own size for each orientation: makes tails.
     pub own_power: [f64; 3],
-    /// Power of the strength of the details around, of all orientations: makes strong and weak places.
-    pub local_power: f64,
+    /// Powers of the strength of the details near and farther around, of all orientations: make small and larger strong and weak places.
+    pub local_power: [f64; 2],
     /// Logarithm of a gain for each orientation, after the bands of frequency, which know no direction.
     pub log_gain: [f64; 3],
-    /// How the flatness of the three orientations and the cascade (rows) grow with the three own powers and the local one (columns); 0: not known.
-    pub growth: [[f64; 4]; 4],
-    /// Deviation of these four figures from raster to raster.
-    pub deviation: [f64; 4],
+    /// How the flatness of the three orientations and the cascade to the next two levels (rows) grow with the three own powers and the two local ones
+    /// (columns); 0: not known.
+    pub growth: [[f64; UNEVENNESS]; UNEVENNESS],
+    /// Deviation of these figures from raster to raster.
+    pub deviation: [f64; UNEVENNESS],
 }
 
 impl Contrast {
@@ -201,7 +205,7 @@ impl Noise {
         }
         let Contrast { finest_cells, levels } = &self.contrast;
         let sound = |level: &LevelContrast| {
-            level.own_power.iter().chain([&level.local_power]).all(|power| power.abs() <= MOST_POWER)
+            level.own_power.iter().chain(&level.local_power).all(|power| power.abs() <= MOST_POWER)
                 && level.log_gain.iter().all(|gain| gain.abs() <= MOST_LOG_GAIN)
                 && level.growth.iter().flatten().chain(&level.deviation).all(|figure| figure.is_finite())
         };

@@ -2,7 +2,7 @@
 
 use crate::artefact::{CodecError, Contrast, Frame, Grid, Member, Noise, ReliefLaw};
 
-const MAGIC: &[u8] = b"rockface noise 7\n";
+const MAGIC: &[u8] = b"rockface noise 8\n";
 
 /// What is written into the header for whoever reads the file without us.
 const LAYOUT: &str = "rows x columns cells from the top left: strength float32 little-endian (px), elevation float32 (m, NaN = unknown); \
@@ -77,7 +77,7 @@ pub fn write(noise: &Noise) -> Result<Vec<u8>, CodecError> {
 
 /// Reads a noise model.
 pub fn read(bytes: &[u8]) -> Result<Noise, CodecError> {
-    let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| CodecError::new("not a rockface noise file (version 7)"))?;
+    let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| CodecError::new("not a rockface noise file (version 8)"))?;
     let end = rest.iter().position(|b| *b == b'\n').ok_or_else(|| CodecError::new("noise file: header without end"))?;
     let header: Header =
         serde_json::from_slice(&rest[..end]).map_err(|e| CodecError(format!("noise file: bad header: {e}")))?;
@@ -165,10 +165,10 @@ mod tests {
                 finest_cells: 0.8,
                 levels: vec![LevelContrast {
                     own_power: [0.2, 0.1, 0.0],
-                    local_power: -0.1,
+                    local_power: [-0.1, 0.2],
                     log_gain: [0.01, -0.02, 0.0],
-                    growth: [[0.3, 0.0, 0.0, 0.1]; 4],
-                    deviation: [0.01, 0.02, 0.03, 0.04],
+                    growth: [[0.3, 0.0, 0.0, 0.1, 0.2]; 5],
+                    deviation: [0.01, 0.02, 0.03, 0.04, 0.05],
                 }],
             },
             log_gain: vec![0.0, 0.1],

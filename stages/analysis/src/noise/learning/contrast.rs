@@ -1,14 +1,14 @@
 //! The contrast with which details of draws of a model are as uneven, and as strong in each direction, as those of the rasters.
 
-use nalgebra::{Matrix4, Vector4};
+use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
 
 use crate::noise::structure::{self, LevelFigures};
-use rockface_core::artefact::{Contrast, LevelContrast};
+use rockface_core::artefact::{Contrast, LevelContrast, UNEVENNESS};
 
 /// Smallest and largest power of details.
 const POWERS: [f64; 2] = [-0.5, 1.5];
-/// The power that is tried first, of details by themselves and then of those around too.
+/// The power that is tried first, of details by themselves, then of those near them and then of those farther around too.
 const FIRST_TRIAL: f64 = 0.25;
 /// Rounds after the first trials (Broyden 1965).
 const ROUNDS: usize = 3;
@@ -23,13 +23,16 @@ const MOST_LOG_GAIN: f64 = 0.5;
 /// Part of a departure of the strength of details that a round takes off: levels and orientations overlap.
 const GAIN_STEP: f64 = 0.8;
 
+type Square = SMatrix<f64, UNEVENNESS, UNEVENNESS>;
+type Figure = SVector<f64, UNEVENNESS>;
+
 /// Mean figures of the details of rasters, level by level, and the deviations of the unevenness from raster to raster.
 #[derive(Debug, Clone)]
 pub struct Figures {
     /// The means; NaN where no raster has details.
     pub mean: Vec<LevelFigures>,
     /// The deviations.
-    pub deviation: Vec<[f64; 4]>,
+    pub deviation: Vec<[f64; UNEVENNESS]>,
 }
 
 impl Figures {
@@ -46,7 +49,8 @@ impl Figures {
         };
         let one = |level: usize| {
             let log_rms = std::array::from_fn(|k| mean_of(&|levels| levels[level].log_rms[k]).0);
-            let both: [(f64, f64); 4] = std::array::from_fn(|k| mean_of(&|levels| levels[level].unevenness[k]));
+            let both: [(f64, f64); UNEVENNESS] =
+                std::array::from_fn(|k| mean_of(&|levels| levels[level].unevenness[k]));
             (LevelFigures { log_rms, unevenness: both.map(|both| both.0) }, both.map(|both| both.1))
         };
         let (mean, deviation) = (0..count).map(one).unzip();
@@ -55,7 +59,7 @@ impl Figures {
 }
 
 /// Makes up for what a survey loses of the unevenness of each level.
-pub fn make_up(contrast: &mut Contrast, lost: impl Fn(usize) -> [f64; 4]) {
+pub fn make_up(contrast: &mut Contrast, lost: impl Fn(usize) -> [f64; UNEVENNESS]) {
     for (level, one) in contrast.levels.iter_mut().enumerate() {
         raise(one, lost(level));
     }
@@ -75,28 +79,27 @@ pub fn even(own_power: f64) -> Contrast {
 }
 
 /// Raises the powers of a level so that its unevenness grows by `wanted`, by damped least squares; not at all where its growth is not known.
-fn raise(level: &mut LevelContrast, wanted: [f64; 4]) {
+fn raise(level: &mut LevelContrast, wanted: [f64; UNEVENNESS]) {
     let per_deviation =
-        Matrix4::from_diagonal(&Vector4::from(level.deviation.map(|deviation| 1.0 / deviation.max(LEAST_DEVIATION))));
+        Square::from_diagonal(&Figure::from(level.deviation.map(|deviation| 1.0 / deviation.max(LEAST_DEVIATION))));
     let growth = per_deviation * matrix(&level.growth);
-    let normal = growth.transpose() * growth + Matrix4::identity() * (WORTH * WORTH);
+    let normal = growth.transpose() * growth + Square::identity() * (WORTH * WORTH);
     let Some(inverse) = normal.try_inverse() else { return };
-    let step = inverse * growth.transpose() * per_deviation * Vector4::from(wanted);
+    let step = inverse * growth.transpose() * per_deviation * Figure::from(wanted);
     if step.iter().all(|change| change.is_finite()) {
-        let powers = level.own_power.iter_mut().chain([&mut level.local_power]);
+        let powers = level.own_power.iter_mut().chain(&mut level.local_power);
         for (power, change) in powers.zip(step.iter()) {
             *power = (*power + change.clamp(-MOST_STEP, MOST_STEP)).clamp(POWERS[0], POWERS[1]);
         }
     }
 }
 
-fn matrix(growth: &[[f64; 4]; 4]) -> Matrix4<f64> {
-    Matrix4::from_fn(|row, column| growth[row][column])
+fn matrix(growth: &[[f64; UNEVENNESS]; UNEVENNESS]) -> Square {
+    Square::from_fn(|row, column| growth[row][column])
 }
 
-fn powers(level: &LevelContrast) -> Vector4<f64> {
-    let [x, y, diagonal] = level.own_power;
-    Vector4::new(x, y, diagonal, level.local_power)
+fn powers(level: &LevelContrast) -> Figure {
+    Figure::from_iterator(level.own_power.into_iter().chain(level.local_power))
 }
 
 /// The contrast for which `trial` comes to the figures that are wanted, all levels at once. Differences small beside the deviation from raster to
@@ -106,18 +109,23 @@ pub fn fitted(wanted: &Figures, mut trial: impl FnMut(&Contrast) -> Vec<LevelFig
     let mut now = even(FIRST_TRIAL);
     take_off_gains(&mut now, &none, &wanted.mean);
     let own = trial(&now);
-    now.levels.iter_mut().for_each(|level| level.local_power = FIRST_TRIAL);
+    now.levels.iter_mut().for_each(|level| level.local_power[0] = FIRST_TRIAL);
+    let near = trial(&now);
+    now.levels.iter_mut().for_each(|level| level.local_power[1] = FIRST_TRIAL);
     let mut found = trial(&now);
     for (k, level) in now.levels.iter_mut().enumerate() {
         let slope = |from: &[LevelFigures], to: &[LevelFigures], figure: usize| {
             (to[k].unevenness[figure] - from[k].unevenness[figure]) / FIRST_TRIAL
         };
-        // Each orientation has its own flatness, and they share the cascade.
+        // Each orientation has its own flatness, and they share the cascades.
         for figure in 0..3 {
             level.growth[figure][figure] = slope(&none, &own, figure);
-            level.growth[3][figure] = slope(&none, &own, 3) / 3.0;
+            (3..UNEVENNESS).for_each(|cascade| level.growth[cascade][figure] = slope(&none, &own, cascade) / 3.0);
         }
-        (0..4).for_each(|figure| level.growth[figure][3] = slope(&own, &found, figure));
+        for figure in 0..UNEVENNESS {
+            level.growth[figure][3] = slope(&own, &near, figure);
+            level.growth[figure][4] = slope(&near, &found, figure);
+        }
         level.deviation = wanted.deviation[k];
     }
     let mut best: Vec<(f64, LevelContrast)> = now.levels.iter().map(|level| (f64::INFINITY, level.clone())).collect();
@@ -129,7 +137,7 @@ pub fn fitted(wanted: &Figures, mut trial: impl FnMut(&Contrast) -> Vec<LevelFig
         take_off_gains(&mut next, &found, &wanted.mean);
         let came = trial(&next);
         for (k, level) in next.levels.iter_mut().enumerate() {
-            let grown = Vector4::from(std::array::from_fn(|i| came[k].unevenness[i] - found[k].unevenness[i]));
+            let grown = Figure::from_fn(|i, _| came[k].unevenness[i] - found[k].unevenness[i]);
             level.growth = corrected(&level.growth, powers(level) - powers(&now.levels[k]), grown);
             let missed = missed(&came[k], &wanted.mean[k], &wanted.deviation[k]);
             if missed < best[k].0 {
@@ -156,13 +164,13 @@ pub fn fitted(wanted: &Figures, mut trial: impl FnMut(&Contrast) -> Vec<LevelFig
     now
 }
 
-/// Mean square of what the unevenness misses, in deviations over rasters; the cascade counts as much as the three orientations.
-fn missed(found: &LevelFigures, wanted: &LevelFigures, deviation: &[f64; 4]) -> f64 {
+/// Mean square of what the unevenness misses, in deviations over rasters; the cascades count as much as the three orientations.
+fn missed(found: &LevelFigures, wanted: &LevelFigures, deviation: &[f64; UNEVENNESS]) -> f64 {
     let squared = |k: usize| {
         let miss = (found.unevenness[k] - wanted.unevenness[k]) / deviation[k];
         miss * miss
     };
-    (squared(0) + squared(1) + squared(2)) / 3.0 + squared(3)
+    (squared(0) + squared(1) + squared(2)) / 3.0 + 0.5 * (squared(3) + squared(4))
 }
 
 /// Changes the gains by what details are stronger than is wanted.
@@ -178,7 +186,7 @@ fn take_off_gains(contrast: &mut Contrast, found: &[LevelFigures], wanted: &[Lev
 }
 
 /// The growth that agrees with what a step made of the unevenness, and is otherwise as it was.
-fn corrected(growth: &[[f64; 4]; 4], step: Vector4<f64>, grown: Vector4<f64>) -> [[f64; 4]; 4] {
+fn corrected(growth: &[[f64; UNEVENNESS]; UNEVENNESS], step: Figure, grown: Figure) -> [[f64; UNEVENNESS]; UNEVENNESS] {
     let length = step.norm_squared();
     if length < 1e-4 {
         return *growth;
@@ -192,23 +200,24 @@ fn corrected(growth: &[[f64; 4]; 4], step: Vector4<f64>, grown: Vector4<f64>) ->
 mod tests {
     use super::*;
 
-    const DEVIATION: [f64; 4] = [0.16, 0.2, 0.16, 0.012];
+    const DEVIATION: [f64; UNEVENNESS] = [0.16, 0.2, 0.16, 0.012, 0.015];
 
     /// Unevenness that grows more slowly with more contrast, and strengths that follow their gains.
     fn law(contrast: &Contrast) -> Vec<LevelFigures> {
         let bent = |x: f64| x / (1.0 + 0.2 * x);
         let one = |level: &LevelContrast| {
             let own = level.own_power.map(bent);
-            let local = bent(level.local_power);
-            let [x, y, diagonal] = own.map(|own| 2.0 * own + 0.8 * local + 1.2);
+            let [near, far] = level.local_power.map(bent);
+            let [x, y, diagonal] = own.map(|own| 2.0 * own + 0.8 * near + 0.6 * far + 1.2);
             let log_rms = std::array::from_fn(|k| 0.9 * level.log_gain[k] + [0.05, -0.03, 0.0][k]);
-            let cascade = 0.05 * own.iter().sum::<f64>() + 0.25 * local - 0.7;
-            LevelFigures { log_rms, unevenness: [x, y, diagonal, cascade] }
+            let own = 0.05 * own.iter().sum::<f64>() - 0.7;
+            let cascades = [own + 0.25 * near + 0.05 * far, own + 0.1 * near + 0.3 * far];
+            LevelFigures { log_rms, unevenness: [x, y, diagonal, cascades[0], cascades[1]] }
         };
         contrast.levels.iter().map(one).collect()
     }
 
-    fn fitted_to(mean: Vec<LevelFigures>, deviation: [f64; 4]) -> Contrast {
+    fn fitted_to(mean: Vec<LevelFigures>, deviation: [f64; UNEVENNESS]) -> Contrast {
         let deviation = vec![deviation; mean.len()];
         fitted(&Figures { mean, deviation }, law)
     }
@@ -216,7 +225,12 @@ mod tests {
     #[test]
     fn powers_are_found_where_the_unevenness_grows_with_them() {
         let mut truth = Contrast::none();
-        let powers = [([0.4, 0.2, 0.3], 0.1), ([0.0; 3], 0.3), ([-0.1, 0.1, 0.0], 0.4), ([0.5; 3], 0.5)];
+        let powers = [
+            ([0.4, 0.2, 0.3], [0.1, 0.3]),
+            ([0.0; 3], [0.3, 0.0]),
+            ([-0.1, 0.1, 0.0], [0.4, 0.2]),
+            ([0.5; 3], [0.5, 0.1]),
+        ];
         for (level, (own_power, local_power)) in truth.levels.iter_mut().zip(powers) {
             *level =
                 LevelContrast { own_power, local_power, log_gain: [-0.05, 0.03, 0.02], ..LevelContrast::default() };
@@ -224,15 +238,18 @@ mod tests {
         let wanted = law(&truth);
         for (found, wanted) in law(&fitted_to(wanted.clone(), DEVIATION)).iter().zip(&wanted) {
             let missed = |k: usize| (found.unevenness[k] - wanted.unevenness[k]) / DEVIATION[k];
-            assert!((0..4).all(|k| missed(k).abs() < 0.5), "{found:?} {wanted:?}");
+            assert!((0..UNEVENNESS).all(|k| missed(k).abs() < 0.5), "{found:?} {wanted:?}");
             assert!((0..3).all(|k| (found.log_rms[k] - wanted.log_rms[k]).abs() < 0.003), "{found:?} {wanted:?}");
         }
-        let unknown = LevelFigures { log_rms: [f64::NAN; 3], unevenness: [f64::NAN; 4] };
+        let unknown = LevelFigures { log_rms: [f64::NAN; 3], unevenness: [f64::NAN; UNEVENNESS] };
         assert!(fitted_to(vec![unknown; 4], DEVIATION) == Contrast::none());
         // Noise that is far too even gets the most.
-        let uneven = LevelFigures { log_rms: [0.0; 3], unevenness: [9.0, 9.0, 9.0, 1.0] };
+        let uneven = LevelFigures { log_rms: [0.0; 3], unevenness: [9.0, 9.0, 9.0, 1.0, 1.0] };
         let most = fitted_to(vec![uneven; 4], DEVIATION).levels[0].clone();
-        assert!(most.own_power[1] >= POWERS[1] && most.local_power >= POWERS[1], "{most:?}");
+        assert!(
+            most.own_power[1] > 0.6 * POWERS[1] && most.local_power.iter().all(|power| *power >= POWERS[1]),
+            "{most:?}"
+        );
         // What rasters differ by a hundred times is not made up for.
         let loose = fitted_to(wanted, DEVIATION.map(|deviation| 100.0 * deviation));
         assert!(loose.levels.iter().all(|level| powers_near(level, 0.3)), "{loose:?}");
@@ -246,12 +263,16 @@ mod tests {
     fn what_a_survey_loses_is_made_up_for_where_its_growth_is_known() {
         let mut contrast = fitted_to(law(&even(0.3)), DEVIATION);
         let before = law(&contrast);
-        contrast.levels[1].growth = [[0.0; 4]; 4];
-        let lost = [0.2, 0.2, 0.2, 0.03];
+        contrast.levels[1].growth = [[0.0; UNEVENNESS]; UNEVENNESS];
+        let lost = [0.2, 0.2, 0.2, 0.03, 0.03];
         make_up(&mut contrast, |_| lost);
         let after = law(&contrast);
         let grown = |k: usize| after[0].unevenness[k] - before[0].unevenness[k];
-        assert!((0..4).all(|k| (grown(k) - lost[k]).abs() < 0.5 * DEVIATION[k]), "{:?}", [0, 1, 2, 3].map(grown));
+        assert!(
+            (0..UNEVENNESS).all(|k| (grown(k) - lost[k]).abs() < 0.5 * DEVIATION[k]),
+            "{:?}",
+            [0, 1, 2, 3, 4].map(grown)
+        );
         assert!(after[1] == before[1]);
     }
 }

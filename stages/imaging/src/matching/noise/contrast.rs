@@ -11,8 +11,8 @@ use rockface_core::artefact::{Contrast, LevelContrast};
 use rockface_core::numerics::gaussian::{half_kernel, smooth_columns, smooth_rows, smoothed};
 use rockface_core::numerics::portable_math;
 
-/// Deviation of the Gaussian under which the squares of details are the strength around, in deviations of that of the level.
-const LOCAL: f64 = 1.5;
+/// Deviations of the Gaussians under which the squares of details are the strength near and farther around, in deviations of that of the level.
+const LOCAL: [f64; 2] = [1.5, 6.0];
 /// Least part of the mean square that a square counts as.
 const LEAST_SQUARE: f64 = 1e-3;
 /// Largest factor on a detail.
@@ -23,9 +23,9 @@ type Details = [Vec<f64>; 3];
 
 /// A field without gaps whose details have contrast; the mean square of each level and orientation stays.
 pub fn with_contrast(field: Vec<f64>, columns: usize, contrast: &Contrast) -> Vec<f64> {
-    let is_none = |level: &LevelContrast| level.own_power.iter().chain([&level.local_power]).all(|p| p.abs() <= 0.0);
+    let is_none = |level: &LevelContrast| level.own_power.iter().chain(&level.local_power).all(|p| p.abs() <= 0.0);
     changed(field, columns, contrast, is_none, |details, level, cells| {
-        raise(details, level, columns, LOCAL * cells);
+        raise(details, level, columns, LOCAL.map(|scale| scale * cells));
     })
 }
 
@@ -77,16 +77,17 @@ fn apart(field: &[f64], columns: usize, kernel: &[f64]) -> (Details, Vec<f64>) {
 }
 
 /// Multiplies details by powers of their own size and of the strength around.
-fn raise(details: &mut Details, powers: &LevelContrast, columns: usize, local_cells: f64) {
+fn raise(details: &mut Details, powers: &LevelContrast, columns: usize, local_cells: [f64; 2]) {
     let mean_square = |details: &[f64]| details.iter().map(|d| d * d).sum::<f64>() / details.len() as f64;
     let before = details.each_ref().map(|details| mean_square(details).max(f64::MIN_POSITIVE));
     let square = |i: usize| (0..3).map(|o| details[o][i] * details[o][i] / before[o]).sum::<f64>() / 3.0;
     let squares: Vec<f32> = (0..details[0].len()).map(|i| square(i) as f32).collect();
     let log = |square: f64| portable_math::log(square.max(LEAST_SQUARE));
-    let local: Vec<f64> = smoothed(&squares, columns, local_cells)
-        .into_par_iter()
-        .map(|around| powers.local_power * log(around))
-        .collect();
+    let mut local = vec![0.0; squares.len()];
+    for (power, cells) in powers.local_power.into_iter().zip(local_cells).filter(|(power, _)| power.abs() > 0.0) {
+        let around = smoothed(&squares, columns, cells);
+        local.par_iter_mut().zip(around).for_each(|(sum, around)| *sum += power * log(around));
+    }
     for ((details, before), own_power) in details.iter_mut().zip(before).zip(powers.own_power) {
         details.par_iter_mut().zip(&local).for_each(|(detail, local)| {
             let own = own_power * log(*detail * *detail / before);
