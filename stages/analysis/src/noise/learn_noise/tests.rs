@@ -312,6 +312,13 @@ fn what_cannot_be_learnt_from_is_refused() {
     assert!(learn(4, &[], &json!({"held_out": 0.6})).err().unwrap().message.contains("2 of 4 rasters"));
     let (noise, _) = learn(16, &[], &json!({"held_out": 0.25})).unwrap();
     assert_eq!(noise.members.len(), 12);
+    for slope in [0.0, 0.001] {
+        let mut rasters = differences(4, &[]);
+        let values = rasters[2].bands[0].values.iter_mut().enumerate();
+        values.for_each(|(i, z)| *z = 0.3 + slope * (i % COLUMNS) as f32);
+        let refused = learn_from(rasters, &json!({})).err().unwrap().message;
+        assert!(refused.contains("`n2` is a plane"), "{refused}");
+    }
 }
 
 /// The model learnt in a window of rasters whose cells from column 60 on are multiplied.

@@ -10,6 +10,9 @@ use rockface_core::{StageError, fail};
 use rockface_imaging::matching::noise::ensemble::draw;
 use rockface_raster::grid;
 
+/// Largest departure from its plane, as a share of its largest value, at which a raster counts as a plane.
+const LEAST_NOISE: f64 = 1e-6;
+
 /// Checks that rasters, DEM and cameras are of one grid and frame.
 ///
 /// # Errors
@@ -62,7 +65,7 @@ pub fn check_parts(noise: &Noise) -> Result<(), StageError> {
 /// Differences as errors of disparity, pixels of the full image, each without the plane through it, which is what registration left.
 ///
 /// # Errors
-/// A raster with too few values, or with one value everywhere.
+/// A raster with too few values, with values on a line only, or that is a plane.
 pub fn disparities(bands: &[&Band], columns: usize, step_m: &[f32]) -> Result<Vec<Vec<f32>>, StageError> {
     let one = |band: &&Band| {
         let known = band.values.iter().zip(step_m).filter(|(value, step)| !(value.is_nan() || step.is_nan()));
@@ -74,12 +77,14 @@ pub fn disparities(bands: &[&Band], columns: usize, step_m: &[f32]) -> Result<Ve
             return Err(StageError::new(text)
                 .hint("a tenth is needed: check window, frame and cameras, or leave the raster out"));
         }
-        if known.iter().all(|value| (value - known[0]).abs() < 1e-12) {
-            fail!("raster `{}` has one value everywhere: there is no noise to learn", band.name);
-        }
         let flat = Detrend::Plane.applied(&band.values, columns);
         let flat =
             flat.ok_or_else(|| StageError::new(format!("the values of raster `{}` lie on a line", band.name)))?;
+        // What rounding to 32 bits leaves of a plane is no noise.
+        let largest = known.iter().map(|value| value.abs()).fold(0.0, f64::max);
+        if flat.iter().all(|value| value.is_nan() || f64::from(value.abs()) <= LEAST_NOISE * largest) {
+            fail!("raster `{}` is a plane: there is no noise to learn", band.name);
+        }
         Ok(flat.iter().zip(step_m).map(|(value, step)| value / step).collect())
     };
     bands.iter().map(one).collect()
