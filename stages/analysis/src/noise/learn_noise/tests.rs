@@ -226,7 +226,7 @@ fn draws_differ_from_each_other_as_much_as_the_rasters_do() {
     let rasters: Vec<Raster> = (0..24).map(one).collect();
     let (noise, _) = learn_from(rasters.clone(), &json!({})).unwrap();
     let bands: Vec<&Band> = rasters.iter().flat_map(|raster| &raster.bands).collect();
-    let real = learning::differences::disparities(&bands, COLUMNS, &[1.0; COLUMNS * ROWS]).unwrap();
+    let real = learning::differences::disparities(&bands, COLUMNS, &vec![1.0; COLUMNS * ROWS]).unwrap();
     let places = Places::of(noise.strength.clone());
     let deviations = |rasters: &[Vec<f32>]| {
         let whitened = whiten(rasters, COLUMNS, &places);
