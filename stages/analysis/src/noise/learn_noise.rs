@@ -211,12 +211,14 @@ impl Learnt {
         };
         let real: Vec<&[f32]> =
             disparities.iter().zip(&self.bad).filter(|(_, bad)| !**bad).map(|(raster, _)| raster.as_slice()).collect();
-        usual.contrast = match params.contrast {
-            Some(_) => given,
-            None => contrast::fitted(&Figures::of(&real, self.columns), |contrast| {
+        let details =
+            |trial: &[Vec<f32>]| Figures::of(&trial.iter().map(Vec::as_slice).collect::<Vec<_>>(), self.columns).mean;
+        let wanted = params.contrast.is_none().then(|| Figures::of(&real, self.columns));
+        usual.contrast = match &wanted {
+            None => given,
+            Some(wanted) => contrast::fitted(wanted, |contrast| {
                 usual.contrast = contrast.clone();
-                let trial = drawn(&usual, params.draws.min(CONTRAST_DRAWS));
-                Figures::of(&trial.iter().map(Vec::as_slice).collect::<Vec<_>>(), self.columns).mean
+                details(&drawn(&usual, params.draws.min(CONTRAST_DRAWS)))
             }),
         };
         let mut trial = drawn(&usual, params.draws);
@@ -233,13 +235,11 @@ impl Learnt {
             noise
         };
         // Now acquisitions differ, and mixtures of what differs are more uneven: what draws miss then comes off in rounds.
-        let wanted = Figures::of(&real, self.columns);
         for _ in 0..ROUNDS {
             trial = drawn(&Noise { bad_share: 0.0, ..corrected(&sources, &correction, &contrast) }, params.draws);
             correction.refine(&self.usual(), &whiten(&trial, self.columns, &self.places));
-            if params.contrast.is_none() {
-                let found = Figures::of(&trial.iter().map(Vec::as_slice).collect::<Vec<_>>(), self.columns);
-                contrast::refine(&mut contrast, &wanted, &found.mean);
+            if let Some(wanted) = &wanted {
+                contrast::refine(&mut contrast, wanted, &details(&trial));
             }
         }
         let asymmetries = |raster: &Vec<f32>| {

@@ -244,12 +244,9 @@ mod tests {
         let unknown = LevelFigures { log_rms: [f64::NAN; 3], unevenness: [f64::NAN; UNEVENNESS] };
         assert!(fitted_to(vec![unknown; 4], DEVIATION) == Contrast::none());
         // Noise that is far too even gets the most.
-        let uneven = LevelFigures { log_rms: [0.0; 3], unevenness: [9.0, 9.0, 9.0, 1.0, 1.0] };
+        let uneven = LevelFigures { log_rms: [0.0; 3], unevenness: [90.0, 90.0, 90.0, 10.0, 10.0] };
         let most = fitted_to(vec![uneven; 4], DEVIATION).levels[0].clone();
-        assert!(
-            most.own_power[1] > 0.6 * POWERS[1] && most.local_power.iter().all(|power| *power >= POWERS[1]),
-            "{most:?}"
-        );
+        assert!(most.own_power[1] >= POWERS[1] && most.local_power.iter().all(|power| *power >= POWERS[1]), "{most:?}");
         // What rasters differ by a hundred times is not made up for.
         let loose = fitted_to(wanted, DEVIATION.map(|deviation| 100.0 * deviation));
         assert!(loose.levels.iter().all(|level| powers_near(level, 0.3)), "{loose:?}");
