@@ -5,8 +5,8 @@ use std::io;
 
 use rockface_core::artefact::{
     Acceptance, Artefact, Band, Cell, Cloud, Contrast, Covariance, Depth, Feature, Figure, Files, Frame, Grid,
-    GroupModel, Inventory, LevelContrast, Member, Mesh, Meshes, Noise, Pair, Pairs, Part, Picture, Polygon, Raster,
-    ReliefLaw, Sample, Shown, Surface, Table, Transform,
+    GroupModel, Inventory, LevelContrast, LevelFigures, Member, Mesh, Meshes, Noise, Pair, Pairs, Part, Picture,
+    Polygon, Raster, ReliefLaw, Sample, Shown, Surface, Table, Transform,
 };
 use serde_json::json;
 
@@ -92,6 +92,8 @@ fn noise() -> Noise {
                 local_power: [-0.1, 0.2],
                 log_gain: [0.01, -0.02, 0.0],
                 growth: [[0.3, 0.0, 0.0, 0.1, 0.2]; 5],
+                usual: LevelFigures { log_rms: [-0.4, -0.5, -1.0], unevenness: [1.5, 1.4, 1.3, -1.0, -1.2] },
+                drawn: LevelFigures { log_rms: [-0.5, -0.4, -1.1], unevenness: [1.6, 1.4, 1.2, -1.1, -1.2] },
                 deviation: [0.01, 0.02, 0.03, 0.04, 0.05],
             }],
         },

@@ -5,7 +5,8 @@ use crate::noise::learning::departure::{Departure, Mean, figures};
 use crate::noise::learning::differences::{check, check_model, disparities};
 use crate::noise::learning::whitening::{Places, whiten};
 use crate::noise::structure;
-use rockface_core::artefact::{Band, Cameras, Kind, Noise, Pairs, Raster, UNEVENNESS};
+use rockface_core::artefact::{Band, Cameras, Kind, LevelContrast, LevelFigures, Noise, Pairs, Raster, UNEVENNESS};
+use rockface_core::numerics::portable_math::{exp, log};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 use rockface_imaging::matching::elevation_step::elevation_step_m;
 
@@ -19,15 +20,19 @@ pub struct AdjustNoise;
 
 /// Standard errors within which a difference counts as chance.
 const CHANCE_ERRORS: f64 = 2.0;
-/// The same for the unevenness of details: coarse levels show little of it, and contrast that is a little too strong does no harm.
-const UNEVENNESS_ERRORS: f64 = 1.0;
+/// The same for details: coarse levels show little of it, and contrast that is a little too strong does no harm.
+const DETAIL_ERRORS: f64 = 1.0;
+/// Figures of a level of details: its unevenness, and the logarithms of its rms.
+const OF_LEVEL: usize = UNEVENNESS + 3;
 /// Fewest simulated rasters from which chance can be told.
 const LEAST: usize = 2;
+/// Most of what a draw loses that a usual raster loses.
+const MOST_SHARE: f64 = 2.0;
 
 impl Stage for AdjustNoise {
     type Params = AdjustNoiseParams;
     const NAME: &'static str = "adjust-noise";
-    const VERSION: u32 = 7;
+    const VERSION: u32 = 8;
     const PAGE: Page = Page::new(include_str!("adjust_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("noise", &[Kind::Noise], "The model."),
@@ -62,11 +67,11 @@ impl Stage for AdjustNoise {
             let disparities = disparities(&bands, columns, &step_m)?;
             let whitened = whiten(&disparities, columns, &places);
             context.check_cancelled()?;
-            let uneven = |raster: &Vec<f32>| {
+            let details = |raster: &Vec<f32>| {
                 let levels = structure::levels(raster, columns, noise.contrast.levels.len());
-                levels.into_iter().flat_map(|level| level.unevenness)
+                levels.into_iter().flat_map(|level| level.all().collect::<Vec<f64>>())
             };
-            let row = |(w, raster)| figures(w).into_iter().chain(uneven(raster)).collect();
+            let row = |(w, raster)| figures(w).into_iter().chain(details(raster)).collect();
             Ok(whitened.iter().zip(&disparities).map(row).collect())
         };
         let (simulated, drawn) = (rows("simulated")?, rows("drawn")?);
@@ -78,58 +83,100 @@ impl Stage for AdjustNoise {
             let text = format!("{} simulated raster, {LEAST} are needed to know what is chance", simulated.len());
             return Err(StageError::new(text).hint("simulate more surveys with the model"));
         }
-        // Acquisitions differ far more than what a survey loses, but both rasters of a pair have the same one.
-        // Nothing is lost of levels that have no details.
-        let lost = |(simulated, drawn): (&Vec<f64>, &Vec<f64>)| -> Vec<f64> {
-            let differences = simulated.iter().zip(drawn).map(|(simulated, drawn)| simulated - drawn);
-            differences.map(|lost| if lost.is_nan() { 0.0 } else { lost }).collect()
-        };
-        let lost: Vec<Vec<f64>> = simulated.iter().zip(&drawn).map(lost).collect();
-        let nothing = Mean { value: 0.0, squared_error: 0.0 };
-        let losses: Vec<Departure> = (0..lost[0].len()).map(|k| Departure::of(Mean::of(&lost, k), nothing)).collect();
+        let losses = losses(&simulated, &drawn, &noise.contrast.levels);
         report(&losses, noise, context);
         Ok(Outputs::of("noise", adjusted(noise, &losses)))
     }
 }
 
-/// The model with what is lost added: first the classes of place, then the bands, then the unevenness of details by level.
+/// What simulated rasters lose of the figures of the draws beside them, and for details what usual ones lack of those of the rasters.
+fn losses(simulated: &[Vec<f64>], drawn: &[Vec<f64>], levels: &[LevelContrast]) -> Vec<Departure> {
+    // Acquisitions differ far more than what a survey loses, but both rasters of a pair have the same one.
+    // Nothing is lost of levels that have no details.
+    let lost = |(simulated, drawn): (&Vec<f64>, &Vec<f64>)| -> Vec<f64> {
+        let differences = simulated.iter().zip(drawn).map(|(simulated, drawn)| simulated - drawn);
+        differences.map(|lost| if lost.is_nan() { 0.0 } else { lost }).collect()
+    };
+    let mut lost: Vec<Vec<f64>> = simulated.iter().zip(drawn).map(lost).collect();
+    let details = lost[0].len() - OF_LEVEL * levels.len();
+    for (lost, drawn) in lost.iter_mut().zip(drawn) {
+        let figures = lost[details..].chunks_exact_mut(OF_LEVEL).zip(drawn[details..].chunks_exact(OF_LEVEL));
+        figures.zip(levels).for_each(|((lost, drawn), level)| to_usual(lost, drawn, level));
+    }
+    // Draws of the model may themselves depart from the rasters: that is made up for too.
+    let lacking = |level: &LevelContrast| {
+        let mut lacking: Vec<f64> =
+            level.usual.all().zip(level.drawn.all()).map(|(usual, drawn)| usual - drawn).collect();
+        without_mean(&mut lacking[UNEVENNESS..]);
+        lacking
+    };
+    let wanted = vec![0.0; details].into_iter().chain(levels.iter().flat_map(lacking));
+    let loss = |(k, value)| Departure::of(Mean::of(&lost, k), Mean { value, squared_error: 0.0 });
+    wanted.enumerate().map(loss).collect()
+}
+
+/// Brings what is lost of the details of a level to what a usual raster loses. Smoothing takes from strong places what it gives to weak ones: noise
+/// as even as normal noise loses no unevenness, and noise that is more uneven loses more. Of the strength only what differs by orientation is left:
+/// the rest is in the bands of frequency.
+fn to_usual(lost: &mut [f64], drawn: &[f64], level: &LevelContrast) {
+    let (unevenness, log_rms) = lost.split_at_mut(UNEVENNESS);
+    let share = |k: usize| {
+        let [usual, drawn] = [level.usual.unevenness[k], drawn[k]].map(|log_flatness| log_flatness - log(3.0));
+        if usual > 0.0 && drawn > 0.0 { (usual / drawn).min(MOST_SHARE) } else { 1.0 }
+    };
+    let flatness = [share(0), share(1), share(2)];
+    let cascade = flatness.iter().sum::<f64>() / 3.0;
+    let shares = flatness.into_iter().chain(std::iter::repeat(cascade));
+    unevenness.iter_mut().zip(shares).for_each(|(lost, share)| *lost *= share);
+    without_mean(log_rms);
+}
+
+fn without_mean(values: &mut [f64]) {
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    values.iter_mut().for_each(|value| *value -= mean);
+}
+
+/// The model with what is lost added: first the classes of place, then the bands, then the details by level.
 fn adjusted(noise: &Noise, losses: &[Departure]) -> Noise {
-    let (classes, bands, unevenness) = parts(losses, noise);
+    let (classes, bands, details) = parts(losses, noise);
     let mut adjusted = noise.clone();
     for member in &mut adjusted.members {
         member.log_strength.iter_mut().zip(classes).for_each(|(value, loss)| *value -= loss.certain(CHANCE_ERRORS));
     }
     adjusted.log_gain.iter_mut().zip(bands).for_each(|(gain, loss)| *gain -= loss.certain(CHANCE_ERRORS));
-    let certain = |k: usize| -unevenness[k].certain(UNEVENNESS_ERRORS);
+    let certain = |k: usize| -details[k].certain(DETAIL_ERRORS);
     contrast::make_up(&mut adjusted.contrast, |level| {
-        std::array::from_fn(|figure| certain(UNEVENNESS * level + figure))
+        let first = OF_LEVEL * level;
+        LevelFigures {
+            unevenness: std::array::from_fn(|k| certain(first + k)),
+            log_rms: std::array::from_fn(|k| certain(first + UNEVENNESS + k)),
+        }
     });
     adjusted
 }
 
-/// Losses of classes of place, of bands, and of the unevenness of details.
+/// Losses of classes of place, of bands, and of details.
 fn parts<'a>(losses: &'a [Departure], noise: &Noise) -> (&'a [Departure], &'a [Departure], &'a [Departure]) {
     let (classes, rest) = losses.split_at(noise.class_log_strength.len());
-    let (bands, unevenness) = rest.split_at(noise.bands());
-    (classes, bands, unevenness)
+    let (bands, details) = rest.split_at(noise.bands());
+    (classes, bands, details)
 }
 
 fn report(losses: &[Departure], noise: &Noise, context: &Context) {
-    let (classes, bands, unevenness) = parts(losses, noise);
+    let (classes, bands, details) = parts(losses, noise);
     let percent = |losses: &[Departure], errors: f64| {
-        let one = |loss: &Departure| {
-            format!("{:+.0}", 100.0 * (rockface_core::numerics::portable_math::exp(loss.certain(errors)) - 1.0))
-        };
+        let one = |loss: &Departure| format!("{:+.0}", 100.0 * (exp(loss.certain(errors)) - 1.0));
         losses.iter().map(one).collect::<Vec<_>>().join(" ")
     };
     context.metric("finest_band", bands.last().map_or(0.0, |loss| loss.difference), "1");
     context.metric("strongest_class", classes.last().map_or(0.0, |loss| loss.difference), "1");
     context.note(format!(
         "amplitudes of the simulated rasters beside those of the model, per cent: {} by class of place, {} by band, coarsest first; \
-         flatness (along x, along y, diagonal) and cascade of details: {} by level, finest first",
+         details of usual ones beside those of the rasters: {} by level, finest first, each flatness along x, along y and diagonal, cascade to \
+         two levels, and amplitude along x, along y and diagonal",
         percent(classes, CHANCE_ERRORS),
         percent(bands, CHANCE_ERRORS),
-        percent(unevenness, UNEVENNESS_ERRORS)
+        percent(details, DETAIL_ERRORS)
     ));
 }
 

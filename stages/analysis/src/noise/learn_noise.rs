@@ -8,7 +8,7 @@ use crate::noise::detrend::{asymmetry, plane};
 use crate::noise::learning::acquisitions::{Acquisitions, Source, Variety, acquisitions};
 use crate::noise::learning::bad::parted;
 use crate::noise::learning::by_place;
-use crate::noise::learning::contrast::{self, Figures};
+use crate::noise::learning::contrast::{self, Figures, Nearest};
 use crate::noise::learning::departure::{Departure, Mean, figures};
 use crate::noise::learning::differences::{check, differences, disparities};
 use crate::noise::learning::whitening::{
@@ -73,7 +73,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 13;
+    const VERSION: u32 = 14;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -235,12 +235,23 @@ impl Learnt {
             noise
         };
         // Now acquisitions differ, and mixtures of what differs are more uneven: what draws miss then comes off in rounds.
-        for _ in 0..ROUNDS {
+        // Of the rounds the one counts for each level of contrast that came nearest.
+        let mut nearest = Nearest::default();
+        for round in 0..=ROUNDS {
             trial = drawn(&Noise { bad_share: 0.0, ..corrected(&sources, &correction, &contrast) }, params.draws);
-            correction.refine(&self.usual(), &whiten(&trial, self.columns, &self.places));
+            let found = details(&trial);
             if let Some(wanted) = &wanted {
-                contrast::refine(&mut contrast, wanted, &details(&trial));
+                nearest.take(&contrast, wanted, &found);
             }
+            if round < ROUNDS {
+                correction.refine(&self.usual(), &whiten(&trial, self.columns, &self.places));
+                if let Some(wanted) = &wanted {
+                    contrast::refine(&mut contrast, wanted, &found);
+                }
+            }
+        }
+        if wanted.is_some() {
+            contrast = nearest.contrast();
         }
         let asymmetries = |raster: &Vec<f32>| {
             let change: Vec<f32> = raster.iter().zip(step_m).map(|(px, step_m)| px * step_m).collect();

@@ -10,7 +10,7 @@
 //! All are natural logarithms, and all but the last of the marginal figures are relative to the rms of the raster. NaN cells take no part.
 
 use rockface_core::StageError;
-use rockface_core::artefact::UNEVENNESS;
+use rockface_core::artefact::LevelFigures;
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::quantile::nearest_rank;
 
@@ -105,17 +105,7 @@ pub fn structure(values: &[f32], columns: usize, settings: &Settings) -> Result<
     Ok(found)
 }
 
-/// Figures of the details of a level of the Haar pyramid.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LevelFigures {
-    /// Logarithm of their rms along x, along y and diagonal, relative to that of the raster.
-    pub log_rms: [f64; 3],
-    /// Logarithm of their flatness in these orientations, and the figures of the cascade from this level to the next one and to the one after it, which is
-    /// 0 where the raster is too small for it.
-    pub unevenness: [f64; UNEVENNESS],
-}
-
-/// Figures of the details of each level, the finest first; NaN where a level has no values.
+/// Figures of the details of each level of the Haar pyramid, the finest first; NaN where a level has no values.
 pub fn levels(values: &[f32], columns: usize, count: usize) -> Vec<LevelFigures> {
     let mut smooth = Field::centred(values, columns);
     let whole = Moments::of(smooth.values.iter().copied()).log_rms("").unwrap_or(f64::NAN);

@@ -62,8 +62,30 @@ pub struct LevelContrast {
     /// How the flatness of the three orientations and the cascade to the next two levels (rows) grow with the three own powers and the two local ones
     /// (columns); 0: not known.
     pub growth: [[f64; UNEVENNESS]; UNEVENNESS],
-    /// Deviation of these figures from raster to raster.
+    /// Mean figures of the rasters.
+    pub usual: LevelFigures,
+    /// Mean figures of draws of the model as it was learnt.
+    pub drawn: LevelFigures,
+    /// Deviation of the unevenness from raster to raster.
     pub deviation: [f64; UNEVENNESS],
+}
+
+/// Figures of the details of one level of a raster.
+#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LevelFigures {
+    /// Logarithm of their rms along x, along y and diagonal, relative to that of the raster.
+    pub log_rms: [f64; 3],
+    /// Logarithm of their flatness in these orientations, and the figures of the cascade from this level to the next one and to the one after it, which is
+    /// 0 where the raster is too small for it.
+    pub unevenness: [f64; UNEVENNESS],
+}
+
+impl LevelFigures {
+    /// All figures: the unevenness, then the logarithms of the rms.
+    pub fn all(&self) -> impl Iterator<Item = f64> {
+        self.unevenness.into_iter().chain(self.log_rms)
+    }
 }
 
 impl Contrast {
@@ -205,9 +227,11 @@ impl Noise {
         }
         let Contrast { finest_cells, levels } = &self.contrast;
         let sound = |level: &LevelContrast| {
+            let LevelContrast { growth, usual, drawn, deviation, .. } = level;
+            let mut figures = growth.iter().flatten().chain(deviation).copied().chain(usual.all()).chain(drawn.all());
             level.own_power.iter().chain(&level.local_power).all(|power| power.abs() <= MOST_POWER)
                 && level.log_gain.iter().all(|gain| gain.abs() <= MOST_LOG_GAIN)
-                && level.growth.iter().flatten().chain(&level.deviation).all(|figure| figure.is_finite())
+                && figures.all(f64::is_finite)
         };
         let usable = positive(*finest_cells)
             && *finest_cells <= MOST_FINEST_CELLS

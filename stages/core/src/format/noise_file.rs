@@ -2,7 +2,7 @@
 
 use crate::artefact::{CodecError, Contrast, Frame, Grid, Member, Noise, ReliefLaw};
 
-const MAGIC: &[u8] = b"rockface noise 8\n";
+const MAGIC: &[u8] = b"rockface noise 9\n";
 
 /// What is written into the header for whoever reads the file without us.
 const LAYOUT: &str = "rows x columns cells from the top left: strength float32 little-endian (px), elevation float32 (m, NaN = unknown); \
@@ -140,7 +140,7 @@ fn size(cells: usize, fields: usize) -> Option<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::artefact::LevelContrast;
+    use crate::artefact::{LevelContrast, LevelFigures};
 
     fn sample() -> Noise {
         let member = |name: &str, bad: bool| Member {
@@ -168,6 +168,8 @@ mod tests {
                     local_power: [-0.1, 0.2],
                     log_gain: [0.01, -0.02, 0.0],
                     growth: [[0.3, 0.0, 0.0, 0.1, 0.2]; 5],
+                    usual: LevelFigures { log_rms: [-0.4, -0.5, -1.0], unevenness: [1.5, 1.4, 1.3, -1.0, -1.2] },
+                    drawn: LevelFigures { log_rms: [-0.5, -0.4, -1.1], unevenness: [1.6, 1.4, 1.2, -1.1, -1.2] },
                     deviation: [0.01, 0.02, 0.03, 0.04, 0.05],
                 }],
             },

@@ -52,8 +52,10 @@ fn adjust(simulated: Vec<Raster>, drawn: Vec<Raster>, noise: Noise) -> Result<No
 #[test]
 fn what_is_smoothed_away_is_added_and_nothing_else() {
     let drawn = differences(6, 0.0);
-    let same = adjust(drawn.clone(), drawn.clone(), CLEAN.clone()).unwrap();
-    assert_eq!(same, CLEAN.clone());
+    let mut clean = CLEAN.clone();
+    clean.contrast.levels.iter_mut().for_each(|level| level.drawn = level.usual);
+    let same = adjust(drawn.clone(), drawn.clone(), clean.clone()).unwrap();
+    assert_eq!(same, clean);
     let more = adjust(differences(6, 0.7), drawn, CLEAN.clone()).unwrap();
     // What is left is whitened to unit variance: the fine third gains against the rest.
     let gains = &more.log_gain;
@@ -65,19 +67,34 @@ fn what_is_smoothed_away_is_added_and_nothing_else() {
 }
 
 #[test]
-fn unevenness_of_details_that_is_lost_is_made_up_for() {
+fn what_is_lost_of_details_is_made_up_for() {
     let mut contrast = Contrast::none();
     let levels = contrast.levels.len();
     for level in &mut contrast.levels {
         level.growth = std::array::from_fn(|row| std::array::from_fn(|column| if row == column { 0.2 } else { 0.0 }));
         level.deviation = [0.003; UNEVENNESS];
     }
-    let losses: Vec<Departure> = (0..CLASSES + BANDS + UNEVENNESS * levels)
-        .map(|k| Departure { difference: if k == CLASSES + BANDS + 3 { -0.03 } else { 0.0 }, error: 0.0 })
-        .collect();
+    let first = CLASSES + BANDS;
+    let mut losses = vec![Departure { difference: 0.0, error: 0.0 }; first + OF_LEVEL * levels];
+    losses[first + 3].difference = -0.03;
+    losses[first + UNEVENNESS + 1].difference = 0.1;
     let found = adjusted(&Noise { contrast: contrast.clone(), ..CLEAN.clone() }, &losses).contrast;
     let grown = 0.2 * found.levels[0].local_power[0];
     assert!((grown - 0.03).abs() < 0.002 && found.levels[1..] == contrast.levels[1..], "{found:?}");
+    let [x, y, diagonal] = found.levels[0].log_gain;
+    assert!((-0.1..-0.05).contains(&y) && x.abs() + diagonal.abs() < 1e-12, "{found:?}");
+}
+
+#[test]
+fn losses_are_those_of_a_usual_raster_and_its_directions() {
+    let usual =
+        LevelFigures { unevenness: [log(3.0) + 1.0, log(3.0) + 0.5, log(3.0) + 0.5, -0.7, -0.9], log_rms: [0.0; 3] };
+    let level = LevelContrast { usual, ..LevelContrast::default() };
+    let drawn = [log(3.0) + 2.0, log(3.0) + 0.1, log(3.0) + 1.0, -0.6, -0.8, 0.0, 0.0, 0.0];
+    let mut lost = [-0.2, -0.1, -0.1, -0.03, -0.02, -0.5, -0.3, -0.1];
+    to_usual(&mut lost, &drawn, &level);
+    let expected = [-0.1, -0.2, -0.05, -0.03, -0.02, -0.2, 0.0, 0.2];
+    assert!(lost.iter().zip(expected).all(|(lost, expected)| (lost - expected).abs() < 1e-9), "{lost:?}");
 }
 
 #[test]

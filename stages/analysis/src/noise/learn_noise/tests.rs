@@ -164,7 +164,7 @@ fn draws_are_as_strong_as_rasters_whose_largest_values_were_filtered_out() {
         let (noise, _) = learn_from(rasters.clone(), with).unwrap();
         mean(drawn_within_px(&noise, 60, f64::from(limit_m) / step_m).iter().map(|rms| rms[1])) / expected_px
     };
-    let (known, unknown) = (ratio(&json!({"outlier_m": 0.012})), ratio(&json!({})));
+    let (known, unknown) = (ratio(&json!({"outlier_m": 0.012, "draws": 8})), ratio(&json!({"draws": 8})));
     assert!((known - 1.0).abs() < 0.08 && unknown < known - 0.01, "{known} {unknown}");
 }
 
@@ -275,7 +275,7 @@ fn details_of_draws_are_as_uneven_as_those_of_the_rasters() {
         let lack = |k: usize| (real.mean[0].unevenness[k] - drawn.mean[0].unevenness[k]) / real.deviation[0][k];
         [mean((0..3).map(lack)), lack(3)]
     };
-    let (fitted, none) = (lacks(&json!({})), lacks(&json!({"contrast": 0.0})));
+    let (fitted, none) = (lacks(&json!({})), lacks(&json!({"contrast": 0.0, "draws": 8})));
     let missed = |lack: [f64; 2]| lack[0] * lack[0] + lack[1] * lack[1];
     assert!(none[0] > 0.5 && missed(fitted) < 0.6 * missed(none), "{fitted:?} {none:?}");
 }
@@ -283,7 +283,7 @@ fn details_of_draws_are_as_uneven_as_those_of_the_rasters() {
 #[test]
 fn one_or_two_bad_rasters_do_not_widen_the_good_draws() {
     for bad in [&[4u8][..], &[4, 11]] {
-        let (noise, host) = learn(16, bad, &json!({})).unwrap();
+        let (noise, host) = learn(16, bad, &json!({"draws": 8})).unwrap();
         let flagged: Vec<&str> = noise.members.iter().filter(|m| m.bad).map(|m| m.name.as_str()).collect();
         assert_eq!(flagged, bad.iter().map(|b| format!("n{b}")).collect::<Vec<_>>());
         assert!((noise.bad_share - bad.len() as f64 / 32.0).abs() < 1e-12);
@@ -299,7 +299,7 @@ fn one_or_two_bad_rasters_do_not_widen_the_good_draws() {
 
 #[test]
 fn few_rasters_make_a_parametric_model() {
-    let (noise, _) = learn(6, &[], &json!({})).unwrap();
+    let (noise, _) = learn(6, &[], &json!({"draws": 8})).unwrap();
     assert!(!noise.has_fields() && noise.members.len() == 6);
     let ratio = mean(drawn_px(&noise, 40).iter().map(|rms| rms[0])) * 20.0 * 20.0 / (small_sensor().f * 2.0) / 0.002;
     // The relief of a plane says that all places are alike, which few rasters only half contradict.

@@ -3,17 +3,19 @@
 use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
 
-use crate::noise::structure::{self, LevelFigures};
-use rockface_core::artefact::{Contrast, LevelContrast, UNEVENNESS};
+use crate::noise::structure;
+use rockface_core::artefact::{Contrast, LevelContrast, LevelFigures, UNEVENNESS};
 
 /// Smallest and largest power of details.
-const POWERS: [f64; 2] = [-0.5, 1.5];
+const POWERS: [f64; 2] = [-1.0, 1.5];
 /// The power that is tried first, of details by themselves, then of those near them and then of those farther around too.
 const FIRST_TRIAL: f64 = 0.25;
 /// Rounds after the first trials (Broyden 1965).
 const ROUNDS: usize = 3;
 /// Largest change of a power in one round.
 const MOST_STEP: f64 = 0.6;
+/// Sweeps over the powers in which their changes are found.
+const SWEEPS: usize = 5000;
 /// Deviations over rasters by which the unevenness may miss what is wanted for a change of a power by 1: smaller ones are chance.
 const WORTH: f64 = 1.0;
 /// Smallest deviation of a figure over rasters that counts.
@@ -58,17 +60,42 @@ impl Figures {
     }
 }
 
-/// Makes up for what a survey loses of the unevenness of each level.
-pub fn make_up(contrast: &mut Contrast, lost: impl Fn(usize) -> [f64; UNEVENNESS]) {
-    for (level, one) in contrast.levels.iter_mut().enumerate() {
-        raise(one, lost(level));
+/// Makes up for what a survey loses of the unevenness and of the strength of details, level by level.
+pub fn make_up(contrast: &mut Contrast, lost: impl Fn(usize) -> LevelFigures) {
+    for (k, level) in contrast.levels.iter_mut().enumerate() {
+        let LevelFigures { log_rms, unevenness } = lost(k);
+        raise(level, unevenness);
+        gain(level, log_rms);
+    }
+}
+
+/// The contrast, level by level, whose draws came nearest to what is wanted, of some that were tried.
+#[derive(Debug, Default)]
+pub struct Nearest(Vec<(f64, LevelContrast)>);
+
+impl Nearest {
+    /// Takes the levels of a contrast that came nearer than those before, with the figures of its draws.
+    pub fn take(&mut self, contrast: &Contrast, wanted: &Figures, found: &[LevelFigures]) {
+        for (k, level) in contrast.levels.iter().enumerate() {
+            let missed = missed(&found[k], &wanted.mean[k], &wanted.deviation[k]);
+            if self.0.len() == k {
+                self.0.push((f64::INFINITY, level.clone()));
+            }
+            if missed < self.0[k].0 {
+                self.0[k] = (missed, LevelContrast { drawn: found[k], ..level.clone() });
+            }
+        }
+    }
+
+    /// The contrast of these levels.
+    pub fn contrast(self) -> Contrast {
+        Contrast { levels: self.0.into_iter().map(|(_, level)| level).collect(), ..Contrast::none() }
     }
 }
 
 /// Takes off what draws with a contrast still miss of the figures that are wanted.
 pub fn refine(contrast: &mut Contrast, wanted: &Figures, found: &[LevelFigures]) {
-    make_up(contrast, |level| std::array::from_fn(|k| wanted.mean[level].unevenness[k] - found[level].unevenness[k]));
-    take_off_gains(contrast, found, &wanted.mean);
+    make_up(contrast, |level| lacking(&found[level], &wanted.mean[level]));
 }
 
 /// The same power of details by themselves at all levels.
@@ -78,20 +105,35 @@ pub fn even(own_power: f64) -> Contrast {
     contrast
 }
 
-/// Raises the powers of a level so that its unevenness grows by `wanted`, by damped least squares; not at all where its growth is not known.
+/// Raises the powers of a level so that its unevenness grows by `wanted`, by damped least squares within the bounds of the powers; not at all where its
+/// growth is not known.
 fn raise(level: &mut LevelContrast, wanted: [f64; UNEVENNESS]) {
     let per_deviation =
         Square::from_diagonal(&Figure::from(level.deviation.map(|deviation| 1.0 / deviation.max(LEAST_DEVIATION))));
     let growth = per_deviation * matrix(&level.growth);
     let normal = growth.transpose() * growth + Square::identity() * (WORTH * WORTH);
-    let Some(inverse) = normal.try_inverse() else { return };
-    let step = inverse * growth.transpose() * per_deviation * Figure::from(wanted);
-    if step.iter().all(|change| change.is_finite()) {
-        let powers = level.own_power.iter_mut().chain(&mut level.local_power);
-        for (power, change) in powers.zip(step.iter()) {
-            *power = (*power + change.clamp(-MOST_STEP, MOST_STEP)).clamp(POWERS[0], POWERS[1]);
+    let right = growth.transpose() * per_deviation * Figure::from(wanted);
+    if !normal.iter().chain(&right).all(|value| value.is_finite()) {
+        return;
+    }
+    let now = powers(level);
+    let step = bounded(&normal, &right, |k| {
+        [(POWERS[0] - now[k]).clamp(-MOST_STEP, 0.0), (POWERS[1] - now[k]).clamp(0.0, MOST_STEP)]
+    });
+    level.own_power.iter_mut().chain(&mut level.local_power).zip(step.iter()).for_each(|(power, step)| *power += step);
+}
+
+/// The least value of `x' normal x / 2 - right' x` within bounds, by one coordinate after the other (Gauss and Seidel).
+fn bounded(normal: &Square, right: &Figure, bounds: impl Fn(usize) -> [f64; 2]) -> Figure {
+    let mut x = Figure::zeros();
+    for _ in 0..SWEEPS {
+        for k in 0..UNEVENNESS {
+            let rest = (normal.row(k) * x)[0] - normal[(k, k)] * x[k];
+            let [least, most] = bounds(k);
+            x[k] = ((right[k] - rest) / normal[(k, k)]).clamp(least, most);
         }
     }
+    x
 }
 
 fn matrix(growth: &[[f64; UNEVENNESS]; UNEVENNESS]) -> Square {
@@ -107,7 +149,8 @@ fn powers(level: &LevelContrast) -> Figure {
 pub fn fitted(wanted: &Figures, mut trial: impl FnMut(&Contrast) -> Vec<LevelFigures>) -> Contrast {
     let none = trial(&Contrast::none());
     let mut now = even(FIRST_TRIAL);
-    take_off_gains(&mut now, &none, &wanted.mean);
+    let gains = now.levels.iter_mut().zip(&none).zip(&wanted.mean);
+    gains.for_each(|((level, none), wanted)| gain(level, lacking(none, wanted).log_rms));
     let own = trial(&now);
     now.levels.iter_mut().for_each(|level| level.local_power[0] = FIRST_TRIAL);
     let near = trial(&now);
@@ -126,38 +169,33 @@ pub fn fitted(wanted: &Figures, mut trial: impl FnMut(&Contrast) -> Vec<LevelFig
             level.growth[figure][3] = slope(&own, &near, figure);
             level.growth[figure][4] = slope(&near, &found, figure);
         }
+        level.usual = wanted.mean[k];
         level.deviation = wanted.deviation[k];
     }
-    let mut best: Vec<(f64, LevelContrast)> = now.levels.iter().map(|level| (f64::INFINITY, level.clone())).collect();
+    let mut nearest = Nearest::default();
     for _ in 0..ROUNDS {
         let mut next = now.clone();
-        for (k, level) in next.levels.iter_mut().enumerate() {
-            raise(level, std::array::from_fn(|i| wanted.mean[k].unevenness[i] - found[k].unevenness[i]));
-        }
-        take_off_gains(&mut next, &found, &wanted.mean);
+        refine(&mut next, wanted, &found);
         let came = trial(&next);
         for (k, level) in next.levels.iter_mut().enumerate() {
             let grown = Figure::from_fn(|i, _| came[k].unevenness[i] - found[k].unevenness[i]);
             level.growth = corrected(&level.growth, powers(level) - powers(&now.levels[k]), grown);
-            let missed = missed(&came[k], &wanted.mean[k], &wanted.deviation[k]);
-            if missed < best[k].0 {
-                best[k] = (missed, level.clone());
-            }
         }
+        nearest.take(&next, wanted, &came);
         (now, found) = (next, came);
     }
     // Few draws say little: of the rounds the one counts that came nearest, and none of them where details were as uneven before.
-    for (k, (level, (least, best))) in now.levels.iter_mut().zip(best).enumerate() {
-        let LevelContrast { log_gain, growth, deviation, .. } = best;
+    for (k, (level, (least, nearest))) in now.levels.iter_mut().zip(nearest.0).enumerate() {
+        let LevelContrast { log_gain, growth, usual, deviation, .. } = nearest;
         let without = missed(&none[k], &wanted.mean[k], &wanted.deviation[k]);
         *level = if without < least {
-            LevelContrast { log_gain, growth, deviation, ..LevelContrast::default() }
+            LevelContrast { log_gain, growth, usual, drawn: none[k], deviation, ..LevelContrast::default() }
         } else {
-            best
+            nearest
         };
         // Where nothing is known of the details there is no contrast to fit.
-        let figures = level.growth.iter().flatten().chain(&wanted.mean[k].unevenness).chain(&level.log_gain);
-        if !figures.copied().all(f64::is_finite) {
+        let known = level.growth.iter().flatten().chain(&level.log_gain).copied();
+        if !known.chain(wanted.mean[k].all()).chain(level.drawn.all()).all(f64::is_finite) {
             *level = LevelContrast::default();
         }
     }
@@ -173,14 +211,19 @@ fn missed(found: &LevelFigures, wanted: &LevelFigures, deviation: &[f64; UNEVENN
     (squared(0) + squared(1) + squared(2)) / 3.0 + 0.5 * (squared(3) + squared(4))
 }
 
-/// Changes the gains by what details are stronger than is wanted.
-fn take_off_gains(contrast: &mut Contrast, found: &[LevelFigures], wanted: &[LevelFigures]) {
-    for ((level, found), wanted) in contrast.levels.iter_mut().zip(found).zip(wanted) {
-        for (k, gain) in level.log_gain.iter_mut().enumerate() {
-            let excess = found.log_rms[k] - wanted.log_rms[k];
-            if excess.is_finite() {
-                *gain = (*gain - GAIN_STEP * excess).clamp(-MOST_LOG_GAIN, MOST_LOG_GAIN);
-            }
+/// What figures lack of those that are wanted.
+fn lacking(found: &LevelFigures, wanted: &LevelFigures) -> LevelFigures {
+    LevelFigures {
+        log_rms: std::array::from_fn(|k| wanted.log_rms[k] - found.log_rms[k]),
+        unevenness: std::array::from_fn(|k| wanted.unevenness[k] - found.unevenness[k]),
+    }
+}
+
+/// Changes the gains of a level by what its details are too weak.
+fn gain(level: &mut LevelContrast, lacking: [f64; 3]) {
+    for (gain, lacking) in level.log_gain.iter_mut().zip(lacking) {
+        if lacking.is_finite() {
+            *gain = (*gain + GAIN_STEP * lacking).clamp(-MOST_LOG_GAIN, MOST_LOG_GAIN);
         }
     }
 }
@@ -257,12 +300,45 @@ mod tests {
     }
 
     #[test]
+    #[allow(clippy::float_cmp)] // to the bit
+    fn a_power_at_its_bound_leaves_the_rest_to_the_others() {
+        let mut level = LevelContrast { deviation: DEVIATION, ..LevelContrast::default() };
+        level.local_power[1] = POWERS[0];
+        (level.growth[0][0], level.growth[0][4]) = (2.0, 6.0);
+        let mut contrast = Contrast { levels: vec![level], ..Contrast::none() };
+        let wanted = LevelFigures { unevenness: [-0.4, 0.0, 0.0, 0.0, 0.0], ..LevelFigures::default() };
+        make_up(&mut contrast, |_| wanted);
+        let LevelContrast { own_power, local_power, .. } = &contrast.levels[0];
+        assert!((own_power[0] + 0.2).abs() < 0.01 && local_power[1] == POWERS[0], "{own_power:?} {local_power:?}");
+        // What they can reach together they do: the one that takes more of it for each step more than the other.
+        contrast.levels[0].own_power[0] = 0.0;
+        contrast.levels[0].local_power[1] = 0.0;
+        make_up(&mut contrast, |_| wanted);
+        let LevelContrast { own_power, local_power, .. } = &contrast.levels[0];
+        assert!((2.0 * own_power[0] + 6.0 * local_power[1] + 0.4).abs() < 0.01 && local_power[1] < own_power[0]);
+    }
+
+    #[test]
+    fn of_rounds_the_nearest_counts_level_by_level() {
+        let wanted = Figures { mean: law(&even(0.3)), deviation: vec![DEVIATION; 4] };
+        let (mut near, mut far) = (even(0.35), even(0.6));
+        std::mem::swap(&mut near.levels[2], &mut far.levels[2]);
+        let mut nearest = Nearest::default();
+        for contrast in [&far, &near, &even(0.9)] {
+            nearest.take(contrast, &wanted, &law(contrast));
+        }
+        let found = nearest.contrast();
+        assert!(found.levels.iter().all(|level| powers_near(level, 0.36)), "{found:?}");
+        assert_eq!(found.levels[2].drawn, law(&even(0.35))[2]);
+    }
+
+    #[test]
     fn what_a_survey_loses_is_made_up_for_where_its_growth_is_known() {
         let mut contrast = fitted_to(law(&even(0.3)), DEVIATION);
         let before = law(&contrast);
         contrast.levels[1].growth = [[0.0; UNEVENNESS]; UNEVENNESS];
         let lost = [0.2, 0.2, 0.2, 0.03, 0.03];
-        make_up(&mut contrast, |_| lost);
+        make_up(&mut contrast, |_| LevelFigures { log_rms: [0.0; 3], unevenness: lost });
         let after = law(&contrast);
         let grown = |k: usize| after[0].unevenness[k] - before[0].unevenness[k];
         assert!(
