@@ -113,14 +113,14 @@ fn raise(level: &mut LevelContrast, wanted: [f64; UNEVENNESS]) {
     let growth = per_deviation * matrix(&level.growth);
     let normal = growth.transpose() * growth + Square::identity() * (WORTH * WORTH);
     let right = growth.transpose() * per_deviation * Figure::from(wanted);
-    if !normal.iter().chain(&right).all(|value| value.is_finite()) {
-        return;
-    }
     let now = powers(level);
     let step = bounded(&normal, &right, |k| {
         [(POWERS[0] - now[k]).clamp(-MOST_STEP, 0.0), (POWERS[1] - now[k]).clamp(0.0, MOST_STEP)]
     });
-    level.own_power.iter_mut().chain(&mut level.local_power).zip(step.iter()).for_each(|(power, step)| *power += step);
+    if step.iter().all(|change| change.is_finite()) {
+        let powers = level.own_power.iter_mut().chain(&mut level.local_power);
+        powers.zip(step.iter()).for_each(|(power, change)| *power += change);
+    }
 }
 
 /// The least value of `x' normal x / 2 - right' x` within bounds, by one coordinate after the other (Gauss and Seidel).
