@@ -105,8 +105,7 @@ fn losses(simulated: &[Vec<f64>], drawn: &[Vec<f64>], levels: &[LevelContrast]) 
     }
     // Draws of the model may themselves depart from the rasters: that is made up for too.
     let lacking = |level: &LevelContrast| {
-        let mut lacking: Vec<f64> =
-            level.usual.all().zip(level.drawn.all()).map(|(usual, drawn)| usual - drawn).collect();
+        let mut lacking: Vec<f64> = contrast::lacking(&level.drawn, &level.usual).all().collect();
         without_mean(&mut lacking[UNEVENNESS..]);
         lacking
     };

@@ -239,13 +239,13 @@ impl Learnt {
         let mut nearest = Nearest::default();
         for round in 0..=ROUNDS {
             trial = drawn(&Noise { bad_share: 0.0, ..corrected(&sources, &correction, &contrast) }, params.draws);
-            let found = details(&trial);
-            if let Some(wanted) = &wanted {
-                nearest.take(&contrast, wanted, &found);
-            }
             if round < ROUNDS {
                 correction.refine(&self.usual(), &whiten(&trial, self.columns, &self.places));
-                if let Some(wanted) = &wanted {
+            }
+            if let Some(wanted) = &wanted {
+                let found = details(&trial);
+                nearest.take(&contrast, wanted, &found);
+                if round < ROUNDS {
                     contrast::refine(&mut contrast, wanted, &found);
                 }
             }

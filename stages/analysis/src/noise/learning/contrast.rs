@@ -212,7 +212,7 @@ fn missed(found: &LevelFigures, wanted: &LevelFigures, deviation: &[f64; UNEVENN
 }
 
 /// What figures lack of those that are wanted.
-fn lacking(found: &LevelFigures, wanted: &LevelFigures) -> LevelFigures {
+pub fn lacking(found: &LevelFigures, wanted: &LevelFigures) -> LevelFigures {
     LevelFigures {
         log_rms: std::array::from_fn(|k| wanted.log_rms[k] - found.log_rms[k]),
         unevenness: std::array::from_fn(|k| wanted.unevenness[k] - found.unevenness[k]),
