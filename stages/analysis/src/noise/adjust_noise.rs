@@ -1,9 +1,9 @@
 //! `adjust-noise`: makes up for what a survey loses of the noise of a model, by comparing surveys simulated with it to draws of it.
 
-use crate::noise::learning::contrast;
 use crate::noise::learning::departure::{Departure, Mean, figures};
 use crate::noise::learning::differences::{check, check_model, disparities};
 use crate::noise::learning::whitening::{Places, whiten};
+use crate::noise::learning::{by_place, contrast};
 use crate::noise::structure;
 use rockface_core::artefact::{Band, Cameras, Kind, LevelContrast, LevelFigures, Noise, Pairs, Raster, UNEVENNESS};
 use rockface_core::numerics::portable_math::{exp, log};
@@ -32,7 +32,7 @@ const MOST_SHARE: f64 = 2.0;
 impl Stage for AdjustNoise {
     type Params = AdjustNoiseParams;
     const NAME: &'static str = "adjust-noise";
-    const VERSION: u32 = 8;
+    const VERSION: u32 = 9;
     const PAGE: Page = Page::new(include_str!("adjust_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("noise", &[Kind::Noise], "The model."),
@@ -60,32 +60,40 @@ impl Stage for AdjustNoise {
         let step_m = elevation_step_m(dem, block, pairs)?;
         let places = Places::of(noise.strength.clone());
         let columns = noise.grid.columns;
-        let rows = |port: &str| -> Result<Vec<Vec<f64>>, StageError> {
+        let read = |port: &str| -> Result<Vec<Vec<f32>>, StageError> {
             let rasters: Vec<&Raster> = inputs.many::<Raster>(port)?.into_iter().map(|(_, raster)| raster).collect();
             check(&rasters, dem, block)?;
             let bands: Vec<&Band> = rasters.iter().flat_map(|raster| &raster.bands).collect();
-            let disparities = disparities(&bands, columns, &step_m)?;
-            let whitened = whiten(&disparities, columns, &places);
+            disparities(&bands, columns, &step_m)
+        };
+        let (mut left, whole) = (read("simulated")?, read("drawn")?);
+        if left.len() != whole.len() {
+            let text = format!("{} simulated rasters and {} drawn ones", left.len(), whole.len());
+            return Err(StageError::new(text).hint("gather both over the same axes"));
+        }
+        if left.len() < LEAST {
+            let text = format!("{} simulated raster, {LEAST} are needed to know what is chance", left.len());
+            return Err(StageError::new(text).hint("simulate more surveys with the model"));
+        }
+        // What is lost by place is no loss of a class any more.
+        let by_place = by_place::lost(&whole, &left, columns);
+        left.iter_mut().for_each(|raster| by_place::times(raster, &by_place));
+        let described = |disparities: &[Vec<f32>]| -> Result<Vec<Vec<f64>>, StageError> {
+            let whitened = whiten(disparities, columns, &places);
             context.check_cancelled()?;
             let details = |raster: &Vec<f32>| {
                 let levels = structure::levels(raster, columns, noise.contrast.levels.len());
                 levels.into_iter().flat_map(|level| level.all().collect::<Vec<f64>>())
             };
             let row = |(w, raster)| figures(w).into_iter().chain(details(raster)).collect();
-            Ok(whitened.iter().zip(&disparities).map(row).collect())
+            Ok(whitened.iter().zip(disparities).map(row).collect())
         };
-        let (simulated, drawn) = (rows("simulated")?, rows("drawn")?);
-        if simulated.len() != drawn.len() {
-            let text = format!("{} simulated rasters and {} drawn ones", simulated.len(), drawn.len());
-            return Err(StageError::new(text).hint("gather both over the same axes"));
-        }
-        if simulated.len() < LEAST {
-            let text = format!("{} simulated raster, {LEAST} are needed to know what is chance", simulated.len());
-            return Err(StageError::new(text).hint("simulate more surveys with the model"));
-        }
+        let (simulated, drawn) = (described(&left)?, described(&whole)?);
         let losses = losses(&simulated, &drawn, &noise.contrast.levels);
         report(&losses, noise, context);
-        Ok(Outputs::of("noise", adjusted(noise, &losses)))
+        let mut adjusted = adjusted(noise, &losses);
+        by_place::times(&mut adjusted.strength, &by_place);
+        Ok(Outputs::of("noise", adjusted))
     }
 }
 

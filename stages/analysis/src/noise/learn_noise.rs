@@ -73,7 +73,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 14;
+    const VERSION: u32 = 15;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -222,32 +222,37 @@ impl Learnt {
             }),
         };
         let mut trial = drawn(&usual, params.draws);
-        let factors = by_place::factors(&real, &trial, self.columns);
-        for raster in &mut trial {
-            raster.iter_mut().zip(&factors).for_each(|(px, factor)| *px = (f64::from(*px) * factor) as f32);
-        }
+        let mut factors = vec![1.0; dem.grid.cells()];
+        let make_up = |trial: &mut [Vec<f32>], factors: &mut [f64]| {
+            let more = by_place::factors(&real, trial, self.columns);
+            trial.iter_mut().for_each(|raster| by_place::times(raster, &more));
+            factors.iter_mut().zip(more).for_each(|(factor, more)| *factor *= more);
+        };
+        make_up(&mut trial, &mut factors);
         let mut correction = Correction::of(&self.usual(), &whiten(&trial, self.columns, &self.places));
         let mut contrast = usual.contrast.clone();
         drop(usual);
-        let corrected = |sources: &[Source], correction: &Correction, contrast: &Contrast| {
+        let corrected = |sources: &[Source], correction: &Correction, contrast: &Contrast, factors: &[f64]| {
             let mut noise = self.model(params, sources, dem, correction, contrast);
-            noise.strength.iter_mut().zip(&factors).for_each(|(px, factor)| *px = (f64::from(*px) * factor) as f32);
+            by_place::times(&mut noise.strength, factors);
             noise
         };
         // Now acquisitions differ, and mixtures of what differs are more uneven: what draws miss then comes off in rounds.
         // Of the rounds the one counts for each level of contrast that came nearest.
         let mut nearest = Nearest::default();
         for round in 0..=ROUNDS {
-            trial = drawn(&Noise { bad_share: 0.0, ..corrected(&sources, &correction, &contrast) }, params.draws);
-            if round < ROUNDS {
-                correction.refine(&self.usual(), &whiten(&trial, self.columns, &self.places));
-            }
+            trial =
+                drawn(&Noise { bad_share: 0.0, ..corrected(&sources, &correction, &contrast, &factors) }, params.draws);
             if let Some(wanted) = &wanted {
                 let found = details(&trial);
                 nearest.take(&contrast, wanted, &found);
                 if round < ROUNDS {
                     contrast::refine(&mut contrast, wanted, &found);
                 }
+            }
+            if round < ROUNDS {
+                make_up(&mut trial, &mut factors);
+                correction.refine(&self.usual(), &whiten(&trial, self.columns, &self.places));
             }
         }
         if wanted.is_some() {
@@ -259,7 +264,7 @@ impl Learnt {
         };
         let asymmetries: Vec<[f64; 3]> = trial.par_iter().filter_map(asymmetries).collect();
         let asymmetry_gain = registration::part(&mut sources, &self.bad, &asymmetries);
-        Noise { asymmetry_gain, ..corrected(&sources, &correction, &contrast) }
+        Noise { asymmetry_gain, ..corrected(&sources, &correction, &contrast, &factors) }
     }
 
     fn usual(&self) -> Vec<&Whitened> {

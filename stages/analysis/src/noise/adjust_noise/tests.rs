@@ -67,6 +67,26 @@ fn what_is_smoothed_away_is_added_and_nothing_else() {
 }
 
 #[test]
+fn where_a_survey_loses_more_the_map_of_strength_makes_up_for_it() {
+    let drawn = differences(6, 0.0);
+    let mut simulated = drawn.clone();
+    for raster in &mut simulated {
+        let values = raster.bands[0].values.iter_mut().enumerate();
+        values.filter(|(i, _)| i / COLUMNS < ROWS / 3).for_each(|(_, value)| *value *= 0.8);
+    }
+    let found = adjust(simulated, drawn, CLEAN.clone()).unwrap();
+    // Strengths of the map and of the classes together.
+    let level = |noise: &Noise| mean(noise.members.iter().map(|member| mean(member.log_strength.iter().copied())));
+    let classes = exp(level(&found) - level(&CLEAN));
+    let raised = |rows: std::ops::Range<usize>| {
+        mean((rows.start * COLUMNS..rows.end * COLUMNS).map(|i| f64::from(found.strength[i] / CLEAN.strength[i])))
+            * classes
+    };
+    let (above, below) = (raised(0..ROWS / 4), raised(ROWS / 2..ROWS));
+    assert!((above - 1.25).abs() < 0.04 && (below - 1.0).abs() < 0.04, "{above} {below}");
+}
+
+#[test]
 fn what_is_lost_of_details_is_made_up_for() {
     let mut contrast = Contrast::none();
     let levels = contrast.levels.len();

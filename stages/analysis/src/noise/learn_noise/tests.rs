@@ -258,6 +258,26 @@ fn nowhere_does_the_noise_of_two_acquisitions_cancel() {
 }
 
 #[test]
+fn every_raster_is_drawn_from_as_often_as_the_others() {
+    let mut noise = Noise { jitter: 0.0, bad_share: 0.0, ..CLEAN.clone() };
+    for (i, member) in noise.members.iter_mut().enumerate() {
+        member.log_strength.fill(if i % 2 == 0 { 1.0 } else { -1.0 });
+    }
+    // As many differences as there are rasters: the strong half and the weak one have the same say, whatever the random numbers.
+    let step_m = vec![1.0; noise.grid.cells()];
+    let mean_square = |seed: u64| {
+        let host = TestHost::seeded(seed);
+        let context = Context::new(&host);
+        let streams = |purpose: &str, item: &str| context.stream(purpose, item);
+        let drawn = learning::differences::differences(&noise, 16, &step_m, f32::INFINITY, &streams);
+        mean(drawn.iter().flatten().filter(|px| !px.is_nan()).map(|px| f64::from(*px) * f64::from(*px)))
+    };
+    let found = [1, 2, 3].map(mean_square);
+    let middle = mean(found.into_iter());
+    assert!(found.iter().all(|square| (square / middle - 1.0).abs() < 0.08), "{found:?}");
+}
+
+#[test]
 fn details_of_draws_are_as_uneven_as_those_of_the_rasters() {
     let one = |b: u8| {
         let (fine, where_from, coarse) = (unit(b, 0.6), unit(b + 60, 2.5), unit(b + 120, 4.0));

@@ -1,5 +1,6 @@
 //! Differences as errors of disparity on the grid of a model: of rasters, and of acquisitions drawn from it.
 
+use rand::seq::SliceRandom;
 use rayon::prelude::*;
 
 use crate::noise::detrend::Detrend;
@@ -7,7 +8,7 @@ use crate::noise::learning::whitening::{BANDS, CLASSES};
 use rockface_core::artefact::{Band, Cameras, Noise, Raster};
 use rockface_core::numerics::random::Key;
 use rockface_core::{StageError, fail};
-use rockface_imaging::matching::noise::ensemble::draw;
+use rockface_imaging::matching::noise::ensemble::draw_like;
 use rockface_raster::grid;
 
 /// Largest departure from its plane, as a share of its largest value, at which a raster counts as a plane.
@@ -91,7 +92,8 @@ pub fn disparities(bands: &[&Band], columns: usize, step_m: &[f32]) -> Result<Ve
 }
 
 /// Differences of two acquisitions each, an even and an odd one, drawn from a model without a survey: errors of disparity, pixels of the full image,
-/// each without the plane through it. Cells whose difference is larger than `limit_m` or whose elevation step is unknown are left out.
+/// each without the plane through it. Cells whose difference is larger than `limit_m` or whose elevation step is unknown are left out. Every usual member
+/// is drawn from as often as the others, so that the mean strength of a few differences is that of the model.
 pub fn differences(
     noise: &Noise,
     count: usize,
@@ -99,9 +101,16 @@ pub fn differences(
     limit_m: f32,
     stream: &(impl Fn(&str, &str) -> Key + Sync),
 ) -> Vec<Vec<f32>> {
+    let order = |epoch: &str| {
+        let mut members: Vec<usize> = (0..noise.members.len()).filter(|i| !noise.members[*i].bad).collect();
+        members.shuffle(&mut stream("noise-order", epoch).generator());
+        members
+    };
+    let orders = [order("even"), order("odd")];
     let epoch = |number: u32| {
         let keys = |purpose: &str, item: &str| stream(purpose, &format!("{number}/{item}"));
-        draw(noise, Some(number), &keys).errors_px(noise, &noise.strength)
+        let (pair, members) = ((number / 2) as usize, &orders[(number % 2) as usize]);
+        draw_like(noise, Some(number), members[pair % members.len()], &keys).errors_px(noise, &noise.strength)
     };
     let difference = |number: u32| {
         let (pre, post) = (epoch(2 * number), epoch(2 * number + 1));

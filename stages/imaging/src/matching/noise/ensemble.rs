@@ -64,10 +64,23 @@ impl Drawn {
 /// acquisitions that are compared have none in common: where both had the same one their noise would cancel, or double.
 pub fn draw(noise: &Noise, number: Option<u32>, keys: Keys) -> Drawn {
     let mut generator = keys("noise-acquisition", "").generator();
-    let (bad, good): (Vec<usize>, Vec<usize>) = (0..noise.members.len()).partition(|i| noise.members[*i].bad);
+    let (bad, good) = by_class(noise);
     let of_bad = generator.random::<f64>() < noise.bad_share && !bad.is_empty();
     let class = if of_bad { &bad } else { &good };
-    let member = &noise.members[class[generator.random_range(0..class.len())]];
+    let member = class[generator.random_range(0..class.len())];
+    taken_from(noise, number, member, generator, keys)
+}
+
+/// As [`draw`], with the strengths and amplitudes of a member that is given by its place.
+pub fn draw_like(noise: &Noise, number: Option<u32>, member: usize, keys: Keys) -> Drawn {
+    taken_from(noise, number, member, keys("noise-acquisition", "").generator(), keys)
+}
+
+/// An acquisition with the strengths and amplitudes of a member.
+fn taken_from(noise: &Noise, number: Option<u32>, member: usize, mut generator: impl Rng, keys: Keys) -> Drawn {
+    let (bad, good) = by_class(noise);
+    let member = &noise.members[member];
+    let of_bad = member.bad;
     // A bad acquisition takes all bad donors and, where those are few, good ones in addition.
     let donors = if of_bad {
         let rest = some(own_half(&good, number), noise.donors.saturating_sub(bad.len()), &mut generator);
@@ -97,6 +110,11 @@ pub fn draw(noise: &Noise, number: Option<u32>, keys: Keys) -> Drawn {
     let mut field = with_gains(filtered, columns, &noise.contrast);
     mixed.gaps.into_iter().for_each(|cell| field[cell] = f64::NAN);
     Drawn { field, log_strength, bad: of_bad }
+}
+
+/// The bad members and the others, by place.
+fn by_class(noise: &Noise) -> (Vec<usize>, Vec<usize>) {
+    (0..noise.members.len()).partition(|i| noise.members[*i].bad)
 }
 
 /// Logarithms of the amplitudes of bands, shifted alike so that the noise has unit variance: how strong an acquisition is say its strengths alone.
