@@ -15,32 +15,32 @@ const MOST: f64 = 2.3;
 
 /// Factors on the strength of each cell that take draws to the strength of the rasters, but for what may be chance of the draws. Rasters have NaN in gaps.
 pub fn factors(real: &[&[f32]], drawn: &[Vec<f32>], columns: usize) -> Vec<f64> {
-    from_coarse_to_fine(real, drawn, columns, |wanted, found| {
+    let log_factors = from_coarse_to_fine(real, drawn, columns, |wanted, found| {
         let logs = |of: &[f64]| -> Vec<[f64; 1]> {
             of.iter().filter(|square| **square > 0.0).map(|square| [0.5 * log(*square)]).collect()
         };
         let (wanted, found) = (logs(wanted), logs(found));
         let known = wanted.len() >= 2 && found.len() >= 2;
         known.then(|| Departure::of(Mean::of(&wanted, 0).exact(), Mean::of(&found, 0)))
-    })
+    });
+    log_factors.into_iter().map(exp).collect()
 }
 
 /// Factors on the strength of each cell that make up for what is lost of rasters, each beside what is left of it; they change the strength of places
 /// relative to each other, not that of them all.
 pub fn lost(rasters: &[Vec<f32>], left: &[Vec<f32>], columns: usize) -> Vec<f64> {
     let rasters: Vec<&[f32]> = rasters.iter().map(Vec::as_slice).collect();
-    let mut factors = from_coarse_to_fine(&rasters, left, columns, |whole, left| {
+    let log_factors = from_coarse_to_fine(&rasters, left, columns, |whole, left| {
         let both = whole.iter().zip(left).filter(|(whole, left)| **whole > 0.0 && **left > 0.0);
         let lost: Vec<[f64; 1]> = both.map(|(whole, left)| [0.5 * log(whole / left)]).collect();
         let none = Mean { value: 0.0, squared_error: 0.0 };
         (lost.len() >= 2).then(|| Departure::of(Mean::of(&lost, 0), none))
     });
-    let mean = factors.iter().map(|factor| log(*factor)).sum::<f64>() / factors.len() as f64;
-    factors.iter_mut().for_each(|factor| *factor *= exp(-mean));
-    factors
+    let mean = log_factors.iter().sum::<f64>() / log_factors.len() as f64;
+    log_factors.into_iter().map(|log_factor| exp(log_factor - mean)).collect()
 }
 
-/// Factors on the strength of each cell by the departure of the mean squares near it, which are 0 where a raster has no value in reach.
+/// Logarithms of factors on the strength of each cell by the departure of the mean squares near it, which are 0 where a raster has no value in reach.
 fn from_coarse_to_fine(
     wanted: &[&[f32]],
     found: &[Vec<f32>],
@@ -72,7 +72,7 @@ fn from_coarse_to_fine(
                 .for_each(|(square, more)| *square = (f64::from(*square) * exp(2.0 * more)) as f32);
         });
     }
-    log_factors.into_iter().map(|log_factor| exp(log_factor.clamp(-MOST, MOST))).collect()
+    log_factors.into_iter().map(|log_factor: f64| log_factor.clamp(-MOST, MOST)).collect()
 }
 
 /// Multiplies each value by a factor.

@@ -8,7 +8,7 @@ use crate::noise::learning::whitening::{BANDS, CLASSES};
 use rockface_core::artefact::{Band, Cameras, Noise, Raster};
 use rockface_core::numerics::random::Key;
 use rockface_core::{StageError, fail};
-use rockface_imaging::matching::noise::ensemble::draw_like;
+use rockface_imaging::matching::noise::ensemble::{by_class, draw_like};
 use rockface_raster::grid;
 
 /// Largest departure from its plane, as a share of its largest value, at which a raster counts as a plane.
@@ -102,7 +102,7 @@ pub fn differences(
     stream: &(impl Fn(&str, &str) -> Key + Sync),
 ) -> Vec<Vec<f32>> {
     let order = |epoch: &str| {
-        let mut members: Vec<usize> = (0..noise.members.len()).filter(|i| !noise.members[*i].bad).collect();
+        let (_, mut members) = by_class(noise);
         members.shuffle(&mut stream("noise-order", epoch).generator());
         members
     };

@@ -112,8 +112,8 @@ fn taken_from(noise: &Noise, number: Option<u32>, member: usize, mut generator: 
     Drawn { field, log_strength, bad: of_bad }
 }
 
-/// The bad members and the others, by place.
-fn by_class(noise: &Noise) -> (Vec<usize>, Vec<usize>) {
+/// The bad members of a model and the usual ones, by their places.
+pub fn by_class(noise: &Noise) -> (Vec<usize>, Vec<usize>) {
     (0..noise.members.len()).partition(|i| noise.members[*i].bad)
 }
 
