@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use crate::noise::detrend::{asymmetry, plane};
 use crate::noise::learning::acquisitions::{Acquisitions, Source, Variety, acquisitions};
 use crate::noise::learning::bad::parted;
-use crate::noise::learning::by_place;
+use crate::noise::learning::by_place::{self, Strengths};
 use crate::noise::learning::contrast::{self, Figures, Nearest};
 use crate::noise::learning::departure::{Departure, Mean, figures};
 use crate::noise::learning::differences::{check, differences, disparities};
@@ -222,9 +222,10 @@ impl Learnt {
             }),
         };
         let mut trial = drawn(&usual, params.draws);
+        let strengths = Strengths::of(&real, self.columns);
         let mut factors = vec![1.0; dem.grid.cells()];
         let make_up = |trial: &mut [Vec<f32>], factors: &mut [f64]| {
-            let more = by_place::factors(&real, trial, self.columns);
+            let more = strengths.factors(trial);
             trial.iter_mut().for_each(|raster| by_place::times(raster, &more));
             factors.iter_mut().zip(more).for_each(|(factor, more)| *factor *= more);
         };

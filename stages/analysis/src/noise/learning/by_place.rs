@@ -13,26 +13,50 @@ const SCALES: [f64; 3] = [0.1, 0.05, 0.025];
 /// Largest logarithm of a factor on the strength: a tenth of it, or ten times.
 const MOST: f64 = 2.3;
 
-/// Factors on the strength of each cell that take draws to the strength of the rasters, but for what may be chance of the draws. Rasters have NaN in gaps.
-pub fn factors(real: &[&[f32]], drawn: &[Vec<f32>], columns: usize) -> Vec<f64> {
-    let log_factors = from_coarse_to_fine(real, drawn, columns, |wanted, found| {
-        let logs = |of: &[f64]| -> Vec<[f64; 1]> {
-            of.iter().filter(|square| **square > 0.0).map(|square| [0.5 * log(*square)]).collect()
+/// The strength of some rasters around each cell, at each scale: what draws are compared with again and again.
+pub struct Strengths {
+    /// By scale and cell, the mean logarithm of the strength; `None` where fewer than two rasters have values in reach.
+    log_strength: Vec<Vec<Option<Mean>>>,
+    columns: usize,
+}
+
+impl Strengths {
+    /// Strengths of rasters with NaN in gaps.
+    pub fn of(rasters: &[&[f32]], columns: usize) -> Self {
+        let squares: Vec<Vec<f32>> = rasters.iter().map(|raster| squares(raster)).collect();
+        let means = |scale: f64| -> Vec<Option<Mean>> {
+            let near = near(&squares, columns, scale);
+            (0..squares[0].len()).into_par_iter().map(|cell| mean_log(near.iter().map(|raster| raster[cell]))).collect()
         };
-        let (wanted, found) = (logs(wanted), logs(found));
-        let known = wanted.len() >= 2 && found.len() >= 2;
-        known.then(|| Departure::of(Mean::of(&wanted, 0).exact(), Mean::of(&found, 0)))
-    });
-    log_factors.into_iter().map(exp).collect()
+        Self { log_strength: SCALES.into_iter().map(means).collect(), columns }
+    }
+
+    /// Factors on the strength of each cell that take draws to these strengths, but for what may be chance of the draws.
+    pub fn factors(&self, drawn: &[Vec<f32>]) -> Vec<f64> {
+        let log_factors = from_coarse_to_fine(drawn, self.columns, |scale, near, cell| {
+            let (wanted, found) = (self.log_strength[scale][cell]?, mean_log(near.iter().map(|raster| raster[cell]))?);
+            Some(Departure::of(wanted.exact(), found))
+        });
+        log_factors.into_iter().map(exp).collect()
+    }
+}
+
+/// Mean logarithm of the strength, of mean squares that are 0 where a raster has no value in reach; `None` for fewer than two others.
+fn mean_log(squares: impl Iterator<Item = f32>) -> Option<Mean> {
+    let known = squares.filter(|square| *square > 0.0);
+    let logs: Vec<[f64; 1]> = known.map(|square| [0.5 * log(f64::from(square))]).collect();
+    (logs.len() >= 2).then(|| Mean::of(&logs, 0))
 }
 
 /// Factors on the strength of each cell that make up for what is lost of rasters, each beside what is left of it; they change the strength of places
 /// relative to each other, not that of them all.
 pub fn lost(rasters: &[Vec<f32>], left: &[Vec<f32>], columns: usize) -> Vec<f64> {
-    let rasters: Vec<&[f32]> = rasters.iter().map(Vec::as_slice).collect();
-    let log_factors = from_coarse_to_fine(&rasters, left, columns, |whole, left| {
-        let both = whole.iter().zip(left).filter(|(whole, left)| **whole > 0.0 && **left > 0.0);
-        let lost: Vec<[f64; 1]> = both.map(|(whole, left)| [0.5 * log(whole / left)]).collect();
+    let whole: Vec<Vec<f32>> = rasters.iter().map(|raster| squares(raster)).collect();
+    let whole = SCALES.map(|scale| near(&whole, columns, scale));
+    let log_factors = from_coarse_to_fine(left, columns, |scale, left, cell| {
+        let both = whole[scale].iter().zip(left).map(|(whole, left)| (whole[cell], left[cell]));
+        let both = both.filter(|(whole, left)| *whole > 0.0 && *left > 0.0);
+        let lost: Vec<[f64; 1]> = both.map(|(whole, left)| [0.5 * log(f64::from(whole) / f64::from(left))]).collect();
         let none = Mean { value: 0.0, squared_error: 0.0 };
         (lost.len() >= 2).then(|| Departure::of(Mean::of(&lost, 0), none))
     });
@@ -40,39 +64,33 @@ pub fn lost(rasters: &[Vec<f32>], left: &[Vec<f32>], columns: usize) -> Vec<f64>
     log_factors.into_iter().map(|log_factor| exp(log_factor - mean)).collect()
 }
 
-/// Logarithms of factors on the strength of each cell by the departure of the mean squares near it, which are 0 where a raster has no value in reach.
+/// Logarithms of factors on the strength of each cell of rasters, by a departure at the number of a scale, from the mean squares near each cell.
 fn from_coarse_to_fine(
-    wanted: &[&[f32]],
-    found: &[Vec<f32>],
+    rasters: &[Vec<f32>],
     columns: usize,
-    departure: impl Fn(&[f64], &[f64]) -> Option<Departure> + Sync,
+    departure: impl Fn(usize, &[Vec<f32>], usize) -> Option<Departure> + Sync,
 ) -> Vec<f64> {
-    let cells = found[0].len();
-    let side = columns.min(cells / columns) as f64;
-    let wanted: Vec<Vec<f32>> = wanted.iter().map(|raster| squares(raster)).collect();
-    let mut found: Vec<Vec<f32>> = found.iter().map(|raster| squares(raster)).collect();
-    let mut log_factors = vec![0.0; cells];
-    for scale in SCALES {
-        let near = |squares: &Vec<f32>| -> Vec<f32> {
-            smoothed(squares, columns, scale * side).into_iter().map(|square| square as f32).collect()
-        };
-        let local = |of: &[Vec<f32>]| -> Vec<Vec<f32>> { of.par_iter().map(near).collect() };
-        let (near_wanted, near_found) = (local(&wanted), local(&found));
-        let at = |of: &[Vec<f32>], cell: usize| of.iter().map(|raster| f64::from(raster[cell])).collect::<Vec<f64>>();
-        let one = |cell: usize| {
-            let departure = departure(&at(&near_wanted, cell), &at(&near_found, cell));
-            departure.map_or(0.0, |departure| departure.certain(1.0))
-        };
+    let cells = rasters[0].len();
+    let mut changed: Vec<Vec<f32>> = rasters.iter().map(|raster| squares(raster)).collect();
+    let mut log_factors = vec![0.0f64; cells];
+    for (number, scale) in SCALES.into_iter().enumerate() {
+        let near = near(&changed, columns, scale);
+        let one = |cell: usize| departure(number, &near, cell).map_or(0.0, |departure| departure.certain(1.0));
         let more: Vec<f64> = (0..cells).into_par_iter().map(one).collect();
         log_factors.iter_mut().zip(&more).for_each(|(log_factor, more)| *log_factor += more);
-        found.par_iter_mut().for_each(|squares| {
-            squares
-                .iter_mut()
-                .zip(&more)
-                .for_each(|(square, more)| *square = (f64::from(*square) * exp(2.0 * more)) as f32);
-        });
+        let factors: Vec<f64> = more.iter().map(|more| exp(2.0 * more)).collect();
+        changed.par_iter_mut().for_each(|squares| times(squares, &factors));
     }
-    log_factors.into_iter().map(|log_factor: f64| log_factor.clamp(-MOST, MOST)).collect()
+    log_factors.into_iter().map(|log_factor| log_factor.clamp(-MOST, MOST)).collect()
+}
+
+/// Mean squares around each cell; 0 where no value is in reach.
+fn near(squares: &[Vec<f32>], columns: usize, scale: f64) -> Vec<Vec<f32>> {
+    let one = |squares: &Vec<f32>| -> Vec<f32> {
+        let side = columns.min(squares.len() / columns) as f64;
+        smoothed(squares, columns, scale * side).into_iter().map(|square| square as f32).collect()
+    };
+    squares.par_iter().map(one).collect()
 }
 
 /// Multiplies each value by a factor.
@@ -109,7 +127,7 @@ mod tests {
         real.iter_mut().for_each(|raster| raster[5] = f32::NAN);
         let real: Vec<&[f32]> = real.iter().map(Vec::as_slice).collect();
         let drawn = rasters(40, 0.5);
-        let found = factors(&real, &drawn, columns);
+        let found = Strengths::of(&real, columns).factors(&drawn);
         assert!((found[8 * columns + 8] - 2.0).abs() < 0.3, "{}", found[8 * columns + 8]);
         let elsewhere: Vec<f64> = (0..columns * rows).filter(|i| i % columns > 40).map(|i| found[i]).collect();
         let mean = elsewhere.iter().sum::<f64>() / elsewhere.len() as f64;
