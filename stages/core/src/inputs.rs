@@ -47,7 +47,7 @@ impl<'s> Later<'s> {
         }
     }
 
-    fn keep(&self) -> Result<&Artefact, StageError> {
+    fn keep(&self) -> Result<&Arc<Artefact>, StageError> {
         if let Some(value) = self.value.get() {
             return Ok(value);
         }
@@ -72,6 +72,14 @@ impl Element<'_> {
     /// # Errors
     /// It cannot be read, or is in another coordinate reference system than an input that was read before.
     pub fn artefact(&self) -> Result<&Artefact, StageError> {
+        self.shared().map(Arc::as_ref)
+    }
+
+    /// The same value as other steps may hold it too.
+    ///
+    /// # Errors
+    /// As [`Element::artefact`].
+    pub fn shared(&self) -> Result<&Arc<Artefact>, StageError> {
         let artefact = self.value.keep()?;
         self.stated.note(&self.label, artefact)?;
         Ok(artefact)

@@ -29,6 +29,20 @@ const LOG: [f64; 7] = [
     0.153_138_376_992_093_73,
     0.147_981_986_051_165_86,
 ];
+/// The multiples of the logarithm of 2 from which on an argument of the exponential function is brought nearer to 0 by one, and by as many as
+/// fit; below the last bound it is one more than its argument.
+const HALF_LN2: f64 = f64::from_bits(0x3fd6_2e43 << 32);
+const ONE_AND_A_HALF_LN2: f64 = f64::from_bits(0x3ff0_a2b2 << 32);
+const NEAR_ZERO: f64 = f64::from_bits(0x3e30_0001 << 32);
+const INVERSE_LN2: f64 = 1.442_695_040_888_963_4;
+/// Coefficients of x - 2 + 2 x / (exp x - 1) less the linear term, in x^2.
+const EXP: [f64; 5] = [
+    0.166_666_666_666_666_02,
+    -0.002_777_777_777_701_559_3,
+    6.613_756_321_437_934e-5,
+    -1.653_390_220_546_525_2e-6,
+    4.138_136_797_057_238_5e-8,
+];
 /// Coefficients of (sin x - x) / x^3 in x^2.
 const SIN: [f64; 6] = [
     -0.166_666_666_666_666_32,
@@ -63,6 +77,28 @@ pub fn log_lanes<const N: usize>(x: Lanes<N>) -> Lanes<N> {
     let even = w * (w * (w * LOG[5] + LOG[3]) + LOG[1]);
     let odd = z * (w * (w * (w * LOG[6] + LOG[4]) + LOG[2]) + LOG[0]);
     s * (half + (odd + even)) + exponent * LN2[1] - half + f + exponent * LN2[0]
+}
+
+/// [`exp`] of several numbers from -700 to 700: the same bits.
+#[inline(always)]
+pub fn exp_lanes<const N: usize>(x: Lanes<N>) -> Lanes<N> {
+    // The multiple of the logarithm of 2 that is taken off; none from half of it downwards.
+    let steps = |x: f64| {
+        let many = (x * INVERSE_LN2 + if x < 0.0 { -0.5 } else { 0.5 }).trunc();
+        let one = if x < 0.0 { -1.0 } else { 1.0 };
+        let some = if x.abs() >= ONE_AND_A_HALF_LN2 { many } else { one };
+        if x.abs() >= HALF_LN2 { some } else { 0.0 }
+    };
+    let k = x.map(steps);
+    let (high, low) = (x - k * LN2[0], k * LN2[1]);
+    let rest = high - low;
+    let z = rest * rest;
+    let c = rest - z * (z * (z * (z * (z * EXP[4] + EXP[3]) + EXP[2]) + EXP[1]) + EXP[0]);
+    let found = rest * c / (-c + 2.0) - low + high + 1.0;
+    let near = x + 1.0;
+    let found = Lanes::of(|i| if x[i].abs() < NEAR_ZERO { near[i] } else { found[i] });
+    // As the mantissa of 2^52 a whole number comes to be an exponent.
+    found * (k + 4_503_599_627_371_519.0).map(|k| f64::from_bits(k.to_bits() << 52))
 }
 
 /// [`sincos`] of several angles from 0 to a whole turn: the same bits.
@@ -131,6 +167,18 @@ mod tests {
         #[test]
         fn lanes_have_the_bits_of_the_library(u in [0.0..1.0f64, 0.0..1.0f64, 0.0..1e-6f64, 0.9999..1.0f64]) {
             check(u);
+        }
+
+        #[test]
+        fn exponentials_have_the_bits_of_the_library(
+            x in [-700.0..700.0f64, -3.0..3.0f64, -1e-8..1e-8f64, -1.05..1.05f64],
+            steps in -1000i32..1000,
+        ) {
+            let half_steps = 0.5 * f64::from(steps) * std::f64::consts::LN_2;
+            for x in [x, [half_steps, x[2] + half_steps, 0.0, -0.0], [HALF_LN2, -HALF_LN2, NEAR_ZERO, ONE_AND_A_HALF_LN2]] {
+                let found = exp_lanes(Lanes::from(x));
+                (0..4).for_each(|lane| assert_eq!(found[lane].to_bits(), exp(x[lane]).to_bits(), "exp {}", x[lane]));
+            }
         }
 
         #[test]

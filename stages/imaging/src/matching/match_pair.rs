@@ -8,7 +8,7 @@ use crate::matching::params::{Matching, NoisePorts};
 use crate::matching::rectified_row::rectified_camera;
 use crate::matching::setup::{check_size, noisy_image};
 use crate::matching::side::Side;
-use rockface_core::artefact::{Cameras, Depth, Image, Kind, Noise, Pair, Pairs, Raster};
+use rockface_core::artefact::{Cameras, Depth, Image, Kind, Pair, Pairs};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 
 params! {
@@ -80,7 +80,7 @@ impl Stage for MatchPair {
         if let Some(windowed) = &windowed {
             depths[side] = windowed;
         }
-        let setup = params.matching.setup(params.sampling, ports(inputs)?)?;
+        let setup = params.matching.setup(params.sampling, NoisePorts::of(inputs)?)?;
         let keys = |purpose: &str, item: &str| context.stream(purpose, item);
         let acquisition = setup.acquisition(depths[side], noisy, pairs, &keys)?;
         let matcher = setup.matcher(&pair.name, depths, side, noisy, acquisition.as_ref(), &keys)?;
@@ -88,14 +88,6 @@ impl Stage for MatchPair {
         report(params, context, pair, &map, &tally)?;
         Ok(Outputs::of("depth", map))
     }
-}
-
-fn ports<'a>(inputs: &'a Inputs) -> Result<NoisePorts<'a>, StageError> {
-    Ok(NoisePorts {
-        strength: inputs.optional::<Raster>("strength")?,
-        noise: inputs.optional::<Noise>("noise")?,
-        errors: inputs.optional::<Depth>("errors")?,
-    })
 }
 
 fn choose_pair<'a>(params: &MatchPairParams, pairs: &'a Pairs) -> Result<&'a Pair, StageError> {
@@ -231,7 +223,7 @@ fn report(
 }
 
 #[cfg(test)]
-mod learnt_tests;
+pub(in crate::matching) mod learnt_tests;
 #[cfg(test)]
 mod own_errors_tests;
 #[cfg(test)]

@@ -1,12 +1,13 @@
 //! The parameters that all stages which match pairs have in common.
 
 use crate::matching::noise::matcher::{MatcherTerms, PaperNoise};
+use crate::matching::noise::model_draws::Model;
 use crate::matching::noise::paper::{Distribution, FieldRecipe, Interpolation, Variance};
 use crate::matching::pair::Sampling;
 use crate::matching::setup::Setup;
-use rockface_core::artefact::{Depth, Noise, Raster};
+use rockface_core::artefact::{Depth, Raster};
 use rockface_core::params::Range;
-use rockface_core::{StageError, choice, params};
+use rockface_core::{Inputs, StageError, choice, params};
 
 choice! {
     /// Where the noise of disparities comes from.
@@ -34,9 +35,23 @@ pub struct NoisePorts<'a> {
     /// Factor on the local noise by place.
     pub strength: Option<&'a Raster>,
     /// Learnt model that all noise is drawn from, in place of the paper's.
-    pub noise: Option<&'a Noise>,
+    pub noise: Option<Model<'a>>,
     /// Errors of the user's own.
     pub errors: Option<&'a Depth>,
+}
+
+impl<'a> NoisePorts<'a> {
+    /// The ports `strength`, `noise` and `errors`.
+    ///
+    /// # Errors
+    /// One of them cannot be read.
+    pub fn of(inputs: &'a Inputs) -> Result<Self, StageError> {
+        Ok(Self {
+            strength: inputs.optional::<Raster>("strength")?,
+            noise: Model::at(inputs, "noise")?,
+            errors: inputs.optional::<Depth>("errors")?,
+        })
+    }
 }
 
 params! {

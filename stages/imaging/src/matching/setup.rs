@@ -4,12 +4,13 @@ use crate::camera::model::Camera;
 use crate::matching::noise::learnt::Acquisition;
 use crate::matching::noise::matcher::{Keys, MatcherTerms, PairScene, PaperNoise};
 use crate::matching::noise::model::{NoiseModel, Scaled};
+use crate::matching::noise::model_draws::Model;
 use crate::matching::noise::paper::{LocalNoise, SmoothNoise};
 use crate::matching::own_errors::errors_of;
 use crate::matching::pair::{Matcher, Sampling};
 use crate::matching::pair_geometry::PairGeometry;
 use crate::matching::side::Side;
-use rockface_core::artefact::{Cameras, Depth, Image, Noise, Pairs, Raster};
+use rockface_core::artefact::{Cameras, Depth, Image, Pairs, Raster};
 use rockface_core::{StageError, fail};
 
 /// Least distance of the nodes of the smooth noise, pixels of the depth map.
@@ -31,7 +32,7 @@ pub struct Setup<'s> {
     /// Factor on the local noise by place; `None`: 1 everywhere.
     pub strength: Option<&'s Raster>,
     /// The learnt model all noise is drawn from; `None`: the paper's noise and its further terms.
-    pub learnt: Option<&'s Noise>,
+    pub learnt: Option<Model<'s>>,
     /// Number of the acquisition that is drawn from it.
     pub number: Option<u32>,
     /// Errors of the user's own, added to the others.
@@ -50,7 +51,7 @@ impl<'s> Setup<'s> {
         pairs: &Pairs,
         keys: Keys,
     ) -> Result<Option<Acquisition<'s>>, StageError> {
-        self.learnt.map(|noise| Acquisition::new(noise, self.number, ideal, block, pairs, keys)).transpose()
+        self.learnt.map(|model| Acquisition::new(model, self.number, ideal, block, pairs, keys)).transpose()
     }
 
     /// The matcher of a pair from its ideal depth maps (first, second), for the depth map of image `side`.

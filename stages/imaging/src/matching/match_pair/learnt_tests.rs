@@ -2,7 +2,7 @@
 
 use super::tests::{Scene, convergent, pairs, scene};
 use super::*;
-use rockface_core::artefact::{Artefact, Contrast, Frame, Grid, Member, Mesh, Noun, Pair, ReliefLaw};
+use rockface_core::artefact::{Artefact, Contrast, Frame, Grid, Member, Mesh, Noise, Noun, Pair, ReliefLaw};
 use rockface_core::testing::{TestHost, height_mesh, image_at, run_stage, small_sensor};
 use serde_json::{Value, json};
 
@@ -10,7 +10,7 @@ const SIDE: usize = 60;
 
 /// A parametric model over 12 x 12 m of a plane: 0.1 px of an acquisition left of the middle, 0.3 px right of it, and 2 px
 /// where a metre of relief is.
-fn model() -> Noise {
+pub fn model() -> Noise {
     let grid = Grid { columns: SIDE, rows: SIDE, cell_m: 0.2, left_m: -6.0, top_m: 6.0 };
     let member = Member {
         name: "a".into(),

@@ -1,6 +1,9 @@
 //! Where the face differs from the one a noise model was learnt on, and how strong the noise is there.
 
-use crate::camera::model::{Camera, full_pixel};
+use rayon::prelude::*;
+
+use crate::camera::model::Camera;
+use crate::camera::ray_row::RayRow;
 use rockface_core::artefact::{Depth, Noise, ReliefLaw};
 
 /// A face has changed where its elevation lies this many cells outside of the range that the known one has nearby.
@@ -22,8 +25,13 @@ pub struct Face {
 pub fn seen(noise: &Noise, depth: &Depth, camera: &Camera) -> Face {
     let elevation = seen_elevation(noise, depth, camera);
     let differs = |i: usize| {
-        known_range_m(noise, i)
-            .is_some_and(|[lowest, highest]| f64::from(elevation[i]) < lowest || f64::from(elevation[i]) > highest)
+        let (seen_m, known_m) = (f64::from(elevation[i]), f64::from(noise.elevation[i]));
+        // Most cells are within the range that their own elevation gives.
+        let near = seen_m >= known_m - LEAST_CHANGE_CELLS * noise.grid.cell_m
+            && seen_m <= known_m + LEAST_CHANGE_CELLS * noise.grid.cell_m;
+        !near
+            && !seen_m.is_nan()
+            && known_range_m(noise, i).is_some_and(|[lowest, highest]| seen_m < lowest || seen_m > highest)
     };
     let changed: Vec<usize> = (0..elevation.len()).filter(|i| differs(*i)).collect();
     let mut strength = noise.strength.clone();
@@ -89,24 +97,32 @@ impl Window {
     }
 }
 
+/// Rows of a depth map whose points are found side by side.
+const ROWS_AT_ONCE: usize = 64;
+
 /// Mean elevation of the points of a depth map on the cells of the model; NaN where there is none.
 fn seen_elevation(noise: &Noise, depth: &Depth, camera: &Camera) -> Vec<f32> {
     let grid = noise.grid;
-    let mut sums = vec![[0.0f64; 2]; grid.cells()];
-    for row in 0..depth.height {
-        for column in 0..depth.width {
-            let z = depth.z[row * depth.width + column];
-            let Some(ray) =
-                z.is_finite().then(|| camera.normalised(full_pixel(column, row, depth.downscale))).flatten()
-            else {
-                continue;
-            };
-            let point = camera.unproject(ray, f64::from(z));
+    // The cell and the elevation of each point of a row that is on the grid.
+    let points = |row: usize| -> Vec<(usize, f64)> {
+        let z = &depth.z[row * depth.width..(row + 1) * depth.width];
+        let rays = RayRow::new(camera, row, depth.downscale).rays(0, depth.width);
+        let on_grid = |(ray, z): (&[f64; 2], &f32)| {
+            let point = camera.unproject(*ray, f64::from(*z));
             let at = [(point.x - grid.left_m) / grid.cell_m, (grid.top_m - point.y) / grid.cell_m];
-            if at[0] >= 0.0 && at[1] >= 0.0 && at[0] < grid.columns as f64 && at[1] < grid.rows as f64 {
-                let sum = &mut sums[at[1] as usize * grid.columns + at[0] as usize];
-                (sum[0], sum[1]) = (sum[0] + point.z, sum[1] + 1.0);
-            }
+            // Comparisons with NaN are false: a pixel without a depth or a ray has no point.
+            let inside = at[0] >= 0.0 && at[1] >= 0.0 && at[0] < grid.columns as f64 && at[1] < grid.rows as f64;
+            inside.then(|| (at[1] as usize * grid.columns + at[0] as usize, point.z))
+        };
+        rays.iter().zip(z).filter_map(on_grid).collect()
+    };
+    let mut sums = vec![[0.0f64; 2]; grid.cells()];
+    for first in (0..depth.height).step_by(ROWS_AT_ONCE) {
+        let rows = first..(first + ROWS_AT_ONCE).min(depth.height);
+        let rows: Vec<Vec<(usize, f64)>> = rows.into_par_iter().map(points).collect();
+        for (cell, z) in rows.into_iter().flatten() {
+            let sum = &mut sums[cell];
+            (sum[0], sum[1]) = (sum[0] + z, sum[1] + 1.0);
         }
     }
     sums.iter().map(|[sum, count]| if *count > 0.0 { (sum / count) as f32 } else { f32::NAN }).collect()

@@ -9,7 +9,8 @@ use rayon::prelude::*;
 
 use rockface_core::artefact::{Contrast, LevelContrast};
 use rockface_core::numerics::gaussian::{half_kernel, smooth_columns, smooth_rows, smoothed};
-use rockface_core::numerics::portable_math;
+use rockface_core::numerics::portable_math::{exp, exp_lanes, log_lanes};
+use rockface_core::numerics::simd::{LANES, Lanes, Work, vectorised};
 
 /// Deviations of the Gaussians under which the squares of details are the strength near and farther around, in deviations of that of the level.
 const LOCAL: [f64; 2] = [1.5, 6.0];
@@ -34,7 +35,7 @@ pub fn with_gains(field: Vec<f64>, columns: usize, contrast: &Contrast) -> Vec<f
     let is_none = |level: &LevelContrast| level.log_gain.iter().all(|gain| gain.abs() <= 0.0);
     changed(field, columns, contrast, is_none, |details, level, _| {
         for (details, log_gain) in details.iter_mut().zip(level.log_gain) {
-            let gain = portable_math::exp(log_gain);
+            let gain = exp(log_gain);
             details.iter_mut().for_each(|detail| *detail *= gain);
         }
     })
@@ -82,25 +83,91 @@ fn raise(details: &mut Details, powers: &LevelContrast, columns: usize, local_ce
     let before = details.each_ref().map(|details| mean_square(details).max(f64::MIN_POSITIVE));
     let square = |i: usize| (0..3).map(|o| details[o][i] * details[o][i] / before[o]).sum::<f64>() / 3.0;
     let squares: Vec<f32> = (0..details[0].len()).map(|i| square(i) as f32).collect();
-    let log = |square: f64| portable_math::log(square.max(LEAST_SQUARE));
     let mut local = vec![0.0; squares.len()];
     for (power, cells) in powers.local_power.into_iter().zip(local_cells).filter(|(power, _)| power.abs() > 0.0) {
         let around = smoothed(&squares, columns, cells);
-        local.par_iter_mut().zip(around).for_each(|(sum, around)| *sum += power * log(around));
+        let pieces = local.par_chunks_mut(PIECE).zip(around.par_chunks(PIECE));
+        pieces.for_each(|(local, around)| vectorised(AddLogs { local, around, power }));
     }
     for ((details, before), own_power) in details.iter_mut().zip(before).zip(powers.own_power) {
-        details.par_iter_mut().zip(&local).for_each(|(detail, local)| {
-            let own = own_power * log(*detail * *detail / before);
-            *detail *= portable_math::exp(0.5 * (own + local)).min(MOST_FACTOR);
-        });
+        let pieces = details.par_chunks_mut(PIECE).zip(local.par_chunks(PIECE));
+        pieces.for_each(|(details, local)| vectorised(Raise { details, local, own_power, before }));
         let level = (before / mean_square(details).max(f64::MIN_POSITIVE)).sqrt();
         details.iter_mut().for_each(|detail| *detail *= level);
+    }
+}
+
+/// Cells that a task works on.
+const PIECE: usize = 1 << 13;
+/// Largest logarithm of a factor, either way; more would be beyond [`MOST_FACTOR`], or nothing.
+const MOST_LOG: f64 = 700.0;
+
+/// Logarithm of a square, or of the least one.
+#[inline(always)]
+fn log_square(square: Lanes) -> Lanes {
+    log_lanes(square.map(|square| square.max(LEAST_SQUARE)))
+}
+
+/// Adds the logarithms of the strength around cells, times a power.
+struct AddLogs<'a> {
+    local: &'a mut [f64],
+    around: &'a [f64],
+    power: f64,
+}
+
+impl Work for AddLogs<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { local, around, power } = self;
+        for (local, around) in local.chunks_mut(LANES).zip(around.chunks(LANES)) {
+            let sum = filled(local) + log_square(filled(around)) * power;
+            local.copy_from_slice(&sum.each()[..local.len()]);
+        }
+    }
+}
+
+/// Multiplies details by the power of their own size and of the strength around them.
+struct Raise<'a> {
+    details: &'a mut [f64],
+    /// Logarithms of the factors by the strength around.
+    local: &'a [f64],
+    own_power: f64,
+    /// Mean square of the details.
+    before: f64,
+}
+
+impl Work for Raise<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { details, local, own_power, before } = self;
+        for (details, local) in details.chunks_mut(LANES).zip(local.chunks(LANES)) {
+            let detail = filled(details);
+            let own = log_square(detail * detail / before) * own_power;
+            let log = (own + filled(local)) * 0.5;
+            let factor = exp_lanes(log.map(|log| log.clamp(-MOST_LOG, MOST_LOG)));
+            let raised = detail * factor.map(|factor| factor.min(MOST_FACTOR));
+            details.copy_from_slice(&raised.each()[..details.len()]);
+        }
+    }
+}
+
+/// The values of some cells, and ones behind the last.
+#[inline(always)]
+fn filled(values: &[f64]) -> Lanes {
+    match values.first_chunk() {
+        Some(values) => Lanes::from(*values),
+        None => Lanes::of(|i| values.get(i).copied().unwrap_or(1.0)),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rockface_core::numerics::portable_math;
     use rockface_core::numerics::random::Key;
 
     #[test]

@@ -7,8 +7,8 @@ use nalgebra::Vector3;
 use crate::camera::model::Camera;
 use crate::matching::elevation_step::SurveySteps;
 use crate::matching::noise::changed_face;
-use crate::matching::noise::ensemble::draw;
 use crate::matching::noise::matcher::Keys;
+use crate::matching::noise::model_draws::Model;
 use crate::matching::noise::spline::{Spline, mirrored};
 use crate::matching::side::Side;
 use rockface_core::StageError;
@@ -40,15 +40,16 @@ pub struct Acquisition<'a> {
 impl<'a> Acquisition<'a> {
     /// Draws an acquisition for the ideal depth map of an image, which `block` and `pairs` survey with others.
     ///
-    /// The streams depend neither on the image nor on its pairs: all of a survey share what is drawn. `number` is that of [`draw`].
+    /// The streams depend neither on the image nor on its pairs: all of a survey share what is drawn. `number` is that of [`Model::draw`].
     pub fn new(
-        noise: &'a Noise,
+        model: Model<'a>,
         number: Option<u32>,
         depth: &Depth,
         block: &Cameras,
         pairs: &Pairs,
         keys: Keys,
     ) -> Result<Self, StageError> {
+        let noise = model.noise;
         if noise.frame != depth.frame {
             let text =
                 format!("the noise model is in the {} frame, the depth maps in the {} frame", noise.frame, depth.frame);
@@ -56,7 +57,7 @@ impl<'a> Acquisition<'a> {
         }
         let survey = SurveySteps::new(block, pairs)?;
         let face = changed_face::seen(noise, depth, &Camera::of_depth(depth));
-        let mut errors_px = draw(noise, number, keys).errors_px(noise, &face.strength);
+        let mut errors_px = model.draw(number, keys).errors_px(noise, &face.strength);
         let gaps = Arc::new(errors_px.iter().map(|px| px.is_nan()).collect());
         errors_px.iter_mut().filter(|px| px.is_nan()).for_each(|px| *px = 0.0);
         let slopes = Arc::new(slopes(&face.elevation, noise.grid.columns));
@@ -221,8 +222,12 @@ impl LearntNoise {
     }
 
     /// The index of the cell at a position.
+    #[inline]
     fn cell(&self, [column, row]: [f64; 2]) -> usize {
-        mirrored(row.floor(), self.grid.rows) * self.grid.columns + mirrored(column.floor(), self.grid.columns)
+        let along = |at: f64, size: usize| {
+            if at >= 0.0 && at < size as f64 { at as usize } else { mirrored(at.floor(), size) }
+        };
+        along(row, self.grid.rows) * self.grid.columns + along(column, self.grid.columns)
     }
 }
 

@@ -7,6 +7,7 @@ pub mod ensemble;
 pub mod learnt;
 pub mod matcher;
 pub mod model;
+pub mod model_draws;
 pub mod modulation;
 pub mod paper;
 pub mod spline;

@@ -20,13 +20,34 @@ impl Spline {
     /// Through values row by row, at least one.
     pub fn new(mut values: Vec<f32>, columns: usize) -> Self {
         let rows = values.len() / columns;
-        values.chunks_exact_mut(columns).for_each(|row| filter(row, columns, 1));
-        (0..columns).for_each(|column| filter(&mut values[column..], rows, columns));
+        values.chunks_exact_mut(columns).for_each(filter_row);
+        filter_columns(&mut values, columns);
         Self { columns, rows, coefficients: values }
     }
 
     /// The value at a position in cells, whose middles are at halves.
+    #[inline]
     pub fn at(&self, [column, row]: [f64; 2]) -> f64 {
+        let least = |size: usize| size as f64 - 2.0;
+        let inside = column >= 1.5 && row >= 1.5 && column < least(self.columns) && row < least(self.rows);
+        if inside { self.at_inside([column, row]) } else { self.at_any([column, row]) }
+    }
+
+    /// At least two cells from the edges, so that no cell is mirrored.
+    #[inline]
+    fn at_inside(&self, [column, row]: [f64; 2]) -> f64 {
+        let (left, [a, b, c, d]) = inside(column);
+        let (top, [above, upper, lower, below]) = inside(row);
+        let along = |row: usize| {
+            let first = (top + row) * self.columns + left;
+            let &[one, two, three, four] = self.coefficients[first..].first_chunk().unwrap_or(&[f32::NAN; 4]);
+            let [one, two, three, four] = [f64::from(one), f64::from(two), f64::from(three), f64::from(four)];
+            one * a + two * b + three * c + four * d
+        };
+        along(0) * above + along(1) * upper + along(2) * lower + along(3) * below
+    }
+
+    fn at_any(&self, [column, row]: [f64; 2]) -> f64 {
         let (columns, x) = around(column, self.columns);
         let (rows, y) = around(row, self.rows);
         let along = |row: usize| {
@@ -37,17 +58,33 @@ impl Spline {
     }
 }
 
+/// The first of the four cells around a position that is at least 1.5, and their weights.
+#[inline]
+fn inside(position: f64) -> (usize, [f64; 4]) {
+    let first = (position - 0.5) as usize;
+    (first - 1, Interpolation::BSpline.weights(position - 0.5 - first as f64))
+}
+
 /// The four cells around a position along a side of a grid, and their weights.
 fn around(position: f64, size: usize) -> ([usize; 4], [f64; 4]) {
     let first = (position - 0.5).floor();
     let weights = Interpolation::BSpline.weights(position - 0.5 - first);
-    ([-1.0, 0.0, 1.0, 2.0].map(|step| mirrored(first + step, size)), weights)
+    let cell = |step: f64| mirrored(first + step, size);
+    ([cell(-1.0), cell(0.0), cell(1.0), cell(2.0)], weights)
 }
 
 /// The cell of a whole number along one side of a grid of `size` cells, which is mirrored at its ends.
+#[inline]
 pub fn mirrored(cell: f64, size: usize) -> usize {
     if cell >= 0.0 && cell < size as f64 {
         return cell as usize;
+    }
+    // Once beyond an end, which is most often, without a division.
+    if cell < 0.0 && cell >= -(size as f64) {
+        return (-1.0 - cell) as usize;
+    }
+    if cell >= size as f64 && cell < 2.0 * size as f64 {
+        return (2.0 * size as f64 - 1.0 - cell) as usize;
     }
     let period = 2.0 * size as f64;
     let within = cell.rem_euclid(period);
@@ -55,22 +92,49 @@ pub fn mirrored(cell: f64, size: usize) -> usize {
     (folded.max(0.0) as usize).min(size - 1)
 }
 
-/// Turns `count` values, `step` apart, into coefficients.
-fn filter(values: &mut [f32], count: usize, step: usize) {
-    let at = |i: usize| i * step;
+/// Turns the values of a row into coefficients.
+fn filter_row(values: &mut [f32]) {
+    let count = values.len();
     // What the values before the first one leave, which mirror those after it.
-    let before = |i: usize| f64::from(values[at(mirrored(-1.0 - i as f64, count))]);
+    let before = |i: usize| f64::from(values[mirrored(-1.0 - i as f64, count)]);
     let mut state = (0..MEMORY).rev().fold(0.0, |state, i| before(i) + POLE * state);
-    for i in 0..count {
-        state = f64::from(values[at(i)]) + POLE * state;
-        values[at(i)] = state as f32;
+    for value in values.iter_mut() {
+        state = f64::from(*value) + POLE * state;
+        *value = state as f32;
     }
     // Beyond the last one coefficients are mirrored too.
     state *= POLE / (POLE - 1.0);
-    values[at(count - 1)] = (6.0 * state) as f32;
-    for i in (0..count - 1).rev() {
-        state = POLE * (state - f64::from(values[at(i)]));
-        values[at(i)] = (6.0 * state) as f32;
+    values[count - 1] = (6.0 * state) as f32;
+    for value in values[..count - 1].iter_mut().rev() {
+        state = POLE * (state - f64::from(*value));
+        *value = (6.0 * state) as f32;
+    }
+}
+
+/// The same for all columns, row by row: neighbours in memory do not wait for each other.
+fn filter_columns(values: &mut [f32], columns: usize) {
+    let rows = values.len() / columns;
+    let mut states = vec![0.0; columns];
+    for i in (0..MEMORY).rev() {
+        let before = &values[mirrored(-1.0 - i as f64, rows) * columns..][..columns];
+        states.iter_mut().zip(before).for_each(|(state, value)| *state = f64::from(*value) + POLE * *state);
+    }
+    for row in values.chunks_exact_mut(columns) {
+        for (value, state) in row.iter_mut().zip(&mut states) {
+            *state = f64::from(*value) + POLE * *state;
+            *value = *state as f32;
+        }
+    }
+    let (others, last) = values.split_at_mut((rows - 1) * columns);
+    for (value, state) in last.iter_mut().zip(&mut states) {
+        *state *= POLE / (POLE - 1.0);
+        *value = (6.0 * *state) as f32;
+    }
+    for row in others.chunks_exact_mut(columns).rev() {
+        for (value, state) in row.iter_mut().zip(&mut states) {
+            *state = POLE * (*state - f64::from(*value));
+            *value = (6.0 * *state) as f32;
+        }
     }
 }
 
@@ -94,6 +158,16 @@ mod tests {
                 assert!((spline.at([-x, y]) - spline.at([x, y])).abs() < 1e-9);
                 assert!((spline.at([x, 2.0 * rows as f64 - y]) - spline.at([x, y])).abs() < 1e-9);
             }
+        }
+    }
+
+    #[test]
+    fn inside_and_near_the_edges_the_formula_is_the_same() {
+        let random = Key([4; 32]).field();
+        let spline = Spline::new((0..9 * 7).map(|i| random.normal(i, 0) as f32).collect(), 9);
+        for i in 0..900 {
+            let [column, row] = [0.01 * f64::from(i), 0.007 * f64::from((i * 37) % 1000)];
+            assert_eq!(spline.at([column, row]).to_bits(), spline.at_any([column, row]).to_bits(), "{column} {row}");
         }
     }
 
