@@ -15,7 +15,7 @@ macro_rules! files {
 }
 
 /// Every file of the folder `pipelines`; a test compares the list with the folder.
-const FILES: [(&str, &str); 57] = files![
+const FILES: [(&str, &str); 58] = files![
     "benchmark-outcrop.yaml",
     "benchmark.yaml",
     "calibrate-levels.yaml",
@@ -39,6 +39,7 @@ const FILES: [(&str, &str); 57] = files![
     "paper/small-volumes.yaml",
     "paper/ten-epochs.yaml",
     "parts/adjusted-noise.yaml",
+    "parts/adjusting-round.yaml",
     "parts/calibrated-replicate.yaml",
     "parts/calibrated-site.yaml",
     "parts/detection-benchmark.yaml",

@@ -32,6 +32,7 @@ parts![
     "verdict",
     "judged-noise",
     "no-change-site",
+    "adjusting-round",
     "adjusted-noise",
     "noise-verdict",
     "judged-model",
