@@ -75,11 +75,7 @@ impl Element<'_> {
         self.shared().map(Arc::as_ref)
     }
 
-    /// The same value as other steps may hold it too.
-    ///
-    /// # Errors
-    /// As [`Element::artefact`].
-    pub fn shared(&self) -> Result<&Arc<Artefact>, StageError> {
+    fn shared(&self) -> Result<&Arc<Artefact>, StageError> {
         let artefact = self.value.keep()?;
         self.stated.note(&self.label, artefact)?;
         Ok(artefact)
@@ -143,8 +139,16 @@ impl<'s> Inputs<'s> {
 
     /// The only artefact of a port, of whatever kind the port takes.
     pub fn artefact(&self, port: &str) -> Result<&Artefact, StageError> {
+        self.shared(port).map(Arc::as_ref)
+    }
+
+    /// The same, as other steps may hold it too.
+    ///
+    /// # Errors
+    /// As [`Inputs::artefact`].
+    pub fn shared(&self, port: &str) -> Result<&Arc<Artefact>, StageError> {
         match self.elements(port) {
-            [element] => element.artefact(),
+            [element] => element.shared(),
             found => Err(StageError::new(format!("port `{port}` needs one artefact, found {}", found.len()))),
         }
     }

@@ -7,7 +7,7 @@ use crate::matching::pair::Sampling;
 use crate::matching::setup::Setup;
 use rockface_core::artefact::{Depth, Raster};
 use rockface_core::params::Range;
-use rockface_core::{Inputs, StageError, choice, params};
+use rockface_core::{StageError, choice, params};
 
 choice! {
     /// Where the noise of disparities comes from.
@@ -38,20 +38,6 @@ pub struct NoisePorts<'a> {
     pub noise: Option<Model<'a>>,
     /// Errors of the user's own.
     pub errors: Option<&'a Depth>,
-}
-
-impl<'a> NoisePorts<'a> {
-    /// The ports `strength`, `noise` and `errors`.
-    ///
-    /// # Errors
-    /// One of them cannot be read.
-    pub fn of(inputs: &'a Inputs) -> Result<Self, StageError> {
-        Ok(Self {
-            strength: inputs.optional::<Raster>("strength")?,
-            noise: Model::at(inputs, "noise")?,
-            errors: inputs.optional::<Depth>("errors")?,
-        })
-    }
 }
 
 params! {

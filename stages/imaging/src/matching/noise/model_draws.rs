@@ -7,7 +7,6 @@ use crate::matching::noise::ensemble::{Drawn, draw};
 use crate::matching::noise::matcher::Keys;
 use rockface_core::artefact::{Artefact, Noise, Noun};
 use rockface_core::numerics::random::Key;
-use rockface_core::{Inputs, StageError};
 
 /// Values of all draws that are held.
 const MOST_VALUES: usize = 1 << 23;
@@ -32,14 +31,9 @@ pub struct Model<'a> {
 }
 
 impl<'a> Model<'a> {
-    /// The model at an optional port.
-    ///
-    /// # Errors
-    /// It cannot be read.
-    pub fn at(inputs: &'a Inputs, port: &str) -> Result<Option<Self>, StageError> {
-        let [element] = inputs.elements(port) else { return Ok(None) };
-        let artefact = element.shared()?;
-        Ok(Noise::of(artefact).map(|noise| Self { noise, artefact }))
+    /// The model that an artefact is.
+    pub fn of(artefact: &'a Arc<Artefact>) -> Option<Self> {
+        Noise::of(artefact).map(|noise| Self { noise, artefact })
     }
 
     /// As [`draw`]. A draw of the same artefact with the same number and streams is not made again while it is held.
@@ -79,7 +73,6 @@ fn hold(all: &mut Vec<Made>, made: Made) {
 mod tests {
     use super::*;
     use crate::matching::match_pair::learnt_tests::model;
-    use rockface_core::Point;
 
     fn keys(seed: u8) -> impl Fn(&str, &str) -> Key + Sync {
         move |purpose, item| {
@@ -91,20 +84,14 @@ mod tests {
 
     #[test]
     fn a_draw_is_made_once_for_one_model_number_and_stream() {
-        let inputs = |noise: Noise| {
-            let mut inputs = Inputs::default();
-            inputs.push("noise", Point::new(), Arc::new(noise.into()));
-            inputs
-        };
-        let (one, other) = (inputs(model()), inputs(Noise { bad_share: 0.5, ..model() }));
-        let [one, other] = [&one, &other].map(|inputs| Model::at(inputs, "noise").unwrap().unwrap());
+        let artefacts = [model(), Noise { bad_share: 0.5, ..model() }].map(|noise| Arc::new(Artefact::from(noise)));
+        let [one, other] = artefacts.each_ref().map(|artefact| Model::of(artefact).unwrap());
         let first = one.draw(Some(0), &keys(1));
         assert!(Arc::ptr_eq(&first, &one.draw(Some(0), &keys(1))));
         assert_eq!(first.field, draw(one.noise, Some(0), &keys(1)).field);
         for again in [one.draw(Some(1), &keys(1)), one.draw(Some(0), &keys(2)), other.draw(Some(0), &keys(1))] {
             assert!(!Arc::ptr_eq(&first, &again));
         }
-        assert!(Model::at(&Inputs::default(), "noise").unwrap().is_none());
     }
 
     #[test]
