@@ -34,7 +34,7 @@ const LOG: [f64; 7] = [
 const HALF_LN2: f64 = f64::from_bits(0x3fd6_2e43 << 32);
 const ONE_AND_A_HALF_LN2: f64 = f64::from_bits(0x3ff0_a2b2 << 32);
 const NEAR_ZERO: f64 = f64::from_bits(0x3e30_0001 << 32);
-const INVERSE_LN2: f64 = 1.442_695_040_888_963_4;
+const INVERSE_LN2: f64 = std::f64::consts::LOG2_E;
 /// Coefficients of x - 2 + 2 x / (exp x - 1) less the linear term, in x^2.
 const EXP: [f64; 5] = [
     0.166_666_666_666_666_02,
