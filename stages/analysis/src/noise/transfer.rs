@@ -9,7 +9,7 @@ use crate::noise::learning::whitening::Places;
 use rockface_core::artefact::{Contrast, Grid, Member, Noise, Raster, ReliefLaw};
 use rockface_core::numerics::bands::{Bands, at_other_bands};
 use rockface_core::numerics::portable_math::{exp, log};
-use rockface_imaging::matching::noise::changed_face::{Window, known_range_m, law, relief_m};
+use rockface_imaging::matching::noise::changed_face::{Window, is_known, law, relief_m};
 use rockface_imaging::matching::noise::ensemble::log_strength_at;
 use rockface_imaging::matching::noise::spline::{Spline, mirrored};
 
@@ -73,11 +73,7 @@ fn known_cell(noise: &Noise, dem: &Raster, cell: usize) -> Option<usize> {
     }
     let own = at[1] as usize * noise.grid.columns + at[0] as usize;
     let z = f64::from(dem.bands[0].values[cell]);
-    let same = if z.is_nan() {
-        noise.elevation[own].is_nan()
-    } else {
-        known_range_m(noise, own).is_some_and(|[lowest, highest]| (lowest..=highest).contains(&z))
-    };
+    let same = if z.is_nan() { noise.elevation[own].is_nan() } else { is_known(noise, own, z) == Some(true) };
     same.then_some(own)
 }
 
@@ -118,7 +114,7 @@ impl Lie {
         let at =
             [side(begins(new.left_m - model.left_m), new.columns), side(begins(model.top_m - new.top_m), new.rows)];
         let sizes = [model.columns, model.rows];
-        let under = [0, 1].map(|k| at[k].iter().map(|at| mirrored(at.floor(), sizes[k])).collect());
+        let under = [0, 1].map(|k| at[k].iter().map(|at| mirrored(*at, sizes[k])).collect());
         Self { columns: model.columns, resampled, at, under }
     }
 

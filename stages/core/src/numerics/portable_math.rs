@@ -29,13 +29,13 @@ const LOG: [f64; 7] = [
     0.153_138_376_992_093_73,
     0.147_981_986_051_165_86,
 ];
-/// The multiples of the logarithm of 2 from which on an argument of the exponential function is brought nearer to 0 by one, and by as many as
-/// fit; below the last bound it is one more than its argument.
+/// About half of the logarithm of 2: from here on an argument of the exponential function has one of it taken off.
 const HALF_LN2: f64 = f64::from_bits(0x3fd6_2e43 << 32);
+/// About one and a half of it: from here on, as many as fit.
 const ONE_AND_A_HALF_LN2: f64 = f64::from_bits(0x3ff0_a2b2 << 32);
+/// Below this the exponential is one more than its argument.
 const NEAR_ZERO: f64 = f64::from_bits(0x3e30_0001 << 32);
-const INVERSE_LN2: f64 = std::f64::consts::LOG2_E;
-/// Coefficients of x - 2 + 2 x / (exp x - 1) less the linear term, in x^2.
+/// Coefficients of x (exp x + 1) / (exp x - 1) - 2 from that of x^2 on, by even powers.
 const EXP: [f64; 5] = [
     0.166_666_666_666_666_02,
     -0.002_777_777_777_701_559_3,
@@ -84,7 +84,7 @@ pub fn log_lanes<const N: usize>(x: Lanes<N>) -> Lanes<N> {
 pub fn exp_lanes<const N: usize>(x: Lanes<N>) -> Lanes<N> {
     // The multiple of the logarithm of 2 that is taken off; none from half of it downwards.
     let steps = |x: f64| {
-        let many = (x * INVERSE_LN2 + if x < 0.0 { -0.5 } else { 0.5 }).trunc();
+        let many = (x * std::f64::consts::LOG2_E + if x < 0.0 { -0.5 } else { 0.5 }).trunc();
         let one = if x < 0.0 { -1.0 } else { 1.0 };
         let some = if x.abs() >= ONE_AND_A_HALF_LN2 { many } else { one };
         if x.abs() >= HALF_LN2 { some } else { 0.0 }
@@ -97,8 +97,8 @@ pub fn exp_lanes<const N: usize>(x: Lanes<N>) -> Lanes<N> {
     let found = rest * c / (-c + 2.0) - low + high + 1.0;
     let near = x + 1.0;
     let found = Lanes::of(|i| if x[i].abs() < NEAR_ZERO { near[i] } else { found[i] });
-    // As the mantissa of 2^52 a whole number comes to be an exponent.
-    found * (k + 4_503_599_627_371_519.0).map(|k| f64::from_bits(k.to_bits() << 52))
+    // Added to 2^52, the biased exponent of 2^k is in the lowest bits, from where it is shifted to its place.
+    found * (k + 1023.0 + 4_503_599_627_370_496.0).map(|k| f64::from_bits(k.to_bits() << 52))
 }
 
 /// [`sincos`] of several angles from 0 to a whole turn: the same bits.

@@ -98,6 +98,15 @@ impl<const N: usize> Lanes<N> {
         Self(lanes)
     }
 
+    /// The first numbers of a list; lanes beyond its end have no value.
+    #[inline(always)]
+    pub fn first_of(values: &[f64]) -> Self {
+        values.first_chunk().map_or_else(
+            || Self::of(|lane| values.get(lane).copied().unwrap_or(f64::NAN)),
+            |values: &[f64; N]| Self(*values),
+        )
+    }
+
     /// Lane `i` has the whole number of `i`, which must be below 2^52.
     #[inline(always)]
     pub fn of_whole(mut value: impl FnMut(usize) -> u64) -> Self {

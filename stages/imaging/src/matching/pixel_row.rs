@@ -70,17 +70,18 @@ impl PixelRow {
         self.noisy_rays.iter_mut().zip(noisy_ray).for_each(|(list, value)| list.push(value));
     }
 
+    /// X, Y and Z of the true points, in the frame of the cameras, metres.
+    pub fn points_m(&self) -> impl Iterator<Item = [f64; 3]> {
+        let [x, y, z] = &self.points_m;
+        x.iter().zip(y).zip(z).map(|((x, y), z)| [*x, *y, *z])
+    }
+
     /// The pixels, [`LANES`] at a time.
     pub fn blocks(&self) -> impl Iterator<Item = Block<'_>> {
         let starts = (0..self.columns.len()).step_by(LANES);
         starts.map(|start| {
             let end = self.columns.len().min(start + LANES);
-            let lanes = |list: &Vec<f64>| {
-                list.get(start..start + LANES).map_or_else(
-                    || Lanes::of(|lane| list.get(start + lane).copied().unwrap_or(f64::NAN)),
-                    |values| Lanes::of(|lane| values[lane]),
-                )
-            };
+            let lanes = |list: &Vec<f64>| Lanes::first_of(&list[start..]);
             Block {
                 columns: &self.columns[start..end],
                 points_m: self.points_m.each_ref().map(lanes),

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::camera::model::Camera;
-use crate::camera::ray_row::RayRow;
+use crate::matching::pixel_row::PixelRow;
 use rockface_core::artefact::{Depth, Noise, ReliefLaw};
 
 /// A face has changed where its elevation lies this many cells outside of the range that the known one has nearby.
@@ -24,15 +24,7 @@ pub struct Face {
 /// The face that a depth map shows.
 pub fn seen(noise: &Noise, depth: &Depth, camera: &Camera) -> Face {
     let elevation = seen_elevation(noise, depth, camera);
-    let differs = |i: usize| {
-        let (seen_m, known_m) = (f64::from(elevation[i]), f64::from(noise.elevation[i]));
-        // Most cells are within the range that their own elevation gives.
-        let near = seen_m >= known_m - LEAST_CHANGE_CELLS * noise.grid.cell_m
-            && seen_m <= known_m + LEAST_CHANGE_CELLS * noise.grid.cell_m;
-        !near
-            && !seen_m.is_nan()
-            && known_range_m(noise, i).is_some_and(|[lowest, highest]| seen_m < lowest || seen_m > highest)
-    };
+    let differs = |i: usize| !elevation[i].is_nan() && is_known(noise, i, f64::from(elevation[i])) == Some(false);
     let changed: Vec<usize> = (0..elevation.len()).filter(|i| differs(*i)).collect();
     let mut strength = noise.strength.clone();
     // Of the unchanged face, all that is known: the new surface meets it at the rim of the change.
@@ -47,17 +39,22 @@ pub fn seen(noise: &Noise, depth: &Depth, camera: &Camera) -> Face {
     Face { strength, elevation: surface }
 }
 
-/// Range of elevations that count as those of the face of a model at one of its cells, metres: two cells beyond what is known nearby;
-/// `None` where nothing is.
-pub fn known_range_m(noise: &Noise, cell: usize) -> Option<[f64; 2]> {
-    let window = Window { columns: noise.grid.columns, rows: noise.grid.rows, half: NEARBY_CELLS };
+/// Whether an elevation (metres) is one of the face of a model at one of its cells: at most two cells beyond what is known nearby; `None` where
+/// nothing is.
+pub fn is_known(noise: &Noise, cell: usize, elevation_m: f64) -> Option<bool> {
     let least_m = LEAST_CHANGE_CELLS * noise.grid.cell_m;
+    let within = |low: f32, high: f32| (f64::from(low) - least_m..=f64::from(high) + least_m).contains(&elevation_m);
+    // Most elevations are near that of the cell itself.
+    if within(noise.elevation[cell], noise.elevation[cell]) {
+        return Some(true);
+    }
+    let window = Window { columns: noise.grid.columns, rows: noise.grid.rows, half: NEARBY_CELLS };
     let (low, high) = window
         .around(cell)
         .map(|j| noise.elevation[j])
         .filter(|z| !z.is_nan())
         .fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), z| (low.min(z), high.max(z)));
-    (low <= high).then(|| [f64::from(low) - least_m, f64::from(high) + least_m])
+    (low <= high).then(|| within(low, high))
 }
 
 /// Strength by relief, pixels.
@@ -105,16 +102,12 @@ fn seen_elevation(noise: &Noise, depth: &Depth, camera: &Camera) -> Vec<f32> {
     let grid = noise.grid;
     // The cell and the elevation of each point of a row that is on the grid.
     let points = |row: usize| -> Vec<(usize, f64)> {
-        let z = &depth.z[row * depth.width..(row + 1) * depth.width];
-        let rays = RayRow::new(camera, row, depth.downscale).rays(0, depth.width);
-        let on_grid = |(ray, z): (&[f64; 2], &f32)| {
-            let point = camera.unproject(*ray, f64::from(*z));
-            let at = [(point.x - grid.left_m) / grid.cell_m, (grid.top_m - point.y) / grid.cell_m];
-            // Comparisons with NaN are false: a pixel without a depth or a ray has no point.
+        let on_grid = |[x, y, z]: [f64; 3]| {
+            let at = [(x - grid.left_m) / grid.cell_m, (grid.top_m - y) / grid.cell_m];
             let inside = at[0] >= 0.0 && at[1] >= 0.0 && at[0] < grid.columns as f64 && at[1] < grid.rows as f64;
-            inside.then(|| (at[1] as usize * grid.columns + at[0] as usize, point.z))
+            inside.then(|| (at[1] as usize * grid.columns + at[0] as usize, z))
         };
-        rays.iter().zip(z).filter_map(on_grid).collect()
+        PixelRow::new(depth, camera, camera, row).points_m().filter_map(on_grid).collect()
     };
     let mut sums = vec![[0.0f64; 2]; grid.cells()];
     for first in (0..depth.height).step_by(ROWS_AT_ONCE) {

@@ -122,7 +122,7 @@ impl Work for AddLogs<'_> {
     fn run(self) {
         let Self { local, around, power } = self;
         for (local, around) in local.chunks_mut(LANES).zip(around.chunks(LANES)) {
-            let sum = filled(local) + log_square(filled(around)) * power;
+            let sum = Lanes::first_of(local) + log_square(Lanes::first_of(around)) * power;
             local.copy_from_slice(&sum.each()[..local.len()]);
         }
     }
@@ -145,22 +145,13 @@ impl Work for Raise<'_> {
     fn run(self) {
         let Self { details, local, own_power, before } = self;
         for (details, local) in details.chunks_mut(LANES).zip(local.chunks(LANES)) {
-            let detail = filled(details);
+            let detail = Lanes::first_of(details);
             let own = log_square(detail * detail / before) * own_power;
-            let log = (own + filled(local)) * 0.5;
+            let log = (own + Lanes::first_of(local)) * 0.5;
             let factor = exp_lanes(log.map(|log| log.clamp(-MOST_LOG, MOST_LOG)));
             let raised = detail * factor.map(|factor| factor.min(MOST_FACTOR));
             details.copy_from_slice(&raised.each()[..details.len()]);
         }
-    }
-}
-
-/// The values of some cells, and ones behind the last.
-#[inline(always)]
-fn filled(values: &[f64]) -> Lanes {
-    match values.first_chunk() {
-        Some(values) => Lanes::from(*values),
-        None => Lanes::of(|i| values.get(i).copied().unwrap_or(1.0)),
     }
 }
 

@@ -224,10 +224,7 @@ impl LearntNoise {
     /// The index of the cell at a position.
     #[inline]
     fn cell(&self, [column, row]: [f64; 2]) -> usize {
-        let along = |at: f64, size: usize| {
-            if at >= 0.0 && at < size as f64 { at as usize } else { mirrored(at.floor(), size) }
-        };
-        along(row, self.grid.rows) * self.grid.columns + along(column, self.grid.columns)
+        mirrored(row, self.grid.rows) * self.grid.columns + mirrored(column, self.grid.columns)
     }
 }
 

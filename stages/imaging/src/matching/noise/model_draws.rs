@@ -36,7 +36,7 @@ impl<'a> Model<'a> {
         Noise::of(artefact).map(|noise| Self { noise, artefact })
     }
 
-    /// As [`draw`]. A draw of the same artefact with the same number and streams is not made again while it is held.
+    /// As [`draw`]. A draw of the same artefact with the same number and streams is not recomputed while it is held.
     pub fn draw(self, number: Option<u32>, keys: Keys) -> Arc<Drawn> {
         // All streams of a step follow from what one of them follows from.
         let stream = keys("noise-acquisition", "");
@@ -57,7 +57,7 @@ fn lately<T>(look: impl FnOnce(&mut Vec<Made>) -> T) -> T {
     look(&mut LATELY.lock().unwrap_or_else(PoisonError::into_inner))
 }
 
-/// Holds a draw, and lets go of those whose model is gone and of the oldest beyond [`MOST_VALUES`].
+/// Holds a draw, and releases those whose model is gone and the oldest beyond [`MOST_VALUES`].
 fn hold(all: &mut Vec<Made>, made: Made) {
     all.retain(|made| made.model.strong_count() > 0);
     all.push(made);
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn draws_of_models_that_are_gone_and_the_oldest_are_let_go() {
+    fn draws_of_models_that_are_gone_and_the_oldest_are_released() {
         let model = Arc::new(Artefact::from(model()));
         let made = |cells: usize, number: u32, model: Weak<Artefact>| Made {
             model,

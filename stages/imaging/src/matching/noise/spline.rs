@@ -20,8 +20,8 @@ impl Spline {
     /// Through values row by row, at least one.
     pub fn new(mut values: Vec<f32>, columns: usize) -> Self {
         let rows = values.len() / columns;
-        values.chunks_exact_mut(columns).for_each(filter_row);
-        filter_columns(&mut values, columns);
+        values.chunks_exact_mut(columns).for_each(|row| filter(row, 1));
+        filter(&mut values, columns);
         Self { columns, rows, coefficients: values }
     }
 
@@ -73,12 +73,13 @@ fn around(position: f64, size: usize) -> ([usize; 4], [f64; 4]) {
     ([cell(-1.0), cell(0.0), cell(1.0), cell(2.0)], weights)
 }
 
-/// The cell of a whole number along one side of a grid of `size` cells, which is mirrored at its ends.
+/// The cell at a position along one side of a grid of `size` cells, which is mirrored at its ends.
 #[inline]
-pub fn mirrored(cell: f64, size: usize) -> usize {
-    if cell >= 0.0 && cell < size as f64 {
-        return cell as usize;
+pub fn mirrored(at: f64, size: usize) -> usize {
+    if at >= 0.0 && at < size as f64 {
+        return at as usize;
     }
+    let cell = at.floor();
     // Once beyond an end, which is most often, without a division.
     if cell < 0.0 && cell >= -(size as f64) {
         return (-1.0 - cell) as usize;
@@ -92,29 +93,11 @@ pub fn mirrored(cell: f64, size: usize) -> usize {
     (folded.max(0.0) as usize).min(size - 1)
 }
 
-/// Turns the values of a row into coefficients.
-fn filter_row(values: &mut [f32]) {
-    let count = values.len();
-    // What the values before the first one leave, which mirror those after it.
-    let before = |i: usize| f64::from(values[mirrored(-1.0 - i as f64, count)]);
-    let mut state = (0..MEMORY).rev().fold(0.0, |state, i| before(i) + POLE * state);
-    for value in values.iter_mut() {
-        state = f64::from(*value) + POLE * state;
-        *value = state as f32;
-    }
-    // Beyond the last one coefficients are mirrored too.
-    state *= POLE / (POLE - 1.0);
-    values[count - 1] = (6.0 * state) as f32;
-    for value in values[..count - 1].iter_mut().rev() {
-        state = POLE * (state - f64::from(*value));
-        *value = (6.0 * state) as f32;
-    }
-}
-
-/// The same for all columns, row by row: neighbours in memory do not wait for each other.
-fn filter_columns(values: &mut [f32], columns: usize) {
+/// Turns the values of each column into coefficients, row by row: columns do not wait for each other.
+fn filter(values: &mut [f32], columns: usize) {
     let rows = values.len() / columns;
     let mut states = vec![0.0; columns];
+    // What the values before the first one leave, which mirror those after it.
     for i in (0..MEMORY).rev() {
         let before = &values[mirrored(-1.0 - i as f64, rows) * columns..][..columns];
         states.iter_mut().zip(before).for_each(|(state, value)| *state = f64::from(*value) + POLE * *state);
@@ -126,6 +109,7 @@ fn filter_columns(values: &mut [f32], columns: usize) {
         }
     }
     let (others, last) = values.split_at_mut((rows - 1) * columns);
+    // Beyond the last one coefficients are mirrored too.
     for (value, state) in last.iter_mut().zip(&mut states) {
         *state *= POLE / (POLE - 1.0);
         *value = (6.0 * *state) as f32;
@@ -184,7 +168,19 @@ mod tests {
 
     #[test]
     fn cells_are_mirrored_at_both_ends() {
-        for (cell, expected) in [(0.0, 0), (2.0, 2), (3.0, 2), (5.0, 0), (-1.0, 0), (-3.0, 2), (6.0, 0), (60.0, 0)] {
+        for (cell, expected) in [
+            (0.0, 0),
+            (2.0, 2),
+            (3.0, 2),
+            (5.0, 0),
+            (-1.0, 0),
+            (-3.0, 2),
+            (6.0, 0),
+            (60.0, 0),
+            (1.7, 1),
+            (-0.3, 0),
+            (3.2, 2),
+        ] {
             assert_eq!(mirrored(cell, 3), expected, "{cell}");
         }
     }
