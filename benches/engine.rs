@@ -77,6 +77,10 @@ impl Stage for Root {
 
 const STAGES: &[&dyn AnyStage] = &[&Row::<Cheap>::new(), &Row::<Root>::new()];
 
+/// That of the program.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 /// Set in the process that is timed when there is nothing to do: the folder of the benchmark.
 const NOTHING_TO_DO: &str = "ROCKFACE_BENCH_FOLDER";
 

@@ -27,6 +27,10 @@ use wait4::Wait4;
 
 use busy::Busy;
 
+/// That of the program.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 /// Set in the process that measures a work: its name.
 const WORK: &str = "ROCKFACE_BENCH_WORK";
 

@@ -7,12 +7,17 @@ use crate::noise::learning::{by_place, contrast};
 use crate::noise::structure;
 use rockface_core::artefact::{Band, Cameras, Kind, LevelContrast, LevelFigures, Noise, Pairs, Raster, UNEVENNESS};
 use rockface_core::numerics::portable_math::{exp, log};
+use rockface_core::params::Range;
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 use rockface_imaging::matching::elevation_step::elevation_step_m;
 
 params! {
-    /// Parameters of `adjust-noise`: there are none.
-    pub struct AdjustNoiseParams {}
+    /// Parameters of `adjust-noise`.
+    pub struct AdjustNoiseParams {
+        /// Factor by which more is added to the gains of the bands than is lost of them (over-relaxation). Of what is added to the finest
+        /// band about half is lost again, so that rounds which follow others need more than 1.
+        relaxation: f64 = 1.0; Range::Between(0.5, 1.9),
+    }
 }
 
 /// Makes up for what a survey loses of the noise of a model.
@@ -32,7 +37,7 @@ const MOST_SHARE: f64 = 2.0;
 impl Stage for AdjustNoise {
     type Params = AdjustNoiseParams;
     const NAME: &'static str = "adjust-noise";
-    const VERSION: u32 = 9;
+    const VERSION: u32 = 10;
     const PAGE: Page = Page::new(include_str!("adjust_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("noise", &[Kind::Noise], "The model."),
@@ -52,7 +57,7 @@ impl Stage for AdjustNoise {
         3 * (inputs.of("simulated") + inputs.of("drawn")) + inputs.of("noise") + 60 * inputs.of("dem")
     }
 
-    fn run(_: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let noise = inputs.one::<Noise>("noise")?;
         let (dem, block, pairs) =
             (inputs.one::<Raster>("dem")?, inputs.one::<Cameras>("cameras")?, inputs.one::<Pairs>("pairs")?);
@@ -91,7 +96,7 @@ impl Stage for AdjustNoise {
         let (simulated, drawn) = (described(&left)?, described(&whole)?);
         let losses = losses(&simulated, &drawn, &noise.contrast.levels);
         report(&losses, noise, context);
-        let mut adjusted = adjusted(noise, &losses);
+        let mut adjusted = adjusted(noise, &losses, params.relaxation);
         by_place::times(&mut adjusted.strength, &by_place);
         Ok(Outputs::of("noise", adjusted))
     }
@@ -143,14 +148,14 @@ fn without_mean(values: &mut [f64]) {
     values.iter_mut().for_each(|value| *value -= mean);
 }
 
-/// The model with what is lost added: first the classes of place, then the bands, then the details by level.
-fn adjusted(noise: &Noise, losses: &[Departure]) -> Noise {
+/// The model with what is lost added: first the classes of place, then the bands, `relaxation` times what they lose, then the details by level.
+fn adjusted(noise: &Noise, losses: &[Departure], relaxation: f64) -> Noise {
     let (classes, bands, details) = parts(losses, noise);
     let mut adjusted = noise.clone();
     for member in &mut adjusted.members {
         member.log_strength.iter_mut().zip(classes).for_each(|(value, loss)| *value -= loss.certain(CHANCE_ERRORS));
     }
-    adjusted.log_gain.iter_mut().zip(bands).for_each(|(gain, loss)| *gain -= loss.certain(CHANCE_ERRORS));
+    adjusted.log_gain.iter_mut().zip(bands).for_each(|(gain, loss)| *gain -= relaxation * loss.certain(CHANCE_ERRORS));
     let certain = |k: usize| -details[k].certain(DETAIL_ERRORS);
     contrast::make_up(&mut adjusted.contrast, |level| {
         let first = OF_LEVEL * level;

@@ -2,9 +2,12 @@
 
 use rayon::prelude::*;
 
-use rockface_core::numerics::gaussian::{BLOCK, FilteredRows, Weighted, half_kernel};
+use rockface_core::numerics::gaussian::{FilteredRows, LANES, half_kernel};
 use rockface_core::numerics::linear_fit::{Line, fit_line};
 use rockface_core::numerics::portable_math;
+
+/// Cells filtered together.
+const BLOCK: usize = FilteredRows::<2>::BLOCK;
 
 /// Roughness over smoothing scales.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,7 +44,7 @@ pub fn roughness(values: &[f32], columns: usize, cell: f64, scales_cells: &[f64]
 }
 
 /// Root mean square of what a kernel takes away; `along` is room for the rows filtered.
-fn residual(values: &[f32], columns: usize, mean: f64, kernel: &[f64], along: &mut FilteredRows) -> f64 {
+fn residual(values: &[f32], columns: usize, mean: f64, kernel: &[f64], along: &mut FilteredRows<2>) -> f64 {
     along.filter(values, mean, kernel);
     let of_block = |block: usize| {
         let mut total = Squares::default();
@@ -66,12 +69,12 @@ struct Squares {
 
 impl Squares {
     #[inline]
-    fn add(&mut self, cells: &[f32], mean: f64, sums: &[Weighted; BLOCK]) {
+    fn add(&mut self, cells: &[f32], mean: f64, sums: &[f64; LANES]) {
         // A copy of a length that is known takes two instructions.
         let values: [f32; BLOCK] =
             cells.try_into().unwrap_or_else(|_| std::array::from_fn(|lane| *cells.get(lane).unwrap_or(&f32::NAN)));
         for (lane, value) in values.into_iter().enumerate() {
-            let [sum, weight] = sums[lane];
+            let (sum, weight) = (sums[2 * lane], sums[2 * lane + 1]);
             let rest = f64::from(value) - mean - sum / weight;
             // Where there is no value the rest is NaN.
             let (square, one) = if rest.is_nan() { (0.0, 0.0) } else { (rest * rest, 1.0) };

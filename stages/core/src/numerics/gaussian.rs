@@ -8,35 +8,59 @@ use crate::numerics::simd::{Work, vectorised};
 /// Where the filter is cut off, in standard deviations.
 const TRUNCATION: f64 = 4.0;
 
-/// A value and its weight: those of a cell that has a value, or zeros, or sums of these.
-pub type Weighted = [f64; 2];
-
-/// Cells filtered together, so that their sums stay in registers.
-pub const BLOCK: usize = 8;
+/// Numbers filtered together, so that their sums stay in registers.
+pub const LANES: usize = 16;
 /// Rows that one thread filters one after the other, so that it writes long pieces of each block.
 const BAND: usize = 16;
-/// Numbers in a block.
-const LANES: usize = 2 * BLOCK;
 
 /// The values under a Gaussian of `scale` cells, gaps without weight; 0 where nothing is in reach.
 pub fn smoothed(values: &[f32], columns: usize, scale: f64) -> Vec<f64> {
     let kernel = half_kernel(scale);
-    let mut along = FilteredRows::new(values.len() / columns, columns, kernel.len());
-    along.filter(values, 0.0, &kernel);
-    let mean = |[sum, weight]: Weighted| if weight > 0.0 { sum / weight } else { 0.0 };
-    let of_block = |block: usize| {
-        let mut means = Vec::with_capacity(values.len() / columns * BLOCK);
-        along.filter_columns(&kernel, block, |_, sums| means.extend(sums.map(mean)));
-        means
-    };
-    let blocks: Vec<Vec<f64>> = (0..columns.div_ceil(BLOCK)).into_par_iter().map(of_block).collect();
-    let mut smooth = vec![0.0; values.len()];
+    if !values.iter().any(|value| value.is_nan()) {
+        return smoothed_whole(values, columns, &kernel);
+    }
+    let mean = |[sum, weight]: &[f64; 2]| if *weight > 0.0 { sum / weight } else { 0.0 };
+    filtered::<2>(values, columns, &kernel, |sums, means| means.extend(sums.as_chunks().0.iter().map(mean)))
+}
+
+/// The same of a grid without gaps, whose weights depend on how near its edges are: the same bits.
+fn smoothed_whole(values: &[f32], columns: usize, kernel: &[f64]) -> Vec<f64> {
+    let mut smooth = filtered::<1>(values, columns, kernel, |sums, found| found.extend_from_slice(sums));
+    // Rows that reach no edge have the weights of one of them.
+    let (rows, radius) = (values.len() / columns, kernel.len() - 1);
+    let distinct = rows.min(2 * radius + 1);
+    let weights =
+        filtered::<1>(&vec![1.0; distinct * columns], columns, kernel, |sums, found| found.extend_from_slice(sums));
     smooth.par_chunks_mut(columns).enumerate().for_each(|(row, line)| {
-        for (out, means) in line.chunks_mut(BLOCK).zip(&blocks) {
-            out.copy_from_slice(&means[row * BLOCK..][..out.len()]);
-        }
+        let alike = if row + radius < rows { row.min(radius) } else { row + distinct - rows };
+        line.iter_mut().zip(&weights[alike * columns..]).for_each(|(sum, weight)| *sum /= weight);
     });
     smooth
+}
+
+/// A grid under a kernel in both directions; `push` adds the cells of a block, made of their sums.
+fn filtered<const NUMBERS: usize>(
+    values: &[f32],
+    columns: usize,
+    kernel: &[f64],
+    push: impl Fn(&[f64; LANES], &mut Vec<f64>) + Sync,
+) -> Vec<f64> {
+    let block = FilteredRows::<NUMBERS>::BLOCK;
+    let mut along = FilteredRows::<NUMBERS>::new(values.len() / columns, columns, kernel.len());
+    along.filter(values, 0.0, kernel);
+    let of_block = |place: usize| {
+        let mut found = Vec::with_capacity(values.len() / columns * block);
+        along.filter_columns(kernel, place, |_, sums| push(&sums, &mut found));
+        found
+    };
+    let blocks: Vec<Vec<f64>> = (0..columns.div_ceil(block)).into_par_iter().map(of_block).collect();
+    let mut whole = vec![0.0; values.len()];
+    whole.par_chunks_mut(columns).enumerate().for_each(|(row, line)| {
+        for (out, found) in line.chunks_mut(block).zip(&blocks) {
+            out.copy_from_slice(&found[row * block..][..out.len()]);
+        }
+    });
+    whole
 }
 
 /// Weights of a Gaussian of `scale` cells at distances 0, 1, 2, ... cells; both sides together add up to 1.
@@ -79,64 +103,71 @@ pub fn smooth_columns(field: &[f64], columns: usize, kernel: &[f64]) -> Vec<f64>
     smooth
 }
 
-/// Rows of a grid under a kernel, to be filtered along its columns.
-pub struct FilteredRows {
+/// Rows of a grid under a kernel, to be filtered along its columns. A cell has two numbers, its value and its weight, or where a
+/// grid has no gaps its value alone.
+pub struct FilteredRows<const NUMBERS: usize> {
     /// Blocks of columns, one after the other, each row by row, with zeros before its first row and after its last one.
-    cells: Vec<Weighted>,
+    numbers: Vec<f64>,
     rows: usize,
     columns: usize,
-    /// Cells of a block before its first row, and after its last one.
+    /// Numbers of a block before its first row, and after its last one.
     border: usize,
 }
 
-impl FilteredRows {
+impl<const NUMBERS: usize> FilteredRows<NUMBERS> {
+    /// Cells filtered together.
+    pub const BLOCK: usize = LANES / NUMBERS;
+
     /// Room for a grid under kernels of up to `longest` weights.
     pub fn new(rows: usize, columns: usize, longest: usize) -> Self {
-        let border = longest.saturating_sub(1) * BLOCK;
-        let cells = columns.div_ceil(BLOCK) * (rows * BLOCK + 2 * border);
-        Self { cells: vec![[0.0; 2]; cells], rows, columns, border }
+        let border = longest.saturating_sub(1) * LANES;
+        let numbers = columns.div_ceil(Self::BLOCK) * (rows * LANES + 2 * border);
+        Self { numbers: vec![0.0; numbers], rows, columns, border }
     }
 
-    /// Cells of a block, with both borders.
+    /// Numbers of a block, with both borders.
     fn block(&self) -> usize {
-        self.rows * BLOCK + 2 * self.border
+        self.rows * LANES + 2 * self.border
     }
 
     /// Filters each row of values, of which `mean` is taken off, with nothing beyond its ends.
     pub fn filter(&mut self, values: &[f32], mean: f64, kernel: &[f64]) {
-        let (columns, radius, block, border) = (self.columns, kernel.len() - 1, self.block(), self.border);
-        let wide = columns.next_multiple_of(BLOCK);
-        let mut bands: Vec<Vec<&mut [Weighted]>> = Vec::new();
+        let (columns, reach, block, border) = (self.columns, (kernel.len() - 1) * NUMBERS, self.block(), self.border);
+        let wide = columns.next_multiple_of(Self::BLOCK) * NUMBERS;
+        let mut bands: Vec<Vec<&mut [f64]>> = Vec::new();
         bands.resize_with(self.rows.div_ceil(BAND), Vec::new);
-        for cells in self.cells.chunks_exact_mut(block) {
-            let pieces = cells[border..block - border].chunks_mut(BAND * BLOCK);
+        for numbers in self.numbers.chunks_exact_mut(block) {
+            let pieces = numbers[border..block - border].chunks_mut(BAND * LANES);
             bands.iter_mut().zip(pieces).for_each(|(band, piece)| band.push(piece));
         }
         bands.into_par_iter().zip(values.par_chunks(BAND * columns)).for_each(|(mut band, values)| {
-            let mut padded = vec![[0.0; 2]; wide + 2 * radius];
+            let mut padded = vec![0.0; wide + 2 * reach];
             for (row, line) in values.chunks_exact(columns).enumerate() {
-                for (cell, value) in padded[radius..].iter_mut().zip(line) {
-                    *cell = if value.is_nan() { [0.0; 2] } else { [f64::from(*value) - mean, 1.0] };
+                for (cell, value) in padded[reach..].chunks_exact_mut(NUMBERS).zip(line) {
+                    let weighted = if value.is_nan() { [0.0; 2] } else { [f64::from(*value) - mean, 1.0] };
+                    cell.copy_from_slice(&weighted[..NUMBERS]);
                 }
-                vectorised(Row { padded: &padded, kernel, band: &mut band, place: row });
+                vectorised(Row { padded: &padded, stride: NUMBERS, kernel, band: &mut band, place: row });
             }
         });
     }
 
-    /// Filters a block of columns, with nothing beyond their ends, and hands over its cells row by row.
-    pub fn filter_columns(&self, kernel: &[f64], block: usize, mut take: impl FnMut(usize, [Weighted; BLOCK])) {
-        let cells = &self.cells[block * self.block()..][..self.block()];
-        let strip = &cells[self.border - (kernel.len() - 1) * BLOCK..];
+    /// Filters a block of columns, with nothing beyond their ends, and hands over the numbers of its cells row by row.
+    pub fn filter_columns(&self, kernel: &[f64], block: usize, mut take: impl FnMut(usize, [f64; LANES])) {
+        let numbers = &self.numbers[block * self.block()..][..self.block()];
+        let strip = &numbers[self.border - (kernel.len() - 1) * LANES..];
         vectorised(Columns { strip, rows: self.rows, kernel, take: &mut take });
     }
 }
 
 /// A row that is filtered into a band of rows.
 struct Row<'a, 'b> {
-    padded: &'a [Weighted],
+    padded: &'a [f64],
+    /// Numbers of a cell.
+    stride: usize,
     kernel: &'a [f64],
     /// The band's piece of each block.
-    band: &'a mut [&'b mut [Weighted]],
+    band: &'a mut [&'b mut [f64]],
     /// Which row of the band it is.
     place: usize,
 }
@@ -146,57 +177,67 @@ impl Work for Row<'_, '_> {
 
     #[inline(always)]
     fn run(self) {
-        for (block, cells) in self.band.iter_mut().enumerate() {
-            cells[self.place * BLOCK..][..BLOCK].copy_from_slice(&convolve(
-                &self.padded[block * BLOCK..],
-                1,
-                self.kernel,
-            ));
+        for (block, numbers) in self.band.iter_mut().enumerate() {
+            let sums = convolve(&self.padded[block * LANES..], self.stride, self.kernel);
+            numbers[self.place * LANES..][..LANES].copy_from_slice(&sums);
         }
     }
 }
 
 /// A block of columns that is filtered.
 struct Columns<'a, T> {
-    strip: &'a [Weighted],
+    strip: &'a [f64],
     rows: usize,
     kernel: &'a [f64],
     take: &'a mut T,
 }
 
-impl<T: FnMut(usize, [Weighted; BLOCK])> Work for Columns<'_, T> {
+impl<T: FnMut(usize, [f64; LANES])> Work for Columns<'_, T> {
     type Output = ();
 
     #[inline(always)]
     fn run(self) {
         for row in 0..self.rows {
-            (self.take)(row, convolve(&self.strip[row * BLOCK..], BLOCK, self.kernel));
+            (self.take)(row, convolve(&self.strip[row * LANES..], LANES, self.kernel));
         }
     }
 }
 
-/// A block of neighbours under the kernel, whose steps are `stride` cells of the input apart; the first one's centre is
+/// Numbers under the kernel, whose steps are `stride` numbers of the input apart; the first one's centre is
 /// `input[(kernel.len() - 1) * stride]`.
 #[inline(always)]
-fn convolve(input: &[Weighted], stride: usize, kernel: &[f64]) -> [Weighted; BLOCK] {
-    let (input, centre) = (input.as_flattened(), 2 * (kernel.len() - 1) * stride);
+fn convolve(input: &[f64], stride: usize, kernel: &[f64]) -> [f64; LANES] {
+    let centre = (kernel.len() - 1) * stride;
     let mut sums = [0.0; LANES];
     for (sum, x) in sums.iter_mut().zip(&input[centre..][..LANES]) {
         *sum = kernel[0] * x;
     }
     for (k, weight) in kernel.iter().enumerate().skip(1) {
-        let step = 2 * k * stride;
+        let step = k * stride;
         let (before, after) = (&input[centre - step..][..LANES], &input[centre + step..][..LANES]);
         for lane in 0..LANES {
             sums[lane] += weight * (before[lane] + after[lane]);
         }
     }
-    std::array::from_fn(|cell| [sums[2 * cell], sums[2 * cell + 1]])
+    sums
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn grids_without_gaps_have_the_weights_of_those_with_gaps() {
+        // More rows than the kernel reaches, as many, and fewer.
+        for (columns, rows) in [(21, 40), (19, 9), (16, 5), (3, 1)] {
+            let values: Vec<f32> = (0..columns * rows).map(|i| ((i * i) % 17) as f32 - 8.0).collect();
+            let kernel = half_kernel(1.1);
+            let weighted = filtered::<2>(&values, columns, &kernel, |sums, means| {
+                means.extend(sums.as_chunks().0.iter().map(|[sum, weight]| sum / weight));
+            });
+            assert_eq!(smoothed(&values, columns, 1.1), weighted);
+        }
+    }
 
     #[test]
     fn grids_without_gaps_go_on_as_they_end() {

@@ -43,31 +43,57 @@ pub fn upper_median(values: impl Iterator<Item = f64> + Clone) -> Option<(f64, u
     select(values, |count| count / 2)
 }
 
-/// The value of a rank (from 0) that depends on how many there are, and that number; goes through the values twice and copies
-/// only those that are about as large as the one looked for.
+/// The value of a rank (from 0) that depends on how many there are, and that number; goes through the values three times, each time
+/// by further bits, and copies only those that agree in the first 32.
 fn select(values: impl Iterator<Item = f64> + Clone, rank: impl Fn(usize) -> usize) -> Option<(f64, usize)> {
-    const BUCKETS: usize = 1 << 16;
-    // Bits in ascending order of the values: negative ones turned round, positive ones above them.
-    let bucket = |value: f64| {
-        let bits = value.to_bits();
-        let ordered = if bits >> 63 == 1 { !bits } else { bits | (1 << 63) };
-        (ordered >> 48) as usize
-    };
-    let mut counts = vec![0usize; BUCKETS];
-    values.clone().for_each(|value| counts[bucket(value)] += 1);
-    let count = counts.iter().sum();
+    let first = Counts::of(values.clone(), |bits| Some(bits >> 48));
+    let count = first.total();
     if count == 0 {
         return None;
     }
-    let (rank, mut below) = (rank(count), 0);
-    let found = counts.iter().position(|count| {
-        below += count;
-        below > rank
-    })?;
-    let mut alike: Vec<f64> = Vec::with_capacity(counts[found]);
-    alike.extend(values.filter(|value| bucket(*value) == found));
-    let place = rank - (below - counts[found]);
-    Some((*alike.select_nth_unstable_by(place, f64::total_cmp).1, count))
+    let (upper, rank) = first.find(rank(count))?;
+    let second = Counts::of(values.clone(), |bits| (bits >> 48 == upper).then_some(bits >> 32));
+    let (lower, rank) = second.find(rank)?;
+    let wanted = (upper << 16) | lower;
+    let mut alike: Vec<f64> = Vec::with_capacity(second.0[lower as usize]);
+    alike.extend(values.filter(|value| ordered_bits(*value) >> 32 == wanted));
+    Some((*alike.select_nth_unstable_by(rank, f64::total_cmp).1, count))
+}
+
+/// Bits in ascending order of the values: negative ones turned round, positive ones above them.
+fn ordered_bits(value: f64) -> u64 {
+    let bits = value.to_bits();
+    if bits >> 63 == 1 { !bits } else { bits | (1 << 63) }
+}
+
+/// How many values have each of the numbers of 16 bits.
+struct Counts(Vec<usize>);
+
+impl Counts {
+    /// Counts values by the last 16 bits of what their bits give, where they give something.
+    fn of(values: impl Iterator<Item = f64>, number: impl Fn(u64) -> Option<u64>) -> Self {
+        let mut counts = vec![0; 1 << 16];
+        values
+            .filter_map(|value| number(ordered_bits(value)))
+            .for_each(|number| counts[(number & 0xffff) as usize] += 1);
+        Self(counts)
+    }
+
+    fn total(&self) -> usize {
+        self.0.iter().sum()
+    }
+
+    /// The number that the value of a rank has, and its rank among those that have the same.
+    fn find(&self, rank: usize) -> Option<(u64, usize)> {
+        let mut below = 0;
+        for (number, count) in self.0.iter().enumerate() {
+            if rank < below + count {
+                return Some((number as u64, rank - below));
+            }
+            below += count;
+        }
+        None
+    }
 }
 
 #[cfg(test)]
@@ -111,8 +137,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn buckets_find_what_sorting_finds(values in prop::collection::vec(-3.0f64..3.0, 1..60), scale in -20i32..20) {
-            let values: Vec<f64> = values.iter().map(|value| value * portable_math::exp(f64::from(scale))).collect();
+        fn counting_finds_what_sorting_finds(values in prop::collection::vec(-3.0f64..3.0, 1..60), scale in -20i32..20, around in prop::sample::select(vec![0.0, 50.0])) {
+            let scale = portable_math::exp(f64::from(scale));
+            let values: Vec<f64> = values.iter().map(|value| around + value * scale).collect();
             let mut sorted = values.clone();
             sorted.sort_by(f64::total_cmp);
             prop_assert_eq!(upper_median(values.iter().copied()), Some((sorted[sorted.len() / 2], sorted.len())));

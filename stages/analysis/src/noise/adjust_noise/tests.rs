@@ -1,6 +1,6 @@
 //! A survey that smooths the noise is made up for; one that loses nothing leaves the model as it is.
 
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::*;
 use crate::noise::learn_noise::tests::{CLEAN, COLUMNS, ROWS, grid, mean, survey};
@@ -35,6 +35,10 @@ fn differences(count: u64, cells: f64) -> Vec<Raster> {
 }
 
 fn adjust(simulated: Vec<Raster>, drawn: Vec<Raster>, noise: Noise) -> Result<Noise, StageError> {
+    adjust_with(&json!({}), simulated, drawn, noise)
+}
+
+fn adjust_with(with: &Value, simulated: Vec<Raster>, drawn: Vec<Raster>, noise: Noise) -> Result<Noise, StageError> {
     let (cameras, pairs) = survey();
     let dem = Raster::single(grid(), Frame::Wall, "elevation", "dem", vec![0.0; COLUMNS * ROWS]);
     let mut inputs: Vec<(&str, Artefact)> = simulated.into_iter().map(|r| ("simulated", r.into())).collect();
@@ -45,7 +49,7 @@ fn adjust(simulated: Vec<Raster>, drawn: Vec<Raster>, noise: Noise) -> Result<No
         ("cameras", cameras.into()),
         ("pairs", pairs.into()),
     ]);
-    let outputs = run_stage::<AdjustNoise>(&TestHost::default(), &json!({}), &inputs)?.into_inner();
+    let outputs = run_stage::<AdjustNoise>(&TestHost::default(), with, &inputs)?.into_inner();
     Ok(Noise::of(&outputs["noise"]).unwrap().clone())
 }
 
@@ -56,7 +60,7 @@ fn what_is_smoothed_away_is_added_and_nothing_else() {
     clean.contrast.levels.iter_mut().for_each(|level| level.drawn = level.usual);
     let same = adjust(drawn.clone(), drawn.clone(), clean.clone()).unwrap();
     assert_eq!(same, clean);
-    let more = adjust(differences(6, 0.7), drawn, CLEAN.clone()).unwrap();
+    let more = adjust(differences(6, 0.7), drawn.clone(), CLEAN.clone()).unwrap();
     // What is left is whitened to unit variance: the fine third gains against the rest.
     let gains = &more.log_gain;
     let (coarse, fine) = gains.split_at(BANDS - 4);
@@ -64,6 +68,10 @@ fn what_is_smoothed_away_is_added_and_nothing_else() {
     assert!(mean_of(fine) > 0.1 && mean_of(fine) > mean_of(coarse) + 0.1, "{gains:?}");
     let raised = mean(more.members.iter().zip(&CLEAN.members).map(|(a, b)| a.log_strength[2] - b.log_strength[2]));
     assert!(raised > 0.02, "{raised}");
+    let relaxed = adjust_with(&json!({"relaxation": 1.5}), differences(6, 0.7), drawn, CLEAN.clone()).unwrap();
+    let added = |noise: &Noise, k: usize| noise.log_gain[k] - CLEAN.log_gain[k];
+    assert!((0..BANDS).all(|k| (added(&relaxed, k) - 1.5 * added(&more, k)).abs() < 1e-12), "{:?}", relaxed.log_gain);
+    assert_eq!(relaxed.members, more.members);
 }
 
 #[test]
@@ -98,7 +106,7 @@ fn what_is_lost_of_details_is_made_up_for() {
     let mut losses = vec![Departure { difference: 0.0, error: 0.0 }; first + OF_LEVEL * levels];
     losses[first + 3].difference = -0.03;
     losses[first + UNEVENNESS + 1].difference = 0.1;
-    let found = adjusted(&Noise { contrast: contrast.clone(), ..CLEAN.clone() }, &losses).contrast;
+    let found = adjusted(&Noise { contrast: contrast.clone(), ..CLEAN.clone() }, &losses, 1.0).contrast;
     let grown = 0.2 * found.levels[0].local_power[0];
     assert!((grown - 0.03).abs() < 0.002 && found.levels[1..] == contrast.levels[1..], "{found:?}");
     let [x, y, diagonal] = found.levels[0].log_gain;

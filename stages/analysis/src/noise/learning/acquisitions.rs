@@ -112,6 +112,7 @@ mod tests {
             field: Vec::new(),
             weights: Vec::new(),
             log_amplitude: amplitudes.to_vec(),
+            raster_log_amplitude: amplitudes.to_vec(),
         }
     }
 

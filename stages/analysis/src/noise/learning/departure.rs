@@ -3,9 +3,10 @@
 
 use crate::noise::learning::whitening::Whitened;
 
-/// The figures of a whitened raster: logarithms of its strengths by class of place, then of its amplitudes by band.
+/// The figures of a raster whose mean should be right: logarithms of its strengths by class of place, then of its amplitudes by band, as it
+/// is: where noise is strong it may be finer or coarser than elsewhere, and what comes out is judged with strong places in it.
 pub fn figures(whitened: &Whitened) -> Vec<f64> {
-    whitened.log_strength.iter().chain(&whitened.log_amplitude).copied().collect()
+    whitened.log_strength.iter().chain(&whitened.raster_log_amplitude).copied().collect()
 }
 
 /// Mean of one figure over some rasters.

@@ -176,6 +176,8 @@ pub struct Whitened {
     pub weights: Vec<u8>,
     /// Logarithm of the amplitude of what is left in each band; 0 is that of white noise.
     pub log_amplitude: Vec<f64>,
+    /// The same of the raster itself, divided by its rms: there strong places count for more.
+    pub raster_log_amplitude: Vec<f64>,
 }
 
 /// Whitens all rasters of `columns` columns.
@@ -189,9 +191,18 @@ pub fn whiten(rasters: &[Vec<f32>], columns: usize, places: &Places) -> Vec<Whit
 pub fn whitened(raster: &[f32], bands: &Bands, columns: usize, places: &Places) -> Whitened {
     let log_strength = places.log_strength(raster);
     let (field, weights) = filled(&places.divided(raster, &log_strength), columns);
-    let values: Vec<f64> = field.iter().map(|value| f64::from(*value)).collect();
-    let log_amplitude = bands.power(&values).iter().map(|p| 0.5 * portable_math::log(p.max(1e-12))).collect();
-    Whitened { log_strength, field, weights, log_amplitude }
+    let left: Vec<f64> = field.iter().map(|value| f64::from(*value)).collect();
+    let values = left.iter().zip(&places.strength).map(|(value, s)| value * places.factor(&log_strength, *s));
+    let mut raster: Vec<f64> = values.collect();
+    let rms = (raster.iter().map(|value| value * value).sum::<f64>() / raster.len() as f64).sqrt();
+    raster.iter_mut().for_each(|value| *value /= rms.max(f64::MIN_POSITIVE));
+    let raster_log_amplitude = log_amplitude(bands, &raster);
+    Whitened { log_amplitude: log_amplitude(bands, &left), raster_log_amplitude, log_strength, field, weights }
+}
+
+/// Logarithm of the amplitude in each band.
+fn log_amplitude(bands: &Bands, values: &[f64]) -> Vec<f64> {
+    bands.power(values).iter().map(|power| 0.5 * portable_math::log(power.max(1e-12))).collect()
 }
 
 /// A field without gaps, and weights that fall smoothly towards them: where one donor ends, the others must take over without a step.
@@ -267,6 +278,23 @@ mod tests {
         let variance = whitened[3].field.iter().map(|v| f64::from(*v) * f64::from(*v)).sum::<f64>() / 3000.0;
         assert!((variance - 1.0).abs() < 0.05, "{variance}");
         assert!(whitened[3].log_amplitude.iter().skip(4).all(|a| a.abs() < 0.2), "{:?}", whitened[3].log_amplitude);
+    }
+
+    #[test]
+    fn amplitudes_of_the_raster_are_those_of_its_strong_places() {
+        let (columns, rows) = (64, 64);
+        let field = Key([3; 32]).field();
+        let fine: Vec<f32> =
+            (0..columns * rows).map(|i| field.normal((i % 64) as i32, (i / 64) as i32) as f32).collect();
+        let coarse = smoothed(&fine, columns, 1.5);
+        // Noise on the left is ten times as strong as on the right, and coarse.
+        let strong = |i: usize| i % columns < columns / 2;
+        let raster = (0..columns * rows).map(|i| if strong(i) { 50.0 * coarse[i] as f32 } else { fine[i] });
+        let places = Places::of((0..columns * rows).map(|i| if strong(i) { 10.0 } else { 1.0 }).collect());
+        let found = whiten(&[raster.collect()], columns, &places).remove(0);
+        let finest = |log_amplitude: &[f64]| log_amplitude[BANDS - 1];
+        assert!(finest(&found.log_amplitude) > -0.6, "{:?}", found.log_amplitude);
+        assert!(finest(&found.raster_log_amplitude) < -1.5, "{:?}", found.raster_log_amplitude);
     }
 
     #[test]
