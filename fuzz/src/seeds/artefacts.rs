@@ -100,6 +100,7 @@ fn noise() -> Noise {
         log_gain: vec![0.0, 0.1],
         relief: ReliefLaw { flat_px: 0.2, gain_px_m: 3.0, window_cells: 2 },
         asymmetry_gain: [1.3, 1.2, 0.0],
+        gap_gain: 0.8,
         members: vec![member("a", false), member("b", true)],
         strength: vec![0.3; 6],
         elevation: vec![0.0, 1.0, f32::NAN, 0.5, 0.5, 0.5],

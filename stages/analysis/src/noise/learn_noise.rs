@@ -10,12 +10,12 @@ use crate::noise::learning::bad::parted;
 use crate::noise::learning::by_place::{self, Strengths};
 use crate::noise::learning::contrast::{self, Figures, Nearest};
 use crate::noise::learning::departure::{Departure, Mean, figures};
-use crate::noise::learning::differences::{check, differences, disparities};
+use crate::noise::learning::differences::{check, differences, disparities, gaps};
 use crate::noise::learning::whitening::{
     BANDS, LEAST_SIDE_CELLS, Places, Prior, Stack, Whitened, range_cells, restore_outliers, whiten,
 };
 use crate::noise::learning::{registration, relief_law};
-use rockface_core::artefact::{Band, Cameras, Contrast, Kind, Member, Noise, Pairs, Raster, ReliefLaw};
+use rockface_core::artefact::{Band, Cameras, Contrast, Kind, MOST_GAP_GAIN, Member, Noise, Pairs, Raster, ReliefLaw};
 use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::{Fault, Range};
@@ -229,21 +229,24 @@ impl Learnt {
             trial.iter_mut().for_each(|raster| by_place::times(raster, &more));
             factors.iter_mut().zip(more).for_each(|(factor, more)| *factor *= more);
         };
+        let real_gaps = Mean::of(&gaps(&real), 0).exact();
+        let mut gap_gain = fewer_gaps(1.0, real_gaps, &trial);
         make_up(&mut trial, &mut factors);
         let mut correction = Correction::of(&self.usual(), &whiten(&trial, self.columns, &self.places));
         let mut contrast = usual.contrast.clone();
         drop(usual);
-        let corrected = |sources: &[Source], correction: &Correction, contrast: &Contrast, factors: &[f64]| {
-            let mut noise = self.model(params, sources, dem, correction, contrast);
-            by_place::times(&mut noise.strength, factors);
-            noise
-        };
+        let corrected =
+            |sources: &[Source], correction: &Correction, contrast: &Contrast, factors: &[f64], gap_gain: f64| {
+                let mut noise = self.model(params, sources, dem, correction, contrast);
+                by_place::times(&mut noise.strength, factors);
+                Noise { gap_gain, ..noise }
+            };
         // Now acquisitions differ, and mixtures of what differs are more uneven: what draws miss then comes off in rounds.
         // Of the rounds the one counts for each level of contrast that came nearest.
         let mut nearest = Nearest::default();
         for round in 0..=ROUNDS {
-            trial =
-                drawn(&Noise { bad_share: 0.0, ..corrected(&sources, &correction, &contrast, &factors) }, params.draws);
+            let model = corrected(&sources, &correction, &contrast, &factors, gap_gain);
+            trial = drawn(&Noise { bad_share: 0.0, ..model }, params.draws);
             if let Some(wanted) = &wanted {
                 let found = details(&trial);
                 nearest.take(&contrast, wanted, &found);
@@ -252,6 +255,7 @@ impl Learnt {
                 }
             }
             if round < ROUNDS {
+                gap_gain = fewer_gaps(gap_gain, real_gaps, &trial);
                 make_up(&mut trial, &mut factors);
                 correction.refine(&self.usual(), &whiten(&trial, self.columns, &self.places));
             }
@@ -265,7 +269,7 @@ impl Learnt {
         };
         let asymmetries: Vec<[f64; 3]> = trial.par_iter().filter_map(asymmetries).collect();
         let asymmetry_gain = registration::part(&mut sources, &self.bad, &asymmetries);
-        Noise { asymmetry_gain, ..corrected(&sources, &correction, &contrast, &factors) }
+        Noise { asymmetry_gain, ..corrected(&sources, &correction, &contrast, &factors, gap_gain) }
     }
 
     fn usual(&self) -> Vec<&Whitened> {
@@ -306,6 +310,7 @@ impl Learnt {
             log_gain: vec![0.0; BANDS],
             relief: self.relief,
             asymmetry_gain: [0.0; 3],
+            gap_gain: 1.0,
             members,
             strength: self.places.strength.clone(),
             elevation: dem.bands[0].values.clone(),
@@ -320,6 +325,16 @@ impl Learnt {
         let side = self.columns.min(dem.grid.rows);
         ((self.range_cells * side) as f64).sqrt()
     }
+}
+
+/// The gain of gaps with which draws have as many gaps as the rasters, after draws with another one: outliers that are filtered out of draws leave
+/// gaps too.
+fn fewer_gaps(gain: f64, real: Mean, drawn: &[Vec<f32>]) -> f64 {
+    if real.value <= 0.0 {
+        return gain;
+    }
+    let excess = Departure::of(Mean::of(&gaps(drawn), 0), real).certain(1.0);
+    (gain - excess / real.value).clamp(0.0, MOST_GAP_GAIN)
 }
 
 /// Donors of an acquisition for a number of rasters, half of which it may take them from.

@@ -131,6 +131,9 @@ pub struct Noise {
     /// How many times its asymmetry (least-squares plane less plane of least absolute deviations) registration leaves in a difference, for the three
     /// numbers of a plane: it aligns what most cells agree on.
     pub asymmetry_gain: [f64; 3],
+    /// Factor on the probability that an acquisition has a gap where a member has one: outliers that are filtered out leave gaps too, and surveys
+    /// widen them.
+    pub gap_gain: f64,
     /// What is known of each acquisition the model was learnt from.
     pub members: Vec<Member>,
     /// Strength of the noise by place, pixels of disparity in the full image, `rows x columns` from the top.
@@ -153,6 +156,8 @@ const MOST_LEVELS: usize = 12;
 const MOST_POWER: f64 = 4.0;
 /// Largest logarithm of a gain.
 const MOST_LOG_GAIN: f64 = 5.0;
+/// Largest factor on the probability of gaps.
+pub const MOST_GAP_GAIN: f64 = 4.0;
 /// Largest gain of asymmetry.
 const MOST_ASYMMETRY_GAIN: f64 = 20.0;
 
@@ -243,6 +248,9 @@ impl Noise {
         if !self.asymmetry_gain.iter().all(|gain| gain.abs() <= MOST_ASYMMETRY_GAIN) {
             return refuse(format!("a gain of asymmetry is beyond {MOST_ASYMMETRY_GAIN}"));
         }
+        if !(0.0..=MOST_GAP_GAIN).contains(&self.gap_gain) {
+            return refuse(format!("the gain of gaps must be from 0 to {MOST_GAP_GAIN}"));
+        }
         let sound = self.strength.iter().all(|value| value.is_finite() && *value >= 0.0);
         if !sound || !self.fields.iter().flatten().all(|value| value.is_finite()) {
             return refuse("a strength or a whitened value is not finite".into());
@@ -261,7 +269,7 @@ impl PartialEq for Noise {
                 == (other.length_cells, other.common_share, other.bad_share)
             && (&self.class_log_strength, self.jitter, self.relief)
                 == (&other.class_log_strength, other.jitter, other.relief)
-            && self.asymmetry_gain == other.asymmetry_gain
+            && (self.asymmetry_gain, self.gap_gain) == (other.asymmetry_gain, other.gap_gain)
             && (self.sharpness, &self.contrast, &self.log_gain) == (other.sharpness, &other.contrast, &other.log_gain)
             && self.members == other.members
             && bits(&self.strength) == bits(&other.strength)

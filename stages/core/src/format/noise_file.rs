@@ -2,7 +2,7 @@
 
 use crate::artefact::{CodecError, Contrast, Frame, Grid, Member, Noise, ReliefLaw};
 
-const MAGIC: &[u8] = b"rockface noise 9\n";
+const MAGIC: &[u8] = b"rockface noise 10\n";
 
 /// What is written into the header for whoever reads the file without us.
 const LAYOUT: &str = "rows x columns cells from the top left: strength float32 little-endian (px), elevation float32 (m, NaN = unknown); \
@@ -28,6 +28,7 @@ struct Header {
     log_gain: Vec<f64>,
     relief: ReliefLaw,
     asymmetry_gain: [f64; 3],
+    gap_gain: f64,
     members: Vec<Member>,
     fields: usize,
     layout: String,
@@ -55,6 +56,7 @@ pub fn write(noise: &Noise) -> Result<Vec<u8>, CodecError> {
         log_gain: noise.log_gain.clone(),
         relief: noise.relief,
         asymmetry_gain: noise.asymmetry_gain,
+        gap_gain: noise.gap_gain,
         members: noise.members.clone(),
         fields: noise.fields.len(),
         layout: LAYOUT.to_owned(),
@@ -77,7 +79,7 @@ pub fn write(noise: &Noise) -> Result<Vec<u8>, CodecError> {
 
 /// Reads a noise model.
 pub fn read(bytes: &[u8]) -> Result<Noise, CodecError> {
-    let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| CodecError::new("not a rockface noise file (version 8)"))?;
+    let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| CodecError::new("not a rockface noise file (version 10)"))?;
     let end = rest.iter().position(|b| *b == b'\n').ok_or_else(|| CodecError::new("noise file: header without end"))?;
     let header: Header =
         serde_json::from_slice(&rest[..end]).map_err(|e| CodecError(format!("noise file: bad header: {e}")))?;
@@ -118,6 +120,7 @@ pub fn read(bytes: &[u8]) -> Result<Noise, CodecError> {
         log_gain: header.log_gain,
         relief: header.relief,
         asymmetry_gain: header.asymmetry_gain,
+        gap_gain: header.gap_gain,
         members: header.members,
         strength,
         elevation,
@@ -176,6 +179,7 @@ mod tests {
             log_gain: vec![0.0, 0.1],
             relief: ReliefLaw { flat_px: 0.2, gain_px_m: 3.0, window_cells: 4 },
             asymmetry_gain: [1.3, 1.2, 0.0],
+            gap_gain: 0.8,
             members: vec![member("a", false), member("b", true)],
             strength: vec![0.3, 0.4],
             elevation: vec![f32::NAN, 1.5],

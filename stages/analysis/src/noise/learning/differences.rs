@@ -48,6 +48,12 @@ pub fn check_model(noise: &Noise, dem: &Raster) -> Result<(), StageError> {
     check_parts(noise)
 }
 
+/// Share of the cells without a value in each raster.
+pub fn gaps(rasters: &[impl AsRef<[f32]>]) -> Vec<[f64; 1]> {
+    let one = |raster: &[f32]| raster.iter().filter(|value| value.is_nan()).count() as f64 / raster.len() as f64;
+    rasters.iter().map(|raster| [one(raster.as_ref())]).collect()
+}
+
 /// Checks that a model is made as [`whiten`](super::whitening::whiten) takes rasters apart.
 ///
 /// # Errors

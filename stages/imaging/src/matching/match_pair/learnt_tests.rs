@@ -34,6 +34,7 @@ pub fn model() -> Noise {
         log_gain: vec![0.0; 4],
         relief: ReliefLaw { flat_px: 0.1, gain_px_m: 2.0, window_cells: 2 },
         asymmetry_gain: [0.0; 3],
+        gap_gain: 1.0,
         members: vec![member],
         strength: (0..SIDE * SIDE).map(|i| if i % SIDE < SIDE / 2 { 0.1 } else { 0.3 }).collect(),
         elevation: vec![0.0; SIDE * SIDE],
