@@ -74,6 +74,7 @@ fn noise() -> Noise {
         plane_m: [0.001, -0.002, 0.003],
         log_amplitude: vec![0.2, 0.0],
         field_log_amplitude: vec![0.0, 0.1],
+        skewness: -0.2,
     };
     Noise {
         frame: Frame::Wall,
@@ -101,6 +102,7 @@ fn noise() -> Noise {
         relief: ReliefLaw { flat_px: 0.2, gain_px_m: 3.0, window_cells: 2 },
         asymmetry_gain: [1.3, 1.2, 0.0],
         gap_gain: 0.8,
+        skewness_gain: 1.7,
         members: vec![member("a", false), member("b", true)],
         strength: vec![0.3; 6],
         elevation: vec![0.0, 1.0, f32::NAN, 0.5, 0.5, 0.5],

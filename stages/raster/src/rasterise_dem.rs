@@ -22,6 +22,16 @@ choice! {
     }
 }
 
+choice! {
+    /// What a cell with too few points gets.
+    pub enum EmptyCells {
+        /// No value.
+        LeaveEmpty = "leave-empty",
+        /// Z at its centre, interpolated in the triangles, where there are any: pixels nearly as large as cells leave some without a point.
+        Interpolate = "interpolate",
+    }
+}
+
 params! {
     /// Parameters of `rasterise-dem`.
     pub struct RasteriseDemParams {
@@ -29,8 +39,10 @@ params! {
         cell_m: f64 = 0.01; Range::Positive,
         /// How a cell gets its value.
         method: DemMethod = DemMethod::Mean,
-        /// A cell with fewer points has no value (not for `tin`).
+        /// A cell with fewer points is an empty one (not for `tin`).
         minimum_points: u32 = 2; Range::AtLeast(1.0),
+        /// What a cell with too few points gets (not for `tin`, nor for clouds, which have no triangles).
+        empty_cells: EmptyCells = EmptyCells::LeaveEmpty,
         /// Window (left, right, bottom, top) in metres; left out, the extent of the surface in whole cells.
         window_m: Option<[f64; 4]> = None,
         /// Whether the number of points in each cell is put out too, at the port `coverage`.
@@ -84,8 +96,9 @@ impl Stage for RasteriseDem {
             DemMethod::Nearest => 6 * band,
             DemMethod::Mean | DemMethod::Tin => 0,
         };
+        let filled = if params.empty_cells == EmptyCells::Interpolate { band } else { 0 };
         let coverage = if params.coverage { 2 * band } else { 0 };
-        inputs.total() + lists + 23 * band / 10 + coverage + (6 << 20)
+        inputs.total() + lists + 23 * band / 10 + filled + coverage + (6 << 20)
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
@@ -93,20 +106,29 @@ impl Stage for RasteriseDem {
             .ok_or_else(|| StageError::new("port `surface` needs a surface, a mesh or a cloud"))?;
         let change = frame_change::change(shape.frame(), inputs.optional::<Transform>("transform")?)?;
         let moved = change.moved;
-        if params.method == DemMethod::Tin && matches!(shape, Shape::Cloud(_)) {
-            return Err(StageError::new("`method: tin` interpolates in triangles, and a cloud has none")
-                .hint("take `method: mean`, `median` or `nearest`"));
+        if matches!(shape, Shape::Cloud(_)) {
+            if params.method == DemMethod::Tin {
+                return Err(StageError::new("`method: tin` interpolates in triangles, and a cloud has none")
+                    .hint("take `method: mean`, `median` or `nearest`"));
+            }
+            if params.empty_cells == EmptyCells::Interpolate {
+                return Err(StageError::new("`empty_cells: interpolate` takes triangles, and a cloud has none")
+                    .hint("take `empty_cells: leave-empty`, or make a mesh of the cloud (reconstruct-surface)"));
+            }
         }
         let grid = match inputs.optional::<Raster>("grid")? {
             Some(raster) => usable(raster.grid)?,
             None => make_grid(params, shape, moved.as_ref())?,
         };
-        let values = match params.method {
+        let mut values = match params.method {
             DemMethod::Mean => rasterise::mean(shape, moved.as_ref(), &grid, params.minimum_points),
             DemMethod::Median => rasterise_points::median(shape, moved.as_ref(), &grid, params.minimum_points),
             DemMethod::Nearest => rasterise_points::nearest(shape, moved.as_ref(), &grid, params.minimum_points),
             DemMethod::Tin => rasterise::tin(shape, moved.as_ref(), &grid),
         };
+        if params.method != DemMethod::Tin && params.empty_cells == EmptyCells::Interpolate {
+            fill_empty(&mut values, shape, moved.as_ref(), &grid, context);
+        }
         report(&values, &grid, context);
         let frame = change.frame;
         if frame == Frame::World {
@@ -130,6 +152,19 @@ fn make_grid(params: &RasteriseDemParams, shape: Shape, moved: Option<&Moved>) -
         rasterise::grid_around(extent, params.cell_m)
     };
     grid.map_err(|e| e.hint("choose another `cell_m` or `window_m`"))
+}
+
+/// Gives cells without a value the one interpolated in the triangles over their centre, where there is one.
+fn fill_empty(values: &mut [f32], shape: Shape, moved: Option<&Moved>, grid: &Grid, context: &Context) {
+    let interpolated = rasterise::tin(shape, moved, grid);
+    let mut filled = 0usize;
+    for (value, found) in values.iter_mut().zip(interpolated) {
+        if value.is_nan() && !found.is_nan() {
+            *value = found;
+            filled += 1;
+        }
+    }
+    context.metric("interpolated", filled as f64 / values.len() as f64, "1");
 }
 
 fn usable(grid: Grid) -> Result<Grid, StageError> {
@@ -195,6 +230,54 @@ mod tests {
         assert_eq!(raster.bands[0].values[8..12], [1.25; 4]);
         assert!(raster.bands[0].values[..2].iter().all(|z| z.is_nan()));
         assert_eq!(host.metric("coverage"), Some(8.0 / 12.0));
+    }
+
+    #[test]
+    fn empty_cells_under_triangles_are_interpolated_where_that_is_asked_for() {
+        let of = |with: serde_json::Value| run(&with, Vec::new());
+        let with = json!({"cell_m": 0.5, "minimum_points": 1, "window_m": [-0.5, 2.5, 0, 1]});
+        let (left, host) = of(with.clone());
+        assert_eq!(host.metric("interpolated"), None);
+        let mut with = with;
+        with["empty_cells"] = json!("interpolate");
+        let (filled, host) = of(with);
+        let (left, filled) = (&left.bands[0].values, &filled.bands[0].values);
+        // The face is two metres wide, and has a point in each of its corners only. Its right and its upper edge belong to the cells beyond.
+        let known = left.iter().filter(|value| !value.is_nan()).count();
+        assert!((1..=4).contains(&known), "{left:?}");
+        for (cell, (left, filled)) in left.iter().zip(filled).enumerate() {
+            let column = cell % 6;
+            let wanted = match (left.is_nan(), (1..5).contains(&column)) {
+                (false, _) => *left,
+                (true, true) => {
+                    if cell < 6 {
+                        1.75
+                    } else {
+                        1.25
+                    }
+                }
+                (true, false) => f32::NAN,
+            };
+            assert!(
+                wanted.to_bits() == filled.to_bits() || wanted.is_nan() && filled.is_nan(),
+                "cell {cell}: {filled}"
+            );
+        }
+        let changed = left.iter().zip(filled).filter(|(left, filled)| left.is_nan() && !filled.is_nan()).count();
+        assert_eq!(host.metric("interpolated"), Some(changed as f64 / 12.0));
+    }
+
+    #[test]
+    fn a_cloud_has_no_triangles_to_interpolate_in() {
+        let cloud = rockface_core::artefact::Cloud::new(Frame::Wall, vec![[0.1, 0.1, 0.1], [0.2, 0.2, 0.2]]);
+        for with in [json!({"method": "tin"}), json!({"empty_cells": "interpolate"})] {
+            let made = rockface_core::testing::run_stage::<RasteriseDem>(
+                &TestHost::default(),
+                &with,
+                &[("surface", cloud.clone().into())],
+            );
+            assert!(made.err().unwrap().to_string().contains("a cloud has none"));
+        }
     }
 
     #[test]

@@ -1,12 +1,13 @@
 //! `adjust-noise`: makes up for what a survey loses of the noise of a model, by comparing surveys simulated with it to draws of it.
 
 use crate::noise::learning::departure::{Departure, Mean, figures};
-use crate::noise::learning::differences::{check, check_model, disparities, gaps};
+use crate::noise::learning::differences::{check, check_model, disparities, gaps, skewnesses};
 use crate::noise::learning::whitening::{Places, whiten};
 use crate::noise::learning::{by_place, contrast};
 use crate::noise::structure;
 use rockface_core::artefact::{
-    Band, Cameras, Kind, LevelContrast, LevelFigures, MOST_GAP_GAIN, Noise, Pairs, Raster, UNEVENNESS,
+    Band, Cameras, Kind, LevelContrast, LevelFigures, MOST_GAP_GAIN, MOST_SKEWNESS_GAIN, Noise, Pairs, Raster,
+    UNEVENNESS,
 };
 use rockface_core::numerics::portable_math::{exp, log, pow};
 use rockface_core::params::Range;
@@ -16,8 +17,8 @@ use rockface_imaging::matching::elevation_step::elevation_step_m;
 params! {
     /// Parameters of `adjust-noise`.
     pub struct AdjustNoiseParams {
-        /// Factor by which more is added to the gains of the bands than is lost of them (over-relaxation), and power of the factor on gaps. Of what is added to the finest
-        /// band about half is lost again, so that rounds which follow others need more than 1.
+        /// Factor by which more is added to the gains of the bands than is lost of them (over-relaxation), and power of the factor on gaps. Of what
+        /// is added to the finest band about half is lost again, so that rounds which follow others need more than 1.
         relaxation: f64 = 1.0; Range::Between(0.5, 1.9),
     }
 }
@@ -82,7 +83,7 @@ impl Stage for AdjustNoise {
             let text = format!("{} simulated raster, {LEAST} are needed to know what is chance", left.len());
             return Err(StageError::new(text).hint("simulate more surveys with the model"));
         }
-        let gap_factor = gap_factor(&left, &whole);
+        let (gap_factor, skewness_factor) = (gap_factor(&left, &whole), skewness_factor(&left, &whole));
         // What is lost by place is no loss of a class any more.
         let by_place = by_place::lost(&whole, &left, columns);
         left.iter_mut().for_each(|raster| by_place::times(raster, &by_place));
@@ -102,6 +103,7 @@ impl Stage for AdjustNoise {
         let mut adjusted = adjusted(noise, &losses, params.relaxation);
         by_place::times(&mut adjusted.strength, &by_place);
         adjusted.gap_gain = (adjusted.gap_gain * pow(gap_factor, params.relaxation)).min(MOST_GAP_GAIN);
+        adjusted.skewness_gain = (adjusted.skewness_gain * skewness_factor).min(MOST_SKEWNESS_GAIN);
         Ok(Outputs::of("noise", adjusted))
     }
 }
@@ -114,6 +116,18 @@ fn gap_factor(simulated: &[Vec<f32>], drawn: &[Vec<f32>]) -> f64 {
     let more = Departure::of(Mean::of(&more, 0), none).certain(CHANCE_ERRORS);
     let wanted = Mean::of(&drawn, 0).value;
     if wanted + more > 0.0 { wanted / (wanted + more) } else { 1.0 }
+}
+
+/// The skewness of draws by that of surveys with the same random numbers: the inverse slope of the line through 0.
+fn skewness_factor(simulated: &[Vec<f32>], drawn: &[Vec<f32>]) -> f64 {
+    let pairs: Vec<(f64, f64)> = skewnesses(drawn).into_iter().zip(skewnesses(simulated)).collect();
+    let sum = |of: &dyn Fn(f64, f64) -> f64| pairs.iter().map(|(drawn, left)| of(*drawn, *left)).sum::<f64>();
+    let squares = sum(&|drawn, _| drawn * drawn);
+    let slope = sum(&|drawn, left| drawn * left) / squares;
+    let rest = sum(&|drawn, left| (left - slope * drawn) * (left - slope * drawn));
+    let error = (rest / (pairs.len() as f64 - 1.0) / squares).sqrt();
+    let more = Departure { difference: slope - 1.0, error }.certain(CHANCE_ERRORS);
+    if more.is_finite() { 1.0 / (1.0 + more).clamp(0.5, 2.0) } else { 1.0 }
 }
 
 /// What simulated rasters lose of the figures of the draws beside them, and for details what usual ones lack of those of the rasters.

@@ -10,12 +10,14 @@ use crate::noise::learning::bad::parted;
 use crate::noise::learning::by_place::{self, Strengths};
 use crate::noise::learning::contrast::{self, Figures, Nearest};
 use crate::noise::learning::departure::{Departure, Mean, figures};
-use crate::noise::learning::differences::{check, differences, disparities, gaps};
+use crate::noise::learning::differences::{check, differences, disparities, gaps, skewnesses};
 use crate::noise::learning::whitening::{
     BANDS, LEAST_SIDE_CELLS, Places, Prior, Stack, Whitened, range_cells, restore_outliers, whiten,
 };
 use crate::noise::learning::{registration, relief_law};
-use rockface_core::artefact::{Band, Cameras, Contrast, Kind, MOST_GAP_GAIN, Member, Noise, Pairs, Raster, ReliefLaw};
+use rockface_core::artefact::{
+    Band, Cameras, Contrast, Kind, MOST_GAP_GAIN, MOST_SKEWNESS_GAIN, Member, Noise, Pairs, Raster, ReliefLaw,
+};
 use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::{Fault, Range};
@@ -122,11 +124,11 @@ impl Stage for LearnNoise {
         }
         let step_m = elevation_step_m(dem, block, pairs)?;
         let disparities = disparities(&all[..kept], dem.grid.columns, &step_m)?;
-        let source = |band: &&Band| {
+        let source = |(band, skewness): (&&Band, f64)| {
             let of = |of: fn(&[f32], usize) -> Option<[f64; 3]>| of(&band.values, dem.grid.columns).unwrap_or_default();
-            Source { name: band.name.clone(), plane_m: of(plane), asymmetry_m: of(asymmetry) }
+            Source { name: band.name.clone(), plane_m: of(plane), asymmetry_m: of(asymmetry), skewness }
         };
-        let sources: Vec<Source> = all[..kept].iter().map(source).collect();
+        let sources: Vec<Source> = all[..kept].iter().zip(skewnesses(&disparities)).map(source).collect();
         let limit_px =
             |cell: usize| params.outlier_m.map_or(f64::INFINITY, |limit| limit / f64::from(step_m[cell].abs()));
         let learnt = Learnt::new(params, &disparities, dem, limit_px);
@@ -229,23 +231,23 @@ impl Learnt {
             trial.iter_mut().for_each(|raster| by_place::times(raster, &more));
             factors.iter_mut().zip(more).for_each(|(factor, more)| *factor *= more);
         };
-        let real_gaps = Mean::of(&gaps(&real), 0).exact();
-        let mut gap_gain = fewer_gaps(1.0, real_gaps, &trial);
+        let marks = Marks::of(&real);
+        let mut gains = Gains::default().refined(&marks, &trial);
         make_up(&mut trial, &mut factors);
         let mut correction = Correction::of(&self.usual(), &whiten(&trial, self.columns, &self.places));
         let mut contrast = usual.contrast.clone();
         drop(usual);
         let corrected =
-            |sources: &[Source], correction: &Correction, contrast: &Contrast, factors: &[f64], gap_gain: f64| {
+            |sources: &[Source], correction: &Correction, contrast: &Contrast, factors: &[f64], gains: Gains| {
                 let mut noise = self.model(params, sources, dem, correction, contrast);
                 by_place::times(&mut noise.strength, factors);
-                Noise { gap_gain, ..noise }
+                Noise { gap_gain: gains.gaps, skewness_gain: gains.skewness, ..noise }
             };
         // Now acquisitions differ, and mixtures of what differs are more uneven: what draws miss then comes off in rounds.
         // Of the rounds the one counts for each level of contrast that came nearest.
         let mut nearest = Nearest::default();
         for round in 0..=ROUNDS {
-            let model = corrected(&sources, &correction, &contrast, &factors, gap_gain);
+            let model = corrected(&sources, &correction, &contrast, &factors, gains);
             trial = drawn(&Noise { bad_share: 0.0, ..model }, params.draws);
             if let Some(wanted) = &wanted {
                 let found = details(&trial);
@@ -255,7 +257,7 @@ impl Learnt {
                 }
             }
             if round < ROUNDS {
-                gap_gain = fewer_gaps(gap_gain, real_gaps, &trial);
+                gains = gains.refined(&marks, &trial);
                 make_up(&mut trial, &mut factors);
                 correction.refine(&self.usual(), &whiten(&trial, self.columns, &self.places));
             }
@@ -269,7 +271,7 @@ impl Learnt {
         };
         let asymmetries: Vec<[f64; 3]> = trial.par_iter().filter_map(asymmetries).collect();
         let asymmetry_gain = registration::part(&mut sources, &self.bad, &asymmetries);
-        Noise { asymmetry_gain, ..corrected(&sources, &correction, &contrast, &factors, gap_gain) }
+        Noise { asymmetry_gain, ..corrected(&sources, &correction, &contrast, &factors, gains) }
     }
 
     fn usual(&self) -> Vec<&Whitened> {
@@ -310,7 +312,8 @@ impl Learnt {
             log_gain: vec![0.0; BANDS],
             relief: self.relief,
             asymmetry_gain: [0.0; 3],
-            gap_gain: 1.0,
+            gap_gain: Gains::default().gaps,
+            skewness_gain: Gains::default().skewness,
             members,
             strength: self.places.strength.clone(),
             elevation: dem.bands[0].values.clone(),
@@ -327,14 +330,45 @@ impl Learnt {
     }
 }
 
-/// The gain of gaps with which draws have as many gaps as the rasters, after draws with another one: outliers that are filtered out of draws leave
-/// gaps too.
-fn fewer_gaps(gain: f64, real: Mean, drawn: &[Vec<f32>]) -> f64 {
-    if real.value <= 0.0 {
-        return gain;
+/// Share of gaps and skewness of rasters.
+struct Marks {
+    gaps: Mean,
+    /// Root mean square.
+    skewness: f64,
+}
+
+impl Marks {
+    fn of(rasters: &[impl AsRef<[f32]> + Sync]) -> Self {
+        let skewnesses = skewnesses(rasters);
+        let squares = skewnesses.iter().map(|skewness| skewness * skewness).sum::<f64>();
+        Self { gaps: Mean::of(&gaps(rasters), 0), skewness: (squares / skewnesses.len() as f64).sqrt() }
     }
-    let excess = Departure::of(Mean::of(&gaps(drawn), 0), real).certain(1.0);
-    (gain - excess / real.value).clamp(0.0, MOST_GAP_GAIN)
+}
+
+/// The gains of a model with which its draws have the marks of the rasters.
+#[derive(Debug, Clone, Copy)]
+struct Gains {
+    gaps: f64,
+    skewness: f64,
+}
+
+impl Default for Gains {
+    /// What holds without filter and mixing: a difference of two acquisitions that are independent has half of their skewness.
+    fn default() -> Self {
+        Self { gaps: 1.0, skewness: 2.0 }
+    }
+}
+
+impl Gains {
+    /// Better gains, after draws with these: outliers that are filtered out of draws leave gaps too, and take the tails that make them skewed.
+    fn refined(self, real: &Marks, drawn: &[Vec<f32>]) -> Self {
+        let found = Marks::of(drawn);
+        let excess = Departure::of(found.gaps, real.gaps.exact()).certain(1.0);
+        let gaps = if real.gaps.value > 0.0 { self.gaps - excess / real.gaps.value } else { self.gaps };
+        let ratio = real.skewness / found.skewness;
+        let skewness = if ratio.is_finite() { self.skewness * ratio.clamp(0.5, 2.0) } else { self.skewness };
+        Self { gaps: gaps.clamp(0.0, MOST_GAP_GAIN), skewness: skewness.min(MOST_SKEWNESS_GAIN) }
+    }
 }
 
 /// Donors of an acquisition for a number of rasters, half of which it may take them from.

@@ -20,6 +20,8 @@ pub struct Member {
     pub log_amplitude: Vec<f64>,
     /// The same of its whitened field as it is kept; 0 where the model has no fields.
     pub field_log_amplitude: Vec<f64>,
+    /// Skewness of the difference.
+    pub skewness: f64,
 }
 
 /// How the strength of the noise depends on the relief of the face, for places whose geometry has changed:
@@ -134,6 +136,9 @@ pub struct Noise {
     /// Factor on the probability that an acquisition has a gap where a member has one: outliers that are filtered out leave gaps too, and surveys
     /// widen them.
     pub gap_gain: f64,
+    /// How many times as skewed as the difference it takes its strengths from the whitened field of an acquisition is, to either side: a difference of
+    /// two acquisitions is less skewed than each of them, and gridding evens noise out.
+    pub skewness_gain: f64,
     /// What is known of each acquisition the model was learnt from.
     pub members: Vec<Member>,
     /// Strength of the noise by place, pixels of disparity in the full image, `rows x columns` from the top.
@@ -158,6 +163,8 @@ const MOST_POWER: f64 = 4.0;
 const MOST_LOG_GAIN: f64 = 5.0;
 /// Largest factor on the probability of gaps.
 pub const MOST_GAP_GAIN: f64 = 4.0;
+/// Largest gain of the skewness.
+pub const MOST_SKEWNESS_GAIN: f64 = 20.0;
 /// Largest gain of asymmetry.
 const MOST_ASYMMETRY_GAIN: f64 = 20.0;
 
@@ -251,6 +258,10 @@ impl Noise {
         if !(0.0..=MOST_GAP_GAIN).contains(&self.gap_gain) {
             return refuse(format!("the gain of gaps must be from 0 to {MOST_GAP_GAIN}"));
         }
+        let skewed = self.members.iter().all(|member| member.skewness.is_finite());
+        if !skewed || !(0.0..=MOST_SKEWNESS_GAIN).contains(&self.skewness_gain) {
+            return refuse(format!("skewness must be finite, its gain from 0 to {MOST_SKEWNESS_GAIN}"));
+        }
         let sound = self.strength.iter().all(|value| value.is_finite() && *value >= 0.0);
         if !sound || !self.fields.iter().flatten().all(|value| value.is_finite()) {
             return refuse("a strength or a whitened value is not finite".into());
@@ -269,7 +280,8 @@ impl PartialEq for Noise {
                 == (other.length_cells, other.common_share, other.bad_share)
             && (&self.class_log_strength, self.jitter, self.relief)
                 == (&other.class_log_strength, other.jitter, other.relief)
-            && (self.asymmetry_gain, self.gap_gain) == (other.asymmetry_gain, other.gap_gain)
+            && (self.asymmetry_gain, self.gap_gain, self.skewness_gain)
+                == (other.asymmetry_gain, other.gap_gain, other.skewness_gain)
             && (self.sharpness, &self.contrast, &self.log_gain) == (other.sharpness, &other.contrast, &other.log_gain)
             && self.members == other.members
             && bits(&self.strength) == bits(&other.strength)

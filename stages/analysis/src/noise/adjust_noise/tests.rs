@@ -9,6 +9,7 @@ use rockface_core::artefact::{Artefact, Contrast, Frame, Noun};
 use rockface_core::numerics::gaussian::smoothed;
 use rockface_core::testing::{TestHost, run_stage, small_sensor};
 use rockface_imaging::matching::noise::ensemble::draw;
+use rockface_imaging::matching::noise::skewness::with_skewness;
 
 /// Differences of two acquisitions of the model, metres, smoothed by some cells.
 fn differences(count: u64, cells: f64) -> Vec<Raster> {
@@ -92,6 +93,51 @@ fn where_a_survey_loses_more_the_map_of_strength_makes_up_for_it() {
     };
     let (above, below) = (raised(0..ROWS / 4), raised(ROWS / 2..ROWS));
     assert!((above - 1.25).abs() < 0.04 && (below - 1.0).abs() < 0.04, "{above} {below}");
+}
+
+#[test]
+fn gaps_that_a_survey_adds_come_off_those_of_the_model() {
+    let drawn = differences(6, 0.0);
+    let share = |rasters: &[Raster]| {
+        let values: Vec<&[f32]> = rasters.iter().map(|raster| raster.bands[0].values.as_slice()).collect();
+        mean(gaps(&values).into_iter().map(|[share]| share))
+    };
+    let mut simulated = drawn.clone();
+    for raster in &mut simulated {
+        // Each gap is one cell wider to the right.
+        let values = &mut raster.bands[0].values;
+        for i in (1..values.len()).rev().filter(|i| i % COLUMNS > 0) {
+            if values[i - 1].is_nan() {
+                values[i] = f32::NAN;
+            }
+        }
+    }
+    let expected = CLEAN.gap_gain * share(&drawn) / share(&simulated);
+    let found = adjust(simulated.clone(), drawn.clone(), CLEAN.clone()).unwrap().gap_gain;
+    // A little of what is added is left out as chance.
+    assert!(expected < 0.9 * CLEAN.gap_gain && found >= expected && found < 1.1 * expected, "{found} {expected}");
+    let same = adjust(drawn.clone(), drawn, CLEAN.clone()).unwrap();
+    assert_eq!(same.gap_gain.to_bits(), CLEAN.gap_gain.to_bits());
+}
+
+#[test]
+fn skewness_that_a_survey_loses_is_made_up_for() {
+    let mut drawn = differences(6, 0.0);
+    let values = drawn.iter_mut().flat_map(|raster| &mut raster.bands[0].values);
+    values.filter(|value| value.is_nan()).for_each(|value| *value = 0.0);
+    let lean = |raster: &Raster, skewness: f64| {
+        let values = raster.bands[0].values.iter().map(|value| f64::from(*value)).collect();
+        let values = with_skewness(values, COLUMNS, skewness).into_iter().map(|value| value as f32).collect();
+        Raster::single(grid(), Frame::Wall, "difference", "s", values)
+    };
+    let skewed = |scale: f64| -> Vec<Raster> {
+        drawn.iter().enumerate().map(|(i, raster)| lean(raster, scale * (i as f64 - 2.5))).collect()
+    };
+    let gain = |simulated: Vec<Raster>, drawn| adjust(simulated, drawn, CLEAN.clone()).unwrap().skewness_gain;
+    let raised = gain(skewed(0.12), skewed(0.2)) / CLEAN.skewness_gain;
+    // Planes are taken off, which moves skewness a little: a part of what is lost counts as chance.
+    assert!((1.35..1.7).contains(&raised), "{raised}");
+    assert_eq!(gain(skewed(0.2), skewed(0.2)).to_bits(), CLEAN.skewness_gain.to_bits());
 }
 
 #[test]

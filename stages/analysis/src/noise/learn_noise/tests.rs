@@ -187,6 +187,44 @@ fn gaps_are_as_frequent_as_in_the_rasters() {
     assert!(expected > 0.003 && (found / expected - 1.0).abs() < 0.4, "{found} {expected}");
 }
 
+#[test]
+fn outliers_that_are_filtered_out_do_not_add_to_the_gaps() {
+    let (limit_m, step_m) = (0.012f32, 20.0 * 20.0 / (small_sensor().f * 2.0));
+    let mut rasters = differences(16, &[]);
+    let values = rasters.iter_mut().flat_map(|raster| &mut raster.bands[0].values);
+    values.filter(|value| value.abs() > limit_m).for_each(|value| *value = f32::NAN);
+    let share = |rasters: &[Vec<f32>]| mean(learning::differences::gaps(rasters).into_iter().map(|[share]| share));
+    let expected = share(&rasters.iter().map(|raster| raster.bands[0].values.clone()).collect::<Vec<_>>());
+    let (noise, _) = learn_from(rasters, &json!({"outlier_m": 0.012, "draws": 16})).unwrap();
+    let ratio = |noise: &Noise| {
+        let host = TestHost::seeded(12);
+        let context = Context::new(&host);
+        let steps = vec![1.0; noise.grid.cells()];
+        let limit_px = limit_m / step_m as f32;
+        let drawn = learning::differences::differences(noise, 40, &steps, limit_px, &|p, item| context.stream(p, item));
+        share(&drawn) / expected
+    };
+    let (found, before) = (ratio(&noise), ratio(&Noise { gap_gain: 1.0, ..noise.clone() }));
+    // The limit is at two deviations of the strong half, so a third of the gaps were outliers: most of what is too much goes.
+    assert!(before > 1.3 && (found - 1.0).abs() < 0.4 * (before - 1.0), "{found} {before} {}", noise.gap_gain);
+}
+
+#[test]
+fn draws_are_as_skewed_as_the_rasters() {
+    let mut rasters = differences(16, &[]);
+    for (b, raster) in rasters.iter_mut().enumerate() {
+        let values = &mut raster.bands[0].values;
+        let lean = if b % 2 == 0 { 0.03 } else { -0.03 };
+        values.iter_mut().for_each(|value| *value += lean * value.abs() * (value.abs() / 0.003).min(2.0));
+    }
+    let rms = |rasters: &[Vec<f32>]| mean(skewnesses(rasters).into_iter().map(|skewness| skewness * skewness)).sqrt();
+    let real = rms(&rasters.iter().map(|raster| raster.bands[0].values.clone()).collect::<Vec<_>>());
+    let (noise, _) = learn_from(rasters, &json!({"draws": 16})).unwrap();
+    let of_draws = |noise: &Noise| rms(&drawn_differences(noise, 48)) / real;
+    let (found, without) = (of_draws(&noise), of_draws(&Noise { skewness_gain: 0.0, ..noise.clone() }));
+    assert!((found - 1.0).abs() < 0.25 && without < 0.5, "{found} {without} of {real}");
+}
+
 /// Differences of two acquisitions, pixels.
 fn drawn_differences(noise: &Noise, count: usize) -> Vec<Vec<f32>> {
     let host = TestHost::seeded(11);

@@ -30,6 +30,8 @@ pub struct Source {
     pub plane_m: [f64; 3],
     /// Its asymmetry, in the numbers of a plane.
     pub asymmetry_m: [f64; 3],
+    /// Its skewness.
+    pub skewness: f64,
 }
 
 /// How the variety of acquisitions follows from that of differences.
@@ -81,6 +83,7 @@ pub fn acquisitions(
             log_strength: log_strength.to_vec(),
             log_amplitude: log_amplitude.to_vec(),
             field_log_amplitude: w.log_amplitude.clone(),
+            skewness: source.skewness,
         }
     };
     let members = sources.iter().zip(whitened).zip(bad).map(member).collect();
@@ -117,7 +120,9 @@ mod tests {
     }
 
     fn sources(count: usize) -> Vec<Source> {
-        (0..count).map(|i| Source { name: format!("d{i}"), plane_m: [0.0; 3], asymmetry_m: [0.0; 3] }).collect()
+        (0..count)
+            .map(|i| Source { name: format!("d{i}"), plane_m: [0.0; 3], asymmetry_m: [0.0; 3], skewness: 0.0 })
+            .collect()
     }
 
     #[test]

@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use crate::noise::detrend::Detrend;
 use crate::noise::learning::whitening::{BANDS, CLASSES};
 use rockface_core::artefact::{Band, Cameras, Noise, Raster};
+use rockface_core::numerics::marginal::marginal;
 use rockface_core::numerics::random::Key;
 use rockface_core::{StageError, fail};
 use rockface_imaging::matching::noise::ensemble::{by_class, draw_like};
@@ -52,6 +53,12 @@ pub fn check_model(noise: &Noise, dem: &Raster) -> Result<(), StageError> {
 pub fn gaps(rasters: &[impl AsRef<[f32]>]) -> Vec<[f64; 1]> {
     let one = |raster: &[f32]| raster.iter().filter(|value| value.is_nan()).count() as f64 / raster.len() as f64;
     rasters.iter().map(|raster| [one(raster.as_ref())]).collect()
+}
+
+/// Skewness of each raster; 0 for one without.
+pub fn skewnesses(rasters: &[impl AsRef<[f32]> + Sync]) -> Vec<f64> {
+    let one = |raster: &[f32]| marginal(raster).map_or(0.0, |found| found.skewness);
+    rasters.par_iter().map(|raster| one(raster.as_ref())).map(|s| if s.is_finite() { s } else { 0.0 }).collect()
 }
 
 /// Checks that a model is made as [`whiten`](super::whitening::whiten) takes rasters apart.

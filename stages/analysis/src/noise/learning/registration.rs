@@ -53,7 +53,7 @@ mod tests {
             let asymmetry_m = *asymmetry;
             let rest = |k: i32| 0.3 * random.normal(i as i32, 10 + k);
             let plane_m = [1.4 * asymmetry[0] + rest(0), rest(1), 2.0 + rest(2) - asymmetry[2]];
-            Source { name: format!("r{i}"), plane_m, asymmetry_m }
+            Source { name: format!("r{i}"), plane_m, asymmetry_m, skewness: 0.0 }
         };
         let mut sources: Vec<Source> = asymmetries.iter().enumerate().map(source).collect();
         let mut bad = [false; 26];

@@ -19,6 +19,7 @@ pub fn model() -> Noise {
         plane_m: [0.0; 3],
         log_amplitude: vec![0.0; 4],
         field_log_amplitude: vec![0.0; 4],
+        skewness: 0.0,
     };
     Noise {
         frame: Frame::Wall,
@@ -35,6 +36,7 @@ pub fn model() -> Noise {
         relief: ReliefLaw { flat_px: 0.1, gain_px_m: 2.0, window_cells: 2 },
         asymmetry_gain: [0.0; 3],
         gap_gain: 1.0,
+        skewness_gain: 2.0,
         members: vec![member],
         strength: (0..SIDE * SIDE).map(|i| if i % SIDE < SIDE / 2 { 0.1 } else { 0.3 }).collect(),
         elevation: vec![0.0; SIDE * SIDE],

@@ -4,7 +4,7 @@
 //! `g_j`, raised to a power with their sign, weights `w_j` that fall to 0 in gaps, and the correlation `c_ij` of the fields of two donors, which
 //! may share an epoch: a localised ensemble, as in ensemble Kalman filters (Hamill, Whitaker and Snyder 2001). It keeps the covariance of the
 //! members wherever that differs from place to place, without a parameter for it. A sum of fields is more even than each of them: its
-//! details are given contrast. Where the strongest donor of a place has a gap, the acquisition has one with the probability that makes the gaps of
+//! details are given contrast, and the field the skewness of one member, to either side. Where the strongest donor of a place has a gap, the acquisition has one with the probability that makes the gaps of
 //! a difference as frequent as they were. Bands of frequency then give it the amplitudes of one member, and classes of place its strength. Models
 //! without fields start from white noise instead.
 
@@ -15,6 +15,7 @@ use crate::matching::noise::contrast::{with_contrast, with_gains};
 use crate::matching::noise::matcher::Keys;
 use crate::matching::noise::modulation::smooth_field;
 use crate::matching::noise::paper::SmoothNoise;
+use crate::matching::noise::skewness::with_skewness;
 use rockface_core::artefact::{GAP, Member, Noise};
 use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::portable_math;
@@ -101,7 +102,10 @@ fn taken_from(noise: &Noise, number: Option<u32>, member: usize, mut generator: 
         Mixed { field: white(noise, &keys("noise-white", "").field()), gaps: Vec::new() }
     };
     let columns = noise.grid.columns;
+    // Which of two surveys is the later one is chance, and with it the side to which their difference is skewed.
+    let skewness = if generator.random() { member.skewness } else { -member.skewness };
     let uneven = with_contrast(mixed.field, columns, &noise.contrast);
+    let uneven = with_skewness(uneven, columns, noise.skewness_gain * skewness);
     let bands = Bands::new(columns, noise.grid.rows, noise.bands());
     let wanted = of_unit_variance(jittered(|member| &member.log_amplitude), &bands.shares());
     let present = bands.power(&uneven);
@@ -299,6 +303,7 @@ mod tests {
             log_strength: vec![strength],
             log_amplitude: vec![amplitude, 0.0],
             field_log_amplitude: vec![0.0; 2],
+            skewness: 0.0,
         };
         // Amplitudes vary ten times as much as strengths: each counts over its own deviation.
         let members =

@@ -10,6 +10,7 @@ pub mod model;
 pub mod model_draws;
 pub mod modulation;
 pub mod paper;
+pub mod skewness;
 pub mod spline;
 pub mod strength;
 pub mod student;
