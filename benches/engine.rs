@@ -77,7 +77,7 @@ impl Stage for Root {
 
 const STAGES: &[&dyn AnyStage] = &[&Row::<Cheap>::new(), &Row::<Root>::new()];
 
-/// That of the program.
+/// The allocator of the program.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 

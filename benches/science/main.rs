@@ -27,7 +27,7 @@ use wait4::Wait4;
 
 use busy::Busy;
 
-/// That of the program.
+/// The allocator of the program.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 

@@ -1,7 +1,7 @@
 //! `adjust-noise`: makes up for what a survey loses of the noise of a model, by comparing surveys simulated with it to draws of it.
 
 use crate::noise::learning::departure::{Departure, Mean, figures};
-use crate::noise::learning::differences::{check, check_model, disparities, gaps, skewnesses};
+use crate::noise::learning::differences::{check, check_model, disparities, gaps, seen, skewnesses};
 use crate::noise::learning::whitening::{Places, whiten};
 use crate::noise::learning::{by_place, contrast};
 use crate::noise::structure;
@@ -9,7 +9,7 @@ use rockface_core::artefact::{
     Band, Cameras, Kind, LevelContrast, LevelFigures, MOST_GAP_GAIN, MOST_SKEWNESS_GAIN, Noise, Pairs, Raster,
     UNEVENNESS,
 };
-use rockface_core::numerics::portable_math::{exp, log, pow};
+use rockface_core::numerics::portable_math::{exp, log};
 use rockface_core::params::Range;
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 use rockface_imaging::matching::elevation_step::elevation_step_m;
@@ -17,7 +17,7 @@ use rockface_imaging::matching::elevation_step::elevation_step_m;
 params! {
     /// Parameters of `adjust-noise`.
     pub struct AdjustNoiseParams {
-        /// Factor by which more is added to the gains of the bands than is lost of them (over-relaxation), and power of the factor on gaps. Of what
+        /// Factor by which more is added to the gains of the bands than is lost of them (over-relaxation). Of what
         /// is added to the finest band about half is lost again, so that rounds which follow others need more than 1.
         relaxation: f64 = 1.0; Range::Between(0.5, 1.9),
     }
@@ -102,7 +102,7 @@ impl Stage for AdjustNoise {
         report(&losses, noise, context);
         let mut adjusted = adjusted(noise, &losses, params.relaxation);
         by_place::times(&mut adjusted.strength, &by_place);
-        adjusted.gap_gain = (adjusted.gap_gain * pow(gap_factor, params.relaxation)).min(MOST_GAP_GAIN);
+        adjusted.gap_gain = (adjusted.gap_gain * gap_factor).min(MOST_GAP_GAIN);
         adjusted.skewness_gain = (adjusted.skewness_gain * skewness_factor).min(MOST_SKEWNESS_GAIN);
         Ok(Outputs::of("noise", adjusted))
     }
@@ -110,12 +110,13 @@ impl Stage for AdjustNoise {
 
 /// The share of gaps of draws by that of surveys, which widen gaps, and have others where nothing is seen.
 fn gap_factor(simulated: &[Vec<f32>], drawn: &[Vec<f32>]) -> f64 {
-    let [simulated, drawn] = [simulated, drawn].map(gaps);
+    let seen = seen(simulated.iter().chain(drawn).map(Vec::as_slice));
+    let [simulated, drawn] = [simulated, drawn].map(|rasters| gaps(rasters, &seen));
     let more: Vec<[f64; 1]> = simulated.iter().zip(&drawn).map(|(survey, draw)| [survey[0] - draw[0]]).collect();
     let none = Mean { value: 0.0, squared_error: 0.0 };
     let more = Departure::of(Mean::of(&more, 0), none).certain(CHANCE_ERRORS);
     let wanted = Mean::of(&drawn, 0).value;
-    if wanted + more > 0.0 { wanted / (wanted + more) } else { 1.0 }
+    if wanted > 0.0 { (wanted / (wanted + more)).clamp(0.5, 2.0) } else { 1.0 }
 }
 
 /// The skewness of draws by that of surveys with the same random numbers: the inverse slope of the line through 0.

@@ -10,7 +10,7 @@ use crate::noise::learning::bad::parted;
 use crate::noise::learning::by_place::{self, Strengths};
 use crate::noise::learning::contrast::{self, Figures, Nearest};
 use crate::noise::learning::departure::{Departure, Mean, figures};
-use crate::noise::learning::differences::{check, differences, disparities, gaps, skewnesses};
+use crate::noise::learning::differences::{check, differences, disparities, gaps, seen, skewnesses};
 use crate::noise::learning::whitening::{
     BANDS, LEAST_SIDE_CELLS, Places, Prior, Stack, Whitened, range_cells, restore_outliers, whiten,
 };
@@ -231,8 +231,14 @@ impl Learnt {
             trial.iter_mut().for_each(|raster| by_place::times(raster, &more));
             factors.iter_mut().zip(more).for_each(|(factor, more)| *factor *= more);
         };
-        let marks = Marks::of(&real);
-        let mut gains = Gains::default().refined(&marks, &trial);
+        let seen = seen(real.iter().copied());
+        let marks = Marks::of(&real, &seen);
+        // Without fields draws have no gaps of the rasters.
+        let refined = |gains: Gains, trial: &[Vec<f32>]| {
+            let better = gains.refined(&marks, &Marks::of(trial, &seen));
+            if self.fields { better } else { Gains { gaps: gains.gaps, ..better } }
+        };
+        let mut gains = refined(Gains::default(), &trial);
         make_up(&mut trial, &mut factors);
         let mut correction = Correction::of(&self.usual(), &whiten(&trial, self.columns, &self.places));
         let mut contrast = usual.contrast.clone();
@@ -257,7 +263,7 @@ impl Learnt {
                 }
             }
             if round < ROUNDS {
-                gains = gains.refined(&marks, &trial);
+                gains = refined(gains, &trial);
                 make_up(&mut trial, &mut factors);
                 correction.refine(&self.usual(), &whiten(&trial, self.columns, &self.places));
             }
@@ -338,10 +344,10 @@ struct Marks {
 }
 
 impl Marks {
-    fn of(rasters: &[impl AsRef<[f32]> + Sync]) -> Self {
+    fn of(rasters: &[impl AsRef<[f32]> + Sync], seen: &[bool]) -> Self {
         let skewnesses = skewnesses(rasters);
         let squares = skewnesses.iter().map(|skewness| skewness * skewness).sum::<f64>();
-        Self { gaps: Mean::of(&gaps(rasters), 0), skewness: (squares / skewnesses.len() as f64).sqrt() }
+        Self { gaps: Mean::of(&gaps(rasters, seen), 0), skewness: (squares / skewnesses.len() as f64).sqrt() }
     }
 }
 
@@ -360,9 +366,8 @@ impl Default for Gains {
 }
 
 impl Gains {
-    /// Better gains, after draws with these: outliers that are filtered out of draws leave gaps too, and take the tails that make them skewed.
-    fn refined(self, real: &Marks, drawn: &[Vec<f32>]) -> Self {
-        let found = Marks::of(drawn);
+    /// Better gains, after draws with these have the marks that were found: outliers that are filtered out of draws leave gaps too, and take the tails that make them skewed.
+    fn refined(self, real: &Marks, found: &Marks) -> Self {
         let excess = Departure::of(found.gaps, real.gaps.exact()).certain(1.0);
         let gaps = if real.gaps.value > 0.0 { self.gaps - excess / real.gaps.value } else { self.gaps };
         let ratio = real.skewness / found.skewness;

@@ -136,8 +136,8 @@ pub struct Noise {
     /// Factor on the probability that an acquisition has a gap where a member has one: outliers that are filtered out leave gaps too, and surveys
     /// widen them.
     pub gap_gain: f64,
-    /// How many times as skewed as the difference it takes its strengths from the whitened field of an acquisition is, to either side: a difference of
-    /// two acquisitions is less skewed than each of them, and gridding evens noise out.
+    /// Skewness of the whitened field of an acquisition as a multiple of that of the raster whose strengths it takes; the sign is random. A difference of
+    /// two acquisitions is less skewed than each of them, and gridding evens noise out, so it is above 1.
     pub skewness_gain: f64,
     /// What is known of each acquisition the model was learnt from.
     pub members: Vec<Member>,

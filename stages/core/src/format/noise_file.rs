@@ -81,7 +81,9 @@ pub fn write(noise: &Noise) -> Result<Vec<u8>, CodecError> {
 
 /// Reads a noise model.
 pub fn read(bytes: &[u8]) -> Result<Noise, CodecError> {
-    let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| CodecError::new("not a rockface noise file (version 10)"))?;
+    let rest = bytes
+        .strip_prefix(MAGIC)
+        .ok_or_else(|| CodecError::new("not a noise model of this version (10): learn it anew (learn-noise)"))?;
     let end = rest.iter().position(|b| *b == b'\n').ok_or_else(|| CodecError::new("noise file: header without end"))?;
     let header: Header =
         serde_json::from_slice(&rest[..end]).map_err(|e| CodecError(format!("noise file: bad header: {e}")))?;

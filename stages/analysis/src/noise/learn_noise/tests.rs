@@ -193,7 +193,7 @@ fn outliers_that_are_filtered_out_do_not_add_to_the_gaps() {
     let mut rasters = differences(16, &[]);
     let values = rasters.iter_mut().flat_map(|raster| &mut raster.bands[0].values);
     values.filter(|value| value.abs() > limit_m).for_each(|value| *value = f32::NAN);
-    let share = |rasters: &[Vec<f32>]| mean(learning::differences::gaps(rasters).into_iter().map(|[share]| share));
+    let share = |rasters: &[Vec<f32>]| mean(gaps(rasters, &[true; COLUMNS * ROWS]).into_iter().map(|[share]| share));
     let expected = share(&rasters.iter().map(|raster| raster.bands[0].values.clone()).collect::<Vec<_>>());
     let (noise, _) = learn_from(rasters, &json!({"outlier_m": 0.012, "draws": 16})).unwrap();
     let ratio = |noise: &Noise| {
@@ -207,6 +207,21 @@ fn outliers_that_are_filtered_out_do_not_add_to_the_gaps() {
     let (found, before) = (ratio(&noise), ratio(&Noise { gap_gain: 1.0, ..noise.clone() }));
     // The limit is at two deviations of the strong half, so a third of the gaps were outliers: most of what is too much goes.
     assert!(before > 1.3 && (found - 1.0).abs() < 0.4 * (before - 1.0), "{found} {before} {}", noise.gap_gain);
+}
+
+#[test]
+fn what_no_raster_shows_no_draw_does() {
+    let mut rasters = differences(16, &[]);
+    let strip = |i: usize| i % COLUMNS < 12;
+    for raster in &mut rasters {
+        let values = raster.bands[0].values.iter_mut().enumerate();
+        values.filter(|(i, _)| strip(*i)).for_each(|(_, value)| *value = f32::NAN);
+    }
+    let (noise, _) = learn_from(rasters, &json!({"draws": 8})).unwrap();
+    for raster in drawn_differences(&Noise { gap_gain: 0.3, ..noise }, 6) {
+        assert!(raster.iter().enumerate().all(|(i, value)| !strip(i) || value.is_nan()));
+        assert!(raster.iter().filter(|value| value.is_nan()).count() < COLUMNS * ROWS / 4);
+    }
 }
 
 #[test]

@@ -49,10 +49,21 @@ pub fn check_model(noise: &Noise, dem: &Raster) -> Result<(), StageError> {
     check_parts(noise)
 }
 
-/// Share of the cells without a value in each raster.
-pub fn gaps(rasters: &[impl AsRef<[f32]>]) -> Vec<[f64; 1]> {
-    let one = |raster: &[f32]| raster.iter().filter(|value| value.is_nan()).count() as f64 / raster.len() as f64;
-    rasters.iter().map(|raster| [one(raster.as_ref())]).collect()
+/// Which cells have a value in at least one raster.
+pub fn seen<'a>(rasters: impl IntoIterator<Item = &'a [f32]>) -> Vec<bool> {
+    let mut seen = Vec::new();
+    for raster in rasters {
+        seen.resize(raster.len(), false);
+        seen.iter_mut().zip(raster).for_each(|(seen, value)| *seen |= !value.is_nan());
+    }
+    seen
+}
+
+/// Share of the cells without a value in each raster, of those that are [`seen`] at all.
+pub fn gaps(rasters: &[impl AsRef<[f32]>], seen: &[bool]) -> Vec<[f64; 1]> {
+    let cells = seen.iter().filter(|seen| **seen).count().max(1) as f64;
+    let gaps_of = |raster: &[f32]| raster.iter().zip(seen).filter(|(value, seen)| **seen && value.is_nan()).count();
+    rasters.iter().map(|raster| [gaps_of(raster.as_ref()) as f64 / cells]).collect()
 }
 
 /// Skewness of each raster; 0 for one without.

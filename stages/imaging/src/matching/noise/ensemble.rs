@@ -265,7 +265,7 @@ fn variance(weights: &[f64], correlations: &[Vec<f64>]) -> f64 {
 }
 
 /// Probability with which a gap of a difference was one of the acquisition asked for, cell by cell: with a share p of gaps in the differences
-/// an acquisition has `1 - sqrt(1 - p)`, times the model's gain of gaps.
+/// an acquisition has `1 - sqrt(1 - p)`, times the model's gain of gaps. Cells without a value in any difference have none in an acquisition.
 fn gap_probability(noise: &Noise) -> Vec<f64> {
     let mut counts = vec![0u32; noise.grid.cells()];
     for weights in &noise.weights {
@@ -273,6 +273,10 @@ fn gap_probability(noise: &Noise) -> Vec<f64> {
     }
     let of = |count: u32| {
         let share = f64::from(count) / noise.weights.len() as f64;
+        // What no raster shows, no acquisition does, whatever the gain.
+        if share >= 1.0 {
+            return 1.0;
+        }
         if share > 0.0 { noise.gap_gain * (1.0 - (1.0 - share).sqrt()) / share } else { 0.0 }
     };
     let by_count: Vec<f64> = (0..=noise.weights.len() as u32).map(of).collect();
