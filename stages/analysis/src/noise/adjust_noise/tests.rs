@@ -98,9 +98,10 @@ fn where_a_survey_loses_more_the_map_of_strength_makes_up_for_it() {
 #[test]
 fn gaps_that_a_survey_adds_come_off_those_of_the_model() {
     let drawn = differences(6, 0.0);
+    let seen = seen(drawn.iter().map(|raster| raster.bands[0].values.as_slice()));
     let share = |rasters: &[Raster]| {
         let values: Vec<&[f32]> = rasters.iter().map(|raster| raster.bands[0].values.as_slice()).collect();
-        mean(gaps(&values, &seen(values.iter().copied())).into_iter().map(|[share]| share))
+        mean(gaps(&values, &seen).into_iter().map(|[share]| share))
     };
     let mut simulated = drawn.clone();
     for raster in &mut simulated {
