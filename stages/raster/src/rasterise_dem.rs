@@ -113,7 +113,7 @@ impl Stage for RasteriseDem {
             }
             if params.empty_cells == EmptyCells::Interpolate {
                 return Err(StageError::new("`empty_cells: interpolate` takes triangles, and a cloud has none")
-                    .hint("take `empty_cells: leave-empty`, or make a mesh of the cloud (reconstruct-surface)"));
+                    .hint("take `empty_cells: leave-empty`"));
             }
         }
         let grid = match inputs.optional::<Raster>("grid")? {

@@ -61,6 +61,14 @@ fn differences(count: u8, bad: &[u8]) -> Vec<Raster> {
     (0..count).map(one).collect()
 }
 
+/// Sixteen differences, good ones, without their values beyond a limit.
+fn differences_within(limit_m: f32) -> Vec<Raster> {
+    let mut rasters = differences(16, &[]);
+    let values = rasters.iter_mut().flat_map(|raster| &mut raster.bands[0].values);
+    values.filter(|value| value.abs() > limit_m).for_each(|value| *value = f32::NAN);
+    rasters
+}
+
 fn learn(count: u8, bad: &[u8], with: &Value) -> Result<(Noise, TestHost), StageError> {
     learn_from(differences(count, bad), with)
 }
@@ -151,9 +159,7 @@ fn differences_of_drawn_acquisitions_have_the_strength_of_the_rasters_at_each_pl
 #[test]
 fn draws_are_as_strong_as_rasters_whose_largest_values_were_filtered_out() {
     let (limit_m, step_m) = (0.012f32, 20.0 * 20.0 / (small_sensor().f * 2.0));
-    let mut rasters = differences(16, &[]);
-    let values = rasters.iter_mut().flat_map(|raster| &mut raster.bands[0].values);
-    values.filter(|value| value.abs() > limit_m).for_each(|value| *value = f32::NAN);
+    let rasters = differences_within(limit_m);
     let left = |raster: &Raster| {
         let cells = raster.bands[0].values.iter().enumerate();
         let inside = cells.filter(|(i, value)| i % COLUMNS < COLUMNS / 2 && !value.is_nan());
@@ -190,9 +196,7 @@ fn gaps_are_as_frequent_as_in_the_rasters() {
 #[test]
 fn outliers_that_are_filtered_out_do_not_add_to_the_gaps() {
     let (limit_m, step_m) = (0.012f32, 20.0 * 20.0 / (small_sensor().f * 2.0));
-    let mut rasters = differences(16, &[]);
-    let values = rasters.iter_mut().flat_map(|raster| &mut raster.bands[0].values);
-    values.filter(|value| value.abs() > limit_m).for_each(|value| *value = f32::NAN);
+    let rasters = differences_within(limit_m);
     let share = |rasters: &[Vec<f32>]| mean(gaps(rasters, &[true; COLUMNS * ROWS]).into_iter().map(|[share]| share));
     let expected = share(&rasters.iter().map(|raster| raster.bands[0].values.clone()).collect::<Vec<_>>());
     let (noise, _) = learn_from(rasters, &json!({"outlier_m": 0.012, "draws": 16})).unwrap();
