@@ -96,7 +96,11 @@ pub(super) fn place(grid: &Grid, [x, y, z]: [f64; 3]) -> (u32, f64) {
 /// Z at the cell centres interpolated in the triangles, metres, by row from the top; the highest where several lie over
 /// each other, NaN where there is none.
 pub fn tin(shape: Shape, moved: Option<&Moved>, grid: &Grid) -> Vec<f32> {
-    let mut values = vec![f32::NEG_INFINITY; grid.cells()];
+    raised(vec![f32::NEG_INFINITY; grid.cells()], shape, moved, grid)
+}
+
+/// Cells raised to the triangles of a shape; NaN where they are as low as can be.
+fn raised(mut values: Vec<f32>, shape: Shape, moved: Option<&Moved>, grid: &Grid) -> Vec<f32> {
     match shape {
         Shape::Surface(surface) if surface.width > 1 && surface.height > 1 => {
             squares::fill_grid(surface, moved, grid, &mut values);
@@ -105,6 +109,21 @@ pub fn tin(shape: Shape, moved: Option<&Moved>, grid: &Grid) -> Vec<f32> {
     }
     values.par_iter_mut().filter(|z| **z == f32::NEG_INFINITY).for_each(|z| *z = f32::NAN);
     values
+}
+
+/// Gives cells without a value what [`tin`] gives them; how many got one.
+pub fn fill_empty(values: &mut [f32], shape: Shape, moved: Option<&Moved>, grid: &Grid) -> usize {
+    // Other cells are as high as can be, so that no triangle raises them.
+    let known = |value: &f32| if value.is_nan() { f32::NEG_INFINITY } else { f32::INFINITY };
+    let found = raised(values.par_iter().map(known).collect(), shape, moved, grid);
+    let fill = |(value, found): (&mut f32, f32)| {
+        let is_new = value.is_nan() && !found.is_nan();
+        if is_new {
+            *value = found;
+        }
+        usize::from(is_new)
+    };
+    values.par_iter_mut().zip(found).map(fill).sum()
 }
 
 /// Raises the cells of a grid to the triangles of any shape.
@@ -174,6 +193,13 @@ fn raise_within(
     columns: usize,
     cells: &mut [f32],
 ) {
+    let highest = |row: usize| {
+        let row = (row - first) * columns;
+        cells[row + left..=row + right].iter().all(|z| *z == f32::INFINITY)
+    };
+    if (top..=bottom).all(highest) {
+        return;
+    }
     let (ab, ac) = ([b[0] - a[0], b[1] - a[1]], [c[0] - a[0], c[1] - a[1]]);
     let area = ab[0] * ac[1] - ac[0] * ab[1];
     // A triangle seen edge-on covers no cell centre; NaN corners end here too.

@@ -4,7 +4,7 @@ use serde_json::Value;
 
 use crate::shape::{Moved, Shape};
 use crate::{frame_change, rasterise, rasterise_points, window};
-use rockface_core::artefact::{Frame, Grid, Kind, Raster, Transform};
+use rockface_core::artefact::{Artefact, Frame, Grid, Kind, Raster, Transform};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Ports, Stage, StageError, choice, fail, params};
 
@@ -96,9 +96,13 @@ impl Stage for RasteriseDem {
             DemMethod::Nearest => 6 * band,
             DemMethod::Mean | DemMethod::Tin => 0,
         };
+        let interpolates = params.method == DemMethod::Tin || params.empty_cells == EmptyCells::Interpolate;
         let filled = if params.empty_cells == EmptyCells::Interpolate { band } else { 0 };
+        // The vertices of a mesh in cells; those of a surface are taken strip by strip.
+        let of_surface = || matches!(inputs.value("surface").as_deref(), Some(Artefact::Surface(_)));
+        let vertices = if interpolates && !of_surface() { inputs.times(0.5, "surface") } else { 0 };
         let coverage = if params.coverage { 2 * band } else { 0 };
-        inputs.total() + lists + 23 * band / 10 + filled + coverage + (6 << 20)
+        inputs.total() + lists + 23 * band / 10 + filled + vertices + coverage + (6 << 20)
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
@@ -127,7 +131,8 @@ impl Stage for RasteriseDem {
             DemMethod::Tin => rasterise::tin(shape, moved.as_ref(), &grid),
         };
         if params.method != DemMethod::Tin && params.empty_cells == EmptyCells::Interpolate {
-            fill_empty(&mut values, shape, moved.as_ref(), &grid, context);
+            let filled = rasterise::fill_empty(&mut values, shape, moved.as_ref(), &grid);
+            context.metric("interpolated", filled as f64 / values.len() as f64, "1");
         }
         report(&values, &grid, context);
         let frame = change.frame;
@@ -155,18 +160,6 @@ fn make_grid(params: &RasteriseDemParams, shape: Shape, moved: Option<&Moved>) -
 }
 
 /// Gives cells without a value the one interpolated in the triangles over their centre, where there is one.
-fn fill_empty(values: &mut [f32], shape: Shape, moved: Option<&Moved>, grid: &Grid, context: &Context) {
-    let interpolated = rasterise::tin(shape, moved, grid);
-    let mut filled = 0usize;
-    for (value, found) in values.iter_mut().zip(interpolated) {
-        if value.is_nan() && !found.is_nan() {
-            *value = found;
-            filled += 1;
-        }
-    }
-    context.metric("interpolated", filled as f64 / values.len() as f64, "1");
-}
-
 fn usable(grid: Grid) -> Result<Grid, StageError> {
     let cells = grid.columns as f64 * grid.rows as f64;
     if (1.0..=rasterise::MAXIMUM_CELLS).contains(&cells) && grid.cell_m > 0.0 {

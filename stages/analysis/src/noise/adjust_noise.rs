@@ -40,7 +40,7 @@ const MOST_SHARE: f64 = 2.0;
 impl Stage for AdjustNoise {
     type Params = AdjustNoiseParams;
     const NAME: &'static str = "adjust-noise";
-    const VERSION: u32 = 10;
+    const VERSION: u32 = 11;
     const PAGE: Page = Page::new(include_str!("adjust_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("noise", &[Kind::Noise], "The model."),
@@ -99,7 +99,7 @@ impl Stage for AdjustNoise {
         };
         let (simulated, drawn) = (described(&left)?, described(&whole)?);
         let losses = losses(&simulated, &drawn, &noise.contrast.levels);
-        report(&losses, noise, context);
+        report(&losses, noise, [gap_factor, skewness_factor], context);
         let mut adjusted = adjusted(noise, &losses, params.relaxation);
         by_place::times(&mut adjusted.strength, &by_place);
         adjusted.gap_gain = (adjusted.gap_gain * gap_factor).min(MOST_GAP_GAIN);
@@ -203,7 +203,8 @@ fn parts<'a>(losses: &'a [Departure], noise: &Noise) -> (&'a [Departure], &'a [D
     (classes, bands, details)
 }
 
-fn report(losses: &[Departure], noise: &Noise, context: &Context) {
+/// Losses, and the factors that the gains of gaps and of skewness get for them.
+fn report(losses: &[Departure], noise: &Noise, [gap_factor, skewness_factor]: [f64; 2], context: &Context) {
     let (classes, bands, details) = parts(losses, noise);
     let percent = |losses: &[Departure], errors: f64| {
         let one = |loss: &Departure| format!("{:+.0}", 100.0 * (exp(loss.certain(errors)) - 1.0));
@@ -211,10 +212,13 @@ fn report(losses: &[Departure], noise: &Noise, context: &Context) {
     };
     context.metric("finest_band", bands.last().map_or(0.0, |loss| loss.difference), "1");
     context.metric("strongest_class", classes.last().map_or(0.0, |loss| loss.difference), "1");
+    context.metric("gap_factor", gap_factor, "1");
+    context.metric("skewness_factor", skewness_factor, "1");
     context.note(format!(
         "amplitudes of the simulated rasters beside those of the model, per cent: {} by class of place, {} by band, coarsest first; \
          details of usual ones beside those of the rasters: {} by level, finest first, each flatness along x, along y and diagonal, cascade to \
-         two levels, and amplitude along x, along y and diagonal",
+         two levels, and amplitude along x, along y and diagonal; the model now has {gap_factor:.2} times the gaps and {skewness_factor:.2} times the \
+         skewness",
         percent(classes, CHANCE_ERRORS),
         percent(bands, CHANCE_ERRORS),
         percent(details, DETAIL_ERRORS)

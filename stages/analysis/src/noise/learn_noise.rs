@@ -75,7 +75,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 16;
+    const VERSION: u32 = 17;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -416,7 +416,7 @@ impl Correction {
         };
         let strengths = lacking(|w| &w.log_strength);
         let mean = strengths.iter().sum::<f64>() / strengths.len() as f64;
-        let changes = strengths.iter().map(|_| mean).chain(near(&lacking(|w| &w.log_amplitude)));
+        let changes = strengths.iter().map(|_| mean).chain(near(&lacking(|w| &w.raster_log_amplitude)));
         // Relative standard error of a variance of normal figures.
         let relative = (2.0 / (drawn.len() as f64 - 1.0)).sqrt();
         for (own, lacking) in self.own.iter_mut().zip(changes) {
@@ -453,7 +453,7 @@ fn own_shares(real: &[&Whitened], alike: &[&Whitened]) -> Vec<f64> {
     let classes = shares(|w| &w.log_strength);
     let mean = classes.iter().sum::<f64>() / classes.len() as f64;
     let strengths = classes.iter().map(|share| 0.5 * (share + mean));
-    strengths.chain(near(&shares(|w| &w.log_amplitude))).map(f64::sqrt).collect()
+    strengths.chain(near(&shares(|w| &w.raster_log_amplitude))).map(f64::sqrt).collect()
 }
 
 /// Variance of each of some figures over rasters.
@@ -477,7 +477,7 @@ const CONTRAST_DRAWS: usize = 12;
 const ALIKE: f64 = 1e-6;
 /// Least and most of the variance of a figure over rasters that acquisitions differ by.
 const LEAST_OWN: f64 = 0.1;
-const MOST_OWN: f64 = 2.0;
+const MOST_OWN: f64 = 4.0;
 
 fn report(noise: &Noise, learnt: &Learnt, step_m: &[f32], context: &Context) {
     let known: Vec<f64> = step_m.iter().filter(|step| !step.is_nan()).map(|step| f64::from(*step)).collect();

@@ -2,7 +2,8 @@
 
 use crate::artefact::{CodecError, Contrast, Frame, Grid, Member, Noise, ReliefLaw};
 
-const MAGIC: &[u8] = b"rockface noise 10\n";
+/// The first line; a file with another version is learnt anew.
+const MAGIC: &str = "rockface noise 10\n";
 
 /// What is written into the header for whoever reads the file without us.
 const LAYOUT: &str = "rows x columns cells from the top left: strength float32 little-endian (px), elevation float32 (m, NaN = unknown); \
@@ -69,7 +70,7 @@ pub fn write(noise: &Noise) -> Result<Vec<u8>, CodecError> {
         .map_err(|e| CodecError(format!("noise model: a number is not finite: {e}")))?;
     let mut bytes =
         Vec::with_capacity(MAGIC.len() + header.len() + 1 + size(grid.cells(), noise.fields.len()).unwrap_or(0));
-    bytes.extend_from_slice(MAGIC);
+    bytes.extend_from_slice(MAGIC.as_bytes());
     bytes.extend_from_slice(header.as_bytes());
     bytes.push(b'\n');
     for raster in [&noise.strength, &noise.elevation].into_iter().chain(&noise.fields) {
@@ -82,8 +83,8 @@ pub fn write(noise: &Noise) -> Result<Vec<u8>, CodecError> {
 /// Reads a noise model.
 pub fn read(bytes: &[u8]) -> Result<Noise, CodecError> {
     let rest = bytes
-        .strip_prefix(MAGIC)
-        .ok_or_else(|| CodecError::new("not a noise model of this version (10): learn it anew (learn-noise)"))?;
+        .strip_prefix(MAGIC.as_bytes())
+        .ok_or_else(|| CodecError(format!("not a `{}` file: learn the model anew (learn-noise)", MAGIC.trim_end())))?;
     let end = rest.iter().position(|b| *b == b'\n').ok_or_else(|| CodecError::new("noise file: header without end"))?;
     let header: Header =
         serde_json::from_slice(&rest[..end]).map_err(|e| CodecError(format!("noise file: bad header: {e}")))?;

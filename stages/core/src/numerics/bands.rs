@@ -4,6 +4,8 @@
 //! last one lies beyond 0.5, where only waves across both axes are; between centres weights are linear in ln f, beyond the outermost ones
 //! constant. White noise of unit variance has power 1 in all.
 
+use rayon::prelude::*;
+
 use crate::numerics::fft::{C64, Fft2};
 use crate::numerics::portable_math;
 
@@ -11,8 +13,7 @@ use crate::numerics::portable_math;
 pub struct Bands {
     /// Number of bands, at least 2.
     pub count: usize,
-    forward: Fft2,
-    backward: Fft2,
+    fft: Fft2,
     /// Place of each frequency among the bands: those of the first half of the columns, for the first half of the rows each.
     places: Vec<f64>,
 }
@@ -29,84 +30,63 @@ impl Bands {
         };
         let places = (0..=columns / 2).flat_map(|kx| (0..=rows / 2).map(move |ky| (kx, ky)));
         let places = places.map(|(kx, ky)| place(kx, ky)).collect();
-        Self { count, forward: Fft2::new(columns, rows), backward: Fft2::new(rows, columns), places }
+        Self { count, fft: Fft2::new(columns, rows), places }
     }
 
-    /// Cells of a raster.
-    fn cells(&self) -> usize {
-        self.forward.columns * self.forward.rows
-    }
-
-    /// The band below a frequency, and the weight of the one above it.
+    /// The band below a frequency of the first half of the columns, and the weight of the one above it.
     fn place(&self, kx: usize, ky: usize) -> (usize, f64) {
-        let (columns, rows) = (self.forward.columns, self.forward.rows);
-        let at = self.places[kx.min(columns - kx) * (rows / 2 + 1) + ky.min(rows - ky)];
+        let rows = self.fft.rows;
+        let at = self.places[kx * (rows / 2 + 1) + ky.min(rows - ky)];
         let below = (at as usize).min(self.count - 2);
         (below, at - below as f64)
     }
 
-    /// The spectrum of a raster, column by column.
-    fn spectrum(&self, values: &[f64]) -> Vec<C64> {
-        let (columns, rows) = (self.forward.columns, self.forward.rows);
-        self.forward.forward(rows, columns, |row, line| {
-            line.iter_mut().zip(&values[row * columns..]).for_each(|(cell, value)| *cell = C64::new(*value, 0.0));
-        })
+    /// The spectrum of a raster.
+    pub fn spectrum(&self, values: &[f64]) -> Spectrum<'_> {
+        let (columns, rows) = (self.fft.columns, self.fft.rows);
+        let row = |row: usize, line: &mut [f64]| line.copy_from_slice(&values[row * columns..(row + 1) * columns]);
+        Spectrum { bands: self, amplitudes: self.fft.forward_real(rows, row) }
     }
 
-    /// Mean power in each band, that of white noise of unit variance being 1. The mean of the raster takes no part.
+    /// As [`Spectrum::power`].
     pub fn power(&self, values: &[f64]) -> Vec<f64> {
-        let mut sums = vec![[0.0; 2]; self.count];
-        for (kx, column) in self.spectrum(values).chunks_exact(self.forward.rows).enumerate() {
-            for (ky, amplitude) in column.iter().enumerate().skip(usize::from(kx == 0)) {
-                let (below, above) = self.place(kx, ky);
-                for (band, weight) in [(below, 1.0 - above), (below + 1, above)] {
-                    sums[band][0] += weight * amplitude.norm_sqr();
-                    sums[band][1] += weight;
-                }
-            }
-        }
-        sums.iter().map(|[power, weight]| power / (weight.max(1e-12) * self.cells() as f64)).collect()
+        self.spectrum(values).power()
     }
 
     /// How much of the variance of white noise lies in each band; adds up to 1.
     pub fn shares(&self) -> Vec<f64> {
-        let mut shares = vec![0.0; self.count];
-        for kx in 0..self.forward.columns {
-            for ky in usize::from(kx == 0)..self.forward.rows {
-                let (below, above) = self.place(kx, ky);
-                shares[below] += 1.0 - above;
-                shares[below + 1] += above;
-            }
-        }
-        let total: f64 = shares.iter().sum();
-        shares.iter().map(|share| share / total).collect()
+        let weights = self.sums(|_| [1.0, 0.0]);
+        let total: f64 = weights.iter().map(|[weight, _]| weight).sum();
+        weights.iter().map(|[weight, _]| weight / total).collect()
     }
 
-    /// Multiplies the amplitudes of a raster by `exp(log_gain)`, interpolated between bands.
-    pub fn filter(&self, values: &[f64], log_gain: &[f64]) -> Vec<f64> {
-        let (columns, rows) = (self.forward.columns, self.forward.rows);
-        let spectrum = self.spectrum(values);
-        // The inverse of a transform is the conjugate of the transform of the conjugate.
-        let back = self.backward.forward(columns, rows, |kx, line| {
-            for (ky, cell) in line.iter_mut().enumerate() {
+    /// Sums over all frequencies but that of the mean, band by band, of what `of` says of the places `kx * rows + ky`.
+    fn sums(&self, of: impl Fn(usize) -> [f64; 2]) -> Vec<[f64; 2]> {
+        let (columns, rows) = (self.fft.columns, self.fft.rows);
+        let mut sums = vec![[0.0; 2]; self.count];
+        for kx in 0..self.fft.half() {
+            // Columns that are left out mirror the others.
+            let times = if kx == 0 || 2 * kx == columns { 1.0 } else { 2.0 };
+            for ky in usize::from(kx == 0)..rows {
                 let (below, above) = self.place(kx, ky);
-                let gain = portable_math::exp(log_gain[below] * (1.0 - above) + log_gain[below + 1] * above);
-                *cell = spectrum[kx * rows + ky].conj() * gain;
+                let values = of(kx * rows + ky);
+                for (band, weight) in [(below, times * (1.0 - above)), (below + 1, times * above)] {
+                    sums[band].iter_mut().zip(values).for_each(|(sum, value)| *sum += weight * value);
+                }
             }
-        });
-        back.iter().map(|value| value.re / self.cells() as f64).collect()
+        }
+        sums
     }
 
     /// Correlation of a raster with itself at lags of 0, 1, 2, ... cells, mean over rows and columns, up to half the shorter side;
     /// as if the raster went on cyclically.
     pub fn correlation(&self, values: &[f64]) -> Vec<f64> {
-        let (columns, rows) = (self.forward.columns, self.forward.rows);
-        let mut power = self.spectrum(values);
-        power.truncate(self.forward.half() * rows);
+        let (columns, rows) = (self.fft.columns, self.fft.rows);
+        let mut power = self.spectrum(values).amplitudes;
         power.iter_mut().for_each(|value| *value = C64::new(value.norm_sqr(), 0.0));
         power[0] = C64::default();
         let lags = (columns.min(rows) / 2).max(1);
-        let lines = self.forward.inverse_even(power, lags, |row, line| {
+        let lines = self.fft.inverse_even(power, lags, |row, line| {
             let along: Vec<f64> =
                 if row == 0 { line[..lags].iter().map(|value| value.re).collect() } else { Vec::new() };
             (line[0].re, along)
@@ -114,6 +94,39 @@ impl Bands {
         let variance = lines[0].0.max(1e-300);
         let along = &lines[0].1;
         lines.iter().zip(along).map(|((down, _), along)| 0.5 * (down + along) / variance).collect()
+    }
+}
+
+/// The spectrum of a raster of real values.
+pub struct Spectrum<'a> {
+    bands: &'a Bands,
+    /// Amplitudes of the first half of the columns, column by column.
+    amplitudes: Vec<C64>,
+}
+
+impl Spectrum<'_> {
+    /// Mean power in each band, that of white noise of unit variance being 1. The mean of the raster takes no part.
+    pub fn power(&self) -> Vec<f64> {
+        let cells = (self.bands.fft.columns * self.bands.fft.rows) as f64;
+        let sums = self.bands.sums(|at| [self.amplitudes[at].norm_sqr(), 1.0]);
+        sums.iter().map(|[power, weight]| power / (weight.max(1e-12) * cells)).collect()
+    }
+
+    /// The raster with its amplitudes multiplied by `exp(log_gain)`, interpolated between bands.
+    pub fn filtered(mut self, log_gain: &[f64]) -> Vec<f64> {
+        let (rows, bands) = (self.bands.fft.rows, self.bands);
+        let cells = (bands.fft.columns * rows) as f64;
+        self.amplitudes.par_chunks_exact_mut(rows).enumerate().for_each(|(kx, column)| {
+            for ky in 0..=rows / 2 {
+                let (below, above) = bands.place(kx, ky);
+                let gain = portable_math::exp(log_gain[below] * (1.0 - above) + log_gain[below + 1] * above) / cells;
+                column[ky] *= gain;
+                if ky > 0 && 2 * ky < rows {
+                    column[rows - ky] *= gain;
+                }
+            }
+        });
+        bands.fft.inverse_real(self.amplitudes)
     }
 }
 
@@ -151,19 +164,25 @@ mod tests {
             "{:?}",
             bands.power(&noise)
         );
-        let same = bands.filter(&noise, &[0.0; 6]);
+        let same = bands.spectrum(&noise).filtered(&[0.0; 6]);
         assert!(noise.iter().zip(&same).all(|(a, b)| (a - b).abs() < 1e-12));
         assert!((bands.shares().iter().sum::<f64>() - 1.0).abs() < 1e-12);
     }
 
     #[test]
     fn a_filter_multiplies_the_amplitudes_of_its_band() {
+        // Sides of both parities.
+        for (columns, rows) in [(5, 4), (4, 7), (9, 5)] {
+            let (bands, noise) = (Bands::new(columns, rows, 3), white(columns, rows));
+            let same = bands.spectrum(&noise).filtered(&[0.0; 3]);
+            assert!(noise.iter().zip(&same).all(|(a, b)| (a - b).abs() < 1e-12), "{columns} x {rows}");
+        }
         let bands = Bands::new(90, 120, 5);
         let noise = white(90, 120);
         let before = bands.power(&noise);
-        let after = bands.power(&bands.filter(&noise, &[0.4; 5]));
+        let after = bands.power(&bands.spectrum(&noise).filtered(&[0.4; 5]));
         assert!(before.iter().zip(&after).all(|(a, b)| (b / a - portable_math::exp(0.8)).abs() < 1e-9));
-        let low = bands.filter(&noise, &[1.0, 1.0, 0.0, -3.0, -6.0]);
+        let low = bands.spectrum(&noise).filtered(&[1.0, 1.0, 0.0, -3.0, -6.0]);
         assert!(bands.correlation(&low)[2] > 0.4 && bands.correlation(&noise)[2].abs() < 0.05);
         assert!((bands.correlation(&low)[0] - 1.0).abs() < 1e-12);
     }

@@ -112,6 +112,34 @@ impl Fft2 {
         spectrum
     }
 
+    /// Turns the half spectrum of a real field, as [`Fft2::forward_real`] gives it, back into the field, without the factor 1 / (columns rows).
+    ///
+    /// Two rows go through one transform, as its real and its imaginary part.
+    pub fn inverse_real(&self, mut spectrum: Vec<C64>) -> Vec<f64> {
+        spectrum.par_chunks_mut(self.rows * BLOCK).for_each(|lines| self.along_column[1].process(lines));
+        let mut field = vec![0.0; self.columns * self.rows];
+        field.par_chunks_mut(self.columns * BLOCK).enumerate().for_each(|(block, field)| {
+            let rows = field.len() / self.columns;
+            let mut lines = vec![C64::default(); rows.div_ceil(2) * self.columns];
+            for kx in 0..self.half() {
+                let cells = &spectrum[kx * self.rows + block * BLOCK..][..rows];
+                let mirrored = (self.columns - kx) % self.columns;
+                for (line, pair) in lines.chunks_exact_mut(self.columns).zip(cells.chunks(2)) {
+                    let (even, odd) = (pair[0], pair.get(1).copied().unwrap_or_default());
+                    line[mirrored] = C64::new(even.re + odd.im, odd.re - even.im);
+                    line[kx] = C64::new(even.re - odd.im, even.im + odd.re);
+                }
+            }
+            self.along_row[1].process(&mut lines);
+            for (row, line) in field.chunks_exact_mut(self.columns).enumerate() {
+                let cells = &lines[row / 2 * self.columns..][..self.columns];
+                let part = |cell: &C64| if row % 2 == 0 { cell.re } else { cell.im };
+                line.iter_mut().zip(cells).for_each(|(value, cell)| *value = part(cell));
+            }
+        });
+        field
+    }
+
     /// Turns the half spectrum of a field back into its first rows, without the factor 1 / (columns rows).
     ///
     /// The spectrum must be that of two even real fields a + i b, as of autocorrelations: `spectrum(-k) = spectrum(k)`.

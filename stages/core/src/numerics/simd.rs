@@ -57,12 +57,30 @@ pub trait Number:
     /// The square root; of several numbers, that of each.
     #[must_use]
     fn sqrt(self) -> Self;
+
+    /// The larger of two numbers.
+    #[must_use]
+    fn at_least(self, least: Self) -> Self;
+
+    /// The smaller of a number and a bound.
+    #[must_use]
+    fn at_most(self, most: f64) -> Self;
 }
 
 impl Number for f64 {
     #[inline(always)]
     fn sqrt(self) -> Self {
         self.sqrt()
+    }
+
+    #[inline(always)]
+    fn at_least(self, least: Self) -> Self {
+        if self < least { least } else { self }
+    }
+
+    #[inline(always)]
+    fn at_most(self, most: f64) -> Self {
+        if self > most { most } else { self }
     }
 }
 
@@ -75,6 +93,16 @@ impl<const N: usize> Number for Lanes<N> {
     #[inline(always)]
     fn sqrt(self) -> Self {
         self.map(f64::sqrt)
+    }
+
+    #[inline(always)]
+    fn at_least(self, least: Self) -> Self {
+        self.with(least, Number::at_least)
+    }
+
+    #[inline(always)]
+    fn at_most(self, most: f64) -> Self {
+        self.map(|number| number.at_most(most))
     }
 }
 

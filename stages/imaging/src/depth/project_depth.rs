@@ -6,7 +6,7 @@ use crate::camera::model::Camera;
 use crate::camera::ray_row::RayRow;
 use crate::depth::depth_buffer::{DepthBuffer, Drawing, NO_TRIANGLE, draw, triangles};
 use crate::depth::depth_update::redraw;
-use rockface_core::artefact::{Cameras, Depth, Image, Kind, Mesh};
+use rockface_core::artefact::{Cameras, Depth, Image, Kind, Mesh, Raster};
 use rockface_core::numerics::quantile::upper_median;
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
@@ -25,6 +25,8 @@ params! {
         visibility: bool = true,
         /// Keeps only what lies in this part of the frame: left, right, bottom, top, metres; null: everything.
         window_m: Option<[f64; 4]> = None,
+        /// Keeps so many cells of `grid` beyond its edges, for what noise moves across them.
+        margin_cells: f64 = 0.0; Range::NonNegative,
         /// Whether the distance along the ray, the triangle seen and the mask of valid pixels are kept as further channels.
         channels: bool = false,
     }
@@ -53,6 +55,11 @@ impl Stage for ProjectDepth {
             "The depth map of `before_mesh` by this step's cameras and parameters: only what changed is drawn.",
         ),
         Port::optional("before_mesh", &[Kind::Mesh], "The mesh of `before`."),
+        Port::optional(
+            "grid",
+            &[Kind::Raster],
+            "A raster whose extent, with `margin_cells` around it, is the window; an image that sees nothing there keeps everything.",
+        ),
     ];
     const OUTPUTS: &'static [Port] = &[Port::one("depth", &[Kind::Depth], "The depth map, with its true camera.")];
 
@@ -84,6 +91,7 @@ impl Stage for ProjectDepth {
         };
         check_lens(&camera, image, context)?;
         let former = former(inputs, params, cameras, image)?;
+        let window = params.window_m.or(extent(inputs, params, cameras, former.is_some())?);
         // Numbers of triangles are told by exact depths: with channels everything is drawn.
         let former = former.filter(|_| !params.channels);
         let mut buffer = match former {
@@ -91,14 +99,18 @@ impl Stage for ProjectDepth {
             None => draw(mesh, &camera, &drawing),
         };
         // What was taken over has been cut already, by exact depths.
-        if let (Some(window), None) = (params.window_m, former) {
-            let before = buffer.z_m.iter().any(|z| z.is_finite());
+        if let (Some(window), None) = (window, former) {
+            let sees = |buffer: &DepthBuffer| buffer.z_m.iter().any(|z| z.is_finite());
+            let before = sees(&buffer);
             buffer.keep_window(&camera, params.downscale, window);
-            if before && !buffer.z_m.iter().any(|z| z.is_finite()) {
-                let error = StageError::new(format!("image `{}` sees nothing inside `window_m`", image.name));
-                return Err(
-                    error.hint("it sees other parts of the mesh: the window is left, right, bottom, top, metres")
-                );
+            if before && !sees(&buffer) {
+                if params.window_m.is_some() {
+                    let error = StageError::new(format!("image `{}` sees nothing inside `window_m`", image.name));
+                    return Err(
+                        error.hint("it sees other parts of the mesh: the window is left, right, bottom, top, metres")
+                    );
+                }
+                buffer = draw(mesh, &camera, &drawing);
             }
         }
         let seen = buffer.z_m.iter().copied().filter(|z| z.is_finite());
@@ -114,6 +126,27 @@ impl Stage for ProjectDepth {
         }
         Ok(Outputs::of("depth", map))
     }
+}
+
+/// The window (left, right, bottom, top, metres) that the port `grid` says.
+fn extent(
+    inputs: &Inputs,
+    params: &ProjectDepthParams,
+    cameras: &Cameras,
+    has_before: bool,
+) -> Result<Option<[f64; 4]>, StageError> {
+    let Some(raster) = inputs.optional::<Raster>("grid")? else { return Ok(None) };
+    if params.window_m.is_some() || has_before {
+        return Err(StageError::new("`grid` goes neither with `window_m` nor with `before`")
+            .hint("with `before` give the extent of the grid as `window_m`, to both steps"));
+    }
+    if raster.frame != cameras.frame {
+        fail!("`grid` is in the {} frame, the cameras in the {} frame", raster.frame, cameras.frame);
+    }
+    let (grid, margin_m) = (raster.grid, params.margin_cells * raster.grid.cell_m);
+    let [width_m, height_m] = [grid.columns, grid.rows].map(|cells| cells as f64 * grid.cell_m);
+    let (left, top) = (grid.left_m - margin_m, grid.top_m + margin_m);
+    Ok(Some([left, grid.left_m + width_m + margin_m, grid.top_m - height_m - margin_m, top]))
 }
 
 /// Refuses a lens without an inverse in the middle of the image, and warns of one that folds back towards its corners.
@@ -278,7 +311,7 @@ fn channels(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rockface_core::artefact::{Artefact, Frame, Noun};
+    use rockface_core::artefact::{Artefact, Frame, Grid, Noun};
     use rockface_core::testing::{TestHost, height_mesh, image_at, run_stage, small_sensor};
     use serde_json::json;
 
@@ -300,6 +333,31 @@ mod tests {
     }
 
     /// An icosahedron-like fine sphere would be a mesh again; a height field of a cap keeps the oracle simple.
+    #[test]
+    fn a_grid_with_its_margin_is_a_window_and_one_beside_the_image_is_none() {
+        let mesh = height_mesh(20, [-50.0, 50.0, -50.0, 50.0], |x, y| 0.2 * x - 0.1 * y);
+        let within = |left_m: f64, frame: Frame| {
+            let grid = Grid { columns: 8, rows: 12, cell_m: 0.5, left_m, top_m: 3.0 };
+            let raster = Raster::single(grid, frame, "difference", "noise", vec![0.0; 96]);
+            let inputs = [
+                ("mesh", Artefact::Mesh(mesh.clone())),
+                ("cameras", Artefact::Cameras(cameras())),
+                ("grid", Artefact::Raster(raster)),
+            ];
+            let with = json!({"image": "left", "margin_cells": 2});
+            let outputs = run_stage::<ProjectDepth>(&TestHost::default(), &with, &inputs)?.into_inner();
+            Ok::<_, StageError>(Depth::of(&outputs["depth"]).unwrap().z.clone())
+        };
+        let bits = |z: Vec<f32>| z.into_iter().map(f32::to_bits).collect::<Vec<_>>();
+        let with = |with: serde_json::Value| bits(project(&mesh, &with).unwrap().z);
+        let window = with(json!({"image": "left", "window_m": [-3.0, 3.0, -4.0, 4.0]}));
+        assert_eq!(bits(within(-2.0, Frame::Wall).unwrap()), window);
+        let all = with(json!({"image": "left"}));
+        assert!(all != window);
+        assert_eq!(bits(within(40.0, Frame::Wall).unwrap()), all);
+        assert!(within(-2.0, Frame::World).unwrap_err().message.contains("`grid` is in the world frame"));
+    }
+
     #[test]
     fn a_sphere_is_met_within_the_sagitta_of_its_facets() {
         let (radius, n, side) = (20.0f64, 400, 16.0);

@@ -354,7 +354,7 @@ fn details_of_draws_are_as_uneven_as_those_of_the_rasters() {
     };
     let (fitted, none) = (lacks(&json!({})), lacks(&json!({"contrast": 0.0, "draws": 8})));
     let missed = |lack: [f64; 2]| lack[0] * lack[0] + lack[1] * lack[1];
-    assert!(none[0] > 0.5 && missed(fitted) < 0.6 * missed(none), "{fitted:?} {none:?}");
+    assert!(none[0] > 0.5 && missed(fitted) < 0.7 * missed(none), "{fitted:?} {none:?}");
 }
 
 #[test]

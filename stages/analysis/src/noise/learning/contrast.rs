@@ -7,7 +7,7 @@ use crate::noise::structure;
 use rockface_core::artefact::{Contrast, LevelContrast, LevelFigures, UNEVENNESS};
 
 /// Smallest and largest power of details.
-const POWERS: [f64; 2] = [-1.0, 1.5];
+const POWERS: [f64; 2] = [-2.0, 2.5];
 /// The power that is tried first, of details by themselves, then of those near them and then of those farther around too.
 const FIRST_TRIAL: f64 = 0.25;
 /// Rounds after the first trials (Broyden 1965).
@@ -17,7 +17,7 @@ const MOST_STEP: f64 = 0.6;
 /// Sweeps over the powers in which their changes are found.
 const SWEEPS: usize = 5000;
 /// Deviations over rasters by which the unevenness may miss what is wanted for a change of a power by 1: smaller ones are chance.
-const WORTH: f64 = 1.0;
+const WORTH: f64 = 0.7;
 /// Smallest deviation of a figure over rasters that counts.
 const LEAST_DEVIATION: f64 = 0.003;
 /// Largest logarithm of a gain.
@@ -273,6 +273,7 @@ mod tests {
             ([0.0; 3], [0.3, 0.0]),
             ([-0.1, 0.1, 0.0], [0.4, 0.2]),
             ([0.5; 3], [0.5, 0.1]),
+            ([0.1, 0.2, 0.0], [0.2, 0.2]),
         ];
         for (level, (own_power, local_power)) in truth.levels.iter_mut().zip(powers) {
             *level =
@@ -285,14 +286,15 @@ mod tests {
             assert!((0..3).all(|k| (found.log_rms[k] - wanted.log_rms[k]).abs() < 0.003), "{found:?} {wanted:?}");
         }
         let unknown = LevelFigures { log_rms: [f64::NAN; 3], unevenness: [f64::NAN; UNEVENNESS] };
-        assert!(fitted_to(vec![unknown; 4], DEVIATION) == Contrast::none());
-        // Noise that is far too even gets the most.
+        assert!(fitted_to(vec![unknown; truth.levels.len()], DEVIATION) == Contrast::none());
+        // Noise that is far too even gets the most that the rounds can give.
         let uneven = LevelFigures { log_rms: [0.0; 3], unevenness: [90.0, 90.0, 90.0, 10.0, 10.0] };
-        let most = fitted_to(vec![uneven; 4], DEVIATION).levels[0].clone();
-        assert!(most.own_power[1] >= POWERS[1] && most.local_power.iter().all(|power| *power >= POWERS[1]), "{most:?}");
+        let most = fitted_to(vec![uneven; truth.levels.len()], DEVIATION).levels[0].clone();
+        let reached = (FIRST_TRIAL + ROUNDS as f64 * MOST_STEP).min(POWERS[1]) - 1e-9;
+        assert!(most.own_power[1] >= reached && most.local_power.iter().all(|power| *power >= reached), "{most:?}");
         // What rasters differ by a hundred times is not made up for.
         let loose = fitted_to(wanted, DEVIATION.map(|deviation| 100.0 * deviation));
-        assert!(loose.levels.iter().all(|level| powers_near(level, 0.3)), "{loose:?}");
+        assert!(loose.levels.iter().all(|level| powers_near(level, 0.35)), "{loose:?}");
     }
 
     fn powers_near(level: &LevelContrast, most: f64) -> bool {
@@ -320,7 +322,7 @@ mod tests {
 
     #[test]
     fn of_rounds_the_nearest_counts_level_by_level() {
-        let wanted = Figures { mean: law(&even(0.3)), deviation: vec![DEVIATION; 4] };
+        let wanted = Figures { mean: law(&even(0.3)), deviation: vec![DEVIATION; Contrast::none().levels.len()] };
         let (mut near, mut far) = (even(0.35), even(0.6));
         std::mem::swap(&mut near.levels[2], &mut far.levels[2]);
         let mut nearest = Nearest::default();

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::noise::detrend::Detrend;
 use crate::noise::learning::whitening::{BANDS, CLASSES};
 use rockface_core::artefact::{Band, Cameras, Noise, Raster};
-use rockface_core::numerics::marginal::marginal;
+use rockface_core::numerics::marginal::skewness;
 use rockface_core::numerics::random::Key;
 use rockface_core::{StageError, fail};
 use rockface_imaging::matching::noise::ensemble::{by_class, draw_like};
@@ -68,8 +68,8 @@ pub fn gaps(rasters: &[impl AsRef<[f32]>], seen: &[bool]) -> Vec<[f64; 1]> {
 
 /// Skewness of each raster; 0 for one without.
 pub fn skewnesses(rasters: &[impl AsRef<[f32]> + Sync]) -> Vec<f64> {
-    let one = |raster: &[f32]| marginal(raster).map_or(0.0, |found| found.skewness);
-    rasters.par_iter().map(|raster| one(raster.as_ref())).map(|s| if s.is_finite() { s } else { 0.0 }).collect()
+    let one = |raster: &[f32]| skewness(raster).filter(|found| found.is_finite()).unwrap_or(0.0);
+    rasters.par_iter().map(|raster| one(raster.as_ref())).collect()
 }
 
 /// Checks that a model is made as [`whiten`](super::whitening::whiten) takes rasters apart.

@@ -193,10 +193,10 @@ pub fn whitened(raster: &[f32], bands: &Bands, columns: usize, places: &Places) 
     let (field, weights) = filled(&places.divided(raster, &log_strength), columns);
     let left: Vec<f64> = field.iter().map(|value| f64::from(*value)).collect();
     let values = left.iter().zip(&places.strength).map(|(value, s)| value * places.factor(&log_strength, *s));
-    let mut raster: Vec<f64> = values.collect();
-    let rms = (raster.iter().map(|value| value * value).sum::<f64>() / raster.len() as f64).sqrt();
-    raster.iter_mut().for_each(|value| *value /= rms.max(f64::MIN_POSITIVE));
-    let raster_log_amplitude = log_amplitude(bands, &raster);
+    let mut level: Vec<f64> = values.collect();
+    let rms = (level.iter().map(|value| value * value).sum::<f64>() / level.len() as f64).sqrt();
+    level.iter_mut().for_each(|value| *value /= rms.max(f64::MIN_POSITIVE));
+    let raster_log_amplitude = log_amplitude(bands, &level);
     Whitened { log_amplitude: log_amplitude(bands, &left), raster_log_amplitude, log_strength, field, weights }
 }
 

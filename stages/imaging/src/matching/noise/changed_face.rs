@@ -17,8 +17,8 @@ pub struct Face {
     /// Strength of the noise by place, pixels of the full image: that of the model, and where the surface of the depth map differs
     /// from the face of the model, what its relief law gives the new relief.
     pub strength: Vec<f32>,
-    /// Elevation, metres: that of the model, or of the depth map where it differs; NaN where unknown.
-    pub elevation: Vec<f32>,
+    /// Slopes, metres a cell, to the right and downwards: those of the model, or of the depth map where it differs; 0 where unknown.
+    pub slopes: Vec<[f32; 2]>,
 }
 
 /// The face that a depth map shows.
@@ -36,7 +36,24 @@ pub fn seen(noise: &Noise, depth: &Depth, camera: &Camera) -> Face {
             strength[j] = law(&noise.relief, relief_m(&surface, &reach, j)) as f32;
         }
     }
-    Face { strength, elevation: surface }
+    Face { strength, slopes: slopes(&surface, noise.grid.columns) }
+}
+
+/// Slopes of elevations from a cell's neighbours, to the right and downwards, cell by cell in metres a cell; 0 where one is unknown.
+fn slopes(elevation: &[f32], columns: usize) -> Vec<[f32; 2]> {
+    let rows = elevation.len() / columns;
+    let between = |low: usize, high: usize, cells: usize| {
+        let slope = (elevation[high] - elevation[low]) / cells.max(1) as f32;
+        if slope.is_nan() { 0.0 } else { slope }
+    };
+    let at = |i: usize| {
+        let (column, row) = (i % columns, i / columns);
+        let (left, right) = (column.saturating_sub(1), (column + 1).min(columns - 1));
+        let (above, below) = (row.saturating_sub(1), (row + 1).min(rows - 1));
+        let to_the_right = between(row * columns + left, row * columns + right, right - left);
+        [to_the_right, between(above * columns + column, below * columns + column, below - above)]
+    };
+    (0..elevation.len()).map(at).collect()
 }
 
 /// Whether an elevation (metres) is one of the face of a model at one of its cells: at most two cells beyond what is known nearby; `None` where

@@ -14,6 +14,8 @@ use rockface_core::numerics::simd::{LANES, Lanes, Work, vectorised};
 
 /// Deviations of the Gaussians under which the squares of details are the strength near and farther around, in deviations of that of the level.
 const LOCAL: [f64; 2] = [1.5, 6.0];
+/// Deviation of the Gaussian under which the mean square of details stays, in the same unit.
+const FAR: f64 = 24.0;
 /// Least part of the mean square that a square counts as.
 const LEAST_SQUARE: f64 = 1e-3;
 /// Largest factor on a detail.
@@ -26,7 +28,7 @@ type Details = [Vec<f64>; 3];
 pub fn with_contrast(field: Vec<f64>, columns: usize, contrast: &Contrast) -> Vec<f64> {
     let is_none = |level: &LevelContrast| level.own_power.iter().chain(&level.local_power).all(|p| p.abs() <= 0.0);
     changed(field, columns, contrast, is_none, |details, level, cells| {
-        raise(details, level, columns, LOCAL.map(|scale| scale * cells));
+        raise(details, level, columns, cells);
     })
 }
 
@@ -77,24 +79,81 @@ fn apart(field: &[f64], columns: usize, kernel: &[f64]) -> (Details, Vec<f64>) {
     ([x, y, diagonal], rest)
 }
 
-/// Multiplies details by powers of their own size and of the strength around.
-fn raise(details: &mut Details, powers: &LevelContrast, columns: usize, local_cells: [f64; 2]) {
+/// Multiplies details by powers of their own size and of the strength around. Far around a place they stay as strong as they were: where on the face
+/// noise is strong is not a matter of contrast.
+fn raise(details: &mut Details, powers: &LevelContrast, columns: usize, cells: f64) {
     let mean_square = |details: &[f64]| details.iter().map(|d| d * d).sum::<f64>() / details.len() as f64;
     let before = details.each_ref().map(|details| mean_square(details).max(f64::MIN_POSITIVE));
-    let square = |i: usize| (0..3).map(|o| details[o][i] * details[o][i] / before[o]).sum::<f64>() / 3.0;
-    let squares: Vec<f32> = (0..details[0].len()).map(|i| square(i) as f32).collect();
-    let mut local = vec![0.0; squares.len()];
-    for (power, cells) in powers.local_power.into_iter().zip(local_cells).filter(|(power, _)| power.abs() > 0.0) {
-        let around = smoothed(&squares, columns, cells);
+    let squares = |details: &Details| -> Vec<f32> {
+        let square = |i: usize| (0..3).map(|o| details[o][i] * details[o][i] / before[o]).sum::<f64>() / 3.0;
+        (0..details[0].len()).map(|i| square(i) as f32).collect()
+    };
+    let old = squares(details);
+    let mut local = vec![0.0; old.len()];
+    for (power, scale) in powers.local_power.into_iter().zip(LOCAL).filter(|(power, _)| power.abs() > 0.0) {
+        let around = widely_smoothed(&old, columns, scale * cells);
         let pieces = local.par_chunks_mut(PIECE).zip(around.par_chunks(PIECE));
         pieces.for_each(|(local, around)| vectorised(AddLogs { local, around, power }));
     }
     for ((details, before), own_power) in details.iter_mut().zip(before).zip(powers.own_power) {
         let pieces = details.par_chunks_mut(PIECE).zip(local.par_chunks(PIECE));
         pieces.for_each(|(details, local)| vectorised(Raise { details, local, own_power, before }));
+    }
+    let [old, new] = [old, squares(details)].map(|squares| widely_smoothed(&squares, columns, FAR * cells));
+    let gain = |(old, new): (&f64, &f64)| (old.max(LEAST_SQUARE) / new.max(LEAST_SQUARE)).sqrt();
+    let gains: Vec<f64> = old.iter().zip(&new).map(gain).collect();
+    for (details, before) in details.iter_mut().zip(before) {
+        details.iter_mut().zip(&gains).for_each(|(detail, gain)| *detail *= gain);
         let level = (before / mean_square(details).max(f64::MIN_POSITIVE)).sqrt();
         details.iter_mut().for_each(|detail| *detail *= level);
     }
+}
+
+/// Deviation of a Gaussian in blocks of cells whose means are taken first.
+const IN_BLOCKS: f64 = 4.0;
+
+/// Values without gaps under a Gaussian of `scale` cells; under wide ones first the means of blocks, then linearly between their middles, which
+/// together spread as much.
+fn widely_smoothed(values: &[f32], columns: usize, scale: f64) -> Vec<f64> {
+    let sides = [columns, values.len() / columns];
+    let side = (scale / IN_BLOCKS) as usize;
+    if side < 2 || 2 * side > sides[0].min(sides[1]) {
+        return smoothed(values, columns, scale);
+    }
+    // Blocks that differ by a cell at most.
+    let blocks = sides.map(|cells| (cells + side / 2) / side);
+    let begin = |axis: usize, block: usize| (block * sides[axis] + blocks[axis] / 2) / blocks[axis];
+    let cells = |axis: usize, block: usize| begin(axis, block)..begin(axis, block + 1);
+    let mut means = vec![0.0f32; blocks[0] * blocks[1]];
+    means.par_chunks_mut(blocks[0]).enumerate().for_each(|(down, means)| {
+        for (across, mean) in means.iter_mut().enumerate() {
+            let (rows, within) = (cells(1, down), cells(0, across));
+            let count = rows.len() * within.len();
+            let row = |row: usize| &values[row * columns..][within.clone()];
+            *mean = (rows.flat_map(row).map(|value| f64::from(*value)).sum::<f64>() / count as f64) as f32;
+        }
+    });
+    // A block spreads by a variance of (side^2 - 1) / 12 cells, what lies between two of them by side^2 / 6.
+    let area = values.len() as f64 / means.len() as f64;
+    let left = scale * scale - (area - 1.0) / 12.0 - area / 6.0;
+    let coarse = smoothed(&means, blocks[0], (left / area).sqrt());
+    let place = |axis: usize, cell: usize| {
+        let at = (cell as f64 + 0.5) * blocks[axis] as f64 / sides[axis] as f64 - 0.5;
+        let at = at.clamp(0.0, (blocks[axis] - 1) as f64);
+        let first = (at as usize).min(blocks[axis] - 2);
+        (first, at - first as f64)
+    };
+    let across: Vec<(usize, f64)> = (0..columns).map(|column| place(0, column)).collect();
+    let mut found = vec![0.0; values.len()];
+    found.par_chunks_mut(columns).enumerate().for_each(|(row, found)| {
+        let (above, down) = place(1, row);
+        let rows = coarse[above * blocks[0]..][..2 * blocks[0]].split_at(blocks[0]);
+        let line: Vec<f64> = rows.0.iter().zip(rows.1).map(|(above, below)| above + down * (below - above)).collect();
+        for (value, (left, share)) in found.iter_mut().zip(&across) {
+            *value = line[*left] + share * (line[left + 1] - line[*left]);
+        }
+    });
+    found
 }
 
 /// Cells that a task works on.
@@ -191,6 +250,25 @@ mod tests {
         let both: Vec<f64> = fine.iter().enumerate().map(|(i, fine)| wave(i) + 0.1 * fine).collect();
         let changes = coarse(&both).into_iter().zip(coarse(&of(both, 0.5))).map(|(a, b)| (a - b).abs());
         assert!(changes.fold(0.0, f64::max) < 0.02);
+    }
+
+    #[test]
+    fn means_of_blocks_smooth_as_single_cells_do() {
+        let (columns, rows) = (131, 97);
+        let random = Key([8; 32]).field();
+        let square = |i: usize| random.normal((i % columns) as i32, (i / columns) as i32);
+        let squares: Vec<f32> = (0..columns * rows).map(|i| (square(i) * square(i)) as f32).collect();
+        for scale in [2.0, 8.4, 16.8, 33.6] {
+            let (exact, fast) = (smoothed(&squares, columns, scale), widely_smoothed(&squares, columns, scale));
+            let deviation = |values: &mut dyn Iterator<Item = f64>| {
+                let values: Vec<f64> = values.collect();
+                let mean = values.iter().sum::<f64>() / values.len() as f64;
+                (values.iter().map(|v| (v - mean) * (v - mean)).sum::<f64>() / values.len() as f64).sqrt()
+            };
+            let missed = deviation(&mut exact.iter().zip(&fast).map(|(a, b)| a - b));
+            let varies = deviation(&mut exact.iter().copied());
+            assert!(missed < 0.2 * varies, "{scale}: {missed} of {varies}");
+        }
     }
 
     #[test]

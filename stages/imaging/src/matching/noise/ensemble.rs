@@ -20,6 +20,7 @@ use rockface_core::artefact::{GAP, Member, Noise};
 use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::random::Field;
+use rockface_core::numerics::simd::{LANES, Lanes, Number, Work, vectorised};
 
 /// Logarithm of the factor on the strength between the middles of classes of place; constant beyond the outermost.
 pub fn log_strength_at(middles: &[f64], values: &[f64], log_strength: f64) -> f64 {
@@ -108,9 +109,11 @@ fn taken_from(noise: &Noise, number: Option<u32>, member: usize, mut generator: 
     let uneven = with_skewness(uneven, columns, noise.skewness_gain * skewness);
     let bands = Bands::new(columns, noise.grid.rows, noise.bands());
     let wanted = of_unit_variance(jittered(|member| &member.log_amplitude), &bands.shares());
-    let present = bands.power(&uneven);
+    let spectrum = bands.spectrum(&uneven);
+    drop(uneven);
+    let present = spectrum.power();
     let gain = |band: usize| wanted[band] - 0.5 * portable_math::log(present[band].max(1e-12)) + noise.log_gain[band];
-    let filtered = bands.filter(&uneven, &(0..noise.bands()).map(gain).collect::<Vec<f64>>());
+    let filtered = spectrum.filtered(&(0..noise.bands()).map(gain).collect::<Vec<f64>>());
     let mut field = with_gains(filtered, columns, &noise.contrast);
     mixed.gaps.into_iter().for_each(|cell| field[cell] = f64::NAN);
     Drawn { field, log_strength, bad: of_bad }
@@ -204,28 +207,65 @@ fn mixture(noise: &Noise, donors: &[usize], coins: &[f64], keys: Keys) -> Mixed 
     let mut field = vec![0.0; cells];
     let mut gaps = vec![false; cells];
     let rows = field.par_chunks_mut(columns).zip(gaps.par_chunks_mut(columns)).enumerate();
-    rows.for_each_init(Vec::new, |shares: &mut Vec<f64>, (row, (field, gaps))| {
-        for (column, (value, gap)) in field.iter_mut().zip(gaps).enumerate() {
-            let cell = row * columns + column;
-            let mut strongest = (0.0f64, false);
-            shares.clear();
-            for donor in &donors {
-                let weight = donor.weights[cell];
-                let g = donor.constant + local * donor.smooth.at([column as f64, row as f64]);
-                let g = raised(g, noise.sharpness);
-                if g.abs() > strongest.0 {
-                    strongest = (g.abs(), weight & GAP != 0 && donor.coin < counts[cell]);
-                }
-                shares.push(g * f64::from(weight & !GAP) / f64::from(!GAP));
-            }
-            let sum: f64 = shares.iter().zip(&donors).map(|(g, donor)| g * f64::from(donor.values[cell])).sum();
-            let variance = variance(shares, &correlations);
-            *value = if variance > 0.0 { sum / variance.sqrt() } else { 0.0 };
-            *gap = strongest.1;
-        }
+    let sharpness = noise.sharpness;
+    rows.for_each_init(Vec::new, |shares, (row, (field, gaps))| {
+        let (donors, correlations) = (&donors, &correlations);
+        let counts = &counts[row * columns..(row + 1) * columns];
+        vectorised(MixedRow { donors, correlations, counts, local, sharpness, row, shares, field, gaps });
     });
     let gaps = (0..cells).filter(|cell| gaps[*cell]).collect();
     Mixed { field, gaps }
+}
+
+/// One row of a mixture.
+struct MixedRow<'a> {
+    donors: &'a [Donor<'a>],
+    correlations: &'a [Vec<f64>],
+    /// Probability with which a gap of a donor is one of the acquisition.
+    counts: &'a [f64],
+    /// Factor on the part of the weights that varies.
+    local: f64,
+    sharpness: u32,
+    row: usize,
+    /// Room for the weights of the donors.
+    shares: &'a mut Vec<Lanes>,
+    field: &'a mut [f64],
+    gaps: &'a mut [bool],
+}
+
+impl Work for MixedRow<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { donors, correlations, counts, local, sharpness, row, shares, field, gaps } = self;
+        let columns = field.len();
+        for (block, (field, gaps)) in field.chunks_mut(LANES).zip(gaps.chunks_mut(LANES)).enumerate() {
+            let column = block * LANES;
+            let at = [Lanes::of(|lane| (column + lane) as f64), Lanes::all(row as f64)];
+            let mut sum = Lanes::all(0.0);
+            let mut strongest = [0.0f64; LANES];
+            shares.clear();
+            for donor in donors {
+                let here = row * columns + column..row * columns + column + field.len();
+                let (values, weights) = (&donor.values[here.clone()], &donor.weights[here]);
+                let g = raised(donor.smooth.at_lanes(at) * local + donor.constant, sharpness);
+                for (lane, gap) in gaps.iter_mut().enumerate() {
+                    if g[lane].abs() > strongest[lane] {
+                        strongest[lane] = g[lane].abs();
+                        *gap = weights[lane] & GAP != 0 && donor.coin < counts[column + lane];
+                    }
+                }
+                let weight = Lanes::of(|lane| weights.get(lane).map_or(0.0, |weight| f64::from(weight & !GAP)));
+                let share = g * weight / f64::from(!GAP);
+                sum = sum + share * Lanes::of(|lane| values.get(lane).map_or(0.0, |value| f64::from(*value)));
+                shares.push(share);
+            }
+            let variance = variance(shares, correlations);
+            let value = variance.choose(|variance| variance > 0.0, sum / variance.sqrt(), Lanes::all(0.0));
+            field.iter_mut().enumerate().for_each(|(lane, cell)| *cell = value[lane]);
+        }
+    }
 }
 
 /// A member whose field is mixed into an acquisition.
@@ -257,11 +297,18 @@ const CHUNK: usize = 4096;
 const LEAST_VARIANCE: f64 = 0.1;
 
 /// Variance of a sum of fields of unit variance with these weights.
-fn variance(weights: &[f64], correlations: &[Vec<f64>]) -> f64 {
-    let alone: f64 = weights.iter().map(|g| g * g).sum();
-    let common = |(g, row): (&f64, &Vec<f64>)| g * row.iter().zip(weights).map(|(c, other)| c * other).sum::<f64>();
-    let together: f64 = weights.iter().zip(correlations).map(common).sum();
-    (alone + 2.0 * together).max(LEAST_VARIANCE * alone)
+#[inline(always)]
+fn variance<const N: usize>(weights: &[Lanes<N>], correlations: &[Vec<f64>]) -> Lanes<N> {
+    let (mut alone, mut together) = (Lanes::all(0.0), Lanes::all(0.0));
+    for (weight, row) in weights.iter().zip(correlations) {
+        let mut common = Lanes::all(0.0);
+        for (correlation, other) in row.iter().zip(weights) {
+            common = common + *other * *correlation;
+        }
+        alone = alone + *weight * *weight;
+        together = together + *weight * common;
+    }
+    (alone + together * 2.0).at_least(alone * LEAST_VARIANCE)
 }
 
 /// Probability with which a gap of a difference was one of the acquisition asked for, cell by cell: with a share p of gaps in the differences
@@ -284,8 +331,14 @@ fn gap_probability(noise: &Noise) -> Vec<f64> {
 }
 
 /// `|g|^power` with the sign of g.
-fn raised(g: f64, power: u32) -> f64 {
-    (1..power).fold(g, |product, _| product * g.abs())
+#[inline(always)]
+fn raised(g: Lanes, power: u32) -> Lanes {
+    let size = g.map(f64::abs);
+    let mut product = g;
+    for _ in 1..power {
+        product = product * size;
+    }
+    product
 }
 
 fn white(noise: &Noise, field: &Field) -> Vec<f64> {
@@ -329,6 +382,9 @@ mod tests {
     #[test]
     fn donors_that_are_alike_or_opposite_leave_the_variance_of_a_mixture_as_it_is() {
         let correlations = [vec![], vec![-0.5], vec![0.25, 0.0]];
+        let variance = |weights: &[f64], correlations: &[Vec<f64>]| {
+            variance(&weights.iter().map(|weight| Lanes::from([*weight])).collect::<Vec<_>>(), correlations)[0]
+        };
         assert!((variance(&[1.0, 1.0, 2.0], &correlations) - (6.0 - 1.0 + 1.0)).abs() < 1e-12);
         assert!((variance(&[1.0, -1.0, 0.0], &correlations) - 3.0).abs() < 1e-12);
         // Fields that nearly cancel are not blown up.
@@ -344,6 +400,7 @@ mod tests {
 
     #[test]
     fn powers_keep_the_sign() {
+        let raised = |g: f64, power: u32| raised(Lanes::all(g), power)[0];
         assert_eq!([raised(-2.0, 1), raised(-2.0, 4), raised(3.0, 2)], [-2.0, -16.0, 9.0]);
     }
 }

@@ -4,9 +4,8 @@ use std::sync::Arc;
 
 use nalgebra::Vector3;
 
-use crate::camera::model::Camera;
 use crate::matching::elevation_step::SurveySteps;
-use crate::matching::noise::changed_face;
+use crate::matching::noise::changed_face::Face;
 use crate::matching::noise::matcher::Keys;
 use crate::matching::noise::model_draws::Model;
 use crate::matching::noise::spline::{Spline, mirrored};
@@ -14,7 +13,7 @@ use crate::matching::side::Side;
 use rockface_core::StageError;
 use rockface_core::artefact::{Cameras, Depth, Grid, Noise, Pairs};
 use rockface_core::numerics::quantile::median;
-use rockface_core::numerics::simd::Lanes;
+use rockface_core::numerics::simd::{LANES, Lanes, Number};
 
 /// Nodes along the longer side of the grid at which the geometry of pairs is looked at.
 const NODES: usize = 32;
@@ -33,7 +32,7 @@ pub struct Acquisition<'a> {
     /// Errors, pixels of the full image as in the median pair; 0 in gaps.
     errors_px: Vec<f32>,
     gaps: Arc<Vec<bool>>,
-    slopes: Arc<Vec<[f32; 2]>>,
+    face: Arc<Face>,
     downscale: u32,
 }
 
@@ -56,14 +55,13 @@ impl<'a> Acquisition<'a> {
             return Err(StageError::new(text).hint("learn the model from rasters in the frame of the survey"));
         }
         let survey = SurveySteps::new(block, pairs)?;
-        let face = changed_face::seen(noise, depth, &Camera::of_depth(depth));
+        let face = model.face(depth);
         let mut errors_px = model.draw(number, keys).errors_px(noise, &face.strength);
         let gaps = Arc::new(errors_px.iter().map(|px| px.is_nan()).collect());
         errors_px.iter_mut().filter(|px| px.is_nan()).for_each(|px| *px = 0.0);
-        let slopes = Arc::new(slopes(&face.elevation, noise.grid.columns));
         let nodes = Nodes::new(noise.grid, &noise.elevation);
         let step_m = nodes.points.iter().map(|point| survey.nearly_at(point)).collect();
-        Ok(Self { noise, survey, nodes, step_m, errors_px, gaps, slopes, downscale: depth.downscale })
+        Ok(Self { noise, survey, nodes, step_m, errors_px, gaps, face, downscale: depth.downscale })
     }
 
     /// Its errors in the disparity of a pair, for the depth map of the image on one side.
@@ -85,26 +83,9 @@ impl<'a> Acquisition<'a> {
             // Between cells a surface may lie beyond their values.
             range_px: range_px.map(|px| 1.5 * px),
             gaps: Arc::clone(&self.gaps),
-            slopes: Arc::clone(&self.slopes),
+            face: Arc::clone(&self.face),
         }
     }
-}
-
-/// Slopes of elevations from a cell's neighbours, to the right and downwards, cell by cell in metres a cell; 0 where one is unknown.
-fn slopes(elevation: &[f32], columns: usize) -> Vec<[f32; 2]> {
-    let rows = elevation.len() / columns;
-    let between = |low: usize, high: usize, cells: usize| {
-        let slope = (elevation[high] - elevation[low]) / cells.max(1) as f32;
-        if slope.is_nan() { 0.0 } else { slope }
-    };
-    let at = |i: usize| {
-        let (column, row) = (i % columns, i / columns);
-        let (left, right) = (column.saturating_sub(1), (column + 1).min(columns - 1));
-        let (above, below) = (row.saturating_sub(1), (row + 1).min(rows - 1));
-        let to_the_right = between(row * columns + left, row * columns + right, right - left);
-        [to_the_right, between(above * columns + column, below * columns + column, below - above)]
-    };
-    (0..elevation.len()).map(at).collect()
 }
 
 /// What a pixel is worth in the survey over what it is worth in one pair; 1 where one of them is not known.
@@ -164,8 +145,7 @@ pub struct LearntNoise {
     range_px: [f64; 2],
     /// Whether a cell is a gap.
     gaps: Arc<Vec<bool>>,
-    /// Slopes of the face, metres a cell, to the right and downwards.
-    slopes: Arc<Vec<[f32; 2]>>,
+    face: Arc<Face>,
 }
 
 /// Range of the factor by which a slope makes a ray meet an error earlier or later; at ledges slopes say little.
@@ -188,37 +168,56 @@ impl LearntNoise {
     /// it. Of several such places it is the one that guesses from the point's own error settle at, or else the first on the way from the camera.
     ///
     /// `points` and `centre` (of the camera) are metres; `parallax_px` is the disparity beyond that of infinity without noise. NaN in a gap,
-    /// where nothing is matched.
+    /// where nothing is matched, and 0 for points that are NaN.
+    #[inline(always)]
     pub fn landing_lanes(&self, points: [Lanes; 3], centre: [f64; 3], parallax_px: Lanes) -> Lanes {
+        let none = |lane: usize| points[0][lane].is_nan() || parallax_px[lane].is_nan();
+        let Some(first) = (0..LANES).find(|lane| !none(*lane)) else { return Lanes::all(0.0) };
+        // Lanes without a point go the way of one that has one.
+        let filled = |values: Lanes| Lanes::of(|lane| values[if none(lane) { first } else { lane }]);
+        let [x, y, z] = points.map(filled);
+        let found = self.landings([x, y, z], centre, filled(parallax_px));
+        Lanes::of(|lane| if none(lane) { 0.0 } else { found[lane] })
+    }
+
+    #[inline(always)]
+    fn landings(&self, [x, y, z]: [Lanes; 3], centre: [f64; 3], parallax_px: Lanes) -> Lanes {
+        let Grid { left_m, top_m, cell_m, .. } = self.grid;
+        let start = [(x - left_m) / cell_m, (-y + top_m) / cell_m];
+        let back = [(-x + centre[0]) / cell_m, (y - centre[1]) / cell_m];
+        let gain = self.gain(start, back, -z + centre[2]);
+        let way = Way { start, back, gain, parallax_px };
+        let cells = (back[0] * back[0] + back[1] * back[1]).sqrt();
+        let mut u = settled(|u| way.part(self.errors_px.at_lanes(way.place(u))), Lanes::all(SAME_CELLS) / cells);
+        for lane in 0..LANES {
+            if u[lane].is_nan() {
+                u.set(lane, self.followed(&way.of_lane(lane), STEP_CELLS / cells[lane]));
+            }
+        }
+        let place = way.place(u);
+        let errors_px = parallax_px * u / (-u + 1.0);
         Lanes::of(|lane| {
-            let (point, parallax_px) = (points.map(|axis| axis[lane]), parallax_px[lane]);
-            if point[0].is_nan() || parallax_px.is_nan() { 0.0 } else { self.landing(point, centre, parallax_px) }
+            let gap = self.gaps[self.cell([place[0][lane], place[1][lane]])];
+            if gap { f64::NAN } else { errors_px[lane] }
         })
     }
 
-    /// Along the ray u is the part of the way back from the point to the camera. There an error e lifts the face to `e / (parallax + e)`,
-    /// divided by what the slope of the face gains on the ray.
-    fn landing(&self, point: [f64; 3], centre: [f64; 3], parallax_px: f64) -> f64 {
-        let start = [(point[0] - self.grid.left_m) / self.grid.cell_m, (self.grid.top_m - point[1]) / self.grid.cell_m];
-        let back = [(centre[0] - point[0]) / self.grid.cell_m, (point[1] - centre[1]) / self.grid.cell_m];
-        let gain = self.gain(start, back, centre[2] - point[2]);
-        let part =
-            |error_px: f64| (error_px / (parallax_px + error_px).max(0.25 * parallax_px) / gain).min(MOST_OF_THE_WAY);
-        let place = |u: f64| [start[0] + back[0] * u, start[1] + back[1] * u];
-        let surface = |u: f64| part(self.errors_px.at(place(u)));
-        let cells = (back[0] * back[0] + back[1] * back[1]).sqrt();
-        let u = settled(surface, SAME_CELLS / cells).unwrap_or_else(|| {
-            let [lowest, highest] = self.range_px.map(part);
-            first_meeting(surface, highest, lowest, STEP_CELLS / cells)
-        });
-        if self.gaps[self.cell(place(u))] { f64::NAN } else { parallax_px * u / (1.0 - u) }
+    /// Where the ray of one point first meets the surface.
+    #[inline(never)]
+    fn followed(&self, way: &Way<f64>, step: f64) -> f64 {
+        let [lowest, highest] = self.range_px.map(|px| way.part(px));
+        first_meeting(|u| way.part(self.errors_px.at(way.place(u))), highest, lowest, step)
     }
 
     /// How much higher a ray rises above the face than above a level one: the face falls away from it, or rises with it.
-    fn gain(&self, start: [f64; 2], back: [f64; 2], rise_m: f64) -> f64 {
-        let [right, down] = self.slopes[self.cell(start)].map(f64::from);
-        let gain = 1.0 - (right * back[0] + down * back[1]) / rise_m;
-        if gain.is_nan() { 1.0 } else { gain.clamp(SLOPE_FACTOR[0], SLOPE_FACTOR[1]) }
+    #[inline(always)]
+    fn gain(&self, start: [Lanes; 2], back: [Lanes; 2], rise_m: Lanes) -> Lanes {
+        let slope = |axis: usize| {
+            Lanes::of(|lane| f64::from(self.face.slopes[self.cell([start[0][lane], start[1][lane]])][axis]))
+        };
+        let (right, down) = (slope(0), slope(1));
+        let gain = -(right * back[0] + down * back[1]) / rise_m + 1.0;
+        gain.map(|gain| if gain.is_nan() { 1.0 } else { gain.clamp(SLOPE_FACTOR[0], SLOPE_FACTOR[1]) })
     }
 
     /// The index of the cell at a position.
@@ -228,21 +227,58 @@ impl LearntNoise {
     }
 }
 
-/// Where a ray meets a surface, by secants from the height above its foot; `None` where they do not settle.
-fn settled(surface: impl Fn(f64) -> f64, same: f64) -> Option<f64> {
-    let mut last = [0.0, surface(0.0)];
-    let mut u = last[1];
+/// The way of a ray from its point, cells, back to the camera: u is the part of it. There an error e lifts the face to `e / (parallax + e)`,
+/// divided by what the slope of the face gains on the ray.
+struct Way<T> {
+    start: [T; 2],
+    back: [T; 2],
+    gain: T,
+    parallax_px: T,
+}
+
+impl<T: Number> Way<T> {
+    #[inline(always)]
+    fn part(&self, error_px: T) -> T {
+        let whole = (self.parallax_px + error_px).at_least(self.parallax_px * 0.25);
+        (error_px / whole / self.gain).at_most(MOST_OF_THE_WAY)
+    }
+
+    #[inline(always)]
+    fn place(&self, u: T) -> [T; 2] {
+        [self.start[0] + self.back[0] * u, self.start[1] + self.back[1] * u]
+    }
+}
+
+impl Way<Lanes> {
+    fn of_lane(&self, lane: usize) -> Way<f64> {
+        let [start, back] = [self.start, self.back].map(|at| [at[0][lane], at[1][lane]]);
+        Way { start, back, gain: self.gain[lane], parallax_px: self.parallax_px[lane] }
+    }
+}
+
+/// Where rays meet a surface, by secants from the height above their feet; NaN where they do not settle.
+#[inline(always)]
+fn settled(surface: impl Fn(Lanes) -> Lanes, same: Lanes) -> Lanes {
+    let mut last = [Lanes::all(0.0), surface(Lanes::all(0.0))];
+    let (mut u, mut found) = (last[1], Lanes::NONE);
     for _ in 0..GUESSES {
         let above = surface(u) - u;
-        if above.abs() < same {
-            return Some(u + above);
+        let mut all = true;
+        for lane in 0..LANES {
+            if found[lane].is_nan() && above[lane].abs() < same[lane] {
+                found.set(lane, u[lane] + above[lane]);
+            }
+            all &= !found[lane].is_nan();
+        }
+        if all {
+            break;
         }
         let slope = (above - last[1]) / (u - last[0]);
         last = [u, above];
         // A ray rises faster than the surface where it comes out of it.
-        u -= if slope < -LEAST_SLOPE { above / slope } else { -above };
+        u = u - slope.choose(|slope| slope < -LEAST_SLOPE, above / slope, -above);
     }
-    None
+    found
 }
 
 /// Where a ray that comes from above first meets a surface that it may meet more than once.
@@ -277,7 +313,7 @@ mod tests {
             errors_px: Spline::new(values, columns),
             range_px: [0.0, 60.0],
             gaps: Arc::new(values_px.iter().map(|px| px.is_nan()).collect()),
-            slopes: Arc::new(vec![[slope, 0.0]; columns]),
+            face: Arc::new(Face { strength: Vec::new(), slopes: vec![[slope, 0.0]; columns] }),
         }
     }
 
@@ -292,7 +328,8 @@ mod tests {
 
     /// The rise of a point, seen by a camera that is 10 m to the left of it and 10 m before the face.
     fn rise_m(noise: &LearntNoise, x: f64) -> f64 {
-        metres(noise.landing([x, 0.5, 0.0], [x - 10.0, 0.5, 10.0], 100.0))
+        let point = [x, 0.5, 0.0].map(Lanes::all);
+        metres(noise.landing_lanes(point, [x - 10.0, 0.5, 10.0], Lanes::all(100.0))[5])
     }
 
     #[test]

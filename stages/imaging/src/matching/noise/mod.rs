@@ -4,6 +4,7 @@ pub mod changed_face;
 pub mod contrast;
 pub mod correlated;
 pub mod ensemble;
+pub mod lately;
 pub mod learnt;
 pub mod matcher;
 pub mod model;

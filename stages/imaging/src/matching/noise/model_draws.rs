@@ -1,26 +1,20 @@
-//! A noise model and what was drawn from it lately: images of a survey are matched in steps of their own and see the same noise of the face, which
-//! is then drawn once.
+//! A noise model at a port, with what was drawn from it and which faces it was laid on lately.
 
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::collections::BTreeMap;
+use std::sync::Arc;
 
+use crate::camera::model::Camera;
+use crate::matching::noise::changed_face::{Face, seen};
 use crate::matching::noise::ensemble::{Drawn, draw};
+use crate::matching::noise::lately::Lately;
 use crate::matching::noise::matcher::Keys;
-use rockface_core::artefact::{Artefact, Noise, Noun};
+use rockface_core::artefact::{Artefact, Depth, Noise, Noun};
 use rockface_core::numerics::random::Key;
 
-/// Values of all draws that are held.
-const MOST_VALUES: usize = 1 << 23;
-
-/// Draws made lately, the latest last.
-static LATELY: Mutex<Vec<Made>> = Mutex::new(Vec::new());
-
-/// A draw, and what it was made of.
-struct Made {
-    model: Weak<Artefact>,
-    number: Option<u32>,
-    stream: Key,
-    drawn: Arc<Drawn>,
-}
+/// Draws made lately, by number and stream: images of a survey see the same noise of the face.
+static DRAWS: Lately<(Option<u32>, Key), Drawn> = Lately::new(1 << 23);
+/// Faces seen lately, by the depth map that shows them: surveys of an unchanged face see the same one.
+static FACES: Lately<Depth, Face> = Lately::new(1 << 24);
 
 /// A noise model at a port.
 #[derive(Debug, Clone, Copy)]
@@ -36,37 +30,30 @@ impl<'a> Model<'a> {
         Noise::of(artefact).map(|noise| Self { noise, artefact })
     }
 
-    /// As [`draw`]. A draw of the same artefact with the same number and streams is not recomputed while it is held.
+    /// As [`draw`].
     pub fn draw(self, number: Option<u32>, keys: Keys) -> Arc<Drawn> {
         // All streams of a step follow from what one of them follows from.
-        let stream = keys("noise-acquisition", "");
-        let model = Arc::downgrade(self.artefact);
-        let same = |made: &&Made| made.model.ptr_eq(&model) && made.number == number && made.stream == stream;
-        if let Some(made) = lately(|all| all.iter().find(same).map(|made| made.drawn.clone())) {
-            return made;
-        }
-        // Nobody waits for a draw: a thread that has to could be the one that makes it.
-        let drawn = Arc::new(draw(self.noise, number, keys));
-        let made = Made { model, number, stream, drawn: drawn.clone() };
-        lately(|all| hold(all, made));
-        drawn
+        let of = (number, keys("noise-acquisition", ""));
+        let make = || (of, draw(self.noise, number, keys));
+        DRAWS.get(self.artefact, |held| *held == of, self.noise.grid.cells(), make)
+    }
+
+    /// The face that a depth map shows, as [`seen`].
+    pub fn face(self, depth: &Depth) -> Arc<Face> {
+        let make = || {
+            let shown = Depth { channels: BTreeMap::new(), ..depth.clone() };
+            (shown, seen(self.noise, depth, &Camera::of_depth(depth)))
+        };
+        let numbers = depth.z.len() + 3 * self.noise.grid.cells();
+        FACES.get(self.artefact, |held| shows_same(held, depth), numbers, make)
     }
 }
 
-fn lately<T>(look: impl FnOnce(&mut Vec<Made>) -> T) -> T {
-    look(&mut LATELY.lock().unwrap_or_else(PoisonError::into_inner))
-}
-
-/// Holds a draw, and releases those whose model is gone and the oldest beyond [`MOST_VALUES`].
-fn hold(all: &mut Vec<Made>, made: Made) {
-    all.retain(|made| made.model.strong_count() > 0);
-    all.push(made);
-    let mut values = 0;
-    let first = all.iter().rposition(|made| {
-        values += made.drawn.field.len();
-        values > MOST_VALUES
-    });
-    all.drain(..first.map_or(0, |last_too_many| last_too_many + 1));
+/// Whether two depth maps have the same camera and the same depths, to the bit.
+fn shows_same(one: &Depth, other: &Depth) -> bool {
+    (one.frame, &one.sensor, &one.image, one.downscale, one.width)
+        == (other.frame, &other.sensor, &other.image, other.downscale, other.width)
+        && bytemuck::cast_slice::<f32, u8>(&one.z) == bytemuck::cast_slice::<f32, u8>(&other.z)
 }
 
 #[cfg(test)]
@@ -92,25 +79,5 @@ mod tests {
         for again in [one.draw(Some(1), &keys(1)), one.draw(Some(0), &keys(2)), other.draw(Some(0), &keys(1))] {
             assert!(!Arc::ptr_eq(&first, &again));
         }
-    }
-
-    #[test]
-    fn draws_of_models_that_are_gone_and_the_oldest_are_released() {
-        let model = Arc::new(Artefact::from(model()));
-        let made = |cells: usize, number: u32, model: Weak<Artefact>| Made {
-            model,
-            number: Some(number),
-            stream: Key([0; 32]),
-            drawn: Arc::new(Drawn { field: vec![0.0; cells], log_strength: Vec::new(), bad: false }),
-        };
-        let mut all = Vec::new();
-        hold(&mut all, made(10, 0, Weak::new()));
-        for number in 1..4 {
-            hold(&mut all, made(MOST_VALUES / 2, number, Arc::downgrade(&model)));
-        }
-        assert_eq!(all.iter().filter_map(|made| made.number).collect::<Vec<_>>(), [2, 3]);
-        // One that is too large by itself is not held.
-        hold(&mut all, made(MOST_VALUES + 1, 4, Arc::downgrade(&model)));
-        assert!(all.is_empty());
     }
 }

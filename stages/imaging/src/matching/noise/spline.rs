@@ -2,6 +2,8 @@
 //! (Unser, Aldroubi and Eden 1993, IEEE Trans. Signal Processing 41).
 
 use crate::matching::noise::paper::Interpolation;
+use rockface_core::numerics::fast_round::floor;
+use rockface_core::numerics::simd::{LANES, Lanes, Number, both};
 
 /// Pole of the filter that turns values into coefficients: `sqrt(3) - 2`.
 const POLE: f64 = -0.267_949_192_431_122_7;
@@ -13,8 +15,12 @@ const MEMORY: usize = 16;
 pub struct Spline {
     columns: usize,
     rows: usize,
+    /// Row by row with [`MARGIN`] mirrored cells around the grid, where few positions lie, so that they are no special case.
     coefficients: Vec<f32>,
 }
+
+/// Cells beyond each edge of the grid.
+const MARGIN: usize = 20;
 
 impl Spline {
     /// Through values row by row, at least one.
@@ -22,47 +28,126 @@ impl Spline {
         let rows = values.len() / columns;
         values.chunks_exact_mut(columns).for_each(|row| filter(row, 1));
         filter(&mut values, columns);
-        Self { columns, rows, coefficients: values }
+        let around = |size: usize| (0..size + 2 * MARGIN).map(move |at| mirrored(at as f64 - MARGIN as f64, size));
+        let left: Vec<usize> = around(columns).take(MARGIN).collect();
+        let right: Vec<usize> = around(columns).skip(MARGIN + columns).collect();
+        let mut coefficients = Vec::with_capacity((columns + 2 * MARGIN) * (rows + 2 * MARGIN));
+        for row in around(rows) {
+            let row = &values[row * columns..(row + 1) * columns];
+            coefficients.extend(left.iter().map(|column| row[*column]));
+            coefficients.extend_from_slice(row);
+            coefficients.extend(right.iter().map(|column| row[*column]));
+        }
+        Self { columns, rows, coefficients }
+    }
+
+    fn stride(&self) -> usize {
+        self.columns + 2 * MARGIN
     }
 
     /// The value at a position in cells, whose middles are at halves.
     #[inline]
     pub fn at(&self, [column, row]: [f64; 2]) -> f64 {
-        let least = |size: usize| size as f64 - 2.0;
-        let inside = column >= 1.5 && row >= 1.5 && column < least(self.columns) && row < least(self.rows);
+        let inside = self.is_inside([column, row]);
         if inside { self.at_inside([column, row]) } else { self.at_any([column, row]) }
     }
 
-    /// At least two cells from the edges, so that no cell is mirrored.
-    #[inline]
-    fn at_inside(&self, [column, row]: [f64; 2]) -> f64 {
-        let (left, [a, b, c, d]) = inside(column);
-        let (top, [above, upper, lower, below]) = inside(row);
-        let along = |row: usize| {
-            let first = (top + row) * self.columns + left;
-            let &[one, two, three, four] = self.coefficients[first..].first_chunk().unwrap_or(&[f32::NAN; 4]);
-            let [one, two, three, four] = [f64::from(one), f64::from(two), f64::from(three), f64::from(four)];
-            one * a + two * b + three * c + four * d
-        };
-        along(0) * above + along(1) * upper + along(2) * lower + along(3) * below
+    /// The values at several positions; NaN at a position that is NaN.
+    #[inline(always)]
+    pub fn at_lanes(&self, [columns, rows]: [Lanes; 2]) -> Lanes {
+        let all_inside = (0..LANES).all(|lane| self.is_inside([columns[lane], rows[lane]]));
+        if !all_inside {
+            return self.at_each([columns, rows]);
+        }
+        let ([left, top], weights) = split([columns, rows]);
+        Lanes::of(|lane| {
+            let along = |axis: usize| weights[axis].map(|weight| weight[lane]);
+            self.weighted([left[lane], top[lane]], [along(0), along(1)])
+        })
+    }
+
+    /// As [`at_lanes`](Self::at_lanes), one by one.
+    #[inline(never)]
+    fn at_each(&self, [columns, rows]: [Lanes; 2]) -> Lanes {
+        columns.with(
+            rows,
+            |column, row| {
+                if column.is_nan() || row.is_nan() { f64::NAN } else { self.at([column, row]) }
+            },
+        )
+    }
+
+    /// Whether the four by four cells around a position lie in the grid or its margin.
+    #[inline(always)]
+    fn is_inside(&self, [column, row]: [f64; 2]) -> bool {
+        let within = |at: f64, size: usize| at >= 2.0 - MARGIN as f64 && at < (size + MARGIN) as f64 - 2.0;
+        within(column, self.columns) && within(row, self.rows)
+    }
+
+    fn at_inside(&self, position: [f64; 2]) -> f64 {
+        let (first, weights) = split(position);
+        self.weighted(first, weights)
+    }
+
+    /// The sum of the four values in each of four rows, whose first is in this column and row, by their weights along x and y.
+    #[inline(always)]
+    fn weighted(&self, first: [f64; 2], [x, y]: [[f64; 4]; 2]) -> f64 {
+        let [left, top] = first.map(|cell| (cell + MARGIN as f64) as usize);
+        let mut sums = [0.0; 4];
+        for (row, weight) in y.iter().enumerate() {
+            let first = (top + row) * self.stride() + left;
+            let values: &[f32; 4] =
+                self.coefficients.get(first..).and_then(|rest| rest.first_chunk()).unwrap_or(&[f32::NAN; 4]);
+            for (sum, value) in sums.iter_mut().zip(values) {
+                *sum += f64::from(*value) * weight;
+            }
+        }
+        sum_of(sums, x)
     }
 
     fn at_any(&self, [column, row]: [f64; 2]) -> f64 {
         let (columns, x) = around(column, self.columns);
         let (rows, y) = around(row, self.rows);
-        let along = |row: usize| {
-            let row = &self.coefficients[row * self.columns..(row + 1) * self.columns];
-            columns.iter().zip(x).map(|(column, weight)| f64::from(row[*column]) * weight).sum::<f64>()
-        };
-        rows.iter().zip(y).map(|(row, weight)| along(*row) * weight).sum()
+        let mut sums = [0.0; 4];
+        for (row, weight) in rows.iter().zip(y) {
+            let row = &self.coefficients[(row + MARGIN) * self.stride() + MARGIN..][..self.columns];
+            sums.iter_mut().zip(columns).for_each(|(sum, column)| *sum += f64::from(row[column]) * weight);
+        }
+        sum_of(sums, x)
     }
 }
 
-/// The first of the four cells around a position that is at least 1.5, and their weights.
-#[inline]
-fn inside(position: f64) -> (usize, [f64; 4]) {
-    let first = (position - 0.5) as usize;
-    (first - 1, Interpolation::BSpline.weights(position - 0.5 - first as f64))
+#[inline(always)]
+fn sum_of([a, b, c, d]: [f64; 4], x: [f64; 4]) -> f64 {
+    (a * x[0] + b * x[1]) + (c * x[2] + d * x[3])
+}
+
+/// The first of the four cells around a position along each axis, and their weights.
+#[inline(always)]
+fn split<T: Number + Whole>(position: [T; 2]) -> ([T; 2], [[T; 4]; 2]) {
+    let first = both(position, |at| (at - 0.5).whole());
+    let [across, down] = position;
+    let weights = both([across - 0.5 - first[0], down - 0.5 - first[1]], |t| Interpolation::BSpline.weights(t));
+    (both(first, |cell| cell - 1.0), weights)
+}
+
+/// The largest whole number not above.
+trait Whole {
+    fn whole(self) -> Self;
+}
+
+impl Whole for f64 {
+    #[inline(always)]
+    fn whole(self) -> Self {
+        f64::from(floor(self))
+    }
+}
+
+impl Whole for Lanes {
+    #[inline(always)]
+    fn whole(self) -> Self {
+        self.map(Whole::whole)
+    }
 }
 
 /// The four cells around a position along a side of a grid, and their weights.
@@ -150,8 +235,19 @@ mod tests {
         let random = Key([4; 32]).field();
         let spline = Spline::new((0..9 * 7).map(|i| random.normal(i, 0) as f32).collect(), 9);
         for i in 0..900 {
-            let [column, row] = [0.01 * f64::from(i), 0.007 * f64::from((i * 37) % 1000)];
+            // Also in the margin, and beyond it.
+            let [column, row] = [0.07 * f64::from(i) - 30.0, 0.05 * f64::from((i * 37) % 1000) - 25.0];
             assert_eq!(spline.at([column, row]).to_bits(), spline.at_any([column, row]).to_bits(), "{column} {row}");
+            let places =
+                [column, row].map(|at| Lanes::of(|lane| if lane == 3 { f64::NAN } else { at + 0.001 * lane as f64 }));
+            let (inside, found) =
+                (places.map(|at| at.map(|at| if at.is_nan() { 3.0 } else { at })), spline.at_lanes(places));
+            let all = spline.at_lanes(inside);
+            for lane in 0..LANES {
+                let expected = spline.at(inside.map(|at| at[lane]));
+                assert_eq!(all[lane].to_bits(), expected.to_bits());
+                assert!(if lane == 3 { found[lane].is_nan() } else { found[lane].to_bits() == expected.to_bits() });
+            }
         }
     }
 
