@@ -91,9 +91,9 @@ impl LevelFigures {
 }
 
 impl Contrast {
-    /// No contrast, at five levels with the lengths of those of a Haar pyramid.
+    /// No contrast, at four levels with the lengths of those of a Haar pyramid.
     pub fn none() -> Self {
-        Self { finest_cells: 0.7, levels: vec![LevelContrast::default(); 5] }
+        Self { finest_cells: 0.7, levels: vec![LevelContrast::default(); 4] }
     }
 }
 

@@ -353,8 +353,8 @@ fn details_of_draws_are_as_uneven_as_those_of_the_rasters() {
         [mean((0..3).map(lack)), lack(3)]
     };
     let (fitted, none) = (lacks(&json!({})), lacks(&json!({"contrast": 0.0, "draws": 8})));
-    let missed = |lack: [f64; 2]| lack[0] * lack[0] + lack[1] * lack[1];
-    assert!(none[0] > 0.5 && missed(fitted) < 0.7 * missed(none), "{fitted:?} {none:?}");
+    // The cascade may be off by what it differs from raster to raster.
+    assert!(none[0] > 0.5 && fitted[0].abs() < 0.5 * none[0] && fitted[1].abs() < 1.0, "{fitted:?} {none:?}");
 }
 
 #[test]
