@@ -214,6 +214,15 @@ impl Camera {
         self.centre + self.rotation.tr_mul(&Vector3::new(x * z_m, y * z_m, z_m))
     }
 
+    /// As [`Camera::unproject`], for several rays: the same bits.
+    #[inline(always)]
+    pub fn unproject_lanes(&self, [x, y]: [Lanes; 2], z_m: Lanes) -> [Lanes; 3] {
+        let r = &self.rotation;
+        let (x, y) = (x * z_m, y * z_m);
+        let along = |axis: usize| x * r[(0, axis)] + y * r[(1, axis)] + z_m * r[(2, axis)] + self.centre[axis];
+        [along(0), along(1), along(2)]
+    }
+
     /// Direction in the object frame of the ray of undistorted normalised coordinates; its length is that of (x, y, 1).
     pub fn direction(&self, [x, y]: [f64; 2]) -> Vector3<f64> {
         self.rotation.tr_mul(&Vector3::new(x, y, 1.0))
@@ -342,6 +351,10 @@ mod tests {
             let [pu, pv] = camera.project(&point).unwrap();
             prop_assert!((pu - u).abs() < 1e-9 && (pv - v).abs() < 1e-9);
             prop_assert!((camera.to_camera(&point).z - z).abs() < 1e-11 * z.max(20.0));
+            let [x, y] = camera.normalised([u, v]).unwrap();
+            let lanes = camera.unproject_lanes([Lanes::all(x), Lanes::all(y)], Lanes::all(z));
+            let bits = lanes.map(|axis| axis[0].to_bits());
+            prop_assert_eq!(bits, [point.x.to_bits(), point.y.to_bits(), point.z.to_bits()]);
         }
 
         #[test]

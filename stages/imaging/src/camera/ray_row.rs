@@ -49,17 +49,8 @@ impl<'a> RayRow<'a> {
         self.camera.normalised_in_row(self.full_column(column as f64), self.yd, guess)
     }
 
-    /// The rays of `count` columns from one on, NaN where there is none; equal to calling [`RayRow::ray`] for each.
-    pub fn rays(&mut self, first: usize, count: usize) -> Vec<[f64; 2]> {
-        let mut rays = vec![[f64::NAN; 2]; count];
-        for (block, rays) in rays.chunks_mut(LANES).enumerate() {
-            let lanes = self.block(first + block * LANES);
-            rays.iter_mut().enumerate().for_each(|(lane, ray)| *ray = [lanes[0][lane], lanes[1][lane]]);
-        }
-        rays
-    }
-
-    /// The same rays, X and Y in slices of their own, which are equally long.
+    /// The rays of the columns from one on, NaN where there is none, X and Y in slices of their own, which are equally long; equal to
+    /// calling [`RayRow::ray`] for each.
     pub fn fill(&mut self, first: usize, x: &mut [f64], y: &mut [f64]) {
         for (block, (x, y)) in x.chunks_mut(LANES).zip(y.chunks_mut(LANES)).enumerate() {
             let lanes = self.block(first + block * LANES).map(Lanes::each);
@@ -69,7 +60,7 @@ impl<'a> RayRow<'a> {
     }
 
     /// The rays of the [`LANES`] columns from one on, NaN where there is none.
-    fn block(&mut self, first: usize) -> [Lanes; 2] {
+    pub fn block(&mut self, first: usize) -> [Lanes; 2] {
         let (start, end) = (first / self.spacing, (first + LANES - 1) / self.spacing);
         if start == end {
             if self.stretch != Some(start) {
@@ -156,7 +147,6 @@ mod tests {
             assert_eq!(RayRow::new(&camera, 5, 1).ray(column), Some(all[column]));
         }
         for first in [0, 13] {
-            assert_eq!(RayRow::new(&camera, 5, 1).rays(first, 350), all[first..first + 350]);
             let [mut x, mut y] = [[0.0; 350]; 2];
             RayRow::new(&camera, 5, 1).fill(first, &mut x, &mut y);
             let filled: Vec<_> = x.into_iter().zip(y).map(|(x, y)| [x, y]).collect();

@@ -26,6 +26,8 @@ pub struct Drawing {
     pub safe_border_px: f64,
     /// Whether triangles that face away from the camera are left out.
     pub front_only: bool,
+    /// Points outside x from, x to, y from, y to are left out, metres in the frame of the camera; `None`: none is.
+    pub window_m: Option<[f64; 4]>,
 }
 
 /// Depths of a mesh at the pixel centres of an image reduced by the downscale.
@@ -123,9 +125,29 @@ pub fn draw(mesh: &Mesh, camera: &Camera, drawing: &Drawing) -> DepthBuffer {
     let mut z_m = vec![f64::INFINITY; width * height];
     if !z_m.is_empty() {
         let bands = z_m.par_chunks_mut(BAND * width).enumerate();
-        bands.for_each(|(band, z)| scene.draw_band_where(band, z, |_| true));
+        bands.for_each_init(Rays::default, |rays, (band, z)| scene.draw_band_where(band, rays, z, |_| true));
     }
     DepthBuffer { width, height, z_m }
+}
+
+/// The same depths rounded to 32 bits, NaN where there is none: a buffer in double precision of the whole image is not needed.
+pub fn draw_rounded(mesh: &Mesh, camera: &Camera, drawing: &Drawing) -> Vec<f32> {
+    let scene = Scene::of(mesh, camera, drawing);
+    let mut depths_m = vec![f32::NAN; scene.width * scene.height];
+    if !depths_m.is_empty() {
+        let bands = depths_m.par_chunks_mut(BAND * scene.width).enumerate();
+        bands.for_each_init(Band::default, |own, (band, depths_m)| {
+            let drawn = own.draw(&scene, band, |_| true);
+            depths_m.iter_mut().zip(drawn).for_each(|(depth_m, z_m)| *depth_m = rounded(*z_m));
+        });
+    }
+    depths_m
+}
+
+/// A depth as depth maps have it: 32 bits, NaN where there is none.
+#[inline]
+pub fn rounded(z_m: f64) -> f32 {
+    if z_m.is_finite() { z_m as f32 } else { f32::NAN }
 }
 
 /// What [`triangles`] says where nothing is seen.
@@ -142,7 +164,8 @@ pub fn triangles(mesh: &Mesh, camera: &Camera, drawing: &Drawing, buffer: &Depth
     let scene = Scene::of(mesh, camera, drawing);
     numbers.par_chunks_mut(BAND * width).zip(buffer.z_m.par_chunks(BAND * width)).enumerate().for_each(
         |(band, (numbers, z))| {
-            let rays = scene.rays(band * BAND, z.len() / width);
+            let mut rays = Rays::default();
+            scene.find_rays(&mut rays, band * BAND, z.len() / width);
             scene.visit_band(
                 band,
                 &rays,
@@ -152,9 +175,8 @@ pub fn triangles(mesh: &Mesh, camera: &Camera, drawing: &Drawing, buffer: &Depth
                     let start = row * width;
                     for column in first..=last {
                         let (z, number) = (z[start + column], &mut numbers[start + column]);
-                        let free = *number == NO_TRIANGLE && z.is_finite();
-                        if free && facet.depth(x[column], y[column]).to_bits() == z.to_bits() {
-                            *number = triangle;
+                        if z.is_finite() && facet.depth(x[column], y[column]).to_bits() == z.to_bits() {
+                            *number = triangle.min(*number);
                         }
                     }
                 },
@@ -162,21 +184,6 @@ pub fn triangles(mesh: &Mesh, camera: &Camera, drawing: &Drawing, buffer: &Depth
         },
     );
     numbers
-}
-
-impl DepthBuffer {
-    /// Empties the pixels whose points lie outside x from, x to, y from, y to, metres in the frame of the camera.
-    pub fn keep_window(&mut self, camera: &Camera, downscale: u32, [x0, x1, y0, y1]: [f64; 4]) {
-        let inside = |p: Vector3<f64>| (x0..=x1).contains(&p.x) && (y0..=y1).contains(&p.y);
-        self.z_m.par_chunks_mut(self.width).enumerate().for_each(|(row, values)| {
-            let mut rays = RayRow::new(camera, row, downscale);
-            for (column, z) in values.iter_mut().enumerate().filter(|(_, z)| z.is_finite()) {
-                if !rays.ray(column).is_some_and(|ray| inside(camera.unproject(ray, *z))) {
-                    *z = f64::INFINITY;
-                }
-            }
-        });
-    }
 }
 
 /// Triangles whose reach is found by one task.
@@ -192,8 +199,55 @@ pub(super) struct Scene<'a> {
     pub(super) height: usize,
     triangles: &'a [[u32; 3]],
     points: Vec<Vector3<f64>>,
-    /// Of every chunk of triangles, by band, those that may cover a pixel of it.
-    chunks: Vec<Vec<Vec<(u32, Reach)>>>,
+    chunks: Vec<Sorted>,
+}
+
+/// The triangles of a chunk that may cover pixels.
+struct Sorted {
+    /// Where the triangles of each band start in `reached`, and where those of the last one end.
+    starts: Vec<u32>,
+    reached: Vec<Reached>,
+    /// Those without pixels to go by: least and largest x and y of their normalised coordinates.
+    wide: Vec<(u32, [[f64; 2]; 2])>,
+}
+
+/// A triangle in one band.
+#[derive(Clone, Copy, Default)]
+struct Reached {
+    triangle: u32,
+    /// First and last column it may cover.
+    columns: [u32; 2],
+    /// First and last row it may cover, counted in the band.
+    rows: [u8; 2],
+}
+
+/// A triangle with the columns and rows of the buffer that it may cover.
+type Covering = (u32, [u32; 2], [u32; 2]);
+
+impl Sorted {
+    /// Sorts triangles into `bands` bands, each in the order that they come in.
+    fn new(covering: &[Covering], wide: Vec<(u32, [[f64; 2]; 2])>, bands: usize) -> Self {
+        let span = |rows: [u32; 2]| rows[0] as usize / BAND..=rows[1] as usize / BAND;
+        let mut starts = vec![0; bands + 1];
+        for (_, _, rows) in covering {
+            span(*rows).for_each(|band| starts[band + 1] += 1);
+        }
+        (0..bands).for_each(|band| starts[band + 1] += starts[band]);
+        let (mut next, mut reached) = (starts.clone(), vec![Reached::default(); starts[bands] as usize]);
+        for (triangle, columns, rows) in covering {
+            for band in span(*rows) {
+                let within = |row: u32| (row as usize).clamp(band * BAND, band * BAND + BAND - 1) - band * BAND;
+                reached[next[band] as usize] =
+                    Reached { triangle: *triangle, columns: *columns, rows: rows.map(|row| within(row) as u8) };
+                next[band] += 1;
+            }
+        }
+        Self { starts, reached, wide }
+    }
+
+    fn of_band(&self, band: usize) -> &[Reached] {
+        &self.reached[self.starts[band] as usize..self.starts[band + 1] as usize]
+    }
 }
 
 impl<'a> Scene<'a> {
@@ -213,27 +267,47 @@ impl<'a> Scene<'a> {
             let projected = triangle.map(|i| projected[i as usize]);
             reach_of_projected(&projected, &bend, &corners, f64::from(drawing.downscale), (width, height))
         };
-        let sort = |(chunk, triangles): (usize, &[[u32; 3]])| {
-            let mut bands = vec![Vec::new(); height.div_ceil(BAND)];
+        let sort = |covering: &mut Vec<Covering>, (chunk, triangles): (usize, &[[u32; 3]])| {
+            covering.clear();
+            let mut wide = Vec::new();
             for (i, triangle) in triangles.iter().enumerate() {
-                let reach = find(triangle);
-                let range = match reach {
-                    Reach::Nothing => continue,
-                    Reach::Pixels { rows: [first, last], .. } => first as usize / BAND..last as usize / BAND + 1,
-                    Reach::Wide { .. } => 0..bands.len(),
-                };
-                bands[range].iter_mut().for_each(|band| band.push(((chunk * CHUNK + i) as u32, reach)));
+                let number = (chunk * CHUNK + i) as u32;
+                match find(triangle) {
+                    Reach::Nothing => {}
+                    Reach::Pixels { columns, rows } => covering.push((number, columns, rows)),
+                    Reach::Wide { x, y } => wide.push((number, [x, y])),
+                }
             }
-            bands
+            Sorted::new(covering, wide, height.div_ceil(BAND))
         };
-        let chunks = mesh.triangles.par_chunks(CHUNK).enumerate().map(sort).collect();
+        let chunks = mesh.triangles.par_chunks(CHUNK).enumerate().map_init(Vec::new, sort).collect();
         Self { camera, drawing, width, height, triangles: &mesh.triangles, points, chunks }
     }
 
-    /// Draws the triangles of a band for whose first and last column `wanted` holds; those that reach far are all drawn.
-    pub(super) fn draw_band_where(&self, band: usize, z: &mut [f64], wanted: impl Fn([usize; 2]) -> bool) {
-        let rays = self.rays(band * BAND, z.len() / self.width);
-        vectorised(DrawBand { scene: self, band, rays: &rays, z, wanted });
+    /// Draws the triangles of a band for whose first and last column `wanted` holds, within the window; those that reach far are
+    /// all drawn. `rays` becomes the rays of the band.
+    pub(super) fn draw_band_where(
+        &self,
+        band: usize,
+        rays: &mut Rays,
+        z: &mut [f64],
+        wanted: impl Fn([usize; 2]) -> bool,
+    ) {
+        self.find_rays(rays, band * BAND, z.len() / self.width);
+        vectorised(DrawBand { scene: self, band, rays, z, wanted });
+        if let Some([x0, x1, y0, y1]) = self.drawing.window_m {
+            let inside = |p: Vector3<f64>| (x0..=x1).contains(&p.x) && (y0..=y1).contains(&p.y);
+            for ((z, x), y) in z.iter_mut().zip(&rays.x).zip(&rays.y).filter(|((z, _), _)| z.is_finite()) {
+                if !inside(self.camera.unproject([*x, *y], *z)) {
+                    *z = f64::INFINITY;
+                }
+            }
+        }
+    }
+
+    /// Rows of a band: fewer in the last one.
+    fn rows_of(&self, band: usize) -> usize {
+        BAND.min(self.height - band * BAND)
     }
 
     /// Calls `visit` for every triangle that may cover pixels of a band and for whose first and last column `wanted` holds, with
@@ -246,57 +320,55 @@ impl<'a> Scene<'a> {
         wanted: impl Fn([usize; 2]) -> bool,
         mut visit: impl FnMut(u32, &Facet, usize, [usize; 2]),
     ) {
-        let (first_row, rows) = (band * BAND, rays.rows());
-        let mut extents = Vec::new();
-        for (triangle, reach) in self.chunks.iter().flat_map(|bands| &bands[band]) {
-            if let Reach::Pixels { columns, .. } = reach
-                && !wanted(columns.map(|column| column as usize))
-            {
-                continue;
+        let facet = |triangle: u32| {
+            let [a, b, c] = self.triangles[triangle as usize].map(|i| self.points[i as usize]);
+            Facet::new(&a, &b, &c)
+        };
+        for Reached { triangle, columns, rows: [first, last] } in self.chunks.iter().flat_map(|all| all.of_band(band)) {
+            let columns = columns.map(|column| column as usize);
+            if wanted(columns) {
+                let facet = facet(*triangle);
+                (usize::from(*first)..=usize::from(*last)).for_each(|row| visit(*triangle, &facet, row, columns));
             }
-            let [a, b, c] = self.triangles[*triangle as usize].map(|i| self.points[i as usize]);
-            let facet = Facet::new(&a, &b, &c);
-            match reach {
-                Reach::Nothing => {}
-                Reach::Pixels { columns, rows: [r0, r1] } => {
-                    let last = (*r1 as usize + 1 - first_row).min(rows);
-                    for row in (*r0 as usize).saturating_sub(first_row)..last {
-                        visit(*triangle, &facet, row, [columns[0] as usize, columns[1] as usize]);
-                    }
-                }
-                Reach::Wide { x, y } => {
-                    if extents.is_empty() {
-                        extents = (0..rows).map(|row| Extent::of(rays.row(row))).collect();
-                    }
-                    for row in (0..rows).filter(|row| extents[*row].meets(*x, *y)) {
-                        visit(*triangle, &facet, row, [0, self.width - 1]);
-                    }
+        }
+        if self.chunks.iter().any(|chunk| !chunk.wide.is_empty()) {
+            let extents: Vec<Extent> = (0..rays.rows()).map(|row| Extent::of(rays.row(row))).collect();
+            for (triangle, [x, y]) in self.chunks.iter().flat_map(|chunk| &chunk.wide) {
+                let facet = facet(*triangle);
+                for row in (0..rays.rows()).filter(|row| extents[*row].meets(*x, *y)) {
+                    visit(*triangle, &facet, row, [0, self.width - 1]);
                 }
             }
         }
     }
 
-    /// The rays of every pixel of some rows.
-    fn rays(&self, first_row: usize, rows: usize) -> Rays {
+    /// Makes `rays` those of every pixel of some rows.
+    fn find_rays(&self, rays: &mut Rays, first_row: usize, rows: usize) {
         let Drawing { downscale, safe_border_px, .. } = *self.drawing;
         let width = self.width;
-        let [mut x, mut y] = [0; 2].map(|_| vec![f64::NAN; rows * width]);
-        for (row, (x, y)) in x.chunks_mut(width).zip(y.chunks_mut(width)).enumerate() {
+        rays.width = width;
+        rays.x.resize(rows * width, f64::NAN);
+        rays.y.resize(rows * width, f64::NAN);
+        for (row, (x, y)) in rays.x.chunks_mut(width).zip(rays.y.chunks_mut(width)).enumerate() {
             let is_inside =
                 |column: &usize| self.camera.inside(full_pixel(*column, first_row + row, downscale), safe_border_px);
             // The pixels within the border follow each other.
-            if let Some(first) = (0..width).find(is_inside) {
-                let last = (first..width).rfind(is_inside).unwrap_or(first);
-                let mut rays = RayRow::new(self.camera, first_row + row, downscale);
-                rays.fill(first, &mut x[first..=last], &mut y[first..=last]);
+            let inside = (0..width)
+                .find(is_inside)
+                .map_or(0..0, |first| first..(first..width).rfind(is_inside).unwrap_or(first) + 1);
+            for values in [&mut *x, &mut *y] {
+                values[..inside.start].fill(f64::NAN);
+                values[inside.end..].fill(f64::NAN);
             }
+            let first = inside.start;
+            RayRow::new(self.camera, first_row + row, downscale).fill(first, &mut x[inside.clone()], &mut y[inside]);
         }
-        Rays { width, x, y }
     }
 }
 
 /// Undistorted normalised coordinates of the pixels of some rows; NaN where no depth is wanted.
-struct Rays {
+#[derive(Default)]
+pub(super) struct Rays {
     width: usize,
     x: Vec<f64>,
     y: Vec<f64>,
@@ -312,6 +384,23 @@ impl Rays {
     fn row(&self, row: usize) -> [&[f64]; 2] {
         let span = row * self.width..(row + 1) * self.width;
         [&self.x[span.clone()], &self.y[span]]
+    }
+}
+
+/// Depths of one band and its rays, kept from band to band: a task that asked for them anew would wait for cleared memory.
+#[derive(Default)]
+pub(super) struct Band {
+    rays: Rays,
+    z_m: Vec<f64>,
+}
+
+impl Band {
+    /// The depths of a band with the triangles for whose first and last column `wanted` holds; infinite where there is none.
+    pub(super) fn draw(&mut self, scene: &Scene, band: usize, wanted: impl Fn([usize; 2]) -> bool) -> &[f64] {
+        self.z_m.clear();
+        self.z_m.resize(scene.rows_of(band) * scene.width, f64::INFINITY);
+        scene.draw_band_where(band, &mut self.rays, &mut self.z_m, wanted);
+        &self.z_m
     }
 }
 
@@ -362,7 +451,7 @@ mod tests {
     use rockface_core::artefact::{Frame, Sensor};
     use rockface_core::testing::{height_mesh, image_at, small_sensor};
 
-    const ALL: Drawing = Drawing { downscale: 1, safe_border_px: 0.0, front_only: true };
+    const ALL: Drawing = Drawing { downscale: 1, safe_border_px: 0.0, front_only: true, window_m: None };
 
     fn bent() -> Sensor {
         Sensor { k: [-0.35, 0.2, 0.05, 0.0], p: [0.004, -0.003], b1: 0.8, b2: -0.5, f: 60.0, ..small_sensor() }

@@ -116,9 +116,11 @@ impl Placer<'_> {
         if !values.iter().any(|z| is_depth(*z)) {
             return samples;
         }
-        let rays = RayRow::new(self.camera, row, self.depth.downscale).rays(0, values.len());
+        let mut rays = [0; 2].map(|_| vec![f64::NAN; values.len()]);
+        let [x, y] = &mut rays;
+        RayRow::new(self.camera, row, self.depth.downscale).fill(0, x, y);
         for (column, z) in values.iter().enumerate().filter(|(_, z)| is_depth(**z)) {
-            let ray = rays[column];
+            let ray = [rays[0][column], rays[1][column]];
             if ray[0].is_nan() {
                 continue;
             }

@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use crate::camera::model::Camera;
-use crate::depth::depth_buffer::{BAND, DepthBuffer, Drawing, Scene};
+use crate::depth::depth_buffer::{BAND, Band, Drawing, Scene, rounded};
 use crate::depth::triangle_reach::{Bend, Reach, reach};
 use rockface_core::artefact::Mesh;
 
@@ -16,11 +16,11 @@ const TILE: usize = 64;
 /// Bands that are drawn whole, to see that the buffer taken over is one of the mesh before.
 const PROBES: usize = 8;
 
-/// A buffer drawn again in part, and how much of it was drawn.
+/// Depths drawn again in part, and how much of them was drawn.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Redrawn {
-    /// The buffer; the same bits as drawing the mesh whole, once rounded to 32 bits.
-    pub buffer: DepthBuffer,
+    /// Depths by row from the top, metres, NaN where there is none: the same bits as of the mesh drawn whole.
+    pub depths_m: Vec<f32>,
     /// Triangles that only one of the two meshes has.
     pub changed_triangles: usize,
     /// Share of the tiles that was drawn anew.
@@ -112,15 +112,8 @@ fn run(marked: &[Marked], mark: u64) -> &[Marked] {
 
 /// Draws `after` from the depths of `before` (NaN where there is none), which the same camera and drawing gave.
 ///
-/// `finish` is what was done to the whole buffer after drawing (a window, say), pixel by pixel.
 /// `None` where the depths are seen not to be those of `before` drawn like this.
-pub fn redraw(
-    [before, after]: [&Mesh; 2],
-    depths_m: &[f32],
-    camera: &Camera,
-    drawing: &Drawing,
-    finish: impl Fn(&mut DepthBuffer),
-) -> Option<Redrawn> {
+pub fn redraw([before, after]: [&Mesh; 2], depths_m: &[f32], camera: &Camera, drawing: &Drawing) -> Option<Redrawn> {
     let scene = Scene::of(after, camera, drawing);
     let (width, height) = (scene.width, scene.height);
     if depths_m.len() != width * height || width == 0 {
@@ -132,21 +125,16 @@ pub fn redraw(
     for (mesh, triangles) in [before, after].into_iter().zip(&changed) {
         mark(mesh, triangles, camera, drawing, (width, height), &mut dirty);
     }
-    let mut buffer = DepthBuffer { width, height, z_m: vec![f64::INFINITY; width * height] };
+    let mut redrawn = depths_m.to_vec();
     let marks = |band: usize| &dirty[band * tiles..(band + 1) * tiles];
-    buffer.z_m.par_chunks_mut(BAND * width).enumerate().filter(|(band, _)| marks(*band).contains(&true)).for_each(
-        |(band, z)| {
-            let marked = |columns: [usize; 2]| marks(band)[columns[0] / TILE..=columns[1] / TILE].contains(&true);
-            scene.draw_band_where(band, z, marked);
-        },
-    );
-    // Before the rest is taken over: rounded depths must not be looked at again.
-    finish(&mut buffer);
-    let lines = buffer.z_m.par_chunks_mut(BAND * width).zip(depths_m.par_chunks(BAND * width)).enumerate();
-    lines.for_each(|(band, (z, former))| take_over(z, former, width, marks(band)));
+    let bands = redrawn.par_chunks_mut(BAND * width).enumerate().filter(|(band, _)| marks(*band).contains(&true));
+    bands.for_each_init(Band::default, |own, (band, depths_m)| {
+        let wanted = |columns: [usize; 2]| marks(band)[columns[0] / TILE..=columns[1] / TILE].contains(&true);
+        take_over(depths_m, own.draw(&scene, band, wanted), width, marks(band));
+    });
     let share = dirty.iter().filter(|dirty| **dirty).count() as f64 / dirty.len() as f64;
-    let same = probe(&scene, &buffer, &finish);
-    same.then_some(Redrawn { buffer, changed_triangles: changed[0].len() + changed[1].len(), share })
+    let same = probe(&scene, &redrawn);
+    same.then_some(Redrawn { depths_m: redrawn, changed_triangles: changed[0].len() + changed[1].len(), share })
 }
 
 /// Marks the tiles that triangles may cover.
@@ -168,37 +156,32 @@ fn mark(mesh: &Mesh, triangles: &[u32], camera: &Camera, drawing: &Drawing, size
     }
 }
 
-/// Takes the pixels of tiles that are not marked from the former depths.
-fn take_over(z: &mut [f64], former: &[f32], width: usize, marks: &[bool]) {
-    for (row, former) in z.chunks_mut(width).zip(former.chunks(width)) {
-        let tiles = row.chunks_mut(TILE).zip(former.chunks(TILE)).zip(marks);
-        for ((tile, former), _) in tiles.filter(|(_, dirty)| !**dirty) {
-            tile.iter_mut().zip(former).for_each(|(z, former)| {
-                *z = if former.is_finite() { f64::from(*former) } else { f64::INFINITY };
-            });
+/// Takes the pixels of tiles that are marked from a band that was drawn.
+fn take_over(depths_m: &mut [f32], drawn: &[f64], width: usize, marks: &[bool]) {
+    for (row, drawn) in depths_m.chunks_mut(width).zip(drawn.chunks(width)) {
+        let tiles = row.chunks_mut(TILE).zip(drawn.chunks(TILE)).zip(marks);
+        for ((tile, drawn), _) in tiles.filter(|(_, dirty)| **dirty) {
+            tile.iter_mut().zip(drawn).for_each(|(depth_m, z_m)| *depth_m = rounded(*z_m));
         }
     }
 }
 
-/// Whether some bands, drawn whole, are those of the buffer.
-fn probe(scene: &Scene, buffer: &DepthBuffer, finish: &impl Fn(&mut DepthBuffer)) -> bool {
-    let (width, bands) = (buffer.width, buffer.height.div_ceil(BAND));
-    let mut whole = DepthBuffer { z_m: vec![f64::INFINITY; buffer.z_m.len()], ..*buffer };
+/// Whether some bands, drawn whole, are those of the depths.
+fn probe(scene: &Scene, depths_m: &[f32]) -> bool {
+    let (width, bands) = (scene.width, scene.height.div_ceil(BAND));
     let chosen: Vec<usize> = (0..PROBES.min(bands)).map(|i| (2 * i + 1) * bands / (2 * PROBES.min(bands))).collect();
-    let lines = whole.z_m.par_chunks_mut(BAND * width).enumerate().filter(|(band, _)| chosen.contains(band));
-    lines.for_each(|(band, z)| scene.draw_band_where(band, z, |_| true));
-    finish(&mut whole);
-    let rounded = |z: f64| (z as f32).to_bits();
-    chosen.iter().all(|band| {
-        let range = band * BAND * width..((band + 1) * BAND * width).min(buffer.z_m.len());
-        whole.z_m[range.clone()].iter().zip(&buffer.z_m[range]).all(|(a, b)| rounded(*a) == rounded(*b))
-    })
+    let is_same = |own: &mut Band, band: &usize| {
+        let drawn = own.draw(scene, *band, |_| true);
+        let here = &depths_m[band * BAND * width..][..drawn.len()];
+        drawn.iter().zip(here).all(|(z_m, depth_m)| rounded(*z_m).to_bits() == depth_m.to_bits())
+    };
+    chosen.par_iter().map_init(Band::default, is_same).all(|same| same)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::depth::depth_buffer::draw;
+    use crate::depth::depth_buffer::draw_rounded;
     use rockface_core::testing::{height_mesh, image_at, small_sensor};
     use std::collections::HashSet;
 
@@ -229,8 +212,8 @@ mod tests {
         [before, after]
     }
 
-    fn floats(buffer: &DepthBuffer) -> Vec<u32> {
-        buffer.z_m.iter().map(|z| (*z as f32).to_bits()).collect()
+    fn bits(depths_m: &[f32]) -> Vec<u32> {
+        depths_m.iter().map(|z| z.to_bits()).collect()
     }
 
     #[test]
@@ -267,16 +250,11 @@ mod tests {
     fn redrawing_a_part_is_drawing_the_whole_bit_for_bit() {
         let [before, after] = meshes();
         for (front_only, safe_border_px, downscale) in [(true, 0.0, 1), (false, 7.0, 1), (true, 0.0, 3)] {
-            let drawing = Drawing { downscale, safe_border_px, front_only };
-            let cut = |buffer: &mut DepthBuffer| buffer.keep_window(&camera(), downscale, [-3.0, 1.4, -4.0, 4.0]);
-            let whole = |mesh: &Mesh| {
-                let mut buffer = draw(mesh, &camera(), &drawing);
-                cut(&mut buffer);
-                buffer
-            };
-            let depths: Vec<f32> = whole(&before).z_m.iter().map(|z| *z as f32).collect();
-            let found = redraw([&before, &after], &depths, &camera(), &drawing, cut).unwrap();
-            assert_eq!(floats(&found.buffer), floats(&whole(&after)));
+            let window_m = Some([-3.0, 1.4, -4.0, 4.0]);
+            let drawing = Drawing { downscale, safe_border_px, front_only, window_m };
+            let whole = |mesh: &Mesh| draw_rounded(mesh, &camera(), &drawing);
+            let found = redraw([&before, &after], &whole(&before), &camera(), &drawing).unwrap();
+            assert_eq!(bits(&found.depths_m), bits(&whole(&after)));
             assert!(found.share < 0.5 && found.share > 0.0, "{}", found.share);
         }
     }
@@ -284,10 +262,9 @@ mod tests {
     #[test]
     fn depths_of_something_else_are_found_out() {
         let [before, after] = meshes();
-        let drawing = Drawing { downscale: 1, safe_border_px: 0.0, front_only: true };
-        let bordered = draw(&before, &camera(), &Drawing { safe_border_px: 3.0, ..drawing });
-        let depths: Vec<f32> = bordered.z_m.iter().map(|z| *z as f32).collect();
-        assert!(redraw([&before, &after], &depths, &camera(), &drawing, |_| {}).is_none());
-        assert!(redraw([&before, &after], &depths[1..], &camera(), &drawing, |_| {}).is_none());
+        let drawing = Drawing { downscale: 1, safe_border_px: 0.0, front_only: true, window_m: None };
+        let depths = draw_rounded(&before, &camera(), &Drawing { safe_border_px: 3.0, ..drawing });
+        assert!(redraw([&before, &after], &depths, &camera(), &drawing).is_none());
+        assert!(redraw([&before, &after], &depths[1..], &camera(), &drawing).is_none());
     }
 }

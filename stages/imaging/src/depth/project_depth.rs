@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use crate::camera::model::Camera;
 use crate::camera::ray_row::RayRow;
-use crate::depth::depth_buffer::{DepthBuffer, Drawing, NO_TRIANGLE, draw, triangles};
+use crate::depth::depth_buffer::{DepthBuffer, Drawing, NO_TRIANGLE, draw, draw_rounded, rounded, triangles};
 use crate::depth::depth_update::redraw;
 use rockface_core::artefact::{Cameras, Depth, Image, Kind, Mesh, Raster};
 use rockface_core::numerics::quantile::upper_median;
@@ -68,62 +68,48 @@ impl Stage for ProjectDepth {
     }
 
     fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
-        // Depths in double precision with the numbers of the triangles and these by bands, or with the map and its file; with
-        // `before` the triangles that changed.
+        // The map as it is drawn from triangles by bands (with channels in double precision, with the numbers of the triangles),
+        // or with its file; with `before` the triangles that changed.
         let pixels = inputs.small("cameras", |cameras: &Cameras| {
             let sensor = cameras.image(&params.image).map(|image| cameras.sensor(image));
             let side = |pixels: u32| u64::from(pixels / params.downscale.max(1));
             sensor.map_or(0, |sensor| side(sensor.width_px) * side(sensor.height_px))
         });
         let pixels = pixels.unwrap_or(0).min(1 << 50);
-        let drawing = 25 * pixels / 2 + inputs.times(1.9, "mesh");
-        inputs.total() + drawing.max(17 * pixels) + inputs.times(2.2, "before_mesh")
+        let (drawn, written) = if params.channels { (20, 33) } else { (5, 9) };
+        let drawing = drawn * pixels + inputs.times(2.1, "mesh");
+        inputs.total() + drawing.max(written * pixels) + inputs.times(2.2, "before_mesh")
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let (mesh, cameras) = (inputs.one::<Mesh>("mesh")?, inputs.one::<Cameras>("cameras")?);
         let image = checked_image(params, mesh, cameras)?;
         let camera = Camera::new(cameras.sensor(image), image);
+        check_lens(&camera, image, context)?;
+        let former = former(inputs, params, cameras, image)?;
         let drawing = Drawing {
             downscale: params.downscale,
             safe_border_px: params.safe_border_px,
             front_only: params.visibility,
+            window_m: params.window_m.or(extent(inputs, params, cameras, former.is_some())?),
         };
-        check_lens(&camera, image, context)?;
-        let former = former(inputs, params, cameras, image)?;
-        let window = params.window_m.or(extent(inputs, params, cameras, former.is_some())?);
         // Numbers of triangles are told by exact depths: with channels everything is drawn.
-        let former = former.filter(|_| !params.channels);
-        let mut buffer = match former {
-            Some((depth, before)) => redrawn([before, mesh], depth, params, (&camera, &drawing), context)?,
-            None => draw(mesh, &camera, &drawing),
-        };
-        // What was taken over has been cut already, by exact depths.
-        if let (Some(window), None) = (window, former) {
-            let sees = |buffer: &DepthBuffer| buffer.z_m.iter().any(|z| z.is_finite());
-            let before = sees(&buffer);
-            buffer.keep_window(&camera, params.downscale, window);
-            if before && !sees(&buffer) {
-                if params.window_m.is_some() {
-                    let error = StageError::new(format!("image `{}` sees nothing inside `window_m`", image.name));
-                    return Err(
-                        error.hint("it sees other parts of the mesh: the window is left, right, bottom, top, metres")
-                    );
-                }
-                buffer = draw(mesh, &camera, &drawing);
+        let mut map = match former.filter(|_| !params.channels) {
+            Some((depth, before)) => {
+                depth_map(redrawn([before, mesh], depth, (&camera, &drawing), context)?, params, cameras, image)
             }
+            None => drawn(mesh, &camera, &drawing, params, (cameras, image)),
+        };
+        if params.window_m.is_none() && drawing.window_m.is_some() && sees_nothing(&map) {
+            map = drawn(mesh, &camera, &Drawing { window_m: None, ..drawing }, params, (cameras, image));
         }
-        let seen = buffer.z_m.iter().copied().filter(|z| z.is_finite());
+        let seen = map.z.iter().filter(|z| z.is_finite()).map(|z| f64::from(*z));
         let Some((median_m, seen)) = upper_median(seen) else {
             return Err(nothing_visible(mesh, &camera, &drawing, image));
         };
-        context.metric("valid_share", seen as f64 / buffer.z_m.len() as f64, "1");
+        context.metric("valid_share", seen as f64 / map.z.len() as f64, "1");
         context.metric("median_depth", median_m, "m");
         context.metric("pixel_footprint", median_m / camera.sensor().f * f64::from(params.downscale), "m");
-        let mut map = depth_map(&buffer, params, cameras, image);
-        if params.channels {
-            map.channels = channels(&buffer, mesh, &camera, &drawing);
-        }
         Ok(Outputs::of("depth", map))
     }
 }
@@ -199,22 +185,16 @@ fn former<'a>(
 fn redrawn(
     meshes: [&Mesh; 2],
     depth: &Depth,
-    params: &ProjectDepthParams,
     (camera, drawing): (&Camera, &Drawing),
     context: &Context,
-) -> Result<DepthBuffer, StageError> {
-    let cut = |buffer: &mut DepthBuffer| {
-        if let Some(window) = params.window_m {
-            buffer.keep_window(camera, params.downscale, window);
-        }
-    };
-    let Some(redrawn) = redraw(meshes, &depth.z, camera, drawing, cut) else {
+) -> Result<Vec<f32>, StageError> {
+    let Some(redrawn) = redraw(meshes, &depth.z, camera, drawing) else {
         let error = StageError::new("`before` is not what `before_mesh` looks like with the parameters of this step");
         return Err(error.hint("make both by `project-depth` with equal parameters, or leave `before` out"));
     };
     context.metric("changed_triangles", redrawn.changed_triangles as f64, "1");
     context.metric("redrawn_share", redrawn.share, "1");
-    Ok(redrawn.buffer)
+    Ok(redrawn.depths_m)
 }
 
 fn checked_image<'a>(params: &ProjectDepthParams, mesh: &Mesh, cameras: &'a Cameras) -> Result<&'a Image, StageError> {
@@ -256,14 +236,23 @@ fn checked_image<'a>(params: &ProjectDepthParams, mesh: &Mesh, cameras: &'a Came
     Ok(image)
 }
 
+fn sees_nothing(map: &Depth) -> bool {
+    !map.z.iter().any(|z| z.is_finite())
+}
+
 fn nothing_visible(mesh: &Mesh, camera: &Camera, drawing: &Drawing, image: &Image) -> StageError {
+    let sees = |drawing: &Drawing| draw(mesh, camera, drawing).z_m.iter().any(|z| z.is_finite());
+    let whole = Drawing { window_m: None, ..*drawing };
+    if drawing.window_m.is_some() && sees(&whole) {
+        let error = StageError::new(format!("image `{}` sees nothing inside `window_m`", image.name));
+        return error.hint("it sees other parts of the mesh: the window is left, right, bottom, top, metres");
+    }
     let error = StageError::new(format!("image `{}` sees nothing of the mesh", image.name));
     let in_front = mesh.vertices.iter().filter(|v| camera.to_camera(&(**v).into()).z > 0.0).count();
     if in_front == 0 {
         return error.hint("every vertex lies behind the camera: check its rotation and the frames");
     }
-    let either_way = draw(mesh, camera, &Drawing { front_only: false, ..*drawing });
-    if either_way.z_m.iter().any(|z| z.is_finite()) {
+    if sees(&Drawing { front_only: false, ..whole }) {
         return error.hint("the mesh shows the camera only its back: turn its triangles, or set `visibility: false`");
     }
     error.hint(format!(
@@ -271,16 +260,32 @@ fn nothing_visible(mesh: &Mesh, camera: &Camera, drawing: &Drawing, image: &Imag
     ))
 }
 
-fn depth_map(buffer: &DepthBuffer, params: &ProjectDepthParams, cameras: &Cameras, image: &Image) -> Depth {
-    let rounded = |z: &f64| if z.is_finite() { *z as f32 } else { f32::NAN };
+/// The map of a mesh that is drawn whole.
+fn drawn(
+    mesh: &Mesh,
+    camera: &Camera,
+    drawing: &Drawing,
+    params: &ProjectDepthParams,
+    (cameras, image): (&Cameras, &Image),
+) -> Depth {
+    if !params.channels {
+        return depth_map(draw_rounded(mesh, camera, drawing), params, cameras, image);
+    }
+    let buffer = draw(mesh, camera, drawing);
+    let depths_m = buffer.z_m.par_iter().map(|z_m| rounded(*z_m)).collect();
+    Depth { channels: channels(&buffer, mesh, camera, drawing), ..depth_map(depths_m, params, cameras, image) }
+}
+
+fn depth_map(depths_m: Vec<f32>, params: &ProjectDepthParams, cameras: &Cameras, image: &Image) -> Depth {
+    let sensor = cameras.sensor(image);
     Depth {
         frame: cameras.frame,
-        sensor: cameras.sensor(image).clone(),
+        sensor: sensor.clone(),
         image: Image { sensor: 0, ..image.clone() },
         downscale: params.downscale,
-        width: buffer.width,
-        height: buffer.height,
-        z: buffer.z_m.par_iter().map(rounded).collect(),
+        width: (sensor.width_px / params.downscale) as usize,
+        height: (sensor.height_px / params.downscale) as usize,
+        z: depths_m,
         channels: std::collections::BTreeMap::new(),
     }
 }

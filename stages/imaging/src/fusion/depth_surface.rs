@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::camera::model::{Camera, full_pixel};
 use crate::camera::ray_row::RayRow;
 use rockface_core::artefact::{Depth, Surface};
-use rockface_core::numerics::simd::{Work, vectorised};
+use rockface_core::numerics::simd::{LANES, Lanes, Work, vectorised};
 use rockface_raster::point_rows::PointRows;
 
 /// Where neighbouring pixels are not joined.
@@ -133,11 +133,34 @@ fn is_depth(z: f32) -> bool {
 }
 
 fn place_row(patch: &Patch, camera: &Camera, origin: &Vector3<f64>, row: usize, points: &mut [[f32; 3]]) {
-    let rays = RayRow::new(camera, patch.row + row, patch.depth.downscale).rays(patch.column, patch.width);
-    for ((z, point), ray) in patch.line(row).iter().copied().zip(points).zip(rays) {
-        if is_depth(z) && !ray[0].is_nan() {
-            let local = camera.unproject(ray, f64::from(z)) - origin;
-            *point = [local.x as f32, local.y as f32, local.z as f32];
+    let mut rays = RayRow::new(camera, patch.row + row, patch.depth.downscale);
+    let blocks = patch.line(row).chunks(LANES).zip(points.chunks_mut(LANES));
+    for ((z, points), column) in blocks.zip((patch.column..).step_by(LANES)) {
+        vectorised(PlaceBlock { camera, origin, z, ray: rays.block(column), points });
+    }
+}
+
+/// Places the points of some pixels of a row; those without a depth or a ray keep what they are.
+struct PlaceBlock<'a> {
+    camera: &'a Camera,
+    origin: &'a Vector3<f64>,
+    z: &'a [f32],
+    ray: [Lanes; 2],
+    points: &'a mut [[f32; 3]],
+}
+
+impl Work for PlaceBlock<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let z_m = Lanes::of(|lane| self.z.get(lane).map_or(f64::NAN, |z| f64::from(*z)));
+        let [x, y, z] = self.camera.unproject_lanes(self.ray, z_m);
+        let local = [x - self.origin.x, y - self.origin.y, z - self.origin.z].map(Lanes::each);
+        for (lane, (depth, point)) in self.z.iter().zip(self.points).enumerate() {
+            if is_depth(*depth) && !self.ray[0][lane].is_nan() {
+                *point = local.map(|axis| axis[lane] as f32);
+            }
         }
     }
 }

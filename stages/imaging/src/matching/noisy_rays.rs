@@ -39,19 +39,7 @@ impl NoisyRays {
         let [x, y] = both(pixel, |p| p / SPACING_PX + 0.5);
         let [across, down] = both([x, y], |p| p.map(f64::floor));
         let (tx, ty) = (x - across, y - down);
-        // Differences at the nodes above left, above right, below left and below right of each position.
-        let mut around = [[Lanes::NONE; 2]; 4];
-        for lane in 0..LANES {
-            let inside = across[lane] >= 0.0 && down[lane] >= 0.0;
-            let (column, row) = (across[lane] as usize, down[lane] as usize);
-            if inside && column + 1 < self.columns && row + 1 < self.rows {
-                let at = row * self.columns + column;
-                for (steps, at) in around.iter_mut().zip([at, at + 1, at + self.columns, at + self.columns + 1]) {
-                    (0..2).for_each(|i| steps[i].set(lane, self.steps[at][i]));
-                }
-            }
-        }
-        let [above_left, above_right, below_left, below_right] = around;
+        let [above_left, above_right, below_left, below_right] = self.steps_about([across, down]);
         let guess = both([0, 1], |i| {
             let top = above_left[i] + tx * (above_right[i] - above_left[i]);
             let bottom = below_left[i] + tx * (below_right[i] - below_left[i]);
@@ -69,6 +57,33 @@ impl NoisyRays {
             }
         }
         rays
+    }
+
+    /// Differences at the nodes above left, above right, below left and below right of each position; NaN beyond the nodes.
+    #[inline(always)]
+    fn steps_about(&self, [across, down]: [Lanes; 2]) -> [[Lanes; 2]; 4] {
+        let nodes = |across: f64, down: f64| {
+            let (column, row) = (across as usize, down as usize);
+            let inside = across >= 0.0 && down >= 0.0 && column + 1 < self.columns && row + 1 < self.rows;
+            let at = row * self.columns + column;
+            inside.then(|| [at, at + 1, at + self.columns, at + self.columns + 1].map(|at| self.steps[at]))
+        };
+        let mut same = true;
+        for lane in 1..LANES {
+            same &= (across[lane] - across[0]).abs() < 0.5 && (down[lane] - down[0]).abs() < 0.5;
+        }
+        // Most often all positions lie between the same nodes.
+        if same {
+            return nodes(across[0], down[0])
+                .map_or([[Lanes::NONE; 2]; 4], |nodes| nodes.map(|node| node.map(Lanes::all)));
+        }
+        let mut about = [[Lanes::NONE; 2]; 4];
+        for lane in 0..LANES {
+            for (about, node) in about.iter_mut().zip(nodes(across[lane], down[lane]).unwrap_or([[f64::NAN; 2]; 4])) {
+                (0..2).for_each(|i| about[i].set(lane, node[i]));
+            }
+        }
+        about
     }
 }
 

@@ -104,38 +104,8 @@ impl<'a> Matcher<'a> {
     }
 
     /// Matches the pixels of a row, from left to right; `keep` gets the column of each match.
-    pub fn match_row(&self, pixels: &PixelRow, mut keep: impl FnMut(usize, &Match)) {
-        let mut draws = self.row_draws(pixels);
-        for block in pixels.blocks() {
-            let mut projected = vectorised(ProjectBlock { matcher: self, block: &block });
-            let mut seen = [false; LANES];
-            for (lane, seen) in seen.iter_mut().enumerate() {
-                *seen = self.partner_sees(projected.level.map(|level| level[lane]), projected.z_m[lane]);
-                if !*seen {
-                    projected.remove(lane);
-                }
-            }
-            if !seen.contains(&true) {
-                continue;
-            }
-            let work =
-                MatchBlock { matcher: self, row: pixels.row, block: &block, projected: &projected, draws: &draws };
-            let correspondences = vectorised(work);
-            for (lane, column) in block.columns.iter().enumerate().filter(|(lane, _)| seen[*lane]) {
-                let correspondence = Correspondence::of(&correspondences, lane);
-                let matched = match &self.noise {
-                    NoiseModel::Paper { .. } | NoiseModel::Learnt(_) => correspondence.matched(),
-                    NoiseModel::Terms(terms) => {
-                        let point_m = [block.points_m[0][lane], block.points_m[1][lane]];
-                        let pixel = [*column, pixels.row];
-                        self.match_with_terms(terms, &mut draws.terms, pixel, point_m, &correspondence)
-                    }
-                };
-                if let Some(matched) = matched {
-                    keep(*column, &matched);
-                }
-            }
-        }
+    pub fn match_row(&self, pixels: &PixelRow, keep: impl FnMut(usize, &Match)) {
+        vectorised(MatchRow { matcher: self, pixels, keep });
     }
 
     /// The draws of a row. White noise is addressed by pixels of the first image: for a row of that image it is drawn
@@ -146,6 +116,7 @@ impl<'a> Matcher<'a> {
             (NoiseModel::Terms(terms), _, _) => draws.terms = terms.lookups(),
             (NoiseModel::Paper { local: Some(local), .. }, Side::First, [first, .., last]) => {
                 draws.first_column = *first as i32;
+                draws.in_row = self.sampling == Sampling::Image;
                 draws.white.resize(last - first + 1, 0.0);
                 local.field.fill_row(draws.first_column, draws.row, &mut draws.white);
             }
@@ -281,14 +252,18 @@ impl<'a> Matcher<'a> {
                 let centre = self.geometry.cameras[self.side].centre();
                 noise.landing_lanes(block.points_m, [centre.x, centre.y, centre.z], parallax_px)
             }
-            _ => self.white_px(first_px, draws),
+            _ => self.white_px(block, first_px, draws),
         }
     }
 
     /// The paper's white noise of some pixels.
     #[inline(always)]
-    fn white_px(&self, first_px: [Lanes; 2], draws: &RowDraws) -> Lanes {
+    fn white_px(&self, block: &Block, first_px: [Lanes; 2], draws: &RowDraws) -> Lanes {
         let NoiseModel::Paper { local: Some(local), .. } = &self.noise else { return Lanes::all(0.0) };
+        if draws.in_row {
+            let at = |column: &usize| f64::from(draws.white[column - draws.first_column as usize]);
+            return Lanes::of(|lane| block.columns.get(lane).map_or(0.0, at)) * local.sigma_px;
+        }
         let (mut columns, mut rows, mut white) = ([0; LANES], [0; LANES], Lanes::all(0.0));
         let mut drawn = true;
         for (lane, (column, row)) in columns.iter_mut().zip(&mut rows).enumerate() {
@@ -331,36 +306,48 @@ fn to_level<T: Number>(pixel: [T; 2], scale: f64) -> [T; 2] {
     both(pixel, |p| (p + 0.5) * scale - 0.5)
 }
 
-/// [`Matcher::project`] for a block, in wide registers.
-struct ProjectBlock<'a> {
+/// Matches the pixels of a row, in wide registers.
+struct MatchRow<'a, K> {
     matcher: &'a Matcher<'a>,
-    block: &'a Block<'a>,
+    pixels: &'a PixelRow,
+    keep: K,
 }
 
-impl Work for ProjectBlock<'_> {
-    type Output = Projected;
+impl<K: FnMut(usize, &Match)> Work for MatchRow<'_, K> {
+    type Output = ();
 
     #[inline(always)]
-    fn run(self) -> Projected {
-        self.matcher.project(self.block)
-    }
-}
-
-/// [`Matcher::correspond`] for a block, in wide registers.
-struct MatchBlock<'a> {
-    matcher: &'a Matcher<'a>,
-    row: usize,
-    block: &'a Block<'a>,
-    projected: &'a Projected,
-    draws: &'a RowDraws<'a>,
-}
-
-impl Work for MatchBlock<'_> {
-    type Output = Correspondence<Lanes>;
-
-    #[inline(always)]
-    fn run(self) -> Correspondence<Lanes> {
-        self.matcher.correspond(self.row, self.block, self.projected, self.draws)
+    fn run(self) {
+        let Self { matcher, pixels, mut keep } = self;
+        let mut draws = matcher.row_draws(pixels);
+        for block in pixels.blocks() {
+            let mut projected = matcher.project(&block);
+            let mut seen = [false; LANES];
+            for (lane, seen) in seen.iter_mut().enumerate() {
+                *seen = matcher.partner_sees(projected.level.map(|level| level[lane]), projected.z_m[lane]);
+                if !*seen {
+                    projected.remove(lane);
+                }
+            }
+            if !seen.contains(&true) {
+                continue;
+            }
+            let correspondences = matcher.correspond(pixels.row, &block, &projected, &draws);
+            for (lane, column) in block.columns.iter().enumerate().filter(|(lane, _)| seen[*lane]) {
+                let correspondence = Correspondence::of(&correspondences, lane);
+                let matched = match &matcher.noise {
+                    NoiseModel::Paper { .. } | NoiseModel::Learnt(_) => correspondence.matched(),
+                    NoiseModel::Terms(terms) => {
+                        let point_m = [block.points_m[0][lane], block.points_m[1][lane]];
+                        let pixel = [*column, pixels.row];
+                        matcher.match_with_terms(terms, &mut draws.terms, pixel, point_m, &correspondence)
+                    }
+                };
+                if let Some(matched) = matched {
+                    keep(*column, &matched);
+                }
+            }
+        }
     }
 }
 
@@ -371,6 +358,8 @@ struct RowDraws<'a> {
     /// White noise of the first image in this row, from `first_column` on; empty where it is looked up instead.
     white: Vec<f32>,
     first_column: i32,
+    /// Whether the pixels of the row lie in the row of the first image that `white` is for.
+    in_row: bool,
     /// White fields of further terms.
     terms: Lookups<'a>,
 }

@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use crate::camera::model::Camera;
 use crate::camera::ray_row::RayRow;
 use rockface_core::artefact::Depth;
-use rockface_core::numerics::simd::{LANES, Lanes};
+use rockface_core::numerics::simd::{LANES, Lanes, Work, vectorised};
 
 /// The pixels of a row that have a depth, from left to right.
 #[derive(Debug, Clone, PartialEq)]
@@ -39,15 +39,14 @@ impl PixelRow {
         if !values.iter().any(|z| z.is_finite()) {
             return pixels;
         }
-        let rays = |camera: &Camera| RayRow::new(camera, row, depth.downscale).rays(0, values.len());
-        let true_rays = rays(camera);
-        let separate = (!noisy.has_interior_of(camera)).then(|| rays(noisy));
-        let noisy_rays = separate.as_ref().unwrap_or(&true_rays);
-        for (column, z) in values.iter().enumerate().filter(|(_, z)| z.is_finite()) {
-            let (ray, noisy_ray) = (true_rays[column], noisy_rays[column]);
-            if !ray[0].is_nan() && !noisy_ray[0].is_nan() {
-                pixels.push(column, &camera.unproject(ray, f64::from(*z)), noisy_ray);
-            }
+        let rays = |camera| RayRow::new(camera, row, depth.downscale);
+        let (mut true_rays, mut separate) = (rays(camera), (!noisy.has_interior_of(camera)).then(|| rays(noisy)));
+        for (values, column) in values.chunks(LANES).zip((0..).step_by(LANES)) {
+            let z_m = Lanes::of(|lane| values.get(lane).map_or(f64::NAN, |z| f64::from(*z)));
+            let true_ray = true_rays.block(column);
+            let noisy_ray = separate.as_mut().map_or(true_ray, |rays| rays.block(column));
+            let point_m = vectorised(Unproject { camera, ray: true_ray, z_m });
+            pixels.extend(column, point_m, noisy_ray);
         }
         pixels
     }
@@ -70,6 +69,22 @@ impl PixelRow {
         self.noisy_rays.iter_mut().zip(noisy_ray).for_each(|(list, value)| list.push(value));
     }
 
+    /// Adds the pixels of [`LANES`] columns, where they have a finite point and a ray.
+    fn extend(&mut self, column: usize, point_m: [Lanes; 3], noisy_ray: [Lanes; 2]) {
+        // What is no number or not finite is none in the sum either.
+        let sum = point_m[0] + point_m[1] + point_m[2] + noisy_ray[0] + noisy_ray[1];
+        if sum.each().iter().all(|sum| sum.is_finite()) {
+            self.columns.extend(column..column + LANES);
+            self.points_m.iter_mut().zip(point_m).for_each(|(list, lanes)| list.extend(lanes.each()));
+            self.noisy_rays.iter_mut().zip(noisy_ray).for_each(|(list, lanes)| list.extend(lanes.each()));
+            return;
+        }
+        for lane in (0..LANES).filter(|lane| sum[*lane].is_finite()) {
+            let [x, y, z] = point_m.map(|lanes| lanes[lane]);
+            self.push(column + lane, &Vector3::new(x, y, z), noisy_ray.map(|lanes| lanes[lane]));
+        }
+    }
+
     /// X, Y and Z of the true points, in the frame of the cameras, metres.
     pub fn points_m(&self) -> impl Iterator<Item = [f64; 3]> {
         let [x, y, z] = &self.points_m;
@@ -88,5 +103,21 @@ impl PixelRow {
                 noisy_rays: self.noisy_rays.each_ref().map(lanes),
             }
         })
+    }
+}
+
+/// The points of some pixels.
+struct Unproject<'a> {
+    camera: &'a Camera,
+    ray: [Lanes; 2],
+    z_m: Lanes,
+}
+
+impl Work for Unproject<'_> {
+    type Output = [Lanes; 3];
+
+    #[inline(always)]
+    fn run(self) -> [Lanes; 3] {
+        self.camera.unproject_lanes(self.ray, self.z_m)
     }
 }

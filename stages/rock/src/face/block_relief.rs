@@ -86,17 +86,18 @@ impl BlockRelief {
     /// The rock is what lies below each block's own height over the relief; along each line of view the outermost rock
     /// counts, so risers facing the view lie on the joint planes themselves.
     pub fn raise(&self, lattice: &Lattice, heights: &mut [f64]) {
-        heights.par_chunks_mut(lattice.columns).enumerate().for_each(|(row, line)| {
-            let mut rays = Vec::with_capacity(self.sets.len());
+        let start = || (Vec::with_capacity(self.sets.len()), vec![Draws::default(); self.sets.len()]);
+        heights.par_chunks_mut(lattice.columns).enumerate().for_each_init(start, |(rays, draws), (row, line)| {
             for (column, z) in line.iter_mut().enumerate() {
-                *z = self.top(lattice.x(column), lattice.y(row), *z, &mut rays);
+                *z = self.top(lattice.x(column), lattice.y(row), *z, rays, draws);
             }
         });
     }
 
-    fn top(&self, x: f64, y: f64, relief: f64, rays: &mut Vec<Ray>) -> f64 {
+    fn top(&self, x: f64, y: f64, relief: f64, rays: &mut Vec<Ray>, draws: &mut [Draws]) -> f64 {
+        let sets = self.sets.iter().zip(&mut *draws);
         rays.clear();
-        rays.extend(self.sets.iter().map(|set| set.ray(x, y, relief, self.overhang, self.reach_m)));
+        rays.extend(sets.map(|(set, draws)| set.ray(x, y, relief, self.overhang, self.reach_m, draws)));
         let floor = self.fallen.map_or(relief, |fallen| relief - fallen.depth_m);
         let mut upper = f64::INFINITY;
         loop {
@@ -109,7 +110,7 @@ impl BlockRelief {
             }
             let Some(nearest) = nearest.filter(|_| lower > floor) else { return floor };
             upper = lower;
-            self.sets[nearest].go_on(&mut rays[nearest]);
+            self.sets[nearest].go_on(&mut rays[nearest], &mut draws[nearest]);
         }
     }
 
@@ -135,6 +136,44 @@ struct Ray {
     block: i32,
     step: f64,
     lower: f64,
+}
+
+/// Draws by a pair of numbers that were asked for lately, in places that follow from the numbers: neighbouring lines of view ask for
+/// the same ones.
+#[derive(Debug, Clone)]
+struct Recent<T>(Vec<Option<([i32; 2], T)>>);
+
+/// Places for draws; a power of two.
+const PLACES: u32 = 64;
+
+impl<T: Copy> Default for Recent<T> {
+    fn default() -> Self {
+        Self(vec![None; PLACES as usize])
+    }
+}
+
+impl<T: Copy> Recent<T> {
+    /// The draw of a key, which `draw` makes where it is not at hand.
+    #[inline]
+    fn of(&mut self, key: [i32; 2], draw: impl FnOnce() -> T) -> T {
+        let mixed = (key[0] as u32).wrapping_mul(0x9E37_79B9) ^ (key[1] as u32).wrapping_mul(0x85EB_CA6B);
+        let place = &mut self.0[(mixed >> (32 - PLACES.ilog2())) as usize];
+        match place {
+            Some((own, drawn)) if *own == key => *drawn,
+            _ => place.insert((key, draw())).1,
+        }
+    }
+}
+
+/// The draws of a joint set that were made lately: joints, offsets of the blocks along strike and whether a joint is there by slab
+/// (and patch), steps by slab and block, patches by their place.
+#[derive(Debug, Clone, Default)]
+struct Draws {
+    joints: Recent<f64>,
+    offsets: Recent<f64>,
+    through: Recent<bool>,
+    steps: Recent<f64>,
+    patches: Recent<i32>,
 }
 
 struct Slabs {
@@ -170,38 +209,41 @@ impl Slabs {
     }
 
     /// Begins on the outermost slab the line of view can meet.
-    fn ray(&self, x: f64, y: f64, relief: f64, overhang: f64, reach_m: f64) -> Ray {
+    fn ray(&self, x: f64, y: f64, relief: f64, overhang: f64, reach_m: f64, draws: &mut Draws) -> Ray {
         let place = Vector3::new(x, y - overhang * relief, relief);
         let flat = self.normal.x * x + self.normal.y * y;
-        let patch = if self.set.persistence < 1.0 { self.patch(&place) } else { 0 };
+        let patch = if self.set.persistence < 1.0 { self.patch(&place, draws) } else { 0 };
         let along = self.strike.dot(&place);
         let mut ray = Ray { flat, rate: self.rate, along, patch, slab: 0, block: 0, step: 0.0, lower: 0.0 };
-        self.enter(&mut ray, self.slab_at(flat + self.rate * (relief + reach_m)));
+        let slab = self.slab_at(flat + self.rate * (relief + reach_m), draws);
+        self.enter(&mut ray, slab, draws);
         ray
     }
 
     /// A number for the patch of the joints a place lies in.
-    fn patch(&self, place: &Vector3<f64>) -> i32 {
-        let [u, v] = self.in_plane.map(|direction| direction.dot(place).floor() as i32);
-        self.noise.words(u, v)[2] as i32
+    fn patch(&self, place: &Vector3<f64>, draws: &mut Draws) -> i32 {
+        let at = self.in_plane.map(|direction| direction.dot(place).floor() as i32);
+        draws.patches.of(at, || self.noise.words(at[0], at[1])[2] as i32)
     }
 
-    fn go_on(&self, ray: &mut Ray) {
-        self.enter(ray, ray.slab - 1);
+    fn go_on(&self, ray: &mut Ray, draws: &mut Draws) {
+        self.enter(ray, ray.slab - 1, draws);
     }
 
     /// Enters a slab, or the one below where the joint between them is missing.
-    fn enter(&self, ray: &mut Ray, mut slab: i32) {
+    fn enter(&self, ray: &mut Ray, mut slab: i32, draws: &mut Draws) {
         for _ in 0..MISSING_IN_A_ROW {
-            if self.goes_through(slab, ray.patch) {
+            if draws.through.of([slab, ray.patch], || self.goes_through(slab, ray.patch)) {
                 break;
             }
             slab -= 1;
         }
         ray.slab = slab;
-        ray.block = (ray.along + self.unit(slab, i32::MIN)).floor() as i32;
-        ray.step = self.step(slab, ray.block);
-        ray.lower = if ray.rate < 1e-9 { f64::NEG_INFINITY } else { (self.joint(slab) - ray.flat) / ray.rate };
+        let offset = draws.offsets.of([slab, 0], || self.unit(slab, i32::MIN));
+        ray.block = (ray.along + offset).floor() as i32;
+        ray.step = draws.steps.of([slab, ray.block], || self.step(slab, ray.block));
+        let below = |draws: &mut Draws| (self.joint(slab, draws) - ray.flat) / ray.rate;
+        ray.lower = if ray.rate < 1e-9 { f64::NEG_INFINITY } else { below(draws) };
     }
 
     /// A draw from 0 to 1 for a slab and a block of it.
@@ -215,14 +257,14 @@ impl Slabs {
     }
 
     /// Place of the joint below a slab, in spacings.
-    fn joint(&self, slab: i32) -> f64 {
-        f64::from(slab) + self.set.spread * (2.0 * self.unit(slab, i32::MAX) - 1.0)
+    fn joint(&self, slab: i32, draws: &mut Draws) -> f64 {
+        draws.joints.of([slab, 0], || f64::from(slab) + self.set.spread * (2.0 * self.unit(slab, i32::MAX) - 1.0))
     }
 
     /// The slab a place in spacings lies in.
-    fn slab_at(&self, place: f64) -> i32 {
+    fn slab_at(&self, place: f64, draws: &mut Draws) -> i32 {
         let slab = place.floor() as i32;
-        (slab - 1..=slab + 1).rev().find(|slab| self.joint(*slab) <= place).unwrap_or(slab)
+        (slab - 1..=slab + 1).rev().find(|slab| self.joint(*slab, draws) <= place).unwrap_or(slab)
     }
 
     /// Height of a block over the relief, metres.

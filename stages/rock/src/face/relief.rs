@@ -55,9 +55,7 @@ pub fn fractal_up_to(lattice: &Lattice, longest_m: f64, rms_m: f64, hurst: f64, 
     detrend(lattice, &mut heights);
     let square = heights.iter().fold(0.0, |sum, z| sum + z * z) / heights.len() as f64;
     let scale = if square > 0.0 { rms_m / square.sqrt() } else { 0.0 };
-    for z in &mut heights {
-        *z *= scale;
-    }
+    heights.par_iter_mut().for_each(|z| *z *= scale);
     heights
 }
 
@@ -76,12 +74,16 @@ fn add_octave(lattice: &Lattice, knots_apart: f64, amplitude: f64, octave: i32, 
     let phase = 0.37 * f64::from(octave);
     let at = |index: usize| spline(index as f64 / knots_apart + phase);
     let columns: Vec<(i32, [f64; 4])> = (0..lattice.columns).map(at).collect();
-    let last = columns.last().map_or(0, |c| c.0 + 4);
+    let last = columns.last().map_or(0, |c| c.0 + 4) as usize;
+    // Every row of vertices lies between four rows of knots, and many rows between the same ones.
+    let (first_knot, last_knot) = (at(0).0, at(lattice.rows - 1).0 + 3);
+    let draw = |row: i32| (0..last as i32).map(|column| noise.normal(base + column, row)).collect();
+    let draws: Vec<Vec<f64>> = (first_knot..=last_knot).into_par_iter().map(draw).collect();
     heights.par_chunks_mut(lattice.columns).enumerate().for_each(|(row, line)| {
         let (knot, weights) = at(row);
-        let knots: Vec<f64> = (0..last)
-            .map(|column| (0..4).map(|k| weights[k as usize] * noise.normal(base + column, knot + k)).sum())
-            .collect();
+        let rows = &draws[(knot - first_knot) as usize..][..4];
+        let knots: Vec<f64> =
+            (0..last).map(|column| rows.iter().zip(weights).map(|(row, weight)| weight * row[column]).sum()).collect();
         for (z, (first, w)) in line.iter_mut().zip(&columns) {
             let k = &knots[*first as usize..];
             *z += amplitude * (w[0] * k[0] + w[1] * k[1] + w[2] * k[2] + w[3] * k[3]);
@@ -100,10 +102,10 @@ fn detrend(lattice: &Lattice, heights: &mut [f64]) {
     }
     let slope = |product: f64, square: f64| if square > 0.0 { product / square } else { 0.0 };
     let (mean, slope_x, slope_y) = (sums[0] / n, slope(sums[1], sums[3]), slope(sums[2], sums[4]));
-    for (i, z) in heights.iter_mut().enumerate() {
+    heights.par_iter_mut().enumerate().for_each(|(i, z)| {
         let (x, y) = place(i);
         *z -= mean + slope_x * x + slope_y * y;
-    }
+    });
 }
 
 /// Wears edges off: weighs each height with its neighbours along rows and columns, as often as makes the weights a bell
@@ -129,15 +131,15 @@ pub fn wear(lattice: &Lattice, sigma_m: f64, heights: &mut Vec<f64>) {
 pub fn to_mesh(lattice: &Lattice, heights: &[f64], overhang: f64) -> Mesh {
     let w = lattice.columns;
     let place = |i: usize| [lattice.x(i % w), lattice.y(i / w) - overhang * heights[i], heights[i]];
-    let mut triangles = Vec::with_capacity(2 * (w - 1) * (lattice.rows - 1));
-    for row in 0..lattice.rows - 1 {
-        for a in row * w..row * w + w - 1 {
+    let mut triangles = vec![[0; 3]; 2 * (w - 1) * (lattice.rows - 1)];
+    triangles.par_chunks_mut(2 * (w - 1)).enumerate().for_each(|(row, triangles)| {
+        for (a, square) in (row * w..).zip(triangles.chunks_mut(2)) {
             let (b, c, d) = (a + 1, a + w + 1, a + w);
             let along_ac = (heights[a] - heights[c]).abs() <= (heights[b] - heights[d]).abs();
             let pair = if along_ac { [[a, d, c], [a, c, b]] } else { [[a, d, b], [b, d, c]] };
-            triangles.extend(pair.map(|t| t.map(|i| i as u32)));
+            square.copy_from_slice(&pair.map(|t| t.map(|i| i as u32)));
         }
-    }
+    });
     let vertices = (0..heights.len()).into_par_iter().map(place).collect();
     Mesh { frame: Frame::Wall, vertices, triangles, colours: Vec::new() }
 }

@@ -46,7 +46,7 @@ impl Host for Pretender {
 fn depth(name: &str, x: f64) -> Depth {
     let mesh = height_mesh(20, [-12.0, 12.0, -12.0, 12.0], |x, _| 0.1 * x);
     let (sensor, image) = (small_sensor(), image_at(name, [x, 0.0, 20.0], [0.0; 3]));
-    let drawing = Drawing { downscale: 1, safe_border_px: 0.0, front_only: true };
+    let drawing = Drawing { downscale: 1, safe_border_px: 0.0, front_only: true, window_m: None };
     let buffer = draw(&mesh, &crate::camera::model::Camera::new(&sensor, &image), &drawing);
     let z = buffer.z_m.iter().map(|z| if z.is_finite() { *z as f32 } else { f32::NAN }).collect();
     let (width, height, channels) = (buffer.width, buffer.height, BTreeMap::new());

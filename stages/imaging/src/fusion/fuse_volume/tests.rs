@@ -136,7 +136,8 @@ fn the_underside_of_a_ledge_is_kept() {
     let look = |name: &str, x: f64, y: f64, up: f64| {
         let image = image_at(name, [x, y, 3.0], [-up, 0.0, 0.0]);
         let camera = Camera::new(&sensor(), &image);
-        let buffer = draw(&mesh, &camera, &Drawing { downscale: 1, safe_border_px: 0.0, front_only: false });
+        let buffer =
+            draw(&mesh, &camera, &Drawing { downscale: 1, safe_border_px: 0.0, front_only: false, window_m: None });
         let z = buffer.z_m.iter().map(|z| if z.is_finite() { *z as f32 } else { f32::NAN }).collect();
         let (sensor, width, height) = (sensor(), 240, 200);
         Depth { frame: Frame::Wall, sensor, image, downscale: 1, width, height, z, channels: [].into() }

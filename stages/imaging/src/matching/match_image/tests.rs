@@ -39,7 +39,7 @@ fn block(count: u8, sensor: &Sensor, mesh: &Mesh) -> Block {
 }
 
 fn project(mesh: &Mesh, sensor: &Sensor, image: &Image) -> Depth {
-    let drawing = Drawing { downscale: 1, safe_border_px: 0.0, front_only: true };
+    let drawing = Drawing { downscale: 1, safe_border_px: 0.0, front_only: true, window_m: None };
     let buffer = draw(mesh, &Camera::new(sensor, image), &drawing);
     let z = buffer.z_m.iter().map(|z| if z.is_finite() { *z as f32 } else { f32::NAN }).collect();
     let (width, height) = (buffer.width, buffer.height);

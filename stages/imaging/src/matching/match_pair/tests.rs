@@ -25,7 +25,7 @@ pub(super) fn convergent(sensor: Sensor) -> Cameras {
 }
 
 pub(super) fn scene(cameras: Cameras, mesh: &Mesh, downscale: u32) -> Scene {
-    let drawing = Drawing { downscale, safe_border_px: 0.0, front_only: true };
+    let drawing = Drawing { downscale, safe_border_px: 0.0, front_only: true, window_m: None };
     let project = |image: &Image| {
         let sensor = cameras.sensor(image).clone();
         let buffer = draw(mesh, &Camera::new(&sensor, image), &drawing);

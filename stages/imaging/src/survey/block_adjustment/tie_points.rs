@@ -29,7 +29,8 @@ impl Visibility {
             let camera = Camera::new(cameras.sensor(image), image);
             let side = camera.sensor().width_px.max(camera.sensor().height_px);
             let downscale = side.div_ceil(BUFFER_SIDE).max(1);
-            let buffer = draw(mesh, &camera, &Drawing { downscale, safe_border_px: 0.0, front_only: true });
+            let buffer =
+                draw(mesh, &camera, &Drawing { downscale, safe_border_px: 0.0, front_only: true, window_m: None });
             (camera, buffer, f64::from(downscale))
         };
         Self { views: cameras.images.par_iter().map(view).collect() }
