@@ -16,9 +16,11 @@ use crate::targets::{QUESTION, sealed};
 /// Seeds of run folders and stores.
 pub fn all() -> io::Result<Vec<Seed>> {
     let segment = segment()?;
+    let mut written = Vec::new();
+    manifest().write(&mut written)?;
     let answer = json!({"question": Digest::of(QUESTION), "looks": [], "made": ["/site/runs/1", []], "segments": [], "blobs": [], "answer": {"steps": 3}});
     Ok(vec![
-        seed("manifest", "two-steps", manifest().text()),
+        seed("manifest", "two-steps", written),
         seed("step-log", "every-kind", serde_json::to_vec(&entries())?),
         seed("record", "whole", record_in(&segment).ok_or_else(|| io::Error::other("a segment without a record"))?),
         seed("segment-sealed", "whole", &segment),

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -12,8 +13,8 @@ use serde_json::Value;
 use super::HistoryError;
 use crate::pipeline::Label;
 
-/// What the entry of a step instance mostly takes, bytes.
-const STEP_BYTES: usize = 640;
+/// Bytes that are written at a time.
+const PIECE_BYTES: usize = 64 << 10;
 
 /// The version of manifests this program writes and reads.
 pub const FORMAT: u32 = 1;
@@ -50,7 +51,7 @@ pub struct Manifest {
     /// The parts that steps come from, a use each.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub parts: Vec<PartUsed>,
-    /// What became of each step instance. The last field: see [`Manifest::text`].
+    /// What became of each step instance. The last field: see [`Manifest::write`].
     pub steps: Vec<StepDone>,
 }
 
@@ -213,20 +214,26 @@ impl Manifest {
         self.steps.iter().filter_map(|done| Some((done.label(), done.failure.as_deref()?)))
     }
 
-    /// The text of the file: JSON, with a line for each step instance.
-    pub fn text(mut self) -> String {
+    /// Writes the file: JSON, with a line for each step instance. Of a large run it is never in memory as a whole.
+    ///
+    /// # Errors
+    ///
+    /// Those of `out`.
+    pub fn write(mut self, out: &mut impl Write) -> io::Result<()> {
         let steps = std::mem::take(&mut self.steps);
-        let mut text = serde_json::to_vec_pretty(&self).unwrap_or_default();
+        let mut text = serde_json::to_vec_pretty(&self)?;
         // `steps` is the last field; its list is empty now.
         text.truncate(text.trim_ascii_end().strip_suffix(b"]\n}").map_or(0, <[u8]>::len));
-        text.reserve(steps.len() * STEP_BYTES);
         for (number, done) in steps.iter().enumerate() {
             text.extend_from_slice(if number == 0 { b"\n    " } else { b",\n    " });
-            // Into memory, and of nothing that JSON cannot hold.
-            let _ = serde_json::to_writer(&mut text, done);
+            serde_json::to_writer(&mut text, done)?;
+            if text.len() >= PIECE_BYTES {
+                out.write_all(&text)?;
+                text.clear();
+            }
         }
         text.extend_from_slice(if steps.is_empty() { b"]\n}\n" } else { b"\n  ]\n}\n" });
-        String::from_utf8(text).unwrap_or_default()
+        out.write_all(&text)
     }
 }
 

@@ -192,7 +192,9 @@ impl Plan {
     /// What each input port of an instance reads, once the digests of its inputs are known.
     pub fn inputs(&self, instance: usize, digest: impl Fn(usize, &str) -> Digest) -> BTreeMap<String, RecipeInput> {
         let step = self.step(instance);
-        let inputs = self.instances[instance].inputs.iter().map(|(port, given)| {
+        // One by one: to collect them would sort a list of one or two first.
+        let mut inputs = BTreeMap::new();
+        for (port, given) in &self.instances[instance].inputs {
             let many = step.inputs.iter().any(|(p, feed)| p.name == *port && matches!(feed, Feed::Each { .. }));
             let input = match given.as_slice() {
                 [one] if !many => RecipeInput::One(digest(one.instance, one.port)),
@@ -202,9 +204,9 @@ impl Plan {
                         .collect(),
                 ),
             };
-            ((*port).to_owned(), input)
-        });
-        inputs.collect()
+            inputs.insert((*port).to_owned(), input);
+        }
+        inputs
     }
 
     fn seed(&self, instance: usize) -> SeedMaterial {

@@ -5,12 +5,37 @@ mod scheduler;
 mod spill;
 mod worker;
 
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
 use rockface_cache::{Digest, Outcome, Outputs, Recipe, Store, StoreError};
 use rockface_core::{Look, Registry};
 
+use crate::plan::Plan;
+use crate::watch::Observer;
+
 pub use folder::{Finished, LayOut, Reporter, RunFolder, execute_and_tell, finish, shortcut};
-pub use scheduler::run as execute;
 pub use worker::{rerun, tools};
+
+/// Runs a plan until it is done or stopped; what was done is durable then. The plan grows as items of axes become known; at the end
+/// its instances are in the order they would have if all items had been known from the start.
+///
+/// A stage that does not notice a stop in time continues in its thread until the process ends.
+///
+/// # Errors
+///
+/// Those of the store and the system, and a stop.
+pub fn execute(
+    plan: &mut Plan,
+    store: &Arc<Store>,
+    options: &Options,
+    stop: &Arc<AtomicBool>,
+    observer: &mut dyn Observer,
+) -> Result<Summary, RunError> {
+    let summary = scheduler::run(plan, store, options, stop, observer)?;
+    store.sync()?;
+    Ok(summary)
+}
 
 /// How a plan is run: threads, memory, checks, and whether a failure ends the run.
 #[derive(Debug, Clone)]

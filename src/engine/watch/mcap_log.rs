@@ -26,7 +26,7 @@ pub struct StepNote<'a> {
     pub label: String,
     /// Stage, version, key and outputs.
     pub facts: Facts<'a>,
-    /// What it made, by port.
+    /// What it made, by port, where that is shown.
     pub made: BTreeMap<String, Made>,
     /// Why it failed, if it did.
     pub failure: Option<&'a str>,

@@ -1,7 +1,10 @@
 //! Files of a run folder: written whole or not at all.
 
+use std::io::{self, Write};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
+
+use tempfile::NamedTempFile;
 
 use crate::run::RunError;
 
@@ -12,17 +15,24 @@ pub(super) fn going_on(stop: &AtomicBool) -> Result<(), RunError> {
 
 /// Writes a whole file or none, and makes its content durable.
 pub(super) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), RunError> {
-    let folder = path.parent().unwrap_or(Path::new("."));
+    put(durable(path, |file| file.write_all(bytes))?, path)
+}
+
+/// What is to be the file at `path`, written and made durable beside it; [`put`] gives it its name.
+pub(super) fn durable(
+    path: &Path,
+    write: impl FnOnce(&mut NamedTempFile) -> io::Result<()>,
+) -> Result<NamedTempFile, RunError> {
     let write = || {
-        let mut file = tempfile::NamedTempFile::new_in(folder)?;
-        std::io::Write::write_all(&mut file, bytes)?;
+        let mut file = NamedTempFile::new_in(path.parent().unwrap_or(Path::new(".")))?;
+        write(&mut file)?;
         file.as_file().sync_all().map(|()| file)
     };
-    put(write().map_err(failed(path))?, path)
+    write().map_err(failed(path))
 }
 
 /// Gives a finished file its name.
-pub(super) fn put(file: tempfile::NamedTempFile, path: &Path) -> Result<(), RunError> {
+pub(super) fn put(file: NamedTempFile, path: &Path) -> Result<(), RunError> {
     // Temporary files are private; results are for whoever may read the folder.
     let mode = std::os::unix::fs::PermissionsExt::from_mode(0o644);
     let open = file.as_file().set_permissions(mode);

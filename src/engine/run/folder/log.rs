@@ -105,12 +105,18 @@ impl Telling<'_> {
             let shown = if is_shown { self.shown(result, outcome)? } else { Ok(Vec::new()) };
             let (shown, unshown) = shown.map_or_else(|why| (Vec::new(), why), |shown| (shown, String::new()));
             let said = if levels[instance] == LogLevel::None { &[][..] } else { &self.entries[instance] };
-            log.add(&self.note(instance, result, outcome, unshown), said, &shown).map_err(unwritten)?;
+            let mut note = self.note(instance, result, outcome, unshown);
+            if !shown.is_empty() {
+                note.made = self.made(instance, outcome);
+            }
+            log.add(&note, said, &shown).map_err(unwritten)?;
             self.plottable(instance, said, &mut numbers);
         }
         let pipeline = ("pipeline.yaml", "application/yaml", self.pipeline_text.as_bytes());
         let (out, topics) = log.finish(&[pipeline]).map_err(unwritten)?;
         let file = out.inner.into_inner().map_err(|error| failed(&path)(error.into_error()))?;
+        // While other files are written.
+        file.as_file().sync_all().map_err(failed(&path))?;
         put(file, &path)?;
         let text = serde_json::to_string_pretty(&layout::layout(&topics, &numbers)).unwrap_or_default();
         write_file(&folder.join(LAYOUT_FILE), format!("{text}\n").as_bytes())
@@ -136,21 +142,26 @@ impl Telling<'_> {
         unshown: String,
     ) -> StepNote<'a> {
         let step = self.plan.step(instance);
-        let made = outcome.outputs.iter().map(|(port, output)| {
-            let path = self.paths[instance].get(port.as_str()).map(|path| path.display().to_string());
-            (port.to_string(), Made { digest: output.digest.to_string(), path })
-        });
         let (stage, version) = (step.stage.name(), step.stage.version());
         StepNote {
             step: &step.name,
             point: self.plan.point(instance),
             label: self.plan.label(instance),
             facts: Facts { stage, version, key: result.key, outputs: &outcome.outputs },
-            made: made.collect(),
+            made: BTreeMap::new(),
             failure: result.failure.as_ref().map(|failure| failure.message.as_str()),
             unshown,
             recipe: result.recipe_text(self.store).unwrap_or_else(|| "null".to_owned()),
         }
+    }
+
+    /// The outputs of an instance, for what shows them.
+    fn made(&self, instance: usize, outcome: &Outcome) -> BTreeMap<String, Made> {
+        let made = outcome.outputs.iter().map(|(port, output)| {
+            let path = self.paths[instance].get(port.as_str()).map(|path| path.display().to_string());
+            (port.to_string(), Made { digest: output.digest.to_string(), path })
+        });
+        made.collect()
     }
 
     /// The sketches of an instance, made now from its outputs if none were made when it ran; otherwise why there are none.

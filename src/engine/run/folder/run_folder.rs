@@ -9,8 +9,9 @@ use std::time::SystemTime;
 use rockface_cache::{Digest, SafeName, SafePath, Store};
 use rockface_core::{Entry, Look};
 use serde_json::json;
+use tempfile::NamedTempFile;
 
-use super::files::{failed, going_on, write_file};
+use super::files::{durable, failed, going_on, put, write_file};
 use super::lay_out::{Laid, LayOut, readable_name};
 use super::log::{LOG_FILE, Telling};
 use super::made::{self, Made};
@@ -89,8 +90,8 @@ pub struct Finished {
     pub made: Vec<Made>,
 }
 
-/// Writes the folder of a run. If nothing was executed and the former folder still exists, that folder is used. A stopped run
-/// leaves no folder: its results are in the store, and the next run writes them.
+/// Writes the folder of a run, and makes the results in the store durable. If nothing was executed and the former folder still exists,
+/// that folder is used. A stopped run leaves no folder: its results are in the store, and the next run writes them.
 pub fn finish(
     plan: &Plan,
     summary: &Summary,
@@ -104,6 +105,7 @@ pub fn finish(
         && !summary.failed
         && let Some(former) = former(store, &key, &runs)?
     {
+        store.sync()?;
         point_latest(about.runs, &former.folder)?;
         return Ok(former);
     }
@@ -144,6 +146,13 @@ fn plan_key(plan: &Plan, summary: &Summary, runs: &Path, about: &RunFolder) -> D
     Digest::of(text.as_bytes())
 }
 
+/// What stands in a folder that lacks but its manifest.
+struct Filled {
+    manifest: NamedTempFile,
+    headlines: Vec<String>,
+    laid: Laid,
+}
+
 struct Writer<'a> {
     plan: &'a Plan,
     summary: &'a Summary,
@@ -171,23 +180,30 @@ impl Writer<'_> {
         Ok(finished)
     }
 
+    /// Fills the folder, while the store makes durable what the folder reports.
     fn fill(&self, folder: &Path) -> Result<Finished, RunError> {
+        let (synced, filled) = self.beside(|| phase!("sync", self.store.sync()), || self.fill_in(folder))?;
+        let Filled { manifest, headlines, laid } = filled?;
+        synced?;
+        // A folder with a manifest is whole, after a power cut too.
+        unfinished::sync_all(folder)?;
+        put(manifest, &folder.join(MANIFEST))?;
+        let mut own = vec![MANIFEST, LOG_FILE, PIPELINE, CRATE];
+        own.extend(folder.join(POINTS_FILE).exists().then_some(POINTS_FILE));
+        let made = made::left(folder, &own, &laid)?;
+        let (files, unnamed) = (laid.of_targets(self.plan), laid.unnamed);
+        Ok(Finished { folder: folder.to_owned(), headlines, files, unnamed, made })
+    }
+
+    /// Writes all files of the folder; the manifest has yet to be given its name.
+    fn fill_in(&self, folder: &Path) -> Result<Filled, RunError> {
         phase!("fetch", self.bring())?;
         let lay_out = || self.about.lay_out.lay_out(self.plan, self.summary, self.store, folder, self.stop);
         let laid = phase!("lay out", lay_out())?;
         let logs = self.logs()?;
         let headlines = self.headlines(&logs);
-        self.account(folder, &headlines, &logs, &laid)?;
-        let mut own = vec![MANIFEST, LOG_FILE, PIPELINE, CRATE];
-        own.extend(folder.join(POINTS_FILE).exists().then_some(POINTS_FILE));
-        let made = made::left(folder, &own, &laid)?;
-        Ok(Finished {
-            folder: folder.to_owned(),
-            headlines,
-            files: laid.of_targets(self.plan),
-            unnamed: laid.unnamed,
-            made,
-        })
+        let manifest = self.account(folder, &headlines, &logs, &laid)?;
+        Ok(Filled { manifest, headlines, laid })
     }
 
     /// Fetches what the folder is made of and is in a remote place only, all at once.
@@ -202,11 +218,17 @@ impl Writer<'_> {
     }
 
     /// Writes the log, the page, a description of the folder as a research object for programs that know nothing of rockface,
-    /// and last of all the manifest, without which a folder is no run.
-    fn account(&self, folder: &Path, headlines: &[String], logs: &[Vec<Entry>], laid: &Laid) -> Result<(), RunError> {
+    /// and the manifest, without which a folder is no run: it is durable, and has no name yet.
+    fn account(
+        &self,
+        folder: &Path,
+        headlines: &[String],
+        logs: &[Vec<Entry>],
+        laid: &Laid,
+    ) -> Result<NamedTempFile, RunError> {
         write_file(&folder.join(PIPELINE), self.about.pipeline.text().as_bytes())?;
         let Self { plan, summary, store, about, .. } = self;
-        let told = || -> Result<String, RunError> {
+        let told = || -> Result<NamedTempFile, RunError> {
             let describe = || manifest_writer::manifest(plan, summary, store, about, headlines, logs, laid);
             let manifest = phase!("manifest", describe())?;
             going_on(self.stop)?;
@@ -217,14 +239,10 @@ impl Writer<'_> {
             }
             let described = serde_json::to_string_pretty(&crate_metadata(folder, &manifest)).unwrap_or_default();
             write_file(&folder.join(CRATE), format!("{described}\n").as_bytes())?;
-            Ok(manifest.text())
+            phase!("manifest", durable(&folder.join(MANIFEST), |file| manifest.write(file)))
         };
         let (logged, manifest) = self.beside(|| phase!("log", self.log(folder, logs, laid)), told)?;
-        logged?;
-        // A folder with a manifest is whole, after a power cut too.
-        let manifest = manifest?;
-        unfinished::sync_all(folder)?;
-        write_file(&folder.join(MANIFEST), manifest.as_bytes())
+        logged.and(manifest)
     }
 
     /// Does two things at once, the second in this thread; one after the other if there is to be one job.

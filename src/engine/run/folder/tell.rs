@@ -7,14 +7,14 @@ use std::sync::atomic::AtomicBool;
 use rockface_cache::{Digest, Outcome, Store, StoreError};
 
 use crate::plan::Plan;
-use crate::run::{Finished, Options, RunError, RunFolder, Summary, execute, finish, tools};
+use crate::run::{Finished, Options, RunError, RunFolder, Summary, finish, scheduler, tools};
 use crate::watch::{Event, Observer, Progress};
 
 /// Runs a plan to its end and writes its folder.
 ///
 /// # Errors
 ///
-/// Those of [`execute`] and [`finish`]; a lost blob is one of them only when it was lost twice.
+/// Those of [`crate::run::execute`] and [`finish`]; a lost blob is one of them only when it was lost twice.
 pub fn execute_and_tell(
     plan: &mut Plan,
     store: &Arc<Store>,
@@ -24,7 +24,7 @@ pub fn execute_and_tell(
     about: &RunFolder,
 ) -> Result<(Summary, Finished), RunError> {
     about.prepare()?;
-    let mut summary = execute(plan, store, options, stop, observer)?;
+    let mut summary = scheduler::run(plan, store, options, stop, observer)?;
     let changed = tools::behind(plan, store, summary.keys()).changed;
     changed.into_iter().for_each(|(step, text)| warn(&summary, step, text, observer));
     let mut lost = BTreeSet::new();
@@ -46,7 +46,7 @@ pub fn execute_and_tell(
         }
         // Reported here, with the name of the step.
         drop(store.take_damaged());
-        summary = after(&summary, execute(plan, store, options, stop, observer)?);
+        summary = after(&summary, scheduler::run(plan, store, options, stop, observer)?);
     }
 }
 

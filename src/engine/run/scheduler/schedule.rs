@@ -27,7 +27,8 @@ const GRACE: Duration = Duration::from_millis(700);
 /// Runs a plan until it is done or stopped. The plan grows as items of axes become known; at the end its instances are
 /// in the order they would have if all items had been known from the start.
 ///
-/// A stage that does not notice a stop in time continues in its thread until the process ends.
+/// A stage that does not notice a stop in time continues in its thread until the process ends. What was done is durable within a
+/// second; whoever tells others of it syncs the store first.
 pub fn run(
     plan: &mut Plan,
     store: &Arc<Store>,
@@ -168,7 +169,6 @@ impl<'a> Scheduler<'a> {
         if interrupted {
             return self.abandon(stop, results, RunError::Interrupted);
         }
-        self.store.sync()?;
         if self.grown
             && let Ok(former) = self.plan.order()
         {

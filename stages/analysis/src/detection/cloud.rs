@@ -5,6 +5,7 @@ use std::ops::Range;
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 use rayon::prelude::*;
 
+use rockface_core::numerics::simd::Lanes;
 use rockface_raster::shape::{Moved, Shape};
 
 /// Columns there may be; sides grow beyond.
@@ -20,6 +21,8 @@ pub struct Cloud {
     coordinates: [Vec<f64>; 3],
     /// Where each column starts; one more than there are columns.
     starts: Vec<u32>,
+    /// The least and the greatest Z in each column, metres, rounded outwards.
+    heights: Vec<[f32; 2]>,
     left: f64,
     bottom: f64,
     side: f64,
@@ -43,6 +46,7 @@ impl Cloud {
         let mut cloud = Self {
             coordinates: Default::default(),
             starts: Vec::new(),
+            heights: Vec::new(),
             left: low.x,
             bottom: low.y,
             side,
@@ -67,6 +71,9 @@ impl Cloud {
             *slot += 1;
         }
         self.coordinates = coordinates;
+        let ends = self.starts.par_windows(2).map(|ends| &self.coordinates[2][ends[0] as usize..ends[1] as usize]);
+        let grow = |[low, high]: [f32; 2], z: &f64| [low.min((*z as f32).next_down()), high.max((*z as f32).next_up())];
+        self.heights = ends.map(|column| column.iter().fold([f32::INFINITY, f32::NEG_INFINITY], grow)).collect();
     }
 
     fn column(&self, p: &Vector3<f64>) -> usize {
@@ -96,154 +103,136 @@ impl Cloud {
         self.columns(span, self.bottom, self.high)
     }
 
-    /// The least and greatest Y in a row of columns relative to a point, metres.
+    /// Where a row or column of columns begins and ends, metres from where the first of them begins at `start`.
     #[inline(always)]
-    fn band(&self, row: usize, y: f64) -> [f64; 2] {
-        let low = self.bottom + row as f64 * self.side - y;
+    fn band(&self, place: usize, start: f64) -> [f64; 2] {
+        let low = start + place as f64 * self.side;
         [low - SLACK * self.side, low + self.side * (1.0 + SLACK)]
     }
 
-    /// Places of the points of a row of columns that meet a span of X, metres.
+    /// Places of the points of some columns of a row.
     #[inline(always)]
-    fn places(&self, row: usize, span: [f64; 2]) -> Range<usize> {
-        let columns = self.columns(span, self.left, self.wide);
+    fn places(&self, row: usize, columns: &Range<usize>) -> Range<usize> {
         let [first, end] = [columns.start, columns.end].map(|column| row * self.wide + column);
         if first < end { self.starts[first] as usize..self.starts[end] as usize } else { 0..0 }
+    }
+
+    /// Coordinates of the points of some places.
+    #[inline(always)]
+    fn at(&self, places: &Range<usize>) -> [&[f64]; 3] {
+        let [x, y, z] = &self.coordinates;
+        [&x[places.clone()], &y[places.clone()], &z[places.clone()]]
     }
 
     /// The normal of the plane through the points within a radius, towards positive Z, and how planar they are,
     /// (l2 - l3) / l1 of the eigenvalues of their covariance; `None` for fewer than 3 points.
     #[inline(always)]
-    pub fn normal(&self, centre: &[f64; 3], radius_m: f64, room: &mut Room) -> Option<(Vector3<f64>, f64)> {
+    pub fn normal(&self, centre: &[f64; 3], radius_m: f64) -> Option<(Vector3<f64>, f64)> {
         let square_m2 = radius_m * radius_m;
         let mut sums = Moments::default();
         for row in self.rows([centre[1] - radius_m, centre[1] + radius_m]) {
-            let [low, high] = self.band(row, centre[1]);
+            let [low, high] = self.band(row, self.bottom - centre[1]);
             let off = low.max(-high).max(0.0);
             let half = (square_m2 - off * off).max(0.0).sqrt();
-            let places = self.places(row, [centre[0] - half, centre[0] + half]);
-            let count = places.len();
-            let Lists { x, y, z, inside } = room.of(count);
-            let [px, py, pz] = [0, 1, 2].map(|k| &self.coordinates[k][places.clone()]);
-            for i in 0..count {
-                let (dx, dy, dz) = (px[i] - centre[0], py[i] - centre[1], pz[i] - centre[2]);
-                let one = if dx * dx + dy * dy + dz * dz <= square_m2 { 1.0 } else { 0.0 };
-                (x[i], y[i], z[i], inside[i]) = (one * dx, one * dy, one * dz, one);
+            let columns = self.columns([centre[0] - half, centre[0] + half], self.left, self.wide);
+            let places = self.places(row, &columns);
+            let points = self.at(&places);
+            for first in (0..places.len()).step_by(WIDE) {
+                sums.add(arms(points, first, centre), square_m2);
             }
-            sums.add(x, y, z, inside);
         }
         sums.plane()
     }
 
     /// Number, mean and variance (n - 1) along the axis of the points in a cylinder, relative to its centre.
     #[inline(always)]
-    pub fn along(&self, cylinder: &Cylinder, room: &mut Room, values: &mut Vec<f64>) -> Stack {
+    pub fn along(&self, cylinder: &Cylinder, values: &mut Vec<f64>) -> Stack {
         let Cylinder { centre, axis, radius_m, half_m } = cylinder;
         let square_m2 = radius_m * radius_m;
-        // A point is `t` axes and an arm across from the centre. What the arm reaches in X and Y, a disc of the radius turned:
-        let disc = [
-            radius_m * (1.0 - axis[0] * axis[0]).max(0.0).sqrt(),
-            radius_m * (1.0 - axis[1] * axis[1]).max(0.0).sqrt(),
-        ];
+        // A point is `t` axes and an arm across from the centre. What the arm reaches along X, Y and Z, a disc of the radius turned:
+        let reach = |along: f64| radius_m * (1.0 - along * along).max(0.0).sqrt();
+        let disc = [reach(axis[0]), reach(axis[1]), reach(axis[2]) + SLACK * self.side];
+        // The part of the axis whose discs meet a band of X or Y, within another part.
+        let part = |[low, high]: [f64; 2], along: usize, [from, to]: [f64; 2]| {
+            let at = |x: f64| if axis[along] == 0.0 { x * f64::INFINITY } else { x / axis[along] };
+            let ends = [at(low - disc[along]), at(high + disc[along])];
+            [ends[0].min(ends[1]).max(from), ends[0].max(ends[1]).min(to)]
+        };
         let reach = disc[1] + half_m * axis[1].abs();
         let mut found = 0;
         for row in self.rows([centre[1] - reach, centre[1] + reach]) {
-            let [low, high] = self.band(row, centre[1]);
-            // The part of the axis whose discs meet this row.
-            let at = |y: f64| if axis[1] == 0.0 { y * f64::INFINITY } else { y / axis[1] };
-            let ends = [at(low - disc[1]), at(high + disc[1])];
-            let [from, to] = [ends[0].min(ends[1]).max(-half_m), ends[0].max(ends[1]).min(*half_m)];
+            let [from, to] = part(self.band(row, self.bottom - centre[1]), 1, [-half_m, *half_m]);
             if from > to {
                 continue;
             }
             let (one, other) = (centre[0] + from * axis[0], centre[0] + to * axis[0]);
-            let places = self.places(row, [one.min(other) - disc[0], one.max(other) + disc[0]]);
-            let count = places.len();
-            let Lists { x: along, y: square, .. } = room.of(count);
-            let [px, py, pz] = [0, 1, 2].map(|k| &self.coordinates[k][places.clone()]);
-            for i in 0..count {
-                let (dx, dy, dz) = (px[i] - centre[0], py[i] - centre[1], pz[i] - centre[2]);
+            let mut columns = self.columns([one.min(other) - disc[0], one.max(other) + disc[0]], self.left, self.wide);
+            // Most columns have no point at the height the axis has there.
+            let meets = |column: usize| {
+                let [from, to] = part(self.band(column, self.left - centre[0]), 0, [from, to]);
+                let [one, other] = [centre[2] + from * axis[2], centre[2] + to * axis[2]];
+                let [low, high] = self.heights[row * self.wide + column].map(f64::from);
+                from <= to && one.max(other) + disc[2] >= low && one.min(other) - disc[2] <= high
+            };
+            while columns.start < columns.end && !meets(columns.start) {
+                columns.start += 1;
+            }
+            while columns.start < columns.end && !meets(columns.end - 1) {
+                columns.end -= 1;
+            }
+            let places = self.places(row, &columns);
+            values.resize(values.len().max(found + places.len() + WIDE), 0.0);
+            let points = self.at(&places);
+            for first in (0..places.len()).step_by(WIDE) {
+                let [dx, dy, dz] = arms(points, first, centre);
                 let t = dx * axis[0] + dy * axis[1] + dz * axis[2];
                 let (dx, dy, dz) = (dx - t * axis[0], dy - t * axis[1], dz - t * axis[2]);
-                (along[i], square[i]) = (t, dx * dx + dy * dy + dz * dz);
-            }
-            values.resize(values.len().max(found + count + 1), 0.0);
-            for (t, square) in along.iter().zip(&*square).take(count) {
-                values[found] = *t;
-                found += usize::from(t.abs() < *half_m && *square <= square_m2);
+                let square = dx * dx + dy * dy + dz * dz;
+                for lane in 0..WIDE {
+                    values[found] = t[lane];
+                    found += usize::from(t[lane].abs() < *half_m && square[lane] <= square_m2);
+                }
             }
         }
         Stack::of(&values[..found])
     }
 }
 
-/// Room for one number of each point of a row of columns, rounded up to whole lanes.
-#[derive(Default)]
-pub struct Room {
-    x: Vec<f64>,
-    y: Vec<f64>,
-    z: Vec<f64>,
-    inside: Vec<f64>,
-}
-
-/// Slices of [`Room`].
-struct Lists<'a> {
-    x: &'a mut [f64],
-    y: &'a mut [f64],
-    z: &'a mut [f64],
-    inside: &'a mut [f64],
-}
-
-impl Room {
-    /// Room for so many points; what lies beyond them in the last lanes is not inside.
-    #[inline(always)]
-    fn of(&mut self, count: usize) -> Lists<'_> {
-        let length = count.next_multiple_of(WIDE);
-        if self.x.len() < length {
-            for list in [&mut self.x, &mut self.y, &mut self.z, &mut self.inside] {
-                list.resize(length, 0.0);
-            }
-        }
-        let Self { x, y, z, inside } = self;
-        let [x, y, z, inside] = [&mut x[..length], &mut y[..length], &mut z[..length], &mut inside[..length]];
-        for i in count..length {
-            (x[i], y[i], z[i], inside[i]) = (0.0, 0.0, 0.0, 0.0);
-        }
-        Lists { x, y, z, inside }
-    }
+/// The arms from a centre to several points from one on; NaN beyond the last of them.
+#[inline(always)]
+fn arms([x, y, z]: [&[f64]; 3], first: usize, centre: &[f64; 3]) -> [Lanes<WIDE>; 3] {
+    [
+        Lanes::first_of(&x[first..]) - centre[0],
+        Lanes::first_of(&y[first..]) - centre[1],
+        Lanes::first_of(&z[first..]) - centre[2],
+    ]
 }
 
 /// Number, sums, and sums of products xx, xy, xz, yy, yz, zz of points, by lane.
-#[derive(Default)]
-struct Moments([[f64; WIDE]; 10]);
+struct Moments([Lanes<WIDE>; 10]);
+
+impl Default for Moments {
+    fn default() -> Self {
+        Self([Lanes::all(0.0); 10])
+    }
+}
 
 impl Moments {
-    /// Adds points; of those that are not inside all numbers are 0.
+    /// Adds those of several arms that are within a radius, given by its square.
     #[inline(always)]
-    fn add(&mut self, x: &[f64], y: &[f64], z: &[f64], inside: &[f64]) {
-        let [mut n, mut sx, mut sy, mut sz, mut xx, mut xy, mut xz, mut yy, mut yz, mut zz] = self.0;
-        let points =
-            x.chunks_exact(WIDE).zip(y.chunks_exact(WIDE)).zip(z.chunks_exact(WIDE)).zip(inside.chunks_exact(WIDE));
-        for (((x, y), z), one) in points {
-            for i in 0..WIDE {
-                n[i] += one[i];
-                sx[i] += x[i];
-                sy[i] += y[i];
-                sz[i] += z[i];
-                xx[i] += x[i] * x[i];
-                xy[i] += x[i] * y[i];
-                xz[i] += x[i] * z[i];
-                yy[i] += y[i] * y[i];
-                yz[i] += y[i] * z[i];
-                zz[i] += z[i] * z[i];
-            }
-        }
-        self.0 = [n, sx, sy, sz, xx, xy, xz, yy, yz, zz];
+    fn add(&mut self, [x, y, z]: [Lanes<WIDE>; 3], square_m2: f64) {
+        let square = x * x + y * y + z * z;
+        let inside =
+            |value: Lanes<WIDE>| value.with(square, |value, square| if square <= square_m2 { value } else { 0.0 });
+        let (one, x, y, z) = (inside(Lanes::all(1.0)), inside(x), inside(y), inside(z));
+        let [n, sx, sy, sz, xx, xy, xz, yy, yz, zz] = self.0;
+        self.0 =
+            [n + one, sx + x, sy + y, sz + z, xx + x * x, xy + x * y, xz + x * z, yy + y * y, yz + y * z, zz + z * z];
     }
 
     /// Normal and planarity; `None` for fewer than 3 points.
     fn plane(&self) -> Option<(Vector3<f64>, f64)> {
-        let [n, x, y, z, xx, xy, xz, yy, yz, zz] = self.0.map(|lanes| lanes.iter().sum::<f64>());
+        let [n, x, y, z, xx, xy, xz, yy, yz, zz] = self.0.map(|lanes| lanes.each().iter().sum::<f64>());
         if n < 3.0 {
             return None;
         }
@@ -306,7 +295,7 @@ mod tests {
         let axis = Vector3::new(0.3, -0.2, 0.9).normalize();
         for centre in [Point3::new(0.1, 0.2, 0.0), Point3::new(-2.3, 1.1, 0.1), Point3::new(9.0, 0.0, 0.0)] {
             let cylinder = Cylinder { centre: centre.into(), axis: axis.into(), radius_m: 0.3, half_m: 0.4 };
-            let found = cloud.along(&cylinder, &mut Room::default(), &mut Vec::new());
+            let found = cloud.along(&cylinder, &mut Vec::new());
             let arms = mesh.vertices.iter().map(|v| Vector3::from(*v) - centre.coords);
             let inside = |arm: &Vector3<f64>| {
                 let along = arm.dot(&axis);
@@ -317,9 +306,9 @@ mod tests {
             let mean = expected.iter().sum::<f64>() / expected.len().max(1) as f64;
             assert!((found.mean - mean).abs() < 1e-12);
         }
-        let (normal, planarity) = cloud.normal(&[0.0; 3], 0.5, &mut Room::default()).unwrap();
+        let (normal, planarity) = cloud.normal(&[0.0; 3], 0.5).unwrap();
         assert!((normal - Vector3::new(-0.2, 0.1, 1.0).normalize()).norm() < 1e-9 && planarity > 0.5);
-        assert!(cloud.normal(&[50.0, 0.0, 0.0], 0.5, &mut Room::default()).is_none());
+        assert!(cloud.normal(&[50.0, 0.0, 0.0], 0.5).is_none());
     }
 
     #[test]

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use rockface_core::artefact::Grid;
 use rockface_core::numerics::simd::{Work, vectorised};
 
-use super::cloud::{Cloud, Cylinder, Room, Stack};
+use super::cloud::{Cloud, Cylinder, Stack};
 use super::limit::NORMAL_95;
 
 /// Core points that are one task.
@@ -91,13 +91,13 @@ impl Work for Distances<'_> {
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        let (mut room, mut values) = (Room::default(), Vec::new());
+        let mut values = Vec::new();
         let mut found = Vec::with_capacity(self.cores.len());
         for core in self.cores {
             let mut best: Option<(Vector3<f64>, f64)> = None;
             if let Some(core) = core {
                 for radius_m in &self.scales.normal_radii_m {
-                    let next = self.clouds[0].normal(core, *radius_m, &mut room);
+                    let next = self.clouds[0].normal(core, *radius_m);
                     best = if best.is_none_or(|best| next.is_some_and(|next| next.1 > best.1)) { next } else { best };
                 }
             }
@@ -108,8 +108,8 @@ impl Work for Distances<'_> {
             };
             let Scales { projection_radius_m: radius_m, depth_m: half_m, .. } = *self.scales;
             let cylinder = Cylinder { centre: core, axis: normal, radius_m, half_m };
-            let reference = self.clouds[0].along(&cylinder, &mut room, &mut values);
-            let comparison = self.clouds[1].along(&cylinder, &mut room, &mut values);
+            let reference = self.clouds[0].along(&cylinder, &mut values);
+            let comparison = self.clouds[1].along(&cylinder, &mut values);
             found.push(Some(Distance::of(&cylinder, [reference, comparison], self.scales)));
         }
         found

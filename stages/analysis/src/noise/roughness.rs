@@ -51,7 +51,7 @@ fn residual(values: &[f32], columns: usize, mean: f64, kernel: &[f64], along: &m
         along.filter_columns(kernel, block, |row, sums| {
             let end = (row + 1) * columns;
             let cells = &values[row * columns + block * BLOCK..end.min(row * columns + (block + 1) * BLOCK)];
-            total.add(cells, mean, &sums);
+            total.add(cells, mean, sums);
         });
         total.sums()
     };

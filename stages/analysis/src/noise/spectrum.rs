@@ -4,10 +4,8 @@
 //! P = |F(w z)|^2 / sum w^2. Radial bins are df = 1 / (shorter extent) wide and centred on k df, k = 1 up to the Nyquist
 //! frequency; corners beyond are dropped.
 
-use rayon::prelude::*;
-
 use crate::noise::sector::Sector;
-use rockface_core::numerics::fft::{C64, Fft2};
+use rockface_core::numerics::fft::{AlongRows, C64, Fft2};
 use rockface_core::numerics::linear_fit::{Line, fit_line};
 use rockface_core::numerics::portable_math;
 
@@ -89,32 +87,36 @@ pub fn spectra(values: &[f32], columns: usize, cell: f64, directions_deg: &[f64]
     let (across, down) = (hann(columns), hann(rows));
     let (mean, weight_squares) = weighted_mean(values, &across, &down)?;
     let fft = Fft2::new(columns, rows);
-    let plane = fft.forward_real(rows, |row, cells| {
+    let transformed = fft.along_real_rows(rows, |row, cells| {
         for (column, out) in cells.iter_mut().enumerate() {
             let value = values[row * columns + column];
             *out = if value.is_nan() { 0.0 } else { across[column] * down[row] * (f64::from(value) - mean) };
         }
     });
-    let binned = |sector: Option<Sector>| {
-        let sums = radial_sums(&plane, [columns, rows], sector);
-        Spectrum {
-            frequency: (1..sums.len()).map(|k| k as f64 / (cell * shorter as f64)).collect(),
-            power: sums[1..].iter().map(|[n, p]| p / (n * weight_squares)).collect(),
-            samples: sums[1..].iter().map(|[n, _]| *n).collect(),
-            nyquist_bins: 0.5 * shorter as f64,
-        }
+    let sectors = directions_deg.iter().map(|deg| Some(Sector::about(*deg)));
+    let sectors: Vec<Option<Sector>> = std::iter::once(None).chain(sectors).collect();
+    let spectrum = |sums: Vec<[f64; 2]>| Spectrum {
+        frequency: (1..sums.len()).map(|k| k as f64 / (cell * shorter as f64)).collect(),
+        power: sums[1..].iter().map(|[n, p]| p / (n * weight_squares)).collect(),
+        samples: sums[1..].iter().map(|[n, _]| *n).collect(),
+        nyquist_bins: 0.5 * shorter as f64,
     };
-    Some((binned(None), directions_deg.iter().map(|deg| binned(Some(Sector::about(*deg)))).collect()))
+    let mut spectra = radial_sums(&transformed, [columns, rows], &sectors).into_iter().map(spectrum);
+    Some((spectra.next()?, spectra.collect()))
 }
 
-/// Samples and power by radial bin, from 0, of a half plane column by column.
-fn radial_sums(plane: &[C64], [columns, rows]: [usize; 2], sector: Option<Sector>) -> Vec<[f64; 2]> {
+/// Samples and power by radial bin, from 0, for each of some sectors.
+fn radial_sums(transformed: &AlongRows, [columns, rows]: [usize; 2], sectors: &[Option<Sector>]) -> Vec<Vec<[f64; 2]>> {
     let bins = columns.min(rows) / 2;
-    let of_column = |(kx, line): (usize, &[C64])| column_bins(line, kx, columns, bins, sector);
-    let lines: Vec<Vec<[f64; 2]>> = plane.par_chunks(rows).enumerate().map(of_column).collect();
-    let mut sums = vec![[0.0; 2]; bins + 1];
-    for line in lines {
-        sums.iter_mut().zip(line).for_each(|(sum, add)| *sum = [sum[0] + add[0], sum[1] + add[1]]);
+    let of_column = |kx: usize, line: &[C64]| {
+        let of_sector = |sector: &Option<Sector>| column_bins(line, kx, columns, bins, *sector);
+        sectors.iter().map(of_sector).collect::<Vec<_>>()
+    };
+    let mut sums = vec![vec![[0.0; 2]; bins + 1]; sectors.len()];
+    for column in transformed.map_columns(of_column) {
+        for (sums, add) in sums.iter_mut().zip(column) {
+            sums.iter_mut().zip(add).for_each(|(sum, add)| *sum = [sum[0] + add[0], sum[1] + add[1]]);
+        }
     }
     sums
 }

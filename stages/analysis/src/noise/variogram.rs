@@ -5,7 +5,7 @@
 //! 22), so Matheron's estimator is S / 2N. Lag vectors of length h fall into the bin of the nearest whole number of cells.
 
 use crate::noise::sector::Sector;
-use rockface_core::numerics::fft::{C64, Fft2, fast_size};
+use rockface_core::numerics::fft::{AlongRows, C64, Fft2, fast_size};
 
 /// The empirical variogram, one entry a lag bin that has pairs.
 #[derive(Debug, Clone, PartialEq)]
@@ -44,22 +44,22 @@ fn binned(
     let fft = Fft2::new(fast_size(columns + max_lag), fast_size(rows + max_lag));
     let scaled = |v: f32| if v.is_nan() { None } else { Some((f64::from(v) - mean) / deviation) };
     let line = |row: usize| &values[row * columns..(row + 1) * columns];
-    let mask_and_value = fft.forward(rows, fft.columns, |row, cells| {
+    let mask_and_value = fft.along_rows(rows, |row, cells| {
         for (cell, value) in cells.iter_mut().zip(line(row)) {
             *cell = scaled(*value).map_or(C64::default(), |z| C64::new(1.0, z));
         }
     });
-    let mut squares = fft.forward_real(rows, |row, cells| {
+    let squares = fft.along_real_rows(rows, |row, cells| {
         for (cell, value) in cells.iter_mut().zip(line(row)) {
             *cell = scaled(*value).map_or(0.0, |z| z * z);
         }
     });
-    combine(&fft, &mask_and_value, &mut squares);
-    drop(mask_and_value);
     let norm = 1.0 / (fft.columns as f64 * fft.rows as f64);
-    let sums = fft.inverse_even(squares, max_lag.min(rows - 1) + 1, |dy, lags| {
-        row_bins(lags, dy, [max_lag, columns], norm, takes)
-    });
+    let sums = fft.inverse_even(
+        max_lag.min(rows - 1) + 1,
+        |first, lines| combined(&fft, [&mask_and_value, &squares], first, lines),
+        |dy, lags| row_bins(lags, dy, [max_lag, columns], norm, takes),
+    );
     let mut bins = vec![[0.0; 3]; max_lag + 1];
     for row in sums {
         bins.iter_mut().zip(row).for_each(|(bin, add)| bin.iter_mut().zip(add).for_each(|(b, a)| *b += a));
@@ -67,20 +67,22 @@ fn binned(
     finish(&bins, deviation * deviation)
 }
 
-/// Replaces the spectrum Q of the squares by that of N + i S, where `packed` is the spectrum of mask + i values.
-fn combine(fft: &Fft2, packed: &[C64], squares: &mut [C64]) {
-    use rayon::prelude::*;
+/// Columns of the spectrum of N + i S, from one on, of mask + i values and of the squares.
+fn combined(fft: &Fft2, [packed, squares]: [&AlongRows; 2], first: usize, lines: &mut [C64]) {
     let (columns, rows) = (fft.columns, fft.rows);
-    squares.par_chunks_mut(rows).enumerate().for_each(|(kx, line)| {
-        let opposite = (columns - kx) % columns * rows;
-        for (ky, cell) in line.iter_mut().enumerate() {
-            let here = packed[kx * rows + ky];
-            let there = packed[opposite + (rows - ky) % rows].conj();
+    squares.columns(first.., lines);
+    let [mut here, mut opposite] = [0; 2].map(|_| vec![C64::default(); lines.len()]);
+    packed.columns(first.., &mut here);
+    packed.columns((first..).map(|kx| (columns - kx) % columns), &mut opposite);
+    let packed = here.chunks_exact(rows).zip(opposite.chunks_exact(rows));
+    for (line, (here, opposite)) in lines.chunks_exact_mut(rows).zip(packed) {
+        for (ky, (cell, here)) in line.iter_mut().zip(here).enumerate() {
+            let there = opposite[(rows - ky) % rows].conj();
             let mask = (here + there) * 0.5;
             let value = (here - there) * 0.5;
             *cell = C64::new(mask.norm_sqr(), 2.0 * (*cell * mask.conj()).re - 2.0 * value.norm_sqr());
         }
-    });
+    }
 }
 
 /// Pairs, pairs times lag and squared differences by bin, of all lags with this dy. A pair is counted once: dy > 0, or

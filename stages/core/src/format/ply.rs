@@ -75,6 +75,10 @@ pub(super) trait Source {
     /// Reads the next rows of an element, at least one and at most so many, into one column for each property; returns how many.
     /// A list leaves a zero.
     fn columns(&mut self, element: &Element, most: usize, columns: &mut [Vec<f64>]) -> Result<usize, String>;
+    /// All rows of an element as they lie in the file, where they are little-endian and of one length; otherwise nothing is read.
+    fn rows(&mut self, _element: &Element) -> Option<&[u8]> {
+        None
+    }
     /// The next polygon, where it is a triangle of existing vertices that is read in one go; otherwise nothing is read.
     fn triangle(&mut self, _count: Type, _kind: Type, _vertices: usize) -> Option<[u32; 3]> {
         None
@@ -181,6 +185,14 @@ impl<const LITTLE: bool> Source for Binary<'_, LITTLE> {
             start += property.kind.bytes();
         }
         Ok(most)
+    }
+    fn rows(&mut self, element: &Element) -> Option<&[u8]> {
+        if !LITTLE || element.properties.iter().any(|property| property.count.is_some()) {
+            return None;
+        }
+        let (rows, rest) = self.rest.split_at_checked(element.count.checked_mul(element.least_row().1)?)?;
+        self.rest = rest;
+        Some(rows)
     }
     #[inline]
     fn triangle(&mut self, count: Type, kind: Type, vertices: usize) -> Option<[u32; 3]> {

@@ -82,11 +82,17 @@ impl Bands {
     /// as if the raster went on cyclically.
     pub fn correlation(&self, values: &[f64]) -> Vec<f64> {
         let (columns, rows) = (self.fft.columns, self.fft.rows);
-        let mut power = self.spectrum(values).amplitudes;
-        power.iter_mut().for_each(|value| *value = C64::new(value.norm_sqr(), 0.0));
-        power[0] = C64::default();
+        let row = |row: usize, line: &mut [f64]| line.copy_from_slice(&values[row * columns..(row + 1) * columns]);
+        let transformed = self.fft.along_real_rows(rows, row);
+        let power = |first: usize, lines: &mut [C64]| {
+            transformed.columns(first.., lines);
+            lines.iter_mut().for_each(|value| *value = C64::new(value.norm_sqr(), 0.0));
+            if first == 0 {
+                lines[0] = C64::default();
+            }
+        };
         let lags = (columns.min(rows) / 2).max(1);
-        let lines = self.fft.inverse_even(power, lags, |row, line| {
+        let lines = self.fft.inverse_even(lags, power, |row, line| {
             let along: Vec<f64> =
                 if row == 0 { line[..lags].iter().map(|value| value.re).collect() } else { Vec::new() };
             (line[0].re, along)

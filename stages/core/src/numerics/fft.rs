@@ -55,32 +55,18 @@ impl Fft2 {
         self.columns / 2 + 1
     }
 
-    /// The spectrum of a field that is zero beyond `filled` rows; `fill` writes one of these rows.
-    ///
-    /// Returns the first `wanted` columns of the spectrum, column by column: element `kx * rows + ky`.
-    pub fn forward(&self, filled: usize, wanted: usize, fill: impl Fn(usize, &mut [C64]) + Sync) -> Vec<C64> {
+    /// The rows of a field that is zero beyond `filled` rows, transformed; `fill` writes one of these rows.
+    pub fn along_rows(&self, filled: usize, fill: impl Fn(usize, &mut [C64]) + Sync) -> AlongRows<'_> {
         let mut field = vec![C64::default(); filled * self.columns];
         field.par_chunks_mut(self.columns).enumerate().for_each(|(row, line)| {
             fill(row, line);
             self.along_row[0].process(line);
         });
-        let mut spectrum = vec![C64::default(); wanted * self.rows];
-        spectrum.par_chunks_mut(self.rows * BLOCK).enumerate().for_each(|(block, lines)| {
-            for (row, cells) in field.chunks_exact(self.columns).enumerate() {
-                let count = lines.len() / self.rows;
-                for (j, cell) in cells[block * BLOCK..block * BLOCK + count].iter().enumerate() {
-                    lines[j * self.rows + row] = *cell;
-                }
-            }
-            self.along_column[0].process(lines);
-        });
-        spectrum
+        AlongRows { fft: self, field, filled, in_pairs: false }
     }
 
-    /// The spectrum of a real field that is zero beyond `filled` rows: columns 0 to n / 2, as [`Fft2::forward`].
-    ///
-    /// Two rows go through one transform, as its real and its imaginary part; symmetry parts them again.
-    pub fn forward_real(&self, filled: usize, fill: impl Fn(usize, &mut [f64]) + Sync) -> Vec<C64> {
+    /// The same of a real field. Two rows go through one transform, as its real and its imaginary part; symmetry parts them again.
+    pub fn along_real_rows(&self, filled: usize, fill: impl Fn(usize, &mut [f64]) + Sync) -> AlongRows<'_> {
         let mut field = vec![C64::default(); filled.div_ceil(2) * self.columns];
         field.par_chunks_mut(self.columns).enumerate().for_each(|(pair, line)| {
             let mut rows = vec![0.0; 2 * self.columns];
@@ -92,22 +78,15 @@ impl Fft2 {
             line.iter_mut().zip(even).zip(odd).for_each(|((cell, re), im)| *cell = C64::new(*re, *im));
             self.along_row[0].process(line);
         });
+        AlongRows { fft: self, field, filled, in_pairs: true }
+    }
+
+    /// The spectrum of a real field: columns 0 to n / 2, column by column; element `kx * rows + ky`.
+    pub fn forward_real(&self, filled: usize, fill: impl Fn(usize, &mut [f64]) + Sync) -> Vec<C64> {
+        let rows = self.along_real_rows(filled, fill);
         let mut spectrum = vec![C64::default(); self.half() * self.rows];
         spectrum.par_chunks_mut(self.rows * BLOCK).enumerate().for_each(|(block, lines)| {
-            let count = lines.len() / self.rows;
-            for (pair, cells) in field.chunks_exact(self.columns).enumerate() {
-                for j in 0..count {
-                    let kx = block * BLOCK + j;
-                    let (here, there) = (cells[kx], cells[(self.columns - kx) % self.columns].conj());
-                    let (sum, difference) = (here + there, here - there);
-                    let at = j * self.rows + 2 * pair;
-                    lines[at] = sum * 0.5;
-                    if 2 * pair + 1 < filled {
-                        lines[at + 1] = C64::new(0.5 * difference.im, -0.5 * difference.re);
-                    }
-                }
-            }
-            self.along_column[0].process(lines);
+            rows.columns(block * BLOCK.., lines);
         });
         spectrum
     }
@@ -142,27 +121,86 @@ impl Fft2 {
 
     /// Turns the half spectrum of a field back into its first rows, without the factor 1 / (columns rows).
     ///
-    /// The spectrum must be that of two even real fields a + i b, as of autocorrelations: `spectrum(-k) = spectrum(k)`.
-    /// `take` is handed each of the rows 0 to `wanted - 1` and its results are returned in that order.
+    /// The spectrum must be that of two even real fields a + i b, as of autocorrelations: `spectrum(-k) = spectrum(k)`. `fill` writes
+    /// some of its columns, from one on. `take` is handed each of the rows 0 to `wanted - 1` and its results are returned in that order.
     pub fn inverse_even<T: Send>(
         &self,
-        mut spectrum: Vec<C64>,
         wanted: usize,
+        fill: impl Fn(usize, &mut [C64]) + Sync,
         take: impl Fn(usize, &[C64]) -> T + Sync,
     ) -> Vec<T> {
-        spectrum.par_chunks_mut(self.rows * BLOCK).for_each(|lines| self.along_column[1].process(lines));
-        let row_of = |row: usize| {
-            let mut line = vec![C64::default(); self.columns];
-            let mirrored = (self.rows - row) % self.rows;
-            for (kx, cell) in line.iter_mut().enumerate() {
-                let from =
-                    if kx < self.half() { kx * self.rows + row } else { (self.columns - kx) * self.rows + mirrored };
-                *cell = spectrum[from];
+        // Of each column only these rows are kept, and those that mirror them.
+        let mut kept = vec![C64::default(); self.half() * 2 * wanted];
+        kept.par_chunks_mut(2 * wanted * BLOCK).enumerate().for_each(|(block, kept)| {
+            let mut lines = vec![C64::default(); kept.len() / (2 * wanted) * self.rows];
+            fill(block * BLOCK, &mut lines);
+            self.along_column[1].process(&mut lines);
+            for (kept, line) in kept.chunks_exact_mut(2 * wanted).zip(lines.chunks_exact(self.rows)) {
+                let (first, mirrored) = kept.split_at_mut(wanted);
+                first.copy_from_slice(&line[..wanted]);
+                mirrored.iter_mut().enumerate().for_each(|(row, cell)| *cell = line[(self.rows - row) % self.rows]);
             }
-            self.along_row[1].process(&mut line);
-            take(row, &line)
+        });
+        let rows_of = |block: usize| {
+            let first = block * BLOCK;
+            let count = BLOCK.min(wanted - first);
+            let mut lines = vec![C64::default(); count * self.columns];
+            for kx in 0..self.columns {
+                let (column, part) = if kx < self.half() { (kx, 0) } else { (self.columns - kx, wanted) };
+                let cells = &kept[column * 2 * wanted + part + first..][..count];
+                lines.iter_mut().skip(kx).step_by(self.columns).zip(cells).for_each(|(cell, from)| *cell = *from);
+            }
+            self.along_row[1].process(&mut lines);
+            let rows = lines.chunks_exact(self.columns).enumerate();
+            rows.map(|(row, line)| take(first + row, line)).collect::<Vec<T>>()
         };
-        (0..wanted).into_par_iter().map(row_of).collect()
+        (0..wanted.div_ceil(BLOCK)).into_par_iter().flat_map_iter(rows_of).collect()
+    }
+}
+
+/// A field whose rows are transformed and whose columns are not: the spectrum is made of it column by column.
+pub struct AlongRows<'a> {
+    fft: &'a Fft2,
+    field: Vec<C64>,
+    filled: usize,
+    /// Two real rows are the real and the imaginary part of one.
+    in_pairs: bool,
+}
+
+impl AlongRows<'_> {
+    /// Writes some columns of the spectrum, one after the other, as many as there is room for.
+    pub fn columns(&self, which: impl IntoIterator<Item = usize>, lines: &mut [C64]) {
+        let (columns, rows) = (self.fft.columns, self.fft.rows);
+        let which: Vec<usize> = which.into_iter().take(lines.len() / rows).collect();
+        lines.chunks_exact_mut(rows).for_each(|line| line[self.filled..].fill(C64::default()));
+        for (at, cells) in self.field.chunks_exact(columns).enumerate() {
+            for (line, kx) in lines.chunks_exact_mut(rows).zip(&which) {
+                if !self.in_pairs {
+                    line[at] = cells[*kx];
+                    continue;
+                }
+                let (here, there) = (cells[*kx], cells[(columns - kx) % columns].conj());
+                let (sum, difference) = (here + there, here - there);
+                line[2 * at] = sum * 0.5;
+                if 2 * at + 1 < self.filled {
+                    line[2 * at + 1] = C64::new(0.5 * difference.im, -0.5 * difference.re);
+                }
+            }
+        }
+        self.fft.along_column[0].process(lines);
+    }
+
+    /// What `take` makes of each of the columns 0 to n / 2 of the spectrum, in their order.
+    pub fn map_columns<T: Send>(&self, take: impl Fn(usize, &[C64]) -> T + Sync) -> Vec<T> {
+        let (half, rows) = (self.fft.half(), self.fft.rows);
+        let of_block = |block: usize| {
+            let first = block * BLOCK;
+            let mut lines = vec![C64::default(); BLOCK.min(half - first) * rows];
+            self.columns(first.., &mut lines);
+            let columns = lines.chunks_exact(rows).enumerate();
+            columns.map(|(column, line)| take(first + column, line)).collect::<Vec<T>>()
+        };
+        (0..half.div_ceil(BLOCK)).into_par_iter().flat_map_iter(of_block).collect()
     }
 }
 
@@ -182,7 +220,8 @@ mod tests {
         let fill = |row: usize, line: &mut [C64]| {
             line.iter_mut().enumerate().for_each(|(column, cell)| *cell = C64::new(sample(row, column), 0.0));
         };
-        let spectrum = fft.forward(filled, fft.half(), fill);
+        let mut spectrum = vec![C64::default(); fft.half() * rows];
+        fft.along_rows(filled, fill).columns(0.., &mut spectrum);
         for kx in 0..fft.half() {
             for ky in 0..rows {
                 let mut sum = C64::default();
@@ -202,9 +241,10 @@ mod tests {
     fn real_rows_go_in_pairs() {
         for (columns, rows, filled) in [(6, 5, 3), (7, 4, 4), (1, 3, 1), (8, 6, 0)] {
             let fft = Fft2::new(columns, rows);
-            let one = fft.forward(filled, fft.half(), |row, line| {
+            let whole = fft.along_rows(filled, |row, line| {
                 line.iter_mut().enumerate().for_each(|(column, cell)| *cell = C64::new(sample(row, column), 0.0));
             });
+            let one: Vec<C64> = whole.map_columns(|_, line| line.to_vec()).concat();
             let two = fft.forward_real(filled, |row, line| {
                 line.iter_mut().enumerate().for_each(|(column, cell)| *cell = sample(row, column));
             });
@@ -219,11 +259,12 @@ mod tests {
             let fill = |row: usize, line: &mut [C64]| {
                 line.iter_mut().enumerate().for_each(|(column, cell)| *cell = C64::new(sample(row, column), 0.0));
             };
-            let mut power = fft.forward(rows, fft.half(), fill);
-            for c in &mut power {
-                *c = C64::new(c.norm_sqr(), -2.0 * c.norm_sqr());
-            }
-            let lags = fft.inverse_even(power, rows, |_, line| line.to_vec());
+            let transformed = fft.along_rows(rows, fill);
+            let power = |first: usize, lines: &mut [C64]| {
+                transformed.columns(first.., lines);
+                lines.iter_mut().for_each(|c| *c = C64::new(c.norm_sqr(), -2.0 * c.norm_sqr()));
+            };
+            let lags = fft.inverse_even(rows, power, |_, line| line.to_vec());
             for (dy, line) in lags.iter().enumerate() {
                 for (dx, lag) in line.iter().enumerate() {
                     let pair = |row: usize, column: usize| {

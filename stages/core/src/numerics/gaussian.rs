@@ -3,15 +3,16 @@
 use rayon::prelude::*;
 
 use crate::numerics::portable_math;
-use crate::numerics::simd::{Work, vectorised};
+use crate::numerics::simd::{Lanes, Work, vectorised};
 
 /// Where the filter is cut off, in standard deviations.
 const TRUNCATION: f64 = 4.0;
 
 /// Numbers filtered together, so that their sums stay in registers.
 pub const LANES: usize = 16;
-/// Rows that one thread filters one after the other, so that it writes long pieces of each block.
-const BAND: usize = 16;
+/// Lanes of a wide register, and rows of them whose sums are taken together.
+const PART: usize = 4;
+const TILE: usize = 4;
 
 /// The values under a Gaussian of `scale` cells, gaps without weight; 0 where nothing is in reach.
 pub fn smoothed(values: &[f32], columns: usize, scale: f64) -> Vec<f64> {
@@ -50,7 +51,7 @@ fn filtered<const NUMBERS: usize>(
     along.filter(values, 0.0, kernel);
     let of_block = |place: usize| {
         let mut found = Vec::with_capacity(values.len() / columns * block);
-        along.filter_columns(kernel, place, |_, sums| push(&sums, &mut found));
+        along.filter_columns(kernel, place, |_, sums| push(sums, &mut found));
         found
     };
     let blocks: Vec<Vec<f64>> = (0..columns.div_ceil(block)).into_par_iter().map(of_block).collect();
@@ -132,94 +133,109 @@ impl<const NUMBERS: usize> FilteredRows<NUMBERS> {
 
     /// Filters each row of values, of which `mean` is taken off, with nothing beyond its ends.
     pub fn filter(&mut self, values: &[f32], mean: f64, kernel: &[f64]) {
-        let (columns, reach, block, border) = (self.columns, (kernel.len() - 1) * NUMBERS, self.block(), self.border);
-        let wide = columns.next_multiple_of(Self::BLOCK) * NUMBERS;
+        let (columns, reach, block, border) = (self.columns, kernel.len() - 1, self.block(), self.border);
+        // A band has as many rows as a block has columns: together they have one number a lane.
         let mut bands: Vec<Vec<&mut [f64]>> = Vec::new();
-        bands.resize_with(self.rows.div_ceil(BAND), Vec::new);
+        bands.resize_with(self.rows.div_ceil(Self::BLOCK), Vec::new);
         for numbers in self.numbers.chunks_exact_mut(block) {
-            let pieces = numbers[border..block - border].chunks_mut(BAND * LANES);
+            let pieces = numbers[border..block - border].chunks_mut(Self::BLOCK * LANES);
             bands.iter_mut().zip(pieces).for_each(|(band, piece)| band.push(piece));
         }
-        bands.into_par_iter().zip(values.par_chunks(BAND * columns)).for_each(|(mut band, values)| {
-            let mut padded = vec![0.0; wide + 2 * reach];
-            for (row, line) in values.chunks_exact(columns).enumerate() {
-                for (cell, value) in padded[reach..].chunks_exact_mut(NUMBERS).zip(line) {
-                    let weighted = if value.is_nan() { [0.0; 2] } else { [f64::from(*value) - mean, 1.0] };
-                    cell.copy_from_slice(&weighted[..NUMBERS]);
+        let strip = || vec![Row::default(); columns + 2 * reach];
+        let bands = bands.into_par_iter().zip(values.par_chunks(Self::BLOCK * columns));
+        bands.for_each_init(strip, |strip, (mut band, values)| {
+            for row in 0..Self::BLOCK {
+                let line = values.chunks_exact(columns).nth(row).unwrap_or_default();
+                let lanes = NUMBERS * row..NUMBERS * (row + 1);
+                for (column, cell) in strip[reach..reach + columns].iter_mut().enumerate() {
+                    let value = line.get(column).filter(|value| !value.is_nan());
+                    let weighted = value.map_or([0.0; 2], |value| [f64::from(*value) - mean, 1.0]);
+                    cell.as_flattened_mut()[lanes.clone()].copy_from_slice(&weighted[..NUMBERS]);
                 }
-                vectorised(Row { padded: &padded, stride: NUMBERS, kernel, band: &mut band, place: row });
             }
+            let mut take = |column: usize, sums: &[f64; LANES]| {
+                let cell = NUMBERS * (column % Self::BLOCK);
+                let rows = band[column / Self::BLOCK].chunks_exact_mut(LANES);
+                rows.zip(sums.chunks_exact(NUMBERS))
+                    .for_each(|(row, sums)| row[cell..cell + NUMBERS].copy_from_slice(sums));
+            };
+            vectorised(Strip { strip, kernel, take: &mut take });
         });
     }
 
     /// Filters a block of columns, with nothing beyond their ends, and hands over the numbers of its cells row by row.
-    pub fn filter_columns(&self, kernel: &[f64], block: usize, mut take: impl FnMut(usize, [f64; LANES])) {
+    pub fn filter_columns(&self, kernel: &[f64], block: usize, mut take: impl FnMut(usize, &[f64; LANES])) {
         let numbers = &self.numbers[block * self.block()..][..self.block()];
-        let strip = &numbers[self.border - (kernel.len() - 1) * LANES..];
-        vectorised(Columns { strip, rows: self.rows, kernel, take: &mut take });
+        let beyond = self.border - (kernel.len() - 1) * LANES;
+        let strip = bytemuck::cast_slice(&numbers[beyond..numbers.len() - beyond]);
+        vectorised(Strip { strip, kernel, take: &mut take });
     }
 }
 
-/// A row that is filtered into a band of rows.
-struct Row<'a, 'b> {
-    padded: &'a [f64],
-    /// Numbers of a cell.
-    stride: usize,
-    kernel: &'a [f64],
-    /// The band's piece of each block.
-    band: &'a mut [&'b mut [f64]],
-    /// Which row of the band it is.
-    place: usize,
+/// A row of lanes, by parts that fill a register.
+type Row = [[f64; PART]; LANES / PART];
+
+/// The numbers of a row.
+fn numbers(row: &Row) -> &[f64; LANES] {
+    bytemuck::cast_ref(row)
 }
 
-impl Work for Row<'_, '_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        for (block, numbers) in self.band.iter_mut().enumerate() {
-            let sums = convolve(&self.padded[block * LANES..], self.stride, self.kernel);
-            numbers[self.place * LANES..][..LANES].copy_from_slice(&sums);
-        }
-    }
-}
-
-/// A block of columns that is filtered.
-struct Columns<'a, T> {
-    strip: &'a [f64],
-    rows: usize,
+/// Rows of lanes that are filtered along each lane; those at both ends that the kernel does not fit around are no centres.
+struct Strip<'a, T> {
+    strip: &'a [Row],
     kernel: &'a [f64],
     take: &'a mut T,
 }
 
-impl<T: FnMut(usize, [f64; LANES])> Work for Columns<'_, T> {
+impl<T: FnMut(usize, &[f64; LANES])> Work for Strip<'_, T> {
     type Output = ();
 
     #[inline(always)]
     fn run(self) {
-        for row in 0..self.rows {
-            (self.take)(row, convolve(&self.strip[row * LANES..], LANES, self.kernel));
+        let places = self.strip.len() - 2 * (self.kernel.len() - 1);
+        let whole = places - places % TILE;
+        for place in (0..whole).step_by(TILE) {
+            let sums = convolve::<TILE>(&self.strip[place..], self.kernel);
+            sums.iter().enumerate().for_each(|(row, sums)| (self.take)(place + row, numbers(sums)));
+        }
+        for place in whole..places {
+            (self.take)(place, numbers(&convolve::<1>(&self.strip[place..], self.kernel)[0]));
         }
     }
 }
 
-/// Numbers under the kernel, whose steps are `stride` numbers of the input apart; the first one's centre is
-/// `input[(kernel.len() - 1) * stride]`.
+/// Some rows of lanes under the kernel, whose centre is the row `kernel.len() - 1` for the first of them. Rows under the kernel stay
+/// in registers for as long as one of the sums needs them.
 #[inline(always)]
-fn convolve(input: &[f64], stride: usize, kernel: &[f64]) -> [f64; LANES] {
-    let centre = (kernel.len() - 1) * stride;
-    let mut sums = [0.0; LANES];
-    for (sum, x) in sums.iter_mut().zip(&input[centre..][..LANES]) {
-        *sum = kernel[0] * x;
-    }
-    for (k, weight) in kernel.iter().enumerate().skip(1) {
-        let step = k * stride;
-        let (before, after) = (&input[centre - step..][..LANES], &input[centre + step..][..LANES]);
-        for lane in 0..LANES {
-            sums[lane] += weight * (before[lane] + after[lane]);
+fn convolve<const ROWS: usize>(strip: &[Row], kernel: &[f64]) -> [Row; ROWS] {
+    let centre = kernel.len() - 1;
+    let mut found = [[[0.0; PART]; LANES / PART]; ROWS];
+    for part in 0..LANES / PART {
+        let mut sums = [Lanes::<PART>::NONE; ROWS];
+        let (mut before, mut after) = (sums, sums);
+        for row in 0..ROWS {
+            let centre = Lanes::from(strip[centre + row][part]);
+            (sums[row], before[row], after[row]) = (centre * kernel[0], centre, centre);
+        }
+        let rows = strip[..centre].iter().rev().zip(&strip[centre + ROWS..]);
+        for (weight, (row_before, row_after)) in kernel[1..].iter().zip(rows) {
+            for row in (1..ROWS).rev() {
+                before[row] = before[row - 1];
+            }
+            before[0] = Lanes::from(row_before[part]);
+            for row in 1..ROWS {
+                after[row - 1] = after[row];
+            }
+            after[ROWS - 1] = Lanes::from(row_after[part]);
+            for row in 0..ROWS {
+                sums[row] = sums[row] + (before[row] + after[row]) * *weight;
+            }
+        }
+        for row in 0..ROWS {
+            found[row][part] = sums[row].each();
         }
     }
-    sums
+    found
 }
 
 #[cfg(test)]

@@ -1,6 +1,8 @@
 //! Point clouds as PLY files: our own binary layout, written and read to the bit, and those of other programs.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+
+use bytemuck::cast;
 
 use crate::artefact::{Cloud, CodecError};
 use crate::format::ply::header::{
@@ -19,43 +21,156 @@ const KNOWN: [&str; 9] = ["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue
 /// A list that is not as long as the points, a coordinate that is not finite, a name that no property can have.
 pub fn write(cloud: &Cloud) -> Result<Vec<u8>, CodecError> {
     check(cloud)?;
-    let header = header(cloud);
-    let (normals, colours) = (!cloud.normals.is_empty(), !cloud.colours.is_empty());
-    let row = 24 + 12 * usize::from(normals) + 3 * usize::from(colours) + 4 * cloud.numbers.len();
-    let mut bytes = Vec::with_capacity(header.len() + row * cloud.points.len());
-    bytes.extend_from_slice(header.as_bytes());
-    for (i, point) in cloud.points.iter().enumerate() {
-        point.iter().for_each(|value| bytes.extend_from_slice(&value.to_le_bytes()));
-        if normals {
-            cloud.normals[i].iter().for_each(|value| bytes.extend_from_slice(&value.to_le_bytes()));
-        }
-        if colours {
-            bytes.extend_from_slice(&cloud.colours[i]);
-        }
-        cloud.numbers.values().for_each(|values| bytes.extend_from_slice(&values[i].to_le_bytes()));
+    let layout = Layout {
+        normals: !cloud.normals.is_empty(),
+        colours: !cloud.colours.is_empty(),
+        numbers: cloud.numbers.keys().map(String::as_str).collect(),
+    };
+    let header = header(cloud, &layout);
+    let stride = layout.stride();
+    let mut bytes = vec![0; header.len() + stride * cloud.points.len()];
+    let (head, rows) = bytes.split_at_mut(header.len());
+    head.copy_from_slice(header.as_bytes());
+    for (block, rows) in rows.chunks_mut(stride * ROWS_AT_A_TIME).enumerate() {
+        layout.write(cloud, block * ROWS_AT_A_TIME, rows);
     }
     Ok(bytes)
 }
 
-fn header(cloud: &Cloud) -> String {
+fn header(cloud: &Cloud, layout: &Layout) -> String {
     let mut text = format!(
         "ply\nformat binary_little_endian 1.0\ncomment {CLOUD_COMMENT}{}{UNITS_COMMENT}\n{}element vertex {}\n",
         cloud.frame,
         georeference_line(cloud.frame),
         cloud.points.len()
     );
-    let mut add = |kind: &str, names: &[&str]| {
-        names.iter().for_each(|name| text += &format!("property {kind} {name}\n"));
-    };
-    add("double", &KNOWN[..3]);
-    if !cloud.normals.is_empty() {
-        add("float", &KNOWN[3..6]);
-    }
-    if !cloud.colours.is_empty() {
-        add("uchar", &KNOWN[6..]);
-    }
-    cloud.numbers.keys().for_each(|name| add("uint", &[name]));
+    layout.properties().for_each(|(kind, name)| text += &format!("property {} {name}\n", kind.word()));
     text + "end_header\n"
+}
+
+/// The rows of our own files: which fields they have beside the point. Fields are read and written as they are, in blocks of rows
+/// that stay in the cache of the processor.
+struct Layout<'a> {
+    normals: bool,
+    colours: bool,
+    numbers: Vec<&'a str>,
+}
+
+impl<'a> Layout<'a> {
+    /// That of an element which has the properties of our own files in their order.
+    fn of(element: &'a Element) -> Option<Self> {
+        let numbers = element.properties.iter().map(|property| property.name.as_str());
+        let numbers: Vec<&str> = numbers.filter(|name| !KNOWN.contains(name)).collect();
+        let distinct = numbers.iter().collect::<BTreeSet<_>>().len() == numbers.len();
+        let has = |name: &str| element.scalar(name).is_some();
+        let layout = Self { normals: has(KNOWN[3]), colours: has(KNOWN[6]), numbers };
+        let own = layout.properties().map(|(kind, name)| Property { name: name.to_owned(), count: None, kind });
+        let is_own = own.eq(element.properties.iter().cloned());
+        (is_own && distinct).then_some(layout)
+    }
+
+    fn properties(&self) -> impl Iterator<Item = (Type, &str)> {
+        let known = [
+            (Type::F64, &KNOWN[..3], true),
+            (Type::F32, &KNOWN[3..6], self.normals),
+            (Type::U8, &KNOWN[6..], self.colours),
+        ];
+        let known = known.into_iter().filter(|(_, _, has)| *has);
+        let known = known.flat_map(|(kind, names, _)| names.iter().map(move |name| (kind, *name)));
+        known.chain(self.numbers.iter().map(|name| (Type::U32, *name)))
+    }
+
+    /// Bytes of a row.
+    fn stride(&self) -> usize {
+        self.properties().map(|(kind, _)| kind.bytes()).sum()
+    }
+
+    /// Where normals, colours and the first of the numbers begin in a row.
+    fn starts(&self) -> [usize; 3] {
+        let normals = 3 * Type::F64.bytes();
+        let colours = normals + 3 * Type::F32.bytes() * usize::from(self.normals);
+        [normals, colours, colours + 3 * usize::from(self.colours)]
+    }
+
+    /// Writes the rows from a point on.
+    fn write(&self, cloud: &Cloud, first: usize, rows: &mut [u8]) {
+        let (stride, [normals, colours, numbers]) = (self.stride(), self.starts());
+        let points = first..first + rows.len() / stride;
+        put(rows, stride, 0, &cloud.points[points.clone()], |point: [f64; 3]| {
+            cast::<_, [u8; 24]>(point.map(f64::to_le_bytes))
+        });
+        if self.normals {
+            let bytes = |normal: [f32; 3]| cast::<_, [u8; 12]>(normal.map(f32::to_le_bytes));
+            put(rows, stride, normals, &cloud.normals[points.clone()], bytes);
+        }
+        if self.colours {
+            put(rows, stride, colours, &cloud.colours[points.clone()], |colour: [u8; 3]| colour);
+        }
+        for (place, values) in cloud.numbers.values().enumerate() {
+            put(rows, stride, numbers + Type::U32.bytes() * place, &values[points.clone()], u32::to_le_bytes);
+        }
+    }
+
+    /// Reads all rows of an element.
+    fn read(&self, element: &Element, rows: &[u8], cloud: &mut Cloud) -> Result<(), CodecError> {
+        let (stride, [normals, colours, numbers]) = (self.stride(), self.starts());
+        let room = |has: bool| if has { element.count } else { 0 };
+        cloud.points = limits::list("points", element.count)?;
+        cloud.normals = limits::list("normals", room(self.normals))?;
+        cloud.colours = limits::list("colours", room(self.colours))?;
+        let lists = self.numbers.iter().map(|_| limits::list("numbers", element.count));
+        let mut values: Vec<Vec<u32>> = lists.collect::<Result<_, _>>()?;
+        for rows in rows.chunks(stride * ROWS_AT_A_TIME) {
+            let first = cloud.points.len();
+            let point = |bytes: [u8; 24]| cast::<_, [[u8; 8]; 3]>(bytes).map(f64::from_le_bytes);
+            cloud.points.extend(get(rows, stride, 0).map(point));
+            if let Some(row) = first_not_finite(&cloud.points[first..]) {
+                finite(cloud.points[first + row]).map_err(|e| at(element, first + row, &e))?;
+            }
+            if self.normals {
+                let zero_for_none = |value: f32| if value.is_finite() { value } else { 0.0 };
+                let normal =
+                    |bytes: [u8; 12]| cast::<_, [[u8; 4]; 3]>(bytes).map(f32::from_le_bytes).map(zero_for_none);
+                cloud.normals.extend(get(rows, stride, normals).map(normal));
+            }
+            if self.colours {
+                cloud.colours.extend(get::<3>(rows, stride, colours));
+            }
+            for (place, values) in values.iter_mut().enumerate() {
+                values.extend(get(rows, stride, numbers + Type::U32.bytes() * place).map(u32::from_le_bytes));
+            }
+        }
+        cloud.numbers = self.numbers.iter().map(|name| (*name).to_owned()).zip(values).collect();
+        Ok(())
+    }
+}
+
+/// Writes a field of some rows.
+fn put<T: Copy, const N: usize>(
+    rows: &mut [u8],
+    stride: usize,
+    start: usize,
+    values: &[T],
+    bytes: impl Fn(T) -> [u8; N],
+) {
+    for (row, value) in rows.chunks_exact_mut(stride).zip(values) {
+        row[start..start + N].copy_from_slice(&bytes(*value));
+    }
+}
+
+/// The bytes of a field of some rows.
+fn get<const N: usize>(rows: &[u8], stride: usize, start: usize) -> impl Iterator<Item = [u8; N]> {
+    rows.chunks_exact(stride).map(move |row| std::array::from_fn(|byte| row[start + byte]))
+}
+
+/// The place of the first point or normal that is not finite.
+fn first_not_finite<T: Copy + Into<f64>>(list: &[[T; 3]]) -> Option<usize> {
+    let finite = |value: &T| (*value).into().is_finite();
+    // Without a branch for each value several are looked at together.
+    let all_finite = |block: &[[T; 3]]| block.as_flattened().iter().fold(true, |all, value| all & finite(value));
+    let block = list.chunks(ROWS_AT_A_TIME).position(|block| !all_finite(block))?;
+    let first = block * ROWS_AT_A_TIME;
+    list[first..].iter().position(|values| !values.iter().all(finite)).map(|at| first + at)
 }
 
 fn check(cloud: &Cloud) -> Result<(), CodecError> {
@@ -73,11 +188,10 @@ fn check(cloud: &Cloud) -> Result<(), CodecError> {
             return Err(fault(&format!("{count} points, but {} numbers `{name}`", values.len())));
         }
     }
-    let finite = |values: &[f64]| values.iter().all(|value| value.is_finite());
-    if let Some(at) = cloud.points.iter().position(|point| !finite(point)) {
+    if let Some(at) = first_not_finite(&cloud.points) {
         return Err(fault(&format!("point {at} (counted from 0) is {:?}, which is not finite", cloud.points[at])));
     }
-    if let Some(at) = cloud.normals.iter().position(|normal| !finite(&normal.map(f64::from))) {
+    if let Some(at) = first_not_finite(&cloud.normals) {
         return Err(fault(&format!("normal {at} (counted from 0) is {:?}, which is not finite", cloud.normals[at])));
     }
     Ok(())
@@ -147,6 +261,11 @@ fn roles(element: &Element, names: &mut Vec<String>) -> Result<Vec<Role>, CodecE
 }
 
 fn read_points<S: Source>(element: &Element, source: &mut S, cloud: &mut Cloud) -> Result<(), CodecError> {
+    if let Some(layout) = Layout::of(element)
+        && let Some(rows) = source.rows(element)
+    {
+        return layout.read(element, rows, cloud);
+    }
     let mut names = Vec::new();
     let roles = roles(element, &mut names)?;
     let has = |names: &[&str], kind: Option<Type>| {

@@ -54,6 +54,20 @@ impl Type {
         })
     }
 
+    /// The word for it in a header.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::I8 => "char",
+            Self::U8 => "uchar",
+            Self::I16 => "short",
+            Self::U16 => "ushort",
+            Self::I32 => "int",
+            Self::U32 => "uint",
+            Self::F32 => "float",
+            Self::F64 => "double",
+        }
+    }
+
     /// How many bytes it takes in a binary file.
     pub fn bytes(self) -> usize {
         match self {
