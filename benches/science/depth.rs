@@ -71,8 +71,9 @@ fn rays(cameras: &Cameras) -> Vec<[f32; 6]> {
     let (width, height) = (camera.sensor().width_px as usize, camera.sensor().height_px as usize);
     let mut rays = Vec::with_capacity(width * height);
     for row in 0..height {
-        for ray in RayRow::new(&camera, row, 1).rays(0, width) {
-            let d = camera.direction(ray);
+        let mut of_row = RayRow::new(&camera, row, 1);
+        for column in 0..width {
+            let d = camera.direction(of_row.ray(column).unwrap_or([f64::NAN; 2]));
             rays.push([origin.x, origin.y, origin.z, d.x, d.y, d.z].map(|value| value as f32));
         }
     }

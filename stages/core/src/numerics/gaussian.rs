@@ -159,7 +159,7 @@ impl<const NUMBERS: usize> FilteredRows<NUMBERS> {
                 rows.zip(sums.chunks_exact(NUMBERS))
                     .for_each(|(row, sums)| row[cell..cell + NUMBERS].copy_from_slice(sums));
             };
-            vectorised(Strip { strip, kernel, take: &mut take });
+            vectorised(Strip { rows: strip, kernel, take: &mut take });
         });
     }
 
@@ -168,7 +168,7 @@ impl<const NUMBERS: usize> FilteredRows<NUMBERS> {
         let numbers = &self.numbers[block * self.block()..][..self.block()];
         let beyond = self.border - (kernel.len() - 1) * LANES;
         let strip = bytemuck::cast_slice(&numbers[beyond..numbers.len() - beyond]);
-        vectorised(Strip { strip, kernel, take: &mut take });
+        vectorised(Strip { rows: strip, kernel, take: &mut take });
     }
 }
 
@@ -182,7 +182,7 @@ fn numbers(row: &Row) -> &[f64; LANES] {
 
 /// Rows of lanes that are filtered along each lane; those at both ends that the kernel does not fit around are no centres.
 struct Strip<'a, T> {
-    strip: &'a [Row],
+    rows: &'a [Row],
     kernel: &'a [f64],
     take: &'a mut T,
 }
@@ -192,14 +192,14 @@ impl<T: FnMut(usize, &[f64; LANES])> Work for Strip<'_, T> {
 
     #[inline(always)]
     fn run(self) {
-        let places = self.strip.len() - 2 * (self.kernel.len() - 1);
+        let places = self.rows.len() - 2 * (self.kernel.len() - 1);
         let whole = places - places % TILE;
         for place in (0..whole).step_by(TILE) {
-            let sums = convolve::<TILE>(&self.strip[place..], self.kernel);
+            let sums = convolve::<TILE>(&self.rows[place..], self.kernel);
             sums.iter().enumerate().for_each(|(row, sums)| (self.take)(place + row, numbers(sums)));
         }
         for place in whole..places {
-            (self.take)(place, numbers(&convolve::<1>(&self.strip[place..], self.kernel)[0]));
+            (self.take)(place, numbers(&convolve::<1>(&self.rows[place..], self.kernel)[0]));
         }
     }
 }
