@@ -17,10 +17,7 @@ use crate::watch::Observer;
 pub use folder::{Finished, LayOut, Reporter, RunFolder, execute_and_tell, finish, shortcut};
 pub use worker::{rerun, tools};
 
-/// Runs a plan until it is done or stopped; what was done is durable then. The plan grows as items of axes become known; at the end
-/// its instances are in the order they would have if all items had been known from the start.
-///
-/// A stage that does not notice a stop in time continues in its thread until the process ends.
+/// Runs a plan as the scheduler does; what was done is durable at the end. The plan grows as items of axes become known.
 ///
 /// # Errors
 ///

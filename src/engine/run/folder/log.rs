@@ -105,10 +105,7 @@ impl Telling<'_> {
             let shown = if is_shown { self.shown(result, outcome)? } else { Ok(Vec::new()) };
             let (shown, unshown) = shown.map_or_else(|why| (Vec::new(), why), |shown| (shown, String::new()));
             let said = if levels[instance] == LogLevel::None { &[][..] } else { &self.entries[instance] };
-            let mut note = self.note(instance, result, outcome, unshown);
-            if !shown.is_empty() {
-                note.made = self.made(instance, outcome);
-            }
+            let note = self.note(instance, result, outcome, &shown, unshown);
             log.add(&note, said, &shown).map_err(unwritten)?;
             self.plottable(instance, said, &mut numbers);
         }
@@ -139,29 +136,26 @@ impl Telling<'_> {
         instance: usize,
         result: &'a InstanceResult,
         outcome: &'a Outcome,
+        shown: &[Shown],
         unshown: String,
     ) -> StepNote<'a> {
         let step = self.plan.step(instance);
         let (stage, version) = (step.stage.name(), step.stage.version());
+        let is_shown = |port: &str| shown.iter().any(|shown| shown.port == port);
+        let made = outcome.outputs.iter().filter(|(port, _)| is_shown(port.as_str())).map(|(port, output)| {
+            let path = self.paths[instance].get(port.as_str()).map(|path| path.display().to_string());
+            (port.to_string(), Made { digest: output.digest.to_string(), path })
+        });
         StepNote {
             step: &step.name,
             point: self.plan.point(instance),
             label: self.plan.label(instance),
             facts: Facts { stage, version, key: result.key, outputs: &outcome.outputs },
-            made: BTreeMap::new(),
+            made: made.collect(),
             failure: result.failure.as_ref().map(|failure| failure.message.as_str()),
             unshown,
             recipe: result.recipe_text(self.store).unwrap_or_else(|| "null".to_owned()),
         }
-    }
-
-    /// The outputs of an instance, for what shows them.
-    fn made(&self, instance: usize, outcome: &Outcome) -> BTreeMap<String, Made> {
-        let made = outcome.outputs.iter().map(|(port, output)| {
-            let path = self.paths[instance].get(port.as_str()).map(|path| path.display().to_string());
-            (port.to_string(), Made { digest: output.digest.to_string(), path })
-        });
-        made.collect()
     }
 
     /// The sketches of an instance, made now from its outputs if none were made when it ran; otherwise why there are none.

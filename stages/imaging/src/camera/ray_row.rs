@@ -59,6 +59,13 @@ impl<'a> RayRow<'a> {
         }
     }
 
+    /// The rays of at most [`LANES`] columns from one on, and the points at their depths, metres: the bits of [`Camera::unproject`].
+    /// NaN where a column has no ray, points also where it has no depth.
+    pub fn points(&mut self, first: usize, depths_m: &[f32]) -> ([Lanes; 2], [Lanes; 3]) {
+        let ray = self.block(first);
+        (ray, vectorised(Unproject { camera: self.camera, ray, depths_m }))
+    }
+
     /// The rays of the [`LANES`] columns from one on, NaN where there is none.
     pub fn block(&mut self, first: usize) -> [Lanes; 2] {
         let (start, end) = (first / self.spacing, (first + LANES - 1) / self.spacing);
@@ -121,6 +128,23 @@ impl Work for Stretch<'_> {
         let guess = both([0, 1], |i| wa * a[i] + wb * b[i] + wc * c[i] + wd * d[i]);
         let full = (lane + first + 0.5) * f64::from(row.downscale) - 0.5;
         row.camera.normalised_in_row_lanes(full, row.yd, guess)
+    }
+}
+
+/// The points of some columns.
+struct Unproject<'a> {
+    camera: &'a Camera,
+    ray: [Lanes; 2],
+    depths_m: &'a [f32],
+}
+
+impl Work for Unproject<'_> {
+    type Output = [Lanes; 3];
+
+    #[inline(always)]
+    fn run(self) -> [Lanes; 3] {
+        let z_m = Lanes::of(|lane| self.depths_m.get(lane).map_or(f64::NAN, |depth_m| f64::from(*depth_m)));
+        self.camera.unproject_lanes(self.ray, z_m)
     }
 }
 

@@ -162,13 +162,13 @@ pub fn triangles(mesh: &Mesh, camera: &Camera, drawing: &Drawing, buffer: &Depth
         return numbers;
     }
     let scene = Scene::of(mesh, camera, drawing);
-    numbers.par_chunks_mut(BAND * width).zip(buffer.z_m.par_chunks(BAND * width)).enumerate().for_each(
-        |(band, (numbers, z))| {
-            let mut rays = Rays::default();
-            scene.find_rays(&mut rays, band * BAND, z.len() / width);
+    numbers.par_chunks_mut(BAND * width).zip(buffer.z_m.par_chunks(BAND * width)).enumerate().for_each_init(
+        Rays::default,
+        |rays, (band, (numbers, z))| {
+            scene.find_rays(rays, band * BAND, z.len() / width);
             scene.visit_band(
                 band,
-                &rays,
+                rays,
                 |_| true,
                 |triangle, facet, row, [first, last]| {
                     let [x, y] = rays.row(row);

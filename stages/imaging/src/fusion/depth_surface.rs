@@ -135,30 +135,11 @@ fn is_depth(z: f32) -> bool {
 fn place_row(patch: &Patch, camera: &Camera, origin: &Vector3<f64>, row: usize, points: &mut [[f32; 3]]) {
     let mut rays = RayRow::new(camera, patch.row + row, patch.depth.downscale);
     let blocks = patch.line(row).chunks(LANES).zip(points.chunks_mut(LANES));
-    for ((z, points), column) in blocks.zip((patch.column..).step_by(LANES)) {
-        vectorised(PlaceBlock { camera, origin, z, ray: rays.block(column), points });
-    }
-}
-
-/// Places the points of some pixels of a row; those without a depth or a ray keep what they are.
-struct PlaceBlock<'a> {
-    camera: &'a Camera,
-    origin: &'a Vector3<f64>,
-    z: &'a [f32],
-    ray: [Lanes; 2],
-    points: &'a mut [[f32; 3]],
-}
-
-impl Work for PlaceBlock<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        let z_m = Lanes::of(|lane| self.z.get(lane).map_or(f64::NAN, |z| f64::from(*z)));
-        let [x, y, z] = self.camera.unproject_lanes(self.ray, z_m);
-        let local = [x - self.origin.x, y - self.origin.y, z - self.origin.z].map(Lanes::each);
-        for (lane, (depth, point)) in self.z.iter().zip(self.points).enumerate() {
-            if is_depth(*depth) && !self.ray[0][lane].is_nan() {
+    for ((depths_m, points), column) in blocks.zip((patch.column..).step_by(LANES)) {
+        let (ray, [x, y, z]) = rays.points(column, depths_m);
+        let local = [x - origin.x, y - origin.y, z - origin.z].map(Lanes::each);
+        for (lane, (depth_m, point)) in depths_m.iter().zip(points).enumerate() {
+            if is_depth(*depth_m) && !ray[0][lane].is_nan() {
                 *point = local.map(|axis| axis[lane] as f32);
             }
         }

@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use crate::camera::model::Camera;
 use crate::camera::ray_row::RayRow;
 use rockface_core::artefact::Depth;
-use rockface_core::numerics::simd::{LANES, Lanes, Work, vectorised};
+use rockface_core::numerics::simd::{LANES, Lanes};
 
 /// The pixels of a row that have a depth, from left to right.
 #[derive(Debug, Clone, PartialEq)]
@@ -42,10 +42,8 @@ impl PixelRow {
         let rays = |camera| RayRow::new(camera, row, depth.downscale);
         let (mut true_rays, mut separate) = (rays(camera), (!noisy.has_interior_of(camera)).then(|| rays(noisy)));
         for (values, column) in values.chunks(LANES).zip((0..).step_by(LANES)) {
-            let z_m = Lanes::of(|lane| values.get(lane).map_or(f64::NAN, |z| f64::from(*z)));
-            let true_ray = true_rays.block(column);
+            let (true_ray, point_m) = true_rays.points(column, values);
             let noisy_ray = separate.as_mut().map_or(true_ray, |rays| rays.block(column));
-            let point_m = vectorised(Unproject { camera, ray: true_ray, z_m });
             pixels.extend(column, point_m, noisy_ray);
         }
         pixels
@@ -103,21 +101,5 @@ impl PixelRow {
                 noisy_rays: self.noisy_rays.each_ref().map(lanes),
             }
         })
-    }
-}
-
-/// The points of some pixels.
-struct Unproject<'a> {
-    camera: &'a Camera,
-    ray: [Lanes; 2],
-    z_m: Lanes,
-}
-
-impl Work for Unproject<'_> {
-    type Output = [Lanes; 3];
-
-    #[inline(always)]
-    fn run(self) -> [Lanes; 3] {
-        self.camera.unproject_lanes(self.ray, self.z_m)
     }
 }

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex};
 use serde_json::json;
 
 use super::*;
-use crate::depth::depth_buffer::{Drawing, draw};
+use crate::depth::depth_buffer::{Drawing, draw, rounded};
 use rockface_core::artefact::Artefact;
 use rockface_core::params::ParamType;
 use rockface_core::testing::{height_mesh, image_at, small_sensor};
@@ -48,7 +48,7 @@ fn depth(name: &str, x: f64) -> Depth {
     let (sensor, image) = (small_sensor(), image_at(name, [x, 0.0, 20.0], [0.0; 3]));
     let drawing = Drawing { downscale: 1, safe_border_px: 0.0, front_only: true, window_m: None };
     let buffer = draw(&mesh, &crate::camera::model::Camera::new(&sensor, &image), &drawing);
-    let z = buffer.z_m.iter().map(|z| if z.is_finite() { *z as f32 } else { f32::NAN }).collect();
+    let z = buffer.z_m.iter().map(|z| rounded(*z)).collect();
     let (width, height, channels) = (buffer.width, buffer.height, BTreeMap::new());
     Depth { frame: mesh.frame, sensor, image, downscale: 1, width, height, z, channels }
 }

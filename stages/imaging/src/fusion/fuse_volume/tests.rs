@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::camera::model::Camera;
-use crate::depth::depth_buffer::{Drawing, draw};
+use crate::depth::depth_buffer::{Drawing, draw, rounded};
 use nalgebra::Vector3;
 use rockface_core::Point;
 use rockface_core::artefact::{Artefact, Frame, Image, Mesh, Noun, Raster, Sensor};
@@ -138,7 +138,7 @@ fn the_underside_of_a_ledge_is_kept() {
         let camera = Camera::new(&sensor(), &image);
         let buffer =
             draw(&mesh, &camera, &Drawing { downscale: 1, safe_border_px: 0.0, front_only: false, window_m: None });
-        let z = buffer.z_m.iter().map(|z| if z.is_finite() { *z as f32 } else { f32::NAN }).collect();
+        let z = buffer.z_m.iter().map(|z| rounded(*z)).collect();
         let (sensor, width, height) = (sensor(), 240, 200);
         Depth { frame: Frame::Wall, sensor, image, downscale: 1, width, height, z, channels: [].into() }
     };

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::camera::model::Camera;
-use crate::depth::depth_buffer::{Drawing, draw};
+use crate::depth::depth_buffer::{Drawing, draw, rounded};
 use crate::matching::map_fusion::{Measured, fuse};
 use rockface_core::artefact::{Artefact, Frame, Mesh, Noun, Sensor};
 use rockface_core::params::ParamType;
@@ -41,7 +41,7 @@ fn block(count: u8, sensor: &Sensor, mesh: &Mesh) -> Block {
 fn project(mesh: &Mesh, sensor: &Sensor, image: &Image) -> Depth {
     let drawing = Drawing { downscale: 1, safe_border_px: 0.0, front_only: true, window_m: None };
     let buffer = draw(mesh, &Camera::new(sensor, image), &drawing);
-    let z = buffer.z_m.iter().map(|z| if z.is_finite() { *z as f32 } else { f32::NAN }).collect();
+    let z = buffer.z_m.iter().map(|z| rounded(*z)).collect();
     let (width, height) = (buffer.width, buffer.height);
     let (sensor, image) = (sensor.clone(), image.clone());
     Depth { frame: Frame::Wall, sensor, image, downscale: 1, width, height, z, channels: BTreeMap::new() }

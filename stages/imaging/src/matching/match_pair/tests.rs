@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::camera::model::{Camera, full_pixel};
-use crate::depth::depth_buffer::{Drawing, draw};
+use crate::depth::depth_buffer::{Drawing, draw, rounded};
 use rockface_core::artefact::{Artefact, Frame, Mesh, Noun, Sensor};
 use rockface_core::testing::{TestHost, height_mesh, image_at, run_stage, small_sensor};
 use serde_json::{Value, json};
@@ -29,7 +29,7 @@ pub(super) fn scene(cameras: Cameras, mesh: &Mesh, downscale: u32) -> Scene {
     let project = |image: &Image| {
         let sensor = cameras.sensor(image).clone();
         let buffer = draw(mesh, &Camera::new(&sensor, image), &drawing);
-        let z = buffer.z_m.iter().map(|z| if z.is_finite() { *z as f32 } else { f32::NAN }).collect();
+        let z = buffer.z_m.iter().map(|z| rounded(*z)).collect();
         let (width, height, channels) = (buffer.width, buffer.height, BTreeMap::new());
         let image = image.clone();
         (Depth { frame: Frame::Wall, sensor, image, downscale, width, height, z, channels }, buffer.z_m)
