@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use rockface_core::artefact::Grid;
+use rockface_core::artefact::{Grid, Surface};
 use rockface_core::{StageError, fail};
 
 use super::shape::{Moved, Shape};
@@ -18,11 +18,16 @@ const BANDS_PER_THREAD: usize = 8;
 /// Weight below zero, in units of a triangle's area, at which a cell centre still counts as inside: closes the seam
 /// between two triangles against rounding.
 const SEAM: f64 = -1e-9;
+/// Numbers that are looked at together for an extent: eight points.
+const EXTENT_LANES: usize = 24;
 /// Cells a grid may have.
 pub const MAXIMUM_CELLS: f64 = 1.5e8;
 
 /// Smallest box around the points in X and Y as (left, right, bottom, top), metres; `None` without points.
 pub fn extent(shape: Shape, moved: Option<&Moved>) -> Option<[f64; 4]> {
+    if let (Shape::Surface(surface), None) = (shape, moved) {
+        return extent_of(surface);
+    }
     let empty = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
     let grow = |e: [f64; 4], p: [f64; 3]| [e[0].min(p[0]), e[1].max(p[0]), e[2].min(p[1]), e[3].max(p[1])];
     let join = |a: [f64; 4], b: [f64; 4]| [a[0].min(b[0]), a[1].max(b[1]), a[2].min(b[2]), a[3].max(b[3])];
@@ -30,6 +35,30 @@ pub fn extent(shape: Shape, moved: Option<&Moved>) -> Option<[f64; 4]> {
     let places = (0..shape.places()).into_par_iter().with_min_len(1 << 14);
     let found = places.map(|i| shape.point(i, moved)).fold(|| empty, grow).reduce(|| empty, join);
     (found[0] <= found[1]).then_some(found)
+}
+
+/// The same of a surface: sums with its origin are in the order of what is added to it.
+fn extent_of(surface: &Surface) -> Option<[f64; 4]> {
+    type Ends = ([f32; EXTENT_LANES], [f32; EXTENT_LANES]);
+    let empty = || ([f32::INFINITY; EXTENT_LANES], [f32::NEG_INFINITY; EXTENT_LANES]);
+    // A comparison with NaN is false.
+    let grow = |(mut low, mut high): Ends, values: &[f32]| {
+        for (lane, value) in values.iter().enumerate() {
+            low[lane] = if *value < low[lane] { *value } else { low[lane] };
+            high[lane] = if *value > high[lane] { *value } else { high[lane] };
+        }
+        (low, high)
+    };
+    let join = |a: Ends, b: Ends| grow(grow(a, &b.0), &b.1);
+    let chunk = |points: &[[f32; 3]]| points.as_flattened().chunks(EXTENT_LANES).fold(empty(), grow);
+    let (low, high) = surface.points.par_chunks(1 << 14).map(chunk).reduce(empty, join);
+    let end = |axis: usize, lanes: &[f32], better: fn(f32, f32) -> f32| {
+        let value = lanes.iter().skip(axis).step_by(3).copied().reduce(better);
+        surface.origin_m[axis] + f64::from(value.unwrap_or(f32::NAN))
+    };
+    let [left, bottom] = [0, 1].map(|axis| end(axis, &low, f32::min));
+    let [right, top] = [0, 1].map(|axis| end(axis, &high, f32::max));
+    (left <= right).then_some([left, right, bottom, top])
 }
 
 /// The grid of whole multiples of the cell that covers an extent (left, right, bottom, top), metres.

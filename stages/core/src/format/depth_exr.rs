@@ -5,8 +5,11 @@
 use std::collections::BTreeMap;
 use std::io::Cursor;
 
+use exr::block::lines::LineRefMut;
+use exr::image::write::samples::{SamplesWriter, WritableSamples};
+use exr::math::RoundingMode;
 use exr::meta::MetaData;
-use exr::meta::attribute::{AttributeValue, SampleType, Text};
+use exr::meta::attribute::{AttributeValue, LevelMode, SampleType, Text};
 use exr::meta::header::{Header, ImageAttributes, LayerAttributes};
 use exr::prelude::{
     AnyChannel, AnyChannels, Encoding, FlatSamples, Image as ExrImage, Layer, ReadChannels, ReadLayers, WritableImage,
@@ -62,7 +65,38 @@ pub fn write(depth: &Depth) -> Result<Vec<u8>, CodecError> {
     Ok(bytes.into_inner())
 }
 
-fn channels(depth: &Depth) -> Result<Vec<AnyChannel<FlatSamples>>, CodecError> {
+/// The values of a channel where they are, so that the largest maps are not copied to be written.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Values<'a> {
+    values: &'a [f32],
+    width: usize,
+}
+
+impl<'a> WritableSamples<'_> for Values<'a> {
+    type Writer = Values<'a>;
+
+    fn sample_type(&self) -> SampleType {
+        SampleType::F32
+    }
+
+    fn infer_level_modes(&self) -> (LevelMode, RoundingMode) {
+        (LevelMode::Singular, RoundingMode::Down)
+    }
+
+    fn create_samples_writer(&self, _: &Header) -> Self::Writer {
+        *self
+    }
+}
+
+impl SamplesWriter for Values<'_> {
+    fn extract_line(&self, line: LineRefMut<'_>) {
+        let first = line.location.position.y() * self.width + line.location.position.x();
+        let values = &self.values[first..first + line.location.sample_count];
+        line.write_samples_from_slice(values).expect("room for the line in the memory of its block");
+    }
+}
+
+fn channels(depth: &Depth) -> Result<Vec<AnyChannel<Values<'_>>>, CodecError> {
     let (width, height) = (depth.width, depth.height);
     if width == 0 || height == 0 {
         return Err(CodecError(format!("a depth map of {width} x {height} pixels cannot be kept as OpenEXR")));
@@ -71,7 +105,7 @@ fn channels(depth: &Depth) -> Result<Vec<AnyChannel<FlatSamples>>, CodecError> {
     std::iter::once((DEPTH_CHANNEL, &depth.z)).chain(named).map(|(name, values)| channel(depth, name, values)).collect()
 }
 
-fn channel(depth: &Depth, name: &str, values: &[f32]) -> Result<AnyChannel<FlatSamples>, CodecError> {
+fn channel<'a>(depth: &Depth, name: &str, values: &'a [f32]) -> Result<AnyChannel<Values<'a>>, CodecError> {
     let (width, height, found) = (depth.width, depth.height, values.len());
     if Some(found) != width.checked_mul(height) {
         return Err(CodecError(format!("channel `{name}` has {found} values, {width} x {height} are needed")));
@@ -80,7 +114,7 @@ fn channel(depth: &Depth, name: &str, values: &[f32]) -> Result<AnyChannel<FlatS
     if !usable || (name == DEPTH_CHANNEL && depth.channels.contains_key(name)) {
         return Err(CodecError(format!("`{name}` cannot be the name of a further channel of a depth map")));
     }
-    Ok(AnyChannel::new(text(name)?, FlatSamples::F32(values.to_vec())))
+    Ok(AnyChannel::new(text(name)?, Values { values, width }))
 }
 
 fn text(value: &str) -> Result<Text, CodecError> {

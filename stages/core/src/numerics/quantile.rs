@@ -1,5 +1,7 @@
 //! Empirical quantiles: type 7 of Hyndman and Fan (1996), linear between the order statistics; or the nearest of the values.
 
+use rayon::prelude::*;
+
 /// The quantile of level `q` (0 to 1) of finite values; `None` where there are none.
 pub fn quantile(values: &[f64], q: f64) -> Option<f64> {
     let mut sorted = values.to_vec();
@@ -34,49 +36,78 @@ pub fn median(values: &mut [f64]) -> Option<f64> {
 
 /// The value whose rank is nearest to a share `q` (0 to 1) of the finite values, in linear time; `None` where there are none.
 pub fn nearest_rank(values: impl Iterator<Item = f32> + Clone, q: f64) -> Option<f64> {
-    let finite = values.filter(|value| value.is_finite()).map(f64::from);
-    Some(select(finite, |count| ((count - 1) as f64 * q).round() as usize)?.0)
+    let counts = |half: Half| Counts::of(values.clone(), half);
+    Some(f64::from(select(counts, |count| ((count - 1) as f64 * q).round() as usize)?.0))
 }
 
-/// The greater of the middle values, and how many values there are; `None` where there are none.
-pub fn upper_median(values: impl Iterator<Item = f64> + Clone) -> Option<(f64, usize)> {
-    select(values, |count| count / 2)
+/// The greater of the middle values of the finite ones, and how many these are; `None` where there are none.
+pub fn upper_median(values: &[f32]) -> Option<(f64, usize)> {
+    let counts = |half: Half| {
+        let parts = values.par_chunks(VALUES_AT_A_TIME).map(|values| Counts::of(values.iter().copied(), half));
+        parts.reduce(Counts::none, Counts::and)
+    };
+    let (median, count) = select(counts, |count| count / 2)?;
+    Some((f64::from(median), count))
 }
 
-/// The value of a rank (from 0) that depends on how many there are, and that number; goes through the values three times, each time
-/// by further bits, and copies only those that agree in the first 32.
-fn select(values: impl Iterator<Item = f64> + Clone, rank: impl Fn(usize) -> usize) -> Option<(f64, usize)> {
-    let first = Counts::of(values.clone(), |bits| Some(bits >> 48));
+/// Values that are one task.
+const VALUES_AT_A_TIME: usize = 1 << 21;
+
+/// The value of a rank (from 0) that depends on how many there are, and that number; goes through the values twice, each time by half of their bits.
+fn select(counts: impl Fn(Half) -> Counts, rank: impl Fn(usize) -> usize) -> Option<(f32, usize)> {
+    let first = counts(Half::Upper);
     let count = first.total();
     if count == 0 {
         return None;
     }
     let (upper, rank) = first.find(rank(count))?;
-    let second = Counts::of(values.clone(), |bits| (bits >> 48 == upper).then_some(bits >> 32));
-    let (lower, rank) = second.find(rank)?;
-    let wanted = (upper << 16) | lower;
-    let mut alike: Vec<f64> = Vec::with_capacity(second.0[lower as usize]);
-    alike.extend(values.filter(|value| ordered_bits(*value) >> 32 == wanted));
-    Some((*alike.select_nth_unstable_by(rank, f64::total_cmp).1, count))
+    let (lower, _) = counts(Half::LowerOf(upper)).find(rank)?;
+    Some((of_ordered((upper << 16) | lower), count))
 }
 
 /// Bits in ascending order of the values: negative ones turned round, positive ones above them.
-fn ordered_bits(value: f64) -> u64 {
+fn ordered_bits(value: f32) -> u32 {
     let bits = value.to_bits();
-    if bits >> 63 == 1 { !bits } else { bits | (1 << 63) }
+    if bits >> 31 == 1 { !bits } else { bits | (1 << 31) }
+}
+
+/// The value that has such bits.
+fn of_ordered(bits: u32) -> f32 {
+    f32::from_bits(if bits >> 31 == 1 { bits & !(1 << 31) } else { !bits })
+}
+
+/// Which half of the bits values are counted by.
+#[derive(Debug, Clone, Copy)]
+enum Half {
+    Upper,
+    /// The lower one of those that have this upper one.
+    LowerOf(u32),
 }
 
 /// How many values have each of the numbers of 16 bits.
 struct Counts(Vec<usize>);
 
 impl Counts {
-    /// Counts values by the last 16 bits of what their bits give, where they give something.
-    fn of(values: impl Iterator<Item = f64>, number: impl Fn(u64) -> Option<u64>) -> Self {
-        let mut counts = vec![0; 1 << 16];
-        values
-            .filter_map(|value| number(ordered_bits(value)))
-            .for_each(|number| counts[(number & 0xffff) as usize] += 1);
-        Self(counts)
+    fn none() -> Self {
+        Self(vec![0; 1 << 16])
+    }
+
+    /// Counts the finite values.
+    fn of(values: impl Iterator<Item = f32>, half: Half) -> Self {
+        let mut counts = Self::none();
+        let bits = values.filter(|value| value.is_finite()).map(ordered_bits);
+        match half {
+            Half::Upper => bits.for_each(|bits| counts.0[(bits >> 16) as usize] += 1),
+            Half::LowerOf(upper) => {
+                bits.filter(|bits| bits >> 16 == upper).for_each(|bits| counts.0[(bits & 0xffff) as usize] += 1)
+            }
+        }
+        counts
+    }
+
+    fn and(mut self, other: Self) -> Self {
+        self.0.iter_mut().zip(other.0).for_each(|(count, more)| *count += more);
+        self
     }
 
     fn total(&self) -> usize {
@@ -84,11 +115,11 @@ impl Counts {
     }
 
     /// The number that the value of a rank has, and its rank among those that have the same.
-    fn find(&self, rank: usize) -> Option<(u64, usize)> {
+    fn find(&self, rank: usize) -> Option<(u32, usize)> {
         let mut below = 0;
         for (number, count) in self.0.iter().enumerate() {
             if rank < below + count {
-                return Some((number as u64, rank - below));
+                return Some((number as u32, rank - below));
             }
             below += count;
         }
@@ -139,16 +170,18 @@ mod tests {
         #[test]
         fn counting_finds_what_sorting_finds(values in prop::collection::vec(-3.0f64..3.0, 1..60), scale in -20i32..20, around in prop::sample::select(vec![0.0, 50.0])) {
             let scale = portable_math::exp(f64::from(scale));
-            let values: Vec<f64> = values.iter().map(|value| around + value * scale).collect();
+            let values: Vec<f32> = values.iter().map(|value| (around + value * scale) as f32).collect();
             let mut sorted = values.clone();
-            sorted.sort_by(f64::total_cmp);
-            prop_assert_eq!(upper_median(values.iter().copied()), Some((sorted[sorted.len() / 2], sorted.len())));
+            sorted.sort_by(f32::total_cmp);
+            prop_assert_eq!(upper_median(&values), Some((f64::from(sorted[sorted.len() / 2]), sorted.len())));
+            prop_assert_eq!(nearest_rank(values.iter().copied(), 0.0), Some(f64::from(sorted[0])));
         }
     }
 
     #[test]
     fn no_values_have_no_rank() {
-        assert_eq!(upper_median(std::iter::empty()), None);
+        assert_eq!(upper_median(&[f32::NAN]), None);
+        assert_eq!(upper_median(&[f32::NAN, 2.0, -0.0, 0.0, f32::INFINITY]), Some((0.0, 3)));
         assert_eq!(nearest_rank([f32::NAN, 2.0, 1.0, f32::INFINITY].into_iter(), 1.0), Some(2.0));
     }
 }

@@ -103,8 +103,7 @@ impl Stage for ProjectDepth {
         if params.window_m.is_none() && drawing.window_m.is_some() && sees_nothing(&map) {
             map = drawn(mesh, &camera, &Drawing { window_m: None, ..drawing }, params, (cameras, image));
         }
-        let seen = map.z.iter().filter(|z| z.is_finite()).map(|z| f64::from(*z));
-        let Some((median_m, seen)) = upper_median(seen) else {
+        let Some((median_m, seen)) = upper_median(&map.z) else {
             return Err(nothing_visible(mesh, &camera, &drawing, image));
         };
         context.metric("valid_share", seen as f64 / map.z.len() as f64, "1");
