@@ -42,14 +42,22 @@ fn extent_of(surface: &Surface) -> Option<[f64; 4]> {
     type Ends = ([f32; EXTENT_LANES], [f32; EXTENT_LANES]);
     let empty = || ([f32::INFINITY; EXTENT_LANES], [f32::NEG_INFINITY; EXTENT_LANES]);
     // A comparison with NaN is false.
+    let lower = |lanes: &mut [f32], values: &[f32]| {
+        lanes.iter_mut().zip(values).for_each(|(lane, value)| *lane = if value < lane { *value } else { *lane });
+    };
+    let raise = |lanes: &mut [f32], values: &[f32]| {
+        lanes.iter_mut().zip(values).for_each(|(lane, value)| *lane = if value > lane { *value } else { *lane });
+    };
     let grow = |(mut low, mut high): Ends, values: &[f32]| {
-        for (lane, value) in values.iter().enumerate() {
-            low[lane] = if *value < low[lane] { *value } else { low[lane] };
-            high[lane] = if *value > high[lane] { *value } else { high[lane] };
-        }
+        lower(&mut low, values);
+        raise(&mut high, values);
         (low, high)
     };
-    let join = |a: Ends, b: Ends| grow(grow(a, &b.0), &b.1);
+    let join = |(mut low, mut high): Ends, other: Ends| {
+        lower(&mut low, &other.0);
+        raise(&mut high, &other.1);
+        (low, high)
+    };
     let chunk = |points: &[[f32; 3]]| points.as_flattened().chunks(EXTENT_LANES).fold(empty(), grow);
     let (low, high) = surface.points.par_chunks(1 << 14).map(chunk).reduce(empty, join);
     let end = |axis: usize, lanes: &[f32], better: fn(f32, f32) -> f32| {

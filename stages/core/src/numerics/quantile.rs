@@ -36,7 +36,7 @@ pub fn median(values: &mut [f64]) -> Option<f64> {
 
 /// The value whose rank is nearest to a share `q` (0 to 1) of the finite values, in linear time; `None` where there are none.
 pub fn nearest_rank(values: impl Iterator<Item = f32> + Clone, q: f64) -> Option<f64> {
-    let counts = |half: Half| Counts::of(values.clone(), half);
+    let counts = move |half: Half| Counts::of(values.clone(), half);
     Some(f64::from(select(counts, |count| ((count - 1) as f64 * q).round() as usize)?.0))
 }
 
@@ -99,7 +99,7 @@ impl Counts {
         match half {
             Half::Upper => bits.for_each(|bits| counts.0[(bits >> 16) as usize] += 1),
             Half::LowerOf(upper) => {
-                bits.filter(|bits| bits >> 16 == upper).for_each(|bits| counts.0[(bits & 0xffff) as usize] += 1)
+                bits.filter(|bits| bits >> 16 == upper).for_each(|bits| counts.0[(bits & 0xffff) as usize] += 1);
             }
         }
         counts
