@@ -41,25 +41,18 @@ pub fn extent(shape: Shape, moved: Option<&Moved>) -> Option<[f64; 4]> {
 fn extent_of(surface: &Surface) -> Option<[f64; 4]> {
     type Ends = ([f32; EXTENT_LANES], [f32; EXTENT_LANES]);
     let empty = || ([f32::INFINITY; EXTENT_LANES], [f32::NEG_INFINITY; EXTENT_LANES]);
-    // A comparison with NaN is false.
-    let lower = |lanes: &mut [f32], values: &[f32]| {
-        lanes.iter_mut().zip(values).for_each(|(lane, value)| *lane = if value < lane { *value } else { *lane });
-    };
-    let raise = |lanes: &mut [f32], values: &[f32]| {
-        lanes.iter_mut().zip(values).for_each(|(lane, value)| *lane = if value > lane { *value } else { *lane });
-    };
-    let grow = |(mut low, mut high): Ends, values: &[f32]| {
-        lower(&mut low, values);
-        raise(&mut high, values);
+    let join = |(mut low, mut high): Ends, lows: &[f32], highs: &[f32]| {
+        // A comparison with NaN is false.
+        low.iter_mut().zip(lows).for_each(|(low, value)| *low = if value < low { *value } else { *low });
+        high.iter_mut().zip(highs).for_each(|(high, value)| *high = if value > high { *value } else { *high });
         (low, high)
     };
-    let join = |(mut low, mut high): Ends, other: Ends| {
-        lower(&mut low, &other.0);
-        raise(&mut high, &other.1);
-        (low, high)
+    let of_points = |points: &[[f32; 3]]| {
+        let numbers = points.as_flattened().chunks(EXTENT_LANES);
+        numbers.fold(empty(), |ends, numbers| join(ends, numbers, numbers))
     };
-    let chunk = |points: &[[f32; 3]]| points.as_flattened().chunks(EXTENT_LANES).fold(empty(), grow);
-    let (low, high) = surface.points.par_chunks(1 << 14).map(chunk).reduce(empty, join);
+    let parts = surface.points.par_chunks(1 << 14).map(of_points);
+    let (low, high) = parts.reduce(empty, |ends, other| join(ends, &other.0, &other.1));
     let end = |axis: usize, lanes: &[f32], better: fn(f32, f32) -> f32| {
         let value = lanes.iter().skip(axis).step_by(3).copied().reduce(better);
         surface.origin_m[axis] + f64::from(value.unwrap_or(f32::NAN))

@@ -52,7 +52,7 @@ pub fn join(depth: &Depth, joining: &Joining) -> (Surface, Joined) {
     let camera = Camera::of_depth(depth);
     let patch = Patch::of(depth);
     let origin = rounded_origin(&patch, &camera);
-    // Whose pages all threads ask for: one alone takes as long for it as for placing the points.
+    // Filled by all threads: the first touch of so much memory would take one thread as long as placing the points.
     let mut points: Vec<[f32; 3]> = (0..patch.width * patch.height).into_par_iter().map(|_| [f32::NAN; 3]).collect();
     points.par_chunks_mut(patch.width).enumerate().for_each(|(row, points)| {
         place_row(&patch, &camera, &origin, row, points);
