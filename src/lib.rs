@@ -5,6 +5,7 @@
 
 pub mod cli;
 pub mod drawing;
+pub mod memory;
 pub mod program;
 pub mod report;
 pub mod trace;

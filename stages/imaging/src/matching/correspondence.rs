@@ -4,7 +4,7 @@
 
 use crate::matching::matched::Match;
 use crate::matching::noise::terms::DisparityError;
-use rockface_core::numerics::simd::Lanes;
+use rockface_core::numerics::simd::{LANES, Lanes};
 
 /// Projections of points into the partner image; NaN where a point has none.
 pub struct Projected {
@@ -19,11 +19,12 @@ pub struct Projected {
 }
 
 impl Projected {
-    /// Removes the projection of a point that the partner does not see.
-    #[inline]
-    pub fn remove(&mut self, lane: usize) {
+    /// Removes the projections of points that the partner does not see.
+    #[inline(always)]
+    pub fn keep(&mut self, seen: [bool; LANES]) {
+        let seen: Lanes = Lanes::of(|lane| if seen[lane] { 1.0 } else { 0.0 });
         let Self { ray, pixel, level, .. } = self;
-        ray.iter_mut().chain(pixel).chain(level).for_each(|lanes| lanes.set(lane, f64::NAN));
+        ray.iter_mut().chain(pixel).chain(level).for_each(|lanes| *lanes = lanes.where_positive(seen));
     }
 }
 
@@ -80,11 +81,11 @@ impl Correspondence<f64> {
         }
     }
 
-    /// The match with the paper's noise.
+    /// The match with the paper's noise, of a pixel that has a depth.
     #[inline]
-    pub fn matched(&self) -> Option<Match> {
+    pub fn matched(&self) -> Match {
         let Self { white_px, regular_px, .. } = *self;
-        (!self.depth_m.is_nan()).then_some(Match {
+        Match {
             depth_m: self.depth_m,
             noisy_ray: self.depth_ray,
             ideal_px: self.ideal_px,
@@ -93,6 +94,6 @@ impl Correspondence<f64> {
             disparity_px: self.disparity_px,
             y_parallax_px: self.y_parallax_px,
             depth_per_px_m: self.depth_per_px_m,
-        })
+        }
     }
 }

@@ -93,8 +93,7 @@ impl Scratch {
         let (n, mut tally) = (matchers.len(), ImageTally::new(matchers.len()));
         self.counts.fill(0);
         for (matcher, pair) in matchers.iter().zip(&mut tally.pairs) {
-            matcher.match_row(pixels, |column, matched| {
-                pair.add(matched);
+            *pair = matcher.match_row(pixels, |column, matched| {
                 let count = &mut self.counts[column];
                 let sigma_m = fusion.sigma_px * matched.depth_per_px_m;
                 self.values[column * n + usize::from(*count)] = Measured::new(matched.depth_m, sigma_m);

@@ -83,12 +83,7 @@ impl<'a> Matcher<'a> {
     /// Rows are processed in parallel, each with its element of `rows`. The bits do not depend on the number of threads.
     pub fn match_image<R: Send>(&self, rows: &mut [R], keep: impl Fn(&mut R, usize, &Match) + Sync) -> Tally {
         let match_row = |(row, out): (usize, &mut R)| {
-            let mut tally = Tally::default();
-            self.match_row(&self.pixel_row(row), |column, matched| {
-                tally.add(matched);
-                keep(out, column, matched);
-            });
-            tally
+            self.match_row(&self.pixel_row(row), |column, matched| keep(out, column, matched))
         };
         let tallies: Vec<Tally> = rows.par_iter_mut().enumerate().map(match_row).collect();
         tallies.into_iter().fold(Tally::default(), Tally::plus)
@@ -104,8 +99,8 @@ impl<'a> Matcher<'a> {
     }
 
     /// Matches the pixels of a row, from left to right; `keep` gets the column of each match.
-    pub fn match_row(&self, pixels: &PixelRow, keep: impl FnMut(usize, &Match)) {
-        vectorised(MatchRow { matcher: self, pixels, keep });
+    pub fn match_row(&self, pixels: &PixelRow, keep: impl FnMut(usize, &Match)) -> Tally {
+        vectorised(MatchRow { matcher: self, pixels, keep })
     }
 
     /// The draws of a row. White noise is addressed by pixels of the first image: for a row of that image it is drawn
@@ -276,6 +271,28 @@ impl<'a> Matcher<'a> {
         (if drawn { white } else { local.field.at_lanes(columns, rows) }) * local.sigma_px
     }
 
+    /// [`Matcher::partner_sees`] for each of several points.
+    #[inline(always)]
+    fn partner_sees_lanes(&self, Projected { z_m, level: [u, v], .. }: &Projected) -> [bool; LANES] {
+        let depth = self.geometry.ideal[self.side.other()];
+        // Most points are not behind what is seen at the pixel above left of them, which is looked up for all of them together.
+        let pixel = |position: Lanes| position.map(f64::floor).at_least(Lanes::all(0.0));
+        let (left, top) = (pixel(*u), pixel(*v));
+        let at = top * depth.width as f64 + left;
+        let surface_m: Lanes = Lanes::of(|lane| depth.z.get(at[lane] as usize).map_or(f64::NAN, |z_m| f64::from(*z_m)));
+        let bound_m = self.occlusion_tolerance.map_or(Lanes::NONE, |tolerance| surface_m * (1.0 + tolerance));
+        let (right, bottom) = (depth.width as f64 - 0.5, depth.height as f64 - 0.5);
+        let inside = |lane: usize| u[lane] >= -0.5 && v[lane] >= -0.5 && u[lane] <= right && v[lane] <= bottom;
+        let mut seen = [false; LANES];
+        seen.iter_mut().enumerate().for_each(|(lane, seen)| *seen = inside(lane) && z_m[lane] <= bound_m[lane]);
+        if seen.contains(&false) {
+            for (lane, seen) in seen.iter_mut().enumerate().filter(|(_, seen)| !**seen) {
+                *seen = self.partner_sees([u[lane], v[lane]], z_m[lane]);
+            }
+        }
+        seen
+    }
+
     /// Whether the partner sees a point at depth `z_m` that projects to `level`: the position is inside the image, and
     /// at one of the four nearest pixels the point is not behind the surface.
     #[inline]
@@ -314,40 +331,45 @@ struct MatchRow<'a, K> {
 }
 
 impl<K: FnMut(usize, &Match)> Work for MatchRow<'_, K> {
-    type Output = ();
+    type Output = Tally;
 
     #[inline(always)]
-    fn run(self) {
+    fn run(self) -> Tally {
         let Self { matcher, pixels, mut keep } = self;
-        let mut draws = matcher.row_draws(pixels);
+        let (mut draws, mut tally) = (matcher.row_draws(pixels), Tally::default());
         for block in pixels.blocks() {
             let mut projected = matcher.project(&block);
-            let mut seen = [false; LANES];
-            for (lane, seen) in seen.iter_mut().enumerate() {
-                *seen = matcher.partner_sees(projected.level.map(|level| level[lane]), projected.z_m[lane]);
-                if !*seen {
-                    projected.remove(lane);
+            let seen = matcher.partner_sees_lanes(&projected);
+            if seen.contains(&false) {
+                if !seen.contains(&true) {
+                    continue;
                 }
-            }
-            if !seen.contains(&true) {
-                continue;
+                projected.keep(seen);
             }
             let correspondences = matcher.correspond(pixels.row, &block, &projected, &draws);
             for (lane, column) in block.columns.iter().enumerate().filter(|(lane, _)| seen[*lane]) {
                 let correspondence = Correspondence::of(&correspondences, lane);
-                let matched = match &matcher.noise {
-                    NoiseModel::Paper { .. } | NoiseModel::Learnt(_) => correspondence.matched(),
+                let mut take = |matched: Match| {
+                    tally.add(&matched);
+                    keep(*column, &matched);
+                };
+                // Each kind of noise hands on its match by itself: one that both put somewhere first would have to be read back from there.
+                match &matcher.noise {
+                    NoiseModel::Paper { .. } | NoiseModel::Learnt(_) if correspondence.depth_m.is_nan() => {}
+                    NoiseModel::Paper { .. } | NoiseModel::Learnt(_) => take(correspondence.matched()),
                     NoiseModel::Terms(terms) => {
                         let point_m = [block.points_m[0][lane], block.points_m[1][lane]];
                         let pixel = [*column, pixels.row];
-                        matcher.match_with_terms(terms, &mut draws.terms, pixel, point_m, &correspondence)
+                        let matched =
+                            matcher.match_with_terms(terms, &mut draws.terms, pixel, point_m, &correspondence);
+                        if let Some(matched) = matched {
+                            take(matched);
+                        }
                     }
-                };
-                if let Some(matched) = matched {
-                    keep(*column, &matched);
                 }
             }
         }
+        tally
     }
 }
 
