@@ -8,10 +8,10 @@ use libmimalloc_sys::{mi_option_get, mi_option_set_default, mi_option_t};
 const PURGE_DELAY: mi_option_t = 15;
 /// Its value where nobody has set it.
 const USUAL_DELAY_MS: c_long = 10;
-/// Ten times this for large buffers, mimalloc's factor: as long as a heavy stage takes until the next one asks for the same memory.
-const DELAY_MS: c_long = 500;
+/// For large buffers mimalloc waits ten times as long: longer than a heavy stage takes until the next one asks for the same memory.
+const DELAY_MS: c_long = 3000;
 
-/// Makes mimalloc keep freed memory for some seconds, so that the large buffers of successive stages reuse it: the first touch of a gigabyte that is
+/// Makes mimalloc keep freed memory for half a minute, so that the large buffers of successive stages reuse it: the first touch of a gigabyte that is
 /// new from the system costs a large part of a second. `MIMALLOC_PURGE_DELAY` in the environment has precedence.
 pub fn keep_freed_for_a_while() {
     if option(PURGE_DELAY) == USUAL_DELAY_MS {

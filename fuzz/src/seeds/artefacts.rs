@@ -104,6 +104,7 @@ fn noise() -> Noise {
         gap_gain: 0.8,
         skewness_gain: 1.7,
         members: vec![member("a", false), member("b", true)],
+        orders: [vec![0], vec![0]],
         strength: vec![0.3; 6],
         elevation: vec![0.0, 1.0, f32::NAN, 0.5, 0.5, 0.5],
         fields: vec![vec![0.5, -0.5, 1.0, 0.0, 0.25, -1.0]; 2],

@@ -4,7 +4,7 @@ use crate::noise::learning::differences::{check, check_model};
 use rockface_core::artefact::{Band, Cameras, Kind, Noise, Pairs, Raster};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 use rockface_imaging::matching::elevation_step::elevation_step_m;
-use rockface_imaging::matching::noise::ensemble::draw;
+use rockface_imaging::matching::noise::ensemble::{Numbers, draw};
 
 params! {
     /// Parameters of `draw-noise`.
@@ -48,7 +48,8 @@ impl Stage for DrawNoise {
         check(&[dem], dem, block)?;
         check_model(noise, dem)?;
         let step_m = elevation_step_m(dem, block, pairs)?;
-        let drawn = draw(noise, params.acquisition, &|purpose: &str, item: &str| context.stream(purpose, item));
+        let numbers = Numbers { acquisition: params.acquisition, replicate: None };
+        let drawn = draw(noise, numbers, &|purpose: &str, item: &str| context.stream(purpose, item));
         let errors_px = drawn.errors_px(noise, &noise.strength);
         let elevations = &dem.bands[0].values;
         let values = elevations.iter().zip(errors_px).zip(step_m).map(|((z, px), step)| z + px * step).collect();

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 
+use rand::seq::SliceRandom;
 use rayon::prelude::*;
 
 use crate::noise::detrend::{asymmetry, plane};
@@ -57,7 +58,7 @@ params! {
         jitter: f64 = 0.2; Range::NonNegative,
         /// Differences drawn from the model to find how much of the variety of the rasters is chance of single fields, which every draw has
         /// anew, and by how much the mean of the draws is off; 0: none of it.
-        draws: usize = 32; Range::Between(0.0, 1000.0),
+        draws: usize = 64; Range::Between(0.0, 1000.0),
         /// Larger differences were filtered out of the rasters, metres; left out: none were.
         outlier_m: Option<f64> = None; Range::Positive,
         /// Half width of the window in which the deviation of elevations is the relief, cells.
@@ -75,7 +76,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 18;
+    const VERSION: u32 = 19;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -131,7 +132,10 @@ impl Stage for LearnNoise {
         let sources: Vec<Source> = all[..kept].iter().zip(skewnesses(&disparities)).map(source).collect();
         let limit_px =
             |cell: usize| params.outlier_m.map_or(f64::INFINITY, |limit| limit / f64::from(step_m[cell].abs()));
-        let learnt = Learnt::new(params, &disparities, dem, limit_px);
+        let mut learnt = Learnt::new(params, &disparities, dem, limit_px);
+        if Self::draws(params) {
+            learnt.shuffle_orders(context);
+        }
         context.check_cancelled()?;
         let noise = learnt.varied(params, sources, &disparities, dem, &step_m, context);
         report(&noise, &learnt, &step_m, context);
@@ -165,6 +169,8 @@ struct Learnt {
     bad: Vec<bool>,
     relief: ReliefLaw,
     fields: bool,
+    /// Orders in which replicates take the usual rasters.
+    orders: [Vec<usize>; 2],
     /// Range of the correlation of the noise, cells.
     range_cells: usize,
 }
@@ -185,7 +191,16 @@ impl Learnt {
         }
         let range_cells = range_cells(&usual(&whitened, &bad), columns);
         whitened.iter_mut().for_each(|whitened| restore_outliers(whitened, &places, &limit_px));
-        Self { columns, places, whitened, bad, relief, fields, range_cells }
+        let first: Vec<usize> = (0..bad.len()).filter(|i| !bad[*i]).collect();
+        let mut second = first.clone();
+        second.rotate_left(first.len() / 2);
+        Self { columns, places, whitened, bad, relief, fields, orders: [first, second], range_cells }
+    }
+
+    fn shuffle_orders(&mut self, context: &Context) {
+        for (order, survey) in self.orders.iter_mut().zip(["first", "second"]) {
+            order.shuffle(&mut context.stream("noise-order", survey).generator());
+        }
     }
 
     /// The model, whose draws vary as the rasters do and have their mean figures.
@@ -321,6 +336,7 @@ impl Learnt {
             gap_gain: Gains::default().gaps,
             skewness_gain: Gains::default().skewness,
             members,
+            orders: self.orders.clone(),
             strength: self.places.strength.clone(),
             elevation: dem.bands[0].values.clone(),
             fields,
@@ -410,9 +426,10 @@ impl Correction {
         let drawn: Vec<&Whitened> = drawn.iter().collect();
         let excess = excess(real, &drawn);
         self.excess.iter_mut().zip(excess).for_each(|(all, more)| *all += more);
+        let wider = of_another(real.len());
         let lacking = |of: fn(&Whitened) -> &[f64]| -> Vec<f64> {
-            let one = |(real, drawn): (f64, f64)| if real > 0.0 { (1.0 - drawn / real).max(-1.0) } else { 0.0 };
-            variances(real, of).into_iter().zip(variances(&drawn, of)).map(one).collect()
+            let one = |(wanted, drawn): (f64, f64)| if wanted > 0.0 { (1.0 - drawn / wanted).max(-1.0) } else { 0.0 };
+            variances(real, of).into_iter().map(|real| wider * real).zip(variances(&drawn, of)).map(one).collect()
         };
         let strengths = lacking(|w| &w.log_strength);
         let mean = strengths.iter().sum::<f64>() / strengths.len() as f64;
@@ -440,13 +457,14 @@ fn excess(real: &[&Whitened], drawn: &[&Whitened]) -> Vec<f64> {
     (0..real[0].len()).map(|k| departure(k).certain(1.0)).collect()
 }
 
-/// Part of the deviation of each figure that acquisitions differ by: what draws of acquisitions that are all alike vary is the chance of single
-/// fields, which every draw has anew. The part of each class of place is drawn halfway towards the mean of all, that of each band towards its
-/// neighbours, since few rasters say little of a variance.
+/// Part of the deviation of each figure over the rasters that acquisitions differ by: what draws of acquisitions that are all alike vary is the
+/// chance of single fields, which every draw has anew. The part of each class of place is drawn halfway towards the mean of all, that of each
+/// band towards its neighbours, since few rasters say little of a variance.
 fn own_shares(real: &[&Whitened], alike: &[&Whitened]) -> Vec<f64> {
+    let wider = of_another(real.len());
     let shares = |of: fn(&Whitened) -> &[f64]| -> Vec<f64> {
         let one = |(real, chance): (f64, f64)| {
-            if real > 0.0 { (1.0 - chance / real).clamp(LEAST_OWN, 1.0) } else { 1.0 }
+            if real > 0.0 { (wider - chance / real).clamp(LEAST_OWN, wider) } else { 1.0 }
         };
         variances(real, of).into_iter().zip(variances(alike, of)).map(one).collect()
     };
@@ -454,6 +472,16 @@ fn own_shares(real: &[&Whitened], alike: &[&Whitened]) -> Vec<f64> {
     let mean = classes.iter().sum::<f64>() / classes.len() as f64;
     let strengths = classes.iter().map(|share| 0.5 * (share + mean));
     strengths.chain(near(&shares(|w| &w.raster_log_amplitude))).map(f64::sqrt).collect()
+}
+
+/// By how much the variance of a figure of one more raster, about the mean of those that are known, exceeds their own variance, since mean and
+/// variance of few are uncertain: the predictive distribution is Student's t.
+fn of_another(rasters: usize) -> f64 {
+    if rasters <= NO_VARIANCE {
+        return MOST_WIDER;
+    }
+    let n = rasters as f64;
+    ((n + 1.0) / n * (n - 1.0) / (n - 3.0)).min(MOST_WIDER)
 }
 
 /// Variance of each of some figures over rasters.
@@ -475,6 +503,10 @@ const ROUNDS: usize = 2;
 const CONTRAST_DRAWS: usize = 12;
 /// Part of the deviation of figures that acquisitions have which are all alike.
 const ALIKE: f64 = 1e-6;
+/// Rasters up to which Student's t has no variance.
+const NO_VARIANCE: usize = 3;
+/// Most by which the variance of a figure of one more raster exceeds that of the known ones.
+const MOST_WIDER: f64 = 2.0;
 /// Least and most of the variance of a figure over rasters that acquisitions differ by.
 const LEAST_OWN: f64 = 0.1;
 const MOST_OWN: f64 = 4.0;

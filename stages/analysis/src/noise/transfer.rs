@@ -52,6 +52,7 @@ pub fn transferred(noise: &Noise, dem: &Raster, setting: Setting) -> Transferred
         class_log_strength: noise.class_log_strength.clone(),
         log_gain: noise.log_gain.clone(),
         members: noise.members.clone(),
+        orders: noise.orders.clone(),
         strength: cells.par_iter().enumerate().map(strength).collect(),
         elevation: cells.iter().zip(elevation).map(|(cell, z)| cell.map_or(*z, |cell| noise.elevation[cell])).collect(),
         fields: noise.fields.par_iter().map(|field| lie.field(field)).collect(),

@@ -141,6 +141,8 @@ pub struct Noise {
     pub skewness_gain: f64,
     /// What is known of each acquisition the model was learnt from.
     pub members: Vec<Member>,
+    /// Members that are not bad, by place, in the order in which replicates take their strengths: the first surveys of comparisons and the second ones.
+    pub orders: [Vec<usize>; 2],
     /// Strength of the noise by place, pixels of disparity in the full image, `rows x columns` from the top.
     pub strength: Vec<f32>,
     /// Elevation of the face the rasters were taken from, metres; NaN where unknown.
@@ -219,6 +221,15 @@ impl Noise {
                 ));
             }
         }
+        let good: Vec<usize> = (0..self.members.len()).filter(|i| !self.members[*i].bad).collect();
+        let complete = |order: &Vec<usize>| {
+            let mut sorted = order.clone();
+            sorted.sort_unstable();
+            sorted == good
+        };
+        if !self.orders.iter().all(complete) {
+            return refuse("an order of replicates does not have each acquisition that is not bad once".into());
+        }
         let cells = self.grid.cells();
         let members = if self.has_fields() { self.members.len() } else { 0 };
         if self.fields.len() != members || self.weights.len() != members {
@@ -283,7 +294,7 @@ impl PartialEq for Noise {
             && (self.asymmetry_gain, self.gap_gain, self.skewness_gain)
                 == (other.asymmetry_gain, other.gap_gain, other.skewness_gain)
             && (self.sharpness, &self.contrast, &self.log_gain) == (other.sharpness, &other.contrast, &other.log_gain)
-            && self.members == other.members
+            && (&self.members, &self.orders) == (&other.members, &other.orders)
             && bits(&self.strength) == bits(&other.strength)
             && bits(&self.elevation) == bits(&other.elevation)
             && all(self) == all(other)

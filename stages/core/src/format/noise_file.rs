@@ -3,7 +3,7 @@
 use crate::artefact::{CodecError, Contrast, Frame, Grid, Member, Noise, ReliefLaw};
 
 /// The first line; a file with another version is learnt anew.
-const MAGIC: &str = "rockface noise 10\n";
+const MAGIC: &str = "rockface noise 11\n";
 
 /// What is written into the header for whoever reads the file without us.
 const LAYOUT: &str = "rows x columns cells from the top left: strength float32 little-endian (px), elevation float32 (m, NaN = unknown); \
@@ -32,6 +32,7 @@ struct Header {
     gap_gain: f64,
     skewness_gain: f64,
     members: Vec<Member>,
+    orders: [Vec<usize>; 2],
     fields: usize,
     layout: String,
 }
@@ -61,6 +62,7 @@ pub fn write(noise: &Noise) -> Result<Vec<u8>, CodecError> {
         gap_gain: noise.gap_gain,
         skewness_gain: noise.skewness_gain,
         members: noise.members.clone(),
+        orders: noise.orders.clone(),
         fields: noise.fields.len(),
         layout: LAYOUT.to_owned(),
     };
@@ -128,6 +130,7 @@ pub fn read(bytes: &[u8]) -> Result<Noise, CodecError> {
         gap_gain: header.gap_gain,
         skewness_gain: header.skewness_gain,
         members: header.members,
+        orders: header.orders,
         strength,
         elevation,
         fields: rasters.collect(),
@@ -189,6 +192,7 @@ mod tests {
             gap_gain: 0.8,
             skewness_gain: 1.7,
             members: vec![member("a", false), member("b", true)],
+            orders: [vec![0], vec![0]],
             strength: vec![0.3, 0.4],
             elevation: vec![f32::NAN, 1.5],
             fields: vec![vec![0.5, -0.25], vec![1.0, -0.0]],
@@ -215,6 +219,10 @@ mod tests {
         assert!(write(&noise).unwrap_err().0.contains("`b` has [1, 1, 2] values"));
         let noise = Noise { weights: Vec::new(), ..sample() };
         assert!(write(&noise).unwrap_err().0.contains("2 fields and 0 weights"));
+        for order in [vec![], vec![1], vec![0, 1], vec![0, 0]] {
+            let noise = Noise { orders: [vec![0], order], ..sample() };
+            assert!(write(&noise).unwrap_err().0.contains("an order of replicates"));
+        }
         let noise = Noise { sharpness: 0, ..sample() };
         assert!(write(&noise).unwrap_err().0.contains("sharpness must be"));
         let noise = Noise { log_gain: vec![0.0, 9.0], ..sample() };

@@ -129,10 +129,10 @@ impl<const N: usize> Lanes<N> {
     /// The first numbers of a list; lanes beyond its end have no value.
     #[inline(always)]
     pub fn first_of(values: &[f64]) -> Self {
-        values.first_chunk().map_or_else(
-            || Self::of(|lane| values.get(lane).copied().unwrap_or(f64::NAN)),
-            |values: &[f64; N]| Self(*values),
-        )
+        if let Some(values) = values.first_chunk() {
+            return Self(*values);
+        }
+        Self::of(|lane| values.get(lane).copied().unwrap_or(f64::NAN))
     }
 
     /// Lane `i` has the whole number of `i`, which must be below 2^52.

@@ -23,8 +23,9 @@ impl Projected {
     #[inline(always)]
     pub fn keep(&mut self, seen: [bool; LANES]) {
         let seen: Lanes = Lanes::of(|lane| if seen[lane] { 1.0 } else { 0.0 });
-        let Self { ray, pixel, level, .. } = self;
-        ray.iter_mut().chain(pixel).chain(level).for_each(|lanes| *lanes = lanes.where_positive(seen));
+        for positions in [&mut self.ray, &mut self.pixel, &mut self.level] {
+            *positions = [positions[0].where_positive(seen), positions[1].where_positive(seen)];
+        }
     }
 }
 

@@ -1,7 +1,9 @@
 //! The rays of pixels by a wrong interior orientation, from their rays by the true one.
 
+use std::ops::{Add, Mul, Sub};
+
 use crate::camera::model::Camera;
-use rockface_core::numerics::simd::{LANES, Lanes, both};
+use rockface_core::numerics::simd::{LANES, Lanes, Number, both};
 
 /// Distance of the nodes at which the difference between noisy and true rays is tabulated, image pixels.
 const SPACING_PX: f64 = 32.0;
@@ -38,13 +40,8 @@ impl NoisyRays {
     pub fn ray_lanes(&self, noisy: &Camera, pixel: [Lanes; 2], true_ray: [Lanes; 2]) -> [Lanes; 2] {
         let [x, y] = both(pixel, |p| p / SPACING_PX + 0.5);
         let [across, down] = both([x, y], |p| p.map(f64::floor));
-        let (tx, ty) = (x - across, y - down);
-        let [above_left, above_right, below_left, below_right] = self.steps_about([across, down]);
-        let guess = both([0, 1], |i| {
-            let top = above_left[i] + tx * (above_right[i] - above_left[i]);
-            let bottom = below_left[i] + tx * (below_right[i] - below_left[i]);
-            true_ray[i] + (top + ty * (bottom - top))
-        });
+        let step = self.step_lanes([across, down], [x - across, y - down]);
+        let guess = [true_ray[0] + step[0], true_ray[1] + step[1]];
         let mut rays = noisy.normalised_near_lanes(pixel, guess);
         // Where Newton's method fails from the guess, search from the pixel itself.
         for lane in 0..LANES {
@@ -59,32 +56,50 @@ impl NoisyRays {
         rays
     }
 
-    /// Differences at the nodes above left, above right, below left and below right of each position; NaN beyond the nodes.
+    /// Differences of both coordinates at each position, `t` behind the node across and down from the first; NaN beyond the nodes.
     #[inline(always)]
-    fn steps_about(&self, [across, down]: [Lanes; 2]) -> [[Lanes; 2]; 4] {
-        let nodes = |across: f64, down: f64| {
-            let (column, row) = (across as usize, down as usize);
-            let inside = across >= 0.0 && down >= 0.0 && column + 1 < self.columns && row + 1 < self.rows;
-            let at = row * self.columns + column;
-            inside.then(|| [at, at + 1, at + self.columns, at + self.columns + 1].map(|at| self.steps[at]))
-        };
+    fn step_lanes(&self, [across, down]: [Lanes; 2], t: [Lanes; 2]) -> [Lanes; 2] {
         let mut same = true;
         for lane in 1..LANES {
             same &= (across[lane] - across[0]).abs() < 0.5 && (down[lane] - down[0]).abs() < 0.5;
         }
         // Most often all positions lie between the same nodes.
         if same {
-            return nodes(across[0], down[0])
-                .map_or([[Lanes::NONE; 2]; 4], |nodes| nodes.map(|node| node.map(Lanes::all)));
+            let [a, b, c, d] = self.nodes_about(across[0], down[0]);
+            return [between(t, [a[0], b[0], c[0], d[0]]), between(t, [a[1], b[1], c[1], d[1]])];
         }
-        let mut about = [[Lanes::NONE; 2]; 4];
+        let mut about = [[Lanes::NONE; 4]; 2];
         for lane in 0..LANES {
-            for (about, node) in about.iter_mut().zip(nodes(across[lane], down[lane]).unwrap_or([[f64::NAN; 2]; 4])) {
-                (0..2).for_each(|i| about[i].set(lane, node[i]));
+            for (place, node) in self.nodes_about(across[lane], down[lane]).into_iter().enumerate() {
+                (0..2).for_each(|i| about[i][place].set(lane, node[i]));
             }
         }
-        about
+        [between(t, about[0]), between(t, about[1])]
     }
+
+    /// Differences at the nodes above left, above right, below left and below right of a place; NaN beyond the nodes.
+    #[inline(always)]
+    fn nodes_about(&self, across: f64, down: f64) -> [[f64; 2]; 4] {
+        let (column, row) = (across as usize, down as usize);
+        if across >= 0.0 && down >= 0.0 && column + 1 < self.columns && row + 1 < self.rows {
+            let at = row * self.columns + column;
+            let below = at + self.columns;
+            return [self.steps[at], self.steps[at + 1], self.steps[below], self.steps[below + 1]];
+        }
+        [[f64::NAN; 2]; 4]
+    }
+}
+
+/// Linear in both directions between values above left, above right, below left and below right.
+#[inline(always)]
+fn between<T, M>([tx, ty]: [T; 2], [above_left, above_right, below_left, below_right]: [M; 4]) -> T
+where
+    T: Number + Add<M, Output = T> + Mul<M, Output = T>,
+    M: Copy + Sub<Output = M>,
+{
+    let top = tx * (above_right - above_left) + above_left;
+    let bottom = tx * (below_right - below_left) + below_left;
+    top + ty * (bottom - top)
 }
 
 #[cfg(test)]

@@ -337,7 +337,8 @@ impl<K: FnMut(usize, &Match)> Work for MatchRow<'_, K> {
     fn run(self) -> Tally {
         let Self { matcher, pixels, mut keep } = self;
         let (mut draws, mut tally) = (matcher.row_draws(pixels), Tally::default());
-        for block in pixels.blocks() {
+        for start in pixels.starts() {
+            let block = pixels.block(start);
             let mut projected = matcher.project(&block);
             let seen = matcher.partner_sees_lanes(&projected);
             if seen.contains(&false) {

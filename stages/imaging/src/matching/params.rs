@@ -1,5 +1,6 @@
 //! The parameters that all stages which match pairs have in common.
 
+use crate::matching::noise::ensemble::Numbers;
 use crate::matching::noise::matcher::{MatcherTerms, PaperNoise};
 use crate::matching::noise::model_draws::Model;
 use crate::matching::noise::paper::{Distribution, FieldRecipe, Interpolation, Variance};
@@ -49,6 +50,9 @@ params! {
         /// of the rasters that a learnt model was made of, those with an odd one from the second half. Two that are compared should have an even
         /// and an odd one: where both had the same field, their noise would cancel or double. Left out: all fields.
         acquisition: Option<u32> = None,
+        /// Number among the replicates of a survey that is simulated many times with a learnt model, from 0 on: they take the strengths and amplitudes of its
+        /// rasters in turn, so that a few replicates differ from each other as much as many. Left out: those of a raster at random.
+        replicate: Option<u32> = None,
         /// What the pixels of the parameters of the noise are.
         pixels: Pixels = Pixels::DepthMap,
         /// Standard deviation of the white disparity noise, pixels of the depth map.
@@ -111,16 +115,19 @@ impl Matching {
         }
         let image_pixels = self.pixels == Pixels::Image;
         let (terms, learnt, errors) = (self.matcher.clone(), ports.noise, ports.errors);
-        let number = self.acquisition;
-        Ok(Setup { sampling, image_pixels, noise, terms, occlusion_tolerance, strength, learnt, number, errors })
+        let numbers = Numbers { acquisition: self.acquisition, replicate: self.replicate };
+        Ok(Setup { sampling, image_pixels, noise, terms, occlusion_tolerance, strength, learnt, numbers, errors })
     }
 
     fn check_ports(&self, ports: NoisePorts) -> Result<(), StageError> {
         let refuse = |error: &str, hint: &str| Err(StageError::new(error).hint(hint));
         let terms = ports.strength.is_some() || self.matcher.is_some();
-        if self.acquisition.is_some() && self.noise == NoiseSource::Paper {
-            let error = "`acquisition` numbers the draws of a learnt model, but the paper's noise is asked for";
-            return refuse(error, "set `noise: learnt`, or leave `acquisition` out");
+        let numbered = [("acquisition", self.acquisition), ("replicate", self.replicate)];
+        if let Some((name, _)) = numbered.into_iter().find(|(_, number)| number.is_some())
+            && self.noise == NoiseSource::Paper
+        {
+            let error = format!("`{name}` numbers the draws of a learnt model, but the paper's noise is asked for");
+            return refuse(&error, &format!("set `noise: learnt`, or leave `{name}` out"));
         }
         match (self.noise, ports.noise) {
             (NoiseSource::Learnt, None) => {

@@ -89,17 +89,21 @@ impl PixelRow {
         x.iter().zip(y).zip(z).map(|((x, y), z)| [*x, *y, *z])
     }
 
-    /// The pixels, [`LANES`] at a time.
-    pub fn blocks(&self) -> impl Iterator<Item = Block<'_>> {
-        let starts = (0..self.columns.len()).step_by(LANES);
-        starts.map(|start| {
-            let end = self.columns.len().min(start + LANES);
-            let lanes = |list: &Vec<f64>| Lanes::first_of(&list[start..]);
-            Block {
-                columns: &self.columns[start..end],
-                points_m: self.points_m.each_ref().map(lanes),
-                noisy_rays: self.noisy_rays.each_ref().map(lanes),
-            }
-        })
+    /// The first pixel of each block of [`LANES`] of them.
+    pub fn starts(&self) -> impl Iterator<Item = usize> {
+        (0..self.columns.len()).step_by(LANES)
+    }
+
+    /// The pixels of the block from `start` on.
+    #[inline(always)]
+    pub fn block(&self, start: usize) -> Block<'_> {
+        let end = self.columns.len().min(start + LANES);
+        let ([x, y, z], [ray_x, ray_y]) = (&self.points_m, &self.noisy_rays);
+        // One by one: what the `map` of arrays is given is not inlined, and wide registers would be filled by narrow ones.
+        Block {
+            columns: &self.columns[start..end],
+            points_m: [Lanes::first_of(&x[start..]), Lanes::first_of(&y[start..]), Lanes::first_of(&z[start..])],
+            noisy_rays: [Lanes::first_of(&ray_x[start..]), Lanes::first_of(&ray_y[start..])],
+        }
     }
 }

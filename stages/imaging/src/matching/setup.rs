@@ -1,6 +1,7 @@
 //! Prepares a pair for matching: checks depth maps and cameras, and sets up the noise.
 
 use crate::camera::model::Camera;
+use crate::matching::noise::ensemble::Numbers;
 use crate::matching::noise::learnt::Acquisition;
 use crate::matching::noise::matcher::{Keys, MatcherTerms, PairScene, PaperNoise};
 use crate::matching::noise::model::{NoiseModel, Scaled};
@@ -33,8 +34,8 @@ pub struct Setup<'s> {
     pub strength: Option<&'s Raster>,
     /// The learnt model all noise is drawn from; `None`: the paper's noise and its further terms.
     pub learnt: Option<Model<'s>>,
-    /// Number of the acquisition that is drawn from it.
-    pub number: Option<u32>,
+    /// Which acquisition is drawn from it.
+    pub numbers: Numbers,
     /// Errors of the user's own, added to the others.
     pub errors: Option<&'s Depth>,
 }
@@ -51,7 +52,7 @@ impl<'s> Setup<'s> {
         pairs: &Pairs,
         keys: Keys,
     ) -> Result<Option<Acquisition<'s>>, StageError> {
-        self.learnt.map(|model| Acquisition::new(model, self.number, ideal, block, pairs, keys)).transpose()
+        self.learnt.map(|model| Acquisition::new(model, self.numbers, ideal, block, pairs, keys)).transpose()
     }
 
     /// The matcher of a pair from its ideal depth maps (first, second), for the depth map of image `side`.

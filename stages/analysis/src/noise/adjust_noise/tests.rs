@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use super::*;
-use crate::noise::learn_noise::tests::{CLEAN, COLUMNS, ROWS, grid, mean, survey};
+use crate::noise::learn_noise::tests::{CLEAN, COLUMNS, ROWS, grid, mean, of_two, survey};
 use crate::noise::learning::whitening::{BANDS, CLASSES};
 use rockface_core::artefact::{Artefact, Contrast, Frame, Noun};
 use rockface_core::numerics::gaussian::smoothed;
@@ -19,7 +19,7 @@ fn differences(count: u64, cells: f64) -> Vec<Raster> {
             let host = TestHost::seeded(seed);
             Context::new(&host).stream(purpose, item)
         };
-        draw(&CLEAN, Some(seed as u32 % 2), &keys).errors_px(&CLEAN, &CLEAN.strength)
+        draw(&CLEAN, of_two(seed), &keys).errors_px(&CLEAN, &CLEAN.strength)
     };
     let one = |number: u64| {
         let (pre, post) = (epoch(1000 + 2 * number), epoch(1001 + 2 * number));

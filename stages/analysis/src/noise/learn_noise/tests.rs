@@ -12,7 +12,7 @@ use rockface_core::numerics::portable_math;
 use rockface_core::numerics::random::Key;
 use rockface_core::params::ParamType;
 use rockface_core::testing::{TestHost, image_at, run_stage, small_sensor};
-use rockface_imaging::matching::noise::ensemble::draw;
+use rockface_imaging::matching::noise::ensemble::{Numbers, draw};
 
 pub(in crate::noise) const COLUMNS: usize = 96;
 pub(in crate::noise) const ROWS: usize = 80;
@@ -85,6 +85,11 @@ fn learn_from(rasters: Vec<Raster>, with: &Value) -> Result<(Noise, TestHost), S
 
 pub(in crate::noise) static CLEAN: LazyLock<Noise> = LazyLock::new(|| learn(16, &[], &json!({})).unwrap().0);
 
+/// The numbers of acquisitions that are compared two by two.
+pub(in crate::noise) fn of_two(number: u64) -> Numbers {
+    Numbers { acquisition: Some(number as u32 % 2), replicate: None }
+}
+
 /// Root mean squares of differences of two drawn acquisitions, right of the middle and left of it, pixels.
 fn drawn_px(noise: &Noise, count: u64) -> Vec<[f64; 2]> {
     drawn_within_px(noise, count, f64::INFINITY)
@@ -97,7 +102,7 @@ fn drawn_within_px(noise: &Noise, count: u64, limit_px: f64) -> Vec<[f64; 2]> {
             let host = TestHost::seeded(seed);
             Context::new(&host).stream(purpose, item)
         };
-        draw(noise, Some(seed as u32 % 2), &keys)
+        draw(noise, of_two(seed), &keys)
             .errors_px(noise, &noise.strength)
             .into_iter()
             .map(f64::from)
@@ -184,7 +189,7 @@ fn gaps_are_as_frequent_as_in_the_rasters() {
                 let host = TestHost::seeded(seed);
                 Context::new(&host).stream(purpose, item)
             };
-            draw(&CLEAN, Some(seed as u32 % 2), &keys).field
+            draw(&CLEAN, of_two(seed), &keys).field
         };
         let both = epoch(2 * seed).into_iter().zip(epoch(2 * seed + 1));
         both.filter(|(a, b)| a.is_nan() || b.is_nan()).count() as f64 / (COLUMNS * ROWS) as f64
@@ -272,7 +277,7 @@ fn planes_of_the_rasters_are_not_part_of_the_noise() {
 }
 
 #[test]
-fn draws_differ_from_each_other_as_much_as_the_rasters_do() {
+fn draws_differ_from_each_other_as_much_as_other_rasters_would() {
     // Fine and coarse noise in a proportion that differs from raster to raster.
     let one = |b: u8| {
         let (fine, coarse) = (unit(b, 0.8), unit(b + 100, 5.0));
@@ -290,11 +295,20 @@ fn draws_differ_from_each_other_as_much_as_the_rasters_do() {
         variances(&whitened.iter().collect::<Vec<_>>(), |w| &w.log_amplitude)
     };
     // Beyond the coarsest bands, in which a raster has a few waves only.
-    let ratio = |(drawn, real): (f64, f64)| 0.5 * portable_math::log(drawn / real);
+    let wider = of_another(rasters.len());
+    let ratio = |(drawn, real): (f64, f64)| 0.5 * portable_math::log(drawn / (wider * real));
     let ratios: Vec<f64> =
         deviations(&drawn_differences(&noise, 60)).into_iter().zip(deviations(&real)).map(ratio).skip(3).collect();
     let mean = mean(ratios.iter().copied());
     assert!(mean.abs() < 0.2, "{mean} {ratios:?}");
+}
+
+#[test]
+fn one_more_raster_differs_more_from_few_than_from_many() {
+    // Student's t with eleven degrees of freedom about a mean of twelve.
+    assert!((of_another(12) - 13.0 / 12.0 * 11.0 / 9.0).abs() < 1e-12);
+    assert!((of_another(10_000) - 1.0).abs() < 1e-3);
+    assert!([2, 3, 4].iter().all(|rasters| (of_another(*rasters) - MOST_WIDER).abs() < 1e-12));
 }
 
 #[test]

@@ -1,6 +1,5 @@
 //! Differences as errors of disparity on the grid of a model: of rasters, and of acquisitions drawn from it.
 
-use rand::seq::SliceRandom;
 use rayon::prelude::*;
 
 use crate::noise::detrend::Detrend;
@@ -9,7 +8,7 @@ use rockface_core::artefact::{Band, Cameras, Noise, Raster};
 use rockface_core::numerics::marginal::skewness;
 use rockface_core::numerics::random::Key;
 use rockface_core::{StageError, fail};
-use rockface_imaging::matching::noise::ensemble::{by_class, draw_like};
+use rockface_imaging::matching::noise::ensemble::{Numbers, draw};
 use rockface_raster::grid;
 
 /// Largest departure from its plane, as a share of its largest value, at which a raster counts as a plane.
@@ -116,8 +115,8 @@ pub fn disparities(bands: &[&Band], columns: usize, step_m: &[f32]) -> Result<Ve
 }
 
 /// Differences of two acquisitions each, an even and an odd one, drawn from a model without a survey: errors of disparity, pixels of the full image,
-/// each without the plane through it. Cells whose difference is larger than `limit_m` or whose elevation step is unknown are left out. Every usual member
-/// is drawn from as often as the others, so that the mean strength of a few differences is that of the model.
+/// each without the plane through it. Cells whose difference is larger than `limit_m` or whose elevation step is unknown are left out. They are numbered
+/// as replicates, so that the mean strength of a few is that of the model.
 pub fn differences(
     noise: &Noise,
     count: usize,
@@ -125,19 +124,13 @@ pub fn differences(
     limit_m: f32,
     stream: &(impl Fn(&str, &str) -> Key + Sync),
 ) -> Vec<Vec<f32>> {
-    let order = |epoch: &str| {
-        let (_, mut members) = by_class(noise);
-        members.shuffle(&mut stream("noise-order", epoch).generator());
-        members
+    let epoch = |replicate: u32, acquisition: u32| {
+        let keys = |purpose: &str, item: &str| stream(purpose, &format!("{replicate}/{acquisition}/{item}"));
+        let numbers = Numbers { acquisition: Some(acquisition), replicate: Some(replicate) };
+        draw(noise, numbers, &keys).errors_px(noise, &noise.strength)
     };
-    let orders = [order("even"), order("odd")];
-    let epoch = |number: u32| {
-        let keys = |purpose: &str, item: &str| stream(purpose, &format!("{number}/{item}"));
-        let (pair, members) = ((number / 2) as usize, &orders[(number % 2) as usize]);
-        draw_like(noise, Some(number), members[pair % members.len()], &keys).errors_px(noise, &noise.strength)
-    };
-    let difference = |number: u32| {
-        let (pre, post) = (epoch(2 * number), epoch(2 * number + 1));
+    let difference = |replicate: u32| {
+        let (pre, post) = (epoch(replicate, 0), epoch(replicate, 1));
         let difference_m = pre.iter().zip(post).zip(step_m).map(|((pre, post), step_m)| (post - pre) * step_m);
         let kept: Vec<f32> = difference_m.map(|m| if m.abs() <= limit_m { m } else { f32::NAN }).collect();
         let level = Detrend::Plane.applied(&kept, noise.grid.columns).unwrap_or(kept);

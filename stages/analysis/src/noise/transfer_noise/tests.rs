@@ -45,7 +45,7 @@ fn transfer(dem: &Raster, with: &Value) -> Result<Noise, StageError> {
 fn drawn(noise: &Noise, count: u64) -> Vec<Vec<f64>> {
     let one = |seed: u64| {
         let host = TestHost::seeded(seed);
-        draw(noise, None, &|purpose: &str, item: &str| Context::new(&host).stream(purpose, item)).field
+        draw(noise, Numbers::default(), &|purpose: &str, item: &str| Context::new(&host).stream(purpose, item)).field
     };
     let filled = |field: Vec<f64>| field.into_iter().map(|v| if v.is_nan() { 0.0 } else { v }).collect();
     (0..count).map(|seed| filled(one(seed))).collect()

@@ -3,6 +3,7 @@
 use super::tests::{Scene, convergent, pairs, scene};
 use super::*;
 use rockface_core::artefact::{Artefact, Contrast, Frame, Grid, Member, Mesh, Noun, Pair, ReliefLaw};
+use rockface_core::numerics::portable_math;
 use rockface_core::testing::{TestHost, height_mesh, image_at, run_stage, small_sensor};
 use serde_json::{Value, json};
 
@@ -38,6 +39,7 @@ pub fn model() -> Noise {
         gap_gain: 1.0,
         skewness_gain: 2.0,
         members: vec![member],
+        orders: [vec![0], vec![0]],
         strength: (0..SIDE * SIDE).map(|i| if i % SIDE < SIDE / 2 { 0.1 } else { 0.3 }).collect(),
         elevation: vec![0.0; SIDE * SIDE],
         fields: Vec::new(),
@@ -172,13 +174,38 @@ fn pairs_of_other_bases_see_one_error_of_elevation() {
 }
 
 #[test]
+fn replicates_take_the_strengths_of_the_members_in_turn() {
+    let scene = scene(convergent(small_sensor()), &plane(), 1);
+    let mut noise = model();
+    noise.members = [0.0, 1.0, 2.0].map(|log| Member { log_strength: vec![log; 2], ..noise.members[0].clone() }).into();
+    noise.orders = [vec![2, 0, 1], vec![1, 2, 0]];
+    let strength = |acquisition: u32, replicate: u32| {
+        let with = json!({"noise": "learnt", "channels": true, "acquisition": acquisition, "replicate": replicate});
+        let map = run(&scene, Some(noise.clone()), &with).unwrap();
+        let known = map.channels["noise.local"].iter().map(|px| f64::from(*px)).filter(|px| !px.is_nan());
+        let squares: Vec<f64> = known.map(|px| px * px).collect();
+        (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+    };
+    let weakest = strength(0, 1);
+    for (acquisition, logs) in [(0, [2.0, 0.0, 1.0, 2.0]), (1, [1.0, 2.0, 0.0, 1.0])] {
+        for (replicate, log) in logs.into_iter().enumerate() {
+            let found = portable_math::log(strength(acquisition, replicate as u32) / weakest);
+            assert!((found - log).abs() < 0.1, "{acquisition} {replicate}: {found}");
+        }
+    }
+}
+
+#[test]
 fn model_and_parameters_must_fit() {
     let scene = scene(convergent(small_sensor()), &plane(), 1);
     let refused = |noise: Option<Noise>, with: Value| run(&scene, noise, &with).unwrap_err().message;
     assert!(refused(None, json!({"noise": "learnt"})).contains("needs a model at port `noise`"));
     assert!(refused(Some(model()), json!({})).contains("the paper's noise is asked for"));
     assert!(refused(Some(model()), json!({"noise": "learnt", "matcher": {}})).contains("holds all noise"));
-    assert!(refused(None, json!({"acquisition": 1})).contains("`acquisition` numbers the draws of a learnt model"));
+    for name in ["acquisition", "replicate"] {
+        let expected = format!("`{name}` numbers the draws of a learnt model");
+        assert!(refused(None, json!({name: 1})).contains(&expected));
+    }
     let world = Noise { frame: Frame::World, ..model() };
     assert!(refused(Some(world), json!({"noise": "learnt"})).contains("in the world frame"));
 }

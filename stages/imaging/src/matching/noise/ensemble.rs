@@ -59,30 +59,34 @@ impl Drawn {
     }
 }
 
+/// Which acquisition of a series of surveys is drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Numbers {
+    /// Its number in the order of the surveys of a comparison; none: it stands alone.
+    pub acquisition: Option<u32>,
+    /// Its number among the replicates of the comparison; none: it knows of no others.
+    pub replicate: Option<u32>,
+}
+
 /// Draws an acquisition of a model from the streams `noise-acquisition`, `noise-jitter`, `noise-weights`, `noise-weights-common` and
 /// `noise-white` of `keys`.
 ///
-/// One with an even `number` mixes only fields of the first half of the members, one with an odd number those of the second half, so that two
-/// acquisitions that are compared have none in common: where both had the same one their noise would cancel, or double.
-pub fn draw(noise: &Noise, number: Option<u32>, keys: Keys) -> Drawn {
+/// One with an even number in its comparison mixes only fields of the first half of the members, one with an odd number those of the second half,
+/// so that two acquisitions that are compared have none in common: where both had the same one their noise would cancel, or double. Replicates
+/// take strengths and amplitudes of the members in turn, so that a few have the mean and the variety of the model (balanced bootstrap: Davison,
+/// Hinkley and Schechtman 1986); without a number the member is drawn at random.
+pub fn draw(noise: &Noise, numbers: Numbers, keys: Keys) -> Drawn {
     let mut generator = keys("noise-acquisition", "").generator();
     let (bad, good) = by_class(noise);
     let of_bad = generator.random::<f64>() < noise.bad_share && !bad.is_empty();
     let class = if of_bad { &bad } else { &good };
-    let member = class[generator.random_range(0..class.len())];
-    taken_from(noise, number, member, generator, keys)
-}
-
-/// As [`draw`], with the strengths and amplitudes of a member that is given by its place.
-pub fn draw_like(noise: &Noise, number: Option<u32>, member: usize, keys: Keys) -> Drawn {
-    taken_from(noise, number, member, keys("noise-acquisition", "").generator(), keys)
-}
-
-/// An acquisition with the strengths and amplitudes of a member.
-fn taken_from(noise: &Noise, number: Option<u32>, member: usize, mut generator: impl Rng, keys: Keys) -> Drawn {
-    let (bad, good) = by_class(noise);
-    let member = &noise.members[member];
-    let of_bad = member.bad;
+    let any = class[generator.random_range(0..class.len())];
+    let order = &noise.orders[numbers.acquisition.unwrap_or(0) as usize % 2];
+    let member = match numbers.replicate {
+        Some(replicate) if !of_bad => order[replicate as usize % order.len()],
+        _ => any,
+    };
+    let (member, number) = (&noise.members[member], numbers.acquisition);
     // A bad acquisition takes all bad donors and, where those are few, good ones in addition.
     let donors = if of_bad {
         let rest = some(own_half(&good, number), noise.donors.saturating_sub(bad.len()), &mut generator);

@@ -6,6 +6,7 @@ use nalgebra::Vector3;
 
 use crate::matching::elevation_step::SurveySteps;
 use crate::matching::noise::changed_face::Face;
+use crate::matching::noise::ensemble::Numbers;
 use crate::matching::noise::matcher::Keys;
 use crate::matching::noise::model_draws::Model;
 use crate::matching::noise::spline::{Spline, mirrored};
@@ -39,10 +40,10 @@ pub struct Acquisition<'a> {
 impl<'a> Acquisition<'a> {
     /// Draws an acquisition for the ideal depth map of an image, which `block` and `pairs` survey with others.
     ///
-    /// The streams depend neither on the image nor on its pairs: all of a survey share what is drawn. `number` is that of [`Model::draw`].
+    /// The streams depend neither on the image nor on its pairs: all of a survey share what is drawn. `numbers` are those of [`Model::draw`].
     pub fn new(
         model: Model<'a>,
-        number: Option<u32>,
+        numbers: Numbers,
         depth: &Depth,
         block: &Cameras,
         pairs: &Pairs,
@@ -56,7 +57,7 @@ impl<'a> Acquisition<'a> {
         }
         let survey = SurveySteps::new(block, pairs)?;
         let face = model.face(depth);
-        let mut errors_px = model.draw(number, keys).errors_px(noise, &face.strength);
+        let mut errors_px = model.draw(numbers, keys).errors_px(noise, &face.strength);
         let gaps = Arc::new(errors_px.iter().map(|px| px.is_nan()).collect());
         errors_px.iter_mut().filter(|px| px.is_nan()).for_each(|px| *px = 0.0);
         let nodes = Nodes::new(noise.grid, &noise.elevation);

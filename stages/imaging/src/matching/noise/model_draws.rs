@@ -5,14 +5,14 @@ use std::sync::Arc;
 
 use crate::camera::model::Camera;
 use crate::matching::noise::changed_face::{Face, seen};
-use crate::matching::noise::ensemble::{Drawn, draw};
+use crate::matching::noise::ensemble::{Drawn, Numbers, draw};
 use crate::matching::noise::lately::Lately;
 use crate::matching::noise::matcher::Keys;
 use rockface_core::artefact::{Artefact, Depth, Noise, Noun};
 use rockface_core::numerics::random::Key;
 
-/// Draws made lately, by number and stream: images of a survey see the same noise of the face.
-static DRAWS: Lately<(Option<u32>, Key), Drawn> = Lately::new(1 << 23);
+/// Draws made lately, by numbers and stream: images of a survey see the same noise of the face.
+static DRAWS: Lately<(Numbers, Key), Drawn> = Lately::new(1 << 23);
 /// Faces seen lately, by the depth map that shows them: surveys of an unchanged face see the same one.
 static FACES: Lately<Depth, Face> = Lately::new(1 << 24);
 
@@ -31,10 +31,10 @@ impl<'a> Model<'a> {
     }
 
     /// As [`draw`].
-    pub fn draw(self, number: Option<u32>, keys: Keys) -> Arc<Drawn> {
+    pub fn draw(self, numbers: Numbers, keys: Keys) -> Arc<Drawn> {
         // All streams of a step follow from what one of them follows from.
-        let of = (number, keys("noise-acquisition", ""));
-        let make = || (of, draw(self.noise, number, keys));
+        let of = (numbers, keys("noise-acquisition", ""));
+        let make = || (of, draw(self.noise, numbers, keys));
         DRAWS.get(self.artefact, |held| *held == of, self.noise.grid.cells(), make)
     }
 
@@ -70,13 +70,16 @@ mod tests {
     }
 
     #[test]
-    fn a_draw_is_made_once_for_one_model_number_and_stream() {
+    fn a_draw_is_made_once_for_one_model_its_numbers_and_stream() {
         let artefacts = [model(), Noise { bad_share: 0.5, ..model() }].map(|noise| Arc::new(Artefact::from(noise)));
         let [one, other] = artefacts.each_ref().map(|artefact| Model::of(artefact).unwrap());
-        let first = one.draw(Some(0), &keys(1));
-        assert!(Arc::ptr_eq(&first, &one.draw(Some(0), &keys(1))));
-        assert_eq!(first.field, draw(one.noise, Some(0), &keys(1)).field);
-        for again in [one.draw(Some(1), &keys(1)), one.draw(Some(0), &keys(2)), other.draw(Some(0), &keys(1))] {
+        let numbers = [0, 1].map(|number| Numbers { acquisition: Some(number), replicate: None });
+        let replicate = Numbers { replicate: Some(0), ..numbers[0] };
+        let first = one.draw(numbers[0], &keys(1));
+        assert!(Arc::ptr_eq(&first, &one.draw(numbers[0], &keys(1))));
+        assert_eq!(first.field, draw(one.noise, numbers[0], &keys(1)).field);
+        let others = [one.draw(numbers[1], &keys(1)), one.draw(replicate, &keys(1)), one.draw(numbers[0], &keys(2))];
+        for again in others.into_iter().chain([other.draw(numbers[0], &keys(1))]) {
             assert!(!Arc::ptr_eq(&first, &again));
         }
     }

@@ -245,7 +245,8 @@ impl SmoothNoise {
     pub fn at_lanes(&self, position_px: [Lanes; 2]) -> Lanes {
         let [x, y] = both(position_px, |p| p / self.recipe.spacing_px);
         let [across, down] = both([x, y], |p| p.map(f64::floor));
-        let weights = both([x - across, y - down], |t| self.recipe.interpolation.weights(t));
+        let kernel = self.recipe.interpolation;
+        let weights = [kernel.weights(x - across), kernel.weights(y - down)];
         let none = |lane: usize| across[lane].is_nan() || down[lane].is_nan();
         let Some(first) = (0..LANES).find(|lane| !none(*lane)) else { return Lanes::NONE };
         let cell = [across[first], down[first]];
