@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use super::*;
 use crate::noise::learn_noise::tests::{CLEAN, COLUMNS, ROWS, grid, mean, of_two, survey};
 use crate::noise::learning::whitening::{BANDS, CLASSES};
-use rockface_core::artefact::{Artefact, Contrast, Frame, Noun};
+use rockface_core::artefact::{Artefact, Contrast, Frame, LevelContrast, Noun};
 use rockface_core::numerics::gaussian::smoothed;
 use rockface_core::testing::{TestHost, run_stage, small_sensor};
 use rockface_imaging::matching::noise::ensemble::draw;
@@ -60,7 +60,16 @@ fn what_is_smoothed_away_is_added_and_nothing_else() {
     let mut clean = CLEAN.clone();
     clean.contrast.levels.iter_mut().for_each(|level| level.drawn = level.usual);
     let same = adjust(drawn.clone(), drawn.clone(), clean.clone()).unwrap();
-    assert_eq!(same, clean);
+    assert_eq!(Noise { contrast: clean.contrast.clone(), ..same.clone() }, clean);
+    // Where nothing is missing, powers that the figures hardly need become smaller.
+    let squares = |noise: &Noise| {
+        let of = |level: &LevelContrast| {
+            let powers = level.own_power.iter().chain(&level.local_power);
+            powers.map(|power| power * power).sum::<f64>()
+        };
+        noise.contrast.levels.iter().map(of).collect::<Vec<_>>()
+    };
+    assert!(squares(&same).into_iter().zip(squares(&clean)).all(|(now, before)| now <= before), "{:?}", same.contrast);
     let more = adjust(differences(6, 0.7), drawn.clone(), CLEAN.clone()).unwrap();
     // What is left is whitened to unit variance: the fine third gains against the rest.
     let gains = &more.log_gain;

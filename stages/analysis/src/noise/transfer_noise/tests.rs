@@ -9,7 +9,7 @@ use rockface_core::artefact::{Artefact, Frame, Grid, Noun, ReliefLaw};
 use rockface_core::numerics::bands::Bands;
 use rockface_core::testing::{TestHost, run_stage};
 use rockface_imaging::matching::noise::changed_face::law;
-use rockface_imaging::matching::noise::ensemble::{draw, log_strength_at};
+use rockface_imaging::matching::noise::ensemble::{Numbers, draw, log_strength_at};
 
 /// A law by which a step of the face shows.
 const RELIEF: ReliefLaw = ReliefLaw { flat_px: 0.1, gain_px_m: 5.0, window_cells: 4 };

@@ -190,7 +190,8 @@ fn replicates_take_the_strengths_of_the_members_in_turn() {
     for (acquisition, logs) in [(0, [2.0, 0.0, 1.0, 2.0]), (1, [1.0, 2.0, 0.0, 1.0])] {
         for (replicate, log) in logs.into_iter().enumerate() {
             let found = portable_math::log(strength(acquisition, replicate as u32) / weakest);
-            assert!((found - log).abs() < 0.1, "{acquisition} {replicate}: {found}");
+            // Fields of one acquisition are somewhat stronger or weaker than those of another by chance.
+            assert!((found - log).abs() < 0.4, "{acquisition} {replicate}: {found}");
         }
     }
 }
