@@ -17,6 +17,7 @@ use crate::matching::pair_geometry::PairGeometry;
 use crate::matching::pixel_row::{Block, PixelRow};
 use crate::matching::rectified_row::{rectified_ray, rectified_row, source_pixel};
 use crate::matching::side::Side;
+use rockface_core::artefact::Depth;
 use rockface_core::choice;
 use rockface_core::numerics::fast_round::{floor, nearest};
 use rockface_core::numerics::simd::{LANES, Lanes, Number, Work, both, vectorised};
@@ -281,14 +282,12 @@ impl<'a> Matcher<'a> {
         let at = top * depth.width as f64 + left;
         let surface_m: Lanes = Lanes::of(|lane| depth.z.get(at[lane] as usize).map_or(f64::NAN, |z_m| f64::from(*z_m)));
         let bound_m = self.occlusion_tolerance.map_or(Lanes::NONE, |tolerance| surface_m * (1.0 + tolerance));
-        let (right, bottom) = (depth.width as f64 - 0.5, depth.height as f64 - 0.5);
-        let inside = |lane: usize| u[lane] >= -0.5 && v[lane] >= -0.5 && u[lane] <= right && v[lane] <= bottom;
         let mut seen = [false; LANES];
-        seen.iter_mut().enumerate().for_each(|(lane, seen)| *seen = inside(lane) && z_m[lane] <= bound_m[lane]);
-        if seen.contains(&false) {
-            for (lane, seen) in seen.iter_mut().enumerate().filter(|(_, seen)| !**seen) {
-                *seen = self.partner_sees([u[lane], v[lane]], z_m[lane]);
-            }
+        for (lane, seen) in seen.iter_mut().enumerate() {
+            *seen = is_inside(depth, [u[lane], v[lane]]) && z_m[lane] <= bound_m[lane];
+        }
+        for (lane, seen) in seen.iter_mut().enumerate().filter(|(_, seen)| !**seen) {
+            *seen = self.partner_sees([u[lane], v[lane]], z_m[lane]);
         }
         seen
     }
@@ -298,8 +297,7 @@ impl<'a> Matcher<'a> {
     #[inline]
     fn partner_sees(&self, [u, v]: [f64; 2], z_m: f64) -> bool {
         let depth = self.geometry.ideal[self.side.other()];
-        let (width, height) = (depth.width as f64, depth.height as f64);
-        if !(u >= -0.5 && v >= -0.5 && u <= width - 0.5 && v <= height - 0.5) {
+        if !is_inside(depth, [u, v]) {
             return false;
         }
         let Some(tolerance) = self.occlusion_tolerance else { return true };
@@ -315,6 +313,13 @@ impl<'a> Matcher<'a> {
         };
         passes(top, left) || passes(top, right) || passes(bottom, left) || passes(bottom, right)
     }
+}
+
+/// Whether a position, in pixels of a depth map, lies on one of its pixels.
+#[inline(always)]
+fn is_inside(depth: &Depth, [u, v]: [f64; 2]) -> bool {
+    let (right, bottom) = (depth.width as f64 - 0.5, depth.height as f64 - 0.5);
+    u >= -0.5 && v >= -0.5 && u <= right && v <= bottom
 }
 
 /// Full-image position in pixels of the depth map, which are `1 / scale` image pixels wide.

@@ -124,7 +124,7 @@ pub fn draw(noise: &Noise, numbers: Numbers, keys: Keys) -> Drawn {
 }
 
 /// The bad members of a model and the usual ones, by their places.
-pub fn by_class(noise: &Noise) -> (Vec<usize>, Vec<usize>) {
+fn by_class(noise: &Noise) -> (Vec<usize>, Vec<usize>) {
     (0..noise.members.len()).partition(|i| noise.members[*i].bad)
 }
 
