@@ -199,7 +199,7 @@ fn nothing_to_do(folder: &Path) -> (f64, f64) {
 }
 
 fn main() {
-    rockface::memory::keep_freed_for_a_while();
+    rockface::memory::keep_freed();
     if let Some(folder) = std::env::var_os(NOTHING_TO_DO) {
         return find_nothing_to_do(Path::new(&folder));
     }

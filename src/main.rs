@@ -4,6 +4,6 @@
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 fn main() {
-    rockface::memory::keep_freed_for_a_while();
+    rockface::memory::keep_freed();
     std::process::exit(rockface::program::run(rockface_stages::registry()));
 }

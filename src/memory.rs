@@ -1,22 +1,45 @@
 //! How long the allocator keeps what was freed.
 
 use std::ffi::{c_int, c_long};
+use std::time::Duration;
 
-use libmimalloc_sys::{mi_option_get, mi_option_set_default, mi_option_t};
+use libmimalloc_sys::{mi_collect, mi_option_get, mi_option_set_default, mi_option_t};
+use rockface_engine::run::MachineMemory;
 
 /// `mi_option_purge_delay` of mimalloc 2: milliseconds before freed memory is given back to the system.
 const PURGE_DELAY: mi_option_t = 15;
 /// Its value where nobody has set it.
 const USUAL_DELAY_MS: c_long = 10;
-/// For large buffers mimalloc waits ten times as long: longer than a heavy stage takes until the next one asks for the same memory.
-const DELAY_MS: c_long = 3000;
+/// An hour and three quarters for large buffers, for which mimalloc waits ten times as long: longer than most runs.
+const DELAY_MS: c_long = 10 * 60 * 1000;
+/// Between two looks at the memory of the machine.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
 
-/// Makes mimalloc keep freed memory for half a minute, so that the large buffers of successive stages reuse it: the first touch of a gigabyte that is
-/// new from the system costs a large part of a second. `MIMALLOC_PURGE_DELAY` in the environment has precedence.
-pub fn keep_freed_for_a_while() {
-    if option(PURGE_DELAY) == USUAL_DELAY_MS {
+/// Makes mimalloc keep what was freed, so that the large buffers of successive stages reuse it: the first touch of a gigabyte that is new from the
+/// system costs half a second. While less than an eighth of the machine's memory is left, it is given back at once, to programs that
+/// steps start and to other processes. `MIMALLOC_PURGE_DELAY` in the environment has precedence over both.
+pub fn keep_freed() {
+    if option(PURGE_DELAY) != USUAL_DELAY_MS {
+        return;
+    }
+    let watching = std::thread::Builder::new().name("memory".to_owned()).spawn(|| {
+        loop {
+            std::thread::sleep(LOOK_EVERY);
+            if MachineMemory::now().is_some_and(|memory| memory.is_short()) {
+                give_back();
+            }
+        }
+    });
+    if watching.is_ok() {
         set_default(PURGE_DELAY, DELAY_MS);
     }
+}
+
+/// Gives freed memory back to the system.
+#[allow(unsafe_code)]
+fn give_back() {
+    // SAFETY: mimalloc allows it at any time, from any thread.
+    unsafe { mi_collect(true) }
 }
 
 #[allow(unsafe_code)]
@@ -33,17 +56,46 @@ fn set_default(number: c_int, value: c_long) {
 
 #[cfg(test)]
 mod tests {
+    use std::alloc::{GlobalAlloc, Layout};
+
     use super::*;
 
+    const SIZE: usize = 256 << 20;
+
+    /// Takes memory, writes to it and frees it.
+    #[allow(unsafe_code)]
+    fn use_some() {
+        let layout = Layout::from_size_align(SIZE, 4096).unwrap();
+        // SAFETY: the size is not zero, and only what was allocated is written to and freed.
+        unsafe {
+            let memory = mimalloc::MiMalloc.alloc(layout);
+            assert!(!memory.is_null());
+            memory.write_bytes(1, SIZE);
+            mimalloc::MiMalloc.dealloc(memory, layout);
+        }
+    }
+
+    fn resident_bytes() -> Option<usize> {
+        let status = std::fs::read_to_string("/proc/self/status").ok()?;
+        let kib =
+            status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?.trim().strip_suffix(" kB")?.parse::<usize>();
+        kib.ok().map(|kib| kib << 10)
+    }
+
     #[test]
-    fn the_delay_is_the_option_of_that_number() {
+    fn what_was_freed_is_kept_until_it_is_given_back() {
         let before = option(PURGE_DELAY);
-        keep_freed_for_a_while();
-        let by_the_user = std::env::var("MIMALLOC_PURGE_DELAY").is_ok();
-        if by_the_user {
+        keep_freed();
+        if std::env::var("MIMALLOC_PURGE_DELAY").is_ok() {
             assert_eq!(option(PURGE_DELAY), before);
-        } else {
-            assert_eq!((before, option(PURGE_DELAY)), (USUAL_DELAY_MS, DELAY_MS));
+            return;
+        }
+        assert_eq!((before, option(PURGE_DELAY)), (USUAL_DELAY_MS, DELAY_MS));
+        use_some();
+        let kept = resident_bytes();
+        give_back();
+        if let (Some(kept), Some(left)) = (kept, resident_bytes()) {
+            assert!(kept > left + SIZE / 2, "{kept} bytes, and {left} after giving back");
         }
     }
 }

@@ -49,7 +49,7 @@ const WORKS: [(&str, fn()); 10] = [
 ];
 
 fn main() {
-    rockface::memory::keep_freed_for_a_while();
+    rockface::memory::keep_freed();
     if let Ok(work) = std::env::var(WORK) {
         let (_, measure) = WORKS.iter().find(|(name, _)| *name == work).expect("a work of the list");
         return measure();

@@ -14,7 +14,7 @@ pub struct CapacityArgs {
     #[arg(long, short, value_name = "N", value_parser = jobs, allow_hyphen_values = true)]
     jobs: Option<u16>,
     /// Memory for values passed between steps and for running steps; values beyond it are spilled to disk [default: half of
-    /// the memory of the machine].
+    /// the memory of the machine, or of the container].
     #[arg(long, value_name = "GiB", value_parser = memory_bytes, allow_hyphen_values = true)]
     memory: Option<usize>,
 }

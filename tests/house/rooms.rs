@@ -148,6 +148,7 @@ const ARROWS: &[(&[&str], &[&str], &str)] = &[
     (&["cli"], &["camera"], "`inspect --pixel` follows a ray"),
     (&["program"], &["registry"], "the program is handed the stages that ship with it"),
     (&["program"], &["cli"], "the program parses and runs a command"),
+    (&["program"], &["run"], "how much of the machine's memory is left decides whether freed memory is kept"),
 ];
 
 /// Crates by the name they are imported by: the folder of their sources, and the room of files outside of the rooms.

@@ -1,6 +1,7 @@
 //! Running a plan: the scheduler, its workers, and the run folder.
 
 mod folder;
+mod machine;
 mod scheduler;
 mod spill;
 mod worker;
@@ -15,6 +16,7 @@ use crate::plan::Plan;
 use crate::watch::Observer;
 
 pub use folder::{Finished, LayOut, Reporter, RunFolder, execute_and_tell, finish, shortcut};
+pub use machine::MachineMemory;
 pub use worker::{rerun, tools};
 
 /// Runs a plan as the scheduler does; what was done is durable at the end. The plan grows as items of axes become known.
@@ -61,12 +63,9 @@ impl Default for Options {
     }
 }
 
-/// Half of the machine's memory; 4 GiB if the system does not report it.
+/// Half of the memory of the machine or of the container; 4 GiB if the system does not report it.
 fn half_of_memory() -> usize {
-    let told = std::fs::read_to_string("/proc/meminfo").ok();
-    let line = told.as_deref().and_then(|text| text.lines().find_map(|line| line.strip_prefix("MemTotal:")));
-    let kib = line.and_then(|line| line.trim().split(' ').next()?.parse::<usize>().ok());
-    kib.map_or(4 << 30, |kib| kib * 512)
+    MachineMemory::now().map_or(4 << 30, |memory| (memory.total / 2) as usize)
 }
 
 /// Why a run could not go on.

@@ -1,10 +1,10 @@
 //! The inputs of a stage: artefacts by port, each read from the store when the stage first asks for it.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use crate::StageError;
-use crate::artefact::{Artefact, Noun};
+use crate::artefact::{Artefact, Kind, Noun};
 use crate::georeferencing::Stated;
 use crate::stage::Point;
 
@@ -14,6 +14,8 @@ type Read<'s> = dyn Fn() -> Result<Arc<Artefact>, StageError> + Send + Sync + 's
 /// An artefact that is read when a stage first asks for it.
 pub struct Later<'s> {
     value: OnceLock<Arc<Artefact>>,
+    /// A value that nobody else will ask for, until the stage does.
+    last: Mutex<Option<Arc<Artefact>>>,
     read: Option<Box<Read<'s>>>,
 }
 
@@ -26,12 +28,17 @@ impl std::fmt::Debug for Later<'_> {
 impl<'s> Later<'s> {
     /// A value in memory.
     pub fn ready(value: Arc<Artefact>) -> Self {
-        Self { value: OnceLock::from(value), read: None }
+        Self { value: OnceLock::from(value), last: Mutex::default(), read: None }
+    }
+
+    /// A value in memory that nobody else will ask for: [`Inputs::owned`] hands it over without a copy.
+    pub fn last(value: Arc<Artefact>) -> Self {
+        Self { value: OnceLock::new(), last: Mutex::new(Some(value)), read: None }
     }
 
     /// A value that `read` loads.
     pub fn new(read: impl Fn() -> Result<Arc<Artefact>, StageError> + Send + Sync + 's) -> Self {
-        Self { value: OnceLock::new(), read: Some(Box::new(read)) }
+        Self { value: OnceLock::new(), last: Mutex::default(), read: Some(Box::new(read)) }
     }
 
     /// The value, if it was loaded and is still held; a value given to [`Later::ready`] does not count.
@@ -40,18 +47,30 @@ impl<'s> Later<'s> {
     }
 
     fn read(&self) -> Result<Arc<Artefact>, StageError> {
-        match (self.value.get(), &self.read) {
-            (Some(value), _) => Ok(value.clone()),
+        let last = || self.last.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        match (self.value.get().cloned().or_else(last), &self.read) {
+            (Some(value), _) => Ok(value),
             (None, Some(read)) => read(),
-            (None, None) => Err(StageError::new("an input is neither there nor to be read")),
+            (None, None) => Err(StageError::new("an input was handed over before, or is neither there nor to be read")),
         }
+    }
+
+    /// The value to be changed: what nobody else will ask for goes without a copy, and is not there any more.
+    fn take(&self) -> Result<Artefact, StageError> {
+        let last = || self.last.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let value = match self.value.get() {
+            None => last().map_or_else(|| self.read(), Ok)?,
+            Some(value) => value.clone(),
+        };
+        Ok(Arc::unwrap_or_clone(value))
     }
 
     fn keep(&self) -> Result<&Arc<Artefact>, StageError> {
         if let Some(value) = self.value.get() {
             return Ok(value);
         }
-        let value = self.read()?;
+        let last = self.last.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let value = last.map_or_else(|| self.read(), Ok)?;
         Ok(self.value.get_or_init(|| value))
     }
 }
@@ -149,13 +168,22 @@ impl<'s> Inputs<'s> {
     pub fn shared(&self, port: &str) -> Result<&Arc<Artefact>, StageError> {
         match self.elements(port) {
             [element] => element.shared(),
-            found => Err(StageError::new(format!("port `{port}` needs one artefact, found {}", found.len()))),
+            found => Err(not_one(port, found.len())),
         }
     }
 
     /// The only artefact of a port, as the type the stage works on.
     pub fn one<T: Noun>(&self, port: &str) -> Result<&T, StageError> {
         typed(port, self.artefact(port)?)
+    }
+
+    /// The only artefact of a port for a stage that changes it: moved where no other step will ask for it and the port says that it is
+    /// [`Port::changed`](crate::Port::changed), else a copy. It can be asked for once.
+    pub fn owned<T: Noun + TryFrom<Artefact, Error = Kind>>(&self, port: &str) -> Result<T, StageError> {
+        let [element] = self.elements(port) else { return Err(not_one(port, self.elements(port).len())) };
+        let artefact = element.value.take()?;
+        element.stated.note(&element.label, &artefact)?;
+        T::try_from(artefact).map_err(|found| wrong_kind(port, T::KIND, found))
     }
 
     /// The artefact of an optional port.
@@ -189,8 +217,15 @@ impl<'s> Inputs<'s> {
 }
 
 fn typed<'a, T: Noun>(port: &str, artefact: &'a Artefact) -> Result<&'a T, StageError> {
-    T::of(artefact)
-        .ok_or_else(|| StageError::new(format!("port `{port}` needs a {}, found a {}", T::KIND, artefact.kind())))
+    T::of(artefact).ok_or_else(|| wrong_kind(port, T::KIND, artefact.kind()))
+}
+
+fn wrong_kind(port: &str, needed: Kind, found: Kind) -> StageError {
+    StageError::new(format!("port `{port}` needs a {needed}, found a {found}"))
+}
+
+fn not_one(port: &str, found: usize) -> StageError {
+    StageError::new(format!("port `{port}` needs one artefact, found {found}"))
 }
 
 #[cfg(test)]
@@ -223,6 +258,30 @@ mod tests {
         visit("b");
         assert_eq!(reads.load(Ordering::Relaxed), 3);
         assert!(later.kept().is_some());
+    }
+
+    #[test]
+    fn what_nobody_else_asks_for_is_handed_over_and_other_values_are_copied() {
+        let address = |picture: &Picture| picture.png.as_ptr();
+        let of = |artefact: &Arc<Artefact>| address(Picture::of(artefact).unwrap());
+        let mut inputs = Inputs::default();
+        let [last, looked_at, shared] = [1, 2, 3].map(picture);
+        let addresses = [&last, &looked_at, &shared].map(of);
+        inputs.push_later("last", Point::new(), Arc::new(Later::last(last)));
+        inputs.push_later("looked_at", Point::new(), Arc::new(Later::last(looked_at)));
+        inputs.push("shared", Point::new(), shared.clone());
+        assert_eq!(inputs.visit("last", 0, address).unwrap(), addresses[0]);
+        let owned = inputs.owned::<Picture>("last").unwrap();
+        assert_eq!((address(&owned), &owned.png[..]), (addresses[0], &[1][..]));
+        assert!(inputs.one::<Picture>("last").unwrap_err().message.contains("handed over before"));
+        // A reference to it may be in use.
+        let seen = inputs.one::<Picture>("looked_at").unwrap();
+        let owned = inputs.owned::<Picture>("looked_at").unwrap();
+        assert!(address(&owned) != addresses[1] && owned == *seen);
+        assert!(address(&inputs.owned::<Picture>("shared").unwrap()) != addresses[2]);
+        assert_eq!(inputs.one::<Picture>("shared").unwrap().png, [3]);
+        assert!(inputs.owned::<Table>("shared").unwrap_err().message.contains("needs a table, found a picture"));
+        assert!(inputs.owned::<Table>("none").unwrap_err().message.contains("needs one artefact, found 0"));
     }
 
     #[test]

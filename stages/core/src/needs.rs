@@ -35,18 +35,26 @@ pub struct InputSizes<'a> {
     small: &'a SmallInput<'a>,
     kept: bool,
     threads: u64,
+    /// Ports whose input is handed over, to be changed in place.
+    moved: Vec<&'static str>,
 }
 
 impl<'a> InputSizes<'a> {
     /// Inputs of these sizes.
     pub fn new(sizes: Vec<InputSize>, small: &'a SmallInput<'a>) -> Self {
-        Self { sizes, small, kept: false, threads: 1 }
+        Self { sizes, small, kept: false, threads: 1, moved: Vec::new() }
     }
 
     /// The same for a step whose outputs are kept or not.
     #[must_use]
     pub fn kept(self, kept: bool) -> Self {
         Self { kept, ..self }
+    }
+
+    /// The same for a step that is handed the inputs of these ports to change them in place.
+    #[must_use]
+    pub fn moved(self, moved: Vec<&'static str>) -> Self {
+        Self { moved, ..self }
     }
 
     /// The same for a step that has so many threads.
@@ -73,6 +81,11 @@ impl<'a> InputSizes<'a> {
     /// Bytes of the inputs at one port in memory.
     pub fn of(&self, port: &str) -> u64 {
         self.at(port).map(InputSize::in_memory).fold(0, u64::saturating_add).min(MOST_BYTES)
+    }
+
+    /// Bytes of the copy that a stage needs which changes the input of a port: none where it is handed over.
+    pub fn copy_of(&self, port: &str) -> u64 {
+        if self.moved.contains(&port) { 0 } else { self.of(port) }
     }
 
     /// Bytes of the largest input at one port in memory: what a stage needs that takes them one by one.
@@ -142,7 +155,9 @@ mod tests {
         assert_eq!(inputs.small("table", |table: &Table| table.columns.len()), Some(1));
         assert_eq!(inputs.small("depth", |table: &Table| table.columns.len()), None);
         assert_eq!((inputs.of_file(9), inputs.at_once(7)), (0, 1));
-        let inputs = inputs.kept(true).on_threads(4);
+        assert_eq!((inputs.copy_of("depth"), inputs.copy_of("mesh")), (140, 0));
+        let inputs = inputs.kept(true).on_threads(4).moved(vec!["depth"]);
+        assert_eq!((inputs.copy_of("depth"), inputs.of("depth")), (0, 140));
         assert_eq!((inputs.of_file(9), inputs.at_once(7), inputs.at_once(3)), (9, 4, 3));
     }
 }

@@ -94,6 +94,8 @@ pub struct Port {
     pub doc: &'static str,
     /// The extension of its file where that is not the one of its kind, without the dot.
     pub extension: Option<&'static str>,
+    /// Whether the stage changes what it gets here in place, which [`Inputs::owned`] hands it.
+    pub changed: bool,
 }
 
 /// The ports of a step.
@@ -108,17 +110,23 @@ pub struct Ports {
 impl Port {
     /// A port for exactly one artefact of these kinds.
     pub const fn one(name: &'static str, kinds: &'static [Kind], doc: &'static str) -> Self {
-        Self { name, kinds, arity: Arity::One, doc, extension: None }
+        Self { name, kinds, arity: Arity::One, doc, extension: None, changed: false }
     }
 
     /// An input that may be left out.
     pub const fn optional(name: &'static str, kinds: &'static [Kind], doc: &'static str) -> Self {
-        Self { name, kinds, arity: Arity::Optional, doc, extension: None }
+        Self { name, kinds, arity: Arity::Optional, doc, extension: None, changed: false }
     }
 
     /// An input that takes a gathered list.
     pub const fn many(name: &'static str, kinds: &'static [Kind], doc: &'static str) -> Self {
-        Self { name, kinds, arity: Arity::Many, doc, extension: None }
+        Self { name, kinds, arity: Arity::Many, doc, extension: None, changed: false }
+    }
+
+    /// The same port, of a stage that asks for its artefact by [`Inputs::owned`]: it is moved where no other step needs it any more.
+    #[must_use]
+    pub const fn changed(self) -> Self {
+        Self { changed: true, ..self }
     }
 }
 
@@ -418,7 +426,7 @@ impl<'a> Context<'a> {
 ///     const OUTPUTS: &'static [Port] = &[Port::one("table", &[Kind::Table], "The table with scaled numbers.")];
 ///
 ///     fn run(params: &ScaleParams, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
-///         let mut table = inputs.one::<Table>("table")?.clone();
+///         let mut table = inputs.owned::<Table>("table")?;
 ///         for cell in table.rows.iter_mut().flatten() {
 ///             if let Some(number) = cell.number() {
 ///                 *cell = (params.factor * number).into();

@@ -63,13 +63,13 @@ impl Stage for ApplyMask {
     const VERSION: u32 = 1;
     const PAGE: Page = Page::new(include_str!("apply_mask.md"));
     const INPUTS: &'static [Port] = &[
-        Port::one("raster", &[Kind::Raster], "What is masked, any number of bands."),
+        Port::one("raster", &[Kind::Raster], "What is masked, any number of bands.").changed(),
         Port::one("mask", &[Kind::Raster], "What decides, any number of bands."),
     ];
     const OUTPUTS: &'static [Port] = &[Port::one("raster", &[Kind::Raster], "The raster where the mask keeps it.")];
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
-        let mut raster = inputs.one::<Raster>("raster")?.clone();
+        let mut raster = inputs.owned::<Raster>("raster")?;
         let mask = inputs.one::<Raster>("mask")?;
         check_grids(&raster, mask)?;
         let bands = match &params.band {

@@ -20,11 +20,12 @@ impl Stage for FilterOutliers {
     const NAME: &'static str = "filter-outliers";
     const VERSION: u32 = 1;
     const PAGE: Page = Page::new(include_str!("filter_outliers.md"));
-    const INPUTS: &'static [Port] = &[Port::one("raster", &[Kind::Raster], "Differences, any number of bands.")];
+    const INPUTS: &'static [Port] =
+        &[Port::one("raster", &[Kind::Raster], "Differences, any number of bands.").changed()];
     const OUTPUTS: &'static [Port] = &[Port::one("raster", &[Kind::Raster], "The same without the outliers.")];
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
-        let mut raster = inputs.one::<Raster>("raster")?.clone();
+        let mut raster = inputs.owned::<Raster>("raster")?;
         let (mut removed, mut valid) = (0usize, 0usize);
         for band in &mut raster.bands {
             let before = valid_cells(&band.values);

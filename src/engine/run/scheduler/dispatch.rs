@@ -12,7 +12,7 @@ use super::state::{State, same_outputs};
 use crate::PHASE;
 use crate::pipeline::LogLevel;
 use crate::plan::makes;
-use crate::run::worker::{Done, Failure, Feed, Task, Value};
+use crate::run::worker::{Done, Failure, Feed, Source, Task, Value};
 use crate::run::{RunError, StepFailure};
 use crate::watch::{Event, Reason};
 
@@ -23,6 +23,7 @@ impl Scheduler<'_> {
         let sketch = (levels.get(instance) == Some(&LogLevel::Full)).then_some(self.options.look);
         let peak = self.resident.begin(instance);
         let mut task = self.task(instance, sketch, peak);
+        self.move_last(&mut task);
         self.take_ahead(&task.key);
         let reason = if self.states[instance].is_recorded() { Reason::Needed } else { Reason::New };
         task.lease = self.states.start(instance);
@@ -92,17 +93,31 @@ impl Scheduler<'_> {
         }
     }
 
+    /// Hands over to a task the values that its stage changes in place and that nothing else will ask for, so that it need not copy them.
+    fn move_last(&mut self, task: &mut Task) {
+        for moved in self.moved_inputs(task.instance) {
+            let feeds = task.feeds.iter_mut();
+            for feed in feeds.filter(|feed| feed.from == (moved.producer, moved.output)) {
+                if let Some(value) = self.hand_over_last(&moved) {
+                    feed.value = Value::last(value);
+                }
+            }
+        }
+    }
+
     /// An output as a consumer gets it.
     fn value(&self, producer: usize, port: &'static str) -> Value {
         let state = &self.states[producer];
         let recorded = state.outcome().map(|outcome| &outcome.outputs[port]);
         if let Some(spilled) = state.spilled.get(port).filter(|_| !state.values.contains_key(port)) {
-            return Value::Spilled(spilled.clone());
+            return Value::Away(Source::Spilled(spilled.clone()));
         }
         match (state.values.get(port), recorded) {
-            (Some(value), _) => Value::Ready(value.clone()),
-            (None, Some(recorded)) => Value::Stored(recorded.kind.parse().unwrap_or(Kind::Table), recorded.digest),
-            (None, None) => Value::Stored(Kind::Table, Digest::of(b"")),
+            (Some(value), _) => Value::shared(value.clone()),
+            (None, Some(recorded)) => {
+                Value::Away(Source::Stored(recorded.kind.parse().unwrap_or(Kind::Table), recorded.digest))
+            }
+            (None, None) => Value::Away(Source::Stored(Kind::Table, Digest::of(b""))),
         }
     }
 

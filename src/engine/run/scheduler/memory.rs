@@ -14,6 +14,16 @@ use crate::watch::Event;
 /// Inputs up to this size are read to estimate what a step needs.
 const SMALL_BYTES: u64 = 1 << 20;
 
+/// An input that a stage is handed to change it in place.
+pub struct Moved {
+    /// The input port.
+    pub port: &'static str,
+    /// The instance that made it.
+    pub producer: usize,
+    /// The output port it came from.
+    pub output: &'static str,
+}
+
 impl Scheduler<'_> {
     /// Keeps a value in memory.
     pub fn hold(&mut self, instance: usize, port: &'static str, value: Arc<Artefact>) {
@@ -70,19 +80,58 @@ impl Scheduler<'_> {
         if let Some(known) = self.budget.estimate(instance) {
             return known;
         }
-        let need = self.estimate_bytes(instance).saturating_sub(self.held_bytes(instance));
+        let moved = self.moved_inputs(instance);
+        let need = self.estimate_bytes(instance, &moved).saturating_sub(self.held_bytes(instance, &moved));
         self.budget.set_estimate(instance, need);
         need
     }
 
-    /// What the inputs take that are in memory already.
-    fn held_bytes(&self, instance: usize) -> u64 {
+    /// The inputs of an instance that its stage changes in place and that nothing else will ask for: they are handed over, and count among
+    /// what it needs. What may run more than once, or is handed to other processes, keeps its inputs.
+    pub fn moved_inputs(&self, instance: usize) -> Vec<Moved> {
+        let step = self.plan.step(instance);
+        if self.options.check_determinism || step.retries > 0 || self.exchange.are_others {
+            return Vec::new();
+        }
+        let inputs = &self.plan.instances[instance].inputs;
+        let is_once = |from: (usize, &str)| {
+            let given = inputs.iter().flat_map(|(_, given)| given);
+            given.filter(|given| (given.instance, given.port) == from).count() == 1
+        };
+        let is_changed = |port: &str| step.ports.inputs.iter().any(|input| input.name == port && input.changed);
+        let changed = inputs.iter().filter(|(port, _)| is_changed(port));
+        let given =
+            changed.flat_map(|(port, given)| given.iter().map(move |given| (*port, given.instance, given.port)));
+        given
+            .map(|(port, producer, output)| Moved { port, producer, output })
+            .filter(|moved| {
+                let state = &self.states[moved.producer];
+                let is_last = state.users == 1 && state.wanted_by.is_empty();
+                is_last && state.values.contains_key(moved.output) && is_once((moved.producer, moved.output))
+            })
+            .collect()
+    }
+
+    /// Hands over what an instance may change in place: the value is here no more.
+    pub fn hand_over_last(&mut self, moved: &Moved) -> Option<Arc<Artefact>> {
+        let state = &mut self.states[moved.producer];
+        let value = state.values.remove(moved.output)?;
+        // Other processes compute what is not announced.
+        state.announced.remove(moved.output);
+        self.budget.release(value.memory_bytes());
+        Some(value)
+    }
+
+    /// What the inputs take that are in memory already and stay there.
+    fn held_bytes(&self, instance: usize, moved: &[Moved]) -> u64 {
         let given = self.plan.instances[instance].inputs.iter().flat_map(|(_, given)| given);
-        let values = given.filter_map(|given| self.states[given.instance].values.get(given.port));
+        let stays =
+            |given: &&Given| moved.iter().all(|moved| (moved.producer, moved.output) != (given.instance, given.port));
+        let values = given.filter(stays).filter_map(|given| self.states[given.instance].values.get(given.port));
         values.map(|value| value.memory_bytes() as u64).sum()
     }
 
-    fn estimate_bytes(&self, instance: usize) -> u64 {
+    fn estimate_bytes(&self, instance: usize, moved: &[Moved]) -> u64 {
         let planned = &self.plan.instances[instance];
         let given = planned.inputs.iter().flat_map(|(port, given)| given.iter().map(move |given| (*port, given)));
         let size = |(port, given): (&'static str, &Given)| {
@@ -99,6 +148,7 @@ impl Scheduler<'_> {
         }));
         let small = |port: &str| self.small_input(instance, port);
         let sizes = InputSizes::new(sizes, &small).kept(self.must_keep(instance)).on_threads(self.options.jobs);
+        let sizes = sizes.moved(moved.iter().map(|moved| moved.port).collect());
         self.plan.step(instance).stage.memory_bytes(&planned.params.canonical, &sizes)
     }
 

@@ -11,5 +11,5 @@ mod work;
 mod workers;
 
 pub use failure::Failure;
-pub use work::{Done, Feed, Task, Value};
+pub use work::{Done, Feed, Source, Task, Value};
 pub use workers::{Result, Workers};

@@ -23,13 +23,33 @@ use crate::PHASE;
 use crate::plan::{InputFile, StepParams, has_ports};
 use crate::run::spill::Spilled;
 
-/// An artefact that is in memory, or the blob to read it from.
+/// An artefact that is in memory, or where it is read from when the stage asks for it.
 pub enum Value {
-    /// The artefact itself, in memory.
-    Ready(Arc<Artefact>),
-    /// A blob of this kind in the store, which is read when the stage asks for it.
+    /// In memory, so many bytes.
+    Ready(Arc<Later<'static>>, usize),
+    /// Not in memory.
+    Away(Source),
+}
+
+impl Value {
+    /// A value in memory that others may ask for too.
+    pub fn shared(value: Arc<Artefact>) -> Self {
+        let bytes = value.memory_bytes();
+        Self::Ready(Arc::new(Later::ready(value)), bytes)
+    }
+
+    /// A value in memory that only this task will ask for: its stage may change it in place.
+    pub fn last(value: Arc<Artefact>) -> Self {
+        let bytes = value.memory_bytes();
+        Self::Ready(Arc::new(Later::last(value)), bytes)
+    }
+}
+
+/// What an artefact is read from.
+pub enum Source {
+    /// A blob of this kind in the store.
     Stored(Kind, Digest),
-    /// In a file, for want of memory.
+    /// A file, to which it was written for want of memory.
     Spilled(Arc<Spilled>),
 }
 
@@ -87,8 +107,8 @@ impl Task {
     /// The bytes of its inputs in memory; `None` where some have yet to be read.
     fn bytes(&self) -> Option<usize> {
         let of_feed = |feed: &Feed| match &feed.value {
-            Value::Ready(value) => Some(value.memory_bytes()),
-            Value::Stored(..) | Value::Spilled(_) => None,
+            Value::Ready(_, bytes) => Some(*bytes),
+            Value::Away(_) => None,
         };
         self.feeds.iter().map(of_feed).sum()
     }
@@ -224,13 +244,12 @@ type Stored<'s> = Vec<((usize, &'static str), Arc<Later<'s>>)>;
 fn inputs<'s>(task: &'s Task, store: &'s Store, trouble: &'s Trouble) -> (Inputs<'s>, Stored<'s>) {
     let (mut inputs, mut stored) = (Inputs::default(), Stored::new());
     for feed in &task.feeds {
-        let known = stored.iter().find(|(from, _)| *from == feed.from).map(|(_, later)| later.clone());
+        let known = stored.iter().find(|(from, _)| *from == feed.from).map(|(_, later)| later);
         let value = match (&feed.value, known) {
-            (Value::Ready(value), _) => Arc::new(Later::ready(value.clone())),
-            (_, Some(later)) => later,
-            (value, None) => {
+            (Value::Ready(later, _), _) | (Value::Away(_), Some(later)) => later.clone(),
+            (Value::Away(source), None) => {
                 let later = Arc::new(Later::new(move || {
-                    read(feed, value, store).map_err(|failure| {
+                    read(feed, source, store).map_err(|failure| {
                         *trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(failure);
                         StageError::new(format!("input `{}` cannot be read", feed.port))
                     })
@@ -244,13 +263,12 @@ fn inputs<'s>(task: &'s Task, store: &'s Store, trouble: &'s Trouble) -> (Inputs
     (inputs, stored)
 }
 
-fn read(feed: &Feed, value: &Value, store: &Store) -> Result<Arc<Artefact>, Failure> {
+fn read(feed: &Feed, source: &Source, store: &Store) -> Result<Arc<Artefact>, Failure> {
     let _input = tracing::trace_span!(target: PHASE, "input", port = feed.port).entered();
     let lost = |why: String| Failure::Lost(feed.from.0, why);
-    let (kind, digest) = match value {
-        Value::Ready(value) => return Ok(value.clone()),
-        Value::Spilled(spilled) => return spilled.read().map(Arc::new).map_err(lost),
-        Value::Stored(kind, digest) => (*kind, digest),
+    let (kind, digest) = match source {
+        Source::Spilled(spilled) => return spilled.read().map(Arc::new).map_err(lost),
+        Source::Stored(kind, digest) => (*kind, digest),
     };
     let bytes = match store.get(digest) {
         Ok(bytes) => bytes,

@@ -144,6 +144,7 @@ fn leaked(declared: &BTreeMap<String, Declared>) -> &'static [Port] {
         arity: declared.arity,
         doc: "declared by the step",
         extension: declared.extension.as_deref().filter(|_| declared.kind == Kind::File).map(text),
+        changed: false,
     };
     Box::leak(declared.iter().map(port).collect::<Vec<_>>().into_boxed_slice())
 }

@@ -12,6 +12,8 @@ use rockface_raster::shape::{Moved, Shape};
 const MAXIMUM_COLUMNS: f64 = 5e7;
 /// Points that are looked at together. Sums have one part for each, so this number is part of their rounding.
 const WIDE: usize = 4;
+/// The column of a place without a point.
+const NOWHERE: u32 = u32::MAX;
 /// What rounding may take from a length, as a share of the side of a column.
 const SLACK: f64 = 1e-9;
 
@@ -34,12 +36,10 @@ impl Cloud {
     /// The points of a surface or the vertices of a mesh, moved by `transform`, in columns of about `side_m`; `None` without
     /// points.
     pub fn new(shape: Shape, transform: Option<&Moved>, side_m: f64) -> Option<Self> {
-        let points: Vec<Vector3<f64>> =
-            (0..shape.places()).into_par_iter().map(|place| Vector3::from(shape.point(place, transform))).collect();
-        let points: Vec<Vector3<f64>> = points.into_iter().filter(|p| !p.x.is_nan()).collect();
-        let first = points.first()?;
-        let grow = |(low, high): (Vector3<f64>, Vector3<f64>), p: &Vector3<f64>| (low.inf(p), high.sup(p));
-        let (low, high) = points.iter().fold((*first, *first), grow);
+        // Points are made where they are needed: a list of them would take longer to write than they take to make.
+        let point = |place: usize| Vector3::from(shape.point(place, transform));
+        let ends = (0..shape.places()).into_par_iter().map(point).filter(|p| !p.x.is_nan()).map(|p| (p, p));
+        let (low, high) = ends.reduce_with(|one, other| (one.0.inf(&other.0), one.1.sup(&other.1)))?;
         let size = high - low;
         let side = side_m.max((size.x * size.y / MAXIMUM_COLUMNS).sqrt()).max(size.x.max(size.y) / 1e6);
         let [wide, tall] = [size.x, size.y].map(|length| (length / side) as usize + 1);
@@ -53,21 +53,23 @@ impl Cloud {
             wide,
             high: tall,
         };
-        cloud.sort(&points);
+        cloud.sort(shape.places(), point);
         Some(cloud)
     }
 
-    /// Counting sort, in the order of the points.
-    fn sort(&mut self, points: &[Vector3<f64>]) {
-        let columns: Vec<u32> = points.par_iter().map(|p| self.column(p) as u32).collect();
+    /// Counting sort of the points of some places, in their order.
+    fn sort(&mut self, places: usize, point: impl Fn(usize) -> Vector3<f64> + Sync) {
+        let of_place = |place| Some(point(place)).filter(|p| !p.x.is_nan()).map_or(NOWHERE, |p| self.column(&p) as u32);
+        let columns: Vec<u32> = (0..places).into_par_iter().map(of_place).collect();
+        let placed = || columns.iter().enumerate().filter(|(_, column)| **column != NOWHERE);
         let mut next = vec![0u32; self.wide * self.high + 1];
-        columns.iter().for_each(|column| next[*column as usize + 1] += 1);
+        placed().for_each(|(_, column)| next[*column as usize + 1] += 1);
         (1..next.len()).for_each(|i| next[i] += next[i - 1]);
         self.starts.clone_from(&next);
-        let mut coordinates = [0; 3].map(|_| vec![0.0; points.len()]);
-        for (point, column) in points.iter().zip(columns) {
-            let slot = &mut next[column as usize];
-            coordinates.iter_mut().zip(point.iter()).for_each(|(values, value)| values[*slot as usize] = *value);
+        let mut coordinates = [0; 3].map(|_| vec![0.0; next[next.len() - 1] as usize]);
+        for (place, column) in placed() {
+            let slot = &mut next[*column as usize];
+            coordinates.iter_mut().zip(point(place).iter()).for_each(|(values, value)| values[*slot as usize] = *value);
             *slot += 1;
         }
         self.coordinates = coordinates;

@@ -185,6 +185,14 @@ macro_rules! artefacts {
 
         $( impl From<$Name> for Artefact {
             fn from(value: $Name) -> Self { Self::$Name(value) }
+        }
+
+        impl TryFrom<Artefact> for $Name {
+            /// What it is instead.
+            type Error = Kind;
+            fn try_from(artefact: Artefact) -> Result<Self, Kind> {
+                if let Artefact::$Name(value) = artefact { Ok(value) } else { Err(artefact.kind()) }
+            }
         } )*
     };
 }

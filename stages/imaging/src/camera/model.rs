@@ -176,19 +176,31 @@ impl Camera {
     pub fn normalised_near_lanes(&self, [u, v]: [Lanes; 2], guess: [Lanes; 2]) -> [Lanes; 2] {
         let s = &self.sensor;
         let yd = (v - s.cy) / s.f;
-        self.undistort_lanes([(u - s.cx - yd * s.b2) / (s.f + s.b1), yd], guess)
+        self.undistort_lanes([(u - s.cx - yd * s.b2) / (s.f + s.b1), yd], guess, NEAR)
     }
 
     /// As [`Camera::normalised_in_row`] from near guesses only, for several columns; NaN where the search fails from there.
     #[inline(always)]
     pub fn normalised_in_row_lanes(&self, u: Lanes, yd: f64, guess: [Lanes; 2]) -> [Lanes; 2] {
-        let s = &self.sensor;
-        self.undistort_lanes([(u - s.cx - s.b2 * yd) / (s.f + s.b1), Lanes::all(yd)], guess)
+        self.undistort_lanes(self.distorted_in_row_lanes(u, yd), guess, NEAR)
     }
 
-    /// As [`Camera::solve_distortion`] from near guesses, for several rays: each lane takes the steps it takes alone.
+    /// As [`Camera::normalised_in_row`] without a guess, for several columns; NaN where it is `None`.
     #[inline(always)]
-    fn undistort_lanes(&self, distorted: [Lanes; 2], [mut x, mut y]: [Lanes; 2]) -> [Lanes; 2] {
+    pub fn normalised_in_row_unguessed_lanes(&self, u: Lanes, yd: f64) -> [Lanes; 2] {
+        let distorted = self.distorted_in_row_lanes(u, yd);
+        self.undistort_lanes(distorted, distorted, FAR)
+    }
+
+    #[inline(always)]
+    fn distorted_in_row_lanes(&self, u: Lanes, yd: f64) -> [Lanes; 2] {
+        let s = &self.sensor;
+        [(u - s.cx - s.b2 * yd) / (s.f + s.b1), Lanes::all(yd)]
+    }
+
+    /// As [`Camera::solve_distortion`], for several rays: each lane takes the steps it takes alone.
+    #[inline(always)]
+    fn undistort_lanes(&self, distorted: [Lanes; 2], [mut x, mut y]: [Lanes; 2], last: f64) -> [Lanes; 2] {
         if self.straight {
             return distorted;
         }
@@ -199,7 +211,7 @@ impl Camera {
             let open_step = |step: Lanes| step.with(open, |step, open| if open > 0.0 { step } else { 0.0 });
             (x, y) = (x - open_step(dx), y - open_step(dy));
             let longest = dx.with(dy, |dx, dy| dx.abs().max(dy.abs()));
-            open = open.with(longest, |open, step| if step < NEAR { 0.0 } else { open });
+            open = open.with(longest, |open, step| if step < last { 0.0 } else { open });
             if open.each().iter().all(|open| *open == 0.0) {
                 break;
             }

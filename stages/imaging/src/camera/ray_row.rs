@@ -7,6 +7,8 @@ use rockface_core::numerics::simd::{LANES, Lanes, Number, Work, both, vectorised
 const SPACING_PX: u32 = 32;
 /// Fewest columns between them.
 const FEWEST: usize = 4;
+/// Weights of one node at the columns of a stretch, of the longest, and at those that a block may reach beyond it.
+type Weights = [f64; SPACING_PX as usize + LANES];
 
 /// Computes the rays of a row, in any columns. A ray does not depend on which other columns are computed.
 ///
@@ -19,10 +21,16 @@ pub struct RayRow<'a> {
     yd: f64,
     /// Columns from one node to the next.
     spacing: usize,
+    /// Weights of the nodes around a stretch at its columns, over and over.
+    weights: [Weights; 4],
     /// Number of the stretch of columns that `around` is for.
     stretch: Option<usize>,
     /// Rays one stretch before its start, at its start, at its end and one stretch beyond.
     around: [Option<[f64; 2]>; 4],
+    /// The last node that a column of the image needs.
+    last: i64,
+    /// Nodes that were solved together, from the node of this number on; NaN where there is no ray.
+    nodes: (i64, [Lanes; 2]),
 }
 
 impl<'a> RayRow<'a> {
@@ -30,7 +38,12 @@ impl<'a> RayRow<'a> {
     pub fn new(camera: &'a Camera, row: usize, downscale: u32) -> Self {
         let spacing = ((SPACING_PX / downscale.max(1)) as usize).max(FEWEST);
         let [_, v] = full_pixel(0, row, downscale);
-        Self { camera, downscale, yd: camera.distorted_y(v), spacing, stretch: None, around: [None; 4] }
+        let columns = camera.sensor().width_px.div_ceil(downscale.max(1)) as usize;
+        let last = (columns.saturating_sub(1) / spacing + 2) as i64;
+        let nodes = (i64::MIN, [Lanes::NONE; 2]);
+        let weights = vectorised(AllWeights { spacing });
+        let yd = camera.distorted_y(v);
+        Self { camera, downscale, yd, spacing, weights, stretch: None, around: [None; 4], last, nodes }
     }
 
     /// Undistorted normalised coordinates of the centre of a pixel; `None` where the distortion has no inverse.
@@ -41,7 +54,7 @@ impl<'a> RayRow<'a> {
             self.enter(stretch);
         }
         let guess = if let [Some(a), Some(b), Some(c), Some(d)] = self.around {
-            let [wa, wb, wc, wd] = lagrange((column - stretch * self.spacing) as f64 / self.spacing as f64);
+            let [wa, wb, wc, wd] = [0, 1, 2, 3].map(|node| self.weights[node][column - stretch * self.spacing]);
             Some([0, 1].map(|i| wa * a[i] + wb * b[i] + wc * c[i] + wd * d[i]))
         } else {
             None
@@ -69,14 +82,12 @@ impl<'a> RayRow<'a> {
     /// The rays of the [`LANES`] columns from one on, NaN where there is none.
     pub fn block(&mut self, first: usize) -> [Lanes; 2] {
         let (start, end) = (first / self.spacing, (first + LANES - 1) / self.spacing);
-        if start == end {
-            if self.stretch != Some(start) {
-                self.enter(start);
-            }
-            if let [Some(a), Some(b), Some(c), Some(d)] = self.around {
-                let offset = (first - start * self.spacing) as f64;
-                let stretch = Stretch { row: self, first: first as f64, offset, around: [a, b, c, d] };
-                let rays = vectorised(stretch);
+        if end <= start + 1 {
+            let one = self.around(start);
+            let other = if end == start { one } else { self.around(end) };
+            if let (Some(one), Some(other)) = (one, other) {
+                let offset = first - start * self.spacing;
+                let rays = vectorised(Stretch { row: self, first: first as f64, offset, one, other });
                 if rays[0].each().iter().all(|x| !x.is_nan()) {
                     return rays;
                 }
@@ -91,15 +102,39 @@ impl<'a> RayRow<'a> {
         rays
     }
 
+    /// The rays of the nodes around a stretch; `None` where one of them has none.
+    #[inline]
+    fn around(&mut self, stretch: usize) -> Option<[[f64; 2]; 4]> {
+        if self.stretch != Some(stretch) {
+            self.enter(stretch);
+        }
+        let [Some(a), Some(b), Some(c), Some(d)] = self.around else { return None };
+        Some([a, b, c, d])
+    }
+
     fn enter(&mut self, stretch: usize) {
         let known = self.stretch.is_some_and(|last| last + 1 == stretch);
-        let find = |step: i32| {
-            let column = (stretch as f64 + f64::from(step)) * self.spacing as f64;
-            self.camera.normalised_in_row(self.full_column(column), self.yd, None)
-        };
         let [_, b, c, d] = self.around;
-        self.around = if known { [b, c, d, find(2)] } else { [-1, 0, 1, 2].map(find) };
+        let mut node = |step: i64| self.node(stretch as i64 + step);
+        self.around = if known { [b, c, d, node(2)] } else { [node(-1), node(0), node(1), node(2)] };
         self.stretch = Some(stretch);
+    }
+
+    /// The ray of a node, which is solved together with those that follow it.
+    fn node(&mut self, number: i64) -> Option<[f64; 2]> {
+        if number > self.last {
+            return self.camera.normalised_in_row(
+                self.full_column((number * self.spacing as i64) as f64),
+                self.yd,
+                None,
+            );
+        }
+        if !(0..LANES as i64).contains(&number.saturating_sub(self.nodes.0)) {
+            self.nodes = (number, vectorised(Nodes { row: self, first: number }));
+        }
+        let lane = (number - self.nodes.0) as usize;
+        let ray = self.nodes.1.map(|of| of[lane]);
+        (!ray[0].is_nan()).then_some(ray)
     }
 
     /// Position in the full image of a column of the row, pixels; it may lie beyond the image.
@@ -109,25 +144,79 @@ impl<'a> RayRow<'a> {
     }
 }
 
-/// Columns in one stretch of a row, from `first` on, which is `offset` columns behind the start of the stretch.
-struct Stretch<'a> {
-    row: &'a RayRow<'a>,
-    first: f64,
-    offset: f64,
-    around: [[f64; 2]; 4],
+/// Nodes of a row from one on, those that no column of the image needs left out.
+struct Nodes<'r, 'c> {
+    row: &'r RayRow<'c>,
+    first: i64,
 }
 
-impl Work for Stretch<'_> {
+impl Work for Nodes<'_, '_> {
     type Output = [Lanes; 2];
 
     #[inline(always)]
     fn run(self) -> [Lanes; 2] {
-        let Self { row, first, offset, around: [a, b, c, d] } = self;
+        let Self { row, first } = self;
+        let number = Lanes::<LANES>::of(|lane| lane as f64) + first as f64;
+        let last = row.last as f64;
+        let column = number.map(|number| if number > last { f64::NAN } else { number }) * row.spacing as f64;
+        let full = (column + 0.5) * f64::from(row.downscale) - 0.5;
+        row.camera.normalised_in_row_unguessed_lanes(full, row.yd)
+    }
+}
+
+/// Columns of a row, from `first` on, which is `offset` columns behind the start of its stretch; those beyond the stretch are in the next.
+struct Stretch<'r, 'c> {
+    row: &'r RayRow<'c>,
+    first: f64,
+    offset: usize,
+    one: [[f64; 2]; 4],
+    other: [[f64; 2]; 4],
+}
+
+impl Work for Stretch<'_, '_> {
+    type Output = [Lanes; 2];
+
+    #[inline(always)]
+    fn run(self) -> [Lanes; 2] {
+        let Self { row, first, offset, one, other } = self;
         let lane = Lanes::<LANES>::of(|lane| lane as f64);
-        let [wa, wb, wc, wd] = lagrange((lane + offset) / row.spacing as f64);
-        let guess = both([0, 1], |i| wa * a[i] + wb * b[i] + wc * c[i] + wd * d[i]);
+        let [wa, wb, wc, wd] = &row.weights;
+        let at = |weights: &Weights| Lanes::<LANES>::first_of(&weights[offset..]);
+        let (wa, wb, wc, wd) = (at(wa), at(wb), at(wc), at(wd));
+        let guess = |[a, b, c, d]: [[f64; 2]; 4]| both([0, 1], |i| wa * a[i] + wb * b[i] + wc * c[i] + wd * d[i]);
+        let mut near = guess(one);
+        let rest = (row.spacing - offset) as f64;
+        if rest < LANES as f64 {
+            let beyond = guess(other);
+            near = both([0, 1], |i| lane.choose(|lane| lane < rest, near[i], beyond[i]));
+        }
         let full = (lane + first + 0.5) * f64::from(row.downscale) - 0.5;
-        row.camera.normalised_in_row_lanes(full, row.yd, guess)
+        row.camera.normalised_in_row_lanes(full, row.yd, near)
+    }
+}
+
+/// The weights of the nodes at all columns.
+struct AllWeights {
+    spacing: usize,
+}
+
+impl Work for AllWeights {
+    type Output = [Weights; 4];
+
+    #[inline(always)]
+    fn run(self) -> [Weights; 4] {
+        let mut weights = [[0.0; SPACING_PX as usize + LANES]; 4];
+        for first in (0..self.spacing).step_by(LANES) {
+            let column = Lanes::<LANES>::of(|lane| (first + lane) as f64);
+            let of_block = lagrange(column / self.spacing as f64);
+            for (weights, of_block) in weights.iter_mut().zip(of_block) {
+                weights[first..first + LANES].copy_from_slice(&of_block.each());
+            }
+        }
+        for weights in &mut weights {
+            (self.spacing..weights.len()).for_each(|column| weights[column] = weights[column - self.spacing]);
+        }
+        weights
     }
 }
 

@@ -42,7 +42,7 @@ const MASK: Port = Port::optional(
     &[Kind::Raster],
     "Where the surface is valid: triangles stay whose corners lie over cells with a value that is not 0 (first band).",
 );
-const MESH: &[Port] = &[Port::one("mesh", &[Kind::Mesh], "The mesh to clean; with `of: mesh`."), MASK];
+const MESH: &[Port] = &[Port::one("mesh", &[Kind::Mesh], "The mesh to clean; with `of: mesh`.").changed(), MASK];
 const CLEANED: &[Port] = &[Port::one("mesh", &[Kind::Mesh], "The cleaned mesh; with `of: mesh`.")];
 
 impl Stage for CleanMesh {
@@ -50,7 +50,7 @@ impl Stage for CleanMesh {
     const NAME: &'static str = "clean-mesh";
     const VERSION: u32 = 1;
     const PAGE: Page = Page::new(include_str!("clean_mesh.md"));
-    const INPUTS: &'static [Port] = &[Port::one("surface", &[Kind::Surface], "The surface to clean."), MASK];
+    const INPUTS: &'static [Port] = &[Port::one("surface", &[Kind::Surface], "The surface to clean.").changed(), MASK];
     const OUTPUTS: &'static [Port] =
         &[Port::one("surface", &[Kind::Surface], "The cleaned surface, on the same grid.")];
 
@@ -65,10 +65,12 @@ impl Stage for CleanMesh {
     }
 
     fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
-        // What is left of it; of a mesh its edges too.
+        // A copy to change and what marks its triangles; of a mesh its edges too.
         let copies = match params.of {
-            Subject::Surface => inputs.times(1.1, "surface") + inputs.of_file(inputs.of("surface")),
-            Subject::Mesh => 3 * inputs.of("mesh"),
+            Subject::Surface => {
+                inputs.copy_of("surface") + inputs.of("surface") / 10 + inputs.of_file(inputs.of("surface"))
+            }
+            Subject::Mesh => inputs.copy_of("mesh") + 2 * inputs.of("mesh"),
         };
         inputs.total() + copies
     }
@@ -83,7 +85,7 @@ impl Stage for CleanMesh {
         };
         match params.of {
             Subject::Surface => {
-                let mut surface = inputs.one::<Surface>("surface")?.clone();
+                let mut surface = inputs.owned::<Surface>("surface")?;
                 if surface.width < 2 || surface.height < 2 {
                     fail!("the surface has {} x {} points, at least 2 x 2 are needed", surface.width, surface.height);
                 }
@@ -92,7 +94,7 @@ impl Stage for CleanMesh {
                 Ok(Outputs::of("surface", surface))
             }
             Subject::Mesh => {
-                let mut mesh = inputs.one::<Mesh>("mesh")?.clone();
+                let mut mesh = inputs.owned::<Mesh>("mesh")?;
                 check_mask(mask, mesh.frame)?;
                 let (removed, mended) = mesh_cleaning::clean(&mut mesh, &rules);
                 report(context, &removed)?;
