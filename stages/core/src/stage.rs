@@ -422,7 +422,7 @@ impl<'a> Context<'a> {
 ///     const NAME: &'static str = "scale-table";
 ///     const VERSION: u32 = 1;
 ///     const PAGE: Page = Page::new("# scale-table\n\nMultiplies every number of a table.\n");
-///     const INPUTS: &'static [Port] = &[Port::one("table", &[Kind::Table], "Any table.")];
+///     const INPUTS: &'static [Port] = &[Port::one("table", &[Kind::Table], "Any table.").changed()];
 ///     const OUTPUTS: &'static [Port] = &[Port::one("table", &[Kind::Table], "The table with scaled numbers.")];
 ///
 ///     fn run(params: &ScaleParams, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

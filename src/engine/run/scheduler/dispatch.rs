@@ -23,7 +23,7 @@ impl Scheduler<'_> {
         let sketch = (levels.get(instance) == Some(&LogLevel::Full)).then_some(self.options.look);
         let peak = self.resident.begin(instance);
         let mut task = self.task(instance, sketch, peak);
-        self.move_last(&mut task);
+        self.give_last(&mut task);
         self.take_ahead(&task.key);
         let reason = if self.states[instance].is_recorded() { Reason::Needed } else { Reason::New };
         task.lease = self.states.start(instance);
@@ -94,11 +94,11 @@ impl Scheduler<'_> {
     }
 
     /// Hands over to a task the values that its stage changes in place and that nothing else will ask for, so that it need not copy them.
-    fn move_last(&mut self, task: &mut Task) {
+    fn give_last(&mut self, task: &mut Task) {
         for moved in self.moved_inputs(task.instance) {
             let feeds = task.feeds.iter_mut();
             for feed in feeds.filter(|feed| feed.from == (moved.producer, moved.output)) {
-                if let Some(value) = self.hand_over_last(&moved) {
+                if let Some(value) = self.take_last(&moved) {
                     feed.value = Value::last(value);
                 }
             }

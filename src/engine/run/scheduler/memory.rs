@@ -112,8 +112,8 @@ impl Scheduler<'_> {
             .collect()
     }
 
-    /// Hands over what an instance may change in place: the value is here no more.
-    pub fn hand_over_last(&mut self, moved: &Moved) -> Option<Arc<Artefact>> {
+    /// Takes what an instance may change in place: the value is held here no more.
+    pub fn take_last(&mut self, moved: &Moved) -> Option<Arc<Artefact>> {
         let state = &mut self.states[moved.producer];
         let value = state.values.remove(moved.output)?;
         // Other processes compute what is not announced.
