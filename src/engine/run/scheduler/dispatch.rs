@@ -70,7 +70,7 @@ impl Scheduler<'_> {
             "step",
             step = self.plan.label(instance),
             stage = step.stage.name(),
-            need_bytes = self.budget.claim(instance)
+            need_bytes = self.budget.claim(instance).saturating_sub(self.moved_bytes(instance))
         );
         Task {
             span,

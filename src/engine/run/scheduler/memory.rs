@@ -112,6 +112,13 @@ impl Scheduler<'_> {
             .collect()
     }
 
+    /// What these inputs take, bytes.
+    pub fn moved_bytes(&self, instance: usize) -> u64 {
+        let moved = self.moved_inputs(instance);
+        let values = moved.iter().filter_map(|moved| self.states[moved.producer].values.get(moved.output));
+        values.map(|value| value.memory_bytes() as u64).sum()
+    }
+
     /// Takes what an instance may change in place: the value is held here no more.
     pub fn take_last(&mut self, moved: &Moved) -> Option<Arc<Artefact>> {
         let state = &mut self.states[moved.producer];
