@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use rayon::prelude::*;
 use rockface_cache::Store;
-use rockface_core::artefact::{Kind, Noun, Table};
+use rockface_core::artefact::{Cell, Kind, Noun, Table};
 use rockface_core::params::{FileRef, FilesRef};
 use rockface_core::{AnyStage, Context, Inputs, Outputs, Page, Port, Row, Stage, StageError, params};
 use rockface_engine::diagnostic::Diagnostics;
@@ -264,8 +264,7 @@ impl Stage for Raise {
         const ROOM: usize = 1000;
         let mut table = inputs.owned::<Table>("in")?;
         let moved = if table.rows.capacity() < ROOM { 0.0 } else { 1.0 };
-        let [value, before] =
-            [0, 1].map(|column| table.rows[0].get(column).and_then(|cell| cell.number()).unwrap_or(0.0));
+        let [value, before] = [0, 1].map(|column| table.rows[0].get(column).and_then(Cell::number).unwrap_or(0.0));
         table.columns = Table::new(["value", "moved"]).columns;
         table.rows[0] = vec![(value + params.plus).into(), (before + moved).into()];
         table.rows.reserve(ROOM);
