@@ -1,7 +1,7 @@
 //! The inputs of a stage: artefacts by port, each read from the store when the stage first asks for it.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use crate::StageError;
 use crate::artefact::{Artefact, Kind, Noun};
@@ -47,8 +47,9 @@ impl<'s> Later<'s> {
     }
 
     fn read(&self) -> Result<Arc<Artefact>, StageError> {
-        let last = || self.last.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        match (self.value.get().cloned().or_else(last), &self.read) {
+        // In this order: another thread may move it from one place to the other meanwhile.
+        let last = self.lock_last().clone();
+        match (self.value.get().cloned().or(last), &self.read) {
             (Some(value), _) => Ok(value),
             (None, Some(read)) => read(),
             (None, None) => Err(StageError::new("an input was handed over before, or is neither there nor to be read")),
@@ -57,20 +58,24 @@ impl<'s> Later<'s> {
 
     /// The value to be changed: what nobody else will ask for goes without a copy, and is not there any more.
     fn take(&self) -> Result<Artefact, StageError> {
-        let last = || self.last.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let value = match self.value.get() {
-            None => last().map_or_else(|| self.read(), Ok)?,
-            Some(value) => value.clone(),
-        };
-        Ok(Arc::unwrap_or_clone(value))
+        let last = if self.value.get().is_none() { self.lock_last().take() } else { None };
+        last.map_or_else(|| self.read(), Ok).map(Arc::unwrap_or_clone)
+    }
+
+    fn lock_last(&self) -> MutexGuard<'_, Option<Arc<Artefact>>> {
+        self.last.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn keep(&self) -> Result<&Arc<Artefact>, StageError> {
         if let Some(value) = self.value.get() {
             return Ok(value);
         }
-        let last = self.last.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let value = last.map_or_else(|| self.read(), Ok)?;
+        let mut last = self.lock_last();
+        if let Some(value) = last.take() {
+            return Ok(self.value.get_or_init(|| value));
+        }
+        drop(last);
+        let value = self.read()?;
         Ok(self.value.get_or_init(|| value))
     }
 }
@@ -282,6 +287,20 @@ mod tests {
         assert_eq!(inputs.one::<Picture>("shared").unwrap().png, [3]);
         assert!(inputs.owned::<Table>("shared").unwrap_err().message.contains("needs a table, found a picture"));
         assert!(inputs.owned::<Table>("none").unwrap_err().message.contains("needs one artefact, found 0"));
+    }
+
+    #[test]
+    fn several_threads_may_ask_at_once_for_what_nobody_else_asks_for() {
+        for _ in 0..200 {
+            let mut inputs = Inputs::default();
+            inputs.push_later("last", Point::new(), Arc::new(Later::last(picture(1))));
+            std::thread::scope(|scope| {
+                for _ in 0..4 {
+                    scope.spawn(|| assert_eq!(inputs.one::<Picture>("last").unwrap().png, [1]));
+                    scope.spawn(|| inputs.visit("last", 0, |seen: &Picture| assert_eq!(seen.png, [1])).unwrap());
+                }
+            });
+        }
     }
 
     #[test]
