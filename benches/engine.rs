@@ -19,7 +19,7 @@ use rockface_core::{AnyStage, Context, Inputs, Outputs, Page, Port, Row, Stage, 
 use rockface_engine::pipeline::{Overrides, Pipeline};
 use rockface_engine::plan::plan;
 use rockface_engine::run::shortcut::{self, Ended, Told};
-use rockface_engine::run::{Finished, Options, execute};
+use rockface_engine::run::{Finished, Options, execute, process_bytes};
 use rockface_engine::watch::Silent;
 
 params! {
@@ -179,9 +179,7 @@ fn find_nothing_to_do(folder: &Path) {
     let text = std::fs::read(folder.join("p.yaml")).expect("the pipeline");
     let found = shortcut::recall(&folder.join("store"), &Digest::of(&text), &folder.join("runs")).expect("a store");
     assert!(found.is_some(), "there was something to do");
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap_or("0 kB");
-    println!("{}", peak.trim().trim_end_matches(" kB"));
+    println!("{}", process_bytes("self", "VmHWM").unwrap_or(0) / 1024);
 }
 
 /// Milliseconds and MiB of a process that finds nothing to do.

@@ -58,6 +58,8 @@ fn set_default(number: c_int, value: c_long) {
 mod tests {
     use std::alloc::{GlobalAlloc, Layout};
 
+    use rockface_engine::run::process_bytes;
+
     use super::*;
 
     const SIZE: usize = 256 << 20;
@@ -75,11 +77,8 @@ mod tests {
         }
     }
 
-    fn resident_bytes() -> Option<usize> {
-        let status = std::fs::read_to_string("/proc/self/status").ok()?;
-        let kib =
-            status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?.trim().strip_suffix(" kB")?.parse::<usize>();
-        kib.ok().map(|kib| kib << 10)
+    fn resident_bytes() -> Option<u64> {
+        process_bytes("self", "VmRSS")
     }
 
     #[test]
@@ -95,7 +94,7 @@ mod tests {
         let kept = resident_bytes();
         give_back();
         if let (Some(kept), Some(left)) = (kept, resident_bytes()) {
-            assert!(kept > left + SIZE / 2, "{kept} bytes, and {left} after giving back");
+            assert!(kept > left + SIZE as u64 / 2, "{kept} bytes, and {left} after giving back");
         }
     }
 }

@@ -10,7 +10,5 @@ pub fn forget_peak() -> std::io::Result<()> {
 
 /// What a line of the system's report says, now (`VmRSS`) or at most (`VmHWM`), bytes; `None` where there is none.
 pub fn bytes(line: &str) -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let found = status.lines().find_map(|text| text.strip_prefix(line)?.strip_prefix(':'))?;
-    found.trim().strip_suffix(" kB")?.trim().parse::<u64>().ok().map(|kib| kib * 1024)
+    rockface_engine::run::process_bytes("self", line)
 }

@@ -63,19 +63,20 @@ mod tests {
         let included = |path: &str| IncludedText { path: path.into(), text: String::new() };
         let pipeline = |included| PipelineText {
             name: "p".into(),
-            path: "work/main.yaml".into(),
-            folder: "/site/work".into(),
+            path: "pipelines/main.yaml".into(),
+            folder: "/slope/pipelines".into(),
             text: "include: …".into(),
             included,
         };
         assert!(source_files(&pipeline(Vec::new())).unwrap().is_empty());
-        let beside = pipeline(vec![included("/site/work/./parts/a.yaml")]);
+        let beside = pipeline(vec![included("/slope/pipelines/./parts/a.yaml")]);
         let paths = |pipeline: &PipelineText| -> Vec<String> {
             source_files(pipeline).unwrap().iter().map(|(path, _)| path.display().to_string()).collect()
         };
         assert_eq!(paths(&beside), ["main.yaml", "parts/a.yaml"]);
-        let elsewhere = pipeline(vec![included("/site/work/../shared/a.yaml"), included("/site/work/b.yaml")]);
-        assert_eq!(paths(&elsewhere), ["work/main.yaml", "shared/a.yaml", "work/b.yaml"]);
+        let elsewhere =
+            pipeline(vec![included("/slope/pipelines/../shared/a.yaml"), included("/slope/pipelines/b.yaml")]);
+        assert_eq!(paths(&elsewhere), ["pipelines/main.yaml", "shared/a.yaml", "pipelines/b.yaml"]);
         // A manifest that was made up: this one would have an absolute path put into the archive.
         assert!(source_files(&PipelineText { folder: "".into(), ..pipeline(vec![included("/etc/a.yaml")]) }).is_err());
     }

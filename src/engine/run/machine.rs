@@ -1,4 +1,4 @@
-//! The memory of the machine, or of the container that the process runs in.
+//! The memory of the machine, or of the container that the process runs in, and that of a process.
 
 use sysinfo::{MemoryRefreshKind, System};
 
@@ -33,6 +33,14 @@ impl MachineMemory {
     pub fn is_short(&self) -> bool {
         self.left < self.total / 8
     }
+}
+
+/// What a line of the system's report on a process says (`self`, or its number), such as `VmRSS` for its resident memory and `VmHWM` for the
+/// greatest so far, bytes; `None` where the system does not report it.
+pub fn process_bytes(process: &str, line: &str) -> Option<u64> {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
+    let found = status.lines().find_map(|text| text.strip_prefix(line)?.strip_prefix(':'))?;
+    found.trim().strip_suffix(" kB")?.trim().parse::<u64>().ok().map(|kib| kib * 1024)
 }
 
 #[cfg(test)]

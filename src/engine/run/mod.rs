@@ -16,7 +16,7 @@ use crate::plan::Plan;
 use crate::watch::Observer;
 
 pub use folder::{Finished, LayOut, Reporter, RunFolder, execute_and_tell, finish, shortcut};
-pub use machine::MachineMemory;
+pub use machine::{MachineMemory, process_bytes};
 pub use worker::{rerun, tools};
 
 /// Runs a plan as the scheduler does; what was done is durable at the end. The plan grows as items of axes become known.

@@ -90,7 +90,8 @@ impl Scheduler<'_> {
     /// what it needs. What may run more than once, or is handed to other processes, keeps its inputs.
     pub fn moved_inputs(&self, instance: usize) -> Vec<Moved> {
         let step = self.plan.step(instance);
-        if self.options.check_determinism || step.retries > 0 || self.exchange.are_others {
+        let runs_once = !self.options.check_determinism && step.retries == 0;
+        if !runs_once || self.exchange.are_others || step.ports.inputs.iter().all(|input| !input.changed) {
             return Vec::new();
         }
         let inputs = &self.plan.instances[instance].inputs;

@@ -5,6 +5,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
+use crate::run::process_bytes;
+
 /// The shortest time between two samples.
 const EVERY: Duration = Duration::from_millis(40);
 
@@ -41,11 +43,8 @@ impl Resident {
     }
 }
 
-/// The resident memory of this process; `None` where the system does not report it.
 fn resident_bytes() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
-    line.trim().strip_suffix(" kB")?.trim().parse::<u64>().ok().map(|kib| kib * 1024)
+    process_bytes("self", "VmRSS")
 }
 
 #[cfg(test)]

@@ -19,6 +19,7 @@ use serde_json::{Value, json};
 
 use super::program::{self, Fault, Used, failed, in_folder, is_full};
 use crate::plan::InputFile;
+use crate::run::process_bytes;
 
 /// How often it is looked at whether a job is to be ended.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
@@ -193,9 +194,7 @@ impl Process {
 
     /// The greatest resident memory so far, bytes.
     fn peak_bytes(&self) -> u64 {
-        let status = fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap_or_default();
-        let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
-        line.and_then(|line| line.trim().split(' ').next()?.parse::<u64>().ok()).map_or(0, |kib| kib << 10)
+        process_bytes(&self.child.id().to_string(), "VmHWM").unwrap_or(0)
     }
 }
 
