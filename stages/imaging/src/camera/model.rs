@@ -240,6 +240,14 @@ impl Camera {
         self.rotation.tr_mul(&Vector3::new(x, y, 1.0))
     }
 
+    /// As [`Camera::direction`], of several rays: the same bits.
+    #[inline(always)]
+    pub fn direction_lanes(&self, [x, y]: [Lanes; 2]) -> [Lanes; 3] {
+        let r = &self.rotation;
+        let along = |axis: usize| x * r[(0, axis)] + y * r[(1, axis)] + r[(2, axis)];
+        [along(0), along(1), along(2)]
+    }
+
     /// Whether a pixel lies in the image, at least `border_px` from its outermost pixel centres.
     pub fn inside(&self, [u, v]: [f64; 2], border_px: f64) -> bool {
         let (w, h) = (f64::from(self.sensor.width_px), f64::from(self.sensor.height_px));

@@ -2,20 +2,21 @@
 //!
 //! All grids of one cell size stand on whole multiples of the cell, so those of several images fit each other.
 
-use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use crate::camera::model::{Camera, full_pixel};
 use crate::camera::ray_row::RayRow;
 use rockface_core::StageError;
 use rockface_core::artefact::{Depth, Grid};
-use rockface_core::numerics::fast_round::floor;
+use rockface_core::numerics::simd::{LANES, Lanes, Number, Work, vectorised};
 use rockface_raster::rasterise::grid_around;
 
 /// Rows whose points are found in parallel before they are added in order.
-const BATCH_ROWS: usize = 256;
+const BATCH_ROWS: usize = 64;
 /// Stands for the number of a cell where a pixel lies in none.
-const NOWHERE: u32 = u32::MAX;
+const NOWHERE: f64 = -1.0;
+/// Least cosine of the angle between a view and Z by which deviations are enlarged.
+const LEAST_COSINE: f64 = 0.05;
 
 /// Where the expected deviation of a depth comes from.
 #[derive(Debug, Clone, Copy)]
@@ -27,10 +28,12 @@ pub enum Sigma<'a> {
 }
 
 impl Sigma<'_> {
-    fn at(self, pixel: usize) -> f64 {
+    /// Those of the pixels from one on.
+    #[inline(always)]
+    fn from(self, pixel: usize) -> Lanes {
         match self {
-            Self::Constant(sigma_m) => sigma_m,
-            Self::Map(values) => f64::from(values[pixel]),
+            Self::Constant(sigma_m) => Lanes::all(sigma_m),
+            Self::Map(values) => Lanes::of(|lane| values.get(pixel + lane).copied().map_or(f64::NAN, f64::from)),
         }
     }
 }
@@ -53,7 +56,17 @@ pub struct Cells {
 struct Sample {
     cell: u32,
     z_m: f32,
-    sigma_m: f32,
+    /// `1 / sigma^2` in its cell.
+    weight: f64,
+}
+
+/// The pixels of a row.
+#[derive(Debug, Default)]
+struct Samples {
+    /// Those in a cell.
+    placed: Vec<Sample>,
+    /// How many have a depth.
+    count: usize,
 }
 
 #[derive(Debug, Clone, Copy, Default)]
@@ -84,16 +97,13 @@ pub fn reduce(
     let placer = Placer { depth, camera: &camera, sigma, grid: &grid, window_m };
     for start in (0..depth.height).step_by(BATCH_ROWS) {
         let rows = start..depth.height.min(start + BATCH_ROWS);
-        let placed: Vec<Vec<Sample>> = rows.into_par_iter().map(|row| placer.row(row)).collect();
-        for sample in placed.iter().flatten() {
-            pixels[0] += 1;
-            if sample.cell != NOWHERE {
-                let (cell, sigma) = (&mut sums[sample.cell as usize], f64::from(sample.sigma_m));
-                let weight = 1.0 / (sigma * sigma);
-                cell.weight += weight;
-                cell.weighted_z += weight * f64::from(sample.z_m);
-                cell.count += 1;
-            }
+        let placed: Vec<Samples> = rows.into_par_iter().map(|row| placer.row(row)).collect();
+        pixels[0] += placed.iter().map(|row| row.count).sum::<usize>();
+        for sample in placed.iter().flat_map(|row| &row.placed) {
+            let cell = &mut sums[sample.cell as usize];
+            cell.weight += sample.weight;
+            cell.weighted_z += sample.weight * f64::from(sample.z_m);
+            cell.count += 1;
         }
     }
     pixels[1] = sums.iter().map(|sums| sums.count as usize).sum();
@@ -109,39 +119,77 @@ struct Placer<'a> {
 }
 
 impl Placer<'_> {
-    fn row(&self, row: usize) -> Vec<Sample> {
-        let start = row * self.depth.width;
-        let values = &self.depth.z[start..start + self.depth.width];
-        let mut samples = Vec::with_capacity(values.len());
-        if !values.iter().any(|z| is_depth(*z)) {
+    fn row(&self, row: usize) -> Samples {
+        let first = row * self.depth.width;
+        let depths_m = &self.depth.z[first..first + self.depth.width];
+        let mut samples = Samples::default();
+        if !depths_m.iter().any(|z| is_depth(*z)) {
             return samples;
         }
-        let mut rays = [0; 2].map(|_| vec![f64::NAN; values.len()]);
+        samples.placed.reserve_exact(depths_m.len());
+        let mut rays = [0; 2].map(|_| vec![f64::NAN; depths_m.len()]);
         let [x, y] = &mut rays;
         RayRow::new(self.camera, row, self.depth.downscale).fill(0, x, y);
-        for (column, z) in values.iter().enumerate().filter(|(_, z)| is_depth(**z)) {
-            let ray = [rays[0][column], rays[1][column]];
-            if ray[0].is_nan() {
-                continue;
-            }
-            let direction = self.camera.direction(ray);
-            let point = self.camera.centre() + direction * f64::from(*z);
-            samples.push(self.place(&point, &direction, self.sigma.at(start + column)));
-        }
+        vectorised(PlaceRow { placer: self, first, depths_m, rays: &rays, samples: &mut samples });
         samples
     }
 
-    fn place(&self, point: &Vector3<f64>, direction: &Vector3<f64>, sigma_m: f64) -> Sample {
-        let inside =
-            self.window_m.is_none_or(|[x0, x1, y0, y1]| point.x >= x0 && point.x < x1 && point.y > y0 && point.y <= y1);
-        let column = floor((point.x - self.grid.left_m) / self.grid.cell_m) as usize;
-        let row = floor((self.grid.top_m - point.y) / self.grid.cell_m) as usize;
-        // What lies left of the grid or above it is beyond any size once its sign is gone.
-        let fits = column < self.grid.columns && row < self.grid.rows;
-        let cell = if inside && fits { (row * self.grid.columns + column) as u32 } else { NOWHERE };
-        let across = direction.z.abs();
-        let cosine = (across / direction.norm()).max(0.05);
-        Sample { cell, z_m: point.z as f32, sigma_m: (sigma_m * across / cosine.sqrt()) as f32 }
+    /// The numbers of the cells of points, [`NOWHERE`] where they lie in none.
+    #[inline(always)]
+    fn cells(&self, x: Lanes, y: Lanes) -> Lanes {
+        let (columns, rows) = (self.grid.columns as f64, self.grid.rows as f64);
+        let column = ((x - self.grid.left_m) / self.grid.cell_m).map(f64::floor);
+        let row = ((-y + self.grid.top_m) / self.grid.cell_m).map(f64::floor);
+        let cell = column.with(row, |column, row| {
+            let fits = column >= 0.0 && column < columns && row >= 0.0 && row < rows;
+            if fits { row * columns + column } else { NOWHERE }
+        });
+        let Some([x0, x1, y0, y1]) = self.window_m else { return cell };
+        let inside = x.with(y, |x, y| if x >= x0 && x < x1 && y > y0 && y <= y1 { 1.0 } else { 0.0 });
+        cell.with(inside, |cell, inside| if inside > 0.0 { cell } else { NOWHERE })
+    }
+}
+
+/// Places the pixels of a row.
+struct PlaceRow<'a> {
+    placer: &'a Placer<'a>,
+    /// Its first pixel in the depth map.
+    first: usize,
+    depths_m: &'a [f32],
+    /// Undistorted normalised coordinates, NaN where there is no ray.
+    rays: &'a [Vec<f64>; 2],
+    samples: &'a mut Samples,
+}
+
+impl Work for PlaceRow<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let camera = self.placer.camera;
+        for (block, depths_m) in self.depths_m.chunks(LANES).enumerate() {
+            let start = block * LANES;
+            let ray = [0, 1].map(|axis| Lanes::first_of(&self.rays[axis][start..]));
+            let direction = camera.direction_lanes(ray);
+            let depth = Lanes::of(|lane| depths_m.get(lane).copied().map_or(f64::NAN, f64::from));
+            let [x, y, z] = [0, 1, 2].map(|axis| direction[axis] * depth + camera.centre()[axis]);
+            let across = direction[2].map(f64::abs);
+            let [dx, dy, dz] = direction;
+            let cosine = (across / (dx * dx + dy * dy + dz * dz).sqrt()).at_least(Lanes::all(LEAST_COSINE));
+            let sigma_m = self.placer.sigma.from(self.first + start) * across / cosine.sqrt();
+            let sigma_m = sigma_m.map(|sigma_m| f64::from(sigma_m as f32));
+            let weight = Lanes::all(1.0) / (sigma_m * sigma_m);
+            let cell = self.placer.cells(x, y);
+            for (lane, depth_m) in depths_m.iter().enumerate() {
+                if is_depth(*depth_m) && !ray[0][lane].is_nan() {
+                    self.samples.count += 1;
+                    if cell[lane] >= 0.0 {
+                        let (cell, z_m) = (cell[lane] as u32, z[lane] as f32);
+                        self.samples.placed.push(Sample { cell, z_m, weight: weight[lane] });
+                    }
+                }
+            }
+        }
     }
 }
 
@@ -243,6 +291,40 @@ mod tests {
         let mut empty = plane([0.0; 3]);
         empty.z.fill(f32::NAN);
         assert!(reduce(&empty, Sigma::Constant(0.02), 0.25, None).unwrap().is_none());
+    }
+
+    /// The sums of a depth map by cell, pixel by pixel, for grids that start at this one's corner.
+    fn one_by_one(depth: &Depth, sigma_m: f64, grid: &Grid) -> Vec<[f64; 3]> {
+        let camera = Camera::new(&depth.sensor, &depth.image);
+        let mut sums = vec![[0.0; 3]; grid.cells()];
+        for (i, z) in depth.z.iter().enumerate().filter(|(_, z)| is_depth(**z)) {
+            let Some(ray) = RayRow::new(&camera, i / depth.width, 1).ray(i % depth.width) else { continue };
+            let direction = camera.direction(ray);
+            let point = camera.centre() + direction * f64::from(*z);
+            let cosine = (direction.z.abs() / direction.norm()).max(LEAST_COSINE);
+            let sigma = f64::from((sigma_m * direction.z.abs() / cosine.sqrt()) as f32);
+            let column = ((point.x - grid.left_m) / grid.cell_m).floor() as usize;
+            let row = ((grid.top_m - point.y) / grid.cell_m).floor() as usize;
+            let cell = &mut sums[row * grid.columns + column];
+            let weight = 1.0 / (sigma * sigma);
+            *cell = [cell[0] + weight, cell[1] + weight * f64::from(point.z as f32), cell[2] + 1.0];
+        }
+        sums
+    }
+
+    #[test]
+    fn several_pixels_at_once_have_the_bits_of_one_by_one() {
+        let mut depth = plane([0.3, -0.2, 0.4]);
+        depth.z.iter_mut().step_by(7).for_each(|z| *z = f32::NAN);
+        let cells = reduce(&depth, Sigma::Constant(0.02), 0.25, None).unwrap().unwrap();
+        let sums = one_by_one(&depth, 0.02, &cells.grid);
+        assert!(sums.iter().any(|[_, _, count]| *count > 3.0));
+        for (i, [weight, z, count]) in sums.into_iter().enumerate() {
+            let expected = if count > 0.0 { [z / weight, (count / weight).sqrt()] } else { [f64::NAN; 2] }
+                .map(|value| value as f32);
+            let found = [cells.elevation_m[i], cells.sigma_m[i]];
+            assert_eq!(found.map(f32::to_bits), expected.map(f32::to_bits), "cell {i}");
+        }
     }
 
     #[test]
