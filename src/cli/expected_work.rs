@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 
 use rockface_cache::Store;
 use rockface_engine::explain::Answer;
-use rockface_engine::plan::Plan;
+use rockface_engine::plan::{Plan, Unknown, Wait};
 use rockface_engine::watch::duration;
 use serde_json::Value;
 
@@ -96,8 +96,15 @@ impl Work {
             }
         }
         let (graph, wanted) = (&plan.graph, plan.graph.wanted());
-        for (step, axis) in graph.deferred().into_iter().enumerate().filter(|(step, _)| wanted[*step]) {
-            let Some(axis) = axis else { continue };
+        for (step, unknown) in plan.unknown().into_iter().enumerate().filter(|(step, _)| wanted[*step]) {
+            let axis = match unknown {
+                Some(Unknown::Items(axis)) => axis,
+                Some(Unknown::Pairs(Wait { count, .. })) => {
+                    work.add(graph.steps[step].stage.name(), count, times);
+                    continue;
+                }
+                None => continue,
+            };
             let later = work.later.entry(graph.axes[axis].name.text.clone()).or_default();
             later.steps += 1;
             // A step that gathers all items is one however many there are.
@@ -114,6 +121,17 @@ impl Work {
             }
         }
         work
+    }
+
+    /// Adds instances of a stage that are not in the plan yet.
+    fn add(&mut self, stage: &str, count: usize, times: &Times) {
+        match times.of_stage(stage) {
+            Some(wall_s) => {
+                self.timed += count;
+                self.timed_s += wall_s * count as f64;
+            }
+            None => *self.untimed.entry(stage.to_owned()).or_default() += count,
+        }
     }
 
     /// What is printed; nothing where nothing is open.

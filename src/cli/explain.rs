@@ -11,7 +11,7 @@ use rockface_engine::diagnostic;
 use rockface_engine::diagnostic::nearest;
 use rockface_engine::explain::{Answers, Cause, Change, Explanation, Former, explain};
 use rockface_engine::pipeline::{Label, Pipeline};
-use rockface_engine::plan::Plan;
+use rockface_engine::plan::{Plan, Unknown};
 
 /// The number of changes of an instance, or of points of a step, that are listed.
 const NAMED: usize = 20;
@@ -118,13 +118,19 @@ fn one_instance(plan: &Plan, label: &Label) -> Result<usize, CliError> {
 fn unexpanded(plan: &Plan, name: &str) -> String {
     let graph = &plan.graph;
     let step = graph.steps.iter().position(|step| step.name == name);
-    let axis = step.and_then(|step| graph.deferred()[step]);
-    let Some((axis, dynamic)) = axis.and_then(|axis| Some((&graph.axes[axis], graph.dynamic[axis].as_ref()?))) else {
+    let (maker, told) = match step.and_then(|step| plan.unknown()[step]) {
+        Some(Unknown::Items(axis)) => {
+            let maker = graph.dynamic[axis].as_ref().map(|dynamic| dynamic.source.step);
+            (maker, format!("the items of axis `{}`", graph.axes[axis].name.text))
+        }
+        Some(Unknown::Pairs(wait)) => (Some(wait.maker), "the pairs that tell what is gathered".to_owned()),
+        None => (None, String::new()),
+    };
+    let Some(maker) = maker.map(|maker| &graph.steps[maker].name) else {
         return format!("step `{name}` has no instance");
     };
-    let (axis, maker) = (&axis.name.text, &graph.steps[dynamic.source.step].name);
     format!(
-        "which instances step `{name}` has is not known: the items of axis `{axis}` are made by step `{maker}`, which has \
+        "which instances step `{name}` has is not known: {told} are made by step `{maker}`, which has \
          not run; run it (`rockface run PIPELINE --target {maker}`), or explain `{maker}`"
     )
 }

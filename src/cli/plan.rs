@@ -8,7 +8,7 @@ use super::expected_work::{Times, Work};
 use super::programs::ProgramArgs;
 use super::{CliError, PipelineArgs, complain, say};
 use rockface_engine::explain::{Answer, Answers};
-use rockface_engine::plan::Plan;
+use rockface_engine::plan::{Plan, Unknown};
 use rockface_engine::run::tools;
 
 /// Arguments of `rockface plan`.
@@ -73,8 +73,17 @@ impl PlanArgs {
                 own.iter().for_each(|i| say(&format!("    {:8} {}", answers[*i].word(), plan.label(*i))));
             }
         }
-        for (step, axis) in unknown(plan) {
-            let why = format!("the items of axis `{axis}` are made by a step that has not run");
+        for (step, unknown) in unknown(plan) {
+            let why = match unknown {
+                Unknown::Items(axis) => {
+                    let axis = &plan.graph.axes[axis].name.text;
+                    format!("the items of axis `{axis}` are made by a step that has not run")
+                }
+                Unknown::Pairs(wait) => {
+                    let maker = &plan.graph.steps[wait.maker].name;
+                    format!("which items it gathers is told by the pairs of `{maker}`, which has not run")
+                }
+            };
             say(&format!("{step:width$}  {:>9} {:>6} {:>6} {:>8}  {why}", "?", "", "", ""));
         }
         Work::of(plan, answers, times).lines().iter().for_each(|line| say(line));
@@ -83,14 +92,11 @@ impl PlanArgs {
     }
 }
 
-/// The steps whose instances cannot be told yet, each with the axis it waits for.
-fn unknown(plan: &Plan) -> Vec<(&str, &str)> {
-    let graph = &plan.graph;
-    let wanted = graph.wanted();
-    let deferred = graph.deferred().into_iter().enumerate().filter(|(step, _)| wanted[*step]);
-    let told = deferred
-        .filter_map(|(step, axis)| Some((graph.steps[step].name.as_str(), graph.axes[axis?].name.text.as_str())));
-    told.collect()
+/// The steps some of whose instances cannot be told yet, each with what it waits for.
+fn unknown(plan: &Plan) -> Vec<(&str, Unknown)> {
+    let wanted = plan.graph.wanted();
+    let unknown = plan.unknown().into_iter().enumerate().filter(|(step, _)| wanted[*step]);
+    unknown.filter_map(|(step, unknown)| Some((plan.graph.steps[step].name.as_str(), unknown?))).collect()
 }
 
 fn print_json(plan: &Plan, answers: &[Answer], times: &Times) {
@@ -102,7 +108,13 @@ fn print_json(plan: &Plan, answers: &[Answer], times: &Times) {
             "estimate_s": estimate_s,
         })
     });
-    let unknown =
-        unknown(plan).into_iter().map(|(step, axis)| json!({ "step": step, "answer": "unknown", "axis": axis }));
+    let unknown = unknown(plan).into_iter().map(|(step, unknown)| match unknown {
+        Unknown::Items(axis) => {
+            json!({ "step": step, "answer": "unknown", "axis": plan.graph.axes[axis].name.text })
+        }
+        Unknown::Pairs(wait) => {
+            json!({ "step": step, "answer": "unknown", "pairs_of": plan.graph.steps[wait.maker].name })
+        }
+    });
     say(&serde_json::to_string_pretty(&instances.chain(unknown).collect::<Vec<_>>()).unwrap_or_default());
 }

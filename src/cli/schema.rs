@@ -124,14 +124,15 @@ fn axis() -> Value {
 fn input() -> Value {
     let reference = json!({"$ref": "#/$defs/reference"});
     let axes = one_or_many(&json!({"type": "string"}), "Axes gathered over.");
+    let choice = json!({"type": "object", "required": ["by"], "properties": {"by": {"type": "string"}},
+        "additionalProperties": reference});
     json!({"anyOf": [
         reference,
         {"type": "object", "required": ["each", "over"], "additionalProperties": false,
-         "properties": {"each": reference, "over": axes}},
+         "properties": {"each": reference, "over": axes, "paired": {"anyOf": [reference, choice]}}},
         {"type": "object", "required": ["from", "first"], "additionalProperties": false,
          "properties": {"from": reference, "first": {"anyOf": [reference, {"type": "null"}]}}},
-        {"type": "object", "required": ["by"], "properties": {"by": {"type": "string"}},
-         "additionalProperties": reference},
+        choice,
     ]})
 }
 

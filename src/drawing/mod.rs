@@ -97,9 +97,9 @@ impl Drawing {
     pub fn of(graph: &Graph) -> Result<Self, Vec<Diagnostic>> {
         let counts = counts(graph)?;
         let mut drawing = DiGraph::new();
-        let (deferred, wanted) = (graph.deferred(), graph.wanted());
+        let wanted = graph.wanted();
         let nodes: Vec<NodeIndex> = (0..graph.steps.len())
-            .map(|index| drawing.add_node(drawn(graph, index, counts[index], deferred[index], wanted[index])))
+            .map(|index| drawing.add_node(drawn(graph, index, counts[index], wanted[index])))
             .collect();
         for (consumer, step) in graph.steps.iter().enumerate() {
             for (port, feed) in &step.inputs {
@@ -219,16 +219,16 @@ impl Drawn {
     }
 }
 
-fn drawn(graph: &Graph, index: usize, count: usize, unknown: Option<usize>, wanted: bool) -> Drawn {
+fn drawn(graph: &Graph, index: usize, count: Option<usize>, wanted: bool) -> Drawn {
     let step = &graph.steps[index];
-    let over = (!step.axes.is_empty()).then(|| (Some(count).filter(|_| unknown.is_none()), axes(graph, step)));
+    let over = (!step.axes.is_empty()).then(|| (count, axes(graph, step)));
     Drawn {
         name: step.name.clone(),
         stage: step.stage.name().to_owned(),
         over,
         target: graph.targets.contains(&index),
         keep: step.keep,
-        needed: count > 0 || (wanted && unknown.is_some()),
+        needed: count.map_or(wanted, |count| count > 0),
     }
 }
 
@@ -255,9 +255,11 @@ fn distinct<'g>(graph: &Graph, feed: &'g Feed) -> Vec<(&'g Source, String)> {
             let start = first.iter().map(|first| (&**first, format!(" (first {axis})")));
             std::iter::once((source, format!(" ({axis} before)"))).chain(start).collect()
         }
-        Feed::Each { source, over } => {
+        Feed::Each { source, over, paired } => {
             let names: Vec<&str> = over.iter().map(|axis| graph.axes[*axis].name.text.as_str()).collect();
-            vec![(source, format!(" (each {})", names.join(", ")))]
+            let lists = paired.iter().flat_map(|list| distinct(graph, list));
+            let lists = lists.map(|(list, when)| (list, format!(" (pairs of {}){when}", names.join(", "))));
+            std::iter::once((source, format!(" (each {})", names.join(", ")))).chain(lists).collect()
         }
         Feed::By { axis, cases, named, other } if cases.is_empty() => {
             let axis = &graph.axes[*axis].name.text;

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use rayon::prelude::*;
 use rockface_cache::Store;
-use rockface_core::artefact::{Cell, Kind, Noun, Table};
+use rockface_core::artefact::{Cell, Kind, Noun, Pair, Pairs, Table};
 use rockface_core::params::{FileRef, FilesRef};
 use rockface_core::{AnyStage, Context, Inputs, Outputs, Page, Port, Row, Stage, StageError, params};
 use rockface_engine::diagnostic::Diagnostics;
@@ -272,6 +272,37 @@ impl Stage for Raise {
     }
 }
 
+params! {
+    /// Parameters of `couple`.
+    pub struct CoupleParams {
+        /// The pairs, each `first+second`.
+        pairs: Vec<String>,
+    }
+}
+
+/// Makes the list of pairs that its parameters name.
+pub struct Couple;
+impl Stage for Couple {
+    type Params = CoupleParams;
+    const NAME: &'static str = "couple";
+    const VERSION: u32 = 1;
+    const PAGE: Page = PAGE;
+    const INPUTS: &'static [Port] = &[Port::optional("after", TABLE, "What has to be done before.")];
+    const OUTPUTS: &'static [Port] = &[Port::one("pairs", &[Kind::Pairs], "The pairs.")];
+    fn run(params: &CoupleParams, _: &Inputs, _: &Context) -> Result<Outputs, StageError> {
+        let pair = |name: &String| {
+            let Some((first, second)) = name.split_once('+') else {
+                return Err(StageError::new(format!("`{name}` is no pair")));
+            };
+            let (first, second) = (first.to_owned(), second.to_owned());
+            let [baseline_m, distance_m, convergence_rad, overlap] = [1.0, 10.0, 0.1, 0.8];
+            Ok(Pair { name: name.clone(), first, second, baseline_m, distance_m, convergence_rad, overlap })
+        };
+        let pairs = params.pairs.iter().map(pair).collect::<Result<_, _>>()?;
+        Ok(Outputs::of("pairs", Pairs { pairs }))
+    }
+}
+
 /// The stages of the laboratory.
 pub const STAGES: &[&dyn AnyStage] = &[
     &Row::<Emit>::new(),
@@ -283,6 +314,7 @@ pub const STAGES: &[&dyn AnyStage] = &[
     &Row::<Moody>::new(),
     &Row::<List>::new(),
     &Row::<Raise>::new(),
+    &Row::<Couple>::new(),
 ];
 
 /// What a run did.

@@ -24,6 +24,7 @@ mod lab;
 mod language;
 mod memory;
 mod mistakes;
+mod pairs;
 mod part_rules;
 mod parts;
 mod reading;

@@ -26,6 +26,8 @@ pub enum Input {
         reference: Reference,
         /// The axes gathered over, outermost first.
         over: Vec<Word>,
+        /// The list of pairs, a plain output or a choice, that tells which items are read: the step's own and those in a pair with it.
+        paired: Option<Box<Input>>,
     },
     /// The output at the item before, and something else at the first item.
     Chain {
@@ -42,7 +44,10 @@ impl Input {
     /// Every reference in it.
     pub fn references(&self) -> Vec<&Reference> {
         match self {
-            Self::Plain(reference) | Self::Each { reference, .. } => vec![reference],
+            Self::Plain(reference) => vec![reference],
+            Self::Each { reference, paired, .. } => {
+                std::iter::once(reference).chain(paired.iter().flat_map(|list| list.references())).collect()
+            }
             Self::By { cases, .. } => cases.iter().map(|(_, reference)| reference).collect(),
             Self::Chain { reference, first, .. } => std::iter::once(&**reference).chain(first.as_deref()).collect(),
         }
@@ -59,7 +64,7 @@ impl Input {
 
 /// How inputs are written.
 const FORMS: &str = "one of: step.port · {by: axis, item: step.port, …} · {each: step.port, over: [axis]} · \
-                     {from: \"step.port[axis=prev]\", first: step.port}";
+                     {each: step.port, over: [axis], paired: step.port} · {from: \"step.port[axis=prev]\", first: step.port}";
 
 impl Reader<'_> {
     /// One entry of `in`.
@@ -78,7 +83,7 @@ impl Reader<'_> {
     }
 
     fn each(&mut self, node: &Node) -> Option<Input> {
-        self.map(node, "a gathered input", &["each", "over"])?;
+        self.map(node, "a gathered input", &["each", "over", "paired"])?;
         let reference = self.forward(node.get("each")?);
         let Some(over) = node.get("over") else {
             self.fault(
@@ -88,7 +93,22 @@ impl Reader<'_> {
             return None;
         };
         let over = self.some_words(over, "an axis");
-        Some(Input::Each { reference: reference?, over })
+        let paired = match node.get("paired") {
+            Some(list) => Some(Box::new(self.list_of_pairs(list)?)),
+            None => None,
+        };
+        Some(Input::Each { reference: reference?, over, paired })
+    }
+
+    fn list_of_pairs(&mut self, node: &Node) -> Option<Input> {
+        match self.input(node)? {
+            list @ (Input::Plain(_) | Input::By { .. }) => Some(list),
+            Input::Each { .. } | Input::Chain { .. } => {
+                let message = "`paired` is one list of pairs: step.port, or {by: axis, item: step.port, …}";
+                self.fault(Diagnostic::at(node.span, message));
+                None
+            }
+        }
     }
 
     fn by(&mut self, node: &Node, entries: &[(Key, Node)]) -> Option<Input> {

@@ -126,11 +126,13 @@ impl<'d> Names<'d> {
 
     /// Axes that reach a step through one input.
     fn through(&self, input: &Input, reached: &[BTreeSet<usize>]) -> Vec<usize> {
-        let gathered: Vec<usize> = match input {
+        let own: Vec<usize> = match input {
             Input::Each { over, .. } => over.iter().filter_map(|w| self.axes.get(w.text.as_str()).copied()).collect(),
             _ => Vec::new(),
         };
-        let of = |reference: &Reference| {
+        // Of a gathered input, the first; a list of pairs, which is behind it, is not gathered.
+        let of = |(place, reference): (usize, &Reference)| {
+            let gathered = if place == 0 { own.as_slice() } else { &[] };
             let picked: Vec<usize> =
                 reference.picks.iter().filter_map(|(axis, _)| self.axes.get(axis.text.as_str()).copied()).collect();
             let producer = self.steps.get(reference.step.as_str()).map(|step| reached[*step].clone());
@@ -138,6 +140,6 @@ impl<'d> Names<'d> {
             let free = move |axis: &usize| !bound.iter().any(|bound| self.together(*bound, *axis));
             producer.unwrap_or_default().into_iter().filter(free).collect::<Vec<_>>()
         };
-        input.references().into_iter().flat_map(of).collect()
+        input.references().into_iter().enumerate().flat_map(of).collect()
     }
 }

@@ -1,13 +1,15 @@
-//! Axes whose items are made by a step: read from records at planning time, or from the output of the step during the run.
+//! Axes whose items are made by a step, and pairs that tell what is gathered: read from records at planning time, or from the output of the step during the run.
 
 use std::collections::BTreeSet;
 
 use rockface_cache::{Outcome, Store};
-use rockface_core::artefact::{Artefact, Cell, Kind, Table};
+use rockface_core::artefact::{Artefact, Cell, Kind, Pair, Table};
 use serde_json::{Map, Value};
 
+use super::graph::{ListPoint, Partners};
 use super::instances::Plan;
 use super::parameters::NAME_COLUMN;
+use super::points::Wait;
 use super::sight::HashFile;
 use crate::diagnostic::Diagnostic;
 use crate::pipeline::bad_item;
@@ -19,6 +21,23 @@ pub struct Items {
     pub names: Vec<String>,
     /// A text each, or a map of the columns of a row.
     pub values: Vec<Value>,
+}
+
+/// What a recorded list of pairs puts together.
+pub fn partners_of(outcome: &Outcome, port: &str, store: &Store) -> Result<Partners, String> {
+    let Some(output) = outcome.outputs.get(port) else { return Err(format!("it made no `{port}`")) };
+    let bytes = store.get(&output.digest).map_err(|error| error.to_string())?;
+    let pairs = match Artefact::decode(Kind::Pairs, &bytes) {
+        Ok(Artefact::Pairs(pairs)) => pairs,
+        Ok(other) => return Err(format!("`{port}` is a {}, not a list of pairs", other.kind())),
+        Err(error) => return Err(format!("`{port}` cannot be read back: {error}")),
+    };
+    let mut partners = Partners::new();
+    for Pair { first, second, .. } in pairs.pairs {
+        partners.entry(first.clone()).or_default().insert(second.clone());
+        partners.entry(second).or_default().insert(first);
+    }
+    Ok(partners)
 }
 
 /// The items of a recorded output: from its record, or for the rows of a table from the table itself.
@@ -79,7 +98,22 @@ fn check(items: &Items) -> Result<(), String> {
     Ok(())
 }
 
+/// Why the instances of a step cannot be told yet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Unknown {
+    /// The items of this axis are made by a step that has not run.
+    Items(usize),
+    /// The pairs that tell what is gathered are made by a step that has not run.
+    Pairs(Wait),
+}
+
 impl Plan {
+    /// By step: why some of its instances cannot be told yet.
+    pub fn unknown(&self) -> Vec<Option<Unknown>> {
+        let items = self.graph.deferred().into_iter().map(|axis| axis.map(Unknown::Items));
+        items.zip(&self.waits).map(|(items, wait)| items.or(wait.map(Unknown::Pairs))).collect()
+    }
+
     /// The axes that wait for an instance, with the port their items come from.
     pub fn waiting_axes(&self, instance: usize) -> Vec<(usize, &'static str)> {
         let own = &self.instances[instance];
@@ -92,6 +126,13 @@ impl Plan {
             here.then_some((axis, source.port.name))
         };
         (0..self.graph.axes.len()).filter_map(waits).collect()
+    }
+
+    /// The lists of pairs made by an instance that others wait for.
+    pub fn waiting_lists(&self, instance: usize) -> Vec<ListPoint> {
+        let own = &self.instances[instance];
+        let lists = self.lists.iter().filter(|(step, _, items)| *step == own.step && *items == own.items);
+        lists.cloned().collect()
     }
 
     /// Tells the plan the items of an axis; [`Plan::grow`] then adds what follows from them. Reports what was named
@@ -118,8 +159,10 @@ impl Plan {
     /// Takes the items of all lists that are on record, and grows accordingly.
     pub fn take_recorded(&mut self, store: &Store, hash: &HashFile) -> Result<(), Vec<Diagnostic>> {
         loop {
-            let tellers: Vec<usize> =
-                (0..self.instances.len()).filter(|instance| !self.waiting_axes(*instance).is_empty()).collect();
+            let tells = |instance: &usize| {
+                !self.waiting_axes(*instance).is_empty() || !self.waiting_lists(*instance).is_empty()
+            };
+            let tellers: Vec<usize> = (0..self.instances.len()).filter(tells).collect();
             let mut grown = false;
             for instance in tellers {
                 let Some(outcome) = self.recorded(store, instance) else { continue };
@@ -127,6 +170,12 @@ impl Plan {
                     // What cannot be read now is reported when the run reaches it.
                     if let Ok(items) = items_of(&outcome, port, store) {
                         self.set_items(axis, items)?;
+                        grown = true;
+                    }
+                }
+                for list in self.waiting_lists(instance) {
+                    if let Ok(partners) = partners_of(&outcome, list.1, store) {
+                        self.graph.partners.insert(list, partners);
                         grown = true;
                     }
                 }

@@ -1,6 +1,6 @@
 //! The resolved graph of steps: every name found, every port checked, axes propagated along the arrows.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -28,6 +28,8 @@ pub struct Graph {
     pub zips: Vec<usize>,
     /// By axis: the output its items are taken from, and whether they are known.
     pub dynamic: Vec<Option<Dynamic>>,
+    /// The lists of pairs that are known, of those that tell what a gathered input reads.
+    pub partners: BTreeMap<ListPoint, Partners>,
     /// The steps, producers before consumers.
     pub steps: Vec<GraphStep>,
     /// Indices of the steps to make.
@@ -61,6 +63,12 @@ impl Graph {
         order
     }
 }
+
+/// Which items a list of pairs puts together: of each, those that it is in a pair with.
+pub type Partners = HashMap<String, BTreeSet<String>>;
+
+/// A list of pairs before instances have numbers: the step that makes it, the port, and the item of each axis of that step.
+pub type ListPoint = (usize, &'static str, Vec<usize>);
 
 /// Where the items of an axis come from.
 #[derive(Debug, Clone)]
@@ -147,6 +155,8 @@ pub enum Feed {
         source: Source,
         /// Indices of the axes gathered over, outermost first.
         over: Vec<usize>,
+        /// The list of pairs, a plain output or a choice, that tells which items are read.
+        paired: Option<Box<Feed>>,
     },
     /// The output at the item before.
     Chain {
@@ -195,7 +205,10 @@ impl Feed {
     /// Every source in it.
     pub fn sources(&self) -> Vec<&Source> {
         match self {
-            Self::Plain(source) | Self::Each { source, .. } => vec![source],
+            Self::Plain(source) => vec![source],
+            Self::Each { source, paired, .. } => {
+                std::iter::once(source).chain(paired.iter().flat_map(|list| list.sources())).collect()
+            }
             Self::By { cases, named, other, .. } if cases.is_empty() => {
                 named.iter().map(|(_, source)| source).chain(other.as_deref()).collect()
             }
@@ -248,6 +261,12 @@ impl Graph {
             open.extend(tellers.map(|dynamic| dynamic.source.step));
         }
         wanted
+    }
+
+    /// Whether a list of pairs tells what some of the inputs read.
+    pub fn pairs_items(&self) -> bool {
+        let mut feeds = self.steps.iter().flat_map(|step| &step.inputs);
+        feeds.any(|(_, feed)| matches!(feed, Feed::Each { paired: Some(_), .. }))
     }
 
     /// The steps whose instances are deferred until a list of items is known, each with the axis it waits for.

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use rockface_core::artefact::Kind;
 use rockface_core::{Arity, Port};
 
 use super::graph::{Feed, Later, Source};
@@ -23,7 +24,7 @@ impl Resolver<'_> {
     pub fn inputs(&mut self, step: &Step, own: usize) -> Vec<(&'static Port, Feed)> {
         let mut inputs = Vec::with_capacity(step.inputs.len());
         for (port, input) in &step.inputs {
-            let feed = self.feed(input);
+            let feed = self.feed(input, own);
             let Some(declared) = self.port(own, step, port) else { continue };
             let Some(feed) = feed else { continue };
             self.check_kinds(declared, input, &feed);
@@ -35,21 +36,59 @@ impl Resolver<'_> {
         inputs
     }
 
-    fn feed(&mut self, input: &Input) -> Option<Feed> {
+    fn feed(&mut self, input: &Input, own: usize) -> Option<Feed> {
         match input {
             Input::Plain(reference) => self.source(reference).map(Feed::Plain),
-            Input::Each { reference, over } => {
+            Input::Each { reference, over, paired } => {
                 let source = self.source(reference);
+                let list = paired.as_deref().map(|list| self.list_of_pairs(list, over, own));
                 let over: Vec<Option<usize>> = over.iter().map(|word| self.axis(word)).collect();
                 let (source, over) = (source?, over.into_iter().collect::<Option<Vec<_>>>()?);
+                let paired = match list {
+                    Some(list) => Some(Box::new(list?)),
+                    None => None,
+                };
                 self.check_gathered(reference, &source, &over).then(|| {
                     let over = self.with_mates(source.step, over);
-                    Feed::Each { source, over }
+                    Feed::Each { source, over, paired }
                 })
             }
             Input::By { axis, cases } => self.choice(axis, cases),
             Input::Chain { reference, axis, first } => self.chain(reference, axis, first.as_deref()),
         }
+    }
+
+    /// The list that tells which items of an axis a step reads.
+    fn list_of_pairs(&mut self, list: &Input, over: &[Word], own: usize) -> Option<Feed> {
+        let feed = self.feed(list, own)?;
+        let before = self.faults.len();
+        for (source, reference) in feed.sources().into_iter().zip(self.references(list)) {
+            let kind = source.port.kinds[0];
+            let maker = &self.names.document.steps[self.names.steps[reference.step.as_str()]];
+            if kind != Kind::Pairs {
+                let message = format!("`{}.{}` is a {kind}, not a list of pairs", reference.step, reference.port);
+                let hint = "the pairs of a block of images are made by `select-pairs`";
+                self.faults.push(Diagnostic::at(reference.span, message).hint(hint));
+            } else if !maker.keep {
+                let message = format!("the pairs are read from the store, and `{}` is not kept", reference.step);
+                let hint = format!("remove `keep: false` from step `{}`", reference.step);
+                self.faults.push(Diagnostic::at(reference.span, message).hint(hint));
+            }
+        }
+        let step = &self.names.document.steps[own].name.text;
+        if let [_, second, ..] = over {
+            let message = "a list of pairs tells the items of one axis";
+            self.faults.push(Diagnostic::at(second.span, message).hint("gather over that axis alone"));
+        } else if let Some(word) = over.first()
+            && let Some(axis) = self.axis(word)
+            && !self.position_axes(self.place[own]).contains(&axis)
+        {
+            let axis = &word.text;
+            let message = format!("step `{step}` has no item of axis `{axis}` that pairs could be of");
+            let fault = Diagnostic::at(word.span, message);
+            self.unless_unsure(step, fault.hint(format!("mention ${{{axis}}} in its `with`, or say `over: [{axis}]`")));
+        }
+        (self.faults.len() == before).then_some(feed)
     }
 
     fn chain(&mut self, reference: &Reference, word: &Word, first: Option<&Reference>) -> Option<Feed> {
@@ -335,7 +374,12 @@ impl Resolver<'_> {
 
     /// The references of an input in the order of its sources: those of a choice follow the items of its axis.
     fn references<'i>(&self, input: &'i Input) -> Vec<&'i Reference> {
-        let Input::By { axis, cases } = input else { return input.references() };
+        let (axis, cases) = match input {
+            Input::By { axis, cases } => (axis, cases),
+            // The list of pairs has been looked at by itself.
+            Input::Each { reference, .. } => return vec![reference],
+            Input::Plain(_) | Input::Chain { .. } => return input.references(),
+        };
         let Some(index) = self.names.axes.get(axis.text.as_str()).copied() else { return Vec::new() };
         let (others, named): (Vec<_>, Vec<_>) = cases.iter().partition(|(word, _)| self.is_other(index, word));
         let other = others.first().map(|(_, reference)| reference);

@@ -8,9 +8,9 @@ use rockface_core::params::Field;
 use rockface_core::{Arity, Point, Port};
 
 use super::faults::{Counted, Faults};
-use super::graph::{Feed, Graph, GraphStep};
+use super::graph::{Feed, Graph, GraphStep, ListPoint};
 use super::parameters::{self, StepParams};
-use super::points::{elements, labels, named, needed_points, points, too_many};
+use super::points::{Needed, Wait, elements, labels, named, points, too_many};
 use super::sight::{HashFile, Looks, Sight};
 use crate::diagnostic::Diagnostic;
 use crate::pipeline::value_bytes;
@@ -23,6 +23,10 @@ pub struct Plan {
     pub instances: Vec<Instance>,
     /// Instances of the target steps.
     pub targets: Vec<usize>,
+    /// By step: the list of pairs that instances wait for which are not there yet.
+    pub waits: Vec<Option<Wait>>,
+    /// The lists of pairs that instances wait for.
+    pub lists: BTreeSet<ListPoint>,
     /// All that was looked at in the file system to make it.
     pub looks: Looks,
 }
@@ -54,7 +58,8 @@ pub struct Given {
 impl Plan {
     /// Expands the steps of a graph whose axes have known items; faults of parameters and files are reported together.
     pub fn new(graph: Graph, hash: &HashFile) -> Result<Self, Vec<Diagnostic>> {
-        let mut plan = Self { graph, instances: Vec::new(), targets: Vec::new(), looks: Looks::new() };
+        let (instances, targets, waits) = (Vec::new(), Vec::new(), Vec::new());
+        let mut plan = Self { graph, instances, targets, waits, lists: BTreeSet::new(), looks: Looks::new() };
         plan.grow(hash)?;
         plan.order()?;
         Ok(plan)
@@ -67,10 +72,11 @@ impl Plan {
         if !faults.is_empty() {
             return Err(faults);
         }
-        let needed = needed_points(&self.graph);
+        let needed = Needed::of(&self.graph);
         let known = self.instances.len();
         let sight = Sight::new(hash);
         let new = Expansion::new(&self.graph, &sight).run(&needed, &self.instances)?;
+        (self.waits, self.lists) = (needed.waits, needed.lists);
         self.instances.extend(new);
         self.looks.append(&mut sight.looks());
         link(&mut self.instances, known);
@@ -249,9 +255,10 @@ impl<'a> Expansion<'a> {
     }
 
     /// The instances at all needed points that are not there yet; new ones are numbered on from those.
-    fn run(mut self, needed: &[BTreeSet<Vec<usize>>], there: &[Instance]) -> Result<Vec<Instance>, Vec<Diagnostic>> {
+    fn run(mut self, needed: &Needed, there: &[Instance]) -> Result<Vec<Instance>, Vec<Diagnostic>> {
         let graph = self.graph;
-        let deferred = graph.deferred();
+        let (deferred, needed, waits) = (graph.deferred(), &needed.points, &needed.waits);
+        let is_idle = |step: &usize| needed[*step].is_empty() && deferred[*step].is_none() && waits[*step].is_none();
         // By step: its points, sorted, each with the number of its instance.
         let mut numbers: Vec<Vec<(&[usize], usize)>> = vec![Vec::new(); graph.steps.len()];
         for (number, instance) in there.iter().enumerate() {
@@ -290,8 +297,7 @@ impl<'a> Expansion<'a> {
             instances.push(Instance { step: index, items: items.clone(), params, inputs, dependents: Vec::new() });
         }
         if there.is_empty() {
-            let idle = (0..needed.len()).filter(|step| needed[*step].is_empty() && deferred[*step].is_none());
-            idle.for_each(|step| self.check_unneeded(step, &graph.steps[step]));
+            (0..needed.len()).filter(is_idle).for_each(|step| self.check_unneeded(step, &graph.steps[step]));
         }
         if self.faults.is_empty() { Ok(instances) } else { Err(self.faults.into_list()) }
     }

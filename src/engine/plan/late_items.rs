@@ -35,7 +35,11 @@ impl Graph {
 
 fn settle_feed(feed: &mut Feed, axis: usize, own: &Axis, faults: &mut Vec<Diagnostic>) {
     match feed {
-        Feed::Plain(source) | Feed::Each { source, .. } => settle_source(source, axis, own, faults),
+        Feed::Plain(source) => settle_source(source, axis, own, faults),
+        Feed::Each { source, paired, .. } => {
+            settle_source(source, axis, own, faults);
+            paired.iter_mut().for_each(|list| settle_feed(list, axis, own, faults));
+        }
         Feed::Chain { source, first, .. } => {
             std::iter::once(source)
                 .chain(first.as_deref_mut())

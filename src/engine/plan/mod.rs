@@ -20,12 +20,12 @@ mod targets;
 mod unused;
 
 pub use completion::{complete, find};
-pub use dynamic::{Items, items_of};
-pub use graph::{Dynamic, Feed, Graph, GraphStep, Later, Source};
+pub use dynamic::{Items, Unknown, items_of, partners_of};
+pub use graph::{Dynamic, Feed, Graph, GraphStep, Later, ListPoint, Partners, Source};
 pub use hit::hit;
 pub use instances::{Given, Instance, Plan, has_ports, makes};
 pub use parameters::{InputFile, StepParams};
-pub use points::counts;
+pub use points::{Wait, counts};
 pub use programs::without_programs;
 pub use resolve::resolve;
 pub use sight::Looks;

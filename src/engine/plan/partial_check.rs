@@ -97,9 +97,13 @@ impl Resolver<'_> {
         while let Some(step) = open.pop() {
             if needed.insert(step) {
                 let step = &document.steps[step];
-                let plain = step.inputs.iter().filter_map(|(_, input)| match input {
-                    Input::Plain(reference) | Input::Each { reference, .. } => Some(reference),
-                    Input::By { .. } | Input::Chain { .. } => None,
+                let plain = step.inputs.iter().flat_map(|(_, input)| match input {
+                    Input::Plain(_) => input.references(),
+                    Input::Each { reference, paired, .. } => match paired.as_deref() {
+                        Some(Input::Plain(list)) => vec![reference, list],
+                        _ => vec![reference],
+                    },
+                    Input::By { .. } | Input::Chain { .. } => Vec::new(),
                 });
                 let axes = self.names.named_axes(step);
                 let lists = axes.iter().filter_map(|axis| document.axes[*axis].from.as_ref());

@@ -1,10 +1,10 @@
 //! Points of the axes: which combinations there are, which instances the targets need, and what each reads.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 use rockface_core::Point;
 
-use super::graph::{Feed, Graph, GraphStep, Source};
+use super::graph::{Feed, Graph, GraphStep, ListPoint, Partners, Source};
 use crate::diagnostic::Diagnostic;
 
 /// The most instances a plan may have: above, memory and patience end before the work does.
@@ -50,11 +50,22 @@ pub fn too_many(graph: &Graph) -> Vec<Diagnostic> {
 /// How many elements all instances of a step gather.
 fn gathered_by(graph: &Graph, step: &GraphStep) -> u64 {
     let each = step.inputs.iter().map(|(_, feed)| match feed {
+        // What pairs tell is counted once they are known.
+        Feed::Each { over, paired: Some(_), .. } => most_partners(graph).min(count(graph, over)),
         Feed::Each { over, .. } => count(graph, over),
         _ => 0,
     });
     let each = each.fold(0, u64::saturating_add);
     if each == 0 { 0 } else { each.saturating_mul(count(graph, &step.axes)) }
+}
+
+/// How many items one is read with by the known pairs: the mean of the list where they are most, itself among them.
+fn most_partners(graph: &Graph) -> u64 {
+    let mean = |partners: &Partners| {
+        let total: usize = partners.values().map(BTreeSet::len).sum();
+        1 + total.div_ceil(partners.len().max(1)) as u64
+    };
+    graph.partners.values().map(mean).max().unwrap_or(1)
 }
 
 /// What some axes are called where they stand together: an axis of a part by its short name, unless two have the same.
@@ -97,9 +108,9 @@ pub struct Element {
     pub point: Point,
 }
 
-/// Takes what an input of a step reads at one point, element by element.
+/// Takes what an input of a step reads at one point, element by element; of what pairs tell, where they are not known, its own item.
 pub fn elements(graph: &Graph, step: &GraphStep, items: &[usize], feed: &Feed, take: &mut dyn FnMut(Element)) {
-    let own = |axis: usize| step.axes.iter().position(|own| *own == axis).map(|place| items[place]).unwrap_or_default();
+    let own = |axis: usize| own_item(step, items, axis);
     let element = |source: &Source, extra: &[(usize, usize)]| {
         let item = |axis: &usize| {
             let picked = source.picks.iter().chain(extra).find(|(a, _)| a == axis).map(|(_, item)| *item);
@@ -112,8 +123,9 @@ pub fn elements(graph: &Graph, step: &GraphStep, items: &[usize], feed: &Feed, t
     match feed {
         Feed::Plain(source) => take(element(source, &[])),
         Feed::By { axis, cases, .. } => take(element(&cases[own(*axis)], &[])),
-        Feed::Each { source, over } => {
-            for items in points(graph, over) {
+        Feed::Each { source, over, paired } => {
+            let is_read = read_items(graph, step, items, over[0], paired.as_deref());
+            for items in points(graph, over).into_iter().filter(|items| is_read(items[0])) {
                 let extra: Vec<_> = over.iter().copied().zip(items.iter().copied()).collect();
                 take(Element { point: named(graph, over, &items), ..element(source, &extra) });
             }
@@ -128,34 +140,177 @@ pub fn elements(graph: &Graph, step: &GraphStep, items: &[usize], feed: &Feed, t
     }
 }
 
-/// The points of every step that the targets need, and of the steps that tell the items of axes they need.
-pub fn needed_points(graph: &Graph) -> Vec<BTreeSet<Vec<usize>>> {
+fn own_item(step: &GraphStep, items: &[usize], axis: usize) -> usize {
+    step.axes.iter().position(|own| *own == axis).map(|place| items[place]).unwrap_or_default()
+}
+
+/// Which items of an axis a gathered input reads: all, or its own and those known to be in a pair with it.
+fn read_items<'g>(
+    graph: &'g Graph,
+    step: &GraphStep,
+    items: &[usize],
+    axis: usize,
+    paired: Option<&Feed>,
+) -> impl Fn(usize) -> bool + use<'g> {
+    let own = own_item(step, items, axis);
+    let names = &graph.axes[axis].items;
+    let partners_by = |list: &Feed| graph.partners.get(&list_point(graph, step, items, list)?)?.get(&names[own]);
+    let partners = paired.map(partners_by);
+    move |item: usize| partners.is_none_or(|of| item == own || of.is_some_and(|of| of.contains(&names[item])))
+}
+
+/// The list of pairs that tells what a step reads at one point.
+fn list_point(graph: &Graph, step: &GraphStep, items: &[usize], list: &Feed) -> Option<ListPoint> {
+    let mut point = None;
+    elements(graph, step, items, list, &mut |element| point = Some((element.step, element.port, element.items)));
+    point
+}
+
+/// A step at the item of each of its axes.
+type StepPoint = (usize, Vec<usize>);
+
+/// Instances that cannot be expanded before a list of pairs is known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Wait {
+    /// The step that makes the list.
+    pub maker: usize,
+    /// How many they are.
+    pub count: usize,
+}
+
+/// What the targets of a graph need, by what is known.
+pub struct Needed {
+    /// The points of every step, those that tell the items of axes and the pairs among them.
+    pub points: Vec<BTreeSet<Vec<usize>>>,
+    /// By step: what some of its instances wait for.
+    pub waits: Vec<Option<Wait>>,
+    /// The lists of pairs that are needed and not known.
+    pub lists: BTreeSet<ListPoint>,
+}
+
+impl Needed {
+    /// The points that are needed; those whose inputs pairs tell are left out as long as these are not known.
+    pub fn of(graph: &Graph) -> Self {
+        let deferred = graph.deferred();
+        let starts = starts(graph);
+        let is_expanded = |point: &StepPoint| deferred[point.0].is_none();
+        if !graph.pairs_items() {
+            let waits = vec![None; graph.steps.len()];
+            return Self { points: reached(graph, starts, is_expanded), waits, lists: BTreeSet::new() };
+        }
+        let waiting = Waiting::of(graph, starts.clone(), is_expanded);
+        let lists = waiting.lists.iter().map(|(step, _, items)| (*step, items.clone()));
+        let starts = starts.into_iter().chain(lists).collect();
+        let points = reached(graph, starts, |point| is_expanded(point) && !waiting.points.contains_key(point));
+        let waits = waiting.waits(&points);
+        Self { points, waits, lists: waiting.lists }
+    }
+}
+
+/// The points that are needed whatever they read: those of the targets, and of the steps that tell the items of axes.
+fn starts(graph: &Graph) -> Vec<StepPoint> {
+    let mut starts: Vec<StepPoint> = Vec::new();
+    for target in &graph.targets {
+        starts.extend(points(graph, &graph.steps[*target].axes).into_iter().map(|items| (*target, items)));
+    }
+    for source in tellers(graph, &graph.wanted()) {
+        let item = |axis: &usize| source.picks.iter().find(|(a, _)| a == axis).map_or(0, |(_, item)| *item);
+        starts.push((source.step, graph.steps[source.step].axes.iter().map(item).collect()));
+    }
+    starts
+}
+
+/// The points that are reached against the arrows, of those that may be.
+fn reached(graph: &Graph, starts: Vec<StepPoint>, may_be: impl Fn(&StepPoint) -> bool) -> Vec<BTreeSet<Vec<usize>>> {
     let mut needed: Vec<BTreeSet<Vec<usize>>> = vec![BTreeSet::new(); graph.steps.len()];
-    let (wanted, deferred) = (graph.wanted(), graph.deferred());
-    let mut open: Vec<(usize, Vec<usize>)> = Vec::new();
-    let mut need = |step: usize, items: Vec<usize>, open: &mut Vec<(usize, Vec<usize>)>| {
-        if deferred[step].is_none() && !needed[step].contains(&items) {
-            needed[step].insert(items.clone());
-            open.push((step, items));
+    let mut open: Vec<StepPoint> = Vec::new();
+    let mut need = |point: StepPoint, open: &mut Vec<StepPoint>| {
+        if !needed[point.0].contains(&point.1) && may_be(&point) {
+            needed[point.0].insert(point.1.clone());
+            open.push(point);
         }
     };
-    for target in &graph.targets {
-        for point in points(graph, &graph.steps[*target].axes) {
-            need(*target, point, &mut open);
-        }
-    }
-    for source in tellers(graph, &wanted) {
-        let step = &graph.steps[source.step];
-        let items = step.axes.iter().map(|axis| source.picks.iter().find(|(a, _)| a == axis).map_or(0, |(_, i)| *i));
-        need(source.step, items.collect(), &mut open);
-    }
+    starts.into_iter().for_each(|point| need(point, &mut open));
     while let Some((index, items)) = open.pop() {
         let step = &graph.steps[index];
         for (_, feed) in &step.inputs {
-            elements(graph, step, &items, feed, &mut |element| need(element.step, element.items, &mut open));
+            elements(graph, step, &items, feed, &mut |element| need((element.step, element.items), &mut open));
         }
     }
     needed
+}
+
+/// The points that cannot be expanded before some list of pairs is known.
+struct Waiting {
+    /// Each with the step that makes the list.
+    points: BTreeMap<StepPoint, usize>,
+    lists: BTreeSet<ListPoint>,
+    /// By step: how many points it has at least, those that wait among them.
+    counts: Vec<usize>,
+}
+
+impl Waiting {
+    fn of(graph: &Graph, starts: Vec<StepPoint>, may_be: impl Fn(&StepPoint) -> bool) -> Self {
+        let mut own = Self { points: BTreeMap::new(), lists: BTreeSet::new(), counts: vec![0; graph.steps.len()] };
+        let mut readers: HashMap<StepPoint, Vec<StepPoint>> = HashMap::new();
+        let mut open: Vec<StepPoint> = starts;
+        let mut seen: HashSet<StepPoint> = open.iter().cloned().collect();
+        while let Some(point) = open.pop() {
+            if !may_be(&point) {
+                continue;
+            }
+            let step = &graph.steps[point.0];
+            own.counts[point.0] += 1;
+            let mut read: Vec<StepPoint> = Vec::new();
+            for (_, feed) in &step.inputs {
+                let unknown = unknown_list(graph, step, &point.1, feed);
+                read.extend(unknown.iter().map(|(step, _, items)| (*step, items.clone())));
+                own.points.extend(unknown.iter().map(|(maker, ..)| (point.clone(), *maker)));
+                own.lists.extend(unknown);
+                elements(graph, step, &point.1, feed, &mut |element| read.push((element.step, element.items)));
+            }
+            for producer in read {
+                readers.entry(producer.clone()).or_default().push(point.clone());
+                if seen.insert(producer.clone()) {
+                    open.push(producer);
+                }
+            }
+        }
+        own.spread(&readers);
+        own
+    }
+
+    /// What the steps wait for, given the points that do not: those that wait, and those that only they read.
+    fn waits(&self, expanded: &[BTreeSet<Vec<usize>>]) -> Vec<Option<Wait>> {
+        let first = self.points.values().next().copied();
+        let makers: BTreeMap<usize, usize> = self.points.iter().map(|((step, _), maker)| (*step, *maker)).collect();
+        let wait = |(step, points): (usize, &BTreeSet<Vec<usize>>)| {
+            let count = self.counts[step].saturating_sub(points.len());
+            let maker = makers.get(&step).copied().or(first)?;
+            (count > 0).then_some(Wait { maker, count })
+        };
+        expanded.iter().enumerate().map(wait).collect()
+    }
+
+    /// Whatever reads from a point that waits has to wait too.
+    fn spread(&mut self, readers: &HashMap<StepPoint, Vec<StepPoint>>) {
+        let mut open: Vec<(StepPoint, usize)> =
+            self.points.iter().map(|(point, maker)| (point.clone(), *maker)).collect();
+        while let Some((point, maker)) = open.pop() {
+            for reader in readers.get(&point).into_iter().flatten() {
+                if !self.points.contains_key(reader) {
+                    self.points.insert(reader.clone(), maker);
+                    open.push((reader.clone(), maker));
+                }
+            }
+        }
+    }
+}
+
+/// The list of pairs that tells what an input reads, if there is one and it is not known.
+fn unknown_list(graph: &Graph, step: &GraphStep, items: &[usize], feed: &Feed) -> Option<ListPoint> {
+    let Feed::Each { paired: Some(list), .. } = feed else { return None };
+    list_point(graph, step, items, list).filter(|list| !graph.partners.contains_key(list))
 }
 
 /// The outputs that tell the items of the axes of wanted steps.
@@ -165,8 +320,14 @@ fn tellers<'g>(graph: &'g Graph, wanted: &'g [bool]) -> impl Iterator<Item = &'g
     used.into_iter().filter_map(|axis| graph.dynamic[axis].as_ref()).map(|dynamic| &dynamic.source)
 }
 
-/// How many instances of every step the targets need.
-pub fn counts(graph: &Graph) -> Result<Vec<usize>, Vec<Diagnostic>> {
+/// How many instances of every step the targets need; `None` where a list that is not known tells.
+pub fn counts(graph: &Graph) -> Result<Vec<Option<usize>>, Vec<Diagnostic>> {
     let faults = too_many(graph);
-    if faults.is_empty() { Ok(needed_points(graph).iter().map(BTreeSet::len).collect()) } else { Err(faults) }
+    if !faults.is_empty() {
+        return Err(faults);
+    }
+    let (needed, deferred) = (Needed::of(graph), graph.deferred());
+    let is_told = |step: usize| deferred[step].is_none() && needed.waits[step].is_none();
+    let counts = needed.points.iter().enumerate().map(|(step, points)| is_told(step).then_some(points.len()));
+    Ok(counts.collect())
 }

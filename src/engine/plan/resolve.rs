@@ -313,6 +313,7 @@ impl<'d> Resolver<'d> {
             axes: document.axes.clone(),
             zips: self.names.zips.clone(),
             dynamic,
+            partners: BTreeMap::new(),
             steps,
             targets,
             uses: document.uses.clone(),

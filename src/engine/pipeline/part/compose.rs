@@ -80,9 +80,11 @@ impl Scope<'_> {
                 let cases = cases.into_iter().map(|(item, to)| Some((item, self.single(to, reader)?)));
                 Some(Input::By { axis, cases: cases.collect::<Option<_>>()? })
             }
-            Input::Each { reference, over } => {
+            Input::Each { reference, over, paired } => {
                 let over = over.into_iter().map(|axis| self.axis(axis, reader)).collect();
-                Some(Input::Each { reference: self.single(reference, reader)?, over })
+                // Without the list, where that is optional and left out, all items are gathered.
+                let paired = paired.and_then(|list| self.list_of_pairs(*list, reader)).map(Box::new);
+                Some(Input::Each { reference: self.single(reference, reader)?, over, paired })
             }
             Input::Chain { reference, axis, first } => {
                 let axis = self.axis(axis, reader);
@@ -90,6 +92,17 @@ impl Scope<'_> {
                 let first = if let Some(first) = first { Some(Box::new(first?)) } else { None };
                 Some(Input::Chain { reference: Box::new(self.single(*reference, reader)?), axis, first })
             }
+        }
+    }
+
+    fn list_of_pairs(&self, list: Input, reader: &mut Reader) -> Option<Input> {
+        let written = list.references().first().map(|reference| (*reference).clone());
+        match (self.input(list, reader)?, written) {
+            (given @ (Input::Each { .. } | Input::Chain { .. }), Some(written)) => {
+                self.refuse(&given, &written, reader);
+                None
+            }
+            (given, _) => Some(given),
         }
     }
 

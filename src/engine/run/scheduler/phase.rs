@@ -50,12 +50,14 @@ pub struct Due {
     pub lease: Option<KeyLock>,
     /// A recomputed producer gave a different output, so the recipe must be determined again.
     pub is_stale: bool,
+    /// It has a place in the queue for workers.
+    pub is_queued: bool,
 }
 
 impl Phase {
     /// Due for this purpose, with nothing missing.
     pub fn due(purpose: Purpose) -> Self {
-        Self::Due(Due { purpose, missing: 0, lease: None, is_stale: false })
+        Self::Due(Due { purpose, missing: 0, lease: None, is_stale: false, is_queued: false })
     }
 
     /// What the record says: the former outcome while the values are recomputed.

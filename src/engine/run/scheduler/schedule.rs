@@ -67,6 +67,8 @@ pub struct Priority {
     pub drains: bool,
     /// Its step; later steps are deeper in the graph.
     pub depth: usize,
+    /// How many producers that consumer of it lacks which lacks the fewest: what a consumer needs is made together.
+    pub lacking: std::cmp::Reverse<usize>,
     /// Its place among those of its step, counted from where this process begins; the first comes first.
     pub place: std::cmp::Reverse<usize>,
     /// The instance.
@@ -251,8 +253,12 @@ impl<'a> Scheduler<'a> {
 
     fn next_ready(&mut self) -> Result<Option<usize>, RunError> {
         while let Some(Priority { instance, .. }) = self.ready.pop() {
-            let Some(due) = self.states[instance].due().filter(|due| due.missing == 0) else { continue };
-            if !due.is_stale {
+            let Some(due) = self.states[instance].due().filter(|due| due.missing == 0 && due.is_queued) else {
+                continue;
+            };
+            let is_stale = due.is_stale;
+            self.states[instance].set_queued(false);
+            if !is_stale {
                 return Ok(Some(instance));
             }
             self.turns.push_back(Turn::Prepare(instance));

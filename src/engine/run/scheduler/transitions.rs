@@ -13,6 +13,8 @@ use crate::run::{RunError, StepFailure};
 
 /// Values that so many instances wait for are fetched or recomputed before anything else.
 const SHARED_BY: usize = 4;
+/// Consumers that gather more than this are not looked at when an order of their producers is sought.
+const FEW: usize = 64;
 
 impl Scheduler<'_> {
     /// Takes all turns that wait; none of them needs a worker.
@@ -140,7 +142,37 @@ impl Scheduler<'_> {
         let count = last - first + 1;
         let start = (self.options.start * count as f64) as usize;
         let place = std::cmp::Reverse((instance - first + count - start.min(count - 1)) % count);
-        self.ready.push(Priority { drains, depth, place, instance });
+        let lacking = std::cmp::Reverse(self.lacking(instance));
+        self.ready.push(Priority { drains, depth, lacking, place, instance });
+        self.states[instance].set_queued(true);
+    }
+
+    /// How many producers the consumer lacks that lacks the fewest, of an instance whose values are held for their consumers; of others,
+    /// and of consumers that gather much, nothing is counted.
+    fn lacking(&self, instance: usize) -> usize {
+        if self.plan.step(instance).keep {
+            return 0;
+        }
+        let dependents = self.plan.instances[instance].dependents.iter();
+        let lacking = dependents.filter(|dependent| self.gathers_few(**dependent)).map(|of| self.states[*of].unmet());
+        lacking.filter(|unmet| *unmet > 0).min().unwrap_or(0)
+    }
+
+    fn gathers_few(&self, instance: usize) -> bool {
+        self.plan.instances[instance].inputs.iter().map(|(_, given)| given.len()).sum::<usize>() <= FEW
+    }
+
+    /// A consumer of values that are held lacks one producer less: those that it still lacks may come earlier now. Their former places in
+    /// the queue are passed over when they are reached.
+    fn advance_producers(&mut self, consumer: usize) {
+        if !self.gathers_few(consumer) {
+            return;
+        }
+        for producer in self.plan.producers(consumer) {
+            if self.states[producer].due().is_some_and(|due| due.is_queued) && !self.plan.step(producer).keep {
+                self.queue(producer);
+            }
+        }
     }
 
     /// Whether an instance uses values that no store has, so that running it may free them.
@@ -177,6 +209,8 @@ impl Scheduler<'_> {
         for dependent in self.plan.instances[instance].dependents.clone() {
             if self.states[dependent].meet() {
                 self.turns.push_back(Turn::Settle(dependent));
+            } else if !self.plan.step(instance).keep {
+                self.advance_producers(dependent);
             }
         }
         self.expand(instance);

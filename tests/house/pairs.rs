@@ -1,0 +1,148 @@
+//! Inputs gathered by pairs: each item is read with its partners, which a list tells.
+
+#![expect(clippy::float_cmp, reason = "these numbers are small sums, exact")]
+
+use rockface_engine::run::Options;
+use rockface_engine::watch::Event;
+
+use crate::lab::{Bench, Ran};
+
+/// Five numbers; each is summed with its neighbours.
+const ROW: &str = "
+rockface: 1
+axes: {k: {values: [1, 2, 3, 4, 5]}}
+steps:
+  begun: {stage: emit, with: {value: 9}}
+  pairs: {stage: couple, in: {after: begun.out}, with: {pairs: ['1+2', '2+3', '3+4', '4+5']}}
+  made: {stage: emit, keep: false, with: {value: '${k}'}}
+  near: {stage: add, over: [k], in: {terms: {each: made.out, over: [k], paired: pairs.pairs}}}
+  all: {stage: add, in: {terms: {each: near.out, over: [k]}}}
+targets: [all]
+";
+
+fn plan_of(bench: &Bench, yaml: &str) -> rockface_engine::plan::Plan {
+    bench.plan(yaml, &[]).unwrap_or_else(|faults| panic!("{faults}"))
+}
+
+fn numbers(ran: &Ran, bench: &Bench) -> Vec<f64> {
+    (1..=5).map(|k| ran.number(&bench.store, &format!("near[k={k}]"))).collect()
+}
+
+#[test]
+fn each_item_is_read_with_its_partners() {
+    for jobs in [1, 3] {
+        let bench = Bench::new();
+        let plan = plan_of(&bench, ROW);
+        let waits: Vec<usize> = plan.waits.iter().flatten().map(|wait| wait.count).collect();
+        assert_eq!(
+            (plan.instances.len(), waits),
+            (2, vec![5, 5, 1]),
+            "nothing is known but the list and what it comes from"
+        );
+        let ran = bench.run_with(ROW, &[], &Options { jobs, ..Options::default() });
+        assert!(!ran.summary.failed, "{:?}", ran.events);
+        assert_eq!(numbers(&ran, &bench), [3.0, 6.0, 9.0, 12.0, 9.0]);
+        assert_eq!(ran.number(&bench.store, "all"), 39.0);
+        assert_eq!(ran.executed().len(), 2 + 5 + 5 + 1, "every value is made once");
+        let again = bench.run(ROW, &[]);
+        assert!(again.executed().is_empty() && again.digests() == ran.digests());
+        assert_eq!(plan_of(&bench, ROW).instances.len(), 13);
+    }
+}
+
+#[test]
+fn a_change_runs_what_reads_it_and_no_more() {
+    let bench = Bench::new();
+    bench.run(ROW, &[]);
+    let other = bench.run(&ROW.replace("[1, 2, 3, 4, 5]", "[1, 2, 3, 4, 7]").replace("4+5", "4+7"), &[]);
+    // The partners of 4 are 3 and 7 now; that of 5 is not there.
+    assert_eq!(other.executed(), ["all", "made[k=7]", "near[k=4]", "near[k=7]", "pairs"]);
+    let more = bench.run(&ROW.replace("'1+2', ", ""), &[]);
+    assert_eq!(more.executed(), ["all", "near[k=1]", "near[k=2]", "pairs"]);
+    assert_eq!(more.number(&bench.store, "near[k=1]"), 1.0, "an item without a partner is read alone");
+}
+
+/// A list for each item of another axis; one of them is chosen by it.
+const LISTS: &str = "
+rockface: 1
+axes: {k: {values: [1, 2, 3]}, reach: {values: [1, 2]}}
+steps:
+  pairs: {stage: couple, with: {pairs: ['1+2', '${reach}+3']}}
+  chosen: {stage: couple, with: {pairs: ['1+3']}}
+  made: {stage: emit, with: {value: '${k}'}}
+  near: {stage: add, over: [k], in: {terms: {each: made.out, over: [k], paired: {by: reach, 1: chosen.pairs, 2: pairs.pairs}}}}
+  all: {stage: add, in: {terms: {each: near.out, over: [k]}}}
+";
+
+#[test]
+fn there_may_be_a_list_for_each_item_of_another_axis() {
+    let bench = Bench::new();
+    let ran = bench.run(&format!("{LISTS}targets: [all]\n"), &[]);
+    assert!(!ran.summary.failed, "{:?}", ran.events);
+    let sums = |label: &str| ran.number(&bench.store, label);
+    assert_eq!([sums("all[reach=1]"), sums("all[reach=2]")], [4.0 + 2.0 + 4.0, 3.0 + 6.0 + 5.0]);
+    // Of two lists the one that a picked item needs.
+    let bench = Bench::new();
+    let one = "  one: {stage: add, in: {terms: 'all.out[reach=1]'}}\ntargets: [one]\n";
+    let ran = bench.run(&format!("{LISTS}{one}"), &[]);
+    assert_eq!(
+        ran.executed().iter().filter(|label| label.starts_with("pairs") || label.starts_with("chosen")).count(),
+        1
+    );
+    assert_eq!(ran.number(&bench.store, "one"), 10.0);
+}
+
+#[test]
+fn a_list_is_needed_before_what_waits_for_it_and_its_failure_ends_there() {
+    let bench = Bench::new();
+    let ran = bench.run(ROW, &["steps.pairs.with.pairs=[\"1\"]"]);
+    let failed: Vec<String> = ran
+        .events
+        .iter()
+        .filter_map(|event| match event {
+            Event::Failed { step, message, .. } => Some(format!("{step}: {message}")),
+            _ => None,
+        })
+        .collect();
+    assert!(ran.summary.failed && failed.len() == 1 && failed[0].contains("`1` is no pair"), "{failed:?}");
+}
+
+/// Six values that take their time, of which two each are summed.
+const APART: &str = "
+rockface: 1
+axes: {k: {values: [1, 2, 3, 4, 5, 6]}}
+steps:
+  pairs: {stage: couple, with: {pairs: ['1+4', '2+5', '3+6']}}
+  made: {stage: toil, keep: false, with: {value: '${k}'}}
+  near: {stage: add, over: [k], in: {terms: {each: made.out, over: [k], paired: pairs.pairs}}}
+  all: {stage: add, in: {terms: {each: near.out, over: [k]}}}
+";
+
+#[test]
+fn what_a_consumer_needs_is_made_together_so_that_few_values_are_held() {
+    let bench = Bench::new();
+    let ran = bench.run_with(APART, &[], &Options { jobs: 1, ..Options::default() });
+    assert_eq!(ran.number(&bench.store, "all"), 42.0);
+    let begun = ran.events.iter().filter_map(|event| match event {
+        Event::Started { step, .. } => step.strip_prefix("made[k=").map(|item| item.trim_end_matches(']').to_owned()),
+        _ => None,
+    });
+    assert_eq!(begun.collect::<Vec<_>>(), ["1", "4", "2", "5", "3", "6"]);
+}
+
+#[test]
+fn what_is_no_list_of_pairs_is_told() {
+    let said = |from: &str, to: &str| Bench::new().plan(&ROW.replace(from, to), &[]).err().expect(to).to_string();
+    let told = said("paired: pairs.pairs", "paired: begun.out");
+    assert!(told.contains("`begun.out` is a table, not a list of pairs"), "{told}");
+    let told = said("pairs: {stage: couple,", "pairs: {stage: couple, keep: false,");
+    assert!(told.contains("`pairs` is not kept") && told.contains("remove `keep: false`"), "{told}");
+    let told = said("near: {stage: add, over: [k],", "near: {stage: add,");
+    assert!(told.contains("step `near` has no item of axis `k` that pairs could be of"), "{told}");
+    let told = said("paired: pairs.pairs", "paired: {each: pairs.pairs, over: [k]}");
+    assert!(told.contains("`paired` is one list of pairs"), "{told}");
+    let told = said("paired: pairs.pairs", "paired: pears.pairs");
+    assert!(told.contains("unknown step `pears`") && told.contains("did you mean `pairs`?"), "{told}");
+    let told = said("{each: made.out, over: [k], paired", "{each: made.out, over: [k, k], paired");
+    assert!(told.contains("a list of pairs tells the items of one axis") || told.contains("twice"), "{told}");
+}
