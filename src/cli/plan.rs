@@ -81,7 +81,7 @@ impl PlanArgs {
                 }
                 Unknown::Pairs(wait) => {
                     let maker = &plan.graph.steps[wait.maker].name;
-                    format!("which items it gathers is told by the pairs of `{maker}`, which has not run")
+                    format!("waits for the pairs of `{maker}`, which has not run")
                 }
             };
             say(&format!("{step:width$}  {:>9} {:>6} {:>6} {:>8}  {why}", "?", "", "", ""));

@@ -5,6 +5,7 @@
 use rockface_engine::run::Options;
 use rockface_engine::watch::Event;
 
+use crate::cli::House;
 use crate::lab::{Bench, Ran};
 
 /// Five numbers; each is summed with its neighbours.
@@ -145,4 +146,60 @@ fn what_is_no_list_of_pairs_is_told() {
     assert!(told.contains("unknown step `pears`") && told.contains("did you mean `pairs`?"), "{told}");
     let told = said("{each: made.out, over: [k], paired", "{each: made.out, over: [k, k], paired");
     assert!(told.contains("a list of pairs tells the items of one axis") || told.contains("twice"), "{told}");
+}
+
+/// A block of three images, each matched with its neighbours; the pairs come from outside the part.
+const BLOCK: &str = "rockface: 1
+seed: 5
+parts: {matching: part.yaml}
+axes: {reach: {values: [1, 2]}}
+steps:
+  face:   {stage: synthesise-face, with: {width_m: 8, height_m: 5, spacing_m: 0.1}}
+  survey: {stage: plan-survey, in: {mesh: face.mesh}, with: {block: strips, width_px: 160, height_px: 120, focal_px: 130, distance_m: 8, columns: 4, rows: 1}}
+  near:   {stage: select-pairs, in: {cameras: survey.cameras, mesh: face.mesh}, with: {neighbours: 1}}
+  far:    {stage: select-pairs, in: {cameras: survey.cameras, mesh: face.mesh}, with: {neighbours: 3}}
+  matched: {use: matching, in: {mesh: face.mesh, cameras: survey.cameras, pairs: PAIRS}}
+targets: [matched]
+";
+
+/// The part: without a list, an image is given all others.
+const PART: &str = "rockface: 1
+part: matching
+in:
+  mesh: {kind: mesh}
+  cameras: {kind: cameras}
+  pairs: {kind: pairs}
+out: {surface: surface.surface}
+axes: {image: {from: in.cameras, reseeds: false}}
+steps:
+  seen:    {stage: project-depth, keep: false, with: {image: '${image}'}, in: {mesh: in.mesh, cameras: in.cameras}}
+  matched: {stage: match-image, keep: false, with: {image: '${image}', spacing_px: 12}, in: {depths: {each: seen.depth, over: [image], paired: in.pairs}, noisy: in.cameras, pairs: in.pairs}}
+  cells:   {stage: grid-depth, keep: false, with: {cell_m: 0.1}, in: {depth: matched.depth}}
+  surface: {stage: fuse-grids, in: {grids: {each: cells.grid, over: [image]}}}
+";
+
+#[test]
+fn a_part_matches_a_block_by_the_pairs_it_is_given_and_its_plan_says_what_is_not_known() {
+    let house = House::new(&BLOCK.replace("PAIRS", "{by: reach, 1: near.pairs, 2: far.pairs}"));
+    std::fs::write(house.path("part.yaml"), PART).unwrap();
+    let run = |arguments: &[&str]| {
+        let (code, out, err) = house.rockface(arguments);
+        assert_eq!(code, Some(0), "{out}{err}");
+        out
+    };
+    run(&["run", "p.yaml", "--target", "survey"]);
+    let out = run(&["plan", "p.yaml"]);
+    for step in ["matched/seen", "matched/matched", "matched/cells", "matched/surface"] {
+        let line = out.lines().find(|line| line.starts_with(step)).unwrap_or_else(|| panic!("{out}"));
+        assert!(line.contains("waits for the pairs of `near`, which has not run"), "{out}");
+    }
+    assert!(out.contains("8 of match-image"), "{out}");
+    let (code, _, err) = house.rockface(&["explain", "p.yaml", "matched/surface"]);
+    assert!(code == Some(2) && err.contains("the pairs that tell what is gathered are made by step `near`"), "{err}");
+    let drawn = run(&["graph", "p.yaml"]);
+    assert!(drawn.contains("unknown instances over"), "{drawn}");
+    run(&["run", "p.yaml"]);
+    assert!(run(&["plan", "p.yaml"]).contains("0 run, 0 depend on what runs"));
+    let drawn = run(&["graph", "p.yaml"]);
+    assert!(drawn.contains("8 instances over") && drawn.contains("pairs of"), "{drawn}");
 }

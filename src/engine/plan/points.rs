@@ -283,7 +283,8 @@ impl Waiting {
     /// What the steps wait for, given the points that do not: those that wait, and those that only they read.
     fn waits(&self, expanded: &[BTreeSet<Vec<usize>>]) -> Vec<Option<Wait>> {
         let first = self.points.values().next().copied();
-        let makers: BTreeMap<usize, usize> = self.points.iter().map(|((step, _), maker)| (*step, *maker)).collect();
+        let mut makers: BTreeMap<usize, usize> = BTreeMap::new();
+        self.points.iter().for_each(|((step, _), maker)| _ = makers.entry(*step).or_insert(*maker));
         let wait = |(step, points): (usize, &BTreeSet<Vec<usize>>)| {
             let count = self.counts[step].saturating_sub(points.len());
             let maker = makers.get(&step).copied().or(first)?;

@@ -52,7 +52,7 @@ pub struct Cells {
 }
 
 /// A pixel on its way to its cell.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 struct Sample {
     cell: u32,
     z_m: f32,
@@ -60,13 +60,11 @@ struct Sample {
     weight: f64,
 }
 
-/// The pixels of a row.
-#[derive(Debug, Default)]
-struct Samples {
-    /// Those in a cell.
-    placed: Vec<Sample>,
-    /// How many have a depth.
-    count: usize,
+/// How many pixels of a row have a depth, and how many of these lie in a cell.
+#[derive(Debug, Clone, Copy, Default)]
+struct Counts {
+    valid: usize,
+    placed: usize,
 }
 
 #[derive(Debug, Clone, Copy, Default)]
@@ -95,15 +93,22 @@ pub fn reduce(
     let mut sums = vec![Sums::default(); grid.cells()];
     let mut pixels = [0; 2];
     let placer = Placer { depth, camera: &camera, sigma, grid: &grid, window_m };
+    let row_len = depth.width.next_multiple_of(LANES);
+    let mut samples = vec![Sample::default(); BATCH_ROWS * row_len];
     for start in (0..depth.height).step_by(BATCH_ROWS) {
-        let rows = start..depth.height.min(start + BATCH_ROWS);
-        let placed: Vec<Samples> = rows.into_par_iter().map(|row| placer.row(row)).collect();
-        pixels[0] += placed.iter().map(|row| row.count).sum::<usize>();
-        for sample in placed.iter().flat_map(|row| &row.placed) {
-            let cell = &mut sums[sample.cell as usize];
-            cell.weight += sample.weight;
-            cell.weighted_z += sample.weight * f64::from(sample.z_m);
-            cell.count += 1;
+        let rows = depth.height.min(start + BATCH_ROWS) - start;
+        let lists = samples.par_chunks_mut(row_len).take(rows).enumerate();
+        let scratch = || [0; 2].map(|_| vec![f64::NAN; row_len]);
+        let counts: Vec<Counts> =
+            lists.map_init(scratch, |rays, (row, samples)| placer.row(start + row, rays, samples)).collect();
+        for (counts, samples) in counts.iter().zip(samples.chunks(row_len)) {
+            pixels[0] += counts.valid;
+            for sample in &samples[..counts.placed] {
+                let cell = &mut sums[sample.cell as usize];
+                cell.weight += sample.weight;
+                cell.weighted_z += sample.weight * f64::from(sample.z_m);
+                cell.count += 1;
+            }
         }
     }
     pixels[1] = sums.iter().map(|sums| sums.count as usize).sum();
@@ -119,34 +124,37 @@ struct Placer<'a> {
 }
 
 impl Placer<'_> {
-    fn row(&self, row: usize) -> Samples {
+    /// Writes the pixels of a row that lie in a cell to the front of `samples`; `rays` and `samples` have room for whole blocks.
+    fn row(&self, row: usize, rays: &mut [Vec<f64>; 2], samples: &mut [Sample]) -> Counts {
         let first = row * self.depth.width;
         let depths_m = &self.depth.z[first..first + self.depth.width];
-        let mut samples = Samples::default();
         if !depths_m.iter().any(|z| is_depth(*z)) {
-            return samples;
+            return Counts::default();
         }
-        samples.placed.reserve_exact(depths_m.len());
-        let mut rays = [0; 2].map(|_| vec![f64::NAN; depths_m.len()]);
-        let [x, y] = &mut rays;
-        RayRow::new(self.camera, row, self.depth.downscale).fill(0, x, y);
-        vectorised(PlaceRow { placer: self, first, depths_m, rays: &rays, samples: &mut samples });
-        samples
+        let [x, y] = &mut *rays;
+        let width = depths_m.len();
+        RayRow::new(self.camera, row, self.depth.downscale).fill(0, &mut x[..width], &mut y[..width]);
+        vectorised(PlaceRow { placer: self, first, depths_m, rays, samples })
     }
 
     /// The numbers of the cells of points, [`NOWHERE`] where they lie in none.
     #[inline(always)]
     fn cells(&self, x: Lanes, y: Lanes) -> Lanes {
+        let nowhere = Lanes::all(NOWHERE);
         let (columns, rows) = (self.grid.columns as f64, self.grid.rows as f64);
         let column = ((x - self.grid.left_m) / self.grid.cell_m).map(f64::floor);
         let row = ((-y + self.grid.top_m) / self.grid.cell_m).map(f64::floor);
-        let cell = column.with(row, |column, row| {
-            let fits = column >= 0.0 && column < columns && row >= 0.0 && row < rows;
-            if fits { row * columns + column } else { NOWHERE }
-        });
+        let mut cell = row * columns + column;
+        // One condition after the other, each for all lanes at once.
+        cell = column.choose(|column| column >= 0.0, cell, nowhere);
+        cell = column.choose(|column| column < columns, cell, nowhere);
+        cell = row.choose(|row| row >= 0.0, cell, nowhere);
+        cell = row.choose(|row| row < rows, cell, nowhere);
         let Some([x0, x1, y0, y1]) = self.window_m else { return cell };
-        let inside = x.with(y, |x, y| if x >= x0 && x < x1 && y > y0 && y <= y1 { 1.0 } else { 0.0 });
-        cell.with(inside, |cell, inside| if inside > 0.0 { cell } else { NOWHERE })
+        cell = x.choose(|x| x >= x0, cell, nowhere);
+        cell = x.choose(|x| x < x1, cell, nowhere);
+        cell = y.choose(|y| y > y0, cell, nowhere);
+        y.choose(|y| y <= y1, cell, nowhere)
     }
 }
 
@@ -158,14 +166,15 @@ struct PlaceRow<'a> {
     depths_m: &'a [f32],
     /// Undistorted normalised coordinates, NaN where there is no ray.
     rays: &'a [Vec<f64>; 2],
-    samples: &'a mut Samples,
+    samples: &'a mut [Sample],
 }
 
 impl Work for PlaceRow<'_> {
-    type Output = ();
+    type Output = Counts;
 
     #[inline(always)]
-    fn run(self) {
+    fn run(self) -> Counts {
+        let (mut valid, mut placed) = (Lanes::all(0.0), 0);
         let camera = self.placer.camera;
         for (block, depths_m) in self.depths_m.chunks(LANES).enumerate() {
             let start = block * LANES;
@@ -177,19 +186,28 @@ impl Work for PlaceRow<'_> {
             let [dx, dy, dz] = direction;
             let cosine = (across / (dx * dx + dy * dy + dz * dz).sqrt()).at_least(Lanes::all(LEAST_COSINE));
             let sigma_m = self.placer.sigma.from(self.first + start) * across / cosine.sqrt();
-            let sigma_m = sigma_m.map(|sigma_m| f64::from(sigma_m as f32));
+            // To 32 bits and back, each for all lanes at once.
+            let short = sigma_m.each().map(|sigma_m| sigma_m as f32);
+            let sigma_m = Lanes::from(short.map(f64::from));
             let weight = Lanes::all(1.0) / (sigma_m * sigma_m);
             let cell = self.placer.cells(x, y);
-            for (lane, depth_m) in depths_m.iter().enumerate() {
-                if is_depth(*depth_m) && !ray[0][lane].is_nan() {
-                    self.samples.count += 1;
-                    if cell[lane] >= 0.0 {
-                        let (cell, z_m) = (cell[lane] as u32, z[lane] as f32);
-                        self.samples.placed.push(Sample { cell, z_m, weight: weight[lane] });
-                    }
-                }
+            // 1 where a pixel has a depth and a ray.
+            let [one, zero] = [1.0, 0.0].map(Lanes::all);
+            let is_valid = depth.choose(|depth| depth > 0.0, one, zero);
+            let is_valid = depth.choose(|depth| depth < f64::INFINITY, is_valid, zero);
+            let is_valid = ray[0].choose(f64::is_nan, zero, is_valid);
+            valid = valid + is_valid;
+            let cell = is_valid.choose(|is_valid| is_valid > 0.0, cell, Lanes::all(NOWHERE));
+            // Whole numbers are the last digits of their sum with 2^52.
+            let number = (cell + 4_503_599_627_370_496.0).each().map(f64::to_bits);
+            for lane in 0..LANES {
+                // One that lies in no cell is written over by the next.
+                let (cell_number, z_m) = (number[lane] as u32, z[lane] as f32);
+                self.samples[placed] = Sample { cell: cell_number, z_m, weight: weight[lane] };
+                placed += usize::from(cell[lane] >= 0.0);
             }
         }
+        Counts { valid: valid.each().iter().sum::<f64>() as usize, placed }
     }
 }
 
@@ -243,13 +261,18 @@ fn crop(grid: &Grid, sums: &[Sums], pixels: [usize; 2]) -> Option<Cells> {
         left_m: (first[0] + columns[0] as f64) * grid.cell_m,
         top_m: (first[1] - rows[0] as f64) * grid.cell_m,
     };
-    let kept = || {
-        let lines = sums.chunks(grid.columns).take(rows[1]).skip(rows[0]);
-        lines.flat_map(|line| &line[columns[0]..columns[1]])
-    };
-    let elevation = |s: &Sums| if s.count > 0 { (s.weighted_z / s.weight) as f32 } else { f32::NAN };
-    let sigma = |s: &Sums| if s.count > 0 { (f64::from(s.count) / s.weight).sqrt() as f32 } else { f32::NAN };
-    let (elevation_m, sigma_m) = (kept().map(elevation).collect(), kept().map(sigma).collect());
+    let (mut elevation_m, mut sigma_m) = (vec![f32::NAN; cropped.cells()], vec![f32::NAN; cropped.cells()]);
+    let kept = sums.par_chunks(grid.columns).skip(rows[0]).take(cropped.rows);
+    let lines = elevation_m.par_chunks_mut(cropped.columns).zip(sigma_m.par_chunks_mut(cropped.columns));
+    kept.zip(lines).for_each(|(cells, (elevation_m, sigma_m))| {
+        let cells = &cells[columns[0]..columns[1]];
+        for ((sums, elevation_m), sigma_m) in
+            cells.iter().zip(elevation_m).zip(sigma_m).filter(|((s, _), _)| s.count > 0)
+        {
+            *elevation_m = (sums.weighted_z / sums.weight) as f32;
+            *sigma_m = (f64::from(sums.count) / sums.weight).sqrt() as f32;
+        }
+    });
     Some(Cells { grid: cropped, elevation_m, sigma_m, pixels })
 }
 
