@@ -2,11 +2,10 @@
 
 use rayon::prelude::*;
 
-use crate::matching::map_fusion::{Averaging, Fused, FusedTogether, MOST_TOGETHER, Measured, Rule, Together, fuse};
+use crate::matching::map_fusion::{Fused, Measured, Rule, fuse};
 use crate::matching::matched::Tally;
 use crate::matching::pair::Matcher;
 use crate::matching::pixel_row::PixelRow;
-use rockface_core::numerics::simd::{LANES, Lanes, Work, vectorised};
 
 /// How the depths of the pairs are fused.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -74,19 +73,14 @@ pub fn match_image<R: Send>(
 
 /// The depths that the pairs give the pixels of one row.
 struct Scratch {
-    width: usize,
-    /// Depths of each pair, metres, and their changes for one pixel of disparity; NaN where a pair has none.
-    pairs: Vec<[Vec<f64>; 2]>,
-    /// The depths of one pixel.
+    /// `width x pairs`, of which the first `counts` of each pixel are valid.
     values: Vec<Measured>,
+    counts: Vec<u8>,
 }
 
 impl Scratch {
     fn new(width: usize, pairs: usize) -> Self {
-        // To whole blocks of pixels, without a value behind the last.
-        let empty = || vec![f64::NAN; width.next_multiple_of(LANES)];
-        let pairs = (0..pairs).map(|_| [empty(), empty()]).collect();
-        Self { width, pairs, values: Vec::new() }
+        Self { values: vec![Measured::new(0.0, 1.0); width * pairs], counts: vec![0; width] }
     }
 
     fn fuse_row(
@@ -96,76 +90,28 @@ impl Scratch {
         fusion: &Fusion,
         mut keep: impl FnMut(usize, &Fused),
     ) -> ImageTally {
-        let mut tally = ImageTally::new(matchers.len());
-        for ((matcher, [depths_m, steps_m]), pair) in matchers.iter().zip(&mut self.pairs).zip(&mut tally.pairs) {
-            depths_m[..self.width].fill(f64::NAN);
+        let (n, mut tally) = (matchers.len(), ImageTally::new(matchers.len()));
+        self.counts.fill(0);
+        for (matcher, pair) in matchers.iter().zip(&mut tally.pairs) {
             *pair = matcher.match_row(pixels, |column, matched| {
-                (depths_m[column], steps_m[column]) = (matched.depth_m, matched.depth_per_px_m);
+                let count = &mut self.counts[column];
+                let sigma_m = fusion.sigma_px * matched.depth_per_px_m;
+                self.values[column * n + usize::from(*count)] = Measured::new(matched.depth_m, sigma_m);
+                *count += 1;
             });
         }
-        let [Some(first), Some(last)] = [pixels.columns.first(), pixels.columns.last()] else { return tally };
-        for start in (first / LANES * LANES..=*last).step_by(LANES) {
-            let together = self.is_fused_together(start, fusion);
-            let fused = together.then(|| vectorised(FuseBlock { scratch: self, start, fusion }));
-            for lane in 0..LANES {
-                let (given, fused) = match &fused {
-                    Some(fused) => (fused.given[lane] as usize, of_lane(fused, lane)),
-                    None => self.fuse_one(start + lane, fusion),
-                };
-                tally.matched += usize::from(given > 0);
-                if let Some(fused) = fused {
-                    tally.fused += 1;
-                    tally.kept += fused.count;
-                    tally.given += given;
-                    tally.sigma_m += fused.value.sigma_m;
-                    keep(start + lane, &fused);
-                }
+        for column in &pixels.columns {
+            let count = usize::from(self.counts[*column]);
+            let start = column * n;
+            tally.matched += usize::from(count > 0);
+            if let Some(fused) = fuse(&mut self.values[start..start + count], &fusion.rule) {
+                tally.fused += 1;
+                tally.kept += fused.count;
+                tally.given += count;
+                tally.sigma_m += fused.value.sigma_m;
+                keep(*column, &fused);
             }
         }
         tally
-    }
-
-    /// Whether pixels from a column on can be fused together: they are averaged, and none of their depths is infinite.
-    fn is_fused_together(&self, start: usize, fusion: &Fusion) -> bool {
-        let is_infinite = |depths_m: &[f64]| depths_m.iter().any(|depth_m| depth_m.is_infinite());
-        fusion.rule.averaging == Averaging::Mean
-            && self.pairs.len() <= MOST_TOGETHER
-            && !self.pairs.iter().any(|[depths_m, _]| is_infinite(&depths_m[start..start + LANES]))
-    }
-
-    /// How many depths a pixel has, and what they are fused to.
-    fn fuse_one(&mut self, column: usize, fusion: &Fusion) -> (usize, Option<Fused>) {
-        self.values.clear();
-        for [depths_m, steps_m] in self.pairs.iter().filter(|[depths_m, _]| !depths_m[column].is_nan()) {
-            self.values.push(Measured::new(depths_m[column], fusion.sigma_px * steps_m[column]));
-        }
-        (self.values.len(), fuse(&mut self.values, &fusion.rule))
-    }
-}
-
-fn of_lane(fused: &FusedTogether, lane: usize) -> Option<Fused> {
-    let (value_m, sigma_m) = (fused.values_m[lane], fused.sigmas_m[lane]);
-    let fused = || Fused { value: Measured::new(value_m, sigma_m), count: fused.counts[lane] as usize };
-    (!value_m.is_nan()).then(fused)
-}
-
-/// Fuses the depths of neighbouring pixels in wide registers.
-struct FuseBlock<'a> {
-    scratch: &'a Scratch,
-    start: usize,
-    fusion: &'a Fusion,
-}
-
-impl Work for FuseBlock<'_> {
-    type Output = FusedTogether;
-
-    #[inline(always)]
-    fn run(self) -> FusedTogether {
-        let mut together = Together::default();
-        for [depths_m, steps_m] in &self.scratch.pairs {
-            let depths_m = Lanes::first_of(&depths_m[self.start..]);
-            together.push(depths_m, Lanes::first_of(&steps_m[self.start..]) * self.fusion.sigma_px);
-        }
-        together.fuse(&self.fusion.rule)
     }
 }

@@ -6,7 +6,6 @@
 //! is the weighted mean or the weighted median of the others (paper 2.1.2, Algorithm 2 line 21).
 
 use rockface_core::choice;
-use rockface_core::numerics::simd::{Lanes, Number};
 
 choice! {
     /// How values that agree become one.
@@ -59,9 +58,6 @@ pub struct Fused {
     pub count: usize,
 }
 
-/// To be multiplied with the median absolute deviation: the standard deviation of normal errors.
-const ROBUST: f64 = 1.482_602_218_505_602;
-
 /// Fuses values, and reorders them. `None` where too few remain.
 pub fn fuse(values: &mut [Measured], rule: &Rule) -> Option<Fused> {
     if values.len() < rule.minimum.max(1) {
@@ -72,7 +68,7 @@ pub fn fuse(values: &mut [Measured], rule: &Rule) -> Option<Fused> {
     }
     values.sort_unstable_by(|a, b| a.value_m.total_cmp(&b.value_m).then(a.sigma_m.total_cmp(&b.sigma_m)));
     let centre_m = weighted_median(values);
-    let robust_m = rule.rejection * ROBUST * middle_deviation(values, centre_m);
+    let robust_m = rule.rejection * 1.482_602_218_505_602 * middle_deviation(values, centre_m);
     let mut count = 0;
     for i in 0..values.len() {
         let allowed_m = robust_m.max(rule.rejection * values[i].sigma_m).max(rule.tolerance_m);
@@ -91,155 +87,6 @@ pub fn fuse(values: &mut [Measured], rule: &Rule) -> Option<Fused> {
         Averaging::Median => weighted_median(kept),
     };
     Some(Fused { value: Measured { value_m, sigma_m: 1.0 / weight.sqrt(), weight }, count })
-}
-
-/// Most values of a pixel that are fused together with those of other pixels.
-pub const MOST_TOGETHER: usize = 8;
-
-/// Values of several pixels, those of one pixel in the same lane.
-#[derive(Debug, Clone)]
-pub struct Together {
-    /// Values, metres; the first `len` are given, infinite where a pixel has none.
-    values_m: [Lanes; MOST_TOGETHER],
-    /// Their expected standard deviations, metres; infinite where a pixel has none.
-    sigmas_m: [Lanes; MOST_TOGETHER],
-    len: usize,
-}
-
-/// What the fusion of several pixels results in.
-#[derive(Debug, Clone)]
-pub struct FusedTogether {
-    /// Fused values, metres; NaN where too few values remain.
-    pub values_m: Lanes,
-    /// Standard deviations of means of independent errors, metres.
-    pub sigmas_m: Lanes,
-    /// How many values were not rejected.
-    pub counts: Lanes,
-    /// How many values there were.
-    pub given: Lanes,
-}
-
-impl Default for Together {
-    /// No values yet.
-    #[inline(always)]
-    fn default() -> Self {
-        let none = [Lanes::all(f64::INFINITY); MOST_TOGETHER];
-        Self { values_m: none, sigmas_m: none, len: 0 }
-    }
-}
-
-impl Together {
-    /// Adds one value a pixel with its expected standard deviation, NaN where a pixel has none.
-    #[inline(always)]
-    pub fn push(&mut self, values_m: Lanes, sigmas_m: Lanes) {
-        let none = Lanes::all(f64::INFINITY);
-        self.values_m[self.len] = values_m.choose(f64::is_nan, none, values_m);
-        self.sigmas_m[self.len] = values_m.choose(f64::is_nan, none, sigmas_m);
-        self.len += 1;
-    }
-
-    /// Fuses the values of every pixel by their weighted mean: the bits of [`fuse`].
-    #[inline(always)]
-    pub fn fuse(mut self, rule: &Rule) -> FusedTogether {
-        self.sort();
-        let len = self.len;
-        let (values, sigmas) = (&self.values_m[..len], &self.sigmas_m[..len]);
-        let zero = Lanes::all(0.0);
-        let mut weights = [zero; MOST_TOGETHER];
-        let (mut total, mut given) = (zero, zero);
-        for (weight, (value, sigma)) in weights.iter_mut().zip(values.iter().zip(sigmas)) {
-            *weight = Lanes::all(1.0) / (*sigma * *sigma);
-            total = total + *weight;
-            given = given + value.map(|value| if value < f64::INFINITY { 1.0 } else { 0.0 });
-        }
-        let centre = self.medians(&weights[..len], total * 0.5);
-        let mut deviations = [zero; MOST_TOGETHER];
-        for (deviation, value) in deviations.iter_mut().zip(values) {
-            *deviation = (*value - centre).map(f64::abs);
-        }
-        let robust = lower_medians(deviations, len, given) * (rule.rejection * ROBUST);
-        let (mut weight, mut shift, mut counts) = (zero, zero, zero);
-        for i in 0..len {
-            let allowed = robust.at_least(sigmas[i] * rule.rejection).at_least(Lanes::all(rule.tolerance_m));
-            let is_kept = Lanes::of(|lane| {
-                let fits = values[i][lane] < f64::INFINITY && deviations[i][lane] <= allowed[lane];
-                if fits { 1.0 } else { 0.0 }
-            });
-            let kept = |lanes: Lanes| is_kept.choose(|kept| kept > 0.0, lanes, zero);
-            weight = weight + kept(weights[i]);
-            shift = shift + kept(weights[i] * (values[i] - centre));
-            counts = counts + is_kept;
-        }
-        let alone = |only: Lanes, others: Lanes| given.choose(|given| given <= 1.0, only, others);
-        let values_m = alone(values[0], centre + shift / weight);
-        let sigmas_m = alone(sigmas[0], Lanes::all(1.0) / weight.sqrt());
-        let counts = alone(Lanes::all(1.0), counts);
-        let least = rule.minimum.max(1) as f64;
-        let values_m = given.with(counts, f64::min).choose(|count| count < least, Lanes::NONE, values_m);
-        FusedTogether { values_m, sigmas_m, counts, given }
-    }
-
-    /// Sorts the values of every pixel, equal ones by their deviation.
-    #[inline(always)]
-    fn sort(&mut self) {
-        for end in 1..self.len {
-            for i in (0..end).rev() {
-                let [a, b] = [self.values_m[i], self.values_m[i + 1]];
-                let [s, t] = [self.sigmas_m[i], self.sigmas_m[i + 1]];
-                let swaps = Lanes::of(|lane| {
-                    let swap = a[lane] > b[lane] || (a[lane] >= b[lane] && s[lane] > t[lane]);
-                    if swap { 1.0 } else { 0.0 }
-                });
-                let pick = |yes: Lanes, no: Lanes| swaps.choose(|swap| swap > 0.0, yes, no);
-                [self.values_m[i], self.values_m[i + 1]] = [pick(b, a), pick(a, b)];
-                [self.sigmas_m[i], self.sigmas_m[i + 1]] = [pick(t, s), pick(s, t)];
-            }
-        }
-    }
-
-    /// The weighted medians of sorted values; as `weighted_median`.
-    #[inline(always)]
-    fn medians(&self, weights: &[Lanes], half: Lanes) -> Lanes {
-        let mut passed = Lanes::all(0.0);
-        let (mut median, mut last) = (Lanes::NONE, Lanes::NONE);
-        for (i, weight) in weights.iter().enumerate() {
-            let value = self.values_m[i];
-            let next = if i + 1 < weights.len() { self.values_m[i + 1] } else { Lanes::all(f64::INFINITY) };
-            passed = passed + *weight;
-            let between = (value + next) * 0.5;
-            median = Lanes::of(|lane| {
-                let is_split = passed[lane] >= half[lane] && next[lane] < f64::INFINITY;
-                let here = if passed[lane] > half[lane] {
-                    value[lane]
-                } else if is_split {
-                    between[lane]
-                } else {
-                    f64::NAN
-                };
-                if median[lane].is_nan() { here } else { median[lane] }
-            });
-            last = value.choose(|value| value < f64::INFINITY, value, last);
-        }
-        median.choose(f64::is_nan, last, median)
-    }
-}
-
-/// The lower median of the first `given` of each lane, of unsorted numbers that are infinite where there is none.
-#[inline(always)]
-fn lower_medians(mut numbers: [Lanes; MOST_TOGETHER], len: usize, given: Lanes) -> Lanes {
-    let mut median = Lanes::NONE;
-    // Sorted only up to the middle.
-    for i in 0..len.div_ceil(2) {
-        for other in i + 1..len {
-            let [a, b] = [numbers[i], numbers[other]];
-            numbers[i] = a.with(b, |a, b| if a < b { a } else { b });
-            numbers[other] = a.with(b, |a, b| if a < b { b } else { a });
-        }
-        let [odd, even] = [2 * i + 1, 2 * i + 2].map(|count| count as f64);
-        let number = numbers[i];
-        median = Lanes::of(|lane| if given[lane] >= odd && given[lane] <= even { number[lane] } else { median[lane] });
-    }
-    median
 }
 
 /// The weighted median of sorted values; the mean of two where the weight is split exactly in half.
@@ -271,9 +118,7 @@ fn middle_deviation(sorted: &[Measured], centre_m: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use proptest::prelude::*;
     use rockface_core::numerics::random::Key;
-    use rockface_core::numerics::simd::{LANES, Work, vectorised};
 
     const RULE: Rule = Rule { averaging: Averaging::Mean, rejection: 3.0, tolerance_m: 0.0, minimum: 1 };
 
@@ -294,48 +139,6 @@ mod tests {
         assert!((sigma - 0.1 / 2f64.sqrt()).abs() < 1e-15);
         assert_eq!(fused(&[(1.0, 0.1)], &Rule { minimum: 2, ..RULE }), None);
         assert_eq!(fused(&[], &RULE), None);
-    }
-
-    struct All<'a>(&'a [Vec<(f64, f64)>], usize, &'a Rule);
-
-    impl Work for All<'_> {
-        type Output = FusedTogether;
-
-        #[inline(always)]
-        fn run(self) -> FusedTogether {
-            let mut together = Together::default();
-            for i in 0..self.1 {
-                let part = |of: fn(&(f64, f64)) -> f64| Lanes::of(|lane| self.0[lane].get(i).map_or(f64::NAN, of));
-                together.push(part(|v| v.0), part(|v| v.1));
-            }
-            together.fuse(self.2)
-        }
-    }
-
-    proptest! {
-        #[test]
-        fn pixels_together_have_the_bits_of_each_alone(
-            pixels in prop::collection::vec(prop::collection::vec((0u8..40, 1u8..5, prop::bool::weighted(0.1)), 0..=MOST_TOGETHER), LANES),
-            minimum in 0usize..4, tolerance_m in prop::sample::select(vec![0.0, 0.02]),
-        ) {
-            let value = |(value, sigma, is_far): &(u8, u8, bool)| {
-                (20.0 + f64::from(*value) / 640.0 + if *is_far { 5.0 } else { 0.0 }, f64::from(*sigma) * 0.01)
-            };
-            let pixels: Vec<Vec<(f64, f64)>> = pixels.iter().map(|pixel| pixel.iter().map(value).collect()).collect();
-            let rule = Rule { tolerance_m, minimum, ..RULE };
-            let most = pixels.iter().map(Vec::len).max().unwrap_or(0).max(1);
-            let together = vectorised(All(&pixels, most, &rule));
-            for (lane, pixel) in pixels.iter().enumerate() {
-                let alone = fuse(&mut measured(pixel), &rule);
-                let found = (!together.values_m[lane].is_nan()).then(|| {
-                    let [value_m, sigma_m] = [together.values_m[lane], together.sigmas_m[lane]];
-                    (value_m.to_bits(), sigma_m.to_bits(), together.counts[lane] as usize)
-                });
-                let alone = alone.map(|f| (f.value.value_m.to_bits(), f.value.sigma_m.to_bits(), f.count));
-                prop_assert_eq!(found, alone);
-                prop_assert_eq!(together.given[lane] as usize, pixel.len());
-            }
-        }
     }
 
     #[test]
