@@ -53,7 +53,7 @@ KINDS = {
     ".svg": "figure", ".geojson": "inventory", ".tar": "files", ".json": "json",
 }  # fmt: skip
 SURFACE = b"rockface surface 1\n"
-NOISE = b"rockface noise 10\n"
+NOISE = b"rockface noise 11\n"
 RASTER = b"rockface raster 1\n"
 
 
@@ -154,7 +154,7 @@ def _surface(data: memoryview) -> Surface:
 def _noise(data: memoryview) -> Record:
     """What the header of a noise model says; its rasters stay in the file."""
     if bytes(data[: len(NOISE)]) != NOISE:
-        raise FormatError("not a noise model of rockface (version 2)")
+        raise FormatError(f"not a noise model in the layout of this package (`{NOISE.decode().strip()}`)")
     return Record("noise", _header(data, len(NOISE))[0])
 
 

@@ -153,3 +153,25 @@ fn comments_of_engine_and_store_say_it_plainly() {
         }
     }
 }
+
+/// The first lines of our own file formats that a text defines: name and version.
+fn formats(text: &str) -> Vec<(String, String)> {
+    let line = |rest: &str| {
+        let mut words = rest.split("\\n\"").next()?.split(' ');
+        let (name, version) = (words.next()?, words.next()?);
+        let is_version = !version.is_empty() && version.bytes().all(|byte| byte.is_ascii_digit());
+        (is_version && words.next().is_none()).then(|| (name.to_owned(), version.to_owned()))
+    };
+    text.split("\"rockface ").skip(1).filter_map(line).collect()
+}
+
+#[test]
+fn python_reads_the_versions_of_files_that_are_written() {
+    let written: Vec<(String, String)> = without_tests(science()).iter().flat_map(|(_, text)| formats(text)).collect();
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("python/rockface/files.py");
+    let read = formats(&std::fs::read_to_string(path).unwrap());
+    assert!(read.len() >= 3, "{read:?}");
+    for format in read {
+        assert!(written.contains(&format), "python/rockface/files.py reads {format:?}, written are {written:?}");
+    }
+}
