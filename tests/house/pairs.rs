@@ -108,6 +108,33 @@ fn a_list_is_needed_before_what_waits_for_it_and_its_failure_ends_there() {
     assert!(ran.summary.failed && failed.len() == 1 && failed[0].contains("`1` is no pair"), "{failed:?}");
 }
 
+/// The pairs are made long before the items that they are of.
+const LATE: &str = "
+rockface: 1
+axes: {k: {from: rows.out, reseeds: false}}
+steps:
+  pairs: {stage: couple, with: {pairs: ['0+1', '2+0']}}
+  slow: {stage: toil, with: {value: 4}}
+  rows: {stage: list, in: {terms: slow.out}, with: {rows: 3}}
+  made: {stage: emit, keep: false, with: {value: '${k.value}'}}
+  near: {stage: add, over: [k], in: {terms: {each: made.out, over: [k], paired: pairs.pairs}}}
+  all: {stage: add, in: {terms: {each: near.out, over: [k]}}}
+targets: [all, pairs]
+";
+
+#[test]
+fn a_list_that_was_made_long_ago_tells_what_is_expanded_later() {
+    let bench = Bench::new();
+    let ran = bench.run(LATE, &[]);
+    assert!(!ran.summary.failed, "{:?}", ran.events);
+    // 4, 5 and 6: all three, the first two, the first and the last.
+    assert_eq!(ran.number(&bench.store, "all"), 15.0 + 9.0 + 10.0);
+    assert!(bench.run(LATE, &[]).executed().is_empty());
+    // The list on record, the items not yet.
+    let other = bench.run(LATE, &["steps.slow.with.value=5"]);
+    assert_eq!(other.number(&bench.store, "all"), 18.0 + 11.0 + 12.0);
+}
+
 /// Six values that take their time, of which two each are summed.
 const APART: &str = "
 rockface: 1

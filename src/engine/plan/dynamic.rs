@@ -130,9 +130,12 @@ impl Plan {
 
     /// The lists of pairs made by an instance that others wait for.
     pub fn waiting_lists(&self, instance: usize) -> Vec<ListPoint> {
+        if self.lists.is_empty() {
+            return Vec::new();
+        }
         let own = &self.instances[instance];
-        let lists = self.lists.iter().filter(|(step, _, items)| *step == own.step && *items == own.items);
-        lists.cloned().collect()
+        let made = self.step(instance).ports.outputs.iter().map(|port| (own.step, port.name, own.items.clone()));
+        made.filter(|list| self.lists.contains(list) && !self.graph.partners.contains_key(list)).collect()
     }
 
     /// Tells the plan the items of an axis; [`Plan::grow`] then adds what follows from them. Reports what was named

@@ -5,12 +5,15 @@ use crate::diagnostic::Diagnostic;
 use crate::plan::{file_hash, items_of, partners_of};
 use crate::watch::Event;
 
+/// What a list of pairs is used as, for messages.
+const PAIRS: &str = "pairs that tell what is gathered";
+
 impl Scheduler<'_> {
-    /// Expands what waits for lists that an instance makes, whose outcome is known.
+    /// Expands what waits for the items that an instance makes, and reads the pairs that it makes; its outcome is known.
     pub fn expand(&mut self, instance: usize) {
-        let (axes, lists) = (self.plan.waiting_axes(instance), self.plan.waiting_lists(instance));
-        let waits = !axes.is_empty() || !lists.is_empty();
-        let Some(outcome) = self.states[instance].outcome().cloned().filter(|_| waits) else { return };
+        self.read_lists(instance);
+        let axes = self.plan.waiting_axes(instance);
+        let Some(outcome) = self.states[instance].outcome().cloned().filter(|_| !axes.is_empty()) else { return };
         for (axis, port) in axes {
             let use_of_it = format!("the items of axis `{}`", self.plan.graph.axes[axis].name.text);
             let items = match items_of(&outcome, port, self.store) {
@@ -22,22 +25,46 @@ impl Scheduler<'_> {
                 return self.report_faults(instance, &use_of_it, &faults);
             }
         }
+    }
+
+    /// Reads the lists of pairs that an instance makes and that others wait for.
+    fn read_lists(&mut self, instance: usize) {
+        let lists = self.plan.waiting_lists(instance);
+        let Some(outcome) = self.states[instance].outcome().cloned().filter(|_| !lists.is_empty()) else { return };
         for list in lists {
-            let use_of_it = "pairs that tell what is gathered";
             match partners_of(&outcome, list.1, self.store) {
-                Ok(partners) => drop(self.plan.graph.partners.insert(list.clone(), partners)),
-                Err(why) => return self.report_unexpanded(instance, use_of_it, &why, None),
+                Ok(partners) => {
+                    self.plan.graph.partners.insert(list.clone(), partners);
+                    self.told.push((instance, list));
+                }
+                Err(why) => return self.report_unexpanded(instance, PAIRS, &why, None),
             }
-            if let Err(faults) = self.grow() {
-                self.plan.graph.partners.remove(&list);
-                return self.report_faults(instance, use_of_it, &faults);
-            }
+        }
+    }
+
+    /// Expands what waits for the lists of pairs that were read.
+    pub fn grow_by_lists(&mut self) {
+        let told = std::mem::take(&mut self.told);
+        let Some((first, _)) = told.first() else { return };
+        if let Err(faults) = self.grow() {
+            told.iter().for_each(|(_, list)| _ = self.plan.graph.partners.remove(list));
+            self.report_faults(*first, PAIRS, &faults);
         }
     }
 
     fn grow(&mut self) -> Result<(), Vec<Diagnostic>> {
         let hash = file_hash(self.store);
-        self.plan.grow(&hash).map(|first| self.schedule_from(first))
+        let first = self.plan.grow(&hash)?;
+        self.schedule_from(first);
+        // What waits now may wait for a list that was made long ago.
+        if !self.plan.lists.is_empty() {
+            for instance in 0..first {
+                if self.states[instance].is_delivered() {
+                    self.read_lists(instance);
+                }
+            }
+        }
+        Ok(())
     }
 
     fn report_faults(&mut self, instance: usize, use_of_it: &str, faults: &[Diagnostic]) {

@@ -14,7 +14,7 @@ use super::rss::Resident;
 use super::state::States;
 use super::timing::Timing;
 use crate::pipeline::LogLevel;
-use crate::plan::Plan;
+use crate::plan::{ListPoint, Plan};
 use crate::run::worker::{self, Done, Failure, Workers};
 use crate::run::{InstanceResult, Options, RunError, Summary};
 use crate::watch::{Event, Observer};
@@ -99,6 +99,8 @@ pub struct Scheduler<'a> {
     pub(super) exchange: Exchange,
     /// Whether instances were added to the plan.
     pub(super) grown: bool,
+    /// Lists of pairs that were read, each with the instance that made it, and that nothing was expanded by yet.
+    pub(super) told: Vec<(usize, ListPoint)>,
     /// Instances being computed or queued, by the key of their recipe.
     pub(super) computing: HashMap<Digest, Line>,
     pub(super) timing: Timing,
@@ -143,6 +145,7 @@ impl<'a> Scheduler<'a> {
             recomputes: VecDeque::new(),
             exchange: Exchange::default(),
             grown: false,
+            told: Vec::new(),
             computing: HashMap::new(),
             budget: MemoryBudget::new(options.memory_bytes),
             failed: false,
@@ -188,6 +191,11 @@ impl<'a> Scheduler<'a> {
                     break;
                 }
                 self.begin(instance)?;
+            }
+            // All lists that are made meanwhile at once: each expansion looks at the whole plan.
+            if !self.told.is_empty() && self.ready.is_empty() && !self.stopping(stop) {
+                self.grow_by_lists();
+                continue;
             }
             let is_over = self.running == 0 && (self.stopping(stop) || !self.waits_for_others());
             if is_over || stop.load(Ordering::Relaxed) {

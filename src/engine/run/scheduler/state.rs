@@ -257,7 +257,7 @@ impl State {
     }
 
     /// Whether its consumers have been notified that its outcome is known.
-    fn is_delivered(&self) -> bool {
+    pub fn is_delivered(&self) -> bool {
         matches!(self.phase, Phase::Done { delivered: true, .. }) || self.is_recompute()
     }
 
