@@ -135,6 +135,61 @@ fn a_list_that_was_made_long_ago_tells_what_is_expanded_later() {
     assert_eq!(other.number(&bench.store, "all"), 18.0 + 11.0 + 12.0);
 }
 
+#[test]
+fn steps_that_wait_for_each_other_by_pairs_are_a_failure() {
+    // Once 1 and 2 are known to be a pair, the first item needs the second, which goes back to the first.
+    let back = "
+rockface: 1
+axes: {k: {values: [1, 2, 3]}}
+steps:
+  begun: {stage: emit}
+  pairs: {stage: couple, with: {pairs: ['1+2']}}
+  x: {stage: add, over: [k], in: {terms: {from: 'near.out[k=prev]', first: begun.out}}}
+  near: {stage: add, over: [k], in: {terms: {each: x.out, over: [k], paired: pairs.pairs}}}
+targets: [near]
+";
+    // The pairs follow from what they tell.
+    let ring = "
+rockface: 1
+axes: {k: {values: [1, 2, 3]}}
+steps:
+  begun: {stage: emit}
+  x: {stage: add, over: [k], in: {terms: {from: 'near.out[k=prev]', first: begun.out}}}
+  sum: {stage: add, in: {terms: {each: x.out, over: [k]}}}
+  pairs: {stage: couple, in: {after: sum.out}, with: {pairs: ['1+2']}}
+  made: {stage: emit, with: {value: '${k}'}}
+  near: {stage: add, over: [k], in: {terms: {each: made.out, over: [k], paired: pairs.pairs}}}
+targets: [near]
+";
+    for yaml in [back, ring] {
+        let ran = Bench::new().run(yaml, &[]);
+        let told = ran.events.iter().any(
+            |event| matches!(event, Event::Failed { message, .. } if message.contains("waits for steps that wait for it")),
+        );
+        assert!(ran.summary.failed && told, "{:?}", ran.events);
+    }
+}
+
+#[test]
+fn the_axis_that_chooses_the_list_is_one_of_the_step() {
+    let yaml = LISTS.replace("'${reach}+3'", "'2+3'") + "targets: [all]\n";
+    let bench = Bench::new();
+    let ran = bench.run(&yaml, &[]);
+    let sums = |label: &str| ran.number(&bench.store, label);
+    assert_eq!([sums("all[reach=1]"), sums("all[reach=2]")], [4.0 + 2.0 + 4.0, 3.0 + 6.0 + 5.0]);
+}
+
+#[test]
+fn what_leads_to_the_pairs_comes_first_so_that_values_are_made_once() {
+    let yaml = APART.replace("  all:", "  other: {stage: add, in: {terms: made.out}, with: {plus: 1}}\n  all:")
+        + "targets: [all, other]\n";
+    let bench = Bench::new();
+    let ran = bench.run_with(&yaml, &[], &Options { jobs: 1, ..Options::default() });
+    let made =
+        ran.events.iter().filter(|event| matches!(event, Event::Started { step, .. } if step.starts_with("made")));
+    assert_eq!((made.count(), ran.number(&bench.store, "all")), (6, 42.0));
+}
+
 /// Six values that take their time, of which two each are summed.
 const APART: &str = "
 rockface: 1

@@ -53,6 +53,15 @@ impl Input {
         }
     }
 
+    /// The axis whose item chooses what is read, or goes back.
+    pub fn choosing_axis(&self) -> Option<&Word> {
+        match self {
+            Self::By { axis, .. } | Self::Chain { axis, .. } => Some(axis),
+            Self::Each { paired, .. } => paired.as_deref()?.choosing_axis(),
+            Self::Plain(_) => None,
+        }
+    }
+
     /// The references whose steps must be known before: all but the one that goes back along an axis.
     pub fn forward_references(&self) -> Vec<&Reference> {
         match self {

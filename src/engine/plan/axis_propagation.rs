@@ -70,10 +70,7 @@ impl<'d> Names<'d> {
         let mut names = Vec::new();
         step.with.iter().for_each(|with| mentioned(with, &mut names));
         let mut axes: BTreeSet<usize> = names.iter().filter_map(|(name, _)| self.mentioned_axis(name)).collect();
-        let words = step.inputs.iter().filter_map(|(_, input)| match input {
-            Input::By { axis, .. } | Input::Chain { axis, .. } => Some(axis),
-            Input::Plain(_) | Input::Each { .. } => None,
-        });
+        let words = step.inputs.iter().filter_map(|(_, input)| input.choosing_axis());
         let named = step.over.iter().chain(words).filter_map(|word| self.axes.get(word.text.as_str()));
         axes.extend(named);
         axes

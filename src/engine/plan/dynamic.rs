@@ -1,6 +1,7 @@
 //! Axes whose items are made by a step, and pairs that tell what is gathered: read from records at planning time, or from the output of the step during the run.
 
 use std::collections::BTreeSet;
+use std::sync::OnceLock;
 
 use rockface_cache::{Outcome, Store};
 use rockface_core::artefact::{Artefact, Cell, Kind, Pair, Table};
@@ -149,6 +150,7 @@ impl Plan {
     fn replace_items(&mut self, axis: usize, items: Items, known: bool) {
         let own = &mut self.graph.axes[axis];
         (own.items, own.values) = (items.names, items.values.into());
+        self.graph.numbers[axis] = OnceLock::new();
         if let Some(dynamic) = &mut self.graph.dynamic[axis] {
             dynamic.known = known;
         }

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use rockface_core::artefact::Kind;
@@ -30,6 +30,8 @@ pub struct Graph {
     pub dynamic: Vec<Option<Dynamic>>,
     /// The lists of pairs that are known, of those that tell what a gathered input reads.
     pub partners: BTreeMap<ListPoint, Partners>,
+    /// By axis: the numbers of its items, once pairs name one.
+    pub numbers: Vec<OnceLock<HashMap<String, usize>>>,
     /// The steps, producers before consumers.
     pub steps: Vec<GraphStep>,
     /// Indices of the steps to make.
@@ -232,6 +234,15 @@ impl Graph {
         self.dynamic[axis].as_ref().is_some_and(|dynamic| !dynamic.known)
     }
 
+    /// The number of an item of an axis whose items are known.
+    pub fn number(&self, axis: usize, item: &str) -> Option<usize> {
+        let numbered = || {
+            let items = self.axes[axis].items.iter().enumerate();
+            items.map(|(number, item)| (item.clone(), number)).collect()
+        };
+        self.numbers[axis].get_or_init(numbered).get(item).copied()
+    }
+
     /// The axes walked together with one, itself among them.
     pub fn mates(&self, axis: usize) -> impl Iterator<Item = usize> {
         (0..self.axes.len()).filter(move |other| self.zips[*other] == self.zips[axis])
@@ -267,6 +278,28 @@ impl Graph {
     pub fn pairs_items(&self) -> bool {
         let mut feeds = self.steps.iter().flat_map(|step| &step.inputs);
         feeds.any(|(_, feed)| matches!(feed, Feed::Each { paired: Some(_), .. }))
+    }
+
+    /// By step: whether it makes pairs that tell what is gathered, or leads to that; an empty list where there are none.
+    pub fn leads_to_pairs(&self) -> Vec<bool> {
+        if !self.pairs_items() {
+            return Vec::new();
+        }
+        let lists = self.steps.iter().flat_map(|step| &step.inputs).filter_map(|(_, feed)| match feed {
+            Feed::Each { paired, .. } => paired.as_deref(),
+            _ => None,
+        });
+        let mut open: Vec<usize> = lists.flat_map(Feed::sources).map(|source| source.step).collect();
+        let mut leads = vec![false; self.steps.len()];
+        while let Some(step) = open.pop() {
+            if !std::mem::replace(&mut leads[step], true) {
+                let feeds = self.steps[step].inputs.iter().flat_map(|(_, feed)| feed.sources());
+                open.extend(feeds.map(|source| source.step));
+                let tellers = self.axes_met(step).into_iter().filter_map(|axis| self.dynamic[axis].as_ref());
+                open.extend(tellers.map(|dynamic| dynamic.source.step));
+            }
+        }
+        leads
     }
 
     /// The steps whose instances are deferred until a list of items is known, each with the axis it waits for.

@@ -128,12 +128,9 @@ fn references(step: &Step) -> impl Iterator<Item = &Reference> {
 }
 
 /// The axes an input names, besides those of its picks.
-fn input_axes(input: &Input) -> &[Word] {
-    match input {
-        Input::Plain(_) => &[],
-        Input::Each { over, .. } => over,
-        Input::By { axis, .. } | Input::Chain { axis, .. } => std::slice::from_ref(axis),
-    }
+fn input_axes(input: &Input) -> impl Iterator<Item = &Word> {
+    let over = if let Input::Each { over, .. } = input { over.as_slice() } else { &[] };
+    over.iter().chain(input.choosing_axis())
 }
 
 /// What is wrong with the parameters of a step wherever it is needed: the faults that it has at every point.

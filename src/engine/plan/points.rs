@@ -51,7 +51,7 @@ pub fn too_many(graph: &Graph) -> Vec<Diagnostic> {
 fn gathered_by(graph: &Graph, step: &GraphStep) -> u64 {
     let each = step.inputs.iter().map(|(_, feed)| match feed {
         // What pairs tell is counted once they are known.
-        Feed::Each { over, paired: Some(_), .. } => most_partners(graph).min(count(graph, over)),
+        Feed::Each { over, paired: Some(list), .. } => most_partners(graph, list).min(count(graph, over)),
         Feed::Each { over, .. } => count(graph, over),
         _ => 0,
     });
@@ -59,13 +59,15 @@ fn gathered_by(graph: &Graph, step: &GraphStep) -> u64 {
     if each == 0 { 0 } else { each.saturating_mul(count(graph, &step.axes)) }
 }
 
-/// How many items one is read with by the known pairs: the mean of the list where they are most, itself among them.
-fn most_partners(graph: &Graph) -> u64 {
+/// How many items one is read with by the known pairs of an input: the mean of the list where they are most, itself among them.
+fn most_partners(graph: &Graph, list: &Feed) -> u64 {
+    let makers: Vec<usize> = list.sources().iter().map(|source| source.step).collect();
     let mean = |partners: &Partners| {
         let total: usize = partners.values().map(BTreeSet::len).sum();
         1 + total.div_ceil(partners.len().max(1)) as u64
     };
-    graph.partners.values().map(mean).max().unwrap_or(1)
+    let own = graph.partners.iter().filter(|((step, ..), _)| makers.contains(step));
+    own.map(|(_, partners)| mean(partners)).max().unwrap_or(1)
 }
 
 /// What some axes are called where they stand together: an axis of a part by its short name, unless two have the same.
@@ -124,8 +126,14 @@ pub fn elements(graph: &Graph, step: &GraphStep, items: &[usize], feed: &Feed, t
         Feed::Plain(source) => take(element(source, &[])),
         Feed::By { axis, cases, .. } => take(element(&cases[own(*axis)], &[])),
         Feed::Each { source, over, paired } => {
-            let is_read = read_items(graph, step, items, over[0], paired.as_deref());
-            for items in points(graph, over).into_iter().filter(|items| is_read(items[0])) {
+            let points = match paired.as_deref() {
+                None => points(graph, over),
+                // Axes that are walked with the one have the same item.
+                Some(list) => {
+                    paired_items(graph, step, items, over[0], list).map(|item| vec![item; over.len()]).collect()
+                }
+            };
+            for items in points {
                 let extra: Vec<_> = over.iter().copied().zip(items.iter().copied()).collect();
                 take(Element { point: named(graph, over, &items), ..element(source, &extra) });
             }
@@ -144,19 +152,19 @@ fn own_item(step: &GraphStep, items: &[usize], axis: usize) -> usize {
     step.axes.iter().position(|own| *own == axis).map(|place| items[place]).unwrap_or_default()
 }
 
-/// Which items of an axis a gathered input reads: all, or its own and those known to be in a pair with it.
-fn read_items<'g>(
-    graph: &'g Graph,
+/// The items of an axis that a step reads by pairs, ascending: its own, and those known to be in a pair with it.
+fn paired_items(
+    graph: &Graph,
     step: &GraphStep,
     items: &[usize],
     axis: usize,
-    paired: Option<&Feed>,
-) -> impl Fn(usize) -> bool + use<'g> {
+    list: &Feed,
+) -> impl Iterator<Item = usize> + use<> {
     let own = own_item(step, items, axis);
-    let names = &graph.axes[axis].items;
-    let partners_by = |list: &Feed| graph.partners.get(&list_point(graph, step, items, list)?)?.get(&names[own]);
-    let partners = paired.map(partners_by);
-    move |item: usize| partners.is_none_or(|of| item == own || of.is_some_and(|of| of.contains(&names[item])))
+    let partners = list_point(graph, step, items, list).and_then(|list| graph.partners.get(&list));
+    let partners = partners.and_then(|partners| partners.get(&graph.axes[axis].items[own]));
+    let numbers = partners.into_iter().flatten().filter_map(|item| graph.number(axis, item));
+    numbers.chain([own]).collect::<BTreeSet<usize>>().into_iter()
 }
 
 /// The list of pairs that tells what a step reads at one point.
@@ -198,6 +206,10 @@ impl Needed {
             let waits = vec![None; graph.steps.len()];
             return Self { points: reached(graph, starts, is_expanded), waits, lists: BTreeSet::new() };
         }
+        let points = reached(graph, starts.clone(), is_expanded);
+        if !misses_a_list(graph, &points) {
+            return Self { points, waits: vec![None; graph.steps.len()], lists: BTreeSet::new() };
+        }
         let waiting = Waiting::of(graph, starts.clone(), is_expanded);
         let lists = waiting.lists.iter().map(|(step, _, items)| (*step, items.clone()));
         let starts = starts.into_iter().chain(lists).collect();
@@ -235,9 +247,21 @@ fn reached(graph: &Graph, starts: Vec<StepPoint>, may_be: impl Fn(&StepPoint) ->
         let step = &graph.steps[index];
         for (_, feed) in &step.inputs {
             elements(graph, step, &items, feed, &mut |element| need((element.step, element.items), &mut open));
+            if let Feed::Each { paired: Some(list), .. } = feed {
+                list_point(graph, step, &items, list).into_iter().for_each(|list| need((list.0, list.2), &mut open));
+            }
         }
     }
     needed
+}
+
+/// Whether a list of pairs is not known that tells what one of these points reads.
+fn misses_a_list(graph: &Graph, points: &[BTreeSet<Vec<usize>>]) -> bool {
+    points.iter().enumerate().any(|(step, points)| {
+        let step = &graph.steps[step];
+        let paired = step.inputs.iter().filter(|(_, feed)| matches!(feed, Feed::Each { paired: Some(_), .. }));
+        paired.into_iter().any(|(_, feed)| points.iter().any(|items| unknown_list(graph, step, items, feed).is_some()))
+    })
 }
 
 /// The points that cannot be expanded before some list of pairs is known.

@@ -3,7 +3,7 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap, HashSet};
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use petgraph::algo::kosaraju_scc;
 use petgraph::graph::DiGraph;
@@ -314,6 +314,7 @@ impl<'d> Resolver<'d> {
             zips: self.names.zips.clone(),
             dynamic,
             partners: BTreeMap::new(),
+            numbers: document.axes.iter().map(|_| OnceLock::new()).collect(),
             steps,
             targets,
             uses: document.uses.clone(),

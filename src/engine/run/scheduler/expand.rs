@@ -67,6 +67,28 @@ impl Scheduler<'_> {
         Ok(())
     }
 
+    /// Where pairs tell what is gathered, steps may wait for each other by way of items before, which no plan can see. Nothing is left to
+    /// do then although not all is done: reported as a failure.
+    pub fn report_stuck(&mut self) {
+        if self.failed || !self.plan.graph.pairs_items() {
+            return;
+        }
+        let is_open = |instance: &usize| {
+            let state = &self.states[*instance];
+            state.outcome().is_none() && !state.is_failed()
+        };
+        let stuck = (0..self.states.len()).find(is_open);
+        let step = stuck.map(|instance| self.plan.instances[instance].step);
+        let Some(step) = step.or_else(|| self.plan.lists.first().map(|list| list.0)) else { return };
+        self.failed = true;
+        let label = stuck.map_or_else(|| self.plan.graph.steps[step].name.clone(), |stuck| self.plan.label(stuck));
+        let stage = self.plan.graph.steps[step].stage.name().to_owned();
+        let message =
+            "it waits for steps that wait for it, by the pairs of a list and by way of items before".to_owned();
+        let hint = "let an item read from items before it, and pairs be made without what they tell".to_owned();
+        self.report(&Event::Failed { step: label, stage, message, hint: Some(hint) });
+    }
+
     fn report_faults(&mut self, instance: usize, use_of_it: &str, faults: &[Diagnostic]) {
         let why: Vec<&str> = faults.iter().map(|fault| fault.message.as_str()).collect();
         let hint = faults.iter().find_map(|fault| fault.hint.clone());

@@ -52,12 +52,14 @@ pub struct Due {
     pub is_stale: bool,
     /// It has a place in the queue for workers.
     pub is_queued: bool,
+    /// How many producers that consumer of it lacks which lacks the fewest, once that was looked at.
+    pub lacking: Option<usize>,
 }
 
 impl Phase {
     /// Due for this purpose, with nothing missing.
     pub fn due(purpose: Purpose) -> Self {
-        Self::Due(Due { purpose, missing: 0, lease: None, is_stale: false, is_queued: false })
+        Self::Due(Due { purpose, missing: 0, lease: None, is_stale: false, is_queued: false, lacking: None })
     }
 
     /// What the record says: the former outcome while the values are recomputed.

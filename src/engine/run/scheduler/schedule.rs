@@ -60,9 +60,12 @@ pub struct Line {
 
 /// The place of a ready instance in the queue: the greatest is run first.
 ///
-/// Instances that use up values held in memory come first, then deeper steps, so that values are used up before more are made.
+/// Instances that lead to lists of pairs come first, since values that are made before would be released without what the lists bring.
+/// Then come those that use up values held in memory, then deeper steps, so that values are used up before more are made.
 #[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Priority {
+    /// Whether others wait to be expanded by what it makes, or by what follows from that.
+    pub tells: bool,
     /// Whether it uses values that are held in memory only.
     pub drains: bool,
     /// Its step; later steps are deeper in the graph.
@@ -97,6 +100,8 @@ pub struct Scheduler<'a> {
     pub(super) recomputes: VecDeque<usize>,
     /// What other processes compute meanwhile, and the values exchanged with them.
     pub(super) exchange: Exchange,
+    /// By step: whether it makes pairs that tell what is gathered, or leads to that; empty where there are none.
+    pub(super) tells: Vec<bool>,
     /// Whether instances were added to the plan.
     pub(super) grown: bool,
     /// Lists of pairs that were read, each with the instance that made it, and that nothing was expanded by yet.
@@ -129,6 +134,7 @@ impl<'a> Scheduler<'a> {
         observer: &'a mut dyn Observer,
         workers: Workers,
     ) -> Self {
+        let tells = plan.graph.leads_to_pairs();
         Self {
             states: States::new(plan),
             timing: Timing::new(plan.graph.steps.len()),
@@ -146,6 +152,7 @@ impl<'a> Scheduler<'a> {
             exchange: Exchange::default(),
             grown: false,
             told: Vec::new(),
+            tells,
             computing: HashMap::new(),
             budget: MemoryBudget::new(options.memory_bytes),
             failed: false,
@@ -174,6 +181,7 @@ impl<'a> Scheduler<'a> {
         if interrupted {
             return self.abandon(stop, results, RunError::Interrupted);
         }
+        self.report_stuck();
         if self.grown
             && let Ok(former) = self.plan.order()
         {
@@ -185,6 +193,10 @@ impl<'a> Scheduler<'a> {
     fn main_loop(&mut self, results: &Receiver<worker::Result>, stop: &AtomicBool) -> Result<(), RunError> {
         loop {
             self.take_turns()?;
+            if self.may_grow(stop) {
+                self.grow_by_lists();
+                continue;
+            }
             while self.may_begin() && !self.stopping(stop) {
                 let Some(instance) = self.next()? else { break };
                 if !self.claim_memory(instance) {
@@ -192,9 +204,7 @@ impl<'a> Scheduler<'a> {
                 }
                 self.begin(instance)?;
             }
-            // All lists that are made meanwhile at once: each expansion looks at the whole plan.
-            if !self.told.is_empty() && self.ready.is_empty() && !self.stopping(stop) {
-                self.grow_by_lists();
+            if self.may_grow(stop) {
                 continue;
             }
             let is_over = self.running == 0 && (self.stopping(stop) || !self.waits_for_others());
@@ -210,6 +220,13 @@ impl<'a> Scheduler<'a> {
             }
             self.poll_others()?;
         }
+    }
+
+    /// Whether lists of pairs were read that more can be expanded by. All lists at once that are about to be made: each expansion looks at
+    /// the whole plan.
+    fn may_grow(&self, stop: &AtomicBool) -> bool {
+        let more = self.ready.peek().is_some_and(|next| next.tells);
+        !self.told.is_empty() && !more && !self.stopping(stop)
     }
 
     /// Whether a worker is free, or soon will be.
@@ -265,7 +282,9 @@ impl<'a> Scheduler<'a> {
                 continue;
             };
             let is_stale = due.is_stale;
-            self.states[instance].set_queued(false);
+            if let Some(due) = self.states[instance].due_mut() {
+                due.is_queued = false;
+            }
             if !is_stale {
                 return Ok(Some(instance));
             }

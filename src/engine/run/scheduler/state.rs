@@ -273,13 +273,6 @@ impl State {
         if let Phase::Waiting { unmet } = &self.phase { *unmet } else { 0 }
     }
 
-    /// It has a place in the queue for workers now, or none any more.
-    pub fn set_queued(&mut self, is_queued: bool) {
-        if let Phase::Due(due) = &mut self.phase {
-            due.is_queued = is_queued;
-        }
-    }
-
     /// Its consumers are being notified.
     pub fn set_delivered(&mut self) {
         if let Phase::Done { delivered, .. } = &mut self.phase {

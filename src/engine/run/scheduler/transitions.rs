@@ -5,7 +5,7 @@ use std::sync::Arc;
 use rockface_cache::{Digest, Outcome, Recipe, Record};
 use rockface_core::artefact::Artefact;
 
-use super::phase::Purpose;
+use super::phase::{Due, Purpose};
 use super::schedule::{Line, Priority, Scheduler, Turn};
 use super::state::{State, same_outputs};
 use crate::plan::hit;
@@ -142,36 +142,49 @@ impl Scheduler<'_> {
         let count = last - first + 1;
         let start = (self.options.start * count as f64) as usize;
         let place = std::cmp::Reverse((instance - first + count - start.min(count - 1)) % count);
-        let lacking = std::cmp::Reverse(self.lacking(instance));
-        self.ready.push(Priority { drains, depth, lacking, place, instance });
-        self.states[instance].set_queued(true);
+        let known = self.states[instance].due().and_then(|due| due.lacking);
+        let lacking = known.unwrap_or_else(|| self.lacking(instance));
+        if let Some(due) = self.states[instance].due_mut() {
+            (due.is_queued, due.lacking) = (true, Some(lacking));
+        }
+        let (tells, lacking) = (self.tells.get(depth).copied().unwrap_or(false), std::cmp::Reverse(lacking));
+        self.ready.push(Priority { tells, drains, depth, lacking, place, instance });
     }
 
-    /// How many producers the consumer lacks that lacks the fewest, of an instance whose values are held for their consumers; of others,
-    /// and of consumers that gather much, nothing is counted.
+    /// How many producers the consumer lacks that lacks the fewest, of an instance whose values are held for their consumers. Counted
+    /// are consumers that gather few values and have one of them; without such a consumer it is the greatest number.
     fn lacking(&self, instance: usize) -> usize {
         if self.plan.step(instance).keep {
-            return 0;
+            return usize::MAX;
         }
-        let dependents = self.plan.instances[instance].dependents.iter();
-        let lacking = dependents.filter(|dependent| self.gathers_few(**dependent)).map(|of| self.states[*of].unmet());
-        lacking.filter(|unmet| *unmet > 0).min().unwrap_or(0)
+        let unmet = |consumer: &usize| {
+            let (unmet, given) = (self.states[*consumer].unmet(), self.given(*consumer));
+            (unmet > 0 && unmet < given && given <= FEW).then_some(unmet)
+        };
+        self.plan.instances[instance].dependents.iter().filter_map(unmet).min().unwrap_or(usize::MAX)
     }
 
-    fn gathers_few(&self, instance: usize) -> bool {
-        self.plan.instances[instance].inputs.iter().map(|(_, given)| given.len()).sum::<usize>() <= FEW
+    /// How many values an instance is given.
+    fn given(&self, instance: usize) -> usize {
+        self.plan.instances[instance].inputs.iter().map(|(_, given)| given.len()).sum()
     }
 
     /// A consumer of values that are held lacks one producer less: those that it still lacks may come earlier now. Their former places in
     /// the queue are passed over when they are reached.
     fn advance_producers(&mut self, consumer: usize) {
-        if !self.gathers_few(consumer) {
+        if self.given(consumer) > FEW {
             return;
         }
+        let unmet = self.states[consumer].unmet();
         for producer in self.plan.producers(consumer) {
-            if self.states[producer].due().is_some_and(|due| due.is_queued) && !self.plan.step(producer).keep {
-                self.queue(producer);
+            let is_earlier = |due: &Due| due.is_queued && due.lacking.is_some_and(|lacking| unmet < lacking);
+            if self.plan.step(producer).keep || !self.states[producer].due().is_some_and(is_earlier) {
+                continue;
             }
+            if let Some(due) = self.states[producer].due_mut() {
+                due.lacking = Some(unmet);
+            }
+            self.queue(producer);
         }
     }
 
