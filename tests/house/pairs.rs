@@ -285,3 +285,33 @@ fn a_part_matches_a_block_by_the_pairs_it_is_given_and_its_plan_says_what_is_not
     let drawn = run(&["graph", "p.yaml"]);
     assert!(drawn.contains("8 instances over") && drawn.contains("pairs of"), "{drawn}");
 }
+
+/// A part whose list of pairs may be left out.
+const PARTED: &str = "
+rockface: 1
+parts:
+  p:
+    in: {pairs: {kind: pairs, optional: true}}
+    out: {o: all.out}
+    axes: {k: {values: [1, 2, 3]}}
+    steps:
+      made: {stage: emit, with: {value: '${k}'}}
+      near: {stage: add, over: [k], in: {terms: {each: made.out, over: [k], paired: in.pairs}}}
+      all: {stage: add, in: {terms: {each: near.out, over: [k]}}}
+steps:
+  pairs: {stage: couple, with: {pairs: ['1+2']}}
+  some: {use: p, in: {pairs: pairs.pairs}}
+  every: {use: p}
+  both: {stage: add, in: {terms: some.o}, with: {plus: 0.5}}
+  all: {stage: add, in: {terms: every.o}, with: {plus: 0.5}}
+";
+
+#[test]
+fn a_part_without_its_list_gathers_all_and_a_choice_from_it_is_told() {
+    let bench = Bench::new();
+    let ran = bench.run(PARTED, &[]);
+    assert_eq!([ran.number(&bench.store, "both"), ran.number(&bench.store, "all")], [9.5, 18.5]);
+    let choice = PARTED.replace("paired: in.pairs", "paired: {by: k, else: in.pairs}");
+    let told = bench.plan(&choice, &[]).err().expect("a fault").to_string();
+    assert!(told.contains("part `p` chooses pairs from `in.pairs`, which is left out here"), "{told}");
+}

@@ -96,6 +96,14 @@ impl Scope<'_> {
     }
 
     fn list_of_pairs(&self, list: Input, reader: &mut Reader) -> Option<Input> {
+        if let Input::By { cases, .. } = &list
+            && let Some((_, left_out)) = cases.iter().find(|(_, to)| matches!(self.fed(to), Some(None)))
+        {
+            let message =
+                format!("part `{}` chooses pairs from `{IN}.{}`, which is left out here", self.part, left_out.port);
+            reader.fault(Diagnostic::at(left_out.span, message).hint("give it where the part is used"));
+            return None;
+        }
         let written = list.references().first().map(|reference| (*reference).clone());
         match (self.input(list, reader)?, written) {
             (given @ (Input::Each { .. } | Input::Chain { .. }), Some(written)) => {
