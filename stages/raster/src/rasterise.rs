@@ -6,11 +6,15 @@ use rockface_core::artefact::{Grid, Surface};
 use rockface_core::{StageError, fail};
 
 use super::shape::{Moved, Shape};
+use cells::Cells;
 
+mod cells;
 mod squares;
 
 /// Points whose cells are looked up in parallel before they are added in order.
 const BATCH: usize = 1 << 18;
+/// Points of these that a thread looks up at a time.
+const PART: usize = 1 << 13;
 /// Fewest grid rows that a thread fills from the triangles at a time.
 const BAND_ROWS: usize = 64;
 /// Bands a thread has to fill, where the grid is high enough: the more, the more strips lie in two bands.
@@ -89,17 +93,16 @@ fn sized(columns: f64, rows: f64, cell_m: f64, left_m: f64, top_m: f64) -> Resul
 /// Points are added in their own order, so the bytes do not depend on the number of threads.
 pub fn mean(shape: Shape, moved: Option<&Moved>, grid: &Grid, minimum_points: u32) -> Vec<f32> {
     let mut cells = vec![(0.0f64, 0u32); grid.cells()];
-    let mut batch: Vec<(u32, f64)> = Vec::with_capacity(BATCH.min(shape.places()));
+    // Points are many, and their cells are found by all threads before they are added by one.
+    let mut parts: Vec<Cells> = (0..BATCH / PART).map(|_| Cells::default()).collect();
     for start in (0..shape.places()).step_by(BATCH) {
-        let places = start..shape.places().min(start + BATCH);
-        places
-            .into_par_iter()
-            .with_min_len(4096)
-            .map(|i| place(grid, shape.point(i, moved)))
-            .collect_into_vec(&mut batch);
-        for (cell, z) in &batch {
+        parts.par_iter_mut().enumerate().for_each(|(number, part)| {
+            let end = |first: usize| shape.places().min(first);
+            part.find(shape, moved, grid, [end(start + number * PART), end(start + (number + 1) * PART)]);
+        });
+        for (cell, z_m) in parts.iter().flat_map(|part| part.cell.iter().zip(&part.z_m)) {
             if let Some((sum, count)) = cells.get_mut(*cell as usize) {
-                *sum += z;
+                *sum += z_m;
                 *count += 1;
             }
         }

@@ -65,34 +65,40 @@ impl<'a> RayRow<'a> {
     /// The rays of the columns from one on, NaN where there is none, X and Y in slices of their own, which are equally long; equal to
     /// calling [`RayRow::ray`] for each.
     pub fn fill(&mut self, first: usize, x: &mut [f64], y: &mut [f64]) {
-        for (block, (x, y)) in x.chunks_mut(LANES).zip(y.chunks_mut(LANES)).enumerate() {
-            let lanes = self.block(first + block * LANES).map(Lanes::each);
-            x.copy_from_slice(&lanes[0][..x.len()]);
-            y.copy_from_slice(&lanes[1][..y.len()]);
-        }
+        vectorised(Fill { row: self, first, x, y });
     }
 
     /// The rays of at most [`LANES`] columns from one on, and the points at their depths, metres: the bits of [`Camera::unproject`].
-    /// NaN where a column has no ray, points also where it has no depth.
+    /// NaN where a column has no ray, points also where it has no depth. For use in wide registers.
+    #[inline(always)]
     pub fn points(&mut self, first: usize, depths_m: &[f32]) -> ([Lanes; 2], [Lanes; 3]) {
         let ray = self.block(first);
-        (ray, vectorised(Unproject { camera: self.camera, ray, depths_m }))
+        let z_m = match depths_m.first_chunk::<LANES>() {
+            Some(depths_m) => Lanes::of(|lane| f64::from(depths_m[lane])),
+            None => Lanes::of(|lane| depths_m.get(lane).map_or(f64::NAN, |depth_m| f64::from(*depth_m))),
+        };
+        (ray, self.camera.unproject_lanes(ray, z_m))
     }
 
-    /// The rays of the [`LANES`] columns from one on, NaN where there is none.
+    /// The rays of the [`LANES`] columns from one on, NaN where there is none. For use in wide registers.
+    #[inline(always)]
     pub fn block(&mut self, first: usize) -> [Lanes; 2] {
         let (start, end) = (first / self.spacing, (first + LANES - 1) / self.spacing);
         if end <= start + 1 {
             let one = self.around(start);
             let other = if end == start { one } else { self.around(end) };
             if let (Some(one), Some(other)) = (one, other) {
-                let offset = first - start * self.spacing;
-                let rays = vectorised(Stretch { row: self, first: first as f64, offset, one, other });
+                let rays = self.between_nodes(first, first - start * self.spacing, [one, other]);
                 if rays[0].each().iter().all(|x| !x.is_nan()) {
                     return rays;
                 }
             }
         }
+        self.one_by_one(first)
+    }
+
+    #[cold]
+    fn one_by_one(&mut self, first: usize) -> [Lanes; 2] {
         let mut rays = [Lanes::NONE; 2];
         for lane in 0..LANES {
             let [x, y] = self.ray(first + lane).unwrap_or([f64::NAN; 2]);
@@ -102,8 +108,27 @@ impl<'a> RayRow<'a> {
         rays
     }
 
+    /// The rays of the columns from `first` on, which is `offset` columns behind the start of its stretch; those beyond the stretch are
+    /// in the next. `around` are the rays of the nodes around both.
+    #[inline(always)]
+    fn between_nodes(&self, first: usize, offset: usize, [one, other]: [[[f64; 2]; 4]; 2]) -> [Lanes; 2] {
+        let lane = Lanes::<LANES>::of(|lane| lane as f64);
+        let [wa, wb, wc, wd] = &self.weights;
+        let at = |weights: &Weights| Lanes::<LANES>::first_of(&weights[offset..]);
+        let (wa, wb, wc, wd) = (at(wa), at(wb), at(wc), at(wd));
+        let guess = |[a, b, c, d]: [[f64; 2]; 4]| both([0, 1], |i| wa * a[i] + wb * b[i] + wc * c[i] + wd * d[i]);
+        let mut near = guess(one);
+        let rest = (self.spacing - offset) as f64;
+        if rest < LANES as f64 {
+            let beyond = guess(other);
+            near = both([0, 1], |i| lane.choose(|lane| lane < rest, near[i], beyond[i]));
+        }
+        let full = (lane + first as f64 + 0.5) * f64::from(self.downscale) - 0.5;
+        self.camera.normalised_in_row_lanes(full, self.yd, near)
+    }
+
     /// The rays of the nodes around a stretch; `None` where one of them has none.
-    #[inline]
+    #[inline(always)]
     fn around(&mut self, stretch: usize) -> Option<[[f64; 2]; 4]> {
         if self.stretch != Some(stretch) {
             self.enter(stretch);
@@ -112,6 +137,7 @@ impl<'a> RayRow<'a> {
         Some([a, b, c, d])
     }
 
+    #[inline(never)]
     fn enter(&mut self, stretch: usize) {
         let known = self.stretch.is_some_and(|last| last + 1 == stretch);
         let [_, b, c, d] = self.around;
@@ -164,34 +190,24 @@ impl Work for Nodes<'_, '_> {
     }
 }
 
-/// Columns of a row, from `first` on, which is `offset` columns behind the start of its stretch; those beyond the stretch are in the next.
-struct Stretch<'r, 'c> {
-    row: &'r RayRow<'c>,
-    first: f64,
-    offset: usize,
-    one: [[f64; 2]; 4],
-    other: [[f64; 2]; 4],
+/// Rays of a row in two slices.
+struct Fill<'a, 'c> {
+    row: &'a mut RayRow<'c>,
+    first: usize,
+    x: &'a mut [f64],
+    y: &'a mut [f64],
 }
 
-impl Work for Stretch<'_, '_> {
-    type Output = [Lanes; 2];
+impl Work for Fill<'_, '_> {
+    type Output = ();
 
     #[inline(always)]
-    fn run(self) -> [Lanes; 2] {
-        let Self { row, first, offset, one, other } = self;
-        let lane = Lanes::<LANES>::of(|lane| lane as f64);
-        let [wa, wb, wc, wd] = &row.weights;
-        let at = |weights: &Weights| Lanes::<LANES>::first_of(&weights[offset..]);
-        let (wa, wb, wc, wd) = (at(wa), at(wb), at(wc), at(wd));
-        let guess = |[a, b, c, d]: [[f64; 2]; 4]| both([0, 1], |i| wa * a[i] + wb * b[i] + wc * c[i] + wd * d[i]);
-        let mut near = guess(one);
-        let rest = (row.spacing - offset) as f64;
-        if rest < LANES as f64 {
-            let beyond = guess(other);
-            near = both([0, 1], |i| lane.choose(|lane| lane < rest, near[i], beyond[i]));
+    fn run(self) {
+        for (block, (x, y)) in self.x.chunks_mut(LANES).zip(self.y.chunks_mut(LANES)).enumerate() {
+            let [block_x, block_y] = self.row.block(self.first + block * LANES);
+            x.copy_from_slice(&block_x.each()[..x.len()]);
+            y.copy_from_slice(&block_y.each()[..y.len()]);
         }
-        let full = (lane + first + 0.5) * f64::from(row.downscale) - 0.5;
-        row.camera.normalised_in_row_lanes(full, row.yd, near)
     }
 }
 
@@ -217,23 +233,6 @@ impl Work for AllWeights {
             (self.spacing..weights.len()).for_each(|column| weights[column] = weights[column - self.spacing]);
         }
         weights
-    }
-}
-
-/// The points of some columns.
-struct Unproject<'a> {
-    camera: &'a Camera,
-    ray: [Lanes; 2],
-    depths_m: &'a [f32],
-}
-
-impl Work for Unproject<'_> {
-    type Output = [Lanes; 3];
-
-    #[inline(always)]
-    fn run(self) -> [Lanes; 3] {
-        let z_m = Lanes::of(|lane| self.depths_m.get(lane).map_or(f64::NAN, |depth_m| f64::from(*depth_m)));
-        self.camera.unproject_lanes(self.ray, z_m)
     }
 }
 

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::camera::model::{Camera, full_pixel};
 use crate::camera::ray_row::RayRow;
 use rockface_core::artefact::{Depth, Surface};
-use rockface_core::numerics::simd::{LANES, Lanes, Work, vectorised};
+use rockface_core::numerics::simd::{LANES, Work, vectorised};
 use rockface_raster::point_rows::PointRows;
 
 /// Where neighbouring pixels are not joined.
@@ -55,7 +55,8 @@ pub fn join(depth: &Depth, joining: &Joining) -> (Surface, Joined) {
     // Filled by all threads: the first touch of so much memory would take one thread as long as placing the points.
     let mut points: Vec<[f32; 3]> = (0..patch.width * patch.height).into_par_iter().map(|_| [f32::NAN; 3]).collect();
     points.par_chunks_mut(patch.width).enumerate().for_each(|(row, points)| {
-        place_row(&patch, &camera, &origin, row, points);
+        let rays = RayRow::new(&camera, patch.row + row, depth.downscale);
+        vectorised(PlaceRow { depths_m: patch.line(row), rays, column: patch.column, origin: &origin, points });
     });
     let mut surface = Surface {
         frame: depth.frame,
@@ -133,15 +134,29 @@ fn is_depth(z: f32) -> bool {
     z.is_finite() && z > 0.0
 }
 
-fn place_row(patch: &Patch, camera: &Camera, origin: &Vector3<f64>, row: usize, points: &mut [[f32; 3]]) {
-    let mut rays = RayRow::new(camera, patch.row + row, patch.depth.downscale);
-    let blocks = patch.line(row).chunks(LANES).zip(points.chunks_mut(LANES));
-    for ((depths_m, points), column) in blocks.zip((patch.column..).step_by(LANES)) {
-        let (ray, [x, y, z]) = rays.points(column, depths_m);
-        let local = [x - origin.x, y - origin.y, z - origin.z].map(Lanes::each);
-        for (lane, (depth_m, point)) in depths_m.iter().zip(points).enumerate() {
-            if is_depth(*depth_m) && !ray[0][lane].is_nan() {
-                *point = local.map(|axis| axis[lane] as f32);
+/// Places the points of a row of the patch; those without a depth or a ray are left as they are.
+struct PlaceRow<'a> {
+    depths_m: &'a [f32],
+    rays: RayRow<'a>,
+    /// Column of the first pixel in the depth map.
+    column: usize,
+    origin: &'a Vector3<f64>,
+    points: &'a mut [[f32; 3]],
+}
+
+impl Work for PlaceRow<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(mut self) {
+        let blocks = self.depths_m.chunks(LANES).zip(self.points.chunks_mut(LANES));
+        for ((depths_m, points), column) in blocks.zip((self.column..).step_by(LANES)) {
+            let ([ray, _], [x, y, z]) = self.rays.points(column, depths_m);
+            let (x, y, z) = (x - self.origin.x, y - self.origin.y, z - self.origin.z);
+            for (lane, (depth_m, point)) in depths_m.iter().zip(points).enumerate() {
+                if is_depth(*depth_m) && !ray[lane].is_nan() {
+                    *point = [x[lane] as f32, y[lane] as f32, z[lane] as f32];
+                }
             }
         }
     }

@@ -4,12 +4,17 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use rockface_core::artefact::Surface;
+use rockface_core::numerics::fast_round::whole;
+use rockface_core::numerics::simd::{Work, vectorised};
 
 /// Average number of points of a column: few enough to test all, enough to find one in the first ring.
 const POINTS_PER_COLUMN: f64 = 2.0;
 
 /// What rounding may take from a distance, as a share of the side of a column.
 const ROUNDING: f64 = 1e-6;
+
+/// Points whose columns a thread finds at a time.
+const AT_ONCE: usize = 1 << 13;
 
 /// The place that is nearest to a point, and how far the point may move before another could be.
 #[derive(Debug, Clone, Copy, Default)]
@@ -77,8 +82,10 @@ impl<'a> Columns<'a> {
 
     /// Counting sort, in the order of the surface.
     fn sort(&mut self, count: usize) {
-        let column_of = |p: &[f32; 3]| if p[0].is_nan() { u32::MAX } else { self.column(p) };
-        let column: Vec<u32> = self.surface.points.par_iter().map(column_of).collect();
+        let mut column = vec![0; self.surface.points.len()];
+        let find =
+            |(found, points): (&mut [u32], &[[f32; 3]])| vectorised(FindColumns { columns: self, points, found });
+        column.par_chunks_mut(AT_ONCE).zip(self.surface.points.par_chunks(AT_ONCE)).for_each(find);
         let filled = || column.iter().enumerate().filter(|(_, c)| **c != u32::MAX);
         let mut next = vec![0u32; self.starts.len()];
         filled().for_each(|(_, c)| next[*c as usize + 1] += 1);
@@ -92,12 +99,6 @@ impl<'a> Columns<'a> {
             self.places[*slot as usize] = place as u32;
             *slot += 1;
         }
-    }
-
-    fn column(&self, p: &[f32; 3]) -> u32 {
-        let x = ((f64::from(p[0]) - self.left) / self.side) as usize;
-        let y = ((f64::from(p[1]) - self.bottom) / self.side) as usize;
-        (y.min(self.high - 1) * self.wide + x.min(self.wide - 1)) as u32
     }
 
     /// Mean distance of neighbouring points if they were spread evenly over X and Y, metres.
@@ -239,6 +240,28 @@ fn column_side([width, height]: [f64; 2], count: f64) -> f64 {
 #[inline]
 pub fn local(surface: &Surface, place: usize) -> Vector3<f64> {
     Vector3::from(surface.points[place].map(f64::from))
+}
+
+/// Finds the column of each of some points; of places without a point `u32::MAX`.
+struct FindColumns<'a> {
+    columns: &'a Columns<'a>,
+    points: &'a [[f32; 3]],
+    found: &'a mut [u32],
+}
+
+impl Work for FindColumns<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Columns { left, bottom, side, wide, high, .. } = *self.columns;
+        let (last, top) = ((wide - 1) as f64, (high - 1) as f64);
+        for (found, [x, y, _]) in self.found.iter_mut().zip(self.points) {
+            let across = ((f64::from(*x) - left) / side).floor().max(0.0).min(last);
+            let up = ((f64::from(*y) - bottom) / side).floor().max(0.0).min(top);
+            *found = if x.is_nan() { u32::MAX } else { whole(up * wide as f64 + across) as u32 };
+        }
+    }
 }
 
 #[cfg(test)]

@@ -43,8 +43,8 @@ pub struct Correspondence<T> {
     pub ideal_px: T,
     /// Row of the first rectified position minus row of the second, pixels.
     pub y_parallax_px: T,
-    /// Change of disparity for an inverse depth of 1/m, pixel metres.
-    pub disparity_px_m: T,
+    /// Depth across the rectified plane of the point at depth 1 on the ray of the image pixel.
+    pub image_slant: T,
     /// Depth across the rectified plane of the point at depth 1 on the ray of the depth.
     pub slant: T,
     /// The paper's white noise, pixels.
@@ -72,7 +72,7 @@ impl Correspondence<f64> {
             rectified_px: at(&all.rectified_px),
             ideal_px: all.ideal_px[lane],
             y_parallax_px: all.y_parallax_px[lane],
-            disparity_px_m: all.disparity_px_m[lane],
+            image_slant: all.image_slant[lane],
             slant: all.slant[lane],
             white_px: all.white_px[lane],
             regular_px: all.regular_px[lane],

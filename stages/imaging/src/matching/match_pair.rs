@@ -171,7 +171,13 @@ fn matched_map(params: &MatchPairParams, matcher: &Matcher, noisy: &Cameras, ima
     for ((_, of), values) in wanted.iter().zip(&mut values) {
         rows.iter_mut().zip(values.chunks_mut(ideal.width)).for_each(|(row, values)| row.channels.push((*of, values)));
     }
-    let tally = matcher.match_image(&mut rows, Row::keep);
+    // Where the depth alone is kept, no match is put together.
+    let keep_depth = |row: &mut Row, column: usize, m: &Match| row.z[column] = m.depth_m as f32;
+    let tally = if wanted.is_empty() {
+        matcher.match_image(&mut rows, keep_depth)
+    } else {
+        matcher.match_image(&mut rows, Row::keep)
+    };
     let mut channels: BTreeMap<String, Vec<f32>> =
         wanted.iter().map(|(name, _)| (*name).to_owned()).zip(values).collect();
     if params.channels {

@@ -19,7 +19,7 @@ use crate::matching::rectified_row::{rectified_ray, rectified_row, source_pixel}
 use crate::matching::side::Side;
 use rockface_core::artefact::Depth;
 use rockface_core::choice;
-use rockface_core::numerics::fast_round::{floor, nearest};
+use rockface_core::numerics::fast_round::{floor, nearest, whole};
 use rockface_core::numerics::simd::{LANES, Lanes, Number, Work, both, vectorised};
 
 choice! {
@@ -175,7 +175,7 @@ impl<'a> Matcher<'a> {
             rectified_px,
             ideal_px,
             y_parallax_px: rectified_px[1] - second.position_px[1],
-            disparity_px_m: Lanes::all(self.fb_px_m()) / placed.slant,
+            image_slant: placed.slant,
             slant,
             white_px,
             regular_px,
@@ -200,7 +200,7 @@ impl<'a> Matcher<'a> {
         point_m: [f64; 2],
         correspondence: &Correspondence<f64>,
     ) -> Option<Match> {
-        let Correspondence { noise_px, rectified_px, ideal_px, disparity_px_m, .. } = *correspondence;
+        let Correspondence { noise_px, rectified_px, ideal_px, image_slant, .. } = *correspondence;
         if ideal_px.is_nan() {
             return None;
         }
@@ -210,6 +210,7 @@ impl<'a> Matcher<'a> {
             Sampling::Rectified => source_pixel(depth, &self.geometry.noisy[self.side], correspondence.image_ray)?,
         };
         let [first_px, second_px] = noise_px;
+        let disparity_px_m = self.fb_px_m() / image_slant;
         let error =
             terms.error(&Site { first_px, second_px, rectified_px, point_m, pixel, disparity_px_m }, lookups)?;
         let mut matched_px = ideal_px + (error.local_px() + error.regular_px);
@@ -276,15 +277,20 @@ impl<'a> Matcher<'a> {
     #[inline(always)]
     fn partner_sees_lanes(&self, Projected { z_m, level: [u, v], .. }: &Projected) -> [bool; LANES] {
         let depth = self.geometry.ideal[self.side.other()];
-        // Most points are not behind what is seen at the pixel above left of them, which is looked up for all of them together.
+        let Some(last) = depth.z.len().checked_sub(1) else { return [false; LANES] };
+        // Most points are not behind what is seen at the pixel above left of them, which is looked up for all of them together;
+        // for what is outside, any pixel will do.
         let pixel = |position: Lanes| position.map(f64::floor).at_least(Lanes::all(0.0));
-        let (left, top) = (pixel(*u), pixel(*v));
-        let at = top * depth.width as f64 + left;
-        let surface_m: Lanes = Lanes::of(|lane| depth.z.get(at[lane] as usize).map_or(f64::NAN, |z_m| f64::from(*z_m)));
+        let at = pixel(*v) * depth.width as f64 + pixel(*u);
+        let mut surface_m = [0.0; LANES];
+        for (lane, surface_m) in surface_m.iter_mut().enumerate() {
+            *surface_m = depth.z[whole(at[lane]).min(last)];
+        }
+        let surface_m: Lanes = Lanes::of(|lane| f64::from(surface_m[lane]));
         let bound_m = self.occlusion_tolerance.map_or(Lanes::NONE, |tolerance| surface_m * (1.0 + tolerance));
         let mut seen = [false; LANES];
         for (lane, seen) in seen.iter_mut().enumerate() {
-            *seen = is_inside(depth, [u[lane], v[lane]]) && z_m[lane] <= bound_m[lane];
+            *seen = is_inside(depth, [u[lane], v[lane]]) & (z_m[lane] <= bound_m[lane]);
         }
         for (lane, seen) in seen.iter_mut().enumerate().filter(|(_, seen)| !**seen) {
             *seen = self.partner_sees([u[lane], v[lane]], z_m[lane]);
@@ -319,7 +325,7 @@ impl<'a> Matcher<'a> {
 #[inline(always)]
 fn is_inside(depth: &Depth, [u, v]: [f64; 2]) -> bool {
     let (right, bottom) = (depth.width as f64 - 0.5, depth.height as f64 - 0.5);
-    u >= -0.5 && v >= -0.5 && u <= right && v <= bottom
+    (u >= -0.5) & (v >= -0.5) & (u <= right) & (v <= bottom)
 }
 
 /// Full-image position in pixels of the depth map, which are `1 / scale` image pixels wide.

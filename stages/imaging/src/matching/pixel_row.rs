@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use crate::camera::model::Camera;
 use crate::camera::ray_row::RayRow;
 use rockface_core::artefact::Depth;
-use rockface_core::numerics::simd::{LANES, Lanes};
+use rockface_core::numerics::simd::{LANES, Lanes, Work, vectorised};
 
 /// The pixels of a row that have a depth, from left to right.
 #[derive(Debug, Clone, PartialEq)]
@@ -40,12 +40,8 @@ impl PixelRow {
             return pixels;
         }
         let rays = |camera| RayRow::new(camera, row, depth.downscale);
-        let (mut true_rays, mut separate) = (rays(camera), (!noisy.has_interior_of(camera)).then(|| rays(noisy)));
-        for (values, column) in values.chunks(LANES).zip((0..).step_by(LANES)) {
-            let (true_ray, point_m) = true_rays.points(column, values);
-            let noisy_ray = separate.as_mut().map_or(true_ray, |rays| rays.block(column));
-            pixels.extend(column, point_m, noisy_ray);
-        }
+        let (true_rays, noisy_rays) = (rays(camera), (!noisy.has_interior_of(camera)).then(|| rays(noisy)));
+        vectorised(ReadRow { values, true_rays, noisy_rays, pixels: &mut pixels });
         pixels
     }
 
@@ -68,13 +64,18 @@ impl PixelRow {
     }
 
     /// Adds the pixels of [`LANES`] columns, where they have a finite point and a ray.
+    #[inline(always)]
     fn extend(&mut self, column: usize, point_m: [Lanes; 3], noisy_ray: [Lanes; 2]) {
         // What is no number or not finite is none in the sum either.
         let sum = point_m[0] + point_m[1] + point_m[2] + noisy_ray[0] + noisy_ray[1];
         if sum.each().iter().all(|sum| sum.is_finite()) {
             self.columns.extend(column..column + LANES);
-            self.points_m.iter_mut().zip(point_m).for_each(|(list, lanes)| list.extend(lanes.each()));
-            self.noisy_rays.iter_mut().zip(noisy_ray).for_each(|(list, lanes)| list.extend(lanes.each()));
+            let ([x, y, z], [ray_x, ray_y]) = (&mut self.points_m, &mut self.noisy_rays);
+            let lists =
+                [(x, point_m[0]), (y, point_m[1]), (z, point_m[2]), (ray_x, noisy_ray[0]), (ray_y, noisy_ray[1])];
+            for (list, lanes) in lists {
+                list.extend_from_slice(&lanes.each());
+            }
             return;
         }
         for lane in (0..LANES).filter(|lane| sum[*lane].is_finite()) {
@@ -104,6 +105,31 @@ impl PixelRow {
             columns: &self.columns[start..end],
             points_m: [Lanes::first_of(&x[start..]), Lanes::first_of(&y[start..]), Lanes::first_of(&z[start..])],
             noisy_rays: [Lanes::first_of(&ray_x[start..]), Lanes::first_of(&ray_y[start..])],
+        }
+    }
+}
+
+/// Adds the pixels of a row with the depths `values`.
+struct ReadRow<'a, 'c> {
+    values: &'a [f32],
+    true_rays: RayRow<'c>,
+    /// Where the noisy camera has another interior orientation.
+    noisy_rays: Option<RayRow<'c>>,
+    pixels: &'a mut PixelRow,
+}
+
+impl Work for ReadRow<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(mut self) {
+        for (values, column) in self.values.chunks(LANES).zip((0..).step_by(LANES)) {
+            let (true_ray, point_m) = self.true_rays.points(column, values);
+            let noisy_ray = match &mut self.noisy_rays {
+                Some(rays) => rays.block(column),
+                None => true_ray,
+            };
+            self.pixels.extend(column, point_m, noisy_ray);
         }
     }
 }

@@ -127,4 +127,29 @@ proptest! {
         let grid = grid_around(extent(Shape::Mesh(&cloud), None).unwrap(), cell_m).unwrap();
         prop_assert!(points.iter().all(|p| (place(&grid, *p).0 as usize) < grid.cells()));
     }
+
+    #[test]
+    fn cells_of_many_points_are_those_of_each(
+        points in prop::collection::vec([-3.0f32..9.0, -3.0f32..9.0, -1.0f32..1.0], 1..600), holes in any::<u64>(),
+        turn in prop::option::of(-1.0..1.0f64), first in 0usize..20) {
+        // Some on the very edges of cells, some places without a point.
+        let round = |(i, [x, y, z]): (usize, [f32; 3])| if i % 3 == 0 { [x.round(), y.round(), z] } else { [x, y, z] };
+        let empty = |i: usize| i % 5 == 0 && holes >> (i % 64) & 1 == 1;
+        let points: Vec<[f32; 3]> = points.into_iter().enumerate().map(round).collect();
+        let points: Vec<_> = points.into_iter().enumerate().map(|(i, p)| if empty(i) { [f32::NAN; 3] } else { p }).collect();
+        let surface =
+            Surface { frame: Frame::Wall, width: points.len(), height: 1, origin_m: [1.0, 0.0, 2.0], points, squares: vec![] };
+        let rotation = nalgebra::Rotation3::from_euler_angles(0.1, 0.0, turn.unwrap_or(0.0)).into_inner();
+        let transform = Transform::new("wall", "wall", &rotation, Vector3::zeros(), Vector3::new(0.1, 0.2, 0.3));
+        let moved = turn.and_then(|_| Moved::by(&transform));
+        let grid = grid_of_window([0.0, 6.0, 0.0, 5.0], 0.5).unwrap();
+        let mut found = cells::Cells::default();
+        let first = first.min(surface.points.len());
+        found.find(Shape::Surface(&surface), moved.as_ref(), &grid, [first, surface.points.len()]);
+        for (i, found) in (first..).zip(found.cell.iter().zip(&found.z_m)) {
+            let (cell, z_m) = place(&grid, Shape::Surface(&surface).point(i, moved.as_ref()));
+            prop_assert_eq!((*found.0, found.1.to_bits()), (cell, z_m.to_bits()), "{}", i);
+        }
+        prop_assert_eq!(found.cell.len(), surface.points.len() - first);
+    }
 }

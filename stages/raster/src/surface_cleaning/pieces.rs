@@ -8,6 +8,8 @@ pub(super) const A: u8 = 1;
 pub(super) const B: u8 = 2;
 pub(super) const C: u8 = 4;
 pub(super) const D: u8 = 8;
+/// All corners: both triangles are there.
+const WHOLE: u8 = A | B | C | D;
 
 /// Corners that the triangles of each byte use.
 const USED: [u8; 8] = [0, A | D | C, A | C | B, A | B | C | D, 0, A | D | B, B | D | C, A | B | C | D];
@@ -54,8 +56,12 @@ fn runs(surface: &Surface) -> (Vec<Run>, Vec<u32>) {
     let (mut above, mut below) = (vec![NONE; surface.width], vec![NONE; surface.width]);
     for (row, squares) in surface.squares.chunks((surface.width - 1).max(1)).enumerate() {
         let (mut before, mut joined) = (0, [NONE; 2]);
-        for (column, byte) in squares.iter().enumerate() {
-            let uses = used(*byte);
+        let mut column = 0;
+        while column < squares.len() {
+            let uses = used(squares[column]);
+            // Whole squares side by side are taken together; others one by one.
+            let whole = squares[column..].iter().take_while(|byte| used(**byte) == WHOLE).count();
+            let end = column + whole.max(1);
             if uses != 0 {
                 // Corners b and c of the square before are a and d of this one.
                 let is_linked = (before & B != 0 && uses & A != 0) || (before & C != 0 && uses & D != 0);
@@ -64,21 +70,25 @@ fn runs(surface: &Surface) -> (Vec<Run>, Vec<u32>) {
                 }
                 let number = runs.len() as u32 - 1;
                 let run = &mut runs[number as usize];
-                run.columns.end = column as u32 + 1;
-                run.triangles += (byte & (Surface::FIRST | Surface::SECOND)).count_ones();
-                for (corner, at) in [(A, column), (B, column + 1)] {
-                    if uses & corner != 0 && above[at] != NONE && joined != [number, above[at]] {
-                        joined = [number, above[at]];
+                run.columns.end = end as u32;
+                run.triangles += if whole > 0 {
+                    2 * whole as u32
+                } else {
+                    (squares[column] & (Surface::FIRST | Surface::SECOND)).count_ones()
+                };
+                // The points of its upper and of its lower edge.
+                let points =
+                    |left: u8, right: u8| column + usize::from(uses & left == 0)..end + usize::from(uses & right != 0);
+                for upper in &above[points(A, B)] {
+                    if *upper != NONE && joined != [number, *upper] {
+                        joined = [number, *upper];
                         joins.push(joined);
                     }
                 }
-                for (corner, at) in [(D, column), (C, column + 1)] {
-                    if uses & corner != 0 {
-                        below[at] = number;
-                    }
-                }
+                below[points(D, C)].fill(number);
             }
             before = uses;
+            column = end;
         }
         std::mem::swap(&mut above, &mut below);
         below.fill(NONE);
@@ -122,7 +132,7 @@ mod tests {
     proptest! {
         #[test]
         fn runs_find_the_pieces_that_points_find(
-            width in 2usize..9, bytes in prop::collection::vec(prop_oneof![Just(0u8), 0u8..8], 8..80), least in 2usize..9) {
+            width in 2usize..9, bytes in prop::collection::vec(prop_oneof![Just(0u8), Just(3u8), 0u8..8], 8..80), least in 2usize..9) {
             let height = bytes.len() / (width - 1) + 1;
             let squares = bytes[..(width - 1) * (height - 1)].to_vec();
             let points = vec![[0.0; 3]; width * height];
