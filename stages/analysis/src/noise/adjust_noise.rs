@@ -40,7 +40,7 @@ const MOST_SHARE: f64 = 2.0;
 impl Stage for AdjustNoise {
     type Params = AdjustNoiseParams;
     const NAME: &'static str = "adjust-noise";
-    const VERSION: u32 = 13;
+    const VERSION: u32 = 14;
     const PAGE: Page = Page::new(include_str!("adjust_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("noise", &[Kind::Noise], "The model."),

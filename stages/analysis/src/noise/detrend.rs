@@ -1,6 +1,6 @@
-//! Takes a least-squares plane off a raster before its spatial structure is described.
+//! Takes a least-squares plane off a raster before its spatial structure is described, or a trend of the second degree before its noise is learnt.
 
-use nalgebra::{Cholesky, Matrix3, Vector3};
+use nalgebra::{Cholesky, Const, DimMin, SMatrix, SVector, Vector3};
 
 use rockface_core::choice;
 
@@ -29,6 +29,37 @@ impl Detrend {
         let off = |(i, value): (usize, &f32)| (f64::from(*value) - height(i)) as f32;
         Some(values.iter().enumerate().map(off).collect())
     }
+}
+
+/// The least-squares trend of the second degree through the known cells of a raster: factors on 1, x, y, x^2 - 1/3, x y and y^2 - 1/3, as
+/// [`trend_at`] takes them. Where the cells do not tell a bend from a plane it is a plane; `None` where they lie on a line.
+pub fn trend(values: &[f32], columns: usize) -> Option<[f64; 6]> {
+    let rows = values.len() / columns;
+    let bent = |i: usize| SVector::from(bend_terms(terms(columns, rows, i % columns, i / columns).into()));
+    fitted(values, 1, bent, |_, _| 1.0).or_else(|| {
+        let [offset, right, down] = plane(values, columns)?;
+        Some([offset, right, down, 0.0, 0.0, 0.0])
+    })
+}
+
+/// Height of a trend at a place whose coordinates are -1 and 1 at the edges of the grid, to the right and down.
+pub fn trend_at(trend: &[f64; 6], x: f64, y: f64) -> f64 {
+    trend.iter().zip(bend_terms([1.0, x, y])).map(|(factor, term)| factor * term).sum()
+}
+
+/// The values without their trend; `None` where the cells lie on a line.
+pub fn without_trend(values: &[f32], columns: usize) -> Option<Vec<f32>> {
+    let (trend, rows) = (trend(values, columns)?, values.len() / columns);
+    let off = |(i, value): (usize, &f32)| {
+        let [_, x, y] = terms(columns, rows, i % columns, i / columns).into();
+        (f64::from(*value) - trend_at(&trend, x, y)) as f32
+    };
+    Some(values.iter().enumerate().map(off).collect())
+}
+
+/// What a trend is made of; the terms of a whole grid are nearly independent.
+fn bend_terms([one, x, y]: [f64; 3]) -> [f64; 6] {
+    [one, x, y, x * x - 1.0 / 3.0, x * y, y * y - 1.0 / 3.0]
 }
 
 /// The least-squares plane through the known cells of a raster: offset in its middle, growth from there to its right edge and to its
@@ -86,16 +117,30 @@ fn weighted_plane(
     weight: impl Fn(&Vector3<f64>, f64) -> f64,
 ) -> Option<[f64; 3]> {
     let rows = values.len() / columns;
-    let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+    fitted(values, step, |i| terms(columns, rows, i % columns, i / columns), weight)
+}
+
+/// Factors on the terms of a cell, by least squares with weights, through every known cell of number 0, `step`, 2 `step`, ...; `None` where the cells do
+/// not tell the terms apart.
+fn fitted<const N: usize>(
+    values: &[f32],
+    step: usize,
+    terms: impl Fn(usize) -> SVector<f64, N>,
+    weight: impl Fn(&SVector<f64, N>, f64) -> f64,
+) -> Option<[f64; N]>
+where
+    Const<N>: DimMin<Const<N>, Output = Const<N>>,
+{
+    let (mut normal, mut right) = (SMatrix::<f64, N, N>::zeros(), SVector::<f64, N>::zeros());
     for (i, value) in values.iter().enumerate().step_by(step).filter(|(_, value)| !value.is_nan()) {
-        let (x, value) = (terms(columns, rows, i % columns, i / columns), f64::from(*value));
+        let (x, value) = (terms(i), f64::from(*value));
         let weight = weight(&x, value);
         normal += x * x.transpose() * weight;
         right += x * (value * weight);
     }
-    // On a line the determinant is 0 but for rounding.
-    let on_line = normal.determinant() <= LEAST_AREA * normal.diagonal().product();
-    if on_line { None } else { Some(Cholesky::new(normal)?.solve(&right).into()) }
+    // Of cells that do not tell the terms apart the determinant is 0 but for rounding.
+    let unclear = normal.determinant() <= LEAST_AREA * normal.diagonal().product();
+    if unclear { None } else { Some(Cholesky::new(normal)?.solve(&right).into()) }
 }
 
 /// What a plane is made of at a cell.
@@ -120,6 +165,26 @@ mod tests {
         let found = plane(&(0..300).map(tilted).collect::<Vec<f32>>(), 20).unwrap();
         assert!(found.iter().zip([1.0, 2.0, -3.0]).all(|(found, truth)| (found - truth).abs() < 1e-6), "{found:?}");
         assert!(Detrend::Mean.applied(&values, 20).is_none() && Detrend::Plane.applied(&values[..20], 20).is_none());
+    }
+
+    #[test]
+    fn a_trend_is_found_with_gaps_and_taken_off_whole() {
+        let (columns, rows) = (40, 30);
+        let truth = [0.3, 0.1, -0.2, 0.05, -0.02, 0.04];
+        let value = |i: usize| {
+            let [_, x, y]: [f64; 3] = terms(columns, rows, i % columns, i / columns).into();
+            if i % 7 == 2 { f32::NAN } else { trend_at(&truth, x, y) as f32 }
+        };
+        let values: Vec<f32> = (0..columns * rows).map(value).collect();
+        let found = trend(&values, columns).unwrap();
+        assert!(found.iter().zip(truth).all(|(found, truth)| (found - truth).abs() < 1e-6), "{found:?}");
+        let flat = without_trend(&values, columns).unwrap();
+        assert!(flat.iter().zip(&values).all(|(f, v)| f.is_nan() == v.is_nan() && (f.is_nan() || f.abs() < 1e-6)));
+        // Two columns bend in no known way.
+        let narrow: Vec<f32> =
+            values.iter().enumerate().map(|(i, v)| if i % columns < 2 { *v } else { f32::NAN }).collect();
+        let found = trend(&narrow, columns).unwrap();
+        assert!(found[3..] == [0.0; 3] && trend(&values[..1], 1).is_none(), "{found:?}");
     }
 
     #[test]

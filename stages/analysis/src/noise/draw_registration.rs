@@ -2,7 +2,7 @@
 
 use rand::RngExt;
 
-use crate::noise::detrend::{asymmetry, plane};
+use crate::noise::detrend::{asymmetry, trend, trend_at};
 use rockface_core::artefact::{Grid, Kind, Noise, Raster};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 
@@ -11,20 +11,20 @@ params! {
     pub struct DrawRegistrationParams {}
 }
 
-/// Gives a difference the offset and tilt that registration left in a raster the model was learnt from, in place of its own.
+/// Gives a difference the offset, tilt and bend that registration and orientation left in a raster the model was learnt from, in place of its own.
 pub struct DrawRegistration;
 
 impl Stage for DrawRegistration {
     type Params = DrawRegistrationParams;
     const NAME: &'static str = "draw-registration";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("draw_registration.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("raster", &[Kind::Raster], "Difference of two registered surveys, metres."),
         Port::one("noise", &[Kind::Noise], "The model."),
     ];
     const OUTPUTS: &'static [Port] =
-        &[Port::one("raster", &[Kind::Raster], "The difference with another offset and tilt, metres.")];
+        &[Port::one("raster", &[Kind::Raster], "The difference with another offset, tilt and bend, metres.")];
 
     fn draws(_: &Self::Params) -> bool {
         true
@@ -43,43 +43,48 @@ impl Stage for DrawRegistration {
         let mut changed = raster.clone();
         for band in &mut changed.bands {
             let columns = raster.grid.columns;
-            let (Some(own_m), Some(asymmetry_m)) = (plane(&band.values, columns), asymmetry(&band.values, columns))
+            let (Some(own_m), Some(asymmetry_m)) = (trend(&band.values, columns), asymmetry(&band.values, columns))
             else {
                 let text = format!("the values of band `{}` lie on a line, or there are none", band.name);
                 return Err(
-                    StageError::new(text).hint("a plane needs an area: check window and gaps of the difference")
+                    StageError::new(text).hint("a trend needs an area: check window and gaps of the difference")
                 );
             };
             let wanted_m = drawn(noise, context, &band.name);
-            let kept_m: [f64; 3] = std::array::from_fn(|k| noise.asymmetry_gain[k] * asymmetry_m[k] - own_m[k]);
+            let mut kept_m = own_m.map(|m| -m);
+            kept_m
+                .iter_mut()
+                .zip(noise.asymmetry_gain)
+                .zip(asymmetry_m)
+                .for_each(|((kept, gain), m)| *kept += gain * m);
             for (cell, z) in band.values.iter_mut().enumerate() {
-                let height_m = |plane_m, of| height_m(plane_m, of, raster.grid, cell);
-                *z += (height_m(wanted_m, noise.grid) + height_m(kept_m, raster.grid)) as f32;
+                let height_m = |trend_m, of| height_m(trend_m, of, raster.grid, cell);
+                *z += (height_m(&wanted_m, noise.grid) + height_m(&kept_m, raster.grid)) as f32;
             }
         }
         Ok(Outputs::of("raster", changed))
     }
 }
 
-/// Height of a plane of the grid `of` at a cell of another grid in its frame.
-fn height_m(plane_m: [f64; 3], of: Grid, grid: Grid, cell: usize) -> f64 {
+/// Height of a trend of the grid `of` at a cell of another grid in its frame.
+fn height_m(trend_m: &[f64; 6], of: Grid, grid: Grid, cell: usize) -> f64 {
     let [right_m, down_m] = [cell % grid.columns, cell / grid.columns].map(|index| index as f64 * grid.cell_m);
     let [half_x_m, half_y_m] = [of.columns, of.rows].map(|count| 0.5 * count as f64 * of.cell_m);
     let x = (grid.left_m + right_m - of.left_m) / half_x_m - 1.0;
     let y = (of.top_m - grid.top_m + down_m) / half_y_m - 1.0;
-    plane_m[0] + plane_m[1] * x + plane_m[2] * y
+    trend_at(trend_m, x, y)
 }
 
-/// The plane of a member with jitter, which keeps mean and covariance of the members' planes (smoothed bootstrap, Silverman 1986, 6.4).
-fn drawn(noise: &Noise, context: &Context, band: &str) -> [f64; 3] {
+/// The trend of a member with jitter, which keeps mean and covariance of the members' trends (smoothed bootstrap, Silverman 1986, 6.4).
+fn drawn(noise: &Noise, context: &Context, band: &str) -> [f64; 6] {
     let members: Vec<usize> = (0..noise.members.len()).collect();
     let chosen = &noise.members[context.stream("registration", band).generator().random_range(0..members.len())];
     let jitter =
-        noise.departure(&members, &context.stream("registration-jitter", band).field(), |member| &member.plane_m);
+        noise.departure(&members, &context.stream("registration-jitter", band).field(), |member| &member.trend_m);
     let narrowing = 1.0 / (1.0 + noise.jitter * noise.jitter).sqrt();
     std::array::from_fn(|k| {
-        let mean = noise.members.iter().map(|member| member.plane_m[k]).sum::<f64>() / members.len() as f64;
-        mean + narrowing * (chosen.plane_m[k] - mean + jitter[k])
+        let mean = noise.members.iter().map(|member| member.trend_m[k]).sum::<f64>() / members.len() as f64;
+        mean + narrowing * (chosen.trend_m[k] - mean + jitter[k])
     })
 }
 

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
 
-use crate::noise::detrend::{asymmetry, plane};
+use crate::noise::detrend::{asymmetry, trend};
 use crate::noise::learning::acquisitions::{Acquisitions, Source, Variety, acquisitions};
 use crate::noise::learning::bad::parted;
 use crate::noise::learning::by_place::{self, Strengths};
@@ -76,7 +76,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 19;
+    const VERSION: u32 = 20;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -126,8 +126,10 @@ impl Stage for LearnNoise {
         let step_m = elevation_step_m(dem, block, pairs)?;
         let disparities = disparities(&all[..kept], dem.grid.columns, &step_m)?;
         let source = |(band, skewness): (&&Band, f64)| {
-            let of = |of: fn(&[f32], usize) -> Option<[f64; 3]>| of(&band.values, dem.grid.columns).unwrap_or_default();
-            Source { name: band.name.clone(), plane_m: of(plane), asymmetry_m: of(asymmetry), skewness }
+            let columns = dem.grid.columns;
+            let trend_m = trend(&band.values, columns).unwrap_or_default();
+            let asymmetry_m = asymmetry(&band.values, columns).unwrap_or_default();
+            Source { name: band.name.clone(), trend_m, asymmetry_m, skewness }
         };
         let sources: Vec<Source> = all[..kept].iter().zip(skewnesses(&disparities)).map(source).collect();
         let limit_px =

@@ -11,9 +11,9 @@ pub struct Member {
     pub name: String,
     /// Whether it is a bad acquisition (motion blur, haze), which is drawn by a class of its own.
     pub bad: bool,
-    /// The plane through its raster, which is what registration left, without what follows from the asymmetry of its noise: offset in the middle of
-    /// the grid, growth from there to the right edge and to the lower edge, metres.
-    pub plane_m: [f64; 3],
+    /// The trend of its raster, which is what registration left and how orientations bend, without what follows from the asymmetry of its noise: factors
+    /// on 1, x, y, x^2 - 1/3, x y and y^2 - 1/3, metres; x and y are -1 and 1 at the edges of the grid, to the right and down.
+    pub trend_m: [f64; 6],
     /// Logarithm of the factor on the map of strength, for each class of place.
     pub log_strength: Vec<f64>,
     /// Logarithm of the amplitude of the whitened noise in each band of frequency; 0 is the amplitude of white noise.

@@ -1,4 +1,4 @@
-//! Planes have the distribution of the members', and their place on the face.
+//! Trends have the distribution of the members', and their place on the face.
 
 use serde_json::json;
 
@@ -7,15 +7,16 @@ use crate::noise::learn_noise::tests::{CLEAN, COLUMNS, ROWS, grid};
 use rockface_core::artefact::{Artefact, Band, Frame, Noun};
 use rockface_core::testing::{TestHost, run_stage};
 
-/// A model whose planes have a mean and a spread, and the planes.
-fn model() -> (Noise, Vec<[f64; 3]>) {
+/// A model whose trends have a mean and a spread, and the trends.
+fn model() -> (Noise, Vec<[f64; 6]>) {
     let mut noise = Noise { asymmetry_gain: [0.0; 3], ..CLEAN.clone() };
     for (number, member) in noise.members.iter_mut().enumerate() {
         let sign = if number % 2 == 0 { 1.0 } else { -1.0 };
-        member.plane_m = [0.002 + 0.001 * sign, 0.003 * sign, -0.001 * sign];
+        member.trend_m =
+            [0.002 + 0.001 * sign, 0.003 * sign, -0.001 * sign, 0.001 + 0.002 * sign, 0.001 * sign, 0.002 * sign];
     }
-    let planes = noise.members.iter().map(|member| member.plane_m).collect();
-    (noise, planes)
+    let trends = noise.members.iter().map(|member| member.trend_m).collect();
+    (noise, trends)
 }
 
 fn settled(seed: u64, raster: &Raster) -> Result<Raster, StageError> {
@@ -34,26 +35,26 @@ fn tilted() -> Raster {
 }
 
 #[test]
-fn the_plane_of_a_difference_becomes_one_like_those_of_the_members() {
-    let planes = model().1;
-    let drawn: Vec<[f64; 3]> =
-        (0..400).map(|seed| plane(&settled(seed, &tilted()).unwrap().bands[0].values, COLUMNS).unwrap()).collect();
-    let moments = |planes: &[[f64; 3]], k: usize| {
-        let mean = planes.iter().map(|plane| plane[k]).sum::<f64>() / planes.len() as f64;
-        let variance = planes.iter().map(|plane| (plane[k] - mean) * (plane[k] - mean)).sum::<f64>();
-        (mean, (variance / planes.len() as f64).sqrt())
+fn the_trend_of_a_difference_becomes_one_like_those_of_the_members() {
+    let trends = model().1;
+    let drawn: Vec<[f64; 6]> =
+        (0..400).map(|seed| trend(&settled(seed, &tilted()).unwrap().bands[0].values, COLUMNS).unwrap()).collect();
+    let moments = |trends: &[[f64; 6]], k: usize| {
+        let mean = trends.iter().map(|trend| trend[k]).sum::<f64>() / trends.len() as f64;
+        let variance = trends.iter().map(|trend| (trend[k] - mean) * (trend[k] - mean)).sum::<f64>();
+        (mean, (variance / trends.len() as f64).sqrt())
     };
-    for k in 0..3 {
-        let ((mean, deviation), (wanted, spread)) = (moments(&drawn, k), moments(&planes, k));
+    for k in 0..6 {
+        let ((mean, deviation), (wanted, spread)) = (moments(&drawn, k), moments(&trends, k));
         assert!((mean - wanted).abs() < 0.15 * spread, "{k}: {mean} {wanted}");
         assert!((0.9..1.1).contains(&(deviation / spread)), "{k}: {deviation} {spread}");
     }
-    let copies = drawn.iter().filter(|drawn| planes.iter().any(|plane| (plane[0] - drawn[0]).abs() < 1e-7)).count();
+    let copies = drawn.iter().filter(|drawn| trends.iter().any(|trend| (trend[0] - drawn[0]).abs() < 1e-7)).count();
     assert!(copies < 20, "{copies}");
 }
 
 #[test]
-fn gaps_and_details_stay_and_a_part_of_the_face_has_its_part_of_the_plane() {
+fn gaps_and_details_stay_and_a_part_of_the_face_has_its_part_of_the_trend() {
     let whole = settled(1, &tilted()).unwrap();
     let gaps = |raster: &Raster| raster.bands[0].values.iter().map(|z| z.is_nan()).collect::<Vec<_>>();
     assert_eq!(gaps(&whole), gaps(&tilted()));
@@ -78,10 +79,11 @@ fn noise_that_is_stronger_on_one_side_leaves_an_offset() {
     assert!((asymmetry_m[0] - 0.001).abs() < 0.0002, "{asymmetry_m:?}");
     let left = |asymmetry_gain: [f64; 3]| {
         let found = settled_by(Noise { asymmetry_gain, ..model().0 }, 1, &raster).unwrap();
-        plane(&found.bands[0].values, COLUMNS).unwrap()
+        trend(&found.bands[0].values, COLUMNS).unwrap()
     };
     let (with, without) = (left([1.5, 0.0, 0.0]), left([0.0; 3]));
-    let wanted = [without[0] + 1.5 * asymmetry_m[0], without[1], without[2]];
+    let mut wanted = without;
+    wanted[0] += 1.5 * asymmetry_m[0];
     assert!(with.iter().zip(wanted).all(|(with, wanted)| (with - wanted).abs() < 1e-6), "{with:?} {wanted:?}");
 }
 

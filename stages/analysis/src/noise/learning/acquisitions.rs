@@ -26,8 +26,8 @@ pub struct Acquisitions {
 pub struct Source {
     /// Its name.
     pub name: String,
-    /// The plane that registration left in it, metres, as a member has it.
-    pub plane_m: [f64; 3],
+    /// The trend that registration left in it, metres, as a member has it.
+    pub trend_m: [f64; 6],
     /// Its asymmetry, in the numbers of a plane.
     pub asymmetry_m: [f64; 3],
     /// Its skewness.
@@ -79,7 +79,7 @@ pub fn acquisitions(
         Member {
             name: source.name.clone(),
             bad: *bad,
-            plane_m: source.plane_m,
+            trend_m: source.trend_m,
             log_strength: log_strength.to_vec(),
             log_amplitude: log_amplitude.to_vec(),
             field_log_amplitude: w.log_amplitude.clone(),
@@ -121,7 +121,7 @@ mod tests {
 
     fn sources(count: usize) -> Vec<Source> {
         (0..count)
-            .map(|i| Source { name: format!("d{i}"), plane_m: [0.0; 3], asymmetry_m: [0.0; 3], skewness: 0.0 })
+            .map(|i| Source { name: format!("d{i}"), trend_m: [0.0; 6], asymmetry_m: [0.0; 3], skewness: 0.0 })
             .collect()
     }
 

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::noise::detrend::Detrend;
+use crate::noise::detrend::without_trend;
 use crate::noise::learning::whitening::{BANDS, CLASSES};
 use rockface_core::artefact::{Band, Cameras, Noise, Raster};
 use rockface_core::numerics::marginal::skewness;
@@ -11,7 +11,7 @@ use rockface_core::{StageError, fail};
 use rockface_imaging::matching::noise::ensemble::{Numbers, draw};
 use rockface_raster::grid;
 
-/// Largest departure from its plane, as a share of its largest value, at which a raster counts as a plane.
+/// Largest departure from its trend, as a share of its largest value, at which a raster counts as one.
 const LEAST_NOISE: f64 = 1e-6;
 
 /// Checks that rasters, DEM and cameras are of one grid and frame.
@@ -86,10 +86,10 @@ pub fn check_parts(noise: &Noise) -> Result<(), StageError> {
     Ok(())
 }
 
-/// Differences as errors of disparity, pixels of the full image, each without the plane through it, which is what registration left.
+/// Differences as errors of disparity, pixels of the full image, each without its trend, which is what registration left.
 ///
 /// # Errors
-/// A raster with too few values, with values on a line only, or that is a plane.
+/// A raster with too few values, with values on a line only, or that is all trend.
 pub fn disparities(bands: &[&Band], columns: usize, step_m: &[f32]) -> Result<Vec<Vec<f32>>, StageError> {
     let one = |band: &&Band| {
         let known = band.values.iter().zip(step_m).filter(|(value, step)| !(value.is_nan() || step.is_nan()));
@@ -101,13 +101,13 @@ pub fn disparities(bands: &[&Band], columns: usize, step_m: &[f32]) -> Result<Ve
             return Err(StageError::new(text)
                 .hint("a tenth is needed: check window, frame and cameras, or leave the raster out"));
         }
-        let flat = Detrend::Plane.applied(&band.values, columns);
+        let flat = without_trend(&band.values, columns);
         let flat =
             flat.ok_or_else(|| StageError::new(format!("the values of raster `{}` lie on a line", band.name)))?;
-        // What rounding to 32 bits leaves of a plane is no noise.
+        // What rounding to 32 bits leaves of a trend is no noise.
         let largest = known.iter().map(|value| value.abs()).fold(0.0, f64::max);
         if flat.iter().all(|value| value.is_nan() || f64::from(value.abs()) <= LEAST_NOISE * largest) {
-            fail!("raster `{}` is a plane: there is no noise to learn", band.name);
+            fail!("raster `{}` is a plane or evenly bent: there is no noise to learn", band.name);
         }
         Ok(flat.iter().zip(step_m).map(|(value, step)| value / step).collect())
     };
@@ -115,7 +115,7 @@ pub fn disparities(bands: &[&Band], columns: usize, step_m: &[f32]) -> Result<Ve
 }
 
 /// Differences of two acquisitions each, an even and an odd one, drawn from a model without a survey: errors of disparity, pixels of the full image,
-/// each without the plane through it. Cells whose difference is larger than `limit_m` or whose elevation step is unknown are left out. They are numbered
+/// each without its trend. Cells whose difference is larger than `limit_m` or whose elevation step is unknown are left out. They are numbered
 /// as replicates, so that the mean strength of a few is that of the model.
 pub fn differences(
     noise: &Noise,
@@ -133,7 +133,7 @@ pub fn differences(
         let (pre, post) = (epoch(replicate, 0), epoch(replicate, 1));
         let difference_m = pre.iter().zip(post).zip(step_m).map(|((pre, post), step_m)| (post - pre) * step_m);
         let kept: Vec<f32> = difference_m.map(|m| if m.abs() <= limit_m { m } else { f32::NAN }).collect();
-        let level = Detrend::Plane.applied(&kept, noise.grid.columns).unwrap_or(kept);
+        let level = without_trend(&kept, noise.grid.columns).unwrap_or(kept);
         level.iter().zip(step_m).map(|(m, step_m)| m / step_m).collect()
     };
     (0..count as u32).into_par_iter().map(difference).collect()

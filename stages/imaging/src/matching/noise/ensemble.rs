@@ -360,7 +360,7 @@ mod tests {
         let member = |strength: f64, amplitude: f64| Member {
             name: String::new(),
             bad: false,
-            plane_m: [0.0; 3],
+            trend_m: [0.0; 6],
             log_strength: vec![strength],
             log_amplitude: vec![amplitude, 0.0],
             field_log_amplitude: vec![0.0; 2],
