@@ -7,8 +7,12 @@ use rockface_core::artefact::{Grid, Kind, Noise, Raster};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 
 params! {
-    /// Parameters of `draw-registration`: there are none.
-    pub struct DrawRegistrationParams {}
+    /// Parameters of `draw-registration`.
+    pub struct DrawRegistrationParams {
+        /// Number among the replicates of a difference that is simulated many times, from 0 on: they take the trends of the rasters in turn, so that a few
+        /// replicates differ from each other as much as many. Left out: that of a raster at random.
+        replicate: Option<u32> = None,
+    }
 }
 
 /// Gives a difference the offset, tilt and bend that registration and orientation left in a raster the model was learnt from, in place of its own.
@@ -34,7 +38,7 @@ impl Stage for DrawRegistration {
         inputs.of("noise") + 3 * inputs.of("raster")
     }
 
-    fn run(_: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+    fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let (raster, noise) = (inputs.one::<Raster>("raster")?, inputs.one::<Noise>("noise")?);
         if noise.frame != raster.frame {
             let text = format!("the model is in the {} frame, `raster` in the {} frame", noise.frame, raster.frame);
@@ -50,7 +54,7 @@ impl Stage for DrawRegistration {
                     StageError::new(text).hint("a trend needs an area: check window and gaps of the difference")
                 );
             };
-            let wanted_m = drawn(noise, context, &band.name);
+            let wanted_m = drawn(noise, params.replicate, context, &band.name);
             let mut kept_m = own_m.map(|m| -m);
             kept_m
                 .iter_mut()
@@ -76,16 +80,28 @@ fn height_m(trend_m: &[f64; 6], of: Grid, grid: Grid, cell: usize) -> f64 {
 }
 
 /// The trend of a member with jitter, which keeps mean and covariance of the members' trends (smoothed bootstrap, Silverman 1986, 6.4).
-fn drawn(noise: &Noise, context: &Context, band: &str) -> [f64; 6] {
+fn drawn(noise: &Noise, replicate: Option<u32>, context: &Context, band: &str) -> [f64; 6] {
     let members: Vec<usize> = (0..noise.members.len()).collect();
-    let chosen = &noise.members[context.stream("registration", band).generator().random_range(0..members.len())];
+    let count = members.len();
+    let chosen = match replicate {
+        Some(replicate) => in_turn(noise)[(replicate as usize + count / 3) % count],
+        None => context.stream("registration", band).generator().random_range(0..count),
+    };
+    let chosen = &noise.members[chosen];
     let jitter =
         noise.departure(&members, &context.stream("registration-jitter", band).field(), |member| &member.trend_m);
     let narrowing = 1.0 / (1.0 + noise.jitter * noise.jitter).sqrt();
     std::array::from_fn(|k| {
-        let mean = noise.members.iter().map(|member| member.trend_m[k]).sum::<f64>() / members.len() as f64;
+        let mean = noise.members.iter().map(|member| member.trend_m[k]).sum::<f64>() / count as f64;
         mean + narrowing * (chosen.trend_m[k] - mean + jitter[k])
     })
+}
+
+/// All members in the order in which replicates take their trends, bad ones last. They begin at another place of it than with the strengths, since orientation and
+/// matching have nothing to do with each other.
+fn in_turn(noise: &Noise) -> Vec<usize> {
+    let bad = (0..noise.members.len()).filter(|i| noise.members[*i].bad);
+    noise.orders[0].iter().copied().chain(bad).collect()
 }
 
 #[cfg(test)]

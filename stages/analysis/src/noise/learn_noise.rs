@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
 
-use crate::noise::detrend::{asymmetry, trend};
+use crate::noise::detrend::{asymmetry, plane, trend};
 use crate::noise::learning::acquisitions::{Acquisitions, Source, Variety, acquisitions};
 use crate::noise::learning::bad::parted;
 use crate::noise::learning::by_place::{self, Strengths};
@@ -128,8 +128,9 @@ impl Stage for LearnNoise {
         let source = |(band, skewness): (&&Band, f64)| {
             let columns = dem.grid.columns;
             let trend_m = trend(&band.values, columns).unwrap_or_default();
-            let asymmetry_m = asymmetry(&band.values, columns).unwrap_or_default();
-            Source { name: band.name.clone(), trend_m, asymmetry_m, skewness }
+            let of = |of: fn(&[f32], usize) -> Option<[f64; 3]>| of(&band.values, columns).unwrap_or_default();
+            let (plane_m, asymmetry_m) = (of(plane), of(asymmetry));
+            Source { name: band.name.clone(), trend_m, plane_m, asymmetry_m, skewness }
         };
         let sources: Vec<Source> = all[..kept].iter().zip(skewnesses(&disparities)).map(source).collect();
         let limit_px =

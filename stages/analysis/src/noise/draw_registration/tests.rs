@@ -54,6 +54,27 @@ fn the_trend_of_a_difference_becomes_one_like_those_of_the_members() {
 }
 
 #[test]
+fn replicates_take_the_trends_of_all_rasters_in_turn() {
+    let (mut noise, mut trends) = model();
+    noise.jitter = 0.0;
+    for (number, member) in noise.members.iter_mut().enumerate() {
+        member.trend_m[0] = 0.001 * number as f64;
+        trends[number] = member.trend_m;
+    }
+    let count = trends.len() as u32;
+    let offset_m = |replicate: u32| {
+        let inputs = [("raster", tilted().into()), ("noise", Artefact::Noise(noise.clone()))];
+        let with = json!({"replicate": replicate});
+        let outputs = run_stage::<DrawRegistration>(&TestHost::seeded(1), &with, &inputs).unwrap().into_inner();
+        trend(&Raster::of(&outputs["raster"]).unwrap().bands[0].values, COLUMNS).unwrap()[0]
+    };
+    let mut found: Vec<f64> = (0..count).map(offset_m).collect();
+    assert!((offset_m(count) - found[0]).abs() < 1e-9);
+    found.sort_by(f64::total_cmp);
+    assert!(found.iter().zip(&trends).all(|(found, trend)| (found - trend[0]).abs() < 1e-7), "{found:?}");
+}
+
+#[test]
 fn gaps_and_details_stay_and_a_part_of_the_face_has_its_part_of_the_trend() {
     let whole = settled(1, &tilted()).unwrap();
     let gaps = |raster: &Raster| raster.bands[0].values.iter().map(|z| z.is_nan()).collect::<Vec<_>>();

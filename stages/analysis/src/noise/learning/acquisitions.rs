@@ -28,6 +28,8 @@ pub struct Source {
     pub name: String,
     /// The trend that registration left in it, metres, as a member has it.
     pub trend_m: [f64; 6],
+    /// The plane through it, metres.
+    pub plane_m: [f64; 3],
     /// Its asymmetry, in the numbers of a plane.
     pub asymmetry_m: [f64; 3],
     /// Its skewness.
@@ -121,7 +123,13 @@ mod tests {
 
     fn sources(count: usize) -> Vec<Source> {
         (0..count)
-            .map(|i| Source { name: format!("d{i}"), trend_m: [0.0; 6], asymmetry_m: [0.0; 3], skewness: 0.0 })
+            .map(|i| Source {
+                name: format!("d{i}"),
+                trend_m: [0.0; 6],
+                plane_m: [0.0; 3],
+                asymmetry_m: [0.0; 3],
+                skewness: 0.0,
+            })
             .collect()
     }
 
