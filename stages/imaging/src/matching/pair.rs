@@ -275,6 +275,7 @@ impl<'a> Matcher<'a> {
 
     /// [`Matcher::partner_sees`] for each of several points.
     #[inline(always)]
+    #[allow(clippy::needless_bitwise_bool)] // branches would keep the lanes apart
     fn partner_sees_lanes(&self, Projected { z_m, level: [u, v], .. }: &Projected) -> [bool; LANES] {
         let depth = self.geometry.ideal[self.side.other()];
         let Some(last) = depth.z.len().checked_sub(1) else { return [false; LANES] };
@@ -323,6 +324,7 @@ impl<'a> Matcher<'a> {
 
 /// Whether a position, in pixels of a depth map, lies on one of its pixels.
 #[inline(always)]
+#[allow(clippy::needless_bitwise_bool)] // branches would keep the lanes apart
 fn is_inside(depth: &Depth, [u, v]: [f64; 2]) -> bool {
     let (right, bottom) = (depth.width as f64 - 0.5, depth.height as f64 - 0.5);
     (u >= -0.5) & (v >= -0.5) & (u <= right) & (v <= bottom)

@@ -51,6 +51,7 @@ impl Work for Find<'_> {
 }
 
 #[inline(always)]
+#[allow(clippy::needless_bitwise_bool)] // branches would keep the points apart
 fn find_all([first, end]: [usize; 2], grid: &Grid, found: &mut Cells, point: impl Fn(usize) -> [f64; 3]) {
     let (columns, rows) = (grid.columns as f64, grid.rows as f64);
     let mut at = [[0.0; AT_ONCE]; 3];

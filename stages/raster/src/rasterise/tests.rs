@@ -133,8 +133,8 @@ proptest! {
         points in prop::collection::vec([-3.0f32..9.0, -3.0f32..9.0, -1.0f32..1.0], 1..600), holes in any::<u64>(),
         turn in prop::option::of(-1.0..1.0f64), first in 0usize..20) {
         // Some on the very edges of cells, some places without a point.
-        let round = |(i, [x, y, z]): (usize, [f32; 3])| if i % 3 == 0 { [x.round(), y.round(), z] } else { [x, y, z] };
-        let empty = |i: usize| i % 5 == 0 && holes >> (i % 64) & 1 == 1;
+        let round = |(i, [x, y, z]): (usize, [f32; 3])| if i.is_multiple_of(3) { [x.round(), y.round(), z] } else { [x, y, z] };
+        let empty = |i: usize| i.is_multiple_of(5) && holes >> (i % 64) & 1 == 1;
         let points: Vec<[f32; 3]> = points.into_iter().enumerate().map(round).collect();
         let points: Vec<_> = points.into_iter().enumerate().map(|(i, p)| if empty(i) { [f32::NAN; 3] } else { p }).collect();
         let surface =
