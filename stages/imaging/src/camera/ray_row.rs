@@ -109,7 +109,7 @@ impl<'a> RayRow<'a> {
     }
 
     /// The rays of the columns from `first` on, which is `offset` columns behind the start of its stretch; those beyond the stretch are
-    /// in the next. `around` are the rays of the nodes around both.
+    /// in the next. `one` and `other` are the rays of the nodes around both.
     #[inline(always)]
     fn between_nodes(&self, first: usize, offset: usize, [one, other]: [[[f64; 2]; 4]; 2]) -> [Lanes; 2] {
         let lane = Lanes::<LANES>::of(|lane| lane as f64);
