@@ -71,7 +71,7 @@ fn noise() -> Noise {
         name: name.into(),
         bad,
         log_strength: vec![0.1, -0.1],
-        trend_m: [0.001, -0.002, 0.003, 0.0004, 0.0, -0.0005],
+        trend_m: [0.001, -0.002, 0.003, 0.0004, 0.0, -0.0005, 0.0001, 0.0, -0.0002, 0.0003],
         log_amplitude: vec![0.2, 0.0],
         field_log_amplitude: vec![0.0, 0.1],
         skewness: -0.2,

@@ -26,10 +26,10 @@ params! {
 /// Makes up for what a survey loses of the noise of a model.
 pub struct AdjustNoise;
 
-/// Standard errors within which a difference counts as chance.
-const CHANCE_ERRORS: f64 = 2.0;
-/// The same for details: coarse levels show little of it, and contrast that is a little too strong does no harm.
-const DETAIL_ERRORS: f64 = 1.0;
+/// Standard errors within which a difference counts as chance: what one round adds by chance the next one takes off.
+const CHANCE_ERRORS: f64 = 1.0;
+/// The same for gaps and skewness, of which a raster says little.
+const MARK_ERRORS: f64 = 2.0;
 /// Figures of a level of details: its unevenness, and the logarithms of its rms.
 const OF_LEVEL: usize = UNEVENNESS + 3;
 /// Fewest simulated rasters from which chance can be told.
@@ -40,7 +40,7 @@ const MOST_SHARE: f64 = 2.0;
 impl Stage for AdjustNoise {
     type Params = AdjustNoiseParams;
     const NAME: &'static str = "adjust-noise";
-    const VERSION: u32 = 14;
+    const VERSION: u32 = 15;
     const PAGE: Page = Page::new(include_str!("adjust_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("noise", &[Kind::Noise], "The model."),
@@ -114,7 +114,7 @@ fn gap_factor(simulated: &[Vec<f32>], drawn: &[Vec<f32>]) -> f64 {
     let [simulated, drawn] = [simulated, drawn].map(|rasters| gaps(rasters, &seen));
     let more: Vec<[f64; 1]> = simulated.iter().zip(&drawn).map(|(survey, draw)| [survey[0] - draw[0]]).collect();
     let none = Mean { value: 0.0, squared_error: 0.0 };
-    let more = Departure::of(Mean::of(&more, 0), none).certain(CHANCE_ERRORS);
+    let more = Departure::of(Mean::of(&more, 0), none).certain(MARK_ERRORS);
     let wanted = Mean::of(&drawn, 0).value;
     if wanted > 0.0 { (wanted / (wanted + more)).clamp(0.5, 2.0) } else { 1.0 }
 }
@@ -127,7 +127,7 @@ fn skewness_factor(simulated: &[Vec<f32>], drawn: &[Vec<f32>]) -> f64 {
     let slope = sum(&|drawn, left| drawn * left) / squares;
     let rest = sum(&|drawn, left| (left - slope * drawn) * (left - slope * drawn));
     let error = (rest / (pairs.len() as f64 - 1.0) / squares).sqrt();
-    let more = Departure { difference: slope - 1.0, error }.certain(CHANCE_ERRORS);
+    let more = Departure { difference: slope - 1.0, error }.certain(MARK_ERRORS);
     if more.is_finite() { 1.0 / (1.0 + more).clamp(0.5, 2.0) } else { 1.0 }
 }
 
@@ -185,7 +185,7 @@ fn adjusted(noise: &Noise, losses: &[Departure], relaxation: f64) -> Noise {
         member.log_strength.iter_mut().zip(classes).for_each(|(value, loss)| *value -= loss.certain(CHANCE_ERRORS));
     }
     adjusted.log_gain.iter_mut().zip(bands).for_each(|(gain, loss)| *gain -= relaxation * loss.certain(CHANCE_ERRORS));
-    let certain = |k: usize| -details[k].certain(DETAIL_ERRORS);
+    let certain = |k: usize| -details[k].certain(CHANCE_ERRORS);
     contrast::make_up(&mut adjusted.contrast, |level| {
         let first = OF_LEVEL * level;
         LevelFigures {
@@ -206,8 +206,8 @@ fn parts<'a>(losses: &'a [Departure], noise: &Noise) -> (&'a [Departure], &'a [D
 /// Losses, and the factors that the gains of gaps and of skewness get for them.
 fn report(losses: &[Departure], noise: &Noise, [gap_factor, skewness_factor]: [f64; 2], context: &Context) {
     let (classes, bands, details) = parts(losses, noise);
-    let percent = |losses: &[Departure], errors: f64| {
-        let one = |loss: &Departure| format!("{:+.0}", 100.0 * (exp(loss.certain(errors)) - 1.0));
+    let percent = |losses: &[Departure]| {
+        let one = |loss: &Departure| format!("{:+.0}", 100.0 * (exp(loss.certain(CHANCE_ERRORS)) - 1.0));
         losses.iter().map(one).collect::<Vec<_>>().join(" ")
     };
     context.metric("finest_band", bands.last().map_or(0.0, |loss| loss.difference), "1");
@@ -219,9 +219,9 @@ fn report(losses: &[Departure], noise: &Noise, [gap_factor, skewness_factor]: [f
          details of usual ones beside those of the rasters: {} by level, finest first, each flatness along x, along y and diagonal, cascade to \
          two levels, and amplitude along x, along y and diagonal; the model now has {gap_factor:.2} times the gaps and {skewness_factor:.2} times the \
          skewness",
-        percent(classes, CHANCE_ERRORS),
-        percent(bands, CHANCE_ERRORS),
-        percent(details, DETAIL_ERRORS)
+        percent(classes),
+        percent(bands),
+        percent(details)
     ));
 }
 

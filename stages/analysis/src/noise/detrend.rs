@@ -1,7 +1,8 @@
-//! Takes a least-squares plane off a raster before its spatial structure is described, or a trend of the second degree before its noise is learnt.
+//! Takes a least-squares plane off a raster before its spatial structure is described, or a trend of the third degree before its noise is learnt.
 
 use nalgebra::{Cholesky, Const, DimMin, SMatrix, SVector, Vector3};
 
+use rockface_core::artefact::Trend;
 use rockface_core::choice;
 
 choice! {
@@ -31,19 +32,20 @@ impl Detrend {
     }
 }
 
-/// The least-squares trend of the second degree through the known cells of a raster: factors on 1, x, y, x^2 - 1/3, x y and y^2 - 1/3, as
-/// [`trend_at`] takes them. Where the cells do not tell a bend from a plane it is a plane; `None` where they lie on a line.
-pub fn trend(values: &[f32], columns: usize) -> Option<[f64; 6]> {
+/// The least-squares trend of the third degree through the known cells of a raster, as [`trend_at`] takes it. Where the cells do not tell its terms
+/// apart it is a plane; `None` where they lie on a line.
+pub fn trend(values: &[f32], columns: usize) -> Option<Trend> {
     let rows = values.len() / columns;
     let bent = |i: usize| SVector::from(bend_terms(terms(columns, rows, i % columns, i / columns).into()));
     fitted(values, 1, bent, |_, _| 1.0).or_else(|| {
-        let [offset, right, down] = plane(values, columns)?;
-        Some([offset, right, down, 0.0, 0.0, 0.0])
+        let mut level = Trend::default();
+        level[..3].copy_from_slice(&plane(values, columns)?);
+        Some(level)
     })
 }
 
 /// Height of a trend at a place whose coordinates are -1 and 1 at the edges of the grid, to the right and down.
-pub fn trend_at(trend: &[f64; 6], x: f64, y: f64) -> f64 {
+pub fn trend_at(trend: &Trend, x: f64, y: f64) -> f64 {
     trend.iter().zip(bend_terms([1.0, x, y])).map(|(factor, term)| factor * term).sum()
 }
 
@@ -57,9 +59,11 @@ pub fn without_trend(values: &[f32], columns: usize) -> Option<Vec<f32>> {
     Some(values.iter().enumerate().map(off).collect())
 }
 
-/// What a trend is made of; the terms of a whole grid are nearly independent.
-fn bend_terms([one, x, y]: [f64; 3]) -> [f64; 6] {
-    [one, x, y, x * x - 1.0 / 3.0, x * y, y * y - 1.0 / 3.0]
+/// What a trend is made of: products of Legendre polynomials, which are nearly independent on a whole grid.
+fn bend_terms([one, x, y]: [f64; 3]) -> Trend {
+    let [square_x, square_y] = [x, y].map(|x| x * x - 1.0 / 3.0);
+    let [cube_x, cube_y] = [x, y].map(|x| x * x * x - 0.6 * x);
+    [one, x, y, square_x, x * y, square_y, cube_x, square_x * y, x * square_y, cube_y]
 }
 
 /// The least-squares plane through the known cells of a raster: offset in its middle, growth from there to its right edge and to its
@@ -170,7 +174,7 @@ mod tests {
     #[test]
     fn a_trend_is_found_with_gaps_and_taken_off_whole() {
         let (columns, rows) = (40, 30);
-        let truth = [0.3, 0.1, -0.2, 0.05, -0.02, 0.04];
+        let truth = [0.3, 0.1, -0.2, 0.05, -0.02, 0.04, 0.01, -0.03, 0.02, 0.015];
         let value = |i: usize| {
             let [_, x, y]: [f64; 3] = terms(columns, rows, i % columns, i / columns).into();
             if i % 7 == 2 { f32::NAN } else { trend_at(&truth, x, y) as f32 }
@@ -184,7 +188,7 @@ mod tests {
         let narrow: Vec<f32> =
             values.iter().enumerate().map(|(i, v)| if i % columns < 2 { *v } else { f32::NAN }).collect();
         let found = trend(&narrow, columns).unwrap();
-        assert!(found[3..] == [0.0; 3] && trend(&values[..1], 1).is_none(), "{found:?}");
+        assert!(found[3..] == [0.0; 7] && trend(&values[..1], 1).is_none(), "{found:?}");
     }
 
     #[test]

@@ -3,14 +3,15 @@
 use rand::RngExt;
 
 use crate::noise::detrend::{asymmetry, trend, trend_at};
-use rockface_core::artefact::{Grid, Kind, Noise, Raster};
+use rockface_core::artefact::{Grid, Kind, Noise, Raster, Trend};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 
 params! {
     /// Parameters of `draw-registration`.
     pub struct DrawRegistrationParams {
         /// Number among the replicates of a difference that is simulated many times, from 0 on: they take the trends of the rasters in turn, so that a few
-        /// replicates differ from each other as much as many. Left out: that of a raster at random.
+        /// replicates differ from each other as much as many, and each that of the raster whose spectrum its first survey has: a raster that is
+        /// bent more has more coarse noise. Left out: that of a raster at random.
         replicate: Option<u32> = None,
     }
 }
@@ -21,7 +22,7 @@ pub struct DrawRegistration;
 impl Stage for DrawRegistration {
     type Params = DrawRegistrationParams;
     const NAME: &'static str = "draw-registration";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 5;
     const PAGE: Page = Page::new(include_str!("draw_registration.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("raster", &[Kind::Raster], "Difference of two registered surveys, metres."),
@@ -71,7 +72,7 @@ impl Stage for DrawRegistration {
 }
 
 /// Height of a trend of the grid `of` at a cell of another grid in its frame.
-fn height_m(trend_m: &[f64; 6], of: Grid, grid: Grid, cell: usize) -> f64 {
+fn height_m(trend_m: &Trend, of: Grid, grid: Grid, cell: usize) -> f64 {
     let [right_m, down_m] = [cell % grid.columns, cell / grid.columns].map(|index| index as f64 * grid.cell_m);
     let [half_x_m, half_y_m] = [of.columns, of.rows].map(|count| 0.5 * count as f64 * of.cell_m);
     let x = (grid.left_m + right_m - of.left_m) / half_x_m - 1.0;
@@ -80,11 +81,11 @@ fn height_m(trend_m: &[f64; 6], of: Grid, grid: Grid, cell: usize) -> f64 {
 }
 
 /// The trend of a member with jitter, which keeps mean and covariance of the members' trends (smoothed bootstrap, Silverman 1986, 6.4).
-fn drawn(noise: &Noise, replicate: Option<u32>, context: &Context, band: &str) -> [f64; 6] {
+fn drawn(noise: &Noise, replicate: Option<u32>, context: &Context, band: &str) -> Trend {
     let members: Vec<usize> = (0..noise.members.len()).collect();
     let count = members.len();
     let chosen = match replicate {
-        Some(replicate) => in_turn(noise)[(replicate as usize + count / 3) % count],
+        Some(replicate) => in_turn(noise, replicate as usize),
         None => context.stream("registration", band).generator().random_range(0..count),
     };
     let chosen = &noise.members[chosen];
@@ -97,11 +98,12 @@ fn drawn(noise: &Noise, replicate: Option<u32>, context: &Context, band: &str) -
     })
 }
 
-/// All members in the order in which replicates take their trends, bad ones last. They begin at another place of it than with the strengths, since orientation and
-/// matching have nothing to do with each other.
-fn in_turn(noise: &Noise) -> Vec<usize> {
-    let bad = (0..noise.members.len()).filter(|i| noise.members[*i].bad);
-    noise.orders[0].iter().copied().chain(bad).collect()
+/// The member whose trend a replicate takes: after all usual ones in the order of the strengths of first surveys the bad ones have their turn.
+fn in_turn(noise: &Noise, replicate: usize) -> usize {
+    let [usual, _] = &noise.orders;
+    let mut bad = (0..noise.members.len()).filter(|i| noise.members[*i].bad);
+    let turn = (replicate % noise.members.len()).checked_sub(usual.len());
+    turn.and_then(|turn| bad.nth(turn)).unwrap_or(usual[replicate % usual.len()])
 }
 
 #[cfg(test)]

@@ -3,6 +3,10 @@
 use super::{CodecError, Frame, Grid};
 use crate::numerics::random::Field;
 
+/// A trend of the third degree: factors on 1, x, y, x^2 - 1/3, x y, y^2 - 1/3, x^3 - 3/5 x, (x^2 - 1/3) y, x (y^2 - 1/3) and y^3 - 3/5 y, where x and y are
+/// -1 and 1 at the edges of the grid, to the right and down.
+pub type Trend = [f64; 10];
+
 /// One acquisition the model knows: how strong and how coarse its noise is, and where its whitened field comes from.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -11,9 +15,8 @@ pub struct Member {
     pub name: String,
     /// Whether it is a bad acquisition (motion blur, haze), which is drawn by a class of its own.
     pub bad: bool,
-    /// The trend of its raster, which is what registration left and how orientations bend, without what follows from the asymmetry of its noise: factors
-    /// on 1, x, y, x^2 - 1/3, x y and y^2 - 1/3, metres; x and y are -1 and 1 at the edges of the grid, to the right and down.
-    pub trend_m: [f64; 6],
+    /// The trend of its raster, which is what registration left and how orientations bend, without what follows from the asymmetry of its noise, metres.
+    pub trend_m: Trend,
     /// Logarithm of the factor on the map of strength, for each class of place.
     pub log_strength: Vec<f64>,
     /// Logarithm of the amplitude of the whitened noise in each band of frequency; 0 is the amplitude of white noise.

@@ -3,7 +3,7 @@
 use crate::artefact::{CodecError, Contrast, Frame, Grid, Member, Noise, ReliefLaw};
 
 /// The first line; a file with another version is learnt anew.
-const MAGIC: &str = "rockface noise 12\n";
+const MAGIC: &str = "rockface noise 13\n";
 
 /// What is written into the header for whoever reads the file without us.
 const LAYOUT: &str = "rows x columns cells from the top left: strength float32 little-endian (px), elevation float32 (m, NaN = unknown); \
@@ -159,7 +159,7 @@ mod tests {
             name: name.into(),
             bad,
             log_strength: vec![0.1],
-            trend_m: [0.001, -0.002, 0.003, 0.0004, 0.0, -0.0005],
+            trend_m: [0.001, -0.002, 0.003, 0.0004, 0.0, -0.0005, 0.0001, 0.0, -0.0002, 0.0003],
             log_amplitude: vec![0.2, -0.3],
             field_log_amplitude: vec![0.0, 0.1],
             skewness: -0.2,

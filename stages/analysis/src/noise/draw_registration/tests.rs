@@ -8,12 +8,13 @@ use rockface_core::artefact::{Artefact, Band, Frame, Noun};
 use rockface_core::testing::{TestHost, run_stage};
 
 /// A model whose trends have a mean and a spread, and the trends.
-fn model() -> (Noise, Vec<[f64; 6]>) {
+fn model() -> (Noise, Vec<Trend>) {
     let mut noise = Noise { asymmetry_gain: [0.0; 3], ..CLEAN.clone() };
     for (number, member) in noise.members.iter_mut().enumerate() {
         let sign = if number % 2 == 0 { 1.0 } else { -1.0 };
-        member.trend_m =
-            [0.002 + 0.001 * sign, 0.003 * sign, -0.001 * sign, 0.001 + 0.002 * sign, 0.001 * sign, 0.002 * sign];
+        member.trend_m = [2.0, 3.0, -1.0, 2.0, 1.0, 2.0, -2.0, 1.0, 3.0, 1.0].map(|m| 0.001 * sign * m);
+        member.trend_m[0] += 0.002;
+        member.trend_m[3] += 0.001;
     }
     let trends = noise.members.iter().map(|member| member.trend_m).collect();
     (noise, trends)
@@ -37,14 +38,14 @@ fn tilted() -> Raster {
 #[test]
 fn the_trend_of_a_difference_becomes_one_like_those_of_the_members() {
     let trends = model().1;
-    let drawn: Vec<[f64; 6]> =
+    let drawn: Vec<Trend> =
         (0..400).map(|seed| trend(&settled(seed, &tilted()).unwrap().bands[0].values, COLUMNS).unwrap()).collect();
-    let moments = |trends: &[[f64; 6]], k: usize| {
+    let moments = |trends: &[Trend], k: usize| {
         let mean = trends.iter().map(|trend| trend[k]).sum::<f64>() / trends.len() as f64;
         let variance = trends.iter().map(|trend| (trend[k] - mean) * (trend[k] - mean)).sum::<f64>();
         (mean, (variance / trends.len() as f64).sqrt())
     };
-    for k in 0..6 {
+    for k in 0..10 {
         let ((mean, deviation), (wanted, spread)) = (moments(&drawn, k), moments(&trends, k));
         assert!((mean - wanted).abs() < 0.15 * spread, "{k}: {mean} {wanted}");
         assert!((0.9..1.1).contains(&(deviation / spread)), "{k}: {deviation} {spread}");

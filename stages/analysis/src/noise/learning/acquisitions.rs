@@ -6,7 +6,7 @@
 //! both factors as they are. A bad difference is a usual epoch and a bad one, whose variance is what the usual one does not explain.
 
 use crate::noise::learning::whitening::Whitened;
-use rockface_core::artefact::Member;
+use rockface_core::artefact::{Member, Trend};
 use rockface_core::numerics::portable_math::{exp, log};
 
 /// Part of the variance of a bad difference that its bad epoch has at least.
@@ -27,7 +27,7 @@ pub struct Source {
     /// Its name.
     pub name: String,
     /// The trend that registration left in it, metres, as a member has it.
-    pub trend_m: [f64; 6],
+    pub trend_m: Trend,
     /// The plane through it, metres.
     pub plane_m: [f64; 3],
     /// Its asymmetry, in the numbers of a plane.
@@ -125,7 +125,7 @@ mod tests {
         (0..count)
             .map(|i| Source {
                 name: format!("d{i}"),
-                trend_m: [0.0; 6],
+                trend_m: [0.0; 10],
                 plane_m: [0.0; 3],
                 asymmetry_m: [0.0; 3],
                 skewness: 0.0,

@@ -17,7 +17,7 @@ pub fn model() -> Noise {
         name: "a".into(),
         bad: false,
         log_strength: vec![0.0; 2],
-        trend_m: [0.0; 6],
+        trend_m: [0.0; 10],
         log_amplitude: vec![0.0; 4],
         field_log_amplitude: vec![0.0; 4],
         skewness: 0.0,

@@ -360,7 +360,7 @@ mod tests {
         let member = |strength: f64, amplitude: f64| Member {
             name: String::new(),
             bad: false,
-            trend_m: [0.0; 6],
+            trend_m: [0.0; 10],
             log_strength: vec![strength],
             log_amplitude: vec![amplitude, 0.0],
             field_log_amplitude: vec![0.0; 2],
