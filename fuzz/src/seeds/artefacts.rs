@@ -102,6 +102,7 @@ fn noise() -> Noise {
         relief: ReliefLaw { flat_px: 0.2, gain_px_m: 3.0, window_cells: 2 },
         asymmetry_gain: [1.3, 1.2, 0.0],
         gap_gain: 0.8,
+        gap_variety: 1.3,
         skewness_gain: 1.7,
         members: vec![member("a", false), member("b", true)],
         orders: [vec![0], vec![0]],

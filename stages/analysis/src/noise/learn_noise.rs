@@ -17,7 +17,8 @@ use crate::noise::learning::whitening::{
 };
 use crate::noise::learning::{registration, relief_law};
 use rockface_core::artefact::{
-    Band, Cameras, Contrast, Kind, MOST_GAP_GAIN, MOST_SKEWNESS_GAIN, Member, Noise, Pairs, Raster, ReliefLaw,
+    Band, Cameras, Contrast, Kind, MOST_GAP_GAIN, MOST_GAP_VARIETY, MOST_SKEWNESS_GAIN, Member, Noise, Pairs, Raster,
+    ReliefLaw,
 };
 use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::quantile::quantile;
@@ -76,7 +77,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 21;
+    const VERSION: u32 = 22;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -254,7 +255,7 @@ impl Learnt {
         // Without fields draws have no gaps of the rasters.
         let refined = |gains: Gains, trial: &[Vec<f32>]| {
             let better = gains.refined(&marks, &Marks::of(trial, &seen));
-            if self.fields { better } else { Gains { gaps: gains.gaps, ..better } }
+            if self.fields { better } else { Gains { skewness: better.skewness, ..gains } }
         };
         let mut gains = refined(Gains::default(), &trial);
         make_up(&mut trial, &mut factors);
@@ -265,7 +266,7 @@ impl Learnt {
             |sources: &[Source], correction: &Correction, contrast: &Contrast, factors: &[f64], gains: Gains| {
                 let mut noise = self.model(params, sources, dem, correction, contrast);
                 by_place::times(&mut noise.strength, factors);
-                Noise { gap_gain: gains.gaps, skewness_gain: gains.skewness, ..noise }
+                Noise { gap_gain: gains.gaps, gap_variety: gains.variety, skewness_gain: gains.skewness, ..noise }
             };
         // Now acquisitions differ, and mixtures of what differs are more uneven: what draws miss then comes off in rounds.
         // Of the rounds the one counts for each level of contrast that came nearest.
@@ -337,6 +338,7 @@ impl Learnt {
             relief: self.relief,
             asymmetry_gain: [0.0; 3],
             gap_gain: Gains::default().gaps,
+            gap_variety: Gains::default().variety,
             skewness_gain: Gains::default().skewness,
             members,
             orders: self.orders.clone(),
@@ -358,6 +360,8 @@ impl Learnt {
 /// Share of gaps and skewness of rasters.
 struct Marks {
     gaps: Mean,
+    /// Deviation of the share of gaps.
+    variety: f64,
     /// Root mean square.
     skewness: f64,
 }
@@ -366,7 +370,9 @@ impl Marks {
     fn of(rasters: &[impl AsRef<[f32]> + Sync], seen: &[bool]) -> Self {
         let skewnesses = skewnesses(rasters);
         let squares = skewnesses.iter().map(|skewness| skewness * skewness).sum::<f64>();
-        Self { gaps: Mean::of(&gaps(rasters, seen), 0), skewness: (squares / skewnesses.len() as f64).sqrt() }
+        let gaps = Mean::of(&gaps(rasters, seen), 0);
+        let count = rasters.len() as f64;
+        Self { gaps, variety: (gaps.squared_error * count).sqrt(), skewness: (squares / count).sqrt() }
     }
 }
 
@@ -374,13 +380,15 @@ impl Marks {
 #[derive(Debug, Clone, Copy)]
 struct Gains {
     gaps: f64,
+    variety: f64,
     skewness: f64,
 }
 
 impl Default for Gains {
-    /// What holds without filter and mixing: a difference of two acquisitions that are independent has half of their skewness.
+    /// What holds without filter and mixing: a difference of two acquisitions that are independent has half of their skewness, and a share of gaps that varies less than
+    /// theirs by sqrt 2.
     fn default() -> Self {
-        Self { gaps: 1.0, skewness: 2.0 }
+        Self { gaps: 1.0, variety: std::f64::consts::SQRT_2, skewness: 2.0 }
     }
 }
 
@@ -389,9 +397,12 @@ impl Gains {
     fn refined(self, real: &Marks, found: &Marks) -> Self {
         let excess = Departure::of(found.gaps, real.gaps.exact()).certain(1.0);
         let gaps = if real.gaps.value > 0.0 { self.gaps - excess / real.gaps.value } else { self.gaps };
-        let ratio = real.skewness / found.skewness;
-        let skewness = if ratio.is_finite() { self.skewness * ratio.clamp(0.5, 2.0) } else { self.skewness };
-        Self { gaps: gaps.clamp(0.0, MOST_GAP_GAIN), skewness: skewness.min(MOST_SKEWNESS_GAIN) }
+        let times = |gain: f64, ratio: f64| if ratio.is_finite() { gain * ratio.clamp(0.5, 2.0) } else { gain };
+        Self {
+            gaps: gaps.clamp(0.0, MOST_GAP_GAIN),
+            variety: times(self.variety, real.variety / found.variety).min(MOST_GAP_VARIETY),
+            skewness: times(self.skewness, real.skewness / found.skewness).min(MOST_SKEWNESS_GAIN),
+        }
     }
 }
 

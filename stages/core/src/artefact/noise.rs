@@ -139,6 +139,9 @@ pub struct Noise {
     /// Factor on the probability that an acquisition has a gap where a member has one: outliers that are filtered out leave gaps too, and surveys
     /// widen them.
     pub gap_gain: f64,
+    /// Power that the share of gaps of a member, relative to the mean one, is raised to for the acquisitions that take its strengths: where noise is
+    /// strong matching fails more often, and a difference of two acquisitions varies less than each of them.
+    pub gap_variety: f64,
     /// Skewness of the whitened field of an acquisition as a multiple of that of the raster whose strengths it takes; the sign is random. A difference of
     /// two acquisitions is less skewed than each of them, and gridding evens noise out, so it is above 1.
     pub skewness_gain: f64,
@@ -168,6 +171,8 @@ const MOST_POWER: f64 = 4.0;
 const MOST_LOG_GAIN: f64 = 5.0;
 /// Largest factor on the probability of gaps.
 pub const MOST_GAP_GAIN: f64 = 4.0;
+/// Largest power of a share of gaps.
+pub const MOST_GAP_VARIETY: f64 = 4.0;
 /// Largest gain of the skewness.
 pub const MOST_SKEWNESS_GAIN: f64 = 20.0;
 /// Largest gain of asymmetry.
@@ -272,6 +277,9 @@ impl Noise {
         if !(0.0..=MOST_GAP_GAIN).contains(&self.gap_gain) {
             return refuse(format!("the gain of gaps must be from 0 to {MOST_GAP_GAIN}"));
         }
+        if !(0.0..=MOST_GAP_VARIETY).contains(&self.gap_variety) {
+            return refuse(format!("the power of shares of gaps must be from 0 to {MOST_GAP_VARIETY}"));
+        }
         let skewed = self.members.iter().all(|member| member.skewness.is_finite());
         if !skewed || !(0.0..=MOST_SKEWNESS_GAIN).contains(&self.skewness_gain) {
             return refuse(format!("skewness must be finite, its gain from 0 to {MOST_SKEWNESS_GAIN}"));
@@ -294,8 +302,8 @@ impl PartialEq for Noise {
                 == (other.length_cells, other.common_share, other.bad_share)
             && (&self.class_log_strength, self.jitter, self.relief)
                 == (&other.class_log_strength, other.jitter, other.relief)
-            && (self.asymmetry_gain, self.gap_gain, self.skewness_gain)
-                == (other.asymmetry_gain, other.gap_gain, other.skewness_gain)
+            && (self.asymmetry_gain, self.gap_gain, self.gap_variety, self.skewness_gain)
+                == (other.asymmetry_gain, other.gap_gain, other.gap_variety, other.skewness_gain)
             && (self.sharpness, &self.contrast, &self.log_gain) == (other.sharpness, &other.contrast, &other.log_gain)
             && (&self.members, &self.orders) == (&other.members, &other.orders)
             && bits(&self.strength) == bits(&other.strength)

@@ -71,6 +71,9 @@ fn replicates_take_the_trends_of_all_rasters_in_turn() {
     };
     let mut found: Vec<f64> = (0..count).map(offset_m).collect();
     assert!((offset_m(count) - found[0]).abs() < 1e-9);
+    // Each takes that of the raster whose strengths its first survey has.
+    let [first, _] = &noise.orders;
+    assert!(first.iter().zip(&found).all(|(member, found)| (found - trends[*member][0]).abs() < 1e-7), "{found:?}");
     found.sort_by(f64::total_cmp);
     assert!(found.iter().zip(&trends).all(|(found, trend)| (found - trend[0]).abs() < 1e-7), "{found:?}");
 }

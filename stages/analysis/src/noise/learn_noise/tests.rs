@@ -210,6 +210,28 @@ fn gaps_are_as_frequent_as_in_the_rasters() {
 }
 
 #[test]
+fn shares_of_gaps_vary_as_in_the_rasters() {
+    let mut rasters = differences(24, &[]);
+    // Every third raster has gaps in squares besides, at places of its own.
+    for (b, raster) in rasters.iter_mut().enumerate().filter(|(b, _)| b % 3 == 0) {
+        let square = |i: usize| ((i / COLUMNS + 5 * b) / 6 + (i % COLUMNS + 7 * b) / 6) % 8 == 0;
+        let values = raster.bands[0].values.iter_mut().enumerate();
+        values.filter(|(i, _)| square(*i)).for_each(|(_, value)| *value = f32::NAN);
+    }
+    let shares = |rasters: &[Vec<f32>]| {
+        let shares = gaps(rasters, &[true; COLUMNS * ROWS]);
+        let share = Mean::of(&shares, 0);
+        (share.value, (share.squared_error * shares.len() as f64).sqrt())
+    };
+    let real = shares(&rasters.iter().map(|raster| raster.bands[0].values.clone()).collect::<Vec<_>>());
+    let (noise, _) = learn_from(rasters, &json!({"draws": 24})).unwrap();
+    let drawn = |gap_variety: f64| shares(&drawn_differences(&Noise { gap_variety, ..noise.clone() }, 72));
+    let (found, none) = (drawn(noise.gap_variety), drawn(0.0));
+    assert!((found.0 / real.0 - 1.0).abs() < 0.25, "{found:?} {real:?} {}", noise.gap_variety);
+    assert!((found.1 / real.1 - 1.0).abs() < 0.3 && none.1 < 0.6 * real.1, "{found:?} {none:?} {real:?}");
+}
+
+#[test]
 fn outliers_that_are_filtered_out_do_not_add_to_the_gaps() {
     let (limit_m, step_m) = (0.012f32, 20.0 * 20.0 / (small_sensor().f * 2.0));
     let rasters = differences_within(limit_m);

@@ -37,6 +37,7 @@ pub fn model() -> Noise {
         relief: ReliefLaw { flat_px: 0.1, gain_px_m: 2.0, window_cells: 2 },
         asymmetry_gain: [0.0; 3],
         gap_gain: 1.0,
+        gap_variety: 1.0,
         skewness_gain: 2.0,
         members: vec![member],
         orders: [vec![0], vec![0]],

@@ -82,11 +82,11 @@ pub fn draw(noise: &Noise, numbers: Numbers, keys: Keys) -> Drawn {
     let class = if of_bad { &bad } else { &good };
     let any = class[generator.random_range(0..class.len())];
     let order = &noise.orders[numbers.acquisition.unwrap_or(0) as usize % 2];
-    let member = match numbers.replicate {
+    let place = match numbers.replicate {
         Some(replicate) if !of_bad => order[replicate as usize % order.len()],
         _ => any,
     };
-    let (member, number) = (&noise.members[member], numbers.acquisition);
+    let (member, number) = (&noise.members[place], numbers.acquisition);
     // A bad acquisition takes all bad donors and, where those are few, good ones in addition.
     let donors = if of_bad {
         let rest = some(own_half(&good, number), noise.donors.saturating_sub(bad.len()), &mut generator);
@@ -101,8 +101,8 @@ pub fn draw(noise: &Noise, numbers: Numbers, keys: Keys) -> Drawn {
     };
     let log_strength = jittered(|member| &member.log_strength);
     let mixed = if noise.has_fields() {
-        let coins: Vec<f64> = donors.iter().map(|_| generator.random()).collect();
-        mixture(noise, &donors, &coins, keys)
+        let gaps = Gaps::of(noise, (!of_bad).then_some(place), &donors, &mut generator);
+        mixture(noise, &donors, &gaps, keys)
     } else {
         Mixed { field: white(noise, &keys("noise-white", "").field()), gaps: Vec::new() }
     };
@@ -190,8 +190,8 @@ struct Mixed {
     gaps: Vec<usize>,
 }
 
-/// The whitened fields of the donors, mixed; `coins` decide, donor by donor, whether its gaps count.
-fn mixture(noise: &Noise, donors: &[usize], coins: &[f64], keys: Keys) -> Mixed {
+/// The whitened fields of the donors, mixed.
+fn mixture(noise: &Noise, donors: &[usize], gaps_of: &Gaps, keys: Keys) -> Mixed {
     let (columns, cells) = (noise.grid.columns, noise.grid.cells());
     let extent = [columns as f64, noise.grid.rows as f64];
     let (common, local) = (noise.common_share.sqrt(), (1.0 - noise.common_share).sqrt());
@@ -205,16 +205,15 @@ fn mixture(noise: &Noise, donors: &[usize], coins: &[f64], keys: Keys) -> Mixed 
             smooth: smooth_field(&keys("noise-weights", name), noise.length_cells, [0.0; 2], extent),
         }
     };
-    let donors: Vec<Donor> = donors.iter().zip(coins).map(donor).collect();
+    let donors: Vec<Donor> = donors.iter().zip(&gaps_of.coins).map(donor).collect();
     let correlations = correlations(&donors);
-    let counts = gap_probability(noise);
     let mut field = vec![0.0; cells];
     let mut gaps = vec![false; cells];
     let rows = field.par_chunks_mut(columns).zip(gaps.par_chunks_mut(columns)).enumerate();
     let sharpness = noise.sharpness;
     rows.for_each_init(Vec::new, |shares, (row, (field, gaps))| {
         let (donors, correlations) = (&donors, &correlations);
-        let counts = &counts[row * columns..(row + 1) * columns];
+        let counts = &gaps_of.probability[row * columns..(row + 1) * columns];
         vectorised(MixedRow { donors, correlations, counts, local, sharpness, row, shares, field, gaps });
     });
     let gaps = (0..cells).filter(|cell| gaps[*cell]).collect();
@@ -315,23 +314,65 @@ fn variance<const N: usize>(weights: &[Lanes<N>], correlations: &[Vec<f64>]) -> 
     (alone + together * 2.0).at_least(alone * LEAST_VARIANCE)
 }
 
-/// Probability with which a gap of a difference was one of the acquisition asked for, cell by cell: with a share p of gaps in the differences
-/// an acquisition has `1 - sqrt(1 - p)`, times the model's gain of gaps. Cells without a value in any difference have none in an acquisition.
-fn gap_probability(noise: &Noise) -> Vec<f64> {
-    let mut counts = vec![0u32; noise.grid.cells()];
-    for weights in &noise.weights {
-        counts.iter_mut().zip(weights).for_each(|(count, weight)| *count += u32::from(*weight >> 7));
-    }
-    let of = |count: u32| {
-        let share = f64::from(count) / noise.weights.len() as f64;
-        // What no raster shows, no acquisition does, whatever the gain.
-        if share >= 1.0 {
-            return 1.0;
+/// Which gaps of its donors an acquisition has.
+struct Gaps {
+    /// Probability with which a gap of a donor is one of the acquisition, cell by cell.
+    probability: Vec<f64>,
+    /// Even draw of each donor: its gaps count where it is below the probability. The draws of the donors are spread evenly (stratified), so that their chance
+    /// does not hide how an acquisition differs from others.
+    coins: Vec<f64>,
+}
+
+impl Gaps {
+    /// A gap of a difference was one of the acquisition asked for with a probability that follows from the share p of gaps at its cell: an acquisition has
+    /// `1 - sqrt(1 - p)`, times the model's gain of gaps. One with the strengths of a member has more gaps than others where the member had, by the
+    /// model's power. Cells without a value in any difference have none in an acquisition.
+    fn of(noise: &Noise, member: Option<usize>, donors: &[usize], generator: &mut impl Rng) -> Self {
+        let mut counts = vec![0u32; noise.grid.cells()];
+        for weights in &noise.weights {
+            counts.iter_mut().zip(weights).for_each(|(count, weight)| *count += u32::from(*weight >> 7));
         }
-        if share > 0.0 { noise.gap_gain * (1.0 - (1.0 - share).sqrt()) / share } else { 0.0 }
+        let all = noise.weights.len() as u32;
+        let gain = noise.gap_gain * member.map_or(1.0, |member| relative_gaps(noise, member, donors, &counts));
+        let of = |count: u32| {
+            let share = f64::from(count) / f64::from(all);
+            // What no raster shows, no acquisition does, whatever the gain.
+            if share >= 1.0 {
+                return 1.0;
+            }
+            if share > 0.0 { gain * (1.0 - (1.0 - share).sqrt()) / share } else { 0.0 }
+        };
+        let by_count: Vec<f64> = (0..=all).map(of).collect();
+        let places: Vec<usize> = (0..donors.len()).collect();
+        let strata = some(&places, donors.len(), generator);
+        let coin = |stratum: usize| (stratum as f64 + generator.random::<f64>()) / donors.len() as f64;
+        let coins = strata.into_iter().map(coin).collect();
+        Self { probability: counts.into_iter().map(|count| by_count[count as usize]).collect(), coins }
+    }
+}
+
+/// Least share of gaps over the mean one that a member counts as having.
+const LEAST_RELATIVE_GAPS: f64 = 0.01;
+
+/// Share of gaps that an acquisition with the strengths of a member should have, over that of its donors; of cells that some difference shows.
+fn relative_gaps(noise: &Noise, member: usize, donors: &[usize], counts: &[u32]) -> f64 {
+    let all = noise.weights.len() as u32;
+    let gaps = |weights: &Vec<u8>| {
+        let open = weights.iter().zip(counts).map(|(weight, count)| u32::from(*weight >> 7 != 0 && *count < all));
+        f64::from(open.sum::<u32>())
     };
-    let by_count: Vec<f64> = (0..=noise.weights.len() as u32).map(of).collect();
-    counts.into_iter().map(|count| by_count[count as usize]).collect()
+    let shares: Vec<f64> = noise.weights.iter().map(gaps).collect();
+    let mean = |members: &mut dyn Iterator<Item = usize>| {
+        let (sum, count) = members.fold((0.0, 0.0), |(sum, count), i| (sum + shares[i], count + 1.0));
+        sum / count
+    };
+    let usual = mean(&mut (0..shares.len()).filter(|i| !noise.members[*i].bad));
+    let of_donors = mean(&mut donors.iter().copied());
+    if usual <= 0.0 || of_donors <= 0.0 {
+        return 1.0;
+    }
+    let relative = (shares[member] / usual).max(LEAST_RELATIVE_GAPS);
+    portable_math::exp(noise.gap_variety * portable_math::log(relative)) * usual / of_donors
 }
 
 /// `|g|^power` with the sign of g.
