@@ -18,6 +18,8 @@ params! {
         /// Columns the classifiers see. Left out: the ten descriptors where the first table has them all, as from `describe-noise`; otherwise
         /// every column of numbers, as from `describe-structure`.
         features: Vec<String> = Vec::new(),
+        /// Share of the real rasters, the last ones, that is left out: a model that was learnt without them is compared with what it has seen.
+        held_out: f64 = 0.0; Range::Between(0.0, 0.9),
         /// Ridge on the weights of the standardised features, for ten features; it grows with their number.
         ridge: f64 = 1.0; Range::Positive,
         /// Folds of the cross-validation.
@@ -64,11 +66,17 @@ impl Stage for CompareSamples {
         let mut classes = [Vec::new(), Vec::new()];
         for (class, port) in classes.iter_mut().zip(["reference", "simulated"]) {
             *class = feature_rows(&inputs.many::<Table>(port)?, &features)?;
+            if port == "reference" {
+                class.truncate(class.len() - (class.len() as f64 * params.held_out).round() as usize);
+            }
             let least = least(params);
             if class.len() < least {
-                let text =
-                    format!("`{port}` has {} rasters, {least} are needed for {} folds", class.len(), params.folds);
-                return Err(StageError::new(text).hint("add rasters, or lower `folds`"));
+                let text = format!(
+                    "`{port}` has {} rasters to compare, {least} are needed for {} folds",
+                    class.len(),
+                    params.folds
+                );
+                return Err(StageError::new(text).hint("add rasters, or lower `folds` or `held_out`"));
             }
         }
         let compared = Compared::of(params, &features, &classes, context);

@@ -32,16 +32,27 @@ impl Detrend {
     }
 }
 
-/// The least-squares trend of the third degree through the known cells of a raster, as [`trend_at`] takes it. Where the cells do not tell its terms
-/// apart it is a plane; `None` where they lie on a line.
+/// The least-squares trend of the third degree through the known cells of a raster, as [`trend_at`] takes it; of a lower degree where the cells do not
+/// tell its terms apart; `None` where they lie on a line.
 pub fn trend(values: &[f32], columns: usize) -> Option<Trend> {
+    trend_of::<10>(values, columns)
+        .or_else(|| trend_of::<6>(values, columns))
+        .or_else(|| trend_of::<3>(values, columns))
+}
+
+/// A trend of the first terms only.
+fn trend_of<const N: usize>(values: &[f32], columns: usize) -> Option<Trend>
+where
+    Const<N>: DimMin<Const<N>, Output = Const<N>>,
+{
     let rows = values.len() / columns;
-    let bent = |i: usize| SVector::from(bend_terms(terms(columns, rows, i % columns, i / columns).into()));
-    fitted(values, 1, bent, |_, _| 1.0).or_else(|| {
-        let mut level = Trend::default();
-        level[..3].copy_from_slice(&plane(values, columns)?);
-        Some(level)
-    })
+    let bent = |i: usize| {
+        let all = bend_terms(terms(columns, rows, i % columns, i / columns).into());
+        SVector::from_fn(|k, _| all[k])
+    };
+    let mut trend = Trend::default();
+    trend[..N].copy_from_slice(&fitted::<N>(values, 1, bent, |_, _| 1.0)?);
+    Some(trend)
 }
 
 /// Height of a trend at a place whose coordinates are -1 and 1 at the edges of the grid, to the right and down.
@@ -184,11 +195,16 @@ mod tests {
         assert!(found.iter().zip(truth).all(|(found, truth)| (found - truth).abs() < 1e-6), "{found:?}");
         let flat = without_trend(&values, columns).unwrap();
         assert!(flat.iter().zip(&values).all(|(f, v)| f.is_nan() == v.is_nan() && (f.is_nan() || f.abs() < 1e-6)));
-        // Two columns bend in no known way.
-        let narrow: Vec<f32> =
-            values.iter().enumerate().map(|(i, v)| if i % columns < 2 { *v } else { f32::NAN }).collect();
-        let found = trend(&narrow, columns).unwrap();
-        assert!(found[3..] == [0.0; 7] && trend(&values[..1], 1).is_none(), "{found:?}");
+        // Two columns bend in no known way, some more in no way of the third degree.
+        let narrow = |wide: usize| {
+            let values = values.iter().enumerate();
+            trend(&values.map(|(i, v)| if i % columns < wide { *v } else { f32::NAN }).collect::<Vec<_>>(), columns)
+        };
+        let plane = narrow(2).unwrap();
+        assert!(plane[3..] == [0.0; 7] && trend(&values[..1], 1).is_none(), "{plane:?}");
+        let bends = |wide: usize| narrow(wide).filter(|found| found[6..] == [0.0; 4] && found[3].abs() > 0.0);
+        let bend = (3..columns).find_map(bends).unwrap();
+        assert!(bend.iter().all(|factor| factor.abs() < 1.0), "{bend:?}");
     }
 
     #[test]

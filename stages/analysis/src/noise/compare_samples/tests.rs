@@ -18,9 +18,12 @@ fn features(n: i32, seed: u8, spread: f64, shift: f64) -> Table {
 }
 
 fn compared(simulated: Table, with: &Value) -> Result<(Table, TestHost), StageError> {
+    compared_with(features(60, 1, 1.0, 0.0), simulated, with)
+}
+
+fn compared_with(reference: Table, simulated: Table, with: &Value) -> Result<(Table, TestHost), StageError> {
     let host = TestHost::default();
-    let inputs: [(&str, Artefact); 2] =
-        [("reference", features(60, 1, 1.0, 0.0).into()), ("simulated", simulated.into())];
+    let inputs: [(&str, Artefact); 2] = [("reference", reference.into()), ("simulated", simulated.into())];
     let outputs = run_stage::<CompareSamples>(&host, with, &inputs)?.into_inner();
     let Artefact::Table(table) = &outputs["areas"] else { panic!("a table comes out") };
     Ok((table.clone(), host))
@@ -43,6 +46,21 @@ fn shifts_are_seen_linearly_and_spreads_by_squares() {
     );
     let (narrow, _) = compared(features(60, 2, 0.1, 0.0), &json!({})).unwrap();
     assert!(at(&narrow, "linear", "auc") < 0.75 && at(&narrow, "squares", "auc") > 0.8, "{:?}", narrow.rows);
+}
+
+#[test]
+fn rasters_that_are_held_out_are_not_compared() {
+    let mut drifting = features(40, 1, 1.0, 0.0);
+    drifting.rows.extend(features(20, 4, 1.0, 6.0).rows);
+    let like_the_first = |with: Value| compared_with(drifting.clone(), features(40, 2, 1.0, 0.0), &with);
+    let (all, _) = like_the_first(json!({})).unwrap();
+    let (in_view, _) = like_the_first(json!({"held_out": 0.3333})).unwrap();
+    let (first, _) = compared_with(features(40, 1, 1.0, 0.0), features(40, 2, 1.0, 0.0), &json!({})).unwrap();
+    let auc = |table: &Table| at(table, "squares", "auc");
+    assert!(auc(&all) > auc(&in_view) + 0.1, "{} {}", auc(&all), auc(&in_view));
+    assert_eq!(auc(&in_view).to_bits(), auc(&first).to_bits());
+    let few = like_the_first(json!({"held_out": 0.9, "folds": 10})).err().unwrap();
+    assert!(few.to_string().contains("`reference` has 6 rasters"), "{few}");
 }
 
 #[test]
