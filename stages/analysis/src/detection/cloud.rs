@@ -11,7 +11,7 @@ use rockface_raster::shape::{Moved, Shape};
 /// Columns there may be; sides grow beyond.
 const MAXIMUM_COLUMNS: f64 = 5e7;
 /// Points that are looked at together. Sums have one part for each, so this number is part of their rounding.
-const WIDE: usize = 8;
+const WIDE: usize = 4;
 /// The column of a place without a point.
 const NOWHERE: u32 = u32::MAX;
 /// What rounding may take from a length, as a share of the side of a column.
