@@ -213,8 +213,8 @@ fn gaps_are_as_frequent_as_in_the_rasters() {
 fn shares_of_gaps_vary_as_in_the_rasters() {
     let mut rasters = differences(24, &[]);
     // Every third raster has gaps in squares besides, at places of its own.
-    for (b, raster) in rasters.iter_mut().enumerate().filter(|(b, _)| b % 3 == 0) {
-        let square = |i: usize| ((i / COLUMNS + 5 * b) / 6 + (i % COLUMNS + 7 * b) / 6) % 8 == 0;
+    for (b, raster) in rasters.iter_mut().enumerate().filter(|(b, _)| b.is_multiple_of(3)) {
+        let square = |i: usize| ((i / COLUMNS + 5 * b) / 6 + (i % COLUMNS + 7 * b) / 6).is_multiple_of(8);
         let values = raster.bands[0].values.iter_mut().enumerate();
         values.filter(|(i, _)| square(*i)).for_each(|(_, value)| *value = f32::NAN);
     }
