@@ -7,6 +7,7 @@ use crate::noise::classifier::{Auc, Logistic, area};
 use crate::noise::descriptors::feature_names;
 use crate::noise::two_samples::{Classifier, Control, Row, TwoSamples, control};
 use rockface_core::artefact::{Cell, Kind, Table};
+use rockface_core::numerics::held_out::in_view;
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, params, table_row};
@@ -67,7 +68,7 @@ impl Stage for CompareSamples {
         for (class, port) in classes.iter_mut().zip(["reference", "simulated"]) {
             *class = feature_rows(&inputs.many::<Table>(port)?, &features)?;
             if port == "reference" {
-                class.truncate(class.len() - (class.len() as f64 * params.held_out).round() as usize);
+                class.truncate(in_view(class.len(), params.held_out));
             }
             let least = least(params);
             if class.len() < least {

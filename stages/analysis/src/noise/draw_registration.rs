@@ -100,10 +100,9 @@ fn drawn(noise: &Noise, replicate: Option<u32>, context: &Context, band: &str) -
 
 /// The member whose trend a replicate takes: after all usual ones in the order of the strengths of first surveys the bad ones have their turn.
 fn in_turn(noise: &Noise, replicate: usize) -> usize {
-    let [usual, _] = &noise.orders;
-    let mut bad = (0..noise.members.len()).filter(|i| noise.members[*i].bad);
+    let ([usual, _], (bad, _)) = (&noise.orders, noise.by_class());
     let turn = (replicate % noise.members.len()).checked_sub(usual.len());
-    turn.and_then(|turn| bad.nth(turn)).unwrap_or(usual[replicate % usual.len()])
+    turn.map_or_else(|| usual[replicate % usual.len()], |turn| bad[turn])
 }
 
 #[cfg(test)]

@@ -7,6 +7,7 @@ use crate::noise::chain;
 use crate::noise::descriptors::{GROUPS, feature_names, in_group};
 use crate::noise::mahalanobis::{bound, fit_labelled, leave_one_out_quantile};
 use rockface_core::artefact::{Acceptance, Cell, GroupModel, Kind, Table};
+use rockface_core::numerics::held_out::in_view;
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, params};
@@ -54,7 +55,7 @@ impl Stage for FitAcceptance {
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let tables = inputs.many::<Table>("features")?;
         let mut rows = feature_rows(&tables, &params.features)?;
-        rows.truncate(rows.len() - (rows.len() as f64 * params.held_out).round() as usize);
+        rows.truncate(in_view(rows.len(), params.held_out));
         let mut groups = BTreeMap::from([("all".to_owned(), fit_columns(&params.features, params, &rows)?)]);
         for (group, _) in GROUPS {
             let chosen: Vec<String> = params.features.iter().filter(|name| in_group(group, name)).cloned().collect();

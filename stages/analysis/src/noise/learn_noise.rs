@@ -21,6 +21,7 @@ use rockface_core::artefact::{
     ReliefLaw,
 };
 use rockface_core::numerics::bands::Bands;
+use rockface_core::numerics::held_out::in_view;
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
@@ -119,7 +120,7 @@ impl Stage for LearnNoise {
         let (rasters, dem) = (in_window(rasters, params.window_m)?, one_in_window(dem, params.window_m)?);
         let dem = dem.as_ref();
         let all: Vec<&Band> = rasters.iter().flat_map(|raster| &raster.bands).collect();
-        let kept = all.len() - (all.len() as f64 * params.held_out).round() as usize;
+        let kept = in_view(all.len(), params.held_out);
         if kept < 3 {
             let text = format!("{kept} of {} rasters are left to learn from, 3 are needed", all.len());
             return Err(StageError::new(text).hint("add rasters, or lower `held_out`"));

@@ -6,6 +6,7 @@ use crate::noise::descriptors::{GROUPS, feature_names, in_group};
 use crate::noise::mahalanobis::{bound, distance, fit_labelled, leave_one_out_quantile};
 use crate::noise::perfect_simulator::{Expectation, Setting, Simulated};
 use rockface_core::artefact::{Cell, GroupModel, Kind, Table};
+use rockface_core::numerics::held_out::in_view;
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params, table_row};
@@ -66,8 +67,7 @@ impl Stage for SummariseAcceptance {
         if let Some(text) = chain::warning(&labels) {
             context.warn(text);
         }
-        let kept = reference.len() - (reference.len() as f64 * params.held_out.unwrap_or(0.0)).round() as usize;
-        let held_out = reference.split_off(kept);
+        let held_out = reference.split_off(in_view(reference.len(), params.held_out.unwrap_or(0.0)));
         let mut tests = group_tests(params, &reference, &simulated, &held_out)?;
         simulate_perfect(params, &mut tests);
         let leverage = leverage(params, &reference, &simulated, &tests[0])?;

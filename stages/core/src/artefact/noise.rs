@@ -189,6 +189,11 @@ impl Noise {
         !self.fields.is_empty()
     }
 
+    /// The bad members and the usual ones, by their places.
+    pub fn by_class(&self) -> (Vec<usize>, Vec<usize>) {
+        (0..self.members.len()).partition(|i| self.members[*i].bad)
+    }
+
     /// What a draw adds to values that every member has: a random sum of the departures of some members from their mean, which has
     /// their covariance times the square of [`Noise::jitter`]. The same field of random numbers goes with the same sum whatever the values.
     pub fn departure<'a>(
@@ -229,7 +234,7 @@ impl Noise {
                 ));
             }
         }
-        let good: Vec<usize> = (0..self.members.len()).filter(|i| !self.members[*i].bad).collect();
+        let (_, good) = self.by_class();
         let complete = |order: &Vec<usize>| {
             let mut sorted = order.clone();
             sorted.sort_unstable();

@@ -6,6 +6,7 @@ pub mod fast_round;
 pub mod fft;
 pub mod gaussian;
 pub mod golden_section;
+pub mod held_out;
 pub mod linear_fit;
 pub mod logistic;
 pub mod marginal;

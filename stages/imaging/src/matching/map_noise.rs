@@ -2,6 +2,7 @@
 
 use crate::matching::noise::strength::{Estimation, strength};
 use rockface_core::artefact::{Band, Kind, Raster, Sample};
+use rockface_core::numerics::held_out::in_view;
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
@@ -45,7 +46,7 @@ impl Stage for MapNoise {
                 .hint("rasterise all on one grid: port `grid` of `rasterise-dem`"));
         }
         let all: Vec<&Band> = rasters.iter().flat_map(|(_, raster)| &raster.bands).collect();
-        let kept = all.len() - (all.len() as f64 * params.held_out).round() as usize;
+        let kept = in_view(all.len(), params.held_out);
         if kept < 3 {
             let text = format!("{kept} of {} rasters are left to make a map of, 3 are needed", all.len());
             return Err(StageError::new(text).hint("add rasters, or lower `held_out`"));

@@ -77,7 +77,7 @@ pub struct Numbers {
 /// Hinkley and Schechtman 1986); without a number the member is drawn at random.
 pub fn draw(noise: &Noise, numbers: Numbers, keys: Keys) -> Drawn {
     let mut generator = keys("noise-acquisition", "").generator();
-    let (bad, good) = by_class(noise);
+    let (bad, good) = noise.by_class();
     let of_bad = generator.random::<f64>() < noise.bad_share && !bad.is_empty();
     let class = if of_bad { &bad } else { &good };
     let any = class[generator.random_range(0..class.len())];
@@ -121,11 +121,6 @@ pub fn draw(noise: &Noise, numbers: Numbers, keys: Keys) -> Drawn {
     let mut field = with_gains(filtered, columns, &noise.contrast);
     mixed.gaps.into_iter().for_each(|cell| field[cell] = f64::NAN);
     Drawn { field, log_strength, bad: of_bad }
-}
-
-/// The bad members of a model and the usual ones, by their places.
-fn by_class(noise: &Noise) -> (Vec<usize>, Vec<usize>) {
-    (0..noise.members.len()).partition(|i| noise.members[*i].bad)
 }
 
 /// Logarithms of the amplitudes of bands, shifted alike so that the noise has unit variance: how strong an acquisition is say its strengths alone.
@@ -357,21 +352,17 @@ const LEAST_RELATIVE_GAPS: f64 = 0.01;
 /// Share of gaps that an acquisition with the strengths of a member should have, over that of its donors; of cells that some difference shows.
 fn relative_gaps(noise: &Noise, member: usize, donors: &[usize], counts: &[u32]) -> f64 {
     let all = noise.weights.len() as u32;
-    let gaps = |weights: &Vec<u8>| {
-        let open = weights.iter().zip(counts).map(|(weight, count)| u32::from(*weight >> 7 != 0 && *count < all));
-        f64::from(open.sum::<u32>())
+    let gaps = |member: usize| {
+        let weights = noise.weights[member].iter().zip(counts);
+        weights.map(|(weight, count)| u32::from(*weight & GAP != 0 && *count < all)).sum::<u32>()
     };
-    let shares: Vec<f64> = noise.weights.iter().map(gaps).collect();
-    let mean = |members: &mut dyn Iterator<Item = usize>| {
-        let (sum, count) = members.fold((0.0, 0.0), |(sum, count), i| (sum + shares[i], count + 1.0));
-        sum / count
-    };
-    let usual = mean(&mut (0..shares.len()).filter(|i| !noise.members[*i].bad));
-    let of_donors = mean(&mut donors.iter().copied());
+    let mean = |members: &[usize]| members.iter().map(|i| f64::from(gaps(*i))).sum::<f64>() / members.len() as f64;
+    let (_, good) = noise.by_class();
+    let (usual, of_donors) = (mean(&good), mean(donors));
     if usual <= 0.0 || of_donors <= 0.0 {
         return 1.0;
     }
-    let relative = (shares[member] / usual).max(LEAST_RELATIVE_GAPS);
+    let relative = (f64::from(gaps(member)) / usual).max(LEAST_RELATIVE_GAPS);
     portable_math::exp(noise.gap_variety * portable_math::log(relative)) * usual / of_donors
 }
 
