@@ -14,8 +14,19 @@ const MAXIMUM_COLUMNS: f64 = 5e7;
 const WIDE: usize = 4;
 /// The column of a place without a point.
 const NOWHERE: u32 = u32::MAX;
+/// Columns along each side of a tile, whose heights are kept together.
+const TILE: usize = 4;
 /// What rounding may take from a length, as a share of the side of a column.
 const SLACK: f64 = 1e-9;
+
+/// The least and the greatest Z of no points.
+const NO_HEIGHT: [f32; 2] = [f32::INFINITY, f32::NEG_INFINITY];
+
+/// The least and the greatest Z in either of two.
+#[inline(always)]
+fn either(one: [f32; 2], other: [f32; 2]) -> [f32; 2] {
+    [one[0].min(other[0]), one[1].max(other[1])]
+}
 
 /// A point cloud in columns.
 pub struct Cloud {
@@ -25,6 +36,8 @@ pub struct Cloud {
     starts: Vec<u32>,
     /// The least and the greatest Z in each column, metres, rounded outwards.
     heights: Vec<[f32; 2]>,
+    /// The same in each tile of columns.
+    tiles: Vec<[f32; 2]>,
     left: f64,
     bottom: f64,
     side: f64,
@@ -47,6 +60,7 @@ impl Cloud {
             coordinates: Default::default(),
             starts: Vec::new(),
             heights: Vec::new(),
+            tiles: Vec::new(),
             left: low.x,
             bottom: low.y,
             side,
@@ -75,7 +89,15 @@ impl Cloud {
         self.coordinates = coordinates;
         let ends = self.starts.par_windows(2).map(|ends| &self.coordinates[2][ends[0] as usize..ends[1] as usize]);
         let grow = |[low, high]: [f32; 2], z: &f64| [low.min((*z as f32).next_down()), high.max((*z as f32).next_up())];
-        self.heights = ends.map(|column| column.iter().fold([f32::INFINITY, f32::NEG_INFINITY], grow)).collect();
+        self.heights = ends.map(|column| column.iter().fold(NO_HEIGHT, grow)).collect();
+        let tiles_wide = self.wide.div_ceil(TILE);
+        self.tiles = vec![NO_HEIGHT; tiles_wide * self.high.div_ceil(TILE)];
+        for (rows, tiles) in self.heights.chunks(TILE * self.wide).zip(self.tiles.chunks_mut(tiles_wide)) {
+            for row in rows.chunks(self.wide) {
+                let of_tiles = row.chunks(TILE).zip(tiles.iter_mut());
+                of_tiles.for_each(|(columns, tile)| *tile = columns.iter().copied().fold(*tile, either));
+            }
+        }
     }
 
     fn column(&self, p: &Vector3<f64>) -> usize {
@@ -119,6 +141,15 @@ impl Cloud {
         if first < end { self.starts[first] as usize..self.starts[end] as usize } else { 0..0 }
     }
 
+    /// The least and the greatest Z in the tiles that hold some columns of some rows, metres.
+    #[inline(always)]
+    fn heights_about(&self, rows: &Range<usize>, columns: &Range<usize>) -> [f64; 2] {
+        let tiles = |places: &Range<usize>| places.start / TILE..places.end.div_ceil(TILE);
+        let (wide, columns) = (self.wide.div_ceil(TILE), tiles(columns));
+        let of_row = |row: usize| &self.tiles[row * wide..][columns.clone()];
+        tiles(rows).flat_map(of_row).copied().fold(NO_HEIGHT, either).map(f64::from)
+    }
+
     /// Coordinates of the points of some places.
     #[inline(always)]
     fn at(&self, places: &Range<usize>) -> [&[f64]; 3] {
@@ -154,21 +185,32 @@ impl Cloud {
         // A point is `t` axes and an arm across from the centre. What the arm reaches along X, Y and Z, a disc of the radius turned:
         let reach = |along: f64| radius_m * (1.0 - along * along).max(0.0).sqrt();
         let disc = [reach(axis[0]), reach(axis[1]), reach(axis[2]) + SLACK * self.side];
-        // The part of the axis whose discs meet a band of X or Y, within another part.
+        // The part of the axis whose discs meet a band of X, Y or Z, within another part.
+        let inverse = axis.map(|along| 1.0 / along);
         let part = |[low, high]: [f64; 2], along: usize, [from, to]: [f64; 2]| {
-            let at = |x: f64| if axis[along] == 0.0 { x * f64::INFINITY } else { x / axis[along] };
-            let ends = [at(low - disc[along]), at(high + disc[along])];
+            let ends = [(low - disc[along]) * inverse[along], (high + disc[along]) * inverse[along]];
             [ends[0].min(ends[1]).max(from), ends[0].max(ends[1]).min(to)]
         };
-        let reach = disc[1] + half_m * axis[1].abs();
+        // What the discs of a part reach along X or Y.
+        let reached = |along: usize, [from, to]: [f64; 2]| {
+            let [one, other] = [from, to].map(|t| centre[along] + t * axis[along]);
+            [one.min(other) - disc[along], one.max(other) + disc[along]]
+        };
+        // A long cylinder leaves the heights of the cloud near its centre.
+        let whole = [-half_m, *half_m];
+        let columns = self.columns(reached(0, whole), self.left, self.wide);
+        let [low, high] = self.heights_about(&self.rows(reached(1, whole)), &columns);
+        if low > high {
+            return Stack::default();
+        }
+        let near = part([low - centre[2], high - centre[2]], 2, whole);
         let mut found = 0;
-        for row in self.rows([centre[1] - reach, centre[1] + reach]) {
-            let [from, to] = part(self.band(row, self.bottom - centre[1]), 1, [-half_m, *half_m]);
+        for row in self.rows(reached(1, near)) {
+            let [from, to] = part(self.band(row, self.bottom - centre[1]), 1, near);
             if from > to {
                 continue;
             }
-            let (one, other) = (centre[0] + from * axis[0], centre[0] + to * axis[0]);
-            let mut columns = self.columns([one.min(other) - disc[0], one.max(other) + disc[0]], self.left, self.wide);
+            let mut columns = self.columns(reached(0, [from, to]), self.left, self.wide);
             // Most columns have no point at the height the axis has there.
             let meets = |column: usize| {
                 let [from, to] = part(self.band(column, self.left - centre[0]), 0, [from, to]);

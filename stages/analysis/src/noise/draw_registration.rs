@@ -3,6 +3,7 @@
 use rand::RngExt;
 
 use crate::noise::detrend::{asymmetry, trend, trend_at};
+use crate::noise::learning::departure::of_another;
 use rockface_core::artefact::{Grid, Kind, Noise, Raster, Trend};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 
@@ -22,7 +23,7 @@ pub struct DrawRegistration;
 impl Stage for DrawRegistration {
     type Params = DrawRegistrationParams;
     const NAME: &'static str = "draw-registration";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: Page = Page::new(include_str!("draw_registration.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("raster", &[Kind::Raster], "Difference of two registered surveys, metres."),
@@ -80,7 +81,7 @@ fn height_m(trend_m: &Trend, of: Grid, grid: Grid, cell: usize) -> f64 {
     trend_at(trend_m, x, y)
 }
 
-/// The trend of a member with jitter, which keeps mean and covariance of the members' trends (smoothed bootstrap, Silverman 1986, 6.4).
+/// The trend of a member with jitter, which keeps the mean of the members' trends (smoothed bootstrap, Silverman 1986, 6.4) and has the covariance of one more of them.
 fn drawn(noise: &Noise, replicate: Option<u32>, context: &Context, band: &str) -> Trend {
     let members: Vec<usize> = (0..noise.members.len()).collect();
     let count = members.len();
@@ -91,10 +92,10 @@ fn drawn(noise: &Noise, replicate: Option<u32>, context: &Context, band: &str) -
     let chosen = &noise.members[chosen];
     let jitter =
         noise.departure(&members, &context.stream("registration-jitter", band).field(), |member| &member.trend_m);
-    let narrowing = 1.0 / (1.0 + noise.jitter * noise.jitter).sqrt();
+    let width = (of_another(count) / (1.0 + noise.jitter * noise.jitter)).sqrt();
     std::array::from_fn(|k| {
         let mean = noise.members.iter().map(|member| member.trend_m[k]).sum::<f64>() / count as f64;
-        mean + narrowing * (chosen.trend_m[k] - mean + jitter[k])
+        mean + width * (chosen.trend_m[k] - mean + jitter[k])
     })
 }
 

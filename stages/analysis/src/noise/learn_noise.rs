@@ -10,7 +10,7 @@ use crate::noise::learning::acquisitions::{Acquisitions, Source, Variety, acquis
 use crate::noise::learning::bad::parted;
 use crate::noise::learning::by_place::{self, Strengths};
 use crate::noise::learning::contrast::{self, Figures, Nearest};
-use crate::noise::learning::departure::{Departure, Mean, figures};
+use crate::noise::learning::departure::{Departure, Mean, figures, of_another};
 use crate::noise::learning::differences::{check, differences, disparities, gaps, seen, skewnesses};
 use crate::noise::learning::whitening::{
     BANDS, LEAST_SIDE_CELLS, Places, Prior, Stack, Whitened, range_cells, restore_outliers, whiten,
@@ -78,7 +78,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 22;
+    const VERSION: u32 = 23;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -252,7 +252,7 @@ impl Learnt {
             factors.iter_mut().zip(more).for_each(|(factor, more)| *factor *= more);
         };
         let seen = seen(real.iter().copied());
-        let marks = Marks::of(&real, &seen);
+        let marks = Marks::of(&real, &seen).of_another(real.len());
         // Without fields draws have no gaps of the rasters.
         let refined = |gains: Gains, trial: &[Vec<f32>]| {
             let better = gains.refined(&marks, &Marks::of(trial, &seen));
@@ -274,6 +274,7 @@ impl Learnt {
         let mut nearest = Nearest::default();
         for round in 0..=ROUNDS {
             let model = corrected(&sources, &correction, &contrast, &factors, gains);
+            let known = Known::of(&model, params.draws);
             trial = drawn(&Noise { bad_share: 0.0, ..model }, params.draws);
             if let Some(wanted) = &wanted {
                 let found = details(&trial);
@@ -285,7 +286,7 @@ impl Learnt {
             if round < ROUNDS {
                 gains = refined(gains, &trial);
                 make_up(&mut trial, &mut factors);
-                correction.refine(&self.usual(), &whiten(&trial, self.columns, &self.places));
+                correction.refine(&self.usual(), &whiten(&trial, self.columns, &self.places), &known);
             }
         }
         if wanted.is_some() {
@@ -375,6 +376,12 @@ impl Marks {
         let count = rasters.len() as f64;
         Self { gaps, variety: (gaps.squared_error * count).sqrt(), skewness: (squares / count).sqrt() }
     }
+
+    /// What the marks of one more of as many rasters vary.
+    fn of_another(self, rasters: usize) -> Self {
+        let wider = of_another(rasters).sqrt();
+        Self { variety: wider * self.variety, skewness: wider * self.skewness, ..self }
+    }
 }
 
 /// The gains of a model with which its draws have the marks of the rasters.
@@ -433,13 +440,13 @@ impl Correction {
     /// From the usual rasters and draws of a model whose acquisitions are all alike.
     fn of(real: &[&Whitened], drawn: &[Whitened]) -> Self {
         let drawn: Vec<&Whitened> = drawn.iter().collect();
-        Self { own: own_shares(real, &drawn), excess: excess(real, &drawn) }
+        Self { own: own_shares(real, &drawn), excess: excess(real, &drawn, |rows, k| Mean::of(rows, k)) }
     }
 
     /// Takes off what draws with this correction still miss of the mean and of the variety of the usual rasters, without what may be chance.
-    fn refine(&mut self, real: &[&Whitened], drawn: &[Whitened]) {
+    fn refine(&mut self, real: &[&Whitened], drawn: &[Whitened], known: &Known) {
         let drawn: Vec<&Whitened> = drawn.iter().collect();
-        let excess = excess(real, &drawn);
+        let excess = excess(real, &drawn, |rows, k| Mean::given(rows, k, &known.draws[k], known.usual[k]));
         self.excess.iter_mut().zip(excess).for_each(|(all, more)| *all += more);
         let wider = of_another(real.len());
         let lacking = |of: fn(&Whitened) -> &[f64]| -> Vec<f64> {
@@ -464,11 +471,36 @@ impl Correction {
     }
 }
 
-/// How much the mean of draws exceeds that of rasters, figure by figure, without what may be chance.
-fn excess(real: &[&Whitened], drawn: &[&Whitened]) -> Vec<f64> {
+/// What the figures of draws follow from: the strengths and amplitudes that their members have.
+struct Known {
+    /// Figure by figure, the mean of the two members of each draw.
+    draws: Vec<Vec<f64>>,
+    /// Figure by figure, the mean of all usual members.
+    usual: Vec<f64>,
+}
+
+impl Known {
+    /// Of the first draws of a model, none of which is bad.
+    fn of(noise: &Noise, count: usize) -> Self {
+        let figures = |member: &usize| {
+            let member = &noise.members[*member];
+            member.log_strength.iter().chain(&member.log_amplitude).copied().collect::<Vec<f64>>()
+        };
+        let [first, second] = noise.orders.each_ref().map(|order| order.iter().map(figures).collect::<Vec<_>>());
+        let of_draw = |i: usize, k: usize| 0.5 * (first[i % first.len()][k] + second[i % second.len()][k]);
+        let all = 0..first[0].len();
+        Self {
+            draws: all.clone().map(|k| (0..count).map(|i| of_draw(i, k)).collect()).collect(),
+            usual: all.map(|k| Mean::of(&first, k).value).collect(),
+        }
+    }
+}
+
+/// How much the mean of draws, by `mean`, exceeds that of rasters, figure by figure, without what may be chance.
+fn excess(real: &[&Whitened], drawn: &[&Whitened], mean: impl Fn(&[Vec<f64>], usize) -> Mean) -> Vec<f64> {
     let [real, drawn] = [real, drawn].map(|all| all.iter().map(|w| figures(w)).collect::<Vec<_>>());
     // The mean of the rasters is what the draws should have: it is no estimate.
-    let departure = |k: usize| Departure::of(Mean::of(&drawn, k), Mean::of(&real, k).exact());
+    let departure = |k: usize| Departure::of(mean(&drawn, k), Mean::of(&real, k).exact());
     (0..real[0].len()).map(|k| departure(k).certain(1.0)).collect()
 }
 
@@ -487,16 +519,6 @@ fn own_shares(real: &[&Whitened], alike: &[&Whitened]) -> Vec<f64> {
     let mean = classes.iter().sum::<f64>() / classes.len() as f64;
     let strengths = classes.iter().map(|share| 0.5 * (share + mean));
     strengths.chain(near(&shares(|w| &w.raster_log_amplitude))).map(f64::sqrt).collect()
-}
-
-/// By how much the variance of a figure of one more raster, about the mean of those that are known, exceeds their own variance, since mean and
-/// variance of few are uncertain: the predictive distribution is Student's t.
-fn of_another(rasters: usize) -> f64 {
-    if rasters <= NO_VARIANCE {
-        return MOST_WIDER;
-    }
-    let n = rasters as f64;
-    ((n + 1.0) / n * (n - 1.0) / (n - 3.0)).min(MOST_WIDER)
 }
 
 /// Variance of each of some figures over rasters.
@@ -518,10 +540,6 @@ const ROUNDS: usize = 2;
 const CONTRAST_DRAWS: usize = 12;
 /// Part of the deviation of figures that acquisitions have which are all alike.
 const ALIKE: f64 = 1e-6;
-/// Rasters up to which Student's t has no variance.
-const NO_VARIANCE: usize = 3;
-/// Most by which the variance of a figure of one more raster exceeds that of the known ones.
-const MOST_WIDER: f64 = 2.0;
 /// Least and most of the variance of a figure over rasters that acquisitions differ by.
 const LEAST_OWN: f64 = 0.1;
 const MOST_OWN: f64 = 4.0;

@@ -28,11 +28,43 @@ impl Mean {
         Self { value, squared_error: squares / (n - 1.0) / n }
     }
 
+    /// Mean of figure `k` over rows, had what each of them follows from in part the mean `usual`: the least-squares
+    /// line over `known` takes off what it explains, of the mean and of its error (control variate: Lavenberg and Welch 1981, Manage. Sci. 27).
+    pub fn given(rows: &[impl AsRef<[f64]>], k: usize, known: &[f64], usual: f64) -> Self {
+        let n = rows.len() as f64;
+        let mean = Self::of(rows, k).value;
+        let mean_known = known.iter().sum::<f64>() / n;
+        let pairs = || rows.iter().zip(known).map(|(row, known)| (row.as_ref()[k] - mean, known - mean_known));
+        let squares = pairs().map(|(_, x)| x * x).sum::<f64>();
+        if squares <= 0.0 || n <= 2.0 {
+            return Self::of(rows, k);
+        }
+        let slope = pairs().map(|(y, x)| x * y).sum::<f64>() / squares;
+        let rest = pairs().map(|(y, x)| (y - slope * x) * (y - slope * x)).sum::<f64>() / (n - 2.0);
+        let off = mean_known - usual;
+        Self { value: mean - slope * off, squared_error: rest * (1.0 / n + off * off / squares) }
+    }
+
     /// The same mean as a number that is known.
     #[must_use]
     pub fn exact(self) -> Self {
         Self { squared_error: 0.0, ..self }
     }
+}
+
+/// Rasters up to which Student's t has no variance.
+const NO_VARIANCE: usize = 3;
+/// Most by which the variance of a figure of one more raster exceeds that of the known ones.
+const MOST_WIDER: f64 = 2.0;
+
+/// By how much the variance of a figure of one more raster, about the mean of those that are known, exceeds their own variance, since mean and
+/// variance of few are uncertain: the predictive distribution is Student's t.
+pub fn of_another(rasters: usize) -> f64 {
+    if rasters <= NO_VARIANCE {
+        return MOST_WIDER;
+    }
+    let n = rasters as f64;
+    ((n + 1.0) / n * (n - 1.0) / (n - 3.0)).min(MOST_WIDER)
 }
 
 /// Departure of one mean from another.
@@ -62,6 +94,18 @@ impl Departure {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_a_figure_follows_from_is_no_chance_of_its_mean() {
+        let known = [0.0, 1.0, 2.0, 5.0];
+        let rows = [0.01, -0.01, -0.01, 0.01].iter().zip(known).map(|(rest, x)| vec![3.0 + 0.5 * x + rest]);
+        let rows: Vec<Vec<f64>> = rows.collect();
+        let (plain, given) = (Mean::of(&rows, 0), Mean::given(&rows, 0, &known, 1.0));
+        assert!((plain.value - 4.0).abs() < 1e-12 && plain.squared_error.sqrt() > 0.5);
+        assert!((given.value - 3.5).abs() < 0.01 && given.squared_error.sqrt() < 0.01, "{given:?}");
+        let same = Mean::given(&rows, 0, &[2.0; 4], 2.0);
+        assert!(same.value.to_bits() == plain.value.to_bits() && same.squared_error > 0.2);
+    }
 
     #[test]
     fn what_lies_within_its_error_is_chance() {
