@@ -108,6 +108,14 @@ mod tests {
     }
 
     #[test]
+    fn one_more_raster_differs_more_from_few_than_from_many() {
+        // Student's t with eleven degrees of freedom about a mean of twelve.
+        assert!((of_another(12) - 13.0 / 12.0 * 11.0 / 9.0).abs() < 1e-12);
+        assert!((of_another(10_000) - 1.0).abs() < 1e-3);
+        assert!([2, 3, 4].iter().all(|rasters| (of_another(*rasters) - MOST_WIDER).abs() < 1e-12));
+    }
+
+    #[test]
     fn what_lies_within_its_error_is_chance() {
         let rows = [vec![0.1], vec![0.3], vec![0.2], vec![0.4]];
         let mean = Mean::of(&rows, 0);
