@@ -440,7 +440,7 @@ impl Correction {
     /// From the usual rasters and draws of a model whose acquisitions are all alike.
     fn of(real: &[&Whitened], drawn: &[Whitened]) -> Self {
         let drawn: Vec<&Whitened> = drawn.iter().collect();
-        Self { own: own_shares(real, &drawn), excess: excess(real, &drawn, |rows, k| Mean::of(rows, k)) }
+        Self { own: own_shares(real, &drawn), excess: excess(real, &drawn, Mean::of) }
     }
 
     /// Takes off what draws with this correction still miss of the mean and of the variety of the usual rasters, without what may be chance.
