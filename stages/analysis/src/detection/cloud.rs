@@ -28,6 +28,12 @@ fn either(one: [f32; 2], other: [f32; 2]) -> [f32; 2] {
     [one[0].min(other[0]), one[1].max(other[1])]
 }
 
+/// The tiles that hold some rows or columns of columns.
+#[inline(always)]
+fn tiles(places: &Range<usize>) -> Range<usize> {
+    places.start / TILE..places.end.div_ceil(TILE)
+}
+
 /// A point cloud in columns.
 pub struct Cloud {
     /// X, Y and Z of the points, metres, column by column.
@@ -127,11 +133,11 @@ impl Cloud {
         self.columns(span, self.bottom, self.high)
     }
 
-    /// Where a row or column of columns begins and ends, metres from where the first of them begins at `start`.
+    /// Where some rows or columns of columns, `count` of them from one on, begin and end, metres, where the first of all begins at `start`.
     #[inline(always)]
-    fn band(&self, place: usize, start: f64) -> [f64; 2] {
+    fn band(&self, place: usize, count: usize, start: f64) -> [f64; 2] {
         let low = start + place as f64 * self.side;
-        [low - SLACK * self.side, low + self.side * (1.0 + SLACK)]
+        [low - SLACK * self.side, low + self.side * (count as f64 + SLACK)]
     }
 
     /// Places of the points of some columns of a row.
@@ -141,13 +147,12 @@ impl Cloud {
         if first < end { self.starts[first] as usize..self.starts[end] as usize } else { 0..0 }
     }
 
-    /// The least and the greatest Z in the tiles that hold some columns of some rows, metres.
+    /// The least and the greatest Z in the tiles of a row of them that hold some columns, metres.
     #[inline(always)]
-    fn heights_about(&self, rows: &Range<usize>, columns: &Range<usize>) -> [f64; 2] {
-        let tiles = |places: &Range<usize>| places.start / TILE..places.end.div_ceil(TILE);
-        let (wide, columns) = (self.wide.div_ceil(TILE), tiles(columns));
-        let of_row = |row: usize| &self.tiles[row * wide..][columns.clone()];
-        tiles(rows).flat_map(of_row).copied().fold(NO_HEIGHT, either).map(f64::from)
+    fn heights_about(&self, row_of_tiles: usize, columns: &Range<usize>) -> [f32; 2] {
+        let tiles = tiles(columns);
+        let row = &self.tiles[row_of_tiles * self.wide.div_ceil(TILE)..];
+        row[tiles].iter().copied().fold(NO_HEIGHT, either)
     }
 
     /// Coordinates of the points of some places.
@@ -164,7 +169,7 @@ impl Cloud {
         let square_m2 = radius_m * radius_m;
         let mut sums = Moments::default();
         for row in self.rows([centre[1] - radius_m, centre[1] + radius_m]) {
-            let [low, high] = self.band(row, self.bottom - centre[1]);
+            let [low, high] = self.band(row, 1, self.bottom - centre[1]);
             let off = low.max(-high).max(0.0);
             let half = (square_m2 - off * off).max(0.0).sqrt();
             let columns = self.columns([centre[0] - half, centre[0] + half], self.left, self.wide);
@@ -198,22 +203,29 @@ impl Cloud {
         };
         // A long cylinder leaves the heights of the cloud near its centre.
         let whole = [-half_m, *half_m];
-        let columns = self.columns(reached(0, whole), self.left, self.wide);
-        let [low, high] = self.heights_about(&self.rows(reached(1, whole)), &columns);
+        let mut heights = NO_HEIGHT;
+        for row_of_tiles in tiles(&self.rows(reached(1, whole))) {
+            let within = part(self.band(row_of_tiles * TILE, TILE, self.bottom - centre[1]), 1, whole);
+            if within[0] <= within[1] {
+                let columns = self.columns(reached(0, within), self.left, self.wide);
+                heights = either(heights, self.heights_about(row_of_tiles, &columns));
+            }
+        }
+        let [low, high] = heights.map(f64::from);
         if low > high {
             return Stack::default();
         }
         let near = part([low - centre[2], high - centre[2]], 2, whole);
         let mut found = 0;
         for row in self.rows(reached(1, near)) {
-            let [from, to] = part(self.band(row, self.bottom - centre[1]), 1, near);
+            let [from, to] = part(self.band(row, 1, self.bottom - centre[1]), 1, near);
             if from > to {
                 continue;
             }
             let mut columns = self.columns(reached(0, [from, to]), self.left, self.wide);
             // Most columns have no point at the height the axis has there.
             let meets = |column: usize| {
-                let [from, to] = part(self.band(column, self.left - centre[0]), 0, [from, to]);
+                let [from, to] = part(self.band(column, 1, self.left - centre[0]), 0, [from, to]);
                 let [one, other] = [centre[2] + from * axis[2], centre[2] + to * axis[2]];
                 let [low, high] = self.heights[row * self.wide + column].map(f64::from);
                 from <= to && one.max(other) + disc[2] >= low && one.min(other) - disc[2] <= high
@@ -336,19 +348,23 @@ mod tests {
     fn what_a_cylinder_holds_is_what_looking_at_every_point_finds() {
         let mesh = height_mesh(60, [-2.0, 2.0, -1.0, 1.0], |x, y| 0.2 * x - 0.1 * y);
         let cloud = Cloud::new(Shape::Mesh(&mesh), None, 0.13).unwrap();
-        let axis = Vector3::new(0.3, -0.2, 0.9).normalize();
-        for centre in [Point3::new(0.1, 0.2, 0.0), Point3::new(-2.3, 1.1, 0.1), Point3::new(9.0, 0.0, 0.0)] {
-            let cylinder = Cylinder { centre: centre.into(), axis: axis.into(), radius_m: 0.3, half_m: 0.4 };
-            let found = cloud.along(&cylinder, &mut Vec::new());
-            let arms = mesh.vertices.iter().map(|v| Vector3::from(*v) - centre.coords);
-            let inside = |arm: &Vector3<f64>| {
-                let along = arm.dot(&axis);
-                along.abs() < 0.4 && (arm - axis * along).norm() <= 0.3
-            };
-            let expected: Vec<f64> = arms.filter(inside).map(|arm| arm.dot(&axis)).collect();
-            assert_eq!(found.count as usize, expected.len());
-            let mean = expected.iter().sum::<f64>() / expected.len().max(1) as f64;
-            assert!((found.mean - mean).abs() < 1e-12);
+        let centres = [Point3::new(0.1, 0.2, 0.0), Point3::new(-2.3, 1.1, 0.1), Point3::new(9.0, 0.0, 0.0)];
+        // Across the face, and long and steep to neither X nor Y.
+        for (axis, half_m) in [([0.3, -0.2, 0.9], 0.4), ([0.5, 0.6, -0.1], 3.0), ([-0.4, 0.3, 0.05], 1.0)] {
+            let axis = Vector3::from(axis).normalize();
+            for centre in centres {
+                let cylinder = Cylinder { centre: centre.into(), axis: axis.into(), radius_m: 0.3, half_m };
+                let found = cloud.along(&cylinder, &mut Vec::new());
+                let arms = mesh.vertices.iter().map(|v| Vector3::from(*v) - centre.coords);
+                let inside = |arm: &Vector3<f64>| {
+                    let along = arm.dot(&axis);
+                    along.abs() < half_m && (arm - axis * along).norm() <= 0.3
+                };
+                let expected: Vec<f64> = arms.filter(inside).map(|arm| arm.dot(&axis)).collect();
+                assert_eq!(found.count as usize, expected.len());
+                let mean = expected.iter().sum::<f64>() / expected.len().max(1) as f64;
+                assert!((found.mean - mean).abs() < 1e-12);
+            }
         }
         let (normal, planarity) = cloud.normal(&[0.0; 3], 0.5).unwrap();
         assert!((normal - Vector3::new(-0.2, 0.1, 1.0).normalize()).norm() < 1e-9 && planarity > 0.5);

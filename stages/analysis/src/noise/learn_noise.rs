@@ -466,8 +466,7 @@ impl Correction {
 
     /// Takes the excess off a member.
     fn shift(&self, member: &mut Member) {
-        let values = member.log_strength.iter_mut().chain(&mut member.log_amplitude);
-        values.zip(&self.excess).for_each(|(value, excess)| *value -= excess);
+        member.figures_mut().zip(&self.excess).for_each(|(value, excess)| *value -= excess);
     }
 }
 
@@ -482,10 +481,7 @@ struct Known {
 impl Known {
     /// Of the first draws of a model, none of which is bad.
     fn of(noise: &Noise, count: usize) -> Self {
-        let figures = |member: &usize| {
-            let member = &noise.members[*member];
-            member.log_strength.iter().chain(&member.log_amplitude).copied().collect::<Vec<f64>>()
-        };
+        let figures = |member: &usize| noise.members[*member].figures().collect::<Vec<f64>>();
         let [first, second] = noise.orders.each_ref().map(|order| order.iter().map(figures).collect::<Vec<_>>());
         let of_draw = |i: usize, k: usize| 0.5 * (first[i % first.len()][k] + second[i % second.len()][k]);
         let all = 0..first[0].len();

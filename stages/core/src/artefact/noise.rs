@@ -27,6 +27,18 @@ pub struct Member {
     pub skewness: f64,
 }
 
+impl Member {
+    /// Its strengths by class of place, then its amplitudes by band.
+    pub fn figures(&self) -> impl Iterator<Item = f64> {
+        self.log_strength.iter().chain(&self.log_amplitude).copied()
+    }
+
+    /// The same, to change them.
+    pub fn figures_mut(&mut self) -> impl Iterator<Item = &mut f64> {
+        self.log_strength.iter_mut().chain(&mut self.log_amplitude)
+    }
+}
+
 /// How the strength of the noise depends on the relief of the face, for places whose geometry has changed:
 /// `strength = sqrt(flat^2 + (gain relief)^2)`.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]

@@ -148,10 +148,8 @@ fn own_half(members: &[usize], number: Option<u32>) -> &[usize] {
 /// The members of a class that are most like one, the nearest first: by the distance between their strengths and amplitudes, each over its
 /// deviation within the class.
 fn nearest(members: &[Member], member: &Member, class: &[usize], count: usize) -> Vec<usize> {
-    let figures =
-        |member: &Member| -> Vec<f64> { member.log_strength.iter().chain(&member.log_amplitude).copied().collect() };
-    let rows: Vec<Vec<f64>> = class.iter().map(|i| figures(&members[*i])).collect();
-    let wanted = figures(member);
+    let rows: Vec<Vec<f64>> = class.iter().map(|i| members[*i].figures().collect()).collect();
+    let wanted: Vec<f64> = member.figures().collect();
     let variance = |k: usize| {
         let mean = rows.iter().map(|row| row[k]).sum::<f64>() / rows.len() as f64;
         rows.iter().map(|row| (row[k] - mean) * (row[k] - mean)).sum::<f64>() / rows.len() as f64
