@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use rockface_core::numerics::gaussian::{FilteredRows, LANES, half_kernel};
+use rockface_core::numerics::gaussian::{FilteredRows, LANES, TakeRow, half_kernel};
 use rockface_core::numerics::linear_fit::{Line, fit_line};
 use rockface_core::numerics::portable_math;
 
@@ -47,44 +47,41 @@ pub fn roughness(values: &[f32], columns: usize, cell: f64, scales_cells: &[f64]
 fn residual(values: &[f32], columns: usize, mean: f64, kernel: &[f64], along: &mut FilteredRows<2>) -> f64 {
     along.filter(values, mean, kernel);
     let of_block = |block: usize| {
-        let mut total = Squares::default();
-        along.filter_columns(kernel, block, |row, sums| {
-            let end = (row + 1) * columns;
-            let cells = &values[row * columns + block * BLOCK..end.min(row * columns + (block + 1) * BLOCK)];
-            total.add(cells, mean, sums);
-        });
-        total.sums()
+        let mut total = Residual { values, columns, mean, block, squares: [0.0; BLOCK], counts: [0.0; BLOCK] };
+        along.filter_columns(kernel, block, &mut total);
+        [total.squares.iter().sum(), total.counts.iter().sum()]
     };
     let blocks: Vec<[f64; 2]> = (0..columns.div_ceil(BLOCK)).into_par_iter().map(of_block).collect();
     let [squares, count] = blocks.iter().fold([0.0, 0.0], |sum, block| [sum[0] + block[0], sum[1] + block[1]]);
     (squares / count).sqrt()
 }
 
-/// Squares of what is left of the values, and how many there are, by column of a block.
-#[derive(Default)]
-struct Squares {
+/// Squares of what is left of the values of a block, and how many there are, by column.
+struct Residual<'a> {
+    values: &'a [f32],
+    columns: usize,
+    mean: f64,
+    block: usize,
     squares: [f64; BLOCK],
     counts: [f64; BLOCK],
 }
 
-impl Squares {
-    #[inline]
-    fn add(&mut self, cells: &[f32], mean: f64, sums: &[f64; LANES]) {
+impl TakeRow for Residual<'_> {
+    #[inline(always)]
+    fn take(&mut self, row: usize, numbers: &[f64; LANES]) {
+        let (begin, end) = (row * self.columns, (row + 1) * self.columns);
+        let cells = &self.values[begin + self.block * BLOCK..end.min(begin + (self.block + 1) * BLOCK)];
         // A copy of a length that is known takes two instructions.
         let values: [f32; BLOCK] =
             cells.try_into().unwrap_or_else(|_| std::array::from_fn(|lane| *cells.get(lane).unwrap_or(&f32::NAN)));
         for (lane, value) in values.into_iter().enumerate() {
-            let (sum, weight) = (sums[2 * lane], sums[2 * lane + 1]);
-            let rest = f64::from(value) - mean - sum / weight;
+            let (sum, weight) = (numbers[2 * lane], numbers[2 * lane + 1]);
+            let rest = f64::from(value) - self.mean - sum / weight;
             // Where there is no value the rest is NaN.
             let (square, one) = if rest.is_nan() { (0.0, 0.0) } else { (rest * rest, 1.0) };
             self.squares[lane] += square;
             self.counts[lane] += one;
         }
-    }
-
-    fn sums(&self) -> [f64; 2] {
-        [self.squares.iter().sum(), self.counts.iter().sum()]
     }
 }
 

@@ -28,6 +28,14 @@ pub struct Depth {
     pub channels: BTreeMap<String, Vec<f32>>,
 }
 
+impl Depth {
+    /// Whether a pixel with this depth sees something: what is not finite, or behind the camera, is no depth.
+    #[inline(always)]
+    pub fn is_seen(depth_m: f32) -> bool {
+        depth_m.is_finite() && depth_m > 0.0
+    }
+}
+
 /// Equal cameras and bits: NaN equals NaN.
 impl PartialEq for Depth {
     fn eq(&self, other: &Self) -> bool {

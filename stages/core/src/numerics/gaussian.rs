@@ -50,9 +50,9 @@ fn filtered<const NUMBERS: usize>(
     let mut along = FilteredRows::<NUMBERS>::new(values.len() / columns, columns, kernel.len());
     along.filter(values, 0.0, kernel);
     let of_block = |place: usize| {
-        let mut found = Vec::with_capacity(values.len() / columns * block);
-        along.filter_columns(kernel, place, |_, sums| push(sums, &mut found));
-        found
+        let mut found = Pushed { push: &push, found: Vec::with_capacity(values.len() / columns * block) };
+        along.filter_columns(kernel, place, &mut found);
+        found.found
     };
     let blocks: Vec<Vec<f64>> = (0..columns.div_ceil(block)).into_par_iter().map(of_block).collect();
     let mut whole = vec![0.0; values.len()];
@@ -153,22 +153,49 @@ impl<const NUMBERS: usize> FilteredRows<NUMBERS> {
                     cell.as_flattened_mut()[lanes.clone()].copy_from_slice(&weighted[..NUMBERS]);
                 }
             }
-            let mut take = |column: usize, sums: &[f64; LANES]| {
-                let cell = NUMBERS * (column % Self::BLOCK);
-                let rows = band[column / Self::BLOCK].chunks_exact_mut(LANES);
-                rows.zip(sums.chunks_exact(NUMBERS))
-                    .for_each(|(row, sums)| row[cell..cell + NUMBERS].copy_from_slice(sums));
-            };
-            vectorised(Strip { rows: strip, kernel, take: &mut take });
+            vectorised(Strip { rows: strip, kernel, into: &mut ToColumns::<NUMBERS>(&mut band) });
         });
     }
 
     /// Filters a block of columns, with nothing beyond their ends, and hands over the numbers of its cells row by row.
-    pub fn filter_columns(&self, kernel: &[f64], block: usize, mut take: impl FnMut(usize, &[f64; LANES])) {
+    pub fn filter_columns(&self, kernel: &[f64], block: usize, into: &mut impl TakeRow) {
         let numbers = &self.numbers[block * self.block()..][..self.block()];
         let beyond = self.border - (kernel.len() - 1) * LANES;
         let strip = bytemuck::cast_slice(&numbers[beyond..numbers.len() - beyond]);
-        vectorised(Strip { rows: strip, kernel, take: &mut take });
+        vectorised(Strip { rows: strip, kernel, into });
+    }
+}
+
+/// What takes the rows that are filtered. Implementations say `#[inline(always)]`: a closure is compiled by itself, without wide registers.
+pub trait TakeRow {
+    /// The numbers of a row.
+    fn take(&mut self, row: usize, numbers: &[f64; LANES]);
+}
+
+/// The cells that `push` makes of the rows.
+struct Pushed<'a, P> {
+    push: &'a P,
+    found: Vec<f64>,
+}
+
+impl<P: Fn(&[f64; LANES], &mut Vec<f64>)> TakeRow for Pushed<'_, P> {
+    #[inline(always)]
+    fn take(&mut self, _: usize, numbers: &[f64; LANES]) {
+        (self.push)(numbers, &mut self.found);
+    }
+}
+
+/// Rows of lanes that become columns of the blocks of a band.
+struct ToColumns<'a, 'b, const NUMBERS: usize>(&'a mut [&'b mut [f64]]);
+
+impl<const NUMBERS: usize> TakeRow for ToColumns<'_, '_, NUMBERS> {
+    #[inline(always)]
+    fn take(&mut self, column: usize, numbers: &[f64; LANES]) {
+        let block = LANES / NUMBERS;
+        let cell = NUMBERS * (column % block);
+        for (row, numbers) in self.0[column / block].chunks_exact_mut(LANES).zip(numbers.chunks_exact(NUMBERS)) {
+            row[cell..cell + NUMBERS].copy_from_slice(numbers);
+        }
     }
 }
 
@@ -176,7 +203,7 @@ impl<const NUMBERS: usize> FilteredRows<NUMBERS> {
 type Row = [[f64; PART]; LANES / PART];
 
 /// The numbers of a row.
-fn numbers(row: &Row) -> &[f64; LANES] {
+fn numbers_of(row: &Row) -> &[f64; LANES] {
     bytemuck::cast_ref(row)
 }
 
@@ -184,22 +211,28 @@ fn numbers(row: &Row) -> &[f64; LANES] {
 struct Strip<'a, T> {
     rows: &'a [Row],
     kernel: &'a [f64],
-    take: &'a mut T,
+    into: &'a mut T,
 }
 
-impl<T: FnMut(usize, &[f64; LANES])> Work for Strip<'_, T> {
+impl<T: TakeRow> Work for Strip<'_, T> {
     type Output = ();
 
     #[inline(always)]
     fn run(self) {
         let places = self.rows.len() - 2 * (self.kernel.len() - 1);
-        let whole = places - places % TILE;
-        for place in (0..whole).step_by(TILE) {
-            let sums = convolve::<TILE>(&self.rows[place..], self.kernel);
-            sums.iter().enumerate().for_each(|(row, sums)| (self.take)(place + row, numbers(sums)));
-        }
-        for place in whole..places {
-            (self.take)(place, numbers(&convolve::<1>(&self.rows[place..], self.kernel)[0]));
+        let mut place = 0;
+        while place < places {
+            let (mut sums, mut count) = ([[[0.0; PART]; LANES / PART]; TILE], TILE);
+            if place + TILE <= places {
+                sums = convolve::<TILE>(&self.rows[place..], self.kernel);
+            } else {
+                [sums[0]] = convolve::<1>(&self.rows[place..], self.kernel);
+                count = 1;
+            }
+            for (row, sums) in sums[..count].iter().enumerate() {
+                self.into.take(place + row, numbers_of(sums));
+            }
+            place += count;
         }
     }
 }

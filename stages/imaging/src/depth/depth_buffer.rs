@@ -51,6 +51,7 @@ struct Facet {
 // Without branches several rays are tested at a time.
 #[allow(clippy::needless_bitwise_bool)]
 impl Facet {
+    #[inline(always)]
     fn new(a: &Vector3<f64>, b: &Vector3<f64>, c: &Vector3<f64>) -> Self {
         let normal = (b - a).cross(&(c - a));
         Self { edges: [a.cross(b), b.cross(c), c.cross(a)], offset: normal.dot(a), normal }
@@ -166,21 +167,7 @@ pub fn triangles(mesh: &Mesh, camera: &Camera, drawing: &Drawing, buffer: &Depth
         Rays::default,
         |rays, (band, (numbers, z))| {
             scene.find_rays(rays, band * BAND, z.len() / width);
-            scene.visit_band(
-                band,
-                rays,
-                |_| true,
-                |triangle, facet, row, [first, last]| {
-                    let [x, y] = rays.row(row);
-                    let start = row * width;
-                    for column in first..=last {
-                        let (z, number) = (z[start + column], &mut numbers[start + column]);
-                        if z.is_finite() && facet.depth(x[column], y[column]).to_bits() == z.to_bits() {
-                            *number = triangle.min(*number);
-                        }
-                    }
-                },
-            );
+            scene.visit_band(band, rays, |_| true, Tell { rays, z, numbers });
         },
     );
     numbers
@@ -310,33 +297,31 @@ impl<'a> Scene<'a> {
         BAND.min(self.height - band * BAND)
     }
 
-    /// Calls `visit` for every triangle that may cover pixels of a band and for whose first and last column `wanted` holds, with
+    #[inline(always)]
+    fn facet(&self, triangle: u32) -> Facet {
+        let [a, b, c] = self.triangles[triangle as usize].map(|i| self.points[i as usize]);
+        Facet::new(&a, &b, &c)
+    }
+
+    /// Shows `visitor` every triangle that may cover pixels of a band and for whose first and last column `wanted` holds, with
     /// a row of the band, and the first and last of its columns in reach.
     #[inline(always)]
-    fn visit_band(
-        &self,
-        band: usize,
-        rays: &Rays,
-        wanted: impl Fn([usize; 2]) -> bool,
-        mut visit: impl FnMut(u32, &Facet, usize, [usize; 2]),
-    ) {
-        let facet = |triangle: u32| {
-            let [a, b, c] = self.triangles[triangle as usize].map(|i| self.points[i as usize]);
-            Facet::new(&a, &b, &c)
-        };
+    fn visit_band(&self, band: usize, rays: &Rays, wanted: impl Fn([usize; 2]) -> bool, mut visitor: impl Visit) {
         for Reached { triangle, columns, rows: [first, last] } in self.chunks.iter().flat_map(|all| all.of_band(band)) {
             let columns = columns.map(|column| column as usize);
             if wanted(columns) {
-                let facet = facet(*triangle);
-                (usize::from(*first)..=usize::from(*last)).for_each(|row| visit(*triangle, &facet, row, columns));
+                let facet = self.facet(*triangle);
+                for row in usize::from(*first)..usize::from(*last) + 1 {
+                    visitor.visit(*triangle, &facet, row, columns);
+                }
             }
         }
         if self.chunks.iter().any(|chunk| !chunk.wide.is_empty()) {
             let extents: Vec<Extent> = (0..rays.rows()).map(|row| Extent::of(rays.row(row))).collect();
             for (triangle, [x, y]) in self.chunks.iter().flat_map(|chunk| &chunk.wide) {
-                let facet = facet(*triangle);
+                let facet = self.facet(*triangle);
                 for row in (0..rays.rows()).filter(|row| extents[*row].meets(*x, *y)) {
-                    visit(*triangle, &facet, row, [0, self.width - 1]);
+                    visitor.visit(*triangle, &facet, row, [0, self.width - 1]);
                 }
             }
         }
@@ -419,10 +404,48 @@ impl<W: Fn([usize; 2]) -> bool> Work for DrawBand<'_, W> {
     #[inline(always)]
     fn run(self) {
         let Self { scene, band, rays, z, wanted } = self;
-        scene.visit_band(band, rays, wanted, |_, facet, row, columns| {
-            let span = row * scene.width..(row + 1) * scene.width;
-            facet.keep_nearest(rays.row(row), &mut z[span], columns);
-        });
+        scene.visit_band(band, rays, wanted, KeepNearest { rays, z });
+    }
+}
+
+/// What is done with the triangles that may cover pixels of a row. Its method is inlined wherever it is called, which a closure is not: it would be
+/// compiled for any processor, without the lanes of this one.
+trait Visit {
+    /// A triangle, its facet, the row, and the first and last column in reach.
+    fn visit(&mut self, triangle: u32, facet: &Facet, row: usize, columns: [usize; 2]);
+}
+
+/// Keeps the smallest depth at each ray.
+struct KeepNearest<'a> {
+    rays: &'a Rays,
+    z: &'a mut [f64],
+}
+
+impl Visit for KeepNearest<'_> {
+    #[inline(always)]
+    fn visit(&mut self, _: u32, facet: &Facet, row: usize, columns: [usize; 2]) {
+        let width = self.rays.width;
+        facet.keep_nearest(self.rays.row(row), &mut self.z[row * width..(row + 1) * width], columns);
+    }
+}
+
+/// Writes the number of the triangle that has the depth of a pixel, the first of several.
+struct Tell<'a> {
+    rays: &'a Rays,
+    z: &'a [f64],
+    numbers: &'a mut [u32],
+}
+
+impl Visit for Tell<'_> {
+    #[inline(always)]
+    fn visit(&mut self, triangle: u32, facet: &Facet, row: usize, [first, last]: [usize; 2]) {
+        let ([x, y], start) = (self.rays.row(row), row * self.rays.width);
+        for column in first..=last {
+            let (z, number) = (self.z[start + column], &mut self.numbers[start + column]);
+            if z.is_finite() && facet.depth(x[column], y[column]).to_bits() == z.to_bits() {
+                *number = triangle.min(*number);
+            }
+        }
     }
 }
 

@@ -128,7 +128,7 @@ impl Placer<'_> {
     fn row(&self, row: usize, rays: &mut [Vec<f64>; 2], samples: &mut [Sample]) -> Counts {
         let first = row * self.depth.width;
         let depths_m = &self.depth.z[first..first + self.depth.width];
-        if !depths_m.iter().any(|z| is_depth(*z)) {
+        if !depths_m.iter().any(|z| Depth::is_seen(*z)) {
             return Counts::default();
         }
         let [x, y] = &mut *rays;
@@ -211,15 +211,10 @@ impl Work for PlaceRow<'_> {
     }
 }
 
-/// Whether a pixel has a depth: what is not finite, or behind the camera, is none.
-fn is_depth(z: f32) -> bool {
-    z.is_finite() && z > 0.0
-}
-
 /// A rectangle in X and Y that holds all points, from the outline of the image at the least and largest depth.
 fn reach(depth: &Depth, camera: &Camera) -> Option<[f64; 4]> {
     let (mut low, mut high) = (f32::INFINITY, 0.0f32);
-    for z in depth.z.iter().filter(|z| is_depth(**z)) {
+    for z in depth.z.iter().filter(|z| Depth::is_seen(**z)) {
         (low, high) = (low.min(*z), high.max(*z));
     }
     let (right, bottom) = (depth.width - 1, depth.height - 1);
@@ -320,7 +315,7 @@ mod tests {
     fn one_by_one(depth: &Depth, sigma_m: f64, grid: &Grid) -> Vec<[f64; 3]> {
         let camera = Camera::new(&depth.sensor, &depth.image);
         let mut sums = vec![[0.0; 3]; grid.cells()];
-        for (i, z) in depth.z.iter().enumerate().filter(|(_, z)| is_depth(**z)) {
+        for (i, z) in depth.z.iter().enumerate().filter(|(_, z)| Depth::is_seen(**z)) {
             let Some(ray) = RayRow::new(&camera, i / depth.width, 1).ray(i % depth.width) else { continue };
             let direction = camera.direction(ray);
             let point = camera.centre() + direction * f64::from(*z);

@@ -92,7 +92,7 @@ impl<'a> Patch<'a> {
         let (width, height) = (depth.width, depth.height);
         let (mut columns, mut rows) = ([width, 0], [height, 0]);
         for (row, values) in depth.z.chunks(width).enumerate() {
-            let valid = |z: &f32| is_depth(*z);
+            let valid = |z: &f32| Depth::is_seen(*z);
             if let (Some(first), Some(last)) = (values.iter().position(valid), values.iter().rposition(valid)) {
                 columns = [columns[0].min(first), columns[1].max(last)];
                 rows = [rows[0].min(row), rows[1].max(row)];
@@ -119,7 +119,7 @@ fn span([first, last]: [usize; 2], size: usize) -> (usize, usize) {
 
 /// A point in the middle of the view, in whole metres, so that 32-bit differences from it stay exact to micrometres.
 fn rounded_origin(patch: &Patch, camera: &Camera) -> Vector3<f64> {
-    let depths = (0..patch.height).flat_map(|row| patch.line(row)).filter(|z| is_depth(**z));
+    let depths = (0..patch.height).flat_map(|row| patch.line(row)).filter(|z| Depth::is_seen(**z));
     let (low, high) = depths.fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), z| (l.min(*z), h.max(*z)));
     if low > high {
         return camera.centre().map(f64::round);
@@ -127,11 +127,6 @@ fn rounded_origin(patch: &Patch, camera: &Camera) -> Vector3<f64> {
     let middle = full_pixel(patch.column + patch.width / 2, patch.row + patch.height / 2, patch.depth.downscale);
     let ray = camera.normalised(middle).unwrap_or([0.0; 2]);
     camera.unproject(ray, 0.5 * (f64::from(low) + f64::from(high))).map(f64::round)
-}
-
-/// Whether a pixel has a depth: finite and in front of the camera.
-fn is_depth(z: f32) -> bool {
-    z.is_finite() && z > 0.0
 }
 
 /// Places the points of a row of the patch; those without a depth or a ray are left as they are.
@@ -154,7 +149,7 @@ impl Work for PlaceRow<'_> {
             let ([ray, _], [x, y, z]) = self.rays.points(column, depths_m);
             let (x, y, z) = (x - self.origin.x, y - self.origin.y, z - self.origin.z);
             for (lane, (depth_m, point)) in depths_m.iter().zip(points).enumerate() {
-                if is_depth(*depth_m) && !ray[lane].is_nan() {
+                if Depth::is_seen(*depth_m) && !ray[lane].is_nan() {
                     *point = [x[lane] as f32, y[lane] as f32, z[lane] as f32];
                 }
             }
@@ -346,7 +341,7 @@ impl Square {
     /// The diagonal that steps less, or the one that leaves a triangle where a corner is missing.
     #[inline]
     fn diagonal(&self) -> u8 {
-        let step = |a: f32, b: f32| if is_depth(a) && is_depth(b) { (a - b).abs() } else { f32::INFINITY };
+        let step = |a: f32, b: f32| if Depth::is_seen(a) && Depth::is_seen(b) { (a - b).abs() } else { f32::INFINITY };
         let [a, b, c, d] = self.z;
         if step(b, d) < step(a, c) { Surface::OTHER_DIAGONAL } else { 0 }
     }

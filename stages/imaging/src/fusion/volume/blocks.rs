@@ -66,7 +66,7 @@ impl Volume {
 /// The blocks within the truncation of the surface of a depth map.
 pub fn near(depth: &Depth, layout: &Layout) -> Vec<Key> {
     let camera = Camera::of_depth(depth);
-    let nearest_m = depth.z.iter().filter(|z| z.is_finite() && **z > 0.0).fold(f32::INFINITY, |a, z| a.min(*z));
+    let nearest_m = depth.z.iter().filter(|z| Depth::is_seen(**z)).fold(f32::INFINITY, |a, z| a.min(*z));
     if !nearest_m.is_finite() {
         return Vec::new();
     }
@@ -100,8 +100,9 @@ fn walk(depth: &Depth, camera: &Camera, layout: &Layout, row: usize, stride: usi
     let mut rays = RayRow::new(camera, row, depth.downscale);
     let mut last = vec![([i32::MIN; 3], [i32::MIN; 3]); steps as usize + 1];
     for column in (0..depth.width).step_by(stride) {
-        let z = f64::from(depth.z[row * depth.width + column]);
-        let Some(ray) = rays.ray(column).filter(|_| z.is_finite() && z > 0.0) else { continue };
+        let z = depth.z[row * depth.width + column];
+        let Some(ray) = rays.ray(column).filter(|_| Depth::is_seen(z)) else { continue };
+        let z = f64::from(z);
         let direction = camera.direction(ray).normalize();
         let point = camera.unproject(ray, z);
         let inside =

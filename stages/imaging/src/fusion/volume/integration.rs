@@ -25,7 +25,7 @@ struct View<'a> {
 /// A voxel gets the distance along its ray from the map's surface, in truncations: 1 far before it; nothing further than one
 /// truncation behind it.
 pub fn integrate(volume: &mut Volume, depth: &Depth, sigma: Option<&[f32]>) {
-    let seen = depth.z.iter().filter(|z| z.is_finite() && **z > 0.0);
+    let seen = depth.z.iter().filter(|z| Depth::is_seen(**z));
     let range_m = seen.fold([f64::INFINITY, 0.0], |[a, b], z| [a.min(f64::from(*z)), b.max(f64::from(*z))]);
     let sensor = &depth.sensor;
     let pinhole = sensor.k.iter().chain(&sensor.p).all(|coefficient| coefficient.abs() <= 0.0);

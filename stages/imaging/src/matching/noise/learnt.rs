@@ -189,7 +189,7 @@ impl LearntNoise {
         let gain = self.gain(start, back, -z + centre[2]);
         let way = Way { start, back, gain, parallax_px };
         let cells = (back[0] * back[0] + back[1] * back[1]).sqrt();
-        let mut u = settled(|u| way.part(self.errors_px.at_lanes(way.place(u))), Lanes::all(SAME_CELLS) / cells);
+        let mut u = settled(&self.errors_px, &way, Lanes::all(SAME_CELLS) / cells);
         for lane in 0..LANES {
             if u[lane].is_nan() {
                 u.set(lane, self.followed(&way.of_lane(lane), STEP_CELLS / cells[lane]));
@@ -213,16 +213,18 @@ impl LearntNoise {
     /// How much higher a ray rises above the face than above a level one: the face falls away from it, or rises with it.
     #[inline(always)]
     fn gain(&self, start: [Lanes; 2], back: [Lanes; 2], rise_m: Lanes) -> Lanes {
-        let slope = |axis: usize| {
-            Lanes::of(|lane| f64::from(self.face.slopes[self.cell([start[0][lane], start[1][lane]])][axis]))
-        };
-        let (right, down) = (slope(0), slope(1));
+        let [mut right, mut down] = [Lanes::NONE; 2];
+        for lane in 0..LANES {
+            let slopes = self.face.slopes[self.cell([start[0][lane], start[1][lane]])];
+            right.set(lane, f64::from(slopes[0]));
+            down.set(lane, f64::from(slopes[1]));
+        }
         let gain = -(right * back[0] + down * back[1]) / rise_m + 1.0;
         gain.map(|gain| if gain.is_nan() { 1.0 } else { gain.clamp(SLOPE_FACTOR[0], SLOPE_FACTOR[1]) })
     }
 
     /// The index of the cell at a position.
-    #[inline]
+    #[inline(always)]
     fn cell(&self, [column, row]: [f64; 2]) -> usize {
         mirrored(row, self.grid.rows) * self.grid.columns + mirrored(column, self.grid.columns)
     }
@@ -257,18 +259,22 @@ impl Way<Lanes> {
     }
 }
 
-/// Where rays meet a surface, by secants from the height above their feet; NaN where they do not settle.
+/// Where rays meet the surface of errors, by secants from the height above their feet; NaN where they do not settle.
 #[inline(always)]
-fn settled(surface: impl Fn(Lanes) -> Lanes, same: Lanes) -> Lanes {
-    let mut last = [Lanes::all(0.0), surface(Lanes::all(0.0))];
-    let (mut u, mut found) = (last[1], Lanes::NONE);
-    for _ in 0..GUESSES {
-        let above = surface(u) - u;
+#[allow(clippy::needless_bitwise_bool)] // branches would keep the lanes apart
+fn settled(errors_px: &Spline, way: &Way<Lanes>, same: Lanes) -> Lanes {
+    let (mut u, mut found) = (Lanes::all(0.0), Lanes::NONE);
+    let mut last = [u, u];
+    for guess in 0..GUESSES + 1 {
+        let above = way.part(errors_px.at_lanes(way.place(u))) - u;
+        if guess == 0 {
+            (last[1], u) = (above, above);
+            continue;
+        }
         let mut all = true;
         for lane in 0..LANES {
-            if found[lane].is_nan() && above[lane].abs() < same[lane] {
-                found.set(lane, u[lane] + above[lane]);
-            }
+            let settles = found[lane].is_nan() & (above[lane].abs() < same[lane]);
+            found.set(lane, if settles { u[lane] + above[lane] } else { found[lane] });
             all &= !found[lane].is_nan();
         }
         if all {

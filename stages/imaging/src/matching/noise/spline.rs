@@ -2,7 +2,7 @@
 //! (Unser, Aldroubi and Eden 1993, IEEE Trans. Signal Processing 41).
 
 use crate::matching::noise::paper::Interpolation;
-use rockface_core::numerics::fast_round::floor;
+use rockface_core::numerics::fast_round::{floor, whole};
 use rockface_core::numerics::simd::{LANES, Lanes, Number, both};
 
 /// Pole of the filter that turns values into coefficients: `sqrt(3) - 2`.
@@ -55,15 +55,22 @@ impl Spline {
     /// The values at several positions; NaN at a position that is NaN.
     #[inline(always)]
     pub fn at_lanes(&self, [columns, rows]: [Lanes; 2]) -> Lanes {
-        let all_inside = (0..LANES).all(|lane| self.is_inside([columns[lane], rows[lane]]));
+        let mut all_inside = true;
+        for lane in 0..LANES {
+            all_inside &= self.is_inside([columns[lane], rows[lane]]);
+        }
         if !all_inside {
             return self.at_each([columns, rows]);
         }
-        let ([left, top], weights) = split([columns, rows]);
-        Lanes::of(|lane| {
-            let along = |axis: usize| weights[axis].map(|weight| weight[lane]);
-            self.weighted([left[lane], top[lane]], [along(0), along(1)])
-        })
+        let ([left, top], [x, y]) = split([columns, rows]);
+        let mut values = Lanes::NONE;
+        // No closure: it would be compiled by itself, without wide registers.
+        for lane in 0..LANES {
+            let x = [x[0][lane], x[1][lane], x[2][lane], x[3][lane]];
+            let y = [y[0][lane], y[1][lane], y[2][lane], y[3][lane]];
+            values.set(lane, self.weighted([left[lane], top[lane]], [x, y]));
+        }
+        values
     }
 
     /// As [`at_lanes`](Self::at_lanes), one by one.
@@ -79,9 +86,10 @@ impl Spline {
 
     /// Whether the four by four cells around a position lie in the grid or its margin.
     #[inline(always)]
+    #[allow(clippy::needless_bitwise_bool)] // branches would keep the lanes apart
     fn is_inside(&self, [column, row]: [f64; 2]) -> bool {
-        let within = |at: f64, size: usize| at >= 2.0 - MARGIN as f64 && at < (size + MARGIN) as f64 - 2.0;
-        within(column, self.columns) && within(row, self.rows)
+        let within = |at: f64, size: usize| (at >= 2.0 - MARGIN as f64) & (at < (size + MARGIN) as f64 - 2.0);
+        within(column, self.columns) & within(row, self.rows)
     }
 
     fn at_inside(&self, position: [f64; 2]) -> f64 {
@@ -92,7 +100,7 @@ impl Spline {
     /// The sum of the four values in each of four rows, whose first is in this column and row, by their weights along x and y.
     #[inline(always)]
     fn weighted(&self, first: [f64; 2], [x, y]: [[f64; 4]; 2]) -> f64 {
-        let [left, top] = first.map(|cell| (cell + MARGIN as f64) as usize);
+        let [left, top] = both(first, |cell| whole(cell + MARGIN as f64));
         let mut sums = [0.0; 4];
         for (row, weight) in y.iter().enumerate() {
             let first = (top + row) * self.stride() + left;
@@ -125,10 +133,10 @@ fn sum_of([a, b, c, d]: [f64; 4], x: [f64; 4]) -> f64 {
 /// The first of the four cells around a position along each axis, and their weights.
 #[inline(always)]
 fn split<T: Number + Whole>(position: [T; 2]) -> ([T; 2], [[T; 4]; 2]) {
-    let first = both(position, |at| (at - 0.5).whole());
     let [across, down] = position;
-    let weights = both([across - 0.5 - first[0], down - 0.5 - first[1]], |t| Interpolation::BSpline.weights(t));
-    (both(first, |cell| cell - 1.0), weights)
+    let (left, top) = ((across - 0.5).whole(), (down - 0.5).whole());
+    let kernel = Interpolation::BSpline;
+    ([left - 1.0, top - 1.0], [kernel.weights(across - 0.5 - left), kernel.weights(down - 0.5 - top)])
 }
 
 /// The largest whole number not above.
@@ -146,7 +154,7 @@ impl Whole for f64 {
 impl Whole for Lanes {
     #[inline(always)]
     fn whole(self) -> Self {
-        self.map(Whole::whole)
+        self.map(f64::floor)
     }
 }
 
@@ -159,11 +167,13 @@ fn around(position: f64, size: usize) -> ([usize; 4], [f64; 4]) {
 }
 
 /// The cell at a position along one side of a grid of `size` cells, which is mirrored at its ends.
-#[inline]
+#[inline(always)]
 pub fn mirrored(at: f64, size: usize) -> usize {
-    if at >= 0.0 && at < size as f64 {
-        return at as usize;
-    }
+    if at >= 0.0 && at < size as f64 { at as usize } else { mirrored_beyond(at, size) }
+}
+
+/// The same for a position beyond an end.
+fn mirrored_beyond(at: f64, size: usize) -> usize {
     let cell = at.floor();
     // Once beyond an end, which is most often, without a division.
     if cell < 0.0 && cell >= -(size as f64) {
