@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::camera::model::{Camera, full_pixel};
 use crate::camera::ray_row::RayRow;
-use crate::depth::triangle_reach::{Bend, NEAR_M, Projected, Reach, reach_of_projected};
+use crate::depth::triangle_reach::{Bend, NEAR_M, Projected, Reach, reach_of_projected, reaches};
 use rockface_core::artefact::Mesh;
 use rockface_core::numerics::simd::{LANES, Work, vectorised};
 
@@ -237,6 +237,82 @@ impl Sorted {
     }
 }
 
+/// The points of a mesh in the camera frame, projected, and how they are drawn.
+#[derive(Clone, Copy)]
+struct Corners<'a> {
+    points: &'a [Vector3<f64>],
+    projected: &'a [Projected],
+    bend: &'a Bend,
+    drawing: &'a Drawing,
+    size: (usize, usize),
+}
+
+impl Corners<'_> {
+    /// What a triangle reaches.
+    fn reach(&self, triangle: &[u32; 3]) -> Reach {
+        let corners = triangle.map(|i| self.points[i as usize]);
+        if self.drawing.front_only && faces_away(&corners) {
+            return Reach::Nothing;
+        }
+        let projected = triangle.map(|i| self.projected[i as usize]);
+        reach_of_projected(&projected, self.bend, &corners, f64::from(self.drawing.downscale), self.size)
+    }
+}
+
+/// Whether a triangle in the camera frame shows its back.
+#[inline(always)]
+fn faces_away([a, b, c]: &[Vector3<f64>; 3]) -> bool {
+    let along = [b.y * c.z - b.z * c.y, b.z * c.x - b.x * c.z, b.x * c.y - b.y * c.x];
+    a.x * along[0] + a.y * along[1] + a.z * along[2] >= 0.0
+}
+
+/// Finds the triangles of a chunk that may cover pixels, several at a time.
+struct FindReaches<'a> {
+    corners: Corners<'a>,
+    triangles: &'a [[u32; 3]],
+    /// Number of the first of the triangles.
+    first: u32,
+    covering: &'a mut Vec<Covering>,
+    wide: &'a mut Vec<(u32, [[f64; 2]; 2])>,
+}
+
+impl Work for FindReaches<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { corners, triangles, first, covering, wide } = self;
+        let (front_only, downscale) = (corners.drawing.front_only, f64::from(corners.drawing.downscale));
+        let mut projected = [[Projected::default(); LANES]; 3];
+        for (block, triangles) in triangles.chunks(LANES).enumerate() {
+            let (mut wanted, mut simple) = ([false; LANES], [false; LANES]);
+            for (lane, triangle) in triangles.iter().enumerate() {
+                let [a, b, c] = [triangle[0] as usize, triangle[1] as usize, triangle[2] as usize];
+                let [of_a, of_b, of_c] = [corners.projected[a], corners.projected[b], corners.projected[c]];
+                let points = [corners.points[a], corners.points[b], corners.points[c]];
+                wanted[lane] = !front_only || !faces_away(&points);
+                simple[lane] = of_a.has_pixel() && of_b.has_pixel() && of_c.has_pixel();
+                (projected[0][lane], projected[1][lane], projected[2][lane]) = (of_a, of_b, of_c);
+            }
+            let [columns, rows] = reaches(&projected, corners.bend, downscale, corners.size);
+            for (lane, triangle) in triangles.iter().enumerate().filter(|(lane, _)| wanted[*lane]) {
+                let number = first + (block * LANES + lane) as u32;
+                if simple[lane] {
+                    if let (Some(columns), Some(rows)) = (columns.of_lane(lane), rows.of_lane(lane)) {
+                        covering.push((number, columns, rows));
+                    }
+                } else {
+                    match corners.reach(triangle) {
+                        Reach::Nothing => {}
+                        Reach::Pixels { columns, rows } => covering.push((number, columns, rows)),
+                        Reach::Wide { x, y } => wide.push((number, [x, y])),
+                    }
+                }
+            }
+        }
+    }
+}
+
 impl<'a> Scene<'a> {
     /// The scene of a mesh before a camera.
     pub(super) fn of(mesh: &'a Mesh, camera: &'a Camera, drawing: &'a Drawing) -> Self {
@@ -245,26 +321,13 @@ impl<'a> Scene<'a> {
         let points: Vec<_> = mesh.vertices.par_iter().map(|v| camera.to_camera(&Vector3::from(*v))).collect();
         let bend = Bend::new(camera.sensor());
         let projected: Vec<_> = points.par_iter().map(|point| Projected::new(camera, point)).collect();
-        let find = |triangle: &[u32; 3]| {
-            let corners = triangle.map(|i| points[i as usize]);
-            let faces_away = corners[0].dot(&corners[1].cross(&corners[2])) >= 0.0;
-            if drawing.front_only && faces_away {
-                return Reach::Nothing;
-            }
-            let projected = triangle.map(|i| projected[i as usize]);
-            reach_of_projected(&projected, &bend, &corners, f64::from(drawing.downscale), (width, height))
-        };
         let sort = |covering: &mut Vec<Covering>, (chunk, triangles): (usize, &[[u32; 3]])| {
             covering.clear();
             let mut wide = Vec::new();
-            for (i, triangle) in triangles.iter().enumerate() {
-                let number = (chunk * CHUNK + i) as u32;
-                match find(triangle) {
-                    Reach::Nothing => {}
-                    Reach::Pixels { columns, rows } => covering.push((number, columns, rows)),
-                    Reach::Wide { x, y } => wide.push((number, [x, y])),
-                }
-            }
+            let corners =
+                Corners { points: &points, projected: &projected, bend: &bend, drawing, size: (width, height) };
+            let (first, wide_ones) = ((chunk * CHUNK) as u32, &mut wide);
+            vectorised(FindReaches { corners, triangles, first, covering, wide: wide_ones });
             Sorted::new(covering, wide, height.div_ceil(BAND))
         };
         let chunks = mesh.triangles.par_chunks(CHUNK).enumerate().map_init(Vec::new, sort).collect();
@@ -299,8 +362,8 @@ impl<'a> Scene<'a> {
 
     #[inline(always)]
     fn facet(&self, triangle: u32) -> Facet {
-        let [a, b, c] = self.triangles[triangle as usize].map(|i| self.points[i as usize]);
-        Facet::new(&a, &b, &c)
+        let [a, b, c] = self.triangles[triangle as usize];
+        Facet::new(&self.points[a as usize], &self.points[b as usize], &self.points[c as usize])
     }
 
     /// Shows `visitor` every triangle that may cover pixels of a band and for whose first and last column `wanted` holds, with

@@ -4,7 +4,8 @@ use nalgebra::Vector3;
 
 use crate::camera::model::Camera;
 use rockface_core::artefact::Sensor;
-use rockface_core::numerics::fast_round::floor;
+use rockface_core::numerics::fast_round::{floor, whole};
+use rockface_core::numerics::simd::{LANES, Lanes, Number, both};
 
 /// Nothing nearer to the camera than this is seen, metres along the optical axis.
 pub const NEAR_M: f64 = 1e-3;
@@ -53,15 +54,16 @@ impl Bend {
 
     /// Largest distance between a curved edge and its chord, pixels of the full image, for normalised points within
     /// radius `r` and edges of squared length `h2`.
-    fn of_edges(&self, r: f64, h2: f64) -> f64 {
+    #[inline(always)]
+    fn of_edges<T: Number>(&self, r: T, h2: T) -> T {
         let (r2, [a, b, c, d]) = (r * r, self.radial);
-        let second = r * (a + r2 * (b + r2 * (c + r2 * d))) + self.tangential;
-        self.scale_px * second * h2 / 8.0
+        let second = r * (r2 * (r2 * (r2 * d + c) + b) + a) + self.tangential;
+        second * self.scale_px * h2 / 8.0
     }
 }
 
 /// A point in the camera frame and what becomes of it, found once for all triangles that share it.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Projected {
     /// Normalised coordinates; of use where the point lies beyond the near plane.
     flat: [f64; 2],
@@ -70,6 +72,12 @@ pub struct Projected {
 }
 
 impl Projected {
+    /// Whether the point has a pixel.
+    #[inline(always)]
+    pub fn has_pixel(&self) -> bool {
+        !self.pixel[0].is_nan()
+    }
+
     /// Projects a point of the camera frame.
     pub fn new(camera: &Camera, point: &Vector3<f64>) -> Self {
         let flat = [point.x / point.z, point.y / point.z];
@@ -114,6 +122,55 @@ pub fn reach_of_projected(
         (Some(columns), Some(rows)) => Reach::Pixels { columns, rows },
         _ => Reach::Nothing,
     }
+}
+
+/// As [`reach_of_projected`] of some triangles, whose corners all lie beyond the near plane and have pixels: first and last column, and first and last
+/// row, of each; NaN where it covers none.
+#[inline(always)]
+pub fn reaches(projected: &[[Projected; LANES]; 3], bend: &Bend, downscale: f64, size: (usize, usize)) -> [Spans; 2] {
+    let of = |corner: usize, value: fn(&Projected) -> f64| {
+        let mut lanes = Lanes::NONE;
+        for lane in 0..LANES {
+            lanes.set(lane, value(&projected[corner][lane]));
+        }
+        lanes
+    };
+    let flat = [0, 1, 2].map(|corner| [of(corner, |p| p.flat[0]), of(corner, |p| p.flat[1])]);
+    let larger = |a: Lanes, b: Lanes| a.at_least(b);
+    let square = |[x, y]: [Lanes; 2]| x * x + y * y;
+    let r2 = larger(larger(square(flat[0]), square(flat[1])), square(flat[2]));
+    let edge = |i: usize, j: usize| square([flat[i][0] - flat[j][0], flat[i][1] - flat[j][1]]);
+    let h2 = larger(larger(edge(0, 1), edge(1, 2)), edge(2, 0));
+    let margin = bend.of_edges(r2.sqrt(), h2) + 1e-3;
+    let columns = [of(0, |p| p.pixel[0]), of(1, |p| p.pixel[0]), of(2, |p| p.pixel[0])];
+    let rows = [of(0, |p| p.pixel[1]), of(1, |p| p.pixel[1]), of(2, |p| p.pixel[1])];
+    [spans(columns, margin, downscale, size.0), spans(rows, margin, downscale, size.1)]
+}
+
+/// First and last positions of some triangles; NaN where there are none.
+#[derive(Clone, Copy)]
+pub struct Spans([Lanes; 2]);
+
+impl Spans {
+    /// Those of a lane.
+    #[inline(always)]
+    pub fn of_lane(&self, lane: usize) -> Option<[u32; 2]> {
+        let [first, last] = self.0.map(|lanes| lanes[lane]);
+        (first <= last).then(|| [whole(first) as u32, whole(last) as u32])
+    }
+}
+
+/// As [`span`], of some triangles.
+#[inline(always)]
+fn spans([a, b, c]: [Lanes; 3], margin: Lanes, downscale: f64, size: usize) -> Spans {
+    let smaller = |a: Lanes, b: Lanes| a.with(b, |a, b| if b < a { b } else { a });
+    let (low, high) = (smaller(smaller(a, b), c), a.at_least(b).at_least(c));
+    let [low, high] = both([low - margin, high + margin], |full| (full + 0.5) / downscale - 0.5);
+    let last_place = size as f64 - 1.0;
+    let first = low.map(|low| low.ceil().max(0.0));
+    let last = high.map(|high| high.floor().min(last_place));
+    let outside = |low: f64, high: f64| if high < 0.0 || low > last_place { f64::NAN } else { 0.0 };
+    Spans([first + low.with(high, outside), last])
 }
 
 fn squared_distance([ax, ay]: [f64; 2], [bx, by]: [f64; 2]) -> f64 {

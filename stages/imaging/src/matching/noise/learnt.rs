@@ -14,7 +14,7 @@ use crate::matching::side::Side;
 use rockface_core::StageError;
 use rockface_core::artefact::{Cameras, Depth, Grid, Noise, Pairs};
 use rockface_core::numerics::quantile::median;
-use rockface_core::numerics::simd::{LANES, Lanes, Number};
+use rockface_core::numerics::simd::{LANES, Lanes, Number, Work, vectorised};
 
 /// Nodes along the longer side of the grid at which the geometry of pairs is looked at.
 const NODES: usize = 32;
@@ -170,14 +170,15 @@ impl LearntNoise {
     ///
     /// `points` and `centre` (of the camera) are metres; `parallax_px` is the disparity beyond that of infinity without noise. NaN in a gap,
     /// where nothing is matched, and 0 for points that are NaN.
-    #[inline(always)]
+    // Wide registers are chosen here: as a part of each of its callers this would be compiled many times.
+    #[inline(never)]
     pub fn landing_lanes(&self, points: [Lanes; 3], centre: [f64; 3], parallax_px: Lanes) -> Lanes {
         let none = |lane: usize| points[0][lane].is_nan() || parallax_px[lane].is_nan();
         let Some(first) = (0..LANES).find(|lane| !none(*lane)) else { return Lanes::all(0.0) };
         // Lanes without a point go the way of one that has one.
         let filled = |values: Lanes| Lanes::of(|lane| values[if none(lane) { first } else { lane }]);
         let [x, y, z] = points.map(filled);
-        let found = self.landings([x, y, z], centre, filled(parallax_px));
+        let found = vectorised(Landings { noise: self, points: [x, y, z], centre, parallax_px: filled(parallax_px) });
         Lanes::of(|lane| if none(lane) { 0.0 } else { found[lane] })
     }
 
@@ -227,6 +228,23 @@ impl LearntNoise {
     #[inline(always)]
     fn cell(&self, [column, row]: [f64; 2]) -> usize {
         mirrored(row, self.grid.rows) * self.grid.columns + mirrored(column, self.grid.columns)
+    }
+}
+
+/// [`LearntNoise::landings`] for the widest registers there are.
+struct Landings<'a> {
+    noise: &'a LearntNoise,
+    points: [Lanes; 3],
+    centre: [f64; 3],
+    parallax_px: Lanes,
+}
+
+impl Work for Landings<'_> {
+    type Output = Lanes;
+
+    #[inline(always)]
+    fn run(self) -> Lanes {
+        self.noise.landings(self.points, self.centre, self.parallax_px)
     }
 }
 
