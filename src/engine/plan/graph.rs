@@ -302,6 +302,25 @@ impl Graph {
         leads
     }
 
+    /// By step: whether it is kept and serves, by itself, many consumers that each need values which are not kept too: the step that makes those has
+    /// its axes and more. Values made before it would be held without being used up.
+    pub fn awaited(&self) -> Vec<bool> {
+        let mut awaited = vec![false; self.steps.len()];
+        for step in &self.steps {
+            let sources: Vec<usize> =
+                step.inputs.iter().flat_map(|(_, feed)| feed.sources()).map(|source| source.step).collect();
+            let held = |one: &&usize| !self.steps[**one].keep;
+            for (one, other) in
+                sources.iter().flat_map(|one| sources.iter().filter(held).map(move |other| (one, other)))
+            {
+                let (few, many) = (&self.steps[*one].axes, &self.steps[*other].axes);
+                let serves_many = few.len() < many.len() && few.iter().all(|axis| many.contains(axis));
+                awaited[*one] |= serves_many && self.steps[*one].keep;
+            }
+        }
+        awaited
+    }
+
     /// The steps whose instances are deferred until a list of items is known, each with the axis it waits for.
     pub fn deferred(&self) -> Vec<Option<usize>> {
         let mut deferred: Vec<Option<usize>> = vec![None; self.steps.len()];

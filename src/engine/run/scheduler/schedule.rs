@@ -61,13 +61,16 @@ pub struct Line {
 /// The place of a ready instance in the queue: the greatest is run first.
 ///
 /// Instances that lead to lists of pairs come first, since values that are made before would be released without what the lists bring.
-/// Then come those that use up values held in memory, then deeper steps, so that values are used up before more are made.
+/// Then come those that use up values held in memory, then those that many consumers of such values wait for, then deeper steps, so that values
+/// are used up before more are made.
 #[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Priority {
     /// Whether others wait to be expanded by what it makes, or by what follows from that.
     pub tells: bool,
     /// Whether it uses values that are held in memory only.
     pub drains: bool,
+    /// Whether many consumers of values that will be held in memory wait for it.
+    pub awaited: bool,
     /// Its step; later steps are deeper in the graph.
     pub depth: usize,
     /// How many producers that consumer of it lacks which lacks the fewest: what a consumer needs is made together.
@@ -102,6 +105,8 @@ pub struct Scheduler<'a> {
     pub(super) exchange: Exchange,
     /// By step: whether it makes pairs that tell what is gathered, or leads to that; empty where there are none.
     pub(super) tells: Vec<bool>,
+    /// By step: whether many consumers of values that are not kept wait for it.
+    pub(super) awaited: Vec<bool>,
     /// Whether instances were added to the plan.
     pub(super) grown: bool,
     /// Lists of pairs that were read, each with the instance that made it, and that nothing was expanded by yet.
@@ -134,7 +139,7 @@ impl<'a> Scheduler<'a> {
         observer: &'a mut dyn Observer,
         workers: Workers,
     ) -> Self {
-        let tells = plan.graph.leads_to_pairs();
+        let (tells, awaited) = (plan.graph.leads_to_pairs(), plan.graph.awaited());
         Self {
             states: States::new(plan),
             timing: Timing::new(plan.graph.steps.len()),
@@ -153,6 +158,7 @@ impl<'a> Scheduler<'a> {
             grown: false,
             told: Vec::new(),
             tells,
+            awaited,
             computing: HashMap::new(),
             budget: MemoryBudget::new(options.memory_bytes),
             failed: false,

@@ -148,7 +148,8 @@ impl Scheduler<'_> {
             (due.is_queued, due.lacking) = (true, Some(lacking));
         }
         let (tells, lacking) = (self.tells.get(depth).copied().unwrap_or(false), std::cmp::Reverse(lacking));
-        self.ready.push(Priority { tells, drains, depth, lacking, place, instance });
+        let awaited = self.awaited[depth];
+        self.ready.push(Priority { tells, drains, awaited, depth, lacking, place, instance });
     }
 
     /// How many producers the consumer lacks that lacks the fewest, of an instance whose values are held for their consumers. Counted

@@ -374,7 +374,7 @@ impl<'a> Scene<'a> {
             let columns = columns.map(|column| column as usize);
             if wanted(columns) {
                 let facet = self.facet(*triangle);
-                for row in usize::from(*first)..usize::from(*last) + 1 {
+                for row in usize::from(*first)..=usize::from(*last) {
                     visitor.visit(*triangle, &facet, row, columns);
                 }
             }

@@ -128,13 +128,7 @@ pub fn reach_of_projected(
 /// row, of each; NaN where it covers none.
 #[inline(always)]
 pub fn reaches(projected: &[[Projected; LANES]; 3], bend: &Bend, downscale: f64, size: (usize, usize)) -> [Spans; 2] {
-    let of = |corner: usize, value: fn(&Projected) -> f64| {
-        let mut lanes = Lanes::NONE;
-        for lane in 0..LANES {
-            lanes.set(lane, value(&projected[corner][lane]));
-        }
-        lanes
-    };
+    let of = |corner: usize, value: fn(&Projected) -> f64| Lanes::of(|lane| value(&projected[corner][lane]));
     let flat = [0, 1, 2].map(|corner| [of(corner, |p| p.flat[0]), of(corner, |p| p.flat[1])]);
     let larger = |a: Lanes, b: Lanes| a.at_least(b);
     let square = |[x, y]: [Lanes; 2]| x * x + y * y;

@@ -5,11 +5,12 @@ use std::collections::BTreeMap;
 use crate::matching::image::{Fusion, ImageTally, match_image};
 use crate::matching::map_fusion::{Averaging, Fused, Rule};
 use crate::matching::noise::matcher::MatcherTerms;
+use crate::matching::noise::model_draws::Model;
 use crate::matching::pair::{Matcher, Sampling};
 use crate::matching::params::{Matching, NoisePorts, NoiseSource, Pixels};
 use crate::matching::setup::{Setup, check_size, noisy_image};
 use crate::matching::side::Side;
-use rockface_core::artefact::{Cameras, Depth, Image, Kind, Pair, Pairs};
+use rockface_core::artefact::{Cameras, Depth, Image, Kind, Noise, Pair, Pairs, Raster};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{
     Context, Element, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params, union,
@@ -134,7 +135,7 @@ impl Stage for MatchImage {
         let ideal = depth_of(inputs, &params.image, None)?;
         let chosen = pairs_of(pairs, &params.image)?;
         let image = noisy_image(noisy, ideal)?;
-        let setup = setup(params, NoisePorts::of(inputs)?)?;
+        let setup = setup(params, ports(inputs)?)?;
         let windowed = setup.terms.as_ref().and_then(|terms| terms.windowed(ideal));
         let depth = windowed.as_ref().unwrap_or(ideal);
         let keys = |purpose: &str, item: &str| context.stream(purpose, item);
@@ -152,6 +153,15 @@ impl Stage for MatchImage {
         report(params, context, &chosen, &map, &tally)?;
         Ok(Outputs::of("depth", map))
     }
+}
+
+fn ports<'a>(inputs: &'a Inputs) -> Result<NoisePorts<'a>, StageError> {
+    let model = inputs.optional::<Noise>("noise")?.map(|_| inputs.shared("noise")).transpose()?;
+    Ok(NoisePorts {
+        strength: inputs.optional::<Raster>("strength")?,
+        noise: model.and_then(Model::of),
+        errors: inputs.optional::<Depth>("errors")?,
+    })
 }
 
 /// The side of a pair on which an image is, and the name of the other image.

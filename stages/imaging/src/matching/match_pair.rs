@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 
 use crate::matching::matched::{Match, Tally};
+use crate::matching::noise::model_draws::Model;
 use crate::matching::pair::{Matcher, Sampling};
 use crate::matching::params::{Matching, NoisePorts};
 use crate::matching::rectified_row::rectified_camera;
 use crate::matching::setup::{check_size, noisy_image};
 use crate::matching::side::Side;
-use rockface_core::artefact::{Cameras, Depth, Image, Kind, Pair, Pairs};
+use rockface_core::artefact::{Cameras, Depth, Image, Kind, Noise, Pair, Pairs, Raster};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 
 params! {
@@ -80,7 +81,7 @@ impl Stage for MatchPair {
         if let Some(windowed) = &windowed {
             depths[side] = windowed;
         }
-        let setup = params.matching.setup(params.sampling, NoisePorts::of(inputs)?)?;
+        let setup = params.matching.setup(params.sampling, ports(inputs)?)?;
         let keys = |purpose: &str, item: &str| context.stream(purpose, item);
         let acquisition = setup.acquisition(depths[side], noisy, pairs, &keys)?;
         let matcher = setup.matcher(&pair.name, depths, side, noisy, acquisition.as_ref(), &keys)?;
@@ -88,6 +89,15 @@ impl Stage for MatchPair {
         report(params, context, pair, &map, &tally)?;
         Ok(Outputs::of("depth", map))
     }
+}
+
+fn ports<'a>(inputs: &'a Inputs) -> Result<NoisePorts<'a>, StageError> {
+    let model = inputs.optional::<Noise>("noise")?.map(|_| inputs.shared("noise")).transpose()?;
+    Ok(NoisePorts {
+        strength: inputs.optional::<Raster>("strength")?,
+        noise: model.and_then(Model::of),
+        errors: inputs.optional::<Depth>("errors")?,
+    })
 }
 
 fn choose_pair<'a>(params: &MatchPairParams, pairs: &'a Pairs) -> Result<&'a Pair, StageError> {

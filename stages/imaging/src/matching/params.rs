@@ -6,9 +6,9 @@ use crate::matching::noise::model_draws::Model;
 use crate::matching::noise::paper::{Distribution, FieldRecipe, Interpolation, Variance};
 use crate::matching::pair::Sampling;
 use crate::matching::setup::Setup;
-use rockface_core::artefact::{Depth, Noise, Raster};
+use rockface_core::artefact::{Depth, Raster};
 use rockface_core::params::Range;
-use rockface_core::{Inputs, StageError, choice, params};
+use rockface_core::{StageError, choice, params};
 
 choice! {
     /// Where the noise of disparities comes from.
@@ -39,21 +39,6 @@ pub struct NoisePorts<'a> {
     pub noise: Option<Model<'a>>,
     /// Errors of the user's own.
     pub errors: Option<&'a Depth>,
-}
-
-impl<'a> NoisePorts<'a> {
-    /// What the ports of a stage hold.
-    ///
-    /// # Errors
-    /// An input that cannot be read.
-    pub fn of(inputs: &'a Inputs) -> Result<Self, StageError> {
-        let model = inputs.optional::<Noise>("noise")?.map(|_| inputs.shared("noise")).transpose()?;
-        Ok(Self {
-            strength: inputs.optional::<Raster>("strength")?,
-            noise: model.and_then(Model::of),
-            errors: inputs.optional::<Depth>("errors")?,
-        })
-    }
 }
 
 params! {

@@ -2,7 +2,7 @@
 
 use super::tests::{Scene, convergent, pairs, scene};
 use super::*;
-use rockface_core::artefact::{Artefact, Contrast, Frame, Grid, Member, Mesh, Noise, Noun, Pair, ReliefLaw};
+use rockface_core::artefact::{Artefact, Contrast, Frame, Grid, Member, Mesh, Noun, Pair, ReliefLaw};
 use rockface_core::numerics::portable_math;
 use rockface_core::testing::{TestHost, height_mesh, image_at, run_stage, small_sensor};
 use serde_json::{Value, json};

@@ -215,8 +215,9 @@ impl LearntNoise {
     #[inline(always)]
     fn gain(&self, start: [Lanes; 2], back: [Lanes; 2], rise_m: Lanes) -> Lanes {
         let [mut right, mut down] = [Lanes::NONE; 2];
-        for lane in 0..LANES {
-            let slopes = self.face.slopes[self.cell([start[0][lane], start[1][lane]])];
+        let columns = start[0].each().into_iter().zip(start[1].each());
+        for (lane, (column, row)) in columns.enumerate() {
+            let slopes = self.face.slopes[self.cell([column, row])];
             right.set(lane, f64::from(slopes[0]));
             down.set(lane, f64::from(slopes[1]));
         }
@@ -283,7 +284,7 @@ impl Way<Lanes> {
 fn settled(errors_px: &Spline, way: &Way<Lanes>, same: Lanes) -> Lanes {
     let (mut u, mut found) = (Lanes::all(0.0), Lanes::NONE);
     let mut last = [u, u];
-    for guess in 0..GUESSES + 1 {
+    for guess in 0..=GUESSES {
         let above = way.part(errors_px.at_lanes(way.place(u))) - u;
         if guess == 0 {
             (last[1], u) = (above, above);
