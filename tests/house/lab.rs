@@ -99,7 +99,10 @@ impl Stage for Draw {
     const NAME: &'static str = "draw";
     const VERSION: u32 = 1;
     const PAGE: Page = PAGE;
-    const INPUTS: &'static [Port] = &[Port::one("in", TABLE, "What it is added to.")];
+    const INPUTS: &'static [Port] = &[
+        Port::one("in", TABLE, "What it is added to."),
+        Port::optional("after", TABLE, "What has to be done before."),
+    ];
     const OUTPUTS: &'static [Port] = &[Port::one("out", TABLE, "The sum.")];
     fn draws(params: &DrawParams) -> bool {
         params.sigma > 0.0

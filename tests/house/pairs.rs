@@ -108,6 +108,26 @@ fn a_list_is_needed_before_what_waits_for_it_and_its_failure_ends_there() {
     assert!(ran.summary.failed && failed.len() == 1 && failed[0].contains("`1` is no pair"), "{failed:?}");
 }
 
+#[test]
+fn what_all_consumers_wait_for_is_made_before_the_values_that_they_use_up() {
+    let yaml = "
+rockface: 1
+axes: {k: {values: [1, 2, 3]}}
+steps:
+  begun: {stage: emit, with: {value: 9}}
+  made: {stage: emit, keep: false, with: {value: '${k}'}}
+  shared: {stage: add, in: {terms: begun.out}}
+  used: {stage: draw, in: {in: made.out, after: shared.out}}
+targets: [used]
+";
+    let ran = Bench::new().run_with(yaml, &[], &Options { jobs: 1, ..Options::default() });
+    let mut begun = ran.events.iter().filter_map(|event| match event {
+        Event::Started { step, .. } => Some(step.as_str()),
+        _ => None,
+    });
+    assert_eq!([begun.next(), begun.next()], [Some("begun"), Some("shared")]);
+}
+
 /// The pairs are made long before the items that they are of.
 const LATE: &str = "
 rockface: 1

@@ -289,7 +289,30 @@ impl Graph {
             Feed::Each { paired, .. } => paired.as_deref(),
             _ => None,
         });
-        let mut open: Vec<usize> = lists.flat_map(Feed::sources).map(|source| source.step).collect();
+        self.leading_to(lists.flat_map(Feed::sources).map(|source| source.step).collect())
+    }
+
+    /// By step: whether it is kept and serves many consumers that each need values which are not kept too, made by a step that has its axes and
+    /// more, or leads to such a step: values made before it would be held without being used up. An empty list where all values are kept.
+    pub fn awaited(&self) -> Vec<bool> {
+        if self.steps.iter().all(|step| step.keep) {
+            return Vec::new();
+        }
+        let mut awaited = Vec::new();
+        for step in &self.steps {
+            let sources = || step.inputs.iter().flat_map(|(_, feed)| feed.sources()).map(|source| source.step);
+            for held in sources().map(|source| &self.steps[source]).filter(|source| !source.keep) {
+                awaited.extend(sources().filter(|source| {
+                    let GraphStep { axes, keep, .. } = &self.steps[*source];
+                    *keep && axes.len() < held.axes.len() && axes.iter().all(|axis| held.axes.contains(axis))
+                }));
+            }
+        }
+        self.leading_to(awaited)
+    }
+
+    /// By step: whether it is one of some steps, or what one of them reads or takes its items from follows from it.
+    fn leading_to(&self, mut open: Vec<usize>) -> Vec<bool> {
         let mut leads = vec![false; self.steps.len()];
         while let Some(step) = open.pop() {
             if !std::mem::replace(&mut leads[step], true) {
@@ -300,25 +323,6 @@ impl Graph {
             }
         }
         leads
-    }
-
-    /// By step: whether it is kept and serves, by itself, many consumers that each need values which are not kept too: the step that makes those has
-    /// its axes and more. Values made before it would be held without being used up.
-    pub fn awaited(&self) -> Vec<bool> {
-        let mut awaited = vec![false; self.steps.len()];
-        for step in &self.steps {
-            let sources: Vec<usize> =
-                step.inputs.iter().flat_map(|(_, feed)| feed.sources()).map(|source| source.step).collect();
-            let held = |one: &&usize| !self.steps[**one].keep;
-            for (one, other) in
-                sources.iter().flat_map(|one| sources.iter().filter(held).map(move |other| (one, other)))
-            {
-                let (few, many) = (&self.steps[*one].axes, &self.steps[*other].axes);
-                let serves_many = few.len() < many.len() && few.iter().all(|axis| many.contains(axis));
-                awaited[*one] |= serves_many && self.steps[*one].keep;
-            }
-        }
-        awaited
     }
 
     /// The steps whose instances are deferred until a list of items is known, each with the axis it waits for.

@@ -69,7 +69,7 @@ pub struct Priority {
     pub tells: bool,
     /// Whether it uses values that are held in memory only.
     pub drains: bool,
-    /// Whether many consumers of values that will be held in memory wait for it.
+    /// Whether many consumers of values that will be held in memory wait for it, or for what follows from it.
     pub awaited: bool,
     /// Its step; later steps are deeper in the graph.
     pub depth: usize,
@@ -105,7 +105,7 @@ pub struct Scheduler<'a> {
     pub(super) exchange: Exchange,
     /// By step: whether it makes pairs that tell what is gathered, or leads to that; empty where there are none.
     pub(super) tells: Vec<bool>,
-    /// By step: whether many consumers of values that are not kept wait for it.
+    /// By step: whether many consumers of values that are not kept wait for it, or for what follows from it; empty where all are kept.
     pub(super) awaited: Vec<bool>,
     /// Whether instances were added to the plan.
     pub(super) grown: bool,

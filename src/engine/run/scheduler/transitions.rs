@@ -147,8 +147,8 @@ impl Scheduler<'_> {
         if let Some(due) = self.states[instance].due_mut() {
             (due.is_queued, due.lacking) = (true, Some(lacking));
         }
-        let (tells, lacking) = (self.tells.get(depth).copied().unwrap_or(false), std::cmp::Reverse(lacking));
-        let awaited = self.awaited[depth];
+        let [tells, awaited] = [&self.tells, &self.awaited].map(|steps| steps.get(depth).copied().unwrap_or(false));
+        let lacking = std::cmp::Reverse(lacking);
         self.ready.push(Priority { tells, drains, awaited, depth, lacking, place, instance });
     }
 

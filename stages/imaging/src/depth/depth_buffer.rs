@@ -237,41 +237,22 @@ impl Sorted {
     }
 }
 
-/// The points of a mesh in the camera frame, projected, and how they are drawn.
-#[derive(Clone, Copy)]
-struct Corners<'a> {
+/// Whether a triangle in the camera frame shows its back.
+#[inline(always)]
+fn faces_away([a, b, c]: [&Vector3<f64>; 3]) -> bool {
+    a.dot(&b.cross(c)) >= 0.0
+}
+
+/// Finds the triangles of a chunk that may cover pixels, several at a time.
+struct FindReaches<'a> {
+    triangles: &'a [[u32; 3]],
+    /// Number of the first of the triangles.
+    first: u32,
     points: &'a [Vector3<f64>],
     projected: &'a [Projected],
     bend: &'a Bend,
     drawing: &'a Drawing,
     size: (usize, usize),
-}
-
-impl Corners<'_> {
-    /// What a triangle reaches.
-    fn reach(&self, triangle: &[u32; 3]) -> Reach {
-        let corners = triangle.map(|i| self.points[i as usize]);
-        if self.drawing.front_only && faces_away(&corners) {
-            return Reach::Nothing;
-        }
-        let projected = triangle.map(|i| self.projected[i as usize]);
-        reach_of_projected(&projected, self.bend, &corners, f64::from(self.drawing.downscale), self.size)
-    }
-}
-
-/// Whether a triangle in the camera frame shows its back.
-#[inline(always)]
-fn faces_away([a, b, c]: &[Vector3<f64>; 3]) -> bool {
-    let along = [b.y * c.z - b.z * c.y, b.z * c.x - b.x * c.z, b.x * c.y - b.y * c.x];
-    a.x * along[0] + a.y * along[1] + a.z * along[2] >= 0.0
-}
-
-/// Finds the triangles of a chunk that may cover pixels, several at a time.
-struct FindReaches<'a> {
-    corners: Corners<'a>,
-    triangles: &'a [[u32; 3]],
-    /// Number of the first of the triangles.
-    first: u32,
     covering: &'a mut Vec<Covering>,
     wide: &'a mut Vec<(u32, [[f64; 2]; 2])>,
 }
@@ -281,32 +262,31 @@ impl Work for FindReaches<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { corners, triangles, first, covering, wide } = self;
-        let (front_only, downscale) = (corners.drawing.front_only, f64::from(corners.drawing.downscale));
-        let mut projected = [[Projected::default(); LANES]; 3];
+        let Self { triangles, first, points, projected, bend, drawing, size, covering, wide } = self;
+        let downscale = f64::from(drawing.downscale);
+        let mut corners = [[Projected::default(); LANES]; 3];
         for (block, triangles) in triangles.chunks(LANES).enumerate() {
             let (mut wanted, mut simple) = ([false; LANES], [false; LANES]);
-            for (lane, triangle) in triangles.iter().enumerate() {
-                let [a, b, c] = [triangle[0] as usize, triangle[1] as usize, triangle[2] as usize];
-                let [of_a, of_b, of_c] = [corners.projected[a], corners.projected[b], corners.projected[c]];
-                let points = [corners.points[a], corners.points[b], corners.points[c]];
-                wanted[lane] = !front_only || !faces_away(&points);
-                simple[lane] = of_a.has_pixel() && of_b.has_pixel() && of_c.has_pixel();
-                (projected[0][lane], projected[1][lane], projected[2][lane]) = (of_a, of_b, of_c);
+            for (lane, [a, b, c]) in triangles.iter().enumerate() {
+                let [a, b, c] = [*a as usize, *b as usize, *c as usize];
+                wanted[lane] = !drawing.front_only || !faces_away([&points[a], &points[b], &points[c]]);
+                let [a, b, c] = [projected[a], projected[b], projected[c]];
+                simple[lane] = a.has_pixel() && b.has_pixel() && c.has_pixel();
+                (corners[0][lane], corners[1][lane], corners[2][lane]) = (a, b, c);
             }
-            let [columns, rows] = reaches(&projected, corners.bend, downscale, corners.size);
+            let found = reaches(&corners, bend, downscale, size);
             for (lane, triangle) in triangles.iter().enumerate().filter(|(lane, _)| wanted[*lane]) {
                 let number = first + (block * LANES + lane) as u32;
-                if simple[lane] {
-                    if let (Some(columns), Some(rows)) = (columns.of_lane(lane), rows.of_lane(lane)) {
-                        covering.push((number, columns, rows));
-                    }
+                let reach = if simple[lane] {
+                    found.of_lane(lane)
                 } else {
-                    match corners.reach(triangle) {
-                        Reach::Nothing => {}
-                        Reach::Pixels { columns, rows } => covering.push((number, columns, rows)),
-                        Reach::Wide { x, y } => wide.push((number, [x, y])),
-                    }
+                    let corners = triangle.map(|i| points[i as usize]);
+                    reach_of_projected(&triangle.map(|i| projected[i as usize]), bend, &corners, downscale, size)
+                };
+                match reach {
+                    Reach::Nothing => {}
+                    Reach::Pixels { columns, rows } => covering.push((number, columns, rows)),
+                    Reach::Wide { x, y } => wide.push((number, [x, y])),
                 }
             }
         }
@@ -324,10 +304,17 @@ impl<'a> Scene<'a> {
         let sort = |covering: &mut Vec<Covering>, (chunk, triangles): (usize, &[[u32; 3]])| {
             covering.clear();
             let mut wide = Vec::new();
-            let corners =
-                Corners { points: &points, projected: &projected, bend: &bend, drawing, size: (width, height) };
-            let (first, wide_ones) = ((chunk * CHUNK) as u32, &mut wide);
-            vectorised(FindReaches { corners, triangles, first, covering, wide: wide_ones });
+            vectorised(FindReaches {
+                triangles,
+                first: (chunk * CHUNK) as u32,
+                points: &points,
+                projected: &projected,
+                bend: &bend,
+                drawing,
+                size: (width, height),
+                covering,
+                wide: &mut wide,
+            });
             Sorted::new(covering, wide, height.div_ceil(BAND))
         };
         let chunks = mesh.triangles.par_chunks(CHUNK).enumerate().map_init(Vec::new, sort).collect();

@@ -4,8 +4,8 @@ use nalgebra::Vector3;
 
 use crate::camera::model::Camera;
 use rockface_core::artefact::Sensor;
-use rockface_core::numerics::fast_round::{floor, whole};
-use rockface_core::numerics::simd::{LANES, Lanes, Number, both};
+use rockface_core::numerics::fast_round::whole;
+use rockface_core::numerics::simd::{Lanes, Number, both};
 
 /// Nothing nearer to the camera than this is seen, metres along the optical axis.
 pub const NEAR_M: f64 = 1e-3;
@@ -107,85 +107,70 @@ pub fn reach_of_projected(
     if in_front < 3 {
         return wide(&clip_near(corners));
     }
-    let flat = projected.map(|p| p.flat);
-    let [a, b, c] = projected.map(|p| p.pixel);
-    if a[0].is_nan() || b[0].is_nan() || c[0].is_nan() {
-        return wide(&flat);
+    if !projected.iter().all(Projected::has_pixel) {
+        return wide(&projected.map(|p| p.flat));
     }
-    let r2 = flat.iter().map(|[x, y]| x * x + y * y).fold(0.0, f64::max);
-    let h2 = [(0, 1), (1, 2), (2, 0)].map(|(i, j)| squared_distance(flat[i], flat[j])).into_iter().fold(0.0, f64::max);
-    // A thousandth of a pixel covers rounding.
-    let margin = bend.of_edges(r2.sqrt(), h2) + 1e-3;
-    let columns = span([a[0], b[0], c[0]], margin, downscale, size.0);
-    let rows = span([a[1], b[1], c[1]], margin, downscale, size.1);
-    match (columns, rows) {
-        (Some(columns), Some(rows)) => Reach::Pixels { columns, rows },
-        _ => Reach::Nothing,
-    }
+    reaches(&projected.map(|p| [p]), bend, downscale, size).of_lane(0)
 }
 
-/// As [`reach_of_projected`] of some triangles, whose corners all lie beyond the near plane and have pixels: first and last column, and first and last
-/// row, of each; NaN where it covers none.
+/// As [`reach_of_projected`] of some triangles, whose corners all lie beyond the near plane and have pixels.
 #[inline(always)]
-pub fn reaches(projected: &[[Projected; LANES]; 3], bend: &Bend, downscale: f64, size: (usize, usize)) -> [Spans; 2] {
+pub fn reaches<const N: usize>(
+    projected: &[[Projected; N]; 3],
+    bend: &Bend,
+    downscale: f64,
+    size: (usize, usize),
+) -> Reaches<N> {
     let of = |corner: usize, value: fn(&Projected) -> f64| Lanes::of(|lane| value(&projected[corner][lane]));
     let flat = [0, 1, 2].map(|corner| [of(corner, |p| p.flat[0]), of(corner, |p| p.flat[1])]);
-    let larger = |a: Lanes, b: Lanes| a.at_least(b);
-    let square = |[x, y]: [Lanes; 2]| x * x + y * y;
-    let r2 = larger(larger(square(flat[0]), square(flat[1])), square(flat[2]));
+    let square = |[x, y]: [Lanes<N>; 2]| x * x + y * y;
+    let r2 = square(flat[0]).at_least(square(flat[1])).at_least(square(flat[2]));
     let edge = |i: usize, j: usize| square([flat[i][0] - flat[j][0], flat[i][1] - flat[j][1]]);
-    let h2 = larger(larger(edge(0, 1), edge(1, 2)), edge(2, 0));
+    let h2 = edge(0, 1).at_least(edge(1, 2)).at_least(edge(2, 0));
+    // A thousandth of a pixel covers rounding.
     let margin = bend.of_edges(r2.sqrt(), h2) + 1e-3;
     let columns = [of(0, |p| p.pixel[0]), of(1, |p| p.pixel[0]), of(2, |p| p.pixel[0])];
     let rows = [of(0, |p| p.pixel[1]), of(1, |p| p.pixel[1]), of(2, |p| p.pixel[1])];
-    [spans(columns, margin, downscale, size.0), spans(rows, margin, downscale, size.1)]
+    Reaches { columns: spans(columns, margin, downscale, size.0), rows: spans(rows, margin, downscale, size.1) }
 }
 
-/// First and last positions of some triangles; NaN where there are none.
+/// What some triangles reach: first and last column, and first and last row; NaN or out of order where there is none.
 #[derive(Clone, Copy)]
-pub struct Spans([Lanes; 2]);
+pub struct Reaches<const N: usize> {
+    columns: [Lanes<N>; 2],
+    rows: [Lanes<N>; 2],
+}
 
-impl Spans {
-    /// Those of a lane.
+impl<const N: usize> Reaches<N> {
+    /// What the triangle of a lane reaches.
     #[inline(always)]
-    pub fn of_lane(&self, lane: usize) -> Option<[u32; 2]> {
-        let [first, last] = self.0.map(|lanes| lanes[lane]);
-        (first <= last).then(|| [whole(first) as u32, whole(last) as u32])
+    pub fn of_lane(&self, lane: usize) -> Reach {
+        let [left, right, top, bottom] =
+            [self.columns[0][lane], self.columns[1][lane], self.rows[0][lane], self.rows[1][lane]];
+        if left <= right && top <= bottom {
+            let place = |value: f64| whole(value) as u32;
+            Reach::Pixels { columns: [place(left), place(right)], rows: [place(top), place(bottom)] }
+        } else {
+            Reach::Nothing
+        }
     }
 }
 
-/// As [`span`], of some triangles.
+/// First and last buffer positions whose centres lie within `margin` of the bounds of three full-image positions.
 #[inline(always)]
-fn spans([a, b, c]: [Lanes; 3], margin: Lanes, downscale: f64, size: usize) -> Spans {
-    let smaller = |a: Lanes, b: Lanes| a.with(b, |a, b| if b < a { b } else { a });
+fn spans<const N: usize>([a, b, c]: [Lanes<N>; 3], margin: Lanes<N>, downscale: f64, size: usize) -> [Lanes<N>; 2] {
+    let smaller = |a: Lanes<N>, b: Lanes<N>| a.with(b, |a, b| if b < a { b } else { a });
     let (low, high) = (smaller(smaller(a, b), c), a.at_least(b).at_least(c));
     let [low, high] = both([low - margin, high + margin], |full| (full + 0.5) / downscale - 0.5);
     let last_place = size as f64 - 1.0;
     let first = low.map(|low| low.ceil().max(0.0));
     let last = high.map(|high| high.floor().min(last_place));
     let outside = |low: f64, high: f64| if high < 0.0 || low > last_place { f64::NAN } else { 0.0 };
-    Spans([first + low.with(high, outside), last])
-}
-
-fn squared_distance([ax, ay]: [f64; 2], [bx, by]: [f64; 2]) -> f64 {
-    (ax - bx) * (ax - bx) + (ay - by) * (ay - by)
+    [first + low.with(high, outside), last]
 }
 
 fn bounds(values: impl Iterator<Item = f64>) -> [f64; 2] {
     values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], v| [low.min(v), high.max(v)])
-}
-
-/// Buffer positions whose centres lie within `margin` of the bounds of three full-image positions.
-fn span(corners: [f64; 3], margin: f64, downscale: f64, size: usize) -> Option<[u32; 2]> {
-    let [low, high] = bounds(corners.into_iter());
-    let at = |full: f64| (full + 0.5) / downscale - 0.5;
-    let (low, high) = (at(low - margin), at(high + margin));
-    if high < 0.0 || low > size as f64 - 1.0 {
-        return None;
-    }
-    // Beyond 2^31 the bounds stop there, far outside of any image.
-    let (first, last) = ((-floor(-low)).max(0), floor(high).min(size as i32 - 1));
-    (first <= last).then_some([first as u32, last as u32])
 }
 
 fn wide(polygon: &[[f64; 2]]) -> Reach {

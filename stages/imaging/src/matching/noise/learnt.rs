@@ -272,6 +272,12 @@ impl<T: Number> Way<T> {
 }
 
 impl Way<Lanes> {
+    /// How far the surface of errors lies above the ray at a part of the way, as a part of the way.
+    #[inline(always)]
+    fn above(&self, errors_px: &Spline, u: Lanes) -> Lanes {
+        self.part(errors_px.at_lanes(self.place(u))) - u
+    }
+
     fn of_lane(&self, lane: usize) -> Way<f64> {
         let [start, back] = [self.start, self.back].map(|at| [at[0][lane], at[1][lane]]);
         Way { start, back, gain: self.gain[lane], parallax_px: self.parallax_px[lane] }
@@ -282,14 +288,10 @@ impl Way<Lanes> {
 #[inline(always)]
 #[allow(clippy::needless_bitwise_bool)] // branches would keep the lanes apart
 fn settled(errors_px: &Spline, way: &Way<Lanes>, same: Lanes) -> Lanes {
-    let (mut u, mut found) = (Lanes::all(0.0), Lanes::NONE);
-    let mut last = [u, u];
-    for guess in 0..=GUESSES {
-        let above = way.part(errors_px.at_lanes(way.place(u))) - u;
-        if guess == 0 {
-            (last[1], u) = (above, above);
-            continue;
-        }
+    let mut last = [Lanes::all(0.0), way.above(errors_px, Lanes::all(0.0))];
+    let (mut u, mut found) = (last[1], Lanes::NONE);
+    for _ in 0..GUESSES {
+        let above = way.above(errors_px, u);
         let mut all = true;
         for lane in 0..LANES {
             let settles = found[lane].is_nan() & (above[lane].abs() < same[lane]);
