@@ -140,6 +140,8 @@ struct State {
     has: BTreeMap<Digest, u32>,
     /// Values that this process wants, by digest or by the key of their recipe, and the folder they go to.
     wants: BTreeMap<Digest, PathBuf>,
+    /// Values that others want, by what was wanted, until all that belong together are there: the digests and the bytes.
+    gathered: BTreeMap<Digest, Vec<(Digest, Vec<u8>)>>,
     /// Values on their way to others: what was wanted, the digest of the value, and its bytes.
     giving: Vec<(Digest, Digest, Vec<u8>)>,
     /// What was given, to be reported: what was wanted, and the digest.
@@ -427,15 +429,16 @@ impl Claims {
         wants.difference(&state.answered).copied().collect()
     }
 
-    /// Gives a value to those who want `name`.
+    /// Gives a value to those who want `name`; it is sent when all is answered.
     pub fn give(&self, name: &Digest, digest: &Digest, bytes: Vec<u8>) {
-        self.common.state().giving.push((*name, *digest, bytes));
+        self.common.state().gathered.entry(*name).or_default().push((*digest, bytes));
     }
 
-    /// All that was wanted by this name has been given.
+    /// All that was wanted by this name has been given: it is sent now, in one piece, since who wants it asks for nothing more afterwards.
     pub fn answer(&self, name: &Digest) {
         let mut state = self.common.state();
-        if state.giving.iter().any(|(wanted, ..)| wanted == name) {
+        if let Some(values) = state.gathered.remove(name) {
+            state.giving.extend(values.into_iter().map(|(digest, bytes)| (*name, digest, bytes)));
             state.answered.insert(*name);
             self.common.changed.notify_all();
         }

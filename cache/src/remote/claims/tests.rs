@@ -175,8 +175,13 @@ fn a_value_goes_from_who_has_it_to_who_wants_it() {
     until(|| one.wanted().contains(&step).then_some(()));
     let having = one.announce(&value);
     one.give(&step, &value, b"value".to_vec());
+    // However long it takes to get all that the step makes, it comes in one piece.
+    std::thread::sleep(3 * TIMES.beat);
+    let second = Digest::of(b"second");
+    one.give(&step, &second, b"second".to_vec());
     one.answer(&step);
     assert!(one.wanted().is_empty());
+    assert_eq!(until(|| std::fs::read(folder.path().join(second.to_string())).ok()), b"second");
     let path = folder.path().join(value.to_string());
     assert_eq!(until(|| std::fs::read(&path).ok()), b"value");
     until(|| other.is_elsewhere(&value).then_some(()));
