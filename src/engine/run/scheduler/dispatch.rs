@@ -193,8 +193,7 @@ impl Scheduler<'_> {
             return self.report_cached(instance);
         }
         self.states[instance].executed = true;
-        let timed = &mut self.timing.timed[self.plan.instances[instance].step];
-        *timed = (timed.0 + 1, timed.1 + wall_s);
+        self.timing.add(self.plan.instances[instance].step, wall_s);
         self.report(&Event::Finished { step: self.plan.label(instance), wall_s });
     }
 }

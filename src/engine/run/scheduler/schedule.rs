@@ -142,7 +142,7 @@ impl<'a> Scheduler<'a> {
         let (tells, awaited) = (plan.graph.leads_to_pairs(), plan.graph.awaited());
         Self {
             states: States::new(plan),
-            timing: Timing::new(plan.graph.steps.len()),
+            timing: Timing::new(&plan.graph.steps),
             spans: spans(plan),
             plan,
             store,
