@@ -102,8 +102,8 @@ def clouds():
     laspy.read(HERE / "las-utm.las").write(HERE / "las-utm.laz")
 
 
-def tiff(name, keys, dtype, values, tags=()):
-    """A TIFF of one strip with a tie point, a pixel scale and GeoKeys; `dtype` is a letter of `struct`."""
+def tiff(name, keys, dtype, values, tags=(), masked=False):
+    """A TIFF of one strip with a tie point, a pixel scale and GeoKeys, and perhaps a mask; `dtype` is a letter of `struct`."""
     data = struct.pack(f"<{len(values)}{dtype}", *values)
     form, bits = {"h": (2, 16), "f": (3, 32), "d": (3, 64)}[dtype]
     shorts = lambda *v: (3, len(v), struct.pack(f"<{len(v)}H", *v))
@@ -125,7 +125,15 @@ def tiff(name, keys, dtype, values, tags=()):
         table += struct.pack("<HHI", tag, kind, count) + value.ljust(4, b"\0")
     strip = start + len(extra)
     table = table.replace(struct.pack("<HHII", 273, 4, 1, 8), struct.pack("<HHII", 273, 4, 1, strip))
-    write(name, b"II*\0" + struct.pack("<I", 8) + struct.pack("<H", len(entries)) + table + b"\0\0\0\0" + extra + data)
+    place = strip + len(data) + len(data) % 2
+    after = struct.pack("<I", place if masked else 0)
+    whole = b"II*\0" + struct.pack("<I", 8) + struct.pack("<H", len(entries)) + table + after + extra + data
+    if masked:
+        bits = b"\xff\x80" * ROWS
+        mask = {254: 4, 256: COLUMNS, 257: ROWS, 258: 1, 259: 1, 262: 4, 273: place + 2 + 12 * 10 + 4, 277: 1, 278: ROWS, 279: len(bits)}
+        table = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in mask.items())
+        whole = whole.ljust(place, b"\0") + struct.pack("<H", len(mask)) + table + b"\0\0\0\0" + bits
+    write(name, whole)
 
 
 def rasters():
@@ -136,6 +144,7 @@ def rasters():
     tiff("tif-doubles.tif", [(1024, 1), area, (3072, 28356)], "d", [-9999.0 if k == 3 else z for k, z in enumerate(heights)], [(42113, "-9999")])
     tiff("tif-degrees.tif", [(1024, 2), area, (2048, 4326)], "f", heights)
     tiff("tif-no-crs.tif", [], "f", heights)
+    tiff("tif-mask.tif", [], "f", heights, masked=True)
 
 
 SENSOR = '<sensor id="0" label="FC6310" type="frame"><resolution width="600" height="400"/>'

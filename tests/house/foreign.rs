@@ -19,7 +19,7 @@ const CLOUD: &str = ", min_piece_triangles: 1";
 const SIZE: &str = ", image_size_px: [600, 400]";
 
 /// The file, the stage and output, further parameters, and what becomes of it.
-const CASES: [(&str, &str, &str, Outcome); 26] = [
+const CASES: [(&str, &str, &str, Outcome); 27] = [
     ("obj-meshlab.obj", "import-mesh.mesh", "", Read(SHEET, &[])),
     ("obj-rhino.obj", "import-mesh.mesh", "", Read(SHEET, &[])),
     (
@@ -74,6 +74,7 @@ const CASES: [(&str, &str, &str, Outcome); 26] = [
     ),
     ("tif-degrees.tif", "import-rasters.raster", "", Refused(&["longitudes and latitudes in degrees", "gdalwarp"])),
     ("tif-no-crs.tif", "import-rasters.raster", "", Read(&["frame wall", "size 9 x 7"], &[])),
+    ("tif-mask.tif", "import-rasters.raster", "", Refused(&["a mask of its own", "gdalwarp -dstnodata nan"])),
     (
         "metashape-unaligned.xml",
         "import-cameras.cameras",

@@ -17,3 +17,8 @@ pub mod sketch_file;
 pub mod surface_file;
 pub mod table_file;
 pub mod tar_file;
+
+/// Text in UTF-8 without the byte order mark that some editors write before it.
+pub fn without_mark(text: &[u8]) -> &[u8] {
+    text.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(text)
+}

@@ -5,6 +5,7 @@ use serde_json::{Map, Value};
 use super::covariance_sampling::{JointRoot, lacks_cross_blocks};
 use super::orientation_parameters::Parameter;
 use rockface_core::artefact::{Cameras, Covariance, Frame};
+use rockface_core::format::without_mark;
 use rockface_core::{StageError, fail};
 
 /// The artefact of rockface, or a foreign file that calls its matrix `covariance` and may have further keys.
@@ -26,7 +27,7 @@ struct CovarianceFile {
 /// Units are rad, m, px and 1; a file that states others is refused. Returns the covariance, with the full names of
 /// `cameras`, and a note for each key that was ignored.
 pub fn read(bytes: &[u8], cameras: &Cameras) -> Result<(Covariance, Vec<String>), StageError> {
-    let file: CovarianceFile = serde_json::from_slice(bytes).map_err(|e| {
+    let file: CovarianceFile = serde_json::from_slice(without_mark(bytes)).map_err(|e| {
         StageError::new(format!("not a covariance file: {e}"))
             .hint("needed: parameters [names], covariance [[rows]], sigma0_applied (true or false), full_joint")
     })?;

@@ -51,6 +51,9 @@ fn read_binary(bytes: &[u8], places: &mut Places) -> Result<Vec<[u32; 3]>, Strin
             "the header promises {count} triangles, but the file ends after {held}: it was cut short, or is no STL file"
         ));
     }
+    if held > count {
+        return Err(format!("the header promises {count} triangles, and {held} follow: export it again"));
+    }
     let mut triangles = limits::list("triangles", count).map_err(|e| e.0)?;
     for (number, record) in bytes[HEAD..].chunks_exact(RECORD).take(count).enumerate() {
         let value =
@@ -164,6 +167,9 @@ mod tests {
         let whole = binary(&mesh, b"\0");
         assert!(is_stl(&whole[..300]));
         assert!(read(&whole[..300]).unwrap_err().0.contains("promises 8 triangles, but the file ends after 4"));
+        let mut more = whole.clone();
+        more[HEAD - 4] = 7;
+        assert!(read(&more).unwrap_err().0.contains("promises 7 triangles, and 8 follow"));
         let words = text(&mesh);
         assert!(read(&words.as_bytes()[..words.len() / 2]).unwrap_err().0.contains("cut short"));
         assert!(read(words.replacen("vertex", "wertex", 1).as_bytes()).unwrap_err().0.contains("line 4: `wertex`"));

@@ -4,6 +4,7 @@ use serde_json::Value;
 
 use rockface_core::artefact::{Cell, CodecError, Feature, Frame, Inventory, Polygon};
 use rockface_core::crs::{Kind, Stated};
+use rockface_core::format::without_mark;
 use rockface_core::limits;
 
 /// Reads a feature collection; the frame is world. Properties become columns in alphabetical order.
@@ -12,7 +13,8 @@ use rockface_core::limits;
 /// Text that is no feature collection; the feature (counted from 0) whose geometry is no polygon, or whose ring is not
 /// closed or holds something else than points.
 pub fn read(bytes: &[u8]) -> Result<Inventory, CodecError> {
-    let file: Value = serde_json::from_slice(bytes).map_err(|e| CodecError(format!("not a JSON file: {e}")))?;
+    let file: Value =
+        serde_json::from_slice(without_mark(bytes)).map_err(|e| CodecError(format!("not a JSON file: {e}")))?;
     let features = file.get("features").and_then(Value::as_array);
     let features = features.ok_or_else(|| CodecError::new("not a GeoJSON feature collection: it has no `features`"))?;
     let properties =
@@ -42,7 +44,7 @@ pub const UNSTATED: &str = "WGS 84 without a word";
 /// The system of a feature collection: that of its member `crs`, or degrees where it has none and its numbers can be such.
 /// `overruled`: a parameter says what a file without `crs` is in.
 pub fn stated(bytes: &[u8], inventory: &Inventory, overruled: bool) -> Option<Stated> {
-    let file: Value = serde_json::from_slice(bytes).ok()?;
+    let file: Value = serde_json::from_slice(without_mark(bytes)).ok()?;
     if let Some(name) = file.pointer("/crs/properties/name").and_then(Value::as_str) {
         return Some(named(name));
     }

@@ -20,6 +20,13 @@ const LARGEST_VALUE_BYTES: usize = 8;
 /// Bytes of tags and of one tile or strip that are always allowed.
 const LEAST_LIMIT_BYTES: usize = 1 << 20;
 
+/// Extra samples that are transparency, associated or not.
+const ALPHA: [u16; 2] = [1, 2];
+/// The bit of the kind of a directory that says that it is a mask.
+const MASK: u32 = 4;
+/// Directories that are looked at.
+const MOST_DIRECTORIES: usize = 64;
+
 /// What the refusal of a GeoTIFF begins with whose bytes are not those that were once written.
 pub const DAMAGED: &str = "damaged GeoTIFF";
 
@@ -37,7 +44,27 @@ pub fn read(bytes: &[u8]) -> Result<Raster, CodecError> {
     let metadata = metadata(&mut file);
     let nodata = ascii(&mut file, Tag::GdalNodata).and_then(|text| text.trim().parse::<f64>().ok());
     let (planes, sample) = values(&mut file, &layout, nodata)?;
+    check_masks(&mut file)?;
     Ok(named(grid, &metadata, sample, planes))
+}
+
+/// Refuses a file that says by a mask of its own, or by a band of transparency, which cells have a value: they would all count.
+fn check_masks(file: &mut File) -> Result<(), CodecError> {
+    let way = "write no-data instead: `gdalwarp -dstnodata nan IN OUT`";
+    let extra = file.find_tag_unsigned_vec::<u16>(Tag::ExtraSamples).ok().flatten().unwrap_or_default();
+    if extra.iter().any(|what| ALPHA.contains(what)) {
+        return Err(CodecError(format!("a GeoTIFF with a band of transparency (alpha), which is not read; {way}")));
+    }
+    for _ in 0..MOST_DIRECTORIES {
+        if !file.more_images() || file.next_image().is_err() {
+            break;
+        }
+        let kind = file.find_tag_unsigned::<u32>(Tag::NewSubfileType).ok().flatten().unwrap_or(0);
+        if kind & MASK != 0 {
+            return Err(CodecError(format!("a GeoTIFF with a mask of its own, which is not read; {way}")));
+        }
+    }
+    Ok(())
 }
 
 /// What a file states about its place on the Earth, without its values.

@@ -4,21 +4,40 @@ use serde_json::{Map, Value};
 
 use super::{CameraFile, assemble, validated};
 use rockface_core::artefact::{Cameras, Frame, Image, Noun, Sensor};
+use rockface_core::format::without_mark;
 use rockface_core::{StageError, fail};
 
 #[derive(serde::Deserialize)]
 struct BlockFile {
+    frame: Option<Frame>,
     sensors: Vec<SensorFile>,
     images: Vec<ImageFile>,
     #[serde(flatten)]
     other: Map<String, Value>,
 }
 
+/// What images name a sensor by: a number or a text.
+#[derive(Debug, Clone, PartialEq, serde::Deserialize)]
+#[serde(untagged, expecting = "a sensor is named by a whole number or a text")]
+enum Id {
+    Number(u64),
+    Text(String),
+}
+
+impl std::fmt::Display for Id {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Number(number) => write!(f, "{number}"),
+            Self::Text(text) => write!(f, "`{text}`"),
+        }
+    }
+}
+
 /// An unknown key of a sensor is an error: it may be a distortion that this model lacks.
 #[derive(serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct SensorFile {
-    id: u64,
+    id: Id,
     width: u32,
     height: u32,
     f: Option<f64>,
@@ -46,7 +65,7 @@ struct SensorFile {
 #[derive(serde::Deserialize)]
 struct ImageFile {
     name: String,
-    sensor: u64,
+    sensor: Id,
     q_wxyz: [f64; 4],
     #[serde(rename = "C")]
     centre_m: [f64; 3],
@@ -54,13 +73,14 @@ struct ImageFile {
     other: Map<String, Value>,
 }
 
-/// Reads cameras from JSON; `frame` holds where the file does not name its frame.
+/// Reads cameras from JSON; `frame` is used where the file does not name its frame.
 ///
 /// Pixels have the centre of the first pixel at (0, 0), distortion is Brown-Conrady in the `OpenCV` convention,
-/// `q_wxyz` is the quaternion of R in `X_c = R (X - C)`. A file with a key `frame` is the artefact.
+/// `q_wxyz` is the quaternion of R in `X_c = R (X - C)`. Sensors of the artefact have a key `width_px`.
 pub fn read(bytes: &[u8], frame: Frame) -> Result<CameraFile, StageError> {
+    let bytes = without_mark(bytes);
     let json: Value = serde_json::from_slice(bytes).map_err(|e| StageError::new(format!("not valid JSON: {e}")))?;
-    if json.get("frame").is_some() {
+    if json.pointer("/sensors/0/width_px").is_some() {
         let cameras = Cameras::decode(bytes).map_err(|e| StageError::new(e.to_string()))?;
         return Ok(CameraFile { states_frame: true, ..CameraFile::of(validated(cameras)?) });
     }
@@ -69,9 +89,16 @@ pub fn read(bytes: &[u8], frame: Frame) -> Result<CameraFile, StageError> {
             .hint("needed: sensors [{id, width, height, f, cx, cy, k1, ...}], images [{name, sensor, q_wxyz, C}]")
     })?;
     let notes = unused_keys(&file);
-    let sensors = file.sensors.iter().map(|s| Ok((s.id, sensor(s)?))).collect::<Result<Vec<_>, StageError>>()?;
-    let images = file.images.iter().map(|i| image(i, &sensors)).collect::<Result<Vec<_>, StageError>>()?;
-    assemble(frame, sensors, images, notes)
+    let images = file.images.iter().map(|i| image(i, &file.sensors)).collect::<Result<Vec<_>, StageError>>()?;
+    let number = |(place, sensor): (usize, &SensorFile)| match sensor.id {
+        Id::Number(number) => number,
+        Id::Text(_) => place as u64,
+    };
+    let numbers: Vec<u64> = file.sensors.iter().enumerate().map(number).collect();
+    let sensors = file.sensors.iter().map(sensor).collect::<Result<Vec<_>, _>>()?;
+    let numbered = numbers.into_iter().zip(sensors).collect();
+    let states_frame = file.frame.is_some();
+    Ok(CameraFile { states_frame, ..assemble(file.frame.unwrap_or(frame), numbered, images, notes)? })
 }
 
 fn unused_keys(file: &BlockFile) -> Vec<String> {
@@ -88,7 +115,10 @@ fn unused_keys(file: &BlockFile) -> Vec<String> {
 fn sensor(file: &SensorFile) -> Result<Sensor, StageError> {
     let (f, b1) = focal(file)?;
     Ok(Sensor {
-        name: String::new(),
+        name: match &file.id {
+            Id::Number(_) => String::new(),
+            Id::Text(text) => text.clone(),
+        },
         width_px: file.width,
         height_px: file.height,
         f,
@@ -103,7 +133,7 @@ fn sensor(file: &SensorFile) -> Result<Sensor, StageError> {
 
 /// f and b1 (`fy = f`, `fx = f + b1`) from whichever of f, fx, fy and b1 are there; contradictions are errors.
 fn focal(file: &SensorFile) -> Result<(f64, f64), StageError> {
-    let id = file.id;
+    let id = &file.id;
     let Some(f) = file.fy.or(file.f) else { fail!("sensor {id}: neither `f` nor `fy`") };
     if let Some(other) = file.f.filter(|other| other.to_bits() != f.to_bits()) {
         fail!("sensor {id}: f = {other} but fy = {f}; here f is fy, and fx = f + b1");
@@ -118,10 +148,10 @@ fn focal(file: &SensorFile) -> Result<(f64, f64), StageError> {
     }
 }
 
-fn image(file: &ImageFile, sensors: &[(u64, Sensor)]) -> Result<Image, StageError> {
-    let mut places = (0..sensors.len()).filter(|i| sensors[*i].0 == file.sensor);
+fn image(file: &ImageFile, sensors: &[SensorFile]) -> Result<Image, StageError> {
+    let mut places = (0..sensors.len()).filter(|i| sensors[*i].id == file.sensor);
     let (Some(sensor), None) = (places.next(), places.next()) else {
-        let ids: Vec<_> = sensors.iter().map(|(id, _)| id.to_string()).collect();
+        let ids: Vec<_> = sensors.iter().map(|sensor| sensor.id.to_string()).collect();
         fail!("image `{}` names sensor {}: needed once among the sensors {}", file.name, file.sensor, ids.join(", "))
     };
     Ok(Image { name: file.name.clone(), sensor, camera_from_object: file.q_wxyz, centre_m: file.centre_m })
@@ -147,6 +177,19 @@ mod tests {
         assert_eq!(file.notes, ["keys of the file that are not used: raster, images[].note"]);
         let sensor = json!({"id": 4, "width": 9, "height": 7, "f": 100, "b1": -1, "cx": 4, "cy": 3});
         assert_eq!(read(&block(&sensor), Frame::World).unwrap().cameras.sensors[0].b1, -1.0);
+    }
+
+    #[test]
+    fn sensors_may_have_names_and_a_file_its_frame() {
+        let image = |name: &str| json!({"name": name, "sensor": "left", "q_wxyz": [1, 0, 0, 0], "C": [1, 2, 3]});
+        let sensor = json!({"id": "left", "width": 9, "height": 7, "f": 100, "cx": 4, "cy": 3});
+        let block = json!({"frame": "wall", "sensors": [sensor], "images": [image("a"), image("b")]});
+        let file = read(format!("\u{feff}{block}").as_bytes(), Frame::World).unwrap();
+        assert!(file.states_frame && file.notes.is_empty());
+        assert_eq!((file.cameras.frame, file.cameras.sensors[0].name.as_str()), (Frame::Wall, "left"));
+        let other = block.to_string().replace("\"sensor\":\"left\"", "\"sensor\":\"right\"");
+        let message = read(other.as_bytes(), Frame::World).unwrap_err().message;
+        assert!(message.contains("names sensor `right`: needed once among the sensors `left`"), "{message}");
     }
 
     #[test]

@@ -135,7 +135,9 @@ fn sensor(node: Node) -> Result<SensorEntry, StageError> {
     let calibrations: Vec<Node> = node.children().filter(|node| node.has_tag_name("calibration")).collect();
     let adjusted = calibrations.iter().find(|node| node.attribute("class") == Some("adjusted"));
     let chosen = adjusted.or(calibrations.first()).copied();
-    let kind = chosen.and_then(|node| node.attribute("type")).or(node.attribute("type")).unwrap_or("frame");
+    // Sensor and calibration should agree; of two that do not, the one that is not simply read counts.
+    let kinds = [node.attribute("type"), chosen.and_then(|node| node.attribute("type"))];
+    let kind = kinds.into_iter().flatten().find(|kind| *kind != "frame").unwrap_or("frame");
     let covariance = node.descendants().find(|node| node.has_tag_name("covariance"));
     Ok(SensorEntry {
         id: required(node, "id")?,

@@ -54,7 +54,7 @@ impl CameraFile {
 
 /// Names the sensors of a foreign file and checks the block.
 ///
-/// A sensor that exactly one image uses takes the name of that image, any other is `sensor<id>`.
+/// A sensor that exactly one image uses takes the name of that image, any other keeps its own or is `sensor<id>`.
 pub fn assemble(
     frame: Frame,
     numbered: Vec<(u64, Sensor)>,
@@ -66,6 +66,7 @@ pub fn assemble(
         let mut users = images.iter().filter(|image| image.sensor == index);
         sensor.name = match (users.next(), users.next()) {
             (Some(only), None) => only.name.clone(),
+            _ if !sensor.name.is_empty() => sensor.name,
             _ => format!("sensor{id}"),
         };
         sensors.push(sensor);

@@ -165,3 +165,13 @@ fn what_cannot_be_read_says_why() {
     says("binary", "cameras.bin: the file ends too early");
     says("absent", "cannot read `absent`");
 }
+
+#[test]
+fn the_example_of_the_reference_is_read() {
+    let page = include_str!("../../../../../docs/reference/files.md");
+    let example = page.split("## Cameras").nth(1).and_then(|rest| rest.split("```").nth(1)).expect("an example");
+    let bytes = example.trim_start_matches("json").as_bytes();
+    let host = TestHost::default().with("cameras.json", &[("cameras.json", bytes)]);
+    let (cameras, _) = import(&host, &json!({"path": "cameras.json"})).unwrap();
+    assert_eq!((cameras.images.len(), cameras.frame), (1, Frame::Wall));
+}
