@@ -42,10 +42,10 @@ pub fn is_url(text: &Path) -> bool {
     text.to_str().is_some_and(|text| text.contains("://"))
 }
 
-/// Opens a remote place for a command on itself.
-pub fn open(url: &Path, store: Option<&Path>) -> Result<Remote, CliError> {
+/// Opens a remote place for a command on itself, or on its contents.
+pub fn open(url: &Path, store: Option<&Path>, what_for: Use) -> Result<Remote, CliError> {
     let url = url.to_str().unwrap_or_default();
-    Ok(Remote::open(backend(url)?, store, Use::Itself, Box::new(warn))?)
+    Ok(Remote::open(backend(url)?, store, what_for, Box::new(warn))?)
 }
 
 fn warn(text: &str) {

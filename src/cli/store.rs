@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
-use rockface_cache::remote::{RemoteGcPolicy, RemoteStat};
+use rockface_cache::remote::{RemoteGcPolicy, RemoteStat, Use};
 use rockface_cache::{Collected, Digest, Fault, FaultKind, GcPlan, GcPolicy, Store};
 use serde_json::json;
 
@@ -110,7 +110,7 @@ impl StoreArgs {
 }
 
 fn stat_remote(url: &Path, as_json: bool) -> Result<(), CliError> {
-    let remote = remote::open(url, None)?;
+    let remote = remote::open(url, None, Use::Contents)?;
     let stat = remote.stat()?;
     if as_json {
         say(&json!({"url": remote.url(), "remote": stat}).to_string());
@@ -211,7 +211,7 @@ impl GcArgs {
     }
 
     fn run_remote(&self, url: &Path) -> Result<(), CliError> {
-        let remote = remote::open(url, None)?;
+        let remote = remote::open(url, None, Use::Contents)?;
         let policy = RemoteGcPolicy {
             max_age_s: self.max_age.map(|days| (days * DAY_S) as u64),
             max_bytes: self.max_size.map(|gib| (gib * f64::from(1 << 30)) as u64),

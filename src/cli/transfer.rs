@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::Args;
-use rockface_cache::remote::Remote;
+use rockface_cache::remote::{Remote, Use};
 use rockface_cache::{Digest, Handed, Store};
 use rockface_engine::run::RunError;
 use serde_json::json;
@@ -37,7 +37,7 @@ impl TransferArgs {
         if is_url(&self.other) {
             let stop = Arc::new(AtomicBool::new(false));
             signals::stop_on_signal(&stop);
-            let (remote, keys) = (remote::open(&self.other, Some(own.dir()))?, self.keys(own.keys())?);
+            let (remote, keys) = (remote::open(&self.other, Some(own.dir()), Use::Itself)?, self.keys(own.keys())?);
             let handed = own.push_to(remote, &keys, &stop)?;
             let is_stopped = stop.load(Ordering::Relaxed);
             self.told(&handed, &own, &self.other.display().to_string());
@@ -52,7 +52,7 @@ impl TransferArgs {
     pub fn pull(self) -> Result<(), CliError> {
         if is_url(&self.other) {
             let own = self.places.make_store()?;
-            let remote = remote::open(&self.other, Some(own.dir()))?;
+            let remote = remote::open(&self.other, Some(own.dir()), Use::Contents)?;
             let keys = self.keys(remote.keys())?;
             let handed = own.pull_from(remote, &keys)?;
             self.told(&handed, &own, &own.dir().display().to_string());

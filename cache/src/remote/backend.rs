@@ -19,6 +19,9 @@ pub enum BackendError {
     /// There is no object of this name.
     #[error("it is not there")]
     Missing,
+    /// There is nothing of rockface in the place.
+    #[error("there is no store of rockface there; `rockface store push` makes one")]
+    NoStore,
     /// The place refuses these credentials.
     #[error("access is forbidden: {0}")]
     Forbidden(String),

@@ -29,8 +29,10 @@ pub enum Use {
     Layer,
     /// A layer that is only read.
     ReadOnlyLayer,
-    /// A command on the place itself: if it cannot be reached, that is an error.
+    /// A command that writes to the place itself: if it cannot be reached, that is an error; if there is none, it is made.
     Itself,
+    /// A command on what is in the place: if it cannot be reached, or if there is none, that is an error.
+    Contents,
 }
 
 /// A remote place for results, opened once a process.
@@ -68,6 +70,7 @@ impl Remote {
         warn: Warn,
     ) -> Result<Self, StoreError> {
         let url = backend.url().to_owned();
+        let is_layer = matches!(what_for, Use::Layer | Use::ReadOnlyLayer);
         let is_read_only = backend.is_read_only() || what_for == Use::ReadOnlyLayer;
         let shared = Shared {
             breaker: Breaker::new(url.clone(), warn),
@@ -78,10 +81,10 @@ impl Remote {
             honours_create: Mutex::default(),
             packs: Mutex::default(),
         };
-        let opened = shared.prepare().and_then(|()| shared.refresh().map_err(|fault| (READ, fault)));
+        let opened = shared.prepare(what_for).and_then(|()| shared.refresh().map_err(|fault| (READ, fault)));
         match opened {
             Ok(()) => {}
-            Err((_, BackendError::Unavailable(why))) if what_for != Use::Itself => shared.breaker.turn_off(&why),
+            Err((_, BackendError::Unavailable(why))) if is_layer => shared.breaker.turn_off(&why),
             Err((action, fault)) => return Err(fault.at(action, &shared.backend)),
         }
         Ok(Self { shared: Arc::new(shared), uploader: Mutex::default(), claims: OnceLock::new() })
@@ -122,10 +125,11 @@ fn cache_folder(store: &Path, url: &str) -> Result<PathBuf, StoreError> {
 }
 
 impl Shared {
-    /// Makes sure that this is a remote place of this format, making it one if it is none.
-    fn prepare(&self) -> Result<(), (&'static str, BackendError)> {
+    /// Makes sure that this is a remote place of this format, making it one if it is none and that is what it is for.
+    fn prepare(&self, what_for: Use) -> Result<(), (&'static str, BackendError)> {
         let found = match self.backend.get(FORMAT_NAME, SMALL_LIMIT) {
             Ok(found) => found,
+            Err(BackendError::Missing) if what_for == Use::Contents => return Err((READ, BackendError::NoStore)),
             Err(BackendError::Missing) if self.is_read_only => return Ok(()),
             Err(BackendError::Missing) => {
                 // Of several who begin at once, all write the same.

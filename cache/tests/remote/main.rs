@@ -96,6 +96,15 @@ fn a_place_that_is_down_when_it_is_opened_is_a_warning_for_a_layer_and_a_fault_f
 }
 
 #[test]
+fn a_command_on_the_contents_of_a_place_makes_none() {
+    let (place, open) = in_memory();
+    let fault = suite::remote(&open, Use::Contents).unwrap_err().to_string();
+    assert!(fault.contains("no store of rockface there") && place.objects().is_empty(), "{fault}");
+    drop(suite::remote(&open, Use::Itself).unwrap());
+    assert!(suite::remote(&open, Use::Contents).is_ok());
+}
+
+#[test]
 fn another_format_is_refused_and_not_written_to() {
     let (place, open) = in_memory();
     place.objects().insert("format".to_owned(), (b"rockface remote 99\n".to_vec(), 0));
