@@ -153,7 +153,7 @@ fn run(folder: &Path, set: &[String]) -> (f64, usize) {
     let stop = Arc::new(AtomicBool::new(false));
     let summary = execute(&mut plan, &store, &Options::default(), &stop, &mut Silent).expect("a run");
     let (headlines, files, made) = (Vec::new(), Vec::new(), Vec::new());
-    let finished = Finished { folder: told_in(folder), headlines, files, unnamed: 0, made };
+    let finished = Finished { folder: told_in(folder), headlines, warnings: Vec::new(), files, unnamed: 0, made };
     let told = Told::of(&finished, &summary);
     let question = Digest::of(text.as_bytes());
     if set.is_empty() {

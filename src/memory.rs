@@ -10,7 +10,7 @@ use rockface_engine::run::MachineMemory;
 const PURGE_DELAY: mi_option_t = 15;
 /// Its value where nobody has set it.
 const USUAL_DELAY_MS: c_long = 10;
-/// An hour and three quarters for large buffers, for which mimalloc waits ten times as long: longer than most runs.
+/// A hundred minutes for large buffers, for which mimalloc waits ten times as long: longer than most runs.
 const DELAY_MS: c_long = 10 * 60 * 1000;
 /// Between two looks at the memory of the machine.
 const LOOK_EVERY: Duration = Duration::from_secs(1);

@@ -35,7 +35,7 @@ pub struct ExplainArgs {
 impl ExplainArgs {
     /// Prints why the instance would run, for people or as JSON.
     pub fn run(mut self, registry: &Registry) -> Result<(), CliError> {
-        self.pipeline.take_shipped()?;
+        self.pipeline.take()?;
         let pipeline = self.pipeline.load(registry)?;
         let label = wanted(&self.step)?;
         let inner = behind(&pipeline, &label)?;

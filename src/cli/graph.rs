@@ -41,7 +41,7 @@ enum Format {
 impl GraphArgs {
     /// Prints the drawing in the language asked for.
     pub fn run(mut self, registry: &Registry) -> Result<(), CliError> {
-        self.pipeline.take_shipped()?;
+        self.pipeline.take()?;
         let pipeline = self.pipeline.load(registry)?;
         let graph = self.graph(registry, &pipeline)?;
         let drawing = Drawing::of(&graph)

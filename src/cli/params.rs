@@ -20,7 +20,7 @@ pub struct ParamsArgs {
 impl ParamsArgs {
     /// Prints the parameters with their values, units, ranges and what they are about.
     pub fn run(mut self, registry: &Registry) -> Result<(), CliError> {
-        self.pipeline.take_shipped()?;
+        self.pipeline.take()?;
         let pipeline = self.pipeline.load(registry)?;
         if self.json {
             say(&serde_json::to_string_pretty(&list(&pipeline)).unwrap_or_default());

@@ -29,7 +29,7 @@ pub struct PlanArgs {
 impl PlanArgs {
     /// Prints what a run would do with each step and why, for people or as JSON.
     pub fn run(mut self, registry: &Registry) -> Result<(), CliError> {
-        self.pipeline.take_shipped()?;
+        self.pipeline.take()?;
         self.pipeline.no_programs = self.programs.are_refused();
         let pipeline = self.pipeline.load(registry)?;
         self.programs.check(registry, &pipeline, &self.pipeline.target)?;

@@ -7,29 +7,44 @@ use rockface_cache::Digest;
 
 use super::{CliError, PipelineArgs};
 use rockface_engine::history::Manifest;
-use rockface_engine::pipeline::is_same_axis;
+use rockface_engine::pipeline::{is_same_axis, is_same_path};
 use rockface_engine::plan::Plan;
 use rockface_engine::run::Summary;
 
 /// The manifest at `path`, if it is that of a run and not a pipeline.
-pub fn manifest(path: &Path) -> Result<Option<Manifest>, CliError> {
+fn manifest(path: &Path) -> Result<Option<Manifest>, CliError> {
     let is_json = path.extension().is_some_and(|extension| extension == "json");
     if is_json && path.is_file() { Ok(Some(Manifest::read(path)?)) } else { Ok(None) }
 }
 
+impl PipelineArgs {
+    /// Takes the pipeline that is named: one that ships with rockface, or that of a past run by its manifest, which is returned.
+    pub fn take(&mut self) -> Result<Option<Manifest>, CliError> {
+        self.take_shipped()?;
+        let former = manifest(&self.pipeline)?;
+        if let Some(former) = &former {
+            take_over(self, former);
+        }
+        Ok(former)
+    }
+}
+
 /// Turns arguments that name a manifest into those of its run; what is given besides comes on top.
-pub fn take_over(arguments: &mut PipelineArgs, manifest: &Manifest) {
+fn take_over(arguments: &mut PipelineArgs, manifest: &Manifest) {
     let file = manifest.pipeline.path.file_name().unwrap_or_default();
     arguments.pipeline = manifest.pipeline.folder.join(file);
     arguments.text = Some(manifest.pipeline.text.clone());
     let included = manifest.pipeline.included.iter();
     arguments.included = included.map(|file| (file.path.clone(), file.text.clone())).collect();
-    let given = std::mem::take(&mut arguments.set);
-    arguments.set = manifest.overrides.set.iter().cloned().chain(given).collect();
-    let given = std::mem::take(&mut arguments.sweep);
-    let replaced = |former: &&String| given.iter().any(|sweep| is_same_axis(sweep, former));
-    let former: Vec<String> = manifest.overrides.sweep.iter().filter(|sweep| !replaced(sweep)).cloned().collect();
-    arguments.sweep = former.into_iter().chain(given).collect();
+    let (set, sweep) = (std::mem::take(&mut arguments.set), std::mem::take(&mut arguments.sweep));
+    let is_replaced = |former: &&String| {
+        sweep.iter().any(|given| is_same_axis(given, former)) || set.iter().any(|given| is_same_path(given, former))
+    };
+    let former: Vec<String> = manifest.overrides.sweep.iter().filter(|former| !is_replaced(former)).cloned().collect();
+    let is_swept = |former: &&String| sweep.iter().any(|given| is_same_path(given, former));
+    let set_before = manifest.overrides.set.iter().filter(|former| !is_swept(former)).cloned();
+    arguments.set = set_before.chain(set.iter().cloned()).collect();
+    arguments.sweep = former.into_iter().chain(sweep.iter().cloned()).collect();
     arguments.seed = arguments.seed.or(manifest.overrides.seed);
     if arguments.target.is_empty() {
         arguments.target.clone_from(&manifest.targets);

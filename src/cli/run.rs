@@ -76,12 +76,8 @@ impl RunArgs {
     /// Runs the pipeline, or tells the result of the same command last time if nothing it depends on has changed.
     pub fn run(mut self, registry: &Registry) -> Result<(), CliError> {
         let begun = std::time::Instant::now();
-        self.pipeline.take_shipped()?;
+        let former = self.pipeline.take()?;
         self.pipeline.no_programs = self.programs.are_refused();
-        let former = repeat::manifest(&self.pipeline.pipeline)?;
-        if let Some(former) = &former {
-            repeat::take_over(&mut self.pipeline, former);
-        }
         let text = self.pipeline.read()?;
         let question = self.question(&text);
         if let Some(told) = self.recall(question.as_ref())? {
@@ -189,6 +185,7 @@ impl RunArgs {
             let event = serde_json::json!({
                 "event": "ended", "failed": summary.failed, "executed": ran, "cached": cached,
                 "wall_s": wall_s, "folder": finished.folder, "headlines": finished.headlines, "files": finished.files,
+                "warnings": finished.warnings.iter().map(|(_, text)| text).collect::<Vec<_>>(),
                 "remote": traffic,
             });
             return say(&event.to_string());
@@ -203,6 +200,15 @@ impl RunArgs {
 
     fn say_end(&self, told: &Told, ran: usize, cached: usize, failed: bool, wall_s: f64) {
         let folder = readable(&told.folder);
+        let more = told.warning_count.saturating_sub(told.warnings_printed);
+        if more > 0 && told.warnings_printed == 0 {
+            told.warnings.iter().for_each(|text| complain(&format!("warning  {text}")));
+        }
+        let named = if told.warnings_printed == 0 { told.warnings.len() } else { 0 };
+        if more > named {
+            let report = folder.join(REPORT_FILE);
+            complain(&format!("warning  {} more of cached steps, in {}", more - named, report.display()));
+        }
         if told.unnamed > 0 && self.outputs == LayOut::Auto && !self.quiet {
             let ways = "`rockface export RUN STEP.PORT FILE` writes one, `--outputs all` names them all";
             say(&format!("  {} outputs are in the store only: {ways}", told.unnamed));

@@ -121,12 +121,14 @@ impl Shipped {
         Self::all().find(|shipped| shipped.name == plain).ok_or_else(|| unknown(name, plain))
     }
 
-    /// The files it reads besides its own: included pipelines, scripts and tables, with their texts.
-    fn others(self) -> Vec<(&'static str, &'static str)> {
+    /// The files it reads besides its own: included pipelines, scripts and tables, with their texts; and perhaps those
+    /// that only comments name, such as a script that makes what it reads.
+    fn others(self, commented: bool) -> Vec<(&'static str, &'static str)> {
         let mut found = vec![(self.file, self.text)];
         let mut at = 0;
         while at < found.len() {
-            let text = found[at].1;
+            let lines = found[at].1.lines().filter(|line| commented || !line.trim_start().starts_with('#'));
+            let text = lines.collect::<Vec<_>>().join("\n");
             let named = FILES.iter().filter(|(path, _)| {
                 let is_other = path.strip_suffix(".yaml").is_some_and(is_name);
                 !is_other && text.contains(path) && !found.iter().any(|(known, _)| known == path)
@@ -140,19 +142,19 @@ impl Shipped {
 
     /// What is to be written to a folder to run it from there: paths and texts, its own file first.
     pub fn files(self) -> Vec<(&'static str, &'static str)> {
-        std::iter::once((self.file, self.text)).chain(self.others()).collect()
+        std::iter::once((self.file, self.text)).chain(self.others(true)).collect()
     }
 
     /// The texts of the pipelines it may include, as if they stood in this folder.
     fn included(self, folder: &Path) -> BTreeMap<PathBuf, String> {
-        let pipelines = self.others().into_iter().filter(|(path, _)| is_pipeline(path));
+        let pipelines = self.others(false).into_iter().filter(|(path, _)| is_pipeline(path));
         pipelines.map(|(path, text)| (folder.join(path), text.to_owned())).collect()
     }
 
     /// Refuses a pipeline whose scripts or tables are not in the folder it would run in.
     fn check(self, folder: &Path) -> Result<(), CliError> {
         let mut missing =
-            self.others().into_iter().filter(|(path, _)| !is_pipeline(path) && !folder.join(path).is_file());
+            self.others(false).into_iter().filter(|(path, _)| !is_pipeline(path) && !folder.join(path).is_file());
         let Some((path, _)) = missing.next() else { return Ok(()) };
         let name = self.name;
         Err(CliError::Usage(format!(

@@ -36,7 +36,7 @@ impl SubmitArgs {
     /// Submits an array of workers, the first of which writes the run folder.
     pub fn run(mut self, registry: &Registry) -> Result<(), CliError> {
         let name = self.pipeline.pipeline.clone();
-        self.pipeline.take_shipped()?;
+        self.pipeline.take()?;
         self.pipeline.no_programs = self.programs.are_refused();
         // Faults show now, and not when the queue comes to it.
         let pipeline = self.pipeline.load(registry)?;

@@ -36,7 +36,7 @@ fn start(process: u32) -> f64 {
 impl WorkArgs {
     /// Takes steps that are ready and that no other process has, until all are done.
     pub fn run(mut self, registry: &Registry) -> Result<(), CliError> {
-        self.pipeline.take_shipped()?;
+        self.pipeline.take()?;
         self.pipeline.no_programs = self.programs.are_refused();
         let mut pipeline = self.pipeline.load(registry)?;
         self.programs.check(registry, &pipeline, &self.pipeline.target)?;

@@ -284,6 +284,65 @@ fn which_outputs_get_a_name_can_be_chosen() {
 }
 
 #[test]
+fn an_export_has_the_format_of_its_name_and_replaces_none_but_exports() {
+    let house = House::new(&format!(
+        "{SMALL}  noise: {{stage: describe-noise, with: {{scales_cells: [1, 2, 4]}}, in: {{raster: dem.raster}}}}\ntargets: [noise]\n"
+    ));
+    let (code, _, err) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    let export = |output: &str, file: &str, more: &[&str]| {
+        let (code, out, err) = house.rockface(&[&["export", "latest", output, file], more].concat());
+        (code, format!("{out}{err}"))
+    };
+    std::fs::write(house.path("mine.tif"), "mine").unwrap();
+    let (code, said) = export("dem.raster", "mine.tif", &[]);
+    assert!(code == Some(2) && said.contains("no earlier export"), "{said}");
+    assert_eq!(std::fs::read(house.path("mine.tif")).unwrap(), b"mine");
+    for more in [&["--force"][..], &[], &["--plain"], &[]] {
+        let (code, said) = export("dem.raster", "mine.tif", more);
+        assert_eq!(code, Some(0), "{said}");
+    }
+    let (code, said) = export("dem.raster", "dem.asc", &[]);
+    assert!(code == Some(2) && said.contains("outputs of kind raster are written as .tif, not as .asc"), "{said}");
+    for _ in 0..2 {
+        let (code, said) = export("noise.features", "noise.csv", &[]);
+        assert!(code == Some(0) && house.path("noise.csv.provenance.json").is_file(), "{said}");
+    }
+    assert!(std::fs::read_to_string(house.path("noise.csv")).unwrap().starts_with("raster,mean_m,"));
+    let (code, said) = export("dem.raster", "new/", &[]);
+    assert!(code == Some(0) && house.path("new/dem.raster.tif").is_file(), "{said}");
+}
+
+#[test]
+fn what_reads_a_pipeline_takes_the_manifest_of_a_run() {
+    let house = two_runs();
+    for command in ["plan", "explain", "graph", "params"] {
+        let step = (command == "explain").then_some("dem");
+        let arguments: Vec<&str> = [command, ".rockface/runs/latest/run.json"].into_iter().chain(step).collect();
+        let (code, out, err) = house.rockface(&arguments);
+        assert!(code == Some(0) && !out.is_empty(), "{command}: {out}{err}");
+    }
+    let (_, out, err) = house.rockface(&["plan", ".rockface/runs/latest/run.json"]);
+    assert!(out.contains("dem") && out.contains("face"), "{out}{err}");
+}
+
+#[test]
+fn warnings_of_cached_steps_are_printed_again() {
+    let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/foreign/metashape-geographic.xml");
+    let step = format!("{{stage: import-cameras, with: {{path: '{}'}}}}", file.display());
+    let house = House::new(&format!("rockface: 1\nsteps:\n  read: {step}\n"));
+    // Executed, remembered as a whole, and cached under another seed.
+    for more in [&[][..], &[], &["--seed", "7"]] {
+        let (code, _, err) = house.rockface(&[&["run", "p.yaml", "-q"], more].concat());
+        assert_eq!(code, Some(0), "{err}");
+        assert_eq!(err.matches("warning  read: the chunk is referenced").count(), 1, "{more:?} {err}");
+    }
+    let (_, out, _) = house.rockface(&["run", "p.yaml", "--json"]);
+    let ended: Value = serde_json::from_str(last_line(&out)).unwrap();
+    assert!(ended["warnings"][0].as_str().unwrap().contains("geocentric"), "{out}");
+}
+
+#[test]
 fn outputs_of_very_many_points_stay_in_the_store() {
     if std::env::var_os("ROCKFACE_SLOW").is_none() {
         return;

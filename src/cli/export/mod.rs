@@ -5,7 +5,8 @@ pub mod provenance;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use rockface_cache::SafeName;
+use rockface_cache::{Digest, SafeName, Store};
+use rockface_core::artefact::{Artefact, Kind};
 
 use super::places::Places;
 use super::{CliError, complain, say};
@@ -24,8 +25,11 @@ pub struct ExportArgs {
     /// `before.dem` or `before/dem.raster`.
     #[arg(add = super::candidates::outputs())]
     output: String,
-    /// The file to write, or a folder to write it into.
+    /// The file to write, or a folder to write it into. A table goes into a `.csv` too, a cloud into a `.laz`, by the extension.
     path: PathBuf,
+    /// Replace a file that is no earlier export.
+    #[arg(long)]
+    force: bool,
     /// Write the output without verifying it first. Faster for very large outputs, but damage on disk is not noticed.
     #[arg(long)]
     trust_store: bool,
@@ -45,9 +49,9 @@ impl ExportArgs {
         let Some(output) = output else {
             return Err(CliError::Usage(format!("`{}` was not made in this run", done.label())));
         };
-        let kind: Option<rockface_core::artefact::Kind> = output.kind.parse().ok();
-        let to = if self.path.is_dir() {
-            let extension = kind.map_or("bin", rockface_core::artefact::Kind::extension);
+        let kind: Option<Kind> = output.kind.parse().ok();
+        let to = if self.path.is_dir() || self.path.to_string_lossy().ends_with('/') {
+            let extension = kind.map_or("bin", Kind::extension);
             let name = SafeName::new(format!("{}.{port}.{extension}", done.label()));
             self.path.join(name.map_err(|error| CliError::Usage(format!("{error}; name the file to write")))?)
         } else {
@@ -55,6 +59,28 @@ impl ExportArgs {
         };
         let store = self.places.store_of(&run)?;
         store.trust(self.trust_store);
+        let other = kind.map(|kind| other_format(kind, &to)).transpose()?.flatten();
+        let failed = |action| {
+            let path = to.clone();
+            move |source| CliError::History(HistoryError::Io { action, path, source })
+        };
+        if !self.force {
+            check_replaceable(&to, &store).map_err(failed("read"))??;
+        }
+        let facts = provenance::of(&run, done, port, &output.digest);
+        if let Some((kind, extension)) = other {
+            let bytes = store.get(&output.digest).map_err(|error| unkept(error, &run.folder))?;
+            let bytes = converted(kind, &bytes, extension)?;
+            std::fs::create_dir_all(folder_of(&to)).map_err(failed("create the folder of"))?;
+            write(&to, &bytes).map_err(failed("write"))?;
+            let told = if self.plain { "" } else { ", where it comes from in a file beside it" };
+            if !self.plain {
+                let facts = format!("{facts:#}\n");
+                write(&provenance::beside(&to), facts.as_bytes()).map_err(failed("write"))?;
+            }
+            say(&format!("{} ({} as {extension}){told}", to.display(), output.kind));
+            return Ok(());
+        }
         let how = store.materialise(&output.digest, &to).map_err(|error| unkept(error, &run.folder))?;
         let how = match how {
             rockface_cache::Materialised::Reflink => "shared with the store until it is written to",
@@ -65,22 +91,79 @@ impl ExportArgs {
             say(&format!("{} ({}, {} bytes): {how}", to.display(), output.kind, output.bytes));
             return Ok(());
         }
-        let facts = provenance::of(&run, done, port, &output.digest);
-        let failed = |action| {
-            let path = to.clone();
-            move |source| CliError::History(HistoryError::Io { action, path, source })
-        };
         let bytes = std::fs::read(&to).map_err(failed("read"))?;
         let (at, bytes, where_to) = match provenance::written(kind, &bytes, &facts) {
             Some(bytes) => (to.clone(), bytes, "in it"),
             None => (provenance::beside(&to), format!("{facts:#}\n").into_bytes(), "in a file beside it"),
         };
-        let folder = at.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        super::write_own(folder, &at.file_name().unwrap_or_default().to_string_lossy(), &bytes)
-            .map_err(failed("write"))?;
+        write(&at, &bytes).map_err(failed("write"))?;
         say(&format!("{} ({}), where it comes from {where_to}", to.display(), output.kind));
         Ok(())
     }
+}
+
+/// The folder a file is in.
+fn folder_of(file: &Path) -> &Path {
+    file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+fn write(file: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    super::write_own(folder_of(file), &file.file_name().unwrap_or_default().to_string_lossy(), bytes)
+}
+
+/// What a file's name ends in, in lower case, as formats are named here.
+fn ending(file: &Path) -> Option<String> {
+    let ending = file.extension()?.to_string_lossy().to_lowercase();
+    Some(if ending == "tiff" { "tif".to_owned() } else { ending })
+}
+
+/// The ending of a file that a kind is converted to, where it is not the one it is kept in.
+fn other_format(kind: Kind, to: &Path) -> Result<Option<(Kind, &'static str)>, CliError> {
+    let own = kind.extension();
+    let Some(ending) = ending(to).filter(|ending| ending != own) else { return Ok(None) };
+    let others: &[&'static str] = match kind {
+        Kind::Table => &["csv"],
+        Kind::Inventory => &["csv", "json"],
+        Kind::Cloud => &["laz"],
+        _ => &[],
+    };
+    match others.iter().find(|other| **other == ending) {
+        Some(&"json") => Ok(None),
+        Some(other) => Ok(Some((kind, other))),
+        None => {
+            let formats: Vec<String> = std::iter::once(&own).chain(others).map(|ending| format!(".{ending}")).collect();
+            let formats = formats.join(" or ");
+            Err(CliError::Usage(format!(
+                "{}: outputs of kind {kind} are written as {formats}, not as .{ending}",
+                to.display()
+            )))
+        }
+    }
+}
+
+/// A value in another format than the one it is kept in.
+fn converted(kind: Kind, bytes: &[u8], extension: &str) -> Result<Vec<u8>, CliError> {
+    let refused = |error: rockface_core::artefact::CodecError| CliError::Usage(error.to_string());
+    let exports = Artefact::decode(kind, bytes).and_then(|value| value.exports("value")).map_err(refused)?;
+    let fitting =
+        exports.into_iter().find(|export| Path::new(&export.path).extension().is_some_and(|e| e == extension));
+    let none = || CliError::Usage(format!("this {kind} has no form as .{extension}"));
+    fitting.map(|export| export.bytes).ok_or_else(none)
+}
+
+/// Whether a file may be replaced: there is none, it says that it is an export, or the store has the same.
+fn check_replaceable(to: &Path, store: &Store) -> std::io::Result<Result<(), CliError>> {
+    if !to.is_file() {
+        return Ok(Ok(()));
+    }
+    let bytes = std::fs::read(to)?;
+    let is_export = provenance::read(to, &bytes).is_some() || store.contains(&Digest::of(&bytes));
+    Ok(if is_export {
+        Ok(())
+    } else {
+        let text = "is there and is no earlier export; name another file, or replace it with --force";
+        Err(CliError::Usage(format!("{} {text}", to.display())))
+    })
 }
 
 fn unkept(error: rockface_cache::StoreError, folder: &Path) -> CliError {

@@ -44,7 +44,7 @@ pub use part::{INSIDE, Interface, KindCheck, PartInput, PartText, Used};
 pub use reference::{Label, Reference};
 pub use step::{Gaps, Step, Stream};
 pub use substitute::{escape_hint, filled, mentioned, parted, value_bytes, value_of};
-pub use sweep::is_same_axis;
+pub use sweep::{is_same_axis, is_same_path};
 
 use rockface_cache::Seen;
 

@@ -27,8 +27,17 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<O
     let values_span = here(path.len() + 1, text.len());
     check_once(path, values, &sources[..source], path_span)?;
     let values = listed(values, values_span).map_err(|message| Diagnostic::at(values_span, message).hint(hint))?;
-    let keys: Vec<&str> = path.split('.').map(str::trim).collect();
+    let mut keys: Vec<&str> = path.split('.').map(str::trim).collect();
     check_depth(&keys, path_span)?;
+    // A bare name is an axis; where there is none, the parameter of that name.
+    if let [name] = keys[..]
+        && [("axes", false), ("params", true)]
+            .iter()
+            .all(|(section, there)| root.get(section).is_some_and(|section| section.get(name).is_some()) == *there)
+    {
+        keys.insert(0, "params");
+    }
+    check_not_set(&keys.join("."), &sources[..source], path_span)?;
     let mut late = None;
     if !matches!(keys[..], ["steps", name, ..] if name.contains('/')) {
         check_exists(root, &keys, path_span)?;
@@ -69,6 +78,11 @@ fn axis_of(path: &str) -> &str {
     path.rsplit('.').next().unwrap_or(path).trim()
 }
 
+/// Whether two texts are of one path, such as one that sets a value and one that sweeps it.
+pub fn is_same_path(one: &str, other: &str) -> bool {
+    parts(one).map(|(path, _)| path) == parts(other).map(|(path, _)| path)
+}
+
 /// Whether two texts sweep one axis.
 pub fn is_same_axis(one: &str, other: &str) -> bool {
     parts(one).map(|(path, _)| axis_of(path)) == parts(other).map(|(path, _)| axis_of(path))
@@ -92,6 +106,15 @@ fn check_once(path: &str, values: &str, earlier: &[Source], span: Span) -> Resul
     } else {
         fault.hint(format!("give all its values at once: --sweep {path}={first},{values}"))
     })
+}
+
+/// A value that is set and swept would silently be swept only.
+fn check_not_set(path: &str, earlier: &[Source], span: Span) -> Result<(), Diagnostic> {
+    let mut set = earlier.iter().filter(|source| source.name == "--set").filter_map(|source| parts(&source.text));
+    if set.any(|(known, _)| known == path) {
+        return Err(Diagnostic::at(span, format!("`{path}` is set and swept")).hint("leave out --set or --sweep"));
+    }
+    Ok(())
 }
 
 /// What is swept of a typed parameter is held against its type, range and choices.
@@ -187,6 +210,12 @@ mod tests {
             r#"{"axes":{"a":{"values":[0.05,0.075,0.1,0.125,0.15,0.175,0.2]}},"seed":1}"#
         );
         assert!(swept("seed: 1", "a=-1e308..1e308:3").contains("wider"));
+        // A bare name is that of a parameter where there is no such axis.
+        assert_eq!(swept("{params: {x: 1, y: 2}}", "x=1,3"), r#"{"axes":{"x":{"values":[1,3]}},"params":{"y":2}}"#);
+        assert_eq!(
+            swept("{params: {y: 2}, axes: {x: {count: 4}}}", "x=1,3"),
+            r#"{"axes":{"x":{"values":[1,3]}},"params":{"y":2}}"#
+        );
         assert_eq!(
             swept("steps: {a: {stage: b}}", "steps.a.with.c=0..1:3"),
             r#"{"axes":{"c":{"values":[0.0,0.5,1.0]}},"steps":{"a":{"stage":"b","with":{"c":"${c}"}}}}"#

@@ -69,7 +69,7 @@ pub struct Resolver<'d> {
     /// The folder of the pipeline.
     folder: Arc<Path>,
     /// The texts of the pipeline, of which each file has a folder.
-    sources: &'d [Source],
+    pub(super) sources: &'d [Source],
     /// By number in the graph: the axes of the step.
     pub reach: Vec<BTreeSet<usize>>,
     /// Faults that are none where it is not sure which axes a step has: the step, and the fault.

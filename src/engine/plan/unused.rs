@@ -42,6 +42,14 @@ impl Resolver<'_> {
         known.iter().find(|(name, _)| name == near).map(|(_, path)| path.clone())
     }
 
+    /// The first option that gives a value to a step, and its path.
+    fn given_to_a_step(&self) -> Option<(&str, &str)> {
+        let options = self.sources.iter().filter(|source| matches!(source.name.as_str(), "--set" | "--sweep"));
+        let mut paths =
+            options.filter_map(|source| Some((source.name.as_str(), source.text.split_once('=')?.0.trim())));
+        paths.find(|(_, path)| path.starts_with("steps."))
+    }
+
     /// Parameters that nothing mentions.
     pub fn unused_params(&self) -> Vec<Diagnostic> {
         let document = self.document();
@@ -55,8 +63,16 @@ impl Resolver<'_> {
         let used: BTreeSet<&str> = used.chain(document.mentions.iter().map(|name| parted(name).0)).collect();
         let unused = document.params.iter().filter(|(key, _)| !used.contains(key.name.as_str()));
         let told = |(key, _): &(Key, Node)| {
-            let fault = Diagnostic::at(key.span, format!("nothing mentions parameter `{}`", key.name));
-            fault.hint(format!("write ${{{}}} in a `with`, or remove it", key.name))
+            let (name, fault) =
+                (&key.name, Diagnostic::at(key.span, format!("nothing mentions parameter `{}`", key.name)));
+            match self.given_to_a_step() {
+                Some((option, path)) => {
+                    let way =
+                        format!("`{option} {path}` may have replaced what mentions it: give `params.{name}` then");
+                    fault.hint(way)
+                }
+                None => fault.hint(format!("write ${{{name}}} in a `with`, or remove it")),
+            }
         };
         unused.map(told).collect()
     }

@@ -71,6 +71,7 @@ const EVENTS: &[(&str, &str, &[Member])] = &[
             member("wall_s", "number", "elapsed seconds"),
             member("folder", "string", "the run folder"),
             member("headlines", "strings", "the results in a sentence each"),
+            member("warnings", "strings", "what steps warned of, those of cached steps too"),
             member("files", "strings", "outputs of the target steps, by their paths in the run folder"),
             member("remote", "object|null", "requests to the remote place and bytes, by kind"),
         ],

@@ -80,6 +80,9 @@ pub struct Finished {
     pub folder: PathBuf,
     /// The results in a line each.
     pub headlines: Vec<String>,
+    /// What instances warned of, those that were cached too: each with its instance.
+    #[serde(default)]
+    pub warnings: Vec<(usize, String)>,
     /// The files of the target steps, relative to the run folder.
     pub files: Vec<SafePath>,
     /// How many kept outputs have no file there.
@@ -150,6 +153,7 @@ fn plan_key(plan: &Plan, summary: &Summary, runs: &Path, about: &RunFolder) -> D
 struct Filled {
     manifest: NamedTempFile,
     headlines: Vec<String>,
+    warnings: Vec<(usize, String)>,
     laid: Laid,
 }
 
@@ -183,7 +187,7 @@ impl Writer<'_> {
     /// Fills the folder, while the store makes durable what the folder reports.
     fn fill(&self, folder: &Path) -> Result<Finished, RunError> {
         let (synced, filled) = self.beside(|| phase!("sync", self.store.sync()), || self.fill_in(folder))?;
-        let Filled { manifest, headlines, laid } = filled?;
+        let Filled { manifest, headlines, warnings, laid } = filled?;
         synced?;
         // A folder with a manifest is whole, after a power cut too.
         unfinished::sync_all(folder)?;
@@ -192,7 +196,7 @@ impl Writer<'_> {
         own.extend(folder.join(POINTS_FILE).exists().then_some(POINTS_FILE));
         let made = made::left(folder, &own, &laid)?;
         let (files, unnamed) = (laid.of_targets(self.plan), laid.unnamed);
-        Ok(Finished { folder: folder.to_owned(), headlines, files, unnamed, made })
+        Ok(Finished { folder: folder.to_owned(), headlines, warnings, files, unnamed, made })
     }
 
     /// Writes all files of the folder; the manifest has yet to be given its name.
@@ -203,7 +207,7 @@ impl Writer<'_> {
         let logs = self.logs()?;
         let headlines = self.headlines(&logs);
         let manifest = self.account(folder, &headlines, &logs, &laid)?;
-        Ok(Filled { manifest, headlines, laid })
+        Ok(Filled { manifest, headlines, warnings: self.warnings(&logs), laid })
     }
 
     /// Fetches what the folder is made of and is in a remote place only, all at once.
@@ -341,6 +345,18 @@ impl Writer<'_> {
             }
         }
         lines
+    }
+
+    /// What instances warned of, each with its name.
+    fn warnings(&self, logs: &[Vec<Entry>]) -> Vec<(usize, String)> {
+        let of_instance = |(instance, entries): (usize, &Vec<Entry>)| {
+            let texts = entries.iter().filter_map(|entry| match entry {
+                Entry::Warning { text } => Some((instance, format!("{}: {text}", self.plan.label(instance)))),
+                _ => None,
+            });
+            texts.collect::<Vec<_>>()
+        };
+        logs.iter().enumerate().flat_map(of_instance).collect()
     }
 
     fn log(&self, folder: &Path, logs: &[Vec<Entry>], laid: &Laid) -> Result<(), RunError> {

@@ -23,6 +23,15 @@ pub struct Told {
     pub headlines: Vec<String>,
     /// How many results there are.
     pub headline_count: usize,
+    /// The first warnings, those of cached steps too.
+    #[serde(default)]
+    pub warnings: Vec<String>,
+    /// How many warnings there are.
+    #[serde(default)]
+    pub warning_count: usize,
+    /// How many of them are of steps that ran, and were printed then.
+    #[serde(skip)]
+    pub warnings_printed: usize,
     /// The first files of the target steps, relative to the run folder.
     pub files: Vec<SafePath>,
     /// How many files there are.
@@ -38,10 +47,14 @@ impl Told {
     /// The summary of a run.
     pub fn of(finished: &Finished, summary: &Summary) -> Self {
         let headlines = folded(&finished.headlines);
+        let ran = |(instance, _): &&(usize, String)| summary.instances.get(*instance).is_some_and(|it| it.executed);
         Self {
             folder: finished.folder.clone(),
             headline_count: headlines.len(),
             headlines: headlines.into_iter().take(NAMED).collect(),
+            warnings: finished.warnings.iter().take(NAMED).map(|(_, text)| text.clone()).collect(),
+            warning_count: finished.warnings.len(),
+            warnings_printed: finished.warnings.iter().filter(ran).count(),
             files: finished.files.iter().take(NAMED).cloned().collect(),
             file_count: finished.files.len(),
             unnamed: finished.unnamed,
