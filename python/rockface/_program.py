@@ -40,7 +40,7 @@ def find() -> Path:
             return program
     found = shutil.which("rockface")
     if found is None:
-        raise ProgramError(f"the program `rockface` is not installed: `pip install rockface`, or name it in {VARIABLE}")
+        raise ProgramError(f"the program `rockface` is not installed: `pip install .` in a clone, or name it in {VARIABLE}")
     return Path(found)
 
 

@@ -194,7 +194,8 @@ fn answered(params: &PythonParams, done: &JobResult, context: &Context) -> Resul
 fn died(function: &str, done: &JobResult) -> StageError {
     if done.result.stderr.contains("No module named rockface") {
         let error = StageError::new("this Python has no package `rockface`");
-        return error.hint("`pip install rockface` into it, or name another one in ROCKFACE_PYTHON");
+        return error
+            .hint("install it there (`pip install .` in a clone, or a wheel), or name another one in ROCKFACE_PYTHON");
     }
     let error = ended::ended(function, &done.result);
     let message = format!("the Python process ended in the middle of the function: {}", error.message);

@@ -87,8 +87,7 @@ fn missing(with: &Value) -> Vec<Fault> {
 
 fn unasked(error: &str) -> Fault {
     if error.contains("No module named rockface") {
-        let message =
-            "Python has no package `rockface`: `pip install rockface` into it, or name another one in ROCKFACE_PYTHON";
+        let message = "Python has no package `rockface`: install it there (`pip install .` in a clone, or a wheel), or name another one in ROCKFACE_PYTHON";
         return Fault::new(message);
     }
     Fault::new(format!("Python cannot be asked what the module says: {error}"))

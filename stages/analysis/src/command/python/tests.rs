@@ -74,7 +74,7 @@ fn faults_of_the_description_name_their_parameter() {
     let refused = r#"{"fault": {"path": ["function"], "message": "no function `f`", "known": ["g"]}}"#;
     let told = fault(with.clone(), refused);
     assert_eq!((told.path.as_slice(), told.known.as_slice()), (&["function".to_owned()][..], &["g".to_owned()][..]));
-    assert!(fault(with, "No module named rockface").message.contains("pip install rockface"));
+    assert!(fault(with, "No module named rockface").message.contains("pip install ."));
     let other = json!({"module": "a.py", "function": "f", "outputs": {"labels": "raster"}});
     assert!(fault(other, DESCRIBED).message.contains("the function has {raster: raster}, not {labels: raster}"));
     assert!(fault(json!({"module": "a.py"}), "").message.contains("`function` (text) is missing"));
