@@ -8,8 +8,8 @@ use tracing_subscriber::EnvFilter;
 use tracing_subscriber::filter::filter_fn;
 use tracing_subscriber::prelude::*;
 
-use crate::cli::{Cli, CliError, output};
-use crate::trace::{Trace, is_phase};
+use crate::cli::{Cli, CliError, check_own, output};
+use crate::trace::{self, Trace, is_phase};
 
 /// Runs the command line of this process with these stages; returns the exit code.
 ///
@@ -39,9 +39,11 @@ fn listen(trace: Option<Trace>) {
 
 /// Runs a command and prints why it failed, if it did; returns the exit code.
 fn run_command(cli: Cli, registry: &Registry) -> i32 {
-    let trace = cli.trace_file().map(|file| (Trace::begin(), file.to_owned()));
+    let checked = cli.trace_file().map_or(Ok(()), |file| check_own(file, trace::BEGINS, "trace"));
+    let file = cli.trace_file().filter(|_| checked.is_ok());
+    let trace = file.map(|file| (Trace::begin(), file.to_owned()));
     listen(trace.as_ref().map(|(trace, _)| trace.clone()));
-    let result = cli.run(registry);
+    let result = checked.and_then(|()| cli.run(registry));
     let written =
         trace.map_or(Ok(()), |(trace, path)| trace.write(&path).map_err(|source| CliError::Trace { path, source }));
     let result = result.and(written);

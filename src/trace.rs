@@ -16,6 +16,9 @@ use tracing_subscriber::Layer;
 use tracing_subscriber::layer::Context;
 use tracing_subscriber::registry::LookupSpan;
 
+/// What a file of a trace begins with.
+pub const BEGINS: &[u8] = b"{\"displayTimeUnit\"";
+
 /// Spans that are over, in memory until they are written: a step has about ten, of a hundred bytes each.
 #[derive(Debug, Clone)]
 pub struct Trace {

@@ -297,6 +297,18 @@ fn own_folder(pipeline: &Path) -> Result<PathBuf, CliError> {
     Ok(folder)
 }
 
+/// Refuses to write where a file is that does not begin as those do that the command writes.
+pub fn check_own(path: &Path, begins: &[u8], what: &str) -> Result<(), CliError> {
+    let mut head = vec![0; begins.len()];
+    let read = if path.is_file() { std::fs::File::open(path) } else { return Ok(()) };
+    let read = read.and_then(|mut file| std::io::Read::read(&mut file, &mut head));
+    // What cannot be read is refused when it is written.
+    if read.is_ok_and(|count| count > 0 && head[..count] != *begins) {
+        return Err(CliError::Usage(format!("{} is there and is no {what}; name another file", path.display())));
+    }
+    Ok(())
+}
+
 /// Writes a file whole or not at all: half of one would never be completed.
 fn write_own(folder: &Path, name: &str, bytes: &[u8]) -> std::io::Result<()> {
     let mut file = tempfile::Builder::new()

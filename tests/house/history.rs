@@ -309,6 +309,17 @@ fn an_export_has_the_format_of_its_name_and_replaces_none_but_exports() {
         assert!(code == Some(0) && house.path("noise.csv.provenance.json").is_file(), "{said}");
     }
     assert!(std::fs::read_to_string(house.path("noise.csv")).unwrap().starts_with("raster,mean_m,"));
+    for arguments in [&["run", "p.yaml", "--trace", "mine.txt"][..], &["report", "latest", "-o", "mine.txt"]] {
+        std::fs::write(house.path("mine.txt"), "mine").unwrap();
+        let (code, _, err) = house.rockface(arguments);
+        assert!(code == Some(2) && err.contains("mine.txt is there and is no"), "{err}");
+        assert_eq!(std::fs::read(house.path("mine.txt")).unwrap(), b"mine");
+        std::fs::remove_file(house.path("mine.txt")).unwrap();
+        for _ in 0..2 {
+            let (code, _, err) = house.rockface(arguments);
+            assert_eq!(code, Some(0), "{err}");
+        }
+    }
     let (code, said) = export("dem.raster", "new/", &[]);
     assert!(code == Some(0) && house.path("new/dem.raster.tif").is_file(), "{said}");
 }
