@@ -64,8 +64,9 @@ impl ExportArgs {
             let path = to.clone();
             move |source| CliError::History(HistoryError::Io { action, path, source })
         };
-        if !self.force {
-            check_replaceable(&to, &store).map_err(failed("read"))??;
+        if !self.force && !is_replaceable(&to, &store).map_err(failed("read"))? {
+            let text = "is there and is no earlier export; name another file, or replace it with --force";
+            return Err(CliError::Usage(format!("{} {text}", to.display())));
         }
         let facts = provenance::of(&run, done, port, &output.digest);
         if let Some((kind, extension)) = other {
@@ -120,25 +121,19 @@ fn ending(file: &Path) -> Option<String> {
 /// The ending of a file that a kind is converted to, where it is not the one it is kept in.
 fn other_format(kind: Kind, to: &Path) -> Result<Option<(Kind, &'static str)>, CliError> {
     let own = kind.extension();
-    let Some(ending) = ending(to).filter(|ending| ending != own) else { return Ok(None) };
-    let others: &[&'static str] = match kind {
-        Kind::Table => &["csv"],
-        Kind::Inventory => &["csv", "json"],
-        Kind::Cloud => &["laz"],
-        _ => &[],
+    // GeoJSON is JSON.
+    let is_own = |ending: &String| ending == own || (kind == Kind::Inventory && ending == "json");
+    let Some(ending) = ending(to).filter(|ending| !is_own(ending)) else { return Ok(None) };
+    let other = match kind {
+        Kind::Table | Kind::Inventory => Some("csv"),
+        Kind::Cloud => Some("laz"),
+        _ => None,
     };
-    match others.iter().find(|other| **other == ending) {
-        Some(&"json") => Ok(None),
-        Some(other) => Ok(Some((kind, other))),
-        None => {
-            let formats: Vec<String> = std::iter::once(&own).chain(others).map(|ending| format!(".{ending}")).collect();
-            let formats = formats.join(" or ");
-            Err(CliError::Usage(format!(
-                "{}: outputs of kind {kind} are written as {formats}, not as .{ending}",
-                to.display()
-            )))
-        }
+    if let Some(other) = other.filter(|other| *other == ending) {
+        return Ok(Some((kind, other)));
     }
+    let formats = other.map_or(format!(".{own}"), |other| format!(".{own} or .{other}"));
+    Err(CliError::Usage(format!("{}: outputs of kind {kind} are written as {formats}, not as .{ending}", to.display())))
 }
 
 /// A value in another format than the one it is kept in.
@@ -152,18 +147,12 @@ fn converted(kind: Kind, bytes: &[u8], extension: &str) -> Result<Vec<u8>, CliEr
 }
 
 /// Whether a file may be replaced: there is none, it says that it is an export, or the store has the same.
-fn check_replaceable(to: &Path, store: &Store) -> std::io::Result<Result<(), CliError>> {
+fn is_replaceable(to: &Path, store: &Store) -> std::io::Result<bool> {
     if !to.is_file() {
-        return Ok(Ok(()));
+        return Ok(true);
     }
     let bytes = std::fs::read(to)?;
-    let is_export = provenance::read(to, &bytes).is_some() || store.contains(&Digest::of(&bytes));
-    Ok(if is_export {
-        Ok(())
-    } else {
-        let text = "is there and is no earlier export; name another file, or replace it with --force";
-        Err(CliError::Usage(format!("{} {text}", to.display())))
-    })
+    Ok(provenance::read(to, &bytes).is_some() || store.contains(&Digest::of(&bytes)))
 }
 
 fn unkept(error: rockface_cache::StoreError, folder: &Path) -> CliError {

@@ -30,10 +30,10 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<O
     let mut keys: Vec<&str> = path.split('.').map(str::trim).collect();
     check_depth(&keys, path_span)?;
     // A bare name is an axis; where there is none, the parameter of that name.
+    let has = |section: &str, name: &str| root.get(section).is_some_and(|section| section.get(name).is_some());
     if let [name] = keys[..]
-        && [("axes", false), ("params", true)]
-            .iter()
-            .all(|(section, there)| root.get(section).is_some_and(|section| section.get(name).is_some()) == *there)
+        && !has("axes", name)
+        && has("params", name)
     {
         keys.insert(0, "params");
     }

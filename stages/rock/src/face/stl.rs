@@ -55,7 +55,7 @@ fn read_binary(bytes: &[u8], places: &mut Places) -> Result<Vec<[u32; 3]>, Strin
         return Err(format!("the header promises {count} triangles, and {held} follow: export it again"));
     }
     let mut triangles = limits::list("triangles", count).map_err(|e| e.0)?;
-    for (number, record) in bytes[HEAD..].chunks_exact(RECORD).take(count).enumerate() {
+    for (number, record) in bytes[HEAD..].chunks_exact(RECORD).enumerate() {
         let value =
             |at: usize| f64::from(f32::from_le_bytes([record[at], record[at + 1], record[at + 2], record[at + 3]]));
         let corner = |k: usize| [12 + 12 * k, 16 + 12 * k, 20 + 12 * k].map(value);

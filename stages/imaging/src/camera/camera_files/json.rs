@@ -90,13 +90,8 @@ pub fn read(bytes: &[u8], frame: Frame) -> Result<CameraFile, StageError> {
     })?;
     let notes = unused_keys(&file);
     let images = file.images.iter().map(|i| image(i, &file.sensors)).collect::<Result<Vec<_>, StageError>>()?;
-    let number = |(place, sensor): (usize, &SensorFile)| match sensor.id {
-        Id::Number(number) => number,
-        Id::Text(_) => place as u64,
-    };
-    let numbers: Vec<u64> = file.sensors.iter().enumerate().map(number).collect();
     let sensors = file.sensors.iter().map(sensor).collect::<Result<Vec<_>, _>>()?;
-    let numbered = numbers.into_iter().zip(sensors).collect();
+    let numbered = (0..).zip(sensors).collect();
     let states_frame = file.frame.is_some();
     Ok(CameraFile { states_frame, ..assemble(file.frame.unwrap_or(frame), numbered, images, notes)? })
 }
@@ -116,7 +111,7 @@ fn sensor(file: &SensorFile) -> Result<Sensor, StageError> {
     let (f, b1) = focal(file)?;
     Ok(Sensor {
         name: match &file.id {
-            Id::Number(_) => String::new(),
+            Id::Number(number) => format!("sensor{number}"),
             Id::Text(text) => text.clone(),
         },
         width_px: file.width,
