@@ -19,7 +19,7 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "RA
 
 try:
     import numpy as np
-except ImportError:
+except ModuleNotFoundError:
     sys.exit(print(json.dumps({"missing": "numpy"})))
 
 REPEATS, LONG_S = 3, 10.0
@@ -246,5 +246,5 @@ WORKS = {work.__name__: work for work in (depth, removal, variogram, m3c2, icp, 
 if __name__ == "__main__":
     try:
         print("\n" + json.dumps(WORKS[WORK]()))
-    except ImportError as missing:
+    except ModuleNotFoundError as missing:
         print("\n" + json.dumps({"missing": missing.name or WORK}))

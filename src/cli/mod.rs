@@ -252,8 +252,7 @@ impl Looked {
         if !is_none {
             return Ok(Self { store: Store::open(dir)?, _folder: None });
         }
-        let failed = |source| CliError::Run(RunError::Folder { path: std::env::temp_dir(), source });
-        let folder = tempfile::tempdir().map_err(failed)?;
+        let folder = tempfile::tempdir().map_err(CliError::Temporary)?;
         Ok(Self { store: Store::open(folder.path())?, _folder: Some(folder) })
     }
 }
@@ -357,6 +356,9 @@ pub enum CliError {
     /// The output could not be written.
     #[error("cannot write to standard output: {0}")]
     Output(std::io::Error),
+    /// No folder for a moment could be made.
+    #[error("cannot make a folder in `{place}`: {0}; TMPDIR names another place", place = std::env::temp_dir().display())]
+    Temporary(std::io::Error),
 }
 
 impl CliError {
@@ -369,7 +371,8 @@ impl CliError {
             | Self::Damaged
             | Self::Report(_)
             | Self::Trace { .. }
-            | Self::Output(_) => 3,
+            | Self::Output(_)
+            | Self::Temporary(_) => 3,
             Self::Pipeline(_) | Self::Usage(_) | Self::History(_) => 2,
             Self::Run(error) => error.exit_code(),
         }

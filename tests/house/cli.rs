@@ -95,6 +95,10 @@ fn exit_codes_tell_what_is_wrong() {
     std::fs::write(house.path("file"), "in the way").unwrap();
     let (code, _, err) = house.rockface(&["run", "p.yaml", "--store", "file/store"]);
     assert_eq!(code, Some(3), "{err}");
+    let planned = House::new(SMALL).command(&["plan", "p.yaml"]).env("TMPDIR", house.path("nowhere")).output().unwrap();
+    assert_eq!(planned.status.code(), Some(3));
+    let err = String::from_utf8(planned.stderr).unwrap();
+    assert!(err.contains("nowhere`: ") && err.contains("TMPDIR names another place"), "{err}");
     let (code, _, _) = house.rockface(&["run"]);
     assert_eq!(code, Some(2));
 }

@@ -14,7 +14,8 @@ const LISTED: usize = 20;
 
 /// Reads a CSV file with a header line; cells are separated by the comma, semicolon or tab the header has most of.
 ///
-/// Cells that are numbers become numbers, `true` and `false` flags, empty ones and NaN empty, all others text. Spaces
+/// Cells that are numbers become numbers, `true` and `false` flags, empty ones and NaN empty, all others text. Where cells
+/// are not separated by commas, a column all of whose numbers have decimal commas or none is one of numbers, too. Spaces
 /// around cells, a byte-order mark and a `//` or `#` before the header are dropped.
 ///
 /// # Errors
@@ -40,7 +41,31 @@ pub fn read(bytes: &[u8], cancelled: &dyn Fn() -> bool) -> Result<Table, CodecEr
         stop.check()?;
         table.push(record.map_err(failed)?.iter().map(cell).collect());
     }
+    if separator != b',' {
+        (0..table.columns.len()).for_each(|column| take_decimal_commas(&mut table, column));
+    }
     Ok(table)
+}
+
+/// Makes numbers of the texts of a column if all of them are numbers with a decimal comma, and no number has a point.
+fn take_decimal_commas(table: &mut Table, column: usize) {
+    let taken = |cell: &Cell| match cell {
+        Cell::Text(text) => with_decimal_comma(text).map(Cell::from),
+        Cell::Number(value) if value.fract() == 0.0 => Some(cell.clone()),
+        Cell::Empty(()) => Some(cell.clone()),
+        _ => None,
+    };
+    if let Some(cells) = table.rows.iter().map(|row| taken(&row[column])).collect::<Option<Vec<Cell>>>() {
+        table.rows.iter_mut().zip(cells).for_each(|(row, cell)| row[column] = cell);
+    }
+}
+
+/// The number that a text with one decimal comma and no point writes.
+fn with_decimal_comma(text: &str) -> Option<f64> {
+    let (whole, fraction) = text.split_once(',')?;
+    let digits = |text: &str| text.ends_with(|last: char| last.is_ascii_digit());
+    let is_one = digits(whole) && fraction.starts_with(|first: char| first.is_ascii_digit()) && !whole.contains('.');
+    if is_one { format!("{whole}.{fraction}").parse().ok() } else { None }
 }
 
 fn check_header(columns: &[String]) -> Result<(), CodecError> {
@@ -115,6 +140,19 @@ mod tests {
             assert_eq!(table.rows[2], [Cell::Number(-300.0), Cell::Empty(()), Cell::Empty(())]);
             assert_eq!(numbers(&table, "x_m").unwrap(), [1.5, -300.0]);
         }
+    }
+
+    #[test]
+    fn a_column_with_decimal_commas_is_one_of_numbers() {
+        let table =
+            read("x_m;both;list;id\n1,5;1,5;1,2,3;12\n-2,25e1;1.5;1,2;7\n4;2;3;0,5 m\n;;;\n".as_bytes()).unwrap();
+        assert_eq!(numbers(&table, "x_m").unwrap(), [1.5, -22.5, 4.0]);
+        for (column, text) in ["both", "list", "id"].into_iter().zip(["1,5", "1,2,3", "0,5 m"]) {
+            let at = table.column(column).unwrap();
+            assert!(table.rows.iter().any(|row| row[at] == text.into()), "{column}");
+        }
+        // Commas that separate cells group digits where they stand in quotes.
+        assert_eq!(read(b"a,b\n\"1,234\",2\n").unwrap().rows[0][0], "1,234".into());
     }
 
     #[test]
