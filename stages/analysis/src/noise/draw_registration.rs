@@ -2,9 +2,10 @@
 
 use rand::RngExt;
 
-use crate::noise::detrend::{asymmetry, trend, trend_at};
+use crate::noise::detrend::asymmetry;
 use crate::noise::learning::departure::of_another;
-use rockface_core::artefact::{Grid, Kind, Noise, Raster, Trend};
+use rockface_core::artefact::{Grid, Kind, Noise, Raster};
+use rockface_core::numerics::trend::{Trend, trend, trend_at};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 
 params! {

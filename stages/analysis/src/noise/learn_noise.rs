@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
 
-use crate::noise::detrend::{asymmetry, plane, trend};
+use crate::noise::detrend::{asymmetry, plane};
 use crate::noise::learning::acquisitions::{Acquisitions, Source, Variety, acquisitions};
 use crate::noise::learning::bad::parted;
 use crate::noise::learning::by_place::{self, Strengths};
@@ -23,6 +23,7 @@ use rockface_core::artefact::{
 use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::held_out::in_view;
 use rockface_core::numerics::quantile::quantile;
+use rockface_core::numerics::trend::trend;
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 use rockface_imaging::matching::elevation_step::elevation_step_m;
@@ -78,7 +79,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 23;
+    const VERSION: u32 = 24;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -247,7 +248,8 @@ impl Learnt {
         let strengths = Strengths::of(&real, self.columns);
         let mut factors = vec![1.0; dem.grid.cells()];
         let make_up = |trial: &mut [Vec<f32>], factors: &mut [f64]| {
-            let more = strengths.factors(trial);
+            // What all places of a parametric model lack is for its classes of place: it would take them to the next class.
+            let more = if self.fields { strengths.factors(trial) } else { strengths.relative_factors(trial) };
             trial.iter_mut().for_each(|raster| by_place::times(raster, &more));
             factors.iter_mut().zip(more).for_each(|(factor, more)| *factor *= more);
         };

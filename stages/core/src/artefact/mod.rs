@@ -40,7 +40,7 @@ pub use mesh::Mesh;
 pub use meshes::{Meshes, Part, file_names as part_file_names};
 pub use noise::{
     Contrast, GAP, LevelContrast, LevelFigures, MOST_GAP_GAIN, MOST_GAP_VARIETY, MOST_SKEWNESS_GAIN, Member, Noise,
-    ReliefLaw, Trend, UNEVENNESS,
+    ReliefLaw, UNEVENNESS,
 };
 pub use pairs::{Pair, Pairs};
 pub use picture::Picture;

@@ -2,10 +2,7 @@
 
 use super::{CodecError, Frame, Grid};
 use crate::numerics::random::Field;
-
-/// A trend of the third degree: factors on 1, x, y, x^2 - 1/3, x y, y^2 - 1/3, x^3 - 3/5 x, (x^2 - 1/3) y, x (y^2 - 1/3) and y^3 - 3/5 y, where x and y are
-/// -1 and 1 at the edges of the grid, to the right and down.
-pub type Trend = [f64; 10];
+use crate::numerics::trend::Trend;
 
 /// One acquisition the model knows: how strong and how coarse its noise is, and where its whitened field comes from.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]

@@ -15,4 +15,5 @@ pub mod portable_math;
 pub mod quantile;
 pub mod random;
 pub mod simd;
+pub mod trend;
 pub mod union_find;

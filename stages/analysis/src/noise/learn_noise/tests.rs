@@ -5,12 +5,12 @@ use std::sync::LazyLock;
 use serde_json::{Value, json};
 
 use super::*;
-use crate::noise::detrend::trend_at;
 use crate::noise::learning;
 use rockface_core::artefact::{Artefact, Frame, Grid, Noun, Pair};
 use rockface_core::numerics::gaussian::smoothed;
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::random::Key;
+use rockface_core::numerics::trend::{trend_at, without_trend};
 use rockface_core::params::ParamType;
 use rockface_core::testing::{TestHost, image_at, run_stage, small_sensor};
 use rockface_imaging::matching::noise::ensemble::{Numbers, draw};
@@ -421,6 +421,28 @@ fn few_rasters_make_a_parametric_model() {
     // The relief of a plane says that all places are alike, which few rasters only half contradict.
     assert!((0.8..1.6).contains(&ratio), "{ratio}");
     assert_eq!(Noise::decode(&noise.encode().unwrap()).unwrap(), noise);
+}
+
+/// Waves of all lengths, the longer the stronger, as noise of a matcher has: smoothed by 1 to 16 cells.
+fn long_waves(seed: u8) -> Vec<f64> {
+    let parts: Vec<Vec<f64>> = (0..5).map(|k| unit(seed + 40 * k, f64::from(1u8 << k))).collect();
+    (0..COLUMNS * ROWS).map(|i| parts.iter().map(|part| part[i]).sum()).collect()
+}
+
+#[test]
+fn draws_of_a_parametric_model_are_as_strong_as_the_rasters_without_their_trends() {
+    let raster = |seed: u8| {
+        let values = long_waves(seed).into_iter().map(|value| (0.002 * value) as f32).collect();
+        Raster::single(grid(), Frame::Wall, "difference", &format!("w{seed}"), values)
+    };
+    let rasters: Vec<Raster> = (0..6).map(raster).collect();
+    let step_m = (20.0 * 20.0 / (small_sensor().f * 2.0)) as f32;
+    let rms = |values: &[f32]| mean(values.iter().map(|value| f64::from(*value) * f64::from(*value))).sqrt();
+    let level = |raster: &Raster| rms(&without_trend(&raster.bands[0].values, COLUMNS).unwrap());
+    let real = mean(rasters.iter().map(level)) / f64::from(step_m);
+    let (noise, _) = learn_from(rasters, &json!({"draws": 24})).unwrap();
+    let drawn = mean(drawn_px(&noise, 40).iter().map(|rms| (0.5 * (rms[0] * rms[0] + rms[1] * rms[1])).sqrt()));
+    assert!((drawn / real - 1.0).abs() < 0.12, "{drawn} {real}");
 }
 
 #[test]

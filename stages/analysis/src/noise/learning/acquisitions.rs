@@ -6,8 +6,9 @@
 //! both factors as they are. A bad difference is a usual epoch and a bad one, whose variance is what the usual one does not explain.
 
 use crate::noise::learning::whitening::Whitened;
-use rockface_core::artefact::{Member, Trend};
+use rockface_core::artefact::Member;
 use rockface_core::numerics::portable_math::{exp, log};
+use rockface_core::numerics::trend::Trend;
 
 /// Part of the variance of a bad difference that its bad epoch has at least.
 const LEAST_BAD_PART: f64 = 0.5;

@@ -2,11 +2,11 @@
 
 use rayon::prelude::*;
 
-use crate::noise::detrend::without_trend;
 use crate::noise::learning::whitening::{BANDS, CLASSES};
 use rockface_core::artefact::{Band, Cameras, Noise, Raster};
 use rockface_core::numerics::marginal::skewness;
 use rockface_core::numerics::random::Key;
+use rockface_core::numerics::trend::without_trend;
 use rockface_core::{StageError, fail};
 use rockface_imaging::matching::noise::ensemble::{Numbers, draw};
 use rockface_raster::grid;

@@ -6,7 +6,7 @@
 //! members wherever that differs from place to place, without a parameter for it. A sum of fields is more even than each of them: its
 //! details are given contrast, and the field the skewness of one member, to either side. Where the strongest donor of a place has a gap, the acquisition has one with the probability that makes the gaps of
 //! a difference as frequent as they were. Bands of frequency then give it the amplitudes of one member, and classes of place its strength. Models
-//! without fields start from white noise instead.
+//! without fields start from white noise instead, and lose the trend that it has.
 
 use rand::{Rng, RngExt};
 use rayon::prelude::*;
@@ -21,6 +21,7 @@ use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::random::Field;
 use rockface_core::numerics::simd::{LANES, Lanes, Number, Work, vectorised};
+use rockface_core::numerics::trend::without_trend;
 
 /// Logarithm of the factor on the strength between the middles of classes of place; constant beyond the outermost.
 pub fn log_strength_at(middles: &[f64], values: &[f64], log_strength: f64) -> f64 {
@@ -119,8 +120,18 @@ pub fn draw(noise: &Noise, numbers: Numbers, keys: Keys) -> Drawn {
     let gain = |band: usize| wanted[band] - 0.5 * portable_math::log(present[band].max(1e-12)) + noise.log_gain[band];
     let filtered = spectrum.filtered(&(0..noise.bands()).map(gain).collect::<Vec<f64>>());
     let mut field = with_gains(filtered, columns, &noise.contrast);
+    if !noise.has_fields() {
+        // Whitened fields are learnt without their trends, which registration left and `draw-registration` gives back.
+        field = level(field, columns);
+    }
     mixed.gaps.into_iter().for_each(|cell| field[cell] = f64::NAN);
     Drawn { field, log_strength, bad: of_bad }
+}
+
+/// A field without its trend.
+fn level(field: Vec<f64>, columns: usize) -> Vec<f64> {
+    let rounded: Vec<f32> = field.iter().map(|value| *value as f32).collect();
+    without_trend(&rounded, columns).map_or(field, |level| level.into_iter().map(f64::from).collect())
 }
 
 /// Logarithms of the amplitudes of bands, shifted alike so that the noise has unit variance: how strong an acquisition is say its strengths alone.
