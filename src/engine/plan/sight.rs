@@ -57,10 +57,15 @@ impl<'a> Sight<'a> {
             pattern.as_ref().map_or(!name.starts_with('.'), |pattern| fits(pattern, &name))
         };
         let named = self.entries(folder).map_err(|error| format!("cannot read `{}`: {error}", folder.display()))?;
-        let named = named.into_iter().filter(|file| matches(file));
-        let mut files: Vec<PathBuf> = named.filter(|file| self.is_file(file)).collect();
+        let (named, others): (Vec<PathBuf>, Vec<PathBuf>) = named.into_iter().partition(|file| matches(file));
+        let mut files: Vec<PathBuf> = named.into_iter().filter(|file| self.is_file(file)).collect();
         files.sort();
-        if files.is_empty() { Err(format!("`{}` names no file", path.display())) } else { Ok(files) }
+        if files.is_empty() {
+            let other = others.iter().filter(|_| pattern.is_some()).min().and_then(|other| other.file_name());
+            let there = other.map(|other| format!("; `{}` is there", other.display()));
+            return Err(format!("`{}` names no file{}", path.display(), there.unwrap_or_default()));
+        }
+        Ok(files)
     }
 
     fn entries(&self, folder: &Path) -> std::io::Result<Vec<PathBuf>> {

@@ -5,13 +5,15 @@ use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::{Event, Observer, Progress, duration, plain};
+use super::plain::Lines;
+use super::{Event, Observer, Progress, duration};
 
 /// A bar, what is running, and the time left; warnings and failures scroll above it.
 pub struct Terminal {
     bar: ProgressBar,
     running: BTreeSet<String>,
     verbose: bool,
+    lines: Lines,
 }
 
 impl Terminal {
@@ -21,7 +23,7 @@ impl Terminal {
         let style = ProgressStyle::with_template("{bar:24} {pos}/{len} {msg}");
         bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("━╸ "));
         bar.enable_steady_tick(Duration::from_millis(200));
-        Self { bar, running: BTreeSet::new(), verbose }
+        Self { bar, running: BTreeSet::new(), verbose, lines: Lines::default() }
     }
 }
 
@@ -41,7 +43,7 @@ impl Observer for Terminal {
             _ => {}
         }
         let telling = matches!(event, Event::Warning { .. } | Event::Failed { .. } | Event::Waiting { .. });
-        if let Some(line) = plain::line(event, self.verbose).filter(|_| telling || self.verbose) {
+        if let Some(line) = self.lines.line(event, self.verbose).filter(|_| telling || self.verbose) {
             self.bar.println(line);
         }
         self.bar.set_length(progress.total as u64);

@@ -7,11 +7,17 @@ use crate::watch::{Event, Progress};
 
 /// How long an estimate of the time left is used.
 const ESTIMATE_EVERY: Duration = Duration::from_millis(100);
+/// How long a run takes before records of earlier ones are looked through for the time that is left.
+const SHORT: Duration = Duration::from_secs(1);
 
 impl Scheduler<'_> {
     /// Tells the observer of an event, with the progress of the run and an estimate of the time left.
     pub fn report(&mut self, event: &Event) {
         if self.timing.estimate.1.is_none_or(|made| made.elapsed() > ESTIMATE_EVERY) {
+            if self.begun.elapsed() > SHORT && self.timing.wants_records(self.states.open()) {
+                let records = self.store.keys().into_iter().filter_map(|key| self.store.record(&key));
+                self.timing.take_records(records.map(|record| (record.recipe.stage, record.cost.wall_s)));
+            }
             let remaining_s = self.timing.remaining_s(self.states.open(), self.options.jobs);
             self.timing.estimate = (remaining_s, Some(Instant::now()));
         }

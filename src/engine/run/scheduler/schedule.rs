@@ -113,6 +113,8 @@ pub struct Scheduler<'a> {
     pub(super) told: Vec<(usize, ListPoint)>,
     /// Instances being computed or queued, by the key of their recipe.
     pub(super) computing: HashMap<Digest, Line>,
+    /// When the run began.
+    pub(super) begun: Instant,
     pub(super) timing: Timing,
     pub(super) budget: MemoryBudget,
     /// Whether a step failed.
@@ -142,6 +144,7 @@ impl<'a> Scheduler<'a> {
         let (tells, awaited) = (plan.graph.leads_to_pairs(), plan.graph.awaited());
         Self {
             states: States::new(plan),
+            begun: Instant::now(),
             timing: Timing::new(&plan.graph.steps),
             spans: spans(plan),
             plan,
