@@ -51,6 +51,8 @@ params! {
         labels: Option<Vec<u32>> = None,
         /// By how many cells, in every direction, what is masked out grows.
         grow_cells: u32 = 0; Range::Between(0.0, 10000.0),
+        /// Share of the values that a mask should leave: where it leaves fewer, a warning says so.
+        expected_share: f64 = 0.0; Range::Between(0.0, 1.0),
     }
 }
 
@@ -78,6 +80,8 @@ impl Stage for ApplyMask {
         };
         let mut kept = kept(&bands, params, raster.grid.cells());
         grow(&mut kept, raster.grid.columns, params.grow_cells as usize);
+        let known = |raster: &Raster| raster.bands.iter().flat_map(|b| &b.values).filter(|v| !v.is_nan()).count();
+        let before = known(&raster);
         for band in &mut raster.bands {
             band.values.iter_mut().zip(&kept).filter(|(_, kept)| !**kept).for_each(|(value, _)| *value = f32::NAN);
             if band.values.iter().all(|v| v.is_nan()) {
@@ -94,6 +98,11 @@ impl Stage for ApplyMask {
         }
         let share = kept.iter().filter(|kept| **kept).count() as f64 / kept.len() as f64;
         context.metric("kept_share", share, "1");
+        let left = known(&raster) as f64 / before as f64;
+        if left < params.expected_share {
+            let (left, expected) = (100.0 * left, 100.0 * params.expected_share);
+            context.warn(format!("the mask leaves {left:.1} % of the values, of which {expected} % are expected"));
+        }
         Ok(Outputs::of("raster", raster))
     }
 }
@@ -190,6 +199,20 @@ mod tests {
         for (word, expected) in [("finite", vec![1, 2]), ("nonzero", vec![2]), ("zero", vec![1])] {
             assert_eq!(kept_cells(&json!({"keep": word}), &mask).unwrap(), expected, "{word}");
         }
+    }
+
+    #[test]
+    fn a_mask_that_takes_more_than_is_expected_is_warned_of() {
+        let raster = Raster::single(GRID, Frame::Wall, "difference", "d", vec![f32::NAN, 1.0, 1.0, 1.0]);
+        let mask = stack(&[("m", [f32::NAN, 0.0, 2.0, f32::NAN])]);
+        let warnings = |share: f64| {
+            let host = TestHost::default();
+            let inputs: [(&str, Artefact); 2] = [("raster", raster.clone().into()), ("mask", mask.clone().into())];
+            run_stage::<ApplyMask>(&host, &json!({"expected_share": share}), &inputs).unwrap();
+            host.warnings()
+        };
+        assert!(warnings(0.6).is_empty());
+        assert!(warnings(0.7)[0].contains("66.7 % of the values, of which 70 %"), "{:?}", warnings(0.7));
     }
 
     #[test]

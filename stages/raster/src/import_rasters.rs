@@ -7,7 +7,7 @@ use rockface_core::artefact::{Band, CodecError, Frame, Kind, Noun, Raster, Sampl
 use rockface_core::crs::{self, CrsName, Settled, Tool, settle, wall_without_system};
 use rockface_core::format::geotiff::{self, DAMAGED, System};
 use rockface_core::numerics::marginal;
-use rockface_core::params::{Fault, FilesRef};
+use rockface_core::params::{Fault, FilesRef, Range};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, SourceFile, Stage, StageError, choice, params};
 
 choice! {
@@ -33,6 +33,8 @@ params! {
         frame: GridFrame = GridFrame::Automatic,
         /// The coordinate reference system of files that state none: `EPSG:28356`.
         crs: Option<CrsName> = None,
+        /// Larger values are outliers and left out; left out: none are.
+        max_abs: Option<f64> = None; Range::Positive,
     }
 }
 
@@ -65,9 +67,10 @@ impl Stage for ImportRasters {
 
     fn run(params: &Self::Params, _inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let mut all: Option<(String, Raster)> = None;
+        let mut systems = Vec::new();
         for mut file in context.files(&params.path)? {
             context.check_cancelled()?;
-            let raster = read(&mut file, params, context)?;
+            let raster = read(&mut file, params, context, &mut systems)?;
             match &mut all {
                 None => all = Some((file.name, raster)),
                 Some((first, together)) => append(first, together, &file.name, raster)?,
@@ -78,9 +81,17 @@ impl Stage for ImportRasters {
                 .hint("give a folder that holds GeoTIFFs, or a pattern such as `real/*.tif`"));
         };
         refuse_twins(&raster)?;
+        if let [first, others @ ..] = systems.as_slice() {
+            let others =
+                if others.is_empty() { String::new() } else { format!(", and so do {} more files", others.len()) };
+            context.warn(format!("{first}{others}; but `frame: wall` is given: their system is left out"));
+        }
         raster.quantity.clone_from(&params.quantity);
         if params.quantity == "difference" {
             warn_of_strange_differences(&raster, context);
+        }
+        if let Some(limit) = params.max_abs {
+            leave_outliers_out(&mut raster, limit, context)?;
         }
         context.note(format!("{} bands on {}", raster.bands.len(), grid::describe(&raster.grid)));
         Ok(Outputs::of("raster", raster))
@@ -90,16 +101,22 @@ impl Stage for ImportRasters {
 /// The fault of the bytes of a file.
 fn unreadable(name: &str, error: &CodecError) -> StageError {
     let fault = StageError::new(format!("`{name}`: {error}"));
-    let is_damaged = error.0.starts_with(DAMAGED);
-    if is_damaged { fault } else { fault.hint("a pattern such as `folder/*.tif` leaves other files out") }
+    if error.0.starts_with(DAMAGED) {
+        fault
+    } else if error.0.contains("resample") {
+        fault.hint("`gdalwarp -tr 0.05 0.05 -r bilinear FILE NEW` makes cells of 0.05 m, north up")
+    } else {
+        fault.hint("a pattern such as `folder/a*.tif` leaves other files out")
+    }
 }
 
-/// The frame of a file, and what makes metres of its numbers.
+/// The frame of a file, and what makes metres of its numbers; `left_out` gets a system that the file states for nothing.
 fn settled(
     name: &str,
     system: System,
     params: &ImportRastersParams,
     context: &Context,
+    left_out: &mut Vec<String>,
 ) -> Result<(Frame, Settled), StageError> {
     let has_system = params.crs.is_some()
         || system.stated.as_ref().is_some_and(|stated| !matches!(stated.kind, crs::Kind::Local | crs::Kind::Unknown));
@@ -115,18 +132,23 @@ fn settled(
         return Ok((settled.frame(), settled));
     }
     if let Some(stated) = system.stated.filter(|_| has_system) {
-        context.warn(format!("`{name}` states {}, but `frame: wall` is given: its system is left out", stated.name));
+        left_out.push(format!("`{name}` states {}", stated.name));
     }
     Ok((system.frame.filter(|frame| *frame == Frame::Wall).unwrap_or(Frame::Wall), Settled::metres()))
 }
 
 /// One file in metres, its bands named after it.
-fn read(file: &mut SourceFile, params: &ImportRastersParams, context: &Context) -> Result<Raster, StageError> {
+fn read(
+    file: &mut SourceFile,
+    params: &ImportRastersParams,
+    context: &Context,
+    systems: &mut Vec<String>,
+) -> Result<Raster, StageError> {
     let name = file.name.clone();
     let mut bytes = Vec::new();
     file.reader.read_to_end(&mut bytes).map_err(|e| StageError::new(format!("cannot read `{name}`: {e}")))?;
     let system = geotiff::read_system(&bytes).map_err(|e| unreadable(&name, &e))?;
-    let (frame, settled) = settled(&name, system, params, context)?;
+    let (frame, settled) = settled(&name, system, params, context, systems)?;
     let mut raster = Raster::decode(&bytes).map_err(|e| unreadable(&name, &e))?;
     raster.frame = frame;
     to_metres(&mut raster, &settled, &params.quantity);
@@ -187,6 +209,46 @@ fn warn_of_strange_differences(raster: &Raster, context: &Context) {
     }
 }
 
+/// Bands with outliers that a message names.
+const NAMED: usize = 3;
+
+/// Takes values beyond a limit away, with a warning that names their bands.
+fn leave_outliers_out(raster: &mut Raster, limit: f64, context: &Context) -> Result<(), StageError> {
+    let (mut found, mut cells, mut known) = (Vec::new(), 0, 0);
+    for band in &mut raster.bands {
+        let values = band.values.iter().filter(|value| !value.is_nan()).count();
+        // A value at the limit is none, as it is rounded in the file.
+        let is_outlier = |value: &f32| value.abs() > limit as f32;
+        let outliers = band.values.iter().filter(|value| is_outlier(value)).count();
+        if outliers == values {
+            let name = &band.name;
+            return Err(StageError::new(format!(
+                "every value of band `{name}` is beyond the limit for outliers, {limit}"
+            ))
+            .hint("raise the limit, or give the values its unit: lengths are in metres"));
+        }
+        (cells, known) = (cells + outliers, known + values);
+        if outliers > 0 {
+            band.values.iter_mut().filter(|value| is_outlier(value)).for_each(|value| *value = f32::NAN);
+            raster.sample = Sample::Float;
+            found.push(format!("{outliers} of `{}`", band.name));
+        }
+    }
+    if cells > 0 {
+        let more = found.len().saturating_sub(NAMED);
+        let more = if more == 0 { String::new() } else { format!(" and of {more} more bands") };
+        found.truncate(NAMED);
+        context.warn(format!(
+            "{cells} cells ({:.2} %) are beyond the limit for outliers, {limit}, and left out: {}{more}; where many are, the limit is not the one that \
+             the files were filtered with",
+            100.0 * cells as f64 / known as f64,
+            found.join(", ")
+        ));
+    }
+    context.metric("outliers", cells as f64, "1");
+    Ok(())
+}
+
 fn append(first: &str, together: &mut Raster, name: &str, raster: Raster) -> Result<(), StageError> {
     let system = |raster: &Raster| raster.frame.crs().cloned();
     if raster.frame != together.frame {
@@ -244,8 +306,16 @@ mod tests {
     }
 
     fn import_on(host: &mut TestHost, files: Vec<(String, Vec<u8>)>) -> Result<Raster, StageError> {
+        import_with(&json!({"path": "real"}), host, files)
+    }
+
+    fn import_with(
+        with: &serde_json::Value,
+        host: &mut TestHost,
+        files: Vec<(String, Vec<u8>)>,
+    ) -> Result<Raster, StageError> {
         host.files.insert("real".into(), files);
-        let outputs = run_stage::<ImportRasters>(host, &json!({"path": "real"}), &[])?;
+        let outputs = run_stage::<ImportRasters>(host, with, &[])?;
         match &outputs.into_inner()["raster"] {
             Artefact::Raster(raster) => Ok(raster.clone()),
             other => panic!("{}", other.kind()),
@@ -273,6 +343,29 @@ mod tests {
         assert_eq!(warnings.len(), 2, "{warnings:?}");
         assert!(warnings[0].contains("`holes`: 2 cells") && warnings[0].contains("-a_nodata -9999 FILE"));
         assert!(warnings[1].contains("`mm` by") && warnings[1].contains("millimetres"));
+    }
+
+    #[test]
+    fn values_beyond_the_limit_are_left_out_with_a_warning() {
+        let files = || {
+            vec![file("a.tif", 0.0, vec![0.04, -0.05, 0.0, f32::NAN]), file("b.tif", 0.0, vec![0.1, -0.051, 0.0, 0.02])]
+        };
+        let with = json!({"path": "real", "max_abs": 0.05});
+        let mut host = TestHost::default();
+        let raster = import_with(&with, &mut host, files()).unwrap();
+        assert_eq!(raster.bands[0].values[..3], [0.04, -0.05, 0.0]);
+        assert!(
+            raster.bands[1].values[..2].iter().all(|value| value.is_nan())
+                && raster.bands[1].values[2..] == [0.0, 0.02]
+        );
+        let warnings = host.warnings();
+        assert!(
+            warnings.len() == 1 && warnings[0].contains("2 cells (28.57 %)") && warnings[0].contains("2 of `b`"),
+            "{warnings:?}"
+        );
+        let all = vec![file("mm.tif", 0.0, vec![12.0, -7.0, 3.0, -1.0])];
+        let error = import_with(&with, &mut TestHost::default(), all).unwrap_err();
+        assert!(error.message.contains("every value of band `mm`"), "{error}");
     }
 
     #[test]

@@ -135,6 +135,9 @@ impl Stage for RasteriseDem {
             context.metric("interpolated", filled as f64 / values.len() as f64, "1");
         }
         report(&values, &grid, context);
+        if params.method != DemMethod::Tin {
+            warn_of_scattered_gaps(&values, grid.columns, params.minimum_points, context);
+        }
         let frame = change.frame;
         if frame == Frame::World {
             context.warn("the surface is in the world frame: elevation is along world Z, not out of the wall");
@@ -159,13 +162,35 @@ fn make_grid(params: &RasteriseDemParams, shape: Shape, moved: Option<&Moved>) -
     grid.map_err(|e| e.hint("choose another `cell_m` or `window_m`"))
 }
 
-/// Gives cells without a value the one interpolated in the triangles over their centre, where there is one.
+/// A given grid, if it can be filled.
 fn usable(grid: Grid) -> Result<Grid, StageError> {
     let cells = grid.columns as f64 * grid.rows as f64;
     if (1.0..=rasterise::MAXIMUM_CELLS).contains(&cells) && grid.cell_m > 0.0 {
         return Ok(grid);
     }
     fail!("the given grid has {} x {} cells of {} m and cannot be filled", grid.columns, grid.rows, grid.cell_m)
+}
+
+/// Share of the cells with a value from which on gaps between such cells are more than a few.
+const MANY_GAPS: f64 = 0.1;
+
+/// Warns where many cells between others have too few points, which detectors and descriptors take for edges of the surface.
+fn warn_of_scattered_gaps(values: &[f32], columns: usize, points: u32, context: &Context) {
+    let known = |cell: usize| values.get(cell).is_some_and(|value| !value.is_nan());
+    let between = |cell: usize, step: usize| cell >= step && known(cell - step) && known(cell + step);
+    let is_gap = |cell: &usize| {
+        let column = cell % columns;
+        !known(*cell) && ((column > 0 && column + 1 < columns && between(*cell, 1)) || between(*cell, columns))
+    };
+    let gaps = (0..values.len()).filter(is_gap).count() as f64;
+    let filled = values.iter().filter(|value| !value.is_nan()).count() as f64;
+    if gaps > MANY_GAPS * filled {
+        context.warn(format!(
+            "{:.0} % of the cells between others have less than {points} points (`minimum_points`): the points lie too far apart for cells this small; \
+             enlarge `cell_m`, or take `empty_cells: interpolate`",
+            100.0 * gaps / (gaps + filled)
+        ));
+    }
 }
 
 fn report(values: &[f32], grid: &Grid, context: &Context) {
@@ -258,6 +283,21 @@ mod tests {
         }
         let changed = left.iter().zip(filled).filter(|(left, filled)| left.is_nan() && !filled.is_nan()).count();
         assert_eq!(host.metric("interpolated"), Some(changed as f64 / 12.0));
+    }
+
+    #[test]
+    fn cells_too_small_for_the_points_are_warned_of() {
+        let points = (0..900).map(|i| [f64::from(i % 30) * 0.1, f64::from(i / 30) * 0.1, 0.0]).collect();
+        let cloud = rockface_core::artefact::Cloud::new(Frame::Wall, points);
+        let warnings = |cell_m: f64| {
+            let host = TestHost::default();
+            let with = json!({"cell_m": cell_m, "minimum_points": 1, "window_m": [-0.05, 2.95, -0.05, 2.95]});
+            rockface_core::testing::run_stage::<RasteriseDem>(&host, &with, &[("surface", cloud.clone().into())])
+                .unwrap();
+            host.warnings()
+        };
+        assert!(warnings(0.1).is_empty(), "{:?}", warnings(0.1));
+        assert!(warnings(0.06)[0].contains("of the cells between others"), "{:?}", warnings(0.06));
     }
 
     #[test]

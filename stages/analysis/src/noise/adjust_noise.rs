@@ -36,11 +36,14 @@ const OF_LEVEL: usize = UNEVENNESS + 3;
 const LEAST: usize = 2;
 /// Most of what a draw loses that a usual raster loses.
 const MOST_SHARE: f64 = 2.0;
+/// Least and largest logarithm of the gain of a band. With a quarter of its amplitude a band adds next to nothing to the noise that a survey makes of its own there:
+/// less would change nothing.
+const LOG_GAINS: [f64; 2] = [-1.4, 3.0];
 
 impl Stage for AdjustNoise {
     type Params = AdjustNoiseParams;
     const NAME: &'static str = "adjust-noise";
-    const VERSION: u32 = 15;
+    const VERSION: u32 = 16;
     const PAGE: Page = Page::new(include_str!("adjust_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("noise", &[Kind::Noise], "The model."),
@@ -102,6 +105,7 @@ impl Stage for AdjustNoise {
         report(&losses, noise, [gap_factor, skewness_factor], context);
         let mut adjusted = adjusted(noise, &losses, params.relaxation);
         by_place::times(&mut adjusted.strength, &by_place);
+        warn_of_bounds(&adjusted, &losses, context);
         adjusted.gap_gain = (adjusted.gap_gain * gap_factor).min(MOST_GAP_GAIN);
         adjusted.skewness_gain = (adjusted.skewness_gain * skewness_factor).min(MOST_SKEWNESS_GAIN);
         Ok(Outputs::of("noise", adjusted))
@@ -184,7 +188,10 @@ fn adjusted(noise: &Noise, losses: &[Departure], relaxation: f64) -> Noise {
     for member in &mut adjusted.members {
         member.log_strength.iter_mut().zip(classes).for_each(|(value, loss)| *value -= loss.certain(CHANCE_ERRORS));
     }
-    adjusted.log_gain.iter_mut().zip(bands).for_each(|(gain, loss)| *gain -= relaxation * loss.certain(CHANCE_ERRORS));
+    let [least, most] = LOG_GAINS;
+    for (gain, loss) in adjusted.log_gain.iter_mut().zip(bands) {
+        *gain = (*gain - relaxation * loss.certain(CHANCE_ERRORS)).clamp(least, most);
+    }
     let certain = |k: usize| -details[k].certain(CHANCE_ERRORS);
     contrast::make_up(&mut adjusted.contrast, |level| {
         let first = OF_LEVEL * level;
@@ -194,6 +201,38 @@ fn adjusted(noise: &Noise, losses: &[Departure], relaxation: f64) -> Noise {
         }
     });
     adjusted
+}
+
+/// Says which bands have as much gain, or as little, as helps, and miss what they should have all the same.
+fn warn_of_bounds(adjusted: &Noise, losses: &[Departure], context: &Context) {
+    let bands = parts(losses, adjusted).1;
+    let [least, most] = LOG_GAINS;
+    let found = |is_at: &dyn Fn(f64, f64) -> bool| -> Option<(f64, f64)> {
+        let all = adjusted.log_gain.iter().zip(bands).map(|(gain, loss)| (*gain, loss.certain(CHANCE_ERRORS)));
+        let at: Vec<(usize, f64)> =
+            all.enumerate().filter(|(_, (gain, loss))| is_at(*gain, *loss)).map(|(k, (_, loss))| (k, loss)).collect();
+        let largest = at.iter().map(|(_, loss)| loss.abs()).fold(0.0, f64::max);
+        Some((wavelength_cells(adjusted, at.first()?.0), exp(largest)))
+    };
+    if let Some((cells, times)) = found(&|gain, loss| gain <= least && loss > 0.0) {
+        context.warn(format!(
+            "surveys of this face make up to {times:.1} times as much noise of {cells:.0} and fewer cells as the model has, by themselves: simulated rasters \
+             are rougher than the real ones there; were these filtered or resampled, or made of finer images than the cameras say?"
+        ));
+    }
+    if let Some((cells, times)) = found(&|gain, loss| gain >= most && loss < 0.0) {
+        context.warn(format!(
+            "surveys of this face lose nearly all noise of {cells:.0} and fewer cells ({times:.1} times more is wanted): are the pixels of the cameras \
+             larger than the cells of the rasters?"
+        ));
+    }
+}
+
+/// Wavelength in the middle of a band, cells.
+fn wavelength_cells(noise: &Noise, band: usize) -> f64 {
+    let side = noise.grid.columns.min(noise.grid.rows) as f64;
+    let share = (band as f64 + 0.5) / (noise.bands() as f64 - 1.0);
+    side * exp(-share * log(0.5 * side))
 }
 
 /// Losses of classes of place, of bands, and of details.

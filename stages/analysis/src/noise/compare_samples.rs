@@ -23,7 +23,7 @@ params! {
         held_out: f64 = 0.0; Range::Between(0.0, 0.9),
         /// Ridge on the weights of the standardised features, for ten features; it grows with their number.
         ridge: f64 = 1.0; Range::Positive,
-        /// Folds of the cross-validation.
+        /// Folds of the cross-validation, or as many as the smaller sample has rasters.
         folds: usize = 5; Range::Between(2.0, 1000.0),
         /// How many times the real rasters are split into halves that are told apart in the same way, as a control; 0: no control.
         control_splits: usize = 20; Range::Between(0.0, 1000.0),
@@ -70,16 +70,17 @@ impl Stage for CompareSamples {
             if port == "reference" {
                 class.truncate(in_view(class.len(), params.held_out));
             }
-            let least = least(params);
-            if class.len() < least {
-                let text = format!(
-                    "`{port}` has {} rasters to compare, {least} are needed for {} folds",
-                    class.len(),
-                    params.folds
-                );
-                return Err(StageError::new(text).hint("add rasters, or lower `folds` or `held_out`"));
+            if class.len() < LEAST {
+                let text = format!("`{port}` has {} rasters to compare, {LEAST} are needed", class.len());
+                return Err(StageError::new(text).hint(if port == "simulated" {
+                    "simulate more of them, such as by more `replicates`"
+                } else {
+                    "add rasters, or lower `held_out`"
+                }));
             }
         }
+        let folds = params.folds.min(classes[0].len()).min(classes[1].len());
+        let params = &CompareSamplesParams { folds, ..params.clone() };
         let compared = Compared::of(params, &features, &classes, context);
         compared.report(&features, context);
         let areas = compared.areas(&features);
@@ -88,9 +89,7 @@ impl Stage for CompareSamples {
 }
 
 /// Fewest rasters of a class.
-fn least(params: &CompareSamplesParams) -> usize {
-    params.folds.max(4)
-}
+const LEAST: usize = 4;
 
 /// The columns asked for, or those a table has.
 fn features(params: &CompareSamplesParams, table: Option<&Table>) -> Vec<String> {
@@ -138,7 +137,7 @@ impl Compared {
             .collect();
         let real: Vec<Vec<f64>> = classes[0].iter().map(|row| row.values.clone()).collect();
         // Halves differ in size by a run of three rasters at most.
-        let splits = if real.len() >= 2 * least(params) + 3 { params.control_splits } else { 0 };
+        let splits = if real.len() >= 2 * params.folds.max(LEAST) + 3 { params.control_splits } else { 0 };
         if splits < params.control_splits {
             context.warn(format!(
                 "{} real rasters are too few to split: there is no control of real against real",

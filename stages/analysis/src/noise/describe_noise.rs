@@ -23,8 +23,9 @@ params! {
         detrend: Detrend = Detrend::Mean,
         /// Directions of further variograms and spectra, degrees counter-clockwise from X; each takes what lies within 22.5 degrees.
         directions_deg: Vec<f64> = Vec::new(); Range::Between(-360.0, 360.0),
-        /// Standard deviations of the roughness filters, cells.
-        scales_cells: Vec<f64> = vec![1.0, 2.0, 4.0, 8.0, 16.0, 32.0]; Range::Between(0.25, 1000.0),
+        /// Standard deviations of the roughness filters, cells. Left out: 1, 2, 4, 8, 16 and 32, as far as they are at most half the shorter
+        /// side of the raster.
+        scales_cells: Option<Vec<f64>> = None; Range::Between(0.25, 1000.0),
     }
 }
 
@@ -46,8 +47,8 @@ impl Stage for DescribeNoise {
     fn check(params: &Self::Params) -> Vec<Fault> {
         let mut fault = Fault::new("two different scales are needed to fit an exponent");
         fault.path = vec!["scales_cells".to_owned()];
-        let first = params.scales_cells.first();
-        let varied = params.scales_cells.iter().any(|scale| Some(scale) != first);
+        let first = params.scales_cells.as_ref().and_then(|scales| scales.first());
+        let varied = params.scales_cells.as_ref().is_none_or(|scales| scales.iter().any(|scale| Some(scale) != first));
         if varied { Vec::new() } else { vec![fault] }
     }
 
@@ -59,14 +60,15 @@ impl Stage for DescribeNoise {
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let raster = inputs.one::<Raster>("raster")?;
-        check_scales(&params.scales_cells, raster)?;
+        let scales_cells = params.scales_cells.clone().unwrap_or_else(|| usual_scales_cells(raster));
+        check_scales(&scales_cells, raster)?;
         let settings = Settings {
             max_lag_cells: params.max_lag_cells,
             shape: params.model,
             estimator: params.estimator,
             detrend: params.detrend,
             directions_deg: params.directions_deg.clone(),
-            scales_cells: params.scales_cells.clone(),
+            scales_cells,
         };
         let one = |band: &Band| -> Result<Description, StageError> {
             context.check_cancelled()?;
@@ -81,8 +83,22 @@ impl Stage for DescribeNoise {
 }
 
 /// A filter wider than the raster leaves no roughness of its own scale.
+/// Deviations of the filters for rasters that are large enough.
+const USUAL_SCALES_CELLS: [f64; 6] = [1.0, 2.0, 4.0, 8.0, 16.0, 32.0];
+
+/// The usual deviations of the filters, as far as they suit the raster; the first two in any case.
+fn usual_scales_cells(raster: &Raster) -> Vec<f64> {
+    let fits = |scale: &f64| *scale <= largest_cells(raster) || *scale <= USUAL_SCALES_CELLS[1];
+    USUAL_SCALES_CELLS.into_iter().filter(fits).collect()
+}
+
+/// The largest deviation of a filter: half the shorter side of the raster, cells.
+fn largest_cells(raster: &Raster) -> f64 {
+    raster.grid.columns.min(raster.grid.rows) as f64 / 2.0
+}
+
 fn check_scales(scales_cells: &[f64], raster: &Raster) -> Result<(), StageError> {
-    let largest_cells = raster.grid.columns.min(raster.grid.rows) as f64 / 2.0;
+    let largest_cells = largest_cells(raster);
     let Some(scale_cells) = scales_cells.iter().find(|scale| **scale > largest_cells) else { return Ok(()) };
     let (columns, rows) = (raster.grid.columns, raster.grid.rows);
     Err(StageError::new(format!(
@@ -229,6 +245,7 @@ mod tests {
     #[test]
     fn a_scale_beyond_half_the_raster_is_refused() {
         let inputs = [("raster", noise(1).into())];
+        assert_eq!(usual_scales_cells(&noise(1)), [1.0, 2.0, 4.0, 8.0, 16.0]);
         let with = json!({"scales_cells": [1, 25, 25.5]});
         let error = run_stage::<DescribeNoise>(&TestHost::default(), &with, &inputs).err().unwrap();
         assert!(error.message.contains("25.5 cells") && error.message.contains("60 x 50"), "{error}");

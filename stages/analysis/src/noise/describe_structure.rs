@@ -12,8 +12,8 @@ params! {
     pub struct DescribeStructureParams {
         /// Lags of the increments, cells along each axis.
         lags_cells: Vec<u32> = vec![1, 2, 4, 8]; Range::Between(1.0, 1000.0),
-        /// Levels of the Haar pyramid; the coarsest takes blocks of 2 to this power cells a side.
-        levels: u32 = 5; Range::Between(1.0, 12.0),
+        /// Levels of the Haar pyramid; the coarsest takes blocks of 2 to this power cells a side. Left out: 5, or as many as fit into small rasters.
+        levels: Option<u32> = None; Range::Between(1.0, 12.0),
         /// Columns of blocks whose strength is compared.
         block_columns: u32 = 6; Range::Between(1.0, 64.0),
         /// Rows of blocks.
@@ -45,7 +45,7 @@ impl Stage for DescribeStructure {
         let raster = inputs.one::<Raster>("raster")?;
         let settings = Settings {
             lags_cells: params.lags_cells.iter().map(|lag| *lag as usize).collect(),
-            levels: params.levels as usize,
+            levels: params.levels.unwrap_or_else(|| usual_levels(raster)) as usize,
             blocks: [params.block_columns as usize, params.block_rows as usize],
         };
         check_size(&settings, raster)?;
@@ -66,6 +66,15 @@ impl Stage for DescribeStructure {
         context.note(format!("{} figures of {} rasters", table.columns.len() - 1, table.rows.len()));
         Ok(Outputs::of("features", table))
     }
+}
+
+/// Levels that rasters have which are large enough.
+const USUAL_LEVELS: u32 = 5;
+
+/// The usual levels, or as many as have two blocks on each side.
+fn usual_levels(raster: &Raster) -> u32 {
+    let side = raster.grid.columns.min(raster.grid.rows).max(4);
+    (side.ilog2() - 1).min(USUAL_LEVELS)
 }
 
 /// Every lag and every level needs two of its steps or blocks at least.
@@ -117,6 +126,16 @@ mod tests {
     }
 
     #[test]
+    fn small_rasters_have_fewer_levels() {
+        let levels = |side: usize| {
+            let with = json!({"lags_cells": [1, 2], "block_columns": 2, "block_rows": 2});
+            let table = described(side, &with).unwrap();
+            table.columns.iter().filter(|name| name.starts_with("haar_diagonal_") && name.ends_with("_rms")).count()
+        };
+        assert_eq!([8, 16, 32, 63, 64, 128].map(levels), [2, 3, 4, 4, 5, 5]);
+    }
+
+    #[test]
     fn the_thread_count_does_not_change_a_bit() {
         let bytes = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
@@ -128,7 +147,7 @@ mod tests {
     #[test]
     fn what_is_too_large_for_the_raster_is_refused() {
         for (with, what) in [
-            (json!({}), "a pyramid of 5 levels"),
+            (json!({"levels": 5}), "a pyramid of 5 levels"),
             (json!({"lags_cells": [1, 17]}), "a lag of 17 cells"),
             (json!({"levels": 2, "block_rows": 20}), "a row of 20 blocks"),
         ] {

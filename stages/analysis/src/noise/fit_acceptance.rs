@@ -7,6 +7,7 @@ use crate::noise::chain;
 use crate::noise::descriptors::{GROUPS, feature_names, in_group};
 use crate::noise::mahalanobis::{bound, fit_labelled, leave_one_out_quantile};
 use rockface_core::artefact::{Acceptance, Cell, GroupModel, Kind, Table};
+use rockface_core::numerics::beta;
 use rockface_core::numerics::held_out::in_view;
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::{Fault, Range};
@@ -107,27 +108,41 @@ fn log(model: &Acceptance, level: f64, context: &Context) {
     ));
 }
 
-/// Names the references close to the bound; when they are many, none stands alone and there are too few of them.
+/// Share of models of normal features in which a reference would be said to stand alone.
+const FALSE_ALARMS: f64 = 0.05;
+/// Share of the largest possible D2 above which a reference is close to it.
+const CLOSE: f64 = 0.9;
+
+/// Names the references whose D2 is beyond that of any normal one; when many are close to the bound, none stands alone and there are too few of them.
 fn warn_of_lone_references(model: &Acceptance, all: &GroupModel, context: &Context) {
     let limit = bound(model.references);
-    let references = model.labels.iter().zip(&all.reference_d2);
-    let lone: Vec<_> = references.filter(|(_, d2)| **d2 > 0.9 * limit).collect();
-    if 4 * lone.len() > model.references {
+    let close = all.reference_d2.iter().filter(|d2| **d2 > CLOSE * limit).count();
+    if 4 * close > model.references {
         context.warn(format!(
-            "{} references are too few for {} features: {} of them have a D2 close to the largest possible {limit:.1}; \
+            "{} references are too few for {} features: {close} of them have a D2 close to the largest possible {limit:.1}; \
              shorten `features` or add rasters",
             model.references,
             all.features.len(),
-            lone.len()
         ));
         return;
     }
+    let alone = limit * largest_usual_share(model.references, all.features.len());
+    let lone = model.labels.iter().zip(&all.reference_d2).filter(|(_, d2)| **d2 > alone.max(CLOSE * limit));
     for (label, d2) in lone {
         context.warn(format!(
             "`{label}` has D2 = {d2:.1}, close to the largest possible {limit:.1}: it stands alone and stretches the \
              acceptance region by itself; look at it, and fit once without it"
         ));
     }
+}
+
+/// The largest D2 of `n` normal references with `p` features as a share of the bound, exceeded by chance in one model of twenty: D2 over its bound has a beta
+/// distribution (Gnanadesikan and Kettenring 1972).
+fn largest_usual_share(n: usize, p: usize) -> f64 {
+    if p == 0 || n < p + 2 {
+        return 1.0;
+    }
+    beta::quantile(0.5 * p as f64, 0.5 * (n - p - 1) as f64, 1.0 - FALSE_ALARMS / n as f64)
 }
 
 fn summary(model: &Acceptance, level: f64) -> Table {
@@ -235,6 +250,19 @@ mod tests {
         table.rows[4][2] = 1e4.into();
         let (_, _, host) = fitted(table, &json!({})).unwrap();
         assert!(host.warnings().iter().any(|warning| warning.contains("`r4`")), "{:?}", host.warnings());
+    }
+
+    #[test]
+    fn what_chance_makes_the_most_extreme_does_not_stand_alone() {
+        let mut table = features();
+        let alarms = (0..10).filter(|_| {
+            table.rows.rotate_left(2);
+            let mut some = table.clone();
+            some.rows.truncate(18);
+            !fitted(some, &json!({})).unwrap().2.warnings().is_empty()
+        });
+        assert!(alarms.count() <= 2);
+        assert!((largest_usual_share(40, 1) - 0.2424).abs() < 1e-4 && largest_usual_share(13, 9) > 0.99);
     }
 
     #[test]

@@ -50,7 +50,7 @@ pub struct ImportCameras;
 impl Stage for ImportCameras {
     type Params = ImportCamerasParams;
     const NAME: &'static str = "import-cameras";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("import_cameras.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[
@@ -73,7 +73,8 @@ impl Stage for ImportCameras {
             context.warn(warning.as_str());
         }
         warn_of_short_focal_lengths(&file.cameras, context);
-        let covariance = covariance(params, &file, context)?;
+        let mut covariance = covariance(params, &file, context)?;
+        name_as_items(&mut file.cameras, &mut covariance, context)?;
         let (images, sensors) = (file.cameras.images.len(), file.cameras.sensors.len());
         let (frame, known) = (file.cameras.frame, covariance.parameters.len());
         context.note(format!("{images} images, {sensors} sensors ({frame} frame), covariance of {known} parameters"));
@@ -143,6 +144,36 @@ fn read_cameras(params: &ImportCamerasParams, context: &Context) -> Result<Camer
         }
         _ => Ok(file),
     }
+}
+
+/// Characters that no item of an axis has.
+const NO_ITEM: [char; 6] = ['/', '\\', ',', '=', '[', ']'];
+
+/// Gives images names that can be items of an axis: those of files in folders, as COLMAP has them, cannot.
+fn name_as_items(cameras: &mut Cameras, covariance: &mut Covariance, context: &Context) -> Result<(), StageError> {
+    let mut renamed = Vec::new();
+    for place in 0..cameras.images.len() {
+        let name = cameras.images[place].name.replace(NO_ITEM, "_");
+        let old = std::mem::replace(&mut cameras.images[place].name, name.clone());
+        if old == name {
+            continue;
+        }
+        if cameras.images.iter().enumerate().any(|(other, image)| other != place && image.name == name) {
+            return Err(StageError::new(format!("image `{old}` would be called `{name}`, as another one is"))
+                .hint("rename one of the two where the cameras come from: names of images have none of / \\ , = [ ]"));
+        }
+        cameras.sensors.iter_mut().filter(|sensor| sensor.name == old).for_each(|sensor| sensor.name.clone_from(&name));
+        let own = format!("{old}.");
+        for parameter in covariance.parameters.iter_mut().filter(|parameter| parameter.starts_with(&own)) {
+            *parameter = format!("{name}.{}", &parameter[own.len()..]);
+        }
+        renamed.push(format!("`{old}` is called `{name}`"));
+    }
+    if let [first, others @ ..] = renamed.as_slice() {
+        let others = if others.is_empty() { String::new() } else { format!(", and {} more likewise", others.len()) };
+        context.warn(format!("names of images have none of / \\ , = [ ]: {first}{others}"));
+    }
+    Ok(())
 }
 
 /// The complete files that may hold an image block; of others (photographs beside a model) only the first bytes are read.

@@ -126,7 +126,8 @@ fn extent(
             .hint("with `before` give the extent of the grid as `window_m`, to both steps"));
     }
     if raster.frame != cameras.frame {
-        fail!("`grid` is in the {} frame, the cameras in the {} frame", raster.frame, cameras.frame);
+        let text = format!("`grid` is in the {} frame, the cameras in the {} frame", raster.frame, cameras.frame);
+        return Err(StageError::new(text).hint("import rasters, mesh and cameras with the same `frame`"));
     }
     let (grid, margin_m) = (raster.grid, params.margin_cells * raster.grid.cell_m);
     let [width_m, height_m] = [grid.columns, grid.rows].map(|cells| cells as f64 * grid.cell_m);

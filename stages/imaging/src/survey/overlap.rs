@@ -6,7 +6,7 @@ use crate::camera::model::Camera;
 use rockface_core::artefact::{Cameras, Mesh, Pair};
 use rockface_core::numerics::portable_math;
 
-/// Least component of the viewing direction across the baseline: below it a pair cannot be rectified.
+/// Least component of the viewing direction across the baseline, of both images together and of each: below it a pair cannot be rectified.
 const FORWARD: f64 = 0.1;
 
 /// At most `limit` vertices of a mesh, evenly spaced in its vertex list.
@@ -64,7 +64,7 @@ impl<'a> Views<'a> {
     /// The pair of two images (i < j in block order), ordered so that the second lies in the direction of image x.
     ///
     /// With `b = (C2 - C1) / B` and `m` the sum of the optical axes, a pair with `|m - (m.b) b| < 0.1` looks along its
-    /// baseline. Overlap is the share of the sampled vertices in the first image that lie in the second too.
+    /// baseline, and so does one with an axis whose cosine to that direction is below 0.1. Overlap is the share of the sampled vertices in the first image that lie in the second too.
     pub fn pair(&self, i: usize, j: usize) -> Result<Pair, NoPair> {
         let images = &self.cameras.images;
         let baseline = images[j].centre() - images[i].centre();
@@ -74,7 +74,9 @@ impl<'a> Views<'a> {
         }
         let b = baseline / baseline_m;
         let sum = images[i].axis() + images[j].axis();
-        if (sum - b * sum.dot(&b)).norm() < FORWARD {
+        let across = sum - b * sum.dot(&b);
+        let towards_plane = |k: usize| images[k].axis().dot(&across) / across.norm();
+        if across.norm() < FORWARD || towards_plane(i).min(towards_plane(j)) < FORWARD {
             return Err(NoPair::Forward);
         }
         let towards = b.dot(&images[i].matrix().row(0).transpose());

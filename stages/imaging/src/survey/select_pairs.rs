@@ -34,13 +34,16 @@ pub struct SelectPairs;
 impl Stage for SelectPairs {
     type Params = SelectPairsParams;
     const NAME: &'static str = "select-pairs";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("select_pairs.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("cameras", &[Kind::Cameras], "The true orientation."),
         Port::one("mesh", &[Kind::Mesh], "The face, in the same frame."),
     ];
-    const OUTPUTS: &'static [Port] = &[Port::one("pairs", &[Kind::Pairs], "The pairs, in the order of the block.")];
+    const OUTPUTS: &'static [Port] = &[
+        Port::one("pairs", &[Kind::Pairs], "The pairs, in the order of the block."),
+        Port::one("cameras", &[Kind::Cameras], "The orientation of the images that are in a pair."),
+    ];
 
     fn check(params: &Self::Params) -> Vec<Fault> {
         if params.min_base_to_distance <= params.max_base_to_distance {
@@ -75,7 +78,21 @@ impl Stage for SelectPairs {
             context.note(figures(pair));
         }
         context.metric("pairs", pairs.len() as f64, "1");
-        Ok(Outputs::of("pairs", Pairs { pairs }))
+        let mut paired = cameras.clone();
+        paired.images.retain(|image| pairs.iter().any(|pair| [&pair.first, &pair.second].contains(&&image.name)));
+        if params.list.is_none() {
+            warn_of_single_images(cameras, &paired, context);
+        }
+        Ok(Outputs::of("pairs", Pairs { pairs }).and("cameras", paired))
+    }
+}
+
+fn warn_of_single_images(cameras: &Cameras, paired: &Cameras, context: &Context) {
+    let names: Vec<&str> = cameras.images.iter().map(|image| image.name.as_str()).collect();
+    let single: Vec<&str> = names.into_iter().filter(|name| paired.image(name).is_none()).collect();
+    if let [first, others @ ..] = single.as_slice() {
+        let others = if others.is_empty() { String::new() } else { format!(" and {} more images", others.len()) };
+        context.warn(format!("no pair within the limits has `{first}`{others}"));
     }
 }
 
@@ -228,12 +245,22 @@ mod tests {
     }
 
     fn select(cameras: &Cameras, mesh: Mesh, with: &Value) -> Result<Vec<Pair>, StageError> {
+        select_on(&TestHost::default(), cameras, mesh, with).map(|(pairs, _)| pairs)
+    }
+
+    fn select_on(
+        host: &TestHost,
+        cameras: &Cameras,
+        mesh: Mesh,
+        with: &Value,
+    ) -> Result<(Vec<Pair>, Cameras), StageError> {
         let mut inputs = Inputs::default();
         inputs.push("cameras", rockface_core::Point::new(), Arc::new(cameras.clone().into()));
         inputs.push("mesh", rockface_core::Point::new(), Arc::new(mesh.into()));
         let params = SelectPairsParams::decode(with).unwrap();
-        match SelectPairs::run(&params, &inputs, &Context::new(&TestHost::default()))?.into_inner().remove("pairs") {
-            Some(Artefact::Pairs(pairs)) => Ok(pairs.pairs),
+        let made = SelectPairs::run(&params, &inputs, &Context::new(host))?.into_inner();
+        match (&made["pairs"], &made["cameras"]) {
+            (Artefact::Pairs(pairs), Artefact::Cameras(cameras)) => Ok((pairs.pairs.clone(), cameras.clone())),
             other => panic!("{other:?}"),
         }
     }
@@ -253,6 +280,29 @@ mod tests {
         assert!(pairs[0].convergence_rad.abs() < 1e-12 && (pairs[0].baseline_m - 4.0).abs() < 1e-12);
         let more = select(&cameras, face(Frame::Wall), &json!({"min_overlap": 0.3})).unwrap();
         assert_eq!(names(&more), ["b+c", "a+b"]);
+    }
+
+    #[test]
+    fn images_without_a_pair_are_left_out_and_named() {
+        let cameras = row(&[("c", 10.0), ("b", 4.0), ("a", 0.0)]);
+        let host = TestHost::default();
+        let (_, paired) = select_on(&host, &cameras, face(Frame::Wall), &json!({})).unwrap();
+        let names: Vec<&str> = paired.images.iter().map(|image| image.name.as_str()).collect();
+        assert_eq!((names, paired.sensors.len()), (vec!["b", "a"], cameras.sensors.len()));
+        assert!(host.warnings()[0].ends_with("has `c`"), "{:?}", host.warnings());
+        let chosen = TestHost::default();
+        select_on(&chosen, &cameras, face(Frame::Wall), &json!({"list": ["a+b"]})).unwrap();
+        assert!(chosen.warnings().is_empty());
+    }
+
+    #[test]
+    fn an_image_that_looks_along_the_baseline_makes_no_pair() {
+        let mut cameras = row(&[("a", 0.0), ("b", 4.0)]);
+        let vertices = [nalgebra::Vector3::new(2.0, 0.0, 0.0)];
+        assert!(Views::new(&cameras, &vertices).pair(0, 1).is_ok());
+        // Turned by 86 degrees towards the first: both axes together still look across the baseline.
+        cameras.images[1].camera_from_object = [0.0, 0.732, 0.0, 0.681];
+        assert_eq!(Views::new(&cameras, &vertices).pair(0, 1).unwrap_err(), NoPair::Forward);
     }
 
     #[test]

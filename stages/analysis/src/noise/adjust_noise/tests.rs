@@ -40,6 +40,16 @@ fn adjust(simulated: Vec<Raster>, drawn: Vec<Raster>, noise: Noise) -> Result<No
 }
 
 fn adjust_with(with: &Value, simulated: Vec<Raster>, drawn: Vec<Raster>, noise: Noise) -> Result<Noise, StageError> {
+    run_on(&TestHost::default(), with, simulated, drawn, noise)
+}
+
+fn run_on(
+    host: &TestHost,
+    with: &Value,
+    simulated: Vec<Raster>,
+    drawn: Vec<Raster>,
+    noise: Noise,
+) -> Result<Noise, StageError> {
     let (cameras, pairs) = survey();
     let dem = Raster::single(grid(), Frame::Wall, "elevation", "dem", vec![0.0; COLUMNS * ROWS]);
     let mut inputs: Vec<(&str, Artefact)> = simulated.into_iter().map(|r| ("simulated", r.into())).collect();
@@ -50,7 +60,7 @@ fn adjust_with(with: &Value, simulated: Vec<Raster>, drawn: Vec<Raster>, noise: 
         ("cameras", cameras.into()),
         ("pairs", pairs.into()),
     ]);
-    let outputs = run_stage::<AdjustNoise>(&TestHost::default(), with, &inputs)?.into_inner();
+    let outputs = run_stage::<AdjustNoise>(host, with, &inputs)?.into_inner();
     Ok(Noise::of(&outputs["noise"]).unwrap().clone())
 }
 
@@ -82,6 +92,27 @@ fn what_is_smoothed_away_is_added_and_nothing_else() {
     let added = |noise: &Noise, k: usize| noise.log_gain[k] - CLEAN.log_gain[k];
     assert!((0..BANDS).all(|k| (added(&relaxed, k) - 1.5 * added(&more, k)).abs() < 1e-12), "{:?}", relaxed.log_gain);
     assert_eq!(relaxed.members, more.members);
+}
+
+#[test]
+fn noise_that_a_survey_makes_by_itself_does_not_run_away() {
+    let drawn = differences(6, 2.0);
+    let mut simulated = drawn.clone();
+    for (number, raster) in simulated.iter_mut().enumerate() {
+        let white = rockface_core::numerics::random::Key([number as u8; 32]).field();
+        let values = raster.bands[0].values.iter_mut().enumerate();
+        values
+            .for_each(|(i, value)| *value += (0.004 * white.normal((i % COLUMNS) as i32, (i / COLUMNS) as i32)) as f32);
+    }
+    let mut noise = CLEAN.clone();
+    for _ in 0..4 {
+        noise = adjust_with(&json!({"relaxation": 1.9}), simulated.clone(), drawn.clone(), noise).unwrap();
+        noise.encode().unwrap();
+    }
+    assert!((noise.log_gain[BANDS - 1] - LOG_GAINS[0]).abs() < 1e-12, "{:?}", noise.log_gain);
+    let host = TestHost::default();
+    run_on(&host, &json!({}), simulated, drawn, noise).unwrap();
+    assert!(host.warnings().iter().any(|warning| warning.contains("by themselves")), "{:?}", host.warnings());
 }
 
 #[test]

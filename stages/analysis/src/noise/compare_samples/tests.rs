@@ -59,8 +59,9 @@ fn rasters_that_are_held_out_are_not_compared() {
     let auc = |table: &Table| at(table, "squares", "auc");
     assert!(auc(&all) > auc(&in_view) + 0.1, "{} {}", auc(&all), auc(&in_view));
     assert_eq!(auc(&in_view).to_bits(), auc(&first).to_bits());
-    let few = like_the_first(json!({"held_out": 0.9, "folds": 10})).err().unwrap();
-    assert!(few.to_string().contains("`reference` has 6 rasters"), "{few}");
+    drifting.rows.truncate(30);
+    let few = compared_with(drifting, features(40, 2, 1.0, 0.0), &json!({"held_out": 0.9})).err().unwrap();
+    assert!(few.to_string().contains("`reference` has 3 rasters to compare, 4 are needed"), "{few}");
 }
 
 #[test]
@@ -87,6 +88,12 @@ fn columns_are_those_asked_for_or_all_numbers() {
     table.push((0..12).map(|j| if j == 0 { "a".into() } else { Cell::from(f64::from(j)) }).collect());
     let ten = super::features(&CompareSamplesParams::default(), Some(&table));
     assert_eq!(ten, feature_names());
+}
+
+#[test]
+fn few_rasters_are_compared_in_fewer_folds() {
+    let (few, host) = compared(features(4, 2, 1.0, 9.0), &json!({"features": ["std_m"]})).unwrap();
+    assert!(at(&few, "linear", "auc") > 0.9, "{:?}", host.warnings());
 }
 
 #[test]

@@ -95,6 +95,34 @@ fn blocks_alone_are_warned_of() {
 }
 
 #[test]
+fn names_with_folders_become_items_of_axes() {
+    let block = |names: [&str; 2]| {
+        let sensor = json!({"id": "day1/a.jpg", "width": 200, "height": 100, "f": 400, "cx": 99.5, "cy": 49.5});
+        let image = |name: &str| json!({"name": name, "sensor": "day1/a.jpg", "q_wxyz": [0, 1, 0, 0], "C": [0, 0, 20]});
+        json!({"sensors": [sensor], "images": names.map(image)}).to_string()
+    };
+    let matrix = [[1e-6, 0.0], [0.0, 1e-6]];
+    let covariance = json!({"parameters": ["day1/a.jpg.X", "b.jpg.Z"], "covariance": matrix, "sigma0_applied": true, "full_joint": true});
+    let import_block = |names: [&str; 2]| {
+        let host = TestHost::default()
+            .with("c.json", &[("c.json", block(names).as_bytes())])
+            .with("cov.json", &[("cov.json", covariance.to_string().as_bytes())]);
+        (import(&host, &json!({"path": "c.json", "covariance": "cov.json", "frame": "wall"})), host)
+    };
+    let (found, host) = import_block(["day1/a.jpg", "b.jpg"]);
+    let (cameras, covariance) = found.unwrap();
+    assert_eq!(cameras.images.iter().map(|image| image.name.as_str()).collect::<Vec<_>>(), ["day1_a.jpg", "b.jpg"]);
+    assert_eq!(covariance.parameters, ["day1_a.jpg.X", "b.jpg.Z"]);
+    assert!(
+        host.warnings().iter().any(|warning| warning.contains("`day1/a.jpg` is called `day1_a.jpg`")),
+        "{:?}",
+        host.warnings()
+    );
+    let twins = import_block(["day1/a.jpg", "day1_a.jpg"]).0.unwrap_err();
+    assert!(twins.message.contains("would be called `day1_a.jpg`") || twins.message.contains("b.jpg"), "{twins}");
+}
+
+#[test]
 fn a_focal_length_in_millimetres_is_warned_of() {
     let image = b"1 1 0 0 0 0 0 0 1 a.png\n\n";
     let warnings = |camera: &[u8]| {
