@@ -23,8 +23,8 @@ params! {
         detrend: Detrend = Detrend::Mean,
         /// Directions of further variograms and spectra, degrees counter-clockwise from X; each takes what lies within 22.5 degrees.
         directions_deg: Vec<f64> = Vec::new(); Range::Between(-360.0, 360.0),
-        /// Standard deviations of the roughness filters, cells. Left out: 1, 2, 4, 8, 16 and 32, as far as they are at most half the shorter
-        /// side of the raster.
+        /// Standard deviations of the roughness filters, cells. Left out: those of 1, 2, 4, 8, 16 and 32 that are at most half the
+        /// shorter side of the raster.
         scales_cells: Option<Vec<f64>> = None; Range::Between(0.25, 1000.0),
     }
 }
@@ -86,7 +86,7 @@ impl Stage for DescribeNoise {
 /// Deviations of the filters for rasters that are large enough.
 const USUAL_SCALES_CELLS: [f64; 6] = [1.0, 2.0, 4.0, 8.0, 16.0, 32.0];
 
-/// The usual deviations of the filters, as far as they suit the raster; the first two in any case.
+/// The usual deviations of the filters that suit the raster; the first two in any case.
 fn usual_scales_cells(raster: &Raster) -> Vec<f64> {
     let fits = |scale: &f64| *scale <= largest_cells(raster) || *scale <= USUAL_SCALES_CELLS[1];
     USUAL_SCALES_CELLS.into_iter().filter(fits).collect()
