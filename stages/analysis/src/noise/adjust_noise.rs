@@ -43,7 +43,7 @@ const LOG_GAINS: [f64; 2] = [-1.4, 3.0];
 impl Stage for AdjustNoise {
     type Params = AdjustNoiseParams;
     const NAME: &'static str = "adjust-noise";
-    const VERSION: u32 = 16;
+    const VERSION: u32 = 17;
     const PAGE: Page = Page::new(include_str!("adjust_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("noise", &[Kind::Noise], "The model."),
@@ -104,7 +104,7 @@ impl Stage for AdjustNoise {
         let losses = losses(&simulated, &drawn, &noise.contrast.levels);
         report(&losses, noise, [gap_factor, skewness_factor], context);
         let mut adjusted = adjusted(noise, &losses, params.relaxation);
-        by_place::times(&mut adjusted.strength, &by_place);
+        by_place::strengthen(&mut adjusted, &by_place);
         warn_of_bounds(&adjusted, &losses, context);
         adjusted.gap_gain = (adjusted.gap_gain * gap_factor).min(MOST_GAP_GAIN);
         adjusted.skewness_gain = (adjusted.skewness_gain * skewness_factor).min(MOST_SKEWNESS_GAIN);

@@ -6,19 +6,18 @@ use rand::seq::SliceRandom;
 use rayon::prelude::*;
 
 use crate::noise::detrend::{asymmetry, plane};
-use crate::noise::learning::acquisitions::{Acquisitions, Source, Variety, acquisitions};
+use crate::noise::learning::acquisitions::{Acquisitions, Shares, Source, Variety, acquisitions};
 use crate::noise::learning::bad::parted;
 use crate::noise::learning::by_place::{self, Strengths};
 use crate::noise::learning::contrast::{self, Figures, Nearest};
-use crate::noise::learning::departure::{Departure, Mean, figures, of_another};
+use crate::noise::learning::departure::{Departure, Mean, of_another};
 use crate::noise::learning::differences::{check, differences, disparities, gaps, seen, skewnesses};
 use crate::noise::learning::whitening::{
     BANDS, LEAST_SIDE_CELLS, Places, Prior, Stack, Whitened, range_cells, restore_outliers, whiten,
 };
 use crate::noise::learning::{registration, relief_law};
 use rockface_core::artefact::{
-    Band, Cameras, Contrast, Kind, MOST_GAP_GAIN, MOST_GAP_VARIETY, MOST_SKEWNESS_GAIN, Member, Noise, Pairs, Raster,
-    ReliefLaw,
+    Band, Cameras, Contrast, Kind, MOST_GAP_GAIN, MOST_GAP_VARIETY, MOST_SKEWNESS_GAIN, Noise, Pairs, Raster, ReliefLaw,
 };
 use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::held_out::in_view;
@@ -79,7 +78,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 24;
+    const VERSION: u32 = 25;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -248,8 +247,7 @@ impl Learnt {
         let strengths = Strengths::of(&real, self.columns);
         let mut factors = vec![1.0; dem.grid.cells()];
         let make_up = |trial: &mut [Vec<f32>], factors: &mut [f64]| {
-            // What all places of a parametric model lack is for its classes of place: it would take them to the next class.
-            let more = if self.fields { strengths.factors(trial) } else { strengths.relative_factors(trial) };
+            let more = strengths.factors(trial);
             trial.iter_mut().for_each(|raster| by_place::times(raster, &more));
             factors.iter_mut().zip(more).for_each(|(factor, more)| *factor *= more);
         };
@@ -268,7 +266,7 @@ impl Learnt {
         let corrected =
             |sources: &[Source], correction: &Correction, contrast: &Contrast, factors: &[f64], gains: Gains| {
                 let mut noise = self.model(params, sources, dem, correction, contrast);
-                by_place::times(&mut noise.strength, factors);
+                by_place::strengthen(&mut noise, factors);
                 Noise { gap_gain: gains.gaps, gap_variety: gains.variety, skewness_gain: gains.skewness, ..noise }
             };
         // Now acquisitions differ, and mixtures of what differs are more uneven: what draws miss then comes off in rounds.
@@ -276,7 +274,7 @@ impl Learnt {
         let mut nearest = Nearest::default();
         for round in 0..=ROUNDS {
             let model = corrected(&sources, &correction, &contrast, &factors, gains);
-            let known = Known::of(&model, params.draws);
+            let known = Known::of(&model, &self.shares(), params.draws);
             trial = drawn(&Noise { bad_share: 0.0, ..model }, params.draws);
             if let Some(wanted) = &wanted {
                 let found = details(&trial);
@@ -316,11 +314,9 @@ impl Learnt {
         correction: &Correction,
         contrast: &Contrast,
     ) -> Noise {
-        let shares = Bands::new(self.columns, dem.grid.rows, BANDS).shares();
-        let variety = Variety { jitter: params.jitter, own: &correction.own };
+        let variety = Variety { jitter: params.jitter, own: &correction.own, excess: &correction.excess };
         let Acquisitions { mut members, bad_share } =
-            acquisitions(sources, &self.whitened, &self.bad, &shares, variety);
-        members.iter_mut().filter(|member| !member.bad).for_each(|member| correction.shift(member));
+            acquisitions(sources, &self.whitened, &self.bad, &self.shares(), variety);
         if !self.fields {
             members.iter_mut().for_each(|member| member.field_log_amplitude.fill(0.0));
         }
@@ -351,6 +347,11 @@ impl Learnt {
             fields,
             weights,
         }
+    }
+
+    fn shares(&self) -> Shares {
+        let rows = self.places.strength.len() / self.columns;
+        Shares { classes: self.places.power_shares(), bands: Bands::new(self.columns, rows, BANDS).shares() }
     }
 
     /// Geometric mean of the range of the noise and the shorter side of the rasters: much longer than the noise, so that
@@ -451,24 +452,18 @@ impl Correction {
         let excess = excess(real, &drawn, |rows, k| Mean::given(rows, k, &known.draws[k], known.usual[k]));
         self.excess.iter_mut().zip(excess).for_each(|(all, more)| *all += more);
         let wider = of_another(real.len());
-        let lacking = |of: fn(&Whitened) -> &[f64]| -> Vec<f64> {
-            let one = |(wanted, drawn): (f64, f64)| if wanted > 0.0 { (1.0 - drawn / wanted).max(-1.0) } else { 0.0 };
-            variances(real, of).into_iter().map(|real| wider * real).zip(variances(&drawn, of)).map(one).collect()
-        };
-        let strengths = lacking(|w| &w.log_strength);
+        let one = |(wanted, drawn): (f64, f64)| if wanted > 0.0 { (1.0 - drawn / wanted).max(-1.0) } else { 0.0 };
+        let lacking: Vec<f64> =
+            variances(real).into_iter().map(|real| wider * real).zip(variances(&drawn)).map(one).collect();
+        let (strengths, amplitudes) = lacking.split_at(lacking.len() - BANDS);
         let mean = strengths.iter().sum::<f64>() / strengths.len() as f64;
-        let changes = strengths.iter().map(|_| mean).chain(near(&lacking(|w| &w.raster_log_amplitude)));
+        let changes = strengths.iter().map(|_| mean).chain(near(amplitudes));
         // Relative standard error of a variance of normal figures.
         let relative = (2.0 / (drawn.len() as f64 - 1.0)).sqrt();
         for (own, lacking) in self.own.iter_mut().zip(changes) {
             let change = Departure { difference: lacking, error: relative * (1.0 - lacking) }.certain(1.0);
             *own = (*own * *own + change).clamp(LEAST_OWN, MOST_OWN).sqrt();
         }
-    }
-
-    /// Takes the excess off a member.
-    fn shift(&self, member: &mut Member) {
-        member.figures_mut().zip(&self.excess).for_each(|(value, excess)| *value -= excess);
     }
 }
 
@@ -482,8 +477,11 @@ struct Known {
 
 impl Known {
     /// Of the first draws of a model, none of which is bad.
-    fn of(noise: &Noise, count: usize) -> Self {
-        let figures = |member: &usize| noise.members[*member].figures().collect::<Vec<f64>>();
+    fn of(noise: &Noise, shares: &Shares, count: usize) -> Self {
+        let figures = |member: &usize| {
+            let member = &noise.members[*member];
+            shares.apart(&member.log_strength, &member.log_amplitude)
+        };
         let [first, second] = noise.orders.each_ref().map(|order| order.iter().map(figures).collect::<Vec<_>>());
         let of_draw = |i: usize, k: usize| 0.5 * (first[i % first.len()][k] + second[i % second.len()][k]);
         let all = 0..first[0].len();
@@ -496,7 +494,7 @@ impl Known {
 
 /// How much the mean of draws, by `mean`, exceeds that of rasters, figure by figure, without what may be chance.
 fn excess(real: &[&Whitened], drawn: &[&Whitened], mean: impl Fn(&[Vec<f64>], usize) -> Mean) -> Vec<f64> {
-    let [real, drawn] = [real, drawn].map(|all| all.iter().map(|w| figures(w)).collect::<Vec<_>>());
+    let [real, drawn] = [real, drawn].map(|all| all.iter().map(|w| w.apart()).collect::<Vec<_>>());
     // The mean of the rasters is what the draws should have: it is no estimate.
     let departure = |k: usize| Departure::of(mean(&drawn, k), Mean::of(&real, k).exact());
     (0..real[0].len()).map(|k| departure(k).certain(1.0)).collect()
@@ -507,21 +505,18 @@ fn excess(real: &[&Whitened], drawn: &[&Whitened], mean: impl Fn(&[Vec<f64>], us
 /// band towards its neighbours, since few rasters say little of a variance.
 fn own_shares(real: &[&Whitened], alike: &[&Whitened]) -> Vec<f64> {
     let wider = of_another(real.len());
-    let shares = |of: fn(&Whitened) -> &[f64]| -> Vec<f64> {
-        let one = |(real, chance): (f64, f64)| {
-            if real > 0.0 { (wider - chance / real).clamp(LEAST_OWN, wider) } else { 1.0 }
-        };
-        variances(real, of).into_iter().zip(variances(alike, of)).map(one).collect()
-    };
-    let classes = shares(|w| &w.log_strength);
-    let mean = classes.iter().sum::<f64>() / classes.len() as f64;
-    let strengths = classes.iter().map(|share| 0.5 * (share + mean));
-    strengths.chain(near(&shares(|w| &w.raster_log_amplitude))).map(f64::sqrt).collect()
+    let one =
+        |(real, chance): (f64, f64)| if real > 0.0 { (wider - chance / real).clamp(LEAST_OWN, wider) } else { 1.0 };
+    let shares: Vec<f64> = variances(real).into_iter().zip(variances(alike)).map(one).collect();
+    let (strengths, amplitudes) = shares.split_at(shares.len() - BANDS);
+    let mean = strengths.iter().sum::<f64>() / strengths.len() as f64;
+    let strengths = strengths.iter().map(|share| 0.5 * (share + mean));
+    strengths.chain(near(amplitudes)).map(f64::sqrt).collect()
 }
 
-/// Variance of each of some figures over rasters.
-fn variances(rasters: &[&Whitened], of: fn(&Whitened) -> &[f64]) -> Vec<f64> {
-    let rows: Vec<&[f64]> = rasters.iter().map(|raster| of(raster)).collect();
+/// Variance over rasters of each of their figures apart.
+fn variances(rasters: &[&Whitened]) -> Vec<f64> {
+    let rows: Vec<Vec<f64>> = rasters.iter().map(|raster| raster.apart()).collect();
     (0..rows[0].len()).map(|k| Mean::of(&rows, k).squared_error * rows.len() as f64).collect()
 }
 

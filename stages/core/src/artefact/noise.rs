@@ -29,11 +29,6 @@ impl Member {
     pub fn figures(&self) -> impl Iterator<Item = f64> {
         self.log_strength.iter().chain(&self.log_amplitude).copied()
     }
-
-    /// The same, to change them.
-    pub fn figures_mut(&mut self) -> impl Iterator<Item = &mut f64> {
-        self.log_strength.iter_mut().chain(&mut self.log_amplitude)
-    }
 }
 
 /// How the strength of the noise depends on the relief of the face, for places whose geometry has changed:

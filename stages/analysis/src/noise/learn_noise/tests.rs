@@ -6,7 +6,8 @@ use serde_json::{Value, json};
 
 use super::*;
 use crate::noise::learning;
-use rockface_core::artefact::{Artefact, Frame, Grid, Noun, Pair};
+use crate::noise::learning::whitening::CLASSES;
+use rockface_core::artefact::{Artefact, Frame, Grid, Member, Noun, Pair};
 use rockface_core::numerics::gaussian::smoothed;
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::random::Key;
@@ -325,7 +326,7 @@ fn draws_differ_from_each_other_as_much_as_other_rasters_would() {
     let places = Places::of(noise.strength.clone());
     let deviations = |rasters: &[Vec<f32>]| {
         let whitened = whiten(rasters, COLUMNS, &places);
-        variances(&whitened.iter().collect::<Vec<_>>(), |w| &w.log_amplitude)
+        variances(&whitened.iter().collect::<Vec<_>>()).split_off(CLASSES)
     };
     // Beyond the coarsest bands, in which a raster has a few waves only.
     let wider = of_another(rasters.len());
@@ -334,6 +335,30 @@ fn draws_differ_from_each_other_as_much_as_other_rasters_would() {
         deviations(&drawn_differences(&noise, 60)).into_iter().zip(deviations(&real)).map(ratio).skip(3).collect();
     let mean = mean(ratios.iter().copied());
     assert!(mean.abs() < 0.2, "{mean} {ratios:?}");
+}
+
+#[test]
+fn fine_noise_that_is_the_same_in_all_rasters_is_so_in_all_draws() {
+    // A few long waves by whose chance the rms of the rasters differs.
+    let one = |b: u8| {
+        let (fine, coarse) = (unit(b, 0.5), long_waves(b + 20));
+        let value = |i: usize| (0.002 * (fine[i] + 0.7 * coarse[i])) as f32;
+        Raster::single(grid(), Frame::Wall, "difference", &format!("n{b}"), (0..COLUMNS * ROWS).map(value).collect())
+    };
+    let rasters: Vec<Raster> = (0..20).map(one).collect();
+    let fine = |raster: &[f32]| {
+        let pairs = raster.windows(2).enumerate().filter(|(i, _)| (i + 1) % COLUMNS > 0);
+        let steps = pairs.map(|(_, pair)| f64::from(pair[1] - pair[0]));
+        0.5 * portable_math::log(mean(steps.map(|step| step * step)))
+    };
+    let deviation = |values: Vec<f64>| {
+        let middle = mean(values.iter().copied());
+        mean(values.iter().map(|value| (value - middle) * (value - middle))).sqrt()
+    };
+    let real = deviation(rasters.iter().map(|raster| fine(&raster.bands[0].values)).collect());
+    let (noise, _) = learn_from(rasters, &json!({})).unwrap();
+    let drawn = deviation(drawn_differences(&noise, 60).iter().map(|raster| fine(raster)).collect());
+    assert!(drawn < 2.0 * real, "{drawn} {real}");
 }
 
 #[test]
@@ -438,11 +463,19 @@ fn draws_of_a_parametric_model_are_as_strong_as_the_rasters_without_their_trends
     let rasters: Vec<Raster> = (0..6).map(raster).collect();
     let step_m = (20.0 * 20.0 / (small_sensor().f * 2.0)) as f32;
     let rms = |values: &[f32]| mean(values.iter().map(|value| f64::from(*value) * f64::from(*value))).sqrt();
-    let level = |raster: &Raster| rms(&without_trend(&raster.bands[0].values, COLUMNS).unwrap());
-    let real = mean(rasters.iter().map(level)) / f64::from(step_m);
-    let (noise, _) = learn_from(rasters, &json!({"draws": 24})).unwrap();
+    let level_of = |raster: &Raster| without_trend(&raster.bands[0].values, COLUMNS).unwrap();
+    let real = mean(rasters.iter().map(|raster| rms(&level_of(raster)))) / f64::from(step_m);
+    let (noise, _) = learn_from(rasters.clone(), &json!({"draws": 24})).unwrap();
     let drawn = mean(drawn_px(&noise, 40).iter().map(|rms| (0.5 * (rms[0] * rms[0] + rms[1] * rms[1])).sqrt()));
     assert!((drawn / real - 1.0).abs() < 0.12, "{drawn} {real}");
+    // And as fine: where opposite edges of rasters differ, that is no fine noise.
+    let steps = |values: &[f32]| {
+        let rows = values.chunks(COLUMNS).flat_map(|row| row.windows(2));
+        rms(&rows.map(|pair| pair[1] - pair[0]).collect::<Vec<f32>>())
+    };
+    let real = mean(rasters.iter().map(|raster| steps(&raster.bands[0].values))) / f64::from(step_m);
+    let drawn = mean(drawn_differences(&noise, 40).iter().map(|values| steps(values)));
+    assert!((drawn / real - 1.0).abs() < 0.07, "{drawn} {real}");
 }
 
 #[test]

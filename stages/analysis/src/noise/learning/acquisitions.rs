@@ -37,75 +37,115 @@ pub struct Source {
     pub skewness: f64,
 }
 
-/// How the variety of acquisitions follows from that of differences.
+/// How the variety of acquisitions follows from that of differences. Figures are those that [`Shares::apart`] gives.
 #[derive(Debug, Clone, Copy)]
 pub struct Variety<'a> {
     /// Deviation of the jitter as a share of that of the members, which are drawn together accordingly, so that the variance stays.
     pub jitter: f64,
-    /// Part of the deviation of each figure of the differences that is not chance of single fields, which every draw has anew: classes of
-    /// place, then bands.
+    /// Part of the deviation of each figure of the differences that is not chance of single fields, which every draw has anew.
     pub own: &'a [f64],
+    /// What the mean of each figure of draws was found to have too much.
+    pub excess: &'a [f64],
 }
 
-/// Acquisitions from whitened differences; `band_shares` is the share of each band in white noise.
+/// Shares of the power of noise.
+#[derive(Debug, Clone)]
+pub struct Shares {
+    /// Of each class of place, in noise of the usual strength.
+    pub classes: Vec<f64>,
+    /// Of each band of frequency, in white noise.
+    pub bands: Vec<f64>,
+}
+
+impl Shares {
+    /// What varies by itself, of the factors on the strength by class of place and the amplitudes by band of noise of unit variance (all logarithms):
+    /// strengths over the level of all places, then amplitudes times that level.
+    pub fn apart(&self, log_strength: &[f64], log_amplitude: &[f64]) -> Vec<f64> {
+        let level = log_root(log_strength, &self.classes);
+        let relative = log_strength.iter().map(|log| log - level);
+        relative.chain(log_amplitude.iter().map(|log| log + level)).collect()
+    }
+
+    /// Factors on the strength and amplitudes of noise of unit variance: the level is the power of all bands, whatever the strengths have in common.
+    fn together(&self, apart: &[f64]) -> (Vec<f64>, Vec<f64>) {
+        let (relative, absolute) = apart.split_at(self.classes.len());
+        let (common, level) = (log_root(relative, &self.classes), log_root(absolute, &self.bands));
+        (relative.iter().map(|log| log - common + level).collect(), absolute.iter().map(|log| log - level).collect())
+    }
+}
+
+/// Logarithm of the root of the mean power, of logarithms of amplitudes and their shares.
+fn log_root(log_amplitude: &[f64], shares: &[f64]) -> f64 {
+    let powers = log_amplitude.iter().zip(shares).map(|(log, share)| share * exp(2.0 * log));
+    0.5 * log(powers.sum::<f64>())
+}
+
+/// Acquisitions from whitened differences.
 pub fn acquisitions(
     sources: &[Source],
     whitened: &[Whitened],
     bad: &[bool],
-    band_shares: &[f64],
+    shares: &Shares,
     variety: Variety,
 ) -> Acquisitions {
-    let classes = whitened[0].log_strength.len();
+    let classes = shares.classes.len();
     let row = |w: &Whitened| -> Vec<f64> { w.log_strength.iter().chain(&w.log_amplitude).copied().collect() };
-    let usual: Vec<Vec<f64>> = whitened.iter().zip(bad).filter(|(_, bad)| !**bad).map(|(w, _)| row(w)).collect();
-    let column = |c: usize| usual.iter().map(|row| row[c]).collect::<Vec<f64>>();
-    let columns: Vec<Vec<f64>> = (0..usual[0].len()).map(column).collect();
-    let mean: Vec<f64> = columns.iter().map(|values| values.iter().sum::<f64>() / values.len() as f64).collect();
-    let variance = |c: usize| {
-        let squares: f64 = columns[c].iter().map(|value| (value - mean[c]) * (value - mean[c])).sum();
-        squares / (columns[c].len() as f64 - 1.0).max(1.0)
-    };
+    let apart = |w: &Whitened| shares.apart(&w.log_strength, &w.log_amplitude);
+    let usual = || whitened.iter().zip(bad).filter(|(_, bad)| !**bad).map(|(w, _)| w);
+    let apart_mean = mean(&usual().map(apart).collect::<Vec<_>>());
+    let usual_mean = mean(&usual().map(row).collect::<Vec<_>>());
+    let count = usual().count() as f64;
+    let squares = usual().map(apart).fold(vec![0.0; apart_mean.len()], |sums, row| {
+        let square = |(sum, (value, mean)): (f64, (&f64, &f64))| sum + (value - mean) * (value - mean);
+        sums.into_iter().zip(row.iter().zip(&apart_mean)).map(square).collect()
+    });
     let between = |c: usize| std::f64::consts::SQRT_2 * variety.own[c];
     let narrowing = 1.0 / (1.0 + variety.jitter * variety.jitter).sqrt();
     let half = -0.5 * std::f64::consts::LN_2;
-    let of_usual = |row: &[f64]| -> Vec<f64> {
+    let of_usual = |w: &Whitened| {
         let one = |(c, value): (usize, &f64)| {
-            let level = if c < classes { half } else { 0.0 };
-            let excess = 0.5 * between(c) * between(c) * variance(c);
-            mean[c] + between(c) * narrowing * (value - mean[c]) + level - excess
+            let level = if c < classes { 0.0 } else { half };
+            let excess = 0.5 * between(c) * between(c) * squares[c] / (count - 1.0).max(1.0) + variety.excess[c];
+            apart_mean[c] + between(c) * narrowing * (value - apart_mean[c]) + level - excess
         };
-        row.iter().enumerate().map(one).collect()
+        shares.together(&apart(w).iter().enumerate().map(one).collect::<Vec<f64>>())
     };
     let member = |((source, w), bad): ((&Source, &Whitened), &bool)| {
-        let row = if *bad { of_bad(&row(w), &mean, classes, band_shares) } else { of_usual(&row(w)) };
-        let (log_strength, log_amplitude) = row.split_at(classes);
+        let (log_strength, log_amplitude) = if *bad { of_bad(&row(w), &usual_mean, shares) } else { of_usual(w) };
         Member {
             name: source.name.clone(),
             bad: *bad,
             trend_m: source.trend_m,
-            log_strength: log_strength.to_vec(),
-            log_amplitude: log_amplitude.to_vec(),
+            log_strength,
+            log_amplitude,
             field_log_amplitude: w.log_amplitude.clone(),
             skewness: source.skewness,
         }
     };
     let members = sources.iter().zip(whitened).zip(bad).map(member).collect();
-    let count = bad.iter().filter(|bad| **bad).count() as f64;
+    let bad_count = bad.iter().filter(|bad| **bad).count() as f64;
     // A bad epoch spoils the two differences it takes part in.
-    let bad_share = 0.5 * count / bad.len() as f64;
+    let bad_share = 0.5 * bad_count / bad.len() as f64;
     Acquisitions { members, bad_share }
 }
 
+/// Mean of rows, column by column.
+fn mean(rows: &[Vec<f64>]) -> Vec<f64> {
+    let column = |c: usize| rows.iter().map(|row| row[c]).sum::<f64>() / rows.len() as f64;
+    (0..rows[0].len()).map(column).collect()
+}
+
 /// The bad epoch of a bad difference.
-fn of_bad(row: &[f64], usual: &[f64], classes: usize, band_shares: &[f64]) -> Vec<f64> {
+fn of_bad(row: &[f64], usual: &[f64], shares: &Shares) -> (Vec<f64>, Vec<f64>) {
+    let classes = shares.classes.len();
     let rest = |whole: f64, usual: f64| (2.0 * whole - usual).max(2.0 * LEAST_BAD_PART * whole);
     let strength = |k: usize| 0.5 * log(0.5 * rest(exp(2.0 * row[k]), exp(2.0 * usual[k])));
     let level = |values: &[f64]| exp(2.0 * values[..classes].iter().sum::<f64>() / classes as f64);
     let (whole, part) = (level(row), level(usual));
     let power = |c: usize| rest(whole * exp(2.0 * row[c]), part * exp(2.0 * usual[c]));
-    let powers: Vec<f64> = (classes..row.len()).map(power).collect();
-    let total: f64 = powers.iter().zip(band_shares).map(|(power, share)| power * share).sum();
-    (0..classes).map(strength).chain(powers.iter().map(|power| 0.5 * log(power / total))).collect()
+    let amplitudes: Vec<f64> = (classes..row.len()).map(|c| 0.5 * log(power(c))).collect();
+    let level = log_root(&amplitudes, &shares.bands);
+    ((0..classes).map(strength).collect(), amplitudes.iter().map(|log| log - level).collect())
 }
 
 #[cfg(test)]
@@ -119,7 +159,12 @@ mod tests {
             weights: Vec::new(),
             log_amplitude: amplitudes.to_vec(),
             raster_log_amplitude: amplitudes.to_vec(),
+            log_rms: strength,
         }
+    }
+
+    fn shares() -> Shares {
+        Shares { classes: vec![1.0], bands: vec![0.3, 0.7] }
     }
 
     fn sources(count: usize) -> Vec<Source> {
@@ -137,8 +182,8 @@ mod tests {
     #[test]
     fn two_epochs_make_up_the_variance_of_their_difference() {
         let rasters: Vec<Whitened> = (0..12).map(|i| whitened(if i % 2 == 0 { 0.1 } else { -0.1 }, [0.0; 2])).collect();
-        let found =
-            acquisitions(&sources(12), &rasters, &[false; 12], &[0.3, 0.7], Variety { jitter: 0.0, own: &[1.0; 3] });
+        let variety = Variety { jitter: 0.0, own: &[1.0; 3], excess: &[0.0; 3] };
+        let found = acquisitions(&sources(12), &rasters, &[false; 12], &shares(), variety);
         assert!(found.bad_share == 0.0);
         let draws: Vec<f64> = found.members.iter().map(|member| member.log_strength[0]).collect();
         let deviation = (draws[0] - draws[1]) / 2.0;
@@ -149,11 +194,35 @@ mod tests {
     }
 
     #[test]
+    fn a_level_that_is_chance_of_coarse_waves_leaves_fine_noise_alone() {
+        // The coarse band varies, the fine one has the same amplitude in all.
+        let raster = |i: usize| {
+            let coarse = if i.is_multiple_of(2) { 0.3 } else { -0.3 };
+            let strength = 0.5 * log(0.3 * exp(2.0 * coarse) + 0.7);
+            whitened(strength, [coarse - strength, -strength])
+        };
+        let rasters: Vec<Whitened> = (0..12).map(raster).collect();
+        let variety = Variety { jitter: 0.0, own: &[0.9, 0.3, 0.8], excess: &[0.0, 0.1, -0.2] };
+        let found = acquisitions(&sources(12), &rasters, &[false; 12], &shares(), variety).members;
+        let absolute =
+            |band: usize| found.iter().map(|m| m.log_strength[0] + m.log_amplitude[band]).collect::<Vec<_>>();
+        let (coarse, fine) = (absolute(0), absolute(1));
+        assert!(fine.iter().all(|log| (log - 0.2 + 0.5 * std::f64::consts::LN_2).abs() < 1e-12), "{fine:?}");
+        let between = 0.3 * std::f64::consts::SQRT_2;
+        assert!((coarse[0] - coarse[1] - 0.6 * between).abs() < 1e-12, "{coarse:?}");
+        for member in &found {
+            let [a, b] = [0, 1].map(|band| exp(2.0 * member.log_amplitude[band]));
+            assert!((0.3 * a + 0.7 * b - 1.0).abs() < 1e-12);
+        }
+    }
+
+    #[test]
     fn a_bad_epoch_has_what_the_usual_one_does_not_explain() {
         let mut rasters: Vec<Whitened> = (0..9).map(|_| whitened(0.0, [0.0; 2])).collect();
         rasters.push(whitened(0.5 * log(5.0), [0.2, -0.1]));
         let bad: Vec<bool> = (0..10).map(|i| i == 9).collect();
-        let found = acquisitions(&sources(10), &rasters, &bad, &[0.3, 0.7], Variety { jitter: 0.4, own: &[0.9; 3] });
+        let variety = Variety { jitter: 0.4, own: &[0.9; 3], excess: &[0.0; 3] };
+        let found = acquisitions(&sources(10), &rasters, &bad, &shares(), variety);
         assert!((found.bad_share - 0.05).abs() < 1e-12);
         let epochs = exp(2.0 * found.members[9].log_strength[0]) + exp(2.0 * found.members[0].log_strength[0]);
         assert!((epochs - 5.0).abs() < 1e-9, "{epochs}");

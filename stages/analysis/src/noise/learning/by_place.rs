@@ -4,6 +4,8 @@
 use rayon::prelude::*;
 
 use crate::noise::learning::departure::{Departure, Mean};
+use crate::noise::learning::whitening::Places;
+use rockface_core::artefact::Noise;
 use rockface_core::numerics::gaussian::smoothed;
 use rockface_core::numerics::portable_math::{exp, log};
 
@@ -33,19 +35,11 @@ impl Strengths {
 
     /// Factors on the strength of each cell that take draws to these strengths, but for what may be chance of the draws.
     pub fn factors(&self, drawn: &[Vec<f32>]) -> Vec<f64> {
-        self.log_factors(drawn).into_iter().map(exp).collect()
-    }
-
-    /// The same, but for what all places have in common.
-    pub fn relative_factors(&self, drawn: &[Vec<f32>]) -> Vec<f64> {
-        relative(self.log_factors(drawn))
-    }
-
-    fn log_factors(&self, drawn: &[Vec<f32>]) -> Vec<f64> {
-        from_coarse_to_fine(drawn, self.columns, |scale, near, cell| {
+        let log_factors = from_coarse_to_fine(drawn, self.columns, |scale, near, cell| {
             let (wanted, found) = (self.log_strength[scale][cell]?, mean_log(near.iter().map(|raster| raster[cell]))?);
             Some(Departure::of(wanted.exact(), found))
-        })
+        });
+        log_factors.into_iter().map(exp).collect()
     }
 }
 
@@ -68,11 +62,6 @@ pub fn lost(rasters: &[Vec<f32>], left: &[Vec<f32>], columns: usize) -> Vec<f64>
         let none = Mean { value: 0.0, squared_error: 0.0 };
         (lost.len() >= 2).then(|| Departure::of(Mean::of(&lost, 0), none))
     });
-    relative(log_factors)
-}
-
-/// Factors over their geometric mean, of their logarithms.
-fn relative(log_factors: Vec<f64>) -> Vec<f64> {
     let mean = log_factors.iter().sum::<f64>() / log_factors.len() as f64;
     log_factors.into_iter().map(|log_factor| exp(log_factor - mean)).collect()
 }
@@ -95,6 +84,13 @@ fn from_coarse_to_fine(
         changed.par_iter_mut().for_each(|squares| times(squares, &factors));
     }
     log_factors.into_iter().map(|log_factor| log_factor.clamp(-MOST, MOST)).collect()
+}
+
+/// Multiplies the map of strength of a model. Classes of place stay the same shares of the face: with the strengths of before, places of a face whose strength hardly differs
+/// would all come to the weakest or the strongest of them, and have its factors.
+pub fn strengthen(noise: &mut Noise, factors: &[f64]) {
+    times(&mut noise.strength, factors);
+    noise.class_log_strength = Places::of(noise.strength.clone()).middles;
 }
 
 /// Mean squares around each cell; 0 where no value is in reach.

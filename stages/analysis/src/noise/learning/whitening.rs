@@ -152,6 +152,16 @@ impl Places {
         (0..self.middles.len()).map(of_class).collect()
     }
 
+    /// Share of each class of place in the power of noise of this strength.
+    pub fn power_shares(&self) -> Vec<f64> {
+        let mut powers = vec![0.0; self.middles.len()];
+        for (class, s) in self.class.iter().zip(&self.strength) {
+            powers[usize::from(*class)] += f64::from(*s) * f64::from(*s);
+        }
+        let whole = powers.iter().sum::<f64>();
+        powers.into_iter().map(|power| power / whole).collect()
+    }
+
     /// A raster divided by strength and factors, with gaps.
     fn divided(&self, raster: &[f32], log_strength: &[f64]) -> Vec<f32> {
         let values = raster.iter().zip(&self.strength);
@@ -178,6 +188,17 @@ pub struct Whitened {
     pub log_amplitude: Vec<f64>,
     /// The same of the raster itself, divided by its rms: there strong places count for more.
     pub raster_log_amplitude: Vec<f64>,
+    /// Logarithm of the rms of the raster.
+    pub log_rms: f64,
+}
+
+impl Whitened {
+    /// Logarithms of its strength by class of place, over its rms, and of its amplitude by band, as they are. In rasters with a few coarse waves the rms is chance: strengths, and
+    /// amplitudes divided by it, then vary against each other though fine noise is the same in all.
+    pub fn apart(&self) -> Vec<f64> {
+        let strengths = self.log_strength.iter().map(|log| log - self.log_rms);
+        strengths.chain(self.raster_log_amplitude.iter().map(|log| log + self.log_rms)).collect()
+    }
 }
 
 /// Whitens all rasters of `columns` columns.
@@ -195,9 +216,11 @@ pub fn whitened(raster: &[f32], bands: &Bands, columns: usize, places: &Places) 
     let values = left.iter().zip(&places.strength).map(|(value, s)| value * places.factor(&log_strength, *s));
     let mut level: Vec<f64> = values.collect();
     let rms = (level.iter().map(|value| value * value).sum::<f64>() / level.len() as f64).sqrt();
-    level.iter_mut().for_each(|value| *value /= rms.max(f64::MIN_POSITIVE));
+    let rms = rms.max(f64::MIN_POSITIVE);
+    level.iter_mut().for_each(|value| *value /= rms);
     let raster_log_amplitude = log_amplitude(bands, &level);
-    Whitened { log_amplitude: log_amplitude(bands, &left), raster_log_amplitude, log_strength, field, weights }
+    let log_rms = portable_math::log(rms);
+    Whitened { log_amplitude: log_amplitude(bands, &left), raster_log_amplitude, log_rms, log_strength, field, weights }
 }
 
 /// Logarithm of the amplitude in each band.

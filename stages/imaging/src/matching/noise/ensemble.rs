@@ -17,7 +17,7 @@ use crate::matching::noise::modulation::smooth_field;
 use crate::matching::noise::paper::SmoothNoise;
 use crate::matching::noise::skewness::with_skewness;
 use rockface_core::artefact::{GAP, Member, Noise};
-use rockface_core::numerics::bands::Bands;
+use rockface_core::numerics::bands::{Bands, at_other_bands};
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::random::Field;
 use rockface_core::numerics::simd::{LANES, Lanes, Number, Work, vectorised};
@@ -101,28 +101,39 @@ pub fn draw(noise: &Noise, numbers: Numbers, keys: Keys) -> Drawn {
         values(member).iter().zip(departure).map(|(value, departure)| value + departure).collect()
     };
     let log_strength = jittered(|member| &member.log_strength);
-    let mixed = if noise.has_fields() {
+    let grid = noise.grid;
+    let (mixed, [columns, rows]) = if noise.has_fields() {
         let gaps = Gaps::of(noise, (!of_bad).then_some(place), &donors, &mut generator);
-        mixture(noise, &donors, &gaps, keys)
+        (mixture(noise, &donors, &gaps, keys), [grid.columns, grid.rows])
     } else {
-        Mixed { field: white(noise, &keys("noise-white", "").field()), gaps: Vec::new() }
+        // A filter by frequency makes a field that goes on at its other side. Noise does not: what is kept is a part of a wider field.
+        let more = grid.columns.min(grid.rows).div_ceil(WIDER);
+        let size = [grid.columns + more, grid.rows + more];
+        (Mixed { field: white(size, &keys("noise-white", "").field()), gaps: Vec::new() }, size)
     };
-    let columns = noise.grid.columns;
     // Which of two surveys is the later one is chance, and with it the side to which their difference is skewed.
     let skewness = if generator.random() { member.skewness } else { -member.skewness };
     let uneven = with_contrast(mixed.field, columns, &noise.contrast);
     let uneven = with_skewness(uneven, columns, noise.skewness_gain * skewness);
-    let bands = Bands::new(columns, noise.grid.rows, noise.bands());
-    let wanted = of_unit_variance(jittered(|member| &member.log_amplitude), &bands.shares());
+    let shares = Bands::new(grid.columns, grid.rows, noise.bands()).shares();
+    let at_bands_drawn = |values: Vec<f64>| {
+        if noise.has_fields() {
+            return values;
+        }
+        at_other_bands(&values, grid.columns.min(grid.rows), columns.min(rows), 1.0)
+    };
+    let wanted = at_bands_drawn(of_unit_variance(jittered(|member| &member.log_amplitude), &shares));
+    let log_gain = at_bands_drawn(noise.log_gain.clone());
+    let bands = Bands::new(columns, rows, noise.bands());
     let spectrum = bands.spectrum(&uneven);
     drop(uneven);
     let present = spectrum.power();
-    let gain = |band: usize| wanted[band] - 0.5 * portable_math::log(present[band].max(1e-12)) + noise.log_gain[band];
+    let gain = |band: usize| wanted[band] - 0.5 * portable_math::log(present[band].max(1e-12)) + log_gain[band];
     let filtered = spectrum.filtered(&(0..noise.bands()).map(gain).collect::<Vec<f64>>());
     let mut field = with_gains(filtered, columns, &noise.contrast);
     if !noise.has_fields() {
         // Whitened fields are learnt without their trends, which registration left and `draw-registration` gives back.
-        field = level(field, columns);
+        field = level(part(&field, columns, [grid.columns, grid.rows]), grid.columns);
     }
     mixed.gaps.into_iter().for_each(|cell| field[cell] = f64::NAN);
     Drawn { field, log_strength, bad: of_bad }
@@ -386,9 +397,16 @@ fn raised(g: Lanes, power: u32) -> Lanes {
     product
 }
 
-fn white(noise: &Noise, field: &Field) -> Vec<f64> {
-    let columns = noise.grid.columns;
-    (0..noise.grid.cells()).map(|i| field.normal((i % columns) as i32, (i / columns) as i32)).collect()
+/// The shorter side over that by which the field is wider of which a parametric acquisition is a part.
+const WIDER: usize = 2;
+
+fn white([columns, rows]: [usize; 2], field: &Field) -> Vec<f64> {
+    (0..columns * rows).map(|i| field.normal((i % columns) as i32, (i / columns) as i32)).collect()
+}
+
+/// The upper left part of this size of a field.
+fn part(field: &[f64], field_columns: usize, [columns, rows]: [usize; 2]) -> Vec<f64> {
+    field.chunks_exact(field_columns).take(rows).flat_map(|row| &row[..columns]).copied().collect()
 }
 
 #[cfg(test)]
