@@ -170,6 +170,7 @@ fn one_in_window(raster: &Raster, window_m: Option<[f64; 4]>) -> Result<Cow<'_, 
 struct Learnt {
     columns: usize,
     places: Places,
+    shares: Shares,
     whitened: Vec<Whitened>,
     bad: Vec<bool>,
     relief: ReliefLaw,
@@ -199,7 +200,9 @@ impl Learnt {
         let first: Vec<usize> = (0..bad.len()).filter(|i| !bad[*i]).collect();
         let mut second = first.clone();
         second.rotate_left(first.len() / 2);
-        Self { columns, places, whitened, bad, relief, fields, orders: [first, second], range_cells }
+        let bands = Bands::new(columns, dem.grid.rows, BANDS).shares();
+        let shares = Shares { classes: places.power_shares(), bands };
+        Self { columns, places, shares, whitened, bad, relief, fields, orders: [first, second], range_cells }
     }
 
     fn shuffle_orders(&mut self, context: &Context) {
@@ -274,7 +277,7 @@ impl Learnt {
         let mut nearest = Nearest::default();
         for round in 0..=ROUNDS {
             let model = corrected(&sources, &correction, &contrast, &factors, gains);
-            let known = Known::of(&model, &self.shares(), params.draws);
+            let known = Known::of(&model, &self.shares, params.draws);
             trial = drawn(&Noise { bad_share: 0.0, ..model }, params.draws);
             if let Some(wanted) = &wanted {
                 let found = details(&trial);
@@ -316,7 +319,7 @@ impl Learnt {
     ) -> Noise {
         let variety = Variety { jitter: params.jitter, own: &correction.own, excess: &correction.excess };
         let Acquisitions { mut members, bad_share } =
-            acquisitions(sources, &self.whitened, &self.bad, &self.shares(), variety);
+            acquisitions(sources, &self.whitened, &self.bad, &self.shares, variety);
         if !self.fields {
             members.iter_mut().for_each(|member| member.field_log_amplitude.fill(0.0));
         }
@@ -347,11 +350,6 @@ impl Learnt {
             fields,
             weights,
         }
-    }
-
-    fn shares(&self) -> Shares {
-        let rows = self.places.strength.len() / self.columns;
-        Shares { classes: self.places.power_shares(), bands: Bands::new(self.columns, rows, BANDS).shares() }
     }
 
     /// Geometric mean of the range of the noise and the shorter side of the rasters: much longer than the noise, so that

@@ -136,6 +136,12 @@ impl Spectrum<'_> {
     }
 }
 
+/// Logarithm of the root mean square of what has these logarithms of amplitudes, each in its share of the whole.
+pub fn log_rms(log_amplitude: &[f64], shares: &[f64]) -> f64 {
+    let powers = log_amplitude.iter().zip(shares).map(|(log, share)| share * portable_math::exp(2.0 * log));
+    0.5 * portable_math::log(powers.sum::<f64>().max(1e-12))
+}
+
 /// Values at the bands of rasters whose shorter side has `from` cells, at the bands of rasters with `to` cells: linear in ln f, constant
 /// beyond the outermost bands. A cell of the former is worth `scale` cells of the latter.
 pub fn at_other_bands(values: &[f64], from: usize, to: usize, scale: f64) -> Vec<f64> {

@@ -5,8 +5,10 @@
 //! half the variance between epochs. The same holds for its amplitude in each band. Neighbours of a chain share an epoch; that leaves
 //! both factors as they are. A bad difference is a usual epoch and a bad one, whose variance is what the usual one does not explain.
 
+use crate::noise::learning::departure::Mean;
 use crate::noise::learning::whitening::Whitened;
 use rockface_core::artefact::Member;
+use rockface_core::numerics::bands::log_rms;
 use rockface_core::numerics::portable_math::{exp, log};
 use rockface_core::numerics::trend::Trend;
 
@@ -61,7 +63,7 @@ impl Shares {
     /// What varies by itself, of the factors on the strength by class of place and the amplitudes by band of noise of unit variance (all logarithms):
     /// strengths over the level of all places, then amplitudes times that level.
     pub fn apart(&self, log_strength: &[f64], log_amplitude: &[f64]) -> Vec<f64> {
-        let level = log_root(log_strength, &self.classes);
+        let level = log_rms(log_strength, &self.classes);
         let relative = log_strength.iter().map(|log| log - level);
         relative.chain(log_amplitude.iter().map(|log| log + level)).collect()
     }
@@ -69,15 +71,9 @@ impl Shares {
     /// Factors on the strength and amplitudes of noise of unit variance: the level is the power of all bands, whatever the strengths have in common.
     fn together(&self, apart: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let (relative, absolute) = apart.split_at(self.classes.len());
-        let (common, level) = (log_root(relative, &self.classes), log_root(absolute, &self.bands));
+        let (common, level) = (log_rms(relative, &self.classes), log_rms(absolute, &self.bands));
         (relative.iter().map(|log| log - common + level).collect(), absolute.iter().map(|log| log - level).collect())
     }
-}
-
-/// Logarithm of the root of the mean power, of logarithms of amplitudes and their shares.
-fn log_root(log_amplitude: &[f64], shares: &[f64]) -> f64 {
-    let powers = log_amplitude.iter().zip(shares).map(|(log, share)| share * exp(2.0 * log));
-    0.5 * log(powers.sum::<f64>())
 }
 
 /// Acquisitions from whitened differences.
@@ -91,21 +87,19 @@ pub fn acquisitions(
     let classes = shares.classes.len();
     let row = |w: &Whitened| -> Vec<f64> { w.log_strength.iter().chain(&w.log_amplitude).copied().collect() };
     let apart = |w: &Whitened| shares.apart(&w.log_strength, &w.log_amplitude);
-    let usual = || whitened.iter().zip(bad).filter(|(_, bad)| !**bad).map(|(w, _)| w);
-    let apart_mean = mean(&usual().map(apart).collect::<Vec<_>>());
-    let usual_mean = mean(&usual().map(row).collect::<Vec<_>>());
-    let count = usual().count() as f64;
-    let squares = usual().map(apart).fold(vec![0.0; apart_mean.len()], |sums, row| {
-        let square = |(sum, (value, mean)): (f64, (&f64, &f64))| sum + (value - mean) * (value - mean);
-        sums.into_iter().zip(row.iter().zip(&apart_mean)).map(square).collect()
-    });
+    let usual: Vec<&Whitened> = whitened.iter().zip(bad).filter(|(_, bad)| !**bad).map(|(w, _)| w).collect();
+    let mean = |rows: &[Vec<f64>]| (0..rows[0].len()).map(|c| Mean::of(rows, c).value).collect::<Vec<f64>>();
+    let rows: Vec<Vec<f64>> = usual.iter().map(|w| apart(w)).collect();
+    let (apart_mean, usual_mean) = (mean(&rows), mean(&usual.iter().map(|w| row(w)).collect::<Vec<_>>()));
+    let squares = |c: usize| rows.iter().map(|row| (row[c] - apart_mean[c]) * (row[c] - apart_mean[c])).sum::<f64>();
     let between = |c: usize| std::f64::consts::SQRT_2 * variety.own[c];
     let narrowing = 1.0 / (1.0 + variety.jitter * variety.jitter).sqrt();
     let half = -0.5 * std::f64::consts::LN_2;
     let of_usual = |w: &Whitened| {
         let one = |(c, value): (usize, &f64)| {
             let level = if c < classes { 0.0 } else { half };
-            let excess = 0.5 * between(c) * between(c) * squares[c] / (count - 1.0).max(1.0) + variety.excess[c];
+            let excess =
+                0.5 * between(c) * between(c) * squares(c) / (usual.len() as f64 - 1.0).max(1.0) + variety.excess[c];
             apart_mean[c] + between(c) * narrowing * (value - apart_mean[c]) + level - excess
         };
         shares.together(&apart(w).iter().enumerate().map(one).collect::<Vec<f64>>())
@@ -123,16 +117,10 @@ pub fn acquisitions(
         }
     };
     let members = sources.iter().zip(whitened).zip(bad).map(member).collect();
-    let bad_count = bad.iter().filter(|bad| **bad).count() as f64;
+    let count = bad.iter().filter(|bad| **bad).count() as f64;
     // A bad epoch spoils the two differences it takes part in.
-    let bad_share = 0.5 * bad_count / bad.len() as f64;
+    let bad_share = 0.5 * count / bad.len() as f64;
     Acquisitions { members, bad_share }
-}
-
-/// Mean of rows, column by column.
-fn mean(rows: &[Vec<f64>]) -> Vec<f64> {
-    let column = |c: usize| rows.iter().map(|row| row[c]).sum::<f64>() / rows.len() as f64;
-    (0..rows[0].len()).map(column).collect()
 }
 
 /// The bad epoch of a bad difference.
@@ -144,7 +132,7 @@ fn of_bad(row: &[f64], usual: &[f64], shares: &Shares) -> (Vec<f64>, Vec<f64>) {
     let (whole, part) = (level(row), level(usual));
     let power = |c: usize| rest(whole * exp(2.0 * row[c]), part * exp(2.0 * usual[c]));
     let amplitudes: Vec<f64> = (classes..row.len()).map(|c| 0.5 * log(power(c))).collect();
-    let level = log_root(&amplitudes, &shares.bands);
+    let level = log_rms(&amplitudes, &shares.bands);
     ((0..classes).map(strength).collect(), amplitudes.iter().map(|log| log - level).collect())
 }
 

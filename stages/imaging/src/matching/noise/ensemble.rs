@@ -17,7 +17,7 @@ use crate::matching::noise::modulation::smooth_field;
 use crate::matching::noise::paper::SmoothNoise;
 use crate::matching::noise::skewness::with_skewness;
 use rockface_core::artefact::{GAP, Member, Noise};
-use rockface_core::numerics::bands::{Bands, at_other_bands};
+use rockface_core::numerics::bands::{Bands, at_other_bands, log_rms};
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::random::Field;
 use rockface_core::numerics::simd::{LANES, Lanes, Number, Work, vectorised};
@@ -115,16 +115,16 @@ pub fn draw(noise: &Noise, numbers: Numbers, keys: Keys) -> Drawn {
     let skewness = if generator.random() { member.skewness } else { -member.skewness };
     let uneven = with_contrast(mixed.field, columns, &noise.contrast);
     let uneven = with_skewness(uneven, columns, noise.skewness_gain * skewness);
-    let shares = Bands::new(grid.columns, grid.rows, noise.bands()).shares();
-    let at_bands_drawn = |values: Vec<f64>| {
-        if noise.has_fields() {
-            return values;
-        }
-        at_other_bands(&values, grid.columns.min(grid.rows), columns.min(rows), 1.0)
+    let bands = Bands::new(columns, rows, noise.bands());
+    // The bands of the model, where the field is wider.
+    let own = (!noise.has_fields()).then(|| Bands::new(grid.columns, grid.rows, noise.bands()));
+    let at_bands_drawn = |values: Vec<f64>| match own {
+        None => values,
+        Some(_) => at_other_bands(&values, grid.columns.min(grid.rows), columns.min(rows), 1.0),
     };
+    let shares = own.as_ref().unwrap_or(&bands).shares();
     let wanted = at_bands_drawn(of_unit_variance(jittered(|member| &member.log_amplitude), &shares));
     let log_gain = at_bands_drawn(noise.log_gain.clone());
-    let bands = Bands::new(columns, rows, noise.bands());
     let spectrum = bands.spectrum(&uneven);
     drop(uneven);
     let present = spectrum.power();
@@ -147,8 +147,7 @@ fn level(field: Vec<f64>, columns: usize) -> Vec<f64> {
 
 /// Logarithms of the amplitudes of bands, shifted alike so that the noise has unit variance: how strong an acquisition is say its strengths alone.
 fn of_unit_variance(mut log_amplitude: Vec<f64>, shares: &[f64]) -> Vec<f64> {
-    let powers = log_amplitude.iter().zip(shares).map(|(log, share)| share * portable_math::exp(2.0 * log));
-    let level = 0.5 * portable_math::log(powers.sum::<f64>().max(1e-12));
+    let level = log_rms(&log_amplitude, shares);
     log_amplitude.iter_mut().for_each(|log| *log -= level);
     log_amplitude
 }
