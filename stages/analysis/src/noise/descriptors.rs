@@ -40,6 +40,35 @@ pub fn feature_names() -> Vec<&'static str> {
     GROUPS.iter().flat_map(|(_, names)| names.iter().copied()).collect()
 }
 
+/// Features that say most of noise, the first ones first: how strong it is, how fast roughness grows with scale, tails and range.
+const TELLING: [&str; 5] = ["std_m", "roughness_b", "skewness", "range95_m", "spectral_slope"];
+
+/// The features that a number of references bears: all where there are two references more, otherwise one for two references, those that say most
+/// first; at least one.
+pub fn borne(features: &[String], references: usize) -> Vec<String> {
+    if references >= features.len() + 2 {
+        return features.to_vec();
+    }
+    let rank = |name: &String| TELLING.iter().position(|telling| telling == name).unwrap_or(TELLING.len());
+    let mut ranked: Vec<&String> = features.iter().collect();
+    ranked.sort_by_key(|name| rank(name));
+    ranked.truncate((references.saturating_sub(1) / 2).max(1));
+    features.iter().filter(|name| ranked.contains(name)).cloned().collect()
+}
+
+/// The features that a test of so many references takes, and a warning where these are fewer than were asked for, which is so only where it may be.
+pub fn taken(features: &[String], references: usize, fewer: bool) -> (Vec<String>, Option<String>) {
+    let taken = if fewer { borne(features, references) } else { features.to_vec() };
+    let (asked, names) = (features.len(), taken.join(", "));
+    let warning = (taken.len() < asked).then(|| {
+        let needed = asked + 2;
+        format!(
+            "{references} references are too few for {asked} features, which need {needed}: only {names} are tested"
+        )
+    });
+    (taken, warning)
+}
+
 /// Names of the further columns, in the order of [`Description::diagnostics`].
 pub const DIAGNOSTICS: [&str; 9] = [
     "excess_kurtosis",
@@ -209,6 +238,15 @@ mod tests {
         let (range95_m, slope) = (feature("range95_m"), feature("spectral_slope"));
         assert!(range95_m < 0.03 && slope.abs() < 0.25, "{range95_m} {slope}");
         assert!(feature("roughness_b") < 0.1);
+    }
+
+    #[test]
+    fn few_references_bear_the_features_that_say_most() {
+        let all: Vec<String> = feature_names().into_iter().map(str::to_owned).collect();
+        assert_eq!(borne(&all, 12), all);
+        assert_eq!(borne(&all, 11), ["std_m", "skewness", "range95_m", "spectral_slope", "roughness_b"]);
+        assert_eq!(borne(&all, 7), ["std_m", "skewness", "roughness_b"]);
+        assert_eq!((borne(&all, 1), borne(&all[2..3], 2)), (vec![all[1].clone()], vec![all[2].clone()]));
     }
 
     #[test]

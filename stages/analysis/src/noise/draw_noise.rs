@@ -22,7 +22,7 @@ pub struct DrawNoise;
 impl Stage for DrawNoise {
     type Params = DrawNoiseParams;
     const NAME: &'static str = "draw-noise";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: Page = Page::new(include_str!("draw_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("noise", &[Kind::Noise], "The model."),

@@ -24,7 +24,7 @@ pub struct DrawRegistration;
 impl Stage for DrawRegistration {
     type Params = DrawRegistrationParams;
     const NAME: &'static str = "draw-registration";
-    const VERSION: u32 = 6;
+    const VERSION: u32 = 7;
     const PAGE: Page = Page::new(include_str!("draw_registration.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("raster", &[Kind::Raster], "Difference of two registered surveys, metres."),
@@ -50,24 +50,24 @@ impl Stage for DrawRegistration {
         let mut changed = raster.clone();
         for band in &mut changed.bands {
             let columns = raster.grid.columns;
-            let (Some(own_m), Some(asymmetry_m)) = (trend(&band.values, columns), asymmetry(&band.values, columns))
-            else {
+            let none = || {
                 let text = format!("the values of band `{}` lie on a line, or there are none", band.name);
-                return Err(
-                    StageError::new(text).hint("a trend needs an area: check window and gaps of the difference")
-                );
+                StageError::new(text).hint("a trend needs an area: check window and gaps of the difference")
             };
+            let own_m = trend(&band.values, columns).ok_or_else(none)?;
             let wanted_m = drawn(noise, params.replicate, context, &band.name);
-            let mut kept_m = own_m.map(|m| -m);
-            kept_m
-                .iter_mut()
-                .zip(noise.asymmetry_gain)
-                .zip(asymmetry_m)
-                .for_each(|((kept, gain), m)| *kept += gain * m);
-            for (cell, z) in band.values.iter_mut().enumerate() {
+            let bent = |(cell, z): (usize, &f32)| {
                 let height_m = |trend_m, of| height_m(trend_m, of, raster.grid, cell);
-                *z += (height_m(&wanted_m, noise.grid) + height_m(&kept_m, raster.grid)) as f32;
-            }
+                (f64::from(*z) + height_m(&wanted_m, noise.grid) - height_m(&own_m, raster.grid)) as f32
+            };
+            let bent: Vec<f32> = band.values.iter().enumerate().map(bent).collect();
+            // What a surface is bent is no offset to what most cells agree on.
+            let asymmetry_m = asymmetry(&bent, columns).ok_or_else(none)?;
+            let mut left_m = Trend::default();
+            left_m.iter_mut().zip(noise.asymmetry_gain).zip(asymmetry_m).for_each(|((left, gain), m)| *left = gain * m);
+            let whole =
+                |(cell, z): (usize, &f32)| (f64::from(*z) + height_m(&left_m, raster.grid, raster.grid, cell)) as f32;
+            band.values = bent.iter().enumerate().map(whole).collect();
         }
         Ok(Outputs::of("raster", changed))
     }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use crate::noise::acceptance_rate::{perfect_acceptance, share_below};
 use crate::noise::chain;
-use crate::noise::descriptors::{GROUPS, feature_names, in_group};
+use crate::noise::descriptors::{GROUPS, feature_names, in_group, taken};
 use crate::noise::mahalanobis::{bound, fit_labelled, leave_one_out_quantile};
 use rockface_core::artefact::{Acceptance, Cell, GroupModel, Kind, Table};
 use rockface_core::numerics::beta;
@@ -19,6 +19,9 @@ params! {
     pub struct FitAcceptanceParams {
         /// Columns that make the feature vector. Without `mean_m` an offset left by registration does not count.
         features: Vec<String> = feature_names().into_iter().map(str::to_owned).collect(),
+        /// With too few references for all features (two more are needed), take one feature for two references, those that say most first
+        /// (`std_m`, `roughness_b`, `skewness`, `range95_m`, `spectral_slope`), and warn. `false`: refuse.
+        fewer: bool = false,
         /// Ridge factor lambda, added to the diagonal of the covariance of the standardised features.
         ridge: f64 = 1e-3; Range::NonNegative,
         /// Quantile of the reference distances that is reported as threshold.
@@ -34,7 +37,7 @@ pub struct FitAcceptance;
 impl Stage for FitAcceptance {
     type Params = FitAcceptanceParams;
     const NAME: &'static str = "fit-acceptance";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("fit_acceptance.md"));
     const INPUTS: &'static [Port] =
         &[Port::many("features", &[Kind::Table], "Features of real rasters, as `describe-noise` makes them.")];
@@ -55,8 +58,15 @@ impl Stage for FitAcceptance {
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let tables = inputs.many::<Table>("features")?;
+        let count = tables.iter().map(|(_, table)| table.rows.len()).sum();
+        let kept = in_view(count, params.held_out);
+        let (features, warning) = taken(&params.features, kept, params.fewer);
+        if let Some(text) = warning {
+            context.warn(text);
+        }
+        let params = &FitAcceptanceParams { features, ..params.clone() };
         let mut rows = feature_rows(&tables, &params.features)?;
-        rows.truncate(in_view(rows.len(), params.held_out));
+        rows.truncate(kept);
         let mut groups = BTreeMap::from([("all".to_owned(), fit_columns(&params.features, params, &rows)?)]);
         for (group, _) in GROUPS {
             let chosen: Vec<String> = params.features.iter().filter(|name| in_group(group, name)).cloned().collect();
@@ -287,7 +297,11 @@ mod tests {
         );
         let mut few = features();
         few.rows.truncate(11);
-        assert!(fitted(few, &json!({})).err().unwrap().message.contains("at least 12"));
+        assert!(fitted(few.clone(), &json!({})).err().unwrap().message.contains("at least 12"));
+        // Or fewer features are taken, with a warning.
+        let (model, _, host) = fitted(few, &json!({"fewer": true})).unwrap();
+        assert_eq!(model.groups["all"].features.len(), 5);
+        assert!(host.warnings()[0].contains("only std_m, skewness, range95_m"), "{:?}", host.warnings());
     }
 
     #[test]

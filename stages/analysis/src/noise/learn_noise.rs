@@ -22,7 +22,7 @@ use rockface_core::artefact::{
 use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::held_out::in_view;
 use rockface_core::numerics::quantile::quantile;
-use rockface_core::numerics::trend::trend;
+use rockface_core::numerics::trend::{Trend, trend, with_trend};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 use rockface_imaging::matching::elevation_step::elevation_step_m;
@@ -78,7 +78,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 25;
+    const VERSION: u32 = 26;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -256,11 +256,7 @@ impl Learnt {
         };
         let seen = seen(real.iter().copied());
         let marks = Marks::of(&real, &seen).of_another(real.len());
-        // Without fields draws have no gaps of the rasters.
-        let refined = |gains: Gains, trial: &[Vec<f32>]| {
-            let better = gains.refined(&marks, &Marks::of(trial, &seen));
-            if self.fields { better } else { Gains { skewness: better.skewness, ..gains } }
-        };
+        let refined = |gains: Gains, trial: &[Vec<f32>]| gains.refined(&marks, &Marks::of(trial, &seen));
         let mut gains = refined(Gains::default(), &trial);
         make_up(&mut trial, &mut factors);
         let mut correction = Correction::of(&self.usual(), &whiten(&trial, self.columns, &self.places));
@@ -295,11 +291,13 @@ impl Learnt {
         if wanted.is_some() {
             contrast = nearest.contrast();
         }
-        let asymmetries = |raster: &Vec<f32>| {
+        // A raster that is bent is asymmetric by that too.
+        let bends: Vec<Trend> = self.orders[0].iter().map(|source| sources[*source].trend_m).collect();
+        let asymmetries = |(draw, raster): (usize, &Vec<f32>)| {
             let change: Vec<f32> = raster.iter().zip(step_m).map(|(px, step_m)| px * step_m).collect();
-            asymmetry(&change, self.columns)
+            asymmetry(&with_trend(&change, self.columns, &bends[draw % bends.len()]), self.columns)
         };
-        let asymmetries: Vec<[f64; 3]> = trial.par_iter().filter_map(asymmetries).collect();
+        let asymmetries: Vec<[f64; 3]> = trial.par_iter().enumerate().filter_map(asymmetries).collect();
         let asymmetry_gain = registration::part(&mut sources, &self.bad, &asymmetries);
         Noise { asymmetry_gain, ..corrected(&sources, &correction, &contrast, &factors, gains) }
     }
@@ -323,9 +321,11 @@ impl Learnt {
         if !self.fields {
             members.iter_mut().for_each(|member| member.field_log_amplitude.fill(0.0));
         }
-        let kept = |whitened: &Whitened| (whitened.field.clone(), whitened.weights.clone());
-        let (fields, weights) =
-            if self.fields { self.whitened.iter().map(kept).unzip() } else { (Vec::new(), Vec::new()) };
+        let fields = if self.fields {
+            self.whitened.iter().map(|whitened| whitened.field.clone()).collect()
+        } else {
+            Vec::new()
+        };
         Noise {
             frame: dem.frame,
             grid: dem.grid,
@@ -348,7 +348,7 @@ impl Learnt {
             strength: self.places.strength.clone(),
             elevation: dem.bands[0].values.clone(),
             fields,
-            weights,
+            weights: self.whitened.iter().map(|whitened| whitened.weights.clone()).collect(),
         }
     }
 
@@ -560,7 +560,7 @@ fn report(noise: &Noise, learnt: &Learnt, step_m: &[f32], context: &Context) {
         noise.asymmetry_gain[2]
     ));
     if !bad.is_empty() {
-        context.note(format!("bad acquisitions, a class of their own: {}", bad.join(", ")));
+        context.headline(format!("rasters with a bad acquisition, which are a class of their own: {}", bad.join(", ")));
     }
     if !learnt.fields {
         context.note(format!(

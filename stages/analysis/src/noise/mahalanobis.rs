@@ -4,10 +4,10 @@
 //! standardised features has a unit diagonal, so the ridge lambda v I of the paper has v = 1. With z the standardised
 //! features of a raster and P = (S + lambda I)^-1, D2 = z' P z, and `z_j (P z)_j` is the contribution of feature j.
 //!
-//! A feature that is the same in all n references has no spread to standardise by. A raster that departs from it by d is judged as
-//! if it was counted among the references: the variance of the feature is then s^2 + d^2 / (n + 1), with s the resolution of the
-//! feature, and the raster lies d n / (n + 1) from the mean. So the contribution is (n / (n + 1))^2 d^2 / (s^2 + d^2 / (n + 1)): about
-//! (d / s)^2 for a small departure, and n^2 / (n + 1), above every threshold, for any large one.
+//! A feature that is the same in all n references, or differs by less than a hundredth of its resolution s (rasters whose mean was taken off differ in
+//! it by rounding), has no spread to standardise by. A raster that departs from it by d is judged as if it was counted among the references: the
+//! variance of the feature is then s^2 + d^2 / (n + 1), and the raster lies d n / (n + 1) from the mean. So the contribution is
+//! (n / (n + 1))^2 d^2 / (s^2 + d^2 / (n + 1)): about (d / s)^2 for a small departure, and n^2 / (n + 1), above every threshold, for any large one.
 
 use nalgebra::{Cholesky, DMatrix, DVector, SymmetricEigen};
 
@@ -23,7 +23,11 @@ pub const UNBOUNDED_D2: f64 = f64::MAX;
 /// Spread below which a feature counts as constant, relative to its size.
 const CONSTANT: f64 = 1e-12;
 
-/// The resolution of a feature that does not vary, as a share of the mean of a feature of the same unit: of the sill for a nugget.
+/// Spread below which a feature counts as constant, as a share of its resolution.
+const BELOW_RESOLUTION: f64 = 0.01;
+
+/// The resolution of a feature that does not vary, as a share of the mean of a feature of the same unit: of the sill for a nugget, of the deviation for
+/// a mean.
 const RESOLUTION: f64 = 0.01;
 
 /// A squared distance and what each feature adds to it.
@@ -48,7 +52,10 @@ pub fn bound(n: usize) -> f64 {
 /// No feature varies, fewer than p + 2 rasters, or features so nearly collinear that the covariance has no inverse.
 pub fn fit(names: &[String], rows: &[Vec<f64>], ridge: f64) -> Result<GroupModel, StageError> {
     let (mean, deviation) = moments(rows, names.len());
-    let varies = |j: usize| deviation[j] > CONSTANT * rows.iter().map(|row| row[j].abs()).fold(0.0, f64::max);
+    let varies = |j: usize| {
+        let largest = rows.iter().map(|row| row[j].abs()).fold(0.0, f64::max);
+        deviation[j] > (CONSTANT * largest).max(BELOW_RESOLUTION * resolution(j, names, &mean))
+    };
     let (varying, constant): (Vec<usize>, Vec<usize>) = (0..names.len()).partition(|j| varies(*j));
     let pick = |values: &[f64]| varying.iter().map(|j| values[*j]).collect::<Vec<f64>>();
     let (p, n) = (varying.len(), rows.len());
@@ -103,16 +110,16 @@ pub fn fit_labelled(
     Ok(model)
 }
 
-/// The departure of constant feature `j` that counts as one deviation: a share of the first feature of the same unit that is not 0.
+/// The departure of constant feature `j` that counts as one deviation: a share of the smallest other feature of the same unit that is not 0, or of its own size.
 fn resolution(j: usize, names: &[String], mean: &[f64]) -> f64 {
     let unit = |name: &str| {
         name.rsplit_once('_').map(|(_, unit)| unit).filter(|unit| ["m", "m2"].contains(unit)).map(str::to_owned)
     };
     let alike =
         (0..names.len()).filter(|k| *k != j && unit(&names[*k]).is_some() && unit(&names[*k]) == unit(&names[j]));
-    let size = alike.map(|k| mean[k].abs()).fold(mean[j].abs(), f64::max);
+    let smallest = alike.map(|k| mean[k].abs()).filter(|size| *size > 0.0).min_by(f64::total_cmp);
     // A number without unit and without size, such as a skewness of 0, is told apart from 0.01 on.
-    RESOLUTION * if size > 0.0 { size } else { 1.0 }
+    RESOLUTION * smallest.unwrap_or(if mean[j] == 0.0 { 1.0 } else { mean[j].abs() })
 }
 
 /// The distance of a raster whose `values` are in the order of [`GroupModel::judged`].
@@ -248,6 +255,22 @@ mod tests {
             row.fill(1.0);
         }
         assert!(fit(&names(3), &rows, 0.0).unwrap_err().message.contains("none of f0, f1, f2"));
+    }
+
+    #[test]
+    fn rounding_is_no_spread() {
+        let names = ["mean_m", "std_m", "range95_m"].map(str::to_owned);
+        let field = Key([7; 32]).field();
+        let row = |i: i32, mean_m: f64| {
+            vec![mean_m * field.normal(i, 0), 0.01 + 1e-3 * field.normal(i, 1), 2.0 + field.normal(i, 2)]
+        };
+        let fitted = |mean_m: f64| fit(&names, &(0..39).map(|i| row(i, mean_m)).collect::<Vec<_>>(), 1e-3).unwrap();
+        // Rasters whose mean was taken off: a mean of a hundredth of their deviation counts as one deviation.
+        let rounded = fitted(1e-10);
+        assert_eq!(rounded.constant, ["mean_m"]);
+        assert!((distance(&rounded, &[rounded.mean[0], rounded.mean[1], 1e-4]).d2 - 0.93).abs() < 0.05);
+        assert!(distance(&rounded, &[rounded.mean[0], rounded.mean[1], 1e-6]).d2 < 1e-3);
+        assert_eq!(fitted(1e-5).features, names);
     }
 
     #[test]

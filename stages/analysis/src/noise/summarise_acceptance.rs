@@ -2,7 +2,7 @@
 
 use crate::noise::acceptance_rate::{exact_interval, perfect_acceptance, share_below, wilson_interval};
 use crate::noise::chain;
-use crate::noise::descriptors::{GROUPS, feature_names, in_group};
+use crate::noise::descriptors::{GROUPS, feature_names, in_group, taken};
 use crate::noise::mahalanobis::{bound, distance, fit_labelled, leave_one_out_quantile};
 use crate::noise::perfect_simulator::{Expectation, Setting, Simulated};
 use rockface_core::artefact::{Cell, GroupModel, Kind, Table};
@@ -17,6 +17,9 @@ params! {
     pub struct SummariseAcceptanceParams {
         /// Columns that make the feature vector.
         features: Vec<String> = feature_names().into_iter().map(str::to_owned).collect(),
+        /// With too few references for all features (two more are needed), take one feature for two references, those that say most first
+        /// (`std_m`, `roughness_b`, `skewness`, `range95_m`, `spectral_slope`), and warn. `false`: refuse.
+        fewer: bool = false,
         /// Ridge factor lambda, added to the diagonal of the covariance of the standardised features.
         ridge: f64 = 1e-3; Range::NonNegative,
         /// Quantiles of the reference distances.
@@ -33,7 +36,7 @@ pub struct SummariseAcceptance;
 impl Stage for SummariseAcceptance {
     type Params = SummariseAcceptanceParams;
     const NAME: &'static str = "summarise-acceptance";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("summarise_acceptance.md"));
     const INPUTS: &'static [Port] = &[
         Port::many("reference", &[Kind::Table], "Features of real rasters, from `describe-noise`."),
@@ -56,6 +59,13 @@ impl Stage for SummariseAcceptance {
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        let references = inputs.many::<Table>("reference")?.iter().map(|(_, table)| table.rows.len()).sum();
+        let kept = in_view(references, params.held_out.unwrap_or(0.0));
+        let (features, warning) = taken(&params.features, kept, params.fewer);
+        if let Some(text) = warning {
+            context.warn(text);
+        }
+        let params = &SummariseAcceptanceParams { features, ..params.clone() };
         let rows = |port: &str| -> Result<Vec<FeatureRow>, StageError> {
             feature_rows(&inputs.many::<Table>(port)?, &params.features)
         };
@@ -67,7 +77,7 @@ impl Stage for SummariseAcceptance {
         if let Some(text) = chain::warning(&labels) {
             context.warn(text);
         }
-        let held_out = reference.split_off(in_view(reference.len(), params.held_out.unwrap_or(0.0)));
+        let held_out = reference.split_off(kept);
         let mut tests = group_tests(params, &reference, &simulated, &held_out)?;
         simulate_perfect(params, &mut tests);
         let leverage = leverage(params, &reference, &simulated, &tests[0])?;

@@ -7,8 +7,7 @@ use rayon::prelude::*;
 
 use crate::noise::learning::whitening::Places;
 use rockface_core::artefact::{Contrast, Grid, Member, Noise, Raster, ReliefLaw};
-use rockface_core::numerics::bands::{Bands, at_other_bands};
-use rockface_core::numerics::portable_math::{exp, log};
+use rockface_core::numerics::bands::{Bands, at_other_bands, log_rms};
 use rockface_imaging::matching::noise::changed_face::{Window, is_known, law, relief_m};
 use rockface_imaging::matching::noise::ensemble::log_strength_at;
 use rockface_imaging::matching::noise::spline::{Spline, mirrored};
@@ -162,7 +161,7 @@ fn place_bands(noise: &mut Noise, model: Grid, scale: f64) {
     let [old, new] = [model, noise.grid].map(|grid| shares(grid, noise.log_gain.len()));
     let moved = |values: &[f64]| {
         let other = at_other_bands(values, from, to, scale);
-        let level = 0.5 * (log_power(values, &old) - log_power(&other, &new));
+        let level = log_rms(values, &old) - log_rms(&other, &new);
         other.iter().map(|value| value + level).collect::<Vec<f64>>()
     };
     for Member { log_amplitude, field_log_amplitude, .. } in &mut noise.members {
@@ -170,9 +169,4 @@ fn place_bands(noise: &mut Noise, model: Grid, scale: f64) {
         *field_log_amplitude = moved(field_log_amplitude);
     }
     noise.log_gain = at_other_bands(&noise.log_gain, from, to, scale);
-}
-
-/// Logarithm of the variance of noise with these amplitudes; `shares` is the share of each band in white noise.
-fn log_power(log_amplitude: &[f64], shares: &[f64]) -> f64 {
-    log(log_amplitude.iter().zip(shares).map(|(a, share)| share * exp(2.0 * a)).sum::<f64>())
 }

@@ -159,7 +159,8 @@ pub struct Noise {
     pub elevation: Vec<f32>,
     /// Whitened field of each member, of unit variance over the face, gaps filled; empty: the model has none.
     pub fields: Vec<Vec<f32>>,
-    /// Weight of each value of a field: 127 inside, falling to 0 in a gap; [`GAP`] is added where the raster had no value.
+    /// Weight of each value of a field: 127 inside, falling to 0 in a gap; [`GAP`] is added where the raster had no value. Without fields only the gaps
+    /// count; empty: the model has no gaps.
     pub weights: Vec<Vec<u8>>,
 }
 
@@ -191,6 +192,11 @@ impl Noise {
     /// Whether an acquisition mixes the fields of members; otherwise it is drawn from white noise.
     pub fn has_fields(&self) -> bool {
         !self.fields.is_empty()
+    }
+
+    /// Whether an acquisition has gaps where members had them.
+    pub fn has_gaps(&self) -> bool {
+        !self.weights.is_empty()
     }
 
     /// The bad members and the usual ones, by their places.
@@ -248,10 +254,9 @@ impl Noise {
             return refuse("an order of replicates does not have each acquisition that is not bad once".into());
         }
         let cells = self.grid.cells();
-        let members = if self.has_fields() { self.members.len() } else { 0 };
-        if self.fields.len() != members || self.weights.len() != members {
-            let (fields, weights) = (self.fields.len(), self.weights.len());
-            return refuse(format!("{fields} fields and {weights} weights for {} acquisitions", self.members.len()));
+        let (members, fields, weights) = (self.members.len(), self.fields.len(), self.weights.len());
+        if ![[0, 0], [0, members], [members, members]].contains(&[fields, weights]) {
+            return refuse(format!("{fields} fields and {weights} weights for {members} acquisitions"));
         }
         let lengths = [&self.strength, &self.elevation].into_iter().chain(&self.fields).map(Vec::len);
         if let Some(length) = lengths.chain(self.weights.iter().map(Vec::len)).find(|length| *length != cells) {

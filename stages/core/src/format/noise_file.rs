@@ -3,7 +3,7 @@
 use crate::artefact::{CodecError, Contrast, Frame, Grid, Member, Noise, ReliefLaw};
 
 /// The first line; a file with another version is learnt anew.
-const MAGIC: &str = "rockface noise 14\n";
+const MAGIC: &str = "rockface noise 15\n";
 
 /// What is written into the header for whoever reads the file without us.
 const LAYOUT: &str = "rows x columns cells from the top left: strength float32 little-endian (px), elevation float32 (m, NaN = unknown); \
@@ -35,6 +35,7 @@ struct Header {
     members: Vec<Member>,
     orders: [Vec<usize>; 2],
     fields: usize,
+    weights: usize,
     layout: String,
 }
 
@@ -66,14 +67,15 @@ pub fn write(noise: &Noise) -> Result<Vec<u8>, CodecError> {
         members: noise.members.clone(),
         orders: noise.orders.clone(),
         fields: noise.fields.len(),
+        weights: noise.weights.len(),
         layout: LAYOUT.to_owned(),
     };
     let header = serde_json::to_string(&header).map_err(|e| CodecError(e.to_string()))?;
     // A number that is not finite would become `null` and be refused when it is read.
     serde_json::from_str::<Header>(&header)
         .map_err(|e| CodecError(format!("noise model: a number is not finite: {e}")))?;
-    let mut bytes =
-        Vec::with_capacity(MAGIC.len() + header.len() + 1 + size(grid.cells(), noise.fields.len()).unwrap_or(0));
+    let body = size(grid.cells(), noise.fields.len(), noise.weights.len()).unwrap_or(0);
+    let mut bytes = Vec::with_capacity(MAGIC.len() + header.len() + 1 + body);
     bytes.extend_from_slice(MAGIC.as_bytes());
     bytes.extend_from_slice(header.as_bytes());
     bytes.push(b'\n');
@@ -101,14 +103,14 @@ pub fn read(bytes: &[u8]) -> Result<Noise, CodecError> {
         top_m: header.top_m,
     };
     let cells = grid.columns.checked_mul(grid.rows).filter(|cells| *cells > 0);
-    let expected = cells.and_then(|cells| size(cells, header.fields));
+    let expected = cells.and_then(|cells| size(cells, header.fields, header.weights));
     let (Some(cells), Some(expected)) = (cells, expected) else {
         return Err(CodecError::new("noise file: impossible size"));
     };
     if body.len() != expected {
-        let (found, w, h, n) = (body.len(), grid.columns, grid.rows, header.fields);
+        let (found, w, h, n, m) = (body.len(), grid.columns, grid.rows, header.fields, header.weights);
         return Err(CodecError(format!(
-            "noise file: {n} fields of {w} x {h} cells need {expected} bytes, found {found}; it is cut short or damaged"
+            "noise file: {n} fields and {m} weights of {w} x {h} cells need {expected} bytes, found {found}; it is cut short or damaged"
         )));
     }
     let (floats, weights) = body.split_at(4 * cells * (2 + header.fields));
@@ -147,8 +149,8 @@ pub fn read(bytes: &[u8]) -> Result<Noise, CodecError> {
 }
 
 /// Bytes of the rasters of a file.
-fn size(cells: usize, fields: usize) -> Option<usize> {
-    let bytes_a_cell = fields.checked_mul(5)?.checked_add(8)?;
+fn size(cells: usize, fields: usize, weights: usize) -> Option<usize> {
+    let bytes_a_cell = fields.checked_mul(4)?.checked_add(weights)?.checked_add(8)?;
     cells.checked_mul(bytes_a_cell)
 }
 

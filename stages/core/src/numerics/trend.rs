@@ -39,12 +39,17 @@ pub fn trend_at(trend: &Trend, x: f64, y: f64) -> f64 {
 
 /// The values without their trend; `None` where the cells lie on a line.
 pub fn without_trend(values: &[f32], columns: usize) -> Option<Vec<f32>> {
-    let (trend, rows) = (trend(values, columns)?, values.len() / columns);
-    let off = |(i, value): (usize, &f32)| {
+    Some(with_trend(values, columns, &trend(values, columns)?.map(|factor| -factor)))
+}
+
+/// The values with a trend added.
+pub fn with_trend(values: &[f32], columns: usize, trend: &Trend) -> Vec<f32> {
+    let rows = values.len() / columns;
+    let with = |(i, value): (usize, &f32)| {
         let [_, x, y] = terms(columns, rows, i % columns, i / columns).into();
-        (f64::from(*value) - trend_at(&trend, x, y)) as f32
+        (f64::from(*value) + trend_at(trend, x, y)) as f32
     };
-    Some(values.iter().enumerate().map(off).collect())
+    values.iter().enumerate().map(with).collect()
 }
 
 /// What a trend is made of: products of Legendre polynomials, which are nearly independent on a whole grid.

@@ -105,16 +105,41 @@ fn gaps_and_details_stay_and_a_part_of_the_face_has_its_part_of_the_trend() {
 fn noise_that_is_stronger_on_one_side_leaves_an_offset() {
     let mut raster = tilted();
     raster.bands[0].values.iter_mut().skip(5).step_by(10).for_each(|z| *z += 0.01);
-    let asymmetry_m = asymmetry(&raster.bands[0].values, COLUMNS).unwrap();
-    assert!((asymmetry_m[0] - 0.001).abs() < 0.0002, "{asymmetry_m:?}");
-    let left = |asymmetry_gain: [f64; 3]| {
-        let found = settled_by(Noise { asymmetry_gain, ..model().0 }, 1, &raster).unwrap();
-        trend(&found.bands[0].values, COLUMNS).unwrap()
+    let mut noise = model().0;
+    noise.members.iter_mut().for_each(|member| member.trend_m[3..].fill(0.0));
+    let (with_m, wanted_m, asymmetry_m) = with_and_without_gain(&noise, &raster);
+    assert!((asymmetry_m - 0.001).abs() < 0.0002, "{asymmetry_m}");
+    assert!(with_m.iter().zip(wanted_m).all(|(with, wanted)| (with - wanted).abs() < 1e-6), "{with_m:?} {wanted_m:?}");
+}
+
+/// The trend of a difference with a gain of the offset, what it should be by that without one, and the asymmetry that it has.
+fn with_and_without_gain(noise: &Noise, raster: &Raster) -> (Trend, Trend, f64) {
+    let gain = 1.5;
+    let left = |gain: f64| {
+        let noise = Noise { asymmetry_gain: [gain, 0.0, 0.0], ..noise.clone() };
+        settled_by(noise, 1, raster).unwrap().bands.remove(0).values
     };
-    let (with, without) = (left([1.5, 0.0, 0.0]), left([0.0; 3]));
-    let mut wanted = without;
-    wanted[0] += 1.5 * asymmetry_m[0];
-    assert!(with.iter().zip(wanted).all(|(with, wanted)| (with - wanted).abs() < 1e-6), "{with:?} {wanted:?}");
+    let (with, without) = (left(gain), left(0.0));
+    let asymmetry_m = asymmetry(&without, COLUMNS).unwrap()[0];
+    let mut wanted_m = trend(&without, COLUMNS).unwrap();
+    wanted_m[0] += gain * asymmetry_m;
+    (trend(&with, COLUMNS).unwrap(), wanted_m, asymmetry_m)
+}
+
+#[test]
+fn a_surface_that_is_bent_more_has_more_of_an_offset() {
+    let bent = |bend_m: f64| {
+        let mut noise = model().0;
+        noise.members.iter_mut().for_each(|member| {
+            member.trend_m[3..].fill(0.0);
+            member.trend_m[3] = bend_m;
+        });
+        with_and_without_gain(&noise, &tilted())
+    };
+    let ((with_m, wanted_m, asymmetry_m), (.., flat_m)) = (bent(0.02), bent(0.0));
+    // A trough agrees with its floor: two thirds of the face lie below the mean.
+    assert!(asymmetry_m > 0.001 && flat_m.abs() < 1e-6, "{asymmetry_m} {flat_m}");
+    assert!(with_m.iter().zip(wanted_m).all(|(with, wanted)| (with - wanted).abs() < 1e-6), "{with_m:?} {wanted_m:?}");
 }
 
 #[test]

@@ -127,10 +127,9 @@ pub(in crate::noise) fn mean(values: impl Iterator<Item = f64>) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-#[test]
-fn registration_that_aligns_what_most_cells_agree_on_is_known_by_its_offsets() {
-    let mut rasters = differences(16, &[]);
-    for raster in &mut rasters {
+/// Takes the plane that most cells of each raster agree on off it, as registration does.
+fn align(rasters: &mut [Raster]) {
+    for raster in rasters {
         let values = &mut raster.bands[0].values;
         let (all, few) = (plane(values, COLUMNS).unwrap(), asymmetry(values, COLUMNS).unwrap());
         let height = |i: usize, k: usize| {
@@ -140,6 +139,26 @@ fn registration_that_aligns_what_most_cells_agree_on_is_known_by_its_offsets() {
         };
         values.iter_mut().enumerate().for_each(|(i, z)| *z -= (0..3).map(|k| height(i, k)).sum::<f64>() as f32);
     }
+}
+
+#[test]
+fn draws_are_as_asymmetric_as_rasters_that_are_bent() {
+    let mut rasters = differences(16, &[]);
+    for (b, raster) in rasters.iter_mut().enumerate() {
+        let bend_m = 0.012 * (b as f64 - 7.5) / 7.5;
+        let mut trend_m = Trend::default();
+        trend_m[3] = bend_m;
+        raster.bands[0].values = with_trend(&raster.bands[0].values, COLUMNS, &trend_m);
+    }
+    align(&mut rasters);
+    let (noise, _) = learn_from(rasters, &json!({"draws": 24})).unwrap();
+    assert!((0.7..1.4).contains(&noise.asymmetry_gain[0]), "{:?}", noise.asymmetry_gain);
+}
+
+#[test]
+fn registration_that_aligns_what_most_cells_agree_on_is_known_by_its_offsets() {
+    let mut rasters = differences(16, &[]);
+    align(&mut rasters);
     let with = json!({"draws": 0});
     let (noise, _) = learn_from(rasters.clone(), &with).unwrap();
     assert!(noise.asymmetry_gain.iter().all(|gain| (gain - 1.0).abs() < 0.02), "{:?}", noise.asymmetry_gain);
@@ -208,6 +227,42 @@ fn gaps_are_as_frequent_as_in_the_rasters() {
     };
     let found = mean((0..30).map(share));
     assert!(expected > 0.003 && (found / expected - 1.0).abs() < 0.4, "{found} {expected}");
+}
+
+#[test]
+fn a_model_of_few_rasters_has_their_gaps_as_often_and_where_they_had_them() {
+    let share = |rasters: &[Vec<f32>]| mean(gaps(rasters, &[true; COLUMNS * ROWS]).into_iter().map(|[share]| share));
+    let rasters = differences(6, &[]);
+    let real: Vec<Vec<f32>> = rasters.iter().map(|raster| raster.bands[0].values.clone()).collect();
+    let (noise, _) = learn_from(rasters, &json!({"draws": 24})).unwrap();
+    assert!(!noise.has_fields() && noise.has_gaps());
+    let drawn = drawn_differences(&noise, 40);
+    assert!((share(&drawn) / share(&real) - 1.0).abs() < 0.3, "{} {}", share(&drawn), share(&real));
+    let never = |i: usize| real.iter().all(|raster| !raster[i].is_nan());
+    assert!(drawn.iter().all(|raster| raster.iter().enumerate().all(|(i, value)| !value.is_nan() || !never(i))));
+}
+
+#[test]
+fn bad_acquisitions_have_the_gaps_of_bad_rasters() {
+    let mut rasters = differences(16, &[5, 6]);
+    // Both differences of a bad epoch have gaps in a third of the columns, and others have some of these.
+    for (b, raster) in rasters.iter_mut().enumerate() {
+        let every = if b == 5 || b == 6 { 1 } else { 8 };
+        let gap = |i: usize| i % COLUMNS % 3 == 1 && (i / COLUMNS + b).is_multiple_of(every);
+        let values = raster.bands[0].values.iter_mut().enumerate();
+        values.filter(|(i, _)| gap(*i)).for_each(|(_, value)| *value = f32::NAN);
+    }
+    let (noise, _) = learn_from(rasters, &json!({"draws": 8})).unwrap();
+    assert_eq!(noise.by_class().0, [5, 6]);
+    let share = |bad_share: f64, seed: u64| {
+        let host = TestHost::seeded(seed);
+        let context = Context::new(&host);
+        let noise = Noise { bad_share, gap_gain: 1.0, ..noise.clone() };
+        let drawn = draw(&noise, of_two(seed), &|purpose, item| context.stream(purpose, item));
+        drawn.field.iter().filter(|value| value.is_nan()).count() as f64 / drawn.field.len() as f64
+    };
+    let [usual, bad] = [0.0, 1.0].map(|bad_share| mean((0..12).map(|seed| share(bad_share, seed))));
+    assert!((bad - 0.34).abs() < 0.02 && usual < 0.05, "{bad} {usual}");
 }
 
 #[test]

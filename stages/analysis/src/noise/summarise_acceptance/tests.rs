@@ -61,6 +61,10 @@ fn held_out_rasters_are_judged_and_take_no_part() {
     assert_eq!((number(&found[0], 0, "real_n"), number(&found[0], 0, "held_out_n")), (26.0, 13.0));
     let error = tables(&json!({"held_out": 0.8}), features(39, 1, 1.0), features(20, 2, 1.0)).err().unwrap();
     assert!(error.message.contains("at least 12") && error.hint.unwrap().contains("hold fewer"));
+    let (found, host) =
+        tables(&json!({"held_out": 0.8, "fewer": true}), features(39, 1, 1.0), features(20, 2, 1.0)).unwrap();
+    assert_eq!((number(&found[0], 0, "p"), number(&found[0], 0, "held_out_n")), (3.0, 31.0));
+    assert!(host.warnings().iter().any(|text| text.contains("only std_m, skewness, roughness_b")));
 }
 
 #[test]

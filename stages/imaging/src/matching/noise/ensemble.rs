@@ -6,7 +6,7 @@
 //! members wherever that differs from place to place, without a parameter for it. A sum of fields is more even than each of them: its
 //! details are given contrast, and the field the skewness of one member, to either side. Where the strongest donor of a place has a gap, the acquisition has one with the probability that makes the gaps of
 //! a difference as frequent as they were. Bands of frequency then give it the amplitudes of one member, and classes of place its strength. Models
-//! without fields start from white noise instead, and lose the trend that it has.
+//! without fields start from white noise instead, which loses the trend that it has, and have only their gaps from donors.
 
 use rand::{Rng, RngExt};
 use rayon::prelude::*;
@@ -102,18 +102,22 @@ pub fn draw(noise: &Noise, numbers: Numbers, keys: Keys) -> Drawn {
     };
     let log_strength = jittered(|member| &member.log_strength);
     let grid = noise.grid;
-    let (mixed, [columns, rows]) = if noise.has_fields() {
+    let mixed = noise.has_gaps().then(|| {
         let gaps = Gaps::of(noise, (!of_bad).then_some(place), &donors, &mut generator);
-        (mixture(noise, &donors, &gaps, keys), [grid.columns, grid.rows])
+        mixture(noise, &donors, &gaps, keys)
+    });
+    let mixed = mixed.unwrap_or_default();
+    let (begun, [columns, rows]) = if noise.has_fields() {
+        (mixed.field, [grid.columns, grid.rows])
     } else {
         // A filter by frequency makes a field that goes on at its other side. Noise does not: what is kept is a part of a wider field.
         let more = grid.columns.min(grid.rows).div_ceil(WIDER);
         let size = [grid.columns + more, grid.rows + more];
-        (Mixed { field: white(size, &keys("noise-white", "").field()), gaps: Vec::new() }, size)
+        (white(size, &keys("noise-white", "").field()), size)
     };
     // Which of two surveys is the later one is chance, and with it the side to which their difference is skewed.
     let skewness = if generator.random() { member.skewness } else { -member.skewness };
-    let uneven = with_contrast(mixed.field, columns, &noise.contrast);
+    let uneven = with_contrast(begun, columns, &noise.contrast);
     let uneven = with_skewness(uneven, columns, noise.skewness_gain * skewness);
     let bands = Bands::new(columns, rows, noise.bands());
     // The bands of the model, where the field is wider.
@@ -198,7 +202,9 @@ fn some(list: &[usize], count: usize, generator: &mut impl Rng) -> Vec<usize> {
 }
 
 /// A mixture of whitened fields.
+#[derive(Default)]
 struct Mixed {
+    /// Zero where the model has no fields.
     field: Vec<f64>,
     /// Cells without a value.
     gaps: Vec<usize>,
@@ -209,10 +215,12 @@ fn mixture(noise: &Noise, donors: &[usize], gaps_of: &Gaps, keys: Keys) -> Mixed
     let (columns, cells) = (noise.grid.columns, noise.grid.cells());
     let extent = [columns as f64, noise.grid.rows as f64];
     let (common, local) = (noise.common_share.sqrt(), (1.0 - noise.common_share).sqrt());
-    let donor = |(donor, coin): (&usize, &f64)| {
+    // Without fields the donors say only where the acquisition has gaps.
+    let none = if noise.has_fields() { Vec::new() } else { vec![0.0; cells] };
+    let donor = |(donor, coin): (&usize, &Option<f64>)| {
         let name = &noise.members[*donor].name;
         Donor {
-            values: &noise.fields[*donor],
+            values: noise.fields.get(*donor).unwrap_or(&none),
             weights: &noise.weights[*donor],
             coin: *coin,
             constant: common * keys("noise-weights-common", name).field().normal(0, 0),
@@ -267,10 +275,12 @@ impl Work for MixedRow<'_> {
                 let here = row * columns + column..row * columns + column + field.len();
                 let (values, weights) = (&donor.values[here.clone()], &donor.weights[here]);
                 let g = raised(donor.smooth.at_lanes(at) * local + donor.constant, sharpness);
-                for (lane, gap) in gaps.iter_mut().enumerate() {
-                    if g[lane].abs() > strongest[lane] {
-                        strongest[lane] = g[lane].abs();
-                        *gap = weights[lane] & GAP != 0 && donor.coin < counts[column + lane];
+                if let Some(coin) = donor.coin {
+                    for (lane, gap) in gaps.iter_mut().enumerate() {
+                        if g[lane].abs() > strongest[lane] {
+                            strongest[lane] = g[lane].abs();
+                            *gap = weights[lane] & GAP != 0 && coin < counts[column + lane];
+                        }
                     }
                 }
                 let weight = Lanes::of(|lane| weights.get(lane).map_or(0.0, |weight| f64::from(weight & !GAP)));
@@ -289,8 +299,8 @@ impl Work for MixedRow<'_> {
 struct Donor<'a> {
     values: &'a [f32],
     weights: &'a [u8],
-    /// Even draw that decides whether its gaps count.
-    coin: f64,
+    /// Even draw that decides whether its gaps count; none: they never do.
+    coin: Option<f64>,
     /// Part of its weight that is the same over the face.
     constant: f64,
     /// Part that varies.
@@ -333,51 +343,67 @@ struct Gaps {
     /// Probability with which a gap of a donor is one of the acquisition, cell by cell.
     probability: Vec<f64>,
     /// Even draw of each donor: its gaps count where it is below the probability. The draws of the donors are spread evenly (stratified), so that their chance
-    /// does not hide how an acquisition differs from others.
-    coins: Vec<f64>,
+    /// does not hide how an acquisition differs from others. A bad acquisition has no gaps of good donors.
+    coins: Vec<Option<f64>>,
 }
 
 impl Gaps {
-    /// A gap of a difference was one of the acquisition asked for with a probability that follows from the share p of gaps at its cell: an acquisition has
-    /// `1 - sqrt(1 - p)`, times the model's gain of gaps. One with the strengths of a member has more gaps than others where the member had, by the
-    /// model's power. Cells without a value in any difference have none in an acquisition.
-    fn of(noise: &Noise, member: Option<usize>, donors: &[usize], generator: &mut impl Rng) -> Self {
-        let mut counts = vec![0u32; noise.grid.cells()];
-        for weights in &noise.weights {
-            counts.iter_mut().zip(weights).for_each(|(count, weight)| *count += u32::from(*weight >> 7));
-        }
-        let all = noise.weights.len() as u32;
-        let gain = noise.gap_gain * member.map_or(1.0, |member| relative_gaps(noise, member, donors, &counts));
-        let of = |count: u32| {
-            let share = f64::from(count) / f64::from(all);
+    /// A gap of a difference was one of the acquisition asked for with a probability that follows from the share p of gaps at its cell: a usual acquisition
+    /// has `a = 1 - sqrt(1 - p)`, times the model's gain of gaps, and a bad one, whose differences have the share b, `1 - (1 - b) / (1 - a)`. One with the
+    /// strengths of a usual member has more gaps than others where the member had, by the model's power. Cells without a value in any difference have none in an
+    /// acquisition.
+    fn of(noise: &Noise, usual_member: Option<usize>, donors: &[usize], generator: &mut impl Rng) -> Self {
+        let (bad, good) = noise.by_class();
+        let [of_bad, of_good] = [&bad, &good].map(|class| gap_counts(noise, class));
+        let relative = usual_member.map_or(1.0, |member| relative_gaps(noise, member, donors, &good, &of_good));
+        let gain = noise.gap_gain * relative;
+        let share = |count: u32, class: &[usize]| f64::from(count) / class.len().max(1) as f64;
+        let of = |(in_bad, in_good): (&u32, &u32)| {
+            let (bad_share, good_share) = (share(*in_bad, &bad), share(*in_good, &good));
             // What no raster shows, no acquisition does, whatever the gain.
-            if share >= 1.0 {
+            if good_share >= 1.0 {
                 return 1.0;
             }
-            if share > 0.0 { gain * (1.0 - (1.0 - share).sqrt()) / share } else { 0.0 }
+            let left = (1.0 - good_share).sqrt();
+            let (own, share) = if usual_member.is_some() {
+                (1.0 - left, good_share)
+            } else {
+                ((1.0 - (1.0 - bad_share) / left).max(0.0), bad_share)
+            };
+            if share > 0.0 { gain * own / share } else { 0.0 }
         };
-        let by_count: Vec<f64> = (0..=all).map(of).collect();
         let places: Vec<usize> = (0..donors.len()).collect();
         let strata = some(&places, donors.len(), generator);
-        let coin = |stratum: usize| (stratum as f64 + generator.random::<f64>()) / donors.len() as f64;
-        let coins = strata.into_iter().map(coin).collect();
-        Self { probability: counts.into_iter().map(|count| by_count[count as usize]).collect(), coins }
+        let coin = |(stratum, donor): (usize, &usize)| {
+            let coin = (stratum as f64 + generator.random::<f64>()) / donors.len() as f64;
+            (usual_member.is_some() || noise.members[*donor].bad).then_some(coin)
+        };
+        let coins = strata.into_iter().zip(donors).map(coin).collect();
+        Self { probability: of_bad.iter().zip(&of_good).map(of).collect(), coins }
     }
+}
+
+/// How many members of a class have a gap in each cell.
+fn gap_counts(noise: &Noise, class: &[usize]) -> Vec<u32> {
+    let mut counts = vec![0u32; noise.grid.cells()];
+    for member in class {
+        counts.iter_mut().zip(&noise.weights[*member]).for_each(|(count, weight)| *count += u32::from(*weight >> 7));
+    }
+    counts
 }
 
 /// Least share of gaps over the mean one that a member counts as having.
 const LEAST_RELATIVE_GAPS: f64 = 0.01;
 
-/// Share of gaps that an acquisition with the strengths of a member should have, over that of its donors; of cells that some difference shows.
-fn relative_gaps(noise: &Noise, member: usize, donors: &[usize], counts: &[u32]) -> f64 {
-    let all = noise.weights.len() as u32;
+/// Share of gaps that an acquisition with the strengths of a usual member should have, over that of its donors; of cells that some usual difference shows.
+fn relative_gaps(noise: &Noise, member: usize, donors: &[usize], good: &[usize], counts: &[u32]) -> f64 {
+    let all = good.len() as u32;
     let gaps = |member: usize| {
         let weights = noise.weights[member].iter().zip(counts);
         weights.map(|(weight, count)| u32::from(*weight & GAP != 0 && *count < all)).sum::<u32>()
     };
     let mean = |members: &[usize]| members.iter().map(|i| f64::from(gaps(*i))).sum::<f64>() / members.len() as f64;
-    let (_, good) = noise.by_class();
-    let (usual, of_donors) = (mean(&good), mean(donors));
+    let (usual, of_donors) = (mean(good), mean(donors));
     if usual <= 0.0 || of_donors <= 0.0 {
         return 1.0;
     }
