@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use crate::noise::chain;
 use crate::noise::classifier::{Auc, Logistic, area};
 use crate::noise::descriptors::feature_names;
+use crate::noise::mahalanobis::{Constant, constants};
 use crate::noise::two_samples::{Classifier, Control, Row, TwoSamples, control};
 use rockface_core::artefact::{Cell, Kind, Table};
 use rockface_core::numerics::held_out::in_view;
@@ -42,7 +43,7 @@ const NAMED: usize = 6;
 impl Stage for CompareSamples {
     type Params = CompareSamplesParams;
     const NAME: &'static str = "compare-samples";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("compare_samples.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -79,12 +80,28 @@ impl Stage for CompareSamples {
                 }));
             }
         }
+        level(&features, &mut classes);
         let folds = params.folds.min(classes[0].len()).min(classes[1].len());
         let params = &CompareSamplesParams { folds, ..params.clone() };
         let compared = Compared::of(params, &features, &classes, context);
         compared.report(&features, context);
         let areas = compared.areas(&features);
         Ok(Outputs::of("areas", areas).and("scores", scores(&classes, &compared.scores)))
+    }
+}
+
+/// Makes features the same that differ by less than their resolution from one that does not vary over the real rasters: a classifier would tell rounding.
+fn level(names: &[String], classes: &mut [Vec<FeatureRow>; 2]) {
+    let real: Vec<Vec<f64>> = classes[0].iter().map(|row| row.values.clone()).collect();
+    let constants = constants(names, &real);
+    for row in classes.iter_mut().flatten() {
+        for (value, constant) in row.values.iter_mut().zip(&constants) {
+            if let Some(Constant { value: usual, resolution }) = constant
+                && (*value - usual).abs() < *resolution
+            {
+                *value = *usual;
+            }
+        }
     }
 }
 

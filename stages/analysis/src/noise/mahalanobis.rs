@@ -4,7 +4,7 @@
 //! standardised features has a unit diagonal, so the ridge lambda v I of the paper has v = 1. With z the standardised
 //! features of a raster and P = (S + lambda I)^-1, D2 = z' P z, and `z_j (P z)_j` is the contribution of feature j.
 //!
-//! A feature that is the same in all n references, or differs by less than a hundredth of its resolution s (rasters whose mean was taken off differ in
+//! A feature that is the same in all n references, or differs by less than a tenth of its resolution s (rasters whose mean was taken off differ in
 //! it by rounding), has no spread to standardise by. A raster that departs from it by d is judged as if it was counted among the references: the
 //! variance of the feature is then s^2 + d^2 / (n + 1), and the raster lies d n / (n + 1) from the mean. So the contribution is
 //! (n / (n + 1))^2 d^2 / (s^2 + d^2 / (n + 1)): about (d / s)^2 for a small departure, and n^2 / (n + 1), above every threshold, for any large one.
@@ -24,7 +24,7 @@ pub const UNBOUNDED_D2: f64 = f64::MAX;
 const CONSTANT: f64 = 1e-12;
 
 /// Spread below which a feature counts as constant, as a share of its resolution.
-const BELOW_RESOLUTION: f64 = 0.01;
+const BELOW_RESOLUTION: f64 = 0.1;
 
 /// The resolution of a feature that does not vary, as a share of the mean of a feature of the same unit: of the sill for a nugget, of the deviation for
 /// a mean.
@@ -52,11 +52,8 @@ pub fn bound(n: usize) -> f64 {
 /// No feature varies, fewer than p + 2 rasters, or features so nearly collinear that the covariance has no inverse.
 pub fn fit(names: &[String], rows: &[Vec<f64>], ridge: f64) -> Result<GroupModel, StageError> {
     let (mean, deviation) = moments(rows, names.len());
-    let varies = |j: usize| {
-        let largest = rows.iter().map(|row| row[j].abs()).fold(0.0, f64::max);
-        deviation[j] > (CONSTANT * largest).max(BELOW_RESOLUTION * resolution(j, names, &mean))
-    };
-    let (varying, constant): (Vec<usize>, Vec<usize>) = (0..names.len()).partition(|j| varies(*j));
+    let constants = constants(names, rows);
+    let (varying, constant): (Vec<usize>, Vec<usize>) = (0..names.len()).partition(|j| constants[*j].is_none());
     let pick = |values: &[f64]| varying.iter().map(|j| values[*j]).collect::<Vec<f64>>();
     let (p, n) = (varying.len(), rows.len());
     if p == 0 {
@@ -65,8 +62,8 @@ pub fn fit(names: &[String], rows: &[Vec<f64>], ridge: f64) -> Result<GroupModel
     if n < p + 2 {
         fail!("{p} features need at least {} reference rasters, found {n}", p + 2);
     }
-    let constant_value: Vec<f64> = constant.iter().map(|j| rows[0][*j]).collect();
-    let constant_resolution = constant.iter().map(|j| resolution(*j, names, &mean)).collect();
+    let (constant_value, constant_resolution) =
+        constants.into_iter().flatten().map(|Constant { value, resolution }| (value, resolution)).unzip();
     let rows: Vec<Vec<f64>> = rows.iter().map(|row| pick(row)).collect();
     let (mean, deviation) = (pick(&mean), pick(&deviation));
     let covariance = covariance(&rows, &mean, &deviation);
@@ -93,6 +90,29 @@ pub fn fit(names: &[String], rows: &[Vec<f64>], ridge: f64) -> Result<GroupModel
     Ok(model)
 }
 
+/// What a feature is that does not vary.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Constant {
+    /// Its value.
+    pub value: f64,
+    /// The departure that counts as one deviation.
+    pub resolution: f64,
+}
+
+/// Of each feature what it is where it is the same in all rows, or nearly so.
+pub fn constants(names: &[String], rows: &[Vec<f64>]) -> Vec<Option<Constant>> {
+    let (mean, deviation) = moments(rows, names.len());
+    let of = |j: usize| {
+        let resolution = resolution(j, names, &mean);
+        let largest = rows.iter().map(|row| row[j].abs()).fold(0.0, f64::max);
+        let varies = deviation[j] > (CONSTANT * largest).max(BELOW_RESOLUTION * resolution.unwrap_or(0.0));
+        // A number without unit and without size, such as a skewness of 0, is told apart from 0.01 on.
+        let own = || RESOLUTION * if mean[j] == 0.0 { 1.0 } else { mean[j].abs() };
+        (!varies).then(|| Constant { value: rows[0][j], resolution: resolution.unwrap_or_else(own) })
+    };
+    (0..names.len()).map(of).collect()
+}
+
 /// As [`fit`], of references that may share epochs: their names are read for it.
 ///
 /// # Errors
@@ -110,16 +130,15 @@ pub fn fit_labelled(
     Ok(model)
 }
 
-/// The departure of constant feature `j` that counts as one deviation: a share of the smallest other feature of the same unit that is not 0, or of its own size.
-fn resolution(j: usize, names: &[String], mean: &[f64]) -> f64 {
+/// The departure of feature `j` that is a share of the smallest other feature of the same unit that is not 0; `None` where there is no other.
+fn resolution(j: usize, names: &[String], mean: &[f64]) -> Option<f64> {
     let unit = |name: &str| {
         name.rsplit_once('_').map(|(_, unit)| unit).filter(|unit| ["m", "m2"].contains(unit)).map(str::to_owned)
     };
     let alike =
         (0..names.len()).filter(|k| *k != j && unit(&names[*k]).is_some() && unit(&names[*k]) == unit(&names[j]));
-    let smallest = alike.map(|k| mean[k].abs()).filter(|size| *size > 0.0).min_by(f64::total_cmp);
-    // A number without unit and without size, such as a skewness of 0, is told apart from 0.01 on.
-    RESOLUTION * smallest.unwrap_or(if mean[j] == 0.0 { 1.0 } else { mean[j].abs() })
+    let sizes = alike.map(|k| mean[k].abs()).filter(|size| *size > 0.0);
+    sizes.min_by(f64::total_cmp).map(|size| RESOLUTION * size)
 }
 
 /// The distance of a raster whose `values` are in the order of [`GroupModel::judged`].
@@ -266,11 +285,11 @@ mod tests {
         };
         let fitted = |mean_m: f64| fit(&names, &(0..39).map(|i| row(i, mean_m)).collect::<Vec<_>>(), 1e-3).unwrap();
         // Rasters whose mean was taken off: a mean of a hundredth of their deviation counts as one deviation.
-        let rounded = fitted(1e-10);
+        let rounded = fitted(1e-6);
         assert_eq!(rounded.constant, ["mean_m"]);
         assert!((distance(&rounded, &[rounded.mean[0], rounded.mean[1], 1e-4]).d2 - 0.93).abs() < 0.05);
         assert!(distance(&rounded, &[rounded.mean[0], rounded.mean[1], 1e-6]).d2 < 1e-3);
-        assert_eq!(fitted(1e-5).features, names);
+        assert_eq!(fitted(1e-4).features, names);
     }
 
     #[test]

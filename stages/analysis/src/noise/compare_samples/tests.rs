@@ -49,6 +49,24 @@ fn shifts_are_seen_linearly_and_spreads_by_squares() {
 }
 
 #[test]
+fn rounding_is_not_told_apart() {
+    let with_nugget = |mut table: Table, nugget: f64| {
+        table.columns[3] = "sill_m2".to_owned();
+        for (i, row) in table.rows.iter_mut().enumerate() {
+            row[2] = (nugget * (1.0 + 0.1 * (i % 7) as f64)).into();
+            row[3] = (1.0 + 0.1 * row[3].number().unwrap()).into();
+        }
+        table
+    };
+    let area = |nugget: f64| {
+        let (real, simulated) = (features(60, 1, 1.0, 0.0), features(60, 2, 1.0, 0.0));
+        let compared = compared_with(with_nugget(real, 1e-9), with_nugget(simulated, nugget), &json!({}));
+        at(&compared.unwrap().0, "stumps", "auc")
+    };
+    assert!(area(1e-4) < 0.65 && area(0.02) > 0.9, "{} {}", area(1e-4), area(0.02));
+}
+
+#[test]
 fn rasters_that_are_held_out_are_not_compared() {
     let mut drifting = features(40, 1, 1.0, 0.0);
     drifting.rows.extend(features(20, 4, 1.0, 6.0).rows);
