@@ -560,7 +560,10 @@ fn report(noise: &Noise, learnt: &Learnt, step_m: &[f32], context: &Context) {
         noise.asymmetry_gain[2]
     ));
     if !bad.is_empty() {
-        context.headline(format!("rasters with a bad acquisition, which are a class of their own: {}", bad.join(", ")));
+        context.warn(format!(
+            "stronger than the other rasters or of another structure, as by motion blur or haze: {}; they count as bad acquisitions, a class of their own",
+            bad.join(", ")
+        ));
     }
     if !learnt.fields {
         context.note(format!(

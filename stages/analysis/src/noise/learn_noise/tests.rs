@@ -484,6 +484,7 @@ fn one_or_two_bad_rasters_do_not_widen_the_good_draws() {
         assert_eq!(flagged, bad.iter().map(|b| format!("n{b}")).collect::<Vec<_>>());
         assert!((noise.bad_share - bad.len() as f64 / 32.0).abs() < 1e-12);
         assert_eq!(host.metric("bad_rasters"), Some(bad.len() as f64));
+        assert!(host.warnings().iter().any(|text| flagged.iter().all(|name| text.contains(name))));
         let good = Noise { bad_share: 0.0, ..noise.clone() };
         let rms = |noise: &Noise| mean(drawn_px(noise, 120).iter().map(|rms| rms[0]));
         let ratio = rms(&good) / rms(&CLEAN);
