@@ -45,7 +45,7 @@ const TELLING: [&str; 5] = ["std_m", "roughness_b", "skewness", "range95_m", "sp
 
 /// The features that a number of references bears: all where there are two references more, otherwise one for two references, those that say most
 /// first; at least one.
-pub fn borne(features: &[String], references: usize) -> Vec<String> {
+fn borne(features: &[String], references: usize) -> Vec<String> {
     if references >= features.len() + 2 {
         return features.to_vec();
     }

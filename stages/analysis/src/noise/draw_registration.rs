@@ -5,7 +5,7 @@ use rand::RngExt;
 use crate::noise::detrend::asymmetry;
 use crate::noise::learning::departure::of_another;
 use rockface_core::artefact::{Grid, Kind, Noise, Raster};
-use rockface_core::numerics::trend::{Trend, trend, trend_at};
+use rockface_core::numerics::trend::{Trend, trend, trend_at, with_trend};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 
 params! {
@@ -61,13 +61,11 @@ impl Stage for DrawRegistration {
                 (f64::from(*z) + height_m(&wanted_m, noise.grid) - height_m(&own_m, raster.grid)) as f32
             };
             let bent: Vec<f32> = band.values.iter().enumerate().map(bent).collect();
-            // What a surface is bent is no offset to what most cells agree on.
+            // Registration aligned the bent surface, so its asymmetry includes the bend.
             let asymmetry_m = asymmetry(&bent, columns).ok_or_else(none)?;
             let mut left_m = Trend::default();
             left_m.iter_mut().zip(noise.asymmetry_gain).zip(asymmetry_m).for_each(|((left, gain), m)| *left = gain * m);
-            let whole =
-                |(cell, z): (usize, &f32)| (f64::from(*z) + height_m(&left_m, raster.grid, raster.grid, cell)) as f32;
-            band.values = bent.iter().enumerate().map(whole).collect();
+            band.values = with_trend(&bent, columns, &left_m);
         }
         Ok(Outputs::of("raster", changed))
     }

@@ -291,7 +291,7 @@ impl Learnt {
         if wanted.is_some() {
             contrast = nearest.contrast();
         }
-        // A raster that is bent is asymmetric by that too.
+        // The bend of a raster adds to its asymmetry.
         let bends: Vec<Trend> = self.orders[0].iter().map(|source| sources[*source].trend_m).collect();
         let asymmetries = |(draw, raster): (usize, &Vec<f32>)| {
             let change: Vec<f32> = raster.iter().zip(step_m).map(|(px, step_m)| px * step_m).collect();

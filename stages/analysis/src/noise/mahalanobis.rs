@@ -106,7 +106,7 @@ pub fn constants(names: &[String], rows: &[Vec<f64>]) -> Vec<Option<Constant>> {
         let resolution = resolution(j, names, &mean);
         let largest = rows.iter().map(|row| row[j].abs()).fold(0.0, f64::max);
         let varies = deviation[j] > (CONSTANT * largest).max(BELOW_RESOLUTION * resolution.unwrap_or(0.0));
-        // A number without unit and without size, such as a skewness of 0, is told apart from 0.01 on.
+        // A number without unit whose mean is 0, such as a skewness, has a resolution of 0.01.
         let own = || RESOLUTION * if mean[j] == 0.0 { 1.0 } else { mean[j].abs() };
         (!varies).then(|| Constant { value: rows[0][j], resolution: resolution.unwrap_or_else(own) })
     };
