@@ -1,15 +1,16 @@
 //! `adjust-noise`: makes up for what a survey loses of the noise of a model, by comparing surveys simulated with it to draws of it.
 
 use crate::noise::learning::departure::{Departure, Mean, figures};
-use crate::noise::learning::differences::{check, check_model, disparities, gaps, seen, skewnesses};
+use crate::noise::learning::differences::{check, check_model, gaps, level, per_step, seen, skewnesses};
 use crate::noise::learning::whitening::{Places, whiten};
-use crate::noise::learning::{by_place, contrast};
+use crate::noise::learning::{bends, by_place, contrast};
 use crate::noise::structure;
 use rockface_core::artefact::{
     Band, Cameras, Kind, LevelContrast, LevelFigures, MOST_GAP_GAIN, MOST_SKEWNESS_GAIN, Noise, Pairs, Raster,
     UNEVENNESS,
 };
 use rockface_core::numerics::portable_math::{exp, log};
+use rockface_core::numerics::trend::Trend;
 use rockface_core::params::Range;
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 use rockface_imaging::matching::elevation_step::elevation_step_m;
@@ -43,7 +44,7 @@ const LOG_GAINS: [f64; 2] = [-1.4, 3.0];
 impl Stage for AdjustNoise {
     type Params = AdjustNoiseParams;
     const NAME: &'static str = "adjust-noise";
-    const VERSION: u32 = 18;
+    const VERSION: u32 = 19;
     const PAGE: Page = Page::new(include_str!("adjust_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("noise", &[Kind::Noise], "The model."),
@@ -71,13 +72,16 @@ impl Stage for AdjustNoise {
         let step_m = elevation_step_m(dem, block, pairs)?;
         let places = Places::of(noise.strength.clone());
         let columns = noise.grid.columns;
-        let read = |port: &str| -> Result<Vec<Vec<f32>>, StageError> {
+        let read = |port: &str| -> Result<(Vec<Vec<f32>>, Vec<Trend>), StageError> {
             let rasters: Vec<&Raster> = inputs.many::<Raster>(port)?.into_iter().map(|(_, raster)| raster).collect();
             check(&rasters, dem, block)?;
             let bands: Vec<&Band> = rasters.iter().flat_map(|raster| &raster.bands).collect();
-            disparities(&bands, columns, &step_m)
+            level(&bands, columns, &step_m)
         };
-        let (mut left, whole) = (read("simulated")?, read("drawn")?);
+        let ((mut left, trends), (whole, _)) = (read("simulated")?, read("drawn")?);
+        // Surveys are bent, as by `draw-registration`, and draws are not.
+        bends::take_off(&mut left, &trends, &noise.bend_shapes);
+        let (mut left, whole) = (per_step(left, &step_m), per_step(whole, &step_m));
         if left.len() != whole.len() {
             let text = format!("{} simulated rasters and {} drawn ones", left.len(), whole.len());
             return Err(StageError::new(text).hint("gather both over the same axes"));

@@ -5,7 +5,7 @@ use rand::RngExt;
 use crate::noise::detrend::asymmetry;
 use crate::noise::learning::departure::of_another;
 use rockface_core::artefact::{Grid, Kind, Noise, Raster};
-use rockface_core::numerics::trend::{Trend, trend, trend_at, with_trend};
+use rockface_core::numerics::trend::{Trend, trend, trend_at, with_bends, with_trend};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 
 params! {
@@ -24,7 +24,7 @@ pub struct DrawRegistration;
 impl Stage for DrawRegistration {
     type Params = DrawRegistrationParams;
     const NAME: &'static str = "draw-registration";
-    const VERSION: u32 = 7;
+    const VERSION: u32 = 8;
     const PAGE: Page = Page::new(include_str!("draw_registration.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("raster", &[Kind::Raster], "Difference of two registered surveys, metres."),
@@ -57,8 +57,11 @@ impl Stage for DrawRegistration {
             let own_m = trend(&band.values, columns).ok_or_else(none)?;
             let wanted_m = drawn(noise, params.replicate, context, &band.name);
             let bent = |(cell, z): (usize, &f32)| {
-                let height_m = |trend_m, of| height_m(trend_m, of, raster.grid, cell);
-                (f64::from(*z) + height_m(&wanted_m, noise.grid) - height_m(&own_m, raster.grid)) as f32
+                let [x, y] = place(cell, raster.grid, noise.grid);
+                let [own_x, own_y] = place(cell, raster.grid, raster.grid);
+                let wanted =
+                    trend_at(&wanted_m, x, y) + with_bends(&wanted_m, &noise.bend_shapes, nearest(x, y, noise.grid));
+                (f64::from(*z) + wanted - trend_at(&own_m, own_x, own_y)) as f32
             };
             let bent: Vec<f32> = band.values.iter().enumerate().map(bent).collect();
             // Registration aligned the bent surface, so its asymmetry includes the bend.
@@ -71,13 +74,19 @@ impl Stage for DrawRegistration {
     }
 }
 
-/// Height of a trend of the grid `of` at a cell of another grid in its frame.
-fn height_m(trend_m: &Trend, of: Grid, grid: Grid, cell: usize) -> f64 {
+/// The place of a cell of a grid on the grid `of` in its frame, whose edges are -1 and 1, to the right and down.
+fn place(cell: usize, grid: Grid, of: Grid) -> [f64; 2] {
     let [right_m, down_m] = [cell % grid.columns, cell / grid.columns].map(|index| index as f64 * grid.cell_m);
     let [half_x_m, half_y_m] = [of.columns, of.rows].map(|count| 0.5 * count as f64 * of.cell_m);
     let x = (grid.left_m + right_m - of.left_m) / half_x_m - 1.0;
     let y = (of.top_m - grid.top_m + down_m) / half_y_m - 1.0;
-    trend_at(trend_m, x, y)
+    [x, y]
+}
+
+/// The cell of a grid that is nearest to a place on it.
+fn nearest(x: f64, y: f64, grid: Grid) -> usize {
+    let index = |at: f64, size: usize| ((0.5 * (at + 1.0) * size as f64).round().max(0.0) as usize).min(size - 1);
+    index(y, grid.rows) * grid.columns + index(x, grid.columns)
 }
 
 /// The trend of a member with jitter, which keeps the mean of the members' trends (smoothed bootstrap, Silverman 1986, 6.4) and has the covariance of one more of them.

@@ -11,18 +11,18 @@ use crate::noise::learning::bad::parted;
 use crate::noise::learning::by_place::{self, Strengths};
 use crate::noise::learning::contrast::{self, Figures, Nearest};
 use crate::noise::learning::departure::{Departure, Mean, of_another};
-use crate::noise::learning::differences::{check, differences, disparities, gaps, seen, skewnesses};
+use crate::noise::learning::differences::{check, differences, gaps, level, per_step, seen, skewnesses};
 use crate::noise::learning::whitening::{
     BANDS, LEAST_SIDE_CELLS, Places, Prior, Stack, Whitened, range_cells, restore_outliers, whiten,
 };
-use crate::noise::learning::{registration, relief_law};
+use crate::noise::learning::{bends, registration, relief_law};
 use rockface_core::artefact::{
     Band, Cameras, Contrast, Kind, MOST_GAP_GAIN, MOST_GAP_VARIETY, MOST_SKEWNESS_GAIN, Noise, Pairs, Raster, ReliefLaw,
 };
 use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::held_out::in_view;
 use rockface_core::numerics::quantile::quantile;
-use rockface_core::numerics::trend::{Trend, trend, with_trend};
+use rockface_core::numerics::trend::{Trend, bent};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 use rockface_imaging::matching::elevation_step::elevation_step_m;
@@ -78,7 +78,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 26;
+    const VERSION: u32 = 27;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -126,18 +126,21 @@ impl Stage for LearnNoise {
             return Err(StageError::new(text).hint("add rasters, or lower `held_out`"));
         }
         let step_m = elevation_step_m(dem, block, pairs)?;
-        let disparities = disparities(&all[..kept], dem.grid.columns, &step_m)?;
-        let source = |(band, skewness): (&&Band, f64)| {
-            let columns = dem.grid.columns;
-            let trend_m = trend(&band.values, columns).unwrap_or_default();
+        let columns = dem.grid.columns;
+        let (mut level_m, trends) = level(&all[..kept], columns, &step_m)?;
+        let before = power(&level_m);
+        let bend_shapes = bends::shapes(&mut level_m, &trends, columns);
+        context.metric("bent_share", 1.0 - power(&level_m) / before, "1");
+        let disparities = per_step(level_m, &step_m);
+        let source = |((band, trend_m), skewness): ((&&Band, &Trend), f64)| {
             let of = |of: fn(&[f32], usize) -> Option<[f64; 3]>| of(&band.values, columns).unwrap_or_default();
             let (plane_m, asymmetry_m) = (of(plane), of(asymmetry));
-            Source { name: band.name.clone(), trend_m, plane_m, asymmetry_m, skewness }
+            Source { name: band.name.clone(), trend_m: *trend_m, plane_m, asymmetry_m, skewness }
         };
-        let sources: Vec<Source> = all[..kept].iter().zip(skewnesses(&disparities)).map(source).collect();
+        let sources: Vec<Source> = all[..kept].iter().zip(&trends).zip(skewnesses(&disparities)).map(source).collect();
         let limit_px =
             |cell: usize| params.outlier_m.map_or(f64::INFINITY, |limit| limit / f64::from(step_m[cell].abs()));
-        let mut learnt = Learnt::new(params, &disparities, dem, limit_px);
+        let mut learnt = Learnt::new(params, &disparities, bend_shapes, dem, limit_px);
         if Self::draws(params) {
             learnt.shuffle_orders(context);
         }
@@ -148,6 +151,11 @@ impl Stage for LearnNoise {
         let strength = Raster { bands, quantity: "strength".to_owned(), ..dem.clone() };
         Ok(Outputs::of("noise", noise).and("strength", strength))
     }
+}
+
+/// Sum of the squares of all values.
+fn power(rasters: &[Vec<f32>]) -> f64 {
+    rasters.iter().flatten().filter(|value| !value.is_nan()).map(|value| f64::from(*value) * f64::from(*value)).sum()
 }
 
 /// Rasters in a window; all of them without one.
@@ -170,6 +178,8 @@ fn one_in_window(raster: &Raster, window_m: Option<[f64; 4]>) -> Result<Cow<'_, 
 struct Learnt {
     columns: usize,
     places: Places,
+    /// What comes with the bends of trends.
+    bend_shapes: Vec<Vec<f32>>,
     shares: Shares,
     whitened: Vec<Whitened>,
     bad: Vec<bool>,
@@ -182,7 +192,13 @@ struct Learnt {
 }
 
 impl Learnt {
-    fn new(params: &LearnNoiseParams, disparities: &[Vec<f32>], dem: &Raster, limit_px: impl Fn(usize) -> f64) -> Self {
+    fn new(
+        params: &LearnNoiseParams,
+        disparities: &[Vec<f32>],
+        bend_shapes: Vec<Vec<f32>>,
+        dem: &Raster,
+        limit_px: impl Fn(usize) -> f64,
+    ) -> Self {
         let columns = dem.grid.columns;
         let stack = Stack { rasters: disparities, columns, smoothing_cells: params.smoothing_cells, prior: None };
         let (mut places, mut whitened, mut bad) = parted(&stack, params.bad_cut);
@@ -202,7 +218,18 @@ impl Learnt {
         second.rotate_left(first.len() / 2);
         let bands = Bands::new(columns, dem.grid.rows, BANDS).shares();
         let shares = Shares { classes: places.power_shares(), bands };
-        Self { columns, places, shares, whitened, bad, relief, fields, orders: [first, second], range_cells }
+        Self {
+            columns,
+            places,
+            bend_shapes,
+            shares,
+            whitened,
+            bad,
+            relief,
+            fields,
+            orders: [first, second],
+            range_cells,
+        }
     }
 
     fn shuffle_orders(&mut self, context: &Context) {
@@ -295,7 +322,7 @@ impl Learnt {
         let bends: Vec<Trend> = self.orders[0].iter().map(|source| sources[*source].trend_m).collect();
         let asymmetries = |(draw, raster): (usize, &Vec<f32>)| {
             let change: Vec<f32> = raster.iter().zip(step_m).map(|(px, step_m)| px * step_m).collect();
-            asymmetry(&with_trend(&change, self.columns, &bends[draw % bends.len()]), self.columns)
+            asymmetry(&bent(&change, self.columns, &bends[draw % bends.len()], &self.bend_shapes), self.columns)
         };
         let asymmetries: Vec<[f64; 3]> = trial.par_iter().enumerate().filter_map(asymmetries).collect();
         let asymmetry_gain = registration::part(&mut sources, &self.bad, &asymmetries);
@@ -343,6 +370,7 @@ impl Learnt {
             gap_gain: Gains::default().gaps,
             gap_variety: Gains::default().variety,
             skewness_gain: Gains::default().skewness,
+            bend_shapes: self.bend_shapes.clone(),
             members,
             orders: self.orders.clone(),
             strength: self.places.strength.clone(),

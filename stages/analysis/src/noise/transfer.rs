@@ -50,6 +50,7 @@ pub fn transferred(noise: &Noise, dem: &Raster, setting: Setting) -> Transferred
         relief,
         class_log_strength: noise.class_log_strength.clone(),
         log_gain: noise.log_gain.clone(),
+        bend_shapes: stretched(noise, dem.grid),
         members: noise.members.clone(),
         orders: noise.orders.clone(),
         strength: cells.par_iter().enumerate().map(strength).collect(),
@@ -61,6 +62,17 @@ pub fn transferred(noise: &Noise, dem: &Raster, setting: Setting) -> Transferred
     place_classes(&mut moved, &noise.strength);
     place_bands(&mut moved, noise.grid, setting.field_scale);
     Transferred { noise: moved, known: cells.iter().map(Option::is_some).collect() }
+}
+
+/// What comes with bends on another grid: like the trends, it keeps its place between the edges.
+fn stretched(noise: &Noise, grid: Grid) -> Vec<Vec<f32>> {
+    let under = |index: usize, new: usize, old: usize| ((index as f64 + 0.5) * old as f64 / new as f64) as usize;
+    let cell = |cell: usize| {
+        let (row, column) = (cell / grid.columns, cell % grid.columns);
+        under(row, grid.rows, noise.grid.rows) * noise.grid.columns + under(column, grid.columns, noise.grid.columns)
+    };
+    let one = |shape: &Vec<f32>| (0..grid.cells()).map(|i| shape[cell(i)]).collect();
+    noise.bend_shapes.iter().map(one).collect()
 }
 
 /// The cell of a model where the face at a cell of a DEM is the one it knows: at the same place and elevation, or unknown in both.

@@ -2,7 +2,7 @@
 
 use super::{CodecError, Frame, Grid};
 use crate::numerics::random::Field;
-use crate::numerics::trend::Trend;
+use crate::numerics::trend::{BENDS, Trend};
 
 /// One acquisition the model knows: how strong and how coarse its noise is, and where its whitened field comes from.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -149,6 +149,9 @@ pub struct Noise {
     /// Skewness of the whitened field of an acquisition as a multiple of that of the raster whose strengths it takes; the sign is random. A difference of
     /// two acquisitions is less skewed than each of them, and gridding evens noise out, so it is above 1.
     pub skewness_gain: f64,
+    /// What comes with a unit of each factor of a trend beyond a plane, beside the trend itself, metres for a metre: an orientation does not bend
+    /// a face like a polynomial. Empty: not known.
+    pub bend_shapes: Vec<Vec<f32>>,
     /// What is known of each acquisition the model was learnt from.
     pub members: Vec<Member>,
     /// Members that are not bad, by place, in the order in which replicates take their strengths: the first surveys of comparisons and the second ones.
@@ -258,7 +261,12 @@ impl Noise {
         if ![[0, 0], [0, members], [members, members]].contains(&[fields, weights]) {
             return refuse(format!("{fields} fields and {weights} weights for {members} acquisitions"));
         }
-        let lengths = [&self.strength, &self.elevation].into_iter().chain(&self.fields).map(Vec::len);
+        let shapes = self.bend_shapes.len();
+        if ![0, BENDS.len()].contains(&shapes) {
+            return refuse(format!("{shapes} shapes of bends for {} factors", BENDS.len()));
+        }
+        let rasters = [&self.strength, &self.elevation].into_iter().chain(&self.bend_shapes).chain(&self.fields);
+        let lengths = rasters.map(Vec::len);
         if let Some(length) = lengths.chain(self.weights.iter().map(Vec::len)).find(|length| *length != cells) {
             return refuse(format!("a raster has {length} cells, the grid {cells}"));
         }
@@ -299,8 +307,8 @@ impl Noise {
             return refuse(format!("skewness must be finite, its gain from 0 to {MOST_SKEWNESS_GAIN}"));
         }
         let sound = self.strength.iter().all(|value| value.is_finite() && *value >= 0.0);
-        if !sound || !self.fields.iter().flatten().all(|value| value.is_finite()) {
-            return refuse("a strength or a whitened value is not finite".into());
+        if !sound || !self.fields.iter().chain(&self.bend_shapes).flatten().all(|value| value.is_finite()) {
+            return refuse("a strength, a bend or a whitened value is not finite".into());
         }
         Ok(())
     }
@@ -310,7 +318,8 @@ impl Noise {
 impl PartialEq for Noise {
     fn eq(&self, other: &Self) -> bool {
         let bits = |values: &[f32]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
-        let all = |noise: &Self| noise.fields.iter().map(|field| bits(field)).collect::<Vec<_>>();
+        let all =
+            |noise: &Self| noise.bend_shapes.iter().chain(&noise.fields).map(|raster| bits(raster)).collect::<Vec<_>>();
         (self.frame, self.grid, self.donors) == (other.frame, other.grid, other.donors)
             && (self.length_cells, self.common_share, self.bad_share)
                 == (other.length_cells, other.common_share, other.bad_share)

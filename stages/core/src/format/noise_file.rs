@@ -3,10 +3,11 @@
 use crate::artefact::{CodecError, Contrast, Frame, Grid, Member, Noise, ReliefLaw};
 
 /// The first line; a file with another version is learnt anew.
-const MAGIC: &str = "rockface noise 15\n";
+const MAGIC: &str = "rockface noise 16\n";
 
 /// What is written into the header for whoever reads the file without us.
 const LAYOUT: &str = "rows x columns cells from the top left: strength float32 little-endian (px), elevation float32 (m, NaN = unknown); \
+                      then for each bend of a trend what comes with it float32 (m/m), \
                       then for each field of the members float32 (1), then their weights uint8 (127 = 1; 128 is added in a gap)";
 
 #[derive(serde::Serialize, serde::Deserialize)]
@@ -34,6 +35,7 @@ struct Header {
     skewness_gain: f64,
     members: Vec<Member>,
     orders: [Vec<usize>; 2],
+    bend_shapes: usize,
     fields: usize,
     weights: usize,
     layout: String,
@@ -66,6 +68,7 @@ pub fn write(noise: &Noise) -> Result<Vec<u8>, CodecError> {
         skewness_gain: noise.skewness_gain,
         members: noise.members.clone(),
         orders: noise.orders.clone(),
+        bend_shapes: noise.bend_shapes.len(),
         fields: noise.fields.len(),
         weights: noise.weights.len(),
         layout: LAYOUT.to_owned(),
@@ -74,12 +77,12 @@ pub fn write(noise: &Noise) -> Result<Vec<u8>, CodecError> {
     // A number that is not finite would become `null` and be refused when it is read.
     serde_json::from_str::<Header>(&header)
         .map_err(|e| CodecError(format!("noise model: a number is not finite: {e}")))?;
-    let body = size(grid.cells(), noise.fields.len(), noise.weights.len()).unwrap_or(0);
+    let body = size(grid.cells(), noise.bend_shapes.len() + noise.fields.len(), noise.weights.len()).unwrap_or(0);
     let mut bytes = Vec::with_capacity(MAGIC.len() + header.len() + 1 + body);
     bytes.extend_from_slice(MAGIC.as_bytes());
     bytes.extend_from_slice(header.as_bytes());
     bytes.push(b'\n');
-    for raster in [&noise.strength, &noise.elevation].into_iter().chain(&noise.fields) {
+    for raster in [&noise.strength, &noise.elevation].into_iter().chain(&noise.bend_shapes).chain(&noise.fields) {
         bytes.extend(raster.iter().flat_map(|value| value.to_le_bytes()));
     }
     noise.weights.iter().for_each(|weights| bytes.extend_from_slice(weights));
@@ -103,17 +106,19 @@ pub fn read(bytes: &[u8]) -> Result<Noise, CodecError> {
         top_m: header.top_m,
     };
     let cells = grid.columns.checked_mul(grid.rows).filter(|cells| *cells > 0);
-    let expected = cells.and_then(|cells| size(cells, header.fields, header.weights));
+    let rasters = header.fields.checked_add(header.bend_shapes);
+    let expected = cells.zip(rasters).and_then(|(cells, rasters)| size(cells, rasters, header.weights));
     let (Some(cells), Some(expected)) = (cells, expected) else {
         return Err(CodecError::new("noise file: impossible size"));
     };
     if body.len() != expected {
         let (found, w, h, n, m) = (body.len(), grid.columns, grid.rows, header.fields, header.weights);
+        let bends = header.bend_shapes;
         return Err(CodecError(format!(
-            "noise file: {n} fields and {m} weights of {w} x {h} cells need {expected} bytes, found {found}; it is cut short or damaged"
+            "noise file: {bends} bends, {n} fields and {m} weights of {w} x {h} cells need {expected} bytes, found {found}; it is cut short or damaged"
         )));
     }
-    let (floats, weights) = body.split_at(4 * cells * (2 + header.fields));
+    let (floats, weights) = body.split_at(4 * cells * (2 + header.bend_shapes + header.fields));
     let value = |b: &[u8]| f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
     let mut rasters = floats.chunks_exact(4 * cells).map(|raster| raster.chunks_exact(4).map(value).collect());
     let (strength, elevation) = (rasters.next().unwrap_or_default(), rasters.next().unwrap_or_default());
@@ -138,6 +143,7 @@ pub fn read(bytes: &[u8]) -> Result<Noise, CodecError> {
         orders: header.orders,
         strength,
         elevation,
+        bend_shapes: rasters.by_ref().take(header.bend_shapes).collect(),
         fields: rasters.collect(),
         weights: weights.chunks_exact(cells).map(<[u8]>::to_vec).collect(),
     };
@@ -149,8 +155,8 @@ pub fn read(bytes: &[u8]) -> Result<Noise, CodecError> {
 }
 
 /// Bytes of the rasters of a file.
-fn size(cells: usize, fields: usize, weights: usize) -> Option<usize> {
-    let bytes_a_cell = fields.checked_mul(4)?.checked_add(weights)?.checked_add(8)?;
+fn size(cells: usize, rasters: usize, weights: usize) -> Option<usize> {
+    let bytes_a_cell = rasters.checked_mul(4)?.checked_add(weights)?.checked_add(8)?;
     cells.checked_mul(bytes_a_cell)
 }
 
@@ -201,6 +207,7 @@ mod tests {
             orders: [vec![0], vec![0]],
             strength: vec![0.3, 0.4],
             elevation: vec![f32::NAN, 1.5],
+            bend_shapes: vec![vec![0.25, -0.5]; 7],
             fields: vec![vec![0.5, -0.25], vec![1.0, -0.0]],
             weights: vec![vec![127, 0], vec![127, 192]],
         }
@@ -209,7 +216,7 @@ mod tests {
     #[test]
     fn comes_back_bit_for_bit() {
         assert_eq!(read(&write(&sample()).unwrap()).unwrap(), sample());
-        let bare = Noise { fields: Vec::new(), weights: Vec::new(), ..sample() };
+        let bare = Noise { bend_shapes: Vec::new(), fields: Vec::new(), weights: Vec::new(), ..sample() };
         assert_eq!(read(&write(&bare).unwrap()).unwrap(), bare);
     }
 
@@ -229,6 +236,8 @@ mod tests {
             let noise = Noise { orders: [vec![0], order], ..sample() };
             assert!(write(&noise).unwrap_err().0.contains("an order of replicates"));
         }
+        let noise = Noise { bend_shapes: vec![vec![0.1, 0.2]], ..sample() };
+        assert!(write(&noise).unwrap_err().0.contains("1 shapes of bends for 7 factors"));
         let noise = Noise { sharpness: 0, ..sample() };
         assert!(write(&noise).unwrap_err().0.contains("sharpness must be"));
         let noise = Noise { log_gain: vec![0.0, 9.0], ..sample() };

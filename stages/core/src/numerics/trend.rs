@@ -6,6 +6,9 @@ use nalgebra::{Cholesky, Const, DimMin, SMatrix, SVector, Vector3};
 /// -1 and 1 at the edges of the grid, to the right and down.
 pub type Trend = [f64; 10];
 
+/// The factors of a trend that bend it.
+pub const BENDS: std::ops::Range<usize> = 3..10;
+
 /// Determinant of the normal equations, as a share of the product of their diagonal, from which on cells count as an area.
 const LEAST_AREA: f64 = 1e-9;
 
@@ -44,12 +47,22 @@ pub fn without_trend(values: &[f32], columns: usize) -> Option<Vec<f32>> {
 
 /// The values with a trend added.
 pub fn with_trend(values: &[f32], columns: usize, trend: &Trend) -> Vec<f32> {
+    bent(values, columns, trend, &[])
+}
+
+/// The values with a trend added, and what comes with its bends at each cell: a raster for each factor beyond a plane, or none.
+pub fn bent(values: &[f32], columns: usize, trend: &Trend, shapes: &[Vec<f32>]) -> Vec<f32> {
     let rows = values.len() / columns;
     let with = |(i, value): (usize, &f32)| {
         let [_, x, y] = terms(columns, rows, i % columns, i / columns).into();
-        (f64::from(*value) + trend_at(trend, x, y)) as f32
+        (f64::from(*value) + trend_at(trend, x, y) + with_bends(trend, shapes, i)) as f32
     };
     values.iter().enumerate().map(with).collect()
+}
+
+/// What comes with the bends of a trend at a cell, beside the trend.
+pub fn with_bends(trend: &Trend, shapes: &[Vec<f32>], cell: usize) -> f64 {
+    shapes.iter().zip(&trend[BENDS]).map(|(shape, factor)| factor * f64::from(shape[cell])).sum()
 }
 
 /// What a trend is made of: products of Legendre polynomials, which are nearly independent on a whole grid.

@@ -7,6 +7,7 @@ use crate::noise::learn_noise::tests::{CLEAN, COLUMNS, ROWS, grid, mean, of_two,
 use crate::noise::learning::whitening::{BANDS, CLASSES};
 use rockface_core::artefact::{Artefact, Contrast, Frame, LevelContrast, Noun};
 use rockface_core::numerics::gaussian::smoothed;
+use rockface_core::numerics::trend::{bent, trend, with_bends, without_trend};
 use rockface_core::testing::{TestHost, run_stage, small_sensor};
 use rockface_imaging::matching::noise::ensemble::draw;
 use rockface_imaging::matching::noise::skewness::with_skewness;
@@ -67,7 +68,7 @@ fn run_on(
 #[test]
 fn what_is_smoothed_away_is_added_and_nothing_else() {
     let drawn = differences(6, 0.0);
-    let mut clean = CLEAN.clone();
+    let mut clean = Noise { bend_shapes: Vec::new(), ..CLEAN.clone() };
     clean.contrast.levels.iter_mut().for_each(|level| level.drawn = level.usual);
     let same = adjust(drawn.clone(), drawn.clone(), clean.clone()).unwrap();
     assert_eq!(Noise { contrast: clean.contrast.clone(), ..same.clone() }, clean);
@@ -92,6 +93,30 @@ fn what_is_smoothed_away_is_added_and_nothing_else() {
     let added = |noise: &Noise, k: usize| noise.log_gain[k] - CLEAN.log_gain[k];
     assert!((0..BANDS).all(|k| (added(&relaxed, k) - 1.5 * added(&more, k)).abs() < 1e-12), "{:?}", relaxed.log_gain);
     assert_eq!(relaxed.members, more.members);
+}
+
+#[test]
+fn what_comes_with_bends_of_surveys_is_no_noise_of_them() {
+    let drawn = differences(6, 0.0);
+    let wave = |i: usize| 0.5 * rockface_core::numerics::portable_math::sin(0.5 * (i % COLUMNS) as f64) as f32;
+    let shape = without_trend(&(0..COLUMNS * ROWS).map(wave).collect::<Vec<_>>(), COLUMNS).unwrap();
+    let bend_shapes: Vec<Vec<f32>> =
+        (0..7).map(|k| if k == 2 { shape.clone() } else { vec![0.0; shape.len()] }).collect();
+    let mut simulated = drawn.clone();
+    for (number, raster) in simulated.iter_mut().enumerate() {
+        // The bend that a raster has with its noise is one that was drawn.
+        let own = trend(&raster.bands[0].values, COLUMNS).unwrap();
+        let mut added = own.map(|factor| -factor);
+        added[5] += 0.02 * (number as f64 - 2.0);
+        raster.bands[0].values = bent(&raster.bands[0].values, COLUMNS, &added, &[]);
+        let bend = std::array::from_fn(|k| own[k] + added[k]);
+        let with = |(i, value): (usize, &mut f32)| *value += with_bends(&bend, &bend_shapes, i) as f32;
+        raster.bands[0].values.iter_mut().enumerate().for_each(with);
+    }
+    let noise = Noise { bend_shapes, ..CLEAN.clone() };
+    let found = adjust(simulated, drawn, noise.clone()).unwrap();
+    let changes = found.log_gain.iter().zip(&noise.log_gain).map(|(a, b)| (a - b).abs());
+    assert!(changes.fold(0.0, f64::max) < 0.03, "{:?}", found.log_gain);
 }
 
 #[test]

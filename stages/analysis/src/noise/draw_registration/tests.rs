@@ -9,7 +9,7 @@ use rockface_core::testing::{TestHost, run_stage};
 
 /// A model whose trends have a mean and a spread, and the trends.
 fn model() -> (Noise, Vec<Trend>) {
-    let mut noise = Noise { asymmetry_gain: [0.0; 3], ..CLEAN.clone() };
+    let mut noise = Noise { asymmetry_gain: [0.0; 3], bend_shapes: Vec::new(), ..CLEAN.clone() };
     for (number, member) in noise.members.iter_mut().enumerate() {
         let sign = if number % 2 == 0 { 1.0 } else { -1.0 };
         member.trend_m = [2.0, 3.0, -1.0, 2.0, 1.0, 2.0, -2.0, 1.0, 3.0, 1.0].map(|m| 0.001 * sign * m);
@@ -32,7 +32,7 @@ fn settled_by(noise: Noise, seed: u64, raster: &Raster) -> Result<Raster, StageE
 
 fn tilted() -> Raster {
     let value = |i: usize| if i % 11 == 3 { f32::NAN } else { 0.02 - 0.001 * (i % COLUMNS) as f32 };
-    Raster::single(grid(), Frame::Wall, "difference", "change", (0..COLUMNS * ROWS).map(value).collect())
+    with_values(&(0..COLUMNS * ROWS).map(value).collect::<Vec<_>>())
 }
 
 #[test]
@@ -99,6 +99,35 @@ fn gaps_and_details_stay_and_a_part_of_the_face_has_its_part_of_the_trend() {
     for (found, wanted) in found.bands[0].values.iter().zip(&wanted.bands[0].values).filter(|(z, _)| !z.is_nan()) {
         assert!((found - wanted).abs() < 1e-7, "{found} {wanted}");
     }
+}
+
+#[test]
+fn what_comes_with_a_bend_on_this_face_is_added_where_it_belongs() {
+    let mut noise = model().0;
+    let without = settled_by(noise.clone(), 1, &tilted()).unwrap();
+    let shape: Vec<f32> = (0..COLUMNS * ROWS).map(|i| (i % 7) as f32).collect();
+    noise.bend_shapes = (0..7).map(|k| if k == 1 { shape.clone() } else { vec![0.0; shape.len()] }).collect();
+    let bend_m = trend(&without.bands[0].values, COLUMNS).unwrap()[4];
+    // A part of the face, which begins three columns and two rows further on.
+    let part = |raster: &Raster| {
+        let values = raster.bands[0].values.chunks(COLUMNS).skip(2).flat_map(|row| row[3..].to_vec()).collect();
+        let Grid { columns, rows, cell_m, left_m, top_m } = raster.grid;
+        let (left_m, top_m) = (left_m + 3.0 * cell_m, top_m - 2.0 * cell_m);
+        let grid = Grid { columns: columns - 3, rows: rows - 2, cell_m, left_m, top_m };
+        Raster { grid, bands: vec![Band { values, ..raster.bands[0].clone() }], ..raster.clone() }
+    };
+    for of in [&part as &dyn Fn(&Raster) -> Raster, &Raster::clone] {
+        let found = settled_by(noise.clone(), 1, &of(&tilted())).unwrap().bands.remove(0).values;
+        let (without, shape) = (of(&without).bands.remove(0).values, of(&with_values(&shape)).bands.remove(0).values);
+        let missed = found.iter().zip(&without).zip(&shape).filter(|((found, _), _)| !found.is_nan());
+        let missed =
+            missed.map(|((found, without), shape)| (f64::from(found - without) - bend_m * f64::from(*shape)).abs());
+        assert!(missed.fold(0.0, f64::max) < 1e-6);
+    }
+}
+
+fn with_values(values: &[f32]) -> Raster {
+    Raster::single(grid(), Frame::Wall, "difference", "change", values.to_vec())
 }
 
 #[test]

@@ -11,7 +11,7 @@ use rockface_core::artefact::{Artefact, Frame, Grid, Member, Noun, Pair};
 use rockface_core::numerics::gaussian::smoothed;
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::random::Key;
-use rockface_core::numerics::trend::{trend_at, without_trend};
+use rockface_core::numerics::trend::{trend_at, with_trend, without_trend};
 use rockface_core::params::ParamType;
 use rockface_core::testing::{TestHost, image_at, run_stage, small_sensor};
 use rockface_imaging::matching::noise::ensemble::{Numbers, draw};
@@ -377,7 +377,7 @@ fn draws_differ_from_each_other_as_much_as_other_rasters_would() {
     let rasters: Vec<Raster> = (0..24).map(one).collect();
     let (noise, _) = learn_from(rasters.clone(), &json!({})).unwrap();
     let bands: Vec<&Band> = rasters.iter().flat_map(|raster| &raster.bands).collect();
-    let real = learning::differences::disparities(&bands, COLUMNS, &vec![1.0; COLUMNS * ROWS]).unwrap();
+    let real = learning::differences::level(&bands, COLUMNS, &vec![1.0; COLUMNS * ROWS]).unwrap().0;
     let places = Places::of(noise.strength.clone());
     let deviations = |rasters: &[Vec<f32>]| {
         let whitened = whiten(rasters, COLUMNS, &places);

@@ -6,7 +6,7 @@ use crate::noise::learning::whitening::{BANDS, CLASSES};
 use rockface_core::artefact::{Band, Cameras, Noise, Raster};
 use rockface_core::numerics::marginal::skewness;
 use rockface_core::numerics::random::Key;
-use rockface_core::numerics::trend::without_trend;
+use rockface_core::numerics::trend::{Trend, trend, with_trend, without_trend};
 use rockface_core::{StageError, fail};
 use rockface_imaging::matching::noise::ensemble::{Numbers, draw};
 use rockface_raster::grid;
@@ -86,11 +86,17 @@ pub fn check_parts(noise: &Noise) -> Result<(), StageError> {
     Ok(())
 }
 
-/// Differences as errors of disparity, pixels of the full image, each without its trend, which is what registration left.
+/// Differences as errors of disparity, pixels of the full image.
+pub fn per_step(rasters: Vec<Vec<f32>>, step_m: &[f32]) -> Vec<Vec<f32>> {
+    let one = |raster: Vec<f32>| raster.iter().zip(step_m).map(|(metres, step_m)| metres / step_m).collect();
+    rasters.into_iter().map(one).collect()
+}
+
+/// Differences without their trends, which are what registration left, and the trends, metres.
 ///
 /// # Errors
 /// A raster with too few values, with values on a line only, or that is all trend.
-pub fn disparities(bands: &[&Band], columns: usize, step_m: &[f32]) -> Result<Vec<Vec<f32>>, StageError> {
+pub fn level(bands: &[&Band], columns: usize, step_m: &[f32]) -> Result<(Vec<Vec<f32>>, Vec<Trend>), StageError> {
     let one = |band: &&Band| {
         let known = band.values.iter().zip(step_m).filter(|(value, step)| !(value.is_nan() || step.is_nan()));
         let known: Vec<f64> = known.map(|(value, _)| f64::from(*value)).collect();
@@ -101,17 +107,19 @@ pub fn disparities(bands: &[&Band], columns: usize, step_m: &[f32]) -> Result<Ve
             return Err(StageError::new(text)
                 .hint("a tenth is needed: check window, frame and cameras, or leave the raster out"));
         }
-        let flat = without_trend(&band.values, columns);
-        let flat =
-            flat.ok_or_else(|| StageError::new(format!("the values of raster `{}` lie on a line", band.name)))?;
+        let trend = trend(&band.values, columns);
+        let trend =
+            trend.ok_or_else(|| StageError::new(format!("the values of raster `{}` lie on a line", band.name)))?;
+        let flat = with_trend(&band.values, columns, &trend.map(|factor| -factor));
         // What rounding to 32 bits leaves of a trend is no noise.
         let largest = known.iter().map(|value| value.abs()).fold(0.0, f64::max);
         if flat.iter().all(|value| value.is_nan() || f64::from(value.abs()) <= LEAST_NOISE * largest) {
             fail!("raster `{}` is a plane or evenly bent: there is no noise to learn", band.name);
         }
-        Ok(flat.iter().zip(step_m).map(|(value, step)| value / step).collect())
+        Ok((flat, trend))
     };
-    bands.iter().map(one).collect()
+    let both: Result<Vec<(Vec<f32>, Trend)>, StageError> = bands.iter().map(one).collect();
+    Ok(both?.into_iter().unzip())
 }
 
 /// Differences of two acquisitions each, an even and an odd one, drawn from a model without a survey: errors of disparity, pixels of the full image,

@@ -2,6 +2,7 @@
 
 pub mod acquisitions;
 pub mod bad;
+pub mod bends;
 pub mod by_place;
 pub mod contrast;
 pub mod departure;
