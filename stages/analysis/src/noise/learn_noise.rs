@@ -78,7 +78,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 27;
+    const VERSION: u32 = 28;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -108,8 +108,9 @@ impl Stage for LearnNoise {
     }
 
     fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
-        // The rasters in disparity, their whitened fields with weights, transforms of a few at a time, and the strength by place of rasters and draws.
-        5 * inputs.of("raster") + (95 + 3 * params.draws as u64) * inputs.of("dem")
+        // The rasters in disparity, their whitened fields with weights, transforms of a few at a time, shapes of bends, and the strength by place of
+        // rasters and draws.
+        5 * inputs.of("raster") + (115 + 3 * params.draws as u64) * inputs.of("dem")
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
@@ -129,7 +130,8 @@ impl Stage for LearnNoise {
         let columns = dem.grid.columns;
         let (mut level_m, trends) = level(&all[..kept], columns, &step_m)?;
         let before = power(&level_m);
-        let bend_shapes = bends::shapes(&mut level_m, &trends, columns);
+        let bend_shapes = bends::shapes(&level_m, &trends, columns);
+        bends::take_off(&mut level_m, &trends, &bend_shapes);
         context.metric("bent_share", 1.0 - power(&level_m) / before, "1");
         let disparities = per_step(level_m, &step_m);
         let source = |((band, trend_m), skewness): ((&&Band, &Trend), f64)| {

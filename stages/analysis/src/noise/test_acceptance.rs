@@ -240,7 +240,7 @@ fn log(
     if led > 0 {
         context.warn(format!(
             "`mean_m` is the largest contribution of {led} of {n} rasters: an offset between the epochs, not their noise, \
-             decides; check the registration, or leave `mean_m` out of the features of `fit-acceptance`"
+             decides; check how the real and the simulated epochs are registered, or leave `mean_m` out of the features of `fit-acceptance`"
         ));
     }
     let band = levels.iter().zip(expected).find(|(of, _)| of.total_cmp(&level).is_eq()).map(|(_, band)| band);
