@@ -5,7 +5,7 @@ use rand::RngExt;
 use crate::noise::detrend::asymmetry;
 use crate::noise::learning::departure::of_another;
 use rockface_core::artefact::{Grid, Kind, Noise, Raster};
-use rockface_core::numerics::trend::{Trend, trend, trend_at, with_bends, with_trend};
+use rockface_core::numerics::trend::{Trend, bends_at, trend, trend_at, with_trend};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 
 params! {
@@ -60,7 +60,7 @@ impl Stage for DrawRegistration {
                 let [x, y] = place(cell, raster.grid, noise.grid);
                 let [own_x, own_y] = place(cell, raster.grid, raster.grid);
                 let wanted =
-                    trend_at(&wanted_m, x, y) + with_bends(&wanted_m, &noise.bend_shapes, nearest(x, y, noise.grid));
+                    trend_at(&wanted_m, x, y) + bends_at(&wanted_m, &noise.bend_shapes, nearest(x, y, noise.grid));
                 (f64::from(*z) + wanted - trend_at(&own_m, own_x, own_y)) as f32
             };
             let bent: Vec<f32> = band.values.iter().enumerate().map(bent).collect();

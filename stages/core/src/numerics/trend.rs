@@ -55,13 +55,13 @@ pub fn bent(values: &[f32], columns: usize, trend: &Trend, shapes: &[Vec<f32>]) 
     let rows = values.len() / columns;
     let with = |(i, value): (usize, &f32)| {
         let [_, x, y] = terms(columns, rows, i % columns, i / columns).into();
-        (f64::from(*value) + trend_at(trend, x, y) + with_bends(trend, shapes, i)) as f32
+        (f64::from(*value) + trend_at(trend, x, y) + bends_at(trend, shapes, i)) as f32
     };
     values.iter().enumerate().map(with).collect()
 }
 
 /// What comes with the bends of a trend at a cell, beside the trend.
-pub fn with_bends(trend: &Trend, shapes: &[Vec<f32>], cell: usize) -> f64 {
+pub fn bends_at(trend: &Trend, shapes: &[Vec<f32>], cell: usize) -> f64 {
     shapes.iter().zip(&trend[BENDS]).map(|(shape, factor)| factor * f64::from(shape[cell])).sum()
 }
 

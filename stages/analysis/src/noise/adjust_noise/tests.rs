@@ -7,7 +7,7 @@ use crate::noise::learn_noise::tests::{CLEAN, COLUMNS, ROWS, grid, mean, of_two,
 use crate::noise::learning::whitening::{BANDS, CLASSES};
 use rockface_core::artefact::{Artefact, Contrast, Frame, LevelContrast, Noun};
 use rockface_core::numerics::gaussian::smoothed;
-use rockface_core::numerics::trend::{bent, trend, with_bends, without_trend};
+use rockface_core::numerics::trend::{bends_at, bent, trend, without_trend};
 use rockface_core::testing::{TestHost, run_stage, small_sensor};
 use rockface_imaging::matching::noise::ensemble::draw;
 use rockface_imaging::matching::noise::skewness::with_skewness;
@@ -110,7 +110,7 @@ fn what_comes_with_bends_of_surveys_is_no_noise_of_them() {
         added[5] += 0.02 * (number as f64 - 2.0);
         raster.bands[0].values = bent(&raster.bands[0].values, COLUMNS, &added, &[]);
         let bend = std::array::from_fn(|k| own[k] + added[k]);
-        let with = |(i, value): (usize, &mut f32)| *value += with_bends(&bend, &bend_shapes, i) as f32;
+        let with = |(i, value): (usize, &mut f32)| *value += bends_at(&bend, &bend_shapes, i) as f32;
         raster.bands[0].values.iter_mut().enumerate().for_each(with);
     }
     let noise = Noise { bend_shapes, ..CLEAN.clone() };

@@ -7,7 +7,7 @@
 use rayon::prelude::*;
 
 use rockface_core::numerics::gaussian::smoothed;
-use rockface_core::numerics::trend::{BENDS, Trend, with_bends, without_trend};
+use rockface_core::numerics::trend::{BENDS, Trend, bends_at, without_trend};
 
 /// Deviations of the Gaussians under which rasters are compared with their trends one after the other, as a share of their shorter side.
 const SCALES: [f64; 3] = [0.1, 0.05, 0.025];
@@ -59,7 +59,7 @@ pub fn shapes(level: &[Vec<f32>], trends: &[Trend], columns: usize) -> Vec<Vec<f
 /// Takes off rasters without their trends what comes with their bends, by shapes that are known.
 pub fn take_off(level: &mut [Vec<f32>], trends: &[Trend], shapes: &[Vec<f32>]) {
     level.par_iter_mut().zip(trends).for_each(|(raster, trend)| {
-        raster.iter_mut().enumerate().for_each(|(cell, value)| *value -= with_bends(trend, shapes, cell) as f32);
+        raster.iter_mut().enumerate().for_each(|(cell, value)| *value -= bends_at(trend, shapes, cell) as f32);
     });
 }
 
