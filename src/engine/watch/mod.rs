@@ -124,6 +124,8 @@ pub fn printable(text: &str) -> Cow<'_, str> {
 pub trait Observer {
     /// Called for each event of the run, with how far the run is.
     fn event(&mut self, event: &Event, progress: Progress);
+    /// Called several times a second while nothing happens.
+    fn idle(&mut self, _: Progress) {}
     /// Whether it has no use for [`Event::Cached`], of which there may be very many.
     fn ignores_cached(&self) -> bool {
         false

@@ -1,6 +1,6 @@
 //! Plain lines, for logs and pipes.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::io::Write;
 use std::time::{Duration, Instant};
 
@@ -9,26 +9,56 @@ use super::{Event, Observer, Progress, duration, printable};
 /// How often a line of progress is due.
 const PROGRESS_EVERY: Duration = Duration::from_secs(2);
 
+/// After so long without a line, what is running is named.
+const QUIET: Duration = Duration::from_secs(30);
+
+/// How many of those that run are named.
+const NAMED: usize = 2;
+
 /// An instance that took as long as this gets a line of its own, seconds.
 const LONG_S: f64 = 1.0;
 
-/// Writes a line for each thing worth one, and now and then how far it is; with `verbose`, a line for every instance.
+/// Writes a line for each thing worth one, and now and then how far it is and what is running; with `verbose`, a line for every instance.
 pub struct Plain<W> {
     out: W,
     verbose: bool,
+    quiet: Duration,
+    /// When how far it is was last told.
     last: Instant,
+    /// When anything was last told.
+    said: Instant,
+    /// Since when each instance runs.
+    running: BTreeMap<String, Instant>,
     lines: Lines,
 }
 
 impl<W: Write> Plain<W> {
     /// A watcher that writes lines to `out`; `verbose` adds those of cached, started and quickly done instances.
     pub fn new(out: W, verbose: bool) -> Self {
-        Self { out, verbose, last: Instant::now(), lines: Lines::default() }
+        let now = Instant::now();
+        Self { out, verbose, quiet: QUIET, last: now, said: now, running: BTreeMap::new(), lines: Lines::default() }
     }
 
     /// A closed pipe ends the watching, not the run.
     fn say(&mut self, text: &str) {
         let _ = writeln!(self.out, "{text}");
+        self.said = Instant::now();
+    }
+
+    /// Those that have run the longest, by name.
+    fn longest(&self) -> String {
+        let mut running: Vec<_> = self.running.iter().map(|(step, since)| (since, step)).collect();
+        running.sort();
+        let more = running.len().saturating_sub(NAMED);
+        let named = running
+            .iter()
+            .take(NAMED)
+            .map(|(since, step)| format!("{step} ({})", duration(since.elapsed().as_secs_f64())));
+        let mut names = named.collect::<Vec<_>>().join(", ");
+        if more > 0 {
+            names += &format!(", and {more} more");
+        }
+        names
     }
 }
 
@@ -84,26 +114,71 @@ fn words(event: &Event, verbose: bool) -> Option<String> {
     }
 }
 
+/// How far a run is.
+fn so_far(progress: Progress) -> String {
+    let left = progress.remaining_s.map(|s| format!(", about {} left", duration(s))).unwrap_or_default();
+    format!("[{}/{}]{left}", progress.done, progress.total)
+}
+
 impl<W: Write> Observer for Plain<W> {
     fn ignores_cached(&self) -> bool {
         !self.verbose
     }
 
     fn event(&mut self, event: &Event, progress: Progress) {
+        match event {
+            Event::Started { step, .. } => {
+                self.running.insert(step.clone(), Instant::now());
+            }
+            Event::Finished { step, .. } | Event::Failed { step, .. } | Event::Elsewhere { step } => {
+                self.running.remove(step);
+            }
+            _ => {}
+        }
         if let Some(line) = self.lines.line(event, self.verbose) {
             self.say(&line);
         }
         if matches!(event, Event::Finished { .. }) && self.last.elapsed() >= PROGRESS_EVERY {
             self.last = Instant::now();
-            let left = progress.remaining_s.map(|s| format!(", about {} left", duration(s))).unwrap_or_default();
-            self.say(&format!("[{}/{}]{left}", progress.done, progress.total));
+            self.say(&so_far(progress));
+        }
+    }
+
+    fn idle(&mut self, progress: Progress) {
+        if self.said.elapsed() >= self.quiet && !self.running.is_empty() {
+            let line = format!("{}; running {}", so_far(progress), self.longest());
+            self.say(&printable(&line));
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::Reason;
     use super::*;
+
+    #[test]
+    fn what_runs_is_named_while_nothing_happens() {
+        let mut plain = Plain::new(Vec::new(), false);
+        let progress = Progress { done: 1, total: 9, remaining_s: Some(200.4) };
+        let start = |step: &str| Event::Started { step: step.to_owned(), reason: Reason::New };
+        plain.event(&start("learnt"), progress);
+        plain.idle(progress);
+        assert!(plain.out.is_empty(), "it has not been quiet for long");
+        plain.quiet = Duration::ZERO;
+        plain.idle(progress);
+        for step in ["b", "a", "quick"] {
+            plain.event(&start(step), progress);
+        }
+        plain.event(&Event::Finished { step: "quick".to_owned(), wall_s: 0.0 }, progress);
+        plain.idle(progress);
+        for step in ["learnt", "b", "a"] {
+            plain.event(&Event::Finished { step: step.to_owned(), wall_s: 0.0 }, progress);
+        }
+        plain.idle(progress);
+        let told = "[1/9], about 3 min 20 s left; running learnt (0.0 s)";
+        assert_eq!(String::from_utf8(plain.out).unwrap(), format!("{told}\n{told}, b (0.0 s), and 1 more\n"));
+    }
 
     #[test]
     fn warnings_that_are_alike_are_told_twice_and_then_once_for_all() {

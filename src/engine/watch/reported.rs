@@ -178,6 +178,10 @@ impl Observer for Reported {
         self.inner.event(event, progress);
     }
 
+    fn idle(&mut self, progress: Progress) {
+        self.inner.idle(progress);
+    }
+
     fn ignores_cached(&self) -> bool {
         self.inner.ignores_cached()
     }

@@ -13,6 +13,17 @@ const SHORT: Duration = Duration::from_secs(1);
 impl Scheduler<'_> {
     /// Tells the observer of an event, with the progress of the run and an estimate of the time left.
     pub fn report(&mut self, event: &Event) {
+        let progress = self.progress();
+        self.observer.event(event, progress);
+    }
+
+    /// Tells the observer that nothing has happened for a moment.
+    pub fn report_idle(&mut self) {
+        let progress = self.progress();
+        self.observer.idle(progress);
+    }
+
+    fn progress(&mut self) -> Progress {
         if self.timing.estimate.1.is_none_or(|made| made.elapsed() > ESTIMATE_EVERY) {
             if self.begun.elapsed() > SHORT && self.timing.wants_records(self.states.open()) {
                 let records = self.store.keys().into_iter().filter_map(|key| self.store.record(&key));
@@ -21,9 +32,7 @@ impl Scheduler<'_> {
             let remaining_s = self.timing.remaining_s(self.states.open(), self.options.jobs);
             self.timing.estimate = (remaining_s, Some(Instant::now()));
         }
-        let progress =
-            Progress { done: self.states.closed(), total: self.states.len(), remaining_s: self.timing.estimate.0 };
-        self.observer.event(event, progress);
+        Progress { done: self.states.closed(), total: self.states.len(), remaining_s: self.timing.estimate.0 }
     }
 
     /// Reports that the outcome of an instance was known.

@@ -225,7 +225,10 @@ impl<'a> Scheduler<'a> {
             match result {
                 Ok((instance, result)) => self.end(instance, *result, stop)?,
                 // A timeout: the scheduler has a sender, so the channel is never closed.
-                Err(_) => self.exchange.lengthen_pause(),
+                Err(_) => {
+                    self.exchange.lengthen_pause();
+                    self.report_idle();
+                }
             }
             self.poll_others()?;
         }
