@@ -13,11 +13,11 @@ take() { # output, file
 }
 take face.mesh "$to/face.ply"
 # The images of the pipelines are called cam1 and cam2.
-take rig.cameras "$to/cameras.tmp"
-sed -e 's/"left"/"cam1"/g' -e 's/"right"/"cam2"/g' "$to/cameras.tmp" > "$to/cameras.json"
-take errors.covariance "$to/covariance.tmp"
-sed -e 's/"left\./"cam1./' -e 's/"right\./"cam2./' "$to/covariance.tmp" > "$to/bba_covariance.json"
-rm "$to/cameras.tmp" "$to/covariance.tmp"
+take rig.cameras "$to/left_right.json"
+sed -e 's/"left"/"cam1"/g' -e 's/"right"/"cam2"/g' "$to/left_right.json" > "$to/cameras.json"
+take errors.covariance "$to/left_right.json"
+sed -e 's/"left\./"cam1./' -e 's/"right\./"cam2./' "$to/left_right.json" > "$to/bba_covariance.json"
+rm "$to/left_right.json"
 number=0
 while rockface export "$pipeline" "quiet[reference=$number].raster" "$to/real/$(printf %02d $number).tif" --plain > /dev/null 2>&1; do
   number=$((number + 1))

@@ -47,7 +47,7 @@ pub struct DetectM3c2;
 impl Stage for DetectM3c2 {
     type Params = DetectM3c2Params;
     const NAME: &'static str = "detect-m3c2";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("detect_m3c2.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("reference", &[Kind::Surface, Kind::Mesh, Kind::Cloud], "The earlier epoch: its points or vertices."),
@@ -158,24 +158,27 @@ fn cluster(grid: &Grid, cells: &[usize], distances: &[Option<Distance>], limit: 
 }
 
 fn bands(grid: &Grid, frame: Frame, distances: &[Option<Distance>]) -> Raster {
-    type Value = fn(&Distance) -> f64;
+    type Value = fn(&Distance, [f64; 2]) -> f64;
     let bands: [(&str, Value); 12] = [
-        ("distance", |d| d.distance_m),
-        ("lod95", |d| d.limit_m),
-        ("spread_reference", |d| d.spreads_m[0]),
-        ("spread_comparison", |d| d.spreads_m[1]),
-        ("points_reference", |d| d.points[0]),
-        ("points_comparison", |d| d.points[1]),
-        ("normal_x", |d| d.normal[0]),
-        ("normal_y", |d| d.normal[1]),
-        ("normal_z", |d| d.normal[2]),
-        ("core_x", |d| d.core[0]),
-        ("core_y", |d| d.core[1]),
-        ("core_z", |d| d.core[2]),
+        ("distance", |d, _| d.distance_m),
+        ("lod95", |d, _| d.limit_m),
+        ("spread_reference", |d, _| d.spreads_m[0]),
+        ("spread_comparison", |d, _| d.spreads_m[1]),
+        ("points_reference", |d, _| d.points[0]),
+        ("points_comparison", |d, _| d.points[1]),
+        ("normal_x", |d, _| d.normal[0]),
+        ("normal_y", |d, _| d.normal[1]),
+        ("normal_z", |d, _| d.normal[2]),
+        ("core_dx", |d, centre| d.core[0] - centre[0]),
+        ("core_dy", |d, centre| d.core[1] - centre[1]),
+        ("core_z", |d, _| d.core[2]),
     ];
-    let band = |(name, value): (&str, Value)| Band {
-        name: name.to_owned(),
-        values: distances.iter().map(|found| found.as_ref().map_or(f32::NAN, |d| value(d) as f32)).collect(),
+    let centre = |cell: usize| grid.centre(cell / grid.columns, cell % grid.columns).into();
+    let band = |(name, value): (&str, Value)| {
+        let known = |(cell, found): (usize, &Option<Distance>)| {
+            found.as_ref().map_or(f32::NAN, |d| value(d, centre(cell)) as f32)
+        };
+        Band { name: name.to_owned(), values: distances.iter().enumerate().map(known).collect() }
     };
     let mut raster = Raster::single(*grid, frame, "m3c2", "", Vec::new());
     raster.bands = bands.into_iter().map(band).collect();

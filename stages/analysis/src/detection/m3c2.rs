@@ -44,8 +44,8 @@ pub struct Distance {
     pub points: [f64; 2],
 }
 
-/// One core point a cell: the reference point nearest to its centre in plan, each coordinate rounded to 32 bits so that it
-/// can be kept exactly; `None` for cells without a point.
+/// One core point for each cell: the reference point nearest to its centre in plan; `None` for cells without a point. Its distances from
+/// the centre along X and Y, and its Z, are rounded to 32 bits so that they can be kept exactly: map coordinates themselves are too large.
 pub fn cores(reference: &Cloud, grid: &Grid) -> Vec<Option<[f64; 3]>> {
     let mut nearest: Vec<Option<(f64, Vector3<f64>)>> = vec![None; grid.cells()];
     for point in reference.points() {
@@ -62,8 +62,12 @@ pub fn cores(reference: &Cloud, grid: &Grid) -> Vec<Option<[f64; 3]>> {
             *best = Some((square, point));
         }
     }
-    let rounded = |(_, p): (f64, Vector3<f64>)| [p.x, p.y, p.z].map(|value| f64::from(value as f32));
-    nearest.into_iter().map(|best| best.map(rounded)).collect()
+    let rounded = |value: f64| f64::from(value as f32);
+    let core = |(cell, best): (usize, Option<(f64, Vector3<f64>)>)| {
+        let (x, y) = grid.centre(cell / grid.columns, cell % grid.columns);
+        best.map(|(_, p)| [x + rounded(p.x - x), y + rounded(p.y - y), rounded(p.z)])
+    };
+    nearest.into_iter().enumerate().map(core).collect()
 }
 
 /// Distances at the core points, in their order; `None` where there is no core point or no normal.
@@ -139,6 +143,33 @@ mod tests {
     use super::*;
     use rockface_core::testing::height_mesh;
     use rockface_raster::shape::Shape;
+
+    #[test]
+    fn distances_are_the_same_in_map_coordinates() {
+        let at = |origin: [f64; 3]| {
+            let meshes = [0.0, -0.1].map(|rise| {
+                let mut mesh = height_mesh(60, [-1.2, 1.2, -1.2, 1.2], |x, y| 0.3 * (3.0 * x + 2.0 * y).sin() + rise);
+                mesh.vertices.iter_mut().for_each(|vertex| (0..3).for_each(|axis| vertex[axis] += origin[axis]));
+                mesh
+            });
+            let clouds = meshes.each_ref().map(|mesh| Cloud::new(Shape::Mesh(mesh), None, 0.1).unwrap());
+            let grid = Grid { left_m: GRID.left_m + origin[0], top_m: GRID.top_m + origin[1], ..GRID };
+            let scales = Scales {
+                normal_radii_m: vec![0.2],
+                projection_radius_m: 0.1,
+                depth_m: 0.5,
+                registration_m: 0.0,
+                least_points: 4,
+            };
+            distances([&clouds[0], &clouds[1]], &cores(&clouds[0], &grid), &scales)
+        };
+        let (here, there) = (at([0.0; 3]), at([451_230.0, 5_512_340.0, 700.0]));
+        assert!(here.iter().flatten().count() > 90);
+        for (here, there) in here.iter().zip(&there) {
+            let [here, there] = [here, there].map(|found| found.as_ref().unwrap());
+            assert!((here.distance_m - there.distance_m).abs() < 1e-4, "{here:?} and {there:?}");
+        }
+    }
 
     const GRID: Grid = Grid { columns: 10, rows: 10, cell_m: 0.2, left_m: -1.0, top_m: 1.0 };
 
