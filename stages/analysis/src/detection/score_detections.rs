@@ -224,11 +224,12 @@ fn report(summary: &Table, context: &Context) {
     }
     let count = |name: &str| value(name).unwrap_or(0.0);
     let percent = |name: &str| value(name).map_or("no".to_owned(), |share| format!("{:.1} %", 100.0 * share));
-    if count("hidden") > 0.0 {
-        context.note(format!("{} true changes cannot be seen on this grid and are in no rate", count("hidden")));
-    }
+    let hidden = match count("hidden") {
+        0.0 => String::new(),
+        hidden => format!("; {hidden} more cannot be seen on this grid and are in no rate"),
+    };
     context.headline(format!(
-        "{} of {} changes found, {} false alarms: precision {}, recall {}, F1 {}",
+        "{} of {} changes found, {} false alarms: precision {}, recall {}, F1 {}{hidden}",
         count("found"),
         count("found") + count("missed"),
         count("false_positives"),

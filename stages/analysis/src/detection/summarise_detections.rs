@@ -173,8 +173,13 @@ fn report(table: &Table, settings: usize, context: &Context) {
     }
     let which =
         if settings > 1 { format!("best of {settings} settings: {}: ", setting.join(" ")) } else { String::new() };
+    let count = |name: &str| value(best, name).unwrap_or(0.0);
+    let hidden = match count("hidden") {
+        0.0 => String::new(),
+        hidden => format!("; {hidden} of {} true changes cannot be seen and are in no rate", count("truths")),
+    };
     context.headline(format!(
-        "{which}precision {}, recall {}, F1 {} over {} epochs",
+        "{which}precision {}, recall {}, F1 {} over {} epochs{hidden}",
         percent("pooled_precision"),
         percent("pooled_recall"),
         percent("pooled_f1"),

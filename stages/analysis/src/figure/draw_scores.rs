@@ -19,6 +19,8 @@ params! {
 
 /// The score of the threshold: one at the 95th percentile of the references leaves a twentieth of them beyond.
 const LIMIT: f64 = 0.05;
+/// A radar with fewer has no area.
+const LEAST_SPOKES: usize = 3;
 /// The group of all features.
 const JOINT: &str = "all";
 
@@ -43,7 +45,7 @@ impl Stage for DrawScores {
         if d2.len() < 2 {
             fail!("{} simulated rasters can be drawn, 2 are needed", d2.len());
         }
-        let panels = [radar(model, &columns)?, distances(model, &columns, d2)?, contributions(&columns)];
+        let panels = [scores(model, &columns)?, distances(model, &columns, d2)?, contributions(&columns)];
         let title = params.title.clone().unwrap_or_else(|| "Simulated rasters against real ones".to_owned());
         let counts = format!("{} real rasters, {} simulated", model.references, d2.len());
         let sheet = Sheet::of(panels).title(title).subtitle(counts).columns(2).size(720, 330);
@@ -70,7 +72,8 @@ fn of<'a>(columns: &'a BTreeMap<String, Vec<f64>>, name: &str) -> Result<&'a [f6
     })
 }
 
-fn radar(model: &Acceptance, columns: &BTreeMap<String, Vec<f64>>) -> Result<Panel, StageError> {
+/// The scores jointly and by group, on the spokes of a radar; as bars of their medians where they are too few for one.
+fn scores(model: &Acceptance, columns: &BTreeMap<String, Vec<f64>>) -> Result<Panel, StageError> {
     let mut spokes = vec![("jointly".to_owned(), of(columns, "score")?)];
     let mut groups = vec![JOINT];
     for (group, _) in GROUPS {
@@ -80,6 +83,10 @@ fn radar(model: &Acceptance, columns: &BTreeMap<String, Vec<f64>>) -> Result<Pan
         }
     }
     let at = |scores: &[f64], level: f64| quantile(scores, level).unwrap_or(f64::NAN);
+    if spokes.len() < LEAST_SPOKES {
+        let medians = spokes.into_iter().map(|(name, scores)| (name, at(scores, 0.5)));
+        return Ok(Panel::new("Compatibility scores", Axes::bars("median score", medians)));
+    }
     let band = |name: &str, opacity: f64, share: f64| {
         let ends = [0.5 - 0.5 * share, 0.5 + 0.5 * share];
         let ends = spokes.iter().map(|(_, scores)| ends.map(|level| at(scores, level))).collect();
@@ -173,6 +180,13 @@ mod tests {
         ] {
             assert!(figure.svg.contains(text), "{text}");
         }
+        let mut few = Table::new(["d2", "threshold", "score", "contribution_sill_m2"]);
+        for i in 0..8 {
+            few.push([1.0 + f64::from(i), 6.0, 0.1, 1.0].map(rockface_core::artefact::Cell::from).to_vec());
+        }
+        let outputs = draw(few).unwrap().into_inner();
+        let Artefact::Figure(bars) = &outputs["figure"] else { panic!("a figure comes out") };
+        assert!(bars.svg.contains("median score") && bars.svg.contains("jointly"));
         assert_eq!([plain("sill_m2"), plain("spectral_slope")], ["sill", "spectral slope"]);
         assert!(draw(Table::new(["d2"])).err().unwrap().message.contains("`d2`"));
     }
