@@ -92,6 +92,8 @@ impl Places {
         let mut runs = if all { self.list()?.0 } else { own.list()?.0 };
         runs.retain(|run| all || run.manifest.pipeline.name == last.manifest.pipeline.name);
         let count = runs.len();
+        // A former folder that the last run ended with is the last one.
+        runs.sort_by_key(|run| run.name == last.name);
         let found = count.checked_sub(back + 1).map(|place| runs.swap_remove(place));
         found.ok_or_else(|| CliError::Usage(format!("`{of}` has {count} runs here: none is {back} before the last")))
     }
@@ -206,9 +208,12 @@ fn last(folders: &[PathBuf], is_meant: impl Fn(&PastRun) -> bool) -> Result<Opti
     let mut best: Option<(SystemTime, PastRun)> = None;
     for runs in folders {
         for run in history::list(runs)?.0 {
-            let finished = humantime::parse_rfc3339(&run.manifest.finished).unwrap_or(SystemTime::UNIX_EPOCH);
-            if is_meant(&run) && best.as_ref().is_none_or(|(known, _)| finished >= *known) {
-                best = Some((finished, run));
+            if !is_meant(&run) {
+                continue;
+            }
+            let told = history::last_told(&run);
+            if best.as_ref().is_none_or(|(known, _)| told >= *known) {
+                best = Some((told, run));
             }
         }
     }

@@ -37,6 +37,22 @@ fn runs_of_a_pipeline_below_are_found_by_every_command() {
 }
 
 #[test]
+fn a_former_run_that_was_asked_for_again_is_the_last_one() {
+    let house = House::new(SMALL);
+    let coarse = ["run", "p.yaml", "--set", "steps.dem.with.cell_m=0.1"];
+    for run in [["run", "p.yaml"].as_slice(), &coarse, &["run", "p.yaml"]] {
+        assert_eq!(house.rockface(run).0, Some(0));
+    }
+    let shown = |name: &str| house.rockface(&["runs", "show", name]).1;
+    for name in ["latest", "p.yaml", "small"] {
+        assert!(!shown(name).contains("cell_m=0.1"), "{name}");
+        assert!(shown(&format!("{name}~1")).contains("cell_m=0.1"), "{name}~1");
+    }
+    assert_eq!(house.rockface(&coarse).0, Some(0));
+    assert!(shown("p.yaml").contains("cell_m=0.1") && !shown("small~1").contains("cell_m=0.1"));
+}
+
+#[test]
 fn a_file_leads_to_step_parameters_and_command() {
     let more = "  picture: {stage: draw-picture, in: {subject: dem.raster}}\n  spread: {stage: describe-noise, in: {raster: dem.raster}}\n";
     let house = House::new(&format!("{SMALL}{}", more.replace("spread: {stage: describe-noise, in: {raster: dem.raster}}", "noise: {stage: describe-noise, with: {scales_cells: [1, 2, 4]}, in: {raster: dem.raster}}\n  spread: {stage: tabulate, in: {rows: noise.features}}")));
@@ -71,6 +87,9 @@ fn a_file_leads_to_step_parameters_and_command() {
     }
     std::fs::write(house.path("foreign.tif"), "no raster").unwrap();
     assert!(!house.rockface(&["inspect", "foreign.tif"]).1.contains("made by"));
+    std::fs::write(house.path("cameras.json"), r#"{"sensors": [{"id": "left"}], "images": []}"#).unwrap();
+    let (_, out, _) = house.rockface(&["inspect", "cameras.json"]);
+    assert!(out.contains("`stage: import-cameras`") && !out.contains("as covariance"), "{out}");
 }
 
 #[test]

@@ -146,6 +146,7 @@ const ARROWS: &[(&[&str], &[&str], &str)] = &[
     (&["cli"], &["report"], "`rockface report`"),
     (&["report"], &["numerics"], "the median of a curve"),
     (&["cli"], &["camera"], "`inspect --pixel` follows a ray"),
+    (&["cli"], &["raster", "face"], "`inspect` says what is wrong with a mesh"),
     (&["program"], &["registry"], "the program is handed the stages that ship with it"),
     (&["program"], &["cli"], "the program parses and runs a command"),
     (&["program"], &["run"], "how much of the machine's memory is left decides whether freed memory is kept"),

@@ -1,6 +1,8 @@
 //! What there is to say of an artefact or a log: sizes, ranges, missing values.
 
 use rockface_core::artefact::{Artefact, Cloud, Frame, Mesh, Raster, Table, Transform};
+use rockface_raster::mesh_check;
+use rockface_rock::face::inspection::{Found, Inspection};
 #[cfg(test)]
 use serde_json::Map;
 use serde_json::{Value, json};
@@ -117,6 +119,37 @@ fn of_mesh(mesh: &Mesh) -> Facts {
     for axis in 0..3 {
         facts.push((format!("{} (m)", ["x", "y", "z"][axis]), range(mesh.vertices.iter().map(|vertex| vertex[axis]))));
     }
+    facts.extend(soundness(mesh));
+    facts
+}
+
+/// What is wrong with a mesh, and its pieces and holes: what `import-mesh` looks at.
+fn soundness(mesh: &Mesh) -> Facts {
+    let bad_corners = mesh.vertices.iter().flatten().any(|value| !value.is_finite());
+    let flat = mesh_check::degenerate_triangles(mesh);
+    let mut facts: Facts = vec![("triangles without area".into(), flat.into())];
+    if bad_corners {
+        facts.push(("fault".into(), "vertices that are not finite".into()));
+        return facts;
+    }
+    let distinct = |[a, b, c]: &[u32; 3]| a != b && b != c && c != a;
+    let mut mesh = mesh.clone();
+    mesh.triangles.retain(distinct);
+    let found = Inspection::of(&mesh);
+    let place = |fault: Found| match fault.place {
+        Some([x, y, z]) => format!("{}, the first at ({x:.3}, {y:.3}, {z:.3}) m", fault.count).into(),
+        None => Value::from(0),
+    };
+    facts.extend([
+        ("edges of three or more triangles".into(), place(found.crowded_edges)),
+        ("edges of opposed triangles".into(), place(found.opposed_edges)),
+        ("vertices where pieces meet".into(), place(found.pinched_vertices)),
+        ("pieces".into(), found.pieces.len().into()),
+        ("border edges".into(), found.border_edges.into()),
+    ]);
+    if found.crowded_edges.count + found.opposed_edges.count == 0 {
+        facts.push(("holes".into(), found.holes.len().into()));
+    }
     facts
 }
 
@@ -186,6 +219,21 @@ mod tests {
     fn ranges_leave_out_what_is_no_number() {
         assert_eq!(range([1.0, f64::NAN, -2.0].into_iter()), json!({"min": -2.0, "max": 1.0, "count": 3, "nan": 1}));
         assert_eq!(range([f64::NAN].into_iter()), json!({"count": 1, "nan": 1}));
+    }
+
+    #[test]
+    fn what_is_wrong_with_a_mesh_is_told() {
+        let corners = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]];
+        let told = |triangles: Vec<[u32; 3]>| -> Map<String, Value> {
+            of_mesh(&Mesh::new(Frame::Wall, corners.to_vec(), triangles)).into_iter().collect()
+        };
+        let sound = told(vec![[0, 1, 2], [1, 0, 3]]);
+        assert_eq!((&sound["edges of three or more triangles"], &sound["holes"]), (&json!(0), &json!(0)));
+        assert_eq!((&sound["pieces"], &sound["border edges"]), (&json!(1), &json!(4)));
+        let faulty = told(vec![[0, 1, 2], [1, 0, 3], [0, 1, 4], [2, 2, 1]]);
+        let crowded = faulty["edges of three or more triangles"].as_str().unwrap();
+        assert!(crowded.starts_with("1, the first at (") && !faulty.contains_key("holes"), "{crowded}");
+        assert_eq!(faulty["triangles without area"], 1);
     }
 
     #[test]

@@ -250,7 +250,7 @@ fn of_file(path: &Path, places: &Places) -> Result<Found, CliError> {
             Err(error) => faults.push(format!("as {kind}: {error}")),
         }
     }
-    let why = match importer(&extension) {
+    let why = match importer(&extension).or_else(|| importer_of_json(&bytes)) {
         Some(stage) => format!("files of other programs are read by a step: `stage: {stage}`"),
         None if faults.is_empty() => format!("no artefact has the extension `{extension}`"),
         None => faults.join("; "),
@@ -268,4 +268,11 @@ fn importer(extension: &str) -> Option<&'static str> {
         "xml" | "out" => Some("import-cameras"),
         _ => None,
     }
+}
+
+/// The stage that reads JSON of its own with such keys.
+fn importer_of_json(bytes: &[u8]) -> Option<&'static str> {
+    let value: Value = serde_json::from_slice(bytes).ok()?;
+    let has = |key: &str| value.get(key).is_some();
+    (has("sensors") && has("images")).then_some("import-cameras")
 }

@@ -166,6 +166,26 @@ pub fn list(runs: &Path) -> Result<(Vec<PastRun>, Vec<HistoryError>), HistoryErr
     Ok((found, faults))
 }
 
+/// The link that points at the last run of a pipeline, by the name of a run folder; `None` for a name that no run gave it.
+pub fn latest_of(folder: &str) -> Option<String> {
+    let (_, rest) = folder.split_once("Z-")?;
+    let is_key = |part: &str| part.len() == 8 && part.bytes().all(|byte| byte.is_ascii_hexdigit());
+    let (name, end) = rest.rsplit_once('-')?;
+    let name = if is_key(end) { name } else { name.rsplit_once('-').filter(|(_, key)| is_key(key))?.0 };
+    Some(format!(".latest-{name}"))
+}
+
+/// When a run last was what a run of its pipeline ended with: when it finished, or when the link of its pipeline was pointed at it.
+pub fn last_told(run: &PastRun) -> std::time::SystemTime {
+    let finished = humantime::parse_rfc3339(&run.manifest.finished).unwrap_or(std::time::UNIX_EPOCH);
+    let pointed = || {
+        let link = run.folder.parent()?.join(latest_of(&run.name)?);
+        let is_meant = std::fs::read_link(&link).ok()?.to_str()? == run.name;
+        is_meant.then(|| link.symlink_metadata().ok()?.modified().ok()).flatten()
+    };
+    pointed().map_or(finished, |pointed| pointed.max(finished))
+}
+
 /// Whether a folder is that of a run, or cannot be looked into: opening it then says why. Taken for none, what it names
 /// would be collected.
 pub fn may_be_run(folder: &Path) -> bool {

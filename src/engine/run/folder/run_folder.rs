@@ -17,7 +17,7 @@ use super::log::{LOG_FILE, Telling};
 use super::made::{self, Made};
 use super::manifest_writer;
 use super::unfinished::{self, Unfinished};
-use crate::history::{Manifest, POINTS_FILE, REPORT_FILE, RunContents, crate_metadata, points_table};
+use crate::history::{Manifest, POINTS_FILE, REPORT_FILE, RunContents, crate_metadata, latest_of, points_table};
 use crate::pipeline::{LogLevel, Overrides, Pipeline};
 use crate::plan::Plan;
 use crate::run::{RunError, Summary};
@@ -384,24 +384,31 @@ impl Writer<'_> {
     }
 }
 
-/// Lets `latest` point at a run folder.
+/// Lets `latest` point at a run folder, and the link of its pipeline: a run whose results were all known ends with a former folder, which
+/// is the last of both then.
 pub(super) fn point_latest(runs: &Path, folder: &Path) -> Result<(), RunError> {
     std::fs::create_dir_all(runs).map_err(failed(runs))?;
-    let latest = runs.join("latest");
     let target = folder.file_name().map(PathBuf::from).unwrap_or_default();
-    if std::fs::read_link(&latest).is_ok_and(|now| now == target) {
+    if let Some(link) = target.to_str().and_then(latest_of) {
+        point(runs, &runs.join(link), &target)?;
+    }
+    point(runs, &runs.join("latest"), &target)
+}
+
+fn point(runs: &Path, latest: &Path, target: &Path) -> Result<(), RunError> {
+    if std::fs::read_link(latest).is_ok_and(|now| now == *target) {
         return Ok(());
     }
     let staged = runs.join(format!("{}{}", unfinished::STAGED, std::process::id()));
     loop {
         let _ = std::fs::remove_file(&staged);
-        std::os::unix::fs::symlink(&target, &staged).map_err(failed(&staged))?;
-        match std::fs::rename(&staged, &latest) {
+        std::os::unix::fs::symlink(target, &staged).map_err(failed(&staged))?;
+        match std::fs::rename(&staged, latest) {
             // Another process took it for one that was left by the dead.
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
             renamed => {
                 let cleared = renamed.inspect_err(|_| drop(std::fs::remove_file(&staged)));
-                return cleared.map_err(failed(&latest));
+                return cleared.map_err(failed(latest));
             }
         }
     }
