@@ -14,7 +14,7 @@ from rockface import _program
 __all__ = ["Cause", "Change", "Explanation", "PlannedStep", "arguments", "explain", "plan"]
 
 Values = Mapping[str, object] | Sequence[str]
-"""Values by name, or texts `NAME=VALUE` as on the command line."""
+"""Values by name, of which a `str` is a text as it stands, or texts `NAME=VALUE` as on the command line."""
 
 
 @dataclass(frozen=True)
@@ -107,12 +107,12 @@ def _pairs(values: Values | Mapping[str, object] | None) -> list[tuple[str, str]
 
 
 def _written(value: object) -> str:
-    """A value as the command line takes it: YAML, or for an axis its values with commas."""
-    if isinstance(value, str | Path):
-        return str(value)
+    """A value as the command line takes it: YAML, in which a text has quotes, so that `1.0` or `a #b` stays what it is."""
+    if isinstance(value, Path):
+        value = str(value)
     if isinstance(value, range) or hasattr(value, "tolist"):
         value = list(value) if isinstance(value, range) else value.tolist()
-    return json.dumps(value)
+    return json.dumps(value, ensure_ascii=False)
 
 
 def plan(
@@ -167,6 +167,6 @@ def _axes(sweep: Mapping[str, object] | Sequence[str] | None) -> Sequence[str] |
         if isinstance(values, str):
             return values
         listed = values.tolist() if hasattr(values, "tolist") else list(values)  # type: ignore[call-overload]
-        return ",".join(value if isinstance(value, str) else json.dumps(value) for value in listed)
+        return ",".join(_written(value) for value in listed)
 
     return [f"{axis}={words(values)}" for axis, values in sweep.items()]

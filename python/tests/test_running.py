@@ -55,6 +55,21 @@ def test_the_table_of_a_sweep_is_tidy(pipeline):
     assert len(set(table["dem.columns"])) == 3
 
 
+def test_texts_arrive_as_they_are(tmp_path):
+    path = tmp_path / "texts.yaml"
+    path.write_text(
+        "rockface: 1\nparams: {t: {type: text, default: x}}\nsteps:\n"
+        "  read: {stage: import-table, with: {path: t.csv}}\n"
+        '  made: {stage: tabulate, in: {rows: read.table}, with: {constants: {t: "${t}"}}}\n'
+    )
+    (tmp_path / "t.csv").write_text("a\n1\n")
+    for text in ["a #b", "", "1.0", " lead", "007", "null", 'a "b"', "ü"]:
+        told = rockface.explain(path, "made", set={"params.t": text})
+        assert told.recipe["params"]["constants"]["t"] == text
+    points = rockface.plan(path, sweep={"params.t": ["a", "b,c", "1"]})
+    assert [step.point["t"] for step in points if step.step == "made"] == ["a", "b,c", "1"]
+
+
 def test_outputs_at_several_points(pipeline):
     run = rockface.run(pipeline, progress=False)
     dems = run["dem"]

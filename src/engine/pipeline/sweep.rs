@@ -139,12 +139,13 @@ fn remove(root: &mut Node, section: &str, name: &str) {
 }
 
 fn listed(values: &str, span: Span) -> Result<Vec<Node>, String> {
-    if let Some((lo, rest)) = values.split_once("..") {
+    // Paths and quoted texts may have two dots too.
+    if let Some((lo, rest)) = values.split_once("..").filter(|_| !values.contains(['"', '/'])) {
         return range(lo, rest, span);
     }
     let mut at = span.start;
     let mut nodes = Vec::new();
-    for value in values.split(',') {
+    for value in between_commas(values) {
         let place = Span { start: at, end: at + value.len(), ..span };
         at = place.end + 1;
         let node = Node::parse(value.trim(), span.source).map_err(|_| format!("`{value}` is no value"))?;
@@ -157,6 +158,19 @@ fn listed(values: &str, span: Span) -> Result<Vec<Node>, String> {
         }
     }
     Ok(nodes)
+}
+
+/// The parts of a list with commas, but for those in double quotes.
+fn between_commas(values: &str) -> Vec<&str> {
+    let (mut quoted, mut escaped) = (false, false);
+    values
+        .split(|letter: char| {
+            let is_end = letter == ',' && !quoted;
+            quoted ^= letter == '"' && !escaped;
+            escaped = letter == '\\' && !escaped;
+            is_end
+        })
+        .collect()
 }
 
 /// `lo..hi:n`, both ends included.
@@ -189,6 +203,11 @@ fn range(lo: &str, rest: &str, span: Span) -> Result<Vec<Node>, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn commas_in_quotes_part_nothing() {
+        assert_eq!(super::between_commas(r#"1,"a,b","c\",d", e"#), ["1", r#""a,b""#, r#""c\",d""#, " e"]);
+    }
 
     fn swept(yaml: &str, sweep: &str) -> String {
         let mut root = Node::parse(yaml, 0).unwrap();
