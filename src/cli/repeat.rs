@@ -51,8 +51,19 @@ fn take_over(arguments: &mut PipelineArgs, manifest: &Manifest) {
     }
 }
 
-/// What is to be said of a repetition: whether every output has the digest it had, and what may be why not.
-pub fn verdict(manifest: &Manifest, plan: &Plan, summary: &Summary) -> Vec<String> {
+/// How a repetition came out.
+#[derive(Debug, serde::Serialize)]
+pub struct Repeated {
+    /// How many outputs have the digest they had.
+    same: usize,
+    /// How many have another one, or were not made then.
+    others: usize,
+    /// What is to be said of it, and what may be why outputs differ, a line each.
+    pub lines: Vec<String>,
+}
+
+/// Whether every output of a repetition has the digest it had, and what may be why not.
+pub fn verdict(manifest: &Manifest, plan: &Plan, summary: &Summary) -> Repeated {
     let former: BTreeMap<String, BTreeMap<&str, Digest>> = manifest
         .steps
         .iter()
@@ -78,7 +89,7 @@ pub fn verdict(manifest: &Manifest, plan: &Plan, summary: &Summary) -> Vec<Strin
         }
     }
     if others.is_empty() {
-        return vec![format!("repeated: all {same} outputs are the same")];
+        return Repeated { same, others: 0, lines: vec![format!("repeated: all {same} outputs are the same")] };
     }
     let count = others.len();
     let mut lines = changed_files(manifest, plan);
@@ -90,7 +101,7 @@ pub fn verdict(manifest: &Manifest, plan: &Plan, summary: &Summary) -> Vec<Strin
         );
     }
     lines.push(format!("repeated: {same} outputs are the same, {count} are not"));
-    lines
+    Repeated { same, others: count, lines }
 }
 
 /// The input files whose content is not what it was.

@@ -122,10 +122,16 @@ impl RunArgs {
             let ended = Ended { summary: &summary, told: &told, finished: &finished };
             shortcut::remember(&store, &question, &plan, &ended, &pipeline.looks)?;
         }
-        if let Some(former) = former.filter(|_| !self.json) {
-            repeat::verdict(&former, &plan, &summary).iter().for_each(|line| say(line));
+        let repeated = former.map(|former| repeat::verdict(&former, &plan, &summary));
+        if let Some(repeated) = repeated.as_ref().filter(|_| !self.json) {
+            repeated.lines.iter().for_each(|line| say(line));
         }
-        self.report(&store, &summary, &finished, &told, begun.elapsed().as_secs_f64());
+        let wall_s = begun.elapsed().as_secs_f64();
+        if self.json {
+            Self::report_json(&store, &summary, &finished, repeated.as_ref(), wall_s);
+        } else {
+            self.report(&store, &summary, &told, wall_s);
+        }
         let failed = summary.failed;
         // The process ends now: dropping a large plan would only take time.
         std::mem::forget((pipeline, plan, summary));
@@ -178,18 +184,25 @@ impl RunArgs {
         Ok(shortcut::recall(&self.pipeline.store_dir(), question, &runs)?)
     }
 
-    fn report(&self, store: &Store, summary: &Summary, finished: &Finished, told: &Told, wall_s: f64) {
+    fn report_json(
+        store: &Store,
+        summary: &Summary,
+        finished: &Finished,
+        repeated: Option<&repeat::Repeated>,
+        wall_s: f64,
+    ) {
+        let event = serde_json::json!({
+            "event": "ended", "failed": summary.failed, "executed": summary.executed(), "cached": summary.cached(),
+            "wall_s": wall_s, "folder": finished.folder, "headlines": finished.headlines, "files": finished.files,
+            "warnings": finished.warnings.iter().map(|(_, text)| text).collect::<Vec<_>>(),
+            "repeated": repeated, "remote": store.remote().map(Remote::traffic),
+        });
+        say(&event.to_string());
+    }
+
+    fn report(&self, store: &Store, summary: &Summary, told: &Told, wall_s: f64) {
         let (ran, cached) = (summary.executed(), summary.cached());
         let traffic = store.remote().map(Remote::traffic);
-        if self.json {
-            let event = serde_json::json!({
-                "event": "ended", "failed": summary.failed, "executed": ran, "cached": cached,
-                "wall_s": wall_s, "folder": finished.folder, "headlines": finished.headlines, "files": finished.files,
-                "warnings": finished.warnings.iter().map(|(_, text)| text).collect::<Vec<_>>(),
-                "remote": traffic,
-            });
-            return say(&event.to_string());
-        }
         if let Some((remote, traffic)) = store.remote().zip(traffic).filter(|_| !self.quiet) {
             let requests = traffic.reads + traffic.writes + traffic.lists + traffic.deletes;
             let (down, up) = (bytes(traffic.bytes_read), bytes(traffic.bytes_written));

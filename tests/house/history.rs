@@ -110,6 +110,13 @@ fn a_manifest_repeats_its_run_and_says_whether_it_came_out_the_same() {
         out.contains("differs  dem.raster: ") && out.contains("repeated: 1 outputs are the same, 1 are not"),
         "{out}"
     );
+    let (code, out, _) = house.rockface(&[&changed[..], &["--json"]].concat());
+    let ended: serde_json::Value = serde_json::from_str(last_line(&out)).unwrap();
+    assert_eq!(
+        (code, &ended["repeated"]["same"], &ended["repeated"]["others"]),
+        (Some(0), &1.into(), &1.into()),
+        "{out}"
+    );
     std::fs::write(house.path("other.json"), "{\"format\": 7}").unwrap();
     let (code, _, err) = house.rockface(&["run", "other.json"]);
     assert!(code == Some(2) && err.contains("format 7"), "{err}");

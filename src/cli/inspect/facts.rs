@@ -225,7 +225,8 @@ mod tests {
     fn what_is_wrong_with_a_mesh_is_told() {
         let corners = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]];
         let told = |triangles: Vec<[u32; 3]>| -> Map<String, Value> {
-            of_mesh(&Mesh::new(Frame::Wall, corners.to_vec(), triangles)).into_iter().collect()
+            let mesh = Mesh { frame: Frame::Wall, vertices: corners.to_vec(), triangles, colours: Vec::new() };
+            of_mesh(&mesh).into_iter().collect()
         };
         let sound = told(vec![[0, 1, 2], [1, 0, 3]]);
         assert_eq!((&sound["edges of three or more triangles"], &sound["holes"]), (&json!(0), &json!(0)));

@@ -12,7 +12,8 @@ type Point = BTreeMap<String, String>;
 /// The table as CSV; `None` where no step has logged a number.
 ///
 /// Axes come first, in alphabetical order, then `step.metric [unit]`, in the order of the run. A row also has the numbers of steps
-/// that depend on fewer axes: those of the items it has in common with them. A cell is empty where a step has no instance at the point.
+/// that depend on fewer axes: those of the items it has in common with them. They have no row of their own beside it, so that means over
+/// rows count each once for every point. A cell is empty where a step has no instance at the point.
 pub fn table(manifest: &Manifest) -> Option<String> {
     let told: Vec<&StepDone> = manifest.steps.iter().filter(|done| !done.metrics.is_empty()).collect();
     let axes: BTreeSet<&str> = told.iter().flat_map(|done| done.point.keys().map(String::as_str)).collect();
@@ -36,9 +37,10 @@ pub fn table(manifest: &Manifest) -> Option<String> {
     }
     // The sets of axes that steps depend on: a row takes the values of each of its subsets.
     let sets: BTreeSet<BTreeSet<&str>> = at.keys().map(|point| point.keys().map(String::as_str).collect()).collect();
+    let parts = parts(at.keys().copied(), &sets);
     let mut text = csv::Writer::from_writer(Vec::new());
     text.write_record(axes.iter().copied().chain(columns.iter().map(String::as_str))).ok()?;
-    for point in at.keys() {
+    for point in at.keys().filter(|point| !parts.contains(**point)) {
         let mut cells = vec![String::new(); columns.len()];
         for set in &sets {
             let part: Option<Point> =
@@ -51,6 +53,15 @@ pub fn table(manifest: &Manifest) -> Option<String> {
         text.write_record(items.chain(cells.iter().map(String::as_str))).ok()?;
     }
     String::from_utf8(text.into_inner().ok()?).ok()
+}
+
+/// What points have in common with points of fewer axes: these stand in the rows of the former.
+fn parts<'a>(points: impl Iterator<Item = &'a Point>, sets: &BTreeSet<BTreeSet<&str>>) -> BTreeSet<Point> {
+    let part = |point: &Point, set: &BTreeSet<&str>| -> Option<Point> {
+        let items = set.iter().map(|axis| Some(((*axis).to_owned(), point.get(*axis)?.clone())));
+        items.collect::<Option<Point>>().filter(|part| part.len() < point.len())
+    };
+    points.flat_map(|point| sets.iter().filter_map(move |set| part(point, set))).collect()
 }
 
 #[cfg(test)]
@@ -117,9 +128,10 @@ mod tests {
             done("score", &[("sigma", "0.5"), ("trial", "0")], &[("rate", 0.75, "1")]),
             done("score", &[("sigma", "0.7"), ("trial", "0")], &[("rate", 0.5, "1")]),
             done("noise", &[("sigma", "0.7")], &[("std", 0.01, "m")]),
+            done("noise", &[("sigma", "0.9")], &[("std", 0.02, "m")]),
             done("quiet", &[("image", "a,b")], &[]),
         ];
-        let expected = "sigma,trial,face.area [m2],score.rate,noise.std [m]\n,,12.5,,\n0.5,0,12.5,0.75,\n0.7,,12.5,,0.01\n0.7,0,12.5,0.5,0.01\n";
+        let expected = "sigma,trial,face.area [m2],score.rate,noise.std [m]\n0.5,0,12.5,0.75,\n0.7,0,12.5,0.5,0.01\n0.9,,12.5,,0.02\n";
         assert_eq!(table(&manifest(steps)).unwrap(), expected);
         assert_eq!(table(&manifest(Vec::new())), None);
     }

@@ -63,7 +63,7 @@ const EVENTS: &[(&str, &str, &[Member])] = &[
     ),
     (
         "ended",
-        "The last line: the run is over. Its exit code says the same as `failed`.",
+        "The last line: the run is over. Its exit code says the same as `failed`. A run that is interrupted, or whose store fails, ends without it.",
         &[
             member("failed", "boolean", "whether an instance failed"),
             member("executed", "integer", "instances that ran"),
@@ -71,8 +71,17 @@ const EVENTS: &[(&str, &str, &[Member])] = &[
             member("wall_s", "number", "elapsed seconds"),
             member("folder", "string", "the run folder"),
             member("headlines", "strings", "the results in a sentence each"),
-            member("warnings", "strings", "what steps warned of, those of cached steps too"),
+            member(
+                "warnings",
+                "strings",
+                "what stages warned of, those of cached steps too; what the engine warns of is told by the event `warning` only",
+            ),
             member("files", "strings", "outputs of the target steps, by their paths in the run folder"),
+            member(
+                "repeated",
+                "object|null",
+                "where a `run.json` was run again: how many outputs are the `same`, how many `others` there are, and `lines` about them",
+            ),
             member("remote", "object|null", "requests to the remote place and bytes, by kind"),
         ],
     ),

@@ -69,7 +69,7 @@ fn check(reference: &Raster, comparison: &Raster) -> Result<(), StageError> {
     let (a, b) = (grid::describe(&reference.grid), grid::describe(&comparison.grid));
     let (fa, fb) = (reference.frame, comparison.frame);
     Err(StageError::new(format!("the reference has {a} ({fa} frame), the comparison {b} ({fb} frame)"))
-        .hint("hand the reference raster to the port `grid` of the other `rasterise-dem`"))
+        .hint("where both are made by `rasterise-dem`, hand the first raster to the port `grid` of the other; bring files onto one grid before, such as with `gdalwarp -te -tr`"))
 }
 
 /// NaN in either gives NaN; the subtraction is done in 64 bits.

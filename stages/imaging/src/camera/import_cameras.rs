@@ -140,7 +140,7 @@ fn read_cameras(params: &ImportCamerasParams, context: &Context) -> Result<Camer
     match frame {
         Some(frame) if file.states_frame && frame != file.cameras.frame => {
             Err(StageError::new(format!("`{path}` is in the {} frame, not the {frame} frame", file.cameras.frame))
-                .hint("leave `frame` out"))
+                .hint(format!("set `frame: {}`, or leave it out where the pipeline gives none", file.cameras.frame)))
         }
         _ => Ok(file),
     }

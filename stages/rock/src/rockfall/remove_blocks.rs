@@ -312,7 +312,7 @@ fn judge(
         *reasons.entry(rejection.reason.word()).or_default() += 1;
     }
     let told: Vec<String> = reasons.iter().map(|(word, count)| format!("{word} {count}")).collect();
-    let told = if told.is_empty() { "none".to_owned() } else { told.join(", ") };
+    let told = if told.is_empty() { String::new() } else { format!(", rejected for: {}", told.join(", ")) };
     let (pieces, events, tried) = (outcome.pieces(), outcome.events.len(), outcome.attempts.len());
     let volume = outcome.events.iter().flat_map(|event| &event.proposal.pieces).fold(0.0, |sum, p| sum + p.volume_m3);
     context.metric("pieces", pieces as f64, "1");
@@ -331,9 +331,10 @@ fn judge(
     }
     let why = match outcome.end {
         End::Failures => format!("{} candidates failed in a row", plan.most_failures),
+        _ if tried == 0 => "there are no candidates".to_owned(),
         _ => "there are no more candidates".to_owned(),
     };
-    let text = format!("{pieces} of {wanted} pieces are out: {why}; {tried} were tried, rejected for: {told}");
+    let text = format!("{pieces} of {wanted} pieces are out: {why}; {tried} were tried{told}");
     if events == 0 || params.fewer == Fewer::Fail {
         let hint = "the tables `attempts` and `volumes` of this step, in the folder of the run, have every candidate; \
                     `rockface stages remove-blocks` says what the reasons mean; blocks and face must be in the same place";
