@@ -81,7 +81,12 @@ const CASES: [(&str, &str, &str, Outcome); 27] = [
         "",
         Refused(&["none of the 3 images of the chunk is aligned", "Align Photos"]),
     ),
-    ("metashape-one-unaligned.xml", "import-cameras.cameras", "", Read(&["items 2"], &[])),
+    (
+        "metashape-one-unaligned.xml",
+        "import-cameras.cameras",
+        "",
+        Read(&["items 2"], &["1 of 3 images are not aligned or not enabled and are left out"]),
+    ),
     ("metashape-geographic.xml", "import-cameras.cameras", "", Read(&["items 3"], &["its centres are geocentric"])),
     (
         "bundler-unregistered",

@@ -54,6 +54,23 @@ pub fn magnitudes(artefact: &Artefact, column: &str) -> Result<(Vec<f64>, usize)
     Ok((positive, without))
 }
 
+/// The sentence about the rows that hold text in a column of numbers; `None` where no row does.
+pub fn text_among_numbers<'a>(column: &str, cells: impl IntoIterator<Item = &'a Cell>) -> Option<String> {
+    let (mut rows, mut texts, mut example) = (0, 0, None);
+    for cell in cells {
+        rows += 1;
+        if let Some(text) = cell.text() {
+            texts += 1;
+            example.get_or_insert(text);
+        }
+    }
+    let example = example?;
+    Some(format!(
+        "{texts} of {rows} rows hold text in `{column}`, such as `{example}`, which counts as no number: write numbers with a \
+         decimal point and without quotes or units"
+    ))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -65,6 +82,9 @@ mod tests {
         for value in [Cell::from(3.0), Cell::from(-1.0), Cell::from(f64::NAN), Cell::from(0.5), Cell::from("x")] {
             table.push(vec![value, Cell::from(1.0)]);
         }
+        let sentence = text_among_numbers("v", table.rows.iter().map(|row| &row[0])).unwrap();
+        assert!(sentence.contains("1 of 5 rows hold text in `v`, such as `x`"), "{sentence}");
+        assert_eq!(text_among_numbers("w", table.rows.iter().map(|row| &row[1])), None);
         let table = Artefact::from(table);
         assert_eq!(magnitudes(&table, "v").unwrap(), (vec![0.5, 3.0], 3));
         assert!(magnitudes(&table, "u").unwrap_err().message.contains("there are v, w"));

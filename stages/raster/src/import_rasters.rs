@@ -49,7 +49,7 @@ pub struct ImportRasters;
 impl Stage for ImportRasters {
     type Params = ImportRastersParams;
     const NAME: &'static str = "import-rasters";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("import_rasters.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] =
@@ -101,10 +101,9 @@ impl Stage for ImportRasters {
 /// The fault of the bytes of a file.
 fn unreadable(name: &str, error: &CodecError) -> StageError {
     let fault = StageError::new(format!("`{name}`: {error}"));
-    if error.0.starts_with(DAMAGED) {
+    // These name their own way out.
+    if error.0.starts_with(DAMAGED) || error.0.contains("north up") {
         fault
-    } else if error.0.contains("resample") {
-        fault.hint("`gdalwarp -tr 0.05 0.05 -r bilinear FILE NEW` makes cells of 0.05 m, north up")
     } else {
         fault.hint("a pattern such as `folder/a*.tif` leaves other files out")
     }

@@ -36,7 +36,7 @@ pub struct ImportTable;
 impl Stage for ImportTable {
     type Params = ImportTableParams;
     const NAME: &'static str = "import-table";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("import_table.md"));
     const INPUTS: &'static [Port] =
         &[Port::optional("transform", &[Kind::Transform], "wall_from_world, which positions are moved by.")];

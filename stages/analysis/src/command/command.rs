@@ -45,7 +45,7 @@ pub struct Command;
 impl Stage for Command {
     type Params = CommandParams;
     const NAME: &'static str = "command";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("command.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[];

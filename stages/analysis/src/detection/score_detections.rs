@@ -8,7 +8,7 @@ use rockface_core::artefact::{Artefact, Band, Cell, Feature, Grid, Inventory, Ki
 use rockface_core::numerics::quantile::median;
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
-use rockface_raster::grid;
+use rockface_raster::{columns, grid};
 use rockface_rock::rockfall::ground_truth::outline;
 
 params! {
@@ -59,6 +59,14 @@ impl Stage for ScoreDetections {
         for (name, frame) in [("truth", truth.frame), ("detections", detections.frame)] {
             if frame != searched.frame {
                 fail!("the {name} are in the {frame} frame, the grid in the {} frame", searched.frame);
+            }
+        }
+        for (whose, inventory, column) in
+            [("truth", truth, &params.truth_column), ("detections", &detections, &params.column)]
+        {
+            let cells = inventory.column(column).map(|at| inventory.features.iter().map(move |f| &f.values[at]));
+            if let Some(text) = columns::text_among_numbers(column, cells.into_iter().flatten()) {
+                context.warn(format!("{whose}: {text}"));
             }
         }
         let true_objects = truths(truth, params, &searched.grid, &seen)?;

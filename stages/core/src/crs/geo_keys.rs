@@ -1,9 +1,9 @@
 //! The keys by which GeoTIFF, and LAS before version 1.4, state a system (OGC 19-008r4, annex B), read and written.
 
-use super::stated::{Kind, Stated};
+use super::stated::{Kind, Stated, linear_unit};
 use super::unit::Unit;
 use super::wkt::{Argument, Node};
-use super::{Crs, definition, vertical_definition};
+use super::{Crs, compound, definition, vertical_definition};
 
 const MODEL_TYPE: u16 = 1024;
 const CITATION: u16 = 1026;
@@ -15,6 +15,7 @@ const METHOD: u16 = 3075;
 const LINEAR_UNITS: u16 = 3076;
 const LINEAR_UNIT_SIZE: u16 = 3077;
 const VERTICAL: u16 = 4096;
+const VERTICAL_CITATION: u16 = 4097;
 const VERTICAL_UNITS: u16 = 4099;
 
 const USER_DEFINED: u16 = 32767;
@@ -126,7 +127,7 @@ impl GeoKeys<'_> {
             return Some(Stated::of_prj(text.as_bytes()));
         }
         Some(match model {
-            1 => self.projected(own(PROJECTED), own(VERTICAL)).unwrap_or_else(Stated::unknown),
+            1 => self.projected(own(PROJECTED)).unwrap_or_else(Stated::unknown),
             model @ (2 | 3) => {
                 let kind = if model == 2 { Kind::Geographic } else { Kind::Geocentric };
                 let named = own(GEODETIC).and_then(|code| Stated::from_epsg(code, None).ok());
@@ -137,11 +138,14 @@ impl GeoKeys<'_> {
         })
     }
 
-    fn projected(&self, code: Option<u32>, vertical: Option<u32>) -> Result<Stated, String> {
+    fn projected(&self, code: Option<u32>) -> Result<Stated, String> {
         let mut stated = match code {
-            Some(code) => Stated::from_epsg(code, vertical.filter(|code| vertical_definition(*code).is_some()))?,
+            Some(code) => Stated::from_epsg(code, None)?,
             None => self.described(),
         };
+        if let Some(code) = self.code(VERTICAL) {
+            self.add_heights(&mut stated, code);
+        }
         // A file may say that it is in another unit than its code.
         if let Some(unit) = self.unit()
             && stated.unit.as_ref() != Some(&unit)
@@ -153,6 +157,26 @@ impl GeoKeys<'_> {
         let height = self.code(VERTICAL_UNITS).and_then(|code| Unit::by_code(u32::from(code)));
         stated.vertical_unit = height.or(stated.vertical_unit);
         Ok(stated)
+    }
+
+    /// Adds the system of heights of a code, or notes that it is not known.
+    fn add_heights(&self, stated: &mut Stated, code: u16) {
+        let known = Some(u32::from(code)).filter(|code| *code != u32::from(USER_DEFINED)).and_then(vertical_definition);
+        match (known, &stated.node) {
+            (Some(heights), Some(horizontal)) => {
+                let node = compound(horizontal, &heights);
+                node.name().clone_into(&mut stated.name);
+                stated.vertical_unit = linear_unit(&heights);
+                stated.node = Some(node);
+            }
+            // Of a system that cannot be carried on its heights cannot be either.
+            (Some(_), None) => {}
+            (None, _) => {
+                let code = if code == USER_DEFINED { "without a code".to_owned() } else { format!("EPSG:{code}") };
+                let cited = self.text(VERTICAL_CITATION).filter(|text| !text.is_empty());
+                stated.unknown_heights = Some(cited.map_or_else(|| code.clone(), |text| format!("{text}, {code}")));
+            }
+        }
     }
 
     /// A system that the keys describe by its projection, where it is one of the usual ones.

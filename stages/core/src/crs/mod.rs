@@ -4,6 +4,7 @@
 //! [`Stated`] system, which [`settle`] makes one of, converting feet and refusing degrees.
 
 pub mod geo_keys;
+mod heights;
 mod metric;
 mod settle;
 mod signature;
@@ -15,6 +16,7 @@ pub use settle::{CrsName, Settled, Tool, settle, wall_without_system};
 pub use stated::{Kind, Stated};
 pub use unit::Unit;
 
+use heights::{known_codes, vertical_definition};
 use wkt::{Argument, Node};
 
 /// A projected coordinate reference system in metres, perhaps with a vertical one.
@@ -182,17 +184,6 @@ fn definition(code: u32) -> Option<Node> {
     let node = Node::parse(text).ok()?;
     let source = if node.keyword == "BOUNDCRS" { node.child(&["SOURCECRS"])?.nodes().next()?.clone() } else { node };
     Some(source.without(&["TOWGS84", "EXTENSION"]))
-}
-
-/// Codes of systems with heights, in which vertical systems are looked for.
-const COMPOUND_CODES: std::ops::RangeInclusive<u16> = 3901..=8912;
-
-/// The definition of a vertical system, from a compound one that has it.
-fn vertical_definition(code: u32) -> Option<Node> {
-    let texts = COMPOUND_CODES.filter_map(|known| Some(crs_definitions::from_code(known)?.wkt));
-    let stated = format!("\"EPSG\",\"{code}\"");
-    let compounds = texts.filter(|text| text.starts_with("COMPD_CS") && text.contains(&stated));
-    compounds.filter_map(|text| parts(&Node::parse(text).ok()?).1.cloned()).find(|node| node.epsg() == Some(code))
 }
 
 /// The horizontal system of a node, and the vertical one where it is compound.

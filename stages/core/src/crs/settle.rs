@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 use super::metric::in_metres;
-use super::{Crs, Kind, Stated, Unit};
+use super::{Crs, Kind, Stated, Unit, parts};
 use crate::artefact::{Frame, Georeference};
 use crate::numerics::portable_math;
 use crate::params::{self, Fault, ParamType};
@@ -165,8 +165,16 @@ pub fn settle(
     }
     // Of those that agree the one that says most.
     stated.sort_by_key(|(_, s)| (s.vertical_unit.is_none(), s.node.is_none()));
-    let (_, stated) = stated.swap_remove(0);
+    let place = with_heights(&stated).unwrap_or(0);
+    let (_, stated) = stated.swap_remove(place);
     Ok(converted(path, &stated, context))
+}
+
+/// Where the system of heights of the first statement is not known: a statement with heights in the same unit.
+fn with_heights(stated: &[(String, Stated)]) -> Option<usize> {
+    let (_, first) = stated.first().filter(|(_, first)| first.unknown_heights.is_some())?;
+    let has_heights = |stated: &Stated| stated.node.as_ref().is_some_and(|node| parts(node).1.is_some());
+    stated.iter().position(|(_, other)| has_heights(other) && other.vertical_unit == first.vertical_unit)
 }
 
 fn refusal(path: &str, who: &str, stated: &Stated, tool: Tool, first: Option<[f64; 3]>) -> StageError {
@@ -227,6 +235,14 @@ fn converted(path: &str, stated: &Stated, context: &Context) -> Settled {
         ));
     } else if let Some(crs) = &crs {
         context.note(format!("coordinate reference system {} ({crs})", crs.name()));
+    }
+    if let Some(heights) = &stated.unknown_heights {
+        let way = crs.as_ref().and_then(Crs::epsg).map_or_else(String::new, |code| {
+            format!("; if it is known under another code, state that with `crs: EPSG:{code}+...`")
+        });
+        context.warn(format!(
+            "`{path}` states its heights in {heights}, which is not known here: outputs do not state it{way}"
+        ));
     }
     if crs.is_none() && stated.kind == Kind::Projected {
         context.warn(format!(

@@ -2,7 +2,7 @@
 
 use super::unit::Unit;
 use super::wkt::Node;
-use super::{compound, definition, parts, vertical_definition};
+use super::{compound, definition, known_codes, parts, vertical_definition};
 
 /// The sorts of systems.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -53,6 +53,8 @@ pub struct Stated {
     pub vertical_unit: Option<Unit>,
     /// Its definition; `None` where what is stated does not define it.
     pub node: Option<Node>,
+    /// The system of heights that is stated but not known, and therefore left out.
+    pub unknown_heights: Option<String>,
 }
 
 impl Stated {
@@ -86,7 +88,7 @@ impl Stated {
         };
         let unit = if kind == Kind::Geographic { None } else { linear_unit(horizontal) };
         let vertical_unit = vertical.and_then(linear_unit);
-        Ok(Self { name, kind, unit, vertical_unit, node: Some(node) })
+        Ok(Self { name, kind, unit, vertical_unit, node: Some(node), unknown_heights: None })
     }
 
     /// The system of an EPSG code, and of one for heights.
@@ -98,14 +100,14 @@ impl Stated {
         let horizontal = definition(code).ok_or_else(|| unknown(code))?;
         let node = match vertical {
             None => horizontal,
-            Some(height) => compound(&horizontal, &vertical_definition(height).ok_or_else(|| unknown(height))?),
+            Some(height) => compound(&horizontal, &vertical_definition(height).ok_or_else(|| unknown_heights(height))?),
         };
         Self::from_node(node)
     }
 
     /// What a file states in a way that cannot be read.
     pub fn unknown(why: String) -> Self {
-        Self { name: why, kind: Kind::Unknown, unit: None, vertical_unit: None, node: None }
+        Self { name: why, kind: Kind::Unknown, ..Self::local("", None) }
     }
 
     /// The system that the text of a `.prj` states.
@@ -121,7 +123,8 @@ impl Stated {
 
     /// A system of the site: units alone.
     pub fn local(name: &str, unit: Option<Unit>) -> Self {
-        Self { name: name.to_owned(), kind: Kind::Local, unit, vertical_unit: None, node: None }
+        let name = name.to_owned();
+        Self { name, kind: Kind::Local, unit, vertical_unit: None, node: None, unknown_heights: None }
     }
 
     /// Whether coordinates of the two mean the same places, as far as both say.
@@ -133,6 +136,12 @@ impl Stated {
             _ => self.kind == other.kind && signature(self).is_some() && signature(self) == signature(other),
         }
     }
+}
+
+/// What is wrong with a code that is none of a known system of heights.
+fn unknown_heights(code: u32) -> String {
+    let known: Vec<String> = known_codes().iter().map(ToString::to_string).collect();
+    format!("EPSG:{code} is not among the systems of heights that rockface knows: {}", known.join(", "))
 }
 
 /// The unit of lengths of a system: that of its `UNIT`, `LENGTHUNIT`, or of its axes.

@@ -118,13 +118,42 @@ fn keys_state_systems_and_are_written_for_them() {
     let feet = stated(&[1, 1, 0, 3, 1024, 0, 1, 1, 3072, 0, 1, 32633, 3076, 0, 1, 9002]).unwrap();
     assert_eq!(feet.unit, Unit::by_code(9002));
     let custom = crs(&ESRI.replace("15.0", "15.5"));
-    for system in [crs("EPSG:28356"), crs("EPSG:7415"), custom] {
+    for system in [crs("EPSG:28356"), crs("EPSG:7415"), crs("EPSG:25832+7837"), custom] {
         let (keys, ascii) = written(&system, 0);
         let mut directory = vec![1, 1, 0, keys.len() as u16 + 1, 1024, 0, 1, super::geo_keys::model(&system)];
         directory.extend(keys.as_flattened());
         let stated = GeoKeys { directory: &directory, doubles: &[], ascii: &ascii }.stated().unwrap();
         assert_eq!(Crs::of_node(&stated.node.unwrap()), system);
     }
+}
+
+#[test]
+fn heights_are_kept_or_their_loss_is_warned_of() {
+    let keys = |height: u16| {
+        let directory = [1, 1, 0, 4, 1024, 0, 1, 1, 3072, 0, 1, 25832, 4096, 0, 1, height, 4099, 0, 1, 9001];
+        GeoKeys { directory: &directory, doubles: &[], ascii: "" }.stated().unwrap()
+    };
+    for (height, known) in [(5709, "EPSG:25832+5709"), (7837, "EPSG:25832+7837")] {
+        let (result, warnings, _) = settled(Some(keys(height)), None, None);
+        assert_eq!((result.unwrap().crs, warnings.len()), (Some(crs(known)), 0));
+    }
+    let (result, warnings, _) = settled(Some(keys(5030)), None, None);
+    assert_eq!(result.unwrap().crs, Some(crs("EPSG:25832")));
+    assert!(
+        warnings.len() == 1 && warnings[0].contains("EPSG:5030") && warnings[0].contains("EPSG:25832+"),
+        "{warnings:?}"
+    );
+    let (result, warnings, _) = settled(Some(keys(5030)), Some("EPSG:25832+7837"), None);
+    assert_eq!((result.unwrap().crs, warnings.len()), (Some(crs("EPSG:25832+7837")), 0));
+    let without_code = GeoKeys {
+        directory: &[1, 1, 0, 4, 1024, 0, 1, 1, 3072, 0, 1, 25832, 4096, 0, 1, 32767, 4097, 34737, 9, 0],
+        doubles: &[],
+        ascii: "our gauge|",
+    };
+    let (_, warnings, _) = settled(without_code.stated(), None, None);
+    assert!(warnings.len() == 1 && warnings[0].contains("our gauge, without a code"), "{warnings:?}");
+    let refused = "EPSG:25832+4326".parse::<Crs>().unwrap_err();
+    assert!(refused.contains("EPSG:4326 is not among the systems of heights") && refused.contains("5709"), "{refused}");
 }
 
 #[test]

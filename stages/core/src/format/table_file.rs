@@ -14,7 +14,8 @@ const LISTED: usize = 20;
 
 /// Reads a CSV file with a header line; cells are separated by the comma, semicolon or tab the header has most of.
 ///
-/// Cells that are numbers become numbers, `true` and `false` flags, empty ones and NaN empty, all others text. Where cells
+/// Cells that are numbers become numbers, `true` and `false` flags, empty ones and NaN empty, all others text; text, too, stay
+/// infinite numbers and whole numbers of more digits than a double holds, such as long identifiers. Where cells
 /// are not separated by commas, a column all of whose numbers have decimal commas or none is one of numbers, too. Spaces
 /// around cells, a byte-order mark and a `//` or `#` before the header are dropped.
 ///
@@ -61,11 +62,14 @@ fn take_decimal_commas(table: &mut Table, column: usize) {
 }
 
 /// The number that a text with one decimal comma and no point writes.
-fn with_decimal_comma(text: &str) -> Option<f64> {
+pub fn with_decimal_comma(text: &str) -> Option<f64> {
     let (whole, fraction) = text.split_once(',')?;
     let digits = |text: &str| text.ends_with(|last: char| last.is_ascii_digit());
     let is_one = digits(whole) && fraction.starts_with(|first: char| first.is_ascii_digit()) && !whole.contains('.');
-    if is_one { format!("{whole}.{fraction}").parse().ok() } else { None }
+    if !is_one {
+        return None;
+    }
+    format!("{whole}.{fraction}").parse().ok().filter(|number: &f64| number.is_finite())
 }
 
 fn check_header(columns: &[String]) -> Result<(), CodecError> {
@@ -95,9 +99,20 @@ fn cell(text: &str) -> Cell {
         ("", _) => Cell::Empty(()),
         ("true", _) => Cell::Flag(true),
         ("false", _) => Cell::Flag(false),
-        (_, Ok(number)) => number.into(),
-        (text, Err(_)) => text.into(),
+        (_, Ok(number)) if number.is_nan() || number.is_finite() && holds_whole(number, text) => number.into(),
+        (text, _) => text.into(),
     }
+}
+
+/// Digits that every double holds.
+const HELD_DIGITS: usize = 15;
+
+/// Whether a number is the very one of its text, where the text is a whole number.
+fn holds_whole(number: f64, text: &str) -> bool {
+    let digits = text.trim_start_matches(['+', '-']).trim_start_matches('0');
+    digits.len() <= HELD_DIGITS
+        || !digits.bytes().all(|digit| digit.is_ascii_digit())
+        || format!("{:.0}", number.abs()) == digits
 }
 
 /// The numbers of a column, empty cells left out.
@@ -153,6 +168,30 @@ mod tests {
         }
         // Commas that separate cells group digits where they stand in quotes.
         assert_eq!(read(b"a,b\n\"1,234\",2\n").unwrap().rows[0][0], "1,234".into());
+    }
+
+    #[test]
+    fn numbers_that_a_double_does_not_hold_stay_text() {
+        let cells = |column: &str| -> Vec<Cell> {
+            let table = read(format!("a\n{column}\n").as_bytes()).unwrap();
+            table.rows.into_iter().flatten().collect()
+        };
+        for text in ["inf", "-inf", "Infinity", "1e400", "-1e400", "12345678901234567", "-9007199254740993"] {
+            assert_eq!(cells(text), [Cell::from(text)], "{text}");
+        }
+        for (text, number) in [
+            ("9007199254740992", 9_007_199_254_740_992.0),
+            ("12345678901234568", 12_345_678_901_234_568.0),
+            ("-123456789012345", -123_456_789_012_345.0),
+            ("1e22", 1e22),
+            ("0.1234567890123456", 0.123_456_789_012_345_6),
+            ("007", 7.0),
+        ] {
+            assert_eq!(cells(text), [Cell::Number(number)], "{text}");
+        }
+        assert_eq!(cells("NaN"), [Cell::Empty(())]);
+        // A column with decimal commas that overflow is none of numbers.
+        assert_eq!(read(b"a;b\n1,5e400;1\n").unwrap().rows[0][0], "1,5e400".into());
     }
 
     #[test]

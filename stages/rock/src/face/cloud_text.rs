@@ -1,31 +1,35 @@
 //! Point clouds as text: columns of numbers, as XYZ, TXT, CSV, ASC or PTS files have them.
 
 use super::cloud::Cloud;
+use super::column_marks::{Halves, number, numbers, shown, split};
 use rockface_core::artefact::CodecError;
 use rockface_core::limits::Stop;
 
-/// Reads a point a line, columns set apart by blanks, commas or semicolons.
+/// Reads a point a line, columns set apart by blanks, commas or semicolons. Commas are decimal marks where blanks or semicolons
+/// separate the columns.
 ///
 /// Columns are those named by the caller; else by a header line (with or without `#` or `//` before it); else x, y and z
 /// come first, and a following three columns are a colour where all their values are whole numbers from 0 to 255. Known
-/// names are `x y z`, `r g b` and `red green blue` in either case; other columns are skipped, and so are lines that
-/// begin with `#` or `//` and a first line that holds nothing but the number of points.
+/// names are `x y z`, `easting northing` with `height` or `elevation`, `r g b` and `red green blue` in either case; other
+/// columns are skipped, and so are lines that begin with `#` or `//`, a first line that holds nothing but the number of
+/// points, and a header where the caller names the columns.
 ///
 /// # Errors
-/// The line at fault: another number of columns than before, a word that is no number, a coordinate that is not finite;
-/// `cancelled` became true.
+/// The line at fault: a header without x, y and z, another number of columns than before, a word that is no number, a
+/// coordinate that is not finite, commas that may be separators as well as decimal marks; `cancelled` became true.
 pub fn read(bytes: &[u8], columns: Option<&[String]>, cancelled: &dyn Fn() -> bool) -> Result<Cloud, CodecError> {
     let text = std::str::from_utf8(bytes).map_err(|e| CodecError(format!("byte {} is not text", e.valid_up_to())))?;
     let mut reader = Columns::default();
     if let Some(names) = columns {
         reader.name(&names.iter().map(String::as_str).collect::<Vec<_>>()).map_err(CodecError)?;
+        reader.is_given = true;
     }
     let mut stop = Stop::when(cancelled);
     for (number, line) in text.lines().enumerate() {
         stop.check()?;
         reader.line(line).map_err(|e| CodecError(format!("line {}: {e}", number + 1)))?;
     }
-    Ok(reader.finish())
+    reader.finish().map_err(CodecError)
 }
 
 #[derive(Default)]
@@ -34,54 +38,74 @@ struct Columns {
     places: Option<([usize; 3], Option<[usize; 3]>)>,
     /// Whether the fourth to sixth column may be a colour though no name says so.
     guessed: bool,
+    /// Whether the caller or a header names the columns.
+    is_named: bool,
+    /// Whether the caller does.
+    is_given: bool,
     count: Option<usize>,
+    halves: Halves,
     cloud: Cloud,
 }
 
 impl Columns {
     fn line(&mut self, line: &str) -> Result<(), String> {
         let comment = line.trim_start().strip_prefix('#').or_else(|| line.trim_start().strip_prefix("//"));
-        let words: Vec<&str> = split(comment.unwrap_or(line)).collect();
+        if self.cloud.points.is_empty() || comment.is_some() {
+            let words: Vec<&str> = split(comment.unwrap_or(line)).collect();
+            if self.is_no_point(&words, comment.is_some())? {
+                return Ok(());
+            }
+        }
+        let words = numbers(line)?;
         if words.is_empty() {
             return Ok(());
         }
-        let is_first = self.cloud.points.is_empty();
-        let is_header = is_first && words.iter().any(|word| word.parse::<f64>().is_err());
-        if is_header && self.places.is_none() && self.name(&words).is_ok() {
-            return Ok(());
+        if !self.is_named {
+            self.halves.see(line, &words);
         }
-        if comment.is_some()
-            || is_first && (words.len() == 1 || is_header && self.count.is_none() && self.is_named(&words))
-        {
-            return Ok(());
-        }
-        self.point(&words)
+        self.point(&words, line)
     }
 
-    /// Whether a line is a header that repeats names the caller gave.
-    fn is_named(&self, words: &[&str]) -> bool {
-        self.places.is_some() && words.iter().all(|word| word.parse::<f64>().is_err())
+    /// Takes the names of a header; whether a comment, or a line before the first point, is no point.
+    fn is_no_point(&mut self, words: &[&str], is_comment: bool) -> Result<bool, String> {
+        let is_number = |word: &&str| number(word).is_ok();
+        let is_first = self.cloud.points.is_empty();
+        let may_name = is_first && self.places.is_none() && !words.iter().all(is_number);
+        if may_name && self.name(words).is_ok() || is_comment || words.len() < 2 {
+            return Ok(true);
+        }
+        if words.iter().any(is_number) {
+            return Ok(false);
+        }
+        // A header repeats the names that the caller gave, or names no x, y and z.
+        if self.is_given { Ok(true) } else { self.name(words).map(|()| true).map_err(|fault| no_coordinates(&fault)) }
     }
 
     fn name(&mut self, words: &[&str]) -> Result<(), String> {
-        let place = |names: [&str; 2]| {
-            let clean = |word: &str| word.trim_matches(|c: char| !c.is_alphanumeric()).to_ascii_lowercase();
-            words.iter().position(|word| names.contains(&clean(word).as_str()))
-        };
+        let clean = |word: &&str| word.trim_matches(|c: char| !c.is_alphanumeric()).to_ascii_lowercase();
+        let names: Vec<String> = words.iter().map(clean).collect();
+        // Of several names for one the first of the list is taken.
+        let place = |known: &[&str]| known.iter().find_map(|known| names.iter().position(|name| name == known));
         let all = |a: Option<usize>, b: Option<usize>, c: Option<usize>| Some([a?, b?, c?]);
-        let places = all(place(["x", "x_m"]), place(["y", "y_m"]), place(["z", "z_m"]))
+        let (x, y) = (place(&["x", "x_m", "easting"]), place(&["y", "y_m", "northing"]));
+        let places = all(x, y, place(&["z", "z_m", "height", "elevation"]))
             .ok_or_else(|| format!("columns x, y and z are needed, but the names are `{}`", words.join(" ")))?;
-        let colours = all(place(["r", "red"]), place(["g", "green"]), place(["b", "blue"]));
+        let colours = all(place(&["r", "red"]), place(&["g", "green"]), place(&["b", "blue"]));
         self.places = Some((places, colours));
         self.count = Some(words.len());
+        self.is_named = true;
         Ok(())
     }
 
-    fn point(&mut self, words: &[&str]) -> Result<(), String> {
+    fn point(&mut self, words: &[&str], line: &str) -> Result<(), String> {
         let count = *self.count.get_or_insert(words.len());
         if words.len() != count || count < 3 {
-            let shown: String = words.join(" ").chars().take(60).collect();
-            return Err(format!("`{shown}` has {} columns, but {} are needed", words.len(), count.max(3)));
+            let way = if words.len() > count && line.contains(',') {
+                "; if its commas are decimal marks, separate columns by semicolons or blanks"
+            } else {
+                ""
+            };
+            return Err(format!("`{}` has {} columns, but {} are needed{way}", shown(line), words.len(), count.max(3)));
         }
         if self.places.is_none() {
             self.guessed = count >= 6;
@@ -90,7 +114,7 @@ impl Columns {
         let Some((places, colours)) = self.places else { return Ok(()) };
         let mut place = [0.0f64; 3];
         for (value, column) in place.iter_mut().zip(places) {
-            *value = words[column].parse().map_err(|_| format!("`{}` is not a number", words[column]))?;
+            *value = number(words[column])?;
             if !value.is_finite() {
                 return Err(format!("the coordinate {value} is not finite"));
             }
@@ -106,22 +130,26 @@ impl Columns {
     }
 
     /// The cloud; colours that were only guessed and did not go through to the end are none.
-    fn finish(mut self) -> Cloud {
+    fn finish(mut self) -> Result<Cloud, String> {
+        if let Some(doubt) = self.halves.doubt() {
+            return Err(doubt);
+        }
         if self.cloud.colours.len() != self.cloud.points.len() {
             self.cloud.colours.clear();
         }
-        self.cloud
+        Ok(self.cloud)
     }
 }
 
-fn split(line: &str) -> impl Iterator<Item = &str> {
-    line.split(|c: char| c.is_whitespace() || c == ',' || c == ';').filter(|word| !word.is_empty())
+/// What is wrong with a header, and the way out.
+fn no_coordinates(fault: &str) -> String {
+    format!("{fault}; name all columns of the file with `columns: [x, y, z, ...]`")
 }
 
 fn colour(words: [&str; 3]) -> Result<[u8; 3], String> {
     let mut bytes = [0; 3];
     for (byte, word) in bytes.iter_mut().zip(words) {
-        let value = word.parse::<f64>().ok().filter(|value| value.fract() == 0.0 && (0.0..=255.0).contains(value));
+        let value = number(word).ok().filter(|value| value.fract() == 0.0 && (0.0..=255.0).contains(value));
         *byte = value.ok_or_else(|| format!("`{word}` is not a colour from 0 to 255"))? as u8;
     }
     Ok(bytes)
@@ -155,6 +183,38 @@ mod tests {
         assert_eq!((normals.points.len(), normals.colours.len()), (3, 0));
         let names = ["y", "x", "z"].map(str::to_owned);
         assert_eq!(read(b"1 2 3\n", Some(&names)).unwrap().points, [[2.0, 1.0, 3.0]]);
+    }
+
+    #[test]
+    fn decimal_commas_are_read_where_columns_are_certain() {
+        let expected = [[451_231.921, 5_512_349.12, 730.072], [451_231.964, 5_512_349.095, 730.0]];
+        let blanks = "451231,921 5512349,120 730,072\n451231,964 5512349,095 730\n";
+        assert_eq!(cloud(blanks).points, expected);
+        assert_eq!(cloud(&blanks.replace(' ', ";")).points, expected);
+        assert_eq!(cloud(&format!("X;Y;Z\n{}", blanks.replace(' ', ";"))).points, expected);
+        assert_eq!(cloud(&format!("Easting\tNorthing\tHeight\n{}", blanks.replace(' ', "\t"))).points, expected);
+        let coloured = cloud("1,5;2,5;3,5;10;20;30\n");
+        assert_eq!((coloured.points[0], coloured.colours[0]), ([1.5, 2.5, 3.5], [10, 20, 30]));
+        let fault = |text: &str| read(text.as_bytes(), None).unwrap_err().0;
+        let commas = blanks.replace(' ', ",").replace("730\n", "730,000\n");
+        assert!(fault(&commas).contains("`451231,921,5512349,120,730,072` may be three numbers"));
+        let named = fault(&format!("x,y,z\n{commas}"));
+        assert!(
+            named.contains("line 2: `451231,921,5512349,120,730,072` has 6 columns") && named.contains("by semicolons")
+        );
+        let whole: Vec<String> = ["x", "y", "z", "a", "b", "c"].map(str::to_owned).to_vec();
+        assert_eq!(read(commas.as_bytes(), Some(&whole)).unwrap().points[0], [451_231.0, 921.0, 5_512_349.0]);
+    }
+
+    #[test]
+    fn a_header_without_coordinates_is_named_and_overruled() {
+        let message = read(b"Rechts;Hoch;Hoehe\n1;2;3\n", None).unwrap_err().0;
+        assert!(message.contains("line 1") && message.contains("names are `Rechts Hoch Hoehe`"), "{message}");
+        assert!(message.contains("`columns: [x, y, z, ...]`"), "{message}");
+        let names = ["x", "y", "z"].map(str::to_owned);
+        assert_eq!(read(b"Rechts;Hoch;Hoehe\n1;2;3\n", Some(&names)).unwrap().points, [[1.0, 2.0, 3.0]]);
+        // A height above ground beside z is none of the coordinates.
+        assert_eq!(cloud("x,y,height,z\n1,2,9,3\n").points, [[1.0, 2.0, 3.0]]);
     }
 
     #[test]

@@ -37,8 +37,8 @@ params! {
         crs: Option<CrsName> = None,
         /// Added to every point in double precision, metres: brings a file with shifted coordinates back.
         offset_m: [f64; 3] = [0.0; 3],
-        /// Names of the columns of a text file without a header, such as `[x, y, z, intensity, red, green, blue]`; left out,
-        /// x, y and z come first.
+        /// Names of the columns of a text file, such as `[x, y, z, intensity, red, green, blue]`, which hold instead of those in
+        /// its header; left out, those of the header, or x, y and z come first.
         columns: Option<Vec<String>> = None,
         /// A direction out of the rock in the frame of the file; left out, Z in the wall frame, and up in the world.
         outward: Option<[f64; 3]> = None,
@@ -59,7 +59,7 @@ pub struct ImportCloud;
 impl Stage for ImportCloud {
     type Params = ImportCloudParams;
     const NAME: &'static str = "import-cloud";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("import_cloud.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The mesh, in the frame of the file.")];

@@ -79,7 +79,7 @@ pub struct ImportMesh;
 impl Stage for ImportMesh {
     type Params = ImportMeshParams;
     const NAME: &'static str = "import-mesh";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("import_mesh.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The mesh, in the frame of the file.")];
@@ -148,11 +148,12 @@ fn shift(mesh: &mut Mesh, offset_m: [f64; 3]) {
 /// Single precision at UTM magnitudes holds half a metre.
 fn warn_of_single_precision(mesh: &Mesh, context: &Context) {
     let largest = mesh.vertices.iter().flatten().fold(0.0f64, |largest, x| largest.max(x.abs()));
-    let step_m = largest * f64::from(f32::EPSILON);
+    let single = largest as f32;
+    let step_m = f64::from(single.next_up()) - f64::from(single);
     let is_single = |x: &f64| f64::from(*x as f32).to_bits() == x.to_bits();
     if step_m > 1e-3 && mesh.vertices.iter().flatten().all(is_single) {
         context.warn(format!(
-            "coordinates of {largest:.0} m were written in single precision, which holds only {step_m:.2} m there: export in double \
+            "coordinates of {largest:.0} m were written in single precision, whose steps are {step_m:.3} m there: export in double \
              precision, or shifted, and add the shift with `offset_m`"
         ));
     }

@@ -3,6 +3,7 @@
 pub mod block_relief;
 pub mod cloud;
 pub mod cloud_text;
+pub mod column_marks;
 pub mod distance;
 pub mod half_edges;
 pub mod inspection;

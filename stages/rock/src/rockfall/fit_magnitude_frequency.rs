@@ -35,7 +35,14 @@ impl Stage for FitMagnitudeFrequency {
     ];
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
-        let (volumes, without) = columns::magnitudes(inputs.artefact("volumes")?, &params.column)?;
+        let given = inputs.artefact("volumes")?;
+        let (volumes, without) = columns::magnitudes(given, &params.column)?;
+        if let Some((names, rows)) = columns::rows(given)
+            && let Some(at) = names.iter().position(|name| *name == params.column)
+            && let Some(text) = columns::text_among_numbers(&params.column, rows.iter().filter_map(|row| row.get(at)))
+        {
+            context.warn(text);
+        }
         if without > 0 {
             context.note(format!("{without} rows have no positive number in `{}`", params.column));
         }
@@ -149,6 +156,19 @@ mod tests {
         let exponent = host.metric("exponent").unwrap();
         assert!((exponent - 1.0).abs() < exponent / 50f64.sqrt(), "{exponent}");
         assert_eq!(host.entries.lock().unwrap().len(), 4);
+    }
+
+    #[test]
+    fn text_among_the_volumes_is_warned_of() {
+        let host = TestHost::default();
+        let Artefact::Table(mut volumes) = table((1..=20).map(f64::from)) else { panic!("no table") };
+        volumes.rows[3][0] = "0,032".into();
+        run_stage::<FitMagnitudeFrequency>(&host, &json!({}), &[("volumes", volumes.into())]).unwrap();
+        let warnings = host.warnings();
+        assert!(
+            warnings.len() == 1 && warnings[0].contains("1 of 20 rows hold text in `removed_m3`, such as `0,032`"),
+            "{warnings:?}"
+        );
     }
 
     #[test]

@@ -36,7 +36,7 @@ pub struct ImportInventory;
 impl Stage for ImportInventory {
     type Params = ImportInventoryParams;
     const NAME: &'static str = "import-inventory";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("import_inventory.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[Port::one("inventory", &[Kind::Inventory], "The rockfalls.")];
@@ -58,7 +58,14 @@ impl Stage for ImportInventory {
             (read, stated)
         };
         let is_wall = match params.frame {
-            InventoryFrame::Automatic => inventory.frame == Frame::Wall && params.crs.is_none(),
+            InventoryFrame::Automatic if inventory.frame == Frame::Wall && params.crs.is_some() => {
+                return Err(StageError::new(format!(
+                    "`{}` itself states the wall frame, parameter `crs` a system of map coordinates",
+                    params.path.0
+                ))
+                .hint("leave `crs` out; or say `frame: world` if its outlines are map coordinates after all"));
+            }
+            InventoryFrame::Automatic => inventory.frame == Frame::Wall,
             InventoryFrame::Wall => true,
             InventoryFrame::World => false,
         };
@@ -132,6 +139,36 @@ mod tests {
         assert_eq!(found.numbers("v").unwrap(), [Some(2.0), None]);
         let own = String::from_utf8(found.encode().unwrap()).unwrap();
         assert_eq!(imported(&own, &json!({"path": "a.geojson"})).unwrap(), found);
+    }
+
+    #[test]
+    fn a_stated_frame_holds_for_polygons_of_other_programs() {
+        let file = |frame: &str, columns: &str, property: &str| {
+            format!(
+                r#"{{"type": "FeatureCollection", "rockface": {{"frame": {frame}{columns}}}, "features": [
+                {{"type": "Feature", "properties": {{"{property}": 0.1, "a": 1}},
+                  "geometry": {{"type": "Polygon", "coordinates": [[[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]]}}}}]}}"#
+            )
+        };
+        let listed = r#", "columns": ["volume_m3"]"#;
+        let path = json!({"path": "a.geojson"});
+        let found = imported(&file("\"wall\"", listed, "volume_m3"), &path).unwrap();
+        assert_eq!((found.frame, found.columns.as_slice()), (Frame::Wall, ["volume_m3".to_owned()].as_slice()));
+        assert_eq!((found.features.len(), found.features[0].outline[0].exterior.len()), (1, 4));
+        let unlisted = imported(&file("\"wall\"", "", "volume_m3"), &path).unwrap();
+        assert_eq!((unlisted.frame, unlisted.columns.len()), (Frame::Wall, 2));
+        let world = imported(&file("\"world\"", "", "volume_m3"), &path).unwrap();
+        assert_eq!(world.frame, Frame::World);
+        let refused = |text: &str, with: &serde_json::Value| imported(text, with).unwrap_err();
+        let lacking = refused(&file("\"wall\"", listed, "volume"), &path).message;
+        assert!(lacking.contains("feature 0 (counted from 0) has no property `volume_m3`"), "{lacking}");
+        assert!(refused(&file("\"moon\"", "", "v"), &path).message.contains("unknown frame `moon`"));
+        let both = json!({"path": "a.geojson", "crs": "EPSG:32633"});
+        let error = refused(&file("\"wall\"", listed, "volume_m3"), &both);
+        assert!(error.message.contains("states the wall frame") && error.hint.unwrap().contains("frame: world"));
+        let overruled = json!({"path": "a.geojson", "crs": "EPSG:32633", "frame": "world"});
+        let mapped = imported(&file("\"wall\"", listed, "volume_m3"), &overruled).unwrap();
+        assert_eq!(mapped.frame.crs().unwrap().epsg(), Some(32633));
     }
 
     #[test]

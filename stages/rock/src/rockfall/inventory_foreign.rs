@@ -7,11 +7,12 @@ use rockface_core::crs::{Kind, Stated};
 use rockface_core::format::without_mark;
 use rockface_core::limits;
 
-/// Reads a feature collection; the frame is world. Properties become columns in alphabetical order.
+/// Reads a feature collection. Its member `rockface` states frame and columns; without it the frame is world, and properties
+/// become columns in alphabetical order.
 ///
 /// # Errors
-/// Text that is no feature collection; the feature (counted from 0) whose geometry is no polygon, or whose ring is not
-/// closed or holds something else than points.
+/// Text that is no feature collection; a frame that is not known; the feature (counted from 0) that lacks a column which the
+/// file lists, whose geometry is no polygon, or whose ring is not closed or holds something else than points.
 pub fn read(bytes: &[u8]) -> Result<Inventory, CodecError> {
     let file: Value =
         serde_json::from_slice(without_mark(bytes)).map_err(|e| CodecError(format!("not a JSON file: {e}")))?;
@@ -21,7 +22,9 @@ pub fn read(bytes: &[u8]) -> Result<Inventory, CodecError> {
         |feature: &Value| feature.get("properties").and_then(Value::as_object).cloned().unwrap_or_default();
     let names: std::collections::BTreeSet<String> =
         features.iter().flat_map(|feature| properties(feature).into_iter().map(|(name, _)| name)).collect();
-    let columns: Vec<String> = names.into_iter().collect();
+    let about = about(&file)?;
+    let listed = about.as_ref().and_then(|about| about.columns.clone());
+    let columns: Vec<String> = listed.clone().unwrap_or_else(|| names.into_iter().collect());
     let cells = (features.len() as u64).checked_mul((columns.len() * size_of::<Cell>()) as u64);
     limits::affordable(
         &format!("an inventory of {} features with {} properties", features.len(), columns.len()),
@@ -29,21 +32,51 @@ pub fn read(bytes: &[u8]) -> Result<Inventory, CodecError> {
     )?;
     let read = |(number, feature): (usize, &Value)| {
         let mut properties = properties(feature);
+        if let Some(column) = listed.iter().flatten().find(|column| !properties.contains_key(*column)) {
+            return Err(CodecError(format!(
+                "feature {number} (counted from 0) has no property `{column}`, which the member `rockface` of the file lists: \
+                 give it one, null where it is not known, or leave `columns` out of that member"
+            )));
+        }
         let values = columns.iter().map(|column| cell(properties.remove(column))).collect();
         let outline = outline(feature.get("geometry").unwrap_or(&Value::Null))
             .map_err(|e| CodecError(format!("feature {number} (counted from 0): {e}")))?;
         Ok(Feature { outline, values })
     };
     let features = features.iter().enumerate().map(read).collect::<Result<_, CodecError>>()?;
-    Ok(Inventory { frame: Frame::World, columns, features })
+    Ok(Inventory { frame: about.map_or(Frame::World, |about| about.frame), columns, features })
+}
+
+/// What the member `rockface` of a file says about it.
+struct About {
+    frame: Frame,
+    columns: Option<Vec<String>>,
+}
+
+/// The member `rockface`, if it is ours: one that names a frame.
+fn about(file: &Value) -> Result<Option<About>, CodecError> {
+    let member = |name: &str| file.get("rockface").and_then(|about| about.get(name)).cloned();
+    let Some(frame) = member("frame") else { return Ok(None) };
+    let faulty = |e: serde_json::Error| CodecError(format!("its member `rockface` cannot be read: {e}"));
+    let frame = serde_json::from_value(frame).map_err(faulty)?;
+    let columns: Option<Vec<String>> = member("columns").map(serde_json::from_value).transpose().map_err(faulty)?;
+    let mut names: Vec<&String> = columns.iter().flatten().collect();
+    names.sort_unstable();
+    match names.windows(2).find(|pair| pair[0] == pair[1]) {
+        Some(pair) => Err(CodecError(format!("its member `rockface` lists the column `{}` twice", pair[0]))),
+        None => Ok(Some(About { frame, columns })),
+    }
 }
 
 /// The name of the system of a file that has no member `crs`.
 pub const UNSTATED: &str = "WGS 84 without a word";
 
-/// The system of a feature collection: that of its member `crs`, or degrees where it has none and its numbers can be such.
-/// `overruled`: a parameter says what a file without `crs` is in.
+/// The system of a feature collection: that of its frame or its member `crs`; degrees where it states neither and its numbers
+/// can be such. `overruled`: a parameter says what a file without `crs` is in.
 pub fn stated(bytes: &[u8], inventory: &Inventory, overruled: bool) -> Option<Stated> {
+    if let Some(crs) = inventory.frame.crs() {
+        return Some(Stated::of_crs(crs));
+    }
     let file: Value = serde_json::from_slice(without_mark(bytes)).ok()?;
     if let Some(name) = file.pointer("/crs/properties/name").and_then(Value::as_str) {
         return Some(named(name));
@@ -52,7 +85,8 @@ pub fn stated(bytes: &[u8], inventory: &Inventory, overruled: bool) -> Option<St
         inventory.features.iter().flat_map(|feature| &feature.outline).flat_map(|polygon| &polygon.exterior);
     let may_be_degrees = points.all(|[x, y]| x.abs() <= 180.0 && y.abs() <= 90.0);
     let has_points = inventory.features.iter().any(|feature| !feature.outline.is_empty());
-    (may_be_degrees && has_points && !overruled)
+    let states_frame = file.pointer("/rockface/frame").is_some();
+    (may_be_degrees && has_points && !overruled && !states_frame)
         .then(|| Stated { kind: Kind::Geographic, ..Stated::local(UNSTATED, None) })
 }
 

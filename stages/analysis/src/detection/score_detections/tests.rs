@@ -122,6 +122,18 @@ fn every_count_and_volume_is_that_counted_by_hand() {
 }
 
 #[test]
+fn text_among_the_volumes_is_warned_of() {
+    let host = TestHost::default();
+    let mut truth = truth();
+    truth.features[0].values[1] = "0,2".into();
+    let inputs = [("truth", truth.into()), ("detections", detections().into()), ("grid", searched().into())];
+    run_stage::<ScoreDetections>(&host, &json!({}), &inputs).unwrap();
+    let warnings = host.warnings();
+    let expected = "truth: 1 of 7 rows hold text in `removed_m3`, such as `0,2`";
+    assert!(warnings.len() == 1 && warnings[0].starts_with(expected), "{warnings:?}");
+}
+
+#[test]
 fn a_stricter_overlap_and_no_overhang_rule() {
     let (summary, ..) = run(detections().into(), &json!({"least_iou": 0.5})).unwrap();
     let rates = [("hidden", 1.0), ("true_positives", 1.0), ("found", 1.0), ("missed", 5.0), ("precision", 0.2)];

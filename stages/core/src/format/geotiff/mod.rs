@@ -4,7 +4,7 @@
 //! floating-point (or horizontal) predictor, `ModelPixelScale` and `ModelTiepoint` for the grid, and the coordinate
 //! reference system of the world frame where it is known, otherwise a local engineering system named after the frame. Where
 //! the wall frame lies in the world is the item `GEOREFERENCE` of GDAL's metadata. Foreign files may also be striped, interleaved, big-endian, BigTIFF,
-//! uncompressed, of 8- to 32-bit integers or 32- or 64-bit floats, and carry a no-data value.
+//! uncompressed, of 8- to 32-bit integers or 32- or 64-bit floats, and carry a no-data value, and a scale and an offset of each band.
 
 mod cog;
 mod read;
@@ -102,6 +102,11 @@ mod tests {
 
     /// A striped 16-bit file as another program writes it: no metadata, a no-data value, rows of two strips.
     fn striped(nodata: Option<&str>, scale: [f64; 3]) -> Vec<u8> {
+        striped_with(nodata, scale, None)
+    }
+
+    /// The same with GDAL's metadata.
+    fn striped_with(nodata: Option<&str>, scale: [f64; 3], metadata: Option<&str>) -> Vec<u8> {
         use tiff::encoder::{TiffEncoder, colortype::GrayI16};
         use tiff::tags::Tag;
         let mut file = std::io::Cursor::new(Vec::new());
@@ -113,6 +118,9 @@ mod tests {
         directory.write_tag(Tag::ModelTiepointTag, [0.0, 0.0, 0.0, 7.0, 9.0, 0.0].as_slice()).unwrap();
         if let Some(nodata) = nodata {
             directory.write_tag(Tag::GdalNodata, nodata).unwrap();
+        }
+        if let Some(metadata) = metadata {
+            directory.write_tag(Tag::Unknown(super::tags::GDAL_METADATA), metadata).unwrap();
         }
         let values: Vec<i16> = (0..15).map(|i| i - 4).collect();
         image.write_data(&values).unwrap();
@@ -127,6 +135,30 @@ mod tests {
         assert_eq!(found, Raster::single(grid, Frame::Wall, "value", "band 1", expected));
         assert!(!read(&striped(None, [2.0, 2.0, 0.0])).unwrap().bands[0].values[1].is_nan());
         assert!(read(&striped(None, [2.0, 1.0, 0.0])).unwrap_err().0.contains("square"));
+    }
+
+    #[test]
+    fn scale_and_offset_of_a_band_are_applied_but_not_to_the_no_data_value() {
+        let with = |scale: &str, offset: &str| {
+            let item = |name: &str, text: &str| {
+                let role = name.to_lowercase();
+                format!("  <Item name=\"{name}\" sample=\"0\" role=\"{role}\">{text}</Item>\n")
+            };
+            let items = item("OFFSET", offset) + &item("SCALE", scale);
+            let metadata = format!("<GDALMetadata>\n{items}</GDALMetadata>\n");
+            read(&striped_with(Some("-3"), [2.0, 2.0, 0.0], Some(&metadata)))
+        };
+        let found = with("0.01", "700").unwrap();
+        assert_eq!(found.sample, Sample::Float);
+        for (i, value) in found.bands[0].values.iter().enumerate() {
+            let expected = ((i as f64 - 4.0) * 0.01 + 700.0) as f32;
+            assert!(if i == 1 { value.is_nan() } else { value.to_bits() == expected.to_bits() }, "{i}: {value}");
+        }
+        let plain = read(&striped(Some("-3"), [2.0, 2.0, 0.0])).unwrap();
+        assert_eq!(with("1", "0").unwrap(), plain);
+        assert!(with("0,01", "700").unwrap_err().0.contains("band 1 states `0,01` as its scale"));
+        assert!(with("1", "nan").unwrap_err().0.contains("gdal_edit.py -offset NUMBER FILE"));
+        assert!(with("0", "0").unwrap_err().0.contains("a scale of 0"));
     }
 
     #[test]

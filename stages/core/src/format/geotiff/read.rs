@@ -5,7 +5,7 @@ use std::io::Cursor;
 use tiff::decoder::{ChunkType, Decoder, DecodingResult, Limits};
 use tiff::tags::{PlanarConfiguration, Tag};
 
-use super::tags::{GDAL_METADATA, Metadata, Placement};
+use super::tags::{GDAL_METADATA, Metadata, Placement, Scaling};
 use crate::artefact::{Band, CodecError, Frame, Grid, Raster, Sample};
 use crate::crs::Stated;
 use crate::crs::geo_keys::GeoKeys;
@@ -33,17 +33,20 @@ pub const DAMAGED: &str = "damaged GeoTIFF";
 /// Quantity of a file that does not say what its values are.
 const UNNAMED: &str = "value";
 
-/// Reads a raster. Bands without a name are called `band 1`, `band 2`, ...; cells with the no-data value become NaN.
+/// Reads a raster. Bands without a name are called `band 1`, `band 2`, ...; cells with the no-data value become NaN, and
+/// numbers with a scale or an offset (GDAL's metadata) the values they stand for.
 ///
 /// # Errors
-/// A file that is no TIFF, is cut short or damaged, has no georeference, or cells that are not square.
+/// A file that is no TIFF, is cut short or damaged, has no georeference, cells that are not square, or a scale that is no
+/// number.
 pub fn read(bytes: &[u8]) -> Result<Raster, CodecError> {
     let mut file = opened(bytes)?;
     let layout = Layout::of(&mut file, bytes.len())?;
     let grid = placement(&mut file).grid(layout.columns, layout.rows)?;
     let metadata = metadata(&mut file);
     let nodata = ascii(&mut file, Tag::GdalNodata).and_then(|text| text.trim().parse::<f64>().ok());
-    let (planes, sample) = values(&mut file, &layout, nodata)?;
+    let scalings = metadata.scalings(layout.bands)?;
+    let (planes, sample) = values(&mut file, &layout, nodata, scalings.as_deref())?;
     check_masks(&mut file)?;
     Ok(named(grid, &metadata, sample, planes))
 }
@@ -213,24 +216,30 @@ fn chunk_size(file: &mut File, columns: usize, rows: usize) -> Result<(usize, us
     if width == 0 || height == 0 { Err(damaged("tiles or strips without size")) } else { Ok((width, height)) }
 }
 
-fn values(file: &mut File, layout: &Layout, nodata: Option<f64>) -> Result<(Vec<Vec<f32>>, Sample), CodecError> {
+fn values(
+    file: &mut File,
+    layout: &Layout,
+    nodata: Option<f64>,
+    scalings: Option<&[Scaling]>,
+) -> Result<(Vec<Vec<f32>>, Sample), CodecError> {
     let mut planes = Vec::with_capacity(layout.bands);
     for _ in 0..layout.bands {
         let mut plane = limits::list("values", layout.columns * layout.rows)?;
         plane.resize(layout.columns * layout.rows, f32::NAN);
         planes.push(plane);
     }
+    let is_plain = nodata.is_none() && scalings.is_none();
     let mut sample = Sample::Float;
     for chunk in 0..layout.chunks() {
         let decoded = file.read_chunk(chunk as u32).map_err(|e| refused(&e))?;
         sample = match decoded {
-            DecodingResult::U8(_) if nodata.is_none() => Sample::Byte,
-            DecodingResult::U16(_) if nodata.is_none() => Sample::Word,
+            DecodingResult::U8(_) if is_plain => Sample::Byte,
+            DecodingResult::U16(_) if is_plain => Sample::Word,
             _ => Sample::Float,
         };
         let [band, left, top, width, height] = layout.place(chunk);
-        let numbers = floats(&decoded, nodata)?;
         let interleaved = layout.interleaved();
+        let numbers = floats(&decoded, nodata, scalings.map(|scalings| &scalings[band..band + interleaved]))?;
         if numbers.len() < width * height * interleaved {
             return Err(damaged(&format!("chunk {chunk} holds {} values, {} expected", numbers.len(), width * height)));
         }
@@ -245,30 +254,36 @@ fn values(file: &mut File, layout: &Layout, nodata: Option<f64>) -> Result<(Vec<
     Ok((planes, sample))
 }
 
-/// Values as 32-bit floats, NaN where the file says there are none.
-fn floats(decoded: &DecodingResult, nodata: Option<f64>) -> Result<Vec<f32>, CodecError> {
+/// Values as 32-bit floats, NaN where the file says there are none; `scalings` are those of the bands side by side.
+fn floats(decoded: &DecodingResult, nodata: Option<f64>, scalings: Option<&[Scaling]>) -> Result<Vec<f32>, CodecError> {
     Ok(match decoded {
         // The text of the no-data value is often shorter than its bits.
-        DecodingResult::F32(values) => cells(values, nodata.map(|n| f64::from(n as f32))),
-        DecodingResult::F64(values) => cells(values, nodata),
-        DecodingResult::U8(values) => cells(values, nodata),
-        DecodingResult::U16(values) => cells(values, nodata),
-        DecodingResult::U32(values) => cells(values, nodata),
-        DecodingResult::I8(values) => cells(values, nodata),
-        DecodingResult::I16(values) => cells(values, nodata),
-        DecodingResult::I32(values) => cells(values, nodata),
+        DecodingResult::F32(values) => cells(values, nodata.map(|n| f64::from(n as f32)), scalings),
+        DecodingResult::F64(values) => cells(values, nodata, scalings),
+        DecodingResult::U8(values) => cells(values, nodata, scalings),
+        DecodingResult::U16(values) => cells(values, nodata, scalings),
+        DecodingResult::U32(values) => cells(values, nodata, scalings),
+        DecodingResult::I8(values) => cells(values, nodata, scalings),
+        DecodingResult::I16(values) => cells(values, nodata, scalings),
+        DecodingResult::I32(values) => cells(values, nodata, scalings),
         DecodingResult::U64(_) | DecodingResult::I64(_) | DecodingResult::F16(_) => {
             return Err(CodecError::new("64-bit integers and 16-bit floats cannot be read; convert to 32-bit floats"));
         }
     })
 }
 
-fn cells<T: Copy + Into<f64>>(values: &[T], nodata: Option<f64>) -> Vec<f32> {
-    let cell = |value: &T| {
-        let value: f64 = (*value).into();
-        if value.is_nan() || nodata == Some(value) { f32::NAN } else { value as f32 }
-    };
-    values.iter().map(cell).collect()
+fn cells<T: Copy + Into<f64>>(values: &[T], nodata: Option<f64>, scalings: Option<&[Scaling]>) -> Vec<f32> {
+    let is_none = |number: f64| number.is_nan() || nodata == Some(number);
+    let numbers = values.iter().map(|value| (*value).into());
+    match scalings {
+        None => numbers.map(|number| if is_none(number) { f32::NAN } else { number as f32 }).collect(),
+        Some(scalings) => {
+            let value = |(number, scaling): (f64, &Scaling)| {
+                if is_none(number) { f32::NAN } else { scaling.value(number) as f32 }
+            };
+            numbers.zip(scalings.iter().cycle()).map(value).collect()
+        }
+    }
 }
 
 fn ascii(file: &mut File, tag: Tag) -> Option<String> {

@@ -75,9 +75,8 @@ impl Placement {
         let [cell_x, cell_y, left, top] = self.corner()?;
         let square = (cell_x - cell_y).abs() <= 1e-9 * cell_x.abs();
         if !(cell_x > 0.0 && square && [cell_x, left, top].iter().all(|x| x.is_finite())) {
-            return Err(CodecError(format!(
-                "GeoTIFF cells must be square and north up; this file has {cell_x} by {cell_y}; resample it first"
-            )));
+            let found = format!("GeoTIFF cells must be square and north up; this file has {cell_x} by {cell_y}");
+            return Err(CodecError(format!("{found}; {}", resampled([cell_x, cell_y]))));
         }
         // Files that give the centre of the first cell instead of its corner are moved by half a cell.
         let half = if self.pixel_is_point() { 0.5 * cell_x } else { 0.0 };
@@ -89,7 +88,13 @@ impl Placement {
         match (self.scale.as_deref(), self.tiepoint.as_deref(), self.matrix.as_deref()) {
             (Some([sx, sy, ..]), Some([column, row, _, x, y, ..]), _) => Ok([*sx, *sy, x - column * sx, y + row * sy]),
             (_, _, Some([a, b, _, x, d, e, _, y, ..])) if *b == 0.0 && *d == 0.0 => Ok([*a, -e, *x, *y]),
-            (_, _, Some(_)) => Err(CodecError::new("a rotated GeoTIFF cannot be used; resample it to north up first")),
+            (_, _, Some([a, b, _, _, d, e, ..])) => {
+                let sides = [[a, d], [b, e]].map(|[x, y]| (x * x + y * y).sqrt());
+                Err(CodecError(format!(
+                    "a rotated GeoTIFF cannot be used, cells must be north up; {}",
+                    resampled(sides)
+                )))
+            }
             _ => Err(CodecError::new(
                 "the TIFF has no georeference (ModelPixelScale and ModelTiepoint); write it as a GeoTIFF, \
                  for instance with `gdal_translate -a_ullr`",
@@ -101,6 +106,22 @@ impl Placement {
         let mut entries = self.keys.chunks_exact(4).skip(1);
         entries.any(|entry| entry[0] == RASTER_TYPE && entry[1] == 0 && entry[3] == PIXEL_IS_POINT)
     }
+}
+
+/// The way to square cells that are north up, as small as the smaller side of those there are.
+fn resampled([x, y]: [f64; 2]) -> String {
+    let side = (x.abs().min(y.abs()) * 1e9).round() / 1e9;
+    if !(side.is_finite() && side > 0.0) {
+        return "write it with the true size of its cells: `gdal_edit.py -tr X Y FILE`".to_owned();
+    }
+    let command = |method: &str| format!("`gdalwarp -tr {side} {side} -r {method} IN OUT`");
+    if x > 0.0 && (x + y).abs() <= 1e-9 * x {
+        return format!("turn it without a change of its values: {}", command("near"));
+    }
+    format!(
+        "resample it to its finer cell first: {} (`-r bilinear` smooths noise, `-r near` keeps the values)",
+        command("cubic")
+    )
 }
 
 /// GDAL's metadata of a raster: frame, quantity and the name of each band.
@@ -147,12 +168,61 @@ pub struct Metadata {
     pub quantity: Option<String>,
     /// Names of bands by number.
     pub names: std::collections::BTreeMap<usize, String>,
+    /// Factors of bands by number, as they are written.
+    scales: std::collections::BTreeMap<usize, String>,
+    /// What is added to bands by number, as it is written.
+    offsets: std::collections::BTreeMap<usize, String>,
+}
+
+/// What makes values of the numbers that a file holds for a band.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Scaling {
+    /// What a number is multiplied by.
+    pub scale: f64,
+    /// What is added then.
+    pub offset: f64,
+}
+
+impl Scaling {
+    /// Numbers are the values.
+    const NONE: Self = Self { scale: 1.0, offset: 0.0 };
+
+    /// The value of a number.
+    pub fn value(&self, number: f64) -> f64 {
+        number * self.scale + self.offset
+    }
 }
 
 impl Metadata {
     /// The frame with its place on the Earth.
     pub fn placed(&self) -> Option<Frame> {
         self.frame.map(|frame| frame.at(self.georeference.clone()))
+    }
+
+    /// The scalings of this many bands; `None` where the numbers of all of them are the values.
+    pub fn scalings(&self, bands: usize) -> Result<Option<Vec<Scaling>>, CodecError> {
+        let number = |texts: &std::collections::BTreeMap<usize, String>, band: usize, what: &str, none: f64| {
+            let Some(text) = texts.get(&band) else { return Ok(none) };
+            text.trim().parse::<f64>().ok().filter(|number| number.is_finite()).ok_or_else(|| {
+                let band = band + 1;
+                CodecError(format!(
+                    "band {band} states `{text}` as its {what}, which is no number; state it with `gdal_edit.py -{what} NUMBER FILE`"
+                ))
+            })
+        };
+        let scaling = |band: usize| {
+            let (scale, offset) =
+                (number(&self.scales, band, "scale", 1.0)?, number(&self.offsets, band, "offset", 0.0)?);
+            if scale == 0.0 {
+                let band = band + 1;
+                return Err(CodecError(format!(
+                    "band {band} states a scale of 0, which makes all values one; state it with `gdal_edit.py -scale NUMBER FILE`"
+                )));
+            }
+            Ok(Scaling { scale, offset })
+        };
+        let scalings = (0..bands).map(scaling).collect::<Result<Vec<_>, CodecError>>()?;
+        Ok(scalings.iter().any(|scaling| *scaling != Scaling::NONE).then_some(scalings))
     }
 
     /// Reads the XML; items that are not understood are passed over, as GDAL does.
@@ -171,6 +241,12 @@ impl Metadata {
         match (attribute(attributes, "name"), attribute(attributes, "role"), sample) {
             (_, Some("description"), Some(index)) => {
                 self.names.insert(index, text);
+            }
+            (_, Some("scale"), Some(index)) => {
+                self.scales.insert(index, text);
+            }
+            (_, Some("offset"), Some(index)) => {
+                self.offsets.insert(index, text);
             }
             (Some("FRAME"), ..) => self.frame = Frame::named(&text),
             (Some("GEOREFERENCE"), ..) => self.georeference = Georeference::from_text(&text).ok(),
@@ -248,7 +324,12 @@ mod tests {
         let point = tags.grid(10, 20).unwrap();
         assert_eq!((point.left_m, point.top_m), (98.75, 202.25));
         tags.scale = Some(vec![0.5, 0.4, 0.0]);
-        assert!(tags.grid(10, 20).unwrap_err().0.contains("square"));
+        let finer = tags.grid(10, 20).unwrap_err().0;
+        assert!(finer.contains("square") && finer.contains("gdalwarp -tr 0.4 0.4 -r cubic IN OUT"), "{finer}");
+        tags.scale = Some(vec![0.5, -0.5, 0.0]);
+        assert!(tags.grid(10, 20).unwrap_err().0.contains("gdalwarp -tr 0.5 0.5 -r near IN OUT"));
+        tags.scale = Some(vec![0.5, 0.0, 0.0]);
+        assert!(tags.grid(10, 20).unwrap_err().0.contains("gdal_edit.py -tr"));
         assert!(Placement::default().grid(1, 1).unwrap_err().0.contains("georeference"));
     }
 
@@ -261,6 +342,7 @@ mod tests {
         };
         let grid = matrix(0.0).grid(1, 1).unwrap();
         assert_eq!((grid.left_m, grid.top_m, grid.cell_m), (10.0, 30.0, 2.0));
-        assert!(matrix(0.1).grid(1, 1).unwrap_err().0.contains("rotated"));
+        let rotated = matrix(0.1).grid(1, 1).unwrap_err().0;
+        assert!(rotated.contains("rotated") && rotated.contains("-tr 2 2 -r cubic"), "{rotated}");
     }
 }

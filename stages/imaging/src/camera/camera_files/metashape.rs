@@ -20,6 +20,9 @@ pub use super::metashape_writer::write;
 /// Farthest that R R^T may be from the identity.
 const ORTHONORMAL: f64 = 1e-6;
 
+/// Images without orientation that a message names.
+const NAMED: usize = 10;
+
 /// Our names of Metashape's calibration elements where they differ.
 pub(super) fn our_name(element: &str) -> &str {
     match element {
@@ -37,7 +40,6 @@ pub(super) fn our_name(element: &str) -> &str {
 /// with k1 to k4, p1, p2 lacks, matrices that are no rotations: all by name.
 pub fn read(text: &str, frame: Frame) -> Result<CameraFile, StageError> {
     let chunk = metashape_xml::read(text)?;
-    let mut notes = Vec::new();
     let (used, idle): (Vec<&CameraEntry>, Vec<_>) =
         chunk.cameras.iter().partition(|c| c.enabled && c.transform.is_some());
     if used.is_empty() && !idle.is_empty() {
@@ -46,16 +48,23 @@ pub fn read(text: &str, frame: Frame) -> Result<CameraFile, StageError> {
         return Err(StageError::new(format!("none of the {} images of the chunk is {what}", idle.len()))
             .hint("in Metashape: Workflow > Align Photos (and enable the photos), then export the cameras again"));
     }
-    if !idle.is_empty() {
-        let names: Vec<&str> = idle.iter().map(|camera| camera.label.as_str()).collect();
-        notes.push(format!("images that are not aligned or not enabled, left out: {}", names.join(", ")));
-    }
     let sensors: Vec<&SensorEntry> =
         chunk.sensors.iter().filter(|sensor| used.iter().any(|camera| camera.sensor == sensor.id)).collect();
     let numbered = sensors.iter().enumerate().map(|(at, entry)| Ok((number(entry, at), sensor(entry, &used)?)));
     let numbered = numbered.collect::<Result<Vec<_>, StageError>>()?;
     let images = used.iter().map(|camera| image(camera, &chunk, &sensors)).collect::<Result<Vec<_>, _>>()?;
-    let mut file = assemble(frame, numbered, images, notes)?;
+    let mut file = assemble(frame, numbered, images, Vec::new())?;
+    if !idle.is_empty() {
+        let names: Vec<&str> = idle.iter().take(NAMED).map(|camera| camera.label.as_str()).collect();
+        let more = idle.len() - names.len();
+        let more = if more == 0 { String::new() } else { format!(" and {more} more") };
+        file.warnings.push(format!(
+            "{} of {} images are not aligned or not enabled and are left out: {}{more}",
+            idle.len(),
+            chunk.cameras.len(),
+            names.join(", ")
+        ));
+    }
     file.covariance = covariance(&chunk, &used, &sensors, &file.cameras)?;
     if file.covariance.is_some() {
         file.notes.push("covariance blocks as Metashape scaled them: nothing was multiplied".to_owned());

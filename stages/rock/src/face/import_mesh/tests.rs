@@ -37,6 +37,21 @@ fn a_mesh_is_tidied_shifted_and_counted() {
     assert_eq!(host.metric("boundary_edges"), Some(4.0));
 }
 
+#[test]
+fn coordinates_in_single_precision_are_warned_of_with_their_step() {
+    let at = |x: f64, y: f64| {
+        let corners = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
+        let vertices = corners.iter().map(|[a, b]| [x + 8.0 * a, y + 8.0 * b, 0.0]).collect();
+        let triangles = vec![[0, 1, 2], [0, 2, 3]];
+        ply::write_mesh(&Mesh { frame: Frame::Wall, vertices, triangles, colours: Vec::new() })
+    };
+    let warnings = |bytes: &[u8]| run(bytes, [0.0; 3], Defects::Refuse).1.warnings();
+    let found = warnings(&at(451_000.0, 5_512_342.0));
+    assert!(found.iter().any(|text| text.contains("5512350 m") && text.contains("steps are 0.500 m")), "{found:?}");
+    let found = warnings(&at(451_000.1, 5_512_342.0));
+    assert!(!found.iter().any(|text| text.contains("single precision")), "double precision: {found:?}");
+}
+
 fn with(bytes: &[u8], extra: &Value) -> (Result<Mesh, StageError>, TestHost) {
     let host = TestHost::default().with("face", &[("face", bytes)]);
     let mut with = json!({"path": "face"});
