@@ -29,6 +29,7 @@ mod store;
 mod submit;
 mod table;
 mod transfer;
+mod verify;
 mod watch;
 mod work;
 
