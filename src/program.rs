@@ -39,7 +39,7 @@ fn listen(trace: Option<Trace>) {
 
 /// Runs a command and prints why it failed, if it did; returns the exit code.
 fn run_command(cli: Cli, registry: &Registry) -> i32 {
-    let checked = cli.trace_file().map_or(Ok(()), |file| check_own(file, trace::BEGINS, "trace"));
+    let checked = cli.trace_file().map_or(Ok(()), |file| check_own(file, 0, trace::BEGINS, "trace"));
     let file = cli.trace_file().filter(|_| checked.is_ok());
     let trace = file.map(|file| (Trace::begin(), file.to_owned()));
     listen(trace.as_ref().map(|(trace, _)| trace.clone()));

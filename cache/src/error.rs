@@ -17,6 +17,15 @@ pub enum StoreError {
         /// What was being written.
         path: PathBuf,
     },
+    /// The file system or the quota is exhausted where something of the store was to be written for people to read.
+    #[error(
+        "no space left to write {}: free some space on that disk or write to another one; what is finished is kept in the store",
+        path.display()
+    )]
+    TargetFull {
+        /// What was being written.
+        path: PathBuf,
+    },
     /// The store was made by another version of this program.
     #[error(
         "the store {} has format `{found}` and this version reads `{expected}`: use the version that made it, or give another folder for the store",
@@ -146,6 +155,26 @@ impl StoreError {
         }
     }
 
+    /// Says that what had no room is no part of the store.
+    pub(crate) fn outside_store(self) -> Self {
+        match self {
+            Self::DiskFull { path } => Self::TargetFull { path },
+            other => other,
+        }
+    }
+
+    /// What happened to a blob, as a run reports it that recomputes the blob itself.
+    pub fn of_recomputed(&self) -> String {
+        match self {
+            Self::Damaged { digest, moved_to } => {
+                let (digest, moved_to) = (digest.short(), moved_to.display());
+                format!("blob {digest} was damaged on disk and has been set aside as {moved_to}; check the disk")
+            }
+            Self::Missing { digest } => format!("blob {} is not in the store any more", digest.short()),
+            other => other.to_string(),
+        }
+    }
+
     /// Says that the store at `dir` can only be read, where that is why something could not be written.
     pub(crate) fn or_read_only(self, dir: &Path) -> Self {
         use io::ErrorKind::{PermissionDenied, ReadOnlyFilesystem};
@@ -185,6 +214,26 @@ mod tests {
         let error = full.write_all(b"x").at("write", path).unwrap_err();
         assert!(matches!(&error, StoreError::DiskFull { path: named } if named == path), "{error:?}");
         assert!(error.to_string().contains("/dev/full") && error.to_string().contains("free some space"));
+    }
+
+    #[test]
+    fn a_full_disk_outside_of_the_store_is_no_reason_for_another_store() {
+        let told = |fault: StoreError| fault.outside_store().to_string();
+        let full = told(StoreError::io("write", Path::new("/out/x.ply"), io::ErrorKind::StorageFull.into()));
+        assert!(full.contains("/out/x.ply: free some space on that disk") && !full.contains("a store on"), "{full}");
+        let other = told(StoreError::io("write", Path::new("/out/x.ply"), io::ErrorKind::NotFound.into()));
+        assert!(other.starts_with("cannot write /out/x.ply"), "{other}");
+    }
+
+    #[test]
+    fn a_run_that_recomputes_a_blob_does_not_advise_to_run_again() {
+        let digest = Digest::of(b"blob");
+        let damaged = StoreError::Damaged { digest, moved_to: "/s/quarantine/x".into() };
+        for fault in [damaged, StoreError::Missing { digest }] {
+            let (told, alone) = (fault.of_recomputed(), fault.to_string());
+            assert!(told.contains(&digest.short()) && !told.contains("run "), "{told}");
+            assert!(alone.contains("run "), "{alone}");
+        }
     }
 
     #[test]

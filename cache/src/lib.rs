@@ -79,6 +79,7 @@ pub use files::FileDigest;
 pub use lease::Live;
 pub use locks::{Announced, KeyLock};
 pub use maintenance::{Collected, Fault, FaultKind, GcItem, GcPlan, GcPolicy, Handed, StageStat, Verified};
+pub use maintenance::{HalfWritten, SegmentFault, SegmentFaultKind};
 pub use materialise::Materialised;
 pub use memory::{Grounds, Memory, Seen, State, read_own, recall, trees};
 pub use names::{NameError, SafeName, SafePath};

@@ -40,7 +40,7 @@ impl Store {
             Some(folder) if !folder.as_os_str().is_empty() => folder,
             _ => Path::new("."),
         };
-        fs::create_dir_all(folder).at("make the folder", folder)?;
+        at_target(fs::create_dir_all(folder), "make the folder", folder)?;
         self.bring([*digest])?;
         if self.is_small(digest) {
             return copy_bytes(&self.get(digest)?, folder, to);
@@ -64,28 +64,32 @@ impl Store {
     pub fn materialise_new(&self, digest: &Digest, to: &Path) -> Result<Materialised, StoreError> {
         self.bring([*digest])?;
         if self.is_small(digest) {
-            fs::write(to, self.get(digest)?).at("write", to)?;
+            at_target(fs::write(to, self.get(digest)?), "write", to)?;
             return Ok(Materialised::Copy);
         }
         self.materialise(digest, to)
     }
 }
 
+/// Names the action and the path of a failed system call outside of the store.
+fn at_target<T>(result: io::Result<T>, action: &'static str, path: &Path) -> Result<T, StoreError> {
+    result.at(action, path).map_err(StoreError::outside_store)
+}
+
 /// A new file beside `to` with the permissions any new file would have.
 fn beside(folder: &Path) -> Result<NamedTempFile, StoreError> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(HALF_WRITTEN).permissions(Permissions::from_mode(0o666));
-    builder.tempfile_in(folder).at("write into", folder)
+    at_target(builder.tempfile_in(folder), "write into", folder)
 }
 
 fn persist(file: NamedTempFile, to: &Path) -> Result<(), StoreError> {
-    file.persist(to).map_err(|fault| fault.error).at("write", to)?;
-    Ok(())
+    at_target(file.persist(to).map(drop).map_err(|fault| fault.error), "write", to)
 }
 
 fn copy_bytes(bytes: &[u8], folder: &Path, to: &Path) -> Result<Materialised, StoreError> {
     let mut file = beside(folder)?;
-    file.write_all(bytes).at("write", to)?;
+    at_target(file.write_all(bytes), "write", to)?;
     persist(file, to)?;
     Ok(Materialised::Copy)
 }
@@ -121,7 +125,7 @@ fn is_same_file(a: &Path, b: &Path) -> bool {
 fn copy_file(blobs: &Blobs, digest: &Digest, folder: &Path, to: &Path) -> Result<Materialised, StoreError> {
     let mut file = beside(folder)?;
     let mut tee = Tee { from: blobs.open(digest)?, to: &mut file };
-    let (found, _) = Digest::of_reader(&mut tee).at("copy the blob to", to)?;
+    let (found, _) = at_target(Digest::of_reader(&mut tee), "copy the blob to", to)?;
     if found != *digest {
         return Err(blobs.quarantine(digest));
     }

@@ -79,7 +79,14 @@ fn fault(text: &str) -> Option<&'static str> {
 impl SafePath {
     /// Takes a text for a relative path, if each part of it can be a name.
     pub fn new(text: &str) -> Result<Self, NameError> {
-        match text.split('/').find_map(fault) {
+        let found = if text.starts_with('/') {
+            Some("it is an absolute path where one relative to its folder is needed")
+        } else if text.ends_with('/') || text.contains("//") {
+            Some("a part of it between two `/`, or after the last, is empty")
+        } else {
+            text.split('/').find_map(fault)
+        };
+        match found {
             None => Ok(Self(PathBuf::from(text))),
             Some(why) => Err(NameError { text: text.to_owned(), why }),
         }
@@ -187,6 +194,10 @@ mod tests {
             assert!(SafePath::new(text).is_err(), "{text:?}");
             assert!(serde_json::from_value::<SafePath>(text.into()).is_err());
         }
+        let why = |text: &str| SafePath::new(text).unwrap_err().why;
+        assert!(
+            why("/a/b").contains("absolute") && why("a//b").contains("between two `/`") && why("").contains("empty")
+        );
         let path = SafePath::new("outputs/dem").unwrap().with(&SafeName::new("raster.tif").unwrap());
         assert_eq!(&*path, Path::new("outputs/dem/raster.tif"));
         assert_eq!(serde_json::to_value(&path).unwrap(), "outputs/dem/raster.tif");

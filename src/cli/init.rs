@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
+use super::own_file::write_new;
 use super::shipped::Shipped;
 use super::{CliError, say};
-use rockface_engine::history::HistoryError;
 
 /// What a folder may begin with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
@@ -72,30 +72,12 @@ impl InitArgs {
         }
         // The pipeline itself comes last: where it is, all it reads is there too.
         for (path, text) in files.iter().rev() {
-            write_new(&self.dir.join(path), text)?;
+            write_new(&self.dir.join(path), text.as_bytes())?;
         }
         let path = self.dir.join(files[0].0);
         say(&format!("{}\ntry it: rockface run {}", path.display(), for_shell(&path)));
         Ok(())
     }
-}
-
-/// Writes a file that is not there yet, and the folders it lies in.
-fn write_new(path: &Path, text: &str) -> Result<(), CliError> {
-    let folder = path.parent().unwrap_or(Path::new("."));
-    std::fs::create_dir_all(folder).map_err(failed("make the folder", folder))?;
-    let new = std::fs::OpenOptions::new().write(true).create_new(true).open(path);
-    match new.and_then(|mut file| std::io::Write::write_all(&mut file, text.as_bytes())) {
-        Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {
-            Err(CliError::Usage(format!("{} is there already: give another folder", path.display())))
-        }
-        other => other.map_err(failed("write", path)),
-    }
-}
-
-fn failed(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> CliError {
-    let path = path.to_owned();
-    move |source| CliError::History(HistoryError::Io { action, path, source })
 }
 
 /// A path as one word of a shell.

@@ -6,8 +6,8 @@ use clap::{Args, CommandFactory, Subcommand};
 use rockface_core::Registry;
 use rockface_engine::watch::events;
 
+use super::own_file::{check_place, failed, folder_of, write_own};
 use super::{Cli, CliError, parts, say, stages};
-use rockface_engine::history::HistoryError;
 use rockface_engine::pipeline::Pipeline;
 
 /// The first line of every chapter, for those who want to edit one.
@@ -58,9 +58,10 @@ fn schema_text() -> String {
 fn write(dir: &Path, files: &[(String, Vec<u8>)]) -> Result<(), CliError> {
     for (name, bytes) in files {
         let path = dir.join(name);
-        let folder = path.parent().unwrap_or(dir);
-        let written = std::fs::create_dir_all(folder).and_then(|()| std::fs::write(&path, bytes));
-        written.map_err(|source| HistoryError::Io { action: "write", path, source })?;
+        check_place(&path)?;
+        let (folder, name) = (folder_of(&path), path.file_name().unwrap_or_default().to_string_lossy());
+        let written = std::fs::create_dir_all(folder).and_then(|()| write_own(folder, &name, bytes));
+        written.map_err(failed("write", &path))?;
     }
     say(&format!("{}: {} files", dir.display(), files.len()));
     Ok(())

@@ -11,6 +11,7 @@ mod init;
 mod inspect;
 mod manual;
 pub mod output;
+mod own_file;
 mod params;
 mod parts;
 mod places;
@@ -29,6 +30,7 @@ mod store;
 mod submit;
 mod table;
 mod transfer;
+mod verify;
 mod watch;
 mod work;
 
@@ -41,6 +43,8 @@ use rockface_core::Registry;
 
 pub use candidates::answer;
 use output::{complain, say};
+pub use own_file::check_own;
+use own_file::write_own;
 use rockface_engine::PHASE;
 use rockface_engine::diagnostic::Diagnostics;
 use rockface_engine::history::HistoryError;
@@ -294,28 +298,6 @@ fn own_folder(pipeline: &Path) -> Result<PathBuf, CliError> {
             .map_err(failed)?;
     }
     Ok(folder)
-}
-
-/// Refuses to write where a file is that does not begin as those do that the command writes.
-pub fn check_own(path: &Path, begins: &[u8], what: &str) -> Result<(), CliError> {
-    let mut head = vec![0; begins.len()];
-    let read = if path.is_file() { std::fs::File::open(path) } else { return Ok(()) };
-    let read = read.and_then(|mut file| std::io::Read::read(&mut file, &mut head));
-    // What cannot be read is refused when it is written.
-    if read.is_ok_and(|count| count > 0 && head[..count] != *begins) {
-        return Err(CliError::Usage(format!("{} is there and is no {what}; name another file", path.display())));
-    }
-    Ok(())
-}
-
-/// Writes a file whole or not at all: half of one would never be completed.
-fn write_own(folder: &Path, name: &str, bytes: &[u8]) -> std::io::Result<()> {
-    let mut file = tempfile::Builder::new()
-        .permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666))
-        .tempfile_in(folder)?;
-    std::io::Write::write_all(&mut file, bytes)?;
-    file.as_file().sync_all()?;
-    file.persist(folder.join(name)).map(drop).map_err(|error| error.error)
 }
 
 /// Why a command failed.

@@ -40,7 +40,7 @@ impl ReportArgs {
         let (store, graph, look) = (store.as_ref(), graph.as_ref(), registry.look());
         let source = Source { run: RunContents { folder, manifest, store, graph, logs: None }, look };
         let to = self.output.unwrap_or_else(|| run.folder.join(REPORT_FILE));
-        super::check_own(&to, b"<!doctype html>", "report")?;
+        super::check_own(&to, 0, report::BEGINS, "report")?;
         report::write(&source, &to)?;
         say(&to.display().to_string());
         if self.open { show(&to) } else { Ok(()) }

@@ -5,13 +5,14 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 use rockface_cache::remote::{RemoteGcPolicy, RemoteStat, Use};
-use rockface_cache::{Collected, Digest, Fault, FaultKind, GcPlan, GcPolicy, Store};
+use rockface_cache::{Collected, Digest, GcPlan, GcPolicy, Store};
 use serde_json::json;
 
 use super::places::Places;
 use super::remote::{self, is_url};
 use super::table::{self, Format, bytes};
 use super::transfer::TransferArgs;
+use super::verify::verify;
 use super::{CliError, complain, say};
 use rockface_engine::history::{self, HistoryError, PastRun};
 
@@ -40,11 +41,12 @@ enum StoreCommand {
         #[arg(long)]
         json: bool,
     },
-    /// Read every blob and compare it with its digest; exit code 3 if any is damaged or missing.
+    /// Read every blob and every segment and compare them with their digests; exit code 3 if anything is damaged or missing.
     Verify {
         #[command(flatten)]
         places: Places,
-        /// Move damaged outputs to quarantine, so that the next run that needs them recomputes them.
+        /// Move damaged outputs to quarantine and write damaged segments anew without what is damaged in them, so that the next
+        /// run that needs it recomputes it.
         #[arg(long)]
         repair: bool,
         /// Print JSON.
@@ -156,39 +158,6 @@ fn stat(store: &Store, as_json: bool) -> Result<(), CliError> {
         store.dir().display()
     ));
     Ok(())
-}
-
-fn verify(store: &Store, repair: bool, as_json: bool) -> Result<(), CliError> {
-    let found = store.verify(repair)?;
-    if as_json {
-        say(&json!(found).to_string());
-    } else {
-        for fault in &found.faults {
-            let what =
-                if fault.outputs.is_empty() { "no record names it".to_owned() } else { fault.outputs.join(", ") };
-            let done = if fault.set_aside { "; set aside" } else { "" };
-            let kind = format!("{:?}", fault.kind).to_lowercase();
-            say(&format!("{kind:8} {}  {what}{done}", fault.digest.short()));
-        }
-        let (blobs, size, records) = (found.blobs, bytes(found.bytes), found.records);
-        say(&format!("read {blobs} blobs ({size}) of {records} records: {}", verdict(&found.faults, repair)));
-    }
-    let is_well = found.faults.is_empty() || repair;
-    if is_well { Ok(()) } else { Err(CliError::Damaged) }
-}
-
-/// The result of a verification and the remedy. Only damaged blobs have to be quarantined before a run recomputes them.
-fn verdict(faults: &[Fault], repair: bool) -> String {
-    let damaged = faults.iter().filter(|fault| fault.kind == FaultKind::Damaged).count();
-    let missing = faults.len() - damaged;
-    let remedy = match (damaged, repair) {
-        (0, _) if missing == 0 => return "all whole".to_owned(),
-        (0, _) | (_, true) => "the next `rockface run` that needs them recomputes them",
-        (_, false) => {
-            "`rockface store verify --repair` moves damaged blobs to quarantine, and the next `rockface run` that needs them recomputes them"
-        }
-    };
-    format!("{damaged} damaged, {missing} missing; {remedy}")
 }
 
 impl GcArgs {

@@ -27,6 +27,9 @@ pub use compared::comparison;
 pub use graph::of as graph_of;
 pub use source::Source;
 
+/// What a page begins with.
+pub const BEGINS: &[u8] = b"<!doctype html>";
+
 /// Why a report cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
@@ -71,14 +74,17 @@ pub fn write(source: &Source, to: &Path) -> Result<(), ReportError> {
     save(to, &html(source, links)?)
 }
 
-/// Writes a page to a file, whole or not at all.
+/// Writes a page to a file, whole or not at all, and makes the folder it is in.
 ///
 /// # Errors
 /// Those of the disk.
 pub fn save(to: &Path, text: &str) -> Result<(), ReportError> {
     let parent = to.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let write = || {
-        let mut file = tempfile::NamedTempFile::new_in(parent)?;
+        std::fs::create_dir_all(parent)?;
+        // Its own error names the temporary file, which nobody has asked for.
+        let made = tempfile::NamedTempFile::new_in(parent);
+        let mut file = made.map_err(|error| std::io::Error::from(error.kind()))?;
         std::io::Write::write_all(&mut file, text.as_bytes())?;
         // Temporary files are private; a report is for whoever may read the folder.
         file.as_file().set_permissions(std::os::unix::fs::PermissionsExt::from_mode(0o644))?;

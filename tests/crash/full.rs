@@ -130,6 +130,23 @@ fn a_collection_makes_room_on_a_full_disk() {
 }
 
 #[test]
+fn a_command_that_finds_no_room_for_its_files_leaves_none_of_them() {
+    let Some(mounted) = Mounted::new("tmpfs") else { return };
+    let place = Place::at(&mounted.at);
+    fill(&mounted.at, 0);
+    for (command, folder) in
+        [(["init", "new/one"].as_slice(), "new/one"), (&["manual", "pages", "man/man1"], "man/man1")]
+    {
+        let out = place.command(command).output().unwrap();
+        assert_eq!(ended(&out, false, true), Ok(Ended::DiskFailed));
+        let left = std::fs::read_dir(place.path(folder)).map_or(0, Iterator::count);
+        assert_eq!(left, 0, "{folder}");
+    }
+    std::fs::remove_file(mounted.at.join("filler")).unwrap();
+    place.succeed(&["init", "new/one"]).unwrap();
+}
+
+#[test]
 fn a_file_system_that_became_read_only_is_named() {
     for kind in ["tmpfs", "ext4"] {
         let Some(mounted) = Mounted::new(kind) else { continue };

@@ -130,6 +130,22 @@ fn damage_is_listed_set_aside_and_made_again() {
 }
 
 #[test]
+fn a_damaged_record_is_listed_and_its_step_runs_again() {
+    let house = House::new(SMALL);
+    house.rockface(&["run", "p.yaml"]);
+    assert_eq!(damage(&house.path(".rockface/store/segments"), b"spacing_m\":0.05"), 1);
+    let (code, out, _) = house.rockface(&["store", "verify"]);
+    assert!(code == Some(3) && out.contains("damaged  segment") && out.contains("of synthesise-face"), "{out}");
+    assert!(last_line(&out).contains("1 damaged places in segments; `rockface store verify --repair`"), "{out}");
+    let (code, out, _) = house.rockface(&["store", "verify", "--repair"]);
+    assert!(code == Some(0) && out.contains("the segments were written anew"), "{out}");
+    let (code, out, _) = house.rockface(&["store", "verify"]);
+    assert!(code == Some(0) && out.contains("1 records: all whole"), "{out}");
+    let (code, out, err) = house.rockface(&["run", "p.yaml"]);
+    assert!(code == Some(0) && last_line(&out).contains("ran 1, cached 1"), "{out}{err}");
+}
+
+#[test]
 fn a_collection_spares_pinned_runs_and_explains_itself() {
     let house = House::new(SMALL);
     for cell in ["0.05", "0.1", "0.2"] {

@@ -19,7 +19,7 @@ fn including() -> House {
 }
 
 /// The texts of the files of a tar archive.
-fn unpacked(path: &std::path::Path) -> BTreeMap<String, Vec<u8>> {
+pub fn unpacked(path: &std::path::Path) -> BTreeMap<String, Vec<u8>> {
     let mut archive = tar::Archive::new(std::fs::File::open(path).unwrap());
     let read = |entry: std::io::Result<tar::Entry<std::fs::File>>| {
         let mut entry = entry.unwrap();

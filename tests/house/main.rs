@@ -42,3 +42,4 @@ mod tidy;
 mod together;
 mod watching;
 mod workers;
+mod writers;

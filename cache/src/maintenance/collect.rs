@@ -103,7 +103,7 @@ impl Store {
         Ok(stat.large_blob_bytes + stat.segment_bytes)
     }
 
-    fn empty(&self, folder: &str) -> Result<(), StoreError> {
+    pub(super) fn empty(&self, folder: &str) -> Result<(), StoreError> {
         let folder = self.dir().join(folder);
         let entries = match std::fs::read_dir(&folder) {
             Ok(entries) => entries,

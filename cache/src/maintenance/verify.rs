@@ -1,7 +1,9 @@
-//! Verification: every blob is read and compared with its digest, every record with the blobs it promises.
+//! Verification: every blob is read and compared with its digest, every record with the blobs it promises, and every segment
+//! is read from end to end.
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use super::{HalfWritten, SegmentFault};
 use crate::error::{At, StoreError};
 use crate::frame::Kind;
 use crate::{Digest, Store};
@@ -36,18 +38,29 @@ pub struct Verified {
     pub blobs: u64,
     /// Size of the blobs that were read.
     pub bytes: u64,
-    /// Number of records whose blobs were looked for.
+    /// Number of whole records, whose blobs were looked for.
     pub records: u64,
     /// What is not as it should be, by digest.
     pub faults: Vec<Fault>,
+    /// What is damaged inside segments.
+    pub segment_faults: Vec<SegmentFault>,
+    /// Whether the segments were written anew, without what is damaged in them.
+    pub rewritten: bool,
+    /// Segments that were to be written anew and are being written to: what is damaged in them stays for now.
+    pub busy_segments: u64,
+    /// What killed processes left at the ends of segments; no damage.
+    pub half_written: Vec<HalfWritten>,
 }
 
 impl Store {
-    /// Reads everything and compares it with its digest. With `repair`, damaged blobs are set aside; without, nothing
-    /// is changed.
+    /// Reads everything and compares it with its digest. With `repair`, damaged blobs are set aside, and damaged segments are
+    /// written anew; without, nothing is changed.
     pub fn verify(&self, repair: bool) -> Result<Verified, StoreError> {
         let named = self.named_blobs();
-        let mut found = Verified { records: self.keys().len() as u64, ..Verified::default() };
+        let is_whole = |key: &&Digest| self.journal().with_index(|index| index.payload(Kind::Record, key).is_some());
+        let records = self.keys().iter().filter(is_whole).count() as u64;
+        let (segment_faults, half_written) = self.verify_segments()?;
+        let mut found = Verified { records, segment_faults, half_written, ..Verified::default() };
         for digest in self.small_blobs() {
             let (read, bytes) = self.read_small(&digest)?;
             self.verify_one(&digest, read, bytes, &named, repair, &mut found)?;
@@ -74,6 +87,10 @@ impl Store {
             }
         }
         found.faults.sort_by_key(|fault| fault.digest);
+        if repair && !found.segment_faults.is_empty() {
+            found.busy_segments = self.rewrite_segments()?;
+            found.rewritten = true;
+        }
         Ok(found)
     }
 

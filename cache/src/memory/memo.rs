@@ -6,6 +6,7 @@
 //!
 //! There are at most 256 answers: a file each in `answers/`, replaced in one step; a lost one costs a full look.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::Write;
 use std::os::unix::fs::MetadataExt;
@@ -85,6 +86,19 @@ impl Memory<'_> {
         file.write_all(head.as_bytes()).and_then(|()| file.write_all(&body)).at("write", &path)?;
         file.persist(&path).map_err(|fault| fault.error).at("write", &path)?;
         Ok(true)
+    }
+
+    /// How long segments were when answers were filed, the longest size of each. A segment only grows, and what is cut off it
+    /// was never part of an answer.
+    pub(crate) fn segment_sizes(&self) -> BTreeMap<String, u64> {
+        let mut sizes: BTreeMap<String, u64> = BTreeMap::new();
+        let answers = fs::read_dir(self.store.dir().join(ANSWERS)).into_iter().flatten().flatten();
+        let kept = answers.filter_map(|answer| decode(&read_own(&answer.path())?));
+        for (name, state) in kept.flat_map(|kept| kept.segments) {
+            let size = sizes.entry(name).or_default();
+            *size = state.bytes.max(*size);
+        }
+        sizes
     }
 
     fn kept_answer(self, question: &Digest, answer: &Value, grounds: &Grounds) -> Option<Kept> {
@@ -185,6 +199,20 @@ mod tests {
         assert_eq!(desk.recall(), None, "who knows what comes");
         assert!(desk.ask());
         assert_eq!(desk.recall(), Some(json!("done")));
+    }
+
+    #[test]
+    fn a_segment_that_is_shorter_than_an_answer_says_was_cut() {
+        let desk = desk();
+        let segment = fs::read_dir(desk.path("store/segments")).unwrap().next().unwrap().unwrap().path();
+        let size = fs::metadata(&segment).unwrap().len();
+        let verify = |repair| Store::open(&desk.path("store")).unwrap().verify(repair).unwrap();
+        assert_eq!((verify(false).segment_faults, verify(false).half_written), (vec![], vec![]));
+        fs::File::options().write(true).open(&segment).unwrap().set_len(0).unwrap();
+        let told: Vec<_> = verify(false).segment_faults.iter().map(|one| (one.kind, one.at, one.bytes)).collect();
+        assert_eq!(told, [(crate::SegmentFaultKind::Cut, 0, size)]);
+        assert!(verify(true).rewritten);
+        assert_eq!((verify(false).segment_faults, verify(false).half_written), (vec![], vec![]));
     }
 
     #[test]

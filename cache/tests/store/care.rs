@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
-use rockface_cache::{Digest, FaultKind, GcPolicy, Store, StoreError};
+use rockface_cache::{Digest, FaultKind, GcPolicy, SegmentFaultKind, Store, StoreError};
 
 use crate::{blob_path, finish, new_store, output, recipe, record, segments};
 
@@ -46,6 +46,69 @@ fn verification_lists_what_is_damaged_and_missing_and_repair_sets_it_aside() {
     assert!(left.faults.iter().all(|fault| fault.kind == FaultKind::Missing), "{left:?}");
     assert_eq!(store.stat().unwrap().quarantined, 2);
     assert!(store.is_hit(&keys[0]).is_some() && keys[1..].iter().all(|key| store.is_hit(key).is_none()));
+}
+
+#[test]
+fn damage_inside_a_segment_is_listed_with_its_place_and_repair_writes_the_segment_anew() {
+    let (folder, store) = new_store();
+    let keys = [finish(&store, 1, b"one"), finish(&store, 2, b"two"), finish(&store, 3, b"three")];
+    store.sync().unwrap();
+    drop(store);
+    let segment = segments(folder.path()).remove(0);
+    let whole = fs::read(&segment).unwrap();
+    let size = whole.len() as u64;
+    let verified = |bytes: &[u8]| {
+        fs::write(&segment, bytes).unwrap();
+        let found = Store::open(folder.path()).unwrap().verify(false).unwrap();
+        assert!(fs::read(&segment).unwrap() == bytes, "nothing is changed");
+        found
+    };
+    let found = verified(&whole);
+    assert_eq!((found.records, found.segment_faults, found.half_written), (3, vec![], vec![]));
+
+    let found = verified(&whole[..whole.len() - 100]);
+    assert_eq!((found.records, found.segment_faults), (2, vec![]), "a killed process leaves that");
+    assert_eq!(found.half_written.iter().map(|tail| tail.at + tail.bytes).collect::<Vec<_>>(), [size - 100]);
+
+    let found = verified(&[&whole[..], &[7; 5000]].concat());
+    let told: Vec<_> = found.segment_faults.iter().map(|fault| (fault.kind, fault.at, fault.bytes)).collect();
+    assert_eq!(told, [(SegmentFaultKind::Unreadable, size, 5000)]);
+
+    let mut damaged = whole;
+    let at = damaged.windows(10).position(|some| some == b"\"number\":2").unwrap();
+    damaged[at + 1] ^= 1;
+    let found = verified(&damaged);
+    assert_eq!((found.records, found.faults.len(), found.segment_faults.len()), (2, 0, 1), "{found:?}");
+    let fault = &found.segment_faults[0];
+    assert!(fault.kind == SegmentFaultKind::Damaged && fault.at < at as u64 && fault.at + fault.bytes > at as u64);
+    assert!(fault.lost.contains(&keys[1].short()) && fault.lost.contains("of remove-blocks"), "{}", fault.lost);
+
+    let store = Store::open(folder.path()).unwrap();
+    let repaired = store.verify(true).unwrap();
+    assert!(repaired.rewritten && repaired.busy_segments == 0 && repaired.segment_faults.len() == 1);
+    drop(store);
+    let store = Store::open(folder.path()).unwrap();
+    assert_eq!(store.verify(false).unwrap().segment_faults, []);
+    let hits: Vec<bool> = keys.iter().map(|key| store.is_hit(key).is_some()).collect();
+    assert_eq!(hits, [true, false, true]);
+}
+
+#[test]
+fn a_damaged_record_that_was_written_again_is_no_damage_any_more() {
+    let (folder, store) = new_store();
+    let key = finish(&store, 2, b"two");
+    store.sync().unwrap();
+    drop(store);
+    let segment = segments(folder.path()).remove(0);
+    let mut bytes = fs::read(&segment).unwrap();
+    let at = bytes.windows(10).position(|some| some == b"\"number\":2").unwrap();
+    bytes[at + 1] ^= 1;
+    fs::write(&segment, bytes).unwrap();
+    let store = Store::open(folder.path()).unwrap();
+    assert_eq!((store.is_hit(&key), store.verify(false).unwrap().segment_faults.len()), (None, 1));
+    finish(&store, 2, b"two");
+    assert!(store.is_hit(&key).is_some());
+    assert_eq!(store.verify(false).unwrap().segment_faults, []);
 }
 
 #[test]

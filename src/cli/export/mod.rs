@@ -8,6 +8,7 @@ use clap::Args;
 use rockface_cache::{Digest, SafeName, Store};
 use rockface_core::artefact::{Artefact, Kind};
 
+use super::own_file::{check_own, check_place, folder_of, write_own};
 use super::places::Places;
 use super::{CliError, complain, say};
 use rockface_engine::diagnostic::{listed, nearest};
@@ -25,7 +26,7 @@ pub struct ExportArgs {
     /// `before.dem` or `before/dem.raster`.
     #[arg(add = super::candidates::outputs())]
     output: String,
-    /// The file to write, or a folder to write it into. A table goes into a `.csv` too, a cloud into a `.laz`, by the extension.
+    /// The file to write, or a folder to write it into; no device, pipe or link. A table goes into a `.csv` too, a cloud into a `.laz`, by the extension.
     path: PathBuf,
     /// Replace a file that is no earlier export.
     #[arg(long)]
@@ -57,6 +58,10 @@ impl ExportArgs {
         } else {
             self.path.clone()
         };
+        check_place(&to)?;
+        if !self.plain {
+            check_place(&provenance::beside(&to))?;
+        }
         let store = self.places.store_of(&run)?;
         store.trust(self.trust_store);
         let other = kind.map(|kind| other_format(kind, &to)).transpose()?.flatten();
@@ -103,13 +108,8 @@ impl ExportArgs {
     }
 }
 
-/// The folder a file is in.
-fn folder_of(file: &Path) -> &Path {
-    file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
-}
-
 fn write(file: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    super::write_own(folder_of(file), &file.file_name().unwrap_or_default().to_string_lossy(), bytes)
+    write_own(folder_of(file), &file.file_name().unwrap_or_default().to_string_lossy(), bytes)
 }
 
 /// What a file's name ends in, in lower case, as formats are named here.
@@ -202,10 +202,10 @@ pub struct ArchiveArgs {
     /// means the one before.
     #[arg(add = super::candidates::runs())]
     run: String,
-    /// The file to write [default: the name of the run with `.tar`].
+    /// The file to write [default: the name of the run with `.tar`]. It replaces no file but an earlier archive.
     #[arg(long, short, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Include the outputs of the run.
+    /// Include the outputs of the run: those in its folder, and the others from the store.
     #[arg(long)]
     outputs: bool,
     #[command(flatten)]
@@ -217,12 +217,33 @@ impl ArchiveArgs {
     pub fn run(self) -> Result<(), CliError> {
         let run = self.places.find(&self.run)?;
         let to = self.output.unwrap_or_else(|| PathBuf::from(format!("{}.tar", run.name)));
+        let (at, has) = history::ARCHIVE_MARK;
+        check_own(&to, at, has, "archive of a run")?;
         let done = history::archive(&run, &self.places.store_of(&run)?, self.outputs, &to)?;
         if done.missing > 0 {
             let missing = done.missing;
             complain(&format!("warning: {missing} records or logs of this run are not in the store any more"));
         }
+        if !done.left_out.is_empty() {
+            complain(&format!("warning: {}", left_out(&done.left_out, &run.folder)));
+        }
         say(&format!("{}: {} files", to.display(), done.files));
         Ok(())
     }
+}
+
+/// Outputs that are named where an archive lacks them.
+const NAMED: usize = 5;
+
+/// Which outputs an archive lacks, and why.
+fn left_out(outputs: &[String], folder: &Path) -> String {
+    let mut named = outputs[..outputs.len().min(NAMED)].join(", ");
+    if outputs.len() > NAMED {
+        named += &format!(" and {} more", outputs.len() - NAMED);
+    }
+    let (count, again) = (outputs.len(), folder.join("run.json"));
+    format!(
+        "{count} outputs of this run are not in the archive, since neither its folder nor the store has them (not kept, or collected): {named}; repeat the run with `rockface run {}`, and with `keep: true` on these steps",
+        again.display()
+    )
 }

@@ -5,10 +5,11 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use rockface_cache::{Digest, Store, StoreError};
+use rockface_cache::{Digest, NameError, OutputRecord, SafeName, SafePath, Store, StoreError};
+use rockface_core::artefact::Kind;
 
 use super::sources::source_files;
-use super::{HistoryError, Manifest, PastRun};
+use super::{HistoryError, Manifest, PastRun, StepDone, output_folder};
 
 /// Explains the archive to whoever opens it.
 const README: &str = "This archive holds one run of rockface.
@@ -20,30 +21,39 @@ run.mcap                 the log
 ro-crate-metadata.json   the same for programs that know nothing of rockface (Workflow Run RO-Crate)
 records/KEY.recipe.json  the recipe of every step: the BLAKE3 of these very bytes is KEY
 logs/DIGEST.json         what steps said; the BLAKE3 of these very bytes is DIGEST
-outputs/                 the outputs, where the archive was made with --outputs
+outputs/                 the outputs, where the archive was made with --outputs; those that the run folder lacks are from the store
 B3SUMS                   the BLAKE3 of every file: `b3sum --check B3SUMS` checks them all
 
 To repeat the run, put the input files that run.json names (with their BLAKE3) where it names them, and
 `rockface run run.json`: it says whether every output is the same.
 ";
 
+/// What every archive has, and at which byte: the beginning of its first file, behind the header of that.
+pub const ARCHIVE_MARK: (u64, &[u8]) = (512, b"This archive holds one run of rockface.\n");
+
 /// What went into an archive.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Archived {
     /// Number of files in the archive.
     pub files: usize,
     /// Records and logs the run names and the store does not have any more.
     pub missing: usize,
+    /// Outputs that were asked for and that neither the run folder nor the store has, as `step.port`.
+    pub left_out: Vec<String>,
 }
 
-/// Writes the archive (tar) of a run; with `outputs`, its outputs too. Equal runs give equal bytes.
+/// Writes the archive (tar) of a run; with `outputs`, its outputs too, those that its folder lacks from the store. Equal runs
+/// give equal bytes. The folder of the archive is made if there is none.
 ///
 /// # Errors
 ///
 /// When a file cannot be read or written.
 pub fn archive(run: &PastRun, store: &Store, outputs: bool, to: &Path) -> Result<Archived, HistoryError> {
     let folder = to.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let file = tempfile::NamedTempFile::new_in(folder).map_err(HistoryError::io("write into", folder))?;
+    std::fs::create_dir_all(folder).map_err(HistoryError::io("make the folder", folder))?;
+    // Its own error names the temporary file, which nobody has asked for.
+    let file = tempfile::NamedTempFile::new_in(folder).map_err(|error| std::io::Error::from(error.kind()));
+    let file = file.map_err(HistoryError::io("write into", folder))?;
     let mut packing = Packing { tar: tar::Builder::new(BufWriter::new(file)), sums: BTreeMap::new(), to };
     packing.add(Path::new("README"), README.as_bytes())?;
     let made = made(&run.manifest);
@@ -56,6 +66,7 @@ pub fn archive(run: &PastRun, store: &Store, outputs: bool, to: &Path) -> Result
         };
         packing.add(&path, &bytes)?;
     }
+    let left_out = if outputs { packing.stored_outputs(run, store)? } else { Vec::new() };
     let sources = source_files(&run.manifest.pipeline);
     for (path, text) in sources.map_err(|error| HistoryError::io("archive", &run.folder)(error.into()))? {
         packing.add(&Path::new("pipeline").join(path), text.as_bytes())?;
@@ -66,7 +77,7 @@ pub fn archive(run: &PastRun, store: &Store, outputs: bool, to: &Path) -> Result
     let mode = std::os::unix::fs::PermissionsExt::from_mode(0o644);
     file.as_file().set_permissions(mode).map_err(HistoryError::io("write", to))?;
     file.persist(to).map_err(|fault| HistoryError::io("write", to)(fault.error))?;
-    Ok(Archived { files, missing })
+    Ok(Archived { files, missing, left_out })
 }
 
 /// What each output file of a run was made as.
@@ -78,6 +89,16 @@ fn made(manifest: &Manifest) -> BTreeMap<&Path, Digest> {
         }
     }
     made
+}
+
+/// Where an output is in the folder of its run, or would be.
+fn place_of(done: &StepDone, port: &SafeName, output: &OutputRecord) -> Result<SafePath, NameError> {
+    if let Some(path) = done.paths.get(port.as_str()) {
+        return Ok(path.clone());
+    }
+    let point: Vec<String> = done.point.iter().map(|(axis, item)| format!("{axis}={item}")).collect();
+    let extension = output.kind.parse::<Kind>().map_or("bin", Kind::extension);
+    Ok(output_folder(&done.step, &point.join(","))?.with(&SafeName::new(format!("{port}.{extension}"))?))
 }
 
 /// The bytes of an output as it was made: those of the file in the run folder, unless it was written to or has decayed
@@ -145,8 +166,30 @@ impl Packing<'_> {
         Ok(())
     }
 
+    /// Adds the outputs that are not packed yet; returns those the store does not have, as `step.port`.
+    fn stored_outputs(&mut self, run: &PastRun, store: &Store) -> Result<Vec<String>, HistoryError> {
+        let mut left_out = Vec::new();
+        for done in &run.manifest.steps {
+            for (port, output) in done.outputs.iter().flatten() {
+                let place = place_of(done, port, output);
+                let place = place.map_err(|error| HistoryError::io("archive", &run.folder)(error.into()))?;
+                if self.sums.contains_key(&*place) {
+                    continue;
+                }
+                match in_store(store, &output.digest)? {
+                    Some(bytes) => self.add(&place, &bytes)?,
+                    None => left_out.push(format!("{}.{port}", done.label())),
+                }
+            }
+        }
+        Ok(left_out)
+    }
+
+    /// Adds the records and logs of the run; returns how many the store does not have. A step that failed or was not reached
+    /// has no record.
     fn records(&mut self, run: &PastRun, store: &Store) -> Result<usize, HistoryError> {
-        let keys: BTreeSet<Digest> = run.manifest.steps.iter().filter_map(|done| done.key).collect();
+        let recorded = run.manifest.steps.iter().filter(|done| done.outputs.is_some());
+        let keys: BTreeSet<Digest> = recorded.filter_map(|done| done.key).collect();
         let logs: BTreeSet<(Digest, &str)> = run
             .manifest
             .steps

@@ -4,6 +4,7 @@ mod archive;
 mod compare;
 mod contents;
 mod manifest;
+mod places;
 mod points;
 mod provenance;
 mod sources;
@@ -11,10 +12,11 @@ mod torn;
 
 use std::path::{Path, PathBuf};
 
-pub use archive::{Archived, archive};
+pub use archive::{ARCHIVE_MARK, Archived, archive};
 pub use compare::{Comparison, Row, compare};
 pub use contents::{REPORT_FILE, RunContents};
 pub use manifest::{FORMAT, FileUsed, IncludedText, Manifest, Metric, Overridden, PartUsed, PipelineText, StepDone};
+pub use places::{output_folder, readable_name};
 pub use points::{POINTS_FILE, table as points_table};
 pub use provenance::crate_metadata;
 pub use torn::digests_told;

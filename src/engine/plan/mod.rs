@@ -28,7 +28,7 @@ pub use parameters::{InputFile, StepParams};
 pub use points::{Wait, counts};
 pub use programs::without_programs;
 pub use resolve::resolve;
-pub use sight::Looks;
+pub use sight::{Looks, kind_of};
 
 use rockface_cache::{Digest, Store};
 use rockface_core::AnyStage;

@@ -94,13 +94,16 @@ pub fn one_file(path: &Path) -> Result<Vec<PathBuf>, String> {
     }
 }
 
-fn kind_of(entry: FileType) -> &'static str {
+/// What is somewhere in place of a regular file.
+pub fn kind_of(entry: FileType) -> &'static str {
     if entry.is_dir() {
         "a folder"
     } else if entry.is_fifo() {
         "a pipe"
     } else if entry.is_socket() {
         "a socket"
+    } else if entry.is_symlink() {
+        "a link"
     } else {
         "a device"
     }

@@ -85,6 +85,6 @@ pub struct ProgramResult {
     pub stderr: String,
     /// The wanted files that are there.
     pub outputs: BTreeMap<String, Vec<u8>>,
-    /// The wanted files in whose place there is a folder.
-    pub folders: Vec<String>,
+    /// What is in place of wanted files, by these: such as `a folder` or `a pipe`.
+    pub others: BTreeMap<String, &'static str>,
 }

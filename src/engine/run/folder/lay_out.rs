@@ -9,7 +9,7 @@ use rockface_core::artefact::{Artefact, Kind};
 use serde::{Deserialize, Serialize};
 
 use super::files::{failed, going_on, write_file};
-use crate::pipeline::INSIDE;
+use crate::history::output_folder;
 use crate::plan::Plan;
 use crate::run::{RunError, Summary};
 
@@ -181,15 +181,7 @@ impl Layer<'_> {
 
     /// Where the outputs of an instance go.
     fn place(&self, instance: usize) -> Result<SafePath, NameError> {
-        let step = self.plan.step(instance);
-        let mut place = SafePath::new("outputs")?;
-        for name in step.name.split(INSIDE) {
-            place = place.with(&SafeName::new(readable_name(name))?);
-        }
-        if step.axes.is_empty() {
-            return Ok(place);
-        }
-        Ok(place.with(&SafeName::new(readable_name(&self.plan.point_text(instance)))?))
+        output_folder(&self.plan.step(instance).name, &self.plan.point_text(instance))
     }
 
     /// Writes the further files of an output; returns their paths.
@@ -214,31 +206,5 @@ impl Layer<'_> {
             Ok(path)
         };
         made.iter().map(write).collect()
-    }
-}
-
-/// The longest name of a folder; file systems take 255 bytes, and some of the tools that read them fewer.
-const NAME_BYTES: usize = 200;
-
-/// A name that every file system takes: a long one is cut and ends in a digest of the whole, so that it differs from others.
-pub fn readable_name(name: &str) -> String {
-    if name.len() <= NAME_BYTES {
-        return name.to_owned();
-    }
-    let digest = Digest::of(name.as_bytes()).to_string();
-    let cut = (0..=NAME_BYTES - 17).rev().find(|end| name.is_char_boundary(*end)).unwrap_or(0);
-    format!("{}-{}", &name[..cut], &digest[..16])
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn long_names_are_cut_and_stay_apart() {
-        let long = |last: char| format!("{}{last}", "ö".repeat(300));
-        assert_eq!(readable_name("epoch=pre"), "epoch=pre");
-        let (one, other) = (readable_name(&long('a')), readable_name(&long('b')));
-        assert!(one.len() <= NAME_BYTES && one.starts_with("öö") && one != other, "{one}");
     }
 }

@@ -12,12 +12,12 @@ use serde_json::json;
 use tempfile::NamedTempFile;
 
 use super::files::{durable, failed, going_on, put, write_file};
-use super::lay_out::{Laid, LayOut, readable_name};
+use super::lay_out::{Laid, LayOut};
 use super::log::{LOG_FILE, Telling};
 use super::made::{self, Made};
 use super::manifest_writer;
 use super::unfinished::{self, Unfinished};
-use crate::history::{Manifest, POINTS_FILE, REPORT_FILE, RunContents, crate_metadata, latest_of, points_table};
+use crate::history::{Manifest, POINTS_FILE, REPORT_FILE, RunContents, crate_metadata, latest_of, points_table, readable_name};
 use crate::pipeline::{LogLevel, Overrides, Pipeline};
 use crate::plan::Plan;
 use crate::run::{RunError, Summary};

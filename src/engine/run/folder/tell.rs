@@ -36,12 +36,14 @@ pub fn execute_and_tell(
             }
             Err(error) => error,
         };
-        let Some(digest) = lost_blob(&error).filter(|digest| lost.insert(*digest)) else { return Err(error) };
-        warn_lost(plan, &summary, &digest, &error.to_string(), observer);
+        let Some((digest, why)) = lost_blob(&error).filter(|(digest, _)| lost.insert(*digest)) else {
+            return Err(error);
+        };
+        warn_lost(plan, &summary, &digest, &why, observer);
         // Where one blob is damaged others may be: all are looked through now, not one a go.
         let blobs = summary.instances.iter().filter_map(|result| result.outcome.as_ref()).flat_map(Outcome::blobs);
         for damage in store.scrub(blobs.map(|(digest, _)| digest))? {
-            let told = StoreError::Damaged { digest: damage.digest, moved_to: damage.moved_to }.to_string();
+            let told = StoreError::Damaged { digest: damage.digest, moved_to: damage.moved_to }.of_recomputed();
             warn_lost(plan, &summary, &damage.digest, &told, observer);
         }
         // Reported here, with the name of the step.
@@ -50,9 +52,12 @@ pub fn execute_and_tell(
     }
 }
 
-fn lost_blob(error: &RunError) -> Option<Digest> {
+/// The blob for which a folder could not be written, and what happened to it.
+fn lost_blob(error: &RunError) -> Option<(Digest, String)> {
     match error {
-        RunError::Store(StoreError::Damaged { digest, .. } | StoreError::Missing { digest }) => Some(*digest),
+        RunError::Store(fault @ (StoreError::Damaged { digest, .. } | StoreError::Missing { digest })) => {
+            Some((*digest, fault.of_recomputed()))
+        }
         _ => None,
     }
 }

@@ -14,7 +14,7 @@ use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, wa
 use wait4::Wait4;
 
 use super::tools::{self, Call, Tools};
-use crate::plan::InputFile;
+use crate::plan::{InputFile, kind_of};
 
 /// What reaches every program from outside.
 const INHERITED: [&str; 5] = ["PATH", "HOME", "USER", "LOGNAME", "LD_LIBRARY_PATH"];
@@ -78,14 +78,14 @@ pub fn execute(
         return Err(StoreError::DiskFull { path: folder.to_owned() }.into());
     }
     let read = in_folder("read what a program left in", folder);
-    let (outputs, folders) = collected(&program.outputs, folder).map_err(&read)?;
+    let (outputs, others) = collected(&program.outputs, folder).map_err(&read)?;
     let result = ProgramResult {
         exit_code: status.code(),
         signal: status.signal(),
         stdout: kept(&mut stdout).map_err(&read)?,
         stderr: kept(&mut stderr).map_err(&read)?,
         outputs,
-        folders,
+        others,
     };
     Ok((result, used))
 }
@@ -224,10 +224,42 @@ pub fn kept_of(path: &Path) -> std::io::Result<String> {
 /// The bytes of files by their place in the folder of the program.
 type Collected = BTreeMap<String, Vec<u8>>;
 
-/// The wanted files that are there, and those in whose place there is a folder.
-pub fn collected(wanted: &[String], folder: &Path) -> std::io::Result<(Collected, Vec<String>)> {
-    let found = wanted.iter().map(|place| (place, folder.join(place))).filter(|(_, path)| path.is_file());
-    let outputs: std::io::Result<_> = found.map(|(place, path)| Ok((place.clone(), fs::read(path)?))).collect();
-    let folders = wanted.iter().filter(|place| folder.join(place).is_dir()).cloned().collect();
-    Ok((outputs?, folders))
+/// What is in place of wanted files, by the place of these.
+type Others = BTreeMap<String, &'static str>;
+
+/// The wanted files that are there, and what is in place of others.
+pub fn collected(wanted: &[String], folder: &Path) -> std::io::Result<(Collected, Others)> {
+    let (mut outputs, mut others) = (Collected::new(), Others::new());
+    for place in wanted {
+        let path = folder.join(place);
+        match fs::metadata(&path).or_else(|_| fs::symlink_metadata(&path)) {
+            Ok(found) if found.is_file() => drop(outputs.insert(place.clone(), fs::read(&path)?)),
+            Ok(found) if found.is_symlink() => drop(others.insert(place.clone(), "a link that leads nowhere")),
+            Ok(found) => drop(others.insert(place.clone(), kind_of(found.file_type()))),
+            // It is not there.
+            Err(_) => {}
+        }
+    }
+    Ok((outputs, others))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_in_place_of_an_output_is_named_and_no_pipe_is_waited_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let place = |name: &str| folder.path().join(name);
+        fs::write(place("file"), "bytes").unwrap();
+        fs::create_dir(place("folder")).unwrap();
+        rustix::fs::mknodat(rustix::fs::CWD, place("pipe"), rustix::fs::FileType::Fifo, 0o600.into(), 0).unwrap();
+        std::os::unix::fs::symlink(place("file"), place("link")).unwrap();
+        std::os::unix::fs::symlink(place("nowhere"), place("dangling")).unwrap();
+        let wanted = ["file", "folder", "pipe", "link", "dangling", "none"].map(str::to_owned);
+        let (outputs, others) = collected(&wanted, folder.path()).unwrap();
+        assert_eq!(outputs.into_keys().collect::<Vec<_>>(), ["file", "link"]);
+        let expected = [("dangling", "a link that leads nowhere"), ("folder", "a folder"), ("pipe", "a pipe")];
+        assert_eq!(others, expected.map(|(place, kind)| (place.to_owned(), kind)).into());
+    }
 }

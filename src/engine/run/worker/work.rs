@@ -272,8 +272,8 @@ fn read(feed: &Feed, source: &Source, store: &Store) -> Result<Arc<Artefact>, Fa
     };
     let bytes = match store.get(digest) {
         Ok(bytes) => bytes,
-        Err(error @ StoreError::Damaged { .. }) => return Err(lost(error.to_string())),
-        Err(error) if !store.contains(digest) => return Err(lost(error.to_string())),
+        Err(error @ StoreError::Damaged { .. }) => return Err(lost(error.of_recomputed())),
+        Err(error) if !store.contains(digest) => return Err(lost(error.of_recomputed())),
         Err(error) => return Err(error.into()),
     };
     let decoded = Artefact::decode(kind, &bytes);

@@ -147,13 +147,12 @@ fn given(params: &CommandParams, inputs: &Inputs) -> Result<Vec<(String, Vec<u8>
 fn output(port: &str, declared: &Declared, result: &ProgramResult, context: &Context) -> Result<Artefact, StageError> {
     let place = declared.place("out", port);
     let Some(bytes) = result.outputs.get(&place) else {
-        let folder = result.folders.contains(&place);
-        let message = if folder {
-            format!("the program made a folder where its output `{port}` is to be a file")
-        } else {
-            format!("the program made no output `{port}`")
+        let other = result.others.get(&place).copied();
+        let message = match other {
+            Some(other) => format!("the program made {other} where its output `{port}` is to be a file"),
+            None => format!("the program made no output `{port}`"),
         };
-        let several = if folder { "; of several files make one, with tar for instance" } else { "" };
+        let several = if other == Some("a folder") { "; of several files make one, with tar for instance" } else { "" };
         let hint = format!("write it to {{out.{port}}}, which is `{place}` in the folder the program runs in{several}");
         return Err(StageError::new(message).hint(hint));
     };
