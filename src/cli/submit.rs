@@ -94,7 +94,8 @@ impl SubmitArgs {
     }
 
     fn hyperqueue(&self, options: &str, name: &str, arguments: &[String]) -> Result<(), CliError> {
-        let roles = roles("[ \"${HQ_TASK_ID:-0}\" = 0 ]", arguments)?;
+        let first = least_task(options)?;
+        let roles = roles(&format!("[ \"${{HQ_TASK_ID:-{first}}}\" = {first} ]"), arguments)?;
         let script = format!("jobs=$(echo \"${{HQ_CPUS:-1}}\" | tr ',' ' ' | wc -w)\n{roles}");
         let mut command = vec!["submit".to_owned(), "--name".to_owned(), format!("rockface-{name}")];
         command.extend(options.split_whitespace().map(str::to_owned));
@@ -107,6 +108,22 @@ impl SubmitArgs {
         }
         ended(started(Command::new("hq").args(&command), "hq")?, "hq")
     }
+}
+
+/// The least number of a task of HyperQueue: 0, or what `--array` says, such as `1-4` or `3,8-20:2`.
+fn least_task(options: &str) -> Result<u64, CliError> {
+    let words: Vec<&str> = options.split_whitespace().collect();
+    let given = words.iter().enumerate().find_map(|(place, word)| match word.strip_prefix("--array")? {
+        "" => words.get(place + 1).copied(),
+        value => value.strip_prefix('='),
+    });
+    let Some(array) = given else { return Ok(0) };
+    let first = |range: &str| range.split(['-', ':']).next()?.replace('_', "").parse::<u64>().ok();
+    let firsts: Option<Vec<u64>> = array.split(',').map(first).collect();
+    firsts.and_then(|firsts| firsts.into_iter().min()).ok_or_else(|| {
+        let message = format!("--hyperqueue: `--array {array}` does not tell the numbers of the tasks");
+        CliError::Usage(format!("{message}; write them such as --array=0-7"))
+    })
 }
 
 /// One task runs and tells of the run, the others work.
@@ -142,6 +159,21 @@ fn ended(mut child: std::process::Child, name: &str) -> Result<(), CliError> {
 
 #[cfg(test)]
 mod tests {
+    #[test]
+    fn the_least_task_of_an_array_is_known() {
+        for (options, least) in [
+            ("--cpus=4", 0),
+            ("--array=1-4", 1),
+            ("--cpus=4 --array 7,3-9:2 --name x", 3),
+            ("--array=1_000-2_000", 1000),
+        ] {
+            assert_eq!(super::least_task(options).unwrap(), least, "{options}");
+        }
+        for bad in ["--array=a-b", "--array=1,,2"] {
+            assert!(super::least_task(bad).unwrap_err().to_string().contains("--array=0-7"), "{bad}");
+        }
+    }
+
     #[test]
     fn a_shell_reads_back_what_was_quoted() {
         for word in ["plain", "", "a b", "it's", "$HOME `x` \"y\"", "params.x=1..2:5"] {

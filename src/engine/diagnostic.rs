@@ -168,6 +168,10 @@ fn shortened(text: &str) -> std::borrow::Cow<'_, str> {
 
 /// The closest known word, if any is close.
 pub fn nearest<'a>(given: &str, known: &[&'a str]) -> Option<&'a str> {
+    // What differs in capitals only is near, however many there are.
+    if let Some(same) = known.iter().copied().find(|word| word.eq_ignore_ascii_case(given)) {
+        return Some(same);
+    }
     let furthest = 1 + given.chars().count() / 3;
     let may_be_near =
         |word: &&&str| word.len().max(given.len()) <= WORD_BYTES && word.len().abs_diff(given.len()) <= 4 * furthest;
@@ -310,6 +314,12 @@ mod tests {
             "{shown}"
         );
         assert!(shown.ends_with("30000 errors, of which the first 100 are shown; nothing was run"), "{shown}");
+    }
+
+    #[test]
+    fn a_word_in_other_capitals_is_near() {
+        assert_eq!(nearest("Face.PLY", &["base.ply", "face.ply"]), Some("face.ply"));
+        assert_eq!(nearest("Face.PLY", &["base.ply", "rock.obj"]), None);
     }
 
     #[test]

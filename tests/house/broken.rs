@@ -175,6 +175,50 @@ fn parameters_that_nothing_reads() {
 }
 
 #[test]
+fn values_from_outside_may_take_the_place_of_all_that_mentions_a_parameter() {
+    let yaml = "rockface: 1\nparams: {n: 2, v: 1}\naxes: {k: {count: '${n}'}}\nsteps: {a: {stage: emit, over: [k], with: {value: '${v}'}}}\n";
+    for set in ["axes.k.count=3", "steps.a.with.value=5"] {
+        let plan = Bench::new().plan(yaml, &[set]);
+        assert!(plan.is_ok(), "{set}: {}", plan.err().unwrap());
+    }
+    let overrides = Overrides { sweep: vec!["k=0,1".to_owned()], ..Overrides::default() };
+    let swept = Pipeline::parse(yaml, "test.yaml", "test", ".".into(), &overrides).unwrap();
+    assert!(rockface_engine::plan::resolve(&swept, &[], crate::lab::STAGES).is_ok());
+    check_set(
+        yaml,
+        &["params.n=3", "axes.k.count=4"],
+        &["nothing mentions parameter `n`", "leave out one of the two", "1 error;"],
+    );
+}
+
+#[test]
+fn names_and_keys_that_cannot_be() {
+    check(
+        "rockface: 1\nparams: {'a b': 2, x.y: 3, '': 4}\naxes: {k: {count: 2}}\nsteps: {a: {stage: emit, over: [k], with: {value: '${x.y}'}}, b: {stage: emit, with: {'v${k}': 1}}}\n",
+        &[
+            "test.yaml:2:10",
+            "`a b` cannot be a name: use letters, digits, `-` and `_`",
+            "`x.y` cannot be a name",
+            "`` cannot be a name: it is empty",
+            "`v${k}` is a key, and nothing is filled into keys",
+            "4 errors;",
+        ],
+    );
+    check(
+        "rockface: 1\nparams: {m: {'k${v}': 1}}\nsteps: {a: {stage: emit, with: {value: '${m.k2}'}}}\n",
+        &["test.yaml:2:14", "`k${v}` is a key", "1 error;"],
+    );
+}
+
+#[test]
+fn a_part_is_no_pipeline() {
+    check(
+        "rockface: 1\npart: gridded\nout: {dem: a.out}\nsteps: {a: {stage: emit}}\n",
+        &["test.yaml:2:1", "holds the part `gridded`, and no pipeline", "{use: test.yaml}", "1 error;"],
+    );
+}
+
+#[test]
 fn parameters_that_refer_to_each_other() {
     let yaml = "rockface: 1\nparams: {a: '${b}', b: 2.5, c: ['${a}']}\nsteps: {s: {stage: emit, with: {value: '${a}'}}, t: {stage: emit, with: {value: '${c}'}}}\n";
     check(yaml, &["expected a number, found a list"]);
@@ -228,6 +272,14 @@ fn paths_that_are_empty_or_name_a_folder() {
     let faults =
         bench.plan("rockface: 1\nsteps: {a: {stage: read, with: {path: data}}}\n", &[]).err().unwrap().to_string();
     assert!(faults.contains("is a folder, a file is needed") && !faults.contains("did you mean"), "{faults}");
+    std::fs::write(bench.folder.path().join("face.txt"), "1").unwrap();
+    let said = |path: &str| {
+        let yaml = format!("rockface: 1\nsteps: {{a: {{stage: read, with: {{path: {path}}}}}}}\n");
+        bench.plan(&yaml, &[]).err().unwrap().to_string()
+    };
+    assert!(said("FACE.TXT").contains("there is a `face.txt` in that folder"), "{}", said("FACE.TXT"));
+    let escaped = said(r#""data\new.txt""#);
+    assert!(escaped.contains("put single quotes around the path"), "{escaped}");
 }
 
 #[test]

@@ -213,6 +213,14 @@ fn faults_of_every_kind_are_told_in_one_go_and_once() {
                 "expected a number",
             ],
         ),
+        (
+            "rockface: 1\nparams: {l: [1], m: {k: {z: 5}}}\nsteps:\n  a: {stage: moody, with: {unless: 'v${l} ${m.q}'}}\n  b: {stage: read, with: {path: 'x${m} ${'}}\n  c: {stage: emit, with: {value: '${m.k.z}'}}\n",
+            &["`${l}` is a list or map", "`m` has no value `q`", "`${m}` is a list or map", "without `}`", "one level"],
+        ),
+        (
+            "rockface: 1\nparams: {m: {k: 1}}\nsteps:\n  a: {stage: emit, with: {value: '${m.q}'}}\n  b: {stage: emit, with: {value: '${mm.k}'}}\n",
+            &["`m` has no value `q`", "`${mm.k}` names neither"],
+        ),
     ];
     for (yaml, expected) in cases {
         let (said, count) = faults_of(yaml);

@@ -15,7 +15,7 @@ steps:
 "#;
 
 /// What is written in place of what, the first line that is said, and how many faults are told in all.
-const MISTAKES: [(&str, &str, &str, usize); 25] = [
+const MISTAKES: [(&str, &str, &str, usize); 26] = [
     (
         "\"dem.raster[epoch=pre]\"",
         "dem.raster[epoch=pre]",
@@ -74,6 +74,12 @@ const MISTAKES: [(&str, &str, &str, usize); 25] = [
         "face: {stage: synthesise-face, over: [epoch], with: {width_m: 2, height_m: 1.5, spacing_m: 0.05}}",
         "face: {stage: import-mesh, over: [epoch], with: {path: fase.ply}}",
         "step `face`: cannot read `./fase.ply`: No such file or directory (os error 2) (at 2 instances)",
+        1,
+    ),
+    (
+        "stage: synthesise-face, over: [epoch], with: {width_m: 2, height_m: 1.5, spacing_m: 0.05}",
+        "stage: import-mesh, over: [epoch], with: {path: \"C:\\Data\\face.ply\"}",
+        "the backslash of `\\D` in double quotes does not stand for itself",
         1,
     ),
 ];

@@ -378,6 +378,16 @@ fn parameters_of_a_pipeline_have_types_too() {
     let fault = |set: &str| bench.plan(yaml, &[set]).err().unwrap().to_string();
     assert!(fault("params.v=7").contains("parameter `v` cannot be 7: from 0 to 5"), "{}", fault("params.v=7"));
     assert!(fault("params.n=1.5").contains("a whole number"), "{}", fault("params.n=1.5"));
+    for (set, said) in [
+        ("params.n=null", "parameter `n` is a whole number, found nothing"),
+        ("params.v=", "parameter `v` is a number, found nothing"),
+    ] {
+        assert!(fault(set).contains(said) && fault(set).contains("1 error;"), "{}", fault(set));
+    }
+    // Where nothing is the default, it stays one: only the step has no use for it.
+    let open = yaml.replace("default: 2, doc", "default: null, doc");
+    let said_of_open = bench.plan(&open, &["params.v=3", "params.v="]).err().unwrap().to_string();
+    assert!(said_of_open.contains("step `a`") && !said_of_open.contains("parameter `v`"), "{said_of_open}");
     let none = said(&yaml.replace(", default: 2, doc", ", doc"));
     assert!(none.contains("parameter `v` has no value") && none.contains("--set params.v=…"), "{none}");
     let axis = said(&yaml.replace("count: '${n}'", "count: '${k}'"));

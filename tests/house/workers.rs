@@ -275,6 +275,8 @@ fn what_is_submitted_is_printed_first() {
     }
     let (_, out, _) = submit(&["--hyperqueue", "--array=0-7 --cpus=4"]);
     assert!(out.starts_with("hq submit --name rockface-small --array=0-7 --cpus=4 -- /bin/sh -c "), "{out}");
+    let (_, out, _) = submit(&["--hyperqueue", "--array=1-4"]);
+    assert!(out.contains("[ \"${HQ_TASK_ID:-1}\" = 1 ]"), "the least task writes the run: {out}");
     assert!(!house.path(".rockface").exists(), "nothing is made");
     let (code, _, err) = house.rockface(&["submit", "p.yaml"]);
     assert!(code == Some(2) && err.contains("--slurm") && err.contains("--hyperqueue"), "{err}");

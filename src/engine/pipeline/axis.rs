@@ -75,6 +75,7 @@ impl Reader<'_> {
             return None;
         }
         self.map(node, &what, known)?;
+        self.check_keys(node).then_some(())?;
         let given: Vec<_> = FORMS.iter().filter_map(|form| node.get(form).map(|n| (*form, n))).collect();
         let [(form, list)] = given.iter().filter(|(form, _)| !sampled || *form == "sample").collect::<Vec<_>>()[..]
         else {

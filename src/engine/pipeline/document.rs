@@ -8,11 +8,12 @@ use super::axis::Axis;
 use super::include::Texts;
 use super::log_level::LogLevel;
 use super::node::{Data, Key, Node, Word};
-use super::overrides::Late;
+use super::overrides::{Late, Written};
 use super::parameter::{Declared, is_declared};
 use super::part::{Expansion, Flat, KindCheck, PartText, Sections, Used};
 use super::reader::{Reader, TOP};
 use super::step::Step;
+use super::substitute::parted;
 use crate::diagnostic::{Diagnostic, nearest};
 
 /// A pipeline as written, after overrides; names are not yet resolved.
@@ -46,6 +47,8 @@ pub struct Document {
     pub checks: Vec<KindCheck>,
     /// Names that uses of parts and axes mention.
     pub mentions: BTreeSet<String>,
+    /// Names that the files mention: values of the command line may have taken the place of that.
+    pub written_mentions: BTreeSet<String>,
     /// What is declared and could not be read.
     pub unread: Unread,
 }
@@ -67,6 +70,8 @@ pub struct Beside<'t> {
     pub texts: &'t mut Texts,
     /// The parts that come with the program.
     pub shipped: &'static [PartText],
+    /// What its files say without the values of the command line.
+    pub written: Written,
     /// Values of the command line for what parts make.
     pub late: Vec<Late>,
 }
@@ -86,10 +91,14 @@ pub fn read(root: &mut Node, file_stem: &str, beside: Beside, faults: &mut Vec<D
         reader.fault(Diagnostic::at(root.span, "the pipeline is empty").hint(hint));
         return None;
     }
+    if let Some(fault) = held_part(root, beside.texts) {
+        reader.fault(fault);
+        return None;
+    }
     let top = reader.map(root, "the pipeline", TOP)?;
     reader.format_version(root, top);
     reader.seed = root.get("seed").map_or(0, |n| reader.seed(n));
-    let Params { written: params, declared, unread } = reader.params(root);
+    let Params { written: params, declared, unread } = reader.params(root, &beside.written.needed);
     let axes = reader.named(root, "axes");
     let axis_names: Vec<&str> = axes.iter().map(|(key, _)| key.name.as_str()).collect();
     let (values, value_faults) = super::values::resolve(&params, &axis_names, &unread);
@@ -121,6 +130,7 @@ pub fn read(root: &mut Node, file_stem: &str, beside: Beside, faults: &mut Vec<D
         uses,
         checks,
         mentions,
+        written_mentions: beside.written.mentions,
         unread: Unread {
             steps: std::mem::take(&mut reader.unread_steps),
             axes: unread_axes.into_iter().chain(std::mem::take(&mut reader.unread_names)).collect(),
@@ -149,6 +159,16 @@ fn tells_names(root: &Node) -> bool {
     };
     let steps = root.get("steps").and_then(Node::entries);
     steps.is_some_and(|steps| !steps.is_empty()) && root.entries().is_some_and(|top| top.iter().all(known))
+}
+
+/// The fault of a file that holds a part and is read as a pipeline.
+fn held_part(root: &Node, texts: &Texts) -> Option<Diagnostic> {
+    let (key, name) = root.entries()?.iter().find(|(key, _)| key.name == "part")?;
+    let message = format!("this file holds the part `{}`, and no pipeline", name.text()?);
+    let file = texts.sources.get(key.span.source).map_or("parts/name.yaml", |source| source.name.as_str());
+    let hint =
+        format!("a step of a pipeline uses it: `mine: {{use: {file}}}`; `rockface parts {file}` shows what it takes");
+    Some(Diagnostic::at(key.span, message).hint(hint))
 }
 
 /// Whether an unknown key of a pipeline stands for none that names anything.
@@ -204,12 +224,19 @@ impl Reader<'_> {
         entries
     }
 
-    /// The parameters of the pipeline.
-    fn params(&mut self, root: &Node) -> Params {
+    /// The parameters of the pipeline; `needed` are those for which `null` is no value.
+    fn params(&mut self, root: &Node, needed: &BTreeSet<String>) -> Params {
         let entries = root.get("params").and_then(|n| self.any_map(n, "`params`")).unwrap_or_default();
         let mut all = Params::default();
         for (key, node) in entries {
+            if !self.check_name(key) {
+                // What mentions it is not wrong for that.
+                self.unread_names.insert(parted(&key.name).0.to_owned());
+            }
             if !is_declared(node) {
+                if !self.check_keys(node) {
+                    all.unread.insert(key.name.clone());
+                }
                 all.written.push((key.clone(), node.clone()));
                 continue;
             }
@@ -225,6 +252,11 @@ impl Reader<'_> {
                 let message = format!("parameter `{}` has no value", key.name);
                 let fault = Diagnostic::at(key.span, message);
                 self.fault(fault.hint(format!("give one by `--set params.{}=…`, or a `default`", key.name)));
+            }
+            let emptied = declared.default.as_ref().filter(|default| default.to_value().is_null());
+            let emptied = emptied.filter(|_| needed.contains(&key.name));
+            if let Some(fault) = emptied.and_then(|default| declared.value_fault(&Value::Null, default.span)) {
+                self.fault(fault.or_hint("write a value; an empty one stands for `null`"));
             }
             if self.faults.len() > before {
                 all.unread.insert(key.name.clone());

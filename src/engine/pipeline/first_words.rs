@@ -16,7 +16,11 @@ pub struct Slip {
 /// The slip behind a fault that a YAML reader found at byte `at`, for `reason`; `None` where it is none of the usual ones.
 pub fn slip(text: &str, at: usize, reason: &str) -> Option<Slip> {
     let at = (0..=at.min(text.len())).rev().find(|at| text.is_char_boundary(*at)).unwrap_or(0);
-    tab(text, at)
+    let of_escape = reason.contains("escape character") || reason.contains("hexadecimal");
+    of_escape
+        .then(|| escape(text, at))
+        .flatten()
+        .or_else(|| tab(text, at))
         .or_else(|| pick(text, at))
         .or_else(|| reason.contains("misplaced bracket").then(|| surplus(text, at)).flatten())
         .or_else(|| reason.contains("flow").then(|| missing_colon(text, at).or_else(|| unclosed(text, at))).flatten())
@@ -36,6 +40,36 @@ fn tab(text: &str, at: usize) -> Option<Slip> {
     let place = line.start + text[line.start..line.start + indent].find('\t')?;
     let message = format!("line {number} is indented with a tab, and YAML takes spaces only");
     Some(Slip { bytes: place..place + 1, message, hint: "put two spaces in place of each tab".to_owned() })
+}
+
+/// `"C:\Daten"`: in double quotes a backslash and what follows stand for another character, and not all of them do.
+fn escape(text: &str, at: usize) -> Option<Slip> {
+    const KNOWN: &str = "0abt\tnvfre \"/\\N_LPxuU\n\r";
+    let open = at + text[at..].find('"')? + 1;
+    let mut chars = text[open..].char_indices();
+    while let Some((place, c)) = chars.next() {
+        match c {
+            '"' => return None,
+            '\\' => {
+                let (_, next) = chars.next()?;
+                let (start, end) = (open + place, open + place + 1 + next.len_utf8());
+                let digits =
+                    [('x', 2), ('u', 4), ('U', 8)].iter().find(|(c, _)| *c == next).map_or(0, |(_, count)| *count);
+                let found = text[end..].chars().take(digits).filter(char::is_ascii_hexdigit).count();
+                if !KNOWN.contains(next) || found < digits {
+                    let bytes = start..end;
+                    let message = format!(
+                        "the backslash of `{}` in double quotes does not stand for itself",
+                        &text[bytes.clone()]
+                    );
+                    let hint = "put single quotes around the text, or write `/` for each backslash of a path";
+                    return Some(Slip { bytes, message, hint: hint.to_owned() });
+                }
+            }
+            _ => {}
+        }
+    }
+    None
 }
 
 /// `step.port[axis=item]` without quotes between braces: the bracket begins a list.
@@ -153,13 +187,21 @@ mod tests {
             told("s:\n   a: {b: 1}\n  c: 2\n", "c: 2", "while parsing a block mapping, did not find expected key");
         assert_eq!(crooked, "line 3 begins after 2 spaces, the line before it after 3");
         assert_eq!(told("x: \"a.b[c=d]\" y", "y", ""), "");
+        let escape = "while parsing a quoted scalar, found unknown escape character";
+        let path = slip(r#"a: {path: "C:\new\Daten\a.ply"}"#, 10, escape).unwrap();
+        assert!(
+            path.message.starts_with(r"the backslash of `\D` in double quotes") && path.bytes == (17..19),
+            "{path:?}"
+        );
+        let hex = "while parsing a quoted scalar, did not find expected hexadecimal number";
+        assert!(told(r#"a: "C:\users\a.ply""#, "\"C", hex).contains(r"`\u`"));
     }
 
     #[test]
     fn any_place_in_any_text_is_looked_at_without_panic() {
-        let text = "é: {a [\"\n\t}] # ü\n  'x: [b.c[d=ß]}\n";
+        let text = "é: {a [\"\\ü\n\t}] # ü\n  'x: [b.c[d=ß]}\n\"\\x";
         for at in 0..=text.len() + 2 {
-            for reason in ["misplaced bracket", "flow", "block mapping", ""] {
+            for reason in ["misplaced bracket", "flow", "block mapping", "escape character", ""] {
                 let _ = slip(text, at, reason);
             }
         }

@@ -156,6 +156,8 @@ impl Pipeline {
             Ok(mut root) => {
                 let own = folder.join(Path::new(&texts.sources[0].name).file_name().unwrap_or_default());
                 include::expand(&mut root, &mut vec![own.canonicalize().unwrap_or(own)], &mut texts, &mut faults);
+                let is_plain = overrides.set.is_empty() && overrides.sweep.is_empty();
+                let written = if is_plain { overrides::Written::default() } else { overrides::Written::of(&root) };
                 let seed = overrides.seed.map(|seed| format!("seed={seed}"));
                 let mut late = Vec::new();
                 for set in overrides.set.iter().chain(&seed) {
@@ -174,7 +176,7 @@ impl Pipeline {
                 document = document::read(
                     &mut root,
                     stem,
-                    document::Beside { texts: &mut texts, shipped: overrides.parts, late },
+                    document::Beside { texts: &mut texts, shipped: overrides.parts, written, late },
                     &mut faults,
                 );
             }

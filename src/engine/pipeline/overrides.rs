@@ -1,11 +1,40 @@
 //! `--set PATH=VALUE`: values given from outside, merged into the tree before anything is read from it.
 
+use std::collections::BTreeSet;
+
 use super::node::{Data, Key, Node};
-use super::parameter::is_declared;
+use super::parameter::{as_given, is_declared};
+use super::substitute::{mentioned, parted};
 use crate::diagnostic::{Diagnostic, Source, Span};
 
 /// The most keys of a path: nothing in a pipeline is nested deeper.
 const KEYS_LIMIT: usize = 64;
+
+/// What the files say, of which values of the command line may take the place.
+#[derive(Debug, Clone, Default)]
+pub struct Written {
+    /// Names that parameters, axes and the `with` of steps mention.
+    pub mentions: BTreeSet<String>,
+    /// Declared parameters for which `null` is no value: it is not their default.
+    pub needed: BTreeSet<String>,
+}
+
+impl Written {
+    /// What a tree says before anything is put into it.
+    pub fn of(root: &Node) -> Self {
+        let section = |name: &str| root.get(name).and_then(Node::entries).unwrap_or_default();
+        let mut names = Vec::new();
+        section("params").iter().chain(section("axes")).for_each(|(_, node)| mentioned(node, &mut names));
+        section("steps").iter().filter_map(|(_, node)| node.get("with")).for_each(|with| mentioned(with, &mut names));
+        let is_null = |node: &Node| node.to_value().is_null() && node.bad_number().is_none();
+        let needed = section("params").iter().filter(|(_, node)| is_declared(node));
+        let needed = needed.filter(|(_, node)| !node.get("default").is_some_and(is_null));
+        Self {
+            mentions: names.into_iter().map(|(name, _)| parted(&name).0.to_owned()).collect(),
+            needed: needed.map(|(key, _)| key.name.clone()).collect(),
+        }
+    }
+}
 
 /// A value for a step or an axis that a part makes: it is put there once the part has been written out.
 #[derive(Debug, Clone)]
@@ -61,6 +90,9 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<O
         return Err(Diagnostic::at(here(0, path.len()), format!("`{path}` is not a path of keys")));
     }
     check_depth(&keys, here(0, path.len()))?;
+    let declared =
+        if let ["params", name] = keys[..] { root.get("params").and_then(|own| own.get(name)) } else { None };
+    let node = as_given(declared, node, text);
     place(root, &keys, node, here(0, path.len()))
 }
 
@@ -171,6 +203,9 @@ mod tests {
         check("seed: 1", "seed=7", r#"{"seed":7}"#);
         check("steps: {a: {stage: b}}", "steps.a.with.x=[1, 2]", r#"{"steps":{"a":{"stage":"b","with":{"x":[1,2]}}}}"#);
         check("targets: [a, b]", "targets.1=c", r#"{"targets":["a","c"]}"#);
+        check("params: {s: {type: text}}", "params.s=1e3", r#"{"params":{"s":{"default":"1e3","type":"text"}}}"#);
+        check("params: {s: {type: text}}", "params.s=true", r#"{"params":{"s":{"default":"true","type":"text"}}}"#);
+        check("params: {s: 2}", "params.s=1e3", r#"{"params":{"s":1000.0}}"#);
     }
 
     #[test]

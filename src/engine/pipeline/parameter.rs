@@ -39,7 +39,7 @@ pub enum ValueKind {
     Integer,
     /// `true` or `false`.
     Boolean,
-    /// Text; a number is taken for the text of it.
+    /// Text; a number is taken for the text of it, as it is written.
     Text,
     /// The path of a file or folder, or a pattern for several; relative to the file in which it is written.
     Path,
@@ -73,13 +73,23 @@ impl ValueKind {
         Self::WORDS.iter().find(|(_, own)| *own == word).map(|(kind, _)| *kind)
     }
 
+    /// A value as a parameter of this kind has it: of text, a number is the text as it is written.
+    pub fn taken(self, node: Node) -> Node {
+        match &node.data {
+            Data::Scalar(value @ Value::Number(_)) if self == Self::Text => {
+                let text = if node.written.is_empty() { value.to_string() } else { node.written.clone() };
+                Node::made(node.span, Data::Scalar(Value::String(text)))
+            }
+            _ => node,
+        }
+    }
+
     fn fits(self, value: &Value) -> bool {
         match self {
             Self::Number => value.is_number(),
             Self::Integer => value.as_f64().is_some_and(|x| x.fract() == 0.0 && x.abs() < 9e15),
             Self::Boolean => value.is_boolean(),
-            Self::Text => value.is_string() || value.is_number(),
-            Self::Path => value.is_string(),
+            Self::Text | Self::Path => value.is_string(),
             Self::List => value.is_array(),
             Self::Map => value.is_object(),
             Self::Any => true,
@@ -110,6 +120,23 @@ pub fn is_declared(node: &Node) -> bool {
     node.get("type").and_then(Node::text).is_some()
 }
 
+/// A value of the command line as the parameter takes it: where that is declared as text, also `1e3`, `017` and `true` are text, as
+/// they are written. Places of the value lead into `text`.
+pub fn as_given(declared: Option<&Node>, node: Node, text: &str) -> Node {
+    let is_text = declared.and_then(|declared| declared.get("type")?.text()) == Some(ValueKind::Text.word());
+    let written = match &node.data {
+        Data::Scalar(Value::Null) if node.written.is_empty() => return node,
+        Data::Scalar(Value::Null | Value::Bool(_) | Value::Number(_)) if is_text && !node.written.is_empty() => {
+            node.written.clone()
+        }
+        Data::Scalar(Value::Bool(_)) if is_text => {
+            text.get(node.span.start..node.span.end).unwrap_or_default().trim().to_owned()
+        }
+        _ => return node,
+    };
+    Node::made(node.span, Data::Scalar(Value::String(written)))
+}
+
 impl Declared {
     /// What is wrong with a value for it; one that depends on an axis is not known yet.
     pub fn fault(&self, node: &Node) -> Option<Diagnostic> {
@@ -121,7 +148,7 @@ impl Declared {
             return None;
         }
         if names.is_empty() && node.bad_number().is_none() {
-            self.value_fault(&node.to_value(), node.span)
+            self.value_fault(&self.kind.taken(node.clone()).to_value(), node.span)
         } else {
             None
         }
@@ -197,14 +224,21 @@ impl Reader<'_> {
         let (min, max) = (bound("min"), bound("max"));
         let choices = match node.get("choices").map(|n| (&n.data, n)) {
             None => Vec::new(),
-            Some((Data::List(list), _)) if !list.is_empty() => list.iter().map(Node::to_value).collect(),
+            Some((Data::List(list), n)) => {
+                if list.is_empty() {
+                    let fault = Diagnostic::at(n.span, format!("the list of choices of {what} is empty"));
+                    self.fault(fault.hint("name the values that it may have, or remove `choices`"));
+                }
+                list.iter().map(|one| kind.taken(one.clone()).to_value()).collect()
+            }
             Some((_, n)) => {
                 self.expected(n, "a list of values");
                 Vec::new()
             }
         };
         let declared = Declared { name, kind, unit, min, max, choices, default: None, doc };
-        let default = node.get("default").filter(|n| n.bad_number().is_none()).cloned();
+        let default = node.get("default").filter(|n| n.bad_number().is_none() && self.check_keys(n));
+        let default = default.map(|default| kind.taken(default.clone()));
         let declared = Declared { default, ..declared };
         if let Some(fault) = declared.default.as_ref().and_then(|default| declared.fault(default)) {
             self.fault(fault);
@@ -232,6 +266,7 @@ mod tests {
             ("{type: integer, min: 1}", "3.0", "[0, 1.5, word]"),
             ("{type: boolean}", "true", "[1, word]"),
             ("{type: text, choices: [a, b]}", "a", "[c, 1]"),
+            ("{type: text, choices: [1.0, 1e3]}", "1e3", "[1, 1000]"),
             ("{type: list, max: 1}", "[0, 1]", "[[2], word]"),
             ("{type: map}", "{a: 1}", "[1, word]"),
             ("{type: path}", "a/b.ply", "[1]"),
@@ -256,8 +291,28 @@ mod tests {
             ("{type: number, min: low}", "expected a number"),
             ("{type: number, max: 1, default: 2}", "cannot be 2: at most 1"),
             ("{type: text, choices: a}", "a list of values"),
+            ("{type: text, choices: []}", "the list of choices of parameter `x` is empty"),
+            ("{type: map, default: {'k${e}': 1}}", "nothing is filled into keys"),
         ] {
             assert!(declared(declaration).unwrap_err().contains(said), "{declaration}");
+        }
+    }
+
+    #[test]
+    fn text_is_taken_as_it_is_written() {
+        let default = declared("{type: text, default: 1.0}").unwrap().default.unwrap();
+        assert_eq!(default.to_value(), "1.0");
+        let text = Node::parse("{type: text}", 0).unwrap();
+        let number = Node::parse("{type: number}", 0).unwrap();
+        for written in ["1.0", "1e3", "0x10", "017", "true", ".inf"] {
+            let given = || Node::parse(written, 0).unwrap();
+            assert_eq!(as_given(Some(&text), given(), written).to_value(), written);
+            for other in [Some(&number), None] {
+                assert_eq!(as_given(other, given(), written), given());
+            }
+        }
+        for (written, value) in [("'1'", Value::from("1")), ("null", Value::Null), ("", Value::Null)] {
+            assert_eq!(as_given(Some(&text), Node::parse(written, 0).unwrap(), written).to_value(), value);
         }
     }
 }

@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use serde_json::Value;
 
 use super::node::{Data, Key, Node, Word};
+use super::substitute::filled_in_keys;
 use crate::diagnostic::Diagnostic;
 
 /// The keys of a pipeline.
@@ -62,6 +63,18 @@ impl Reader<'_> {
             self.fault(Diagnostic::at(key.span, format!("`{}` cannot be a name: {bad}", key.name)));
         }
         bad.is_none()
+    }
+
+    /// Adds the faults of keys such as `k${name}`; says whether there are none.
+    pub fn check_keys(&mut self, node: &Node) -> bool {
+        let mut keys = Vec::new();
+        filled_in_keys(node, &mut keys);
+        for key in &keys {
+            let message = format!("`{}` is a key, and nothing is filled into keys", key.name);
+            let hint = "write the key as it is to be called, or give the whole map by a parameter";
+            self.fault(Diagnostic::at(key.span, message).hint(hint));
+        }
+        keys.is_empty()
     }
 
     /// Notes a fault and reads on, so that all faults are reported together.
@@ -186,7 +199,7 @@ impl Reader<'_> {
     }
 }
 
-/// Why a word cannot name a step, an axis or a pipeline.
+/// Why a word cannot name a step, an axis, a parameter, a part or a pipeline.
 fn bad_name(name: &str) -> Option<&'static str> {
     let fits = |c: char| c.is_alphanumeric() || c == '_' || c == '-';
     if name.is_empty() {

@@ -84,8 +84,10 @@ impl Reader<'_> {
         self.map(node, &what, STEP)?;
         let strange_key = self.faults.len() > before;
         let stage = self.stage(&name, node);
-        let bad_with =
-            |with: &Node| self.any_map(with, "`with`").is_none() || self.bad_numbers && with.holds_bad_number();
+        let bad_with = |with: &Node| {
+            let bad_keys = !self.check_keys(with);
+            self.any_map(with, "`with`").is_none() || bad_keys || self.bad_numbers && with.holds_bad_number()
+        };
         let gap_in_with = node.get("with").map_or(strange_key, bad_with);
         let (inputs, gap_in_inputs) = node.get("in").map_or((Vec::new(), strange_key), |n| self.inputs(n));
         let over = node.get("over").map(|n| self.words(n, "an axis")).unwrap_or_default();

@@ -1,11 +1,11 @@
 //! `${name}`: parameters and axis items put into the values of a step. `$${name}` stands for the text `${name}`.
 
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 
 use serde_json::Value;
 
-use super::node::{Data, Node};
+use super::node::{Data, Key, Node};
 use crate::diagnostic::{Diagnostic, Span};
 
 /// The names mentioned anywhere in a value, with their places.
@@ -41,9 +41,38 @@ pub fn escape_hint(name: &str) -> String {
 pub const FILLED_BYTES: usize = 4 << 20;
 
 /// The value with every `${name}` replaced. A value that is nothing but `${name}` takes the type of what it names;
-/// inside a longer text the value is written out.
-pub fn filled(node: &Node, lookup: &dyn Fn(&str) -> Option<Value>) -> Result<Value, Diagnostic> {
-    Filler { lookup, room: Cell::new(FILLED_BYTES) }.value(node)
+/// inside a longer text the value is written out. All that cannot be filled in is reported.
+pub fn filled(node: &Node, lookup: &dyn Fn(&str) -> Option<Value>) -> Result<Value, Vec<Diagnostic>> {
+    let filler = Filler { lookup, room: Cell::new(Some(FILLED_BYTES)), faults: RefCell::default() };
+    let value = filler.value(node);
+    let faults = filler.faults.into_inner();
+    if faults.is_empty() { Ok(value) } else { Err(faults) }
+}
+
+/// The way out where a name has two dots and its first two words mean a value that is there.
+pub fn one_level_hint(name: &str, is_there: impl Fn(&str) -> bool) -> Option<String> {
+    let (base, field) = parted(name);
+    let (first, inner) = field?.split_once('.')?;
+    let known = format!("{base}.{first}");
+    is_there(&known).then(|| {
+        format!(
+            "a name leads one level into a map: put `{inner}` into `{base}` itself, or write ${{{known}}} for all of it"
+        )
+    })
+}
+
+/// The keys below a value that look as if something were to be filled in, with their places.
+pub fn filled_in_keys<'n>(node: &'n Node, found: &mut Vec<&'n Key>) {
+    match &node.data {
+        Data::Scalar(_) => {}
+        Data::List(items) => items.iter().for_each(|item| filled_in_keys(item, found)),
+        Data::Map(entries) => {
+            for (key, item) in entries {
+                found.extend(names(&key.name).next().map(|_| key));
+                filled_in_keys(item, found);
+            }
+        }
+    }
 }
 
 /// About the bytes that a value takes: those of its texts, and some for each other part.
@@ -59,38 +88,52 @@ pub fn value_bytes(value: &Value) -> usize {
 
 struct Filler<'a> {
     lookup: &'a dyn Fn(&str) -> Option<Value>,
-    /// Bytes that may still come in.
-    room: Cell<usize>,
+    /// Bytes that may still come in; `None` once they were too many, which has been reported.
+    room: Cell<Option<usize>>,
+    /// What cannot be filled in.
+    faults: RefCell<Vec<Diagnostic>>,
 }
 
 impl Filler<'_> {
-    fn value(&self, node: &Node) -> Result<Value, Diagnostic> {
+    fn value(&self, node: &Node) -> Value {
         match &node.data {
-            Data::Scalar(Value::String(text)) => self.text(text).map_err(|e| Diagnostic::at(node.span, e)),
-            Data::Scalar(value) => Ok(value.clone()),
+            Data::Scalar(Value::String(text)) => self.text(text, node.span),
+            Data::Scalar(value) => value.clone(),
             Data::List(items) => items.iter().map(|item| self.value(item)).collect(),
-            Data::Map(entries) => entries.iter().map(|(key, item)| Ok((key.name.clone(), self.value(item)?))).collect(),
+            Data::Map(entries) => entries.iter().map(|(key, item)| (key.name.clone(), self.value(item))).collect(),
         }
     }
 
-    /// What a name stands for.
-    fn named(&self, name: &str) -> Result<Value, String> {
-        let value = (self.lookup)(name).ok_or_else(|| match parted(name) {
-            (base, Some(field)) => format!("`${{{name}}}`: `{base}` has no value `{field}`"),
-            (_, None) => format!("`${{{name}}}` names neither a parameter nor an axis"),
-        })?;
-        let left = self.room.get().checked_sub(value_bytes(&value));
-        self.room.set(left.ok_or_else(|| {
-            let mib = FILLED_BYTES >> 20;
-            format!("with `${{{name}}}` this value takes more than {mib} MiB; put a long one into a file")
-        })?);
-        Ok(value)
+    fn fault(&self, fault: Diagnostic) {
+        self.faults.borrow_mut().push(fault);
     }
 
-    fn text(&self, text: &str) -> Result<Value, String> {
+    /// What a name stands for; `None` where that is nothing or too much, which is reported.
+    fn named(&self, name: &str, span: Span) -> Option<Value> {
+        let Some(value) = (self.lookup)(name) else {
+            let message = match parted(name) {
+                (base, Some(field)) => format!("`${{{name}}}`: `{base}` has no value `{field}`"),
+                (_, None) => format!("`${{{name}}}` names neither a parameter nor an axis"),
+            };
+            let hint = one_level_hint(name, |known| (self.lookup)(known).is_some());
+            self.fault(hint.into_iter().fold(Diagnostic::at(span, message), Diagnostic::hint));
+            return None;
+        };
+        let left = self.room.get()?.checked_sub(value_bytes(&value));
+        if left.is_none() {
+            let mib = FILLED_BYTES >> 20;
+            let message =
+                format!("with `${{{name}}}` this value takes more than {mib} MiB; put a long one into a file");
+            self.fault(Diagnostic::at(span, message));
+        }
+        self.room.set(left);
+        left.map(|_| value)
+    }
+
+    fn text(&self, text: &str, span: Span) -> Value {
         if let Some(name) = text.strip_prefix("${").and_then(|rest| rest.strip_suffix('}')).filter(|n| !n.contains('}'))
         {
-            return self.named(name.trim());
+            return self.named(name.trim(), span).unwrap_or_default();
         }
         let (mut filled, mut rest) = (String::new(), text);
         while let Some((before, after)) = rest.split_once("${") {
@@ -100,19 +143,24 @@ impl Filler<'_> {
                 rest = after;
                 continue;
             }
-            let (name, tail) = after.split_once('}').ok_or_else(|| format!("`{text}`: `${{` without `}}`"))?;
+            let Some((name, tail)) = after.split_once('}') else {
+                self.fault(Diagnostic::at(span, format!("`{text}`: `${{` without `}}`")));
+                return Value::Null;
+            };
             filled.push_str(before);
-            match self.named(name.trim())? {
-                Value::String(text) => filled.push_str(&text),
-                Value::Array(_) | Value::Object(_) => {
-                    return Err(format!("`${{{name}}}` is a list or map and cannot stand inside a text"));
+            match self.named(name.trim(), span) {
+                None => {}
+                Some(Value::String(text)) => filled.push_str(&text),
+                Some(Value::Array(_) | Value::Object(_)) => {
+                    let message = format!("`${{{name}}}` is a list or map and cannot stand inside a text");
+                    self.fault(Diagnostic::at(span, message));
                 }
-                other => filled.push_str(&other.to_string()),
+                Some(other) => filled.push_str(&other.to_string()),
             }
             rest = tail;
         }
         filled.push_str(rest);
-        Ok(Value::String(filled))
+        Value::String(filled)
     }
 }
 
@@ -128,12 +176,13 @@ mod tests {
     use super::*;
     use serde_json::json;
 
-    fn fill(yaml: &str) -> Result<Value, Diagnostic> {
+    fn fill(yaml: &str) -> Result<Value, Vec<Diagnostic>> {
         let node = Node::parse(yaml, 0).unwrap();
         filled(&node, &|name| match name {
             "cell" => Some(json!(0.01)),
             "dir" => Some(json!("data")),
             "list" => Some(json!([1, 2])),
+            "m.k" => Some(json!({"z": 5})),
             _ => None,
         })
     }
@@ -161,8 +210,9 @@ mod tests {
         let filled_with = |yaml: &str| filled(&Node::parse(yaml, 0).unwrap(), &|_| Some(long.clone()));
         assert!(filled_with("'${a}${a}${a}'").is_ok());
         for bad in ["'${a}${a}${a}${a}'", "['${a}', ['${a}', '${a}'], {b: '${a}'}]"] {
-            let message = filled_with(bad).unwrap_err().message;
-            assert!(message.contains("`${a}`") && message.contains("4 MiB"), "{message}");
+            let faults = filled_with(bad).unwrap_err();
+            let message = &faults[0].message;
+            assert!(faults.len() == 1 && message.contains("`${a}`") && message.contains("4 MiB"), "{faults:?}");
         }
     }
 
@@ -171,5 +221,31 @@ mod tests {
         for bad in ["'${nobody}'", "'a ${cell'", "'x${list}'"] {
             assert!(fill(bad).is_err(), "{bad}");
         }
+    }
+
+    #[test]
+    fn all_that_cannot_be_filled_in_is_told() {
+        let faults = fill("{a: 'v${list}', b: ['${', 'a ${list} ${who}'], c: '${dir}'}").unwrap_err();
+        let told: Vec<&str> = faults.iter().map(|fault| fault.message.as_str()).collect();
+        let no_text = "`${list}` is a list or map and cannot stand inside a text";
+        let unknown = "`${who}` names neither a parameter nor an axis";
+        assert_eq!(told, [no_text, "`${`: `${` without `}`", no_text, unknown]);
+    }
+
+    #[test]
+    fn names_lead_one_level_into_a_map() {
+        let fault = fill("'${m.k.z}'").unwrap_err().remove(0);
+        assert_eq!(fault.message, "`${m.k.z}`: `m` has no value `k.z`");
+        let hint = fault.hint.unwrap();
+        assert!(hint.contains("one level") && hint.contains("${m.k}"), "{hint}");
+        assert_eq!(fill("'${m.a.z}'").unwrap_err()[0].hint, None);
+    }
+
+    #[test]
+    fn keys_that_look_filled_in_are_found() {
+        let node = Node::parse("{'k${e}': [{'${f}': 1}], '$${g}': 2, h: '${i}'}", 0).unwrap();
+        let mut found = Vec::new();
+        filled_in_keys(&node, &mut found);
+        assert_eq!(found.iter().map(|key| key.name.as_str()).collect::<Vec<_>>(), ["k${e}", "${f}"]);
     }
 }

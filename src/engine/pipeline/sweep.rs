@@ -5,7 +5,7 @@ use serde_json::Value;
 use super::design::tidy;
 use super::node::{Data, Key, Node};
 use super::overrides::{Late, check_depth, check_exists, place, put};
-use super::parameter::is_declared;
+use super::parameter::{as_given, is_declared};
 use super::reader::Reader;
 use crate::diagnostic::{Diagnostic, Source, Span};
 
@@ -26,7 +26,7 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<O
     let path_span = here(0, path.len());
     let values_span = here(path.len() + 1, text.len());
     check_once(path, values, &sources[..source], path_span)?;
-    let values = listed(values, values_span).map_err(|message| Diagnostic::at(values_span, message).hint(hint))?;
+    let mut values = listed(values, values_span).map_err(|message| Diagnostic::at(values_span, message).hint(hint))?;
     let mut keys: Vec<&str> = path.split('.').map(str::trim).collect();
     check_depth(&keys, path_span)?;
     // A bare name is an axis; where there is none, the parameter of that name.
@@ -45,6 +45,8 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<O
     let name = match keys[..] {
         [name] | ["axes", name] => name.to_owned(),
         ["params", name] => {
+            let declared = root.get("params").and_then(|own| own.get(name));
+            values = values.into_iter().map(|value| as_given(declared, value, text)).collect();
             check_declared(root, name, &values)?;
             remove(root, "params", name);
             name.to_owned()
@@ -194,10 +196,16 @@ fn range(lo: &str, rest: &str, span: Span) -> Result<Vec<Node>, String> {
             _ if index + 1 == count => hi,
             value => tidy(value, (lo, hi), apart, size),
         };
-        let value = if whole && value.abs() < 9e15 { Value::from(value.round() as i64) } else { Value::from(value) };
+        // A whole number is written as people write it in a list, also where others of the range have a fraction.
+        let whole = (whole || value.fract() == 0.0) && value.abs() < 9e15;
+        let value = if whole { Value::from(value.round() as i64) } else { Value::from(value) };
         Node { span, written: value.to_string(), data: Data::Scalar(value) }
     };
-    Ok((0..count).map(node).collect())
+    let nodes: Vec<Node> = (0..count).map(node).collect();
+    if nodes.windows(2).any(|pair| pair[0].data == pair[1].data) {
+        return Err(format!("from {lo} to {hi} there are no {count} different numbers"));
+    }
+    Ok(nodes)
 }
 
 #[cfg(test)]
@@ -229,6 +237,11 @@ mod tests {
             r#"{"axes":{"a":{"values":[0.05,0.075,0.1,0.125,0.15,0.175,0.2]}},"seed":1}"#
         );
         assert!(swept("seed: 1", "a=-1e308..1e308:3").contains("wider"));
+        assert_eq!(swept("seed: 1", "a=3..2:3"), r#"{"axes":{"a":{"values":[3,2.5,2]}},"seed":1}"#);
+        assert_eq!(
+            swept("params: {s: {type: text}}", "s=1.0,1e3,true"),
+            r#"{"axes":{"s":{"values":["1.0","1e3","true"]}},"params":{}}"#
+        );
         // A bare name is that of a parameter where there is no such axis.
         assert_eq!(swept("{params: {x: 1, y: 2}}", "x=1,3"), r#"{"axes":{"x":{"values":[1,3]}},"params":{"y":2}}"#);
         assert_eq!(
@@ -237,7 +250,7 @@ mod tests {
         );
         assert_eq!(
             swept("steps: {a: {stage: b}}", "steps.a.with.c=0..1:3"),
-            r#"{"axes":{"c":{"values":[0.0,0.5,1.0]}},"steps":{"a":{"stage":"b","with":{"c":"${c}"}}}}"#
+            r#"{"axes":{"c":{"values":[0,0.5,1]}},"steps":{"a":{"stage":"b","with":{"c":"${c}"}}}}"#
         );
         // A parameter of that name stays what it is.
         assert_eq!(
@@ -251,6 +264,7 @@ mod tests {
         assert!(swept("seed: 1", "k").contains("AXIS=VALUES"));
         assert!(swept("seed: 1", "params.x=1,2").contains("no parameter `x`"));
         assert!(swept("seed: 1", "k=1..3").contains("no range"));
+        assert_eq!(swept("seed: 1", "k=0.05..0.05:3"), "from 0.05 to 0.05 there are no 3 different numbers");
         assert!(swept("seed: 1", "k=1,,2").contains("missing"));
     }
 }

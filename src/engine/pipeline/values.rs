@@ -50,8 +50,9 @@ pub fn resolve(
     for Open { key, node, needs } in ordered(open, &known, &mut faults) {
         let able = needs.iter().all(|name| known.get(name) == Some(&true));
         let value = able.then(|| filled(node, &|name| value_of(&values, name)));
-        let value = value.transpose().and_then(|value| within(value, &mut room, node)).unwrap_or_else(|fault| {
-            faults.push(fault);
+        let value = value.transpose().and_then(|value| within(value, &mut room, node).map_err(|fault| vec![fault]));
+        let value = value.unwrap_or_else(|found| {
+            faults.extend(found);
             None
         });
         known.insert(key.name.clone(), value.is_some());

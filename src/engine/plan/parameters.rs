@@ -101,9 +101,12 @@ pub fn check_with_files(
 
 fn fill(graph: &Graph, step: &GraphStep, items: &BTreeMap<usize, usize>) -> Result<Value, Vec<Diagnostic>> {
     let Some(with) = &step.with else { return Ok(Value::Null) };
-    filled(with, &|name| lookup(graph, items, name)).map_err(|fault| {
+    filled(with, &|name| lookup(graph, items, name)).map_err(|mut faults| {
+        // What is said of the columns says more than that a name stands for nothing.
         let strange = strange_columns(graph, step, with, items);
-        if strange.is_empty() { vec![fault] } else { strange }
+        faults.retain(|fault| strange.iter().all(|told| told.span != fault.span));
+        faults.extend(strange);
+        faults
     })
 }
 
@@ -295,6 +298,10 @@ fn missing(span: Span, message: &str, written: &str, path: &Path) -> Diagnostic 
     if written.trim().is_empty() || path.symlink_metadata().is_ok() {
         // What was named is there: nothing beside it was meant instead.
         return Diagnostic::at(span, message);
+    }
+    if written.contains(char::is_control) {
+        let hint = "in double quotes a backslash begins an escape: put single quotes around the path, or write `/`";
+        return Diagnostic::at(span, message).hint(hint);
     }
     let beside = path.parent().map(std::fs::read_dir);
     let names: Vec<String> = match beside {

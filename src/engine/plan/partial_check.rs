@@ -12,7 +12,7 @@ use super::points::{count, points};
 use super::resolve::Resolver;
 use super::sight::Sight;
 use crate::diagnostic::Diagnostic;
-use crate::pipeline::{Input, Reference, Step, Word, mentioned};
+use crate::pipeline::{Input, Reference, Step, Word, mentioned, parted};
 
 /// At more points than this, parameters are checked only once the rest is right.
 const POINTS_LIMIT: u64 = 100_000;
@@ -163,7 +163,8 @@ fn faults_at_all_points(graph: &Graph, step: &GraphStep, with_files: bool) -> Ve
 fn can_be_filled(graph: &Graph, step: &GraphStep, items: &BTreeMap<usize, usize>) -> bool {
     let mut names = Vec::new();
     step.with.iter().for_each(|with| mentioned(with, &mut names));
-    names.iter().all(|(name, _)| parameters::lookup(graph, items, name).is_some())
+    // A value that a known map lacks is a fault of its own.
+    names.iter().all(|(name, _)| parameters::lookup(graph, items, parted(name).0).is_some())
 }
 
 /// Stands for the hash of a file where nothing will be run.

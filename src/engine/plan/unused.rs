@@ -42,15 +42,15 @@ impl Resolver<'_> {
         known.iter().find(|(name, _)| name == near).map(|(_, path)| path.clone())
     }
 
-    /// The first option that gives a value to a step, and its path.
-    fn given_to_a_step(&self) -> Option<(&str, &str)> {
-        let options = self.sources.iter().filter(|source| matches!(source.name.as_str(), "--set" | "--sweep"));
-        let mut paths =
-            options.filter_map(|source| Some((source.name.as_str(), source.text.split_once('=')?.0.trim())));
-        paths.find(|(_, path)| path.starts_with("steps."))
+    /// Whether `--set` gives a value to a parameter.
+    fn is_set(&self, name: &str) -> bool {
+        let paths = self.sources.iter().filter(|source| source.name == "--set");
+        let mut keys = paths.map(|source| source.text.split(['.', '=']).map(str::trim));
+        keys.any(|mut keys| keys.next() == Some("params") && keys.next() == Some(name))
     }
 
-    /// Parameters that nothing mentions.
+    /// Parameters that nothing mentions. Where values of the command line took the place of what mentions one, that is a fault
+    /// only if it is given there too: its value would be ignored.
     pub fn unused_params(&self) -> Vec<Diagnostic> {
         let document = self.document();
         if document.params.is_empty() {
@@ -63,17 +63,14 @@ impl Resolver<'_> {
         let used: BTreeSet<&str> = used.chain(document.mentions.iter().map(|name| parted(name).0)).collect();
         let unused = document.params.iter().filter(|(key, _)| !used.contains(key.name.as_str()));
         let told = |(key, _): &(Key, Node)| {
-            let (name, fault) =
-                (&key.name, Diagnostic::at(key.span, format!("nothing mentions parameter `{}`", key.name)));
-            match self.given_to_a_step() {
-                Some((option, path)) => {
-                    let way =
-                        format!("`{option} {path}` may have replaced what mentions it: give `params.{name}` then");
-                    fault.hint(way)
-                }
-                None => fault.hint(format!("write ${{{name}}} in a `with`, or remove it")),
+            let name = &key.name;
+            let fault = Diagnostic::at(key.span, format!("nothing mentions parameter `{name}`"));
+            if !document.written_mentions.contains(name) {
+                return Some(fault.hint(format!("write ${{{name}}} in a `with`, or remove it")));
             }
+            let hint = "another option took the place of what mentions it: leave out one of the two";
+            self.is_set(name).then(|| fault.hint(hint))
         };
-        unused.map(told).collect()
+        unused.filter_map(told).collect()
     }
 }

@@ -62,6 +62,7 @@ impl Reader<'_> {
         let entries = node.get("params").and_then(|n| self.any_map(n, "`params`")).unwrap_or_default();
         let mut params = Vec::with_capacity(entries.len());
         for (key, node) in entries {
+            self.check_name(key);
             if is_declared(node) {
                 params.extend(self.declared(key, node));
             } else {

@@ -297,8 +297,10 @@ impl<'e> Expansion<'e> {
             Data::Scalar(Value::String(ref text)) if text.contains("${") => {
                 match filled(&node, &|name| value_of(self.values, name)) {
                     Ok(value) => Node::of_value(&value, node.span),
-                    Err(fault) => {
-                        reader.fault(fault.hint("an axis can mention parameters, and no other axis"));
+                    Err(faults) => {
+                        for fault in faults {
+                            reader.fault(fault.or_hint("an axis can mention parameters, and no other axis"));
+                        }
                         node
                     }
                 }

@@ -28,7 +28,8 @@ impl Expansion<'_> {
                 reader.fault(fault.suggest(&key.name, params.iter().map(|param| param.name.text.as_str())));
                 continue;
             };
-            let node = self.known_values(node);
+            let node = param.kind.taken(self.known_values(node));
+            reader.check_keys(&node);
             if let Some(fault) = param.fault(&node) {
                 reader.fault(fault);
             }

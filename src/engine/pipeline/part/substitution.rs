@@ -7,7 +7,7 @@ use serde_json::Value;
 use super::super::node::{Data, Key, Node, Word};
 use super::super::reader::Reader;
 use super::super::reference::Reference;
-use super::super::substitute::{FILLED_BYTES, escape_hint, parted};
+use super::super::substitute::{FILLED_BYTES, escape_hint, one_level_hint, parted};
 use super::INSIDE;
 use crate::diagnostic::{Diagnostic, Span};
 
@@ -78,7 +78,7 @@ impl Substitution<'_> {
                 None => self.unknown(name, node, reader),
             };
         }
-        let (mut filled, mut rest) = (String::new(), text);
+        let (mut filled, mut rest, mut is_whole) = (String::new(), text, true);
         while let Some((before, after)) = rest.split_once("${") {
             filled.push_str(before);
             let (false, Some((name, tail))) = (before.ends_with('$'), after.split_once('}')) else {
@@ -88,7 +88,10 @@ impl Substitution<'_> {
             };
             let name = name.trim();
             match self.named(name).map(|given| (given.written.clone(), given.data)) {
-                None => return self.unknown(name, node, reader),
+                None => {
+                    self.unknown(name, node, reader);
+                    is_whole = false;
+                }
                 Some((_, Data::Scalar(Value::String(text)))) => filled.push_str(&text),
                 Some((written, Data::Scalar(_))) if !written.is_empty() => filled.push_str(&written),
                 Some((_, Data::Scalar(value))) => filled.push_str(&value.to_string()),
@@ -106,7 +109,7 @@ impl Substitution<'_> {
             rest = tail;
         }
         filled.push_str(rest);
-        Node::made(span, Data::Scalar(Value::String(filled)))
+        Node::made(span, Data::Scalar(if is_whole { Value::String(filled) } else { Value::Null }))
     }
 
     fn unknown(&self, name: &str, node: &Node, reader: &mut Reader) -> Node {
@@ -132,7 +135,13 @@ fn strange_field(given: &Node, name: &str, field: &str, span: Span) -> Diagnosti
     let message = format!("parameter `{name}` has no value `{field}`");
     let fault = Diagnostic::at(span, message).also(given.span, "it is given here");
     match &given.data {
-        Data::Map(entries) => fault.suggest(field, entries.iter().map(|(key, _)| key.name.as_str())),
+        Data::Map(entries) => {
+            let is_there = |known: &str| parted(known).1.is_some_and(|field| given.get(field).is_some());
+            match one_level_hint(&format!("{name}.{field}"), is_there) {
+                Some(hint) => fault.hint(hint),
+                None => fault.suggest(field, entries.iter().map(|(key, _)| key.name.as_str())),
+            }
+        }
         Data::Scalar(_) | Data::List(_) => {
             fault.hint("give a map, or `${axis}` of an axis whose items have several values")
         }

@@ -69,7 +69,9 @@ impl Stage for Command {
         let mut faults: Vec<Fault> = program
             .chain(texts)
             .chain(variables)
-            .filter_map(|(path, text)| names.stranger(text).map(|fault| Fault { path, ..fault }))
+            .flat_map(|(path, text)| {
+                names.strangers(text).into_iter().map(move |fault| Fault { path: path.clone(), ..fault })
+            })
             .collect();
         if params.program.contains('/') && !params.program.starts_with('/') && !params.program.contains(TEMPLATE) {
             let message = "a relative path would be looked for in the folder it runs in; name it under `files` and \
@@ -177,14 +179,15 @@ mod tests {
     #[test]
     fn faults_name_the_argument() {
         let params = params(
-            r#"{"program": "bin/tool", "args": ["{in.dem}", "{out.tabel}", "{print $1}"], "version": "1",
+            r#"{"program": "bin/tool", "args": ["{in.dem}", "{out.tabel} {param.k}", "{print $1}"], "version": "1",
                 "inputs": {"dem": "raster"}, "outputs": {"table": "table"}}"#,
         )
         .unwrap();
         let faults = Command::check(&params);
         assert_eq!(faults[0].path, ["args", "1"]);
-        assert!(faults[0].message.contains("{out.tabel}") && faults[1].path == ["program"], "{faults:?}");
-        assert_eq!(faults.len(), 2);
+        assert!(faults[0].message.contains("{out.tabel}") && faults[2].path == ["program"], "{faults:?}");
+        assert!(faults[1].path == ["args", "1"] && faults[1].message.contains("{param.k}"), "{faults:?}");
+        assert_eq!(faults.len(), 3);
     }
 
     #[test]

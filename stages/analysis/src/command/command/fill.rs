@@ -31,12 +31,14 @@ impl Names {
         Self(sides.into_iter().flatten().collect())
     }
 
-    /// The first placeholder of a text that stands for nothing.
-    pub fn stranger(&self, text: &str) -> Option<Fault> {
+    /// The placeholders of a text that stand for nothing.
+    pub fn strangers(&self, text: &str) -> Vec<Fault> {
         let strange = |name: &&str| is_placeholder(name) && !self.0.iter().any(|known| known == *name);
-        let name = split(text).into_iter().filter_map(|(_, name)| name).find(strange)?;
-        let known = self.0.iter().map(|name| format!("{{{name}}}")).collect();
-        Some(Fault { known, ..Fault::new(format!("`{{{name}}}` names nothing that is declared")) })
+        let told = |name: &str| {
+            let known = self.0.iter().map(|name| format!("{{{name}}}")).collect();
+            Fault { known, ..Fault::new(format!("`{{{name}}}` names nothing that is declared")) }
+        };
+        split(text).into_iter().filter_map(|(_, name)| name).filter(strange).map(told).collect()
     }
 }
 
