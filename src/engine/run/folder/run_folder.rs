@@ -17,7 +17,9 @@ use super::log::{LOG_FILE, Telling};
 use super::made::{self, Made};
 use super::manifest_writer;
 use super::unfinished::{self, Unfinished};
-use crate::history::{Manifest, POINTS_FILE, REPORT_FILE, RunContents, crate_metadata, latest_of, points_table, readable_name};
+use crate::history::{
+    Manifest, POINTS_FILE, REPORT_FILE, RunContents, crate_metadata, latest_of, points_table, readable_name,
+};
 use crate::pipeline::{LogLevel, Overrides, Pipeline};
 use crate::plan::Plan;
 use crate::run::{RunError, Summary};
