@@ -13,13 +13,19 @@ use super::CliError;
 /// Refuses a place where something other than a regular file is. Every writer puts a new file in the place of the old one,
 /// so a device, a pipe or a link would be gone; a link is refused wherever it leads.
 pub fn check_place(path: &Path) -> Result<(), CliError> {
-    // What cannot be looked at cannot be written to either.
-    let Ok(metadata) = std::fs::symlink_metadata(path) else { return Ok(()) };
-    if metadata.is_file() {
-        return Ok(());
-    }
+    let metadata = match std::fs::symlink_metadata(path) {
+        Ok(metadata) if metadata.is_file() => return Ok(()),
+        Ok(metadata) => metadata,
+        Err(error) if is_absent(&error) => return Ok(()),
+        Err(error) => return Err(failed("look at", path)(error)),
+    };
     let (path, kind) = (path.display(), kind_of(metadata.file_type()));
     Err(CliError::Usage(format!("{path} is {kind}, and only a regular file is replaced: name another file")))
+}
+
+/// Whether nothing is at a place; where a folder on the way to it is a file, that is found when the place is written to.
+fn is_absent(error: &std::io::Error) -> bool {
+    matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory)
 }
 
 /// Refuses to write where a file is that does not have, at byte `at`, what all files have that the command writes.
@@ -36,7 +42,7 @@ pub fn check_own(path: &Path, at: u64, has: &[u8], what: &str) -> Result<(), Cli
     match is_own {
         Ok(true) => Ok(()),
         Ok(false) => Err(CliError::Usage(format!("{} is there and is no {what}; name another file", path.display()))),
-        Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => Ok(()),
+        Err(error) if is_absent(&error) => Ok(()),
         Err(error) => Err(failed("read", path)(error)),
     }
 }
