@@ -90,7 +90,7 @@ impl Memory<'_> {
 
     /// How long segments were when answers were filed, the longest size of each. A segment only grows, and what is cut off it
     /// was never part of an answer.
-    pub(crate) fn segment_sizes(&self) -> BTreeMap<String, u64> {
+    pub(crate) fn segment_sizes(self) -> BTreeMap<String, u64> {
         let mut sizes: BTreeMap<String, u64> = BTreeMap::new();
         let answers = fs::read_dir(self.store.dir().join(ANSWERS)).into_iter().flatten().flatten();
         let kept = answers.filter_map(|answer| decode(&read_own(&answer.path())?));

@@ -222,13 +222,12 @@ impl<'a> Scheduler<'a> {
             }
             let result = results.recv_timeout(self.poll_interval());
             self.resident.sample();
-            match result {
-                Ok((instance, result)) => self.end(instance, *result, stop)?,
+            if let Ok((instance, result)) = result {
+                self.end(instance, *result, stop)?;
+            } else {
                 // A timeout: the scheduler has a sender, so the channel is never closed.
-                Err(_) => {
-                    self.exchange.lengthen_pause();
-                    self.report_idle();
-                }
+                self.exchange.lengthen_pause();
+                self.report_idle();
             }
             self.poll_others()?;
         }
