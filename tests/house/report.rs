@@ -67,8 +67,10 @@ fn a_report_can_be_made_later_and_elsewhere() {
     let (code, _, err) = house.rockface(&["report", "latest", "--output", "page.html"]);
     assert_eq!(code, Some(0), "{err}");
     assert!(read(&house, "page.html").contains("href=\"file:///"));
-    let (code, _, err) = house.rockface(&["report", "latest", "--output", "no/such/folder/page.html"]);
-    assert!(code == Some(3) && err.contains("cannot write the report no/such/folder/page.html"), "{err}");
+    let (code, _, err) = house.rockface(&["report", "latest", "--output", "a/new/folder/page.html"]);
+    assert!(code == Some(0) && house.path("a/new/folder/page.html").is_file(), "{err}");
+    let (code, _, err) = house.rockface(&["report", "latest", "--output", "p.yaml/page.html"]);
+    assert!(code == Some(3) && err.contains("p.yaml"), "{err}");
     let (code, _, err) = house.rockface(&["report", "nothing"]);
     assert!(code == Some(2) && err.contains("there is no run `nothing`"), "{err}");
 }

@@ -174,7 +174,7 @@ pub fn latest_of(folder: &str) -> Option<String> {
     let is_key = |part: &str| part.len() == 8 && part.bytes().all(|byte| byte.is_ascii_hexdigit());
     let (name, end) = rest.rsplit_once('-')?;
     let name = if is_key(end) { name } else { name.rsplit_once('-').filter(|(_, key)| is_key(key))?.0 };
-    Some(format!(".latest-{name}"))
+    Some(format!("latest-{name}"))
 }
 
 /// When a run last was what a run of its pipeline ended with: when it finished, or when the link of its pipeline was pointed at it.
