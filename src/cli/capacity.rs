@@ -10,7 +10,7 @@ const MEMORY_LIMIT_GIB: f64 = 1_048_576.0;
 /// Cores and memory of one process.
 #[derive(Debug, Args)]
 pub struct CapacityArgs {
-    /// Steps that compute at once, and threads inside them; one more may begin while the outputs of another are written [default: one for each core].
+    /// Steps that run at once, and threads inside them [default: one for each core].
     #[arg(long, short, value_name = "N", value_parser = jobs, allow_hyphen_values = true)]
     jobs: Option<u16>,
     /// Memory for values passed between steps and for running steps; values beyond it are spilled to disk [default: half of

@@ -242,9 +242,9 @@ impl<'a> Scheduler<'a> {
 
     /// Whether a worker is free, or soon will be.
     fn may_begin(&self) -> bool {
+        let jobs = self.options.jobs;
         let next = || self.ready.peek().is_some_and(|next| self.is_short(next.instance));
-        self.running < self.workers.places()
-            || (self.long.is_empty() && self.running < self.options.jobs * AHEAD && next())
+        self.running < jobs || (self.long.is_empty() && self.running < jobs * AHEAD && next())
     }
 
     /// Whether an instance is of a stage that has been short in this run.

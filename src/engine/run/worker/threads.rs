@@ -1,7 +1,6 @@
 //! The threads that stages compute on, and what is too short to be handed to them.
 
 use std::collections::HashMap;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -19,34 +18,12 @@ pub struct Threads {
     pool: ThreadPool,
     /// How often each stage has run, and how long it took in all.
     times: Mutex<HashMap<&'static str, (u32, Duration)>>,
-    /// How many workers wait for the disk.
-    writing: AtomicUsize,
-}
-
-/// One more that waits for the disk, until it is dropped.
-struct Waits<'a>(&'a AtomicUsize);
-
-impl<'a> Waits<'a> {
-    fn new(count: &'a AtomicUsize) -> Self {
-        count.fetch_add(1, Ordering::Relaxed);
-        Self(count)
-    }
-}
-
-impl Drop for Waits<'_> {
-    fn drop(&mut self) {
-        self.0.fetch_sub(1, Ordering::Relaxed);
-    }
 }
 
 impl Threads {
     /// So many threads.
     pub fn new(count: usize) -> Result<Self, ThreadPoolBuildError> {
-        Ok(Self {
-            pool: ThreadPoolBuilder::new().num_threads(count).build()?,
-            times: Mutex::default(),
-            writing: AtomicUsize::new(0),
-        })
+        Ok(Self { pool: ThreadPoolBuilder::new().num_threads(count).build()?, times: Mutex::default() })
     }
 
     /// Makes the calling thread, a worker, do by itself what others are not woken for.
@@ -79,17 +56,6 @@ impl Threads {
         if bytes < SMALL_BYTES { work() } else { self.pool.install(work) }
     }
 
-    /// Writes so many bytes: the worker waits for the disk, and another may compute meanwhile.
-    pub fn write<T>(&self, bytes: usize, work: impl FnOnce() -> T) -> T {
-        let _waits = (bytes >= SMALL_BYTES).then(|| Waits::new(&self.writing));
-        work()
-    }
-
-    /// How many workers wait for the disk.
-    pub fn writing(&self) -> usize {
-        self.writing.load(Ordering::Relaxed)
-    }
-
     /// Whether a stage has been short so far.
     pub fn is_short(&self, stage: &'static str) -> bool {
         let times = self.times.lock().unwrap_or_else(PoisonError::into_inner);
@@ -114,16 +80,6 @@ mod tests {
         }
         assert!(is_here("short", small) && !is_here("long", small));
         assert!(!is_here("short", Some(SMALL_BYTES)) && !is_here("short", None));
-    }
-
-    #[test]
-    fn a_worker_counts_as_writing_while_it_writes_much_or_fails_to() {
-        let threads = Threads::new(1).unwrap();
-        assert_eq!(threads.write(SMALL_BYTES, || threads.write(SMALL_BYTES, || threads.writing())), 2);
-        assert_eq!(threads.write(SMALL_BYTES - 1, || threads.writing()), 0);
-        let failing = std::panic::AssertUnwindSafe(|| threads.write(SMALL_BYTES, || panic!("no disk")));
-        assert!(std::panic::catch_unwind(failing).is_err());
-        assert_eq!(threads.writing(), 0);
     }
 
     #[test]

@@ -460,7 +460,7 @@ fn keep(
         let (digest, bytes) = if task.keep {
             let encoded = phase!("encode", threads.compute(bytes, || value.encode())).map_err(unwritable)?;
             let bytes = encoded.len() as u64;
-            (phase!("put", threads.write(encoded.len(), || parcel.put(encoded)))?, bytes)
+            (phase!("put", parcel.put(encoded))?, bytes)
         } else {
             let hash = || Digest::of_pieces(|take| value.stream(take));
             let (digest, bytes, given) = phase!("hash", threads.compute(bytes, hash));

@@ -54,15 +54,9 @@ impl Workers {
         self.shared.threads.is_short(stage)
     }
 
-    /// How many tasks may be worked on at once: as many as there are jobs, and one more for each worker that waits for the disk, up to
-    /// as many again.
-    pub fn places(&self) -> usize {
-        self.jobs + self.shared.threads.writing().min(self.jobs)
-    }
-
     /// Hands a task to one of them; so many are handed over and not done, with this one.
     pub fn start(&mut self, task: Task, running: usize) -> std::result::Result<(), RunError> {
-        if self.threads.len() < running.min(self.places()) {
+        if self.threads.len() < running.min(self.jobs) {
             let (shared, results) = (self.shared.clone(), self.results.clone());
             let spawned = std::thread::Builder::new().spawn(move || {
                 // Without it the parallel parts of short stages would go to further threads, and do as well.
