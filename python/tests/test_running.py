@@ -63,11 +63,14 @@ def test_texts_arrive_as_they_are(tmp_path):
         '  made: {stage: tabulate, in: {rows: read.table}, with: {constants: {t: "${t}"}}}\n'
     )
     (tmp_path / "t.csv").write_text("a\n1\n")
+    rockface.run(path, progress=False)
     for text in ["a #b", "", "1.0", " lead", "007", "null", 'a "b"', "ü"]:
         told = rockface.explain(path, "made", set={"params.t": text})
         assert told.recipe["params"]["constants"]["t"] == text
-    points = rockface.plan(path, sweep={"params.t": ["a", "b,c", "1"]})
-    assert [step.point["t"] for step in points if step.step == "made"] == ["a", "b,c", "1"]
+    points = rockface.plan(path, sweep={"params.t": ["a", "b c", "1.0"]})
+    assert [step.point["t"] for step in points if step.step == "made"] == ["a", "b c", "1.0"]
+    with pytest.raises(rockface.PipelineError, match="cannot be an item"):
+        rockface.plan(path, sweep={"params.t": ["a", "b,c"]})
 
 
 def test_outputs_at_several_points(pipeline):
