@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import OpenEXR
+import rasterio
 from scipy.spatial.transform import Rotation
 
 
@@ -79,3 +80,12 @@ def read_surface(path):
     points = np.frombuffer(body, "<f4", height * width * 3).reshape(height, width, 3)
     squares = np.frombuffer(body, np.uint8, offset=points.nbytes).reshape(height - 1, width - 1)
     return points.astype(float) + header["origin_m"], squares, header
+
+
+def read_cores(path):
+    """The core points of `detect-m3c2`, rows x columns x 3, metres: bands hold their distances from the centres of cells."""
+    with rasterio.open(path) as file:
+        dx, dy, z = (file.read(1 + file.descriptions.index(name)).astype(float) for name in ("core_dx", "core_dy", "core_z"))
+        rows, columns = np.indices(z.shape)
+        x, y = file.transform @ (columns + 0.5, rows + 0.5)
+    return np.stack([x + dx, y + dy, z], axis=-1)

@@ -16,6 +16,7 @@ from rasterio import features
 from scipy import ndimage, optimize
 
 from conftest import HERE, execute
+from readers import read_cores
 
 
 @pytest.fixture(scope="module")
@@ -36,13 +37,10 @@ def test_m3c2_agrees_with_py4dgeo(detection):
         for epoch in ("pre", "post")
     ]
     path = detection.output("m3c2", "distances.tif")
-    ours = {name: band(path, name) for name in ("distance", "lod95", "core_dx", "core_dy", "core_z", "spread_reference", "points_comparison")}
+    ours = {name: band(path, name) for name in ("distance", "lod95", "spread_reference", "points_comparison")}
     normals = np.stack([band(path, f"normal_{axis}") for axis in "xyz"], axis=-1)
     known = np.isfinite(ours["distance"])
-    with rasterio.open(path) as file:
-        rows, columns = np.nonzero(known)
-        x, y = file.transform @ (columns + 0.5, rows + 0.5)
-    cores = np.stack([x + ours["core_dx"][known], y + ours["core_dy"][known], ours["core_z"][known]], axis=-1)
+    cores = read_cores(path)[known]
     method = py4dgeo.M3C2(
         epochs=tuple(py4dgeo.Epoch(cloud) for cloud in clouds),
         corepoints=cores,

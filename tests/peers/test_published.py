@@ -10,6 +10,7 @@ from rasterio import features
 
 from conftest import HERE, execute
 from published import clusters, scores, slope_monitor, vox_fall
+from readers import read_cores
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +66,7 @@ def test_m3c2_of_py4dgeo_finds_the_same_cells(run):
         for epoch in ("pre", "post")
     ]
     path = run.output("m3c2", "distances.tif")
-    cores = np.stack([band(path, f"core_{axis}") for axis in "xyz"], axis=-1)
+    cores = read_cores(path)
     ours = band(path, "distance")
     known = np.isfinite(ours)
     method = py4dgeo.M3C2(
