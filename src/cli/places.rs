@@ -211,9 +211,9 @@ fn last(folders: &[PathBuf], is_meant: impl Fn(&PastRun) -> bool) -> Result<Opti
             if !is_meant(&run) {
                 continue;
             }
-            let told = history::last_told(&run);
-            if best.as_ref().is_none_or(|(known, _)| told >= *known) {
-                best = Some((told, run));
+            let asked_for = history::last_asked_for(&run);
+            if best.as_ref().is_none_or(|(known, _)| asked_for >= *known) {
+                best = Some((asked_for, run));
             }
         }
     }

@@ -123,13 +123,11 @@ impl RunArgs {
             shortcut::remember(&store, &question, &plan, &ended, &pipeline.looks)?;
         }
         let repeated = former.map(|former| repeat::verdict(&former, &plan, &summary));
-        if let Some(repeated) = repeated.as_ref().filter(|_| !self.json) {
-            repeated.lines.iter().for_each(|line| say(line));
-        }
         let wall_s = begun.elapsed().as_secs_f64();
         if self.json {
             Self::report_json(&store, &summary, &finished, repeated.as_ref(), wall_s);
         } else {
+            repeated.iter().flat_map(|repeated| &repeated.lines).for_each(|line| say(line));
             self.report(&store, &summary, &told, wall_s);
         }
         let failed = summary.failed;

@@ -177,8 +177,8 @@ pub fn latest_of(folder: &str) -> Option<String> {
     Some(format!("latest-{name}"))
 }
 
-/// When a run last was what a run of its pipeline ended with: when it finished, or when the link of its pipeline was pointed at it.
-pub fn last_told(run: &PastRun) -> std::time::SystemTime {
+/// When a run was last asked for: when it finished, or when the link of its pipeline was pointed at it.
+pub fn last_asked_for(run: &PastRun) -> std::time::SystemTime {
     let finished = humantime::parse_rfc3339(&run.manifest.finished).unwrap_or(std::time::UNIX_EPOCH);
     let pointed = || {
         let link = run.folder.parent()?.join(latest_of(&run.name)?);

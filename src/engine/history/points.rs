@@ -43,9 +43,7 @@ pub fn table(manifest: &Manifest) -> Option<String> {
     for point in at.keys().filter(|point| !parts.contains(**point)) {
         let mut cells = vec![String::new(); columns.len()];
         for set in &sets {
-            let part: Option<Point> =
-                set.iter().map(|axis| Some(((*axis).to_owned(), point.get(*axis)?.clone()))).collect();
-            for (place, value) in part.iter().filter_map(|part| at.get(part)).flatten() {
+            for (place, value) in part(point, set).iter().filter_map(|part| at.get(part)).flatten() {
                 cells[*place] = value.to_string();
             }
         }
@@ -55,13 +53,16 @@ pub fn table(manifest: &Manifest) -> Option<String> {
     String::from_utf8(text.into_inner().ok()?).ok()
 }
 
+/// The items of a point on some axes; `None` where it does not have all of them.
+fn part(point: &Point, set: &BTreeSet<&str>) -> Option<Point> {
+    set.iter().map(|axis| Some(((*axis).to_owned(), point.get(*axis)?.clone()))).collect()
+}
+
 /// What points have in common with points of fewer axes: these stand in the rows of the former.
 fn parts<'a>(points: impl Iterator<Item = &'a Point>, sets: &BTreeSet<BTreeSet<&str>>) -> BTreeSet<Point> {
-    let part = |point: &Point, set: &BTreeSet<&str>| -> Option<Point> {
-        let items = set.iter().map(|axis| Some(((*axis).to_owned(), point.get(*axis)?.clone())));
-        items.collect::<Option<Point>>().filter(|part| part.len() < point.len())
-    };
-    points.flat_map(|point| sets.iter().filter_map(move |set| part(point, set))).collect()
+    let smaller =
+        |point: &'a Point| sets.iter().filter(|set| set.len() < point.len()).filter_map(|set| part(point, set));
+    points.flat_map(smaller).collect()
 }
 
 #[cfg(test)]

@@ -74,7 +74,7 @@ const EVENTS: &[(&str, &str, &[Member])] = &[
             member(
                 "warnings",
                 "strings",
-                "what stages warned of, those of cached steps too; what the engine warns of is told by the event `warning` only",
+                "what stages warned of, those of cached steps too; warnings of the engine itself are events `warning` only",
             ),
             member("files", "strings", "outputs of the target steps, by their paths in the run folder"),
             member(

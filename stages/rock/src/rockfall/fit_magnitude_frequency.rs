@@ -38,7 +38,7 @@ impl Stage for FitMagnitudeFrequency {
         let given = inputs.artefact("volumes")?;
         let (volumes, without) = columns::magnitudes(given, &params.column)?;
         if let Some((names, rows)) = columns::rows(given)
-            && let Some(at) = names.iter().position(|name| *name == params.column)
+            && let Ok(at) = columns::place(names, &params.column)
             && let Some(text) = columns::text_among_numbers(&params.column, rows.iter().filter_map(|row| row.get(at)))
         {
             context.warn(text);
