@@ -5,8 +5,8 @@ use std::io;
 
 use rockface_core::artefact::{
     Acceptance, Artefact, Band, Cell, Cloud, Contrast, Covariance, Depth, Feature, Figure, Files, Frame, Grid,
-    GroupModel, Inventory, LevelContrast, LevelFigures, Member, Mesh, Meshes, Noise, Pair, Pairs, Part, Picture,
-    Polygon, Raster, ReliefLaw, Sample, Shown, Surface, Table, Transform,
+    GroupModel, Inventory, LateralShift, LevelContrast, LevelFigures, Member, Mesh, Meshes, Noise, Pair, Pairs,
+    Parametric, Part, Picture, PlaceSpectrum, Polygon, Raster, ReliefLaw, Sample, Shown, Surface, Table, Transform,
 };
 use serde_json::json;
 
@@ -57,6 +57,7 @@ fn every() -> io::Result<Vec<(&'static str, &'static str, Artefact)>> {
         ("artefact-table", "cells", table().into()),
         ("artefact-acceptance", "one", acceptance().into()),
         ("artefact-noise", "fields", noise().into()),
+        ("artefact-noise", "parametric", parametric_noise().into()),
         ("artefact-picture", "preview", Picture { png }.into()),
         ("artefact-figure", "rectangle", figure().into()),
         ("artefact-files", "two", files().into()),
@@ -104,6 +105,7 @@ fn noise() -> Noise {
         gap_gain: 0.8,
         gap_variety: 1.3,
         skewness_gain: 1.7,
+        parametric: None,
         members: vec![member("a", false), member("b", true)],
         orders: [vec![0], vec![0]],
         strength: vec![0.3; 6],
@@ -112,6 +114,13 @@ fn noise() -> Noise {
         fields: vec![vec![0.5, -0.5, 1.0, 0.0, 0.25, -1.0]; 2],
         weights: vec![vec![127, 192, 1, 127, 127, 127]; 2],
     }
+}
+
+fn parametric_noise() -> Noise {
+    let spectrum = |log_strength: f64| PlaceSpectrum { log_strength, log_amplitude: vec![0.5, log_strength] };
+    let shift = LateralShift { deviation_cells: 1.0, length_cells: 8.0, across_cells: 2.0, share: 0.4, half_m: 0.01 };
+    let parametric = Parametric { spectra: [-1.5, -0.5].map(spectrum).into(), shift: Some(shift) };
+    Noise { fields: Vec::new(), parametric: Some(parametric), ..noise() }
 }
 
 /// A mesh of 16 points over 3 x 3 m.

@@ -44,7 +44,7 @@ const LOG_GAINS: [f64; 2] = [-1.4, 3.0];
 impl Stage for AdjustNoise {
     type Params = AdjustNoiseParams;
     const NAME: &'static str = "adjust-noise";
-    const VERSION: u32 = 19;
+    const VERSION: u32 = 20;
     const PAGE: Page = Page::new(include_str!("adjust_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("noise", &[Kind::Noise], "The model."),

@@ -5,6 +5,7 @@ use rockface_core::artefact::{Band, Cameras, Kind, Noise, Pairs, Raster};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 use rockface_imaging::matching::elevation_step::elevation_step_m;
 use rockface_imaging::matching::noise::ensemble::{Numbers, draw};
+use rockface_imaging::matching::noise::parametric::Ground;
 
 params! {
     /// Parameters of `draw-noise`.
@@ -49,7 +50,8 @@ impl Stage for DrawNoise {
         check_model(noise, dem)?;
         let step_m = elevation_step_m(dem, block, pairs)?;
         let numbers = Numbers { acquisition: params.acquisition, replicate: None };
-        let drawn = draw(noise, numbers, &|purpose: &str, item: &str| context.stream(purpose, item));
+        let keys = |purpose: &str, item: &str| context.stream(purpose, item);
+        let drawn = draw(noise, Ground::of(noise).as_ref(), numbers, &keys);
         let errors_px = drawn.errors_px(noise, &noise.strength);
         let elevations = &dem.bands[0].values;
         let values = elevations.iter().zip(errors_px).zip(step_m).map(|((z, px), step)| z + px * step).collect();

@@ -15,9 +15,10 @@ use crate::noise::learning::differences::{check, differences, gaps, level, per_s
 use crate::noise::learning::whitening::{
     BANDS, LEAST_SIDE_CELLS, Places, Prior, Stack, Whitened, range_cells, restore_outliers, whiten,
 };
-use crate::noise::learning::{bends, registration, relief_law};
+use crate::noise::learning::{bends, parametric, registration, relief_law};
 use rockface_core::artefact::{
-    Band, Cameras, Contrast, Kind, MOST_GAP_GAIN, MOST_GAP_VARIETY, MOST_SKEWNESS_GAIN, Noise, Pairs, Raster, ReliefLaw,
+    Band, Cameras, Contrast, Kind, LateralShift, MOST_GAP_GAIN, MOST_GAP_VARIETY, MOST_SKEWNESS_GAIN, Noise, Pairs,
+    Parametric, Raster, ReliefLaw,
 };
 use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::held_out::in_view;
@@ -34,7 +35,8 @@ params! {
     pub struct LearnNoiseParams {
         /// Share of the rasters, the last ones, that is left out of the model, so that they can judge it.
         held_out: f64 = 0.0; Range::Between(0.0, 0.9),
-        /// Rasters from which on the model keeps whitened fields; with fewer it is parametric: strength by place and relief, and spectrum.
+        /// Rasters from which on the model keeps whitened fields; with fewer it is parametric: strength by place and relief, spectra by strength of place, and
+        /// the noise of a lateral shift at edges.
         fewest_fields: usize = 12; Range::AtLeast(3.0),
         /// Deviation of the Gaussian that smooths the map of strength, cells. Few rasters want more.
         smoothing_cells: f64 = 1.5; Range::Between(0.0, 100.0),
@@ -78,7 +80,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 28;
+    const VERSION: u32 = 29;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -145,6 +147,7 @@ impl Stage for LearnNoise {
         let mut learnt = Learnt::new(params, &disparities, bend_shapes, dem, limit_px);
         if Self::draws(params) {
             learnt.shuffle_orders(context);
+            learnt.find_places(dem, context);
         }
         context.check_cancelled()?;
         let noise = learnt.varied(params, sources, &disparities, dem, &step_m, context);
@@ -187,6 +190,8 @@ struct Learnt {
     bad: Vec<bool>,
     relief: ReliefLaw,
     fields: bool,
+    /// How noise without fields differs from place to place.
+    parametric: Option<Parametric>,
     /// Orders in which replicates take the usual rasters.
     orders: [Vec<usize>; 2],
     /// Range of the correlation of the noise, cells.
@@ -229,6 +234,7 @@ impl Learnt {
             bad,
             relief,
             fields,
+            parametric: None,
             orders: [first, second],
             range_cells,
         }
@@ -237,6 +243,15 @@ impl Learnt {
     fn shuffle_orders(&mut self, context: &Context) {
         for (order, survey) in self.orders.iter_mut().zip(["first", "second"]) {
             order.shuffle(&mut context.stream("noise-order", survey).generator());
+        }
+    }
+
+    /// Learns how noise differs from place to place, where the model has no fields that say so.
+    fn find_places(&mut self, dem: &Raster, context: &Context) {
+        if !self.fields {
+            let stream = |purpose: &str, item: &str| context.stream(purpose, item);
+            let elevation = &dem.bands[0].values;
+            self.parametric = Some(parametric::learnt(&self.usual(), &self.places, elevation, self.columns, &stream));
         }
     }
 
@@ -373,6 +388,7 @@ impl Learnt {
             gap_variety: Gains::default().variety,
             skewness_gain: Gains::default().skewness,
             bend_shapes: self.bend_shapes.clone(),
+            parametric: self.parametric.clone(),
             members,
             orders: self.orders.clone(),
             strength: self.places.strength.clone(),
@@ -596,9 +612,21 @@ fn report(noise: &Noise, learnt: &Learnt, step_m: &[f32], context: &Context) {
         ));
     }
     if !learnt.fields {
+        let shift = noise.parametric.as_ref().and_then(|parametric| parametric.shift);
+        let (spectra, edges) = match (&noise.parametric, shift) {
+            (None, _) => ("one spectrum", "no noise of its own at edges".to_owned()),
+            (Some(_), None) => ("spectra by strength of place", "no noise of its own at edges".to_owned()),
+            (Some(_), Some(LateralShift { length_cells, across_cells, share, .. })) => (
+                "spectra by strength of place",
+                format!(
+                    "up to {:.0} % of its variance at edges by a lateral shift that goes on for {length_cells} cells along them and {across_cells} across",
+                    100.0 * share
+                ),
+            ),
+        };
+        let rasters = noise.members.len();
         context.note(format!(
-            "{} rasters are too few to keep their fields: the model is parametric, its noise has one spectrum everywhere",
-            noise.members.len()
+            "{rasters} rasters are too few to keep their fields: the model is parametric, with {spectra} and {edges}"
         ));
     }
 }

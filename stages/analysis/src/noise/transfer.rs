@@ -6,7 +6,7 @@
 use rayon::prelude::*;
 
 use crate::noise::learning::whitening::Places;
-use rockface_core::artefact::{Contrast, Grid, Member, Noise, Raster, ReliefLaw};
+use rockface_core::artefact::{Contrast, Grid, LateralShift, Member, Noise, Parametric, Raster, ReliefLaw};
 use rockface_core::numerics::bands::{Bands, at_other_bands, log_rms};
 use rockface_imaging::matching::noise::changed_face::{Window, is_known, law, relief_m};
 use rockface_imaging::matching::noise::ensemble::log_strength_at;
@@ -51,6 +51,7 @@ pub fn transferred(noise: &Noise, dem: &Raster, setting: Setting) -> Transferred
         class_log_strength: noise.class_log_strength.clone(),
         log_gain: noise.log_gain.clone(),
         bend_shapes: stretched(noise, dem.grid),
+        parametric: noise.parametric.as_ref().map(|parametric| wider_shift(parametric, setting.field_scale)),
         members: noise.members.clone(),
         orders: noise.orders.clone(),
         strength: cells.par_iter().enumerate().map(strength).collect(),
@@ -97,6 +98,17 @@ fn wider(relief: ReliefLaw, scale: f64) -> ReliefLaw {
 /// Contrast with its lengths in new cells.
 fn wider_contrast(contrast: &Contrast, scale: f64) -> Contrast {
     Contrast { finest_cells: scale * contrast.finest_cells, ..contrast.clone() }
+}
+
+/// Noise without fields with the lengths of its shift in new cells.
+fn wider_shift(parametric: &Parametric, scale: f64) -> Parametric {
+    let wider = |shift: LateralShift| LateralShift {
+        deviation_cells: scale * shift.deviation_cells,
+        length_cells: scale * shift.length_cells,
+        across_cells: scale * shift.across_cells,
+        ..shift
+    };
+    Parametric { shift: parametric.shift.map(wider), ..parametric.clone() }
 }
 
 /// Change of the scale of a field that is none.
@@ -179,6 +191,9 @@ fn place_bands(noise: &mut Noise, model: Grid, scale: f64) {
     for Member { log_amplitude, field_log_amplitude, .. } in &mut noise.members {
         *log_amplitude = moved(log_amplitude);
         *field_log_amplitude = moved(field_log_amplitude);
+    }
+    if let Some(parametric) = &mut noise.parametric {
+        parametric.spectra.iter_mut().for_each(|spectrum| spectrum.log_amplitude = moved(&spectrum.log_amplitude));
     }
     noise.log_gain = at_other_bands(&noise.log_gain, from, to, scale);
 }

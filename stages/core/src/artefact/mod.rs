@@ -39,8 +39,8 @@ pub use inventory::{Feature, Inventory, Polygon};
 pub use mesh::Mesh;
 pub use meshes::{Meshes, Part, file_names as part_file_names};
 pub use noise::{
-    Contrast, GAP, LevelContrast, LevelFigures, MOST_GAP_GAIN, MOST_GAP_VARIETY, MOST_SKEWNESS_GAIN, Member, Noise,
-    ReliefLaw, UNEVENNESS,
+    Contrast, GAP, LateralShift, LevelContrast, LevelFigures, MOST_GAP_GAIN, MOST_GAP_VARIETY, MOST_SKEWNESS_GAIN,
+    Member, Noise, Parametric, PlaceSpectrum, ReliefLaw, UNEVENNESS,
 };
 pub use pairs::{Pair, Pairs};
 pub use picture::Picture;

@@ -104,6 +104,42 @@ impl Contrast {
     }
 }
 
+/// How noise without fields differs from place to place.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Parametric {
+    /// Spectra of places of some strengths, the quietest first: noise of rough or poorly textured rock is correlated otherwise than that of flat rock.
+    pub spectra: Vec<PlaceSpectrum>,
+    /// Noise at edges; none: like that elsewhere.
+    pub shift: Option<LateralShift>,
+}
+
+/// Spectrum of the noise of places of one strength.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlaceSpectrum {
+    /// Logarithm of the strength of these places, pixels of the full image.
+    pub log_strength: f64,
+    /// Logarithm of the amplitude in each band.
+    pub log_amplitude: Vec<f64>,
+}
+
+/// A lateral shift of the face that makes the noise of its edges: `z(x + d) - z(x)`.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LateralShift {
+    /// Deviation of d along each axis, cells.
+    pub deviation_cells: f64,
+    /// Deviation of the Gaussian that is the correlation of d along edges, cells: along Y of a shift in X, and the other way round.
+    pub length_cells: f64,
+    /// The same across them.
+    pub across_cells: f64,
+    /// Part of the variance of the noise that is owed to it where the shift changes elevations much.
+    pub share: f64,
+    /// Deviation of the elevation under the shift at which half of that part is, metres.
+    pub half_m: f64,
+}
+
 /// The bit of a weight that says that the raster had no value there.
 pub const GAP: u8 = 0x80;
 
@@ -152,6 +188,8 @@ pub struct Noise {
     /// What comes with a unit of each factor of a trend beyond a plane, beside the trend itself, metres for a metre: an orientation does not bend
     /// a face like a polynomial. Empty: not known.
     pub bend_shapes: Vec<Vec<f32>>,
+    /// How the noise of a model without fields differs from place to place; none: white noise with the bands of a member.
+    pub parametric: Option<Parametric>,
     /// What is known of each acquisition the model was learnt from.
     pub members: Vec<Member>,
     /// Members that are not bad, by place, in the order in which replicates take their strengths: the first surveys of comparisons and the second ones.
@@ -183,6 +221,8 @@ pub const MOST_GAP_GAIN: f64 = 4.0;
 pub const MOST_GAP_VARIETY: f64 = 4.0;
 /// Largest gain of the skewness.
 pub const MOST_SKEWNESS_GAIN: f64 = 20.0;
+/// Largest deviation and length of lateral shifts, cells.
+const MOST_SHIFT_CELLS: f64 = 1e3;
 /// Largest gain of asymmetry.
 const MOST_ASYMMETRY_GAIN: f64 = 20.0;
 
@@ -306,9 +346,41 @@ impl Noise {
         if !skewed || !(0.0..=MOST_SKEWNESS_GAIN).contains(&self.skewness_gain) {
             return refuse(format!("skewness must be finite, its gain from 0 to {MOST_SKEWNESS_GAIN}"));
         }
+        if let Some(parametric) = &self.parametric {
+            parametric.check(bands, fields > 0)?;
+        }
         let sound = self.strength.iter().all(|value| value.is_finite() && *value >= 0.0);
         if !sound || !self.fields.iter().chain(&self.bend_shapes).flatten().all(|value| value.is_finite()) {
             return refuse("a strength, a bend or a whitened value is not finite".into());
+        }
+        Ok(())
+    }
+}
+
+impl Parametric {
+    fn check(&self, bands: usize, has_fields: bool) -> Result<(), CodecError> {
+        let refuse = |text: &str| Err(CodecError(format!("noise model: {text}")));
+        if has_fields {
+            return refuse("it has fields, and spectra of noise without fields");
+        }
+        let complete = |spectrum: &PlaceSpectrum| {
+            spectrum.log_amplitude.len() == bands
+                && spectrum.log_amplitude.iter().chain([&spectrum.log_strength]).all(|value| value.is_finite())
+        };
+        let ascending = self.spectra.is_sorted_by(|a, b| a.log_strength <= b.log_strength);
+        if self.spectra.is_empty() || !ascending || !self.spectra.iter().all(complete) {
+            return refuse("spectra by place need finite values in each band, and ascending strengths");
+        }
+        let within = |value: f64, most: f64| value > 0.0 && value <= most;
+        let sound = |shift: &LateralShift| {
+            [shift.deviation_cells, shift.length_cells, shift.across_cells]
+                .into_iter()
+                .all(|cells| within(cells, MOST_SHIFT_CELLS))
+                && within(shift.share, 1.0)
+                && within(shift.half_m, f64::MAX)
+        };
+        if !self.shift.as_ref().is_none_or(sound) {
+            return refuse("a lateral shift needs positive lengths and a share of at most 1");
         }
         Ok(())
     }
@@ -328,6 +400,7 @@ impl PartialEq for Noise {
             && (self.asymmetry_gain, self.gap_gain, self.gap_variety, self.skewness_gain)
                 == (other.asymmetry_gain, other.gap_gain, other.gap_variety, other.skewness_gain)
             && (self.sharpness, &self.contrast, &self.log_gain) == (other.sharpness, &other.contrast, &other.log_gain)
+            && self.parametric == other.parametric
             && (&self.members, &self.orders) == (&other.members, &other.orders)
             && bits(&self.strength) == bits(&other.strength)
             && bits(&self.elevation) == bits(&other.elevation)

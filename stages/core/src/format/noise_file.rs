@@ -1,9 +1,9 @@
 //! The file of a noise model: a line of magic, a JSON header, strength, elevation, fields and their weights.
 
-use crate::artefact::{CodecError, Contrast, Frame, Grid, Member, Noise, ReliefLaw};
+use crate::artefact::{CodecError, Contrast, Frame, Grid, Member, Noise, Parametric, ReliefLaw};
 
 /// The first line; a file with another version is learnt anew.
-const MAGIC: &str = "rockface noise 16\n";
+const MAGIC: &str = "rockface noise 17\n";
 
 /// What is written into the header for whoever reads the file without us.
 const LAYOUT: &str = "rows x columns cells from the top left: strength float32 little-endian (px), elevation float32 (m, NaN = unknown); \
@@ -33,6 +33,7 @@ struct Header {
     gap_gain: f64,
     gap_variety: f64,
     skewness_gain: f64,
+    parametric: Option<Parametric>,
     members: Vec<Member>,
     orders: [Vec<usize>; 2],
     bend_shapes: usize,
@@ -66,6 +67,7 @@ pub fn write(noise: &Noise) -> Result<Vec<u8>, CodecError> {
         gap_gain: noise.gap_gain,
         gap_variety: noise.gap_variety,
         skewness_gain: noise.skewness_gain,
+        parametric: noise.parametric.clone(),
         members: noise.members.clone(),
         orders: noise.orders.clone(),
         bend_shapes: noise.bend_shapes.len(),
@@ -139,6 +141,7 @@ pub fn read(bytes: &[u8]) -> Result<Noise, CodecError> {
         gap_gain: header.gap_gain,
         gap_variety: header.gap_variety,
         skewness_gain: header.skewness_gain,
+        parametric: header.parametric,
         members: header.members,
         orders: header.orders,
         strength,
@@ -163,7 +166,7 @@ fn size(cells: usize, rasters: usize, weights: usize) -> Option<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::artefact::{LevelContrast, LevelFigures};
+    use crate::artefact::{LateralShift, LevelContrast, LevelFigures, PlaceSpectrum};
 
     fn sample() -> Noise {
         let member = |name: &str, bad: bool| Member {
@@ -203,6 +206,7 @@ mod tests {
             gap_gain: 0.8,
             gap_variety: 1.3,
             skewness_gain: 1.7,
+            parametric: None,
             members: vec![member("a", false), member("b", true)],
             orders: [vec![0], vec![0]],
             strength: vec![0.3, 0.4],
@@ -218,6 +222,40 @@ mod tests {
         assert_eq!(read(&write(&sample()).unwrap()).unwrap(), sample());
         let bare = Noise { bend_shapes: Vec::new(), fields: Vec::new(), weights: Vec::new(), ..sample() };
         assert_eq!(read(&write(&bare).unwrap()).unwrap(), bare);
+        let parametric = Noise { parametric: Some(parametric()), ..bare };
+        assert_eq!(read(&write(&parametric).unwrap()).unwrap(), parametric);
+    }
+
+    fn parametric() -> Parametric {
+        let spectrum = |log_strength: f64| PlaceSpectrum { log_strength, log_amplitude: vec![0.5, log_strength] };
+        let shift =
+            LateralShift { deviation_cells: 1.0, length_cells: 8.0, across_cells: 2.0, share: 0.4, half_m: 0.01 };
+        Parametric { spectra: [-1.5, -0.5].map(spectrum).into(), shift: Some(shift) }
+    }
+
+    #[test]
+    fn spectra_and_shifts_that_do_not_fit_are_refused() {
+        let bare = Noise { fields: Vec::new(), weights: Vec::new(), ..sample() };
+        let refused = |parametric: Parametric| {
+            let noise = Noise { parametric: Some(parametric), ..bare.clone() };
+            write(&noise).unwrap_err().0
+        };
+        let with_shift = |change: fn(&mut LateralShift)| {
+            let mut parametric = parametric();
+            parametric.shift.iter_mut().for_each(change);
+            parametric
+        };
+        assert!(refused(with_shift(|shift| shift.share = 1.5)).contains("a share of at most 1"));
+        assert!(refused(with_shift(|shift| shift.across_cells = 0.0)).contains("positive lengths"));
+        let mut short = parametric();
+        short.spectra[1].log_amplitude.pop();
+        let mut turned = parametric();
+        turned.spectra.reverse();
+        for parametric in [short, turned, Parametric { spectra: Vec::new(), ..parametric() }] {
+            assert!(refused(parametric).contains("spectra by place"));
+        }
+        let fields = Noise { parametric: Some(parametric()), ..sample() };
+        assert!(write(&fields).unwrap_err().0.contains("it has fields, and spectra"));
     }
 
     #[test]

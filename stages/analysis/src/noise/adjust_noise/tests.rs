@@ -20,7 +20,7 @@ fn differences(count: u64, cells: f64) -> Vec<Raster> {
             let host = TestHost::seeded(seed);
             Context::new(&host).stream(purpose, item)
         };
-        draw(&CLEAN, of_two(seed), &keys).errors_px(&CLEAN, &CLEAN.strength)
+        draw(&CLEAN, None, of_two(seed), &keys).errors_px(&CLEAN, &CLEAN.strength)
     };
     let one = |number: u64| {
         let (pre, post) = (epoch(1000 + 2 * number), epoch(1001 + 2 * number));

@@ -15,6 +15,7 @@ use rockface_core::numerics::trend::{trend_at, with_trend, without_trend};
 use rockface_core::params::ParamType;
 use rockface_core::testing::{TestHost, image_at, run_stage, small_sensor};
 use rockface_imaging::matching::noise::ensemble::{Numbers, draw};
+use rockface_imaging::matching::noise::parametric::Ground;
 
 pub(in crate::noise) const COLUMNS: usize = 96;
 pub(in crate::noise) const ROWS: usize = 80;
@@ -104,7 +105,7 @@ fn drawn_within_px(noise: &Noise, count: u64, limit_px: f64) -> Vec<[f64; 2]> {
             let host = TestHost::seeded(seed);
             Context::new(&host).stream(purpose, item)
         };
-        draw(noise, of_two(seed), &keys)
+        draw(noise, Ground::of(noise).as_ref(), of_two(seed), &keys)
             .errors_px(noise, &noise.strength)
             .into_iter()
             .map(f64::from)
@@ -220,7 +221,7 @@ fn gaps_are_as_frequent_as_in_the_rasters() {
                 let host = TestHost::seeded(seed);
                 Context::new(&host).stream(purpose, item)
             };
-            draw(&CLEAN, of_two(seed), &keys).field
+            draw(&CLEAN, None, of_two(seed), &keys).field
         };
         let both = epoch(2 * seed).into_iter().zip(epoch(2 * seed + 1));
         both.filter(|(a, b)| a.is_nan() || b.is_nan()).count() as f64 / (COLUMNS * ROWS) as f64
@@ -258,7 +259,7 @@ fn bad_acquisitions_have_the_gaps_of_bad_rasters() {
         let host = TestHost::seeded(seed);
         let context = Context::new(&host);
         let noise = Noise { bad_share, gap_gain: 1.0, ..noise.clone() };
-        let drawn = draw(&noise, of_two(seed), &|purpose, item| context.stream(purpose, item));
+        let drawn = draw(&noise, None, of_two(seed), &|purpose, item| context.stream(purpose, item));
         drawn.field.iter().filter(|value| value.is_nan()).count() as f64 / drawn.field.len() as f64
     };
     let [usual, bad] = [0.0, 1.0].map(|bad_share| mean((0..12).map(|seed| share(bad_share, seed))));

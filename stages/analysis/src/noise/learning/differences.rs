@@ -9,6 +9,7 @@ use rockface_core::numerics::random::Key;
 use rockface_core::numerics::trend::{Trend, trend, with_trend, without_trend};
 use rockface_core::{StageError, fail};
 use rockface_imaging::matching::noise::ensemble::{Numbers, draw};
+use rockface_imaging::matching::noise::parametric::Ground;
 use rockface_raster::grid;
 
 /// Largest departure from its trend, as a share of its largest value, at which a raster counts as one.
@@ -132,10 +133,11 @@ pub fn differences(
     limit_m: f32,
     stream: &(impl Fn(&str, &str) -> Key + Sync),
 ) -> Vec<Vec<f32>> {
+    let ground = Ground::of(noise);
     let epoch = |replicate: u32, acquisition: u32| {
         let keys = |purpose: &str, item: &str| stream(purpose, &format!("{replicate}/{acquisition}/{item}"));
         let numbers = Numbers { acquisition: Some(acquisition), replicate: Some(replicate) };
-        draw(noise, numbers, &keys).errors_px(noise, &noise.strength)
+        draw(noise, ground.as_ref(), numbers, &keys).errors_px(noise, &noise.strength)
     };
     let difference = |replicate: u32| {
         let (pre, post) = (epoch(replicate, 0), epoch(replicate, 1));

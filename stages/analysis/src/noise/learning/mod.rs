@@ -7,6 +7,7 @@ pub mod by_place;
 pub mod contrast;
 pub mod departure;
 pub mod differences;
+pub mod parametric;
 pub mod registration;
 pub mod relief_law;
 pub mod whitening;

@@ -10,6 +10,7 @@ use rockface_core::numerics::bands::Bands;
 use rockface_core::testing::{TestHost, run_stage};
 use rockface_imaging::matching::noise::changed_face::law;
 use rockface_imaging::matching::noise::ensemble::{Numbers, draw, log_strength_at};
+use rockface_imaging::matching::noise::parametric::Ground;
 
 /// A law by which a step of the face shows.
 const RELIEF: ReliefLaw = ReliefLaw { flat_px: 0.1, gain_px_m: 5.0, window_cells: 4 };
@@ -45,7 +46,8 @@ fn transfer(dem: &Raster, with: &Value) -> Result<Noise, StageError> {
 fn drawn(noise: &Noise, count: u64) -> Vec<Vec<f64>> {
     let one = |seed: u64| {
         let host = TestHost::seeded(seed);
-        draw(noise, Numbers::default(), &|purpose: &str, item: &str| Context::new(&host).stream(purpose, item)).field
+        let keys = |purpose: &str, item: &str| Context::new(&host).stream(purpose, item);
+        draw(noise, Ground::of(noise).as_ref(), Numbers::default(), &keys).field
     };
     let filled = |field: Vec<f64>| field.into_iter().map(|v| if v.is_nan() { 0.0 } else { v }).collect();
     (0..count).map(|seed| filled(one(seed))).collect()

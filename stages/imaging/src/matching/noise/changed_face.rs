@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use crate::camera::model::Camera;
+use crate::matching::noise::parametric::Ground;
 use crate::matching::pixel_row::PixelRow;
 use rockface_core::artefact::{Depth, Noise, ReliefLaw};
 
@@ -19,6 +20,8 @@ pub struct Face {
     pub strength: Vec<f32>,
     /// Slopes, metres a cell, to the right and downwards: those of the model, or of the depth map where it differs; 0 where unknown.
     pub slopes: Vec<[f32; 2]>,
+    /// What noise without fields has from place to place; none for models with fields.
+    pub ground: Option<Ground>,
 }
 
 /// The face that a depth map shows.
@@ -36,11 +39,13 @@ pub fn seen(noise: &Noise, depth: &Depth, camera: &Camera) -> Face {
             strength[j] = law(&noise.relief, relief_m(&surface, &reach, j)) as f32;
         }
     }
-    Face { strength, slopes: slopes(&surface, noise.grid.columns) }
+    let columns = noise.grid.columns;
+    let ground = noise.parametric.as_ref().map(|parametric| Ground::new(parametric, &strength, &surface, columns));
+    Face { slopes: slopes(&surface, columns), ground, strength }
 }
 
 /// Slopes of elevations from a cell's neighbours, to the right and downwards, cell by cell in metres a cell; 0 where one is unknown.
-fn slopes(elevation: &[f32], columns: usize) -> Vec<[f32; 2]> {
+pub fn slopes(elevation: &[f32], columns: usize) -> Vec<[f32; 2]> {
     let rows = elevation.len() / columns;
     let between = |low: usize, high: usize, cells: usize| {
         let slope = (elevation[high] - elevation[low]) / cells.max(1) as f32;

@@ -6,7 +6,7 @@
 //! members wherever that differs from place to place, without a parameter for it. A sum of fields is more even than each of them: its
 //! details are given contrast, and the field the skewness of one member, to either side. Where the strongest donor of a place has a gap, the acquisition has one with the probability that makes the gaps of
 //! a difference as frequent as they were. Bands of frequency then give it the amplitudes of one member, and classes of place its strength. Models
-//! without fields start from white noise instead, which loses the trend that it has, and have only their gaps from donors.
+//! without fields start from noise of the spectra of its places instead, which loses the trend that it has, and have only their gaps from donors.
 
 use rand::{Rng, RngExt};
 use rayon::prelude::*;
@@ -15,6 +15,7 @@ use crate::matching::noise::contrast::{with_contrast, with_gains};
 use crate::matching::noise::matcher::Keys;
 use crate::matching::noise::modulation::smooth_field;
 use crate::matching::noise::paper::SmoothNoise;
+use crate::matching::noise::parametric::{self, Ground, drawn_size};
 use crate::matching::noise::skewness::with_skewness;
 use rockface_core::artefact::{GAP, Member, Noise};
 use rockface_core::numerics::bands::{Bands, at_other_bands, log_rms};
@@ -69,14 +70,14 @@ pub struct Numbers {
     pub replicate: Option<u32>,
 }
 
-/// Draws an acquisition of a model from the streams `noise-acquisition`, `noise-jitter`, `noise-weights`, `noise-weights-common` and
-/// `noise-white` of `keys`.
+/// Draws an acquisition of a model from the streams `noise-acquisition`, `noise-jitter`, `noise-weights`, `noise-weights-common`,
+/// `noise-white` and `noise-shift` of `keys`. `ground` is that of the face, for models that have one ([`Ground::of`]).
 ///
 /// One with an even number in its comparison mixes only fields of the first half of the members, one with an odd number those of the second half,
 /// so that two acquisitions that are compared have none in common: where both had the same one their noise would cancel, or double. Replicates
 /// take strengths and amplitudes of the members in turn, so that a few have the mean and the variety of the model (balanced bootstrap: Davison,
 /// Hinkley and Schechtman 1986); without a number the member is drawn at random.
-pub fn draw(noise: &Noise, numbers: Numbers, keys: Keys) -> Drawn {
+pub fn draw(noise: &Noise, ground: Option<&Ground>, numbers: Numbers, keys: Keys) -> Drawn {
     let mut generator = keys("noise-acquisition", "").generator();
     let (bad, good) = noise.by_class();
     let of_bad = generator.random::<f64>() < noise.bad_share && !bad.is_empty();
@@ -110,10 +111,14 @@ pub fn draw(noise: &Noise, numbers: Numbers, keys: Keys) -> Drawn {
     let (begun, [columns, rows]) = if noise.has_fields() {
         (mixed.field, [grid.columns, grid.rows])
     } else {
-        // A filter by frequency makes a field that goes on at its other side. Noise does not: what is kept is a part of a wider field.
-        let more = grid.columns.min(grid.rows).div_ceil(WIDER);
-        let size = [grid.columns + more, grid.rows + more];
-        (white(size, &keys("noise-white", "").field()), size)
+        let own = [grid.columns, grid.rows];
+        let size = drawn_size(own);
+        let white = white(size, &keys("noise-white", "").field());
+        let field = match noise.parametric.as_ref().zip(ground) {
+            Some((parametric, ground)) => parametric::field(parametric, ground, &white, size, own, keys),
+            None => white,
+        };
+        (field, size)
     };
     // Which of two surveys is the later one is chance, and with it the side to which their difference is skewed.
     let skewness = if generator.random() { member.skewness } else { -member.skewness };
@@ -421,9 +426,6 @@ fn raised(g: Lanes, power: u32) -> Lanes {
     }
     product
 }
-
-/// The shorter side over that by which the field is wider of which a parametric acquisition is a part.
-const WIDER: usize = 2;
 
 fn white([columns, rows]: [usize; 2], field: &Field) -> Vec<f64> {
     (0..columns * rows).map(|i| field.normal((i % columns) as i32, (i / columns) as i32)).collect()

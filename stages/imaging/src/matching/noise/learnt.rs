@@ -57,7 +57,7 @@ impl<'a> Acquisition<'a> {
         }
         let survey = SurveySteps::new(block, pairs)?;
         let face = model.face(depth);
-        let mut errors_px = model.draw(numbers, keys).errors_px(noise, &face.strength);
+        let mut errors_px = model.draw(&face, numbers, keys).errors_px(noise, &face.strength);
         let gaps = Arc::new(errors_px.iter().map(|px| px.is_nan()).collect());
         errors_px.iter_mut().filter(|px| px.is_nan()).for_each(|px| *px = 0.0);
         let nodes = Nodes::new(noise.grid, &noise.elevation);
@@ -341,7 +341,7 @@ mod tests {
             errors_px: Spline::new(values, columns),
             range_px: [0.0, 60.0],
             gaps: Arc::new(values_px.iter().map(|px| px.is_nan()).collect()),
-            face: Arc::new(Face { strength: Vec::new(), slopes: vec![[slope, 0.0]; columns] }),
+            face: Arc::new(Face { strength: Vec::new(), slopes: vec![[slope, 0.0]; columns], ground: None }),
         }
     }
 

@@ -11,6 +11,7 @@ pub mod model;
 pub mod model_draws;
 pub mod modulation;
 pub mod paper;
+pub mod parametric;
 pub mod skewness;
 pub mod spline;
 pub mod strength;

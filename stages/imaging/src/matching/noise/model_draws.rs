@@ -11,8 +11,11 @@ use crate::matching::noise::matcher::Keys;
 use rockface_core::artefact::{Artefact, Depth, Noise, Noun};
 use rockface_core::numerics::random::Key;
 
-/// Draws made lately, by numbers and stream: images of a survey see the same noise of the face.
-static DRAWS: Lately<(Numbers, Key), Drawn> = Lately::new(1 << 23);
+/// What a draw follows from: numbers, stream, and where noise follows the face, the face.
+type Asked = (Numbers, Key, Option<Arc<Face>>);
+
+/// Draws made lately: images of a survey see the same noise of the face.
+static DRAWS: Lately<Asked, Drawn> = Lately::new(1 << 23);
 /// Faces seen lately, by the depth map that shows them: surveys of an unchanged face see the same one.
 static FACES: Lately<Depth, Face> = Lately::new(1 << 24);
 
@@ -30,12 +33,17 @@ impl<'a> Model<'a> {
         Noise::of(artefact).map(|noise| Self { noise, artefact })
     }
 
-    /// As [`draw`].
-    pub fn draw(self, numbers: Numbers, keys: Keys) -> Arc<Drawn> {
+    /// As [`draw`], on a face.
+    pub fn draw(self, face: &Arc<Face>, numbers: Numbers, keys: Keys) -> Arc<Drawn> {
         // All streams of a step follow from what one of them follows from.
-        let of = (numbers, keys("noise-acquisition", ""));
-        let make = || (of, draw(self.noise, numbers, keys));
-        DRAWS.get(self.artefact, |held| *held == of, self.noise.grid.cells(), make)
+        let stream = keys("noise-acquisition", "");
+        let place = face.ground.as_ref().map(|_| face);
+        let same = |(held_numbers, held_stream, held_face): &Asked| {
+            (*held_numbers, *held_stream) == (numbers, stream)
+                && held_face.as_ref().map(Arc::as_ptr) == place.map(Arc::as_ptr)
+        };
+        let make = || ((numbers, stream, place.cloned()), draw(self.noise, face.ground.as_ref(), numbers, keys));
+        DRAWS.get(self.artefact, same, self.noise.grid.cells(), make)
     }
 
     /// The face that a depth map shows, as [`seen`].
@@ -44,7 +52,7 @@ impl<'a> Model<'a> {
             let shown = Depth { channels: BTreeMap::new(), ..depth.clone() };
             (shown, seen(self.noise, depth, &Camera::of_depth(depth)))
         };
-        let numbers = depth.z.len() + 3 * self.noise.grid.cells();
+        let numbers = depth.z.len() + 6 * self.noise.grid.cells();
         FACES.get(self.artefact, |held| shows_same(held, depth), numbers, make)
     }
 }
@@ -75,11 +83,13 @@ mod tests {
         let [one, other] = artefacts.each_ref().map(|artefact| Model::of(artefact).unwrap());
         let numbers = [0, 1].map(|number| Numbers { acquisition: Some(number), replicate: None });
         let replicate = Numbers { replicate: Some(0), ..numbers[0] };
-        let first = one.draw(numbers[0], &keys(1));
-        assert!(Arc::ptr_eq(&first, &one.draw(numbers[0], &keys(1))));
-        assert_eq!(first.field, draw(one.noise, numbers[0], &keys(1)).field);
-        let others = [one.draw(numbers[1], &keys(1)), one.draw(replicate, &keys(1)), one.draw(numbers[0], &keys(2))];
-        for again in others.into_iter().chain([other.draw(numbers[0], &keys(1))]) {
+        let face = Arc::new(Face { strength: Vec::new(), slopes: Vec::new(), ground: None });
+        let first = one.draw(&face, numbers[0], &keys(1));
+        assert!(Arc::ptr_eq(&first, &one.draw(&face, numbers[0], &keys(1))));
+        assert_eq!(first.field, draw(one.noise, None, numbers[0], &keys(1)).field);
+        let others = [(numbers[1], 1), (replicate, 1), (numbers[0], 2)];
+        let others = others.map(|(numbers, seed)| one.draw(&face, numbers, &keys(seed)));
+        for again in others.into_iter().chain([other.draw(&face, numbers[0], &keys(1))]) {
             assert!(!Arc::ptr_eq(&first, &again));
         }
     }
