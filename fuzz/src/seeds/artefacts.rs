@@ -120,7 +120,7 @@ fn parametric_noise() -> Noise {
     let spectrum = |log_strength: f64| PlaceSpectrum { log_strength, log_amplitude: vec![0.5, log_strength] };
     let shift = LateralShift { deviation_cells: 1.0, length_cells: 8.0, across_cells: 2.0, share: 0.4, half_m: 0.01 };
     let parametric = Parametric { spectra: [-1.5, -0.5].map(spectrum).into(), shift: Some(shift) };
-    Noise { fields: Vec::new(), parametric: Some(parametric), ..noise() }
+    Noise { fields: Vec::new(), parametric: Some(Box::new(parametric)), ..noise() }
 }
 
 /// A mesh of 16 points over 3 x 3 m.

@@ -191,7 +191,7 @@ struct Learnt {
     relief: ReliefLaw,
     fields: bool,
     /// How noise without fields differs from place to place.
-    parametric: Option<Parametric>,
+    parametric: Option<Box<Parametric>>,
     /// Orders in which replicates take the usual rasters.
     orders: [Vec<usize>; 2],
     /// Range of the correlation of the noise, cells.
@@ -251,7 +251,8 @@ impl Learnt {
         if !self.fields {
             let stream = |purpose: &str, item: &str| context.stream(purpose, item);
             let elevation = &dem.bands[0].values;
-            self.parametric = Some(parametric::learnt(&self.usual(), &self.places, elevation, self.columns, &stream));
+            let found = parametric::learnt(&self.usual(), &self.places, elevation, self.columns, &stream);
+            self.parametric = Some(Box::new(found));
         }
     }
 

@@ -51,7 +51,7 @@ pub fn transferred(noise: &Noise, dem: &Raster, setting: Setting) -> Transferred
         class_log_strength: noise.class_log_strength.clone(),
         log_gain: noise.log_gain.clone(),
         bend_shapes: stretched(noise, dem.grid),
-        parametric: noise.parametric.as_ref().map(|parametric| wider_shift(parametric, setting.field_scale)),
+        parametric: noise.parametric.as_ref().map(|parametric| Box::new(wider_shift(parametric, setting.field_scale))),
         members: noise.members.clone(),
         orders: noise.orders.clone(),
         strength: cells.par_iter().enumerate().map(strength).collect(),

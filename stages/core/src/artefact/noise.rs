@@ -189,7 +189,7 @@ pub struct Noise {
     /// a face like a polynomial. Empty: not known.
     pub bend_shapes: Vec<Vec<f32>>,
     /// How the noise of a model without fields differs from place to place; none: white noise with the bands of a member.
-    pub parametric: Option<Parametric>,
+    pub parametric: Option<Box<Parametric>>,
     /// What is known of each acquisition the model was learnt from.
     pub members: Vec<Member>,
     /// Members that are not bad, by place, in the order in which replicates take their strengths: the first surveys of comparisons and the second ones.

@@ -33,7 +33,7 @@ struct Header {
     gap_gain: f64,
     gap_variety: f64,
     skewness_gain: f64,
-    parametric: Option<Parametric>,
+    parametric: Option<Box<Parametric>>,
     members: Vec<Member>,
     orders: [Vec<usize>; 2],
     bend_shapes: usize,
@@ -222,7 +222,7 @@ mod tests {
         assert_eq!(read(&write(&sample()).unwrap()).unwrap(), sample());
         let bare = Noise { bend_shapes: Vec::new(), fields: Vec::new(), weights: Vec::new(), ..sample() };
         assert_eq!(read(&write(&bare).unwrap()).unwrap(), bare);
-        let parametric = Noise { parametric: Some(parametric()), ..bare };
+        let parametric = Noise { parametric: Some(Box::new(parametric())), ..bare };
         assert_eq!(read(&write(&parametric).unwrap()).unwrap(), parametric);
     }
 
@@ -237,7 +237,7 @@ mod tests {
     fn spectra_and_shifts_that_do_not_fit_are_refused() {
         let bare = Noise { fields: Vec::new(), weights: Vec::new(), ..sample() };
         let refused = |parametric: Parametric| {
-            let noise = Noise { parametric: Some(parametric), ..bare.clone() };
+            let noise = Noise { parametric: Some(Box::new(parametric)), ..bare.clone() };
             write(&noise).unwrap_err().0
         };
         let with_shift = |change: fn(&mut LateralShift)| {
@@ -254,7 +254,7 @@ mod tests {
         for parametric in [short, turned, Parametric { spectra: Vec::new(), ..parametric() }] {
             assert!(refused(parametric).contains("spectra by place"));
         }
-        let fields = Noise { parametric: Some(parametric()), ..sample() };
+        let fields = Noise { parametric: Some(Box::new(parametric())), ..sample() };
         assert!(write(&fields).unwrap_err().0.contains("it has fields, and spectra"));
     }
 

@@ -143,7 +143,7 @@ impl<'a> Face<'a> {
             squares += made(k) * made(k) / real.squared_error;
         }
         let share = (both / squares).min(1.0);
-        (share > 0.0).then(|| (share * (2.0 * both - share * squares), LateralShift { share, ..shift }))
+        (share > 0.0).then_some((share * (2.0 * both - share * squares), LateralShift { share, ..shift }))
     }
 
     /// Mean products of whitened noise along edges less those across them, group by group and lag by lag. Edges to the sides and upright ones count
@@ -181,7 +181,7 @@ impl<'a> Face<'a> {
             let values: Vec<f64> = raster.field.iter().map(|value| f64::from(*value)).collect();
             self.powers(&bands, &values, &|cell| raster.weights[cell] & GAP == 0)
         };
-        let powers = self.mean(usual.par_iter().map(one).collect());
+        let powers = self.mean(&usual.par_iter().map(one).collect::<Vec<_>>());
         let shares = bands.shares();
         let cells = |group: usize| self.group.iter().filter(|of| usize::from(**of) == group).count() as f64;
         let counts: Vec<f64> = (0..self.groups()).map(cells).collect();
@@ -218,7 +218,7 @@ impl<'a> Face<'a> {
             let values: Vec<f64> = level.into_iter().map(f64::from).collect();
             self.powers(&bands, &values, &|_| true)
         };
-        let powers = self.mean((0..TRIAL_FIELDS).into_par_iter().map(one).collect());
+        let powers = self.mean(&(0..TRIAL_FIELDS).into_par_iter().map(one).collect::<Vec<_>>());
         powers.into_iter().map(|of| of.into_iter().map(|power| log(power.max(1e-12))).collect()).collect()
     }
 
@@ -239,7 +239,7 @@ impl<'a> Face<'a> {
         powers
     }
 
-    fn mean(&self, all: Vec<Vec<Vec<f64>>>) -> Vec<Vec<f64>> {
+    fn mean(&self, all: &[Vec<Vec<f64>>]) -> Vec<Vec<f64>> {
         let of = |group: usize, band: usize| all.iter().map(|of| of[group][band]).sum::<f64>() / all.len() as f64;
         (0..self.groups()).map(|group| (0..BANDS).map(|band| of(group, band)).collect()).collect()
     }

@@ -1,8 +1,8 @@
 //! Noise of a model without fields: white noise with a spectrum that depends on how strong the noise of a place is, and at edges of the face what a
 //! lateral shift of its elevations makes.
 //!
-//! Where a face is steep, a matcher that finds a point a little beside its place errs by `z(x + d) - z(x)` (Handa, Whelan, McDonald and Davison
-//! 2014; Barron and Malik 2013). Such errors go along edges and not across them, so a shift in Y is correlated farther along X, and one in X along Y.
+//! Where a face is steep, a matcher that finds a point a little beside its place errs by `z(x + d) - z(x)` (Handa and others 2014, ICRA; Barron and
+//! Malik 2013, CVPR). Such errors go along edges and not across them, so a shift in Y is correlated farther along X, and one in X along Y.
 //! What a shift makes is divided by its own deviation, so that the strength by place stays the one that was learnt.
 
 use rayon::prelude::*;
