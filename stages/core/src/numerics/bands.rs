@@ -104,6 +104,7 @@ impl Bands {
 }
 
 /// The spectrum of a raster of real values.
+#[derive(Clone)]
 pub struct Spectrum<'a> {
     bands: &'a Bands,
     /// Amplitudes of the first half of the columns, column by column.

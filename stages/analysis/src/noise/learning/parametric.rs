@@ -11,9 +11,8 @@ use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::portable_math::log;
 use rockface_core::numerics::quantile::median;
 use rockface_core::numerics::random::Key;
-use rockface_core::numerics::trend::without_trend;
 use rockface_imaging::matching::noise::changed_face::slopes;
-use rockface_imaging::matching::noise::parametric::{Edges, Ground, drawn_size, field};
+use rockface_imaging::matching::noise::parametric::{Edges, Ground, drawn_size, field, level_part, white};
 
 /// Classes of place that have a spectrum in common.
 const CLASSES_TOGETHER: usize = 2;
@@ -107,29 +106,31 @@ impl<'a> Face<'a> {
         };
         let real: Vec<Vec<f64>> = usual.par_iter().map(real).collect();
         let real: Vec<Mean> = (0..self.groups() * LAGS.len()).map(|k| Mean::of(&real, k)).collect();
-        let tried =
-            DEVIATIONS_CELLS.into_iter().flat_map(|deviation| LENGTHS_CELLS.map(|lengths| (deviation, lengths)));
-        let best = tried.filter_map(|(deviation, lengths)| self.trial(&real, deviation, lengths, stream));
-        let best = best.max_by(|a, b| a.0.total_cmp(&b.0));
+        let tried = DEVIATIONS_CELLS.into_iter().filter_map(|deviation_cells| self.edges(deviation_cells));
+        let tried = tried.flat_map(|edges| LENGTHS_CELLS.map(|lengths| self.trial(&real, &edges, lengths, stream)));
+        let best = tried.flatten().max_by(|a, b| a.0.total_cmp(&b.0));
         best.filter(|(gain, _)| *gain > LEAST_GAIN).map(|(_, shift)| shift)
+    }
+
+    /// What shifts of some deviation make of the face, where all of the noise is theirs; none where its strength does not grow with them.
+    fn edges(&self, deviation_cells: f64) -> Option<Edges> {
+        let any = LateralShift { deviation_cells, length_cells: 1.0, across_cells: 1.0, share: 1.0, half_m: 1.0 };
+        let edges = Edges::new(any, self.elevation, self.columns);
+        let law = relief_law::fit(&self.places.strength, &edges.deviations_m().collect::<Vec<_>>(), 1);
+        let half_m = law.flat_px / law.gain_px_m;
+        (law.gain_px_m > 0.0).then(|| edges.with(LateralShift { half_m, ..any }))
     }
 
     /// How much of the misfit a shift explains with the share that fits best, squared standard errors.
     fn trial(
         &self,
         real: &[Mean],
-        deviation_cells: f64,
+        edges: &Edges,
         [length_cells, across_cells]: [f64; 2],
         stream: &(impl Fn(&str, &str) -> Key + Sync),
     ) -> Option<(f64, LateralShift)> {
-        let shift = LateralShift { deviation_cells, length_cells, across_cells, share: 1.0, half_m: 1.0 };
-        let deviations_m: Vec<f64> = Edges::new(shift, self.elevation, self.columns).deviations_m().collect();
-        let law = relief_law::fit(&self.places.strength, &deviations_m, 1);
-        if law.gain_px_m <= 0.0 {
-            return None;
-        }
-        let shift = LateralShift { half_m: law.flat_px / law.gain_px_m, ..shift };
-        let edges = Edges::new(shift, self.elevation, self.columns);
+        let shift = LateralShift { length_cells, across_cells, ..edges.shift };
+        let edges = edges.with(shift);
         let one = |number: usize| {
             let keys = |purpose: &str, item: &str| stream(purpose, &format!("edges/{number}/{item}"));
             let field = edges.field([self.columns, self.rows()], &keys);
@@ -205,17 +206,8 @@ impl<'a> Face<'a> {
         let ground = Ground::new(parametric, &self.places.strength, self.elevation, self.columns);
         let one = |number: usize| {
             let keys = |purpose: &str, item: &str| stream(purpose, &format!("spectra/{number}/{item}"));
-            let random = keys("noise-white", "").field();
-            let white: Vec<f64> =
-                (0..size[0] * size[1]).map(|i| random.normal((i % size[0]) as i32, (i / size[0]) as i32)).collect();
-            let wide = field(parametric, &ground, &white, size, own, &keys);
-            let part: Vec<f32> = wide
-                .chunks_exact(size[0])
-                .take(own[1])
-                .flat_map(|row| row[..own[0]].iter().map(|value| *value as f32))
-                .collect();
-            let level = without_trend(&part, own[0]).unwrap_or(part);
-            let values: Vec<f64> = level.into_iter().map(f64::from).collect();
+            let white = white(size, &keys("noise-white", "").field());
+            let values = level_part(&field(parametric, &ground, &white, size, own, &keys), own);
             self.powers(&bands, &values, &|_| true)
         };
         let powers = self.mean(&(0..TRIAL_FIELDS).into_par_iter().map(one).collect::<Vec<_>>());
@@ -225,10 +217,11 @@ impl<'a> Face<'a> {
     /// Mean square of a field in each group, band by band.
     fn powers(&self, bands: &Bands, values: &[f64], known: &dyn Fn(usize) -> bool) -> Vec<Vec<f64>> {
         let mut powers = vec![vec![0.0; BANDS]; self.groups()];
+        let spectrum = bands.spectrum(values);
         for band in 0..BANDS {
             let gain: Vec<f64> = (0..BANDS).map(|other| -FALL * (other as f64 - band as f64).abs()).collect();
             let mut sums = vec![[0.0f64; 2]; self.groups()];
-            for (cell, value) in bands.spectrum(values).filtered(&gain).iter().enumerate().filter(|(i, _)| known(*i)) {
+            for (cell, value) in spectrum.clone().filtered(&gain).iter().enumerate().filter(|(i, _)| known(*i)) {
                 let sum = &mut sums[usize::from(self.group[cell])];
                 (sum[0], sum[1]) = (sum[0] + value * value, sum[1] + 1.0);
             }
@@ -283,9 +276,7 @@ mod tests {
         let ground = Ground::new(truth, &strength, elevation, COLUMNS);
         let (own, size) = ([COLUMNS, ROWS], drawn_size([COLUMNS, ROWS]));
         let raster = |seed: u8| -> Vec<f32> {
-            let random = Key([seed; 32]).field();
-            let white: Vec<f64> =
-                (0..size[0] * size[1]).map(|i| random.normal((i % size[0]) as i32, (i / size[0]) as i32)).collect();
+            let white = white(size, &Key([seed; 32]).field());
             let wide = field(truth, &ground, &white, size, own, &keys(seed));
             let part = wide.chunks_exact(size[0]).take(ROWS).flat_map(|row| &row[..COLUMNS]);
             part.zip(&strength).map(|(value, strength)| *value as f32 * strength).collect()

@@ -15,14 +15,12 @@ use crate::matching::noise::contrast::{with_contrast, with_gains};
 use crate::matching::noise::matcher::Keys;
 use crate::matching::noise::modulation::smooth_field;
 use crate::matching::noise::paper::SmoothNoise;
-use crate::matching::noise::parametric::{self, Ground, drawn_size};
+use crate::matching::noise::parametric::{self, Ground, drawn_size, level_part, white};
 use crate::matching::noise::skewness::with_skewness;
 use rockface_core::artefact::{GAP, Member, Noise};
 use rockface_core::numerics::bands::{Bands, at_other_bands, log_rms};
 use rockface_core::numerics::portable_math;
-use rockface_core::numerics::random::Field;
 use rockface_core::numerics::simd::{LANES, Lanes, Number, Work, vectorised};
-use rockface_core::numerics::trend::without_trend;
 
 /// Logarithm of the factor on the strength between the middles of classes of place; constant beyond the outermost.
 pub fn log_strength_at(middles: &[f64], values: &[f64], log_strength: f64) -> f64 {
@@ -141,17 +139,10 @@ pub fn draw(noise: &Noise, ground: Option<&Ground>, numbers: Numbers, keys: Keys
     let filtered = spectrum.filtered(&(0..noise.bands()).map(gain).collect::<Vec<f64>>());
     let mut field = with_gains(filtered, columns, &noise.contrast);
     if !noise.has_fields() {
-        // Whitened fields are learnt without their trends, which registration left and `draw-registration` gives back.
-        field = level(part(&field, columns, [grid.columns, grid.rows]), grid.columns);
+        field = level_part(&field, [grid.columns, grid.rows]);
     }
     mixed.gaps.into_iter().for_each(|cell| field[cell] = f64::NAN);
     Drawn { field, log_strength, bad: of_bad }
-}
-
-/// A field without its trend.
-fn level(field: Vec<f64>, columns: usize) -> Vec<f64> {
-    let rounded: Vec<f32> = field.iter().map(|value| *value as f32).collect();
-    without_trend(&rounded, columns).map_or(field, |level| level.into_iter().map(f64::from).collect())
 }
 
 /// Logarithms of the amplitudes of bands, shifted alike so that the noise has unit variance: how strong an acquisition is say its strengths alone.
@@ -425,15 +416,6 @@ fn raised(g: Lanes, power: u32) -> Lanes {
         product = product * size;
     }
     product
-}
-
-fn white([columns, rows]: [usize; 2], field: &Field) -> Vec<f64> {
-    (0..columns * rows).map(|i| field.normal((i % columns) as i32, (i / columns) as i32)).collect()
-}
-
-/// The upper left part of this size of a field.
-fn part(field: &[f64], field_columns: usize, [columns, rows]: [usize; 2]) -> Vec<f64> {
-    field.chunks_exact(field_columns).take(rows).flat_map(|row| &row[..columns]).copied().collect()
 }
 
 #[cfg(test)]

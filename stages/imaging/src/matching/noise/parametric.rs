@@ -15,7 +15,9 @@ use rockface_core::numerics::bands::{Bands, at_other_bands};
 use rockface_core::numerics::gaussian::{half_kernel, smooth_columns, smooth_rows, smoothed};
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::quantile::median;
+use rockface_core::numerics::random::Field;
 use rockface_core::numerics::simd::{LANES, Lanes};
+use rockface_core::numerics::trend::without_trend;
 
 /// The shorter side over that by which a drawn field is wider than the face: a filter by frequency makes a field that goes on at its other side, and
 /// noise does not.
@@ -29,6 +31,20 @@ const LEAST_DEVIATION: f64 = 1e-3;
 pub fn drawn_size([columns, rows]: [usize; 2]) -> [usize; 2] {
     let more = columns.min(rows).div_ceil(WIDER);
     [columns + more, rows + more]
+}
+
+/// White noise of some columns and rows.
+pub fn white([columns, rows]: [usize; 2], field: &Field) -> Vec<f64> {
+    (0..columns * rows).map(|i| field.normal((i % columns) as i32, (i / columns) as i32)).collect()
+}
+
+/// The part of a field of [`drawn_size`] that lies on the face, of some columns and rows, without its trend: whitened fields are learnt without their
+/// trends, which registration left and `draw-registration` gives back.
+pub fn level_part(wide: &[f64], [columns, rows]: [usize; 2]) -> Vec<f64> {
+    let [wide_columns, _] = drawn_size([columns, rows]);
+    let part: Vec<f64> = wide.chunks_exact(wide_columns).take(rows).flat_map(|row| &row[..columns]).copied().collect();
+    let rounded: Vec<f32> = part.iter().map(|value| *value as f32).collect();
+    without_trend(&rounded, columns).map_or(part, |level| level.into_iter().map(f64::from).collect())
 }
 
 /// Which spectrum and how much of a shift the noise of each cell of a face has.
@@ -68,7 +84,8 @@ fn place_among(ascending: &[f64], value: f64) -> f64 {
 /// What a lateral shift makes of the elevations of a face.
 #[derive(Debug, Clone)]
 pub struct Edges {
-    shift: LateralShift,
+    /// The shift.
+    pub shift: LateralShift,
     /// Metres above the middle one.
     elevation: Spline,
     columns: usize,
@@ -97,6 +114,12 @@ impl Edges {
             elevation: Spline::new(above.iter().map(|z| *z as f32).collect(), columns),
             columns,
         }
+    }
+
+    /// For a shift of the same deviation.
+    #[must_use]
+    pub fn with(&self, shift: LateralShift) -> Self {
+        Self { shift, ..self.clone() }
     }
 
     /// Deviation of the elevation under the shift, metres; 0 where it is unknown.
@@ -162,9 +185,10 @@ pub fn field(
     keys: Keys,
 ) -> Vec<f64> {
     let bands = Bands::new(columns, rows, parametric.spectra[0].log_amplitude.len());
+    let white = bands.spectrum(white);
     let filtered = |spectrum: &PlaceSpectrum| {
         let (from, to) = (own_columns.min(own_rows), columns.min(rows));
-        let mut field = bands.spectrum(white).filtered(&at_other_bands(&spectrum.log_amplitude, from, to, 1.0));
+        let mut field = white.clone().filtered(&at_other_bands(&spectrum.log_amplitude, from, to, 1.0));
         let rms = product(&field, &field).sqrt().max(f64::MIN_POSITIVE);
         field.iter_mut().for_each(|value| *value /= rms);
         field
@@ -276,9 +300,7 @@ mod tests {
         let ground = Ground::new(&parametric, &strength, &vec![0.0; COLUMNS * ROWS], COLUMNS);
         let own = [COLUMNS, ROWS];
         let size = drawn_size(own);
-        let random = Key([3; 32]).field();
-        let white: Vec<f64> =
-            (0..size[0] * size[1]).map(|i| random.normal((i % size[0]) as i32, (i / size[0]) as i32)).collect();
+        let white = white(size, &Key([3; 32]).field());
         let drawn = field(&parametric, &ground, &white, size, own, &keys(1));
         let steps = |columns: std::ops::Range<usize>| {
             let rows = drawn.chunks_exact(size[0]).take(ROWS);
