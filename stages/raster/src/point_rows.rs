@@ -1,5 +1,7 @@
 //! Two neighbouring rows of the points of an organised surface, coordinate by coordinate, for work on many squares at a time.
 
+use rockface_core::numerics::simd::{Work, vectorised};
+
 /// Points of one row by coordinate, metres from the origin of the surface.
 type Row = [Vec<f64>; 3];
 
@@ -33,9 +35,28 @@ impl PointRows {
 }
 
 fn read(row: &mut Row, points: &[[f32; 3]]) {
-    for (axis, values) in row.iter_mut().enumerate() {
-        values.clear();
-        values.extend(points.iter().map(|point| f64::from(point[axis])));
+    row.iter_mut().for_each(|values| values.resize(points.len(), 0.0));
+    vectorised(Read { row, points });
+}
+
+/// Reads the coordinates of a row of points.
+struct Read<'a> {
+    row: &'a mut Row,
+    points: &'a [[f32; 3]],
+}
+
+impl Work for Read<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let count = self.points.len();
+        let [x, y, z] = self.row;
+        let (x, y, z) = (&mut x[..count], &mut y[..count], &mut z[..count]);
+        for i in 0..count {
+            let point = self.points[i];
+            (x[i], y[i], z[i]) = (f64::from(point[0]), f64::from(point[1]), f64::from(point[2]));
+        }
     }
 }
 

@@ -10,8 +10,7 @@ const TRUNCATION: f64 = 4.0;
 
 /// Numbers filtered together, so that their sums stay in registers.
 pub const LANES: usize = 16;
-/// Lanes of a wide register, and rows of them whose sums are taken together.
-const PART: usize = 4;
+/// Rows of lanes whose sums are taken together.
 const TILE: usize = 4;
 
 /// The values under a Gaussian of `scale` cells, gaps without weight; 0 where nothing is in reach.
@@ -150,7 +149,7 @@ impl<const NUMBERS: usize> FilteredRows<NUMBERS> {
                 for (column, cell) in strip[reach..reach + columns].iter_mut().enumerate() {
                     let value = line.get(column).filter(|value| !value.is_nan());
                     let weighted = value.map_or([0.0; 2], |value| [f64::from(*value) - mean, 1.0]);
-                    cell.as_flattened_mut()[lanes.clone()].copy_from_slice(&weighted[..NUMBERS]);
+                    cell[lanes.clone()].copy_from_slice(&weighted[..NUMBERS]);
                 }
             }
             vectorised(Strip { rows: strip, kernel, into: &mut ToColumns::<NUMBERS>(&mut band) });
@@ -161,7 +160,7 @@ impl<const NUMBERS: usize> FilteredRows<NUMBERS> {
     pub fn filter_columns(&self, kernel: &[f64], block: usize, into: &mut impl TakeRow) {
         let numbers = &self.numbers[block * self.block()..][..self.block()];
         let beyond = self.border - (kernel.len() - 1) * LANES;
-        let strip = bytemuck::cast_slice(&numbers[beyond..numbers.len() - beyond]);
+        let (strip, _) = numbers[beyond..numbers.len() - beyond].as_chunks();
         vectorised(Strip { rows: strip, kernel, into });
     }
 }
@@ -199,13 +198,8 @@ impl<const NUMBERS: usize> TakeRow for ToColumns<'_, '_, NUMBERS> {
     }
 }
 
-/// A row of lanes, by parts that fill a register.
-type Row = [[f64; PART]; LANES / PART];
-
-/// The numbers of a row.
-fn numbers_of(row: &Row) -> &[f64; LANES] {
-    bytemuck::cast_ref(row)
-}
+/// A row of lanes.
+type Row = [f64; LANES];
 
 /// Rows of lanes that are filtered along each lane; those at both ends that the kernel does not fit around are no centres.
 struct Strip<'a, T> {
@@ -219,18 +213,31 @@ impl<T: TakeRow> Work for Strip<'_, T> {
 
     #[inline(always)]
     fn run(self) {
+        self.filter::<4>();
+    }
+
+    #[inline(always)]
+    fn run_wide(self) {
+        self.filter::<8>();
+    }
+}
+
+impl<T: TakeRow> Strip<'_, T> {
+    /// Filters by `PART` lanes at a time, which fill a register.
+    #[inline(always)]
+    fn filter<const PART: usize>(self) {
         let places = self.rows.len() - 2 * (self.kernel.len() - 1);
         let mut place = 0;
         while place < places {
-            let (mut sums, mut count) = ([[[0.0; PART]; LANES / PART]; TILE], TILE);
+            let (mut sums, mut count) = ([[0.0; LANES]; TILE], TILE);
             if place + TILE <= places {
-                sums = convolve::<TILE>(&self.rows[place..], self.kernel);
+                sums = convolve::<PART, TILE>(&self.rows[place..], self.kernel);
             } else {
-                [sums[0]] = convolve::<1>(&self.rows[place..], self.kernel);
+                [sums[0]] = convolve::<PART, 1>(&self.rows[place..], self.kernel);
                 count = 1;
             }
             for (row, sums) in sums[..count].iter().enumerate() {
-                self.into.take(place + row, numbers_of(sums));
+                self.into.take(place + row, sums);
             }
             place += count;
         }
@@ -240,14 +247,15 @@ impl<T: TakeRow> Work for Strip<'_, T> {
 /// Some rows of lanes under the kernel, whose centre is the row `kernel.len() - 1` for the first of them. Rows under the kernel stay
 /// in registers for as long as one of the sums needs them.
 #[inline(always)]
-fn convolve<const ROWS: usize>(strip: &[Row], kernel: &[f64]) -> [Row; ROWS] {
+fn convolve<const PART: usize, const ROWS: usize>(strip: &[Row], kernel: &[f64]) -> [Row; ROWS] {
     let centre = kernel.len() - 1;
-    let mut found = [[[0.0; PART]; LANES / PART]; ROWS];
-    for part in 0..LANES / PART {
+    let mut found = [[0.0; LANES]; ROWS];
+    for first in (0..LANES).step_by(PART) {
+        let part = |row: &Row| Lanes::<PART>::first_of(&row[first..first + PART]);
         let mut sums = [Lanes::<PART>::NONE; ROWS];
         let (mut before, mut after) = (sums, sums);
         for row in 0..ROWS {
-            let centre = Lanes::from(strip[centre + row][part]);
+            let centre = part(&strip[centre + row]);
             (sums[row], before[row], after[row]) = (centre * kernel[0], centre, centre);
         }
         let rows = strip[..centre].iter().rev().zip(&strip[centre + ROWS..]);
@@ -255,17 +263,17 @@ fn convolve<const ROWS: usize>(strip: &[Row], kernel: &[f64]) -> [Row; ROWS] {
             for row in (1..ROWS).rev() {
                 before[row] = before[row - 1];
             }
-            before[0] = Lanes::from(row_before[part]);
+            before[0] = part(row_before);
             for row in 1..ROWS {
                 after[row - 1] = after[row];
             }
-            after[ROWS - 1] = Lanes::from(row_after[part]);
+            after[ROWS - 1] = part(row_after);
             for row in 0..ROWS {
                 sums[row] = sums[row] + (before[row] + after[row]) * *weight;
             }
         }
         for row in 0..ROWS {
-            found[row][part] = sums[row].each();
+            found[row][first..first + PART].copy_from_slice(&sums[row].each());
         }
     }
     found

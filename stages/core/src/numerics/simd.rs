@@ -15,6 +15,15 @@ pub trait Work {
 
     /// Does the work. Implementations say `#[inline(always)]`, so that wide registers are used.
     fn run(self) -> Self::Output;
+
+    /// Does the same work where a register holds eight numbers, for what is cut to the width of registers.
+    #[inline(always)]
+    fn run_wide(self) -> Self::Output
+    where
+        Self: Sized,
+    {
+        self.run()
+    }
 }
 
 /// Runs some work compiled for the widest registers there are. Only what is inlined into it is: functions on [`Lanes`] say
@@ -31,7 +40,7 @@ impl<W: Work> pulp::WithSimd for Dispatched<W> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) -> W::Output {
-        self.0.run()
+        if S::F64_LANES >= 8 { self.0.run_wide() } else { self.0.run() }
     }
 }
 
@@ -58,6 +67,10 @@ pub trait Number:
     #[must_use]
     fn sqrt(self) -> Self;
 
+    /// One over the number.
+    #[must_use]
+    fn recip(self) -> Self;
+
     /// The larger of two numbers.
     #[must_use]
     fn at_least(self, least: Self) -> Self;
@@ -71,6 +84,11 @@ impl Number for f64 {
     #[inline(always)]
     fn sqrt(self) -> Self {
         self.sqrt()
+    }
+
+    #[inline(always)]
+    fn recip(self) -> Self {
+        self.recip()
     }
 
     #[inline(always)]
@@ -93,6 +111,11 @@ impl<const N: usize> Number for Lanes<N> {
     #[inline(always)]
     fn sqrt(self) -> Self {
         self.map(f64::sqrt)
+    }
+
+    #[inline(always)]
+    fn recip(self) -> Self {
+        self.map(f64::recip)
     }
 
     #[inline(always)]
@@ -177,10 +200,31 @@ impl<const N: usize> Lanes<N> {
         self.with(measure, |value, measure| if measure > 0.0 { value } else { f64::NAN })
     }
 
+    /// Whether a condition holds in every lane; all are looked at, without a branch for each.
+    #[inline(always)]
+    #[must_use]
+    pub fn every(self, condition: impl Fn(f64) -> bool) -> bool {
+        let mut every = true;
+        for lane in self.0 {
+            every &= condition(lane);
+        }
+        every
+    }
+
     /// Replaces the number in one lane.
     #[inline(always)]
     pub fn set(&mut self, lane: usize, value: f64) {
         self.0[lane] = value;
+    }
+
+    /// The numbers rounded to 32 bits, in the order of the lanes.
+    #[inline(always)]
+    pub fn narrowed(self) -> [f32; N] {
+        let mut narrowed = [0.0; N];
+        for (lane, narrowed) in narrowed.iter_mut().enumerate() {
+            *narrowed = self.0[lane] as f32;
+        }
+        narrowed
     }
 
     /// The numbers in the order of the lanes.

@@ -212,7 +212,7 @@ impl Camera {
             (x, y) = (x - open_step(dx), y - open_step(dy));
             let longest = dx.with(dy, |dx, dy| dx.abs().max(dy.abs()));
             open = open.with(longest, |open, step| if step < last { 0.0 } else { open });
-            if open.each().iter().all(|open| *open == 0.0) {
+            if open.every(|open| open == 0.0) {
                 break;
             }
         }
@@ -298,8 +298,9 @@ fn newton_step<T: Number>(s: &Sensor, [xd, yd]: [T; 2], [x, y]: [T; 2]) -> [T; 2
     let [fx, fy] = distort(s, x, y);
     let (rx, ry) = (fx - xd, fy - yd);
     let [[a, b], [c, d]] = distortion_jacobian(s, x, y);
-    let det = a * d - b * c;
-    [(d * rx - b * ry) / det, (a * ry - c * rx) / det]
+    // One division: how a step is rounded is far below what it is taken from.
+    let inverse = (a * d - b * c).recip();
+    [(d * rx - b * ry) * inverse, (a * ry - c * rx) * inverse]
 }
 
 /// First root in r^2 of `1 + 3 k1 r^2 + 5 k2 r^4 + 7 k3 r^6 + 9 k4 r^8`, beyond which the distortion folds back.

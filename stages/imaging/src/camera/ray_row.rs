@@ -89,7 +89,7 @@ impl<'a> RayRow<'a> {
             let other = if end == start { one } else { self.around(end) };
             if let (Some(one), Some(other)) = (one, other) {
                 let rays = self.between_nodes(first, first - start * self.spacing, [one, other]);
-                if rays[0].each().iter().all(|x| !x.is_nan()) {
+                if rays[0].every(|x| !x.is_nan()) {
                     return rays;
                 }
             }

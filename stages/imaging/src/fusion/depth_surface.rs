@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::camera::model::{Camera, full_pixel};
 use crate::camera::ray_row::RayRow;
 use rockface_core::artefact::{Depth, Surface};
-use rockface_core::numerics::simd::{LANES, Work, vectorised};
+use rockface_core::numerics::simd::{LANES, Lanes, Work, vectorised};
 use rockface_raster::point_rows::PointRows;
 
 /// Where neighbouring pixels are not joined.
@@ -52,11 +52,12 @@ pub fn join(depth: &Depth, joining: &Joining) -> (Surface, Joined) {
     let camera = Camera::of_depth(depth);
     let patch = Patch::of(depth);
     let origin = rounded_origin(&patch, &camera);
-    // Filled by all threads: the first touch of so much memory would take one thread as long as placing the points.
-    let mut points: Vec<[f32; 3]> = (0..patch.width * patch.height).into_par_iter().map(|_| [f32::NAN; 3]).collect();
-    points.par_chunks_mut(patch.width).enumerate().for_each(|(row, points)| {
+    // Fresh memory of zeros is first touched by the thread that places the points.
+    let mut points = vec![[0.0f32; 3]; patch.width * patch.height];
+    let empty = || [(); 3].map(|()| vec![[0.0f32; LANES]; patch.width.div_ceil(LANES)]);
+    points.par_chunks_mut(patch.width).enumerate().for_each_init(empty, |placed, (row, points)| {
         let rays = RayRow::new(&camera, patch.row + row, depth.downscale);
-        vectorised(PlaceRow { depths_m: patch.line(row), rays, column: patch.column, origin: &origin, points });
+        vectorised(PlaceRow { depths_m: patch.line(row), rays, column: patch.column, origin: &origin, placed, points });
     });
     let mut surface = Surface {
         frame: depth.frame,
@@ -119,8 +120,8 @@ fn span([first, last]: [usize; 2], size: usize) -> (usize, usize) {
 
 /// A point in the middle of the view, in whole metres, so that 32-bit differences from it stay exact to micrometres.
 fn rounded_origin(patch: &Patch, camera: &Camera) -> Vector3<f64> {
-    let depths = (0..patch.height).flat_map(|row| patch.line(row)).filter(|z| Depth::is_seen(**z));
-    let (low, high) = depths.fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), z| (l.min(*z), h.max(*z)));
+    let rows = (0..patch.height).into_par_iter().map(|row| vectorised(Ends(patch.line(row))));
+    let [low, high] = rows.reduce(|| Ends::NONE, Ends::join);
     if low > high {
         return camera.centre().map(f64::round);
     }
@@ -129,13 +130,51 @@ fn rounded_origin(patch: &Patch, camera: &Camera) -> Vector3<f64> {
     camera.unproject(ray, 0.5 * (f64::from(low) + f64::from(high))).map(f64::round)
 }
 
-/// Places the points of a row of the patch; those without a depth or a ray are left as they are.
+/// Depths that are looked at together for their ends.
+const ENDS_WIDTH: usize = 16;
+
+/// Finds the smallest and the largest depth of a row; the bits are those of any order.
+struct Ends<'a>(&'a [f32]);
+
+impl Ends<'_> {
+    /// The ends of no depth at all.
+    const NONE: [f32; 2] = [f32::INFINITY, 0.0];
+
+    fn join(one: [f32; 2], other: [f32; 2]) -> [f32; 2] {
+        [one[0].min(other[0]), one[1].max(other[1])]
+    }
+}
+
+impl Work for Ends<'_> {
+    type Output = [f32; 2];
+
+    #[inline(always)]
+    #[allow(clippy::needless_bitwise_bool)] // branches would keep the depths apart
+    fn run(self) -> [f32; 2] {
+        let (chunks, rest) = self.0.as_chunks::<ENDS_WIDTH>();
+        let (mut low, mut high) = ([Self::NONE[0]; ENDS_WIDTH], [Self::NONE[1]; ENDS_WIDTH]);
+        for depths_m in chunks {
+            for lane in 0..ENDS_WIDTH {
+                let depth_m = depths_m[lane];
+                low[lane] = if (depth_m > 0.0) & (depth_m < low[lane]) { depth_m } else { low[lane] };
+                high[lane] = if (depth_m < f32::INFINITY) & (depth_m > high[lane]) { depth_m } else { high[lane] };
+            }
+        }
+        let of_lanes = low.into_iter().zip(high).map(|(low, high)| [low, high]);
+        let of_rest = rest.iter().filter(|depth_m| Depth::is_seen(**depth_m)).map(|depth_m| [*depth_m; 2]);
+        of_lanes.chain(of_rest).fold(Self::NONE, Self::join)
+    }
+}
+
+/// Places the points of a row of the patch; those without a depth or a ray are NaN.
 struct PlaceRow<'a> {
     depths_m: &'a [f32],
     rays: RayRow<'a>,
     /// Column of the first pixel in the depth map.
     column: usize,
     origin: &'a Vector3<f64>,
+    /// Room for X, Y and Z of the points, in whole blocks.
+    placed: &'a mut [Vec<[f32; LANES]>; 3],
     points: &'a mut [[f32; 3]],
 }
 
@@ -144,15 +183,22 @@ impl Work for PlaceRow<'_> {
 
     #[inline(always)]
     fn run(mut self) {
-        let blocks = self.depths_m.chunks(LANES).zip(self.points.chunks_mut(LANES));
-        for ((depths_m, points), column) in blocks.zip((self.column..).step_by(LANES)) {
-            let ([ray, _], [x, y, z]) = self.rays.points(column, depths_m);
-            let (x, y, z) = (x - self.origin.x, y - self.origin.y, z - self.origin.z);
-            for (lane, (depth_m, point)) in depths_m.iter().zip(points).enumerate() {
-                if Depth::is_seen(*depth_m) && !ray[lane].is_nan() {
-                    *point = [x[lane] as f32, y[lane] as f32, z[lane] as f32];
-                }
-            }
+        let [x_m, y_m, z_m] = self.placed;
+        for (block, depths_m) in self.depths_m.chunks(LANES).enumerate() {
+            let (ray, [x, y, z]) = self.rays.points(self.column + block * LANES, depths_m);
+            let depth_m: Lanes = Lanes::of(|lane| f64::from(*depths_m.get(lane).unwrap_or(&f32::NAN)));
+            // Neither infinite nor without a ray.
+            let seen = depth_m.where_below(depth_m + ray[0], f64::INFINITY);
+            // Axis by axis: what is indexed by a loop goes through memory, one number at a time.
+            x_m[block] = (x - self.origin.x).where_positive(seen).narrowed();
+            y_m[block] = (y - self.origin.y).where_positive(seen).narrowed();
+            z_m[block] = (z - self.origin.z).where_positive(seen).narrowed();
+        }
+        let count = self.points.len();
+        let (x_m, y_m, z_m) =
+            (&x_m.as_flattened()[..count], &y_m.as_flattened()[..count], &z_m.as_flattened()[..count]);
+        for (i, point) in self.points.iter_mut().enumerate() {
+            *point = [x_m[i], y_m[i], z_m[i]];
         }
     }
 }
@@ -169,6 +215,11 @@ impl Joiner<'_> {
     fn join_row(&self, judging: &mut Judging, row: usize, squares: &mut [u8]) -> Joined {
         judging.judge(self, row, squares);
         let mut joined = Joined::default();
+        // Most rows; no branch for each of their squares.
+        if !squares.contains(&0) {
+            joined.triangles = 2 * squares.len();
+            return joined;
+        }
         for (column, byte) in squares.iter_mut().enumerate() {
             if *byte != 0 {
                 joined.triangles += 2;

@@ -3,9 +3,10 @@
 use rayon::prelude::*;
 
 use crate::matching::map_fusion::{Fused, Measured, Rule, fuse};
-use crate::matching::matched::Tally;
+use crate::matching::matched::{Match, TakeMatches, Tally};
 use crate::matching::pair::Matcher;
 use crate::matching::pixel_row::PixelRow;
+use rockface_core::numerics::simd::{LANES, Lanes};
 
 /// How the depths of the pairs are fused.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -93,12 +94,9 @@ impl Scratch {
         let (n, mut tally) = (matchers.len(), ImageTally::new(matchers.len()));
         self.counts.fill(0);
         for (matcher, pair) in matchers.iter().zip(&mut tally.pairs) {
-            *pair = matcher.match_row(pixels, |column, matched| {
-                let count = &mut self.counts[column];
-                let sigma_m = fusion.sigma_px * matched.depth_per_px_m;
-                self.values[column * n + usize::from(*count)] = Measured::new(matched.depth_m, sigma_m);
-                *count += 1;
-            });
+            let (values, counts) = (&mut self.values[..], &mut self.counts[..]);
+            let mut out = Gathered { values, counts, pairs: n, sigma_px: fusion.sigma_px };
+            *pair = matcher.match_row(pixels, &mut out);
         }
         for column in &pixels.columns {
             let count = usize::from(self.counts[*column]);
@@ -113,5 +111,37 @@ impl Scratch {
             }
         }
         tally
+    }
+}
+
+/// Takes the depths that one more pair gives the pixels of a row.
+struct Gathered<'a> {
+    values: &'a mut [Measured],
+    counts: &'a mut [u8],
+    pairs: usize,
+    sigma_px: f64,
+}
+
+impl Gathered<'_> {
+    #[inline(always)]
+    fn add(&mut self, column: usize, depth_m: f64, depth_per_px_m: f64) {
+        let count = &mut self.counts[column];
+        let sigma_m = self.sigma_px * depth_per_px_m;
+        self.values[column * self.pairs + usize::from(*count)] = Measured::new(depth_m, sigma_m);
+        *count += 1;
+    }
+}
+
+impl TakeMatches for Gathered<'_> {
+    fn take(&mut self, column: usize, matched: &Match) {
+        self.add(column, matched.depth_m, matched.depth_per_px_m);
+    }
+
+    #[inline(always)]
+    fn take_depths(&mut self, first: usize, depth_m: Lanes, depth_per_px_m: Lanes) -> bool {
+        for lane in 0..LANES {
+            self.add(first + lane, depth_m[lane], depth_per_px_m[lane]);
+        }
+        true
     }
 }

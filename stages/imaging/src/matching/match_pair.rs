@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::matching::matched::{Match, Tally};
+use crate::matching::matched::{Match, TakeMatches, Tally};
 use crate::matching::noise::model_draws::Model;
 use crate::matching::pair::{Matcher, Sampling};
 use crate::matching::params::{Matching, NoisePorts};
@@ -10,6 +10,7 @@ use crate::matching::rectified_row::rectified_camera;
 use crate::matching::setup::{check_size, noisy_image};
 use crate::matching::side::Side;
 use rockface_core::artefact::{Cameras, Depth, Image, Kind, Noise, Pair, Pairs, Raster};
+use rockface_core::numerics::simd::{LANES, Lanes};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 
 params! {
@@ -171,13 +172,7 @@ fn matched_map(params: &MatchPairParams, matcher: &Matcher, noisy: &Cameras, ima
     for ((_, of), values) in wanted.iter().zip(&mut values) {
         rows.iter_mut().zip(values.chunks_mut(ideal.width)).for_each(|(row, values)| row.channels.push((*of, values)));
     }
-    // Where the depth alone is kept, no match is put together.
-    let keep_depth = |row: &mut Row, column: usize, m: &Match| row.z[column] = m.depth_m as f32;
-    let tally = if wanted.is_empty() {
-        matcher.match_image(&mut rows, keep_depth)
-    } else {
-        matcher.match_image(&mut rows, Row::keep)
-    };
+    let tally = matcher.match_image(&mut rows);
     let mut channels: BTreeMap<String, Vec<f32>> =
         wanted.iter().map(|(name, _)| (*name).to_owned()).zip(values).collect();
     if params.channels {
@@ -206,12 +201,21 @@ struct Row<'a> {
     channels: Vec<(Of, &'a mut [f32])>,
 }
 
-impl Row<'_> {
-    fn keep(&mut self, column: usize, m: &Match) {
+impl TakeMatches for Row<'_> {
+    fn take(&mut self, column: usize, m: &Match) {
         self.z[column] = m.depth_m as f32;
         for (of, channel) in &mut self.channels {
             channel[column] = of(m) as f32;
         }
+    }
+
+    #[inline(always)]
+    fn take_depths(&mut self, first: usize, depth_m: Lanes, _: Lanes) -> bool {
+        if !self.channels.is_empty() {
+            return false;
+        }
+        self.z[first..first + LANES].copy_from_slice(&depth_m.narrowed());
+        true
     }
 }
 

@@ -1,6 +1,7 @@
 //! What matching yields at one pixel, and the sums of it over an image.
 
 use crate::matching::noise::terms::DisparityError;
+use rockface_core::numerics::simd::Lanes;
 
 /// Everything that the matching of one pixel yields: disparity and its errors, ray and depth.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -31,6 +32,16 @@ impl Match {
     }
 }
 
+/// What takes the matches of a row, from left to right.
+pub trait TakeMatches {
+    /// Takes the match of a column.
+    fn take(&mut self, column: usize, matched: &Match);
+
+    /// Takes the depths of neighbouring columns from `first` on, metres, and their changes for one pixel of disparity, where nothing
+    /// else of their matches is wanted; `false` where it is, and nothing was taken. Implementations say `#[inline(always)]`.
+    fn take_depths(&mut self, first: usize, depth_m: Lanes, depth_per_px_m: Lanes) -> bool;
+}
+
 /// Sums over the matched pixels of an image, added in the order of its rows.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Tally {
@@ -48,6 +59,17 @@ impl Tally {
         self.count += 1;
         self.y_parallax2_px2 += m.y_parallax_px * m.y_parallax_px;
         self.depth_per_px_m += m.depth_per_px_m;
+    }
+
+    /// Adds matches in all lanes, one after the other, by their y-parallaxes and their changes of depth.
+    #[inline(always)]
+    pub fn add_lanes(&mut self, y_parallax_px: Lanes, depth_per_px_m: Lanes) {
+        let (parallaxes2, steps_m) = ((y_parallax_px * y_parallax_px).each(), depth_per_px_m.each());
+        self.count += parallaxes2.len();
+        for (parallax2, step_m) in parallaxes2.into_iter().zip(steps_m) {
+            self.y_parallax2_px2 += parallax2;
+            self.depth_per_px_m += step_m;
+        }
     }
 
     /// The sums of both.

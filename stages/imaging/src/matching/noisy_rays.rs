@@ -43,6 +43,9 @@ impl NoisyRays {
         let step = self.step_lanes([across, down], [x - across, y - down]);
         let guess = [true_ray[0] + step[0], true_ray[1] + step[1]];
         let mut rays = noisy.normalised_near_lanes(pixel, guess);
+        if rays[0].every(|x| !x.is_nan()) {
+            return rays;
+        }
         // Where Newton's method fails from the guess, search from the pixel itself.
         for lane in 0..LANES {
             if rays[0][lane].is_nan()

@@ -9,7 +9,7 @@
 use rayon::prelude::*;
 
 use crate::matching::correspondence::{Correspondence, Projected};
-use crate::matching::matched::{Match, Tally};
+use crate::matching::matched::{Match, TakeMatches, Tally};
 use crate::matching::noise::model::NoiseModel;
 use crate::matching::noise::terms::{Lookups, Site, Terms};
 use crate::matching::noisy_rays::NoisyRays;
@@ -79,13 +79,11 @@ impl<'a> Matcher<'a> {
         &self.geometry
     }
 
-    /// Matches every pixel of the depth map; `keep` writes the match of a column to its row.
+    /// Matches every pixel of the depth map; each of `rows` takes the matches of one of its rows.
     ///
-    /// Rows are processed in parallel, each with its element of `rows`. The bits do not depend on the number of threads.
-    pub fn match_image<R: Send>(&self, rows: &mut [R], keep: impl Fn(&mut R, usize, &Match) + Sync) -> Tally {
-        let match_row = |(row, out): (usize, &mut R)| {
-            self.match_row(&self.pixel_row(row), |column, matched| keep(out, column, matched))
-        };
+    /// Rows are processed in parallel. The bits do not depend on the number of threads.
+    pub fn match_image<R: TakeMatches + Send>(&self, rows: &mut [R]) -> Tally {
+        let match_row = |(row, out): (usize, &mut R)| self.match_row(&self.pixel_row(row), out);
         let tallies: Vec<Tally> = rows.par_iter_mut().enumerate().map(match_row).collect();
         tallies.into_iter().fold(Tally::default(), Tally::plus)
     }
@@ -99,9 +97,9 @@ impl<'a> Matcher<'a> {
         }
     }
 
-    /// Matches the pixels of a row, from left to right; `keep` gets the column of each match.
-    pub fn match_row(&self, pixels: &PixelRow, keep: impl FnMut(usize, &Match)) -> Tally {
-        vectorised(MatchRow { matcher: self, pixels, keep })
+    /// Matches the pixels of a row, from left to right.
+    pub fn match_row(&self, pixels: &PixelRow, out: &mut impl TakeMatches) -> Tally {
+        vectorised(MatchRow { matcher: self, pixels, out })
     }
 
     /// The draws of a row. White noise is addressed by pixels of the first image: for a row of that image it is drawn
@@ -293,8 +291,10 @@ impl<'a> Matcher<'a> {
         for (lane, seen) in seen.iter_mut().enumerate() {
             *seen = is_inside(depth, [u[lane], v[lane]]) & (z_m[lane] <= bound_m[lane]);
         }
-        for (lane, seen) in seen.iter_mut().enumerate().filter(|(_, seen)| !**seen) {
-            *seen = self.partner_sees([u[lane], v[lane]], z_m[lane]);
+        if !all_of(seen) {
+            for (lane, seen) in seen.iter_mut().enumerate().filter(|(_, seen)| !**seen) {
+                *seen = self.partner_sees([u[lane], v[lane]], z_m[lane]);
+            }
         }
         seen
     }
@@ -322,6 +322,12 @@ impl<'a> Matcher<'a> {
     }
 }
 
+/// Whether all are true, without a branch for each.
+#[inline(always)]
+fn all_of(answers: [bool; LANES]) -> bool {
+    answers.into_iter().fold(true, |all, answer| all & answer)
+}
+
 /// Whether a position, in pixels of a depth map, lies on one of its pixels.
 #[inline(always)]
 #[allow(clippy::needless_bitwise_bool)] // branches would keep the lanes apart
@@ -337,35 +343,48 @@ fn to_level<T: Number>(pixel: [T; 2], scale: f64) -> [T; 2] {
 }
 
 /// Matches the pixels of a row, in wide registers.
-struct MatchRow<'a, K> {
+struct MatchRow<'a, T> {
     matcher: &'a Matcher<'a>,
     pixels: &'a PixelRow,
-    keep: K,
+    out: &'a mut T,
 }
 
-impl<K: FnMut(usize, &Match)> Work for MatchRow<'_, K> {
+impl<T: TakeMatches> Work for MatchRow<'_, T> {
     type Output = Tally;
 
     #[inline(always)]
     fn run(self) -> Tally {
-        let Self { matcher, pixels, mut keep } = self;
+        let Self { matcher, pixels, out } = self;
         let (mut draws, mut tally) = (matcher.row_draws(pixels), Tally::default());
+        let has_terms = matches!(matcher.noise, NoiseModel::Terms(_));
         for start in pixels.starts() {
             let block = pixels.block(start);
             let mut projected = matcher.project(&block);
             let seen = matcher.partner_sees_lanes(&projected);
-            if seen.contains(&false) {
+            let all_seen = all_of(seen);
+            if !all_seen {
                 if !seen.contains(&true) {
                     continue;
                 }
                 projected.keep(seen);
             }
             let correspondences = matcher.correspond(pixels.row, &block, &projected, &draws);
+            let Correspondence { y_parallax_px, depth_m, depth_per_px_m, .. } = correspondences;
+            // Most blocks: all of its pixels are neighbours with a depth.
+            if !has_terms
+                && all_seen
+                && let Some(first) = block.first_of_neighbours()
+                && depth_m.every(|depth_m| !depth_m.is_nan())
+                && out.take_depths(first, depth_m, depth_per_px_m)
+            {
+                tally.add_lanes(y_parallax_px, depth_per_px_m);
+                continue;
+            }
             for (lane, column) in block.columns.iter().enumerate().filter(|(lane, _)| seen[*lane]) {
                 let correspondence = Correspondence::of(&correspondences, lane);
                 let mut take = |matched: Match| {
                     tally.add(&matched);
-                    keep(*column, &matched);
+                    out.take(*column, &matched);
                 };
                 // Each kind of noise hands on its match by itself: one that both put somewhere first would have to be read back from there.
                 match &matcher.noise {

@@ -31,6 +31,15 @@ pub struct Block<'a> {
     pub noisy_rays: [Lanes; 2],
 }
 
+impl Block<'_> {
+    /// The first column where the block is full and its columns follow each other.
+    #[inline(always)]
+    pub fn first_of_neighbours(&self) -> Option<usize> {
+        let columns: &[usize; LANES] = self.columns.try_into().ok()?;
+        (columns[LANES - 1] == columns[0] + LANES - 1).then_some(columns[0])
+    }
+}
+
 impl PixelRow {
     /// A row of an ideal depth map: points by its true camera, rays by its noisy one.
     pub fn new(depth: &Depth, camera: &Camera, noisy: &Camera, row: usize) -> Self {
@@ -68,7 +77,7 @@ impl PixelRow {
     fn extend(&mut self, column: usize, point_m: [Lanes; 3], noisy_ray: [Lanes; 2]) {
         // What is no number or not finite is none in the sum either.
         let sum = point_m[0] + point_m[1] + point_m[2] + noisy_ray[0] + noisy_ray[1];
-        if sum.each().iter().all(|sum| sum.is_finite()) {
+        if sum.every(f64::is_finite) {
             self.columns.extend(column..column + LANES);
             let ([x, y, z], [ray_x, ray_y]) = (&mut self.points_m, &mut self.noisy_rays);
             let lists =

@@ -63,12 +63,16 @@ fn find_all([first, end]: [usize; 2], grid: &Grid, found: &mut Cells, point: imp
             [x[i], y[i], z[i]] = point(start + i);
         }
         found.z_m.extend_from_slice(z);
-        found.cell.extend(x.iter().zip(&*y).zip(&*z).map(|((x, y), z)| {
+        let known = found.cell.len();
+        found.cell.resize(known + count, u32::MAX);
+        // A plain loop: what iterators are given is not always inlined, and then not compiled for wide registers.
+        let cells = &mut found.cell[known..known + count];
+        for i in 0..count {
             // A cell has its left and its lower edge.
-            let (column, row) = ((x - grid.left_m) / grid.cell_m, (grid.top_m - y) / grid.cell_m);
-            let inside = (column >= 0.0) & (column < columns) & (row > 0.0) & (row <= rows) & !z.is_nan();
+            let (column, row) = ((x[i] - grid.left_m) / grid.cell_m, (grid.top_m - y[i]) / grid.cell_m);
+            let inside = (column >= 0.0) & (column < columns) & (row > 0.0) & (row <= rows) & !z[i].is_nan();
             let cell = (row.ceil() - 1.0) * columns + column.floor();
-            if inside { whole(cell) as u32 } else { u32::MAX }
-        }));
+            cells[i] = if inside { whole(cell) as u32 } else { u32::MAX };
+        }
     }
 }

@@ -20,6 +20,12 @@ pub(super) fn used(byte: u8) -> u8 {
     USED[usize::from(byte & 7)]
 }
 
+/// Whether all of some squares have both triangles.
+pub(super) fn all_whole(squares: &[u8]) -> bool {
+    let both = Surface::FIRST | Surface::SECOND;
+    squares.iter().fold(both, |common, byte| common & byte) == both
+}
+
 /// Squares of one row that hang together.
 struct Run {
     row: u32,

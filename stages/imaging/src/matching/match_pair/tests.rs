@@ -98,6 +98,20 @@ fn without_noise_the_truth_comes_back() {
     }
 }
 
+/// The columns and depths of the matches of a row.
+struct Listed(Vec<(usize, f64)>);
+
+impl TakeMatches for Listed {
+    fn take(&mut self, column: usize, matched: &Match) {
+        self.0.push((column, matched.depth_m));
+    }
+
+    fn take_depths(&mut self, first: usize, depth_m: Lanes, _: Lanes) -> bool {
+        self.0.extend((first..).zip(depth_m.each()));
+        true
+    }
+}
+
 #[test]
 fn the_kernel_itself_is_exact_to_a_nanometre() {
     let scene = scene(convergent(sensor()), &wavy(), 1);
@@ -107,9 +121,9 @@ fn the_kernel_itself_is_exact_to_a_nanometre() {
     let keys = |purpose: &str, item: &str| Context::new(&host).stream(purpose, item);
     let setup = params.matching.setup(Sampling::Image, NoisePorts::default()).unwrap();
     let matcher = setup.matcher("p", ideal, Side::First, &scene.noisy, None, &keys).unwrap();
-    let mut rows: Vec<Vec<(usize, f64)>> = vec![Vec::new(); ideal[0].height];
-    matcher.match_image(&mut rows, |row, column, m| row.push((column, m.depth_m)));
-    for (row, matches) in rows.iter().enumerate() {
+    let mut rows: Vec<Listed> = (0..ideal[0].height).map(|_| Listed(Vec::new())).collect();
+    matcher.match_image(&mut rows);
+    for (row, Listed(matches)) in rows.iter().enumerate() {
         for (column, depth_m) in matches {
             let truth = f64::from(ideal[0].z[row * ideal[0].width + column]);
             assert!((depth_m - truth).abs() < 1e-9);

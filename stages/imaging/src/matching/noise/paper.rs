@@ -237,7 +237,8 @@ impl SmoothNoise {
         let t = Lanes::from([x - f64::from(column), y - f64::from(row)]);
         let weights = self.recipe.interpolation.weights(t);
         let along = |i: usize| [weights[0][i], weights[1][i], weights[2][i], weights[3][i]];
-        self.weighted([along(0), along(1)], self.nodes_about(column, row))
+        let weights = [along(0), along(1)];
+        self.of_variance(sum_of(weights, self.nodes_about(column, row)), weights)
     }
 
     /// The field at several positions, pixels; NaN at a position that is NaN.
@@ -247,35 +248,25 @@ impl SmoothNoise {
         let [across, down] = both([x, y], |p| p.map(f64::floor));
         let kernel = self.recipe.interpolation;
         let weights = [kernel.weights(x - across), kernel.weights(y - down)];
-        let none = |lane: usize| across[lane].is_nan() || down[lane].is_nan();
-        let Some(first) = (0..LANES).find(|lane| !none(*lane)) else { return Lanes::NONE };
-        let cell = [across[first], down[first]];
-        let mut one_cell = true;
-        for lane in first + 1..LANES {
-            one_cell &= none(lane) || ((across[lane] - cell[0]).abs() < 0.5 && (down[lane] - cell[1]).abs() < 0.5);
-        }
-        if one_cell {
-            return self.weighted(weights, self.nodes_about(cell[0] as i32, cell[1] as i32));
-        }
-        let mut nodes = [[Lanes::NONE; 4]; 4];
-        for lane in 0..LANES {
-            if none(lane) {
-                continue;
-            }
-            let about = self.nodes_about(across[lane] as i32, down[lane] as i32);
-            for (line, values) in nodes.iter_mut().zip(about) {
-                line.iter_mut().zip(values).for_each(|(node, value)| node.set(lane, value));
+        // Cell by cell, all of the positions in it together. 1 in lanes whose position is still to come.
+        let mut open = (across + down).map(|sum| if sum.is_finite() { 1.0 } else { 0.0 });
+        let mut sum = Lanes::NONE;
+        while let Some(lane) = (0..LANES).find(|lane| open[*lane] > 0.0) {
+            let cell = [across[lane], down[lane]];
+            let within = (across - cell[0]).with(down - cell[1], |across, down| across.abs().max(down.abs()));
+            let of_cell = sum_of(weights, self.nodes_about(cell[0] as i32, cell[1] as i32));
+            sum = within.choose(|steps| steps < 0.5, of_cell, sum);
+            open = within.choose(|steps| steps < 0.5, Lanes::all(0.0), open);
+            if open.every(|open| open <= 0.0) {
+                break;
             }
         }
-        self.weighted(weights, nodes)
+        self.of_variance(sum, weights)
     }
 
-    /// The sum of the four nodes in each of the four rows about a place, by their weights along x and y.
+    /// The sum of the nodes about a place, scaled to the variance that is asked for.
     #[inline(always)]
-    fn weighted<T: Number + Mul<M, Output = T>, M: Copy>(&self, [wx, wy]: [[T; 4]; 2], nodes: [[M; 4]; 4]) -> T {
-        let [first, second, third, last] = nodes;
-        let sum = wy[0] * row_of(wx, first) + wy[1] * row_of(wx, second) + wy[2] * row_of(wx, third);
-        let sum = sum + wy[3] * row_of(wx, last);
+    fn of_variance<T: Number>(&self, sum: T, [wx, wy]: [[T; 4]; 2]) -> T {
         match self.recipe.variance {
             Variance::Nodes => sum,
             Variance::Mean => sum / self.mean_deviation,
@@ -310,6 +301,14 @@ impl SmoothNoise {
     fn drawn_nodes(&self, column: i32, row: i32) -> [f64; 4] {
         [0, 1, 2, 3].map(|i| self.recipe.distribution.draw(&self.field, column + i, row))
     }
+}
+
+/// The sum of the four nodes in each of the four rows about a place, by their weights along x and y.
+#[inline(always)]
+fn sum_of<T: Number + Mul<M, Output = T>, M: Copy>([wx, wy]: [[T; 4]; 2], nodes: [[M; 4]; 4]) -> T {
+    let [first, second, third, last] = nodes;
+    let sum = wy[0] * row_of(wx, first) + wy[1] * row_of(wx, second) + wy[2] * row_of(wx, third);
+    sum + wy[3] * row_of(wx, last)
 }
 
 #[inline(always)]
