@@ -45,16 +45,13 @@ impl Field {
     /// As [`Field::normals`] of several cells: the same bits.
     #[inline(always)]
     pub fn normals_lanes<const N: usize>(&self, x: [i32; N], y: [i32; N]) -> [Lanes<N>; 2] {
-        let mut words = [[0; 4]; N];
-        for ((words, x), y) in words.iter_mut().zip(x).zip(y) {
-            *words = self.words(x, y);
-        }
-        let unit = |hi: usize, lo: usize| {
-            let upper = Lanes::<N>::of_whole(|i| u64::from(words[i][hi])) * 2_097_152.0;
-            (upper + Lanes::of_whole(|i| u64::from(words[i][lo] >> 11))) / 9_007_199_254_740_992.0
+        let [a, b, c, d] = self.words_lanes(x, y);
+        let unit = |high: &[u64; N], low: &[u64; N]| {
+            let upper = Lanes::<N>::of_whole(|i| high[i]) * 2_097_152.0;
+            (upper + Lanes::of_whole(|i| low[i] >> 11)) / 9_007_199_254_740_992.0
         };
-        let radius = (portable_math::log_lanes(-unit(0, 1) + 1.0) * -2.0).sqrt();
-        let [sin, cos] = portable_math::sincos_lanes(unit(2, 3) * std::f64::consts::TAU);
+        let radius = (portable_math::log_lanes(-unit(&a, &b) + 1.0) * -2.0).sqrt();
+        let [sin, cos] = portable_math::sincos_lanes(unit(&c, &d) * std::f64::consts::TAU);
         [radius * cos, radius * sin]
     }
 
@@ -69,15 +66,7 @@ impl Field {
     pub fn fill_row(&self, first: i32, y: i32, row: &mut [f32]) {
         let (lead, rest) = row.split_at_mut(((first & 1) as usize).min(row.len()));
         lead.iter_mut().for_each(|cell| *cell = self.normal(first, y) as f32);
-        let start = (first + 1) >> 1;
-        for (block, cells) in rest.chunks_mut(2 * LANES).enumerate() {
-            let pair = start + (block * LANES) as i32;
-            let x = std::array::from_fn(|lane| pair + lane as i32);
-            let draws = vectorised(Normals { field: self, x, y: [y; LANES] });
-            for (lane, cells) in cells.chunks_mut(2).enumerate() {
-                cells.iter_mut().zip(&draws).for_each(|(cell, draws)| *cell = draws[lane] as f32);
-            }
-        }
+        vectorised(FillPairs { field: self, first: (first + 1) >> 1, y, cells: rest });
     }
 
     /// Four random words of cell (x, y).
@@ -85,33 +74,81 @@ impl Field {
     pub fn words(&self, x: i32, y: i32) -> [u32; 4] {
         philox4x32([x as u32, y as u32, self.high[0], self.high[1]], self.key)
     }
+
+    /// The same of several cells: first words, second ones, and so on.
+    #[inline(always)]
+    fn words_lanes<const N: usize>(&self, x: [i32; N], y: [i32; N]) -> [[u64; N]; 4] {
+        let mut counter = [[0; N], [0; N], [u64::from(self.high[0]); N], [u64::from(self.high[1]); N]];
+        for lane in 0..N {
+            (counter[0][lane], counter[1][lane]) = (u64::from(x[lane] as u32), u64::from(y[lane] as u32));
+        }
+        let mut key = self.key;
+        for round in 0..ROUNDS {
+            if round > 0 {
+                key = next_key(key);
+            }
+            let [mut c0, mut c1, mut c2, mut c3] = counter;
+            for lane in 0..N {
+                let (a, b) = (c0[lane] * u64::from(MULTIPLIERS[0]), c2[lane] * u64::from(MULTIPLIERS[1]));
+                (c0[lane], c1[lane]) = ((b >> 32) ^ c1[lane] ^ u64::from(key[0]), b & LOW_WORD);
+                (c2[lane], c3[lane]) = ((a >> 32) ^ c3[lane] ^ u64::from(key[1]), a & LOW_WORD);
+            }
+            counter = [c0, c1, c2, c3];
+        }
+        counter
+    }
 }
 
-/// Draws of several cells.
-struct Normals<'a> {
+/// Fills cells with the draws of pairs of neighbours from the pair `first` on.
+struct FillPairs<'a> {
     field: &'a Field,
-    x: [i32; LANES],
-    y: [i32; LANES],
+    first: i32,
+    y: i32,
+    cells: &'a mut [f32],
 }
 
-impl Work for Normals<'_> {
-    type Output = [Lanes; 2];
+impl Work for FillPairs<'_> {
+    type Output = ();
 
     #[inline(always)]
-    fn run(self) -> [Lanes; 2] {
-        self.field.normals_lanes(self.x, self.y)
+    fn run(self) {
+        for (block, cells) in self.cells.chunks_mut(2 * LANES).enumerate() {
+            let pair = self.first + (block * LANES) as i32;
+            let mut x = [pair; LANES];
+            for (lane, x) in x.iter_mut().enumerate() {
+                *x += lane as i32;
+            }
+            let [even, odd] = self.field.normals_lanes(x, [self.y; LANES]);
+            let (even, odd) = (even.narrowed(), odd.narrowed());
+            let mut draws = [0.0; 2 * LANES];
+            for lane in 0..LANES {
+                (draws[2 * lane], draws[2 * lane + 1]) = (even[lane], odd[lane]);
+            }
+            cells.copy_from_slice(&draws[..cells.len()]);
+        }
     }
+}
+
+/// Rounds of Philox.
+const ROUNDS: usize = 10;
+const MULTIPLIERS: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];
+const LOW_WORD: u64 = 0xFFFF_FFFF;
+
+/// The key of the next round.
+#[inline(always)]
+fn next_key([first, second]: [u32; 2]) -> [u32; 2] {
+    [first.wrapping_add(0x9E37_79B9), second.wrapping_add(0xBB67_AE85)]
 }
 
 /// The Philox4x32-10 block function (Salmon, Moraes, Dror, Shaw 2011, SC'11).
 #[inline(always)]
 pub fn philox4x32(mut counter: [u32; 4], mut key: [u32; 2]) -> [u32; 4] {
-    for round in 0..10 {
+    for round in 0..ROUNDS {
         if round > 0 {
-            key = [key[0].wrapping_add(0x9E37_79B9), key[1].wrapping_add(0xBB67_AE85)];
+            key = next_key(key);
         }
-        let a = u64::from(counter[0]) * 0xD251_1F53;
-        let b = u64::from(counter[2]) * 0xCD9E_8D57;
+        let a = u64::from(counter[0]) * u64::from(MULTIPLIERS[0]);
+        let b = u64::from(counter[2]) * u64::from(MULTIPLIERS[1]);
         counter = [(b >> 32) as u32 ^ counter[1] ^ key[0], b as u32, (a >> 32) as u32 ^ counter[3] ^ key[1], a as u32];
     }
     counter
