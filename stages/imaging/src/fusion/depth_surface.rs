@@ -52,8 +52,8 @@ pub fn join(depth: &Depth, joining: &Joining) -> (Surface, Joined) {
     let camera = Camera::of_depth(depth);
     let patch = Patch::of(depth);
     let origin = rounded_origin(&patch, &camera);
-    // Fresh memory of zeros is first touched by the thread that places the points.
-    let mut points = vec![[0.0f32; 3]; patch.width * patch.height];
+    // Filled by all threads: the first touch of so much memory would take one thread as long as placing the points.
+    let mut points: Vec<[f32; 3]> = (0..patch.width * patch.height).into_par_iter().map(|_| [0.0; 3]).collect();
     let empty = || [(); 3].map(|()| vec![[0.0f32; LANES]; patch.width.div_ceil(LANES)]);
     points.par_chunks_mut(patch.width).enumerate().for_each_init(empty, |placed, (row, points)| {
         let rays = RayRow::new(&camera, patch.row + row, depth.downscale);
