@@ -297,6 +297,21 @@ mod tests {
     }
 
     #[test]
+    fn the_width_of_registers_changes_no_bit() {
+        let kernel = half_kernel(1.3);
+        let rows: Vec<Row> =
+            (0..45).map(|row| std::array::from_fn(|lane| ((row * row + 3 * lane) % 17) as f64)).collect();
+        let mut found =
+            [(); 2].map(|()| Pushed { push: &|row: &Row, all: &mut Vec<f64>| all.extend(row), found: Vec::new() });
+        let [narrow, wide] = &mut found;
+        Strip { rows: &rows, kernel: &kernel, into: narrow }.filter::<4>();
+        Strip { rows: &rows, kernel: &kernel, into: wide }.filter::<8>();
+        let bits = |found: &Vec<f64>| found.iter().map(|number| number.to_bits()).collect::<Vec<_>>();
+        assert_eq!(narrow.found.len(), (45 - 2 * (kernel.len() - 1)) * LANES);
+        assert_eq!(bits(&narrow.found), bits(&wide.found));
+    }
+
+    #[test]
     fn grids_without_gaps_go_on_as_they_end() {
         let (columns, rows) = (7, 9);
         let kernel = half_kernel(1.3);
