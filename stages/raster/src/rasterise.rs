@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use rockface_core::artefact::{Grid, Surface};
+use rockface_core::artefact::{Extent, Grid, Surface};
 use rockface_core::{StageError, fail};
 
 use super::shape::{Moved, Shape};
@@ -22,8 +22,6 @@ const BANDS_PER_THREAD: usize = 8;
 /// Weight below zero, in units of a triangle's area, at which a cell centre still counts as inside: closes the seam
 /// between two triangles against rounding.
 const SEAM: f64 = -1e-9;
-/// Numbers that are looked at together for an extent: eight points.
-const EXTENT_LANES: usize = 24;
 /// Cells a grid may have.
 pub const MAXIMUM_CELLS: f64 = 1.5e8;
 
@@ -43,27 +41,9 @@ pub fn extent(shape: Shape, moved: Option<&Moved>) -> Option<[f64; 4]> {
 
 /// The same of a surface: sums with its origin are in the order of what is added to it.
 fn extent_of(surface: &Surface) -> Option<[f64; 4]> {
-    type Ends = ([f32; EXTENT_LANES], [f32; EXTENT_LANES]);
-    let empty = || ([f32::INFINITY; EXTENT_LANES], [f32::NEG_INFINITY; EXTENT_LANES]);
-    let join = |(mut low, mut high): Ends, lows: &[f32], highs: &[f32]| {
-        // A comparison with NaN is false.
-        low.iter_mut().zip(lows).for_each(|(low, value)| *low = if value < low { *value } else { *low });
-        high.iter_mut().zip(highs).for_each(|(high, value)| *high = if value > high { *value } else { *high });
-        (low, high)
-    };
-    let of_points = |points: &[[f32; 3]]| {
-        let numbers = points.as_flattened().chunks(EXTENT_LANES);
-        numbers.fold(empty(), |ends, numbers| join(ends, numbers, numbers))
-    };
-    let parts = surface.points.par_chunks(1 << 14).map(of_points);
-    let (low, high) = parts.reduce(empty, |ends, other| join(ends, &other.0, &other.1));
-    let end = |axis: usize, lanes: &[f32], better: fn(f32, f32) -> f32| {
-        let value = lanes.iter().skip(axis).step_by(3).copied().reduce(better);
-        surface.origin_m[axis] + f64::from(value.unwrap_or(f32::NAN))
-    };
-    let [left, bottom] = [0, 1].map(|axis| end(axis, &low, f32::min));
-    let [right, top] = [0, 1].map(|axis| end(axis, &high, f32::max));
-    (left <= right).then_some([left, right, bottom, top])
+    let Extent { low, high, count } = surface.extent();
+    let [x, y] = [0, 1].map(|axis| [low[axis], high[axis]].map(|end| surface.origin_m[axis] + f64::from(end)));
+    (count > 0).then_some([x[0], x[1], y[0], y[1]])
 }
 
 /// The grid of whole multiples of the cell that covers an extent (left, right, bottom, top), metres.

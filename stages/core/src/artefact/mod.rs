@@ -47,7 +47,7 @@ pub use picture::Picture;
 pub use preview::Preview;
 pub use raster::{Band, Grid, Raster, Sample};
 pub use sketch::{Shown, Sketch};
-pub use surface::Surface;
+pub use surface::{Extent, Surface};
 pub use table::{Cell, Table, TableRow};
 pub use transform::Transform;
 

@@ -1,6 +1,12 @@
 //! An organised grid of points whose triangles are implicit: 45 million vertices without two gigabytes of indices.
 
+use rayon::prelude::*;
+
 use super::Frame;
+use crate::numerics::simd::{Work, vectorised};
+
+/// Points whose extent a thread finds at a time.
+const POINTS_AT_A_TIME: usize = 1 << 14;
 
 /// An organised surface: a grid of points, and for every grid square which of its two triangles exist.
 ///
@@ -40,6 +46,12 @@ impl Surface {
         (!p[0].is_nan()).then(|| [o[0] + f64::from(p[0]), o[1] + f64::from(p[1]), o[2] + f64::from(p[2])])
     }
 
+    /// The extent of its points.
+    pub fn extent(&self) -> Extent {
+        let parts = self.points.par_chunks(POINTS_AT_A_TIME).map(|points| vectorised(FindExtent(points)));
+        parts.reduce(|| Extent::NONE, Extent::and)
+    }
+
     /// Both triangles of a square as point indices, cut as its byte says, whether they exist or not.
     pub fn corners(width: usize, row: usize, column: usize, byte: u8) -> [[usize; 3]; 2] {
         let a = row * width + column;
@@ -65,5 +77,77 @@ impl PartialEq for Surface {
             && self.origin_m == other.origin_m
             && self.squares == other.squares
             && bits(self) == bits(other)
+    }
+}
+
+/// Smallest and largest X and Y of the points of a surface, and how many there are.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Extent {
+    /// Smallest X and Y relative to the origin of the surface, metres; infinite without points.
+    pub low: [f32; 2],
+    /// Largest X and Y relative to the origin of the surface, metres; infinite without points.
+    pub high: [f32; 2],
+    /// Number of points.
+    pub count: u32,
+}
+
+impl Extent {
+    const NONE: Self = Self { low: [f32::INFINITY; 2], high: [f32::NEG_INFINITY; 2], count: 0 };
+
+    /// That of both; the same in any order.
+    #[inline(always)]
+    fn and(self, other: Self) -> Self {
+        let low = [self.low[0].min(other.low[0]), self.low[1].min(other.low[1])];
+        let high = [self.high[0].max(other.high[0]), self.high[1].max(other.high[1])];
+        Self { low, high, count: self.count + other.count }
+    }
+
+    #[inline(always)]
+    fn of([x, y, _]: [f32; 3]) -> Self {
+        Self { low: [x, y], high: [x, y], count: u32::from(!x.is_nan()) }
+    }
+}
+
+/// Finds the extent of some points.
+struct FindExtent<'a>(&'a [[f32; 3]]);
+
+impl Work for FindExtent<'_> {
+    type Output = Extent;
+
+    #[inline(always)]
+    fn run(self) -> Extent {
+        let (blocks, rest) = self.0.as_chunks::<8>();
+        // Each point of a block adds to an extent of its own.
+        let mut extents = [Extent::NONE; 8];
+        for points in blocks {
+            for lane in 0..8 {
+                extents[lane] = extents[lane].and(Extent::of(points[lane]));
+            }
+        }
+        extents.into_iter().chain(rest.iter().map(|point| Extent::of(*point))).fold(Extent::NONE, Extent::and)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_extent_is_that_of_the_points_and_skips_gaps() {
+        let points: Vec<[f32; 3]> = (0u16..43 * 3)
+            .map(|i| if i % 5 == 0 { [f32::NAN; 3] } else { [f32::from(i % 43), -2.0 * f32::from(i / 43), 7.0] })
+            .collect();
+        let gap = Surface {
+            frame: Frame::Wall,
+            width: 43,
+            height: 3,
+            origin_m: [1e6; 3],
+            points: vec![[f32::NAN; 3]; 43 * 3],
+            squares: vec![0; 42 * 2],
+        };
+        assert_eq!(gap.extent(), Extent::NONE);
+        let count = points.iter().filter(|point| !point[0].is_nan()).count() as u32;
+        let surface = Surface { points, ..gap };
+        assert_eq!(surface.extent(), Extent { low: [0.0, -4.0], high: [42.0, 0.0], count });
     }
 }

@@ -82,20 +82,7 @@ impl Field {
         for lane in 0..N {
             (counter[0][lane], counter[1][lane]) = (u64::from(x[lane] as u32), u64::from(y[lane] as u32));
         }
-        let mut key = self.key;
-        for round in 0..ROUNDS {
-            if round > 0 {
-                key = next_key(key);
-            }
-            let [mut c0, mut c1, mut c2, mut c3] = counter;
-            for lane in 0..N {
-                let (a, b) = (c0[lane] * u64::from(MULTIPLIERS[0]), c2[lane] * u64::from(MULTIPLIERS[1]));
-                (c0[lane], c1[lane]) = ((b >> 32) ^ c1[lane] ^ u64::from(key[0]), b & LOW_WORD);
-                (c2[lane], c3[lane]) = ((a >> 32) ^ c3[lane] ^ u64::from(key[1]), a & LOW_WORD);
-            }
-            counter = [c0, c1, c2, c3];
-        }
-        counter
+        philox_lanes(counter, self.key)
     }
 }
 
@@ -134,22 +121,26 @@ const ROUNDS: usize = 10;
 const MULTIPLIERS: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];
 const LOW_WORD: u64 = 0xFFFF_FFFF;
 
-/// The key of the next round.
-#[inline(always)]
-fn next_key([first, second]: [u32; 2]) -> [u32; 2] {
-    [first.wrapping_add(0x9E37_79B9), second.wrapping_add(0xBB67_AE85)]
-}
-
 /// The Philox4x32-10 block function (Salmon, Moraes, Dror, Shaw 2011, SC'11).
 #[inline(always)]
-pub fn philox4x32(mut counter: [u32; 4], mut key: [u32; 2]) -> [u32; 4] {
+pub fn philox4x32(counter: [u32; 4], key: [u32; 2]) -> [u32; 4] {
+    philox_lanes(counter.map(|word| [u64::from(word)]), key).map(|[word]| word as u32)
+}
+
+/// The same of several counters: first words, second ones, and so on.
+#[inline(always)]
+fn philox_lanes<const N: usize>(mut counter: [[u64; N]; 4], mut key: [u32; 2]) -> [[u64; N]; 4] {
     for round in 0..ROUNDS {
         if round > 0 {
-            key = next_key(key);
+            key = [key[0].wrapping_add(0x9E37_79B9), key[1].wrapping_add(0xBB67_AE85)];
         }
-        let a = u64::from(counter[0]) * u64::from(MULTIPLIERS[0]);
-        let b = u64::from(counter[2]) * u64::from(MULTIPLIERS[1]);
-        counter = [(b >> 32) as u32 ^ counter[1] ^ key[0], b as u32, (a >> 32) as u32 ^ counter[3] ^ key[1], a as u32];
+        let [mut c0, mut c1, mut c2, mut c3] = counter;
+        for lane in 0..N {
+            let (a, b) = (c0[lane] * u64::from(MULTIPLIERS[0]), c2[lane] * u64::from(MULTIPLIERS[1]));
+            (c0[lane], c1[lane]) = ((b >> 32) ^ c1[lane] ^ u64::from(key[0]), b & LOW_WORD);
+            (c2[lane], c3[lane]) = ((a >> 32) ^ c3[lane] ^ u64::from(key[1]), a & LOW_WORD);
+        }
+        counter = [c0, c1, c2, c3];
     }
     counter
 }

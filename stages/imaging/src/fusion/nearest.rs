@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use rockface_core::artefact::Surface;
+use rockface_core::artefact::{Extent, Surface};
 use rockface_core::numerics::fast_round::whole;
 use rockface_core::numerics::simd::{Work, vectorised};
 
@@ -52,8 +52,7 @@ pub struct Columns<'a> {
 impl<'a> Columns<'a> {
     /// Sorts the points; `None` for a surface without points. With `in_plan`, distances are in X and Y only.
     pub fn new(surface: &'a Surface, in_plan: bool) -> Option<Self> {
-        let parts = surface.points.par_chunks(AT_ONCE).map(|points| vectorised(FindExtent(points)));
-        let Extent { low, high, count } = parts.reduce(|| Extent::NONE, Extent::and);
+        let Extent { low, high, count } = surface.extent();
         if count == 0 {
             return None;
         }
@@ -236,51 +235,6 @@ fn column_side([width, height]: [f64; 2], count: f64) -> f64 {
 #[inline]
 pub fn local(surface: &Surface, place: usize) -> Vector3<f64> {
     Vector3::from(surface.points[place].map(f64::from))
-}
-
-/// Smallest and largest X and Y of some points, and how many there are.
-#[derive(Clone, Copy)]
-struct Extent {
-    low: [f32; 2],
-    high: [f32; 2],
-    count: u32,
-}
-
-impl Extent {
-    const NONE: Self = Self { low: [f32::INFINITY; 2], high: [f32::NEG_INFINITY; 2], count: 0 };
-
-    /// That of both; the same in any order.
-    #[inline(always)]
-    fn and(self, other: Self) -> Self {
-        let low = [self.low[0].min(other.low[0]), self.low[1].min(other.low[1])];
-        let high = [self.high[0].max(other.high[0]), self.high[1].max(other.high[1])];
-        Self { low, high, count: self.count + other.count }
-    }
-
-    #[inline(always)]
-    fn of([x, y, _]: [f32; 3]) -> Self {
-        Self { low: [x, y], high: [x, y], count: u32::from(!x.is_nan()) }
-    }
-}
-
-/// Finds the extent of some points.
-struct FindExtent<'a>(&'a [[f32; 3]]);
-
-impl Work for FindExtent<'_> {
-    type Output = Extent;
-
-    #[inline(always)]
-    fn run(self) -> Extent {
-        let (blocks, rest) = self.0.as_chunks::<8>();
-        // Each point of a block adds to an extent of its own.
-        let mut extents = [Extent::NONE; 8];
-        for points in blocks {
-            for lane in 0..8 {
-                extents[lane] = extents[lane].and(Extent::of(points[lane]));
-            }
-        }
-        extents.into_iter().chain(rest.iter().map(|point| Extent::of(*point))).fold(Extent::NONE, Extent::and)
-    }
 }
 
 /// Finds the column of each of some points; of places without a point `u32::MAX`.

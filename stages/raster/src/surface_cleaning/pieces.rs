@@ -8,8 +8,9 @@ pub(super) const A: u8 = 1;
 pub(super) const B: u8 = 2;
 pub(super) const C: u8 = 4;
 pub(super) const D: u8 = 8;
-/// All corners: both triangles are there.
-const WHOLE: u8 = A | B | C | D;
+
+/// Both triangles of a square.
+const BOTH: u8 = Surface::FIRST | Surface::SECOND;
 
 /// Corners that the triangles of each byte use.
 const USED: [u8; 8] = [0, A | D | C, A | C | B, A | B | C | D, 0, A | D | B, B | D | C, A | B | C | D];
@@ -20,10 +21,14 @@ pub(super) fn used(byte: u8) -> u8 {
     USED[usize::from(byte & 7)]
 }
 
-/// Whether all of some squares have both triangles.
+/// Whether a square has both triangles.
+fn is_whole(byte: u8) -> bool {
+    byte & BOTH == BOTH
+}
+
+/// Whether all of some squares have.
 pub(super) fn all_whole(squares: &[u8]) -> bool {
-    let both = Surface::FIRST | Surface::SECOND;
-    squares.iter().fold(both, |common, byte| common & byte) == both
+    is_whole(squares.iter().fold(BOTH, |common, byte| common & byte))
 }
 
 /// Squares of one row that hang together.
@@ -48,7 +53,7 @@ pub(super) fn remove_small(surface: &mut Surface, min_triangles: usize) -> usize
     for (run, _) in runs.iter().zip(&roots).filter(|(_, root)| sizes[**root as usize] < min_triangles) {
         let start = run.row as usize * (surface.width - 1);
         let squares = &mut surface.squares[start + run.columns.start as usize..start + run.columns.end as usize];
-        squares.iter_mut().for_each(|byte| *byte &= !(Surface::FIRST | Surface::SECOND));
+        squares.iter_mut().for_each(|byte| *byte &= !BOTH);
         removed += run.triangles as usize;
     }
     removed
@@ -66,7 +71,7 @@ fn runs(surface: &Surface) -> (Vec<Run>, Vec<u32>) {
         while column < squares.len() {
             let uses = used(squares[column]);
             // Whole squares side by side are taken together; others one by one.
-            let whole = squares[column..].iter().take_while(|byte| used(**byte) == WHOLE).count();
+            let whole = squares[column..].iter().take_while(|byte| is_whole(**byte)).count();
             let end = column + whole.max(1);
             if uses != 0 {
                 // Corners b and c of the square before are a and d of this one.
@@ -77,11 +82,7 @@ fn runs(surface: &Surface) -> (Vec<Run>, Vec<u32>) {
                 let number = runs.len() as u32 - 1;
                 let run = &mut runs[number as usize];
                 run.columns.end = end as u32;
-                run.triangles += if whole > 0 {
-                    2 * whole as u32
-                } else {
-                    (squares[column] & (Surface::FIRST | Surface::SECOND)).count_ones()
-                };
+                run.triangles += if whole > 0 { 2 * whole as u32 } else { (squares[column] & BOTH).count_ones() };
                 // The points of its upper and of its lower edge.
                 let points =
                     |left: u8, right: u8| column + usize::from(uses & left == 0)..end + usize::from(uses & right != 0);
