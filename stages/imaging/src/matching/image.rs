@@ -2,11 +2,12 @@
 
 use rayon::prelude::*;
 
-use crate::matching::map_fusion::{Fused, Measured, Rule, fuse};
+use crate::matching::map_fusion::{Fused, Rule};
 use crate::matching::matched::{Match, TakeMatches, Tally};
 use crate::matching::pair::Matcher;
 use crate::matching::pixel_row::PixelRow;
-use rockface_core::numerics::simd::{LANES, Lanes};
+use crate::matching::row_fusion::{PairRow, RowFusion};
+use rockface_core::numerics::simd::Lanes;
 
 /// How the depths of the pairs are fused.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -65,83 +66,65 @@ pub fn match_image<R: Send>(
     let Some(any) = matchers.first() else { return empty };
     let match_row = |scratch: &mut Scratch, (row, out): (usize, &mut R)| {
         let pixels = any.pixel_row(row);
-        scratch.fuse_row(&pixels, matchers, fusion, |column, fused| keep(out, column, fused))
+        scratch.fuse_row(&pixels, matchers, fusion.sigma_px, |column, fused| keep(out, column, fused))
     };
-    let scratch = || Scratch::new(width, matchers.len());
+    let scratch = || Scratch::new(width, matchers.len(), fusion.rule);
     let tallies: Vec<ImageTally> = rows.par_iter_mut().enumerate().map_init(scratch, match_row).collect();
     tallies.iter().fold(empty, ImageTally::plus)
 }
 
-/// The depths that the pairs give the pixels of one row.
+/// The depths that the pairs give the pixels of one row, and what fuses them.
 struct Scratch {
-    /// `width x pairs`, of which the first `counts` of each pixel are valid.
-    values: Vec<Measured>,
-    counts: Vec<u8>,
+    pairs: Vec<PairRow>,
+    fusion: RowFusion,
 }
 
 impl Scratch {
-    fn new(width: usize, pairs: usize) -> Self {
-        Self { values: vec![Measured::new(0.0, 1.0); width * pairs], counts: vec![0; width] }
+    fn new(width: usize, pairs: usize, rule: Rule) -> Self {
+        Self { pairs: vec![PairRow::new(width); pairs], fusion: RowFusion::new(rule, pairs) }
     }
 
     fn fuse_row(
         &mut self,
         pixels: &PixelRow,
         matchers: &[Matcher],
-        fusion: &Fusion,
+        sigma_px: f64,
         mut keep: impl FnMut(usize, &Fused),
     ) -> ImageTally {
-        let (n, mut tally) = (matchers.len(), ImageTally::new(matchers.len()));
-        self.counts.fill(0);
-        for (matcher, pair) in matchers.iter().zip(&mut tally.pairs) {
-            let (values, counts) = (&mut self.values[..], &mut self.counts[..]);
-            let mut out = Gathered { values, counts, pairs: n, sigma_px: fusion.sigma_px };
-            *pair = matcher.match_row(pixels, &mut out);
+        let mut tally = ImageTally::new(matchers.len());
+        for ((matcher, pair), row) in matchers.iter().zip(&mut tally.pairs).zip(&mut self.pairs) {
+            row.clear();
+            *pair = matcher.match_row(pixels, &mut Gathered { row, sigma_px });
         }
-        for column in &pixels.columns {
-            let count = usize::from(self.counts[*column]);
-            let start = column * n;
-            tally.matched += usize::from(count > 0);
-            if let Some(fused) = fuse(&mut self.values[start..start + count], &fusion.rule) {
+        self.fusion.fuse_row(&self.pairs, |column, given, fused| {
+            tally.matched += 1;
+            if let Some(fused) = fused {
                 tally.fused += 1;
                 tally.kept += fused.count;
-                tally.given += count;
+                tally.given += given;
                 tally.sigma_m += fused.value.sigma_m;
-                keep(*column, &fused);
+                keep(column, &fused);
             }
-        }
+        });
         tally
     }
 }
 
-/// Takes the depths that one more pair gives the pixels of a row.
+/// Takes the depths that one pair gives the pixels of a row.
 struct Gathered<'a> {
-    values: &'a mut [Measured],
-    counts: &'a mut [u8],
-    pairs: usize,
+    row: &'a mut PairRow,
     sigma_px: f64,
-}
-
-impl Gathered<'_> {
-    #[inline(always)]
-    fn add(&mut self, column: usize, depth_m: f64, depth_per_px_m: f64) {
-        let count = &mut self.counts[column];
-        let sigma_m = self.sigma_px * depth_per_px_m;
-        self.values[column * self.pairs + usize::from(*count)] = Measured::new(depth_m, sigma_m);
-        *count += 1;
-    }
 }
 
 impl TakeMatches for Gathered<'_> {
     fn take(&mut self, column: usize, matched: &Match) {
-        self.add(column, matched.depth_m, matched.depth_per_px_m);
+        self.row.set(column, matched.depth_m, self.sigma_px * matched.depth_per_px_m);
     }
 
     #[inline(always)]
     fn take_depths(&mut self, first: usize, depth_m: Lanes, depth_per_px_m: Lanes) -> bool {
-        for lane in 0..LANES {
-            self.add(first + lane, depth_m[lane], depth_per_px_m[lane]);
-        }
+        // A product has the bits of its factors in any order.
+        self.row.set_lanes(first, depth_m, depth_per_px_m * self.sigma_px);
         true
     }
 }

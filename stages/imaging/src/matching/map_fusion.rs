@@ -34,6 +34,12 @@ impl Measured {
     pub fn new(value_m: f64, sigma_m: f64) -> Self {
         Self { value_m, sigma_m, weight: 1.0 / (sigma_m * sigma_m) }
     }
+
+    /// A value whose weight is known.
+    #[inline]
+    pub(super) fn weighted(value_m: f64, sigma_m: f64, weight: f64) -> Self {
+        Self { value_m, sigma_m, weight }
+    }
 }
 
 /// How values are fused.
@@ -58,6 +64,9 @@ pub struct Fused {
     pub count: usize,
 }
 
+/// Standard deviation of a normal distribution whose median absolute deviation is 1.
+pub(super) const ROBUST: f64 = 1.482_602_218_505_602;
+
 /// Fuses values, and reorders them. `None` where too few remain.
 pub fn fuse(values: &mut [Measured], rule: &Rule) -> Option<Fused> {
     if values.len() < rule.minimum.max(1) {
@@ -68,7 +77,7 @@ pub fn fuse(values: &mut [Measured], rule: &Rule) -> Option<Fused> {
     }
     values.sort_unstable_by(|a, b| a.value_m.total_cmp(&b.value_m).then(a.sigma_m.total_cmp(&b.sigma_m)));
     let centre_m = weighted_median(values);
-    let robust_m = rule.rejection * 1.482_602_218_505_602 * middle_deviation(values, centre_m);
+    let robust_m = rule.rejection * ROBUST * middle_deviation(values, centre_m);
     let mut count = 0;
     for i in 0..values.len() {
         let allowed_m = robust_m.max(rule.rejection * values[i].sigma_m).max(rule.tolerance_m);

@@ -14,6 +14,7 @@ pub mod params;
 pub mod pixel_row;
 pub mod rectification;
 pub mod rectified_row;
+pub mod row_fusion;
 pub mod setup;
 pub mod side;
 
