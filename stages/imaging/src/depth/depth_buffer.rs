@@ -10,7 +10,8 @@ use rayon::prelude::*;
 
 use crate::camera::model::{Camera, full_pixel};
 use crate::camera::ray_row::RayRow;
-use crate::depth::triangle_reach::{Bend, NEAR_M, Projected, Reach, reach_of_projected, reaches};
+use crate::depth::triangle_reach::{Bend, NEAR_M, Projected, Reach, reach, reaches};
+use crate::depth::view_bounds::ViewBounds;
 use rockface_core::artefact::Mesh;
 use rockface_core::numerics::simd::{LANES, Work, vectorised};
 
@@ -175,6 +176,8 @@ pub fn triangles(mesh: &Mesh, camera: &Camera, drawing: &Drawing, buffer: &Depth
 
 /// Triangles whose reach is found by one task.
 const CHUNK: usize = 1 << 16;
+/// Points that follow each other in a mesh, and mostly lie near each other.
+const NEIGHBOURS: usize = 256;
 
 /// A mesh in the camera frame, its triangles sorted into bands of rows.
 pub(super) struct Scene<'a> {
@@ -250,6 +253,9 @@ struct FindReaches<'a> {
     first: u32,
     points: &'a [Vector3<f64>],
     projected: &'a [Projected],
+    /// The planes that each point lies beyond.
+    beyond: &'a [u8],
+    camera: &'a Camera,
     bend: &'a Bend,
     drawing: &'a Drawing,
     size: (usize, usize),
@@ -262,27 +268,36 @@ impl Work for FindReaches<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { triangles, first, points, projected, bend, drawing, size, covering, wide } = self;
+        let Self { triangles, first, points, projected, beyond, camera, bend, drawing, size, covering, wide } = self;
         let downscale = f64::from(drawing.downscale);
         let mut corners = [[Projected::default(); LANES]; 3];
         for (block, triangles) in triangles.chunks(LANES).enumerate() {
-            let (mut wanted, mut simple) = ([false; LANES], [false; LANES]);
+            let (mut simple, mut beside) = ([false; LANES], [true; LANES]);
+            for (beside, [a, b, c]) in beside.iter_mut().zip(triangles) {
+                *beside = beyond[*a as usize] & beyond[*b as usize] & beyond[*c as usize] != 0;
+            }
+            // Most triangles of a large mesh lie beside the image.
+            if beside == [true; LANES] {
+                continue;
+            }
             for (lane, [a, b, c]) in triangles.iter().enumerate() {
-                let [a, b, c] = [*a as usize, *b as usize, *c as usize];
-                wanted[lane] = !drawing.front_only || !faces_away([&points[a], &points[b], &points[c]]);
-                let [a, b, c] = [projected[a], projected[b], projected[c]];
+                let [a, b, c] = [projected[*a as usize], projected[*b as usize], projected[*c as usize]];
                 simple[lane] = a.has_pixel() && b.has_pixel() && c.has_pixel();
                 (corners[0][lane], corners[1][lane], corners[2][lane]) = (a, b, c);
             }
             let found = reaches(&corners, bend, downscale, size);
-            for (lane, triangle) in triangles.iter().enumerate().filter(|(lane, _)| wanted[*lane]) {
+            for (lane, triangle) in triangles.iter().enumerate().filter(|(lane, _)| !beside[*lane]) {
                 let number = first + (block * LANES + lane) as u32;
-                let reach = if simple[lane] {
-                    found.of_lane(lane)
-                } else {
-                    let corners = triangle.map(|i| points[i as usize]);
-                    reach_of_projected(&triangle.map(|i| projected[i as usize]), bend, &corners, downscale, size)
-                };
+                let simple_reach = simple[lane].then(|| found.of_lane(lane));
+                if simple_reach == Some(Reach::Nothing) {
+                    continue;
+                }
+                let [a, b, c] = triangle.map(|i| &points[i as usize]);
+                if drawing.front_only && faces_away([a, b, c]) {
+                    continue;
+                }
+                // A neighbour of points beside the image has not been projected with them.
+                let reach = simple_reach.unwrap_or_else(|| reach(camera, bend, &[*a, *b, *c], downscale, size));
                 match reach {
                     Reach::Nothing => {}
                     Reach::Pixels { columns, rows } => covering.push((number, columns, rows)),
@@ -293,6 +308,19 @@ impl Work for FindReaches<'_> {
     }
 }
 
+/// Projects points of the camera frame, but for those that lie beyond one plane around the field of view with all of their neighbours; and
+/// the planes that each point lies beyond.
+fn project(camera: &Camera, points: &[Vector3<f64>]) -> (Vec<Projected>, Vec<u8>) {
+    let bounds = ViewBounds::of(camera);
+    let beyond: Vec<u8> = points.par_iter().map(|point| bounds.beyond(point)).collect();
+    let is_wanted = |neighbours: &[u8]| neighbours.iter().fold(u8::MAX, |common, beyond| common & beyond) == 0;
+    let wanted: Vec<bool> = beyond.par_chunks(NEIGHBOURS).map(is_wanted).collect();
+    let project = |(i, point): (usize, &Vector3<f64>)| {
+        if wanted[i / NEIGHBOURS] { Projected::new(camera, point) } else { Projected::NONE }
+    };
+    (points.par_iter().enumerate().map(project).collect(), beyond)
+}
+
 impl<'a> Scene<'a> {
     /// The scene of a mesh before a camera.
     pub(super) fn of(mesh: &'a Mesh, camera: &'a Camera, drawing: &'a Drawing) -> Self {
@@ -300,7 +328,7 @@ impl<'a> Scene<'a> {
         let (width, height) = (camera.sensor().width_px as usize / scale, camera.sensor().height_px as usize / scale);
         let points: Vec<_> = mesh.vertices.par_iter().map(|v| camera.to_camera(&Vector3::from(*v))).collect();
         let bend = Bend::new(camera.sensor());
-        let projected: Vec<_> = points.par_iter().map(|point| Projected::new(camera, point)).collect();
+        let (projected, beyond) = project(camera, &points);
         let sort = |covering: &mut Vec<Covering>, (chunk, triangles): (usize, &[[u32; 3]])| {
             covering.clear();
             let mut wide = Vec::new();
@@ -309,6 +337,8 @@ impl<'a> Scene<'a> {
                 first: (chunk * CHUNK) as u32,
                 points: &points,
                 projected: &projected,
+                beyond: &beyond,
+                camera,
                 bend: &bend,
                 drawing,
                 size: (width, height),

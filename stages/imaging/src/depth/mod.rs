@@ -4,6 +4,7 @@ pub mod depth_buffer;
 pub mod depth_cells;
 pub mod depth_update;
 pub mod triangle_reach;
+pub mod view_bounds;
 
 // A new stage is its file, its `mod` here and its row below.
 mod grid_depth;

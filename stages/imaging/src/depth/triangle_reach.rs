@@ -72,6 +72,9 @@ pub struct Projected {
 }
 
 impl Projected {
+    /// A point that is not projected.
+    pub const NONE: Self = Self { flat: [f64::NAN; 2], pixel: [f64::NAN; 2] };
+
     /// Whether the point has a pixel.
     #[inline(always)]
     pub fn has_pixel(&self) -> bool {
@@ -93,7 +96,7 @@ pub fn reach(camera: &Camera, bend: &Bend, corners: &[Vector3<f64>; 3], downscal
 
 /// As [`reach`], for corners that are projected already.
 #[inline]
-pub fn reach_of_projected(
+fn reach_of_projected(
     projected: &[Projected; 3],
     bend: &Bend,
     corners: &[Vector3<f64>; 3],
@@ -113,7 +116,7 @@ pub fn reach_of_projected(
     reaches(&projected.map(|p| [p]), bend, downscale, size).of_lane(0)
 }
 
-/// As [`reach_of_projected`] of some triangles, whose corners all lie beyond the near plane and have pixels.
+/// As [`reach`] of some triangles, whose corners all lie beyond the near plane and have pixels.
 #[inline(always)]
 pub fn reaches<const N: usize>(
     projected: &[[Projected; N]; 3],
