@@ -33,8 +33,15 @@ fn listen(trace: Option<Trace>) {
     let filter = EnvFilter::try_from_env("ROCKFACE_LOG").unwrap_or_else(|_| EnvFilter::new("warn"));
     // Where standard error cannot be written to, saying so there would be a panic.
     let said = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).log_internal_errors(false);
+    let said = said.with_ansi(is_coloured());
     let recorded = trace.map(|trace| trace.with_filter(filter_fn(is_phase)));
     tracing_subscriber::registry().with(said.with_filter(filter)).with(recorded).init();
+}
+
+/// Whether what is said on standard error has colours. See <https://no-color.org>: any text but an empty one.
+fn is_coloured() -> bool {
+    let is_plain = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+    std::io::stderr().is_terminal() && !is_plain
 }
 
 /// Runs a command and prints why it failed, if it did; returns the exit code.
@@ -48,9 +55,7 @@ fn run_command(cli: Cli, registry: &Registry) -> i32 {
         trace.map_or(Ok(()), |(trace, path)| trace.write(&path).map_err(|source| CliError::Trace { path, source }));
     let result = result.and(written);
     let Err(error) = result else { return 0 };
-    // See <https://no-color.org>: any text but an empty one.
-    let is_plain = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
-    let message = error.render(std::io::stderr().is_terminal() && !is_plain);
+    let message = error.render(is_coloured());
     if !message.is_empty() {
         output::complain(&message);
     }

@@ -61,13 +61,13 @@ pub enum StoreError {
         /// One of the things in it.
         entry: String,
     },
-    /// Something stands in the store where a folder of it should be.
+    /// Something stands in the store where a folder or a file of it should be.
     #[error(
-        "{} is a link or a file, and a store has a folder of its own there: whoever put it there could have files elsewhere changed or removed; take it away if you trust the store, or give another store",
+        "{} is a link or no plain file or folder, and a store has one of its own there: whoever put it there could have files elsewhere changed or removed; take it away if you trust the store, or give another store",
         path.display()
     )]
     Foreign {
-        /// The path that is a link or a file and should be a folder.
+        /// The path of what stands there.
         path: PathBuf,
     },
     /// No blob has this digest.

@@ -85,6 +85,7 @@ pub use memory::{Grounds, Memory, Seen, State, read_own, recall, trees};
 pub use names::{NameError, SafeName, SafePath};
 pub use outputs::Outputs;
 pub use parcel::Parcel;
+pub use plain::open_with as open_plain;
 pub use recipe::{Gathered, Recipe, RecipeInput, SeedMaterial, shared};
 pub use record::{Cost, Outcome, OutputRecord, Record};
 pub use scratch::Scratch;

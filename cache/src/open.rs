@@ -14,6 +14,8 @@ use crate::plain;
 
 /// What the format file says.
 const FORMAT: &str = "rockface store 1";
+/// So much of the format file is read: a message shows the first 80 characters.
+const FORMAT_BYTES: u64 = 320;
 /// See <https://bford.info/cachedir/>; the first line is prescribed.
 const CACHE_TAG: &str = "Signature: 8a477f597d28d172789f06886806bc55\n\
     # Everything in this folder can be computed again; backup programs may pass it by.\n";
@@ -51,7 +53,12 @@ pub(crate) const LEASES: &str = "leases";
 
 /// Whether `dir` is a store of this format.
 pub(crate) fn is_current(dir: &Path) -> bool {
-    fs::read_to_string(dir.join("format")).is_ok_and(|found| found.trim_end() == FORMAT)
+    format_of(&dir.join("format")).is_ok_and(|found| found.trim_end() == FORMAT)
+}
+
+/// The beginning of what the file of the format says.
+fn format_of(path: &Path) -> io::Result<String> {
+    Ok(String::from_utf8_lossy(&plain::read_start(path, FORMAT_BYTES)?).into_owned())
 }
 
 /// Makes `dir` a store, or makes sure that it is one of this format.
@@ -61,7 +68,7 @@ pub(crate) fn prepare(dir: &Path, machine: &Machine) -> Result<(), StoreError> {
     // Listed before the format is read: another process may be making the store now, and writes its format first.
     let foreign = foreign_entry(dir)?;
     let format = dir.join("format");
-    let read = fs::read_to_string(&format);
+    let read = format_of(&format);
     let is_new = read.is_err();
     match read {
         Ok(found) if found.trim_end() == FORMAT => {}
@@ -72,6 +79,7 @@ pub(crate) fn prepare(dir: &Path, machine: &Machine) -> Result<(), StoreError> {
             }
             None => write_whole(dir, "format", &format!("{FORMAT}\n"))?,
         },
+        Err(fault) if plain::is_foreign(&fault) => return Err(StoreError::Foreign { path: format }),
         Err(fault) => return Err(StoreError::io("read", &format, fault)),
     }
     for folder in [BLOBS, SEGMENTS, QUARANTINE, TMP, SCRATCH, LIVE, TREES, ANSWERS] {

@@ -4,7 +4,7 @@
 //! nobody ever writes to. Neither is followed or waited for.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, ErrorKind};
+use std::io::{self, ErrorKind, Read};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
@@ -18,8 +18,19 @@ pub(crate) fn open(path: &Path) -> io::Result<File> {
     open_with(OpenOptions::new().read(true), path)
 }
 
-/// Opens a plain file in a way of its own.
-pub(crate) fn open_with(options: &mut OpenOptions, path: &Path) -> io::Result<File> {
+/// The first bytes of a plain file.
+pub(crate) fn read_start(path: &Path, bytes: u64) -> io::Result<Vec<u8>> {
+    let mut start = Vec::new();
+    open(path)?.take(bytes).read_to_end(&mut start)?;
+    Ok(start)
+}
+
+/// Opens a plain file in a way of its own: no link is followed, and no pipe waited for.
+///
+/// # Errors
+///
+/// Those of the system; a link, a folder, a pipe or a device in its place.
+pub fn open_with(options: &mut OpenOptions, path: &Path) -> io::Result<File> {
     let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK;
     let file = options.custom_flags(flags.bits() as i32).open(path).map_err(|fault| {
         // A link, or a pipe without a reader.
@@ -30,7 +41,8 @@ pub(crate) fn open_with(options: &mut OpenOptions, path: &Path) -> io::Result<Fi
     if file.metadata()?.is_file() { Ok(file) } else { Err(not_plain()) }
 }
 
-fn not_plain() -> io::Error {
+/// What is in the place of a plain file or a folder, and is none.
+pub(crate) fn not_plain() -> io::Error {
     io::Error::new(ErrorKind::InvalidInput, "it is a link or no plain file, which no store has there")
 }
 

@@ -5,6 +5,7 @@ use std::path::Path;
 use clap::Args;
 use rockface_cache::Store;
 use rockface_cache::remote::{Backend, Folder, Remote, Use};
+use rockface_engine::run::MachineMemory;
 
 use super::{CliError, complain};
 
@@ -30,9 +31,8 @@ impl RemoteArgs {
     pub fn attach(&self, store: &Store, only_look: bool) -> Result<(), CliError> {
         let Some(url) = self.url().filter(|_| store.remote().is_none()) else { return Ok(()) };
         let what_for = if only_look || self.remote_read_only { Use::ReadOnlyLayer } else { Use::Layer };
-        let remote = Remote::open(backend(url)?, Some(store.dir()), what_for, Box::new(warn))?;
         // There is none yet.
-        drop(store.attach(remote));
+        drop(store.attach(open(Path::new(url), Some(store.dir()), what_for)?));
         Ok(())
     }
 }
@@ -45,7 +45,11 @@ pub fn is_url(text: &Path) -> bool {
 /// Opens a remote place for a command on itself, or on its contents.
 pub fn open(url: &Path, store: Option<&Path>, what_for: Use) -> Result<Remote, CliError> {
     let url = url.to_str().unwrap_or_default();
-    Ok(Remote::open(backend(url)?, store, what_for, Box::new(warn))?)
+    let remote = Remote::open(backend(url)?, store, what_for, Box::new(warn))?;
+    if let Some(memory) = MachineMemory::now() {
+        remote.limit_blobs(memory.left);
+    }
+    Ok(remote)
 }
 
 fn warn(text: &str) {

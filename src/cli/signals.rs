@@ -5,7 +5,7 @@ use std::io;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
 use signal_hook::flag;
 
 /// The exit code of a run that was interrupted.
@@ -21,6 +21,8 @@ pub fn stop_on_signal(stop: &Arc<AtomicBool>) {
     let insist = |signal: c_int| flag::register_conditional_shutdown(signal, INTERRUPTED, stop.clone()).map(drop);
     let twice = |signal: c_int| insist(signal).and_then(|()| ask(signal));
     let hangup = || if is_ignored(SIGHUP) { io::Result::Ok(()) } else { ask(SIGHUP) };
+    // A file beyond the limit of `ulimit -f` is an error where it is written, and not the end of the process.
+    let _ = flag::register(SIGXFSZ, Arc::default());
     if let Err(error) = twice(SIGINT).and_then(|()| twice(SIGTERM)).and_then(|()| hangup()) {
         tracing::warn!("Ctrl-C will end the program at once: {error}");
     }

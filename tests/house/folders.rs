@@ -95,9 +95,59 @@ fn a_log_that_cannot_be_read_costs_no_run_folder() {
     std::fs::remove_dir_all(house.path(".rockface/runs")).unwrap();
     let (code, out, err) = house.rockface(&["run", "p.yaml"]);
     assert!(code == Some(0) && out.contains("ran 0, cached 2"), "{out}{err}");
-    assert!(err.contains("step dem: the log of a step cannot be read") && !err.contains("step face"), "{err}");
+    assert!(err.contains("dem: the log of a step cannot be read") && !err.contains("face: the log"), "{err}");
     assert_eq!(done(&house, "face")["metrics"][0]["value"], Value::Null);
     assert!(house.path(".rockface/runs/latest/report.html").is_file());
+}
+
+#[test]
+fn a_step_whose_log_is_damaged_is_computed_again_in_the_run_that_finds_it() {
+    let house = House::new(SMALL);
+    let (code, _, err) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    let points = || std::fs::read_to_string(house.path(".rockface/runs/latest/points.csv")).unwrap();
+    let (before, mut flipped) = (points(), 0);
+    let key: Digest = done(&house, "dem")["key"].as_str().unwrap().parse().unwrap();
+    let store = Store::open(&house.path(".rockface/store")).unwrap();
+    let said = store.get(&store.record(&key).unwrap().log.unwrap()).unwrap();
+    drop(store);
+    std::fs::remove_dir_all(house.path(".rockface/runs")).unwrap();
+    for entry in std::fs::read_dir(house.path(".rockface/store/segments")).unwrap() {
+        let path = entry.unwrap().path();
+        let mut bytes = std::fs::read(&path).unwrap();
+        if let Some(at) = bytes.windows(said.len()).position(|window| window == said) {
+            bytes[at + 3] ^= 1;
+            flipped += 1;
+        }
+        std::fs::write(&path, bytes).unwrap();
+    }
+    assert_eq!(flipped, 1);
+    let (code, out, err) = house.rockface(&["run", "p.yaml"]);
+    assert!(code == Some(0) && !out.contains("ran 0"), "{out}{err}");
+    assert!(err.contains("its `log` has to be recomputed") && !err.contains("\u{1b}["), "{err}");
+    assert_eq!(points(), before);
+}
+
+#[test]
+fn what_stands_in_the_place_of_a_mark_or_a_pin_is_neither_followed_nor_waited_for() {
+    let house = House::new(SMALL);
+    let (code, _, err) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    let run = house.path(".rockface/runs/latest").canonicalize().unwrap();
+    std::fs::write(house.path("precious"), "mine").unwrap();
+    std::os::unix::fs::symlink(house.path("precious"), run.join("pinned")).unwrap();
+    let (code, _, err) = house.rockface(&["runs", "pin", "latest"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert_eq!(std::fs::read_to_string(house.path("precious")).unwrap(), "mine");
+    assert!(std::fs::symlink_metadata(run.join("pinned")).unwrap().is_file());
+    let pipe = |path: &std::path::Path| assert!(Command::new("mkfifo").arg(path).status().unwrap().success());
+    pipe(&run.join(".unfinished"));
+    let (code, _, err) = house.rockface(&["run", "p.yaml", "--seed", "5"]);
+    assert_eq!(code, Some(0), "{err}");
+    std::fs::remove_file(house.path(".rockface/store/format")).unwrap();
+    pipe(&house.path(".rockface/store/format"));
+    let (code, _, err) = house.rockface(&["run", "p.yaml"]);
+    assert!(code == Some(3) && err.contains("format is a link or no plain file"), "{err}");
 }
 
 #[test]

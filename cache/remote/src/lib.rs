@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use futures_util::StreamExt;
 use object_store::aws::{AmazonS3Builder, AmazonS3ConfigKey};
@@ -14,8 +14,8 @@ use object_store::gcp::GoogleCloudStorageBuilder;
 use object_store::http::HttpBuilder;
 use object_store::path::Path;
 use object_store::{
-    BackoffConfig, ClientOptions, Error, ObjectStore, ObjectStoreExt, ObjectStoreScheme, PutMode, PutOptions,
-    PutPayload, RetryConfig,
+    BackoffConfig, ClientOptions, Error, GetResult, ObjectStore, ObjectStoreExt, ObjectStoreScheme, PutMode,
+    PutOptions, PutPayload, RetryConfig,
 };
 use rockface_cache::remote::{Backend, BackendError, Object};
 use tokio::runtime::{Builder, Runtime};
@@ -177,7 +177,24 @@ impl Objects {
         let timed = async { tokio::time::timeout(limit, request).await };
         match self.runtime.block_on(timed) {
             Ok(result) => result.map_err(|fault| told(&fault)),
-            Err(_) => Err(BackendError::Unavailable(format!("it did not answer within {} s", limit.as_secs_f64()))),
+            Err(_) => Err(too_slow(limit)),
+        }
+    }
+
+    /// The bytes of an answer. What it announced is not believed: it may take the time and the memory of what has come.
+    async fn transfer(&self, found: GetResult, limit: u64) -> Result<Vec<u8>, BackendError> {
+        let (begun, mut bytes) = (Instant::now(), Vec::<u8>::new());
+        let mut stream = found.into_stream();
+        loop {
+            let allowed = self.timeout + Duration::from_secs(bytes.len() as u64 / LEAST_SPEED);
+            let part = tokio::time::timeout(allowed.saturating_sub(begun.elapsed()), stream.next()).await;
+            let Some(part) = part.map_err(|_| too_slow(allowed))? else { return Ok(bytes) };
+            let part = part.map_err(|fault| told(&fault))?;
+            let is_too_large = bytes.len() as u64 + part.len() as u64 > limit;
+            if is_too_large || bytes.try_reserve(part.len()).is_err() {
+                return Err(BackendError::TooLarge { limit });
+            }
+            bytes.extend_from_slice(&part);
         }
     }
 
@@ -204,24 +221,10 @@ impl Backend for Objects {
     fn get(&self, name: &str, limit: u64) -> Result<Vec<u8>, BackendError> {
         let path = self.path(name);
         let found = self.wait(0, self.store.get(&path))?;
-        let size = found.meta.size;
-        if size > limit {
+        if found.meta.size > limit {
             return Err(BackendError::TooLarge { limit });
         }
-        let body = async {
-            let mut stream = found.into_stream();
-            let mut bytes: Vec<u8> = Vec::new();
-            while let Some(part) = stream.next().await {
-                bytes.extend(part?);
-                // What was announced is not believed.
-                if bytes.len() as u64 > limit {
-                    break;
-                }
-            }
-            Ok(bytes)
-        };
-        let bytes = self.wait(size, body)?;
-        if bytes.len() as u64 > limit { Err(BackendError::TooLarge { limit }) } else { Ok(bytes) }
+        self.runtime.block_on(self.transfer(found, limit))
     }
 
     fn put(&self, name: &str, bytes: &[u8]) -> Result<(), BackendError> {
@@ -274,6 +277,10 @@ impl Backend for Objects {
             done => done,
         }
     }
+}
+
+fn too_slow(limit: Duration) -> BackendError {
+    BackendError::Unavailable(format!("it did not answer within {} s", limit.as_secs_f64()))
 }
 
 /// A fault in the words of the cache.

@@ -28,6 +28,9 @@ pub enum BackendError {
     /// The place cannot be reached, is too slow, or fails; another attempt later may succeed.
     #[error("{0}")]
     Unavailable(String),
+    /// What is there is no store of rockface, or not as one writes it.
+    #[error("{0}")]
+    Foreign(String),
     /// The place cannot do this.
     #[error("this kind of place cannot {0}")]
     Unsupported(&'static str),

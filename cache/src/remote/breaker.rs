@@ -43,6 +43,7 @@ impl Breaker {
                 self.turn_off(why);
             }
             Err(BackendError::Forbidden(why)) => self.turn_off(&format!("access is forbidden: {why}")),
+            Err(BackendError::Foreign(why)) => self.turn_off(why),
             Err(BackendError::Unavailable(_)) => {}
             _ => self.failures.store(0, Relaxed),
         }

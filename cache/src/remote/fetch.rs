@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::PoisonError;
+use std::sync::atomic::Ordering::Relaxed;
 
 use super::backend::{Backend, BackendError};
 use super::batch::Place;
@@ -47,6 +48,9 @@ impl Shared {
     }
 
     fn fetch_single(&self, digest: &Digest, place: Place, take: Take) {
+        if place.bytes > self.largest.load(Relaxed) {
+            return self.lose([*digest], "says that a blob is larger than the memory there is");
+        }
         match self.breaker.attempt(|| self.backend.get(&blob_name(digest), place.bytes)) {
             Ok(bytes) if Digest::of(&bytes) == *digest => take(&bytes),
             Err(BackendError::Missing) => self.lose([*digest], "has lost a blob"),

@@ -25,8 +25,33 @@ impl Folder {
         Self { root: root.to_owned(), url: format!("file://{}", root.display()) }
     }
 
-    fn path(&self, name: &str) -> PathBuf {
-        self.root.join(name)
+    /// Where an object is. The folders that it is in are no links: whoever may write to the place could have files elsewhere read,
+    /// changed or removed.
+    fn path(&self, name: &str) -> Result<PathBuf, BackendError> {
+        let mut path = self.root.clone();
+        let mut parts = name.split('/').filter(|part| !part.is_empty()).peekable();
+        while let Some(part) = parts.next() {
+            path.push(part);
+            if parts.peek().is_some() {
+                self.is_folder(&path)?;
+            }
+        }
+        Ok(path)
+    }
+
+    /// Whether there is a folder at a path in the place; something else is an error.
+    fn is_folder(&self, path: &Path) -> Result<bool, BackendError> {
+        match fs::symlink_metadata(path) {
+            Ok(meta) if meta.is_dir() => Ok(true),
+            Ok(_) => {
+                let inside = path.strip_prefix(&self.root).unwrap_or(path).display();
+                let text =
+                    format!("`{inside}` is a link or a file there, and a store has a folder of its own in that place");
+                Err(BackendError::Foreign(text))
+            }
+            Err(fault) if fault.kind() == ErrorKind::NotFound => Ok(false),
+            Err(fault) => Err(told(&fault)),
+        }
     }
 
     /// Writes the bytes beside their place, and lets `name_it` give them their name.
@@ -36,7 +61,7 @@ impl Folder {
         bytes: &[u8],
         name_it: impl FnOnce(tempfile::NamedTempFile, &Path) -> io::Result<T>,
     ) -> Result<T, BackendError> {
-        let path = self.path(name);
+        let path = self.path(name)?;
         let folder = path.parent().unwrap_or(&self.root);
         let write = || {
             fs::create_dir_all(folder)?;
@@ -66,7 +91,7 @@ impl Backend for Folder {
     }
 
     fn get(&self, name: &str, limit: u64) -> Result<Vec<u8>, BackendError> {
-        let file = plain::open(&self.path(name)).map_err(|fault| told(&fault))?;
+        let file = plain::open(&self.path(name)?).map_err(|fault| told(&fault))?;
         let mut bytes = Vec::new();
         file.take(limit.saturating_add(1)).read_to_end(&mut bytes).map_err(|fault| told(&fault))?;
         if bytes.len() as u64 > limit { Err(BackendError::TooLarge { limit }) } else { Ok(bytes) }
@@ -89,7 +114,11 @@ impl Backend for Folder {
         let mut found = Vec::new();
         let mut folders = vec![prefix.trim_end_matches('/').to_owned()];
         while let Some(folder) = folders.pop() {
-            let entries = match fs::read_dir(self.path(&folder)) {
+            let path = self.path(&folder)?;
+            if !self.is_folder(&path)? {
+                continue;
+            }
+            let entries = match fs::read_dir(path) {
                 Err(fault) if fault.kind() == ErrorKind::NotFound => continue,
                 entries => entries.map_err(|fault| told(&fault))?,
             };
@@ -112,9 +141,47 @@ impl Backend for Folder {
     }
 
     fn delete(&self, name: &str) -> Result<(), BackendError> {
-        match fs::remove_file(self.path(name)).map_err(|fault| told(&fault)) {
+        match fs::remove_file(self.path(name)?).map_err(|fault| told(&fault)) {
             Err(BackendError::Missing) => Ok(()),
             done => done,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::symlink;
+
+    #[test]
+    fn nothing_is_read_written_or_removed_through_a_linked_folder() {
+        let desk = tempfile::tempdir().unwrap();
+        let (home, place) = (desk.path().join("home"), Folder::new(&desk.path().join("place")));
+        fs::create_dir_all(home.join("deep")).unwrap();
+        fs::write(home.join("thesis"), "mine").unwrap();
+        fs::write(home.join("deep/thesis"), "mine").unwrap();
+        place.put("blobs/aa/1", b"blob").unwrap();
+        symlink(&home, desk.path().join("place/handed")).unwrap();
+        symlink(home.join("deep"), desk.path().join("place/blobs/bb")).unwrap();
+        let is_foreign = |result: Result<String, BackendError>, name: &str| {
+            assert!(matches!(&result, Err(BackendError::Foreign(text)) if text.contains(name)), "{result:?}");
+        };
+        let told = |objects: Vec<Object>| objects.into_iter().map(|object| object.name).collect::<String>();
+        is_foreign(place.list("handed/").map(told), "handed");
+        for (folder, at) in [("handed", "handed"), ("handed/deep", "handed"), ("blobs/bb", "blobs/bb")] {
+            let name = format!("{folder}/thesis");
+            is_foreign(place.get(&name, 100).map(|bytes| format!("{bytes:?}")), at);
+            is_foreign(place.put(&name, b"theirs").map(|()| String::new()), at);
+            is_foreign(place.put(&format!("{folder}/new/new"), b"theirs").map(|()| String::new()), at);
+            is_foreign(place.create(&format!("{folder}/new"), b"theirs").map(|made| made.to_string()), at);
+            is_foreign(place.delete(&name).map(|()| String::new()), at);
+        }
+        // Links within are no objects, and others are found beside them.
+        assert_eq!(place.list("blobs/").map(told), Ok("blobs/aa/1".to_owned()));
+        assert_eq!(place.get("blobs/aa/1", 100), Ok(b"blob".to_vec()));
+        for path in [home.join("thesis"), home.join("deep/thesis")] {
+            assert_eq!(fs::read_to_string(path).unwrap(), "mine");
+        }
+        assert_eq!((fs::read_dir(&home).unwrap().count(), fs::read_dir(home.join("deep")).unwrap().count()), (2, 1));
     }
 }

@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, OnceLock, RwLock};
 
 use super::backend::{Backend, BackendError};
@@ -56,6 +57,8 @@ pub(super) struct Shared {
     honours_create: Mutex<Option<bool>>,
     /// One at a time fetches a pack: whoever waits finds its blobs in the store.
     pub packs: Mutex<()>,
+    /// Bytes of the largest blob that is fetched.
+    pub largest: AtomicU64,
 }
 
 impl Remote {
@@ -80,6 +83,7 @@ impl Remote {
             is_read_only,
             honours_create: Mutex::default(),
             packs: Mutex::default(),
+            largest: AtomicU64::new(u64::MAX),
         };
         let opened = shared.prepare(what_for).and_then(|()| shared.refresh().map_err(|fault| (READ, fault)));
         match opened {
@@ -93,6 +97,11 @@ impl Remote {
     /// The address of the place, such as `s3://bucket/prefix`.
     pub fn url(&self) -> &str {
         self.shared.backend.url()
+    }
+
+    /// Leaves out blobs of more bytes: how large they are is what the place says.
+    pub fn limit_blobs(&self, bytes: u64) {
+        self.shared.largest.store(bytes, Relaxed);
     }
 
     /// Requests and bytes so far.
@@ -142,7 +151,7 @@ impl Shared {
             return Ok(());
         }
         let why = format!("its format is `{}` and this version uses `{FORMAT}`", found.escape_debug());
-        Err((READ, BackendError::Forbidden(why)))
+        Err((READ, BackendError::Foreign(why)))
     }
 
     /// [`Remote::honours_create`].

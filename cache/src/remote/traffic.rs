@@ -56,7 +56,7 @@ impl Counted {
 
     fn count<T>(&self, what: &AtomicU64, result: Result<T, BackendError>) -> Result<T, BackendError> {
         what.fetch_add(1, Relaxed);
-        if matches!(result, Err(BackendError::Unavailable(_) | BackendError::Forbidden(_))) {
+        if matches!(result, Err(BackendError::Unavailable(_) | BackendError::Forbidden(_) | BackendError::Foreign(_))) {
             self.failures.fetch_add(1, Relaxed);
         }
         result

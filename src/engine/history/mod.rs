@@ -127,7 +127,11 @@ impl PastRun {
         let path = self.folder.join(PIN);
         if pinned {
             let text = "What this run made is not collected. `rockface runs unpin` removes this pin.\n";
-            return std::fs::write(&path, text).map_err(HistoryError::io("write", &path));
+            // Written beside its place: a link there is replaced, not followed.
+            let mut file =
+                tempfile::NamedTempFile::new_in(&self.folder).map_err(HistoryError::io("write into", &self.folder))?;
+            std::io::Write::write_all(&mut file, text.as_bytes()).map_err(HistoryError::io("write", &path))?;
+            return file.persist(&path).map(drop).map_err(|fault| HistoryError::io("write", &path)(fault.error));
         }
         match std::fs::remove_file(&path) {
             Err(fault) if fault.kind() != std::io::ErrorKind::NotFound => Err(HistoryError::io("remove", &path)(fault)),

@@ -1,6 +1,6 @@
 //! The folder of a run: manifest, log, and outputs under names people can read.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
@@ -23,7 +23,7 @@ use crate::history::{
 use crate::pipeline::{LogLevel, Overrides, Pipeline};
 use crate::plan::Plan;
 use crate::run::{RunError, Summary};
-use crate::watch::step_log;
+use crate::watch::step_log::{self, StepLogError};
 
 /// The manifest, written last.
 const MANIFEST: &str = "run.json";
@@ -97,11 +97,16 @@ pub struct Finished {
 
 /// Writes the folder of a run, and makes the results in the store durable. If nothing was executed and the former folder still exists,
 /// that folder is used. A stopped run leaves no folder: its results are in the store, and the next run writes them.
+///
+/// # Errors
+///
+/// A blob that is missing or damaged, among others: what a step reported too, unless it is among those that were `lost` before.
 pub fn finish(
     plan: &Plan,
     summary: &Summary,
     store: &Store,
     about: &RunFolder,
+    lost: &BTreeSet<Digest>,
     stop: &AtomicBool,
 ) -> Result<Finished, RunError> {
     let runs = std::path::absolute(about.runs).map_err(failed(about.runs))?;
@@ -114,7 +119,7 @@ pub fn finish(
         point_latest(about.runs, &former.folder)?;
         return Ok(former);
     }
-    let finished = Writer { plan, summary, store, about, stop }.write(&key)?;
+    let finished = Writer { plan, summary, store, about, lost, stop }.write(&key)?;
     if !summary.failed {
         store.memory().remember_run(&key, &json!(finished))?;
         store.sync()?;
@@ -164,6 +169,8 @@ struct Writer<'a> {
     summary: &'a Summary,
     store: &'a Store,
     about: &'a RunFolder<'a>,
+    /// Blobs that a step was computed again for already.
+    lost: &'a BTreeSet<Digest>,
     stop: &'a AtomicBool,
 }
 
@@ -306,14 +313,17 @@ impl Writer<'_> {
         Ok(logs)
     }
 
-    /// The log of an instance; one that cannot be read is no reason to lose the run folder.
+    /// The log of an instance. A lost one is recomputed with its step; one that cannot be read then is no reason to lose the run folder.
     fn entries(&self, instance: usize) -> Result<Vec<Entry>, RunError> {
-        match step_log::entries(self.summary.instances[instance].log(), self.store) {
+        let result = &self.summary.instances[instance];
+        let log = result.log();
+        let is_lost_now = log.is_some_and(|log| !self.lost.contains(&log)) && result.outcome.is_some();
+        match step_log::entries(log, self.store) {
             Ok(entries) => Ok(entries),
+            Err(StepLogError::Store(error)) if is_lost_now => Err(error.into()),
             Err(error) => {
                 let why = error.of_one_step()?;
                 let text = format!("{why}; what the step reported is missing here, its results are not affected");
-                tracing::warn!("step {}: {text}", self.plan.label(instance));
                 Ok(vec![Entry::Warning { text }])
             }
         }

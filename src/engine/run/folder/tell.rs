@@ -29,7 +29,7 @@ pub fn execute_and_tell(
     changed.into_iter().for_each(|(step, text)| warn(&summary, step, text, observer));
     let mut lost = BTreeSet::new();
     loop {
-        let error = match finish(plan, &summary, store, about, stop) {
+        let error = match finish(plan, &summary, store, about, &lost, stop) {
             Ok(finished) => {
                 store.adopt(summary.keys().map(|(_, key)| key))?;
                 return Ok((summary, finished));

@@ -111,7 +111,7 @@ pub fn sweep(runs: &Path) {
 fn sweep_folder(folder: &Path, is_begun: bool) {
     let mark = folder.join(MARK);
     // Opened for writing: network file systems lock no other files. The lock is held until the folder is gone.
-    let held = File::options().write(true).open(&mark);
+    let held = rockface_cache::open_plain(File::options().write(true), &mark);
     if held.as_ref().is_err_and(|error| is_begun && error.kind() == ErrorKind::NotFound) {
         // Only if it is still empty: its process may have marked it since. One that is about to mark it begins another.
         let _ = std::fs::remove_dir(folder);
