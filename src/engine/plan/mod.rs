@@ -15,6 +15,7 @@ mod partial_check;
 mod points;
 mod programs;
 mod resolve;
+mod side_files;
 mod sight;
 mod targets;
 mod unused;

@@ -10,6 +10,7 @@ use rockface_core::params::{Fault, Field, Kind};
 use serde_json::{Value, json};
 
 use super::graph::{Graph, GraphStep};
+use super::side_files;
 use super::sight::{Sight, one_file};
 use crate::diagnostic::{Diagnostic, Span, nearest};
 use crate::pipeline::{INSIDE, Node, filled, mentioned, parted, value_of};
@@ -254,11 +255,14 @@ impl Finder<'_> {
         let path = self.step.folder.join(written);
         let listed = match written.trim() {
             "" => Err("a path is needed, and this one is empty".to_owned()),
-            _ if many => self.sight.list(&path),
+            _ if many => self.sight.list(&path).map(side_files::left_out),
             _ => one_file(&path),
         };
-        let hashed =
-            listed.and_then(|paths| paths.into_iter().map(|path| self.hashed(path)).collect::<Result<Vec<_>, _>>());
+        let checked =
+            |paths: Vec<PathBuf>| paths.iter().try_for_each(|path| side_files::check(path, self.sight)).map(|()| paths);
+        let hashed = listed
+            .and_then(checked)
+            .and_then(|paths| paths.into_iter().map(|path| self.hashed(path)).collect::<Result<Vec<_>, _>>());
         match hashed {
             Ok(files) => {
                 self.files.insert(written.to_owned(), files.clone());

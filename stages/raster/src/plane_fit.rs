@@ -4,6 +4,7 @@ use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
 use rockface_core::artefact::Mesh;
 use rockface_core::numerics::marginal::NORMAL_MAD;
+use rockface_core::numerics::portable_math;
 use rockface_core::numerics::random::Key;
 
 /// Triangles further off the plane than this many robust standard deviations do not shape it.
@@ -33,6 +34,23 @@ pub struct Plane {
     pub rms_m: f64,
     /// Share of the area the plane was fitted to.
     pub fitted: f64,
+}
+
+/// Azimuth of the horizontal part of a direction (X east, Y north, Z up), degrees clockwise from north, 0 to 360.
+pub fn azimuth_deg(direction: &Vector3<f64>) -> f64 {
+    let degrees = portable_math::atan2(direction.x, direction.y).to_degrees();
+    if degrees < 0.0 { degrees + 360.0 } else { degrees }
+}
+
+/// How a face lies, in words, from its unit normal out of the rock (X east, Y north, Z up).
+pub fn attitude(outward: &Vector3<f64>) -> String {
+    let dip_deg = portable_math::acos(outward.z.abs().min(1.0)).to_degrees();
+    let dips = if outward.z < 0.0 {
+        format!("overhangs by {:.1} deg", 90.0 - dip_deg)
+    } else {
+        format!("dips {dip_deg:.1} deg")
+    };
+    format!("{dips} and looks towards {} deg (clockwise from north)", azimuth_deg(outward).round() % 360.0)
 }
 
 /// A triangle or point as the fit sees it.
@@ -192,6 +210,17 @@ pub fn wall_axes(
 mod tests {
     use super::*;
     use rockface_core::artefact::Frame;
+
+    #[test]
+    fn the_attitude_of_a_face_tells_an_overhang_and_the_side_it_looks_to() {
+        let at = |azimuth_deg: f64, up_deg: f64| {
+            let ((east, north), (up, flat)) =
+                (portable_math::sincos(azimuth_deg.to_radians()), portable_math::sincos(up_deg.to_radians()));
+            attitude(&Vector3::new(flat * east, flat * north, up))
+        };
+        assert_eq!(at(180.0, 12.0), "dips 78.0 deg and looks towards 180 deg (clockwise from north)");
+        assert_eq!(at(-0.3, -12.0), "overhangs by 12.0 deg and looks towards 0 deg (clockwise from north)");
+    }
 
     /// A sheet of 40 x 40 squares tilted by a rotation, with a boulder far off the plane.
     fn sheet(rotation: &Matrix3<f64>, origin: Vector3<f64>) -> Mesh {

@@ -111,9 +111,13 @@ impl<'l> Library<'l> {
             }
             None => {
                 let fault = Diagnostic::at(word.span, format!("unknown part `{}`", word.text));
-                let names = known.keys().map(String::as_str).chain(self.shipped.iter().map(|part| part.name));
-                reader
-                    .fault(fault.suggest(&word.text, names).or_hint("a file is named by its path, `parts/name.yaml`"));
+                let last = |part: &&PartText| part.name.rsplit('/').next() == Some(word.text.as_str());
+                reader.fault(if let Some(part) = self.shipped.iter().find(last) {
+                    fault.hint(format!("did you mean `{}`?", part.name))
+                } else {
+                    let names = known.keys().map(String::as_str).chain(self.shipped.iter().map(|part| part.name));
+                    fault.suggest(&word.text, names).or_hint("a file is named by its path, `parts/name.yaml`")
+                });
                 return None;
             }
         };

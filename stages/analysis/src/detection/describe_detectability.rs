@@ -30,7 +30,7 @@ pub struct DescribeDetectability;
 impl Stage for DescribeDetectability {
     type Params = DescribeDetectabilityParams;
     const NAME: &'static str = "describe-detectability";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("describe_detectability.md"));
     const INPUTS: &'static [Port] =
         &[Port::one("truth", &[Kind::Inventory, Kind::Table], "The `truth` of `score-detections`, or many joined.")];
@@ -89,8 +89,8 @@ table_row! {
     struct LimitRow {
         property: String,
         count: usize,
-        at_50: f64,
-        at_probability: f64,
+        at_50: Option<f64>,
+        at_probability: Option<f64>,
         probability: f64,
         slope: f64,
         slope_se: f64,
@@ -146,11 +146,15 @@ impl Scene<'_> {
             return None;
         }
         let curve = detectability::logistic(&values, &found)?;
+        let [least, largest] =
+            values.iter().fold([f64::INFINITY, 0.0f64], |[least, most], x| [least.min(*x), most.max(*x)]);
+        // Beyond the changes there are, a curve tells nothing, and a flat one nowhere.
+        let seen = |size: &f64| curve.is_certain() && (least..=largest).contains(size);
         Some(LimitRow {
             property: property.to_owned(),
             count: values.len(),
-            at_50: curve.at(0.5),
-            at_probability: curve.at(probability),
+            at_50: Some(curve.at(0.5)).filter(seen),
+            at_probability: Some(curve.at(probability)).filter(seen),
             probability,
             slope: curve.slope,
             slope_se: curve.slope_se,
@@ -162,16 +166,27 @@ fn report(limits: &Table, scene: &Scene, params: &DescribeDetectabilityParams, c
     let found = scene.found.iter().filter(|found| **found).count();
     let total = scene.found.len();
     let first = limits.rows.iter().find(|row| row[0].text() == params.properties.first().map(String::as_str));
-    let numbers = first.map(|row| (row[0].to_string(), row[2].number(), row[3].number()));
-    if let Some((name, Some(half), Some(most))) = numbers {
-        context.metric("at_50", half, "1");
-        context.headline(format!(
-            "{found} of {total} found; half of those with {name} {half:.2e}, {:.0} % of those with {most:.2e}",
-            100.0 * params.probability
-        ));
-    } else {
+    let Some(row) = first else {
         context.headline(format!("{found} of {total} found; no curve of {}", params.properties.join(", ")));
+        return;
+    };
+    let [half, most, slope, slope_se] = [2, 3, 5, 6].map(|column| row[column].number());
+    if let Some(half) = half {
+        context.metric("at_50", half, "1");
     }
+    let name = row[0].to_string();
+    let share = format!("{:.0} %", 100.0 * params.probability);
+    let limits = match (half, most) {
+        (Some(half), Some(most)) => format!("half of those with {name} {half:.2e}, {share} of those with {most:.2e}"),
+        (Some(half), None) => format!("half of those with {name} {half:.2e}, {share} at no {name} there is"),
+        (None, Some(most)) => format!("{share} of those with {name} {most:.2e}, half at no {name} there is"),
+        (None, None) => format!(
+            "no limit of {name} among them (slope {:.2}, standard error {:.2})",
+            slope.unwrap_or(f64::NAN),
+            slope_se.unwrap_or(f64::NAN)
+        ),
+    };
+    context.headline(format!("{found} of {total} found; {limits}"));
 }
 
 #[cfg(test)]
@@ -215,6 +230,28 @@ mod tests {
         assert_eq!(limits.rows.len(), 1);
         let half = limits.rows[0][2].number().unwrap();
         assert!((0.01..0.02).contains(&half), "{half}");
+    }
+
+    #[test]
+    fn a_curve_gives_no_limit_beyond_the_changes_there_are() {
+        let limits = |found: fn(u32) -> bool| {
+            let mut truth = Table::new(["removed_m3", "outcome"]);
+            for i in 0..48u32 {
+                let outcome = if found(i) { "found" } else { "missed" };
+                truth.push(vec![(0.001 * f64::from(i + 1)).into(), outcome.into()]);
+            }
+            let host = TestHost::default();
+            let with = json!({"properties": ["removed_m3"]});
+            let made =
+                run_stage::<DescribeDetectability>(&host, &with, &[("truth", truth.into())]).unwrap().into_inner();
+            let Artefact::Table(limits) = &made["limits"] else { panic!("no table") };
+            let row = &limits.rows[0];
+            assert!(row[5].number().is_some() && row[6].number().is_some());
+            ([row[2].number(), row[3].number()].map(|limit| limit.is_some()), host.metric("at_50").is_some())
+        };
+        // Found more often when large, but not nine times of ten; and whatever the size.
+        assert_eq!(limits(|i| i % 3 == 0 && i > 8 || i > 26 && i % 4 != 0), ([true, false], true));
+        assert_eq!(limits(|i| i % 12 == 5), ([false, false], false));
     }
 
     #[test]

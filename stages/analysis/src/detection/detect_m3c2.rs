@@ -201,6 +201,13 @@ fn report(
         .hint("enlarge `projection_radius_m` or `depth_m`, and see whether the clouds overlap"));
     }
     let measured = limits.len();
+    if 2 * measured < cores {
+        context.warn(format!(
+            "only {measured} of {cores} core points have {} points of both clouds within `projection_radius_m`, {} m; no change is found at \
+             the others: enlarge it, or see whether the clouds overlap",
+            params.least_points, params.projection_radius_m
+        ));
+    }
     let median = rockface_core::numerics::quantile::median(&mut limits).unwrap_or(f64::NAN);
     let volume = found.iter().fold(0.0, |sum, found| sum + found.volume_m3);
     context.metric("cores", cores as f64, "1");
@@ -243,6 +250,22 @@ mod tests {
         let made = run_stage::<DetectM3c2>(&TestHost::default(), &gain, &inputs).unwrap().into_inner();
         let Artefact::Inventory(found) = &made["detections"] else { panic!("no inventory") };
         assert!(found.features.is_empty());
+    }
+
+    #[test]
+    fn clouds_that_hardly_meet_are_warned_of() {
+        let whole = height_mesh(40, [-1.0, 1.0, -1.0, 1.0], |_, _| 0.0);
+        let warnings = |left: f64, right: f64| {
+            let part = height_mesh(40, [left, right, -1.0, 1.0], |_, _| 0.0);
+            let host = TestHost::default();
+            let with = json!({"projection_radius_m": 0.15, "normal_radii_m": [0.2], "core_spacing_m": 0.1});
+            let inputs = [("reference", whole.clone().into()), ("comparison", part.into())];
+            run_stage::<DetectM3c2>(&host, &with, &inputs).unwrap();
+            host.warnings()
+        };
+        assert_eq!(warnings(-1.0, 1.0), Vec::<String>::new());
+        let few = warnings(-1.0, -0.6);
+        assert!(few.len() == 1 && few[0].contains("core points have 5 points of both clouds"), "{few:?}");
     }
 
     #[test]

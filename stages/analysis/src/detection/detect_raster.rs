@@ -113,6 +113,7 @@ impl Stage for DetectRaster {
         let sign = params.change.sign();
         let lost: Vec<f64> = band.values.iter().map(|d| sign * f64::from(*d)).collect();
         let limits = limits(&params.lod, &band.values, [reference, comparison], difference.grid.columns)?;
+        warn_of_low_limit(&params.lod, &band.values, context);
         let found = detect(params, difference, &lost, &limits, reference);
         report(&found, &limits, &lost, context)?;
         let labels = found::labels(&difference.grid, difference.frame, &found)?;
@@ -151,6 +152,18 @@ fn limits(
         }
         Limit::Quadrature(rough) => by_roughness(rough, Combination::Quadrature, elevations, columns),
         Limit::Lague(rough) => by_roughness(rough, Combination::Lague, elevations, columns),
+    }
+}
+
+/// Noise beyond a given limit counts as change.
+fn warn_of_low_limit(limit: &Limit, difference: &[f32], context: &Context) {
+    let Limit::Fixed(FixedLimit { lod_m }) = limit else { return };
+    let least_m = marginal::marginal(difference).map_or(0.0, |found| NORMAL_95 * found.nmad);
+    if *lod_m < least_m {
+        context.warn(format!(
+            "the limit of detection, {lod_m} m, is less than 1.96 times the spread (NMAD) of the difference, {least_m:.3} m: noise counts \
+             as change; raise `lod_m`, or take `lod: {{empirical: {{}}}}`"
+        ));
     }
 }
 

@@ -57,6 +57,11 @@ pub struct Logistic {
 }
 
 impl Logistic {
+    /// Whether the property matters beyond chance: the slope is two standard errors from 0.
+    pub fn is_certain(&self) -> bool {
+        self.slope.abs() > 2.0 * self.slope_se
+    }
+
     /// Where a change is found with this probability.
     pub fn at(&self, probability: f64) -> f64 {
         let logit = portable_math::log(probability / (1.0 - probability));

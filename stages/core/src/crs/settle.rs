@@ -35,7 +35,7 @@ impl ParamType for CrsName {
         let stated = name.stated().map_err(|message| vec![Fault::new(message)])?;
         match stated.kind {
             Kind::Projected => Ok(name),
-            Kind::Geographic | Kind::Geocentric => Err(vec![Fault::new(format!(
+            Kind::Geographic | Kind::Geocentric | Kind::WorldMap => Err(vec![Fault::new(format!(
                 "{}: a system in metres is needed, such as the UTM zone of the site; reproject the file first",
                 sort_of(&stated)
             ))]),
@@ -52,6 +52,11 @@ fn sort_of(stated: &Stated) -> String {
     match stated.kind {
         Kind::Geographic => format!("longitudes and latitudes in degrees ({name})"),
         Kind::Geocentric => format!("geocentric coordinates, X, Y and Z from the centre of the Earth ({name})"),
+        Kind::WorldMap => {
+            format!(
+                "coordinates of a map of the world ({name}), whose lengths are not those on the ground: 1.4 times as long at 45 degrees north"
+            )
+        }
         _ => name.clone(),
     }
 }
@@ -116,7 +121,7 @@ pub fn wall_without_system(is_wall: bool) -> Option<Fault> {
 /// `first` is a point of the file, by which the UTM zone of a way out is found.
 ///
 /// # Errors
-/// Degrees and geocentric coordinates; two statements that contradict each other.
+/// Degrees, geocentric coordinates and those of a Mercator map of the world; two statements that contradict each other.
 pub fn settle(
     path: &str,
     [file, beside]: [Option<Stated>; 2],
@@ -136,8 +141,8 @@ pub fn settle(
     ];
     let mut stated: Vec<(String, Stated)> = statements.into_iter().filter_map(|(who, s)| Some((who, s?))).collect();
     let found = |found: Option<(usize, &(String, Stated))>| found.map(|(place, _)| place);
-    let degrees = |(_, s): &(String, Stated)| matches!(s.kind, Kind::Geographic | Kind::Geocentric);
-    if let Some(place) = found(stated.iter().enumerate().find(|(_, stated)| degrees(stated))) {
+    let unfit = |(_, s): &(String, Stated)| matches!(s.kind, Kind::Geographic | Kind::Geocentric | Kind::WorldMap);
+    if let Some(place) = found(stated.iter().enumerate().find(|(_, stated)| unfit(stated))) {
         let (who, stated) = stated.swap_remove(place);
         return Err(refusal(path, &who, &stated, tool, first));
     }
@@ -186,11 +191,15 @@ fn refusal(path: &str, who: &str, stated: &Stated, tool: Tool, first: Option<[f6
         Tool::Gdal => format!("`gdalwarp -t_srs {to} {name} out.tif`"),
         Tool::Pdal => format!("`pdal translate {name} out.laz reprojection --filters.reprojection.out_srs={to}`"),
         Tool::Ogr => format!("`ogr2ogr -t_srs {to} out.geojson {name}`"),
-        Tool::Other => format!("QGIS or CloudCompare, to {to}"),
+        Tool::Other => format!("QGIS and CloudCompare reproject to {to}"),
     };
-    let text = format!("`{path}` has {}, as {who} states; lengths and angles need metres", sort_of(stated));
-    StageError::new(text).hint(format!("bring it to {of_place} first: {command}"))
+    let text =
+        format!("`{path}` has {}, as {who} states; lengths and angles need metres on the ground", sort_of(stated));
+    StageError::new(text).hint(format!("bring it to {of_place}: {command}"))
 }
+
+/// Radius of the Earth at the equator, metres.
+const EQUATOR_M: f64 = 6_378_137.0;
 
 /// The EPSG code of the UTM zone (WGS 84) of a point; `None` where it cannot be one.
 fn utm_zone(kind: Kind, [x, y, z]: [f64; 3]) -> Option<u32> {
@@ -202,6 +211,10 @@ fn utm_zone(kind: Kind, [x, y, z]: [f64; 3]) -> Option<u32> {
             }
             let turn = portable_math::atan2(y, x).to_degrees();
             (turn, portable_math::atan2(z, radius).to_degrees())
+        }
+        Kind::WorldMap => {
+            let latitude = 2.0 * portable_math::atan(portable_math::exp(y / EQUATOR_M)) - std::f64::consts::FRAC_PI_2;
+            ((x / EQUATOR_M).to_degrees(), latitude.to_degrees())
         }
         _ => (x, y),
     };

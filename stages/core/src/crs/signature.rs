@@ -35,8 +35,7 @@ pub fn of(node: &Node) -> Option<String> {
     let base = node.child(&["GEOGCS", "BASEGEOGCRS", "BASEGEODCRS"])?;
     let datum = base.child(&["DATUM", "ENSEMBLE", "GEODETICDATUM", "TRF"])?;
     let ellipsoid = datum.child(&["SPHEROID", "ELLIPSOID"])?;
-    let conversion = node.child(&["CONVERSION"]);
-    let method = conversion.and_then(|c| c.child(&["METHOD"])).or_else(|| node.child(&["PROJECTION"]))?;
+    let (conversion, method) = (node.child(&["CONVERSION"]), method(node)?);
     let meridian = base.child(&["PRIMEM"]).or_else(|| node.child(&["PRIMEM"])).and_then(|node| node.number(1));
     let parameters = conversion.unwrap_or(node).nodes().filter(|child| child.keyword == "PARAMETER");
     let mut values: Vec<String> = parameters.filter_map(parameter).collect();
@@ -54,6 +53,12 @@ pub fn of(node: &Node) -> Option<String> {
     ))
 }
 
+/// The projection of a system of map coordinates.
+pub fn method(node: &Node) -> Option<&Node> {
+    let conversion = node.child(&["CONVERSION"]);
+    conversion.and_then(|c| c.child(&["METHOD"])).or_else(|| node.child(&["PROJECTION"]))
+}
+
 /// A parameter that is not at the value it has when it is left out.
 fn parameter(node: &Node) -> Option<String> {
     let (name, value) = (plain(node.name()), node.number(1)?);
@@ -66,7 +71,8 @@ fn known<'a>(list: &'a [(&'a str, &'a str)], name: &'a str) -> &'a str {
     list.iter().find(|(other, _)| *other == name).map_or(name, |(_, common)| common)
 }
 
-fn plain(name: &str) -> String {
+/// Letters and digits alone, in lower case: names are spelt in many ways.
+pub fn plain(name: &str) -> String {
     name.chars().filter(char::is_ascii_alphanumeric).map(|c| c.to_ascii_lowercase()).collect()
 }
 

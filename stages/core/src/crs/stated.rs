@@ -1,5 +1,6 @@
 //! What a file, a `.prj` beside it or a parameter states about its coordinates, before anything is converted or refused.
 
+use super::signature;
 use super::unit::Unit;
 use super::wkt::Node;
 use super::{compound, definition, known_codes, parts, vertical_definition};
@@ -9,6 +10,8 @@ use super::{compound, definition, known_codes, parts, vertical_definition};
 pub enum Kind {
     /// Easting and northing on a map.
     Projected,
+    /// Easting and northing on a Mercator map of the whole world, whose lengths are those on the ground at the equator only.
+    WorldMap,
     /// Longitude and latitude in degrees.
     Geographic,
     /// X, Y and Z from the centre of the Earth.
@@ -25,6 +28,7 @@ impl Kind {
     /// The sort of a horizontal system, or of one of heights; `None` for a node that is no system.
     pub fn of(node: &Node) -> Option<Self> {
         Some(match node.keyword.as_str() {
+            "PROJCS" | "PROJCRS" | "PROJECTEDCRS" | "DERIVEDPROJCRS" if is_world_map(node) => Self::WorldMap,
             "PROJCS" | "PROJCRS" | "PROJECTEDCRS" | "DERIVEDPROJCRS" => Self::Projected,
             "GEOCCS" => Self::Geocentric,
             "GEODCRS" | "GEODETICCRS" if is_cartesian(node) => Self::Geocentric,
@@ -34,6 +38,14 @@ impl Kind {
             _ => return None,
         })
     }
+}
+
+/// By what EPSG, Esri and others call it.
+fn is_world_map(node: &Node) -> bool {
+    const NAMES: [&str; 5] =
+        ["pseudomercator", "webmercator", "worldmercator", "popularvisualisation", "mercatorauxiliarysphere"];
+    let method = signature::method(node).map_or("", Node::name);
+    [node.name(), method].map(signature::plain).iter().any(|name| NAMES.iter().any(|known| name.contains(known)))
 }
 
 fn is_cartesian(node: &Node) -> bool {

@@ -89,6 +89,25 @@ fn degrees_and_geocentric_coordinates_are_refused_with_the_zone() {
 }
 
 #[test]
+fn maps_of_the_world_are_refused_for_their_lengths() {
+    for code in [3857, 3395] {
+        let stated = Stated::from_epsg(code, None).unwrap();
+        assert_eq!(stated.kind, Kind::WorldMap, "EPSG:{code}");
+        let error = settled(Some(stated), None, Some([1_700_000.0, 5_600_000.0, 300.0])).0.unwrap_err();
+        assert!(error.message.contains("whose lengths are not those on the ground"), "{error}");
+        assert!(error.hint.unwrap().contains("EPSG:32633"));
+    }
+    let esri = "PROJCS[\"WGS_1984_Web_Mercator_Auxiliary_Sphere\",GEOGCS[\"GCS_WGS_1984\",DATUM[\"D_WGS_1984\",\
+                SPHEROID[\"WGS_1984\",6378137.0,298.257223563]],PRIMEM[\"Greenwich\",0.0],UNIT[\"Degree\",0.0174532925199433]],\
+                PROJECTION[\"Mercator_Auxiliary_Sphere\"],UNIT[\"Meter\",1.0]]";
+    assert_eq!(Stated::of_prj(esri.as_bytes()).kind, Kind::WorldMap);
+    // Maps of a region, whose scale holds there.
+    for code in [3001, 3388, 2056, 28992] {
+        assert_eq!(Stated::from_epsg(code, None).unwrap().kind, Kind::Projected, "EPSG:{code}");
+    }
+}
+
+#[test]
 fn contradictions_are_refused_and_silence_is_noted() {
     let utm = || Stated::from_epsg(32633, None).unwrap();
     let error = settled(Some(utm()), Some("EPSG:28356"), None).0.unwrap_err();

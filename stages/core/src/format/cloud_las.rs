@@ -18,6 +18,8 @@ pub struct Cloud {
     pub points: Vec<[f64; 3]>,
     /// Red, green and blue of each point; empty where the source has none.
     pub colours: Vec<[u8; 3]>,
+    /// Sum of the normals of the points, in the frame of the file; zero where the source has none.
+    pub normals: [f64; 3],
     /// The coordinate reference system that the file states.
     pub stated: Option<Stated>,
     /// The frame that our own files state.

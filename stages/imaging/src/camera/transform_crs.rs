@@ -259,7 +259,9 @@ fn report(params: &TransformCrsParams, wall_from_world: &Transform, plane: &Plan
     context.headline(if wall_from_world.is_identity() {
         "the data stays in its frame, to the bit".to_owned()
     } else {
-        format!("face dips {dip_deg:.1} deg, relief {:.3} m rms about its plane", plane.rms_m)
+        let attitude =
+            if up == Vector3::z() { plane_fit::attitude(&outward) } else { format!("dips {dip_deg:.1} deg") };
+        format!("face {attitude}, relief {:.3} m rms about its plane", plane.rms_m)
     });
 }
 

@@ -1,4 +1,4 @@
-//! Point clouds from elsewhere: points and colours, whatever the format.
+//! Point clouds from elsewhere: points, colours and normals, whatever the format.
 
 use super::cloud_text;
 use rockface_core::artefact::CodecError;
@@ -18,19 +18,24 @@ pub fn read(bytes: Vec<u8>, columns: Option<&[String]>, cancelled: &dyn Fn() -> 
         return cloud_las::read(bytes, cancelled);
     }
     if bytes.starts_with(b"ply") {
-        let mesh = ply::read_mesh(&bytes)?;
-        let georeference = mesh.frame.georeference();
-        let stated = georeference.map(|georeference| Stated::of_crs(&georeference.crs));
-        return Ok(Cloud {
-            points: mesh.vertices,
-            colours: mesh.colours,
-            stated,
-            frame: Some(mesh.frame),
-            warnings: Vec::new(),
-        });
+        return read_ply(&bytes);
     }
     if bytes.iter().take(4096).any(|byte| *byte == 0) {
         return Err(CodecError::new("its content is not LAS, LAZ, PLY or columns of numbers"));
     }
     cloud_text::read(&bytes, columns, cancelled)
+}
+
+fn read_ply(bytes: &[u8]) -> Result<Cloud, CodecError> {
+    // What has faces is a mesh, and what is wrong with the file either reader says.
+    let (points, colours, normals, frame) = if let Ok(cloud) = ply::cloud::read(bytes) {
+        (cloud.points, cloud.colours, cloud.normals, cloud.frame)
+    } else {
+        let mesh = ply::read_mesh(bytes)?;
+        (mesh.vertices, mesh.colours, Vec::new(), mesh.frame)
+    };
+    let stated = frame.georeference().map(|georeference| Stated::of_crs(&georeference.crs));
+    let sum = |sum: [f64; 3], normal: &[f32; 3]| [0, 1, 2].map(|axis| sum[axis] + f64::from(normal[axis]));
+    let normals = normals.iter().fold([0.0; 3], sum);
+    Ok(Cloud { points, colours, normals, stated, frame: Some(frame), warnings: Vec::new() })
 }

@@ -10,7 +10,7 @@ use rockface_core::limits::Stop;
 ///
 /// Columns are those named by the caller; else by a header line (with or without `#` or `//` before it); else x, y and z
 /// come first, and a following three columns are a colour where all their values are whole numbers from 0 to 255. Known
-/// names are `x y z`, `easting northing` with `height` or `elevation`, `r g b` and `red green blue` in either case; other
+/// names are `x y z`, `easting northing` with `height` or `elevation`, `r g b` and `red green blue`, and `nx ny nz`, in either case; other
 /// columns are skipped, and so are lines that begin with `#` or `//`, a first line that holds nothing but the number of
 /// points, and a header where the caller names the columns.
 ///
@@ -36,6 +36,8 @@ pub fn read(bytes: &[u8], columns: Option<&[String]>, cancelled: &dyn Fn() -> bo
 struct Columns {
     /// Where x, y, z are, and red, green, blue where they are named.
     places: Option<([usize; 3], Option<[usize; 3]>)>,
+    /// Where the normals are, which have names.
+    normals: Option<[usize; 3]>,
     /// Whether the fourth to sixth column may be a colour though no name says so.
     guessed: bool,
     /// Whether the caller or a header names the columns.
@@ -91,6 +93,7 @@ impl Columns {
         let places = all(x, y, place(&["z", "z_m", "height", "elevation"]))
             .ok_or_else(|| format!("columns x, y and z are needed, but the names are `{}`", words.join(" ")))?;
         let colours = all(place(&["r", "red"]), place(&["g", "green"]), place(&["b", "blue"]));
+        self.normals = all(place(&["nx"]), place(&["ny"]), place(&["nz"]));
         self.places = Some((places, colours));
         self.count = Some(words.len());
         self.is_named = true;
@@ -120,6 +123,9 @@ impl Columns {
             }
         }
         self.cloud.points.push(place);
+        for (sum, column) in self.cloud.normals.iter_mut().zip(self.normals.into_iter().flatten()) {
+            *sum += number(words[column]).ok().filter(|value| value.is_finite()).unwrap_or(0.0);
+        }
         match colours.map(|columns| colour(columns.map(|column| words[column]))) {
             Some(Ok(colour)) => self.cloud.colours.push(colour),
             Some(Err(_)) if self.guessed => self.places = Some((places, None)),
@@ -175,6 +181,8 @@ mod tests {
         assert!(plain.colours.is_empty());
         let named = cloud("//Z;X;Intensity;Y;R;G;B\n3;1;0.5;2;10;20;30\n");
         assert_eq!((named.points[0], named.colours[0]), ([1.0, 2.0, 3.0], [10, 20, 30]));
+        let turned = cloud("//X Y Z Nx Ny Nz\n1 2 3 0 0.6 0.8\n1 2 4 0 -0.6 0.8\n1 2 5 nan nan nan\n");
+        assert_eq!((turned.normals, turned.colours.len()), ([0.0, 0.0, 1.6], 0));
         let quoted = cloud("\"x\",\"y\",\"z\"\n1,2,3\n");
         assert_eq!(quoted.points, [[1.0, 2.0, 3.0]]);
         let pts = cloud("2\r\n1 2 3 10 20 30 7\r\n1 2 4 10 20 255 7\r\n");

@@ -6,6 +6,7 @@ use crate::face::cloud;
 use crate::face::cloud::Cloud;
 use crate::face::sheet;
 use crate::face::sheet::{Made, Rules, SheetPlane};
+use crate::face::{placing, rounding};
 use rockface_core::artefact::{Frame, Kind};
 use rockface_core::crs::{CrsName, Stated, Tool, settle, wall_without_system};
 use rockface_core::params::{Fault, GeoFileRef, Range};
@@ -15,6 +16,10 @@ use rockface_raster::plane_fit::Plane;
 
 /// A normal whose cosine with a direction is smaller does not tell on which side the rock is (6 degrees).
 const LEAST_COSINE: f64 = 0.1;
+/// Normals of the points, of which less than this share points out of the plane on the whole, do not tell it either.
+const LEAST_NORMAL_SHARE: f64 = 0.3;
+/// Faces within this cosine of the vertical may well overhang (30 degrees).
+const STEEP: f64 = 0.5;
 
 choice! {
     /// The frame of the file's coordinates.
@@ -35,12 +40,15 @@ params! {
         frame: CloudFrame = CloudFrame::World,
         /// The coordinate reference system of a file that states none, itself or in a `.prj` beside it: `EPSG:28356`.
         crs: Option<CrsName> = None,
+        /// Metres of a unit of the file's coordinates: 0.001 for millimetres. A file that states a coordinate reference system states its unit.
+        unit_m: f64 = 1.0; Range::Positive,
         /// Added to every point in double precision, metres: brings a file with shifted coordinates back.
         offset_m: [f64; 3] = [0.0; 3],
         /// Names of the columns of a text file, such as `[x, y, z, intensity, red, green, blue]`, which hold instead of those in
         /// its header; left out, those of the header, or x, y and z come first.
         columns: Option<Vec<String>> = None,
-        /// A direction out of the rock in the frame of the file; left out, Z in the wall frame, and up in the world.
+        /// A direction out of the rock in the frame of the file; left out, Z in the wall frame, and in the world where the normals of the points show,
+        /// or else up.
         outward: Option<[f64; 3]> = None,
         /// Thins to one point of the file a cell of this side in the plane, metres; left out, every point is used.
         cell_m: Option<f64> = None; Range::Positive,
@@ -59,7 +67,7 @@ pub struct ImportCloud;
 impl Stage for ImportCloud {
     type Params = ImportCloudParams;
     const NAME: &'static str = "import-cloud";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("import_cloud.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The mesh, in the frame of the file.")];
@@ -68,7 +76,8 @@ impl Stage for ImportCloud {
         let zero = params.outward.is_some_and(|outward| Vector3::from(outward).norm() == 0.0);
         let fault = || Fault { path: vec!["outward".into()], ..Fault::new("a direction cannot be zero") };
         let on_wall = params.crs.as_ref().and_then(|_| wall_without_system(params.frame == CloudFrame::Wall));
-        zero.then(fault).into_iter().chain(on_wall).collect()
+        let two_units = placing::two_units(params.unit_m, params.crs.is_some());
+        zero.then(fault).into_iter().chain(on_wall).chain(two_units).collect()
     }
 
     fn run(params: &Self::Params, _inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
@@ -86,12 +95,14 @@ impl Stage for ImportCloud {
         for warning in &cloud.warnings {
             context.warn(format!("`{path}`: {warning}"));
         }
+        placing::scale(&mut cloud.points, params.unit_m);
+        rounding::warning(&cloud.points).into_iter().for_each(|text| context.warn(text));
         let frame = framed(&mut cloud, params, (tool, system.as_deref()), context)?;
-        shift(&mut cloud, params.offset_m);
+        placing::shift(&mut cloud.points, params.offset_m);
         context.check_cancelled()?;
         let plane = plane_fit::fit_points_robust(&cloud.points)
             .ok_or_else(|| StageError::new(format!("the points of `{path}` do not span a plane")))?;
-        let sheet = SheetPlane { origin: plane.centroid, axes: axes(outward(params, &plane)?) };
+        let sheet = SheetPlane { origin: plane.centroid, axes: axes(outward(params, &cloud, &plane, context)?) };
         let rules = Rules {
             cell_m: params.cell_m,
             max_edge_m: params.max_edge_m,
@@ -122,32 +133,52 @@ fn framed(
     let stated = [cloud.stated.take(), prj.map(Stated::of_prj)];
     let first = cloud.points.first().copied();
     let settled = settle(&params.path.0, stated, params.crs.as_ref(), (tool, first), context)?;
+    placing::check_unit(&params.path.0, params.unit_m, &settled)?;
     if !settled.keeps_coordinates() {
         cloud.points.iter_mut().for_each(|point| *point = settled.point(*point));
     }
     Ok(settled.frame())
 }
 
-fn shift(cloud: &mut Cloud, offset_m: [f64; 3]) {
-    if offset_m.iter().any(|shift| *shift != 0.0) {
-        let moved = |p: &[f64; 3]| [p[0] + offset_m[0], p[1] + offset_m[1], p[2] + offset_m[2]];
-        cloud.points.iter_mut().for_each(|p| *p = moved(p));
-    }
-}
-
-/// The plane's normal with the sign that `outward`, or Z, tells.
-fn outward(params: &ImportCloudParams, plane: &Plane) -> Result<Vector3<f64>, StageError> {
-    let direction = params.outward.map_or_else(Vector3::z, |outward| Vector3::from(outward).normalize());
+/// The plane's normal on the side that is told to be out of the rock: by `outward`, the normals of the points, or Z.
+fn outward(
+    params: &ImportCloudParams,
+    cloud: &Cloud,
+    plane: &Plane,
+    context: &Context,
+) -> Result<Vector3<f64>, StageError> {
+    let in_world = params.frame == CloudFrame::World;
+    let normals = Vector3::from(cloud.normals) / cloud.points.len() as f64;
+    let (teller, direction, least) = if let Some(outward) = params.outward {
+        ("`outward`", Vector3::from(outward).normalize(), LEAST_COSINE)
+    } else if in_world && plane.normal.dot(&normals).abs() >= LEAST_NORMAL_SHARE {
+        ("the normals of the points", normals, LEAST_NORMAL_SHARE)
+    } else {
+        ("Z", Vector3::z(), LEAST_COSINE)
+    };
     let cosine = plane.normal.dot(&direction);
-    if cosine.abs() >= LEAST_COSINE {
-        return Ok(plane.normal * cosine.signum());
+    if cosine.abs() < least {
+        let [x, y, z] = plane.normal.into();
+        let message = format!(
+            "{teller} lies within 6 degrees of the best-fit plane (normal {x:.3}, {y:.3}, {z:.3}) and does not tell on which side the \
+             rock is"
+        );
+        return Err(StageError::new(message)
+            .hint("give `outward`, a direction from the rock towards the viewer, such as the normal or its opposite"));
     }
-    let [x, y, z] = plane.normal.into();
-    let along = if params.outward.is_some() { "`outward` lies" } else { "Z lies" };
-    Err(StageError::new(format!(
-        "{along} within 6 degrees of the best-fit plane (normal {x:.3}, {y:.3}, {z:.3}) and does not tell on which side the rock is"
-    ))
-    .hint("give `outward`, a direction from the rock towards the viewer, such as the normal or its opposite"))
+    let outward = plane.normal * cosine.signum();
+    if in_world {
+        context.note(format!("out of the rock by {teller}: the face {}", plane_fit::attitude(&outward)));
+    }
+    if in_world && teller == "Z" && outward.z < STEEP {
+        let [x, y, z] = (-outward).into();
+        context.warn(format!(
+            "nothing in the file tells on which side of this steep face the rock is; it is taken that the face does not overhang ({}): \
+             if it does, give `outward: [{x:.3}, {y:.3}, {z:.3}]`",
+            plane_fit::attitude(&outward)
+        ));
+    }
+    Ok(outward)
 }
 
 /// Right-handed axes with the normal last; any two directions in the plane will do.

@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use crate::face::inspection::{Found, Inspection};
 use crate::face::repair;
 use crate::face::repair::Repaired;
-use crate::face::{mesh_file, orient};
+use crate::face::{mesh_file, orient, placing, rounding};
 use rockface_core::artefact::{Frame, Kind, Mesh};
 use rockface_core::crs::{CrsName, Stated, Tool, settle, wall_without_system};
 use rockface_core::params::{Fault, GeoFileRef, Range};
@@ -59,6 +59,8 @@ params! {
         frame: FileFrame = FileFrame::World,
         /// The coordinate reference system of a file that states none, itself or in a `.prj` beside it: `EPSG:28356`.
         crs: Option<CrsName> = None,
+        /// Metres of a unit of the file's coordinates: 0.001 for millimetres. A file that states a coordinate reference system states its unit.
+        unit_m: f64 = 1.0; Range::Positive,
         /// Added to every vertex in double precision, metres: brings a file with shifted coordinates back.
         offset_m: [f64; 3] = [0.0; 3],
         /// What to repair.
@@ -86,7 +88,8 @@ impl Stage for ImportMesh {
 
     fn check(params: &Self::Params) -> Vec<Fault> {
         let on_wall = params.crs.as_ref().and_then(|_| wall_without_system(params.frame == FileFrame::Wall));
-        let mut faults: Vec<Fault> = on_wall.into_iter().collect();
+        let two_units = placing::two_units(params.unit_m, params.crs.is_some());
+        let mut faults: Vec<Fault> = on_wall.into_iter().chain(two_units).collect();
         if params.outward.is_some_and(|outward| Vector3::from(outward).norm() == 0.0) {
             faults.push(Fault { path: vec!["outward".into()], ..Fault::new("a direction cannot be zero") });
         }
@@ -110,9 +113,10 @@ impl Stage for ImportMesh {
             return Err(StageError::new(format!("`{path}` has {} vertices but no triangles", mesh.vertices.len()))
                 .hint("a point cloud is meshed by `import-cloud`"));
         }
-        warn_of_single_precision(&mesh, context);
+        placing::scale(&mut mesh.vertices, params.unit_m);
+        rounding::warning(&mesh.vertices).into_iter().for_each(|text| context.warn(text));
         mesh.frame = framed(&mut mesh, params, system.as_deref(), context)?;
-        shift(&mut mesh, params.offset_m);
+        placing::shift(&mut mesh.vertices, params.offset_m);
         context.check_cancelled()?;
         tidy(&mut mesh, params, context)?;
         Ok(Outputs::of("mesh", mesh))
@@ -132,31 +136,11 @@ fn framed(
     let own = mesh.frame.georeference().map(|georeference| Stated::of_crs(&georeference.crs));
     let about = (Tool::Other, mesh.vertices.first().copied());
     let settled = settle(&params.path.0, [own, prj.map(Stated::of_prj)], params.crs.as_ref(), about, context)?;
+    placing::check_unit(&params.path.0, params.unit_m, &settled)?;
     if !settled.keeps_coordinates() {
         mesh.vertices.iter_mut().for_each(|vertex| *vertex = settled.point(*vertex));
     }
     Ok(settled.frame())
-}
-
-fn shift(mesh: &mut Mesh, offset_m: [f64; 3]) {
-    if offset_m.iter().any(|shift| *shift != 0.0) {
-        let moved = |v: &[f64; 3]| [v[0] + offset_m[0], v[1] + offset_m[1], v[2] + offset_m[2]];
-        mesh.vertices.iter_mut().for_each(|v| *v = moved(v));
-    }
-}
-
-/// Single precision at UTM magnitudes holds half a metre.
-fn warn_of_single_precision(mesh: &Mesh, context: &Context) {
-    let largest = mesh.vertices.iter().flatten().fold(0.0f64, |largest, x| largest.max(x.abs()));
-    let single = largest as f32;
-    let step_m = f64::from(single.next_up()) - f64::from(single);
-    let is_single = |x: &f64| f64::from(*x as f32).to_bits() == x.to_bits();
-    if step_m > 1e-3 && mesh.vertices.iter().flatten().all(is_single) {
-        context.warn(format!(
-            "coordinates of {largest:.0} m were written in single precision, whose steps are {step_m:.3} m there: export in double \
-             precision, or shifted, and add the shift with `offset_m`"
-        ));
-    }
 }
 
 /// Repairs, inspects, reports, and refuses what is still wrong.
@@ -171,6 +155,12 @@ fn tidy(mesh: &mut Mesh, params: &ImportMeshParams, context: &Context) -> Result
         if mesh.triangles.is_empty() {
             let text = format!("none of the {before} triangles of `{path}` is left: {}", describe(&repaired));
             return Err(StageError::new(text).hint("a mesh needs triangles with an area; lower `min_piece_triangles`"));
+        }
+        let lost = repaired.degenerate_triangles;
+        if lost >= 10 && lost > before / 20 {
+            context.warn(format!(
+                "{lost} of {before} triangles had no area and are dropped: were the coordinates rounded?"
+            ));
         }
         if params.defects == Defects::Repair {
             let cut = repair::cut_open(mesh);

@@ -87,6 +87,23 @@ fn limits_from_spread_and_roughness() {
 }
 
 #[test]
+fn a_limit_below_the_noise_is_warned_of() {
+    let mut difference = scene(&[]);
+    difference.bands[0].values.iter_mut().enumerate().for_each(|(i, d)| *d = 0.02 * ((i * 7 % 11) as f32 - 5.0) / 5.0);
+    let warnings = |lod_m: f64| {
+        let host = TestHost::default();
+        let with = json!({"lod": {"fixed": {"lod_m": lod_m}}});
+        run_stage::<DetectRaster>(&host, &with, &[("difference", difference.clone().into())]).unwrap();
+        host.warnings()
+    };
+    // The median of the deviations is 12 mm.
+    let least_m = 1.96 * 1.4826 * 0.012;
+    assert_eq!(warnings(least_m + 1e-3), Vec::<String>::new());
+    let low = warnings(least_m - 1e-3);
+    assert!(low.len() == 1 && low[0].contains("(NMAD) of the difference, 0.035 m"), "{low:?}");
+}
+
+#[test]
 fn what_is_no_difference_or_lies_elsewhere_is_refused() {
     let difference = scene(&[]);
     let elsewhere = Raster { grid: Grid { left_m: 5.0, ..GRID }, ..difference.clone() };

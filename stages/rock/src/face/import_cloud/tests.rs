@@ -43,6 +43,36 @@ fn a_vertical_wall_needs_to_be_told_its_side() {
     }
 }
 
+/// A face that looks north and overhangs by 12 degrees, as text or as PLY with normals.
+fn overhang(normals: &str) -> String {
+    let point = |i: u32| {
+        let (x, up) = (0.1 * f64::from(i % 20), 0.1 * f64::from(i / 20));
+        format!("{} {} {}{normals}\n", 451_000.0 + x, 5_512_000.0 + 0.2126 * up + 0.003 * f64::from(i * 7 % 11), up)
+    };
+    (0..400).map(point).collect()
+}
+
+#[test]
+fn normals_tell_the_side_of_an_overhang_and_without_them_it_is_warned() {
+    let north = |mesh: &Mesh| Inspection::of(mesh).open_area().unwrap().1.y;
+    let (mesh, host) = import(overhang("").as_bytes(), &json!({}));
+    assert!(north(&mesh.unwrap()) < -3.0, "taken not to overhang");
+    let warning = host.warnings().join("\n");
+    assert!(warning.contains("does not overhang (dips 78") && warning.contains("give `outward: ["), "{warning}");
+    let header = "ply\nformat ascii 1.0\nelement vertex 400\nproperty double x\nproperty double y\nproperty double z\n\
+                  property float nx\nproperty float ny\nproperty float nz\nend_header\n";
+    let rows = overhang(" 0 0.98 -0.2");
+    for text in [format!("{header}{rows}"), format!("x y z nx ny nz\n{rows}")] {
+        let (mesh, host) = import(text.as_bytes(), &json!({}));
+        assert!(north(&mesh.unwrap()) > 3.0 && host.warnings().is_empty(), "{:?}", host.warnings());
+    }
+    // Those that cancel tell nothing.
+    let text = format!("x y z nx ny nz\n{}", rows.replacen("0.98 -0.2", "-0.98 0.2", 200));
+    assert!(!import(text.as_bytes(), &json!({})).1.warnings().is_empty());
+    let (mesh, host) = import(overhang("").as_bytes(), &json!({"outward": [0, 1, 0]}));
+    assert!(north(&mesh.unwrap()) > 3.0 && host.warnings().is_empty());
+}
+
 #[test]
 fn unreadable_clouds_are_refused_by_name() {
     let refused = |bytes: &[u8]| import(bytes, &json!({})).0.unwrap_err().message;

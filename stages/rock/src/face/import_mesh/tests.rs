@@ -3,8 +3,9 @@
 use serde_json::{Value, json};
 
 use super::*;
-use rockface_core::artefact::{Artefact, Noun};
+use rockface_core::artefact::{Artefact, Georeference, Noun};
 use rockface_core::format::ply;
+use rockface_core::params::ParamType;
 use rockface_core::testing::{TestHost, height_mesh, run_stage};
 
 fn run(bytes: &[u8], offset_m: [f64; 3], defects: Defects) -> (Result<Mesh, StageError>, TestHost) {
@@ -50,6 +51,39 @@ fn coordinates_in_single_precision_are_warned_of_with_their_step() {
     assert!(found.iter().any(|text| text.contains("5512350 m") && text.contains("steps are 0.500 m")), "{found:?}");
     let found = warnings(&at(451_000.1, 5_512_342.0));
     assert!(!found.iter().any(|text| text.contains("single precision")), "double precision: {found:?}");
+}
+
+#[test]
+#[allow(clippy::float_cmp)] // to the bit
+fn millimetres_become_metres_where_the_file_states_no_system() {
+    let (mesh, _) = with(&square(&[[0, 1, 2], [0, 2, 3]]), &json!({"unit_m": 0.001, "offset_m": [0, 0, 5]}));
+    assert_eq!(mesh.unwrap().vertices[1], [0.001, 0.0, 5.0]);
+    let params = |with| ImportMeshParams::decode(&with).unwrap();
+    let faults = ImportMesh::check(&params(json!({"path": "face", "unit_m": 0.001, "crs": "EPSG:32633"})));
+    assert!(faults.len() == 1 && faults[0].message.contains("a unit of its own"), "{faults:?}");
+    let frame = Frame::World.at(Some(Georeference::world("EPSG:32633".parse().unwrap())));
+    let vertices = vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+    let bytes = ply::write_mesh(&Mesh { frame, vertices, triangles: vec![[0, 1, 2]], colours: Vec::new() });
+    let error = with(&bytes, &json!({"unit_m": 0.001})).0.unwrap_err();
+    assert!(error.message.contains("states the system and the unit"), "{error}");
+}
+
+#[test]
+fn a_mesh_that_rounding_has_flattened_is_warned_of() {
+    let vertex = |i: u32| {
+        let x = 412_345.0 + 0.05 * f64::from(i % 15);
+        format!(
+            "v {x:.6e} {:.6e} {:.6e}\n",
+            5_567_890.0 + 0.03 * f64::from(i % 3),
+            1_800.0 + 0.0713 * f64::from(i / 15)
+        )
+    };
+    let square = |i: u32| format!("f {a} {} {}\nf {a} {} {}\n", i + 2, i + 17, i + 17, i + 16, a = i + 1);
+    let text: String = (0..225).map(vertex).chain((0..210).filter(|i| i % 15 < 14).map(square)).collect();
+    let (_, host) = with(text.as_bytes(), &json!({}));
+    let warnings = host.warnings().join("\n");
+    assert!(warnings.contains("written with 7 digits, whose steps are 1.000 m"), "{warnings}");
+    assert!(warnings.contains("triangles had no area and are dropped"), "{warnings}");
 }
 
 fn with(bytes: &[u8], extra: &Value) -> (Result<Mesh, StageError>, TestHost) {

@@ -7,6 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 use rockface_core::artefact::Candidates;
 use rockface_core::artefact::candidates::{JointBlock, JointSet, JointWedge, Kinematics, Quantity};
 use rockface_core::numerics::portable_math;
+use rockface_raster::plane_fit::azimuth_deg;
 
 /// Planes whose unit normals span a smaller volume meet too far away to bound a block.
 const LEAST_SPAN: f64 = 0.02;
@@ -119,12 +120,6 @@ fn plane_of(set: &JointSet, index: usize, drawing: &mut Drawing) -> Vector3<f64>
     drawing.note(&format!("{name}.dip_deg"), portable_math::acos(normal.z.clamp(-1.0, 1.0)).to_degrees());
     drawing.note(&format!("{name}.dip_direction_deg"), azimuth_deg(&normal));
     normal
-}
-
-/// Azimuth of the horizontal part of a vector, degrees clockwise from north, 0 to 360.
-fn azimuth_deg(v: &Vector3<f64>) -> f64 {
-    let degrees = portable_math::atan2(v.x, v.y).to_degrees();
-    if degrees < 0.0 { degrees + 360.0 } else { degrees }
 }
 
 /// The unit vector at an angle (by its cosine) from a mean, turned about it.
