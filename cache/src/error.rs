@@ -133,7 +133,7 @@ pub enum StoreError {
         why: String,
     },
     /// Anything else the operating system refused.
-    #[error("cannot {action} {}: {source}; check that the path exists and that you may use it", path.display())]
+    #[error("cannot {action} {}: {source}; {}", path.display(), way_out(source))]
     Io {
         /// What was tried, a verb phrase.
         action: &'static str,
@@ -142,6 +142,14 @@ pub enum StoreError {
         /// What the system said.
         source: io::Error,
     },
+}
+
+/// What may help where the system refused something.
+fn way_out(source: &io::Error) -> &'static str {
+    match source.kind() {
+        io::ErrorKind::FileTooLarge => "raise the limit on the size of files (`ulimit -f`), or use another file system",
+        _ => "check that the path exists and that you may use it",
+    }
 }
 
 impl StoreError {

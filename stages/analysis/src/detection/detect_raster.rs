@@ -212,7 +212,7 @@ fn report(found: &[Found], limits: &[f32], lost: &[f64], context: &Context) -> R
     if tested == 0 {
         fail!("no cell has a difference and a limit of detection");
     }
-    let mut finite: Vec<f64> = limits.iter().filter(|l| !l.is_nan()).map(|l| f64::from(*l)).collect();
+    let mut finite = marginal::known(limits);
     let median = rockface_core::numerics::quantile::median(&mut finite).unwrap_or(f64::NAN);
     let volume = found.iter().fold(0.0, |sum, found| sum + found.volume_m3);
     context.metric("tested_share", tested as f64 / lost.len() as f64, "1");

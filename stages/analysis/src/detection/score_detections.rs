@@ -231,7 +231,7 @@ fn report(summary: &Table, context: &Context) {
         }
     }
     let count = |name: &str| value(name).unwrap_or(0.0);
-    let percent = |name: &str| value(name).map_or("no".to_owned(), |share| format!("{:.1} %", 100.0 * share));
+    let percent = |name: &str| value(name).map_or("undefined".to_owned(), |share| format!("{:.1} %", 100.0 * share));
     let hidden = match count("hidden") {
         0.0 => String::new(),
         hidden => format!("; {hidden} more cannot be seen on this grid and are in no rate"),

@@ -163,7 +163,8 @@ fn report(table: &Table, settings: usize, context: &Context) {
     let value = |row: usize, name: &str| table.column(name).and_then(|at| table.rows[row][at].number());
     let f1 = |row: &usize| value(*row, "pooled_f1").unwrap_or(-1.0);
     let Some(best) = (0..table.rows.len()).max_by(|a, b| f1(a).total_cmp(&f1(b))) else { return };
-    let percent = |name: &str| value(best, name).map_or("no".to_owned(), |share| format!("{:.1} %", 100.0 * share));
+    let percent =
+        |name: &str| value(best, name).map_or("undefined".to_owned(), |share| format!("{:.1} %", 100.0 * share));
     let known = table.columns.iter().position(|name| name == "epochs").unwrap_or(0);
     let setting: Vec<String> = (0..known).map(|at| format!("{}={}", table.columns[at], table.rows[best][at])).collect();
     for name in ["pooled_precision", "pooled_recall", "pooled_f1", "macro_f1"] {

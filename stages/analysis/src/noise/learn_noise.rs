@@ -22,6 +22,7 @@ use rockface_core::artefact::{
 };
 use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::held_out::in_view;
+use rockface_core::numerics::marginal;
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::numerics::trend::{Trend, bent};
 use rockface_core::params::{Fault, Range};
@@ -583,7 +584,7 @@ const LEAST_OWN: f64 = 0.1;
 const MOST_OWN: f64 = 4.0;
 
 fn report(noise: &Noise, learnt: &Learnt, step_m: &[f32], context: &Context) {
-    let known: Vec<f64> = step_m.iter().filter(|step| !step.is_nan()).map(|step| f64::from(*step)).collect();
+    let known = marginal::known(step_m);
     let strengths: Vec<f64> = noise.strength.iter().map(|s| f64::from(*s)).collect();
     let middle = |values: &[f64]| quantile(values, 0.5).unwrap_or(f64::NAN);
     let bad: Vec<&str> = noise.members.iter().filter(|member| member.bad).map(|member| member.name.as_str()).collect();

@@ -3,6 +3,7 @@
 use crate::matching::noise::strength::{Estimation, strength};
 use rockface_core::artefact::{Band, Kind, Raster, Sample};
 use rockface_core::numerics::held_out::in_view;
+use rockface_core::numerics::marginal;
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
@@ -71,7 +72,7 @@ impl Stage for MapNoise {
 }
 
 fn report(values: &[f32], rasters: usize, context: &Context) {
-    let known: Vec<f64> = values.iter().filter(|v| !v.is_nan()).map(|v| f64::from(*v)).collect();
+    let known = marginal::known(values);
     let at = |level: f64| quantile(&known, level).unwrap_or(f64::NAN);
     context.metric("strength_q95", at(0.95), "1");
     context.metric("strength_q99", at(0.99), "1");

@@ -13,6 +13,7 @@ use crate::matching::noise::spline::{Spline, mirrored};
 use crate::matching::side::Side;
 use rockface_core::StageError;
 use rockface_core::artefact::{Cameras, Depth, Grid, Noise, Pairs};
+use rockface_core::numerics::marginal;
 use rockface_core::numerics::quantile::median;
 use rockface_core::numerics::simd::{LANES, Lanes, Number, Work, vectorised};
 
@@ -105,7 +106,7 @@ struct Nodes {
 impl Nodes {
     /// On the cells of a grid over a face, whose elevation (metres) is the middle one where it is unknown.
     fn new(grid: Grid, elevation: &[f32]) -> Self {
-        let mut known: Vec<f64> = elevation.iter().filter(|z| !z.is_nan()).map(|z| f64::from(*z)).collect();
+        let mut known = marginal::known(elevation);
         let middle = median(&mut known).unwrap_or(0.0);
         let spacing = grid.columns.max(grid.rows).div_ceil(NODES);
         let [columns, rows] = [grid.columns, grid.rows].map(|size| (size - 1).div_ceil(spacing) + 1);

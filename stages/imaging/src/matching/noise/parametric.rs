@@ -13,6 +13,7 @@ use crate::matching::noise::spline::{Spline, mirrored};
 use rockface_core::artefact::{LateralShift, Noise, Parametric, PlaceSpectrum};
 use rockface_core::numerics::bands::{Bands, at_other_bands};
 use rockface_core::numerics::gaussian::{half_kernel, smooth_columns, smooth_rows, smoothed};
+use rockface_core::numerics::marginal;
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::quantile::median;
 use rockface_core::numerics::random::Field;
@@ -164,7 +165,7 @@ impl Edges {
 
 /// Elevations above the middle one, whose squares do not hide how little a shift changes them, with gaps filled.
 fn above_middle(elevation: &[f32], columns: usize) -> Vec<f64> {
-    let mut known: Vec<f64> = elevation.iter().filter(|z| !z.is_nan()).map(|z| f64::from(*z)).collect();
+    let mut known = marginal::known(elevation);
     let (whole, middle) = (known.len() == elevation.len(), median(&mut known).unwrap_or(0.0));
     let above: Vec<f32> = elevation.iter().map(|z| (f64::from(*z) - middle) as f32).collect();
     // Where nothing is in reach the filling is 0, the middle.
