@@ -4,6 +4,8 @@
 const LARGEST_STEP_M: f64 = 1e-3;
 /// Digits that programs write where nobody chose their number: `%g` has 6; 9 and more are chosen, or all there are.
 const FEW_DIGITS: std::ops::RangeInclusive<usize> = 6..=8;
+/// Points whose digits are counted.
+const LOOKED_AT: usize = 10_000;
 
 /// What there is to say where coordinates of a file, metres, are coarser than a millimetre because of how they were written.
 pub fn warning(points: &[[f64; 3]]) -> Option<String> {
@@ -38,7 +40,7 @@ fn rounding(points: &[[f64; 3]]) -> Option<Rounding> {
         return None;
     }
     let mut most = [0; 3];
-    for point in points {
+    for point in points.iter().step_by(points.len().div_ceil(LOOKED_AT).max(1)) {
         for (most, x) in most.iter_mut().zip(point) {
             *most = digits(*x).0.max(*most);
         }
