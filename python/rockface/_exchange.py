@@ -6,7 +6,7 @@ import io
 import json
 import tarfile
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,7 @@ from rockface.artefacts import (
     Surface,
     Table,
     Transform,
+    unmasked,
 )
 from rockface.files import RASTER, SURFACE, Artefact, _header, decode
 from rockface.formats import exr, ply
@@ -83,7 +84,7 @@ def _written_raster(raster: Raster) -> bytes:
         raise WrongOutputError(f"its grid has cells of {grid.cell_m} m from ({grid.left_m}, {grid.top_m}) on")
     if not raster.bands:
         raise WrongOutputError("the raster has no band")
-    arrays = {name: _kept(name, np.asarray(values)) for name, values in raster.bands.items()}
+    arrays = {name: _kept(name, unmasked(values)) for name, values in raster.bands.items()}
     for name, values in arrays.items():
         if values.shape != grid.shape:
             raise WrongOutputError(
@@ -109,7 +110,13 @@ def _kept(name: str, values: Any) -> Any:
     """The values of a band in a type that rasters are kept in."""
     kind = values.dtype.kind
     if kind == "f":
-        return values.astype("<f4", copy=False)
+        with np.errstate(over="ignore"):
+            kept = values.astype("<f4", copy=False)
+        if np.isinf(kept).any():
+            raise WrongOutputError(
+                f"band `{name}` has values that are infinite, or beyond what 32 bits hold; NaN stands for no value"
+            )
+        return kept
     if kind == "b":
         return values.astype("|u1")
     if kind in "iu":
@@ -120,8 +127,22 @@ def _kept(name: str, values: Any) -> Any:
     raise WrongOutputError(f"band `{name}` is an array of {values.dtype}; numbers or flags are kept")
 
 
+def _whole(name: str, values: Any, low: int, high: int) -> Any:
+    """Values that are kept as whole numbers from `low` to `high`, and are such."""
+    array = unmasked(values)
+    if array.dtype.kind == "b":
+        array = array.astype("u1")
+    if array.dtype.kind not in "fiu":
+        raise WrongOutputError(f"`{name}` is an array of {array.dtype}; whole numbers from {low} to {high} are kept")
+    if array.size and (not (array == np.floor(array)).all() or array.min() < low or array.max() > high):
+        raise WrongOutputError(
+            f"`{name}` has values from {array.min()} to {array.max()}; whole numbers from {low} to {high} are kept"
+        )
+    return array
+
+
 def _floats(name: str, values: Any, columns: int, dtype: str) -> Any:
-    array = np.asarray(values)
+    array = unmasked(values)
     if array.dtype.kind not in "fiu" or array.ndim != 2 or array.shape[1] != columns:
         raise WrongOutputError(
             f"`{name}` is an array of {array.dtype} with the shape {array.shape}; n x {columns} numbers are kept"
@@ -131,10 +152,17 @@ def _floats(name: str, values: Any, columns: int, dtype: str) -> Any:
 
 def _written_mesh(mesh: Mesh) -> bytes:
     vertices = _floats("vertices", mesh.vertices, 3, "<f8")
-    triangles = _floats("triangles", mesh.triangles, 3, "<i8")
-    if len(triangles) and (triangles.min() < 0 or triangles.max() >= len(vertices)):
-        raise WrongOutputError(f"`triangles` name vertices from {triangles.min()} to {triangles.max()}; there are {len(vertices)}")
-    return ply.write_mesh(Mesh(mesh.frame, vertices, triangles.astype("<u4"), mesh.colours, mesh.georeference))
+    triangles = _corners(mesh.triangles, len(vertices))
+    colours = _whole("colours", mesh.colours, 0, 255).astype("u1")
+    return ply.write_mesh(Mesh(mesh.frame, vertices, triangles, colours, mesh.georeference))
+
+
+def _corners(triangles: Any, vertices: int) -> Any:
+    """Triangles as places in so many vertices."""
+    corners = _floats("triangles", triangles, 3, np.asarray(triangles).dtype.str)
+    if len(corners) and (corners.min() < 0 or corners.max() >= vertices):
+        raise WrongOutputError(f"`triangles` name vertices from {corners.min()} to {corners.max()}; there are {vertices}")
+    return _whole("triangles", corners, 0, max(vertices - 1, 0)).astype("<u4")
 
 
 def _written_meshes(meshes: Meshes) -> bytes:
@@ -149,7 +177,7 @@ def _written_meshes(meshes: Meshes) -> bytes:
         own = np.zeros(len(part.vertices), vertex)
         own["xyz"], own["part"] = _floats("vertices", part.vertices, 3, "<f8"), number
         corners = np.zeros(len(part.triangles), face)
-        corners["count"], corners["corners"], corners["part"] = 3, np.asarray(part.triangles) + first, number
+        corners["count"], corners["corners"], corners["part"] = 3, _corners(part.triangles, len(own)) + first, number
         lines.append(f"comment part {number} vertices {len(own)} faces {len(corners)} {json.dumps([part.name, part.kind])}")
         vertices.append(own)
         faces.append(corners)
@@ -171,11 +199,13 @@ def _written_cloud(cloud: Cloud) -> bytes:
     for name, values in lists.items():
         if len(values) not in ((0, count) if name in ("normals", "colours") else (count,)):
             raise WrongOutputError(f"`{name}` has {len(values)} values for {count} points")
-    return ply.write_cloud(Cloud(cloud.frame, points, cloud.normals, cloud.colours, cloud.numbers, cloud.georeference))
+    colours = _whole("colours", cloud.colours, 0, 255).astype("u1")
+    numbers = {name: _whole(name, values, 0, 2**32 - 1).astype("<u4") for name, values in cloud.numbers.items()}
+    return ply.write_cloud(Cloud(cloud.frame, points, cloud.normals, colours, numbers, cloud.georeference))
 
 
 def _written_surface(surface: Surface) -> bytes:
-    points, squares = np.asarray(surface.points), np.asarray(surface.squares)
+    points, squares = unmasked(surface.points), unmasked(surface.squares)
     if points.ndim != 3 or points.shape[2] != 3 or squares.shape != (points.shape[0] - 1, points.shape[1] - 1):
         raise WrongOutputError(f"points of the shape {points.shape} and squares of {squares.shape} make no surface")
     layout = "float32 points by row from origin_m, uint8 squares"
@@ -187,6 +217,8 @@ def _written_surface(surface: Surface) -> bytes:
 
 
 def _written_depth(depth: DepthMap) -> bytes:
+    channels = {name: unmasked(values) for name, values in depth.channels.items()}
+    depth = replace(depth, z=unmasked(depth.z), channels=channels)
     for name, values in {"Z": depth.z, **depth.channels}.items():
         array = np.asarray(values)
         if array.dtype.kind not in "fiu" or array.shape != np.shape(depth.z) or array.ndim != 2:
@@ -215,11 +247,27 @@ def _written_table(table: Table) -> bytes:
         if len(row) != len(table.columns):
             raise WrongOutputError(f"row {number} of the table has {len(row)} cells for {len(table.columns)} columns")
 
-    def cell(value: Any) -> Any:
-        value = value.item() if isinstance(value, np.generic) else value
-        return None if isinstance(value, float) and not np.isfinite(value) else value
+    twins = sorted({name for name in table.columns if list(table.columns).count(name) > 1})
+    if twins:
+        raise WrongOutputError(f"two columns of the table are called `{twins[0]}`")
 
-    return _json({"columns": list(table.columns), "rows": [[cell(value) for value in row] for row in table.rows]})
+    def cell(value: Any, place: int) -> Any:
+        value = value.item() if isinstance(value, np.generic) else value
+        if value is np.ma.masked or (isinstance(value, float) and np.isnan(value)):
+            return None
+        if isinstance(value, float) and np.isinf(value):
+            raise WrongOutputError(
+                f"column `{table.columns[place]}` of the table has {value}, which no number of a table is; give NaN or a text"
+            )
+        is_whole = isinstance(value, int) and not isinstance(value, bool)
+        if is_whole and (not -(2**63) < value < 2**63 or int(float(value)) != value):
+            raise WrongOutputError(
+                f"column `{table.columns[place]}` of the table has {value}, more digits than a number holds; give it as a text"
+            )
+        return value
+
+    rows = [[cell(value, place) for place, value in enumerate(row)] for row in table.rows]
+    return _json({"columns": list(table.columns), "rows": rows})
 
 
 def _written_files(files: Files) -> bytes:

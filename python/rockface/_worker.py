@@ -59,6 +59,11 @@ class Worker:
         self.module: ModuleType | None = None
         # Answers go where standard output went; what functions print must not.
         self.answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+        # Jobs come where standard input came from; a function that asks for input finds its end.
+        self.jobs = os.fdopen(os.dup(0), "r", encoding="utf-8")
+        nothing = os.open(os.devnull, os.O_RDONLY)
+        os.dup2(nothing, 0)
+        os.close(nothing)
         self.said: tuple[int, int] | None = None
         folder = str(module.parent)
         sys.path_hooks.insert(0, self._hook(folder))
@@ -80,7 +85,7 @@ class Worker:
 
     def serve(self) -> None:
         """Works until there are no more jobs."""
-        for line in sys.stdin:
+        for line in self.jobs:
             job = json.loads(line)
             answer = self.answer(job)
             if os.getpid() != self.pid:
@@ -163,12 +168,7 @@ class Worker:
 
     def arguments(self, request: dict[str, Any], paths: dict[str, str], folder: Path) -> dict[str, Any]:
         """What the function is called with."""
-        types, arguments = request["types"], {}
-        for name, value in request["params"].items():
-            is_number = types[name]["type"] == "number" and value is not None
-            arguments[name] = (
-                float(value) if is_number else int(value) if types[name]["type"] == "integer" and value is not None else value
-            )
+        arguments = {name: typed(value, request["types"][name]) for name, value in request["params"].items()}
         for name, path in paths.items():
             if name.startswith("file "):
                 arguments[name.removeprefix("file ")] = Path(path)
@@ -269,6 +269,15 @@ class Worker:
             raise FunctionError(f"it imported `{name}` ({file}) in a way that planning does not see", hint, retire=True)
 
 
+def typed(value: Any, kind: dict[str, Any]) -> Any:
+    """A value of JSON in the Python type that the function declares."""
+    if value is None:
+        return None
+    if kind["type"] == "list":
+        return [typed(item, kind["of"]) for item in value]
+    return {"number": float, "integer": int}.get(kind["type"], lambda value: value)(value)
+
+
 def imported(path: Path) -> ModuleType:
     """The module of a file, under its own name."""
     spec = importlib.util.spec_from_file_location(path.stem, path, loader=FreshLoader(path.stem, str(path)))
@@ -316,10 +325,10 @@ def told_frames(error: BaseException, module: Path) -> list[str]:
     return lines
 
 
-def watch(group: int) -> None:
+def watch(jobs: int, group: int) -> None:
     """Ends this process and its children when `rockface` is gone: nobody would read the answer."""
     poller = select.poll()
-    poller.register(0, 0)
+    poller.register(jobs, 0)
     while not any(happened & (select.POLLHUP | select.POLLERR) for _, happened in poller.poll()):
         continue
     os.killpg(group, signal.SIGKILL)
@@ -329,8 +338,11 @@ def main() -> None:
     """Serves the module that the command line names."""
     # Ctrl-C is for rockface, which ends this process if it has to.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=watch, args=(os.getpgid(0),), daemon=True, name="rockface").start()
-    Worker(Path(sys.argv[1])).serve()
+    worker = Worker(Path(sys.argv[1]))
+    watching = threading.Thread(target=watch, args=(worker.jobs.fileno(), os.getpgid(0)), daemon=True, name="rockface")
+    watching.start()
+    worker.threads.add(watching)
+    worker.serve()
 
 
 if __name__ == "__main__":

@@ -117,6 +117,17 @@ def _needed(package: str, purpose: str) -> Any:
         raise RockfaceError(f"{purpose} needs the package {package}: `pip install {package}`") from error
 
 
+def unmasked(values: Any) -> Array:
+    """Values as a plain array: NaN where floats are masked; for masked whole numbers and flags there is no such value."""
+    if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values):
+        if values.dtype.kind != "f":
+            raise ValueError(
+                f"{int(np.ma.getmaskarray(values).sum())} cells of an array of {values.dtype} are masked: fill them, or give floats"
+            )
+        return np.asarray(values.filled(np.nan))
+    return np.asarray(values)
+
+
 @dataclass(frozen=True)
 class Grid:
     """Square cells of a raster; rows go down (Y decreases), columns to the right (X increases)."""
@@ -168,11 +179,11 @@ class Raster(Placed):
     @staticmethod
     def single(grid: Grid, values: Array, name: str = "value", *, quantity: str = "value", frame: Frame = Frame.WALL) -> Raster:
         """A raster of one band."""
-        return Raster(grid, frame, quantity, {name: np.asarray(values)})
+        return Raster(grid, frame, quantity, {name: unmasked(values)})
 
     def like(self, values: Array, name: str = "value", *, quantity: str | None = None) -> Raster:
         """A raster of one band on the same grid and in the same frame."""
-        return Raster(self.grid, self.frame, quantity or name, {name: np.asarray(values)}, self.georeference)
+        return Raster(self.grid, self.frame, quantity or name, {name: unmasked(values)}, self.georeference)
 
     @property
     def values(self) -> Array:
@@ -348,7 +359,7 @@ class DepthMap:
         for name, values in channels.items():
             if np.shape(values) != self.shape:
                 raise ValueError(f"channel `{name}` has the shape {np.shape(values)}, the depth map {self.shape}")
-        added = {name: np.asarray(values, np.float32) for name, values in channels.items()}
+        added = {name: np.asarray(unmasked(values), np.float32) for name, values in channels.items()}
         return replace(self, channels={**self.channels, **added})
 
     def points(self) -> NDArray[np.float64]:

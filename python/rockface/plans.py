@@ -92,7 +92,7 @@ def arguments(
         words.append(f"--set={name}={value}")
     for name, value in _pairs(sweep):
         words.append(f"--sweep={name}={value}")
-    words += [f"--target={target}" for target in targets]
+    words += [f"--target={target}" for target in ([targets] if isinstance(targets, str) else targets)]
     words += [f"--seed={seed}"] if seed is not None else []
     words += [f"--store={store}"] if store is not None else []
     return words
@@ -166,6 +166,8 @@ def _axes(sweep: Mapping[str, object] | Sequence[str] | None) -> Sequence[str] |
     def words(values: object) -> str:
         if isinstance(values, str):
             return values
+        if isinstance(values, int | float):
+            values = [values]
         listed = values.tolist() if hasattr(values, "tolist") else list(values)  # type: ignore[call-overload]
         return ",".join(_written(value) for value in listed)
 

@@ -60,7 +60,7 @@ def run(
         jobs: steps at once, and threads inside them.
         memory_gib: memory for values passed between steps and for running steps.
         keep_going: after a failed step, go on with steps that do not depend on it.
-        outputs: which outputs get names in the run folder: `auto`, `targets` or `all`; others are read from the store.
+        outputs: which outputs get names in the run folder: `auto`, `targets`, `all` or `none`; others are read from the store.
         check_determinism: run every step that runs twice, and fail where two goes differ.
         store: the store of results, by default `.rockface/store` beside the pipeline.
         runs: the folder of runs, by default `.rockface/runs` beside the pipeline.

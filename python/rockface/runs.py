@@ -21,6 +21,9 @@ from rockface.plans import Explanation, PlannedStep, explain, plan
 
 __all__ = ["Outputs", "Run", "Step", "find"]
 
+SHOWN = 10
+"""Runs that a message names."""
+
 LABEL = re.compile(r"^(?P<step>[^.\[]+)(?P<one>\[[^\]]*\])?(\.(?P<port>[^.\[]+))?(?P<two>\[[^\]]*\])?$")
 PICTURES = 3
 """Pictures that the head of a run shows."""
@@ -393,9 +396,15 @@ def find(run: str | Path = "latest", *, runs: str | Path | None = None, store: s
     for path in (folder / run, Path(run), Path(run).parent):
         if (path / "run.json").is_file():
             return Run(path, store)
-    names = sorted(path.name for path in folder.iterdir() if (path / "run.json").is_file()) if folder.is_dir() else []
-    fitting = [name for name in names if str(run) in name and name != "latest"]
+    entries = folder.iterdir() if folder.is_dir() else []
+    # The links `latest` and `latest-NAME` are further names of runs.
+    names = sorted(path.name for path in entries if not path.is_symlink() and (path / "run.json").is_file())
+    fitting = [name for name in names if str(run) in name]
     if len(fitting) == 1:
         return Run(folder / fitting[0], store)
-    told = f"fits {', '.join(fitting)}" if fitting else f"is no run in {folder}; there are {', '.join(names) or 'none'}"
+
+    def listed(names: list[str]) -> str:
+        return ", ".join(names[-SHOWN:]) + (f" and {len(names) - SHOWN} earlier ones" if len(names) > SHOWN else "")
+
+    told = f"fits {listed(fitting)}" if fitting else f"is no run in {folder}; there are {listed(names) or 'none'}"
     raise RockfaceError(f"`{run}` {told}")

@@ -442,3 +442,74 @@ def test_a_stage_can_be_called_as_a_function():
     grid = rockface.Grid(3, 2, 0.5, 0, 0)
     raster = rockface.Raster.single(grid, np.array([[0, -1, 0], [0, 0, -2.0]]))
     assert threshold(raster, rockface.Random.seeded(1)).values.sum() == 2
+
+
+def test_lists_of_floats_hold_floats(bench):
+    bench.pipeline(", params: {weights: [1, 2, 3.5]}")
+    bench.module("""
+        @rockface.stage(output="raster")
+        def own(dem: rockface.Raster, weights: list[float] = [1.0], deep: list[list[float]] = [[1.0]]) -> rockface.Raster:
+            assert [type(one) for one in [*weights, *deep[0]]] == [float] * 4
+            return dem
+    """)
+    bench.run()
+
+
+def test_masked_cells_have_no_value(bench):
+    bench.module("""
+        @rockface.stage(output="raster")
+        def own(dem: rockface.Raster) -> rockface.Raster:
+            return dem.like(np.ma.masked_where(np.indices(dem.shape)[0] < 3, np.full(dem.shape, 5.0)), "elevation")
+    """)
+    values = bench.run()["own.raster"].values
+    assert np.isnan(values[:3]).all()
+    assert (values[3:] == 5).all()
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        ("dem.like(np.full(dem.shape, 1e39))", "infinite, or beyond what 32 bits hold"),
+        ("dem.like(np.ma.masked_equal(np.zeros(dem.shape, np.uint8), 0))", "are masked"),
+        ("rockface.Table.of([{'a': np.inf}])", "column `a` of the table has inf"),
+        ("rockface.Table.of([{'t': 1700000000123456789}])", "more digits than a number holds"),
+        ("rockface.Table(['a', 'a'], [[1, 2]])", "two columns of the table are called `a`"),
+        ("rockface.Mesh(dem.frame, np.eye(3), np.array([[0, 1.7, 2]]))", "`triangles` has values from 0.0 to 2.0"),
+        (
+            "rockface.Mesh(dem.frame, np.eye(3), np.array([[0, 1, 2]]), np.full((3, 3), 0.9))",
+            "`colours` has values from 0.9 to 0.9",
+        ),
+        ("rockface.Cloud(dem.frame, np.eye(3), numbers={'n': np.array([1, -1, 2])})", "`n` has values from -1 to 2"),
+        ("rockface.Cloud(dem.frame, np.eye(3), numbers={'n': np.array([1, np.nan, 2])})", "`n` has values"),
+    ],
+)
+def test_values_that_would_be_changed_are_refused(bench, value, told):
+    kind = value.split("(")[0].removeprefix("rockface.").split(".")[0].replace("dem", "Raster")
+    text = PIPELINE[: PIPELINE.index("  after:")]
+    bench.pipeline(text=text)
+    bench.module(f"""
+        @rockface.stage(output="out")
+        def own(dem: rockface.Raster) -> rockface.{kind}:
+            return {value}
+    """)
+    assert told in bench.fails()
+
+
+def test_a_function_that_asks_for_input_finds_its_end(bench):
+    bench.module("""
+        @rockface.stage(output="raster")
+        def own(dem: rockface.Raster) -> rockface.Raster:
+            input("go on? ")
+            return dem
+    """)
+    assert "EOFError" in bench.fails()
+
+
+def test_a_target_and_a_swept_value_may_stand_alone(bench):
+    bench.module("""
+        @rockface.stage(output="raster")
+        def own(dem: rockface.Raster) -> rockface.Raster:
+            return dem
+    """)
+    run = bench.run(targets="dem", sweep={"steps.dem.with.cell_m": 0.2})
+    assert rockface.open("own").folder == run.folder

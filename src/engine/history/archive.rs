@@ -25,7 +25,8 @@ outputs/                 the outputs, where the archive was made with --outputs;
 B3SUMS                   the BLAKE3 of every file: `b3sum --check B3SUMS` checks them all
 
 To repeat the run, put the input files that run.json names (with their BLAKE3) where it names them, and
-`rockface run run.json`: it says whether every output is the same.
+`rockface run run.json --store STORE --runs RUNS`: it says whether every output is the same. Without the two folders it
+writes into the `.rockface` folder where its pipeline was.
 ";
 
 /// What every archive has, and at which byte: the beginning of its first file, behind the header of that.
