@@ -124,6 +124,28 @@ fn numbers_that_cannot_be_are_refused_with_those_that_can() {
 }
 
 #[test]
+fn an_output_of_a_use_that_has_no_value_of_its_own_is_told_from_an_unknown_one() {
+    let house = House::new(
+        "rockface: 1\nparts:\n  wide:\n    in: {rows: table}\n    out: {table: t.table}\n    steps:\n      t: {stage: tabulate, in: {rows: in.rows}}\n\
+         axes: {rep: {count: 2}}\nsteps:\n  read: {stage: import-table, with: {path: t.csv}}\n  \
+         many: {use: wide, over: [rep], in: {rows: read.table}}\n  other: {use: wide, in: {rows: read.table}}\n",
+    );
+    std::fs::write(house.path("t.csv"), "a\n1\n").unwrap();
+    let (code, _, err) = house.rockface(&["run", "p.yaml", "--quiet", "--target", "many"]);
+    assert_eq!(code, Some(0), "{err}");
+    for (name, way) in [
+        ("many.table", "behind it are many/t[rep=0].table, many/t[rep=1].table"),
+        ("other.table", "the steps behind it were not needed in this run"),
+        ("mani.table", "did you mean `many.table`?"),
+    ] {
+        let (code, _, err) = house.rockface(&["export", "latest", name, "out.json"]);
+        assert!(code == Some(2) && err.contains(&format!("no output `{name}`: {way}")), "{name}: {err}");
+    }
+    let (code, _, err) = house.rockface(&["inspect", "t.csv", "--pixel", "1,1"]);
+    assert!(code == Some(2) && err.contains("is no depth map"), "{err}");
+}
+
+#[test]
 fn an_output_is_named_with_its_axes_in_any_order() {
     let house = House::new(
         "rockface: 1\naxes: {rep: {count: 2}, image: {items: [left, right]}}\nsteps:\n  read: {stage: import-table, with: {path: t.csv}}\n  \

@@ -188,7 +188,16 @@ pub fn chosen<'a>(manifest: &'a Manifest, output: &'a str) -> Result<(&'a StepDo
     let parts = manifest.parts.iter().flat_map(|used| used.outputs.keys().map(|port| format!("{}.{port}", used.name)));
     let names: Vec<String> = all().map(name).chain(parts).collect();
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    let behind = Label::parse(output).and_then(|label| manifest.behind(&label));
+    let is_behind = |(done, port): &(&StepDone, &str)| {
+        behind.as_ref().is_some_and(|behind| done.step == behind.step && Some(*port) == behind.port)
+    };
     let hint = match nearest(output, &names) {
+        // A use of a part has it; the steps behind it have several points, or did not run.
+        Some(near) if near == output => match all().filter(is_behind).map(name).collect::<Vec<_>>() {
+            points if points.is_empty() => "the steps behind it were not needed in this run".to_owned(),
+            points => format!("behind it are {}", listed(points.iter().map(String::as_str))),
+        },
         Some(near) => format!("did you mean `{near}`?"),
         None => format!("it has {}", listed(names)),
     };

@@ -14,6 +14,9 @@ use super::super::{CliError, say};
 use super::{Facts, say_facts};
 use rockface_engine::run::rerun;
 
+/// How an OpenEXR file begins.
+const OPENEXR: &[u8] = &[0x76, 0x2f, 0x31, 0x01];
+
 /// Reads `X,Y`, column and row, from the command line.
 pub fn parse(text: &str) -> Result<[usize; 2], String> {
     let (x, y) = text.split_once(',').ok_or("give column and row, such as 812,430")?;
@@ -39,6 +42,11 @@ pub fn follow(
     let path = Path::new(what);
     let (store, start) = if path.is_file() {
         let bytes = std::fs::read(path).map_err(|error| CliError::Usage(format!("cannot read `{what}`: {error}")))?;
+        if !bytes.starts_with(OPENEXR) {
+            return Err(CliError::Usage(format!(
+                "`{what}` is no depth map (OpenEXR), and `--pixel` follows a pixel of one"
+            )));
+        }
         let depth = Depth::decode(&bytes).map_err(|error| CliError::Usage(format!("`{what}`: {error}")))?;
         check(&depth, pixel)?;
         (store_near(path, places), Start::File(Digest::of(&bytes), Box::new(depth)))
