@@ -41,8 +41,7 @@ pub fn open_with(options: &mut OpenOptions, path: &Path) -> io::Result<File> {
     if file.metadata()?.is_file() { Ok(file) } else { Err(not_plain()) }
 }
 
-/// What is in the place of a plain file or a folder, and is none.
-pub(crate) fn not_plain() -> io::Error {
+fn not_plain() -> io::Error {
     io::Error::new(ErrorKind::InvalidInput, "it is a link or no plain file, which no store has there")
 }
 

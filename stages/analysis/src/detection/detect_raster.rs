@@ -143,7 +143,7 @@ fn limits(
     match limit {
         Limit::Fixed(FixedLimit { lod_m }) => Ok(vec![*lod_m as f32; difference.len()]),
         Limit::Empirical(EmpiricalLimit { factor }) => {
-            let spread = marginal::marginal(difference).map_or(f64::NAN, |found| found.nmad);
+            let spread = marginal::nmad(difference);
             if spread.is_nan() || spread <= 0.0 {
                 return Err(StageError::new("the difference has no spread (NMAD 0): no empirical limit of detection")
                     .hint("a noise-free difference needs `lod: {fixed: {lod_m: ...}}`"));
@@ -158,7 +158,7 @@ fn limits(
 /// Noise beyond a given limit counts as change.
 fn warn_of_low_limit(limit: &Limit, difference: &[f32], context: &Context) {
     let Limit::Fixed(FixedLimit { lod_m }) = limit else { return };
-    let least_m = marginal::marginal(difference).map_or(0.0, |found| NORMAL_95 * found.nmad);
+    let least_m = NORMAL_95 * marginal::nmad(difference);
     if *lod_m < least_m {
         context.warn(format!(
             "the limit of detection, {lod_m} m, is less than 1.96 times the spread (NMAD) of the difference, {least_m:.3} m: noise counts \

@@ -140,7 +140,7 @@ fn framed(
     Ok(settled.frame())
 }
 
-/// The plane's normal on the side that is told to be out of the rock: by `outward`, the normals of the points, or Z.
+/// The plane's normal, pointing out of the rock as `outward` does, or the normals of the points, or Z.
 fn outward(
     params: &ImportCloudParams,
     cloud: &Cloud,
@@ -149,13 +149,13 @@ fn outward(
 ) -> Result<Vector3<f64>, StageError> {
     let in_world = params.frame == CloudFrame::World;
     let normals = Vector3::from(cloud.normals) / cloud.points.len() as f64;
-    let (teller, direction, least) = if let Some(outward) = params.outward {
-        ("`outward`", Vector3::from(outward).normalize(), LEAST_COSINE)
-    } else if in_world && plane.normal.dot(&normals).abs() >= LEAST_NORMAL_SHARE {
-        ("the normals of the points", normals, LEAST_NORMAL_SHARE)
-    } else {
-        ("Z", Vector3::z(), LEAST_COSINE)
+    let by_normals = || {
+        let agree = in_world && plane.normal.dot(&normals).abs() >= LEAST_NORMAL_SHARE;
+        agree.then_some(("the normals of the points", normals, LEAST_NORMAL_SHARE))
     };
+    let given = params.outward.map(|outward| ("`outward`", Vector3::from(outward).normalize(), LEAST_COSINE));
+    let known = given.or_else(by_normals);
+    let (teller, direction, least) = known.unwrap_or(("Z", Vector3::z(), LEAST_COSINE));
     let cosine = plane.normal.dot(&direction);
     if cosine.abs() < least {
         let [x, y, z] = plane.normal.into();
@@ -170,7 +170,7 @@ fn outward(
     if in_world {
         context.note(format!("out of the rock by {teller}: the face {}", plane_fit::attitude(&outward)));
     }
-    if in_world && teller == "Z" && outward.z < STEEP {
+    if in_world && known.is_none() && outward.z < STEEP {
         let [x, y, z] = (-outward).into();
         context.warn(format!(
             "nothing in the file tells on which side of this steep face the rock is; it is taken that the face does not overhang ({}): \
