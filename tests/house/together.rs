@@ -45,7 +45,11 @@ pub fn axis(count: usize) -> String {
 }
 
 fn start(house: &House, more: &[&str]) -> Child {
-    let arguments = [&["run", "p.yaml", "--jobs", "2", "--quiet"], more].concat();
+    start_with(house, &[&["--jobs", "2"], more].concat())
+}
+
+fn start_with(house: &House, more: &[&str]) -> Child {
+    let arguments = [&["run", "p.yaml", "--quiet"], more].concat();
     house.command(&arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
 }
 
@@ -129,6 +133,50 @@ fn values_that_are_needed_again_are_made_again_once_over_all_processes() {
     }
 }
 
+/// The manifests of all runs.
+fn manifests(house: &House) -> Vec<serde_json::Value> {
+    let runs = std::fs::read_dir(house.path(".rockface/runs")).unwrap().flatten().map(|entry| entry.path());
+    let runs = runs.filter(|run| run.is_dir() && !run.is_symlink()).map(|run| run.join("run.json"));
+    runs.map(|path| serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()).collect()
+}
+
+#[test]
+fn values_that_another_process_made_are_fetched_for_a_step_that_gathers_them() {
+    let reads = |ports: &str| format!("      inputs: {{{ports}}}\n      params: {{i: '${{i}}'}}\n");
+    let (one, many) = ("{kind: file, extension: txt}", "{kind: file, extension: txt, many: true}");
+    let begun = || {
+        Counted::new().step("a", OVER_I.0, OVER_I.1, "echo a {param.i} > {out.f}").step(
+            "b",
+            "    over: [i]\n    keep: false\n    in: {f: a.f}\n",
+            &reads(&format!("f: {one}")),
+            "cat {in.f} {in.f} > {out.f}",
+        )
+    };
+    let all = "      params: {i: '${i}'}\n      inputs: {f: {kind: file, extension: txt, many: true}}\n";
+    let gathered = begun()
+        .step("c", "    over: [i]\n    in: {f: {each: b.f, over: [i]}}\n", all, "cat {in.f}/*.txt > {out.f}")
+        .write(&axis(4));
+    let diamond = begun()
+        .step(
+            "c",
+            "    over: [i]\n    keep: false\n    in: {f: {each: b.f, over: [i]}, g: a.f}\n",
+            &reads(&format!("f: {many}, g: {one}")),
+            "cat {in.f}/*.txt {in.g} > {out.f}",
+        )
+        .step("d", "    in: {f: c.f, g: b.f}\n", &reads(&format!("f: {one}, g: {one}")), "cat {in.f} {in.g} > {out.f}")
+        .write(&axis(4));
+    for (house, steps) in [(gathered, &["a", "b", "c"][..]), (diamond, &["a", "b", "c", "d"][..])] {
+        let process = || start_with(&house, &["--jobs", "1"]);
+        succeed(vec![process(), process()]);
+        expect(&house, &steps.iter().map(|step| (*step, 4)).collect::<Vec<_>>());
+        let manifests = manifests(&house);
+        assert_eq!(manifests.len(), 2);
+        for done in manifests.iter().flat_map(|manifest| manifest["steps"].as_array().unwrap()) {
+            assert!(done["outputs"].is_object(), "a run that succeeded has all outputs: {done}");
+        }
+    }
+}
+
 /// Points that become known on the way.
 pub fn dynamic() -> House {
     let rows = "      params: {i: '${row.value}'}\n";
@@ -149,6 +197,28 @@ fn points_that_become_known_on_the_way_run_once_over_all_processes() {
     let house = dynamic();
     run_together(&house, 3);
     expect(&house, &[("s", 1), ("list", 1), ("a", 4), ("b", 1)]);
+}
+
+#[test]
+fn a_value_is_held_for_points_that_become_known_later() {
+    let mut counted = Counted::new().step("a", "    keep: false\n", "", "echo a > {out.f}").step(
+        "early",
+        "    in: {f: a.f}\n",
+        READS,
+        "cat {in.f} {in.f} > {out.f}",
+    );
+    let count = counted.house.path("count").display().to_string();
+    counted.steps.push_str(&format!(
+        "  list:\n    stage: command\n    with:\n      program: sh\n      version: POSIX sh\n      \
+         outputs: {{t: {{kind: table, extension: csv}}}}\n      args: ['-c', 'echo list >> {count}; sleep 0.3; \
+         printf \"value\\n3\\n4\\n\" > {{out.t}}']\n",
+    ));
+    let later = format!("{READS}      params: {{i: '${{row.value}}'}}\n");
+    let house = counted
+        .step("late", "    in: {f: a.f}\n", &later, "cat {in.f} > {out.f}")
+        .write("axes: {row: {from: list.t, reseeds: false}}\n");
+    succeed(vec![start(&house, &[])]);
+    expect(&house, &[("a", 1), ("early", 1), ("list", 1), ("late", 2)]);
 }
 
 #[test]
@@ -208,11 +278,11 @@ fn what_a_killed_process_had_is_made_again_and_nothing_else() {
 fn neither_of_two_runs_only_waits_for_the_other() {
     let house = chains();
     run_together(&house, 2);
-    let runs = std::fs::read_dir(house.path(".rockface/runs")).unwrap().flatten().map(|entry| entry.path());
-    let manifests = runs.filter(|run| run.is_dir() && !run.is_symlink()).map(|run| run.join("run.json"));
-    let texts: Vec<String> = manifests.map(|path| std::fs::read_to_string(path).unwrap()).collect();
-    assert_eq!(texts.len(), 2);
-    assert!(texts.iter().all(|text| text.contains("\"status\":\"executed\"")));
+    let manifests = manifests(&house);
+    assert_eq!(manifests.len(), 2);
+    for manifest in manifests {
+        assert!(manifest["steps"].as_array().unwrap().iter().any(|done| done["status"] == "executed"));
+    }
 }
 
 #[test]

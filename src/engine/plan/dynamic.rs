@@ -115,6 +115,17 @@ impl Plan {
         items.zip(&self.waits).map(|(items, wait)| items.or(wait.map(Unknown::Pairs))).collect()
     }
 
+    /// By step: whether instances that cannot be told yet will read what it makes and does not keep.
+    pub fn awaits_readers(&self) -> Vec<bool> {
+        let (wanted, unknown) = (self.graph.wanted(), self.unknown());
+        let mut awaits = vec![false; self.graph.steps.len()];
+        let later = (0..awaits.len()).filter(|step| wanted[*step] && unknown[*step].is_some());
+        for source in later.flat_map(|step| &self.graph.steps[step].inputs).flat_map(|(_, feed)| feed.sources()) {
+            awaits[source.step] = !self.graph.steps[source.step].keep;
+        }
+        awaits
+    }
+
     /// The axes that wait for an instance, with the port their items come from.
     pub fn waiting_axes(&self, instance: usize) -> Vec<(usize, &'static str)> {
         let own = &self.instances[instance];

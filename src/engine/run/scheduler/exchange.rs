@@ -115,7 +115,7 @@ impl Scheduler<'_> {
     fn check_key(&mut self, instance: usize) -> Result<(), RunError> {
         let state = &self.states[instance];
         let Some(key) = state.key.filter(|_| state.is_due()) else { return Ok(()) };
-        if !state.is_recompute() && self.close_if_recorded(instance) {
+        if self.close_if_recorded(instance) {
             self.exchange.reset_pause();
         } else if !self.store.is_free(&key)? {
             self.exchange.elsewhere.push(instance);

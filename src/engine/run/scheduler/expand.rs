@@ -67,10 +67,10 @@ impl Scheduler<'_> {
         Ok(())
     }
 
-    /// Where pairs tell what is gathered, steps may wait for each other by way of items before, which no plan can see. Nothing is left to
-    /// do then although not all is done: reported as a failure.
+    /// Nothing is left to do although not all is done: reported as a failure. Where pairs tell what is gathered, steps may wait for each
+    /// other by way of items before, which no plan can see; elsewhere it is a fault of this program.
     pub fn report_stuck(&mut self) {
-        if self.failed || !self.plan.graph.pairs_items() {
+        if self.failed {
             return;
         }
         let is_open = |instance: &usize| {
@@ -83,10 +83,18 @@ impl Scheduler<'_> {
         self.failed = true;
         let label = stuck.map_or_else(|| self.plan.graph.steps[step].name.clone(), |stuck| self.plan.label(stuck));
         let stage = self.plan.graph.steps[step].stage.name().to_owned();
-        let message =
-            "it waits for steps that wait for it, by the pairs of a list and by way of items before".to_owned();
-        let hint = "let an item read from items before it, and pairs be made without what they tell".to_owned();
-        self.report(&Event::Failed { step: label, stage, message, hint: Some(hint) });
+        let (message, hint) = if self.plan.graph.pairs_items() {
+            (
+                "it waits for steps that wait for it, by the pairs of a list and by way of items before",
+                "let an item read from items before it, and pairs be made without what they tell",
+            )
+        } else {
+            (
+                "it was left undone although nothing that it needs is: a fault of rockface, not of the pipeline",
+                "run again, what is done is kept; and please report it with the pipeline",
+            )
+        };
+        self.report(&Event::Failed { step: label, stage, message: message.to_owned(), hint: Some(hint.to_owned()) });
     }
 
     fn report_faults(&mut self, instance: usize, use_of_it: &str, faults: &[Diagnostic]) {
@@ -109,6 +117,7 @@ impl Scheduler<'_> {
         self.log_levels = None;
         self.states.grow(self.plan, first);
         self.spans = super::schedule::spans(self.plan);
+        self.states.all_readers_are_there(self.plan).into_iter().for_each(|producer| self.release(producer));
         for instance in first..self.plan.instances.len() {
             let failed = |producer: &usize| self.states[*producer].is_failed();
             if self.plan.producers(instance).iter().any(failed) {

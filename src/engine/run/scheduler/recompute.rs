@@ -25,7 +25,8 @@ impl Scheduler<'_> {
 
     /// Requests the inputs of one instance; returns the producers whose values have to come.
     fn request_inputs_of(&mut self, instance: usize) -> Result<Vec<usize>, RunError> {
-        let is_open = self.states[instance].due().is_some_and(|due| due.missing == 0);
+        // It may have been done since it was put here, and its values be needed again: then it has another place in another line.
+        let is_open = self.states[instance].due().is_some_and(|due| due.missing == 0 && !due.is_recompute());
         let Some(key) = self.states[instance].key.filter(|_| is_open) else { return Ok(Vec::new()) };
         self.store.refresh()?;
         if self.close_if_recorded(instance) {
@@ -44,9 +45,10 @@ impl Scheduler<'_> {
         Ok(absent)
     }
 
-    /// Closes an instance that is due if another process has recorded its outcome meanwhile. Returns whether it did.
+    /// Closes an instance that is to be computed if another process has recorded its outcome meanwhile. Returns whether it did. The
+    /// outcome of an instance that is recomputed is known: others wait for its values, which this would not bring.
     pub fn close_if_recorded(&mut self, instance: usize) -> bool {
-        let is_current = self.states[instance].due().is_some_and(|due| !due.is_stale);
+        let is_current = self.states[instance].due().is_some_and(|due| !due.is_stale && !due.is_recompute());
         let Some(key) = self.states[instance].key.filter(|_| is_current) else { return false };
         let known = hit(self.store, &key, self.must_keep(instance), |outcome| self.plan.fits(instance, outcome));
         let Some(outcome) = known else { return false };
@@ -117,9 +119,7 @@ impl Scheduler<'_> {
             return Ok(());
         };
         // No process computes them now. One that did so since they were requested still has them, or has done what needs them.
-        self.store.refresh()?;
-        if !self.is_still_wanted(instance) {
-            self.call_off(instance);
+        if !self.is_wanted_yet(instance)? {
             return Ok(());
         }
         match self.find_elsewhere(instance)? {
@@ -129,6 +129,10 @@ impl Scheduler<'_> {
                 Ok(())
             }
             Found::Nowhere => {
+                // Whoever had them may have recorded what needs them and let them go, both since the store was last read.
+                if !self.is_wanted_yet(instance)? {
+                    return Ok(());
+                }
                 if let Some(due) = self.states[instance].due_mut() {
                     due.lease = Some(lease);
                 }
@@ -138,13 +142,20 @@ impl Scheduler<'_> {
         }
     }
 
+    /// Whether an instance waits for the values of this one after all that other processes have recorded; if not, calls it off.
+    fn is_wanted_yet(&mut self, instance: usize) -> Result<bool, RunError> {
+        self.store.refresh()?;
+        let is_wanted = self.is_still_wanted(instance);
+        if !is_wanted {
+            self.call_off(instance);
+        }
+        Ok(is_wanted)
+    }
+
     /// Whether an instance still waits for the values of this one. Instances that another process has done are closed.
     pub fn is_still_wanted(&mut self, instance: usize) -> bool {
         let mut wanted_by = std::mem::take(&mut self.states[instance].wanted_by);
-        wanted_by.retain(|by| {
-            let state = &self.states[*by];
-            state.is_due() && (state.is_recompute() || !self.close_if_recorded(*by))
-        });
+        wanted_by.retain(|by| self.states[*by].is_due() && !self.close_if_recorded(*by));
         let is_wanted = !wanted_by.is_empty();
         self.states[instance].wanted_by = wanted_by;
         is_wanted

@@ -268,11 +268,12 @@ impl<'a> Scheduler<'a> {
 
     /// The next instance for a worker: one that is ready, or becomes ready when its inputs are recomputed.
     fn next(&mut self) -> Result<Option<usize>, RunError> {
-        while let Some(instance) = self.shared.pop_front() {
-            self.request_inputs(instance)?;
-            self.take_turns()?;
-        }
         loop {
+            if let Some(instance) = self.shared.pop_front() {
+                self.request_inputs(instance)?;
+                self.take_turns()?;
+                continue;
+            }
             if let Some(instance) = self.next_ready()? {
                 return Ok(Some(instance));
             }

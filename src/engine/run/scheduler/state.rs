@@ -28,6 +28,8 @@ pub struct State {
     pub announced: BTreeMap<&'static str, Arc<Announced>>,
     /// The number of consumers that may still ask for the values.
     pub users: usize,
+    /// One of them stands for consumers that the plan does not have yet.
+    awaits_readers: bool,
     /// Instances that wait for the values.
     pub wanted_by: Vec<usize>,
 }
@@ -54,7 +56,33 @@ impl States {
         let steps: Vec<usize> = plan.instances.iter().map(|instance| instance.step).collect();
         let mut open = vec![0; plan.graph.steps.len()];
         steps.iter().for_each(|step| open[*step] += 1);
-        Self { list, steps, closed: 0, open }
+        let mut states = Self { list, steps, closed: 0, open };
+        states.await_readers(plan, 0);
+        states
+    }
+
+    /// Has the instances from number `from` on hold their values for consumers that the plan does not have yet.
+    fn await_readers(&mut self, plan: &Plan, from: usize) {
+        let awaits = plan.awaits_readers();
+        if !awaits.contains(&true) {
+            return;
+        }
+        for (state, _) in self.list.iter_mut().zip(&self.steps).skip(from).filter(|(_, step)| awaits[**step]) {
+            (state.users, state.awaits_readers) = (state.users + 1, true);
+        }
+    }
+
+    /// The instances that held their values for consumers which the plan has by now: each has a user that will not come.
+    pub fn all_readers_are_there(&mut self, plan: &Plan) -> Vec<usize> {
+        let awaits = plan.awaits_readers();
+        let (states, steps) = (self.list.iter_mut().enumerate(), &self.steps);
+        let there = states.filter(|(number, state)| state.awaits_readers && !awaits[steps[*number]]);
+        there
+            .map(|(number, state)| {
+                state.awaits_readers = false;
+                number
+            })
+            .collect()
     }
 
     /// Adds the instances that the plan has from number `from` on.
@@ -74,6 +102,7 @@ impl States {
             }
             self.list[instance].phase = Phase::Waiting { unmet: waited_for };
         }
+        self.await_readers(plan, from);
     }
 
     /// Reorders the states; `former` has the former number of each.
@@ -202,6 +231,7 @@ impl State {
             spilled: BTreeMap::new(),
             announced: BTreeMap::new(),
             users,
+            awaits_readers: false,
             wanted_by: Vec::new(),
         }
     }

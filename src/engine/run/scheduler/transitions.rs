@@ -58,7 +58,8 @@ impl Scheduler<'_> {
 
     /// All producers are done: the outcome is on record, or the instance has to run.
     fn settle(&mut self, instance: usize) {
-        if !self.states[instance].is_pending() {
+        let is_known = |producer: &usize| self.states[*producer].outcome().is_some();
+        if !self.states[instance].is_pending() || !self.plan.producers(instance).iter().all(is_known) {
             return;
         }
         let (key, recipe) = self.determine_recipe(instance);
