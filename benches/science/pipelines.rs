@@ -40,7 +40,10 @@ fn measure(what: &str, words: &[&str]) {
 
 /// What the law of Amdahl makes of the gain by a second core.
 fn scaling(gain: f64) -> String {
-    let serial = (2.0 / gain - 1.0).max(0.0);
+    if gain > 2.0 {
+        return format!("same files; x {gain:.2} from 1 core to 2: more than 2, the run on one core was disturbed");
+    }
+    let serial = 2.0 / gain - 1.0;
     let gain_of_64 = 1.0 / (serial + (1.0 - serial) / 64.0);
     let (percent, many) = (digits(100.0 * serial), digits(gain_of_64));
     format!("same files; x {gain:.2} from 1 core to 2: serial share {percent} %, so x {many} by 64 cores (Amdahl)")

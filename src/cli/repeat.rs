@@ -89,7 +89,13 @@ pub fn verdict(manifest: &Manifest, plan: &Plan, summary: &Summary) -> Repeated 
         }
     }
     if others.is_empty() {
-        return Repeated { same, others: 0, lines: vec![format!("repeated: all {same} outputs are the same")] };
+        let (computed, stored) = (summary.executed(), summary.cached());
+        let how = if computed == 0 {
+            "all of them from the store; with `--store` and an empty folder they are computed again".to_owned()
+        } else {
+            format!("{computed} steps were computed again, {stored} are from the store")
+        };
+        return Repeated { same, others: 0, lines: vec![format!("repeated: all {same} outputs are the same: {how}")] };
     }
     let count = others.len();
     let mut lines = changed_files(manifest, plan);

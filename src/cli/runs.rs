@@ -45,7 +45,7 @@ enum RunsCommand {
         #[arg(long)]
         json: bool,
     },
-    /// Compare runs: the parameters that differ between them, and their metrics.
+    /// Compare runs: the parameters and metrics that differ between them.
     Compare {
         /// Two runs or more, such as `quickstart~1 quickstart`.
         #[arg(required = true, num_args = 2.., value_name = "RUN", add = super::candidates::runs())]
@@ -54,6 +54,9 @@ enum RunsCommand {
         places: Places,
         #[command(flatten)]
         printed: Printed,
+        /// Show metrics that are the same in all runs too; CSV and JSON have them anyway.
+        #[arg(long)]
+        all: bool,
         /// Write the comparison to this file as an HTML page with pictures.
         #[arg(long, value_name = "FILE", conflicts_with_all = ["format", "json"])]
         html: Option<PathBuf>,
@@ -84,11 +87,11 @@ impl RunsArgs {
         match self.command {
             RunsCommand::List { places, printed } => list(&places, printed.format()),
             RunsCommand::Show { run, places, json } => show(&places.find(&run)?, json),
-            RunsCommand::Compare { compared, places, printed, html } => {
+            RunsCommand::Compare { compared, places, printed, all, html } => {
                 let found = compared.iter().map(|run| places.find(run)).collect::<Result<Vec<_>, _>>()?;
                 match html {
                     Some(to) => page(registry, &places, &found, &to),
-                    None => compare(&found, printed.format()),
+                    None => compare(&found, printed.format(), all),
                 }
             }
             RunsCommand::Pin { run, places } => pin(&places, &run, true),
@@ -202,8 +205,9 @@ fn short(value: f64) -> String {
     format!("{value:.digits$}")
 }
 
-fn compare(runs: &[PastRun], format: Format) -> Result<(), CliError> {
+fn compare(runs: &[PastRun], format: Format, all: bool) -> Result<(), CliError> {
     let found = history::compare(runs);
+    let shows = |one: &&Row| all || format != Format::Table || one.varies();
     // For programs every digit, for people four.
     let as_shown = format == Format::Table;
     let mut head = vec![if format == Format::Csv { "kind" } else { "" }, "name"];
@@ -221,10 +225,13 @@ fn compare(runs: &[PastRun], format: Format) -> Result<(), CliError> {
         cells
     };
     let parameters = found.parameters.iter().map(|one| row("parameter", one));
-    let rows: Vec<Vec<String>> = parameters.chain(found.metrics.iter().map(|one| row("metric", one))).collect();
+    let metrics: Vec<&Row> = found.metrics.iter().filter(shows).collect();
+    let rows: Vec<Vec<String>> = parameters.chain(metrics.iter().map(|one| row("metric", one))).collect();
     table::print(format, &head, &rows, &json!(found))?;
     if format == Format::Table {
-        say(&format!("{} parameters are the same in all", found.equal_parameters));
+        let varying = found.metrics.iter().filter(|one| one.varies()).count();
+        let equal = found.metrics.len() - varying;
+        say(&format!("{} parameters and {equal} metrics are the same in all", found.equal_parameters));
     }
     Ok(())
 }

@@ -79,7 +79,7 @@ impl ExportArgs {
             let bytes = converted(kind, &bytes, extension)?;
             std::fs::create_dir_all(folder_of(&to)).map_err(failed("create the folder of"))?;
             write(&to, &bytes).map_err(failed("write"))?;
-            let told = if self.plain { "" } else { ", where it comes from in a file beside it" };
+            let told = if self.plain { "" } else { "; its origin is noted in a file beside it" };
             if !self.plain {
                 let facts = format!("{facts:#}\n");
                 write(&provenance::beside(&to), facts.as_bytes()).map_err(failed("write"))?;
@@ -103,7 +103,7 @@ impl ExportArgs {
             None => (provenance::beside(&to), format!("{facts:#}\n").into_bytes(), "in a file beside it"),
         };
         write(&at, &bytes).map_err(failed("write"))?;
-        say(&format!("{} ({}), where it comes from {where_to}", to.display(), output.kind));
+        say(&format!("{} ({}); its origin is noted {where_to}", to.display(), output.kind));
         Ok(())
     }
 }
@@ -199,9 +199,18 @@ pub fn chosen<'a>(manifest: &'a Manifest, output: &'a str) -> Result<(&'a StepDo
             points => format!("behind it are {}", listed(points.iter().map(String::as_str))),
         },
         Some(near) => format!("did you mean `{near}`?"),
-        None => format!("it has {}", listed(names)),
+        None => match names.iter().copied().filter(|name| step_of(name) == step_of(output)).collect::<Vec<_>>() {
+            own if own.is_empty() => format!("it has {}", listed(names)),
+            own if own.len() == 1 => format!("did you mean `{}`?", own[0]),
+            own => format!("of `{}` it has {}", step_of(output), listed(own)),
+        },
     };
     Err(CliError::Usage(format!("the run has no output `{output}`: {hint}")))
+}
+
+/// The step, or the use of a part, whose output a name is.
+fn step_of(name: &str) -> &str {
+    name.split(['.', '[']).next().unwrap_or_default()
 }
 
 /// Arguments of `rockface archive`.

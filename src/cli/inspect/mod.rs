@@ -124,6 +124,11 @@ impl InspectArgs {
 
     fn unknown(&self) -> CliError {
         let what = &self.what;
+        if self.places.find(what).is_ok() {
+            return CliError::Usage(format!(
+                "`{what}` is a run: `rockface runs show {what}` describes it, `rockface inspect {what} STEP.PORT` an output of it"
+            ));
+        }
         CliError::Usage(format!(
             "`{what}` is neither a file nor the start of a digest on record: `rockface runs show RUN --json` names digests"
         ))

@@ -50,7 +50,8 @@ pub fn compare(runs: &[PastRun]) -> Comparison {
 }
 
 impl Row {
-    fn varies(&self) -> bool {
+    /// Whether it is not the same in all runs.
+    pub fn varies(&self) -> bool {
         self.values.windows(2).any(|pair| pair[0] != pair[1])
     }
 

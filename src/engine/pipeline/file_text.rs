@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::diagnostic::Diagnostic;
+use crate::diagnostic::{Diagnostic, listed};
 
 /// The text of a file that holds a pipeline or a part.
 pub fn read_text(path: &Path) -> Result<String, Diagnostic> {
@@ -36,6 +36,11 @@ fn unreadable(path: &Path, error: &std::io::Error) -> Diagnostic {
     if error.kind() != std::io::ErrorKind::NotFound {
         return fault;
     }
+    let below = below(path);
+    if !below.is_empty() {
+        return fault
+            .hint(format!("there is {}: go into its folder, or name it", listed(below.iter().map(String::as_str))));
+    }
     let files = pipelines_in(path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")));
     let given = path.display().to_string();
     let near = crate::diagnostic::nearest(&given, &files.iter().map(String::as_str).collect::<Vec<_>>());
@@ -43,6 +48,18 @@ fn unreadable(path: &Path, error: &std::io::Error) -> Diagnostic {
         Some(near) if near != given => fault.hint(format!("did you mean `{near}`?")),
         _ => name_one_of(fault, &files),
     }
+}
+
+/// Files of the same name one folder down, as one would name them; sorted.
+fn below(path: &Path) -> Vec<String> {
+    let (Some(name), Some(folder)) = (path.file_name(), path.parent()) else { return Vec::new() };
+    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path().join(name));
+    let files = entries.filter(|path| path.is_file());
+    let mut files: Vec<String> =
+        files.map(|path| format!("`{}`", path.strip_prefix(".").unwrap_or(&path).display())).collect();
+    files.sort();
+    files
 }
 
 fn name_one_of(fault: Diagnostic, files: &[String]) -> Diagnostic {

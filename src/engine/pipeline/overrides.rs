@@ -4,8 +4,9 @@ use std::collections::BTreeSet;
 
 use super::node::{Data, Key, Node};
 use super::parameter::{as_given, is_declared};
+use super::reader::TOP;
 use super::substitute::{mentioned, parted};
-use crate::diagnostic::{Diagnostic, Source, Span};
+use crate::diagnostic::{Diagnostic, Source, Span, nearest};
 
 /// The most keys of a path: nothing in a pipeline is nested deeper.
 const KEYS_LIMIT: usize = 64;
@@ -122,6 +123,13 @@ pub fn check_depth(keys: &[&str], span: Span) -> Result<(), Diagnostic> {
 
 /// A path into a parameter, step or axis that does not exist is a mistake: nothing would ever read it.
 pub fn check_exists(root: &Node, keys: &[&str], span: Span) -> Result<(), Diagnostic> {
+    if let Some((first, rest)) = keys.split_first()
+        && let Some(meant) = meant(root, first, rest)
+    {
+        return Err(
+            Diagnostic::at(span, format!("the pipeline has no key `{first}`")).hint(format!("did you mean `{meant}`?"))
+        );
+    }
     let [section, name, rest @ ..] = keys else { return Ok(()) };
     let what = match (*section, rest.is_empty()) {
         ("params", _) => "parameter",
@@ -145,6 +153,22 @@ pub fn check_exists(root: &Node, keys: &[&str], span: Span) -> Result<(), Diagno
     } else {
         fault.suggest(name, known)
     })
+}
+
+/// The path that is meant by one that begins with the name of a parameter or of a step.
+fn meant(root: &Node, first: &str, rest: &[&str]) -> Option<String> {
+    let names = |section: &str| -> Vec<&str> {
+        let entries = root.get(section).and_then(Node::entries).unwrap_or_default();
+        entries.iter().map(|(key, _)| key.name.as_str()).collect()
+    };
+    if TOP.contains(&first) || root.get(first).is_some() {
+        return None;
+    }
+    if rest.is_empty() {
+        return nearest(first, &names("params")).map(|near| format!("params.{near}"));
+    }
+    let below = rest.strip_prefix(&["with"]).unwrap_or(rest).join(".");
+    names("steps").contains(&first).then(|| format!("steps.{first}.with.{below}"))
 }
 
 /// Puts a value where a path of keys leads, and makes the maps on the way.

@@ -166,7 +166,11 @@ impl Declared {
             let stray = self.stray_number(value)?;
             format!("parameter `{name}` cannot be {stray}: {}", self.range())
         };
-        let fault = Diagnostic::at(span, message).also(self.name.span, format!("`{name}` is declared here"));
+        let mut fault = Diagnostic::at(span, message).also(self.name.span, format!("`{name}` is declared here"));
+        let with_point = value.as_str().map(|text| text.replace(',', "."));
+        if let Some(number) = with_point.filter(|text| text.parse::<f64>().is_ok() && !self.kind.fits(value)) {
+            fault = fault.hint(format!("numbers are written with a point: {number}"));
+        }
         Some(if self.choices.is_empty() { fault } else { fault.hint(format!("one of: {}", self.choice_words())) })
     }
 

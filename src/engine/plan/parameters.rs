@@ -86,12 +86,12 @@ pub fn check_with_files(
     let with = fill(graph, step, items)?;
     match check_filled(step, &with) {
         Ok(mut params) => {
-            let faults = find_files(step, fields, &mut params, sight);
+            let faults = find_files(graph, step, fields, &mut params, sight);
             if faults.is_empty() { Ok(params) } else { Err(faults) }
         }
         Err(mut faults) => {
             let mut as_written = StepParams::of(with, false);
-            let missing = find_files(step, fields, &mut as_written, sight);
+            let missing = find_files(graph, step, fields, &mut as_written, sight);
             let new = missing.into_iter().filter(|fault| faults.iter().all(|known| known.span != fault.span));
             let new: Vec<_> = new.collect();
             faults.extend(new);
@@ -170,8 +170,14 @@ pub fn told(place: &Place, with: &Value, fault: &Fault) -> Diagnostic {
 
 /// Finds and hashes every file the parameters name, and puts the digests into the recipe's parameters; `fields` are those of
 /// the stage.
-fn find_files(step: &GraphStep, fields: &[Field], params: &mut StepParams, sight: &Sight) -> Vec<Diagnostic> {
-    let mut finder = Finder { step, sight, files: BTreeMap::new(), faults: Vec::new(), path: Vec::new() };
+fn find_files(
+    graph: &Graph,
+    step: &GraphStep,
+    fields: &[Field],
+    params: &mut StepParams,
+    sight: &Sight,
+) -> Vec<Diagnostic> {
+    let mut finder = Finder { graph, step, sight, files: BTreeMap::new(), faults: Vec::new(), path: Vec::new() };
     if fields.iter().any(|field| names_files(&field.kind)) {
         params.recipe = Arc::new(finder.fields(fields, &params.canonical));
         params.files = finder.files;
@@ -192,6 +198,7 @@ fn names_files(kind: &Kind) -> bool {
 }
 
 struct Finder<'a> {
+    graph: &'a Graph,
     step: &'a GraphStep,
     sight: &'a Sight<'a>,
     files: BTreeMap<String, Vec<InputFile>>,
@@ -270,10 +277,22 @@ impl Finder<'_> {
             }
             Err(message) => {
                 let span = self.step.with.as_ref().map_or(self.step.span, |with| with.locate(&self.path, false));
-                self.faults.push(missing(span, &format!("step `{}`: {message}", self.step.name), written, &path));
+                let fault = missing(span, &format!("step `{}`: {message}", self.step.name), written, &path);
+                self.faults.push(self.with_parameter(fault, written));
                 Vec::new()
             }
         }
+    }
+
+    /// Adds to the fault of a path how to give another, where a parameter says how the path begins.
+    fn with_parameter(&self, mut fault: Diagnostic, written: &str) -> Diagnostic {
+        let begins = |value: &&Value| value.as_str().is_some_and(|text| !text.is_empty() && written.starts_with(text));
+        let found = self.graph.params.iter().filter(|(_, value)| begins(value));
+        if let Some((name, _)) = found.max_by_key(|(_, value)| value.as_str().map_or(0, str::len)) {
+            let given = format!("`--set params.{name}=...` gives another path");
+            fault.hint = Some(fault.hint.map_or_else(|| given.clone(), |hint| format!("{hint}; {given}")));
+        }
+        fault
     }
 
     /// The `.prj` of the same name beside a file; one that cannot be read is a fault.

@@ -13,7 +13,7 @@ mod topic;
 pub use foxglove::layout;
 pub use json::JsonLines;
 pub use mcap_log::{Facts, RunLog, StepNote};
-pub use plain::Plain;
+pub use plain::{Alike, Plain};
 pub use reported::{Report, Reported, Role};
 pub use terminal::Terminal;
 pub use topic::{Made, Topic};

@@ -65,11 +65,32 @@ impl<W: Write> Plain<W> {
 /// Warnings that differ in their numbers only, of which so many are told in full.
 const ALIKE: usize = 2;
 
+/// Counts warnings that are alike.
+#[derive(Default)]
+pub struct Alike {
+    /// How often each warning was given, by its text without digits.
+    counts: HashMap<String, usize>,
+}
+
+impl Alike {
+    /// How many like this one there were, this one among them.
+    fn count(&mut self, text: &str) -> usize {
+        let alike: String = text.chars().filter(|letter| !letter.is_ascii_digit()).collect();
+        let count = self.counts.entry(alike).or_default();
+        *count += 1;
+        *count
+    }
+
+    /// Whether a warning is one of the first of its kind, which are told in full.
+    pub fn is_told(&mut self, text: &str) -> bool {
+        self.count(text) <= ALIKE
+    }
+}
+
 /// The lines of events, of which warnings that are alike are not told again and again.
 #[derive(Default)]
 pub struct Lines {
-    /// How often each warning was given, by its text without digits.
-    warnings: HashMap<String, usize>,
+    warnings: Alike,
 }
 
 impl Lines {
@@ -77,13 +98,11 @@ impl Lines {
     pub fn line(&mut self, event: &Event, verbose: bool) -> Option<String> {
         let words = match event {
             Event::Warning { step, text } if !verbose => {
-                let alike: String = text.chars().filter(|letter| !letter.is_ascii_digit()).collect();
-                let count = self.warnings.entry(alike).or_default();
-                *count += 1;
-                if *count == ALIKE + 1 {
+                let count = self.warnings.count(text);
+                if count == ALIKE + 1 {
                     Some(format!("warning  {step}: another like these; further ones are in the report"))
                 } else {
-                    words(event, verbose).filter(|_| *count <= ALIKE)
+                    words(event, verbose).filter(|_| count <= ALIKE)
                 }
             }
             _ => words(event, verbose),

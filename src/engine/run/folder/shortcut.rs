@@ -10,6 +10,7 @@ use super::made::{self, Made};
 use super::run_folder::point_latest;
 use crate::plan::Plan;
 use crate::run::{Finished, RunError, Summary, tools};
+use crate::watch::Alike;
 
 /// How many headlines and files the end of a run names.
 pub const NAMED: usize = 20;
@@ -23,7 +24,7 @@ pub struct Told {
     pub headlines: Vec<String>,
     /// How many results there are.
     pub headline_count: usize,
-    /// The first warnings, those of cached steps too.
+    /// The first warnings, those of cached steps too; of those that differ in their numbers only, the first two.
     #[serde(default)]
     pub warnings: Vec<String>,
     /// How many warnings there are.
@@ -47,12 +48,16 @@ impl Told {
     /// The summary of a run.
     pub fn of(finished: &Finished, summary: &Summary) -> Self {
         let headlines = folded(&finished.headlines);
+        let mut alike = Alike::default();
+        let words = |text: &str| text.split_once(": ").map_or(text, |(_, words)| words).to_owned();
+        let told = finished.warnings.iter().filter(|(_, text)| alike.is_told(&words(text))).take(NAMED);
+        let warnings = told.map(|(_, text)| text.clone()).collect();
         let ran = |(instance, _): &&(usize, String)| summary.instances.get(*instance).is_some_and(|it| it.executed);
         Self {
             folder: finished.folder.clone(),
             headline_count: headlines.len(),
             headlines: headlines.into_iter().take(NAMED).collect(),
-            warnings: finished.warnings.iter().take(NAMED).map(|(_, text)| text.clone()).collect(),
+            warnings,
             warning_count: finished.warnings.len(),
             warnings_printed: finished.warnings.iter().filter(ran).count(),
             files: finished.files.iter().take(NAMED).cloned().collect(),

@@ -43,9 +43,21 @@ pub fn read(bytes: &[u8]) -> Result<Mesh, CodecError> {
     Ok(Mesh { frame: Frame::World, vertices: places.vertices, triangles, colours: Vec::new() })
 }
 
+/// What other files begin with that are taken for meshes by mistake: binary STL files begin with any 80 bytes.
+const OTHERS: [(&[u8], &str); 4] = [
+    (b"\x89PNG\r\n", "a PNG picture"),
+    (b"\xff\xd8\xff", "a JPEG picture"),
+    (b"%PDF-", "a PDF document"),
+    (b"PK\x03\x04", "a ZIP archive"),
+];
+
 fn read_binary(bytes: &[u8], places: &mut Places) -> Result<Vec<[u32; 3]>, String> {
     let count = promised(bytes).ok_or_else(|| format!("{} bytes are too few for the header", bytes.len()))?;
     let held = (bytes.len() - HEAD) / RECORD;
+    let other = OTHERS.iter().find(|(begin, _)| held != count && bytes.starts_with(begin));
+    if let Some((_, what)) = other {
+        return Err(format!("this is {what}, no mesh"));
+    }
     if held < count {
         return Err(format!(
             "the header promises {count} triangles, but the file ends after {held}: it was cut short, or is no STL file"
@@ -170,6 +182,8 @@ mod tests {
         let mut more = whole.clone();
         more[HEAD - 4] = 7;
         assert!(read(&more).unwrap_err().0.contains("promises 7 triangles, and 8 follow"));
+        let picture = [b"\x89PNG\r\n", &whole[6..]].concat();
+        assert!(read(&picture[..300]).unwrap_err().0.contains("this is a PNG picture"));
         let words = text(&mesh);
         assert!(read(&words.as_bytes()[..words.len() / 2]).unwrap_err().0.contains("cut short"));
         assert!(read(words.replacen("vertex", "wertex", 1).as_bytes()).unwrap_err().0.contains("line 4: `wertex`"));
