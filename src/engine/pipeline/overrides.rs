@@ -91,6 +91,12 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<O
         return Err(Diagnostic::at(here(0, path.len()), format!("`{path}` is not a path of keys")));
     }
     check_depth(&keys, here(0, path.len()))?;
+    if let Some((first, rest)) = keys.split_first()
+        && let Some(meant) = meant(root, first, rest)
+    {
+        let fault = Diagnostic::at(here(0, path.len()), format!("the pipeline has no key `{first}`"));
+        return Err(fault.hint(format!("did you mean `{meant}`?")));
+    }
     let declared =
         if let ["params", name] = keys[..] { root.get("params").and_then(|own| own.get(name)) } else { None };
     let node = as_given(declared, node, text);
@@ -123,13 +129,6 @@ pub fn check_depth(keys: &[&str], span: Span) -> Result<(), Diagnostic> {
 
 /// A path into a parameter, step or axis that does not exist is a mistake: nothing would ever read it.
 pub fn check_exists(root: &Node, keys: &[&str], span: Span) -> Result<(), Diagnostic> {
-    if let Some((first, rest)) = keys.split_first()
-        && let Some(meant) = meant(root, first, rest)
-    {
-        return Err(
-            Diagnostic::at(span, format!("the pipeline has no key `{first}`")).hint(format!("did you mean `{meant}`?"))
-        );
-    }
     let [section, name, rest @ ..] = keys else { return Ok(()) };
     let what = match (*section, rest.is_empty()) {
         ("params", _) => "parameter",

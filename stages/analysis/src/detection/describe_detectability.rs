@@ -30,7 +30,7 @@ pub struct DescribeDetectability;
 impl Stage for DescribeDetectability {
     type Params = DescribeDetectabilityParams;
     const NAME: &'static str = "describe-detectability";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("describe_detectability.md"));
     const INPUTS: &'static [Port] =
         &[Port::one("truth", &[Kind::Inventory, Kind::Table], "The `truth` of `score-detections`, or many joined.")];
@@ -94,6 +94,11 @@ table_row! {
         probability: f64,
         slope: f64,
         slope_se: f64,
+        ceiling: f64,
+        at_50_low: Option<f64>,
+        at_50_high: Option<f64>,
+        at_probability_low: Option<f64>,
+        at_probability_high: Option<f64>,
     }
 }
 
@@ -145,19 +150,34 @@ impl Scene<'_> {
         if values.len() < self.rows.len() {
             return None;
         }
-        let curve = detectability::logistic(&values, &found)?;
+        let curve = detectability::curve(&values, &found)?;
         let [least, largest] =
             values.iter().fold([f64::INFINITY, 0.0f64], |[least, most], x| [least.min(*x), most.max(*x)]);
         // Beyond the changes there are, a curve tells nothing, and a flat one nowhere.
         let seen = |size: &f64| curve.is_certain() && (least..=largest).contains(size);
+        let limit = |probability: f64| {
+            let at = curve.at(probability).filter(seen);
+            let [low, high] = match at.and_then(|_| curve.interval(probability)) {
+                Some(interval) => interval.map(Some),
+                None => [None; 2],
+            };
+            [at, low, high]
+        };
+        let [at_50, at_50_low, at_50_high] = limit(0.5);
+        let [at_probability, at_probability_low, at_probability_high] = limit(probability);
         Some(LimitRow {
             property: property.to_owned(),
             count: values.len(),
-            at_50: Some(curve.at(0.5)).filter(seen),
-            at_probability: Some(curve.at(probability)).filter(seen),
+            at_50,
+            at_probability,
             probability,
             slope: curve.slope,
             slope_se: curve.slope_se,
+            ceiling: curve.ceiling,
+            at_50_low,
+            at_50_high,
+            at_probability_low,
+            at_probability_high,
         })
     }
 }
@@ -170,15 +190,25 @@ fn report(limits: &Table, scene: &Scene, params: &DescribeDetectabilityParams, c
         context.headline(format!("{found} of {total} found; no curve of {}", params.properties.join(", ")));
         return;
     };
-    let [half, most, slope, slope_se] = [2, 3, 5, 6].map(|column| row[column].number());
+    let [half, most, slope, slope_se, ceiling] = [2, 3, 5, 6, 7].map(|column| row[column].number());
     if let Some(half) = half {
         context.metric("at_50", half, "1");
     }
     let name = row[0].to_string();
     let share = format!("{:.0} %", 100.0 * params.probability);
+    let interval = |low: usize| match [low, low + 1].map(|column| row[column].number()) {
+        [Some(low), Some(high)] => format!(" ({low:.1e} to {high:.1e})"),
+        _ => String::new(),
+    };
+    let most_is = |most: f64| format!("{share} of those with {most:.2e}{}", interval(10));
+    let half_is = |half: f64| format!("half of those with {name} {half:.2e}{}", interval(8));
     let limits = match (half, most) {
-        (Some(half), Some(most)) => format!("half of those with {name} {half:.2e}, {share} of those with {most:.2e}"),
-        (Some(half), None) => format!("half of those with {name} {half:.2e}, {share} at no {name} there is"),
+        (Some(half), Some(most)) => format!("{}, {}", half_is(half), most_is(most)),
+        (Some(half), None) if ceiling.is_some_and(|ceiling| ceiling <= params.probability) => {
+            let ceiling = 100.0 * ceiling.unwrap_or(1.0);
+            format!("{}, {share} at no size, as {ceiling:.0} % of the largest are found", half_is(half))
+        }
+        (Some(half), None) => format!("{}, {share} at no {name} there is", half_is(half)),
         (None, Some(most)) => format!("{share} of those with {name} {most:.2e}, half at no {name} there is"),
         (None, None) => format!(
             "no limit of {name} among them (slope {:.2}, standard error {:.2})",

@@ -7,7 +7,7 @@ use crate::detection::limit;
 use crate::detection::limit::{Combination, NORMAL_95};
 use crate::detection::{clusters, raster};
 use rockface_core::artefact::{Kind, Raster};
-use rockface_core::numerics::marginal;
+use rockface_core::numerics::{marginal, quantile};
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params, union};
 use rockface_raster::grid;
@@ -88,7 +88,7 @@ pub struct DetectRaster;
 impl Stage for DetectRaster {
     type Params = DetectRasterParams;
     const NAME: &'static str = "detect-raster";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("detect_raster.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("difference", &[Kind::Raster], "Comparison minus reference, one band."),
@@ -114,6 +114,8 @@ impl Stage for DetectRaster {
         let lost: Vec<f64> = band.values.iter().map(|d| sign * f64::from(*d)).collect();
         let limits = limits(&params.lod, &band.values, [reference, comparison], difference.grid.columns)?;
         warn_of_low_limit(&params.lod, &band.values, context);
+        warn_of_offset(&limits, &band.values, context);
+        warn_of_uneven_noise(&params.lod, difference, context);
         let found = detect(params, difference, &lost, &limits, reference);
         report(&found, &limits, &lost, context)?;
         let labels = found::labels(&difference.grid, difference.frame, &found)?;
@@ -167,6 +169,55 @@ fn warn_of_low_limit(limit: &Limit, difference: &[f32], context: &Context) {
     }
 }
 
+/// The part of the limit by which a difference may lie off zero: with more, the cells without change beyond a limit of 1.96 times the
+/// spread are more than twice as many on one side.
+const OFFSET_SHARE: f64 = 0.15;
+
+/// A limit says how far differences without change lie from zero, not from their middle.
+fn warn_of_offset(limits: &[f32], difference: &[f32], context: &Context) {
+    let middle = |values: &[f32]| quantile::median(&mut marginal::known(values));
+    let (Some(limit), Some(offset)) = (middle(limits), middle(difference)) else { return };
+    if offset.abs() > OFFSET_SHARE * limit {
+        context.warn(format!(
+            "half of the differences lie above {:.1} mm, where without change it is 0, and the limit of detection is {:.1} mm: the offset \
+             counts as change and in its volumes; register the epochs on what is stable (`register-icp`)",
+            1e3 * offset,
+            1e3 * limit
+        ));
+    }
+}
+
+/// Windows along each side in which the spread is looked at, the fewest cells of a window and the fewest windows.
+const WINDOWS: usize = 8;
+const WINDOW_CELLS: usize = 100;
+const FEWEST_WINDOWS: usize = 16;
+/// From how many times the spread of a quiet window (10 %) that of a noisy one (90 %) is called uneven.
+const UNEVEN: f64 = 3.0;
+
+/// One limit for all cells is too large in one place and too small in another where the noise is not the same everywhere.
+fn warn_of_uneven_noise(limit: &Limit, difference: &Raster, context: &Context) {
+    if !matches!(limit, Limit::Fixed(_) | Limit::Empirical(_)) {
+        return;
+    }
+    let (grid, values) = (&difference.grid, &difference.bands[0].values);
+    let mut windows: Vec<Vec<f32>> = vec![Vec::new(); WINDOWS * WINDOWS];
+    for (row, cells) in values.chunks(grid.columns.max(1)).enumerate() {
+        for (column, value) in cells.iter().enumerate().filter(|(_, value)| !value.is_nan()) {
+            windows[row * WINDOWS / grid.rows * WINDOWS + column * WINDOWS / grid.columns].push(*value);
+        }
+    }
+    let spreads: Vec<f64> = windows.iter().filter(|w| w.len() >= WINDOW_CELLS).map(|w| marginal::nmad(w)).collect();
+    let quiet_and_noisy = [0.1, 0.9].map(|share| quantile::quantile(&spreads, share).unwrap_or(0.0));
+    if spreads.len() >= FEWEST_WINDOWS && quiet_and_noisy[1] > UNEVEN * quiet_and_noisy[0] {
+        let [quiet, noisy] = quiet_and_noisy.map(|spread| 1e3 * spread);
+        context.warn(format!(
+            "the noise is uneven: its spread (NMAD) is {quiet:.1} mm in quiet places and {noisy:.1} mm in noisy ones; with one limit for all \
+             cells noise counts as change there, and deviations of volumes are too small there and too large elsewhere: take `lod: {{lague: ...}}`, \
+             or crop to places that are alike"
+        ));
+    }
+}
+
 fn by_roughness(
     rough: &RoughnessLimit,
     how: Combination,
@@ -202,9 +253,10 @@ fn detect(
     let least_cells = raster::whole_cells(params.min_area_m2, grid.cell_m * grid.cell_m);
     let mut groups = clusters::groups(&kept, columns);
     groups.retain(|cells| cells.len() >= least_cells && clusters::axis_ratio(cells, columns) >= params.min_axis_ratio);
+    let factor = if let Limit::Empirical(EmpiricalLimit { factor }) = params.lod { factor } else { NORMAL_95 };
     let surface = |cell: usize| reference.map_or(0.0, |z| f64::from(z[cell]));
     let sign = params.change.sign();
-    groups.iter().map(|cells| raster::cluster(grid, cells, |c| (surface(c), sign * lost[c]), limits)).collect()
+    groups.iter().map(|cells| raster::cluster(grid, cells, |c| (surface(c), sign * lost[c]), limits, factor)).collect()
 }
 
 fn report(found: &[Found], limits: &[f32], lost: &[f64], context: &Context) -> Result<(), StageError> {
@@ -213,7 +265,7 @@ fn report(found: &[Found], limits: &[f32], lost: &[f64], context: &Context) -> R
         fail!("no cell has a difference and a limit of detection");
     }
     let mut finite = marginal::known(limits);
-    let median = rockface_core::numerics::quantile::median(&mut finite).unwrap_or(f64::NAN);
+    let median = quantile::median(&mut finite).unwrap_or(f64::NAN);
     let volume = found.iter().fold(0.0, |sum, found| sum + found.volume_m3);
     context.metric("tested_share", tested as f64 / lost.len() as f64, "1");
     context.metric("lod95_median", median, "m");

@@ -1,10 +1,21 @@
 //! How likely a change is found, by its size, shape and place: shares in classes, and a logistic curve.
 
+use nalgebra::{Matrix3, Vector3};
 use rockface_core::numerics::logistic::{self, Regression};
 use rockface_core::numerics::{portable_math, quantile};
 
+use super::limit::NORMAL_95;
+
 /// Determinant of the second derivatives of the likelihood below which there is no finite optimum.
 const LEAST_INFORMATION: f64 = 1e-12;
+/// Growth of twice the log-likelihood from which on a ceiling is taken.
+const CEILING_GAIN: f64 = 2.706;
+/// Keeps the slope of a curve with a ceiling finite: half of it times the square of the slope is taken from the log-likelihood.
+const SLOPE_RIDGE: f64 = 1e-4;
+/// Steps towards the likeliest curve at most, the gain below which there are no more, and the smallest part of a step that is tried.
+const STEPS: usize = 200;
+const SETTLED: f64 = 1e-10;
+const LEAST_STEP: f64 = 1e-6;
 
 /// A class of a property.
 #[derive(Debug, Clone, PartialEq)]
@@ -45,36 +56,61 @@ pub fn classes(values: &[Option<f64>], count: usize) -> Vec<Class> {
     classes
 }
 
-/// A logistic curve of the decimal logarithm of a property: p = 1 / (1 + exp(-(a + b log10 x))).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Logistic {
-    /// a: logarithm of the odds where the property is 1.
-    pub intercept: f64,
-    /// b: how much that grows where the property is ten times as large.
+/// The probability that a change is found, by the decimal logarithm of a property: p = c / (1 + exp(-(a + b log10 x))).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Curve {
+    /// b: how much the logarithm of the odds grows where the property is ten times as large.
     pub slope: f64,
     /// Standard error of b.
     pub slope_se: f64,
+    /// c: what the probability tends to. 1 unless the changes say that some are missed whatever their size.
+    pub ceiling: f64,
+    /// Twice the logarithm of the likelihood, less that of a probability which does not depend on the property.
+    pub gain: f64,
+    /// The logarithm of the property in the middle of the changes.
+    centre: f64,
+    /// The logarithm of the odds there, less that of the ceiling.
+    at_centre: f64,
+    /// Covariance of `at_centre`, slope and the logarithm of the odds of the ceiling, which is known where that is 1.
+    covariance: Matrix3<f64>,
 }
 
-impl Logistic {
-    /// Whether the property matters beyond chance: the slope is two standard errors from 0.
+impl Curve {
+    /// Whether the property matters beyond chance, as a slope does that is two standard errors from 0.
     pub fn is_certain(&self) -> bool {
-        self.slope.abs() > 2.0 * self.slope_se
+        self.gain > 4.0
     }
 
-    /// Where a change is found with this probability.
-    pub fn at(&self, probability: f64) -> f64 {
-        let logit = portable_math::log(probability / (1.0 - probability));
-        portable_math::pow(10.0, (logit - self.intercept) / self.slope)
+    /// Where a change is found with this probability; `None` where that is not reached at any size.
+    pub fn at(&self, probability: f64) -> Option<f64> {
+        Some(portable_math::pow(10.0, self.logarithm_at(probability)?))
+    }
+
+    /// The interval of 95 % of [`Curve::at`], by the covariance of what was fitted.
+    pub fn interval(&self, probability: f64) -> Option<[f64; 2]> {
+        let (at, c, b) = (self.logarithm_at(probability)?, self.ceiling, self.slope);
+        let by = Vector3::new(-1.0 / b, -(at - self.centre) / b, -c * (1.0 - c) / ((c - probability) * b));
+        let error = by.dot(&(self.covariance * by)).max(0.0).sqrt();
+        Some([-1.0, 1.0].map(|side| portable_math::pow(10.0, at + side * NORMAL_95 * error)))
+    }
+
+    fn logarithm_at(&self, probability: f64) -> Option<f64> {
+        let odds = probability / (self.ceiling - probability);
+        let is_reached = odds.is_finite() && odds > 0.0;
+        is_reached.then(|| self.centre + (portable_math::log(odds) - self.at_centre) / self.slope)
     }
 }
 
 /// Fits the curve by maximum likelihood; `None` where all or none are found, where the property separates both without error,
 /// so that no finite curve is the likeliest, or where the property does not matter.
-pub fn logistic(values: &[f64], found: &[bool]) -> Option<Logistic> {
+///
+/// A ceiling below 1 is taken where twice the logarithm of the likelihood grows by more than 2.71 with it: the 95 % quantile of that
+/// gain where there is none, as the ceiling is at the end of its range then (Self and Liang 1987).
+pub fn curve(values: &[f64], found: &[bool]) -> Option<Curve> {
     let x: Vec<f64> = values.iter().map(|value| portable_math::log10(*value)).collect();
     let centre = quantile::quantile(&x, 0.5)?;
-    let design: Vec<Vec<f64>> = x.iter().map(|x| vec![1.0, x - centre]).collect();
+    let x: Vec<f64> = x.iter().map(|x| x - centre).collect();
+    let design: Vec<Vec<f64>> = x.iter().map(|x| vec![1.0, *x]).collect();
     let importance = vec![1.0; x.len()];
     let regression = Regression { design: &design, happened: found, importance: &importance, ridge: 0.0, damping: 0.0 };
     let fit = logistic::fit(&regression);
@@ -84,8 +120,102 @@ pub fn logistic(values: &[f64], found: &[bool]) -> Option<Logistic> {
     if !fit.settled || determinant.is_nan() || determinant < LEAST_INFORMATION || b.abs() <= 1e-9 {
         return None;
     }
-    let slope_se = (information[(0, 0)] / determinant).sqrt();
-    Some(Logistic { intercept: a - b * centre, slope: b, slope_se })
+    let share = found.iter().filter(|found| **found).count() as f64 / found.len() as f64;
+    let flat = found.iter().map(|found| log_probability(share, *found)).sum::<f64>();
+    let changes = Changes { x: &x, found };
+    let plain = changes.log_likelihood(&Vector3::new(a, b, f64::INFINITY));
+    let covariance = [[information[(1, 1)], -information[(0, 1)]], [-information[(0, 1)], information[(0, 0)]]];
+    let covariance = Matrix3::from_fn(|i, j| if i < 2 && j < 2 { covariance[i][j] / determinant } else { 0.0 });
+    let (theta, ceiling, likelihood, covariance) = match changes.with_ceiling(a, b) {
+        Some((theta, likelihood, covariance)) if 2.0 * (likelihood - plain) > CEILING_GAIN => {
+            (theta, logistic::probability(theta[2]), likelihood, covariance)
+        }
+        _ => (Vector3::new(a, b, 0.0), 1.0, plain, covariance),
+    };
+    let slope_se = covariance[(1, 1)].sqrt();
+    let gain = 2.0 * (likelihood - flat);
+    Some(Curve { slope: theta[1], slope_se, ceiling, gain, centre, at_centre: theta[0], covariance })
+}
+
+/// The logarithm of the probability of what was seen.
+fn log_probability(p: f64, found: bool) -> f64 {
+    portable_math::log(if found { p } else { 1.0 - p }.max(f64::MIN_POSITIVE))
+}
+
+/// Logarithms of a property, less that in their middle, and whether each change was found.
+#[derive(Clone, Copy)]
+struct Changes<'a> {
+    x: &'a [f64],
+    found: &'a [bool],
+}
+
+impl Changes<'_> {
+    /// Of `at_centre`, the slope and the logarithm of the odds of the ceiling.
+    fn log_likelihood(&self, theta: &Vector3<f64>) -> f64 {
+        let ceiling = if theta[2].is_finite() { logistic::probability(theta[2]) } else { 1.0 };
+        let each = self.x.iter().zip(self.found);
+        each.map(|(x, found)| log_probability(ceiling * logistic::probability(theta[0] + theta[1] * x), *found)).sum()
+    }
+
+    /// [`Changes::log_likelihood`], less what keeps a slope finite that has no likeliest value.
+    fn objective(&self, theta: &Vector3<f64>) -> f64 {
+        self.log_likelihood(theta) - 0.5 * SLOPE_RIDGE * theta[1] * theta[1]
+    }
+
+    /// The likeliest curve with a ceiling, its log-likelihood and covariance, by Fisher's scoring with halved steps from some ceilings
+    /// and slopes; `a` and `b` are those of the curve without one.
+    fn with_ceiling(&self, a: f64, b: f64) -> Option<(Vector3<f64>, f64, Matrix3<f64>)> {
+        let starts = [(0.95, 1.0), (0.85, 2.0), (0.7, 3.0)];
+        let starts = starts.map(|(c, steeper)| Vector3::new(a, steeper * b, portable_math::log(c / (1.0 - c))));
+        let ends = starts.into_iter().filter_map(|start| self.climb(start));
+        let (theta, information) =
+            ends.max_by(|(one, _), (other, _)| self.objective(one).total_cmp(&self.objective(other)))?;
+        Some((theta, self.log_likelihood(&theta), information.try_inverse()?))
+    }
+
+    /// Climbs to the likeliest curve near a start; with the information there.
+    fn climb(&self, mut theta: Vector3<f64>) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+        let mut height = self.objective(&theta);
+        for _ in 0..STEPS {
+            let (score, information) = self.derivatives(&theta);
+            let step = information.cholesky()?.solve(&score);
+            let mut share = 1.0;
+            let next = loop {
+                let next = theta + step * share;
+                let higher = self.objective(&next);
+                if higher >= height {
+                    break Some((next, higher));
+                }
+                share *= 0.5;
+                if share < LEAST_STEP {
+                    break None;
+                }
+            };
+            let Some((next, higher)) = next else { return Some((theta, information)) };
+            let gain = higher - height;
+            (theta, height) = (next, higher);
+            if gain < SETTLED {
+                return Some((theta, self.derivatives(&theta).1));
+            }
+        }
+        None
+    }
+
+    /// The slopes of the objective, and the information.
+    fn derivatives(&self, theta: &Vector3<f64>) -> (Vector3<f64>, Matrix3<f64>) {
+        let c = logistic::probability(theta[2]);
+        let mut score = Vector3::new(0.0, -SLOPE_RIDGE * theta[1], 0.0);
+        let mut information = Matrix3::from_diagonal(&Vector3::new(LEAST_INFORMATION, SLOPE_RIDGE, LEAST_INFORMATION));
+        for (x, found) in self.x.iter().zip(self.found) {
+            let s = logistic::probability(theta[0] + theta[1] * x);
+            let p = c * s;
+            let by = Vector3::new(p * (1.0 - s), p * (1.0 - s) * x, p * (1.0 - c));
+            let variance = (p * (1.0 - p)).max(LEAST_INFORMATION);
+            score += by * ((f64::from(u8::from(*found)) - p) / variance);
+            information += by * by.transpose() / variance;
+        }
+        (score, information)
+    }
 }
 
 #[cfg(test)]
@@ -103,26 +233,53 @@ mod tests {
         assert!(classes(&[None], 5).is_empty());
     }
 
+    /// A hundred changes of each of 21 volumes, found in the share c / (1 + exp(-(8 + 4 log10 v))).
+    fn changes(c: f64) -> (Vec<f64>, Vec<bool>) {
+        let volumes: Vec<f64> = (0..2100).map(|i| portable_math::pow(10.0, -4.0 + f64::from(i / 100) * 0.2)).collect();
+        let share = |v: f64| c / (1.0 + portable_math::exp(-(8.0 + 4.0 * portable_math::log10(v))));
+        let found = volumes.iter().enumerate().map(|(i, v)| ((i % 100) as f64) < (100.0 * share(*v)).round()).collect();
+        (volumes, found)
+    }
+
     #[test]
     fn a_logistic_curve_comes_back() {
-        let curve = Logistic { intercept: 8.0, slope: 4.0, slope_se: 0.0 };
-        // A hundred changes of each of 21 volumes, found in the share the curve says.
-        let volumes: Vec<f64> = (0..2100).map(|i| portable_math::pow(10.0, -4.0 + f64::from(i / 100) * 0.2)).collect();
-        let share =
-            |v: f64| 1.0 / (1.0 + portable_math::exp(-(curve.intercept + curve.slope * portable_math::log10(v))));
-        let found: Vec<bool> =
-            volumes.iter().enumerate().map(|(i, v)| ((i % 100) as f64) < (100.0 * share(*v)).round()).collect();
-        let fit = logistic(&volumes, &found).unwrap();
-        assert!((fit.slope - 4.0).abs() < 0.1 && (fit.at(0.5) / 0.01 - 1.0).abs() < 0.02, "{fit:?}");
-        assert!(fit.at(0.9) > fit.at(0.5) && fit.slope_se < 0.3);
+        let (volumes, found) = changes(1.0);
+        let fit = curve(&volumes, &found).unwrap();
+        let [half, most] = [0.5, 0.9].map(|p| fit.at(p).unwrap());
+        assert!(fit.ceiling == 1.0 && (fit.slope - 4.0).abs() < 0.1 && (half / 0.01 - 1.0).abs() < 0.02, "{fit:?}");
+        assert!(most > half && fit.slope_se < 0.3 && fit.is_certain());
+        let [low, high] = fit.interval(0.9).unwrap();
+        assert!(low < most && most < high && high < 1.2 * most, "{low} {most} {high}");
+    }
+
+    #[test]
+    fn some_are_missed_whatever_their_size() {
+        let (volumes, found) = changes(0.85);
+        let fit = curve(&volumes, &found).unwrap();
+        assert!((fit.ceiling - 0.85).abs() < 0.02 && (fit.slope - 4.0).abs() < 0.4, "{fit:?}");
+        // 0.5 = 0.85 / (1 + exp(-(8 + 4 log10 v)))
+        let half = portable_math::pow(10.0, (portable_math::log(0.5 / 0.35) - 8.0) / 4.0);
+        let [low, high] = fit.interval(0.5).unwrap();
+        assert!(low < half && half < high && high < 1.4 * low, "{low} {half} {high}");
+        assert_eq!((fit.at(0.9), fit.interval(0.9)), (None, None));
+    }
+
+    #[test]
+    fn a_sharp_rise_below_a_ceiling_has_a_place() {
+        let volumes: Vec<f64> = (0..200).map(|i| portable_math::pow(10.0, f64::from(i) * 0.01)).collect();
+        let found: Vec<bool> = (0..200).map(|i| i >= 100 && i % 7 != 3).collect();
+        let fit = curve(&volumes, &found).unwrap();
+        assert!((fit.ceiling - 6.0 / 7.0).abs() < 0.02 && fit.is_certain(), "{fit:?}");
+        let half = fit.at(0.5).unwrap();
+        assert!((half / 10.0 - 1.0).abs() < 0.1 && fit.at(0.9).is_none(), "{half}");
     }
 
     #[test]
     fn no_curve_where_all_or_none_are_found_or_all_is_clear() {
         let volumes = [0.1, 0.2, 0.3, 0.4];
-        assert_eq!(logistic(&volumes, &[true; 4]), None);
-        assert_eq!(logistic(&volumes, &[false; 4]), None);
-        assert_eq!(logistic(&volumes, &[false, false, true, true]), None);
-        assert_eq!(logistic(&[], &[]), None);
+        assert_eq!(curve(&volumes, &[true; 4]), None);
+        assert_eq!(curve(&volumes, &[false; 4]), None);
+        assert_eq!(curve(&volumes, &[false, false, true, true]), None);
+        assert_eq!(curve(&[], &[]), None);
     }
 }

@@ -3,7 +3,6 @@
 use rockface_core::artefact::Grid;
 
 use super::found::Found;
-use super::limit::NORMAL_95;
 
 /// How many whole steps cover a length (or area), rounded up; a whole multiple is not rounded further for its last digit.
 pub fn whole_cells(length: f64, step: f64) -> usize {
@@ -11,8 +10,14 @@ pub fn whole_cells(length: f64, step: f64) -> usize {
 }
 
 /// Measures a cluster. `surface` gives the elevation before and the signed change of a cell, metres; `limits_m` the limit
-/// of detection of every cell of the grid, whose 1.96th part is its standard deviation.
-pub fn cluster(grid: &Grid, cells: &[usize], surface: impl Fn(usize) -> (f64, f64), limits_m: &[f32]) -> Found {
+/// of detection of every cell of the grid, `factor` times its standard deviation.
+pub fn cluster(
+    grid: &Grid,
+    cells: &[usize],
+    surface: impl Fn(usize) -> (f64, f64),
+    limits_m: &[f32],
+    factor: f64,
+) -> Found {
     let area_m2 = grid.cell_m * grid.cell_m;
     let (mut sum, mut deviation, mut deepest, mut score) = (0.0, 0.0, 0.0f64, 0.0f64);
     let mut points = Vec::with_capacity(8 * cells.len());
@@ -20,7 +25,7 @@ pub fn cluster(grid: &Grid, cells: &[usize], surface: impl Fn(usize) -> (f64, f6
         let (before, change) = surface(*cell);
         let limit = f64::from(limits_m[*cell]);
         sum += change.abs();
-        deviation += limit / NORMAL_95;
+        deviation += limit / factor;
         deepest = deepest.max(change.abs());
         score = score.max(change.abs() / limit);
         let (x, y) = grid.centre(cell / grid.columns, cell % grid.columns);
@@ -58,7 +63,7 @@ mod tests {
     #[test]
     fn a_cluster_by_hand() {
         let grid = Grid { columns: 4, rows: 2, cell_m: 0.5, left_m: 0.0, top_m: 1.0 };
-        let found = cluster(&grid, &[1, 2, 6], |cell| (10.0, -0.1 * cell as f64), &[0.05; 8]);
+        let found = cluster(&grid, &[1, 2, 6], |cell| (10.0, -0.1 * cell as f64), &[0.05; 8], 1.96);
         assert!((found.volume_m3 - 0.25 * 0.9).abs() < 1e-12 && (found.depth_mean_m - 0.3).abs() < 1e-12);
         assert!((found.volume_sd_m3 - 0.25 * 0.15 / 1.96).abs() < 1e-9 && (found.score - 12.0).abs() < 1e-6);
         assert_eq!((found.cells[2], found.points.len()), ((1, 2), 24));

@@ -91,6 +91,9 @@ struct Drawn {
 #[derive(Debug, Clone)]
 pub struct Simulated {
     trials: usize,
+    /// Whether the kurtosis of the references says anything. Of three, and of no more than one for each feature and one, it is the same
+    /// whatever they are but for the ridge.
+    has_kurtosis: bool,
     drawn: Vec<Drawn>,
 }
 
@@ -111,7 +114,7 @@ impl Setting {
         let each = (self.references + self.trials + 1) * (p * p + 20 * p);
         let tests = (WORK / each.max(1)).clamp(TESTS.1, TESTS.0);
         let drawn = (0..tests).into_par_iter().filter_map(|test| self.draw(test, quantiles)).collect();
-        Simulated { trials: self.trials, drawn }
+        Simulated { trials: self.trials, has_kurtosis: self.references > 3.max(p + 1), drawn }
     }
 
     fn draw(&self, test: usize, quantiles: &[f64]) -> Option<Drawn> {
@@ -213,8 +216,10 @@ impl Simulated {
             let off = move |x: &f64| if spread > 0.0 { ((x - at) / spread) * ((x - at) / spread) } else { 0.0 };
             values.iter().map(off).collect::<Vec<f64>>()
         };
-        let distance: Vec<f64> =
-            off(&shares, share).iter().zip(off(&kurtoses, log_kurtosis)).map(|(a, b)| a + b).collect();
+        let mut distance = off(&shares, share);
+        if self.has_kurtosis {
+            distance.iter_mut().zip(off(&kurtoses, log_kurtosis)).for_each(|(sum, off)| *sum += off);
+        }
         let mut sorted = distance.clone();
         sorted.sort_by(f64::total_cmp);
         let reach = of_sorted(&sorted, NEAREST).unwrap_or(0.0);

@@ -57,7 +57,7 @@ const LEVEL: f64 = 0.95;
 impl Stage for ProposeParameters {
     type Params = ProposeParametersParams;
     const NAME: &'static str = "propose-parameters";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: Page = Page::new(include_str!("propose_parameters.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("model", &[Kind::Acceptance], "The reference, from `fit-acceptance`."),

@@ -36,7 +36,7 @@ pub struct SummariseAcceptance;
 impl Stage for SummariseAcceptance {
     type Params = SummariseAcceptanceParams;
     const NAME: &'static str = "summarise-acceptance";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: Page = Page::new(include_str!("summarise_acceptance.md"));
     const INPUTS: &'static [Port] = &[
         Port::many("reference", &[Kind::Table], "Features of real rasters, from `describe-noise`."),

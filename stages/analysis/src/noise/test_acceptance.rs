@@ -27,7 +27,7 @@ const LEVELS: [f64; 3] = [0.90, 0.95, 0.99];
 impl Stage for TestAcceptance {
     type Params = TestAcceptanceParams;
     const NAME: &'static str = "test-acceptance";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("test_acceptance.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("model", &[Kind::Acceptance], "The reference, from `fit-acceptance`."),

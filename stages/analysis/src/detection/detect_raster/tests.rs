@@ -116,3 +116,45 @@ fn what_is_no_difference_or_lies_elsewhere_is_refused() {
     empty.bands[0].values.fill(f32::NAN);
     assert!(run(&empty, &json!({}), &[]).unwrap_err().message.contains("no cell"));
 }
+
+/// Noise of this spread in each half of 160 x 160 cells, and an offset, metres.
+fn noisy([left, right]: [f32; 2], offset: f32) -> Raster {
+    let grid = Grid { columns: 160, rows: 160, cell_m: 0.02, left_m: 0.0, top_m: 3.2 };
+    let field = rockface_core::numerics::random::Key([7; 32]).field();
+    let value = |cell: usize| {
+        let spread = if cell % 160 < 80 { left } else { right };
+        offset + spread * field.normal((cell / 160) as i32, (cell % 160) as i32) as f32
+    };
+    Raster::single(grid, Frame::Wall, "difference", "difference", (0..grid.cells()).map(value).collect())
+}
+
+fn warnings(difference: Raster, lod: &Value) -> Vec<String> {
+    let host = TestHost::default();
+    run_stage::<DetectRaster>(&host, &json!({ "lod": lod }), &[("difference", difference.into())]).unwrap();
+    host.warnings()
+}
+
+#[test]
+fn an_offset_and_uneven_noise_are_warned_of() {
+    let lod = json!({"empirical": {}});
+    assert_eq!(warnings(noisy([0.004, 0.004], 0.0), &lod), Vec::<String>::new());
+    assert_eq!(warnings(noisy([0.004, 0.008], 0.0), &lod), Vec::<String>::new());
+    let off = warnings(noisy([0.004, 0.004], -0.012), &lod);
+    assert!(off.len() == 1 && off[0].contains("above -12.") && off[0].contains("register-icp"), "{off:?}");
+    let uneven = warnings(noisy([0.001, 0.008], 0.0), &lod);
+    assert!(uneven.len() == 1 && uneven[0].contains("1.0 mm in quiet") && uneven[0].contains("noisy"), "{uneven:?}");
+}
+
+#[test]
+fn the_deviation_of_a_volume_does_not_depend_on_how_many_of_them_make_the_limit() {
+    let mut difference = noisy([0.004, 0.004], 0.0);
+    (0..12).for_each(|row| difference.bands[0].values[row * 160..row * 160 + 12].fill(-0.1));
+    let deviation = |factor: f64| {
+        let found =
+            run(&difference, &json!({"lod": {"empirical": {"factor": factor}}, "min_area_m2": 0.04}), &[]).unwrap();
+        (found.features.len(), found.numbers("volume_sd_m3").unwrap()[0].unwrap())
+    };
+    let [(one, at_two), (other, at_three)] = [deviation(2.5), deviation(3.5)];
+    assert_eq!((one, other), (1, 1));
+    assert!((at_two / at_three - 1.0).abs() < 0.02, "{at_two} {at_three}");
+}

@@ -97,6 +97,15 @@ fn the_band_of_a_perfect_simulator_is_as_wide_as_it_says() {
 }
 
 #[test]
+fn the_band_of_few_references_is_as_wide_as_it_says() {
+    // The count of tests by three references is anything from few to all; 200 tests.
+    for n in [3, 4, 6] {
+        let covered = coverage(&normal, [n, 1, 40], 200, false);
+        assert!(covered >= 0.9, "{n}: {covered}");
+    }
+}
+
+#[test]
 fn the_band_covers_95_percent_for_many_sizes_and_distributions() {
     if std::env::var_os("ROCKFACE_SLOW").is_none() {
         println!("skipped: set ROCKFACE_SLOW=1 for the coverage of bands on a grid");
