@@ -237,10 +237,11 @@ fn report(summary: &Table, context: &Context) {
         hidden => format!("; {hidden} more cannot be seen on this grid and are in no rate"),
     };
     context.headline(format!(
-        "{} of {} changes found, {} false alarms: precision {}, recall {}, F1 {}{hidden}",
+        "{} of {} changes found, {} false {}: precision {}, recall {}, F1 {}{hidden}",
         count("found"),
         count("found") + count("missed"),
         count("false_positives"),
+        if (count("false_positives") - 1.0).abs() < 0.5 { "alarm" } else { "alarms" },
         percent("precision"),
         percent("recall"),
         percent("f1")
