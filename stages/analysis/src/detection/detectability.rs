@@ -246,7 +246,10 @@ mod tests {
         let (volumes, found) = changes(1.0);
         let fit = curve(&volumes, &found).unwrap();
         let [half, most] = [0.5, 0.9].map(|p| fit.at(p).unwrap());
-        assert!(fit.ceiling > 0.999_999 && (fit.slope - 4.0).abs() < 0.1 && (half / 0.01 - 1.0).abs() < 0.02, "{fit:?}");
+        assert!(
+            fit.ceiling > 0.999_999 && (fit.slope - 4.0).abs() < 0.1 && (half / 0.01 - 1.0).abs() < 0.02,
+            "{fit:?}"
+        );
         assert!(most > half && fit.slope_se < 0.3 && fit.is_certain());
         let [low, high] = fit.interval(0.9).unwrap();
         assert!(low < most && most < high && high < 1.2 * most, "{low} {most} {high}");
