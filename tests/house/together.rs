@@ -222,6 +222,24 @@ fn a_value_is_held_for_points_that_become_known_later() {
 }
 
 #[test]
+fn a_value_is_held_for_a_step_that_only_points_known_later_read() {
+    let mut counted = Counted::new().step("a", "    keep: false\n", "", "echo a > {out.f}");
+    let count = counted.house.path("count").display().to_string();
+    counted.steps.push_str(&format!(
+        "  list:\n    stage: command\n    in: {{f: a.f}}\n    with:\n{READS}      program: sh\n      version: POSIX sh\n      \
+         outputs: {{t: {{kind: table, extension: csv}}}}\n      args: ['-c', 'echo list >> {count}; \
+         printf \"value\\n3\\n4\\n\" > {{out.t}}']\n",
+    ));
+    let later = format!("{READS}      params: {{i: '${{row.value}}'}}\n");
+    let house = counted
+        .step("between", "    in: {f: a.f}\n", READS, "cat {in.f} {in.f} > {out.f}")
+        .step("late", "    in: {f: between.f}\n", &later, "cat {in.f} > {out.f}")
+        .write("axes: {row: {from: list.t, reseeds: false}}\ntargets: [late]\n");
+    succeed(vec![start(&house, &[])]);
+    expect(&house, &[("a", 1), ("list", 1), ("between", 1), ("late", 2)]);
+}
+
+#[test]
 fn two_runs_with_different_targets_share_a_value_that_is_not_kept() {
     let house = Counted::new()
         .step("a", "    keep: false\n", "", "sleep 0.5; echo a > {out.f}")

@@ -10,7 +10,7 @@ use serde_json::{Map, Value};
 use super::graph::{ListPoint, Partners};
 use super::instances::Plan;
 use super::parameters::NAME_COLUMN;
-use super::points::Wait;
+use super::points::{Wait, count};
 use super::sight::HashFile;
 use crate::diagnostic::Diagnostic;
 use crate::pipeline::bad_item;
@@ -115,13 +115,27 @@ impl Plan {
         items.zip(&self.waits).map(|(items, wait)| items.or(wait.map(Unknown::Pairs))).collect()
     }
 
-    /// By step: whether instances that cannot be told yet will read what it makes and does not keep.
+    /// By step: whether instances that the plan does not have yet will read what it makes and does not keep.
     pub fn awaits_readers(&self) -> Vec<bool> {
-        let (wanted, unknown) = (self.graph.wanted(), self.unknown());
-        let mut awaits = vec![false; self.graph.steps.len()];
-        let later = (0..awaits.len()).filter(|step| wanted[*step] && unknown[*step].is_some());
-        for source in later.flat_map(|step| &self.graph.steps[step].inputs).flat_map(|(_, feed)| feed.sources()) {
-            awaits[source.step] = !self.graph.steps[source.step].keep;
+        let (graph, unknown) = (&self.graph, self.unknown());
+        let mut awaits = vec![false; graph.steps.len()];
+        if unknown.iter().all(Option::is_none) {
+            return awaits;
+        }
+        let mut counts = vec![0u64; graph.steps.len()];
+        self.instances.iter().for_each(|instance| counts[instance.step] += 1);
+        // What only such an instance reads is not in the plan either, nor what is read by that.
+        let has_all = |step: usize| counts[step] >= count(graph, &graph.steps[step].axes);
+        let wanted = graph.wanted();
+        let mut open: Vec<usize> = (0..awaits.len()).filter(|step| wanted[*step] && unknown[*step].is_some()).collect();
+        let mut seen: BTreeSet<usize> = open.iter().copied().collect();
+        while let Some(step) = open.pop() {
+            for source in graph.steps[step].inputs.iter().flat_map(|(_, feed)| feed.sources()) {
+                awaits[source.step] |= !graph.steps[source.step].keep;
+                if !has_all(source.step) && seen.insert(source.step) {
+                    open.push(source.step);
+                }
+            }
         }
         awaits
     }

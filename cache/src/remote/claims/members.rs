@@ -8,9 +8,9 @@ use std::time::Duration;
 use super::entry::{Entry, LIMIT, Member, is_name};
 use super::view::View;
 use super::{CLAIMS, Common, EFFECT, WORKERS};
+use crate::Digest;
 use crate::remote::backend::{Backend, BackendError, Object};
 use crate::remote::{AT_ONCE, each_at_once};
-use crate::{Digest, plain};
 
 /// No more old entries are removed by one who begins.
 const CLEARED: usize = 1000;
@@ -56,10 +56,16 @@ fn has_ended(worker: &str, process: &str) -> bool {
     let split = |name: &str| name.rsplit_once('-').map(|(rest, last)| (rest.to_owned(), last.to_owned()));
     let Some((of_worker, pid)) = split(worker).and_then(|(rest, _)| split(&rest)) else { return false };
     let is_here = split(process).is_some_and(|(own, _)| own == of_worker);
-    let is_seen = |process: &str| plain::is_folder(&Path::new("/proc").join(process));
-    let own = std::process::id().to_string();
     // Where the system shows no processes, none is taken to have ended.
-    is_here && pid.parse::<u32>().is_ok_and(|pid| !is_seen(&pid.to_string())) && is_seen(&own)
+    is_here && pid.parse::<u32>().is_ok_and(|pid| !is_seen(pid)) && is_seen(std::process::id())
+}
+
+/// Whether the system shows a process that runs: one that has ended stays there until its parent asks how.
+fn is_seen(process: u32) -> bool {
+    let stat = std::fs::read_to_string(Path::new("/proc").join(process.to_string()).join("stat")).unwrap_or_default();
+    // The name of the program stands in brackets before its state, and may have any character.
+    let state = stat.rsplit_once(')').and_then(|(_, rest)| rest.trim_start().chars().next());
+    state.is_some_and(|state| !matches!(state, 'Z' | 'X' | 'x'))
 }
 
 impl Common {
@@ -180,6 +186,21 @@ impl Common {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_process_that_has_ended_is_not_seen_though_its_parent_has_not_asked() {
+        let mut child = std::process::Command::new("sleep").arg("60").spawn().unwrap();
+        assert!(is_seen(child.id()) && is_seen(std::process::id()));
+        child.kill().unwrap();
+        let begun = std::time::Instant::now();
+        while is_seen(child.id()) {
+            assert!(begun.elapsed() < std::time::Duration::from_mins(1), "it is seen still");
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        }
+        assert!(Path::new("/proc").join(child.id().to_string()).exists(), "it was not asked for yet");
+        child.wait().unwrap();
+        assert!(!is_seen(child.id()));
+    }
 
     #[test]
     fn entries_and_workers_have_names_that_are_read_back() {
