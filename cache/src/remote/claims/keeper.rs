@@ -290,7 +290,7 @@ fn handed_name(digest: &Digest) -> String {
 
 impl super::State {
     fn is_used(&self, key: &Digest) -> bool {
-        self.locked.contains(key) || self.uploading.contains(key)
+        self.locked.contains(key) || self.uploading.contains_key(key)
     }
 
     /// What nobody wants any more may be wanted again.

@@ -16,7 +16,8 @@
 //! - A worker that gave **no sign of life** for a minute, by the clock of the place, is declared dead by an entry, and what it held is
 //!   free; of two workers of one machine the one sees at once that the process of the other has ended. A worker that could not
 //!   reach the place for so long holds nothing any more, and begins anew.
-//! - **Values that are not kept** go from who has them to who wants them through an object, `handed/…`.
+//! - **Values that are not kept** go from who has them to who wants them through an object, `handed/…`. One that was used up is said to be
+//!   there until the records of the steps that have used it have arrived.
 //!
 //! Where the place does not keep to conditions, or fails, there are no claims: work goes on, and a step may be done twice.
 
@@ -132,8 +133,13 @@ struct State {
     ahead: BTreeSet<Digest>,
     /// Steps that this process computes now.
     locked: BTreeSet<Digest>,
-    /// Steps whose records are on their way.
-    uploading: BTreeSet<Digest>,
+    /// Steps whose records are on their way, with a number that grows from one to the next.
+    uploading: BTreeMap<Digest, u64>,
+    /// How many records were ever on their way.
+    uploads: u64,
+    /// Values that are not here any more, with the number of uploads then. Others are told once these have arrived: among them may be
+    /// the records of the steps that have used the value up, and who wants it for one of these must not take it for lost.
+    used_up: BTreeMap<Digest, u64>,
     /// Batches of records that were written and not reported yet.
     batches: Vec<Digest>,
     /// Values that are here and not kept, with the number of their announcements.
@@ -197,6 +203,9 @@ impl Drop for Having {
             *count -= 1;
             if *count == 0 {
                 state.has.remove(&self.digest);
+                let uploads = state.uploads;
+                state.used_up.insert(self.digest, uploads);
+                state.tell_used_up();
             }
         }
     }
@@ -221,9 +230,9 @@ impl State {
 
     /// What this process holds in truth, whatever its entries say.
     fn holdings(&self) -> Holdings {
-        let steps = self.ahead.iter().chain(&self.locked).chain(&self.uploading).copied().collect();
+        let steps = self.ahead.iter().chain(&self.locked).chain(self.uploading.keys()).copied().collect();
         let wants = self.wants.keys().copied().collect();
-        let has = self.has.keys().copied().collect();
+        let has = self.has.keys().chain(self.used_up.keys()).copied().collect();
         Holdings { all: self.view.own(&self.name).all, waits: self.is_waiting(), steps, has, wants }
     }
 
@@ -367,7 +376,9 @@ impl Claims {
     pub fn uploads(&self, key: &Digest) {
         let mut state = self.common.state();
         if state.locked.contains(key) {
-            state.uploading.insert(*key);
+            let number = state.uploads;
+            state.uploading.insert(*key, number);
+            state.uploads += 1;
         }
     }
 
@@ -375,6 +386,7 @@ impl Claims {
     pub fn uploaded(&self, keys: &[Digest], batch: Option<Digest>) {
         let mut state = self.common.state();
         keys.iter().for_each(|key| _ = state.uploading.remove(key));
+        state.tell_used_up();
         // One that is alone reports nothing: who comes reads all records.
         if state.phase == Phase::Joined && !state.view.own(&state.name).all {
             state.batches.extend(batch);
@@ -467,6 +479,12 @@ impl Drop for Claims {
 }
 
 impl State {
+    /// Values that are used up are no longer said to be here, once all records have arrived that were on their way then.
+    fn tell_used_up(&mut self) {
+        let first = self.uploading.values().min().copied();
+        self.used_up.retain(|_, uploads| first.is_some_and(|first| first < *uploads));
+    }
+
     /// A step was taken.
     fn note_pace(&mut self) {
         let now = Instant::now();

@@ -148,6 +148,27 @@ fn a_step_whose_record_is_on_its_way_stays_taken_until_it_has_arrived() {
 }
 
 #[test]
+fn a_value_is_said_to_be_there_until_the_records_of_those_who_used_it_have_arrived() {
+    let place = Arc::new(InMemory::default());
+    let (one, other) = (worker(&place, "one"), worker(&place, "other"));
+    let value = Digest::of(b"value");
+    let claim = one.take(&key(1)).unwrap();
+    assert!(other.take(&key(1)).is_none());
+    let having = one.announce(&value);
+    until(|| other.is_elsewhere(&value).then_some(()));
+    one.uploads(&key(1));
+    drop((claim, having));
+    std::thread::sleep(Duration::from_millis(200));
+    assert!(other.is_elsewhere(&value) && !other.is_free(&key(1)));
+    // Records that set out later are not waited for.
+    let _second = take(&one, &key(2));
+    one.uploads(&key(2));
+    one.uploaded(&[key(1)], Some(Digest::of(b"batch")));
+    until(|| (!other.is_elsewhere(&value)).then_some(()));
+    assert!(other.is_free(&key(1)) && !other.is_free(&key(2)));
+}
+
+#[test]
 fn steps_taken_ahead_need_no_entry_of_their_own() {
     let place = Arc::new(InMemory::default());
     let (one, other) = (worker(&place, "one"), worker(&place, "other"));
