@@ -126,3 +126,43 @@ fn wrong_commands_are_answered_and_the_page_has_it() {
     let (_, _, err) = empty.rockface(&["plan", "p.yaml"]);
     assert_eq!(err.lines().next(), Some("error: the pipeline is empty"));
 }
+
+#[test]
+fn slips_are_answered_with_what_was_meant() {
+    let house = House::new(RIGHT);
+    std::fs::create_dir(house.path("below")).unwrap();
+    std::fs::write(house.path("below/site.yaml"), RIGHT).unwrap();
+    std::fs::write(
+        house.path("data.yaml"),
+        "rockface: 1\nparams: {data: scans, size: s}\nsteps: {m: {stage: import-mesh, with: {path: '${data}/face.ply'}}}\n",
+    )
+    .unwrap();
+    assert_eq!(house.rockface(&["run", "p.yaml"]).0, Some(0));
+    for (arguments, meant) in [
+        (&["plan", "p.yaml", "--set", "cell=0.1"][..], "did you mean `params.cell_m`?"),
+        (&["plan", "p.yaml", "--set", "dem.cell_m=0.1"], "did you mean `steps.dem.with.cell_m`?"),
+        (&["plan", "p.yaml", "--set", "dem.with.cell_m=0.1"], "did you mean `steps.dem.with.cell_m`?"),
+        (&["plan", "site.yaml"], "there is `below/site.yaml`"),
+        (&["plan", "data.yaml"], "`--set params.data=...` gives another path"),
+        (&["export", "latest", "change", "x.tif"], "did you mean `change.raster`?"),
+        (&["export", "latest", "dem", "x.tif"], "of `dem` it has dem[epoch="),
+        (&["inspect", "latest"], "`latest` is a run: `rockface runs show latest`"),
+    ] {
+        let (code, _, err) = house.rockface(arguments);
+        assert!(code == Some(2) && err.contains(meant), "{arguments:?}: {err}");
+    }
+    let typed = RIGHT.replace("cell_m: 0.05", "cell_m: {type: number, default: 0.05}");
+    let (_, _, err) = House::new(&typed).rockface(&["plan", "p.yaml", "--set", "params.cell_m=0,1"]);
+    assert!(err.contains("numbers are written with a point: 0.1"), "{err}");
+}
+
+#[test]
+fn a_comparison_shows_what_differs() {
+    let house = House::new(RIGHT);
+    assert_eq!(house.rockface(&["run", "p.yaml"]).0, Some(0));
+    let (_, same, _) = house.rockface(&["runs", "compare", "latest", "latest"]);
+    assert!(same.lines().count() == 2 && same.contains("metrics are the same in all"), "{same}");
+    let (_, all, _) = house.rockface(&["runs", "compare", "latest", "latest", "--all"]);
+    let (_, csv, _) = house.rockface(&["runs", "compare", "latest", "latest", "--format", "csv"]);
+    assert!(all.lines().count() > 5 && csv.lines().count() == all.lines().count() - 1, "{all}{csv}");
+}

@@ -286,7 +286,8 @@ impl Finder<'_> {
 
     /// Adds to the fault of a path how to give another, where a parameter says how the path begins.
     fn with_parameter(&self, mut fault: Diagnostic, written: &str) -> Diagnostic {
-        let begins = |value: &&Value| value.as_str().is_some_and(|text| !text.is_empty() && written.starts_with(text));
+        let begins =
+            |value: &Value| value.as_str().is_some_and(|text| Path::new(written).starts_with(text) && !text.is_empty());
         let found = self.graph.params.iter().filter(|(_, value)| begins(value));
         if let Some((name, _)) = found.max_by_key(|(_, value)| value.as_str().map_or(0, str::len)) {
             let given = format!("`--set params.{name}=...` gives another path");
