@@ -27,6 +27,17 @@ impl Counted {
         self
     }
 
+    /// Adds the step `list`, which makes a table of `rows`; `more` and `with` as for [`Counted::step`], and `first` is run before.
+    fn list(mut self, more: &str, with: &str, first: &str, rows: &str) -> Self {
+        let count = self.house.path("count").display().to_string();
+        self.steps.push_str(&format!(
+            "  list:\n    stage: command\n{more}    with:\n{with}      program: sh\n      version: POSIX sh\n      \
+             outputs: {{t: {{kind: table, extension: csv}}}}\n      \
+             args: ['-c', 'echo list >> {count}; {first}printf \"value\\n{rows}\\n\" > {{out.t}}']\n"
+        ));
+        self
+    }
+
     pub fn write(self, head: &str) -> House {
         std::fs::write(self.house.path("p.yaml"), format!("rockface: 1\n{head}steps:\n{}", self.steps)).unwrap();
         self.house
@@ -39,6 +50,9 @@ pub const OVER_I: (&str, &str) = ("    over: [i]\n    keep: false\n", "      par
 pub const READS: &str = "      inputs: {f: {kind: file, extension: txt}}\n";
 /// That of a step that gathers them.
 pub const GATHERS: &str = "      inputs: {f: {kind: file, extension: txt, many: true}}\n";
+
+/// The parameter of a step over the rows of a list.
+const OF_ROW: &str = "      params: {i: '${row.value}'}\n";
 
 pub fn axis(count: usize) -> String {
     format!("axes: {{i: {{count: {count}}}}}\n")
@@ -179,15 +193,10 @@ fn values_that_another_process_made_are_fetched_for_a_step_that_gathers_them() {
 
 /// Points that become known on the way.
 pub fn dynamic() -> House {
-    let rows = "      params: {i: '${row.value}'}\n";
-    let mut counted = Counted::new().step("s", "", "", "sleep 0.05; echo 1 > {out.f}");
-    counted.steps.push_str(&format!(
-        "  list:\n    stage: command\n    in: {{f: s.f}}\n    with:\n{READS}      program: sh\n      version: POSIX sh\n      \
-         outputs: {{t: {{kind: table, extension: csv}}}}\n      args: ['-c', 'echo list >> {}; printf \"value\\n3\\n4\\n5\\n6\\n\" > {{out.t}}']\n",
-        counted.house.path("count").display()
-    ));
-    counted
-        .step("a", "    keep: false\n", rows, "sleep 0.05; echo {param.i} > {out.f}")
+    Counted::new()
+        .step("s", "", "", "sleep 0.05; echo 1 > {out.f}")
+        .list("    in: {f: s.f}\n", READS, "", "3\\n4\\n5\\n6")
+        .step("a", "    keep: false\n", OF_ROW, "sleep 0.05; echo {param.i} > {out.f}")
         .step("b", "    in: {f: {each: a.f, over: [row]}}\n", GATHERS, "cat {in.f}/*.txt > {out.f}")
         .write("axes: {row: {from: list.t, reseeds: false}}\n")
 }
@@ -201,21 +210,11 @@ fn points_that_become_known_on_the_way_run_once_over_all_processes() {
 
 #[test]
 fn a_value_is_held_for_points_that_become_known_later() {
-    let mut counted = Counted::new().step("a", "    keep: false\n", "", "echo a > {out.f}").step(
-        "early",
-        "    in: {f: a.f}\n",
-        READS,
-        "cat {in.f} {in.f} > {out.f}",
-    );
-    let count = counted.house.path("count").display().to_string();
-    counted.steps.push_str(&format!(
-        "  list:\n    stage: command\n    with:\n      program: sh\n      version: POSIX sh\n      \
-         outputs: {{t: {{kind: table, extension: csv}}}}\n      args: ['-c', 'echo list >> {count}; sleep 0.3; \
-         printf \"value\\n3\\n4\\n\" > {{out.t}}']\n",
-    ));
-    let later = format!("{READS}      params: {{i: '${{row.value}}'}}\n");
-    let house = counted
-        .step("late", "    in: {f: a.f}\n", &later, "cat {in.f} > {out.f}")
+    let house = Counted::new()
+        .step("a", "    keep: false\n", "", "echo a > {out.f}")
+        .step("early", "    in: {f: a.f}\n", READS, "cat {in.f} {in.f} > {out.f}")
+        .list("", "", "sleep 0.3; ", "3\\n4")
+        .step("late", "    in: {f: a.f}\n", &format!("{READS}{OF_ROW}"), "cat {in.f} > {out.f}")
         .write("axes: {row: {from: list.t, reseeds: false}}\n");
     succeed(vec![start(&house, &[])]);
     expect(&house, &[("a", 1), ("early", 1), ("list", 1), ("late", 2)]);
@@ -223,17 +222,11 @@ fn a_value_is_held_for_points_that_become_known_later() {
 
 #[test]
 fn a_value_is_held_for_a_step_that_only_points_known_later_read() {
-    let mut counted = Counted::new().step("a", "    keep: false\n", "", "echo a > {out.f}");
-    let count = counted.house.path("count").display().to_string();
-    counted.steps.push_str(&format!(
-        "  list:\n    stage: command\n    in: {{f: a.f}}\n    with:\n{READS}      program: sh\n      version: POSIX sh\n      \
-         outputs: {{t: {{kind: table, extension: csv}}}}\n      args: ['-c', 'echo list >> {count}; \
-         printf \"value\\n3\\n4\\n\" > {{out.t}}']\n",
-    ));
-    let later = format!("{READS}      params: {{i: '${{row.value}}'}}\n");
-    let house = counted
+    let house = Counted::new()
+        .step("a", "    keep: false\n", "", "echo a > {out.f}")
+        .list("    in: {f: a.f}\n", READS, "", "3\\n4")
         .step("between", "    in: {f: a.f}\n", READS, "cat {in.f} {in.f} > {out.f}")
-        .step("late", "    in: {f: between.f}\n", &later, "cat {in.f} > {out.f}")
+        .step("late", "    in: {f: between.f}\n", &format!("{READS}{OF_ROW}"), "cat {in.f} > {out.f}")
         .write("axes: {row: {from: list.t, reseeds: false}}\ntargets: [late]\n");
     succeed(vec![start(&house, &[])]);
     expect(&house, &[("a", 1), ("list", 1), ("between", 1), ("late", 2)]);

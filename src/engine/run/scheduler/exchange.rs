@@ -92,9 +92,8 @@ impl Scheduler<'_> {
         if !self.states[instance].due().is_some_and(Due::is_recompute) {
             return Ok(());
         }
-        if !self.is_still_wanted(instance) {
+        if self.is_called_off(instance) {
             self.exchange.reset_pause();
-            self.call_off(instance);
             return Ok(());
         }
         match self.find_elsewhere(instance)? {

@@ -119,7 +119,8 @@ impl Scheduler<'_> {
             return Ok(());
         };
         // No process computes them now. One that did so since they were requested still has them, or has done what needs them.
-        if !self.is_wanted_yet(instance)? {
+        self.store.refresh()?;
+        if self.is_called_off(instance) {
             return Ok(());
         }
         match self.find_elsewhere(instance)? {
@@ -130,7 +131,8 @@ impl Scheduler<'_> {
             }
             Found::Nowhere => {
                 // Whoever had them may have recorded what needs them and let them go, both since the store was last read.
-                if !self.is_wanted_yet(instance)? {
+                self.store.refresh()?;
+                if self.is_called_off(instance) {
                     return Ok(());
                 }
                 if let Some(due) = self.states[instance].due_mut() {
@@ -142,18 +144,17 @@ impl Scheduler<'_> {
         }
     }
 
-    /// Whether an instance waits for the values of this one after all that other processes have recorded; if not, calls it off.
-    fn is_wanted_yet(&mut self, instance: usize) -> Result<bool, RunError> {
-        self.store.refresh()?;
+    /// Calls this instance off if no other waits for its values any more. Returns whether it did.
+    pub fn is_called_off(&mut self, instance: usize) -> bool {
         let is_wanted = self.is_still_wanted(instance);
         if !is_wanted {
             self.call_off(instance);
         }
-        Ok(is_wanted)
+        !is_wanted
     }
 
     /// Whether an instance still waits for the values of this one. Instances that another process has done are closed.
-    pub fn is_still_wanted(&mut self, instance: usize) -> bool {
+    fn is_still_wanted(&mut self, instance: usize) -> bool {
         let mut wanted_by = std::mem::take(&mut self.states[instance].wanted_by);
         wanted_by.retain(|by| self.states[*by].is_due() && !self.close_if_recorded(*by));
         let is_wanted = !wanted_by.is_empty();
@@ -162,7 +163,7 @@ impl Scheduler<'_> {
     }
 
     /// No instance needs the values of this one any more.
-    pub fn call_off(&mut self, instance: usize) {
+    fn call_off(&mut self, instance: usize) {
         let twins = self.end_line(instance);
         self.states.restore(instance);
         self.release_inputs(instance);

@@ -190,7 +190,8 @@ fn report(limits: &Table, scene: &Scene, params: &DescribeDetectabilityParams, c
         context.headline(format!("{found} of {total} found; no curve of {}", params.properties.join(", ")));
         return;
     };
-    let [half, most, slope, slope_se, ceiling] = [2, 3, 5, 6, 7].map(|column| row[column].number());
+    let [half, most, slope, slope_se] = [2, 3, 5, 6].map(|column| row[column].number());
+    let ceiling = row[7].number().unwrap_or(1.0);
     if let Some(half) = half {
         context.metric("at_50", half, "1");
     }
@@ -204,8 +205,8 @@ fn report(limits: &Table, scene: &Scene, params: &DescribeDetectabilityParams, c
     let half_is = |half: f64| format!("half of those with {name} {half:.2e}{}", interval(8));
     let limits = match (half, most) {
         (Some(half), Some(most)) => format!("{}, {}", half_is(half), most_is(most)),
-        (Some(half), None) if ceiling.is_some_and(|ceiling| ceiling <= params.probability) => {
-            let ceiling = 100.0 * ceiling.unwrap_or(1.0);
+        (Some(half), None) if ceiling <= params.probability => {
+            let ceiling = 100.0 * ceiling;
             format!("{}, {share} at no size, as {ceiling:.0} % of the largest are found", half_is(half))
         }
         (Some(half), None) => format!("{}, {share} at no {name} there is", half_is(half)),

@@ -114,10 +114,11 @@ impl Stage for DetectRaster {
         let lost: Vec<f64> = band.values.iter().map(|d| sign * f64::from(*d)).collect();
         let limits = limits(&params.lod, &band.values, [reference, comparison], difference.grid.columns)?;
         warn_of_low_limit(&params.lod, &band.values, context);
-        warn_of_offset(&limits, &band.values, context);
+        let limit = quantile::median(&mut marginal::known(&limits)).unwrap_or(f64::NAN);
+        warn_of_offset(limit, &band.values, context);
         warn_of_uneven_noise(&params.lod, difference, context);
         let found = detect(params, difference, &lost, &limits, reference);
-        report(&found, &limits, &lost, context)?;
+        report(&found, &limits, limit, &lost, context)?;
         let labels = found::labels(&difference.grid, difference.frame, &found)?;
         let detections = found::inventory(&difference.grid, difference.frame, "raster", &found);
         Ok(Outputs::of("detections", detections).and("labels", labels))
@@ -174,9 +175,8 @@ fn warn_of_low_limit(limit: &Limit, difference: &[f32], context: &Context) {
 const OFFSET_SHARE: f64 = 0.15;
 
 /// A limit says how far differences without change lie from zero, not from their middle.
-fn warn_of_offset(limits: &[f32], difference: &[f32], context: &Context) {
-    let middle = |values: &[f32]| quantile::median(&mut marginal::known(values));
-    let (Some(limit), Some(offset)) = (middle(limits), middle(difference)) else { return };
+fn warn_of_offset(limit: f64, difference: &[f32], context: &Context) {
+    let Some(offset) = quantile::median(&mut marginal::known(difference)) else { return };
     if offset.abs() > OFFSET_SHARE * limit {
         context.warn(format!(
             "half of the differences lie above {:.1} mm, where without change it is 0, and the limit of detection is {:.1} mm: the offset \
@@ -259,13 +259,11 @@ fn detect(
     groups.iter().map(|cells| raster::cluster(grid, cells, |c| (surface(c), sign * lost[c]), limits, factor)).collect()
 }
 
-fn report(found: &[Found], limits: &[f32], lost: &[f64], context: &Context) -> Result<(), StageError> {
+fn report(found: &[Found], limits: &[f32], median: f64, lost: &[f64], context: &Context) -> Result<(), StageError> {
     let tested = lost.iter().zip(limits).filter(|(d, limit)| !d.is_nan() && !limit.is_nan()).count();
     if tested == 0 {
         fail!("no cell has a difference and a limit of detection");
     }
-    let mut finite = marginal::known(limits);
-    let median = quantile::median(&mut finite).unwrap_or(f64::NAN);
     let volume = found.iter().fold(0.0, |sum, found| sum + found.volume_m3);
     context.metric("tested_share", tested as f64 / lost.len() as f64, "1");
     context.metric("lod95_median", median, "m");
