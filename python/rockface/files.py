@@ -53,7 +53,7 @@ KINDS = {
     ".svg": "figure", ".geojson": "inventory", ".tar": "files", ".json": "json",
 }  # fmt: skip
 SURFACE = b"rockface surface 1\n"
-NOISE = b"rockface noise 17\n"
+NOISE = b"rockface noise 18\n"
 RASTER = b"rockface raster 1\n"
 
 

@@ -111,6 +111,7 @@ fn noise() -> Noise {
         strength: vec![0.3; 6],
         elevation: vec![0.0, 1.0, f32::NAN, 0.5, 0.5, 0.5],
         bend_shapes: vec![vec![0.1, 0.0, -0.1, 0.2, 0.0, 0.3]; 7],
+        trend_weights: vec![1.0, 0.5, 2.0, 1.0, 0.25, 4.0],
         fields: vec![vec![0.5, -0.5, 1.0, 0.0, 0.25, -1.0]; 2],
         weights: vec![vec![127, 192, 1, 127, 127, 127]; 2],
     }

@@ -44,7 +44,7 @@ const LOG_GAINS: [f64; 2] = [-1.4, 3.0];
 impl Stage for AdjustNoise {
     type Params = AdjustNoiseParams;
     const NAME: &'static str = "adjust-noise";
-    const VERSION: u32 = 20;
+    const VERSION: u32 = 21;
     const PAGE: Page = Page::new(include_str!("adjust_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("noise", &[Kind::Noise], "The model."),
@@ -76,7 +76,7 @@ impl Stage for AdjustNoise {
             let rasters: Vec<&Raster> = inputs.many::<Raster>(port)?.into_iter().map(|(_, raster)| raster).collect();
             check(&rasters, dem, block)?;
             let bands: Vec<&Band> = rasters.iter().flat_map(|raster| &raster.bands).collect();
-            level(&bands, columns, &step_m)
+            level(&bands, columns, &step_m, &noise.trend_weights)
         };
         let ((mut left, trends), (whole, _)) = (read("simulated")?, read("drawn")?);
         // Surveys are bent, as by `draw-registration`, and draws are not.

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use rockface_core::choice;
-use rockface_core::numerics::trend::{fitted, terms};
+use rockface_core::numerics::trend::{Trend, fitted, terms};
 
 choice! {
     /// What is taken off a raster.
@@ -42,9 +42,15 @@ const LEAST_DEPARTURE: f64 = 0.02;
 /// Cells that a plane of least absolute deviations is fitted to, about.
 const ROBUST_CELLS: usize = 30_000;
 
-/// Asymmetry of a raster: its least-squares plane less its plane of least absolute deviations (reweighted least squares: Schlossmacher
-/// 1973), which goes with what most cells agree on; in the numbers of [`plane`].
-pub fn asymmetry(values: &[f32], columns: usize) -> Option<[f64; 3]> {
+/// Asymmetry of a raster: offset and tilts of its trend less its plane of least absolute deviations, which goes with what most cells agree on; in the
+/// numbers of [`plane`].
+pub fn asymmetry(values: &[f32], columns: usize, trend: &Trend) -> Option<[f64; 3]> {
+    let robust = robust_plane(values, columns)?;
+    Some(std::array::from_fn(|k| trend[k] - robust[k]))
+}
+
+/// The plane of least absolute deviations (reweighted least squares: Schlossmacher 1973), in the numbers of [`plane`].
+pub fn robust_plane(values: &[f32], columns: usize) -> Option<[f64; 3]> {
     let known = values.iter().filter(|value| !value.is_nan()).count();
     // A step that has no factor in common with the columns meets all of them.
     let step = (known / ROBUST_CELLS).max(1);
@@ -60,7 +66,7 @@ pub fn asymmetry(values: &[f32], columns: usize) -> Option<[f64; 3]> {
     let least = LEAST_DEPARTURE * (sum / count).sqrt();
     // In a plane there is nothing to weigh.
     if least <= 0.0 {
-        return Some([0.0; 3]);
+        return Some(least_squares);
     }
     let mut robust = least_squares;
     for _ in 0..ROUNDS {
@@ -68,7 +74,7 @@ pub fn asymmetry(values: &[f32], columns: usize) -> Option<[f64; 3]> {
         let weight = |x: &Vector3<f64>, value: f64| 1.0 / (value - before.dot(x)).abs().max(least);
         robust = weighted_plane(values, columns, step, weight)?;
     }
-    Some(std::array::from_fn(|k| least_squares[k] - robust[k]))
+    Some(robust)
 }
 
 fn gcd(a: usize, b: usize) -> usize {
@@ -84,7 +90,7 @@ fn weighted_plane(
     weight: impl Fn(&Vector3<f64>, f64) -> f64,
 ) -> Option<[f64; 3]> {
     let rows = values.len() / columns;
-    fitted(values, step, |i| terms(columns, rows, i % columns, i / columns), weight)
+    fitted(values, step, |i| terms(columns, rows, i % columns, i / columns), |_, x, value| weight(x, value))
 }
 
 #[cfg(test)]
@@ -116,7 +122,9 @@ mod tests {
         let high = |i: usize| if i % columns >= 36 { 0.2 } else { 0.0 };
         let of = |value: &dyn Fn(usize) -> f64| {
             let values: Vec<f32> = (0..1600).map(|i| if i % 13 == 5 { f32::NAN } else { value(i) as f32 }).collect();
-            asymmetry(&values, columns).unwrap()
+            let mut trend = Trend::default();
+            trend[..3].copy_from_slice(&plane(&values, columns).unwrap());
+            asymmetry(&values, columns, &trend).unwrap()
         };
         let even = of(&rock);
         assert!(even.iter().all(|a| a.abs() < 0.002), "{even:?}");
@@ -128,6 +136,6 @@ mod tests {
             "{found:?} {wanted:?}"
         );
         assert!(of(&|_| 0.5).iter().all(|a| a.abs() <= 0.0));
-        assert!(asymmetry(&[f32::NAN; 1600], columns).is_none());
+        assert!(robust_plane(&[f32::NAN; 1600], columns).is_none());
     }
 }

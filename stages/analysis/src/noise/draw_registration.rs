@@ -24,7 +24,7 @@ pub struct DrawRegistration;
 impl Stage for DrawRegistration {
     type Params = DrawRegistrationParams;
     const NAME: &'static str = "draw-registration";
-    const VERSION: u32 = 8;
+    const VERSION: u32 = 9;
     const PAGE: Page = Page::new(include_str!("draw_registration.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("raster", &[Kind::Raster], "Difference of two registered surveys, metres."),
@@ -38,7 +38,7 @@ impl Stage for DrawRegistration {
     }
 
     fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
-        inputs.of("noise") + 3 * inputs.of("raster")
+        inputs.of("noise") + 4 * inputs.of("raster")
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
@@ -47,6 +47,12 @@ impl Stage for DrawRegistration {
             let text = format!("the model is in the {} frame, `raster` in the {} frame", noise.frame, raster.frame);
             return Err(StageError::new(text).hint("learn the model from rasters in the frame of the difference"));
         }
+        // Trends were learnt with these weights; on another grid places keep theirs.
+        let weight = |cell: usize| {
+            let [x, y] = place(cell, raster.grid, noise.grid);
+            noise.trend_weights[nearest(x, y, noise.grid)]
+        };
+        let weights: Vec<f32> = (0..raster.grid.cells()).map(weight).collect();
         let mut changed = raster.clone();
         for band in &mut changed.bands {
             let columns = raster.grid.columns;
@@ -54,7 +60,7 @@ impl Stage for DrawRegistration {
                 let text = format!("the values of band `{}` lie on a line, or there are none", band.name);
                 StageError::new(text).hint("a trend needs an area: check window and gaps of the difference")
             };
-            let own_m = trend(&band.values, columns).ok_or_else(none)?;
+            let own_m = trend(&band.values, columns, &weights).ok_or_else(none)?;
             let wanted_m = drawn(noise, params.replicate, context, &band.name);
             let bent = |(cell, z): (usize, &f32)| {
                 let [x, y] = place(cell, raster.grid, noise.grid);
@@ -65,7 +71,8 @@ impl Stage for DrawRegistration {
             };
             let bent: Vec<f32> = band.values.iter().enumerate().map(bent).collect();
             // Registration aligned the bent surface, so its asymmetry includes the bend.
-            let asymmetry_m = asymmetry(&bent, columns).ok_or_else(none)?;
+            let of_bent = trend(&bent, columns, &weights).ok_or_else(none)?;
+            let asymmetry_m = asymmetry(&bent, columns, &of_bent).ok_or_else(none)?;
             let mut left_m = Trend::default();
             left_m.iter_mut().zip(noise.asymmetry_gain).zip(asymmetry_m).for_each(|((left, gain), m)| *left = gain * m);
             band.values = with_trend(&bent, columns, &left_m);

@@ -5,13 +5,14 @@ use std::borrow::Cow;
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
 
-use crate::noise::detrend::{asymmetry, plane};
+use crate::noise::detrend::asymmetry;
 use crate::noise::learning::acquisitions::{Acquisitions, Shares, Source, Variety, acquisitions};
 use crate::noise::learning::bad::parted;
 use crate::noise::learning::by_place::{self, Strengths};
 use crate::noise::learning::contrast::{self, Figures, Nearest};
 use crate::noise::learning::departure::{Departure, Mean, of_another};
-use crate::noise::learning::differences::{check, differences, gaps, level, per_step, seen, skewnesses};
+use crate::noise::learning::differences::{check, differences, gaps, per_step, seen, skewnesses};
+use crate::noise::learning::trend_weights::{Level, weighed};
 use crate::noise::learning::whitening::{
     BANDS, LEAST_SIDE_CELLS, Places, Prior, Stack, Whitened, range_cells, restore_outliers, whiten,
 };
@@ -81,7 +82,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 29;
+    const VERSION: u32 = 30;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -131,21 +132,20 @@ impl Stage for LearnNoise {
         }
         let step_m = elevation_step_m(dem, block, pairs)?;
         let columns = dem.grid.columns;
-        let (mut level_m, trends) = level(&all[..kept], columns, &step_m)?;
+        let Level { rasters_m: mut level_m, trends_m: trends, weights } = weighed(&all[..kept], columns, &step_m)?;
         let before = power(&level_m);
-        let bend_shapes = bends::shapes(&level_m, &trends, columns);
+        let bend_shapes = bends::shapes(&level_m, &trends, columns, &weights);
         bends::take_off(&mut level_m, &trends, &bend_shapes);
         context.metric("bent_share", 1.0 - power(&level_m) / before, "1");
         let disparities = per_step(level_m, &step_m);
         let source = |((band, trend_m), skewness): ((&&Band, &Trend), f64)| {
-            let of = |of: fn(&[f32], usize) -> Option<[f64; 3]>| of(&band.values, columns).unwrap_or_default();
-            let (plane_m, asymmetry_m) = (of(plane), of(asymmetry));
-            Source { name: band.name.clone(), trend_m: *trend_m, plane_m, asymmetry_m, skewness }
+            let asymmetry_m = asymmetry(&band.values, columns, trend_m).unwrap_or_default();
+            Source { name: band.name.clone(), trend_m: *trend_m, asymmetry_m, skewness }
         };
         let sources: Vec<Source> = all[..kept].iter().zip(&trends).zip(skewnesses(&disparities)).map(source).collect();
         let limit_px =
             |cell: usize| params.outlier_m.map_or(f64::INFINITY, |limit| limit / f64::from(step_m[cell].abs()));
-        let mut learnt = Learnt::new(params, &disparities, bend_shapes, dem, limit_px);
+        let mut learnt = Learnt::new(params, &disparities, Bent { shapes: bend_shapes, weights }, dem, limit_px);
         if Self::draws(params) {
             learnt.shuffle_orders(context);
             learnt.find_places(dem, context);
@@ -180,12 +180,19 @@ fn one_in_window(raster: &Raster, window_m: Option<[f64; 4]>) -> Result<Cow<'_, 
     Ok(Cow::Owned(part))
 }
 
+/// How surfaces are bent.
+struct Bent {
+    /// What comes with the bends of trends.
+    shapes: Vec<Vec<f32>>,
+    /// Weights of cells in trends.
+    weights: Vec<f32>,
+}
+
 /// What the rasters say.
 struct Learnt {
     columns: usize,
     places: Places,
-    /// What comes with the bends of trends.
-    bend_shapes: Vec<Vec<f32>>,
+    bent: Bent,
     shares: Shares,
     whitened: Vec<Whitened>,
     bad: Vec<bool>,
@@ -203,7 +210,7 @@ impl Learnt {
     fn new(
         params: &LearnNoiseParams,
         disparities: &[Vec<f32>],
-        bend_shapes: Vec<Vec<f32>>,
+        bent: Bent,
         dem: &Raster,
         limit_px: impl Fn(usize) -> f64,
     ) -> Self {
@@ -229,7 +236,7 @@ impl Learnt {
         Self {
             columns,
             places,
-            bend_shapes,
+            bent,
             shares,
             whitened,
             bad,
@@ -341,7 +348,9 @@ impl Learnt {
         let bends: Vec<Trend> = self.orders[0].iter().map(|source| sources[*source].trend_m).collect();
         let asymmetries = |(draw, raster): (usize, &Vec<f32>)| {
             let change: Vec<f32> = raster.iter().zip(step_m).map(|(px, step_m)| px * step_m).collect();
-            asymmetry(&bent(&change, self.columns, &bends[draw % bends.len()], &self.bend_shapes), self.columns)
+            let bend = &bends[draw % bends.len()];
+            // Draws have no trend of their own.
+            asymmetry(&bent(&change, self.columns, bend, &self.bent.shapes), self.columns, bend)
         };
         let asymmetries: Vec<[f64; 3]> = trial.par_iter().enumerate().filter_map(asymmetries).collect();
         let asymmetry_gain = registration::part(&mut sources, &self.bad, &asymmetries);
@@ -389,7 +398,8 @@ impl Learnt {
             gap_gain: Gains::default().gaps,
             gap_variety: Gains::default().variety,
             skewness_gain: Gains::default().skewness,
-            bend_shapes: self.bend_shapes.clone(),
+            bend_shapes: self.bent.shapes.clone(),
+            trend_weights: self.bent.weights.clone(),
             parametric: self.parametric.clone(),
             members,
             orders: self.orders.clone(),

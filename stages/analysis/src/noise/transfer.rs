@@ -50,7 +50,8 @@ pub fn transferred(noise: &Noise, dem: &Raster, setting: Setting) -> Transferred
         relief,
         class_log_strength: noise.class_log_strength.clone(),
         log_gain: noise.log_gain.clone(),
-        bend_shapes: stretched(noise, dem.grid),
+        bend_shapes: noise.bend_shapes.iter().map(|shape| stretched(shape, noise.grid, dem.grid)).collect(),
+        trend_weights: stretched(&noise.trend_weights, noise.grid, dem.grid),
         parametric: noise.parametric.as_ref().map(|parametric| Box::new(wider_shift(parametric, setting.field_scale))),
         members: noise.members.clone(),
         orders: noise.orders.clone(),
@@ -65,15 +66,14 @@ pub fn transferred(noise: &Noise, dem: &Raster, setting: Setting) -> Transferred
     Transferred { noise: moved, known: cells.iter().map(Option::is_some).collect() }
 }
 
-/// What comes with bends on another grid: like the trends, it keeps its place between the edges.
-fn stretched(noise: &Noise, grid: Grid) -> Vec<Vec<f32>> {
+/// What comes with bends, or the weights of trends, on another grid: like the trends, they keep their place between the edges.
+fn stretched(values: &[f32], old: Grid, grid: Grid) -> Vec<f32> {
     let under = |index: usize, new: usize, old: usize| ((index as f64 + 0.5) * old as f64 / new as f64) as usize;
     let cell = |cell: usize| {
         let (row, column) = (cell / grid.columns, cell % grid.columns);
-        under(row, grid.rows, noise.grid.rows) * noise.grid.columns + under(column, grid.columns, noise.grid.columns)
+        under(row, grid.rows, old.rows) * old.columns + under(column, grid.columns, old.columns)
     };
-    let one = |shape: &Vec<f32>| (0..grid.cells()).map(|i| shape[cell(i)]).collect();
-    noise.bend_shapes.iter().map(one).collect()
+    (0..grid.cells()).map(|i| values[cell(i)]).collect()
 }
 
 /// The cell of a model where the face at a cell of a DEM is the one it knows: at the same place and elevation, or unknown in both.

@@ -27,7 +27,7 @@ pub struct TransferNoise;
 impl Stage for TransferNoise {
     type Params = TransferNoiseParams;
     const NAME: &'static str = "transfer-noise";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: Page = Page::new(include_str!("transfer_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("noise", &[Kind::Noise], "The model."),

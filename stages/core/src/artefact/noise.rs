@@ -188,6 +188,9 @@ pub struct Noise {
     /// What comes with a unit of each factor of a trend beyond a plane, beside the trend itself, metres for a metre: an orientation does not bend
     /// a face like a polynomial. Empty: not known.
     pub bend_shapes: Vec<Vec<f32>>,
+    /// Weights of cells in the least squares of a trend, `rows x columns` from the top: the inverse of the variance of the noise around, 1 where it is
+    /// the usual one.
+    pub trend_weights: Vec<f32>,
     /// How the noise of a model without fields differs from place to place; none: white noise with the bands of a member.
     pub parametric: Option<Box<Parametric>>,
     /// What is known of each acquisition the model was learnt from.
@@ -305,7 +308,8 @@ impl Noise {
         if ![0, BENDS.len()].contains(&shapes) {
             return refuse(format!("{shapes} shapes of bends for {} factors", BENDS.len()));
         }
-        let rasters = [&self.strength, &self.elevation].into_iter().chain(&self.bend_shapes).chain(&self.fields);
+        let single = [&self.strength, &self.elevation, &self.trend_weights].into_iter();
+        let rasters = single.chain(&self.bend_shapes).chain(&self.fields);
         let lengths = rasters.map(Vec::len);
         if let Some(length) = lengths.chain(self.weights.iter().map(Vec::len)).find(|length| *length != cells) {
             return refuse(format!("a raster has {length} cells, the grid {cells}"));
@@ -350,6 +354,9 @@ impl Noise {
             parametric.check(bands, fields > 0)?;
         }
         let sound = self.strength.iter().all(|value| value.is_finite() && *value >= 0.0);
+        if !self.trend_weights.iter().all(|weight| weight.is_finite() && *weight > 0.0) {
+            return refuse("a weight of a trend is not positive".into());
+        }
         if !sound || !self.fields.iter().chain(&self.bend_shapes).flatten().all(|value| value.is_finite()) {
             return refuse("a strength, a bend or a whitened value is not finite".into());
         }
@@ -403,6 +410,7 @@ impl PartialEq for Noise {
             && self.parametric == other.parametric
             && (&self.members, &self.orders) == (&other.members, &other.orders)
             && bits(&self.strength) == bits(&other.strength)
+            && bits(&self.trend_weights) == bits(&other.trend_weights)
             && bits(&self.elevation) == bits(&other.elevation)
             && all(self) == all(other)
             && self.weights == other.weights

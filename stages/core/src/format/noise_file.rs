@@ -1,12 +1,16 @@
-//! The file of a noise model: a line of magic, a JSON header, strength, elevation, fields and their weights.
+//! The file of a noise model: a line of magic, a JSON header, strength, elevation, weights of trends, bends, fields and their weights.
 
 use crate::artefact::{CodecError, Contrast, Frame, Grid, Member, Noise, Parametric, ReliefLaw};
 
 /// The first line; a file with another version is learnt anew.
-const MAGIC: &str = "rockface noise 17\n";
+const MAGIC: &str = "rockface noise 18\n";
+
+/// Rasters that each model has once: strength, elevation and weights of trends.
+const SINGLE_RASTERS: usize = 3;
 
 /// What is written into the header for whoever reads the file without us.
-const LAYOUT: &str = "rows x columns cells from the top left: strength float32 little-endian (px), elevation float32 (m, NaN = unknown); \
+const LAYOUT: &str = "rows x columns cells from the top left: strength float32 little-endian (px), elevation float32 (m, NaN = unknown), \
+                      weight in the least squares of a trend float32 (1); \
                       then for each bend of a trend what comes with it float32 (m/m), \
                       then for each field of the members float32 (1), then their weights uint8 (127 = 1; 128 is added in a gap)";
 
@@ -84,7 +88,8 @@ pub fn write(noise: &Noise) -> Result<Vec<u8>, CodecError> {
     bytes.extend_from_slice(MAGIC.as_bytes());
     bytes.extend_from_slice(header.as_bytes());
     bytes.push(b'\n');
-    for raster in [&noise.strength, &noise.elevation].into_iter().chain(&noise.bend_shapes).chain(&noise.fields) {
+    let single = [&noise.strength, &noise.elevation, &noise.trend_weights].into_iter();
+    for raster in single.chain(&noise.bend_shapes).chain(&noise.fields) {
         bytes.extend(raster.iter().flat_map(|value| value.to_le_bytes()));
     }
     noise.weights.iter().for_each(|weights| bytes.extend_from_slice(weights));
@@ -120,10 +125,10 @@ pub fn read(bytes: &[u8]) -> Result<Noise, CodecError> {
             "noise file: {bends} bends, {n} fields and {m} weights of {w} x {h} cells need {expected} bytes, found {found}; it is cut short or damaged"
         )));
     }
-    let (floats, weights) = body.split_at(4 * cells * (2 + header.bend_shapes + header.fields));
+    let (floats, weights) = body.split_at(4 * cells * (SINGLE_RASTERS + header.bend_shapes + header.fields));
     let value = |b: &[u8]| f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
     let mut rasters = floats.chunks_exact(4 * cells).map(|raster| raster.chunks_exact(4).map(value).collect());
-    let (strength, elevation) = (rasters.next().unwrap_or_default(), rasters.next().unwrap_or_default());
+    let [strength, elevation, trend_weights] = [(); SINGLE_RASTERS].map(|()| rasters.next().unwrap_or_default());
     let noise = Noise {
         frame: header.frame,
         grid,
@@ -146,6 +151,7 @@ pub fn read(bytes: &[u8]) -> Result<Noise, CodecError> {
         orders: header.orders,
         strength,
         elevation,
+        trend_weights,
         bend_shapes: rasters.by_ref().take(header.bend_shapes).collect(),
         fields: rasters.collect(),
         weights: weights.chunks_exact(cells).map(<[u8]>::to_vec).collect(),
@@ -159,7 +165,7 @@ pub fn read(bytes: &[u8]) -> Result<Noise, CodecError> {
 
 /// Bytes of the rasters of a file.
 fn size(cells: usize, rasters: usize, weights: usize) -> Option<usize> {
-    let bytes_a_cell = rasters.checked_mul(4)?.checked_add(weights)?.checked_add(8)?;
+    let bytes_a_cell = rasters.checked_add(SINGLE_RASTERS)?.checked_mul(4)?.checked_add(weights)?;
     cells.checked_mul(bytes_a_cell)
 }
 
@@ -212,6 +218,7 @@ mod tests {
             strength: vec![0.3, 0.4],
             elevation: vec![f32::NAN, 1.5],
             bend_shapes: vec![vec![0.25, -0.5]; 7],
+            trend_weights: vec![0.5, 2.0],
             fields: vec![vec![0.5, -0.25], vec![1.0, -0.0]],
             weights: vec![vec![127, 0], vec![127, 192]],
         }

@@ -1,4 +1,4 @@
-//! Trends of rasters: polynomials of the first to third degree through their known cells, by least squares.
+//! Trends of rasters: polynomials of the first to third degree through their known cells, by weighted least squares.
 
 use nalgebra::{Cholesky, Const, DimMin, SMatrix, SVector, Vector3};
 
@@ -13,15 +13,15 @@ pub const BENDS: std::ops::Range<usize> = 3..10;
 const LEAST_AREA: f64 = 1e-9;
 
 /// The least-squares trend of the third degree through the known cells of a raster, as [`trend_at`] takes it; of a lower degree where the cells do not
-/// tell its terms apart; `None` where they lie on a line.
-pub fn trend(values: &[f32], columns: usize) -> Option<Trend> {
-    trend_of::<10>(values, columns)
-        .or_else(|| trend_of::<6>(values, columns))
-        .or_else(|| trend_of::<3>(values, columns))
+/// tell its terms apart; `None` where they lie on a line. Cells have weights; none: all count alike.
+pub fn trend(values: &[f32], columns: usize, weights: &[f32]) -> Option<Trend> {
+    trend_of::<10>(values, columns, weights)
+        .or_else(|| trend_of::<6>(values, columns, weights))
+        .or_else(|| trend_of::<3>(values, columns, weights))
 }
 
 /// A trend of the first terms only.
-fn trend_of<const N: usize>(values: &[f32], columns: usize) -> Option<Trend>
+fn trend_of<const N: usize>(values: &[f32], columns: usize, weights: &[f32]) -> Option<Trend>
 where
     Const<N>: DimMin<Const<N>, Output = Const<N>>,
 {
@@ -30,8 +30,9 @@ where
         let all = bend_terms(terms(columns, rows, i % columns, i / columns).into());
         SVector::from_fn(|k, _| all[k])
     };
+    let weight = |i: usize, _: &SVector<f64, N>, _: f64| weights.get(i).map_or(1.0, |weight| f64::from(*weight));
     let mut trend = Trend::default();
-    trend[..N].copy_from_slice(&fitted::<N>(values, 1, bent, |_, _| 1.0)?);
+    trend[..N].copy_from_slice(&fitted::<N>(values, 1, bent, weight)?);
     Some(trend)
 }
 
@@ -40,9 +41,9 @@ pub fn trend_at(trend: &Trend, x: f64, y: f64) -> f64 {
     trend.iter().zip(bend_terms([1.0, x, y])).map(|(factor, term)| factor * term).sum()
 }
 
-/// The values without their trend; `None` where the cells lie on a line.
-pub fn without_trend(values: &[f32], columns: usize) -> Option<Vec<f32>> {
-    Some(with_trend(values, columns, &trend(values, columns)?.map(|factor| -factor)))
+/// The values without their [`trend`]; `None` where the cells lie on a line.
+pub fn without_trend(values: &[f32], columns: usize, weights: &[f32]) -> Option<Vec<f32>> {
+    Some(with_trend(values, columns, &trend(values, columns, weights)?.map(|factor| -factor)))
 }
 
 /// The values with a trend added.
@@ -72,13 +73,13 @@ fn bend_terms([one, x, y]: [f64; 3]) -> Trend {
     [one, x, y, square_x, x * y, square_y, cube_x, square_x * y, x * square_y, cube_y]
 }
 
-/// Factors on the terms of a cell, by least squares with weights, through every known cell of number 0, `step`, 2 `step`, ...; `None` where the cells do
-/// not tell the terms apart.
+/// Factors on the terms of a cell, by least squares with weights of a cell, its terms and its value, through every known cell of number 0, `step`,
+/// 2 `step`, ...; `None` where the cells do not tell the terms apart.
 pub fn fitted<const N: usize>(
     values: &[f32],
     step: usize,
     terms: impl Fn(usize) -> SVector<f64, N>,
-    weight: impl Fn(&SVector<f64, N>, f64) -> f64,
+    weight: impl Fn(usize, &SVector<f64, N>, f64) -> f64,
 ) -> Option<[f64; N]>
 where
     Const<N>: DimMin<Const<N>, Output = Const<N>>,
@@ -86,7 +87,7 @@ where
     let (mut normal, mut right) = (SMatrix::<f64, N, N>::zeros(), SVector::<f64, N>::zeros());
     for (i, value) in values.iter().enumerate().step_by(step).filter(|(_, value)| !value.is_nan()) {
         let (x, value) = (terms(i), f64::from(*value));
-        let weight = weight(&x, value);
+        let weight = weight(i, &x, value);
         normal += x * x.transpose() * weight;
         right += x * (value * weight);
     }
@@ -114,19 +115,39 @@ mod tests {
             if i % 7 == 2 { f32::NAN } else { trend_at(&truth, x, y) as f32 }
         };
         let values: Vec<f32> = (0..columns * rows).map(value).collect();
-        let found = trend(&values, columns).unwrap();
+        let found = trend(&values, columns, &[]).unwrap();
         assert!(found.iter().zip(truth).all(|(found, truth)| (found - truth).abs() < 1e-6), "{found:?}");
-        let flat = without_trend(&values, columns).unwrap();
+        let flat = without_trend(&values, columns, &[]).unwrap();
         assert!(flat.iter().zip(&values).all(|(f, v)| f.is_nan() == v.is_nan() && (f.is_nan() || f.abs() < 1e-6)));
         // Two columns bend in no known way, some more in no way of the third degree.
         let narrow = |wide: usize| {
             let values = values.iter().enumerate();
-            trend(&values.map(|(i, v)| if i % columns < wide { *v } else { f32::NAN }).collect::<Vec<_>>(), columns)
+            trend(
+                &values.map(|(i, v)| if i % columns < wide { *v } else { f32::NAN }).collect::<Vec<_>>(),
+                columns,
+                &[],
+            )
         };
         let plane = narrow(2).unwrap();
-        assert!(plane[3..] == [0.0; 7] && trend(&values[..1], 1).is_none(), "{plane:?}");
+        assert!(plane[3..] == [0.0; 7] && trend(&values[..1], 1, &[]).is_none(), "{plane:?}");
         let bends = |wide: usize| narrow(wide).filter(|found| found[6..] == [0.0; 4] && found[3].abs() > 0.0);
         let bend = (3..columns).find_map(bends).unwrap();
         assert!(bend.iter().all(|factor| factor.abs() < 1.0), "{bend:?}");
+    }
+    #[test]
+    fn cells_count_by_their_weights() {
+        let columns = 40;
+        let values: Vec<f32> = (0..columns * 30).map(|i| if i % columns < 20 { 1.0 } else { 5.0 }).collect();
+        let weights = |of_right: f32| -> Vec<f32> {
+            (0..values.len()).map(|i| if i % columns < 20 { 2.0 } else { of_right }).collect()
+        };
+        let same = trend(&values, columns, &weights(2.0)).unwrap();
+        let none = trend(&values, columns, &[]).unwrap();
+        assert!(same.iter().zip(none).all(|(a, b)| (a - b).abs() < 1e-9), "{same:?} {none:?}");
+        // Half of the face with no weight is as good as unknown.
+        let left: Vec<f32> = (0..values.len()).map(|i| if i % columns < 20 { 1.0 } else { f32::NAN }).collect();
+        let known = trend(&left, columns, &[]).unwrap();
+        let weighed = trend(&values, columns, &weights(0.0)).unwrap();
+        assert!(known.iter().zip(weighed).all(|(a, b)| (a - b).abs() < 1e-9), "{known:?} {weighed:?}");
     }
 }

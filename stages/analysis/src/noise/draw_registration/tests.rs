@@ -39,7 +39,7 @@ fn tilted() -> Raster {
 fn the_trend_of_a_difference_becomes_one_like_those_of_the_members() {
     let trends = model().1;
     let drawn: Vec<Trend> =
-        (0..400).map(|seed| trend(&settled(seed, &tilted()).unwrap().bands[0].values, COLUMNS).unwrap()).collect();
+        (0..400).map(|seed| trend(&settled(seed, &tilted()).unwrap().bands[0].values, COLUMNS, &[]).unwrap()).collect();
     let moments = |trends: &[Trend], k: usize| {
         let mean = trends.iter().map(|trend| trend[k]).sum::<f64>() / trends.len() as f64;
         let variance = trends.iter().map(|trend| (trend[k] - mean) * (trend[k] - mean)).sum::<f64>();
@@ -72,7 +72,7 @@ fn replicates_take_the_trends_of_all_rasters_in_turn() {
         let inputs = [("raster", tilted().into()), ("noise", Artefact::Noise(noise.clone()))];
         let with = json!({"replicate": replicate});
         let outputs = run_stage::<DrawRegistration>(&TestHost::seeded(1), &with, &inputs).unwrap().into_inner();
-        trend(&Raster::of(&outputs["raster"]).unwrap().bands[0].values, COLUMNS).unwrap()[0]
+        trend(&Raster::of(&outputs["raster"]).unwrap().bands[0].values, COLUMNS, &[]).unwrap()[0]
     };
     let mut found: Vec<f64> = (0..count).map(offset_m).collect();
     assert!((offset_m(count) - found[0]).abs() < 1e-9);
@@ -107,7 +107,7 @@ fn what_comes_with_a_bend_on_this_face_is_added_where_it_belongs() {
     let without = settled_by(noise.clone(), 1, &tilted()).unwrap();
     let shape: Vec<f32> = (0..COLUMNS * ROWS).map(|i| (i % 7) as f32).collect();
     noise.bend_shapes = (0..7).map(|k| if k == 1 { shape.clone() } else { vec![0.0; shape.len()] }).collect();
-    let bend_m = trend(&without.bands[0].values, COLUMNS).unwrap()[4];
+    let bend_m = trend(&without.bands[0].values, COLUMNS, &[]).unwrap()[4];
     // A part of the face, which begins three columns and two rows further on.
     let part = |raster: &Raster| {
         let values = raster.bands[0].values.chunks(COLUMNS).skip(2).flat_map(|row| row[3..].to_vec()).collect();
@@ -149,10 +149,10 @@ fn with_and_without_gain(noise: &Noise, raster: &Raster) -> (Trend, Trend, f64) 
         settled_by(noise, 1, raster).unwrap().bands.remove(0).values
     };
     let (with, without) = (left(gain), left(0.0));
-    let asymmetry_m = asymmetry(&without, COLUMNS).unwrap()[0];
-    let mut wanted_m = trend(&without, COLUMNS).unwrap();
+    let mut wanted_m = trend(&without, COLUMNS, &noise.trend_weights).unwrap();
+    let asymmetry_m = asymmetry(&without, COLUMNS, &wanted_m).unwrap()[0];
     wanted_m[0] += gain * asymmetry_m;
-    (trend(&with, COLUMNS).unwrap(), wanted_m, asymmetry_m)
+    (trend(&with, COLUMNS, &noise.trend_weights).unwrap(), wanted_m, asymmetry_m)
 }
 
 #[test]

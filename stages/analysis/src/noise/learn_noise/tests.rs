@@ -5,13 +5,14 @@ use std::sync::LazyLock;
 use serde_json::{Value, json};
 
 use super::*;
+use crate::noise::detrend::robust_plane;
 use crate::noise::learning;
 use crate::noise::learning::whitening::CLASSES;
 use rockface_core::artefact::{Artefact, Frame, Grid, Member, Noun, Pair};
 use rockface_core::numerics::gaussian::smoothed;
 use rockface_core::numerics::portable_math;
 use rockface_core::numerics::random::Key;
-use rockface_core::numerics::trend::{trend_at, with_trend, without_trend};
+use rockface_core::numerics::trend::{trend, trend_at, with_trend, without_trend};
 use rockface_core::params::ParamType;
 use rockface_core::testing::{TestHost, image_at, run_stage, small_sensor};
 use rockface_imaging::matching::noise::ensemble::{Numbers, draw};
@@ -132,11 +133,11 @@ pub(in crate::noise) fn mean(values: impl Iterator<Item = f64>) -> f64 {
 fn align(rasters: &mut [Raster]) {
     for raster in rasters {
         let values = &mut raster.bands[0].values;
-        let (all, few) = (plane(values, COLUMNS).unwrap(), asymmetry(values, COLUMNS).unwrap());
+        let robust = robust_plane(values, COLUMNS).unwrap();
         let height = |i: usize, k: usize| {
             let half = [0.5 * COLUMNS as f64, 0.5 * ROWS as f64];
             let at = [1.0, (i % COLUMNS) as f64 / half[0] - 1.0, (i / COLUMNS) as f64 / half[1] - 1.0];
-            (all[k] - few[k]) * at[k]
+            robust[k] * at[k]
         };
         values.iter_mut().enumerate().for_each(|(i, z)| *z -= (0..3).map(|k| height(i, k)).sum::<f64>() as f32);
     }
@@ -163,7 +164,7 @@ fn registration_that_aligns_what_most_cells_agree_on_is_known_by_its_offsets() {
     let with = json!({"draws": 0});
     let (noise, _) = learn_from(rasters.clone(), &with).unwrap();
     assert!(noise.asymmetry_gain.iter().all(|gain| (gain - 1.0).abs() < 0.02), "{:?}", noise.asymmetry_gain);
-    // The plane through what is left of the trend, where the raster has values.
+    // Offset and tilts of what is left of the trend, where the raster has values.
     let rest = |(member, raster): (&Member, &Raster)| {
         let height = |i: usize| {
             let [x, y] = [(i % COLUMNS) as f64 / (0.5 * COLUMNS as f64), (i / COLUMNS) as f64 / (0.5 * ROWS as f64)];
@@ -171,7 +172,7 @@ fn registration_that_aligns_what_most_cells_agree_on_is_known_by_its_offsets() {
         };
         let known = raster.bands[0].values.iter().enumerate();
         let left: Vec<f32> = known.map(|(i, z)| if z.is_nan() { f32::NAN } else { height(i) }).collect();
-        plane(&left, COLUMNS).unwrap().map(f64::abs).into_iter().fold(0.0, f64::max)
+        trend(&left, COLUMNS, &noise.trend_weights).unwrap()[..3].iter().map(|m| m.abs()).fold(0.0, f64::max)
     };
     let rest = noise.members.iter().zip(&rasters).map(rest).fold(0.0, f64::max);
     assert!(rest < 1e-5, "{rest}");
@@ -378,7 +379,7 @@ fn draws_differ_from_each_other_as_much_as_other_rasters_would() {
     let rasters: Vec<Raster> = (0..24).map(one).collect();
     let (noise, _) = learn_from(rasters.clone(), &json!({})).unwrap();
     let bands: Vec<&Band> = rasters.iter().flat_map(|raster| &raster.bands).collect();
-    let real = learning::differences::level(&bands, COLUMNS, &vec![1.0; COLUMNS * ROWS]).unwrap().0;
+    let real = learning::differences::level(&bands, COLUMNS, &vec![1.0; COLUMNS * ROWS], &[]).unwrap().0;
     let places = Places::of(noise.strength.clone());
     let deviations = |rasters: &[Vec<f32>]| {
         let whitened = whiten(rasters, COLUMNS, &places);
@@ -520,9 +521,9 @@ fn draws_of_a_parametric_model_are_as_strong_as_the_rasters_without_their_trends
     let rasters: Vec<Raster> = (0..6).map(raster).collect();
     let step_m = (20.0 * 20.0 / (small_sensor().f * 2.0)) as f32;
     let rms = |values: &[f32]| mean(values.iter().map(|value| f64::from(*value) * f64::from(*value))).sqrt();
-    let level_of = |raster: &Raster| without_trend(&raster.bands[0].values, COLUMNS).unwrap();
-    let real = mean(rasters.iter().map(|raster| rms(&level_of(raster)))) / f64::from(step_m);
     let (noise, _) = learn_from(rasters.clone(), &json!({"draws": 24})).unwrap();
+    let level_of = |raster: &Raster| without_trend(&raster.bands[0].values, COLUMNS, &noise.trend_weights).unwrap();
+    let real = mean(rasters.iter().map(|raster| rms(&level_of(raster)))) / f64::from(step_m);
     let drawn = mean(drawn_px(&noise, 40).iter().map(|rms| (0.5 * (rms[0] * rms[0] + rms[1] * rms[1])).sqrt()));
     assert!((drawn / real - 1.0).abs() < 0.12, "{drawn} {real}");
     // And as fine: where opposite edges of rasters differ, that is no fine noise.

@@ -31,9 +31,7 @@ pub struct Source {
     pub name: String,
     /// The trend that registration left in it, metres, as a member has it.
     pub trend_m: Trend,
-    /// The plane through it, metres.
-    pub plane_m: [f64; 3],
-    /// Its asymmetry, in the numbers of a plane.
+    /// Its asymmetry: offset and tilts of its trend less those that most cells agree on, metres.
     pub asymmetry_m: [f64; 3],
     /// Its skewness.
     pub skewness: f64,
@@ -157,13 +155,7 @@ mod tests {
 
     fn sources(count: usize) -> Vec<Source> {
         (0..count)
-            .map(|i| Source {
-                name: format!("d{i}"),
-                trend_m: [0.0; 10],
-                plane_m: [0.0; 3],
-                asymmetry_m: [0.0; 3],
-                skewness: 0.0,
-            })
+            .map(|i| Source { name: format!("d{i}"), trend_m: [0.0; 10], asymmetry_m: [0.0; 3], skewness: 0.0 })
             .collect()
     }
 

@@ -23,9 +23,9 @@ const LEAST_POWER: f64 = 1e-4;
 const FACTORS: usize = BENDS.end - BENDS.start;
 
 /// The shapes of the bends of some rasters, by the factors of their trends beyond a plane: what comes with a unit of each at each cell, metres for a
-/// metre. The rasters are without their trends already (metres, NaN in gaps), and the shapes have none. Empty where there are too few rasters, or they
-/// are not bent.
-pub fn shapes(level: &[Vec<f32>], trends: &[Trend], columns: usize) -> Vec<Vec<f32>> {
+/// metre. The rasters are without their trends already (metres, NaN in gaps), and the shapes have none; `trend_weights` are those of cells in trends.
+/// Empty where there are too few rasters, or they are not bent.
+pub fn shapes(level: &[Vec<f32>], trends: &[Trend], columns: usize, trend_weights: &[f32]) -> Vec<Vec<f32>> {
     let weights: Vec<f64> = level.iter().map(|raster| 1.0 / rms(raster)).collect();
     let modes = modes(trends, &weights);
     if modes.is_empty() || level.len() < modes.len() + LEAST_SPARE {
@@ -53,7 +53,8 @@ pub fn shapes(level: &[Vec<f32>], trends: &[Trend], columns: usize) -> Vec<Vec<f
             left.par_iter_mut().zip(off).for_each(add);
         }
     }
-    shapes.iter().map(|shape| without_trend(shape, columns).unwrap_or_else(|| shape.clone())).collect()
+    let level = |shape: &Vec<f32>| without_trend(shape, columns, trend_weights).unwrap_or_else(|| shape.clone());
+    shapes.iter().map(level).collect()
 }
 
 /// Takes off rasters without their trends what comes with their bends, by shapes that are known.
@@ -167,8 +168,8 @@ mod tests {
     }
 
     fn apart(rasters: &[Vec<f32>]) -> (Vec<Vec<f32>>, Vec<Trend>) {
-        let level = rasters.iter().map(|raster| without_trend(raster, COLUMNS).unwrap()).collect();
-        (level, rasters.iter().map(|raster| trend(raster, COLUMNS).unwrap()).collect())
+        let level = rasters.iter().map(|raster| without_trend(raster, COLUMNS, &[]).unwrap()).collect();
+        (level, rasters.iter().map(|raster| trend(raster, COLUMNS, &[]).unwrap()).collect())
     }
 
     fn power(rasters: &[Vec<f32>]) -> f64 {
@@ -179,11 +180,11 @@ mod tests {
     fn what_comes_with_a_trend_in_all_rasters_is_its_shape_and_comes_off() {
         let (mut level, trends) = apart(&rasters(26, wave));
         let before = power(&level);
-        let shapes = shapes(&level, &trends, COLUMNS);
+        let shapes = shapes(&level, &trends, COLUMNS, &[]);
         take_off(&mut level, &trends, &shapes);
         // A trend takes a little of the wave, and its factor grows by it.
         let wave: Vec<f32> = (0..COLUMNS * ROWS).map(|cell| wave(cell) as f32).collect();
-        let (truth, taken) = (without_trend(&wave, COLUMNS).unwrap(), trend(&wave, COLUMNS).unwrap()[3]);
+        let (truth, taken) = (without_trend(&wave, COLUMNS, &[]).unwrap(), trend(&wave, COLUMNS, &[]).unwrap()[3]);
         let inside = |cell: &usize| (6..COLUMNS - 6).contains(&(cell % COLUMNS));
         let of = |value: &dyn Fn(usize) -> f64| (0..COLUMNS * ROWS).filter(inside).map(value).sum::<f64>();
         let slope = of(&|i| f64::from(shapes[0][i] * truth[i])) / of(&|i| f64::from(truth[i] * truth[i]));
@@ -198,7 +199,7 @@ mod tests {
     fn noise_alone_has_next_to_no_shape() {
         let (mut level, trends) = apart(&rasters(26, |_| 0.0));
         let before = power(&level);
-        let shapes = shapes(&level, &trends, COLUMNS);
+        let shapes = shapes(&level, &trends, COLUMNS, &[]);
         take_off(&mut level, &trends, &shapes);
         assert!(power(&level) > 0.99 * before, "{} {before}", power(&level));
     }
@@ -206,8 +207,8 @@ mod tests {
     #[test]
     fn few_rasters_and_level_ones_have_none() {
         let (level, trends) = apart(&rasters(6, wave));
-        assert!(shapes(&level, &trends, COLUMNS).is_empty());
+        assert!(shapes(&level, &trends, COLUMNS, &[]).is_empty());
         let (level, _) = apart(&rasters(26, wave));
-        assert!(shapes(&level, &[Trend::default(); 26], COLUMNS).is_empty());
+        assert!(shapes(&level, &[Trend::default(); 26], COLUMNS, &[]).is_empty());
     }
 }

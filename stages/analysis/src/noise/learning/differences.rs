@@ -93,11 +93,17 @@ pub fn per_step(rasters: Vec<Vec<f32>>, step_m: &[f32]) -> Vec<Vec<f32>> {
     rasters.into_iter().map(one).collect()
 }
 
-/// Differences without their trends, which are what registration left, and the trends, metres.
+/// Differences without their trends, which are what registration left, and the trends, metres. `weights` are those of cells in the trends; none: all
+/// count alike.
 ///
 /// # Errors
 /// A raster with too few values, with values on a line only, or that is all trend.
-pub fn level(bands: &[&Band], columns: usize, step_m: &[f32]) -> Result<(Vec<Vec<f32>>, Vec<Trend>), StageError> {
+pub fn level(
+    bands: &[&Band],
+    columns: usize,
+    step_m: &[f32],
+    weights: &[f32],
+) -> Result<(Vec<Vec<f32>>, Vec<Trend>), StageError> {
     let one = |band: &&Band| {
         let known = band.values.iter().zip(step_m).filter(|(value, step)| !(value.is_nan() || step.is_nan()));
         let known: Vec<f64> = known.map(|(value, _)| f64::from(*value)).collect();
@@ -108,7 +114,7 @@ pub fn level(bands: &[&Band], columns: usize, step_m: &[f32]) -> Result<(Vec<Vec
             return Err(StageError::new(text)
                 .hint("a tenth is needed: check window, frame and cameras, or leave the raster out"));
         }
-        let trend = trend(&band.values, columns);
+        let trend = trend(&band.values, columns, weights);
         let trend =
             trend.ok_or_else(|| StageError::new(format!("the values of raster `{}` lie on a line", band.name)))?;
         let flat = with_trend(&band.values, columns, &trend.map(|factor| -factor));
@@ -143,7 +149,7 @@ pub fn differences(
         let (pre, post) = (epoch(replicate, 0), epoch(replicate, 1));
         let difference_m = pre.iter().zip(post).zip(step_m).map(|((pre, post), step_m)| (post - pre) * step_m);
         let kept: Vec<f32> = difference_m.map(|m| if m.abs() <= limit_m { m } else { f32::NAN }).collect();
-        let level = without_trend(&kept, noise.grid.columns).unwrap_or(kept);
+        let level = without_trend(&kept, noise.grid.columns, &noise.trend_weights).unwrap_or(kept);
         level.iter().zip(step_m).map(|(m, step_m)| m / step_m).collect()
     };
     (0..count as u32).into_par_iter().map(difference).collect()

@@ -10,4 +10,5 @@ pub mod differences;
 pub mod parametric;
 pub mod registration;
 pub mod relief_law;
+pub mod trend_weights;
 pub mod whitening;

@@ -18,7 +18,7 @@ const MOST_RATIO: f64 = 3.0;
 pub fn part(sources: &mut [Source], bad: &[bool], drawn: &[[f64; 3]]) -> [f64; 3] {
     std::array::from_fn(|k| {
         let usual = || sources.iter().zip(bad).filter(|(_, bad)| !**bad).map(|(source, _)| source);
-        let points: Vec<(f64, f64)> = usual().map(|source| (source.asymmetry_m[k], source.plane_m[k])).collect();
+        let points: Vec<(f64, f64)> = usual().map(|source| (source.asymmetry_m[k], source.trend_m[k])).collect();
         let of_rasters: Vec<[f64; 3]> = usual().map(|source| source.asymmetry_m).collect();
         let gain = slope(&points).clamp(-MOST_SLOPE, MOST_SLOPE);
         sources.iter_mut().for_each(|source| source.trend_m[k] -= gain * source.asymmetry_m[k]);
@@ -55,11 +55,11 @@ mod tests {
             let plane_m = [1.4 * asymmetry[0] + rest(0), rest(1), 2.0 + rest(2) - asymmetry[2]];
             let mut trend_m = [0.1; 10];
             trend_m[..3].copy_from_slice(&plane_m);
-            Source { name: format!("r{i}"), trend_m, plane_m, asymmetry_m, skewness: 0.0 }
+            Source { name: format!("r{i}"), trend_m, asymmetry_m, skewness: 0.0 }
         };
         let mut sources: Vec<Source> = asymmetries.iter().enumerate().map(source).collect();
         let mut bad = [false; 26];
-        (sources[4].plane_m, sources[4].trend_m, bad[4]) = ([90.0; 3], [90.0; 10], true);
+        (sources[4].trend_m, bad[4]) = ([90.0; 10], true);
         let drawn: Vec<[f64; 3]> = asymmetries.iter().map(|asymmetry| asymmetry.map(|a| 0.5 * a)).collect();
         let gain = part(&mut sources, &bad, &drawn);
         assert!((gain[0] - 2.8).abs() < 0.4 && gain[1].abs() < 0.15 && (gain[2] + 2.0).abs() < 0.4, "{gain:?}");

@@ -99,15 +99,15 @@ fn a_face_that_is_half_new_keeps_the_known_half_and_has_strength_by_relief_in_th
 }
 
 #[test]
-fn what_comes_with_bends_keeps_its_place_between_the_edges() {
-    let shape: Vec<f32> = (0..COLUMNS * ROWS).map(|i| (i % COLUMNS + 1000 * (i / COLUMNS)) as f32).collect();
-    let noise = Noise { bend_shapes: vec![shape.clone(); 7], ..model() };
+fn bends_and_weights_of_trends_keep_their_place_between_the_edges() {
+    let shape: Vec<f32> = (0..COLUMNS * ROWS).map(|i| (1 + i % COLUMNS + 1000 * (i / COLUMNS)) as f32).collect();
+    let noise = Noise { bend_shapes: vec![shape.clone(); 7], trend_weights: shape.clone(), ..model() };
     // Cells twice as large: under the middle of each lies the corner of four.
     let coarse = Grid { columns: COLUMNS / 2, rows: ROWS / 2, cell_m: 0.1, ..grid() };
     let moved = transfer_on(&TestHost::default(), noise, &face(coarse, |_, _| 0.0), &json!({})).unwrap();
     let under = |i: usize| (2 * (i / coarse.columns) + 1) * COLUMNS + 2 * (i % coarse.columns) + 1;
     let wanted: Vec<f32> = (0..coarse.cells()).map(|i| shape[under(i)]).collect();
-    assert_eq!(moved.bend_shapes, vec![wanted; 7]);
+    assert_eq!((moved.bend_shapes, moved.trend_weights), (vec![wanted.clone(); 7], wanted));
 }
 
 #[test]

@@ -44,6 +44,7 @@ pub fn model() -> Noise {
         strength: (0..SIDE * SIDE).map(|i| if i % SIDE < SIDE / 2 { 0.1 } else { 0.3 }).collect(),
         elevation: vec![0.0; SIDE * SIDE],
         bend_shapes: Vec::new(),
+        trend_weights: vec![1.0; SIDE * SIDE],
         parametric: None,
         fields: Vec::new(),
         weights: Vec::new(),

@@ -45,7 +45,7 @@ pub fn level_part(wide: &[f64], [columns, rows]: [usize; 2]) -> Vec<f64> {
     let [wide_columns, _] = drawn_size([columns, rows]);
     let part: Vec<f64> = wide.chunks_exact(wide_columns).take(rows).flat_map(|row| &row[..columns]).copied().collect();
     let rounded: Vec<f32> = part.iter().map(|value| *value as f32).collect();
-    without_trend(&rounded, columns).map_or(part, |level| level.into_iter().map(f64::from).collect())
+    without_trend(&rounded, columns, &[]).map_or(part, |level| level.into_iter().map(f64::from).collect())
 }
 
 /// Which spectrum and how much of a shift the noise of each cell of a face has.
